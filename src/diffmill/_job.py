@@ -1,0 +1,106 @@
+"""A job: everything that one simulation or correction needs, as one pytree.
+
+Numbers that change from run to run are leaves (they differentiate and do not
+recompile); counts, names and choices are static. Reading a job from a file, units
+and the error that lists every fault are in `diffmill.io`.
+"""
+
+from typing import Literal
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float
+
+from ._types import RealScalarLike, Transform
+from .cutter import AbstractCutter
+from .cutting import AbstractForceLaw
+from .robot import Robot
+from .toolpath import Path
+from .workpiece import Stock
+
+
+class SimulationSettings(eqx.Module):
+    """How finely a job is computed.
+
+    Attributes:
+        angles: Samples of the immersion angle per revolution; a multiple of teeth x
+            substeps.
+        substeps: Steps of the robot within one tooth period.
+        element_height: Height dz of a disc of the cutter [m].
+        axial_depth: Deepest immersion that the discs reach [m].
+        mode: "dynamic", or "quasistatic" (balance of springs, no inertia).
+        precision: "float64" or "float32".
+        is_gravity_compensated: Whether the controller lifts the gravity sag.
+    """
+
+    angles: int = eqx.field(static=True)
+    substeps: int = eqx.field(static=True)
+    element_height: float = eqx.field(static=True)
+    axial_depth: float = eqx.field(static=True)
+    mode: Literal["dynamic", "quasistatic"] = eqx.field(static=True, default="dynamic")
+    precision: Literal["float64", "float32"] = eqx.field(static=True, default="float64")
+    is_gravity_compensated: bool = eqx.field(static=True, default=True)
+
+
+class CorrectionSettings(eqx.Module):
+    """How a path is corrected.
+
+    Attributes:
+        objective: "path" (contour error of the tip).
+        method: Method whose result is written as the corrected program.
+        command: "tip" positions (what a program carries) or "joint" angles.
+        knot_spacing: Spacing of the B-spline knots [s], the controller's bandwidth.
+        max_offset: Largest offset of the command from the desired path [m], per axis.
+        max_steps: Gauss-Newton steps at most.
+        max_products: Products with the Jacobian per step at most.
+    """
+
+    objective: Literal["path"] = eqx.field(static=True, default="path")
+    method: Literal["gauss_newton", "mirror", "mirror_iterated", "inverse_drive"] = (
+        eqx.field(static=True, default="gauss_newton")
+    )
+    command: Literal["tip", "joint"] = eqx.field(static=True, default="tip")
+    knot_spacing: float = eqx.field(static=True, default=30e-3)
+    max_offset: RealScalarLike = 1e-3
+    max_steps: int = eqx.field(static=True, default=6)
+    max_products: int = eqx.field(static=True, default=40)
+
+
+class Job(eqx.Module):
+    """A cut to predict and correct.
+
+    Attributes:
+        name: Name of the job, for messages and file names.
+        cutter: The milling cutter.
+        law: The force law with its coefficients.
+        spindle_speed: [rad/s].
+        stock: The workpiece before the cut.
+        path: The desired path, sampled at the tooth instants.
+        robot: The robot with its tool, or None for a rigid machine.
+        T_base_work: Pose of the workpiece frame in the robot's base, shape (4, 4).
+        joint_start: Joint angles near which inverse kinematics begins [rad],
+            shape (joint,), or None for the robot's home.
+        simulation: Numerical settings.
+        correction: Settings of the correction.
+        source: The job file's text, for the record in the results; may be empty.
+        program: The program's text as read, for writing the corrected one.
+    """
+
+    name: str = eqx.field(static=True)
+    cutter: AbstractCutter
+    law: AbstractForceLaw
+    spindle_speed: RealScalarLike
+    stock: Stock
+    path: Path
+    robot: Robot | None
+    T_base_work: Transform
+    joint_start: Float[Array, " joint"] | Float[np.ndarray, " joint"] | None
+    simulation: SimulationSettings
+    correction: CorrectionSettings
+    source: str = eqx.field(static=True, default="")
+    program: str = eqx.field(static=True, default="")
+
+    @property
+    def tooth_period(self) -> RealScalarLike:
+        """Time between two teeth T = 2 pi / (omega N_z) [s]."""
+        return 2 * 3.141592653589793 / (self.spindle_speed * self.cutter.tooth_count)

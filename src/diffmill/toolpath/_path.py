@@ -1,0 +1,63 @@
+"""A tool path as the simulation takes it: one row per tooth period."""
+
+import equinox as eqx
+import numpy as np
+
+from .._types import BoolSteps, FloatRows3, FloatSteps, IntSteps
+
+
+class Path(eqx.Module):
+    """A tool path in `work`, sampled at the tooth instants t_k = k T.
+
+    Attributes:
+        time: Time since the start [s], shape (step,), equally spaced by T.
+        positions: Tool tip in `work` [m], shape (step, 3).
+        axes: Unit tool axis, tip to shank, in `work`, shape (step, 3).
+        is_rapid: Whether the row belongs to a rapid move, shape (step,).
+        line: Line of the program that caused the row, from 1; 0 where there is
+            none, shape (step,).
+    """
+
+    time: FloatSteps
+    positions: FloatRows3
+    axes: FloatRows3
+    is_rapid: BoolSteps
+    line: IntSteps
+
+    def __check_init__(self):
+        rows = self.positions.shape[0]
+        for name in ("time", "axes", "is_rapid", "line"):
+            if getattr(self, name).shape[0] != rows:
+                raise ValueError(
+                    f"Argument `{name}` must have one row per position ({rows}), but "
+                    f"has {getattr(self, name).shape[0]}."
+                )
+        if rows < 2:
+            raise ValueError(
+                f"Argument `positions` must have at least 2 rows, but has {rows}."
+            )
+
+    @property
+    def step_count(self) -> int:
+        """Number of rows."""
+        return self.positions.shape[0]
+
+
+def vertical_path(time: FloatSteps, positions: FloatRows3) -> Path:
+    """Return a `Path` with the tool axis along +z of `work` and no rapid moves.
+
+    Args:
+        time: Tooth instants [s], shape (step,).
+        positions: Tool tip [m], shape (step, 3).
+
+    Returns:
+        The path, its arrays as given.
+    """
+    rows = positions.shape[0]
+    return Path(
+        time=time,
+        positions=positions,
+        axes=np.tile(np.array([0.0, 0.0, 1.0]), (rows, 1)),
+        is_rapid=np.zeros(rows, dtype=bool),
+        line=np.zeros(rows, dtype=np.int32),
+    )
