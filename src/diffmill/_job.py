@@ -103,4 +103,4 @@ class Job(eqx.Module):
     @property
     def tooth_period(self) -> RealScalarLike:
         """Time between two teeth T = 2 pi / (omega N_z) [s]."""
-        return 2 * 3.141592653589793 / (self.spindle_speed * self.cutter.tooth_count)
+        return 2 * 3.141592653589793 / (self.spindle_speed * self.cutter.flute_count)
