@@ -1,3 +1,22 @@
-"""Tool paths."""
+"""Tool paths: where the tool shall be, and when.
 
+A program is a list of moves (lines, arcs, helices); a path is the tool tip at every
+tooth instant. Between them stands the timing: the programmed feed, one limit of the
+tangential and the centripetal acceleration, corners rounded within a tolerance or
+stopped at, a start and an end at rest. Assumed: the controller travels with
+trapezoidal speed (no jerk limit), a corner is rounded by an arc between lines and by a
+cubic curve at arcs, rapid moves are straight and end at rest. Left out: dwells other
+than inverse-time moves without displacement, rotary axes, and the controller's own
+path deviation. The contour error of a path against the desired one is JAX code and
+differentiates; everything else runs once, on the host, in NumPy.
+"""
+
+from ._contour import contour_error as contour_error, contour_vector as contour_vector
+from ._moves import Move as Move, Program as Program
 from ._path import Path as Path, vertical_path as vertical_path
+from ._resample import (
+    duration as duration,
+    path_length as path_length,
+    resample as resample,
+)
+from ._timing import sample_program as sample_program

@@ -1,0 +1,113 @@
+"""Contour error: how far the tool is from the desired path, whenever it gets there."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._types import FloatRows3
+
+
+def contour_vector(
+    actual: FloatRows3, desired: FloatRows3, *, window: int = 20
+) -> Float[Array, "step 3"]:
+    """Return the vector from the nearest point of the desired path to the actual one.
+
+    The desired path is the polyline through its rows. Row k of `actual` looks at the
+    segments between rows k - window and k + window only, so that another pass of the
+    tool over the same place is not mistaken for this one.
+
+    Args:
+        actual: Actual tool tips [m], shape (step, 3).
+        desired: Desired tool tips [m], shape (step, 3).
+        window: Rows to either side that are searched.
+
+    Returns:
+        Vectors from the desired path to the actual points [m], shape (step, 3).
+
+    **Differentiability**: smooth within a segment and about a vertex; the choice of
+    the segment is held constant, which leaves a kink where two are equally near.
+    """
+    if window < 1:
+        raise ValueError(f"Argument `window` must be at least 1, but is {window}.")
+    actual, desired = jnp.asarray(actual), jnp.asarray(desired)
+    padded = jnp.pad(desired, ((window, window), (0, 0)), mode="edge")
+    first = _nearest_segment(
+        jax.lax.stop_gradient(actual), jax.lax.stop_gradient(padded), window
+    )
+    return _from_segment(actual, padded[first], padded[first + 1])
+
+
+def contour_error(
+    actual: FloatRows3,
+    desired: FloatRows3,
+    *,
+    window: int = 20,
+    outward: FloatRows3 | None = None,
+) -> Float[Array, " step"]:
+    """Return the distance of each actual point to the desired path.
+
+    Args:
+        actual: Actual tool tips [m], shape (step, 3).
+        desired: Desired tool tips [m], shape (step, 3).
+        window: Rows to either side that are searched.
+        outward: Directions that count as positive, shape (step, 3); None leaves the
+            distances unsigned. A zero row leaves its distance positive.
+
+    Returns:
+        Distances [m], shape (step,).
+
+    **Differentiability**: as `contour_vector`; where the distance is zero the
+    gradient is set to zero.
+    """
+    vector = contour_vector(actual, desired, window=window)
+    square = jnp.sum(vector * vector, axis=1)
+    is_off = square > 0
+    # The root has no derivative at zero: it gets a harmless input there.
+    distance = jnp.where(is_off, jnp.sqrt(jnp.where(is_off, square, 1.0)), 0.0)
+    if outward is None:
+        return distance
+    side = jnp.sum(jax.lax.stop_gradient(vector) * jnp.asarray(outward), axis=1)
+    return jnp.where(side < 0, -distance, distance)
+
+
+def _from_segment(
+    point: Float[Array, "step 3"],
+    start: Float[Array, "step 3"],
+    end: Float[Array, "step 3"],
+) -> Float[Array, "step 3"]:
+    """Return the vectors from the nearest points of segments, a dwell being a point."""
+    along = end - start
+    square = jnp.sum(along * along, axis=1)
+    is_segment = square > 0
+    fraction = jnp.sum((point - start) * along, axis=1) / jnp.where(
+        is_segment, square, 1.0
+    )
+    fraction = jnp.clip(fraction, 0.0, 1.0)
+    return point - start - fraction[:, None] * along
+
+
+def _nearest_segment(
+    actual: Float[Array, "step 3"], padded: Float[Array, "row 3"], window: int
+):
+    """Return for each step the row of `padded` at which its nearest segment begins.
+
+    A scan over the offsets holds one candidate per step at a time, so that memory
+    grows with the path only and not with the window.
+    """
+    count = actual.shape[0]
+
+    def look(best, offset):
+        start = jax.lax.dynamic_slice_in_dim(padded, offset, count)
+        end = jax.lax.dynamic_slice_in_dim(padded, offset + 1, count)
+        vector = _from_segment(actual, start, end)
+        square = jnp.sum(vector * vector, axis=1)
+        is_nearer = square < best[0]
+        return (
+            jnp.where(is_nearer, square, best[0]),
+            jnp.where(is_nearer, offset, best[1]),
+        ), None
+
+    start = (jnp.full((count,), jnp.inf, actual.dtype), jnp.zeros((count,), jnp.int32))
+    offsets = jnp.arange(2 * window, dtype=jnp.int32)
+    (_, offset), _ = jax.lax.scan(look, start, offsets)
+    return jnp.arange(count, dtype=jnp.int32) + offset

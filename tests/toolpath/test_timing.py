@@ -1,0 +1,242 @@
+"""Timing of programs against closed forms and the limits it promises."""
+
+import math
+
+import numpy as np
+import pytest
+
+from diffmill.toolpath import (
+    Move,
+    Program,
+    duration,
+    path_length,
+    sample_program,
+)
+
+PERIOD = 1e-4
+LIMITS = {"acceleration": 2.0, "rapid_feed": 0.2, "corner_tolerance": 0.0}
+
+
+def line(start, end, feed=0.05, **rest):
+    return Move(tuple(map(float, start)), tuple(map(float, end)), feed=feed, **rest)
+
+
+def chain(points, **rest):
+    pairs = zip(points[:-1], points[1:], strict=True)
+    return Program(
+        tuple(line(a, b, line=number, **rest) for number, (a, b) in enumerate(pairs, 1))
+    )
+
+
+def arc(start, end, centre, turn, feed=0.05, **rest):
+    start, end, centre = (tuple(map(float, p)) for p in (start, end, centre))
+    return Move(start, end, centre=centre, turn=turn, feed=feed, **rest)
+
+
+def speeds(path):
+    return np.linalg.norm(np.diff(path.positions, axis=0), axis=1) / PERIOD
+
+
+def distance_to_polyline(points, vertices):
+    best = np.full(len(points), np.inf)
+    for a, b in zip(vertices[:-1], vertices[1:], strict=True):
+        fraction = np.clip((points - a) @ (b - a) / np.dot(b - a, b - a), 0, 1)
+        gap = points - a - fraction[:, None] * (b - a)
+        best = np.minimum(best, np.linalg.norm(gap, axis=1))
+    return best
+
+
+@pytest.mark.parametrize(
+    ("length", "expected"),
+    [(0.02, 0.02 / 0.05 + 0.05 / 2.0), (0.001, 2 * math.sqrt(0.001 / 2.0))],
+    ids=["trapezoid", "triangle"],
+)
+def test_duration_of_one_line(length, expected):
+    path = sample_program(chain([(0, 0, 0), (length, 0, 0)]), PERIOD, **LIMITS)
+    assert expected <= duration(path) < expected + PERIOD * (1 + 1e-6)
+    np.testing.assert_allclose(path.positions[-1], [length, 0, 0], atol=1e-15)
+    np.testing.assert_allclose(path_length(path), length, rtol=1e-12)
+
+
+def test_position_within_a_trapezoid():
+    path = sample_program(chain([(0, 0, 0), (0.02, 0, 0)]), PERIOD, **LIMITS)
+    end = 0.02 / 0.05 + 0.05 / 2.0
+    time = np.minimum(path.time, end)
+    rise = 0.025
+    expected = np.select(
+        [time < rise, time < end - rise],
+        [time**2, rise**2 + 0.05 * (time - rise)],
+        0.02 - (end - time) ** 2,
+    )
+    np.testing.assert_allclose(path.positions[:, 0], expected, atol=1e-15)
+
+
+def test_exact_stop_at_every_corner():
+    points = [(0, 0, 0), (0.02, 0, 0), (0.02, 0.01, 0)]
+    path = sample_program(chain(points), PERIOD, **LIMITS)
+    expected = 0.03 / 0.05 + 2 * 0.05 / 2.0
+    assert expected <= duration(path) < expected + 1.001 * PERIOD
+    assert np.max(distance_to_polyline(path.positions, np.array(points))) < 1e-15
+
+
+@pytest.mark.parametrize("turn", [10, 45, 90, 135, 165])
+def test_rounded_corner_keeps_tolerance_and_acceleration(turn):
+    tolerance = 1e-4
+    phi = math.radians(turn)
+    points = np.array(
+        [
+            (0, 0, 0),
+            (0.02, 0, 0.0),
+            (0.02 + 0.02 * math.cos(phi), 0.02 * math.sin(phi), 0),
+        ]
+    )
+    path = sample_program(
+        chain(points), PERIOD, **(LIMITS | {"corner_tolerance": tolerance})
+    )
+    gap = np.min(np.linalg.norm(path.positions - points[1], axis=1))
+    assert 0.9 * tolerance < gap < tolerance + 1e-6
+    assert np.max(distance_to_polyline(path.positions, points)) <= tolerance
+    velocity = np.diff(path.positions, axis=0) / PERIOD
+    acceleration = np.diff(velocity, axis=0) / PERIOD
+    # Along and across the path each keep the limit; their sum may reach sqrt(2) of it.
+    assert np.max(np.linalg.norm(acceleration, axis=1)) < 2.0 * math.sqrt(2) * 1.01
+    stop = sample_program(chain(points), PERIOD, **LIMITS)
+    assert duration(path) < duration(stop)
+
+
+def test_speed_and_acceleration_limits_of_a_mixed_program():
+    moves = (
+        line((0, 0, 0), (0.01, 0, 0)),
+        arc((0.01, 0, 0), (0.01, 0.002, 0), (0.01, 0.001, 0), 1, feed=0.1),
+        line((0.01, 0.002, 0), (0.0, 0.002, 0), feed=0.03),
+        arc((0, 0.002, 0), (0.004, 0.002, 0.001), (0.002, 0.002, 0), -1, feed=0.08),
+        line((0.004, 0.002, 0.001), (0.004, 0.01, 0)),
+    )
+    path = sample_program(
+        Program(moves), PERIOD, **(LIMITS | {"corner_tolerance": 5e-5})
+    )
+    speed = speeds(path)
+    assert np.max(speed) <= 0.1 * (1 + 1e-9)
+    radius = np.linalg.norm(path.positions[:, :2] - [0.01, 0.001], axis=1)
+    on_arc = (np.abs(radius - 0.001) < 1e-9) & (path.positions[:, 0] > 0.0101)
+    assert on_arc.sum() > 100
+    # v^2 / r <= a on the 1 mm arc, which its own feed of 0.1 m/s would break.
+    assert np.max(speed[on_arc[1:]]) <= math.sqrt(2.0 * 0.001) * (1 + 1e-6)
+    acceleration = np.diff(path.positions, n=2, axis=0) / PERIOD**2
+    assert np.max(np.linalg.norm(acceleration, axis=1)) < 2.0 * math.sqrt(2) * 1.02
+    assert speed[0] < 2.0 * PERIOD
+    assert speed[-1] < 2.0 * PERIOD
+
+
+def test_corner_between_line_and_arc_keeps_tolerance():
+    tolerance = 2e-5
+    moves = (
+        line((-0.01, 0, 0), (0, 0, 0)),
+        arc((0, 0, 0), (0.01, 0, 0), (0.005, 0, 0), -1),
+    )
+    path = sample_program(
+        Program(moves), PERIOD, **(LIMITS | {"corner_tolerance": tolerance})
+    )
+    angle = np.linspace(np.pi, 0, 2001)
+    ring = np.stack([0.005 + 0.005 * np.cos(angle), 0.005 * np.sin(angle)], axis=1)
+    ring = np.concatenate([ring, np.zeros((2001, 1))], axis=1)
+    vertices = np.concatenate([[[-0.01, 0, 0]], ring])
+    gap = distance_to_polyline(path.positions, vertices)
+    assert 0.3 * tolerance < np.max(gap) < tolerance + 1e-8
+    # The corner is a right angle: as fast as the arc that two lines would get.
+    radius = tolerance / (math.sqrt(2) - 1)
+    slowest = np.min(speeds(path)[100:-200])
+    np.testing.assert_allclose(slowest, math.sqrt(2.0 * radius), rtol=0.05)
+
+
+def test_tangent_arc_is_passed_without_a_stop():
+    moves = (
+        line((0, 0, 0), (0.02, 0, 0)),
+        arc((0.02, 0, 0), (0.02, 0.02, 0), (0.02, 0.01, 0), 1),
+        line((0.02, 0.02, 0), (0, 0.02, 0)),
+    )
+    path = sample_program(Program(moves), PERIOD, **LIMITS)
+    expected = (0.04 + np.pi * 0.01) / 0.05 + 0.05 / 2.0
+    assert expected <= duration(path) < expected + 1.001 * PERIOD
+
+
+def test_helix_points_lie_on_the_helix():
+    helix = arc((0.01, 0, 0), (0.01, 0, -0.004), (0, 0, 0), 1)
+    path = sample_program(Program((helix,)), 1e-3, **LIMITS)
+    radius = np.linalg.norm(path.positions[:, :2], axis=1)
+    np.testing.assert_allclose(radius, 0.01, rtol=1e-12)
+    angle = np.unwrap(np.arctan2(path.positions[:, 1], path.positions[:, 0]))
+    np.testing.assert_allclose(
+        path.positions[:, 2], -0.004 * angle / (2 * np.pi), atol=1e-14
+    )
+    np.testing.assert_allclose(angle[-1], 2 * np.pi, rtol=1e-12)
+    length = math.hypot(2 * np.pi * 0.01, 0.004)
+    np.testing.assert_allclose(helix.length, length, rtol=1e-14)
+
+
+def test_arc_of_unequal_radii_ends_where_programmed():
+    move = arc((0.01, 0, 0), (0, 0.010002, 0), (0, 0, 0), 1)
+    path = sample_program(Program((move,)), 1e-3, **LIMITS)
+    np.testing.assert_allclose(path.positions[-1], [0, 0.010002, 0], atol=1e-14)
+
+
+def test_rapid_moves_stop_and_are_marked():
+    moves = (
+        line((0, 0, 0), (0.01, 0, 0), feed=None, is_rapid=True, line=3),
+        line((0.01, 0, 0), (0.02, 0, 0), feed=0.05, line=4),
+    )
+    path = sample_program(
+        Program(moves), PERIOD, **(LIMITS | {"corner_tolerance": 1e-3})
+    )
+    first = 2 * math.sqrt(0.01 / 2.0)
+    expected = first + 0.01 / 0.05 + 0.05 / 2
+    assert expected <= duration(path) < expected + 1.001 * PERIOD
+    np.testing.assert_array_equal(path.is_rapid, path.time <= first)
+    np.testing.assert_array_equal(path.line, np.where(path.time <= first, 3, 4))
+
+
+def test_approach_is_left_out():
+    moves = (
+        line((0, 0, 0), (0, 0, 0.005), feed=None, is_rapid=True),
+        line((0, 0, 0.005), (0.1, 0.1, 0.005), feed=None, is_rapid=True),
+        line((0.1, 0.1, 0.005), (0.1, 0.1, 0)),
+    )
+    path = sample_program(Program(moves, approach_count=2), PERIOD, **LIMITS)
+    np.testing.assert_allclose(path.positions[0], [0.1, 0.1, 0.005])
+
+
+def test_many_short_chords_of_a_circle_are_as_fast_as_the_circle():
+    angle = np.linspace(0, 2 * np.pi, 361)
+    points = 0.02 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    path = sample_program(chain(points), 1e-3, **(LIMITS | {"corner_tolerance": 1e-4}))
+    expected = 2 * np.pi * 0.02 / 0.05 + 0.05 / 2
+    np.testing.assert_allclose(duration(path), expected, rtol=2e-3)
+
+
+def test_inverse_time_moves_take_their_duration():
+    points = [(0, 0, 0), (1e-4, 0, 0), (1e-4, 2e-4, 0), (1e-4, 2e-4, 0), (0, 0, 1e-4)]
+    program = chain(points, duration=PERIOD)
+    path = sample_program(program, PERIOD, **(LIMITS | {"corner_tolerance": 1e-3}))
+    np.testing.assert_allclose(path.positions, points, atol=1e-18)
+    np.testing.assert_array_equal(path.line, [1, 1, 2, 3, 4])
+
+
+def test_feed_may_come_from_outside():
+    program = chain([(0, 0, 0), (0.02, 0, 0)], feed=None)
+    path = sample_program(program, PERIOD, **LIMITS, feed=0.05)
+    assert abs(duration(path) - 0.425) < 1.001 * PERIOD
+    with pytest.raises(ValueError, match="line 1: the move has no feed"):
+        sample_program(program, PERIOD, **LIMITS)
+
+
+@pytest.mark.parametrize("name", ["acceleration", "rapid_feed", "corner_tolerance"])
+@pytest.mark.parametrize("value", [-1.0, float("nan"), float("inf")])
+def test_bad_limits_are_named(name, value):
+    program = chain([(0, 0, 0), (0.02, 0, 0)])
+    with pytest.raises(ValueError, match=name):
+        sample_program(program, PERIOD, **(LIMITS | {name: value}))
+
+
+def test_program_without_motion_is_refused():
+    with pytest.raises(ValueError, match="moves nothing"):
+        sample_program(chain([(0, 0, 0), (0, 0, 0)]), PERIOD, **LIMITS)
