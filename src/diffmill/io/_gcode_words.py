@@ -1,0 +1,164 @@
+"""Words of a G-code block: comments taken out, letters and numbers taken apart."""
+
+import re
+import string
+from typing import NamedTuple
+
+ALLOWED_WORDS = (
+    "N, G0, G1, G2, G3, G17, G20, G21, G90, G91, G93, G94, X, Y, Z, I, J, R, F, S, T, "
+    "M2, M3, M5, M6, M30, comments ( ) and ;, and a line of % before and after"
+)
+_SHOWN_FAULTS = 20
+_NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)"
+_WORD = re.compile(rf"([A-Z])({_NUMBER})")
+# What a word that is not understood is shown as: up to the next plausible letter.
+_UNKNOWN = re.compile(r"[A-Z]?[^A-Z(]+|[A-Z]")
+# After one of these the rest of a line is an expression, not words.
+_EXPRESSION = frozenset("#[]<>=@^{}\"'")
+_LARGEST = 1e9
+_UPPER = str.maketrans(string.ascii_lowercase, string.ascii_uppercase)
+_VALUES = frozenset("XYZIJKRFST")
+
+
+class Fault(NamedTuple):
+    """One thing wrong with a program.
+
+    Attributes:
+        line: Line of the file, from 1; 0 for the file as a whole.
+        word: The word found, as written; may be empty.
+        message: What is wrong, and what is allowed.
+    """
+
+    line: int
+    word: str
+    message: str
+
+    def __str__(self) -> str:
+        """Return the fault as one line of text."""
+        place = f"line {self.line}: " if self.line else ""
+        found = f'found "{self.word}": ' if self.word else ""
+        return place + found + self.message
+
+
+class GCodeError(ValueError):
+    """A program that cannot be read, with everything wrong in it.
+
+    Attributes:
+        name: Name of the program's file.
+        faults: What is wrong, in the order of the lines; at most 20.
+    """
+
+    def __init__(self, name: str, faults: list[Fault]):
+        self.name = name
+        self.faults = tuple(faults[:_SHOWN_FAULTS])
+        lines = [f"{name}, {fault}" for fault in self.faults]
+        if len(faults) > _SHOWN_FAULTS:
+            lines.append(f"{name}: further faults are not listed.")
+        super().__init__("\n".join(lines))
+
+
+class Word(NamedTuple):
+    """A letter with its number, and how it was written."""
+
+    letter: str
+    number: float
+    text: str
+
+
+def split_words(text: str, line: int, faults: list[Fault]) -> list[Word]:
+    """Return the words of one line; report in `faults` what is none.
+
+    Letters may be lower or upper case; blanks mean nothing, even inside a number.
+    """
+    code = _without_comments(text, line, faults)
+    compact = re.sub(r"[ \t\r]+", "", code)
+    upper = compact.translate(_UPPER)
+    words: list[Word] = []
+    position = 0
+    while position < len(compact):
+        if upper[position] == "(":
+            position += 1
+            continue
+        match = _WORD.match(upper, position)
+        rest = upper[match.end() : match.end() + 1] if match else ""
+        if match and rest not in _EXPRESSION and upper[position] != "O":
+            position = match.end()
+            number = float(match[2])
+            shown = compact[match.start() : match.end()]
+            if abs(number) > _LARGEST:
+                faults.append(
+                    Fault(line, shown[:30], f"its size is beyond {_LARGEST:g}.")
+                )
+                number = float("nan")
+            if number == number or match[1] in _VALUES:
+                words.append(Word(match[1], number, shown))
+            continue
+        position = _report_unknown(compact, upper, position, line, faults, words)
+    return words
+
+
+def _report_unknown(
+    compact: str,
+    upper: str,
+    position: int,
+    line: int,
+    faults: list[Fault],
+    words: list[Word],
+) -> int:
+    """Report what is no word at a position; return where to go on."""
+    match = _UNKNOWN.match(upper, position)
+    end = match.end() if match else position + 1
+    shown = compact[position:end]
+    letter = upper[position]
+    if letter == "O" or _EXPRESSION & set(shown):
+        shown, end = compact[position:], len(compact)
+    if letter == "/":
+        message = "block delete is not supported; remove the line or the slash."
+    elif letter == "%":
+        message = "a % stands alone on the first and on the last line only."
+    elif letter == "O":
+        message = (
+            "program numbers and subprograms are not supported; "
+            f"allowed are {ALLOWED_WORDS}."
+        )
+    elif _EXPRESSION & set(shown):
+        message = f"parameters and expressions are not supported; {letter} needs a "
+        message += "plain number." if letter.isalpha() else "word with a plain number."
+    elif letter.isalpha() and letter.isascii():
+        message = f"{letter} needs a number such as 5, 5., -.5 or +3.25."
+    else:
+        message = f"no word starts like this; allowed are {ALLOWED_WORDS}."
+    faults.append(Fault(line, shown[:30], message))
+    if letter in _VALUES:
+        # Its value is unknown, but later words of the line keep their meaning.
+        words.append(Word(letter, float("nan"), shown[:30]))
+    return end
+
+
+def _without_comments(text: str, line: int, faults: list[Fault]) -> str:
+    """Return a line with a ( left in the place of each comment, where a word ends."""
+    out = []
+    position = 0
+    while position < len(text):
+        char = text[position]
+        if char == ";":
+            break
+        if char == "(":
+            close = text.find(")", position)
+            if close < 0:
+                message = "the comment is not closed; a ) must end it on its line."
+                faults.append(Fault(line, text[position : position + 30], message))
+                break
+            if "(" in text[position + 1 : close]:
+                message = "a comment must not contain another."
+                shown = text[position : close + 1]
+                faults.append(Fault(line, shown[:30], message))
+            out.append("(")
+            position = close + 1
+            continue
+        if char == ")":
+            faults.append(Fault(line, ")", "there is no comment that it closes."))
+        else:
+            out.append(char)
+        position += 1
+    return "".join(out)
