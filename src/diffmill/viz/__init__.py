@@ -1,1 +1,31 @@
-"""viz."""
+"""Figures and the report of a run.
+
+Draws what a reader of a simulation or correction needs to see: the paths with the
+deviation magnified, deviation and contour error over time, cutting forces before and
+after a low-pass, the chip chart of one tooth, the error of the machined surface and
+the cut ray ends; and writes one HTML report that needs no other file.
+
+Everything takes the dataset of a result (its layout: `diffmill.io`) or plain NumPy
+arrays, in SI; millimetres, micrometres and degrees appear on the axes only. Assumed:
+steps at equal times, the tool axis near z. Left out: animation, interactive windows;
+nothing here computes physics. matplotlib and plotly are imported when a figure is
+drawn, and pyplot's global state is not touched.
+"""
+
+from ._cases import CaseNumbers as CaseNumbers, case_numbers as case_numbers
+from ._chip import ChipChart as ChipChart, plot_chip as plot_chip
+from ._dexels import (
+    CutDexels as CutDexels,
+    plot_cut_dexels as plot_cut_dexels,
+    ray_errors as ray_errors,
+)
+from ._forces import ForceRecord as ForceRecord, plot_forces as plot_forces
+from ._history import plot_deviation as plot_deviation
+from ._paths import plot_paths as plot_paths
+from ._report import write_report as write_report
+from ._surface import (
+    SurfaceError as SurfaceError,
+    plot_surface_error as plot_surface_error,
+    surface_html as surface_html,
+)
+from ._write import FigureFile as FigureFile, write_figures as write_figures

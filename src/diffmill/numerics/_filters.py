@@ -1,0 +1,52 @@
+"""Low-pass filters for forces and deviations, on the host."""
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._types import RealScalarLike
+
+
+def lowpass(
+    signal: Float[Array, "sample axis"] | Float[np.ndarray, "sample axis"],
+    sample_rate: RealScalarLike,
+    cutoff: RealScalarLike,
+    *,
+    order: int = 4,
+) -> Float[np.ndarray, "sample axis"]:
+    """Return `signal` after a Butterworth low-pass run forward and backward.
+
+    The two passes cancel each other's phase: nothing is delayed. The gain is the
+    square of one pass,
+
+        |H(f)|^2 = 1 / (1 + (tan(pi f / f_s) / tan(pi f_c / f_s))^(2 order)),
+
+    so it is 1/2 (-6 dB) at the cut-off. The ends are extended by odd reflection.
+
+    Args:
+        signal: Equally spaced samples, one column per axis, shape (sample, axis).
+        sample_rate: Samples per second f_s [Hz].
+        cutoff: Cut-off frequency f_c [Hz], below half of `sample_rate`.
+        order: Order of one pass.
+
+    Returns:
+        The filtered signal in the unit of `signal`, shape (sample, axis).
+
+    Differentiability: linear in `signal`, but a host function of NumPy arrays; it
+    cannot be traced.
+    """
+    from scipy.signal import butter, sosfiltfilt
+
+    rate, edge = float(sample_rate), float(cutoff)
+    if not 0.0 < edge < rate / 2:
+        raise ValueError(
+            f"Argument `cutoff` must lie between 0 and half of `sample_rate` "
+            f"({rate / 2:g} Hz), but is {edge:g} Hz."
+        )
+    if order < 1:
+        raise ValueError(f"Argument `order` must be at least 1, but is {order}.")
+    values = np.asarray(signal, dtype=np.float64)
+    sections = butter(order, edge, fs=rate, output="sos")
+    # The reflection cannot be longer than the record, nor is it needed beyond the
+    # time in which the filter's slowest pole dies out.
+    padding = min(values.shape[0] - 1, int(np.ceil(3 * order * rate / edge)))
+    return np.ascontiguousarray(sosfiltfilt(sections, values, axis=0, padlen=padding))

@@ -1,0 +1,122 @@
+"""Reading a result dataset: its cases, arrays in display units, headline numbers.
+
+A result of `simulate` has no dimension `case` and is shown as one case called
+"predicted"; a result of `correct` has one entry of `case` per method.
+"""
+
+from typing import TYPE_CHECKING
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Bool, Float
+
+if TYPE_CHECKING:
+    import xarray
+
+
+class CaseNumbers(eqx.Module):
+    """Headline figures of one case.
+
+    Attributes:
+        name: Name of the case.
+        rms: Root mean square of the contour error over the steps that cut [m].
+        percentile_95: 95 % of the absolute contour errors lie below this [m].
+        maximum: Largest absolute contour error over the steps that cut [m].
+        deviation_rms: Root mean square length of the deviation over those steps [m].
+        force_mean: Mean over the steps that cut of the force's length [N].
+        force_maximum: Largest length of the tooth-mean force [N].
+        removed_volume: Sum of the removed volume [m^3].
+    """
+
+    name: str = eqx.field(static=True)
+    rms: float
+    percentile_95: float
+    maximum: float
+    deviation_rms: float
+    force_mean: float
+    force_maximum: float
+    removed_volume: float
+
+
+def case_names(dataset: "xarray.Dataset") -> tuple[str, ...]:
+    """Return the cases in the dataset's order, ("predicted",) for a simulation."""
+    if "case" not in dataset.dims:
+        return ("predicted",)
+    return tuple(str(name) for name in dataset["case"].values)
+
+
+def select_case(dataset: "xarray.Dataset", name: str) -> "xarray.Dataset":
+    """Return the part of `dataset` that belongs to the case `name`."""
+    if "case" not in dataset.dims:
+        return dataset
+    names = case_names(dataset)
+    if name not in names:
+        raise ValueError(
+            f"Argument `name` must be a case of the result ({', '.join(names)}), but "
+            f"is {name!r}."
+        )
+    return dataset.isel(case=names.index(name))
+
+
+def values_of(
+    dataset: "xarray.Dataset", variable: str, case: str
+) -> Float[np.ndarray, "..."]:
+    """Return a variable of one case as float64, steps first.
+
+    Args:
+        dataset: The result.
+        variable: Name of the variable.
+        case: Name of the case.
+
+    Returns:
+        Its values in SI, shape (step,) or (step, axis).
+    """
+    array = select_case(dataset, case)[variable]
+    return np.asarray(array.transpose("step", ...).values, dtype=np.float64)
+
+
+def cutting_of(dataset: "xarray.Dataset", case: str) -> Bool[np.ndarray, " step"]:
+    """Return which steps cut; all of them where the dataset does not say."""
+    if "is_cutting" not in dataset:
+        return np.ones(dataset.sizes["step"], dtype=bool)
+    return values_of(dataset, "is_cutting", case) > 0.5
+
+
+def reference_case(dataset: "xarray.Dataset") -> str:
+    """Return the case that the others are compared with: the uncorrected one."""
+    names = case_names(dataset)
+    return "uncorrected" if "uncorrected" in names else names[0]
+
+
+def case_numbers(dataset: "xarray.Dataset", case: str) -> CaseNumbers:
+    """Return the headline figures of one case; NaN where an input is absent."""
+    cutting = cutting_of(dataset, case)
+
+    def column(name: str) -> Float[np.ndarray, " value"]:
+        if name not in dataset:
+            return np.full(1, np.nan)
+        values = values_of(dataset, name, case)
+        length = np.linalg.norm(values, axis=1) if values.ndim == 2 else values
+        kept = length[cutting]
+        return (
+            kept[np.isfinite(kept)] if np.isfinite(kept).any() else np.full(1, np.nan)
+        )
+
+    contour, force = np.abs(column("contour_error")), column("force")
+    volume = (
+        values_of(dataset, "removed_volume", case)
+        if ("removed_volume" in dataset)
+        else np.full(1, np.nan)
+    )
+    return CaseNumbers(
+        name=case,
+        rms=float(np.sqrt(np.mean(contour**2))),
+        percentile_95=float(np.percentile(contour, 95)),
+        maximum=float(np.max(contour)),
+        deviation_rms=float(np.sqrt(np.mean(column("deviation") ** 2))),
+        force_mean=float(np.mean(force)),
+        force_maximum=float(np.max(force)),
+        removed_volume=float(np.nansum(volume))
+        if np.isfinite(volume).any()
+        else np.nan,
+    )

@@ -1,0 +1,283 @@
+"""The report of a run: one HTML file that needs nothing else.
+
+What it reads of a result besides the variables of `simulate` and `correct`:
+
+- attributes `job` (name), `source` (text of the job file), `outcome` (empty when the
+  run was completed, else what stopped it), `notes` (lines), `units`;
+- variables on `case` alone: the cost of each case, in the unit of their attribute
+  `units`, named by `long_name`;
+- every other attribute is listed as a setting or, with "version" in its name, as a
+  version.
+"""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ._cases import CaseNumbers, case_names, case_numbers, reference_case, values_of
+from ._html import image_html, numbers_html, page_html, section_html, table_html
+from ._style import case_style
+from ._surface import SurfaceError, surface_html
+from ._write import FigureFile
+
+if TYPE_CHECKING:
+    import xarray
+
+_SPECIAL = ("job", "source", "outcome", "notes", "units", "title", "program")
+
+
+def write_report(
+    out_dir: str | os.PathLike,
+    dataset: "xarray.Dataset",
+    figures: dict[str, FigureFile],
+    *,
+    surfaces: dict[str, SurfaceError] | None = None,
+    settings: dict[str, str] | None = None,
+    versions: dict[str, str] | None = None,
+    notes: Sequence[str] = (),
+    job_text: str = "",
+    failure: str = "",
+) -> Path:
+    """Write `report.html` and return its path.
+
+    Args:
+        out_dir: Existing folder.
+        dataset: A result of `simulate` or `correct`.
+        figures: What `write_figures` returned.
+        surfaces: Height error by case, for the surface that can be turned around;
+            without it the report is about 5 MB smaller.
+        settings: Numerical settings to list, beside the dataset's attributes.
+        versions: Versions to list, beside the dataset's attributes.
+        notes: Notes and warnings of the run.
+        job_text: Text of the job file; by default the attribute `source`.
+        failure: What stopped the run; by default the attribute `outcome`. Marks
+            the report as incomplete.
+    """
+    name = str(dataset.attrs.get("job", "job"))
+    failure = failure or str(dataset.attrs.get("outcome", ""))
+    kind = (
+        "Prediction" if len(case_names(dataset)) == 1 else "Prediction and correction"
+    )
+    title = f"{name} (incomplete)" if failure else name
+    remarks = [*str(dataset.attrs.get("notes", "")).splitlines(), *notes]
+    listed_settings, listed_versions = _listed_attributes(dataset)
+    body = [
+        _head(kind, title, dataset, failure),
+        section_html("Result", *_result_blocks(dataset)),
+        section_html("Cost", _cost_table(dataset)),
+        section_html("Figures", *_figure_blocks(figures)),
+        _turnable_surface(surfaces),
+        section_html("Notes and warnings", _notes(remarks, figures)),
+        section_html(
+            "What was asked", _text_block(job_text or dataset.attrs.get("source", ""))
+        ),
+        section_html(
+            "Settings", _pairs({**listed_settings, **(settings or {})}, "setting")
+        ),
+        section_html(
+            "Versions", _pairs({**listed_versions, **(versions or {})}, "program")
+        ),
+    ]
+    path = Path(out_dir) / "report.html"
+    page = page_html(f"{title} - diffmill", "\n".join(block for block in body if block))
+    path.write_text(page, encoding="utf-8")
+    return path
+
+
+def _head(kind: str, title: str, dataset: "xarray.Dataset", failure: str) -> str:
+    from html import escape
+
+    numbers = {name: case_numbers(dataset, name) for name in case_names(dataset)}
+    text = [
+        "<header>",
+        f'<p class="kind">{escape(kind)}</p><h1>{escape(title)}</h1>',
+        f'<p class="lead">{escape(_lead(dataset, numbers))}</p>',
+    ]
+    if failure:
+        text.append(
+            '<p class="banner"><b>This run is incomplete.</b> '
+            f"{escape(failure)} What follows ends there; its figures do not describe "
+            "the whole job.</p>"
+        )
+    text.append(numbers_html(_headline(dataset, numbers)))
+    return "\n".join([*text, "</header>"])
+
+
+def _lead(dataset: "xarray.Dataset", numbers: dict[str, CaseNumbers]) -> str:
+    """Return the run in one sentence."""
+    steps = dataset.sizes.get("step", 0)
+    time = values_of(dataset, "time", reference_case(dataset))
+    span = f"{time[-1] - time[0]:.2f} s of milling" if time.size else "no step"
+    before = numbers[reference_case(dataset)]
+    text = f"{span}, {steps} tooth periods. The tool misses its desired line by "
+    text += f"{_um(before.rms)} um (rms while cutting)"
+    if "corrected" in numbers and "uncorrected" in numbers:
+        text += f"; with the corrected program by {_um(numbers['corrected'].rms)} um"
+    return text + "."
+
+
+def _headline(
+    dataset: "xarray.Dataset", numbers: dict[str, CaseNumbers]
+) -> list[tuple[str, str]]:
+    """Return the numbers to print large."""
+    before = numbers[reference_case(dataset)]
+    items = [(f"{_um(before.rms)} um", "contour error (rms) as programmed")]
+    if "corrected" in numbers and before.name != "corrected":
+        after = numbers["corrected"]
+        items.append((f"{_um(after.rms)} um", "contour error (rms) after correction"))
+        items.append((_times(before.rms, after.rms), "smaller"))
+    else:
+        items.append((f"{_um(before.maximum)} um", "largest contour error"))
+    items.append((f"{_number(before.force_mean)} N", "mean cutting force"))
+    return items
+
+
+def _result_blocks(dataset: "xarray.Dataset") -> list[str]:
+    """Return the table of all cases and what its columns mean."""
+    names = case_names(dataset)
+    numbers = [case_numbers(dataset, name) for name in names]
+    reference = numbers[names.index(reference_case(dataset))]
+    rows = [
+        [
+            case_style(item.name).label,
+            _um(item.rms),
+            _um(item.percentile_95),
+            _um(item.maximum),
+            "-" if item is reference else _times(reference.rms, item.rms),
+            _um(item.deviation_rms),
+            _number(item.force_mean),
+            _number(item.force_maximum),
+            _number(item.removed_volume * 1e9),
+        ]
+        for item in numbers
+    ]
+    rms = np.array([item.rms for item in numbers])
+    best = int(np.nanargmin(rms)) if len(names) > 1 and np.isfinite(rms).any() else None
+    table = table_html(
+        [
+            "case",
+            "contour error rms [um]",
+            "95 % [um]",
+            "max [um]",
+            "smaller by",
+            "deviation rms [um]",
+            "mean force [N]",
+            "max force [N]",
+            "removed [mm^3]",
+        ],
+        rows,
+        colours=[case_style(name).colour for name in names],
+        best=best,
+    )
+    legend = (
+        "Contour error: distance of the tool tip from the desired line. Deviation: "
+        "distance from the desired point at the same instant. Both, and the mean "
+        "force, over the steps that cut; forces are means over a tooth period. Bold: the "
+        "smallest rms contour error."
+    )
+    return [table, f'<p class="note">{legend}</p>']
+
+
+def _cost_table(dataset: "xarray.Dataset") -> str:
+    """Return what each case cost: the variables that depend on the case alone."""
+    costs = [name for name in dataset.data_vars if dataset[name].dims == ("case",)]
+    if not costs:
+        return ""
+    header = ["case"]
+    for name in costs:
+        attributes = dataset[name].attrs
+        label = str(attributes.get("long_name", name)).replace("_", " ")
+        units = str(attributes.get("units", ""))
+        header.append(f"{label} [{units}]" if units not in ("", "1") else label)
+    rows = [
+        [case_style(case).label, *(_cell(dataset[n].values[i]) for n in costs)]
+        for i, case in enumerate(case_names(dataset))
+    ]
+    colours = [case_style(name).colour for name in case_names(dataset)]
+    return table_html(header, rows, colours=colours)
+
+
+def _figure_blocks(figures: dict[str, FigureFile]) -> list[str]:
+    return [
+        image_html(file.path, file.title, file.caption)
+        for file in figures.values()
+        if file.path is not None
+    ]
+
+
+def _turnable_surface(surfaces: dict[str, SurfaceError] | None) -> str:
+    if not surfaces:
+        return ""
+    note = '<p class="note">Drag to turn, scroll to zoom. Not printed.</p>'
+    block = section_html("Surface in three dimensions", note, surface_html(surfaces))
+    return f'<div class="screen">{block}</div>'
+
+
+def _notes(remarks: Sequence[str], figures: dict[str, FigureFile]) -> str:
+    from html import escape
+
+    lines = [line for line in remarks if line.strip()]
+    lines += [
+        f'No figure "{file.title}": {file.skipped}.'
+        for file in figures.values()
+        if file.path is None
+    ]
+    if not lines:
+        return ""
+    items = "".join(f"<li>{escape(line)}</li>" for line in lines)
+    return f'<ul class="notes">{items}</ul>'
+
+
+def _text_block(text: object) -> str:
+    from html import escape
+
+    return f"<pre>{escape(str(text).strip())}</pre>" if str(text).strip() else ""
+
+
+def _listed_attributes(
+    dataset: "xarray.Dataset",
+) -> tuple[dict[str, str], dict[str, str]]:
+    """Return the attributes that are settings, and those that are versions."""
+    shown = {str(k): _cell(v) for k, v in dataset.attrs.items() if k not in _SPECIAL}
+    versions = {k: v for k, v in shown.items() if "version" in k.lower()}
+    return {k: v for k, v in shown.items() if k not in versions}, versions
+
+
+def _pairs(values: dict[str, str], name: str) -> str:
+    if not values:
+        return ""
+    rows = [[key.replace("_", " "), value] for key, value in values.items()]
+    return table_html([name, "value"], rows, is_text=True)
+
+
+def _cell(value: object) -> str:
+    """Return any attribute or cost as text."""
+    if isinstance(value, (float, np.floating)):
+        return _number(float(value))
+    if isinstance(value, np.ndarray):
+        return ", ".join(_cell(item) for item in value.ravel())
+    return str(value)
+
+
+def _number(value: float) -> str:
+    """Return three significant digits without an exponent where that is readable."""
+    if not np.isfinite(value):
+        return "-"
+    if value == 0 or 1e-3 <= abs(value) < 1e6:
+        digits = 0 if value == 0 else max(0, 2 - int(np.floor(np.log10(abs(value)))))
+        return f"{value:.{digits}f}"
+    return f"{value:.3g}"
+
+
+def _um(value: float) -> str:
+    return _number(value * 1e6)
+
+
+def _times(before: float, after: float) -> str:
+    """Return how many times smaller `after` is, for a table."""
+    if not (np.isfinite(before) and np.isfinite(after)) or after <= 0 or before <= 0:
+        return "-"
+    return f"{_number(before / after)} x"

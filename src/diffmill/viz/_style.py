@@ -1,0 +1,147 @@
+"""What all figures share: sizes, colours, quiet axes and how they are saved.
+
+Colours are those of Okabe and Ito, which readers with any colour vision can tell
+apart; a case has the same colour and line in every figure.
+"""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+if TYPE_CHECKING:
+    import matplotlib.axes
+    import matplotlib.figure
+
+WIDTH_IN = 7.2
+DPI = 160
+GREY = "#9a9a9a"
+LIGHT_GREY = "#d9d9d9"
+INK = "#222222"
+AXIS_COLOURS = ("#0072B2", "#D55E00", "#009E73")
+
+
+class CaseStyle(eqx.Module):
+    """How one case looks in every figure.
+
+    Attributes:
+        label: Name for legends and tables.
+        colour: Line colour, as hexadecimal RGB.
+        line: Dash pattern in matplotlib's notation.
+        width: Line width [pt].
+    """
+
+    label: str = eqx.field(static=True)
+    colour: str = eqx.field(static=True)
+    line: str = eqx.field(static=True, default="-")
+    width: float = eqx.field(static=True, default=1.1)
+
+
+CASE_STYLES = {
+    "predicted": CaseStyle("predicted", "#D55E00"),
+    "uncorrected": CaseStyle("uncorrected", "#D55E00"),
+    "mirror": CaseStyle("mirror, one shot", "#E69F00", width=0.9),
+    "mirror_iterated": CaseStyle("mirror, iterated", "#CC79A7", width=0.9),
+    "inverse_drive": CaseStyle("inverse drive", "#56B4E9", width=1.0),
+    "corrected": CaseStyle("corrected", "#0072B2", width=1.2),
+}
+_SPARE_COLOURS = ("#009E73", "#882255", "#44AA99", "#999933")
+
+
+def case_style(name: str) -> CaseStyle:
+    """Return the style of the case `name`; an unknown name gets a spare colour."""
+    if name in CASE_STYLES:
+        return CASE_STYLES[name]
+    colour = _SPARE_COLOURS[sum(name.encode()) % len(_SPARE_COLOURS)]
+    return CaseStyle(name.replace("_", " "), colour)
+
+
+def new_figure(
+    height_in: float, *, width_in: float = WIDTH_IN
+) -> "matplotlib.figure.Figure":
+    """Return an empty figure for a report page, without touching pyplot.
+
+    Args:
+        height_in: Height [inch].
+        width_in: Width [inch].
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width_in, height_in), dpi=DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def quiet_axes(
+    axes: "matplotlib.axes.Axes",
+    *,
+    x: str = "",
+    y: str = "",
+    title: str = "",
+    has_grid: bool = True,
+) -> None:
+    """Label `axes` and take out the ink that carries no data."""
+    axes.set_xlabel(x, fontsize=8.5, color=INK)
+    axes.set_ylabel(y, fontsize=8.5, color=INK)
+    if title:
+        axes.set_title(title, fontsize=9, loc="left", color=INK)
+    axes.tick_params(labelsize=8, color=GREY, labelcolor=INK, length=3, width=0.6)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    for side in ("left", "bottom"):
+        axes.spines[side].set_color(GREY)
+        axes.spines[side].set_linewidth(0.6)
+    if has_grid:
+        axes.grid(True, color="#ececec", linewidth=0.6)
+        axes.set_axisbelow(True)
+
+
+def label_colourbar(bar: Any, text: str) -> None:
+    """Write the quantity of a colour bar in the figures' type size."""
+    bar.set_label(text, fontsize=8.5, color=INK)
+    bar.ax.tick_params(labelsize=8, color=GREY, labelcolor=INK, length=3, width=0.6)
+    bar.outline.set_visible(False)
+
+
+def legend_above(
+    figure: "matplotlib.figure.Figure",
+    axes: "matplotlib.axes.Axes",
+    *,
+    columns: int = 6,
+) -> None:
+    """Put one legend for the whole figure above it, where it covers no data."""
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(
+        handles,
+        labels,
+        loc="outside upper left",
+        ncols=min(columns, max(len(labels), 1)),
+        fontsize=8,
+        frameon=False,
+        handlelength=1.8,
+        columnspacing=1.4,
+    )
+
+
+def save_figure(figure: "matplotlib.figure.Figure", path: Path) -> Path:
+    """Write `figure` as PNG and return the path."""
+    figure.savefig(path, dpi=DPI, facecolor="white")
+    return path
+
+
+def round_factor(value: float) -> float:
+    """Return the largest of 1, 2, 5, 10, 20, ... that is not above `value`."""
+    if not np.isfinite(value) or value <= 1.0:
+        return 1.0
+    power = 10.0 ** np.floor(np.log10(value))
+    steps = np.array([1.0, 2.0, 5.0])
+    return float(steps[steps <= value / power * (1 + 1e-9)][-1] * power)
+
+
+def spread(values: Float[np.ndarray, "..."], percent: float = 95.0) -> float:
+    """Return the percentile of the finite absolute values, 0 when there are none."""
+    finite = np.abs(values[np.isfinite(values)])
+    return float(np.percentile(finite, percent)) if finite.size else 0.0
