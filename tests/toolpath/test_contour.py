@@ -30,7 +30,7 @@ def brute_force(actual, desired, window):
 def test_known_offset_of_a_late_tool():
     x = np.linspace(0, 0.01, 40)
     desired = np.stack([x, 0 * x, 0 * x], axis=1)
-    actual = np.roll(desired, 3, axis=0) + [0, 2e-5, -1e-5]
+    actual = np.roll(desired, 3, axis=0) + np.array([0, 2e-5, -1e-5])
     actual[:3] = [0, 2e-5, -1e-5]
     vector = contour_vector(actual, desired)
     np.testing.assert_allclose(vector, np.tile([0, 2e-5, -1e-5], (40, 1)), atol=1e-18)
@@ -56,7 +56,7 @@ def test_window_hides_another_pass():
     x = np.concatenate([out, out[::-1]])
     y = np.concatenate([np.zeros(30), np.full(30, 1e-4)])
     desired = np.stack([x, y, 0 * x], axis=1)
-    actual = desired + [0, 9e-5, 0]
+    actual = desired + np.array([0, 9e-5, 0])
     error = contour_error(actual, desired, window=5)
     np.testing.assert_allclose(error[:20], 9e-5, rtol=1e-9)
     assert contour_error(actual, desired, window=50)[10] < 2e-5
@@ -69,7 +69,7 @@ def test_dwell_and_zero_error_are_finite():
     )(jnp.asarray(desired))
     assert error == 0
     np.testing.assert_array_equal(gradient, 0.0)
-    shifted = desired + [0.0, 0.0, 1e-5]
+    shifted = desired + np.array([0.0, 0.0, 1e-5])
     gradient = jax.grad(lambda a: jnp.sum(contour_error(a, desired, window=4)))(
         jnp.asarray(shifted)
     )
@@ -77,14 +77,15 @@ def test_dwell_and_zero_error_are_finite():
     np.testing.assert_allclose(gradient[-10:], [[0, 0, 1]] * 10, atol=1e-12)
     at_rest = np.tile([[1e-3, 0.0, 0.0]], (12, 1))
     np.testing.assert_allclose(
-        contour_error(at_rest + [0, 3e-6, 4e-6], at_rest), 5e-6, rtol=1e-9
+        contour_error(at_rest + np.array([0, 3e-6, 4e-6]), at_rest), 5e-6, rtol=1e-9
     )
 
 
 def test_sign_follows_outward():
     desired = wave()
     side = np.tile([0.0, 0.0, 1.0], (60, 1))
-    up, down = desired + [0, 0, 1e-6], desired - [0, 0, 1e-6]
+    lift = np.array([0, 0, 1e-6])
+    up, down = desired + lift, desired - lift
     assert np.all(contour_error(up, desired, outward=side) > 0)
     assert np.all(contour_error(down, desired, outward=side) < 0)
     assert np.all(contour_error(down, desired, outward=0 * side) > 0)
@@ -117,7 +118,8 @@ def test_derivatives_against_finite_differences(with_desired):
 
 def test_float32_and_vmap():
     desired = jnp.asarray(wave(), jnp.float32)
-    batch = desired + jnp.asarray([[[0, 0, 1e-4]], [[0, 0, 2e-4]]], jnp.float32)
+    lift = jnp.asarray([[[0, 0, 1e-4]], [[0, 0, 2e-4]]], jnp.float32)
+    batch = desired[None] + lift
     error = jax.jit(jax.vmap(contour_error, in_axes=(0, None)))(batch, desired)
     assert error.dtype == jnp.float32
     expected = np.stack([contour_error(a, desired) for a in batch])

@@ -1,6 +1,8 @@
 """Timing of programs against closed forms and the limits it promises."""
 
 import math
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,23 +16,33 @@ from diffmill.toolpath import (
 )
 
 PERIOD = 1e-4
-LIMITS = {"acceleration": 2.0, "rapid_feed": 0.2, "corner_tolerance": 0.0}
+LIMITS: dict[str, Any] = {
+    "acceleration": 2.0,
+    "rapid_feed": 0.2,
+    "corner_tolerance": 0.0,
+}
 
 
-def line(start, end, feed=0.05, **rest):
-    return Move(tuple(map(float, start)), tuple(map(float, end)), feed=feed, **rest)
+def point(values):
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+def line(start, end, feed: float | None = 0.05, **rest):
+    return Move(point(start), point(end), feed=feed, **rest)
 
 
 def chain(points, **rest):
-    pairs = zip(points[:-1], points[1:], strict=True)
+    pairs = pairwise(points)
     return Program(
         tuple(line(a, b, line=number, **rest) for number, (a, b) in enumerate(pairs, 1))
     )
 
 
 def arc(start, end, centre, turn, feed=0.05, **rest):
-    start, end, centre = (tuple(map(float, p)) for p in (start, end, centre))
-    return Move(start, end, centre=centre, turn=turn, feed=feed, **rest)
+    return Move(
+        point(start), point(end), centre=point(centre), turn=turn, feed=feed, **rest
+    )
 
 
 def speeds(path):
@@ -39,7 +51,7 @@ def speeds(path):
 
 def distance_to_polyline(points, vertices):
     best = np.full(len(points), np.inf)
-    for a, b in zip(vertices[:-1], vertices[1:], strict=True):
+    for a, b in pairwise(vertices):
         fraction = np.clip((points - a) @ (b - a) / np.dot(b - a, b - a), 0, 1)
         gap = points - a - fraction[:, None] * (b - a)
         best = np.minimum(best, np.linalg.norm(gap, axis=1))
@@ -117,7 +129,9 @@ def test_speed_and_acceleration_limits_of_a_mixed_program():
     )
     speed = speeds(path)
     assert np.max(speed) <= 0.1 * (1 + 1e-9)
-    radius = np.linalg.norm(path.positions[:, :2] - [0.01, 0.001], axis=1)
+    radius = np.linalg.norm(
+        np.asarray(path.positions)[:, :2] - np.array([0.01, 0.001]), axis=1
+    )
     on_arc = (np.abs(radius - 0.001) < 1e-9) & (path.positions[:, 0] > 0.0101)
     assert on_arc.sum() > 100
     # v^2 / r <= a on the 1 mm arc, which its own feed of 0.1 m/s would break.

@@ -171,6 +171,7 @@ def _set_feed(block: Block, state: _State, faults: list[Fault]) -> None:
         return
     if word.number < 0:
         faults.append(Fault(block.line, word.text, "a feed must be positive."))
+        state.feed = math.nan
     elif not state.is_inverse_time:
         # The standard executes F before G20 and G21: a change of units in the same
         # line does not apply to it.

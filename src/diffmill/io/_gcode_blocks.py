@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from ._gcode_words import ALLOWED_WORDS, Fault, Word
+from ._gcode_words import Fault, Word
 
 _G_GROUPS = {
     0: "motion",
@@ -21,10 +21,8 @@ _M_GROUPS = {2: "end", 30: "end", 3: "spindle", 5: "spindle", 6: "tool change"}
 _WHY_NOT = {
     180: "arcs lie in the XY plane (G17) only",
     190: "arcs lie in the XY plane (G17) only",
-    40: "dwells are not supported",
-    410: "cutter compensation is not supported; program the path of the tool's centre",
-    420: "cutter compensation is not supported; program the path of the tool's centre",
-    800: "canned cycles are not supported",
+    410: "program the path of the tool's centre",
+    420: "program the path of the tool's centre",
 }
 
 
@@ -66,8 +64,8 @@ def sorted_block(words: list[Word], line: int, faults: list[Fault]) -> Block:
                 faults.append(Fault(line, word.text, message))
             block.values.setdefault(word.letter, word)
         else:
-            message = f"{word.letter} is not supported; allowed are {ALLOWED_WORDS}."
-            faults.append(Fault(line, word.text, message))
+            message = f"{word.letter} is not supported."
+            faults.append(Fault(line, word.text, message, True))
     return block
 
 
@@ -82,10 +80,8 @@ def _add_code(
     group = groups.get(code)
     if group is None or abs(word.number * factor - code) > 1e-3:
         why = _WHY_NOT.get(code) if word.letter == "G" else None
-        if why is None:
-            why = f"{name} is not supported"
-        message = f"{why}; allowed are {ALLOWED_WORDS}."
-        faults.append(Fault(block.line, word.text, message))
+        message = f"{name} is not supported{'' if why is None else f': {why}'}."
+        faults.append(Fault(block.line, word.text, message, True))
         if word.letter == "G":
             block.is_g_refused = True
             block.g.setdefault("refused", code)

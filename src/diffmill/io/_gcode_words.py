@@ -1,5 +1,6 @@
 """Words of a G-code block: comments taken out, letters and numbers taken apart."""
 
+import math
 import re
 import string
 from typing import NamedTuple
@@ -15,6 +16,7 @@ _WORD = re.compile(rf"([A-Z])({_NUMBER})")
 _UNKNOWN = re.compile(r"[A-Z]?[^A-Z(]+|[A-Z]")
 # After one of these the rest of a line is an expression, not words.
 _EXPRESSION = frozenset("#[]<>=@^{}\"'")
+_NAMES = re.compile(r"<[^>]*>|\[[^\]]*\]")
 _LARGEST = 1e9
 _UPPER = str.maketrans(string.ascii_lowercase, string.ascii_uppercase)
 _VALUES = frozenset("XYZIJKRFST")
@@ -27,11 +29,13 @@ class Fault(NamedTuple):
         line: Line of the file, from 1; 0 for the file as a whole.
         word: The word found, as written; may be empty.
         message: What is wrong, and what is allowed.
+        is_unsupported: Whether the list of all allowed words is of help.
     """
 
     line: int
     word: str
     message: str
+    is_unsupported: bool = False
 
     def __str__(self) -> str:
         """Return the fault as one line of text."""
@@ -54,6 +58,8 @@ class GCodeError(ValueError):
         lines = [f"{name}, {fault}" for fault in self.faults]
         if len(faults) > _SHOWN_FAULTS:
             lines.append(f"{name}: further faults are not listed.")
+        if any(fault.is_unsupported for fault in self.faults):
+            lines.append(f"Allowed are {ALLOWED_WORDS}.")
         super().__init__("\n".join(lines))
 
 
@@ -74,7 +80,8 @@ def split_words(text: str, line: int, faults: list[Fault]) -> list[Word]:
     compact = re.sub(r"[ \t\r]+", "", code)
     upper = compact.translate(_UPPER)
     words: list[Word] = []
-    position = 0
+    # A block delete without a block deletes nothing.
+    position = len(compact) if compact.strip("(") == "/" else 0
     while position < len(compact):
         if upper[position] == "(":
             position += 1
@@ -89,8 +96,8 @@ def split_words(text: str, line: int, faults: list[Fault]) -> list[Word]:
                 faults.append(
                     Fault(line, shown[:30], f"its size is beyond {_LARGEST:g}.")
                 )
-                number = float("nan")
-            if number == number or match[1] in _VALUES:
+                number = math.nan
+            if not math.isnan(number) or match[1] in _VALUES:
                 words.append(Word(match[1], number, shown))
             continue
         position = _report_unknown(compact, upper, position, line, faults, words)
@@ -110,28 +117,26 @@ def _report_unknown(
     end = match.end() if match else position + 1
     shown = compact[position:end]
     letter = upper[position]
-    if letter == "O" or _EXPRESSION & set(shown):
-        shown, end = compact[position:], len(compact)
+    is_expression = bool(_EXPRESSION & set(shown))
+    if letter == "O" or is_expression:
+        shown, end = compact[position:].split("(")[0], len(compact)
     if letter == "/":
         message = "block delete is not supported; remove the line or the slash."
     elif letter == "%":
         message = "a % stands alone on the first and on the last line only."
     elif letter == "O":
-        message = (
-            "program numbers and subprograms are not supported; "
-            f"allowed are {ALLOWED_WORDS}."
-        )
-    elif _EXPRESSION & set(shown):
-        message = f"parameters and expressions are not supported; {letter} needs a "
-        message += "plain number." if letter.isalpha() else "word with a plain number."
-    elif letter.isalpha() and letter.isascii():
+        message = "program numbers and subprograms are not supported."
+    elif is_expression:
+        message = "parameters and expressions are not supported; write plain numbers."
+    elif letter in string.ascii_uppercase:
         message = f"{letter} needs a number such as 5, 5., -.5 or +3.25."
     else:
-        message = f"no word starts like this; allowed are {ALLOWED_WORDS}."
-    faults.append(Fault(line, shown[:30], message))
-    if letter in _VALUES:
-        # Its value is unknown, but later words of the line keep their meaning.
-        words.append(Word(letter, float("nan"), shown[:30]))
+        message = "no word starts like this."
+    is_unsupported = not message.startswith(("a %", f"{letter} needs"))
+    faults.append(Fault(line, shown[:30], message, is_unsupported))
+    # Their values are unknown, but the words of the line keep their meaning.
+    present = _NAMES.sub("", shown.translate(_UPPER)) if letter != "O" else ""
+    words += [Word(c, math.nan, shown[:30]) for c in present if c in _VALUES]
     return end
 
 

@@ -1,0 +1,244 @@
+"""A sampled or recorded path as CSV, with the units in its header."""
+
+import os
+import pathlib
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..toolpath import Path
+
+_LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "inch": 0.0254}
+_TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0}
+_SPEEDS = {
+    f"{length}_per_{time}": scale / _TIMES[time]
+    for length, scale in _LENGTHS.items()
+    for time in ("s", "min")
+}
+_UNITS = {"time": _TIMES, "x": _LENGTHS, "y": _LENGTHS, "z": _LENGTHS, "feed": _SPEEDS}
+_PLAIN = ("rapid", "line", "i", "j", "k")
+_SHOWN_FAULTS = 20
+
+
+class PathFileError(ValueError):
+    """A path file that cannot be read, with everything wrong in it.
+
+    Attributes:
+        faults: What is wrong, in the order of the lines; at most 20.
+    """
+
+    def __init__(self, name: str, faults: list[str]):
+        self.faults = tuple(faults[:_SHOWN_FAULTS])
+        lines = [f"{name}, {fault}" for fault in self.faults]
+        if len(faults) > _SHOWN_FAULTS:
+            lines.append(f"{name}: further faults are not listed.")
+        super().__init__("\n".join(lines))
+
+
+def read_path_csv(file: str | os.PathLike[str]) -> Path:
+    """Return a path from a CSV file, its rows as recorded.
+
+    The header names the columns with their units: `time_s,x_mm,y_mm,z_mm` are needed
+    (or `time_ms`, `x_m`, `x_in` and so on), `rapid` (0 or 1), `feed_mm_per_min`,
+    `line` and the tool axis `i,j,k` may follow in any order. Columns are separated by
+    commas or semicolons. Empty lines and lines that start with # are left out.
+
+    Args:
+        file: Path of the file.
+
+    Returns:
+        The path in SI units, with the instants as recorded: bring it to the tooth
+        instants with `diffmill.toolpath.resample`. Rows without a `line` column carry
+        their line in the file.
+
+    Raises:
+        PathFileError: If anything in the file is wrong; up to 20 faults are listed.
+    """
+    path = pathlib.Path(file)
+    try:
+        text = path.read_bytes().decode("utf-8-sig", errors="replace")
+    except OSError as error:
+        raise PathFileError(str(path), [f"cannot be read: {error.strerror}."]) from None
+    return parse_path_csv(text, name=path.name)
+
+
+def parse_path_csv(text: str, *, name: str = "path") -> Path:
+    """Return a path from CSV text; arguments and errors as `read_path_csv`."""
+    rows = [
+        (number, line.strip())
+        for number, line in enumerate(text.splitlines(), 1)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    if not rows:
+        raise PathFileError(name, ["the file is empty; needed is a header and 2 rows."])
+    number, header = rows[0]
+    delimiter = ";" if ";" in header else ","
+    labels = [label.strip().lower() for label in header.split(delimiter)]
+    faults: list[str] = []
+    columns, scales = _columns(labels, number, faults)
+    if faults:
+        raise PathFileError(name, faults)
+    values = _values(rows[1:], labels, delimiter, faults)
+    if len(rows) < 3:
+        faults.append(f"found {len(rows) - 1} rows after the header; needed are 2.")
+    if faults:
+        raise PathFileError(name, faults)
+    lines = np.array([row[0] for row in rows[1:]], dtype=np.int32)
+    data = {key: values[:, index] * scales[key] for key, index in columns.items()}
+    _check(data, lines, faults)
+    if faults:
+        raise PathFileError(name, faults)
+    return _path(data, lines)
+
+
+def write_path_csv(path: Path) -> str:
+    """Return a path as CSV text with the columns of `read_path_csv`.
+
+    Positions have 1e-9 mm, times 1e-12 s, so that the text reads back to the path.
+    The feed of a row is the mean speed since the row before it, of the first row 0.
+
+    Args:
+        path: The path.
+
+    Returns:
+        The text.
+    """
+    time, positions = np.asarray(path.time), np.asarray(path.positions)
+    steps = np.linalg.norm(np.diff(positions, axis=0), axis=1) / np.diff(time)
+    feed = np.concatenate([[0.0], steps * 6e4])
+    lines = ["time_s,x_mm,y_mm,z_mm,rapid,feed_mm_per_min,i,j,k,line"]
+    columns = zip(
+        time,
+        positions * 1e3,
+        np.asarray(path.is_rapid),
+        feed,
+        np.asarray(path.axes),
+        np.asarray(path.line),
+        strict=True,
+    )
+    for t, (x, y, z), is_rapid, rate, (i, j, k), line in columns:
+        lines.append(
+            f"{t:.12f},{x:.9f},{y:.9f},{z:.9f},{int(is_rapid)},{rate:.6f},"
+            f"{i:.12g},{j:.12g},{k:.12g},{int(line)}"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def _columns(
+    labels: list[str], number: int, faults: list[str]
+) -> tuple[dict[str, int], dict[str, float]]:
+    """Return the place and the scale to SI of each quantity of the header."""
+    columns: dict[str, int] = {}
+    scales: dict[str, float] = {}
+    for index, label in enumerate(labels):
+        quantity, _, unit = label.partition("_")
+        place = f"line {number}, column {index + 1}: found `{label}`"
+        if label in _PLAIN:
+            quantity, scale = label, 1.0
+        elif quantity in _UNITS and unit in _UNITS[quantity]:
+            scale = _UNITS[quantity][unit]
+        elif quantity in _UNITS:
+            allowed = ", ".join(f"{quantity}_{u}" for u in _UNITS[quantity])
+            faults.append(f"{place}; allowed are {allowed}.")
+            # Named with a wrong unit, it is not reported again as missing.
+            columns.setdefault(quantity, index)
+            continue
+        else:
+            faults.append(
+                f"{place}; allowed are time, x, y, z and feed with their units "
+                "(as in time_s, x_mm, feed_mm_per_min), rapid, line, and i, j, k."
+            )
+            continue
+        if quantity in columns:
+            faults.append(f"{place}; only one column of {quantity} is allowed.")
+        columns[quantity], scales[quantity] = index, scale
+    missing = [key for key in ("time", "x", "y", "z") if key not in columns]
+    axes = [key for key in "ijk" if key in columns]
+    if missing:
+        faults.append(
+            f"line {number}: found no column for {', '.join(missing)}; needed are "
+            "columns such as time_s, x_mm, y_mm, z_mm."
+        )
+    if axes and len(axes) < 3:
+        faults.append(
+            f"line {number}: found only {', '.join(axes)} of the tool axis; allowed "
+            "are all of i, j, k or none."
+        )
+    return columns, scales
+
+
+def _values(
+    rows: list[tuple[int, str]], labels: list[str], delimiter: str, faults: list[str]
+) -> Float[np.ndarray, "row column"]:
+    """Return the table of numbers as written; wrong ones are reported and left 0."""
+    out = np.zeros((len(rows), len(labels)))
+    for index, (number, row) in enumerate(rows):
+        fields = row.split(delimiter)
+        if len(fields) != len(labels):
+            faults.append(
+                f"line {number}: found {len(fields)} values; the header has "
+                f"{len(labels)} columns."
+            )
+            continue
+        for column, written in enumerate(fields):
+            value = _number(written)
+            if np.isfinite(value):
+                out[index, column] = value
+            else:
+                faults.append(
+                    f"line {number}, column {column + 1} ({labels[column]}): found "
+                    f"`{written.strip()}`; allowed is a finite number such as 1.5."
+                )
+    return out
+
+
+def _number(text: str) -> float:
+    """Return a number, or NaN for what is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return float("nan")
+
+
+def _check(
+    data: dict[str, Float[np.ndarray, " row"]],
+    lines: Int[np.ndarray, " row"],
+    faults: list[str],
+) -> None:
+    """Report rows whose numbers make no sense."""
+    time = data["time"]
+    for row in np.flatnonzero(np.diff(time) <= 0) + 1:
+        faults.append(
+            f"line {lines[row]}: found a time of {time[row]:.9g} s after "
+            f"{time[row - 1]:.9g} s; the time must increase."
+        )
+    rapid = data.get("rapid", np.zeros_like(time))
+    for row in np.flatnonzero((rapid != 0) & (rapid != 1)):
+        faults.append(
+            f"line {lines[row]}: found {rapid[row]:g} for rapid; allowed are 0 and 1."
+        )
+    if "i" in data:
+        length = np.linalg.norm(np.stack([data[key] for key in "ijk"]), axis=0)
+        for row in np.flatnonzero(np.abs(length - 1) > 1e-3):
+            faults.append(
+                f"line {lines[row]}: found a tool axis of length {length[row]:.6g}; "
+                "i, j, k must be a unit vector."
+            )
+
+
+def _path(
+    data: dict[str, Float[np.ndarray, " row"]], lines: Int[np.ndarray, " row"]
+) -> Path:
+    """Return the path of checked columns."""
+    rows = lines.size
+    axes = np.tile(np.array([0.0, 0.0, 1.0]), (rows, 1))
+    if "i" in data:
+        axes = np.stack([data[key] for key in "ijk"], axis=1)
+        axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
+    return Path(
+        time=data["time"],
+        positions=np.stack([data[key] for key in "xyz"], axis=1),
+        axes=axes,
+        is_rapid=data.get("rapid", np.zeros(rows)) == 1,
+        line=data["line"].astype(np.int32) if "line" in data else lines,
+    )

@@ -1,0 +1,121 @@
+"""Paths as CSV: units, round trips and refusals."""
+
+import numpy as np
+import pytest
+
+from diffmill.io._path_csv import (
+    PathFileError,
+    parse_path_csv,
+    read_path_csv,
+    write_path_csv,
+)
+from diffmill.toolpath import Path
+
+
+def example(rows=6):
+    rng = np.random.default_rng(0)
+    axes = rng.standard_normal((rows, 3))
+    return Path(
+        time=0.00375 * np.arange(rows),
+        positions=0.1 * rng.standard_normal((rows, 3)),
+        axes=axes / np.linalg.norm(axes, axis=1, keepdims=True),
+        is_rapid=np.arange(rows) % 2 == 1,
+        line=np.arange(rows, dtype=np.int32) + 7,
+    )
+
+
+def test_round_trip(tmp_path):
+    path = example()
+    file = tmp_path / "path.csv"
+    file.write_text(write_path_csv(path))
+    back = read_path_csv(file)
+    np.testing.assert_allclose(back.time, path.time, atol=1e-12)
+    np.testing.assert_allclose(back.positions, path.positions, atol=1e-12)
+    np.testing.assert_allclose(back.axes, path.axes, atol=1e-11)
+    np.testing.assert_array_equal(back.is_rapid, path.is_rapid)
+    np.testing.assert_array_equal(back.line, path.line)
+
+
+def test_written_header_begins_as_promised():
+    header, first, second = write_path_csv(example()).splitlines()[:3]
+    assert header.startswith("time_s,x_mm,y_mm,z_mm,rapid,feed_mm_per_min,i,j,k")
+    assert first.split(",")[5] == "0.000000"
+    path = example()
+    speed = np.linalg.norm(np.diff(path.positions, axis=0)[0]) / 0.00375
+    assert float(second.split(",")[5]) == pytest.approx(speed * 6e4, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("header", "time_scale", "length_scale"),
+    [
+        ("time_s,x_mm,y_mm,z_mm", 1.0, 1e-3),
+        ("time_ms,x_m,y_m,z_m", 1e-3, 1.0),
+        ("time_min,x_in,y_in,z_in", 60.0, 0.0254),
+        ("Time_s, X_um, Y_um, Z_um", 1.0, 1e-6),
+    ],
+)
+@pytest.mark.parametrize("delimiter", [",", ";"])
+def test_units_of_the_header(header, time_scale, length_scale, delimiter):
+    text = f"{header}\r\n1,2,3,4\r\n\r\n2.5,-1,+.5,1e2\r\n".replace(",", delimiter)
+    path = parse_path_csv(text)
+    np.testing.assert_allclose(path.time, time_scale * np.array([1, 2.5]))
+    expected = length_scale * np.array([[2, 3, 4], [-1, 0.5, 100]])
+    np.testing.assert_allclose(path.positions, expected)
+    np.testing.assert_array_equal(path.axes, [[0, 0, 1]] * 2)
+    np.testing.assert_array_equal(path.line, [2, 4])
+    assert not np.any(path.is_rapid)
+
+
+def test_columns_in_any_order_and_comments():
+    text = "# recorded\nz_mm,rapid,y_m,time_s,x_in\n1,0,2,0,3\n4,1,5,1,6\n"
+    path = parse_path_csv(text)
+    np.testing.assert_allclose(
+        path.positions, [[3 * 0.0254, 2, 1e-3], [6 * 0.0254, 5, 4e-3]]
+    )
+    np.testing.assert_array_equal(path.is_rapid, [False, True])
+
+
+HEADER = "time_s,x_mm,y_mm,z_mm"
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("", ["empty"]),
+        (HEADER, ["0 rows", "needed are 2"]),
+        (f"{HEADER}\n0,0,0,0\n", ["1 rows"]),
+        ("time_s,x_mm,y_mm\n0,0,0\n1,0,0\n", ["line 1", "no column for z"]),
+        ("time_s,x_mm,y_mm,z_ft\n0,0,0,0\n", ["column 4", "`z_ft`", "z_mm"]),
+        ("time_s,x_mm,y_mm,z\n0,0,0,0\n", ["column 4", "`z`", "z_mm"]),
+        (f"{HEADER},u_mm\n0,0,0,0,0\n", ["column 5", "`u_mm`"]),
+        (f"{HEADER},x_m\n0,0,0,0,0\n", ["column 5", "only one column of x"]),
+        (f"{HEADER},i,j\n0,0,0,0,0,0\n", ["all of i, j, k"]),
+        (f"{HEADER}\n0,0,0,0\n1,nan,0,0\n", ["line 3, column 2 (x_mm)", "`nan`"]),
+        (f"{HEADER}\n0,0,0,0\n1,0,1e999,0\n", ["line 3, column 3", "1e999"]),
+        (f"{HEADER}\n0,0,0,0\n1,0,a,\n", ["column 3", "`a`", "column 4", "``"]),
+        (f"{HEADER}\n0,0,0,0\n1,0,0\n", ["line 3", "3 values", "4 columns"]),
+        (f"{HEADER}\n0,0,0,0\n0,1,0,0\n", ["line 3", "must increase"]),
+        (f"{HEADER}\n2,0,0,0\n1,1,0,0\n", ["line 3", "1 s after 2 s"]),
+        (f"{HEADER},rapid\n0,0,0,0,2\n1,0,0,0,0\n", ["line 2", "0 and 1"]),
+        (f"{HEADER},i,j,k\n0,0,0,0,0,0,0\n1,0,0,0,0,0,1\n", ["line 2", "unit vector"]),
+    ],
+)
+def test_faults_are_named(text, parts):
+    with pytest.raises(PathFileError) as caught:
+        parse_path_csv(text, name="path.csv")
+    assert str(caught.value).startswith("path.csv")
+    for part in parts:
+        assert part in str(caught.value)
+
+
+def test_all_faults_are_listed_up_to_twenty():
+    rows = "".join(f"{k},x,0,0\n" for k in range(50))
+    with pytest.raises(PathFileError) as caught:
+        parse_path_csv(f"{HEADER}\n{rows}")
+    assert len(caught.value.faults) == 20
+    assert "further faults" in str(caught.value)
+
+
+def test_missing_file_is_named(tmp_path):
+    with pytest.raises(PathFileError, match=r"nothing\.csv"):
+        read_path_csv(tmp_path / "nothing.csv")
