@@ -116,7 +116,9 @@ def sample_program(
     ]
     legs = _rounded(legs, float(corner_tolerance))
     if not legs:
-        raise ValueError(f"{program.name}: the program moves nothing.")
+        raise ValueError(
+            f"{program.name}: the program moves nothing after its approach."
+        )
     profile = _speeds(legs, float(acceleration))
     return _sampled(legs, profile, float(tooth_period))
 
