@@ -120,16 +120,18 @@ def _mark_angles(
         (angle_deg[cuts].min(), angle_deg[cuts].max()) if cuts.any() else (0, 360)
     )
     pad = 0.06 * (high - low) + 1.0
-    panels[1].set_xlim(max(low - pad, angle_deg[0]), min(high + pad, angle_deg[-1]))
+    panels[1].set_xlim(low - pad, high + pad)
     for name, angle in (("entry", chart.entry_angle), ("exit", chart.exit_angle)):
         if angle is None:
             continue
         for axes in panels:
             axes.axvline(np.rad2deg(angle), color=GREY, linewidth=0.9, linestyle=":")
         panels[1].annotate(
-            f" {name} {np.rad2deg(angle):.1f} deg",
+            f"{name} {np.rad2deg(angle):.1f} deg",
             (float(np.rad2deg(angle)), 1.0),
             xycoords=("data", "axes fraction"),
+            xytext=(-3 if name == "exit" else 3, -3),
+            textcoords="offset points",
             rotation=90,
             va="top",
             ha="right" if name == "exit" else "left",

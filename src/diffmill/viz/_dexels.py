@@ -1,25 +1,26 @@
 """Ends of the cut rays: the floor magnified in z, a wall magnified in x."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
 from ._style import (
+    GREY,
     INK,
+    LIGHT_GREY,
     label_colourbar,
     new_figure,
     quiet_axes,
     round_factor,
+    scale_ratio,
     spread,
 )
 
 if TYPE_CHECKING:
     import matplotlib.axes
-    import matplotlib.collections
     import matplotlib.figure
-    import matplotlib.ticker
 
 _POINTS_DRAWN = 40_000
 
@@ -98,18 +99,18 @@ def plot_cut_dexels(dexels: CutDexels) -> "matplotlib.figure.Figure":
     """
     has_wall = bool(dexels.wall.shape[0])
     figure = new_figure(6.4 if has_wall else 4.4)
+    rows = figure.subfigures(
+        2 if has_wall else 1, 1, squeeze=False, height_ratios=[2.1, 1.0][: 1 + has_wall]
+    )[:, 0]
+    _draw_floor(rows[0], dexels)
     if has_wall:
-        top, bottom = figure.subfigures(2, 1, height_ratios=[2.0, 1.0])
-        _draw_wall(bottom.subplots(), dexels)
-    else:
-        top = figure.subfigures(1, 1)
-    _draw_floor(top, dexels)
+        _draw_wall(rows[1].subplots(), dexels)
     return figure
 
 
 def _draw_floor(figure: "matplotlib.figure.SubFigure", dexels: CutDexels) -> None:
     """Draw the floor seen from the side and above, z magnified, coloured by error."""
-    axes = figure.add_subplot(projection="3d")
+    axes: Any = figure.add_subplot(projection="3d")
     error = ray_errors(dexels.floor, dexels.floor_ideal, 2)
     kept = np.flatnonzero(np.isfinite(error))
     kept = kept[:: max(1, -(-kept.size // _POINTS_DRAWN))]
@@ -132,27 +133,27 @@ def _draw_floor(figure: "matplotlib.figure.SubFigure", dexels: CutDexels) -> Non
         rasterized=True,
     )
     spans = [*(sides * 1e3), max(float(np.ptp(points[:, 2])), factor * 3 * limit) * 1e3]
-    axes.set_box_aspect([max(span, 1e-3) for span in spans], zoom=1.25)
+    axes.set_box_aspect([max(span, 1e-3) for span in spans], zoom=1.15)
     axes.view_init(elev=32, azim=-62)
-    for name in ("x", "y", "z"):
-        getattr(axes, f"set_{name}label")(f"{name} [mm]", fontsize=8.5, color=INK)
-        getattr(axes, f"{name}axis").pane.set_facecolor("white")
-    axes.tick_params(labelsize=7.5, pad=0)
-    axes.zaxis.set_major_locator(_few_ticks(3))
-    axes.set_title(
+    axes.set_xlabel("x [mm]", fontsize=8.5, color=INK)
+    axes.set_ylabel("y [mm]", fontsize=8.5, color=INK)
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+        axis.pane.set_facecolor("white")
+        axis.pane.set_edgecolor(LIGHT_GREY)
+        axis.line.set_color(GREY)
+    axes.grid(False)
+    axes.tick_params(labelsize=7.5, pad=0, color=GREY)
+    # Heights are magnified about the ideal floor: numbers belong to the colours.
+    axes.set_zticks([])
+    figure.suptitle(
         f"floor: ends of the z rays, error x {factor:g} in z",
         fontsize=9,
-        loc="left",
+        x=0.01,
+        ha="left",
         color=INK,
     )
-    bar = figure.colorbar(image, ax=axes, pad=0.06, aspect=22, shrink=0.75)
+    bar = figure.colorbar(image, ax=axes, pad=0.02, aspect=22, shrink=0.75)
     label_colourbar(bar, r"z error [$\mathrm{\mu m}$]")
-
-
-def _few_ticks(count: int) -> "matplotlib.ticker.MaxNLocator":
-    from matplotlib.ticker import MaxNLocator
-
-    return MaxNLocator(count)
 
 
 def _draw_wall(axes: "matplotlib.axes.Axes", dexels: CutDexels) -> None:
@@ -176,17 +177,10 @@ def _draw_wall(axes: "matplotlib.axes.Axes", dexels: CutDexels) -> None:
         rasterized=True,
     )
     axes.axhline(0.0, color=INK, linewidth=0.7, linestyle=(0, (4, 2)))
-    length = float(np.ptp(points[wall, 1])) or 1e-3
-    height = max(2.2 * float(np.max(np.abs(error[wall]))), 1e-9)
-    factor = round_factor(length / 3.5 / height)
-    x_mm = planes[np.argmax(counts)] * 1e-3
-    quiet_axes(
-        axes,
-        x="y [mm]",
-        y=r"x error [$\mathrm{\mu m}$]",
-        title=f"wall at x = {x_mm:.3f} mm: ends of the x rays, x about {factor:g} "
-        "times larger than y",
-    )
-    figure = axes.figure
-    bar = figure.colorbar(image, ax=axes, pad=0.01, aspect=14)
+    bar = axes.figure.colorbar(image, ax=axes, pad=0.01, aspect=14)
     label_colourbar(bar, "z [mm]")
+    title = f"wall at x = {planes[np.argmax(counts)] * 1e-3:.3f} mm"
+    quiet_axes(axes, x="y [mm]", y=r"x error [$\mathrm{\mu m}$]", title=title)
+    ratio = scale_ratio(axes, 1e-3, 1e-6)
+    title += f": ends of the x rays, x drawn {ratio} times larger than y"
+    axes.set_title(title, fontsize=9, loc="left", color=INK)

@@ -88,7 +88,7 @@ def plot_forces(
         quiet_axes(grid[axis, 0], y=f"$F_{name}$ [N]")
         if has_zoom:
             _draw_zoom(grid[axis, 1], record, filtered, axis, window)
-            grid[axis, 0].axvspan(*window, color="#0072B2", alpha=0.25, linewidth=0)
+            grid[axis, 0].axvspan(*window, color="#0072B2", alpha=0.3, linewidth=0)
     grid[0, 0].set_title("whole cut", fontsize=9, loc="left", color=INK)
     grid[2, 0].set_xlabel("time [s]", fontsize=8.5, color=INK)
     if has_zoom:
@@ -110,12 +110,13 @@ def _zoom_window(record: ForceRecord, periods: int) -> tuple[float, float]:
 
 
 def envelope(
-    time: Float[np.ndarray, " sample"], values: Float[np.ndarray, " sample"]
+    time: Float[np.ndarray, " sample"],
+    values: Float[np.ndarray, " sample"],
+    size: int,
 ) -> tuple[
     Float[np.ndarray, " bin"], Float[np.ndarray, " bin"], Float[np.ndarray, " bin"]
 ]:
-    """Return time, lowest and highest value of each of about 1500 equal bins."""
-    size = max(1, int(np.ceil(time.shape[0] / _BINS)))
+    """Return time, lowest and highest value of each bin of `size` samples."""
     starts = np.arange(0, time.shape[0], size)
     return (
         time[starts],
@@ -133,8 +134,10 @@ def _draw_axis(
     values = record.force[:, axis]
     if record.time.shape[0] > 2 * _BINS:
         # More samples than pixels: the band between the extremes is what a line
-        # would fill, drawn once.
-        time, low, high = envelope(record.time, values)
+        # would fill; whole teeth, so that no pattern of bins appears.
+        per_tooth = round(record.tooth_period * record.sample_rate)
+        size = max(per_tooth, -(-record.time.shape[0] // _BINS))
+        time, low, high = envelope(record.time, values, size)
         axes.fill_between(
             time, low, high, step="post", color="#bdbdbd", linewidth=0.3, label="grey"
         )

@@ -70,16 +70,20 @@ def _draw_contour(
     dataset: "xarray.Dataset",
 ) -> None:
     """Draw the contour error twice: with its sign, and its size on a log scale."""
-    largest = 10 * _FLOOR_UM
+    largest, smallest = 10 * _FLOOR_UM, np.inf
     for case in case_names(dataset):
         error_um = values_of(dataset, "contour_error", case) * 1e6
         _draw_line(signed, dataset, case, error_um)
         size = np.where(cutting_of(dataset, case), np.abs(error_um), np.nan)
         _draw_line(absolute, dataset, case, np.maximum(size, _FLOOR_UM))
         largest = max(largest, float(np.nanmax(size, initial=0.0)))
+        usual = size[np.isfinite(size)]
+        low = np.percentile(usual, 2) if usual.size else _FLOOR_UM
+        smallest = min(smallest, float(low))
     quiet_axes(signed, y=r"contour error [$\mathrm{\mu m}$]")
     absolute.set_yscale("log")
-    absolute.set_ylim(_FLOOR_UM, 2.0 * largest)
+    absolute.set_ylim(max(_FLOOR_UM, 0.5 * smallest), 2.0 * largest)
+    absolute.tick_params(which="minor", length=0)
     quiet_axes(absolute, y=r"|contour error| [$\mathrm{\mu m}$]")
 
 
@@ -92,8 +96,8 @@ def _shade_air(
     borders = np.flatnonzero(np.diff(np.concatenate([[True], cutting, [True]])))
     for start, stop in borders.reshape(-1, 2):
         axes.axvspan(
-            time[start],
-            time[min(stop, time.shape[0] - 1)],
+            float(time[start]),
+            float(time[min(stop, time.shape[0] - 1)]),
             color="#f1f1f1",
             linewidth=0,
             zorder=0,

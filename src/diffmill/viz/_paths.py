@@ -13,12 +13,12 @@ from ._cases import (
 )
 from ._style import (
     INK,
-    LIGHT_GREY,
     case_style,
     legend_above,
     new_figure,
     quiet_axes,
     round_factor,
+    scale_ratio,
     spread,
 )
 
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     import matplotlib.axes
     import matplotlib.figure
     import xarray
+
+_FRAME = "#555555"
 
 
 def plot_paths(
@@ -59,8 +61,8 @@ def plot_paths(
     )
     for axes, name, step in zip(zooms, "AB", zoom_steps(dataset), strict=False):
         _draw_zoom(axes, plan, dataset, step, name)
-    _draw_side(side, dataset)
     legend_above(figure, plan, columns=3)
+    _draw_side(side, dataset)
     return figure
 
 
@@ -177,18 +179,16 @@ def _draw_zoom(
     quiet_axes(axes, x="x [mm]", y="y [mm]", title=f"zoom {name}, {scale}")
     for side in axes.spines.values():
         side.set_visible(True)
-        side.set_color("#0072B2")
+        side.set_color(_FRAME)
         side.set_linewidth(0.8)
-    plan.plot(
-        *centre, marker="s", markersize=7, markerfacecolor="none", color="#0072B2"
-    )
+    plan.plot(*centre, marker="s", markersize=7, markerfacecolor="none", color=_FRAME)
     plan.annotate(
         name,
         (float(centre[0]), float(centre[1])),
         xytext=(6, 5),
         textcoords="offset points",
         fontsize=9,
-        color="#0072B2",
+        color=_FRAME,
         fontweight="bold",
     )
 
@@ -196,23 +196,19 @@ def _draw_zoom(
 def _draw_side(axes: "matplotlib.axes.Axes", dataset: "xarray.Dataset") -> None:
     """Draw the height above the desired floor over x, seen along y."""
     axes.axhline(0.0, color=INK, linewidth=0.7, linestyle=(0, (4, 2)), zorder=3.5)
-    heights = []
     for name in case_names(dataset):
         style = case_style(name)
         deviation = values_of(dataset, "deviation", name)[:, 2] * 1e6
         deviation[~cutting_of(dataset, name)] = np.nan
         x = values_of(dataset, "desired", name)[:, 0] * 1e3
         axes.plot(x, deviation, color=style.colour, linewidth=style.width, alpha=0.9)
-        heights.append(deviation)
-    desired = values_of(dataset, "desired", reference_case(dataset))
-    width_um = float(np.ptp(desired[:, 0])) * 1e6
-    height_um = float(np.nanmax(np.abs(np.concatenate(heights)), initial=0.0))
-    # The panel is about 5 times as wide as high and shows +-1.1 of the largest.
-    ratio = round_factor(width_um / 5.0 / max(2.2 * height_um, 1e-9))
-    axes.axhspan(0, 0, color=LIGHT_GREY)
-    quiet_axes(
-        axes,
-        x="x [mm]",
-        y=r"z - desired z [$\mathrm{\mu m}$]",
-        title=f"side view of the floor, z about {ratio:g} times larger than x",
+    quiet_axes(axes, x="x [mm]", y=r"z - desired z [$\mathrm{\mu m}$]")
+    # The title is part of the layout from which the ratio is read.
+    axes.set_title("side view", fontsize=9, loc="left", color=INK)
+    ratio = scale_ratio(axes, 1e-3, 1e-6)
+    axes.set_title(
+        f"side view: height above the desired path, z drawn {ratio} times larger",
+        fontsize=9,
+        loc="left",
+        color=INK,
     )

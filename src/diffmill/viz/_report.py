@@ -175,8 +175,8 @@ def _result_blocks(dataset: "xarray.Dataset") -> list[str]:
     legend = (
         "Contour error: distance of the tool tip from the desired line. Deviation: "
         "distance from the desired point at the same instant. Both, and the mean "
-        "force, over the steps that cut; forces are means over a tooth period. Bold: the "
-        "smallest rms contour error."
+        "force, over the steps that cut; forces are means over a tooth period. Bold: "
+        "the smallest rms contour error."
     )
     return [table, f'<p class="note">{legend}</p>']
 

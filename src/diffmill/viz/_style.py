@@ -20,7 +20,6 @@ DPI = 160
 GREY = "#9a9a9a"
 LIGHT_GREY = "#d9d9d9"
 INK = "#222222"
-AXIS_COLOURS = ("#0072B2", "#D55E00", "#009E73")
 
 
 class CaseStyle(eqx.Module):
@@ -44,10 +43,10 @@ CASE_STYLES = {
     "uncorrected": CaseStyle("uncorrected", "#D55E00"),
     "mirror": CaseStyle("mirror, one shot", "#E69F00", width=0.9),
     "mirror_iterated": CaseStyle("mirror, iterated", "#CC79A7", width=0.9),
-    "inverse_drive": CaseStyle("inverse drive", "#56B4E9", width=1.0),
-    "corrected": CaseStyle("corrected", "#0072B2", width=1.2),
+    "inverse_drive": CaseStyle("inverse drive", "#0072B2", width=1.0),
+    "corrected": CaseStyle("corrected", "#009E73", width=1.3),
 }
-_SPARE_COLOURS = ("#009E73", "#882255", "#44AA99", "#999933")
+_SPARE_COLOURS = ("#882255", "#56B4E9", "#999933", "#332288")
 
 
 def case_style(name: str) -> CaseStyle:
@@ -130,6 +129,25 @@ def save_figure(figure: "matplotlib.figure.Figure", path: Path) -> Path:
     """Write `figure` as PNG and return the path."""
     figure.savefig(path, dpi=DPI, facecolor="white")
     return path
+
+
+def scale_ratio(axes: "matplotlib.axes.Axes", x_unit: float, y_unit: float) -> str:
+    """Return how much larger y is drawn than x, with two digits.
+
+    Args:
+        axes: Finished axes of a finished figure; its layout is carried out.
+        x_unit: Length that 1 on the x axis stands for [m].
+        y_unit: Length that 1 on the y axis stands for [m].
+    """
+    figure = axes.get_figure(root=True)
+    if figure is None:
+        raise ValueError("Argument `axes` must belong to a figure, but has none.")
+    figure.draw_without_rendering()
+    box = axes.get_window_extent()
+    (x_low, x_high), (y_low, y_high) = axes.get_xlim(), axes.get_ylim()
+    y_scale = box.height / max((y_high - y_low) * y_unit, 1e-15)
+    ratio = y_scale * (x_high - x_low) * x_unit / max(box.width, 1.0)
+    return f"{float(f'{ratio:.2g}'):g}"
 
 
 def round_factor(value: float) -> float:

@@ -18,7 +18,7 @@ from ._style import (
 
 if TYPE_CHECKING:
     import matplotlib.axes
-    import matplotlib.collections
+    import matplotlib.cm
     import matplotlib.figure
 
 _BROWSER_CELLS = 160  # per side: keeps the report small and turning it smooth
@@ -56,22 +56,29 @@ def plot_surface_error(maps: dict[str, SurfaceError]) -> "matplotlib.figure.Figu
     figure = new_figure(min(9.5, 0.5 + len(maps) * max(1.9, 4.1 * aspect)))
     grid = figure.subplots(len(maps), 2, squeeze=False, width_ratios=[1.9, 1.0])
     limit = max(spread(item.error * 1e6, 99.0) for item in maps.values()) or 1.0
-    image = None
     for row, (name, item) in enumerate(maps.items()):
-        image = _draw_map(grid[row, 0], item, limit)
+        _draw_map(grid[row, 0], item, limit)
         label = case_style(name).label
         quiet_axes(grid[row, 0], x="x [mm]", y="y [mm]", title=label, has_grid=False)
         _draw_histogram(grid[row, 1], item, case_style(name).colour)
+    image = _colours(limit)
     bar = figure.colorbar(image, ax=grid[:, 0], pad=0.02, aspect=30, extend="both")
     label_colourbar(bar, r"height error [$\mathrm{\mu m}$]: blue too deep, red left")
     return figure
 
 
+def _colours(limit_um: float) -> "matplotlib.cm.ScalarMappable":
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    return ScalarMappable(Normalize(-limit_um, limit_um), "RdBu_r")
+
+
 def _draw_map(
     axes: "matplotlib.axes.Axes", item: SurfaceError, limit_um: float
-) -> "matplotlib.collections.QuadMesh":
+) -> None:
     axes.set_facecolor("#e4e4e4")
-    image = axes.pcolormesh(
+    axes.pcolormesh(
         item.x * 1e3,
         item.y * 1e3,
         np.ma.masked_invalid(item.error * 1e6),
@@ -82,7 +89,6 @@ def _draw_map(
         rasterized=True,
     )
     axes.set_aspect("equal")
-    return image
 
 
 def _draw_histogram(
