@@ -1,1 +1,54 @@
-"""robot."""
+"""The milling robot: an elastic-joint arm, its dynamics and its statics.
+
+What it models: a tree of rigid links built from elements in any order; each joint
+hangs on its motor by a spring and a damper, tau = K (theta - q) + D (thetad - qd),
+the motor standing where the controller says. A virtual joint has the spring but no
+motor. Assumptions: all elasticity is in joints, springs and dampers are linear, the
+controller is perfect. Left out: rotor inertia, backlash, friction, the motors'
+currents, and contact with anything but the tool. Gravity is 9.81 m/s^2 along -z of
+`base`. A wrench is external, acts on the robot at the tool's origin in base axes,
+linear part first; Jacobian and compliance are written likewise.
+"""
+
+from ._build import build as build
+from ._compliance import (
+    cartesian_compliance as cartesian_compliance,
+    damping_ratios as damping_ratios,
+    natural_frequencies as natural_frequencies,
+)
+from ._crba import mass_matrix as mass_matrix
+from ._drives import (
+    loaded_equilibrium as loaded_equilibrium,
+    motor_positions as motor_positions,
+)
+from ._elements import (
+    AbstractElement as AbstractElement,
+    FixedRotation as FixedRotation,
+    FixedTranslation as FixedTranslation,
+    Fork as Fork,
+    PrismaticJoint as PrismaticJoint,
+    RevoluteJoint as RevoluteJoint,
+    RigidBody as RigidBody,
+    Tool as Tool,
+)
+from ._files import built_in_models as built_in_models, load as load
+from ._forward_dynamics import forward_dynamics as forward_dynamics
+from ._inverse_kinematics import (
+    PathSolution as PathSolution,
+    PoseSolution as PoseSolution,
+    inverse_kinematics as inverse_kinematics,
+    inverse_kinematics_path as inverse_kinematics_path,
+)
+from ._kinematics import (
+    forward_kinematics as forward_kinematics,
+    jacobian as jacobian,
+)
+from ._rnea import (
+    bias_forces as bias_forces,
+    gravity_forces as gravity_forces,
+    inverse_dynamics as inverse_dynamics,
+)
+from ._robot import Robot as Robot, with_drives as with_drives, with_tool as with_tool
+from ._rotations import rpy_matrix as rpy_matrix
+from ._schema import RobotFileError as RobotFileError
+from ._terms import ArmTerms as ArmTerms, arm_terms as arm_terms

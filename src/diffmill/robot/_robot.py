@@ -1,0 +1,185 @@
+"""A robot compiled to arrays: what every algorithm of this subpackage takes."""
+
+from collections.abc import Sequence
+from typing import TypeAlias
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import DTypeLike
+from jaxtyping import Array, Float
+
+from .._types import RealScalarLike, Transform
+
+# What a user may pass as joint positions, velocities or torques.
+JointVector: TypeAlias = (
+    Float[Array, " joint"] | Float[np.ndarray, " joint"] | Sequence[RealScalarLike]
+)
+Wrench: TypeAlias = Float[Array, " 6"] | Float[np.ndarray, " 6"]
+
+
+class Robot(eqx.Module):
+    """A tree of joints, each carrying one link; z of a joint's frame is its axis.
+
+    Arrays differentiate; the topology is static. Change the tool with `with_tool`
+    and the drives with `with_drives`, anything else with `eqx.tree_at`.
+
+    Attributes:
+        placement_rotations: Joint frame at q = 0 in its parent's, shape (joint, 3, 3).
+        placement_positions: Its origin there [m], shape (joint, 3).
+        link_masses: [kg], shape (joint,).
+        link_centers: Centres of mass in the joint frame [m], shape (joint, 3).
+        link_inertias: About the centres, axes of the joint frame [kg m^2],
+            shape (joint, 3, 3).
+        T_joint_flange: Flange in the frame of `flange_joint`, shape (4, 4).
+        T_flange_tool: Tool in the flange's frame, shape (4, 4).
+        joint_stiffness: K [N m/rad or N/m], shape (joint,).
+        joint_damping: D [N m s/rad or N s/m], shape (joint,).
+        joint_lower: Lower limits [rad or m], shape (joint,).
+        joint_upper: Upper limits [rad or m], shape (joint,).
+        home: Joint positions of the home pose [rad or m], shape (joint,).
+        gravity: Acceleration of free fall in `base` [m/s^2], shape (3,).
+        name: Name of the model.
+        joint_names: Order of the joint vector.
+        joint_kinds: "revolute" or "prismatic" per joint.
+        parents: Index of each joint's parent, -1 for the base; below its own index.
+        is_virtual: Whether a joint has a spring but no motor, per joint.
+        flange_joint: Joint whose link carries the flange, -1 for the base.
+    """
+
+    placement_rotations: Float[Array, "joint 3 3"]
+    placement_positions: Float[Array, "joint 3"]
+    link_masses: Float[Array, " joint"]
+    link_centers: Float[Array, "joint 3"]
+    link_inertias: Float[Array, "joint 3 3"]
+    T_joint_flange: Float[Array, "4 4"]
+    T_flange_tool: Float[Array, "4 4"]
+    joint_stiffness: Float[Array, " joint"]
+    joint_damping: Float[Array, " joint"]
+    joint_lower: Float[Array, " joint"]
+    joint_upper: Float[Array, " joint"]
+    home: Float[Array, " joint"]
+    gravity: Float[Array, " 3"]
+    name: str = eqx.field(static=True)
+    joint_names: tuple[str, ...] = eqx.field(static=True)
+    joint_kinds: tuple[str, ...] = eqx.field(static=True)
+    parents: tuple[int, ...] = eqx.field(static=True)
+    is_virtual: tuple[bool, ...] = eqx.field(static=True)
+    flange_joint: int = eqx.field(static=True)
+
+    @property
+    def joint_count(self) -> int:
+        """Number of joints, virtual ones included."""
+        return len(self.joint_names)
+
+    @property
+    def dtype(self) -> DTypeLike:
+        """Floating point type of the arrays."""
+        return self.home.dtype
+
+    @property
+    def motor_joints(self) -> tuple[int, ...]:
+        """Indices of the joints that have a motor."""
+        return tuple(i for i, virtual in enumerate(self.is_virtual) if not virtual)
+
+    def ancestry(self) -> Float[Array, "joint joint"]:
+        """Return a matrix with 1 in row k, column i where joint i moves link k."""
+        moves = np.eye(self.joint_count)
+        for k, parent in enumerate(self.parents):
+            if parent >= 0:
+                moves[k] += moves[parent]
+        return jnp.asarray(moves, self.dtype)
+
+    def prismatic_mask(self) -> np.ndarray:
+        """Return whether each joint slides, shape (joint,)."""
+        return np.array([kind == "prismatic" for kind in self.joint_kinds])
+
+    def motor_mask(self) -> np.ndarray:
+        """Return whether each joint has a motor, shape (joint,)."""
+        return ~np.array(self.is_virtual)
+
+    def tool_mask(self) -> np.ndarray:
+        """Return whether each joint moves the tool, shape (joint,)."""
+        moves = np.zeros(self.joint_count, dtype=bool)
+        joint = self.flange_joint
+        while joint >= 0:
+            moves[joint] = True
+            joint = self.parents[joint]
+        return moves
+
+
+def joint_vector(
+    robot: Robot, values: JointVector, name: str
+) -> Float[Array, " joint"]:
+    """Return a user's joint vector as an array of the robot's type.
+
+    Args:
+        robot: The robot.
+        values: One number per joint.
+        name: Name of the argument, for the message.
+
+    Returns:
+        The vector, shape (joint,).
+
+    Raises:
+        ValueError: If there is not one number per joint.
+    """
+    vector = jnp.asarray(values, dtype=robot.dtype)
+    if vector.shape != (robot.joint_count,):
+        raise ValueError(
+            f"Argument `{name}` must have one number per joint of {robot.name!r} "
+            f"({', '.join(robot.joint_names)}: {robot.joint_count}), but has shape "
+            f"{vector.shape}."
+        )
+    return vector
+
+
+def wrench_vector(robot: Robot, wrench: Wrench | None) -> Float[Array, " 6"]:
+    """Return a user's wrench as an array of the robot's type, 0 for None."""
+    if wrench is None:
+        return jnp.zeros(6, robot.dtype)
+    return jnp.asarray(wrench, dtype=robot.dtype)
+
+
+def with_tool(robot: Robot, T_flange_tool: Transform) -> Robot:
+    """Return the robot with another tool tip; masses stay as they are.
+
+    Args:
+        robot: The robot.
+        T_flange_tool: Maps tool coordinates to the flange's, shape (4, 4); tool +z
+            points from the tip to the shank.
+
+    Returns:
+        The changed robot.
+
+    **Differentiability**: smooth.
+    """
+    tool = jnp.asarray(T_flange_tool, dtype=robot.dtype)
+    return eqx.tree_at(lambda r: r.T_flange_tool, robot, tool)
+
+
+def with_drives(
+    robot: Robot,
+    *,
+    stiffness: JointVector | None = None,
+    damping: JointVector | None = None,
+) -> Robot:
+    """Return the robot with other springs or dampers; None keeps what is there.
+
+    Args:
+        robot: The robot.
+        stiffness: K per joint [N m/rad or N/m], shape (joint,).
+        damping: D per joint [N m s/rad or N s/m], shape (joint,).
+
+    Returns:
+        The changed robot.
+
+    **Differentiability**: smooth.
+    """
+    if stiffness is not None:
+        values = joint_vector(robot, stiffness, "stiffness")
+        robot = eqx.tree_at(lambda r: r.joint_stiffness, robot, values)
+    if damping is not None:
+        values = joint_vector(robot, damping, "damping")
+        robot = eqx.tree_at(lambda r: r.joint_damping, robot, values)
+    return robot

@@ -1,0 +1,81 @@
+"""Small vector algebra that XLA fuses: no calls of a matrix library for 3 x 3.
+
+A spatial vector has its linear part first. An inertia about a point is a row of 13
+numbers (mass; mass times centre; rotational inertia about the point), because rows
+of different bodies about the same point simply add.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+def cross(
+    left: Float[Array, "*batch 3"], right: Float[Array, "*batch 3"]
+) -> Float[Array, "*batch 3"]:
+    """Return the cross product, written out (`jnp.cross` does not fuse as well)."""
+    a_x, a_y, a_z = left[..., 0], left[..., 1], left[..., 2]
+    b_x, b_y, b_z = right[..., 0], right[..., 1], right[..., 2]
+    return jnp.stack(
+        [a_y * b_z - a_z * b_y, a_z * b_x - a_x * b_z, a_x * b_y - a_y * b_x], axis=-1
+    )
+
+
+def matrix_product(
+    left: Float[Array, "*batch a b"], right: Float[Array, "*batch b c"]
+) -> Float[Array, "*batch a c"]:
+    """Return the product of small matrices as a fusible sum."""
+    return jnp.sum(left[..., :, :, None] * right[..., None, :, :], axis=-2)
+
+
+def apply_matrix(
+    matrix: Float[Array, "*batch a b"], vector: Float[Array, "*batch b"]
+) -> Float[Array, "*batch a"]:
+    """Return the product of a small matrix and a vector as a fusible sum."""
+    return jnp.sum(matrix * vector[..., None, :], axis=-1)
+
+
+def sum_rows(
+    selection: Float[Array, "out row"], rows: Float[Array, "row column"]
+) -> Float[Array, "out column"]:
+    """Add up selected rows; full precision, as a GPU would round to TF32."""
+    return jnp.matmul(selection, rows, precision="highest")
+
+
+def inertia_rows(
+    masses: Float[Array, " joint"],
+    centers: Float[Array, "joint 3"],
+    inertias: Float[Array, "joint 3 3"],
+) -> Float[Array, "joint 13"]:
+    """Return inertias about the origin from those about the centres of mass.
+
+    Args:
+        masses: [kg], shape (joint,).
+        centers: Centres of mass [m], shape (joint, 3).
+        inertias: About the centres [kg m^2], shape (joint, 3, 3).
+
+    Returns:
+        Mass [kg], first moment [kg m], inertia about the origin [kg m^2].
+    """
+    first = masses[:, None] * centers
+    squared = jnp.sum(first * centers, axis=-1)
+    about_origin = (
+        inertias
+        + squared[:, None, None] * jnp.eye(3, dtype=masses.dtype)[None]
+        - first[:, :, None] * centers[:, None, :]
+    )
+    flat = about_origin.reshape(masses.shape[0], 9)
+    return jnp.concatenate([masses[:, None], first, flat], axis=-1)
+
+
+def apply_inertia(
+    rows: Float[Array, "joint 13"],
+    linear: Float[Array, "joint 3"],
+    angular: Float[Array, "joint 3"],
+) -> tuple[Float[Array, "joint 3"], Float[Array, "joint 3"]]:
+    """Return inertia times motion: force and moment, or the two momenta."""
+    first = rows[:, 1:4]
+    about_origin = rows[:, 4:].reshape(rows.shape[0], 3, 3)
+    return (
+        rows[:, :1] * linear + cross(angular, first),
+        apply_matrix(about_origin, angular) + cross(first, linear),
+    )
