@@ -1,0 +1,132 @@
+"""Quantities with units, converted to SI once, at the edge.
+
+Files carry text such as "50 mm/s" or "989.8 N/mm^2". A number is split off by a
+regular expression and only the unit goes to `pint`: its expression parser would
+evaluate arithmetic (and a tower of powers for minutes), and it treats angles as pure
+numbers, so "0.5" would silently be half a radian and "50 Hz" 50 rad/s.
+"""
+
+import functools
+import math
+import re
+from typing import Any, NamedTuple
+
+_NUMBER = re.compile(
+    r"\s*(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf(?:inity)?)"
+    r"(?![A-Za-z]))\s*(?P<unit>.*?)\s*",
+    re.IGNORECASE,
+)
+_UNIT = re.compile(r"[A-Za-z0-9_ \t*/^().+\-\u00b0\u00b5\u03bc\u00b7\u00b2\u00b3]*")
+_MAX_UNIT_LENGTH = 40
+
+
+class QuantityKind(NamedTuple):
+    """A physical dimension as a job file knows it.
+
+    Attributes:
+        noun: What a message calls it, with its article.
+        unit: The SI unit into which it is converted.
+        example: A correct value, for messages.
+        angle: "required" if one angle unit must stand in the numerator, "optional"
+            if radians may be left out, "forbidden" otherwise.
+    """
+
+    noun: str
+    unit: str
+    example: str
+    angle: str = "forbidden"
+
+
+LENGTH = QuantityKind("a length", "m", "10 mm")
+ANGLE = QuantityKind("an angle", "rad", "30 deg", "required")
+TIME = QuantityKind("a time", "s", "30 ms")
+SPEED = QuantityKind("a speed", "m/s", "50 mm/s")
+ANGULAR_SPEED = QuantityKind("a rotational speed", "rad/s", "8000 rpm", "required")
+ACCELERATION = QuantityKind("an acceleration", "m/s^2", "2 m/s^2")
+PRESSURE = QuantityKind("a cutting coefficient (pressure)", "N/m^2", "989.8 N/mm^2")
+EDGE_FORCE = QuantityKind("an edge coefficient (force per length)", "N/m", "3.0 N/mm")
+ROTARY_STIFFNESS = QuantityKind(
+    "a rotational stiffness", "N*m/rad", "2.2e6 N*m/rad", "optional"
+)
+ROTARY_DAMPING = QuantityKind(
+    "a rotational damping", "N*m*s/rad", "3000 N*m*s/rad", "optional"
+)
+LINEAR_STIFFNESS = QuantityKind("a stiffness", "N/m", "20 N/um")
+LINEAR_DAMPING = QuantityKind("a damping", "N*s/m", "2000 N*s/m")
+
+
+@functools.cache
+def _registry() -> Any:
+    # Reading pint's unit file takes a third of a second, which `--help` can do without.
+    import pint
+
+    return pint.UnitRegistry()
+
+
+def _check_angle(units: Any, kind: QuantityKind, text: str) -> None:
+    # pint itself counts an angle as a pure number.
+    power = _registry().get_base_units(units)[1]._units.get("radian", 0)
+    is_allowed = {
+        "required": power == 1,
+        "optional": power in (0, -1),
+        "forbidden": power == 0,
+    }[kind.angle]
+    if not is_allowed:
+        raise ValueError(f"found {text!r}, but {_wanted(kind)}")
+
+
+def _wanted(kind: QuantityKind) -> str:
+    return f'{kind.noun} with its unit is required, such as "{kind.example}"'
+
+
+def quantity(value: object, kind: QuantityKind) -> float:
+    """Return a quantity given as text in SI units.
+
+    Args:
+        value: What the file holds; only text of a number and a unit is accepted.
+        kind: The dimension that is required.
+
+    Returns:
+        The value in `kind.unit`.
+
+    Raises:
+        ValueError: If the value is no text, has no unit, a unit that is not known or
+            of another dimension, or is not finite. The message says what was found
+            and what is allowed.
+
+    Differentiability: not applicable, a host function.
+    """
+    if not isinstance(value, str):
+        raise ValueError(f"found {value!r} without a unit, but {_wanted(kind)}")
+    match = _NUMBER.fullmatch(value)
+    if match is None:
+        raise ValueError(f"found {value!r}, but {_wanted(kind)}")
+    unit = match["unit"]
+    if not unit:
+        raise ValueError(f"found {value!r} without a unit, but {_wanted(kind)}")
+    number = float(match["number"])
+    if not math.isfinite(number):
+        raise ValueError(f"found {value!r}, but a finite number is required")
+    return _convert(number, unit, kind, value)
+
+
+def _convert(number: float, unit: str, kind: QuantityKind, text: str) -> float:
+    import pint
+
+    try:
+        if len(unit) > _MAX_UNIT_LENGTH or _UNIT.fullmatch(unit) is None:
+            raise ValueError(unit)
+        units = _registry().parse_units(unit)
+        result = _registry().Quantity(number, units)
+    except Exception as error:  # pint raises errors of its tokenizer, too
+        raise ValueError(
+            f"found {text!r} with the unknown unit {unit!r}, but {_wanted(kind)}"
+        ) from error
+    try:
+        magnitude = float(result.to(kind.unit).magnitude)
+    except (pint.PintError, OverflowError) as error:
+        raise ValueError(f"found {text!r}, but {_wanted(kind)}") from error
+    _check_angle(units, kind, text)
+    if not math.isfinite(magnitude):
+        raise ValueError(f"found {text!r}, but a finite number is required")
+    return magnitude

@@ -1,0 +1,73 @@
+import math
+
+import pytest
+
+from diffmill.io import _quantity as q
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "expected"),
+    [
+        ("10 mm", q.LENGTH, 0.010),
+        ("10mm", q.LENGTH, 0.010),
+        ("-.5 in", q.LENGTH, -0.0127),
+        ("1 um", q.LENGTH, 1e-6),
+        ("1 µm", q.LENGTH, 1e-6),
+        ("50 mm/s", q.SPEED, 0.05),
+        ("3000 mm/min", q.SPEED, 0.05),
+        ("8000 rpm", q.ANGULAR_SPEED, 8000 * 2 * math.pi / 60),
+        ("10 turn/s", q.ANGULAR_SPEED, 20 * math.pi),
+        ("837.7 rad/s", q.ANGULAR_SPEED, 837.7),
+        ("30 deg", q.ANGLE, math.pi / 6),
+        ("30°", q.ANGLE, math.pi / 6),
+        ("989.8 N/mm^2", q.PRESSURE, 989.8e6),
+        ("989.8 MPa", q.PRESSURE, 989.8e6),
+        ("3.0 N/mm", q.EDGE_FORCE, 3000.0),
+        ("2.2e6 N*m/rad", q.ROTARY_STIFFNESS, 2.2e6),
+        ("2.2e6 N m/rad", q.ROTARY_STIFFNESS, 2.2e6),
+        ("2.2 kN*m", q.ROTARY_STIFFNESS, 2200.0),
+        ("3.75 ms", q.TIME, 3.75e-3),
+        ("2 m/s^2", q.ACCELERATION, 2.0),
+        ("2 m/s**2", q.ACCELERATION, 2.0),
+    ],
+)
+def test_value(text, kind, expected):
+    assert q.quantity(text, kind) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("value", "kind", "found"),
+    [
+        (10, q.LENGTH, "10 without a unit"),
+        (10.0, q.LENGTH, "10.0 without a unit"),
+        (True, q.LENGTH, "True"),
+        (None, q.LENGTH, "None"),
+        ("10", q.LENGTH, "'10' without a unit"),
+        ("", q.LENGTH, "''"),
+        ("mm", q.LENGTH, "'mm'"),
+        ("10 mm", q.SPEED, "'10 mm'"),
+        ("10 N", q.LENGTH, "'10 N'"),
+        ("10 foo", q.LENGTH, "unknown unit 'foo'"),
+        ("nan mm", q.LENGTH, "finite"),
+        ("inf mm", q.LENGTH, "finite"),
+        ("1e400 mm", q.LENGTH, "finite"),
+        ("1,5 mm", q.LENGTH, "'1,5 mm'"),
+        ("10 mm mm^-1 banana(", q.LENGTH, "unknown unit"),
+        # pint takes angles for pure numbers; a job must not.
+        ("0.5", q.ANGLE, "without a unit"),
+        ("0.5 dimensionless", q.ANGLE, "an angle"),
+        ("50 percent", q.ANGLE, "an angle"),
+        ("50 Hz", q.ANGULAR_SPEED, "a rotational speed"),
+        ("50 1/s", q.ANGULAR_SPEED, "a rotational speed"),
+        ("5 rad*m", q.LENGTH, "a length"),
+        # Must neither be evaluated nor take long.
+        ("1 mm**9**9**9**9", q.LENGTH, "mm**9**9**9**9"),
+        ("2*3 mm", q.LENGTH, "2*3 mm"),
+        ("1 __import__('os')", q.LENGTH, "unknown unit"),
+    ],
+)
+def test_refused(value, kind, found):
+    with pytest.raises(ValueError, match="found") as error:
+        q.quantity(value, kind)
+    assert found in str(error.value)
+    assert kind.example in str(error.value) or "finite" in str(error.value)
