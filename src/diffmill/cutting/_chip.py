@@ -1,0 +1,101 @@
+"""Chip thickness from the poses that cut before: circle against circles.
+
+A tooth at immersion angle phi cuts outward to the radius R of its own circle and
+finds the material down to where an earlier circle, shifted by u, ended:
+
+    h(phi) = R - (u.e + sqrt(R^2 - |u - (u.e) e|^2)),  e = (sin phi, cos phi).
+
+The chip is the least of these over all earlier poses, so it follows regeneration over
+several teeth and is zero where the tool left the cut.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from .._types import RealScalarLike
+
+# Below this motion per tooth an edge counts as standing still [m].
+_STANDSTILL = 1e-8
+
+
+def circle_chip(
+    radius: RealScalarLike,
+    offset: Float[Array, " 3"],
+    immersion_angle: Float[Array, "*sample"],
+    if_missed: float,
+) -> Float[Array, "*sample"]:
+    """Return the thickness that one earlier circle leaves along a tooth's radius.
+
+    Args:
+        radius: Radius R of both circles [m], shape ().
+        offset: Earlier tool center minus the present one [m], shape (3,).
+        immersion_angle: Angles phi of the tooth [rad], any shape.
+        if_missed: Thickness where the radius misses the earlier circle [m].
+
+    Returns:
+        Chip thickness [m], not clipped: negative where the earlier circle reaches
+        beyond the present one.
+
+    Differentiability: smooth; constant where the circle is missed, no NaN there.
+    """
+    sin, cos = jnp.sin(immersion_angle), jnp.cos(immersion_angle)
+    outward = offset[0] * sin + offset[1] * cos
+    sideways = offset[0] * cos - offset[1] * sin
+    square = jnp.asarray(radius) ** 2 - sideways**2
+    is_met = square > 0
+    root = jnp.sqrt(jnp.where(is_met, square, 1.0))
+    return jnp.where(is_met, radius - outward - root, if_missed)
+
+
+def layer_share(
+    tip_height: Float[Array, ""],
+    element_lower: Float[Array, " element"],
+    element_height: RealScalarLike,
+) -> Float[Array, " element"]:
+    """Return the share of each disc that an earlier, higher or lower, pose cut.
+
+    Args:
+        tip_height: Earlier tip above the present one along the axis [m], shape ().
+        element_lower: Lower face of each disc above the present tip [m],
+            shape (element,).
+        element_height: Height of a disc [m], shape ().
+
+    Returns:
+        0 where the disc lies below the earlier tip, 1 where above, shape (element,).
+
+    Differentiability: kinks at both ends of the ramp.
+    """
+    return jnp.clip((element_lower + element_height - tip_height) / element_height, 0, 1)
+
+
+def edge_contact(
+    chip_thickness: Float[Array, "*sample"],
+    feed_per_tooth: Float[Array, ""],
+    angle_step: float,
+) -> Float[Array, "*sample"]:
+    """Return whether an edge is in contact, as a smooth step at zero thickness.
+
+    The step is as wide as the chip changes from one sample to the next, centered on
+    zero, so that the sum over samples neither gains nor loses edge length.
+
+    Args:
+        chip_thickness: Unclipped chip thickness [m], any shape.
+        feed_per_tooth: Motion since the tooth before [m], shape ().
+        angle_step: Angle between two samples [rad].
+
+    Returns:
+        0 to 1, same shape; 0 for a tool that stands still.
+
+    Differentiability: continuously differentiable.
+    """
+    moving = feed_per_tooth**2 / (feed_per_tooth**2 + _STANDSTILL**2)
+    width = angle_step * jnp.maximum(feed_per_tooth, _STANDSTILL)
+    x = jnp.clip(0.5 * chip_thickness / width + 0.5, 0, 1)
+    return moving * x * x * (3 - 2 * x)
+
+
+def safe_norm(vector: Float[Array, " n"]) -> Float[Array, ""]:
+    """Return the Euclidean length, with derivative zero at zero."""
+    square = jnp.sum(vector**2)
+    is_zero: Bool[Array, ""] = square == 0
+    return jnp.where(is_zero, 0, jnp.sqrt(jnp.where(is_zero, 1, square)))

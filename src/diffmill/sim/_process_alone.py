@@ -1,0 +1,205 @@
+"""The cutting process along a given path, without a robot."""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from .._result import RESULTS
+from .._types import FloatRows3, RealScalarLike
+from ..cutter import AbstractCutter
+from ..cutting import AbstractForceLaw
+from ..workpiece import Stock
+from ._adjoint import AbstractAdjoint, Plain
+from ._process import (
+    ProcessPlan,
+    ProcessState,
+    Removed,
+    begin_period,
+    end_period,
+    flush,
+    initial_state,
+    process_plan,
+    substep_force,
+    substep_middles,
+)
+
+
+class ProcessSolution(eqx.Module):
+    """What a process alone gives.
+
+    Attributes:
+        time: Tooth instants [s], shape (step,).
+        force: Mean force on the tool over the tooth period before each instant, in
+            `work` [N], shape (step, 3); zero in row 0.
+        removed_volume: Volume that each pose removes [m^3], shape (step,).
+        initial_overlap_volume: Stock inside the tool at the first pose [m^3].
+        stock: The stock after the last pose.
+        result: Outcome of the run.
+        instantaneous_force: Force at every angle sample of every period [N], shape
+            (step, sample, 3), if it was asked for.
+    """
+
+    time: Float[Array, " step"]
+    force: Float[Array, "step 3"]
+    removed_volume: Float[Array, " step"]
+    initial_overlap_volume: Float[Array, ""]
+    stock: Stock
+    result: RESULTS
+    instantaneous_force: Float[Array, "step sample 3"] | None
+
+
+def simulate_process(
+    positions: FloatRows3,
+    stock: Stock,
+    cutter: AbstractCutter,
+    law: AbstractForceLaw,
+    spindle_speed: RealScalarLike,
+    axes: FloatRows3 | None = None,
+    *,
+    plan: ProcessPlan | None = None,
+    angles: int | None = None,
+    axial_depth: float | None = None,
+    adjoint: AbstractAdjoint | None = None,
+    keeps_instantaneous: bool = False,
+) -> ProcessSolution:
+    """Cut along a path, one row per tooth period.
+
+    Args:
+        positions: Tool tip in `work` at the tooth instants [m], shape (step, 3).
+        stock: The raw workpiece.
+        cutter: The cutter.
+        law: The force law.
+        spindle_speed: [rad/s], shape ().
+        axes: Tool axis, shape (step, 3); only +z is possible.
+        plan: Sizes of the process; chosen from the next two if not given.
+        angles: Samples of the immersion angle per revolution.
+        axial_depth: Deepest immersion of the tip below the top of the stock [m].
+            Taken from the path if that is not traced, else the height of the stock
+            or the flutes, whichever is less.
+        adjoint: How to differentiate; `Plain()` if not given.
+        keeps_instantaneous: Whether to return the force at every angle sample.
+
+    Returns:
+        The forces, volumes and the final stock. Check `.result` for an overflow.
+
+    Raises:
+        ValueError: An argument has a wrong shape, or the tool axis is not +z.
+
+    Differentiability: in positions, coefficients and diameter, in forward and reverse
+    mode, except at the kinks of chips and rays. Under `Traced` the volumes and the
+    stock are constants.
+    """
+    dtype = stock.origin.dtype
+    positions = _rows(positions, "positions", dtype)
+    if axes is not None:
+        _require_vertical(axes, positions.shape[0])
+    if plan is None:
+        depth = path_depth(positions, stock, cutter) if axial_depth is None else axial_depth
+        plan = process_plan(stock, cutter, axial_depth=depth, angles=angles)
+    adjoint = Plain() if adjoint is None else adjoint
+    step_count = positions.shape[0]
+    state, overlap = initial_state(
+        plan, stock, cutter, positions[0], step_count, adjoint
+    )
+    middles = substep_middles(plan, dtype)
+
+    def step(
+        state: ProcessState, x: tuple[Array, Array, Array]
+    ) -> tuple[ProcessState, tuple[Array, Array | None, Removed, Array]]:
+        index, start, stop = x
+        tips = start[None] + middles[:, None] * (stop - start)[None]
+        state, cut, removed = begin_period(
+            plan, cutter, state, index, start, tips, adjoint
+        )
+        samples = jax.vmap(
+            lambda tip, earlier, phi, w: substep_force(
+                plan, cutter, law, tip, earlier, cut.thinned, phi, w
+            ),
+            in_axes=(0, 1, 0, 0),
+        )(tips, state.recent, cut.angle, cut.occupancy).reshape(-1, 3)
+        state = end_period(state, tips)
+        kept = samples if keeps_instantaneous else None
+        bad = state.has_overflow | state.is_beyond
+        return state, (jnp.mean(samples, axis=0), kept, removed, bad)
+
+    index = jnp.arange(1, step_count, dtype=jnp.int32)
+    xs = (index, positions[:-1], positions[1:])
+    state, (force, samples, removed, _) = jax.lax.scan(step, state, xs)
+    last = jnp.asarray(step_count - 1, jnp.int32)
+    state, rest = flush(plan, cutter, state, last, positions[-1], adjoint)
+    period = 2 * math.pi / (jnp.asarray(spindle_speed, dtype) * cutter.flute_count)
+    return ProcessSolution(
+        time=period * jnp.arange(step_count, dtype=dtype),
+        force=jnp.concatenate([jnp.zeros((1, 3), dtype), force]),
+        removed_volume=volume_by_pose(step_count, removed, rest),
+        initial_overlap_volume=overlap,
+        stock=state.stock,
+        result=outcome(state, jnp.all(jnp.isfinite(force))),
+        instantaneous_force=None
+        if samples is None
+        else jnp.concatenate([jnp.zeros_like(samples[:1]), samples]),
+    )
+
+
+def volume_by_pose(
+    step_count: int, removed: Removed, rest: Removed
+) -> Float[Array, " step"]:
+    """Return the removed volume of each pose, from steps that removed other poses."""
+    volume = jnp.zeros(step_count, removed.volume.dtype)
+    volume = volume.at[removed.pose.reshape(-1)].add(removed.volume.reshape(-1))
+    return volume.at[rest.pose].add(rest.volume)
+
+
+def outcome(state: ProcessState, is_finite: Bool[Array, ""]) -> RESULTS:
+    """Return the outcome of a run from the flags in its last state."""
+    result = RESULTS.where(
+        state.is_beyond, RESULTS.window_overflow, RESULTS.successful
+    )
+    result = RESULTS.where(state.has_overflow, RESULTS.interval_overflow, result)
+    return RESULTS.where(is_finite, result, RESULTS.non_finite)
+
+
+def path_depth(
+    positions: FloatRows3, stock: Stock, cutter: AbstractCutter
+) -> float:
+    """Return how deep the discs of a cutter must reach for a path [m].
+
+    Args:
+        positions: Tool tip in `work` [m], shape (step, 3); may be traced.
+        stock: The raw workpiece.
+        cutter: The cutter.
+
+    Returns:
+        The deepest immersion of a path known on the host; for a traced path the
+        height of the stock or of the flutes, whichever is less.
+    """
+    counts = stock.families[0].ends.shape[1]
+    limit = min(cutter.flute_length, counts * stock.spacing)
+    if isinstance(positions, jax.core.Tracer):
+        return limit
+    deepest = stock.top - float(np.min(np.asarray(positions)[:, 2]))
+    return min(max(deepest, 0.0) + stock.spacing, limit)
+
+
+def _rows(values: FloatRows3, name: str, dtype: jnp.dtype) -> Float[Array, "step 3"]:
+    rows = jnp.asarray(values, dtype)
+    if rows.ndim != 2 or rows.shape[1] != 3 or rows.shape[0] < 2:
+        raise ValueError(
+            f"Argument `{name}` must have shape (step, 3) with at least 2 steps, but "
+            f"has shape {rows.shape}."
+        )
+    return rows
+
+
+def _require_vertical(axes: FloatRows3, step_count: int) -> None:
+    if isinstance(axes, jax.core.Tracer):
+        raise ValueError("Argument `axes` must be known when tracing.")
+    rows = np.asarray(axes)
+    if rows.shape != (step_count, 3) or not np.allclose(rows, [0.0, 0.0, 1.0]):
+        raise ValueError(
+            "Argument `axes` must be +z in every row: only a vertical tool is possible."
+        )

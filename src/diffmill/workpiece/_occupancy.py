@@ -1,0 +1,330 @@
+"""How much of each disc of a vertical cutter is in the material, angle by angle.
+
+The rays see what lies head-on to them exactly, and the rest only to their spacing. So
+the question is split:
+
+- along the axis, the columns (rays along z) around a point give the share of each
+  disc's height that is material: a partition of unity over the discs, so that the
+  shares add up to the depth of cut exactly, at any depth;
+- across the axis, the rays along x and y give the signed distance to walls in the
+  plane of the disc. Each of the two families is interpolated between its rays; with
+  g the slope of that interpolant across the rays, s / sqrt(1 + g^2) is the distance
+  to a straight wall, exactly, and (1 + g^2)^-2 is the family's say.
+
+Their product is the occupancy. A ray that meets no surface within reach says nothing
+about where a surface is, so it hardly counts while another one does.
+
+Two ways to differentiate with respect to the poses that cut the stock: through the
+ends of the rays (`pose_tips=None`), or through the poses that the ends remember
+(`pose_tips` given), where the stock is a constant and each end that is read here is
+tied to its pose by the slope of the cutter's surface at that end.
+"""
+
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from ..cutter import AbstractCutter
+from ._stock import Stock
+
+# Distances along a ray are cut off here, in units of the spacing.
+REACH = 4.0
+# What a ray without a surface in reach still counts for.
+_BLIND = 1e-6
+# Half-width of the transition across a wall, in units of the spacing.
+_BAND = 0.5
+
+
+@jax.custom_jvp
+def _tied(value: Float[Array, "..."], tie: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Return `value`, with the derivative of `tie`."""
+    del tie
+    return value
+
+
+@_tied.defjvp
+def _tied_jvp(primals, tangents):
+    return primals[0], tangents[1]
+
+
+class Discs(eqx.Module):
+    """The discs of a cutter, from the tip up.
+
+    Attributes:
+        count: Number of discs.
+        height: Height of a disc dz [m].
+    """
+
+    count: int = eqx.field(static=True)
+    height: float = eqx.field(static=True)
+
+    def centers(self, dtype: jnp.dtype) -> Float[Array, " element"]:
+        """Return the height of the middle of each disc above the tip [m]."""
+        return self.height * (jnp.arange(self.count, dtype=dtype) + 0.5)
+
+    def filled_below(self, height: Float[Array, "*end"]) -> Float[Array, "*end element"]:
+        """Return the share of each disc that lies below a height above the tip.
+
+        The shares of all discs sum to height / dz at any height between zero and the
+        middle of the last disc. The lowest disc ends at the tip: it has no share in
+        material below.
+        """
+        at = height[..., None] / self.height - (
+            jnp.arange(self.count, dtype=height.dtype) + 0.5
+        )
+        share = _hat_integral(at)
+        below_tip = _hat_integral(-height / self.height - 0.5)
+        lowest = jnp.where(height > 0, share[..., 0] - below_tip, 0)
+        return share.at[..., 0].set(lowest)
+
+
+def occupancy(
+    stock: Stock,
+    points: Float[Array, "point disc 3"],
+    discs: Discs,
+    cutter: AbstractCutter,
+    pose_tips: Float[Array, "pose 3"] | None = None,
+) -> Float[Array, "point element"]:
+    """Return how much of each disc is in the material at points on its rim.
+
+    Args:
+        stock: The workpiece.
+        points: Points in `work` at the height of the tip [m], shape (point, disc, 3);
+            the axis disc has length 1 if all discs share their points.
+        discs: The discs.
+        cutter: The cutter that cut the stock; used only with `pose_tips`.
+        pose_tips: Tool tips of all poses so far [m], shape (pose, 3), to which the
+            derivative goes; None differentiates through the stock.
+
+    Returns:
+        Occupancy, shape (point, element): exactly 0 and 1 away from surfaces.
+
+    Differentiability: continuous; kinks where a point crosses a grid line.
+    """
+    columns = _find_columns(stock, points)
+    heights = _wall_heights(stock, points, discs, columns)
+    walls = tuple(_find_walls(stock, f, points, heights) for f in (0, 1))
+    ends = (columns.ends, walls[0].ends, walls[1].ends)
+    if pose_tips is not None:
+        ends = _tie(stock, cutter, columns, walls, pose_tips)
+    facts = tuple((w.is_upper, w.is_empty) for w in walls)
+    combine = jax.checkpoint(_combine, static_argnums=(4,))
+    return combine(points, ends, (facts, heights), stock.origin, (discs, stock.spacing))
+
+
+class _Columns(eqx.Module):
+    """All ends of the 3 x 3 rays along z around each point."""
+
+    ends: Float[Array, "point disc 9 2 slot"]
+    poses: Int[Array, "point disc 9 2 slot"]
+
+
+class _Walls(eqx.Module):
+    """The end that decides the distance on each of 2 x 2 rays around each point."""
+
+    ends: Float[Array, "point element 4"]
+    is_upper: Bool[Array, "point element 4"]
+    is_empty: Bool[Array, "point element 4"]
+    pose: Int[Array, "point element 4"]
+    across: Float[Array, "point element 4"]
+
+
+def _find_columns(stock: Stock, points: Float[Array, "point disc 3"]) -> _Columns:
+    rays = stock.families[2]
+    at = jax.lax.stop_gradient((points - stock.origin) / stock.spacing)
+    near = [
+        jnp.clip(jnp.round(at[..., a]).astype(jnp.int32), 1, rays.ends.shape[a] - 2)
+        for a in (0, 1)
+    ]
+    step = jnp.arange(-1, 2, dtype=jnp.int32)
+    i = near[0][..., None] + jnp.repeat(step, 3)
+    j = near[1][..., None] + jnp.tile(step, 3)
+    return _Columns(rays.ends[i, j], rays.poses[i, j])
+
+
+def _wall_heights(
+    stock: Stock,
+    points: Float[Array, "point disc 3"],
+    discs: Discs,
+    columns: _Columns,
+) -> Float[Array, "point element"]:
+    """Return the height at which to look for walls, inside the material of a disc.
+
+    A disc that only just reaches into the material from above has its middle in the
+    air, where rays along x and y meet nothing; one spacing below the top they do.
+    """
+    z = points[..., 2] + discs.centers(points.dtype)
+    ends = jax.lax.stop_gradient(columns.ends)
+    low, high = ends[..., 0, :], ends[..., 1, :]
+    reaches = (high > low) & (low < jax.lax.stop_gradient(z)[:, :, None, None] + discs.height)
+    top = jnp.max(jnp.where(reaches, high, -jnp.inf), axis=(-2, -1))
+    is_fringe = (top < z + stock.spacing) & (top > z - discs.height)
+    return jnp.where(is_fringe, jnp.where(is_fringe, top, 0) - stock.spacing, z)
+
+
+def _find_walls(
+    stock: Stock,
+    family: Literal[0, 1],
+    points: Float[Array, "point disc 3"],
+    heights: Float[Array, "point element"],
+) -> _Walls:
+    rays = stock.families[family]
+    frozen = jax.lax.stop_gradient
+    side = 1 - family
+    at_side = frozen((points[..., side] - stock.origin[side]) / stock.spacing)
+    at_height = frozen((heights - stock.origin[2]) / stock.spacing)
+    at_side = jnp.broadcast_to(at_side, at_height.shape)
+    # Family 0 is indexed (y, z), family 1 is indexed (z, x).
+    at = (at_side, at_height) if family == 0 else (at_height, at_side)
+    cell = [
+        jnp.clip(jnp.floor(at[a]).astype(jnp.int32), 0, rays.ends.shape[a] - 2)
+        for a in (0, 1)
+    ]
+    row = cell[0][..., None] + jnp.array([0, 0, 1, 1], jnp.int32)
+    column = cell[1][..., None] + jnp.array([0, 1, 0, 1], jnp.int32)
+    near = rays.ends[row, column]
+    low, high = near[..., 0, :], near[..., 1, :]
+    x = jnp.broadcast_to(frozen(points[..., family]), at_height.shape)[..., None]
+    inside = jnp.minimum(x[..., None] - frozen(low), frozen(high) - x[..., None])
+    slot = jnp.argmax(inside, axis=-1)
+    is_slot = jnp.arange(low.shape[-1]) == slot[..., None]
+    low = jnp.sum(jnp.where(is_slot, low, 0), axis=-1)
+    high = jnp.sum(jnp.where(is_slot, high, 0), axis=-1)
+    is_upper = frozen(high) - x < x - frozen(low)
+    pose = rays.poses[row, column, is_upper.astype(jnp.int32), slot.astype(jnp.int32)]
+    line = row if family == 0 else column
+    return _Walls(
+        ends=jnp.where(is_upper, high, low),
+        is_upper=is_upper,
+        is_empty=frozen(high) < frozen(low),
+        pose=pose,
+        across=stock.origin[side] + stock.spacing * line.astype(points.dtype),
+    )
+
+
+def _tie(
+    stock: Stock,
+    cutter: AbstractCutter,
+    columns: _Columns,
+    walls: tuple[_Walls, ...],
+    pose_tips: Float[Array, "pose 3"],
+) -> tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."]]:
+    """Return all ends, each with the derivative of the pose that cut it."""
+    frozen = jax.lax.stop_gradient
+    # One gather for all: its transpose then adds into the table only once.
+    poses = [columns.poses, walls[0].pose, walls[1].pose]
+    flat = jnp.concatenate([p.reshape(-1) for p in poses])
+    tips = pose_tips[jnp.maximum(flat, 0)]
+    splits = [poses[0].size, poses[0].size + poses[1].size]
+    parts = [
+        t.reshape(*p.shape, 3) for t, p in zip(jnp.split(tips, splits), poses, strict=True)
+    ]
+    tied = [jnp.where(columns.poses >= 0, parts[0][..., 2], 0)]
+    for f in (0, 1):
+        wall, tip = walls[f], parts[1 + f]
+        slopes = cutter.wall_slopes(f, frozen(wall.ends), wall.across, frozen(tip))
+        tie = tip[..., f] + frozen(slopes[0]) * tip[..., 1 - f]
+        tie = tie + frozen(slopes[1]) * (cutter.diameter / 2)
+        tied.append(jnp.where(wall.pose >= 0, tie, 0))
+    ends = (columns.ends, walls[0].ends, walls[1].ends)
+    return (
+        _tied(frozen(ends[0]), tied[0]),
+        _tied(frozen(ends[1]), tied[1]),
+        _tied(frozen(ends[2]), tied[2]),
+    )
+
+
+def _combine(
+    points: Float[Array, "point disc 3"],
+    ends: tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."]],
+    facts: tuple[tuple[tuple[Bool[Array, "..."], ...], ...], Float[Array, "..."]],
+    origin: Float[Array, " 3"],
+    sizes: tuple[Discs, float],
+) -> Float[Array, "point element"]:
+    discs, d = sizes
+    sides, heights = facts
+    inside, certainty = _wall_occupancy(points, ends[1:], sides, heights, origin, d)
+    # (point, disc, column, side, slot, element)
+    above_tip = ends[0] - points[..., 2][..., None, None, None]
+    filled = discs.filled_below(above_tip)
+    is_live = ends[0][..., 1, :] > ends[0][..., 0, :]
+    filled = jnp.sum(
+        jnp.where(is_live[..., None], filled[..., 1, :, :] - filled[..., 0, :, :], 0), -2
+    )
+    if points.shape[1] > 1:
+        # Each disc has its own points: keep its own share only.
+        filled = jnp.moveaxis(jnp.diagonal(filled, axis1=1, axis2=3), 1, 2)
+        weights = jnp.moveaxis(_column_weights(points, origin, d), 1, 2)
+    else:
+        filled, weights = filled[:, 0], _column_weights(points, origin, d)[:, 0][..., None]
+    mean = jnp.sum(weights * filled, axis=1)
+    # Beside a wall the columns in the air must not thin the disc: walls do that.
+    solid = jnp.sum(weights * filled**2, axis=1) / (mean + _BLIND)
+    return inside * (certainty * solid + (1 - certainty) * mean)
+
+
+def _wall_occupancy(
+    points: Float[Array, "point disc 3"],
+    ends: tuple[Float[Array, "..."], ...],
+    sides: tuple[tuple[Bool[Array, "..."], ...], ...],
+    heights: Float[Array, "point element"],
+    origin: Float[Array, " 3"],
+    d: float,
+) -> tuple[Float[Array, "point element"], Float[Array, "point element"]]:
+    """Return the occupancy across walls, and how surely a wall is seen."""
+    reach = REACH * d
+    q = (heights - origin[2]) / d
+    q = (q - jax.lax.stop_gradient(jnp.floor(q)))[..., None]
+    total = jnp.zeros_like(heights)
+    says = jnp.full_like(heights, _BLIND)
+    certainty = jnp.zeros_like(heights)
+    for f in (0, 1):
+        is_upper, is_empty = sides[f]
+        x = jnp.broadcast_to(points[..., f], heights.shape)[..., None]
+        s = jnp.where(is_upper, ends[f] - x, x - ends[f])
+        s = jnp.where(is_empty, -reach, jnp.clip(s, -reach, reach))
+        # Rows are (side 0 or 1) x (height 0 or 1) for family 0, the transpose for 1.
+        s = s.reshape(*s.shape[:-1], 2, 2)
+        s = s if f == 0 else jnp.swapaxes(s, -1, -2)
+        sees = (1 - (s / reach) ** 2) ** 2 + _BLIND
+        level = jnp.concatenate([1 - q, q], axis=-1)[..., None, :] * sees
+        seen = jnp.sum(level, axis=-1)
+        s = jnp.sum(level * s, axis=-1) / seen
+        at = (points[..., 1 - f] - origin[1 - f]) / d
+        p = jnp.broadcast_to(at - jax.lax.stop_gradient(jnp.floor(at)), heights.shape)
+        slope = (s[..., 1] - s[..., 0]) / d
+        s_here = s[..., 0] + p * (s[..., 1] - s[..., 0])
+        sees_here = (1 - (s_here / reach) ** 2) ** 2
+        steepness = 1 + slope**2
+        weight = sees_here / steepness**2
+        total = total + (weight + _BLIND) * s_here / jnp.sqrt(steepness)
+        says = says + weight + _BLIND
+        certainty = certainty + weight
+    inside = _hat_integral(total / says / (_BAND * d))
+    return inside, jnp.clip(2 * certainty, 0, 1)
+
+
+def _column_weights(
+    points: Float[Array, "point disc 3"], origin: Float[Array, " 3"], spacing: float
+) -> Float[Array, "point disc 9"]:
+    """Return the quadratic B-spline weights of the 3 x 3 columns."""
+    weights = []
+    for a in (0, 1):
+        at = (points[..., a] - origin[a]) / spacing
+        t = at - jax.lax.stop_gradient(jnp.round(at))
+        weights.append(
+            jnp.stack(
+                [0.5 * (0.5 - t) ** 2, 0.75 - t**2, 0.5 * (0.5 + t) ** 2], axis=-1
+            )
+        )
+    product = weights[0][..., :, None] * weights[1][..., None, :]
+    return product.reshape(*product.shape[:-2], 9)
+
+
+def _hat_integral(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """Integrate a hat of half-width 1: 0 below -1, 1 above 1, shifts sum to a line."""
+    x = jnp.clip(x, -1.0, 1.0)
+    return 0.5 + x - 0.5 * x * jnp.abs(x)

@@ -1,0 +1,233 @@
+"""The stock: three orthogonal families of rays, each ray a few intervals."""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+# Ends of a slot that holds nothing: far outside any workpiece, and reversed [m].
+DEAD = 1e3
+# Rays without material around the stock, so that distances are known outside it.
+MARGIN = 4
+
+
+class Rays(eqx.Module):
+    """One family of parallel rays on a square grid.
+
+    A slot m of ray (u, v) is live where `ends[u, v, 0, m] < ends[u, v, 1, m]`; live
+    slots never overlap and are in no particular order.
+
+    Attributes:
+        ends: Lower and upper ends along the ray [m], shape (u, v, 2, slot).
+        poses: Index of the tool pose that cut each end, -1 for the raw stock,
+            shape (u, v, 2, slot).
+    """
+
+    ends: Float[Array, "u v 2 slot"]
+    poses: Int[Array, "u v 2 slot"]
+
+    def lengths(self) -> Float[Array, "u v"]:
+        """Return the material along each ray [m], shape (u, v)."""
+        return jnp.sum(jnp.maximum(self.ends[:, :, 1] - self.ends[:, :, 0], 0), axis=-1)
+
+
+class Stock(eqx.Module):
+    """A workpiece as a tri-dexel model.
+
+    Family f runs along axis f and is indexed along the axes (f + 1) % 3 and
+    (f + 2) % 3; grid line i of axis a is at `origin[a] + i * spacing`, the same for
+    all families.
+
+    Attributes:
+        families: The rays along x, y and z.
+        origin: First grid line of each axis [m], shape (3,).
+        spacing: Distance between rays d [m].
+        top: Upper face of the raw stock [m].
+        volume_weights: Share of each family in the volume; the rays along the tool
+            axis see floors head-on, so for a vertical tool they count alone.
+    """
+
+    families: tuple[Rays, Rays, Rays]
+    origin: Float[Array, " 3"]
+    spacing: float = eqx.field(static=True)
+    top: float = eqx.field(static=True)
+    volume_weights: tuple[float, float, float] = eqx.field(
+        static=True, default=(0.0, 0.0, 1.0)
+    )
+
+    def volumes(self) -> Float[Array, " 3"]:
+        """Return the volume that each family measures [m^3], shape (3,)."""
+        totals = [jnp.sum(rays.lengths()) for rays in self.families]
+        return jnp.stack(totals) * self.spacing**2
+
+    def volume(self) -> Float[Array, ""]:
+        """Return the volume [m^3], the weighted mean of the families, shape ().
+
+        Differentiability: linear in the ends of the rays.
+        """
+        weights = jnp.asarray(self.volume_weights, self.origin.dtype)
+        return jnp.sum(self.volumes() * weights)
+
+    def astype(self, dtype: jnp.dtype) -> "Stock":
+        """Return the stock with all lengths in another floating type."""
+        return jax.tree.map(
+            lambda x: x.astype(dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x,
+            self,
+        )
+
+
+def grid_shape(stock: Stock) -> tuple[int, int, int]:
+    """Return the number of grid lines along x, y and z."""
+    count_y, count_z = stock.families[0].ends.shape[:2]
+    return stock.families[1].ends.shape[1], count_y, count_z
+
+
+def box(
+    lower: Float[Array, " 3"] | Float[np.ndarray, " 3"] | list[float] | tuple,
+    upper: Float[Array, " 3"] | Float[np.ndarray, " 3"] | list[float] | tuple,
+    spacing: float,
+    *,
+    interval_counts: tuple[int, int, int] = (6, 6, 2),
+    dtype: type | jnp.dtype | None = None,
+) -> Stock:
+    """Return a block as stock.
+
+    Args:
+        lower: Least x, y, z [m], shape (3,).
+        upper: Greatest x, y, z [m], shape (3,).
+        spacing: Distance between rays [m].
+        interval_counts: Slots for intervals of a ray along x, y and z.
+        dtype: Floating type; JAX's default if not given.
+
+    Returns:
+        The stock; rays stand in the middle of cells of side `spacing`.
+
+    Raises:
+        ValueError: The box is empty, not finite, or the spacing not positive.
+    """
+    low, high = np.asarray(lower, float), np.asarray(upper, float)
+    if not (math.isfinite(spacing) and spacing > 0):
+        raise ValueError(
+            f"Argument `spacing` must be finite and positive, but is {spacing}."
+        )
+    if low.shape != (3,) or high.shape != (3,):
+        raise ValueError("Arguments `lower` and `upper` must have three numbers each.")
+    if not (np.isfinite(low).all() and np.isfinite(high).all() and (high > low).all()):
+        raise ValueError(
+            f"Argument `upper` must be greater than `lower` on every axis, but they "
+            f"are {high.tolist()} and {low.tolist()}."
+        )
+    if min(interval_counts) < 1:
+        raise ValueError(
+            f"Argument `interval_counts` must be at least 1, but is {interval_counts}."
+        )
+    # A size that is no multiple of the spacing is shared out to both sides.
+    cells = np.maximum(np.round((high - low) / spacing), 1).astype(int)
+    first = (low + high) / 2 - (cells - 1) / 2 * spacing
+    origin = first - MARGIN * spacing
+    counts = cells + 2 * MARGIN
+    lines = [origin[a] + spacing * np.arange(counts[a]) for a in range(3)]
+    inside = [
+        (np.arange(counts[a]) >= MARGIN) & (np.arange(counts[a]) < MARGIN + cells[a])
+        for a in range(3)
+    ]
+    dtype = jnp.zeros(()).dtype if dtype is None else jnp.dtype(dtype)
+    families = []
+    for f in range(3):
+        b, c = (f + 1) % 3, (f + 2) % 3
+        shape = (len(lines[b]), len(lines[c]), 2, interval_counts[f])
+        ends = np.empty(shape)
+        ends[:, :, 0], ends[:, :, 1] = DEAD, -DEAD
+        filled = inside[b][:, None] & inside[c][None, :]
+        ends[filled, 0, 0], ends[filled, 1, 0] = low[f], high[f]
+        families.append(
+            Rays(jnp.asarray(ends, dtype), jnp.full(shape, -1, dtype=jnp.int32))
+        )
+    return Stock(
+        families=(families[0], families[1], families[2]),
+        origin=jnp.asarray(origin, dtype),
+        spacing=float(spacing),
+        top=float(high[2]),
+    )
+
+
+def has_material_above(
+    stock: Stock,
+    x: Float[Array, "*point"],
+    y: Float[Array, "*point"],
+    height: Float[Array, "*point"],
+) -> Bool[Array, "*point"]:
+    """Return whether the column nearest to a point holds material above a height.
+
+    Args:
+        stock: The workpiece.
+        x: Coordinate along x [m], any shape.
+        y: Coordinate along y [m], same shape.
+        height: Height [m], same shape.
+
+    Returns:
+        Booleans of the same shape, correct to one spacing in the plan.
+
+    Differentiability: none.
+    """
+    rays = stock.families[2].ends
+    i, j = (
+        jnp.clip(
+            jnp.round((v - stock.origin[a]) / stock.spacing).astype(jnp.int32),
+            0,
+            rays.shape[a] - 1,
+        )
+        for a, v in ((0, x), (1, y))
+    )
+    near = rays[i, j]
+    top = jnp.where(near[..., 1, :] > near[..., 0, :], near[..., 1, :], -DEAD)
+    return jnp.max(top, axis=-1) > height
+
+
+def ray_ends(
+    stock: Stock, family: int
+) -> tuple[Float[np.ndarray, "end 3"], Float[np.ndarray, " end"]]:
+    """Return the ends of all intervals of one family as points, on the host.
+
+    Args:
+        stock: The workpiece.
+        family: 0, 1 or 2: the rays along x, y or z.
+
+    Returns:
+        Points [m], shape (end, 3), and the sign of the outward direction along the
+        ray, -1 for lower and +1 for upper ends, shape (end,).
+    """
+    ends = np.asarray(stock.families[family].ends)
+    origin = np.asarray(stock.origin)
+    is_live = np.broadcast_to((ends[:, :, 1] > ends[:, :, 0])[:, :, None], ends.shape)
+    u, v, side, _ = np.nonzero(is_live)
+    points = np.empty((u.size, 3))
+    points[:, family] = ends[is_live]
+    points[:, (family + 1) % 3] = origin[(family + 1) % 3] + u * stock.spacing
+    points[:, (family + 2) % 3] = origin[(family + 2) % 3] + v * stock.spacing
+    return points, np.where(side == 0, -1.0, 1.0)
+
+
+def height_map(
+    stock: Stock,
+) -> tuple[
+    Float[np.ndarray, " x"], Float[np.ndarray, " y"], Float[np.ndarray, "x y"]
+]:
+    """Return the highest material above each point of the plan, on the host.
+
+    Args:
+        stock: The workpiece.
+
+    Returns:
+        Grid lines x and y [m], shapes (x,) and (y,), and the height [m], shape
+        (x, y); NaN where a ray holds no material.
+    """
+    ends = np.asarray(stock.families[2].ends)
+    is_live = ends[:, :, 1] > ends[:, :, 0]
+    height = np.where(is_live, ends[:, :, 1], -np.inf).max(axis=-1)
+    origin = np.asarray(stock.origin)
+    lines = [origin[a] + stock.spacing * np.arange(height.shape[a]) for a in range(2)]
+    return lines[0], lines[1], np.where(np.isfinite(height), height, np.nan)
