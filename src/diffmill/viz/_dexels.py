@@ -133,7 +133,7 @@ def _draw_floor(figure: "matplotlib.figure.SubFigure", dexels: CutDexels) -> Non
         rasterized=True,
     )
     spans = [*(sides * 1e3), max(float(np.ptp(points[:, 2])), factor * 3 * limit) * 1e3]
-    axes.set_box_aspect([max(span, 1e-3) for span in spans], zoom=1.15)
+    axes.set_box_aspect([max(span, 1e-3) for span in spans], zoom=1.35)
     axes.view_init(elev=32, azim=-62)
     axes.set_xlabel("x [mm]", fontsize=8.5, color=INK)
     axes.set_ylabel("y [mm]", fontsize=8.5, color=INK)

@@ -37,6 +37,7 @@ th, td { text-align: right; padding: .42rem .7rem; border-bottom: 1px solid var(
 th { color: var(--soft); font-weight: 600; vertical-align: bottom; }
 th:first-child, td:first-child { text-align: left; padding-left: 0; }
 table.text td, table.text th { text-align: left; overflow-wrap: anywhere; }
+table:not(.text) td:first-child { white-space: nowrap; }
 tr.best td { font-weight: 650; }
 td i { display: inline-block; width: .75rem; height: .75rem; border-radius: .2rem;
   margin-right: .55rem; vertical-align: -.05rem; }

@@ -166,7 +166,8 @@ def _draw_zoom(
     centre = desired[step, :2] * 1e3
     travel = np.linalg.norm(np.diff(desired[:, :2], axis=0), axis=1)
     pitch = float(np.median(travel[travel > 0])) if (travel > 0).any() else 1e-4
-    deviation = np.linalg.norm(values_of(dataset, "deviation", reference)[step, :2])
+    plane = np.nan_to_num(values_of(dataset, "deviation", reference)[step, :2])
+    deviation = np.linalg.norm(plane)
     # Wide enough for a few teeth and for the deviation itself.
     half = 1e3 * max(4.0 * float(deviation), 8.0 * pitch)
     factor = round_factor(half * 1e-3 / (3.0 * max(float(deviation), 1e-12)))

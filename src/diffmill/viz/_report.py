@@ -19,7 +19,7 @@ import numpy as np
 
 from ._cases import CaseNumbers, case_names, case_numbers, reference_case, values_of
 from ._html import image_html, numbers_html, page_html, section_html, table_html
-from ._style import case_style
+from ._style import MICROMETRE, case_style
 from ._surface import SurfaceError, surface_html
 from ._write import FigureFile
 
@@ -113,9 +113,10 @@ def _lead(dataset: "xarray.Dataset", numbers: dict[str, CaseNumbers]) -> str:
     span = f"{time[-1] - time[0]:.2f} s of milling" if time.size else "no step"
     before = numbers[reference_case(dataset)]
     text = f"{span}, {steps} tooth periods. The tool misses its desired line by "
-    text += f"{_um(before.rms)} um (rms while cutting)"
+    text += f"{_length(before.rms)} (rms while cutting)"
     if "corrected" in numbers and "uncorrected" in numbers:
-        text += f"; with the corrected program by {_um(numbers['corrected'].rms)} um"
+        after = _length(numbers["corrected"].rms)
+        text += f"; with the corrected program by {after}"
     return text + "."
 
 
@@ -124,13 +125,13 @@ def _headline(
 ) -> list[tuple[str, str]]:
     """Return the numbers to print large."""
     before = numbers[reference_case(dataset)]
-    items = [(f"{_um(before.rms)} um", "contour error (rms) as programmed")]
+    items = [(_length(before.rms), "contour error (rms) as programmed")]
     if "corrected" in numbers and before.name != "corrected":
         after = numbers["corrected"]
-        items.append((f"{_um(after.rms)} um", "contour error (rms) after correction"))
-        items.append((_times(before.rms, after.rms), "smaller"))
+        items.append((_length(after.rms), "contour error (rms) after correction"))
+        items.append((_times(before.rms, after.rms), "smaller contour error"))
     else:
-        items.append((f"{_um(before.maximum)} um", "largest contour error"))
+        items.append((_length(before.maximum), "largest contour error"))
     items.append((f"{_number(before.force_mean)} N", "mean cutting force"))
     return items
 
@@ -159,14 +160,14 @@ def _result_blocks(dataset: "xarray.Dataset") -> list[str]:
     table = table_html(
         [
             "case",
-            "contour error rms [um]",
-            "95 % [um]",
-            "max [um]",
+            f"contour error rms [{MICROMETRE}]",
+            f"95 % [{MICROMETRE}]",
+            f"max [{MICROMETRE}]",
             "smaller by",
-            "deviation rms [um]",
+            f"deviation rms [{MICROMETRE}]",
             "mean force [N]",
             "max force [N]",
-            "removed [mm^3]",
+            "removed [mm\u00b3]",
         ],
         rows,
         colours=[case_style(name).colour for name in names],
@@ -274,6 +275,10 @@ def _number(value: float) -> str:
 
 def _um(value: float) -> str:
     return _number(value * 1e6)
+
+
+def _length(value: float) -> str:
+    return f"{_um(value)} {MICROMETRE}"
 
 
 def _times(before: float, after: float) -> str:

@@ -20,6 +20,7 @@ DPI = 160
 GREY = "#9a9a9a"
 LIGHT_GREY = "#d9d9d9"
 INK = "#222222"
+MICROMETRE = "\u00b5m"  # the micro sign, for text outside matplotlib
 
 
 class CaseStyle(eqx.Module):

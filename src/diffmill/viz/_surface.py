@@ -8,11 +8,11 @@ from jaxtyping import Float
 
 from ._style import (
     INK,
+    MICROMETRE,
     case_style,
     label_colourbar,
     new_figure,
     quiet_axes,
-    round_factor,
     spread,
 )
 
@@ -131,35 +131,36 @@ def surface_html(maps: dict[str, SurfaceError]) -> str:
 
     first = next(iter(maps.values()))
     limit = max(spread(item.error * 1e6, 99.0) for item in maps.values()) or 1.0
-    width_um = float(max(np.ptp(first.x), np.ptp(first.y))) * 1e6
-    factor = round_factor(0.12 * width_um / limit)
     surfaces = [
         _browser_surface(item, limit, name == next(iter(maps)))
         for name, item in maps.items()
     ]
     figure = go.Figure([go.Surface(**surface) for surface in surfaces])
-    ratio = float(np.ptp(first.y) / max(np.ptp(first.x), 1e-12))
+    width_um = max(float(np.ptp(first.x)), 1e-9) * 1e6
+    ratio = float(np.ptp(first.y)) * 1e6 / width_um
+    # The box is 1.5 wide for the part's width and 0.7 high for 4 limits.
+    factor = float(f"{0.7 / (4.0 * limit) / (1.5 / width_um):.2g}")
     figure.update_layout(
         template="plotly_white",
-        margin={"l": 0, "r": 0, "t": 36, "b": 0},
+        margin={"l": 0, "r": 0, "t": 30, "b": 0},
         height=460,
         font={"family": "system-ui, sans-serif", "size": 12},
         scene={
             "xaxis": {"title": {"text": "x [mm]"}},
             "yaxis": {"title": {"text": "y [mm]"}},
             "zaxis": {
-                "title": {"text": "error [um]"},
+                "title": {"text": f"error [{MICROMETRE}]"},
                 "range": [-2 * limit, 2 * limit],
             },
             "aspectmode": "manual",
-            "aspectratio": {"x": 1.5, "y": 1.5 * ratio, "z": 0.36 * 2},
+            "aspectratio": {"x": 1.5, "y": 1.5 * ratio, "z": 0.7},
             "camera": {"eye": {"x": 0.9, "y": -1.5, "z": 1.1}},
         },
         annotations=[
             {
-                "text": f"height error about {factor:g} times larger than x and y",
+                "text": f"height error drawn {factor:g} times larger",
                 "x": 0,
-                "y": 1.0,
+                "y": 1.07,
                 "xref": "paper",
                 "yref": "paper",
                 "xanchor": "left",
@@ -190,9 +191,10 @@ def _case_buttons(names: list[str]) -> dict:
         "type": "buttons",
         "direction": "right",
         "buttons": buttons,
-        "x": 1.0,
-        "xanchor": "right",
-        "y": 1.08,
+        "x": 0.0,
+        "xanchor": "left",
+        "y": 0.98,
+        "yanchor": "top",
     }
 
 
@@ -209,5 +211,5 @@ def _browser_surface(item: SurfaceError, limit_um: float, is_visible: bool) -> d
         "cmin": -limit_um,
         "cmax": limit_um,
         "visible": is_visible,
-        "colorbar": {"title": {"text": "um"}, "len": 0.7},
+        "colorbar": {"title": {"text": MICROMETRE}, "len": 0.7},
     }

@@ -1,0 +1,292 @@
+"""The figures draw the numbers of the dataset, at the scale that they state."""
+
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+
+from diffmill.viz import (
+    CutDexels,
+    ForceRecord,
+    plot_chip,
+    plot_cut_dexels,
+    plot_deviation,
+    plot_forces,
+    plot_paths,
+    plot_surface_error,
+    ray_errors,
+)
+from diffmill.viz._paths import plan_magnification, zoom_steps
+from diffmill.viz._style import case_style, round_factor, scale_ratio
+
+from .synthetic import (
+    PERIOD,
+    SCALES,
+    chip_chart,
+    cut_dexels,
+    force_record,
+    surface_error,
+)
+
+
+def panels_of(figure) -> list[Any]:
+    """matplotlib's stubs type artists too loosely to ask them for their data."""
+    return list(figure.axes)
+
+
+def line_of(axes, label) -> Any:
+    (line,) = [line for line in axes.lines if line.get_label() == label]
+    return line
+
+
+def legend_box(figure) -> Any:
+    figure.draw_without_rendering()
+    (legend,) = figure.legends
+    return legend.get_window_extent()
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [(0.3, 1), (1.0, 1), (1.99, 1), (2.0, 2), (7.0, 5), (10.0, 10), (499.0, 200)],
+)
+def test_round_factor_is_one_two_or_five(value, expected):
+    assert round_factor(value) == expected
+
+
+def test_plan_view_draws_desired_plus_factor_times_deviation(correction):
+    plan = panels_of(plot_paths(correction, magnification=20.0))[0]
+    cutting = correction["is_cutting"].values
+    for index, name in enumerate(SCALES):
+        line = line_of(plan, case_style(name).label)
+        expected = 1e3 * (
+            correction["desired"].values
+            + 20.0 * correction["deviation"].isel(case=index).values
+        )
+        np.testing.assert_allclose(line.get_xdata()[cutting], expected[cutting, 0])
+        np.testing.assert_allclose(line.get_ydata()[cutting], expected[cutting, 1])
+        assert np.isnan(line.get_xdata()[~cutting]).all()
+    assert plan.get_title(loc="left") == "plan view, deviation x 20"
+
+
+def test_automatic_magnification_makes_the_deviation_visible(correction):
+    factor = plan_magnification(correction)
+    length = np.linalg.norm(correction["deviation"].values[0, :, :2], axis=1)
+    drawn = factor * np.percentile(length[correction["is_cutting"].values], 95)
+    assert 0.02 * 0.02 < drawn <= 0.05 * 0.02
+
+
+def test_zooms_are_at_the_largest_deviation_and_apart(correction):
+    first, second = zoom_steps(correction)
+    length = np.linalg.norm(correction["deviation"].values[0, :, :2], axis=1)
+    assert first == np.argmax(length)
+    desired = correction["desired"].values
+    assert np.linalg.norm(desired[first] - desired[second]) > 0.005
+
+
+def test_side_view_states_the_ratio_of_its_axes(correction):
+    side = panels_of(plot_paths(correction))[3]
+    figure = side.figure
+    figure.draw_without_rendering()
+    # An independent reading: pixels between two points of known distance.
+    origin, right, up = side.transData.transform([(0, 0), (10, 0), (0, 50)])
+    ratio = ((up[1] - origin[1]) / 50e-6) / ((right[0] - origin[0]) / 10e-3)
+    stated = float(re.findall(r"drawn (\S+) times", side.get_title(loc="left"))[0])
+    assert stated == pytest.approx(ratio, rel=0.06)
+    assert scale_ratio(side, 1e-3, 1e-6) == f"{float(f'{ratio:.2g}'):g}"
+
+
+def test_every_case_keeps_its_colour(correction):
+    plan = panels_of(plot_paths(correction))[0]
+    time = panels_of(plot_deviation(correction))[0]
+    colours = set()
+    for name in SCALES:
+        label = case_style(name).label
+        colour = line_of(plan, label).get_color()
+        assert line_of(time, label).get_color() == colour
+        colours.add(colour)
+    assert len(colours) == len(SCALES)
+
+
+def test_deviation_is_drawn_in_micrometres(correction):
+    panels = panels_of(plot_deviation(correction))
+    assert len(panels) == 5
+    for axis in range(3):
+        line = line_of(panels[axis], "uncorrected")
+        expected = 1e6 * correction["deviation"].values[0, :, axis]
+        np.testing.assert_allclose(line.get_ydata(), expected)
+        np.testing.assert_allclose(line.get_xdata(), correction["time"].values)
+    assert panels[4].get_yscale() == "log"
+
+
+def test_simulation_has_one_line_and_no_contour_panels_without_contour(simulation):
+    panels = panels_of(plot_deviation(simulation.drop_vars("contour_error")))
+    assert len(panels) == 3
+    assert [line.get_label() for line in panels[0].lines] == ["predicted"]
+
+
+@pytest.mark.parametrize(
+    "draw", [plot_paths, plot_deviation, lambda _: plot_forces(force_record())]
+)
+def test_legend_covers_no_panel(correction, draw):
+    figure = draw(correction)
+    box = legend_box(figure)
+    for axes in panels_of(figure):
+        assert not box.overlaps(axes.get_window_extent())
+    assert box.x0 >= 0
+    assert box.x1 <= figure.bbox.x1
+
+
+@pytest.mark.parametrize("draw", [plot_paths, plot_deviation])
+def test_a_run_that_broke_off_can_be_drawn(correction, draw):
+    broken = correction.copy(deep=True)
+    for name in ("deviation", "contour_error", "actual"):
+        broken[name].values[:, 200:] = np.nan
+    draw(broken).draw_without_rendering()
+
+
+@pytest.mark.parametrize("draw", [plot_paths, plot_deviation])
+def test_a_run_that_never_cuts_can_be_drawn(simulation, draw):
+    air = simulation.copy(deep=True)
+    air["is_cutting"].values[:] = False
+    air["deviation"].values[:] = 0.0
+    air["contour_error"].values[:] = 0.0
+    draw(air).draw_without_rendering()
+
+
+def test_force_panels_hold_the_low_passed_force():
+    record = force_record()
+    figure = plot_forces(record)
+    black = panels_of(figure)[2].lines[-1]
+    assert "Butterworth, order 4" in black.get_label() or figure.legends
+    # A half-sine squared has mean 1/2: 55 N at the mean level, 1 +- 0.2.
+    middle = (record.time > 0.3) & (record.time < 1.2)
+    level = 1.0 + 0.2 * np.sin(2 * np.pi * 2.0 * record.time)
+    np.testing.assert_allclose(
+        np.asarray(black.get_ydata())[middle], 55.0 * level[middle], rtol=2e-3
+    )
+
+
+def test_force_legend_states_filter_order_phase_and_samples():
+    (legend,) = plot_forces(force_record(16)).legends
+    texts = " ".join(text.get_text() for text in legend.get_texts())
+    assert "16 samples per tooth" in texts
+    assert "100 Hz low-pass: Butterworth, order 4" in texts
+    assert "zero phase" in texts
+
+
+def test_grey_band_reaches_every_extreme():
+    record = force_record()
+    band = panels_of(plot_forces(record))[0].collections[0]
+    heights = band.get_paths()[0].vertices[:, 1]
+    assert heights.max() == pytest.approx(record.force[:, 0].max())
+    assert heights.min() == pytest.approx(record.force[:, 0].min())
+
+
+def test_force_zoom_shows_whole_tooth_periods():
+    figure = plot_forces(force_record(), zoom_periods=4)
+    assert panels_of(figure)[1].get_xlim() == pytest.approx((0.0, 4 * PERIOD * 1e3))
+
+
+def test_tooth_means_have_neither_zoom_nor_impossible_filter():
+    time = np.arange(50) * 0.01
+    force = np.stack([time, time, time], axis=1)
+    figure = plot_forces(ForceRecord(time, force, 0.01, True))
+    assert len(panels_of(figure)) == 3
+    assert [len(axes.lines) for axes in panels_of(figure)] == [1, 1, 1]
+
+
+def test_uneven_force_record_is_refused():
+    with pytest.raises(ValueError, match="`time` must be equally spaced"):
+        ForceRecord(np.array([0.0, 1.0, 3.0]), np.zeros((3, 3)))
+
+
+def test_chip_map_and_curves_hold_the_weighted_chip():
+    chart = chip_chart()
+    figure = plot_chip(chart)
+    image = panels_of(figure)[0].collections[0]
+    expected = chart.chip_thickness * chart.weight * 1e6
+    np.testing.assert_allclose(np.ma.filled(image.get_array(), 0.0), expected)
+    curves = [
+        line for line in panels_of(figure)[1].lines if len(line.get_xdata()) == 360
+    ]
+    assert len(curves) == 5
+    np.testing.assert_allclose(curves[2].get_ydata(), expected[2])
+    np.testing.assert_allclose(curves[2].get_xdata(), np.arange(360.0))
+
+
+def test_chip_without_any_cut_can_be_drawn():
+    chart = chip_chart(1)
+    empty = type(chart)(
+        chart.immersion_angle, chart.height, 0 * chart.chip_thickness, chart.weight
+    )
+    plot_chip(empty).draw_without_rendering()
+
+
+def test_surface_map_is_in_micrometres_with_zero_in_the_middle():
+    maps = {"uncorrected": surface_error(), "corrected": surface_error(0.05)}
+    figure = plot_surface_error(maps)
+    image = panels_of(figure)[0].collections[0]
+    error = maps["uncorrected"].error * 1e6
+    np.testing.assert_allclose(np.ma.filled(image.get_array(), np.nan), error)
+    low, high = image.get_clim()
+    assert low == -high
+    assert panels_of(figure)[2].collections[0].get_clim() == (low, high)
+    rms = np.sqrt(np.nanmean(error**2))
+    assert f"rms {rms:.1f}" in panels_of(figure)[1].get_title(loc="left")
+
+
+def test_histogram_counts_the_whole_area():
+    axes = panels_of(plot_surface_error({"predicted": surface_error()}))[1]
+    total = sum(patch.get_height() for patch in axes.patches)
+    assert total == pytest.approx(100.0, abs=1.1)
+
+
+def test_surface_needs_a_case():
+    with pytest.raises(ValueError, match="`maps` must hold at least one"):
+        plot_surface_error({})
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_ray_errors_match_a_loop_over_rays(axis):
+    generator = np.random.default_rng(5)
+    across = [other for other in range(3) if other != axis]
+    ideal = np.zeros((300, 3))
+    ideal[:, across] = generator.integers(0, 8, (300, 2)) * 0.2e-3 - 0.8e-3
+    ideal[:, axis] = generator.uniform(-0.01, 0.01, 300)
+    points = np.zeros((200, 3))
+    points[:, across] = generator.integers(0, 9, (200, 2)) * 0.2e-3 - 0.8e-3
+    points[:, axis] = generator.uniform(-0.01, 0.01, 200)
+    expected = np.full(200, np.nan)
+    for index, point in enumerate(points):
+        same = np.all(np.abs(ideal[:, across] - point[across]) < 1e-9, axis=1)
+        if same.any():
+            errors = point[axis] - ideal[same, axis]
+            expected[index] = errors[np.argmin(np.abs(errors))]
+    assert np.isnan(expected).any()
+    np.testing.assert_allclose(ray_errors(points, ideal, axis), expected, atol=1e-12)
+
+
+def test_dexels_of_floor_and_wall_are_drawn_with_their_error():
+    dexels = cut_dexels()
+    figure = plot_cut_dexels(dexels)
+    assert len(panels_of(figure)[0].collections) == 1
+    wall = next(
+        axes
+        for axes in panels_of(figure)
+        if axes.get_title(loc="left").startswith("wall")
+    )
+    scatter = wall.collections[0]
+    expected = 1e6 * ray_errors(dexels.wall, dexels.wall_ideal, 0)
+    drawn = np.asarray(scatter.get_offsets())[:, 1]
+    assert drawn.size == dexels.wall.shape[0] // 2
+    np.testing.assert_allclose(np.sort(drawn), np.sort(expected[: drawn.size]))
+
+
+def test_dexels_without_a_wall_have_one_panel():
+    dexels = cut_dexels()
+    none = np.zeros((0, 3))
+    figure = plot_cut_dexels(CutDexels(dexels.floor, dexels.floor_ideal, none, none))
+    assert not [
+        a for a in panels_of(figure) if a.get_title(loc="left").startswith("wall")
+    ]

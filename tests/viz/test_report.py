@@ -1,0 +1,179 @@
+"""The report holds everything in one file, and says what the dataset says."""
+
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from diffmill.viz import FigureFile, case_numbers, write_figures, write_report
+
+from .synthetic import chip_chart, cut_dexels, force_record, surface_error
+
+MICROMETRE = "\u00b5m"
+
+
+class Reader(HTMLParser):
+    """Collect tags with their attributes, and the visible text."""
+
+    def __init__(self):
+        super().__init__()
+        self.tags, self.words, self.open = [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in ("meta", "img", "br", "link"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] not in ("script", "style"):
+            self.words.append(data)
+
+    @property
+    def text(self):
+        return " ".join(" ".join(self.words).split())
+
+
+def read(path):
+    reader = Reader()
+    reader.feed(path.read_text(encoding="utf-8"))
+    assert not reader.open
+    return reader
+
+
+@pytest.fixture(scope="module")
+def full_run(tmp_path_factory, correction):
+    folder = tmp_path_factory.mktemp("run")
+    maps = {"uncorrected": surface_error(), "corrected": surface_error(0.05)}
+    figures = write_figures(
+        folder,
+        correction,
+        forces=force_record(),
+        chip=chip_chart(),
+        dexels=cut_dexels(),
+        surfaces=maps,
+    )
+    path = write_report(
+        folder,
+        correction,
+        figures,
+        surfaces=maps,
+        settings={"angles": "192"},
+        versions={"jax": "0.0"},
+        notes=["the spacing exceeds 0.05 R & more"],
+    )
+    return figures, path
+
+
+def test_headline_numbers_match_numpy(correction):
+    numbers = case_numbers(correction, "mirror")
+    cutting = correction["is_cutting"].values
+    part = correction.sel(case="mirror")
+    error = np.abs(part["contour_error"].values[cutting])
+    assert numbers.rms == pytest.approx(np.sqrt(np.mean(error**2)))
+    assert numbers.percentile_95 == pytest.approx(np.percentile(error, 95))
+    assert numbers.maximum == pytest.approx(error.max())
+    force = np.linalg.norm(part["force"].values[cutting], axis=1)
+    assert numbers.force_mean == pytest.approx(force.mean())
+    assert numbers.removed_volume == pytest.approx(part["removed_volume"].sum())
+
+
+def test_unknown_case_is_refused(correction):
+    with pytest.raises(ValueError, match="`name` must be a case of the result"):
+        case_numbers(correction, "nonsense")
+
+
+def test_all_figures_are_written_as_png(full_run):
+    figures, _ = full_run
+    assert list(figures) == [
+        "paths",
+        "deviation",
+        "forces",
+        "chip",
+        "surface",
+        "dexels",
+    ]
+    for name, file in figures.items():
+        assert file.path is not None and file.path.name == f"{name}.png"
+        assert file.path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+        assert file.caption and not file.skipped
+
+
+def test_absent_inputs_are_named(tmp_path, simulation):
+    files = write_figures(tmp_path, simulation.drop_vars(["desired", "force"]))
+    assert all(file.path is None for file in files.values())
+    assert files["paths"].skipped == "the result has no desired"
+    assert files["forces"].skipped == "the result has no force"
+    assert not list(tmp_path.iterdir())
+
+
+def test_report_needs_no_other_file(full_run):
+    figures, path = full_run
+    reader = read(path)
+    for tag, attributes in reader.tags:
+        assert tag not in ("link", "iframe", "object")
+        source = attributes.get("src", "")
+        assert not source or source.startswith("data:image/png;base64,")
+    images = [tag for tag, _ in reader.tags if tag == "img"]
+    assert len(images) == len(figures)
+    assert path.stat().st_size < 8e6
+
+
+def test_plotly_is_embedded_once(full_run):
+    text = full_run[1].read_text(encoding="utf-8")
+    assert len(re.findall(r"\* plotly\.js v", text)) == 1
+
+
+def test_report_prints_the_headline(full_run, correction):
+    text = read(full_run[1]).text
+    before, after = (case_numbers(correction, c) for c in ("uncorrected", "corrected"))
+    assert f"{before.rms * 1e6:.0f} {MICROMETRE} contour error" in text
+    assert f"{after.rms * 1e6:.2f} {MICROMETRE} contour error" in text
+    assert f"{before.rms / after.rms:.1f} x" in text
+    for part in ("mirror, iterated", "products with the Jacobian", "wall time [s]"):
+        assert part in text
+    for part in ("0.0-test", "angles 192", "jax 0.0", "exceeds 0.05 R & more"):
+        assert part in text
+
+
+def test_text_of_the_job_is_escaped(tmp_path, simulation):
+    hostile = simulation.assign_attrs(
+        job="<script>alert(1)</script>", notes="<img src=x>", **{"<u>": "<i>"}
+    )
+    figures = {"bad": FigureFile("<b>bold</b>", skipped="<b>why</b>")}
+    path = write_report(tmp_path, hostile, figures, failure="<b>stop</b>")
+    reader = read(path)
+    tags = [tag for tag, _ in reader.tags]
+    assert "script" not in tags and "img" not in tags and "u" not in tags
+    for part in ("<script>alert(1)</script>", "<b>not markup</b>", "<b>why</b>"):
+        assert part in reader.text
+
+
+def test_complete_run_carries_no_warning(tmp_path, simulation):
+    path = write_report(tmp_path, simulation, {})
+    assert "incomplete" not in read(path).text
+
+
+def test_incomplete_run_says_so(tmp_path, simulation):
+    stopped = simulation.isel(step=slice(0, 100)).assign_attrs(outcome="Out of slots.")
+    text = read(write_report(tmp_path, stopped, {})).text
+    assert "rounded square (incomplete)" in text
+    assert "This run is incomplete. Out of slots." in text
+
+
+def test_simulation_report_lists_skipped_figures(tmp_path, simulation):
+    figures = write_figures(tmp_path, simulation)
+    text = read(write_report(tmp_path, simulation, figures)).text
+    assert 'No figure "Chip thickness of one tooth": no chip chart' in text
+    assert "predicted" in text and "largest contour error" in text
+
+
+def test_rigid_run_divides_by_no_zero(tmp_path, simulation):
+    rigid = simulation.copy(deep=True)
+    rigid["deviation"].values[:] = 0.0
+    rigid["contour_error"].values[:] = 0.0
+    figures = write_figures(tmp_path, rigid)
+    assert f"0 {MICROMETRE}" in read(write_report(tmp_path, rigid, figures)).text
