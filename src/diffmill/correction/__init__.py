@@ -1,1 +1,55 @@
-"""correction."""
+"""Correction of a program: a command whose actual path is the desired one.
+
+What it models: a plant (machine with process, any traceable function from a command
+to a motion) and methods that look for a better command behind one interface: the
+mirror, once and iterated; the inverse drive; bounded Gauss-Newton on spline offsets
+with exact derivatives. All report the same figures, over the rows that cut.
+Assumptions: the command is one row per tooth period; the controller follows what
+the knot spacing allows; the plant is deterministic.
+Left out: corrections of feed, of the tool axis and of the surface error; a bound on
+the command's acceleration, which is reported only; robustness against a wrong model.
+"""
+
+from ._bspline import SplineOffsets as SplineOffsets
+from ._gauss_newton import (
+    ContourResidual as ContourResidual,
+    GaussNewton as GaussNewton,
+    contour_residual as contour_residual,
+)
+from ._inverse_drive import (
+    InverseDriveCommand as InverseDriveCommand,
+    at_instants as at_instants,
+    differentiate as differentiate,
+    inverse_drive as inverse_drive,
+    spring_deflection as spring_deflection,
+)
+from ._least_squares import (
+    LeastSquaresSolution as LeastSquaresSolution,
+    LeastSquaresStep as LeastSquaresStep,
+    LevenbergMarquardt as LevenbergMarquardt,
+    least_squares as least_squares,
+)
+from ._measures import Measures as Measures, measure as measure
+from ._method import (
+    AbstractMethod as AbstractMethod,
+    Corrected as Corrected,
+    GivenCommand as GivenCommand,
+)
+from ._mirror import IteratedMirror as IteratedMirror, Mirror as Mirror
+from ._problem import (
+    Motion as Motion,
+    Plant as Plant,
+    Problem as Problem,
+    contour_of as contour_of,
+    run as run,
+)
+from ._products import (
+    AbstractProducts as AbstractProducts,
+    RecomputedProducts as RecomputedProducts,
+    StoredProducts as StoredProducts,
+)
+from ._projection import clip_offset as clip_offset, project as project
+from ._quadratic import (
+    QuadraticSolution as QuadraticSolution,
+    solve_bounded_quadratic as solve_bounded_quadratic,
+)

@@ -1,0 +1,176 @@
+"""Offsets of a command over time as a cubic B-spline with few coefficients."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+# Coefficients held at zero at either end: three, so that the curve, its slope and
+# its second derivative all start and end at zero.
+_CLAMPED = 3
+
+
+class SplineOffsets(eqx.Module):
+    """A uniform cubic B-spline over a whole program, at rest at both ends.
+
+    The knots divide the program into equal intervals no shorter than the spacing
+    asked for, which is the bandwidth that the controller can follow. The first and
+    last three coefficients are zero, so that the offset, its velocity and its
+    acceleration vanish at both ends. A cubic B-spline lies in the convex hull of its
+    coefficients: a bound on every coefficient bounds the curve everywhere.
+
+    Attributes:
+        step_count: Rows of the program.
+        time_step: Time between two rows [s].
+        knot_spacing: Smallest spacing of the knots [s].
+    """
+
+    step_count: int = eqx.field(static=True)
+    time_step: float = eqx.field(static=True)
+    knot_spacing: float = eqx.field(static=True)
+
+    def __check_init__(self):
+        if not (self.time_step > 0 and self.knot_spacing > 0):
+            raise ValueError(
+                "Arguments `time_step` and `knot_spacing` must be positive, but are "
+                f"{self.time_step} s and {self.knot_spacing} s."
+            )
+        if self.interval_count < _CLAMPED + 1:
+            raise ValueError(
+                "Argument `knot_spacing` must leave at least four intervals in the "
+                f"program of {self.duration:.4g} s, but is {self.knot_spacing:.4g} s."
+            )
+
+    @property
+    def duration(self) -> float:
+        """Time from the first row to the last [s]."""
+        return (self.step_count - 1) * self.time_step
+
+    @property
+    def interval_count(self) -> int:
+        """Number of equal intervals between knots."""
+        # The slack keeps a spacing that divides the duration from losing an interval.
+        return int(np.floor(self.duration / self.knot_spacing * (1 + 1e-9)))
+
+    @property
+    def actual_spacing(self) -> float:
+        """Spacing of the knots as used [s], at least `knot_spacing`."""
+        return self.duration / self.interval_count
+
+    @property
+    def coefficient_count(self) -> int:
+        """Number of free coefficients per axis."""
+        return self.interval_count + 3 - 2 * _CLAMPED
+
+    def offsets(
+        self, coefficients: Float[Array, "coefficient axis"]
+    ) -> Float[Array, "step axis"]:
+        """Return the curve at every row.
+
+        Args:
+            coefficients: Free coefficients [unit of the command],
+                shape (coefficient, axis).
+
+        Returns:
+            Offsets, shape (step, axis), in the coefficients' unit.
+
+        Differentiability: linear; its transpose costs the same.
+        """
+        start, weights = _basis(self)
+        padded = jnp.pad(coefficients, ((_CLAMPED, _CLAMPED), (0, 0)))
+        # Four gathers of contiguous rows: no dense basis matrix is ever formed.
+        weights = jnp.asarray(weights, coefficients.dtype)
+        terms = [weights[:, r, None] * padded[start + r] for r in range(4)]
+        return terms[0] + terms[1] + terms[2] + terms[3]
+
+    def roughness(
+        self, coefficients: Float[Array, "coefficient axis"]
+    ) -> Float[Array, "interval axis"]:
+        """Return the second differences of all coefficients, the clamped included.
+
+        Divided by the square of the knot spacing they are the second derivative of
+        the curve at the knots.
+
+        Args:
+            coefficients: Free coefficients, shape (coefficient, axis).
+
+        Returns:
+            Second differences, shape (interval, axis), in the coefficients' unit.
+
+        Differentiability: linear.
+        """
+        padded = jnp.pad(coefficients, ((2, 2), (0, 0)))
+        return padded[2:] - 2 * padded[1:-1] + padded[:-2]
+
+    def normal_band(self) -> Float[np.ndarray, "4 coefficient"]:
+        """Return the upper band of B^T B, in the layout of `scipy.linalg`."""
+        start, weights = _basis(self)
+        count = self.coefficient_count
+        full = np.zeros((4, count + 2 * _CLAMPED))
+        for r in range(4):
+            for s in range(r, 4):
+                np.add.at(full[3 - (s - r)], start + s, weights[:, r] * weights[:, s])
+        return full[:, _CLAMPED:-_CLAMPED]
+
+    def fit(
+        self, signal: Float[np.ndarray, "step axis"] | Float[Array, "step axis"]
+    ) -> Float[np.ndarray, "coefficient axis"]:
+        """Return the coefficients closest to a signal in least squares.
+
+        Args:
+            signal: Offsets at every row, shape (step, axis).
+
+        Returns:
+            Coefficients, shape (coefficient, axis), in the signal's unit.
+
+        Differentiability: runs on the host, not traceable.
+        """
+        from scipy.linalg import solveh_banded
+
+        band = self.normal_band()
+        # Knots closer than the rows would leave coefficients that no row sees.
+        band[3] += 1e-12 * band[3].max()
+        return solveh_banded(band, adjoint_offsets(self, np.asarray(signal)))
+
+
+def adjoint_offsets(
+    spline: SplineOffsets, signal: Float[np.ndarray, "step axis"]
+) -> Float[np.ndarray, "coefficient axis"]:
+    """Return the transposed basis applied to a signal, on the host.
+
+    Args:
+        spline: The basis B.
+        signal: One value per row, shape (step, axis).
+
+    Returns:
+        B^T signal, shape (coefficient, axis).
+
+    Differentiability: linear; on the host, not traceable.
+    """
+    start, weights = _basis(spline)
+    rows = spline.coefficient_count + 2 * _CLAMPED
+    full = np.zeros((rows, signal.shape[1]))
+    for r in range(4):
+        np.add.at(full, start + r, weights[:, r, None] * signal)
+    return full[_CLAMPED:-_CLAMPED]
+
+
+def _basis(
+    spline: SplineOffsets,
+) -> tuple[Int[np.ndarray, " step"], Float[np.ndarray, "step 4"]]:
+    """Return the first of the four coefficients of every row, and their weights."""
+    count = spline.interval_count
+    # From the row count and not from time_step, so that the last row is the last knot.
+    place = np.arange(spline.step_count) * (count / (spline.step_count - 1))
+    start = np.minimum(np.floor(place).astype(np.int64), count - 1)
+    u = place - start
+    weights = np.stack(
+        [
+            (1 - u) ** 3 / 6,
+            (3 * u**3 - 6 * u**2 + 4) / 6,
+            (-3 * u**3 + 3 * u**2 + 3 * u + 1) / 6,
+            u**3 / 6,
+        ],
+        axis=1,
+    )
+    return start, weights

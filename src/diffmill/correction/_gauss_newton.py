@@ -1,0 +1,136 @@
+"""Correction by least squares on the contour error, with exact derivatives."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._types import RealScalarLike
+from ._bspline import SplineOffsets
+from ._least_squares import LeastSquaresStep, LevenbergMarquardt, least_squares
+from ._method import AbstractMethod, Corrected, OnProgress, corrected
+from ._problem import FloatRows, Problem, contour_of
+from ._projection import project
+
+# Contour error that counts as one in the residual [m]; sets no result, only the size
+# of the numbers and what `smoothness` is relative to.
+_UNIT = 1e-4
+
+
+class ContourResidual(eqx.Module):
+    """Everything that the residual of Gauss-Newton needs besides the unknowns.
+
+    Attributes:
+        problem: The problem.
+        spline: Basis of the offsets.
+        smoothness: Weight of the roughness, see `GaussNewton`.
+    """
+
+    problem: Problem
+    spline: SplineOffsets
+    smoothness: RealScalarLike
+
+
+def contour_residual(
+    coefficients: Float[Array, "coefficient axis"], args: ContourResidual
+) -> Float[Array, " residual"]:
+    """Return the weighted contour vectors and the roughness as one vector.
+
+    Half its square is half of (rms contour error / 0.1 mm)^2 over the rows that cut,
+    plus half of (smoothness x rms second difference of the coefficients /
+    max_offset)^2.
+
+    Args:
+        coefficients: Spline coefficients of the offset, in the command's unit.
+        args: The problem, the basis and the weight.
+
+    Returns:
+        Dimensionless residuals, the contour first.
+
+    Differentiability: that of the plant; kinks where the nearest segment changes.
+    """
+    problem = args.problem
+    dtype = coefficients.dtype
+    nominal = jnp.asarray(problem.nominal, dtype)
+    motion = problem.plant(nominal + args.spline.offsets(coefficients))
+    weights = jnp.asarray(problem.is_cutting, dtype)
+    weights = jnp.sqrt(weights / jnp.sum(weights))
+    contour = contour_of(problem, motion) * (weights[:, None] / _UNIT)
+    rough = args.spline.roughness(coefficients)
+    price = jnp.asarray(args.smoothness, dtype) / np.sqrt(rough.shape[0])
+    rough = rough * (price / jnp.asarray(problem.max_offset, dtype))
+    return jnp.concatenate([contour.reshape(-1), rough.reshape(-1)])
+
+
+class GaussNewton(AbstractMethod):
+    """Least squares on the spline offsets of a command, within bounds.
+
+    The unknowns are the coefficients of `SplineOffsets`, each within `max_offset` of
+    the problem, so that the whole curve is. A start is first projected onto them.
+
+    Attributes:
+        knot_spacing: Smallest spacing of the knots [s]: the controller's bandwidth.
+        smoothness: Weight of the roughness: contour error, in units of 0.1 mm, that is
+            as bad as second differences of the coefficients of rms `max_offset`.
+        solver: Settings of the least-squares method.
+    """
+
+    knot_spacing: float = 30e-3
+    smoothness: float = 1e-2
+    solver: LevenbergMarquardt = LevenbergMarquardt(max_steps=6)
+
+    def __call__(
+        self,
+        problem: Problem,
+        *,
+        start: FloatRows | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> Corrected:
+        """Return the best command within knots and bounds, from `start`."""
+        rows, axes = problem.nominal.shape
+        spline = SplineOffsets(rows, problem.time_step, self.knot_spacing)
+        bound = float(problem.max_offset)
+        nominal = np.asarray(problem.nominal)
+        first = np.zeros((spline.coefficient_count, axes))
+        if start is not None:
+            first = project(spline, np.asarray(start) - nominal, bound)
+        solution = least_squares(
+            contour_residual,
+            jnp.asarray(first, nominal.dtype),
+            ContourResidual(
+                problem, spline, jnp.asarray(self.smoothness, nominal.dtype)
+            ),
+            lower=-bound,
+            upper=bound,
+            scale=bound,
+            solver=self.solver,
+            on_progress=None if on_progress is None else _Told(on_progress),
+        )
+        offset = spline.offsets(solution.x)
+        return corrected(
+            problem,
+            jnp.asarray(nominal) + offset,
+            forward_runs=solution.forward_runs,
+            products=solution.products,
+            history=solution.history,
+            detail={
+                "knot_spacing": spline.actual_spacing,
+                "unknowns": float(solution.x.size),
+                "bound_count": float(np.sum(np.abs(np.asarray(solution.x)) >= bound)),
+                "smoothness": self.smoothness,
+            },
+            result=solution.result,
+        )
+
+
+class _Told(eqx.Module):
+    """Turn a step of the least squares into a message."""
+
+    on_progress: OnProgress
+
+    def __call__(self, step: LeastSquaresStep) -> bool | None:
+        """Report the step; the roughness makes the error an upper bound."""
+        error = _UNIT * float(np.sqrt(2 * step.cost))
+        return self.on_progress(
+            f"Gauss-Newton step {step.step}: {step.products} products", error
+        )

@@ -1,0 +1,367 @@
+"""Bounded nonlinear least squares: Levenberg-Marquardt with products only.
+
+    minimise |r(x)|^2 / 2   subject to  lower <= x <= upper
+
+Each outer step linearises the residual once, minimises the damped linear model within
+the bounds by projected conjugate gradients, and accepts the trial point by the ratio of
+the true to the predicted decrease, which also sets the damping (Nielsen's rule, see
+Madsen, Nielsen and Tingleff, Methods for Non-Linear Least Squares Problems, 2004).
+A refused step keeps its linearisation.
+"""
+
+import time
+from collections.abc import Callable
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PyTree
+
+from .._result import RESULTS
+from .._types import RealScalarLike
+from ._products import AbstractProducts, Residual, StoredProducts, evaluate
+from ._quadratic import (
+    QuadraticSolution,
+    projected_gradient,
+    solve_bounded_quadratic,
+)
+
+# Smallest ratio of true to predicted decrease with which a step is accepted.
+_ACCEPT = 1e-4
+
+# A bound of all unknowns: one number, or one per unknown.
+Bound = RealScalarLike | Float[Array, "*unknown"] | Float[np.ndarray, "*unknown"]
+
+
+class LeastSquaresStep(eqx.Module):
+    """What one outer step did and what has been spent up to its end.
+
+    Attributes:
+        step: Number of the outer step, from 1.
+        cost: |r|^2 / 2 at the best point so far.
+        trial_cost: |r|^2 / 2 at the point tried.
+        is_accepted: Whether the trial became the best point.
+        gain_ratio: True over predicted decrease.
+        damping: Damping with which the step was computed.
+        kkt: Largest entry of the projected gradient, in units of `scale`, at the
+            point from which the step was taken.
+        bound_count: Unknowns of the trial that stand at a bound.
+        products: Products J v and J^T w in total so far.
+        forward_runs: Evaluations of the residual in total so far, linearisations
+            included.
+        seconds: Wall time since the start [s].
+    """
+
+    step: int
+    cost: float
+    trial_cost: float
+    is_accepted: bool
+    gain_ratio: float
+    damping: float
+    kkt: float
+    bound_count: int
+    products: int
+    forward_runs: int
+    seconds: float
+
+
+class LeastSquaresSolution(eqx.Module):
+    """A bounded least-squares solution.
+
+    Attributes:
+        x: The best point, exactly within the bounds.
+        cost: |r(x)|^2 / 2.
+        history: One entry per outer step.
+        result: `successful`, `not_converged` or `non_finite`.
+    """
+
+    x: Float[Array, "*unknown"]
+    cost: float
+    history: tuple[LeastSquaresStep, ...]
+    result: RESULTS
+
+    @property
+    def products(self) -> int:
+        """Products J v and J^T w in total."""
+        return self.history[-1].products if self.history else 0
+
+    @property
+    def forward_runs(self) -> int:
+        """Evaluations of the residual in total."""
+        return self.history[-1].forward_runs if self.history else 1
+
+
+class LevenbergMarquardt(eqx.Module):
+    """Settings of the bounded Levenberg-Marquardt method.
+
+    Attributes:
+        max_steps: Outer steps at most, refused ones included.
+        max_products: Products J v and J^T w at most per outer step.
+        cost_rtol: Stop when a step lowers the cost by less than this fraction.
+        kkt_rtol: Stop when the projected gradient has fallen by this factor.
+        inner_rtol: Accuracy of the inner problem, relative.
+        damping: First damping, relative to the curvature along the gradient.
+        products: How the products with the Jacobian are formed.
+    """
+
+    max_steps: int = 20
+    max_products: int = 40
+    cost_rtol: float = 1e-4
+    kkt_rtol: float = 1e-8
+    inner_rtol: float = 1e-2
+    damping: float = 1e-6
+    products: AbstractProducts = StoredProducts()
+
+    def __check_init__(self):
+        if self.max_products < 4:
+            raise ValueError(
+                "Argument `max_products` must be at least 4 (a gradient and one inner "
+                f"step), but is {self.max_products}."
+            )
+
+
+class _Box(eqx.Module):
+    """Bounds and scale of the unknowns x, in NumPy; inside, z = x / scale."""
+
+    least: np.ndarray
+    most: np.ndarray
+    scale: np.ndarray
+    dtype: np.dtype
+
+    @property
+    def lower(self) -> np.ndarray:
+        """Lower bounds of z."""
+        return self.least / self.scale
+
+    @property
+    def upper(self) -> np.ndarray:
+        """Upper bounds of z."""
+        return self.most / self.scale
+
+    def point(self, z: np.ndarray) -> Array:
+        """Return x on the device for a z, within the bounds to the last bit."""
+        x = np.clip(z * self.scale, self.least, self.most)
+        return jnp.asarray(x, self.dtype)
+
+    def vector(self, p: np.ndarray) -> Array:
+        """Return the difference of two x on the device for one of two z."""
+        return jnp.asarray(p * self.scale, self.dtype)
+
+
+class _State(eqx.Module):
+    """The iteration between two outer steps, in units of the scale."""
+
+    z: np.ndarray
+    cost: float
+    gradient: np.ndarray
+    linear: PyTree
+    damping: float
+    growth: float
+    products: int
+    forward_runs: int
+
+
+def least_squares(
+    residual: Residual,
+    start: Float[Array, "*unknown"],
+    args: PyTree = None,
+    *,
+    lower: Bound = -np.inf,
+    upper: Bound = np.inf,
+    scale: Bound = 1.0,
+    solver: LevenbergMarquardt | None = None,
+    on_progress: Callable[[LeastSquaresStep], bool | None] | None = None,
+    clock: Callable[[], float] = time.perf_counter,
+) -> LeastSquaresSolution:
+    """Minimise half the squared residual within bounds.
+
+    Args:
+        residual: r(x, args), traceable, one array.
+        start: First point, any shape; moved into the bounds.
+        args: Everything else that the residual needs; a pytree.
+        lower: Lower bounds, a number or of the shape of `start`.
+        upper: Upper bounds, likewise.
+        scale: Typical size of an unknown, likewise: a diagonal preconditioner.
+        solver: Settings.
+        on_progress: Called after every outer step; True ends the iteration with the
+            best point so far.
+        clock: Returns the time [s].
+
+    Returns:
+        The solution with its history. Where `on_progress` or the limit of steps ends
+        it, `.result` is `not_converged`.
+
+    Differentiability: runs on the host, not traceable.
+    """
+    solver = LevenbergMarquardt() if solver is None else solver
+    began = clock()
+    box = _box(start, lower, upper, scale)
+    z = np.clip(np.asarray(start, np.float64) / box.scale, box.lower, box.upper)
+    state = _State(z, np.inf, z, None, 0.0, 2.0, 0, 0)
+    state = _linearised(solver, residual, args, box, state)
+    if not (np.isfinite(state.cost) and np.all(np.isfinite(state.gradient))):
+        return _solution(box, state, [], RESULTS.non_finite)
+    state = _first_damping(solver, box, state)
+    first = _kkt(state, box)
+    history: list[LeastSquaresStep] = []
+    is_done = first == 0
+    while not is_done and len(history) < solver.max_steps:
+        before, kkt = state.cost, _kkt(state, box)
+        inner = _inner(solver, state, box)
+        state, trial_cost, gain, damping = _try(residual, args, box, state, inner)
+        if gain > _ACCEPT:
+            state = _linearised(solver, residual, args, box, state)
+        record = LeastSquaresStep(
+            step=len(history) + 1,
+            cost=state.cost,
+            trial_cost=trial_cost,
+            is_accepted=gain > _ACCEPT,
+            gain_ratio=gain,
+            damping=damping,
+            kkt=kkt,
+            bound_count=int(inner.is_bound.sum()),
+            products=state.products,
+            forward_runs=state.forward_runs,
+            seconds=clock() - began,
+        )
+        history.append(record)
+        is_done = _is_converged(solver, record, before, inner)
+        is_done |= _kkt(state, box) <= solver.kkt_rtol * first
+        if on_progress is not None and on_progress(record) and not is_done:
+            break
+    result = RESULTS.successful if is_done else RESULTS.not_converged
+    return _solution(box, state, history, result)
+
+
+def _box(start: Array, lower: Bound, upper: Bound, scale: Bound) -> _Box:
+    """Return the bounds in units of the scale."""
+    full = [
+        np.broadcast_to(np.asarray(value, np.float64), start.shape)
+        for value in (lower, upper, scale)
+    ]
+    if not np.all(full[0] <= full[1]):
+        raise ValueError("Argument `lower` must not exceed `upper`, but does.")
+    if not np.all((full[2] > 0) & np.isfinite(full[2])):
+        raise ValueError("Argument `scale` must be positive and finite, but is not.")
+    return _Box(full[0], full[1], full[2], np.dtype(start.dtype))
+
+
+def _half_square(residual: Array) -> float:
+    return 0.5 * float(jnp.sum(residual**2))
+
+
+def _linearised(
+    solver: LevenbergMarquardt,
+    residual: Residual,
+    args: PyTree,
+    box: _Box,
+    state: _State,
+) -> _State:
+    """Return the state with residual, gradient and linear program at its z."""
+    x = box.point(state.z)
+    r, linear = solver.products.linearise(residual, x, args)
+    gradient = np.asarray(solver.products.transpose(linear, x, r), np.float64)
+    return _State(
+        z=state.z,
+        cost=_half_square(r),
+        gradient=gradient * box.scale,
+        linear=linear,
+        damping=state.damping,
+        growth=state.growth,
+        products=state.products + 1,
+        forward_runs=state.forward_runs + 1,
+    )
+
+
+def _normal(
+    solver: LevenbergMarquardt, box: _Box, state: _State, p: np.ndarray
+) -> np.ndarray:
+    """Return J^T J p in units of the scale."""
+    v = box.vector(p)
+    w = solver.products.forward(state.linear, v)
+    back = solver.products.transpose(state.linear, v, w)
+    return np.asarray(back, np.float64) * box.scale
+
+
+def _first_damping(solver: LevenbergMarquardt, box: _Box, state: _State) -> _State:
+    """Set the damping relative to the curvature along the gradient."""
+    g = state.gradient
+    curvature = np.sum(g * _normal(solver, box, state, g)) / max(np.sum(g**2), 1e-300)
+    return eqx.tree_at(
+        lambda s: (s.damping, s.products),
+        state,
+        (solver.damping * float(curvature), state.products + 2),
+    )
+
+
+def _inner(solver: LevenbergMarquardt, state: _State, box: _Box) -> QuadraticSolution:
+    """Minimise the damped linear model within the bounds."""
+    return solve_bounded_quadratic(
+        lambda p: _normal(solver, box, state, p) + state.damping * p,
+        state.gradient,
+        box.lower - state.z,
+        box.upper - state.z,
+        rtol=solver.inner_rtol,
+        max_products=(solver.max_products - 1) // 2,
+    )
+
+
+def _try(
+    residual: Residual,
+    args: PyTree,
+    box: _Box,
+    state: _State,
+    inner: QuadraticSolution,
+) -> tuple[_State, float, float, float]:
+    """Evaluate the trial point; return state, trial cost, gain and damping used."""
+    model = inner.decrease + 0.5 * state.damping * float(np.sum(inner.p**2))
+    trial = np.clip(state.z + inner.p, box.lower, box.upper)
+    cost = _half_square(evaluate(residual, box.point(trial), args))
+    gain = (state.cost - cost) / model if model > 0 else 0.0
+    gain = float(gain) if np.isfinite(cost) else -np.inf
+    is_accepted = gain > _ACCEPT
+    if is_accepted:
+        factor = max(1 / 3, 1 - (2 * min(gain, 1.0) - 1) ** 3)
+        damping, growth = state.damping * factor, 2.0
+    else:
+        damping, growth = state.damping * state.growth, 2 * state.growth
+    new = _State(
+        z=trial if is_accepted else state.z,
+        cost=state.cost,
+        gradient=state.gradient,
+        # The linear program may be large: an accepted step lets the old one go
+        # before the new one is made.
+        linear=None if is_accepted else state.linear,
+        damping=damping,
+        growth=growth,
+        products=state.products + 2 * inner.products,
+        forward_runs=state.forward_runs + 1,
+    )
+    return new, cost, gain, state.damping
+
+
+def _is_converged(
+    solver: LevenbergMarquardt,
+    record: LeastSquaresStep,
+    before: float,
+    inner: QuadraticSolution,
+) -> bool:
+    """Tell whether the step, or what the model promises, has become small."""
+    small = solver.cost_rtol * before
+    if inner.decrease <= small:
+        return True
+    return record.is_accepted and before - record.cost <= small
+
+
+def _kkt(state: _State, box: _Box) -> float:
+    """Return the largest entry of the projected gradient."""
+    entries = projected_gradient(state.z, state.gradient, box.lower, box.upper)
+    return float(np.max(np.abs(entries)))
+
+
+def _solution(
+    box: _Box, state: _State, history: list[LeastSquaresStep], result: RESULTS
+) -> LeastSquaresSolution:
+    return LeastSquaresSolution(
+        x=box.point(state.z), cost=state.cost, history=tuple(history), result=result
+    )

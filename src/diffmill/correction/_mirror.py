@@ -1,0 +1,168 @@
+"""Correction by mirroring the predicted deviation, once or again and again."""
+
+import concurrent.futures
+from itertools import product
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from ..numerics._filters import lowpass
+from ._measures import rms_contour
+from ._method import AbstractMethod, Corrected, OnProgress, corrected
+from ._problem import FloatRows, Motion, Problem, run
+from ._projection import clip_offset
+
+# An iterate that changes the error by less than this fraction has settled.
+_SETTLED = 1e-3
+
+
+class Mirror(AbstractMethod):
+    """Subtract the predicted deviation from the command, once and unfiltered.
+
+    The offset is clipped at `max_offset` of the problem, row by row and axis by axis.
+    """
+
+    def __call__(
+        self,
+        problem: Problem,
+        *,
+        start: FloatRows | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> Corrected:
+        """Return start - (actual - desired), clipped; tip commands only."""
+        command = _start(problem, start)
+        motion, _ = run(problem, command)
+        command = command - _deviation(problem, motion)
+        command = clip_offset(problem.nominal, command, problem.max_offset)
+        return corrected(problem, command, forward_runs=1)
+
+
+class IteratedMirror(AbstractMethod):
+    """Iterate the mirror with a low-pass and a relaxation; keep the best of a grid.
+
+        c_(i+1) = clip(c_i - relaxation lowpass(actual_i - desired))
+
+    The low-pass is a Butterworth filter run forward and backward, so that it has no
+    phase and half the gain at the cut-off. Every pair of cut-off and relaxation is a
+    branch, and the best iterate of all branches, the start included, by rms contour
+    error over the rows that cut, is the result.
+
+    A branch stops before its last iterate when its error is not finite, has grown
+    twice in succession, or has changed by less than 0.1 % twice in succession. The
+    rule looks at the branch alone, so the result does not depend on the order.
+
+    Attributes:
+        cutoffs: Cut-off frequencies [Hz].
+        relaxations: Relaxations.
+        iterations: Iterates of a branch at most.
+        order: Order of one pass of the filter.
+        workers: Branches that run at the same time, in threads.
+    """
+
+    cutoffs: tuple[float, ...] = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0)
+    relaxations: tuple[float, ...] = (0.3, 0.5, 1.0)
+    iterations: int = 10
+    order: int = 4
+    workers: int = 2
+
+    def __call__(
+        self,
+        problem: Problem,
+        *,
+        start: FloatRows | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> Corrected:
+        """Return the best iterate of the grid; tip commands only."""
+        command = _start(problem, start)
+        motion, contour = run(problem, command)
+        zero = _Iterate(command, rms_contour(problem, contour), 0, 0.0, 0.0)
+        first = _deviation(problem, motion)
+        best, runs, is_ended = zero, 1, False
+        grid = list(product(self.cutoffs, self.relaxations))
+        with concurrent.futures.ThreadPoolExecutor(self.workers) as pool:
+            waiting = [
+                pool.submit(_branch, self, problem, zero, first, pair) for pair in grid
+            ]
+            for done, future in enumerate(
+                concurrent.futures.as_completed(waiting), start=1
+            ):
+                if future.cancelled():
+                    continue
+                found, count = future.result()
+                runs += count
+                # Ties by the order of the grid, so that threads change nothing.
+                best = min(best, found, key=_rank)
+                if on_progress is not None and not is_ended:
+                    message = f"mirror: {done} of {len(grid)} branches, {runs} runs"
+                    is_ended = bool(on_progress(message, best.error))
+                    if is_ended:
+                        for other in waiting:
+                            other.cancel()
+        detail = {
+            "cutoff": best.cutoff,
+            "relaxation": best.relaxation,
+            "iterate": float(best.iterate),
+            "runs_of_full_grid": float(1 + len(grid) * self.iterations),
+        }
+        return corrected(problem, best.command, forward_runs=runs, detail=detail)
+
+
+class _Iterate(eqx.Module):
+    """A command with the error it leaves and where in the grid it was found."""
+
+    command: np.ndarray
+    error: float
+    iterate: int
+    cutoff: float
+    relaxation: float
+
+
+def _rank(iterate: _Iterate) -> tuple[float, float, float, int]:
+    return iterate.error, iterate.cutoff, iterate.relaxation, iterate.iterate
+
+
+def _branch(
+    method: IteratedMirror,
+    problem: Problem,
+    zero: _Iterate,
+    deviation: Float[np.ndarray, "step 3"],
+    pair: tuple[float, float],
+) -> tuple[_Iterate, int]:
+    """Iterate one pair; return its best iterate and the runs of the plant."""
+    cutoff, relaxation = pair
+    command, best, last = zero.command, zero, zero.error
+    grown = settled = runs = 0
+    for i in range(1, method.iterations + 1):
+        step = lowpass(deviation, 1 / problem.time_step, cutoff, order=method.order)
+        command = command - relaxation * step
+        command = clip_offset(problem.nominal, command, problem.max_offset)
+        motion, contour = run(problem, command)
+        runs += 1
+        deviation = _deviation(problem, motion)
+        error = rms_contour(problem, contour)
+        if not np.isfinite(error) or not np.all(np.isfinite(deviation)):
+            break
+        if error < best.error:
+            best = _Iterate(command, error, i, cutoff, relaxation)
+        grown = grown + 1 if error > last else 0
+        settled = settled + 1 if abs(error - last) < _SETTLED * last else 0
+        last = error
+        if grown == 2 or settled == 2:
+            break
+    return best, runs
+
+
+def _start(problem: Problem, start: FloatRows | None) -> np.ndarray:
+    if problem.nominal.shape[1] != 3:
+        raise ValueError(
+            "Argument `problem` must command tip positions (3 axes) for a mirror, but "
+            f"has {problem.nominal.shape[1]} axes."
+        )
+    command = problem.nominal if start is None else start
+    return np.asarray(command, np.float64)
+
+
+def _deviation(problem: Problem, motion: Motion) -> Float[np.ndarray, "step 3"]:
+    actual = np.asarray(motion.actual, np.float64)
+    return actual - np.asarray(problem.desired, np.float64)

@@ -1,0 +1,101 @@
+"""What every method of correction is given: a plant, a path and the bounds."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._types import FloatRows3, RealScalarLike
+from ..toolpath import contour_vector
+
+# A signal per row, of the desired path's tip or of any other command.
+FloatRows = Float[Array, "step axis"] | Float[np.ndarray, "step axis"]
+Weights = Float[Array, " step"] | Float[np.ndarray, " step"]
+
+
+class Motion(eqx.Module):
+    """What a plant does when it is given a command.
+
+    Attributes:
+        actual: Tool tip [m], shape (step, 3).
+        force: Force on the tool, mean over the step [N], shape (step, 3).
+    """
+
+    actual: Float[Array, "step 3"]
+    force: Float[Array, "step 3"]
+
+
+# Maps a command, shape (step, axis), to the motion that follows; traceable. An
+# `eqx.Module` is best: its arrays then enter compiled functions as arguments.
+Plant = Callable[[Float[Array, "step axis"]], Motion]
+
+
+class Problem(eqx.Module):
+    """A path to correct.
+
+    Attributes:
+        plant: The machine with its process, see `Plant`.
+        nominal: The uncorrected command: the desired tip positions [m], or joint
+            angles [rad], shape (step, axis).
+        desired: Where the tool tip should be [m], shape (step, 3).
+        is_cutting: Weight of every row in the error: 1 where the tool cuts and 0
+            elsewhere, shape (step,).
+        time_step: Time between two rows T [s].
+        max_offset: Largest offset of the command from `nominal` per axis, in the
+            command's unit.
+        window: Segments of the desired path to either side of a row among which the
+            nearest is sought.
+    """
+
+    plant: Callable[..., Any]
+    nominal: FloatRows
+    desired: FloatRows3
+    is_cutting: Weights
+    time_step: float = eqx.field(static=True)
+    max_offset: RealScalarLike = 1e-3
+    window: int = eqx.field(static=True, default=20)
+
+    def __check_init__(self):
+        rows = self.nominal.shape[0]
+        for name in ("desired", "is_cutting"):
+            if getattr(self, name).shape[0] != rows:
+                raise ValueError(
+                    f"Argument `{name}` must have one row per row of `nominal` "
+                    f"({rows}), but has {getattr(self, name).shape[0]}."
+                )
+
+
+def contour_of(problem: Problem, motion: Motion) -> Float[Array, "step 3"]:
+    """Return the vector from the nearest point of the desired path to the tip.
+
+    Args:
+        problem: Tells the desired path.
+        motion: The motion.
+
+    Returns:
+        Contour vectors [m], shape (step, 3); also where the tool does not cut.
+
+    Differentiability: smooth but where the nearest segment changes.
+    """
+    desired = jnp.asarray(problem.desired, motion.actual.dtype)
+    return contour_vector(motion.actual, desired, window=problem.window)
+
+
+@eqx.filter_jit
+def run(problem: Problem, command: FloatRows) -> tuple[Motion, Float[Array, "step 3"]]:
+    """Run the plant once, compiled; return its motion and the contour vectors.
+
+    Args:
+        problem: The problem.
+        command: The whole command, not its offset, shape (step, axis).
+
+    Returns:
+        The motion and the contour vectors [m], shape (step, 3).
+
+    Differentiability: that of the plant.
+    """
+    motion = problem.plant(jnp.asarray(command))
+    return motion, contour_of(problem, motion)

@@ -1,0 +1,142 @@
+"""Products with the Jacobian of a residual: J v and J^T w without the matrix."""
+
+import abc
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+from jaxtyping import Array, Float, PyTree
+
+# Takes the unknowns and everything else that the residual needs, as a pytree, so that
+# no large array becomes a constant of the compiled program.
+Residual = Callable[[Float[Array, "*unknown"], PyTree], Float[Array, "*residual"]]
+
+
+class AbstractProducts(eqx.Module):
+    """How the products with a Jacobian are formed: the trade of memory for time."""
+
+    @abc.abstractmethod
+    def linearise(
+        self, residual: Residual, x: Float[Array, "*unknown"], args: PyTree
+    ) -> tuple[Float[Array, "*residual"], PyTree]:
+        """Return the residual at x and whatever the products need from there."""
+
+    @abc.abstractmethod
+    def forward(
+        self, linear: PyTree, v: Float[Array, "*unknown"]
+    ) -> Float[Array, "*residual"]:
+        """Return J v."""
+
+    @abc.abstractmethod
+    def transpose(
+        self, linear: PyTree, x: Float[Array, "*unknown"], w: Float[Array, "*residual"]
+    ) -> Float[Array, "*unknown"]:
+        """Return J^T w; x only tells the shape of the unknowns."""
+
+
+class StoredProducts(AbstractProducts):
+    """Linearise once and store the linear program: the fastest products.
+
+    Each product then runs only linear operations and none of the simulation. The
+    coefficients of every step are in memory at once: about what plain reverse mode
+    needs.
+    """
+
+    def linearise(
+        self, residual: Residual, x: Float[Array, "*unknown"], args: PyTree
+    ) -> tuple[Float[Array, "*residual"], PyTree]:
+        """Return the residual and the stored linear program."""
+        return _linearise(residual, x, args)
+
+    def forward(
+        self, linear: PyTree, v: Float[Array, "*unknown"]
+    ) -> Float[Array, "*residual"]:
+        """Return J v from the stored program."""
+        return _push(linear, v)
+
+    def transpose(
+        self, linear: PyTree, x: Float[Array, "*unknown"], w: Float[Array, "*residual"]
+    ) -> Float[Array, "*unknown"]:
+        """Return J^T w from the stored program, transposed."""
+        return _pull(linear, x, w)
+
+
+class RecomputedProducts(AbstractProducts):
+    """Run the simulation again in every product: least memory.
+
+    Attributes:
+        adjoint_residual: The same residual with a reverse mode that bounds memory
+            (it need not have a forward mode), or None to transpose the residual
+            itself.
+    """
+
+    adjoint_residual: Callable[..., Any] | None = None
+
+    def linearise(
+        self, residual: Residual, x: Float[Array, "*unknown"], args: PyTree
+    ) -> tuple[Float[Array, "*residual"], PyTree]:
+        """Return the residual; only the point is kept."""
+        return evaluate(residual, x, args), (residual, x, args)
+
+    def forward(
+        self, linear: PyTree, v: Float[Array, "*unknown"]
+    ) -> Float[Array, "*residual"]:
+        """Return J v by forward mode beside the simulation."""
+        return _jvp(*linear, v)
+
+    def transpose(
+        self, linear: PyTree, x: Float[Array, "*unknown"], w: Float[Array, "*residual"]
+    ) -> Float[Array, "*unknown"]:
+        """Return J^T w by reverse mode of the adjoint residual."""
+        residual, x, args = linear
+        return _vjp(self.adjoint_residual or residual, x, args, w)
+
+
+@eqx.filter_jit
+def evaluate(
+    residual: Residual, x: Float[Array, "*unknown"], args: PyTree
+) -> Float[Array, "*residual"]:
+    """Return the residual, compiled once per residual and shapes."""
+    return residual(x, args)
+
+
+@eqx.filter_jit
+def _linearise(
+    residual: Residual, x: Float[Array, "*unknown"], args: PyTree
+) -> tuple[Float[Array, "*residual"], PyTree]:
+    # jax.linearize returns a pytree: its leaves are the coefficients, its structure
+    # the linear program, the same object for every call of this compiled function.
+    return jax.linearize(lambda y: residual(y, args), x)
+
+
+@eqx.filter_jit
+def _push(linear: PyTree, v: Float[Array, "*unknown"]) -> Float[Array, "*residual"]:
+    return linear(v)
+
+
+@eqx.filter_jit
+def _pull(
+    linear: PyTree, x: Float[Array, "*unknown"], w: Float[Array, "*residual"]
+) -> Float[Array, "*unknown"]:
+    return jax.linear_transpose(linear, x)(w)[0]
+
+
+@eqx.filter_jit
+def _jvp(
+    residual: Residual,
+    x: Float[Array, "*unknown"],
+    args: PyTree,
+    v: Float[Array, "*unknown"],
+) -> Float[Array, "*residual"]:
+    return jax.jvp(lambda y: residual(y, args), (x,), (v,))[1]
+
+
+@eqx.filter_jit
+def _vjp(
+    residual: Residual,
+    x: Float[Array, "*unknown"],
+    args: PyTree,
+    w: Float[Array, "*residual"],
+) -> Float[Array, "*unknown"]:
+    return jax.vjp(lambda y: residual(y, args), x)[1](w)[0]

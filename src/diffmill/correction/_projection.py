@@ -1,0 +1,85 @@
+"""Bring a command into what the controller can follow: knots and bounds."""
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._types import RealScalarLike
+from ._bspline import SplineOffsets, adjoint_offsets
+from ._problem import FloatRows
+from ._quadratic import solve_bounded_quadratic
+
+
+def project(
+    spline: SplineOffsets,
+    offset: FloatRows,
+    max_offset: RealScalarLike = np.inf,
+    *,
+    rtol: float = 1e-8,
+) -> Float[np.ndarray, "coefficient axis"]:
+    """Return the bounded spline closest to a raw offset in least squares.
+
+    The bound holds for every coefficient, hence for the curve.
+
+    Args:
+        spline: The basis.
+        offset: Offset of a command at every row, shape (step, axis).
+        max_offset: Largest magnitude of a coefficient.
+        rtol: Accuracy of the bounded problem, relative.
+
+    Returns:
+        Coefficients, shape (coefficient, axis).
+
+    Differentiability: runs on the host, not traceable.
+    """
+    offset = np.asarray(offset, np.float64)
+    bound = float(max_offset)
+    fitted = spline.fit(offset)
+    if np.all(np.abs(fitted) <= bound):
+        return fitted
+    band = spline.normal_band()
+    start = np.clip(fitted, -bound, bound)
+    gradient = _banded(band, start) - adjoint_offsets(spline, offset)
+    solution = solve_bounded_quadratic(
+        lambda p: _banded(band, p),
+        gradient,
+        -bound - start,
+        bound - start,
+        rtol=rtol,
+        max_products=1000,
+    )
+    return np.clip(start + solution.p, -bound, bound)
+
+
+def clip_offset(
+    nominal: FloatRows,
+    command: FloatRows,
+    max_offset: RealScalarLike,
+) -> Float[np.ndarray, "step axis"] | Float[Array, "step axis"]:
+    """Return a command with every offset cut at the bound, row by row.
+
+    Args:
+        nominal: The uncorrected command, shape (step, axis).
+        command: The command, shape (step, axis).
+        max_offset: Largest magnitude of the offset per axis.
+
+    Returns:
+        The command, within the bound.
+
+    Differentiability: runs on the host, not traceable.
+    """
+    nominal = np.asarray(nominal, np.float64)
+    offset = np.asarray(command, np.float64) - nominal
+    return nominal + np.clip(offset, -float(max_offset), float(max_offset))
+
+
+def _banded(
+    band: Float[np.ndarray, "4 coefficient"],
+    x: Float[np.ndarray, "coefficient axis"],
+) -> Float[np.ndarray, "coefficient axis"]:
+    """Return the symmetric banded matrix, given by its upper band, times x."""
+    total = band[3][:, None] * x
+    for k in range(1, 4):
+        entries = band[3 - k][k:, None]
+        total[:-k] += entries * x[k:]
+        total[k:] += entries * x[:-k]
+    return total
