@@ -48,31 +48,39 @@ def subtract(
     is_met = is_cut & is_live & (start < high) & (stop > low)
     keeps_low = is_met & (low < start - SHORTEST)
     keeps_high = is_met & (high > stop + SHORTEST)
-    is_split = keeps_low & keeps_high
     is_gone = is_met & ~keeps_low & ~keeps_high
-    new_low = jnp.where(is_met & ~keeps_low, stop, low)
-    new_high = jnp.where(keeps_low, start, high)
-    new_low = jnp.where(is_gone, DEAD, new_low)
-    new_high = jnp.where(is_gone, -DEAD, new_high)
+    new_low = jnp.where(is_gone, DEAD, jnp.where(is_met & ~keeps_low, stop, low))
+    new_high = jnp.where(is_gone, -DEAD, jnp.where(keeps_low, start, high))
     low_pose = jnp.where(is_met & ~keeps_low, pose, poses[..., 0, :])
     high_pose = jnp.where(keeps_low, pose, poses[..., 1, :])
-    # The interval to remove lies inside at most one piece, so one slot is enough.
-    any_split = jnp.any(is_split, axis=-1, keepdims=True)
-    split_high = jnp.max(jnp.where(is_split, high, -DEAD), axis=-1, keepdims=True)
-    split_pose = jnp.max(jnp.where(is_split, poses[..., 1, :], -1), -1, keepdims=True)
-    is_free = ~is_live
-    is_first = is_free & (jnp.cumsum(is_free, axis=-1) == 1)
-    takes = is_first & any_split
-    new_low = jnp.where(takes, stop, new_low)
-    new_high = jnp.where(takes, split_high, new_high)
-    low_pose = jnp.where(takes, pose, low_pose)
-    high_pose = jnp.where(takes, split_pose, high_pose)
-    has_overflow = any_split[..., 0] & ~jnp.any(is_free, axis=-1)
-    return (
-        jnp.stack([new_low, new_high], axis=-2),
-        jnp.stack([low_pose, high_pose], axis=-2),
-        has_overflow,
-    )
+    is_split = keeps_low & keeps_high
+
+    def split() -> tuple[Array, Array, Array]:
+        # The interval to remove lies inside at most one piece: one slot is enough.
+        needs = jnp.any(is_split, axis=-1, keepdims=True)
+        free = jnp.argmin(is_live, axis=-1)[..., None]
+        takes = needs & ~is_live & (jnp.arange(low.shape[-1]) == free)
+        rest = jnp.max(jnp.where(is_split, high, -DEAD), axis=-1, keepdims=True)
+        rest_pose = jnp.where(is_split, poses[..., 1, :], -1)
+        rest_pose = jnp.max(rest_pose, axis=-1, keepdims=True)
+        return (
+            _two(jnp.where(takes, stop, new_low), jnp.where(takes, rest, new_high)),
+            _two(
+                jnp.where(takes, pose, low_pose), jnp.where(takes, rest_pose, high_pose)
+            ),
+            needs[..., 0] & jnp.all(is_live, axis=-1),
+        )
+
+    def keep() -> tuple[Array, Array, Array]:
+        is_full = jnp.zeros(low.shape[:-1], bool)
+        return _two(new_low, new_high), _two(low_pose, high_pose), is_full
+
+    # Pieces to split are rare along the axis and the search for slots is dear.
+    return jax.lax.cond(jnp.any(is_split), split, keep)
+
+
+def _two(low: Float[Array, "*n"] | Int[Array, "*n"], high: Array) -> Array:
+    return jnp.stack([low, high], axis=-2)
 
 
 class RemovalWindow(eqx.Module):
@@ -154,19 +162,19 @@ def remove_poses(
     is_beyond = (starts[2] + sizes[2] < nz) & (lines[2][-1] < stock.top)
     has_overflow = jnp.zeros((), bool)
     volumes = jnp.zeros(tips.shape[0], dtype)
-    hits_anything = jnp.zeros((), bool)
+    has_cut = jnp.zeros((), bool)
     families = []
     for f, rays in enumerate(stock.families):
-        new, volume, full, hit = _remove_family(
+        new, volume, full = _remove_family(
             rays, cutter, f, starts, lines, tips, poses, is_due
         )
         has_overflow = has_overflow | full
-        hits_anything = hits_anything | hit
+        has_cut = has_cut | jnp.any(volume > 0)
         if stock.volume_weights[f]:
             volumes = volumes + volume * stock.volume_weights[f] * d**2
         families.append(new)
     new_stock = eqx.tree_at(lambda s: s.families, stock, tuple(families))
-    return new_stock, volumes, has_overflow, is_beyond & hits_anything
+    return new_stock, volumes, has_overflow, is_beyond & has_cut
 
 
 def _remove_family(
@@ -178,7 +186,7 @@ def _remove_family(
     tips: Float[Array, "pose 3"],
     poses: Int[Array, " pose"],
     is_due: Bool[Array, " pose"],
-) -> tuple[Rays, Float[Array, " pose"], Bool[Array, ""], Bool[Array, ""]]:
+) -> tuple[Rays, Float[Array, " pose"], Bool[Array, ""]]:
     axis_b, axis_c = (family + 1) % 3, (family + 2) % 3
     slot_count = rays.ends.shape[-1]
     shape = (lines[axis_b].shape[0], lines[axis_c].shape[0], 2, slot_count)
@@ -188,22 +196,28 @@ def _remove_family(
     cut_by = jax.lax.dynamic_slice(rays.poses, at, shape)
     b = jnp.broadcast_to(lines[axis_b][:, None], shape[:2])
     c = jnp.broadcast_to(lines[axis_c][None, :], shape[:2])
-    removed, has_overflow, hits = [], jnp.zeros((), bool), jnp.zeros((), bool)
-    length = _total_length(ends)
+    removed, has_overflow = [], jnp.zeros((), bool)
     for i in range(tips.shape[0]):
-        start, stop, is_hit = cutter.intersect(family, b, c, tips[i])
-        cut = (start, stop, is_hit & is_due[i])
-        ends, cut_by, full = subtract(ends, cut_by, cut, poses[i])
-        has_overflow = has_overflow | jnp.any(full)
-        new_length = _total_length(ends)
-        removed.append(length - new_length)
-        hits = hits | (length > new_length)
-        length = new_length
+
+        def cut(
+            ends: Array, cut_by: Array, tip: Array = tips[i], pose: Array = poses[i]
+        ) -> tuple[Array, Array, Array, Array]:
+            start, stop, is_hit = cutter.intersect(family, b, c, tip)
+            new, by, full = subtract(ends, cut_by, (start, stop, is_hit), pose)
+            return new, by, jnp.any(full), _total_length(ends) - _total_length(new)
+
+        def skip(ends: Array, cut_by: Array) -> tuple[Array, Array, Array, Array]:
+            return ends, cut_by, jnp.zeros((), bool), jnp.zeros((), ends.dtype)
+
+        ends, cut_by, full, length = jax.lax.cond(is_due[i], cut, skip, ends, cut_by)
+        has_overflow = has_overflow | full
+        removed.append(length)
+    volume = jnp.stack(removed)
     new = Rays(
         jax.lax.dynamic_update_slice(rays.ends, ends, at),
         jax.lax.dynamic_update_slice(rays.poses, cut_by, at),
     )
-    return new, jnp.stack(removed), has_overflow, hits
+    return new, volume, has_overflow
 
 
 def _total_length(ends: Float[Array, "u v 2 slot"]) -> Float[Array, ""]:

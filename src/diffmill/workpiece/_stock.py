@@ -90,7 +90,7 @@ def box(
     upper: Float[Array, " 3"] | Float[np.ndarray, " 3"] | list[float] | tuple,
     spacing: float,
     *,
-    interval_counts: tuple[int, int, int] = (6, 6, 2),
+    interval_counts: tuple[int, int, int] = (6, 6, 1),
     dtype: type | jnp.dtype | None = None,
 ) -> Stock:
     """Return a block as stock.
@@ -99,7 +99,8 @@ def box(
         lower: Least x, y, z [m], shape (3,).
         upper: Greatest x, y, z [m], shape (3,).
         spacing: Distance between rays [m].
-        interval_counts: Slots for intervals of a ray along x, y and z.
+        interval_counts: Slots for intervals of a ray along x, y and z; a cutter with
+            its axis along z never splits a ray along z.
         dtype: Floating type; JAX's default if not given.
 
     Returns:
