@@ -84,6 +84,7 @@ class Job(eqx.Module):
         correction: Settings of the correction.
         source: The job file's text, for the record in the results; may be empty.
         program: The program's text as read, for writing the corrected one.
+        notes: What the user should know but what is no fault.
     """
 
     name: str = eqx.field(static=True)
@@ -99,6 +100,7 @@ class Job(eqx.Module):
     correction: CorrectionSettings
     source: str = eqx.field(static=True, default="")
     program: str = eqx.field(static=True, default="")
+    notes: tuple[str, ...] = eqx.field(static=True, default=())
 
     @property
     def tooth_period(self) -> RealScalarLike:

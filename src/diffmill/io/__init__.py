@@ -1,1 +1,31 @@
-"""io."""
+"""Files in and out: jobs, programs, recorded paths, results.
+
+A job is a TOML file whose every quantity is text with a unit; it is checked as a
+whole, so that one error lists everything wrong with it and with the program that it
+names. Programs are G-code (three axes, the words listed by `diffmill.io.GCodeError`)
+or recorded paths as CSV. Results are written to a temporary folder that is renamed at
+the end, so that a folder of results is complete or absent.
+
+Assumes a vertical tool and a block of stock. Leaves out robot programs, measured
+forces, and stock from meshes or earlier runs.
+"""
+
+from ._gcode import parse_gcode as parse_gcode, read_gcode as read_gcode
+from ._gcode_words import GCodeError as GCodeError
+from ._gcode_writer import write_gcode as write_gcode
+from ._load_job import (
+    JobError as JobError,
+    job_precision as job_precision,
+    load_job as load_job,
+)
+from ._path_csv import (
+    PathFileError as PathFileError,
+    read_path_csv as read_path_csv,
+    write_path_csv as write_path_csv,
+)
+from ._rapid_check import RigidPass as RigidPass, rigid_pass as rigid_pass
+from ._results import (
+    ResultsError as ResultsError,
+    check_folder as check_folder,
+    write_results as write_results,
+)

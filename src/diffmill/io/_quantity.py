@@ -1,8 +1,8 @@
 """Quantities with units, converted to SI once, at the edge.
 
 Files carry text such as "50 mm/s" or "989.8 N/mm^2". A number is split off by a
-regular expression and only the unit goes to `pint`: its expression parser would
-evaluate arithmetic (and a tower of powers for minutes), and it treats angles as pure
+regular expression and only a plain unit goes to `pint`: its expression parser would
+evaluate arithmetic (and a tower of powers for hours), and it treats angles as pure
 numbers, so "0.5" would silently be half a radian and "50 Hz" 50 rad/s.
 """
 
@@ -16,7 +16,11 @@ _NUMBER = re.compile(
     r"(?![A-Za-z]))\s*(?P<unit>.*?)\s*",
     re.IGNORECASE,
 )
-_UNIT = re.compile(r"[A-Za-z0-9_ \t*/^().+\-\u00b0\u00b5\u03bc\u00b7\u00b2\u00b3]*")
+# Products of names with one-digit powers: `mm**9**9**9` would keep pint busy for hours.
+_TERM = (
+    r"(?:[A-Za-z_\u00b0\u00b5\u03bc]+[\u00b2\u00b3]?(?:\s*(?:\^|\*\*)\s*-?[1-9])?|1)"
+)
+_UNIT = re.compile(rf"{_TERM}(?:(?:\s*[*/\u00b7]\s*|\s+){_TERM})*")
 _MAX_UNIT_LENGTH = 40
 
 

@@ -1,0 +1,186 @@
+"""The program of a job: found, read, timed, with the spindle speed that it implies."""
+
+import math
+import pathlib
+
+from ..toolpath import Path, Program, resample, sample_program
+from ._gcode import read_gcode
+from ._gcode_words import GCodeError
+from ._job_schema import ProgramTable
+from ._path_csv import PathFileError, read_path_csv
+
+_GCODE_SUFFIXES = (".ngc", ".nc", ".gcode")
+# Above this a path fills the memory with its own rows, and a typing error in the feed
+# is the usual reason.
+_MOST_STEPS = 1_000_000
+_LARGEST_FILE = 64_000_000
+# The program and the job state the same speed in different units.
+_SAME_SPEED = 1e-6
+
+
+def file_in_folder(
+    name: str,
+    key: str,
+    folder: pathlib.Path,
+    problems: list[str],
+    *,
+    allow_outside: bool,
+) -> pathlib.Path | None:
+    """Return the path of a file that a job names, or None with a problem noted.
+
+    Args:
+        name: The name as in the job.
+        key: Where it stands, for the message.
+        folder: Folder of the job.
+        problems: Receives what is wrong.
+        allow_outside: Whether the file may lie outside the job's folder.
+    """
+    try:
+        path = (folder / name).resolve()
+        is_inside = path.is_relative_to(folder.resolve())
+        is_file = path.is_file()
+        size = path.stat().st_size if is_file else 0
+    except (OSError, ValueError) as error:
+        problems.append(f"{key}: found {name!r}, which cannot be opened: {error}")
+        return None
+    if not is_inside and not allow_outside:
+        problems.append(
+            f"{key}: found {name!r}, which leads outside the job's folder; allowed are "
+            "files in it or below (--allow-outside permits others)"
+        )
+        return None
+    if not is_file:
+        problems.append(
+            f"{key}: found {name!r}, but there is no such file in the job's folder"
+        )
+        return None
+    if size > _LARGEST_FILE:
+        problems.append(
+            f"{key}: found {name!r} of {size / 1e6:.0f} MB; at most "
+            f"{_LARGEST_FILE / 1e6:.0f} MB are allowed"
+        )
+        return None
+    return path
+
+
+def read_program(
+    table: ProgramTable,
+    folder: pathlib.Path,
+    problems: list[str],
+    *,
+    allow_outside: bool,
+) -> Program | Path | None:
+    """Return the program or the recorded path of a job, or None with problems noted."""
+    suffix = pathlib.PurePath(table.file).suffix.lower()
+    if suffix not in (*_GCODE_SUFFIXES, ".csv"):
+        problems.append(
+            f"[program] file: found {table.file!r}; allowed: "
+            f"{', '.join(_GCODE_SUFFIXES)} (G-code) and .csv (recorded path)"
+        )
+        return None
+    path = file_in_folder(
+        table.file, "[program] file", folder, problems, allow_outside=allow_outside
+    )
+    if path is None:
+        return None
+    try:
+        if suffix == ".csv":
+            return read_path_csv(path)
+        return read_gcode(path, feed=table.feed)
+    except (GCodeError, PathFileError) as error:
+        problems.extend(str(error).splitlines())
+        return None
+
+
+def spindle_speed(
+    given: float | None, program: Program | Path | None, problems: list[str]
+) -> float | None:
+    """Return the spindle speed [rad/s] of a job, or None with problems noted.
+
+    Args:
+        given: What `[spindle] speed` says, or None.
+        program: The program; None if it could not be read.
+        problems: Receives what is wrong.
+    """
+    stated = program.spindle_speeds if isinstance(program, Program) else ()
+    rpm = 60 / (2 * math.pi)
+    if len(stated) > 1:
+        found = ", ".join(f"S{speed * rpm:g}" for speed in stated)
+        problems.append(
+            f"[program] file: found the spindle speeds {found}; one speed is allowed"
+        )
+        return given
+    if given is None and not stated and program is not None:
+        problems.append(
+            "[spindle] speed: found nothing, and the program has no S word; a "
+            'rotational speed with its unit is required, such as "8000 rpm"'
+        )
+        return None
+    if given is not None and stated:
+        if abs(stated[0] - given) > _SAME_SPEED * given:
+            problems.append(
+                f"[spindle] speed: found {given * rpm:g} rpm, but the program says "
+                f"S{stated[0] * rpm:g}; leave one out or make them equal"
+            )
+        return given
+    return stated[0] if stated else given
+
+
+def time_path(
+    program: Program | Path,
+    table: ProgramTable,
+    tooth_period: float,
+    problems: list[str],
+) -> Path | None:
+    """Return the path at the tooth instants, or None with problems noted."""
+    steps = _nominal_duration(program, table) / tooth_period
+    if steps > _MOST_STEPS:
+        problems.append(
+            f"[program] file: found a motion of {steps:.3g} tooth periods; at most "
+            f"{_MOST_STEPS} are allowed (is a feed too small?)"
+        )
+        return None
+    try:
+        if isinstance(program, Path):
+            path = resample(
+                program.time,
+                program.positions,
+                program.axes,
+                program.is_rapid,
+                program.line,
+                tooth_period,
+            )
+        else:
+            path = sample_program(
+                program,
+                tooth_period,
+                acceleration=table.acceleration,
+                rapid_feed=table.rapid_feed,
+                corner_tolerance=table.corner_tolerance,
+                feed=table.feed,
+            )
+    except ValueError as error:
+        problems.append(f"[program] file: {error}")
+        return None
+    if abs(path.axes[:, 2] - 1).max() > 1e-6:
+        row = int(abs(path.axes[:, 2] - 1).argmax())
+        problems.append(
+            f"[program] file: line {int(path.line[row])}: found a tilted tool axis "
+            f"{[float(round(x, 6)) for x in path.axes[row]]}; allowed is 0, 0, 1"
+        )
+        return None
+    return path
+
+
+def _nominal_duration(program: Program | Path, table: ProgramTable) -> float:
+    """Return about how long a program takes [s], before it is timed in detail."""
+    if isinstance(program, Path):
+        return float(program.time[-1] - program.time[0])
+    total = 0.0
+    for move in program.timed_moves:
+        if move.duration is not None:
+            total += move.duration
+            continue
+        speed = table.rapid_feed if move.is_rapid else move.feed or table.feed
+        total += move.length / speed if speed else 0.0
+    return total

@@ -1,0 +1,272 @@
+"""Reading a job: every fault of the file and what it refers to, in one error."""
+
+import math
+import os
+import pathlib
+import tomllib
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from .._job import CorrectionSettings, Job, SimulationSettings
+from ..cutter import AbstractCutter, flat_end_mill
+from ..cutting import LinearEdgeLaw
+from ..robot import Robot
+from ..toolpath import Path, Program
+from ..workpiece import Stock, box
+from ._job_checks import check_rapids, check_stock, immersion, notes
+from ._job_program import read_program, spindle_speed, time_path
+from ._job_robot import check_reach, pose_matrix, read_robot
+from ._job_schema import (
+    CorrectionTable,
+    CutterTable,
+    SimulationTable,
+    StockTable,
+    read_tables,
+)
+
+# Longest sub-step of the robot [s], and the room below the deepest disc [m].
+_SUBSTEP = 0.5e-3
+_ROOM = 1e-3
+_FEWEST_ANGLES = 180
+_LARGEST_JOB = 1_000_000
+
+
+class JobError(ValueError):
+    """Raise when a job cannot be run; the message lists everything wrong with it.
+
+    Attributes:
+        file: The job file.
+        problems: What is wrong, one line each: key or line, found, allowed.
+    """
+
+    def __init__(self, file: str | os.PathLike[str], problems: list[str]):
+        self.file = os.fspath(file)
+        self.problems = tuple(problems)
+        count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
+        lines = "".join(f"\n  - {problem}" for problem in problems)
+        super().__init__(f"{self.file}: {count}:{lines}")
+
+
+def load_job(file: str | os.PathLike[str], *, allow_outside: bool = False) -> Job:
+    """Return a job from a TOML file and the program and robot that it names.
+
+    Args:
+        file: The job file.
+        allow_outside: Whether the job may name files outside its own folder.
+
+    Returns:
+        The job in SI units, its path sampled at the tooth instants.
+
+    Raises:
+        JobError: If anything is wrong: syntax, keys, units, sizes, the program, rapid
+            moves through the stock, the robot's reach, memory. All is listed at once.
+
+    Differentiability: not applicable, a host function; the job's leaves are ordinary
+    inputs of `simulate`.
+    """
+    path = pathlib.Path(file)
+    text, raw = _parse(path)
+    problems: list[str] = []
+    tables = read_tables(raw, problems)
+    job = _build(path, text, tables, problems, allow_outside=allow_outside)
+    if problems or job is None:
+        raise JobError(path, problems)
+    return job
+
+
+def job_precision(file: str | os.PathLike[str]) -> str:
+    """Return the precision that a job asks for, before JAX is configured for it.
+
+    Args:
+        file: The job file.
+
+    Returns:
+        "float32" if the job says so, else "float64", also for a faulty job.
+    """
+    try:
+        _, raw = _parse(pathlib.Path(file))
+    except JobError:
+        return "float64"
+    simulation = raw.get("simulation", {})
+    found = simulation.get("precision") if isinstance(simulation, dict) else None
+    return "float32" if found == "float32" else "float64"
+
+
+def _parse(path: pathlib.Path) -> tuple[str, dict[str, Any]]:
+    """Return the text and the tables of a TOML file."""
+    try:
+        if not path.is_file():
+            found = "a folder" if path.is_dir() else "no such file"
+            raise JobError(path, [f"found {found}; a job file (.toml) is required"])
+        if path.stat().st_size > _LARGEST_JOB:
+            raise JobError(path, ["found more than 1 MB; that is no job file"])
+        text = path.read_text(encoding="utf-8-sig")
+        return text, tomllib.loads(text)
+    except (OSError, UnicodeDecodeError) as error:
+        raise JobError(path, [f"cannot be read: {error}"]) from error
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise JobError(path, [f"found invalid TOML: {error}"]) from error
+
+
+def _build(
+    path: pathlib.Path,
+    text: str,
+    tables: dict[str, Any],
+    problems: list[str],
+    *,
+    allow_outside: bool,
+) -> Job | None:
+    """Return the job of checked tables; None, or a job of no use, after problems."""
+    folder = path.parent
+    program, robot, start = None, None, None
+    if "program" in tables:
+        program = read_program(
+            tables["program"], folder, problems, allow_outside=allow_outside
+        )
+    speed = None
+    if "spindle" in tables:
+        speed = spindle_speed(tables["spindle"].speed, program, problems)
+    if "robot" in tables:
+        robot, start = read_robot(
+            tables["robot"], folder, problems, allow_outside=allow_outside
+        )
+    cutter = _cutter(tables.get("cutter"))
+    check_stock(tables.get("stock"), tables.get("simulation"), problems)
+    desired = None
+    if cutter is not None and speed is not None:
+        period = 2 * math.pi / (speed * cutter.flute_count)
+        if period > 1000 * _SUBSTEP:
+            problems.append(
+                f"[spindle] speed: found {speed * 30 / math.pi:g} rpm; at least "
+                f"{60 / (cutter.flute_count * 1000 * _SUBSTEP):g} rpm is required"
+            )
+        elif program is not None:
+            desired = time_path(program, tables["program"], period, problems)
+    work = getattr(tables.get("robot"), "work_in_base", None)
+    T_base_work = pose_matrix(work)
+    if desired is not None and robot is not None and work is not None:
+        check_reach(robot, desired, T_base_work, start, problems)
+    if desired is not None and cutter is not None and "stock" in tables:
+        check_rapids(desired, cutter, tables["stock"], problems)
+    simulation = _simulation(tables, cutter, speed, desired, problems)
+    if problems or simulation is None or desired is None or cutter is None:
+        return None
+    return _assemble(
+        path.stem,
+        text,
+        tables,
+        cutter,
+        speed,
+        desired,
+        simulation,
+        program,
+        (robot, T_base_work, start),
+    )
+
+
+def _assemble(
+    name: str,
+    text: str,
+    tables: dict[str, Any],
+    cutter: AbstractCutter,
+    speed: float | None,
+    desired: Path,
+    simulation: SimulationSettings,
+    program: Program | Path | None,
+    robot_parts: tuple[
+        Robot | None, Float[np.ndarray, "4 4"], Float[np.ndarray, " joint"] | None
+    ],
+) -> Job:
+    """Return the job of faultless parts."""
+    assert speed is not None
+    robot, T_base_work, start = robot_parts
+    return Job(
+        name=name,
+        cutter=cutter,
+        law=LinearEdgeLaw(**tables["force"].model_dump()),
+        spindle_speed=speed,
+        stock=_stock(tables["stock"], simulation.precision),
+        path=desired,
+        robot=robot,
+        T_base_work=T_base_work,
+        joint_start=start,
+        simulation=simulation,
+        correction=_correction(tables["correction"]),
+        source=text,
+        program=program.source if isinstance(program, Program) else "",
+        notes=notes(tables["stock"], desired, cutter),
+    )
+
+
+def _cutter(table: CutterTable | None) -> AbstractCutter | None:
+    if table is None:
+        return None
+    return flat_end_mill(
+        table.diameter,
+        table.teeth,
+        table.helix_angle,
+        flute_length=table.flute_length,
+    )
+
+
+def _correction(table: CorrectionTable) -> CorrectionSettings:
+    return CorrectionSettings(**table.model_dump())
+
+
+def _stock(table: StockTable, precision: str) -> Stock:
+    # Without 64-bit numbers in JAX a request for them would only give a warning.
+    import jax
+
+    is_double = precision == "float64" and jax.config.read("jax_enable_x64")
+    first, second, third = table.intervals
+    return box(
+        table.lower,
+        table.upper,
+        table.spacing,
+        interval_counts=(first, second, third),
+        dtype=np.float64 if is_double else np.float32,
+    )
+
+
+def _simulation(
+    tables: dict[str, Any],
+    cutter: AbstractCutter | None,
+    speed: float | None,
+    path: Path | None,
+    problems: list[str],
+) -> SimulationSettings | None:
+    """Return the numerical settings with their defaults."""
+    table: SimulationTable | None = tables.get("simulation")
+    stock: StockTable | None = tables.get("stock")
+    if table is None or cutter is None or speed is None:
+        return None
+    period = 2 * math.pi / (speed * cutter.flute_count)
+    substeps = table.substeps or max(1, math.ceil(period / _SUBSTEP - 1e-9))
+    block = cutter.flute_count * substeps
+    angles = table.angles or block * math.ceil(_FEWEST_ANGLES / block)
+    if angles % block:
+        lower = max(angles // block, math.ceil(_FEWEST_ANGLES / block)) * block
+        problems.append(
+            f"[simulation] angles: found {angles}, but a multiple of teeth x substeps "
+            f"({cutter.flute_count} x {substeps} = {block}) is required, such as "
+            f"{lower}"
+        )
+    if table.axial_depth is not None and table.axial_depth > cutter.flute_length:
+        problems.append(
+            f"[simulation] axial_depth: found {table.axial_depth * 1e3:g} mm; at most "
+            f"the flute length, {cutter.flute_length * 1e3:g} mm, is allowed"
+        )
+    if stock is None or path is None:
+        return None
+    return SimulationSettings(
+        angles=angles,
+        substeps=substeps,
+        element_height=table.element_height or 2 * stock.spacing,
+        axial_depth=table.axial_depth
+        or min(immersion(path, cutter, stock) + _ROOM, cutter.flute_length),
+        mode=table.mode,
+        precision=table.precision,
+        is_gravity_compensated=table.gravity_compensated,
+    )

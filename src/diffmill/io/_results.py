@@ -1,0 +1,239 @@
+"""Results on disk: a folder that is complete, or absent, or says that it is not."""
+
+import os
+import pathlib
+import platform
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping
+from importlib import metadata
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from ..workpiece import Stock
+
+# xarray takes half a second to import, which only these functions need.
+Dataset: TypeAlias = Any
+Content: TypeAlias = str | bytes | Callable[[pathlib.Path], object]
+
+# Names of the files of the last run, so that `force` replaces those and no others.
+_MANIFEST = "manifest.txt"
+_UNITS = {
+    "step": "1",
+    "time": "s",
+    "desired": "m",
+    "commanded": "m",
+    "actual": "m",
+    "deviation": "m",
+    "contour_error": "m",
+    "force": "N",
+    "removed_volume": "m3",
+    "is_cutting": "1",
+    "motor_positions": "rad",
+    "joint_positions": "rad",
+}
+_PACKAGES = ("diffmill", "jax", "jaxlib", "equinox", "numpy", "scipy", "xarray")
+
+
+class ResultsError(ValueError):
+    """Raise when results cannot go to the folder that was named."""
+
+
+def check_folder(out: str | os.PathLike[str], *, force: bool = False) -> None:
+    """Raise if results could not be written to a folder; write nothing.
+
+    Args:
+        out: The folder, which need not exist.
+        force: Whether a folder with something in it is allowed.
+
+    Raises:
+        ResultsError: If it is a file, has something in it, or cannot be written.
+    """
+    folder = pathlib.Path(out).resolve()
+    if folder.exists() and not folder.is_dir():
+        raise ResultsError(f"--out {out}: found a file; a folder is required")
+    if folder.is_dir() and any(folder.iterdir()) and not force:
+        raise ResultsError(
+            f"--out {out}: found a folder that is not empty; an empty or new one is "
+            "required, or --force, which replaces the results in it"
+        )
+    parent = folder.parent
+    while not parent.exists():
+        parent = parent.parent
+    if not (parent.is_dir() and os.access(parent, os.W_OK)):
+        raise ResultsError(f"--out {out}: {parent} is no folder that can be written to")
+
+
+def write_results(
+    out: str | os.PathLike[str],
+    dataset: Dataset,
+    *,
+    files: Mapping[str, Content] | None = None,
+    stock: Stock | None = None,
+    force: bool = False,
+) -> pathlib.Path:
+    """Write a folder of results, all of it or nothing.
+
+    Args:
+        out: The folder.
+        dataset: What becomes `result.nc`; units and versions are added where absent.
+        files: Further files by name: text, bytes, or a function that is called with
+            the path of the file (or, for a name that ends in "/", with the folder
+            itself, to write any number of files).
+        stock: The final stock, for `stock.npz`.
+        force: Whether to replace the results in a folder that is not empty; files
+            that no earlier run wrote stay.
+
+    Returns:
+        The folder.
+
+    Raises:
+        ResultsError: If the folder is not empty, or cannot be written to.
+
+    Differentiability: not applicable, a host function.
+    """
+    check_folder(out, force=force)
+    folder = pathlib.Path(out).resolve()
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    made = tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent)
+    temporary = pathlib.Path(made)
+    try:
+        described(dataset).to_netcdf(temporary / "result.nc", engine="h5netcdf")
+        if stock is not None:
+            write_stock(temporary / "stock.npz", stock)
+        for name, content in (files or {}).items():
+            _write(temporary, name, content)
+        _publish(temporary, folder)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+    return folder
+
+
+def described(dataset: Dataset) -> Dataset:
+    """Return a dataset with units on every variable, versions and conventions.
+
+    Args:
+        dataset: The dataset; attributes that it has are kept.
+
+    Raises:
+        ValueError: If a numeric variable has no units and none are known for it.
+    """
+    dataset = dataset.copy()
+    for name, variable in dataset.variables.items():
+        if variable.dtype.kind not in "fiub" or "units" in variable.attrs:
+            continue
+        if name not in _UNITS:
+            raise ValueError(f"Variable `{name}` must have the attribute `units`.")
+        dataset[name].attrs["units"] = _UNITS[str(name)]
+    versions = [f"{name} {metadata.version(name)}" for name in _PACKAGES]
+    added = {
+        "Conventions": "CF-1.11",
+        "versions": ", ".join([f"python {platform.python_version()}", *versions]),
+        "incomplete": np.int32(0),
+    }
+    dataset.attrs = {**added, **dataset.attrs}
+    return dataset
+
+
+def mark_incomplete(dataset: Dataset, reason: str) -> Dataset:
+    """Return what an aborted run has computed, with why and where it stopped.
+
+    Args:
+        dataset: Rows of all steps; those from the first non-finite one on are cut off.
+        reason: Why the run stopped.
+
+    Returns:
+        The rows up to there, with the attributes `incomplete` = 1,
+        `incomplete_reason`, `incomplete_time` [s] and `incomplete_place`
+        (desired tip in `work` [m]).
+    """
+    actual = dataset["actual"]
+    other = [dim for dim in actual.dims if dim != "step"]
+    is_good = np.isfinite(actual).all(dim=other).values
+    count = int(np.argmin(is_good)) if not is_good.all() else is_good.size
+    last = min(count, is_good.size - 1)
+    desired = np.asarray(dataset["desired"].isel(step=last))
+    marked = dataset.isel(step=slice(0, max(count, 1)))
+    marked.attrs.update(
+        incomplete=np.int32(1),
+        incomplete_reason=reason,
+        incomplete_time=float(dataset["time"].isel(step=last)),
+        incomplete_place=desired.reshape(-1, 3)[0].astype(float),
+    )
+    return marked
+
+
+def write_stock(file: pathlib.Path, stock: Stock) -> None:
+    """Write a stock as plain arrays (no pickle), lengths in metres.
+
+    Args:
+        file: Path of the .npz file. It receives, for each axis f of x, y and z, the
+            array `ends_f` (u, v, 2, slot) and the array `poses_f` of the same shape,
+            and `origin`, `spacing`, `top`.
+        stock: The stock.
+    """
+    arrays: dict[str, Any] = {
+        "origin": np.asarray(stock.origin),
+        "spacing": np.asarray(stock.spacing),
+        "top": np.asarray(stock.top),
+    }
+    for axis, rays in zip("xyz", stock.families, strict=True):
+        arrays[f"ends_{axis}"] = np.asarray(rays.ends)
+        arrays[f"poses_{axis}"] = np.asarray(rays.poses)
+    np.savez_compressed(file, allow_pickle=False, **arrays)
+
+
+def _write(folder: pathlib.Path, name: str, content: Content) -> None:
+    """Write one further file."""
+    if name.endswith("/"):
+        target = folder / name
+        target.mkdir(parents=True, exist_ok=True)
+    else:
+        target = folder / name
+        if target.parent != folder:
+            raise ValueError(f"File `{name}` must lie directly in the folder.")
+    if callable(content):
+        content(target)
+    elif isinstance(content, bytes):
+        target.write_bytes(content)
+    else:
+        target.write_text(content, encoding="utf-8", newline="\n")
+
+
+def _publish(temporary: pathlib.Path, folder: pathlib.Path) -> None:
+    """Give the finished folder its name; replace earlier results."""
+    names = sorted(p.name for p in temporary.iterdir())
+    (temporary / _MANIFEST).write_text("\n".join([*names, _MANIFEST]) + "\n")
+    # A temporary folder is private to its owner; a result is like any other folder.
+    mask = os.umask(0)
+    os.umask(mask)
+    temporary.chmod(0o777 & ~mask)
+    if folder.is_dir() and any(folder.iterdir()):
+        _clear(folder)
+        for name in [*names, _MANIFEST]:
+            target = folder / name
+            if target.is_dir() and not target.is_symlink():
+                shutil.rmtree(target)
+            os.replace(temporary / name, target)
+        return
+    if folder.is_dir():
+        folder.rmdir()
+    os.rename(temporary, folder)
+
+
+def _clear(folder: pathlib.Path) -> None:
+    """Remove the results of the run before, as its manifest names them."""
+    try:
+        names = (folder / _MANIFEST).read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError):
+        return
+    for name in names:
+        target = folder / name
+        # A manifest is only text: it must not reach outside its folder.
+        if target.parent != folder or name in ("", ".", ".."):
+            continue
+        if target.is_dir() and not target.is_symlink():
+            shutil.rmtree(target)
+        else:
+            target.unlink(missing_ok=True)
