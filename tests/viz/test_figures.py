@@ -188,10 +188,11 @@ def test_force_zoom_shows_whole_tooth_periods():
     assert panels_of(figure)[1].get_xlim() == pytest.approx((0.0, 4 * PERIOD * 1e3))
 
 
-def test_tooth_means_have_neither_zoom_nor_impossible_filter():
-    time = np.arange(50) * 0.01
+@pytest.mark.parametrize("period", [0.01, PERIOD])
+def test_tooth_means_have_neither_zoom_nor_filter(period):
+    time = np.arange(50) * period
     force = np.stack([time, time, time], axis=1)
-    figure = plot_forces(ForceRecord(time, force, 0.01, True))
+    figure = plot_forces(ForceRecord(time, force, period, True))
     assert len(panels_of(figure)) == 3
     assert [len(axes.lines) for axes in panels_of(figure)] == [1, 1, 1]
 

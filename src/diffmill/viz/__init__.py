@@ -22,7 +22,9 @@ from ._dexels import (
 from ._forces import ForceRecord as ForceRecord, plot_forces as plot_forces
 from ._history import plot_deviation as plot_deviation
 from ._paths import plot_paths as plot_paths
+from ._process import chip_chart as chip_chart, force_record as force_record
 from ._report import write_report as write_report
+from ._stocks import cut_dexels as cut_dexels, surface_error as surface_error
 from ._surface import (
     SurfaceError as SurfaceError,
     plot_surface_error as plot_surface_error,

@@ -18,8 +18,8 @@ class ChipChart(eqx.Module):
     """Chip thickness that one tooth meets, over its angle and along the axis.
 
     Attributes:
-        immersion_angle: Angle phi from tool +y, clockwise [rad], equally spaced,
-            shape (angle,).
+        immersion_angle: Angle phi in the feed frame, clockwise from the left of the
+            feed [rad], equally spaced, shape (angle,).
         height: Height of the middle of each disc above the tip [m], shape (element,).
         chip_thickness: Chip thickness h [m], shape (element, angle).
         weight: Fraction of the sample that is in stock, from 0 to 1, shape
@@ -70,7 +70,7 @@ def plot_chip(chart: ChipChart) -> "matplotlib.figure.Figure":
     label_colourbar(bar, "height of the disc [mm]")
     quiet_axes(
         bottom,
-        x=r"immersion angle $\varphi$ [deg]",
+        x=r"immersion angle $\varphi$ from the left of the feed [deg]",
         y=r"$h$ [$\mathrm{\mu m}$]",
         title="the same, one curve per disc",
     )

@@ -61,7 +61,8 @@ def plot_forces(
 
     Args:
         record: The force.
-        cutoff: Cut-off of the low-pass [Hz]; left out where the samples are too few.
+        cutoff: Cut-off of the low-pass [Hz]. Tooth means are drawn as they are: they
+            carry no more than the low-pass would leave.
         order: Order of one of its two passes.
         zoom_periods: Tooth periods in the column on the right.
 
@@ -79,7 +80,7 @@ def plot_forces(
     )
     filtered = (
         lowpass(record.force, record.sample_rate, cutoff, order=order)
-        if cutoff < record.sample_rate / 2
+        if cutoff < record.sample_rate / 2 and not record.is_tooth_mean
         else None
     )
     window = _zoom_window(record, zoom_periods)
@@ -132,7 +133,7 @@ def _draw_axis(
     axis: int,
 ) -> None:
     values = record.force[:, axis]
-    if record.time.shape[0] > 2 * _BINS:
+    if record.time.shape[0] > 2 * _BINS and not record.is_tooth_mean:
         # More samples than pixels: the band between the extremes is what a line
         # would fill; whole teeth, so that no pattern of bins appears.
         per_tooth = round(record.tooth_period * record.sample_rate)
@@ -142,7 +143,8 @@ def _draw_axis(
             time, low, high, step="post", color="#bdbdbd", linewidth=0.3, label="grey"
         )
     else:
-        axes.plot(record.time, values, color=GREY, linewidth=0.7, label="grey")
+        colour = "black" if record.is_tooth_mean else GREY
+        axes.plot(record.time, values, color=colour, linewidth=0.8, label="grey")
     if filtered is not None:
         axes.plot(
             record.time, filtered[:, axis], color="black", linewidth=0.9, label="black"

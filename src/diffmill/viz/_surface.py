@@ -143,7 +143,7 @@ def surface_html(maps: dict[str, SurfaceError]) -> str:
     figure.update_layout(
         template="plotly_white",
         margin={"l": 0, "r": 0, "t": 30, "b": 0},
-        height=460,
+        height=520,
         font={"family": "system-ui, sans-serif", "size": 12},
         scene={
             "xaxis": {"title": {"text": "x [mm]"}},
@@ -154,7 +154,10 @@ def surface_html(maps: dict[str, SurfaceError]) -> str:
             },
             "aspectmode": "manual",
             "aspectratio": {"x": 1.5, "y": 1.5 * ratio, "z": 0.7},
-            "camera": {"eye": {"x": 0.9, "y": -1.5, "z": 1.1}},
+            "camera": {
+                "eye": {"x": 1.0, "y": -1.7, "z": 1.15},
+                "center": {"x": 0.0, "y": 0.0, "z": -0.15},
+            },
         },
         annotations=[
             {

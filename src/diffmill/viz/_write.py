@@ -139,16 +139,15 @@ def _draw_forces(dataset: "xarray.Dataset", forces: ForceRecord | None) -> _Draw
     if reason:
         return _Drawing(title, reason)
     record = _tooth_means(dataset) if forces is None else forces
-    what = (
-        "mean over each tooth period"
-        if record.is_tooth_mean
-        else "every computed sample, teeth going in and out"
-    )
-    caption = (
-        f"Force of the workpiece on the tool in workpiece axes. Grey: {what}. Black: "
-        f"what is left below 100 Hz, to which a robot's arm can answer; the filter is "
-        f"a Butterworth of order 4 run forward and backward, so it delays nothing."
-    )
+    caption = "Force of the workpiece on the tool in workpiece axes"
+    if record.is_tooth_mean:
+        caption += ", as its mean over each tooth period."
+    else:
+        caption += (
+            ". Grey: every computed sample, teeth going in and out. Black: what is "
+            "left below 100 Hz, to which a robot's arm can answer; the filter is a "
+            "Butterworth of order 4 run forward and backward, so it delays nothing."
+        )
     return _Drawing(title, caption, plot_forces(record))
 
 
@@ -157,9 +156,10 @@ def _draw_chip(chip: ChipChart | None) -> _Drawing:
     if chip is None:
         return _Drawing(title, "no chip chart was computed")
     caption = (
-        "What one tooth cuts on its way through the material: angle from the tool's "
-        "+y, clockwise; height along the tool from its tip. White: no chip. Each curve "
-        "below is one disc of the cutter; they coincide where the tool goes straight."
+        "What one tooth cuts on its way through the material: angle from the left of "
+        "the feed, clockwise; height along the tool from its tip. White: no chip. Each "
+        "curve below is one disc of the cutter; they coincide where the tool goes "
+        "straight."
     )
     return _Drawing(title, caption, plot_chip(chip))
 

@@ -1,0 +1,82 @@
+"""What the figures need of finished workpieces: floor heights and cut ray ends.
+
+The ideal workpiece is what the same process leaves on the desired path, on the same
+grid of rays.
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+from ..workpiece import Stock, grid_shape, height_map, ray_ends
+from ._dexels import CutDexels
+from ._surface import SurfaceError
+
+
+def surface_error(stock: Stock, ideal: Stock) -> SurfaceError:
+    """Return how high the machined floors are above the ideal ones.
+
+    Columns that were cut in only one of the two stocks stand at a wall: their height
+    differs by the depth of the cut and says nothing of the floor, so they are NaN.
+
+    Args:
+        stock: The workpiece after the cut.
+        ideal: The workpiece after the same cut on the desired path.
+
+    Returns:
+        The error on the grid of the z rays.
+    """
+    _require_same_grid(stock, ideal)
+    x, y, actual = height_map(stock)
+    _, _, wanted = height_map(ideal)
+    # A floor lies below the raw face by more than rounding.
+    least = 1e-9
+    is_floor = (actual < stock.top - least) & (wanted < ideal.top - least)
+    error = np.where(is_floor, actual - wanted, np.nan)
+    return SurfaceError(
+        np.asarray(x, dtype=np.float64),
+        np.asarray(y, dtype=np.float64),
+        np.ascontiguousarray(error.T, dtype=np.float64),
+    )
+
+
+def cut_dexels(stock: Stock, ideal: Stock) -> CutDexels:
+    """Return the ends that the tool has cut: floors of z rays, walls of x rays.
+
+    Args:
+        stock: The workpiece after the cut.
+        ideal: The workpiece after the same cut on the desired path.
+
+    Returns:
+        Upper ends of z rays and both ends of x rays, where a pose made them.
+    """
+    _require_same_grid(stock, ideal)
+    return CutDexels(
+        _cut_ends(stock, 2, is_upper_only=True),
+        _cut_ends(ideal, 2, is_upper_only=True),
+        _cut_ends(stock, 0),
+        _cut_ends(ideal, 0),
+    )
+
+
+def _cut_ends(
+    stock: Stock, family: int, *, is_upper_only: bool = False
+) -> Float[np.ndarray, "end 3"]:
+    """Return the ends of one family that remember a tool pose."""
+    points, side = ray_ends(stock, family)
+    rays = stock.families[family]
+    ends = np.asarray(rays.ends)
+    is_live = np.broadcast_to((ends[:, :, 1] > ends[:, :, 0])[:, :, None], ends.shape)
+    is_cut = np.asarray(rays.poses)[is_live] >= 0
+    if is_upper_only:
+        is_cut &= side > 0
+    return np.asarray(points[is_cut], dtype=np.float64)
+
+
+def _require_same_grid(stock: Stock, ideal: Stock) -> None:
+    if grid_shape(stock) != grid_shape(ideal) or not np.allclose(
+        np.asarray(stock.origin), np.asarray(ideal.origin), rtol=0.0, atol=1e-9
+    ):
+        raise ValueError(
+            "Argument `ideal` must have the grid of rays of `stock`, "
+            f"{grid_shape(stock)}, but has {grid_shape(ideal)} or another origin."
+        )

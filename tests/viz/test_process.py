@@ -1,0 +1,53 @@
+import numpy as np
+import pytest
+
+from diffmill.cutter import flat_end_mill
+from diffmill.sim import process_plan
+from diffmill.viz import chip_chart, force_record
+from diffmill.workpiece import box
+
+RADIUS, FEED, DEPTH = 2e-3, 0.05e-3, 0.8e-3
+
+
+@pytest.mark.parametrize("direction", [0.0, 2.4])
+def test_chip_of_a_slot_is_that_of_two_circles(direction):
+    """A slot in any direction shows the same chip from 0 to 180 degrees."""
+    along = np.array([np.cos(direction), np.sin(direction), 0.0])
+    steps = np.arange(60)[:, None]
+    tips = (steps * FEED - 1.5e-3) * along + np.array([0.0, 0.0, -DEPTH])
+    stock = box([-5e-3, -5e-3, -2e-3], [5e-3, 5e-3, 0.0], 0.2e-3)
+    cutter = flat_end_mill(diameter=2 * RADIUS, teeth=2, helix_angle=0.0)
+    plan = process_plan(stock, cutter, axial_depth=DEPTH, angles=96)
+    chart = chip_chart(tips, stock, cutter, plan, step=50)
+    phi = chart.immersion_angle
+    assert np.ptp(phi) == pytest.approx(2 * np.pi * (1 - 1 / plan.angles))
+    # symbols: h chip, u_e part of the feed along the tooth; R^2 - across^2 remains
+    along_tooth, across = -FEED * np.sin(phi), FEED * np.cos(phi)
+    h = RADIUS - (along_tooth + np.sqrt(RADIUS**2 - across**2))
+    inside = (phi > np.deg2rad(8)) & (phi < np.deg2rad(172))
+    full = chart.height + plan.discs.height / 2 < DEPTH - 0.1e-3
+    assert full.any()
+    for element in np.flatnonzero(full):
+        drawn = chart.chip_thickness[element] * chart.weight[element]
+        np.testing.assert_allclose(drawn[inside], h[inside], rtol=0.02)
+        behind = (phi < np.deg2rad(-8)) | (phi > np.deg2rad(188))
+        np.testing.assert_allclose(drawn[behind], 0.0, atol=1e-9)
+
+
+def test_step_outside_the_path_is_refused():
+    stock = box([0.0, 0.0, 0.0], [4e-3, 4e-3, 2e-3], 0.5e-3)
+    cutter = flat_end_mill(diameter=2 * RADIUS, teeth=2, helix_angle=0.0)
+    plan = process_plan(stock, cutter, axial_depth=DEPTH)
+    with pytest.raises(ValueError, match="`step` must lie between 1 and 4"):
+        chip_chart(np.zeros((5, 3)), stock, cutter, plan, step=5)
+
+
+def test_force_record_puts_samples_in_the_middle_of_their_parts():
+    time = 0.1 * np.arange(4)
+    samples = np.arange(4 * 5 * 3, dtype=float).reshape(4, 5, 3)
+    record = force_record(time, samples)
+    np.testing.assert_allclose(record.time, 0.01 + 0.02 * np.arange(15))
+    np.testing.assert_array_equal(record.force[0], samples[1, 0])
+    np.testing.assert_array_equal(record.force[-1], samples[3, 4])
+    assert record.tooth_period == pytest.approx(0.1)
+    assert record.sample_rate == pytest.approx(50.0)
