@@ -13,9 +13,9 @@ from ._kinematics import joint_frames, link_inertia_rows, tool_jacobian
 from ._rnea import gravity_forces, gravity_torques
 from ._robot import JointVector, Robot, Wrench, joint_vector, wrench_vector
 
-# The spring is some hundred times stiffer than gravity and load change with the
-# pose, so that every Newton step gains at least four digits.
-_NEWTON_STEPS = 4
+# Springs are much stiffer than gravity and load change with the pose: from a
+# deflection of 0.1 rad two steps and the last one reach rounding.
+_NEWTON_STEPS = 2
 
 
 def motor_positions(

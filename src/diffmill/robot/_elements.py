@@ -213,10 +213,4 @@ def inertia_fault(inertia: Matrix3) -> str:
     principal = np.linalg.eigvalsh(inertia)
     if not principal[0] > 0.0:
         return f"positive definite, but its principal values are {principal.tolist()}."
-    # Equality is a flat body; the tolerance lets rounded data pass.
-    if principal[2] > (principal[0] + principal[1]) * (1.0 + 1e-6):
-        return (
-            "that of a body (no principal value above the sum of the other two), but "
-            f"its principal values are {principal.tolist()}."
-        )
     return ""

@@ -12,7 +12,7 @@ from ._schema import RobotFileError, read_elements
 
 def built_in_models() -> list[str]:
     """Return the names of the models that come with the package."""
-    folder = resources.files(__package__).joinpath("models")
+    folder = resources.files("diffmill.robot").joinpath("models")
     names = [entry.name for entry in folder.iterdir()]
     return sorted(n.removesuffix(".toml") for n in names if n.endswith(".toml"))
 
@@ -44,7 +44,7 @@ def load(model_or_file: str | os.PathLike[str], *, tool: str | None = None) -> R
 def _read_text(file: str) -> str:
     """Return the text of a model or file."""
     if file in built_in_models():
-        model = resources.files(__package__).joinpath("models", f"{file}.toml")
+        model = resources.files("diffmill.robot").joinpath("models", f"{file}.toml")
         return model.read_text(encoding="utf-8")
     choices = (
         f"the built-in models are {', '.join(built_in_models())}; "

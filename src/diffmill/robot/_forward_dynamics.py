@@ -1,7 +1,5 @@
 """Accelerations of the joints under given torques."""
 
-from typing import Literal
-
 import jax
 import jax.numpy as jnp
 import jax.scipy.linalg as jsl
@@ -18,7 +16,7 @@ def forward_dynamics(
     tau: JointVector,
     wrench: Wrench | None = None,
     *,
-    algorithm: Literal["crba"] = "crba",
+    algorithm: str = "crba",
 ) -> Float[Array, " joint"]:
     """Return the joint accelerations: M^-1 (tau + J^T F - C - G).
 

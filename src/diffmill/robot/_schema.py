@@ -7,6 +7,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -47,7 +48,7 @@ class _Reader:
         """Note that a key's value is not what is allowed."""
         self.faults.append(f"{self.place}.{key}: must be {allowed}, but is {found!r}")
 
-    def take(self, key: str, default: object = None, *, required: bool = False):
+    def take(self, key: str, default: object = None, *, required: bool = False) -> Any:
         """Return the raw value of a key and mark it as known."""
         self.known.add(key)
         if key in self.table:
@@ -124,7 +125,11 @@ def read_elements(
         top.fault("description", "a string", document["description"])
     elements = _read_list(top.take("elements", required=True), "elements", faults)
     top.finish()
-    joints = [e.name for e in _flatten(elements) if _is_joint(e)]
+    joints = [
+        e.name
+        for e in _flatten(elements)
+        if isinstance(e, RevoluteJoint | PrismaticJoint)
+    ]
     for twice in sorted({n for n in joints if joints.count(n) > 1}):
         faults.append(f"elements: the joint name {twice!r} occurs more than once")
     if not joints and not faults:
@@ -138,7 +143,7 @@ def read_elements(
     return str(name), elements
 
 
-def _read_list(raw: object, place: str, faults: list[str]) -> list[AbstractElement]:
+def _read_list(raw: Any, place: str, faults: list[str]) -> list[AbstractElement]:
     """Return the elements of a list of tables."""
     if raw is None:
         return []
@@ -222,12 +227,24 @@ def _read_body(reader: _Reader) -> Callable[[], AbstractElement]:
     if moments is not None:
         xx, yy, zz, xy, xz, yz = [*moments, 0.0, 0.0, 0.0][:6]
         inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        wrong = inertia_fault(inertia)
+        wrong = inertia_fault(inertia) or _triangle_fault(inertia)
         if wrong:
             reader.faults.append(
                 f"{reader.place}.inertia: (xx, yy, zz, xy, xz, yz) must be {wrong}"
             )
     return lambda: RigidBody(mass, tuple(center or ()), inertia)
+
+
+def _triangle_fault(inertia: np.ndarray) -> str:
+    """Return what is wrong with an inertia that no distribution of mass has."""
+    principal = np.linalg.eigvalsh(inertia)
+    # Equality is a flat body; the tolerance lets rounded data pass.
+    if principal[2] <= (principal[0] + principal[1]) * (1.0 + 1e-6):
+        return ""
+    return (
+        "that of a body (no principal value above the sum of the other two), but its "
+        f"principal values are {principal.tolist()}."
+    )
 
 
 def _read_fork(reader: _Reader) -> Callable[[], AbstractElement]:
@@ -271,10 +288,6 @@ def _are_numbers(values: Sequence[object]) -> bool:
         isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v)
         for v in values
     )
-
-
-def _is_joint(element: AbstractElement) -> bool:
-    return isinstance(element, RevoluteJoint | PrismaticJoint)
 
 
 def _flatten(elements: Sequence[AbstractElement]) -> list[AbstractElement]:
