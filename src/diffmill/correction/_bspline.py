@@ -74,7 +74,7 @@ class SplineOffsets(eqx.Module):
         Returns:
             Offsets, shape (step, axis), in the coefficients' unit.
 
-        Differentiability: linear; its transpose costs the same.
+        **Differentiability**: linear; its transpose costs the same.
         """
         start, weights = _basis(self)
         padded = jnp.pad(coefficients, ((_CLAMPED, _CLAMPED), (0, 0)))
@@ -97,7 +97,7 @@ class SplineOffsets(eqx.Module):
         Returns:
             Second differences, shape (interval, axis), in the coefficients' unit.
 
-        Differentiability: linear.
+        **Differentiability**: linear.
         """
         padded = jnp.pad(coefficients, ((2, 2), (0, 0)))
         return padded[2:] - 2 * padded[1:-1] + padded[:-2]
@@ -123,7 +123,7 @@ class SplineOffsets(eqx.Module):
         Returns:
             Coefficients, shape (coefficient, axis), in the signal's unit.
 
-        Differentiability: runs on the host, not traceable.
+        **Differentiability**: runs on the host, not traceable.
         """
         from scipy.linalg import solveh_banded
 
@@ -145,7 +145,7 @@ def adjoint_offsets(
     Returns:
         B^T signal, shape (coefficient, axis).
 
-    Differentiability: linear; on the host, not traceable.
+    **Differentiability**: linear; on the host, not traceable.
     """
     start, weights = _basis(spline)
     rows = spline.coefficient_count + 2 * _CLAMPED

@@ -24,11 +24,13 @@ class ContourResidual(eqx.Module):
         problem: The problem.
         spline: Basis of the offsets.
         smoothness: Weight of the roughness, see `GaussNewton`.
+        lag_weight: Weight of the deviation along the path, see `GaussNewton`.
     """
 
     problem: Problem
     spline: SplineOffsets
     smoothness: RealScalarLike
+    lag_weight: RealScalarLike
 
 
 def contour_residual(
@@ -36,9 +38,9 @@ def contour_residual(
 ) -> Float[Array, " residual"]:
     """Return the weighted contour vectors and the roughness as one vector.
 
-    Half its square is half of (rms contour error / 0.1 mm)^2 over the rows that cut,
-    plus half of (smoothness x rms second difference of the coefficients /
-    max_offset)^2.
+    Its square is (rms contour error / 0.1 mm)^2 over the rows that cut, plus
+    (lag_weight x rms deviation along the path / 0.1 mm)^2 there, plus (smoothness x
+    rms second difference of the coefficients / max_offset)^2.
 
     Args:
         coefficients: Spline coefficients of the offset, in the command's unit.
@@ -47,7 +49,7 @@ def contour_residual(
     Returns:
         Dimensionless residuals, the contour first.
 
-    Differentiability: that of the plant; kinks where the nearest segment changes.
+    **Differentiability**: that of the plant; kinks where the nearest segment changes.
     """
     problem = args.problem
     dtype = coefficients.dtype
@@ -55,11 +57,15 @@ def contour_residual(
     motion = problem.plant(nominal + args.spline.offsets(coefficients))
     weights = jnp.asarray(problem.is_cutting, dtype)
     weights = jnp.sqrt(weights / jnp.sum(weights))
-    contour = contour_of(problem, motion) * (weights[:, None] / _UNIT)
+    contour = contour_of(problem, motion)
+    # What the deviation has beyond the contour vector is a lag along the path.
+    lag = motion.actual - jnp.asarray(problem.desired, dtype) - contour
+    error = contour + jnp.asarray(args.lag_weight, dtype) * lag
+    error = error * (weights[:, None] / _UNIT)
     rough = args.spline.roughness(coefficients)
     price = jnp.asarray(args.smoothness, dtype) / np.sqrt(rough.shape[0])
     rough = rough * (price / jnp.asarray(problem.max_offset, dtype))
-    return jnp.concatenate([contour.reshape(-1), rough.reshape(-1)])
+    return jnp.concatenate([error.reshape(-1), rough.reshape(-1)])
 
 
 class GaussNewton(AbstractMethod):
@@ -72,12 +78,16 @@ class GaussNewton(AbstractMethod):
         knot_spacing: Smallest spacing of the knots [s]: the controller's bandwidth.
         smoothness: Weight of the roughness: contour error, in units of 0.1 mm, that is
             as bad as second differences of the coefficients of rms `max_offset`.
+        lag_weight: Weight of the deviation along the path in the residual. The contour
+            error does not see it; without a little of it the command drifts along the
+            path as far as the bound where that gains anything.
         solver: Settings of the least-squares method.
     """
 
     knot_spacing: float = 30e-3
     smoothness: float = 1e-2
-    solver: LevenbergMarquardt = LevenbergMarquardt(max_steps=6)
+    lag_weight: float = 0.03
+    solver: LevenbergMarquardt = LevenbergMarquardt(max_steps=6, cost_rtol=1e-2)
 
     def __call__(
         self,
@@ -98,7 +108,10 @@ class GaussNewton(AbstractMethod):
             contour_residual,
             jnp.asarray(first, nominal.dtype),
             ContourResidual(
-                problem, spline, jnp.asarray(self.smoothness, nominal.dtype)
+                problem,
+                spline,
+                jnp.asarray(self.smoothness, nominal.dtype),
+                jnp.asarray(self.lag_weight, nominal.dtype),
             ),
             lower=-bound,
             upper=bound,
@@ -118,6 +131,7 @@ class GaussNewton(AbstractMethod):
                 "unknowns": float(solution.x.size),
                 "bound_count": float(np.sum(np.abs(np.asarray(solution.x)) >= bound)),
                 "smoothness": self.smoothness,
+                "lag_weight": self.lag_weight,
             },
             result=solution.result,
         )

@@ -64,7 +64,7 @@ def inverse_drive(
     Returns:
         The command, as joint angles and as tip positions.
 
-    Differentiability: smooth in positions, force, stiffness and damping.
+    **Differentiability**: smooth in positions, force, stiffness and damping.
     """
     T = jnp.eye(4) if T_base_work is None else jnp.asarray(T_base_work)
     rotation, origin = T[:3, :3], T[:3, 3]
@@ -101,7 +101,7 @@ def differentiate(
     Returns:
         Velocities and accelerations, shape (step, joint) each.
 
-    Differentiability: linear in positions.
+    **Differentiability**: linear in positions.
     """
     T = jnp.asarray(time_step, positions.dtype)
     padded = jnp.pad(positions, ((1, 1), (0, 0)), mode="edge")
@@ -121,7 +121,7 @@ def at_instants(means: Float[Array, "step axis"]) -> Float[Array, "step axis"]:
     Returns:
         Values at t_k, shape (step, axis).
 
-    Differentiability: linear.
+    **Differentiability**: linear.
     """
     padded = jnp.pad(means, ((0, 1), (0, 0)), mode="edge")
     return (padded[:-1] + padded[1:]) / 2
@@ -147,7 +147,7 @@ def spring_deflection(
     Returns:
         Deflections delta [rad], in equilibrium at the first row, shape (step, joint).
 
-    Differentiability: smooth for D > 0; at D = 0 the limit tau / K.
+    **Differentiability**: smooth for D > 0; at D = 0 the limit tau / K.
     """
     # symbols: K stiffness, D damping, T time step, E decay over a step, s slope
     K, D = joint_stiffness, joint_damping

@@ -191,7 +191,7 @@ def least_squares(
         The solution with its history. Where `on_progress` or the limit of steps ends
         it, `.result` is `not_converged`.
 
-    Differentiability: runs on the host, not traceable.
+    **Differentiability**: runs on the host, not traceable.
     """
     solver = LevenbergMarquardt() if solver is None else solver
     began = clock()
@@ -315,6 +315,7 @@ def _try(
 ) -> tuple[_State, float, float, float]:
     """Evaluate the trial point; return state, trial cost, gain and damping used."""
     model = inner.decrease + 0.5 * state.damping * float(np.sum(inner.p**2))
+    slope = float(np.sum(inner.p * state.gradient))
     trial = np.clip(state.z + inner.p, box.lower, box.upper)
     cost = _half_square(evaluate(residual, box.point(trial), args))
     gain = (state.cost - cost) / model if model > 0 else 0.0
@@ -324,7 +325,12 @@ def _try(
         factor = max(1 / 3, 1 - (2 * min(gain, 1.0) - 1) ** 3)
         damping, growth = state.damping * factor, 2.0
     else:
-        damping, growth = state.damping * state.growth, 2 * state.growth
+        # Without the curvature along the step, a damping that was far too small to
+        # matter would be raised, and the same step refused, many times over.
+        square = float(np.sum(inner.p**2))
+        along = (-2 * inner.decrease - 2 * slope) / square if square > 0 else 0.0
+        damping = max(state.damping * state.growth, along)
+        growth = 2 * state.growth
     new = _State(
         z=trial if is_accepted else state.z,
         cost=state.cost,

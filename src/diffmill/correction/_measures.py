@@ -45,7 +45,7 @@ def measure(
     Returns:
         The figures; infinite where the contour is not finite.
 
-    Differentiability: runs on the host, not traceable.
+    **Differentiability**: runs on the host, not traceable.
     """
     command = np.asarray(command, np.float64)
     weights = np.asarray(problem.is_cutting, np.float64)
@@ -86,7 +86,7 @@ def rms_contour(
     Returns:
         The error [m]; infinite where a vector is not finite.
 
-    Differentiability: runs on the host, not traceable.
+    **Differentiability**: runs on the host, not traceable.
     """
     weights = np.asarray(problem.is_cutting, np.float64)
     square = np.sum(np.asarray(contour, np.float64)[weights > 0] ** 2, axis=1)

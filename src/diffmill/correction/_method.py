@@ -116,7 +116,7 @@ def corrected(
     Returns:
         The outcome.
 
-    Differentiability: runs on the host, not traceable.
+    **Differentiability**: runs on the host, not traceable.
     """
     if motion is None or contour is None:
         motion, vectors = run(problem, command)

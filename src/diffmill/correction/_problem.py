@@ -78,7 +78,7 @@ def contour_of(problem: Problem, motion: Motion) -> Float[Array, "step 3"]:
     Returns:
         Contour vectors [m], shape (step, 3); also where the tool does not cut.
 
-    Differentiability: smooth but where the nearest segment changes.
+    **Differentiability**: smooth but where the nearest segment changes.
     """
     desired = jnp.asarray(problem.desired, motion.actual.dtype)
     return contour_vector(motion.actual, desired, window=problem.window)
@@ -95,7 +95,7 @@ def run(problem: Problem, command: FloatRows) -> tuple[Motion, Float[Array, "ste
     Returns:
         The motion and the contour vectors [m], shape (step, 3).
 
-    Differentiability: that of the plant.
+    **Differentiability**: that of the plant.
     """
     motion = problem.plant(jnp.asarray(command))
     return motion, contour_of(problem, motion)

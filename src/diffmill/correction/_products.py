@@ -83,7 +83,8 @@ class RecomputedProducts(AbstractProducts):
         self, linear: PyTree, v: Float[Array, "*unknown"]
     ) -> Float[Array, "*residual"]:
         """Return J v by forward mode beside the simulation."""
-        return _jvp(*linear, v)
+        residual, x, args = linear
+        return _jvp(residual, x, args, v)
 
     def transpose(
         self, linear: PyTree, x: Float[Array, "*unknown"], w: Float[Array, "*residual"]

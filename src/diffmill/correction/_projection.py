@@ -1,7 +1,7 @@
 """Bring a command into what the controller can follow: knots and bounds."""
 
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from .._types import RealScalarLike
 from ._bspline import SplineOffsets, adjoint_offsets
@@ -29,7 +29,7 @@ def project(
     Returns:
         Coefficients, shape (coefficient, axis).
 
-    Differentiability: runs on the host, not traceable.
+    **Differentiability**: runs on the host, not traceable.
     """
     offset = np.asarray(offset, np.float64)
     bound = float(max_offset)
@@ -54,7 +54,7 @@ def clip_offset(
     nominal: FloatRows,
     command: FloatRows,
     max_offset: RealScalarLike,
-) -> Float[np.ndarray, "step axis"] | Float[Array, "step axis"]:
+) -> Float[np.ndarray, "step axis"]:
     """Return a command with every offset cut at the bound, row by row.
 
     Args:
@@ -65,7 +65,7 @@ def clip_offset(
     Returns:
         The command, within the bound.
 
-    Differentiability: runs on the host, not traceable.
+    **Differentiability**: runs on the host, not traceable.
     """
     nominal = np.asarray(nominal, np.float64)
     offset = np.asarray(command, np.float64) - nominal

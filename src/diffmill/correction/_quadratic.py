@@ -75,7 +75,7 @@ def solve_bounded_quadratic(
     Returns:
         The solution; exactly within the bounds, also when the products run out.
 
-    Differentiability: runs on the host, not traceable.
+    **Differentiability**: runs on the host, not traceable.
     """
     p = np.zeros_like(gradient)
     free, chopped = _split(p, gradient, lower, upper)
@@ -116,7 +116,7 @@ def projected_gradient(
     Returns:
         The projected gradient; zero where the conditions of optimality hold.
 
-    Differentiability: kink at the bounds.
+    **Differentiability**: kink at the bounds.
     """
     free, chopped = _split(x, gradient, lower, upper)
     return free + chopped
