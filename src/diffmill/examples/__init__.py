@@ -1,1 +1,16 @@
-"""examples."""
+"""Example jobs that come with the package: a TOML file beside its G-code.
+
+`paper` is the test part of the published experiment with sizes of our own, cut in 12 s;
+`paper_small` has the same features cut in 3 s. Both are cut by the built-in robot
+`reis_rv130_like` at its home pose. The programs are written by the generator
+`experiments/paper_part/generate.py` of the repository.
+
+Assumes nothing and computes nothing: these are files. They use only what a job file
+can say; other parts, robots and materials are left out.
+"""
+
+from ._copy import (
+    EXAMPLES as EXAMPLES,
+    copy_example as copy_example,
+    example_files as example_files,
+)
