@@ -68,7 +68,7 @@ def simulated():
         attrs={
             "job": "rounded square",
             "source": '[spindle]\nspeed = "8000 rpm"\n# <b>not markup</b>',
-            "diffmill_version": "0.0-test",
+            "versions": "python 3.x, diffmill 0.0-test",
             "substeps": 8,
         },
     )

@@ -135,7 +135,7 @@ def test_report_prints_the_headline(full_run, correction):
     assert f"{before.rms / after.rms:.1f} x" in text
     for part in ("mirror, iterated", "products with the Jacobian", "wall time [s]"):
         assert part in text
-    for part in ("0.0-test", "angles 192", "jax 0.0", "exceeds 0.05 R & more"):
+    for part in ("diffmill 0.0-test", "angles 192", "jax 0.0", "exceeds 0.05 R & more"):
         assert part in text
 
 
@@ -158,10 +158,16 @@ def test_complete_run_carries_no_warning(tmp_path, simulation):
 
 
 def test_incomplete_run_says_so(tmp_path, simulation):
-    stopped = simulation.isel(step=slice(0, 100)).assign_attrs(outcome="Out of slots.")
+    stopped = simulation.isel(step=slice(0, 100)).assign_attrs(
+        incomplete=np.int32(1),
+        incomplete_reason="Out of slots.",
+        incomplete_time=0.3713,
+        incomplete_place=np.array([1e-3, 2e-3, -1e-3]),
+    )
     text = read(write_report(tmp_path, stopped, {})).text
     assert "rounded square (incomplete)" in text
-    assert "This run is incomplete. Out of slots." in text
+    assert "This run is incomplete. Out of slots. It stopped at 0.3713 s" in text
+    assert "x, y, z = 1.000, 2.000, -1.000 mm" in text
 
 
 def test_simulation_report_lists_skipped_figures(tmp_path, simulation):

@@ -2,12 +2,12 @@
 
 What it reads of a result besides the variables of `simulate` and `correct`:
 
-- attributes `job` (name), `source` (text of the job file), `outcome` (empty when the
-  run was completed, else what stopped it), `notes` (lines), `units`;
+- attributes `job` (name), `source` (text of the job file), `notes` (lines), `versions`
+  (programs and versions, separated by commas), and, of a run that broke off,
+  `incomplete` (1), `incomplete_reason`, `incomplete_time` [s], `incomplete_place` [m];
 - variables on `case` alone: the cost of each case, in the unit of their attribute
   `units`, named by `long_name`;
-- every other attribute is listed as a setting or, with "version" in its name, as a
-  version.
+- every other attribute is listed as a setting.
 """
 
 import os
@@ -26,7 +26,18 @@ from ._write import FigureFile
 if TYPE_CHECKING:
     import xarray
 
-_SPECIAL = ("job", "source", "outcome", "notes", "units", "title", "program")
+_SPECIAL = (
+    "job",
+    "source",
+    "program",
+    "notes",
+    "versions",
+    "units",
+    "incomplete",
+    "incomplete_reason",
+    "incomplete_time",
+    "incomplete_place",
+)
 
 
 def write_report(
@@ -53,17 +64,17 @@ def write_report(
         versions: Versions to list, beside the dataset's attributes.
         notes: Notes and warnings of the run.
         job_text: Text of the job file; by default the attribute `source`.
-        failure: What stopped the run; by default the attribute `outcome`. Marks
-            the report as incomplete.
+        failure: What stopped the run; by default what the attributes say. Marks the
+            report as incomplete.
     """
     name = str(dataset.attrs.get("job", "job"))
-    failure = failure or str(dataset.attrs.get("outcome", ""))
+    failure = failure or _failure(dataset)
     kind = (
         "Prediction" if len(case_names(dataset)) == 1 else "Prediction and correction"
     )
     title = f"{name} (incomplete)" if failure else name
     remarks = [*str(dataset.attrs.get("notes", "")).splitlines(), *notes]
-    listed_settings, listed_versions = _listed_attributes(dataset)
+    listed = {str(k): _cell(v) for k, v in dataset.attrs.items() if k not in _SPECIAL}
     body = [
         _head(kind, title, dataset, failure),
         section_html("Result", *_result_blocks(dataset)),
@@ -74,11 +85,9 @@ def write_report(
         section_html(
             "What was asked", _text_block(job_text or dataset.attrs.get("source", ""))
         ),
+        section_html("Settings", _pairs({**listed, **(settings or {})}, "setting")),
         section_html(
-            "Settings", _pairs({**listed_settings, **(settings or {})}, "setting")
-        ),
-        section_html(
-            "Versions", _pairs({**listed_versions, **(versions or {})}, "program")
+            "Versions", _pairs({**_versions(dataset), **(versions or {})}, "program")
         ),
     ]
     path = Path(out_dir) / "report.html"
@@ -238,13 +247,26 @@ def _text_block(text: object) -> str:
     return f"<pre>{escape(str(text).strip())}</pre>" if str(text).strip() else ""
 
 
-def _listed_attributes(
-    dataset: "xarray.Dataset",
-) -> tuple[dict[str, str], dict[str, str]]:
-    """Return the attributes that are settings, and those that are versions."""
-    shown = {str(k): _cell(v) for k, v in dataset.attrs.items() if k not in _SPECIAL}
-    versions = {k: v for k, v in shown.items() if "version" in k.lower()}
-    return {k: v for k, v in shown.items() if k not in versions}, versions
+def _versions(dataset: "xarray.Dataset") -> dict[str, str]:
+    """Return the attribute `versions`, "name 1.2, other 3.4", as pairs."""
+    items = str(dataset.attrs.get("versions", "")).split(",")
+    pairs = [item.strip().partition(" ") for item in items if item.strip()]
+    return {name: version for name, _, version in pairs}
+
+
+def _failure(dataset: "xarray.Dataset") -> str:
+    """Return why, when and where the run broke off; nothing if it did not."""
+    attributes = dataset.attrs
+    if not int(attributes.get("incomplete", 0)):
+        return ""
+    text = str(attributes.get("incomplete_reason", "")).strip() or "It broke off."
+    if "incomplete_time" in attributes:
+        text += f" It stopped at {float(attributes['incomplete_time']):.4g} s"
+        place = np.ravel(attributes.get("incomplete_place", ())) * 1e3
+        if place.size:
+            text += f", at x, y, z = {', '.join(f'{v:.3f}' for v in place)} mm"
+        text += "."
+    return text
 
 
 def _pairs(values: dict[str, str], name: str) -> str:
