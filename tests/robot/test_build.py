@@ -95,3 +95,7 @@ def test_drives_are_changed_one_by_one(planar_arm):
     assert_allclose(changed.joint_damping, [3.0, 4.0])
     with pytest.raises(ValueError, match=r"`stiffness` must have one number per joint"):
         dr.with_drives(planar_arm, stiffness=[1.0])
+    with pytest.raises(ValueError, match="`stiffness` must be positive"):
+        dr.with_drives(planar_arm, stiffness=[1.0, 0.0])
+    with pytest.raises(ValueError, match="`damping` must be not negative"):
+        dr.with_drives(planar_arm, damping=[-1.0, 0.0])

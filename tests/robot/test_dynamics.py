@@ -193,3 +193,5 @@ def test_wrong_arguments_are_named(arm):
         dr.bias_forces(arm, np.zeros(6), [0.0, 1.0])
     with pytest.raises(ValueError, match="`algorithm` must be 'crba'"):
         dr.forward_dynamics(arm, arm.home, arm.home, arm.home, algorithm="magic")
+    with pytest.raises(ValueError, match="`wrench` must have 6 numbers"):
+        dr.inverse_dynamics(arm, arm.home, arm.home, arm.home, [1.0, 2.0, 3.0])

@@ -47,7 +47,7 @@ def test_an_unreachable_pose_is_flagged_and_finite(arm):
 
 
 def test_limits_are_reported(arm):
-    # A turn of the tool that only axis 6 can make, past its limit of 350 degrees.
+    # A turn about the tool axis, by axis 6 alone, past limits right above home.
     tight = dr.Robot(**{**vars(arm), "joint_upper": arm.home + 0.01})
     q = np.asarray(arm.home) + np.array([0, 0, 0, 0, 0, 0.1])
     T = dr.forward_kinematics(arm, q)

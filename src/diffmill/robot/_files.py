@@ -25,7 +25,8 @@ def load(model_or_file: str | os.PathLike[str], *, tool: str | None = None) -> R
         tool: Name of the tool to use; may be left out if there is only one.
 
     Returns:
-        The robot.
+        The robot; its arrays have the floating point type that is JAX's default at
+        the time of the call.
 
     Raises:
         ValueError: If there is no such model or file, or the file is faulty; a

@@ -6,8 +6,9 @@ from typing import TypeAlias
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jax.typing import DTypeLike
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from .._types import RealScalarLike, Transform
 
@@ -15,7 +16,9 @@ from .._types import RealScalarLike, Transform
 JointVector: TypeAlias = (
     Float[Array, " joint"] | Float[np.ndarray, " joint"] | Sequence[RealScalarLike]
 )
-Wrench: TypeAlias = Float[Array, " 6"] | Float[np.ndarray, " 6"]
+Wrench: TypeAlias = (
+    Float[Array, " 6"] | Float[np.ndarray, " 6"] | Sequence[RealScalarLike]
+)
 
 
 class Robot(eqx.Module):
@@ -138,7 +141,13 @@ def wrench_vector(robot: Robot, wrench: Wrench | None) -> Float[Array, " 6"]:
     """Return a user's wrench as an array of the robot's type, 0 for None."""
     if wrench is None:
         return jnp.zeros(6, robot.dtype)
-    return jnp.asarray(wrench, dtype=robot.dtype)
+    vector = jnp.asarray(wrench, dtype=robot.dtype)
+    if vector.shape != (6,):
+        raise ValueError(
+            "Argument `wrench` must have 6 numbers (force, then moment), but has "
+            f"shape {vector.shape}."
+        )
+    return vector
 
 
 def with_tool(robot: Robot, T_flange_tool: Transform) -> Robot:
@@ -174,12 +183,30 @@ def with_drives(
     Returns:
         The changed robot.
 
+    Raises:
+        ValueError: If a stiffness is not positive or a damping negative.
+
     **Differentiability**: smooth.
     """
     if stiffness is not None:
         values = joint_vector(robot, stiffness, "stiffness")
+        _check_drives("stiffness", values, values > 0.0, "positive")
         robot = eqx.tree_at(lambda r: r.joint_stiffness, robot, values)
     if damping is not None:
         values = joint_vector(robot, damping, "damping")
+        _check_drives("damping", values, values >= 0.0, "not negative")
         robot = eqx.tree_at(lambda r: r.joint_damping, robot, values)
     return robot
+
+
+def _check_drives(
+    name: str,
+    values: Float[Array, " joint"],
+    is_allowed: Bool[Array, " joint"],
+    allowed: str,
+) -> None:
+    """Raise if a known value is wrong; traced values have none to look at."""
+    if not isinstance(is_allowed, Tracer) and not np.all(is_allowed):
+        raise ValueError(
+            f"Argument `{name}` must be {allowed}, but is {np.asarray(values)}."
+        )
