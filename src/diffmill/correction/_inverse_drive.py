@@ -78,13 +78,15 @@ def inverse_drive(
     delta = spring_deflection(
         tau, stiffness, jnp.asarray(robot.joint_damping), time_step
     )
+    is_motor = robot.motor_mask()[None]
     commanded = joint_positions + delta
     if is_gravity_compensated:
-        sag = jax.vmap(lambda q: gravity_forces(robot, q))(joint_positions) / stiffness
-        commanded = commanded - jnp.where(robot.motor_mask(), sag, 0.0)
+        sag = jax.vmap(lambda q: gravity_forces(robot, q))(joint_positions)
+        sag = sag / stiffness[None]
+        commanded = commanded - jnp.where(is_motor, sag, 0.0)
     tips = jax.vmap(lambda q: forward_kinematics(robot, q)[:3, 3])(commanded)
-    motors = jnp.where(robot.motor_mask(), commanded, 0.0)
-    return InverseDriveCommand(motors, (tips - origin) @ rotation, delta)
+    motors = jnp.where(is_motor, commanded, 0.0)
+    return InverseDriveCommand(motors, (tips - origin[None]) @ rotation, delta)
 
 
 def differentiate(
@@ -114,6 +116,11 @@ def at_instants(means: Float[Array, "step axis"]) -> Float[Array, "step axis"]:
     """Return values at the instants t_k from means over the steps between them.
 
         x(t_k) = (m_k + m_(k+1)) / 2
+
+    Central like the differences of the path, which makes the balance of the springs
+    right at the instants to second order. A mean taken for the value at t_k would lag
+    by half a step; a reconstruction of fourth order gains only a few per cent on the
+    plant of the tests.
 
     Args:
         means: Row k is the mean over (t_(k-1), t_k], shape (step, axis).

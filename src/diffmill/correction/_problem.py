@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -33,6 +34,11 @@ class Motion(eqx.Module):
 Plant = Callable[[Float[Array, "step axis"]], Motion]
 
 
+def _as_leaf(value: RealScalarLike) -> RealScalarLike:
+    # A Python number would be static in compiled functions, and a new one compile.
+    return value if isinstance(value, jax.Array) else np.asarray(value, np.float64)
+
+
 class Problem(eqx.Module):
     """A path to correct.
 
@@ -55,7 +61,7 @@ class Problem(eqx.Module):
     desired: FloatRows3
     is_cutting: Weights
     time_step: float = eqx.field(static=True)
-    max_offset: RealScalarLike = 1e-3
+    max_offset: RealScalarLike = eqx.field(converter=_as_leaf, default=1e-3)
     window: int = eqx.field(static=True, default=20)
 
     def __check_init__(self):

@@ -1,0 +1,262 @@
+"""Correcting a job: the baselines, then the best command that derivatives find."""
+
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._job import Job
+from ..sim import (
+    AbstractAdjoint,
+    Solution,
+    Traced,
+    command_joints,
+    command_motors,
+    joint_motors,
+    raise_unless_successful,
+    rigid_cut,
+    run_motors,
+    solve_command,
+    with_precision,
+)
+from ._gauss_newton import GaussNewton
+from ._inverse_drive import inverse_drive
+from ._least_squares import LeastSquaresStep, LevenbergMarquardt
+from ._method import Corrected, GivenCommand
+from ._mirror import IteratedMirror, Mirror
+from ._problem import Motion, Problem
+from ._projection import clip_offset
+
+if TYPE_CHECKING:
+    import xarray
+
+# Called with a message and the rms contour error so far [m].
+OnProgress = Callable[[str, float], None]
+
+CASES = ("uncorrected", "mirror", "mirror_iterated", "inverse_drive", "corrected")
+
+
+class TipPlant(eqx.Module):
+    """A job as a plant that is commanded by tip positions [m]."""
+
+    job: Job
+    adjoint: AbstractAdjoint
+
+    def __call__(self, command: Float[Array, "step 3"]) -> Motion:
+        """Return the motion that follows a command, shape (step, 3)."""
+        motors, _ = command_motors(self.job, command)
+        ran = run_motors(self.job, motors, self.adjoint)
+        return Motion(ran.actual, ran.force)
+
+
+class JointPlant(eqx.Module):
+    """A job as a plant that is commanded by joint positions [rad or m].
+
+    The controller adds the gravity sag, as it does for tip positions.
+    """
+
+    job: Job
+    adjoint: AbstractAdjoint
+
+    def __call__(self, command: Float[Array, "step joint"]) -> Motion:
+        """Return the motion that follows a command, shape (step, joint)."""
+        ran = run_motors(self.job, joint_motors(self.job, command), self.adjoint)
+        return Motion(ran.actual, ran.force)
+
+
+class Correction(eqx.Module):
+    """A corrected job and what it was compared with.
+
+    Attributes:
+        cases: Solution of each case, by name, in the order of `CASES`.
+        methods: What each method reported, by name.
+        wall_time: Time that each method took, compilation included [s].
+        chosen: Name of the case whose command is the corrected program.
+    """
+
+    cases: dict[str, Solution]
+    methods: dict[str, Corrected]
+    wall_time: dict[str, float]
+    chosen: str = eqx.field(static=True)
+
+    @property
+    def before(self) -> Solution:
+        """Return the solution of the uncorrected program."""
+        return self.cases["uncorrected"]
+
+    @property
+    def after(self) -> Solution:
+        """Return the solution of the corrected program."""
+        return self.cases[self.chosen]
+
+    @property
+    def mirror(self) -> Solution:
+        """Return the solution of the one-shot mirror."""
+        return self.cases["mirror"]
+
+    @property
+    def commanded(self) -> Float[Array, "step 3"]:
+        """Return the corrected tip positions [m], shape (step, 3)."""
+        return self.after.commanded
+
+    @property
+    def history(self) -> tuple[LeastSquaresStep, ...]:
+        """Return the steps of the optimiser."""
+        return self.methods["corrected"].history
+
+    def to_dataset(self) -> "xarray.Dataset":
+        """Return all cases on the dimension `case`, costs in the attributes."""
+        import xarray
+
+        names = list(self.cases)
+        dataset = xarray.concat(
+            [self.cases[name].to_dataset() for name in names],
+            dim=xarray.DataArray(names, dims="case", name="case"),
+            data_vars=["commanded", "actual", "force", "removed_volume", "deviation"]
+            + ["contour_error", "motor_positions", "joint_positions"],
+            combine_attrs="drop_conflicts",
+        )
+        for name, method in self.methods.items():
+            dataset.attrs[f"{name}_wall_time_s"] = self.wall_time[name]
+            dataset.attrs[f"{name}_forward_runs"] = method.forward_runs
+            dataset.attrs[f"{name}_products"] = method.products
+            for key, value in method.detail.items():
+                dataset.attrs[f"{name}_{key}"] = value
+        dataset.attrs["corrected_case"] = self.chosen
+        return dataset
+
+
+def correct(
+    job: Job,
+    *,
+    throw: bool = True,
+    on_progress: OnProgress | None = None,
+) -> Correction:
+    """Predict, correct, and predict again.
+
+    The mirror, the iterated mirror and the inverse drive are always computed; the
+    best of them starts the Gauss-Newton method.
+
+    Args:
+        job: The job; its machine must be a robot.
+        throw: Whether to raise when the uncorrected run does not succeed.
+        on_progress: Called with a message and the rms contour error so far [m].
+
+    Returns:
+        The correction with all its cases.
+
+    Raises:
+        SimulationFailed: The run of the uncorrected program fails.
+        ValueError: The job has no robot, cuts nothing, or JAX is not set up for its
+            precision.
+
+    Differentiability: runs on the host, not traceable.
+    """
+    if job.robot is None:
+        raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
+    job = with_precision(job)
+    adjoint = Traced()
+    rigid = rigid_cut(job, adjoint)
+    desired = jnp.asarray(job.path.positions)
+    before = solve_command(job, rigid, desired, adjoint)
+    if throw:
+        raise_unless_successful(before)
+    problem = _problem(job, TipPlant(job, adjoint), desired, before)
+    methods: dict[str, Corrected] = {}
+    wall_time: dict[str, float] = {}
+
+    def run(name: str, method: Any, problem: Problem, **options: Any) -> Corrected:
+        start = time.perf_counter()
+        methods[name] = method(problem, on_progress=on_progress, **options)
+        wall_time[name] = time.perf_counter() - start
+        if on_progress is not None:
+            on_progress(name, methods[name].measures.rms)
+        return methods[name]
+
+    run("uncorrected", GivenCommand(), problem)
+    run("mirror", Mirror(), problem)
+    run("mirror_iterated", IteratedMirror(), problem)
+    inverse = _inverse_drive(job, rigid.force, desired)
+    tips = clip_offset(desired, inverse.tip, problem.max_offset)
+    run("inverse_drive", GivenCommand(tips), problem)
+    settings = job.correction
+    method = GaussNewton(
+        knot_spacing=settings.knot_spacing,
+        solver=LevenbergMarquardt(
+            max_steps=settings.max_steps, max_products=settings.max_products
+        ),
+    )
+    if settings.command == "joint":
+        problem = _joint_problem(job, adjoint, desired, before)
+        run("corrected", method, problem, start=inverse.motor_positions)
+    else:
+        best = min(methods.values(), key=lambda found: found.measures.rms)
+        run("corrected", method, problem, start=best.command)
+    cases = {
+        name: _solution(job, rigid, methods[name].command, adjoint) for name in methods
+    }
+    chosen = "corrected" if settings.method == "gauss_newton" else settings.method
+    return Correction(cases, methods, wall_time, chosen)
+
+
+def _problem(
+    job: Job, plant: Any, nominal: Float[Array, "step axis"], before: Solution
+) -> Problem:
+    return Problem(
+        plant=plant,
+        nominal=np.asarray(nominal),
+        desired=np.asarray(before.desired),
+        is_cutting=np.asarray(before.is_cutting, np.asarray(nominal).dtype),
+        time_step=float(job.tooth_period),
+        max_offset=float(job.correction.max_offset),
+    )
+
+
+def _joint_problem(
+    job: Job,
+    adjoint: AbstractAdjoint,
+    desired: Float[Array, "step 3"],
+    before: Solution,
+) -> Problem:
+    """Return the problem in joint positions, bounded like the tip at its far end."""
+    from ..robot import jacobian
+
+    nominal, _ = command_joints(job, desired)
+    J = np.asarray(jacobian(job.robot, nominal[0]))[:3]  # pyright: ignore[reportArgumentType]
+    lever = np.linalg.norm(J, axis=0).max()
+    problem = _problem(job, JointPlant(job, adjoint), nominal, before)
+    bound = float(job.correction.max_offset) / lever
+    return eqx.tree_at(lambda p: p.max_offset, problem, bound)
+
+
+@eqx.filter_jit
+def _inverse_drive(
+    job: Job, force: Float[Array, "step 3"], desired: Float[Array, "step 3"]
+) -> Any:
+    joints, _ = command_joints(job, desired)
+    return inverse_drive(
+        job.robot,  # pyright: ignore[reportArgumentType]
+        joints,
+        force,
+        job.tooth_period,
+        T_base_work=job.T_base_work,
+        is_gravity_compensated=job.simulation.is_gravity_compensated,
+    )
+
+
+def _solution(job: Job, rigid: Any, command: Any, adjoint: AbstractAdjoint) -> Solution:
+    command = jnp.asarray(command)
+    if command.shape[1] == 3:
+        return solve_command(job, rigid, command, adjoint)
+    from ..robot import forward_kinematics
+
+    # The tip positions that belong to commanded joints, for the record.
+    T = jnp.asarray(job.T_base_work)
+    tips = jax.vmap(lambda q: forward_kinematics(job.robot, q)[:3, 3])(command)  # pyright: ignore[reportArgumentType]
+    tips = (tips - T[:3, 3][None]) @ T[:3, :3]
+    return solve_command(job, rigid, tips, adjoint, joint_motors(job, command))

@@ -1,0 +1,125 @@
+"""The inverse drive against closed forms and the statics of a robot."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from diffmill import robot as rb
+from diffmill.correction import (
+    at_instants,
+    differentiate,
+    inverse_drive,
+    spring_deflection,
+)
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return rb.load("reis_rv130_like")
+
+
+def test_spring_deflection_of_a_ramp_is_exact():
+    # D d' + K d = c t from rest: d = c (t - D / K + D / K exp(-K t / D)) / K.
+    K, D, c, T = 2.0, 0.5, 3.0, 0.3
+    t = T * np.arange(20)
+    torque = jnp.asarray(c * t)[:, None]
+    found = spring_deflection(torque, jnp.array([K]), jnp.array([D]), T)
+    expected = c * (t - D / K * (1 - np.exp(-K * t / D))) / K
+    np.testing.assert_allclose(found[:, 0], expected, rtol=1e-12)
+
+
+def test_spring_deflection_without_damping_is_the_static_one():
+    torque = jnp.asarray(np.random.default_rng(0).normal(size=(10, 2)))
+    K = jnp.array([2.0, 5.0])
+    found = spring_deflection(torque, K, jnp.zeros(2), 0.1)
+    np.testing.assert_allclose(found, torque / K[None], rtol=1e-13)
+
+
+def test_differences_converge_with_the_square_of_the_step():
+    errors = []
+    for count in (100, 200):
+        t = np.linspace(0, 1, count + 1)
+        q = jnp.asarray(t**4 * (1 - t) ** 4)[:, None]
+        _, acceleration = differentiate(q, 1 / count)
+        p = np.polynomial.Polynomial.fromroots([0, 0, 0, 0, 1, 1, 1, 1])
+        errors.append(np.abs(acceleration[:, 0] - p.deriv(2)(t)).max())
+    assert 3.5 < errors[0] / errors[1] < 4.5
+
+
+def test_instants_of_a_linear_force_are_exact():
+    # Means over the steps that end at t_k of a force that equals time.
+    means = jnp.arange(10.0)[:, None] - 0.5
+    np.testing.assert_allclose(at_instants(means)[:-1, 0], np.arange(9.0))
+
+
+def test_a_constant_force_is_answered_by_the_compliance(arm):
+    q = arm.home
+    rows = 6
+    force = np.array([100.0, -50.0, 30.0])
+    command = inverse_drive(
+        arm, jnp.tile(q, (rows, 1)), np.tile(force, (rows, 1)), 1e-3
+    )
+    expected = -np.asarray(rb.cartesian_compliance(arm, q))[:3, :3] @ force
+    found = command.tip - rb.forward_kinematics(arm, q)[None, :3, 3]
+    # Linear in the force up to the square of the joints' small deflections.
+    size = float(np.linalg.norm(expected))
+    np.testing.assert_allclose(found, np.tile(expected, (rows, 1)), atol=5e-3 * size)
+
+
+def test_frames_and_gravity(arm):
+    """The sag is left to the controller, and `work` may stand anywhere."""
+    q = jnp.tile(arm.home, (4, 1))
+    T_base_work = np.array(
+        [[0.0, -1, 0, 0.7], [1, 0, 0, -0.2], [0, 0, 1, 0.4], [0, 0, 0, 1]]
+    )
+    idle = inverse_drive(arm, q, np.zeros((4, 3)), 1e-3, T_base_work=T_base_work)
+    tip = np.asarray(rb.forward_kinematics(arm, arm.home))[:, 3]
+    np.testing.assert_allclose(
+        idle.tip[0], (np.linalg.inv(T_base_work) @ tip)[:3], atol=1e-12
+    )
+    np.testing.assert_allclose(idle.motor_positions, q, atol=1e-12)
+    lifted = inverse_drive(arm, q, np.zeros((4, 3)), 1e-3, is_gravity_compensated=False)
+    sag = rb.gravity_forces(arm, arm.home) / arm.joint_stiffness
+    np.testing.assert_allclose(lifted.motor_positions[0], arm.home + sag, rtol=1e-12)
+
+
+def test_solves_the_equation_of_motion(arm):
+    T, rows = 1e-3, 401
+    t = T * np.arange(rows)
+    # From rest to rest; amplitude and duration of a milling move.
+    shape = 0.02 * np.sin(np.pi * t / t[-1]) ** 4
+    direction = np.array([1.0, -0.5, 0.7, 0.3, -0.2, 0.4])
+    q = jnp.asarray(np.asarray(arm.home) + shape[:, None] * direction)
+    force = np.stack([50 * np.sin(30 * t), 20 * t, -30 * np.cos(20 * t)], axis=1)
+    # Means over the step of a force this slow are its values half a step earlier.
+    half = t - T / 2
+    means = np.stack(
+        [50 * np.sin(30 * half), 20 * half, -30 * np.cos(20 * half)], axis=1
+    )
+    command = inverse_drive(arm, q, means, T, is_gravity_compensated=False)
+    delta = np.asarray(command.motor_positions - q)
+    rate = (delta[2:] - delta[:-2]) / (2 * T)
+    spring = np.asarray(arm.joint_stiffness) * delta[1:-1]
+    spring += np.asarray(arm.joint_damping) * rate
+    qd = np.gradient(np.asarray(q), T, axis=0)
+    qdd = np.gradient(qd, T, axis=0)
+    for k in (50, 137, 333):
+        wrench = np.concatenate([force[k], np.zeros(3)])
+        tau = rb.mass_matrix(arm, q[k]) @ qdd[k]
+        tau = tau + rb.bias_forces(arm, q[k], qd[k])
+        tau = tau - rb.jacobian(arm, q[k]).T @ wrench
+        error = np.abs(spring[k - 1] - np.asarray(tau))
+        assert error.max() < 2e-3 * np.abs(tau).max()
+
+
+def test_virtual_joints_move_the_tip_command_only(arm):
+    virtual = (False, True, False, False, False, False)
+    mixed = dataclasses.replace(arm, is_virtual=virtual)
+    q = jnp.tile(arm.home, (4, 1))
+    force = np.tile([0.0, 0.0, -100.0], (4, 1))
+    plain = inverse_drive(arm, q, force, 1e-3, is_gravity_compensated=False)
+    found = inverse_drive(mixed, q, force, 1e-3, is_gravity_compensated=False)
+    assert np.all(np.asarray(found.motor_positions[:, 1]) == 0)
+    np.testing.assert_allclose(found.tip, plain.tip, atol=1e-15)

@@ -1,0 +1,247 @@
+"""All methods on a soft arm whose cut depends on where the tool really is."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from correction.spring_mass import rounded_square, soft_arm
+
+from diffmill._result import RESULTS
+from diffmill.correction import (
+    ContourResidual,
+    GaussNewton,
+    GivenCommand,
+    IteratedMirror,
+    LevenbergMarquardt,
+    Mirror,
+    Motion,
+    Problem,
+    SplineOffsets,
+    at_instants,
+    contour_residual,
+    differentiate,
+    measure,
+    project,
+    spring_deflection,
+)
+
+TIME_STEP = 3.75e-3
+KNOTS = 30e-3
+
+
+@pytest.fixture(scope="module")
+def problem():
+    _, path, is_cutting = rounded_square(TIME_STEP)
+    weights = is_cutting.astype(float)
+    return Problem(soft_arm(TIME_STEP), path, path, weights, TIME_STEP)
+
+
+@pytest.fixture(scope="module")
+def uncorrected(problem):
+    return GivenCommand()(problem)
+
+
+@pytest.fixture(scope="module")
+def mirrored(problem):
+    return IteratedMirror()(problem)
+
+
+def inverse_drive_of(problem):
+    """The inverse drive of the plant's three independent joints."""
+    plant = problem.plant
+    path = jnp.asarray(problem.desired)
+    _, acceleration = differentiate(path, TIME_STEP)
+    torque = plant.mass[None] * acceleration - at_instants(plant.process_alone(path))
+    delta = spring_deflection(torque, plant.stiffness, plant.damping, TIME_STEP)
+    return np.asarray(path + delta)
+
+
+@pytest.fixture(scope="module")
+def inverted(problem):
+    return GivenCommand(inverse_drive_of(problem))(problem)
+
+
+@pytest.fixture(scope="module")
+def optimised(problem, inverted):
+    return GaussNewton(KNOTS)(problem, start=inverted.command)
+
+
+def residual_at(problem, seed=0):
+    spline = SplineOffsets(len(problem.desired), TIME_STEP, KNOTS)
+    args = ContourResidual(problem, spline, 1e-2, 0.03)
+    rng = np.random.default_rng(seed)
+    shape = (spline.coefficient_count, 3)
+    return args, jnp.asarray(1e-5 * rng.normal(size=shape)), rng
+
+
+def test_the_inverse_drive_leaves_a_hundredth(uncorrected, inverted):
+    assert inverted.measures.rms < 0.01 * uncorrected.measures.rms
+
+
+def test_gauss_newton_beats_the_mirror_and_the_projected_inverse_drive(
+    problem, uncorrected, mirrored, inverted, optimised
+):
+    spline = SplineOffsets(len(problem.desired), TIME_STEP, KNOTS)
+    offset = np.asarray(inverted.command) - problem.nominal
+    projected = spline.offsets(jnp.asarray(project(spline, offset, 1e-3)))
+    same_knots = GivenCommand(problem.nominal + np.asarray(projected))(problem)
+    best = optimised.measures
+    assert best.rms < 0.05 * uncorrected.measures.rms
+    assert best.rms < 0.2 * mirrored.measures.rms
+    assert best.rms < 0.6 * same_knots.measures.rms
+    assert optimised.products == optimised.history[-1].products
+
+
+def test_gauss_newton_from_zero_comes_as_far(problem, optimised):
+    from_zero = GaussNewton(KNOTS)(problem)
+    assert from_zero.measures.rms < 1.2 * optimised.measures.rms
+
+
+def test_finer_knots_leave_less(problem, optimised, inverted):
+    finer = GaussNewton(KNOTS / 2)(problem, start=inverted.command)
+    assert finer.measures.rms < 0.4 * optimised.measures.rms
+    assert finer.measures.rms < inverted.measures.rms
+
+
+def test_a_tight_bound_holds_exactly_and_costs_accuracy(problem, optimised):
+    bound = 2e-4
+    tight = eqx.tree_at(lambda p: p.max_offset, problem, bound)
+    found = GaussNewton(KNOTS)(tight)
+    assert found.detail["bound_count"] > 0
+    assert found.measures.max_offset <= bound * (1 + 1e-12)
+    assert found.measures.rms > optimised.measures.rms
+    clipped = Mirror()(tight)
+    assert clipped.measures.max_offset == pytest.approx(bound, rel=1e-12)
+
+
+def test_jacobian_products_agree_with_central_differences(problem):
+    args, c, rng = residual_at(problem)
+    v = rng.normal(size=c.shape)
+    residual = jax.jit(lambda x: contour_residual(x, args))
+    exact = jax.jvp(residual, (c,), (jnp.asarray(v),))[1]
+    # 10 nm: far below the path's segments, far above rounding.
+    step = 1e-8
+    ahead, behind = residual(c + step * v), residual(c - step * v)
+    difference = np.asarray(ahead - behind) / (2 * step)
+    # Where the nearest segment changes between the two, the difference is no limit.
+    error = np.abs(difference - np.asarray(exact)) / np.abs(exact).max()
+    assert np.quantile(error, 0.99) < 1e-5
+
+
+def test_forward_and_reverse_products_are_adjoint(problem):
+    args, c, rng = residual_at(problem, 1)
+    residual = lambda x: contour_residual(x, args)
+    r, pull = jax.vjp(jax.jit(residual), c)
+    v = jnp.asarray(rng.normal(size=c.shape))
+    w = jnp.asarray(rng.normal(size=r.shape))
+    J_v = jax.jvp(jax.jit(residual), (c,), (v,))[1]
+    assert float(jnp.vdot(J_v, w)) == pytest.approx(
+        float(jnp.vdot(v, pull(w)[0])), rel=1e-10
+    )
+
+
+def test_residual_is_the_error_it_claims(problem, uncorrected):
+    args, c, _ = residual_at(problem)
+    args = eqx.tree_at(lambda a: a.lag_weight, args, 0.0)
+    r = contour_residual(0 * c, args)
+    rms = 1e-4 * float(jnp.sqrt(jnp.sum(r**2)))
+    assert rms == pytest.approx(uncorrected.measures.rms, rel=1e-12)
+
+
+def test_iterated_mirror_keeps_the_best_and_counts_its_runs(
+    problem, uncorrected, mirrored
+):
+    assert mirrored.measures.rms < uncorrected.measures.rms
+    assert mirrored.forward_runs < mirrored.detail["runs_of_full_grid"]
+    alone = IteratedMirror(
+        cutoffs=(mirrored.detail["cutoff"],),
+        relaxations=(mirrored.detail["relaxation"],),
+        workers=1,
+    )(problem)
+    assert alone.measures.rms == mirrored.measures.rms
+
+
+def test_mirror_removes_a_constant_deviation():
+    """A rigid plant with an offset is exactly what one mirror corrects."""
+    _, path, is_cutting = rounded_square(TIME_STEP)
+    shift = np.array([1e-4, -5e-5, 2e-5])
+    rigid = lambda command: Motion(command + shift[None], jnp.zeros_like(command))
+    problem = Problem(rigid, path, path, is_cutting.astype(float), TIME_STEP)
+    found = Mirror()(problem)
+    assert found.measures.max < 1e-15
+    assert found.measures.max_offset == pytest.approx(1e-4)
+    assert found.forward_runs == 2
+
+
+def test_a_plant_that_explodes_is_told_and_does_not_win():
+    """Any offset above 10 um makes this plant infinite."""
+    _, path, is_cutting = rounded_square(TIME_STEP)
+
+    def plant(command):
+        is_far = jnp.any(jnp.abs(command - path) > 1e-5)
+        actual = command + jnp.array([[1e-4, 0.0, 0.0]])
+        return Motion(jnp.where(is_far, jnp.inf, actual), jnp.zeros_like(command))
+
+    problem = Problem(plant, path, path, is_cutting.astype(float), TIME_STEP)
+    assert Mirror()(problem).result is RESULTS.non_finite
+    found = IteratedMirror(cutoffs=(5.0,), relaxations=(1.0,))(problem)
+    assert found.result is RESULTS.successful
+    assert found.detail["iterate"] == 0
+    # The start, the one that explodes, and the result.
+    assert found.forward_runs == 3
+
+
+def test_progress_ends_the_mirror(problem):
+    told = []
+
+    def on_progress(message, error):
+        told.append(message)
+        return True
+
+    found = IteratedMirror(workers=1)(problem, on_progress=on_progress)
+    assert len(told) == 1
+    assert found.forward_runs < 40
+
+
+def test_joint_commands_need_no_tip():
+    """Commands of another kind go through a plant that maps them to tips."""
+    _, path, is_cutting = rounded_square(TIME_STEP)
+    mixing = jnp.array([[0.5, 0.0, 0.1], [0.0, 0.4, 0.0], [0.2, 0.0, 0.3]])
+    nominal = path @ np.linalg.inv(np.asarray(mixing))
+    shift = jnp.array([[5e-5, 3e-5, 1e-5]])
+
+    def plant(command):
+        # The error comes and goes smoothly, as the clamped spline can follow.
+        time = jnp.linspace(0.0, 1.0, len(path))[:, None]
+        return Motion(
+            command @ mixing + shift * jnp.sin(jnp.pi * time) ** 4,
+            jnp.zeros_like(path),
+        )
+
+    problem = Problem(plant, nominal, path, is_cutting.astype(float), TIME_STEP)
+    solver = LevenbergMarquardt(max_steps=10, cost_rtol=1e-6)
+    found = GaussNewton(0.1, smoothness=0.0, solver=solver)(problem)
+    before = GivenCommand()(problem)
+    assert found.measures.rms < 0.02 * before.measures.rms
+
+
+def test_measures_of_a_known_error():
+    rows = 100
+    path = np.zeros((rows, 3))
+    path[:, 0] = 1e-3 * np.arange(rows)
+    weights = (np.arange(rows) >= 50).astype(float)
+    contour = np.zeros((rows, 3))
+    contour[:, 1] = 1e-6 * np.arange(rows)
+    problem = Problem(lambda c: c, path, path, weights, 0.01)
+    command = path.copy()
+    command[:, 2] = 0.5 * 3.0 * (0.01 * np.arange(rows)) ** 2
+    found = measure(problem, command, contour)
+    cut = 1e-6 * np.arange(50, 100)
+    assert found.mean == pytest.approx(cut.mean())
+    assert found.rms == pytest.approx(np.sqrt(np.mean(cut**2)))
+    assert found.p95 == pytest.approx(np.percentile(cut, 95))
+    assert found.max == pytest.approx(99e-6)
+    assert found.max_acceleration == pytest.approx(3.0)
+    assert found.p95_acceleration == pytest.approx(3.0)
+    assert found.max_offset == pytest.approx(0.5 * 3.0 * 0.99**2)
