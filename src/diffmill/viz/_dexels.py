@@ -152,7 +152,9 @@ def _draw_floor(figure: "matplotlib.figure.SubFigure", dexels: CutDexels) -> Non
         ha="left",
         color=INK,
     )
-    bar = figure.colorbar(image, ax=axes, pad=0.02, aspect=22, shrink=0.75)
+    bar = figure.colorbar(
+        image, ax=axes, location="bottom", pad=0.04, aspect=40, shrink=0.55
+    )
     label_colourbar(bar, r"z error [$\mathrm{\mu m}$]")
 
 

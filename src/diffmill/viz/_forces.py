@@ -166,7 +166,7 @@ def _draw_zoom(
         record.force[inside, axis],
         color=GREY,
         linewidth=0.9,
-        marker=".",
+        marker="." if time_ms.size < 300 else "",
         markersize=2.5,
     )
     if filtered is not None:

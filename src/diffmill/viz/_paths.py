@@ -13,6 +13,7 @@ from ._cases import (
 )
 from ._style import (
     INK,
+    LIGHT_GREY,
     case_style,
     legend_above,
     new_figure,
@@ -43,15 +44,9 @@ def plot_paths(
     Returns:
         The figure. The factor of every panel stands in its title.
     """
-    figure = new_figure(7.4)
-    grid = figure.add_gridspec(
-        3, 2, width_ratios=[1.75, 1.0], height_ratios=[1.0, 1.0, 0.72]
-    )
-    plan = figure.add_subplot(grid[:2, 0])
-    zooms = [figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])]
-    side = figure.add_subplot(grid[2, :])
+    figure, (plan, *zooms, side) = _panels(dataset)
     factor = magnification or plan_magnification(dataset)
-    _draw_plan(plan, dataset, factor, None, has_desired=True)
+    _draw_plan(plan, dataset, factor, None)
     plan.set_aspect("equal", adjustable="datalim")
     quiet_axes(
         plan,
@@ -66,6 +61,33 @@ def plot_paths(
     return figure
 
 
+def _sides(dataset: "xarray.Dataset") -> Float[np.ndarray, " 2"]:
+    """Return how far the desired path reaches in x and y [m]."""
+    desired = values_of(dataset, "desired", reference_case(dataset))[:, :2]
+    return np.ptp(desired, axis=0)
+
+
+def _panels(
+    dataset: "xarray.Dataset",
+) -> "tuple[matplotlib.figure.Figure, list[matplotlib.axes.Axes]]":
+    """Return the figure and its panels: plan, zoom A, zoom B, side view."""
+    width, height = _sides(dataset)
+    if height < 0.7 * width:
+        # A wide part: the plan takes the whole width, the zooms stand below it.
+        plan_height = 1.0 + 6.0 * max(float(height / width), 0.15)
+        rows = [plan_height, 3.3, 1.9]
+        figure = new_figure(sum(rows) + 0.6)
+        grid = figure.add_gridspec(3, 2, height_ratios=rows)
+        cells = [grid[0, :], grid[1, 0], grid[1, 1], grid[2, :]]
+    else:
+        figure = new_figure(7.4)
+        grid = figure.add_gridspec(
+            3, 2, width_ratios=[1.75, 1.0], height_ratios=[1.0, 1.0, 0.72]
+        )
+        cells = [grid[:2, 0], grid[0, 1], grid[1, 1], grid[2, :]]
+    return figure, [figure.add_subplot(cell) for cell in cells]
+
+
 def plan_magnification(dataset: "xarray.Dataset") -> float:
     """Return the factor that makes the reference case's deviation visible.
 
@@ -74,13 +96,14 @@ def plan_magnification(dataset: "xarray.Dataset") -> float:
 
     Returns:
         The largest of 1, 2, 5, 10, ... for which 95 % of the deviations in the
-        plane stay below 5 % of the part's larger side.
+        plane stay below 5 % of the part's smaller side (of a slender part: of 30 %
+        of the larger one).
     """
     name = reference_case(dataset)
     cutting = cutting_of(dataset, name)
     deviation = values_of(dataset, "deviation", name)[cutting, :2]
-    desired = values_of(dataset, "desired", name)[:, :2]
-    size = float(np.max(np.ptp(desired, axis=0)))
+    sides = _sides(dataset)
+    size = max(float(sides.min()), 0.3 * float(sides.max()))
     visible = spread(np.linalg.norm(deviation, axis=1))
     return round_factor(0.05 * size / visible) if visible > 0 else 1.0
 
@@ -121,23 +144,22 @@ def _draw_plan(
     factor: float,
     rows: Bool[np.ndarray, " step"] | None,
     *,
-    has_desired: bool,
     marker: str = "",
 ) -> None:
     """Draw desired and actual x, y; outside `rows` nothing."""
     desired = values_of(dataset, "desired", reference_case(dataset)) * 1e3
     keep = np.ones(desired.shape[0], dtype=bool) if rows is None else rows
     desired = np.where(keep[:, None], desired, np.nan)
-    if has_desired:
-        axes.plot(
-            desired[:, 0],
-            desired[:, 1],
-            color=INK,
-            linewidth=0.7,
-            linestyle=(0, (4, 2)),
-            label="desired",
-            zorder=3.5,
-        )
+    cuts = cutting_of(dataset, reference_case(dataset))[:, None]
+    axes.plot(*desired[:, :2].T, color=LIGHT_GREY, linewidth=0.7, zorder=1)
+    axes.plot(
+        *np.where(cuts, desired, np.nan)[:, :2].T,
+        color=INK,
+        linewidth=0.7,
+        linestyle=(0, (4, 2)),
+        label="desired",
+        zorder=3.5,
+    )
     for name in case_names(dataset):
         style = case_style(name)
         points = np.where(keep[:, None], _points_mm(dataset, name, factor), np.nan)
@@ -172,7 +194,7 @@ def _draw_zoom(
     half = 1e3 * max(4.0 * float(deviation), 8.0 * pitch)
     factor = round_factor(half * 1e-3 / (3.0 * max(float(deviation), 1e-12)))
     near = np.max(np.abs(desired[:, :2] * 1e3 - centre), axis=1) < 4.0 * half
-    _draw_plan(axes, dataset, factor, near, has_desired=True, marker=".")
+    _draw_plan(axes, dataset, factor, near, marker=".")
     axes.set_xlim(centre[0] - half, centre[0] + half)
     axes.set_ylim(centre[1] - half, centre[1] + half)
     axes.set_aspect("equal", adjustable="box")
@@ -191,6 +213,8 @@ def _draw_zoom(
         fontsize=9,
         color=_FRAME,
         fontweight="bold",
+        bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.8},
+        zorder=5,
     )
 
 

@@ -104,8 +104,9 @@ def _draw_paths(dataset: "xarray.Dataset") -> _Drawing:
     factor = plan_magnification(dataset)
     reference = case_style(reference_case(dataset)).label
     caption = (
-        f"Plan view: the distance of each path from the desired one (dashed) is drawn "
-        f"{factor:g} times too large, only where the tool cuts. A and B are the two "
+        f"Plan view: the distance of each path from the desired one (dashed; grey: "
+        f"moves in the air) is drawn {factor:g} times too large, only where the tool "
+        f"cuts. A and B are the two "
         f"places where the {reference} path is farthest off, one dot per tooth; their "
         f"scale stands above them. The side view shows how high the tool tip runs "
         f"above its desired height."
