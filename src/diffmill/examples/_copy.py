@@ -21,7 +21,7 @@ def example_files(name: str) -> dict[str, str]:
     """
     if name not in EXAMPLES:
         raise ValueError(f"example: found {name!r}; allowed: {', '.join(EXAMPLES)}")
-    folder = resources.files(__package__)
+    folder = resources.files("diffmill.examples")
     names = (f"{name}.toml", f"{name}.ngc")
     return {n: folder.joinpath(n).read_text(encoding="utf-8") for n in names}
 

@@ -27,5 +27,7 @@ from ._rapid_check import RigidPass as RigidPass, rigid_pass as rigid_pass
 from ._results import (
     ResultsError as ResultsError,
     check_folder as check_folder,
+    described as described,
+    mark_incomplete as mark_incomplete,
     write_results as write_results,
 )

@@ -70,6 +70,7 @@ def write_results(
     dataset: Dataset,
     *,
     files: Mapping[str, Content] | None = None,
+    fill: Callable[[pathlib.Path], object] | None = None,
     stock: Stock | None = None,
     force: bool = False,
 ) -> pathlib.Path:
@@ -79,8 +80,8 @@ def write_results(
         out: The folder.
         dataset: What becomes `result.nc`; units and versions are added where absent.
         files: Further files by name: text, bytes, or a function that is called with
-            the path of the file (or, for a name that ends in "/", with the folder
-            itself, to write any number of files).
+            the path of the file.
+        fill: Called with the folder itself, to write any number of files.
         stock: The final stock, for `stock.npz`.
         force: Whether to replace the results in a folder that is not empty; files
             that no earlier run wrote stay.
@@ -104,6 +105,8 @@ def write_results(
             write_stock(temporary / "stock.npz", stock)
         for name, content in (files or {}).items():
             _write(temporary, name, content)
+        if fill is not None:
+            fill(temporary)
         _publish(temporary, folder)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
@@ -136,22 +139,28 @@ def described(dataset: Dataset) -> Dataset:
     return dataset
 
 
-def mark_incomplete(dataset: Dataset, reason: str) -> Dataset:
+def mark_incomplete(
+    dataset: Dataset, reason: str, *, failed_step: int | None = None
+) -> Dataset:
     """Return what an aborted run has computed, with why and where it stopped.
 
     Args:
-        dataset: Rows of all steps; those from the first non-finite one on are cut off.
+        dataset: Rows of all steps.
         reason: Why the run stopped.
+        failed_step: First row that is not to be trusted; by default the first with a
+            position that is not finite.
 
     Returns:
-        The rows up to there, with the attributes `incomplete` = 1,
-        `incomplete_reason`, `incomplete_time` [s] and `incomplete_place`
-        (desired tip in `work` [m]).
+        The rows before that one (at least one), with the attributes `incomplete` = 1,
+        `incomplete_reason`, `incomplete_time` [s] and `incomplete_place` (desired
+        tip in `work` [m]) of the failed row.
     """
     actual = dataset["actual"]
     other = [dim for dim in actual.dims if dim != "step"]
     is_good = np.isfinite(actual).all(dim=other).values
-    count = int(np.argmin(is_good)) if not is_good.all() else is_good.size
+    if failed_step is not None:
+        is_good[failed_step:] = False
+    count = is_good.size if is_good.all() else int(np.argmin(is_good))
     last = min(count, is_good.size - 1)
     desired = np.asarray(dataset["desired"].isel(step=last))
     marked = dataset.isel(step=slice(0, max(count, 1)))
@@ -186,13 +195,9 @@ def write_stock(file: pathlib.Path, stock: Stock) -> None:
 
 def _write(folder: pathlib.Path, name: str, content: Content) -> None:
     """Write one further file."""
-    if name.endswith("/"):
-        target = folder / name
-        target.mkdir(parents=True, exist_ok=True)
-    else:
-        target = folder / name
-        if target.parent != folder:
-            raise ValueError(f"File `{name}` must lie directly in the folder.")
+    target = folder / name
+    if target.parent != folder or name in ("", ".", ".."):
+        raise ValueError(f"File `{name}` must lie directly in the folder.")
     if callable(content):
         content(target)
     elif isinstance(content, bytes):

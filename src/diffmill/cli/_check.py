@@ -1,0 +1,97 @@
+"""What a program, a recorded path or a job contains, in words."""
+
+import collections
+import math
+import pathlib
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from ._jax import configure_jax
+
+
+def describe_file(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
+    """Return lines that describe a file.
+
+    Args:
+        file: A job, a program or a recorded path, told by its suffix.
+        allow_outside: Whether a job may name files outside its folder.
+
+    Raises:
+        ValueError: If the file is faulty, or its suffix is not known.
+    """
+    suffix = file.suffix.lower()
+    if suffix == ".toml":
+        return _describe_job(file, allow_outside=allow_outside)
+    if suffix in (".ngc", ".nc", ".gcode"):
+        return _describe_program(file)
+    if suffix == ".csv":
+        return _describe_path(file)
+    raise ValueError(
+        f"{file}: found the suffix {suffix!r}; allowed: .toml (job), .ngc, .nc, .gcode "
+        "(G-code), .csv (recorded path)"
+    )
+
+
+def _describe_job(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
+    configure_jax(file)
+    from ..io import load_job
+
+    job = load_job(file, allow_outside=allow_outside)
+    settings = job.simulation
+    robot = "none (rigid machine)" if job.robot is None else job.robot.name
+    return [
+        f"{file}: a job without faults",
+        f"  path: {job.path.step_count} tooth periods of "
+        f"{float(job.tooth_period) * 1e3:g} ms, {float(job.path.time[-1]):.3f} s",
+        f"  robot: {robot}",
+        f"  angles: {settings.angles} per revolution, sub-steps: {settings.substeps}, "
+        f"discs: {settings.element_height * 1e3:g} mm, axial depth: "
+        f"{settings.axial_depth * 1e3:g} mm, {settings.precision}",
+        *(f"  note: {note}" for note in job.notes),
+    ]
+
+
+def _describe_program(file: pathlib.Path) -> list[str]:
+    from ..io import read_gcode
+
+    program = read_gcode(file)
+    moves = program.timed_moves
+    kinds = collections.Counter(
+        "rapid" if m.is_rapid else "line" if m.centre is None else "arc" for m in moves
+    )
+    counts = ", ".join(f"{kinds[k]} {k}s" for k in ("rapid", "line", "arc") if kinds[k])
+    feeds = sorted({m.feed for m in moves if m.feed is not None})
+    speeds = [f"{60 * s / (2 * math.pi):g} rpm" for s in program.spindle_speeds]
+    lines = [
+        f"{file}: everything in it is supported",
+        f"  moves: {counts}; {program.path_length * 1e3:.1f} mm after the approach",
+        f"  spindle: {', '.join(speeds) or 'no S word'}",
+        f"  feed: {', '.join(f'{f * 6e4:g} mm/min' for f in feeds) or 'none'}",
+    ]
+    inverse = sum(m.duration is not None for m in moves)
+    if inverse:
+        seconds = math.fsum(m.duration for m in moves if m.duration is not None)
+        lines.append(f"  inverse time: {inverse} moves in {seconds:.3f} s")
+    points = [m.start for m in moves] + [m.end for m in moves]
+    return [*lines, *_extents(np.array(points))] if moves else lines
+
+
+def _describe_path(file: pathlib.Path) -> list[str]:
+    from ..io import read_path_csv
+
+    path = read_path_csv(file)
+    time = np.asarray(path.time)
+    return [
+        f"{file}: a recorded path without faults",
+        f"  rows: {path.step_count} in {time[-1] - time[0]:.3f} s, of which "
+        f"{int(np.sum(path.is_rapid))} rapid",
+        *_extents(np.asarray(path.positions)),
+    ]
+
+
+def _extents(points: Float[np.ndarray, "point 3"]) -> Sequence[str]:
+    """Return the least and greatest coordinate of points, a line per axis."""
+    low, high = points.min(axis=0) * 1e3, points.max(axis=0) * 1e3
+    return [f"  {a}: {low[i]:.3f} to {high[i]:.3f} mm" for i, a in enumerate("xyz")]

@@ -1,0 +1,133 @@
+"""The commands, their arguments, and the exit code."""
+
+import pathlib
+import sys
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any
+
+import tyro
+
+from ._errors import BadInput, bad_input
+
+_JobFile = Annotated[
+    tyro.conf.Positional[pathlib.Path],
+    tyro.conf.arg(metavar="JOB.toml", help="The job file."),
+]
+_Out = Annotated[
+    pathlib.Path | None,
+    tyro.conf.arg(help="Folder for the results; ./<job>-<command> if not given."),
+]
+_Force = Annotated[bool, tyro.conf.arg(help="Replace what is there already.")]
+_Quiet = Annotated[bool, tyro.conf.arg(help="Print nothing but errors.")]
+_Outside = Annotated[
+    bool, tyro.conf.arg(help="Let the job name files outside its own folder.")
+]
+
+
+def simulate(
+    job: _JobFile,
+    *,
+    out: _Out = None,
+    force: _Force = False,
+    quiet: _Quiet = False,
+    allow_outside: _Outside = False,
+) -> int:
+    """Predict forces, deviation and the machined surface of a job."""
+    from ._run import run_job
+
+    return run_job(
+        "simulate", job, out, force=force, is_quiet=quiet, allow_outside=allow_outside
+    )
+
+
+def correct(
+    job: _JobFile,
+    *,
+    out: _Out = None,
+    force: _Force = False,
+    quiet: _Quiet = False,
+    allow_outside: _Outside = False,
+) -> int:
+    """Predict, correct the path, predict again; write the corrected program."""
+    from ._run import run_job
+
+    return run_job(
+        "correct", job, out, force=force, is_quiet=quiet, allow_outside=allow_outside
+    )
+
+
+def example(
+    name: Annotated[
+        tyro.conf.Positional[str],
+        tyro.conf.arg(metavar="NAME", help="paper or paper_small."),
+    ],
+    *,
+    out: Annotated[
+        pathlib.Path,
+        tyro.conf.arg(help="Folder for the files; the current one if not given."),
+    ] = pathlib.Path("."),
+    force: _Force = False,
+    quiet: _Quiet = False,
+) -> int:
+    """Write a ready-to-run example job beside its program."""
+    from ..examples import copy_example
+
+    with bad_input():
+        job = copy_example(name, out, force=force)
+    if not quiet:
+        print(
+            f"wrote {job} and {job.with_suffix('.ngc')}\nnext: diffmill correct {job}"
+        )
+    return 0
+
+
+def check(
+    file: Annotated[
+        tyro.conf.Positional[pathlib.Path],
+        tyro.conf.arg(metavar="FILE", help="A program, a recorded path or a job."),
+    ],
+    *,
+    allow_outside: _Outside = False,
+) -> int:
+    """Say what a program, path or job contains and what of it is not supported."""
+    from ._check import describe_file
+
+    with bad_input():
+        lines = describe_file(file, allow_outside=allow_outside)
+    print("\n".join(lines))
+    return 0
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command and return its exit code.
+
+    Args:
+        argv: Arguments without the program's name; those of the process if None.
+
+    Returns:
+        0 for success, 2 for bad input, 1 for a run that failed.
+    """
+    commands: dict[str, Callable[..., Any]] = {
+        "simulate": simulate,
+        "correct": correct,
+        "example": example,
+        "check": check,
+    }
+    try:
+        return tyro.extras.subcommand_cli_from_dict(
+            commands,
+            prog="diffmill",
+            description="Predict and correct the path error of a milling robot.",
+            args=sys.argv[1:] if argv is None else list(argv),
+        )
+    except SystemExit as end:
+        return end.code if isinstance(end.code, int) else 0 if end.code is None else 2
+    except BadInput as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("error: interrupted; nothing was written", file=sys.stderr)
+        return 1
+    except (OSError, MemoryError) as error:
+        print(f"error: {error}; nothing was written", file=sys.stderr)
+        return 1

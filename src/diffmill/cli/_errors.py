@@ -1,0 +1,21 @@
+"""Telling what a user got wrong from what a program got wrong."""
+
+import contextlib
+from collections.abc import Iterator
+
+
+class BadInput(Exception):
+    """Raise when a user's input is refused; nothing has been written."""
+
+
+@contextlib.contextmanager
+def bad_input() -> Iterator[None]:
+    """Turn a `ValueError` or unreadable file into `BadInput`.
+
+    Only reading and checking of input belongs in it: the same error from within a
+    computation is a fault of the program and must show as one.
+    """
+    try:
+        yield
+    except (ValueError, OSError) as error:
+        raise BadInput(str(error)) from error

@@ -1,0 +1,168 @@
+"""Running a job and writing its folder of results."""
+
+import pathlib
+import sys
+import time
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import equinox as eqx
+import numpy as np
+
+from ._errors import bad_input
+from ._figures import write_pictures
+from ._jax import configure_jax
+from ._progress import Progress
+
+if TYPE_CHECKING:
+    from .._job import Job
+    from .._result import SimulationFailed
+
+# xarray and the parts that compute are imported when a job runs.
+Dataset: TypeAlias = Any
+Outcome: TypeAlias = Any
+
+
+def run_job(
+    command: str,
+    file: pathlib.Path,
+    out: pathlib.Path | None,
+    *,
+    force: bool,
+    is_quiet: bool,
+    allow_outside: bool,
+) -> int:
+    """Load, run and write a job; return the exit code.
+
+    Args:
+        command: "simulate" or "correct".
+        file: The job file.
+        out: Folder for the results, or None for `./<job>-<command>`.
+        force: Whether results that are there are replaced.
+        is_quiet: Whether only errors are printed.
+        allow_outside: Whether the job may name files outside its folder.
+    """
+    from .._result import SimulationFailed
+    from ..io import check_folder, load_job
+
+    folder = pathlib.Path(f"{file.stem}-{command}") if out is None else out
+    with bad_input():
+        check_folder(folder, force=force)
+        configure_jax(file)
+        job = load_job(file, allow_outside=allow_outside)
+    progress = Progress(is_quiet=is_quiet)
+    for note in job.notes:
+        progress.say(f"note: {note}")
+    start = time.perf_counter()
+    try:
+        with progress:
+            outcome = _compute(command, job, progress)
+    except SimulationFailed as failure:
+        return _keep_failure(folder, job, failure, force=force)
+    seconds = time.perf_counter() - start
+    dataset = with_job(outcome.to_dataset(), job)
+    dataset.attrs.setdefault("wall_time_s", seconds)
+    _write(command, folder, job, outcome, dataset, force=force)
+    progress.say(_summary(dataset, job))
+    progress.say(f"results: {folder} ({seconds:.1f} s)")
+    return 0
+
+
+def _compute(command: str, job: "Job", progress: Progress) -> Outcome:
+    """Run the job."""
+    if command == "simulate":
+        from ..sim import simulate
+
+        return simulate(job, on_progress=progress.update)
+    from ..correction import correct
+
+    return correct(job, on_progress=progress.update)
+
+
+def with_job(dataset: Dataset, job: "Job") -> Dataset:
+    """Return a dataset whose attributes hold the job's name, text and notes."""
+    added = {"job": job.name, "source": job.source, "program": job.program}
+    if job.notes:
+        added["notes"] = "\n".join(job.notes)
+    dataset.attrs = {**added, **dataset.attrs}
+    return dataset
+
+
+def _write(
+    command: str,
+    folder: pathlib.Path,
+    job: "Job",
+    outcome: Outcome,
+    dataset: Dataset,
+    *,
+    force: bool,
+) -> None:
+    """Write a finished run."""
+    from ..io import described, write_results
+
+    dataset = described(dataset)
+    files: dict[str, str] = {}
+    final = outcome
+    solutions = {"predicted": outcome}
+    if command == "correct":
+        final = outcome.after
+        solutions = {"uncorrected": outcome.before, "corrected": outcome.after}
+        files.update(_corrected_files(job, outcome))
+    write_results(
+        folder,
+        dataset,
+        files=files,
+        fill=lambda target: write_pictures(target, job, solutions, dataset),
+        stock=final.stock,
+        force=force,
+    )
+
+
+def _corrected_files(job: "Job", correction: Outcome) -> dict[str, str]:
+    """Return the corrected path and program, by file name."""
+    from ..io import write_gcode, write_path_csv
+
+    path = eqx.tree_at(
+        lambda p: p.positions, job.path, np.asarray(correction.commanded, float)
+    )
+    header = [f"{job.name}, corrected by diffmill", f"method: {job.correction.method}"]
+    program = write_gcode(path, header=header, spindle_speed=float(job.spindle_speed))
+    return {"corrected.csv": write_path_csv(path), "corrected.ngc": program}
+
+
+def _keep_failure(
+    folder: pathlib.Path, job: "Job", failure: "SimulationFailed", *, force: bool
+) -> int:
+    """Keep what an aborted run has computed; return the exit code 1."""
+    from ..io import mark_incomplete, write_results
+
+    print(f"error: the run failed: {failure}", file=sys.stderr)
+    solution: Any = failure.solution
+    if solution is None:
+        print("nothing could be kept", file=sys.stderr)
+        return 1
+    failed = np.asarray(solution.has_failed)
+    step = int(np.argmax(failed)) if failed.any() else None
+    dataset = with_job(solution.to_dataset(), job)
+    dataset = mark_incomplete(dataset, str(failure), failed_step=step)
+    write_results(folder, dataset, stock=solution.stock, force=force)
+    print(
+        f"what was computed before is in {folder}, marked incomplete", file=sys.stderr
+    )
+    return 1
+
+
+def _summary(dataset: Dataset, job: "Job") -> str:
+    """Return the headline figures as a small table."""
+    from ..viz import case_numbers
+
+    cases = ["predicted"]
+    if "case" in dataset.dims:
+        cases = [str(name) for name in dataset["case"].values]
+    rows = [f"{job.name}: contour error where the tool cuts [um], force [N]"]
+    rows.append(f"{'case':16}{'rms':>10}{'95 %':>10}{'max':>10}{'mean force':>12}")
+    for case in cases:
+        found = case_numbers(dataset, case)
+        errors = (found.rms, found.percentile_95, found.maximum)
+        numbers = "".join(f"{value * 1e6:10.2f}" for value in errors)
+        rows.append(f"{case:16}{numbers}{found.force_mean:12.2f}")
+    return "\n".join(rows)
