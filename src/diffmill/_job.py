@@ -28,7 +28,6 @@ class SimulationSettings(eqx.Module):
         substeps: Steps of the robot within one tooth period.
         element_height: Height dz of a disc of the cutter [m].
         axial_depth: Deepest immersion that the discs reach [m].
-        mode: "dynamic", or "quasistatic" (balance of springs, no inertia).
         precision: "float64" or "float32".
         is_gravity_compensated: Whether the controller lifts the gravity sag.
     """
@@ -37,7 +36,6 @@ class SimulationSettings(eqx.Module):
     substeps: int = eqx.field(static=True)
     element_height: float = eqx.field(static=True)
     axial_depth: float = eqx.field(static=True)
-    mode: Literal["dynamic", "quasistatic"] = eqx.field(static=True, default="dynamic")
     precision: Literal["float64", "float32"] = eqx.field(static=True, default="float64")
     is_gravity_compensated: bool = eqx.field(static=True, default=True)
 

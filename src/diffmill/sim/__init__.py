@@ -1,12 +1,42 @@
-"""sim."""
+"""Simulation: the process alone, and the robot that cuts.
+
+One step is one tooth period. Within it the robot takes linear, implicit midpoint
+sub-steps, and the teeth that pass in a sub-step push it with the force of the chip
+between its tip and the tips one or more periods earlier. Removal lags behind the tool
+by a travelled distance; what is still pending is flushed at the end of a run.
+
+Assumes a vertical tool that the bending arm does not tilt, force at the tip, and
+motors that follow their command. A run never raises inside: flags travel with it and
+become its `result`.
+Leaves out the moment of the force about the tip, regeneration by more than the last
+teeth beyond the thinned history, and motors of their own inertia.
+"""
 
 from ._adjoint import (
     AbstractAdjoint as AbstractAdjoint,
     Plain as Plain,
     Traced as Traced,
 )
+from ._coupled import (
+    CoupledSolution as CoupledSolution,
+    simulate_coupled as simulate_coupled,
+)
 from ._process import ProcessPlan as ProcessPlan, process_plan as process_plan
 from ._process_alone import (
     ProcessSolution as ProcessSolution,
+    path_depth as path_depth,
     simulate_process as simulate_process,
+)
+from ._simulate import (
+    Solution as Solution,
+    command_joints as command_joints,
+    command_motors as command_motors,
+    job_plan as job_plan,
+    joint_motors as joint_motors,
+    raise_unless_successful as raise_unless_successful,
+    rigid_cut as rigid_cut,
+    run_motors as run_motors,
+    simulate as simulate,
+    solve_command as solve_command,
+    with_precision as with_precision,
 )

@@ -1,0 +1,313 @@
+"""Simulating a job: the rigid cut first, then the robot that cuts."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from .._job import Job
+from .._result import RESULTS, SimulationFailed
+from .._types import FloatRows3
+from ..robot import inverse_kinematics_path, motor_positions
+from ..toolpath import contour_error
+from ..workpiece import Stock
+from ._adjoint import AbstractAdjoint, Plain
+from ._coupled import CoupledSolution, simulate_coupled
+from ._process import ProcessPlan, process_plan
+from ._process_alone import ProcessSolution, simulate_process
+
+if TYPE_CHECKING:
+    import xarray
+
+# Called between the parts of a run with a message and the share done.
+OnProgress = Callable[[str, float], None]
+_Tree = TypeVar("_Tree")
+
+
+class Solution(eqx.Module):
+    """What a job gives; rows are the tooth instants.
+
+    Attributes:
+        time: [s], shape (step,).
+        desired: Where the tip should be, in `work` [m], shape (step, 3).
+        commanded: What the program says, without gravity sag [m], shape (step, 3).
+        actual: Where the tip is [m], shape (step, 3).
+        force: Mean force on the tool over the period before [N], shape (step, 3).
+        removed_volume: Volume that each pose removes [m^3], shape (step,).
+        contour_error: Distance of `actual` to the desired polyline [m], shape
+            (step,).
+        is_cutting: Whether the rigid tool cuts in the period before, shape (step,).
+        motor_positions: [rad or m], shape (step, joint); None without a robot.
+        joint_positions: [rad or m], shape (step, joint); None without a robot.
+        initial_overlap_volume: Stock inside the tool at the first pose [m^3].
+        has_failed: Whether a flag was up after each step, shape (step,).
+        stock: The stock after the last pose.
+        rigid: The process alone on the desired path.
+        result: Outcome of the run.
+        joint_names: Order of the joints.
+    """
+
+    time: Float[Array, " step"]
+    desired: Float[Array, "step 3"]
+    commanded: Float[Array, "step 3"]
+    actual: Float[Array, "step 3"]
+    force: Float[Array, "step 3"]
+    removed_volume: Float[Array, " step"]
+    contour_error: Float[Array, " step"]
+    is_cutting: Bool[Array, " step"]
+    motor_positions: Float[Array, "step joint"] | None
+    joint_positions: Float[Array, "step joint"] | None
+    initial_overlap_volume: Float[Array, ""]
+    has_failed: Bool[Array, " step"]
+    stock: Stock
+    rigid: ProcessSolution
+    result: RESULTS
+    joint_names: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def deviation(self) -> Float[Array, "step 3"]:
+        """Return actual - desired [m], shape (step, 3)."""
+        return self.actual - self.desired
+
+    def to_dataset(self) -> "xarray.Dataset":
+        """Return the rows as an `xarray.Dataset`, units in the attributes."""
+        from ._dataset import solution_dataset
+
+        return solution_dataset(self)
+
+
+def simulate(
+    job: Job,
+    *,
+    throw: bool = True,
+    on_progress: OnProgress | None = None,
+    adjoint: AbstractAdjoint | None = None,
+    commanded: FloatRows3 | None = None,
+) -> Solution:
+    """Predict forces, deviation and the machined stock of a job.
+
+    Args:
+        job: The job.
+        throw: Whether to raise when the run does not succeed; not under `jit`, where
+            `.result` tells.
+        on_progress: Called between the rigid and the coupled part.
+        adjoint: How to differentiate through the removal; `Plain()` if not given.
+        commanded: Tip positions that the program commands instead of the desired
+            path [m], shape (step, 3).
+
+    Returns:
+        The solution.
+
+    Raises:
+        SimulationFailed: The outcome is not successful; the message names the time
+            and place, and the exception carries the solution.
+        ValueError: The precision asked for is not enabled in JAX.
+
+    Differentiability: in all leaves of the job, as `simulate_process`.
+    """
+    job = with_precision(job)
+    adjoint = Plain() if adjoint is None else adjoint
+    tell = on_progress or (lambda message, share: None)
+    tell("rigid cut", 0.0)
+    rigid = rigid_cut(job, adjoint)
+    tell("robot and cut", 0.4)
+    command = job.path.positions if commanded is None else commanded
+    solution = solve_command(job, rigid, jnp.asarray(command), adjoint)
+    tell("done", 1.0)
+    if throw and not isinstance(solution.actual, jax.core.Tracer):
+        raise_unless_successful(solution)
+    return solution
+
+
+def with_precision(job: Job) -> Job:
+    """Return the job with all its numbers in its precision.
+
+    Raises:
+        ValueError: float64 is asked for and `jax_enable_x64` is off.
+    """
+    dtype = jnp.dtype(job.simulation.precision)
+    if dtype == jnp.float64 and not jax.config.jax_enable_x64:
+        raise ValueError(
+            'Argument `job` must have precision "float32", or '
+            'jax.config.update("jax_enable_x64", True) must come first.'
+        )
+    return cast_floats(job, dtype)
+
+
+def cast_floats(tree: _Tree, dtype: jnp.dtype) -> _Tree:
+    """Return a tree with every floating leaf as an array of one type."""
+
+    def cast(leaf: object) -> object:
+        is_float = isinstance(leaf, float) or (
+            hasattr(leaf, "dtype") and jnp.issubdtype(leaf.dtype, jnp.floating)  # pyright: ignore[reportAttributeAccessIssue]
+        )
+        return jnp.asarray(leaf, dtype) if is_float else leaf  # pyright: ignore[reportArgumentType]
+
+    return jax.tree.map(cast, tree)
+
+
+def job_plan(job: Job) -> ProcessPlan:
+    """Return the sizes of a job's process."""
+    settings = job.simulation
+    return process_plan(
+        job.stock,
+        job.cutter,
+        axial_depth=settings.axial_depth,
+        angles=settings.angles,
+        substeps=settings.substeps,
+        element_height=settings.element_height,
+    )
+
+
+@eqx.filter_jit
+def rigid_cut(job: Job, adjoint: AbstractAdjoint) -> ProcessSolution:
+    """Return the process alone on the desired path, as a rigid machine cuts it."""
+    return simulate_process(
+        jnp.asarray(job.path.positions),
+        job.stock,
+        job.cutter,
+        job.law,
+        job.spindle_speed,
+        plan=job_plan(job),
+        adjoint=adjoint,
+    )
+
+
+@eqx.filter_jit
+def solve_command(
+    job: Job,
+    rigid: ProcessSolution,
+    commanded: Float[Array, "step 3"],
+    adjoint: AbstractAdjoint,
+    motors: Float[Array, "step joint"] | None = None,
+) -> Solution:
+    """Return the solution of a command, given the rigid cut of the desired path.
+
+    Args:
+        job: The job, in its precision.
+        rigid: `rigid_cut(job, ...)`.
+        commanded: Tip positions that the program says [m], shape (step, 3).
+        adjoint: How to differentiate through the removal.
+        motors: Motor positions that override the commanded ones [rad or m], shape
+            (step, joint).
+
+    Returns:
+        The solution.
+
+    Differentiability: as `simulate`.
+    """
+    desired = jnp.asarray(job.path.positions)
+    theta = q = None
+    is_reached = jnp.ones((), bool)
+    if job.robot is None:
+        # A rigid machine goes where it is told.
+        ran = simulate_process(
+            commanded,
+            job.stock,
+            job.cutter,
+            job.law,
+            job.spindle_speed,
+            plan=job_plan(job),
+            adjoint=adjoint,
+        )
+        actual = commanded
+        has_failed = jnp.zeros(desired.shape[0], bool)
+    else:
+        if motors is None:
+            motors, is_reached = command_motors(job, commanded)
+        theta = motors
+        ran = run_motors(job, theta, adjoint)
+        actual, q, has_failed = ran.actual, ran.joint_positions, ran.has_failed
+    result = RESULTS.where(is_reached, ran.result, RESULTS.not_converged)
+    return Solution(
+        time=jnp.asarray(job.path.time),
+        desired=desired,
+        commanded=commanded,
+        actual=actual,
+        force=ran.force,
+        removed_volume=ran.removed_volume,
+        contour_error=contour_error(actual, desired),
+        is_cutting=jnp.any(rigid.force != 0, axis=1),
+        motor_positions=theta,
+        joint_positions=q,
+        initial_overlap_volume=ran.initial_overlap_volume,
+        has_failed=has_failed,
+        stock=ran.stock,
+        rigid=rigid,
+        result=result,
+        joint_names=() if job.robot is None else job.robot.joint_names,
+    )
+
+
+def run_motors(
+    job: Job, motors: Float[Array, "step joint"], adjoint: AbstractAdjoint
+) -> CoupledSolution:
+    """Run the coupled simulation of a job for given motor positions."""
+    if job.robot is None:
+        raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
+    return simulate_coupled(
+        motors,
+        job.robot,
+        job.T_base_work,
+        job.stock,
+        job.cutter,
+        job.law,
+        job.tooth_period,
+        job_plan(job),
+        adjoint,
+    )
+
+
+def command_joints(
+    job: Job, commanded: Float[Array, "step 3"]
+) -> tuple[Float[Array, "step joint"], Bool[Array, ""]]:
+    """Return the joint positions of tip positions, and whether all are reached.
+
+    The tool axis stays along +z of `work`, tool x along x.
+    """
+    robot = job.robot
+    if robot is None:
+        raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
+    T_base_work = jnp.asarray(job.T_base_work)
+    tips = commanded @ T_base_work[:3, :3].T + T_base_work[:3, 3][None]
+    Ts = jnp.broadcast_to(T_base_work[None], (commanded.shape[0], 4, 4))
+    Ts = Ts.at[:, :3, 3].set(tips)
+    start = robot.home if job.joint_start is None else jnp.asarray(job.joint_start)
+    found = inverse_kinematics_path(robot, Ts, start)
+    return found.q, jnp.all(found.converged)
+
+
+def command_motors(
+    job: Job, commanded: Float[Array, "step 3"]
+) -> tuple[Float[Array, "step joint"], Bool[Array, ""]]:
+    """Return the motor positions of tip positions, and whether all are reached."""
+    q, is_reached = command_joints(job, commanded)
+    return joint_motors(job, q), is_reached
+
+
+def joint_motors(
+    job: Job, joints: Float[Array, "step joint"]
+) -> Float[Array, "step joint"]:
+    """Return the motor positions for commanded joints, sag added if compensated."""
+    robot = job.robot
+    is_compensated = job.simulation.is_gravity_compensated
+    return jax.vmap(
+        lambda row: motor_positions(robot, row, is_gravity_compensated=is_compensated)  # pyright: ignore[reportArgumentType]
+    )(joints)
+
+
+def raise_unless_successful(solution: Solution) -> None:
+    """Raise `SimulationFailed` with the time and place of the first trouble."""
+    if bool(solution.result == RESULTS.successful):
+        return
+    is_bad = solution.has_failed | ~jnp.all(jnp.isfinite(solution.actual), axis=1)
+    row = int(jnp.argmax(is_bad)) if bool(jnp.any(is_bad)) else 0
+    at = ", ".join(f"{1e3 * float(x):.2f}" for x in solution.commanded[row])
+    raise SimulationFailed(
+        f"{RESULTS[solution.result]} First at step {row}, time "
+        f"{float(solution.time[row]):.4f} s, commanded tip ({at}) mm.",
+        solution,
+    )
