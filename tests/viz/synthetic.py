@@ -88,17 +88,12 @@ def corrected():
         compat="override",
         combine_attrs="override",
     ).assign_coords(case=list(SCALES))
-    dataset.attrs = simulated().attrs
-    dataset["wall_time"] = (
-        "case",
-        np.array([0.4, 0.9, 12.0, 1.3, 31.0]),
-        {"units": "s", "long_name": "wall time"},
-    )
-    dataset["products"] = (
-        "case",
-        np.array([0, 0, 0, 0, 59]),
-        {"long_name": "products with the Jacobian"},
-    )
+    dataset.attrs = dict(simulated().attrs)
+    for name, seconds in zip(SCALES, (0.4, 0.9, 12.0, 1.3, 31.0), strict=True):
+        dataset.attrs[f"{name}_wall_time_s"] = seconds
+        dataset.attrs[f"{name}_products"] = 59 if name == "corrected" else 0
+    dataset.attrs["mirror_iterated_cutoff_hz"] = 3.0
+    dataset.attrs["corrected_case"] = "corrected"
     return dataset
 
 

@@ -133,7 +133,7 @@ def test_report_prints_the_headline(full_run, correction):
     assert f"{before.rms * 1e6:.0f} {MICROMETRE} contour error" in text
     assert f"{after.rms * 1e6:.2f} {MICROMETRE} contour error" in text
     assert f"{before.rms / after.rms:.1f} x" in text
-    for part in ("mirror, iterated", "products with the Jacobian", "wall time [s]"):
+    for part in ("mirror, iterated", "wall time [s] products cutoff hz", "12.0 0 3.00"):
         assert part in text
     for part in ("diffmill 0.0-test", "angles 192", "jax 0.0", "exceeds 0.05 R & more"):
         assert part in text
@@ -150,6 +150,18 @@ def test_text_of_the_job_is_escaped(tmp_path, simulation):
     assert "script" not in tags and "img" not in tags and "u" not in tags
     for part in ("<script>alert(1)</script>", "<b>not markup</b>", "<b>why</b>"):
         assert part in reader.text
+
+
+def test_headline_is_that_of_the_chosen_case(tmp_path, correction):
+    chosen = correction.assign_attrs(corrected_case="mirror")
+    text = read(write_report(tmp_path, chosen, {})).text
+    rms = case_numbers(correction, "mirror").rms * 1e6
+    assert f"{rms:.1f} {MICROMETRE} contour error (rms) after" in text
+
+
+def test_failed_run_without_a_reason_is_marked_too(tmp_path, simulation):
+    failed = simulation.assign_attrs(is_successful=0)
+    assert "This run is incomplete." in read(write_report(tmp_path, failed, {})).text
 
 
 def test_complete_run_carries_no_warning(tmp_path, simulation):

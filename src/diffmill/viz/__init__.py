@@ -21,6 +21,7 @@ from ._dexels import (
 )
 from ._forces import ForceRecord as ForceRecord, plot_forces as plot_forces
 from ._history import plot_deviation as plot_deviation
+from ._inputs import FigureInputs as FigureInputs, figure_inputs as figure_inputs
 from ._paths import plot_paths as plot_paths
 from ._process import chip_chart as chip_chart, force_record as force_record
 from ._report import write_report as write_report

@@ -5,8 +5,9 @@ What it reads of a result besides the variables of `simulate` and `correct`:
 - attributes `job` (name), `source` (text of the job file), `notes` (lines), `versions`
   (programs and versions, separated by commas), and, of a run that broke off,
   `incomplete` (1), `incomplete_reason`, `incomplete_time` [s], `incomplete_place` [m];
-- variables on `case` alone: the cost of each case, in the unit of their attribute
-  `units`, named by `long_name`;
+- attributes `CASE_NAME`, such as `mirror_products`: the cost and the settings of each
+  case, those that end in `_s` in seconds; `corrected_case`: the case whose command is
+  the corrected program; `is_successful` (0 marks a run that failed);
 - every other attribute is listed as a setting.
 """
 
@@ -33,6 +34,8 @@ _SPECIAL = (
     "notes",
     "versions",
     "units",
+    "is_successful",
+    "corrected_case",
     "incomplete",
     "incomplete_reason",
     "incomplete_time",
@@ -74,11 +77,13 @@ def write_report(
     )
     title = f"{name} (incomplete)" if failure else name
     remarks = [*str(dataset.attrs.get("notes", "")).splitlines(), *notes]
-    listed = {str(k): _cell(v) for k, v in dataset.attrs.items() if k not in _SPECIAL}
+    costs = _case_attributes(dataset)
+    hidden = {*_SPECIAL, *(f"{c}_{key}" for c, found in costs.items() for key in found)}
+    listed = {str(k): _cell(v) for k, v in dataset.attrs.items() if k not in hidden}
     body = [
         _head(kind, title, dataset, failure),
         section_html("Result", *_result_blocks(dataset)),
-        section_html("Cost", _cost_table(dataset)),
+        section_html("Cost", _cost_table(costs)),
         section_html("Figures", *_figure_blocks(figures)),
         _turnable_surface(surfaces),
         section_html("Notes and warnings", _notes(remarks, figures)),
@@ -123,8 +128,9 @@ def _lead(dataset: "xarray.Dataset", numbers: dict[str, CaseNumbers]) -> str:
     before = numbers[reference_case(dataset)]
     text = f"{span}, {steps} tooth periods. The tool misses its desired line by "
     text += f"{_length(before.rms)} (rms while cutting)"
-    if "corrected" in numbers and "uncorrected" in numbers:
-        after = _length(numbers["corrected"].rms)
+    chosen = _chosen(dataset)
+    if chosen:
+        after = _length(numbers[chosen].rms)
         text += f"; with the corrected program by {after}"
     return text + "."
 
@@ -135,8 +141,9 @@ def _headline(
     """Return the numbers to print large."""
     before = numbers[reference_case(dataset)]
     items = [(_length(before.rms), "contour error (rms) as programmed")]
-    if "corrected" in numbers and before.name != "corrected":
-        after = numbers["corrected"]
+    chosen = _chosen(dataset)
+    if chosen:
+        after = numbers[chosen]
         items.append((_length(after.rms), "contour error (rms) after correction"))
         items.append((_times(before.rms, after.rms), "smaller contour error"))
     else:
@@ -191,22 +198,41 @@ def _result_blocks(dataset: "xarray.Dataset") -> list[str]:
     return [table, f'<p class="note">{legend}</p>']
 
 
-def _cost_table(dataset: "xarray.Dataset") -> str:
-    """Return what each case cost: the variables that depend on the case alone."""
-    costs = [name for name in dataset.data_vars if dataset[name].dims == ("case",)]
-    if not costs:
+def _chosen(dataset: "xarray.Dataset") -> str:
+    """Return the case that became the corrected program; nothing if there is none."""
+    name = str(dataset.attrs.get("corrected_case", "corrected"))
+    names = case_names(dataset)
+    return name if name in names and name != reference_case(dataset) else ""
+
+
+def _case_attributes(dataset: "xarray.Dataset") -> dict[str, dict[str, str]]:
+    """Return the attributes that begin with the name of a case, by case."""
+    # "mirror_iterated_products" belongs to the longest name that fits.
+    names = sorted(case_names(dataset), key=len, reverse=True)
+    found: dict[str, dict[str, str]] = {name: {} for name in case_names(dataset)}
+    for key, value in dataset.attrs.items():
+        if key in _SPECIAL:
+            continue
+        owner = next((n for n in names if str(key).startswith(f"{n}_")), None)
+        if owner is not None:
+            found[owner][str(key)[len(owner) + 1 :]] = _cell(value)
+    return found
+
+
+def _cost_table(costs: dict[str, dict[str, str]]) -> str:
+    """Return what each case cost and the settings that it chose."""
+    keys = list(dict.fromkeys(key for found in costs.values() for key in found))
+    if not keys:
         return ""
     header = ["case"]
-    for name in costs:
-        attributes = dataset[name].attrs
-        label = str(attributes.get("long_name", name)).replace("_", " ")
-        units = str(attributes.get("units", ""))
-        header.append(f"{label} [{units}]" if units not in ("", "1") else label)
+    for key in keys:
+        name = key.removesuffix("_s").replace("_", " ")
+        header.append(f"{name} [s]" if key.endswith("_s") else name)
     rows = [
-        [case_style(case).label, *(_cell(dataset[n].values[i]) for n in costs)]
-        for i, case in enumerate(case_names(dataset))
+        [case_style(case).label, *(found.get(key, "-") for key in keys)]
+        for case, found in costs.items()
     ]
-    colours = [case_style(name).colour for name in case_names(dataset)]
+    colours = [case_style(case).colour for case in costs]
     return table_html(header, rows, colours=colours)
 
 
@@ -258,7 +284,8 @@ def _failure(dataset: "xarray.Dataset") -> str:
     """Return why, when and where the run broke off; nothing if it did not."""
     attributes = dataset.attrs
     if not int(attributes.get("incomplete", 0)):
-        return ""
+        is_good = int(attributes.get("is_successful", 1))
+        return "" if is_good else "The simulation reported a failure."
     text = str(attributes.get("incomplete_reason", "")).strip() or "It broke off."
     if "incomplete_time" in attributes:
         text += f" It stopped at {float(attributes['incomplete_time']):.4g} s"

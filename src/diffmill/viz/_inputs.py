@@ -1,0 +1,86 @@
+"""The inputs of all figures, from a job and its solutions."""
+
+from collections.abc import Mapping
+from typing import TypedDict
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .._job import Job
+from ..sim import Solution, job_plan, simulate_process, with_precision
+from ._chip import ChipChart
+from ._dexels import CutDexels
+from ._forces import ForceRecord
+from ._process import chip_chart, force_record
+from ._stocks import cut_dexels, surface_error
+from ._surface import SurfaceError
+
+# The report's maps: more cases would make it long without telling more.
+_MAPPED = ("predicted", "uncorrected", "corrected")
+
+
+class FigureInputs(TypedDict):
+    """Keyword arguments of `write_figures` beside the dataset."""
+
+    forces: ForceRecord
+    chip: ChipChart | None
+    dexels: CutDexels
+    surfaces: dict[str, SurfaceError]
+
+
+def figure_inputs(job: Job, cases: Mapping[str, Solution]) -> FigureInputs:
+    """Return what `write_figures` draws beside the dataset.
+
+    The process runs once more, without the robot, on the actual path of the first
+    case, to keep the force at every angle; and up to one tooth period for its chip.
+
+    Args:
+        job: The job.
+        cases: Its solutions by case, the uncorrected one first; for a simulation
+            one solution under the name "predicted".
+
+    Returns:
+        The inputs; forces, chip and ray ends are those of the first case.
+    """
+    job = with_precision(job)
+    first = next(iter(cases.values()))
+    actual = jnp.asarray(first.actual)
+    plan = job_plan(job)
+
+    @jax.jit
+    def samples(actual: jax.Array) -> jax.Array | None:
+        return simulate_process(
+            actual,
+            job.stock,
+            job.cutter,
+            job.law,
+            job.spindle_speed,
+            plan=plan,
+            keeps_instantaneous=True,
+        ).instantaneous_force
+
+    step = _typical_step(first)
+    return FigureInputs(
+        forces=force_record(np.asarray(first.time), np.asarray(samples(actual))),
+        chip=None
+        if step is None
+        else chip_chart(np.asarray(actual), job.stock, job.cutter, plan, step=step),
+        dexels=cut_dexels(first.stock, first.rigid.stock),
+        surfaces={
+            name: surface_error(solution.stock, solution.rigid.stock)
+            for name, solution in cases.items()
+            if name in _MAPPED
+        },
+    )
+
+
+def _typical_step(solution: Solution) -> int | None:
+    """Return the cutting step whose force is nearest to the median; None if none."""
+    length = np.linalg.norm(np.asarray(solution.force), axis=1)
+    cutting = np.asarray(solution.is_cutting) & np.isfinite(length) & (length > 0)
+    cutting[0] = False
+    if not cutting.any():
+        return None
+    distance = np.abs(length - np.median(length[cutting]))
+    return int(np.argmin(np.where(cutting, distance, np.inf)))
