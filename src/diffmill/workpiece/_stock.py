@@ -90,7 +90,7 @@ def box(
     upper: Float[Array, " 3"] | Float[np.ndarray, " 3"] | list[float] | tuple,
     spacing: float,
     *,
-    interval_counts: tuple[int, int, int] = (6, 6, 1),
+    interval_counts: tuple[int, int, int] = (12, 12, 1),
     dtype: type | jnp.dtype | None = None,
 ) -> Stock:
     """Return a block as stock.
