@@ -26,9 +26,11 @@ class Part:
         height: Size of the block in y.
         step_width: Width of the steps at the right and left edge.
         step_height: Length of the steps along the edge.
-        step_return: Distance of the way back from the way out.
+        step_return: Distance of the way back from the way out; 0 leaves the block
+            instead, for a step as narrow as the tool.
         square_x: Centre of the square pocket in x.
         square: Side of the square pocket.
+        ramp_sides: Sides of the square over which the tool goes down.
         finish: Radial depth of its finishing cut, 0 for none.
         circle_x: Centre of the circular pocket in x.
         circle: Diameter of the circular pocket.
@@ -43,6 +45,7 @@ class Part:
     step_return: float
     square_x: float
     square: float
+    ramp_sides: int
     finish: float
     circle_x: float
     circle: float
@@ -51,16 +54,17 @@ class Part:
 
 PAPER = Part(
     name="paper",
-    width=104,
-    height=60,
+    width=100,
+    height=48,
     step_width=12,
-    step_height=52,
+    step_height=40,
     step_return=7,
-    square_x=71,
-    square=30,
-    finish=5.2,
+    square_x=68,
+    square=26,
+    ramp_sides=4,
+    finish=3.2,
     circle_x=32,
-    circle=32,
+    circle=28,
     helix=8,
 )
 PAPER_SMALL = Part(
@@ -69,13 +73,14 @@ PAPER_SMALL = Part(
     height=17,
     step_width=4,
     step_height=14,
-    step_return=3.5,
+    step_return=0,
     square_x=29,
-    square=13.4,
+    square=13.6,
+    ramp_sides=2,
     finish=0,
     circle_x=13,
-    circle=14,
-    helix=3,
+    circle=13.6,
+    helix=3.6,
 )
 
 
@@ -99,6 +104,10 @@ def step(part: Part, *, is_right: bool) -> list[str]:
     back = wall + side * part.step_return
     low = (part.height - part.step_height) / 2 + RADIUS
     high = (part.height + part.step_height) / 2 - RADIUS
+    if part.step_return > 0:
+        leave = [f"G1 {point(back, high)}", f"G1 {point(back, low)}"]
+    else:
+        leave = [f"G1 {point(outside, high)}"]
     return [
         f"({'right' if is_right else 'left'} rectangle: open step, "
         f"{number(part.step_width)} x {number(part.step_height)} mm)",
@@ -106,8 +115,7 @@ def step(part: Part, *, is_right: bool) -> list[str]:
         f"G0 Z{number(-DEPTH)}",
         f"G1 {point(wall, low)} F{FEED}",
         f"G1 {point(wall, high)}",
-        f"G1 {point(back, high)}",
-        f"G1 {point(back, low)}",
+        *leave,
         f"G0 Z{number(CLEARANCE)}",
     ]
 
@@ -124,10 +132,13 @@ def square_pocket(part: Part) -> list[str]:
         f"G1 Z0 F{FEED}",
     ]
     corners = [(1, -1), (1, 1), (-1, 1), (-1, -1)]
-    for i, (u, v) in enumerate(corners):
-        z = -DEPTH * (i + 1) / 4
+    for i, (u, v) in enumerate(corners[: part.ramp_sides]):
+        z = -DEPTH * (i + 1) / part.ramp_sides
         lines.append(f"G1 {point(x + u * rough, y + v * rough, z)}")
-    lines += [f"G1 {point(x + u * rough, y + v * rough)}" for u, v in corners]
+    # Once around at full depth, from where the ramp ends, and on to the first corner.
+    rest = corners[part.ramp_sides :] + corners[: part.ramp_sides]
+    back = corners[part.ramp_sides :] if part.finish > 0 else []
+    lines += [f"G1 {point(x + u * rough, y + v * rough)}" for u, v in rest + back]
     if part.finish > 0:
         lines.append(f"G1 {point(x - wall, y - wall)}")
         lines += [f"G1 {point(x + u * wall, y + v * wall)}" for u, v in corners]
@@ -136,20 +147,23 @@ def square_pocket(part: Part) -> list[str]:
 
 
 def circular_pocket(part: Part) -> list[str]:
-    """Return the circular pocket: down by a helix, its floor, out by half a turn."""
+    """Return the circular pocket: helix, floor, and out by half a turn if needed."""
     x, y = part.circle_x, part.height / 2
     inner, wall = part.helix / 2, part.circle / 2 - RADIUS
-    return [
+    lines = [
         f"(circular pocket: diameter {number(part.circle)} mm, entered by a helix of "
         f"{number(part.helix)} mm)",
         f"G0 {point(x + inner, y)}",
         f"G1 Z0 F{FEED}",
         f"G3 {point(x + inner, y, -DEPTH)} I{number(-inner)} J0",
         f"G3 {point(x + inner, y)} I{number(-inner)} J0",
-        f"G3 {point(x - wall, y)} R{number((inner + wall) / 2)}",
-        f"G3 {point(x - wall, y)} I{number(wall)} J0",
-        f"G0 Z{number(CLEARANCE)}",
     ]
+    if wall > inner:
+        lines += [
+            f"G3 {point(x - wall, y)} R{number((inner + wall) / 2)}",
+            f"G3 {point(x - wall, y)} I{number(wall)} J0",
+        ]
+    return [*lines, f"G0 Z{number(CLEARANCE)}"]
 
 
 def program(part: Part) -> str:

@@ -186,7 +186,6 @@ class SimulationTable(_Table):
     substeps: Annotated[StrictInt, Field(ge=1, le=1000)] | None = None
     element_height: PositiveLength | None = None
     axial_depth: PositiveLength | None = None
-    mode: Literal["dynamic", "quasistatic"] = "dynamic"
     precision: Literal["float64", "float32"] = "float64"
     gravity_compensated: StrictBool = True
 

@@ -263,10 +263,9 @@ def _simulation(
     return SimulationSettings(
         angles=angles,
         substeps=substeps,
-        element_height=table.element_height or 2 * stock.spacing,
+        element_height=table.element_height or 3 * stock.spacing,
         axial_depth=table.axial_depth
         or min(immersion(path, cutter, stock) + _ROOM, cutter.flute_length),
-        mode=table.mode,
         precision=table.precision,
         is_gravity_compensated=table.gravity_compensated,
     )
