@@ -65,7 +65,13 @@ def plot_chip(chart: ChipChart) -> "matplotlib.figure.Figure":
         y="height above the tip [mm]",
         title=r"chip thickness $h(\varphi, z)$, weighted with the engagement",
     )
-    colours = _draw_discs(bottom, angle_deg, chart.height * 1e3, chip_um)
+    # Discs above the material would only take room.
+    cutting = np.flatnonzero((chip_um > 1e-6).any(axis=1))
+    count = int(cutting[-1]) + 1 if cutting.size else chart.height.shape[0]
+    top.set_ylim(0.0, _edges(chart.height * 1e3)[count])
+    colours = _draw_discs(
+        bottom, angle_deg, chart.height[:count] * 1e3, chip_um[:count]
+    )
     bar = figure.colorbar(colours, ax=bottom, pad=0.01, aspect=14)
     label_colourbar(bar, "height of the disc [mm]")
     quiet_axes(

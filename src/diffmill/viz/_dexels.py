@@ -110,6 +110,8 @@ def plot_cut_dexels(dexels: CutDexels) -> "matplotlib.figure.Figure":
 
 def _draw_floor(figure: "matplotlib.figure.SubFigure", dexels: CutDexels) -> None:
     """Draw the floor seen from the side and above, z magnified, coloured by error."""
+    from matplotlib.ticker import MaxNLocator
+
     axes: Any = figure.add_subplot(projection="3d")
     error = ray_errors(dexels.floor, dexels.floor_ideal, 2)
     kept = np.flatnonzero(np.isfinite(error))
@@ -143,6 +145,7 @@ def _draw_floor(figure: "matplotlib.figure.SubFigure", dexels: CutDexels) -> Non
         axis.line.set_color(GREY)
     axes.grid(False)
     axes.tick_params(labelsize=7.5, pad=0, color=GREY)
+    axes.yaxis.set_major_locator(MaxNLocator(4))
     # Heights are magnified about the ideal floor: numbers belong to the colours.
     axes.set_zticks([])
     figure.suptitle(

@@ -63,7 +63,7 @@ def plot_surface_error(maps: dict[str, SurfaceError]) -> "matplotlib.figure.Figu
         _draw_histogram(grid[row, 1], item, case_style(name).colour)
     image = _colours(limit)
     bar = figure.colorbar(image, ax=grid[:, 0], pad=0.02, aspect=30, extend="both")
-    label_colourbar(bar, r"height error [$\mathrm{\mu m}$]: blue too deep, red left")
+    label_colourbar(bar, r"height error [$\mathrm{\mu m}$]")
     return figure
 
 
