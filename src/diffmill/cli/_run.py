@@ -42,13 +42,18 @@ def run_job(
         allow_outside: Whether the job may name files outside its folder.
     """
     from .._result import SimulationFailed
-    from ..io import check_folder, load_job
+    from ..io import JobError, check_folder, load_job
 
     folder = pathlib.Path(f"{file.stem}-{command}") if out is None else out
     with bad_input():
         check_folder(folder, force=force)
         configure_jax(file)
         job = load_job(file, allow_outside=allow_outside)
+        if command == "correct" and job.robot is None:
+            raise JobError(
+                file,
+                ["[robot] rigid: found true, but correct needs a robot: model or file"],
+            )
     progress = Progress(is_quiet=is_quiet)
     for note in job.notes:
         progress.say(f"note: {note}")
@@ -75,7 +80,10 @@ def _compute(command: str, job: "Job", progress: Progress) -> Outcome:
         return simulate(job, on_progress=progress.update)
     from ..correction import correct
 
-    return correct(job, on_progress=progress.update)
+    def tell(message: str, rms: float) -> None:
+        progress.update(f"{message}: contour error {rms * 1e6:.2f} um rms")
+
+    return correct(job, on_progress=tell)
 
 
 def with_job(dataset: Dataset, job: "Job") -> Dataset:
@@ -105,7 +113,7 @@ def _write(
     solutions = {"predicted": outcome}
     if command == "correct":
         final = outcome.after
-        solutions = {"uncorrected": outcome.before, "corrected": outcome.after}
+        solutions = outcome.cases
         files.update(_corrected_files(job, outcome))
     write_results(
         folder,
