@@ -21,6 +21,7 @@ from ._job_robot import check_reach, pose_matrix, read_robot
 from ._job_schema import (
     CorrectionTable,
     CutterTable,
+    ProgramTable,
     SimulationTable,
     StockTable,
     read_tables,
@@ -70,6 +71,8 @@ def load_job(file: str | os.PathLike[str], *, allow_outside: bool = False) -> Jo
     text, raw = _parse(path)
     problems: list[str] = []
     tables = read_tables(raw, problems)
+    if "program" not in tables:
+        _check_program(raw.get("program"), path.parent, problems, allow_outside)
     job = _build(path, text, tables, problems, allow_outside=allow_outside)
     if problems or job is None:
         raise JobError(path, problems)
@@ -108,6 +111,17 @@ def _parse(path: pathlib.Path) -> tuple[str, dict[str, Any]]:
         raise JobError(path, [f"cannot be read: {error}"]) from error
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise JobError(path, [f"found invalid TOML: {error}"]) from error
+
+
+def _check_program(
+    raw: object, folder: pathlib.Path, problems: list[str], allow_outside: bool
+) -> None:
+    """Note the faults of a program although its table has faults of its own."""
+    name = raw.get("file") if isinstance(raw, dict) else None
+    if isinstance(name, str) and name:
+        # Any feed will do: a faulty one has been reported.
+        table = ProgramTable(file=name).model_copy(update={"feed": 1.0})
+        read_program(table, folder, problems, allow_outside=allow_outside)
 
 
 def _build(

@@ -70,12 +70,16 @@ def rigid_pass(
             tip = tips[k - 1] + (tips[k] - tips[k - 1]) * (piece / pieces)
             if tip[2] > upper[2] - _TOUCH:
                 continue
-            if is_rapid[k]:
-                inner = max(radius - spacing, 0.5 * radius)
-                into = _highest(heights, x, y, tip, inner) - max(tip[2], lower[2])
-                depth[k] = max(depth[k], into)
-            is_cutting[k] |= _remove(heights, x, y, tip, radius, lower[2])
+            if not is_rapid[k]:
+                is_cutting[k] |= _remove(heights, x, y, tip, radius, lower[2])
+                continue
+            # A rapid removes nothing: its full disc would clear the way, by less
+            # than a spacing at a time, for the smaller one that tests.
+            inner = max(radius - spacing, 0.5 * radius)
+            into = _highest(heights, x, y, tip, inner) - max(tip[2], lower[2])
+            depth[k] = max(depth[k], into)
     is_crash = is_rapid & (depth > _TOUCH)
+    is_cutting |= is_crash
     return RigidPass(is_cutting=is_cutting, is_crash=is_crash, depth=depth)
 
 

@@ -1,0 +1,367 @@
+import math
+
+import numpy as np
+import pytest
+
+from diffmill.io import JobError, job_precision, load_job
+
+PROGRAM = """G21 G17 G90 G94
+G0 X-6 Y5 Z1
+G0 Z-1
+G1 X20 F3000
+G0 Z1
+M2
+"""
+JOB = """
+[cutter]
+kind = "flat"
+diameter = "10 mm"
+teeth = 2
+helix_angle = "30 deg"
+flute_length = "22 mm"
+[spindle]
+speed = "8000 rpm"
+[force]
+K_tc = "989.8 N/mm^2"
+K_rc = "337.3 N/mm^2"
+K_ac = "66.9 N/mm^2"
+K_te = "3.0 N/mm"
+K_re = "15.4 N/mm"
+K_ae = "4.5 N/mm"
+[stock]
+lower = ["0 mm", "0 mm", "-3 mm"]
+upper = ["20 mm", "10 mm", "0 mm"]
+spacing = "0.25 mm"
+[program]
+file = "part.ngc"
+acceleration = "2 m/s^2"
+rapid_feed = "200 mm/s"
+corner_tolerance = "0.1 mm"
+[robot]
+rigid = true
+"""
+ROBOT = """model = "reis_rv130_like"
+work_in_base = { position = ["1525 mm", "-5 mm", "936 mm"] }"""
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Write a job with replaced text beside its program; return its path."""
+
+    def write(*changes, program=PROGRAM):
+        text = JOB
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new)
+        (tmp_path / "job.toml").write_text(text)
+        (tmp_path / "part.ngc").write_text(program)
+        return tmp_path / "job.toml"
+
+    return write
+
+
+def problems_of(file, **options):
+    before = sorted(file.parent.rglob("*"))
+    with pytest.raises(JobError) as error:
+        load_job(file, **options)
+    assert sorted(file.parent.rglob("*")) == before
+    assert str(file) in str(error.value)
+    for problem in error.value.problems:
+        assert problem in str(error.value)
+    return error.value.problems
+
+
+def test_values_in_si(write):
+    job = load_job(write())
+    assert job.name == "job"
+    assert job.cutter.diameter == pytest.approx(0.010)
+    assert job.cutter.helix_angle == pytest.approx(math.pi / 6)
+    assert job.cutter.flute_count == 2
+    assert job.spindle_speed == pytest.approx(8000 * 2 * math.pi / 60)
+    assert job.tooth_period == pytest.approx(3.75e-3)
+    assert job.law.K_tc == pytest.approx(989.8e6)
+    assert job.law.K_re == pytest.approx(15400.0)
+    assert float(job.stock.volume()) == pytest.approx(20e-3 * 10e-3 * 3e-3)
+    assert job.robot is None
+    assert job.source == (write()).read_text()
+    assert job.program == PROGRAM
+    # The path starts outside, cuts the slot and lifts.
+    np.testing.assert_allclose(job.path.positions[0], [-6e-3, 5e-3, 1e-3], atol=1e-12)
+    np.testing.assert_allclose(job.path.positions[-1], [20e-3, 5e-3, 1e-3], atol=1e-12)
+    np.testing.assert_allclose(np.diff(job.path.time), 3.75e-3)
+
+
+def test_defaults_of_the_simulation(write):
+    settings = load_job(write()).simulation
+    # 3.75 ms in steps below 0.5 ms, and 180 angles or more in multiples of 2 x 8.
+    assert (settings.substeps, settings.angles) == (8, 192)
+    # 1 mm deep, and 1 mm of room.
+    assert settings.axial_depth == pytest.approx(2e-3)
+    assert settings.precision == "float64"
+
+
+def test_exact_number_of_substeps(write):
+    # 60 / (15000 * 2) = 2 ms is 4 steps of exactly 0.5 ms.
+    job = load_job(write(('"8000 rpm"', '"15000 rpm"')))
+    assert job.simulation.substeps == 4
+
+
+def test_axial_depth_is_capped_by_the_flutes(write):
+    job = load_job(write(('"22 mm"', '"1.5 mm"')))
+    assert job.simulation.axial_depth == pytest.approx(1.5e-3)
+
+
+def test_speed_from_the_program(write):
+    file = write(
+        ('speed = "8000 rpm"', ""), program=PROGRAM.replace("G94", "G94 S6000 M3")
+    )
+    assert load_job(file).spindle_speed == pytest.approx(200 * math.pi)
+
+
+def test_note_on_a_coarse_spacing(write):
+    assert load_job(write()).notes == ()
+    (note,) = load_job(write(('"0.25 mm"', '"0.5 mm"'))).notes
+    assert "spacing is 0.5 mm" in note
+    assert "0.25 mm" in note
+
+
+def test_recorded_path(write, tmp_path):
+    rows = ["time_s,x_mm,y_mm,z_mm"]
+    rows += [f"{0.01 * k},{-6 + 0.5 * k},5,-1" for k in range(40)]
+    (tmp_path / "path.csv").write_text("\n".join(rows) + "\n")
+    job = load_job(write(('"part.ngc"', '"path.csv"')))
+    np.testing.assert_allclose(np.diff(job.path.positions[:, 0]), 50e-3 * 3.75e-3)
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (
+            ('diameter = "10 mm"', "diameter = 10"),
+            ("[cutter] diameter", "10", "a length"),
+        ),
+        (
+            ('diameter = "10 mm"', 'diameter = "10"'),
+            ("[cutter] diameter", "'10'", "a length"),
+        ),
+        (
+            ('diameter = "10 mm"', 'diameter = "-10 mm"'),
+            ("[cutter] diameter", "'-10 mm'", "above 0"),
+        ),
+        (
+            ('diameter = "10 mm"', 'diameter = "nan mm"'),
+            ("[cutter] diameter", "'nan mm'", "finite"),
+        ),
+        (
+            ('diameter = "10 mm"', 'diameter = "10 mm"\ndiametre = "10 mm"'),
+            ("[cutter] diametre", "unknown key", "diameter"),
+        ),
+        (
+            ('diameter = "10 mm"', ""),
+            ("[cutter] diameter", "found nothing", '"10 mm"'),
+        ),
+        (('kind = "flat"', 'kind = "ball"'), ("[cutter] kind", "'ball'", "'flat'")),
+        (("teeth = 2", "teeth = 0"), ("[cutter] teeth", "0", "at least 1")),
+        (("teeth = 2", "teeth = 2.0"), ("[cutter] teeth", "2.0", "whole number")),
+        (("teeth = 2", "teeth = true"), ("[cutter] teeth", "True", "whole number")),
+        (('"30 deg"', '"89 deg"'), ("[cutter] helix_angle", "89 deg", "80 deg")),
+        (
+            ('"8000 rpm"', '"8000 Hz"'),
+            ("[spindle] speed", "'8000 Hz'", "8000 rpm"),
+        ),
+        (('"8000 rpm"', '"0 rpm"'), ("[spindle] speed", "'0 rpm'", "above 0")),
+        (('"8000 rpm"', '"1 rpm"'), ("[spindle] speed", "1 rpm", "at least")),
+        (
+            ('speed = "8000 rpm"', ""),
+            ("[spindle] speed", "found nothing", '"8000 rpm"'),
+        ),
+        (
+            ('"989.8 N/mm^2"', '"989.8 N/mm"'),
+            ("[force] K_tc", "'989.8 N/mm'", "N/mm^2"),
+        ),
+        (('K_te = "3.0 N/mm"', 'K_te = "3.0 N"'), ("[force] K_te", "3.0 N", "N/mm")),
+        (
+            ('upper = ["20 mm", "10 mm", "0 mm"]', 'upper = ["20 mm", "10 mm"]'),
+            ("[stock] upper", "10 mm", "3 values"),
+        ),
+        (
+            ('upper = ["20 mm",', 'upper = ["-20 mm",'),
+            ("[stock] upper", "-20 mm in x", "0 mm"),
+        ),
+        (
+            ('spacing = "0.25 mm"', 'spacing = "0 mm"'),
+            ("[stock] spacing", "'0 mm'", "above 0"),
+        ),
+        (
+            ('spacing = "0.25 mm"', 'spacing = "1 nm"'),
+            ("[stock] spacing", "GB", "half of the physical memory"),
+        ),
+        (
+            ('acceleration = "2 m/s^2"', 'acceleration = "2 m/s"'),
+            ("[program] acceleration", "'2 m/s'", "2 m/s^2"),
+        ),
+        (
+            ('rapid_feed = "200 mm/s"', 'rapid_feed = "50 mm"'),
+            ("[program] rapid_feed", "'50 mm'", "a speed"),
+        ),
+        (
+            ('"part.ngc"', '"none.ngc"'),
+            ("[program] file", "'none.ngc'", "no such file"),
+        ),
+        (('"part.ngc"', '"part.dxf"'), ("[program] file", "'part.dxf'", ".ngc")),
+        (
+            ('"part.ngc"', '"../part.ngc"'),
+            ("[program] file", "'../part.ngc'", "outside"),
+        ),
+        (
+            ('"part.ngc"', '"/etc/part.ngc"'),
+            ("[program] file", "'/etc/part.ngc'", "outside"),
+        ),
+        (
+            ("[robot]\nrigid = true", ""),
+            ("[robot]", "no such table", "rigid = true"),
+        ),
+        (("rigid = true", ""), ("[robot]", "nothing", "reis_rv130_like")),
+        (("rigid = true", 'rigid = "yes"'), ("[robot] rigid", "'yes'", "true or")),
+        (
+            ("rigid = true", 'rigid = true\nmodel = "reis_rv130_like"'),
+            ("[robot]", "model and rigid", "exactly one"),
+        ),
+        (
+            ("rigid = true", 'model = "no_such"\n' + ROBOT.splitlines()[1]),
+            ("[robot] model", "'no_such'", "reis_rv130_like"),
+        ),
+        (
+            ("rigid = true", 'model = "reis_rv130_like"'),
+            ("[robot] work_in_base", "found nothing", "position"),
+        ),
+        (
+            ("rigid = true", ROBOT + '\njoint_stiffness = ["1e6 N*m/rad"]'),
+            ("[robot] joint_stiffness", "1 values", "one per joint"),
+        ),
+        (
+            ("rigid = true", ROBOT + '\njoint_damping = ["1 N*m"]'),
+            ("[robot] joint_damping", "'1 N*m'", "damping"),
+        ),
+        (
+            ("[robot]", "[simulation]\nangles = 190\n[robot]"),
+            ("[simulation] angles", "190", "multiple of teeth x substeps"),
+        ),
+        (
+            ("[robot]", '[simulation]\nprecision = "double"\n[robot]'),
+            ("[simulation] precision", "'double'", "'float64'"),
+        ),
+        (
+            ("[robot]", '[correction]\nmethod = "magic"\n[robot]'),
+            ("[correction] method", "'magic'", "'gauss_newton'"),
+        ),
+        (("[robot]", "[campaign]\n[robot]"), ("campaign", "unknown table", "[stock]")),
+        (("[robot]", "[robot"), ("invalid TOML", "line")),
+    ],
+    ids=lambda value: value[-1] if isinstance(value, tuple) else None,
+)
+def test_one_fault(write, change, expected):
+    problems = problems_of(write(change))
+    assert len(problems) == 1
+    for part in expected:
+        assert part in problems[0]
+
+
+def test_all_faults_are_listed_at_once(write):
+    file = write(
+        ("teeth = 2", "teeth = -2"),
+        ('"0.25 mm"', "0.25"),
+        ('"2 m/s^2"', '"2 s"'),
+        program=PROGRAM.replace("G1 X20", "G5 X20").replace("M2", "M98\nM2"),
+    )
+    text = "\n".join(problems_of(file))
+    for part in ("teeth", "spacing", "acceleration", "G5", "line 4", "M98", "line 6"):
+        assert part in text
+
+
+def test_contradicting_speeds(write):
+    (problem,) = problems_of(write(program="S9000 M3\n" + PROGRAM))
+    for part in ("[spindle] speed", "8000 rpm", "S9000"):
+        assert part in problem
+
+
+def test_rapid_through_the_stock(write):
+    program = PROGRAM.replace("G0 Z1\nM2", "G0 Y12\nG0 Z1\nM2").replace("X20", "X10")
+    # Lifting the tool from where it should not be is reported, too.
+    sideways, upward = problems_of(write(program=program))
+    for part in ("[program] file", "line 5", "rapid", "1.000 mm deep"):
+        assert part in sideways
+    assert "line 6" in upward
+
+
+def test_out_of_reach(write):
+    file = write(("rigid = true", ROBOT.replace("1525", "5525")))
+    (problem,) = problems_of(file)
+    for part in ("[robot]", "reach", "time 0.000 s", "5519.0", "work_in_base"):
+        assert part in problem
+
+
+def test_joint_limits(write):
+    # Within arm's length, but the forearm would have to fold onto the upper arm.
+    file = write(("rigid = true", ROBOT.replace("1525", "325")))
+    text = "\n".join(problems_of(file))
+    assert "[robot]" in text
+    assert "allowed is" in text or "reach" in text
+
+
+def test_robot_within_reach(write):
+    stiffness = ", ".join(f'"{i + 1}e6 N*m/rad"' for i in range(6))
+    start = ", ".join(
+        ["'0 deg'", "'0 deg'", "'15 deg'", "'0 deg'", "'75 deg'", "'0 deg'"]
+    )
+    job = load_job(
+        write(
+            (
+                "rigid = true",
+                f"{ROBOT}\njoint_stiffness = [{stiffness}]\njoint_start = [{start}]",
+            )
+        )
+    )
+    assert job.robot is not None
+    np.testing.assert_allclose(job.robot.joint_stiffness, 1e6 * np.arange(1, 7))
+    np.testing.assert_allclose(job.T_base_work[:3, 3], [1.525, -0.005, 0.936])
+    np.testing.assert_allclose(job.joint_start, np.deg2rad([0, 0, 15, 0, 75, 0]))
+
+
+def test_outside_only_on_request(write, tmp_path):
+    folder = tmp_path / "jobs"
+    folder.mkdir()
+    file = write(('"part.ngc"', '"../part.ngc"'))
+    moved = folder / "job.toml"
+    moved.write_text(file.read_text())
+    (problem,) = problems_of(moved)
+    assert "outside" in problem
+    assert load_job(moved, allow_outside=True).path.step_count > 2
+
+
+def test_link_to_the_outside(write, tmp_path):
+    file = write()
+    folder = tmp_path / "jobs"
+    folder.mkdir()
+    (folder / "job.toml").write_text(file.read_text())
+    (folder / "part.ngc").symlink_to(tmp_path / "part.ngc")
+    (problem,) = problems_of(folder / "job.toml")
+    assert "outside" in problem
+
+
+def test_file_faults(tmp_path):
+    with pytest.raises(JobError, match="no such file"):
+        load_job(tmp_path / "none.toml")
+    with pytest.raises(JobError, match="a folder"):
+        load_job(tmp_path)
+    (tmp_path / "job.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(JobError, match="cannot be read"):
+        load_job(tmp_path / "job.toml")
+
+
+def test_precision_is_known_before_the_job(write, tmp_path):
+    assert job_precision(write()) == "float64"
+    file = write(("[robot]", '[simulation]\nprecision = "float32"\n[robot]'))
+    assert job_precision(file) == "float32"
+    assert load_job(file).stock.origin.dtype == np.float32
+    assert job_precision(tmp_path / "none.toml") == "float64"
