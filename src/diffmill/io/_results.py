@@ -163,14 +163,12 @@ def mark_incomplete(
     count = is_good.size if is_good.all() else int(np.argmin(is_good))
     last = min(count, is_good.size - 1)
     desired = np.asarray(dataset["desired"].isel(step=last))
-    marked = dataset.isel(step=slice(0, max(count, 1)))
-    marked.attrs.update(
+    return dataset.isel(step=slice(0, max(count, 1))).assign_attrs(
         incomplete=np.int32(1),
         incomplete_reason=reason,
         incomplete_time=float(dataset["time"].isel(step=last)),
         incomplete_place=desired.reshape(-1, 3)[0].astype(float),
     )
-    return marked
 
 
 def write_stock(file: pathlib.Path, stock: Stock) -> None:

@@ -1,0 +1,220 @@
+import importlib.util
+import json
+import pathlib
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import xarray
+
+from diffmill import examples, io
+from diffmill.cli import main
+
+ROOT = pathlib.Path(__file__).parents[1]
+PROGRAM = """G21 G17 G90 G94
+G0 X-5.2 Y3 Z1
+G0 Z-0.5
+G1 X-2 F3000
+G0 X-6
+M2
+"""
+JOB = """
+[cutter]
+diameter = "10 mm"
+teeth = 2
+[spindle]
+speed = "8000 rpm"
+[force]
+K_tc = "989.8 N/mm^2"
+K_rc = "337.3 N/mm^2"
+K_ac = "66.9 N/mm^2"
+[stock]
+lower = ["0 mm", "0 mm", "-2 mm"]
+upper = ["6 mm", "6 mm", "0 mm"]
+spacing = "0.5 mm"
+[program]
+file = "part.ngc"
+[robot]
+rigid = true
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path.parent / "cache"))
+    (tmp_path / "job.toml").write_text(JOB)
+    (tmp_path / "part.ngc").write_text(PROGRAM)
+    return tmp_path
+
+
+def names(folder):
+    return sorted(p.name for p in folder.iterdir())
+
+
+def test_help_and_usage(capsys):
+    assert main(["--help"]) == 0
+    text = capsys.readouterr().out
+    for command in ("simulate", "correct", "example", "check"):
+        assert command in text
+    assert main(["simulate", "--help"]) == 0
+    text = capsys.readouterr().out
+    for option in ("--out", "--force", "--quiet", "--allow-outside"):
+        assert option in text
+    assert main([]) == 2
+    assert main(["no_such_command"]) == 2
+    assert main(["simulate"]) == 2
+
+
+@pytest.mark.parametrize("name", examples.EXAMPLES)
+def test_example(folder, capsys, name):
+    assert main(["example", name]) == 0
+    assert f"diffmill correct {name}.toml" in capsys.readouterr().out
+    assert (folder / f"{name}.ngc").exists()
+    (folder / f"{name}.toml").write_text("mine")
+    assert main(["example", name]) == 2
+    assert "--force" in capsys.readouterr().err
+    assert (folder / f"{name}.toml").read_text() == "mine"
+    assert main(["example", name, "--force"]) == 0
+    assert "[cutter]" in (folder / f"{name}.toml").read_text()
+
+
+def test_unknown_example(folder, capsys):
+    before = names(folder)
+    assert main(["example", "nothing"]) == 2
+    assert "paper_small" in capsys.readouterr().err
+    assert names(folder) == before
+
+
+def test_example_programs_come_from_their_generator():
+    script = ROOT / "experiments" / "paper_part" / "generate.py"
+    spec = importlib.util.spec_from_file_location("paper_part", script)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["paper_part"] = module
+    spec.loader.exec_module(module)
+    for part in (module.PAPER, module.PAPER_SMALL):
+        files = examples.example_files(part.name)
+        assert files[f"{part.name}.ngc"] == module.program(part)
+
+
+@pytest.mark.parametrize(
+    ("name", "fewest", "most"), [("paper", 3000, 3700), ("paper_small", 700, 1400)]
+)
+def test_examples_load(tmp_path, name, fewest, most):
+    job = io.load_job(examples.copy_example(name, tmp_path))
+    assert fewest <= job.path.step_count <= most
+    assert job.robot is not None
+    assert job.notes == ()
+    assert job.tooth_period == pytest.approx(3.75e-3)
+
+
+def test_bad_job(folder, capsys):
+    (folder / "job.toml").write_text(JOB.replace("teeth = 2", "teeth = 0"))
+    before = names(folder)
+    for command in ("simulate", "correct", "check"):
+        assert main([command, "job.toml"]) == 2
+        error = capsys.readouterr().err
+        assert "job.toml: 1 problem" in error
+        assert "[cutter] teeth: found 0, but at least 1 is required" in error
+    assert main(["simulate", "none.toml"]) == 2
+    assert names(folder) == before
+
+
+def test_correct_needs_a_robot(folder, capsys):
+    assert main(["correct", "job.toml"]) == 2
+    assert "[robot] rigid" in capsys.readouterr().err
+
+
+def test_folder_is_refused_before_anything_runs(folder, capsys):
+    (folder / "out").mkdir()
+    (folder / "out" / "mine.txt").write_text("mine")
+    assert main(["simulate", "job.toml", "--out", "out"]) == 2
+    error = capsys.readouterr().err
+    assert "--force" in error
+    assert "not empty" in error
+    assert names(folder / "out") == ["mine.txt"]
+
+
+@pytest.mark.slow
+def test_simulate_rigid(folder, capsys):
+    assert main(["simulate", "job.toml", "--quiet"]) == 0
+    captured = capsys.readouterr()
+    assert captured.out + captured.err == ""
+    out = folder / "job-simulate"
+    assert {"result.nc", "stock.npz", "surface.nc", "report.html"} <= set(names(out))
+    with xarray.open_dataset(out / "result.nc") as result:
+        assert result.attrs["source"] == JOB
+        np.testing.assert_array_equal(result["actual"], result["desired"])
+        assert float(np.abs(result["force"]).max()) > 1.0
+        for name in result.data_vars:
+            assert result[name].attrs["units"]
+
+
+@pytest.mark.slow
+def test_aborted_run_is_kept(folder, capsys):
+    # One slot per ray cannot hold what a slot through the middle leaves.
+    job = JOB.replace("[program]", "intervals = [1, 1, 1]\n[program]")
+    job = job.replace('"10 mm"', '"3 mm"')
+    (folder / "job.toml").write_text(job)
+    program = PROGRAM.replace("X-2 F3000", "X12 F3000").replace("G0 X-6\n", "")
+    (folder / "part.ngc").write_text(program)
+    assert main(["simulate", "job.toml", "--out", "out"]) == 1
+    error = capsys.readouterr().err
+    assert "intervals" in error
+    assert " s, commanded tip" in error
+    with xarray.open_dataset(folder / "out" / "result.nc") as result:
+        assert result.attrs["incomplete"] == 1
+        assert "intervals" in result.attrs["incomplete_reason"]
+        assert result.sizes["step"] >= 1
+
+
+def test_check_program(folder, capsys):
+    assert main(["check", "part.ngc"]) == 0
+    text = capsys.readouterr().out
+    assert "2 rapids, 1 lines" in text
+    assert "3000 mm/min" in text
+    assert "x: -6.000 to -2.000 mm" in text
+    (folder / "bad.ngc").write_text("G21\nG1 X1 F100\nM98 P1\n")
+    assert main(["check", "bad.ngc"]) == 2
+    error = capsys.readouterr().err
+    assert "line 3" in error
+    assert "M98" in error
+
+
+def test_check_other_files(folder, capsys):
+    assert main(["check", "job.toml"]) == 0
+    text = capsys.readouterr().out
+    assert "tooth periods of 3.75 ms" in text
+    assert "rigid" in text
+    (folder / "path.csv").write_text("time_s,x_mm,y_mm,z_mm\n0,0,0,0\n1,5,0,0\n")
+    assert main(["check", "path.csv"]) == 0
+    assert "x: 0.000 to 5.000 mm" in capsys.readouterr().out
+    assert main(["check", "part.dxf"]) == 2
+    assert ".csv" in capsys.readouterr().err
+
+
+def test_cache_folder_and_precision(tmp_path):
+    (tmp_path / "job.toml").write_text('[simulation]\nprecision = "float32"\n')
+    # In a process of its own: the settings of JAX are global.
+    script = (
+        "import json, pathlib, jax\n"
+        "from diffmill.cli._jax import configure_jax\n"
+        "configure_jax(pathlib.Path('job.toml'))\n"
+        "print(json.dumps([jax.config.jax_enable_x64, "
+        "jax.config.jax_compilation_cache_dir]))\n"
+    )
+    environment = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "HOME": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    is_double, cache = json.loads(done.stdout)
+    assert is_double is False
+    assert pathlib.Path(cache).is_relative_to(tmp_path)
