@@ -74,6 +74,7 @@ class ProcessState(eqx.Module):
     Attributes:
         stock: The workpiece, less the poses still in the queue.
         pose_tips: Tip of every pose so far [m], shape (pose, 3); row k is time t_k.
+        last_tip: The newest of them, without derivative [m], shape (3,).
         recent: Tips in the middle of the sub-steps of the last tooth periods, newest
             first [m], shape (tooth, substep, 3).
         queue: Poses that wait for removal, oldest first, shape (queue,).
@@ -86,6 +87,7 @@ class ProcessState(eqx.Module):
 
     stock: Stock
     pose_tips: Float[Array, "pose 3"]
+    last_tip: Float[Array, " 3"]
     recent: Float[Array, "tooth substep 3"]
     queue: Int[Array, " queue"]
     queue_travel: Float[Array, " queue"]
@@ -185,6 +187,7 @@ def initial_state(
     state = ProcessState(
         stock=stock,
         pose_tips=pose_tips,
+        last_tip=jax.lax.stop_gradient(tip),
         recent=jnp.broadcast_to(
             tip[None, None], (cutter.flute_count, plan.substeps, 3)
         ),
@@ -424,18 +427,26 @@ def _remember(
 ) -> ProcessState:
     """Enter a pose in the table, and in the queue if it is far enough from the last."""
     zero = jnp.zeros_like(pose)
-    before = state.pose_tips[jnp.maximum(pose - 1, 0)]
     frozen = jax.lax.stop_gradient
-    travel = state.travel + safe_norm(frozen(tip - before))
+    # Reading the table before it is written would make XLA copy it in every step.
+    travel = state.travel + safe_norm(frozen(tip - state.last_tip))
     pose_tips = jax.lax.dynamic_update_slice(state.pose_tips, tip[None], (pose, zero))
     newest = state.queue_travel[state.queue_count - 1]
     is_far = travel - newest >= plan.lag / QUEUE_LENGTH
     at = jnp.where(is_far, state.queue_count, QUEUE_LENGTH)
     return eqx.tree_at(
-        lambda s: (s.pose_tips, s.queue, s.queue_travel, s.queue_count, s.travel),
+        lambda s: (
+            s.pose_tips,
+            s.last_tip,
+            s.queue,
+            s.queue_travel,
+            s.queue_count,
+            s.travel,
+        ),
         state,
         (
             pose_tips,
+            frozen(tip),
             state.queue.at[at].set(pose, mode="drop"),
             state.queue_travel.at[at].set(travel, mode="drop"),
             state.queue_count + is_far.astype(jnp.int32),
