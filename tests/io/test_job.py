@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 
+from diffmill.cutting import LinearEdgeLaw
 from diffmill.io import JobError, job_precision, load_job
 
 PROGRAM = """G21 G17 G90 G94
@@ -79,6 +80,7 @@ def test_values_in_si(write):
     assert job.cutter.flute_count == 2
     assert job.spindle_speed == pytest.approx(8000 * 2 * math.pi / 60)
     assert job.tooth_period == pytest.approx(3.75e-3)
+    assert isinstance(job.law, LinearEdgeLaw)
     assert job.law.K_tc == pytest.approx(989.8e6)
     assert job.law.K_re == pytest.approx(15400.0)
     assert float(job.stock.volume()) == pytest.approx(20e-3 * 10e-3 * 3e-3)
@@ -325,6 +327,7 @@ def test_robot_within_reach(write):
     assert job.robot is not None
     np.testing.assert_allclose(job.robot.joint_stiffness, 1e6 * np.arange(1, 7))
     np.testing.assert_allclose(job.T_base_work[:3, 3], [1.525, -0.005, 0.936])
+    assert job.joint_start is not None
     np.testing.assert_allclose(job.joint_start, np.deg2rad([0, 0, 15, 0, 75, 0]))
 
 
