@@ -43,6 +43,19 @@ def test_round_trip(tmp_path, dataset):
         assert read.attrs["incomplete"] == 0
 
 
+def test_any_attribute_can_be_written(tmp_path, dataset):
+    dataset.attrs.update(
+        flag=True, nothing=None, grid=(1.0, 2.0), table={"a": 1}, names=["x", "y"]
+    )
+    out = write_results(tmp_path / "out", dataset)
+    with xarray.open_dataset(out / "result.nc") as read:
+        assert read.attrs["flag"] == 1
+        assert "nothing" not in read.attrs
+        np.testing.assert_array_equal(read.attrs["grid"], [1.0, 2.0])
+        assert read.attrs["table"] == "{'a': 1}"
+        assert read.attrs["names"] == "['x', 'y']"
+
+
 def test_variable_without_known_units_is_refused(tmp_path, dataset):
     dataset["mystery"] = ("step", np.zeros(7))
     with pytest.raises(ValueError, match="mystery"):

@@ -135,8 +135,19 @@ def described(dataset: Dataset) -> Dataset:
         "versions": ", ".join([f"python {platform.python_version()}", *versions]),
         "incomplete": np.int32(0),
     }
-    dataset.attrs = {**added, **dataset.attrs}
+    attributes = {**added, **dataset.attrs}
+    dataset.attrs = {k: _plain(v) for k, v in attributes.items() if v is not None}
     return dataset
+
+
+def _plain(value: object) -> object:
+    """Return an attribute as netCDF can hold it."""
+    if isinstance(value, bool | np.bool_):
+        return np.int32(value)
+    if isinstance(value, str | int | float | np.generic | np.ndarray):
+        return value
+    array = np.asarray(value)
+    return array if array.dtype.kind in "fiu" else str(value)
 
 
 def mark_incomplete(
