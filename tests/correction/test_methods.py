@@ -157,7 +157,6 @@ def test_iterated_mirror_keeps_the_best_and_counts_its_runs(
     alone = IteratedMirror(
         cutoffs=(mirrored.detail["cutoff"],),
         relaxations=(mirrored.detail["relaxation"],),
-        workers=1,
     )(problem)
     assert alone.measures.rms == mirrored.measures.rms
 
@@ -199,7 +198,7 @@ def test_progress_ends_the_mirror(problem):
         told.append(message)
         return True
 
-    found = IteratedMirror(workers=1)(problem, on_progress=on_progress)
+    found = IteratedMirror()(problem, on_progress=on_progress)
     assert len(told) == 1
     assert found.forward_runs < 40
 

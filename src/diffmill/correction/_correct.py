@@ -38,6 +38,17 @@ if TYPE_CHECKING:
 # Called with a message and the rms contour error so far [m].
 OnProgress = Callable[[str, float], None]
 
+# Rows that differ from case to case.
+_BY_CASE = (
+    "commanded",
+    "actual",
+    "force",
+    "removed_volume",
+    "deviation",
+    "contour_error",
+    "motor_positions",
+    "joint_positions",
+)
 CASES = ("uncorrected", "mirror", "mirror_iterated", "inverse_drive", "corrected")
 
 
@@ -117,8 +128,7 @@ class Correction(eqx.Module):
         dataset = xarray.concat(
             [self.cases[name].to_dataset() for name in names],
             dim=xarray.DataArray(names, dims="case", name="case"),
-            data_vars=["commanded", "actual", "force", "removed_volume", "deviation"]
-            + ["contour_error", "motor_positions", "joint_positions"],
+            data_vars=[*_BY_CASE],
             combine_attrs="drop_conflicts",
         )
         for name, method in self.methods.items():
@@ -188,7 +198,9 @@ def correct(
     method = GaussNewton(
         knot_spacing=settings.knot_spacing,
         solver=LevenbergMarquardt(
-            max_steps=settings.max_steps, max_products=settings.max_products
+            max_steps=settings.max_steps,
+            max_products=settings.max_products,
+            cost_rtol=1e-2,
         ),
     )
     if settings.command == "joint":
@@ -231,7 +243,7 @@ def _joint_problem(
     lever = np.linalg.norm(J, axis=0).max()
     problem = _problem(job, JointPlant(job, adjoint), nominal, before)
     bound = float(job.correction.max_offset) / lever
-    return eqx.tree_at(lambda p: p.max_offset, problem, bound)
+    return eqx.tree_at(lambda p: p.max_offset, problem, np.asarray(bound))
 
 
 @eqx.filter_jit

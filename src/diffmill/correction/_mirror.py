@@ -1,6 +1,5 @@
 """Correction by mirroring the predicted deviation, once or again and again."""
 
-import concurrent.futures
 from itertools import product
 
 import equinox as eqx
@@ -57,14 +56,12 @@ class IteratedMirror(AbstractMethod):
         relaxations: Relaxations.
         iterations: Iterates of a branch at most.
         order: Order of one pass of the filter.
-        workers: Branches that run at the same time, in threads.
     """
 
     cutoffs: tuple[float, ...] = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0)
     relaxations: tuple[float, ...] = (0.3, 0.5, 1.0)
     iterations: int = 10
     order: int = 4
-    workers: int = 2
 
     def __call__(
         self,
@@ -78,27 +75,18 @@ class IteratedMirror(AbstractMethod):
         motion, contour = run(problem, command)
         zero = _Iterate(command, rms_contour(problem, contour), 0, 0.0, 0.0)
         first = _deviation(problem, motion)
-        best, runs, is_ended = zero, 1, False
+        best, runs = zero, 1
         grid = list(product(self.cutoffs, self.relaxations))
-        with concurrent.futures.ThreadPoolExecutor(self.workers) as pool:
-            waiting = [
-                pool.submit(_branch, self, problem, zero, first, pair) for pair in grid
-            ]
-            for done, future in enumerate(
-                concurrent.futures.as_completed(waiting), start=1
-            ):
-                if future.cancelled():
-                    continue
-                found, count = future.result()
-                runs += count
-                # Ties by the order of the grid, so that threads change nothing.
-                best = min(best, found, key=_rank)
-                if on_progress is not None and not is_ended:
-                    message = f"mirror: {done} of {len(grid)} branches, {runs} runs"
-                    is_ended = bool(on_progress(message, best.error))
-                    if is_ended:
-                        for other in waiting:
-                            other.cancel()
+        # One branch after the other: two runs of one compiled program at the same time
+        # can block each other in XLA's pool of threads.
+        for done, pair in enumerate(grid, start=1):
+            found, count = _branch(self, problem, zero, first, pair)
+            runs += count
+            best = min(best, found, key=_rank)
+            if on_progress is not None:
+                message = f"mirror: {done} of {len(grid)} branches, {runs} runs"
+                if on_progress(message, best.error):
+                    break
         detail = {
             "cutoff": best.cutoff,
             "relaxation": best.relaxation,

@@ -101,14 +101,14 @@ class Engagement(eqx.Module):
     """Where the teeth of one tooth period meet material.
 
     Attributes:
-        angle: Immersion angle of the samples [rad], shape (substep, angle, tooth,
+        angle: Immersion angle of the samples [rad], shape (substep, angle, kept,
             disc); the axis disc has length 1 if the flutes are straight.
-        occupancy: 0 to 1, shape (substep, angle, tooth, element).
+        occupancy: 0 to 1, shape (substep, angle, kept, element).
         thinned: Tips of some older poses [m], shape (circle, 3).
     """
 
-    angle: Float[Array, "substep angle tooth disc"]
-    occupancy: Float[Array, "substep angle tooth element"]
+    angle: Float[Array, "substep angle kept disc"]
+    occupancy: Float[Array, "substep angle kept element"]
     thinned: Float[Array, "circle 3"]
 
 
@@ -247,8 +247,8 @@ def substep_force(
     tip: Float[Array, " 3"],
     earlier: Float[Array, "tooth 3"],
     thinned: Float[Array, "circle 3"],
-    angle: Float[Array, "angle tooth disc"],
-    weight: Float[Array, "angle tooth element"],
+    angle: Float[Array, "angle kept disc"],
+    weight: Float[Array, "angle kept element"],
 ) -> Float[Array, "angle 3"]:
     """Return the force on the tool at the angles of one sub-step.
 
@@ -260,8 +260,8 @@ def substep_force(
         earlier: Tips at the same sub-step of earlier periods, newest first [m],
             shape (tooth, 3).
         thinned: Older tips [m], shape (circle, 3).
-        angle: Immersion angles [rad], shape (angle, tooth, disc).
-        weight: Occupancy at these angles, shape (angle, tooth, element).
+        angle: Immersion angles [rad], shape (angle, kept, disc).
+        weight: Occupancy at these angles, shape (angle, kept, element).
 
     Returns:
         Force on the tool in `work` [N], shape (angle, 3); its mean is the force of
@@ -289,8 +289,8 @@ def chip_thickness(
     tip: Float[Array, " 3"],
     earlier: Float[Array, "tooth 3"],
     thinned: Float[Array, "circle 3"],
-    angle: Float[Array, "angle tooth disc"],
-) -> tuple[Float[Array, "angle tooth element"], Float[Array, ""]]:
+    angle: Float[Array, "angle kept disc"],
+) -> tuple[Float[Array, "angle kept element"], Float[Array, ""]]:
     """Return the unclipped chip thickness and the feed per tooth, both [m]."""
     R = cutter.diameter / 2
     lower = plan.discs.centers(tip.dtype) - plan.discs.height / 2
@@ -336,7 +336,7 @@ def flush(
     pose_tips = jax.lax.dynamic_update_slice(
         state.pose_tips, tip[None], (index, jnp.zeros_like(index))
     )
-    waiting = jnp.arange(QUEUE_LENGTH) < state.queue_count
+    waiting = jnp.arange(QUEUE_LENGTH, dtype=jnp.int32) < state.queue_count
     poses = jnp.concatenate([state.queue, index[None]])
     is_due = jnp.concatenate([waiting, jnp.ones(1, bool)])
 
@@ -361,7 +361,7 @@ def flush(
 
 def immersion_angles(
     plan: ProcessPlan, cutter: AbstractCutter, dtype: jnp.dtype
-) -> Float[Array, "substep angle tooth disc"]:
+) -> Float[Array, "substep angle kept disc"]:
     """Return the immersion angle of every tooth at every sample of a period [rad].
 
     Every period begins with a tooth at angle 0 at the tip; a disc higher up lags by
@@ -394,7 +394,7 @@ def _leading_angles(
     cutter: AbstractCutter,
     state: ProcessState,
     predicted: Float[Array, "substep 3"],
-) -> Float[Array, "substep angle tooth disc"]:
+) -> Float[Array, "substep angle kept disc"]:
     """Return the angles of the teeth that can cut: those on the leading side.
 
     The chip of two circles begins a little before the leading half, so a tooth just
@@ -411,7 +411,7 @@ def _leading_angles(
     radius = cutter.nominal_radius
     x = frozen(predicted)[:, None, None, None, 0] + radius * jnp.sin(frozen(angle))
     y = frozen(predicted)[:, None, None, None, 1] + radius * jnp.cos(frozen(angle))
-    tip = frozen(predicted)[:, None, None, None, 2]
+    tip = jnp.broadcast_to(frozen(predicted)[:, None, None, None, 2], x.shape)
     meets = (lead > -_BEFORE_LEADING) & has_material_above(state.stock, x, y, tip)
     order = jnp.argsort(jnp.where(meets, lead + 2, lead), axis=2, descending=True)
     return jnp.take_along_axis(angle, order[:, :, :kept], axis=2)
@@ -466,15 +466,15 @@ def _remove_due(
     tips = state.pose_tips[poses]
     age = state.travel - state.queue_travel[:_REMOVALS]
     is_full = state.queue_count >= QUEUE_LENGTH
-    is_due = (age >= plan.lag) & (jnp.arange(_REMOVALS) < state.queue_count - 1)
-    is_due = is_due | (is_full & (jnp.arange(_REMOVALS) == 0))
+    is_due = (age >= plan.lag) & (jnp.arange(_REMOVALS, dtype=jnp.int32) < state.queue_count - 1)
+    is_due = is_due | (is_full & (jnp.arange(_REMOVALS, dtype=jnp.int32) == 0))
     apart = jnp.max(jnp.abs(jax.lax.stop_gradient(tips[1] - tips[0])))
     is_due = is_due.at[1].set(is_due[0] & is_due[1] & (apart <= plan.window.slack))
     stock, volume, full, beyond = remove_poses(
         state.stock, cutter, plan.window, adjoint.removal_tips(tips), poses, is_due
     )
     count = jnp.sum(is_due, dtype=jnp.int32)
-    shift = jnp.minimum(jnp.arange(QUEUE_LENGTH) + count, QUEUE_LENGTH - 1)
+    shift = jnp.minimum(jnp.arange(QUEUE_LENGTH, dtype=jnp.int32) + count, QUEUE_LENGTH - 1)
     state = eqx.tree_at(
         lambda s: (
             s.stock,
@@ -499,7 +499,7 @@ def _remove_due(
 
 def _thinned_poses(plan: ProcessPlan, state: ProcessState) -> Int[Array, " circle"]:
     """Return the newest poses in the queue at given distances behind the tool."""
-    slots = jnp.arange(QUEUE_LENGTH)
+    slots = jnp.arange(QUEUE_LENGTH, dtype=jnp.int32)
     age = state.travel - state.queue_travel
     picks = []
     for share in _THINNED:

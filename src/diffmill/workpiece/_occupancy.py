@@ -72,10 +72,9 @@ class Discs(eqx.Module):
         middle of the last disc. The lowest disc ends at the tip: it has no share in
         material below.
         """
-        at = height[..., None] / self.height - (
-            jnp.arange(self.count, dtype=height.dtype) + 0.5
-        )
-        share = _hat_integral(at)
+        centers = self.centers(height.dtype)
+        centers = centers.reshape((1,) * height.ndim + (self.count,))
+        share = _hat_integral((height[..., None] - centers) / self.height)
         below_tip = _hat_integral(-height / self.height - 0.5)
         lowest = jnp.where(height > 0, share[..., 0] - below_tip, 0)
         return share.at[..., 0].set(lowest)
@@ -134,14 +133,14 @@ class _Walls(eqx.Module):
 
 def _find_columns(stock: Stock, points: Float[Array, "point disc 3"]) -> _Columns:
     rays = stock.families[2]
-    at = jax.lax.stop_gradient((points - stock.origin) / stock.spacing)
+    at = jax.lax.stop_gradient((points - stock.origin[None, None]) / stock.spacing)
     near = [
         jnp.clip(jnp.round(at[..., a]).astype(jnp.int32), 1, rays.ends.shape[a] - 2)
         for a in (0, 1)
     ]
     step = jnp.arange(-1, 2, dtype=jnp.int32)
-    i = near[0][..., None] + jnp.repeat(step, 3)
-    j = near[1][..., None] + jnp.tile(step, 3)
+    i = near[0][..., None] + jnp.repeat(step, 3)[None, None]
+    j = near[1][..., None] + jnp.tile(step, 3)[None, None]
     return _Columns(rays.ends[i, j], rays.poses[i, j])
 
 
@@ -156,7 +155,7 @@ def _wall_heights(
     A disc that only just reaches into the material from above has its middle in the
     air, where rays along x and y meet nothing; one spacing below the top they do.
     """
-    z = points[..., 2] + discs.centers(points.dtype)
+    z = points[..., 2] + discs.centers(points.dtype)[None]
     ends = jax.lax.stop_gradient(columns.ends)
     low, high = ends[..., 0, :], ends[..., 1, :]
     reaches = (high > low) & (low < jax.lax.stop_gradient(z)[:, :, None, None] + discs.height)
@@ -183,14 +182,15 @@ def _find_walls(
         jnp.clip(jnp.floor(at[a]).astype(jnp.int32), 0, rays.ends.shape[a] - 2)
         for a in (0, 1)
     ]
-    row = cell[0][..., None] + jnp.array([0, 0, 1, 1], jnp.int32)
-    column = cell[1][..., None] + jnp.array([0, 1, 0, 1], jnp.int32)
+    row = cell[0][..., None] + jnp.array([[[0, 0, 1, 1]]], jnp.int32)
+    column = cell[1][..., None] + jnp.array([[[0, 1, 0, 1]]], jnp.int32)
     near = rays.ends[row, column]
     low, high = near[..., 0, :], near[..., 1, :]
     x = jnp.broadcast_to(frozen(points[..., family]), at_height.shape)[..., None]
     inside = jnp.minimum(x[..., None] - frozen(low), frozen(high) - x[..., None])
     slot = jnp.argmax(inside, axis=-1)
-    is_slot = jnp.arange(low.shape[-1]) == slot[..., None]
+    slots = jnp.arange(low.shape[-1])[None, None, None]
+    is_slot = slots == slot[..., None]
     low = jnp.sum(jnp.where(is_slot, low, 0), axis=-1)
     high = jnp.sum(jnp.where(is_slot, high, 0), axis=-1)
     is_upper = frozen(high) - x < x - frozen(low)

@@ -59,7 +59,8 @@ def subtract(
         # The interval to remove lies inside at most one piece: one slot is enough.
         needs = jnp.any(is_split, axis=-1, keepdims=True)
         free = jnp.argmin(is_live, axis=-1)[..., None]
-        takes = needs & ~is_live & (jnp.arange(low.shape[-1]) == free)
+        slots = jnp.arange(low.shape[-1]).reshape((1,) * (low.ndim - 1) + (-1,))
+        takes = needs & ~is_live & (slots == free)
         rest = jnp.max(jnp.where(is_split, high, -DEAD), axis=-1, keepdims=True)
         rest_pose = jnp.where(is_split, poses[..., 1, :], -1)
         rest_pose = jnp.max(rest_pose, axis=-1, keepdims=True)
@@ -155,7 +156,7 @@ def remove_poses(
         jnp.clip(grid[2] - 1, 0, nz - sizes[2]),
     ]
     lines = [
-        origin[a] + d * (starts[a] + jnp.arange(sizes[a])).astype(dtype)
+        origin[a] + d * (starts[a] + jnp.arange(sizes[a], dtype=jnp.int32)).astype(dtype)
         for a in range(3)
     ]
     # Material above the window under the tool would stay uncut.
@@ -182,7 +183,7 @@ def _remove_family(
     cutter: AbstractCutter,
     family: Literal[0, 1, 2],
     starts: list[Int[Array, ""]],
-    lines: list[Float[Array, " line"]],
+    lines: list[Float[Array, " _"]],
     tips: Float[Array, "pose 3"],
     poses: Int[Array, " pose"],
     is_due: Bool[Array, " pose"],

@@ -1,6 +1,8 @@
 """The stock: three orthogonal families of rays, each ray a few intervals."""
 
 import math
+from collections.abc import Sequence
+from typing import TypeAlias
 
 import equinox as eqx
 import jax
@@ -8,6 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from .._types import RealScalarLike
+
+# A point as users pass it.
+Point: TypeAlias = (
+    Float[Array, " 3"] | Float[np.ndarray, " 3"] | Sequence[RealScalarLike]
+)
 # Ends of a slot that holds nothing: far outside any workpiece, and reversed [m].
 DEAD = 1e3
 # Rays without material around the stock, so that distances are known outside it.
@@ -86,8 +94,8 @@ def grid_shape(stock: Stock) -> tuple[int, int, int]:
 
 
 def box(
-    lower: Float[Array, " 3"] | Float[np.ndarray, " 3"] | list[float] | tuple,
-    upper: Float[Array, " 3"] | Float[np.ndarray, " 3"] | list[float] | tuple,
+    lower: Point,
+    upper: Point,
     spacing: float,
     *,
     interval_counts: tuple[int, int, int] = (12, 12, 1),
@@ -109,7 +117,7 @@ def box(
     Raises:
         ValueError: The box is empty, not finite, or the spacing not positive.
     """
-    low, high = np.asarray(lower, float), np.asarray(upper, float)
+    low, high = np.asarray(lower, np.float64), np.asarray(upper, np.float64)
     if not (math.isfinite(spacing) and spacing > 0):
         raise ValueError(
             f"Argument `spacing` must be finite and positive, but is {spacing}."

@@ -1,0 +1,191 @@
+import functools
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import PAPER_LAW, quadrature_mean_force, relative
+
+from diffmill import RESULTS, cutter as ct, sim, workpiece as wp
+
+MILL = ct.flat_end_mill(10e-3, 2)
+D = 0.2e-3
+STOCK = wp.box([0, 0, -3e-3], [16e-3, 12e-3, 0], D, interval_counts=(4, 4, 1))
+SPEED = 8000 * 2 * math.pi / 60
+FEED = 0.1875e-3
+STEPS = 110
+
+
+@functools.cache
+def compiled(steps=STEPS):
+    def run(positions, stock):
+        return sim.simulate_process(
+            positions, stock, MILL, PAPER_LAW, SPEED, axial_depth=1.6e-3
+        )
+
+    return jax.jit(run)
+
+
+def line(start, stop, steps=STEPS):
+    return np.linspace(np.asarray(start), np.asarray(stop), steps)
+
+
+def straight(y, depth=1.0e-3, feed=FEED, steps=STEPS):
+    x = -6e-3 + feed * np.arange(steps)
+    return np.column_stack([x, np.full(steps, y), np.full(steps, -depth)])
+
+
+def steady(solution, count=20):
+    return np.asarray(solution.force)[-count:].mean(axis=0)
+
+
+def test_a_slot_pushes_the_tool_back_and_to_the_side():
+    # Feed along +x, clockwise cutter: the force on the tool is against the feed, to
+    # +y (Altintas' slot), and K_ac > 0 lifts it.
+    F = steady(compiled()(straight(6e-3), STOCK))
+    assert F[0] < 0 < F[1] and F[2] > 0
+    wanted = quadrature_mean_force(PAPER_LAW, FEED, 0.0, math.pi, 1e-3)
+    assert relative(F, wanted) < 2e-3
+
+
+@pytest.mark.parametrize("radial_depth", [5e-3, 2e-3, 1e-3, 0.5e-3])
+def test_partial_cuts_match_the_quadrature(radial_depth):
+    # Tooth at phi = 0 looks to +y: stock beside +y is up-milling.
+    solution = compiled()(straight(-(5e-3 - radial_depth)), STOCK)
+    exit_angle = math.acos(1 - radial_depth / 5e-3)
+    wanted = quadrature_mean_force(PAPER_LAW, FEED, 0.0, exit_angle, 1e-3)
+    assert relative(steady(solution), wanted) < 1.5e-2
+
+
+def test_down_milling_matches_the_quadrature():
+    solution = compiled()(straight(12e-3 + 3e-3), STOCK)
+    wanted = quadrature_mean_force(
+        PAPER_LAW, FEED, math.acos(-(3e-3) / 5e-3), math.pi, 1e-3
+    )
+    assert relative(steady(solution), wanted) < 1.5e-2
+
+
+def test_turning_the_feed_turns_the_force():
+    along_x = steady(compiled()(straight(6e-3), STOCK))
+    y = -6e-3 + FEED * np.arange(STEPS)
+    path = np.column_stack([np.full(STEPS, 8e-3), y, np.full(STEPS, -1e-3)])
+    along_y = steady(compiled()(path, STOCK))
+    # A quarter turn counterclockwise maps x to y.
+    assert relative(along_y, [-along_x[1], along_x[0], along_x[2]]) < 2e-3
+
+
+@pytest.mark.parametrize("depth", [0.27e-3, 0.61e-3, 0.93e-3, 1.31e-3])
+def test_force_is_linear_in_the_axial_depth(depth):
+    F = steady(compiled()(straight(6e-3, depth), STOCK))
+    one = quadrature_mean_force(PAPER_LAW, FEED, 0.0, math.pi, 1e-3)
+    np.testing.assert_allclose(np.linalg.norm(F), np.linalg.norm(one) * depth / 1e-3, rtol=5e-3)
+
+
+def test_every_removed_volume_is_counted():
+    solution = compiled()(straight(6.03e-3, 1.07e-3), STOCK)
+    removed = STOCK.volume() - solution.stock.volume()
+    total = jnp.sum(solution.removed_volume) + solution.initial_overlap_volume
+    np.testing.assert_allclose(total, removed, rtol=1e-9)
+    length = -6e-3 + FEED * (STEPS - 1)
+    exact = (length * 10e-3 + math.pi * 5e-3**2 / 2) * 1.07e-3
+    np.testing.assert_allclose(removed, exact, rtol=5e-3)
+    assert bool(solution.result == RESULTS.successful)
+
+
+def test_starting_in_the_stock_is_an_overlap_and_no_chip():
+    path = line([8e-3, 6e-3, -1e-3], [8e-3, 6e-3, -1e-3])
+    solution = compiled()(path, STOCK)
+    np.testing.assert_allclose(
+        solution.initial_overlap_volume, math.pi * 5e-3**2 * 1e-3, rtol=1e-2
+    )
+    np.testing.assert_array_equal(solution.force, 0)
+    np.testing.assert_array_equal(solution.removed_volume, 0)
+
+
+def test_in_the_air_force_and_gradient_are_exactly_zero():
+    path = jnp.asarray(straight(6e-3, -0.1e-3))
+
+    def total(p):
+        return jnp.sum(compiled()(p, STOCK).force ** 2)
+
+    value, grad = jax.value_and_grad(total)(path)
+    assert float(value) == 0
+    np.testing.assert_array_equal(grad, 0)
+
+
+def test_the_second_pass_cuts_nothing():
+    first = straight(6e-3)
+    again = np.concatenate([first, first[::-1]])
+    solution = compiled(2 * STEPS)(again, STOCK)
+    F = np.linalg.norm(np.asarray(solution.force), axis=1)
+    assert F[STEPS + 15 :].max() < 0.02 * F[:STEPS].max()
+    np.testing.assert_allclose(solution.removed_volume[STEPS + 1 :], 0, atol=1e-15)
+
+
+def test_rapid_moves_of_millimetres_give_finite_gradients():
+    path = straight(6e-3)
+    path[:40, 0] = -6e-3 - 3e-3 * np.arange(40)[::-1]
+    path[60:] += [0, 0, 4e-3]
+
+    def total(p):
+        return jnp.sum(compiled()(p, STOCK).force)
+
+    value, grad = jax.value_and_grad(total)(jnp.asarray(path))
+    assert np.isfinite(value) and np.isfinite(grad).all()
+
+
+def test_too_few_slots_raise_the_flag():
+    stock = wp.box([0, 0, -3e-3], [16e-3, 12e-3, 0], D, interval_counts=(1, 1, 1))
+    run = jax.jit(
+        lambda p: sim.simulate_process(
+            p, stock, MILL, PAPER_LAW, SPEED, axial_depth=1.6e-3
+        ).result
+    )
+    assert bool(run(straight(6e-3)) == RESULTS.interval_overflow)
+
+
+def test_a_deeper_cut_than_promised_raises_the_flag():
+    assert bool(compiled()(straight(6e-3, 2.9e-3), STOCK).result == RESULTS.window_overflow)
+
+
+def test_helix_keeps_the_mean_and_spreads_the_extremes():
+    helical = ct.flat_end_mill(10e-3, 2, math.radians(30))
+    run = lambda mill: jax.jit(
+        lambda p: sim.simulate_process(
+            p, STOCK, mill, PAPER_LAW, SPEED, axial_depth=1.6e-3, keeps_instantaneous=True
+        ).instantaneous_force
+    )(straight(6e-3))[-10:]
+    straight_flutes, with_helix = np.asarray(run(MILL)), np.asarray(run(helical))
+    assert relative(with_helix.mean((0, 1)), straight_flutes.mean((0, 1))) < 5e-3
+    assert np.ptp(with_helix[..., 1]) < np.ptp(straight_flutes[..., 1])
+
+
+@pytest.mark.parametrize("mode", ["forward", "reverse"])
+def test_both_adjoints_agree(mode):
+    path = jnp.asarray(straight(-2e-3, 1.03e-3))
+    rng = np.random.default_rng(4)
+    weights = jnp.asarray(rng.normal(size=path.shape))
+    direction = jnp.asarray(rng.normal(size=path.shape))
+
+    def derivative(adjoint):
+        def total(p):
+            force = sim.simulate_process(
+                p, STOCK, MILL, PAPER_LAW, SPEED, axial_depth=1.6e-3, adjoint=adjoint
+            ).force
+            return jnp.sum(weights * force)
+
+        if mode == "reverse":
+            return jax.jit(jax.grad(total))(path)
+        return jax.jit(lambda p: jax.jvp(total, (p,), (direction,))[1])(path)
+
+    plain, traced = derivative(sim.Plain()), derivative(sim.Traced())
+    np.testing.assert_allclose(traced, plain, rtol=1e-9, atol=1e-9 * np.abs(plain).max())
+
+
+def test_wrong_arguments_are_refused():
+    with pytest.raises(ValueError, match="positions"):
+        sim.simulate_process(np.zeros((1, 3)), STOCK, MILL, PAPER_LAW, SPEED)
+    with pytest.raises(ValueError, match="axes"):
+        axes = np.tile([1.0, 0.0, 0.0], (STEPS, 1))
+        sim.simulate_process(straight(6e-3), STOCK, MILL, PAPER_LAW, SPEED, axes)

@@ -1,0 +1,70 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from diffmill import cutter as ct, workpiece as wp
+
+MILL = ct.flat_end_mill(10e-3, 2)
+DISCS = wp.Discs(4, 0.6e-3)
+STOCK = wp.box([0, 0, -3e-3], [12e-3, 10e-3, 0], 0.2e-3)
+
+
+@jax.jit
+def look(points):
+    return wp.occupancy(STOCK, points[:, None], DISCS, MILL)
+
+
+def test_disc_shares_sum_to_the_depth_at_any_depth():
+    depth = jnp.linspace(0, 2.0e-3, 57)
+    total = jnp.sum(DISCS.filled_below(depth), axis=-1) * DISCS.height
+    np.testing.assert_allclose(total, depth, atol=1e-15)
+    assert not DISCS.filled_below(jnp.array([-1e-4])).any()
+
+
+@pytest.mark.parametrize("depth", [0.13e-3, 0.6e-3, 1.0e-3, 1.47e-3])
+def test_inside_the_stock_the_discs_sum_to_the_depth(depth):
+    rng = np.random.default_rng(2)
+    points = np.column_stack(
+        [rng.uniform(2e-3, 10e-3, 50), rng.uniform(2e-3, 8e-3, 50), np.full(50, -depth)]
+    )
+    total = jnp.sum(look(jnp.asarray(points)), axis=-1) * DISCS.height
+    np.testing.assert_allclose(total, depth, rtol=1e-5)
+
+
+def test_the_wall_is_where_it_is_at_every_depth():
+    y = np.linspace(-0.3e-3, 0.3e-3, 61)
+    for depth in (0.5e-3, 1.0e-3):
+        points = np.column_stack([np.full(61, 5.07e-3), y, np.full(61, -depth)])
+        total = jnp.sum(look(jnp.asarray(points)), axis=-1) * DISCS.height / depth
+        np.testing.assert_allclose(total[y < -0.11e-3], 0, atol=1e-4)
+        np.testing.assert_allclose(total[y > 0.11e-3], 1, atol=1e-4)
+        # The transition is centered on the wall: its integral is the right length.
+        assert abs(np.trapezoid(total, y) - 0.3e-3) < 2e-6
+
+
+def test_far_from_the_stock_everything_is_exactly_zero():
+    points = jnp.array([[-1e-3, 5e-3, -1e-3], [5e-3, 5e-3, 0.1e-3], [50e-3, 0.0, 0.0]])
+    value, grad = jax.value_and_grad(lambda p: jnp.sum(look(p)))(points)
+    assert float(value) == 0
+    np.testing.assert_array_equal(grad, 0)
+
+
+def test_gradient_matches_differences():
+    rng = np.random.default_rng(3)
+    points = np.column_stack(
+        [np.full(40, 5.07e-3), rng.uniform(-0.08e-3, 0.08e-3, 40), np.full(40, -1.03e-3)]
+    )
+    weights = jnp.asarray(rng.normal(size=(40, DISCS.count)))
+
+    def total(p):
+        return jnp.sum(weights * look(p), axis=-1)
+
+    points = jnp.asarray(points)
+    _, slope = jax.jvp(total, (points,), (jnp.ones_like(points),))
+    step = 1e-9
+    difference = (total(points + step) - total(points - step)) / (2 * step)
+    scale = float(jnp.max(jnp.abs(difference)))
+    is_close = np.abs(slope - difference) < 1e-5 * scale
+    assert scale > 1e3
+    assert is_close.mean() >= 0.95

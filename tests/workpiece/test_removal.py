@@ -1,0 +1,133 @@
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from diffmill import cutter as ct, workpiece as wp
+from diffmill.workpiece._stock import DEAD
+
+MILL = ct.flat_end_mill(4e-3, 2)
+subtract = jax.jit(wp.subtract)
+
+
+def slots(pieces, count):
+    ends = np.array([[DEAD] * count, [-DEAD] * count])
+    for m, (low, high) in enumerate(pieces):
+        ends[:, m] = low, high
+    return ends
+
+
+def python_subtract(pieces, start, stop):
+    kept = []
+    for low, high in pieces:
+        for a, b in ((low, min(high, start)), (max(low, stop), high)):
+            if b - a > 1e-9:
+                kept.append((a, b))
+    return kept
+
+
+def live(ends):
+    return sorted((a, b) for a, b in zip(ends[0], ends[1], strict=True) if b > a)
+
+
+def test_subtracting_matches_a_loop_over_pieces():
+    rng = np.random.default_rng(1)
+    all_ends, cuts, wanted = [], [], []
+    for _ in range(500):
+        marks = np.sort(rng.uniform(0, 1, 6))
+        pieces = [(marks[2 * i], marks[2 * i + 1]) for i in range(rng.integers(0, 4))]
+        start, stop = np.sort(rng.uniform(-0.2, 1.2, 2))
+        all_ends.append(slots(pieces, 5))
+        cuts.append((start, stop))
+        wanted.append(sorted(python_subtract(pieces, start, stop)))
+    ends = jnp.asarray(np.stack(all_ends))
+    start, stop = (jnp.asarray(np.array(c)) for c in zip(*cuts, strict=True))
+    poses = jnp.full(ends.shape, -1, jnp.int32)
+    new, by, full = subtract(
+        ends, poses, (start, stop, jnp.ones(500, bool)), jnp.asarray(7, jnp.int32)
+    )
+    assert not full.any()
+    for i, pieces in enumerate(wanted):
+        np.testing.assert_allclose(live(np.asarray(new[i])), pieces)
+    # Ends that moved, and only those, carry the pose that moved them.
+    is_live = np.asarray(new[:, 1] > new[:, 0])
+    for side, value in ((0, stop), (1, start)):
+        moved = np.asarray(new[:, side] == value[:, None]) & is_live
+        assert (np.asarray(by[:, side])[moved] == 7).all()
+        assert (np.asarray(by[:, side])[~moved & is_live] == -1).all()
+
+
+def test_a_ray_without_a_free_slot_raises_its_flag():
+    ends = jnp.asarray(slots([(0.0, 1.0), (2.0, 3.0)], 2))[None]
+    poses = jnp.full(ends.shape, -1, jnp.int32)
+    yes = jnp.ones(1, bool)
+    pose = jnp.zeros((), jnp.int32)
+    inside = (jnp.array([0.4]), jnp.array([0.6]), yes)
+    assert subtract(ends, poses, inside, pose)[2].all()
+    beside = (jnp.array([0.4]), jnp.array([1.6]), yes)
+    assert not subtract(ends, poses, beside, pose)[2].any()
+
+
+def test_slivers_are_dropped():
+    ends = jnp.asarray(slots([(0.0, 1.0)], 2))[None]
+    poses = jnp.full(ends.shape, -1, jnp.int32)
+    cut = (jnp.array([0.5e-9]), jnp.array([0.5]), jnp.ones(1, bool))
+    new, _, _ = subtract(ends, poses, cut, jnp.zeros((), jnp.int32))
+    assert live(np.asarray(new[0])) == [(0.5, 1.0)]
+
+
+@functools.cache
+def cut_block(spacing):
+    stock = wp.box([0, 0, -2e-3], [12e-3, 10e-3, 0], spacing)
+    window = wp.removal_window(stock, MILL, 1.3e-3, 0.4e-3)
+
+    def step(stock, x):
+        tip, pose = x
+        stock, volume, full, beyond = wp.remove_poses(
+            stock, MILL, window, tip[None], pose[None], jnp.ones(1, bool)
+        )
+        return stock, (volume[0], full | beyond)
+
+    tips = np.zeros((60, 3))
+    tips[:, 0] = np.linspace(-3e-3, 8e-3, 60)
+    tips[:, 1], tips[:, 2] = 5.03e-3, -1.07e-3
+    xs = (jnp.asarray(tips), jnp.arange(60, dtype=jnp.int32))
+    return stock, *jax.jit(lambda s: jax.lax.scan(step, s, xs))(stock), tips
+
+
+def test_a_slot_has_its_exact_volume_and_every_step_counts():
+    before, after, (volumes, is_bad), _ = cut_block(0.1e-3)
+    assert not is_bad.any()
+    removed = before.volume() - after.volume()
+    np.testing.assert_allclose(jnp.sum(volumes), removed, rtol=1e-9)
+    exact = (8e-3 * 4e-3 + np.pi * 2e-3**2 / 2) * 1.07e-3
+    np.testing.assert_allclose(removed, exact, rtol=5e-3)
+
+
+def test_no_ray_is_left_inside_any_pose_and_none_is_cut_outside():
+    _, after, _, tips = cut_block(0.1e-3)
+    for family in range(3):
+        points, sign = wp.ray_ends(after, family)
+        # A point a hair inside the material must lie outside every pose.
+        points = points.copy()
+        points[:, family] -= sign * 1e-7
+        away = points[:, None, :] - tips[None]
+        inside = (np.hypot(away[..., 0], away[..., 1]) < 2e-3) & (away[..., 2] > 0)
+        assert not inside.any()
+        # A point a hair outside lies in a pose or outside the block.
+        points[:, family] += sign * 2e-7
+        away = points[:, None, :] - tips[None]
+        inside = (np.hypot(away[..., 0], away[..., 1]) < 2e-3) & (away[..., 2] > 0)
+        is_air = inside.any(axis=1)
+        is_outside = (points < [0, 0, -2e-3]).any(1) | (points > [12e-3, 10e-3, 0]).any(1)
+        assert (is_air | is_outside).all()
+
+
+def test_a_tool_deeper_than_its_window_raises_the_flag():
+    stock = wp.box([0, 0, -4e-3], [8e-3, 8e-3, 0], 0.2e-3)
+    window = wp.removal_window(stock, MILL, 0.4e-3, 0.2e-3)
+    tip = jnp.array([[4e-3, 4e-3, -3e-3]])
+    yes, pose = jnp.ones(1, bool), jnp.zeros(1, jnp.int32)
+    assert wp.remove_poses(stock, MILL, window, tip, pose, yes)[3]
+    assert not wp.remove_poses(stock, MILL, window, tip + 10.0, pose, yes)[3]

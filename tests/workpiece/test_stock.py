@@ -1,0 +1,50 @@
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from diffmill import workpiece as wp
+
+
+def test_a_box_has_its_volume_in_every_family():
+    stock = wp.box([0, 0, -2e-3], [6e-3, 4e-3, 0], 0.2e-3)
+    np.testing.assert_allclose(stock.volumes(), 48e-9, rtol=1e-12)
+    np.testing.assert_allclose(stock.volume(), 48e-9, rtol=1e-12)
+
+
+def test_ray_ends_lie_on_the_faces():
+    low, high = np.array([1e-3, -2e-3, -1e-3]), np.array([3e-3, 1e-3, 0.5e-3])
+    stock = wp.box(low, high, 0.25e-3)
+    for family in range(3):
+        points, sign = wp.ray_ends(stock, family)
+        np.testing.assert_allclose(points[sign < 0, family], low[family])
+        np.testing.assert_allclose(points[sign > 0, family], high[family])
+        others = np.delete(points, family, axis=1)
+        assert (others > np.delete(low, family)).all()
+        assert (others < np.delete(high, family)).all()
+
+
+def test_height_map_and_material_above():
+    stock = wp.box([0, 0, -2e-3], [2e-3, 2e-3, 0.3e-3], 0.5e-3)
+    x, y, height = wp.height_map(stock)
+    assert height.shape == (x.size, y.size)
+    inside = (x > 0) & (x < 2e-3)
+    np.testing.assert_allclose(height[np.ix_(inside, inside)], 0.3e-3)
+    assert np.isnan(height[~inside]).all()
+    at = jnp.array([1e-3, 9e-3])
+    found = wp.has_material_above(stock, at, at, jnp.full(2, 0.2e-3))
+    assert found.tolist() == [True, False]
+    assert not wp.has_material_above(stock, at, at, jnp.full(2, 0.4e-3)).any()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (([0, 0, 0], [1, 1, -1], 0.1), "upper"),
+        (([0, 0, 0], [1, 1, np.inf], 0.1), "upper"),
+        (([0, 0, 0], [1, 1, 1], 0.0), "spacing"),
+        (([0, 0], [1, 1, 1], 0.1), "three numbers"),
+    ],
+)
+def test_impossible_boxes_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        wp.box(*arguments)
