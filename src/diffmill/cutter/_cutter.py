@@ -13,6 +13,11 @@ from .._types import RealScalarLike
 
 # Longer than any workpiece [m]: the shank leaves no material above the cutter.
 _ABOVE_EVERYTHING = 1e3
+# Half a chord shorter than this [m] is a ray that only touches the cutter's side;
+# it stands within 1e-10 m of it for a cutter of 10 mm.
+_GRAZE = 1e-6
+# A ray less than this above the tip [m] only touches the bottom.
+_TOUCH = 1e-9
 
 class AbstractCutter(eqx.Module):
     """What removal, engagement and forces ask of a cutter (tool axis along +z).
@@ -113,7 +118,9 @@ class FlatEndMill(AbstractCutter):
             return lower, jnp.full_like(lower, _ABOVE_EVERYTHING), is_hit
         across, up = (db, dc) if family == 0 else (dc, db)
         square = R**2 - across**2
-        is_hit = (square > 0) & (up > 0)
+        # Walls and floors of real parts lie exactly on rays: without a tolerance,
+        # rounding would decide pose by pose and shred such a ray.
+        is_hit = (square > _GRAZE**2) & (up > _TOUCH)
         half = jnp.sqrt(jnp.where(is_hit, square, 1.0))
         return tip[family] - half, tip[family] + half, is_hit
 

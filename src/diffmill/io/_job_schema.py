@@ -143,7 +143,7 @@ class StockTable(_Table):
     upper: Lengths3 = Field(description='three lengths, such as ["80 mm", ...]')
     spacing: PositiveLength = Field(description='a length, such as "0.2 mm"')
     intervals: Annotated[list[Slots], Field(min_length=3, max_length=3)] = Field(
-        default_factory=lambda: [12, 12, 1]
+        default_factory=lambda: [8, 8, 1]
     )
 
 

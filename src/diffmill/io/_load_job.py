@@ -29,7 +29,7 @@ from ._job_schema import (
 
 # Longest sub-step of the robot [s], and the room below the deepest disc [m].
 _SUBSTEP = 0.5e-3
-_ROOM = 1e-3
+_ROOM = 0.6e-3
 _FEWEST_ANGLES = 180
 _LARGEST_JOB = 1_000_000
 

@@ -188,13 +188,14 @@ def _find_walls(
     low, high = near[..., 0, :], near[..., 1, :]
     x = jnp.broadcast_to(frozen(points[..., family]), at_height.shape)[..., None]
     inside = jnp.minimum(x[..., None] - frozen(low), frozen(high) - x[..., None])
-    slot = jnp.argmax(inside, axis=-1)
-    slots = jnp.arange(low.shape[-1])[None, None, None]
-    is_slot = slots == slot[..., None]
-    low = jnp.sum(jnp.where(is_slot, low, 0), axis=-1)
-    high = jnp.sum(jnp.where(is_slot, high, 0), axis=-1)
+    # Plain maxima are several times faster than argmax and a lookup.
+    is_slot = inside == jnp.max(inside, axis=-1, keepdims=True)
+    low = jnp.max(jnp.where(is_slot, low, -jnp.inf), axis=-1)
+    high = jnp.max(jnp.where(is_slot, high, -jnp.inf), axis=-1)
+    slots = jnp.arange(rays.ends.shape[-1], dtype=jnp.int32)[None, None, None]
+    slot = jnp.max(jnp.where(is_slot, slots, 0), axis=-1)
     is_upper = frozen(high) - x < x - frozen(low)
-    pose = rays.poses[row, column, is_upper.astype(jnp.int32), slot.astype(jnp.int32)]
+    pose = rays.poses[row, column, is_upper.astype(jnp.int32), slot]
     line = row if family == 0 else column
     return _Walls(
         ends=jnp.where(is_upper, high, low),

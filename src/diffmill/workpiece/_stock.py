@@ -98,7 +98,7 @@ def box(
     upper: Point,
     spacing: float,
     *,
-    interval_counts: tuple[int, int, int] = (12, 12, 1),
+    interval_counts: tuple[int, int, int] = (8, 8, 1),
     dtype: type | jnp.dtype | None = None,
 ) -> Stock:
     """Return a block as stock.
