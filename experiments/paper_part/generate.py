@@ -54,18 +54,18 @@ class Part:
 
 PAPER = Part(
     name="paper",
-    width=100,
-    height=48,
+    width=76,
+    height=34,
     step_width=12,
-    step_height=40,
+    step_height=26,
     step_return=7,
-    square_x=68,
-    square=26,
+    square_x=49,
+    square=20,
     ramp_sides=4,
-    finish=3.2,
-    circle_x=32,
-    circle=28,
-    helix=8,
+    finish=2.2,
+    circle_x=25,
+    circle=20,
+    helix=6,
 )
 PAPER_SMALL = Part(
     name="paper_small",
