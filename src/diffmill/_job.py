@@ -60,8 +60,8 @@ class CorrectionSettings(eqx.Module):
     command: Literal["tip", "joint"] = eqx.field(static=True, default="tip")
     knot_spacing: float = eqx.field(static=True, default=30e-3)
     max_offset: RealScalarLike = 1e-3
-    max_steps: int = eqx.field(static=True, default=6)
-    max_products: int = eqx.field(static=True, default=40)
+    max_steps: int = eqx.field(static=True, default=3)
+    max_products: int = eqx.field(static=True, default=30)
 
 
 class Job(eqx.Module):

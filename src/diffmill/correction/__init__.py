@@ -54,3 +54,8 @@ from ._quadratic import (
     QuadraticSolution as QuadraticSolution,
     solve_bounded_quadratic as solve_bounded_quadratic,
 )
+from ._response import (
+    TipResponse as TipResponse,
+    spline_preconditioner as spline_preconditioner,
+    tip_response as tip_response,
+)

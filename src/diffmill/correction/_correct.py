@@ -31,6 +31,7 @@ from ._method import Corrected, GivenCommand
 from ._mirror import IteratedMirror, Mirror
 from ._problem import Motion, Problem
 from ._projection import clip_offset
+from ._response import tip_response
 
 if TYPE_CHECKING:
     import xarray
@@ -208,6 +209,12 @@ def correct(
         run("corrected", method, problem, start=inverse.motor_positions)
     else:
         best = min(methods.values(), key=lambda found: found.measures.rms)
+        joints, _ = command_joints(job, desired)
+        middle = joints[joints.shape[0] // 2]
+        response = tip_response(job.robot, middle, job.T_base_work[:3, :3])
+        method = eqx.tree_at(
+            lambda m: m.response, method, response, is_leaf=lambda x: x is None
+        )
         run("corrected", method, problem, start=best.command)
     cases = {
         name: _solution(job, rigid, methods[name].command, adjoint) for name in methods

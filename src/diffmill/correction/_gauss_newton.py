@@ -11,6 +11,7 @@ from ._least_squares import LeastSquaresStep, LevenbergMarquardt, least_squares
 from ._method import AbstractMethod, Corrected, OnProgress, corrected
 from ._problem import FloatRows, Problem, contour_of
 from ._projection import project
+from ._response import TipResponse, spline_preconditioner
 
 # Contour error that counts as one in the residual [m]; sets no result, only the size
 # of the numbers and what `smoothness` is relative to.
@@ -82,12 +83,15 @@ class GaussNewton(AbstractMethod):
             error does not see it; without a little of it the command drifts along the
             path as far as the bound where that gains anything.
         solver: Settings of the least-squares method.
+        response: The arm's inverse response, which preconditions the inner problem;
+            for tip commands only.
     """
 
     knot_spacing: float = 30e-3
     smoothness: float = 1e-2
     lag_weight: float = 0.03
     solver: LevenbergMarquardt = LevenbergMarquardt(max_steps=6, cost_rtol=1e-2)
+    response: TipResponse | None = None
 
     def __call__(
         self,
@@ -117,6 +121,9 @@ class GaussNewton(AbstractMethod):
             upper=bound,
             scale=bound,
             solver=self.solver,
+            precondition=None
+            if self.response is None
+            else spline_preconditioner(self.response, spline, problem.time_step),
             on_progress=None if on_progress is None else _Told(on_progress),
         )
         offset = spline.offsets(solution.x)

@@ -170,6 +170,7 @@ def least_squares(
     upper: Bound = np.inf,
     scale: Bound = 1.0,
     solver: LevenbergMarquardt | None = None,
+    precondition: Callable[[np.ndarray], np.ndarray] | None = None,
     on_progress: Callable[[LeastSquaresStep], bool | None] | None = None,
     clock: Callable[[], float] = time.perf_counter,
 ) -> LeastSquaresSolution:
@@ -183,6 +184,8 @@ def least_squares(
         upper: Upper bounds, likewise.
         scale: Typical size of an unknown, likewise: a diagonal preconditioner.
         solver: Settings.
+        precondition: Roughly the inverse of J^T J, on NumPy arrays of the shape of
+            `start`; symmetric and positive semidefinite.
         on_progress: Called after every outer step; True ends the iteration with the
             best point so far.
         clock: Returns the time [s].
@@ -207,7 +210,7 @@ def least_squares(
     is_done = first == 0
     while not is_done and len(history) < solver.max_steps:
         before, kkt = state.cost, _kkt(state, box)
-        inner = _inner(solver, state, box)
+        inner = _inner(solver, state, box, precondition)
         state, trial_cost, gain, damping = _try(residual, args, box, state, inner)
         if gain > _ACCEPT:
             state = _linearised(solver, residual, args, box, state)
@@ -294,8 +297,16 @@ def _first_damping(solver: LevenbergMarquardt, box: _Box, state: _State) -> _Sta
     )
 
 
-def _inner(solver: LevenbergMarquardt, state: _State, box: _Box) -> QuadraticSolution:
+def _inner(
+    solver: LevenbergMarquardt,
+    state: _State,
+    box: _Box,
+    precondition: Callable[[np.ndarray], np.ndarray] | None,
+) -> QuadraticSolution:
     """Minimise the damped linear model within the bounds."""
+    if precondition is not None:
+        outer = precondition
+        precondition = lambda g: outer(g / box.scale) / box.scale
     return solve_bounded_quadratic(
         lambda p: _normal(solver, box, state, p) + state.damping * p,
         state.gradient,
@@ -303,6 +314,7 @@ def _inner(solver: LevenbergMarquardt, state: _State, box: _Box) -> QuadraticSol
         box.upper - state.z,
         rtol=solver.inner_rtol,
         max_products=(solver.max_products - 1) // 2,
+        precondition=precondition,
     )
 
 

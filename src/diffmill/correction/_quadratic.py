@@ -61,6 +61,7 @@ def solve_bounded_quadratic(
     *,
     rtol: float = 1e-2,
     max_products: int = 40,
+    precondition: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> QuadraticSolution:
     """Minimise p.A p / 2 + g.p in a box that contains p = 0.
 
@@ -71,12 +72,15 @@ def solve_bounded_quadratic(
         upper: Upper bounds of p, at least 0.
         rtol: Stop when the projected gradient has fallen by this factor.
         max_products: Products with A at most.
+        precondition: Roughly A^-1, symmetric and positive semidefinite; within a
+            face its rows and columns of bound variables are left out.
 
     Returns:
         The solution; exactly within the bounds, also when the products run out.
 
     **Differentiability**: runs on the host, not traceable.
     """
+    scaled = precondition or (lambda vector: vector)
     p = np.zeros_like(gradient)
     free, chopped = _split(p, gradient, lower, upper)
     first = float(np.sqrt(np.sum(free**2) + np.sum(chopped**2)))
@@ -85,7 +89,9 @@ def solve_bounded_quadratic(
     while norm > max(rtol * first, _TINY) and state.products < max_products:
         free, chopped = _split(state.p, state.gradient, lower, upper)
         if np.sum(chopped**2) <= np.sum(free**2):
-            state = _move(product, state, free, gradient, (lower, upper), max_products)
+            state = _move(
+                product, scaled, state, free, gradient, (lower, upper), max_products
+            )
         else:
             state = _release(product, state, chopped, (lower, upper))
         if state.p is p:
@@ -152,6 +158,7 @@ def _boundary(
 
 def _move(
     product: Callable[[np.ndarray], np.ndarray],
+    scaled: Callable[[np.ndarray], np.ndarray],
     state: _State,
     free: np.ndarray,
     gradient: np.ndarray,
@@ -159,7 +166,7 @@ def _move(
     max_products: int,
 ) -> _State:
     """Take a conjugate gradient step within the face, or enlarge the face."""
-    d = free if state.is_restarted else state.direction
+    d = np.where(free != 0, scaled(free), 0) if state.is_restarted else state.direction
     A_d = product(d)
     curvature = float(np.sum(d * A_d))
     slope = float(np.sum(d * state.gradient))
@@ -171,7 +178,8 @@ def _move(
         p = np.clip(state.p - length * d, *bounds)
         new = state.gradient - length * A_d
         free = _split(p, new, *bounds)[0]
-        d = free - (np.sum(free * A_d) / curvature) * d
+        steep = np.where(free != 0, scaled(free), 0)
+        d = steep - (np.sum(steep * A_d) / curvature) * d
         return _State(p, new, d, state.products + 1, False)
     cut_gradient = state.gradient - room * A_d
     products = state.products + 1
