@@ -257,7 +257,7 @@ def _combine(
     )
     if points.shape[1] > 1:
         # Each disc has its own points: keep its own share only.
-        filled = jnp.moveaxis(jnp.diagonal(filled, axis1=1, axis2=3), 1, 2)
+        filled = jnp.diagonal(filled, axis1=1, axis2=3)
         weights = jnp.moveaxis(_column_weights(points, origin, d), 1, 2)
     else:
         filled, weights = filled[:, 0], _column_weights(points, origin, d)[:, 0][..., None]
