@@ -80,7 +80,9 @@ def test_turning_the_feed_turns_the_force():
 def test_force_is_linear_in_the_axial_depth(depth):
     F = steady(compiled()(straight(6e-3, depth), STOCK))
     one = quadrature_mean_force(PAPER_LAW, FEED, 0.0, math.pi, 1e-3)
-    np.testing.assert_allclose(np.linalg.norm(F), np.linalg.norm(one) * depth / 1e-3, rtol=5e-3)
+    np.testing.assert_allclose(
+        np.linalg.norm(F), np.linalg.norm(one) * depth / 1e-3, rtol=5e-3
+    )
 
 
 def test_every_removed_volume_is_counted():
@@ -140,23 +142,35 @@ def test_rapid_moves_of_millimetres_give_finite_gradients():
 def test_too_few_slots_raise_the_flag():
     stock = wp.box([0, 0, -3e-3], [16e-3, 12e-3, 0], D, interval_counts=(1, 1, 1))
     run = jax.jit(
-        lambda p: sim.simulate_process(
-            p, stock, MILL, PAPER_LAW, SPEED, axial_depth=1.6e-3
-        ).result
+        lambda p: (
+            sim.simulate_process(
+                p, stock, MILL, PAPER_LAW, SPEED, axial_depth=1.6e-3
+            ).result
+        )
     )
     assert bool(run(straight(6e-3)) == RESULTS.interval_overflow)
 
 
 def test_a_deeper_cut_than_promised_raises_the_flag():
-    assert bool(compiled()(straight(6e-3, 2.9e-3), STOCK).result == RESULTS.window_overflow)
+    assert bool(
+        compiled()(straight(6e-3, 2.9e-3), STOCK).result == RESULTS.window_overflow
+    )
 
 
 def test_helix_keeps_the_mean_and_spreads_the_extremes():
     helical = ct.flat_end_mill(10e-3, 2, math.radians(30))
     run = lambda mill: jax.jit(
-        lambda p: sim.simulate_process(
-            p, STOCK, mill, PAPER_LAW, SPEED, axial_depth=1.6e-3, keeps_instantaneous=True
-        ).instantaneous_force
+        lambda p: (
+            sim.simulate_process(
+                p,
+                STOCK,
+                mill,
+                PAPER_LAW,
+                SPEED,
+                axial_depth=1.6e-3,
+                keeps_instantaneous=True,
+            ).instantaneous_force
+        )
     )(straight(6e-3))[70:90]
     straight_flutes, with_helix = np.asarray(run(MILL)), np.asarray(run(helical))
     assert relative(with_helix.mean((0, 1)), straight_flutes.mean((0, 1))) < 5e-3
@@ -182,7 +196,9 @@ def test_both_adjoints_agree(mode):
         return jax.jit(lambda p: jax.jvp(total, (p,), (direction,))[1])(path)
 
     plain, traced = derivative(sim.Plain()), derivative(sim.Traced())
-    np.testing.assert_allclose(traced, plain, rtol=1e-9, atol=1e-9 * np.abs(plain).max())
+    np.testing.assert_allclose(
+        traced, plain, rtol=1e-9, atol=1e-9 * np.abs(plain).max()
+    )
 
 
 def test_wrong_arguments_are_refused():

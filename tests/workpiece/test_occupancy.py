@@ -53,7 +53,11 @@ def test_far_from_the_stock_everything_is_exactly_zero():
 def test_gradient_matches_differences():
     rng = np.random.default_rng(3)
     points = np.column_stack(
-        [np.full(40, 5.07e-3), rng.uniform(-0.08e-3, 0.08e-3, 40), np.full(40, -1.03e-3)]
+        [
+            np.full(40, 5.07e-3),
+            rng.uniform(-0.08e-3, 0.08e-3, 40),
+            np.full(40, -1.03e-3),
+        ]
     )
     weights = jnp.asarray(rng.normal(size=(40, DISCS.count)))
 

@@ -120,7 +120,9 @@ def test_no_ray_is_left_inside_any_pose_and_none_is_cut_outside():
         away = points[:, None, :] - tips[None]
         inside = (np.hypot(away[..., 0], away[..., 1]) < 2e-3) & (away[..., 2] > 0)
         is_air = inside.any(axis=1)
-        is_outside = (points < [0, 0, -2e-3]).any(1) | (points > [12e-3, 10e-3, 0]).any(1)
+        is_outside = (points < [0, 0, -2e-3]).any(1) | (points > [12e-3, 10e-3, 0]).any(
+            1
+        )
         assert (is_air | is_outside).all()
 
 

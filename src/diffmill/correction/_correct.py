@@ -168,9 +168,9 @@ def correct(
 
     Differentiability: runs on the host, not traceable.
     """
+    job = with_precision(job)
     if job.robot is None:
         raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
-    job = with_precision(job)
     adjoint = Traced()
     rigid = rigid_cut(job, adjoint)
     desired = jnp.asarray(job.path.positions)

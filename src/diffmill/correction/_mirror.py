@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from ..numerics._filters import lowpass
+from ..numerics import lowpass
 from ._measures import rms_contour
 from ._method import AbstractMethod, Corrected, OnProgress, corrected
 from ._problem import FloatRows, Motion, Problem, run

@@ -6,6 +6,7 @@ from typing import Literal
 
 import equinox as eqx
 import jax
+import jax.core
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -18,6 +19,7 @@ _ABOVE_EVERYTHING = 1e3
 _GRAZE = 1e-6
 # A ray less than this above the tip [m] only touches the bottom.
 _TOUCH = 1e-9
+
 
 class AbstractCutter(eqx.Module):
     """What removal, engagement and forces ask of a cutter (tool axis along +z).
@@ -122,7 +124,7 @@ class FlatEndMill(AbstractCutter):
         # rounding would decide pose by pose and shred such a ray.
         is_hit = (square > _GRAZE**2) & (up > _TOUCH)
         half = jnp.sqrt(jnp.where(is_hit, square, 1.0))
-        return tip[family] - half, tip[family] + half, is_hit
+        return tip[family] - half, tip[family] + half, jnp.asarray(is_hit)
 
     def wall_slopes(
         self,
@@ -150,7 +152,10 @@ class FlatEndMill(AbstractCutter):
         tiny = 1e-9
         away = jnp.where(along < 0, -tiny, tiny)
         along = jnp.where(jnp.abs(along) < tiny, away, along)
-        return (across - tip[..., 1 - family]) / along, self.diameter / 2 / along
+        return (
+            (across - tip[..., 1 - family]) / along,
+            jnp.asarray(self.diameter / 2 / along),
+        )
 
 
 def flat_end_mill(

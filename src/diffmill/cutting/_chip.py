@@ -65,7 +65,9 @@ def layer_share(
 
     Differentiability: kinks at both ends of the ramp.
     """
-    return jnp.clip((element_lower + element_height - tip_height) / element_height, 0, 1)
+    return jnp.clip(
+        (element_lower + element_height - tip_height) / element_height, 0, 1
+    )
 
 
 def edge_contact(

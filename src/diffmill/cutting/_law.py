@@ -14,7 +14,9 @@ class AbstractForceLaw(eqx.Module):
 
     @abc.abstractmethod
     def force_per_width(
-        self, chip_thickness: Float[Array, "*sample"], edge_contact: Float[Array, "*sample"]
+        self,
+        chip_thickness: Float[Array, "*sample"],
+        edge_contact: Float[Array, "*sample"],
     ) -> tuple[
         Float[Array, "*sample"], Float[Array, "*sample"], Float[Array, "*sample"]
     ]:
@@ -45,7 +47,9 @@ class LinearEdgeLaw(AbstractForceLaw):
     K_ae: RealScalarLike = 0.0
 
     def force_per_width(
-        self, chip_thickness: Float[Array, "*sample"], edge_contact: Float[Array, "*sample"]
+        self,
+        chip_thickness: Float[Array, "*sample"],
+        edge_contact: Float[Array, "*sample"],
     ) -> tuple[
         Float[Array, "*sample"], Float[Array, "*sample"], Float[Array, "*sample"]
     ]:
@@ -62,7 +66,7 @@ class LinearEdgeLaw(AbstractForceLaw):
         """
         h, touch = jnp.asarray(chip_thickness), jnp.asarray(edge_contact)
         return (
-            self.K_tc * h + self.K_te * touch,
-            self.K_rc * h + self.K_re * touch,
-            self.K_ac * h + self.K_ae * touch,
+            jnp.asarray(self.K_tc * h + self.K_te * touch),
+            jnp.asarray(self.K_rc * h + self.K_re * touch),
+            jnp.asarray(self.K_ac * h + self.K_ae * touch),
         )

@@ -1,1 +1,12 @@
-"""numerics."""
+"""Numerical methods that know nothing about milling.
+
+What it models: `lowpass`, a Butterworth filter run forward and backward, which takes
+the tooth frequency out of forces for display and noise out of a predicted deviation
+before it is mirrored. The filter has no phase shift, and its order and cut-off are
+arguments.
+
+Assumes equally spaced samples on the host. Leaves out what JAX, equinox and lineax
+already give, and filters within a traced function.
+"""
+
+from ._filters import lowpass as lowpass

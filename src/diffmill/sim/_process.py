@@ -423,7 +423,10 @@ def substep_middles(plan: ProcessPlan, dtype: jnp.dtype) -> Float[Array, " subst
 
 
 def _remember(
-    plan: ProcessPlan, state: ProcessState, pose: Int[Array, ""], tip: Float[Array, " 3"]
+    plan: ProcessPlan,
+    state: ProcessState,
+    pose: Int[Array, ""],
+    tip: Float[Array, " 3"],
 ) -> ProcessState:
     """Enter a pose in the table, and in the queue if it is far enough from the last."""
     zero = jnp.zeros_like(pose)
@@ -466,7 +469,9 @@ def _remove_due(
     tips = state.pose_tips[poses]
     age = state.travel - state.queue_travel[:_REMOVALS]
     is_full = state.queue_count >= QUEUE_LENGTH
-    is_due = (age >= plan.lag) & (jnp.arange(_REMOVALS, dtype=jnp.int32) < state.queue_count - 1)
+    is_due = (age >= plan.lag) & (
+        jnp.arange(_REMOVALS, dtype=jnp.int32) < state.queue_count - 1
+    )
     is_due = is_due | (is_full & (jnp.arange(_REMOVALS, dtype=jnp.int32) == 0))
     apart = jnp.max(jnp.abs(jax.lax.stop_gradient(tips[1] - tips[0])))
     is_due = is_due.at[1].set(is_due[0] & is_due[1] & (apart <= plan.window.slack))
@@ -474,7 +479,9 @@ def _remove_due(
         state.stock, cutter, plan.window, adjoint.removal_tips(tips), poses, is_due
     )
     count = jnp.sum(is_due, dtype=jnp.int32)
-    shift = jnp.minimum(jnp.arange(QUEUE_LENGTH, dtype=jnp.int32) + count, QUEUE_LENGTH - 1)
+    shift = jnp.minimum(
+        jnp.arange(QUEUE_LENGTH, dtype=jnp.int32) + count, QUEUE_LENGTH - 1
+    )
     state = eqx.tree_at(
         lambda s: (
             s.stock,
@@ -506,4 +513,3 @@ def _thinned_poses(plan: ProcessPlan, state: ProcessState) -> Int[Array, " circl
         is_old = (age >= share * plan.lag) & (slots < state.queue_count)
         picks.append(jnp.max(jnp.where(is_old, slots, 0)))
     return state.queue[jnp.stack(picks)]
-

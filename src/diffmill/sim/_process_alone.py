@@ -4,6 +4,7 @@ import math
 
 import equinox as eqx
 import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -98,20 +99,19 @@ def simulate_process(
     if axes is not None:
         _require_vertical(axes, positions.shape[0])
     if plan is None:
-        depth = path_depth(positions, stock, cutter) if axial_depth is None else axial_depth
+        depth = (
+            path_depth(positions, stock, cutter) if axial_depth is None else axial_depth
+        )
         plan = process_plan(stock, cutter, axial_depth=depth, angles=angles)
     adjoint = Plain() if adjoint is None else adjoint
     step_count = positions.shape[0]
     state, overlap = initial_state(
         plan, stock, cutter, positions[0], step_count, adjoint
     )
-    middles = substep_middles(plan, dtype)
-
     def step(
         state: ProcessState, x: tuple[Array, Array, Array]
     ) -> tuple[ProcessState, tuple[Array, Array | None, Removed, Array]]:
-        index, start, stop = x
-        tips = start[None] + middles[:, None] * (stop - start)[None]
+        index, start, tips = x
         state, cut, removed = begin_period(
             plan, cutter, state, index, start, tips, adjoint
         )
@@ -127,7 +127,8 @@ def simulate_process(
         return state, (jnp.mean(samples, axis=0), kept, removed, bad)
 
     index = jnp.arange(1, step_count, dtype=jnp.int32)
-    xs = (index, positions[:-1], positions[1:])
+    middles = within_periods(positions, substep_middles(plan, dtype))
+    xs = (index, positions[:-1], middles)
     state, (force, samples, removed, _) = jax.lax.scan(step, state, xs)
     last = jnp.asarray(step_count - 1, jnp.int32)
     state, rest = flush(plan, cutter, state, last, positions[-1], adjoint)
@@ -145,6 +146,35 @@ def simulate_process(
     )
 
 
+def within_periods(
+    positions: Float[Array, "step 3"], shares: Float[Array, " substep"]
+) -> Float[Array, "period substep 3"]:
+    """Return where the tip is within the periods between given instants.
+
+    Cubic through the two instants, with the slopes of their neighbours (Catmull-Rom):
+    a chip is the difference of two such positions, and with straight lines between
+    the instants a shaking tool would cut a different chip.
+
+    Args:
+        positions: Tip at the tooth instants [m], shape (step, 3).
+        shares: Share of the period at which to look, shape (substep,).
+
+    Returns:
+        Tips [m], shape (step - 1, substep, 3).
+
+    Differentiability: linear.
+    """
+    first = 2 * positions[:1] - positions[1:2]
+    last = 2 * positions[-1:] - positions[-2:-1]
+    padded = jnp.concatenate([first, positions, last])
+    p0, p1, p2, p3 = (
+        padded[i : i + positions.shape[0] - 1, None] for i in range(4)
+    )
+    t = shares[None, :, None]
+    slope, bend = p2 - p0, 2 * p0 - 5 * p1 + 4 * p2 - p3
+    return p1 + 0.5 * t * (slope + t * (bend + t * (3 * (p1 - p2) + p3 - p0)))
+
+
 def volume_by_pose(
     step_count: int, removed: Removed, rest: Removed
 ) -> Float[Array, " step"]:
@@ -156,16 +186,12 @@ def volume_by_pose(
 
 def outcome(state: ProcessState, is_finite: Bool[Array, ""]) -> RESULTS:
     """Return the outcome of a run from the flags in its last state."""
-    result = RESULTS.where(
-        state.is_beyond, RESULTS.window_overflow, RESULTS.successful
-    )
+    result = RESULTS.where(state.is_beyond, RESULTS.window_overflow, RESULTS.successful)
     result = RESULTS.where(state.has_overflow, RESULTS.interval_overflow, result)
     return RESULTS.where(is_finite, result, RESULTS.non_finite)
 
 
-def path_depth(
-    positions: FloatRows3, stock: Stock, cutter: AbstractCutter
-) -> float:
+def path_depth(positions: FloatRows3, stock: Stock, cutter: AbstractCutter) -> float:
     """Return how deep the discs of a cutter must reach for a path [m].
 
     Args:

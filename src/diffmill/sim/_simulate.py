@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import equinox as eqx
 import jax
+import jax.core
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -129,7 +130,7 @@ def with_precision(job: Job) -> Job:
         ValueError: float64 is asked for and `jax_enable_x64` is off.
     """
     dtype = jnp.dtype(job.simulation.precision)
-    if dtype == jnp.float64 and not jax.config.jax_enable_x64:
+    if dtype == jnp.float64 and jnp.result_type(float) != dtype:
         raise ValueError(
             'Argument `job` must have precision "float32", or '
             'jax.config.update("jax_enable_x64", True) must come first.'

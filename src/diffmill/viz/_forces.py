@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from ..numerics._filters import lowpass
+from ..numerics import lowpass
 from ._style import GREY, INK, legend_above, new_figure, quiet_axes
 
 if TYPE_CHECKING:

@@ -65,7 +65,9 @@ class Discs(eqx.Module):
         """Return the height of the middle of each disc above the tip [m]."""
         return self.height * (jnp.arange(self.count, dtype=dtype) + 0.5)
 
-    def filled_below(self, height: Float[Array, "*end"]) -> Float[Array, "*end element"]:
+    def filled_below(
+        self, height: Float[Array, "*end"]
+    ) -> Float[Array, "*end element"]:
         """Return the share of each disc that lies below a height above the tip.
 
         The shares of all discs sum to height / dz at any height between zero and the
@@ -158,7 +160,9 @@ def _wall_heights(
     z = points[..., 2] + discs.centers(points.dtype)[None]
     ends = jax.lax.stop_gradient(columns.ends)
     low, high = ends[..., 0, :], ends[..., 1, :]
-    reaches = (high > low) & (low < jax.lax.stop_gradient(z)[:, :, None, None] + discs.height)
+    reaches = (high > low) & (
+        low < jax.lax.stop_gradient(z)[:, :, None, None] + discs.height
+    )
     top = jnp.max(jnp.where(reaches, high, -jnp.inf), axis=(-2, -1))
     is_fringe = (top < z + stock.spacing) & (top > z - discs.height)
     return jnp.where(is_fringe, jnp.where(is_fringe, top, 0) - stock.spacing, z)
@@ -221,7 +225,8 @@ def _tie(
     tips = pose_tips[jnp.maximum(flat, 0)]
     splits = [poses[0].size, poses[0].size + poses[1].size]
     parts = [
-        t.reshape(*p.shape, 3) for t, p in zip(jnp.split(tips, splits), poses, strict=True)
+        t.reshape(*p.shape, 3)
+        for t, p in zip(jnp.split(tips, splits), poses, strict=True)
     ]
     tied = [jnp.where(columns.poses >= 0, parts[0][..., 2], 0)]
     for f in (0, 1):
@@ -253,14 +258,18 @@ def _combine(
     filled = discs.filled_below(above_tip)
     is_live = ends[0][..., 1, :] > ends[0][..., 0, :]
     filled = jnp.sum(
-        jnp.where(is_live[..., None], filled[..., 1, :, :] - filled[..., 0, :, :], 0), -2
+        jnp.where(is_live[..., None], filled[..., 1, :, :] - filled[..., 0, :, :], 0),
+        -2,
     )
     if points.shape[1] > 1:
         # Each disc has its own points: keep its own share only.
         filled = jnp.diagonal(filled, axis1=1, axis2=3)
         weights = jnp.moveaxis(_column_weights(points, origin, d), 1, 2)
     else:
-        filled, weights = filled[:, 0], _column_weights(points, origin, d)[:, 0][..., None]
+        filled, weights = (
+            filled[:, 0],
+            _column_weights(points, origin, d)[:, 0][..., None],
+        )
     mean = jnp.sum(weights * filled, axis=1)
     # Beside a wall the columns in the air must not thin the disc: walls do that.
     solid = jnp.sum(weights * filled**2, axis=1) / (mean + _BLIND)

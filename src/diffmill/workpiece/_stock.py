@@ -222,9 +222,7 @@ def ray_ends(
 
 def height_map(
     stock: Stock,
-) -> tuple[
-    Float[np.ndarray, " x"], Float[np.ndarray, " y"], Float[np.ndarray, "x y"]
-]:
+) -> tuple[Float[np.ndarray, " x"], Float[np.ndarray, " y"], Float[np.ndarray, "x y"]]:
     """Return the highest material above each point of the plan, on the host.
 
     Args:
