@@ -2,23 +2,85 @@
 
 `load_job` reads a job, `simulate` predicts it, `correct` corrects it; the parts are in
 the subpackages. Arrays are SI, frames and signs are in the README.
+
+Importing the package imports nothing else: every name is looked up when it is first
+used, so that help on the command line does not wait for JAX.
 """
 
-from . import (
-    correction as correction,
-    cutter as cutter,
-    cutting as cutting,
-    robot as robot,
-    sim as sim,
-    toolpath as toolpath,
-    workpiece as workpiece,
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from . import (
+        correction as correction,
+        cutter as cutter,
+        cutting as cutting,
+        examples as examples,
+        io as io,
+        numerics as numerics,
+        robot as robot,
+        sim as sim,
+        toolpath as toolpath,
+        viz as viz,
+        workpiece as workpiece,
+    )
+    from ._job import (
+        CorrectionSettings as CorrectionSettings,
+        Job as Job,
+        SimulationSettings as SimulationSettings,
+    )
+    from ._result import RESULTS as RESULTS, SimulationFailed as SimulationFailed
+    from .correction import Correction as Correction, correct as correct
+    from .io import JobError as JobError, load_job as load_job
+    from .sim import Solution as Solution, simulate as simulate
+
+    __version__: str
+
+_SUBPACKAGES = (
+    "correction",
+    "cutter",
+    "cutting",
+    "examples",
+    "io",
+    "numerics",
+    "robot",
+    "sim",
+    "toolpath",
+    "viz",
+    "workpiece",
 )
-from ._job import (
-    CorrectionSettings as CorrectionSettings,
-    Job as Job,
-    SimulationSettings as SimulationSettings,
-)
-from ._result import RESULTS as RESULTS, SimulationFailed as SimulationFailed
-from .correction import Correction as Correction, correct as correct
-from .io import JobError as JobError, load_job as load_job
-from .sim import Solution as Solution, simulate as simulate
+# Where each of the other public names lives.
+_NAMES = {
+    "Correction": "correction",
+    "CorrectionSettings": "_job",
+    "Job": "_job",
+    "JobError": "io",
+    "RESULTS": "_result",
+    "SimulationFailed": "_result",
+    "SimulationSettings": "_job",
+    "Solution": "sim",
+    "correct": "correction",
+    "load_job": "io",
+    "simulate": "sim",
+}
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name when it is first used."""
+    if name in _SUBPACKAGES:
+        return importlib.import_module(f"{__name__}.{name}")
+    if name in _NAMES:
+        value = getattr(importlib.import_module(f"{__name__}.{_NAMES[name]}"), name)
+    elif name == "__version__":
+        from importlib import metadata
+
+        value = metadata.version("diffmill")
+    else:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """Return the public names, imported or not."""
+    return sorted({*globals(), *_SUBPACKAGES, *_NAMES, "__version__"})

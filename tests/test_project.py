@@ -1,0 +1,99 @@
+"""The repository as a whole: pins, imports, and commands that must not drift apart."""
+
+import pathlib
+import shutil
+import subprocess
+import sys
+import tomllib
+
+import pytest
+
+ROOT = pathlib.Path(__file__).parents[1]
+README = ROOT / "README.md"
+
+
+def readme_commands() -> list[str]:
+    lines = README.read_text(encoding="utf-8").splitlines()
+    return [line for line in lines if line.startswith("python3 -m venv .venv-tools ")]
+
+
+def run_python(code: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    return done.stdout
+
+
+def test_pip_and_uv_get_the_same_pins():
+    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    pins = [line for line in lines if line and not line.startswith("#")]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    assert project["tool"]["uv"]["constraint-dependencies"] == pins
+    assert all("==" in pin for pin in pins)
+    assert len(pins) > len(project["project"]["dependencies"])
+
+
+def test_every_name_is_found_and_import_leaves_jax_alone():
+    code = """
+import sys
+import diffmill
+assert not {"jax", "numpy", "matplotlib"} & set(sys.modules), "import is not lazy"
+import jax
+from jax._src import xla_bridge
+before = dict(jax.config.values)
+for name in dir(diffmill):
+    getattr(diffmill, name)
+assert dict(jax.config.values) == before, "a JAX setting changed"
+assert not xla_bridge._backends, "a JAX backend started"
+assert not {"matplotlib", "plotly", "xarray"} & set(sys.modules), "too much imported"
+print(diffmill.__version__, diffmill.sim.simulate is diffmill.simulate)
+"""
+    version, is_same = run_python(code).split()
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    assert version == project["project"]["version"]
+    assert is_same == "True"
+
+
+def test_an_unknown_name_is_an_attribute_error():
+    import diffmill
+
+    with pytest.raises(AttributeError, match="no attribute 'simulat'"):
+        diffmill.simulat  # noqa: B018  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_no_lock_file_is_tracked():
+    # It would name the package index of whoever wrote it.
+    git = shutil.which("git")
+    if git is None or not (ROOT / ".git").exists():
+        pytest.skip("not a git checkout")
+    done = subprocess.run(
+        [git, "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert "uv.lock" not in done.stdout.split()
+
+
+def test_readme_has_one_command_for_the_job_and_one_for_the_tests():
+    job, tests = readme_commands()
+    assert "diffmill example paper " in job
+    assert "diffmill correct " in job
+    assert "pytest" not in job
+    assert "pytest" in tests
+
+
+def test_continuous_integration_runs_the_commands_of_the_readme():
+    script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    assert "grep '^python3 -m venv .venv-tools ' README.md" in script
+    assert 'step "${commands[0]//paper/paper_small}"' in script
+    assert 'step "${commands[1]}"' in script
+    # The shell's replacement must give a command for the small example, file and all.
+    small = readme_commands()[0].replace("paper", "paper_small")
+    assert "out/paper_small.toml" in small
+    assert "out/paper_small-correct" in small
+
+
+def test_pre_commit_runs_the_linters_of_continuous_integration():
+    script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    hooks = (ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8")
+    for tool in ("ruff check", "ruff format", "pyright", "lint-imports"):
+        assert f"$uv {tool}" in script
+        assert f"entry: uv run {tool}" in hooks
