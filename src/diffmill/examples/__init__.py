@@ -1,6 +1,6 @@
 """Example jobs that come with the package: a TOML file beside its G-code.
 
-`paper` is the test part of the published experiment with sizes of our own, cut in 12 s;
+`paper` is the test part of the published experiment with sizes of our own, cut in 10 s;
 `paper_small` has the same features cut in 3 s. Both are cut by the built-in robot
 `reis_rv130_like` at its home pose. The programs are written by the generator
 `experiments/paper_part/generate.py` of the repository.
