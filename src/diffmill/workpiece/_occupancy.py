@@ -106,14 +106,22 @@ def occupancy(
     Differentiability: continuous; kinks where a point crosses a grid line.
     """
     columns = _find_columns(stock, points)
+    if pose_tips is not None:
+        columns = _tie_columns(columns, pose_tips)
     heights = _wall_heights(stock, points, discs, columns)
     walls = tuple(_find_walls(stock, f, points, heights) for f in (0, 1))
-    ends = (columns.ends, walls[0].ends, walls[1].ends)
+    wall_ends = (walls[0].ends, walls[1].ends)
     if pose_tips is not None:
-        ends = _tie(stock, cutter, columns, walls, pose_tips)
+        wall_ends = _tie_walls(cutter, walls, pose_tips)
     facts = tuple((w.is_upper, w.is_empty) for w in walls)
     combine = jax.checkpoint(_combine, static_argnums=(4,))
-    return combine(points, ends, (facts, heights), stock.origin, (discs, stock.spacing))
+    return combine(
+        points,
+        (columns.ends, *wall_ends),
+        (facts, heights),
+        stock.origin,
+        (discs, stock.spacing),
+    )
 
 
 class _Columns(eqx.Module):
@@ -158,11 +166,8 @@ def _wall_heights(
     air, where rays along x and y meet nothing; one spacing below the top they do.
     """
     z = points[..., 2] + discs.centers(points.dtype)[None]
-    ends = jax.lax.stop_gradient(columns.ends)
-    low, high = ends[..., 0, :], ends[..., 1, :]
-    reaches = (high > low) & (
-        low < jax.lax.stop_gradient(z)[:, :, None, None] + discs.height
-    )
+    low, high = columns.ends[..., 0, :], columns.ends[..., 1, :]
+    reaches = (high > low) & (low < z[:, :, None, None] + discs.height)
     top = jnp.max(jnp.where(reaches, high, -jnp.inf), axis=(-2, -1))
     is_fringe = (top < z + stock.spacing) & (top > z - discs.height)
     return jnp.where(is_fringe, jnp.where(is_fringe, top, 0) - stock.spacing, z)
@@ -210,37 +215,35 @@ def _find_walls(
     )
 
 
-def _tie(
-    stock: Stock,
+def _tie_columns(columns: _Columns, pose_tips: Float[Array, "pose 3"]) -> _Columns:
+    """Return the columns, each end with the derivative of the pose that cut it.
+
+    A flat end cuts a column at the height of its tip.
+    """
+    height = pose_tips[:, 2][jnp.maximum(columns.poses, 0)]
+    tie = jnp.where(columns.poses >= 0, height, 0)
+    ends = _tied(jax.lax.stop_gradient(columns.ends), tie)
+    return _Columns(ends, columns.poses)
+
+
+def _tie_walls(
     cutter: AbstractCutter,
-    columns: _Columns,
     walls: tuple[_Walls, ...],
     pose_tips: Float[Array, "pose 3"],
-) -> tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."]]:
-    """Return all ends, each with the derivative of the pose that cut it."""
+) -> tuple[Float[Array, "point element 4"], Float[Array, "point element 4"]]:
+    """Return the ends of both families with the derivatives of their poses."""
     frozen = jax.lax.stop_gradient
-    # One gather for all: its transpose then adds into the table only once.
-    poses = [columns.poses, walls[0].pose, walls[1].pose]
-    flat = jnp.concatenate([p.reshape(-1) for p in poses])
-    tips = pose_tips[jnp.maximum(flat, 0)]
-    splits = [poses[0].size, poses[0].size + poses[1].size]
-    parts = [
-        t.reshape(*p.shape, 3)
-        for t, p in zip(jnp.split(tips, splits), poses, strict=True)
-    ]
-    tied = [jnp.where(columns.poses >= 0, parts[0][..., 2], 0)]
-    for f in (0, 1):
-        wall, tip = walls[f], parts[1 + f]
+    # One gather for both: its transpose then adds into the table only once.
+    tips = pose_tips[jnp.maximum(jnp.stack([w.pose for w in walls]), 0)]
+    tied = []
+    for f, wall in enumerate(walls):
+        tip = tips[f]
         slopes = cutter.wall_slopes(f, frozen(wall.ends), wall.across, frozen(tip))
         tie = tip[..., f] + frozen(slopes[0]) * tip[..., 1 - f]
         tie = tie + frozen(slopes[1]) * (cutter.diameter / 2)
-        tied.append(jnp.where(wall.pose >= 0, tie, 0))
-    ends = (columns.ends, walls[0].ends, walls[1].ends)
-    return (
-        _tied(frozen(ends[0]), tied[0]),
-        _tied(frozen(ends[1]), tied[1]),
-        _tied(frozen(ends[2]), tied[2]),
-    )
+        tie = jnp.where(wall.pose >= 0, tie, 0)
+        tied.append(_tied(frozen(wall.ends), tie))
+    return tied[0], tied[1]
 
 
 def _combine(

@@ -1,0 +1,182 @@
+import functools
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import PAPER_LAW, relative
+
+from diffmill import cutter as ct, robot as rb, sim, workpiece as wp
+from diffmill.io import parse_gcode
+from diffmill.toolpath import sample_program
+
+MILL = ct.flat_end_mill(10e-3, 2)
+PERIOD = 3.75e-3
+STOCK = wp.box([0, 0, -2e-3], [14e-3, 12e-3, 0], 0.25e-3, interval_counts=(6, 6, 1))
+ROBOT = rb.load("reis_rv130_like")
+
+
+def work_frame():
+    frame = np.eye(4)
+    frame[:3, 3] = np.asarray(rb.forward_kinematics(ROBOT, ROBOT.home))[:3, 3]
+    return frame
+
+
+FRAME = work_frame()
+PLAN = sim.process_plan(STOCK, MILL, axial_depth=1.5e-3)
+
+
+@functools.cache
+def path():
+    """Return a cut with a rounded corner, at rest at both ends."""
+    program = parse_gcode(
+        "G21 G17 G90 G94 F3000\nG0 X-7.5 Y1.3 Z-1.03\nG1 X5.5\nG1 Y5\nM2\n"
+    )
+    found = sample_program(
+        program,
+        PERIOD,
+        acceleration=0.5,
+        rapid_feed=0.1,
+        corner_tolerance=0.1e-3,
+    )
+    return np.asarray(found.positions)
+
+
+def motors(tips):
+    Ts = jnp.broadcast_to(jnp.asarray(FRAME)[None], (tips.shape[0], 4, 4))
+    Ts = Ts.at[:, :3, 3].add(tips)
+    q = rb.inverse_kinematics_path(ROBOT, Ts, ROBOT.home).q
+    return jax.vmap(lambda row: rb.motor_positions(ROBOT, row))(q)
+
+
+def run(tips, adjoint, stock=STOCK):
+    return sim.simulate_coupled(
+        motors(tips), ROBOT, FRAME, stock, MILL, PAPER_LAW, PERIOD, PLAN, adjoint
+    )
+
+
+@functools.cache
+def solution():
+    return jax.jit(lambda p: run(p, sim.Traced()))(jnp.asarray(path()))
+
+
+def test_the_process_alone_on_the_actual_path_gives_the_same_force():
+    alone = sim.simulate_process(
+        solution().actual,
+        STOCK,
+        MILL,
+        PAPER_LAW,
+        2 * math.pi / (2 * PERIOD),
+        plan=PLAN,
+    )
+    # Up to the corner; in it the tool nearly stands and shakes within the periods.
+    rows = slice(0, 75)
+    assert relative(alone.force[rows], solution().force[rows]) < 1.2e-2
+
+
+def test_the_arm_yields_to_the_force():
+    # In the cut the mean deviation is the compliance times the mean force.
+    rows = slice(55, 80)
+    C = rb.cartesian_compliance(ROBOT, ROBOT.home)[:3, :3]
+    F = np.asarray(solution().force)[rows].mean(axis=0)
+    deviation = (np.asarray(solution().actual) - path())[rows].mean(axis=0)
+    pushed = np.asarray(C) @ F
+    cosine = pushed @ deviation / np.linalg.norm(pushed) / np.linalg.norm(deviation)
+    assert np.linalg.norm(F) > 40
+    assert cosine > 0.8
+
+
+def test_a_robot_at_rest_in_the_air_stays_where_it_is_told():
+    tips = jnp.asarray(np.tile([5e-3, 5e-3, 3e-3], (120, 1)))
+    still = jax.jit(lambda p: run(p, sim.Traced()))(tips)
+    np.testing.assert_allclose(still.actual, tips, atol=1e-9)
+    np.testing.assert_array_equal(still.force, 0)
+
+
+def test_a_robot_moving_from_the_start_does_not_ring():
+    # Constant speed from row 0: without the loaded, moving start it would swing.
+    tips = np.tile([0.0, 0.0, 10e-3], (120, 1))
+    tips[:, 0] += 50e-3 * PERIOD * np.arange(120)
+    moving = jax.jit(lambda p: run(p, sim.Traced()))(jnp.asarray(tips))
+    assert np.abs(np.asarray(moving.actual) - tips).max() < 2e-6
+
+
+def one_mode(frequency, ratio, mass=80.0):
+    """Return a slide along x with one mode, hanging at the tool of a rigid frame."""
+    omega = 2 * math.pi * frequency
+    slide = rb.PrismaticJoint(
+        "slide",
+        axis=(1, 0, 0),
+        stiffness=mass * omega**2,
+        damping=2 * ratio * omega * mass,
+    )
+    return rb.build(
+        [slide, rb.RigidBody(mass, (0.0, 0.0, 0.0), np.eye(3)), rb.Tool("tool")]
+    )
+
+
+@pytest.mark.parametrize("frequency", [10.0, 40.0])
+def test_a_mode_keeps_its_frequency_and_damping(frequency):
+    # The midpoint rule lowers a frequency by (omega h)^2 / 12 and adds no damping.
+    robot = one_mode(frequency, 0.02)
+    count = round(12 / frequency / PERIOD)
+    theta = np.full((count, 1), 1e-3)
+    theta[0] = 0.0
+    air = eqx.tree_at(lambda s: s.origin, STOCK, STOCK.origin + 1.0)
+    run = jax.jit(
+        lambda theta: sim.simulate_coupled(
+            theta, robot, np.eye(4), air, MILL, PAPER_LAW, PERIOD, PLAN, sim.Traced()
+        ).actual[:, 0]
+    )
+    x = np.asarray(run(jnp.asarray(theta))) - 1e-3
+    # Fit a decaying oscillation by linear prediction, exact for one mode.
+    x = x[2:]
+    (a, b), *_ = np.linalg.lstsq(np.column_stack([x[1:-1], x[:-2]]), x[2:], rcond=None)
+    pole = np.log(np.roots([1, -a, -b])[0]) / PERIOD
+    found = abs(pole) / (2 * math.pi), -pole.real / abs(pole)
+    np.testing.assert_allclose(found[0], frequency, rtol=5e-3)
+    np.testing.assert_allclose(found[1], 0.02, rtol=5e-2)
+
+
+def test_gradient_along_a_smooth_direction_matches_differences():
+    t = np.linspace(0, 1, len(path()))[:, None]
+    rng = np.random.default_rng(5)
+    direction = jnp.asarray(
+        sum(np.sin(math.pi * k * t) * rng.normal(size=3) for k in range(1, 5))
+    )
+    weights = jnp.asarray(rng.normal(size=path().shape))
+
+    def total(p):
+        return jnp.sum(weights * run(p, sim.Traced()).actual)
+
+    value = jax.jit(total)
+    tips = jnp.asarray(path())
+    slope = float(jnp.sum(jax.jit(jax.grad(total))(tips) * direction))
+    step = 2e-9
+    difference = float(value(tips + step * direction) - value(tips - step * direction))
+    np.testing.assert_allclose(slope, difference / (2 * step), rtol=1e-4)
+
+
+@pytest.mark.slow
+def test_both_adjoints_give_the_same_coupled_gradient():
+    weights = jnp.asarray(np.random.default_rng(6).normal(size=path().shape))
+    stock = wp.box([0, 0, -2e-3], [14e-3, 12e-3, 0], 0.25e-3, interval_counts=(6, 6, 1))
+    gradients = [
+        jax.jit(
+            jax.grad(lambda p, a=adjoint: jnp.sum(weights * run(p, a, stock).actual))
+        )(jnp.asarray(path()))
+        for adjoint in (sim.Plain(), sim.Traced())
+    ]
+    scale = float(jnp.max(jnp.abs(gradients[0])))
+    np.testing.assert_allclose(gradients[1], gradients[0], atol=1e-9 * scale)
+
+
+def test_new_numbers_do_not_compile_again():
+    traces = eqx.debug.assert_max_traces(
+        lambda p: run(p, sim.Traced()).actual, max_traces=1
+    )
+    compiled = jax.jit(traces)
+    compiled(jnp.asarray(path()))
+    compiled(jnp.asarray(path() + 1e-5))
