@@ -1,0 +1,161 @@
+"""Mean force of straight cuts against a quadrature of the two-circle chip."""
+
+import json
+import os
+import pathlib
+
+import numpy as np
+
+import diffmill as dm
+from shared import (
+    DIAMETER,
+    LAW,
+    SPACING,
+    Report,
+    angles_of,
+    compiled_process,
+    cut_across,
+    quadrature_force,
+    random_block,
+    relative,
+    steady_force,
+)
+
+DIVISORS = (1, 2, 5, 10, 20, 50)
+FEEDS = (0.19e-3, 0.1e-3, 0.05e-3, 0.025e-3)
+OFFSETS = 10
+SPACINGS = (DIAMETER / 25, DIAMETER / 50, DIAMETER / 100)
+
+
+def measure(report: Report) -> None:
+    """Measure all tables of this group."""
+    _straight_cuts(report)
+    _spacings(report)
+    _closed_form(report)
+    _reference_cases(report)
+
+
+def errors(
+    divisor: int,
+    feed: float,
+    spacing: float = SPACING,
+    chip: str = "two circles",
+) -> np.ndarray:
+    """Return the relative errors at random offsets, up- and down-milling, in %."""
+    rng = np.random.default_rng(20 + divisor)
+    radial_depth = DIAMETER / divisor
+    found = []
+    for _ in range(OFFSETS):
+        lower, upper, stock = random_block(rng, spacing)
+        depth = 1e-3 + rng.uniform(-0.1e-3, 0.1e-3)
+        offset = rng.uniform(0, spacing)
+        for is_down in (False, True) if divisor > 1 else (False,):
+            path = cut_across(
+                lower, upper, radial_depth, depth, feed, is_down=is_down, offset=offset
+            )
+            force = steady_force(compiled_process()(path, stock, LAW))
+            wanted = quadrature_force(
+                LAW, feed, *angles_of(radial_depth, is_down), depth, chip=chip
+            )
+            found.append(100 * relative(force, wanted))
+    return np.array(found)
+
+
+def _straight_cuts(report: Report) -> None:
+    report.say()
+    report.say(
+        f"Mean-force error of straight cuts, D = 10 mm, d = D/50, {OFFSETS} random "
+        "offsets,"
+    )
+    report.say("up- and down-milling: largest / mean over the offsets [%]")
+    header = "".join(f"{f'{1e3 * feed:g} mm':>16}" for feed in FEEDS)
+    report.say(f"  {'radial depth':14}{header}   per tooth")
+    worst: dict[int, float] = {}
+    for divisor in DIVISORS:
+        found = [errors(divisor, feed) for feed in FEEDS]
+        cells = "".join(f"{e.max():9.2f} /{e.mean():5.2f}" for e in found)
+        report.say(f"  {'D/' + str(divisor):14}{cells}")
+        worst[divisor] = max(float(e.max()) for e in found)
+    for divisor in DIVISORS:
+        limit = 5.0 if divisor == 50 else 1.5
+        report.figure(
+            f"largest error at radial depth D/{divisor}", worst[divisor], limit
+        )
+
+
+def _spacings(report: Report) -> None:
+    report.say()
+    report.say("Error over the ray spacing at 0.1 mm per tooth: largest / mean [%]")
+    header = "".join(f"{f'd = D/{round(DIAMETER / d)}':>16}" for d in SPACINGS)
+    report.say(f"  {'radial depth':14}{header}")
+    for divisor in (2, 10, 20, 50):
+        found = [errors(divisor, 0.1e-3, d) for d in SPACINGS]
+        cells = "".join(f"{e.max():9.2f} /{e.mean():5.2f}" for e in found)
+        report.say(f"  {'D/' + str(divisor):14}{cells}")
+        means = [float(e.mean()) for e in found]
+        report.require(
+            f"mean error at D/{divisor} falls with the spacing",
+            means[0] > means[1] > means[2],
+        )
+
+
+def _closed_form(report: Report) -> None:
+    report.say()
+    report.say(
+        "Difference of slots to the closed form h = f sin(phi), over the feed [%]"
+    )
+    found = []
+    for feed in FEEDS:
+        lower, upper, stock = random_block(np.random.default_rng(3))
+        path = cut_across(lower, upper, DIAMETER, 1e-3, feed)
+        force = steady_force(compiled_process()(path, stock, LAW))
+        closed = quadrature_force(
+            LAW, feed, *angles_of(DIAMETER), 1e-3, chip="closed form"
+        )
+        circles = quadrature_force(LAW, feed, *angles_of(DIAMETER), 1e-3)
+        found.append(100 * relative(force, closed))
+        report.say(
+            f"  f = {1e3 * feed:5.3f} mm: simulation {found[-1]:6.3f}, "
+            f"two-circle quadrature {100 * relative(circles, closed):6.3f}"
+        )
+    report.require("falls with the feed", bool(np.all(np.diff(found) < 0)))
+
+
+def _reference_cases(report: Report) -> None:
+    report.say()
+    root = pathlib.Path(__file__).parents[2]
+    folder = os.environ.get("DIFFMILL_REFERENCE_DATA", root / "../shared/data")
+    file = pathlib.Path(folder) / "forces" / "closed_form_mean_forces.json"
+    if not file.is_file():
+        report.say("Reference cases: no data here (set DIFFMILL_REFERENCE_DATA)")
+        return
+    circles, closed = [], []
+    for case in json.loads(file.read_text())["cases"]:
+        force, wanted = _run_case(case)
+        circles.append(100 * relative(force, wanted))
+        closed.append(100 * relative(force, case["mean_closed_form_FxFyFz_N"]))
+    report.say(f"{len(circles)} reference cases of straight cuts")
+    report.figure("largest error against the two-circle quadrature", max(circles), 1.5)
+    report.say(f"  mean error {np.mean(circles):.2f} %")
+    report.say(
+        f"  against the closed form: largest {max(closed):.2f} %, above 1.5 % in "
+        f"{sum(value > 1.5 for value in closed)} cases"
+    )
+
+
+def _run_case(case: dict) -> tuple[np.ndarray, np.ndarray]:
+    names = ("K_tc", "K_rc", "K_ac", "K_te", "K_re", "K_ae")
+    scales = (1e6, 1e6, 1e6, 1e3, 1e3, 1e3)
+    values = case["K_tc_rc_ac_te_re_ae"]
+    law = dm.cutting.LinearEdgeLaw(
+        **{n: s * float(v) for n, s, v in zip(names, scales, values, strict=True)}
+    )
+    radial, axial, feed = (1e-3 * case[k] for k in ("ae_mm", "ap_mm", "fz_mm"))
+    is_down = case["engagement"].startswith("down")
+    lower, upper, stock = random_block(np.random.default_rng(5))
+    path = cut_across(lower, upper, radial, axial, feed, is_down=is_down)
+    run = compiled_process(case["N"], 3.1e-3)
+    wanted = quadrature_force(
+        law, feed, *angles_of(radial, is_down), axial, teeth=case["N"]
+    )
+    return steady_force(run(path, stock, law)), wanted

@@ -1,0 +1,216 @@
+"""What the groups of figures share: tables, random blocks, references in NumPy.
+
+Importing this switches JAX to float64, as the command line does.
+"""
+
+import functools
+import math
+import pathlib
+import tempfile
+from collections.abc import Callable
+
+import jax
+import numpy as np
+
+import diffmill as dm
+from diffmill.examples import copy_example
+
+jax.config.update("jax_enable_x64", True)
+
+DIAMETER = 10e-3
+RADIUS = DIAMETER / 2
+SPACING = DIAMETER / 50
+SPINDLE_SPEED = 8000 * 2 * math.pi / 60
+TOOTH_PERIOD = 60 / (8000 * 2)
+# The coefficients of the examples [Pa, N/m].
+LAW = dm.cutting.LinearEdgeLaw(
+    K_tc=989.8e6, K_rc=337.3e6, K_ac=66.9e6, K_te=3.0e3, K_re=15.4e3, K_ae=4.5e3
+)
+LONG_SIDE, WIDTH, HEIGHT = 44e-3, 14e-3, 4e-3
+STEPS, FIRST_STEADY = 150, 110
+
+
+class Report:
+    """Collect plain lines and the figures that have a limit."""
+
+    def __init__(self, title: str):
+        self.lines = [title, "=" * len(title)]
+        self.missed: list[str] = []
+
+    def say(self, line: str = "") -> None:
+        """Add a line, and print it at once: some groups take minutes."""
+        self.lines.append(line)
+        print(line, flush=True)
+
+    def figure(self, what: str, found: float, limit: float, unit: str = "%") -> None:
+        """Add a figure that may be at most `limit`."""
+        self._judge(what, found, limit, unit, "<=", found <= limit)
+
+    def at_least(self, what: str, found: float, limit: float, unit: str = "") -> None:
+        """Add a figure that must be at least `limit`."""
+        self._judge(what, found, limit, unit, ">=", found >= limit)
+
+    def require(self, what: str, is_met: bool) -> None:
+        """Add a statement that must be true."""
+        self.say(f"  {what:62} {'yes' if is_met else 'NO: MISSED'}")
+        if not is_met:
+            self.missed.append(what)
+
+    def _judge(
+        self, what: str, found: float, limit: float, unit: str, sign: str, ok: bool
+    ) -> None:
+        verdict = "met" if ok else "MISSED"
+        self.say(f"  {what:62} {found:10.3g} {unit:4} ({sign} {limit:g}) {verdict}")
+        if not ok:
+            self.missed.append(what)
+
+    def text(self) -> str:
+        """Return the whole report."""
+        end = f"missed: {'; '.join(self.missed)}" if self.missed else "missed: none"
+        return "\n".join([*self.lines, "", end, ""])
+
+
+def random_block(
+    rng: np.random.Generator, spacing: float = SPACING
+) -> tuple[np.ndarray, np.ndarray, dm.workpiece.Stock]:
+    """Return a block whose rays stand at random offsets from its faces.
+
+    `box` shares out to both sides what its size exceeds a multiple of the spacing, so
+    random sizes move the rays; the number of rays stays, and nothing compiles again.
+    """
+    lower = np.array([0.0, 0.0, -HEIGHT])
+    upper = np.array([LONG_SIDE, WIDTH, 0.0])
+    lower += spacing * rng.uniform([-0.24] * 2 + [-0.48], [0.24] * 2 + [0.48])
+    upper[:2] += spacing * rng.uniform(-0.24, 0.24, 2)
+    return lower, upper, dm.workpiece.box(lower, upper, spacing)
+
+
+def cut_across(
+    lower: np.ndarray,
+    upper: np.ndarray,
+    radial_depth: float,
+    axial_depth: float,
+    feed: float,
+    *,
+    is_down: bool = False,
+    offset: float = 0.0,
+    steps: int = STEPS,
+) -> np.ndarray:
+    """Return a straight cut along +x that begins inside the block, shape (step, 3)."""
+    if radial_depth >= DIAMETER:
+        y = (lower[1] + upper[1]) / 2 + offset
+    elif is_down:
+        y = upper[1] + RADIUS - radial_depth
+    else:
+        y = lower[1] - RADIUS + radial_depth
+    x = lower[0] + RADIUS + 0.5e-3 + offset + feed * np.arange(steps)
+    return np.column_stack([x, np.full(steps, y), np.full(steps, -axial_depth)])
+
+
+@functools.cache
+def compiled_process(teeth: int = 2, axial_depth: float = 1.3e-3) -> Callable:
+    """Return the process alone as a compiled function of path, stock and law.
+
+    Everything but the depth that the discs must reach is a default.
+    """
+    mill = dm.cutter.flat_end_mill(DIAMETER, teeth)
+    speed = 2 * math.pi / (TOOTH_PERIOD * teeth)
+
+    def run(positions, stock, law):
+        return dm.sim.simulate_process(
+            positions, stock, mill, law, speed, axial_depth=axial_depth
+        )
+
+    return jax.jit(run)
+
+
+def steady_force(solution: dm.sim.ProcessSolution) -> np.ndarray:
+    """Return the mean force over the steady rows [N], shape (3,).
+
+    It is not a number where the run has failed.
+    """
+    if not bool(solution.result == dm.RESULTS.successful):
+        return np.full(3, np.nan)
+    return np.asarray(solution.force)[FIRST_STEADY:].mean(axis=0)
+
+
+def angles_of(radial_depth: float, is_down: bool = False) -> tuple[float, float]:
+    """Return entry and exit angle of a straight cut [rad]."""
+    if radial_depth >= DIAMETER:
+        return 0.0, math.pi
+    width = math.acos(1 - radial_depth / RADIUS)
+    return (math.pi - width, math.pi) if is_down else (0.0, width)
+
+
+def quadrature_force(
+    law: dm.cutting.LinearEdgeLaw,
+    feed: float,
+    entry: float,
+    exit: float,
+    axial_depth: float,
+    *,
+    teeth: int = 2,
+    chip: str = "two circles",
+) -> np.ndarray:
+    """Return the mean force of a straight cut by a fine quadrature, in NumPy [N].
+
+    The chip lies between two circles one feed apart, and also begins where they
+    cross, a little outside the leading half. Entry and exit are judged at the outer
+    circle, but with `chip = "trimmed"` the raw face cuts off the chip's inside too.
+    With `chip = "closed form"` its thickness is h = f sin(phi) (Altintas).
+    """
+    phi = np.linspace(-0.5, math.pi + 0.5, 400_001)
+    step = phi[1] - phi[0]
+    if chip == "closed form":
+        inner = RADIUS - feed * np.sin(phi)
+        low, high = entry, exit
+    else:
+        inner = np.sqrt(RADIUS**2 - (feed * np.cos(phi)) ** 2) - feed * np.sin(phi)
+        low = -1.0 if entry == 0 else entry
+        high = 4.0 if exit == math.pi else exit
+    if chip == "trimmed" and (entry, exit) != (0.0, math.pi):
+        # The face lies where the outer circle enters or leaves the material.
+        face = abs(RADIUS * math.cos(exit if entry == 0 else entry))
+        toward = np.cos(phi) if entry == 0 else -np.cos(phi)
+        sign = 1 if (exit < math.pi / 2 or entry > math.pi / 2) else -1
+        if sign > 0:
+            inner = np.maximum(inner, face / np.maximum(toward, 1e-9))
+    h = RADIUS - inner
+    is_in = (h > 0) & (phi >= low) & (phi <= high)
+    # symbols: F_t tangential, F_r radial, F_a axial force per height
+    F_t = (law.K_tc * h + law.K_te) * is_in
+    F_r = (law.K_rc * h + law.K_re) * is_in
+    F_a = (law.K_ac * h + law.K_ae) * is_in
+    share = teeth * axial_depth * step / (2 * math.pi)
+    return share * np.array(
+        [
+            np.sum(-F_t * np.cos(phi) - F_r * np.sin(phi)),
+            np.sum(F_t * np.sin(phi) - F_r * np.cos(phi)),
+            np.sum(F_a),
+        ]
+    )
+
+
+def relative(found: object, wanted: object) -> float:
+    """Return the length of the difference over the length of what is wanted."""
+    found, wanted = np.asarray(found), np.asarray(wanted)
+    return float(np.linalg.norm(found - wanted) / np.linalg.norm(wanted))
+
+
+def example_job(name: str) -> dm.Job:
+    """Return an example job as a user loads it."""
+    with tempfile.TemporaryDirectory() as folder:
+        return dm.load_job(copy_example(name, pathlib.Path(folder)))
+
+
+def smooth_directions(
+    rng: np.random.Generator, rows: int, count: int
+) -> list[np.ndarray]:
+    """Return random directions of a path that are zero at both ends, of size 1."""
+    t = np.linspace(0, 1, rows)[:, None]
+    found = []
+    for _ in range(count):
+        waves = [np.sin(math.pi * k * t) * rng.normal(size=3) for k in range(1, 9)]
+        direction = np.sum(waves, axis=0)
+        found.append(direction / np.abs(direction).max())
+    return found
