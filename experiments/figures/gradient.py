@@ -24,6 +24,7 @@ Scalar = Callable[[jax.Array], jax.Array]
 def measure(report: Report) -> None:
     """Measure directions, single samples, rapid moves and the two adjoints."""
     path = jnp.asarray(path_with_corner())
+    _machine()  # Built outside of what is traced.
     value = jax.jit(scalar(dm.sim.Traced()))
     gradient = jax.jit(jax.grad(scalar(dm.sim.Traced())))
     report.say()
@@ -134,9 +135,10 @@ def _single_samples(
     share = 100 * (1 - (len(kinks) + len(unexplained)) / SAMPLES)
     report.at_least("samples within 1e-4 of the largest", share, 95.0, "%")
     for flat, error, right, left in [*kinks, *unexplained]:
+        derivative = float(slope.reshape(-1)[flat])
         report.say(
-            f"  row {flat // 3}, axis {'xyz'[flat % 3]}: off by {error:.1e}; derivative "
-            f"{float(slope.reshape(-1)[flat]):.6g}"
+            f"  row {flat // 3}, axis {'xyz'[flat % 3]}: off by {error:.1e} of the "
+            f"largest; derivative {derivative:.6g}"
         )
         for h, a, b in zip(_ONE_SIDED, right, left, strict=True):
             report.say(f"    step {h:.0e} m: right {a:.6g}, left {b:.6g}")

@@ -218,7 +218,7 @@ def _areas(report: Report) -> None:
         small, large = alternate(
             STOCK_RUNS,
             *(
-                lambda p=p, a=a: p[which](*a)
+                lambda p=p[which], a=a: p(*a)
                 for p, a in zip(pairs, arguments, strict=True)
             ),
         )
@@ -267,11 +267,13 @@ def _cache(report: Report) -> None:
                 text=True,
                 check=True,
             )
-            found.append(json.loads(ran.stdout.splitlines()[-1]))
+            answer = json.loads(ran.stdout.splitlines()[-1])
+            found.append(answer)
+            simulation, gradient = answer["seconds"]
             report.say(
-                f"  {name} process: simulation {found[-1]['seconds'][0]:.1f} s, gradient "
-                f"{found[-1]['seconds'][1]:.1f} s, {found[-1]['hits']} found in the "
-                f"cache, {found[-1]['misses']} not"
+                f"  {name} process: simulation {simulation:.1f} s, gradient "
+                f"{gradient:.1f} s; {answer['hits']} found in the cache, "
+                f"{answer['misses']} not"
             )
     second = found[1]
     report.require(
