@@ -1,12 +1,15 @@
 """The repository as a whole: pins, imports, and commands that must not drift apart."""
 
 import pathlib
+import re
 import shutil
 import subprocess
 import sys
 import tomllib
 
 import pytest
+
+from diffmill import io
 
 ROOT = pathlib.Path(__file__).parents[1]
 README = ROOT / "README.md"
@@ -15,6 +18,14 @@ README = ROOT / "README.md"
 def readme_commands() -> list[str]:
     lines = README.read_text(encoding="utf-8").splitlines()
     return [line for line in lines if line.startswith("python3 -m venv .venv-tools ")]
+
+
+def readme_block(language: str) -> str:
+    text = README.read_text(encoding="utf-8")
+    (block,) = re.findall(
+        rf"^```{language}\n(.*?)^```$", text, re.DOTALL | re.MULTILINE
+    )
+    return block
 
 
 def run_python(code: str) -> str:
@@ -80,8 +91,30 @@ def test_readme_has_one_command_for_the_job_and_one_for_the_tests():
     assert "pytest" in tests
 
 
+def test_job_of_the_readme_is_the_small_example(tmp_path):
+    from diffmill import examples
+
+    file = examples.copy_example("paper_small", tmp_path)
+    shipped = tomllib.loads(file.read_text(encoding="utf-8"))
+    shown = tomllib.loads(readme_block("toml"))
+    assert shown["stock"] == shipped["stock"]
+    file.write_text(readme_block("toml"), encoding="utf-8")
+    job = io.load_job(file)
+    assert job.name == "paper_small"
+    assert shown == {**shipped, "correction": shown["correction"]}
+
+
+@pytest.mark.slow
+def test_python_of_the_readme_runs():
+    force, shape = run_python(readme_block("python")).split(maxsplit=1)
+    # A slot pushes a tool that turns clockwise to the left of its way, here +y.
+    assert 10 < float(force) < 200
+    assert shape.strip() == "(60, 3)"
+
+
 def test_continuous_integration_runs_the_commands_of_the_readme():
     script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    assert 'step "$uv pytest -m slow tests/test_project.py"' in script
     assert "grep '^python3 -m venv .venv-tools ' README.md" in script
     assert 'step "${commands[0]//paper/paper_small}"' in script
     assert 'step "${commands[1]}"' in script
