@@ -108,6 +108,7 @@ def simulate_process(
     state, overlap = initial_state(
         plan, stock, cutter, positions[0], step_count, adjoint
     )
+
     def step(
         state: ProcessState, x: tuple[Array, Array, Array]
     ) -> tuple[ProcessState, tuple[Array, Array | None, Removed, Array]]:
@@ -167,9 +168,7 @@ def within_periods(
     first = 2 * positions[:1] - positions[1:2]
     last = 2 * positions[-1:] - positions[-2:-1]
     padded = jnp.concatenate([first, positions, last])
-    p0, p1, p2, p3 = (
-        padded[i : i + positions.shape[0] - 1, None] for i in range(4)
-    )
+    p0, p1, p2, p3 = (padded[i : i + positions.shape[0] - 1, None] for i in range(4))
     t = shares[None, :, None]
     slope, bend = p2 - p0, 2 * p0 - 5 * p1 + 4 * p2 - p3
     return p1 + 0.5 * t * (slope + t * (bend + t * (3 * (p1 - p2) + p3 - p0)))

@@ -236,8 +236,8 @@ def _tie_walls(
     # One gather for both: its transpose then adds into the table only once.
     tips = pose_tips[jnp.maximum(jnp.stack([w.pose for w in walls]), 0)]
     tied = []
-    for f, wall in enumerate(walls):
-        tip = tips[f]
+    for f in (0, 1):
+        wall, tip = walls[f], tips[f]
         slopes = cutter.wall_slopes(f, frozen(wall.ends), wall.across, frozen(tip))
         tie = tip[..., f] + frozen(slopes[0]) * tip[..., 1 - f]
         tie = tie + frozen(slopes[1]) * (cutter.diameter / 2)
