@@ -97,8 +97,8 @@ def test_defaults_of_the_simulation(write):
     settings = load_job(write()).simulation
     # 3.75 ms in steps below 0.5 ms, and 180 angles or more in multiples of 2 x 8.
     assert (settings.substeps, settings.angles) == (8, 192)
-    # 1 mm deep, and 1 mm of room.
-    assert settings.axial_depth == pytest.approx(2e-3)
+    # 1 mm deep, and 0.6 mm of room.
+    assert settings.axial_depth == pytest.approx(1.6e-3)
     assert settings.precision == "float64"
 
 

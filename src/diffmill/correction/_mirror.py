@@ -48,8 +48,9 @@ class IteratedMirror(AbstractMethod):
     error over the rows that cut, is the result.
 
     A branch stops before its last iterate when its error is not finite, has grown
-    twice in succession, or has changed by less than 0.1 % twice in succession. The
-    rule looks at the branch alone, so the result does not depend on the order.
+    twice in succession, has changed by less than 0.1 % twice in succession, or is on
+    the way to end above the best of the branches before: its last relative change,
+    repeated up to the last iterate, would not get there.
 
     Attributes:
         cutoffs: Cut-off frequencies [Hz].
@@ -80,7 +81,7 @@ class IteratedMirror(AbstractMethod):
         # One branch after the other: two runs of one compiled program at the same time
         # can block each other in XLA's pool of threads.
         for done, pair in enumerate(grid, start=1):
-            found, count = _branch(self, problem, zero, first, pair)
+            found, count = _branch(self, problem, zero, first, pair, best.error)
             runs += count
             best = min(best, found, key=_rank)
             if on_progress is not None:
@@ -116,6 +117,7 @@ def _branch(
     zero: _Iterate,
     deviation: Float[np.ndarray, "step 3"],
     pair: tuple[float, float],
+    to_beat: float,
 ) -> tuple[_Iterate, int]:
     """Iterate one pair; return its best iterate and the runs of the plant."""
     cutoff, relaxation = pair
@@ -135,8 +137,10 @@ def _branch(
             best = _Iterate(command, error, i, cutoff, relaxation)
         grown = grown + 1 if error > last else 0
         settled = settled + 1 if abs(error - last) < _SETTLED * last else 0
-        last = error
-        if grown == 2 or settled == 2:
+        # At its present pace, is the branch still below the best at its last iterate?
+        pace, last = error / last, error
+        is_behind = i > 1 and error * pace ** (method.iterations - i) > to_beat
+        if grown == 2 or settled == 2 or is_behind:
             break
     return best, runs
 
