@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import equinox as eqx
 import numpy as np
 
-from ._errors import bad_input
+from ._errors import BadInput, bad_input
 from ._figures import write_pictures
 from ._jax import configure_jax
 from ._progress import Progress
@@ -78,12 +78,18 @@ def _compute(command: str, job: "Job", progress: Progress) -> Outcome:
         from ..sim import simulate
 
         return simulate(job, on_progress=progress.update)
-    from ..correction import correct
+    from ..correction import NothingToCorrect, correct
 
     def tell(message: str, rms: float) -> None:
         progress.update(f"{message}: contour error {rms * 1e6:.2f} um rms")
 
-    return correct(job, on_progress=tell)
+    try:
+        return correct(job, on_progress=tell)
+    except NothingToCorrect as error:
+        raise BadInput(
+            f"{job.name}: [program] file: found no cut in the stock, but correct needs "
+            "one; check the stock's place and the program's zero"
+        ) from error
 
 
 def with_job(dataset: Dataset, job: "Job") -> Dataset:

@@ -11,7 +11,12 @@ the command's acceleration, which is reported only; robustness against a wrong m
 """
 
 from ._bspline import SplineOffsets as SplineOffsets
-from ._correct import CASES as CASES, Correction as Correction, correct as correct
+from ._correct import (
+    CASES as CASES,
+    Correction as Correction,
+    NothingToCorrect as NothingToCorrect,
+    correct as correct,
+)
 from ._gauss_newton import (
     ContourResidual as ContourResidual,
     GaussNewton as GaussNewton,

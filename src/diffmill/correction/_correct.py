@@ -53,6 +53,10 @@ _BY_CASE = (
 CASES = ("uncorrected", "mirror", "mirror_iterated", "inverse_drive", "corrected")
 
 
+class NothingToCorrect(ValueError):
+    """Raise when a program never cuts, so that there is no error to correct."""
+
+
 class TipPlant(eqx.Module):
     """A job as a plant that is commanded by tip positions [m]."""
 
@@ -163,8 +167,8 @@ def correct(
 
     Raises:
         SimulationFailed: The run of the uncorrected program fails.
-        ValueError: The job has no robot, cuts nothing, or JAX is not set up for its
-            precision.
+        NothingToCorrect: The program never cuts; a `ValueError`.
+        ValueError: The job has no robot, or JAX is not set up for its precision.
 
     Differentiability: runs on the host, not traceable.
     """
@@ -177,6 +181,11 @@ def correct(
     before = solve_command(job, rigid, desired, adjoint)
     if throw:
         raise_unless_successful(before)
+    if not bool(jnp.any(before.is_cutting)):
+        raise NothingToCorrect(
+            "Argument `job` must have a program that cuts its stock, but the rigid "
+            "tool removes nothing."
+        )
     problem = _problem(job, TipPlant(job, adjoint), desired, before)
     methods: dict[str, Corrected] = {}
     wall_time: dict[str, float] = {}
