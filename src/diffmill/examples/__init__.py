@@ -1,7 +1,7 @@
 """Example jobs that come with the package: a TOML file beside its G-code.
 
-`paper` is the test part of the published experiment with sizes of our own, cut in 10 s;
-`paper_small` has the same features cut in 3 s. Both are cut by the built-in robot
+`paper` is the test part of the published experiment with sizes of our own;
+`paper_small` has the same features, smaller, and takes a fraction of the time. Both are cut by the built-in robot
 `reis_rv130_like` at its home pose. The programs are written by the generator
 `experiments/paper_part/generate.py` of the repository.
 
