@@ -1,5 +1,6 @@
 """Mean force of straight cuts against a quadrature of the two-circle chip."""
 
+import functools
 import json
 import os
 import pathlib
@@ -24,6 +25,8 @@ from shared import (
 DIVISORS = (1, 2, 5, 10, 20, 50)
 FEEDS = (0.19e-3, 0.1e-3, 0.05e-3, 0.025e-3)
 OFFSETS = 10
+# Errors below this [%] belong to the quadrature over the angles.
+FLOOR = 0.05
 SPACINGS = (DIAMETER / 25, DIAMETER / 50, DIAMETER / 100)
 
 
@@ -40,8 +43,24 @@ def errors(
     feed: float,
     spacing: float = SPACING,
     chip: str = "two circles",
+    angles: int | None = None,
 ) -> np.ndarray:
     """Return the relative errors at random offsets, up- and down-milling, in %."""
+    radial_depth = DIAMETER / divisor
+    found = []
+    for force, depth, is_down in _forces(divisor, feed, spacing, angles):
+        wanted = quadrature_force(
+            LAW, feed, *angles_of(radial_depth, is_down), 1.0, chip=chip
+        )
+        found.append(100 * relative(force, depth * wanted))
+    return np.array(found)
+
+
+@functools.cache
+def _forces(
+    divisor: int, feed: float, spacing: float, angles: int | None
+) -> list[tuple[np.ndarray, float, bool]]:
+    """Return mean force, axial depth and direction of the cuts at random offsets."""
     rng = np.random.default_rng(20 + divisor)
     radial_depth = DIAMETER / divisor
     found = []
@@ -53,12 +72,9 @@ def errors(
             path = cut_across(
                 lower, upper, radial_depth, depth, feed, is_down=is_down, offset=offset
             )
-            force = steady_force(compiled_process()(path, stock, LAW))
-            wanted = quadrature_force(
-                LAW, feed, *angles_of(radial_depth, is_down), depth, chip=chip
-            )
-            found.append(100 * relative(force, wanted))
-    return np.array(found)
+            solution = compiled_process(angles=angles)(path, stock, LAW)
+            found.append((steady_force(solution), depth, is_down))
+    return found
 
 
 def _straight_cuts(report: Report) -> None:
@@ -102,11 +118,24 @@ def _spacings(report: Report) -> None:
     for divisor in (2, 10, 20, 50):
         found = [errors(divisor, 0.1e-3, d) for d in SPACINGS]
         report.say(f"  {'D/' + str(divisor):14}{_cells(found)}")
-        means = [float(np.nanmean(e)) for e in found]
-        report.require(
-            f"mean error at D/{divisor} falls with the spacing",
-            means[0] > means[1] > means[2],
-        )
+        _falls(report, f"defaults: mean error at D/{divisor} falls", found)
+    report.say()
+    report.say(
+        "The same with 96, 192 and 384 angles: the default is 192 at any spacing"
+    )
+    for divisor in (10, 20, 50):
+        found = [
+            errors(divisor, 0.1e-3, d, angles=n)
+            for d, n in zip(SPACINGS, (96, 192, 384), strict=True)
+        ]
+        report.say(f"  {'D/' + str(divisor):14}{_cells(found)}")
+
+
+def _falls(report: Report, what: str, found: list[np.ndarray]) -> None:
+    """Require that the error falls, or is too small already for that to be seen."""
+    means = [float(np.nanmean(e)) for e in found]
+    falls = means[0] > means[1] > means[2]
+    report.require(f"{what}, or is below {FLOOR:g} %", falls or max(means) < FLOOR)
 
 
 def _closed_form(report: Report) -> None:

@@ -13,10 +13,10 @@ from shared import LAW, TOOTH_PERIOD, Report, smooth_directions
 
 ROWS = 200
 SAMPLES = 80
-SWEEP = (1e-6, 1e-7, 3e-8, 1e-8, 3e-9, 1e-9)
+SWEEP = (1e-7, 3e-8, 1e-8, 3e-9, 1e-9, 3e-10)
 # Differences of single samples need a step that leaves rounding behind and that no
 # kink of the neighbourhood comes into.
-STEP = 1e-8
+STEP = 3e-9
 MILL = dm.cutter.flat_end_mill(10e-3, 2)
 Scalar = Callable[[jax.Array], jax.Array]
 
@@ -145,7 +145,7 @@ def _single_samples(
     report.require("all others are kinks between or beside the steps", not unexplained)
 
 
-_ONE_SIDED = (1e-8, 3e-9, 1e-9)
+_ONE_SIDED = (3e-9, 1e-9, 3e-10)
 
 
 def _one_sided(

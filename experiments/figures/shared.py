@@ -108,17 +108,25 @@ def cut_across(
 
 
 @functools.cache
-def compiled_process(teeth: int = 2, axial_depth: float = 1.3e-3) -> Callable:
+def compiled_process(
+    teeth: int = 2, axial_depth: float = 1.3e-3, angles: int | None = None
+) -> Callable:
     """Return the process alone as a compiled function of path, stock and law.
 
-    Everything but the depth that the discs must reach is a default.
+    Everything but the depth that the discs must reach is a default unless given.
     """
     mill = dm.cutter.flat_end_mill(DIAMETER, teeth)
     speed = 2 * math.pi / (TOOTH_PERIOD * teeth)
 
     def run(positions, stock, law):
         return dm.sim.simulate_process(
-            positions, stock, mill, law, speed, axial_depth=axial_depth
+            positions,
+            stock,
+            mill,
+            law,
+            speed,
+            axial_depth=axial_depth,
+            angles=angles,
         )
 
     return jax.jit(run)
