@@ -1,9 +1,9 @@
 """Example jobs that come with the package: a TOML file beside its G-code.
 
 `paper` is the test part of the published experiment with sizes of our own;
-`paper_small` has the same features, smaller, and is cut in a fraction of the time. Both
-are cut by the built-in robot `reis_rv130_like` at its home pose. The programs are written
-by the generator `experiments/paper_part/generate.py` of the repository.
+`paper_small` has the same features, smaller, and is cut in a fraction of the time.
+Both are cut by the built-in robot `reis_rv130_like` at its home pose. The programs are
+written by the generator `experiments/paper_part/generate.py` of the repository.
 
 Assumes nothing and computes nothing: these are files. They use only what a job file
 can say; other parts, robots and materials are left out.
