@@ -6,7 +6,7 @@ import pytest
 from diffmill import cutter as ct, workpiece as wp
 
 MILL = ct.flat_end_mill(10e-3, 2)
-DISCS = wp.Discs(4, 0.6e-3)
+DISCS = wp.Discs(4, 0.6e-3, 0.1e-3)
 STOCK = wp.box([0, 0, -3e-3], [12e-3, 10e-3, 0], 0.2e-3)
 
 

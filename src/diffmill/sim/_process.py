@@ -147,9 +147,13 @@ def process_plan(
     dz = 3 * stock.spacing if element_height is None else float(element_height)
     # One more disc than the depth holds: its share rises before it is immersed.
     elements = max(1, math.ceil(axial_depth / dz + 0.5))
-    lag = 1.25 * math.sqrt(cutter.nominal_radius * stock.spacing)
+    radius = cutter.nominal_radius
+    # Samples on the rim farther apart than the rays must not step over a wall.
+    band = 0.5 * max(stock.spacing, radius * 2 * math.pi / angles)
+    # The sagitta of a fresh surface at this distance is beyond the band.
+    lag = 1.25 * math.sqrt(2 * radius * band)
     window = removal_window(stock, cutter, axial_depth, 2 * stock.spacing)
-    return ProcessPlan(angles, substeps, Discs(elements, dz), window, lag)
+    return ProcessPlan(angles, substeps, Discs(elements, dz, band), window, lag)
 
 
 def initial_state(

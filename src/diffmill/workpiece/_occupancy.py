@@ -34,8 +34,6 @@ from ._stock import Stock
 REACH = 4.0
 # What a ray without a surface in reach still counts for.
 _BLIND = 1e-6
-# Half-width of the transition across a wall, in units of the spacing.
-_BAND = 0.5
 
 
 @jax.custom_jvp
@@ -56,10 +54,13 @@ class Discs(eqx.Module):
     Attributes:
         count: Number of discs.
         height: Height of a disc dz [m].
+        band: Half-width of the transition from 0 to 1 across a wall [m]: half the
+            spacing of the rays, or of the samples on the rim if that is more.
     """
 
     count: int = eqx.field(static=True)
     height: float = eqx.field(static=True)
+    band: float = eqx.field(static=True)
 
     def centers(self, dtype: jnp.dtype) -> Float[Array, " element"]:
         """Return the height of the middle of each disc above the tip [m]."""
@@ -255,7 +256,9 @@ def _combine(
 ) -> Float[Array, "point element"]:
     discs, d = sizes
     sides, heights = facts
-    inside, certainty = _wall_occupancy(points, ends[1:], sides, heights, origin, d)
+    inside, certainty = _wall_occupancy(
+        points, ends[1:], sides, heights, origin, (d, discs.band)
+    )
     # (point, disc, column, side, slot, element)
     above_tip = ends[0] - points[..., 2][..., None, None, None]
     filled = discs.filled_below(above_tip)
@@ -285,9 +288,10 @@ def _wall_occupancy(
     sides: tuple[tuple[Bool[Array, "..."], ...], ...],
     heights: Float[Array, "point element"],
     origin: Float[Array, " 3"],
-    d: float,
+    sizes: tuple[float, float],
 ) -> tuple[Float[Array, "point element"], Float[Array, "point element"]]:
     """Return the occupancy across walls, and how surely a wall is seen."""
+    d, band = sizes
     reach = REACH * d
     q = (heights - origin[2]) / d
     q = (q - jax.lax.stop_gradient(jnp.floor(q)))[..., None]
@@ -316,7 +320,7 @@ def _wall_occupancy(
         total = total + (weight + _BLIND) * s_here / jnp.sqrt(steepness)
         says = says + weight + _BLIND
         certainty = certainty + weight
-    inside = _hat_integral(total / says / (_BAND * d))
+    inside = _hat_integral(total / says / band)
     return inside, jnp.clip(2 * certainty, 0, 1)
 
 
