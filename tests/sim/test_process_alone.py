@@ -177,7 +177,9 @@ def test_helix_keeps_the_mean_and_spreads_the_extremes():
     assert np.ptp(with_helix[..., 1]) < np.ptp(straight_flutes[..., 1])
 
 
-@pytest.mark.parametrize("mode", ["forward", "reverse"])
+@pytest.mark.parametrize(
+    "mode", ["forward", pytest.param("reverse", marks=pytest.mark.slow)]
+)
 def test_both_adjoints_agree(mode):
     path = jnp.asarray(straight(-2e-3, 1.03e-3))
     rng = np.random.default_rng(4)

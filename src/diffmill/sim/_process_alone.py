@@ -170,8 +170,10 @@ def within_periods(
     padded = jnp.concatenate([first, positions, last])
     p0, p1, p2, p3 = (padded[i : i + positions.shape[0] - 1, None] for i in range(4))
     t = shares[None, :, None]
-    slope, bend = p2 - p0, 2 * p0 - 5 * p1 + 4 * p2 - p3
-    return p1 + 0.5 * t * (slope + t * (bend + t * (3 * (p1 - p2) + p3 - p0)))
+    # From differences only, so that a tool that stands still stands exactly still.
+    rise, start, stop = p2 - p1, 0.5 * (p2 - p0), 0.5 * (p3 - p1)
+    bend = 3 * rise - 2 * start - stop + t * (start + stop - 2 * rise)
+    return p1 + t * (start + t * bend)
 
 
 def volume_by_pose(
