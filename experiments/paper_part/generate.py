@@ -54,17 +54,17 @@ class Part:
 
 PAPER = Part(
     name="paper",
-    width=76,
-    height=34,
+    width=68,
+    height=32,
     step_width=4,
     step_height=26,
     step_return=0,
-    square_x=49,
-    square=20,
+    square_x=45,
+    square=17,
     ramp_sides=4,
-    finish=2.2,
-    circle_x=25,
-    circle=20,
+    finish=1.5,
+    circle_x=21,
+    circle=19,
     helix=6,
 )
 PAPER_SMALL = Part(

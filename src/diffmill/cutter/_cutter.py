@@ -14,9 +14,10 @@ from .._types import RealScalarLike
 
 # Longer than any workpiece [m]: the shank leaves no material above the cutter.
 _ABOVE_EVERYTHING = 1e3
-# Half a chord shorter than this [m] is a ray that only touches the cutter's side;
-# it stands within 1e-10 m of it for a cutter of 10 mm.
-_GRAZE = 1e-6
+# Half a chord shorter than this share of the radius is a ray that only touches the
+# cutter's side: it stands within 1 um of it for a cutter of 10 mm. Where the chords of
+# successive teeth do not overlap, every tooth would leave an island on such a ray.
+_GRAZE = 0.02
 # A ray less than this above the tip [m] only touches the bottom.
 _TOUCH = 1e-9
 
@@ -122,7 +123,7 @@ class FlatEndMill(AbstractCutter):
         square = R**2 - across**2
         # Walls and floors of real parts lie exactly on rays: without a tolerance,
         # rounding would decide pose by pose and shred such a ray.
-        is_hit = (square > _GRAZE**2) & (up > _TOUCH)
+        is_hit = (square > (_GRAZE * R) ** 2) & (up > _TOUCH)
         half = jnp.sqrt(jnp.where(is_hit, square, 1.0))
         return tip[family] - half, tip[family] + half, jnp.asarray(is_hit)
 

@@ -277,7 +277,7 @@ def _simulation(
     return SimulationSettings(
         angles=angles,
         substeps=substeps,
-        element_height=table.element_height or 3 * stock.spacing,
+        element_height=table.element_height or 3.5 * stock.spacing,
         axial_depth=table.axial_depth
         or min(immersion(path, cutter, stock) + _ROOM, cutter.flute_length),
         precision=table.precision,

@@ -137,14 +137,14 @@ def process_plan(
         angles: Samples per revolution; raised to a multiple of teeth x substeps.
             At least 180 if not given.
         substeps: Sub-steps per tooth period.
-        element_height: Height of a disc [m]; three ray spacings if not given.
+        element_height: Height of a disc [m]; 3.5 ray spacings if not given.
 
     Returns:
         The plan.
     """
     unit = cutter.flute_count * substeps
     angles = math.ceil((180 if angles is None else angles) / unit) * unit
-    dz = 3 * stock.spacing if element_height is None else float(element_height)
+    dz = 3.5 * stock.spacing if element_height is None else float(element_height)
     # One more disc than the depth holds: its share rises before it is immersed.
     elements = max(1, math.ceil(axial_depth / dz + 0.5))
     radius = cutter.nominal_radius
