@@ -279,7 +279,12 @@ def _combine(
     mean = jnp.sum(weights * filled, axis=1)
     # Beside a wall the columns in the air must not thin the disc: walls do that.
     solid = jnp.sum(weights * filled**2, axis=1) / (mean + _BLIND)
-    return inside * (certainty * solid + (1 - certainty) * mean)
+    # Before a higher wall the disc stands on what its lower columns hold.
+    gap = jnp.max(filled, axis=1, keepdims=True) - filled
+    ledge = jnp.sum(weights * filled * gap, axis=1)
+    ledge = ledge / (jnp.sum(weights * gap, axis=1) + _BLIND)
+    seen = inside * solid + (1 - inside) * ledge
+    return certainty * seen + (1 - certainty) * inside * mean
 
 
 def _wall_occupancy(
