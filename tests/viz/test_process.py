@@ -17,7 +17,9 @@ def test_chip_of_a_slot_is_that_of_two_circles(direction):
     tips = (steps * FEED - 1.5e-3) * along + np.array([0.0, 0.0, -DEPTH])
     stock = box([-5e-3, -5e-3, -2e-3], [5e-3, 5e-3, 0.0], 0.2e-3)
     cutter = flat_end_mill(diameter=2 * RADIUS, teeth=2, helix_angle=0.0)
-    plan = process_plan(stock, cutter, axial_depth=DEPTH, angles=96)
+    plan = process_plan(
+        stock, cutter, axial_depth=DEPTH, angles=96, element_height=0.4e-3
+    )
     chart = chip_chart(tips, stock, cutter, plan, step=50)
     phi = chart.immersion_angle
     assert np.ptp(phi) == pytest.approx(2 * np.pi * (1 - 1 / plan.angles))
