@@ -60,7 +60,7 @@ class CorrectionSettings(eqx.Module):
     command: Literal["tip", "joint"] = eqx.field(static=True, default="tip")
     knot_spacing: float = eqx.field(static=True, default=30e-3)
     max_offset: RealScalarLike = 1e-3
-    max_steps: int = eqx.field(static=True, default=3)
+    max_steps: int = eqx.field(static=True, default=2)
     max_products: int = eqx.field(static=True, default=30)
 
 

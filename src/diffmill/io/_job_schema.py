@@ -200,7 +200,7 @@ class CorrectionTable(_Table):
     command: Literal["tip", "joint"] = "tip"
     knot_spacing: PositiveTime = 30e-3
     max_offset: PositiveLength = 1e-3
-    max_steps: Annotated[StrictInt, Field(ge=1, le=1000)] = 3
+    max_steps: Annotated[StrictInt, Field(ge=1, le=1000)] = 2
     max_products: Annotated[StrictInt, Field(ge=1, le=10_000)] = 30
 
 
