@@ -81,7 +81,9 @@ def test_edge_contact_is_fair_at_both_ends_of_the_cut():
 
 def test_the_law_is_linear_with_an_edge():
     law = cutting.LinearEdgeLaw(1e9, 5e8, 1e8, 10.0, 20.0, 30.0)
-    F = law.force_per_width(jnp.array([0.0, 1e-4]), jnp.array([0.0, 1.0]))
+    F = law.force_per_width(
+        jnp.array([0.0, 1e-4]), jnp.array([0.0, 1.0]), jnp.zeros(2, jnp.int32)
+    )
     np.testing.assert_allclose(
         jnp.stack(F, -1), [[0, 0, 0], [1e5 + 10, 5e4 + 20, 1e4 + 30]]
     )

@@ -17,4 +17,6 @@ from ._chip import (
     layer_share as layer_share,
     safe_norm as safe_norm,
 )
-from ._law import AbstractForceLaw as AbstractForceLaw, LinearEdgeLaw as LinearEdgeLaw
+from ._kienzle import KienzleLaw as KienzleLaw
+from ._law import AbstractForceLaw as AbstractForceLaw, UninclinedLaw as UninclinedLaw
+from ._linear_edge import LinearEdgeLaw as LinearEdgeLaw

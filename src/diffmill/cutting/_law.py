@@ -4,69 +4,125 @@ import abc
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Array, Float, Int32
 
 from .._types import RealScalarLike
 
+# One number for all teeth, or one per tooth.
+ToothValues = RealScalarLike | Float[Array, " tooth"] | Float[np.ndarray, " tooth"]
+
 
 class AbstractForceLaw(eqx.Module):
-    """Force per chip width as a function of chip thickness."""
+    """Force per chip width on an element of the edge.
+
+    Directions belong to the element: F_t acts against the cutting motion, F_r along
+    the element's outward normal reversed, so into the tool, and F_a along the third
+    direction: up the shank on the side of a cutter. Chip width is measured along
+    the edge.
+    """
 
     @abc.abstractmethod
     def force_per_width(
         self,
         chip_thickness: Float[Array, "*sample"],
         edge_contact: Float[Array, "*sample"],
+        tooth: Int32[Array, "*sample"],
     ) -> tuple[
         Float[Array, "*sample"], Float[Array, "*sample"], Float[Array, "*sample"]
     ]:
-        """Return tangential, radial and axial force per width [N/m]."""
+        """Return F_t, F_r and F_a per width [N/m]."""
+
+    def for_bottom(self) -> "AbstractForceLaw":
+        """Return the law of the bottom edges that is derived from this one.
+
+        A bottom edge is taken as the same edge without inclination: F_t and F_r as
+        on the side, F_r now along the axis, and no force along the edge. That force
+        comes from the chip's flow over an inclined edge, and a bottom edge, nearly
+        radial, has none even where the side has a helix.
+        """
+        return UninclinedLaw(self)
 
 
-class LinearEdgeLaw(AbstractForceLaw):
-    """Cutting force linear in the chip thickness, plus an edge force.
-
-    Per chip width, dF_i = K_ic h + K_ie for i = t, r, a. Eq. (4) of the paper;
-    Altintas, Manufacturing Automation, 2012, chapter 2.
+class UninclinedLaw(AbstractForceLaw):
+    """Another law without its force F_a along the edge.
 
     Attributes:
-        K_tc: Tangential cutting coefficient [Pa].
-        K_rc: Radial cutting coefficient [Pa].
-        K_ac: Axial cutting coefficient [Pa]; positive pushes the tool toward the
-            shank.
-        K_te: Tangential edge coefficient [N/m].
-        K_re: Radial edge coefficient [N/m].
-        K_ae: Axial edge coefficient [N/m].
+        law: The law that gives F_t and F_r.
     """
 
-    K_tc: RealScalarLike
-    K_rc: RealScalarLike
-    K_ac: RealScalarLike
-    K_te: RealScalarLike = 0.0
-    K_re: RealScalarLike = 0.0
-    K_ae: RealScalarLike = 0.0
+    law: AbstractForceLaw
 
     def force_per_width(
         self,
         chip_thickness: Float[Array, "*sample"],
         edge_contact: Float[Array, "*sample"],
+        tooth: Int32[Array, "*sample"],
     ) -> tuple[
         Float[Array, "*sample"], Float[Array, "*sample"], Float[Array, "*sample"]
     ]:
-        """Return tangential, radial and axial force per width.
+        """Return F_t, F_r and zero per width.
 
         Args:
-            chip_thickness: Chip thickness h [m], zero outside the cut, any shape.
+            chip_thickness: Chip thickness h [m], any shape.
             edge_contact: 0 to 1, whether the edge touches the material, same shape.
+            tooth: Index of the tooth, same shape.
 
         Returns:
             Three forces per chip width [N/m], each of the same shape.
 
-        Differentiability: linear in all arguments and coefficients.
+        Differentiability: as `law`.
         """
-        h, touch = jnp.asarray(chip_thickness), jnp.asarray(edge_contact)
-        return (
-            jnp.asarray(self.K_tc * h + self.K_te * touch),
-            jnp.asarray(self.K_rc * h + self.K_re * touch),
-            jnp.asarray(self.K_ac * h + self.K_ae * touch),
+        F_t, F_r, _ = self.law.force_per_width(chip_thickness, edge_contact, tooth)
+        return F_t, F_r, jnp.zeros_like(F_t)
+
+
+def check_teeth(**coefficients: ToothValues) -> None:
+    """Refuse coefficients that are neither numbers nor one number per tooth.
+
+    Args:
+        **coefficients: By name, each of shape () or (tooth,).
+
+    Raises:
+        ValueError: If one has more axes, or if two have different numbers of teeth.
+
+    Differentiability: not applicable, looks at shapes only.
+    """
+    shapes = {name: np.shape(value) for name, value in coefficients.items()}
+    for name, shape in shapes.items():
+        if len(shape) > 1 or shape == (0,):
+            raise ValueError(
+                f"Argument `{name}` must be a number or have shape (tooth,), but has "
+                f"shape {shape}."
+            )
+    counts = {name: shape[0] for name, shape in shapes.items() if shape}
+    if len(set(counts.values())) > 1:
+        found = ", ".join(f"{name}: {count}" for name, count in counts.items())
+        raise ValueError(
+            "Coefficients with one value per tooth must all have as many values, but "
+            f"found {found}."
         )
+
+
+def of_tooth(
+    coefficient: ToothValues,
+    like: Float[Array, "*sample"],
+    tooth: Int32[Array, "*sample"],
+) -> Float[Array, "..."]:
+    """Return a coefficient at samples of several teeth.
+
+    Args:
+        coefficient: Shape () or (tooth,), any unit.
+        like: Sets the floating point type, any shape.
+        tooth: Index of the tooth from 0, same shape.
+
+    Returns:
+        Shape () for a number, else that of `tooth`; NaN where there is no such tooth,
+        so that too short a list cannot pass unnoticed.
+
+    Differentiability: linear in the coefficient.
+    """
+    values = jnp.asarray(coefficient, like.dtype)
+    if values.ndim == 0:
+        return values
+    return values.at[tooth].get(mode="fill", fill_value=jnp.nan)

@@ -277,7 +277,7 @@ def substep_force(
     chip, feed = chip_thickness(plan, cutter, tip, earlier, thinned, angle)
     touch = edge_contact(chip, feed, 2 * math.pi / plan.angles)
     h = jnp.clip(chip, 0, cutter.diameter / 2)
-    F_t, F_r, F_a = law.force_per_width(h, touch)
+    F_t, F_r, F_a = law.force_per_width(h, touch, jnp.zeros_like(h, dtype=jnp.int32))
     share = weight * plan.discs.height
     sin, cos = jnp.sin(angle), jnp.cos(angle)
     along = [

@@ -1,0 +1,85 @@
+"""Force linear in the chip thickness, plus an edge force."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int32
+
+from ._law import AbstractForceLaw, ToothValues, check_teeth, of_tooth
+
+
+class LinearEdgeLaw(AbstractForceLaw):
+    """Cutting force linear in the chip thickness, plus an edge force.
+
+    Per chip width, dF_i = K_ic h + K_ie for i = t, r, a. Eq. (4) of the paper;
+    Altintas, Manufacturing Automation, 2012, chapter 2. Each coefficient is a number
+    or has one value per tooth, shape (tooth,).
+
+    Attributes:
+        K_tc: Tangential cutting coefficient [Pa].
+        K_rc: Radial cutting coefficient [Pa].
+        K_ac: Axial cutting coefficient [Pa]; positive pushes the tool toward the
+            shank.
+        K_te: Tangential edge coefficient [N/m].
+        K_re: Radial edge coefficient [N/m].
+        K_ae: Axial edge coefficient [N/m].
+
+    Raises:
+        ValueError: If a coefficient is neither a number nor one per tooth, or two
+            differ in the number of teeth.
+    """
+
+    K_tc: ToothValues
+    K_rc: ToothValues
+    K_ac: ToothValues
+    K_te: ToothValues = 0.0
+    K_re: ToothValues = 0.0
+    K_ae: ToothValues = 0.0
+
+    def __check_init__(self) -> None:
+        """Refuse coefficients of a wrong shape."""
+        check_teeth(
+            K_tc=self.K_tc,
+            K_rc=self.K_rc,
+            K_ac=self.K_ac,
+            K_te=self.K_te,
+            K_re=self.K_re,
+            K_ae=self.K_ae,
+        )
+
+    def force_per_width(
+        self,
+        chip_thickness: Float[Array, "*sample"],
+        edge_contact: Float[Array, "*sample"],
+        tooth: Int32[Array, "*sample"],
+    ) -> tuple[
+        Float[Array, "*sample"], Float[Array, "*sample"], Float[Array, "*sample"]
+    ]:
+        """Return tangential, radial and axial force per width.
+
+        Args:
+            chip_thickness: Chip thickness h [m], zero outside the cut, any shape.
+            edge_contact: 0 to 1, whether the edge touches the material, same shape.
+            tooth: Index of the tooth, same shape; matters only to coefficients per
+                tooth.
+
+        Returns:
+            Three forces per chip width [N/m], each of the same shape.
+
+        Differentiability: linear in the chip, the contact and the coefficients.
+        """
+        h, touch = chip_thickness, edge_contact
+        K_tc, K_rc, K_ac, K_te, K_re, K_ae = (
+            of_tooth(coefficient, h, tooth)
+            for coefficient in (
+                self.K_tc,
+                self.K_rc,
+                self.K_ac,
+                self.K_te,
+                self.K_re,
+                self.K_ae,
+            )
+        )
+        return (
+            jnp.asarray(K_tc * h + K_te * touch),
+            jnp.asarray(K_rc * h + K_re * touch),
+            jnp.asarray(K_ac * h + K_ae * touch),
+        )
