@@ -307,7 +307,7 @@ def _wall_occupancy(
         is_upper, is_empty = sides[f]
         x = jnp.broadcast_to(points[..., f], heights.shape)[..., None]
         s = jnp.where(is_upper, ends[f] - x, x - ends[f])
-        s = jnp.where(is_empty, -reach, jnp.clip(s, -reach, reach))
+        s = jnp.where(is_empty, -reach, jax.lax.clamp(-reach, s, reach))
         # Rows are (side 0 or 1) x (height 0 or 1) for family 0, the transpose for 1.
         s = s.reshape(*s.shape[:-1], 2, 2)
         s = s if f == 0 else jnp.swapaxes(s, -1, -2)
@@ -326,7 +326,7 @@ def _wall_occupancy(
         says = says + weight + _BLIND
         certainty = certainty + weight
     inside = _hat_integral(total / says / band)
-    return inside, jnp.clip(2 * certainty, 0, 1)
+    return inside, jax.lax.clamp(0.0, 2 * certainty, 1.0)
 
 
 def _column_weights(
@@ -346,7 +346,15 @@ def _column_weights(
     return product.reshape(*product.shape[:-2], 9)
 
 
+@jax.custom_jvp
 def _hat_integral(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
     """Integrate a hat of half-width 1: 0 below -1, 1 above 1, shifts sum to a line."""
-    x = jnp.clip(x, -1.0, 1.0)
+    x = jax.lax.clamp(-1.0, x, 1.0)
     return 0.5 + x - 0.5 * x * jnp.abs(x)
+
+
+@_hat_integral.defjvp
+def _hat_integral_jvp(primals, tangents):
+    # The hat itself: a fraction of what the derivative of clamping would compute.
+    (x,), (tangent,) = primals, tangents
+    return _hat_integral(x), jnp.maximum(1 - jnp.abs(x), 0) * tangent
