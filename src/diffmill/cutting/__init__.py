@@ -3,7 +3,9 @@
 The near/far-field chip: the chip's inner surface comes analytically from recent tool
 positions (circles), and the stock, whose removal lags behind by a travelled distance,
 only says where there is material. Forces are mechanistic: per disc and angle, linear
-in the chip thickness, plus an edge force where there is a chip (Altintas).
+in the chip thickness (Altintas) or a power of it (Kienzle), plus an edge force where
+there is a chip. Coefficients may differ from tooth to tooth; `materials` lists
+published ones.
 
 Assumes a tool axis along +z, alike teeth, and a chip cut by the side of the tool.
 A chip reaches from the innermost earlier circle to the tooth's own; entry and exit are
@@ -16,6 +18,11 @@ from ._chip import (
     edge_contact as edge_contact,
     layer_share as layer_share,
     safe_norm as safe_norm,
+)
+from ._files import (
+    material as material,
+    material_source as material_source,
+    materials as materials,
 )
 from ._kienzle import KienzleLaw as KienzleLaw
 from ._law import AbstractForceLaw as AbstractForceLaw, UninclinedLaw as UninclinedLaw

@@ -1,6 +1,7 @@
 """Force laws: from chip thickness to force per chip width."""
 
 import abc
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -77,7 +78,7 @@ class UninclinedLaw(AbstractForceLaw):
         return F_t, F_r, jnp.zeros_like(F_t)
 
 
-def check_teeth(**coefficients: ToothValues) -> None:
+def check_teeth(**coefficients: Any) -> None:
     """Refuse coefficients that are neither numbers nor one number per tooth.
 
     Args:
