@@ -83,6 +83,8 @@ class Job(eqx.Module):
         source: The job file's text, for the record in the results; may be empty.
         program: The program's text as read, for writing the corrected one.
         notes: What the user should know but what is no fault.
+        bottom_law: The force law of the bottom edges, or None for the one that `law`
+            derives (`law.for_bottom()`).
     """
 
     name: str = eqx.field(static=True)
@@ -99,6 +101,7 @@ class Job(eqx.Module):
     source: str = eqx.field(static=True, default="")
     program: str = eqx.field(static=True, default="")
     notes: tuple[str, ...] = eqx.field(static=True, default=())
+    bottom_law: AbstractForceLaw | None = None
 
     @property
     def tooth_period(self) -> RealScalarLike:

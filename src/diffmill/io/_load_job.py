@@ -11,7 +11,6 @@ from jaxtyping import Float
 
 from .._job import CorrectionSettings, Job, SimulationSettings
 from ..cutter import AbstractCutter, flat_end_mill
-from ..cutting import LinearEdgeLaw
 from ..robot import Robot
 from ..toolpath import Path, Program
 from ..workpiece import Stock, box
@@ -147,6 +146,8 @@ def _build(
             tables["robot"], folder, problems, allow_outside=allow_outside
         )
     cutter = _cutter(tables.get("cutter"))
+    if cutter is not None and "force" in tables:
+        tables["force"].check_teeth(cutter.flute_count, problems)
     check_stock(tables.get("stock"), tables.get("simulation"), problems)
     desired = None
     if cutter is not None and speed is not None:
@@ -196,10 +197,11 @@ def _assemble(
     """Return the job of faultless parts."""
     assert speed is not None
     robot, T_base_work, start = robot_parts
+    law, bottom_law = tables["force"].laws()
     return Job(
         name=name,
         cutter=cutter,
-        law=LinearEdgeLaw(**tables["force"].model_dump()),
+        law=law,
         spindle_speed=speed,
         stock=_stock(tables["stock"], simulation.precision),
         path=desired,
@@ -210,7 +212,8 @@ def _assemble(
         correction=_correction(tables["correction"]),
         source=text,
         program=program.source if isinstance(program, Program) else "",
-        notes=notes(tables["stock"], desired, cutter),
+        notes=(*tables["force"].notes(), *notes(tables["stock"], desired, cutter)),
+        bottom_law=bottom_law,
     )
 
 
