@@ -7,9 +7,23 @@ of rays; the signed distance of a point combines what the three families see.
 
 Assumes a block as raw stock and a grid along the axes of `work`. A ray that needs
 more intervals than it has slots sets a flag; it never drops material silently.
-Leaves out stock from meshes or earlier runs and export as a mesh.
+A stock may come from a mesh or from the result of an earlier run, leaves as a closed
+mesh with its sharp edges, and can be compared with an ideal one point by point. Files
+are read and written in `_files.py` alone.
 """
 
+from ._files import (
+    MeshFileError as MeshFileError,
+    MeshUnit as MeshUnit,
+    StockFileError as StockFileError,
+    from_mesh as from_mesh,
+    load_mesh as load_mesh,
+    load_stock as load_stock,
+    save_mesh as save_mesh,
+    save_stock as save_stock,
+)
+from ._from_mesh import stock_from_mesh as stock_from_mesh
+from ._mesh import Mesh as Mesh
 from ._occupancy import Discs as Discs, occupancy as occupancy
 from ._removal import (
     RemovalWindow as RemovalWindow,
@@ -25,4 +39,9 @@ from ._stock import (
     has_material_above as has_material_above,
     height_map as height_map,
     ray_ends as ray_ends,
+)
+from ._stock_arrays import as_raw_stock as as_raw_stock
+from ._surface_error import (
+    SurfaceError as SurfaceError,
+    surface_error as surface_error,
 )

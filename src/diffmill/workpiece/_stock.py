@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._types import RealScalarLike
+from ._mesh import Mesh
 
 # A point as users pass it.
 Point: TypeAlias = (
@@ -79,6 +80,23 @@ class Stock(eqx.Module):
         weights = jnp.asarray(self.volume_weights, self.origin.dtype)
         return jnp.sum(self.volumes() * weights)
 
+    def to_mesh(self) -> Mesh:
+        """Return the surface as a closed mesh, on the host.
+
+        Returns:
+            Triangles [m], sharp edges kept. Walls and gaps thinner than the spacing
+            may be lost.
+
+        Raises:
+            ValueError: The stock holds no material, or the grid is too large for the
+                memory.
+
+        Differentiability: none.
+        """
+        from ._dual_contour import surface_mesh
+
+        return surface_mesh(self)
+
     def astype(self, dtype: jnp.dtype) -> "Stock":
         """Return the stock with all lengths in another floating type."""
         return jax.tree.map(
@@ -133,11 +151,8 @@ def box(
         raise ValueError(
             f"Argument `interval_counts` must be at least 1, but is {interval_counts}."
         )
-    # A size that is no multiple of the spacing is shared out to both sides.
-    cells = np.maximum(np.round((high - low) / spacing), 1).astype(int)
-    first = (low + high) / 2 - (cells - 1) / 2 * spacing
-    origin = first - MARGIN * spacing
-    counts = cells + 2 * MARGIN
+    origin, counts = block_grid(low, high, spacing)
+    cells = counts - 2 * MARGIN
     lines = [origin[a] + spacing * np.arange(counts[a]) for a in range(3)]
     inside = [
         (np.arange(counts[a]) >= MARGIN) & (np.arange(counts[a]) < MARGIN + cells[a])
@@ -161,6 +176,26 @@ def box(
         spacing=float(spacing),
         top=float(high[2]),
     )
+
+
+def block_grid(
+    lower: Float[np.ndarray, " 3"], upper: Float[np.ndarray, " 3"], spacing: float
+) -> tuple[Float[np.ndarray, " 3"], Int[np.ndarray, " 3"]]:
+    """Return the grid of rays for a block, its margin included, on the host.
+
+    Args:
+        lower: Least x, y, z [m], shape (3,).
+        upper: Greatest x, y, z [m], shape (3,).
+        spacing: Distance between rays [m].
+
+    Returns:
+        The first grid line of each axis [m], shape (3,), and the number of grid lines,
+        shape (3,). A size that is no multiple of the spacing is shared out to both
+        sides.
+    """
+    cells = np.maximum(np.round((upper - lower) / spacing), 1).astype(int)
+    first = (lower + upper) / 2 - (cells - 1) / 2 * spacing
+    return first - MARGIN * spacing, cells + 2 * MARGIN
 
 
 def has_material_above(

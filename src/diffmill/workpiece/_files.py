@@ -1,0 +1,236 @@
+"""Stock and meshes on disk: the only module of this subpackage that touches files."""
+
+import io
+import os
+import zipfile
+from pathlib import Path
+from typing import Any, Literal, TypeAlias, get_args
+
+import jax.numpy as jnp
+import numpy as np
+
+from ._from_mesh import stock_from_mesh
+from ._mesh import Mesh, mesh_fault, weld
+from ._stock import Stock
+from ._stock_arrays import arrays_of_stock, check_headers, stock_of_arrays
+
+# Unit of the numbers in a mesh file.
+MeshUnit: TypeAlias = Literal["m", "cm", "mm", "um", "in"]
+_METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 25.4e-3}
+_SUFFIXES = (".stl", ".obj", ".ply")
+
+
+class MeshFileError(ValueError):
+    """Raise when a mesh file cannot be read or bounds no solid."""
+
+
+class StockFileError(ValueError):
+    """Raise when a file holds no stock."""
+
+
+def load_mesh(path: str | os.PathLike[str], *, unit: MeshUnit = "mm") -> Mesh:
+    """Return a closed mesh from a file.
+
+    Nothing but the file itself is read: materials and textures that it names are not.
+
+    Args:
+        path: An STL, OBJ or PLY file.
+        unit: Unit of the numbers in the file, which these formats do not tell.
+
+    Returns:
+        The mesh in metres, equal vertices joined.
+
+    Raises:
+        MeshFileError: The file cannot be read, or its triangles bound no solid.
+        ValueError: The unit is unknown.
+
+    Differentiability: none.
+    """
+    scale, suffix = _scale(unit), _suffix(path)
+    try:
+        data = Path(path).read_bytes()
+    except OSError as error:
+        raise MeshFileError(f"{os.fspath(path)}: cannot be read: {error}") from error
+    import trimesh
+
+    try:
+        # Bytes, not a name: without a place there is nothing beside it to follow.
+        raw: Any = trimesh.load_mesh(
+            io.BytesIO(data), file_type=suffix[1:], process=False, skip_materials=True
+        )
+        mesh = Mesh(
+            np.asarray(raw.vertices, np.float64).reshape(-1, 3),
+            np.asarray(raw.faces, np.int64).reshape(-1, 3),
+        )
+        fault = _index_fault(mesh)
+    # A damaged file makes a parser raise anything.
+    except Exception as error:
+        raise MeshFileError(
+            f"{os.fspath(path)}: is no valid {suffix[1:].upper()} file: "
+            f"{type(error).__name__}: {error}"
+        ) from error
+    if fault is None:
+        mesh = weld(Mesh(mesh.vertices * scale, mesh.faces))
+        fault = mesh_fault(mesh)
+    if fault is not None:
+        raise MeshFileError(f"{os.fspath(path)}: {fault}")
+    return mesh
+
+
+def from_mesh(
+    path: str | os.PathLike[str],
+    spacing: float,
+    *,
+    unit: MeshUnit = "mm",
+    interval_counts: tuple[int, int, int] | None = None,
+    dtype: type | jnp.dtype | None = None,
+) -> Stock:
+    """Return the solid in a mesh file as stock, in the place where the file has it.
+
+    Args:
+        path: An STL, OBJ or PLY file; a closed surface, all triangles facing outward.
+        spacing: Distance between rays [m].
+        unit: Unit of the numbers in the file, which these formats do not tell.
+        interval_counts: Slots for intervals of a ray along x, y and z; by default as
+            many as the part needs and seven more along x and y.
+        dtype: Floating type; JAX's default if not given.
+
+    Returns:
+        The stock; the ends of its rays lie on the triangles. Its grid is the one that
+        `box` gives the box around the part.
+
+    Raises:
+        MeshFileError: The file cannot be read, or its triangles bound no solid.
+        ValueError: An argument is out of range, the slots are too few, or the stock is
+            larger than half of the physical memory.
+
+    Differentiability: none.
+    """
+    mesh = load_mesh(path, unit=unit)
+    return stock_from_mesh(mesh, spacing, interval_counts=interval_counts, dtype=dtype)
+
+
+def save_mesh(
+    stock_or_mesh: Stock | Mesh,
+    path: str | os.PathLike[str],
+    *,
+    unit: MeshUnit = "mm",
+) -> None:
+    """Write the surface of a stock, or a mesh, to a file.
+
+    Args:
+        stock_or_mesh: The stock or mesh.
+        path: The file; its suffix chooses STL (binary), OBJ or PLY.
+        unit: Unit of the numbers in the file. STL rounds them to single precision.
+
+    Raises:
+        MeshFileError: The suffix is none of these.
+        ValueError: The stock holds no material, or the unit is unknown.
+        OSError: The file cannot be written.
+
+    Differentiability: none.
+    """
+    scale, suffix = _scale(unit), _suffix(path)
+    mesh = (
+        stock_or_mesh.to_mesh() if isinstance(stock_or_mesh, Stock) else stock_or_mesh
+    )
+    import trimesh
+
+    out = trimesh.Trimesh(mesh.vertices / scale, mesh.faces, process=False)
+    options: dict[str, Any] = {"digits": 12} if suffix == ".obj" else {}
+    data: Any = out.export(file_type=suffix[1:], **options)
+    Path(path).write_bytes(data.encode("utf-8") if isinstance(data, str) else data)
+
+
+def save_stock(stock: Stock, path: str | os.PathLike[str]) -> None:
+    """Write a stock as plain arrays (no pickle), lengths in metres.
+
+    Args:
+        stock: The stock.
+        path: Path of the .npz file. It receives, for each axis f of x, y and z, the
+            array `ends_f` (u, v, 2, slot) and the array `poses_f` of the same shape,
+            and `origin`, `spacing`, `top`, `volume_weights`.
+
+    Differentiability: none.
+    """
+    with open(path, "wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays_of_stock(stock))
+
+
+def load_stock(
+    path: str | os.PathLike[str],
+    *,
+    is_raw: bool = True,
+    dtype: type | jnp.dtype | None = None,
+) -> Stock:
+    """Return a stock that `save_stock` or a run wrote (`stock.npz`).
+
+    Args:
+        path: The .npz file.
+        is_raw: Whether to return it as raw stock for another run: its ends forget the
+            poses that cut them, which mean nothing to another path, and its top is the
+            highest material that is left. Otherwise as it was saved.
+        dtype: Floating type; JAX's default if not given.
+
+    Returns:
+        The stock.
+
+    Raises:
+        StockFileError: The file cannot be read, is damaged or of another format.
+
+    Differentiability: none.
+    """
+    name = os.fspath(path)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            check_headers(_headers(archive))
+        with np.load(path, allow_pickle=False) as found:
+            arrays = {key: found[key] for key in found.files}
+        return stock_of_arrays(arrays, is_raw=is_raw, dtype=dtype)
+    except OSError as error:
+        raise StockFileError(f"{name}: cannot be read: {error}") from error
+    except zipfile.BadZipFile as error:
+        raise StockFileError(f"{name}: is no undamaged .npz file: {error}") from error
+    # A damaged archive makes the reader raise anything.
+    except Exception as error:
+        raise StockFileError(f"{name}: holds no stock: {error}") from error
+
+
+def _headers(archive: zipfile.ZipFile) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
+    """Return shape and type of each array without reading what it holds."""
+    headers = {}
+    for entry in archive.infolist():
+        with archive.open(entry) as file:
+            version = np.lib.format.read_magic(file)
+            if version != (1, 0):
+                raise ValueError(f"array {entry.filename!r} is of format {version}")
+            shape, _, dtype = np.lib.format.read_array_header_1_0(file)
+        headers[entry.filename.removesuffix(".npy")] = (shape, dtype)
+    return headers
+
+
+def _index_fault(mesh: Mesh) -> str | None:
+    if len(mesh.faces) and not (
+        mesh.faces.min() >= 0 and mesh.faces.max() < len(mesh.vertices)
+    ):
+        return "found triangles with vertices that do not exist"
+    if not len(mesh.faces):
+        return "found no triangles"
+    return None
+
+
+def _scale(unit: str) -> float:
+    if unit not in _METRES:
+        allowed = ", ".join(get_args(MeshUnit))
+        raise ValueError(f"Argument `unit` must be one of {allowed}, but is {unit!r}.")
+    return _METRES[unit]
+
+
+def _suffix(path: str | os.PathLike[str]) -> str:
+    suffix = Path(path).suffix.lower()
+    if suffix not in _SUFFIXES:
+        raise MeshFileError(
+            f"{os.fspath(path)}: found the suffix {suffix!r}; allowed: "
+            f"{', '.join(_SUFFIXES)}"
+        )
+    return suffix

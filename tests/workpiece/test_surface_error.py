@@ -1,0 +1,129 @@
+"""The distance of a machined surface from the ideal one, against what is known."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from diffmill import workpiece as wp
+from diffmill.workpiece._surface_error import closest_on_triangles
+
+SPACING = 0.25e-3
+
+
+def stock_of(mesh, spacing=SPACING):
+    vertices, faces = np.array(mesh.vertices), np.array(mesh.faces)
+    return wp.stock_from_mesh(wp.Mesh(vertices, faces), spacing)
+
+
+def test_a_floor_too_high_and_a_wall_too_deep_have_their_signs():
+    ideal = wp.box([0, 0, -3e-3], [8e-3, 6e-3, 0], SPACING)
+    machined = wp.box([0, 0, -3e-3], [7.93e-3, 6e-3, 0.04e-3], SPACING)
+    found = wp.surface_error(machined, ideal)
+    assert found.points.shape == found.normal.shape == (len(found.error), 3)
+    for axis, error, is_floor in ((2, 0.04e-3, True), (0, -0.07e-3, False)):
+        # Away from the edges of the face, where another face may be nearer.
+        on = found.normal[:, axis] > 0.99
+        others = [a for a in range(3) if a != axis]
+        upper = np.array([8e-3, 6e-3, 0])
+        lower = np.array([0, 0, -3e-3])
+        for a in others:
+            on &= (found.points[:, a] > lower[a] + 0.2e-3) & (
+                found.points[:, a] < upper[a] - 0.2e-3
+            )
+        assert on.sum() > 50
+        np.testing.assert_allclose(found.error[on], error, atol=1e-12)
+        assert (found.is_floor[on] == is_floor).all()
+    assert not found.is_cut.any()
+
+
+def test_the_same_stock_has_no_error():
+    stock = wp.box([0, 0, -3e-3], [8e-3, 6e-3, 0], SPACING)
+    found = wp.surface_error(stock, stock)
+    assert np.abs(found.error).max() < 1e-15
+    np.testing.assert_allclose(np.linalg.norm(found.normal, axis=1), 1, rtol=1e-12)
+
+
+def test_another_grid_of_the_ideal_does_not_matter():
+    machined = wp.box([0, 0, -3e-3], [8e-3, 6e-3, 0], SPACING)
+    ideal = wp.box([0, 0, -3e-3], [8e-3, 6e-3, 0], 0.31e-3)
+    assert np.abs(wp.surface_error(machined, ideal).error).max() < 1e-12
+
+
+@pytest.mark.parametrize("angle", [2.0, 17.0, 40.0])
+def test_a_tilted_plane_is_measured_at_right_angles(angle):
+    tilt = np.tan(np.radians(angle))
+
+    def wedge(offset):
+        block = trimesh.creation.box(bounds=[[0, 0, -4e-3], [8e-3, 4e-3, 0]])
+        top = block.vertices[:, 2] > -1e-3
+        block.vertices[top, 2] = block.vertices[top, 0] * tilt + offset
+        return stock_of(block)
+
+    found = wp.surface_error(wedge(0.03e-3), wedge(0.0))
+    normal = np.array([-tilt, 0, 1]) * np.cos(np.radians(angle))
+    on = found.normal @ normal > 1 - 1e-9
+    on &= (found.points[:, 0] > 1e-3) & (found.points[:, 0] < 7e-3)
+    on &= (found.points[:, 1] > 0.5e-3) & (found.points[:, 1] < 3.5e-3)
+    assert {0, 2} <= set(found.family[on]) if angle > 10 else on.any()
+    wanted = 0.03e-3 * np.cos(np.radians(angle))
+    assert np.abs(found.error[on] - wanted).max() < 0.01 * SPACING
+
+
+def test_a_hole_too_wide_is_a_gouge_and_a_pin_too_thick_is_left_standing():
+    block = trimesh.creation.box([12e-3, 12e-3, 4e-3])
+
+    def hole(radius):
+        pin = trimesh.creation.cylinder(radius, 8e-3, sections=512)
+        return trimesh.boolean.difference([block, pin], engine="manifold")
+
+    found = wp.surface_error(stock_of(hole(4.02e-3)), stock_of(hole(4e-3)))
+    wall = np.hypot(found.points[:, 0], found.points[:, 1]) < 4.1e-3
+    wall &= np.abs(found.points[:, 2]) < 1.9e-3
+    assert wall.sum() > 1000
+    # The facets of the mesh are off by a part of spacing^2 / radius.
+    np.testing.assert_allclose(found.error[wall], -0.02e-3, atol=0.03 * SPACING)
+    pins = [trimesh.creation.cylinder(r, 4e-3, sections=512) for r in (4.05e-3, 4e-3)]
+    found = wp.surface_error(stock_of(pins[0]), stock_of(pins[1]))
+    wall = ~found.is_floor & (np.abs(found.points[:, 2]) < 1.8e-3)
+    np.testing.assert_allclose(found.error[wall], 0.05e-3, atol=0.03 * SPACING)
+
+
+def test_beyond_an_edge_the_distance_is_that_to_the_edge():
+    ideal = wp.box([0, 0, -3e-3], [8e-3, 6e-3, 0], SPACING)
+    machined = wp.box([0, 0, -3e-3], [8.2e-3, 6.2e-3, 0.2e-3], SPACING)
+    found = wp.surface_error(machined, ideal)
+    low, high = np.array([0, 0, -3e-3]), np.array([8e-3, 6e-3, 0])
+    beyond = np.maximum(np.maximum(found.points - high, low - found.points), 0)
+    inside = np.all(beyond == 0, axis=1)
+    np.testing.assert_allclose(
+        found.error[~inside], np.linalg.norm(beyond[~inside], axis=1), atol=1e-12
+    )
+
+
+def test_poses_tell_what_was_cut():
+    ideal = wp.box([0, 0, -3e-3], [8e-3, 6e-3, 0], SPACING)
+    x, y, z = ideal.families
+    cut = wp.Rays(z.ends, z.poses.at[:, :, 1].set(7))
+    machined = wp.Stock((x, y, cut), ideal.origin, ideal.spacing, ideal.top)
+    found = wp.surface_error(machined, ideal)
+    is_top = (found.family == 2) & (found.points[:, 2] > -1e-3)
+    assert (found.is_cut == is_top).all()
+
+
+def test_closest_points_on_triangles_beat_every_sample():
+    rng = np.random.default_rng(0)
+    points, corners = rng.normal(size=(200, 1, 3)), rng.normal(size=(200, 3, 3, 3))
+    foot, feature = closest_on_triangles(points, corners)
+    found = np.linalg.norm(points - foot, axis=-1)
+    # Barycentric weights on a fine grid of each triangle.
+    i, j = (k.ravel() for k in np.meshgrid(*[np.linspace(0, 1, 81)] * 2))
+    weights = np.stack([i, j, 1 - i - j], axis=-1)[i + j <= 1]
+    samples = np.einsum("sw,nkwi->nksi", weights, corners)
+    best = np.linalg.norm(points[:, :, None] - samples, axis=-1).min(axis=-1)
+    assert (found <= best + 1e-12).all()
+    assert (best - found).max() < 0.1
+    assert set(np.unique(feature)) == set(range(7))
+    by_trimesh = trimesh.triangles.closest_point(
+        corners.reshape(-1, 3, 3), np.repeat(points[:, 0], 3, axis=0)
+    )
+    np.testing.assert_allclose(foot.reshape(-1, 3), by_trimesh, atol=1e-12)
