@@ -6,8 +6,8 @@ names. Programs are G-code (three axes, the words listed by `diffmill.io.GCodeEr
 or recorded paths as CSV. Results are written to a temporary folder that is renamed at
 the end, so that a folder of results is complete or absent.
 
-Assumes a vertical tool and a block of stock. Leaves out robot programs, measured
-forces, and stock from meshes or earlier runs.
+Stock is a block, a closed mesh, or what an earlier run left. Assumes a vertical tool.
+Leaves out robot programs and measured forces.
 """
 
 from ._gcode import parse_gcode as parse_gcode, read_gcode as read_gcode
@@ -23,7 +23,11 @@ from ._path_csv import (
     read_path_csv as read_path_csv,
     write_path_csv as write_path_csv,
 )
-from ._rapid_check import RigidPass as RigidPass, rigid_pass as rigid_pass
+from ._rapid_check import (
+    RigidPass as RigidPass,
+    rigid_pass as rigid_pass,
+    rigid_pass_of_stock as rigid_pass_of_stock,
+)
 from ._results import (
     ResultsError as ResultsError,
     check_folder as check_folder,

@@ -58,12 +58,13 @@ class SpindleTable(Table):
 class StockTable(Table):
     """`[stock]`."""
 
-    lower: Lengths3 = Field(description='three lengths, such as ["0 mm", ...]')
-    upper: Lengths3 = Field(description='three lengths, such as ["80 mm", ...]')
-    spacing: PositiveLength = Field(description='a length, such as "0.2 mm"')
-    intervals: Annotated[list[Slots], Field(min_length=3, max_length=3)] = Field(
-        default_factory=lambda: [8, 8, 1]
-    )
+    lower: Lengths3 | None = None
+    upper: Lengths3 | None = None
+    mesh: Annotated[StrictStr, Field(min_length=1)] | None = None
+    mesh_unit: Literal["m", "cm", "mm", "um", "in"] | None = None
+    result: Annotated[StrictStr, Field(min_length=1)] | None = None
+    spacing: PositiveLength | None = None
+    intervals: Annotated[list[Slots], Field(min_length=3, max_length=3)] | None = None
 
 
 class ProgramTable(Table):

@@ -13,8 +13,7 @@ from .._job import CorrectionSettings, Job, SimulationSettings
 from ..cutter import AbstractCutter, flat_end_mill
 from ..robot import Robot
 from ..toolpath import Path, Program
-from ..workpiece import Stock, box
-from ._job_checks import check_rapids, check_stock, immersion, notes
+from ._job_checks import check_rapids, immersion, notes
 from ._job_program import read_program, spindle_speed, time_path
 from ._job_robot import check_reach, pose_matrix, read_robot
 from ._job_schema import (
@@ -22,9 +21,9 @@ from ._job_schema import (
     CutterTable,
     ProgramTable,
     SimulationTable,
-    StockTable,
     read_tables,
 )
+from ._job_stock import StockPlan, read_stock
 
 # Longest sub-step of the robot [s], and the room below the deepest disc [m].
 _SUBSTEP = 0.5e-3
@@ -148,7 +147,12 @@ def _build(
     cutter = _cutter(tables.get("cutter"))
     if cutter is not None and "force" in tables:
         tables["force"].check_teeth(cutter.flute_count, problems)
-    check_stock(tables.get("stock"), tables.get("simulation"), problems)
+    stock = None
+    if "stock" in tables:
+        precision = getattr(tables.get("simulation"), "precision", "float64")
+        stock = read_stock(
+            tables["stock"], precision, folder, problems, allow_outside=allow_outside
+        )
     desired = None
     if cutter is not None and speed is not None:
         period = 2 * math.pi / (speed * cutter.flute_count)
@@ -163,18 +167,19 @@ def _build(
     T_base_work = pose_matrix(work)
     if desired is not None and robot is not None and work is not None:
         check_reach(robot, desired, T_base_work, start, problems)
-    if desired is not None and cutter is not None and "stock" in tables:
-        check_rapids(desired, cutter, tables["stock"], problems)
-    simulation = _simulation(tables, cutter, speed, desired, problems)
+    if desired is not None and cutter is not None and stock is not None:
+        check_rapids(desired, cutter, stock, problems)
+    simulation = _simulation(tables, cutter, speed, (desired, stock), problems)
     if problems or simulation is None or desired is None or cutter is None:
         return None
+    assert stock is not None
     return _assemble(
         path.stem,
         text,
         tables,
         cutter,
         speed,
-        desired,
+        (desired, stock),
         simulation,
         program,
         (robot, T_base_work, start),
@@ -187,7 +192,7 @@ def _assemble(
     tables: dict[str, Any],
     cutter: AbstractCutter,
     speed: float | None,
-    desired: Path,
+    place: tuple[Path, StockPlan],
     simulation: SimulationSettings,
     program: Program | Path | None,
     robot_parts: tuple[
@@ -196,6 +201,7 @@ def _assemble(
 ) -> Job:
     """Return the job of faultless parts."""
     assert speed is not None
+    desired, stock = place
     robot, T_base_work, start = robot_parts
     law, bottom_law = tables["force"].laws()
     return Job(
@@ -203,7 +209,7 @@ def _assemble(
         cutter=cutter,
         law=law,
         spindle_speed=speed,
-        stock=_stock(tables["stock"], simulation.precision),
+        stock=stock.make(),
         path=desired,
         robot=robot,
         T_base_work=T_base_work,
@@ -212,7 +218,7 @@ def _assemble(
         correction=_correction(tables["correction"]),
         source=text,
         program=program.source if isinstance(program, Program) else "",
-        notes=(*tables["force"].notes(), *notes(tables["stock"], desired, cutter)),
+        notes=(*tables["force"].notes(), *notes(stock, desired, cutter)),
         bottom_law=bottom_law,
     )
 
@@ -232,31 +238,16 @@ def _correction(table: CorrectionTable) -> CorrectionSettings:
     return CorrectionSettings(**table.model_dump())
 
 
-def _stock(table: StockTable, precision: str) -> Stock:
-    # Without 64-bit numbers in JAX a request for them would only give a warning.
-    import jax
-
-    is_double = precision == "float64" and jax.config.read("jax_enable_x64")
-    first, second, third = table.intervals
-    return box(
-        table.lower,
-        table.upper,
-        table.spacing,
-        interval_counts=(first, second, third),
-        dtype=np.float64 if is_double else np.float32,
-    )
-
-
 def _simulation(
     tables: dict[str, Any],
     cutter: AbstractCutter | None,
     speed: float | None,
-    path: Path | None,
+    place: tuple[Path | None, StockPlan | None],
     problems: list[str],
 ) -> SimulationSettings | None:
     """Return the numerical settings with their defaults."""
     table: SimulationTable | None = tables.get("simulation")
-    stock: StockTable | None = tables.get("stock")
+    path, stock = place
     if table is None or cutter is None or speed is None:
         return None
     period = 2 * math.pi / (speed * cutter.flute_count)

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..toolpath import Path
+from ..workpiece import Stock, height_map, ray_ends
 
 # A tip on the very surface does not cut: rounding of a program in inches or with
 # four decimals stays below this [m].
@@ -54,29 +55,63 @@ def rigid_pass(
 
     Differentiability: not applicable, a host function on NumPy arrays.
     """
-    tips = np.asarray(path.positions, float)
-    is_rapid = np.asarray(path.is_rapid)
     counts = np.maximum(np.round((upper - lower)[:2] / spacing), 1).astype(int)
     cell = (upper - lower)[:2] / counts
     x = lower[0] + (np.arange(counts[0]) + 0.5) * cell[0]
     y = lower[1] + (np.arange(counts[1]) + 0.5) * cell[1]
     heights = np.full(tuple(counts), float(upper[2]))
+    return _sweep(path, radius, (x, y, heights), float(lower[2]), spacing)
+
+
+def rigid_pass_of_stock(path: Path, radius: float, stock: Stock) -> RigidPass:
+    """Sweep a flat tool along a path through any stock, seen from above.
+
+    Args:
+        path: Desired path with a vertical tool.
+        radius: Radius of the tool [m].
+        stock: The stock; what lies below an overhang counts as material.
+
+    Returns:
+        Where the tool cuts and where a rapid move goes through stock.
+
+    Differentiability: not applicable, a host function on NumPy arrays.
+    """
+    x, y, heights = height_map(stock)
+    lowest = float(ray_ends(stock, 2)[0][:, 2].min(initial=stock.top))
+    heights = np.where(np.isnan(heights), -np.inf, heights).astype(float)
+    return _sweep(path, radius, (x, y, heights), lowest, stock.spacing)
+
+
+def _sweep(
+    path: Path,
+    radius: float,
+    grid: tuple[
+        Float[np.ndarray, " x"], Float[np.ndarray, " y"], Float[np.ndarray, "x y"]
+    ],
+    bottom: float,
+    spacing: float,
+) -> RigidPass:
+    """Sweep the tool through a height map, which is used up."""
+    x, y, heights = grid
+    top = float(heights.max(initial=-np.inf))
+    tips = np.asarray(path.positions, float)
+    is_rapid = np.asarray(path.is_rapid)
     is_cutting = np.zeros(len(tips), dtype=bool)
     depth = np.zeros(len(tips))
-    _remove(heights, x, y, tips[0], radius, lower[2])
+    _remove(heights, x, y, tips[0], radius, bottom)
     for k in range(1, len(tips)):
         pieces = max(1, math.ceil(np.linalg.norm(tips[k] - tips[k - 1]) / spacing))
         for piece in range(1, pieces + 1):
             tip = tips[k - 1] + (tips[k] - tips[k - 1]) * (piece / pieces)
-            if tip[2] > upper[2] - _TOUCH:
+            if tip[2] > top - _TOUCH:
                 continue
             if not is_rapid[k]:
-                is_cutting[k] |= _remove(heights, x, y, tip, radius, lower[2])
+                is_cutting[k] |= _remove(heights, x, y, tip, radius, bottom)
                 continue
             # A rapid removes nothing: its full disc would clear the way, by less
             # than a spacing at a time, for the smaller one that tests.
             inner = max(radius - spacing, 0.5 * radius)
-            into = _highest(heights, x, y, tip, inner) - max(tip[2], lower[2])
+            into = _highest(heights, x, y, tip, inner) - max(tip[2], bottom)
             depth[k] = max(depth[k], into)
     is_crash = is_rapid & (depth > _TOUCH)
     is_cutting |= is_crash

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from ..workpiece import Stock
+from ..workpiece import Stock, save_stock
 
 # xarray takes half a second to import, which only these functions need.
 Dataset: TypeAlias = Any
@@ -102,7 +102,7 @@ def write_results(
     try:
         described(dataset).to_netcdf(temporary / "result.nc", engine="h5netcdf")
         if stock is not None:
-            write_stock(temporary / "stock.npz", stock)
+            save_stock(stock, temporary / "stock.npz")
         for name, content in (files or {}).items():
             _write(temporary, name, content)
         if fill is not None:
@@ -180,26 +180,6 @@ def mark_incomplete(
         incomplete_time=float(dataset["time"].isel(step=last)),
         incomplete_place=desired.reshape(-1, 3)[0].astype(float),
     )
-
-
-def write_stock(file: pathlib.Path, stock: Stock) -> None:
-    """Write a stock as plain arrays (no pickle), lengths in metres.
-
-    Args:
-        file: Path of the .npz file. It receives, for each axis f of x, y and z, the
-            array `ends_f` (u, v, 2, slot) and the array `poses_f` of the same shape,
-            and `origin`, `spacing`, `top`.
-        stock: The stock.
-    """
-    arrays: dict[str, Any] = {
-        "origin": np.asarray(stock.origin),
-        "spacing": np.asarray(stock.spacing),
-        "top": np.asarray(stock.top),
-    }
-    for axis, rays in zip("xyz", stock.families, strict=True):
-        arrays[f"ends_{axis}"] = np.asarray(rays.ends)
-        arrays[f"poses_{axis}"] = np.asarray(rays.poses)
-    np.savez_compressed(file, allow_pickle=False, **arrays)
 
 
 def _write(folder: pathlib.Path, name: str, content: Content) -> None:

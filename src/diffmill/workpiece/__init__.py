@@ -23,6 +23,7 @@ from ._files import (
     save_stock as save_stock,
 )
 from ._from_mesh import stock_from_mesh as stock_from_mesh
+from ._memory import physical_memory as physical_memory, stock_bytes as stock_bytes
 from ._mesh import Mesh as Mesh
 from ._occupancy import Discs as Discs, occupancy as occupancy
 from ._removal import (
@@ -32,6 +33,7 @@ from ._removal import (
     subtract as subtract,
 )
 from ._stock import (
+    MARGIN as MARGIN,
     Rays as Rays,
     Stock as Stock,
     box as box,
@@ -40,7 +42,10 @@ from ._stock import (
     height_map as height_map,
     ray_ends as ray_ends,
 )
-from ._stock_arrays import as_raw_stock as as_raw_stock
+from ._stock_arrays import (
+    as_raw_stock as as_raw_stock,
+    with_interval_counts as with_interval_counts,
+)
 from ._surface_error import (
     SurfaceError as SurfaceError,
     surface_error as surface_error,

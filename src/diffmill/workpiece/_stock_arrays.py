@@ -145,6 +145,44 @@ def as_raw_stock(stock: Stock) -> Stock:
     return Stock((x, y, z), stock.origin, stock.spacing, top, stock.volume_weights)
 
 
+def with_interval_counts(stock: Stock, interval_counts: tuple[int, int, int]) -> Stock:
+    """Return the same material in rays with another number of slots.
+
+    Args:
+        stock: The stock.
+        interval_counts: Slots for intervals of a ray along x, y and z.
+
+    Raises:
+        ValueError: The slots are too few for the intervals that there are.
+
+    Differentiability: none, a host function.
+    """
+    families = []
+    needed = []
+    for rays, count in zip(stock.families, interval_counts, strict=True):
+        ends, poses = np.asarray(rays.ends), np.asarray(rays.poses)
+        is_live = ends[:, :, 1] > ends[:, :, 0]
+        needed.append(int(is_live.sum(axis=-1).max(initial=0)))
+        # The live slots first, then cut off or pad with dead ones.
+        order = np.argsort(~is_live, axis=-1, kind="stable")[:, :, None]
+        shape = (*ends.shape[:2], 2, count)
+        new_ends, new_poses = np.empty(shape, ends.dtype), np.full(shape, -1, np.int32)
+        new_ends[:, :, 0], new_ends[:, :, 1] = DEAD, -DEAD
+        kept = min(count, ends.shape[-1])
+        new_ends[..., :kept] = np.take_along_axis(ends, order, axis=-1)[..., :kept]
+        new_poses[..., :kept] = np.take_along_axis(poses, order, axis=-1)[..., :kept]
+        families.append(Rays(jnp.asarray(new_ends), jnp.asarray(new_poses)))
+    if any(n > count for n, count in zip(needed, interval_counts, strict=True)):
+        raise ValueError(
+            f"Argument `interval_counts` is {interval_counts}, but rays of the stock "
+            f"have up to {tuple(needed)} intervals along x, y and z."
+        )
+    x, y, z = families
+    return Stock(
+        (x, y, z), stock.origin, stock.spacing, stock.top, stock.volume_weights
+    )
+
+
 def _check_ends(ends: Float[np.ndarray, "u v 2 slot"], axis: str) -> None:
     if not np.isfinite(ends).all():
         raise ValueError(f"the array ends_{axis} holds numbers that are not finite")

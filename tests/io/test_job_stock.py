@@ -1,0 +1,235 @@
+"""Stock of a job from a mesh file or from the result of an earlier run."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from diffmill import workpiece as wp
+from diffmill.io import JobError, load_job, rigid_pass, rigid_pass_of_stock
+from diffmill.toolpath import Path
+
+PROGRAM = """G21 G17 G90 G94
+G0 X-6 Y5 Z1
+G0 Z-1
+G1 X20 F3000
+G0 Z1
+M2
+"""
+JOB = """
+[cutter]
+diameter = "10 mm"
+teeth = 2
+[spindle]
+speed = "8000 rpm"
+[force]
+K_tc = "989.8 N/mm^2"
+K_rc = "337.3 N/mm^2"
+K_ac = "66.9 N/mm^2"
+[program]
+file = "part.ngc"
+[robot]
+rigid = true
+[stock]
+"""
+BOX = 'lower = ["0 mm", "0 mm", "-3 mm"]\nupper = ["20 mm", "10 mm", "0 mm"]\n'
+SPACING = 'spacing = "0.25 mm"\n'
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Write a job with a table of stock, in a folder of its own; return its path."""
+    folder = tmp_path / "job"
+    folder.mkdir()
+    (folder / "part.ngc").write_text(PROGRAM)
+
+    def write(stock):
+        (folder / "job.toml").write_text(JOB + stock)
+        return folder / "job.toml"
+
+    return write
+
+
+def save_block(path, scale=1.0, upper=(20, 10, 0)):
+    block = trimesh.creation.box(bounds=[[0, 0, -3], upper])
+    block.apply_scale(scale)
+    path.write_bytes(block.export(file_type="stl"))
+
+
+def problems(file):
+    with pytest.raises(JobError) as caught:
+        load_job(file)
+    return caught.value.problems
+
+
+def assert_same_stock(stock, wanted):
+    assert stock.top == pytest.approx(wanted.top, abs=1e-12)
+    assert stock.spacing == wanted.spacing
+    for got, ray in zip(stock.families, wanted.families, strict=True):
+        np.testing.assert_allclose(got.ends, ray.ends, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("line", "scale"),
+    [("", 1.0), ('mesh_unit = "mm"\n', 1.0), ('mesh_unit = "m"\n', 1e-3)],
+)
+def test_a_block_from_a_mesh_is_the_same_job(write, line, scale):
+    wanted = load_job(write(BOX + SPACING))
+    save_block(write("").parent / "stock.stl", scale)
+    job = load_job(write('mesh = "stock.stl"\n' + line + SPACING))
+    tolerance = 1e-8 if scale != 1 else 1e-12
+    np.testing.assert_allclose(
+        job.stock.families[2].ends, wanted.stock.families[2].ends, atol=tolerance
+    )
+    if scale == 1:
+        assert_same_stock(job.stock, wanted.stock)
+    assert job.simulation.axial_depth == pytest.approx(
+        wanted.simulation.axial_depth, abs=1e-7
+    )
+    assert job.notes == wanted.notes
+
+
+def test_faults_of_a_mesh_are_listed_with_the_others(write):
+    file = write('mesh = "no.stl"\nspacing = "0.25 mm"\n').with_name("open.stl")
+    assert "[stock] mesh: found 'no.stl', but there is no such file" in " ".join(
+        problems(file.with_name("job.toml"))
+    )
+    mesh = trimesh.creation.box([1, 1, 1])
+    mesh.update_faces(np.arange(12) > 0)
+    file.write_bytes(mesh.export(file_type="stl"))
+    (line,) = problems(write('mesh = "open.stl"\n' + SPACING))
+    assert line.startswith("[stock] mesh: ")
+    assert "open.stl: found 3 open edges" in line
+    save_block(file)
+    text = JOB.replace("teeth = 2", "teeth = 0") + 'mesh = "../out.stl"\n' + SPACING
+    file.with_name("job.toml").write_text(text)
+    lines = " ".join(problems(file.with_name("job.toml")))
+    assert "teeth" in lines
+    assert "leads outside the job's folder" in lines
+
+
+@pytest.mark.parametrize(
+    ("stock", "message"),
+    [
+        (BOX + 'mesh = "a.stl"\n' + SPACING, "found lower and upper, mesh; only one"),
+        ('mesh = "a.stl"\nresult = "b"\n' + SPACING, "found mesh, result; only one"),
+        (SPACING, "lower: found nothing, but it is required: three lengths"),
+        ('lower = ["0 mm", "0 mm", "0 mm"]\n' + SPACING, "upper: found nothing"),
+        (BOX, "spacing: found nothing, but it is required"),
+        ('mesh = "part.ngc"\n', "spacing: found nothing"),
+        ('mesh = "part.ngc"\n' + SPACING, r"found the suffix '.ngc'; allowed"),
+        (BOX + 'mesh_unit = "mm"\n' + SPACING, "mesh_unit: found it without mesh"),
+        ('mesh = "a.stl"\nmesh_unit = "ft"\n' + SPACING, "mesh_unit: found 'ft'"),
+        ('result = "nowhere"\n', r"found 'nowhere/stock.npz', but there is no such"),
+        ('result = "../.."\n', "leads outside the job's folder"),
+    ],
+)
+def test_contradictions_and_gaps_are_named(write, stock, message):
+    assert message in " ".join(problems(write(stock)))
+
+
+def earlier(job_file, name="first"):
+    """Leave the result of a run that took 1 mm off the top; return its stock."""
+    made = wp.box([0, 0, -3e-3], [20e-3, 10e-3, 0], 0.25e-3)
+    x, y, z = made.families
+    lines = np.asarray(made.origin[2]) + 0.25e-3 * np.arange(x.ends.shape[1])
+    is_gone = lines > -1e-3
+    dead = np.array([1e3, -1e3])[:, None]
+    stock = wp.Stock(
+        (
+            wp.Rays(x.ends.at[:, is_gone].set(dead), x.poses + 4),
+            wp.Rays(y.ends.at[is_gone].set(dead), y.poses),
+            wp.Rays(z.ends.at[:, :, 1].min(-1e-3), z.poses + 9),
+        ),
+        made.origin,
+        made.spacing,
+        made.top,
+    )
+    (job_file.parent / name).mkdir(exist_ok=True)
+    wp.save_stock(stock, job_file.parent / name / "stock.npz")
+    return stock
+
+
+@pytest.mark.parametrize("line", ["", SPACING])
+def test_a_job_starts_from_what_an_earlier_one_left(write, line):
+    wanted = earlier(write(""))
+    job = load_job(write('result = "first"\n' + line))
+    assert job.stock.top == pytest.approx(-1e-3)
+    assert all((rays.poses == -1).all() for rays in job.stock.families)
+    np.testing.assert_array_equal(job.stock.families[2].ends, wanted.families[2].ends)
+    # The floor is where the tip goes, so nothing is left to cut.
+    assert "nothing is cut" in " ".join(job.notes)
+
+
+def test_spacing_and_slots_of_a_result(write):
+    earlier(write(""))
+    (line,) = problems(write('result = "first"\nspacing = "0.3 mm"\n'))
+    assert "found 0.3 mm, but the rays of the result are 0.25 mm apart" in line
+    job = load_job(write('result = "first"\nintervals = [3, 2, 2]\n'))
+    assert [r.ends.shape[-1] for r in job.stock.families] == [3, 2, 2]
+    np.testing.assert_allclose(job.stock.volume(), 400e-9, rtol=1e-9)
+
+
+def test_too_few_slots_are_refused(write):
+    file = write("")
+    two = trimesh.util.concatenate(
+        [
+            trimesh.creation.box(bounds=[[0, 0, -9], [20, 10, -6]]),
+            trimesh.creation.box(bounds=[[0, 0, -3], [20, 10, -1]]),
+        ]
+    )
+    file.with_name("two.stl").write_bytes(two.export(file_type="stl"))
+    text = f'mesh = "two.stl"\nintervals = [8, 8, 1]\n{SPACING}'
+    assert "up to (1, 1, 2) intervals" in " ".join(problems(write(text)))
+    stock = load_job(write(f'mesh = "two.stl"\n{SPACING}')).stock
+    file.with_name("first").mkdir()
+    wp.save_stock(stock, file.with_name("first") / "stock.npz")
+    text = 'result = "first"\nintervals = [8, 8, 1]\n'
+    assert "up to (1, 1, 2) intervals" in " ".join(problems(write(text)))
+
+
+def test_a_damaged_result_is_one_problem(write):
+    file = write('result = "first"\n')
+    earlier(file)
+    path = file.parent / "first" / "stock.npz"
+    path.write_bytes(path.read_bytes()[:500])
+    (line,) = problems(file)
+    assert line.startswith("[stock] result: ")
+    assert "no undamaged .npz file" in line
+
+
+def test_a_rapid_move_through_a_mesh_is_found(write):
+    file = write("")
+    # A wall across the way of the rapid, on a base below it.
+    part = trimesh.boolean.union(
+        [
+            trimesh.creation.box(bounds=[[0, 0, -3], [20, 10, -2]]),
+            trimesh.creation.box(bounds=[[9, 0, -3], [11, 10, 0]]),
+        ],
+        engine="manifold",
+    )
+    file.with_name("part.stl").write_bytes(part.export(file_type="stl"))
+    file.with_name("part.ngc").write_text(PROGRAM.replace("G1 X20 F3000", "G0 X25"))
+    (line,) = problems(write('mesh = "part.stl"\n' + SPACING))
+    assert "line 4" in line
+    assert "rapid move through the stock" in line
+    # Beside the wall there is room.
+    text = PROGRAM.replace("G1 X20 F3000", "G0 X3").replace("G0 Z1\nM2", "M2")
+    file.with_name("part.ngc").write_text(text)
+    assert load_job(write('mesh = "part.stl"\n' + SPACING)).stock.top == 0
+
+
+def test_the_rigid_pass_of_a_block_is_the_same_from_rays():
+    x = np.linspace(-6e-3, 26e-3, 65)
+    tips = np.stack([x, np.full(65, 5e-3), np.where(x > 10e-3, 1e-3, -1e-3)], axis=-1)
+    path = Path(
+        time=np.arange(65.0),
+        positions=tips,
+        axes=np.tile([0.0, 0.0, 1.0], (65, 1)),
+        is_rapid=np.zeros(65, bool),
+        line=np.zeros(65, np.int32),
+    )
+    low, high = np.array([0, 0, -3e-3]), np.array([20e-3, 10e-3, 0])
+    wanted = rigid_pass(path, 5e-3, low, high, 0.25e-3)
+    found = rigid_pass_of_stock(path, 5e-3, wp.box(low, high, 0.25e-3))
+    np.testing.assert_array_equal(found.is_cutting, wanted.is_cutting)
+    assert 0 < found.is_cutting.sum() < 65
