@@ -1,16 +1,21 @@
 """Milling cutters.
 
-Models the solid that a rotating cutter sweeps, as its intersection with rays along
-the axes, and what the force model needs of it: diameter, flutes, helix, flute length.
-A `FlatEndMill` stands on its tip, tool +z from tip to shank, and rotates clockwise
-seen from the shank.
+Models the solid that a rotating end mill sweeps (flat, ball or bull-nose, in any
+pose): its signed distance, its normal and its intersection with rays along the axes;
+and what the force model needs of it: edge elements from the centre to the shank,
+helix, angles between the teeth and run-out. An `EndMill` stands on its tip, tool +z
+from tip to shank, and rotates clockwise seen from the shank.
 
-Assumes a tool axis along +z of the workpiece and flutes that are all alike.
-Leaves out ball and bull-nose shapes, run-out, variable pitch and the bottom edges.
+Assumes a cutting part and a shank of one radius, a helix of constant lead, and
+run-out as a parallel offset of the tool axis, small beside a chip's arc.
+Leaves out holders, tapered and barrel tools, and run-out in the swept solid.
 """
 
-from ._cutter import (
-    AbstractCutter as AbstractCutter,
-    FlatEndMill as FlatEndMill,
+from ._abstract import AbstractCutter as AbstractCutter
+from ._build import (
+    ball_end_mill as ball_end_mill,
+    bull_nose as bull_nose,
     flat_end_mill as flat_end_mill,
 )
+from ._elements import EdgeElements as EdgeElements
+from ._end_mill import EndMill as EndMill

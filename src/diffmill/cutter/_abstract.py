@@ -1,0 +1,103 @@
+"""What the rest of the program asks of a cutter."""
+
+import abc
+import math
+from typing import Literal
+
+import equinox as eqx
+import numpy as np
+from jax.typing import DTypeLike
+from jaxtyping import Array, Bool, Float
+
+from .._types import RealScalarLike
+from ._elements import EdgeElements
+
+
+class AbstractCutter(eqx.Module):
+    """What removal, engagement and forces ask of a cutter.
+
+    Every member is elementwise in the coordinates of points and rays, which broadcast.
+    """
+
+    diameter: eqx.AbstractVar[RealScalarLike]
+    helix_angle: eqx.AbstractVar[RealScalarLike]
+    pitch_angles: eqx.AbstractVar[Float[Array, " tooth"] | Float[np.ndarray, " tooth"]]
+    runout: eqx.AbstractVar[RealScalarLike]
+    runout_angle: eqx.AbstractVar[RealScalarLike]
+    flute_count: eqx.AbstractVar[int]
+    flute_length: eqx.AbstractVar[float]
+    nominal_radius: eqx.AbstractVar[float]
+    nominal_corner_radius: eqx.AbstractVar[float]
+    has_helix: eqx.AbstractVar[bool]
+    has_even_pitch: eqx.AbstractVar[bool]
+    is_plain: eqx.AbstractVar[bool]
+
+    @property
+    @abc.abstractmethod
+    def corner_radius(self) -> RealScalarLike:
+        """Corner radius [m]: 0 for a flat end, the radius for a ball."""
+
+    @abc.abstractmethod
+    def level(
+        self,
+        points: Float[Array, "*#place 3"],
+        tip: Float[Array, "*#place 3"],
+        axis: Float[Array, "*#place 3"],
+    ) -> Float[Array, "..."]:
+        """Return the signed distance to the swept solid, negative inside [m]."""
+
+    @abc.abstractmethod
+    def normal(
+        self,
+        points: Float[Array, "*#place 3"],
+        tip: Float[Array, "*#place 3"],
+        axis: Float[Array, "*#place 3"],
+    ) -> Float[Array, "... 3"]:
+        """Return the outward unit gradient of the signed distance."""
+
+    @abc.abstractmethod
+    def intersect(
+        self,
+        family: Literal[0, 1, 2],
+        b: Float[Array, "..."],
+        c: Float[Array, "..."],
+        tip: Float[Array, " 3"],
+    ) -> tuple[Float[Array, "..."], Float[Array, "..."], Bool[Array, "..."]]:
+        """Return where rays enter and leave the upright cutter, and whether they do."""
+
+    @abc.abstractmethod
+    def intersect_pose(
+        self,
+        family: Literal[0, 1, 2],
+        b: Float[Array, "*#ray"],
+        c: Float[Array, "*#ray"],
+        tip: Float[Array, "*#ray 3"],
+        axis: Float[Array, "*#ray 3"],
+    ) -> tuple[Float[Array, "..."], Float[Array, "..."], Bool[Array, "..."]]:
+        """Return where rays enter and leave the cutter in a pose, and whether."""
+
+    @abc.abstractmethod
+    def wall_slopes(
+        self,
+        family: Literal[0, 1],
+        end: Float[Array, "..."],
+        across: Float[Array, "..."],
+        tip: Float[Array, "... 3"],
+    ) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+        """Return how a hit point moves with the tip across the ray and the radius."""
+
+    @abc.abstractmethod
+    def elements(
+        self,
+        bottom: int,
+        corner: int,
+        side: int,
+        height: float,
+        dtype: DTypeLike,
+        corner_limit: float = math.pi / 2,
+    ) -> EdgeElements:
+        """Return the edge elements of one tooth, from the centre to the shank."""
+
+    @abc.abstractmethod
+    def runout_offsets(self) -> Float[Array, " tooth"]:
+        """Return how far each tooth stands out by the run-out [m]."""

@@ -1,0 +1,229 @@
+"""Making end mills from what a user knows of them."""
+
+import math
+from collections.abc import Sequence
+
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._types import RealScalarLike
+from ._end_mill import EndMill, Kind
+
+# How far the angles between the teeth may miss a whole turn [rad].
+_TURN = 1e-6
+# Angles between the teeth that differ by less are even [rad].
+_EVEN = 1e-12
+
+Pitch = Sequence[float] | Float[Array, " tooth"] | Float[np.ndarray, " tooth"]
+
+
+def flat_end_mill(
+    diameter: RealScalarLike,
+    teeth: int,
+    helix_angle: RealScalarLike = 0.0,
+    *,
+    flute_length: float | None = None,
+    nominal_diameter: float | None = None,
+    pitch: Pitch | None = None,
+    runout: RealScalarLike = 0.0,
+    runout_angle: RealScalarLike = 0.0,
+) -> EndMill:
+    """Return a flat end mill.
+
+    Args:
+        diameter: Diameter [m], shape ().
+        teeth: Number of teeth.
+        helix_angle: Helix angle [rad], shape ().
+        flute_length: Height of the cutting part [m]; three diameters if not given.
+        nominal_diameter: Diameter that sizes the windows of rays [m]; needed only
+            where `diameter` is a traced value.
+        pitch: Angle from each tooth to the next [rad], shape (tooth,), the last one
+            back to the first; even if not given.
+        runout: Distance of the axis of rotation from the cutter's own [m], shape ().
+        runout_angle: Direction of that offset from tooth 0 [rad], shape ().
+
+    Returns:
+        The cutter.
+
+    Raises:
+        ValueError: A size is not finite and positive, there is no tooth, or `pitch`
+            is no whole turn in as many parts as there are teeth.
+
+    Differentiability: smooth in all sizes, `pitch` and `runout`.
+    """
+    return _end_mill(
+        "flat",
+        (diameter, None, nominal_diameter, None),
+        (teeth, helix_angle, flute_length),
+        (pitch, runout, runout_angle),
+    )
+
+
+def ball_end_mill(
+    diameter: RealScalarLike,
+    teeth: int,
+    helix_angle: RealScalarLike = 0.0,
+    *,
+    flute_length: float | None = None,
+    nominal_diameter: float | None = None,
+    pitch: Pitch | None = None,
+    runout: RealScalarLike = 0.0,
+    runout_angle: RealScalarLike = 0.0,
+) -> EndMill:
+    """Return a ball end mill; its tip is the lowest point of the ball.
+
+    Args:
+        diameter: Diameter of ball and shank [m], shape ().
+        teeth: Number of teeth.
+        helix_angle: Helix angle of constant lead, at the full radius [rad], shape ().
+        flute_length: Height of the cutting part [m]; three diameters if not given.
+        nominal_diameter: As for `flat_end_mill`.
+        pitch: As for `flat_end_mill`.
+        runout: As for `flat_end_mill`.
+        runout_angle: As for `flat_end_mill`.
+
+    Returns:
+        The cutter; its corner radius follows the diameter.
+
+    Raises:
+        ValueError: As for `flat_end_mill`.
+
+    Differentiability: smooth in all sizes, `pitch` and `runout`.
+    """
+    return _end_mill(
+        "ball",
+        (diameter, None, nominal_diameter, None),
+        (teeth, helix_angle, flute_length),
+        (pitch, runout, runout_angle),
+    )
+
+
+def bull_nose(
+    diameter: RealScalarLike,
+    teeth: int,
+    corner_radius: RealScalarLike,
+    helix_angle: RealScalarLike = 0.0,
+    *,
+    flute_length: float | None = None,
+    nominal_diameter: float | None = None,
+    nominal_corner_radius: float | None = None,
+    pitch: Pitch | None = None,
+    runout: RealScalarLike = 0.0,
+    runout_angle: RealScalarLike = 0.0,
+) -> EndMill:
+    """Return a bull-nose end mill: a flat end with a rounded corner.
+
+    Args:
+        diameter: Diameter [m], shape ().
+        teeth: Number of teeth.
+        corner_radius: Radius of the corner [m], shape (); below the cutter's radius.
+        helix_angle: Helix angle of constant lead, at the full radius [rad], shape ().
+        flute_length: Height of the cutting part [m]; three diameters if not given.
+        nominal_diameter: As for `flat_end_mill`.
+        nominal_corner_radius: Corner radius that sizes the edge elements [m]; needed
+            only where `corner_radius` is a traced value.
+        pitch: As for `flat_end_mill`.
+        runout: As for `flat_end_mill`.
+        runout_angle: As for `flat_end_mill`.
+
+    Returns:
+        The cutter.
+
+    Raises:
+        ValueError: As for `flat_end_mill`, or the corner does not fit the cutter.
+
+    Differentiability: smooth in all sizes, `pitch` and `runout`.
+    """
+    return _end_mill(
+        "bull",
+        (diameter, corner_radius, nominal_diameter, nominal_corner_radius),
+        (teeth, helix_angle, flute_length),
+        (pitch, runout, runout_angle),
+    )
+
+
+def _end_mill(
+    kind: Kind,
+    sizes: tuple[RealScalarLike, RealScalarLike | None, float | None, float | None],
+    flutes: tuple[int, RealScalarLike, float | None],
+    teeth: tuple[Pitch | None, RealScalarLike, RealScalarLike],
+) -> EndMill:
+    """Return an end mill with its derived static sizes."""
+    diameter, corner, nominal, nominal_corner = sizes
+    count, helix_angle, flute_length = flutes
+    pitch, runout, runout_angle = teeth
+    D = _nominal("diameter", diameter, nominal)
+    corner_radius = {"flat": 0.0, "ball": D / 2}.get(kind)
+    if corner is not None:
+        corner_radius = _nominal("corner_radius", corner, nominal_corner)
+    assert corner_radius is not None
+    if count < 1:
+        raise ValueError(f"Argument `teeth` must be at least 1, but is {count}.")
+    angles, has_even_pitch = _pitch_angles(pitch, count)
+    has_runout = _is_traced(runout) or bool(runout != 0)
+    return EndMill(
+        diameter=diameter,
+        own_corner_radius=corner,
+        helix_angle=helix_angle,
+        pitch_angles=angles,
+        runout=runout,
+        runout_angle=runout_angle,
+        kind=kind,
+        flute_count=count,
+        flute_length=3 * D if flute_length is None else float(flute_length),
+        nominal_radius=D / 2,
+        nominal_corner_radius=corner_radius,
+        has_helix=_is_traced(helix_angle) or bool(helix_angle != 0),
+        has_even_pitch=has_even_pitch,
+        is_plain=kind == "flat" and has_even_pitch and not has_runout,
+    )
+
+
+def _is_traced(value: object) -> bool:
+    return isinstance(value, jax.core.Tracer)
+
+
+def _nominal(name: str, value: RealScalarLike, nominal: float | None) -> float:
+    """Return the static size beside a differentiable one."""
+    if nominal is None and _is_traced(value):
+        raise ValueError(
+            f"Argument `nominal_{name}` must be given where `{name}` is traced."
+        )
+    return float(value if nominal is None else nominal)
+
+
+def _pitch_angles(
+    pitch: Pitch | None, count: int
+) -> tuple[Float[Array, " tooth"] | Float[np.ndarray, " tooth"], bool]:
+    """Return the angle of every tooth from tooth 0, and whether they are even."""
+    even = 2 * math.pi / count
+    if pitch is None:
+        return even * np.arange(count), True
+    if _is_traced(pitch):
+        parts = jnp.asarray(pitch)
+        if parts.shape != (count,):
+            raise ValueError(_wrong_pitch(count, f"has shape {parts.shape}"))
+        return jnp.cumsum(parts) - parts, False
+    given = np.asarray(pitch)
+    # A JAX array keeps its type; anything else is a list of Python numbers.
+    dtype = given.dtype if np.issubdtype(given.dtype, np.floating) else float
+    parts = given.astype(dtype)
+    slack = max(_TURN, 10 * float(np.finfo(dtype).eps))
+    if parts.shape != (count,):
+        raise ValueError(_wrong_pitch(count, f"has shape {parts.shape}"))
+    if not (np.isfinite(parts).all() and (parts > 0).all()):
+        raise ValueError(_wrong_pitch(count, f"is {parts.tolist()}"))
+    if abs(float(parts.sum()) - 2 * math.pi) > slack:
+        raise ValueError(_wrong_pitch(count, f"sums to {float(parts.sum()):.9g}"))
+    angles = np.cumsum(parts) - parts
+    return angles, bool(np.all(np.abs(parts - even) < _EVEN))
+
+
+def _wrong_pitch(count: int, found: str) -> str:
+    return (
+        f"Argument `pitch` must hold {count} positive angles, one per tooth, that sum "
+        f"to 2 pi, but {found}."
+    )

@@ -1,0 +1,368 @@
+"""End mills as the solids that they sweep when they rotate."""
+
+import math
+from typing import Literal, TypeAlias
+
+import equinox as eqx
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import DTypeLike
+from jaxtyping import Array, Bool, Float
+
+from .._types import RealScalarLike
+from . import _profile, _rays
+from ._abstract import AbstractCutter
+from ._elements import EdgeElements, edge_elements
+
+Kind: TypeAlias = Literal["flat", "ball", "bull"]
+
+# Half a chord shorter than this share of the radius is a ray that only touches the
+# cutter's side: it stands within 1 um of it for a cutter of 10 mm. Where the chords of
+# successive teeth do not overlap, every tooth would leave an island on such a ray.
+_GRAZE = 0.02
+# A ray less than this above the tip [m] only touches the bottom.
+_TOUCH = 1e-9
+# Least slope of the signed distance along a ray that its derivatives are divided by.
+_FLAT = 1e-3
+
+
+class EndMill(AbstractCutter):
+    """A flat, ball or bull-nose end mill with a shank of the same radius.
+
+    Made by `flat_end_mill`, `ball_end_mill` and `bull_nose`. The swept solid is that
+    of the cutter without its run-out, which `runout_offsets` gives tooth by tooth.
+
+    Attributes:
+        diameter: Diameter D [m].
+        own_corner_radius: Corner radius of a bull-nose [m]; None for other kinds, where
+            `corner_radius` follows from the diameter.
+        helix_angle: Helix angle beta at the full radius, of constant lead [rad];
+            positive for a right-hand helix.
+        pitch_angles: Angle of each tooth from tooth 0 [rad], shape (tooth,).
+        runout: Offset of the cutter from the axis of rotation [m].
+        runout_angle: Direction of that offset from tooth 0 [rad].
+        kind: "flat", "ball" or "bull".
+        flute_count: Number of flutes N_z.
+        flute_length: Height of the cutting part above the tip [m].
+        nominal_radius: Radius that sizes the windows of rays [m]; it does not
+            change when `diameter` is differentiated or traced.
+        nominal_corner_radius: Corner radius that sizes the edge elements [m].
+        has_helix: Whether the flutes are helical; straight ones share their angles.
+        has_even_pitch: Whether the teeth stand at equal angles; False if traced.
+        is_plain: Whether the end is flat, the pitch even and no run-out set or traced.
+            Such a cutter may be taken through programs without derivatives by
+            corner radius, pitch and run-out.
+    """
+
+    diameter: RealScalarLike
+    own_corner_radius: RealScalarLike | None
+    helix_angle: RealScalarLike
+    pitch_angles: Float[Array, " tooth"] | Float[np.ndarray, " tooth"]
+    runout: RealScalarLike
+    runout_angle: RealScalarLike
+    kind: Kind = eqx.field(static=True)
+    flute_count: int = eqx.field(static=True)
+    flute_length: float = eqx.field(static=True)
+    nominal_radius: float = eqx.field(static=True)
+    nominal_corner_radius: float = eqx.field(static=True)
+    has_helix: bool = eqx.field(static=True)
+    has_even_pitch: bool = eqx.field(static=True)
+    is_plain: bool = eqx.field(static=True)
+
+    def __check_init__(self):
+        """Refuse impossible sizes."""
+        for name, value in (
+            ("diameter", 2 * self.nominal_radius),
+            ("flute_length", self.flute_length),
+        ):
+            if not (math.isfinite(value) and value > 0):
+                raise ValueError(
+                    f"Argument `{name}` must be finite and positive, but is {value}."
+                )
+        R, rc = self.nominal_radius, self.nominal_corner_radius
+        if self.kind == "bull" and not 0 < rc < R:
+            raise ValueError(
+                f"Argument `corner_radius` must be above 0 and below the radius, {R}, "
+                f"but is {rc}; flat and ball end mills have functions of their own."
+            )
+        for name, value, limit in (
+            ("helix_angle", self.helix_angle, math.pi / 2),
+            ("runout", self.runout, R),
+            ("runout_angle", self.runout_angle, math.inf),
+        ):
+            if not isinstance(value, jax.core.Tracer) and not abs(value) < limit:
+                raise ValueError(
+                    f"Argument `{name}` must be finite and below {limit:g} in size, "
+                    f"but is {value}."
+                )
+
+    @property
+    def corner_radius(self) -> RealScalarLike:
+        """Corner radius [m], shape (): 0 for a flat end, the radius for a ball."""
+        if self.own_corner_radius is not None:
+            return self.own_corner_radius
+        return self.diameter / 2 if self.kind == "ball" else 0.0
+
+    def _sizes(self, dtype: DTypeLike) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """Return radius and corner radius [m] in the type of the points."""
+        return (
+            jnp.asarray(self.diameter, dtype) / 2,
+            jnp.asarray(self.corner_radius, dtype),
+        )
+
+    def level(
+        self,
+        points: Float[Array, "*#place 3"],
+        tip: Float[Array, "*#place 3"],
+        axis: Float[Array, "*#place 3"],
+    ) -> Float[Array, "..."]:
+        """Return the signed distance to the swept solid, negative inside.
+
+        With u = (p - tip) . a, rho = |p - tip - u a| and
+        q = (rho - (R - r_c), r_c - u), it is |max(q, 0)| + min(max(q), 0) - r_c.
+        The solid has no upper end. The distance is convex in the point.
+
+        Args:
+            points: Points p [m], shape (..., 3).
+            tip: Tool tip [m], shape (..., 3), broadcast against the points.
+            axis: Unit tool axis a, from tip to shank, shape (..., 3), broadcast.
+
+        Returns:
+            The distance [m], shape (...).
+
+        Differentiability: in all arguments and sizes; kinks inside the solid, where
+            the nearest point changes from side to bottom, and on the rim of a flat end;
+            finite everywhere, zero across the tool axis on it.
+        """
+        return _profile.level(points, tip, axis, self._sizes(points.dtype))
+
+    def normal(
+        self,
+        points: Float[Array, "*#place 3"],
+        tip: Float[Array, "*#place 3"],
+        axis: Float[Array, "*#place 3"],
+    ) -> Float[Array, "... 3"]:
+        """Return the outward unit gradient of `level`.
+
+        Args:
+            points: Points [m], shape (..., 3).
+            tip: Tool tip [m], shape (..., 3), broadcast against the points.
+            axis: Unit tool axis, shape (..., 3), broadcast.
+
+        Returns:
+            Unit vectors, shape (..., 3); on the tool axis above the bottom any that
+            is at a right angle to it.
+
+        Differentiability: as `level`, away from the tool axis and the rim.
+        """
+        return _profile.normal(points, tip, axis, self._sizes(points.dtype))
+
+    def intersect(
+        self,
+        family: Literal[0, 1, 2],
+        b: Float[Array, "..."],
+        c: Float[Array, "..."],
+        tip: Float[Array, " 3"],
+    ) -> tuple[Float[Array, "..."], Float[Array, "..."], Bool[Array, "..."]]:
+        """Return where rays enter and leave the upright cutter, and whether they do.
+
+        The tool axis is +z; see `intersect_pose` for others.
+
+        Args:
+            family: Axis along which the rays run: 0 is x, 1 is y, 2 is z.
+            b: Coordinate of each ray along axis (family + 1) % 3 [m].
+            c: Coordinate of each ray along axis (family + 2) % 3 [m].
+            tip: Tool tip [m], shape (3,).
+
+        Returns:
+            Entry and exit along the ray [m], and whether the ray is hit; entry and
+            exit are finite but without meaning where it is not.
+
+        Differentiability: smooth where a ray is hit away from grazing; the square
+        root is guarded, so gradients are finite everywhere.
+        """
+        R = self.diameter / 2
+        db = b - tip[(family + 1) % 3]
+        dc = c - tip[(family + 2) % 3]
+        if family == 2:
+            is_hit = db**2 + dc**2 < R**2
+            lower = jnp.broadcast_to(tip[2], is_hit.shape)
+            if self.kind != "flat":
+                lower = lower + self._end_height(db**2 + dc**2, is_hit)
+            return lower, jnp.full_like(lower, _rays.FAR), is_hit
+        across, up = (db, dc) if family == 0 else (dc, db)
+        r = R if self.kind == "flat" else self._end_radius(up)
+        square = r**2 - across**2
+        # Walls and floors of real parts lie exactly on rays: without a tolerance,
+        # rounding would decide pose by pose and shred such a ray.
+        is_hit = (square > (_GRAZE * R) ** 2) & (up > _TOUCH)
+        half = jnp.sqrt(jnp.where(is_hit, square, 1.0))
+        return tip[family] - half, tip[family] + half, jnp.asarray(is_hit)
+
+    def _end_height(
+        self, square: Float[Array, "..."], is_hit: Bool[Array, "..."]
+    ) -> Float[Array, "..."]:
+        """Return the height of the end at a squared distance from the axis [m]."""
+        R, rc = self._sizes(square.dtype)
+        is_out = is_hit & (square > (R - rc) ** 2)
+        x = jnp.sqrt(jnp.where(is_out, square, (R - rc / 2) ** 2)) - (R - rc)
+        return jnp.where(is_out, rc - jnp.sqrt(jnp.maximum(rc**2 - x**2, 0)), 0)
+
+    def _end_radius(self, up: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Return the radius of the end at a height above the tip [m]."""
+        R, rc = self._sizes(up.dtype)
+        is_in = (up > _TOUCH) & (up < rc)
+        z = jnp.where(is_in, up, rc / 2)
+        return jnp.where(is_in, R - rc + jnp.sqrt(z * (2 * rc - z)), R)
+
+    def intersect_pose(
+        self,
+        family: Literal[0, 1, 2],
+        b: Float[Array, "*#ray"],
+        c: Float[Array, "*#ray"],
+        tip: Float[Array, "*#ray 3"],
+        axis: Float[Array, "*#ray 3"],
+    ) -> tuple[Float[Array, "..."], Float[Array, "..."], Bool[Array, "..."]]:
+        """Return where rays enter and leave the cutter in a pose, and whether.
+
+        Exact for flat and ball ends; by Newton's method for a bull-nose. A ray that
+        only touches the cutter is left whole, as by `intersect`: if half its chord is
+        shorter than 0.02 of the radius, or if it is nowhere 1 nm above the bottom.
+
+        Args:
+            family: Axis along which the rays run: 0 is x, 1 is y, 2 is z.
+            b: Coordinate of each ray along axis (family + 1) % 3 [m], shape (...).
+            c: Coordinate of each ray along axis (family + 2) % 3 [m], broadcast.
+            tip: Tool tip [m], shape (..., 3), broadcast against the rays.
+            axis: Unit tool axis, from tip to shank, shape (..., 3), broadcast.
+
+        Returns:
+            Entry and exit along the ray [m], cut off at +-1 km, and whether the ray is
+            hit, each of shape (...); entry and exit are finite but without meaning
+            where it is not.
+
+        Differentiability: in all arguments and sizes, once (second derivatives lack
+            the turning of the normal); slopes are cut off at 1000 where a ray runs
+            along the surface, and zero where it is cut off or not hit.
+        """
+        shape = jnp.broadcast_shapes(b.shape, c.shape, tip.shape[:-1], axis.shape[:-1])
+        b, c = jnp.broadcast_to(b, shape), jnp.broadcast_to(c, shape)
+        tip, axis = (jnp.broadcast_to(x, (*shape, 3)) for x in (tip, axis))
+        sizes = self._sizes(b.dtype)
+        frozen = jax.lax.stop_gradient((b, c, tip, axis))
+        fixed = jax.lax.stop_gradient(sizes)
+        ray = _rays.make_ray(family, *frozen)
+        if self.kind == "flat":
+            start, stop, is_met = _rays.capped_cylinder(ray, fixed[0], fixed[1])
+        elif self.kind == "ball":
+            start, stop, is_met = _rays.ball(ray, fixed[0])
+        else:
+            start, stop, is_met = _rays.bull(ray, fixed)
+        top = jnp.maximum(ray.height(start), ray.height(stop))
+        is_hit = is_met & (stop - start > 2 * _GRAZE * fixed[0]) & (top > _TOUCH)
+        ends = []
+        for t, sign in ((start, -1), (stop, 1)):
+            slope = sign * jnp.maximum(sign * ray.level(t, fixed)[1], _FLAT)
+            end = jnp.clip(frozen[2][..., family] + t, -_rays.FAR, _rays.FAR)
+            place = [end, end, end]
+            place[(family + 1) % 3], place[(family + 2) % 3] = b, c
+            off = self.level(jnp.stack(place, axis=-1), tip, axis)
+            # The end stays where the level is zero: only its derivative counts.
+            is_free = is_hit & (t > ray.low) & (t < ray.high)
+            shift = (off - jax.lax.stop_gradient(off)) / slope
+            ends.append(end - jnp.where(is_free, shift, 0))
+        return ends[0], ends[1], is_hit
+
+    def wall_slopes(
+        self,
+        family: Literal[0, 1],
+        end: Float[Array, "..."],
+        across: Float[Array, "..."],
+        tip: Float[Array, "... 3"],
+    ) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+        """Return how a hit point moves with the tip across the ray and the radius.
+
+        A point x on the circle (x - c_x)^2 + (y - c_y)^2 = R^2 of a ray along x moves
+        by dx = dc_x + (y - c_y) / (x - c_x) dc_y + R / (x - c_x) dR.
+
+        Args:
+            family: 0 for rays along x, 1 for rays along y.
+            end: Hit point along the ray [m].
+            across: The ray's coordinate along the other of these two axes [m].
+            tip: Tool tip that made the hit point [m], shape (..., 3).
+
+        Returns:
+            The two slopes, shape (...).
+
+        Raises:
+            ValueError: If the end is not flat: its walls also move with the height.
+        """
+        if self.kind != "flat":
+            raise ValueError(
+                f'A cutter of kind "flat" is required here, but found "{self.kind}".'
+            )
+        along = end - tip[..., family]
+        # A grazing ray has no derivative; its slope is cut off, not infinite.
+        tiny = 1e-9
+        away = jnp.where(along < 0, -tiny, tiny)
+        along = jnp.where(jnp.abs(along) < tiny, away, along)
+        return (
+            (across - tip[..., 1 - family]) / along,
+            jnp.asarray(self.diameter / 2 / along),
+        )
+
+    def elements(
+        self,
+        bottom: int,
+        corner: int,
+        side: int,
+        height: float,
+        dtype: DTypeLike,
+        corner_limit: float = math.pi / 2,
+    ) -> EdgeElements:
+        """Return the edge elements of one tooth, from the centre to the shank.
+
+        Args:
+            bottom: Number of annuli of equal width on the bottom.
+            corner: Number of arcs of equal angle on the corner; of no width on a
+                flat end.
+            side: Number of pieces of the side, from the height of the corner up.
+            height: Height of one piece of the side [m].
+            dtype: Type of the numbers.
+            corner_limit: Angle kappa between axis and normal at which the arcs end
+                [rad], for a corner that is only partly in the material.
+
+        Returns:
+            The elements at their midpoints.
+
+        Raises:
+            ValueError: If a count is negative or the angle not from 0 to pi / 2.
+
+        Differentiability: smooth in the sizes.
+        """
+        if min(bottom, corner, side) < 0 or not 0 <= corner_limit <= 1.5708:
+            raise ValueError(
+                "Arguments `bottom`, `corner` and `side` must be at least 0 and "
+                "`corner_limit` from 0 to pi / 2, but are "
+                f"{bottom}, {corner}, {side} and {corner_limit}."
+            )
+        R, rc = self._sizes(dtype)
+        helix = jnp.asarray(self.helix_angle, dtype)
+        return edge_elements(
+            (R, rc, helix), (bottom, corner, side), height, corner_limit, dtype
+        )
+
+    def runout_offsets(self) -> Float[Array, " tooth"]:
+        """Return how far each tooth stands out by the run-out.
+
+        Returns:
+            runout cos(runout_angle - pitch angle) [m], shape (tooth,); the first
+            order in the run-out over the radius.
+
+        Differentiability: smooth.
+        """
+        pitch = jnp.asarray(self.pitch_angles)
+        offset = jnp.asarray(self.runout, pitch.dtype)
+        return offset * jnp.cos(jnp.asarray(self.runout_angle, pitch.dtype) - pitch)

@@ -1,0 +1,159 @@
+"""Where rays along the axes enter and leave an end mill in any pose.
+
+A ray is reduced to numbers of the pair ray and tool axis, which keep their digits
+when the two are parallel or cross at a right angle. The solid is convex, so each ray
+has one interval. All roots are found on frozen numbers; `EndMill.intersect_pose`
+gives them the derivatives of the signed distance.
+"""
+
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from ._profile import distance
+
+# Rays are cut off here [m], beyond any workpiece.
+FAR = 1e3
+# Sines under this are parallel, cosines under it a right angle: the ray would meet the
+# side, or the plane of the bottom, far beyond `FAR`.
+_PARALLEL = 1e-12
+# Steps of Newton's method for the torus of a bull-nose.
+NEWTON_STEPS = 14
+
+_Interval = tuple[Float[Array, "..."], Float[Array, "..."], Bool[Array, "..."]]
+
+
+class Ray(eqx.Module):
+    """A ray as seen from the tool axis; t is measured from the tip's coordinate.
+
+    Attributes:
+        foot: Ray's coordinates from the tip across its direction [m], two arrays.
+        tilt: Tool axis along these two coordinates, two arrays.
+        rise: Cosine between ray and tool axis.
+        slant: Sine between them; 0 if parallel.
+        middle: Where the ray is closest to the tool axis, t [m].
+        offset: How close that is [m].
+        along: Height above the tip at t = 0 [m].
+        low: Where the ray is cut off below, t [m].
+        high: Where it is cut off above, t [m].
+    """
+
+    foot: tuple[Float[Array, "..."], Float[Array, "..."]]
+    tilt: tuple[Float[Array, "..."], Float[Array, "..."]]
+    rise: Float[Array, "..."]
+    slant: Float[Array, "..."]
+    middle: Float[Array, "..."]
+    offset: Float[Array, "..."]
+    along: Float[Array, "..."]
+    low: Float[Array, "..."]
+    high: Float[Array, "..."]
+
+    def height(self, t: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Return the height above the tip along the tool axis [m]."""
+        return self.along + t * self.rise
+
+    def level(
+        self,
+        t: Float[Array, "..."],
+        sizes: tuple[Float[Array, ""], Float[Array, ""]],
+    ) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+        """Return the signed distance [m] and its slope along the ray."""
+        x = self.slant * (t - self.middle)
+        square = x**2 + self.offset**2
+        is_off = square > 0
+        rho = jnp.where(is_off, jnp.sqrt(jnp.where(is_off, square, 1)), 0)
+        value, (by_along, by_across) = distance(self.height(t), rho, sizes)
+        spread = self.slant * x / jnp.where(is_off, rho, 1)
+        return value, by_along * self.rise + by_across * spread
+
+
+def make_ray(
+    family: Literal[0, 1, 2],
+    b: Float[Array, "..."],
+    c: Float[Array, "..."],
+    tip: Float[Array, "... 3"],
+    axis: Float[Array, "... 3"],
+) -> Ray:
+    """Return rays along `family` as seen from the tool axis; shapes agree."""
+    axis_b, axis_c = (family + 1) % 3, (family + 2) % 3
+    x, y = b - tip[..., axis_b], c - tip[..., axis_c]
+    p, q, rise = axis[..., axis_b], axis[..., axis_c], axis[..., family]
+    slant = jnp.sqrt(p**2 + q**2)
+    is_slanted = slant > _PARALLEL
+    s = jnp.where(is_slanted, slant, 1)
+    along = x * p + y * q
+    crossing = jnp.abs(y * (p / s) - x * (q / s))
+    return Ray(
+        foot=(x, y),
+        tilt=(p, q),
+        rise=rise,
+        slant=jnp.where(is_slanted, slant, 0),
+        middle=jnp.where(is_slanted, along / s * (rise / s), 0),
+        offset=jnp.where(is_slanted, crossing, jnp.sqrt(x**2 + y**2)),
+        along=along,
+        low=-FAR - tip[..., family],
+        high=FAR - tip[..., family],
+    )
+
+
+def capped_cylinder(
+    ray: Ray, radius: Float[Array, ""], bottom: Float[Array, ""]
+) -> _Interval:
+    """Return the interval within a radius of the axis and above a height on it."""
+    square = radius**2 - ray.offset**2
+    is_slanted = ray.slant > 0
+    s = jnp.where(is_slanted, ray.slant, 1)
+    half = jnp.where(is_slanted, jnp.sqrt(jnp.maximum(square, 0)) / s, 2 * FAR)
+    is_level = jnp.abs(ray.rise) < _PARALLEL
+    cross = (bottom - ray.along) / jnp.where(is_level, 1, ray.rise)
+    from_below = jnp.where(~is_level & (ray.rise > 0), cross, ray.low)
+    to_below = jnp.where(~is_level & (ray.rise < 0), cross, ray.high)
+    start = jnp.maximum(jnp.maximum(ray.middle - half, from_below), ray.low)
+    stop = jnp.minimum(jnp.minimum(ray.middle + half, to_below), ray.high)
+    is_above = ~is_level | (ray.along > bottom)
+    return start, stop, (square > 0) & is_above & (stop > start)
+
+
+def ball(ray: Ray, radius: Float[Array, ""]) -> _Interval:
+    """Return the interval within a ball end: sphere and shank together."""
+    (x, y), (p, q) = ray.foot, ray.tilt
+    square = radius**2 - (x - radius * p) ** 2 - (y - radius * q) ** 2
+    in_ball = square > 0
+    center = radius * ray.rise
+    half = jnp.sqrt(jnp.maximum(square, 0))
+    start, stop, in_shank = capped_cylinder(ray, radius, radius)
+    # Where only one is met, its interval counts; the solid is convex.
+    first = jnp.where(in_ball, center - half, start)
+    last = jnp.where(in_ball, center + half, stop)
+    is_both = in_ball & in_shank
+    first = jnp.where(is_both, jnp.minimum(first, start), first)
+    last = jnp.where(is_both, jnp.maximum(last, stop), last)
+    return first, last, in_ball | in_shank
+
+
+def bull(ray: Ray, sizes: tuple[Float[Array, ""], Float[Array, ""]]) -> _Interval:
+    """Return the interval within a bull-nose.
+
+    Newton's method on the convex signed distance, from both ends of the cylinder
+    around the solid: steps from outside never go past a root.
+    """
+    low, high, is_near = capped_cylinder(ray, sizes[0], jnp.zeros_like(sizes[0]))
+
+    def step(
+        _: int | Array, ends: tuple[Float[Array, "..."], Float[Array, "..."]]
+    ) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+        moved = []
+        for t, sign in zip(ends, (1, -1), strict=True):
+            f, slope = ray.level(t, sizes)
+            is_outside = (f > 0) & (sign * slope < 0)
+            move = jnp.where(is_outside, -f / jnp.where(is_outside, slope, 1), 0)
+            # A ray that misses the solid has no root to stop at.
+            moved.append(jnp.clip(t + move, low, high))
+        return moved[0], moved[1]
+
+    start, stop = jax.lax.fori_loop(0, NEWTON_STEPS, step, (low, high))
+    middle, _ = ray.level((start + stop) / 2, sizes)
+    return start, stop, is_near & (stop > start) & (middle < 0)
