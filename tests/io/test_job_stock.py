@@ -177,7 +177,7 @@ def test_too_few_slots_are_refused(write):
             trimesh.creation.box(bounds=[[0, 0, -3], [20, 10, -1]]),
         ]
     )
-    file.with_name("two.stl").write_bytes(two.export(file_type="stl"))
+    two.export(file.with_name("two.stl"))
     text = f'mesh = "two.stl"\nintervals = [8, 8, 1]\n{SPACING}'
     assert "up to (1, 1, 2) intervals" in " ".join(problems(write(text)))
     stock = load_job(write(f'mesh = "two.stl"\n{SPACING}')).stock
