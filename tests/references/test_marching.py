@@ -268,6 +268,17 @@ def test_run_out_makes_the_chips_of_two_teeth_differ():
     assert relative(found, wanted) < 1e-3
 
 
+def test_the_tooth_at_the_run_out_cuts_the_thickest_chip():
+    tool = flat(3, runout=0.4e-7, runout_angle=2 * math.pi / 3)
+    edge, stock = marching.side_elements(tool, 1), halfspaces.slot(1e-3)
+    found = [
+        chip.thickness.max()
+        for chip in marching.chips(tool, stock, 1e-7 * ALONG, edge, steps=1440)
+    ]
+    # Offsets -e/2, e, -e/2; each tooth follows the next.
+    np.testing.assert_allclose(found, [0.4e-7, 1.6e-7, 1e-7], rtol=1e-3)
+
+
 def test_uneven_teeth_take_chips_as_their_spacing():
     tool = dataclasses.replace(flat(3), tooth_angles=(0.2, 1.7, 4.4))
     edge, stock = marching.side_elements(tool, 1), halfspaces.slot(1e-3)
@@ -343,6 +354,15 @@ def test_trochoids_differ_from_circles_by_the_order_of_the_feed():
         assert 0.1 * f / R < relative(trochoid, circle) < 0.2 * f / R
 
 
+def test_a_moving_tool_leaves_the_stock():
+    tool, plate = flat(4), halfspaces.half_space(-UP, 2.5 * F_Z)
+    force = marching.force_over_revolution(
+        tool, LAW, plate, -F_Z * UP, UP, bottom_law=LAW, steps=80, is_trochoidal=True
+    )
+    # It sinks by four feeds in a revolution, and the plate ends 2.5 feeds below.
+    np.testing.assert_array_equal(force[:, 2] > 0, np.arange(80) < 50)
+
+
 @pytest.mark.parametrize("is_trochoidal", [False, True])
 def test_turning_everything_turns_the_force(is_trochoidal):
     tool = marching.Tool(
@@ -410,6 +430,7 @@ def test_share_of_a_segment_in_overlapping_pieces():
     above = lambda z: halfspaces.half_space(-UP, -z)
     start, end = np.zeros((1, 3)), 10 * UP[None]
     stock = (above(1) & below(4)) | (above(3) & below(5)) | (above(8) & below(20))
+    stock = stock | (above(2) & below(2.5))
     np.testing.assert_allclose(stock.fraction(start, end), [0.6])
     np.testing.assert_allclose(stock.shifted(-UP).fraction(end, start), [0.7])
     np.testing.assert_allclose(stock.fraction(end, end), [1.0])
