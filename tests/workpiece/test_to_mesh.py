@@ -32,6 +32,10 @@ def stock_of(mesh, spacing=SPACING):
     return wp.stock_from_mesh(wp.Mesh(vertices, faces), spacing)
 
 
+def sphere_area(radius):
+    return 4 * np.pi * radius**2
+
+
 def box_distance(points, half):
     """Return the signed distance to a block about the origin."""
     beyond = np.abs(points) - half
@@ -92,11 +96,11 @@ def test_a_block_turned_any_way_is_close(seed):
     assert_closed(mesh)
     np.testing.assert_allclose(mesh.volume(), float(stock.volume()), rtol=5e-3)
     off = np.abs(box_distance(mesh.vertices @ turn, half)) / SPACING
-    assert np.sqrt(np.mean(off**2)) < 0.05
+    assert np.sqrt(np.mean(off**2)) < 0.02
     assert np.median(off) < 1e-6
 
 
-@pytest.mark.parametrize("cells", [5, 12])
+@pytest.mark.parametrize("cells", [4, 7, 10, 20])
 def test_a_sphere_is_within_a_tenth_of_the_spacing(cells):
     radius = cells * SPACING
     stock = stock_of(trimesh.creation.icosphere(6, radius=radius))
@@ -107,7 +111,9 @@ def test_a_sphere_is_within_a_tenth_of_the_spacing(cells):
     np.testing.assert_allclose(mesh.volume(), float(stock.volume()), rtol=5e-3)
     normals = as_trimesh(mesh).face_normals
     outward = as_trimesh(mesh).triangles_center / radius
-    assert (np.sum(normals * outward, axis=1) > 0.7).all()
+    is_off = np.sum(normals * outward, axis=1) < 0.7
+    # Slivers have any normal, but no area.
+    assert as_trimesh(mesh).area_faces[is_off].sum() < 1e-3 * sphere_area(radius)
 
 
 @pytest.mark.parametrize("suffix", [".stl", ".obj", ".ply"])

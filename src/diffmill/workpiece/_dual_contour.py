@@ -97,14 +97,48 @@ def _vertices(
         for b in range(a, 3):
             matrix[:, a, b] = matrix[:, b, a] = total(normals[:, a] * normals[:, b])
     right = np.stack([total(normals[:, a] * offset) for a in range(3)], axis=-1)
-    values, axes = np.linalg.eigh(matrix)
-    # Eigenvalues are squares of the singular values that the cut-off is about.
-    is_fixed = values > _CUT_OFF**2 * values[:, -1:]
-    inverse = np.where(is_fixed, 1 / np.where(is_fixed, values, 1.0), 0.0)
-    shift = np.einsum("lij,lj,lkj,lk->li", axes, inverse, axes, right)
     # The grid of cells starts one node before that of the rays.
     lower = np.asarray(stock.origin, np.float64) + (cell_of_loop - 1) * stock.spacing
-    return np.clip(middle + shift, lower, lower + stock.spacing)
+    shift = _least_squares_in_box(
+        matrix, right, lower - middle, lower + stock.spacing - middle
+    )
+    return middle + shift
+
+
+def _least_squares_in_box(
+    matrix: Float[np.ndarray, "loop 3 3"],
+    right: Float[np.ndarray, "loop 3"],
+    lower: Float[np.ndarray, "loop 3"],
+    upper: Float[np.ndarray, "loop 3"],
+) -> Float[np.ndarray, "loop 3"]:
+    """Return the least x with M x = r in the least-squares sense, within bounds.
+
+    A coordinate that leaves its bounds is held there, and the others are found again,
+    so that a vertex next to a sharp edge stays on the faces that meet there.
+    """
+    largest = np.linalg.eigvalsh(matrix)[:, -1]
+    x = np.zeros_like(right)
+    is_free = np.ones_like(right, bool)
+    pending = np.arange(len(x))
+    for _ in range(3):
+        free, held = is_free[pending], np.where(is_free[pending], 0.0, x[pending])
+        rest = right[pending] - np.einsum("lij,lj->li", matrix[pending], held)
+        part = matrix[pending] * (free[:, :, None] & free[:, None, :])
+        values, axes = np.linalg.eigh(part)
+        # Eigenvalues are squares of the singular values that the cut-off is about.
+        is_fixed = values > _CUT_OFF**2 * largest[pending, None]
+        inverse = np.where(is_fixed, 1 / np.where(is_fixed, values, 1.0), 0.0)
+        step = np.einsum(
+            "lij,lj,lkj,lk->li", axes, inverse, axes, np.where(free, rest, 0.0)
+        )
+        found = np.where(free, step, held)
+        x[pending] = np.clip(found, lower[pending], upper[pending])
+        is_beyond = (found != x[pending]) & free
+        is_free[pending] &= ~is_beyond
+        pending = pending[is_beyond.any(axis=1)]
+        if not pending.size:
+            break
+    return x
 
 
 def _triangles(

@@ -17,10 +17,17 @@ from ._stock import Stock, grid_shape
 
 # Ends on the next ray belong to the same sheet within this many spacings.
 _SHEET = 2.0
+# A slope is sure if the sheet bends less than this from ray to ray, in spacings.
+_BEND = 0.1
 # Above this squared slope a family sees a plane less head-on than another one does.
 _STEEP = 3.0
 # Neighbours to borrow a normal from: how many, within how many spacings.
 _NEIGHBOURS, _REACH = 16, 3.0
+# A normal is borrowed if the crossing is within this many spacings of the plane; on a
+# plane that two neighbours share within these spacings and this cosine, even where
+# the crossing has a fair normal of its own.
+_OFF_PLANE = 0.15
+_SAME_OFF, _SAME_COSINE = 0.02, 0.9999
 # Arrays on the nodes of the grid, their temporaries included [byte per node].
 _NODE_BYTES = 32
 
@@ -89,11 +96,11 @@ def find_crossings(stock: Stock, inside: Bool[np.ndarray, "x y z"]) -> Crossings
         inside: The nodes in the material, as `inside_nodes` returns them.
     """
     families = [_family_crossings(stock, inside, f) for f in range(3)]
-    points, normals, is_sure, edge, axis, is_upper = (
+    points, normals, is_sure, is_fair, edge, axis, is_upper = (
         np.concatenate(part) for part in zip(*families, strict=True)
     )
     found = Crossings(points, normals, edge, axis, is_upper)
-    return _with_borrowed_normals(found, is_sure, stock.spacing)
+    return _with_borrowed_normals(found, is_sure, is_fair, stock.spacing)
 
 
 def _family_crossings(
@@ -113,11 +120,11 @@ def _family_crossings(
     # Families differ in rounding: keep the point on its edge.
     values = np.where(is_found, np.clip(values, first, first + d), first + d / 2)
     slopes = []
-    is_known = is_found
+    is_sure = is_fair = is_found
     for step in ((1, 0), (0, 1)):
-        slope, known = _slope(ends, (u, v), step, is_upper, values, d)
+        slope, sure, known = _slope(ends, (u, v), step, is_upper, values, d)
         slopes.append(slope)
-        is_known = is_known & known
+        is_sure, is_fair = is_sure & sure, is_fair & known
     points, normals = np.empty((len(u), 3)), np.empty((len(u), 3))
     points[:, family] = values
     points[:, b], points[:, c] = origin[b] + u * d, origin[c] + v * d
@@ -130,7 +137,9 @@ def _family_crossings(
         -side * slopes[1] / length,
     )
     axis = np.full(len(u), family)
-    return points, normals, is_known & (steepness <= _STEEP), edge, axis, is_upper
+    is_head_on = steepness <= _STEEP
+    sure, fair = is_sure & is_head_on, is_fair & is_head_on
+    return points, normals, sure, fair, edge, axis, is_upper
 
 
 def _nearest_end(
@@ -159,8 +168,8 @@ def _slope(
     is_upper: Bool[np.ndarray, " n"],
     value: Float[np.ndarray, " n"],
     spacing: float,
-) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-    """Return the slope of the sheet across the rays, and whether it is known.
+) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+    """Return the slope of the sheet across the rays, whether it is sure, or known.
 
     Of the differences to both sides and the central one, that with the least second
     difference wins, for it does not reach over a sharp edge.
@@ -174,8 +183,8 @@ def _slope(
             ends, ray, (2 * sign * step[0], 2 * sign * step[1]), is_upper, near, spacing
         )
         bend = np.abs(value - 2 * near + far)
-        # With one neighbour only the flatter side is the safer one.
-        bend = np.where(is_near & is_far, bend, np.abs(near - value))
+        # With one neighbour only the flatter side is the safer one, but never sure.
+        bend = np.where(is_far, bend, np.abs(near - value) + _BEND * spacing)
         slope = np.where(is_far, 3 * value - 4 * near + far, 2 * (value - near))
         sides.append(
             (
@@ -192,7 +201,10 @@ def _slope(
     is_smooth = bend <= 2 * np.minimum(bend_low, bend_high) + 1e-6 * spacing
     slope = np.where(is_smooth, (high - low) / (2 * spacing), slope)
     is_known = is_low | is_high
-    return np.where(is_known, slope, 0.0), is_known
+    slope = np.where(is_known, slope, 0.0)
+    least = np.minimum(bend, np.minimum(bend_low, bend_high))
+    # Seen at an angle, the same curvature bends the sheet more.
+    return slope, least <= _BEND * spacing * (1 + slope**2) ** 1.5, is_known
 
 
 def _next_end(
@@ -211,7 +223,10 @@ def _next_end(
 
 
 def _with_borrowed_normals(
-    crossings: Crossings, is_sure: Bool[np.ndarray, " crossing"], spacing: float
+    crossings: Crossings,
+    is_sure: Bool[np.ndarray, " crossing"],
+    is_fair: Bool[np.ndarray, " crossing"],
+    spacing: float,
 ) -> Crossings:
     """Return the crossings, the unsure normals replaced by those of a plane nearby."""
     from scipy.spatial import KDTree
@@ -243,6 +258,10 @@ def _with_borrowed_normals(
     best = np.argmin(cost, axis=1)
     row = np.arange(unsure.size)
     is_lent = np.isfinite(cost[row, best])
+    is_lent &= off_plane[row, best] <= _OFF_PLANE * spacing
+    agree = np.einsum("nki,ni->nk", normals, normals[row, best]) > _SAME_COSINE
+    agree &= is_near & (off_plane <= _SAME_OFF * spacing)
+    is_lent &= (agree.sum(axis=1) >= 2) | ~is_fair[unsure]
     new = crossings.normals.copy()
     new[unsure[is_lent]] = normals[row, best][is_lent]
     return eqx.tree_at(lambda c: c.normals, crossings, new)
