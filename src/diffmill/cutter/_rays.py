@@ -21,7 +21,7 @@ FAR = 1e3
 # side, or the plane of the bottom, far beyond `FAR`.
 _PARALLEL = 1e-12
 # Steps of Newton's method for the torus of a bull-nose.
-NEWTON_STEPS = 14
+NEWTON_STEPS = 12
 
 _Interval = tuple[Float[Array, "..."], Float[Array, "..."], Bool[Array, "..."]]
 
