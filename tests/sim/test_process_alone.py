@@ -207,5 +207,5 @@ def test_wrong_arguments_are_refused():
     with pytest.raises(ValueError, match="positions"):
         sim.simulate_process(np.zeros((1, 3)), STOCK, MILL, PAPER_LAW, SPEED)
     with pytest.raises(ValueError, match="axes"):
-        axes = np.tile([1.0, 0.0, 0.0], (STEPS, 1))
+        axes = np.tile([1.0, 0.0, 0.5], (STEPS, 1))
         sim.simulate_process(straight(6e-3), STOCK, MILL, PAPER_LAW, SPEED, axes)

@@ -21,7 +21,7 @@ from ._coupled import (
     CoupledSolution as CoupledSolution,
     simulate_coupled as simulate_coupled,
 )
-from ._process import ProcessPlan as ProcessPlan, process_plan as process_plan
+from ._plan import ProcessPlan as ProcessPlan, process_plan as process_plan
 from ._process_alone import (
     ProcessSolution as ProcessSolution,
     path_depth as path_depth,

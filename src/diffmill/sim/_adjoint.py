@@ -15,41 +15,41 @@ of the stock exists. Volumes and the final stock have no derivative under `Trace
 import abc
 
 import equinox as eqx
-import jax
-from jaxtyping import Array, Float
+
+from ..workpiece import Pose
 
 
 class AbstractAdjoint(eqx.Module):
     """Which derivatives flow through the stock."""
 
     @abc.abstractmethod
-    def removal_tips(self, tips: Float[Array, "pose 3"]) -> Float[Array, "pose 3"]:
-        """Return the tips as removal should see them."""
+    def removal_poses(self, poses: Pose) -> Pose:
+        """Return the poses as removal should see them."""
 
     @abc.abstractmethod
-    def table(self, tips: Float[Array, "pose 3"]) -> Float[Array, "pose 3"] | None:
+    def table(self, poses: Pose) -> Pose | None:
         """Return the table of poses that samples are tied to, or None."""
 
 
 class Plain(AbstractAdjoint):
     """Differentiate through the ends of all rays."""
 
-    def removal_tips(self, tips: Float[Array, "pose 3"]) -> Float[Array, "pose 3"]:
-        """Return the tips unchanged."""
-        return tips
+    def removal_poses(self, poses: Pose) -> Pose:
+        """Return the poses unchanged."""
+        return poses
 
-    def table(self, tips: Float[Array, "pose 3"]) -> None:
+    def table(self, poses: Pose) -> None:
         """Return None: samples read differentiable ends."""
-        del tips
+        del poses
 
 
 class Traced(AbstractAdjoint):
     """Differentiate through the poses that the ends remember."""
 
-    def removal_tips(self, tips: Float[Array, "pose 3"]) -> Float[Array, "pose 3"]:
-        """Return the tips as constants."""
-        return jax.lax.stop_gradient(tips)
+    def removal_poses(self, poses: Pose) -> Pose:
+        """Return the poses as constants."""
+        return poses.frozen()
 
-    def table(self, tips: Float[Array, "pose 3"]) -> Float[Array, "pose 3"]:
-        """Return the tips, to which the samples are tied."""
-        return tips
+    def table(self, poses: Pose) -> Pose:
+        """Return the poses, to which the samples are tied."""
+        return poses

@@ -22,20 +22,11 @@ from .._types import RealScalarLike, Transform
 from ..cutter import AbstractCutter
 from ..cutting import AbstractForceLaw
 from ..robot import Robot, arm_terms
-from ..workpiece import Stock
+from ..workpiece import Pose, Stock
 from ._adjoint import AbstractAdjoint
-from ._process import (
-    Engagement,
-    ProcessPlan,
-    ProcessState,
-    Removed,
-    begin_period,
-    end_period,
-    flush,
-    initial_state,
-    substep_force,
-    substep_middles,
-)
+from ._history import ProcessState, Removed, end_period, flush, initial_state
+from ._period import Engagement, begin_period, substep_force, substep_middles
+from ._plan import ProcessPlan
 from ._process_alone import outcome, volume_by_pose
 
 
@@ -67,7 +58,7 @@ class CoupledSolution(eqx.Module):
 class _Arm(eqx.Module):
     """The robot's terms of one period, in `work`, ready for its sub-steps."""
 
-    tip: Float[Array, " 3"]
+    pose: Pose
     jacobian: Float[Array, "3 joint"]
     bias: Float[Array, " joint"]
     inverse: Float[Array, "joint joint"]
@@ -93,6 +84,7 @@ def simulate_coupled(
     tooth_period: RealScalarLike,
     plan: ProcessPlan,
     adjoint: AbstractAdjoint,
+    bottom_law: AbstractForceLaw | None = None,
 ) -> CoupledSolution:
     """Move the motors, let the arm follow and cut.
 
@@ -104,11 +96,13 @@ def simulate_coupled(
         robot: The robot with its tool.
         T_base_work: Pose of the workpiece in the robot's base, shape (4, 4).
         stock: The raw workpiece.
-        cutter: The cutter; its axis stays along +z of `work`.
+        cutter: The cutter. Where the plan says that it stands upright, its axis
+            stays along +z of `work`; else it tilts with the robot.
         law: The force law.
         tooth_period: T [s], shape ().
         plan: Sizes of the process.
         adjoint: How to differentiate through the removal.
+        bottom_law: The law of the bottom edge; derived from `law` if not given.
 
     Returns:
         The motion, the forces and the final stock.
@@ -121,10 +115,8 @@ def simulate_coupled(
     frame = jnp.asarray(T_base_work, dtype)
     v = (theta[1] - theta[0]) / T
     q = _start(robot, theta[0], v)
-    first = _arm(robot, frame, q, v, T / plan.substeps)
-    process, overlap = initial_state(
-        plan, stock, cutter, first.tip, step_count, adjoint
-    )
+    first = _arm(plan, robot, frame, q, v, T / plan.substeps).pose
+    process, overlap = initial_state(plan, stock, cutter, first, step_count, adjoint)
     middles = substep_middles(plan, dtype)
 
     def step(
@@ -132,29 +124,40 @@ def simulate_coupled(
     ) -> tuple[tuple[ProcessState, Array, Array], _Period]:
         process, q, v = carry
         index, start, stop = x
-        arm = _arm(robot, frame, q, v, T / plan.substeps)
-        predicted = arm.tip[None] + T * middles[:, None] * (arm.jacobian @ v)[None]
+        arm = _arm(plan, robot, frame, q, v, T / plan.substeps)
+        motion = T * middles[:, None] * (arm.jacobian @ v)[None]
+        predicted = _along(arm.pose, arm.pose.tip[None] + motion)
         process, cut, removed = begin_period(
-            plan, cutter, process, index, arm.tip, predicted, adjoint
+            plan, cutter, process, index, arm.pose, predicted, adjoint
         )
         rate = (stop - start) / T
         targets = start[None] + T * middles[:, None] * rate[None]
         end, (tips, forces) = _run_substeps(
-            plan, cutter, law, robot, arm, process, cut, (q, v), targets, rate, T
+            plan,
+            cutter,
+            (law, bottom_law),
+            robot,
+            arm,
+            process,
+            cut,
+            (q, v),
+            targets,
+            rate,
+            T,
         )
-        process = end_period(process, tips)
+        process = end_period(process, _along(arm.pose, tips))
         has_failed = process.has_overflow | process.is_beyond
-        row = _Period(arm.tip, jnp.mean(forces, axis=0), q, removed, has_failed)
+        row = _Period(arm.pose.tip, jnp.mean(forces, axis=0), q, removed, has_failed)
         return (process, *end), row
 
     index = jnp.arange(1, step_count, dtype=jnp.int32)
     carry = (process, q, v)
     carry, rows = jax.lax.scan(step, carry, (index, theta[:-1], theta[1:]))
     process, q, v = carry
-    last_tip = _arm(robot, frame, q, v, T / plan.substeps).tip
+    final = _arm(plan, robot, frame, q, v, T / plan.substeps).pose
     last: Int[Array, ""] = jnp.asarray(step_count - 1, jnp.int32)
-    process, rest = flush(plan, cutter, process, last, last_tip, adjoint)
-    actual = jnp.concatenate([rows.tip, last_tip[None]])
+    process, rest = flush(plan, cutter, process, last, final, adjoint)
+    actual = jnp.concatenate([rows.tip, final.tip[None]])
     return CoupledSolution(
         actual=actual,
         force=jnp.concatenate([jnp.zeros((1, 3), dtype), rows.force]),
@@ -181,7 +184,15 @@ def _start(
     return q
 
 
+def _along(pose: Pose, tips: Float[Array, "substep 3"]) -> Pose:
+    """Return poses at other tips: within a period the tool does not tilt."""
+    if pose.axis is None:
+        return Pose(tips)
+    return Pose(tips, jnp.broadcast_to(pose.axis[None], tips.shape))
+
+
 def _arm(
+    plan: ProcessPlan,
     robot: Robot,
     T_base_work: Float[Array, "4 4"],
     q: Float[Array, " joint"],
@@ -198,7 +209,10 @@ def _arm(
     eye = jnp.eye(A.shape[0], dtype=A.dtype)
     inverse = jax.scipy.linalg.cho_solve((factor, True), eye)
     return _Arm(
-        tip=to_work @ (terms.T_base_tool[:3, 3] - T_base_work[:3, 3]),
+        pose=Pose(
+            to_work @ (terms.T_base_tool[:3, 3] - T_base_work[:3, 3]),
+            None if plan.is_upright else to_work @ terms.T_base_tool[:3, 2],
+        ),
         jacobian=to_work @ terms.jacobian[:3],
         bias=terms.bias_forces,
         inverse=inverse,
@@ -208,7 +222,7 @@ def _arm(
 def _run_substeps(
     plan: ProcessPlan,
     cutter: AbstractCutter,
-    law: AbstractForceLaw,
+    laws: tuple[AbstractForceLaw, AbstractForceLaw | None],
     robot: Robot,
     arm: _Arm,
     process: ProcessState,
@@ -228,19 +242,18 @@ def _run_substeps(
 
     @jax.checkpoint
     def substep(
-        state: tuple[Array, Array], x: tuple[Array, Array, Array, Array]
+        state: tuple[Array, Array], x: tuple[Array, Pose, Array, Array, Array]
     ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         q, v = state
-        theta, earlier, angle, weight = x
-        tip = arm.tip + arm.jacobian @ (q + h / 2 * v - q0)
-        samples = substep_force(
-            plan, cutter, law, tip, earlier, cut.thinned, angle, weight
-        )
+        theta, earlier, *cuts = x
+        tip = arm.pose.tip + arm.jacobian @ (q + h / 2 * v - q0)
+        pose = Pose(tip, arm.pose.axis)
+        samples = substep_force(plan, cutter, *laws, pose, earlier, cut.thinned, *cuts)
         F = jnp.mean(samples, axis=0)
         tau = K * (theta - q - h / 2 * v) + D * (rate - v) - arm.bias
         dv = arm.inverse @ (h * (tau + arm.jacobian.T @ F))
         return (q + h * (v + dv / 2), v + dv), (tip, F)
 
-    earlier = jnp.moveaxis(process.recent, 0, 1)
-    xs = (targets, earlier, cut.angle, cut.occupancy)
+    earlier = jax.tree.map(lambda x: jnp.moveaxis(x, 0, 1), process.recent)
+    xs = (targets, earlier, cut.angle, cut.tooth, cut.occupancy)
     return jax.lax.scan(substep, start, xs)

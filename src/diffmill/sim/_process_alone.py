@@ -13,20 +13,11 @@ from .._result import RESULTS
 from .._types import FloatRows3, RealScalarLike
 from ..cutter import AbstractCutter
 from ..cutting import AbstractForceLaw
-from ..workpiece import Stock
+from ..workpiece import Pose, Stock
 from ._adjoint import AbstractAdjoint, Plain
-from ._process import (
-    ProcessPlan,
-    ProcessState,
-    Removed,
-    begin_period,
-    end_period,
-    flush,
-    initial_state,
-    process_plan,
-    substep_force,
-    substep_middles,
-)
+from ._history import ProcessState, Removed, end_period, flush, initial_state
+from ._period import begin_period, substep_force, substep_middles
+from ._plan import ProcessPlan, process_plan
 
 
 class ProcessSolution(eqx.Module):
@@ -65,6 +56,7 @@ def simulate_process(
     angles: int | None = None,
     axial_depth: float | None = None,
     adjoint: AbstractAdjoint | None = None,
+    bottom_law: AbstractForceLaw | None = None,
     keeps_instantaneous: bool = False,
 ) -> ProcessSolution:
     """Cut along a path, one row per tooth period.
@@ -75,20 +67,22 @@ def simulate_process(
         cutter: The cutter.
         law: The force law.
         spindle_speed: [rad/s], shape ().
-        axes: Tool axis, shape (step, 3); only +z is possible.
+        axes: Tool axis from tip to shank, unit vectors, shape (step, 3); +z if not
+            given.
         plan: Sizes of the process; chosen from the next two if not given.
         angles: Samples of the immersion angle per revolution.
         axial_depth: Deepest immersion of the tip below the top of the stock [m].
             Taken from the path if that is not traced, else the height of the stock
             or the flutes, whichever is less.
         adjoint: How to differentiate; `Plain()` if not given.
+        bottom_law: The law of the bottom edge; derived from `law` if not given.
         keeps_instantaneous: Whether to return the force at every angle sample.
 
     Returns:
         The forces, volumes and the final stock. Check `.result` for an overflow.
 
     Raises:
-        ValueError: An argument has a wrong shape, or the tool axis is not +z.
+        ValueError: An argument has a wrong shape, or an axis is not a unit vector.
 
     Differentiability: in positions, coefficients and diameter, in forward and reverse
     mode, except at the kinks of chips and rays. Under `Traced` the volumes and the
@@ -96,43 +90,47 @@ def simulate_process(
     """
     dtype = stock.origin.dtype
     positions = _rows(positions, "positions", dtype)
-    if axes is not None:
-        _require_vertical(axes, positions.shape[0])
+    axes = _directions(axes, positions.shape[0], dtype)
     if plan is None:
         depth = (
             path_depth(positions, stock, cutter) if axial_depth is None else axial_depth
         )
-        plan = process_plan(stock, cutter, axial_depth=depth, angles=angles)
+        plan = process_plan(
+            stock,
+            cutter,
+            axial_depth=depth,
+            angles=angles,
+            axes=axes if isinstance(axes, np.ndarray) else None,
+            is_upright=axes is None,
+        )
     adjoint = Plain() if adjoint is None else adjoint
     step_count = positions.shape[0]
-    state, overlap = initial_state(
-        plan, stock, cutter, positions[0], step_count, adjoint
-    )
+    path = path_poses(positions, axes)
+    state, overlap = initial_state(plan, stock, cutter, path[0], step_count, adjoint)
 
     def step(
-        state: ProcessState, x: tuple[Array, Array, Array]
+        state: ProcessState, x: tuple[Array, Pose, Pose]
     ) -> tuple[ProcessState, tuple[Array, Array | None, Removed, Array]]:
-        index, start, tips = x
+        index, start, poses = x
         state, cut, removed = begin_period(
-            plan, cutter, state, index, start, tips, adjoint
+            plan, cutter, state, index, start, poses, adjoint
         )
         samples = jax.vmap(
-            lambda tip, earlier, phi, w: substep_force(
-                plan, cutter, law, tip, earlier, cut.thinned, phi, w
+            lambda pose, earlier, *samples: substep_force(
+                plan, cutter, law, bottom_law, pose, earlier, cut.thinned, *samples
             ),
-            in_axes=(0, 1, 0, 0),
-        )(tips, state.recent, cut.angle, cut.occupancy).reshape(-1, 3)
-        state = end_period(state, tips)
+            in_axes=(0, 1, 0, 0, 0),
+        )(poses, state.recent, cut.angle, cut.tooth, cut.occupancy).reshape(-1, 3)
+        state = end_period(state, poses)
         kept = samples if keeps_instantaneous else None
         bad = state.has_overflow | state.is_beyond
         return state, (jnp.mean(samples, axis=0), kept, removed, bad)
 
     index = jnp.arange(1, step_count, dtype=jnp.int32)
-    middles = within_periods(positions, substep_middles(plan, dtype))
-    xs = (index, positions[:-1], middles)
+    xs = (index, path[:-1], middles_of(plan, path))
     state, (force, samples, removed, _) = jax.lax.scan(step, state, xs)
     last = jnp.asarray(step_count - 1, jnp.int32)
-    state, rest = flush(plan, cutter, state, last, positions[-1], adjoint)
+    state, rest = flush(plan, cutter, state, last, path[-1], adjoint)
     period = 2 * math.pi / (jnp.asarray(spindle_speed, dtype) * cutter.flute_count)
     return ProcessSolution(
         time=period * jnp.arange(step_count, dtype=dtype),
@@ -222,11 +220,44 @@ def _rows(values: FloatRows3, name: str, dtype: jnp.dtype) -> Float[Array, "step
     return rows
 
 
-def _require_vertical(axes: FloatRows3, step_count: int) -> None:
+def _directions(
+    axes: FloatRows3 | None, step_count: int, dtype: jnp.dtype
+) -> Float[Array, "step 3"] | Float[np.ndarray, "step 3"] | None:
+    """Return the axes, or None if the tool is known to stand along +z."""
+    if axes is None:
+        return None
     if isinstance(axes, jax.core.Tracer):
-        raise ValueError("Argument `axes` must be known when tracing.")
-    rows = np.asarray(axes)
-    if rows.shape != (step_count, 3) or not np.allclose(rows, [0.0, 0.0, 1.0]):
+        return jnp.asarray(axes, dtype)
+    rows = np.asarray(axes, np.dtype(dtype))
+    if rows.shape != (step_count, 3):
         raise ValueError(
-            "Argument `axes` must be +z in every row: only a vertical tool is possible."
+            f"Argument `axes` must have shape ({step_count}, 3), as `positions`, but "
+            f"has shape {rows.shape}."
         )
+    off = np.abs(np.linalg.norm(rows, axis=1) - 1)
+    if not np.all(off < 1e-4):
+        raise ValueError(
+            f"Argument `axes` must have unit vectors, but row {int(np.argmax(off))} "
+            f"has length {np.linalg.norm(rows[np.argmax(off)]):g}."
+        )
+    return None if np.allclose(rows, [0.0, 0.0, 1.0], atol=1e-9) else rows
+
+
+def path_poses(
+    positions: Float[Array, "step 3"],
+    axes: Float[Array, "step 3"] | Float[np.ndarray, "step 3"] | None,
+) -> Pose:
+    """Return the poses of a path."""
+    if axes is None:
+        return Pose(positions)
+    return Pose(positions, jnp.asarray(axes, positions.dtype))
+
+
+def middles_of(plan: ProcessPlan, path: Pose) -> Pose:
+    """Return the poses in the middle of the sub-steps, shape (period, substep, 3)."""
+    shares = substep_middles(plan, path.tip.dtype)
+    tip = within_periods(path.tip, shares)
+    if path.axis is None:
+        return Pose(tip)
+    axis = within_periods(path.axis, shares)
+    return Pose(tip, axis / jnp.linalg.norm(axis, axis=-1, keepdims=True))

@@ -17,7 +17,7 @@ from ..toolpath import contour_error
 from ..workpiece import Stock
 from ._adjoint import AbstractAdjoint, Plain
 from ._coupled import CoupledSolution, simulate_coupled
-from ._process import ProcessPlan, process_plan
+from ._plan import ProcessPlan, process_plan
 from ._process_alone import ProcessSolution, simulate_process
 
 if TYPE_CHECKING:
@@ -174,6 +174,7 @@ def rigid_cut(job: Job, adjoint: AbstractAdjoint) -> ProcessSolution:
         job.spindle_speed,
         plan=job_plan(job),
         adjoint=adjoint,
+        bottom_law=job.bottom_law,
     )
 
 
@@ -213,6 +214,7 @@ def solve_command(
             job.spindle_speed,
             plan=job_plan(job),
             adjoint=adjoint,
+            bottom_law=job.bottom_law,
         )
         actual = commanded
         has_failed = jnp.zeros(desired.shape[0], bool)
@@ -259,6 +261,7 @@ def run_motors(
         job.tooth_period,
         job_plan(job),
         adjoint,
+        job.bottom_law,
     )
 
 

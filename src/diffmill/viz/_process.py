@@ -10,16 +10,15 @@ from jaxtyping import Array, Float
 from .._types import FloatRows3, FloatSteps
 from ..cutter import AbstractCutter
 from ..sim import Plain, ProcessPlan
-from ..sim._process import (
+from ..sim._history import ProcessState, end_period, initial_state
+from ..sim._period import (
     Engagement,
-    ProcessState,
     begin_period,
-    chip_thickness,
-    end_period,
-    initial_state,
-    substep_middles,
+    element_heights,
+    substep_chip,
 )
-from ..workpiece import Stock
+from ..sim._process_alone import middles_of
+from ..workpiece import Pose, Stock
 from ._chip import ChipChart
 from ._forces import ForceRecord
 
@@ -80,7 +79,8 @@ def chip_chart(
     )
     feed = np.asarray(rows[-1] - rows[-2], dtype=np.float64)
     heading = math.atan2(feed[0], feed[1]) - math.pi / 2
-    return _chart(angle, chip, weight, heading, plan)
+    height = np.asarray(element_heights(plan, cutter, rows.dtype))
+    return _chart(angle, chip, weight, heading, plan, height)
 
 
 def _period_chip(
@@ -96,38 +96,37 @@ def _period_chip(
     """Return angles, chip and occupancy of the last period of `rows`."""
     adjoint = Plain()
     count = rows.shape[0]
-    middles = substep_middles(plan, rows.dtype)
-    state, _ = initial_state(plan, stock, cutter, rows[0], count, adjoint)
+    path = Pose(rows)
+    state, _ = initial_state(plan, stock, cutter, path[0], count, adjoint)
 
     def look(
-        state: ProcessState, x: tuple[Array, Array, Array]
-    ) -> tuple[ProcessState, Engagement, Array]:
-        index, start, stop = x
-        tips = start[None] + middles[:, None] * (stop - start)[None]
-        state, cut, _ = begin_period(plan, cutter, state, index, start, tips, adjoint)
-        return state, cut, tips
+        state: ProcessState, x: tuple[Array, Pose, Pose]
+    ) -> tuple[ProcessState, Engagement, Pose]:
+        index, start, poses = x
+        state, cut, _ = begin_period(plan, cutter, state, index, start, poses, adjoint)
+        return state, cut, poses
 
     def advance(
-        state: ProcessState, x: tuple[Array, Array, Array]
+        state: ProcessState, x: tuple[Array, Pose, Pose]
     ) -> tuple[ProcessState, None]:
-        state, _, tips = look(state, x)
-        return end_period(state, tips), None
+        state, _, poses = look(state, x)
+        return end_period(state, poses), None
 
     index = jnp.arange(1, count, dtype=jnp.int32)
-    xs = (index, rows[:-1], rows[1:])
+    xs = (index, path[:-1], middles_of(plan, path))
 
     @jax.jit
     def run(
         state: ProcessState,
     ) -> tuple[Array, Array, Array]:
         state, _ = jax.lax.scan(advance, state, jax.tree.map(lambda v: v[:-1], xs))
-        state, cut, tips = look(state, jax.tree.map(lambda v: v[-1], xs))
-        chip, _ = jax.vmap(
-            lambda tip, earlier, phi: chip_thickness(
-                plan, cutter, tip, earlier, cut.thinned, phi
+        state, cut, poses = look(state, jax.tree.map(lambda v: v[-1], xs))
+        chip = jax.vmap(
+            lambda pose, earlier, phi: substep_chip(
+                plan, cutter, pose, earlier, cut.thinned, phi
             ),
             in_axes=(0, 1, 0),
-        )(tips, state.recent, cut.angle)
+        )(poses, state.recent, cut.angle)
         return cut.angle, jnp.clip(chip, 0, cutter.diameter / 2), cut.occupancy
 
     return run(state)
@@ -139,9 +138,10 @@ def _chart(
     weight: Float[np.ndarray, "substep angle tooth element"],
     heading: float,
     plan: ProcessPlan,
+    height: Float[np.ndarray, " element"],
 ) -> ChipChart:
     """Sort the samples of all teeth of a period into one turn of one tooth."""
-    shape, elements = weight.shape, plan.discs.count
+    shape, elements = weight.shape, height.size
     columns = plan.angles
     slot = np.round(np.broadcast_to(angle, shape) / (2 * np.pi) * columns - 0.5)
     slot = slot.astype(np.int64).reshape(-1, elements) % columns
@@ -152,5 +152,4 @@ def _chart(
     turn = 2 * np.pi * (np.arange(columns) + 0.5) / columns - heading
     turn = (turn + np.pi / 2) % (2 * np.pi) - np.pi / 2
     order = np.argsort(turn)
-    height = plan.discs.height * (np.arange(elements) + 0.5)
     return ChipChart(turn[order], height, chart[:, order], share[:, order])

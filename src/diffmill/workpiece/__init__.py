@@ -23,14 +23,17 @@ from ._files import (
     save_stock as save_stock,
 )
 from ._from_mesh import stock_from_mesh as stock_from_mesh
+from ._in_space import occupancy_in_space as occupancy_in_space
 from ._memory import physical_memory as physical_memory, stock_bytes as stock_bytes
 from ._mesh import Mesh as Mesh
 from ._occupancy import Discs as Discs, occupancy as occupancy
+from ._pose import Pose as Pose, repeated as repeated
 from ._removal import (
     RemovalWindow as RemovalWindow,
     removal_window as removal_window,
     remove_poses as remove_poses,
     subtract as subtract,
+    tilted_window as tilted_window,
 )
 from ._stock import (
     MARGIN as MARGIN,

@@ -37,13 +37,13 @@ _BLIND = 1e-6
 
 
 @jax.custom_jvp
-def _tied(value: Float[Array, "..."], tie: Float[Array, "..."]) -> Float[Array, "..."]:
+def tied(value: Float[Array, "..."], tie: Float[Array, "..."]) -> Float[Array, "..."]:
     """Return `value`, with the derivative of `tie`."""
     del tie
     return value
 
 
-@_tied.defjvp
+@tied.defjvp
 def _tied_jvp(primals, tangents):
     return primals[0], tangents[1]
 
@@ -77,8 +77,8 @@ class Discs(eqx.Module):
         """
         centers = self.centers(height.dtype)
         centers = centers.reshape((1,) * height.ndim + (self.count,))
-        share = _hat_integral((height[..., None] - centers) / self.height)
-        below_tip = _hat_integral(-height / self.height - 0.5)
+        share = hat_integral((height[..., None] - centers) / self.height)
+        below_tip = hat_integral(-height / self.height - 0.5)
         lowest = jnp.where(height > 0, share[..., 0] - below_tip, 0)
         return share.at[..., 0].set(lowest)
 
@@ -223,7 +223,7 @@ def _tie_columns(columns: _Columns, pose_tips: Float[Array, "pose 3"]) -> _Colum
     """
     height = pose_tips[:, 2][jnp.maximum(columns.poses, 0)]
     tie = jnp.where(columns.poses >= 0, height, 0)
-    ends = _tied(jax.lax.stop_gradient(columns.ends), tie)
+    ends = tied(jax.lax.stop_gradient(columns.ends), tie)
     return _Columns(ends, columns.poses)
 
 
@@ -236,15 +236,15 @@ def _tie_walls(
     frozen = jax.lax.stop_gradient
     # One gather for both: its transpose then adds into the table only once.
     tips = pose_tips[jnp.maximum(jnp.stack([w.pose for w in walls]), 0)]
-    tied = []
+    moving = []
     for f in (0, 1):
         wall, tip = walls[f], tips[f]
         slopes = cutter.wall_slopes(f, frozen(wall.ends), wall.across, frozen(tip))
         tie = tip[..., f] + frozen(slopes[0]) * tip[..., 1 - f]
         tie = tie + frozen(slopes[1]) * (cutter.diameter / 2)
         tie = jnp.where(wall.pose >= 0, tie, 0)
-        tied.append(_tied(frozen(wall.ends), tie))
-    return tied[0], tied[1]
+        moving.append(tied(frozen(wall.ends), tie))
+    return moving[0], moving[1]
 
 
 def _combine(
@@ -325,7 +325,7 @@ def _wall_occupancy(
         total = total + (weight + _BLIND) * s_here / jnp.sqrt(steepness)
         says = says + weight + _BLIND
         certainty = certainty + weight
-    inside = _hat_integral(total / says / band)
+    inside = hat_integral(total / says / band)
     return inside, jax.lax.clamp(0.0, 2 * certainty, 1.0)
 
 
@@ -347,14 +347,14 @@ def _column_weights(
 
 
 @jax.custom_jvp
-def _hat_integral(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
+def hat_integral(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
     """Integrate a hat of half-width 1: 0 below -1, 1 above 1, shifts sum to a line."""
     x = jax.lax.clamp(-1.0, x, 1.0)
     return 0.5 + x - 0.5 * x * jnp.abs(x)
 
 
-@_hat_integral.defjvp
+@hat_integral.defjvp
 def _hat_integral_jvp(primals, tangents):
     # The hat itself: a fraction of what the derivative of clamping would compute.
     (x,), (tangent,) = primals, tangents
-    return _hat_integral(x), jnp.maximum(1 - jnp.abs(x), 0) * tangent
+    return hat_integral(x), jnp.maximum(1 - jnp.abs(x), 0) * tangent

@@ -5,14 +5,17 @@ does this in place as long as nothing else reads the old arrays in the same step
 a step removes first and looks at the stock afterwards.
 """
 
+import math
 from typing import Literal
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..cutter import AbstractCutter
+from ._pose import Pose
 from ._stock import DEAD, Rays, Stock, grid_shape
 
 # Pieces of a ray shorter than this are dropped and counted as removed [m].
@@ -86,20 +89,21 @@ class RemovalWindow(eqx.Module):
     """How many rays a removal reads and writes (static).
 
     Attributes:
-        across: Grid lines along x and along y.
-        height: Grid lines along z, from below the tip upward.
+        sizes: Grid lines along x, y and z.
         slack: How far the second pose may stand from the first [m].
+        length: Length of the tool from the tip that can be in the stock [m]; used
+            for tools in any direction, whose window stands around this length.
     """
 
-    across: tuple[int, int] = eqx.field(static=True)
-    height: int = eqx.field(static=True)
+    sizes: tuple[int, int, int] = eqx.field(static=True)
     slack: float = eqx.field(static=True)
+    length: float = eqx.field(static=True, default=0.0)
 
 
 def removal_window(
     stock: Stock, cutter: AbstractCutter, axial_depth: float, reach: float
 ) -> RemovalWindow:
-    """Return the window for a cutter.
+    """Return the window for a cutter that stands along +z.
 
     Args:
         stock: The workpiece.
@@ -116,58 +120,84 @@ def removal_window(
     across = int((2 * cutter.nominal_radius + 2 * slack) / d) + 4
     # From the row below the tip to the row above the top.
     height = int(axial_depth / d) + 3
-    return RemovalWindow((min(across, nx), min(across, ny)), min(height, nz), slack)
+    return RemovalWindow((min(across, nx), min(across, ny), min(height, nz)), slack)
+
+
+def tilted_window(
+    stock: Stock,
+    cutter: AbstractCutter,
+    axes: Float[np.ndarray, "pose 3"] | None,
+    axial_depth: float,
+    reach: float,
+) -> RemovalWindow:
+    """Return the window for a cutter in any direction.
+
+    Args:
+        stock: The workpiece.
+        cutter: The cutter.
+        axes: Directions that will occur, shape (pose, 3); None if they are not known
+            beforehand: the window is then the whole grid.
+        axial_depth: Deepest immersion of the tip below the top of the stock [m].
+        reach: Distance between two poses that one window should hold [m].
+
+    Returns:
+        The window; never larger than the grid.
+    """
+    shape = grid_shape(stock)
+    d, R = stock.spacing, cutter.nominal_radius
+    slack = min(reach, R)
+    diagonal = d * math.sqrt(sum(n**2 for n in shape)) + 2 * R
+    if axes is None:
+        return RemovalWindow(shape, slack, diagonal)
+    least = float(axes[:, 2].min())
+    # Where the lowest point of the rim of the highest disc leaves the stock.
+    leaves = (axial_depth + R) / least if least > 0 else math.inf
+    length = min(diagonal, leaves + 2 * d)
+    across = np.sqrt(np.maximum(1 - axes**2, 0))
+    extent = (length * np.abs(axes) + 2 * R * across).max(axis=0) + 2 * slack
+    counts = [min(int(extent[a] / d) + 4, shape[a]) for a in range(3)]
+    return RemovalWindow((counts[0], counts[1], counts[2]), slack, length)
 
 
 def remove_poses(
     stock: Stock,
     cutter: AbstractCutter,
     window: RemovalWindow,
-    tips: Float[Array, "pose 3"],
-    poses: Int[Array, " pose"],
+    poses: Pose,
+    indices: Int[Array, " pose"],
     is_due: Bool[Array, " pose"],
 ) -> tuple[Stock, Float[Array, " pose"], Bool[Array, ""], Bool[Array, ""]]:
     """Subtract the cutter at a few close poses from the stock.
 
     Args:
         stock: The workpiece.
-        cutter: The cutter, axis along +z.
-        window: Size of the window; it stands around the first tip.
-        tips: Tool tips in `work` [m], shape (pose, 3).
-        poses: Index of each pose, kept with the ends that it cuts, shape (pose,).
+        cutter: The cutter.
+        window: Size of the window; it stands around the first pose.
+        poses: Tool poses in `work`, shape (pose, 3).
+        indices: Index of each pose, kept with the ends that it cuts, shape (pose,).
         is_due: Which of the poses to subtract, shape (pose,).
 
     Returns:
         The stock; the volume that each pose removed [m^3], shape (pose,); whether a
         ray ran out of slots; whether a tool reached beyond the window.
 
-    Differentiability: in the ends of the stock, through the tips.
+    Differentiability: in the ends of the stock, through the poses.
     """
     origin, d = stock.origin, stock.spacing
     dtype = origin.dtype
-    nx, ny, nz = grid_shape(stock)
-    sizes = (window.across[0], window.across[1], window.height)
-    center = jax.lax.stop_gradient(tips[0])
-    grid = jnp.floor((center - origin) / d).astype(jnp.int32)
-    starts = [
-        jnp.clip(grid[0] - sizes[0] // 2 + 1, 0, nx - sizes[0]),
-        jnp.clip(grid[1] - sizes[1] // 2 + 1, 0, ny - sizes[1]),
-        jnp.clip(grid[2] - 1, 0, nz - sizes[2]),
-    ]
+    starts, is_beyond = _place(stock, cutter, window, poses[0].frozen())
     lines = [
         origin[a]
-        + d * (starts[a] + jnp.arange(sizes[a], dtype=jnp.int32)).astype(dtype)
+        + d * (starts[a] + jnp.arange(window.sizes[a], dtype=jnp.int32)).astype(dtype)
         for a in range(3)
     ]
-    # Material above the window under the tool would stay uncut.
-    is_beyond = (starts[2] + sizes[2] < nz) & (lines[2][-1] < stock.top)
     has_overflow = jnp.zeros((), bool)
-    volumes = jnp.zeros(tips.shape[0], dtype)
+    volumes = jnp.zeros(indices.shape[0], dtype)
     has_cut = jnp.zeros((), bool)
     families = []
     for f in (0, 1, 2):
         new, volume, full = _remove_family(
-            stock.families[f], cutter, f, starts, lines, tips, poses, is_due
+            stock.families[f], cutter, f, starts, lines, poses, indices, is_due
         )
         has_overflow = has_overflow | full
         has_cut = has_cut | jnp.any(volume > 0)
@@ -178,14 +208,51 @@ def remove_poses(
     return new_stock, volumes, has_overflow, is_beyond & has_cut
 
 
+def _place(
+    stock: Stock, cutter: AbstractCutter, window: RemovalWindow, pose: Pose
+) -> tuple[list[Int[Array, ""]], Bool[Array, ""]]:
+    """Return the first grid line of the window on each axis, and what it misses."""
+    origin, d = stock.origin, stock.spacing
+    shape, sizes = grid_shape(stock), window.sizes
+    if pose.axis is None:
+        grid = jnp.floor((pose.tip - origin) / d).astype(jnp.int32)
+        starts = [
+            jnp.clip(grid[0] - sizes[0] // 2 + 1, 0, shape[0] - sizes[0]),
+            jnp.clip(grid[1] - sizes[1] // 2 + 1, 0, shape[1] - sizes[1]),
+            jnp.clip(grid[2] - 1, 0, shape[2] - sizes[2]),
+        ]
+        # Material above the window under the tool would stay uncut.
+        last = origin[2] + d * (starts[2] + sizes[2] - 1).astype(origin.dtype)
+        is_beyond = (starts[2] + sizes[2] < shape[2]) & (last < stock.top)
+        return starts, is_beyond
+    a, R = pose.axis, cutter.nominal_radius
+    disc = R * jnp.sqrt(jnp.maximum(1 - a**2, 0))
+    far = pose.tip + window.length * a
+    lower = jnp.minimum(pose.tip, far) - disc
+    upper = jnp.maximum(pose.tip, far) + disc
+    first = jnp.floor((lower - window.slack - origin) / d).astype(jnp.int32)
+    starts = [jnp.clip(first[i], 0, shape[i] - sizes[i]) for i in range(3)]
+    end = origin + d * jnp.asarray(shape, origin.dtype)
+    # Beyond its length the tool must be clear of the grid, or above the material.
+    is_inside = jnp.all((far > origin - R) & (far < end + R))
+    is_beyond = is_inside & (far[2] - disc[2] < stock.top)
+    for i in range(3):
+        last = origin[i] + d * (starts[i] + sizes[i] - 1).astype(origin.dtype)
+        is_short = (starts[i] + sizes[i] < shape[i]) & (last < upper[i])
+        if i == 2:
+            is_short = is_short & (last < stock.top)
+        is_beyond = is_beyond | is_short
+    return starts, is_beyond
+
+
 def _remove_family(
     rays: Rays,
     cutter: AbstractCutter,
     family: Literal[0, 1, 2],
     starts: list[Int[Array, ""]],
     lines: list[Float[Array, " _"]],
-    tips: Float[Array, "pose 3"],
-    poses: Int[Array, " pose"],
+    poses: Pose,
+    indices: Int[Array, " pose"],
     is_due: Bool[Array, " pose"],
 ) -> tuple[Rays, Float[Array, " pose"], Bool[Array, ""]]:
     axis_b, axis_c = (family + 1) % 3, (family + 2) % 3
@@ -198,13 +265,16 @@ def _remove_family(
     b = jnp.broadcast_to(lines[axis_b][:, None], shape[:2])
     c = jnp.broadcast_to(lines[axis_c][None, :], shape[:2])
     removed, has_overflow = [], jnp.zeros((), bool)
-    for i in range(tips.shape[0]):
+    for i in range(indices.shape[0]):
 
         def cut(
-            ends: Array, cut_by: Array, tip: Array = tips[i], pose: Array = poses[i]
+            ends: Array, cut_by: Array, pose: Pose = poses[i], index: Array = indices[i]
         ) -> tuple[Array, Array, Array, Array]:
-            start, stop, is_hit = cutter.intersect(family, b, c, tip)
-            new, by, full = subtract(ends, cut_by, (start, stop, is_hit), pose)
+            if pose.axis is None:
+                interval = cutter.intersect(family, b, c, pose.tip)
+            else:
+                interval = cutter.intersect_pose(family, b, c, pose.tip, pose.axis)
+            new, by, full = subtract(ends, cut_by, interval, index)
             return new, by, jnp.any(full), _total_length(ends) - _total_length(new)
 
         def skip(ends: Array, cut_by: Array) -> tuple[Array, Array, Array, Array]:

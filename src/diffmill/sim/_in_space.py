@@ -1,0 +1,302 @@
+"""Any cutter, its axis in any direction: edge elements, and chips along their normals.
+
+Every edge element has its own point, outward normal and width. The chip in front of it
+reaches along the inward normal to the surface that earlier teeth swept. That surface
+is known by its signed distance, so the chip follows by walking along the normal: each
+walk leaves an error smaller by 1 - cos of the angle between the normals of the two
+surfaces, some (feed / R)^2.
+
+The k-th tooth before a tooth passed the same angle k pitches earlier, with its own
+run-out; poses at delays that are no whole tooth periods are interpolated between the
+same sub-steps of neighbouring periods.
+
+The bottom edge cuts only what the tool descends into; what the side of the same tooth
+takes beyond the last circle is the side's.
+"""
+
+import math
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from ..cutter import AbstractCutter, EdgeElements
+from ..cutting import AbstractForceLaw, edge_contact, safe_norm
+from ..workpiece import Pose, occupancy_in_space
+from ._adjoint import AbstractAdjoint
+from ._history import ProcessState
+from ._plan import ProcessPlan
+
+# Slope of descent at which half of the bottom edge rubs.
+_RAMP = 5e-3
+
+
+def tool_frame(axis: Float[Array, "*pose 3"]) -> Float[Array, "*pose 3 3"]:
+    """Return tool x, y and z as columns; x as near to work x as the axis allows."""
+    tiny = 1e-12
+    along = jnp.asarray([1.0, 0.0, 0.0], axis.dtype)
+    other = jnp.asarray([0.0, 1.0, 0.0], axis.dtype)
+    is_along = jnp.sum(jax.lax.stop_gradient(axis[..., 1:]) ** 2, -1) < tiny
+    start = jnp.where(
+        is_along[..., None],
+        other.reshape((1,) * (axis.ndim - 1) + (3,)),
+        along.reshape((1,) * (axis.ndim - 1) + (3,)),
+    )
+    x = start - jnp.sum(start * axis, axis=-1, keepdims=True) * axis
+    x = x / jnp.linalg.norm(x, axis=-1, keepdims=True)
+    return jnp.stack([x, jnp.cross(axis, x), axis], axis=-1)
+
+
+def engagement_in_space(
+    plan: ProcessPlan,
+    cutter: AbstractCutter,
+    state: ProcessState,
+    predicted: Pose,
+    adjoint: AbstractAdjoint,
+) -> tuple[
+    Float[Array, "substep angle tooth element"],
+    Int[Array, "substep angle tooth"],
+    Float[Array, "substep angle tooth element"],
+]:
+    """Return where the edge elements of a period are, and whether in material.
+
+    Args:
+        plan: Sizes of the process.
+        cutter: The cutter.
+        state: State after the removal of this period.
+        predicted: Poses in the middle of the sub-steps, shape (substep, 3).
+        adjoint: How the run is differentiated.
+
+    Returns:
+        Immersion angles [rad], the tooth of each, and occupancy.
+    """
+    elements = profile_elements(plan, cutter, predicted.tip.dtype)
+    angle = _angles(plan, cutter, elements)
+    place = jax.vmap(lambda p, phi: _edge(cutter, elements, p, phi))
+    points, _, along = place(predicted, angle)
+    extent = elements.width[None, None, None, :, None] * along
+    weight = occupancy_in_space(
+        state.stock,
+        points.reshape(-1, 3),
+        extent.reshape(-1, 3),
+        plan.discs.band,
+        cutter,
+        adjoint.table(state.poses),
+    )
+    tooth = jnp.arange(cutter.flute_count, dtype=jnp.int32)[None, None]
+    return angle, jnp.broadcast_to(tooth, angle.shape[:3]), weight.reshape(angle.shape)
+
+
+def force_in_space(
+    plan: ProcessPlan,
+    cutter: AbstractCutter,
+    law: AbstractForceLaw,
+    bottom_law: AbstractForceLaw | None,
+    pose: Pose,
+    earlier: Pose,
+    thinned: Pose,
+    angle: Float[Array, "angle tooth element"],
+    tooth: Int[Array, "angle tooth"],
+    weight: Float[Array, "angle tooth element"],
+) -> Float[Array, "angle 3"]:
+    """Return the force on the tool at the angles of one sub-step.
+
+    Per element, F = -F_t t - F_r n + F_a (t x n): t is the way of the tooth, n the
+    outward normal. Altintas, Manufacturing Automation, 2012, general end mill.
+
+    Args and returns: see `substep_force`.
+    """
+    elements = profile_elements(plan, cutter, angle.dtype)
+    chip, feed = chip_in_space(plan, cutter, pose, earlier, thinned, angle)
+    touch = edge_contact(chip, feed, 2 * math.pi / plan.angles)
+    n = elements.bottom_count
+    if n > 0:
+        # The bottom of a tool that does not descend must not rub.
+        least = chip[..., :n] - _RAMP * feed
+        touch = touch.at[..., :n].set(edge_contact(least, feed, _RAMP))
+    h = jax.lax.clamp(0.0, chip, cutter.nominal_radius)
+    teeth = jnp.broadcast_to(tooth[..., None], h.shape)
+    parts = []
+    if n > 0:
+        bottom = law.for_bottom() if bottom_law is None else bottom_law
+        parts.append(bottom.force_per_width(h[..., :n], touch[..., :n], teeth[..., :n]))
+    if n < h.shape[-1]:
+        parts.append(law.force_per_width(h[..., n:], touch[..., n:], teeth[..., n:]))
+    F_t, F_r, F_a = (jnp.concatenate(f, axis=-1) for f in zip(*parts, strict=True))
+    width, sin_kappa, cos_kappa = (
+        x[None, None] for x in (elements.width, elements.sin_kappa, elements.cos_kappa)
+    )
+    share = weight * width
+    sin, cos = jnp.sin(angle), jnp.cos(angle)
+    # In tool axes; t = (cos, -sin, 0), n = (sin k sin, sin k cos, -cos k).
+    outward = -F_r * sin_kappa + F_a * cos_kappa
+    in_tool = jnp.stack(
+        [
+            jnp.sum(share * (-F_t * cos + outward * sin), axis=(1, 2)),
+            jnp.sum(share * (F_t * sin + outward * cos), axis=(1, 2)),
+            jnp.sum(
+                share * (F_r * cos_kappa + F_a * sin_kappa),
+                axis=(1, 2),
+            ),
+        ],
+        axis=-1,
+    )
+    return in_tool @ tool_frame(pose.direction()).T
+
+
+def chip_in_space(
+    plan: ProcessPlan,
+    cutter: AbstractCutter,
+    pose: Pose,
+    earlier: Pose,
+    thinned: Pose,
+    angle: Float[Array, "angle tooth element"],
+) -> tuple[Float[Array, "angle tooth element"], Float[Array, ""]]:
+    """Return the unclipped chip thickness and the feed per tooth, both [m].
+
+    Args: see `substep_force`.
+    """
+    elements = profile_elements(plan, cutter, angle.dtype)
+    points, normals, _ = _edge(cutter, elements, pose, angle)
+    n = elements.bottom_count
+    offsets = cutter.runout_offsets()
+    nothing = 2 * cutter.nominal_radius
+    chip = jnp.full_like(angle, nothing)
+    descent = jnp.full_like(angle[..., :n], nothing)
+    covered = jnp.zeros(descent.shape, bool)
+    for k in range(1, cutter.flute_count + 1):
+        old = _delayed(cutter, pose, earlier, k)
+        # Both teeth stand out by their run-out: what one takes the next does not find.
+        ahead = offsets - jnp.roll(offsets, -k)
+        ahead = ahead[None, :, None] * elements.sin_kappa[None, None, n:]
+        chip = chip.at[..., n:].min(
+            _walk(cutter, points[..., n:, :], normals[..., n:, :], old, 2) + ahead
+        )
+        if n > 0:
+            down, is_under = _descent(cutter, points[..., :n, :], old)
+            covered = is_under if k == 1 else covered
+            descent = jnp.minimum(descent, jnp.where(is_under, down, nothing))
+    for i in range(thinned.tip.shape[0]):
+        old = thinned[i][None, None, None]
+        chip = chip.at[..., n:].min(
+            _walk(cutter, points[..., n:, :], normals[..., n:, :], old, 1)
+        )
+    if n > 0:
+        chip = chip.at[..., :n].set(jnp.where(covered, descent, 0))
+    return chip, safe_norm(earlier.tip[0] - pose.tip)
+
+
+def _walk(
+    cutter: AbstractCutter,
+    points: Float[Array, "angle tooth element 3"],
+    normals: Float[Array, "angle tooth element 3"],
+    old: Pose,
+    count: int,
+) -> Float[Array, "angle tooth element"]:
+    """Return how far an earlier pose's surface lies inward of points on the edge."""
+    h = cutter.level(points, old.tip, old.direction())
+    for _ in range(count - 1):
+        h = h + cutter.level(points - h[..., None] * normals, old.tip, old.direction())
+    return h
+
+
+def _descent(
+    cutter: AbstractCutter,
+    points: Float[Array, "angle tooth element 3"],
+    old: Pose,
+) -> tuple[Float[Array, "angle tooth element"], Array]:
+    """Return how far points lie below an earlier pose's end, and whether under it."""
+    axis = old.direction()
+    away = points - old.tip
+    up = jnp.sum(away * axis, axis=-1)
+    across = jnp.sum(away**2, axis=-1) - up**2
+    flat = cutter.nominal_radius - cutter.nominal_corner_radius
+    return -up, jax.lax.stop_gradient(across) < flat**2
+
+
+def _delayed(cutter: AbstractCutter, pose: Pose, earlier: Pose, k: int) -> Pose:
+    """Return the poses when the k-th tooth before each tooth passed, by tooth.
+
+    The result broadcasts against (angle, tooth, element, 3).
+    """
+    if cutter.has_even_pitch:
+        return jax.tree.map(lambda x: x[k - 1][None, None, None], earlier)
+    pitch = jnp.asarray(cutter.pitch_angles, pose.tip.dtype)
+    ahead = jnp.mod(jnp.roll(pitch, -k) - pitch, 2 * math.pi)
+    ahead = jnp.where(ahead < 1e-9, 2 * math.pi, ahead)
+    delay = ahead / (2 * math.pi) * cutter.flute_count
+    low = jnp.clip(jnp.floor(delay).astype(jnp.int32), 0, cutter.flute_count - 1)
+    share = (delay - low.astype(delay.dtype))[:, None]
+    both = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), pose, earlier)
+    return jax.tree.map(
+        lambda x: ((1 - share) * x[low] + share * x[low + 1])[None, :, None], both
+    )
+
+
+def profile_elements(
+    plan: ProcessPlan, cutter: AbstractCutter, dtype: jnp.dtype
+) -> EdgeElements:
+    """Return the edge elements that a plan asks for."""
+    profile = plan.profile
+    if profile is None:
+        raise TypeError("a tool in space needs a profile")
+    return cutter.elements(
+        profile.bottom,
+        profile.corner,
+        profile.side,
+        plan.discs.height,
+        dtype,
+        corner_limit=profile.corner_limit,
+    )
+
+
+def _angles(
+    plan: ProcessPlan, cutter: AbstractCutter, elements: EdgeElements
+) -> Float[Array, "substep angle tooth element"]:
+    """Return the immersion angles of all elements of a period [rad]."""
+    dtype = elements.lag.dtype
+    count = plan.angles // (plan.substeps * cutter.flute_count)
+    total = plan.substeps * count
+    turn = (jnp.arange(total, dtype=dtype) + 0.5) / total
+    turn = 2 * math.pi / cutter.flute_count * turn
+    pitch = jnp.asarray(cutter.pitch_angles, dtype)
+    angle = turn[:, None, None] + pitch[None, :, None] - elements.lag[None, None]
+    return angle.reshape(plan.substeps, count, *angle.shape[1:])
+
+
+def _edge(
+    cutter: AbstractCutter,
+    elements: EdgeElements,
+    pose: Pose,
+    angle: Float[Array, "angle tooth element"],
+) -> tuple[
+    Float[Array, "angle tooth element 3"],
+    Float[Array, "angle tooth element 3"],
+    Float[Array, "angle tooth element 3"],
+]:
+    """Return points on the edge, outward normals, and directions along the profile.
+
+    The points stand on the cutter without run-out, which enters the chip alone: it
+    is far smaller than what the stock can resolve.
+    """
+    frame = tool_frame(pose.direction())
+    sin, cos = jnp.sin(angle), jnp.cos(angle)
+    zero = jnp.zeros_like(angle)
+    radial = jnp.stack([sin, cos, zero], axis=-1) @ frame.T
+    axis = frame[:, 2]
+    axis = axis[None, None, None]
+    radius, height, sin_kappa, cos_kappa = (
+        x[None, None, :, None]
+        for x in (
+            elements.radius,
+            elements.height,
+            elements.sin_kappa,
+            elements.cos_kappa,
+        )
+    )
+    points = pose.tip[None, None, None] + radius * radial + height * axis
+    return (
+        points,
+        sin_kappa * radial - cos_kappa * axis,
+        cos_kappa * radial + sin_kappa * axis,
+    )

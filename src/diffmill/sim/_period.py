@@ -1,0 +1,148 @@
+"""One tooth period of the cutting process: remove, look, and cut.
+
+A period has two halves, because a robot moves within it:
+
+1. `begin_period` takes the pose at the start of the period into the history, removes
+   from the stock the poses that the tool has left behind, and samples where along the
+   tooth paths of this period there is material.
+2. `substep_force` gives the force of one sub-step for an actual pose, from the chip
+   between it and the poses one or more tooth periods earlier.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from ..cutter import AbstractCutter
+from ..cutting import AbstractForceLaw
+from ..workpiece import Pose
+from ._adjoint import AbstractAdjoint
+from ._history import ProcessState, Removed, remember, remove_due, thinned_poses
+from ._in_space import (
+    chip_in_space,
+    engagement_in_space,
+    force_in_space,
+    profile_elements,
+)
+from ._plan import ProcessPlan
+from ._upright import upright_chip, upright_engagement, upright_force
+
+
+class Engagement(eqx.Module):
+    """Where the teeth of one tooth period meet material.
+
+    Attributes:
+        angle: Immersion angle of the samples [rad], shape (substep, angle, kept,
+            disc); the axis disc has length 1 if all elements share their angles.
+        tooth: The tooth of each sample, shape (substep, angle, kept).
+        occupancy: 0 to 1, shape (substep, angle, kept, element).
+        thinned: Some older poses, shape (circle, 3).
+    """
+
+    angle: Float[Array, "substep angle kept disc"]
+    tooth: Int[Array, "substep angle kept"]
+    occupancy: Float[Array, "substep angle kept element"]
+    thinned: Pose
+
+
+def begin_period(
+    plan: ProcessPlan,
+    cutter: AbstractCutter,
+    state: ProcessState,
+    index: Int[Array, ""],
+    pose: Pose,
+    predicted: Pose,
+    adjoint: AbstractAdjoint,
+) -> tuple[ProcessState, Engagement, Removed]:
+    """Take in the pose at the start of a period, remove, and look for material.
+
+    Args:
+        plan: Sizes of the process.
+        cutter: The cutter.
+        state: State after the period before.
+        index: Index k of the period, which runs from pose k - 1 to pose k, shape ().
+        pose: Pose k - 1 at the start, shape (3,).
+        predicted: Poses expected in the middle of the sub-steps, shape (substep, 3).
+        adjoint: How the run is differentiated.
+
+    Returns:
+        The new state, the engagement of this period, and what was removed.
+    """
+    state = remember(plan, state, index - 1, pose)
+    state, removed = remove_due(plan, cutter, state, adjoint)
+    if plan.profile is None:
+        found = upright_engagement(plan, cutter, state, predicted.tip, adjoint)
+    else:
+        found = engagement_in_space(plan, cutter, state, predicted, adjoint)
+    return state, Engagement(*found, thinned_poses(plan, state)), removed
+
+
+def substep_force(
+    plan: ProcessPlan,
+    cutter: AbstractCutter,
+    law: AbstractForceLaw,
+    bottom_law: AbstractForceLaw | None,
+    pose: Pose,
+    earlier: Pose,
+    thinned: Pose,
+    angle: Float[Array, "angle kept disc"],
+    tooth: Int[Array, "angle kept"],
+    weight: Float[Array, "angle kept element"],
+) -> Float[Array, "angle 3"]:
+    """Return the force on the tool at the angles of one sub-step.
+
+    Args:
+        plan: Sizes of the process.
+        cutter: The cutter.
+        law: The force law.
+        bottom_law: The law of the bottom edge; derived from `law` if None.
+        pose: Pose in the middle of the sub-step, shape (3,).
+        earlier: Poses at the same sub-step of earlier periods, newest first, shape
+            (tooth, 3).
+        thinned: Older poses, shape (circle, 3).
+        angle: Immersion angles [rad], shape (angle, kept, disc).
+        tooth: The tooth at each of them, shape (angle, kept).
+        weight: Occupancy at these angles, shape (angle, kept, element).
+
+    Returns:
+        Force on the tool in `work` [N], shape (angle, 3); its mean is the force of
+        the sub-step.
+
+    Differentiability: kinks where the deciding earlier pose changes and where a chip
+    ends; the edge force changes smoothly there.
+    """
+    if plan.profile is None:
+        return upright_force(
+            plan, cutter, law, pose.tip, earlier.tip, thinned.tip, angle, tooth, weight
+        )
+    return force_in_space(
+        plan, cutter, law, bottom_law, pose, earlier, thinned, angle, tooth, weight
+    )
+
+
+def substep_chip(
+    plan: ProcessPlan,
+    cutter: AbstractCutter,
+    pose: Pose,
+    earlier: Pose,
+    thinned: Pose,
+    angle: Float[Array, "angle kept disc"],
+) -> Float[Array, "angle kept element"]:
+    """Return the unclipped chip thickness of one sub-step [m]; see `substep_force`."""
+    if plan.profile is None:
+        return upright_chip(plan, cutter, pose.tip, earlier.tip, thinned.tip, angle)[0]
+    return chip_in_space(plan, cutter, pose, earlier, thinned, angle)[0]
+
+
+def substep_middles(plan: ProcessPlan, dtype: jnp.dtype) -> Float[Array, " substep"]:
+    """Return the middle of each sub-step as a share of the tooth period."""
+    return (jnp.arange(plan.substeps, dtype=dtype) + 0.5) / plan.substeps
+
+
+def element_heights(
+    plan: ProcessPlan, cutter: AbstractCutter, dtype: jnp.dtype
+) -> Float[Array, " element"]:
+    """Return how far above the tip the middle of every element is [m]."""
+    if plan.profile is None:
+        return plan.discs.centers(dtype)
+    return profile_elements(plan, cutter, dtype).height

@@ -1,0 +1,158 @@
+"""How finely the cutting process is computed."""
+
+import math
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from ..cutter import AbstractCutter
+from ..workpiece import Discs, RemovalWindow, Stock, removal_window, tilted_window
+
+# A robot that bends tilts its tool by less than this [rad].
+_TILT = 0.02
+# Samples per revolution, unless asked for: of a flat cutter that stands upright, and of
+# others, whose samples have to be looked up one by one.
+_ANGLES, _ANGLES_IN_SPACE = 180, 120
+# Elements of a corner are shorter than those of a side by this factor: across them
+# the direction of the force changes.
+_CORNER = 0.5
+
+
+class Profile(eqx.Module):
+    """How many edge elements a cutter in space has, from the center of its end.
+
+    Attributes:
+        bottom: Elements of the flat end.
+        corner: Elements of the corner.
+        side: Elements of the side.
+        corner_limit: Angle of the corner up to which they reach [rad].
+    """
+
+    bottom: int = eqx.field(static=True)
+    corner: int = eqx.field(static=True)
+    side: int = eqx.field(static=True)
+    corner_limit: float = eqx.field(static=True)
+
+
+class ProcessPlan(eqx.Module):
+    """How finely the process is computed; sizes are static.
+
+    Attributes:
+        angles: Samples of the immersion angle per revolution.
+        substeps: Sub-steps per tooth period.
+        discs: Discs of the cutter.
+        window: Window of rays of a removal.
+        lag: Travelled distance by which removal lags [m].
+        profile: Edge elements on the bottom, the corner and the side of a cutter in
+            space; None for the discs of a flat cutter that stands upright.
+        is_upright: Whether the tool stands along +z all the time.
+    """
+
+    angles: int = eqx.field(static=True)
+    substeps: int = eqx.field(static=True)
+    discs: Discs
+    window: RemovalWindow
+    lag: float = eqx.field(static=True)
+    profile: Profile | None = None
+    is_upright: bool = eqx.field(static=True, default=True)
+
+
+def process_plan(
+    stock: Stock,
+    cutter: AbstractCutter,
+    *,
+    axial_depth: float,
+    angles: int | None = None,
+    substeps: int = 8,
+    element_height: float | None = None,
+    axes: Float[np.ndarray, "step 3"] | None = None,
+    is_upright: bool = True,
+    plunges: bool = False,
+) -> ProcessPlan:
+    """Choose the sizes of a process.
+
+    Args:
+        stock: The workpiece.
+        cutter: The cutter.
+        axial_depth: Deepest immersion below the top of the stock [m].
+        angles: Samples per revolution; raised to a multiple of teeth x substeps.
+            At least 180 if not given.
+        substeps: Sub-steps per tooth period.
+        element_height: Height of a disc [m]; 3.5 ray spacings if not given.
+        axes: Tool axes that will occur, shape (step, 3); used if not upright.
+        is_upright: Whether the tool stands along +z all the time.
+        plunges: Whether the path descends in material, so that the bottom cuts.
+
+    Returns:
+        The plan.
+    """
+    is_simple = is_upright and cutter.is_plain and not plunges
+    unit = cutter.flute_count * substeps
+    if angles is None:
+        angles = _ANGLES if is_simple else _ANGLES_IN_SPACE
+    angles = math.ceil(angles / unit) * unit
+    dz = 3.5 * stock.spacing if element_height is None else float(element_height)
+    radius = cutter.nominal_radius
+    # Samples on the rim farther apart than the rays must not step over a wall.
+    band = 0.5 * max(stock.spacing, radius * 2 * math.pi / angles)
+    # The sagitta of a fresh surface at this distance is beyond the band.
+    lag = 1.25 * math.sqrt(2 * radius * band)
+    reach = 2 * stock.spacing
+    if is_simple:
+        # One more disc than the depth holds: its share rises before it is immersed.
+        discs = Discs(max(1, math.ceil(axial_depth / dz + 0.5)), dz, band)
+        window = removal_window(stock, cutter, axial_depth, reach)
+        return ProcessPlan(angles, substeps, discs, window, lag)
+    if is_upright:
+        window = removal_window(stock, cutter, axial_depth, reach)
+        profile = _profile(cutter, axial_depth, dz)
+    else:
+        axes = _tilted(axes)
+        window = tilted_window(stock, cutter, axes, axial_depth, reach)
+        profile = _tilted_profile(cutter, axes, axial_depth, window.length, dz)
+    return ProcessPlan(
+        angles, substeps, Discs(1, dz, band), window, lag, profile, is_upright
+    )
+
+
+def _tilted(
+    axes: Float[np.ndarray, "step 3"] | None,
+) -> Float[np.ndarray, "axis 3"] | None:
+    """Return the axes and, around each, those of a tool on a bent robot."""
+    if axes is None:
+        return None
+    axes = np.unique(np.round(axes, 3), axis=0)
+    nudges = _TILT * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
+    near = (axes[:, None] + nudges[None]).reshape(-1, 3)
+    return near / np.linalg.norm(near, axis=1, keepdims=True)
+
+
+def _tilted_profile(
+    cutter: AbstractCutter,
+    axes: Float[np.ndarray, "axis 3"] | None,
+    axial_depth: float,
+    length: float,
+    dz: float,
+) -> Profile:
+    """Choose the edge elements of a tool that leans."""
+    least = 0.0 if axes is None else float(axes[:, 2].min())
+    if least > 0:
+        # The rim's lowest point sinks by R sin(tilt) below the middle of its disc.
+        sink = cutter.nominal_radius * math.sqrt(1 - least**2)
+        length = min(length, (axial_depth + sink) / least)
+    return _profile(cutter, length, dz)
+
+
+def _profile(cutter: AbstractCutter, length: float, dz: float) -> Profile:
+    """Choose the edge elements that reach a length above the tip."""
+    R, rc = cutter.nominal_radius, cutter.nominal_corner_radius
+    highest = min(length, cutter.flute_length) + dz / 2
+    flat = R - rc
+    limit = math.acos(max(0.0, 1 - highest / rc)) if rc > 0 else 0.0
+    return Profile(
+        bottom=math.ceil(flat / (2 * dz)) if flat > 0 else 0,
+        corner=max(3, math.ceil(rc * limit / (_CORNER * dz))) if rc > 0 else 0,
+        side=max(0, math.ceil((highest - rc) / dz)),
+        corner_limit=limit,
+    )

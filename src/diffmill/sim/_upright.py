@@ -1,0 +1,191 @@
+"""A flat cutter that stands along +z: discs, circles, columns and walls.
+
+The common case, and the fastest: all discs of a tooth share the point on the rim that
+is looked up, and the chip of a disc is that of two circles.
+"""
+
+import math
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from ..cutter import AbstractCutter
+from ..cutting import (
+    AbstractForceLaw,
+    circle_chip,
+    edge_contact,
+    layer_share,
+    safe_norm,
+)
+from ..workpiece import has_material_above, occupancy
+from ._adjoint import AbstractAdjoint
+from ._history import ProcessState
+from ._plan import ProcessPlan
+
+# Cosine of how far outside the leading half a tooth may still cut.
+_BEFORE_LEADING = 0.05
+
+
+def upright_engagement(
+    plan: ProcessPlan,
+    cutter: AbstractCutter,
+    state: ProcessState,
+    predicted: Float[Array, "substep 3"],
+    adjoint: AbstractAdjoint,
+) -> tuple[
+    Float[Array, "substep angle kept disc"],
+    Int[Array, "substep angle kept"],
+    Float[Array, "substep angle kept element"],
+]:
+    """Return where the teeth of a period are, and how much of each disc is in stock.
+
+    Args:
+        plan: Sizes of the process.
+        cutter: The cutter.
+        state: State after the removal of this period.
+        predicted: Tips in the middle of the sub-steps [m], shape (substep, 3).
+        adjoint: How the run is differentiated.
+
+    Returns:
+        Immersion angles [rad], the tooth of each, and occupancy.
+    """
+    angle, tooth = _leading_angles(plan, cutter, state, predicted)
+    radius = cutter.diameter / 2
+    rim = jnp.stack(
+        [jnp.sin(angle) * radius, jnp.cos(angle) * radius, jnp.zeros_like(angle)], -1
+    )
+    points = (predicted[:, None, None, None] + rim).reshape(-1, angle.shape[3], 3)
+    table = adjoint.table(state.poses)
+    tips = None if table is None else table.tip
+    weight = occupancy(state.stock, points, plan.discs, cutter, tips)
+    return angle, tooth, weight.reshape(*angle.shape[:3], plan.discs.count)
+
+
+def upright_force(
+    plan: ProcessPlan,
+    cutter: AbstractCutter,
+    law: AbstractForceLaw,
+    tip: Float[Array, " 3"],
+    earlier: Float[Array, "tooth 3"],
+    thinned: Float[Array, "circle 3"],
+    angle: Float[Array, "angle kept disc"],
+    tooth: Int[Array, "angle kept"],
+    weight: Float[Array, "angle kept element"],
+) -> Float[Array, "angle 3"]:
+    """Return the force on the tool at the angles of one sub-step.
+
+    Args:
+        plan: Sizes of the process.
+        cutter: The cutter.
+        law: The force law.
+        tip: Tip in the middle of the sub-step [m], shape (3,).
+        earlier: Tips at the same sub-step of earlier periods, newest first [m],
+            shape (tooth, 3).
+        thinned: Older tips [m], shape (circle, 3).
+        angle: Immersion angles [rad], shape (angle, kept, disc).
+        tooth: The tooth at each of them, shape (angle, kept).
+        weight: Occupancy at these angles, shape (angle, kept, element).
+
+    Returns:
+        Force on the tool in `work` [N], shape (angle, 3); its mean is the force of
+        the sub-step.
+
+    Differentiability: kinks where the deciding earlier circle changes and where a
+    chip ends; the edge force changes smoothly there.
+    """
+    chip, feed = upright_chip(plan, cutter, tip, earlier, thinned, angle)
+    touch = edge_contact(chip, feed, 2 * math.pi / plan.angles)
+    h = jnp.clip(chip, 0, cutter.diameter / 2)
+    teeth = jnp.broadcast_to(tooth[..., None], h.shape)
+    F_t, F_r, F_a = law.force_per_width(h, touch, teeth)
+    share = weight * plan.discs.height
+    sin, cos = jnp.sin(angle), jnp.cos(angle)
+    along = [
+        jnp.sum(share * component, axis=(1, 2))
+        for component in (-F_t * cos - F_r * sin, F_t * sin - F_r * cos, F_a)
+    ]
+    return jnp.stack(along, axis=-1)
+
+
+def upright_chip(
+    plan: ProcessPlan,
+    cutter: AbstractCutter,
+    tip: Float[Array, " 3"],
+    earlier: Float[Array, "tooth 3"],
+    thinned: Float[Array, "circle 3"],
+    angle: Float[Array, "angle kept disc"],
+) -> tuple[Float[Array, "angle kept element"], Float[Array, ""]]:
+    """Return the unclipped chip thickness and the feed per tooth, both [m]."""
+    R = cutter.diameter / 2
+    lower = plan.discs.centers(tip.dtype) - plan.discs.height / 2
+    newest = earlier[0] - tip
+    # The tooth just before cut every layer that this one cuts with its side.
+    chip = circle_chip(R, newest, angle, 0.0)
+    nothing = 2 * cutter.nominal_radius
+    for old in [*earlier[1:], *thinned]:
+        offset = old - tip
+        share = layer_share(offset[2], lower, plan.discs.height)[None, None]
+        left = circle_chip(R, offset, angle, nothing)
+        chip = jnp.minimum(chip, share * left + (1 - share) * nothing)
+    return chip, safe_norm(newest)
+
+
+def immersion_angles(
+    plan: ProcessPlan, cutter: AbstractCutter, dtype: jnp.dtype
+) -> Float[Array, "substep angle kept disc"]:
+    """Return the immersion angle of every tooth at every sample of a period [rad].
+
+    Every period begins with a tooth at angle 0 at the tip; a disc higher up lags by
+    2 z tan(helix) / D.
+
+    Args:
+        plan: Sizes of the process.
+        cutter: The cutter.
+        dtype: Floating type.
+
+    Returns:
+        Angles, shape (substep, angle, tooth, disc); the axis disc has length 1 if the
+        flutes are straight.
+    """
+    count = plan.angles // (plan.substeps * cutter.flute_count)
+    pitch = 2 * math.pi / cutter.flute_count
+    total = plan.substeps * count
+    turn = pitch * (jnp.arange(total, dtype=dtype) + 0.5) / total
+    turn = turn.reshape(plan.substeps, count, 1, 1)
+    tooth = pitch * jnp.arange(cutter.flute_count, dtype=dtype)[None, None, :, None]
+    if not cutter.has_helix:
+        return turn + tooth
+    height = plan.discs.centers(dtype)
+    lag = 2 * height * jnp.tan(jnp.asarray(cutter.helix_angle, dtype)) / cutter.diameter
+    return turn + tooth - lag[None, None, None]
+
+
+def _leading_angles(
+    plan: ProcessPlan,
+    cutter: AbstractCutter,
+    state: ProcessState,
+    predicted: Float[Array, "substep 3"],
+) -> tuple[Float[Array, "substep angle kept disc"], Int[Array, "substep angle kept"]]:
+    """Return the angles of the teeth that can cut, on the leading side, and which.
+
+    The chip of two circles begins a little before the leading half, so a tooth just
+    outside it comes first if it meets material there.
+    """
+    angle = immersion_angles(plan, cutter, predicted.dtype)
+    kept = (cutter.flute_count + 1) // 2
+    if kept == cutter.flute_count:
+        return angle, jnp.zeros(angle.shape[:3], jnp.int32)
+    frozen = jax.lax.stop_gradient
+    motion = frozen(predicted - state.recent.tip[0])
+    heading = jnp.arctan2(motion[:, 0], motion[:, 1])[:, None, None, None]
+    lead = jnp.cos(frozen(angle) - heading)
+    radius = cutter.nominal_radius
+    x = frozen(predicted)[:, None, None, None, 0] + radius * jnp.sin(frozen(angle))
+    y = frozen(predicted)[:, None, None, None, 1] + radius * jnp.cos(frozen(angle))
+    tip = jnp.broadcast_to(frozen(predicted)[:, None, None, None, 2], x.shape)
+    meets = (lead > -_BEFORE_LEADING) & has_material_above(state.stock, x, y, tip)
+    order = jnp.argsort(jnp.where(meets, lead + 2, lead), axis=2, descending=True)
+    order = order[:, :, :kept]
+    tooth = order[..., 0].astype(jnp.int32)
+    return jnp.take_along_axis(angle, order, axis=2), tooth

@@ -1,0 +1,236 @@
+"""How much of a small piece of edge is in the material, its surface in any direction.
+
+Every family of rays gives, around a point, one plane: of four rays, each measures the
+distance along itself to the nearest end; those that meet no end within reach are left
+out, the others are interpolated, and with g the slope of the interpolant the distance
+to the plane is s / sqrt(1 + g^2).
+
+The three planes are then one and the same (a face that all families see), two faces
+of an edge that sticks out (the point is inside if it is inside of both), or two of an
+edge that goes in (inside of one is enough). The least, or the greatest, of the three
+distances answers all three cases. A family that sees the face at a flat angle, or
+whose rays partly meet nothing, knows less and is held back.
+
+A piece of edge is not a point: the transition from 0 to 1 is as wide as the piece's
+extent across the face, so that pieces in a row add up to the length in the material.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from ..cutter import AbstractCutter
+from ._occupancy import REACH, hat_integral, tied
+from ._pose import Pose
+from ._stock import Stock
+
+# A family that knows less than the first share of what the best one knows has no say
+# below the second.
+_HEARD, _UNHEARD = 0.3, 0.1
+_TINY = 1e-6
+# Slope of a cut end against the motion of its pose is cut off at grazing rays.
+_GRAZING = 1e-2
+
+
+class _Near(eqx.Module):
+    """The end that decides the distance on each of 2 x 2 rays around each point."""
+
+    ends: Float[Array, "point 4"]
+    is_upper: Bool[Array, "point 4"]
+    is_empty: Bool[Array, "point 4"]
+    pose: Int[Array, "point 4"]
+    places: Float[Array, "point 4 3"]
+
+
+class _Face(eqx.Module):
+    """The plane that a family sees."""
+
+    distance: Float[Array, " point"]
+    normal: Float[Array, "point 3"]
+    trust: Float[Array, " point"]
+    full: Float[Array, " point"]
+    empty: Float[Array, " point"]
+
+
+def occupancy_in_space(
+    stock: Stock,
+    points: Float[Array, "point 3"],
+    extents: Float[Array, "point 3"],
+    band: float,
+    cutter: AbstractCutter,
+    poses: Pose | None = None,
+) -> Float[Array, " point"]:
+    """Return how much of the pieces of edge around points is in the material.
+
+    Args:
+        stock: The workpiece.
+        points: Middles of the pieces in `work` [m], shape (point, 3).
+        extents: From one end of each piece to the other [m], shape (point, 3).
+        band: Least half-width of the transition from 0 to 1 [m].
+        cutter: The cutter that cut the stock; used only with `poses`.
+        poses: All poses so far, shape (pose, 3), to which the derivative goes; None
+            differentiates through the stock.
+
+    Returns:
+        Occupancy, shape (point,): exactly 0 and 1 away from surfaces.
+
+    Differentiability: continuous; kinks where a point crosses a grid line and where
+    another family decides.
+    """
+    near = tuple(_find(stock, f, points) for f in range(3))
+    ends = [n.ends for n in near]
+    if poses is not None:
+        # One gather for all: its transpose then adds into the table only once.
+        cut_by = poses[jnp.maximum(jnp.stack([n.pose for n in near]), 0)]
+        ends = [_tie(cutter, near[f], f, cut_by[f]) for f in range(3)]
+    combine = jax.checkpoint(_combine, static_argnums=(5,))
+    return combine(points, extents, ends, near, stock.origin, (stock.spacing, band))
+
+
+def _find(stock: Stock, family: int, points: Float[Array, "point 3"]) -> _Near:
+    rays = stock.families[family]
+    d = stock.spacing
+    frozen = jax.lax.stop_gradient(points)
+    axes = ((family + 1) % 3, (family + 2) % 3)
+    cell = [
+        jnp.clip(
+            jnp.floor((frozen[:, a] - stock.origin[a]) / d).astype(jnp.int32),
+            0,
+            rays.ends.shape[i] - 2,
+        )
+        for i, a in enumerate(axes)
+    ]
+    row = cell[0][:, None] + jnp.array([[0, 0, 1, 1]], jnp.int32)
+    column = cell[1][:, None] + jnp.array([[0, 1, 0, 1]], jnp.int32)
+    around = rays.ends[row, column]
+    low, high = around[..., 0, :], around[..., 1, :]
+    x = frozen[:, family, None]
+    inside = jnp.minimum(x[..., None] - low, high - x[..., None])
+    inside = jax.lax.stop_gradient(inside)
+    is_slot = inside == jnp.max(inside, axis=-1, keepdims=True)
+    low = jnp.max(jnp.where(is_slot, low, -jnp.inf), axis=-1)
+    high = jnp.max(jnp.where(is_slot, high, -jnp.inf), axis=-1)
+    slots = jnp.arange(rays.ends.shape[-1], dtype=jnp.int32)[None, None]
+    slot = jnp.max(jnp.where(is_slot, slots, 0), axis=-1)
+    is_upper = jax.lax.stop_gradient(high - x < x - low)
+    ends = jnp.where(is_upper, high, low)
+    lines = [
+        stock.origin[a] + d * index.astype(points.dtype)
+        for a, index in zip(axes, (row, column), strict=True)
+    ]
+    placed: list[Array] = [ends, ends, ends]
+    placed[axes[0]], placed[axes[1]] = lines
+    return _Near(
+        ends=ends,
+        is_upper=is_upper,
+        is_empty=jax.lax.stop_gradient(high < low),
+        pose=rays.poses[row, column, is_upper.astype(jnp.int32), slot],
+        places=jax.lax.stop_gradient(jnp.stack(placed, axis=-1)),
+    )
+
+
+def _tie(
+    cutter: AbstractCutter, near: _Near, family: int, cut_by: Pose
+) -> Float[Array, "point 4"]:
+    """Return the ends with the derivatives of the poses that cut them.
+
+    An end stays on the surface of its pose: level(end; pose) = 0, so it moves by
+    -d(level) / n along its ray, n the normal's part along the ray.
+    """
+    frozen = cut_by.frozen()
+    slope = cutter.normal(near.places, frozen.tip, frozen.direction())[..., family]
+    slope = jax.lax.stop_gradient(slope)
+    away = jnp.where(slope < 0, -_GRAZING, _GRAZING)
+    slope = jnp.where(jnp.abs(slope) < _GRAZING, away, slope)
+    tie = -cutter.level(near.places, cut_by.tip, cut_by.direction()) / slope
+    tie = jnp.where(near.pose >= 0, tie, 0)
+    return tied(jax.lax.stop_gradient(near.ends), tie)
+
+
+def _combine(
+    points: Float[Array, "point 3"],
+    extents: Float[Array, "point 3"],
+    ends: list[Float[Array, "point 4"]],
+    near: tuple[_Near, ...],
+    origin: Float[Array, " 3"],
+    sizes: tuple[float, float],
+) -> Float[Array, " point"]:
+    d, band = sizes
+    faces = [_face(points, ends[f], near[f], f, origin, d) for f in range(3)]
+    distance = jnp.stack([f.distance for f in faces])
+    trust = jnp.stack([f.trust for f in faces])
+    known = trust / jnp.max(trust, axis=0, keepdims=True)
+    doubt = jax.lax.clamp(0.0, (_HEARD - known) / (_HEARD - _UNHEARD), 1.0)
+    held = 2 * REACH * d * doubt
+    full = sum(f.full for f in faces)
+    empty = sum(f.empty for f in faces)
+    least = jnp.min(distance + held, axis=0)
+    greatest = jnp.max(distance - held, axis=0)
+    across = jnp.stack([jnp.abs(jnp.sum(f.normal * extents, axis=-1)) for f in faces])
+    across = jnp.sum(trust**2 * across, axis=0) / (jnp.sum(trust**2, axis=0) + _TINY)
+    width = jnp.maximum(across, band)
+    goes_in = jax.lax.stop_gradient(full > empty)
+    return hat_integral(jnp.where(goes_in, greatest, least) / width)
+
+
+def _face(
+    points: Float[Array, "point 3"],
+    ends: Float[Array, "point 4"],
+    near: _Near,
+    family: int,
+    origin: Float[Array, " 3"],
+    d: float,
+) -> _Face:
+    reach = REACH * d
+    axes = ((family + 1) % 3, (family + 2) % 3)
+    x = points[:, family, None]
+    s = jnp.where(near.is_upper, ends - x, x - ends)
+    s = jnp.where(near.is_empty, -reach, jax.lax.clamp(-reach, s, reach))
+    p, q = (
+        (at - jax.lax.stop_gradient(jnp.floor(at)))
+        for at in ((points[:, a] - origin[a]) / d for a in axes)
+    )
+    sees = (1 - (s / reach) ** 2) ** 2 + _TINY
+    row = jnp.stack([1 - p, 1 - p, p, p], axis=-1)
+    column = jnp.stack([1 - q, q, 1 - q, q], axis=-1)
+    share = row * column
+    weight = share * sees
+    total = jnp.sum(weight, axis=-1)
+    here = jnp.sum(weight * s, axis=-1) / total
+    slopes = [
+        _slope(s, sees * other, pairs, d)
+        for other, pairs in ((column, ((0, 2), (1, 3))), (row, ((0, 1), (2, 3))))
+    ]
+    steepness = 1 + slopes[0] ** 2 + slopes[1] ** 2
+    root = jnp.sqrt(steepness)
+    is_upper = jnp.sum(jnp.where(near.is_upper, weight, 0), axis=-1) > 0.5 * total
+    sign = jnp.where(is_upper, 1.0, -1.0).astype(points.dtype)
+    normal: list[Array] = [sign, sign, sign]
+    normal[axes[0]], normal[axes[1]] = -slopes[0], -slopes[1]
+    is_full = ~near.is_empty & (s >= reach)
+    # How surely: within reach, head-on, and all four rays of one mind.
+    trust = jnp.minimum(total, 1) / steepness**2
+    return _Face(
+        distance=here / root,
+        normal=jnp.stack(normal, axis=-1) / root[:, None],
+        trust=trust,
+        full=jnp.sum(jnp.where(is_full, share, 0), axis=-1),
+        empty=jnp.sum(jnp.where(s <= -reach, share, 0), axis=-1),
+    )
+
+
+def _slope(
+    s: Float[Array, "point 4"],
+    weight: Float[Array, "point 4"],
+    pairs: tuple[tuple[int, int], ...],
+    d: float,
+) -> Float[Array, " point"]:
+    """Return the slope across rays, from those pairs of which both meet an end."""
+    up = jnp.zeros_like(s[:, 0])
+    total = jnp.full_like(up, _TINY)
+    for low, high in pairs:
+        says = weight[:, low] * weight[:, high]
+        up = up + says * (s[:, high] - s[:, low]) / d
+        total = total + says
+    return up / total
