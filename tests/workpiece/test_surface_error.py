@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from diffmill import workpiece as wp
-from diffmill.workpiece._surface_error import closest_on_triangles
+from diffmill.workpiece._surface_error import closest_on_triangles, signed_distance
 
 SPACING = 0.25e-3
 
@@ -127,3 +127,17 @@ def test_closest_points_on_triangles_beat_every_sample():
         corners.reshape(-1, 3, 3), np.repeat(points[:, 0], 3, axis=0)
     )
     np.testing.assert_allclose(foot.reshape(-1, 3), by_trimesh, atol=1e-12)
+
+
+def test_the_sign_holds_beyond_the_sharpest_edges():
+    rng = np.random.default_rng(1)
+    for _ in range(40):
+        # Flat tetrahedra have edges and corners sharper than any that a tool leaves.
+        hull = trimesh.convex.convex_hull(rng.normal(size=(4, 3)) * [1, 1, 0.2])
+        points = rng.normal(size=(500, 3)) * 1.5
+        height = (points[:, None] - hull.triangles_center) * hull.face_normals
+        is_inside = (height.sum(axis=-1) < 0).all(axis=1)
+        mesh = wp.Mesh(np.array(hull.vertices), np.array(hull.faces))
+        distance, normal = signed_distance(mesh, points)
+        assert ((distance < 0) == is_inside).all()
+        np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1, rtol=1e-9)
