@@ -162,7 +162,7 @@ def test_recorded_path(write, tmp_path):
             ('diameter = "10 mm"', ""),
             ("[cutter] diameter", "found nothing", '"10 mm"'),
         ),
-        (('kind = "flat"', 'kind = "ball"'), ("[cutter] kind", "'ball'", "'flat'")),
+        (('kind = "flat"', 'kind = "cone"'), ("[cutter] kind", "'cone'", "'flat'")),
         (("teeth = 2", "teeth = 0"), ("[cutter] teeth", "0", "at least 1")),
         (("teeth = 2", "teeth = 2.0"), ("[cutter] teeth", "2.0", "whole number")),
         (("teeth = 2", "teeth = true"), ("[cutter] teeth", "True", "whole number")),

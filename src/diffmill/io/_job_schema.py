@@ -6,12 +6,11 @@ others.
 
 from typing import Annotated, Any, Literal
 
-import pydantic
 from pydantic import Field, StrictBool, StrictInt, StrictStr
 
+from ._job_cutter import CutterTable
 from ._job_fields import (
     Acceleration,
-    Angle,
     Angles3,
     Damping,
     Lengths3,
@@ -25,28 +24,6 @@ from ._job_fields import (
 )
 from ._job_force import read_force
 from ._job_table import Table, validated
-
-
-class CutterTable(Table):
-    """`[cutter]`."""
-
-    kind: Literal["flat"] = Field(default="flat", description='"flat"')
-    diameter: PositiveLength = Field(description='a length, such as "10 mm"')
-    teeth: Annotated[StrictInt, Field(ge=1, le=100)] = Field(
-        description="a whole number from 1 to 100"
-    )
-    helix_angle: Angle = 0.0
-    flute_length: PositiveLength | None = None
-
-    @pydantic.field_validator("helix_angle")
-    @classmethod
-    def _steep(cls, value: float) -> float:
-        if abs(value) > 1.4:
-            raise ValueError(
-                f"found {value * 180 / 3.141592653589793:g} deg, but an angle from "
-                "-80 deg to 80 deg is required"
-            )
-        return value
 
 
 class SpindleTable(Table):

@@ -10,15 +10,15 @@ import numpy as np
 from jaxtyping import Float
 
 from .._job import CorrectionSettings, Job, SimulationSettings
-from ..cutter import AbstractCutter, flat_end_mill
+from ..cutter import AbstractCutter
 from ..robot import Robot
 from ..toolpath import Path, Program
 from ._job_checks import check_rapids, immersion, notes
+from ._job_cutter import make_cutter
 from ._job_program import read_program, spindle_speed, time_path
 from ._job_robot import check_reach, pose_matrix, read_robot
 from ._job_schema import (
     CorrectionTable,
-    CutterTable,
     ProgramTable,
     SimulationTable,
     read_tables,
@@ -144,7 +144,7 @@ def _build(
         robot, start = read_robot(
             tables["robot"], folder, problems, allow_outside=allow_outside
         )
-    cutter = _cutter(tables.get("cutter"))
+    cutter = make_cutter(tables["cutter"]) if "cutter" in tables else None
     if cutter is not None and "force" in tables:
         tables["force"].check_teeth(cutter.flute_count, problems)
     stock = None
@@ -220,17 +220,6 @@ def _assemble(
         program=program.source if isinstance(program, Program) else "",
         notes=(*tables["force"].notes(), *notes(stock, desired, cutter)),
         bottom_law=bottom_law,
-    )
-
-
-def _cutter(table: CutterTable | None) -> AbstractCutter | None:
-    if table is None:
-        return None
-    return flat_end_mill(
-        table.diameter,
-        table.teeth,
-        table.helix_angle,
-        flute_length=table.flute_length,
     )
 
 

@@ -1,0 +1,114 @@
+"""The table `[cutter]` of a job file, and the end mill that it describes."""
+
+import math
+from typing import Annotated, Any, Literal
+
+import pydantic
+from pydantic import Field, StrictInt
+
+from ..cutter import EndMill, ball_end_mill, bull_nose, flat_end_mill
+from ._job_fields import Angle, PositiveLength, Tolerance
+from ._job_table import Table
+
+# Steepest helix [rad], and how far angles between teeth may miss a whole turn [deg].
+_STEEPEST = 1.4
+_TURN = 1e-3
+
+
+class CutterTable(Table):
+    """`[cutter]`."""
+
+    kind: Literal["flat", "ball", "bull"] = Field(default="flat", description='"flat"')
+    diameter: PositiveLength = Field(description='a length, such as "10 mm"')
+    corner_radius: PositiveLength | None = Field(default=None, validate_default=True)
+    teeth: Annotated[StrictInt, Field(ge=1, le=100)] = Field(
+        description="a whole number from 1 to 100"
+    )
+    helix_angle: Angle = 0.0
+    flute_length: PositiveLength | None = None
+    pitch: list[Angle] | None = None
+    runout: Tolerance = 0.0
+    runout_angle: Angle = 0.0
+
+    @pydantic.field_validator("corner_radius")
+    @classmethod
+    def _fitting(cls, value: float | None, info: Any) -> float | None:
+        kind, diameter = info.data.get("kind"), info.data.get("diameter")
+        if value is None:
+            if kind == "bull":
+                raise ValueError(
+                    'found nothing, but a cutter of kind "bull" requires it: a length, '
+                    'such as "1 mm"'
+                )
+            return None
+        if kind in ("flat", "ball"):
+            raise ValueError(
+                f"found {value * 1e3:g} mm, but a cutter of kind {kind!r} has none to "
+                'choose; kind = "bull" has'
+            )
+        if diameter is not None and value >= diameter / 2:
+            raise ValueError(
+                f"found {value * 1e3:g} mm, but less than half the diameter, "
+                f'{diameter * 5e2:g} mm, is required; kind = "ball" is a full round'
+            )
+        return value
+
+    @pydantic.field_validator("helix_angle")
+    @classmethod
+    def _steep(cls, value: float) -> float:
+        if abs(value) > _STEEPEST:
+            raise ValueError(
+                f"found {math.degrees(value):g} deg, but an angle from "
+                "-80 deg to 80 deg is required"
+            )
+        return value
+
+    @pydantic.field_validator("pitch")
+    @classmethod
+    def _whole(cls, value: list[float] | None, info: Any) -> list[float] | None:
+        if value is None:
+            return None
+        teeth = info.data.get("teeth")
+        if teeth is not None and len(value) != teeth:
+            raise ValueError(
+                f"found {len(value)} angles, but {teeth} are required: from each tooth "
+                "to the next, the last one back to the first"
+            )
+        if min(value, default=0) <= 0:
+            raise ValueError(
+                f"found {math.degrees(min(value, default=0)):g} deg, but angles above "
+                "0 are required"
+            )
+        total = math.degrees(sum(value))
+        if abs(total - 360) > _TURN:
+            raise ValueError(
+                f"found angles that sum to {total:.7g} deg, but 360 deg is required"
+            )
+        # Rounded text must not turn the last tooth away from the first.
+        return [angle * 360 / total for angle in value]
+
+    @pydantic.field_validator("runout")
+    @classmethod
+    def _small(cls, value: float, info: Any) -> float:
+        diameter = info.data.get("diameter")
+        if diameter is not None and value >= diameter / 2:
+            raise ValueError(
+                f"found {value * 1e3:g} mm, but less than half the diameter, "
+                f"{diameter * 5e2:g} mm, is required"
+            )
+        return value
+
+
+def make_cutter(table: CutterTable) -> EndMill:
+    """Return the end mill of a checked table."""
+    options = {
+        "helix_angle": table.helix_angle,
+        "flute_length": table.flute_length,
+        "pitch": table.pitch,
+        "runout": table.runout,
+        "runout_angle": table.runout_angle,
+    }
+    if table.corner_radius is not None:
+        return bull_nose(table.diameter, table.teeth, table.corner_radius, **options)
+    make = ball_end_mill if table.kind == "ball" else flat_end_mill
+    return make(table.diameter, table.teeth, **options)
