@@ -210,6 +210,14 @@ def test_arguments_out_of_range_are_refused(tmp_path, monkeypatch):
         wp.from_mesh(file, 1e-9)
 
 
+def test_a_part_that_no_ray_meets_is_refused(tmp_path):
+    # A thin rod across the plan: rays along z stand beside it.
+    rod = block([-4, -0.05, -0.05], [4, 0.05, 0.05])
+    rod.vertices[:, :2] = rod.vertices[:, :2] @ np.array([[0.8, 0.6], [-0.6, 0.8]])
+    with pytest.raises(ValueError, match=r"no ray along .*z"):
+        wp.from_mesh(export(rod, tmp_path / "rod.ply"), 2e-3)
+
+
 def test_single_precision_on_demand(tmp_path):
     file = export(block([0, 0, 0], [4, 4, 4]), tmp_path / "part.stl")
     stock = wp.from_mesh(file, SPACING, dtype=np.float32)

@@ -43,6 +43,17 @@ def test_the_same_stock_has_no_error():
     np.testing.assert_allclose(np.linalg.norm(found.normal, axis=1), 1, rtol=1e-12)
 
 
+def test_a_film_too_thin_for_the_mesh_is_where_its_ends_are():
+    made = wp.box([0, 0, -3e-3], [8e-3, 6e-3, 0], SPACING)
+    x, y, z = made.families
+    # The rays along y keep 1 um of a wall beside a slot that opens to the side.
+    lines = np.asarray(made.origin[2]) + SPACING * np.arange(y.ends.shape[0])
+    low = y.ends[:, :, 0].at[lines > -1e-3, 8:30, 0].set(5.999e-3)
+    film = wp.Rays(y.ends.at[:, :, 0].set(low), y.poses)
+    stock = wp.Stock((x, film, z), made.origin, made.spacing, made.top)
+    assert np.abs(wp.surface_error(stock, stock).error).max() < 1e-15
+
+
 def test_another_grid_of_the_ideal_does_not_matter():
     machined = wp.box([0, 0, -3e-3], [8e-3, 6e-3, 0], SPACING)
     ideal = wp.box([0, 0, -3e-3], [8e-3, 6e-3, 0], 0.31e-3)

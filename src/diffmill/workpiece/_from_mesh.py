@@ -41,8 +41,9 @@ def stock_from_mesh(
         The stock, on the grid that `box` gives the box around the mesh.
 
     Raises:
-        ValueError: The spacing is not positive, the slots are too few, the mesh is no
-            solid, or the stock is larger than half of the physical memory.
+        ValueError: The spacing is not positive or so large that no ray meets the mesh,
+            the slots are too few, the mesh is no solid, or the stock is larger than
+            half of the physical memory.
 
     Differentiability: none, a host function.
     """
@@ -61,6 +62,12 @@ def stock_from_mesh(
     solid = _solid(mesh)
     pieces = [_cast_family(solid, f, origin, counts, spacing) for f in range(3)]
     needed = [int(np.bincount(ray, minlength=1).max()) for ray, _ in pieces]
+    if min(needed) == 0:
+        axes = [axis for axis, count in zip("xyz", needed, strict=True) if not count]
+        raise ValueError(
+            f"Argument `spacing` must be small enough for rays to meet the mesh, but "
+            f"at {spacing:g} m no ray along {' and '.join(axes)} does."
+        )
     slots = _slots(needed, interval_counts)
     size = stock_bytes(counts.tolist(), slots, dtype.itemsize)
     check_memory(size, f"A stock of spacing {spacing:g} m")

@@ -73,6 +73,7 @@ def surface_error(machined: Stock, ideal: Stock) -> SurfaceError:
     if not len(points):
         raise ValueError("Argument `machined` must hold material, but is empty.")
     error, normal = signed_distance(ideal.to_mesh(), points)
+    error = np.copysign(np.minimum(np.abs(error), _end_distance(ideal, points)), error)
     return SurfaceError(
         points=points,
         error=error,
@@ -81,6 +82,20 @@ def surface_error(machined: Stock, ideal: Stock) -> SurfaceError:
         is_cut=np.concatenate([_end_poses(machined, f) >= 0 for f in range(3)]),
         family=np.repeat(np.arange(3), [len(p) for p in found]),
     )
+
+
+def _end_distance(
+    stock: Stock, points: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, " n"]:
+    """Return the distance to the nearest ray end, a bound of that to the surface.
+
+    A film thinner than the spacing, as a cut along the border leaves it, is lost in
+    the mesh; its ends still say where it is.
+    """
+    from scipy.spatial import KDTree
+
+    tree = KDTree(np.concatenate([ray_ends(stock, f)[0] for f in range(3)]))
+    return np.asarray(tree.query(points)[0], np.float64)
 
 
 def _end_poses(stock: Stock, family: int) -> Int[np.ndarray, " end"]:
