@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ..cutter import AbstractCutter
-from ._occupancy import REACH, hat_integral, tied
+from ._occupancy import REACH, hat_integral, nearest_interval, tied
 from ._pose import Pose
 from ._stock import Stock
 
@@ -104,15 +104,8 @@ def _find(stock: Stock, family: int, points: Float[Array, "point 3"]) -> _Near:
     row = cell[0][:, None] + jnp.array([[0, 0, 1, 1]], jnp.int32)
     column = cell[1][:, None] + jnp.array([[0, 1, 0, 1]], jnp.int32)
     around = rays.ends[row, column]
-    low, high = around[..., 0, :], around[..., 1, :]
     x = frozen[:, family, None]
-    inside = jnp.minimum(x[..., None] - low, high - x[..., None])
-    inside = jax.lax.stop_gradient(inside)
-    is_slot = inside == jnp.max(inside, axis=-1, keepdims=True)
-    low = jnp.max(jnp.where(is_slot, low, -jnp.inf), axis=-1)
-    high = jnp.max(jnp.where(is_slot, high, -jnp.inf), axis=-1)
-    slots = jnp.arange(rays.ends.shape[-1], dtype=jnp.int32)[None, None]
-    slot = jnp.max(jnp.where(is_slot, slots, 0), axis=-1)
+    low, high, slot = nearest_interval(around, x)
     is_upper = jax.lax.stop_gradient(high - x < x - low)
     ends = jnp.where(is_upper, high, low)
     lines = [

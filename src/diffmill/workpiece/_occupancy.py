@@ -75,12 +75,13 @@ class Discs(eqx.Module):
         middle of the last disc. The lowest disc ends at the tip: it has no share in
         material below.
         """
-        centers = self.centers(height.dtype)
-        centers = centers.reshape((1,) * height.ndim + (self.count,))
-        share = hat_integral((height[..., None] - centers) / self.height)
+        # Disc by disc: the transpose of a broadcast over so short an axis is slow.
         below_tip = hat_integral(-height / self.height - 0.5)
-        lowest = jnp.where(height > 0, share[..., 0] - below_tip, 0)
-        return share.at[..., 0].set(lowest)
+        shares = [
+            hat_integral(height / self.height - (e + 0.5)) for e in range(self.count)
+        ]
+        shares[0] = jnp.where(height > 0, shares[0] - below_tip, 0)
+        return jnp.stack(shares, axis=-1)
 
 
 def occupancy(
@@ -195,15 +196,8 @@ def _find_walls(
     row = cell[0][..., None] + jnp.array([[[0, 0, 1, 1]]], jnp.int32)
     column = cell[1][..., None] + jnp.array([[[0, 1, 0, 1]]], jnp.int32)
     near = rays.ends[row, column]
-    low, high = near[..., 0, :], near[..., 1, :]
     x = jnp.broadcast_to(frozen(points[..., family]), at_height.shape)[..., None]
-    inside = jnp.minimum(x[..., None] - frozen(low), frozen(high) - x[..., None])
-    # Plain maxima are several times faster than argmax and a lookup.
-    is_slot = inside == jnp.max(inside, axis=-1, keepdims=True)
-    low = jnp.max(jnp.where(is_slot, low, -jnp.inf), axis=-1)
-    high = jnp.max(jnp.where(is_slot, high, -jnp.inf), axis=-1)
-    slots = jnp.arange(rays.ends.shape[-1], dtype=jnp.int32)[None, None, None]
-    slot = jnp.max(jnp.where(is_slot, slots, 0), axis=-1)
+    low, high, slot = nearest_interval(near, x)
     is_upper = frozen(high) - x < x - frozen(low)
     pose = rays.poses[row, column, is_upper.astype(jnp.int32), slot]
     line = row if family == 0 else column
@@ -214,6 +208,36 @@ def _find_walls(
         pose=pose,
         across=stock.origin[side] + stock.spacing * line.astype(points.dtype),
     )
+
+
+def nearest_interval(
+    ends: Float[Array, "*ray 2 slot"], x: Float[Array, "*#ray"]
+) -> tuple[Float[Array, "*ray"], Float[Array, "*ray"], Int[Array, "*ray"]]:
+    """Return the interval of each ray that a coordinate lies in, or is nearest to.
+
+    Args:
+        ends: Lower and upper ends [m], shape (..., 2, slot).
+        x: Coordinate along the ray [m], shape (...), broadcast.
+
+    Returns:
+        Lower end, upper end [m], and the slot, each of shape (...).
+
+    Differentiability: in the ends.
+    """
+    low, high = ends[..., 0, 0], ends[..., 1, 0]
+    slot = jnp.zeros(low.shape, jnp.int32)
+    frozen = jax.lax.stop_gradient
+    best = jnp.minimum(x - frozen(low), frozen(high) - x)
+    # One pass over the slots in one loop: reductions over so short an axis are slow.
+    for m in range(1, ends.shape[-1]):
+        start, stop = ends[..., 0, m], ends[..., 1, m]
+        inside = jnp.minimum(x - frozen(start), frozen(stop) - x)
+        is_nearer = inside > best
+        low = jnp.where(is_nearer, start, low)
+        high = jnp.where(is_nearer, stop, high)
+        slot = jnp.where(is_nearer, m, slot)
+        best = jnp.maximum(best, inside)
+    return low, high, slot
 
 
 def _tie_columns(columns: _Columns, pose_tips: Float[Array, "pose 3"]) -> _Columns:
