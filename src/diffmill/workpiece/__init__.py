@@ -12,6 +12,7 @@ mesh with its sharp edges, and can be compared with an ideal one point by point.
 are read and written in `_files.py` alone.
 """
 
+from ._cloud import TakenPieces as TakenPieces, taken_pieces as taken_pieces
 from ._files import (
     MeshFileError as MeshFileError,
     MeshUnit as MeshUnit,

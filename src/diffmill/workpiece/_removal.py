@@ -183,16 +183,10 @@ def remove_poses(
 
     Differentiability: in the ends of the stock, through the poses.
     """
-    origin, d = stock.origin, stock.spacing
-    dtype = origin.dtype
-    starts, is_beyond = _place(stock, cutter, window, poses[0].frozen())
-    lines = [
-        origin[a]
-        + d * (starts[a] + jnp.arange(window.sizes[a], dtype=jnp.int32)).astype(dtype)
-        for a in range(3)
-    ]
+    starts, lines, is_beyond = window_lines(stock, cutter, window, poses[0].frozen())
+    d = stock.spacing
     has_overflow = jnp.zeros((), bool)
-    volumes = jnp.zeros(indices.shape[0], dtype)
+    volumes = jnp.zeros(indices.shape[0], stock.origin.dtype)
     has_cut = jnp.zeros((), bool)
     families = []
     for f in (0, 1, 2):
@@ -206,6 +200,36 @@ def remove_poses(
         families.append(new)
     new_stock = eqx.tree_at(lambda s: s.families, stock, tuple(families))
     return new_stock, volumes, has_overflow, is_beyond & has_cut
+
+
+def window_lines(
+    stock: Stock, cutter: AbstractCutter, window: RemovalWindow, pose: Pose
+) -> tuple[list[Int[Array, ""]], list[Float[Array, " _"]], Bool[Array, ""]]:
+    """Return where a window around a pose stands.
+
+    Args:
+        stock: The workpiece.
+        cutter: The cutter.
+        window: Size of the window.
+        pose: The pose, without derivative, shape (3,).
+
+    Returns:
+        First grid line on each axis; coordinates of its lines on each axis [m]; and
+        whether the tool reaches beyond it.
+
+    Differentiability: none.
+    """
+    origin, d = stock.origin, stock.spacing
+    starts, is_beyond = _place(stock, cutter, window, pose)
+    lines = [
+        origin[a]
+        + d
+        * (starts[a] + jnp.arange(window.sizes[a], dtype=jnp.int32)).astype(
+            origin.dtype
+        )
+        for a in range(3)
+    ]
+    return starts, lines, is_beyond
 
 
 def _place(
