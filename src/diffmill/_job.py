@@ -30,6 +30,7 @@ class SimulationSettings(eqx.Module):
         axial_depth: Deepest immersion that the discs reach [m].
         precision: "float64" or "float32".
         is_gravity_compensated: Whether the controller lifts the gravity sag.
+        chip: Chip model, "near_far" or "point_cloud" (hard, as in the paper).
     """
 
     angles: int = eqx.field(static=True)
@@ -38,6 +39,9 @@ class SimulationSettings(eqx.Module):
     axial_depth: float = eqx.field(static=True)
     precision: Literal["float64", "float32"] = eqx.field(static=True, default="float64")
     is_gravity_compensated: bool = eqx.field(static=True, default=True)
+    chip: Literal["near_far", "point_cloud"] = eqx.field(
+        static=True, default="near_far"
+    )
 
 
 class CorrectionSettings(eqx.Module):

@@ -102,6 +102,20 @@ def test_defaults_of_the_simulation(write):
     assert settings.precision == "float64"
 
 
+def test_a_job_may_ask_for_the_chip_of_the_paper(write):
+    file = write(("[robot]", '[simulation]\nchip = "point_cloud"\n[robot]'))
+    settings = load_job(file).simulation
+    assert settings.chip == "point_cloud"
+    # Discs as high as the rays are apart.
+    assert settings.element_height == pytest.approx(0.25e-3)
+    assert load_job(write()).simulation.chip == "near_far"
+    file = write(
+        ("[robot]", '[simulation]\nchip = "point_cloud"\n[robot]'),
+        ('helix_angle = "30 deg"', 'runout = "5 um"'),
+    )
+    assert "[simulation] chip" in problems_of(file)[0]
+
+
 def test_exact_number_of_substeps(write):
     # 60 / (15000 * 2) = 2 ms is 4 steps of exactly 0.5 ms.
     job = load_job(write(('"8000 rpm"', '"15000 rpm"')))
@@ -248,6 +262,10 @@ def test_recorded_path(write, tmp_path):
         (
             ("[robot]", "[simulation]\nangles = 190\n[robot]"),
             ("[simulation] angles", "190", "multiple of teeth x substeps"),
+        ),
+        (
+            ("[robot]", '[simulation]\nchip = "dexel"\n[robot]'),
+            ("[simulation] chip", "'dexel'", "'near_far'", "'point_cloud'"),
         ),
         (
             ("[robot]", '[simulation]\nprecision = "double"\n[robot]'),

@@ -85,6 +85,7 @@ class SimulationTable(Table):
     axial_depth: PositiveLength | None = None
     precision: Literal["float64", "float32"] = "float64"
     gravity_compensated: StrictBool = True
+    chip: Literal["near_far", "point_cloud"] = "near_far"
 
 
 class CorrectionTable(Table):

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from .._job import CorrectionSettings, Job, SimulationSettings
 from ..cutter import AbstractCutter
 from ..robot import Robot
+from ..sim import default_element_height
 from ..toolpath import Path, Program
 from ._job_checks import check_rapids, immersion, notes
 from ._job_cutter import make_cutter
@@ -255,14 +256,21 @@ def _simulation(
             f"[simulation] axial_depth: found {table.axial_depth * 1e3:g} mm; at most "
             f"the flute length, {cutter.flute_length * 1e3:g} mm, is allowed"
         )
+    if table.chip == "point_cloud" and not cutter.is_plain:
+        problems.append(
+            '[simulation] chip: found "point_cloud", which a flat cutter with even '
+            'pitch and without run-out is required for; others take "near_far"'
+        )
     if stock is None or path is None:
         return None
     return SimulationSettings(
         angles=angles,
         substeps=substeps,
-        element_height=table.element_height or 3.5 * stock.spacing,
+        element_height=table.element_height
+        or default_element_height(table.chip, stock.spacing),
         axial_depth=table.axial_depth
         or min(immersion(path, cutter, stock) + _ROOM, cutter.flute_length),
         precision=table.precision,
         is_gravity_compensated=table.gravity_compensated,
+        chip=table.chip,
     )

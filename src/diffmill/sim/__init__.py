@@ -3,7 +3,9 @@
 One step is one tooth period. Within it the robot takes linear, implicit midpoint
 sub-steps, and the teeth that pass in a sub-step push it with the force of the chip
 between its tip and the tips one or more periods earlier. Removal lags behind the tool
-by a travelled distance; what is still pending is flushed at the end of a run.
+by a travelled distance; what is still pending is flushed at the end of a run. A second,
+hard chip model, "point_cloud", removes at once and takes the chip's angles from the
+rays that a removal has cut, as the paper does.
 
 Assumes a vertical tool that the bending arm does not tilt, force at the tip, and
 motors that follow their command. A run never raises inside: flags travel with it and
@@ -21,7 +23,12 @@ from ._coupled import (
     CoupledSolution as CoupledSolution,
     simulate_coupled as simulate_coupled,
 )
-from ._plan import ProcessPlan as ProcessPlan, process_plan as process_plan
+from ._plan import (
+    ChipModel as ChipModel,
+    ProcessPlan as ProcessPlan,
+    default_element_height as default_element_height,
+    process_plan as process_plan,
+)
 from ._process_alone import (
     ProcessSolution as ProcessSolution,
     path_depth as path_depth,

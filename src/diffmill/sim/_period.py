@@ -5,6 +5,8 @@ A period has two halves, because a robot moves within it:
 1. `begin_period` takes the pose at the start of the period into the history, removes
    from the stock the poses that the tool has left behind, and samples where along the
    tooth paths of this period there is material.
+   Under the chip model "point_cloud" the pose is removed at once, and what the end of
+   the period takes from the stock says where the teeth cut.
 2. `substep_force` gives the force of one sub-step for an actual pose, from the chip
    between it and the poses one or more tooth periods earlier.
 """
@@ -15,7 +17,7 @@ from jaxtyping import Array, Float, Int
 
 from ..cutter import AbstractCutter
 from ..cutting import AbstractForceLaw
-from ..workpiece import Pose
+from ..workpiece import Pose, repeated
 from ._adjoint import AbstractAdjoint
 from ._history import ProcessState, Removed, remember, remove_due, thinned_poses
 from ._in_space import (
@@ -25,6 +27,7 @@ from ._in_space import (
     profile_elements,
 )
 from ._plan import ProcessPlan
+from ._point_cloud import cloud_engagement, remove_at_once
 from ._upright import upright_chip, upright_engagement, upright_force
 
 
@@ -68,6 +71,12 @@ def begin_period(
     Returns:
         The new state, the engagement of this period, and what was removed.
     """
+    if plan.chip == "point_cloud":
+        state, removed = remove_at_once(plan, cutter, state, index - 1, pose, adjoint)
+        angle, weight = cloud_engagement(plan, cutter, state, pose, predicted)
+        tooth = jnp.arange(cutter.flute_count, dtype=jnp.int32)[None, None]
+        tooth = jnp.broadcast_to(tooth, angle.shape[:3])
+        return state, Engagement(angle, tooth, weight, repeated(pose, (0,))), removed
     state = remember(plan, state, index - 1, pose)
     state, removed = remove_due(plan, cutter, state, adjoint)
     if plan.profile is None:
@@ -112,8 +121,9 @@ def substep_force(
     ends; the edge force changes smoothly there.
     """
     if plan.profile is None:
+        old = _earlier_tips(plan, earlier)
         return upright_force(
-            plan, cutter, law, pose.tip, earlier.tip, thinned.tip, angle, tooth, weight
+            plan, cutter, law, pose.tip, old, thinned.tip, angle, tooth, weight
         )
     return force_in_space(
         plan, cutter, law, bottom_law, pose, earlier, thinned, angle, tooth, weight
@@ -130,8 +140,14 @@ def substep_chip(
 ) -> Float[Array, "angle kept element"]:
     """Return the unclipped chip thickness of one sub-step [m]; see `substep_force`."""
     if plan.profile is None:
-        return upright_chip(plan, cutter, pose.tip, earlier.tip, thinned.tip, angle)[0]
+        old = _earlier_tips(plan, earlier)
+        return upright_chip(plan, cutter, pose.tip, old, thinned.tip, angle)[0]
     return chip_in_space(plan, cutter, pose, earlier, thinned, angle)[0]
+
+
+def _earlier_tips(plan: ProcessPlan, earlier: Pose) -> Float[Array, "tooth 3"]:
+    """Return the tips that bound a chip: for a point cloud only the newest does."""
+    return earlier.tip[:1] if plan.chip == "point_cloud" else earlier.tip
 
 
 def substep_middles(plan: ProcessPlan, dtype: jnp.dtype) -> Float[Array, " substep"]:

@@ -1,6 +1,7 @@
 """How finely the cutting process is computed."""
 
 import math
+from typing import Literal, TypeAlias
 
 import equinox as eqx
 import numpy as np
@@ -14,6 +15,11 @@ _TILT = 0.02
 # Samples per revolution, unless asked for: of a flat cutter that stands upright, and of
 # others, whose samples have to be looked up one by one.
 _ANGLES, _ANGLES_IN_SPACE = 180, 120
+# Where the chip comes from: the circles of earlier poses ("near_far") or the cloud of
+# points that a pose takes from the stock ("point_cloud"), as in the paper.
+ChipModel: TypeAlias = Literal["near_far", "point_cloud"]
+# Heights of a disc in ray spacings; the paper's discs are one ray high.
+_HEIGHT = {"near_far": 3.5, "point_cloud": 1.0}
 # Elements of a corner are shorter than those of a side by this factor: across them
 # the direction of the force changes.
 _CORNER = 0.5
@@ -47,6 +53,7 @@ class ProcessPlan(eqx.Module):
         profile: Edge elements on the bottom, the corner and the side of a cutter in
             space; None for the discs of a flat cutter that stands upright.
         is_upright: Whether the tool stands along +z all the time.
+        chip: The chip model; "point_cloud" removes every pose at once, without lag.
     """
 
     angles: int = eqx.field(static=True)
@@ -56,6 +63,21 @@ class ProcessPlan(eqx.Module):
     lag: float = eqx.field(static=True)
     profile: Profile | None = None
     is_upright: bool = eqx.field(static=True, default=True)
+    chip: ChipModel = eqx.field(static=True, default="near_far")
+
+    def __check_init__(self):
+        """Refuse a point cloud where there are no discs to sort it into."""
+        if self.chip == "point_cloud" and self.profile is not None:
+            raise ValueError(
+                'Argument `chip` must be "near_far" unless the cutter is flat, has '
+                "even teeth without run-out, stands along +z and does not plunge, but "
+                'is "point_cloud".'
+            )
+
+
+def default_element_height(chip: ChipModel, spacing: float) -> float:
+    """Return the height of a disc for a spacing of the rays, both [m]."""
+    return _HEIGHT[chip] * spacing
 
 
 def process_plan(
@@ -69,6 +91,7 @@ def process_plan(
     axes: Float[np.ndarray, "step 3"] | None = None,
     is_upright: bool = True,
     plunges: bool = False,
+    chip: ChipModel = "near_far",
 ) -> ProcessPlan:
     """Choose the sizes of a process.
 
@@ -79,20 +102,28 @@ def process_plan(
         angles: Samples per revolution; raised to a multiple of teeth x substeps.
             At least 180 if not given.
         substeps: Sub-steps per tooth period.
-        element_height: Height of a disc [m]; 3.5 ray spacings if not given.
+        element_height: Height of a disc [m]; if not given 3.5 ray spacings, one for
+            a point cloud.
         axes: Tool axes that will occur, shape (step, 3); used if not upright.
         is_upright: Whether the tool stands along +z all the time.
         plunges: Whether the path descends in material, so that the bottom cuts.
+        chip: The chip model.
 
     Returns:
         The plan.
+
+    Raises:
+        ValueError: A point cloud is asked for, but not of a plain flat cutter that
+            stands upright and does not plunge.
     """
     is_simple = is_upright and cutter.is_plain and not plunges
     unit = cutter.flute_count * substeps
     if angles is None:
         angles = _ANGLES if is_simple else _ANGLES_IN_SPACE
     angles = math.ceil(angles / unit) * unit
-    dz = 3.5 * stock.spacing if element_height is None else float(element_height)
+    if element_height is None:
+        element_height = default_element_height(chip, stock.spacing)
+    dz = float(element_height)
     radius = cutter.nominal_radius
     # Samples on the rim farther apart than the rays must not step over a wall.
     band = 0.5 * max(stock.spacing, radius * 2 * math.pi / angles)
@@ -103,7 +134,7 @@ def process_plan(
         # One more disc than the depth holds: its share rises before it is immersed.
         discs = Discs(max(1, math.ceil(axial_depth / dz + 0.5)), dz, band)
         window = removal_window(stock, cutter, axial_depth, reach)
-        return ProcessPlan(angles, substeps, discs, window, lag)
+        return ProcessPlan(angles, substeps, discs, window, lag, chip=chip)
     if is_upright:
         window = removal_window(stock, cutter, axial_depth, reach)
         profile = _profile(cutter, axial_depth, dz)
@@ -112,7 +143,7 @@ def process_plan(
         window = tilted_window(stock, cutter, axes, axial_depth, reach)
         profile = _tilted_profile(cutter, axes, axial_depth, window.length, dz)
     return ProcessPlan(
-        angles, substeps, Discs(1, dz, band), window, lag, profile, is_upright
+        angles, substeps, Discs(1, dz, band), window, lag, profile, is_upright, chip
     )
 
 

@@ -17,7 +17,7 @@ from ..workpiece import Pose, Stock
 from ._adjoint import AbstractAdjoint, Plain
 from ._history import ProcessState, Removed, end_period, flush, initial_state
 from ._period import begin_period, substep_force, substep_middles
-from ._plan import ProcessPlan, process_plan
+from ._plan import ChipModel, ProcessPlan, process_plan
 
 
 class ProcessSolution(eqx.Module):
@@ -58,6 +58,7 @@ def simulate_process(
     adjoint: AbstractAdjoint | None = None,
     bottom_law: AbstractForceLaw | None = None,
     keeps_instantaneous: bool = False,
+    chip: ChipModel = "near_far",
 ) -> ProcessSolution:
     """Cut along a path, one row per tooth period.
 
@@ -69,7 +70,8 @@ def simulate_process(
         spindle_speed: [rad/s], shape ().
         axes: Tool axis from tip to shank, unit vectors, shape (step, 3); +z if not
             given.
-        plan: Sizes of the process; chosen from the next two if not given.
+        plan: Sizes of the process; chosen from `angles`, `axial_depth` and `chip` if
+            not given.
         angles: Samples of the immersion angle per revolution.
         axial_depth: Deepest immersion of the tip below the top of the stock [m].
             Taken from the path if that is not traced, else the height of the stock
@@ -77,16 +79,21 @@ def simulate_process(
         adjoint: How to differentiate; `Plain()` if not given.
         bottom_law: The law of the bottom edge; derived from `law` if not given.
         keeps_instantaneous: Whether to return the force at every angle sample.
+        chip: The chip model: "near_far" is smooth and accurate; "point_cloud" is the
+            paper's, hard, only for flat cutters that stand upright.
 
     Returns:
         The forces, volumes and the final stock. Check `.result` for an overflow.
 
     Raises:
-        ValueError: An argument has a wrong shape, or an axis is not a unit vector.
+        ValueError: An argument has a wrong shape, an axis is not a unit vector, or a
+            point cloud is asked for where there is none.
 
     Differentiability: in positions, coefficients and diameter, in forward and reverse
     mode, except at the kinks of chips and rays. Under `Traced` the volumes and the
-    stock are constants.
+    stock are constants. With "point_cloud" derivatives exist but are hard: they follow
+    the rays that hold the extreme points between the jumps from ray to ray, and under
+    `Traced` ends that earlier poses cut are constants.
     """
     dtype = stock.origin.dtype
     positions = _rows(positions, "positions", dtype)
@@ -102,6 +109,7 @@ def simulate_process(
             angles=angles,
             axes=axes if isinstance(axes, np.ndarray) else None,
             is_upright=axes is None,
+            chip=chip,
         )
     adjoint = Plain() if adjoint is None else adjoint
     step_count = positions.shape[0]

@@ -160,6 +160,7 @@ def job_plan(job: Job) -> ProcessPlan:
         angles=settings.angles,
         substeps=settings.substeps,
         element_height=settings.element_height,
+        chip=settings.chip,
     )
 
 
