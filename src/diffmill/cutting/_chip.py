@@ -73,7 +73,7 @@ def layer_share(
 def edge_contact(
     chip_thickness: Float[Array, "*sample"],
     feed_per_tooth: Float[Array, ""],
-    angle_step: float,
+    angle_step: float | Float[Array, "*#sample"],
 ) -> Float[Array, "*sample"]:
     """Return whether an edge is in contact, as a smooth step at zero thickness.
 
@@ -83,7 +83,8 @@ def edge_contact(
     Args:
         chip_thickness: Unclipped chip thickness [m], any shape.
         feed_per_tooth: Motion since the tooth before [m], shape ().
-        angle_step: Angle between two samples [rad].
+        angle_step: Angle between two samples [rad], times the sine of the angle between
+            the edge's normal and the axis; broadcast.
 
     Returns:
         0 to 1, same shape; 0 for a tool that stands still.

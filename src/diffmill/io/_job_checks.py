@@ -51,6 +51,10 @@ def notes(stock: StockPlan, path: Path, cutter: AbstractCutter) -> tuple[str, ..
             f"[stock] spacing is {stock.spacing * 1e3:g} mm; above 0.05 of the radius "
             f"({coarse * 1e3:g} mm) forces lose accuracy"
         )
+    if not np.allclose(path.axes, [0.0, 0.0, 1.0], atol=1e-6):
+        notes.append(
+            "the tool axis tilts; rapid moves were checked as if the tool stood upright"
+        )
     depth = immersion(path, cutter, stock)
     if depth > cutter.flute_length:
         notes.append(

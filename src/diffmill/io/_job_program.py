@@ -162,13 +162,6 @@ def time_path(
     except ValueError as error:
         problems.append(f"[program] file: {error}")
         return None
-    if abs(path.axes[:, 2] - 1).max() > 1e-6:
-        row = int(abs(path.axes[:, 2] - 1).argmax())
-        problems.append(
-            f"[program] file: line {int(path.line[row])}: found a tilted tool axis "
-            f"{[float(round(x, 6)) for x in path.axes[row]]}; allowed is 0, 0, 1"
-        )
-        return None
     return path
 
 

@@ -3,6 +3,7 @@
 import pathlib
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -15,6 +16,7 @@ from ..robot import (
     with_drives,
     with_tool,
 )
+from ..sim import tool_frame
 from ..toolpath import Path
 from . import _quantity as q
 from ._job_program import file_in_folder
@@ -156,12 +158,13 @@ def check_reach(
 
     Args:
         robot: The robot with its tool.
-        path: Desired path with a vertical tool.
+        path: Desired path.
         T_base_work: Maps work coordinates to the robot's base, shape (4, 4).
         joint_start: Joint positions to begin from; None for the robot's home.
         problems: Receives what is wrong, the first place of each kind.
     """
     T_work_tool = np.tile(np.eye(4), (path.step_count, 1, 1))
+    T_work_tool[:, :3, :3] = np.asarray(tool_frame(jnp.asarray(path.axes)))
     T_work_tool[:, :3, 3] = path.positions
     Ts = np.asarray(T_base_work @ T_work_tool, dtype=np.dtype(robot.dtype))
     start = robot.home if joint_start is None else joint_start

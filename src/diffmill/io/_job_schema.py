@@ -86,6 +86,7 @@ class SimulationTable(Table):
     precision: Literal["float64", "float32"] = "float64"
     gravity_compensated: StrictBool = True
     chip: Literal["near_far", "point_cloud"] = "near_far"
+    tool_tilt: StrictBool = False
 
 
 class CorrectionTable(Table):

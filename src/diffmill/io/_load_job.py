@@ -12,7 +12,7 @@ from jaxtyping import Float
 from .._job import CorrectionSettings, Job, SimulationSettings
 from ..cutter import AbstractCutter
 from ..robot import Robot
-from ..sim import default_element_height
+from ..sim import default_element_height, descends
 from ..toolpath import Path, Program
 from ._job_checks import check_rapids, immersion, notes
 from ._job_cutter import make_cutter
@@ -29,7 +29,8 @@ from ._job_stock import StockPlan, read_stock
 # Longest sub-step of the robot [s], and the room below the deepest disc [m].
 _SUBSTEP = 0.5e-3
 _ROOM = 0.6e-3
-_FEWEST_ANGLES = 180
+# Samples per revolution: of a flat cutter that stands upright, and of any other.
+_FEWEST_ANGLES, _FEWEST_IN_SPACE = 180, 96
 _LARGEST_JOB = 1_000_000
 
 
@@ -243,9 +244,11 @@ def _simulation(
     period = 2 * math.pi / (speed * cutter.flute_count)
     substeps = table.substeps or max(1, math.ceil(period / _SUBSTEP - 1e-9))
     block = cutter.flute_count * substeps
-    angles = table.angles or block * math.ceil(_FEWEST_ANGLES / block)
+    axes = _axes(path, table)
+    fewest = _FEWEST_ANGLES if cutter.is_plain and not axes else _FEWEST_IN_SPACE
+    angles = table.angles or block * math.ceil(fewest / block)
     if angles % block:
-        lower = max(angles // block, math.ceil(_FEWEST_ANGLES / block)) * block
+        lower = max(angles // block, math.ceil(fewest / block)) * block
         problems.append(
             f"[simulation] angles: found {angles}, but a multiple of teeth x substeps "
             f"({cutter.flute_count} x {substeps} = {block}) is required, such as "
@@ -272,5 +275,19 @@ def _simulation(
         or min(immersion(path, cutter, stock) + _ROOM, cutter.flute_length),
         precision=table.precision,
         is_gravity_compensated=table.gravity_compensated,
+        plunges=descends(path.positions, float(stock.upper[2])),
+        axes=axes,
         chip=table.chip,
     )
+
+
+def _axes(
+    path: Path | None, table: SimulationTable
+) -> tuple[tuple[float, float, float], ...]:
+    """Return the directions of the tool, or none if it stands upright."""
+    if path is None:
+        return ()
+    rows = np.unique(np.round(np.asarray(path.axes), 2), axis=0)
+    if not table.tool_tilt and np.array_equal(rows, [[0.0, 0.0, 1.0]]):
+        return ()
+    return tuple((float(x), float(y), float(z)) for x, y, z in rows)

@@ -23,10 +23,12 @@ from ._coupled import (
     CoupledSolution as CoupledSolution,
     simulate_coupled as simulate_coupled,
 )
+from ._in_space import tool_frame as tool_frame
 from ._plan import (
     ChipModel as ChipModel,
     ProcessPlan as ProcessPlan,
     default_element_height as default_element_height,
+    descends as descends,
     process_plan as process_plan,
 )
 from ._process_alone import (

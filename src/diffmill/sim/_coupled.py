@@ -12,6 +12,8 @@ with the motor angle theta at the middle of the sub-step and the force F of the 
 that pass in it. The midpoint form neither damps nor excites an oscillation.
 """
 
+from typing import TypeAlias
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -24,10 +26,15 @@ from ..cutting import AbstractForceLaw
 from ..robot import Robot, arm_terms
 from ..workpiece import Pose, Stock
 from ._adjoint import AbstractAdjoint
+from ._bottom import BottomEngagement
 from ._history import ProcessState, Removed, end_period, flush, initial_state
 from ._period import Engagement, begin_period, substep_force, substep_middles
 from ._plan import ProcessPlan
 from ._process_alone import outcome, volume_by_pose
+
+
+# Angles, teeth and occupancy of one sub-step, and its bottom edges.
+_Samples: TypeAlias = tuple[Array, Array, Array, BottomEngagement | None]
 
 
 class CoupledSolution(eqx.Module):
@@ -242,18 +249,21 @@ def _run_substeps(
 
     @jax.checkpoint
     def substep(
-        state: tuple[Array, Array], x: tuple[Array, Pose, Array, Array, Array]
+        state: tuple[Array, Array],
+        x: tuple[Array, Pose, _Samples],
     ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         q, v = state
-        theta, earlier, *cuts = x
+        theta, earlier, samples = x
         tip = arm.pose.tip + arm.jacobian @ (q + h / 2 * v - q0)
         pose = Pose(tip, arm.pose.axis)
-        samples = substep_force(plan, cutter, *laws, pose, earlier, cut.thinned, *cuts)
-        F = jnp.mean(samples, axis=0)
+        forces = substep_force(
+            plan, cutter, *laws, pose, earlier, cut.thinned, *samples
+        )
+        F = jnp.mean(forces, axis=0)
         tau = K * (theta - q - h / 2 * v) + D * (rate - v) - arm.bias
         dv = arm.inverse @ (h * (tau + arm.jacobian.T @ F))
         return (q + h * (v + dv / 2), v + dv), (tip, F)
 
     earlier = jax.tree.map(lambda x: jnp.moveaxis(x, 0, 1), process.recent)
-    xs = (targets, earlier, cut.angle, cut.tooth, cut.occupancy)
+    xs = (targets, earlier, (cut.angle, cut.tooth, cut.occupancy, cut.bottom))
     return jax.lax.scan(substep, start, xs)

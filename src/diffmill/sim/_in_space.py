@@ -24,11 +24,12 @@ from ..cutter import AbstractCutter, EdgeElements
 from ..cutting import AbstractForceLaw, edge_contact, safe_norm
 from ..workpiece import Pose, occupancy_in_space
 from ._adjoint import AbstractAdjoint
+from ._bottom import RAMP
 from ._history import ProcessState
 from ._plan import ProcessPlan
 
-# Slope of descent at which half of the bottom edge rubs.
-_RAMP = 5e-3
+# Elements nearer to the axis than this share of the radius count as standing there.
+_LEAST_SINE = 0.02
 
 
 def tool_frame(axis: Float[Array, "*pose 3"]) -> Float[Array, "*pose 3 3"]:
@@ -54,9 +55,9 @@ def engagement_in_space(
     predicted: Pose,
     adjoint: AbstractAdjoint,
 ) -> tuple[
-    Float[Array, "substep angle tooth element"],
-    Int[Array, "substep angle tooth"],
-    Float[Array, "substep angle tooth element"],
+    Float[Array, "substep angle kept element"],
+    Int[Array, "substep angle kept element"],
+    Float[Array, "substep angle kept element"],
 ]:
     """Return where the edge elements of a period are, and whether in material.
 
@@ -71,9 +72,14 @@ def engagement_in_space(
         Immersion angles [rad], the tooth of each, and occupancy.
     """
     elements = profile_elements(plan, cutter, predicted.tip.dtype)
-    angle = _angles(plan, cutter, elements)
+    angle, tooth = _leading(plan, cutter, elements, state, predicted)
     place = jax.vmap(lambda p, phi: _edge(cutter, elements, p, phi))
     points, _, along = place(predicted, angle)
+    # The layer on a bottom edge may be thin: its point is looked up a little below.
+    is_bottom = jnp.arange(elements.height.size, dtype=jnp.int32)
+    is_bottom = (is_bottom < elements.bottom_count)[None, None, None, :, None]
+    down = plan.discs.band * predicted.direction()[:, None, None, None]
+    points = jnp.where(is_bottom, points - down, points)
     extent = elements.width[None, None, None, :, None] * along
     weight = occupancy_in_space(
         state.stock,
@@ -83,8 +89,45 @@ def engagement_in_space(
         cutter,
         adjoint.table(state.poses),
     )
-    tooth = jnp.arange(cutter.flute_count, dtype=jnp.int32)[None, None]
-    return angle, jnp.broadcast_to(tooth, angle.shape[:3]), weight.reshape(angle.shape)
+    return angle, tooth, weight.reshape(angle.shape)
+
+
+def _leading(
+    plan: ProcessPlan,
+    cutter: AbstractCutter,
+    elements: EdgeElements,
+    state: ProcessState,
+    predicted: Pose,
+) -> tuple[
+    Float[Array, "substep angle kept element"], Int[Array, "substep angle kept element"]
+]:
+    """Return the angles of the elements that can cut, and the tooth of each.
+
+    Of evenly spaced teeth only half can be on the leading side, where the normal points
+    the way that the tool moves, unless it descends.
+    """
+    angle = _angles(plan, cutter, elements)
+    count = cutter.flute_count
+    teeth = jnp.arange(count, dtype=jnp.int32)[None, None, :, None]
+    teeth = jnp.broadcast_to(teeth, angle.shape)
+    profile = plan.profile
+    keeps_all = profile is None or profile.keeps_all or not cutter.has_even_pitch
+    kept = count if keeps_all else (count + 1) // 2
+    if kept == count:
+        return angle, teeth
+    frozen = jax.lax.stop_gradient
+    motion = frozen(predicted.tip - state.recent.tip[0])
+    frames = tool_frame(frozen(predicted.direction()))
+    x, y, z = (
+        jnp.sum(motion * frames[..., i], axis=-1)[:, None, None, None] for i in range(3)
+    )
+    sin_kappa, cos_kappa = (
+        frozen(v)[None, None, None] for v in (elements.sin_kappa, elements.cos_kappa)
+    )
+    phi = frozen(angle)
+    lead = sin_kappa * (jnp.sin(phi) * x + jnp.cos(phi) * y) - cos_kappa * z
+    order = jnp.argsort(lead, axis=2, descending=True)[:, :, :kept]
+    return jnp.take_along_axis(angle, order, axis=2), order.astype(jnp.int32)
 
 
 def force_in_space(
@@ -95,9 +138,9 @@ def force_in_space(
     pose: Pose,
     earlier: Pose,
     thinned: Pose,
-    angle: Float[Array, "angle tooth element"],
-    tooth: Int[Array, "angle tooth"],
-    weight: Float[Array, "angle tooth element"],
+    angle: Float[Array, "angle kept element"],
+    tooth: Int[Array, "angle kept element"],
+    weight: Float[Array, "angle kept element"],
 ) -> Float[Array, "angle 3"]:
     """Return the force on the tool at the angles of one sub-step.
 
@@ -107,21 +150,22 @@ def force_in_space(
     Args and returns: see `substep_force`.
     """
     elements = profile_elements(plan, cutter, angle.dtype)
-    chip, feed = chip_in_space(plan, cutter, pose, earlier, thinned, angle)
-    touch = edge_contact(chip, feed, 2 * math.pi / plan.angles)
+    chip, feed = chip_in_space(plan, cutter, pose, earlier, thinned, angle, tooth)
+    # From one sample to the next, the chip of an element changes by its share of this.
+    steps = 2 * math.pi / plan.angles * jnp.maximum(elements.sin_kappa, _LEAST_SINE)
+    touch = edge_contact(chip, feed, steps[None, None])
     n = elements.bottom_count
     if n > 0:
         # The bottom of a tool that does not descend must not rub.
-        least = chip[..., :n] - _RAMP * feed
-        touch = touch.at[..., :n].set(edge_contact(least, feed, _RAMP))
+        least = chip[..., :n] - RAMP * feed
+        touch = touch.at[..., :n].set(edge_contact(least, feed, RAMP))
     h = jax.lax.clamp(0.0, chip, cutter.nominal_radius)
-    teeth = jnp.broadcast_to(tooth[..., None], h.shape)
     parts = []
     if n > 0:
         bottom = law.for_bottom() if bottom_law is None else bottom_law
-        parts.append(bottom.force_per_width(h[..., :n], touch[..., :n], teeth[..., :n]))
+        parts.append(bottom.force_per_width(h[..., :n], touch[..., :n], tooth[..., :n]))
     if n < h.shape[-1]:
-        parts.append(law.force_per_width(h[..., n:], touch[..., n:], teeth[..., n:]))
+        parts.append(law.force_per_width(h[..., n:], touch[..., n:], tooth[..., n:]))
     F_t, F_r, F_a = (jnp.concatenate(f, axis=-1) for f in zip(*parts, strict=True))
     width, sin_kappa, cos_kappa = (
         x[None, None] for x in (elements.width, elements.sin_kappa, elements.cos_kappa)
@@ -150,8 +194,9 @@ def chip_in_space(
     pose: Pose,
     earlier: Pose,
     thinned: Pose,
-    angle: Float[Array, "angle tooth element"],
-) -> tuple[Float[Array, "angle tooth element"], Float[Array, ""]]:
+    angle: Float[Array, "angle kept element"],
+    tooth: Int[Array, "angle kept element"],
+) -> tuple[Float[Array, "angle kept element"], Float[Array, ""]]:
     """Return the unclipped chip thickness and the feed per tooth, both [m].
 
     Args: see `substep_force`.
@@ -165,15 +210,17 @@ def chip_in_space(
     descent = jnp.full_like(angle[..., :n], nothing)
     covered = jnp.zeros(descent.shape, bool)
     for k in range(1, cutter.flute_count + 1):
-        old = _delayed(cutter, pose, earlier, k)
+        old = _delayed(cutter, pose, earlier, k, tooth)
         # Both teeth stand out by their run-out: what one takes the next does not find.
-        ahead = offsets - jnp.roll(offsets, -k)
-        ahead = ahead[None, :, None] * elements.sin_kappa[None, None, n:]
+        ahead = (offsets - jnp.roll(offsets, -k))[tooth[..., n:]]
+        ahead = ahead * elements.sin_kappa[None, None, n:]
+        sides = old if old.tip.shape[2] == 1 else old[:, :, n:]
         chip = chip.at[..., n:].min(
-            _walk(cutter, points[..., n:, :], normals[..., n:, :], old, 2) + ahead
+            _walk(cutter, points[..., n:, :], normals[..., n:, :], sides, 2) + ahead
         )
         if n > 0:
-            down, is_under = _descent(cutter, points[..., :n, :], old)
+            ends = old if old.tip.shape[2] == 1 else old[:, :, :n]
+            down, is_under = _descent(cutter, points[..., :n, :], ends)
             covered = is_under if k == 1 else covered
             descent = jnp.minimum(descent, jnp.where(is_under, down, nothing))
     for i in range(thinned.tip.shape[0]):
@@ -188,11 +235,11 @@ def chip_in_space(
 
 def _walk(
     cutter: AbstractCutter,
-    points: Float[Array, "angle tooth element 3"],
-    normals: Float[Array, "angle tooth element 3"],
+    points: Float[Array, "angle kept element 3"],
+    normals: Float[Array, "angle kept element 3"],
     old: Pose,
     count: int,
-) -> Float[Array, "angle tooth element"]:
+) -> Float[Array, "angle kept element"]:
     """Return how far an earlier pose's surface lies inward of points on the edge."""
     h = cutter.level(points, old.tip, old.direction())
     for _ in range(count - 1):
@@ -202,9 +249,9 @@ def _walk(
 
 def _descent(
     cutter: AbstractCutter,
-    points: Float[Array, "angle tooth element 3"],
+    points: Float[Array, "angle kept element 3"],
     old: Pose,
-) -> tuple[Float[Array, "angle tooth element"], Array]:
+) -> tuple[Float[Array, "angle kept element"], Array]:
     """Return how far points lie below an earlier pose's end, and whether under it."""
     axis = old.direction()
     away = points - old.tip
@@ -214,13 +261,19 @@ def _descent(
     return -up, jax.lax.stop_gradient(across) < flat**2
 
 
-def _delayed(cutter: AbstractCutter, pose: Pose, earlier: Pose, k: int) -> Pose:
-    """Return the poses when the k-th tooth before each tooth passed, by tooth.
+def _delayed(
+    cutter: AbstractCutter,
+    pose: Pose,
+    earlier: Pose,
+    k: int,
+    tooth: Int[Array, "angle kept element"],
+) -> Pose:
+    """Return the poses when the k-th tooth before each tooth passed.
 
-    The result broadcasts against (angle, tooth, element, 3).
+    The result broadcasts against (angle, kept, element, 3).
     """
     if cutter.has_even_pitch:
-        return jax.tree.map(lambda x: x[k - 1][None, None, None], earlier)
+        return earlier[k - 1][None, None, None]
     pitch = jnp.asarray(cutter.pitch_angles, pose.tip.dtype)
     ahead = jnp.mod(jnp.roll(pitch, -k) - pitch, 2 * math.pi)
     ahead = jnp.where(ahead < 1e-9, 2 * math.pi, ahead)
@@ -229,7 +282,7 @@ def _delayed(cutter: AbstractCutter, pose: Pose, earlier: Pose, k: int) -> Pose:
     share = (delay - low.astype(delay.dtype))[:, None]
     both = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), pose, earlier)
     return jax.tree.map(
-        lambda x: ((1 - share) * x[low] + share * x[low + 1])[None, :, None], both
+        lambda x: ((1 - share) * x[low] + share * x[low + 1])[tooth], both
     )
 
 
@@ -268,11 +321,11 @@ def _edge(
     cutter: AbstractCutter,
     elements: EdgeElements,
     pose: Pose,
-    angle: Float[Array, "angle tooth element"],
+    angle: Float[Array, "angle kept element"],
 ) -> tuple[
-    Float[Array, "angle tooth element 3"],
-    Float[Array, "angle tooth element 3"],
-    Float[Array, "angle tooth element 3"],
+    Float[Array, "angle kept element 3"],
+    Float[Array, "angle kept element 3"],
+    Float[Array, "angle kept element 3"],
 ]:
     """Return points on the edge, outward normals, and directions along the profile.
 

@@ -19,6 +19,7 @@ from ..cutter import AbstractCutter
 from ..cutting import AbstractForceLaw
 from ..workpiece import Pose, repeated
 from ._adjoint import AbstractAdjoint
+from ._bottom import BottomEngagement, bottom_engagement, bottom_force
 from ._history import ProcessState, Removed, remember, remove_due, thinned_poses
 from ._in_space import (
     chip_in_space,
@@ -37,15 +38,17 @@ class Engagement(eqx.Module):
     Attributes:
         angle: Immersion angle of the samples [rad], shape (substep, angle, kept,
             disc); the axis disc has length 1 if all elements share their angles.
-        tooth: The tooth of each sample, shape (substep, angle, kept).
+        tooth: The tooth of each sample, as `angle`.
         occupancy: 0 to 1, shape (substep, angle, kept, element).
         thinned: Some older poses, shape (circle, 3).
+        bottom: The bottom edges of an upright flat cutter, if its path descends.
     """
 
     angle: Float[Array, "substep angle kept disc"]
-    tooth: Int[Array, "substep angle kept"]
+    tooth: Int[Array, "substep angle kept disc"]
     occupancy: Float[Array, "substep angle kept element"]
     thinned: Pose
+    bottom: BottomEngagement | None = None
 
 
 def begin_period(
@@ -74,16 +77,22 @@ def begin_period(
     if plan.chip == "point_cloud":
         state, removed = remove_at_once(plan, cutter, state, index - 1, pose, adjoint)
         angle, weight = cloud_engagement(plan, cutter, state, pose, predicted)
-        tooth = jnp.arange(cutter.flute_count, dtype=jnp.int32)[None, None]
-        tooth = jnp.broadcast_to(tooth, angle.shape[:3])
-        return state, Engagement(angle, tooth, weight, repeated(pose, (0,))), removed
+        tooth = jnp.arange(cutter.flute_count, dtype=jnp.int32)[None, None, :, None]
+        tooth = jnp.broadcast_to(tooth, angle.shape)
+        none = repeated(pose, (0,))
+        return state, Engagement(angle, tooth, weight, none, None), removed
     state = remember(plan, state, index - 1, pose)
     state, removed = remove_due(plan, cutter, state, adjoint)
     if plan.profile is None:
         found = upright_engagement(plan, cutter, state, predicted.tip, adjoint)
     else:
         found = engagement_in_space(plan, cutter, state, predicted, adjoint)
-    return state, Engagement(*found, thinned_poses(plan, state)), removed
+    bottom = None
+    if plan.bottom > 0:
+        bottom = bottom_engagement(
+            plan, cutter, state.stock, predicted.tip, state.recent.tip[0]
+        )
+    return state, Engagement(*found, thinned_poses(plan, state), bottom), removed
 
 
 def substep_force(
@@ -95,8 +104,9 @@ def substep_force(
     earlier: Pose,
     thinned: Pose,
     angle: Float[Array, "angle kept disc"],
-    tooth: Int[Array, "angle kept"],
+    tooth: Int[Array, "angle kept disc"],
     weight: Float[Array, "angle kept element"],
+    bottom: BottomEngagement | None,
 ) -> Float[Array, "angle 3"]:
     """Return the force on the tool at the angles of one sub-step.
 
@@ -110,8 +120,9 @@ def substep_force(
             (tooth, 3).
         thinned: Older poses, shape (circle, 3).
         angle: Immersion angles [rad], shape (angle, kept, disc).
-        tooth: The tooth at each of them, shape (angle, kept).
+        tooth: The tooth at each of them, as `angle`.
         weight: Occupancy at these angles, shape (angle, kept, element).
+        bottom: The engagement of the bottom edges in this sub-step, if there is one.
 
     Returns:
         Force on the tool in `work` [N], shape (angle, 3); its mean is the force of
@@ -122,9 +133,15 @@ def substep_force(
     """
     if plan.profile is None:
         old = _earlier_tips(plan, earlier)
-        return upright_force(
+        force = upright_force(
             plan, cutter, law, pose.tip, old, thinned.tip, angle, tooth, weight
         )
+        if bottom is not None:
+            under = law.for_bottom() if bottom_law is None else bottom_law
+            force = force + bottom_force(
+                plan, cutter, under, pose.tip, earlier.tip, bottom
+            )
+        return force
     return force_in_space(
         plan, cutter, law, bottom_law, pose, earlier, thinned, angle, tooth, weight
     )
@@ -137,12 +154,13 @@ def substep_chip(
     earlier: Pose,
     thinned: Pose,
     angle: Float[Array, "angle kept disc"],
+    tooth: Int[Array, "angle kept disc"],
 ) -> Float[Array, "angle kept element"]:
     """Return the unclipped chip thickness of one sub-step [m]; see `substep_force`."""
     if plan.profile is None:
         old = _earlier_tips(plan, earlier)
         return upright_chip(plan, cutter, pose.tip, old, thinned.tip, angle)[0]
-    return chip_in_space(plan, cutter, pose, earlier, thinned, angle)[0]
+    return chip_in_space(plan, cutter, pose, earlier, thinned, angle, tooth)[0]
 
 
 def _earlier_tips(plan: ProcessPlan, earlier: Pose) -> Float[Array, "tooth 3"]:

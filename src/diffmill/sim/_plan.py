@@ -7,6 +7,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from .._types import FloatRows3
 from ..cutter import AbstractCutter
 from ..workpiece import Discs, RemovalWindow, Stock, removal_window, tilted_window
 
@@ -14,12 +15,16 @@ from ..workpiece import Discs, RemovalWindow, Stock, removal_window, tilted_wind
 _TILT = 0.02
 # Samples per revolution, unless asked for: of a flat cutter that stands upright, and of
 # others, whose samples have to be looked up one by one.
-_ANGLES, _ANGLES_IN_SPACE = 180, 120
+_ANGLES, _ANGLES_IN_SPACE = 180, 96
 # Where the chip comes from: the circles of earlier poses ("near_far") or the cloud of
 # points that a pose takes from the stock ("point_cloud"), as in the paper.
 ChipModel: TypeAlias = Literal["near_far", "point_cloud"]
 # Heights of a disc in ray spacings; the paper's discs are one ray high.
 _HEIGHT = {"near_far": 3.5, "point_cloud": 1.0}
+# Annuli of the bottom edge of an upright flat cutter.
+_ANNULI = 4
+# Steeper descent than this cuts with the bottom.
+_DESCENT = 0.01
 # Elements of a corner are shorter than those of a side by this factor: across them
 # the direction of the force changes.
 _CORNER = 0.5
@@ -33,12 +38,15 @@ class Profile(eqx.Module):
         corner: Elements of the corner.
         side: Elements of the side.
         corner_limit: Angle of the corner up to which they reach [rad].
+        keeps_all: Whether all teeth are looked at all the time, since they cut on the
+            trailing side too.
     """
 
     bottom: int = eqx.field(static=True)
     corner: int = eqx.field(static=True)
     side: int = eqx.field(static=True)
     corner_limit: float = eqx.field(static=True)
+    keeps_all: bool = eqx.field(static=True)
 
 
 class ProcessPlan(eqx.Module):
@@ -54,6 +62,8 @@ class ProcessPlan(eqx.Module):
             space; None for the discs of a flat cutter that stands upright.
         is_upright: Whether the tool stands along +z all the time.
         chip: The chip model; "point_cloud" removes every pose at once, without lag.
+        bottom: Annuli of the bottom edge of a flat cutter that stands upright; 0 where
+            its path does not descend in material.
     """
 
     angles: int = eqx.field(static=True)
@@ -64,6 +74,7 @@ class ProcessPlan(eqx.Module):
     profile: Profile | None = None
     is_upright: bool = eqx.field(static=True, default=True)
     chip: ChipModel = eqx.field(static=True, default="near_far")
+    bottom: int = eqx.field(static=True, default=0)
 
     def __check_init__(self):
         """Refuse a point cloud where there are no discs to sort it into."""
@@ -73,6 +84,22 @@ class ProcessPlan(eqx.Module):
                 "even teeth without run-out, stands along +z and does not plunge, but "
                 'is "point_cloud".'
             )
+
+
+def descends(positions: FloatRows3, top: float) -> bool:
+    """Return whether a path descends below the top of the stock with its end ahead.
+
+    Args:
+        positions: Tool tip in `work` [m], shape (step, 3), on the host.
+        top: Upper face of the stock [m].
+
+    Returns:
+        Whether a step below the top descends by more than 1 % of its length.
+    """
+    rows = np.asarray(positions)
+    steps = np.diff(rows, axis=0)
+    falls = -steps[:, 2] > _DESCENT * np.linalg.norm(steps, axis=1)
+    return bool(np.any(falls & (rows[1:, 2] < top)))
 
 
 def default_element_height(chip: ChipModel, spacing: float) -> float:
@@ -116,7 +143,7 @@ def process_plan(
         ValueError: A point cloud is asked for, but not of a plain flat cutter that
             stands upright and does not plunge.
     """
-    is_simple = is_upright and cutter.is_plain and not plunges
+    is_simple = is_upright and cutter.is_plain
     unit = cutter.flute_count * substeps
     if angles is None:
         angles = _ANGLES if is_simple else _ANGLES_IN_SPACE
@@ -134,14 +161,17 @@ def process_plan(
         # One more disc than the depth holds: its share rises before it is immersed.
         discs = Discs(max(1, math.ceil(axial_depth / dz + 0.5)), dz, band)
         window = removal_window(stock, cutter, axial_depth, reach)
-        return ProcessPlan(angles, substeps, discs, window, lag, chip=chip)
+        bottom = _ANNULI if plunges and chip == "near_far" else 0
+        return ProcessPlan(
+            angles, substeps, discs, window, lag, chip=chip, bottom=bottom
+        )
     if is_upright:
         window = removal_window(stock, cutter, axial_depth, reach)
-        profile = _profile(cutter, axial_depth, dz)
+        profile = _profile(cutter, axial_depth, dz, plunges)
     else:
         axes = _tilted(axes)
         window = tilted_window(stock, cutter, axes, axial_depth, reach)
-        profile = _tilted_profile(cutter, axes, axial_depth, window.length, dz)
+        profile = _tilted_profile(cutter, axes, axial_depth, window.length, dz, plunges)
     return ProcessPlan(
         angles, substeps, Discs(1, dz, band), window, lag, profile, is_upright, chip
     )
@@ -165,6 +195,7 @@ def _tilted_profile(
     axial_depth: float,
     length: float,
     dz: float,
+    plunges: bool,
 ) -> Profile:
     """Choose the edge elements of a tool that leans."""
     least = 0.0 if axes is None else float(axes[:, 2].min())
@@ -172,10 +203,12 @@ def _tilted_profile(
         # The rim's lowest point sinks by R sin(tilt) below the middle of its disc.
         sink = cutter.nominal_radius * math.sqrt(1 - least**2)
         length = min(length, (axial_depth + sink) / least)
-    return _profile(cutter, length, dz)
+    return _profile(cutter, length, dz, plunges)
 
 
-def _profile(cutter: AbstractCutter, length: float, dz: float) -> Profile:
+def _profile(
+    cutter: AbstractCutter, length: float, dz: float, plunges: bool
+) -> Profile:
     """Choose the edge elements that reach a length above the tip."""
     R, rc = cutter.nominal_radius, cutter.nominal_corner_radius
     highest = min(length, cutter.flute_length) + dz / 2
@@ -186,4 +219,6 @@ def _profile(cutter: AbstractCutter, length: float, dz: float) -> Profile:
         corner=max(3, math.ceil(rc * limit / (_CORNER * dz))) if rc > 0 else 0,
         side=max(0, math.ceil((highest - rc) / dz)),
         corner_limit=limit,
+        # Near the axis of a round end every tooth rubs all the way round.
+        keeps_all=plunges or rc > 0,
     )

@@ -33,6 +33,8 @@ from ._upright import immersion_angles
 
 # Overlaps and distances below this share of a spacing, or of the radius, are rounding.
 _TINY = 1e-6
+# The turn that is straight behind.
+_BEHIND = 2.0
 # Share of a disc's height in the material that a column must fill to count in it.
 _FILLS = 0.5
 
@@ -54,16 +56,16 @@ class Arcs(eqx.Module):
 
 
 class _Columns(eqx.Module):
-    """Taken columns: angle to each, and its ends above the tip."""
+    """Taken columns: turn to each, and its ends above the tip."""
 
-    angle: Float[Array, "x y"]
+    turn: Float[Array, "x y"]
     low: Float[Array, "x y"]
     high: Float[Array, "x y"]
     is_taken: Bool[Array, "x y"]
 
 
 class _Rows(eqx.Module):
-    """Extreme angles in each row of rays across the tool, and its height."""
+    """Extreme turns in each row of rays across the tool, and its height."""
 
     least: Float[Array, " row"]
     most: Float[Array, " row"]
@@ -197,28 +199,42 @@ def chip_arcs(
     is_column = columns.is_taken[..., None] & (filled >= needed[None, None])
     is_column = is_column & (needed > 0)[None, None]
     entry = jnp.minimum(
-        jnp.min(rows.least[:, None], axis=0, where=is_row, initial=math.pi),
-        jnp.min(columns.angle[..., None], (0, 1), where=is_column, initial=math.pi),
+        jnp.min(rows.least[:, None], axis=0, where=is_row, initial=_BEHIND),
+        jnp.min(columns.turn[..., None], (0, 1), where=is_column, initial=_BEHIND),
     )
     exit = jnp.maximum(
-        jnp.max(rows.most[:, None], axis=0, where=is_row, initial=-math.pi),
-        jnp.max(columns.angle[..., None], (0, 1), where=is_column, initial=-math.pi),
+        jnp.max(rows.most[:, None], axis=0, where=is_row, initial=-_BEHIND),
+        jnp.max(columns.turn[..., None], (0, 1), where=is_column, initial=-_BEHIND),
     )
-    return Arcs(heading, entry, exit, share)
+    return Arcs(heading, _angle_of(entry), _angle_of(exit), share)
 
 
-def _seen(
+def _turn(
     x: Float[Array, "*point"],
     y: Float[Array, "*point"],
     is_point: Bool[Array, "*point"],
     heading: Float[Array, ""],
 ) -> Float[Array, "*point"]:
-    """Return the angle from the heading, clockwise, to points given from the axis."""
+    """Return how far points given from the axis are turned from the heading.
+
+    From 0 ahead clockwise to 2 behind, and to -2 the other way: it grows with the
+    angle, so that it has its extremes at the same points, and needs no arctangent.
+    """
     # On the axis there is no angle, nor a derivative.
     is_seen = is_point & (jax.lax.stop_gradient(x**2 + y**2) > 0)
     x, y = jnp.where(is_seen, x, 0.0), jnp.where(is_seen, y, 1.0)
     sin, cos = jnp.sin(heading), jnp.cos(heading)
-    return jnp.arctan2(x * cos - y * sin, x * sin + y * cos)
+    across, ahead = x * cos - y * sin, x * sin + y * cos
+    turn = 1 - ahead / (jnp.abs(across) + jnp.abs(ahead))
+    return jnp.where(across < 0, -turn, turn)
+
+
+def _angle_of(turn: Float[Array, " element"]) -> Float[Array, " element"]:
+    """Return the angle of a turn [rad]."""
+    ahead = 1 - jnp.abs(turn)
+    across = 1 - jnp.abs(ahead)
+    # Straight ahead an absolute value has no slope of its own.
+    return jnp.arctan2(jnp.where(turn < 0, -across, across), ahead)
 
 
 def _rows(
@@ -228,7 +244,7 @@ def _rows(
     heading: Float[Array, ""],
     floor: Float[Array, ""],
 ) -> _Rows:
-    """Return the extreme angles of the rays across the tool, row by row."""
+    """Return the extreme turns of the rays across the tool, row by row."""
     height = along_x.c - tip[2]
     # Lower rows were under the tool before: the bottom's to cut.
     is_side = height > floor
@@ -242,9 +258,9 @@ def _rows(
                 x, y = (pieces.c - tip[0])[:, None], end.T - tip[1]
                 is_taken = pieces.is_taken.T
             x, y = jnp.broadcast_arrays(x, y)
-            angle = _seen(x, y, is_taken, heading)
-            least.append(jnp.min(angle, axis=0, where=is_taken, initial=math.pi))
-            most.append(jnp.max(angle, axis=0, where=is_taken, initial=-math.pi))
+            turn = _turn(x, y, is_taken, heading)
+            least.append(jnp.min(turn, axis=0, where=is_taken, initial=_BEHIND))
+            most.append(jnp.max(turn, axis=0, where=is_taken, initial=-_BEHIND))
     is_met = jnp.any(along_x.is_taken, axis=0) | jnp.any(along_y.is_taken, axis=1)
     return _Rows(
         jnp.min(jnp.stack(least), axis=0),
@@ -267,7 +283,7 @@ def _columns(
     away = jax.lax.stop_gradient(away)
     is_taken = along_z.is_taken & (away > ((1 - _TINY) * cutter.nominal_radius) ** 2)
     return _Columns(
-        _seen(x - tip[0], y - tip[1], is_taken, heading),
+        _turn(x - tip[0], y - tip[1], is_taken, heading),
         along_z.low - tip[2],
         along_z.high - tip[2],
         is_taken,

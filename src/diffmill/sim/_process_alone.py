@@ -17,7 +17,7 @@ from ..workpiece import Pose, Stock
 from ._adjoint import AbstractAdjoint, Plain
 from ._history import ProcessState, Removed, end_period, flush, initial_state
 from ._period import begin_period, substep_force, substep_middles
-from ._plan import ChipModel, ProcessPlan, process_plan
+from ._plan import ChipModel, ProcessPlan, descends, process_plan
 
 
 class ProcessSolution(eqx.Module):
@@ -96,6 +96,7 @@ def simulate_process(
     `Traced` ends that earlier poses cut are constants.
     """
     dtype = stock.origin.dtype
+    is_traced = isinstance(positions, jax.core.Tracer)
     positions = _rows(positions, "positions", dtype)
     axes = _directions(axes, positions.shape[0], dtype)
     if plan is None:
@@ -109,6 +110,7 @@ def simulate_process(
             angles=angles,
             axes=axes if isinstance(axes, np.ndarray) else None,
             is_upright=axes is None,
+            plunges=is_traced or descends(positions, stock.top),
             chip=chip,
         )
     adjoint = Plain() if adjoint is None else adjoint
@@ -127,8 +129,10 @@ def simulate_process(
             lambda pose, earlier, *samples: substep_force(
                 plan, cutter, law, bottom_law, pose, earlier, cut.thinned, *samples
             ),
-            in_axes=(0, 1, 0, 0, 0),
-        )(poses, state.recent, cut.angle, cut.tooth, cut.occupancy).reshape(-1, 3)
+            in_axes=(0, 1, 0, 0, 0, 0),
+        )(poses, state.recent, cut.angle, cut.tooth, cut.occupancy, cut.bottom).reshape(
+            -1, 3
+        )
         state = end_period(state, poses)
         kept = samples if keeps_instantaneous else None
         bad = state.has_overflow | state.is_beyond

@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.core
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._job import Job
@@ -17,6 +18,7 @@ from ..toolpath import contour_error
 from ..workpiece import Stock
 from ._adjoint import AbstractAdjoint, Plain
 from ._coupled import CoupledSolution, simulate_coupled
+from ._in_space import tool_frame
 from ._plan import ProcessPlan, process_plan
 from ._process_alone import ProcessSolution, simulate_process
 
@@ -160,6 +162,9 @@ def job_plan(job: Job) -> ProcessPlan:
         angles=settings.angles,
         substeps=settings.substeps,
         element_height=settings.element_height,
+        axes=np.array(settings.axes) if settings.axes else None,
+        is_upright=not settings.axes,
+        plunges=settings.plunges,
         chip=settings.chip,
     )
 
@@ -173,6 +178,7 @@ def rigid_cut(job: Job, adjoint: AbstractAdjoint) -> ProcessSolution:
         job.cutter,
         job.law,
         job.spindle_speed,
+        _axes(job),
         plan=job_plan(job),
         adjoint=adjoint,
         bottom_law=job.bottom_law,
@@ -213,6 +219,7 @@ def solve_command(
             job.cutter,
             job.law,
             job.spindle_speed,
+            _axes(job),
             plan=job_plan(job),
             adjoint=adjoint,
             bottom_law=job.bottom_law,
@@ -266,12 +273,17 @@ def run_motors(
     )
 
 
+def _axes(job: Job) -> Float[Array, "step 3"] | None:
+    """Return the tool axes of the path, or None if the tool stands upright."""
+    return jnp.asarray(job.path.axes) if job.simulation.axes else None
+
+
 def command_joints(
     job: Job, commanded: Float[Array, "step 3"]
 ) -> tuple[Float[Array, "step joint"], Bool[Array, ""]]:
     """Return the joint positions of tip positions, and whether all are reached.
 
-    The tool axis stays along +z of `work`, tool x along x.
+    The tool axis is the path's, tool x as near to x of `work` as that allows.
     """
     robot = job.robot
     if robot is None:
@@ -279,6 +291,10 @@ def command_joints(
     T_base_work = jnp.asarray(job.T_base_work)
     tips = commanded @ T_base_work[:3, :3].T + T_base_work[:3, 3][None]
     Ts = jnp.broadcast_to(T_base_work[None], (commanded.shape[0], 4, 4))
+    axes = _axes(job)
+    if axes is not None:
+        frames = tool_frame(axes.astype(Ts.dtype))
+        Ts = Ts.at[:, :3, :3].set(T_base_work[None, :3, :3] @ frames)
     Ts = Ts.at[:, :3, 3].set(tips)
     start = robot.home if job.joint_start is None else jnp.asarray(job.joint_start)
     found = inverse_kinematics_path(robot, Ts, start)

@@ -35,7 +35,7 @@ def upright_engagement(
     adjoint: AbstractAdjoint,
 ) -> tuple[
     Float[Array, "substep angle kept disc"],
-    Int[Array, "substep angle kept"],
+    Int[Array, "substep angle kept disc"],
     Float[Array, "substep angle kept element"],
 ]:
     """Return where the teeth of a period are, and how much of each disc is in stock.
@@ -70,7 +70,7 @@ def upright_force(
     earlier: Float[Array, "tooth 3"],
     thinned: Float[Array, "circle 3"],
     angle: Float[Array, "angle kept disc"],
-    tooth: Int[Array, "angle kept"],
+    tooth: Int[Array, "angle kept disc"],
     weight: Float[Array, "angle kept element"],
 ) -> Float[Array, "angle 3"]:
     """Return the force on the tool at the angles of one sub-step.
@@ -84,7 +84,7 @@ def upright_force(
             shape (tooth, 3).
         thinned: Older tips [m], shape (circle, 3).
         angle: Immersion angles [rad], shape (angle, kept, disc).
-        tooth: The tooth at each of them, shape (angle, kept).
+        tooth: The tooth at each of them, shape (angle, kept, disc).
         weight: Occupancy at these angles, shape (angle, kept, element).
 
     Returns:
@@ -97,7 +97,7 @@ def upright_force(
     chip, feed = upright_chip(plan, cutter, tip, earlier, thinned, angle)
     touch = edge_contact(chip, feed, 2 * math.pi / plan.angles)
     h = jnp.clip(chip, 0, cutter.diameter / 2)
-    teeth = jnp.broadcast_to(tooth[..., None], h.shape)
+    teeth = jnp.broadcast_to(tooth, h.shape)
     F_t, F_r, F_a = law.force_per_width(h, touch, teeth)
     share = weight * plan.discs.height
     sin, cos = jnp.sin(angle), jnp.cos(angle)
@@ -166,7 +166,9 @@ def _leading_angles(
     cutter: AbstractCutter,
     state: ProcessState,
     predicted: Float[Array, "substep 3"],
-) -> tuple[Float[Array, "substep angle kept disc"], Int[Array, "substep angle kept"]]:
+) -> tuple[
+    Float[Array, "substep angle kept disc"], Int[Array, "substep angle kept disc"]
+]:
     """Return the angles of the teeth that can cut, on the leading side, and which.
 
     The chip of two circles begins a little before the leading half, so a tooth just
@@ -175,7 +177,7 @@ def _leading_angles(
     angle = immersion_angles(plan, cutter, predicted.dtype)
     kept = (cutter.flute_count + 1) // 2
     if kept == cutter.flute_count:
-        return angle, jnp.zeros(angle.shape[:3], jnp.int32)
+        return angle, jnp.zeros(angle.shape, jnp.int32)
     frozen = jax.lax.stop_gradient
     motion = frozen(predicted - state.recent.tip[0])
     heading = jnp.arctan2(motion[:, 0], motion[:, 1])[:, None, None, None]
@@ -187,5 +189,4 @@ def _leading_angles(
     meets = (lead > -_BEFORE_LEADING) & has_material_above(state.stock, x, y, tip)
     order = jnp.argsort(jnp.where(meets, lead + 2, lead), axis=2, descending=True)
     order = order[:, :, :kept]
-    tooth = order[..., 0].astype(jnp.int32)
-    return jnp.take_along_axis(angle, order, axis=2), tooth
+    return jnp.take_along_axis(angle, order, axis=2), order.astype(jnp.int32)

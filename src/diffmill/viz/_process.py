@@ -122,11 +122,11 @@ def _period_chip(
         state, _ = jax.lax.scan(advance, state, jax.tree.map(lambda v: v[:-1], xs))
         state, cut, poses = look(state, jax.tree.map(lambda v: v[-1], xs))
         chip = jax.vmap(
-            lambda pose, earlier, phi: substep_chip(
-                plan, cutter, pose, earlier, cut.thinned, phi
+            lambda pose, earlier, phi, tooth: substep_chip(
+                plan, cutter, pose, earlier, cut.thinned, phi, tooth
             ),
-            in_axes=(0, 1, 0),
-        )(poses, state.recent, cut.angle)
+            in_axes=(0, 1, 0, 0),
+        )(poses, state.recent, cut.angle, cut.tooth)
         return cut.angle, jnp.clip(chip, 0, cutter.diameter / 2), cut.occupancy
 
     return run(state)
