@@ -81,8 +81,7 @@ class ProcessPlan(eqx.Module):
         if self.chip == "point_cloud" and self.profile is not None:
             raise ValueError(
                 'Argument `chip` must be "near_far" unless the cutter is flat, has '
-                "even teeth without run-out, stands along +z and does not plunge, but "
-                'is "point_cloud".'
+                'even teeth without run-out and stands along +z, but is "point_cloud".'
             )
 
 
@@ -141,7 +140,7 @@ def process_plan(
 
     Raises:
         ValueError: A point cloud is asked for, but not of a plain flat cutter that
-            stands upright and does not plunge.
+            stands upright.
     """
     is_simple = is_upright and cutter.is_plain
     unit = cutter.flute_count * substeps

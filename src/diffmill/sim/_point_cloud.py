@@ -95,13 +95,15 @@ def remove_at_once(
         The state, its queue unchanged, and what was removed.
     """
     indices = index[None]
+    # Never a constant, which XLA would fold, and then copy the stock in every step.
+    is_due = (pose.tip[2] < state.stock.top)[None]
     stock, volume, full, beyond = remove_poses(
         state.stock,
         cutter,
         plan.window,
         adjoint.removal_poses(pose[None]),
         indices,
-        jnp.ones(1, bool),
+        is_due,
     )
     state = eqx.tree_at(
         lambda s: (s.stock, s.poses, s.has_overflow, s.is_beyond),

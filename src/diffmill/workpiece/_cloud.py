@@ -62,7 +62,14 @@ def taken_pieces(
         zero = jnp.zeros((), jnp.int32)
         at = (starts[(family + 1) % 3], starts[(family + 2) % 3], zero, zero)
         size = (b.shape[0], c.shape[0], *ends.shape[2:])
-        ends = jax.lax.dynamic_slice(ends, at, size)
+        # Above the stock there is nothing; and behind a condition the window is read
+        # once, not again for each of its uses.
+        ends = jax.lax.cond(
+            tip[2] < stock.top,
+            lambda ends: jax.lax.dynamic_slice(ends, at, size),
+            lambda ends: jnp.zeros(size, ends.dtype),
+            ends,
+        )
         bs, cs = jnp.broadcast_arrays(b[:, None], c[None, :])
         start, stop, is_hit = cutter.intersect(family, bs, cs, tip)
         low = jnp.maximum(ends[:, :, 0], start[..., None])
