@@ -84,10 +84,10 @@ def cut_block(spacing):
 
     def step(stock, x):
         tip, pose = x
-        stock, volume, full, beyond = wp.remove_poses(
+        cut = wp.remove_poses(
             stock, MILL, window, wp.Pose(tip[None]), pose[None], jnp.ones(1, bool)
         )
-        return stock, (volume[0], full | beyond)
+        return cut.stock, (cut.volume[0], cut.has_overflow | cut.is_beyond)
 
     tips = np.zeros((60, 3))
     tips[:, 0] = np.linspace(-3e-3, 8e-3, 60)
@@ -131,5 +131,6 @@ def test_a_tool_deeper_than_its_window_raises_the_flag():
     window = wp.removal_window(stock, MILL, 0.4e-3, 0.2e-3)
     tip = jnp.array([[4e-3, 4e-3, -3e-3]])
     yes, pose = jnp.ones(1, bool), jnp.zeros(1, jnp.int32)
-    assert wp.remove_poses(stock, MILL, window, wp.Pose(tip), pose, yes)[3]
-    assert not wp.remove_poses(stock, MILL, window, wp.Pose(tip + 10.0), pose, yes)[3]
+    assert wp.remove_poses(stock, MILL, window, wp.Pose(tip), pose, yes).is_beyond
+    away = wp.Pose(tip + 10.0)
+    assert not wp.remove_poses(stock, MILL, window, away, pose, yes).is_beyond

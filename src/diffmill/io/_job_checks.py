@@ -59,7 +59,8 @@ def notes(stock: StockPlan, path: Path, cutter: AbstractCutter) -> tuple[str, ..
     if depth > cutter.flute_length:
         notes.append(
             f"the path goes {depth * 1e3:g} mm below the top of the stock, deeper than "
-            f"the flutes ({cutter.flute_length * 1e3:g} mm); the shank is not checked"
+            f"the flutes ({cutter.flute_length * 1e3:g} mm): shank_volume in the "
+            "result says what its shank would have to take"
         )
     if depth <= 0:
         notes.append("the path never goes below the top of the stock: nothing is cut")

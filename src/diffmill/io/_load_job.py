@@ -271,8 +271,7 @@ def _simulation(
         substeps=substeps,
         element_height=table.element_height
         or default_element_height(table.chip, stock.spacing),
-        axial_depth=table.axial_depth
-        or min(immersion(path, cutter, stock) + _ROOM, cutter.flute_length),
+        axial_depth=table.axial_depth or immersion(path, cutter, stock) + _ROOM,
         precision=table.precision,
         is_gravity_compensated=table.gravity_compensated,
         plunges=descends(path.positions, float(stock.upper[2])),

@@ -30,8 +30,7 @@ from ._bottom import BottomEngagement
 from ._history import ProcessState, Removed, end_period, flush, initial_state
 from ._period import Engagement, begin_period, substep_force, substep_middles
 from ._plan import ProcessPlan
-from ._process_alone import outcome, volume_by_pose
-
+from ._process_alone import outcome, volumes_by_pose
 
 # Angles, teeth and occupancy of one sub-step, and its bottom edges.
 _Samples: TypeAlias = tuple[Array, Array, Array, BottomEngagement | None]
@@ -46,6 +45,7 @@ class CoupledSolution(eqx.Module):
             [N], shape (step, 3); zero in row 0.
         joint_positions: [rad or m], shape (step, joint).
         removed_volume: Volume that each pose removes [m^3], shape (step,).
+        shank_volume: What of it the shank takes [m^3], shape (step,).
         initial_overlap_volume: Stock inside the tool at the first pose [m^3].
         stock: The stock after the last pose.
         has_failed: Whether a flag was up after each step, shape (step,).
@@ -56,6 +56,7 @@ class CoupledSolution(eqx.Module):
     force: Float[Array, "step 3"]
     joint_positions: Float[Array, "step joint"]
     removed_volume: Float[Array, " step"]
+    shank_volume: Float[Array, " step"]
     initial_overlap_volume: Float[Array, ""]
     stock: Stock
     has_failed: Bool[Array, " step"]
@@ -165,11 +166,13 @@ def simulate_coupled(
     last: Int[Array, ""] = jnp.asarray(step_count - 1, jnp.int32)
     process, rest = flush(plan, cutter, process, last, final, adjoint)
     actual = jnp.concatenate([rows.tip, final.tip[None]])
+    volume, by_shank = volumes_by_pose(step_count, rows.removed, rest)
     return CoupledSolution(
         actual=actual,
         force=jnp.concatenate([jnp.zeros((1, 3), dtype), rows.force]),
         joint_positions=jnp.concatenate([rows.joint_positions, q[None]]),
-        removed_volume=volume_by_pose(step_count, rows.removed, rest),
+        removed_volume=volume,
+        shank_volume=by_shank,
         initial_overlap_volume=overlap,
         stock=process.stock,
         has_failed=jnp.concatenate([jnp.zeros(1, bool), rows.has_failed]),

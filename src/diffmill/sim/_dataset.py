@@ -18,6 +18,7 @@ _ROWS = {
     "actual": ("m", "actual tip position"),
     "force": ("N", "force on the tool in work, mean over the tooth period before"),
     "removed_volume": ("m3", "volume that the pose removes"),
+    "shank_volume": ("m3", "what of it the shank above the flutes takes"),
     "deviation": ("m", "actual - desired"),
     "contour_error": ("m", "distance of the actual tip to the desired polyline"),
     "is_cutting": ("1", "the rigid tool cuts in the tooth period before"),

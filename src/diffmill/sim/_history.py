@@ -55,10 +55,17 @@ class ProcessState(eqx.Module):
 
 
 class Removed(eqx.Module):
-    """Poses removed in one step and the volume of each [m^3]."""
+    """Poses removed in one step and what each took [m^3].
+
+    Attributes:
+        pose: Their indices, shape (pose,).
+        volume: All that a pose took [m^3], shape (pose,).
+        by_shank: What of it the shank took, above the flutes [m^3], shape (pose,).
+    """
 
     pose: Int[Array, " pose"]
     volume: Float[Array, " pose"]
+    by_shank: Float[Array, " pose"]
 
 
 def initial_state(
@@ -84,7 +91,7 @@ def initial_state(
     """
     dtype = stock.origin.dtype
     zero = jnp.zeros((), jnp.int32)
-    stock, overlap, full, beyond = remove_poses(
+    cut = remove_poses(
         stock,
         cutter,
         plan.window,
@@ -93,7 +100,7 @@ def initial_state(
         jnp.ones(1, bool),
     )
     state = ProcessState(
-        stock=stock,
+        stock=cut.stock,
         poses=repeated(pose, (pose_count,)),
         last_tip=jax.lax.stop_gradient(pose.tip),
         recent=repeated(pose, (cutter.flute_count, plan.substeps)),
@@ -101,10 +108,10 @@ def initial_state(
         queue_travel=jnp.zeros(QUEUE_LENGTH, dtype),
         queue_count=jnp.ones((), jnp.int32),
         travel=jnp.zeros((), dtype),
-        has_overflow=full,
-        is_beyond=beyond,
+        has_overflow=cut.has_overflow,
+        is_beyond=cut.is_beyond,
     )
-    return state, overlap[0]
+    return state, cut.volume[0]
 
 
 def remember(
@@ -159,7 +166,7 @@ def remove_due(
     is_due = is_due | (is_full & (jnp.arange(_REMOVALS, dtype=jnp.int32) == 0))
     apart = jnp.max(jnp.abs(jax.lax.stop_gradient(poses.tip[1] - poses.tip[0])))
     is_due = is_due.at[1].set(is_due[0] & is_due[1] & (apart <= plan.window.slack))
-    stock, volume, full, beyond = remove_poses(
+    cut = remove_poses(
         state.stock,
         cutter,
         plan.window,
@@ -182,15 +189,15 @@ def remove_due(
         ),
         state,
         (
-            stock,
+            cut.stock,
             state.queue[shift],
             state.queue_travel[shift],
             state.queue_count - count,
-            state.has_overflow | full,
-            state.is_beyond | beyond,
+            state.has_overflow | cut.has_overflow,
+            state.is_beyond | cut.is_beyond,
         ),
     )
-    return state, Removed(indices, volume)
+    return state, Removed(indices, cut.volume, cut.by_shank)
 
 
 def thinned_poses(plan: ProcessPlan, state: ProcessState) -> Pose:
@@ -242,16 +249,15 @@ def flush(
         stock, has_overflow, is_beyond = carry
         at, due = x
         poses = adjoint.removal_poses(table[at[None]])
-        stock, volume, full, beyond = remove_poses(
-            stock, cutter, plan.window, poses, at[None], due[None]
-        )
-        return (stock, has_overflow | full, is_beyond | beyond), volume[0]
+        cut = remove_poses(stock, cutter, plan.window, poses, at[None], due[None])
+        flags = (has_overflow | cut.has_overflow, is_beyond | cut.is_beyond)
+        return (cut.stock, *flags), (cut.volume[0], cut.by_shank[0])
 
     carry = (state.stock, state.has_overflow, state.is_beyond)
-    (stock, full, beyond), volumes = jax.lax.scan(remove, carry, (indices, is_due))
+    (stock, full, beyond), taken = jax.lax.scan(remove, carry, (indices, is_due))
     state = eqx.tree_at(
         lambda s: (s.stock, s.poses, s.queue_count, s.has_overflow, s.is_beyond),
         state,
         (stock, table, jnp.zeros((), jnp.int32), full, beyond),
     )
-    return state, Removed(indices, volumes)
+    return state, Removed(indices, *taken)

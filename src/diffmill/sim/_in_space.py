@@ -297,7 +297,7 @@ def profile_elements(
         profile.bottom,
         profile.corner,
         profile.side,
-        plan.discs.height,
+        profile.side_height,
         dtype,
         corner_limit=profile.corner_limit,
     )

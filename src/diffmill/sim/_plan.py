@@ -37,6 +37,7 @@ class Profile(eqx.Module):
         bottom: Elements of the flat end.
         corner: Elements of the corner.
         side: Elements of the side.
+        side_height: Height of an element of the side [m].
         corner_limit: Angle of the corner up to which they reach [rad].
         keeps_all: Whether all teeth are looked at all the time, since they cut on the
             trailing side too.
@@ -45,6 +46,7 @@ class Profile(eqx.Module):
     bottom: int = eqx.field(static=True)
     corner: int = eqx.field(static=True)
     side: int = eqx.field(static=True)
+    side_height: float = eqx.field(static=True)
     corner_limit: float = eqx.field(static=True)
     keeps_all: bool = eqx.field(static=True)
 
@@ -158,7 +160,8 @@ def process_plan(
     reach = 2 * stock.spacing
     if is_simple:
         # One more disc than the depth holds: its share rises before it is immersed.
-        discs = Discs(max(1, math.ceil(axial_depth / dz + 0.5)), dz, band)
+        depth = min(axial_depth, cutter.flute_length)
+        discs = Discs(max(1, math.ceil(depth / dz + 0.5)), dz, band)
         window = removal_window(stock, cutter, axial_depth, reach)
         bottom = _ANNULI if plunges and chip == "near_far" else 0
         return ProcessPlan(
@@ -210,13 +213,16 @@ def _profile(
 ) -> Profile:
     """Choose the edge elements that reach a length above the tip."""
     R, rc = cutter.nominal_radius, cutter.nominal_corner_radius
-    highest = min(length, cutter.flute_length) + dz / 2
+    highest = min(length + dz / 2, cutter.flute_length)
     flat = R - rc
     limit = math.acos(max(0.0, 1 - highest / rc)) if rc > 0 else 0.0
+    side = max(0, math.ceil((highest - rc) / dz))
     return Profile(
         bottom=math.ceil(flat / (2 * dz)) if flat > 0 else 0,
         corner=max(3, math.ceil(rc * limit / (_CORNER * dz))) if rc > 0 else 0,
-        side=max(0, math.ceil((highest - rc) / dz)),
+        side=side,
+        # Where the flutes end, so do the elements.
+        side_height=(highest - rc) / side if side > 0 else dz,
         corner_limit=limit,
         # Near the axis of a round end every tooth rubs all the way round.
         keeps_all=plunges or rc > 0,

@@ -97,7 +97,7 @@ def remove_at_once(
     indices = index[None]
     # Never a constant, which XLA would fold, and then copy the stock in every step.
     is_due = (pose.tip[2] < state.stock.top)[None]
-    stock, volume, full, beyond = remove_poses(
+    cut = remove_poses(
         state.stock,
         cutter,
         plan.window,
@@ -109,13 +109,13 @@ def remove_at_once(
         lambda s: (s.stock, s.poses, s.has_overflow, s.is_beyond),
         state,
         (
-            stock,
+            cut.stock,
             state.poses.with_row(index, pose),
-            state.has_overflow | full,
-            state.is_beyond | beyond,
+            state.has_overflow | cut.has_overflow,
+            state.is_beyond | cut.is_beyond,
         ),
     )
-    return state, Removed(indices, volume)
+    return state, Removed(indices, cut.volume, cut.by_shank)
 
 
 def cloud_engagement(

@@ -28,6 +28,8 @@ class ProcessSolution(eqx.Module):
         force: Mean force on the tool over the tooth period before each instant, in
             `work` [N], shape (step, 3); zero in row 0.
         removed_volume: Volume that each pose removes [m^3], shape (step,).
+        shank_volume: What of it the shank above the flutes takes [m^3], which no tool
+            can: shape (step,).
         initial_overlap_volume: Stock inside the tool at the first pose [m^3].
         stock: The stock after the last pose.
         result: Outcome of the run.
@@ -38,6 +40,7 @@ class ProcessSolution(eqx.Module):
     time: Float[Array, " step"]
     force: Float[Array, "step 3"]
     removed_volume: Float[Array, " step"]
+    shank_volume: Float[Array, " step"]
     initial_overlap_volume: Float[Array, ""]
     stock: Stock
     result: RESULTS
@@ -144,10 +147,12 @@ def simulate_process(
     last = jnp.asarray(step_count - 1, jnp.int32)
     state, rest = flush(plan, cutter, state, last, path[-1], adjoint)
     period = 2 * math.pi / (jnp.asarray(spindle_speed, dtype) * cutter.flute_count)
+    volume, by_shank = volumes_by_pose(step_count, removed, rest)
     return ProcessSolution(
         time=period * jnp.arange(step_count, dtype=dtype),
         force=jnp.concatenate([jnp.zeros((1, 3), dtype), force]),
-        removed_volume=volume_by_pose(step_count, removed, rest),
+        removed_volume=volume,
+        shank_volume=by_shank,
         initial_overlap_volume=overlap,
         stock=state.stock,
         result=outcome(state, jnp.all(jnp.isfinite(force))),
@@ -186,13 +191,19 @@ def within_periods(
     return p1 + t * (start + t * bend)
 
 
-def volume_by_pose(
+def volumes_by_pose(
     step_count: int, removed: Removed, rest: Removed
-) -> Float[Array, " step"]:
-    """Return the removed volume of each pose, from steps that removed other poses."""
-    volume = jnp.zeros(step_count, removed.volume.dtype)
-    volume = volume.at[removed.pose.reshape(-1)].add(removed.volume.reshape(-1))
-    return volume.at[rest.pose].add(rest.volume)
+) -> tuple[Float[Array, " step"], Float[Array, " step"]]:
+    """Return what each pose took, and its shank, from steps that removed others."""
+    both = []
+    for taken, last in (
+        (removed.volume, rest.volume),
+        (removed.by_shank, rest.by_shank),
+    ):
+        volume = jnp.zeros(step_count, taken.dtype)
+        volume = volume.at[removed.pose.reshape(-1)].add(taken.reshape(-1))
+        both.append(volume.at[rest.pose].add(last))
+    return both[0], both[1]
 
 
 def outcome(state: ProcessState, is_finite: Bool[Array, ""]) -> RESULTS:
@@ -203,7 +214,7 @@ def outcome(state: ProcessState, is_finite: Bool[Array, ""]) -> RESULTS:
 
 
 def path_depth(positions: FloatRows3, stock: Stock, cutter: AbstractCutter) -> float:
-    """Return how deep the discs of a cutter must reach for a path [m].
+    """Return how deep a path goes below the top of the stock [m].
 
     Args:
         positions: Tool tip in `work` [m], shape (step, 3); may be traced.
@@ -215,11 +226,11 @@ def path_depth(positions: FloatRows3, stock: Stock, cutter: AbstractCutter) -> f
         height of the stock or of the flutes, whichever is less.
     """
     counts = stock.families[0].ends.shape[1]
-    limit = min(cutter.flute_length, counts * stock.spacing)
+    height = counts * stock.spacing
     if isinstance(positions, jax.core.Tracer):
-        return limit
+        return min(cutter.flute_length, height)
     deepest = stock.top - float(np.min(np.asarray(positions)[:, 2]))
-    return min(max(deepest, 0.0) + stock.spacing, limit)
+    return min(max(deepest, 0.0) + stock.spacing, height)
 
 
 def _rows(values: FloatRows3, name: str, dtype: jnp.dtype) -> Float[Array, "step 3"]:

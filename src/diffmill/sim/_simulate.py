@@ -40,6 +40,7 @@ class Solution(eqx.Module):
         actual: Where the tip is [m], shape (step, 3).
         force: Mean force on the tool over the period before [N], shape (step, 3).
         removed_volume: Volume that each pose removes [m^3], shape (step,).
+        shank_volume: What of it the shank above the flutes takes [m^3], shape (step,).
         contour_error: Distance of `actual` to the desired polyline [m], shape
             (step,).
         is_cutting: Whether the rigid tool cuts in the period before, shape (step,).
@@ -59,6 +60,7 @@ class Solution(eqx.Module):
     actual: Float[Array, "step 3"]
     force: Float[Array, "step 3"]
     removed_volume: Float[Array, " step"]
+    shank_volume: Float[Array, " step"]
     contour_error: Float[Array, " step"]
     is_cutting: Bool[Array, " step"]
     motor_positions: Float[Array, "step joint"] | None
@@ -240,6 +242,7 @@ def solve_command(
         actual=actual,
         force=ran.force,
         removed_volume=ran.removed_volume,
+        shank_volume=ran.shank_volume,
         contour_error=contour_error(actual, desired),
         is_cutting=jnp.any(rigid.force != 0, axis=1),
         motor_positions=theta,

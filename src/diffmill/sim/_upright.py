@@ -99,7 +99,10 @@ def upright_force(
     h = jnp.clip(chip, 0, cutter.diameter / 2)
     teeth = jnp.broadcast_to(tooth, h.shape)
     F_t, F_r, F_a = law.force_per_width(h, touch, teeth)
-    share = weight * plan.discs.height
+    lower = plan.discs.centers(tip.dtype) - plan.discs.height / 2
+    # The shank above the flutes has no edge.
+    width = jnp.clip(cutter.flute_length - lower, 0, plan.discs.height)
+    share = weight * width[None, None]
     sin, cos = jnp.sin(angle), jnp.cos(angle)
     along = [
         jnp.sum(share * component, axis=(1, 2))

@@ -30,6 +30,7 @@ from ._mesh import Mesh as Mesh
 from ._occupancy import Discs as Discs, occupancy as occupancy
 from ._pose import Pose as Pose, repeated as repeated
 from ._removal import (
+    Cut as Cut,
     RemovalWindow as RemovalWindow,
     removal_window as removal_window,
     remove_poses as remove_poses,

@@ -18,6 +18,8 @@ from ..cutter import AbstractCutter
 from ._pose import Pose
 from ._stock import DEAD, Rays, Stock, grid_shape
 
+# A tool that leans less than this out of the horizontal lies flat.
+_LEVEL = 1e-6
 # Pieces of a ray shorter than this are dropped and counted as removed [m].
 SHORTEST = 1e-9
 
@@ -93,11 +95,31 @@ class RemovalWindow(eqx.Module):
         slack: How far the second pose may stand from the first [m].
         length: Length of the tool from the tip that can be in the stock [m]; used
             for tools in any direction, whose window stands around this length.
+        has_shank: Whether the shank above the flutes can be in the stock.
     """
 
     sizes: tuple[int, int, int] = eqx.field(static=True)
     slack: float = eqx.field(static=True)
     length: float = eqx.field(static=True, default=0.0)
+    has_shank: bool = eqx.field(static=True, default=False)
+
+
+class Cut(eqx.Module):
+    """What a removal gives.
+
+    Attributes:
+        stock: The stock without the poses.
+        volume: What each pose took [m^3], shape (pose,).
+        by_shank: What of it its shank took, above the flutes [m^3], shape (pose,).
+        has_overflow: Whether a ray ran out of slots, shape ().
+        is_beyond: Whether a tool reached beyond the window, shape ().
+    """
+
+    stock: Stock
+    volume: Float[Array, " pose"]
+    by_shank: Float[Array, " pose"]
+    has_overflow: Bool[Array, ""]
+    is_beyond: Bool[Array, ""]
 
 
 def removal_window(
@@ -120,7 +142,11 @@ def removal_window(
     across = int((2 * cutter.nominal_radius + 2 * slack) / d) + 4
     # From the row below the tip to the row above the top.
     height = int(axial_depth / d) + 3
-    return RemovalWindow((min(across, nx), min(across, ny), min(height, nz)), slack)
+    return RemovalWindow(
+        (min(across, nx), min(across, ny), min(height, nz)),
+        slack,
+        has_shank=axial_depth > cutter.flute_length,
+    )
 
 
 def tilted_window(
@@ -148,7 +174,7 @@ def tilted_window(
     slack = min(reach, R)
     diagonal = d * math.sqrt(sum(n**2 for n in shape)) + 2 * R
     if axes is None:
-        return RemovalWindow(shape, slack, diagonal)
+        return RemovalWindow(shape, slack, diagonal, diagonal > cutter.flute_length)
     least = float(axes[:, 2].min())
     # Where the lowest point of the rim of the highest disc leaves the stock.
     leaves = (axial_depth + R) / least if least > 0 else math.inf
@@ -156,7 +182,8 @@ def tilted_window(
     across = np.sqrt(np.maximum(1 - axes**2, 0))
     extent = (length * np.abs(axes) + 2 * R * across).max(axis=0) + 2 * slack
     counts = [min(int(extent[a] / d) + 4, shape[a]) for a in range(3)]
-    return RemovalWindow((counts[0], counts[1], counts[2]), slack, length)
+    has_shank = length > cutter.flute_length
+    return RemovalWindow((counts[0], counts[1], counts[2]), slack, length, has_shank)
 
 
 def remove_poses(
@@ -166,7 +193,7 @@ def remove_poses(
     poses: Pose,
     indices: Int[Array, " pose"],
     is_due: Bool[Array, " pose"],
-) -> tuple[Stock, Float[Array, " pose"], Bool[Array, ""], Bool[Array, ""]]:
+) -> Cut:
     """Subtract the cutter at a few close poses from the stock.
 
     Args:
@@ -178,8 +205,7 @@ def remove_poses(
         is_due: Which of the poses to subtract, shape (pose,).
 
     Returns:
-        The stock; the volume that each pose removed [m^3], shape (pose,); whether a
-        ray ran out of slots; whether a tool reached beyond the window.
+        The stock, what was taken, and what went wrong.
 
     Differentiability: in the ends of the stock, through the poses.
     """
@@ -199,7 +225,48 @@ def remove_poses(
             volumes = volumes + volume * stock.volume_weights[f] * d**2
         families.append(new)
     new_stock = eqx.tree_at(lambda s: s.families, stock, tuple(families))
-    return new_stock, volumes, has_overflow, is_beyond & has_cut
+    by_shank = jnp.zeros_like(volumes)
+    if window.has_shank:
+        at = (starts, lines, poses, is_due)
+        by_shank = _shank_volume(stock.families[2], cutter, *at) * d**2
+    return Cut(new_stock, volumes, by_shank, has_overflow, is_beyond & has_cut)
+
+
+def _shank_volume(
+    rays: Rays,
+    cutter: AbstractCutter,
+    starts: list[Int[Array, ""]],
+    lines: list[Float[Array, " _"]],
+    poses: Pose,
+    is_due: Bool[Array, " pose"],
+) -> Float[Array, " pose"]:
+    """Return how much of each pose's cut lies above its flutes, by the rays along z."""
+    shape = (lines[0].shape[0], lines[1].shape[0], 2, rays.ends.shape[-1])
+    zero = jnp.zeros((), jnp.int32)
+    ends = jax.lax.dynamic_slice(rays.ends, (starts[0], starts[1], zero, zero), shape)
+    ends = jax.lax.stop_gradient(ends)
+    x = jnp.broadcast_to(lines[0][:, None], shape[:2])
+    y = jnp.broadcast_to(lines[1][None, :], shape[:2])
+    lengths = []
+    for i in range(is_due.shape[0]):
+        pose = poses[i].frozen()
+        start, stop, is_hit = cutter.intersect_pose(2, x, y, pose.tip, pose.direction())
+        a = pose.direction()
+        foot = (x - pose.tip[0]) * a[0] + (y - pose.tip[1]) * a[1]
+        left = cutter.flute_length - foot
+        is_level = jnp.abs(a[2]) < _LEVEL
+        above = pose.tip[2] + left / jnp.where(is_level, 1.0, a[2])
+        never = jnp.where(left < 0, -DEAD, DEAD)
+        above = jnp.where(is_level, never, above)
+        # A shank that hangs down takes what lies below this height instead.
+        low = jnp.where(a[2] >= 0, jnp.maximum(start, above), start)
+        high = jnp.where(a[2] >= 0, stop, jnp.minimum(stop, above))
+        piece = jnp.minimum(ends[:, :, 1], high[..., None]) - jnp.maximum(
+            ends[:, :, 0], low[..., None]
+        )
+        taken = jnp.where((is_hit & is_due[i])[..., None], jnp.maximum(piece, 0), 0)
+        lengths.append(jnp.sum(taken))
+    return jnp.stack(lengths)
 
 
 def window_lines(
