@@ -7,10 +7,9 @@ in the chip thickness (Altintas) or a power of it (Kienzle), plus an edge force 
 there is a chip. Coefficients may differ from tooth to tooth; `materials` lists
 published ones.
 
-Assumes a tool axis along +z, alike teeth, and a chip cut by the side of the tool.
-A chip reaches from the innermost earlier circle to the tooth's own; entry and exit are
-judged at the outer radius, as in the paper's phi_in and phi_out.
-Leaves out the bottom edges, run-out and the paper's point-cloud chip.
+Assumes that a chip reaches from the innermost earlier surface to the tooth's own; entry
+and exit are judged at the outer radius, as in the paper's phi_in and phi_out. Where the
+edges are, and which poses came before, is the business of `sim`.
 """
 
 from ._chip import (

@@ -7,8 +7,10 @@ by a travelled distance; what is still pending is flushed at the end of a run. A
 hard chip model, "point_cloud", removes at once and takes the chip's angles from the
 rays that a removal has cut, as the paper does.
 
-Assumes a vertical tool that the bending arm does not tilt, force at the tip, and
-motors that follow their command. A run never raises inside: flags travel with it and
+A flat cutter that stands upright takes a fast path (`_upright.py`); any other cutter or
+direction is a row of edge elements in space (`_in_space.py`).
+
+Assumes force at the tip and motors that follow their command. A run never raises inside: flags travel with it and
 become its `result`.
 Leaves out the moment of the force about the tip, regeneration by more than the last
 teeth beyond the thinned history, and motors of their own inertia.

@@ -5,7 +5,7 @@ each ray holds a fixed number of intervals of material in unsorted slots, and ea
 of an interval remembers which tool pose cut it. Removal subtracts the tool in a window
 of rays; the signed distance of a point combines what the three families see.
 
-Assumes a block as raw stock and a grid along the axes of `work`. A ray that needs
+Assumes a grid along the axes of `work`. A ray that needs
 more intervals than it has slots sets a flag; it never drops material silently.
 A stock may come from a mesh or from the result of an earlier run, leaves as a closed
 mesh with its sharp edges, and can be compared with an ideal one point by point. Files
