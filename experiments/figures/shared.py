@@ -14,6 +14,7 @@ import numpy as np
 
 import diffmill as dm
 from diffmill.examples import copy_example
+from reporting import Report as Report, relative as relative
 
 jax.config.update("jax_enable_x64", True)
 
@@ -28,46 +29,6 @@ LAW = dm.cutting.LinearEdgeLaw(
 )
 LONG_SIDE, WIDTH, HEIGHT = 44e-3, 14e-3, 4e-3
 STEPS, FIRST_STEADY = 150, 110
-
-
-class Report:
-    """Collect plain lines and the figures that have a limit."""
-
-    def __init__(self, title: str):
-        self.lines = [title, "=" * len(title)]
-        self.missed: list[str] = []
-
-    def say(self, line: str = "") -> None:
-        """Add a line, and print it at once: some groups take minutes."""
-        self.lines.append(line)
-        print(line, flush=True)
-
-    def figure(self, what: str, found: float, limit: float, unit: str = "%") -> None:
-        """Add a figure that may be at most `limit`."""
-        self._judge(what, found, limit, unit, "<=", found <= limit)
-
-    def at_least(self, what: str, found: float, limit: float, unit: str = "") -> None:
-        """Add a figure that must be at least `limit`."""
-        self._judge(what, found, limit, unit, ">=", found >= limit)
-
-    def require(self, what: str, is_met: bool) -> None:
-        """Add a statement that must be true."""
-        self.say(f"  {what:62} {'yes' if is_met else 'NO: MISSED'}")
-        if not is_met:
-            self.missed.append(what)
-
-    def _judge(
-        self, what: str, found: float, limit: float, unit: str, sign: str, ok: bool
-    ) -> None:
-        verdict = "met" if ok else "MISSED"
-        self.say(f"  {what:62} {found:10.3g} {unit:4} ({sign} {limit:g}) {verdict}")
-        if not ok:
-            self.missed.append(what)
-
-    def text(self) -> str:
-        """Return the whole report."""
-        end = f"missed: {'; '.join(self.missed)}" if self.missed else "missed: none"
-        return "\n".join([*self.lines, "", end, ""])
 
 
 def random_block(
@@ -197,12 +158,6 @@ def quadrature_force(
             np.sum(F_a),
         ]
     )
-
-
-def relative(found: object, wanted: object) -> float:
-    """Return the length of the difference over the length of what is wanted."""
-    found, wanted = np.asarray(found), np.asarray(wanted)
-    return float(np.linalg.norm(found - wanted) / np.linalg.norm(wanted))
 
 
 def example_job(name: str) -> dm.Job:
