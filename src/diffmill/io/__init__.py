@@ -6,7 +6,8 @@ names. Programs are G-code (three axes, the words listed by `diffmill.io.GCodeEr
 or recorded paths as CSV. Results are written to a temporary folder that is renamed at
 the end, so that a folder of results is complete or absent.
 
-Stock is a block, a closed mesh, or what an earlier run left. G-code is for an upright tool; a path as CSV may carry tool axes.
+Stock is a block, a closed mesh, or what an earlier run left. G-code is for an upright
+tool; a path as CSV may carry tool axes.
 Leaves out robot programs and measured forces.
 """
 
