@@ -10,7 +10,15 @@ HERE = pathlib.Path(__file__).parent
 # The runner is shared with other experiments, the reference with the tests.
 sys.path += [str(HERE.parent / "common"), str(HERE.parents[1] / "tests")]
 
-GROUPS = ("closed_form", "finishing", "ball", "rotation", "volume", "ripple")
+GROUPS = (
+    "closed_form",
+    "finishing",
+    "ball",
+    "rotation",
+    "volume",
+    "ripple",
+    "cost",
+)
 
 
 if __name__ == "__main__":
