@@ -10,10 +10,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from reporting import Report
 
 import diffmill as dm
 from diffmill.examples import copy_example
+from reporting import Report
 
 jax.config.update("jax_enable_x64", True)
 

@@ -12,6 +12,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float
 
 from .._types import RealScalarLike
+from ..numerics import tied
 from . import _profile, _rays
 from ._abstract import AbstractCutter
 from ._elements import EdgeElements, edge_elements
@@ -271,8 +272,7 @@ class EndMill(AbstractCutter):
             off = self.level(jnp.stack(place, axis=-1), tip, axis)
             # The end stays where the level is zero: only its derivative counts.
             is_free = is_hit & (t > ray.low) & (t < ray.high)
-            shift = (off - jax.lax.stop_gradient(off)) / slope
-            ends.append(end - jnp.where(is_free, shift, 0))
+            ends.append(tied(end, jnp.where(is_free, -off / slope, 0)))
         return ends[0], ends[1], is_hit
 
     def wall_slopes(

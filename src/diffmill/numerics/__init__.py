@@ -10,3 +10,4 @@ already give, and filters within a traced function.
 """
 
 from ._filters import lowpass as lowpass
+from ._tied import tied as tied

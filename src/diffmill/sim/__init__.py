@@ -10,8 +10,8 @@ rays that a removal has cut, as the paper does.
 A flat cutter that stands upright takes a fast path (`_upright.py`); any other cutter or
 direction is a row of edge elements in space (`_in_space.py`).
 
-Assumes force at the tip and motors that follow their command. A run never raises inside: flags travel with it and
-become its `result`.
+Assumes force at the tip and motors that follow their command. A run never raises
+inside: flags travel with it and become its `result`.
 Leaves out the moment of the force about the tip, regeneration by more than the last
 teeth beyond the thinned history, and motors of their own inertia.
 """

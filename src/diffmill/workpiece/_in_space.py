@@ -21,7 +21,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ..cutter import AbstractCutter
-from ._occupancy import REACH, hat_integral, nearest_interval, tied
+from ..numerics import tied
+from ._occupancy import REACH, hat_integral, nearest_interval
 from ._pose import Pose
 from ._stock import Stock
 

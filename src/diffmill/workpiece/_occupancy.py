@@ -28,24 +28,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ..cutter import AbstractCutter
+from ..numerics import tied
 from ._stock import Stock
 
 # Distances along a ray are cut off here, in units of the spacing.
 REACH = 4.0
 # What a ray without a surface in reach still counts for.
 _BLIND = 1e-6
-
-
-@jax.custom_jvp
-def tied(value: Float[Array, "..."], tie: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Return `value`, with the derivative of `tie`."""
-    del tie
-    return value
-
-
-@tied.defjvp
-def _tied_jvp(primals, tangents):
-    return primals[0], tangents[1]
 
 
 class Discs(eqx.Module):

@@ -177,7 +177,8 @@ def tilted_window(
         return RemovalWindow(shape, slack, diagonal, diagonal > cutter.flute_length)
     least = float(axes[:, 2].min())
     # Where the lowest point of the rim of the highest disc leaves the stock.
-    leaves = (axial_depth + R) / least if least > 0 else math.inf
+    sink = R * math.sqrt(max(0.0, 1 - least**2))
+    leaves = (axial_depth + sink) / least if least > 0 else math.inf
     length = min(diagonal, leaves + 2 * d)
     across = np.sqrt(np.maximum(1 - axes**2, 0))
     extent = (length * np.abs(axes) + 2 * R * across).max(axis=0) + 2 * slack
