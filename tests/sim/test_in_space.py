@@ -203,14 +203,10 @@ def test_helix_matches_the_reference_at_every_instant():
 
 
 # Known: the process gives each tooth the same share of every turn.
-TURNING = pytest.mark.xfail(reason="teeth do not change places from period to period")
-
-
 def pitch(first):
     return np.array([first, 2 * math.pi - first])
 
 
-@TURNING
 @pytest.mark.parametrize(
     ("options", "same"),
     [

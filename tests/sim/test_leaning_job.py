@@ -39,7 +39,7 @@ rpy = ["0 deg", "0 deg", "0 deg"] }"""
 
 
 def write_job(folder, lean, robot, simulation=""):
-    """Write a job that crosses a block with a ball, leaning to the side, 0.5 mm deep."""
+    """Write a job that crosses a block with a leaning ball, 0.5 mm deep."""
     rows = 60
     x = np.linspace(-4.0, 5.0, rows)
     z = 3 - 3 * np.cos(lean) - 0.5

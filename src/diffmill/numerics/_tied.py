@@ -23,4 +23,5 @@ def tied(value: Float[Array, "*n"], tie: Float[Array, "*n"]) -> Float[Array, "*n
 
 @tied.defjvp
 def _tied_jvp(primals, tangents):
-    return primals[0], tangents[1]
+    # Not the bare value: what is built on it may be differentiated once more.
+    return tied(*primals), tangents[1]

@@ -10,7 +10,7 @@ import math
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ..cutter import AbstractCutter
 from ..cutting import AbstractForceLaw, edge_contact, safe_norm
@@ -28,10 +28,12 @@ class BottomEngagement(eqx.Module):
 
     Attributes:
         angle: Immersion angle of the samples [rad], shape (substep, angle, tooth).
+        tooth: The tooth of each sample, same shape.
         occupancy: 0 to 1, shape (substep, angle, tooth, annulus).
     """
 
     angle: Float[Array, "*substep angle tooth"]
+    tooth: Int[Array, "*substep angle tooth"]
     occupancy: Float[Array, "*substep angle tooth annulus"]
 
 
@@ -39,6 +41,7 @@ def bottom_engagement(
     plan: ProcessPlan,
     cutter: AbstractCutter,
     stock: Stock,
+    index: Int[Array, ""],
     predicted: Float[Array, "substep 3"],
     before: Float[Array, "substep 3"],
 ) -> BottomEngagement:
@@ -51,6 +54,7 @@ def bottom_engagement(
         plan: Sizes of the process.
         cutter: The cutter.
         stock: The workpiece after the removal of this period.
+        index: Index of the period, from 1, shape ().
         predicted: Tips in the middle of the sub-steps [m], shape (substep, 3).
         before: Those of the tooth before [m], same shape.
 
@@ -89,7 +93,10 @@ def bottom_engagement(
                 share[1] if j else 1 - share[1]
             )
             total = total + weight * jnp.clip(above / layer, 0, 1)
-    return BottomEngagement(angles, jax.lax.stop_gradient(total))
+    tooth = jnp.arange(cutter.flute_count, dtype=jnp.int32) - (index - 1)
+    tooth = jnp.mod(tooth, cutter.flute_count)[None, None]
+    tooth = jnp.broadcast_to(tooth, angles.shape)
+    return BottomEngagement(angles, tooth, jax.lax.stop_gradient(total))
 
 
 def bottom_force(
@@ -134,8 +141,8 @@ def bottom_force(
     chip = jnp.where(is_first, chip, 0)
     touch = edge_contact(chip - RAMP * feed, feed, RAMP)
     h = jax.lax.clamp(0.0, chip, cutter.nominal_radius)
-    tooth = jnp.arange(cutter.flute_count, dtype=jnp.int32)[None, :, None]
-    F_t, F_r, F_a = law.force_per_width(h, touch, jnp.broadcast_to(tooth, h.shape))
+    teeth = jnp.broadcast_to(cut.tooth[..., None], h.shape)
+    F_t, F_r, F_a = law.force_per_width(h, touch, teeth)
     share = weight * width
     return jnp.stack(
         [

@@ -52,6 +52,7 @@ def engagement_in_space(
     plan: ProcessPlan,
     cutter: AbstractCutter,
     state: ProcessState,
+    index: Int[Array, ""],
     predicted: Pose,
     adjoint: AbstractAdjoint,
 ) -> tuple[
@@ -65,6 +66,7 @@ def engagement_in_space(
         plan: Sizes of the process.
         cutter: The cutter.
         state: State after the removal of this period.
+        index: Index of the period, from 1, shape ().
         predicted: Poses in the middle of the sub-steps, shape (substep, 3).
         adjoint: How the run is differentiated.
 
@@ -72,7 +74,7 @@ def engagement_in_space(
         Immersion angles [rad], the tooth of each, and occupancy.
     """
     elements = profile_elements(plan, cutter, predicted.tip.dtype)
-    angle, tooth = _leading(plan, cutter, elements, state, predicted)
+    angle, tooth = _leading(plan, cutter, elements, state, index, predicted)
     place = jax.vmap(lambda p, phi: _edge(cutter, elements, p, phi))
     points, _, along = place(predicted, angle)
     # The layer on a bottom edge may be thin: its point is looked up a little below.
@@ -97,6 +99,7 @@ def _leading(
     cutter: AbstractCutter,
     elements: EdgeElements,
     state: ProcessState,
+    index: Int[Array, ""],
     predicted: Pose,
 ) -> tuple[
     Float[Array, "substep angle kept element"], Int[Array, "substep angle kept element"]
@@ -106,7 +109,7 @@ def _leading(
     Of evenly spaced teeth only half can be on the leading side, where the normal points
     the way that the tool moves, unless it descends.
     """
-    angle = _angles(plan, cutter, elements)
+    angle = _angles(plan, cutter, elements, index)
     count = cutter.flute_count
     teeth = jnp.arange(count, dtype=jnp.int32)[None, None, :, None]
     teeth = jnp.broadcast_to(teeth, angle.shape)
@@ -304,14 +307,19 @@ def profile_elements(
 
 
 def _angles(
-    plan: ProcessPlan, cutter: AbstractCutter, elements: EdgeElements
+    plan: ProcessPlan,
+    cutter: AbstractCutter,
+    elements: EdgeElements,
+    index: Int[Array, ""],
 ) -> Float[Array, "substep angle tooth element"]:
     """Return the immersion angles of all elements of a period [rad]."""
     dtype = elements.lag.dtype
     count = plan.angles // (plan.substeps * cutter.flute_count)
     total = plan.substeps * count
     turn = (jnp.arange(total, dtype=dtype) + 0.5) / total
-    turn = 2 * math.pi / cutter.flute_count * turn
+    # Teeth differ: every period the turn goes on where the one before ended.
+    done = jnp.mod(index - 1, cutter.flute_count).astype(dtype)
+    turn = 2 * math.pi / cutter.flute_count * (turn + done)
     pitch = jnp.asarray(cutter.pitch_angles, dtype)
     angle = turn[:, None, None] + pitch[None, :, None] - elements.lag[None, None]
     return angle.reshape(plan.substeps, count, *angle.shape[1:])

@@ -77,20 +77,21 @@ def begin_period(
     if plan.chip == "point_cloud":
         state, removed = remove_at_once(plan, cutter, state, index - 1, pose, adjoint)
         angle, weight = cloud_engagement(plan, cutter, state, pose, predicted)
-        tooth = jnp.arange(cutter.flute_count, dtype=jnp.int32)[None, None, :, None]
+        tooth = jnp.arange(cutter.flute_count, dtype=jnp.int32) - (index - 1)
+        tooth = jnp.mod(tooth, cutter.flute_count)[None, None, :, None]
         tooth = jnp.broadcast_to(tooth, angle.shape)
         none = repeated(pose, (0,))
         return state, Engagement(angle, tooth, weight, none, None), removed
     state = remember(plan, state, index - 1, pose)
     state, removed = remove_due(plan, cutter, state, adjoint)
     if plan.profile is None:
-        found = upright_engagement(plan, cutter, state, predicted.tip, adjoint)
+        found = upright_engagement(plan, cutter, state, index, predicted.tip, adjoint)
     else:
-        found = engagement_in_space(plan, cutter, state, predicted, adjoint)
+        found = engagement_in_space(plan, cutter, state, index, predicted, adjoint)
     bottom = None
     if plan.bottom > 0:
         bottom = bottom_engagement(
-            plan, cutter, state.stock, predicted.tip, state.recent.tip[0]
+            plan, cutter, state.stock, index, predicted.tip, state.recent.tip[0]
         )
     return state, Engagement(*found, thinned_poses(plan, state), bottom), removed
 

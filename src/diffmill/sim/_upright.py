@@ -31,6 +31,7 @@ def upright_engagement(
     plan: ProcessPlan,
     cutter: AbstractCutter,
     state: ProcessState,
+    index: Int[Array, ""],
     predicted: Float[Array, "substep 3"],
     adjoint: AbstractAdjoint,
 ) -> tuple[
@@ -44,13 +45,16 @@ def upright_engagement(
         plan: Sizes of the process.
         cutter: The cutter.
         state: State after the removal of this period.
+        index: Index of the period, from 1, shape ().
         predicted: Tips in the middle of the sub-steps [m], shape (substep, 3).
         adjoint: How the run is differentiated.
 
     Returns:
         Immersion angles [rad], the tooth of each, and occupancy.
     """
-    angle, tooth = _leading_angles(plan, cutter, state, predicted)
+    angle, place = _leading_angles(plan, cutter, state, predicted)
+    # Every period begins with another tooth in the same place.
+    tooth = jnp.mod(place - (index - 1), cutter.flute_count)
     radius = cutter.diameter / 2
     rim = jnp.stack(
         [jnp.sin(angle) * radius, jnp.cos(angle) * radius, jnp.zeros_like(angle)], -1
@@ -172,7 +176,7 @@ def _leading_angles(
 ) -> tuple[
     Float[Array, "substep angle kept disc"], Int[Array, "substep angle kept disc"]
 ]:
-    """Return the angles of the teeth that can cut, on the leading side, and which.
+    """Return the angles of the teeth on the leading side, and their places.
 
     The chip of two circles begins a little before the leading half, so a tooth just
     outside it comes first if it meets material there.

@@ -11,8 +11,8 @@ edge that goes in (inside of one is enough). The least, or the greatest, of the 
 distances answers all three cases. A family that sees the face at a flat angle, or
 whose rays partly meet nothing, knows less and is held back.
 
-A piece of edge is not a point: the transition from 0 to 1 is as wide as the piece's
-extent across the face, so that pieces in a row add up to the length in the material.
+A piece of edge is not a point: what counts is the mean of the smooth step over it, so
+that pieces in a row add up to the length in the material.
 """
 
 import equinox as eqx
@@ -22,7 +22,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..cutter import AbstractCutter
 from ..numerics import tied
-from ._occupancy import REACH, hat_integral, nearest_interval
+from ._occupancy import REACH, nearest_interval
 from ._pose import Pose
 from ._stock import Stock
 
@@ -30,6 +30,8 @@ from ._stock import Stock
 # below the second.
 _HEARD, _UNHEARD = 0.3, 0.1
 _TINY = 1e-6
+# Shorter pieces count as this share of the band, so that their mean is well defined.
+_SHORTEST_PIECE = 0.1
 # Slope of a cut end against the motion of its pose is cut off at grazing rays.
 _GRAZING = 1e-2
 
@@ -163,9 +165,17 @@ def _combine(
     greatest = jnp.max(distance - held, axis=0)
     across = jnp.stack([jnp.abs(jnp.sum(f.normal * extents, axis=-1)) for f in faces])
     across = jnp.sum(trust**2 * across, axis=0) / (jnp.sum(trust**2, axis=0) + _TINY)
-    width = jnp.maximum(across, band)
     goes_in = jax.lax.stop_gradient(full > empty)
-    return hat_integral(jnp.where(goes_in, greatest, least) / width)
+    inside = jnp.where(goes_in, greatest, least) / band
+    # The mean over the piece: pieces in a row tile the edge.
+    half = jnp.maximum(across, _SHORTEST_PIECE * band) / (2 * band)
+    return (_mean_integral(inside + half) - _mean_integral(inside - half)) / (2 * half)
+
+
+def _mean_integral(x: Float[Array, " point"]) -> Float[Array, " point"]:
+    """Return the integral of `hat_integral` from below -1 up to x."""
+    c = jax.lax.clamp(-1.0, x, 1.0)
+    return 1 / 6 + 0.5 * c + 0.5 * c**2 - jnp.abs(c) ** 3 / 6 + jnp.maximum(x - 1, 0)
 
 
 def _face(

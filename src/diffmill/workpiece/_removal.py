@@ -140,8 +140,8 @@ def removal_window(
     d = stock.spacing
     slack = min(reach, cutter.nominal_radius)
     across = int((2 * cutter.nominal_radius + 2 * slack) / d) + 4
-    # From the row below the tip to the row above the top.
-    height = int(axial_depth / d) + 3
+    # From the row below the tip to the row above the top, wherever the tip is between.
+    height = int(axial_depth / d) + 4
     return RemovalWindow(
         (min(across, nx), min(across, ny), min(height, nz)),
         slack,
