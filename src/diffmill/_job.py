@@ -30,7 +30,8 @@ class SimulationSettings(eqx.Module):
         axial_depth: Deepest immersion that the discs reach [m].
         precision: "float64" or "float32".
         is_gravity_compensated: Whether the controller lifts the gravity sag.
-        plunges: Whether the path descends in material, so that bottom edges cut.
+        plunges: Whether the path descends in material.
+        has_bottom: Whether bottom edges cut where the tool descends.
         axes: Directions of the tool that occur, rounded; empty if it stands along +z
             and the bending arm is not to tilt it.
         chip: Chip model, "near_far" or "point_cloud" (hard, as in the paper).
@@ -43,6 +44,7 @@ class SimulationSettings(eqx.Module):
     precision: Literal["float64", "float32"] = eqx.field(static=True, default="float64")
     is_gravity_compensated: bool = eqx.field(static=True, default=True)
     plunges: bool = eqx.field(static=True, default=False)
+    has_bottom: bool = eqx.field(static=True, default=False)
     axes: tuple[tuple[float, float, float], ...] = eqx.field(static=True, default=())
     chip: Literal["near_far", "point_cloud"] = eqx.field(
         static=True, default="near_far"

@@ -87,6 +87,7 @@ class SimulationTable(Table):
     gravity_compensated: StrictBool = True
     chip: Literal["near_far", "point_cloud"] = "near_far"
     tool_tilt: StrictBool = False
+    bottom_edges: StrictBool = False
 
 
 class CorrectionTable(Table):

@@ -275,6 +275,7 @@ def _simulation(
         precision=table.precision,
         is_gravity_compensated=table.gravity_compensated,
         plunges=descends(path.positions, float(stock.upper[2])),
+        has_bottom=table.bottom_edges,
         axes=axes,
         chip=table.chip,
     )

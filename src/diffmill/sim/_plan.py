@@ -1,5 +1,6 @@
 """How finely the cutting process is computed."""
 
+import dataclasses
 import math
 from typing import Literal, TypeAlias
 
@@ -119,6 +120,7 @@ def process_plan(
     axes: Float[np.ndarray, "step 3"] | None = None,
     is_upright: bool = True,
     plunges: bool = False,
+    has_bottom: bool = True,
     chip: ChipModel = "near_far",
 ) -> ProcessPlan:
     """Choose the sizes of a process.
@@ -135,6 +137,7 @@ def process_plan(
         axes: Tool axes that will occur, shape (step, 3); used if not upright.
         is_upright: Whether the tool stands along +z all the time.
         plunges: Whether the path descends in material, so that the bottom cuts.
+        has_bottom: Whether bottom edges cut where the tool descends.
         chip: The chip model.
 
     Returns:
@@ -163,7 +166,8 @@ def process_plan(
         depth = min(axial_depth, cutter.flute_length)
         discs = Discs(max(1, math.ceil(depth / dz + 0.5)), dz, band)
         window = removal_window(stock, cutter, axial_depth, reach)
-        bottom = _ANNULI if plunges and chip == "near_far" else 0
+        is_cut_below = plunges and has_bottom and chip == "near_far"
+        bottom = _ANNULI if is_cut_below else 0
         return ProcessPlan(
             angles, substeps, discs, window, lag, chip=chip, bottom=bottom
         )
@@ -174,6 +178,8 @@ def process_plan(
         axes = _tilted(axes)
         window = tilted_window(stock, cutter, axes, axial_depth, reach)
         profile = _tilted_profile(cutter, axes, axial_depth, window.length, dz, plunges)
+    if not has_bottom:
+        profile = dataclasses.replace(profile, bottom=0)
     return ProcessPlan(
         angles, substeps, Discs(1, dz, band), window, lag, profile, is_upright, chip
     )

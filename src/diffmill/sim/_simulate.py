@@ -167,6 +167,7 @@ def job_plan(job: Job) -> ProcessPlan:
         axes=np.array(settings.axes) if settings.axes else None,
         is_upright=not settings.axes,
         plunges=settings.plunges,
+        has_bottom=settings.has_bottom,
         chip=settings.chip,
     )
 
