@@ -88,6 +88,21 @@ def reference_case(dataset: "xarray.Dataset") -> str:
     return "uncorrected" if "uncorrected" in names else names[0]
 
 
+def shown_cases(dataset: "xarray.Dataset") -> tuple[str, ...]:
+    """Return the cases that fit a linear scale with the reference case.
+
+    A case whose deviation while cutting is more than twice as large, such as a mirror
+    that grows from step to step, would hide all others.
+    """
+    limit = 2 * case_numbers(dataset, reference_case(dataset)).deviation_rms
+    return tuple(
+        name
+        for name in case_names(dataset)
+        if name == reference_case(dataset)
+        or not case_numbers(dataset, name).deviation_rms > limit
+    )
+
+
 def case_numbers(dataset: "xarray.Dataset", case: str) -> CaseNumbers:
     """Return the headline figures of one case; NaN where an input is absent."""
     cutting = cutting_of(dataset, case)

@@ -5,7 +5,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ._cases import case_names, cutting_of, reference_case, values_of
+from ._cases import (
+    case_names,
+    cutting_of,
+    reference_case,
+    shown_cases,
+    values_of,
+)
 from ._style import case_style, legend_above, new_figure, quiet_axes
 
 if TYPE_CHECKING:
@@ -25,13 +31,14 @@ def plot_deviation(dataset: "xarray.Dataset") -> "matplotlib.figure.Figure":
     Returns:
         The figure: three components, the contour error, and its absolute value on
         a logarithmic scale, on which small errors stay visible beside large ones.
-        Grey bands are steps that do not cut.
+        Grey bands are steps that do not cut. A case that is off by more than twice
+        as much as the uncorrected one appears on the logarithmic scale alone.
     """
     figure = new_figure(7.6)
     has_contour = "contour_error" in dataset
     panels = np.atleast_1d(figure.subplots(5 if has_contour else 3, 1, sharex=True))
     for axis, name in enumerate("xyz"):
-        for case in case_names(dataset):
+        for case in shown_cases(dataset):
             values = values_of(dataset, "deviation", case)[:, axis]
             _draw_line(panels[axis], dataset, case, values * 1e6)
         quiet_axes(panels[axis], y=rf"$\Delta {name}$ [$\mathrm{{\mu m}}$]")
@@ -43,7 +50,7 @@ def plot_deviation(dataset: "xarray.Dataset") -> "matplotlib.figure.Figure":
         axes.set_xlim(float(time[0]), float(time[-1]))
         axes.yaxis.set_label_coords(-0.075, 0.5)
     panels[-1].set_xlabel("time [s]", fontsize=8.5)
-    legend_above(figure, panels[0], columns=6)
+    legend_above(figure, panels[-1], columns=6)
     return figure
 
 
@@ -73,7 +80,8 @@ def _draw_contour(
     largest, smallest = 10 * _FLOOR_UM, np.inf
     for case in case_names(dataset):
         error_um = values_of(dataset, "contour_error", case) * 1e6
-        _draw_line(signed, dataset, case, error_um)
+        if case in shown_cases(dataset):
+            _draw_line(signed, dataset, case, error_um)
         size = np.where(cutting_of(dataset, case), np.abs(error_um), np.nan)
         _draw_line(absolute, dataset, case, np.maximum(size, _FLOOR_UM))
         largest = max(largest, float(np.nanmax(size, initial=0.0)))

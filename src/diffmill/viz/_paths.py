@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ._cases import (
-    case_names,
     cutting_of,
     reference_case,
+    shown_cases,
     values_of,
 )
 from ._style import (
@@ -160,7 +160,7 @@ def _draw_plan(
         label="desired",
         zorder=3.5,
     )
-    for name in case_names(dataset):
+    for name in shown_cases(dataset):
         style = case_style(name)
         points = np.where(keep[:, None], _points_mm(dataset, name, factor), np.nan)
         axes.plot(
@@ -221,7 +221,7 @@ def _draw_zoom(
 def _draw_side(axes: "matplotlib.axes.Axes", dataset: "xarray.Dataset") -> None:
     """Draw the height above the desired floor over x, seen along y."""
     axes.axhline(0.0, color=INK, linewidth=0.7, linestyle=(0, (4, 2)), zorder=3.5)
-    for name in case_names(dataset):
+    for name in shown_cases(dataset):
         style = case_style(name)
         deviation = values_of(dataset, "deviation", name)[:, 2] * 1e6
         deviation[~cutting_of(dataset, name)] = np.nan

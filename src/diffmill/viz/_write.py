@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import equinox as eqx
 import numpy as np
 
-from ._cases import case_names, reference_case, values_of
+from ._cases import case_names, reference_case, shown_cases, values_of
 from ._chip import ChipChart, plot_chip
 from ._dexels import CutDexels, plot_cut_dexels
 from ._forces import ForceRecord, plot_forces
@@ -113,7 +113,21 @@ def _draw_paths(dataset: "xarray.Dataset") -> _Drawing:
     )
     if len(case_names(dataset)) > 1:
         caption += " A path that follows the dashed line is what a correction is for."
+    caption += _left_out(dataset)
     return _Drawing(title, caption, plot_paths(dataset))
+
+
+def _left_out(dataset: "xarray.Dataset") -> str:
+    """Return a sentence about cases that would hide all others on a linear scale."""
+    shown = shown_cases(dataset)
+    names = [case_style(n).label for n in case_names(dataset) if n not in shown]
+    if not names:
+        return ""
+    reference = case_style(reference_case(dataset)).label
+    return (
+        f" Not drawn to this scale, because more than twice as far off as "
+        f"{reference}: {', '.join(names)}."
+    )
 
 
 def _draw_deviation(dataset: "xarray.Dataset") -> _Drawing:
@@ -131,6 +145,7 @@ def _draw_deviation(dataset: "xarray.Dataset") -> _Drawing:
             "time, which is what stays on the part; the lowest panel repeats its size "
             "on a logarithmic scale, so that small errors show beside large ones."
         )
+    caption += _left_out(dataset)
     return _Drawing(title, caption, plot_deviation(dataset))
 
 
