@@ -16,7 +16,7 @@ SAMPLES = 80
 SWEEP = (1e-7, 3e-8, 1e-8, 3e-9, 1e-9, 3e-10)
 # Differences of single samples need a step that leaves rounding behind and that no
 # kink of the neighbourhood comes into.
-STEP = 3e-9
+STEP = 1e-9
 MILL = dm.cutter.flat_end_mill(10e-3, 2)
 Scalar = Callable[[jax.Array], jax.Array]
 

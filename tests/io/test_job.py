@@ -122,9 +122,19 @@ def test_exact_number_of_substeps(write):
     assert job.simulation.substeps == 4
 
 
-def test_axial_depth_is_capped_by_the_flutes(write):
-    job = load_job(write(('"22 mm"', '"1.5 mm"')))
-    assert job.simulation.axial_depth == pytest.approx(1.5e-3)
+def test_flutes_shorter_than_the_path_is_deep_are_noted(write):
+    job = load_job(write(('"22 mm"', '"0.5 mm"')))
+    assert job.simulation.axial_depth == pytest.approx(1.6e-3)
+    assert any("shank_volume" in note for note in job.notes)
+
+
+@pytest.mark.parametrize("key", ["tool_tilt", "bottom_edges"])
+def test_switches_of_the_process(write, key):
+    plain = load_job(write()).simulation
+    assert plain.axes == () and not plain.has_bottom
+    job = load_job(write(("[robot]", f"[simulation]\n{key} = true\n[robot]")))
+    assert bool(job.simulation.axes) == (key == "tool_tilt")
+    assert job.simulation.has_bottom == (key == "bottom_edges")
 
 
 def test_speed_from_the_program(write):
