@@ -25,6 +25,8 @@ from ._plan import ProcessPlan
 
 # Cosine of how far outside the leading half a tooth may still cut.
 _BEFORE_LEADING = 0.05
+# A motion per tooth below this has no direction [m].
+_STILL = 1e-8
 
 
 def upright_engagement(
@@ -52,7 +54,7 @@ def upright_engagement(
     Returns:
         Immersion angles [rad], the tooth of each, and occupancy.
     """
-    angle, place = _leading_angles(plan, cutter, state, predicted)
+    angle, place, share = _leading_angles(plan, cutter, state, predicted)
     # Every period begins with another tooth in the same place.
     tooth = jnp.mod(place - (index - 1), cutter.flute_count)
     radius = cutter.diameter / 2
@@ -63,7 +65,8 @@ def upright_engagement(
     table = adjoint.table(state.poses)
     tips = None if table is None else table.tip
     weight = occupancy(state.stock, points, plan.discs, cutter, tips)
-    return angle, tooth, weight.reshape(*angle.shape[:3], plan.discs.count)
+    weight = weight.reshape(*angle.shape[:3], plan.discs.count)
+    return angle, tooth, weight * share
 
 
 def upright_force(
@@ -174,7 +177,9 @@ def _leading_angles(
     state: ProcessState,
     predicted: Float[Array, "substep 3"],
 ) -> tuple[
-    Float[Array, "substep angle kept disc"], Int[Array, "substep angle kept disc"]
+    Float[Array, "substep angle kept disc"],
+    Int[Array, "substep angle kept disc"],
+    Float[Array, "substep angle kept disc"],
 ]:
     """Return the angles of the teeth on the leading side, and their places.
 
@@ -184,16 +189,26 @@ def _leading_angles(
     angle = immersion_angles(plan, cutter, predicted.dtype)
     kept = (cutter.flute_count + 1) // 2
     if kept == cutter.flute_count:
-        return angle, jnp.zeros(angle.shape, jnp.int32)
+        return angle, jnp.zeros(angle.shape, jnp.int32), jnp.ones_like(angle)
     frozen = jax.lax.stop_gradient
-    motion = frozen(predicted - state.recent.tip[0])
-    heading = jnp.arctan2(motion[:, 0], motion[:, 1])[:, None, None, None]
-    lead = jnp.cos(frozen(angle) - heading)
+    motion = (predicted - state.recent.tip[0])[:, None, None, None, :2]
+    motion = motion / jnp.sqrt(jnp.sum(motion**2, -1, keepdims=True) + _STILL**2)
+    lead = jnp.sin(angle) * motion[..., 0] + jnp.cos(angle) * motion[..., 1]
     radius = cutter.nominal_radius
     x = frozen(predicted)[:, None, None, None, 0] + radius * jnp.sin(frozen(angle))
     y = frozen(predicted)[:, None, None, None, 1] + radius * jnp.cos(frozen(angle))
     tip = jnp.broadcast_to(frozen(predicted)[:, None, None, None, 2], x.shape)
     meets = (lead > -_BEFORE_LEADING) & has_material_above(state.stock, x, y, tip)
-    order = jnp.argsort(jnp.where(meets, lead + 2, lead), axis=2, descending=True)
+    rank = frozen(jnp.where(meets, lead + 2, lead))
+    order = jnp.argsort(rank, axis=2, descending=True)
+    sorted_lead = jnp.take_along_axis(lead, order[:, :, : kept + 1], axis=2)
+    # Where the last tooth kept and the first one dropped change places, the force must
+    # not jump: both touch there with chips of no thickness, so it may fade out.
+    both = jnp.take_along_axis(meets, order[:, :, kept : kept + 1], axis=2)
+    ahead = sorted_lead[:, :, kept - 1 : kept] - sorted_lead[:, :, kept:]
+    fade = jax.lax.clamp(0.0, ahead * (plan.angles / (4 * math.pi)), 1.0)
+    fade = jnp.where(both, fade**2 * (3 - 2 * fade), 1.0)
+    ones = jnp.ones_like(sorted_lead[:, :, : kept - 1])
+    share = jnp.concatenate([ones, fade], axis=2)
     order = order[:, :, :kept]
-    return jnp.take_along_axis(angle, order, axis=2), order.astype(jnp.int32)
+    return jnp.take_along_axis(angle, order, axis=2), order.astype(jnp.int32), share
