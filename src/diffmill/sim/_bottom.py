@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, Int
 from ..cutter import AbstractCutter
 from ..cutting import AbstractForceLaw, edge_contact, safe_norm
 from ..workpiece import Stock
-from ._plan import ProcessPlan
+from ._plan import ProcessPlan, turning
 
 # Slope of descent at which half of the bottom edge rubs.
 RAMP = 5e-3
@@ -63,7 +63,10 @@ def bottom_engagement(
 
     Differentiability: none: a constant.
     """
-    angles = _angles(plan, cutter, predicted.dtype)
+    pitch = 2 * math.pi / cutter.flute_count
+    place = pitch * jnp.arange(cutter.flute_count, dtype=predicted.dtype)
+    turn = turning(plan, cutter, predicted.dtype)
+    angles = turn[..., None] + place[None, None]
     angle = angles[..., None]
     radius = _radii(plan, cutter, predicted.dtype)[None, None, None]
     tip = jax.lax.stop_gradient(predicted)[:, None, None, None]
@@ -159,14 +162,3 @@ def _radii(
 ) -> Float[Array, " annulus"]:
     middles = (jnp.arange(plan.bottom, dtype=dtype) + 0.5) / plan.bottom
     return cutter.nominal_radius * middles
-
-
-def _angles(
-    plan: ProcessPlan, cutter: AbstractCutter, dtype: jnp.dtype
-) -> Float[Array, "substep angle tooth"]:
-    count = plan.angles // (plan.substeps * cutter.flute_count)
-    pitch = 2 * math.pi / cutter.flute_count
-    total = plan.substeps * count
-    turn = pitch * (jnp.arange(total, dtype=dtype) + 0.5) / total
-    tooth = pitch * jnp.arange(cutter.flute_count, dtype=dtype)
-    return turn.reshape(plan.substeps, count, 1) + tooth[None, None]

@@ -26,7 +26,7 @@ from ..workpiece import Pose, occupancy_in_space
 from ._adjoint import AbstractAdjoint
 from ._bottom import RAMP
 from ._history import ProcessState
-from ._plan import ProcessPlan
+from ._plan import ProcessPlan, turning
 
 # Elements nearer to the axis than this share of the radius count as standing there.
 _LEAST_SINE = 0.02
@@ -314,15 +314,12 @@ def _angles(
 ) -> Float[Array, "substep angle tooth element"]:
     """Return the immersion angles of all elements of a period [rad]."""
     dtype = elements.lag.dtype
-    count = plan.angles // (plan.substeps * cutter.flute_count)
-    total = plan.substeps * count
-    turn = (jnp.arange(total, dtype=dtype) + 0.5) / total
     # Teeth differ: every period the turn goes on where the one before ended.
     done = jnp.mod(index - 1, cutter.flute_count).astype(dtype)
-    turn = 2 * math.pi / cutter.flute_count * (turn + done)
+    turn = turning(plan, cutter, dtype) + 2 * math.pi / cutter.flute_count * done
     pitch = jnp.asarray(cutter.pitch_angles, dtype)
-    angle = turn[:, None, None] + pitch[None, :, None] - elements.lag[None, None]
-    return angle.reshape(plan.substeps, count, *angle.shape[1:])
+    place = pitch[:, None] - elements.lag[None]
+    return turn[..., None, None] + place[None, None]
 
 
 def _edge(

@@ -5,8 +5,9 @@ import math
 from typing import Literal, TypeAlias
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from .._types import FloatRows3
 from ..cutter import AbstractCutter
@@ -86,6 +87,16 @@ class ProcessPlan(eqx.Module):
                 'Argument `chip` must be "near_far" unless the cutter is flat, has '
                 'even teeth without run-out and stands along +z, but is "point_cloud".'
             )
+
+
+def turning(
+    plan: ProcessPlan, cutter: AbstractCutter, dtype: jnp.dtype
+) -> Float[Array, "substep angle"]:
+    """Return the angles by which the cutter turns from the start of a period [rad]."""
+    count = plan.angles // (plan.substeps * cutter.flute_count)
+    total = plan.substeps * count
+    share = (jnp.arange(total, dtype=dtype) + 0.5) / total
+    return (2 * math.pi / cutter.flute_count * share).reshape(plan.substeps, count)
 
 
 def descends(positions: FloatRows3, top: float) -> bool:

@@ -99,22 +99,11 @@ def simulate_process(
     `Traced` ends that earlier poses cut are constants.
     """
     dtype = stock.origin.dtype
-    is_traced = isinstance(positions, jax.core.Tracer)
     positions = _rows(positions, "positions", dtype)
     axes = _directions(axes, positions.shape[0], dtype)
     if plan is None:
-        depth = (
-            path_depth(positions, stock, cutter) if axial_depth is None else axial_depth
-        )
-        plan = process_plan(
-            stock,
-            cutter,
-            axial_depth=depth,
-            angles=angles,
-            axes=axes if isinstance(axes, np.ndarray) else None,
-            is_upright=axes is None,
-            plunges=is_traced or descends(positions, stock.top),
-            chip=chip,
+        plan = _plan_of_path(
+            positions, axes, stock, cutter, (angles, axial_depth), chip
         )
     adjoint = Plain() if adjoint is None else adjoint
     step_count = positions.shape[0]
@@ -123,27 +112,27 @@ def simulate_process(
 
     def step(
         state: ProcessState, x: tuple[Array, Pose, Pose]
-    ) -> tuple[ProcessState, tuple[Array, Array | None, Removed, Array]]:
+    ) -> tuple[ProcessState, tuple[Array, Array | None, Removed]]:
         index, start, poses = x
         state, cut, removed = begin_period(
             plan, cutter, state, index, start, poses, adjoint
         )
-        samples = jax.vmap(
+        force = jax.vmap(
             lambda pose, earlier, *samples: substep_force(
                 plan, cutter, law, bottom_law, pose, earlier, cut.thinned, *samples
             ),
             in_axes=(0, 1, 0, 0, 0, 0),
-        )(poses, state.recent, cut.angle, cut.tooth, cut.occupancy, cut.bottom).reshape(
-            -1, 3
         )
+        samples = force(
+            poses, state.recent, cut.angle, cut.tooth, cut.occupancy, cut.bottom
+        ).reshape(-1, 3)
         state = end_period(state, poses)
         kept = samples if keeps_instantaneous else None
-        bad = state.has_overflow | state.is_beyond
-        return state, (jnp.mean(samples, axis=0), kept, removed, bad)
+        return state, (jnp.mean(samples, axis=0), kept, removed)
 
     index = jnp.arange(1, step_count, dtype=jnp.int32)
     xs = (index, path[:-1], middles_of(plan, path))
-    state, (force, samples, removed, _) = jax.lax.scan(step, state, xs)
+    state, (force, samples, removed) = jax.lax.scan(step, state, xs)
     last = jnp.asarray(step_count - 1, jnp.int32)
     state, rest = flush(plan, cutter, state, last, path[-1], adjoint)
     period = 2 * math.pi / (jnp.asarray(spindle_speed, dtype) * cutter.flute_count)
@@ -159,6 +148,31 @@ def simulate_process(
         instantaneous_force=None
         if samples is None
         else jnp.concatenate([jnp.zeros_like(samples[:1]), samples]),
+    )
+
+
+def _plan_of_path(
+    positions: FloatRows3,
+    axes: Float[Array, "step 3"] | Float[np.ndarray, "step 3"] | None,
+    stock: Stock,
+    cutter: AbstractCutter,
+    sizes: tuple[int | None, float | None],
+    chip: ChipModel,
+) -> ProcessPlan:
+    """Choose the sizes for a path; what a traced path hides is taken at its widest."""
+    angles, axial_depth = sizes
+    if axial_depth is None:
+        axial_depth = path_depth(positions, stock, cutter)
+    is_traced = isinstance(positions, jax.core.Tracer)
+    return process_plan(
+        stock,
+        cutter,
+        axial_depth=axial_depth,
+        angles=angles,
+        axes=axes if isinstance(axes, np.ndarray) else None,
+        is_upright=axes is None,
+        plunges=is_traced or descends(positions, stock.top),
+        chip=chip,
     )
 
 

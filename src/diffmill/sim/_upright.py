@@ -21,7 +21,7 @@ from ..cutting import (
 from ..workpiece import has_material_above, occupancy
 from ._adjoint import AbstractAdjoint
 from ._history import ProcessState
-from ._plan import ProcessPlan
+from ._plan import ProcessPlan, turning
 
 # Cosine of how far outside the leading half a tooth may still cut.
 _BEFORE_LEADING = 0.05
@@ -158,11 +158,8 @@ def immersion_angles(
         Angles, shape (substep, angle, tooth, disc); the axis disc has length 1 if the
         flutes are straight.
     """
-    count = plan.angles // (plan.substeps * cutter.flute_count)
     pitch = 2 * math.pi / cutter.flute_count
-    total = plan.substeps * count
-    turn = pitch * (jnp.arange(total, dtype=dtype) + 0.5) / total
-    turn = turn.reshape(plan.substeps, count, 1, 1)
+    turn = turning(plan, cutter, dtype)[..., None, None]
     tooth = pitch * jnp.arange(cutter.flute_count, dtype=dtype)[None, None, :, None]
     if not cutter.has_helix:
         return turn + tooth
