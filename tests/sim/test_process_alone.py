@@ -209,3 +209,26 @@ def test_wrong_arguments_are_refused():
     with pytest.raises(ValueError, match="axes"):
         axes = np.tile([1.0, 0.0, 0.5], (STEPS, 1))
         sim.simulate_process(straight(6e-3), STOCK, MILL, PAPER_LAW, SPEED, axes)
+
+
+@pytest.mark.parametrize("case", ["flat", "ball", "tilted", "point_cloud"])
+def test_everything_runs_in_single_precision(case):
+    positions = np.stack([np.linspace(-2e-3, 4e-3, 30), np.zeros(30), np.zeros(30)], 1)
+    single = lambda x: (
+        jnp.asarray(x, jnp.float32) if np.asarray(x).dtype.kind == "f" else x
+    )
+    low = lambda tree: jax.tree.map(single, tree)
+    stock = low(wp.box((0.0, -3e-3, -5e-4), (6e-3, 3e-3, 5e-4), 2.5e-4))
+    make = ct.ball_end_mill if case == "ball" else ct.flat_end_mill
+    axes = np.tile([0.0, 0.1, 0.995], (30, 1)) if case == "tilted" else None
+    solution = sim.simulate_process(
+        positions.astype(np.float32),
+        stock,
+        low(make(5e-3, 2)),
+        low(PAPER_LAW),
+        spindle_speed=800.0,
+        axes=axes,
+        chip="point_cloud" if case == "point_cloud" else "near_far",
+    )
+    assert solution.force.dtype == jnp.float32
+    assert np.all(np.isfinite(solution.force)) and np.any(solution.force != 0)

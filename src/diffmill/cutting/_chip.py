@@ -9,11 +9,11 @@ The chip is the least of these over all earlier poses, so it follows regeneratio
 several teeth and is zero where the tool left the cut.
 """
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .._types import RealScalarLike
+from ..numerics import clamp
 
 # Below this motion per tooth an edge counts as standing still [m].
 _STANDSTILL = 1e-8
@@ -67,7 +67,7 @@ def layer_share(
     Differentiability: kinks at both ends of the ramp.
     """
     share = (element_lower + element_height - tip_height) / element_height
-    return jax.lax.clamp(0.0, share, 1.0)
+    return clamp(0.0, share, 1.0)
 
 
 def edge_contact(
@@ -93,7 +93,7 @@ def edge_contact(
     """
     moving = feed_per_tooth**2 / (feed_per_tooth**2 + _STANDSTILL**2)
     width = angle_step * jnp.maximum(feed_per_tooth, _STANDSTILL)
-    x = jax.lax.clamp(0.0, 0.5 * chip_thickness / width + 0.5, 1.0)
+    x = clamp(0.0, 0.5 * chip_thickness / width + 0.5, 1.0)
     return moving * x * x * (3 - 2 * x)
 
 

@@ -9,5 +9,6 @@ Assumes equally spaced samples on the host. Leaves out what JAX, equinox and lin
 already give, and filters within a traced function.
 """
 
+from ._clamp import clamp as clamp
 from ._filters import lowpass as lowpass
 from ._tied import tied as tied

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float, Int
 
 from ..cutter import AbstractCutter
 from ..cutting import AbstractForceLaw, edge_contact, safe_norm
+from ..numerics import clamp
 from ..workpiece import Stock
 from ._plan import ProcessPlan, turning
 
@@ -143,7 +144,7 @@ def bottom_force(
     feed = safe_norm(earlier[0] - tip)
     chip = jnp.where(is_first, chip, 0)
     touch = edge_contact(chip - RAMP * feed, feed, RAMP)
-    h = jax.lax.clamp(0.0, chip, cutter.nominal_radius)
+    h = clamp(0.0, chip, cutter.nominal_radius)
     teeth = jnp.broadcast_to(cut.tooth[..., None], h.shape)
     F_t, F_r, F_a = law.force_per_width(h, touch, teeth)
     share = weight * width

@@ -22,6 +22,7 @@ from jaxtyping import Array, Float, Int
 
 from ..cutter import AbstractCutter, EdgeElements
 from ..cutting import AbstractForceLaw, edge_contact, safe_norm
+from ..numerics import clamp
 from ..workpiece import Pose, occupancy_in_space
 from ._adjoint import AbstractAdjoint
 from ._bottom import RAMP
@@ -162,7 +163,7 @@ def force_in_space(
         # The bottom of a tool that does not descend must not rub.
         least = chip[..., :n] - RAMP * feed
         touch = touch.at[..., :n].set(edge_contact(least, feed, RAMP))
-    h = jax.lax.clamp(0.0, chip, cutter.nominal_radius)
+    h = clamp(0.0, chip, cutter.nominal_radius)
     parts = []
     if n > 0:
         bottom = law.for_bottom() if bottom_law is None else bottom_law

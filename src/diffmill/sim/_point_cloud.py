@@ -25,6 +25,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ..cutter import AbstractCutter
+from ..numerics import clamp
 from ..workpiece import Pose, Stock, TakenPieces, remove_poses, taken_pieces
 from ._adjoint import AbstractAdjoint
 from ._history import ProcessState, Removed
@@ -155,7 +156,7 @@ def cloud_engagement(
     half = math.pi / plan.angles
     upper = jnp.minimum(seen + half, arcs.exit[None, None, None])
     lower = jnp.maximum(seen - half, arcs.entry[None, None, None])
-    inside = jax.lax.clamp(0.0, (upper - lower) / (2 * half), 1.0)
+    inside = clamp(0.0, (upper - lower) / (2 * half), 1.0)
     return angle, inside * arcs.share[None, None, None]
 
 
@@ -190,7 +191,7 @@ def chip_arcs(
     dz = plan.discs.height
     bottom = plan.discs.centers(tip.dtype) - dz / 2
     share = jnp.minimum(bottom + dz, high) - jnp.maximum(bottom, low)
-    share = jax.lax.clamp(0.0, share / dz, 1.0)
+    share = clamp(0.0, share / dz, 1.0)
     # A row of rays stands for the layer of one spacing around it.
     half = (0.5 - _TINY) * stock.spacing
     above = rows.height[:, None] - bottom[None]

@@ -18,6 +18,7 @@ from ..cutting import (
     layer_share,
     safe_norm,
 )
+from ..numerics import clamp
 from ..workpiece import has_material_above, occupancy
 from ._adjoint import AbstractAdjoint
 from ._history import ProcessState
@@ -203,7 +204,7 @@ def _leading_angles(
     # not jump: both touch there with chips of no thickness, so it may fade out.
     both = jnp.take_along_axis(meets, order[:, :, kept : kept + 1], axis=2)
     ahead = sorted_lead[:, :, kept - 1 : kept] - sorted_lead[:, :, kept:]
-    fade = jax.lax.clamp(0.0, ahead * (plan.angles / (4 * math.pi)), 1.0)
+    fade = clamp(0.0, ahead * (plan.angles / (4 * math.pi)), 1.0)
     fade = jnp.where(both, fade**2 * (3 - 2 * fade), 1.0)
     ones = jnp.ones_like(sorted_lead[:, :, : kept - 1])
     share = jnp.concatenate([ones, fade], axis=2)

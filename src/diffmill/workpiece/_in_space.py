@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ..cutter import AbstractCutter
-from ..numerics import tied
+from ..numerics import clamp, tied
 from ._occupancy import REACH, nearest_interval
 from ._pose import Pose
 from ._stock import Stock
@@ -157,7 +157,7 @@ def _combine(
     distance = jnp.stack([f.distance for f in faces])
     trust = jnp.stack([f.trust for f in faces])
     known = trust / jnp.max(trust, axis=0, keepdims=True)
-    doubt = jax.lax.clamp(0.0, (_HEARD - known) / (_HEARD - _UNHEARD), 1.0)
+    doubt = clamp(0.0, (_HEARD - known) / (_HEARD - _UNHEARD), 1.0)
     held = 2 * REACH * d * doubt
     full = sum(f.full for f in faces)
     empty = sum(f.empty for f in faces)
@@ -174,7 +174,7 @@ def _combine(
 
 def _mean_integral(x: Float[Array, " point"]) -> Float[Array, " point"]:
     """Return the integral of `hat_integral` from below -1 up to x."""
-    c = jax.lax.clamp(-1.0, x, 1.0)
+    c = clamp(-1.0, x, 1.0)
     return 1 / 6 + 0.5 * c + 0.5 * c**2 - jnp.abs(c) ** 3 / 6 + jnp.maximum(x - 1, 0)
 
 
@@ -190,7 +190,7 @@ def _face(
     axes = ((family + 1) % 3, (family + 2) % 3)
     x = points[:, family, None]
     s = jnp.where(near.is_upper, ends - x, x - ends)
-    s = jnp.where(near.is_empty, -reach, jax.lax.clamp(-reach, s, reach))
+    s = jnp.where(near.is_empty, -reach, clamp(-reach, s, reach))
     p, q = (
         (at - jax.lax.stop_gradient(jnp.floor(at)))
         for at in ((points[:, a] - origin[a]) / d for a in axes)

@@ -28,7 +28,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ..cutter import AbstractCutter
-from ..numerics import tied
+from ..numerics import clamp, tied
 from ._stock import Stock
 
 # Distances along a ray are cut off here, in units of the spacing.
@@ -320,7 +320,7 @@ def _wall_occupancy(
         is_upper, is_empty = sides[f]
         x = jnp.broadcast_to(points[..., f], heights.shape)[..., None]
         s = jnp.where(is_upper, ends[f] - x, x - ends[f])
-        s = jnp.where(is_empty, -reach, jax.lax.clamp(-reach, s, reach))
+        s = jnp.where(is_empty, -reach, clamp(-reach, s, reach))
         # Rows are (side 0 or 1) x (height 0 or 1) for family 0, the transpose for 1.
         s = s.reshape(*s.shape[:-1], 2, 2)
         s = s if f == 0 else jnp.swapaxes(s, -1, -2)
@@ -339,7 +339,7 @@ def _wall_occupancy(
         says = says + weight + _BLIND
         certainty = certainty + weight
     inside = hat_integral(total / says / band)
-    return inside, jax.lax.clamp(0.0, 2 * certainty, 1.0)
+    return inside, clamp(0.0, 2 * certainty, 1.0)
 
 
 def _column_weights(
@@ -362,7 +362,7 @@ def _column_weights(
 @jax.custom_jvp
 def hat_integral(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
     """Integrate a hat of half-width 1: 0 below -1, 1 above 1, shifts sum to a line."""
-    x = jax.lax.clamp(-1.0, x, 1.0)
+    x = clamp(-1.0, x, 1.0)
     return 0.5 + x - 0.5 * x * jnp.abs(x)
 
 
