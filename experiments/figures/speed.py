@@ -239,7 +239,7 @@ def _areas(report: Report) -> None:
 
 _SECOND_PROCESS = """
 import json, sys, time
-sys.path.insert(0, {here!r})
+sys.path[:0] = [{here!r}, {common!r}]
 import jax, jax.monitoring
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
 jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
@@ -261,14 +261,15 @@ print(json.dumps(dict(
 
 def _cache(report: Report) -> None:
     """Compile in two processes that share a cache folder."""
-    here = str(pathlib.Path(__file__).parent)
+    here = pathlib.Path(__file__).parent
+    program = _SECOND_PROCESS.format(here=str(here), common=str(here.parent / "common"))
     report.say()
     with tempfile.TemporaryDirectory() as folder:
         environment = {**os.environ, "JAX_COMPILATION_CACHE_DIR": folder}
         found = []
         for name in ("first", "second"):
             ran = subprocess.run(
-                [sys.executable, "-c", _SECOND_PROCESS.format(here=here)],
+                [sys.executable, "-c", program],
                 env=environment,
                 capture_output=True,
                 text=True,
