@@ -26,6 +26,7 @@ from ._elements import (
     FixedRotation as FixedRotation,
     FixedTranslation as FixedTranslation,
     Fork as Fork,
+    Mimic as Mimic,
     PrismaticJoint as PrismaticJoint,
     RevoluteJoint as RevoluteJoint,
     RigidBody as RigidBody,

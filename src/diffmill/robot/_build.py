@@ -60,7 +60,7 @@ def build(
 
     Raises:
         ValueError: If there is no joint, a name occurs twice, or the tool is not
-            there or not unique.
+            there or not unique, or a joint mimics one that is not there or itself.
 
     **Differentiability**: none; differentiate by the arrays of the `Robot`.
     """
@@ -75,7 +75,9 @@ def build(
     flange_joint, flange, T_flange_tool = _choose_tool(walk, end, tool)
     masses, centers, inertias = zip(*map(_merge, walk.bodies), strict=True)
     placements = np.stack(walk.placements)
-    column = lambda field: jnp.asarray([float(getattr(j, field)) for j in walk.joints])
+    mimics = resolve_mimics(walk.joints)
+    joints = [j for j in walk.joints if j.mimic is None]
+    column = lambda field: jnp.asarray([float(getattr(j, field)) for j in joints])
     return Robot(
         placement_rotations=jnp.asarray(placements[:, :3, :3]),
         placement_positions=jnp.asarray(placements[:, :3, 3]),
@@ -91,14 +93,15 @@ def build(
         home=column("home"),
         gravity=jnp.asarray(np.array(_GRAVITY)),
         name=name,
-        joint_names=tuple(names),
-        joint_kinds=tuple(
+        joint_names=tuple(j.name for j in joints),
+        body_kinds=tuple(
             "prismatic" if isinstance(j, PrismaticJoint) else "revolute"
             for j in walk.joints
         ),
         parents=tuple(walk.parents),
-        is_virtual=tuple(j.is_virtual for j in walk.joints),
+        is_virtual=tuple(j.is_virtual for j in joints),
         flange_joint=flange_joint,
+        mimics=mimics,
     )
 
 
@@ -136,6 +139,36 @@ def _visit(
                     f"but contains {element!r}."
                 )
     return link, frame
+
+
+def resolve_mimics(
+    joints: Sequence[RevoluteJoint | PrismaticJoint],
+) -> tuple[tuple[int, float, float] | None, ...]:
+    """Return `Robot.mimics`: chains of followers end at an independent joint.
+
+    Raises:
+        ValueError: If a joint follows one that is not there, or in the end itself.
+    """
+    by_name = {joint.name: joint for joint in joints}
+    independent = [joint.name for joint in joints if joint.mimic is None]
+    resolved: list[tuple[int, float, float] | None] = []
+    for joint in joints:
+        name, multiplier, offset, seen = joint.name, 1.0, 0.0, {joint.name}
+        while (mimic := by_name[name].mimic) is not None:
+            name = mimic.joint
+            if name not in by_name:
+                raise ValueError(
+                    f"Joint {joint.name!r} mimics {name!r}, which is no moving joint; "
+                    f"allowed are {', '.join(by_name)}."
+                )
+            if name in seen:
+                raise ValueError(f"Joint {joint.name!r} mimics itself by {name!r}.")
+            seen.add(name)
+            offset += multiplier * float(mimic.offset)
+            multiplier *= float(mimic.multiplier)
+        own = joint.mimic is None
+        resolved.append(None if own else (independent.index(name), multiplier, offset))
+    return tuple(resolved)
 
 
 def _choose_tool(

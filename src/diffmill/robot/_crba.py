@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ._kinematics import JointFrames, joint_frames, link_inertia_rows
+from ._mimic import fold
 from ._robot import JointVector, Robot, joint_vector
 from ._spatial import apply_inertia, sum_rows
 
@@ -37,7 +38,7 @@ def _mass_matrix(
 
 
 def composite_mass_matrix(
-    robot: Robot, frames: JointFrames, inertias: Float[Array, "joint 13"]
+    robot: Robot, frames: JointFrames, inertias: Float[Array, "body 13"]
 ) -> Float[Array, "joint joint"]:
     """Return M from known frames and link inertias."""
     moves = robot.ancestry()
@@ -48,5 +49,6 @@ def composite_mass_matrix(
     # j, felt by joint i. It holds where i is an ancestor of j.
     felt = sum_rows(jnp.concatenate([force, moment], axis=-1), S.T)
     below = moves * felt
-    strictly_below = (moves - jnp.eye(robot.joint_count, dtype=S.dtype)) * felt
-    return below + strictly_below.T
+    strictly_below = (moves - jnp.eye(robot.body_count, dtype=S.dtype)) * felt
+    M = below + strictly_below.T
+    return fold(robot, fold(robot, M).T)

@@ -56,6 +56,27 @@ class FixedTranslation(AbstractElement):
         check_vector("position", self.position)
 
 
+class Mimic(eqx.Module):
+    """What a joint follows: it stands at multiplier * q + offset of another joint.
+
+    Attributes:
+        joint: Name of the other joint, which may itself follow a third.
+        multiplier: [-, rad/m or m/rad].
+        offset: [rad or m].
+    """
+
+    joint: str = eqx.field(static=True)
+    multiplier: RealScalarLike = 1.0
+    offset: RealScalarLike = 0.0
+
+    def __check_init__(self):
+        if not np.all(np.isfinite([float(self.multiplier), float(self.offset)])):
+            raise ValueError(
+                "Arguments `multiplier` and `offset` must be finite, but are "
+                f"{self.multiplier} and {self.offset}."
+            )
+
+
 class RevoluteJoint(AbstractElement):
     """Turn about an axis, driven through a spring and a damper.
 
@@ -68,6 +89,8 @@ class RevoluteJoint(AbstractElement):
         upper: Upper limit [rad].
         home: Angle in the home pose [rad].
         is_virtual: No motor: the spring rests at 0 (an elasticity of the structure).
+        mimic: The joint that this one follows; it is then no joint of the joint
+            vector, and has no spring, limits or home of its own.
     """
 
     name: str = eqx.field(static=True)
@@ -78,6 +101,7 @@ class RevoluteJoint(AbstractElement):
     upper: RealScalarLike = math.inf
     home: RealScalarLike = 0.0
     is_virtual: bool = eqx.field(static=True, default=False)
+    mimic: Mimic | None = None
 
     def __check_init__(self):
         check_joint(self)
@@ -95,6 +119,8 @@ class PrismaticJoint(AbstractElement):
         upper: Upper limit [m].
         home: Position in the home pose [m].
         is_virtual: No motor: the spring rests at 0 (an elasticity of the structure).
+        mimic: The joint that this one follows; it is then no joint of the joint
+            vector, and has no spring, limits or home of its own.
     """
 
     name: str = eqx.field(static=True)
@@ -105,6 +131,7 @@ class PrismaticJoint(AbstractElement):
     upper: RealScalarLike = math.inf
     home: RealScalarLike = 0.0
     is_virtual: bool = eqx.field(static=True, default=False)
+    mimic: Mimic | None = None
 
     def __check_init__(self):
         check_joint(self)

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ._mimic import fold, unfold_positions
 from ._robot import JointVector, Robot, joint_vector
 from ._spatial import apply_matrix, cross, inertia_rows, matrix_product
 
@@ -20,24 +21,24 @@ class JointFrames(eqx.Module):
     """Frames and screws of one joint configuration.
 
     Attributes:
-        rotations: Link axes in `base`, shape (joint, 3, 3).
-        positions: Joint origins in `base` [m], shape (joint, 3).
+        rotations: Link axes in `base`, shape (body, 3, 3).
+        positions: Joint origins in `base` [m], shape (body, 3).
         tool_rotation: Tool axes in `base`, shape (3, 3).
         tool_position: Tool origin in `base` [m], shape (3,).
         screws: Velocity of a body at the tool's origin per unit joint velocity,
-            linear part first, shape (joint, 6).
+            linear part first, shape (body, 6); `fold` gives those of the joint vector.
     """
 
-    rotations: Float[Array, "joint 3 3"]
-    positions: Float[Array, "joint 3"]
+    rotations: Float[Array, "body 3 3"]
+    positions: Float[Array, "body 3"]
     tool_rotation: Float[Array, "3 3"]
     tool_position: Float[Array, " 3"]
-    screws: Float[Array, "joint 6"]
+    screws: Float[Array, "body 6"]
 
 
 def joint_frames(robot: Robot, q: Float[Array, " joint"]) -> JointFrames:
     """Return frames and screws; see `JointFrames`."""
-    local_rotations, local_positions = _local_frames(robot, q)
+    local_rotations, local_positions = _local_frames(robot, unfold_positions(robot, q))
     rotations, positions = [], []
     for i, parent in enumerate(robot.parents):
         R, p = local_rotations[i], local_positions[i]
@@ -65,8 +66,8 @@ def joint_frames(robot: Robot, q: Float[Array, " joint"]) -> JointFrames:
 
 
 def _local_frames(
-    robot: Robot, q: Float[Array, " joint"]
-) -> tuple[Float[Array, "joint 3 3"], Float[Array, "joint 3"]]:
+    robot: Robot, q: Float[Array, " body"]
+) -> tuple[Float[Array, "body 3 3"], Float[Array, "body 3"]]:
     """Return each link's frame in its parent's."""
     R, p = robot.placement_rotations, robot.placement_positions
     slides = robot.prismatic_mask()
@@ -81,10 +82,10 @@ def _local_frames(
 
 def _screws(
     robot: Robot,
-    axes: Float[Array, "joint 3"],
-    origins: Float[Array, "joint 3"],
+    axes: Float[Array, "body 3"],
+    origins: Float[Array, "body 3"],
     tool_position: Float[Array, " 3"],
-) -> Float[Array, "joint 6"]:
+) -> Float[Array, "body 6"]:
     """Return the joints' screws about the tool's origin."""
     linear, angular = cross(axes, tool_position[None] - origins), axes
     slides = robot.prismatic_mask()[:, None]
@@ -105,13 +106,13 @@ def tool_transform(frames: JointFrames) -> Float[Array, "4 4"]:
 
 def tool_jacobian(robot: Robot, frames: JointFrames) -> Float[Array, "6 joint"]:
     """Return the Jacobian of known frames: the screws of joints that move the tool."""
-    moves = robot.tool_mask()
-    if moves.all():
-        return frames.screws.T
-    return jnp.where(moves[None, :], frames.screws.T, 0.0)
+    moves, screws = robot.tool_mask(), frames.screws
+    if not moves.all():
+        screws = jnp.where(moves[:, None], screws, 0.0)
+    return fold(robot, screws).T
 
 
-def link_inertia_rows(robot: Robot, frames: JointFrames) -> Float[Array, "joint 13"]:
+def link_inertia_rows(robot: Robot, frames: JointFrames) -> Float[Array, "body 13"]:
     """Return the links' inertias in base axes about the tool's origin."""
     R = frames.rotations
     centers = (

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ._kinematics import JointFrames, joint_frames, link_inertia_rows, tool_jacobian
+from ._mimic import fold, unfold_rates
 from ._robot import JointVector, Robot, Wrench, joint_vector, wrench_vector
 from ._spatial import apply_inertia, cross, sum_rows
 
@@ -100,20 +101,21 @@ def _gravity_forces(robot: Robot, q: Float[Array, " joint"]) -> Float[Array, " j
 
 
 def gravity_torques(
-    robot: Robot, frames: JointFrames, inertias: Float[Array, "joint 13"]
+    robot: Robot, frames: JointFrames, inertias: Float[Array, "body 13"]
 ) -> Float[Array, " joint"]:
     """Return G from known frames and link inertias."""
-    lift = jnp.broadcast_to(-robot.gravity[None], (robot.joint_count, 3))
+    lift = jnp.broadcast_to(-robot.gravity[None], (robot.body_count, 3))
     force = inertias[:, :1] * lift
     moment = cross(inertias[:, 1:4], lift)
     carried = sum_rows(robot.ancestry().T, jnp.concatenate([force, moment], axis=-1))
-    return jnp.sum(frames.screws * carried, axis=-1)
+    tau = jnp.sum(frames.screws * carried, axis=-1)
+    return fold(robot, tau[:, None])[:, 0]
 
 
 def newton_euler(
     robot: Robot,
     frames: JointFrames,
-    inertias: Float[Array, "joint 13"],
+    inertias: Float[Array, "body 13"],
     qd: Float[Array, " joint"],
     qdd: Float[Array, " joint"] | None = None,
 ) -> Float[Array, " joint"]:
@@ -121,7 +123,7 @@ def newton_euler(
     # symbols: v, w velocity of a link at the tool's origin and its rate of turning
     moves = robot.ancestry()
     S = frames.screws
-    S_qd = S * qd[:, None]
+    S_qd = S * unfold_rates(robot, qd)[:, None]
     twist = sum_rows(moves, S_qd)
     v, w = twist[:, :3], twist[:, 3:]
     s_v, s_w = S_qd[:, :3], S_qd[:, 3:]
@@ -129,7 +131,7 @@ def newton_euler(
     # joint's part of the twist drops out of the product.
     own = jnp.concatenate([cross(w, s_v) + cross(v, s_w), cross(w, s_w)], axis=-1)
     if qdd is not None:
-        own = own + S * qdd[:, None]
+        own = own + S * unfold_rates(robot, qdd)[:, None]
     acceleration = sum_rows(moves, own)
     p, L = apply_inertia(inertias, v, w)
     # Gravity is an upward acceleration of the base.
@@ -139,4 +141,5 @@ def newton_euler(
     force = force + cross(w, p)
     moment = moment + cross(w, L) + cross(v, p)
     carried = sum_rows(moves.T, jnp.concatenate([force, moment], axis=-1))
-    return jnp.sum(S * carried, axis=-1)
+    tau = jnp.sum(S * carried, axis=-1)
+    return fold(robot, tau[:, None])[:, 0]

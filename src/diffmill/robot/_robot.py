@@ -22,18 +22,20 @@ Wrench: TypeAlias = (
 
 
 class Robot(eqx.Module):
-    """A tree of joints, each carrying one link; z of a joint's frame is its axis.
+    """A tree of bodies, each on one joint; z of a joint's frame is its axis.
 
     Arrays differentiate; the topology is static. Change the tool with `with_tool`
-    and the drives with `with_drives`, anything else with `eqx.tree_at`.
+    and the drives with `with_drives`, anything else with `eqx.tree_at`. A joint that
+    mimics another moves a body but is no joint of the joint vector: there are as
+    many bodies as joints, or more.
 
     Attributes:
-        placement_rotations: Joint frame at q = 0 in its parent's, shape (joint, 3, 3).
-        placement_positions: Its origin there [m], shape (joint, 3).
-        link_masses: [kg], shape (joint,).
-        link_centers: Centres of mass in the joint frame [m], shape (joint, 3).
+        placement_rotations: Joint frame at q = 0 in its parent's, shape (body, 3, 3).
+        placement_positions: Its origin there [m], shape (body, 3).
+        link_masses: [kg], shape (body,).
+        link_centers: Centres of mass in the joint frame [m], shape (body, 3).
         link_inertias: About the centres, axes of the joint frame [kg m^2],
-            shape (joint, 3, 3).
+            shape (body, 3, 3).
         T_joint_flange: Flange in the frame of `flange_joint`, shape (4, 4).
         T_flange_tool: Tool in the flange's frame, shape (4, 4).
         joint_stiffness: K [N m/rad or N/m], shape (joint,).
@@ -44,17 +46,19 @@ class Robot(eqx.Module):
         gravity: Acceleration of free fall in `base` [m/s^2], shape (3,).
         name: Name of the model.
         joint_names: Order of the joint vector.
-        joint_kinds: "revolute" or "prismatic" per joint.
-        parents: Index of each joint's parent, -1 for the base; below its own index.
+        body_kinds: "revolute" or "prismatic", the kind of each body's joint.
+        parents: Index of each body's parent, -1 for the base; below its own index.
         is_virtual: Whether a joint has a spring but no motor, per joint.
-        flange_joint: Joint whose link carries the flange, -1 for the base.
+        flange_joint: Body that carries the flange, -1 for the base.
+        mimics: Per body None, or for one whose joint mimics another: the index of
+            that joint in the joint vector, multiplier, offset [rad or m].
     """
 
-    placement_rotations: Float[Array, "joint 3 3"]
-    placement_positions: Float[Array, "joint 3"]
-    link_masses: Float[Array, " joint"]
-    link_centers: Float[Array, "joint 3"]
-    link_inertias: Float[Array, "joint 3 3"]
+    placement_rotations: Float[Array, "body 3 3"]
+    placement_positions: Float[Array, "body 3"]
+    link_masses: Float[Array, " body"]
+    link_centers: Float[Array, "body 3"]
+    link_inertias: Float[Array, "body 3 3"]
     T_joint_flange: Float[Array, "4 4"]
     T_flange_tool: Float[Array, "4 4"]
     joint_stiffness: Float[Array, " joint"]
@@ -65,15 +69,32 @@ class Robot(eqx.Module):
     gravity: Float[Array, " 3"]
     name: str = eqx.field(static=True)
     joint_names: tuple[str, ...] = eqx.field(static=True)
-    joint_kinds: tuple[str, ...] = eqx.field(static=True)
+    body_kinds: tuple[str, ...] = eqx.field(static=True)
     parents: tuple[int, ...] = eqx.field(static=True)
     is_virtual: tuple[bool, ...] = eqx.field(static=True)
     flange_joint: int = eqx.field(static=True)
+    mimics: tuple[tuple[int, float, float] | None, ...] = eqx.field(static=True)
 
     @property
     def joint_count(self) -> int:
-        """Number of joints, virtual ones included."""
+        """Number of joints, virtual ones included, mimicking ones not."""
         return len(self.joint_names)
+
+    @property
+    def body_count(self) -> int:
+        """Number of bodies: of joints, mimicking ones included."""
+        return len(self.parents)
+
+    @property
+    def has_mimics(self) -> bool:
+        """Whether some body's joint mimics another."""
+        return self.body_count > self.joint_count
+
+    @property
+    def joint_kinds(self) -> tuple[str, ...]:
+        """Return "revolute" or "prismatic" per joint."""
+        pairs = zip(self.body_kinds, self.mimics, strict=True)
+        return tuple(kind for kind, mimic in pairs if mimic is None)
 
     @property
     def dtype(self) -> DTypeLike:
@@ -85,25 +106,25 @@ class Robot(eqx.Module):
         """Indices of the joints that have a motor."""
         return tuple(i for i, virtual in enumerate(self.is_virtual) if not virtual)
 
-    def ancestry(self) -> Float[Array, "joint joint"]:
-        """Return a matrix with 1 in row k, column i where joint i moves link k."""
-        moves = np.eye(self.joint_count)
+    def ancestry(self) -> Float[Array, "body body"]:
+        """Return a matrix with 1 in row k, column i where body i carries body k."""
+        moves = np.eye(self.body_count)
         for k, parent in enumerate(self.parents):
             if parent >= 0:
                 moves[k] += moves[parent]
         return jnp.asarray(moves, self.dtype)
 
     def prismatic_mask(self) -> np.ndarray:
-        """Return whether each joint slides, shape (joint,)."""
-        return np.array([kind == "prismatic" for kind in self.joint_kinds])
+        """Return whether each body slides, shape (body,)."""
+        return np.array([kind == "prismatic" for kind in self.body_kinds])
 
     def motor_mask(self) -> np.ndarray:
         """Return whether each joint has a motor, shape (joint,)."""
         return ~np.array(self.is_virtual)
 
     def tool_mask(self) -> np.ndarray:
-        """Return whether each joint moves the tool, shape (joint,)."""
-        moves = np.zeros(self.joint_count, dtype=bool)
+        """Return whether each body carries the tool, shape (body,)."""
+        moves = np.zeros(self.body_count, dtype=bool)
         joint = self.flange_joint
         while joint >= 0:
             moves[joint] = True
