@@ -35,6 +35,8 @@ class SimulationSettings(eqx.Module):
         axes: Directions of the tool that occur, rounded; empty if it stands along +z
             and the bending arm is not to tilt it.
         chip: Chip model, "near_far" or "point_cloud" (hard, as in the paper).
+        integrator: Rule of the robot's sub-steps, "midpoint" or "rk4" (explicit, to
+            verify the other by).
     """
 
     angles: int = eqx.field(static=True)
@@ -49,6 +51,7 @@ class SimulationSettings(eqx.Module):
     chip: Literal["near_far", "point_cloud"] = eqx.field(
         static=True, default="near_far"
     )
+    integrator: Literal["midpoint", "rk4"] = eqx.field(static=True, default="midpoint")
 
 
 class CorrectionSettings(eqx.Module):

@@ -100,6 +100,7 @@ def test_defaults_of_the_simulation(write):
     # 1 mm deep, and 0.6 mm of room.
     assert settings.axial_depth == pytest.approx(1.6e-3)
     assert settings.precision == "float64"
+    assert settings.integrator == "midpoint"
 
 
 def test_a_job_may_ask_for_the_chip_of_the_paper(write):
@@ -276,6 +277,10 @@ def test_recorded_path(write, tmp_path):
         (
             ("[robot]", '[simulation]\nchip = "dexel"\n[robot]'),
             ("[simulation] chip", "'dexel'", "'near_far'", "'point_cloud'"),
+        ),
+        (
+            ("[robot]", '[simulation]\nintegrator = "euler"\n[robot]'),
+            ("[simulation] integrator", "'euler'", "'midpoint'", "'rk4'"),
         ),
         (
             ("[robot]", '[simulation]\nprecision = "double"\n[robot]'),

@@ -88,6 +88,7 @@ class SimulationTable(Table):
     chip: Literal["near_far", "point_cloud"] = "near_far"
     tool_tilt: StrictBool = False
     bottom_edges: StrictBool = False
+    integrator: Literal["midpoint", "rk4"] = "midpoint"
 
 
 class CorrectionTable(Table):

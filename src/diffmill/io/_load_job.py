@@ -278,6 +278,7 @@ def _simulation(
         has_bottom=table.bottom_edges,
         axes=axes,
         chip=table.chip,
+        integrator=table.integrator,
     )
 
 

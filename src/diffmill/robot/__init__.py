@@ -32,6 +32,7 @@ from ._elements import (
     RigidBody as RigidBody,
     Tool as Tool,
 )
+from ._energy import mechanical_energy as mechanical_energy
 from ._files import built_in_models as built_in_models, load as load
 from ._forward_dynamics import forward_dynamics as forward_dynamics
 from ._inverse_kinematics import (

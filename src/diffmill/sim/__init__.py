@@ -25,7 +25,16 @@ from ._coupled import (
     CoupledSolution as CoupledSolution,
     simulate_coupled as simulate_coupled,
 )
+from ._free_motion import FreeMotion as FreeMotion, free_motion as free_motion
 from ._in_space import tool_frame as tool_frame
+from ._integrators import (
+    AbstractIntegrator as AbstractIntegrator,
+    ArmState as ArmState,
+    Midpoint as Midpoint,
+    MotorCommand as MotorCommand,
+    RungeKutta4 as RungeKutta4,
+    make_integrator as make_integrator,
+)
 from ._plan import (
     ChipModel as ChipModel,
     ProcessPlan as ProcessPlan,

@@ -2,17 +2,12 @@
 
 One `lax.scan` over tooth periods. At the start of a period the robot's terms (mass
 matrix, bias forces, Jacobian, tip) are computed once: within a period a joint turns
-by some 1e-4 rad, so they are constant to the same accuracy. The sub-steps then solve
-a linear, implicit midpoint step each,
-
-    (M + h D / 2 + h^2 K / 4) dv
-        = h (K (theta - q - h v / 2) + D (thetad - v) - bias + J^T F),
-
-with the motor angle theta at the middle of the sub-step and the force F of the teeth
-that pass in it. The midpoint form neither damps nor excites an oscillation.
+by some 1e-4 rad, so they are constant to the same accuracy. Each sub-step then takes
+the force F of the teeth that pass in it, at the tip where the robot will be in the
+middle of the sub-step, and hands J^T F to the integrator (`_integrators.py`).
 """
 
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import equinox as eqx
 import jax
@@ -28,6 +23,7 @@ from ..workpiece import Pose, Stock
 from ._adjoint import AbstractAdjoint
 from ._bottom import BottomEngagement
 from ._history import ProcessState, Removed, end_period, flush, initial_state
+from ._integrators import AbstractIntegrator, ArmState, Midpoint, MotorCommand
 from ._period import Engagement, begin_period, substep_force, substep_middles
 from ._plan import ProcessPlan
 from ._process_alone import outcome, volumes_by_pose
@@ -68,8 +64,7 @@ class _Arm(eqx.Module):
 
     pose: Pose
     jacobian: Float[Array, "3 joint"]
-    bias: Float[Array, " joint"]
-    inverse: Float[Array, "joint joint"]
+    begun: Any
 
 
 class _Period(eqx.Module):
@@ -80,6 +75,24 @@ class _Period(eqx.Module):
     joint_positions: Float[Array, " joint"]
     removed: Removed
     has_failed: Bool[Array, ""]
+
+
+class _Machine(eqx.Module):
+    """What stays the same from period to period."""
+
+    robot: Robot
+    T_base_work: Float[Array, "4 4"]
+    cutter: AbstractCutter
+    laws: tuple[AbstractForceLaw, AbstractForceLaw | None]
+    tooth_period: Float[Array, ""]
+    plan: ProcessPlan
+    adjoint: AbstractAdjoint
+    integrator: AbstractIntegrator
+
+    @property
+    def substep(self) -> Float[Array, ""]:
+        """Length of a sub-step [s]."""
+        return self.tooth_period / self.plan.substeps
 
 
 def simulate_coupled(
@@ -93,6 +106,7 @@ def simulate_coupled(
     plan: ProcessPlan,
     adjoint: AbstractAdjoint,
     bottom_law: AbstractForceLaw | None = None,
+    integrator: AbstractIntegrator | None = None,
 ) -> CoupledSolution:
     """Move the motors, let the arm follow and cut.
 
@@ -111,6 +125,7 @@ def simulate_coupled(
         plan: Sizes of the process.
         adjoint: How to differentiate through the removal.
         bottom_law: The law of the bottom edge; derived from `law` if not given.
+        integrator: The rule of the robot's sub-steps; `Midpoint()` if not given.
 
     Returns:
         The motion, the forces and the final stock.
@@ -121,48 +136,35 @@ def simulate_coupled(
     dtype, step_count = theta.dtype, theta.shape[0]
     T = jnp.asarray(tooth_period, dtype)
     frame = jnp.asarray(T_base_work, dtype)
-    v = (theta[1] - theta[0]) / T
-    q = _start(robot, theta[0], v)
-    first = _arm(plan, robot, frame, q, v, T / plan.substeps).pose
+    rule = Midpoint() if integrator is None else integrator
+    laws = (law, bottom_law)
+    machine = _Machine(robot, frame, cutter, laws, T, plan, adjoint, rule)
+    state = _start(robot, theta[0], (theta[1] - theta[0]) / T)
+    first = _arm(machine, state).pose
     process, overlap = initial_state(plan, stock, cutter, first, step_count, adjoint)
-    middles = substep_middles(plan, dtype)
 
     def step(
-        carry: tuple[ProcessState, Array, Array], x: tuple[Array, Array, Array]
-    ) -> tuple[tuple[ProcessState, Array, Array], _Period]:
-        process, q, v = carry
-        index, start, stop = x
-        arm = _arm(plan, robot, frame, q, v, T / plan.substeps)
-        motion = T * middles[:, None] * (arm.jacobian @ v)[None]
-        predicted = _along(arm.pose, arm.pose.tip[None] + motion)
-        process, cut, removed = begin_period(
-            plan, cutter, process, index, arm.pose, predicted, adjoint
-        )
-        rate = (stop - start) / T
-        targets = start[None] + T * middles[:, None] * rate[None]
-        end, (tips, forces) = _run_substeps(
-            plan,
-            cutter,
-            (law, bottom_law),
-            robot,
-            arm,
-            process,
-            cut,
-            (q, v),
-            targets,
-            rate,
-            T,
-        )
-        process = end_period(process, _along(arm.pose, tips))
-        has_failed = process.has_overflow | process.is_beyond
-        row = _Period(arm.pose.tip, jnp.mean(forces, axis=0), q, removed, has_failed)
-        return (process, *end), row
+        carry: tuple[ProcessState, ArmState], x: tuple[Array, Array, Array]
+    ) -> tuple[tuple[ProcessState, ArmState], _Period]:
+        return _run_period(machine, *carry, *x)
 
     index = jnp.arange(1, step_count, dtype=jnp.int32)
-    carry = (process, q, v)
+    carry = (process, state)
     carry, rows = jax.lax.scan(step, carry, (index, theta[:-1], theta[1:]))
-    process, q, v = carry
-    final = _arm(plan, robot, frame, q, v, T / plan.substeps).pose
+    return _finish(machine, *carry, rows, overlap)
+
+
+def _finish(
+    machine: _Machine,
+    process: ProcessState,
+    state: ArmState,
+    rows: _Period,
+    overlap: Float[Array, ""],
+) -> CoupledSolution:
+    """Remove what is pending, and put the rows of all poses together."""
+    plan, cutter, adjoint = machine.plan, machine.cutter, machine.adjoint
+    dtype, step_count = rows.tip.dtype, rows.tip.shape[0] + 1
+    final = _arm(machine, state).pose
     last: Int[Array, ""] = jnp.asarray(step_count - 1, jnp.int32)
     process, rest = flush(plan, cutter, process, last, final, adjoint)
     actual = jnp.concatenate([rows.tip, final.tip[None]])
@@ -170,7 +172,7 @@ def simulate_coupled(
     return CoupledSolution(
         actual=actual,
         force=jnp.concatenate([jnp.zeros((1, 3), dtype), rows.force]),
-        joint_positions=jnp.concatenate([rows.joint_positions, q[None]]),
+        joint_positions=jnp.concatenate([rows.joint_positions, state.q[None]]),
         removed_volume=volume,
         shank_volume=by_shank,
         initial_overlap_volume=overlap,
@@ -182,8 +184,8 @@ def simulate_coupled(
 
 def _start(
     robot: Robot, theta: Float[Array, " joint"], v: Float[Array, " joint"]
-) -> Float[Array, " joint"]:
-    """Return the joints in equilibrium with gravity and the motion: two Newton steps.
+) -> ArmState:
+    """Return the arm in equilibrium with gravity and the motion: two Newton steps.
 
     The springs are much stiffer than gravity, so the second step is at rounding.
     """
@@ -191,7 +193,7 @@ def _start(
     for _ in range(3):
         bias = arm_terms(robot, q, v).bias_forces
         q = theta - bias / robot.joint_stiffness
-    return q
+    return ArmState(q, v)
 
 
 def _along(pose: Pose, tips: Float[Array, "substep 3"]) -> Pose:
@@ -201,71 +203,88 @@ def _along(pose: Pose, tips: Float[Array, "substep 3"]) -> Pose:
     return Pose(tips, jnp.broadcast_to(pose.axis[None], tips.shape))
 
 
-def _arm(
-    plan: ProcessPlan,
-    robot: Robot,
-    T_base_work: Float[Array, "4 4"],
-    q: Float[Array, " joint"],
-    v: Float[Array, " joint"],
-    h: Float[Array, ""],
-) -> _Arm:
-    terms = arm_terms(robot, q, v)
+def _arm(machine: _Machine, state: ArmState) -> _Arm:
+    """Return the robot's terms at the start of a period."""
+    robot, T_base_work = machine.robot, machine.T_base_work
+    terms = arm_terms(robot, state.q, state.v)
     to_work = T_base_work[:3, :3].T
-    # symbols: M mass matrix, K stiffness, D damping, h sub-step
-    M, K, D = terms.mass_matrix, robot.joint_stiffness, robot.joint_damping
-    A = M + jnp.diag(h / 2 * D + h**2 / 4 * K)
-    # A sub-step costs one product with the inverse; the matrix is small and definite.
-    factor = jnp.linalg.cholesky(A)
-    eye = jnp.eye(A.shape[0], dtype=A.dtype)
-    inverse = jax.scipy.linalg.cho_solve((factor, True), eye)
     return _Arm(
         pose=Pose(
             to_work @ (terms.T_base_tool[:3, 3] - T_base_work[:3, 3]),
-            None if plan.is_upright else to_work @ terms.T_base_tool[:3, 2],
+            None if machine.plan.is_upright else to_work @ terms.T_base_tool[:3, 2],
         ),
         jacobian=to_work @ terms.jacobian[:3],
-        bias=terms.bias_forces,
-        inverse=inverse,
+        begun=machine.integrator.begin(robot, terms, machine.substep),
     )
 
 
+def _run_period(
+    machine: _Machine,
+    process: ProcessState,
+    state: ArmState,
+    index: Int[Array, ""],
+    start: Float[Array, " joint"],
+    stop: Float[Array, " joint"],
+) -> tuple[tuple[ProcessState, ArmState], _Period]:
+    """Return the state after one tooth period, and its row."""
+    T = machine.tooth_period
+    middles = substep_middles(machine.plan, start.dtype)
+    arm = _arm(machine, state)
+    motion = T * middles[:, None] * (arm.jacobian @ state.v)[None]
+    predicted = _along(arm.pose, arm.pose.tip[None] + motion)
+    process, cut, removed = begin_period(
+        machine.plan,
+        machine.cutter,
+        process,
+        index,
+        arm.pose,
+        predicted,
+        machine.adjoint,
+    )
+    rate = (stop - start) / T
+    targets = start[None] + T * middles[:, None] * rate[None]
+    end, (tips, forces) = _run_substeps(
+        machine, arm, process, cut, state, targets, rate
+    )
+    process = end_period(process, _along(arm.pose, tips))
+    has_failed = process.has_overflow | process.is_beyond
+    force = jnp.mean(forces, axis=0)
+    return (process, end), _Period(arm.pose.tip, force, state.q, removed, has_failed)
+
+
 def _run_substeps(
-    plan: ProcessPlan,
-    cutter: AbstractCutter,
-    laws: tuple[AbstractForceLaw, AbstractForceLaw | None],
-    robot: Robot,
+    machine: _Machine,
     arm: _Arm,
     process: ProcessState,
     cut: Engagement,
-    start: tuple[Float[Array, " joint"], Float[Array, " joint"]],
+    start: ArmState,
     targets: Float[Array, "substep joint"],
     rate: Float[Array, " joint"],
-    tooth_period: Float[Array, ""],
-) -> tuple[
-    tuple[Float[Array, " joint"], Float[Array, " joint"]],
-    tuple[Float[Array, "substep 3"], Float[Array, "substep 3"]],
-]:
+) -> tuple[ArmState, tuple[Float[Array, "substep 3"], Float[Array, "substep 3"]]]:
     """Return the state at the end of a period, the tips and the forces within it."""
-    h = tooth_period / plan.substeps
-    K, D = robot.joint_stiffness, robot.joint_damping
-    q0 = start[0]
+    robot, h = machine.robot, machine.substep
 
     @jax.checkpoint
     def substep(
-        state: tuple[Array, Array],
-        x: tuple[Array, Pose, _Samples],
-    ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        q, v = state
+        state: ArmState, x: tuple[Array, Pose, _Samples]
+    ) -> tuple[ArmState, tuple[Array, Array]]:
         theta, earlier, samples = x
-        tip = arm.pose.tip + arm.jacobian @ (q + h / 2 * v - q0)
+        tip = arm.pose.tip + arm.jacobian @ (state.q + h / 2 * state.v - start.q)
         pose = Pose(tip, arm.pose.axis)
         forces = substep_force(
-            plan, cutter, *laws, pose, earlier, cut.thinned, *samples
+            machine.plan,
+            machine.cutter,
+            *machine.laws,
+            pose,
+            earlier,
+            cut.thinned,
+            *samples,
         )
         F = jnp.mean(forces, axis=0)
-        tau = K * (theta - q - h / 2 * v) + D * (rate - v) - arm.bias
-        dv = arm.inverse @ (h * (tau + arm.jacobian.T @ F))
-        return (q + h * (v + dv / 2), v + dv), (tip, F)
+        load = arm.jacobian.T @ F
+        command = MotorCommand(theta, rate)
+        end = machine.integrator.step(robot, arm.begun, state, command, load, h)
+        return end, (tip, F)
 
     earlier = jax.tree.map(lambda x: jnp.moveaxis(x, 0, 1), process.recent)
     xs = (targets, earlier, (cut.angle, cut.tooth, cut.occupancy, cut.bottom))

@@ -19,6 +19,7 @@ from ..workpiece import Stock
 from ._adjoint import AbstractAdjoint, Plain
 from ._coupled import CoupledSolution, simulate_coupled
 from ._in_space import tool_frame
+from ._integrators import make_integrator
 from ._plan import ProcessPlan, process_plan
 from ._process_alone import ProcessSolution, simulate_process
 
@@ -274,6 +275,7 @@ def run_motors(
         job_plan(job),
         adjoint,
         job.bottom_law,
+        make_integrator(job.simulation.integrator),
     )
 
 

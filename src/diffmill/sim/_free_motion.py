@@ -1,0 +1,87 @@
+"""The arm alone: it swings on its springs, and cuts nothing.
+
+The integrators of the coupled simulation, to see what they do to an oscillation:
+their order, the damping that they add and the energy that they keep.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._types import RealScalarLike
+from ..robot import Robot, arm_terms
+from ._integrators import AbstractIntegrator, ArmState, Midpoint, MotorCommand
+
+
+class FreeMotion(eqx.Module):
+    """A motion of the arm.
+
+    Attributes:
+        time: [s], shape (row,).
+        joint_positions: [rad or m], shape (row, joint).
+        joint_velocities: [rad/s or m/s], shape (row, joint).
+    """
+
+    time: Float[Array, " row"]
+    joint_positions: Float[Array, "row joint"]
+    joint_velocities: Float[Array, "row joint"]
+
+
+def free_motion(
+    robot: Robot,
+    start: ArmState,
+    motor_positions: Float[Array, " joint"],
+    time_step: RealScalarLike,
+    rows: int,
+    integrator: AbstractIntegrator | None = None,
+    *,
+    held: int | None = None,
+) -> FreeMotion:
+    """Let the arm swing with its motors at rest.
+
+    Args:
+        robot: The robot.
+        start: Where it begins.
+        motor_positions: theta [rad or m], shape (joint,); 0 for virtual joints.
+        time_step: Step h [s], shape ().
+        rows: Rows of the result after the first.
+        integrator: The rule of a step; `Midpoint()` if not given.
+        held: Steps per row for which the terms of the row's start hold, as in the
+            coupled simulation with this many sub-steps. If not given, every step is a
+            row with the terms of its own predicted middle, which is what the midpoint
+            rule needs for order 2 where the terms change.
+
+    Returns:
+        The motion, its start in row 0.
+
+    Differentiability: smooth.
+    """
+    rule = Midpoint() if integrator is None else integrator
+    h = jnp.asarray(time_step, start.q.dtype)
+    command = MotorCommand(motor_positions, jnp.zeros_like(motor_positions))
+    rest = jnp.zeros_like(start.q)
+
+    def step(begun: Any, state: ArmState) -> ArmState:
+        return rule.step(robot, begun, state, command, rest, h)
+
+    def row(
+        carry: tuple[ArmState, Array], _: None
+    ) -> tuple[tuple[ArmState, Array], ArmState]:
+        state, dv = carry
+        q, v = state.q, state.v
+        if held is None:
+            # The last step's change of velocity predicts half of this one's.
+            q, v = q + h / 2 * v, v + dv / 2
+        begun = rule.begin(robot, arm_terms(robot, q, v), h)
+        after, _ = jax.lax.scan(
+            lambda s, _: (step(begun, s), None), state, length=held or 1
+        )
+        return (after, after.v - state.v), after
+
+    _, states = jax.lax.scan(row, (start, rest), length=rows)
+    states = jax.tree.map(lambda x, y: jnp.concatenate([x[None], y]), start, states)
+    time = jnp.arange(rows + 1, dtype=h.dtype) * (h * (held or 1))
+    return FreeMotion(time, states.q, states.v)

@@ -1,0 +1,138 @@
+"""What the integrators do to an arm that swings freely."""
+
+import functools
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import PAPER_LAW
+
+from diffmill import cutter as ct, robot as rb, sim, workpiece as wp
+
+PERIOD, SUBSTEPS = 3.75e-3, 8
+STEP = PERIOD / SUBSTEPS
+REFERENCE = sim.RungeKutta4()
+
+
+def planar_arm():
+    """Return a 2R arm in the vertical plane, soft enough to swing far."""
+    axis = (0.0, -1.0, 0.0)
+    return rb.build(
+        [
+            rb.RevoluteJoint("shoulder", axis, stiffness=900.0, damping=2.0),
+            rb.RigidBody(3.0, (0.3, 0.0, 0.0), np.diag([0.05, 0.06, 0.05])),
+            rb.FixedTranslation((0.7, 0.0, 0.0)),
+            rb.RevoluteJoint("elbow", axis, stiffness=400.0, damping=1.0),
+            rb.RigidBody(2.0, (0.2, 0.0, 0.0), np.diag([0.02, 0.03, 0.02])),
+            rb.FixedTranslation((0.5, 0.0, 0.0)),
+        ]
+    )
+
+
+def one_mode(frequency=10.0, ratio=0.02, mass=80.0):
+    """Return a slide along x with one mode."""
+    omega = 2 * math.pi * frequency
+    slide = rb.PrismaticJoint(
+        "slide", (1, 0, 0), stiffness=mass * omega**2, damping=2 * ratio * omega * mass
+    )
+    return rb.build([slide, rb.RigidBody(mass, (0, 0, 0), np.eye(3)), rb.Tool("tool")])
+
+
+@functools.cache
+def swing(rule, count):
+    """Return where the planar arm is 0.3 s after a wide deflection."""
+    start = sim.ArmState(jnp.array([0.9, -0.4]), jnp.array([1.0, -2.0]))
+    theta = jnp.array([0.3, 0.2])
+    run = jax.jit(lambda h: sim.free_motion(planar_arm(), start, theta, h, count, rule))
+    motion = run(0.3 / count)
+    return np.concatenate([motion.joint_positions[-1], motion.joint_velocities[-1]])
+
+
+@pytest.mark.parametrize(("rule", "order"), [(sim.Midpoint(), 2), (REFERENCE, 4)])
+def test_order_of_convergence_on_a_swinging_arm(rule, order):
+    # The two rules have only the equations of motion in common.
+    exact = swing(REFERENCE, 3000)
+    coarse, fine = (np.linalg.norm(swing(rule, n) - exact) for n in (400, 800))
+    assert coarse < 0.01
+    np.testing.assert_allclose(np.log2(coarse / fine), order, atol=0.1)
+
+
+def test_one_mode_at_the_default_substeps():
+    motion = sim.free_motion(
+        one_mode(), sim.ArmState(jnp.array([1e-3]), jnp.zeros(1)), jnp.zeros(1), STEP,
+        3000,
+    )  # fmt: skip
+    x = np.asarray(motion.joint_positions)[:, 0]
+    (a, b), *_ = np.linalg.lstsq(np.column_stack([x[1:-1], x[:-2]]), x[2:], rcond=None)
+    pole = np.log(np.roots([1, -a, -b])[0]) / STEP
+    frequency, ratio = abs(pole) / (2 * math.pi), -pole.real / abs(pole)
+    # The midpoint rule lowers a frequency by (omega h)^2 / 12 and adds no damping.
+    shift = (2 * math.pi * 10 * STEP) ** 2 / 12
+    np.testing.assert_allclose(1 - frequency / 10, shift, rtol=2e-2)
+    np.testing.assert_allclose(ratio, 0.02, rtol=3e-4)
+
+
+@pytest.mark.parametrize("held", [None, SUBSTEPS])
+def test_energy_of_the_undamped_arm_over_ten_seconds(held):
+    arm = rb.with_drives(rb.load("reis_rv130_like"), damping=np.zeros(6))
+    theta = rb.motor_positions(arm, arm.home)
+    rows = round(10 / STEP) // (held or 1)
+    start = sim.ArmState(arm.home + 1e-3, jnp.zeros(6))
+    motion = jax.jit(lambda s: sim.free_motion(arm, s, theta, STEP, rows, held=held))(
+        start
+    )
+    energy = np.asarray(
+        jax.vmap(lambda q, v: rb.mechanical_energy(arm, q, v, theta))(
+            motion.joint_positions, motion.joint_velocities
+        )
+    )
+    at_rest = float(rb.mechanical_energy(arm, arm.home, np.zeros(6), theta))
+    swinging = energy - at_rest
+    drift = np.abs(swinging / swinging[0] - 1).max()
+    assert motion.time[-1] == pytest.approx(10, rel=1e-3)
+    # Terms held over a period lag behind: gravity follows the arm half a period late,
+    # which damps by some 1e-5 of the critical damping.
+    assert drift < (1e-3 if held is None else 0.05)
+
+
+def test_the_explicit_rule_in_the_coupled_step():
+    robot, frequency, ratio = one_mode(), 10.0, 0.02
+    stock = wp.box([1, 1, 1], [1.005, 1.005, 1.005], 1e-3)
+    mill = ct.flat_end_mill(10e-3, 2)
+    plan = sim.process_plan(stock, mill, axial_depth=1e-3)
+    theta = np.full((60, 1), 1e-3)
+    theta[0] = 0.0
+    found = jax.jit(
+        lambda theta: sim.simulate_coupled(
+            theta, robot, np.eye(4), stock, mill, PAPER_LAW, PERIOD, plan,
+            sim.Traced(), integrator=sim.RungeKutta4(),
+        ).actual[:, 0]
+    )(jnp.asarray(theta))  # fmt: skip
+    # From rest at 1e-3 the error decays; row 1 gives the phase and the amplitude.
+    omega = 2 * math.pi * frequency
+    pole = omega * complex(-ratio, math.sqrt(1 - ratio**2))
+    t = PERIOD * np.arange(59)
+    x = np.asarray(found)[1:] - 1e-3
+    basis = np.column_stack([np.exp(pole * t).real, np.exp(pole * t).imag])
+    weights, *_ = np.linalg.lstsq(basis, x, rcond=None)
+    np.testing.assert_allclose(basis @ weights, x, atol=1e-6 * np.abs(x).max())
+
+
+def test_integrators_by_name():
+    assert isinstance(sim.make_integrator("midpoint"), sim.Midpoint)
+    assert isinstance(sim.make_integrator("rk4"), sim.RungeKutta4)
+
+
+def test_single_precision_stays_single():
+    robot = jax.tree.map(
+        lambda x: x.astype(jnp.float32) if eqx.is_array(x) else x, planar_arm()
+    )
+    start = sim.ArmState(jnp.zeros(2, jnp.float32), jnp.ones(2, jnp.float32))
+    theta = jnp.zeros(2, jnp.float32)
+    for rule in (sim.Midpoint(), sim.RungeKutta4()):
+        motion = sim.free_motion(robot, start, theta, 1e-3, 3, rule)
+        assert motion.joint_velocities.dtype == jnp.float32
+        assert bool(jnp.all(jnp.isfinite(motion.joint_positions)))
