@@ -143,5 +143,5 @@ def test_broken_toml_is_named(write):
 
 @pytest.mark.parametrize("name", ["reis", "arm.urdf", "absent.toml"])
 def test_what_is_not_there_is_answered_with_what_is(name):
-    with pytest.raises(ValueError, match="built-in models are reis_rv130_like"):
+    with pytest.raises(ValueError, match=r"built-in models are .*reis_rv130_like"):
         dr.load(name)

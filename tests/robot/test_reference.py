@@ -41,9 +41,9 @@ def turned_inertia(node: ET.Element, rpy: list[float]) -> np.ndarray:
     return (turned + turned.T) / 2
 
 
-def chain(stiffness):
+def chain(stiffness, name=NAME):
     """Return the robot of the description as elements (a serial chain only)."""
-    root = ET.parse(DATA / "robots" / "industrial" / f"{NAME}.urdf").getroot()
+    root = ET.parse(DATA / "robots" / "industrial" / f"{name}.urdf").getroot()
     links = {link.get("name"): link for link in root.findall("link")}
     elements = []
     for k, K in enumerate(stiffness, start=1):
@@ -67,7 +67,7 @@ def chain(stiffness):
     tool = dr.Tool(
         "tool0", numbers(flange, "xyz"), dr.rpy_matrix(*numbers(flange, "rpy"))
     )
-    return dr.build([*elements, tool], name=NAME)
+    return dr.build([*elements, tool], name=name)
 
 
 def test_dynamics_agree_with_pinocchio():
@@ -99,3 +99,52 @@ def test_compliance_and_modes_agree_with_pinocchio_and_scipy():
         assert_allclose(C, case["C6_m_rad_per_N_Nm"], rtol=1e-9, atol=1e-18)
         found = dr.natural_frequencies(robot, q)
         assert_allclose(found, case["natural_freq_hz"], rtol=1e-9)
+
+
+def at_flange(name: str) -> dr.Robot:
+    """Return a built-in model with its tip at the flange, as the data have it."""
+    return dr.with_tool(dr.load(name), np.eye(4))
+
+
+def test_the_built_in_kr210_bends_as_computed_elsewhere():
+    file = DATA / "robots" / "expected_compliance.json"
+    cases = json.loads(file.read_text())["cases"]
+    robot = at_flange("kuka_kr210_like")
+    for case in cases.values():
+        q = np.radians(case["q_deg"])
+        assert_allclose(dr.forward_kinematics(robot, q)[:3, 3], case["tcp"], atol=1e-9)
+        stiffness = 1e-6 * np.asarray(dr.principal_stiffness(robot, q))
+        assert_allclose(stiffness, case["cartesian_stiffness_N_per_um_eig"], rtol=1e-3)
+        for axis, expected in enumerate(case["disp_mm_per_100N"].values()):
+            wrench = np.eye(6)[axis] * 100.0
+            found = 1e3 * np.asarray(dr.static_deflection(robot, q, wrench)[:3])
+            error = np.linalg.norm(found - expected) / np.linalg.norm(expected)
+            assert error < 0.01
+
+
+@pytest.mark.parametrize(
+    ("name", "file"),
+    [
+        ("kuka_kr210_like", "kuka_kr210_r2700_2"),
+        ("kuka_kr10_like", "kuka_kr10_r1100_2"),
+    ],
+)
+def test_built_in_arms_have_the_links_of_their_source(name, file):
+    # All but the last link, which carries the spindle in the model.
+    made, source = dr.load(name), chain(np.ones(6), file)
+    assert_allclose(made.link_masses[:5], source.link_masses[:5], rtol=1e-5)
+    assert_allclose(made.link_centers[:5], source.link_centers[:5], atol=1e-6)
+    inertias = np.asarray(source.link_inertias[:5])
+    error = np.abs(np.asarray(made.link_inertias[:5]) - inertias)
+    assert (error <= 1e-5 * inertias.max(axis=(1, 2), keepdims=True)).all()
+    q = np.array([0.3, -1.2, 1.4, 0.2, 0.7, -0.4])
+    flange = dr.forward_kinematics(at_flange(name), q)
+    assert_allclose(flange, dr.forward_kinematics(source, q), atol=1e-9)
+    at = lambda key: next(
+        float(find(joint, "limit").attrib[key])
+        for joint in ET.parse(DATA / "robots" / "industrial" / f"{file}.urdf")
+        .getroot()
+        .findall("joint[@name='joint_5']")
+    )
+    assert_allclose(made.joint_lower[4], at("lower"), rtol=1e-3)
+    assert_allclose(made.joint_upper[4], at("upper"), rtol=1e-3)

@@ -13,8 +13,10 @@ linear part first; Jacobian and compliance are written likewise.
 from ._build import build as build
 from ._compliance import (
     cartesian_compliance as cartesian_compliance,
-    damping_ratios as damping_ratios,
-    natural_frequencies as natural_frequencies,
+    cartesian_stiffness as cartesian_stiffness,
+    gravity_sag as gravity_sag,
+    principal_stiffness as principal_stiffness,
+    static_deflection as static_deflection,
 )
 from ._crba import mass_matrix as mass_matrix
 from ._drives import (
@@ -45,6 +47,13 @@ from ._kinematics import (
     forward_kinematics as forward_kinematics,
     jacobian as jacobian,
 )
+from ._modes import (
+    Modes as Modes,
+    damping_ratios as damping_ratios,
+    mode_shapes as mode_shapes,
+    natural_frequencies as natural_frequencies,
+)
+from ._receptance import receptance as receptance
 from ._rnea import (
     bias_forces as bias_forces,
     gravity_forces as gravity_forces,
@@ -54,3 +63,8 @@ from ._robot import Robot as Robot, with_drives as with_drives, with_tool as wit
 from ._rotations import rpy_matrix as rpy_matrix
 from ._schema import RobotFileError as RobotFileError
 from ._terms import ArmTerms as ArmTerms, arm_terms as arm_terms
+from ._workspace import (
+    StiffnessMap as StiffnessMap,
+    reach_box as reach_box,
+    stiffness_map as stiffness_map,
+)

@@ -1,13 +1,13 @@
-"""How soft the arm is, and how it rings, with its motors locked."""
+"""How soft the arm is: compliance, stiffness, deflection and sag of the tool."""
 
 import jax
 import jax.numpy as jnp
-import jax.scipy.linalg as jsl
 from jaxtyping import Array, Float
 
-from ._crba import mass_matrix
-from ._kinematics import jacobian
-from ._robot import JointVector, Robot, joint_vector
+from ._drives import loaded_equilibrium, motor_positions
+from ._kinematics import forward_kinematics, jacobian
+from ._robot import JointVector, Robot, Wrench, joint_vector
+from ._rotations import rotation_between
 
 
 def cartesian_compliance(robot: Robot, q: JointVector) -> Float[Array, "6 6"]:
@@ -30,57 +30,92 @@ def cartesian_compliance(robot: Robot, q: JointVector) -> Float[Array, "6 6"]:
     return (J / robot.joint_stiffness[None]) @ J.T
 
 
-def natural_frequencies(robot: Robot, q: JointVector) -> Float[Array, " joint"]:
-    """Return the undamped natural frequencies with the motors locked.
+def cartesian_stiffness(robot: Robot, q: JointVector) -> Float[Array, "3 3"]:
+    """Return the force that moves the tool's tip, per displacement.
+
+    The tool is free to rotate: the inverse of the translational part of
+    `cartesian_compliance`.
+
+    Args:
+        robot: The robot; its tip must give way in all three directions, or the
+            result is not finite (`principal_stiffness` is then still right).
+        q: Joint positions [rad or m], shape (joint,).
+
+    Returns:
+        Stiffness in base axes [N/m], shape (3, 3).
+
+    **Differentiability**: smooth.
+    """
+    return jnp.linalg.inv(cartesian_compliance(robot, q)[:3, :3])
+
+
+def principal_stiffness(robot: Robot, q: JointVector) -> Float[Array, " 3"]:
+    """Return the stiffness of the tool's tip in its principal directions.
 
     Args:
         robot: The robot.
         q: Joint positions [rad or m], shape (joint,).
 
     Returns:
-        Frequencies [Hz], ascending, shape (joint,); infinite for a rigid joint.
+        Eigenvalues of `cartesian_stiffness` [N/m], ascending, shape (3,); infinite
+        where the tip does not give way.
 
-    **Differentiability**: smooth where no two frequencies coincide.
+    **Differentiability**: smooth where no two of them coincide.
     """
-    return _natural_frequencies(robot, joint_vector(robot, q, "q"))
+    softness = jnp.linalg.eigvalsh(cartesian_compliance(robot, q)[:3, :3])[::-1]
+    # What is rounding of the softest direction is no softness of its own.
+    least = 8.0 * jnp.finfo(softness.dtype).eps * softness[0]
+    is_soft = softness > jax.lax.stop_gradient(least)
+    return jnp.where(is_soft, 1.0 / jnp.where(is_soft, softness, 1.0), jnp.inf)
 
 
-def damping_ratios(robot: Robot, q: JointVector) -> Float[Array, " joint"]:
-    """Return the damping ratio of each natural mode.
+def static_deflection(
+    robot: Robot, q: JointVector, wrench: Wrench
+) -> Float[Array, " 6"]:
+    """Return how far a wrench moves the resting tool.
 
-    The modal one, phi^T D phi / (2 omega): dampers that couple modes are neglected.
+    From the balance under gravity to the balance under gravity and the wrench, which
+    keeps its direction; the motors stand as for `motor_positions(robot, q)`. To first
+    order it is `cartesian_compliance(robot, q) @ wrench`; virtual joints bend too.
 
     Args:
-        robot: The robot; its stiffness must be finite.
-        q: Joint positions [rad or m], shape (joint,).
+        robot: The robot.
+        q: Joint positions of the unloaded robot [rad or m], shape (joint,).
+        wrench: External force and moment on the robot at the tool's origin in base
+            axes [N, N m], shape (6,).
 
     Returns:
-        Damping ratios [-] in the order of `natural_frequencies`, shape (joint,).
+        Displacement of the tool's origin and rotation of the tool in base axes
+        [m, rad], shape (6,).
 
-    **Differentiability**: smooth where no two frequencies coincide.
+    **Differentiability**: smooth; first derivatives by the implicit function.
     """
-    return _damping_ratios(robot, joint_vector(robot, q, "q"))
+    theta = motor_positions(robot, q)
+    rest = loaded_equilibrium(robot, theta)
+    return _motion(robot, rest, loaded_equilibrium(robot, theta, wrench))
 
 
-@jax.jit
-def _natural_frequencies(
-    robot: Robot, q: Float[Array, " joint"]
-) -> Float[Array, " joint"]:
-    # By compliance, so that an infinite stiffness is an ordinary number:
-    # 1 / omega^2 are the eigenvalues of L^T K^-1 L, where M = L L^T.
-    L = jnp.linalg.cholesky(mass_matrix(robot, q))
-    softness = jnp.linalg.eigvalsh(L.T @ (L / robot.joint_stiffness[:, None]))[::-1]
-    is_soft = softness > 0.0
-    omega = jax.lax.rsqrt(jnp.where(is_soft, softness, 1.0))
-    return jnp.where(is_soft, omega / (2.0 * jnp.pi), jnp.inf)
+def gravity_sag(robot: Robot, q: JointVector) -> Float[Array, " 6"]:
+    """Return how far its own weight moves the tool, if no motor makes up for it.
+
+    Args:
+        robot: The robot.
+        q: Motor positions [rad or m], shape (joint,).
+
+    Returns:
+        Displacement of the tool's origin and rotation of the tool in base axes
+        [m, rad], shape (6,).
+
+    **Differentiability**: smooth; first derivatives by the implicit function.
+    """
+    start = jnp.where(robot.motor_mask(), joint_vector(robot, q, "q"), 0.0)
+    return _motion(robot, start, loaded_equilibrium(robot, start))
 
 
-@jax.jit
-def _damping_ratios(robot: Robot, q: Float[Array, " joint"]) -> Float[Array, " joint"]:
-    L = jnp.linalg.cholesky(mass_matrix(robot, q))
-    scaled = lambda diagonal: jsl.solve_triangular(
-        L, jsl.solve_triangular(L, jnp.diag(diagonal), lower=True).T, lower=True
-    )
-    squares, modes = jnp.linalg.eigh(scaled(robot.joint_stiffness))
-    damping = jnp.sum(modes * (scaled(robot.joint_damping) @ modes), axis=0)
-    return damping / (2.0 * jnp.sqrt(squares))
+def _motion(
+    robot: Robot, start: Float[Array, " joint"], end: Float[Array, " joint"]
+) -> Float[Array, " 6"]:
+    """Return displacement and rotation of the tool between two poses."""
+    before, after = forward_kinematics(robot, start), forward_kinematics(robot, end)
+    turn = rotation_between(after[:3, :3], before[:3, :3])
+    return jnp.concatenate([after[:3, 3] - before[:3, 3], turn])
