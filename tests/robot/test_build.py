@@ -76,8 +76,11 @@ def test_a_tool_is_chosen_by_name():
         (lambda: dr.RevoluteJoint("a", stiffness=0.0), "`stiffness` of 'a'"),
         (lambda: dr.PrismaticJoint("a", damping=-1.0), "`damping` of 'a'"),
         (lambda: dr.RevoluteJoint("a", lower=1.0), "lower <= home <= upper"),
-        (lambda: dr.RigidBody(0.0, (0, 0, 0), np.eye(3)), "`mass` must be positive"),
-        (lambda: dr.RigidBody(1.0, (0, 0, 0), -np.eye(3)), "positive definite"),
+        (
+            lambda: dr.RigidBody(-1.0, (0, 0, 0), np.eye(3)),
+            "`mass` must be finite and not",
+        ),
+        (lambda: dr.RigidBody(1.0, (0, 0, 0), -np.eye(3)), "positive semidef"),
         (lambda: dr.RigidBody(1.0, (0, 0, 0), np.eye(3) + np.eye(3, k=1)), "symmetric"),
     ],
 )

@@ -97,7 +97,7 @@ def test_all_faults_are_listed_at_once(write):
         "but is 50000.0",
         "elements[2] (revolute).home: must be between",
         "elements[3] (body).mass: must be a quantity in kg, positive, but is '-1 kg'",
-        "elements[3] (body).inertia: (xx, yy, zz, xy, xz, yz) must be positive def",
+        "elements[3] (body).inertia: (xx, yy, zz, xy, xz, yz) must be positive sem",
         "elements[4] (fork).branches[0][0] (prismatic).axis: must be a list of 3",
         "elements[5] (tool).position: must be a list of 3 quantities in m",
     ):

@@ -35,6 +35,10 @@ from ._elements import (
     Tool as Tool,
 )
 from ._energy import mechanical_energy as mechanical_energy
+from ._faults import (
+    RobotFileError as RobotFileError,
+    RobotFileWarning as RobotFileWarning,
+)
 from ._files import built_in_models as built_in_models, load as load
 from ._forward_dynamics import forward_dynamics as forward_dynamics
 from ._inverse_kinematics import (
@@ -61,7 +65,6 @@ from ._rnea import (
 )
 from ._robot import Robot as Robot, with_drives as with_drives, with_tool as with_tool
 from ._rotations import rpy_matrix as rpy_matrix
-from ._schema import RobotFileError as RobotFileError
 from ._terms import ArmTerms as ArmTerms, arm_terms as arm_terms
 from ._workspace import (
     StiffnessMap as StiffnessMap,

@@ -75,7 +75,7 @@ def build(
     flange_joint, flange, T_flange_tool = _choose_tool(walk, end, tool)
     masses, centers, inertias = zip(*map(_merge, walk.bodies), strict=True)
     placements = np.stack(walk.placements)
-    mimics = resolve_mimics(walk.joints)
+    mimics = _resolve_mimics(walk.joints)
     joints = [j for j in walk.joints if j.mimic is None]
     column = lambda field: jnp.asarray([float(getattr(j, field)) for j in joints])
     return Robot(
@@ -141,7 +141,7 @@ def _visit(
     return link, frame
 
 
-def resolve_mimics(
+def _resolve_mimics(
     joints: Sequence[RevoluteJoint | PrismaticJoint],
 ) -> tuple[tuple[int, float, float] | None, ...]:
     """Return `Robot.mimics`: chains of followers end at an independent joint.
@@ -218,10 +218,11 @@ def _merge(
     bodies: list[tuple[float, np.ndarray, np.ndarray]],
 ) -> tuple[float, np.ndarray, np.ndarray]:
     """Return mass, centre and inertia about it of several bodies."""
-    mass = sum(body[0] for body in bodies)
-    if mass == 0.0:
-        return 0.0, np.zeros(3), np.zeros((3, 3))
-    center = np.sum([m * c for m, c, _ in bodies], axis=0) / mass
+    mass = sum((body[0] for body in bodies), 0.0)
+    # Rotors are described by an inertia without mass: any centre is as good.
+    center = np.zeros(3)
+    if mass > 0.0:
+        center = np.sum([m * c for m, c, _ in bodies], axis=0) / mass
     inertia = np.zeros((3, 3))
     for m, c, about_own in bodies:
         arm = c - center

@@ -144,21 +144,24 @@ class RigidBody(AbstractElement):
         mass: [kg].
         center_of_mass: In the current frame [m], shape (3,).
         inertia: About the centre of mass, axes of the current frame [kg m^2],
-            shape (3, 3), positive definite.
+            shape (3, 3), positive semidefinite: a mass may be a point.
+        is_possible: False lets pass an inertia that no body has, as real robot files
+            contain; their reader warns instead.
     """
 
     mass: RealScalarLike
     center_of_mass: Vector3
     inertia: Matrix3
+    is_possible: bool = eqx.field(static=True, default=True)
 
     def __check_init__(self):
         check_vector("center_of_mass", self.center_of_mass)
-        if not (math.isfinite(float(self.mass)) and float(self.mass) > 0.0):
+        if not 0.0 <= float(self.mass) < math.inf:
             raise ValueError(
-                f"Argument `mass` must be positive and finite, but is {self.mass}."
+                f"Argument `mass` must be finite and not negative, but is {self.mass}."
             )
         fault = inertia_fault(self.inertia)
-        if fault:
+        if fault and self.is_possible:
             raise ValueError(f"Argument `inertia` must be {fault}")
 
 
@@ -238,6 +241,21 @@ def inertia_fault(inertia: Matrix3) -> str:
     if not np.allclose(inertia, inertia.T, rtol=1e-9, atol=0.0):
         return f"symmetric, but is {inertia.tolist()}."
     principal = np.linalg.eigvalsh(inertia)
-    if not principal[0] > 0.0:
-        return f"positive definite, but its principal values are {principal.tolist()}."
+    # The tolerance lets rounded data pass, such as a turned rod.
+    if principal[0] < -1e-9 * abs(principal[2]):
+        return (
+            f"positive semidefinite, but its principal values are {principal.tolist()}."
+        )
     return ""
+
+
+def triangle_fault(inertia: Matrix3) -> str:
+    """Return what is wrong with an inertia that no distribution of mass has."""
+    principal = np.linalg.eigvalsh(inertia)
+    # Equality is a flat body; the tolerance lets rounded data pass.
+    if principal[2] <= (principal[0] + principal[1]) * (1.0 + 1e-6):
+        return ""
+    return (
+        "that of a body (no principal value above the sum of the other two), but its "
+        f"principal values are {principal.tolist()}."
+    )

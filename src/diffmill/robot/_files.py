@@ -2,12 +2,19 @@
 
 import os
 import tomllib
+import warnings
 from importlib import resources
 from pathlib import Path
 
 from ._build import build
-from ._robot import Robot
-from ._schema import RobotFileError, read_elements
+from ._faults import RobotFileError, RobotFileWarning
+from ._massless import massless_joints
+from ._robot import Robot, with_drives
+from ._schema import read_drives, read_elements
+from ._urdf import read_urdf
+
+# Many a URDF is called .xml.
+_URDF_SUFFIXES = (".urdf", ".xml")
 
 
 def built_in_models() -> list[str]:
@@ -17,12 +24,27 @@ def built_in_models() -> list[str]:
     return sorted(n.removesuffix(".toml") for n in names if n.endswith(".toml"))
 
 
-def load(model_or_file: str | os.PathLike[str], *, tool: str | None = None) -> Robot:
-    """Return a robot from a built-in model or from a TOML file.
+def load(
+    model_or_file: str | os.PathLike[str],
+    *,
+    tool: str | None = None,
+    drives: str | os.PathLike[str] | None = None,
+) -> Robot:
+    """Return a robot from a built-in model, a TOML file or a URDF.
+
+    A URDF says nothing of springs: its joints are rigid until `drives`, the job or
+    `with_drives` make them soft. Its links are merged where joints are fixed, its
+    joints named in `joint_names` depth-first, children in the order of their joints'
+    names. A mimicking joint moves its link, but is not counted. Effort, velocity,
+    damping and friction are not used.
 
     Args:
-        model_or_file: Name of a built-in model, or path of a robot file (.toml).
-        tool: Name of the tool to use; may be left out if there is only one.
+        model_or_file: Name of a built-in model, or path of a robot file (.toml or
+            .urdf).
+        tool: Name of the tool to use, in a URDF of the link whose frame it is; may be
+            left out if there is only one, in a URDF if only one link carries no other.
+        drives: Path of a TOML file with the tables `stiffness` and `damping`, the
+            joints' names as keys and quantities such as "3 MN*m/rad" as values.
 
     Returns:
         The robot; its arrays have the floating point type that is JAX's default at
@@ -32,41 +54,79 @@ def load(model_or_file: str | os.PathLike[str], *, tool: str | None = None) -> R
         ValueError: If there is no such model or file, or the file is faulty; a
             `RobotFileError` lists all faults at once.
 
+    Warns:
+        RobotFileWarning: If a URDF is usable for kinematics only, because joints move
+            no mass, or has inertias that no body has.
+
     **Differentiability**: none; differentiate by the arrays of the `Robot`.
     """
     file = os.fspath(model_or_file)
-    name, elements = read_elements(_parse(_read_text(file), file), file)
+    notes: list[str] = []
+    is_urdf = Path(file).suffix.lower() in _URDF_SUFFIXES
+    if is_urdf:
+        name, elements, notes = read_urdf(_read_file(file), file, tool)
+    else:
+        name, elements = read_elements(_parse(_read_model(file), file), file)
     try:
-        return build(elements, tool=tool, name=name)
+        robot = build(elements, tool=tool, name=name)
     except ValueError as error:
         raise RobotFileError(f"{file}: {error}") from error
+    if is_urdf:
+        _warn(robot, notes, file)
+    if drives is None:
+        return robot
+    side = os.fspath(drives)
+    stiffness, damping = read_drives(_parse(_read_file(side), side), side, robot)
+    return with_drives(robot, stiffness=stiffness, damping=damping)
 
 
-def _read_text(file: str) -> str:
-    """Return the text of a model or file."""
+def _warn(robot: Robot, notes: list[str], file: str) -> None:
+    """Warn once of all that is doubtful in a file."""
+    massless = massless_joints(robot)
+    if massless:
+        notes = [
+            "usable for kinematics only: the mass matrix is singular, as nothing with "
+            f"mass or inertia hangs on the joints {', '.join(massless)}",
+            *notes,
+        ]
+    if notes:
+        text = f"{file}: " + "; ".join(notes)
+        warnings.warn(text, RobotFileWarning, stacklevel=3)
+
+
+def _read_model(file: str) -> bytes:
+    """Return the bytes of a built-in model or of a TOML file."""
     if file in built_in_models():
         model = resources.files("diffmill.robot").joinpath("models", f"{file}.toml")
-        return model.read_text(encoding="utf-8")
-    choices = (
-        f"the built-in models are {', '.join(built_in_models())}; "
-        "a file must be a robot description in TOML (.toml)"
-    )
+        return model.read_bytes()
     if Path(file).suffix.lower() != ".toml":
         raise ValueError(
             f"Argument `model_or_file` is {file!r}, which is neither a built-in model "
-            f"nor a .toml file: {choices}."
+            f"nor a file of a known kind: {_choices()}."
         )
+    return _read_file(file)
+
+
+def _read_file(file: str) -> bytes:
+    """Return the bytes of a file."""
     try:
-        return Path(file).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        return Path(file).read_bytes()
+    except OSError as error:
         raise ValueError(
-            f"The robot file {file!r} cannot be read ({error}): {choices}."
+            f"The robot file {file!r} cannot be read ({error}): {_choices()}."
         ) from error
 
 
-def _parse(text: str, file: str) -> dict[str, object]:
+def _choices() -> str:
+    return (
+        f"the built-in models are {', '.join(built_in_models())}; a file must be a "
+        "robot description in TOML (.toml) or a URDF (.urdf)"
+    )
+
+
+def _parse(data: bytes, file: str) -> dict[str, object]:
     """Return the parsed TOML."""
     try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        return tomllib.loads(data.decode("utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise RobotFileError(f"{file}: not valid TOML: {error}") from error

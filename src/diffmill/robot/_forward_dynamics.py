@@ -1,10 +1,10 @@
 """Accelerations of the joints under given torques."""
 
 import jax
-import jax.numpy as jnp
 import jax.scipy.linalg as jsl
 from jaxtyping import Array, Float
 
+from ._massless import factor, refuse_singular
 from ._robot import JointVector, Robot, Wrench, joint_vector, wrench_vector
 from ._terms import arm_terms
 
@@ -34,17 +34,22 @@ def forward_dynamics(
     Returns:
         Accelerations [rad/s^2 or m/s^2], shape (joint,).
 
-    **Differentiability**: smooth; M must be positive definite.
+    Raises:
+        ValueError: If M is singular because joints move no mass; under `jit` and
+            `vmap` the accelerations are not a number instead.
+
+    **Differentiability**: smooth.
     """
     if algorithm != "crba":
         raise ValueError(f"Argument `algorithm` must be 'crba', but is {algorithm!r}.")
-    return _forward_dynamics(
+    accelerations = _forward_dynamics(
         robot,
         joint_vector(robot, q, "q"),
         joint_vector(robot, qd, "qd"),
         joint_vector(robot, tau, "tau"),
         wrench_vector(robot, wrench),
     )
+    return refuse_singular(robot, accelerations, "forward dynamics")
 
 
 @jax.jit
@@ -57,4 +62,4 @@ def _forward_dynamics(
 ) -> Float[Array, " joint"]:
     terms = arm_terms(robot, q, qd)
     load = tau + terms.jacobian.T @ wrench - terms.bias_forces
-    return jsl.cho_solve((jnp.linalg.cholesky(terms.mass_matrix), True), load)
+    return jsl.cho_solve((factor(terms.mass_matrix), True), load)

@@ -21,18 +21,21 @@ from ._elements import (
     RigidBody,
     Tool,
     inertia_fault,
+    triangle_fault,
 )
+from ._faults import raise_faults
+from ._robot import Robot
 from ._rotations import rpy_matrix
 
 _JOINT_UNITS = {
-    "revolute": ("rad", "N*m/rad", "N*m*s/rad"),
-    "prismatic": ("m", "N/m", "N*s/m"),
+    "revolute": {
+        "position": "rad",
+        "stiffness": "N*m/rad",
+        "damping": "N*m*s/rad",
+    },
+    "prismatic": {"position": "m", "stiffness": "N/m", "damping": "N*s/m"},
 }
 _COMMON_KEYS = {"kind", "source"}
-
-
-class RobotFileError(ValueError):
-    """Raise when a robot file is faulty; the message lists every fault."""
 
 
 @dataclasses.dataclass
@@ -134,13 +137,48 @@ def read_elements(
         faults.append(f"elements: the joint name {twice!r} occurs more than once")
     if not joints and not faults:
         faults.append("elements: must contain at least one joint")
-    if faults:
-        count = f"{len(faults)} fault" + ("s" if len(faults) > 1 else "")
-        raise RobotFileError(
-            f"{file}: {count} in the robot description:\n"
-            + "\n".join(f"  - {fault}" for fault in faults)
-        )
+    raise_faults(file, faults)
     return str(name), elements
+
+
+def read_drives(
+    document: Mapping[str, object], file: str, robot: Robot
+) -> tuple[list[float], list[float]]:
+    """Return stiffness and damping of a robot's joints from a parsed file.
+
+    Args:
+        document: The parsed file: tables `stiffness` and `damping`, with joints' names
+            as keys. Joints that are not there keep what the robot has.
+        file: Name of the file, for messages.
+        robot: The robot.
+
+    Returns:
+        K [N m/rad or N/m] and D [N m s/rad or N s/m], one per joint.
+
+    Raises:
+        RobotFileError: If anything is wrong.
+    """
+    faults: list[str] = []
+    top = _Reader(document, "top level", faults)
+    columns = []
+    for key, present in (
+        ("stiffness", robot.joint_stiffness),
+        ("damping", robot.joint_damping),
+    ):
+        table = top.take(key, {})
+        if not isinstance(table, Mapping):
+            top.fault(key, "a table with joints' names as keys", table)
+            continue
+        reader = _Reader(table, key, faults)
+        rows = zip(robot.joint_names, robot.joint_kinds, present.tolist(), strict=True)
+        columns.append(
+            [_read_drive(reader, key, name, kind, value) for name, kind, value in rows]
+        )
+        reader.finish()
+    top.finish()
+    raise_faults(file, faults)
+    stiffness, damping = columns
+    return stiffness, damping
 
 
 def _read_list(raw: Any, place: str, faults: list[str]) -> list[AbstractElement]:
@@ -183,7 +221,7 @@ def _read_rotation(reader: _Reader) -> Callable[[], AbstractElement]:
 
 def _read_joint(reader: _Reader) -> Callable[[], AbstractElement]:
     kind = str(reader.table["kind"])
-    position, stiffness, damping = _JOINT_UNITS[kind]
+    position = _JOINT_UNITS[kind]["position"]
     name = reader.take("name", required=True)
     if "name" in reader.table and not (isinstance(name, str) and name):
         reader.fault("name", "a non-empty string", name)
@@ -198,12 +236,8 @@ def _read_joint(reader: _Reader) -> Callable[[], AbstractElement]:
     home = reader.quantity("home", position, 0.0)
     if not lower <= home <= upper:
         reader.fault("home", f"between lower {lower:g} and upper {upper:g}", home)
-    K = reader.quantity(
-        "stiffness", stiffness, math.inf, is_allowed=lambda x: x > 0, allowed="positive"
-    )
-    D = reader.quantity(
-        "damping", damping, 0.0, is_allowed=lambda x: x >= 0, allowed="not negative"
-    )
+    K = _read_drive(reader, "stiffness", "stiffness", kind, math.inf)
+    D = _read_drive(reader, "damping", "damping", kind, 0.0)
     joint = RevoluteJoint if kind == "revolute" else PrismaticJoint
     return lambda: joint(
         name=name,
@@ -217,6 +251,20 @@ def _read_joint(reader: _Reader) -> Callable[[], AbstractElement]:
     )
 
 
+def _read_drive(
+    reader: _Reader, quantity: str, key: str, kind: str, default: float
+) -> float:
+    """Return a joint's stiffness (positive) or damping (not negative) in SI."""
+    is_stiffness = quantity == "stiffness"
+    return reader.quantity(
+        key,
+        _JOINT_UNITS[kind][quantity],
+        default,
+        is_allowed=lambda x: x > 0 or (x == 0 and not is_stiffness),
+        allowed="positive" if is_stiffness else "not negative",
+    )
+
+
 def _read_body(reader: _Reader) -> Callable[[], AbstractElement]:
     mass = reader.quantity(
         "mass", "kg", required=True, is_allowed=lambda x: x > 0, allowed="positive"
@@ -227,24 +275,12 @@ def _read_body(reader: _Reader) -> Callable[[], AbstractElement]:
     if moments is not None:
         xx, yy, zz, xy, xz, yz = [*moments, 0.0, 0.0, 0.0][:6]
         inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        wrong = inertia_fault(inertia) or _triangle_fault(inertia)
+        wrong = inertia_fault(inertia) or triangle_fault(inertia)
         if wrong:
             reader.faults.append(
                 f"{reader.place}.inertia: (xx, yy, zz, xy, xz, yz) must be {wrong}"
             )
     return lambda: RigidBody(mass, tuple(center or ()), inertia)
-
-
-def _triangle_fault(inertia: np.ndarray) -> str:
-    """Return what is wrong with an inertia that no distribution of mass has."""
-    principal = np.linalg.eigvalsh(inertia)
-    # Equality is a flat body; the tolerance lets rounded data pass.
-    if principal[2] <= (principal[0] + principal[1]) * (1.0 + 1e-6):
-        return ""
-    return (
-        "that of a body (no principal value above the sum of the other two), but its "
-        f"principal values are {principal.tolist()}."
-    )
 
 
 def _read_fork(reader: _Reader) -> Callable[[], AbstractElement]:

@@ -1,0 +1,330 @@
+"""URDF: every kind of joint, the tree that elements make, and what is refused."""
+
+import warnings
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import diffmill.robot as dr
+
+INERTIAL = """
+<inertial>
+  <origin xyz="0.1 0 {z}" rpy="0.3 -0.2 0.1"/>
+  <mass value="{mass}"/>
+  <inertia ixx="0.05" iyy="0.06" izz="0.04" ixy="0.003" ixz="-0.002" iyz="0.001"/>
+</inertial>
+"""
+# A fork of two branches, the one with the tool carrying a fixed load and a follower;
+# the children come neither in the order of the file nor in that of the alphabet.
+GOOD = f"""<?xml version="1.0" encoding="utf-8"?>
+<robot name="bench" version="1.0">
+  <material name="grey"><color rgba="0.5 0.5 0.5 1"/></material>
+  <link name="base">{INERTIAL.format(mass=40, z=0)}</link>
+  <link name="column">
+    {INERTIAL.format(mass=8, z=0.2)}
+    <visual><geometry><mesh filename="package://x/y.stl"/></geometry></visual>
+  </link>
+  <link name="wheel">{INERTIAL.format(mass=1, z=0)}</link>
+  <link name="arm">{INERTIAL.format(mass=4, z=0.1)}</link>
+  <link name="load">{INERTIAL.format(mass=2, z=-0.1)}</link>
+  <link name="jaw">{INERTIAL.format(mass=0.5, z=0)}</link>
+  <link name="tip"/>
+  <joint name="turn" type="revolute">
+    <child link="column"/> <parent link="base"/>
+    <origin rpy="0 0 0.5" xyz="0 0 0.3"/>
+    <axis xyz="0 0 2"/>
+    <limit lower="0.2" upper="3" effort="100" velocity="1"/>
+    <dynamics damping="87.098" friction="3.1290"/>
+  </joint>
+  <joint name="spin" type="continuous">
+    <parent link="column"/> <child link="wheel"/>
+    <origin xyz="0 0.2 0.1"/>
+    <axis xyz="0 1 0"/>
+    <limit effort="1" velocity="1"/>
+  </joint>
+  <joint name="slide" type="prismatic">
+    <parent link="column"/> <child link="arm"/>
+    <origin xyz="0 0 0.5" rpy="1.2 0.3 -0.4"/>
+    <axis xyz="1 0 -0.5"/>
+    <limit upper="0.8" effort="1" velocity="1"/>
+  </joint>
+  <joint name="hold" type="fixed">
+    <parent link="arm"/> <child link="load"/>
+    <origin xyz="0.3 0 0" rpy="0 0.7 0"/>
+  </joint>
+  <joint name="grip" type="revolute">
+    <parent link="load"/> <child link="jaw"/>
+    <origin xyz="0 0 0.2"/>
+    <mimic joint="spin" multiplier="-0.5" offset="0.1"/>
+  </joint>
+  <joint name="end" type="fixed">
+    <parent link="jaw"/> <child link="tip"/> <origin xyz="0 0 0.15"/>
+  </joint>
+  <transmission name="t"><joint name="turn"/><actuator name="m"/></transmission>
+  <gazebo reference="arm"><gravity>true</gravity></gazebo>
+</robot>
+"""
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Write a URDF and return its path."""
+
+    def writer(text, name="arm.urdf"):
+        path = tmp_path / name
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return writer
+
+
+def body(mass, z):
+    """Return the mass of `INERTIAL`."""
+    R = dr.rpy_matrix(0.3, -0.2, 0.1)
+    own = [[0.05, 0.003, -0.002], [0.003, 0.06, 0.001], [-0.002, 0.001, 0.04]]
+    inertia = R @ np.array(own) @ R.T
+    return dr.RigidBody(mass, (0.1, 0.0, z), (inertia + inertia.T) / 2)
+
+
+def bench():
+    """Return `GOOD` by elements."""
+    arm = [
+        dr.FixedTranslation((0, 0, 0.5)),
+        dr.FixedRotation(dr.rpy_matrix(1.2, 0.3, -0.4)),
+        dr.PrismaticJoint("slide", (1, 0, -0.5), lower=0.0, upper=0.8),
+        body(4.0, 0.1),
+        dr.FixedTranslation((0.3, 0, 0)),
+        dr.FixedRotation(dr.rpy_matrix(0, 0.7, 0)),
+        body(2.0, -0.1),
+        dr.FixedTranslation((0, 0, 0.2)),
+        dr.RevoluteJoint("grip", (1, 0, 0), mimic=dr.Mimic("spin", -0.5, 0.1)),
+        body(0.5, 0.0),
+        dr.FixedTranslation((0, 0, 0.15)),
+        dr.Tool("tip"),
+    ]
+    wheel = [
+        dr.FixedTranslation((0, 0.2, 0.1)),
+        dr.RevoluteJoint("spin", (0, 1, 0)),
+        body(1.0, 0.0),
+    ]
+    return dr.build(
+        [
+            dr.FixedTranslation((0, 0, 0.3)),
+            dr.FixedRotation(dr.rpy_matrix(0, 0, 0.5)),
+            dr.RevoluteJoint("turn", (0, 0, 1), lower=0.2, upper=3.0, home=0.2),
+            body(8.0, 0.2),
+            dr.Fork([arm, wheel]),
+        ],
+        name="bench",
+    )
+
+
+def test_a_urdf_is_the_same_robot_as_its_elements(write):
+    robot, expected = dr.load(write(GOOD), tool="tip"), bench()
+    assert robot.joint_names == ("turn", "slide", "spin")
+    assert jax.tree.structure(robot) == jax.tree.structure(expected)
+    for found, wanted in zip(
+        jax.tree.leaves(robot), jax.tree.leaves(expected), strict=True
+    ):
+        assert_allclose(found, wanted, rtol=1e-15, atol=1e-15)
+    assert_allclose(robot.joint_lower, [0.2, 0.0, -np.inf])
+    assert_allclose(robot.home, [0.2, 0.0, 0.0])
+    assert np.isinf(robot.joint_stiffness).all() and not robot.joint_damping.any()
+
+
+def test_the_tool_is_the_only_leaf_or_must_be_chosen(write):
+    with pytest.raises(dr.RobotFileError, match="last links are wheel, tip"):
+        dr.load(write(GOOD))
+    with pytest.raises(dr.RobotFileError, match="but is 'nose'; the last links are"):
+        dr.load(write(GOOD), tool="nose")
+    inner = dr.load(write(GOOD), tool="arm")
+    assert_allclose(inner.T_joint_flange[:3, 3], 0.0)
+    assert inner.flange_joint == 1
+    assert dr.load(write(SMALL)).name == "small"
+
+
+SMALL = """<robot name="small">
+<link name="a"/>
+<link name="b"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="j" type="revolute">
+<parent link="a"/>
+<child link="b"/>
+<axis xyz="0 0 1"/>
+<limit lower="-1" upper="1" effort="1" velocity="1"/>
+</joint>
+</robot>"""  # noqa: E501
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('xyz="0 0 1"', 'xyz="0 1"', "line 4, joint 'j', axis: xyz must be 3 finite n"),
+        ('xyz="0 0 1"', 'xyz="0 0 nan"', "must be 3 finite numbers, but is '0 0 nan'"),
+        ('xyz="0 0 1"', 'xyz="0 0 1_0"', "must be 3 finite numbers, but is '0 0 1_0'"),
+        ('xyz="0 0 1"', 'xyz="0 0 0"', "axis: xyz must be not zero"),
+        ('"revolute"', '"floating"', "type must be revolute, continuous, prismatic or"),
+        ('"revolute"', '"planar"', "or fixed, but is 'planar'"),
+        ('type="revolute"', "", "attribute type is missing or empty"),
+        ('"revolute"', '"fixed"', "there is no movable joint"),
+        ('lower="-1"', 'lower="2"', "lower must not be above upper, but is 2.0 above"),
+        ('lower="-1"', 'lower="low"', "limit: lower must be a number, but is 'low'"),
+        ('effort="1"', 'effort=""', "limit: effort must be a number, but is ''"),
+        ('<parent link="a"/>', "", "joint 'j': <parent> is missing"),
+        ('<parent link="a"/>', "<parent/>", "parent: attribute link is missing"),
+        ('<parent link="a"/>', '<parent link="z"/>', "the parent 'z' is no link"),
+        ('<child link="b"/>', '<child link="z"/>', "the child 'z' is no link"),
+        ('<child link="b"/>', '<child link="a"/>', "the joints form a loop: a"),
+        ('<link name="a"/>', '<link name="a"/><link name="c"/>', "one root link, but"),
+        ('<link name="a"/>', '<link name="a"/><link name="a"/>', "'a' occurs more"),
+        ('<link name="a"/>', '<link name="a"/><link/>', "link: attribute name is miss"),
+        ('name="small"', "", "line 1, robot: attribute name is missing"),
+        ('name="small"', 'name="s" version="2.0"', "version must be 1.0, 1.1 or 1.2"),
+        ('<mass value="1"/>', "", "link 'b', inertial: <mass> is missing"),
+        ('value="1"', 'value="-1"', "link 'b', mass: value must be not negative"),
+        ('value="1"', 'value="1 kg"', "value must be a finite number, but is '1 kg'"),
+        ('ixy="0"', "", "link 'b', inertia: attribute ixy is missing"),
+        ('ixx="1"', 'ixx="1e999"', "ixx must be a finite number, but is '1e999'"),
+        ("</joint>", '<mimic joint="j"/></joint>', "'j' mimics itself"),
+        ("</joint>", '<mimic joint="k"/></joint>', "'j' mimics 'k', which is no"),
+        ("</joint>", '<mimic joint="k" offset="x"/></joint>', "mimic: offset must be"),
+        ("</joint>", "", "not valid XML: line 10: mismatched tag"),
+        ("<robot", "<xrobot", "not valid XML"),
+    ],
+)  # fmt: skip
+def test_one_fault_is_named(write, old, new, message):
+    assert old in SMALL
+    with pytest.raises(dr.RobotFileError, match=r"arm\.urdf: ") as caught:
+        dr.load(write(SMALL.replace(old, new)))
+    assert message in str(caught.value)
+    assert "2 faults" not in str(caught.value)
+
+
+def test_all_faults_are_listed_at_once(write):
+    text = SMALL.replace("0 0 1", "0 0").replace('"-1"', '"?"').replace("b", "c", 1)
+    with pytest.raises(dr.RobotFileError, match="2 faults") as caught:
+        dr.load(write(text.replace("<rocot", "<robot")))
+    assert "axis: xyz" in str(caught.value) and "limit: lower" in str(caught.value)
+
+
+BOMB = """<!DOCTYPE r [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;">]>"""
+LEAK = """<!DOCTYPE r [<!ENTITY a SYSTEM "file:///etc/hostname">]>"""
+
+
+@pytest.mark.parametrize("head", [BOMB, LEAK])
+def test_entities_are_refused(write, head):
+    text = head + SMALL.replace('name="small"', 'name="&a;"')
+    with pytest.raises(dr.RobotFileError, match="entities and external references"):
+        dr.load(write(text))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "not valid XML"),
+        ("\0", "not valid XML"),
+        ('<?xml version="1.0" encoding="no-such"?><robot name="r"/>', "not valid XML"),
+        ('<robot name="r"/>', "there is no link"),
+        ("<mujoco/>", "root element must be <robot>, but is <mujoco>"),
+        ('<robot name="r"><xacro:macro name="m"/></robot>', "expand them with xacro"),
+    ],
+)
+def test_other_files_are_refused(write, text, message):
+    with pytest.raises(dr.RobotFileError, match=message):
+        dr.load(write(text, "arm.xml"))
+
+
+def test_a_file_that_is_not_there():
+    with pytest.raises(ValueError, match=r"absent\.urdf' cannot be read"):
+        dr.load("absent.urdf")
+
+
+def test_what_ros_allows_and_what_it_should(write):
+    text = SMALL.replace('<link name="a"/>', "").replace('link="a"', 'link="world"')
+    text = text.replace('<limit lower="-1" upper="1" effort="1" velocity="1"/>', "")
+    text = text.replace('<axis xyz="0 0 1"/>', '<origin quat_xyzw="0 0 3 4"/>')
+    robot = dr.load(write(text))
+    assert robot.joint_lower[0] == -np.inf and robot.joint_upper[0] == np.inf
+    # The axis is x where none is named; the quaternion turns by 2 atan(3 / 4).
+    T = dr.forward_kinematics(robot, [0.0])
+    assert_allclose(T[:2, 0], [7 / 25, 24 / 25], atol=1e-15)
+    assert_allclose(dr.jacobian(robot, [0.3])[3:, 0], [7 / 25, 24 / 25, 0], atol=1e-15)
+
+
+def test_bodies_without_extent_and_without_mass(write):
+    # A point mass, and a rotor that is an inertia alone.
+    point = SMALL.replace('ixx="1" iyy="1" izz="1"', 'ixx="0" iyy="0" izz="0"')
+    point = point.replace('<mass value="1"/>', '<mass value="3"/><origin xyz="2 0 0"/>')
+    assert_allclose(dr.mass_matrix(dr.load(write(point)), [0.4]), [[12.0]])
+    rotor = SMALL.replace('<mass value="1"/>', '<mass value="0"/>')
+    assert_allclose(dr.mass_matrix(dr.load(write(rotor)), [0.4]), [[1.0]])
+
+
+def test_an_impossible_inertia_is_read_with_a_warning(write):
+    text = SMALL.replace('izz="1"', 'izz="5"')
+    with pytest.warns(
+        dr.RobotFileWarning, match="line 3, link 'b': the inertia should"
+    ):
+        robot = dr.load(write(text))
+    assert_allclose(dr.mass_matrix(robot, [0.0]), [[5.0]])
+    text = SMALL.replace('ixx="1"', 'ixx="-1"')
+    with pytest.warns(dr.RobotFileWarning, match="should be positive semidefinite"):
+        dr.load(write(text))
+
+
+def test_links_without_mass(write):
+    bare = GOOD.replace(INERTIAL.format(mass=1, z=0), "")
+    # The follower's mass hangs on `spin`; without it nothing does.
+    with pytest.warns(dr.RobotFileWarning, match=r"taken as massless: \['wheel'\]$"):
+        robot = dr.load(write(bare), tool="tip")
+    assert np.linalg.eigvalsh(dr.mass_matrix(robot, robot.home))[0] > 1e-3
+    with pytest.warns(
+        dr.RobotFileWarning, match="kinematics only.* on the joints spin"
+    ):
+        robot = dr.load(write(bare.replace("<mimic", "<nothing")), tool="wheel")
+    q = jnp.array([0.3, 0.1, 0.2, 0.5])
+    assert np.isfinite(dr.forward_kinematics(robot, q)).all()
+    zero = np.zeros(4)
+    with pytest.raises(
+        ValueError, match=r"'bench'.*singular \(the joints spin move no"
+    ):
+        dr.forward_dynamics(robot, q, zero, zero)
+    under_jit = jax.jit(dr.forward_dynamics)(robot, q, zero, zero)
+    assert np.isnan(under_jit).any()
+
+
+def test_a_mass_matrix_that_is_singular_by_the_pose_is_refused():
+    # Two parallel slides share one mass: only their sum is felt.
+    slide = lambda name: dr.PrismaticJoint(name, (1, 2, 3))
+    both = dr.build([slide("a"), slide("b"), dr.RigidBody(3.0, (0, 0, 0), np.eye(3))])
+    with pytest.raises(ValueError, match="singular"):
+        dr.forward_dynamics(both, [0.1, 0.2], [0.0, 0.0], [1.0, 2.0])
+
+
+def test_springs_come_from_a_file_beside_the_urdf(write):
+    drives = 'source = "a bench"\n[stiffness]\nturn = "2 MN*m/rad"\nslide = "5 N/um"\n'
+    drives += '[damping]\nturn = "30 N*m*s/rad"\n'
+    urdf = write(GOOD)
+    robot = dr.load(urdf, tool="tip", drives=write(drives, "drives.toml"))
+    assert_allclose(robot.joint_stiffness, [2e6, 5e6, np.inf])
+    assert_allclose(robot.joint_damping, [30.0, 0.0, 0.0])
+    bad = drives.replace("turn", "trun", 1).replace("5 N/um", "-5 N/um")
+    bad = bad.replace("[damping]", "[dampers]")
+    with pytest.raises(dr.RobotFileError, match=r"drives\.toml: 3 faults") as caught:
+        dr.load(urdf, tool="tip", drives=write(bad, "drives.toml"))
+    for part in (
+        "stiffness.trun: is not a known key; allowed are kind, slide, source, spin",
+        "stiffness.slide: must be a quantity in N/m, positive, but is '-5 N/um'",
+        "top level.dampers: is not a known key",
+    ):
+        assert part in str(caught.value)
+    with pytest.raises(dr.RobotFileError, match="stiffness: must be a table"):
+        dr.load(urdf, tool="tip", drives=write("stiffness = 3\n", "drives.toml"))
+
+
+def test_a_good_file_gives_no_warning(write):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        dr.load(write(GOOD), tool="tip")
