@@ -10,6 +10,12 @@ currents, and contact with anything but the tool. Gravity is 9.81 m/s^2 along -z
 linear part first; Jacobian and compliance are written likewise.
 """
 
+from ._bending_tool import (
+    BendingTool as BendingTool,
+    TipSpring as TipSpring,
+    tip_spring as tip_spring,
+    with_bending_tool as with_bending_tool,
+)
 from ._build import build as build
 from ._compliance import (
     cartesian_compliance as cartesian_compliance,
@@ -40,6 +46,10 @@ from ._faults import (
     RobotFileWarning as RobotFileWarning,
 )
 from ._files import built_in_models as built_in_models, load as load
+from ._flange_spring import (
+    FlangeSpring as FlangeSpring,
+    with_flange_spring as with_flange_spring,
+)
 from ._forward_dynamics import forward_dynamics as forward_dynamics
 from ._inverse_kinematics import (
     PathSolution as PathSolution,
