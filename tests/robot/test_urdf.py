@@ -285,6 +285,7 @@ def test_links_without_mass(write):
     ):
         robot = dr.load(write(bare.replace("<mimic", "<nothing")), tool="wheel")
     q = jnp.array([0.3, 0.1, 0.2, 0.5])
+    robot = dr.with_drives(robot, stiffness=np.full(4, 1e5))
     assert np.isfinite(dr.forward_kinematics(robot, q)).all()
     zero = np.zeros(4)
     with pytest.raises(
@@ -293,6 +294,10 @@ def test_links_without_mass(write):
         dr.forward_dynamics(robot, q, zero, zero)
     under_jit = jax.jit(dr.forward_dynamics)(robot, q, zero, zero)
     assert np.isnan(under_jit).any()
+    for function in (dr.natural_frequencies, dr.mode_shapes):
+        with pytest.raises(ValueError, match=r"natural .* singular"):
+            function(robot, q)
+    assert np.isnan(jax.jit(dr.natural_frequencies)(robot, q)).all()
 
 
 def test_a_mass_matrix_that_is_singular_by_the_pose_is_refused():

@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 
 from ._crba import mass_matrix
 from ._kinematics import jacobian
+from ._massless import factor, refuse_singular
 from ._robot import JointVector, Robot, joint_vector
 
 
@@ -50,10 +51,16 @@ def mode_shapes(robot: Robot, q: JointVector) -> Modes:
     Returns:
         The modes; batches by `vmap`.
 
+    Raises:
+        ValueError: If the mass matrix is singular because joints move no mass; under
+            `jit` and `vmap` the modes are not a number instead.
+
     **Differentiability**: smooth where no two frequencies coincide, those of two
     rigid joints included.
     """
-    return _mode_shapes(robot, joint_vector(robot, q, "q"))
+    modes = _mode_shapes(robot, joint_vector(robot, q, "q"))
+    refuse_singular(robot, modes.joint_shapes, "natural modes")
+    return modes
 
 
 def natural_frequencies(robot: Robot, q: JointVector) -> Float[Array, " joint"]:
@@ -66,9 +73,13 @@ def natural_frequencies(robot: Robot, q: JointVector) -> Float[Array, " joint"]:
     Returns:
         Frequencies [Hz], ascending, shape (joint,); infinite for a rigid joint.
 
+    Raises:
+        ValueError: As for `mode_shapes`.
+
     **Differentiability**: smooth where no two frequencies coincide.
     """
-    return _natural_frequencies(robot, joint_vector(robot, q, "q"))
+    frequencies = _natural_frequencies(robot, joint_vector(robot, q, "q"))
+    return refuse_singular(robot, frequencies, "natural frequencies")
 
 
 def damping_ratios(robot: Robot, q: JointVector) -> Float[Array, " joint"]:
@@ -130,12 +141,13 @@ def _softness(
     The eigenvalues of the latter are 1 / omega^2: an infinite stiffness is an
     ordinary number.
     """
-    L = jnp.linalg.cholesky(mass_matrix(robot, q))
+    L = factor(mass_matrix(robot, q))
     return L, L.T @ (L / robot.joint_stiffness[:, None])
 
 
 def _omega(softness: Float[Array, " joint"]) -> Float[Array, " joint"]:
-    is_soft = softness > 0.0
+    # What is not a number is to stay so.
+    is_soft = ~(softness <= 0.0)
     omega = jax.lax.rsqrt(jnp.where(is_soft, softness, 1.0))
     return jnp.where(is_soft, omega, jnp.inf)
 
