@@ -69,6 +69,22 @@ Stiffness: TypeAlias = Annotated[
 Damping: TypeAlias = Annotated[
     str, BeforeValidator(_read_drive((q.ROTARY_DAMPING, q.LINEAR_DAMPING)))
 ]
+LinearStiffness: TypeAlias = Annotated[
+    float, BeforeValidator(_read(q.LINEAR_STIFFNESS, sign="positive"))
+]
+RotaryStiffness: TypeAlias = Annotated[
+    float, BeforeValidator(_read(q.ROTARY_STIFFNESS, sign="positive"))
+]
+Mass: TypeAlias = Annotated[float, BeforeValidator(_read(q.MASS, sign="positive"))]
+Inertia: TypeAlias = Annotated[
+    float, BeforeValidator(_read(q.INERTIA, sign="positive"))
+]
+Modulus: TypeAlias = Annotated[
+    float, BeforeValidator(_read(q.MODULUS, sign="positive"))
+]
+Density: TypeAlias = Annotated[
+    float, BeforeValidator(_read(q.DENSITY, sign="positive"))
+]
 Lengths3: TypeAlias = Annotated[list[Length], Field(min_length=3, max_length=3)]
 Angles3: TypeAlias = Annotated[list[Angle], Field(min_length=3, max_length=3)]
 Slots: TypeAlias = Annotated[StrictInt, Field(ge=1, le=64)]
@@ -87,6 +103,23 @@ def _read_each(
         return [convert(entry) for entry in value]
 
     return convert_all
+
+
+def _read_share(least: bool) -> Callable[[object], float]:
+    """Return a check of a plain number up to 1, from 0 or above it."""
+
+    def check(value: object) -> float:
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            if 0 <= value <= 1 and (value > 0 or least):
+                return float(value)
+        low = "from 0" if least else "above 0"
+        raise ValueError(f"found {value!r}, but a number {low} to 1 is required")
+
+    return check
+
+
+Ratio: TypeAlias = Annotated[float, BeforeValidator(_read_share(True))]
+Share: TypeAlias = Annotated[float, BeforeValidator(_read_share(False))]
 
 
 def _read_exponent(value: object) -> float:

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ..cutter import AbstractCutter
 from ..robot import (
     Robot,
     built_in_models,
@@ -19,6 +20,7 @@ from ..robot import (
 from ..sim import tool_frame
 from ..toolpath import Path
 from . import _quantity as q
+from ._job_compliance import with_bending_cutter, with_spring
 from ._job_program import file_in_folder
 from ._job_schema import PoseTable, RobotTable
 
@@ -41,12 +43,18 @@ def pose_matrix(pose: PoseTable | None) -> Float[np.ndarray, "4 4"]:
 
 
 def read_robot(
-    table: RobotTable, folder: pathlib.Path, problems: list[str], *, allow_outside: bool
+    table: RobotTable,
+    cutter: AbstractCutter | None,
+    folder: pathlib.Path,
+    problems: list[str],
+    *,
+    allow_outside: bool,
 ) -> tuple[Robot | None, Float[np.ndarray, " joint"] | None]:
     """Return the robot of a job and where inverse kinematics starts.
 
     Args:
         table: The `[robot]` table.
+        cutter: The cutter, None after a fault of its own; it bends if the table says.
         folder: Folder of the job.
         problems: Receives what is wrong.
         allow_outside: Whether a robot file may lie outside that folder.
@@ -83,6 +91,10 @@ def read_robot(
     robot = with_drives(robot, stiffness=stiffness, damping=damping)
     if table.tool_in_flange is not None:
         robot = with_tool(robot, pose_matrix(table.tool_in_flange))
+    robot = with_spring(robot, table.flange_spring, problems)
+    robot = with_bending_cutter(robot, table.bending_tool, cutter)
+    if start is not None:
+        start = np.pad(start, (0, robot.joint_count - len(start)))
     return robot, start
 
 

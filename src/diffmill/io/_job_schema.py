@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, StrictBool, StrictInt, StrictStr
 
+from ._job_compliance import BendingToolTable, FlangeSpringTable
 from ._job_cutter import CutterTable
 from ._job_fields import (
     Acceleration,
@@ -74,6 +75,8 @@ class RobotTable(Table):
     work_in_base: PoseTable | None = None
     tool_in_flange: PoseTable | None = None
     joint_start: list[StrictStr] | None = None
+    flange_spring: FlangeSpringTable | None = None
+    bending_tool: BendingToolTable | None = None
 
 
 class SimulationTable(Table):

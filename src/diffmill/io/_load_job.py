@@ -142,11 +142,11 @@ def _build(
     speed = None
     if "spindle" in tables:
         speed = spindle_speed(tables["spindle"].speed, program, problems)
+    cutter = make_cutter(tables["cutter"]) if "cutter" in tables else None
     if "robot" in tables:
         robot, start = read_robot(
-            tables["robot"], folder, problems, allow_outside=allow_outside
+            tables["robot"], cutter, folder, problems, allow_outside=allow_outside
         )
-    cutter = make_cutter(tables["cutter"]) if "cutter" in tables else None
     if cutter is not None and "force" in tables:
         tables["force"].check_teeth(cutter.flute_count, problems)
     stock = None

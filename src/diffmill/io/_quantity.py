@@ -56,6 +56,10 @@ ROTARY_DAMPING = QuantityKind(
     "a rotational damping", "N*m*s/rad", "3000 N*m*s/rad", "optional"
 )
 LINEAR_STIFFNESS = QuantityKind("a stiffness", "N/m", "20 N/um")
+MASS = QuantityKind("a mass", "kg", "30 kg")
+INERTIA = QuantityKind("a moment of inertia", "kg*m^2", "0.75 kg*m^2")
+MODULUS = QuantityKind("Young's modulus", "N/m^2", "600 GPa")
+DENSITY = QuantityKind("a density", "kg/m^3", "14.5 g/cm^3")
 LINEAR_DAMPING = QuantityKind("a damping", "N*s/m", "2000 N*s/m")
 
 
