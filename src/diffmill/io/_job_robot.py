@@ -12,7 +12,6 @@ from ..robot import (
     Robot,
     built_in_models,
     inverse_kinematics_path,
-    load,
     rpy_matrix,
     with_drives,
     with_tool,
@@ -21,7 +20,7 @@ from ..sim import tool_frame
 from ..toolpath import Path
 from . import _quantity as q
 from ._job_compliance import with_bending_cutter, with_spring
-from ._job_program import file_in_folder
+from ._job_robot_file import check_springs, load_robot
 from ._job_schema import PoseTable, RobotTable
 
 _DRIVE_KINDS = {
@@ -47,6 +46,7 @@ def read_robot(
     cutter: AbstractCutter | None,
     folder: pathlib.Path,
     problems: list[str],
+    notes: list[str],
     *,
     allow_outside: bool,
 ) -> tuple[Robot | None, Float[np.ndarray, " joint"] | None]:
@@ -57,6 +57,7 @@ def read_robot(
         cutter: The cutter, None after a fault of its own; it bends if the table says.
         folder: Folder of the job.
         problems: Receives what is wrong.
+        notes: Receives what is doubtful in a robot file.
         allow_outside: Whether a robot file may lie outside that folder.
 
     Returns:
@@ -68,7 +69,7 @@ def read_robot(
         found = " and ".join(chosen) or "nothing"
         problems.append(
             f"[robot]: found {found}, but exactly one is required of model (allowed: "
-            f"{', '.join(built_in_models())}), file (.toml) and rigid = true"
+            f"{', '.join(built_in_models())}), file (.toml or .urdf) and rigid = true"
         )
         return None, None
     if table.rigid:
@@ -79,7 +80,7 @@ def read_robot(
             "[robot] work_in_base: found nothing, but it is required: where the "
             'workpiece lies, such as { position = ["1500 mm", "0 mm", "800 mm"] }'
         )
-    robot = _load(table, folder, problems, allow_outside=allow_outside)
+    robot = load_robot(table, folder, problems, notes, allow_outside=allow_outside)
     if robot is None:
         return None, None
     stiffness = _per_joint(table, "joint_stiffness", robot, problems)
@@ -89,6 +90,7 @@ def read_robot(
         problems.append("[robot] joint_stiffness: found 0, but above 0 is required")
         return None, None
     robot = with_drives(robot, stiffness=stiffness, damping=damping)
+    check_springs(robot, problems)
     if table.tool_in_flange is not None:
         robot = with_tool(robot, pose_matrix(table.tool_in_flange))
     robot = with_spring(robot, table.flange_spring, problems)
@@ -103,33 +105,6 @@ def _refuse_with_rigid(table: RobotTable, problems: list[str]) -> None:
         problems.append(
             f"[robot] {key}: found beside rigid = true, which allows no other key"
         )
-
-
-def _load(
-    table: RobotTable, folder: pathlib.Path, problems: list[str], *, allow_outside: bool
-) -> Robot | None:
-    if table.model is not None:
-        if table.model not in built_in_models():
-            problems.append(
-                f"[robot] model: found {table.model!r}; allowed: "
-                f"{', '.join(built_in_models())}"
-            )
-            return None
-        return load(table.model)
-    assert table.file is not None
-    if pathlib.PurePath(table.file).suffix.lower() != ".toml":
-        problems.append(f"[robot] file: found {table.file!r}; allowed: .toml")
-        return None
-    path = file_in_folder(
-        table.file, "[robot] file", folder, problems, allow_outside=allow_outside
-    )
-    if path is None:
-        return None
-    try:
-        return load(path)
-    except ValueError as error:
-        problems.extend(f"[robot] file: {line}" for line in str(error).splitlines())
-        return None
 
 
 def _per_joint(

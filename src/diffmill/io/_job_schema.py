@@ -70,6 +70,8 @@ class RobotTable(Table):
     model: StrictStr | None = None
     file: StrictStr | None = None
     rigid: StrictBool = False
+    tool: StrictStr | None = None
+    drives: Annotated[StrictStr, Field(min_length=1)] | None = None
     joint_stiffness: list[Stiffness] | None = None
     joint_damping: list[Damping] | None = None
     work_in_base: PoseTable | None = None

@@ -135,6 +135,7 @@ def _build(
     """Return the job of checked tables; None, or a job of no use, after problems."""
     folder = path.parent
     program, robot, start = None, None, None
+    robot_notes: list[str] = []
     if "program" in tables:
         program = read_program(
             tables["program"], folder, problems, allow_outside=allow_outside
@@ -145,7 +146,12 @@ def _build(
     cutter = make_cutter(tables["cutter"]) if "cutter" in tables else None
     if "robot" in tables:
         robot, start = read_robot(
-            tables["robot"], cutter, folder, problems, allow_outside=allow_outside
+            tables["robot"],
+            cutter,
+            folder,
+            problems,
+            robot_notes,
+            allow_outside=allow_outside,
         )
     if cutter is not None and "force" in tables:
         tables["force"].check_teeth(cutter.flute_count, problems)
@@ -185,6 +191,7 @@ def _build(
         simulation,
         program,
         (robot, T_base_work, start),
+        robot_notes,
     )
 
 
@@ -200,6 +207,7 @@ def _assemble(
     robot_parts: tuple[
         Robot | None, Float[np.ndarray, "4 4"], Float[np.ndarray, " joint"] | None
     ],
+    robot_notes: list[str],
 ) -> Job:
     """Return the job of faultless parts."""
     assert speed is not None
@@ -220,7 +228,11 @@ def _assemble(
         correction=_correction(tables["correction"]),
         source=text,
         program=program.source if isinstance(program, Program) else "",
-        notes=(*tables["force"].notes(), *notes(stock, desired, cutter)),
+        notes=(
+            *tables["force"].notes(),
+            *robot_notes,
+            *notes(stock, desired, cutter),
+        ),
         bottom_law=bottom_law,
     )
 

@@ -61,6 +61,7 @@ from ._kinematics import (
     forward_kinematics as forward_kinematics,
     jacobian as jacobian,
 )
+from ._massless import massless_joints as massless_joints
 from ._modes import (
     Modes as Modes,
     damping_ratios as damping_ratios,
