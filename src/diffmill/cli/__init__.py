@@ -1,4 +1,4 @@
-"""The command line: `diffmill simulate`, `correct`, `example`, `check`.
+"""The command line: `diffmill simulate`, `correct`, `robot`, `example`, `check`.
 
 Reads a job, runs it and writes a folder of results. The only place that configures
 JAX, prints, and turns errors into exit codes: 0 for success, 2 for bad input (nothing

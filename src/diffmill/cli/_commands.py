@@ -56,6 +56,37 @@ def correct(
     )
 
 
+def robot(
+    model: Annotated[
+        tyro.conf.Positional[str],
+        tyro.conf.arg(
+            metavar="MODEL", help="A built-in model, or a robot file (.toml, .urdf)."
+        ),
+    ],
+    *,
+    pose: Annotated[
+        str | None,
+        tyro.conf.arg(
+            help="Joint positions with units, separated by commas; home if not given."
+        ),
+    ] = None,
+    tool: Annotated[
+        str | None,
+        tyro.conf.arg(help="The tool, in a URDF the link, if there are several."),
+    ] = None,
+    out: Annotated[
+        pathlib.Path | None,
+        tyro.conf.arg(help="Folder for the results; ./<model>-robot if not given."),
+    ] = None,
+    force: _Force = False,
+    quiet: _Quiet = False,
+) -> int:
+    """Print masses, stiffness, modes and sag of a robot; draw it and its stiffness."""
+    from ._robot import run_robot
+
+    return run_robot(model, pose=pose, tool=tool, out=out, force=force, is_quiet=quiet)
+
+
 def example(
     name: Annotated[
         tyro.conf.Positional[str],
@@ -110,6 +141,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     commands: dict[str, Callable[..., Any]] = {
         "simulate": simulate,
         "correct": correct,
+        "robot": robot,
         "example": example,
         "check": check,
     }

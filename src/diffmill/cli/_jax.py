@@ -5,17 +5,18 @@ import pathlib
 import sys
 
 
-def configure_jax(job_file: pathlib.Path) -> None:
+def configure_jax(job_file: pathlib.Path | None) -> None:
     """Set the precision that a job asks for, and a compile cache that persists.
 
     Args:
-        job_file: The job, whose `[simulation] precision` decides.
+        job_file: The job, whose `[simulation] precision` decides; float64 without one.
     """
     import jax
 
     from ..io import job_precision
 
-    jax.config.update("jax_enable_x64", job_precision(job_file) == "float64")
+    precision = "float64" if job_file is None else job_precision(job_file)
+    jax.config.update("jax_enable_x64", precision == "float64")
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         folder = cache_folder()
         try:

@@ -24,6 +24,7 @@ from ._path_csv import (
     read_path_csv as read_path_csv,
     write_path_csv as write_path_csv,
 )
+from ._pose import parse_pose as parse_pose
 from ._rapid_check import (
     RigidPass as RigidPass,
     rigid_pass as rigid_pass,
@@ -34,5 +35,6 @@ from ._results import (
     check_folder as check_folder,
     described as described,
     mark_incomplete as mark_incomplete,
+    write_folder as write_folder,
     write_results as write_results,
 )

@@ -94,19 +94,48 @@ def write_results(
 
     Differentiability: not applicable, a host function.
     """
+
+    def fill_all(folder: pathlib.Path) -> None:
+        described(dataset).to_netcdf(folder / "result.nc", engine="h5netcdf")
+        if stock is not None:
+            save_stock(stock, folder / "stock.npz")
+        for name, content in (files or {}).items():
+            _write(folder, name, content)
+        if fill is not None:
+            fill(folder)
+
+    return write_folder(out, fill_all, force=force)
+
+
+def write_folder(
+    out: str | os.PathLike[str],
+    fill: Callable[[pathlib.Path], object],
+    *,
+    force: bool = False,
+) -> pathlib.Path:
+    """Write a folder of files, all of them or nothing.
+
+    Args:
+        out: The folder.
+        fill: Called with a temporary folder, to write any number of files to.
+        force: Whether to replace the results in a folder that is not empty; files
+            that no earlier run wrote stay.
+
+    Returns:
+        The folder.
+
+    Raises:
+        ResultsError: If the folder is not empty, or cannot be written to.
+
+    Differentiability: not applicable, a host function.
+    """
     check_folder(out, force=force)
     folder = pathlib.Path(out).resolve()
     folder.parent.mkdir(parents=True, exist_ok=True)
     made = tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent)
     temporary = pathlib.Path(made)
     try:
-        described(dataset).to_netcdf(temporary / "result.nc", engine="h5netcdf")
-        if stock is not None:
-            save_stock(stock, temporary / "stock.npz")
-        for name, content in (files or {}).items():
-            _write(temporary, name, content)
-        if fill is not None:
-            fill(temporary)
+        fill(temporary)
         _publish(temporary, folder)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)

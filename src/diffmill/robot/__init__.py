@@ -76,6 +76,7 @@ from ._rnea import (
 )
 from ._robot import Robot as Robot, with_drives as with_drives, with_tool as with_tool
 from ._rotations import rpy_matrix as rpy_matrix
+from ._skeleton import Skeleton as Skeleton, skeleton as skeleton
 from ._terms import ArmTerms as ArmTerms, arm_terms as arm_terms
 from ._workspace import (
     StiffnessMap as StiffnessMap,

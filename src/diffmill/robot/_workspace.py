@@ -1,7 +1,5 @@
 """Where the tool can go, and how stiff the arm is there."""
 
-from collections.abc import Sequence
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -106,7 +104,7 @@ def stiffness_map(
             _through(T[axis, 3], box[0, i], box[1, i], spacing)
             for i, axis in enumerate(plane)
         ]
-        stiffness = _on_grid(robot, T, start, plane, axes)
+        stiffness = _on_grid(robot, T, start, plane, axes[0], axes[1])
         rows, columns = np.nonzero(~np.isnan(stiffness))
         if not rows.size:
             break
@@ -130,10 +128,11 @@ def _on_grid(
     T: Float[np.ndarray, "4 4"],
     start: Float[Array, " joint"],
     plane: tuple[int, int],
-    axes: Sequence[Float[np.ndarray, " point"]],
+    columns: Float[np.ndarray, " across"],
+    rows: Float[np.ndarray, " up"],
 ) -> Float[np.ndarray, "up across"]:
     """Return the least stiffness on a grid, NaN where a pose is not reached."""
-    across, up = np.meshgrid(*axes)
+    across, up = np.meshgrid(columns, rows)
     Ts = np.broadcast_to(T, (across.size, 4, 4)).copy()
     Ts[:, plane[0], 3], Ts[:, plane[1], 3] = across.ravel(), up.ravel()
     starts = np.broadcast_to(np.asarray(start), (across.size, start.shape[0]))

@@ -3,7 +3,8 @@
 Draws what a reader of a simulation or correction needs to see: the paths with the
 deviation magnified, deviation and contour error over time, cutting forces before and
 after a low-pass, the chip chart of one tooth, the error of the machined surface and
-the cut ray ends; and writes one HTML report that needs no other file.
+the cut ray ends; and writes one HTML report that needs no other file. And a robot: its
+line figure, and its stiffness over the workspace.
 
 Everything takes the dataset of a result (its layout: `diffmill.io`) or plain NumPy
 arrays, in SI; millimetres, micrometres and degrees appear on the axes only. Assumed:
@@ -25,7 +26,9 @@ from ._inputs import FigureInputs as FigureInputs, figure_inputs as figure_input
 from ._paths import plot_paths as plot_paths
 from ._process import chip_chart as chip_chart, force_record as force_record
 from ._report import write_report as write_report
+from ._robot import plot_robot as plot_robot, plot_stiffness as plot_stiffness
 from ._stocks import cut_dexels as cut_dexels, surface_error as surface_error
+from ._style import save_figure as save_figure
 from ._surface import (
     SurfaceError as SurfaceError,
     plot_surface_error as plot_surface_error,

@@ -1,0 +1,231 @@
+"""What a robot is made of and how soft it is: in words, as JSON, and drawn."""
+
+import json
+import pathlib
+import warnings
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ._errors import bad_input
+from ._jax import configure_jax
+from ._progress import Progress
+from ._robot_text import robot_lines
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from ..robot import Robot
+
+    # jaxtyping checks what it can see; at run time nothing of the kind is imported.
+    JointPositions = Float[np.ndarray, " joint"]
+else:
+    JointPositions = Any
+
+_LOAD_N = 100.0
+
+
+def run_robot(
+    model: str,
+    *,
+    pose: str | None,
+    tool: str | None,
+    out: pathlib.Path | None,
+    force: bool,
+    is_quiet: bool,
+) -> int:
+    """Describe a robot and write a folder with its figures; return the exit code.
+
+    Args:
+        model: Name of a built-in model, or a robot file.
+        pose: Joint positions as text; None for the robot's home.
+        tool: Name of the tool; None if there is only one.
+        out: Folder for the results; None for `./<model>-robot`.
+        force: Whether results that are there are replaced.
+        is_quiet: Whether only errors are printed.
+    """
+    configure_jax(None)
+    from ..io import check_folder, parse_pose, write_folder
+    from ..robot import load
+
+    folder = pathlib.Path(f"{pathlib.Path(model).stem}-robot") if out is None else out
+    with bad_input(), warnings.catch_warnings(record=True) as noted:
+        warnings.simplefilter("always")
+        check_folder(folder, force=force)
+        robot = load(model, tool=tool)
+        q = np.asarray(robot.home, float)
+        if pose is not None:
+            try:
+                q = parse_pose(pose, robot)
+            except ValueError as error:
+                raise ValueError(f"--pose: {error}") from error
+    facts = robot_facts(robot, q)
+    facts["notes"] += [str(item.message) for item in noted]
+    if not is_quiet:
+        print("\n".join(robot_lines(facts)))
+    progress = Progress(is_quiet=is_quiet)
+    with progress:
+        progress.update("figures")
+        write_folder(folder, _filler(robot, q, facts), force=force)
+    progress.say(f"results: {folder}")
+    return 0
+
+
+def robot_facts(robot: "Robot", q: "JointPositions") -> dict[str, Any]:
+    """Return what there is to say about a robot at a pose, with units in the keys.
+
+    Args:
+        robot: The robot.
+        q: Joint positions [rad or m], shape (joint,).
+
+    Returns:
+        Numbers, lists and texts only; what does not exist is None.
+    """
+    from ..robot import forward_kinematics
+
+    T = np.asarray(forward_kinematics(robot, q))
+    K = np.asarray(robot.joint_stiffness)
+    is_soft = bool(np.isfinite(K).any())
+    notes, modes = [], None
+    if is_soft:
+        try:
+            modes = _modes(robot, q)
+        except ValueError as error:
+            notes.append(str(error))
+    if np.isinf(K).all():
+        notes.append(
+            "no joint has a spring, so nothing bends; give the joints stiffness and "
+            "damping in a robot file, or in a job with joint_stiffness and "
+            "joint_damping"
+        )
+    elif np.isinf(K).any():
+        rigid = [n for n, k in zip(robot.joint_names, K, strict=True) if np.isinf(k)]
+        notes.append(f"joints without a spring, taken as rigid: {', '.join(rigid)}")
+    return {
+        "model": robot.name,
+        "joints": _joints(robot, q),
+        "mass_kg": float(np.sum(np.asarray(robot.link_masses))),
+        "tool_position_mm": (1e3 * T[:3, 3]).tolist(),
+        "tool_axis": T[:3, 2].tolist(),
+        "statics": _statics(robot, q) if is_soft else None,
+        "modes": modes,
+        "notes": notes,
+    }
+
+
+def _joints(robot: "Robot", q: "JointPositions") -> list[dict[str, Any]]:
+    """Return a row per joint: degrees and N m/rad, or millimetres and N/m."""
+    rows = []
+    for k, (name, kind) in enumerate(
+        zip(robot.joint_names, robot.joint_kinds, strict=True)
+    ):
+        slides = kind == "prismatic"
+        scale, unit = (1e3, "mm") if slides else (180.0 / np.pi, "deg")
+        rows.append(
+            {
+                "name": name,
+                "kind": f"virtual {kind}" if robot.is_virtual[k] else kind,
+                "unit": unit,
+                "position": float(q[k]) * scale,
+                "lower": _finite(float(robot.joint_lower[k]) * scale),
+                "upper": _finite(float(robot.joint_upper[k]) * scale),
+                "stiffness": _finite(float(robot.joint_stiffness[k])),
+                "stiffness_unit": "N/m" if slides else "N m/rad",
+                "damping": float(robot.joint_damping[k]),
+                "damping_unit": "N s/m" if slides else "N m s/rad",
+            }
+        )
+    return rows
+
+
+def _finite(value: float) -> float | None:
+    """Return a value as JSON can hold it: None for infinity."""
+    return value if np.isfinite(value) else None
+
+
+def _statics(robot: "Robot", q: "JointPositions") -> dict[str, Any]:
+    """Return stiffness, deflection and sag of the tool's tip."""
+    from ..robot import cartesian_compliance, gravity_sag, static_deflection
+
+    C = np.asarray(cartesian_compliance(robot, q))[:3, :3]
+    softness, directions = np.linalg.eigh(C)
+    is_soft = softness > 1e-12 * softness[-1]
+    principal = [
+        {
+            "stiffness_N_per_um": 1e-6 / s if soft else None,
+            "direction": (d * np.sign(d[np.argmax(np.abs(d))])).tolist(),
+        }
+        for s, d, soft in zip(softness, directions.T, is_soft, strict=True)
+    ][::-1]
+    along = np.diag(C)
+    deflection = [
+        1e3 * np.asarray(static_deflection(robot, q, _LOAD_N * np.eye(6)[i])[:3])
+        for i in range(3)
+    ]
+    sag = np.asarray(gravity_sag(robot, q))
+    return {
+        "stiffness_along_axes_N_per_um": [
+            1e-6 / s if s > 1e-12 * softness[-1] else None for s in along
+        ],
+        "principal_stiffness": principal,
+        "load_N": _LOAD_N,
+        "deflection_mm": [row.tolist() for row in deflection],
+        "gravity_sag_mm": (1e3 * sag[:3]).tolist(),
+        "gravity_tilt_mrad": (1e3 * sag[3:]).tolist(),
+    }
+
+
+def _modes(robot: "Robot", q: "JointPositions") -> list[dict[str, Any]]:
+    """Return frequency, damping and shape of every mode that bends a spring."""
+    from ..robot import mode_shapes
+
+    found = mode_shapes(robot, q)
+    rows = []
+    for k, frequency in enumerate(np.asarray(found.frequencies)):
+        if not np.isfinite(frequency):
+            continue
+        move = np.asarray(found.tool_shapes)[k, :3]
+        size = float(np.linalg.norm(move))
+        rows.append(
+            {
+                "frequency_Hz": float(frequency),
+                "damping_ratio": float(found.damping_ratios[k]),
+                "energy_shares": dict(
+                    zip(
+                        robot.joint_names,
+                        np.asarray(found.energy_shares)[k].tolist(),
+                        strict=True,
+                    )
+                ),
+                "tool_direction": (move / size).tolist() if size > 0.0 else None,
+            }
+        )
+    # A rigid joint leaves a mode whose frequency is rounding, far above the others.
+    soft = int(np.isfinite(np.asarray(robot.joint_stiffness)).sum())
+    return rows[:soft]
+
+
+def _filler(
+    robot: "Robot", q: "JointPositions", facts: dict[str, Any]
+) -> Callable[[pathlib.Path], None]:
+    """Return what writes the table and the figures to a folder."""
+    from ..robot import skeleton, stiffness_map
+    from ..viz import plot_robot, plot_stiffness, save_figure
+
+    def fill(folder: pathlib.Path) -> None:
+        text = json.dumps(facts, indent=2, allow_nan=False)
+        (folder / "robot.json").write_text(text + "\n", encoding="utf-8")
+        bones = skeleton(robot, q)
+        title = f"{robot.name}: {facts['mass_kg']:.0f} kg in motion"
+        save_figure(plot_robot(robot, bones, title=title), folder / "robot.png")
+        if facts["statics"] is None:
+            return
+        maps = [stiffness_map(robot, q, plane=plane) for plane in ((0, 2), (0, 1))]
+        if not any(np.isfinite(item.stiffness).any() for item in maps):
+            return
+        title = f"{robot.name}: the tool keeps its direction; grey: not reached so"
+        figure = plot_stiffness(robot, bones, maps, title=title)
+        save_figure(figure, folder / "stiffness.png")
+
+    return fill

@@ -1,0 +1,112 @@
+"""`diffmill robot`: what it prints, writes and refuses."""
+
+import json
+
+import numpy as np
+import pytest
+
+from diffmill.cli import main
+
+# Three slides and a mass: everything about it is known.
+SLIDES = """name = "slides"
+[[elements]]
+kind = "prismatic"
+name = "x"
+axis = [1, 0, 0]
+lower = "-1 m"
+upper = "1 m"
+stiffness = "4 N/um"
+damping = "400 N*s/m"
+[[elements]]
+kind = "prismatic"
+name = "y"
+axis = [0, 1, 0]
+lower = "-1 m"
+upper = "1 m"
+[[elements]]
+kind = "prismatic"
+name = "z"
+axis = [0, 0, 1]
+lower = "-1 m"
+upper = "1 m"
+stiffness = "16 N/um"
+[[elements]]
+kind = "body"
+mass = "100 kg"
+inertia = ["1 kg*m^2", "1 kg*m^2", "1 kg*m^2"]
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path.parent / "cache"))
+    (tmp_path / "slides.toml").write_text(SLIDES)
+    return tmp_path
+
+
+def test_robot_prints_and_draws(folder, capsys):
+    command = ["robot", "slides.toml", "--pose", "100 mm, -20 cm, 0 m"]
+    assert main(command) == 0
+    text = capsys.readouterr().out
+    for part in (
+        "moving mass 100.0 kg",
+        "at (100.0, -200.0, 0.0) mm",
+        "along base axes [N/um]: x 4.000, y rigid, z 16.000",
+        "31.83 Hz  damping   1.00 %  x 100 %",  # sqrt(4e6 / 100) = 200 rad/s
+        "63.66 Hz  damping   0.00 %  z 100 %",
+        "note: joints without a spring, taken as rigid: y",
+    ):
+        assert part in text
+    out = folder / "slides-robot"
+    names = {p.name for p in out.iterdir()}
+    assert {"robot.json", "robot.png", "stiffness.png"} <= names
+    facts = json.loads((out / "robot.json").read_text())
+    deflection = np.array(facts["statics"]["deflection_mm"])
+    np.testing.assert_allclose(deflection, np.diag([0.025, 0.0, 0.00625]), atol=1e-9)
+    sag = facts["statics"]["gravity_sag_mm"]
+    np.testing.assert_allclose(sag, [0.0, 0.0, -981.0 / 16e3], atol=1e-9)
+    assert len(facts["modes"]) == 2
+    assert main(command) == 2
+    assert "--force" in capsys.readouterr().err
+
+
+def test_a_robot_without_springs_says_so(folder, capsys):
+    lines = SLIDES.splitlines()
+    kept = [x for x in lines if not x.startswith(("stiffness", "damping", "lower"))]
+    (folder / "rigid.toml").write_text("\n".join(kept))
+    assert main(["robot", "rigid.toml"]) == 0
+    text = capsys.readouterr().out
+    assert "note: no joint has a spring, so nothing bends" in text
+    assert "nan" not in text.lower()
+    assert "none to 1000" in text
+    names = {p.name for p in (folder / "rigid-robot").iterdir()}
+    assert "robot.png" in names
+    assert "stiffness.png" not in names
+    facts = json.loads((folder / "rigid-robot" / "robot.json").read_text())
+    assert facts["statics"] is None
+
+
+def test_a_robot_without_masses_has_no_modes(folder, capsys):
+    (folder / "light.toml").write_text(SLIDES[: SLIDES.rindex("[[elements]]")])
+    assert main(["robot", "light.toml", "--quiet"]) == 0
+    facts = json.loads((folder / "light-robot" / "robot.json").read_text())
+    assert facts["modes"] is None
+    assert any("natural modes" in note for note in facts["notes"])
+    assert facts["statics"]["stiffness_along_axes_N_per_um"] == [4.0, None, 16.0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nothing"], "the built-in models are kuka_kr10_like"),
+        (["slides.toml", "--pose", "1 m, 2 m"], "--pose: found 2 positions"),
+        (["slides.toml", "--pose", "1 deg, 0 m, 0 m"], "x: "),
+        (["slides.toml", "--pose", "0 m, 0 m, 2 m"], "allowed is -1000 to 1000 mm"),
+        (["slides.toml", "--tool", "drill"], "'drill'"),
+    ],
+)
+def test_bad_input_is_refused(folder, capsys, arguments, message):
+    assert main(["robot", *arguments]) == 2
+    assert message in capsys.readouterr().err
+    assert [p.name for p in folder.iterdir()] == ["slides.toml"]
