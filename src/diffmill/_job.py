@@ -37,6 +37,8 @@ class SimulationSettings(eqx.Module):
         chip: Chip model, "near_far" or "point_cloud" (hard, as in the paper).
         integrator: Rule of the robot's sub-steps, "midpoint" or "rk4" (explicit, to
             verify the other by).
+        mode: "dynamic", or "quasistatic": springs balance the mean force of each
+            tooth period, without inertia.
     """
 
     angles: int = eqx.field(static=True)
@@ -52,6 +54,7 @@ class SimulationSettings(eqx.Module):
         static=True, default="near_far"
     )
     integrator: Literal["midpoint", "rk4"] = eqx.field(static=True, default="midpoint")
+    mode: Literal["dynamic", "quasistatic"] = eqx.field(static=True, default="dynamic")
 
 
 class CorrectionSettings(eqx.Module):

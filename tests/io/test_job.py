@@ -101,6 +101,7 @@ def test_defaults_of_the_simulation(write):
     assert settings.axial_depth == pytest.approx(1.6e-3)
     assert settings.precision == "float64"
     assert settings.integrator == "midpoint"
+    assert settings.mode == "dynamic"
 
 
 def test_a_job_may_ask_for_the_chip_of_the_paper(write):
@@ -277,6 +278,10 @@ def test_recorded_path(write, tmp_path):
         (
             ("[robot]", '[simulation]\nchip = "dexel"\n[robot]'),
             ("[simulation] chip", "'dexel'", "'near_far'", "'point_cloud'"),
+        ),
+        (
+            ("[robot]", '[simulation]\nmode = "static"\n[robot]'),
+            ("[simulation] mode", "'static'", "'dynamic'", "'quasistatic'"),
         ),
         (
             ("[robot]", '[simulation]\nintegrator = "euler"\n[robot]'),

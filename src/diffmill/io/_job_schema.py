@@ -94,6 +94,7 @@ class SimulationTable(Table):
     tool_tilt: StrictBool = False
     bottom_edges: StrictBool = False
     integrator: Literal["midpoint", "rk4"] = "midpoint"
+    mode: Literal["dynamic", "quasistatic"] = "dynamic"
 
 
 class CorrectionTable(Table):

@@ -291,6 +291,7 @@ def _simulation(
         axes=axes,
         chip=table.chip,
         integrator=table.integrator,
+        mode=table.mode,
     )
 
 

@@ -47,6 +47,7 @@ from ._process_alone import (
     path_depth as path_depth,
     simulate_process as simulate_process,
 )
+from ._quasistatic import simulate_quasistatic as simulate_quasistatic
 from ._simulate import (
     Solution as Solution,
     command_joints as command_joints,

@@ -196,7 +196,7 @@ def _start(
     return ArmState(q, v)
 
 
-def _along(pose: Pose, tips: Float[Array, "substep 3"]) -> Pose:
+def along(pose: Pose, tips: Float[Array, "substep 3"]) -> Pose:
     """Return poses at other tips: within a period the tool does not tilt."""
     if pose.axis is None:
         return Pose(tips)
@@ -231,7 +231,7 @@ def _run_period(
     middles = substep_middles(machine.plan, start.dtype)
     arm = _arm(machine, state)
     motion = T * middles[:, None] * (arm.jacobian @ state.v)[None]
-    predicted = _along(arm.pose, arm.pose.tip[None] + motion)
+    predicted = along(arm.pose, arm.pose.tip[None] + motion)
     process, cut, removed = begin_period(
         machine.plan,
         machine.cutter,
@@ -246,7 +246,7 @@ def _run_period(
     end, (tips, forces) = _run_substeps(
         machine, arm, process, cut, state, targets, rate
     )
-    process = end_period(process, _along(arm.pose, tips))
+    process = end_period(process, along(arm.pose, tips))
     has_failed = process.has_overflow | process.is_beyond
     force = jnp.mean(forces, axis=0)
     return (process, end), _Period(arm.pose.tip, force, state.q, removed, has_failed)

@@ -22,6 +22,7 @@ from ._in_space import tool_frame
 from ._integrators import make_integrator
 from ._plan import ProcessPlan, process_plan
 from ._process_alone import ProcessSolution, simulate_process
+from ._quasistatic import simulate_quasistatic
 
 if TYPE_CHECKING:
     import xarray
@@ -264,7 +265,7 @@ def run_motors(
     """Run the coupled simulation of a job for given motor positions."""
     if job.robot is None:
         raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
-    return simulate_coupled(
+    arguments = (
         motors,
         job.robot,
         job.T_base_work,
@@ -275,8 +276,10 @@ def run_motors(
         job_plan(job),
         adjoint,
         job.bottom_law,
-        make_integrator(job.simulation.integrator),
     )
+    if job.simulation.mode == "quasistatic":
+        return simulate_quasistatic(*arguments)
+    return simulate_coupled(*arguments, make_integrator(job.simulation.integrator))
 
 
 def _axes(job: Job) -> Float[Array, "step 3"] | None:

@@ -1,0 +1,215 @@
+"""The robot without inertia: in every tooth period springs balance the mean force.
+
+    K (theta - q) = G(q) - J^T F,    F = mean force of the period on the tip path,
+
+where the tip moves evenly from the balance at the start to the balance at the end.
+The force depends on the tip by the chip, so F solves F = f(F); with f' = A C (A slope
+of the mean force over the tip, C compliance of the tip) the Newton step
+
+    (I - A C) dF = f(F) - F
+
+is taken twice from the force of the period before: the second is at rounding unless a
+chip begins or ends. A plain iteration F <- f(F) would diverge for |A C| > 1, a deep cut
+with a soft arm. A cut resists its tool, so -A C has eigenvalues with positive real part
+and the step exists; from period to period a disturbance then dies out. Where the
+coupling of the directions brings an eigenvalue of A C to 1, the arm is dragged into the
+cut without bound and no balance exists: the result is not meaningful there.
+
+What a real arm adds is left out: swinging at corners, forced vibration and chatter.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from .._types import RealScalarLike, Transform
+from ..cutter import AbstractCutter
+from ..cutting import AbstractForceLaw
+from ..robot import Robot, arm_terms, loaded_equilibrium
+from ..workpiece import Pose, Stock
+from ._adjoint import AbstractAdjoint
+from ._coupled import CoupledSolution, along
+from ._history import ProcessState, Removed, end_period, flush, initial_state
+from ._period import Engagement, begin_period, substep_force, substep_middles
+from ._plan import ProcessPlan
+from ._process_alone import outcome, volumes_by_pose
+
+_NEWTON_STEPS = 2
+
+
+class _Balance(eqx.Module):
+    """The arm at one instant: joints, pose in `work`, and force on the tool."""
+
+    q: Float[Array, " joint"]
+    pose: Pose
+    force: Float[Array, " 3"]
+
+
+class _Row(eqx.Module):
+    """What one tooth period leaves behind."""
+
+    balance: _Balance
+    removed: Removed
+    has_failed: Bool[Array, ""]
+
+
+class _Machine(eqx.Module):
+    """What stays the same from period to period."""
+
+    robot: Robot
+    T_base_work: Float[Array, "4 4"]
+    cutter: AbstractCutter
+    laws: tuple[AbstractForceLaw, AbstractForceLaw | None]
+    plan: ProcessPlan
+    adjoint: AbstractAdjoint
+
+
+def simulate_quasistatic(
+    motor_positions: Float[Array, "step joint"],
+    robot: Robot,
+    T_base_work: Transform,
+    stock: Stock,
+    cutter: AbstractCutter,
+    law: AbstractForceLaw,
+    tooth_period: RealScalarLike,
+    plan: ProcessPlan,
+    adjoint: AbstractAdjoint,
+    bottom_law: AbstractForceLaw | None = None,
+) -> CoupledSolution:
+    """Move the motors, let the arm bend under its weight and the cut, and cut.
+
+    Args:
+        motor_positions: Motor angles theta at the tooth instants, behind the gear on
+            the joint's side [rad or m], shape (step, joint); 0 for virtual joints.
+        robot: The robot with its tool; its damping is not used.
+        T_base_work: Pose of the workpiece in the robot's base, shape (4, 4).
+        stock: The raw workpiece.
+        cutter: The cutter, as for `simulate_coupled`.
+        law: The force law.
+        tooth_period: T [s], shape (); nothing depends on it, time does not matter.
+        plan: Sizes of the process.
+        adjoint: How to differentiate through the removal.
+        bottom_law: The law of the bottom edge; derived from `law` if not given.
+
+    Returns:
+        The motion, the forces and the final stock, as `simulate_coupled`.
+
+    Differentiability: as `simulate_process`; also in the robot's leaves.
+    """
+    del tooth_period
+    theta = motor_positions
+    dtype, step_count = theta.dtype, theta.shape[0]
+    frame = jnp.asarray(T_base_work, dtype)
+    machine = _Machine(robot, frame, cutter, (law, bottom_law), plan, adjoint)
+    none = jnp.zeros(3, dtype)
+    q = loaded_equilibrium(robot, theta[0])
+    first = _Balance(q, _linear(machine, q)[0], none)
+    process, overlap = initial_state(
+        plan, stock, cutter, first.pose, step_count, adjoint
+    )
+
+    def step(
+        carry: tuple[ProcessState, _Balance], x: tuple[Array, Array, Array]
+    ) -> tuple[tuple[ProcessState, _Balance], _Row]:
+        return _run_period(machine, *carry, *x)
+
+    index = jnp.arange(1, step_count, dtype=jnp.int32)
+    (process, last), rows = jax.lax.scan(
+        step, (process, first), (index, theta[:-1], theta[1:])
+    )
+    end: Int[Array, ""] = jnp.asarray(step_count - 1, jnp.int32)
+    process, rest = flush(plan, cutter, process, end, last.pose, adjoint)
+    volume, by_shank = volumes_by_pose(step_count, rows.removed, rest)
+    chain = jax.tree.map(
+        lambda a, b: jnp.concatenate([a[None], b]), first, rows.balance
+    )
+    return CoupledSolution(
+        actual=chain.pose.tip,
+        force=chain.force,
+        joint_positions=chain.q,
+        removed_volume=volume,
+        shank_volume=by_shank,
+        initial_overlap_volume=overlap,
+        stock=process.stock,
+        has_failed=jnp.concatenate([jnp.zeros(1, bool), rows.has_failed]),
+        result=outcome(process, jnp.all(jnp.isfinite(chain.pose.tip))),
+    )
+
+
+def _run_period(
+    machine: _Machine,
+    process: ProcessState,
+    start: _Balance,
+    index: Int[Array, ""],
+    begin: Float[Array, " joint"],
+    stop: Float[Array, " joint"],
+) -> tuple[tuple[ProcessState, _Balance], _Row]:
+    """Return the state after one tooth period, and its row."""
+    # The end is near to the start moved along with the motors: linear from there.
+    near = start.q + stop - begin
+    pose, jacobian, gravity = _linear(machine, near)
+    K = machine.robot.joint_stiffness
+    joints = lambda F: stop - (gravity - jacobian.T @ F) / K
+    tip = lambda F: pose.tip + jacobian @ (joints(F) - near)
+    shares = substep_middles(machine.plan, stop.dtype)[:, None]
+    tips = lambda F: start.pose.tip[None] * (1 - shares) + tip(F)[None] * shares
+    process, cut, removed = begin_period(
+        machine.plan,
+        machine.cutter,
+        process,
+        index,
+        start.pose,
+        along(pose, tips(start.force)),
+        machine.adjoint,
+    )
+    mean = lambda F: _mean_force(machine, process, cut, along(pose, tips(F)))
+    eye = jnp.eye(3, dtype=stop.dtype)
+
+    def newton(F: Array, _: None) -> tuple[Array, None]:
+        # One pass gives value and slope: the force beside each column is the same.
+        found, columns = jax.vmap(lambda direction: jax.jvp(mean, (F,), (direction,)))(
+            eye
+        )
+        return F + jnp.linalg.solve(eye - columns.T, found[0] - F), None
+
+    force, _ = jax.lax.scan(newton, start.force, length=_NEWTON_STEPS)
+    end = _Balance(joints(force), Pose(tip(force), pose.axis), force)
+    process = end_period(process, along(pose, tips(force)))
+    has_failed = process.has_overflow | process.is_beyond
+    return (process, end), _Row(end, removed, has_failed)
+
+
+def _linear(
+    machine: _Machine, q: Float[Array, " joint"]
+) -> tuple[Pose, Float[Array, "3 joint"], Float[Array, " joint"]]:
+    """Return pose and Jacobian of the tip in `work`, and the torques of gravity."""
+    terms = arm_terms(machine.robot, q, jnp.zeros_like(q))
+    to_work = machine.T_base_work[:3, :3].T
+    pose = Pose(
+        to_work @ (terms.T_base_tool[:3, 3] - machine.T_base_work[:3, 3]),
+        None if machine.plan.is_upright else to_work @ terms.T_base_tool[:3, 2],
+    )
+    return pose, to_work @ terms.jacobian[:3], terms.bias_forces
+
+
+def _mean_force(
+    machine: _Machine, process: ProcessState, cut: Engagement, middles: Pose
+) -> Float[Array, " 3"]:
+    """Return the mean force of a period whose poses are known."""
+    force = jax.vmap(
+        lambda pose, earlier, *samples: substep_force(
+            machine.plan,
+            machine.cutter,
+            *machine.laws,
+            pose,
+            earlier,
+            cut.thinned,
+            *samples,
+        ),
+        in_axes=(0, 1, 0, 0, 0, 0),
+    )
+    samples = force(
+        middles, process.recent, cut.angle, cut.tooth, cut.occupancy, cut.bottom
+    )
+    return jnp.mean(samples.reshape(-1, 3), axis=0)
