@@ -188,6 +188,7 @@ SMALL = """<robot name="small">
         ('value="1"', 'value="1 kg"', "value must be a finite number, but is '1 kg'"),
         ('ixy="0"', "", "link 'b', inertia: attribute ixy is missing"),
         ('ixx="1"', 'ixx="1e999"', "ixx must be a finite number, but is '1e999'"),
+        ('ixx="1"', 'ixx="1e200"', "ixx must be a finite number, but is '1e200'"),
         ("</joint>", '<mimic joint="j"/></joint>', "'j' mimics itself"),
         ("</joint>", '<mimic joint="k"/></joint>', "'j' mimics 'k', which is no"),
         ("</joint>", '<mimic joint="k" offset="x"/></joint>', "mimic: offset must be"),
@@ -295,10 +296,8 @@ def test_links_without_mass(write):
         dr.forward_dynamics(robot, q, zero, zero)
     under_jit = jax.jit(dr.forward_dynamics)(robot, q, zero, zero)
     assert np.isnan(under_jit).any()
-    for function in (dr.natural_frequencies, dr.mode_shapes):
-        with pytest.raises(ValueError, match=r"natural .* singular"):
-            function(robot, q)
-    assert np.isnan(jax.jit(dr.natural_frequencies)(robot, q)).all()
+    with pytest.raises(ValueError, match=r"natural .* singular"):
+        dr.natural_frequencies(robot, q)
 
 
 def test_a_mass_matrix_that_is_singular_by_the_structure_is_refused():

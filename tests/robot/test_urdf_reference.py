@@ -200,6 +200,12 @@ def test_the_acrobot_of_drake_has_its_closed_form():
     assert_allclose(dr.gravity_forces(robot, q), gravity, rtol=1e-12)
 
 
+def test_placeholders_are_warned_of():
+    file = ROBOTS / "industrial" / "ros_industrial_kr120r2500pro_dummy_inertia.urdf"
+    with pytest.warns(dr.RobotFileWarning, match="the same: placeholders"):
+        dr.load(file, tool="tool0")
+
+
 def test_a_robot_without_mass_is_for_kinematics_only():
     file = ROBOTS / "quirky" / "pinocchio_3DOF_planar.urdf"
     with pytest.warns(dr.RobotFileWarning, match="kinematics only.* pz, py, px"):

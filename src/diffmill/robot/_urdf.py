@@ -24,6 +24,8 @@ from ._faults import raise_faults
 from ._urdf_parse import UrdfJoint, UrdfLink, UrdfParser
 from ._urdf_xml import parse_xml
 
+# That many equal links are found in real machines.
+_COMMON = 3
 _Children = Mapping[str, Sequence[UrdfJoint]]
 
 
@@ -73,6 +75,7 @@ def read_urdf(
     by_name = {link.name: link for link in links}
     start = _root(links, joints)[0]
     parser.notes.extend(_massless_notes(by_name, children, start))
+    parser.notes.extend(_placeholder_notes(links))
     return name, _branch(by_name, children, start, str(tool)), parser.notes
 
 
@@ -186,6 +189,15 @@ def _joint_elements(joint: UrdfJoint) -> list[AbstractElement]:
             )
         )
     return elements
+
+
+def _placeholder_notes(links: Sequence[UrdfLink]) -> list[str]:
+    """Return a note if all masses look made up, as in files meant for planning."""
+    bodies = [link.body for link in links if link.body is not None]
+    alike = {(float(b.mass), np.asarray(b.inertia).tobytes()) for b in bodies}
+    if len(alike) > 1 or len(bodies) <= _COMMON:
+        return []
+    return [f"all {len(bodies)} masses and inertias are the same: placeholders?"]
 
 
 def _massless_notes(

@@ -24,6 +24,9 @@ _INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 # Plain decimal numbers: Python alone would read underscores too.
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?inf", re.ASCII)
 
+# Beyond it, products of masses and lengths overflow.
+_TOO_LARGE = 1e60
+
 
 @dataclasses.dataclass
 class UrdfLink:
@@ -229,9 +232,8 @@ class UrdfParser:
         if text is None:
             self.faults.append(f"{place}: attribute {key} is missing")
             return 0.0
-        if not _NUMBER.fullmatch(text.strip()) or (
-            is_finite and not math.isfinite(float(text))
-        ):
+        is_good = _NUMBER.fullmatch(text.strip()) is not None
+        if not is_good or (is_finite and not abs(float(text)) < _TOO_LARGE):
             self.fault(place, key, "a finite number" if is_finite else "a number", text)
             return 0.0
         return float(text)
@@ -244,8 +246,8 @@ class UrdfParser:
         usual = tuple(map(float, default.split()))
         words = text.split()
         is_good = len(words) == len(usual) and all(map(_NUMBER.fullmatch, words))
-        values = tuple(map(float, words)) if is_good else (math.nan,)
-        if not all(map(math.isfinite, values)):
+        values = tuple(map(float, words)) if is_good else (math.inf,)
+        if not all(abs(value) < _TOO_LARGE for value in values):
             self.fault(place, key, f"{len(usual)} finite numbers", text)
             return usual
         return values
