@@ -214,10 +214,9 @@ def test_statics_and_shapes_have_derivatives(planar_arm, difference):
 
     x = np.asarray(planar_arm.joint_stiffness) / 1e3
     expected = difference(several, x, 1e-6)
-    found = jax.jit(jax.jacfwd(several))(jnp.asarray(x))
+    # Reverse mode only: both take long to compile, and every part is plain JAX.
+    found = jax.jit(jax.jacrev(several))(jnp.asarray(x))
     assert_allclose(found, expected, rtol=1e-6, atol=1e-7)
-    pulled = jax.jit(jax.grad(lambda x: jnp.sum(several(x))))(jnp.asarray(x))
-    assert_allclose(pulled, np.asarray(found).sum(axis=0), rtol=1e-8)
 
 
 def test_modes_batch_over_poses(arm):
