@@ -6,6 +6,11 @@ elastic joint can be solved for the motor, exactly and without iteration:
     tau = M(q) q'' + C(q, q') + G(q) - J^T F,   D delta' + K delta = tau,
     theta = q + delta
 
+With a drive's options it stays exact: friction adds to tau; a gap is crossed behind the
+spring, theta = q + s^-1(delta); and a motor with a mass wants of its servo
+
+    D_s epsilon' + K_s epsilon = J_m theta'' + tau,   command = theta + epsilon.
+
 It is one shot: it takes the force from the rigid cut, needs a controller that follows
 every row, and knows no bounds.
 """
@@ -16,7 +21,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._types import FloatRows3, RealScalarLike, Transform
-from ..robot import Robot, forward_kinematics, gravity_forces, inverse_dynamics
+from ..robot import (
+    Robot,
+    across_gap,
+    forward_kinematics,
+    friction_torque,
+    gravity_forces,
+    gravity_lift,
+    inverse_dynamics,
+)
 
 
 class InverseDriveCommand(eqx.Module):
@@ -31,7 +44,7 @@ class InverseDriveCommand(eqx.Module):
             joints are included, so that the motors make up for their deflection (and
             for their sag, which no controller adds), to first order. The tool axis is
             left as desired.
-        deflection: theta - q of every joint, gravity included [rad],
+        deflection: Command - q of every joint, gravity included [rad],
             shape (step, joint).
     """
 
@@ -74,19 +87,39 @@ def inverse_drive(
     tau = jax.vmap(lambda *row: inverse_dynamics(robot, *row))(
         joint_positions, velocities, accelerations, wrenches
     )
-    stiffness = jnp.asarray(robot.joint_stiffness)
-    delta = spring_deflection(
-        tau, stiffness, jnp.asarray(robot.joint_damping), time_step
-    )
+    delta = _drive_deflection(robot, joint_positions, velocities, tau, time_step)
     is_motor = robot.motor_mask()[None]
     commanded = joint_positions + delta
     if is_gravity_compensated:
         sag = jax.vmap(lambda q: gravity_forces(robot, q))(joint_positions)
-        sag = sag / stiffness[None]
+        sag = jax.vmap(lambda G: gravity_lift(robot, G))(sag)
         commanded = commanded - jnp.where(is_motor, sag, 0.0)
     tips = jax.vmap(lambda q: forward_kinematics(robot, q)[:3, 3])(commanded)
     motors = jnp.where(is_motor, commanded, 0.0)
     return InverseDriveCommand(motors, (tips - origin[None]) @ rotation, delta)
+
+
+def _drive_deflection(
+    robot: Robot,
+    joint_positions: Float[Array, "step joint"],
+    velocities: Float[Array, "step joint"],
+    tau: Float[Array, "step joint"],
+    time_step: RealScalarLike,
+) -> Float[Array, "step joint"]:
+    """Return command - q of every joint: gear, gap, motor and servo in series."""
+    if robot.friction is not None:
+        tau = tau + jax.vmap(lambda v: friction_torque(robot, v))(velocities)
+    K, D = jnp.asarray(robot.joint_stiffness), jnp.asarray(robot.joint_damping)
+    delta = spring_deflection(tau, K, D, time_step)
+    if robot.backlash is not None:
+        delta = jax.vmap(lambda y: across_gap(robot, y))(delta)
+    if robot.motors is None:
+        return delta
+    motors = robot.motors
+    _, spin = differentiate(joint_positions + delta, time_step)
+    pull = motors.inertia[None] * spin + tau
+    epsilon = spring_deflection(pull, motors.stiffness, motors.damping, time_step)
+    return delta + jnp.where(robot.motor_mask()[None], epsilon, 0.0)
 
 
 def differentiate(

@@ -3,11 +3,13 @@
 What it models: a tree of rigid links built from elements in any order; each joint
 hangs on its motor by a spring and a damper, tau = K (theta - q) + D (thetad - qd),
 the motor standing where the controller says. A virtual joint has the spring but no
-motor. Assumptions: all elasticity is in joints, springs and dampers are linear, the
-controller is perfect. Left out: rotor inertia, backlash, friction, the motors'
-currents, and contact with anything but the tool. Gravity is 9.81 m/s^2 along -z of
-`base`. A wrench is external, acts on the robot at the tool's origin in base axes,
-linear part first; Jacobian and compliance are written likewise.
+motor. Backlash, friction and motors with a mass on a servo are there where their data
+are. Assumptions: all elasticity is in joints, springs and dampers are linear but for a
+gap, the controller is perfect. Compliance and modes are those of the springs with
+motors locked and no gap. Left out: the motors' currents, and contact with anything but
+the tool. Gravity is 9.81 m/s^2 along -z of `base`. A wrench is external, acts on the
+robot at the tool's origin in base axes, linear part first; Jacobian and compliance are
+written likewise.
 """
 
 from ._bending_tool import (
@@ -25,12 +27,26 @@ from ._compliance import (
     static_deflection as static_deflection,
 )
 from ._crba import mass_matrix as mass_matrix
+from ._drive_options import (
+    GearTorque as GearTorque,
+    across_gap as across_gap,
+    coulomb_damping as coulomb_damping,
+    friction_torque as friction_torque,
+    gear_torque as gear_torque,
+    gravity_lift as gravity_lift,
+    servo_stretch as servo_stretch,
+    static_stretch as static_stretch,
+    with_backlash as with_backlash,
+    with_friction as with_friction,
+    with_motors as with_motors,
+)
 from ._drives import (
     loaded_equilibrium as loaded_equilibrium,
     motor_positions as motor_positions,
 )
 from ._elements import (
     AbstractElement as AbstractElement,
+    Drive as Drive,
     FixedRotation as FixedRotation,
     FixedTranslation as FixedTranslation,
     Fork as Fork,
@@ -50,7 +66,10 @@ from ._flange_spring import (
     FlangeSpring as FlangeSpring,
     with_flange_spring as with_flange_spring,
 )
-from ._forward_dynamics import forward_dynamics as forward_dynamics
+from ._forward_dynamics import (
+    augmented_inverse as augmented_inverse,
+    forward_dynamics as forward_dynamics,
+)
 from ._inverse_kinematics import (
     PathSolution as PathSolution,
     PoseSolution as PoseSolution,

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._types import RealScalarLike
-from ._robot import Robot
+from ._robot import Backlash, Friction, Motors, Robot
 from ._spatial import apply_matrix, matrix_product
 
 
@@ -113,7 +113,31 @@ def append_springs(
         is_virtual=(*robot.is_virtual, *[True] * count),
         flange_joint=own[-1],
         mimics=(*robot.mimics, *[None] * count),
+        **_plain_drives(robot, count),
     )
+
+
+def _plain_drives(robot: Robot, count: int) -> dict[str, eqx.Module | None]:
+    """Return the drives' options with none of them in the joints to come."""
+    extend = lambda values, more: jnp.concatenate(
+        [values, jnp.full(count, more, values.dtype)]
+    )
+    gaps, friction, motors = robot.backlash, robot.friction, robot.motors
+    if gaps is not None:
+        gaps = Backlash(extend(gaps.gap, 0.0), gaps.corner)
+    if friction is not None:
+        friction = Friction(
+            extend(friction.coulomb, 0.0),
+            extend(friction.viscous, 0.0),
+            extend(friction.speed, 1.0),
+        )
+    if motors is not None:
+        motors = Motors(
+            extend(motors.inertia, 1.0),
+            extend(motors.stiffness, 1.0),
+            extend(motors.damping, 0.0),
+        )
+    return {"backlash": gaps, "friction": friction, "motors": motors}
 
 
 def _align(axis: int) -> np.ndarray:

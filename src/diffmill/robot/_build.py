@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
+from ._drive_options import with_joint_drives
 from ._elements import (
     AbstractElement,
     FixedRotation,
@@ -78,7 +79,7 @@ def build(
     mimics = _resolve_mimics(walk.joints)
     joints = [j for j in walk.joints if j.mimic is None]
     column = lambda field: jnp.asarray([float(getattr(j, field)) for j in joints])
-    return Robot(
+    robot = Robot(
         placement_rotations=jnp.asarray(placements[:, :3, :3]),
         placement_positions=jnp.asarray(placements[:, :3, 3]),
         link_masses=jnp.asarray(np.array(masses)),
@@ -103,6 +104,7 @@ def build(
         flange_joint=flange_joint,
         mimics=mimics,
     )
+    return with_joint_drives(robot, [j.drive for j in joints])
 
 
 def _visit(

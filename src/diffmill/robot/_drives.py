@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from ._drive_options import gravity_lift, static_stretch
 from ._kinematics import joint_frames, link_inertia_rows, tool_jacobian
 from ._rnea import gravity_forces, gravity_torques
 from ._robot import JointVector, Robot, Wrench, joint_vector, wrench_vector
@@ -25,7 +26,9 @@ def motor_positions(
 
         theta = q + K^-1 G(q)
 
-    The sag of virtual joints has no motor of its own and stays.
+    The sag of virtual joints has no motor of its own and stays. A servo's yielding,
+    G / K_s, is added too; a gap is not made up for, as the controller does not know
+    on which side of it a gear lies.
 
     Args:
         robot: The robot.
@@ -40,7 +43,7 @@ def motor_positions(
     """
     wanted = joint_vector(robot, q, "q")
     if is_gravity_compensated:
-        wanted = wanted + gravity_forces(robot, wanted) / robot.joint_stiffness
+        wanted = wanted + gravity_lift(robot, gravity_forces(robot, wanted))
     return jnp.where(robot.motor_mask(), wanted, 0.0)
 
 
@@ -48,6 +51,9 @@ def loaded_equilibrium(
     robot: Robot, theta: JointVector, wrench: Wrench | None = None
 ) -> Float[Array, " joint"]:
     """Return where the joints come to rest: K (theta - q) + J^T F - G(q) = 0.
+
+    With backlash and servos the stretch theta - q is theirs too. Friction holds
+    nothing: in its smooth form a loaded joint creeps until the springs carry it.
 
     Args:
         robot: The robot.
@@ -78,7 +84,7 @@ def _loaded_equilibrium(
             robot, frames, link_inertia_rows(robot, frames)
         )
         # Divided by K, an infinite stiffness is an ordinary number.
-        return theta - q + load / robot.joint_stiffness
+        return theta - q + static_stretch(robot, load)
 
     fixed = lax.stop_gradient((robot, theta, wrench))
     slope_at = lambda q: jax.jacfwd(lambda x: residual(*fixed, x))(q)

@@ -77,6 +77,38 @@ class Mimic(eqx.Module):
             )
 
 
+class Drive(eqx.Module):
+    """What a drive has beyond spring and damper, all of it off by default.
+
+    See `with_backlash`, `with_friction` and `with_motors`.
+
+    Attributes:
+        backlash: Gap of the gear [rad or m].
+        coulomb_friction: Of the joint [N m or N].
+        viscous_friction: Of the joint [N m s/rad or N s/m].
+        friction_speed: Above it the joint slides [rad/s or m/s].
+        motor_inertia: Of the motor on the joint's side of the gear [kg m^2 or kg];
+            None for a motor that stands where the controller says.
+        servo_stiffness: What holds the motor [N m/rad or N/m].
+        servo_damping: [N m s/rad or N s/m].
+    """
+
+    backlash: RealScalarLike = 0.0
+    coulomb_friction: RealScalarLike = 0.0
+    viscous_friction: RealScalarLike = 0.0
+    friction_speed: RealScalarLike = 1e-3
+    motor_inertia: RealScalarLike | None = None
+    servo_stiffness: RealScalarLike | None = None
+    servo_damping: RealScalarLike = 0.0
+
+    def __check_init__(self):
+        if (self.motor_inertia is None) != (self.servo_stiffness is None):
+            raise ValueError(
+                "Arguments `motor_inertia` and `servo_stiffness` must come together, "
+                f"but are {self.motor_inertia} and {self.servo_stiffness}."
+            )
+
+
 class RevoluteJoint(AbstractElement):
     """Turn about an axis, driven through a spring and a damper.
 
@@ -91,6 +123,7 @@ class RevoluteJoint(AbstractElement):
         is_virtual: No motor: the spring rests at 0 (an elasticity of the structure).
         mimic: The joint that this one follows; it is then no joint of the joint
             vector, and has no spring, limits or home of its own.
+        drive: More about its drive, or None.
     """
 
     name: str = eqx.field(static=True)
@@ -102,6 +135,7 @@ class RevoluteJoint(AbstractElement):
     home: RealScalarLike = 0.0
     is_virtual: bool = eqx.field(static=True, default=False)
     mimic: Mimic | None = None
+    drive: Drive | None = None
 
     def __check_init__(self):
         check_joint(self)
@@ -121,6 +155,7 @@ class PrismaticJoint(AbstractElement):
         is_virtual: No motor: the spring rests at 0 (an elasticity of the structure).
         mimic: The joint that this one follows; it is then no joint of the joint
             vector, and has no spring, limits or home of its own.
+        drive: More about its drive, or None.
     """
 
     name: str = eqx.field(static=True)
@@ -132,6 +167,7 @@ class PrismaticJoint(AbstractElement):
     home: RealScalarLike = 0.0
     is_virtual: bool = eqx.field(static=True, default=False)
     mimic: Mimic | None = None
+    drive: Drive | None = None
 
     def __check_init__(self):
         check_joint(self)

@@ -21,6 +21,46 @@ Wrench: TypeAlias = (
 )
 
 
+class Backlash(eqx.Module):
+    """Gaps in the gears; see `with_backlash`.
+
+    Attributes:
+        gap: b [rad or m], shape (joint,).
+        corner: Width of a rounded corner as a share of the gap [-], shape ().
+    """
+
+    gap: Float[Array, " joint"]
+    corner: Float[Array, ""]
+
+
+class Friction(eqx.Module):
+    """Friction of the joints; see `with_friction`.
+
+    Attributes:
+        coulomb: F_c [N m or N], shape (joint,).
+        viscous: F_v [N m s/rad or N s/m], shape (joint,).
+        speed: v_s [rad/s or m/s], shape (joint,).
+    """
+
+    coulomb: Float[Array, " joint"]
+    viscous: Float[Array, " joint"]
+    speed: Float[Array, " joint"]
+
+
+class Motors(eqx.Module):
+    """Masses behind the gears, held by servos; see `with_motors`.
+
+    Attributes:
+        inertia: J_m [kg m^2 or kg], shape (joint,).
+        stiffness: K_s [N m/rad or N/m], shape (joint,).
+        damping: D_s [N m s/rad or N s/m], shape (joint,).
+    """
+
+    inertia: Float[Array, " joint"]
+    stiffness: Float[Array, " joint"]
+    damping: Float[Array, " joint"]
+
+
 class Robot(eqx.Module):
     """A tree of bodies, each on one joint; z of a joint's frame is its axis.
 
@@ -52,6 +92,9 @@ class Robot(eqx.Module):
         flange_joint: Body that carries the flange, -1 for the base.
         mimics: Per body None, or for one whose joint mimics another: the index of
             that joint in the joint vector, multiplier, offset [rad or m].
+        backlash: Gaps in the gears, or None.
+        friction: Friction of the joints, or None.
+        motors: Masses of the motors, or None: they stand where the controller says.
     """
 
     placement_rotations: Float[Array, "body 3 3"]
@@ -74,6 +117,9 @@ class Robot(eqx.Module):
     is_virtual: tuple[bool, ...] = eqx.field(static=True)
     flange_joint: int = eqx.field(static=True)
     mimics: tuple[tuple[int, float, float] | None, ...] = eqx.field(static=True)
+    backlash: Backlash | None = None
+    friction: Friction | None = None
+    motors: Motors | None = None
 
     @property
     def joint_count(self) -> int:
@@ -211,19 +257,19 @@ def with_drives(
     """
     if stiffness is not None:
         values = joint_vector(robot, stiffness, "stiffness")
-        _check_drives("stiffness", values, values > 0.0, "positive")
+        check_drives("stiffness", values, values > 0.0, "positive")
         robot = eqx.tree_at(lambda r: r.joint_stiffness, robot, values)
     if damping is not None:
         values = joint_vector(robot, damping, "damping")
-        _check_drives("damping", values, values >= 0.0, "not negative")
+        check_drives("damping", values, values >= 0.0, "not negative")
         robot = eqx.tree_at(lambda r: r.joint_damping, robot, values)
     return robot
 
 
-def _check_drives(
+def check_drives(
     name: str,
-    values: Float[Array, " joint"],
-    is_allowed: Bool[Array, " joint"],
+    values: Float[Array, "*shape"],
+    is_allowed: Bool[Array, "*shape"],
     allowed: str,
 ) -> None:
     """Raise if a known value is wrong; traced values have none to look at."""

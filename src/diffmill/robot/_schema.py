@@ -13,6 +13,7 @@ import numpy as np
 
 from ._elements import (
     AbstractElement,
+    Drive,
     FixedRotation,
     FixedTranslation,
     Fork,
@@ -32,8 +33,18 @@ _JOINT_UNITS = {
         "position": "rad",
         "stiffness": "N*m/rad",
         "damping": "N*m*s/rad",
+        "force": "N*m",
+        "speed": "rad/s",
+        "inertia": "kg*m^2",
     },
-    "prismatic": {"position": "m", "stiffness": "N/m", "damping": "N*s/m"},
+    "prismatic": {
+        "position": "m",
+        "stiffness": "N/m",
+        "damping": "N*s/m",
+        "force": "N",
+        "speed": "m/s",
+        "inertia": "kg",
+    },
 }
 _COMMON_KEYS = {"kind", "source"}
 
@@ -238,6 +249,7 @@ def _read_joint(reader: _Reader) -> Callable[[], AbstractElement]:
         reader.fault("home", f"between lower {lower:g} and upper {upper:g}", home)
     K = _read_drive(reader, "stiffness", "stiffness", kind, math.inf)
     D = _read_drive(reader, "damping", "damping", kind, 0.0)
+    drive = _read_options(reader, kind)
     joint = RevoluteJoint if kind == "revolute" else PrismaticJoint
     return lambda: joint(
         name=name,
@@ -248,7 +260,47 @@ def _read_joint(reader: _Reader) -> Callable[[], AbstractElement]:
         upper=upper,
         home=home,
         is_virtual=is_virtual,
+        drive=drive,
     )
+
+
+# What a joint's table `drive` may hold, and whether it must be above 0.
+_OPTIONS = {
+    "backlash": ("position", False),
+    "coulomb_friction": ("force", False),
+    "viscous_friction": ("damping", False),
+    "friction_speed": ("speed", True),
+    "motor_inertia": ("inertia", True),
+    "servo_stiffness": ("stiffness", True),
+    "servo_damping": ("damping", False),
+}
+
+
+def _read_options(reader: _Reader, kind: str) -> Drive | None:
+    """Return what a joint's table `drive` says, None without one or after a fault."""
+    table = reader.take("drive")
+    if table is None:
+        return None
+    if not isinstance(table, Mapping):
+        reader.fault("drive", f"a table of {', '.join(_OPTIONS)}", table)
+        return None
+    inner = _Reader(table, f"{reader.place}.drive", reader.faults)
+    before = len(inner.faults)
+    values = {
+        key: inner.quantity(
+            key,
+            _JOINT_UNITS[kind][unit],
+            is_allowed=lambda x, low=is_open: x > 0 or (x == 0 and not low),
+            allowed="positive" if is_open else "not negative",
+        )
+        for key, (unit, is_open) in _OPTIONS.items()
+    }
+    if ("motor_inertia" in table) != ("servo_stiffness" in table):
+        inner.fault("motor_inertia", "given beside servo_stiffness", dict(table))
+    inner.finish()
+    if len(inner.faults) > before:
+        return None
+    return Drive(**{key: values[key] for key in _OPTIONS if key in table})
 
 
 def _read_drive(

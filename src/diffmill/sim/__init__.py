@@ -10,10 +10,11 @@ rays that a removal has cut, as the paper does.
 A flat cutter that stands upright takes a fast path (`_upright.py`); any other cutter or
 direction is a row of edge elements in space (`_in_space.py`).
 
-Assumes force at the tip and motors that follow their command. A run never raises
-inside: flags travel with it and become its `result`.
-Leaves out the moment of the force about the tip, regeneration by more than the last
-teeth beyond the thinned history, and motors of their own inertia.
+Assumes force at the tip and motors that follow their command, unless the robot's drives
+have backlash, friction or motors with a mass. A run never raises inside: flags travel
+with it and become its `result`.
+Leaves out the moment of the force about the tip, and regeneration by more than the last
+teeth beyond the thinned history.
 """
 
 from ._adjoint import (
@@ -27,14 +28,8 @@ from ._coupled import (
 )
 from ._free_motion import FreeMotion as FreeMotion, free_motion as free_motion
 from ._in_space import tool_frame as tool_frame
-from ._integrators import (
-    AbstractIntegrator as AbstractIntegrator,
-    ArmState as ArmState,
-    Midpoint as Midpoint,
-    MotorCommand as MotorCommand,
-    RungeKutta4 as RungeKutta4,
-    make_integrator as make_integrator,
-)
+from ._integrators import RungeKutta4 as RungeKutta4, make_integrator as make_integrator
+from ._midpoint import Midpoint as Midpoint
 from ._plan import (
     ChipModel as ChipModel,
     ProcessPlan as ProcessPlan,
@@ -60,4 +55,10 @@ from ._simulate import (
     simulate as simulate,
     solve_command as solve_command,
     with_precision as with_precision,
+)
+from ._stepping import (
+    AbstractIntegrator as AbstractIntegrator,
+    ArmState as ArmState,
+    MotorCommand as MotorCommand,
+    steady_state as steady_state,
 )

@@ -4,7 +4,7 @@ One `lax.scan` over tooth periods. At the start of a period the robot's terms (m
 matrix, bias forces, Jacobian, tip) are computed once: within a period a joint turns
 by some 1e-4 rad, so they are constant to the same accuracy. Each sub-step then takes
 the force F of the teeth that pass in it, at the tip where the robot will be in the
-middle of the sub-step, and hands J^T F to the integrator (`_integrators.py`).
+middle of the sub-step, and hands J^T F to the integrator (`_stepping.py`).
 """
 
 from typing import Any, TypeAlias
@@ -23,10 +23,11 @@ from ..workpiece import Pose, Stock
 from ._adjoint import AbstractAdjoint
 from ._bottom import BottomEngagement
 from ._history import ProcessState, Removed, end_period, flush, initial_state
-from ._integrators import AbstractIntegrator, ArmState, Midpoint, MotorCommand
+from ._midpoint import Midpoint
 from ._period import Engagement, begin_period, substep_force, substep_middles
 from ._plan import ProcessPlan
 from ._process_alone import outcome, volumes_by_pose
+from ._stepping import AbstractIntegrator, ArmState, MotorCommand, steady_state
 
 # Angles, teeth and occupancy of one sub-step, and its bottom edges.
 _Samples: TypeAlias = tuple[Array, Array, Array, BottomEngagement | None]
@@ -139,7 +140,7 @@ def simulate_coupled(
     rule = Midpoint() if integrator is None else integrator
     laws = (law, bottom_law)
     machine = _Machine(robot, frame, cutter, laws, T, plan, adjoint, rule)
-    state = _start(robot, theta[0], (theta[1] - theta[0]) / T)
+    state = steady_state(robot, theta[0], (theta[1] - theta[0]) / T)
     first = _arm(machine, state).pose
     process, overlap = initial_state(plan, stock, cutter, first, step_count, adjoint)
 
@@ -180,20 +181,6 @@ def _finish(
         has_failed=jnp.concatenate([jnp.zeros(1, bool), rows.has_failed]),
         result=outcome(process, jnp.all(jnp.isfinite(actual))),
     )
-
-
-def _start(
-    robot: Robot, theta: Float[Array, " joint"], v: Float[Array, " joint"]
-) -> ArmState:
-    """Return the arm in equilibrium with gravity and the motion: two Newton steps.
-
-    The springs are much stiffer than gravity, so the second step is at rounding.
-    """
-    q = theta
-    for _ in range(3):
-        bias = arm_terms(robot, q, v).bias_forces
-        q = theta - bias / robot.joint_stiffness
-    return ArmState(q, v)
 
 
 def along(pose: Pose, tips: Float[Array, "substep 3"]) -> Pose:

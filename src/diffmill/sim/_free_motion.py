@@ -13,7 +13,8 @@ from jaxtyping import Array, Float
 
 from .._types import RealScalarLike
 from ..robot import Robot, arm_terms
-from ._integrators import AbstractIntegrator, ArmState, Midpoint, MotorCommand
+from ._midpoint import Midpoint
+from ._stepping import AbstractIntegrator, ArmState, MotorCommand
 
 
 class FreeMotion(eqx.Module):
@@ -44,7 +45,8 @@ def free_motion(
 
     Args:
         robot: The robot.
-        start: Where it begins.
+        start: Where it begins; motors with a mass that it does not place begin at
+            rest at theta.
         motor_positions: theta [rad or m], shape (joint,); 0 for virtual joints.
         time_step: Step h [s], shape ().
         rows: Rows of the result after the first.
@@ -60,6 +62,9 @@ def free_motion(
     Differentiability: smooth.
     """
     rule = Midpoint() if integrator is None else integrator
+    if robot.motors is not None and start.theta is None:
+        still = jnp.zeros_like(motor_positions)
+        start = ArmState(start.q, start.v, motor_positions, still)
     h = jnp.asarray(time_step, start.q.dtype)
     command = MotorCommand(motor_positions, jnp.zeros_like(motor_positions))
     rest = jnp.zeros_like(start.q)

@@ -26,7 +26,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._types import RealScalarLike, Transform
 from ..cutter import AbstractCutter
 from ..cutting import AbstractForceLaw
-from ..robot import Robot, arm_terms, loaded_equilibrium
+from ..robot import Robot, arm_terms, loaded_equilibrium, static_stretch
 from ..workpiece import Pose, Stock
 from ._adjoint import AbstractAdjoint
 from ._coupled import CoupledSolution, along
@@ -149,8 +149,8 @@ def _run_period(
     # The end is near to the start moved along with the motors: linear from there.
     near = start.q + stop - begin
     pose, jacobian, gravity = _linear(machine, near)
-    K = machine.robot.joint_stiffness
-    joints = lambda F: stop - (gravity - jacobian.T @ F) / K
+    stretch = lambda tau: static_stretch(machine.robot, tau)
+    joints = lambda F: stop - stretch(gravity - jacobian.T @ F)
     tip = lambda F: pose.tip + jacobian @ (joints(F) - near)
     shares = substep_middles(machine.plan, stop.dtype)[:, None]
     tips = lambda F: start.pose.tip[None] * (1 - shares) + tip(F)[None] * shares
