@@ -66,7 +66,10 @@ from ._flange_spring import (
     FlangeSpring as FlangeSpring,
     with_flange_spring as with_flange_spring,
 )
-from ._forward_dynamics import forward_dynamics as forward_dynamics
+from ._forward_dynamics import (
+    augmented_inverse as augmented_inverse,
+    forward_dynamics as forward_dynamics,
+)
 from ._inverse_kinematics import (
     PathSolution as PathSolution,
     PoseSolution as PoseSolution,

@@ -1,11 +1,19 @@
-"""Accelerations of the joints under given torques."""
+"""Accelerations of the joints under given torques, and the inverse mass matrix."""
+
+import functools
+from typing import Any
 
 import jax
+import jax.numpy as jnp
 import jax.scipy.linalg as jsl
 from jaxtyping import Array, Float
 
+from ._aba import articulated_bodies, articulated_inverse, check_algorithm
+from ._crba import mass_matrix
 from ._massless import factor, refuse_singular
+from ._rnea import inverse_dynamics
 from ._robot import JointVector, Robot, Wrench, joint_vector, wrench_vector
+from ._spatial import sum_rows
 from ._terms import arm_terms
 
 
@@ -20,7 +28,8 @@ def forward_dynamics(
 ) -> Float[Array, " joint"]:
     """Return the joint accelerations: M^-1 (tau + J^T F - C - G).
 
-    Gravity is included; springs and dampers of the drives are not.
+    Gravity is included; springs and dampers of the drives are not. Derivatives do not
+    go through the algorithm: M d(qdd) = d(tau) - d(inverse dynamics) at constant qdd.
 
     Args:
         robot: The robot.
@@ -29,20 +38,23 @@ def forward_dynamics(
         tau: Torques that act on the joints [N m or N], shape (joint,).
         wrench: External force and moment on the robot at the tool's origin in base
             axes [N, N m], shape (6,); None for none.
-        algorithm: "crba": mass matrix by composite bodies and a Cholesky factor.
+        algorithm: "crba": mass matrix by composite bodies and a Cholesky factor;
+            "aba": articulated bodies, for robots without mimic joints. The results
+            agree to rounding.
 
     Returns:
         Accelerations [rad/s^2 or m/s^2], shape (joint,).
 
     Raises:
-        ValueError: If M is singular because joints move no mass; under `jit` and
-            `vmap` the accelerations are not a number instead.
+        ValueError: If the algorithm is unknown or cannot treat the robot, or if M is
+            singular because joints move no mass; under `jit` and `vmap` the
+            accelerations are not a number instead.
 
     **Differentiability**: smooth.
     """
-    if algorithm != "crba":
-        raise ValueError(f"Argument `algorithm` must be 'crba', but is {algorithm!r}.")
+    check_algorithm(robot, algorithm)
     accelerations = _forward_dynamics(
+        algorithm,
         robot,
         joint_vector(robot, q, "q"),
         joint_vector(robot, qd, "qd"),
@@ -52,14 +64,102 @@ def forward_dynamics(
     return refuse_singular(robot, accelerations, "forward dynamics")
 
 
-@jax.jit
-def _forward_dynamics(
+def augmented_inverse(
+    robot: Robot,
+    q: JointVector,
+    diagonal: JointVector,
+    *,
+    algorithm: str = "crba",
+) -> Float[Array, "joint joint"]:
+    """Return (M + diag(d))^-1: what a linearly implicit step multiplies with.
+
+    Args:
+        robot: The robot.
+        q: Joint positions [rad or m], shape (joint,).
+        diagonal: d, added to the inertia of each joint [kg m^2 or kg], shape (joint,).
+        algorithm: As for `forward_dynamics`.
+
+    Returns:
+        The inverse, symmetric, shape (joint, joint).
+
+    Raises:
+        ValueError: If the algorithm is unknown or cannot treat the robot, or if the
+            matrix is singular; under `jit` and `vmap` it is not a number instead.
+
+    **Differentiability**: smooth.
+    """
+    check_algorithm(robot, algorithm)
+    inverse = _augmented_inverse(
+        algorithm,
+        robot,
+        joint_vector(robot, q, "q"),
+        joint_vector(robot, diagonal, "diagonal"),
+    )
+    return refuse_singular(robot, inverse, "inverse mass matrix")
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _solve(
+    algorithm: str,
     robot: Robot,
     q: Float[Array, " joint"],
     qd: Float[Array, " joint"],
     tau: Float[Array, " joint"],
     wrench: Float[Array, " 6"],
 ) -> Float[Array, " joint"]:
+    if algorithm == "aba":
+        return articulated_bodies(robot, q, qd, tau, wrench)
     terms = arm_terms(robot, q, qd)
     load = tau + terms.jacobian.T @ wrench - terms.bias_forces
     return jsl.cho_solve((factor(terms.mass_matrix), True), load)
+
+
+@_solve.defjvp
+def _solve_jvp(
+    algorithm: str, primals: tuple[Any, ...], tangents: tuple[Any, ...]
+) -> tuple[Array, Array]:
+    qdd = _solve(algorithm, *primals)
+    robot, q, qd, _, wrench = primals
+    d_robot, d_q, d_qd, d_tau, d_wrench = tangents
+
+    # The reverse mode computes the motion again: inside a scan that is faster than
+    # storing what every step passed through.
+    @jax.checkpoint
+    def needed(robot: Robot, q: Array, qd: Array, wrench: Array, qdd: Array) -> Array:
+        return inverse_dynamics(robot, q, qd, qdd, wrench)
+
+    _, change = jax.jvp(
+        needed,
+        (robot, q, qd, wrench, qdd),
+        (d_robot, d_q, d_qd, d_wrench, jnp.zeros_like(qdd)),
+    )
+    inverse = _invert(algorithm, robot, q, jnp.zeros_like(q))
+    return qdd, sum_rows(inverse, (d_tau - change)[:, None])[:, 0]
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _invert(
+    algorithm: str,
+    robot: Robot,
+    q: Float[Array, " joint"],
+    diagonal: Float[Array, " joint"],
+) -> Float[Array, "joint joint"]:
+    if algorithm == "aba":
+        return articulated_inverse(robot, q, diagonal)
+    A = mass_matrix(robot, q) + jnp.diag(diagonal)
+    eye = jnp.eye(robot.joint_count, dtype=q.dtype)
+    return jsl.cho_solve((factor(A), True), eye)
+
+
+@_invert.defjvp
+def _invert_jvp(
+    algorithm: str, primals: tuple[Any, ...], tangents: tuple[Any, ...]
+) -> tuple[Array, Array]:
+    inverse = _invert(algorithm, *primals)
+    augmented = lambda robot, q, diagonal: mass_matrix(robot, q) + jnp.diag(diagonal)
+    _, change = jax.jvp(augmented, primals, tangents)
+    return inverse, -sum_rows(inverse, sum_rows(change, inverse))
+
+
+_forward_dynamics = jax.jit(_solve, static_argnums=0)
+_augmented_inverse = jax.jit(_invert, static_argnums=0)
