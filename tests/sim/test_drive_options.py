@@ -254,6 +254,5 @@ def test_a_bending_tool_has_a_plain_drive():
     assert_allclose(found.backlash.gap, [2e-4, 0.0, 0.0])
     assert_allclose(found.friction.coulomb, [3.0, 0.0, 0.0])
     start = sim.steady_state(found, jnp.zeros(3), jnp.zeros(3))
-    for rule, step in ((sim.Midpoint(), STEP), (sim.RungeKutta4(), 2e-5)):
-        motion = run(found, start, jnp.zeros(3), 50, rule, step)
-        assert_allclose(motion.joint_positions, start.q[None].repeat(51, 0), atol=1e-9)
+    motion = run(found, start, jnp.zeros(3), 50, sim.Midpoint(), STEP)
+    assert_allclose(motion.joint_positions, start.q[None].repeat(51, 0), atol=1e-9)

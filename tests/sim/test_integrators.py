@@ -98,6 +98,7 @@ def test_energy_of_the_undamped_arm_over_ten_seconds(held):
     assert drift < (1e-3 if held is None else 0.05)
 
 
+@pytest.mark.slow
 def test_the_explicit_rule_in_the_coupled_step():
     robot, frequency, ratio = one_mode(), 10.0, 0.02
     stock = wp.box([1, 1, 1], [1.005, 1.005, 1.005], 1e-3)
@@ -119,6 +120,30 @@ def test_the_explicit_rule_in_the_coupled_step():
     basis = np.column_stack([np.exp(pole * t).real, np.exp(pole * t).imag])
     weights, *_ = np.linalg.lstsq(basis, x, rcond=None)
     np.testing.assert_allclose(basis @ weights, x, atol=1e-6 * np.abs(x).max())
+
+
+def test_a_fast_joint_rings_where_steps_follow_and_settles_where_not():
+    anchor = rb.build(
+        [
+            rb.PrismaticJoint("anchor", (1, 0, 0), stiffness=1e9, damping=1e5),
+            rb.RigidBody(1e3, (0, 0, 0), np.eye(3)),
+            rb.Tool("tool"),
+        ]
+    )
+    tool = rb.BendingTool(50e-3, 0.0, 10e-3, 10e-3, damping_ratio=0.0)
+    robot = rb.with_bending_tool(anchor, tool)
+    frequency = float(rb.natural_frequencies(robot, np.zeros(3))[1])
+    start = sim.steady_state(robot, jnp.zeros(3), jnp.zeros(3))
+    start = sim.ArmState(start.q.at[2].add(1e-4), start.v)
+    run = jax.jit(lambda h: sim.free_motion(robot, start, jnp.zeros(3), h, 200))
+    assert 2 * math.pi * frequency * STEP > 10
+    slow = run(STEP).joint_positions[:, 2]
+    rest = float(slow[-1])
+    assert np.all(np.abs(slow[3:] - rest) < 1e-2 * abs(slow[0] - rest))
+    # Fifty steps a turn: after four turns it is back, with its amplitude.
+    fine = run(1 / (50 * frequency)).joint_positions[:, 2]
+    kept = np.ptp(fine[150:]) / np.ptp(fine[:50])
+    assert 0.99 < kept < 1.001
 
 
 def test_integrators_by_name():

@@ -6,6 +6,8 @@ does the same; for a plain beam of length L it sits at a = 2 L / 3. Of the tool'
 only the part counts that moves with the tip; it is put there as a point.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -121,9 +123,11 @@ def with_bending_tool(robot: Robot, tool: BendingTool) -> Robot:
 
     Two virtual joints, `tool_x` and `tool_y`, turn the tool about its own x and y axes.
     The tip and its direction follow a force at the tip as those of the beam do; a
-    moment there is answered by the hinge alone. The mass that moves with the tip is
-    added to the robot's, which is taken to hold the rest of the tool. Place the tip
-    (`with_tool`) and the spring of the flange (`with_flange_spring`) first.
+    moment there is answered by the hinge alone. Its mode, at some kHz, is a fast
+    joint's: an integrator that does not damp would let it ring in steps that cannot
+    follow. The mass that moves with the tip is added to the robot's, which is taken to
+    hold the rest of the tool. Place the tip (`with_tool`) and the spring of the flange
+    (`with_flange_spring`) first.
 
     Args:
         robot: The robot; z of its tool points from the tip to the shank.
@@ -150,9 +154,11 @@ def with_bending_tool(robot: Robot, tool: BendingTool) -> Robot:
         Spring(K, D, "tool_y", "revolute", 1),
     ]
     body = Body(spring.mass, -up, jnp.zeros((3, 3), robot.dtype))
-    return append_springs(
+    bending = append_springs(
         robot, springs, body, matrix_product(robot.T_flange_tool, raised)
     )
+    own = range(robot.joint_count, bending.joint_count)
+    return dataclasses.replace(bending, fast_joints=(*robot.fast_joints, *own))
 
 
 def _check(tool: BendingTool, name: str, least: float, *, is_open: bool = False):

@@ -95,6 +95,8 @@ class Robot(eqx.Module):
         backlash: Gaps in the gears, or None.
         friction: Friction of the joints, or None.
         motors: Masses of the motors, or None: they stand where the controller says.
+        fast_joints: Indices of joints whose own mode is far too fast for the steps of
+            a simulation; an implicit integrator lets it die out instead of ringing.
     """
 
     placement_rotations: Float[Array, "body 3 3"]
@@ -120,6 +122,7 @@ class Robot(eqx.Module):
     backlash: Backlash | None = None
     friction: Friction | None = None
     motors: Motors | None = None
+    fast_joints: tuple[int, ...] = eqx.field(static=True, default=())
 
     @property
     def joint_count(self) -> int:

@@ -3,6 +3,7 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..robot import ArmTerms, Robot, coulomb_damping, gear_torque
@@ -13,8 +14,13 @@ _BRAKE_STEPS = 3
 
 
 class _Linearised(eqx.Module):
-    """The terms of a period: bias, A^-1, and M where A changes by the sub-step."""
+    """The terms of a period: bias, A^-1, and M where A changes by the sub-step.
 
+    Attributes:
+        weight: Where between start and end of a sub-step forces act; 1/2 or per joint.
+    """
+
+    weight: Float[Array, " joint"] | float
     bias: Float[Array, " joint"]
     inverse: Float[Array, "joint joint"]
     mass_matrix: Float[Array, "joint joint"] | None
@@ -35,6 +41,9 @@ class Midpoint(AbstractIntegrator):
     Coulomb friction brakes as fast as the joint moves at the end of the sub-step, so
     that it stops a joint and never turns it round; of order 1 where it does.
 
+    Fast joints (a bending tool) go over to backward Euler where a sub-step is too long
+    for their mode: they follow the force at once instead of ringing.
+
     **Differentiability**: smooth; as the drive's options.
     """
 
@@ -42,15 +51,16 @@ class Midpoint(AbstractIntegrator):
         self, robot: Robot, terms: ArmTerms, step: Float[Array, ""]
     ) -> _Linearised:
         M = terms.mass_matrix
+        w = _weight(robot, M, step)
         if robot.backlash is not None or robot.friction is not None:
-            return _Linearised(terms.bias_forces, jnp.zeros_like(M), M)
+            return _Linearised(w, terms.bias_forces, jnp.zeros_like(M), M)
         K, D = robot.joint_stiffness, robot.joint_damping
-        A = M + jnp.diag(_condensed(robot, K, D, step).diagonal)
+        A = M + jnp.diag(_condensed(robot, K, D, w * step).diagonal)
         # A sub-step costs one product with the inverse; A is small and definite.
         factor = jnp.linalg.cholesky(A)
         eye = jnp.eye(A.shape[0], dtype=A.dtype)
         inverse = jax.scipy.linalg.cho_solve((factor, True), eye)
-        return _Linearised(terms.bias_forces, inverse, None)
+        return _Linearised(w, terms.bias_forces, inverse, None)
 
     def step(
         self,
@@ -61,14 +71,16 @@ class Midpoint(AbstractIntegrator):
         load: Float[Array, " joint"],
         step: Float[Array, ""],
     ) -> ArmState:
-        h, q, v = step, state.q, state.v
+        # symbols: s from the start of the sub-step to where its forces act
+        h, q, v, w = step, state.q, state.v, begun.weight
+        s = w * h
         theta, omega = command.position, command.rate
         if state.theta is not None and state.omega is not None:
-            theta, omega = state.theta + h / 2 * state.omega, state.omega
-        gear = gear_torque(robot, theta - q - h / 2 * v, omega - v)
+            theta, omega = state.theta + s * state.omega, state.omega
+        gear = gear_torque(robot, theta - q - s * v, omega - v)
         tau = gear.torque - begun.bias
         push = h * (tau + load)
-        drive = _condensed(robot, gear.stiffness, gear.damping, h)
+        drive = _condensed(robot, gear.stiffness, gear.damping, s)
         pull = jnp.zeros_like(v)
         if robot.motors is not None:
             pull = h * (servo_torque(robot, command, theta, omega) - gear.torque)
@@ -77,13 +89,31 @@ class Midpoint(AbstractIntegrator):
             dv = begun.inverse @ push
         else:
             A = begun.mass_matrix + jnp.diag(drive.diagonal)
-            dv = _braked(robot, A, push, v, h)
-        q, v = q + h * (v + dv / 2), v + dv
+            dv = _braked(robot, A, push, v, h, s)
+        q, v = q + h * (v + w * dv), v + dv
         if state.theta is None or state.omega is None:
             return ArmState(q, v)
         domega = drive.weight * pull + drive.share * dv
-        theta = state.theta + h * (state.omega + domega / 2)
+        theta = state.theta + h * (state.omega + w * domega)
         return ArmState(q, v, theta, state.omega + domega)
+
+
+def _weight(
+    robot: Robot, M: Float[Array, "joint joint"], step: Float[Array, ""]
+) -> Float[Array, " joint"] | float:
+    """Return 1/2, and more for fast joints whose own mode a step cannot follow.
+
+    With x = (omega h / 2)^2 it is 1/2 + x^2 / (2 + 2 x^2): backward Euler for modes
+    that turn often in a step, and off by the fourth order in h for those that do not.
+    """
+    if not robot.fast_joints:
+        return 0.5
+    is_fast = np.zeros(robot.joint_count, bool)
+    is_fast[list(robot.fast_joints)] = True
+    x = step**2 / 4 * robot.joint_stiffness / jnp.diagonal(M)
+    # x^2 / (1 + x^2), finite also for a rigid joint.
+    share = 1 / (1 + 1 / jnp.maximum(x, jnp.finfo(x.dtype).eps) ** 2)
+    return jnp.where(is_fast, 0.5 + share / 2, 0.5)
 
 
 class _Condensed(eqx.Module):
@@ -104,24 +134,24 @@ def _condensed(
     robot: Robot,
     stiffness: Float[Array, " joint"],
     damping: Float[Array, " joint"],
-    step: Float[Array, ""],
+    ahead: Float[Array, ""] | Float[Array, " joint"],
 ) -> _Condensed:
     """Eliminate the motors, whose part of the matrix is diagonal.
 
-    With g = h D / 2 + h^2 K / 4 of the gear and A_m = J_m + g + g_s of the motor, the
-    equations of both sides are
+    With g = s D + s^2 K of the gear, s = h / 2 the way to the middle of the sub-step,
+    and A_m = J_m + g + g_s of the motor, the equations of both sides are
 
         (M + g) dv - g domega = push,   A_m domega - g dv = pull,
 
     and so (M + g - g^2 / A_m) dv = push + g / A_m pull.
     """
-    # symbols: K stiffness, D damping, h sub-step
-    h, K, D, motors = step, stiffness, damping, robot.motors
-    g = h / 2 * D + h**2 / 4 * K
+    # symbols: K stiffness, D damping
+    s, K, D, motors = ahead, stiffness, damping, robot.motors
+    g = s * D + s**2 * K
     if motors is None:
         none = jnp.zeros_like(g)
         return _Condensed(g, none, none)
-    A_m = motors.inertia + g + h / 2 * motors.damping + h**2 / 4 * motors.stiffness
+    A_m = motors.inertia + g + s * motors.damping + s**2 * motors.stiffness
     weight = jnp.where(robot.motor_mask(), 1 / A_m, 0.0)
     return _Condensed(g - g**2 * weight, g * weight, weight)
 
@@ -132,12 +162,13 @@ def _braked(
     push: Float[Array, " joint"],
     v: Float[Array, " joint"],
     h: Float[Array, ""],
+    ahead: Float[Array, ""] | Float[Array, " joint"],
 ) -> Float[Array, " joint"]:
     """Return dv with friction: a few times a damper that brakes as it would."""
     solve = lambda A, b: jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(A), True), b)
     if robot.friction is None:
         return solve(A, push)
-    A = A + jnp.diag(h / 2 * robot.friction.viscous)
+    A = A + jnp.diag(ahead * robot.friction.viscous)
     push = push - h * robot.friction.viscous * v
     dv = jnp.zeros_like(v)
     for _ in range(_BRAKE_STEPS):
