@@ -8,7 +8,8 @@ the end, so that a folder of results is complete or absent.
 
 Stock is a block, a closed mesh, or what an earlier run left. G-code is for an upright
 tool; a path as CSV may carry tool axes.
-Leaves out robot programs and measured forces.
+Measured forces are read as they stand, from text or what laboratory programs write.
+Leaves out robot programs.
 """
 
 from ._gcode import parse_gcode as parse_gcode, read_gcode as read_gcode
@@ -19,6 +20,7 @@ from ._load_job import (
     job_precision as job_precision,
     load_job as load_job,
 )
+from ._load_record import load_record as load_record
 from ._path_csv import (
     PathFileError as PathFileError,
     read_path_csv as read_path_csv,
@@ -30,6 +32,7 @@ from ._rapid_check import (
     rigid_pass as rigid_pass,
     rigid_pass_of_stock as rigid_pass_of_stock,
 )
+from ._record_error import RecordError as RecordError
 from ._results import (
     ResultsError as ResultsError,
     check_folder as check_folder,

@@ -1,0 +1,103 @@
+"""Measured records from files."""
+
+import os
+import pathlib
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Float
+
+from ..identification import Record, find_saturated
+from ._record_columns import Channels, channels_of
+from ._record_csv import read_text
+from ._record_error import RecordError
+from ._record_table import Table
+from ._record_time import Timeline, timeline
+
+_SAME_RATE = 0.01
+
+
+def load_record(
+    path: str | os.PathLike[str],
+    channels: Mapping[str, str | int | None] | None = None,
+    rate: float | None = None,
+) -> Record:
+    """Return a record of measured forces from a file.
+
+    Text with any header and delimiter is read, DynoWare's export among it. Units come
+    from the header, in brackets, after the name, or in a row of their own; a column
+    without one is taken in SI and said so in `notes`. Forces are neither turned nor
+    mirrored, and a saturated or missing sample is marked, not replaced.
+
+    Args:
+        path: Path of the file.
+        channels: Column of `time`, `Fx`, `Fy`, `Fz`, `tacho` or `angle`, by its name
+            in the file or its number from 1; None for no such column. What is not in
+            it is looked for by name.
+        rate: Sampling rate [Hz], needed if neither a time column nor the header has it.
+
+    Returns:
+        The record in SI units.
+
+    Raises:
+        RecordError: If the file cannot be read; all that is wrong is listed.
+
+    **Differentiability**: none, it runs on the host.
+    """
+    file = pathlib.Path(path)
+    faults: list[str] = []
+    if rate is not None and not (np.isfinite(rate) and rate > 0):
+        raise RecordError(
+            str(file), [f"the rate must be positive and finite, but is {rate}."]
+        )
+    try:
+        table = _table(file)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise RecordError(str(file), [f"cannot be read: {reason}."]) from None
+    notes = list(table.notes)
+    found = channels_of(table, channels or {}, faults, notes)
+    line = None
+    if found is not None:
+        is_valid = np.asarray(np.isfinite(found.force).all(axis=1))
+        line = timeline(found.time, is_valid, rate or table.rate, faults, notes)
+    if line is not None and rate is not None and abs(line.rate / rate - 1) > _SAME_RATE:
+        faults.append(
+            f"the rate is given as {rate:g} Hz, but the time column has {line.rate:g} "
+            "Hz; leave out the rate, or set the channel time to None."
+        )
+    if found is None or line is None or faults:
+        raise RecordError(str(file), faults)
+    return _record(found, line, notes, str(file))
+
+
+def _table(file: pathlib.Path) -> Table:
+    return read_text(file)
+
+
+def _record(found: Channels, line: Timeline, notes: list[str], source: str) -> Record:
+    force = np.ascontiguousarray(found.force[line.rows], dtype=np.float64)
+    is_saturated = np.asarray(find_saturated(force).any(axis=1))
+    if is_saturated.any():
+        notes.append(
+            f"{np.count_nonzero(is_saturated)} samples are at the end of a channel's "
+            "range and were marked."
+        )
+
+    def kept(
+        values: Float[np.ndarray, " row"] | None,
+    ) -> Float[np.ndarray, " kept"] | None:
+        return None if values is None else np.asarray(values, float)[line.rows]
+
+    return Record(
+        time=np.asarray(line.time, dtype=np.float64),
+        force=force,
+        rate=float(line.rate),
+        is_saturated=is_saturated,
+        is_after_gap=line.is_after_gap,
+        tacho=kept(found.tacho),
+        angle=kept(found.angle),
+        names=found.names,
+        notes=tuple(notes),
+        source=source,
+    )

@@ -1,0 +1,194 @@
+"""Which column of a table is which quantity, and its values in SI units."""
+
+import re
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ._quantity import ANGLE, TIME, QuantityKind
+from ._record_table import FORCE, Column, Table, scale
+
+KINDS: dict[str, QuantityKind | None] = {
+    "time": TIME,
+    "Fx": FORCE,
+    "Fy": FORCE,
+    "Fz": FORCE,
+    "tacho": None,
+    "angle": ANGLE,
+}
+FORCES = ("Fx", "Fy", "Fz")
+_PARTS = r"[\s_.\-]*"
+# Names that leave no doubt; compared with the whole name, whatever its case.
+_EXACT = {
+    "time": r"t|time|zeit|x_?value|time ?stamp|(abs\w*|rel\w*|elapsed)[ _]?time|"
+    r"temps|seconds|sekunden",
+    **{
+        f"F{axis}": rf"f{_PARTS}{axis}|(force|kraft){_PARTS}{axis}|"
+        rf"{axis}{_PARTS}(force|kraft)"
+        for axis in "xyz"
+    },
+    "tacho": r"tacho\w*|trigger|pulses?|key ?phasor|once per rev\w*",
+    "angle": r"((spindle|tool|rotation|encoder|spindel|dreh)[ _]?)?(angle|winkel)",
+}
+# Names that hold the force's name as a word: `Dyno Fx filtered`, `Ch1_Fx`.
+_LOOSE = {f"F{axis}": rf"(?<![a-z])f[ _]?{axis}(?![a-z])" for axis in "xyz"}
+
+
+class Channels(NamedTuple):
+    """The quantities of a record in SI units, NaN where a cell held no number.
+
+    Attributes:
+        time: Instants [s], shape (sample,), or None.
+        force: Forces [N], shape (sample, 3).
+        tacho: Pulses as written, shape (sample,), or None.
+        angle: Spindle angle [rad], shape (sample,), or None.
+        names: What the file calls the forces.
+    """
+
+    time: Float[np.ndarray, " sample"] | None
+    force: Float[np.ndarray, "sample 3"]
+    tacho: Float[np.ndarray, " sample"] | None
+    angle: Float[np.ndarray, " sample"] | None
+    names: tuple[str, str, str]
+
+
+def channels_of(
+    table: Table,
+    wanted: Mapping[str, str | int | None],
+    faults: list[str],
+    notes: list[str],
+) -> Channels | None:
+    """Return the quantities of a table, or None with faults.
+
+    Args:
+        table: The table as read.
+        wanted: For a quantity, the name or number (from 1) of its column, or None for
+            no such column; a quantity that is not in it is looked for by its name.
+        faults: Where what is wrong is added.
+        notes: Where what was assumed is added.
+    """
+    for key in wanted:
+        if key not in KINDS:
+            faults.append(f"found the channel `{key}`; allowed are {', '.join(KINDS)}.")
+    found = {key: _find(key, table.columns, wanted, faults, notes) for key in KINDS}
+    missing = [key for key in FORCES if found[key] is None]
+    if missing and not faults:
+        faults.append(
+            f"found no column for {', '.join(missing)} among {_listed(table.columns)}; "
+            "name it with `channels`."
+        )
+    values: dict[str, Float[np.ndarray, " sample"]] = {}
+    for key, column in found.items():
+        if column is not None:
+            array = _in_si(key, column, faults, notes)
+            if array is not None:
+                values[key] = array
+    if faults:
+        return None
+    names = [found[key].name for key in FORCES]  # pyright: ignore[reportOptionalMemberAccess]
+    return Channels(
+        values.get("time", table.time),
+        np.stack([values[key] for key in FORCES], axis=1),
+        values.get("tacho"),
+        values.get("angle"),
+        (names[0], names[1], names[2]),
+    )
+
+
+def looks_named(names: list[str]) -> bool:
+    """Return whether one of the names is that of a quantity of a record."""
+    return any(_matches(key, name) for key in _EXACT for name in names)
+
+
+def _matches(key: str, name: str) -> bool:
+    pattern = _LOOSE.get(key)
+    return re.fullmatch(_EXACT[key], name, re.IGNORECASE) is not None or (
+        pattern is not None and re.search(pattern, name, re.IGNORECASE) is not None
+    )
+
+
+def _find(
+    key: str,
+    columns: list[Column],
+    wanted: Mapping[str, str | int | None],
+    faults: list[str],
+    notes: list[str],
+) -> Column | None:
+    """Return the column of one quantity, or None."""
+    if key in wanted:
+        return _named(key, wanted[key], columns, faults)
+    exact = [c for c in columns if re.fullmatch(_EXACT[key], c.name, re.IGNORECASE)]
+    if len(exact) == 1:
+        return exact[0]
+    loose = [] if exact else [c for c in columns if _matches(key, c.name)]
+    if len(loose) == 1:
+        notes.append(f"The column `{loose[0].name}` was taken for {key}.")
+        return loose[0]
+    if exact or loose:
+        faults.append(
+            f"found {len(exact or loose)} columns that may be {key} "
+            f"({_listed(columns, exact or loose)}); name one with `channels`."
+        )
+    return None
+
+
+def _named(
+    key: str, label: str | int | None, columns: list[Column], faults: list[str]
+) -> Column | None:
+    """Return the column that the user names."""
+    if label is None:
+        return None
+    if isinstance(label, int):
+        if 1 <= label <= len(columns):
+            return columns[label - 1]
+        hits = []
+    else:
+        hits = [c for c in columns if c.name == label.strip()]
+        hits = hits or [c for c in columns if c.name.lower() == label.strip().lower()]
+        hits = hits or [
+            c for c in columns if _squeezed(c.name + c.unit) == _squeezed(label)
+        ]
+    if len(hits) == 1:
+        return hits[0]
+    faults.append(
+        f"the channel {key} = {label!r} names {len(hits) or 'no'} columns; there are "
+        f"{_listed(columns)}, and a number from 1 to {len(columns)} is allowed."
+    )
+    return None
+
+
+def _squeezed(text: str) -> str:
+    return re.sub(r"[\W_]", "", text.lower())
+
+
+def _listed(columns: list[Column], only: list[Column] | None = None) -> str:
+    shown = [
+        f"{place} `{column.name}`"
+        for place, column in enumerate(columns, 1)
+        if only is None or any(column is other for other in only)
+    ]
+    return ", ".join(shown[:20]) + (", ..." if len(shown) > 20 else "")
+
+
+def _in_si(
+    key: str, column: Column, faults: list[str], notes: list[str]
+) -> Float[np.ndarray, " sample"] | None:
+    """Return a column in SI units, or None with a fault."""
+    kind = KINDS[key]
+    factor = 1.0
+    if kind is not None and column.unit:
+        try:
+            factor = scale(column.unit, kind)
+        except ValueError as error:
+            faults.append(f"the unit of the column `{column.name}` ({key}): {error}.")
+            return None
+    elif kind is not None:
+        unit = "rad" if kind is ANGLE else kind.unit
+        notes.append(f"The column `{column.name}` has no unit and was taken in {unit}.")
+    values = column.values()
+    if not np.isfinite(values).any():
+        faults.append(f"the column `{column.name}` ({key}) holds no number.")
+        return None
+    return values * factor

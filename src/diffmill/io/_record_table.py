@@ -1,0 +1,137 @@
+"""What every reader of measurements returns: named columns as written."""
+
+import math
+import re
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ._quantity import TIME, QuantityKind, quantity
+
+
+class Column(NamedTuple):
+    """A column of a file as it stands there.
+
+    Attributes:
+        name: Its name without the unit.
+        unit: Its unit, or "" if none is given.
+        values: Returns the numbers in that unit, shape (sample,); NaN where a cell
+            holds none. A function, so that no unused column is read.
+    """
+
+    name: str
+    unit: str
+    values: Callable[[], Float[np.ndarray, " sample"]]
+
+
+class Table(NamedTuple):
+    """The columns of a file, and what its header says about all of them.
+
+    Attributes:
+        columns: The columns, in the order of the file.
+        rate: Sampling rate that the header gives [Hz], or None.
+        time: Instants [s] that no column holds, or None.
+        notes: What was left out while reading, one sentence each.
+    """
+
+    columns: list[Column]
+    rate: float | None = None
+    time: Float[np.ndarray, " sample"] | None = None
+    notes: tuple[str, ...] = ()
+
+
+FORCE = QuantityKind("a force", "N", "12.5 N")
+FREQUENCY = QuantityKind("a frequency", "1/s", "10 kHz")
+_BRACKETS = re.compile(r"(.*?)[\s_]*[\[({<]\s*([^\[\](){}<>]*?)\s*[\])}>]\s*")
+_SUFFIX = re.compile(r"(.*?)(?:_|\s*/\s*|\s*,\s*|\s+in\s+|\s+)([^\s_/,]+)")
+# Words for units that the unit library does not know or takes for something else.
+_SPELLINGS = {
+    "sec": "s",
+    "secs": "s",
+    "seconds": "s",
+    "sek": "s",
+    "msec": "ms",
+    "newtons": "N",
+    "kp": "kgf",
+    "hz": "Hz",
+    "khz": "kHz",
+    "khertz": "kHz",
+    "°": "deg",
+    "grad": "deg",
+    "rev": "turn",
+    "revs": "turn",
+}
+
+
+def scale(unit: str, kind: QuantityKind) -> float:
+    """Return how many SI units one `unit` has.
+
+    Raises:
+        ValueError: If the unit is unknown or of another kind.
+    """
+    return quantity(f"1 {_SPELLINGS.get(unit.lower(), unit)}", kind)
+
+
+def is_unit(text: str, *kinds: QuantityKind) -> bool:
+    """Return whether a text is a unit of one of the kinds."""
+    for kind in kinds:
+        try:
+            scale(text, kind)
+        except ValueError:
+            continue
+        return True
+    return False
+
+
+def split_unit(label: str, *kinds: QuantityKind) -> tuple[str, str]:
+    """Return name and unit of a label such as `Fx [N]`, `Time (ms)` or `Fx_N`.
+
+    What stands in brackets is the unit; what follows an underscore, a slash, a comma
+    or a blank only if it is a unit of one of the kinds.
+    """
+    text = label.strip().strip('"').strip()
+    match = _BRACKETS.fullmatch(text)
+    if match is not None:
+        return match[1].strip(), match[2]
+    match = _SUFFIX.fullmatch(text)
+    if match is not None and is_unit(match[2], *kinds):
+        return match[1].strip(), match[2]
+    return text, ""
+
+
+_RATE = re.compile(
+    r"(?:sampl\w*[\s_-]*(?:rate|freq\w*)|scan[\s_-]*rate|abtast(?:rate|frequenz)|\bfs\b)",
+    re.IGNORECASE,
+)
+_INTERVAL = re.compile(
+    r"(?:sampl\w*[\s_-]*(?:interval|period|time)|delta_x|abtast(?:intervall|zeit)|"
+    r"wf_increment|\bdt\b)",
+    re.IGNORECASE,
+)
+_VALUE = re.compile(
+    r"\s*(?:[\[(]\s*(?P<before>[^\])]+?)\s*[\])])?[\s:=;,\"]*"
+    r"(?P<number>\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?)\s*(?P<after>[a-zA-Z\u00b5]*)"
+)
+
+
+def header_rate(lines: list[str]) -> float | None:
+    """Return the sampling rate [Hz] that a header's lines give, if they do."""
+    for line in lines:
+        for pattern, kind, default in (
+            (_RATE, FREQUENCY, "Hz"),
+            (_INTERVAL, TIME, "s"),
+        ):
+            name = pattern.search(line)
+            value = name and _VALUE.match(line, name.end())
+            if not value:
+                continue
+            unit = value["before"] or value["after"] or default
+            try:
+                number = float(value["number"].replace(",", ".")) * scale(unit, kind)
+            except ValueError:
+                continue
+            if math.isfinite(number) and number > 0:
+                return number if kind is FREQUENCY else 1.0 / number
+    return None

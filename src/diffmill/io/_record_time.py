@@ -1,0 +1,219 @@
+"""Time columns as they are found: unordered, with few digits, with gaps."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+# Rates that differ by less are the same, one of them rounded.
+_SAME_RATE = 0.01
+# A part that begins again is a measurement of its own only from this length on.
+_SHORTEST_PART = 100
+
+
+class Timeline(NamedTuple):
+    """Instants that increase, and from which rows they come.
+
+    Attributes:
+        time: Instants [s], shape (kept,).
+        rows: Row of each instant among those given, shape (kept,).
+        is_after_gap: Whether samples are missing just before, shape (kept,).
+        rate: Sampling rate [Hz].
+    """
+
+    time: Float[np.ndarray, " kept"]
+    rows: Int[np.ndarray, " kept"]
+    is_after_gap: Bool[np.ndarray, " kept"]
+    rate: float
+
+
+def timeline(
+    time: Float[np.ndarray, " row"] | None,
+    is_valid: Bool[np.ndarray, " row"],
+    rate: float | None,
+    faults: list[str],
+    notes: list[str],
+) -> Timeline | None:
+    """Return increasing instants for the rows of a record, or None with a fault.
+
+    Args:
+        time: The time column [s], NaN where it has none, or None without a column.
+        is_valid: Whether a row has all of its forces.
+        rate: Sampling rate that the user or the header gives [Hz], or None.
+        faults: Where what is wrong is added.
+        notes: Where what was repaired is added.
+    """
+    if time is not None:
+        is_valid = is_valid & np.isfinite(time)
+    rows = np.flatnonzero(is_valid).astype(np.int32)
+    lost = is_valid.size - rows.size
+    if lost:
+        notes.append(f"{lost} rows have an empty cell and were left out.")
+    if rows.size < 2:
+        faults.append(f"found {rows.size} complete rows; needed are 2.")
+        return None
+    if time is None or np.ptp(time[rows]) == 0:
+        return _counted(time, rows, rate, faults, notes)
+    instants, rows = _ordered(time[rows], rows, notes)
+    step, resolution = _step(instants)
+    if not step > 0:
+        faults.append("the time does not increase; name another column or none.")
+        return None
+    if rate is not None and _differ(rate * step):
+        notes.append(
+            f"The rate is given as {rate:g} Hz, but the time column has "
+            f"{1 / step:g} Hz, which was used."
+        )
+        rate = None
+    gaps = np.diff(instants) > step + max(0.5 * step, 1.5 * resolution)
+    is_after_gap = np.concatenate([[False], gaps])
+    if gaps.any():
+        notes.append(
+            f"{np.count_nonzero(gaps)} gaps in the time, the longest of "
+            f"{np.diff(instants).max():g} s, were kept and marked."
+        )
+    has_few_digits = resolution > 0.1 * step or np.any(np.diff(instants) == 0)
+    if has_few_digits:
+        rate = rate or _roundest(instants, is_after_gap, 1 / step, resolution)
+        instants = _rebuilt(instants, is_after_gap, rate, notes)
+    # Nine digits: the difference of two stamps has no more.
+    return Timeline(instants, rows, is_after_gap, rate or float(f"{1 / step:.9g}"))
+
+
+def _differ(ratio: float) -> bool:
+    return abs(ratio - 1.0) > _SAME_RATE
+
+
+def _counted(
+    time: Float[np.ndarray, " row"] | None,
+    rows: Int[np.ndarray, " kept"],
+    rate: float | None,
+    faults: list[str],
+    notes: list[str],
+) -> Timeline | None:
+    """Return instants from the row numbers and the rate."""
+    found = "no time column" if time is None else "one instant in the whole time column"
+    if rate is None:
+        faults.append(
+            f"found {found} and no sampling rate in the header; give the rate."
+        )
+        return None
+    notes.append(f"There is {found}: the time was counted from the rate {rate:g} Hz.")
+    is_after_gap = np.concatenate([[False], np.diff(rows) > 1])
+    return Timeline(rows / rate, rows, is_after_gap, rate)
+
+
+def _ordered(
+    time: Float[np.ndarray, " row"], rows: Int[np.ndarray, " row"], notes: list[str]
+) -> tuple[Float[np.ndarray, " kept"], Int[np.ndarray, " kept"]]:
+    """Return rows in the order of time, parts that begin again one after another."""
+    steps = np.diff(time)
+    if np.count_nonzero(steps < 0) > np.count_nonzero(steps > 0):
+        time, rows, steps = time[::-1], rows[::-1], -steps[::-1]
+        notes.append("The time column runs backward; the rows were reversed.")
+    back = np.flatnonzero(steps < 0) + 1
+    if back.size:
+        joined = _joined(time, back)
+        if joined is None:
+            order = np.argsort(time, kind="stable")
+            time, rows = time[order], rows[order]
+            notes.append(
+                f"The time steps back at {back.size} rows; the rows were sorted."
+            )
+        else:
+            time = joined
+            notes.append(
+                f"The time begins again {back.size} times; the parts were set one "
+                "after another, with a gap between them."
+            )
+    steps = np.diff(time)
+    # Single repeats among clean stamps are rows written twice; many are few digits.
+    is_repeat = np.concatenate([[False], steps == 0])
+    count = np.count_nonzero(is_repeat)
+    if 0 < count < 0.01 * time.size:
+        time, rows = time[~is_repeat], rows[~is_repeat]
+        notes.append(f"{count} rows repeat the instant before and were left out.")
+    return time, rows
+
+
+def _joined(
+    time: Float[np.ndarray, " row"], back: Int[np.ndarray, " part"]
+) -> Float[np.ndarray, " row"] | None:
+    """Return parts that overlap in time one after another; None if none overlap."""
+    starts = np.concatenate([[0], back])
+    stops = np.concatenate([back, [time.size]])
+    if np.min(stops - starts) < min(_SHORTEST_PART, time.size // 4):
+        return None
+    order = np.argsort(time[starts])
+    ends, begins = time[stops - 1][order], time[starts][order]
+    if np.all(begins[1:] >= ends[:-1]):
+        return None
+    out = np.array(time)
+    for start, stop in zip(starts[1:], stops[1:], strict=True):
+        # Ten times a sample before: more than the step that counts as a gap.
+        pause = 10.0 * (time[stop - 1] - time[start]) / (stop - start - 1)
+        out[start:stop] += out[start - 1] + pause - time[start]
+    return out
+
+
+def _step(time: Float[np.ndarray, " sample"]) -> tuple[float, float]:
+    """Return the time between samples and the resolution of the stamps [s].
+
+    The resolution is 0 for stamps that are equally spaced but for gaps.
+    """
+    steps = np.diff(time)
+    moves = steps[steps > 0]
+    if moves.size == 0:
+        return 0.0, 0.0
+    typical = float(np.median(moves))
+    # Gaps are longer than ten of the steps that stamps with few digits make.
+    step = float(steps[steps <= 10 * typical].mean())
+    is_typical = np.abs(steps - typical) <= 1e-3 * typical
+    if np.mean(is_typical) >= 0.95:
+        return typical, 0.0
+    distinct = np.unique(np.round(steps / typical, 3))
+    differences = np.diff(distinct)
+    return step, min(1.0, float(differences.min(initial=1.0))) * typical
+
+
+def _roundest(
+    time: Float[np.ndarray, " sample"],
+    is_after_gap: Bool[np.ndarray, " sample"],
+    rate: float,
+    resolution: float,
+) -> float:
+    """Return the rate with the fewest digits that the rounded stamps allow [Hz]."""
+    edges = np.concatenate([[0], np.flatnonzero(is_after_gap), [time.size]])
+    longest = int(np.argmax(np.diff(edges)))
+    part = time[edges[longest] : edges[longest + 1]]
+    if part.size < 3:
+        return rate
+    slope = float(np.polyfit(np.arange(part.size), part - part[0], 1)[0])
+    doubt = resolution / max(float(part[-1] - part[0]), resolution)
+    for digits in range(1, 10):
+        candidate = float(f"{1 / slope:.{digits}g}")
+        if abs(candidate * slope - 1) <= doubt:
+            return candidate
+    return 1 / slope
+
+
+def _rebuilt(
+    time: Float[np.ndarray, " sample"],
+    is_after_gap: Bool[np.ndarray, " sample"],
+    rate: float,
+    notes: list[str],
+) -> Float[np.ndarray, " sample"]:
+    """Return equally spaced instants between gaps, each part placed by its mean."""
+    notes.append(
+        f"The time column has too few digits; it was rebuilt from {rate:g} Hz."
+    )
+    out = np.array(time)
+    starts = np.concatenate([[0], np.flatnonzero(is_after_gap)])
+    stops = np.concatenate([starts[1:], [time.size]])
+    previous = -np.inf
+    for start, stop in zip(starts, stops, strict=True):
+        count = np.arange(stop - start) / rate
+        begin = max(float(np.mean(time[start:stop] - count)), previous + 1.0 / rate)
+        out[start:stop] = begin + count
+        previous = out[stop - 1]
+    return out

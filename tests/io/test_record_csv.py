@@ -1,0 +1,229 @@
+"""Measured records as text, the odd ones among them."""
+
+import numpy as np
+import pytest
+
+from diffmill import io
+
+RATE = 10e3
+COUNT = 300
+TIME = np.arange(COUNT) / RATE
+# Three decimals, so that the text holds the numbers exactly.
+FORCE = np.round(
+    100 * np.sin(2 * np.pi * 200 * TIME[:, None] + np.arange(3)[None])
+    + np.random.default_rng(0).normal(size=(COUNT, 3)),
+    3,
+)
+NAMES = "time_s,Fx_N,Fy_N,Fz_N\n"
+DYNOWARE = (
+    "DynoWare,Version 2.5.1.2\nPath:,C:\\Records\\\nFilename:,slot.dwd\nSetup ID:,0\n"
+    "Date:, \nTime:, \nSampling rate [Hz]:,10000\nMeasuring time [s]:,50\n"
+    "Samples per channel:,300\nCycle No:,1\nTime,Fx,Fy,Fz\ns,N,N,N\n"
+)
+ATI = "Calibration\n1 2 3 4\n5 6 7 8\n9 10 11 12\n"
+
+
+def rows(delimiter=",", stamp="%.4f", decimal=".", closing="", time=TIME):
+    return [
+        delimiter.join([stamp % t] + [f"{f:.3f}" for f in force]).replace(".", decimal)
+        + closing
+        for t, force in zip(time, FORCE, strict=True)
+    ]
+
+
+def text(header=NAMES, **layout):
+    return header + "\n".join(rows(**layout)) + "\n"
+
+
+def load(tmp_path, content, **options):
+    file = tmp_path / "record.txt"
+    file.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return io.load_record(file, **options)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        text(),
+        text("Time [s],Fx [N],Fy [N],Fz [N]\n"),
+        text("\n".join(["A line of words, and more"] * 500) + "\n" + NAMES),
+        text("t/s;Fx/N;Fy/N;Fz/N\n", delimiter=";", decimal=","),
+        text("Zeit (s)\tKraft X (N)\tKraft Y (N)\tKraft Z (N)\n", delimiter="\t"),
+        text("# Time (s)  Fx (N)  Fy (N)  Fz (N)\n", delimiter="   "),
+        text('"time [s]","Fx [N]","Fy [N]","Fz [N]"\n', delimiter=","),
+        text("time_s,Fx_N,Fy_N,Fz_N,Comment\n", closing=","),
+        text(DYNOWARE),
+        text(ATI + "Time [s] Fx [N] Fy [N] Fz [N]\n", delimiter=" "),
+        text("time;Fx;Fy;Fz\n[s];[N];[N];[N]\n----\n", delimiter=";"),
+        text().replace("\n", "\r\n"),
+        text().replace("\n", "\r"),
+        text().encode("utf-16"),
+        text().encode("utf-16-be"),
+        b"\xef\xbb\xbf" + text().encode(),
+        text("Pr\u00fcfer: M\u00fcller\n" + NAMES).encode("latin-1"),
+        text(stamp="12:30:%07.4f"),
+    ],
+)
+def test_the_numbers_of_any_layout_come_back(tmp_path, content):
+    record = load(tmp_path, content)
+    np.testing.assert_allclose(record.time - record.time[0], TIME, atol=1e-9)
+    np.testing.assert_array_equal(record.force, FORCE)
+    assert record.rate == pytest.approx(RATE, rel=1e-6)
+    assert not record.is_after_gap.any()
+    assert not record.is_saturated.any()
+
+
+def test_units_become_si(tmp_path):
+    header = "t [ms];Fx [kN];Fy (N);Fz_lbf;Angle [deg];tacho\n"
+    lines = [f"{line};90;5" for line in rows(";", stamp="%.4f", time=TIME * 1e3)]
+    record = load(tmp_path, header + "\n".join(lines))
+    np.testing.assert_allclose(record.time, TIME, atol=1e-12)
+    scales = np.array([1e3, 1.0, 4.4482216152605])  # one pound-force, by definition
+    np.testing.assert_allclose(record.force, FORCE * scales[None], rtol=1e-12)
+    assert record.angle is not None and record.tacho is not None
+    np.testing.assert_allclose(record.angle, np.pi / 2)
+    assert record.tacho[0] == 5.0
+    assert record.names == ("Fx", "Fy", "Fz")
+
+
+def test_a_missing_unit_is_said_so(tmp_path):
+    record = load(tmp_path, text("time_s,Fx,Fy_N,Fz_N\n"))
+    assert record.notes == ("The column `Fx` has no unit and was taken in N.",)
+
+
+def test_stamps_with_few_digits_are_rebuilt(tmp_path):
+    # Three decimals at 10 kHz: ten rows with the same stamp.
+    record = load(tmp_path, text(stamp="%.3f"))
+    assert record.rate == RATE
+    np.testing.assert_allclose(record.time, TIME, atol=1e-4)
+    np.testing.assert_allclose(np.diff(record.time), 1 / RATE, rtol=1e-9)
+    assert "too few digits" in record.notes[0]
+
+
+def test_few_digits_do_not_hide_a_gap(tmp_path):
+    time = np.where(np.arange(COUNT) < 150, TIME, TIME + 0.5)
+    record = load(tmp_path, text(stamp="%.3f", time=time))
+    assert np.flatnonzero(record.is_after_gap) == [150]
+    np.testing.assert_allclose(record.time, time, atol=2e-4)
+
+
+def test_uneven_rounding_is_no_gap(tmp_path):
+    # Steps of 1.5 of the last digit are written as 1 and 2.
+    record = load(tmp_path, text(stamp="%.4f", time=TIME * 1.5))
+    assert not record.is_after_gap.any()
+    np.testing.assert_allclose(record.time, TIME * 1.5, atol=1e-4)
+
+
+def test_one_lost_sample_is_a_gap(tmp_path):
+    lines = rows()
+    del lines[100]
+    record = load(tmp_path, NAMES + "\n".join(lines))
+    assert np.flatnonzero(record.is_after_gap) == [100]
+    np.testing.assert_array_equal(record.time, np.delete(TIME, 100))
+
+
+@pytest.mark.parametrize(
+    "order",
+    [
+        np.r_[150:300, 0:150],
+        np.random.default_rng(1).permutation(COUNT),
+        np.arange(COUNT)[::-1],
+    ],
+)
+def test_rows_in_wrong_order_are_sorted(tmp_path, order):
+    lines = rows()
+    record = load(tmp_path, NAMES + "\n".join(lines[i] for i in order))
+    np.testing.assert_array_equal(record.force, FORCE)
+    assert "were" in record.notes[0]
+
+
+def test_cuts_that_begin_at_zero_again_follow_each_other(tmp_path):
+    record = load(tmp_path, text() + text())
+    np.testing.assert_array_equal(record.force, np.concatenate([FORCE, FORCE]))
+    assert np.flatnonzero(record.is_after_gap) == [COUNT]
+    assert any("begins again" in note for note in record.notes)
+
+
+def test_rows_without_numbers_leave_marked_gaps(tmp_path):
+    lines = rows()
+    stamps = [line.split(",")[0] for line in lines]
+    lines[2] = f"{stamps[2]},overload,1,2"
+    lines[50] = f"{stamps[50]},,1,2"
+    lines[80] = f"{stamps[80]},nan,1,2"
+    lines[90] = lines[90][:8]
+    record = load(tmp_path, NAMES + "\n".join(lines))
+    wrong = [2, 50, 80, 90]
+    np.testing.assert_array_equal(record.force, np.delete(FORCE, wrong, axis=0))
+    np.testing.assert_array_equal(
+        np.flatnonzero(record.is_after_gap), np.array(wrong) - np.arange(4)
+    )
+    assert any("3 rows have an empty cell" in note for note in record.notes)
+    assert any("1 lines are no rows" in note for note in record.notes)
+
+
+def test_a_clipped_channel_is_marked(tmp_path):
+    clipped = np.clip(FORCE, -80.0, None)
+    lines = [f"{t:.4f},{x},{y},{z}" for t, (x, y, z) in zip(TIME, clipped, strict=True)]
+    record = load(tmp_path, NAMES + "\n".join(lines))
+    expected = (clipped == -80.0).any(axis=1)
+    assert expected.sum() > 100
+    # Runs of one or two samples cannot be told from a peak.
+    assert np.all(expected[record.is_saturated])
+    assert np.mean(record.is_saturated[expected]) > 0.9
+
+
+def test_the_rate_replaces_a_time_column(tmp_path):
+    for header, options in (
+        ("No,Fx_N,Fy_N,Fz_N\n", {"rate": RATE}),
+        ("Sampling rate [kHz]:,10\nNo,Fx_N,Fy_N,Fz_N\n", {}),
+        ("Abtastintervall: 0,1 ms\nNo,Fx_N,Fy_N,Fz_N\n", {}),
+        (NAMES, {"channels": {"time": None}, "rate": RATE}),
+    ):
+        record = load(tmp_path, text(header), **options)
+        np.testing.assert_allclose(record.time, TIME, atol=1e-12)
+
+
+def test_columns_are_chosen_by_name_or_number(tmp_path):
+    header = "time_s;Kanal 1 [N];Kanal 2 [N];Kanal 3 [N]\n"
+    for fz in ("Kanal 1", "kanal 1 [n]", 2):
+        record = load(
+            tmp_path,
+            text(header, delimiter=";"),
+            channels={"Fx": "Kanal 2", "Fy": 4, "Fz": fz},
+        )
+        np.testing.assert_array_equal(record.force, FORCE[:, [1, 2, 0]])
+        assert record.names == ("Kanal 2", "Kanal 3", "Kanal 1")
+
+
+@pytest.mark.parametrize(
+    ("content", "options", "message"),
+    [
+        ("", {}, "no table of numbers"),
+        ("hello\nworld\n", {}, "no table of numbers"),
+        (bytes(range(256)) * 20, {}, "binary file"),
+        (text(""), {}, "no column for Fx, Fy, Fz among 1 `column 1`"),
+        (text("time_s,Fx_N,Fx_N,Fz_N\n"), {}, r"2 columns that may be Fx \(2 `Fx`, 3"),
+        (text("time_s,Fx [V],Fy_N,Fz_N\n"), {}, "column `Fx` .* a force with its unit"),
+        (text("No,Fx_N,Fy_N,Fz_N\n"), {}, "no sampling rate"),
+        (text(decimal=","), {}, "decimal commas need another sign"),
+        (text(), {"rate": 5e3}, "given as 5000 Hz, but the time column has 10000 Hz"),
+        (text(), {"rate": -1.0}, "must be positive"),
+        (text(), {"channels": {"Fx": 9}}, "from 1 to 4"),
+        (text(), {"channels": {"Mz": 1}}, "allowed are time, Fx"),
+        (NAMES + "0,1,2,3\n0.1,,,\n0.2,,,\n", {}, "1 complete rows"),
+    ],
+)
+def test_faults_say_what_is_allowed(tmp_path, content, options, message):
+    with pytest.raises(io.RecordError, match=message):
+        load(tmp_path, content, **options)
+
+
+def test_all_faults_are_told_at_once(tmp_path):
+    with pytest.raises(io.RecordError) as raised:
+        load(tmp_path, text("time_N,Fx [V],Fy_N,Fz [bar]\n"), channels={"Mz": 2})
+    assert len(raised.value.faults) == 4
+
+
+def test_an_absent_file_is_a_record_error(tmp_path):
+    with pytest.raises(io.RecordError, match="cannot be read"):
+        io.load_record(tmp_path / "absent.csv")
