@@ -9,5 +9,20 @@ Left out: the dynamometer's own dynamics. Files are read by `diffmill.io.load_re
 Nothing here is applied unasked: functions return new records or proposals.
 """
 
+from ._load_advice import (
+    LoadTests as LoadTests,
+    suggest_load_tests as suggest_load_tests,
+)
+from ._mean_force import (
+    NAMES as NAMES,
+    MeanForceFit as MeanForceFit,
+    fit_mean_forces as fit_mean_forces,
+    mean_force_matrices as mean_force_matrices,
+)
 from ._record import Record as Record
 from ._saturation import find_saturated as find_saturated
+from ._stiffness import (
+    JointStiffnessFit as JointStiffnessFit,
+    deflection_columns as deflection_columns,
+    fit_joint_stiffness as fit_joint_stiffness,
+)

@@ -1,0 +1,86 @@
+import json
+import math
+import os
+import pathlib
+
+import numpy as np
+import pytest
+from helpers import PAPER_LAW, quadrature_mean_force
+
+from diffmill import identification
+
+ROOT = pathlib.Path(__file__).parents[2]
+DATA = ROOT / os.environ.get("DIFFMILL_REFERENCE_DATA", "../shared/data")
+FEEDS = np.array([0.05, 0.1, 0.15, 0.2]) * 1e-3
+PAPER = {name: getattr(PAPER_LAW, name) for name in identification.NAMES}
+
+
+@pytest.mark.parametrize(
+    ("entry", "exit"), [(0.0, math.pi), (0.0, 1.1), (2.0, math.pi)]
+)
+def test_quadratures_of_the_force_give_the_coefficients_back(entry, exit):
+    mean = [
+        quadrature_mean_force(
+            PAPER_LAW, f, entry, exit, 2e-3, teeth=3, is_two_circle=False
+        )
+        for f in FEEDS
+    ]
+    fit = identification.fit_mean_forces(
+        FEEDS,
+        np.stack(mean),
+        teeth=3,
+        axial_depth=2e-3,
+        entry_angle=entry,
+        exit_angle=exit,
+    )
+    for name, wanted in PAPER.items():
+        assert fit.coefficients[name] == pytest.approx(wanted, rel=1e-3), name
+    np.testing.assert_allclose(fit.r_squared, 1, atol=1e-9)
+
+
+def test_standard_errors_cover_the_truth():
+    slope, offset = identification.mean_force_matrices(2, 3e-3, 0.0, 2.0)
+    c = np.array([PAPER["K_tc"], PAPER["K_rc"], PAPER["K_ac"]])
+    e = np.array([PAPER["K_te"], PAPER["K_re"], PAPER["K_ae"]])
+    feeds = np.linspace(0.02e-3, 0.2e-3, 12)
+    mean = feeds[:, None] * (slope @ c)[None] + (offset @ e)[None]
+    draw = np.random.default_rng(0)
+    off, shared, fit = [], [], None
+    for _ in range(200):
+        noisy = mean + draw.normal(size=mean.shape) * np.array([[3.0, 1.0, 0.3]])
+        fit = identification.fit_mean_forces(
+            feeds, noisy, teeth=2, axial_depth=3e-3, exit_angle=2.0
+        )
+        found = np.array(list(fit.coefficients.values()))
+        off.append(found - np.concatenate([c, e]))
+        shared.append(
+            np.abs(off[-1]) < 2 * np.array(list(fit.standard_errors.values()))
+        )
+    within = np.mean(shared, axis=0)
+    assert (within > 0.87).all() and (within < 0.99).all()
+    assert fit is not None
+    seen = np.corrcoef(np.stack(off).T)
+    np.testing.assert_allclose(fit.correlation, seen, atol=0.3)
+
+
+def test_the_published_line_fit_of_a_measurement():
+    path = DATA / "forces" / "measured_slot_means.json"
+    if not path.exists():
+        pytest.skip("no reference data")
+    data = json.loads(path.read_text())
+    mean = data["mean_N"]
+    # The record's Fx is the book's Fy, and its Fy the book's Fx.
+    force = np.column_stack([mean["Fy"], mean["Fx"], mean["Fz"]])
+    fit = identification.fit_mean_forces(
+        np.array(data["feed_per_tooth_mm"]) * 1e-3, force, teeth=2, axial_depth=3e-3
+    )
+    for name, value in fit.coefficients.items():
+        unit = 1e6 if name.endswith("c") else 1e3
+        assert value == pytest.approx(data["coefficients"][name] * unit, rel=1e-3)
+
+
+def test_one_feed_is_no_line():
+    with pytest.raises(ValueError, match="two different"):
+        identification.fit_mean_forces(
+            [1e-4, 1e-4], np.ones((2, 3)), teeth=2, axial_depth=1e-3
+        )

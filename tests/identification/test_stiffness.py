@@ -1,0 +1,170 @@
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from diffmill import identification, robot as rb
+
+
+@functools.cache
+def arm(tool=(0.15, 0.0, 0.1)):
+    robot = rb.load("kuka_kr210_like")
+    T = np.eye(4)
+    T[:3, 3] = tool
+    return rb.with_tool(robot, jnp.asarray(T))
+
+
+@functools.cache
+def wristless():
+    """Return the arm with the tool's origin at the centre of its wrist."""
+    robot = rb.with_tool(rb.load("kuka_kr210_like"), shifted(0.0))
+    distance = np.linalg.norm(np.asarray(rb.jacobian(robot, robot.home))[:3, 4])
+    robot = rb.with_tool(robot, shifted(-distance))
+    assert np.linalg.norm(np.asarray(rb.jacobian(robot, robot.home))[:3, 3:]) < 1e-9
+    return robot
+
+
+def shifted(z):
+    T = np.eye(4)
+    T[2, 3] = z
+    return jnp.asarray(T)
+
+
+def loads(robot, count, seed, spread=0.7):
+    draw = np.random.default_rng(seed)
+    home = np.asarray(robot.home)
+    q = home[None] + draw.uniform(-spread, spread, (count, len(home)))
+    force = draw.normal(size=(count, 3))
+    size = draw.uniform(400, 1000, (count, 1))
+    force *= size / np.linalg.norm(force, axis=1, keepdims=True)
+    return q, np.hstack([force, np.zeros((count, 3))]), draw
+
+
+def moved(robot, q, wrench):
+    """Displacement by the compliance matrix, one pose after the other."""
+    return np.stack(
+        [
+            np.asarray(rb.cartesian_compliance(robot, a)) @ w
+            for a, w in zip(q, wrench, strict=True)
+        ]
+    )
+
+
+def test_exact_tables_give_the_springs_back():
+    robot = arm()
+    q, wrench, _ = loads(robot, 6, 1)
+    d = moved(robot, q, wrench)
+    K = np.asarray(robot.joint_stiffness)
+    for table in (d, d[:, :3]):
+        fit = identification.fit_joint_stiffness(robot, q, wrench, table)
+        assert fit.identifiable.all() and fit.outliers == () and fit.notes == ()
+        np.testing.assert_allclose(fit.stiffness, K, rtol=1e-8)
+        assert fit.explained == pytest.approx(1) and fit.is_consistent
+        assert fit.share.sum() == pytest.approx(1)
+
+
+def test_the_loaded_balance_of_the_whole_robot_is_fitted():
+    # An independent model: nonlinear balance under gravity and load.
+    robot = arm()
+    q, wrench, _ = loads(robot, 8, 2)
+    deflect = jax.jit(jax.vmap(lambda a, w: rb.static_deflection(robot, a, w)))
+    d = np.asarray(deflect(jnp.asarray(q), jnp.asarray(wrench)))
+    fit = identification.fit_joint_stiffness(robot, q, wrench, d[:, :3])
+    K = np.asarray(robot.joint_stiffness)
+    np.testing.assert_allclose(fit.stiffness, K, rtol=2e-2)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_noise_outliers_and_a_wrist_at_rest(seed):
+    robot = wristless()
+    q, wrench, draw = loads(robot, 20, seed)
+    d = moved(robot, q, wrench)[:, :3]
+    d *= 1 + 0.05 * draw.normal(size=d.shape)
+    bad = sorted(draw.choice(20, 2, replace=False))
+    d[bad[0]] *= -1
+    d[bad[1]] *= 2.5
+    fit = identification.fit_joint_stiffness(robot, q, wrench, d)
+    assert fit.outliers == tuple(bad)
+    assert fit.identifiable.tolist() == [True] * 3 + [False] * 3
+    K = np.asarray(robot.joint_stiffness)
+    np.testing.assert_allclose(fit.stiffness[:3], K[:3], rtol=0.05)
+    assert np.isnan(fit.stiffness[3:]).all()
+    assert "axis_5" in " ".join(fit.notes)
+    assert (np.abs(fit.stiffness[:3] - K[:3]) < 4 * fit.standard_errors[:3]).all()
+    # A bound that the truth respects, where there is no number.
+    assert (fit.stiffness_bound < K * 1.05).all()
+
+
+def test_permuted_axes_are_a_bad_fit():
+    robot = arm()
+    q, wrench, draw = loads(robot, 20, 5)
+    d = moved(robot, q, wrench)[:, :3]
+    d += 0.05 * np.sqrt(np.mean(d**2)) * draw.normal(size=d.shape)
+    fit = identification.fit_joint_stiffness(robot, q, wrench, d[:, [1, 2, 0]])
+    assert fit.explained < 0.5 and not fit.is_consistent
+    assert not fit.identifiable.any() and np.isnan(fit.stiffness).all()
+    assert "(z, x, y)" in " ".join(fit.notes)
+
+
+def test_a_constant_offset_is_fitted_when_asked():
+    robot = arm()
+    q, wrench, _ = loads(robot, 12, 6)
+    d = moved(robot, q, wrench)[:, :3] + np.array([[1e-3, -2e-3, 3e-3]])
+    fit = identification.fit_joint_stiffness(robot, q, wrench, d, has_offset=True)
+    assert fit.offset is not None
+    np.testing.assert_allclose(fit.offset, [1e-3, -2e-3, 3e-3], rtol=1e-6)
+    K = np.asarray(robot.joint_stiffness)
+    np.testing.assert_allclose(fit.stiffness, K, rtol=1e-6)
+
+
+def test_standard_errors_cover_the_truth():
+    robot = arm()
+    K = np.asarray(robot.joint_stiffness)
+    off = []
+    for seed in range(40):
+        q, wrench, draw = loads(robot, 10, seed)
+        d = moved_fast(robot, q, wrench) @ (1 / K)
+        d += 0.03 * np.sqrt(np.mean(d**2)) * draw.normal(size=d.shape)
+        fit = identification.fit_joint_stiffness(robot, q, wrench, d, noise="absolute")
+        off.append((fit.compliance - 1 / K) / fit.compliance_errors)
+    within = np.mean(np.abs(np.stack(off)) < 2)
+    assert 0.9 < within < 0.99
+
+
+def moved_fast(robot, q, wrench):
+    J = np.asarray(jax.vmap(functools.partial(rb.jacobian, robot))(jnp.asarray(q)))
+    return (J * np.einsum("pcj,pc->pj", J, wrench)[:, None])[:, :3]
+
+
+def test_suggested_tests_show_the_missing_joints():
+    # Forces along the axis of joint 1 never turn it; a tool on the axis of the last
+    # joint cannot turn that.
+    robot = arm((0.0, 0.0, 0.2))
+    q, wrench, draw = loads(robot, 8, 3)
+    wrench[:, :2] = 0
+    d = moved(robot, q, wrench)[:, :3]
+    d += 0.02 * np.sqrt(np.mean(d**2)) * draw.normal(size=d.shape)
+    fit = identification.fit_joint_stiffness(robot, q, wrench, d)
+    assert not fit.identifiable[0] and not fit.identifiable[5]
+    more = identification.suggest_load_tests(robot, fit, q, wrench)
+    assert more.hopeless == (robot.joint_names[5],)
+    q, wrench = np.vstack([q, more.q]), np.vstack([wrench, more.wrench])
+    d = moved(robot, q, wrench)[:, :3]
+    d += 0.02 * np.sqrt(np.mean(d[:8] ** 2)) * draw.normal(size=d.shape)
+    again = identification.fit_joint_stiffness(robot, q, wrench, d)
+    assert again.identifiable[0]
+    assert more.relative_errors[0] < 0.1
+
+
+def test_tables_of_a_wrong_shape_are_refused():
+    robot = arm()
+    q, wrench, _ = loads(robot, 4, 0)
+    with pytest.raises(ValueError, match=r"`wrench` must have shape \(4, 3\)"):
+        identification.fit_joint_stiffness(robot, q, wrench[:3], wrench)
+    with pytest.raises(ValueError, match="`displacement`"):
+        identification.fit_joint_stiffness(robot, q, wrench, np.full((4, 3), np.nan))
+    wrench[2, 0] = np.nan
+    with pytest.raises(ValueError, match="row 2"):
+        identification.fit_joint_stiffness(robot, q, wrench, q[:, :3])
