@@ -42,7 +42,13 @@ def both(robot, *args):
 
 
 @pytest.mark.parametrize(
-    ("count", "is_forked"), [(1, False), (2, False), (6, True), (12, False)]
+    ("count", "is_forked"),
+    [
+        (1, False),
+        (2, False),
+        (6, True),
+        pytest.param(12, False, marks=pytest.mark.slow),
+    ],
 )
 def test_both_algorithms_agree_on_random_trees(rng, count, is_forked):
     robot = random_tree(rng, count, is_forked=is_forked)
@@ -85,6 +91,7 @@ def test_derivatives_are_central_differences(soft_arm, rng, difference, algorith
     np.testing.assert_allclose(change, expected @ along, rtol=1e-6, atol=1e-8 * size)
 
 
+@pytest.mark.slow
 def test_derivatives_by_masses_and_of_second_order_agree(planar_arm, rng):
     n = planar_arm.joint_count
     q, qd, tau = map(jnp.asarray, rng.uniform(-1, 1, (3, n)))
