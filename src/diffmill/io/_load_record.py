@@ -11,6 +11,7 @@ from ..identification import Record, find_saturated
 from ._record_columns import Channels, channels_of
 from ._record_csv import read_text
 from ._record_error import RecordError
+from ._record_files import read_mat, read_netcdf, read_tdms
 from ._record_table import Table
 from ._record_time import Timeline, timeline
 
@@ -24,9 +25,10 @@ def load_record(
 ) -> Record:
     """Return a record of measured forces from a file.
 
-    Text with any header and delimiter is read, DynoWare's export among it. Units come
-    from the header, in brackets, after the name, or in a row of their own; a column
-    without one is taken in SI and said so in `notes`. Forces are neither turned nor
+    Text with any header and delimiter is read, DynoWare's export among it, and TDMS,
+    MAT and NetCDF (TDMS and MAT 7.3 need the extra `forces`). Units come from the file,
+    in text in brackets, after the name, or in a row of their own; a column without one
+    is taken in SI and said so in `notes`. Forces are neither turned nor
     mirrored, and a saturated or missing sample is marked, not replaced.
 
     Args:
@@ -60,7 +62,7 @@ def load_record(
     line = None
     if found is not None:
         is_valid = np.asarray(np.isfinite(found.force).all(axis=1))
-        line = timeline(found.time, is_valid, rate or table.rate, faults, notes)
+        line = timeline(found.time, is_valid, rate or found.rate, faults, notes)
     if line is not None and rate is not None and abs(line.rate / rate - 1) > _SAME_RATE:
         faults.append(
             f"the rate is given as {rate:g} Hz, but the time column has {line.rate:g} "
@@ -72,6 +74,16 @@ def load_record(
 
 
 def _table(file: pathlib.Path) -> Table:
+    """Return the columns of a file; what it begins with decides, then its suffix."""
+    with file.open("rb") as stream:
+        begin = stream.read(128)
+    suffix = file.suffix.lower()
+    if begin.startswith(b"TDSm") or suffix == ".tdms":
+        return read_tdms(file)
+    if begin.startswith(b"MATLAB") or suffix == ".mat":
+        return read_mat(file)
+    if begin.startswith((b"\x89HDF", b"CDF")) or suffix in (".nc", ".nc4", ".cdf"):
+        return read_netcdf(file)
     return read_text(file)
 
 

@@ -45,6 +45,7 @@ class Channels(NamedTuple):
         tacho: Pulses as written, shape (sample,), or None.
         angle: Spindle angle [rad], shape (sample,), or None.
         names: What the file calls the forces.
+        rate: Sampling rate that the file gives [Hz], or None.
     """
 
     time: Float[np.ndarray, " sample"] | None
@@ -52,6 +53,7 @@ class Channels(NamedTuple):
     tacho: Float[np.ndarray, " sample"] | None
     angle: Float[np.ndarray, " sample"] | None
     names: tuple[str, str, str]
+    rate: float | None
 
 
 def channels_of(
@@ -85,15 +87,24 @@ def channels_of(
             array = _in_si(key, column, faults, notes)
             if array is not None:
                 values[key] = array
+    sizes = {key: array.size for key, array in values.items()}
+    if not faults and len(set(sizes.values())) > 1:
+        found_sizes = ", ".join(f"{key} {size}" for key, size in sizes.items())
+        faults.append(f"the channels differ in their number of samples: {found_sizes}.")
+    # A rate of the forces' own comes before one of the whole file.
+    own = {found[key].rate for key in FORCES if found[key] is not None}  # pyright: ignore[reportOptionalMemberAccess]
+    if len(own) > 1:
+        faults.append("the three forces differ in their sampling rates.")
     if faults:
         return None
     names = [found[key].name for key in FORCES]  # pyright: ignore[reportOptionalMemberAccess]
     return Channels(
-        values.get("time", table.time),
+        values.get("time"),
         np.stack([values[key] for key in FORCES], axis=1),
         values.get("tacho"),
         values.get("angle"),
         (names[0], names[1], names[2]),
+        own.pop() or table.rate,
     )
 
 

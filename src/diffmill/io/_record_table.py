@@ -19,11 +19,13 @@ class Column(NamedTuple):
         unit: Its unit, or "" if none is given.
         values: Returns the numbers in that unit, shape (sample,); NaN where a cell
             holds none. A function, so that no unused column is read.
+        rate: Sampling rate of this column [Hz], or None if none is given.
     """
 
     name: str
     unit: str
     values: Callable[[], Float[np.ndarray, " sample"]]
+    rate: float | None = None
 
 
 class Table(NamedTuple):
@@ -32,13 +34,11 @@ class Table(NamedTuple):
     Attributes:
         columns: The columns, in the order of the file.
         rate: Sampling rate that the header gives [Hz], or None.
-        time: Instants [s] that no column holds, or None.
         notes: What was left out while reading, one sentence each.
     """
 
     columns: list[Column]
     rate: float | None = None
-    time: Float[np.ndarray, " sample"] | None = None
     notes: tuple[str, ...] = ()
 
 
