@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from ._types import RealScalarLike, Transform
 from .cutter import AbstractCutter
 from .cutting import AbstractForceLaw
-from .robot import Robot
+from .robot import Robot, ToolRotation
 from .toolpath import Path
 from .workpiece import Stock
 
@@ -102,6 +102,8 @@ class Job(eqx.Module):
         notes: What the user should know but what is no fault.
         bottom_law: The force law of the bottom edges, or None for the one that `law`
             derives (`law.for_bottom()`).
+        tool_rotation: Rotation about the tool axis: "fixed", tool x as near to x of
+            `work` as the axis allows, or "free", chosen by the inverse kinematics.
     """
 
     name: str = eqx.field(static=True)
@@ -119,6 +121,7 @@ class Job(eqx.Module):
     program: str = eqx.field(static=True, default="")
     notes: tuple[str, ...] = eqx.field(static=True, default=())
     bottom_law: AbstractForceLaw | None = None
+    tool_rotation: ToolRotation = eqx.field(static=True, default="fixed")
 
     @property
     def tooth_period(self) -> RealScalarLike:

@@ -337,8 +337,10 @@ def test_rapid_through_the_stock(write):
 def test_out_of_reach(write):
     file = write(("rigid = true", ROBOT.replace("1525", "5525")))
     (problem,) = problems_of(file)
-    for part in ("[robot]", "reach", "time 0.000 s", "5519.0", "work_in_base"):
+    for part in ("[robot]", "reach", "time 0.000 s", "5519.0", "work_in_base", " rows"):
         assert part in problem
+    away = float(problem.split("found is ")[1].split(" mm")[0])
+    assert 2000 < away < 5000
 
 
 def test_joint_limits(write):

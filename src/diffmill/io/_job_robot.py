@@ -1,9 +1,7 @@
-"""The robot of a job: loaded, fitted with drives and tool, and asked for the path."""
+"""The robot of a job: loaded, and fitted with drives and a tool."""
 
 import pathlib
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -11,13 +9,10 @@ from ..cutter import AbstractCutter
 from ..robot import (
     Robot,
     built_in_models,
-    inverse_kinematics_path,
     rpy_matrix,
     with_drives,
     with_tool,
 )
-from ..sim import tool_frame
-from ..toolpath import Path
 from . import _quantity as q
 from ._job_compliance import with_bending_cutter, with_spring
 from ._job_robot_file import check_springs, load_robot
@@ -28,8 +23,6 @@ _DRIVE_KINDS = {
     "joint_damping": (q.ROTARY_DAMPING, q.LINEAR_DAMPING),
     "joint_start": (q.ANGLE, q.LENGTH),
 }
-# Rounding of a limit that the path touches [rad or m].
-_LIMIT_SLACK = 1e-9
 
 
 def pose_matrix(pose: PoseTable | None) -> Float[np.ndarray, "4 4"]:
@@ -132,63 +125,3 @@ def _per_joint(
             problems.append(f"[robot] {key}.{i} ({names[i]}): {error}")
             is_good = False
     return values if is_good else None
-
-
-def check_reach(
-    robot: Robot,
-    path: Path,
-    T_base_work: Float[np.ndarray, "4 4"],
-    joint_start: Float[np.ndarray, " joint"] | None,
-    problems: list[str],
-) -> None:
-    """Note where a path leaves the robot's reach or its joint limits.
-
-    Args:
-        robot: The robot with its tool.
-        path: Desired path.
-        T_base_work: Maps work coordinates to the robot's base, shape (4, 4).
-        joint_start: Joint positions to begin from; None for the robot's home.
-        problems: Receives what is wrong, the first place of each kind.
-    """
-    T_work_tool = np.tile(np.eye(4), (path.step_count, 1, 1))
-    T_work_tool[:, :3, :3] = np.asarray(tool_frame(jnp.asarray(path.axes)))
-    T_work_tool[:, :3, 3] = path.positions
-    Ts = np.asarray(T_base_work @ T_work_tool, dtype=np.dtype(robot.dtype))
-    start = robot.home if joint_start is None else joint_start
-    solution = jax.device_get(inverse_kinematics_path(robot, Ts, start))
-    is_reached = np.asarray(solution.converged)
-    if not is_reached.all():
-        k = int(np.argmin(is_reached))
-        x, y, z = Ts[k, :3, 3] * 1e3
-        problems.append(
-            f"[robot]: {_place(path, k)}: outside the robot's reach, with the tip at "
-            f"({x:.1f}, {y:.1f}, {z:.1f}) mm in base; move the part with work_in_base"
-        )
-        return
-    lower, upper = np.asarray(robot.joint_lower), np.asarray(robot.joint_upper)
-    positions = np.asarray(solution.q)
-    excess = np.maximum(lower - positions, positions - upper)
-    for i in np.flatnonzero((excess > _LIMIT_SLACK).any(axis=0)):
-        k = int(np.argmax(excess[:, i] > _LIMIT_SLACK))
-        scale, unit = (
-            (1e3, "mm")
-            if robot.joint_kinds[i] == "prismatic"
-            else (
-                180 / np.pi,
-                "deg",
-            )
-        )
-        problems.append(
-            f"[robot]: {_place(path, k)}: joint {robot.joint_names[i]} would stand at "
-            f"{positions[k, i] * scale:.1f} {unit}; allowed is "
-            f"{lower[i] * scale:.1f} to {upper[i] * scale:.1f} {unit}"
-        )
-
-
-def _place(path: Path, k: int) -> str:
-    """Return line, time and position of a row of a path."""
-    x, y, z = np.asarray(path.positions)[k] * 1e3
-    line = int(np.asarray(path.line)[k])
-    where = f"program line {line}, " if line else ""
-    time = float(np.asarray(path.time)[k])
-    return f"{where}time {time:.3f} s, position ({x:.3f}, {y:.3f}, {z:.3f}) mm"

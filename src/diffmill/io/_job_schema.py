@@ -77,6 +77,7 @@ class RobotTable(Table):
     work_in_base: PoseTable | None = None
     tool_in_flange: PoseTable | None = None
     joint_start: list[StrictStr] | None = None
+    tool_rotation: Literal["fixed", "free"] = "fixed"
     flange_spring: FlangeSpringTable | None = None
     bending_tool: BendingToolTable | None = None
 

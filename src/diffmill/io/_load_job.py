@@ -17,7 +17,8 @@ from ..toolpath import Path, Program
 from ._job_checks import check_rapids, immersion, notes
 from ._job_cutter import make_cutter
 from ._job_program import read_program, spindle_speed, time_path
-from ._job_robot import check_reach, pose_matrix, read_robot
+from ._job_reach import check_reach
+from ._job_robot import pose_matrix, read_robot
 from ._job_schema import (
     CorrectionTable,
     ProgramTable,
@@ -174,7 +175,15 @@ def _build(
     work = getattr(tables.get("robot"), "work_in_base", None)
     T_base_work = pose_matrix(work)
     if desired is not None and robot is not None and work is not None:
-        check_reach(robot, desired, T_base_work, start, problems)
+        check_reach(
+            robot,
+            desired,
+            T_base_work,
+            start,
+            tables["robot"].tool_rotation,
+            problems,
+            robot_notes,
+        )
     if desired is not None and cutter is not None and stock is not None:
         check_rapids(desired, cutter, stock, problems)
     simulation = _simulation(tables, cutter, speed, (desired, stock), problems)
@@ -224,6 +233,7 @@ def _assemble(
         robot=robot,
         T_base_work=T_base_work,
         joint_start=start,
+        tool_rotation=tables["robot"].tool_rotation,
         simulation=simulation,
         correction=_correction(tables["correction"]),
         source=text,

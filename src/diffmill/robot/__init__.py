@@ -87,6 +87,7 @@ from ._modes import (
     mode_shapes as mode_shapes,
     natural_frequencies as natural_frequencies,
 )
+from ._pose_task import ToolRotation as ToolRotation
 from ._receptance import receptance as receptance
 from ._rnea import (
     bias_forces as bias_forces,
@@ -95,6 +96,7 @@ from ._rnea import (
 )
 from ._robot import Robot as Robot, with_drives as with_drives, with_tool as with_tool
 from ._rotations import rpy_matrix as rpy_matrix
+from ._singularity import Singularity as Singularity, singularity as singularity
 from ._skeleton import Skeleton as Skeleton, skeleton as skeleton
 from ._terms import ArmTerms as ArmTerms, arm_terms as arm_terms
 from ._workspace import (

@@ -292,7 +292,8 @@ def command_joints(
 ) -> tuple[Float[Array, "step joint"], Bool[Array, ""]]:
     """Return the joint positions of tip positions, and whether all are reached.
 
-    The tool axis is the path's, tool x as near to x of `work` as that allows.
+    The tool axis is the path's, tool x as near to x of `work` as that allows, or as
+    it suits the joints if the job leaves the tool's rotation free.
     """
     robot = job.robot
     if robot is None:
@@ -306,7 +307,7 @@ def command_joints(
         Ts = Ts.at[:, :3, :3].set(T_base_work[None, :3, :3] @ frames)
     Ts = Ts.at[:, :3, 3].set(tips)
     start = robot.home if job.joint_start is None else jnp.asarray(job.joint_start)
-    found = inverse_kinematics_path(robot, Ts, start)
+    found = inverse_kinematics_path(robot, Ts, start, tool_rotation=job.tool_rotation)
     return found.q, jnp.all(found.converged)
 
 

@@ -1,0 +1,129 @@
+"""What inverse kinematics solves: the rows of a pose, and what is left free.
+
+With the rotation about the tool axis fixed, the tool's frame is to be that of the
+pose: six rows. With it free, only the tip and the direction of the tool axis count: a
+rotating cutter does not care how its spindle is turned. Where that leaves a family of
+solutions, the one nearest to the middle of the joints' ranges is taken. It belongs to
+the pose and not to the way there, so that a closed path closes in the joints too.
+"""
+
+from typing import Literal, TypeAlias
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..numerics import clamp
+from ._kinematics import JointFrames, joint_frames, tool_jacobian
+from ._robot import Robot
+from ._rotations import rotation_between
+
+# Whether the rotation about the tool axis is the pose's, or chosen.
+ToolRotation: TypeAlias = Literal["fixed", "free"]
+
+# The pull towards the middle is x + x^15 in half ranges: gentle inside, a wall beyond.
+_WALL = 15
+# Where the wall stops rising, far beyond any limit: a power must not overflow.
+_HIGHEST = 10.0
+# Half a range of a joint without limits [rad or m], and the least half of any.
+_UNLIMITED, _NARROWEST = 3.0, 1e-6
+
+
+class PoseTask(eqx.Module):
+    """What is left to a pose, and how the motors change it.
+
+    Attributes:
+        error: From the tool to the pose: position in base [m], then rotation [rad];
+            shape (row,), 6 rows if the tool's rotation is fixed, else 5.
+        jacobian: Motion of these rows by the motors, shape (row, joint); 0 for
+            virtual joints.
+    """
+
+    error: Float[Array, " row"]
+    jacobian: Float[Array, "row joint"]
+
+
+def pose_task(
+    robot: Robot,
+    T_base_tool: Float[Array, "4 4"],
+    q: Float[Array, " joint"],
+    tool_rotation: ToolRotation,
+) -> PoseTask:
+    """Return the task of a pose at given joint positions."""
+    frames = joint_frames(robot, q)
+    J = motor_jacobian(robot, frames, tool_rotation)
+    shift = T_base_tool[:3, 3] - frames.tool_position
+    turn = (
+        rotation_between(T_base_tool[:3, :3], frames.tool_rotation)
+        if tool_rotation == "fixed"
+        else _tilt(frames.tool_rotation.T @ T_base_tool[:3, 2])
+    )
+    return PoseTask(jnp.concatenate([shift, turn]), J)
+
+
+def motor_jacobian(
+    robot: Robot, frames: JointFrames, tool_rotation: ToolRotation
+) -> Float[Array, "row joint"]:
+    """Return how the motors move the rows of a task; free rows are in tool axes."""
+    J = jnp.where(robot.motor_mask()[None, :], tool_jacobian(robot, frames), 0.0)
+    if tool_rotation == "fixed":
+        return J
+    across = frames.tool_rotation[:, :2].T
+    return jnp.concatenate([J[:3], across @ J[3:]])
+
+
+def _tilt(axis: Float[Array, " 3"]) -> Float[Array, " 2"]:
+    """Return the x and y rotation that turns z to an axis: 2 sin(angle / 2) long."""
+    # |z + axis| / 2 = cos(angle / 2); the floor keeps half a turn finite.
+    half_cosine = jnp.sqrt(jnp.maximum(0.5 * (1.0 + axis[2]), 1e-4))
+    return jnp.stack([-axis[1], axis[0]]) / half_cosine
+
+
+def damped_inverse(
+    J: Float[Array, "row joint"],
+    damping: Float[Array, ""],
+    weights: Float[Array, " joint"] | None = None,
+) -> Float[Array, "joint row"]:
+    """Return W J^T (J W J^T + damping I)^-1, finite everywhere; W = 1 if None."""
+    scaled = J if weights is None else J * weights[None]
+    gram = scaled @ J.T
+    # The floor is far above rounding and far below any useful singular value.
+    floor = jnp.asarray(jnp.finfo(J.dtype).eps ** 0.75, J.dtype) * jnp.trace(gram)
+    shift = (damping + floor) * jnp.eye(J.shape[0], dtype=J.dtype)
+    return jnp.linalg.solve(gram + shift, scaled).T
+
+
+def free_step(
+    robot: Robot,
+    T_base_tool: Float[Array, "4 4"],
+    q: Float[Array, " joint"],
+    damping: Float[Array, ""],
+    share: float = 1.0,
+) -> Float[Array, " joint"]:
+    """Return a step to the pose and, where that leaves a choice, to the middle.
+
+    A Gauss-Newton step for the pose, in the metric of the pull's slope; in its null
+    space a share of a Newton step for the pull. It vanishes exactly at the solution.
+    """
+    task = pose_task(robot, T_base_tool, q, "free")
+    lower, upper = robot.joint_lower, robot.joint_upper
+    is_limited = jnp.isfinite(lower) & jnp.isfinite(upper)
+    low, high = (jnp.where(is_limited, limit, 0.0) for limit in (lower, upper))
+    half = jnp.where(is_limited, (high - low) / 2, _UNLIMITED)
+    half = jnp.maximum(half, _NARROWEST)
+    middle = jnp.where(is_limited, (low + high) / 2, robot.home)
+    x = clamp(-_HIGHEST, (q - middle) / half, _HIGHEST)
+    slope = 1.0 + _WALL * x ** (_WALL - 1)
+    pull = -share * half * (x + x**_WALL) / slope
+    pull = jnp.where(robot.motor_mask(), pull, -q)
+    inverse = damped_inverse(task.jacobian, damping, half**2 / slope)
+    return pull + inverse @ (task.error - task.jacobian @ pull)
+
+
+def free_slope(
+    robot: Robot, T_base_tool: Float[Array, "4 4"], q: Float[Array, " joint"]
+) -> Float[Array, "joint joint"]:
+    """Return the derivative of the undamped `free_step` in the joint positions."""
+    none = jnp.zeros((), q.dtype)
+    return jax.jacfwd(lambda x: free_step(robot, T_base_tool, x, none))(q)

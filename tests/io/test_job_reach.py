@@ -1,0 +1,141 @@
+"""What a job says of a robot that cannot follow its path, before anything runs."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from diffmill import robot as rb
+from diffmill.io import JobError, load_job
+from diffmill.io._job_reach import check_reach
+from diffmill.sim import command_joints, with_precision
+from diffmill.toolpath import vertical_path
+
+PROGRAM = "G21 G17 G90 G94\nG0 X-6 Y5 Z1\nG0 Z-1\nG1 X20 F3000\nG0 Z1\nM2\n"
+JOB = """
+[cutter]
+kind = "flat"
+diameter = "10 mm"
+teeth = 2
+flute_length = "22 mm"
+[spindle]
+speed = "8000 rpm"
+[force]
+K_tc = "989.8 N/mm^2"
+K_rc = "337.3 N/mm^2"
+K_ac = "66.9 N/mm^2"
+[stock]
+lower = ["0 mm", "0 mm", "-3 mm"]
+upper = ["20 mm", "10 mm", "0 mm"]
+spacing = "0.25 mm"
+[program]
+file = "part.ngc"
+[robot]
+"""
+ARM = 'model = "reis_rv130_like"\n'
+# Three slides along the axes of the base, and a tool that they cannot turn.
+SLIDES = "".join(
+    f"""
+[[elements]]
+kind = "prismatic"
+name = "{name}"
+axis = {axis}
+stiffness = "1e6 N/m"
+lower = "-1 m"
+upper = "{upper}"
+home = "-10 mm"
+[[elements]]
+kind = "body"
+mass = "5 kg"
+inertia = ["1 kg*m^2", "1 kg*m^2", "1 kg*m^2", "0 kg*m^2", "0 kg*m^2", "0 kg*m^2"]
+"""
+    for name, axis, upper in (
+        ("x", [1.0, 0.0, 0.0], "5 mm"),
+        ("y", [0.0, 1.0, 0.0], "1 m"),
+        ("z", [0.0, 0.0, 1.0], "-0.2 mm"),
+    )
+)
+
+
+def place(x, y, z, yaw=0):
+    position = ", ".join(f'"{value} mm"' for value in (x, y, z))
+    rpy = f'rpy = ["0 deg", "0 deg", "{yaw} deg"]'
+    return f"work_in_base = {{ position = [{position}], {rpy} }}\n"
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Write a job with a robot table beside its program; return its path."""
+
+    def write(robot, program=PROGRAM):
+        (tmp_path / "job.toml").write_text(JOB + robot)
+        (tmp_path / "part.ngc").write_text(program)
+        (tmp_path / "slides.toml").write_text(f'name = "slides"\n{SLIDES}')
+        return tmp_path / "job.toml"
+
+    return write
+
+
+def problems_of(file):
+    with pytest.raises(JobError) as error:
+        load_job(file)
+    return error.value.problems
+
+
+SLIDING = 'file = "slides.toml"\n'
+
+
+def test_every_joint_beyond_its_limits_is_named(write):
+    first, second = problems_of(write(SLIDING + place(0, 0, 0)))
+    # The program goes to x = 20 mm and up to z = 1 mm.
+    for part in ("joint x", "-1000.0 to 5.0 mm", "up to 15.0 mm more", "rows"):
+        assert part in first
+    for part in ("time 0.000 s", "joint z would stand at 1.0 mm", "up to 1.2 mm more"):
+        assert part in second
+
+
+def test_a_free_tool_rotation_reaches_where_a_fixed_one_does_not(write):
+    turned = SLIDING + place(-100, 0, -100, yaw=30)
+    (problem,) = problems_of(write(turned))
+    for part in ("time 0.000 s", "0.0 mm and 30.0 deg away", "so are ", " rows"):
+        assert part in problem
+    assert problem.endswith('tool_rotation = "free" would reach it')
+    job = load_job(write(turned + 'tool_rotation = "free"\n'))
+    assert job.tool_rotation == "free"
+    q, is_reached = command_joints(with_precision(job), jnp.asarray(job.path.positions))
+    assert bool(is_reached)
+    # The slides' positions are those of the tip in the base.
+    R, p = np.asarray(job.T_base_work)[:3, :3], np.asarray(job.T_base_work)[:3, 3]
+    np.testing.assert_allclose(q, job.path.positions @ R.T + p[None], atol=1e-9)
+
+
+def test_a_nearly_singular_pose_is_a_note(write):
+    # A tool that leaves the flange sideways stands upright when the wrist is straight.
+    tool = 'tool_in_flange = { position = ["0 mm", "0 mm", "200 mm"], '
+    tool += 'rpy = ["0 deg", "90 deg", "0 deg"] }\n'
+    job = load_job(write(ARM + place(1950, 0, 1880, yaw=180) + tool))
+    (note,) = [note for note in job.notes if "singular" in note]
+    for part in ("time ", "position (", "(axis_4, axis_6)", "singular value", "rows"):
+        assert part in note
+
+
+def test_a_change_of_configuration_is_a_fault():
+    # Close past its own base axis the arm must swing round within a few rows.
+    arm = rb.build(
+        [
+            part
+            for name in ("one", "two")
+            for part in (
+                rb.RevoluteJoint(name, (0, 0, 1)),
+                rb.RigidBody(1.0, (0.1, 0.0, 0.0), np.eye(3)),
+                rb.FixedTranslation((0.5, 0.0, 0.0)),
+            )
+        ],
+        name="flat",
+    )
+    x = np.array([20, 12, 4, -4, -12, -20]) * 1e-3
+    path = vertical_path(np.arange(6) * 4e-3, np.stack([x, 0 * x + 0.012, 0 * x], 1))
+    problems, notes = [], []
+    check_reach(arm, path, np.eye(4), np.array([-1.0, 3.0]), "free", problems, notes)
+    (problem,) = problems
+    for part in ("time 0.012 s", "joint one turns by 36.9 deg", "joint_start"):
+        assert part in problem
