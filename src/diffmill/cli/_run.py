@@ -179,4 +179,30 @@ def _summary(dataset: Dataset, job: "Job") -> str:
         errors = (found.rms, found.percentile_95, found.maximum)
         numbers = "".join(f"{value * 1e6:10.2f}" for value in errors)
         rows.append(f"{case:16}{numbers}{found.force_mean:12.2f}")
-    return "\n".join(rows)
+    return "\n".join([*rows, *_parts(dataset)])
+
+
+def _parts(dataset: Dataset) -> list[str]:
+    """Return lines of the mean, the parts of the path and the price of each case."""
+    from ..viz import case_parts
+
+    cases = case_parts(dataset)
+    if not cases:
+        return []
+    parts = [part for part, rows in cases[0].rows.items() if rows]
+    head = "".join(f"{part:>10}" for part in parts)
+    rows = [
+        "",
+        "mean vector and rms by part of the path [um], largest acceleration of the "
+        "command [m/s^2], simulations",
+        f"{'case':16}{'mean x':>9}{'y':>9}{'z':>9}{head}{'accel.':>8}{'runs':>6}"
+        f"{'time':>9}",
+    ]
+    for case in cases:
+        mean = "".join(f"{1e6 * value:9.2f}" for value in case.mean)
+        rms = "".join(f"{1e6 * case.rms[part]:10.2f}" for part in parts)
+        rows.append(
+            f"{case.name:16}{mean}{rms}{case.max_acceleration:8.2f}"
+            f"{case.forward_runs:6d}{case.seconds:7.1f} s"
+        )
+    return rows

@@ -42,6 +42,7 @@ from ._method import (
     GivenCommand as GivenCommand,
 )
 from ._mirror import IteratedMirror as IteratedMirror, Mirror as Mirror
+from ._parts import PARTS as PARTS, by_part as by_part, path_parts as path_parts
 from ._problem import (
     Motion as Motion,
     Plant as Plant,

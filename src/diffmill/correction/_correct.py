@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from .._job import Job
 from ..sim import (
@@ -29,6 +29,7 @@ from ._inverse_drive import inverse_drive
 from ._least_squares import LeastSquaresStep, LevenbergMarquardt
 from ._method import Corrected, GivenCommand
 from ._mirror import IteratedMirror, Mirror
+from ._parts import path_parts
 from ._problem import Motion, Problem
 from ._projection import clip_offset
 from ._response import tip_response
@@ -39,17 +40,6 @@ if TYPE_CHECKING:
 # Called with a message and the rms contour error so far [m].
 OnProgress = Callable[[str, float], None]
 
-# Rows that differ from case to case.
-_BY_CASE = (
-    "commanded",
-    "actual",
-    "force",
-    "removed_volume",
-    "deviation",
-    "contour_error",
-    "motor_positions",
-    "joint_positions",
-)
 CASES = ("uncorrected", "mirror", "mirror_iterated", "inverse_drive", "corrected")
 
 
@@ -92,12 +82,14 @@ class Correction(eqx.Module):
         cases: Solution of each case, by name, in the order of `CASES`.
         methods: What each method reported, by name.
         wall_time: Time that each method took, compilation included [s].
+        path_part: Part of the path of each row, see `path_parts`, shape (step,).
         chosen: Name of the case whose command is the corrected program.
     """
 
     cases: dict[str, Solution]
     methods: dict[str, Corrected]
     wall_time: dict[str, float]
+    path_part: Int[np.ndarray, " step"]
     chosen: str = eqx.field(static=True)
 
     @property
@@ -126,24 +118,10 @@ class Correction(eqx.Module):
         return self.methods["corrected"].history
 
     def to_dataset(self) -> "xarray.Dataset":
-        """Return all cases on the dimension `case`, costs in the attributes."""
-        import xarray
+        """Return all cases on `case`, figures by part of the path, and costs."""
+        from ._dataset import correction_dataset
 
-        names = list(self.cases)
-        dataset = xarray.concat(
-            [self.cases[name].to_dataset() for name in names],
-            dim=xarray.DataArray(names, dims="case", name="case"),
-            data_vars=[*_BY_CASE],
-            combine_attrs="drop_conflicts",
-        )
-        for name, method in self.methods.items():
-            dataset.attrs[f"{name}_wall_time_s"] = self.wall_time[name]
-            dataset.attrs[f"{name}_forward_runs"] = method.forward_runs
-            dataset.attrs[f"{name}_products"] = method.products
-            for key, value in method.detail.items():
-                dataset.attrs[f"{name}_{key}"] = value
-        dataset.attrs["corrected_case"] = self.chosen
-        return dataset
+        return correction_dataset(self)
 
 
 def correct(
@@ -229,7 +207,13 @@ def correct(
         name: _solution(job, rigid, methods[name].command, adjoint) for name in methods
     }
     chosen = "corrected" if settings.method == "gauss_newton" else settings.method
-    return Correction(cases, methods, wall_time, chosen)
+    parts = path_parts(
+        np.asarray(desired),
+        np.asarray(before.is_cutting),
+        job.cutter.nominal_radius,
+        removed_volume=np.asarray(rigid.removed_volume),
+    )
+    return Correction(cases, methods, wall_time, parts, chosen)
 
 
 def _problem(

@@ -13,6 +13,7 @@ nothing here computes physics. matplotlib and plotly are imported when a figure 
 drawn, and pyplot's global state is not touched.
 """
 
+from ._case_parts import CaseParts as CaseParts, case_parts as case_parts
 from ._cases import CaseNumbers as CaseNumbers, case_numbers as case_numbers
 from ._chip import ChipChart as ChipChart, plot_chip as plot_chip
 from ._dexels import (

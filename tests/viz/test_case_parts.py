@@ -1,0 +1,56 @@
+"""The figures by part of the path, in the report and the table of the command line."""
+
+import numpy as np
+import pytest
+
+from diffmill.cli._run import _parts
+from diffmill.viz import case_parts, write_report
+
+from .synthetic import SCALES
+
+
+@pytest.fixture
+def result(correction):
+    size = np.array(list(SCALES.values()))
+    rms = size[:, None] * np.array([[80e-6, 60e-6, np.nan, 40e-6]])
+    mean = size[:, None] * np.array([[1e-6, -2e-6, 3e-6]])
+    dataset = correction.assign(
+        contour_mean=(("case", "axis"), mean),
+        part_rms=(("case", "part"), rms),
+        part_max=(("case", "part"), 2 * rms),
+        part_rows=(("part",), np.array([10, 12, 0, 90], np.int32)),
+        max_acceleration=(("case",), 1.0 + size),
+    ).assign_coords(part=["entry", "exit", "corner", "plateau"])
+    dataset.attrs["mirror_forward_runs"] = 2
+    return dataset
+
+
+def test_figures_are_those_of_the_case(result):
+    mirror = case_parts(result)[1]
+    assert mirror.name == "mirror"
+    assert mirror.rms["plateau"] == pytest.approx(0.45 * 40e-6)
+    assert mirror.maximum["entry"] == pytest.approx(0.9 * 80e-6)
+    assert mirror.rows == {"entry": 10, "exit": 12, "corner": 0, "plateau": 90}
+    np.testing.assert_allclose(mirror.mean, 0.45e-6 * np.array([1.0, -2.0, 3.0]))
+    assert (mirror.forward_runs, mirror.seconds) == (2, 0.9)
+    assert mirror.max_acceleration == pytest.approx(1.45)
+
+
+def test_report_and_command_line_leave_out_a_part_without_rows(tmp_path, result):
+    page = write_report(tmp_path, result, {}).read_text(encoding="utf-8")
+    assert "By part of the path" in page
+    assert "80.0 / 160.0" in page and "corner: rms" not in page
+    lines = _parts(result)
+    assert "corner" not in lines[2]
+    mirror = next(line for line in lines if line.startswith("mirror "))
+    assert mirror.split()[1:] == [
+        *("0.45", "-0.90", "1.35", "36.00", "27.00", "18.00"),
+        *("1.45", "2", "0.9", "s"),
+    ]
+
+
+def test_a_simulation_has_no_such_table(tmp_path, simulation):
+    assert case_parts(simulation) == ()
+    assert _parts(simulation) == []
+    page = write_report(tmp_path, simulation, {}).read_text(encoding="utf-8")
+    assert "By part of the path" not in page
