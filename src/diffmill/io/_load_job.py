@@ -292,7 +292,7 @@ def _simulation(
         angles=angles,
         substeps=substeps,
         element_height=table.element_height
-        or default_element_height(table.chip, stock.spacing),
+        or default_element_height(table.chip, stock.spacing, cutter),
         axial_depth=table.axial_depth or immersion(path, cutter, stock) + _ROOM,
         precision=table.precision,
         is_gravity_compensated=table.gravity_compensated,

@@ -77,17 +77,24 @@ def engagement_in_space(
     elements = profile_elements(plan, cutter, predicted.tip.dtype)
     angle, tooth = _leading(plan, cutter, elements, state, index, predicted)
     place = jax.vmap(lambda p, phi: _edge(cutter, elements, p, phi))
-    points, _, along = place(predicted, angle)
-    # The layer on a bottom edge may be thin: its point is looked up a little below.
-    is_bottom = jnp.arange(elements.height.size, dtype=jnp.int32)
-    is_bottom = (is_bottom < elements.bottom_count)[None, None, None, :, None]
-    down = plan.discs.band * predicted.direction()[:, None, None, None]
-    points = jnp.where(is_bottom, points - down, points)
-    extent = elements.width[None, None, None, :, None] * along
+    points, normals, along = place(predicted, angle)
+    # What an edge that moves on takes: a chip as thick as it moves along its normal.
+    motion = (predicted.tip - state.recent.tip[0])[:, None, None, None]
+    chip = jnp.maximum(jnp.sum(motion * normals, axis=-1, keepdims=True), 0) * normals
+    cell = jnp.stack(
+        [
+            elements.width[None, None, None, :, None] * along,
+            (2 * math.pi / plan.angles)
+            * elements.radius[None, None, None, :, None]
+            * jnp.cross(along, normals),
+            chip,
+        ],
+        axis=-2,
+    )
     weight = occupancy_in_space(
         state.stock,
         points.reshape(-1, 3),
-        extent.reshape(-1, 3),
+        cell.reshape(-1, 3, 3),
         plan.discs.band,
         cutter,
         adjoint.table(state.poses),

@@ -7,6 +7,7 @@ from typing import Literal, TypeAlias
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from .._types import FloatRows3
@@ -115,9 +116,28 @@ def descends(positions: FloatRows3, top: float) -> bool:
     return bool(np.any(falls & (rows[1:, 2] < top)))
 
 
-def default_element_height(chip: ChipModel, spacing: float) -> float:
-    """Return the height of a disc for a spacing of the rays, both [m]."""
-    return _HEIGHT[chip] * spacing
+def default_element_height(
+    chip: ChipModel, spacing: float, cutter: AbstractCutter
+) -> float:
+    """Return the height of a disc if none is asked for.
+
+    Over one disc a helical edge lags by no more than a default sample, or entry and
+    exit would come in steps that the instantaneous force shows.
+
+    Args:
+        chip: The chip model.
+        spacing: Spacing of the rays [m].
+        cutter: The cutter; a helix angle that is traced is not known and left out.
+
+    Returns:
+        The height [m].
+    """
+    height = _HEIGHT[chip] * spacing
+    if not cutter.has_helix or isinstance(cutter.helix_angle, Tracer):
+        return height
+    turn = 2 * math.pi / _ANGLES
+    slope = abs(math.tan(float(cutter.helix_angle)))
+    return min(height, cutter.nominal_radius * turn / slope)
 
 
 def process_plan(
@@ -144,7 +164,7 @@ def process_plan(
             At least 180 if not given.
         substeps: Sub-steps per tooth period.
         element_height: Height of a disc [m]; if not given 3.5 ray spacings, one for
-            a point cloud.
+            a point cloud, less for a steep helix: see `default_element_height`.
         axes: Tool axes that will occur, shape (step, 3); used if not upright.
         is_upright: Whether the tool stands along +z all the time.
         plunges: Whether the path descends in material, so that the bottom cuts.
@@ -164,7 +184,7 @@ def process_plan(
         angles = _ANGLES if is_simple else _ANGLES_IN_SPACE
     angles = math.ceil(angles / unit) * unit
     if element_height is None:
-        element_height = default_element_height(chip, stock.spacing)
+        element_height = default_element_height(chip, stock.spacing, cutter)
     dz = float(element_height)
     radius = cutter.nominal_radius
     # Samples on the rim farther apart than the rays must not step over a wall.

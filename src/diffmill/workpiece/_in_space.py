@@ -11,8 +11,12 @@ edge that goes in (inside of one is enough). The least, or the greatest, of the 
 distances answers all three cases. A family that sees the face at a flat angle, or
 whose rays partly meet nothing, knows less and is held back.
 
-A piece of edge is not a point: what counts is the mean of the smooth step over it, so
-that pieces in a row add up to the length in the material.
+A piece of edge is not a point: what counts is the mean of the smooth step over it and
+over its way to the next sample, so that pieces in a row add up to the length in the
+material. Where the surface is not crossed but followed this says little: an edge that
+slides over what an earlier pass left is half in and half out, however it is smoothed.
+There the chip decides, which begins at the edge and ends inward: without material in
+it, the edge is out.
 """
 
 import equinox as eqx
@@ -30,8 +34,11 @@ from ._stock import Stock
 # below the second.
 _HEARD, _UNHEARD = 0.3, 0.1
 _TINY = 1e-6
-# Shorter pieces count as this share of the band, so that their mean is well defined.
-_SHORTEST_PIECE = 0.1
+# Shorter ways across a surface count as this share of the band: what the rays resolve
+# of a smooth surface.
+_SHORTEST = 0.03
+# Shares of a chip in the material from which on its edge is out, and in.
+_NO_CHIP, _CHIP = 0.05, 0.3
 # Slope of a cut end against the motion of its pose is cut off at grazing rays.
 _GRAZING = 1e-2
 
@@ -59,7 +66,7 @@ class _Face(eqx.Module):
 def occupancy_in_space(
     stock: Stock,
     points: Float[Array, "point 3"],
-    extents: Float[Array, "point 3"],
+    cells: Float[Array, "point edge 3"],
     band: float,
     cutter: AbstractCutter,
     poses: Pose | None = None,
@@ -69,8 +76,9 @@ def occupancy_in_space(
     Args:
         stock: The workpiece.
         points: Middles of the pieces in `work` [m], shape (point, 3).
-        extents: From one end of each piece to the other [m], shape (point, 3).
-        band: Least half-width of the transition from 0 to 1 [m].
+        cells: What each piece takes: from one end to the other, its way to the next
+            sample, and outward through its chip [m], shape (point, 3, 3).
+        band: Resolution of the rays and samples [m].
         cutter: The cutter that cut the stock; used only with `poses`.
         poses: All poses so far, shape (pose, 3), to which the derivative goes; None
             differentiates through the stock.
@@ -88,7 +96,7 @@ def occupancy_in_space(
         cut_by = poses[jnp.maximum(jnp.stack([n.pose for n in near]), 0)]
         ends = [_tie(cutter, near[f], f, cut_by[f]) for f in range(3)]
     combine = jax.checkpoint(_combine, static_argnums=(5,))
-    return combine(points, extents, ends, near, stock.origin, (stock.spacing, band))
+    return combine(points, cells, ends, near, stock.origin, (stock.spacing, band))
 
 
 def _find(stock: Stock, family: int, points: Float[Array, "point 3"]) -> _Near:
@@ -146,7 +154,7 @@ def _tie(
 
 def _combine(
     points: Float[Array, "point 3"],
-    extents: Float[Array, "point 3"],
+    cells: Float[Array, "point edge 3"],
     ends: list[Float[Array, "point 4"]],
     near: tuple[_Near, ...],
     origin: Float[Array, " 3"],
@@ -163,13 +171,40 @@ def _combine(
     empty = sum(f.empty for f in faces)
     least = jnp.min(distance + held, axis=0)
     greatest = jnp.max(distance - held, axis=0)
-    across = jnp.stack([jnp.abs(jnp.sum(f.normal * extents, axis=-1)) for f in faces])
-    across = jnp.sum(trust**2 * across, axis=0) / (jnp.sum(trust**2, axis=0) + _TINY)
+    # How far the surface is crossed along each edge of the cell.
+    across = jnp.stack(
+        [jnp.abs(jnp.sum(f.normal[:, None] * cells, axis=-1)) for f in faces]
+    )
+    says = trust**2 / (jnp.sum(trust**2, axis=0, keepdims=True) + _TINY)
+    across = jnp.sum(says[..., None] * across, axis=0)
     goes_in = jax.lax.stop_gradient(full > empty)
-    inside = jnp.where(goes_in, greatest, least) / band
-    # The mean over the piece: pieces in a row tile the edge.
-    half = jnp.maximum(across, _SHORTEST_PIECE * band) / (2 * band)
-    return (_mean_integral(inside + half) - _mean_integral(inside - half)) / (2 * half)
+    inside = jnp.where(goes_in, greatest, least)
+    along, ahead, inward = (across[:, i] for i in range(3))
+    shortest = _SHORTEST * band
+    width = jnp.maximum(0.5 * ahead, shortest)
+    at_edge = _mean_step(inside, width, jnp.maximum(along, shortest))
+    # The whole cell, from the edge inward; a surface that is merely touched is out.
+    in_chip = _mean_step(
+        inside - inward / 2 - shortest,
+        width,
+        jnp.sqrt(along**2 + inward**2 + shortest**2),
+    )
+    share = (in_chip / (at_edge + _TINY) - _NO_CHIP) / (_CHIP - _NO_CHIP)
+    share = clamp(0.0, share, 1.0)
+    return at_edge * share**2 * (3 - 2 * share)
+
+
+def _mean_step(
+    x: Float[Array, " point"],
+    width: Float[Array, " point"],
+    length: Float[Array, " point"],
+) -> Float[Array, " point"]:
+    """Return the mean of a smooth step of half-width `width` over a piece around x.
+
+    Pieces in a row tile the edge.
+    """
+    x, half = x / width, 0.5 * length / width
+    return (_mean_integral(x + half) - _mean_integral(x - half)) / (2 * half)
 
 
 def _mean_integral(x: Float[Array, " point"]) -> Float[Array, " point"]:
