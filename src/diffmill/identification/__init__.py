@@ -9,6 +9,28 @@ Left out: the dynamometer's own dynamics. Files are read by `diffmill.io.load_re
 Nothing here is applied unasked: functions return new records or proposals.
 """
 
+from ._align import (
+    Alignment as Alignment,
+    align as align,
+    angle_from_tacho as angle_from_tacho,
+)
+from ._axes import (
+    AxesCandidate as AxesCandidate,
+    AxesProposal as AxesProposal,
+    apply_axes as apply_axes,
+    propose_axes as propose_axes,
+)
+from ._cuts import CutSpan as CutSpan, find_cuts as find_cuts
+from ._harmonics import refine_spindle_speed as refine_spindle_speed
+from ._coefficients import (
+    ForceCoefficientFit as ForceCoefficientFit,
+    fit_force_coefficients as fit_force_coefficients,
+)
+from ._cut import (
+    Cut as Cut,
+    EngagementColumns as EngagementColumns,
+    engagement_columns as engagement_columns,
+)
 from ._load_advice import (
     LoadTests as LoadTests,
     suggest_load_tests as suggest_load_tests,
@@ -18,6 +40,13 @@ from ._mean_force import (
     MeanForceFit as MeanForceFit,
     fit_mean_forces as fit_mean_forces,
     mean_force_matrices as mean_force_matrices,
+)
+from ._prepare import (
+    lowpass_record as lowpass_record,
+    remove_drift as remove_drift,
+    remove_offset as remove_offset,
+    resample_record as resample_record,
+    section as section,
 )
 from ._record import Record as Record
 from ._saturation import find_saturated as find_saturated

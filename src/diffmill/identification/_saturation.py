@@ -14,8 +14,8 @@ def find_saturated(
 
     A run of `shortest` or more equal values at the extreme of the whole record counts
     if it is entered or left by a jump of at least five times the resolution, which is
-    the smallest difference between neighbouring samples that are not equal: a smooth
-    maximum that the converter repeats is not clipped.
+    the smallest difference between any two values that are not equal: a smooth maximum
+    that the converter repeats is not clipped.
 
     Args:
         force: Samples of each channel in any unit, shape (sample, axis).
@@ -31,13 +31,14 @@ def find_saturated(
     for axis in range(values.shape[1]):
         column = values[:, axis]
         steps = np.abs(np.diff(column))
-        moves = steps[steps > 0]
-        if moves.size == 0:
+        levels = np.unique(column)
+        if levels.size < 2:
             continue
+        resolution = np.diff(levels).min()
         for extreme in (column.max(), column.min()):
             for start, stop in _runs(column == extreme):
                 edges = steps[max(start - 1, 0) : stop]
-                is_steep = edges.max(initial=0.0) >= _STEEP * moves.min()
+                is_steep = edges.max(initial=0.0) >= _STEEP * resolution
                 out[start:stop, axis] |= stop - start >= shortest and is_steep
     return out
 

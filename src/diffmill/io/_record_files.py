@@ -141,6 +141,8 @@ def _labels_beside(name: str, leaves: list[tuple[str, Any]]) -> list[str] | None
     """Return the first list of texts in the same structure, or None."""
     folder = name.rpartition(".")[0]
     for other, value in leaves:
+        if np.asarray(value).dtype.kind in "fiubc":
+            continue
         texts = np.asarray(value, dtype=object).ravel().tolist()
         is_texts = len(texts) > 1 and all(isinstance(text, str) for text in texts)
         if other.rpartition(".")[0] == folder and is_texts:

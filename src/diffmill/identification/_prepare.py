@@ -1,0 +1,166 @@
+"""Records made ready: tare, drift, filter, new rate. Each returns a new record."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+from jaxtyping import Float
+
+from ..numerics import lowpass
+from ._record import Record
+
+# Cut-off of the filter before a lower rate, as part of that rate.
+_ANTI_ALIAS = 0.4
+
+
+def remove_offset(record: Record, start: float, stop: float) -> Record:
+    """Return a record less the mean force of a section without cut.
+
+    Args:
+        record: The record.
+        start: Where the tare section begins [s].
+        stop: Where it ends [s].
+
+    Raises:
+        ValueError: If fewer than 2 samples lie in the section.
+
+    Differentiability: linear in the force; on the host.
+    """
+    _, level = _mean(record, start, stop)
+    return _with_force(record, record.force - level[None])
+
+
+def remove_drift(
+    record: Record, before: tuple[float, float], after: tuple[float, float]
+) -> Record:
+    """Return a record less the line through two sections without cut.
+
+    The line goes through the mean time and mean force of both sections: charge
+    amplifiers drift by a constant current.
+
+    Args:
+        record: The record.
+        before: Where the tare section before the cut begins and ends [s].
+        after: The same of the one after it.
+
+    Raises:
+        ValueError: If fewer than 2 samples lie in a section or both are the same.
+
+    Differentiability: linear in the force; on the host.
+    """
+    (time_1, level_1), (time_2, level_2) = _mean(record, *before), _mean(record, *after)
+    if time_1 == time_2:
+        raise ValueError("Arguments `before` and `after` must be two sections.")
+    slope = (level_2 - level_1) / (time_2 - time_1)
+    drift = level_1[None] + slope[None] * (record.time - time_1)[:, None]
+    return _with_force(record, record.force - drift)
+
+
+def lowpass_record(record: Record, cutoff: float, *, order: int = 4) -> Record:
+    """Return a record after `numerics.lowpass`, without delay.
+
+    Filter the simulated force with `numerics.lowpass` and the same arguments, so that
+    both sides lose the same. Parts between gaps are filtered apart; a part shorter
+    than two samples stays.
+
+    Args:
+        record: The record.
+        cutoff: Cut-off frequency [Hz], where the gain is 1/2.
+        order: Order of one of the two passes.
+
+    Differentiability: linear in the force; on the host.
+    """
+    force = np.array(record.force)
+    for part in parts_between_gaps(record):
+        if part.stop - part.start > 1:
+            force[part] = lowpass(force[part], record.rate, cutoff, order=order)
+    return _with_force(record, force)
+
+
+def resample_record(record: Record, rate: float) -> Record:
+    """Return a record at another rate, equally spaced between its gaps.
+
+    Before a lower rate the forces pass a low-pass at 0.4 of it. Samples follow a
+    monotone cubic between the recorded ones. A tacho does not survive a lower rate
+    and becomes None: derive the angle first with `angle_from_tacho`.
+
+    Args:
+        record: The record.
+        rate: The new rate [Hz].
+
+    Returns:
+        The record at the instants k / rate after its first; none lies in a gap.
+
+    Differentiability: none; on the host.
+    """
+    from scipy.interpolate import PchipInterpolator
+
+    if not (np.isfinite(rate) and rate > 0):
+        raise ValueError(f"Argument `rate` must be positive and finite, but is {rate}.")
+    is_lower = rate < record.rate * (1 - 1e-9)
+    source = lowpass_record(record, _ANTI_ALIAS * rate) if is_lower else record
+    first = record.time[0]
+    pieces: list[tuple[np.ndarray, slice]] = []
+    for part in parts_between_gaps(record):
+        begin, end = (record.time[[part.start, part.stop - 1]] - first) * rate
+        # A millionth of a sample, so that rounding loses no end.
+        index = np.arange(np.ceil(begin - 1e-6), np.floor(end + 1e-6) + 1)
+        if index.size and part.stop - part.start > 1:
+            pieces.append((first + index / rate, part))
+    time = np.concatenate([instants for instants, _ in pieces])
+
+    def follow(values: Float[np.ndarray, "sample ..."]) -> np.ndarray:
+        out = []
+        for instants, part in pieces:
+            inside = np.clip(instants, *record.time[[part.start, part.stop - 1]])
+            out.append(PchipInterpolator(record.time[part], values[part])(inside))
+        return np.concatenate(out)
+
+    starts = np.cumsum([0, *(instants.size for instants, _ in pieces[:-1])])
+    is_after_gap = np.zeros(time.size, dtype=bool)
+    is_after_gap[starts[1:]] = True
+    return Record(
+        time=time,
+        force=follow(source.force),
+        rate=float(rate),
+        is_saturated=follow(record.is_saturated.astype(float)) > 1e-6,
+        is_after_gap=is_after_gap,
+        tacho=None if record.tacho is None or is_lower else follow(record.tacho),
+        angle=None if record.angle is None else follow(np.unwrap(record.angle)),
+        names=record.names,
+        notes=record.notes,
+        source=record.source,
+    )
+
+
+def section(record: Record, start: float, stop: float) -> Record:
+    """Return the samples of a record from `start` to `stop` [s], both included."""
+    keep = (record.time >= start) & (record.time <= stop)
+    if np.count_nonzero(keep) < 2:
+        raise ValueError(
+            f"The section {start:g} s to {stop:g} s must hold 2 samples of the record "
+            f"({record.time[0]:g} s to {record.time[-1]:g} s), but holds "
+            f"{np.count_nonzero(keep)}."
+        )
+    names = ("time", "force", "is_saturated", "is_after_gap", "tacho", "angle")
+    values = {name: getattr(record, name) for name in names}
+    kept = {name: None if v is None else v[keep] for name, v in values.items()}
+    return dataclasses.replace(record, **kept)
+
+
+def parts_between_gaps(record: Record) -> list[slice]:
+    """Return the samples between gaps, one slice for each part."""
+    starts = [0, *np.flatnonzero(record.is_after_gap[1:]) + 1, record.time.size]
+    return [slice(int(a), int(b)) for a, b in itertools.pairwise(starts)]
+
+
+def _mean(
+    record: Record, start: float, stop: float
+) -> tuple[float, Float[np.ndarray, " axis"]]:
+    """Return mean time and mean force of a section."""
+    part = section(record, start, stop)
+    return float(part.time.mean()), part.force.mean(axis=0)
+
+
+def _with_force(record: Record, force: Float[np.ndarray, "sample 3"]) -> Record:
+    return dataclasses.replace(record, force=force)

@@ -1,0 +1,135 @@
+"""Axes of a dynamometer, recovered from a closed-form cut with straight teeth."""
+
+import numpy as np
+import pytest
+
+from diffmill.identification import Record, apply_axes, propose_axes
+from diffmill.identification._axes import signed_permutations
+
+RATE, SPEED, TEETH = 10e3, 2 * np.pi * 100.0, 2
+DEPTH, FEED = 2e-3, 0.1e-3
+# K_tc, K_rc, K_ac [Pa], K_te, K_re, K_ae [N/m]
+TRUTH = np.array([989.8e6, 337.3e6, 66.9e6, 3.0e3, 15.4e3, 4.5e3])
+
+
+def columns_of(time, entry=0.0, leave=np.pi, teeth=TEETH):
+    """Return force per coefficient: h = f_z sin(phi), straight edges, circular path."""
+    out = np.zeros((time.size, 3, 6))
+    for tooth in range(teeth):
+        phi = np.mod(SPEED * time + tooth * 2 * np.pi / teeth, 2 * np.pi)
+        inside = (phi > entry) & (phi < leave)
+        sine, cosine = np.sin(phi), np.cos(phi)
+        directions = (
+            np.stack(
+                [
+                    np.stack([-cosine, sine, 0 * phi], axis=1),
+                    np.stack([-sine, -cosine, 0 * phi], axis=1),
+                    np.stack([0 * phi, 0 * phi, 1 + 0 * phi], axis=1),
+                ],
+                axis=2,
+            )
+            * (DEPTH * inside)[:, None, None]
+        )
+        out[:, :, :3] += directions * (FEED * sine)[:, None, None]
+        out[:, :, 3:] += directions
+    return out
+
+
+def measured(matrix, force, noise=0.05):
+    """Return what a dynamometer mounted by `matrix` would have recorded."""
+    random = np.random.default_rng(3).normal(size=force.shape)
+    return force @ matrix + noise * np.sqrt(np.mean(force**2)) * random
+
+
+TIME = np.arange(2000) / RATE
+
+
+@pytest.mark.parametrize(
+    ("entry", "leave", "max_shift"),
+    [(0.0, np.pi, 0.0), (0.0, np.pi, 0.005), (np.pi / 2, np.pi, 0.005), (0, 1.2, 0.0)],
+)
+def test_every_mounting_is_recovered(entry, leave, max_shift):
+    columns = columns_of(TIME, entry, leave)
+    lag = 0.0 if max_shift == 0 else 0.0021
+    force = columns_of(TIME - lag, entry, leave) @ TRUTH
+    for matrix in signed_permutations():
+        proposal = propose_axes(
+            measured(matrix, force), columns, RATE, max_shift=max_shift
+        )
+        best = proposal.proposals[0]
+        np.testing.assert_array_equal(best.matrix, matrix)
+        assert proposal.is_clear
+        assert best.residual < 0.15  # half a sample of shift adds to the noise
+        assert best.violations == ()
+        assert best.is_mirrored == (np.linalg.det(matrix) < 0)
+        # A turn of two equal teeth repeats after half of it.
+        error = (best.time_shift - lag + 0.0025) % 0.005 - 0.0025
+        assert abs(error) < 1.5 / RATE
+        assert len(proposal.proposals) == 6 and len(proposal.candidates) == 48
+
+
+def test_the_evidence_of_the_right_axes():
+    force = columns_of(TIME) @ TRUTH
+    proposal = propose_axes(
+        measured(np.diag([1.0, -1.0, 1.0]), force),
+        columns_of(TIME),
+        RATE,
+        tooth_frequency=200.0,
+    )
+    best = proposal.proposals[0]
+    assert best.label == "x = +Fx, y = -Fy, z = +Fz"
+    np.testing.assert_allclose(best.coefficients[:2], TRUTH[:2], rtol=0.05)
+    np.testing.assert_allclose(best.phase_error, 0.0, atol=0.05)
+    np.testing.assert_allclose(best.mean_fitted, force.mean(axis=0), rtol=0.05)
+    assert any("left-handed" in line for line in proposal.evidence)
+    assert any("tooth-passing" in line for line in proposal.evidence)
+    # Exchanged axes swap tangential and radial: they must not look as good.
+    others = proposal.proposals[1:]
+    assert min(other.score for other in others) > best.score + 0.2
+
+
+def test_all_signs_reversed_fit_as_well_but_make_no_sense():
+    force = columns_of(TIME) @ TRUTH
+    proposal = propose_axes(measured(np.eye(3), force), columns_of(TIME), RATE)
+    (reversed_,) = [
+        c for c in proposal.candidates if np.array_equal(c.matrix, -np.eye(3))
+    ]
+    best = proposal.candidates[0]
+    assert reversed_.residual == pytest.approx(best.residual, abs=1e-9)
+    assert "the tangential force is negative" in reversed_.violations
+    np.testing.assert_array_equal(best.matrix, np.eye(3))
+
+
+def test_noise_alone_is_not_clear():
+    noise = np.random.default_rng(5).normal(size=(2000, 3))
+    proposal = propose_axes(noise, columns_of(TIME), RATE, max_shift=0.005)
+    assert proposal.proposals[0].residual > 0.9
+    assert not proposal.is_clear
+
+
+def test_axes_are_applied_on_request_only():
+    force = columns_of(TIME) @ TRUTH
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    record = Record(
+        TIME,
+        measured(turn, force, noise=0.0),
+        RATE,
+        TIME < 0,
+        TIME < 0,
+        names=("A", "B", "C"),
+    )
+    applied = apply_axes(record, turn)
+    np.testing.assert_allclose(applied.force, force, atol=1e-9)
+    assert "assigned: x = -Fy" in applied.notes[-1]
+    with pytest.raises(ValueError, match="one 1 or -1 in each row"):
+        apply_axes(record, np.ones((3, 3)))
+
+
+def test_wrong_input_is_refused():
+    columns = columns_of(TIME)
+    with pytest.raises(ValueError, match="shape"):
+        propose_axes(np.ones((5, 3)), columns, RATE)
+    with pytest.raises(ValueError, match="rest at zero"):
+        propose_axes(np.zeros((2000, 3)), columns, RATE)
+    with pytest.raises(ValueError, match="more than 4000 samples"):
+        propose_axes(np.ones((2000, 3)), columns, RATE, max_shift=0.1)

@@ -1,0 +1,213 @@
+"""Tare, drift, filter, rate, cuts and the spindle's angle, against closed forms."""
+
+import numpy as np
+import pytest
+
+from diffmill.identification import (
+    Record,
+    align,
+    angle_from_tacho,
+    find_cuts,
+    find_saturated,
+    lowpass_record,
+    refine_spindle_speed,
+    remove_drift,
+    remove_offset,
+    resample_record,
+    section,
+)
+from diffmill.numerics import lowpass
+
+RATE, SPEED = 5e3, 2 * np.pi * 50.0
+AMPLITUDE = np.array([100.0, 60.0, 20.0])
+LEVEL = np.array([5.0, -3.0, 40.0])
+
+
+def record_of(time, force, gaps=(), **channels):
+    is_after_gap = np.zeros(time.size, dtype=bool)
+    is_after_gap[list(gaps)] = True
+    return Record(
+        time, force, RATE, np.zeros(time.size, bool), is_after_gap, **channels
+    )
+
+
+def turn_force(angle):
+    """Return a force of several harmonics, no two teeth alike."""
+    phases = np.array([0.0, 1.0, 2.0])
+    return AMPLITUDE[None] * (
+        np.cos(2 * angle[:, None] + phases[None])
+        + 0.5 * np.cos(4 * angle[:, None] - phases[None])
+        + 0.3 * np.cos(angle[:, None] + 2 * phases[None])
+    )
+
+
+def cut_record(spans, noise=0.5, duration=4.0):
+    time = np.arange(round(duration * RATE)) / RATE
+    cuts = np.any([(time > start) & (time < stop) for start, stop in spans], axis=0)
+    force = turn_force(SPEED * time) * cuts[:, None] + LEVEL[None]
+    force += noise * np.random.default_rng(0).normal(size=force.shape)
+    return record_of(time, force)
+
+
+def test_offset_and_drift_come_off_exactly():
+    time = np.arange(2000) / RATE
+    force = turn_force(SPEED * time) * ((time > 0.1) & (time < 0.3))[:, None]
+    slope = np.array([7.0, 0.0, -30.0])
+    record = record_of(time, force + LEVEL[None] + slope[None] * time[:, None])
+    straight = remove_drift(record, (0.0, 0.09), (0.31, 0.4))
+    np.testing.assert_allclose(straight.force, force, atol=1e-10)
+    level = remove_offset(record_of(time, force + LEVEL[None]), 0.0, 0.09)
+    np.testing.assert_allclose(level.force, force, atol=1e-10)
+    with pytest.raises(ValueError, match="must hold 2 samples"):
+        remove_offset(record, 5.0, 6.0)
+    with pytest.raises(ValueError, match="two sections"):
+        remove_drift(record, (0.0, 0.1), (0.0, 0.1))
+
+
+@pytest.mark.parametrize("tooth_frequency", [None, 100.0])
+def test_several_cuts_are_found(tooth_frequency):
+    spans = [(0.5, 1.2), (1.6, 1.9), (2.5, 3.7)]
+    cuts = find_cuts(cut_record(spans), tooth_frequency=tooth_frequency)
+    np.testing.assert_allclose(np.array(cuts), np.array(spans), atol=0.01)
+
+
+def test_an_idling_spindle_is_no_cut_at_the_tooth_frequency():
+    record = cut_record([(1.0, 2.0)])
+    hum = 30.0 * np.sin(2 * np.pi * 370.0 * record.time)
+    loud = record_of(record.time, record.force + hum[:, None])
+    (cut,) = find_cuts(loud, tooth_frequency=100.0)
+    np.testing.assert_allclose(cut, (1.0, 2.0), atol=0.01)
+
+
+def test_a_gap_ends_a_cut_and_a_record_of_one_cut_is_whole():
+    time = np.arange(1000) / RATE
+    time[500:] += 1.0
+    record = record_of(time, turn_force(SPEED * time), gaps=[500])
+    cuts = find_cuts(record)
+    np.testing.assert_allclose(
+        np.array(cuts), [(time[0], time[499]), (time[500], time[-1])]
+    )
+
+
+def test_both_sides_are_filtered_alike():
+    time = np.arange(1000) / RATE
+    force = turn_force(SPEED * time)
+    record = lowpass_record(record_of(time, force), 150.0)
+    np.testing.assert_array_equal(record.force, lowpass(force, RATE, 150.0))
+
+
+def test_a_gap_parts_the_filter():
+    time = np.arange(1000) / RATE
+    time[500:] += 1.0
+    force = np.where(np.arange(1000) < 500, 0.0, 100.0)[:, None] * np.ones((1, 3))
+    record = lowpass_record(record_of(time, force, gaps=[500]), 100.0)
+    np.testing.assert_allclose(record.force, force, atol=1e-9)
+
+
+@pytest.mark.parametrize("rate", [2e3, 12.5e3])
+def test_resampling_keeps_the_signal(rate):
+    time = np.arange(2000) / RATE
+    time[1000:] += 0.5
+    angle = np.mod(SPEED * time, 2 * np.pi)
+    record = resample_record(
+        record_of(time, turn_force(angle), gaps=[1000], angle=angle, tacho=angle), rate
+    )
+    np.testing.assert_allclose(np.diff(record.time)[: int(0.1 * rate)], 1 / rate)
+    assert not np.any((record.time > time[999]) & (record.time < time[1000]))
+    assert np.count_nonzero(record.is_after_gap) == 1
+    # The filter's ends are bent.
+    middle = (record.time > 0.05) & (record.time < 0.15)
+    expected = turn_force(SPEED * record.time)
+    np.testing.assert_allclose(record.force[middle], expected[middle], atol=1.0)
+    assert record.angle is not None
+    turns = np.exp(1j * record.angle)
+    np.testing.assert_allclose(turns, np.exp(1j * SPEED * record.time), atol=1e-3)
+    assert (record.tacho is None) == (rate < RATE)
+
+
+def test_a_lower_rate_does_not_alias():
+    time = np.arange(4000) / RATE
+    force = np.sin(2 * np.pi * 950.0 * time)[:, None] * np.ones((1, 3))
+    record = resample_record(record_of(time, force), 1000.0)
+    assert np.abs(record.force[100:-100]).max() < 1e-3
+
+
+def test_the_tacho_gives_the_angle():
+    time = np.arange(5000) / RATE
+    # The spindle speeds up; pulses of a tenth of a turn with a slope, and noise.
+    angle = SPEED * time + 20.0 * time**2
+    turned = np.mod(angle + 0.3, 2 * np.pi)
+    noise = 0.02 * np.random.default_rng(1).normal(size=time.size)
+    pulse = np.clip(4.0 * (0.6 - np.abs(turned - 0.6)), 0.0, 1.0) + noise
+    record = record_of(time, np.zeros((5000, 3)), tacho=pulse)
+    found = angle_from_tacho(record)
+    error = found - angle
+    # A sample is 0.06 rad.
+    assert np.ptp(error[200:-200]) < 0.03
+    missing = np.where((time > 0.5) & (time < 0.51), 0.0, pulse)
+    again = angle_from_tacho(record_of(time, record.force, tacho=missing))
+    np.testing.assert_allclose(again[-1], found[-1], atol=0.05)
+    with pytest.raises(ValueError, match="has none"):
+        angle_from_tacho(record_of(time, record.force))
+    with pytest.raises(ValueError, match="at least 2 pulses"):
+        angle_from_tacho(record_of(time, record.force, tacho=0.0 * time))
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.00313, 0.0171])
+def test_the_force_itself_gives_the_shift(shift):
+    time = 1.0 + np.arange(1500) / RATE
+    random = np.random.default_rng(2)
+    force = turn_force(SPEED * (time - shift)) + LEVEL[None]
+    force += 5.0 * random.normal(size=force.shape)
+    simulated = turn_force(2 * np.pi * np.arange(180) / 180)
+    found = align(record_of(time, force), simulated, SPEED)
+    turn = 2 * np.pi / SPEED
+    error = (found.shift - shift + turn / 2) % turn - turn / 2
+    # A hundredth of a sample.
+    assert abs(error) < 0.02 / RATE
+    assert 0.98 < found.quality <= 1.0
+    assert found.runner_up < 0.95
+
+
+def test_equal_teeth_leave_the_turn_open():
+    time = np.arange(1000) / RATE
+    force = np.cos(2 * SPEED * time)[:, None] * AMPLITUDE[None]
+    angles = 2 * np.pi * np.arange(180) / 180
+    simulated = np.cos(2 * angles)[:, None] * AMPLITUDE[None]
+    found = align(record_of(time, force), simulated, SPEED)
+    assert found.runner_up == pytest.approx(found.quality, abs=1e-6)
+    with pytest.raises(ValueError, match="one turn"):
+        align(section(record_of(time, force), 0.0, 0.01), simulated, SPEED)
+    with pytest.raises(ValueError, match="must vary"):
+        align(record_of(time, force), 0.0 * simulated, SPEED)
+
+
+@pytest.mark.parametrize("off", [-0.008, 0.003])
+def test_the_true_speed_is_found(off):
+    time = np.arange(10000) / RATE
+    force = turn_force(SPEED * time) + 5 * np.random.default_rng(4).normal(
+        size=(10000, 3)
+    )
+    speed = refine_spindle_speed(time, force, SPEED * (1 + off), flute_count=2)
+    assert speed == pytest.approx(SPEED, rel=1e-5)
+
+
+def test_a_smooth_peak_is_not_saturated():
+    time = np.arange(2000) / RATE
+    # A converter of few bits repeats the values of slow maxima.
+    coarse = np.round(20 * np.sin(2 * np.pi * 10 * time))
+    clipped = np.clip(100 * np.sin(2 * np.pi * 50 * time), -50.0, 80.0)
+    rest = np.zeros_like(time)
+    found = find_saturated(np.stack([coarse, clipped, rest], axis=1))
+    assert not found[:, 0].any() and not found[:, 2].any()
+    np.testing.assert_array_equal(found[:, 1], (clipped == -50.0) | (clipped == 80.0))
+
+
+def test_what_is_no_record_is_refused():
+    time = np.arange(10) / RATE
+    with pytest.raises(ValueError, match="must increase"):
+        record_of(time[::-1], np.zeros((10, 3)))
+    with pytest.raises(ValueError, match="must be finite"):
+        record_of(time, np.full((10, 3), np.nan))
+    with pytest.raises(ValueError, match="at least 2"):
+        record_of(time[:1], np.zeros((1, 3)))
