@@ -22,15 +22,6 @@ from ._axes import (
 )
 from ._cuts import CutSpan as CutSpan, find_cuts as find_cuts
 from ._harmonics import refine_spindle_speed as refine_spindle_speed
-from ._coefficients import (
-    ForceCoefficientFit as ForceCoefficientFit,
-    fit_force_coefficients as fit_force_coefficients,
-)
-from ._cut import (
-    Cut as Cut,
-    EngagementColumns as EngagementColumns,
-    engagement_columns as engagement_columns,
-)
 from ._load_advice import (
     LoadTests as LoadTests,
     suggest_load_tests as suggest_load_tests,
