@@ -107,6 +107,24 @@ def test_few_digits_do_not_hide_a_gap(tmp_path):
     np.testing.assert_allclose(record.time, time, atol=2e-4)
 
 
+def test_stamps_of_six_digits_grow_coarse(tmp_path):
+    # %g keeps six digits: steps of 0.1 ms until 100 s, of 1 ms from there on.
+    time = 99.99 + TIME
+    record = load(tmp_path, text(stamp="%.6g", time=time))
+    assert not record.is_after_gap.any()
+    np.testing.assert_allclose(record.time, time, atol=5e-4)
+    np.testing.assert_allclose(np.diff(record.time), 1 / RATE, rtol=1e-6)
+    np.testing.assert_array_equal(record.force, FORCE)
+
+
+def test_a_row_that_was_written_twice_is_left_out(tmp_path):
+    lines = rows()
+    record = load(tmp_path, NAMES + "\n".join([*lines[:100], lines[99], *lines[100:]]))
+    np.testing.assert_array_equal(record.time, TIME)
+    np.testing.assert_array_equal(record.force, FORCE)
+    assert record.notes == ("1 rows repeat the instant before and were left out.",)
+
+
 def test_uneven_rounding_is_no_gap(tmp_path):
     # Steps of 1.5 of the last digit are written as 1 and 2.
     record = load(tmp_path, text(stamp="%.4f", time=TIME * 1.5))

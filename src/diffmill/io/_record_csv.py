@@ -1,42 +1,20 @@
 """Measured records as text: tables of numbers below headers of any length."""
 
 import codecs
-import csv
-import datetime
 import io
 import pathlib
-import re
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from ._quantity import TIME
-from ._record_columns import looks_named
 from ._record_error import RecordError
-from ._record_table import FORCE, Column, Table, header_rate, is_unit, split_unit
+from ._record_layout import Layout, cells_of, labels_of, layout_of, number_of
+from ._record_table import Column, Table, header_rate
 
 _HEAD_BYTES = 1 << 20
 _BLOCK_BYTES = 1 << 24
-# Consecutive rows after which a table needs no further evidence.
-_CERTAIN = 50
-# None stands for any number of blanks. A blank within a cell must not be one before
-# the other signs were tried.
-_DELIMITERS = ("\t", ";", ",", None)
-_CLOCK = re.compile(
-    r"(?:(\d{4})-(\d\d)-(\d\d)[T ])?(\d{1,2}):(\d\d):(\d\d(?:[.,]\d*)?)"
-)
-_COMMENT_SIGNS = "#%"
-
-
-class _Layout(NamedTuple):
-    """How the rows of a table are written."""
-
-    start: int  # index of the first row among the lines of the head
-    delimiter: str | None
-    width: int
-    has_decimal_comma: bool
-    has_closing_delimiter: bool
+# Blocks with odd lines are halved down to this size.
+_SLOW_BYTES = 1 << 16
 
 
 def read_text(path: pathlib.Path) -> Table:
@@ -57,7 +35,7 @@ def read_text(path: pathlib.Path) -> Table:
         if len(head) == _HEAD_BYTES:
             lines.pop()
         lines = [line.rstrip("\r") for line in lines]
-        layout = _layout(lines)
+        layout = layout_of(lines)
         if layout is None:
             raise RecordError(
                 str(path),
@@ -66,7 +44,7 @@ def read_text(path: pathlib.Path) -> Table:
                     "columns, separated by tabs, semicolons, commas or blanks."
                 ],
             )
-        labels, start, fault = _labels(lines, layout)
+        labels, start, fault = labels_of(lines, layout)
         if fault:
             raise RecordError(str(path), [fault])
         # Odd rows may stand between the names and the longest run of good rows.
@@ -117,156 +95,15 @@ def _decoded(file: io.BufferedIOBase, name: str) -> tuple[io.BufferedIOBase, str
     return file, "utf-8"
 
 
-def _layout(lines: list[str]) -> _Layout | None:
-    """Return where the longest table in the head starts and how it is written."""
-    best: _Layout | None = None
-    most = 0
-    for delimiter in _DELIMITERS:
-        start, count, width = 0, 0, 0
-        for index, line in enumerate(lines):
-            now = _numeric_width(line, delimiter)
-            if now and count and now == width:
-                count += 1
-            else:
-                start, count, width = index, int(now > 0), now
-            # The sign tried first wins if a later one does not do better.
-            if count > most and (width >= 2):
-                most = count
-                best = _Layout(start, delimiter, width, False, False)
-            if count >= _CERTAIN:
-                break
-        if most >= _CERTAIN:
-            break
-    if best is None:
-        return None
-    rows = lines[best.start : best.start + most]
-    return best._replace(
-        has_decimal_comma=best.delimiter != "," and any("," in row for row in rows),
-        has_closing_delimiter=best.delimiter is not None
-        and all(row.rstrip(" ").endswith(best.delimiter) for row in rows),
-    )
-
-
-def _cells(line: str, delimiter: str | None) -> list[str]:
-    """Return the cells of a line, quotes removed."""
-    if delimiter is None:
-        return line.split()
-    if '"' in line:
-        cells = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
-    else:
-        cells = line.split(delimiter)
-    return [cell.strip() for cell in cells]
-
-
-def _numeric_width(line: str, delimiter: str | None) -> int:
-    """Return the number of cells of a row of numbers, 0 for any other line."""
-    cells = _cells(line, delimiter)
-    if len(cells) > 1 and not cells[-1]:
-        cells = cells[:-1]
-    filled = [cell for cell in cells if cell]
-    if len(filled) < 2 or not all(_is_number(cell, delimiter) for cell in filled):
-        return 0
-    return len(cells)
-
-
-def _is_number(cell: str, delimiter: str | None) -> bool:
-    return bool(cell) and (
-        not np.isnan(_number(cell)) or cell.lower() in ("nan", "-nan", "n/a", "na")
-    )
-
-
-def _number(cell: str) -> float:
-    """Return the number in a cell, a time of day in seconds, or NaN."""
-    try:
-        # Python allows 1_000, which no program writes.
-        return float("nan") if "_" in cell else float(cell.replace(",", "."))
-    except ValueError:
-        pass
-    match = _CLOCK.fullmatch(cell)
-    if match is None:
-        return float("nan")
-    year, month, day, hour, minute, second = match.groups()
-    days = 0
-    if year:
-        try:
-            days = datetime.date(int(year), int(month), int(day)).toordinal()
-        except ValueError:
-            return float("nan")
-        # Seconds since 2000 keep more digits than seconds since the year 1.
-        days -= datetime.date(2000, 1, 1).toordinal()
-    return (
-        days * 86400.0
-        + int(hour) * 3600.0
-        + int(minute) * 60.0
-        + float(second.replace(",", "."))
-    )
-
-
-def _labels(
-    lines: list[str], layout: _Layout
-) -> tuple[list[tuple[str, str]], int, str | None]:
-    """Return names and units of the columns, the line after them, and a fault."""
-    width = layout.width
-    units, unit_row = [""] * width, None
-    is_nearest = True
-    for index in range(layout.start - 1, -1, -1):
-        row = _label_row(lines[index], layout)
-        if row is None or any(_is_number(cell, layout.delimiter) for cell in row):
-            is_nearest = is_nearest and not lines[index].strip()
-            continue
-        bare = [cell.strip("[](){}<>") for cell in row]
-        if unit_row is None and any(is_unit(cell, FORCE) for cell in bare):
-            units, unit_row = bare, index
-            continue
-        labels = [split_unit(cell, FORCE, TIME) for cell in row]
-        is_sure = looks_named([name for name, _ in labels])
-        if unit_row is not None or is_sure or (is_nearest and layout.delimiter):
-            named = zip(labels, units, strict=True)
-            end = max(index, unit_row or 0) + 1
-            return [(name, unit or other) for (name, unit), other in named], end, None
-        is_nearest = False
-    fault = None
-    above = [len(_cells(line, ",")) for line in lines[: layout.start]]
-    if layout.delimiter == "," and any(2 * w - width in (0, 1) for w in above if w > 2):
-        fault = (
-            f"the rows have {width} values, twice as many as the header has names: "
-            "decimal commas need another sign between the columns."
-        )
-    return [(f"column {place}", "") for place in range(1, width + 1)], 0, fault
-
-
-def _label_row(line: str, layout: _Layout) -> list[str] | None:
-    """Return a line as one label per column, or None if it is not such a line."""
-    text = line.strip().lstrip(_COMMENT_SIGNS).strip(" \r")
-    if not text or _numeric_width(text, layout.delimiter):
-        return None
-    by_blanks = re.split(r"\s+(?![\[({<])", text)
-    for cells in (
-        _cells(text, layout.delimiter) if layout.delimiter else by_blanks,
-        *(_cells(text, other) for other in ("\t", ";", ",")),
-        re.split(r"\s{2,}", text),
-        by_blanks,
-    ):
-        # A last column may be named but empty, or closed by a sign of its own.
-        if len(cells) == layout.width + 1:
-            cells = cells[:-1]
-        if len(cells) == layout.width:
-            return cells
-    return None
-
-
 def _values(
-    stream: io.BufferedIOBase, layout: _Layout
+    stream: io.BufferedIOBase, layout: Layout
 ) -> tuple[Float[np.ndarray, "row column"], list[str]]:
     """Return the table, and what of it was no row."""
     blocks: list[np.ndarray] = []
     odd: list[str] = []
     while block := stream.read(_BLOCK_BYTES):
         block += stream.readline()
-        table = _fast(block, layout)
-        if table is None:
-            table = _slow(block, layout, odd)
-        blocks.append(table)
+        blocks += _tables(block, layout, odd)
     notes = []
     if odd:
         shown = ", ".join(f"`{line[:40]}`" for line in odd[:3])
@@ -274,7 +111,18 @@ def _values(
     return np.concatenate(blocks), notes
 
 
-def _fast(block: bytes, layout: _Layout) -> Float[np.ndarray, "row column"] | None:
+def _tables(block: bytes, layout: Layout, odd: list[str]) -> list[np.ndarray]:
+    """Return the rows of a block, read line by line only around odd lines."""
+    table = _fast(block, layout)
+    if table is not None:
+        return [table]
+    middle = block.find(b"\n", len(block) // 2) + 1
+    if len(block) <= _SLOW_BYTES or middle in (0, len(block)):
+        return [_slow(block, layout, odd)]
+    return _tables(block[:middle], layout, odd) + _tables(block[middle:], layout, odd)
+
+
+def _fast(block: bytes, layout: Layout) -> Float[np.ndarray, "row column"] | None:
     """Return the rows of a block that holds nothing but numbers, else None."""
     if layout.has_decimal_comma:
         block = block.replace(b",", b".")
@@ -295,17 +143,17 @@ def _fast(block: bytes, layout: _Layout) -> Float[np.ndarray, "row column"] | No
 
 
 def _slow(
-    block: bytes, layout: _Layout, odd: list[str]
+    block: bytes, layout: Layout, odd: list[str]
 ) -> Float[np.ndarray, "row column"]:
     """Return the rows of a block line by line; cells without a number are NaN."""
     rows = []
     for line in block.decode("latin-1").splitlines():
         if not line.strip():
             continue
-        cells = _cells(line, layout.delimiter)
+        cells = cells_of(line, layout.delimiter)
         if len(cells) == layout.width + 1 and not cells[-1]:
             cells.pop()
-        row = [_number(cell) for cell in cells]
+        row = [number_of(cell) for cell in cells]
         if len(row) == layout.width and not np.all(np.isnan(row)):
             rows.append(row)
         else:

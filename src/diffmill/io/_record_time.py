@@ -65,7 +65,7 @@ def timeline(
             f"{1 / step:g} Hz, which was used."
         )
         rate = None
-    gaps = np.diff(instants) > step + max(0.5 * step, 1.5 * resolution)
+    gaps = _gaps(instants, step + max(0.5 * step, 1.5 * resolution))
     is_after_gap = np.concatenate([[False], gaps])
     if gaps.any():
         notes.append(
@@ -127,10 +127,13 @@ def _ordered(
                 "after another, with a gap between them."
             )
     steps = np.diff(time)
-    # Single repeats among clean stamps are rows written twice; many are few digits.
+    # A row that was written twice is followed by a usual step, coarse stamps by a long
+    # one.
     is_repeat = np.concatenate([[False], steps == 0])
+    usual = 1.5 * np.median(steps)
+    is_short = np.concatenate([steps, [0.0]]) <= usual
     count = np.count_nonzero(is_repeat)
-    if 0 < count < 0.01 * time.size:
+    if 0 < count < 0.01 * time.size and np.all(is_short[is_repeat]):
         time, rows = time[~is_repeat], rows[~is_repeat]
         notes.append(f"{count} rows repeat the instant before and were left out.")
     return time, rows
@@ -154,6 +157,25 @@ def _joined(
         pause = 10.0 * (time[stop - 1] - time[start]) / (stop - start - 1)
         out[start:stop] += out[start - 1] + pause - time[start]
     return out
+
+
+def _gaps(
+    time: Float[np.ndarray, " sample"], longest: float
+) -> Bool[np.ndarray, " step"]:
+    """Return which steps are too long for two neighbouring samples.
+
+    Stamps of a fixed number of digits grow coarse as the time grows: beside equal
+    stamps a step is a gap only if it is longer than the coarse steps around it, too.
+    """
+    steps = np.diff(time)
+    gaps = steps > longest
+    padded = np.concatenate([[1.0], steps, [1.0]])
+    for index in np.flatnonzero(gaps & ((padded[:-2] == 0) | (padded[2:] == 0))):
+        before, after = steps[:index], steps[index + 1 : index + 1000]
+        before = before[-1000:]
+        around = [*before[before > 0][-1:], *after[after > 0][:1]]
+        gaps[index] = steps[index] > 1.5 * max(around, default=0.0)
+    return gaps
 
 
 def _step(time: Float[np.ndarray, " sample"]) -> tuple[float, float]:

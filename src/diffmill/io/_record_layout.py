@@ -1,0 +1,170 @@
+"""How the rows of a text table are written, and what its columns are called."""
+
+import csv
+import datetime
+import re
+from typing import NamedTuple
+
+import numpy as np
+
+from ._quantity import TIME
+from ._record_columns import looks_named
+from ._record_table import FORCE, is_unit, split_unit
+
+# Consecutive rows after which a table needs no further evidence.
+_CERTAIN = 50
+# None stands for any number of blanks. A blank within a cell must not be one before
+# the other signs were tried.
+_DELIMITERS = ("\t", ";", ",", None)
+_CLOCK = re.compile(
+    r"(?:(\d{4})-(\d\d)-(\d\d)[T ])?(\d{1,2}):(\d\d):(\d\d(?:[.,]\d*)?)"
+)
+_COMMENT_SIGNS = "#%"
+
+
+class Layout(NamedTuple):
+    """How the rows of a table are written."""
+
+    start: int  # index of the first row among the lines of the head
+    delimiter: str | None
+    width: int
+    has_decimal_comma: bool
+    has_closing_delimiter: bool
+
+
+def layout_of(lines: list[str]) -> Layout | None:
+    """Return where the longest table in the head starts and how it is written."""
+    best: Layout | None = None
+    most = 0
+    for delimiter in _DELIMITERS:
+        start, count, width = 0, 0, 0
+        for index, line in enumerate(lines):
+            now = _numeric_width(line, delimiter)
+            if now and count and now == width:
+                count += 1
+            else:
+                start, count, width = index, int(now > 0), now
+            # The sign tried first wins if a later one does not do better.
+            if count > most and width >= 2:
+                most = count
+                best = Layout(start, delimiter, width, False, False)
+            if count >= _CERTAIN:
+                break
+        if most >= _CERTAIN:
+            break
+    if best is None:
+        return None
+    rows = lines[best.start : best.start + most]
+    return best._replace(
+        has_decimal_comma=best.delimiter != "," and any("," in row for row in rows),
+        has_closing_delimiter=best.delimiter is not None
+        and all(row.rstrip(" ").endswith(best.delimiter) for row in rows),
+    )
+
+
+def cells_of(line: str, delimiter: str | None) -> list[str]:
+    """Return the cells of a line, quotes removed."""
+    if delimiter is None:
+        return line.split()
+    if '"' in line:
+        cells = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+    else:
+        cells = line.split(delimiter)
+    return [cell.strip() for cell in cells]
+
+
+def _numeric_width(line: str, delimiter: str | None) -> int:
+    """Return the number of cells of a row of numbers, 0 for any other line."""
+    cells = cells_of(line, delimiter)
+    if len(cells) > 1 and not cells[-1]:
+        cells = cells[:-1]
+    filled = [cell for cell in cells if cell]
+    if len(filled) < 2 or not all(_is_number(cell, delimiter) for cell in filled):
+        return 0
+    return len(cells)
+
+
+def _is_number(cell: str, delimiter: str | None) -> bool:
+    return bool(cell) and (
+        not np.isnan(number_of(cell)) or cell.lower() in ("nan", "-nan", "n/a", "na")
+    )
+
+
+def number_of(cell: str) -> float:
+    """Return the number in a cell, a time of day in seconds, or NaN."""
+    try:
+        # Python allows 1_000, which no program writes.
+        return float("nan") if "_" in cell else float(cell.replace(",", "."))
+    except ValueError:
+        pass
+    match = _CLOCK.fullmatch(cell)
+    if match is None:
+        return float("nan")
+    year, month, day, hour, minute, second = match.groups()
+    days = 0
+    if year:
+        try:
+            days = datetime.date(int(year), int(month), int(day)).toordinal()
+        except ValueError:
+            return float("nan")
+        # Seconds since 2000 keep more digits than seconds since the year 1.
+        days -= datetime.date(2000, 1, 1).toordinal()
+    return (
+        days * 86400.0
+        + int(hour) * 3600.0
+        + int(minute) * 60.0
+        + float(second.replace(",", "."))
+    )
+
+
+def labels_of(
+    lines: list[str], layout: Layout
+) -> tuple[list[tuple[str, str]], int, str | None]:
+    """Return names and units of the columns, the line after them, and a fault."""
+    width = layout.width
+    units, unit_row = [""] * width, None
+    is_nearest = True
+    for index in range(layout.start - 1, -1, -1):
+        row = _label_row(lines[index], layout)
+        if row is None or any(_is_number(cell, layout.delimiter) for cell in row):
+            is_nearest = is_nearest and not lines[index].strip()
+            continue
+        bare = [cell.strip("[](){}<>") for cell in row]
+        if unit_row is None and any(is_unit(cell, FORCE) for cell in bare):
+            units, unit_row = bare, index
+            continue
+        labels = [split_unit(cell, FORCE, TIME) for cell in row]
+        is_sure = looks_named([name for name, _ in labels])
+        if unit_row is not None or is_sure or (is_nearest and layout.delimiter):
+            named = zip(labels, units, strict=True)
+            end = max(index, unit_row or 0) + 1
+            return [(name, unit or other) for (name, unit), other in named], end, None
+        is_nearest = False
+    fault = None
+    above = [len(cells_of(line, ",")) for line in lines[: layout.start]]
+    if layout.delimiter == "," and any(2 * w - width in (0, 1) for w in above if w > 2):
+        fault = (
+            f"the rows have {width} values, twice as many as the header has names: "
+            "decimal commas need another sign between the columns."
+        )
+    return [(f"column {place}", "") for place in range(1, width + 1)], 0, fault
+
+
+def _label_row(line: str, layout: Layout) -> list[str] | None:
+    """Return a line as one label per column, or None if it is not such a line."""
+    text = line.strip().lstrip(_COMMENT_SIGNS).strip(" \r")
+    if not text or _numeric_width(text, layout.delimiter):
+        return None
+    by_blanks = re.split(r"\s+(?![\[({<])", text)
+    for cells in (
+        cells_of(text, layout.delimiter) if layout.delimiter else by_blanks,
+        *(cells_of(text, other) for other in ("\t", ";", ",")),
+        re.split(r"\s{2,}", text),
+        by_blanks,
+    ):
+        # A last column may be named but empty, or closed by a sign of its own.
+        if len(cells) == layout.width + 1:
+            cells = cells[:-1]
+        if len(cells) == layout.width:
+            return cells
+    return None
