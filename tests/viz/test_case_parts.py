@@ -8,18 +8,20 @@ from diffmill.viz import case_parts, write_report
 
 from .synthetic import SCALES
 
+KEYS = ("mean", "rms", "p95")
+SIZE = np.array(list(SCALES.values()))
+
 
 @pytest.fixture
 def result(correction):
-    size = np.array(list(SCALES.values()))
-    rms = size[:, None] * np.array([[80e-6, 60e-6, np.nan, 40e-6]])
-    mean = size[:, None] * np.array([[1e-6, -2e-6, 3e-6]])
+    rms = SIZE[:, None] * np.array([[80e-6, 60e-6, np.nan, 40e-6]])
+    mean = SIZE[:, None] * np.array([[1e-6, -2e-6, 3e-6]])
     dataset = correction.assign(
         contour_mean=(("case", "axis"), mean),
         part_rms=(("case", "part"), rms),
         part_max=(("case", "part"), 2 * rms),
         part_rows=(("part",), np.array([10, 12, 0, 90], np.int32)),
-        max_acceleration=(("case",), 1.0 + size),
+        max_acceleration=(("case",), 1.0 + SIZE),
     ).assign_coords(part=["entry", "exit", "corner", "plateau"])
     dataset.attrs["mirror_forward_runs"] = 2
     return dataset
@@ -54,3 +56,13 @@ def test_a_simulation_has_no_such_table(tmp_path, simulation):
     assert _parts(simulation) == []
     page = write_report(tmp_path, simulation, {}).read_text(encoding="utf-8")
     assert "By part of the path" not in page
+
+
+def test_surface_figures_are_listed_by_kind(tmp_path, result):
+    keys = [f"{kind}_{key}" for kind in ("wall", "floor") for key in KEYS]
+    surface = {f"surface_{key}": (("case",), SIZE * 50e-6) for key in keys}
+    surface["surface_floor_p95"] = (("case",), np.nan * SIZE)
+    with_surface = result.assign(surface_deepest=(("case",), SIZE * 70e-6), **surface)
+    page = write_report(tmp_path, with_surface, {}).read_text(encoding="utf-8")
+    assert "Machined surface" in page
+    assert "<td>22.5</td><td>-</td><td>31.5</td>" in page

@@ -87,8 +87,8 @@ def _compute(command: str, job: "Job", progress: Progress) -> Outcome:
         return correct(job, on_progress=tell)
     except NothingToCorrect as error:
         raise BadInput(
-            f"{job.name}: [program] file: found no cut in the stock, but correct needs "
-            "one; check the stock's place and the program's zero"
+            f"{job.name}: found nothing to correct: {error} Check the stock's place, "
+            "the program's zero and [correction] weight."
         ) from error
 
 

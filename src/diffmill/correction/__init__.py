@@ -42,6 +42,10 @@ from ._method import (
     GivenCommand as GivenCommand,
 )
 from ._mirror import IteratedMirror as IteratedMirror, Mirror as Mirror
+from ._objective import (
+    AbstractObjective as AbstractObjective,
+    PathObjective as PathObjective,
+)
 from ._parts import PARTS as PARTS, by_part as by_part, path_parts as path_parts
 from ._problem import (
     Motion as Motion,
@@ -65,3 +69,11 @@ from ._response import (
     spline_preconditioner as spline_preconditioner,
     tip_response as tip_response,
 )
+from ._surface_objective import (
+    FinishedSurface as FinishedSurface,
+    SurfaceMeasures as SurfaceMeasures,
+    SurfaceObjective as SurfaceObjective,
+    finished_surface as finished_surface,
+    measure_surface as measure_surface,
+)
+from ._weights import row_weights as row_weights, surface_poses as surface_poses

@@ -33,6 +33,8 @@ from ._parts import path_parts
 from ._problem import Motion, Problem
 from ._projection import clip_offset
 from ._response import tip_response
+from ._setup import job_objective, job_surface, job_weights, remaining_error
+from ._surface_objective import FinishedSurface
 
 if TYPE_CHECKING:
     import xarray
@@ -83,6 +85,7 @@ class Correction(eqx.Module):
         methods: What each method reported, by name.
         wall_time: Time that each method took, compilation included [s].
         path_part: Part of the path of each row, see `path_parts`, shape (step,).
+        surface: The surface as it should be; None where it is not walls and floors.
         chosen: Name of the case whose command is the corrected program.
     """
 
@@ -90,6 +93,7 @@ class Correction(eqx.Module):
     methods: dict[str, Corrected]
     wall_time: dict[str, float]
     path_part: Int[np.ndarray, " step"]
+    surface: FinishedSurface | None
     chosen: str = eqx.field(static=True)
 
     @property
@@ -145,7 +149,8 @@ def correct(
 
     Raises:
         SimulationFailed: The run of the uncorrected program fails.
-        NothingToCorrect: The program never cuts; a `ValueError`.
+        NothingToCorrect: The program never cuts, or all that cuts has no weight; a
+            `ValueError`.
         ValueError: The job has no robot, or JAX is not set up for its precision.
 
     Differentiability: runs on the host, not traceable.
@@ -164,7 +169,13 @@ def correct(
             "Argument `job` must have a program that cuts its stock, but the rigid "
             "tool removes nothing."
         )
-    problem = _problem(job, TipPlant(job, adjoint), desired, before)
+    try:
+        weights = job_weights(job, rigid, np.asarray(before.is_cutting))
+    except ValueError as error:
+        raise NothingToCorrect(str(error)) from error
+    surface = job_surface(job, rigid)
+    objective = job_objective(job, surface)
+    problem = _problem(job, TipPlant(job, adjoint), desired, before, weights)
     methods: dict[str, Corrected] = {}
     wall_time: dict[str, float] = {}
 
@@ -190,12 +201,15 @@ def correct(
             max_products=settings.max_products,
             cost_rtol=1e-2,
         ),
+        objective=objective,
     )
     if settings.command == "joint":
-        problem = _joint_problem(job, adjoint, desired, before)
+        problem = _joint_problem(job, adjoint, desired, before, weights)
         run("corrected", method, problem, start=inverse.motor_positions)
     else:
-        best = min(methods.values(), key=lambda found: found.measures.rms)
+        best = min(
+            methods.values(), key=lambda m: remaining_error(objective, problem, m)
+        )
         joints, _ = command_joints(job, desired)
         middle = joints[joints.shape[0] // 2]
         response = tip_response(job.robot, middle, job.T_base_work[:3, :3])
@@ -213,17 +227,21 @@ def correct(
         job.cutter.nominal_radius,
         removed_volume=np.asarray(rigid.removed_volume),
     )
-    return Correction(cases, methods, wall_time, parts, chosen)
+    return Correction(cases, methods, wall_time, parts, surface, chosen)
 
 
 def _problem(
-    job: Job, plant: Any, nominal: Float[Array, "step axis"], before: Solution
+    job: Job,
+    plant: Any,
+    nominal: Float[Array, "step axis"],
+    before: Solution,
+    weights: Float[np.ndarray, " step"],
 ) -> Problem:
     return Problem(
         plant=plant,
         nominal=np.asarray(nominal),
         desired=np.asarray(before.desired),
-        is_cutting=np.asarray(before.is_cutting, np.asarray(nominal).dtype),
+        is_cutting=weights.astype(np.asarray(nominal).dtype),
         time_step=float(job.tooth_period),
         max_offset=float(job.correction.max_offset),
     )
@@ -234,6 +252,7 @@ def _joint_problem(
     adjoint: AbstractAdjoint,
     desired: Float[Array, "step 3"],
     before: Solution,
+    weights: Float[np.ndarray, " step"],
 ) -> Problem:
     """Return the problem in joint positions, bounded like the tip at its far end."""
     from ..robot import jacobian
@@ -241,7 +260,7 @@ def _joint_problem(
     nominal, _ = command_joints(job, desired)
     J = np.asarray(jacobian(job.robot, nominal[0]))[:3]  # pyright: ignore[reportArgumentType]
     lever = np.linalg.norm(J, axis=0).max()
-    problem = _problem(job, JointPlant(job, adjoint), nominal, before)
+    problem = _problem(job, JointPlant(job, adjoint), nominal, before, weights)
     bound = float(job.correction.max_offset) / lever
     return eqx.tree_at(lambda p: p.max_offset, problem, np.asarray(bound))
 

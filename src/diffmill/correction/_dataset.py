@@ -1,11 +1,13 @@
 """A correction as labelled arrays: every case with the same figures."""
 
+from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Array, Float
 
 from ._parts import PARTS, by_part
+from ._surface_objective import SurfaceMeasures, measure_surface
 
 if TYPE_CHECKING:
     import xarray
@@ -27,6 +29,12 @@ _PART_FIGURES = {
     "rms": "root mean square contour error",
     "p95": "95 % of the rows have a smaller contour error",
     "max": "largest contour error",
+}
+_SURFACE_FIGURES = {
+    "mean": "mean signed error of the {}s, positive where material was left",
+    "rms": "root mean square error of the {}s",
+    "p95": "95 % of the {}s' points are closer to the ideal surface",
+    "deepest": "largest depth of a cut into the ideal part",
 }
 
 
@@ -96,6 +104,24 @@ def _figures(correction: "Correction") -> dict[str, tuple[Any, ...]]:
     for key, text in _PART_FIGURES.items():
         values = np.stack([table[key] for table in tables])
         found[f"part_{key}"] = (("case", "part"), values, _about("m", text))
+    return {**found, **_surface_figures(correction)}
+
+
+def _surface_figures(correction: "Correction") -> dict[str, tuple[Any, ...]]:
+    """Return the errors of the machined surface, walls and floors apart."""
+    if correction.surface is None:
+        return {}
+    measures = [
+        measure_surface(correction.surface, solution.actual)
+        for solution in correction.cases.values()
+    ]
+    found = {}
+    for field in fields(SurfaceMeasures):
+        text = _SURFACE_FIGURES[field.name.split("_")[-1]].format(
+            field.name.split("_")[0]
+        )
+        values = np.array([getattr(measure, field.name) for measure in measures])
+        found[f"surface_{field.name}"] = (("case",), values, _about("m", text))
     return found
 
 

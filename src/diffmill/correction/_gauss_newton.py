@@ -9,7 +9,8 @@ from .._types import RealScalarLike
 from ._bspline import SplineOffsets
 from ._least_squares import LeastSquaresStep, LevenbergMarquardt, least_squares
 from ._method import AbstractMethod, Corrected, OnProgress, corrected
-from ._problem import FloatRows, Problem, contour_of
+from ._objective import AbstractObjective, PathObjective
+from ._problem import FloatRows, Problem
 from ._projection import project
 from ._response import TipResponse, spline_preconditioner
 
@@ -27,28 +28,30 @@ class ContourResidual(eqx.Module):
         smoothness: Weight of the roughness, see `GaussNewton`.
         lag_weight: Weight of the deviation along the path, see `GaussNewton`.
     """
+        objective: The error that is to become small.
 
     problem: Problem
     spline: SplineOffsets
     smoothness: RealScalarLike
     lag_weight: RealScalarLike
 
+    objective: AbstractObjective = PathObjective()
 
 def contour_residual(
     coefficients: Float[Array, "coefficient axis"], args: ContourResidual
 ) -> Float[Array, " residual"]:
-    """Return the weighted contour vectors and the roughness as one vector.
+    """Return the weighted errors and the roughness as one vector.
 
-    Its square is (rms contour error / 0.1 mm)^2 over the rows that cut, plus
-    (lag_weight x rms deviation along the path / 0.1 mm)^2 there, plus (smoothness x
-    rms second difference of the coefficients / max_offset)^2.
+    With `PathObjective` its square is (rms contour error / 0.1 mm)^2 over the rows
+    that cut, plus (lag_weight x rms deviation along the path / 0.1 mm)^2 there, plus
+    (smoothness x rms second difference of the coefficients / max_offset)^2.
 
     Args:
         coefficients: Spline coefficients of the offset, in the command's unit.
         args: The problem, the basis and the weight.
 
     Returns:
-        Dimensionless residuals, the contour first.
+        Dimensionless residuals, the error first.
 
     **Differentiability**: that of the plant; kinks where the nearest segment changes.
     """
@@ -56,17 +59,11 @@ def contour_residual(
     dtype = coefficients.dtype
     nominal = jnp.asarray(problem.nominal, dtype)
     motion = problem.plant(nominal + args.spline.offsets(coefficients))
-    weights = jnp.asarray(problem.is_cutting, dtype)
-    weights = jnp.sqrt(weights / jnp.sum(weights))
-    contour = contour_of(problem, motion)
-    # What the deviation has beyond the contour vector is a lag along the path.
-    lag = motion.actual - jnp.asarray(problem.desired, dtype) - contour
-    error = contour + jnp.asarray(args.lag_weight, dtype) * lag
-    error = error * (weights[:, None] / _UNIT)
+    error = args.objective.errors(problem, motion, args.lag_weight) / _UNIT
     rough = args.spline.roughness(coefficients)
     price = jnp.asarray(args.smoothness, dtype) / np.sqrt(rough.shape[0])
     rough = rough * (price / jnp.asarray(problem.max_offset, dtype))
-    return jnp.concatenate([error.reshape(-1), rough.reshape(-1)])
+    return jnp.concatenate([error, rough.reshape(-1)])
 
 
 class GaussNewton(AbstractMethod):
@@ -86,6 +83,7 @@ class GaussNewton(AbstractMethod):
         response: The arm's inverse response, which preconditions the inner problem;
             for tip commands only.
     """
+        objective: The error that is to become small.
 
     knot_spacing: float = 30e-3
     smoothness: float = 1e-2
@@ -93,6 +91,7 @@ class GaussNewton(AbstractMethod):
     solver: LevenbergMarquardt = LevenbergMarquardt(max_steps=6, cost_rtol=1e-2)
     response: TipResponse | None = None
 
+    objective: AbstractObjective = PathObjective()
     def __call__(
         self,
         problem: Problem,
@@ -117,6 +116,7 @@ class GaussNewton(AbstractMethod):
                 jnp.asarray(self.smoothness, nominal.dtype),
                 jnp.asarray(self.lag_weight, nominal.dtype),
             ),
+                self.objective,
             lower=-bound,
             upper=bound,
             scale=bound,

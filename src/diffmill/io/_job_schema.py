@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, StrictBool, StrictInt, StrictStr
 
 from ._job_compliance import BendingToolTable, FlangeSpringTable
+from ._job_correction import CorrectionTable
 from ._job_cutter import CutterTable
 from ._job_fields import (
     Acceleration,
@@ -17,7 +18,6 @@ from ._job_fields import (
     Lengths3,
     PositiveLength,
     PositiveSpeed,
-    PositiveTime,
     Slots,
     SpindleSpeed,
     Stiffness,

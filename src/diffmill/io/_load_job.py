@@ -9,18 +9,18 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from .._job import CorrectionSettings, Job, SimulationSettings
+from .._job import Job, SimulationSettings
 from ..cutter import AbstractCutter
 from ..robot import Robot
 from ..sim import default_element_height, descends
 from ..toolpath import Path, Program
 from ._job_checks import check_rapids, immersion, notes
+from ._job_correction import check_correction, correction_settings
 from ._job_cutter import make_cutter
 from ._job_program import read_program, spindle_speed, time_path
 from ._job_reach import check_reach
 from ._job_robot import pose_matrix, read_robot
 from ._job_schema import (
-    CorrectionTable,
     ProgramTable,
     SimulationTable,
     read_tables,
@@ -187,6 +187,8 @@ def _build(
     if desired is not None and cutter is not None and stock is not None:
         check_rapids(desired, cutter, stock, problems)
     simulation = _simulation(tables, cutter, speed, (desired, stock), problems)
+    if "correction" in tables and cutter is not None and simulation is not None:
+        check_correction(tables["correction"], cutter, not simulation.axes, problems)
     if problems or simulation is None or desired is None or cutter is None:
         return None
     assert stock is not None
@@ -235,7 +237,7 @@ def _assemble(
         joint_start=start,
         tool_rotation=tables["robot"].tool_rotation,
         simulation=simulation,
-        correction=_correction(tables["correction"]),
+        correction=correction_settings(tables["correction"]),
         source=text,
         program=program.source if isinstance(program, Program) else "",
         notes=(
@@ -245,10 +247,6 @@ def _assemble(
         ),
         bottom_law=bottom_law,
     )
-
-
-def _correction(table: CorrectionTable) -> CorrectionSettings:
-    return CorrectionSettings(**table.model_dump())
 
 
 def _simulation(

@@ -106,3 +106,29 @@ def parts_html(dataset: "xarray.Dataset") -> str:
         header, rows, colours=[case_style(case.name).colour for case in cases]
     )
     return f'{table}<p class="note">{note}</p>'
+
+
+def surface_figures_html(dataset: "xarray.Dataset") -> str:
+    """Return a table of the machined surface's error, walls and floors apart."""
+    kinds = [kind for kind in ("wall", "floor") if f"surface_{kind}_rms" in dataset]
+    if not kinds or "surface_deepest" not in dataset:
+        return ""
+    names = case_names(dataset)
+    keys = [f"surface_{kind}_{key}" for kind in kinds for key in ("mean", "rms", "p95")]
+    keys.append("surface_deepest")
+    header = ["case"]
+    for kind in kinds:
+        header += [f"{kind}: mean [{MICROMETRE}]", "rms", "95 %"]
+    header.append("deepest cut into the part")
+    rows = []
+    for name in names:
+        case = select_case(dataset, name)
+        numbers = [float(case[key]) * 1e6 for key in keys]
+        text = ["-" if np.isnan(value) else f"{value:.1f}" for value in numbers]
+        rows.append([case_style(name).label, *text])
+    note = (
+        "Error of the machined surface against that of a rigid tool, from the places "
+        "of the tip at the tooth instants; positive mean: material left."
+    )
+    table = table_html(header, rows, colours=[case_style(n).colour for n in names])
+    return f'{table}<p class="note">{note}</p>'

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ._case_parts import parts_html
+from ._case_parts import parts_html, surface_figures_html
 from ._cases import CaseNumbers, case_names, case_numbers, reference_case, values_of
 from ._html import image_html, numbers_html, page_html, section_html, table_html
 from ._style import MICROMETRE, case_style
@@ -85,6 +85,7 @@ def write_report(
         _head(kind, title, dataset, failure),
         section_html("Result", *_result_blocks(dataset)),
         section_html("By part of the path", parts_html(dataset)),
+        section_html("Machined surface", surface_figures_html(dataset)),
         section_html("Cost", _cost_table(costs)),
         section_html("Figures", *_figure_blocks(figures)),
         _turnable_surface(surfaces),

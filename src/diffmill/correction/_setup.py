@@ -1,0 +1,80 @@
+"""From the settings of a job to weights, objective and surface of its correction."""
+
+import numpy as np
+from jaxtyping import Float
+
+from .._job import Job
+from .._types import BoolSteps
+from ..sim import ProcessSolution
+from ._method import Corrected
+from ._objective import AbstractObjective, PathObjective
+from ._problem import Problem
+from ._surface_objective import FinishedSurface, SurfaceObjective, finished_surface
+from ._weights import row_weights
+
+
+def job_weights(
+    job: Job, rigid: ProcessSolution, is_cutting: BoolSteps
+) -> Float[np.ndarray, " step"]:
+    """Return the weight of every row, as `[correction]` asks for.
+
+    Raises:
+        ValueError: No row that cuts has a weight.
+    """
+    settings = job.correction
+    steps = np.linalg.norm(np.diff(np.asarray(job.path.positions), axis=0), axis=1)
+    feed = np.median(steps[np.asarray(is_cutting, bool)[1:]])
+    # The next ray is a spacing away, in which the tool may advance by several rows.
+    spread = int(np.ceil(job.stock.spacing / max(feed, 1e-2 * job.stock.spacing)))
+    return row_weights(
+        is_cutting,
+        job.path.line,
+        sections=settings.sections,
+        finished=rigid.stock if settings.finishing_only else None,
+        spread=spread,
+    )
+
+
+def job_surface(job: Job, rigid: ProcessSolution) -> FinishedSurface | None:
+    """Return the surface as it should be; None where it is not of walls and floors.
+
+    It is for a flat cutter that stands along +z and leaves something of what it cut.
+    """
+    if not job.cutter.is_plain or job.simulation.axes:
+        return None
+    try:
+        return finished_surface(
+            rigid.stock, job.path.positions, job.cutter.nominal_radius
+        )
+    except ValueError:
+        return None
+
+
+def job_objective(job: Job, surface: FinishedSurface | None) -> AbstractObjective:
+    """Return the objective that `[correction]` asks for.
+
+    Raises:
+        ValueError: A surface is asked for where there is none.
+    """
+    settings = job.correction
+    if settings.objective == "path":
+        return PathObjective(settings.tolerance)
+    if surface is None:
+        raise ValueError(
+            'Argument `job` must have the objective "path", but has "surface", which '
+            "needs a flat cutter along +z that leaves walls or floors."
+        )
+    return SurfaceObjective(
+        surface, settings.wall_weight, settings.floor_weight, settings.tolerance
+    )
+
+
+def remaining_error(
+    objective: AbstractObjective, problem: Problem, found: Corrected
+) -> float:
+    """Return the root mean square of what an objective makes small [m].
+
+    Infinite where the motion is not finite.
+    """
+    errors = np.asarray(objective.errors(problem, found.motion, 0.0), np.float64)
+    return float(np.sqrt(np.sum(errors**2))) if np.isfinite(errors).all() else np.inf

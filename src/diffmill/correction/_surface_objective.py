@@ -1,0 +1,323 @@
+"""The error of the machined surface, differentiable, for a flat tool along +z.
+
+The rigid tool leaves a stock whose ray ends are points on the surface as it should be:
+walls, which the side of the tool cut, and floors, which its bottom cut. At such a point
+the machined surface is the deepest of the surfaces that all passes leave there:
+
+    wall:   min over k of  n.(a_k - p) - sqrt(R^2 - (t.(a_k - p))^2)
+    floor:  min over k of  a_kz - p_z
+
+with a_k the actual tips, p the point, n its normal out of the material and t across it.
+The passes that may be the deepest are listed once from the desired path, so that
+an evaluation is a gather and a minimum. Unlike the tip's deviation it sees that a pass
+is cut again by a later one, and which of two neighbouring poses decides.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from .._types import FloatRows3, RealScalarLike
+from ..workpiece import Stock
+from ._objective import AbstractObjective, beyond, deviation_of, row_shares
+from ._problem import Motion, Problem
+
+# Poses that may decide a point, at most: those nearest to it.
+_WALL_POSES = 32
+_FLOOR_POSES = 128
+# Where a pose does not reach a point, it leaves material this far out [m].
+_FAR = 1.0
+# Points of a kind at most; the rest is left out evenly.
+_POINTS = 2000
+
+
+class FinishedSurface(eqx.Module):
+    """Points of the ideal surface and the poses that may cut there.
+
+    Attributes:
+        points: Points p [m], shape (point, 3).
+        normals: Unit normals n out of the material, shape (point, 3).
+        is_wall: Whether the point is on a wall, else on a floor, shape (point,).
+        poses: Rows of the path that may be the deepest; a row may stand more than
+            once, shape (point, pose).
+        radius: Radius of the tool R [m].
+    """
+
+    points: Float[np.ndarray, "point 3"] | Float[Array, "point 3"]
+    normals: Float[np.ndarray, "point 3"] | Float[Array, "point 3"]
+    is_wall: Bool[np.ndarray, " point"] | Bool[Array, " point"]
+    poses: Int[np.ndarray, "point pose"] | Int[Array, "point pose"]
+    radius: RealScalarLike
+
+    def errors(self, actual: FloatRows3) -> Float[Array, " point"]:
+        """Return how far out of the ideal surface the machined one lies.
+
+        Args:
+            actual: Actual tips [m], shape (step, 3).
+
+        Returns:
+            Positive where material was left, negative where too much was cut [m],
+            shape (point,).
+
+        **Differentiability**: kink where another pose becomes the deepest.
+        """
+        tips = jnp.asarray(actual)
+        p, n = (jnp.asarray(x, tips.dtype) for x in (self.points, self.normals))
+        apart = tips[jnp.asarray(self.poses, jnp.int32)] - p[:, None]
+        out = jnp.sum(apart * n[:, None], axis=2)
+        across = apart[..., 1] * n[:, None, 0] - apart[..., 0] * n[:, None, 1]
+        R = jnp.asarray(self.radius, tips.dtype)
+        square = R**2 - across**2
+        is_under = square > (0.01 * R) ** 2
+        wall = out - jnp.sqrt(jnp.where(is_under, square, 1.0))
+        wall = jnp.where(is_under, wall, jnp.asarray(_FAR, tips.dtype))
+        depth = jnp.where(jnp.asarray(self.is_wall)[:, None], wall, out)
+        # The choice is held fixed: `min` would share a tie's derivative among all.
+        best = jnp.argmin(jax.lax.stop_gradient(depth), axis=1)
+        return jnp.take_along_axis(depth, best[:, None], axis=1)[:, 0]
+
+
+def finished_surface(
+    stock: Stock, desired: FloatRows3, radius: float, *, reach: float = 5e-4
+) -> FinishedSurface:
+    """Return the surface that a rigid flat tool along +z leaves.
+
+    Args:
+        stock: The stock after the rigid cut; its ends know the poses that cut them.
+        desired: The path of that cut [m], shape (step, 3).
+        radius: Radius of the tool [m].
+        reach: A pose may decide a point if the desired one stays at most this far out
+            of it [m]: twice the largest error that is to be seen right.
+
+    Returns:
+        At most 2000 points of walls and of floors each.
+
+    Raises:
+        ValueError: No end was cut by a pose.
+
+    **Differentiability**: none, a host function.
+    """
+    tips = np.asarray(desired, np.float64)
+    walls = _thinned(*_wall_points(stock, tips, radius))
+    floors = _thinned(*_floor_points(stock))
+    poses = [
+        _wall_poses(*walls, tips, radius, reach),
+        _floor_poses(floors[0], tips, radius, reach),
+    ]
+    is_seen = [np.any(rows >= 0, axis=1) for rows in poses]
+    if not any(seen.any() for seen in is_seen):
+        raise ValueError("Argument `stock` must have been cut by a pose, but was not.")
+    width = max(rows.shape[1] for rows in poses)
+    filled = [
+        _filled(rows[seen], width) for rows, seen in zip(poses, is_seen, strict=True)
+    ]
+    kinds = [
+        np.ones(int(is_seen[0].sum()), bool),
+        np.zeros(int(is_seen[1].sum()), bool),
+    ]
+    return FinishedSurface(
+        points=np.concatenate([walls[0][is_seen[0]], floors[0][is_seen[1]]]),
+        normals=np.concatenate([walls[1][is_seen[0]], floors[1][is_seen[1]]]),
+        is_wall=np.concatenate(kinds),
+        poses=np.concatenate(filled),
+        radius=np.asarray(radius, np.float64),
+    )
+
+
+class SurfaceObjective(AbstractObjective):
+    """The signed error of the machined surface, walls and floors apart.
+
+    Attributes:
+        surface: The surface as it should be.
+        wall_weight: Weight of the walls' mean square.
+        floor_weight: Weight of the floors' mean square.
+        tolerance: Half the width of the band within which no error counts [m].
+    """
+
+    surface: FinishedSurface
+    wall_weight: RealScalarLike = 1.0
+    floor_weight: RealScalarLike = 1.0
+    tolerance: RealScalarLike = 0.0
+
+    def errors(
+        self, problem: Problem, motion: Motion, lag_weight: RealScalarLike
+    ) -> Float[Array, " error"]:
+        """Return the errors of the points, and the whole deviation for its lag.
+
+        **Differentiability**: that of `FinishedSurface.errors`; kink at the band.
+        """
+        error = self.surface.errors(motion.actual)
+        dtype = error.dtype
+        is_wall = jnp.asarray(self.surface.is_wall)
+        weight = [
+            jnp.asarray(w, dtype) / jnp.maximum(jnp.sum(rows, dtype=dtype), 1)
+            for w, rows in ((self.wall_weight, is_wall), (self.floor_weight, ~is_wall))
+        ]
+        share = jnp.sqrt(jnp.where(is_wall, weight[0], weight[1]))
+        error = beyond(error[:, None], self.tolerance)[:, 0] * share
+        rest = deviation_of(problem, motion) * row_shares(problem, dtype)[:, None]
+        rest = jnp.asarray(lag_weight, dtype) * rest
+        return jnp.concatenate([error, rest.reshape(-1)])
+
+
+class SurfaceMeasures(eqx.Module):
+    """Figures of the surface error, walls and floors apart; NaN where there is none.
+
+    Attributes:
+        wall_mean: Mean signed error of the walls [m], positive: material left.
+        wall_rms: Root mean square error of the walls [m].
+        wall_p95: 95 % of the walls' points are closer to the ideal surface [m].
+        floor_mean: As `wall_mean`, of the floors [m].
+        floor_rms: As `wall_rms` [m].
+        floor_p95: As `wall_p95` [m].
+        deepest: How far the tool cut into the ideal part at most [m], at least 0.
+    """
+
+    wall_mean: float
+    wall_rms: float
+    wall_p95: float
+    floor_mean: float
+    floor_rms: float
+    floor_p95: float
+    deepest: float
+
+
+def measure_surface(surface: FinishedSurface, actual: FloatRows3) -> SurfaceMeasures:
+    """Return the figures of the surface that actual tips leave.
+
+    Args:
+        surface: The surface as it should be.
+        actual: Actual tips [m], shape (step, 3).
+
+    Returns:
+        The figures.
+
+    **Differentiability**: none, a host function.
+    """
+    error = np.asarray(surface.errors(actual), np.float64)
+
+    def figures(chosen: np.ndarray) -> tuple[float, float, float]:
+        if not chosen.size:
+            return np.nan, np.nan, np.nan
+        return (
+            float(chosen.mean()),
+            float(np.sqrt(np.mean(chosen**2))),
+            float(np.percentile(np.abs(chosen), 95)),
+        )
+
+    is_wall = np.asarray(surface.is_wall)
+    return SurfaceMeasures(
+        *figures(error[is_wall]),
+        *figures(error[~is_wall]),
+        deepest=float(max(0.0, -error.min())),
+    )
+
+
+def _cut_ends(
+    stock: Stock, family: int, sides: tuple[int, ...]
+) -> tuple[Float[np.ndarray, "end 3"], Int[np.ndarray, " end"]]:
+    """Return the ends of a family that a pose cut, and these poses."""
+    rays = stock.families[family]
+    ends, cut_by = np.asarray(rays.ends, np.float64), np.asarray(rays.poses)
+    is_cut = (cut_by >= 0) & (ends[:, :, 1] > ends[:, :, 0])[:, :, None]
+    is_cut &= np.isin(np.arange(2), sides)[None, None, :, None]
+    u, v, side, slot = np.nonzero(is_cut)
+    points = np.empty((len(u), 3))
+    origin = np.asarray(stock.origin, np.float64)
+    points[:, family] = ends[u, v, side, slot]
+    for axis, line in (((family + 1) % 3, u), ((family + 2) % 3, v)):
+        points[:, axis] = origin[axis] + line * stock.spacing
+    return points, cut_by[u, v, side, slot]
+
+
+def _wall_points(
+    stock: Stock, tips: Float[np.ndarray, "step 3"], radius: float
+) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, "point 3"]]:
+    """Return points that the tool's side cut, and their normals.
+
+    Points above each other on a wall are alike to an upright tool: the lowest stands
+    for all, half a spacing above the tip so that a tip that lifts still cuts it.
+    """
+    found = [_cut_ends(stock, family, (0, 1)) for family in (0, 1)]
+    points, cut_by = (np.concatenate([f[i] for f in found]) for i in (0, 1))
+    normals = (tips[cut_by] - points) / radius
+    above = points[:, 2] - tips[cut_by, 2]
+    normals[:, 2] = 0.0
+    length = np.linalg.norm(normals, axis=1)
+    # Points that the rim of the bottom cut have no wall's normal.
+    is_side = (np.abs(length - 1) < 1e-3) & (above > 0.5 * stock.spacing)
+    points, normals = points[is_side], normals[is_side] / length[is_side, None]
+    order = np.argsort(points[:, 2], kind="stable")
+    key = np.round(points[order, :2] / (1e-3 * stock.spacing))
+    chosen = order[np.unique(key, axis=0, return_index=True)[1]]
+    return points[chosen], normals[chosen]
+
+
+def _floor_points(
+    stock: Stock,
+) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, "point 3"]]:
+    """Return points that the tool's bottom cut, and their normals."""
+    points, _ = _cut_ends(stock, 2, (1,))
+    return points, np.tile(np.array([0.0, 0.0, 1.0]), (len(points), 1))
+
+
+def _thinned(
+    points: Float[np.ndarray, "point 3"], normals: Float[np.ndarray, "point 3"]
+) -> tuple[Float[np.ndarray, "few 3"], Float[np.ndarray, "few 3"]]:
+    """Return evenly chosen points, not more than the limit."""
+    if len(points) <= _POINTS:
+        return points, normals
+    chosen = np.linspace(0, len(points) - 1, _POINTS).astype(int)
+    return points[chosen], normals[chosen]
+
+
+def _wall_poses(
+    points: Float[np.ndarray, "point 3"],
+    normals: Float[np.ndarray, "point 3"],
+    tips: Float[np.ndarray, "step 3"],
+    radius: float,
+    reach: float,
+) -> Int[np.ndarray, "point pose"]:
+    """Return the poses that may cut each wall point deepest, padded with -1."""
+    found = []
+    for p, n in zip(points, normals, strict=True):
+        apart = tips - p
+        out = apart @ n
+        across = apart[:, 1] * n[0] - apart[:, 0] * n[1]
+        square = radius**2 - across**2
+        depth = out - np.sqrt(np.clip(square, 0, None))
+        is_near = (square > (0.1 * radius) ** 2) & (tips[:, 2] < p[2])
+        found.append(_nearest(np.where(is_near, depth, np.inf), reach, _WALL_POSES))
+    return np.array(found, np.int32).reshape(len(points), _WALL_POSES)
+
+
+def _floor_poses(
+    points: Float[np.ndarray, "point 3"],
+    tips: Float[np.ndarray, "step 3"],
+    radius: float,
+    reach: float,
+) -> Int[np.ndarray, "point pose"]:
+    """Return the poses whose bottom covers each point, padded with -1."""
+    found = []
+    for p in points:
+        off = np.hypot(tips[:, 0] - p[0], tips[:, 1] - p[1])
+        depth = np.where(off < radius - reach, tips[:, 2] - p[2], np.inf)
+        found.append(_nearest(depth, reach, _FLOOR_POSES))
+    return np.array(found, np.int32).reshape(len(points), _FLOOR_POSES)
+
+
+def _nearest(
+    depth: Float[np.ndarray, " step"], reach: float, count: int
+) -> Int[np.ndarray, " pose"]:
+    """Return the poses of least depth within reach, padded with -1."""
+    near = np.flatnonzero(depth < reach)
+    near = near[np.argsort(depth[near], kind="stable")][:count]
+    return np.pad(near, (0, count - len(near)), constant_values=-1).astype(np.int32)
+
+
+def _filled(rows: Int[np.ndarray, "point pose"], width: int) -> np.ndarray:
+    """Return rows of one width; the first pose stands in for what is missing."""
+    wide = np.pad(rows, ((0, 0), (0, width - rows.shape[1])), constant_values=-1)
+    return np.where(wide >= 0, wide, wide[:, :1])

@@ -1,0 +1,84 @@
+"""The table `[correction]` of a job file, and what of it depends on the rest."""
+
+import math
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, StrictBool, StrictInt
+
+from .._job import CorrectionSettings
+from ..cutter import AbstractCutter
+from ._job_fields import PositiveLength, PositiveTime, Tolerance
+from ._job_table import Table
+
+
+def _weight(value: object) -> float:
+    """Return a weight, a number of at least 0."""
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        if 0 <= value < math.inf:
+            return float(value)
+    raise ValueError(f"found {value!r}, but a number of at least 0 is required")
+
+
+Weight = Annotated[float, BeforeValidator(_weight)]
+
+
+class WeightTable(Table):
+    """One entry of `weight`: a section of the program and how much it counts."""
+
+    lines: Annotated[list[StrictInt], Field(min_length=2, max_length=2)] = Field(
+        description="first and last line of the program, such as [120, 180]"
+    )
+    value: Weight = Field(description="a number of at least 0")
+
+
+class CorrectionTable(Table):
+    """`[correction]`."""
+
+    objective: Literal["path", "surface"] = "path"
+    method: Literal["gauss_newton", "mirror", "mirror_iterated", "inverse_drive"] = (
+        "gauss_newton"
+    )
+    command: Literal["tip", "joint"] = "tip"
+    tolerance: Tolerance = 0.0
+    weight: list[WeightTable] = Field(default_factory=list)
+    finishing_only: StrictBool = False
+    wall_weight: Weight = 1.0
+    floor_weight: Weight = 1.0
+    knot_spacing: PositiveTime = 30e-3
+    max_offset: PositiveLength = 1e-3
+    max_steps: Annotated[StrictInt, Field(ge=1, le=1000)] = 2
+    max_products: Annotated[StrictInt, Field(ge=1, le=10_000)] = 30
+
+
+def correction_settings(table: CorrectionTable) -> CorrectionSettings:
+    """Return the settings of a checked table."""
+    values: dict[str, Any] = table.model_dump(exclude={"weight"})
+    sections = tuple((e.lines[0], e.lines[1], e.value) for e in table.weight)
+    return CorrectionSettings(**values, sections=sections)
+
+
+def check_correction(
+    table: CorrectionTable,
+    cutter: AbstractCutter,
+    is_upright: bool,
+    problems: list[str],
+) -> None:
+    """Note settings that the cutter or the path do not allow."""
+    if table.objective == "surface":
+        if not (cutter.is_plain and is_upright):
+            problems.append(
+                '[correction] objective: found "surface", which needs a flat cutter '
+                'that stands along +z; allowed here: "path"'
+            )
+        if table.wall_weight == table.floor_weight == 0:
+            problems.append(
+                "[correction] wall_weight: found 0 beside floor_weight = 0, but one of "
+                "them above 0 is required"
+            )
+    for entry in table.weight:
+        first, last = entry.lines
+        if not 1 <= first <= last:
+            problems.append(
+                f"[correction] weight.lines: found [{first}, {last}], but two line "
+                "numbers from 1, the first not above the last, are required"
+            )

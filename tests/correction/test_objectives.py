@@ -1,0 +1,213 @@
+"""Objectives: the tolerance band, weighted rows, and the machined surface."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from correction.spring_mass import rounded_square, soft_arm
+
+from diffmill.correction import (
+    GaussNewton,
+    GivenCommand,
+    Motion,
+    PathObjective,
+    Problem,
+    SurfaceObjective,
+    finished_surface,
+    measure_surface,
+    row_weights,
+    surface_poses,
+)
+from diffmill.cutter import flat_end_mill
+from diffmill.workpiece import Pose, box, removal_window, remove_poses, surface_error
+
+TIME_STEP = 3.75e-3
+RADIUS = 5e-3
+
+
+def straight_problem(deviation):
+    path = np.zeros((len(deviation), 3))
+    path[:, 0] = 1e-4 * np.arange(len(path))
+    problem = Problem(lambda c: c, path, path, np.ones(len(path)), TIME_STEP)
+    return problem, Motion(jnp.asarray(path + deviation), jnp.zeros_like(path))
+
+
+def test_the_band_is_free_and_quadratic_outside():
+    across = np.array([0.0, 5e-6, 9.9e-6, 10e-6, 12e-6, -30e-6])
+    problem, motion = straight_problem(across[:, None] * np.array([[0.0, 1.0, 0.0]]))
+    errors = PathObjective(10e-6).errors(problem, motion, 0.0)
+    found = np.sqrt(6) * np.asarray(errors).reshape(-1, 3)[:, 1]
+    np.testing.assert_allclose(found, [0, 0, 0, 0, 2e-6, -20e-6], atol=1e-18)
+
+    def cost(y):
+        tip = motion.actual.at[3, 1].set(y)
+        return jnp.sum(PathObjective(1e-5).errors(problem, Motion(tip, tip), 0.0) ** 2)
+
+    slopes = [float(jax.grad(cost)(jnp.asarray(y))) for y in (0.0, 1e-5, 1.01e-5)]
+    others = 2 * 1e-7 / 6
+    np.testing.assert_allclose(slopes, [0.0, 0.0, others], atol=1e-15)
+
+
+def test_no_band_keeps_the_derivative_at_zero():
+    problem, motion = straight_problem(np.zeros((5, 3)))
+    push = lambda y: PathObjective().errors(
+        problem, Motion(motion.actual.at[2, 1].set(y), motion.force), 0.0
+    )
+    slope = jax.jacfwd(push)(jnp.asarray(0.0))
+    assert float(jnp.sum(slope**2)) == pytest.approx(1 / 5)
+
+
+def test_weights_by_line_and_by_what_finishes():
+    is_cutting = np.array([False, True, True, True, True, True])
+    line = np.array([1, 2, 2, 3, 4, 4], np.int32)
+    weights = row_weights(is_cutting, line, sections=[(1, 3, 0.5), (3, 3, 2.0)])
+    np.testing.assert_array_equal(weights, [0, 0.5, 0.5, 2, 1, 1])
+    with pytest.raises(ValueError, match="lines 2 to 4"):
+        row_weights(is_cutting, line, sections=[(0, 9, 0.0)])
+
+
+def test_what_weighs_nothing_is_left_alone():
+    """Half the path without weight: the other half gets the effort."""
+    _, path, is_cutting = rounded_square(TIME_STEP)
+    half = np.arange(len(path)) < len(path) // 2
+    problem = Problem(
+        soft_arm(TIME_STEP), path, path, is_cutting * half * 1.0, TIME_STEP
+    )
+    found = GaussNewton(30e-3)(problem)
+    error = np.linalg.norm(found.contour, axis=1)
+    late = is_cutting & ~half
+    rms = lambda rows: np.sqrt(np.mean(error[rows] ** 2))
+    before = np.linalg.norm(GivenCommand()(problem).contour, axis=1)
+    assert rms(is_cutting & half) < 0.05 * np.sqrt(np.mean(before[half] ** 2))
+    assert rms(late) > 10 * rms(is_cutting & half)
+
+
+@pytest.fixture(scope="module")
+def cutter():
+    return flat_end_mill(diameter=2 * RADIUS, teeth=2, helix_angle=0.0)
+
+
+@pytest.fixture(scope="module")
+def cut(cutter):
+    """Return a function that cuts a block along tips."""
+    stock = box([0.0, 0.0, -3e-3], [15e-3, 12e-3, 0.0], 0.5e-3)
+    window = removal_window(stock, cutter, 2e-3, 1e-3)
+
+    @jax.jit
+    def along(tips):
+        def step(stock, x):
+            tip, index = x
+            poses = Pose(tip[None])
+            done = remove_poses(
+                stock, cutter, window, poses, index[None], jnp.ones(1, bool)
+            )
+            return done.stock, None
+
+        rows = jnp.arange(tips.shape[0], dtype=jnp.int32)
+        return jax.lax.scan(step, stock, (tips, rows))[0]
+
+    return along
+
+
+def two_passes():
+    """A pass along the edge of the block, and a second one 1 mm further in."""
+    x = np.arange(-6e-3, 21e-3, 0.2e-3)
+    flat = lambda x, y: np.stack([x, y + 0 * x, -1e-3 + 0 * x], axis=1)
+    return np.concatenate([flat(x, -1e-3), flat(x[::-1], 0.0)])
+
+
+def wavy(path):
+    deviation = np.zeros_like(path)
+    deviation[:, 1] = 60e-6 * np.sin(path[:, 0] / 2e-3)
+    # Else both passes would come equally deep wherever they cover the same place.
+    tilt = 5e-6 * np.linspace(0.0, 1.0, len(path))
+    deviation[:, 2] = 40e-6 * np.cos(path[:, 0] / 1.5e-3) - 10e-6 + tilt
+    return path + deviation
+
+
+def test_surface_error_is_that_of_the_machined_stock(cut):
+    path = two_passes()
+    actual = wavy(path)
+    ideal, machined = cut(jnp.asarray(path)), cut(jnp.asarray(actual))
+    surface = finished_surface(ideal, path, RADIUS)
+    error = np.asarray(surface.errors(actual))
+    wanted = surface_error(machined, ideal)
+
+    def inside(points):
+        # Away from the edges, where the mesh of the ideal is exact.
+        return (points[:, 0] > 1e-3) & (points[:, 0] < 14e-3)
+
+    for is_floor in (False, True):
+        rows = wanted.is_cut & (wanted.is_floor == is_floor) & inside(wanted.points)
+        truth = wanted.error[rows]
+        found = error[(surface.is_wall != is_floor) & inside(surface.points)]
+        assert min(len(truth), len(found)) > 20
+        size = np.sqrt(np.mean(truth**2))
+        assert size > 2e-5
+        assert np.sqrt(np.mean(found**2)) == pytest.approx(size, rel=0.03)
+        assert found.mean() == pytest.approx(truth.mean(), abs=0.03 * size)
+
+
+def test_only_the_second_pass_leaves_the_wall(cut):
+    path = two_passes()
+    ideal = cut(jnp.asarray(path))
+    surface = finished_surface(ideal, path, RADIUS)
+    np.testing.assert_allclose(np.asarray(surface.errors(path)), 0.0, atol=1e-12)
+    first = path.copy()
+    first[: len(path) // 2, 1] -= 1e-4
+    assert measure_surface(surface, first).wall_rms < 1e-9
+    second = path.copy()
+    second[len(path) // 2 :, 1] += 1e-4
+    found = measure_surface(surface, second)
+    assert found.wall_mean == pytest.approx(-1e-4, rel=1e-3)
+    assert found.deepest == pytest.approx(1e-4, rel=1e-3)
+
+
+def test_a_pass_that_is_cut_again_does_not_finish(cut):
+    """The first pass leaves the floor near the edge, all else of it is cut again."""
+    path = two_passes()
+    path[: len(path) // 2, 2] += 0.3e-3
+    ideal = cut(jnp.asarray(path))
+    cuts = (path[:, 0] > 0) & (path[:, 0] < 15e-3)
+    line = np.ones(len(path), np.int32)
+    assert surface_poses(ideal).min() >= len(path) // 2
+    weights = row_weights(cuts, line, finished=ideal, spread=3)
+    np.testing.assert_array_equal(weights > 0, cuts & (np.arange(len(path)) >= 135))
+
+
+def test_surface_derivative_agrees_with_differences(cut):
+    path = two_passes()
+    surface = finished_surface(cut(jnp.asarray(path)), path, RADIUS)
+    actual, push = (
+        jnp.asarray(wavy(path)),
+        np.random.default_rng(1).normal(size=path.shape),
+    )
+    exact = jax.jvp(surface.errors, (actual,), (jnp.asarray(push),))[1]
+    step = 1e-9
+    ahead = surface.errors(actual + step * push)
+    behind = surface.errors(actual - step * push)
+    error = np.abs(np.asarray((ahead - behind) / (2 * step) - exact))
+    # A few points change the pose that decides.
+    assert np.quantile(error, 0.97) < 1e-5
+
+
+def test_the_surface_comes_out_where_the_tip_does_not(cut):
+    """A plant that is pushed off, its first pass cut again by the second."""
+    path = two_passes()
+    surface = finished_surface(cut(jnp.asarray(path)), path, RADIUS)
+    push = jnp.asarray(wavy(path) - path)
+
+    def plant(command):
+        return Motion(command + push, jnp.zeros_like(command))
+
+    over = (path[:, 0] > -5e-3) & (path[:, 0] < 20e-3)
+    problem = Problem(plant, path, path, over.astype(float), TIME_STEP)
+    method = GaussNewton(15e-3, objective=SurfaceObjective(surface), smoothness=1e-4)
+    before = measure_surface(surface, GivenCommand()(problem).motion.actual)
+    after = measure_surface(surface, method(problem).motion.actual)
+    assert after.wall_p95 < 0.05 * before.wall_p95
+    assert after.floor_p95 < 0.2 * before.floor_p95
+    only_wall = eqx.tree_at(lambda m: m.objective.floor_weight, method, 0.0)
+    walls = measure_surface(surface, only_wall(problem).motion.actual)
+    assert walls.wall_p95 < 0.05 * before.wall_p95

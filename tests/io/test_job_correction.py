@@ -1,0 +1,84 @@
+"""`[correction]`: objective, weights and bounds as a job file says them."""
+
+from typing import Any
+
+import pytest
+
+from diffmill.io._job_correction import (
+    CorrectionTable,
+    check_correction,
+    correction_settings,
+)
+from diffmill.io._job_table import validated
+
+
+def read(**raw: Any) -> tuple[Any, list[str]]:
+    problems: list[str] = []
+    return validated(CorrectionTable, raw, "[correction]", problems), problems
+
+
+def test_values_become_settings_in_si():
+    table, problems = read(
+        objective="surface",
+        tolerance="10 um",
+        finishing_only=True,
+        floor_weight=0,
+        weight=[{"lines": [12, 30], "value": 0}, {"lines": [31, 31], "value": 2.5}],
+    )
+    assert not problems
+    settings = correction_settings(table)
+    assert settings.tolerance == pytest.approx(1e-5)
+    assert settings.sections == ((12, 30, 0.0), (31, 31, 2.5))
+    assert (settings.objective, settings.finishing_only) == ("surface", True)
+    assert (settings.wall_weight, settings.floor_weight) == (1.0, 0.0)
+    assert correction_settings(read()[0]).sections == ()
+
+
+@pytest.mark.parametrize(
+    ("raw", "words"),
+    [
+        ({"tolerance": "-1 um"}, ("tolerance", "at least 0")),
+        (
+            {"weight": [{"lines": [1, 2], "value": -1}]},
+            ("weight.0.value", "at least 0"),
+        ),
+        ({"weight": [{"lines": [1], "value": 1}]}, ("weight.0.lines", "2 values")),
+        ({"weight": [{"value": 1}]}, ("weight.0.lines", "first and last line")),
+        ({"objective": "both"}, ("objective", "'surface'")),
+        ({"finishing_only": 1}, ("finishing_only", "true or false")),
+    ],
+)
+def test_faults_are_named(raw, words):
+    _, problems = read(**raw)
+    assert len(problems) == 1
+    assert all(word in problems[0] for word in words), problems[0]
+
+
+def test_what_the_cutter_does_not_allow(simple_end_mills):
+    table, _ = read(
+        objective="surface",
+        wall_weight=0,
+        floor_weight=0,
+        weight=[{"lines": [5, 2], "value": 1}],
+    )
+    flat, ball = simple_end_mills
+    found: list[str] = []
+    check_correction(table, ball, True, found)
+    assert [line.split()[1] for line in found] == [
+        "objective:",
+        "wall_weight:",
+        "weight.lines:",
+    ]
+    found: list[str] = []
+    check_correction(read(objective="surface")[0], flat, True, found)
+    assert found == []
+    check_correction(read(objective="surface")[0], flat, False, found)
+    assert "flat cutter" in found[0]
+
+
+@pytest.fixture
+def simple_end_mills():
+    from diffmill.cutter import ball_end_mill, flat_end_mill
+
+    sizes = {"diameter": 0.01, "teeth": 2, "helix_angle": 0.0}
+    return flat_end_mill(**sizes), ball_end_mill(**sizes)
