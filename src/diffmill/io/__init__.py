@@ -12,6 +12,17 @@ Measured forces are read as they stand, from text or what laboratory programs wr
 Leaves out robot programs.
 """
 
+from ._checkpoint import (
+    CheckpointError as CheckpointError,
+    DamagedCheckpoint as DamagedCheckpoint,
+    fingerprint as fingerprint,
+    has_checkpoint as has_checkpoint,
+    latest_checkpoint as latest_checkpoint,
+    previous_checkpoint as previous_checkpoint,
+    read_checkpoint as read_checkpoint,
+    remove_checkpoint as remove_checkpoint,
+    write_checkpoint as write_checkpoint,
+)
 from ._gcode import parse_gcode as parse_gcode, read_gcode as read_gcode
 from ._gcode_words import GCodeError as GCodeError
 from ._gcode_writer import write_gcode as write_gcode

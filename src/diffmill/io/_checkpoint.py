@@ -1,0 +1,259 @@
+"""Checkpoints: what a long run needs to go on, in a file that is whole or refused.
+
+A first line holds the version of the format and the SHA-256 of all that follows, an
+`.npz` archive of plain arrays (no pickle). A new checkpoint is written beside the old
+one, flushed to the disk and renamed; the one before is kept. So a run that is killed at
+any moment leaves at least one that is whole.
+"""
+
+import dataclasses
+import hashlib
+import io
+import os
+import pathlib
+import zipfile
+from collections.abc import Mapping
+from importlib import metadata
+from typing import Any, TypeAlias
+
+import numpy as np
+from jaxtyping import Shaped
+
+Arrays: TypeAlias = Mapping[str, Shaped[np.ndarray, "..."]]
+
+_MAGIC, _VERSION = b"diffmill-checkpoint", 1
+# Longest first line that is looked at.
+_LONGEST = 200
+_PREVIOUS = ".previous"
+# Names that the file adds to the arrays, which themselves never begin with a dot.
+_JOB, _MADE_BY = ".job", ".made_by"
+_PACKAGES = ("diffmill", "jax", "jaxlib", "equinox", "numpy", "scipy")
+
+
+class CheckpointError(ValueError):
+    """Raise when a checkpoint is damaged, or belongs to another job or version."""
+
+
+class DamagedCheckpoint(CheckpointError):
+    """Raise when a file is no whole checkpoint; the one before may be."""
+
+
+def fingerprint(tree: Any) -> str:
+    """Return the SHA-256 of everything in a tree of modules, as hexadecimal digits.
+
+    Args:
+        tree: Modules, tuples, lists, dicts, arrays, numbers, text and functions in any
+            nesting; every byte of every array counts.
+
+    Raises:
+        TypeError: Something in it has no bytes that stand for it.
+
+    Differentiability: none, a host function.
+    """
+    digest = hashlib.sha256()
+    _feed(digest, tree)
+    return digest.hexdigest()
+
+
+def write_checkpoint(
+    path: str | os.PathLike[str], arrays: Arrays, *, job_fingerprint: str
+) -> None:
+    """Write a checkpoint, and keep the one before under the suffix `.previous`.
+
+    Args:
+        path: The file.
+        arrays: What is to be kept, plain arrays by name.
+        job_fingerprint: `fingerprint` of the job.
+
+    Raises:
+        OSError: The file cannot be written; the earlier ones are as they were.
+
+    Differentiability: none, a host function.
+    """
+    target = pathlib.Path(path)
+    temporary = target.with_name(target.name + ".writing")
+    content = _content(arrays, job_fingerprint)
+    with open(temporary, "wb") as file:
+        digest = hashlib.sha256(content).hexdigest().encode()
+        file.write(b"%s %d %s\n" % (_MAGIC, _VERSION, digest))
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    # A damaged one must not take the place of the whole one that the run went on from.
+    if _is_whole(target):
+        os.replace(target, previous_checkpoint(target))
+    os.replace(temporary, target)
+    _flush_folder(target.parent)
+
+
+def read_checkpoint(
+    path: str | os.PathLike[str], *, job_fingerprint: str
+) -> dict[str, np.ndarray]:
+    """Return the arrays of one checkpoint file.
+
+    Args:
+        path: The file.
+        job_fingerprint: `fingerprint` of the job that is to go on.
+
+    Raises:
+        DamagedCheckpoint: The file is not whole.
+        CheckpointError: It is of another job, format or version of the programs.
+        OSError: It cannot be read.
+
+    Differentiability: none, a host function.
+    """
+    arrays = _arrays_of(pathlib.Path(path))
+    made_by, job = str(arrays.pop(_MADE_BY)), str(arrays.pop(_JOB))
+    if made_by != _versions():
+        raise CheckpointError(
+            f"{os.fspath(path)}: found a checkpoint made by {made_by}; only one made "
+            f"by {_versions()} goes on to the same result"
+        )
+    if job != job_fingerprint:
+        raise CheckpointError(
+            f"{os.fspath(path)}: found a checkpoint of another job; the job and all "
+            "files that it names must be as they were when the run was started"
+        )
+    return arrays
+
+
+def latest_checkpoint(
+    path: str | os.PathLike[str], *, job_fingerprint: str
+) -> tuple[dict[str, np.ndarray] | None, tuple[str, ...]]:
+    """Return the newest checkpoint that is whole.
+
+    Args:
+        path: The file; the one before is sought beside it.
+        job_fingerprint: `fingerprint` of the job that is to go on.
+
+    Returns:
+        Its arrays, or None if there is no checkpoint at all; and notes on what was
+        refused.
+
+    Raises:
+        DamagedCheckpoint: There are checkpoints, but none is whole.
+        CheckpointError: It is of another job, format or version of the programs.
+
+    Differentiability: none, a host function.
+    """
+    notes: list[str] = []
+    for file in (pathlib.Path(path), previous_checkpoint(path)):
+        if not file.exists():
+            continue
+        try:
+            found = read_checkpoint(file, job_fingerprint=job_fingerprint)
+        except DamagedCheckpoint as error:
+            notes.append(str(error))
+            continue
+        if notes:
+            notes.append(f"the checkpoint before it is used: {file}")
+        return found, tuple(notes)
+    if notes:
+        raise DamagedCheckpoint("; ".join([*notes, "no other checkpoint is there"]))
+    return None, ()
+
+
+def has_checkpoint(path: str | os.PathLike[str]) -> bool:
+    """Return whether a checkpoint, or the one before it, is there."""
+    return pathlib.Path(path).exists() or previous_checkpoint(path).exists()
+
+
+def remove_checkpoint(path: str | os.PathLike[str]) -> None:
+    """Remove a checkpoint and the one before it, if they are there."""
+    pathlib.Path(path).unlink(missing_ok=True)
+    previous_checkpoint(path).unlink(missing_ok=True)
+
+
+def previous_checkpoint(path: str | os.PathLike[str]) -> pathlib.Path:
+    """Return the file that holds the checkpoint before."""
+    file = pathlib.Path(path)
+    return file.with_name(file.name + _PREVIOUS)
+
+
+def _content(arrays: Arrays, job_fingerprint: str) -> bytes:
+    if wrong := [name for name in arrays if name.startswith(".")]:
+        raise ValueError(f"Argument `arrays` must have no name as {wrong[0]!r}.")
+    kept = {name: np.asarray(value) for name, value in arrays.items()}
+    kept |= {_JOB: np.asarray(job_fingerprint), _MADE_BY: np.asarray(_versions())}
+    buffer = io.BytesIO()
+    np.savez(buffer, allow_pickle=False, **kept)
+    return buffer.getvalue()
+
+
+def _arrays_of(file: pathlib.Path) -> dict[str, np.ndarray]:
+    """Return all arrays of a file whose bytes are as they were written."""
+    with open(file, "rb") as stream:
+        first = stream.readline(_LONGEST)
+        content = stream.read()
+    words = first.split()
+    if len(words) != 3 or words[0] != _MAGIC or not first.endswith(b"\n"):
+        raise DamagedCheckpoint(f"{file}: is damaged: it does not begin as one does")
+    version = words[1].decode("ascii", "replace")
+    if version != str(_VERSION):
+        raise CheckpointError(
+            f"{file}: found a checkpoint of format {version}; only format {_VERSION} "
+            "is read"
+        )
+    if hashlib.sha256(content).hexdigest().encode() != words[2]:
+        raise DamagedCheckpoint(f"{file}: is damaged: its content has changed")
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as found:
+            arrays = {name: found[name] for name in found.files}
+    except (OSError, ValueError, zipfile.BadZipFile) as error:
+        raise DamagedCheckpoint(f"{file}: is damaged: {error}") from error
+    if not {_JOB, _MADE_BY} <= arrays.keys():
+        raise DamagedCheckpoint(f"{file}: is damaged: it names no job")
+    return arrays
+
+
+def _is_whole(file: pathlib.Path) -> bool:
+    try:
+        _arrays_of(file)
+    except (OSError, CheckpointError):
+        return False
+    return True
+
+
+def _versions() -> str:
+    return ", ".join(f"{name} {metadata.version(name)}" for name in _PACKAGES)
+
+
+def _flush_folder(folder: pathlib.Path) -> None:
+    """Make a rename last; not every system can open a folder."""
+    if os.name == "nt":
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _feed(digest: Any, value: Any) -> None:
+    """Feed a value to a digest; lengths and types keep neighbours apart."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        names = [field.name for field in dataclasses.fields(value)]
+        digest.update(f"{type(value).__qualname__}:{len(names)};".encode())
+        for name in names:
+            digest.update(f"{name}=".encode())
+            _feed(digest, getattr(value, name))
+    elif isinstance(value, Mapping):
+        digest.update(f"dict:{len(value)};".encode())
+        for key in sorted(value):
+            _feed(digest, key)
+            _feed(digest, value[key])
+    elif isinstance(value, tuple | list):
+        digest.update(f"{type(value).__name__}:{len(value)};".encode())
+        for item in value:
+            _feed(digest, item)
+    elif isinstance(value, str | bytes | bool | int | float | complex | type(None)):
+        data = value if isinstance(value, bytes) else repr(value).encode()
+        digest.update(f"{type(value).__name__}:{len(data)};".encode() + data)
+    elif hasattr(value, "dtype") and hasattr(value, "shape"):
+        array = np.asarray(value)
+        digest.update(f"{array.dtype.str}{array.shape};".encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    elif callable(value) and hasattr(value, "__qualname__"):
+        digest.update(f"{value.__module__}.{value.__qualname__};".encode())
+    else:
+        raise TypeError(f"Argument `tree` holds {type(value)}, which has no bytes.")

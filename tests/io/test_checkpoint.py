@@ -1,0 +1,110 @@
+"""A checkpoint is whole, or refused for the one before; another job's is refused."""
+
+import numpy as np
+import pytest
+
+from diffmill import io, workpiece as wp
+
+ARRAYS = {
+    "a/b": np.arange(5.0),
+    "text": np.array(["one", "two"]),
+    "flag": np.asarray(True),
+    "none": np.zeros((0, 3), np.float32),
+}
+
+
+@pytest.fixture
+def file(tmp_path):
+    """Two checkpoints, the older one kept."""
+    path = tmp_path / "run.checkpoint"
+    for count in (1, 2):
+        io.write_checkpoint(
+            path, {**ARRAYS, "count": np.asarray(count)}, job_fingerprint="job"
+        )
+    return path
+
+
+def latest(path, job="job"):
+    arrays, notes = io.latest_checkpoint(path, job_fingerprint=job)
+    assert arrays is not None
+    return arrays, notes
+
+
+def test_a_checkpoint_comes_back_as_it_was(file):
+    arrays, notes = latest(file)
+    assert notes == ()
+    assert arrays.pop("count") == 2
+    assert sorted(arrays) == sorted(ARRAYS)
+    for name, wanted in ARRAYS.items():
+        np.testing.assert_array_equal(arrays[name], wanted)
+        assert arrays[name].dtype == wanted.dtype
+    assert sorted(p.name for p in file.parent.iterdir()) == [
+        "run.checkpoint",
+        "run.checkpoint.previous",
+    ]
+
+
+@pytest.mark.parametrize("at", [0, 40, 90, 700, -1])
+def test_a_damaged_one_is_refused_and_the_one_before_used(file, at):
+    data = bytearray(file.read_bytes())
+    data[at] ^= 1
+    file.write_bytes(bytes(data))
+    arrays, notes = latest(file)
+    assert arrays["count"] == 1
+    assert "damaged" in notes[0]
+    assert str(file) in notes[0]
+    assert "before it is used" in notes[1]
+    # What goes on from there must not push the whole one out by the damaged one.
+    io.write_checkpoint(file, {"count": np.asarray(3)}, job_fingerprint="job")
+    file.write_bytes(b"")
+    assert latest(file)[0]["count"] == 1
+
+
+@pytest.mark.parametrize("length", [0, 10, 200, -1])
+def test_a_cut_off_one_is_refused(file, length):
+    file.write_bytes(file.read_bytes()[:length])
+    assert latest(file)[0]["count"] == 1
+    io.previous_checkpoint(file).write_bytes(b"")
+    with pytest.raises(io.DamagedCheckpoint, match="no other checkpoint"):
+        latest(file)
+
+
+def test_a_run_killed_between_two_renames_goes_on_from_the_one_before(file):
+    file.rename(file.with_name("run.checkpoint.writing"))
+    assert latest(file)[0]["count"] == 1
+
+
+def test_another_job_or_format_is_refused(file, monkeypatch):
+    with pytest.raises(io.CheckpointError, match="another job"):
+        latest(file, job="other")
+    data = file.read_bytes()
+    file.write_bytes(data.replace(b"checkpoint 1 ", b"checkpoint 2 ", 1))
+    with pytest.raises(io.CheckpointError, match="only format 1"):
+        latest(file)
+    file.write_bytes(data)
+    monkeypatch.setattr("diffmill.io._checkpoint._versions", lambda: "jax 0")
+    with pytest.raises(io.CheckpointError, match="only one made by jax 0"):
+        latest(file)
+
+
+def test_there_may_be_none(tmp_path):
+    path = tmp_path / "run.checkpoint"
+    assert io.latest_checkpoint(path, job_fingerprint="job") == (None, ())
+    assert not io.has_checkpoint(path)
+
+
+def test_removing_leaves_nothing(file):
+    assert io.has_checkpoint(file)
+    io.remove_checkpoint(file)
+    assert not any(file.parent.iterdir())
+
+
+def test_a_fingerprint_sees_every_byte():
+    stock = lambda top: wp.box([0, 0, 0], [2e-3, 2e-3, top], 0.5e-3)
+    first = io.fingerprint(stock(2e-3))
+    assert first == io.fingerprint(stock(2e-3))
+    assert first != io.fingerprint(stock(np.nextafter(2e-3, 1)))
+    assert io.fingerprint(("ab", "c")) != io.fingerprint(("a", "bc"))
+    assert io.fingerprint(np.zeros(2, np.float32)) != io.fingerprint(np.zeros(1))
+    with pytest.raises(TypeError, match="no bytes"):
+        io.fingerprint(object())
