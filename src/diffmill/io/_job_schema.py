@@ -98,20 +98,6 @@ class SimulationTable(Table):
     mode: Literal["dynamic", "quasistatic"] = "dynamic"
 
 
-class CorrectionTable(Table):
-    """`[correction]`."""
-
-    objective: Literal["path"] = "path"
-    method: Literal["gauss_newton", "mirror", "mirror_iterated", "inverse_drive"] = (
-        "gauss_newton"
-    )
-    command: Literal["tip", "joint"] = "tip"
-    knot_spacing: PositiveTime = 30e-3
-    max_offset: PositiveLength = 1e-3
-    max_steps: Annotated[StrictInt, Field(ge=1, le=1000)] = 2
-    max_products: Annotated[StrictInt, Field(ge=1, le=10_000)] = 30
-
-
 TABLES: dict[str, type[Table]] = {
     "cutter": CutterTable,
     "spindle": SpindleTable,
