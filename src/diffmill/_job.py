@@ -67,13 +67,13 @@ class CorrectionSettings(eqx.Module):
         command: "tip" positions (what a program carries) or "joint" angles.
         knot_spacing: Spacing of the B-spline knots [s], the controller's bandwidth.
         max_offset: Largest offset of the command from the desired path [m], per axis.
-        max_steps: Gauss-Newton steps at most.
-        max_products: Products with the Jacobian per step at most.
         tolerance: Error that does not count [m].
         sections: First and last line of a section of the program and its weight.
         finishing_only: Whether only rows that leave a part of the surface count.
         wall_weight: Weight of the walls, for the surface.
         floor_weight: Weight of the floors, for the surface.
+        max_steps: Gauss-Newton steps at most.
+        max_products: Products with the Jacobian per step at most.
     """
 
     objective: Literal["path", "surface"] = eqx.field(static=True, default="path")
@@ -83,13 +83,13 @@ class CorrectionSettings(eqx.Module):
     command: Literal["tip", "joint"] = eqx.field(static=True, default="tip")
     knot_spacing: float = eqx.field(static=True, default=30e-3)
     max_offset: RealScalarLike = 1e-3
-    max_steps: int = eqx.field(static=True, default=2)
-    max_products: int = eqx.field(static=True, default=30)
     tolerance: RealScalarLike = 0.0
     sections: tuple[tuple[int, int, float], ...] = eqx.field(static=True, default=())
     finishing_only: bool = eqx.field(static=True, default=False)
     wall_weight: RealScalarLike = 1.0
     floor_weight: RealScalarLike = 1.0
+    max_steps: int = eqx.field(static=True, default=2)
+    max_products: int = eqx.field(static=True, default=30)
 
 
 class Job(eqx.Module):

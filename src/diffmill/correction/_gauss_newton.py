@@ -27,15 +27,15 @@ class ContourResidual(eqx.Module):
         spline: Basis of the offsets.
         smoothness: Weight of the roughness, see `GaussNewton`.
         lag_weight: Weight of the deviation along the path, see `GaussNewton`.
-    """
         objective: The error that is to become small.
+    """
 
     problem: Problem
     spline: SplineOffsets
     smoothness: RealScalarLike
     lag_weight: RealScalarLike
-
     objective: AbstractObjective = PathObjective()
+
 
 def contour_residual(
     coefficients: Float[Array, "coefficient axis"], args: ContourResidual
@@ -82,16 +82,16 @@ class GaussNewton(AbstractMethod):
         solver: Settings of the least-squares method.
         response: The arm's inverse response, which preconditions the inner problem;
             for tip commands only.
-    """
         objective: The error that is to become small.
+    """
 
     knot_spacing: float = 30e-3
     smoothness: float = 1e-2
     lag_weight: float = 0.03
     solver: LevenbergMarquardt = LevenbergMarquardt(max_steps=6, cost_rtol=1e-2)
     response: TipResponse | None = None
-
     objective: AbstractObjective = PathObjective()
+
     def __call__(
         self,
         problem: Problem,
@@ -115,8 +115,8 @@ class GaussNewton(AbstractMethod):
                 spline,
                 jnp.asarray(self.smoothness, nominal.dtype),
                 jnp.asarray(self.lag_weight, nominal.dtype),
-            ),
                 self.objective,
+            ),
             lower=-bound,
             upper=bound,
             scale=bound,
