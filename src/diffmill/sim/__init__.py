@@ -56,6 +56,11 @@ from ._simulate import (
     solve_command as solve_command,
     with_precision as with_precision,
 )
+from ._stability import (
+    Stability as Stability,
+    stability as stability,
+    stability_along as stability_along,
+)
 from ._stepping import (
     AbstractIntegrator as AbstractIntegrator,
     ArmState as ArmState,

@@ -84,6 +84,21 @@ def begin_period(
         return state, Engagement(angle, tooth, weight, none, None), removed
     state = remember(plan, state, index - 1, pose)
     state, removed = remove_due(plan, cutter, state, adjoint)
+    return state, look(plan, cutter, state, index, predicted, adjoint), removed
+
+
+def look(
+    plan: ProcessPlan,
+    cutter: AbstractCutter,
+    state: ProcessState,
+    index: Int[Array, ""],
+    predicted: Pose,
+    adjoint: AbstractAdjoint,
+) -> Engagement:
+    """Return where the teeth of a period meet material, after its removal.
+
+    For the chip model "near_far"; arguments as for `begin_period`.
+    """
     if plan.profile is None:
         found = upright_engagement(plan, cutter, state, index, predicted.tip, adjoint)
     else:
@@ -93,7 +108,7 @@ def begin_period(
         bottom = bottom_engagement(
             plan, cutter, state.stock, index, predicted.tip, state.recent.tip[0]
         )
-    return state, Engagement(*found, thinned_poses(plan, state), bottom), removed
+    return Engagement(*found, thinned_poses(plan, state), bottom)
 
 
 def substep_force(

@@ -1,0 +1,198 @@
+"""Growth of vibrations against the stability limit of one mode in closed form."""
+
+import functools
+import math
+import types
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from diffmill import cutter as ct, cutting, io, robot as rb, sim, workpiece as wp
+from diffmill.cli._progress import Progress
+from diffmill.cli._run import _tell_stability
+
+# Four teeth in a slot: the slope of the force in x does not depend on the angle.
+MILL = ct.flat_end_mill(10e-3, 4)
+LAW = cutting.LinearEdgeLaw(
+    K_tc=990e6, K_rc=340e6, K_ac=60e6, K_te=0.0, K_re=0.0, K_ae=0.0
+)
+PERIOD = 3.75e-3
+FREQUENCY, RATIO, STIFFNESS = 190.0, 0.03, 5e6
+STOCK = wp.box([0, 0, -2e-3], [14e-3, 12e-3, 0], 0.25e-3, interval_counts=(6, 6, 1))
+# Sub-steps short enough that the midpoint rule keeps the mode within 0.3 %.
+PLAN = sim.process_plan(STOCK, MILL, axial_depth=1.5e-3, substeps=24)
+
+
+def one_mode():
+    """Return a slide along x with one mode."""
+    omega = 2 * math.pi * FREQUENCY
+    mass = STIFFNESS / omega**2
+    slide = rb.PrismaticJoint(
+        "slide",
+        axis=(1, 0, 0),
+        stiffness=STIFFNESS,
+        damping=2 * RATIO * omega * mass,
+    )
+    return rb.build(
+        [slide, rb.RigidBody(mass, (0.0, 0.0, 0.0), np.eye(3)), rb.Tool("tool")]
+    )
+
+
+def limit():
+    """Return the limiting depth of a slot [m] and the chatter frequency [Hz].
+
+    One mode with the flexibility G and the force -kappa (x(t) - x(t - T)), where
+    kappa = K_rc a N / 4: 1 + kappa (1 - exp(-i w T)) G(i w) = 0.
+    """
+    ratio = np.linspace(1.0001, 3.0, 400_000)
+    w = 2 * math.pi * FREQUENCY * ratio
+    G = 1 / STIFFNESS / (1 - ratio**2 + 2j * RATIO * ratio)
+    kappa = -1 / (2 * G.real)
+    # The phase that the delay must have, and the one that it has.
+    off = np.angle((1 + 1 / (kappa * G)) * np.exp(1j * w * PERIOD))
+    crossing = np.flatnonzero((np.diff(np.sign(off)) != 0) & (np.abs(off[1:]) < 1))
+    best = crossing[np.argmin(kappa[crossing])]
+    return kappa[best] / (LAW.K_rc * 4 / 4), w[best] / (2 * math.pi)
+
+
+def slot(depth, feed=0.1e-3, rows=124):
+    """Return joint positions of a slot along x, and the work frame."""
+    frame = np.eye(4)
+    frame[:3, 3] = (6e-3, -6e-3, depth)
+    return jnp.asarray(feed * np.arange(rows)[:, None]), frame
+
+
+def growth(depth):
+    q, frame = slot(depth)
+    return sim.stability_along(
+        q,
+        q,
+        jnp.zeros((q.shape[0], 3)),
+        one_mode(),
+        frame,
+        STOCK,
+        MILL,
+        LAW,
+        PERIOD,
+        PLAN,
+        [2, 110, 120],
+    )
+
+
+@functools.cache
+def at(share):
+    return growth(share * limit()[0])
+
+
+def test_the_limiting_depth_is_that_of_the_lobes():
+    below, above = at(0.9), at(1.1)
+    assert not below.is_unstable[1:].any() and above.is_unstable[1:].all()
+    low, high = below.radius[1:], above.radius[1:]
+    depth = 0.9 + 0.2 * (1 - low) / (high - low)
+    np.testing.assert_allclose(depth, 1.0, atol=0.02)
+    np.testing.assert_allclose(above.frequency[1:], limit()[1], rtol=5e-3)
+
+
+def test_in_air_only_the_damping_counts():
+    found = at(1.1)
+    # Row 2 is before the cut: the mode decays by exp(-ratio omega T).
+    expected = math.exp(-RATIO * 2 * math.pi * FREQUENCY * PERIOD)
+    np.testing.assert_allclose(found.radius[0], expected, rtol=2e-3)
+    np.testing.assert_allclose(found.frequency[0], FREQUENCY, rtol=1e-2)
+
+
+def test_a_fast_vibration_shows_at_another_frequency():
+    # Chatter of one mode is above half of the tooth passing frequency, 133 Hz.
+    found = at(1.1)
+    np.testing.assert_allclose(
+        found.apparent_frequency, np.abs(found.frequency - 1 / PERIOD), rtol=1e-9
+    )
+    assert (found.apparent_frequency < 133).all()
+    text = found.visibility()
+    assert "266.7 Hz" in text and "133.3 Hz" in text and "3200 Hz" in text
+
+
+def test_the_warning_names_place_and_frequency():
+    text = at(1.1).warning()
+    assert text is not None
+    for part in ("chatter", "2 of the 3 rows", "0.412 s", "Hz", "per tooth period"):
+        assert part in text
+    assert at(0.9).warning() is None
+
+
+JOB = """
+[cutter]
+kind = "flat"
+diameter = "10 mm"
+teeth = 2
+flute_length = "22 mm"
+[spindle]
+speed = "8000 rpm"
+[force]
+K_tc = "989.8 N/mm^2"
+K_rc = "337.3 N/mm^2"
+K_ac = "66.9 N/mm^2"
+[stock]
+lower = ["0 mm", "0 mm", "-3 mm"]
+upper = ["20 mm", "10 mm", "0 mm"]
+spacing = "0.4 mm"
+[program]
+file = "part.ngc"
+[simulation]
+stability = true
+[robot]
+"""
+PROGRAM = "G21 G17 G90 G94\nG0 X-6 Y5 Z1\nG0 Z-1\nG1 X4 F3000\nM2\n"
+
+
+def write_job(folder, robot):
+    (folder / "part.ngc").write_text(PROGRAM)
+    (folder / "job.toml").write_text(JOB + robot)
+    return folder / "job.toml"
+
+
+def test_what_cannot_vibrate_is_not_asked(tmp_path):
+    with pytest.raises(io.JobError, match="with rigid = true nothing vibrates"):
+        io.load_job(write_job(tmp_path, "rigid = true\n"))
+
+
+def test_the_command_line_says_what_is_found(monkeypatch, capsys):
+    found = at(1.1)
+    monkeypatch.setattr(sim, "stability", lambda job, solution: found)
+    dataset = types.SimpleNamespace(attrs={"notes": "before"})
+    solution = types.SimpleNamespace(is_cutting=np.ones(3, bool))
+    _tell_stability(None, solution, dataset, Progress(is_quiet=False))  # pyright: ignore[reportArgumentType]
+    first, *lines = dataset.attrs["notes"].splitlines()
+    assert first == "before" and lines[0].startswith("warning: the cut is unstable")
+    assert lines[1] == f"stability: {found.visibility()}"
+    said = capsys.readouterr()
+    assert all(line in said.out + said.err for line in lines)
+    assert dataset.attrs["stability_largest_radius"] == found.radius.max()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("share", [0.85, 1.2])
+def test_the_simulation_grows_and_decays_as_predicted(share):
+    depth = share * limit()[0]
+    theta, frame = slot(depth)
+    run = sim.simulate_coupled(
+        theta, one_mode(), frame, STOCK, MILL, LAW, PERIOD, PLAN, sim.Plain()
+    )
+    # The entry shakes the slide; one vibration is left, and a constant deflection.
+    x = np.asarray(run.joint_positions - theta)[70:, 0]
+    rows = np.column_stack([x[1:-1], x[:-2], np.ones(len(x) - 2)])
+    (a, b, _), *_ = np.linalg.lstsq(rows, x[2:], rcond=None)
+    pole = np.abs(np.roots([1, -a, -b])).max()
+    found = at(share)
+    assert (pole > 1) == (share > 1)
+    np.testing.assert_allclose(found.radius[1:], pole, rtol=5e-3)
+
+
+def test_a_row_that_is_not_there_is_refused():
+    q, frame = slot(1e-3)
+    robot = one_mode()
+    with pytest.raises(ValueError, match="from 1 to 123"):
+        sim.stability_along(
+            q, q, jnp.zeros((124, 3)), robot, frame, STOCK, MILL, LAW, PERIOD, PLAN, [0]
+        )
