@@ -39,6 +39,7 @@ class SimulationSettings(eqx.Module):
             verify the other by).
         mode: "dynamic", or "quasistatic": springs balance the mean force of each
             tooth period, without inertia.
+        checks_stability: Whether the command line looks for chatter after a run.
     """
 
     angles: int = eqx.field(static=True)
@@ -55,6 +56,7 @@ class SimulationSettings(eqx.Module):
     )
     integrator: Literal["midpoint", "rk4"] = eqx.field(static=True, default="midpoint")
     mode: Literal["dynamic", "quasistatic"] = eqx.field(static=True, default="dynamic")
+    checks_stability: bool = eqx.field(static=True, default=False)
 
 
 class CorrectionSettings(eqx.Module):

@@ -66,6 +66,10 @@ def run_job(
     seconds = time.perf_counter() - start
     dataset = with_job(outcome.to_dataset(), job)
     dataset.attrs.setdefault("wall_time_s", seconds)
+    if job.simulation.checks_stability:
+        _tell_stability(
+            job, outcome if command == "simulate" else outcome.after, dataset, progress
+        )
     _write(command, folder, job, outcome, dataset, force=force)
     progress.say(_summary(dataset, job))
     progress.say(f"results: {folder} ({seconds:.1f} s)")
@@ -90,6 +94,30 @@ def _compute(command: str, job: "Job", progress: Progress) -> Outcome:
             f"{job.name}: found nothing to correct: {error} Check the stock's place, "
             "the program's zero and [correction] weight."
         ) from error
+
+
+def _tell_stability(
+    job: "Job", solution: Outcome, dataset: Dataset, progress: Progress
+) -> None:
+    """Look for chatter, say what is found and keep it in the attributes."""
+    from ..sim import stability
+
+    if not np.asarray(solution.is_cutting).any():
+        return
+    found = stability(job, solution)
+    warning = found.warning()
+    lines = [
+        f"warning: {warning}"
+        if warning
+        else f"stability: of {len(found.row)} rows none is unstable; the fastest "
+        f"growing vibration has the factor {found.radius.max():.3f} per tooth period",
+        f"stability: {found.visibility()}",
+    ]
+    for line in lines:
+        progress.say(line)
+    notes = [dataset.attrs["notes"]] if "notes" in dataset.attrs else []
+    dataset.attrs["notes"] = "\n".join([*notes, *lines])
+    dataset.attrs["stability_largest_radius"] = float(found.radius.max())
 
 
 def with_job(dataset: Dataset, job: "Job") -> Dataset:

@@ -96,6 +96,7 @@ class SimulationTable(Table):
     bottom_edges: StrictBool = False
     integrator: Literal["midpoint", "rk4"] = "midpoint"
     mode: Literal["dynamic", "quasistatic"] = "dynamic"
+    stability: StrictBool = False
 
 
 TABLES: dict[str, type[Table]] = {

@@ -284,6 +284,8 @@ def _simulation(
             '[simulation] chip: found "point_cloud", which a flat cutter with even '
             'pitch and without run-out is required for; others take "near_far"'
         )
+    if table.stability:
+        _check_vibrates(tables, problems)
     if stock is None or path is None:
         return None
     return SimulationSettings(
@@ -300,7 +302,19 @@ def _simulation(
         chip=table.chip,
         integrator=table.integrator,
         mode=table.mode,
+        checks_stability=table.stability,
     )
+
+
+def _check_vibrates(tables: dict[str, Any], problems: list[str]) -> None:
+    """Note where the stability is asked for of a machine that cannot vibrate."""
+    is_rigid = "robot" in tables and tables["robot"].rigid
+    if is_rigid or tables["simulation"].mode == "quasistatic":
+        why = "rigid = true" if is_rigid else 'mode = "quasistatic"'
+        problems.append(
+            f"[simulation] stability: found true, but with {why} nothing vibrates; "
+            "only false is allowed"
+        )
 
 
 def _axes(
