@@ -24,6 +24,8 @@ from ._adjoint import (
 )
 from ._coupled import (
     CoupledSolution as CoupledSolution,
+    Machine as Machine,
+    coupled_machine as coupled_machine,
     simulate_coupled as simulate_coupled,
 )
 from ._free_motion import FreeMotion as FreeMotion, free_motion as free_motion
@@ -43,6 +45,13 @@ from ._process_alone import (
     simulate_process as simulate_process,
 )
 from ._quasistatic import simulate_quasistatic as simulate_quasistatic
+from ._segments import (
+    CoupledCarry as CoupledCarry,
+    CoupledSegment as CoupledSegment,
+    begin_segments as begin_segments,
+    job_machine as job_machine,
+    run_segment as run_segment,
+)
 from ._simulate import (
     Solution as Solution,
     command_joints as command_joints,

@@ -31,6 +31,8 @@ from ._stepping import AbstractIntegrator, ArmState, MotorCommand, steady_state
 
 # Angles, teeth and occupancy of one sub-step, and its bottom edges.
 _Samples: TypeAlias = tuple[Array, Array, Array, BottomEngagement | None]
+# What evolves: the process and the arm.
+Carry: TypeAlias = tuple[ProcessState, ArmState]
 
 
 class CoupledSolution(eqx.Module):
@@ -68,7 +70,7 @@ class _Arm(eqx.Module):
     begun: Any
 
 
-class _Period(eqx.Module):
+class Period(eqx.Module):
     """What one tooth period leaves behind."""
 
     tip: Float[Array, " 3"]
@@ -78,7 +80,7 @@ class _Period(eqx.Module):
     has_failed: Bool[Array, ""]
 
 
-class _Machine(eqx.Module):
+class Machine(eqx.Module):
     """What stays the same from period to period."""
 
     robot: Robot
@@ -134,38 +136,106 @@ def simulate_coupled(
     Differentiability: as `simulate_process`; also in the robot's leaves.
     """
     theta = motor_positions
-    dtype, step_count = theta.dtype, theta.shape[0]
-    T = jnp.asarray(tooth_period, dtype)
-    frame = jnp.asarray(T_base_work, dtype)
-    rule = Midpoint() if integrator is None else integrator
-    laws = (law, bottom_law)
-    machine = _Machine(robot, frame, cutter, laws, T, plan, adjoint, rule)
-    state = steady_state(robot, theta[0], (theta[1] - theta[0]) / T)
-    first = _arm(machine, state).pose
-    process, overlap = initial_state(plan, stock, cutter, first, step_count, adjoint)
-
-    def step(
-        carry: tuple[ProcessState, ArmState], x: tuple[Array, Array, Array]
-    ) -> tuple[tuple[ProcessState, ArmState], _Period]:
-        return _run_period(machine, *carry, *x)
-
-    index = jnp.arange(1, step_count, dtype=jnp.int32)
-    carry = (process, state)
-    carry, rows = jax.lax.scan(step, carry, (index, theta[:-1], theta[1:]))
+    step_count = theta.shape[0]
+    machine = coupled_machine(
+        robot,
+        T_base_work,
+        cutter,
+        law,
+        tooth_period,
+        plan,
+        adjoint,
+        bottom_law,
+        integrator,
+        theta.dtype,
+    )
+    carry, overlap = begin(machine, stock, theta[0], theta[1], step_count)
+    carry, rows = run_periods(machine, carry, theta, jnp.ones((), jnp.int32))
     return _finish(machine, *carry, rows, overlap)
 
 
+def coupled_machine(
+    robot: Robot,
+    T_base_work: Transform,
+    cutter: AbstractCutter,
+    law: AbstractForceLaw,
+    tooth_period: RealScalarLike,
+    plan: ProcessPlan,
+    adjoint: AbstractAdjoint,
+    bottom_law: AbstractForceLaw | None,
+    integrator: AbstractIntegrator | None,
+    dtype: jnp.dtype,
+) -> Machine:
+    """Return the arguments of `simulate_coupled` as one tree, in one precision."""
+    frame, period = jnp.asarray(T_base_work, dtype), jnp.asarray(tooth_period, dtype)
+    rule = Midpoint() if integrator is None else integrator
+    laws = (law, bottom_law)
+    return Machine(robot, frame, cutter, laws, period, plan, adjoint, rule)
+
+
+def begin(
+    machine: Machine,
+    stock: Stock,
+    start: Float[Array, " joint"],
+    stop: Float[Array, " joint"],
+    pose_count: int,
+) -> tuple[Carry, Float[Array, ""]]:
+    """Return the state in equilibrium with the motion of the first period.
+
+    Args:
+        machine: What stays the same.
+        stock: The raw workpiece.
+        start: Motors at the first instant [rad or m], shape (joint,).
+        stop: Motors at the second instant, shape (joint,).
+        pose_count: Rows of the table of poses.
+
+    Returns:
+        The state, and the volume of the stock inside the tool [m^3].
+    """
+    state = steady_state(machine.robot, start, (stop - start) / machine.tooth_period)
+    first = arm_at(machine, state).pose
+    process, overlap = initial_state(
+        machine.plan, stock, machine.cutter, first, pose_count, machine.adjoint
+    )
+    return (process, state), overlap
+
+
+def run_periods(
+    machine: Machine,
+    carry: Carry,
+    theta: Float[Array, "step joint"],
+    index: Int[Array, ""],
+) -> tuple[Carry, Period]:
+    """Return the state after all periods between some rows, and their rows.
+
+    Args:
+        machine: What stays the same.
+        carry: State at the first row.
+        theta: Motors at the rows [rad or m], shape (step, joint).
+        index: Index of the first period: the row in the table of poses of its end.
+
+    Returns:
+        The state at the last row; a row per period, for its start.
+    """
+
+    def step(carry: Carry, x: tuple[Array, Array, Array]) -> tuple[Carry, Period]:
+        return run_period(machine, *carry, *x)
+
+    indices = index + jnp.arange(theta.shape[0] - 1, dtype=jnp.int32)
+    return jax.lax.scan(step, carry, (indices, theta[:-1], theta[1:]))
+
+
 def _finish(
-    machine: _Machine,
+    machine: Machine,
     process: ProcessState,
     state: ArmState,
-    rows: _Period,
+    rows: Period,
     overlap: Float[Array, ""],
 ) -> CoupledSolution:
     """Remove what is pending, and put the rows of all poses together."""
     plan, cutter, adjoint = machine.plan, machine.cutter, machine.adjoint
     dtype, step_count = rows.tip.dtype, rows.tip.shape[0] + 1
-    final = _arm(machine, state).pose
+    final = arm_at(machine, state).pose
     last: Int[Array, ""] = jnp.asarray(step_count - 1, jnp.int32)
     process, rest = flush(plan, cutter, process, last, final, adjoint)
     actual = jnp.concatenate([rows.tip, final.tip[None]])
@@ -190,7 +260,7 @@ def along(pose: Pose, tips: Float[Array, "substep 3"]) -> Pose:
     return Pose(tips, jnp.broadcast_to(pose.axis[None], tips.shape))
 
 
-def _arm(machine: _Machine, state: ArmState) -> _Arm:
+def arm_at(machine: Machine, state: ArmState) -> _Arm:
     """Return the robot's terms at the start of a period."""
     robot, T_base_work = machine.robot, machine.T_base_work
     terms = arm_terms(robot, state.q, state.v)
@@ -205,18 +275,18 @@ def _arm(machine: _Machine, state: ArmState) -> _Arm:
     )
 
 
-def _run_period(
-    machine: _Machine,
+def run_period(
+    machine: Machine,
     process: ProcessState,
     state: ArmState,
     index: Int[Array, ""],
     start: Float[Array, " joint"],
     stop: Float[Array, " joint"],
-) -> tuple[tuple[ProcessState, ArmState], _Period]:
+) -> tuple[tuple[ProcessState, ArmState], Period]:
     """Return the state after one tooth period, and its row."""
     T = machine.tooth_period
     middles = substep_middles(machine.plan, start.dtype)
-    arm = _arm(machine, state)
+    arm = arm_at(machine, state)
     motion = T * middles[:, None] * (arm.jacobian @ state.v)[None]
     predicted = along(arm.pose, arm.pose.tip[None] + motion)
     process, cut, removed = begin_period(
@@ -236,11 +306,11 @@ def _run_period(
     process = end_period(process, along(arm.pose, tips))
     has_failed = process.has_overflow | process.is_beyond
     force = jnp.mean(forces, axis=0)
-    return (process, end), _Period(arm.pose.tip, force, state.q, removed, has_failed)
+    return (process, end), Period(arm.pose.tip, force, state.q, removed, has_failed)
 
 
 def _run_substeps(
-    machine: _Machine,
+    machine: Machine,
     arm: _Arm,
     process: ProcessState,
     cut: Engagement,

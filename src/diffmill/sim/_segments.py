@@ -1,0 +1,172 @@
+"""The coupled simulation in segments: a run that starts from where another ended.
+
+A segment numbers its poses afresh: its table holds the poses that still wait for
+removal, then its own. Ends of rays that earlier segments cut become raw stock to it:
+they stay where they are and have no derivative. So what is carried from segment to
+segment does not grow with the path, but for the stock itself.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from .._job import Job
+from ..workpiece import Pose, Rays, Stock
+from ._adjoint import AbstractAdjoint
+from ._coupled import Machine, arm_at, begin, coupled_machine, run_periods
+from ._history import QUEUE_LENGTH, ProcessState
+from ._integrators import make_integrator
+from ._simulate import job_plan
+from ._stepping import ArmState
+
+
+class CoupledCarry(eqx.Module):
+    """All that a coupled run needs to go on.
+
+    Attributes:
+        process: The stock, less the poses that wait for removal, and these.
+        arm: The robot's state.
+        period_count: Tooth periods run so far, which tell the tooth that is next.
+    """
+
+    process: ProcessState
+    arm: ArmState
+    period_count: Int[Array, ""]
+
+
+class CoupledSegment(eqx.Module):
+    """What a robot does in one segment.
+
+    Attributes:
+        actual: Tool tip in `work` at the tooth instants [m], shape (step, 3).
+        force: Mean force on the tool over the period before each instant [N], shape
+            (step, 3); zero in row 0, which belongs to the segment before.
+        joint_positions: [rad or m], shape (step, joint).
+    """
+
+    actual: Float[Array, "step 3"]
+    force: Float[Array, "step 3"]
+    joint_positions: Float[Array, "step joint"]
+
+
+def begin_segments(
+    machine: Machine, stock: Stock, motor_positions: Float[Array, "step joint"]
+) -> CoupledCarry:
+    """Return the state from which the first segment starts.
+
+    It is that of `simulate_coupled`: equilibrium with gravity, moving with the motors.
+
+    Args:
+        machine: The machine and the sizes of the process.
+        stock: The raw workpiece.
+        motor_positions: Motors at the first instants [rad or m], shape (step, joint),
+            of which the first two count.
+
+    Returns:
+        The state at the first instant.
+
+    Differentiability: as `simulate_coupled`.
+    """
+    theta = motor_positions
+    carry, _ = begin(machine, stock, theta[0], theta[1], _history_rows(machine))
+    return CoupledCarry(*carry, jnp.zeros((), jnp.int32))
+
+
+def run_segment(
+    machine: Machine, carry: CoupledCarry, motor_positions: Float[Array, "step joint"]
+) -> tuple[CoupledSegment, CoupledCarry]:
+    """Run some periods from where an earlier run ended.
+
+    Args:
+        machine: The machine and the sizes of the process.
+        carry: State at row 0 of the segment.
+        motor_positions: Motors at the rows [rad or m], shape (step, joint); row 0 is
+            the last row of the segment before.
+
+    Returns:
+        The rows, and the state at the last of them. What still waits for removal is
+        in the state; nothing is flushed.
+
+    Differentiability: as `simulate_coupled`; the state is differentiable but for the
+    ends of rays, and under `Traced` the segment depends on earlier ones by the arm
+    and the poses that wait for removal only.
+    """
+    theta = motor_positions
+    flutes = machine.cutter.flute_count
+    # The tooth that is next follows from the index of the period.
+    first = _history_rows(machine) + jnp.mod(carry.period_count, flutes)
+    process = _with_rows(carry.process, theta.shape[0] + flutes)
+    ended, rows = run_periods(machine, (process, carry.arm), theta, first + 1)
+    process, state = ended
+    final = arm_at(machine, state).pose.tip
+    segment = CoupledSegment(
+        actual=jnp.concatenate([rows.tip, final[None]]),
+        force=jnp.concatenate([jnp.zeros((1, 3), theta.dtype), rows.force]),
+        joint_positions=jnp.concatenate([rows.joint_positions, state.q[None]]),
+    )
+    count = carry.period_count + (theta.shape[0] - 1)
+    process = _renumbered(process, _history_rows(machine))
+    return segment, CoupledCarry(process, state, count)
+
+
+def _history_rows(machine: Machine) -> int:
+    """Return the rows of the table before a segment's own: whole turns of the tool."""
+    flutes = machine.cutter.flute_count
+    return -(-QUEUE_LENGTH // flutes) * flutes
+
+
+def _with_rows(process: ProcessState, count: int) -> ProcessState:
+    """Return the state with more rows in its table of poses."""
+    longer = jax.tree.map(
+        lambda x: jnp.concatenate([x, jnp.broadcast_to(x[-1:], (count, 3))]),
+        process.poses,
+    )
+    return eqx.tree_at(lambda s: s.poses, process, longer)
+
+
+def _renumbered(process: ProcessState, count: int) -> ProcessState:
+    """Return the state with only the poses of the queue in its table."""
+    order = jnp.minimum(jnp.arange(count, dtype=jnp.int32), QUEUE_LENGTH - 1)
+    poses: Pose = process.poses[process.queue[order]]
+    families = tuple(
+        Rays(rays.ends, jnp.full_like(rays.poses, -1))
+        for rays in process.stock.families
+    )
+    return eqx.tree_at(
+        lambda s: (s.poses, s.queue, s.stock.families),
+        process,
+        (poses, jnp.arange(QUEUE_LENGTH, dtype=jnp.int32), families),
+    )
+
+
+def job_machine(job: Job, adjoint: AbstractAdjoint) -> Machine:
+    """Return the machine of a job with the sizes of its process.
+
+    Args:
+        job: The job, in its precision.
+        adjoint: How to differentiate through the removal.
+
+    Raises:
+        ValueError: The job has no robot, or its robot is quasi-static: segments carry
+            a state that such a robot does not have.
+    """
+    settings = job.simulation
+    if job.robot is None or settings.mode != "dynamic":
+        found = "rigid" if job.robot is None else settings.mode
+        raise ValueError(
+            f"Argument `job` must have a dynamic robot for a run in segments, but its "
+            f"machine is {found}."
+        )
+    return coupled_machine(
+        job.robot,
+        job.T_base_work,
+        job.cutter,
+        job.law,
+        job.tooth_period,
+        job_plan(job),
+        adjoint,
+        job.bottom_law,
+        make_integrator(settings.integrator),
+        job.stock.origin.dtype,
+    )
