@@ -12,7 +12,8 @@ STOCK = wp.box([0, 0, -3e-3], [12e-3, 10e-3, 0], 0.2e-3)
 
 @jax.jit
 def look(points):
-    return wp.occupancy(STOCK, points[:, None], DISCS, MILL)
+    moves = jnp.full((points.shape[0], 1, 2), 1e-3)
+    return wp.occupancy(STOCK, points[:, None], moves, DISCS, MILL)
 
 
 def test_disc_shares_sum_to_the_depth_at_any_depth():

@@ -59,13 +59,14 @@ def upright_engagement(
     # Every period begins with another tooth in the same place.
     tooth = jnp.mod(place - (index - 1), cutter.flute_count)
     radius = cutter.diameter / 2
-    rim = jnp.stack(
-        [jnp.sin(angle) * radius, jnp.cos(angle) * radius, jnp.zeros_like(angle)], -1
-    )
+    sin, cos = jnp.sin(angle) * radius, jnp.cos(angle) * radius
+    rim = jnp.stack([sin, cos, jnp.zeros_like(angle)], -1)
     points = (predicted[:, None, None, None] + rim).reshape(-1, angle.shape[3], 3)
+    step = 2 * math.pi / plan.angles
+    moves = (step * jnp.stack([cos, -sin], -1)).reshape(-1, angle.shape[3], 2)
     table = adjoint.table(state.poses)
     tips = None if table is None else table.tip
-    weight = occupancy(state.stock, points, plan.discs, cutter, tips)
+    weight = occupancy(state.stock, points, moves, plan.discs, cutter, tips)
     weight = weight.reshape(*angle.shape[:3], plan.discs.count)
     return angle, tooth, weight * share
 

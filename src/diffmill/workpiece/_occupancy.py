@@ -33,6 +33,8 @@ from ._stock import Stock
 
 # Distances along a ray are cut off here, in units of the spacing.
 REACH = 4.0
+# Share of the band across a wall that an edge does not cross on its way.
+_FOLLOWED = 0.3
 # What a ray without a surface in reach still counts for.
 _BLIND = 1e-6
 
@@ -43,8 +45,8 @@ class Discs(eqx.Module):
     Attributes:
         count: Number of discs.
         height: Height of a disc dz [m].
-        band: Half-width of the transition from 0 to 1 across a wall [m]: half the
-            spacing of the rays, or of the samples on the rim if that is more.
+        band: Greatest half-width of the transition from 0 to 1 across a wall [m]:
+            half the spacing of the rays, or of the samples on the rim if that is more.
     """
 
     count: int = eqx.field(static=True)
@@ -76,6 +78,7 @@ class Discs(eqx.Module):
 def occupancy(
     stock: Stock,
     points: Float[Array, "point disc 3"],
+    moves: Float[Array, "point disc 2"],
     discs: Discs,
     cutter: AbstractCutter,
     pose_tips: Float[Array, "pose 3"] | None = None,
@@ -86,6 +89,8 @@ def occupancy(
         stock: The workpiece.
         points: Points in `work` at the height of the tip [m], shape (point, disc, 3);
             the axis disc has length 1 if all discs share their points.
+        moves: From each point to the next sample [m], across the axis, shape
+            (point, disc, 2).
         discs: The discs.
         cutter: The cutter that cut the stock; used only with `pose_tips`.
         pose_tips: Tool tips of all poses so far [m], shape (pose, 3), to which the
@@ -105,9 +110,10 @@ def occupancy(
     if pose_tips is not None:
         wall_ends = _tie_walls(cutter, walls, pose_tips)
     facts = tuple((w.is_upper, w.is_empty) for w in walls)
-    combine = jax.checkpoint(_combine, static_argnums=(4,))
+    combine = jax.checkpoint(_combine, static_argnums=(5,))
     return combine(
         points,
+        moves,
         (columns.ends, *wall_ends),
         (facts, heights),
         stock.origin,
@@ -262,6 +268,7 @@ def _tie_walls(
 
 def _combine(
     points: Float[Array, "point disc 3"],
+    moves: Float[Array, "point disc 2"],
     ends: tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."]],
     facts: tuple[tuple[tuple[Bool[Array, "..."], ...], ...], Float[Array, "..."]],
     origin: Float[Array, " 3"],
@@ -270,7 +277,7 @@ def _combine(
     discs, d = sizes
     sides, heights = facts
     inside, certainty = _wall_occupancy(
-        points, ends[1:], sides, heights, origin, (d, discs.band)
+        points, moves, ends[1:], sides, heights, origin, (d, discs.band)
     )
     # (point, disc, column, side, slot, element)
     above_tip = ends[0] - points[..., 2][..., None, None, None]
@@ -302,6 +309,7 @@ def _combine(
 
 def _wall_occupancy(
     points: Float[Array, "point disc 3"],
+    moves: Float[Array, "point disc 2"],
     ends: tuple[Float[Array, "..."], ...],
     sides: tuple[tuple[Bool[Array, "..."], ...], ...],
     heights: Float[Array, "point element"],
@@ -316,6 +324,7 @@ def _wall_occupancy(
     total = jnp.zeros_like(heights)
     says = jnp.full_like(heights, _BLIND)
     certainty = jnp.zeros_like(heights)
+    ahead = jnp.zeros_like(heights)
     for f in (0, 1):
         is_upper, is_empty = sides[f]
         x = jnp.broadcast_to(points[..., f], heights.shape)[..., None]
@@ -335,10 +344,16 @@ def _wall_occupancy(
         sees_here = (1 - (s_here / reach) ** 2) ** 2
         steepness = 1 + slope**2
         weight = sees_here / steepness**2
-        total = total + (weight + _BLIND) * s_here / jnp.sqrt(steepness)
+        root = jnp.sqrt(steepness)
+        sign = jnp.where(is_upper[..., :1], 1, -1).astype(s.dtype)[..., 0]
+        crossed = slope * moves[..., 1 - f] - sign * moves[..., f]
+        ahead = ahead + (weight + _BLIND) * jnp.abs(crossed) / root
+        total = total + (weight + _BLIND) * s_here / root
         says = says + weight + _BLIND
         certainty = certainty + weight
-    inside = hat_integral(total / says / band)
+    # A wall that an edge follows rather than crosses is not blurred along its way.
+    width = clamp(_FOLLOWED * band, ahead / says, band)
+    inside = hat_integral(total / says / width)
     return inside, clamp(0.0, 2 * certainty, 1.0)
 
 
