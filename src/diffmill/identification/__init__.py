@@ -20,6 +20,15 @@ from ._axes import (
     apply_axes as apply_axes,
     propose_axes as propose_axes,
 )
+from ._coefficients import (
+    ForceCoefficientFit as ForceCoefficientFit,
+    fit_force_coefficients as fit_force_coefficients,
+)
+from ._cut import (
+    Cut as Cut,
+    EngagementColumns as EngagementColumns,
+    engagement_columns as engagement_columns,
+)
 from ._cuts import CutSpan as CutSpan, find_cuts as find_cuts
 from ._harmonics import refine_spindle_speed as refine_spindle_speed
 from ._load_advice import (

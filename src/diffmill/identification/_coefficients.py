@@ -1,0 +1,279 @@
+"""The six force coefficients from measured records."""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from .._job import Job
+from ..cutting import LinearEdgeLaw
+from ._advice import advise, identifiable
+from ._cut import Cut
+from ._linear import LinearFit, Loss, Rows, covariance, fit_rows, solve
+from ._mean_force import NAMES, by_name
+from ._measured import (
+    Axes,
+    Measured,
+    Times,
+    equations,
+    find_shift,
+    measured_records,
+    shift_part,
+)
+from ._refine import REFINABLE, Refined, refine_records
+
+# Steps of the time shifts after the search: they converge quadratically.
+_SHIFT_STEPS = 4
+# A length is known if its standard error is below this [m].
+_TOLD = 1e-5
+
+
+class ForceCoefficientFit(eqx.Module):
+    """Force coefficients, how sure they are, and what the records cannot tell.
+
+    Attributes:
+        coefficients: By name, cutting [Pa] and edge [N/m]; NaN if not identifiable.
+        standard_errors: By name, same units; infinite if nothing is known.
+        correlation: Between the coefficients in the order of `NAMES`, shape (6, 6);
+            NaN where nothing is known.
+        identifiable: By name: whether the records fix the coefficient.
+        residual_rms: Root mean square of measured minus fitted force, over all forces
+            and records [N].
+        force_rms: Root mean square of the measured force [N].
+        explained: Share of the squared force that the fit explains.
+        axes: Which recorded force is which force of the work, with its sign.
+        time_shift: Time of each cut minus time of its record [s].
+        time_shift_errors: Standard errors [s]; 0 where the shift was given.
+        left_out_rms: Per record: residual over force, both root mean squares, if the
+            coefficients come from the other records alone; empty for one record.
+        refined: What else was fitted, by name: `runout_x`, `runout_y` (offset of the
+            cutter towards tooth 0 and a quarter turn on), `radius` [m]; NaN if not
+            identifiable.
+        refined_errors: Standard errors of these [m].
+        notes: What to know, in words: which experiment would help.
+        records: The records as fitted, in the axes of the work.
+        raw: The six numbers as fitted, identifiable or not [Pa, N/m], shape (6,).
+    """
+
+    coefficients: dict[str, float]
+    standard_errors: dict[str, float]
+    correlation: Float[np.ndarray, "6 6"]
+    identifiable: dict[str, bool]
+    residual_rms: float
+    force_rms: float
+    explained: float
+    axes: Axes = eqx.field(static=True)
+    time_shift: tuple[float, ...]
+    time_shift_errors: tuple[float, ...]
+    left_out_rms: tuple[float, ...]
+    refined: dict[str, float]
+    refined_errors: dict[str, float]
+    notes: tuple[str, ...] = eqx.field(static=True)
+    records: tuple[Measured, ...]
+    raw: Float[np.ndarray, " 6"]
+
+    @property
+    def law(self) -> LinearEdgeLaw:
+        """The force law with these coefficients; 0 for those not identifiable."""
+        known = {n: 0.0 if np.isnan(v) else v for n, v in self.coefficients.items()}
+        return LinearEdgeLaw(**known)
+
+
+def fit_force_coefficients(
+    process_or_job: Cut | Job | Sequence[Cut | Job],
+    time: Times | Sequence[Times],
+    force: Times | Sequence[Times],
+    *,
+    axes: Axes = ("x", "y", "z"),
+    time_shift: float | Sequence[float] | None = None,
+    shift_range: float | None = None,
+    loss: Loss = "huber",
+    refine: Sequence[str] = (),
+) -> ForceCoefficientFit:
+    """Fit the six coefficients of the linear force law to measured forces.
+
+    The cut is simulated once; the force is linear in the coefficients, for any path.
+    Give lists of cuts, times and forces for several records that share coefficients.
+
+    Args:
+        process_or_job: What was cut: a job (along its desired path, by a rigid
+            machine) or a `Cut`; or a list.
+        time: Instants of the record [s], ascending, shape (row,); or a list.
+        force: Force on the tool at these instants [N], shape (row, 3); NaN where not
+            measured; or a list.
+        axes: For x, y, z of the work the recorded axis, such as ("-y", "x", "z").
+        time_shift: What to add to the record's time to get the time of the cut, whose
+            first pose is at 0 [s]; one per record or one for all. Looked for within
+            `shift_range` of zero if not given.
+        shift_range: [s]; a spindle revolution if not given.
+        loss: "squares", "huber" or "tukey" (for records with many gross errors).
+        refine: What else to fit, of "runout" and "radius", by simulating with exact
+            derivatives; shared by all records, which share the cutter then.
+
+    Returns:
+        The fit; look at `.notes`.
+
+    Raises:
+        ValueError: Wrong shapes, names or times, or the record does not meet the cut.
+        SimulationFailed: The cut could not be simulated.
+
+    **Differentiability**: runs on the host.
+    """
+    _check_names(axes, loss, refine)
+    records = measured_records(process_or_job, time, force, axes, time_shift)
+    is_sought = time_shift is None
+    if is_sought:
+        records = [find_shift(one, shift_range) for one in records]
+    refined = Refined({}, records, [None] * len(records))
+    if refine:
+        refined = refine_records(records, tuple(refine), is_sought, loss)
+    records, rows, fit = _settle(refined, is_sought, loss)
+    return _report(records, rows, fit, refined, (axes, loss, is_sought))
+
+
+def _settle(
+    refined: Refined, is_sought: bool, loss: Loss
+) -> tuple[list[Measured], list[Rows], LinearFit]:
+    """Fit everything in linear form, and move the time shifts until they rest."""
+    records = refined.records
+    K = fit_rows([equations(one, ()) for one in records], loss).x
+    rows, fit = [], None
+    for _ in range(_SHIFT_STEPS if is_sought else 1):
+        extra = [
+            (*(() if more is None else (more,)), *shift_part(records, i, K, is_sought))
+            for i, more in enumerate(refined.columns)
+        ]
+        rows = [equations(one, e) for one, e in zip(records, extra, strict=True)]
+        fit = fit_rows(rows, loss)
+        K = fit.x[:6]
+        if not is_sought:
+            break
+        steps = fit.x[-len(records) :]
+        records = [
+            dataclasses.replace(one, shift=one.shift + float(step))
+            for one, step in zip(records, steps, strict=True)
+        ]
+    assert fit is not None
+    return records, rows, fit
+
+
+def _report(
+    records: list[Measured],
+    rows: list[Rows],
+    fit: LinearFit,
+    refined: Refined,
+    choice: tuple[Axes, Loss, bool],
+) -> ForceCoefficientFit:
+    """Return the fit with its errors, by name."""
+    axes, loss, is_sought = choice
+    C = covariance(rows, fit, loss)
+    K, errors = fit.x[:6], np.sqrt(np.diagonal(C))
+    known = [np.isfinite(one.force) for one in rows]
+    seen = np.concatenate([k.reshape(-1) for k in known])
+    force = np.concatenate([one.force.reshape(-1) for one in rows])[seen]
+    off = np.concatenate([r.reshape(-1) for r in fit.residual])[seen]
+    size = _sizes(rows, known)
+    rms = float(np.sqrt(np.mean(force**2)))
+    is_fixed = identifiable(C[:6, :6], size, rms)
+    correlation = _correlation(C)[:6, :6]
+    is_measured = np.any(np.concatenate(known), axis=0)
+    count, more = len(records), len(refined.values)
+    names = list(refined.values)
+    lengths, spreads = np.array(list(refined.values.values())), errors[6 : 6 + more]
+    is_told = spreads <= _TOLD
+    return ForceCoefficientFit(
+        coefficients=by_name(np.where(is_fixed, K, np.nan)),
+        standard_errors=by_name(errors[:6]),
+        correlation=correlation,
+        identifiable=dict(zip(NAMES, is_fixed.tolist(), strict=True)),
+        residual_rms=float(np.sqrt(np.mean(off**2))),
+        force_rms=rms,
+        explained=1.0 - float(np.sum(off**2) / max(np.sum(force**2), 1e-300)),
+        axes=axes,
+        time_shift=tuple(one.shift for one in records),
+        time_shift_errors=tuple(
+            errors[-count:].tolist() if is_sought else [0.0] * count
+        ),
+        left_out_rms=_left_out(rows, fit),
+        refined={
+            n: float(v) if ok else math.nan
+            for n, v, ok in zip(names, lengths, is_told, strict=True)
+        },
+        refined_errors=dict(zip(names, spreads.tolist(), strict=True)),
+        notes=advise(is_fixed, correlation, size, is_measured)
+        + _refined_notes(names, is_told, records[0].cut.cutter.flute_count),
+        records=tuple(records),
+        raw=K,
+    )
+
+
+def _refined_notes(
+    names: list[str], is_told: np.ndarray, flutes: int
+) -> tuple[str, ...]:
+    """Say why a length is not known."""
+    notes = []
+    for name, ok in zip(names, is_told, strict=True):
+        if ok:
+            continue
+        why = "add cuts with another radial depth"
+        if name.startswith("runout"):
+            why = "add cuts with larger feeds, or longer records"
+            if flutes <= 2:
+                why = (
+                    "with two teeth only the difference of their radii shows, so "
+                    "run-out across them cannot be seen"
+                )
+        notes.append(f"{name} is not identifiable: {why}.")
+    return tuple(notes)
+
+
+def _sizes(rows: list[Rows], known: list[np.ndarray]) -> np.ndarray:
+    """Return the root mean square force of a unit of each coefficient."""
+    square = sum(
+        np.einsum("tcu,tc->u", one.columns[:, :, :6] ** 2, k.astype(np.float64))
+        for one, k in zip(rows, known, strict=True)
+    )
+    return np.sqrt(np.asarray(square) / max(1, sum(int(k.sum()) for k in known)))
+
+
+def _correlation(C: np.ndarray) -> np.ndarray:
+    """Return the correlation of a covariance; NaN where it is infinite."""
+    errors = np.sqrt(np.diagonal(C))
+    safe = np.where(np.isfinite(errors) & (errors > 0), errors, np.nan)
+    return np.where(np.isfinite(C), C, np.nan) / safe[:, None] / safe[None]
+
+
+def _left_out(rows: list[Rows], fit: LinearFit) -> tuple[float, ...]:
+    """Return how badly every record is predicted by the others."""
+    if len(rows) < 2:
+        return ()
+    result = []
+    for i, one in enumerate(rows):
+        others = [j for j in range(len(rows)) if j != i]
+        x = solve([rows[j] for j in others], [fit.weights[j] for j in others])
+        # Its own time shift, the last unknowns, is not for the others to say.
+        off = one.force - one.columns @ np.where(x == 0, fit.x, x)
+        result.append(float(np.sqrt(np.nanmean(off**2) / np.nanmean(one.force**2))))
+    return tuple(result)
+
+
+def _check_names(axes: Axes, loss: str, refine: Sequence[str]) -> None:
+    """Refuse unknown choices."""
+    if sorted(name.strip("+-") for name in axes) != ["x", "y", "z"]:
+        raise ValueError(
+            "Argument `axes` must name x, y and z once each, with a sign if mirrored, "
+            f"such as ('-y', 'x', 'z'), but is {tuple(axes)}."
+        )
+    if loss not in ("squares", "huber", "tukey"):
+        raise ValueError(
+            f'Argument `loss` must be "squares", "huber" or "tukey", but is "{loss}".'
+        )
+    unknown = set(refine) - set(REFINABLE)
+    if unknown:
+        raise ValueError(
+            f"Argument `refine` may hold {', '.join(REFINABLE)}, but holds "
+            f"{', '.join(sorted(unknown))}."
+        )

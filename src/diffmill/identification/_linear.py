@@ -1,0 +1,257 @@
+"""Robust weighted linear least squares over long, serially correlated records.
+
+Weights come from two sources. The scatter of each force of each record, by its median,
+makes the forces comparable; a robust loss (Huber, or Tukey's biweight, which forgets
+gross errors altogether) gives less to samples that are off. Standard errors are those
+of an estimating equation with correlated scores: Newey and West, Econometrica 55
+(1987), with Bartlett weights over a revolution of the spindle; where the residual is
+anticorrelated, as the error of a simulation is that repeats every revolution, they
+are not made smaller than those of independent samples.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Literal
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Bool, Float
+
+Loss = Literal["squares", "huber", "tukey"]
+
+# Tuning for 95 % efficiency with normal noise (Huber 1981; Tukey's biweight).
+_HUBER, _TUKEY = 1.345, 4.685
+# Median absolute deviation over the standard deviation of a normal distribution.
+_MAD = 0.6744897501960817
+_ITERATIONS = 30
+# Eigenvalues of a scaled normal matrix below this share of the largest are zero.
+_REGULAR = 1e-11
+# Sums over lags need some that are independent.
+_BLOCKS = 30
+
+
+class Rows(eqx.Module):
+    """The equations of one record.
+
+    Attributes:
+        columns: Force per unknown, shape (row, 3, unknown).
+        force: Measured force less what is known [N], shape (row, 3); NaN where it was
+            not measured.
+        lag: Rows over which scores may be correlated.
+    """
+
+    columns: Float[np.ndarray, "row 3 unknown"]
+    force: Float[np.ndarray, "row 3"]
+    lag: int = eqx.field(static=True)
+
+
+class LinearFit(eqx.Module):
+    """A robust fit.
+
+    Attributes:
+        x: Unknowns, shape (unknown,); 0 where nothing was measured of one.
+        weights: Of every row, in 1 / N^2, one array (row, 3) per record.
+        spread: Standard deviation of each force of each record [N], (record, 3).
+        residual: Measured minus fitted [N], one array (row, 3) per record.
+    """
+
+    x: Float[np.ndarray, " unknown"]
+    weights: list[np.ndarray]
+    spread: Float[np.ndarray, "record 3"]
+    residual: list[np.ndarray]
+
+
+def solve(rows: Sequence[Rows], weights: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the weighted least-squares solution.
+
+    Args:
+        rows: Equations of each record.
+        weights: Of every row, shape (row, 3) each; zero where nothing was measured.
+
+    Returns:
+        Unknowns, shape (unknown,); 0 for one that does not appear.
+
+    **Differentiability**: runs on the host.
+    """
+    G, g = 0.0, 0.0
+    for one, weight in zip(rows, weights, strict=True):
+        flat = one.columns.reshape(-1, one.columns.shape[2])
+        weighted = flat * weight.reshape(-1, 1)
+        G = G + weighted.T @ flat
+        g = g + weighted.T @ np.nan_to_num(one.force).reshape(-1)
+    return solve_normal(np.asarray(G), np.asarray(g))
+
+
+def solve_normal(
+    G: Float[np.ndarray, "unknown unknown"], g: Float[np.ndarray, " unknown"]
+) -> Float[np.ndarray, " unknown"]:
+    """Return x of G x = g after scaling, shortest where G is singular.
+
+    Args:
+        G: Normal matrix, shape (unknown, unknown).
+        g: Right-hand side, shape (unknown,).
+
+    Returns:
+        x, shape (unknown,).
+
+    **Differentiability**: runs on the host.
+    """
+    inverse, _ = inverse_normal(G)
+    return inverse @ g
+
+
+def inverse_normal(
+    G: Float[np.ndarray, "unknown unknown"],
+) -> tuple[Float[np.ndarray, "unknown unknown"], Bool[np.ndarray, " unknown"]]:
+    """Return the inverse of a normal matrix, and which unknowns it fixes.
+
+    Args:
+        G: Normal matrix, symmetric and positive semidefinite, shape
+            (unknown, unknown).
+
+    Returns:
+        The inverse where G is regular, shape (unknown, unknown), and which unknowns
+        have no part in its null space, shape (unknown,).
+
+    **Differentiability**: runs on the host.
+    """
+    scale = np.sqrt(np.maximum(np.diagonal(G), 0.0))
+    is_seen = scale > 0
+    scale = np.where(is_seen, scale, 1.0)
+    values, V = np.linalg.eigh(G / scale[:, None] / scale[None])
+    keep = values > _REGULAR * max(float(values[-1]), 1e-300)
+    inverse = (V * np.where(keep, 1.0 / np.where(keep, values, 1.0), 0.0)[None]) @ V.T
+    is_fixed = is_seen & (np.sum(V[:, ~keep] ** 2, axis=1) < 1e-6)
+    return inverse / scale[:, None] / scale[None], is_fixed
+
+
+def fit_rows(rows: Sequence[Rows], loss: Loss = "huber") -> LinearFit:
+    """Fit all records together.
+
+    Args:
+        rows: Equations of each record.
+        loss: "squares", "huber" or "tukey".
+
+    Returns:
+        The fit.
+
+    **Differentiability**: runs on the host.
+    """
+    known = [np.isfinite(one.force) for one in rows]
+    weights = [k.astype(np.float64) for k in known]
+    x = solve(rows, weights)
+    spread = np.ones((len(rows), 3))
+    residual: list[np.ndarray] = []
+    # Tukey's loss has several minima: Huber's leads to the right one.
+    stages = {"squares": ["squares"], "huber": ["huber"], "tukey": ["huber", "tukey"]}
+    for stage in stages[loss]:
+        for _ in range(_ITERATIONS):
+            residual = [one.force - one.columns @ x for one in rows]
+            spread = np.stack(
+                [_spread(r, k) for r, k in zip(residual, known, strict=True)]
+            )
+            weights = [
+                robust_weight(r / s[None], stage) * k / s[None] ** 2
+                for r, k, s in zip(residual, known, spread, strict=True)
+            ]
+            last, x = x, solve(rows, weights)
+            change = np.abs(x - last) <= 1e-6 * np.abs(x) + 1e-300
+            if change.all():
+                break
+    residual = [one.force - one.columns @ x for one in rows]
+    return LinearFit(x, weights, spread, residual)
+
+
+def robust_weight(r: np.ndarray, loss: str) -> np.ndarray:
+    """Return psi(r) / r of a loss for residuals in standard deviations.
+
+    Args:
+        r: Residuals, any shape; NaN gives 0.
+        loss: "squares", "huber" or "tukey".
+
+    Returns:
+        Weights from 0 to 1, same shape.
+
+    **Differentiability**: runs on the host.
+    """
+    size = np.abs(np.nan_to_num(r, nan=math.inf))
+    if loss == "squares":
+        return np.isfinite(size).astype(np.float64)
+    if loss == "huber":
+        return _HUBER / np.maximum(size, _HUBER)
+    return np.where(size < _TUKEY, (1 - np.minimum(size / _TUKEY, 1) ** 2) ** 2, 0.0)
+
+
+def _slope(r: np.ndarray, loss: str) -> np.ndarray:
+    """Return psi'(r): how much a sample resists a change of the fit."""
+    size = np.abs(np.nan_to_num(r, nan=math.inf))
+    if loss == "squares":
+        return np.isfinite(size).astype(np.float64)
+    if loss == "huber":
+        return (size <= _HUBER).astype(np.float64)
+    u = np.minimum(size / _TUKEY, 1) ** 2
+    return (1 - u) * (1 - 5 * u)
+
+
+def _spread(residual: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Return the robust standard deviation of each force, shape (3,)."""
+    result = np.ones(3)
+    for axis in range(3):
+        rows = np.abs(residual[known[:, axis], axis])
+        if rows.size:
+            middle = float(np.median(rows)) / _MAD
+            # Exact records have no scatter: any positive number weighs them.
+            result[axis] = middle if middle > 0 else 1e-9
+    least = 1e-6 * result.max()
+    return np.maximum(result, least)
+
+
+def covariance(
+    rows: Sequence[Rows], fit: LinearFit, loss: Loss
+) -> Float[np.ndarray, "unknown unknown"]:
+    """Return the covariance of the unknowns; infinite where one is not fixed.
+
+    Args:
+        rows: Equations of each record, linearised where they are not linear.
+        fit: The fit.
+        loss: Its loss.
+
+    Returns:
+        Covariance, shape (unknown, unknown).
+
+    **Differentiability**: runs on the host.
+    """
+    width = rows[0].columns.shape[2]
+    bread, meat, white = np.zeros((3, width, width))
+    for one, weight, residual, s in zip(
+        rows, fit.weights, fit.residual, fit.spread, strict=True
+    ):
+        stiff = _slope(residual / s[None], loss) / s[None] ** 2
+        stiff = np.where(np.isfinite(residual), stiff, 0.0)
+        flat = one.columns.reshape(-1, width)
+        bread += (flat * stiff.reshape(-1, 1)).T @ flat
+        score = np.einsum("tcu,tc->tu", one.columns, weight * np.nan_to_num(residual))
+        white += score.T @ score
+        meat += _bartlett(score, one.lag)
+    inverse, is_fixed = inverse_normal(bread)
+    safe = np.where(is_fixed[:, None] & is_fixed[None], inverse, 0.0)
+    result, least = safe @ meat @ safe, safe @ white @ safe
+    own, floor = np.diagonal(result), np.diagonal(least)
+    rise = np.sqrt(np.maximum(floor, own) / np.where(own > 0, own, 1.0))
+    rise = np.where(own > 0, rise, 1.0)
+    result = result * rise[:, None] * rise[None]
+    result[np.diag_indices(width)] = np.where(is_fixed, np.maximum(own, floor), np.inf)
+    return result
+
+
+def _bartlett(score: np.ndarray, lag: int) -> np.ndarray:
+    """Return the sum of score products with weights 1 - |lag difference| / lag.
+
+    Sums over all windows of the length of the lag give these weights at once.
+    """
+    lag = max(1, min(lag, len(score) // _BLOCKS))
+    total = np.concatenate([np.zeros((1, score.shape[1])), np.cumsum(score, axis=0)])
+    low = np.clip(np.arange(1 - lag, len(score)), 0, None)
+    high = np.clip(np.arange(1, len(score) + lag), None, len(score))
+    windows = total[high] - total[low]
+    return windows.T @ windows / lag
