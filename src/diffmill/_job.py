@@ -69,6 +69,8 @@ class CorrectionSettings(eqx.Module):
         command: "tip" positions (what a program carries) or "joint" angles.
         knot_spacing: Spacing of the B-spline knots [s], the controller's bandwidth.
         max_offset: Largest offset of the command from the desired path [m], per axis.
+        max_velocity: Largest velocity of the command per axis [m/s], or infinite.
+        max_acceleration: Largest acceleration of it per axis [m/s^2], or infinite.
         tolerance: Error that does not count [m].
         sections: First and last line of a section of the program and its weight.
         finishing_only: Whether only rows that leave a part of the surface count.
@@ -76,6 +78,10 @@ class CorrectionSettings(eqx.Module):
         floor_weight: Weight of the floors, for the surface.
         max_steps: Gauss-Newton steps at most.
         max_products: Products with the Jacobian per step at most.
+        horizon: Rows that are corrected at once; "auto" takes a whole path of at most
+            6000 rows, and segments of 2000 rows of a longer one.
+        overlap: Rows at the end of a segment that the next one corrects once more;
+            "auto" takes 32 knots, and half of the horizon at most.
     """
 
     objective: Literal["path", "surface"] = eqx.field(static=True, default="path")
@@ -85,6 +91,8 @@ class CorrectionSettings(eqx.Module):
     command: Literal["tip", "joint"] = eqx.field(static=True, default="tip")
     knot_spacing: float = eqx.field(static=True, default=30e-3)
     max_offset: RealScalarLike = 1e-3
+    max_velocity: float = eqx.field(static=True, default=float("inf"))
+    max_acceleration: float = eqx.field(static=True, default=float("inf"))
     tolerance: RealScalarLike = 0.0
     sections: tuple[tuple[int, int, float], ...] = eqx.field(static=True, default=())
     finishing_only: bool = eqx.field(static=True, default=False)
@@ -92,6 +100,8 @@ class CorrectionSettings(eqx.Module):
     floor_weight: RealScalarLike = 1.0
     max_steps: int = eqx.field(static=True, default=2)
     max_products: int = eqx.field(static=True, default=30)
+    horizon: int | Literal["auto"] = eqx.field(static=True, default="auto")
+    overlap: int | Literal["auto"] = eqx.field(static=True, default="auto")
 
 
 class Job(eqx.Module):

@@ -36,6 +36,14 @@ class SpringMass(eqx.Module):
         return chip * jnp.stack([f_x, f_y, 0.3 * self.across])
 
     def __call__(self, command):
+        return self.run(self.at_rest(command), command)[0]
+
+    def at_rest(self, command):
+        """State at rest in the first row: position, velocity, position before."""
+        return command[0], jnp.zeros_like(command[0]), command[0]
+
+    def run(self, carry, command):
+        """Motion from a state at the first row, and the state at the last."""
         h = self.time_step / self.substeps
         M, K, D = self.mass, self.stiffness, self.damping
         system = M + h * D / 2 + h**2 * K / 4
@@ -53,11 +61,10 @@ class SpringMass(eqx.Module):
                 q, v = q + h * (v + dv / 2), v + dv
             return (q, v, start), (q, F)
 
-        q0 = command[0]
-        carry = (q0, jnp.zeros_like(q0), q0)
-        _, (q, F) = jax.lax.scan(step, carry, (command[:-1], command[1:]))
-        zero = jnp.zeros_like(q0)[None]
-        return Motion(jnp.concatenate([q0[None], q]), jnp.concatenate([zero, F]))
+        q0 = carry[0][None]
+        carry, (q, F) = jax.lax.scan(step, carry, (command[:-1], command[1:]))
+        force = jnp.concatenate([jnp.zeros_like(q0), F])
+        return Motion(jnp.concatenate([q0, q]), force), carry
 
     def process_alone(self, path):
         """Force of the cut along a path, row k over the step that ends there."""

@@ -47,12 +47,25 @@ def correct(
     force: _Force = False,
     quiet: _Quiet = False,
     allow_outside: _Outside = False,
+    resume: Annotated[
+        bool,
+        tyro.conf.arg(
+            help="Go on from where an interrupted run of the same job was: from the "
+            "checkpoint beside --out."
+        ),
+    ] = False,
 ) -> int:
     """Predict, correct the path, predict again; write the corrected program."""
     from ._run import run_job
 
     return run_job(
-        "correct", job, out, force=force, is_quiet=quiet, allow_outside=allow_outside
+        "correct",
+        job,
+        out,
+        force=force,
+        is_quiet=quiet,
+        allow_outside=allow_outside,
+        resume=resume,
     )
 
 

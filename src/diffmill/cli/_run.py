@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import equinox as eqx
 import numpy as np
 
+from ._checkpoint import Checkpoint
 from ._errors import BadInput, bad_input
 from ._figures import write_pictures
 from ._jax import configure_jax
@@ -30,6 +31,7 @@ def run_job(
     force: bool,
     is_quiet: bool,
     allow_outside: bool,
+    resume: bool = False,
 ) -> int:
     """Load, run and write a job; return the exit code.
 
@@ -40,6 +42,7 @@ def run_job(
         force: Whether results that are there are replaced.
         is_quiet: Whether only errors are printed.
         allow_outside: Whether the job may name files outside its folder.
+        resume: Whether a correction goes on from its checkpoint.
     """
     from .._result import SimulationFailed
     from ..io import JobError, check_folder, load_job
@@ -55,12 +58,17 @@ def run_job(
                 ["[robot] rigid: found true, but correct needs a robot: model or file"],
             )
     progress = Progress(is_quiet=is_quiet)
+    checkpoint = None
+    if command == "correct":
+        with bad_input():
+            checkpoint = Checkpoint(folder, job)
+            checkpoint.open(resume=resume, force=force, progress=progress)
     for note in job.notes:
         progress.say(f"note: {note}")
     start = time.perf_counter()
     try:
         with progress:
-            outcome = _compute(command, job, progress)
+            outcome = _compute(command, job, progress, checkpoint)
     except SimulationFailed as failure:
         return _keep_failure(folder, job, failure, force=force)
     seconds = time.perf_counter() - start
@@ -71,24 +79,35 @@ def run_job(
             job, outcome if command == "simulate" else outcome.after, dataset, progress
         )
     _write(command, folder, job, outcome, dataset, force=force)
+    if checkpoint is not None:
+        checkpoint.remove()
     progress.say(_summary(dataset, job))
     progress.say(f"results: {folder} ({seconds:.1f} s)")
     return 0
 
 
-def _compute(command: str, job: "Job", progress: Progress) -> Outcome:
+def _compute(
+    command: str, job: "Job", progress: Progress, checkpoint: Checkpoint | None
+) -> Outcome:
     """Run the job."""
     if command == "simulate":
         from ..sim import simulate
 
         return simulate(job, on_progress=progress.update)
-    from ..correction import NothingToCorrect, correct
+    from ..correction import InfeasibleLimit, NothingToCorrect, correct
 
     def tell(message: str, rms: float) -> None:
         progress.update(f"{message}: contour error {rms * 1e6:.2f} um rms")
 
     try:
-        return correct(job, on_progress=tell)
+        return correct(
+            job,
+            on_progress=tell,
+            on_checkpoint=None if checkpoint is None else checkpoint.write,
+            resume=None if checkpoint is None else checkpoint.resumed,
+        )
+    except InfeasibleLimit as error:
+        raise BadInput(f"{job.name}: [correction] {error}") from error
     except NothingToCorrect as error:
         raise BadInput(
             f"{job.name}: found nothing to correct: {error} Check the stock's place, "

@@ -22,6 +22,7 @@ from ._gauss_newton import (
     GaussNewton as GaussNewton,
     contour_residual as contour_residual,
 )
+from ._horizon import RecedingHorizon as RecedingHorizon
 from ._inverse_drive import (
     InverseDriveCommand as InverseDriveCommand,
     at_instants as at_instants,
@@ -68,6 +69,11 @@ from ._response import (
     TipResponse as TipResponse,
     spline_preconditioner as spline_preconditioner,
     tip_response as tip_response,
+)
+from ._segments import AbstractPiece as AbstractPiece, AbstractPieces as AbstractPieces
+from ._spline_window import (
+    SplineWindow as SplineWindow,
+    spline_window as spline_window,
 )
 from ._surface_objective import (
     FinishedSurface as FinishedSurface,

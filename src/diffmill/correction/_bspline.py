@@ -7,7 +7,7 @@ from jaxtyping import Array, Float, Int
 
 # Coefficients held at zero at either end: three, so that the curve, its slope and
 # its second derivative all start and end at zero.
-_CLAMPED = 3
+CLAMPED = 3
 
 
 class SplineOffsets(eqx.Module):
@@ -35,7 +35,7 @@ class SplineOffsets(eqx.Module):
                 "Arguments `time_step` and `knot_spacing` must be positive, but are "
                 f"{self.time_step} s and {self.knot_spacing} s."
             )
-        if self.interval_count < _CLAMPED + 1:
+        if self.interval_count < CLAMPED + 1:
             raise ValueError(
                 "Argument `knot_spacing` must leave at least four intervals in the "
                 f"program of {self.duration:.4g} s, but is {self.knot_spacing:.4g} s."
@@ -60,7 +60,7 @@ class SplineOffsets(eqx.Module):
     @property
     def coefficient_count(self) -> int:
         """Number of free coefficients per axis."""
-        return self.interval_count + 3 - 2 * _CLAMPED
+        return self.interval_count + 3 - 2 * CLAMPED
 
     def offsets(
         self, coefficients: Float[Array, "coefficient axis"]
@@ -76,8 +76,8 @@ class SplineOffsets(eqx.Module):
 
         **Differentiability**: linear; its transpose costs the same.
         """
-        start, weights = _basis(self)
-        padded = jnp.pad(coefficients, ((_CLAMPED, _CLAMPED), (0, 0)))
+        start, weights = basis(self)
+        padded = jnp.pad(coefficients, ((CLAMPED, CLAMPED), (0, 0)))
         # Four gathers of contiguous rows: no dense basis matrix is ever formed.
         weights = jnp.asarray(weights, coefficients.dtype)
         terms = [weights[:, r, None] * padded[start + r] for r in range(4)]
@@ -104,13 +104,13 @@ class SplineOffsets(eqx.Module):
 
     def normal_band(self) -> Float[np.ndarray, "4 coefficient"]:
         """Return the upper band of B^T B, in the layout of `scipy.linalg`."""
-        start, weights = _basis(self)
+        start, weights = basis(self)
         count = self.coefficient_count
-        full = np.zeros((4, count + 2 * _CLAMPED))
+        full = np.zeros((4, count + 2 * CLAMPED))
         for r in range(4):
             for s in range(r, 4):
                 np.add.at(full[3 - (s - r)], start + s, weights[:, r] * weights[:, s])
-        return full[:, _CLAMPED:-_CLAMPED]
+        return full[:, CLAMPED:-CLAMPED]
 
     def fit(
         self, signal: Float[np.ndarray, "step axis"] | Float[Array, "step axis"]
@@ -147,15 +147,15 @@ def adjoint_offsets(
 
     **Differentiability**: linear; on the host, not traceable.
     """
-    start, weights = _basis(spline)
-    rows = spline.coefficient_count + 2 * _CLAMPED
+    start, weights = basis(spline)
+    rows = spline.coefficient_count + 2 * CLAMPED
     full = np.zeros((rows, signal.shape[1]))
     for r in range(4):
         np.add.at(full, start + r, weights[:, r, None] * signal)
-    return full[_CLAMPED:-_CLAMPED]
+    return full[CLAMPED:-CLAMPED]
 
 
-def _basis(
+def basis(
     spline: SplineOffsets,
 ) -> tuple[Int[np.ndarray, " step"], Float[np.ndarray, "step 4"]]:
     """Return the first of the four coefficients of every row, and their weights."""

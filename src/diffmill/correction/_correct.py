@@ -26,7 +26,16 @@ from ..sim import (
 )
 from ._gauss_newton import GaussNewton
 from ._inverse_drive import inverse_drive
+from ._kept import horizon_of, keeping
 from ._least_squares import LeastSquaresStep, LevenbergMarquardt
+from ._memory import (
+    Arrays,
+    OnCheckpoint,
+    below,
+    pack_method,
+    under,
+    unpack_method,
+)
 from ._method import Corrected, GivenCommand
 from ._mirror import IteratedMirror, Mirror
 from ._parts import path_parts
@@ -133,6 +142,8 @@ def correct(
     *,
     throw: bool = True,
     on_progress: OnProgress | None = None,
+    on_checkpoint: OnCheckpoint | None = None,
+    resume: Arrays | None = None,
 ) -> Correction:
     """Predict, correct, and predict again.
 
@@ -143,6 +154,11 @@ def correct(
         job: The job; its machine must be a robot.
         throw: Whether to raise when the uncorrected run does not succeed.
         on_progress: Called with a message and the rms contour error so far [m].
+        on_checkpoint: Called with all that is needed to go on, plain arrays by name:
+            after every method, every step of Gauss-Newton on a whole path, and every
+            segment of a long one.
+        resume: What it was called with for the same job, to go on from there to the
+            same result.
 
     Returns:
         The correction with all its cases.
@@ -151,6 +167,7 @@ def correct(
         SimulationFailed: The run of the uncorrected program fails.
         NothingToCorrect: The program never cuts, or all that cuts has no weight; a
             `ValueError`.
+        InfeasibleLimit: The program itself breaks a limit; a `ValueError`.
         ValueError: The job has no robot, or JAX is not set up for its precision.
 
     Differentiability: runs on the host, not traceable.
@@ -158,6 +175,8 @@ def correct(
     job = with_precision(job)
     if job.robot is None:
         raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
+    # A horizon that cannot be is refused before anything runs.
+    horizon_of(job)
     adjoint = Traced()
     rigid = rigid_cut(job, adjoint)
     desired = jnp.asarray(job.path.positions)
@@ -178,11 +197,20 @@ def correct(
     problem = _problem(job, TipPlant(job, adjoint), desired, before, weights)
     methods: dict[str, Corrected] = {}
     wall_time: dict[str, float] = {}
+    saved: dict[str, np.ndarray] = {}
 
     def run(name: str, method: Any, problem: Problem, **options: Any) -> Corrected:
         start = time.perf_counter()
-        methods[name] = method(problem, on_progress=on_progress, **options)
-        wall_time[name] = time.perf_counter() - start
+        kept = unpack_method(below(f"method/{name}", resume), problem)
+        if kept is not None:
+            methods[name], wall_time[name] = kept
+        else:
+            methods[name] = method(problem, on_progress=on_progress, **options)
+            wall_time[name] = time.perf_counter() - start
+        if on_checkpoint is not None and name != "corrected":
+            packed = pack_method(methods[name], wall_time[name])
+            saved.update(under(f"method/{name}", packed))
+            on_checkpoint(saved if resume is None else {**resume, **saved})
         if on_progress is not None:
             on_progress(name, methods[name].measures.rms)
         return methods[name]
@@ -202,9 +230,12 @@ def correct(
             cost_rtol=1e-2,
         ),
         objective=objective,
+        max_velocity=settings.max_velocity,
+        max_acceleration=settings.max_acceleration,
     )
     if settings.command == "joint":
         problem = _joint_problem(job, adjoint, desired, before, weights)
+        method = keeping(job, method, adjoint, saved, on_checkpoint, resume)
         run("corrected", method, problem, start=inverse.motor_positions)
     else:
         best = min(
@@ -216,6 +247,7 @@ def correct(
         method = eqx.tree_at(
             lambda m: m.response, method, response, is_leaf=lambda x: x is None
         )
+        method = keeping(job, method, adjoint, saved, on_checkpoint, resume)
         run("corrected", method, problem, start=best.command)
     cases = {
         name: _solution(job, rigid, methods[name].command, adjoint) for name in methods

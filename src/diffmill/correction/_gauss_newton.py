@@ -1,5 +1,7 @@
 """Correction by least squares on the contour error, with exact derivatives."""
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -7,12 +9,18 @@ from jaxtyping import Array, Float
 
 from .._types import RealScalarLike
 from ._bspline import SplineOffsets
-from ._least_squares import LeastSquaresStep, LevenbergMarquardt, least_squares
+from ._least_squares import (
+    LeastSquaresMemory,
+    LeastSquaresStep,
+    LevenbergMarquardt,
+    least_squares,
+)
 from ._method import AbstractMethod, Corrected, OnProgress, corrected
 from ._objective import AbstractObjective, PathObjective
 from ._problem import FloatRows, Problem
 from ._projection import project
 from ._response import TipResponse, spline_preconditioner
+from ._spline_window import SplineWindow
 
 # Contour error that counts as one in the residual [m]; sets no result, only the size
 # of the numbers and what `smoothness` is relative to.
@@ -31,7 +39,7 @@ class ContourResidual(eqx.Module):
     """
 
     problem: Problem
-    spline: SplineOffsets
+    spline: SplineOffsets | SplineWindow
     smoothness: RealScalarLike
     lag_weight: RealScalarLike
     objective: AbstractObjective = PathObjective()
@@ -98,8 +106,13 @@ class GaussNewton(AbstractMethod):
         *,
         start: FloatRows | None = None,
         on_progress: OnProgress | None = None,
+        on_memory: Callable[[LeastSquaresMemory], object] | None = None,
+        resume: LeastSquaresMemory | None = None,
     ) -> Corrected:
-        """Return the best command within knots and bounds, from `start`."""
+        """Return the best command within knots and bounds, from `start`.
+
+        `on_memory` and `resume` are those of `least_squares`.
+        """
         rows, axes = problem.nominal.shape
         spline = SplineOffsets(rows, problem.time_step, self.knot_spacing)
         bound = float(problem.max_offset)
@@ -125,6 +138,8 @@ class GaussNewton(AbstractMethod):
             if self.response is None
             else spline_preconditioner(self.response, spline, problem.time_step),
             on_progress=None if on_progress is None else _Told(on_progress),
+            on_memory=on_memory,
+            resume=resume,
         )
         offset = spline.offsets(solution.x)
         return corrected(

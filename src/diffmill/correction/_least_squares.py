@@ -91,6 +91,30 @@ class LeastSquaresSolution(eqx.Module):
         return self.history[-1].forward_runs if self.history else 1
 
 
+class LeastSquaresMemory(eqx.Module):
+    """What the iteration needs to go on after an outer step.
+
+    Attributes:
+        z: The best point in units of `scale`, of the shape of the unknowns.
+        damping: Damping of the next step.
+        growth: Factor by which a refused step would raise it.
+        first_kkt: Largest entry of the first projected gradient.
+        is_done: Whether the iteration has converged.
+        products: Products J v and J^T w so far.
+        forward_runs: Evaluations of the residual so far.
+        history: The steps so far.
+    """
+
+    z: Float[np.ndarray, "*unknown"]
+    damping: float
+    growth: float
+    first_kkt: float
+    is_done: bool
+    products: int
+    forward_runs: int
+    history: tuple[LeastSquaresStep, ...]
+
+
 class LevenbergMarquardt(eqx.Module):
     """Settings of the bounded Levenberg-Marquardt method.
 
@@ -173,6 +197,8 @@ def least_squares(
     precondition: Callable[[np.ndarray], np.ndarray] | None = None,
     on_progress: Callable[[LeastSquaresStep], bool | None] | None = None,
     clock: Callable[[], float] = time.perf_counter,
+    on_memory: Callable[[LeastSquaresMemory], object] | None = None,
+    resume: LeastSquaresMemory | None = None,
 ) -> LeastSquaresSolution:
     """Minimise half the squared residual within bounds.
 
@@ -189,6 +215,8 @@ def least_squares(
         on_progress: Called after every outer step; True ends the iteration with the
             best point so far.
         clock: Returns the time [s].
+        on_memory: Called after every outer step with all that is needed to go on.
+        resume: What it was called with, to go on from there as if nothing had been.
 
     Returns:
         The solution with its history. Where `on_progress` or the limit of steps ends
@@ -197,17 +225,21 @@ def least_squares(
     **Differentiability**: runs on the host, not traceable.
     """
     solver = LevenbergMarquardt() if solver is None else solver
-    began = clock()
     box = _box(start, lower, upper, scale)
     z = np.clip(np.asarray(start, np.float64) / box.scale, box.lower, box.upper)
-    state = _State(z, np.inf, z, None, 0.0, 2.0, 0, 0)
+    history = [] if resume is None else list(resume.history)
+    began = clock() - (history[-1].seconds if history else 0.0)
+    if resume is None:
+        state = _State(z, np.inf, z, None, 0.0, 2.0, 0, 0)
+    else:
+        state = _remembered(resume)
     state = _linearised(solver, residual, args, box, state)
     if not (np.isfinite(state.cost) and np.all(np.isfinite(state.gradient))):
-        return _solution(box, state, [], RESULTS.non_finite)
-    state = _first_damping(solver, box, state)
-    first = _kkt(state, box)
-    history: list[LeastSquaresStep] = []
-    is_done = first == 0
+        return _solution(box, state, history, RESULTS.non_finite)
+    if resume is None:
+        state = _first_damping(solver, box, state)
+    first = _kkt(state, box) if resume is None else resume.first_kkt
+    is_done = first == 0 if resume is None else resume.is_done
     while not is_done and len(history) < solver.max_steps:
         before, kkt = state.cost, _kkt(state, box)
         inner = _inner(solver, state, box, precondition)
@@ -230,6 +262,8 @@ def least_squares(
         history.append(record)
         is_done = _is_converged(solver, record, before, inner)
         is_done |= _kkt(state, box) <= solver.kkt_rtol * first
+        if on_memory is not None:
+            on_memory(_memory(state, first, is_done, history))
         if on_progress is not None and on_progress(record) and not is_done:
             break
     result = RESULTS.successful if is_done else RESULTS.not_converged
@@ -247,6 +281,36 @@ def _box(start: Array, lower: Bound, upper: Bound, scale: Bound) -> _Box:
     if not np.all((full[2] > 0) & np.isfinite(full[2])):
         raise ValueError("Argument `scale` must be positive and finite, but is not.")
     return _Box(full[0], full[1], full[2], np.dtype(start.dtype))
+
+
+def _remembered(memory: LeastSquaresMemory) -> _State:
+    """Return the state of which only the linearisation is missing."""
+    return _State(
+        z=memory.z,
+        cost=np.inf,
+        gradient=memory.z,
+        linear=None,
+        damping=memory.damping,
+        growth=memory.growth,
+        # The linearisation has been counted.
+        products=memory.products - 1,
+        forward_runs=memory.forward_runs - 1,
+    )
+
+
+def _memory(
+    state: _State, first_kkt: float, is_done: bool, history: list[LeastSquaresStep]
+) -> LeastSquaresMemory:
+    return LeastSquaresMemory(
+        z=state.z,
+        damping=state.damping,
+        growth=state.growth,
+        first_kkt=first_kkt,
+        is_done=bool(is_done),
+        products=state.products,
+        forward_runs=state.forward_runs,
+        history=tuple(history),
+    )
 
 
 def _half_square(residual: Array) -> float:

@@ -19,6 +19,7 @@ from jaxtyping import Array, Complex, Float
 from .._types import RealScalarLike
 from ..robot import Robot, arm_terms
 from ._bspline import SplineOffsets, adjoint_offsets
+from ._spline_window import SplineWindow
 
 # Added to T^H T: what the arm hardly follows is not worth chasing.
 _FLOOR = 1e-3
@@ -98,6 +99,28 @@ def spline_preconditioner(
     Returns:
         A symmetric, positive definite map on coefficients, on the host.
     """
+    return banded_preconditioner(
+        response, spline, lambda signal: adjoint_offsets(spline, signal), time_step
+    )
+
+
+def banded_preconditioner(
+    response: TipResponse,
+    spline: SplineOffsets | SplineWindow,
+    transposed: _Map,
+    time_step: RealScalarLike,
+) -> _Map:
+    """Return (T^H T)^-1 on the coefficients of a spline or of a window of one.
+
+    Args:
+        response: The arm.
+        spline: The basis B.
+        transposed: B^T, on the host.
+        time_step: Time between two rows [s].
+
+    Returns:
+        A symmetric, positive definite map on coefficients, on the host.
+    """
     from scipy.linalg import solveh_banded
 
     band = spline.normal_band()
@@ -112,6 +135,6 @@ def spline_preconditioner(
         waves = np.fft.rfft(curve, length, axis=0)
         waves = np.einsum("fij,fj->fi", inverse, waves)
         curve = np.fft.irfft(waves, length, axis=0)[: spline.step_count]
-        return solveh_banded(band, adjoint_offsets(spline, curve))
+        return solveh_banded(band, transposed(curve))
 
     return apply

@@ -7,7 +7,13 @@ from pydantic import BeforeValidator, Field, StrictBool, StrictInt
 
 from .._job import CorrectionSettings
 from ..cutter import AbstractCutter
-from ._job_fields import PositiveLength, PositiveTime, Tolerance
+from ._job_fields import (
+    Acceleration,
+    PositiveLength,
+    PositiveSpeed,
+    PositiveTime,
+    Tolerance,
+)
 from ._job_table import Table
 
 
@@ -19,6 +25,18 @@ def _weight(value: object) -> float:
     raise ValueError(f"found {value!r}, but a number of at least 0 is required")
 
 
+def _rows(value: object) -> int | str:
+    """Return a number of rows, or "auto"."""
+    if value == "auto":
+        return "auto"
+    if isinstance(value, int) and not isinstance(value, bool) and value > 0:
+        return value
+    raise ValueError(
+        f'found {value!r}, but "auto" or a number of tooth periods above 0 is required'
+    )
+
+
+Rows = Annotated[int | Literal["auto"], BeforeValidator(_rows)]
 Weight = Annotated[float, BeforeValidator(_weight)]
 
 
@@ -46,13 +64,17 @@ class CorrectionTable(Table):
     floor_weight: Weight = 1.0
     knot_spacing: PositiveTime = 30e-3
     max_offset: PositiveLength = 1e-3
+    max_velocity: PositiveSpeed | None = None
+    max_acceleration: Acceleration | None = None
     max_steps: Annotated[StrictInt, Field(ge=1, le=1000)] = 2
     max_products: Annotated[StrictInt, Field(ge=1, le=10_000)] = 30
+    horizon: Rows = "auto"
+    overlap: Rows = "auto"
 
 
 def correction_settings(table: CorrectionTable) -> CorrectionSettings:
     """Return the settings of a checked table."""
-    values: dict[str, Any] = table.model_dump(exclude={"weight"})
+    values: dict[str, Any] = table.model_dump(exclude={"weight"}, exclude_none=True)
     sections = tuple((e.lines[0], e.lines[1], e.value) for e in table.weight)
     return CorrectionSettings(**values, sections=sections)
 
@@ -64,6 +86,17 @@ def check_correction(
     problems: list[str],
 ) -> None:
     """Note settings that the cutter or the path do not allow."""
+    if table.horizon != "auto" and table.objective == "surface":
+        problems.append(
+            f'[correction] horizon: found {table.horizon} beside objective = "surface"'
+            ', which needs the whole path; only "auto" is allowed'
+        )
+    sizes = table.horizon, table.overlap
+    if "auto" not in sizes and int(table.overlap) >= int(table.horizon):
+        problems.append(
+            f"[correction] overlap: found {table.overlap}, but less than the horizon, "
+            f"{table.horizon}, is required"
+        )
     if table.objective == "surface":
         if not (cutter.is_plain and is_upright):
             problems.append(
@@ -75,6 +108,15 @@ def check_correction(
                 "[correction] wall_weight: found 0 beside floor_weight = 0, but one of "
                 "them above 0 is required"
             )
+    for key in ("max_velocity", "max_acceleration"):
+        if getattr(table, key) is None:
+            continue
+        for other, allowed in (("method", "gauss_newton"), ("command", "tip")):
+            if (found := getattr(table, other)) != allowed:
+                problems.append(
+                    f'[correction] {key}: found beside {other} = "{found}", but it is '
+                    f'held with {other} = "{allowed}" only'
+                )
     for entry in table.weight:
         first, last = entry.lines
         if not 1 <= first <= last:

@@ -1,0 +1,104 @@
+"""Which optimiser a job asks for, and how it keeps what it has found."""
+
+import functools
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from .._job import Job
+from ..sim import AbstractAdjoint
+from ._gauss_newton import GaussNewton
+from ._horizon import RecedingHorizon
+from ._job_pieces import JobPieces
+from ._memory import (
+    Arrays,
+    OnCheckpoint,
+    below,
+    pack_least_squares,
+    under,
+    unpack_least_squares,
+)
+
+# Paths of at most so many rows are corrected as a whole, unless the job says otherwise.
+_WHOLE_ROWS = 6000
+# Rows of a segment.
+_HORIZON = 2000
+# Knots of the overlap: at 30 ms as long as an arm with a mode of 10 Hz and 2 % damping
+# needs to lose two thirds of a swing.
+_OVERLAP_KNOTS = 32
+
+
+def horizon_of(job: Job) -> tuple[int, int] | None:
+    """Return the rows of a segment and of its overlap; None for the path as a whole.
+
+    Raises:
+        ValueError: The job asks for segments where there can be none.
+    """
+    settings, rows = job.correction, job.path.step_count
+    is_able = settings.objective == "path" and job.simulation.mode == "dynamic"
+    if settings.horizon == "auto":
+        horizon = _HORIZON if rows > _WHOLE_ROWS and is_able else rows
+    else:
+        horizon = settings.horizon
+    if horizon >= rows:
+        return None
+    if not is_able:
+        raise ValueError(
+            'Argument `job` must have the horizon "auto" unless its objective is '
+            '"path" and its mode "dynamic", but has a horizon of '
+            f"{horizon} rows."
+        )
+    overlap = settings.overlap
+    if overlap == "auto":
+        knots = round(_OVERLAP_KNOTS * settings.knot_spacing / float(job.tooth_period))
+        overlap = max(1, min(knots, horizon // 2))
+    if overlap >= horizon:
+        raise ValueError(
+            f"Argument `job` must have an overlap below its horizon of {horizon} rows, "
+            f"but has {overlap} rows."
+        )
+    return horizon, overlap
+
+
+def keeping(
+    job: Job,
+    method: GaussNewton,
+    adjoint: AbstractAdjoint,
+    saved: Mapping[str, np.ndarray],
+    on_checkpoint: OnCheckpoint | None,
+    resume: Arrays | None,
+) -> Callable[..., Any]:
+    """Return a method that corrects as the job asks, and tells all that it has found.
+
+    Args:
+        job: The job, in its precision.
+        method: Settings of Gauss-Newton.
+        adjoint: How to differentiate through the removal.
+        saved: What every checkpoint holds besides.
+        on_checkpoint: Called after every step, or after every segment.
+        resume: What it was called with, to go on from there.
+
+    Returns:
+        A function of a problem, as `AbstractMethod`.
+    """
+
+    def keep(prefix: str, arrays: Arrays) -> None:
+        if on_checkpoint is not None:
+            on_checkpoint({**saved, **under(prefix, arrays)})
+
+    found = horizon_of(job)
+    if found is None:
+        memory = below("gauss_newton", resume)
+        return functools.partial(
+            method,
+            on_memory=lambda m: keep("gauss_newton", pack_least_squares(m)),
+            resume=unpack_least_squares(memory) if memory else None,
+        )
+    return RecedingHorizon(
+        JobPieces(job, adjoint, job.correction.command == "joint"),
+        method,
+        *found,
+        on_checkpoint=lambda arrays: keep("horizon", arrays),
+        resume=below("horizon", resume) or None,
+    )

@@ -1,0 +1,159 @@
+"""Segments with a look ahead against the whole path, on a cheap plant."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from correction.spring_mass import SpringMass, rounded_square, soft_arm
+
+from diffmill.correction import (
+    AbstractPiece,
+    AbstractPieces,
+    GaussNewton,
+    LevenbergMarquardt,
+    Problem,
+    RecedingHorizon,
+    SplineOffsets,
+    TipResponse,
+    spline_window,
+)
+from diffmill.correction._memory import pack_least_squares, unpack_least_squares
+
+TIME_STEP = 3.75e-3
+KNOTS = 30e-3
+# Rings off within the overlap, so that what comes behind it does not matter.
+PLANT = soft_arm(TIME_STEP, damping_ratio=0.1)
+METHOD = GaussNewton(
+    KNOTS,
+    solver=LevenbergMarquardt(max_steps=6, max_products=60, cost_rtol=1e-3),
+    response=TipResponse(
+        np.concatenate([np.eye(3), np.zeros((3, 3))]),
+        *(np.diag(PLANT.mass), np.asarray(PLANT.stiffness)),
+        *(np.asarray(PLANT.damping), np.eye(3)),
+    ),
+)
+
+
+class SpringPiece(AbstractPiece):
+    """Some rows of the plant."""
+
+    plant: SpringMass
+    state: tuple
+
+    def run(self, command):
+        """Run from the state."""
+        return self.plant.run(self.state, command)
+
+
+class SpringPieces(AbstractPieces):
+    """The plant, piece by piece."""
+
+    plant: SpringMass
+
+    def begin(self, command):
+        """Start at rest."""
+        return self.plant.at_rest(command)
+
+    def piece(self, state, rows):
+        """Go on from a state."""
+        del rows
+        return SpringPiece(self.plant, state)
+
+
+@pytest.fixture(scope="module")
+def problem():
+    _, path, is_cutting = rounded_square(TIME_STEP)
+    weights = is_cutting.astype(float)
+    return Problem(PLANT, path, path, weights, TIME_STEP)
+
+
+def horizon(problem, **options):
+    pieces = SpringPieces(problem.plant)
+    return RecedingHorizon(
+        pieces, METHOD, **{"horizon": 200, "overlap": 100, **options}
+    )
+
+
+@pytest.fixture(scope="module")
+def segmented(problem):
+    saved, told = [], []
+    method = horizon(problem, on_checkpoint=saved.append)
+    return method(problem, on_progress=lambda *found: told.append(found)), saved, told
+
+
+def test_segments_find_what_the_whole_path_finds(problem, segmented):
+    whole = METHOD(problem)
+    found, saved, _ = segmented
+    assert len(saved) == found.detail["segment_count"] == 4
+    assert abs(found.measures.rms / whole.measures.rms - 1) < 0.01
+    assert whole.measures.rms < 1e-5
+
+
+def test_progress_tells_the_error_so_far_and_the_time_left(segmented):
+    found, _, told = segmented
+    assert [message.split(",")[0] for message, _ in told] == [
+        f"segment {k} of {len(told)}" for k in range(1, len(told) + 1)
+    ]
+    assert all(message.endswith(" s left") for message, _ in told)
+    assert told[-1][0].endswith(" 0 s left")
+    assert told[-2][1] == pytest.approx(found.measures.rms, rel=0.2)
+
+
+@pytest.mark.parametrize("at", [0, -1])
+def test_a_resumed_run_gives_the_same_to_the_bit(problem, segmented, at):
+    found, saved, _ = segmented
+    more = []
+    method = horizon(problem, resume=saved[at], on_checkpoint=more.append)
+    again = method(problem)
+    np.testing.assert_array_equal(again.command, found.command)
+    np.testing.assert_array_equal(again.contour, found.contour)
+    assert len(more) == len(saved) - 1 - (at % len(saved))
+    assert [s.cost for s in again.history] == [s.cost for s in found.history]
+
+
+def test_the_command_is_a_spline_of_the_whole_program(problem, segmented):
+    offset = np.asarray(segmented[0].command) - problem.nominal
+    spline = SplineOffsets(len(offset), TIME_STEP, KNOTS)
+    np.testing.assert_allclose(
+        offset,
+        spline.offsets(jnp.asarray(spline.fit(offset))),
+        atol=1e-12 * np.abs(offset).max(),
+    )
+
+
+@pytest.mark.parametrize("first", [0, 8, 37, 411])
+def test_a_window_is_the_spline_in_its_rows(first):
+    spline, count = SplineOffsets(531, TIME_STEP, KNOTS), 120
+    window = spline_window(spline, first, count)
+    c = np.random.default_rng(0).normal(size=(spline.coefficient_count, 2))
+    full = np.pad(c, ((3, 13), (0, 0)))[window.place()]
+    wanted = np.pad(np.asarray(spline.offsets(jnp.asarray(c))), ((0, count), (0, 0)))
+    np.testing.assert_allclose(
+        window.offsets(jnp.asarray(full)), wanted[first : first + count], atol=1e-14
+    )
+    signal = np.random.default_rng(1).normal(size=(count, 2))
+    left = np.sum(np.asarray(window.offsets(jnp.asarray(full))) * signal)
+    assert left == pytest.approx(np.sum(full * window.transposed(signal)))
+    # What may change leaves the first row alone.
+    free = np.where(np.asarray(window.is_free)[:, None], full, 0)
+    assert np.all(np.asarray(window.offsets(jnp.asarray(free)))[0] == 0)
+    assert window.is_free.sum() > count / 8 - 6
+
+
+def test_an_overlap_must_fit_the_horizon(problem):
+    with pytest.raises(ValueError, match="below `horizon`"):
+        horizon(problem, overlap=200)
+
+
+def test_gauss_newton_goes_on_as_if_it_had_not_been_interrupted(problem):
+    kept = []
+    method = eqx.tree_at(lambda m: m.solver.max_steps, METHOD, 3)
+    found = method(problem, on_memory=kept.append)
+    packed = [pack_least_squares(memory) for memory in kept]
+    assert len(packed) == len(found.history) > 1
+    for arrays in packed:
+        again = method(problem, resume=unpack_least_squares(arrays))
+        np.testing.assert_array_equal(again.command, found.command)
+        assert [s.cost for s in again.history] == [s.cost for s in found.history]
+        assert again.products == found.products
+        assert again.forward_runs == found.forward_runs
