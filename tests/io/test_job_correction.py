@@ -21,6 +21,8 @@ def test_values_become_settings_in_si():
     table, problems = read(
         objective="surface",
         tolerance="10 um",
+        max_velocity="60 mm/s",
+        max_acceleration="2 m/s^2",
         finishing_only=True,
         floor_weight=0,
         weight=[{"lines": [12, 30], "value": 0}, {"lines": [31, 31], "value": 2.5}],
@@ -28,6 +30,9 @@ def test_values_become_settings_in_si():
     assert not problems
     settings = correction_settings(table)
     assert settings.tolerance == pytest.approx(1e-5)
+    assert settings.max_velocity == pytest.approx(0.06)
+    assert settings.max_acceleration == pytest.approx(2.0)
+    assert correction_settings(read()[0]).max_acceleration == float("inf")
     assert settings.sections == ((12, 30, 0.0), (31, 31, 2.5))
     assert (settings.objective, settings.finishing_only) == ("surface", True)
     assert (settings.wall_weight, settings.floor_weight) == (1.0, 0.0)
@@ -69,6 +74,11 @@ def test_what_the_cutter_does_not_allow(simple_end_mills):
         "wall_weight:",
         "weight.lines:",
     ]
+    table, _ = read(max_velocity="1 m/s", method="mirror", command="joint")
+    limited: list[str] = []
+    check_correction(table, flat, True, limited)
+    assert ["method" in line for line in limited] == [True, False]
+    assert 'command = "joint"' in limited[1]
     found: list[str] = []
     check_correction(read(objective="surface")[0], flat, True, found)
     assert found == []

@@ -36,6 +36,14 @@ from ._least_squares import (
     LevenbergMarquardt as LevenbergMarquardt,
     least_squares as least_squares,
 )
+from ._limited_quadratic import (
+    solve_limited_quadratic as solve_limited_quadratic,
+)
+from ._limits import (
+    InfeasibleLimit as InfeasibleLimit,
+    LinearLimits as LinearLimits,
+    command_limits as command_limits,
+)
 from ._measures import Measures as Measures, measure as measure
 from ._method import (
     AbstractMethod as AbstractMethod,

@@ -1,5 +1,7 @@
 """Offsets of a command over time as a cubic B-spline with few coefficients."""
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -131,6 +133,27 @@ class SplineOffsets(eqx.Module):
         # Knots closer than the rows would leave coefficients that no row sees.
         band[3] += 1e-12 * band[3].max()
         return solveh_banded(band, adjoint_offsets(self, np.asarray(signal)))
+
+
+def basis_matrix(spline: SplineOffsets) -> Any:
+    """Return the basis as a sparse matrix of `scipy.sparse`.
+
+    Args:
+        spline: The basis B.
+
+    Returns:
+        B, shape (step, coefficient), in compressed rows.
+
+    **Differentiability**: on the host, not traceable.
+    """
+    from scipy.sparse import csr_array
+
+    start, weights = basis(spline)
+    columns = (start[:, None] + np.arange(4)[None]).reshape(-1)
+    rows = np.repeat(np.arange(spline.step_count), 4)
+    shape = (spline.step_count, spline.coefficient_count + 2 * CLAMPED)
+    full = csr_array((weights.reshape(-1), (rows, columns)), shape=shape)
+    return full[:, CLAMPED:-CLAMPED]
 
 
 def adjoint_offsets(

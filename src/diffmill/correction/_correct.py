@@ -42,7 +42,13 @@ from ._parts import path_parts
 from ._problem import Motion, Problem
 from ._projection import clip_offset
 from ._response import tip_response
-from ._setup import job_objective, job_surface, job_weights, remaining_error
+from ._setup import (
+    check_limits,
+    job_objective,
+    job_surface,
+    job_weights,
+    remaining_error,
+)
 from ._surface_objective import FinishedSurface
 
 if TYPE_CHECKING:
@@ -177,6 +183,7 @@ def correct(
         raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
     # A horizon that cannot be is refused before anything runs.
     horizon_of(job)
+    check_limits(job)
     adjoint = Traced()
     rigid = rigid_cut(job, adjoint)
     desired = jnp.asarray(job.path.positions)

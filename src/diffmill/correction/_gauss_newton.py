@@ -15,6 +15,7 @@ from ._least_squares import (
     LevenbergMarquardt,
     least_squares,
 )
+from ._limits import command_limits
 from ._method import AbstractMethod, Corrected, OnProgress, corrected
 from ._objective import AbstractObjective, PathObjective
 from ._problem import FloatRows, Problem
@@ -91,6 +92,8 @@ class GaussNewton(AbstractMethod):
         response: The arm's inverse response, which preconditions the inner problem;
             for tip commands only.
         objective: The error that is to become small.
+        max_velocity: Largest velocity of the whole command per axis [its unit / s].
+        max_acceleration: Largest acceleration of it per axis [its unit / s^2].
     """
 
     knot_spacing: float = 30e-3
@@ -99,6 +102,8 @@ class GaussNewton(AbstractMethod):
     solver: LevenbergMarquardt = LevenbergMarquardt(max_steps=6, cost_rtol=1e-2)
     response: TipResponse | None = None
     objective: AbstractObjective = PathObjective()
+    max_velocity: float = np.inf
+    max_acceleration: float = np.inf
 
     def __call__(
         self,
@@ -117,9 +122,15 @@ class GaussNewton(AbstractMethod):
         spline = SplineOffsets(rows, problem.time_step, self.knot_spacing)
         bound = float(problem.max_offset)
         nominal = np.asarray(problem.nominal)
+        limits = command_limits(
+            spline,
+            nominal,
+            max_velocity=self.max_velocity,
+            max_acceleration=self.max_acceleration,
+        )
         first = np.zeros((spline.coefficient_count, axes))
         if start is not None:
-            first = project(spline, np.asarray(start) - nominal, bound)
+            first = project(spline, np.asarray(start) - nominal, bound, limits=limits)
         solution = least_squares(
             contour_residual,
             jnp.asarray(first, nominal.dtype),
@@ -133,6 +144,7 @@ class GaussNewton(AbstractMethod):
             lower=-bound,
             upper=bound,
             scale=bound,
+            limits=limits,
             solver=self.solver,
             precondition=None
             if self.response is None

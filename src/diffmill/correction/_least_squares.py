@@ -1,6 +1,6 @@
 """Bounded nonlinear least squares: Levenberg-Marquardt with products only.
 
-    minimise |r(x)|^2 / 2   subject to  lower <= x <= upper
+    minimise |r(x)|^2 / 2   subject to  lower <= x <= upper  and linear limits
 
 Each outer step linearises the residual once, minimises the damped linear model within
 the bounds by projected conjugate gradients, and accepts the trial point by the ratio of
@@ -10,7 +10,7 @@ A refused step keeps its linearisation.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -19,11 +19,12 @@ from jaxtyping import Array, Float, PyTree
 
 from .._result import RESULTS
 from .._types import RealScalarLike
+from ._limited_quadratic import solve_limited_quadratic
+from ._limits import LinearLimits
 from ._products import AbstractProducts, Residual, StoredProducts, evaluate
 from ._quadratic import (
     QuadraticSolution,
     projected_gradient,
-    solve_bounded_quadratic,
 )
 
 # Smallest ratio of true to predicted decrease with which a step is accepted.
@@ -193,6 +194,7 @@ def least_squares(
     lower: Bound = -np.inf,
     upper: Bound = np.inf,
     scale: Bound = 1.0,
+    limits: Sequence[LinearLimits] = (),
     solver: LevenbergMarquardt | None = None,
     precondition: Callable[[np.ndarray], np.ndarray] | None = None,
     on_progress: Callable[[LeastSquaresStep], bool | None] | None = None,
@@ -208,7 +210,9 @@ def least_squares(
         args: Everything else that the residual needs; a pytree.
         lower: Lower bounds, a number or of the shape of `start`.
         upper: Upper bounds, likewise.
-        scale: Typical size of an unknown, likewise: a diagonal preconditioner.
+        scale: Typical size of an unknown, likewise: a diagonal preconditioner. With
+            limits it must be the same for all.
+        limits: Limits of differences of the unknowns, which `start` keeps.
         solver: Settings.
         precondition: Roughly the inverse of J^T J, on NumPy arrays of the shape of
             `start`; symmetric and positive semidefinite.
@@ -242,7 +246,7 @@ def least_squares(
     is_done = first == 0 if resume is None else resume.is_done
     while not is_done and len(history) < solver.max_steps:
         before, kkt = state.cost, _kkt(state, box)
-        inner = _inner(solver, state, box, precondition)
+        inner = _inner(solver, state, box, limits, precondition)
         state, trial_cost, gain, damping = _try(residual, args, box, state, inner)
         if gain > _ACCEPT:
             state = _linearised(solver, residual, args, box, state)
@@ -365,17 +369,20 @@ def _inner(
     solver: LevenbergMarquardt,
     state: _State,
     box: _Box,
+    limits: Sequence[LinearLimits],
     precondition: Callable[[np.ndarray], np.ndarray] | None,
 ) -> QuadraticSolution:
-    """Minimise the damped linear model within the bounds."""
+    """Minimise the damped linear model within the bounds and limits."""
     if precondition is not None:
         outer = precondition
         precondition = lambda g: outer(g / box.scale) / box.scale
-    return solve_bounded_quadratic(
+    unit = box.scale.flat[0]
+    return solve_limited_quadratic(
         lambda p: _normal(solver, box, state, p) + state.damping * p,
         state.gradient,
         box.lower - state.z,
         box.upper - state.z,
+        [limit.about(state.z * unit, unit) for limit in limits],
         rtol=solver.inner_rtol,
         max_products=(solver.max_products - 1) // 2,
         precondition=precondition,

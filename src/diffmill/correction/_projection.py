@@ -1,12 +1,15 @@
 """Bring a command into what the controller can follow: knots and bounds."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float
 
 from .._types import RealScalarLike
 from ._bspline import SplineOffsets, adjoint_offsets
+from ._limited_quadratic import feasible_share, solve_limited_quadratic
+from ._limits import LinearLimits
 from ._problem import FloatRows
-from ._quadratic import solve_bounded_quadratic
 
 
 def project(
@@ -14,16 +17,18 @@ def project(
     offset: FloatRows,
     max_offset: RealScalarLike = np.inf,
     *,
+    limits: Sequence[LinearLimits] = (),
     rtol: float = 1e-8,
 ) -> Float[np.ndarray, "coefficient axis"]:
     """Return the bounded spline closest to a raw offset in least squares.
 
-    The bound holds for every coefficient, hence for the curve.
+    The bound holds for every coefficient, hence for the curve; limits hold exactly.
 
     Args:
         spline: The basis.
         offset: Offset of a command at every row, shape (step, axis).
         max_offset: Largest magnitude of a coefficient.
+        limits: Limits of the command, see `command_limits`.
         rtol: Accuracy of the bounded problem, relative.
 
     Returns:
@@ -34,18 +39,21 @@ def project(
     offset = np.asarray(offset, np.float64)
     bound = float(max_offset)
     fitted = spline.fit(offset)
-    if np.all(np.abs(fitted) <= bound):
+    is_within = feasible_share(fitted, limits) >= 1
+    if is_within and np.all(np.abs(fitted) <= bound):
         return fitted
     band = spline.normal_band()
-    start = np.clip(fitted, -bound, bound)
+    # With limits from zero, which keeps them.
+    start = 0 * fitted if limits else np.clip(fitted, -bound, bound)
     gradient = _banded(band, start) - adjoint_offsets(spline, offset)
-    solution = solve_bounded_quadratic(
+    solution = solve_limited_quadratic(
         lambda p: _banded(band, p),
         gradient,
         -bound - start,
         bound - start,
+        limits,
         rtol=rtol,
-        max_products=1000,
+        max_products=3000,
     )
     return np.clip(start + solution.p, -bound, bound)
 

@@ -6,6 +6,8 @@ from jaxtyping import Float
 from .._job import Job
 from .._types import BoolSteps
 from ..sim import ProcessSolution
+from ._bspline import SplineOffsets
+from ._limits import command_limits
 from ._method import Corrected
 from ._objective import AbstractObjective, PathObjective
 from ._problem import Problem
@@ -48,6 +50,23 @@ def job_surface(job: Job, rigid: ProcessSolution) -> FinishedSurface | None:
         )
     except ValueError:
         return None
+
+
+def check_limits(job: Job) -> None:
+    """Raise before anything runs if the program itself breaks a limit.
+
+    Raises:
+        InfeasibleLimit: It does.
+    """
+    settings = job.correction
+    command_limits(
+        SplineOffsets(
+            job.path.step_count, float(job.tooth_period), settings.knot_spacing
+        ),
+        job.path.positions,
+        max_velocity=settings.max_velocity,
+        max_acceleration=settings.max_acceleration,
+    )
 
 
 def job_objective(job: Job, surface: FinishedSurface | None) -> AbstractObjective:

@@ -1,0 +1,131 @@
+"""Limits of a command that are linear in its spline: velocity and acceleration.
+
+A command is a row per tooth period, and its controller gets no more: with B the rows of
+the spline and D_m the m-th differences over the m-th power of the time step,
+
+    -v <= D_m nominal + D_m B c <= v
+
+is exact for these rows and linear in the coefficients c, with a sparse matrix.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from ._bspline import SplineOffsets, basis_matrix
+from ._problem import FloatRows
+
+Coefficients = Float[np.ndarray, "coefficient axis"]
+Rows = Float[np.ndarray, "row axis"]
+
+
+class InfeasibleLimit(ValueError):
+    """Raise when the program itself breaks a limit that its correction must hold."""
+
+
+class LinearLimits(eqx.Module):
+    """Bounds of linear functions of the coefficients of a spline, axis by axis.
+
+    Attributes:
+        matrix: Sparse, shape (row, coefficient), of `scipy.sparse`.
+        lower: Least values, shape (row, axis); at most 0.
+        upper: Largest values, shape (row, axis); at least 0.
+    """
+
+    matrix: Any
+    lower: Rows
+    upper: Rows
+
+    def apply(self, coefficients: Coefficients) -> Rows:
+        """Return the values for coefficients."""
+        return self.matrix @ coefficients
+
+    def about(self, point: Coefficients, unit: float) -> "LinearLimits":
+        """Return the limits of a step from a point that keeps them.
+
+        Args:
+            point: Coefficients, shape (coefficient, axis).
+            unit: The step is measured in this many units of the coefficients.
+
+        Returns:
+            Limits of the step.
+        """
+        rows = self.apply(point)
+        # A point on a limit may be beyond it by rounding.
+        lower = np.minimum(self.lower - rows, 0.0) / unit
+        upper = np.maximum(self.upper - rows, 0.0) / unit
+        return LinearLimits(self.matrix, lower, upper)
+
+    def transpose(self, rows: Rows) -> Coefficients:
+        """Return the transposed map of values per row."""
+        return self.matrix.T @ rows
+
+
+def command_limits(
+    spline: SplineOffsets,
+    nominal: FloatRows,
+    *,
+    max_velocity: float = np.inf,
+    max_acceleration: float = np.inf,
+) -> tuple[LinearLimits, ...]:
+    """Return the limits that keep a whole command within its derivatives' bounds.
+
+    Args:
+        spline: Basis of the offset.
+        nominal: The uncorrected command, shape (step, axis).
+        max_velocity: Largest velocity per axis [unit of the command / s].
+        max_acceleration: Largest acceleration per axis [unit of the command / s^2].
+
+    Returns:
+        One entry for each limit that is finite.
+
+    Raises:
+        InfeasibleLimit: The nominal command breaks a limit; the message says which,
+            when, on which axis and by how much.
+
+    **Differentiability**: none, a host function.
+    """
+    nominal = np.asarray(nominal, np.float64)
+    found = []
+    for order, name, limit in (
+        (1, "max_velocity", max_velocity),
+        (2, "max_acceleration", max_acceleration),
+    ):
+        if not np.isfinite(limit):
+            continue
+        rate = np.diff(nominal, order, axis=0) / spline.time_step**order
+        _check_nominal(name, order, float(limit), rate, spline.time_step)
+        matrix = basis_matrix(spline)
+        for _ in range(order):
+            matrix = matrix[1:] - matrix[:-1]
+        # In the coefficients' unit, so that rows of both kinds are alike in size.
+        step = spline.time_step**order
+        scale = spline.actual_spacing**order
+        found.append(
+            LinearLimits(
+                matrix * (scale / step), scale * (-limit - rate), scale * (limit - rate)
+            )
+        )
+    return tuple(found)
+
+
+def _check_nominal(
+    name: str,
+    order: int,
+    limit: float,
+    rate: Float[np.ndarray, "row axis"],
+    time_step: float,
+) -> None:
+    """Raise if the nominal command alone is above the limit."""
+    row, axis = np.unravel_index(np.argmax(np.abs(rate)), rate.shape)
+    worst = float(np.abs(rate[row, axis]))
+    if worst <= limit:
+        return
+    unit = "/s" if order == 1 else "/s^2"
+    raise InfeasibleLimit(
+        f"Argument `{name}` must be at least what the program itself needs, "
+        f"{worst:.4g} {unit} on axis {axis} at {(row + order / 2) * time_step:.4g} s, "
+        f"but is {limit:.4g} {unit}: {worst - limit:.4g} {unit} too low."
+    )

@@ -1,0 +1,90 @@
+"""Correcting a small job from its file, all methods, as the command line does."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from diffmill import load_job
+from diffmill.correction import InfeasibleLimit, NothingToCorrect, correct
+
+PROGRAM = """G21 G17 G90 G94
+G0 X-6 Y3 Z-1
+G1 X7 F3000
+G1 Y14
+G1 X20
+M2
+"""
+JOB = """
+[cutter]
+kind = "flat"
+diameter = "10 mm"
+teeth = 2
+flute_length = "22 mm"
+[spindle]
+speed = "8000 rpm"
+[force]
+K_tc = "989.8 N/mm^2"
+K_rc = "337.3 N/mm^2"
+K_ac = "66.9 N/mm^2"
+[stock]
+lower = ["0 mm", "0 mm", "-3 mm"]
+upper = ["12 mm", "12 mm", "0 mm"]
+spacing = "0.5 mm"
+[program]
+file = "tiny.ngc"
+acceleration = "1 m/s^2"
+rapid_feed = "100 mm/s"
+[robot]
+model = "reis_rv130_like"
+work_in_base = { position = ["1525 mm", "-5 mm", "936 mm"] }
+[simulation]
+angles = 192
+substeps = 4
+[correction]
+max_steps = 1
+max_products = 8
+"""
+
+
+@pytest.fixture
+def load(tmp_path):
+    def load(more=""):
+        (tmp_path / "tiny.toml").write_text(JOB + more)
+        (tmp_path / "tiny.ngc").write_text(PROGRAM)
+        return load_job(tmp_path / "tiny.toml")
+
+    return load
+
+
+def test_a_limit_below_the_program_is_refused_before_anything_runs(load):
+    with pytest.raises(InfeasibleLimit, match="`max_acceleration`"):
+        correct(load('max_acceleration = "0.2 m/s^2"\n'))
+
+
+@pytest.mark.slow
+def test_every_case_has_every_figure(load):
+    job = load('max_velocity = "120 mm/s"\nfinishing_only = true\n')
+    result = correct(job)
+    data = result.to_dataset()
+    fastest = jnp.abs(jnp.diff(result.commanded, axis=0)).max() / job.tooth_period
+    assert float(fastest) <= 0.12 * (1 + 1e-9)
+    assert data.sizes["case"] == 5
+    parts = data["path_part"].values
+    np.testing.assert_array_equal(parts >= 0, data["is_cutting"].values[0] > 0)
+    assert {0, 1, 2} <= set(parts.tolist())
+    first = data.sel(case="corrected")
+    error = np.abs(first["contour_error"].values)
+    entry = np.sqrt(np.mean(error[parts == 0] ** 2))
+    assert float(first["part_rms"].sel(part="entry")) == pytest.approx(entry)
+    for name in ("contour_mean", "part_max", "surface_wall_rms", "surface_floor_p95"):
+        assert data[name].attrs["units"] == "m"
+        assert "case" in data[name].dims
+    rms = np.sqrt(np.mean(error[parts >= 0] ** 2))
+    before = data.sel(case="uncorrected")["contour_error"].values[parts >= 0]
+    assert rms < 0.7 * np.sqrt(np.mean(before**2))
+
+
+@pytest.mark.slow
+def test_weights_that_leave_nothing_are_named(load):
+    with pytest.raises(NothingToCorrect, match="lines 2 to 5"):
+        correct(load("weight = [{ lines = [1, 9], value = 0 }]\n"))
