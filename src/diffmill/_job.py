@@ -37,6 +37,7 @@ class SimulationSettings(eqx.Module):
         chip: Chip model, "near_far" or "point_cloud" (hard, as in the paper).
         integrator: Rule of the robot's sub-steps, "midpoint" or "rk4" (explicit, to
             verify the other by).
+        dynamics: Algorithm of the robot's dynamics, "crba" or "aba".
         mode: "dynamic", or "quasistatic": springs balance the mean force of each
             tooth period, without inertia.
         checks_stability: Whether the command line looks for chatter after a run.
@@ -55,6 +56,7 @@ class SimulationSettings(eqx.Module):
         static=True, default="near_far"
     )
     integrator: Literal["midpoint", "rk4"] = eqx.field(static=True, default="midpoint")
+    dynamics: Literal["crba", "aba"] = eqx.field(static=True, default="crba")
     mode: Literal["dynamic", "quasistatic"] = eqx.field(static=True, default="dynamic")
     checks_stability: bool = eqx.field(static=True, default=False)
 

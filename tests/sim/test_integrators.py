@@ -161,3 +161,21 @@ def test_single_precision_stays_single():
         motion = sim.free_motion(robot, start, theta, 1e-3, 3, rule)
         assert motion.joint_velocities.dtype == jnp.float32
         assert bool(jnp.all(jnp.isfinite(motion.joint_positions)))
+
+
+def test_articulated_bodies_swing_as_the_mass_matrix_does():
+    arm = rb.load("reis_rv130_like")
+    start = sim.steady_state(arm, arm.home, jnp.zeros(6))
+    start = sim.ArmState(start.q + 1e-3, start.v)
+    by_matrix, by_bodies = (
+        jax.jit(
+            lambda q, v, rule=sim.Midpoint(dynamics): (
+                sim.free_motion(
+                    arm, sim.ArmState(q, v), arm.home, STEP, 100, rule
+                ).joint_positions
+            )
+        )(start.q, start.v)
+        for dynamics in ("crba", "aba")
+    )
+    np.testing.assert_allclose(by_bodies, by_matrix, rtol=0, atol=1e-12)
+    assert float(jnp.abs(by_matrix[-1] - by_matrix[0]).max()) > 1e-5

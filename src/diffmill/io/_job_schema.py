@@ -95,6 +95,7 @@ class SimulationTable(Table):
     tool_tilt: StrictBool = False
     bottom_edges: StrictBool = False
     integrator: Literal["midpoint", "rk4"] = "midpoint"
+    dynamics: Literal["crba", "aba"] = "crba"
     mode: Literal["dynamic", "quasistatic"] = "dynamic"
     stability: StrictBool = False
 

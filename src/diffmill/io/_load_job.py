@@ -301,6 +301,7 @@ def _simulation(
         axes=axes,
         chip=table.chip,
         integrator=table.integrator,
+        dynamics=table.dynamics,
         mode=table.mode,
         checks_stability=table.stability,
     )

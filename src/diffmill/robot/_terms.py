@@ -19,12 +19,14 @@ class ArmTerms(eqx.Module):
     """The terms of M qdd + C + G = tau + J^T F at one state.
 
     Attributes:
+        joint_positions: q [rad or m], shape (joint,).
         T_base_tool: Pose of the tool, shape (4, 4).
         jacobian: At the tool's origin, base axes, linear rows first, (6, joint).
         mass_matrix: M [kg m^2], shape (joint, joint).
         bias_forces: C + G [N m], shape (joint,).
     """
 
+    joint_positions: Float[Array, " joint"]
     T_base_tool: Float[Array, "4 4"]
     jacobian: Float[Array, "6 joint"]
     mass_matrix: Float[Array, "joint joint"]
@@ -58,6 +60,7 @@ def _arm_terms(
     frames = joint_frames(robot, q)
     inertias = link_inertia_rows(robot, frames)
     return ArmTerms(
+        joint_positions=q,
         T_base_tool=tool_transform(frames),
         jacobian=tool_jacobian(robot, frames),
         mass_matrix=composite_mass_matrix(robot, frames, inertias),

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..robot import ArmTerms, Robot
-from ._midpoint import Midpoint
+from ._midpoint import Dynamics, Midpoint
 from ._stepping import AbstractIntegrator, ArmState, MotorCommand, state_rate
 
 IntegratorName: TypeAlias = Literal["midpoint", "rk4"]
@@ -54,13 +54,17 @@ class RungeKutta4(AbstractIntegrator):
         return ahead(h, mean)
 
 
-def make_integrator(name: IntegratorName) -> AbstractIntegrator:
+def make_integrator(
+    name: IntegratorName, dynamics: Dynamics = "crba"
+) -> AbstractIntegrator:
     """Return the integrator of a name.
 
     Args:
         name: "midpoint" or "rk4".
+        dynamics: How the midpoint rule inverts its matrix, "crba" or "aba"; the
+            explicit rule has none.
 
     Returns:
         The integrator.
     """
-    return {"midpoint": Midpoint, "rk4": RungeKutta4}[name]()
+    return Midpoint(dynamics) if name == "midpoint" else RungeKutta4()

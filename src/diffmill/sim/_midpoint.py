@@ -1,13 +1,17 @@
 """The linearly implicit midpoint rule for an arm on its drives."""
 
+from typing import Literal, TypeAlias
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..robot import ArmTerms, Robot, coulomb_damping, gear_torque
+from ..robot import ArmTerms, Robot, augmented_inverse, coulomb_damping, gear_torque
 from ._stepping import AbstractIntegrator, ArmState, MotorCommand, servo_torque
+
+Dynamics: TypeAlias = Literal["crba", "aba"]
 
 # Coulomb friction's damper is found in this many steps, warm from the last sub-step.
 _BRAKE_STEPS = 3
@@ -44,8 +48,14 @@ class Midpoint(AbstractIntegrator):
     Fast joints (a bending tool) go over to backward Euler where a sub-step is too long
     for their mode: they follow the force at once instead of ringing.
 
+    Attributes:
+        dynamics: How A^-1 is found: "crba" from the mass matrix, "aba" by articulated
+            bodies, which takes no gap and no friction.
+
     **Differentiability**: smooth; as the drive's options.
     """
+
+    dynamics: Dynamics = eqx.field(static=True, default="crba")
 
     def begin(
         self, robot: Robot, terms: ArmTerms, step: Float[Array, ""]
@@ -53,9 +63,19 @@ class Midpoint(AbstractIntegrator):
         M = terms.mass_matrix
         w = _weight(robot, M, step)
         if robot.backlash is not None or robot.friction is not None:
+            if self.dynamics == "aba":
+                raise ValueError(
+                    'Argument `dynamics` must be "crba" for a robot with backlash or '
+                    'friction, whose matrix changes by the sub-step, but is "aba".'
+                )
             return _Linearised(w, terms.bias_forces, jnp.zeros_like(M), M)
         K, D = robot.joint_stiffness, robot.joint_damping
-        A = M + jnp.diag(_condensed(robot, K, D, w * step).diagonal)
+        diagonal = _condensed(robot, K, D, w * step).diagonal
+        if self.dynamics == "aba":
+            q = terms.joint_positions
+            inverse = augmented_inverse(robot, q, diagonal, algorithm="aba")
+            return _Linearised(w, terms.bias_forces, inverse, None)
+        A = M + jnp.diag(diagonal)
         # A sub-step costs one product with the inverse; A is small and definite.
         factor = jnp.linalg.cholesky(A)
         eye = jnp.eye(A.shape[0], dtype=A.dtype)

@@ -167,6 +167,6 @@ def job_machine(job: Job, adjoint: AbstractAdjoint) -> Machine:
         job_plan(job),
         adjoint,
         job.bottom_law,
-        make_integrator(settings.integrator),
+        make_integrator(settings.integrator, settings.dynamics),
         job.stock.origin.dtype,
     )

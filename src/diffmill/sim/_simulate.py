@@ -279,7 +279,9 @@ def run_motors(
     )
     if job.simulation.mode == "quasistatic":
         return simulate_quasistatic(*arguments)
-    return simulate_coupled(*arguments, make_integrator(job.simulation.integrator))
+    return simulate_coupled(
+        *arguments, make_integrator(job.simulation.integrator, job.simulation.dynamics)
+    )
 
 
 def _axes(job: Job) -> Float[Array, "step 3"] | None:

@@ -154,7 +154,7 @@ def stability(
         plan,
         rows,
         bottom_law=job.bottom_law,
-        integrator=make_integrator(job.simulation.integrator),
+        integrator=make_integrator(job.simulation.integrator, job.simulation.dynamics),
     )
 
 
