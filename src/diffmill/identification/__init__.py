@@ -30,6 +30,12 @@ from ._cut import (
     engagement_columns as engagement_columns,
 )
 from ._cuts import CutSpan as CutSpan, find_cuts as find_cuts
+from ._damping import (
+    JointDampingFit as JointDampingFit,
+    RingDownFit as RingDownFit,
+    fit_joint_damping as fit_joint_damping,
+    fit_ring_down as fit_ring_down,
+)
 from ._harmonics import refine_spindle_speed as refine_spindle_speed
 from ._load_advice import (
     LoadTests as LoadTests,

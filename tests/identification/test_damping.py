@@ -1,0 +1,44 @@
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from diffmill import identification, robot as rb
+
+
+def test_two_modes_of_a_ring_down():
+    t = np.arange(2000) / 1000
+    f, zeta = np.array([9.0, 14.0]), np.array([0.03, 0.015])
+    omega = 2 * math.pi * f
+    y = sum(
+        a * np.exp(-z * w * t) * np.cos(w * math.sqrt(1 - z**2) * t + p)
+        for a, z, w, p in zip((1.0, 0.6), zeta, omega, (0.3, 1.0), strict=True)
+    )
+    y = y + 0.01 * np.random.default_rng(0).normal(size=t.shape)
+    fit = identification.fit_ring_down(t, y, [13.0, 9.5])
+    assert (np.abs(fit.frequencies - f) < 4 * fit.frequency_errors).all()
+    assert (np.abs(fit.damping_ratios - zeta) < 4 * fit.damping_errors).all()
+    assert (fit.damping_errors < 0.02 * zeta).all() and fit.explained > 0.99
+
+
+def test_dampers_from_the_damping_of_modes():
+    robot = rb.load("kuka_kr210_like")
+    draw = np.random.default_rng(0)
+    q = np.asarray(robot.home)[None] + draw.uniform(-0.5, 0.5, (6, 6))
+    ratios = np.stack([rb.damping_ratios(robot, jnp.asarray(row)) for row in q])
+    fit = identification.fit_joint_damping(robot, q, ratios)
+    assert fit.identifiable.all()
+    np.testing.assert_allclose(fit.damping, robot.joint_damping, rtol=1e-6)
+    # The lowest modes alone do not bend the wrist.
+    noisy = ratios[:, :3] * (1 + 0.05 * draw.normal(size=(6, 3)))
+    fit = identification.fit_joint_damping(robot, q, noisy)
+    assert fit.identifiable[:1].all() and not fit.identifiable[5]
+
+
+def test_shapes_are_checked():
+    with pytest.raises(ValueError, match="samples per mode"):
+        identification.fit_ring_down(np.arange(4.0), np.zeros(4), [1.0])
+    robot = rb.load("kuka_kr210_like")
+    with pytest.raises(ValueError, match="`damping_ratios`"):
+        identification.fit_joint_damping(robot, np.zeros((2, 6)), np.zeros((1, 3)))
