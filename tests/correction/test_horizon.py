@@ -157,3 +157,15 @@ def test_gauss_newton_goes_on_as_if_it_had_not_been_interrupted(problem):
         assert [s.cost for s in again.history] == [s.cost for s in found.history]
         assert again.products == found.products
         assert again.forward_runs == found.forward_runs
+
+
+@pytest.mark.slow
+def test_a_limit_of_the_command_holds_across_seams(problem, segmented):
+    free = segmented[0].measures
+    rate = np.abs(np.diff(problem.nominal, 2, axis=0)).max() / TIME_STEP**2
+    limit = 0.5 * (rate + free.max_acceleration)
+    method = eqx.tree_at(lambda m: m.max_acceleration, METHOD, limit)
+    pieces = SpringPieces(problem.plant)
+    found = RecedingHorizon(pieces, method, horizon=200, overlap=100)(problem)
+    held = np.abs(np.diff(np.asarray(found.command), 2, axis=0)) / TIME_STEP**2
+    assert limit * 0.98 < held.max() < limit * (1 + 1e-9)

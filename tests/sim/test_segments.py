@@ -6,6 +6,7 @@ import itertools
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from helpers import relative
 
 from diffmill import cutter as ct, cutting, robot as rb, sim, workpiece as wp
@@ -92,6 +93,7 @@ def test_a_run_in_segments_is_the_run():
     assert carries[-1].process.poses.tip.shape[0] < 60
 
 
+@pytest.mark.slow
 def test_a_segment_differentiates_as_the_run():
     first = BREAKS[2]
     push = jnp.asarray(np.random.default_rng(0).normal(size=(ROWS, 3)))

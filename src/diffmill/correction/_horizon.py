@@ -24,6 +24,7 @@ from jaxtyping import Array, Float
 from ._bspline import CLAMPED, SplineOffsets
 from ._gauss_newton import ContourResidual, GaussNewton, contour_residual
 from ._least_squares import LeastSquaresStep, least_squares
+from ._limits import LinearLimits, command_limits
 from ._memory import (
     Arrays,
     OnCheckpoint,
@@ -39,7 +40,7 @@ from ._problem import FloatRows, Motion, Problem, contour_of
 from ._projection import project
 from ._response import banded_preconditioner
 from ._segments import AbstractPiece, AbstractPieces
-from ._spline_window import spline_window
+from ._spline_window import spline_window, window_limits
 
 
 class _Run(eqx.Module):
@@ -147,11 +148,24 @@ class RecedingHorizon(AbstractMethod):
         nominal = np.asarray(problem.nominal)
         free = np.zeros((spline.coefficient_count, nominal.shape[1]))
         if start is not None:
-            free = project(spline, np.asarray(start) - nominal, problem.max_offset)
+            limits = self._limits(problem, spline)
+            away = np.asarray(start) - nominal
+            free = project(spline, away, problem.max_offset, limits=limits)
         coefficients = np.pad(free, ((CLAMPED, CLAMPED), (0, 0)))
         state = self.pieces.begin(_command(problem, spline, coefficients, 0, 2))
         run = _Run(0, coefficients, state, 0.0, ())
         return _unpacked(self.resume, run) if self.resume else run
+
+    def _limits(
+        self, problem: Problem, spline: SplineOffsets
+    ) -> tuple[LinearLimits, ...]:
+        """Return the limits of the whole command."""
+        return command_limits(
+            spline,
+            problem.nominal,
+            max_velocity=self.method.max_velocity,
+            max_acceleration=self.method.max_acceleration,
+        )
 
     def _segment(self, problem: Problem, spline: SplineOffsets, run: _Run) -> _Run:
         """Correct the rows of one segment, and run them but for the overlap."""
@@ -212,6 +226,9 @@ class RecedingHorizon(AbstractMethod):
             scale=bound,
             solver=method.solver,
             precondition=precondition,
+            limits=window_limits(
+                self._limits(problem, spline), run.coefficients, window
+            ),
         )
         new = run.coefficients.copy()
         found = np.asarray(solution.x, np.float64)

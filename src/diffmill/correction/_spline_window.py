@@ -1,11 +1,14 @@
 """The part of a spline over a program that the rows of a window see."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ._bspline import CLAMPED, SplineOffsets, basis
+from ._limits import LinearLimits
 
 
 class SplineWindow(eqx.Module):
@@ -114,3 +117,43 @@ def spline_window(
         first=np.asarray(first, np.int32),
         is_free=(place >= least) & (place <= most),
     )
+
+
+def window_limits(
+    limits: Sequence[LinearLimits],
+    coefficients: Float[np.ndarray, "all axis"],
+    window: SplineWindow,
+) -> tuple[LinearLimits, ...]:
+    """Return limits of a whole command as those of the coefficients of a window.
+
+    Args:
+        limits: Limits of the free coefficients of the program.
+        coefficients: All coefficients of the program, the clamped included; those
+            that may not change count as they are.
+        window: The window.
+
+    Returns:
+        The same limits, for the rows that what may change acts on.
+
+    **Differentiability**: runs on the host, not traceable.
+    """
+    from scipy import sparse
+
+    is_free = np.asarray(window.is_free)
+    inside = np.flatnonzero(is_free)
+    columns = window.place()[is_free] - CLAMPED
+    shape = (inside.size, is_free.size)
+    spread = sparse.csr_array(
+        (np.ones(inside.size), (np.arange(inside.size), inside)), shape=shape
+    )
+    whole = coefficients[CLAMPED:-CLAMPED]
+    found = []
+    for limit in limits:
+        own = sparse.csc_array(limit.matrix)[:, columns]
+        rows = np.unique(own.nonzero()[0])
+        matrix = sparse.csr_array(own)[rows] @ spread
+        others = (limit.matrix @ whole)[rows] - (own @ whole[columns])[rows]
+        found.append(
+            LinearLimits(matrix, limit.lower[rows] - others, limit.upper[rows] - others)
+        )
+    return tuple(found)
