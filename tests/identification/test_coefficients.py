@@ -130,6 +130,16 @@ def test_what_is_not_measured_is_not_identifiable():
     assert fit.law.K_ac == 0
 
 
+def test_the_spectrum_of_the_residual_shows_what_the_model_has_not():
+    cut, time, seen = both(noise=0.01)
+    seen[0][:, 1] += 8 * np.sin(2 * math.pi * 730 * time[0])
+    fit = identification.fit_force_coefficients(cut, time, seen, time_shift=0.0)
+    frequency, amplitude = identification.residual_spectrum(fit)
+    peak = np.argmax(amplitude[:, 1])
+    assert frequency[peak] == pytest.approx(730, abs=8)
+    assert amplitude[peak, 1] == pytest.approx(8, rel=0.3)
+
+
 @pytest.mark.slow
 def test_runout_is_found():
     cut, time, seen = both(shift=0.4e-3, runout=10e-6)

@@ -55,6 +55,10 @@ from ._prepare import (
     section as section,
 )
 from ._record import Record as Record
+from ._residual import (
+    residual_force as residual_force,
+    residual_spectrum as residual_spectrum,
+)
 from ._saturation import find_saturated as find_saturated
 from ._stiffness import (
     JointStiffnessFit as JointStiffnessFit,
