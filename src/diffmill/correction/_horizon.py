@@ -127,16 +127,18 @@ class RecedingHorizon(AbstractMethod):
         rows = problem.nominal.shape[0]
         spline = SplineOffsets(rows, problem.time_step, self.method.knot_spacing)
         run = self._first(problem, spline, start)
-        total, began, done = self.segment_count(rows), time.perf_counter(), 0
+        total, seconds = self.segment_count(rows), []
         while run.row < rows:
+            began = time.perf_counter()
             run = self._segment(problem, spline, run)
-            done += 1
+            seconds.append(time.perf_counter() - began)
             if self.on_checkpoint is not None:
                 self.on_checkpoint(_packed(run))
             left = self.segment_count(rows - run.row) if run.row < rows else 0
             if on_progress is not None:
-                seconds = (time.perf_counter() - began) / done * left
-                message = f"segment {total - left} of {total}, {seconds:.0f} s left"
+                # The first one compiles, which the others do not.
+                each = float(np.mean(seconds[1:] or seconds))
+                message = f"segment {total - left} of {total}, {left * each:.0f} s left"
                 if on_progress(message, _rms(problem, run)):
                     break
         return self._corrected(problem, spline, run)
