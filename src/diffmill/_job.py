@@ -40,6 +40,7 @@ class SimulationSettings(eqx.Module):
         dynamics: Algorithm of the robot's dynamics, "crba" or "aba".
         mode: "dynamic", or "quasistatic": springs balance the mean force of each
             tooth period, without inertia.
+        has_sensitivity: Whether the command line adds maps of the sensitivity.
         checks_stability: Whether the command line looks for chatter after a run.
     """
 
@@ -58,6 +59,7 @@ class SimulationSettings(eqx.Module):
     integrator: Literal["midpoint", "rk4"] = eqx.field(static=True, default="midpoint")
     dynamics: Literal["crba", "aba"] = eqx.field(static=True, default="crba")
     mode: Literal["dynamic", "quasistatic"] = eqx.field(static=True, default="dynamic")
+    has_sensitivity: bool = eqx.field(static=True, default=False)
     checks_stability: bool = eqx.field(static=True, default=False)
 
 

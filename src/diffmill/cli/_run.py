@@ -78,6 +78,10 @@ def run_job(
         _tell_stability(
             job, outcome if command == "simulate" else outcome.after, dataset, progress
         )
+    if job.simulation.has_sensitivity:
+        progress.say("sensitivity: one derivative for each parameter")
+        final = outcome if command == "simulate" else outcome.after
+        dataset = _with_sensitivity(job, final, dataset)
     _write(command, folder, job, outcome, dataset, force=force)
     if checkpoint is not None:
         checkpoint.remove()
@@ -113,6 +117,14 @@ def _compute(
             f"{job.name}: found nothing to correct: {error} Check the stock's place, "
             "the program's zero and [correction] weight."
         ) from error
+
+
+def _with_sensitivity(job: "Job", solution: Outcome, dataset: Dataset) -> Dataset:
+    """Return the dataset with the sensitivity of a solution's command."""
+    from ..sim import sensitivity
+
+    maps = sensitivity(job, commanded=np.asarray(solution.commanded))
+    return dataset.assign(maps.to_dataset().data_vars)
 
 
 def _tell_stability(

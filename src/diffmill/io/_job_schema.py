@@ -98,6 +98,7 @@ class SimulationTable(Table):
     dynamics: Literal["crba", "aba"] = "crba"
     mode: Literal["dynamic", "quasistatic"] = "dynamic"
     stability: StrictBool = False
+    sensitivity: StrictBool = False
 
 
 TABLES: dict[str, type[Table]] = {

@@ -286,6 +286,11 @@ def _simulation(
         )
     if table.stability:
         _check_vibrates(tables, problems)
+    if table.sensitivity and "robot" in tables and tables["robot"].rigid:
+        problems.append(
+            "[simulation] sensitivity: found true, but with rigid = true no parameter "
+            "moves the tool; only false is allowed"
+        )
     if stock is None or path is None:
         return None
     return SimulationSettings(
@@ -303,6 +308,7 @@ def _simulation(
         integrator=table.integrator,
         dynamics=table.dynamics,
         mode=table.mode,
+        has_sensitivity=table.sensitivity,
         checks_stability=table.stability,
     )
 

@@ -52,6 +52,12 @@ from ._segments import (
     job_machine as job_machine,
     run_segment as run_segment,
 )
+from ._sensitivity import (
+    Sensitivity as Sensitivity,
+    parameter_names as parameter_names,
+    sensitivity as sensitivity,
+    with_scaled as with_scaled,
+)
 from ._simulate import (
     Solution as Solution,
     command_joints as command_joints,

@@ -13,6 +13,7 @@ from ._dexels import CutDexels, plot_cut_dexels
 from ._forces import ForceRecord, plot_forces
 from ._history import plot_deviation
 from ._paths import plan_magnification, plot_paths
+from ._sensitivity import plot_sensitivity
 from ._style import case_style, save_figure
 from ._surface import SurfaceError, plot_surface_error
 
@@ -67,7 +68,8 @@ def write_figures(
 
     Returns:
         By name, in the report's order: paths, deviation, forces, chip, surface,
-        dexels. A skipped figure has `path` None and says why in `skipped`.
+        dexels, and sensitivity where the result has it. A skipped figure has `path`
+        None and says why in `skipped`.
     """
     folder = Path(out_dir)
     drawings = {
@@ -78,6 +80,8 @@ def write_figures(
         "surface": _draw_surface(surfaces),
         "dexels": _draw_dexels(dexels),
     }
+    if "sensitivity_contour_error" in dataset:
+        drawings["sensitivity"] = _draw_sensitivity(dataset)
     files = {}
     for name, drawing in drawings.items():
         if drawing.figure is None:
@@ -204,6 +208,16 @@ def _draw_dexels(dexels: CutDexels | None) -> _Drawing:
         "below the profile of the wall that most x rays end on."
     )
     return _Drawing(title, caption, plot_cut_dexels(dexels))
+
+
+def _draw_sensitivity(dataset: "xarray.Dataset") -> _Drawing:
+    caption = (
+        "What 10 % more of each parameter would do to the contour error, to first "
+        "order: stiffness K and damping D of the joints, the coefficients of the force "
+        "law, and the speed of spindle and feed together. Red: the error grows. The "
+        "controller lifts the sag of the stiffness that it knows. White: no cut."
+    )
+    return _Drawing("Sensitivity to the model", caption, plot_sensitivity(dataset))
 
 
 def _tooth_means(dataset: "xarray.Dataset") -> ForceRecord:

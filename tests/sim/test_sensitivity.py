@@ -1,0 +1,123 @@
+"""Sensitivity maps against differences and against what a spring does."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import PAPER_LAW
+
+from diffmill import cutter as ct, robot as rb, sim, toolpath as tp, workpiece as wp
+from diffmill._job import CorrectionSettings, Job, SimulationSettings
+
+PERIOD = 3.75e-3
+STIFFNESS, MASS = np.array([1.5e6, 2.5e6, 4e6]), 80.0
+COUNT = 40
+
+
+def slides():
+    """Return three slides, the mass on the last, each well damped."""
+    elements = []
+    for name, axis, K in zip("xyz", np.eye(3), STIFFNESS, strict=True):
+        D = 2 * 0.5 * math.sqrt(K * MASS)
+        joint = rb.PrismaticJoint(name, tuple(axis), stiffness=float(K), damping=D)
+        elements.append(joint)
+    return rb.build([*elements, rb.RigidBody(MASS, (0, 0, 0), np.eye(3))])
+
+
+@pytest.fixture(scope="module")
+def job():
+    tips = np.tile([-5.5e-3, 4e-3, -1e-3], (COUNT, 1))
+    tips[:, 0] += 0.3e-3 * np.arange(COUNT)
+    return Job(
+        name="slot",
+        cutter=ct.flat_end_mill(10e-3, 2),
+        law=PAPER_LAW,
+        spindle_speed=2 * math.pi / (2 * PERIOD),
+        stock=wp.box([0, 0, -2e-3], [10e-3, 8e-3, 0], 0.5e-3),
+        path=tp.vertical_path(PERIOD * np.arange(COUNT), tips),
+        robot=slides(),
+        T_base_work=np.eye(4),
+        joint_start=None,
+        simulation=SimulationSettings(
+            angles=192,
+            substeps=2,
+            element_height=0.5e-3,
+            axial_depth=1.5e-3,
+            mode="quasistatic",
+        ),
+        correction=CorrectionSettings(),
+    )
+
+
+@pytest.fixture(scope="module")
+def maps(job):
+    return sim.sensitivity(job)
+
+
+@pytest.mark.slow
+def test_every_parameter_has_a_row(maps):
+    drives = ("K x", "K y", "K z", "D x", "D y", "D z")
+    assert maps.names[:6] == drives
+    assert {"K_tc", "K_rc", "K_ac", "speed"} <= set(maps.names)
+    data = maps.to_dataset()
+    assert data["sensitivity_deviation"].shape == (len(maps.names), COUNT, 3)
+    assert data["sensitivity_contour_error"].attrs["units"] == "m"
+
+
+@pytest.mark.slow
+def test_before_the_cut_only_the_sag_moves_the_tool(maps):
+    """The controller lifts m g / K of the stiffness it knows: the rest sags."""
+    sag = 9.81 * MASS / STIFFNESS[2]
+    first = maps.deviation[:, 0]
+    np.testing.assert_allclose(first[maps.names.index("K z")], [0, 0, sag], rtol=1e-6)
+    others = np.delete(first, maps.names.index("K z"), axis=0)
+    np.testing.assert_allclose(others, 0.0, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_maps_agree_with_differences(job, maps):
+    job = sim.with_precision(job)
+    motors, _ = sim.command_motors(job, jnp.asarray(job.path.positions))
+
+    @jax.jit
+    def tip(log_scale):
+        scaled = sim.with_scaled(job, log_scale)
+        return sim.run_motors(scaled, motors, sim.Traced()).actual
+
+    zero = np.zeros(len(maps.names))
+    for name in ("K y", "K_tc", "K_rc"):
+        k = maps.names.index(name)
+        step = np.zeros_like(zero)
+        # Smooth to 1e-4 relative; much smaller drowns in the rounding of the balance.
+        step[k] = 1e-4
+        ahead, behind = tip(jnp.asarray(step)), tip(jnp.asarray(-step))
+        found = (np.asarray(ahead) - np.asarray(behind)) / 2e-4
+        exact = maps.deviation[k]
+        size = np.abs(exact).max()
+        assert size > 1e-6
+        # Chips that begin or end between the two have a kink there.
+        error = np.abs(found - exact) / size
+        assert np.quantile(error, 0.95) < 1e-3
+        assert error.max() < 0.1
+
+
+def test_scaling_reaches_every_parameter_and_no_other(job):
+    names = sim.parameter_names(job)
+    scaled = sim.with_scaled(job, jnp.log(2.0 + jnp.arange(len(names))))
+    np.testing.assert_allclose(scaled.robot.joint_stiffness / STIFFNESS, [2, 3, 4])
+    ratio = np.asarray(scaled.robot.joint_damping / job.robot.joint_damping)
+    np.testing.assert_allclose(ratio, [5, 6, 7])
+    for k, name in enumerate(names[6:-1], start=8):
+        found, known = (float(getattr(j.law, name)) for j in (scaled, job))
+        assert found == pytest.approx(k * known)
+    assert float(scaled.spindle_speed) == pytest.approx(
+        (1 + len(names)) * job.spindle_speed
+    )
+    same = sim.with_scaled(job, jnp.zeros(len(names)))
+    assert jax.tree.all(
+        jax.tree.map(
+            lambda a, b: bool(np.all(np.asarray(a) == np.asarray(b))), same, job
+        )
+    )
