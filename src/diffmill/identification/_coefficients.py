@@ -25,8 +25,9 @@ from ._measured import (
 )
 from ._refine import REFINABLE, Refined, refine_records
 
-# Steps of the time shifts after the search: they converge quadratically.
-_SHIFT_STEPS = 4
+# Steps of the time shifts after the search, which converge quadratically, and the
+# share of a revolution below which they rest.
+_SHIFT_STEPS, _RESTS = 4, 1e-5
 # A length is known if its standard error is below this [m].
 _TOLD = 1e-5
 
@@ -139,7 +140,8 @@ def _settle(
 ) -> tuple[list[Measured], list[Rows], LinearFit]:
     """Fit everything in linear form, and move the time shifts until they rest."""
     records = refined.records
-    K = fit_rows([equations(one, ()) for one in records], loss).x
+    # Only the slope of the force takes these: gross errors hardly matter.
+    K = fit_rows([equations(one, ()) for one in records], "squares").x
     rows, fit = [], None
     for _ in range(_SHIFT_STEPS if is_sought else 1):
         extra = [
@@ -152,6 +154,8 @@ def _settle(
         if not is_sought:
             break
         steps = fit.x[-len(records) :]
+        if np.all(np.abs(steps) < _RESTS * records[0].revolution):
+            break
         records = [
             dataclasses.replace(one, shift=one.shift + float(step))
             for one, step in zip(records, steps, strict=True)

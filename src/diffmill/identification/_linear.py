@@ -155,7 +155,7 @@ def fit_rows(rows: Sequence[Rows], loss: Loss = "huber") -> LinearFit:
                 for r, k, s in zip(residual, known, spread, strict=True)
             ]
             last, x = x, solve(rows, weights)
-            change = np.abs(x - last) <= 1e-6 * np.abs(x) + 1e-300
+            change = np.abs(x - last) <= 1e-5 * np.abs(x) + 1e-300
             if change.all():
                 break
     residual = [one.force - one.columns @ x for one in rows]
