@@ -63,6 +63,27 @@ class SimulationSettings(eqx.Module):
     checks_stability: bool = eqx.field(static=True, default=False)
 
 
+class UncertaintySettings(eqx.Module):
+    """How well the model is known that a correction is computed with.
+
+    Attributes:
+        stiffness: Relative uncertainty of every joint's stiffness: half the width of
+            an interval, or the standard deviation.
+        damping: That of every joint's damping.
+        force: That of every force coefficient.
+        is_gaussian: Whether the uncertainties are standard deviations.
+        draws: Members of the ensemble.
+        seed: Seed of the draws.
+    """
+
+    stiffness: float = eqx.field(static=True, default=0.0)
+    damping: float = eqx.field(static=True, default=0.0)
+    force: float = eqx.field(static=True, default=0.0)
+    is_gaussian: bool = eqx.field(static=True, default=False)
+    draws: int = eqx.field(static=True, default=4)
+    seed: int = eqx.field(static=True, default=0)
+
+
 class CorrectionSettings(eqx.Module):
     """How a path is corrected.
 
@@ -75,6 +96,8 @@ class CorrectionSettings(eqx.Module):
         max_offset: Largest offset of the command from the desired path [m], per axis.
         max_velocity: Largest velocity of the command per axis [m/s], or infinite.
         max_acceleration: Largest acceleration of it per axis [m/s^2], or infinite.
+        uncertainty: How well the model is known; the mean square error over draws of it
+            becomes small. None to trust the model.
         tolerance: Error that does not count [m].
         sections: First and last line of a section of the program and its weight.
         finishing_only: Whether only rows that leave a part of the surface count.
@@ -97,6 +120,7 @@ class CorrectionSettings(eqx.Module):
     max_offset: RealScalarLike = 1e-3
     max_velocity: float = eqx.field(static=True, default=float("inf"))
     max_acceleration: float = eqx.field(static=True, default=float("inf"))
+    uncertainty: UncertaintySettings | None = None
     tolerance: RealScalarLike = 0.0
     sections: tuple[tuple[int, int, float], ...] = eqx.field(static=True, default=())
     finishing_only: bool = eqx.field(static=True, default=False)

@@ -4,6 +4,7 @@ from typing import Any
 
 import pytest
 
+from diffmill._job import UncertaintySettings
 from diffmill.io._job_correction import (
     CorrectionTable,
     check_correction,
@@ -25,11 +26,14 @@ def test_values_become_settings_in_si():
         max_acceleration="2 m/s^2",
         finishing_only=True,
         floor_weight=0,
+        uncertainty={"stiffness": 0.2, "force": 0.1, "draws": 6},
         weight=[{"lines": [12, 30], "value": 0}, {"lines": [31, 31], "value": 2.5}],
     )
     assert not problems
     settings = correction_settings(table)
     assert settings.tolerance == pytest.approx(1e-5)
+    assert settings.uncertainty == UncertaintySettings(0.2, 0.0, 0.1, False, 6, 0)
+    assert correction_settings(read()[0]).uncertainty is None
     assert settings.max_velocity == pytest.approx(0.06)
     assert settings.max_acceleration == pytest.approx(2.0)
     assert correction_settings(read()[0]).max_acceleration == float("inf")
@@ -49,6 +53,7 @@ def test_values_become_settings_in_si():
         ),
         ({"weight": [{"lines": [1], "value": 1}]}, ("weight.0.lines", "2 values")),
         ({"weight": [{"value": 1}]}, ("weight.0.lines", "first and last line")),
+        ({"uncertainty": {"force": 1}}, ("uncertainty.force", "less than 1")),
         ({"objective": "both"}, ("objective", "'surface'")),
         ({"finishing_only": 1}, ("finishing_only", "true or false")),
     ],

@@ -17,12 +17,16 @@ from ._correct import (
     NothingToCorrect as NothingToCorrect,
     correct as correct,
 )
+from ._ensemble import (
+    Ensemble as Ensemble,
+    ScaledPlant as ScaledPlant,
+    draw_scales as draw_scales,
+)
 from ._gauss_newton import (
     ContourResidual as ContourResidual,
     GaussNewton as GaussNewton,
     contour_residual as contour_residual,
 )
-from ._horizon import RecedingHorizon as RecedingHorizon
 from ._inverse_drive import (
     InverseDriveCommand as InverseDriveCommand,
     at_instants as at_instants,
@@ -77,11 +81,6 @@ from ._response import (
     TipResponse as TipResponse,
     spline_preconditioner as spline_preconditioner,
     tip_response as tip_response,
-)
-from ._segments import AbstractPiece as AbstractPiece, AbstractPieces as AbstractPieces
-from ._spline_window import (
-    SplineWindow as SplineWindow,
-    spline_window as spline_window,
 )
 from ._surface_objective import (
     FinishedSurface as FinishedSurface,

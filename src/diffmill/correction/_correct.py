@@ -44,6 +44,7 @@ from ._projection import clip_offset
 from ._response import tip_response
 from ._setup import (
     check_limits,
+    job_ensemble,
     job_objective,
     job_surface,
     job_weights,
@@ -237,6 +238,7 @@ def correct(
             cost_rtol=1e-2,
         ),
         objective=objective,
+        ensemble=job_ensemble(job, adjoint),
         max_velocity=settings.max_velocity,
         max_acceleration=settings.max_acceleration,
     )

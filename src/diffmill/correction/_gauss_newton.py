@@ -3,12 +3,14 @@
 from collections.abc import Callable
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from .._types import RealScalarLike
 from ._bspline import SplineOffsets
+from ._ensemble import Ensemble
 from ._least_squares import (
     LeastSquaresMemory,
     LeastSquaresStep,
@@ -37,6 +39,7 @@ class ContourResidual(eqx.Module):
         smoothness: Weight of the roughness, see `GaussNewton`.
         lag_weight: Weight of the deviation along the path, see `GaussNewton`.
         objective: The error that is to become small.
+        ensemble: Plants over which the square is a mean; None for that of the problem.
     """
 
     problem: Problem
@@ -44,6 +47,7 @@ class ContourResidual(eqx.Module):
     smoothness: RealScalarLike
     lag_weight: RealScalarLike
     objective: AbstractObjective = PathObjective()
+    ensemble: Ensemble | None = None
 
 
 def contour_residual(
@@ -53,7 +57,8 @@ def contour_residual(
 
     With `PathObjective` its square is (rms contour error / 0.1 mm)^2 over the rows
     that cut, plus (lag_weight x rms deviation along the path / 0.1 mm)^2 there, plus
-    (smoothness x rms second difference of the coefficients / max_offset)^2.
+    (smoothness x rms second difference of the coefficients / max_offset)^2. With an
+    ensemble the first two are means over its members.
 
     Args:
         coefficients: Spline coefficients of the offset, in the command's unit.
@@ -67,8 +72,13 @@ def contour_residual(
     problem = args.problem
     dtype = coefficients.dtype
     nominal = jnp.asarray(problem.nominal, dtype)
-    motion = problem.plant(nominal + args.spline.offsets(coefficients))
-    error = args.objective.errors(problem, motion, args.lag_weight) / _UNIT
+    command = nominal + args.spline.offsets(coefficients)
+    errors = lambda motion: args.objective.errors(problem, motion, args.lag_weight)
+    if args.ensemble is None:
+        error = errors(problem.plant(command)) / _UNIT
+    else:
+        each = jax.vmap(errors)(args.ensemble.motions(command))
+        error = each.reshape(-1) / (_UNIT * np.sqrt(each.shape[0]))
     rough = args.spline.roughness(coefficients)
     price = jnp.asarray(args.smoothness, dtype) / np.sqrt(rough.shape[0])
     rough = rough * (price / jnp.asarray(problem.max_offset, dtype))
@@ -92,6 +102,8 @@ class GaussNewton(AbstractMethod):
         response: The arm's inverse response, which preconditions the inner problem;
             for tip commands only.
         objective: The error that is to become small.
+        ensemble: Draws of an uncertain plant, over which the mean square error is to
+            become small instead of that of the problem's plant alone.
         max_velocity: Largest velocity of the whole command per axis [its unit / s].
         max_acceleration: Largest acceleration of it per axis [its unit / s^2].
     """
@@ -102,6 +114,7 @@ class GaussNewton(AbstractMethod):
     solver: LevenbergMarquardt = LevenbergMarquardt(max_steps=6, cost_rtol=1e-2)
     response: TipResponse | None = None
     objective: AbstractObjective = PathObjective()
+    ensemble: Ensemble | None = None
     max_velocity: float = np.inf
     max_acceleration: float = np.inf
 
@@ -117,6 +130,9 @@ class GaussNewton(AbstractMethod):
         """Return the best command within knots and bounds, from `start`.
 
         `on_memory` and `resume` are those of `least_squares`.
+
+        Raises:
+            InfeasibleLimit: The nominal command breaks a limit.
         """
         rows, axes = problem.nominal.shape
         spline = SplineOffsets(rows, problem.time_step, self.knot_spacing)
@@ -140,6 +156,7 @@ class GaussNewton(AbstractMethod):
                 jnp.asarray(self.smoothness, nominal.dtype),
                 jnp.asarray(self.lag_weight, nominal.dtype),
                 self.objective,
+                self.ensemble,
             ),
             lower=-bound,
             upper=bound,

@@ -37,6 +37,7 @@ def horizon_of(job: Job) -> tuple[int, int] | None:
     """
     settings, rows = job.correction, job.path.step_count
     is_able = settings.objective == "path" and job.simulation.mode == "dynamic"
+    is_able &= settings.uncertainty is None
     if settings.horizon == "auto":
         horizon = _HORIZON if rows > _WHOLE_ROWS and is_able else rows
     else:
@@ -46,7 +47,7 @@ def horizon_of(job: Job) -> tuple[int, int] | None:
     if not is_able:
         raise ValueError(
             'Argument `job` must have the horizon "auto" unless its objective is '
-            '"path" and its mode "dynamic", but has a horizon of '
+            '"path", its mode "dynamic" and its model certain, but has a horizon of '
             f"{horizon} rows."
         )
     overlap = settings.overlap

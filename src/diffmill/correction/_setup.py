@@ -5,8 +5,9 @@ from jaxtyping import Float
 
 from .._job import Job
 from .._types import BoolSteps
-from ..sim import ProcessSolution
+from ..sim import AbstractAdjoint, ProcessSolution, parameter_names
 from ._bspline import SplineOffsets
+from ._ensemble import Ensemble, ScaledPlant, draw_scales
 from ._limits import command_limits
 from ._method import Corrected
 from ._objective import AbstractObjective, PathObjective
@@ -86,6 +87,23 @@ def job_objective(job: Job, surface: FinishedSurface | None) -> AbstractObjectiv
     return SurfaceObjective(
         surface, settings.wall_weight, settings.floor_weight, settings.tolerance
     )
+
+
+def job_ensemble(job: Job, adjoint: AbstractAdjoint) -> Ensemble | None:
+    """Return draws of the job's model, as `[correction.uncertainty]` asks for."""
+    known = job.correction.uncertainty
+    if known is None:
+        return None
+    draws = draw_scales(
+        parameter_names(job),
+        count=known.draws,
+        seed=known.seed,
+        stiffness=known.stiffness,
+        damping=known.damping,
+        force=known.force,
+        is_gaussian=known.is_gaussian,
+    )
+    return Ensemble(ScaledPlant(job, adjoint), draws)
 
 
 def remaining_error(

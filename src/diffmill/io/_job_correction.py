@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, StrictBool, StrictInt
 
-from .._job import CorrectionSettings
+from .._job import CorrectionSettings, UncertaintySettings
 from ..cutter import AbstractCutter
 from ._job_fields import (
     Acceleration,
@@ -40,6 +40,19 @@ Rows = Annotated[int | Literal["auto"], BeforeValidator(_rows)]
 Weight = Annotated[float, BeforeValidator(_weight)]
 
 
+def _uncertainty(value: object) -> float:
+    """Return a relative uncertainty, a number of at least 0 and below 1."""
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        if 0 <= value < 1:
+            return float(value)
+    raise ValueError(
+        f"found {value!r}, but a number from 0 to less than 1, such as 0.2, is required"
+    )
+
+
+Uncertainty = Annotated[float, BeforeValidator(_uncertainty)]
+
+
 class WeightTable(Table):
     """One entry of `weight`: a section of the program and how much it counts."""
 
@@ -47,6 +60,17 @@ class WeightTable(Table):
         description="first and last line of the program, such as [120, 180]"
     )
     value: Weight = Field(description="a number of at least 0")
+
+
+class UncertaintyTable(Table):
+    """`[correction.uncertainty]`: how well the model is known, relative."""
+
+    stiffness: Uncertainty = 0.0
+    damping: Uncertainty = 0.0
+    force: Uncertainty = 0.0
+    gaussian: StrictBool = False
+    draws: Annotated[StrictInt, Field(ge=1, le=100)] = 4
+    seed: Annotated[StrictInt, Field(ge=0, le=2**31 - 1)] = 0
 
 
 class CorrectionTable(Table):
@@ -66,6 +90,7 @@ class CorrectionTable(Table):
     max_offset: PositiveLength = 1e-3
     max_velocity: PositiveSpeed | None = None
     max_acceleration: Acceleration | None = None
+    uncertainty: UncertaintyTable | None = None
     max_steps: Annotated[StrictInt, Field(ge=1, le=1000)] = 2
     max_products: Annotated[StrictInt, Field(ge=1, le=10_000)] = 30
     horizon: Rows = "auto"
@@ -74,7 +99,18 @@ class CorrectionTable(Table):
 
 def correction_settings(table: CorrectionTable) -> CorrectionSettings:
     """Return the settings of a checked table."""
-    values: dict[str, Any] = table.model_dump(exclude={"weight"}, exclude_none=True)
+    values: dict[str, Any] = table.model_dump(
+        exclude={"weight", "uncertainty"}, exclude_none=True
+    )
+    if (known := table.uncertainty) is not None:
+        values["uncertainty"] = UncertaintySettings(
+            stiffness=known.stiffness,
+            damping=known.damping,
+            force=known.force,
+            is_gaussian=known.gaussian,
+            draws=known.draws,
+            seed=known.seed,
+        )
     sections = tuple((e.lines[0], e.lines[1], e.value) for e in table.weight)
     return CorrectionSettings(**values, sections=sections)
 
@@ -86,11 +122,15 @@ def check_correction(
     problems: list[str],
 ) -> None:
     """Note settings that the cutter or the path do not allow."""
-    if table.horizon != "auto" and table.objective == "surface":
-        problems.append(
-            f'[correction] horizon: found {table.horizon} beside objective = "surface"'
-            ', which needs the whole path; only "auto" is allowed'
-        )
+    for beside, is_whole in (
+        ('objective = "surface"', table.objective == "surface"),
+        ("an uncertainty", table.uncertainty is not None),
+    ):
+        if table.horizon != "auto" and is_whole:
+            problems.append(
+                f"[correction] horizon: found {table.horizon} beside {beside}, which "
+                'needs the whole path; only "auto" is allowed'
+            )
     sizes = table.horizon, table.overlap
     if "auto" not in sizes and int(table.overlap) >= int(table.horizon):
         problems.append(
@@ -108,14 +148,14 @@ def check_correction(
                 "[correction] wall_weight: found 0 beside floor_weight = 0, but one of "
                 "them above 0 is required"
             )
-    for key in ("max_velocity", "max_acceleration"):
+    for key in ("max_velocity", "max_acceleration", "uncertainty"):
         if getattr(table, key) is None:
             continue
         for other, allowed in (("method", "gauss_newton"), ("command", "tip")):
             if (found := getattr(table, other)) != allowed:
                 problems.append(
-                    f'[correction] {key}: found beside {other} = "{found}", but it is '
-                    f'held with {other} = "{allowed}" only'
+                    f'[correction] {key}: found beside {other} = "{found}", but it '
+                    f'works with {other} = "{allowed}" only'
                 )
     for entry in table.weight:
         first, last = entry.lines

@@ -1,0 +1,115 @@
+"""A plant that is not known exactly: several of it, each with other parameters.
+
+A correction that is best for one model may be worse than a milder one on the machine
+as it is. The mean square over draws of the model's parameters is a least-squares
+problem like that of one model, only with the residuals of all draws.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._job import Job
+from .._types import RealScalarLike
+from ..sim import AbstractAdjoint, command_motors, run_motors, with_scaled
+from ._problem import Motion
+
+Draws = Float[Array, "member parameter"] | Float[np.ndarray, "member parameter"]
+
+
+class Ensemble(eqx.Module):
+    """Draws of a plant's parameters.
+
+    Attributes:
+        plant: Maps the parameters of a member, shape (parameter,), and a command,
+            shape (step, axis), to the motion that follows; traceable.
+        draws: Parameters of the members, shape (member, parameter).
+    """
+
+    plant: Callable[..., Any]
+    draws: Draws
+
+    def motions(self, command: Float[Array, "step axis"]) -> Motion:
+        """Return the motions of all members, stacked along their first axis.
+
+        One after the other: memory grows by the results only.
+
+        **Differentiability**: that of the plant.
+        """
+        draws = jnp.asarray(self.draws, command.dtype)
+        return jax.lax.map(lambda draw: self.plant(draw, command), draws)
+
+
+class ScaledPlant(eqx.Module):
+    """A job with scaled parameters as a plant that is commanded by tip positions.
+
+    The controller knows the job as it is, so that a stiffness that is not the true one
+    leaves a part of the sag.
+
+    Attributes:
+        job: The job.
+        adjoint: How to differentiate through the removal.
+    """
+
+    job: Job
+    adjoint: AbstractAdjoint
+
+    def __call__(
+        self, log_scale: Float[Array, " parameter"], command: Float[Array, "step 3"]
+    ) -> Motion:
+        """Return the motion of one member, see `sim.with_scaled`."""
+        motors, _ = command_motors(self.job, command)
+        ran = run_motors(with_scaled(self.job, log_scale), motors, self.adjoint)
+        return Motion(ran.actual, ran.force)
+
+
+def draw_scales(
+    names: tuple[str, ...],
+    *,
+    count: int,
+    seed: int,
+    stiffness: RealScalarLike = 0.0,
+    damping: RealScalarLike = 0.0,
+    force: RealScalarLike = 0.0,
+    is_gaussian: bool = False,
+) -> Float[np.ndarray, "member parameter"]:
+    """Return draws of the logarithms of the parameters' factors.
+
+    Args:
+        names: `sim.parameter_names`.
+        count: Number of members.
+        seed: Seed of the draws.
+        stiffness: Relative uncertainty of every joint's stiffness: half the width of
+            an interval, or the standard deviation.
+        damping: That of every joint's damping.
+        force: That of every force coefficient.
+        is_gaussian: Whether the logarithms are normal; else the factors are uniform in
+            1 - uncertainty to 1 + uncertainty.
+
+    Returns:
+        Logarithms, shape (member, parameter); 0 for the speed.
+
+    Raises:
+        ValueError: An uncertainty is negative or, of an interval, not below 1.
+
+    **Differentiability**: none, a host function.
+    """
+    kinds = {"K ": stiffness, "D ": damping}
+    sizes = np.array(
+        [0.0 if name == "speed" else kinds.get(name[:2], force) for name in names],
+        np.float64,
+    )
+    if np.any(sizes < 0) or (not is_gaussian and np.any(sizes >= 1)):
+        raise ValueError(
+            "Arguments `stiffness`, `damping` and `force` must be at least 0 and, of "
+            f"intervals, below 1, but are {stiffness}, {damping} and {force}."
+        )
+    rng = np.random.default_rng(seed)
+    if is_gaussian:
+        return sizes[None] * rng.normal(size=(count, len(names)))
+    return np.log1p(sizes[None] * rng.uniform(-1, 1, size=(count, len(names))))
