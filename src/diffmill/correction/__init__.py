@@ -3,11 +3,12 @@
 What it models: a plant (machine with process, any traceable function from a command
 to a motion) and methods that look for a better command behind one interface: the
 mirror, once and iterated; the inverse drive; bounded Gauss-Newton on spline offsets
-with exact derivatives. All report the same figures, over the rows that cut.
+with exact derivatives, for the tip or the machined surface, for one model or draws of
+it. All report the same figures, over the rows that cut and by part of the path.
 Assumptions: the command is one row per tooth period; the controller follows what
-the knot spacing allows; the plant is deterministic.
-Left out: corrections of feed, of the tool axis and of the surface error; a bound on
-the command's acceleration, which is reported only; robustness against a wrong model.
+the knot spacing and the limits of velocity and acceleration allow.
+Left out: corrections of feed and of the tool axis; limits of the joints, of the depth
+of a gouge and of leaving the cut; the worst case instead of the mean over draws.
 """
 
 from ._bspline import SplineOffsets as SplineOffsets
@@ -27,6 +28,7 @@ from ._gauss_newton import (
     GaussNewton as GaussNewton,
     contour_residual as contour_residual,
 )
+from ._horizon import RecedingHorizon as RecedingHorizon
 from ._inverse_drive import (
     InverseDriveCommand as InverseDriveCommand,
     at_instants as at_instants,
@@ -81,6 +83,11 @@ from ._response import (
     TipResponse as TipResponse,
     spline_preconditioner as spline_preconditioner,
     tip_response as tip_response,
+)
+from ._segments import AbstractPiece as AbstractPiece, AbstractPieces as AbstractPieces
+from ._spline_window import (
+    SplineWindow as SplineWindow,
+    spline_window as spline_window,
 )
 from ._surface_objective import (
     FinishedSurface as FinishedSurface,

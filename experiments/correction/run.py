@@ -1,0 +1,22 @@
+"""Run all groups of figures on the correction, or those named.
+
+python experiments/correction/run.py [methods mismatch] [--out FOLDER]
+"""
+
+import pathlib
+import sys
+
+HERE = pathlib.Path(__file__).parent
+# The runner is shared with other experiments.
+sys.path.append(str(HERE.parent / "common"))
+
+GROUPS = ("methods", "mismatch")
+
+
+if __name__ == "__main__":
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    from reporting import run_groups
+
+    run_groups("diffmill correction", __doc__, GROUPS, HERE / "results")
