@@ -23,6 +23,7 @@ from ._ensemble import (
     ScaledPlant as ScaledPlant,
     draw_scales as draw_scales,
 )
+from ._first_order import Adam as Adam
 from ._gauss_newton import (
     ContourResidual as ContourResidual,
     GaussNewton as GaussNewton,

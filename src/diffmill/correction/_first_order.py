@@ -1,0 +1,113 @@
+"""First-order correction, for objectives that Gauss-Newton does not suit.
+
+Gauss-Newton wants residuals that are nearly linear near the solution. Where they are
+not (kinks close together, an error that hardly depends on the command), a method that
+only follows the gradient is slower and more patient.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PyTree
+
+from .._result import RESULTS
+from .._types import RealScalarLike
+from ._bspline import SplineOffsets
+from ._gauss_newton import ContourResidual, contour_residual
+from ._method import AbstractMethod, Corrected, OnProgress, corrected
+from ._objective import AbstractObjective, PathObjective
+from ._problem import FloatRows, Problem
+from ._projection import project
+
+Coefficients = Float[Array, "coefficient axis"]
+
+
+class Adam(AbstractMethod):
+    """Adam on the spline offsets of a command, clipped at the bounds after every step.
+
+    The step falls from its first value to nothing along half a cosine. The best point
+    of all is the result. Kingma, Ba, Adam: a method for stochastic optimization, 2015;
+    the implementation is that of optax.
+
+    Attributes:
+        knot_spacing: Smallest spacing of the knots [s].
+        steps: Gradient steps; each costs a simulation forward and back.
+        step_size: First step, in units of the problem's `max_offset`.
+        smoothness: As `GaussNewton`.
+        lag_weight: As `GaussNewton`.
+        objective: The error that is to become small.
+    """
+
+    knot_spacing: float = 30e-3
+    steps: int = 100
+    step_size: float = 0.03
+    smoothness: float = 1e-2
+    lag_weight: float = 0.03
+    objective: AbstractObjective = PathObjective()
+
+    def __call__(
+        self,
+        problem: Problem,
+        *,
+        start: FloatRows | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> Corrected:
+        """Return the best command of all steps, from `start`."""
+        import optax
+
+        rows, axes = problem.nominal.shape
+        spline = SplineOffsets(rows, problem.time_step, self.knot_spacing)
+        nominal = jnp.asarray(problem.nominal)
+        bound = float(problem.max_offset)
+        first = np.zeros((spline.coefficient_count, axes))
+        if start is not None:
+            first = project(spline, np.asarray(start) - np.asarray(nominal), bound)
+        args = ContourResidual(
+            problem,
+            spline,
+            jnp.asarray(self.smoothness, nominal.dtype),
+            jnp.asarray(self.lag_weight, nominal.dtype),
+            self.objective,
+        )
+        rate = optax.cosine_decay_schedule(self.step_size, self.steps)
+        optimiser = optax.adam(rate)
+        x = jnp.asarray(first / bound, nominal.dtype)
+        best, lowest, spent = x, np.inf, 0
+        state = optimiser.init(x)
+        for k in range(self.steps):
+            cost, gradient = _slope(x, args, jnp.asarray(bound, nominal.dtype))
+            spent += 1
+            if not np.isfinite(float(cost)):
+                break
+            if float(cost) < lowest:
+                best, lowest = x, float(cost)
+            # Inside, optax multiplies its floats by the integer count of steps.
+            with jax.numpy_dtype_promotion("standard"):
+                update, state = optimiser.update(gradient, state)
+            x = jnp.clip(optax.apply_updates(x, update), -1, 1)  # pyright: ignore[reportArgumentType]
+            # In the unit of the residuals, 0.1 mm; the roughness makes it a bound.
+            error = 1e-4 * float(np.sqrt(2 * lowest))
+            if on_progress is not None and on_progress(f"Adam step {k + 1}", error):
+                break
+        is_finite = np.isfinite(lowest)
+        return corrected(
+            problem,
+            nominal + spline.offsets(best * bound),
+            forward_runs=spent,
+            products=spent,
+            detail={"knot_spacing": spline.actual_spacing, "unknowns": float(x.size)},
+            result=RESULTS.successful if is_finite else RESULTS.non_finite,
+        )
+
+
+@eqx.filter_jit
+def _slope(
+    x: Coefficients, args: PyTree, unit: RealScalarLike
+) -> tuple[Float[Array, ""], Coefficients]:
+    """Return half the squared residual and its gradient, x in units of the bound."""
+
+    def cost(x: Coefficients) -> Float[Array, ""]:
+        return 0.5 * jnp.sum(contour_residual(x * unit, args) ** 2)
+
+    return jax.value_and_grad(cost)(x)

@@ -1,0 +1,32 @@
+"""Adam on the soft arm: slower than Gauss-Newton, but it gets there."""
+
+import equinox as eqx
+import numpy as np
+import pytest
+from correction.spring_mass import rounded_square, soft_arm
+
+from diffmill.correction import Adam, GivenCommand, Problem
+
+TIME_STEP = 3.75e-3
+
+
+@pytest.fixture(scope="module")
+def problem():
+    _, path, is_cutting = rounded_square(TIME_STEP)
+    return Problem(soft_arm(TIME_STEP), path, path, is_cutting * 1.0, TIME_STEP)
+
+
+@pytest.mark.slow
+def test_adam_makes_the_error_small_within_the_bound(problem):
+    told = []
+    before = GivenCommand()(problem)
+    found = Adam(steps=60)(problem, on_progress=lambda m, e: told.append(e))
+    assert found.measures.rms < 0.3 * before.measures.rms
+    assert found.forward_runs == 61
+    assert told == sorted(told, reverse=True)
+    tight = eqx.tree_at(lambda p: p.max_offset, problem, np.asarray(5e-5))
+    held = Adam(steps=30)(tight)
+    assert held.measures.max_offset <= 5e-5 * (1 + 1e-12)
+    # From a good start it does not leave the best behind.
+    again = Adam(steps=5)(problem, start=np.asarray(found.command))
+    assert again.measures.rms <= found.measures.rms * 1.02
