@@ -50,6 +50,7 @@ def write(tmp_path):
 def test_both_tables_make_a_robot_in_series(write):
     job = load_job(write(SPRING + TOOL))
     robot = job.robot
+    assert robot is not None
     names = ("flange_rx", "flange_ry", "flange_rz", "tool_x", "tool_y")
     assert robot.joint_names[6:] == names
     C = np.asarray(cartesian_compliance(robot, robot.home))

@@ -107,6 +107,7 @@ def test_slope_of_the_compliance_in_the_overhang(arm):
 def test_springs_at_the_flange_act_on_their_levers(arm, sprung):
     more = compliance(sprung, arm) - compliance(arm, arm)
     k, kr = SPINDLE.linear_stiffness, SPINDLE.rotary_stiffness
+    assert k is not None and kr is not None
     lever = 0.45
     # The tool's x is the flange's x, its y and z are opposite.
     wanted = [1 / k[0] + lever**2 / kr[1], 1 / k[1] + lever**2 / kr[0], 1 / k[2]]

@@ -224,6 +224,7 @@ def test_options_in_a_robot_file(tmp_path):
     file = tmp_path / "two.toml"
     file.write_text(ARM)
     robot = rb.load(file)
+    assert robot.backlash and robot.friction and robot.motors
     assert_allclose(robot.backlash.gap, [1e-4, 0.0])
     assert_allclose(robot.friction.coulomb, [0.0, 20.0])
     assert_allclose(robot.friction.speed, [1e-3, 2e-3])
@@ -251,6 +252,7 @@ def test_a_bending_tool_has_a_plain_drive():
     robot = everything(jnp.array([2e-4, 3.0, 10.0, 0.02, 20.0, 4e6, 800.0]))
     tool = rb.BendingTool(50e-3, 0.0, 10e-3, 10e-3)
     found = rb.with_bending_tool(robot, tool)
+    assert found.backlash and found.friction
     assert_allclose(found.backlash.gap, [2e-4, 0.0, 0.0])
     assert_allclose(found.friction.coulomb, [3.0, 0.0, 0.0])
     start = sim.steady_state(found, jnp.zeros(3), jnp.zeros(3))
