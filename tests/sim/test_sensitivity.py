@@ -106,6 +106,7 @@ def test_maps_agree_with_differences(job, maps):
 def test_scaling_reaches_every_parameter_and_no_other(job):
     names = sim.parameter_names(job)
     scaled = sim.with_scaled(job, jnp.log(2.0 + jnp.arange(1.0 * len(names))))
+    assert scaled.robot is not None and job.robot is not None
     np.testing.assert_allclose(scaled.robot.joint_stiffness / STIFFNESS, [2, 3, 4])
     ratio = np.asarray(scaled.robot.joint_damping / job.robot.joint_damping)
     np.testing.assert_allclose(ratio, [5, 6, 7])

@@ -18,7 +18,6 @@ from ..cutting import (
     layer_share,
     safe_norm,
 )
-from ..numerics import clamp
 from ..workpiece import has_material_above, occupancy
 from ._adjoint import AbstractAdjoint
 from ._history import ProcessState
@@ -55,7 +54,7 @@ def upright_engagement(
     Returns:
         Immersion angles [rad], the tooth of each, and occupancy.
     """
-    angle, place, share = _leading_angles(plan, cutter, state, predicted)
+    angle, place = _leading_angles(plan, cutter, state, predicted)
     # Every period begins with another tooth in the same place.
     tooth = jnp.mod(place - (index - 1), cutter.flute_count)
     radius = cutter.diameter / 2
@@ -68,7 +67,7 @@ def upright_engagement(
     tips = None if table is None else table.tip
     weight = occupancy(state.stock, points, moves, plan.discs, cutter, tips)
     weight = weight.reshape(*angle.shape[:3], plan.discs.count)
-    return angle, tooth, weight * share
+    return angle, tooth, weight
 
 
 def upright_force(
@@ -178,7 +177,6 @@ def _leading_angles(
 ) -> tuple[
     Float[Array, "substep angle kept disc"],
     Int[Array, "substep angle kept disc"],
-    Float[Array, "substep angle kept disc"],
 ]:
     """Return the angles of the teeth on the leading side, and their places.
 
@@ -188,7 +186,7 @@ def _leading_angles(
     angle = immersion_angles(plan, cutter, predicted.dtype)
     kept = (cutter.flute_count + 1) // 2
     if kept == cutter.flute_count:
-        return angle, jnp.zeros(angle.shape, jnp.int32), jnp.ones_like(angle)
+        return angle, jnp.zeros(angle.shape, jnp.int32)
     frozen = jax.lax.stop_gradient
     motion = (predicted - state.recent.tip[0])[:, None, None, None, :2]
     motion = motion / jnp.sqrt(jnp.sum(motion**2, -1, keepdims=True) + _STILL**2)
@@ -199,15 +197,5 @@ def _leading_angles(
     tip = jnp.broadcast_to(frozen(predicted)[:, None, None, None, 2], x.shape)
     meets = (lead > -_BEFORE_LEADING) & has_material_above(state.stock, x, y, tip)
     rank = frozen(jnp.where(meets, lead + 2, lead))
-    order = jnp.argsort(rank, axis=2, descending=True)
-    sorted_lead = jnp.take_along_axis(lead, order[:, :, : kept + 1], axis=2)
-    # Where the last tooth kept and the first one dropped change places, the force must
-    # not jump: both touch there with chips of no thickness, so it may fade out.
-    both = jnp.take_along_axis(meets, order[:, :, kept : kept + 1], axis=2)
-    ahead = sorted_lead[:, :, kept - 1 : kept] - sorted_lead[:, :, kept:]
-    fade = clamp(0.0, ahead * (plan.angles / (4 * math.pi)), 1.0)
-    fade = jnp.where(both, fade**2 * (3 - 2 * fade), 1.0)
-    ones = jnp.ones_like(sorted_lead[:, :, : kept - 1])
-    share = jnp.concatenate([ones, fade], axis=2)
-    order = order[:, :, :kept]
-    return jnp.take_along_axis(angle, order, axis=2), order.astype(jnp.int32), share
+    order = jnp.argsort(rank, axis=2, descending=True)[:, :, :kept]
+    return jnp.take_along_axis(angle, order, axis=2), order.astype(jnp.int32)
