@@ -126,6 +126,7 @@ def test_virtual_joints_move_the_tip_command_only(arm):
     np.testing.assert_allclose(found.tip, plain.tip, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_with_a_drive_of_all_options_the_arm_follows():
     # Hanging, so that the gear always lies on the same side of its gap.
     joint = rb.PrismaticJoint("slide", (0, 0, 1), stiffness=8e5, damping=400.0)

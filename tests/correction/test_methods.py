@@ -98,6 +98,7 @@ def test_gauss_newton_from_zero_comes_as_far(problem, optimised):
     assert from_zero.measures.rms < 1.2 * optimised.measures.rms
 
 
+@pytest.mark.slow
 def test_finer_knots_leave_less(problem, optimised, inverted):
     finer = GaussNewton(KNOTS / 2)(problem, start=inverted.command)
     assert finer.measures.rms < 0.4 * optimised.measures.rms

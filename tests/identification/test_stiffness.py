@@ -65,6 +65,7 @@ def test_exact_tables_give_the_springs_back():
         assert fit.share.sum() == pytest.approx(1)
 
 
+@pytest.mark.slow
 def test_the_loaded_balance_of_the_whole_robot_is_fitted():
     # An independent model: nonlinear balance under gravity and load.
     robot = arm()

@@ -93,6 +93,7 @@ def test_every_joint_beyond_its_limits_is_named(write):
         assert part in second
 
 
+@pytest.mark.slow
 def test_a_free_tool_rotation_reaches_where_a_fixed_one_does_not(write):
     turned = SLIDING + place(-100, 0, -100, yaw=30)
     (problem,) = problems_of(write(turned))
@@ -118,6 +119,7 @@ def test_a_nearly_singular_pose_is_a_note(write):
         assert part in note
 
 
+@pytest.mark.slow
 def test_a_change_of_configuration_is_a_fault():
     # Close past its own base axis the arm must swing round within a few rows.
     arm = rb.build(

@@ -115,6 +115,7 @@ def test_the_job_runs(write):
     assert 1e-6 < lag < 2 * 120 * 20 / 2e7
 
 
+@pytest.mark.slow
 def test_springs_may_come_from_a_file(write):
     job = load_job(write(without_springs('drives = "drives.toml"')))
     assert job.robot is not None

@@ -69,6 +69,7 @@ def test_articulated_bodies_invert_inverse_dynamics(name, request, rng):
     np.testing.assert_allclose(found, qdd, rtol=1e-10, atol=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ["crba", "aba"])
 def test_derivatives_are_central_differences(soft_arm, rng, difference, algorithm):
     n = soft_arm.joint_count
@@ -115,6 +116,7 @@ def test_derivatives_by_masses_and_of_second_order_agree(planar_arm, rng):
         np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-8 * (1 + np.abs(b).max()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ["crba", "aba"])
 def test_the_augmented_inverse_inverts(soft_arm, rng, difference, algorithm):
     n = soft_arm.joint_count
@@ -147,6 +149,7 @@ def test_batches_have_the_single_results(planar_arm, rng):
     np.testing.assert_allclose(found, expected[:3], rtol=1e-10, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_a_rollout_and_its_gradient_agree(planar_arm):
     def roll(algorithm, q):
         def step(state, _):

@@ -192,6 +192,7 @@ def test_a_rigid_joint_answers_to_no_frequency():
     assert_allclose(found[0, 0, 0], expected, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_statics_and_shapes_have_derivatives(planar_arm, difference):
     pose = np.array([0.4, -0.9])
 
@@ -219,6 +220,7 @@ def test_statics_and_shapes_have_derivatives(planar_arm, difference):
     assert_allclose(found, expected, rtol=1e-6, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_modes_batch_over_poses(arm):
     q = np.asarray(arm.home)[None] + np.array([[0.0], [0.05]])
     both = jax.vmap(lambda row: dr.mode_shapes(arm, row))(jnp.asarray(q))

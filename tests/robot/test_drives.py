@@ -58,6 +58,7 @@ def test_a_rigid_joint_does_not_move(planar_arm):
     assert_allclose(dr.motor_positions(stiff, [0.2, 0.1])[0], 0.2)
 
 
+@pytest.mark.slow
 def test_derivatives_of_the_equilibrium(soft_arm, difference):
     n = soft_arm.joint_count
 

@@ -50,6 +50,7 @@ def upright(points):
     return Ts
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_two_joints_in_closed_form(flat_arm, side):
     # The law of cosines; the start decides whether the elbow is left or right.
@@ -145,6 +146,7 @@ def gantry():
     )
 
 
+@pytest.mark.slow
 def test_a_rotary_tool_axis_stays_still(gantry):
     points = np.random.default_rng(1).normal(size=(12, 3)) * 0.2
     found = free_path()(gantry, upright(points), [0.0, 0.0, 0.0, 0.4])

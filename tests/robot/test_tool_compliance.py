@@ -127,6 +127,7 @@ def test_the_spindle_moves_behind_the_springs_and_is_not_counted_twice(arm, spru
     assert_allclose(np.linalg.norm(G[6:9]), 30.0 * 9.81)
 
 
+@pytest.mark.slow
 def test_with_both_the_tool_reaches_its_poses(arm):
     linear = dataclasses.replace(SPINDLE, rotary_stiffness=None)
     robot = dr.with_bending_tool(dr.with_flange_spring(arm, linear), STEPPED)

@@ -62,6 +62,7 @@ def solution():
     return jax.jit(lambda p: run(p, sim.Traced()))(jnp.asarray(path()))
 
 
+@pytest.mark.slow
 def test_the_process_alone_on_the_actual_path_gives_the_same_force():
     alone = sim.simulate_process(
         solution().actual,

@@ -55,6 +55,7 @@ def write_job(folder, lean, robot, simulation=""):
     return dm.load_job(path)
 
 
+@pytest.mark.slow
 def test_a_leaning_ball_takes_what_an_upright_one_takes(tmp_path):
     upright = dm.simulate(write_job(tmp_path, 0.0, "rigid = true"))
     leaning = dm.simulate(write_job(tmp_path, 0.3, "rigid = true"))

@@ -142,6 +142,7 @@ def test_the_shares_of_the_discs_add_up_to_the_depth():
         np.testing.assert_array_equal(is_cut[np.asarray(arcs.share) > 0], True)
 
 
+@pytest.mark.slow
 def test_a_gap_within_an_arc_counts_as_material():
     # A narrow slot lies ahead of a wide one: both sides of it are cut, and a disc has
     # one arc. The paper's limitation; the other model sees the gap.
@@ -203,6 +204,7 @@ def test_in_the_air_and_at_rest_nothing_acts():
     )
 
 
+@pytest.mark.slow
 def test_between_the_jumps_the_derivative_is_exact():
     # No pose stands symmetrically to rays, where two points would share the extreme.
     path = jnp.asarray(straight(-2.513e-3, 1.03e-3))

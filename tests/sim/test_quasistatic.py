@@ -76,6 +76,7 @@ def test_the_force_is_that_of_the_process_on_the_actual_path():
     assert relative(alone.force, still().force) < 5e-3
 
 
+@pytest.mark.slow
 def test_it_is_the_mean_of_an_overdamped_robot():
     # In the full slot, after the arm has settled.
     swung = jax.jit(functools.partial(run, sim.simulate_coupled))(

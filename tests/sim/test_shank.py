@@ -42,6 +42,7 @@ def test_only_the_flutes_push():
     np.testing.assert_allclose(short[50], long[50] / 3, rtol=5e-3)
 
 
+@pytest.mark.slow
 def test_a_leaning_shank_is_seen_too():
     lean = np.radians(20)
     axes = np.tile([0, np.sin(lean), np.cos(lean)], (80, 1))
