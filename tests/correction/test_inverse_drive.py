@@ -55,6 +55,7 @@ def test_instants_of_a_linear_force_are_exact():
     np.testing.assert_allclose(at_instants(means)[:-1, 0], np.arange(9.0))
 
 
+@pytest.mark.slow
 def test_a_constant_force_is_answered_by_the_compliance(arm):
     q = arm.home
     rows = 6

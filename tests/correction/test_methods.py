@@ -105,6 +105,7 @@ def test_finer_knots_leave_less(problem, optimised, inverted):
     assert finer.measures.rms < inverted.measures.rms
 
 
+@pytest.mark.slow
 def test_a_tight_bound_holds_exactly_and_costs_accuracy(problem, optimised):
     bound = 2e-4
     tight = eqx.tree_at(lambda p: p.max_offset, problem, bound)
@@ -204,6 +205,7 @@ def test_progress_ends_the_mirror(problem):
     assert found.forward_runs < 40
 
 
+@pytest.mark.slow
 def test_joint_commands_need_no_tip():
     """Commands of another kind go through a plant that maps them to tips."""
     _, path, is_cutting = rounded_square(TIME_STEP)

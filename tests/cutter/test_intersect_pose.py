@@ -191,6 +191,7 @@ def test_rays_that_only_touch_are_left_whole():
     assert hit.tolist() == [False, True]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["flat", "ball", "bull"])
 def test_single_precision_stays_single_and_close(name):
     b, c = rays(300, 13)
@@ -206,6 +207,7 @@ def test_single_precision_stays_single_and_close(name):
         np.testing.assert_allclose(single[i][both], double[i][both], atol=2e-7)
 
 
+@pytest.mark.slow
 def test_poses_and_rays_broadcast():
     b, c = arrays(*rays(6, 14))
     axes = jnp.asarray(random_axes(5))

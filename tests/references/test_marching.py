@@ -195,6 +195,7 @@ def swept_area(tool, axes, depth):
     return scipy.integrate.trapezoid(height, y)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("r_c", [0.0, 2e-3, R])
 @pytest.mark.parametrize("tilt", [(0.0, 0.0), (0.2, 0.1), (-0.2, 0.3)])
 def test_chips_have_the_volume_that_the_tool_sweeps(r_c, tilt):

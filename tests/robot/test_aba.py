@@ -59,6 +59,7 @@ def test_both_algorithms_agree_on_random_trees(rng, count, is_forked):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["arm", "soft_arm"])
 def test_articulated_bodies_invert_inverse_dynamics(name, request, rng):
     robot = request.getfixturevalue(name)

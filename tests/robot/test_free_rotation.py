@@ -189,6 +189,7 @@ def circle(robot, count):
     return Ts
 
 
+@pytest.mark.slow
 def test_the_rotation_belongs_to_the_pose_and_not_to_the_way(leaning):
     Ts = circle(leaning, 60)
     found = free_path()(leaning, Ts, leaning.home)

@@ -18,6 +18,7 @@ def test_a_gantry_reaches_its_travels(gantry):
     assert_allclose(box, [[0.0, -0.8, 0.2], [3.0, 0.8, 1.2]], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_map_is_the_stiffness_where_the_tool_can_go(gantry):
     found = dr.stiffness_map(gantry, gantry.home, plane=(0, 2), count=13)
     across, up = np.meshgrid(found.across, found.up)

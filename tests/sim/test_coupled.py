@@ -89,6 +89,7 @@ def test_the_arm_yields_to_the_force():
     assert cosine > 0.8
 
 
+@pytest.mark.slow
 def test_a_robot_at_rest_in_the_air_stays_where_it_is_told():
     tips = jnp.asarray(np.tile([5e-3, 5e-3, 3e-3], (120, 1)))
     still = jax.jit(lambda p: run(p, sim.Traced()))(tips)

@@ -173,6 +173,7 @@ def test_both_models_leave_the_same_stock(y):
         np.testing.assert_array_equal(found.ends, wanted.ends)
 
 
+@pytest.mark.slow
 def test_force_within_a_period_follows_the_other_model():
     path = straight(6e-3)
     cloud, circles = (
@@ -184,6 +185,7 @@ def test_force_within_a_period_follows_the_other_model():
     assert np.quantile(np.abs(cloud - circles), 0.95) < 0.02 * largest
 
 
+@pytest.mark.slow
 def test_a_helix_keeps_the_mean():
     with_helix, without = (
         np.asarray(compiled(helix_deg=angle)(straight(-1e-3), STOCK).force)[70:90]

@@ -14,6 +14,7 @@ D = 0.2e-3
 STOCK = wp.box([0, 0, -3e-3], [16e-3, 12e-3, 0], D, interval_counts=(4, 4, 1))
 SPEED = 8000 * 2 * math.pi / 60
 FEED = 0.1875e-3
+SLOW = pytest.mark.slow
 STEPS = 110
 
 
@@ -211,7 +212,10 @@ def test_wrong_arguments_are_refused():
         sim.simulate_process(straight(6e-3), STOCK, MILL, PAPER_LAW, SPEED, axes)
 
 
-@pytest.mark.parametrize("case", ["flat", "ball", "tilted", "point_cloud"])
+@pytest.mark.parametrize(
+    "case",
+    ["flat", "ball", *(pytest.param(c, marks=SLOW) for c in ("tilted", "point_cloud"))],
+)
 def test_everything_runs_in_single_precision(case):
     positions = np.stack([np.linspace(-2e-3, 4e-3, 30), np.zeros(30), np.zeros(30)], 1)
     single = lambda x: (
