@@ -37,11 +37,11 @@ from ._inverse_drive import (
     inverse_drive as inverse_drive,
     spring_deflection as spring_deflection,
 )
-from ._least_squares import (
+from ._least_squares import least_squares as least_squares
+from ._least_squares_records import (
     LeastSquaresSolution as LeastSquaresSolution,
     LeastSquaresStep as LeastSquaresStep,
     LevenbergMarquardt as LevenbergMarquardt,
-    least_squares as least_squares,
 )
 from ._limited_quadratic import (
     solve_limited_quadratic as solve_limited_quadratic,

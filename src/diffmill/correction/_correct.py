@@ -27,7 +27,7 @@ from ..sim import (
 from ._gauss_newton import GaussNewton
 from ._inverse_drive import inverse_drive
 from ._kept import horizon_of, keeping
-from ._least_squares import LeastSquaresStep, LevenbergMarquardt
+from ._least_squares_records import LeastSquaresStep, LevenbergMarquardt
 from ._memory import (
     Arrays,
     OnCheckpoint,
@@ -38,6 +38,7 @@ from ._memory import (
 )
 from ._method import Corrected, GivenCommand
 from ._mirror import IteratedMirror, Mirror
+from ._objective import AbstractObjective
 from ._parts import path_parts
 from ._problem import Motion, Problem
 from ._projection import clip_offset
@@ -191,46 +192,97 @@ def correct(
     before = solve_command(job, rigid, desired, adjoint)
     if throw:
         raise_unless_successful(before)
-    if not bool(jnp.any(before.is_cutting)):
-        raise NothingToCorrect(
-            "Argument `job` must have a program that cuts its stock, but the rigid "
-            "tool removes nothing."
-        )
-    try:
-        weights = job_weights(job, rigid, np.asarray(before.is_cutting))
-    except ValueError as error:
-        raise NothingToCorrect(str(error)) from error
+    weights = _weights(job, rigid, before)
     surface = job_surface(job, rigid)
     objective = job_objective(job, surface)
     problem = _problem(job, TipPlant(job, adjoint), desired, before, weights)
-    methods: dict[str, Corrected] = {}
-    wall_time: dict[str, float] = {}
-    saved: dict[str, np.ndarray] = {}
-
-    def run(name: str, method: Any, problem: Problem, **options: Any) -> Corrected:
-        start = time.perf_counter()
-        kept = unpack_method(below(f"method/{name}", resume), problem)
-        if kept is not None:
-            methods[name], wall_time[name] = kept
-        else:
-            methods[name] = method(problem, on_progress=on_progress, **options)
-            wall_time[name] = time.perf_counter() - start
-        if on_checkpoint is not None and name != "corrected":
-            packed = pack_method(methods[name], wall_time[name])
-            saved.update(under(f"method/{name}", packed))
-            on_checkpoint(saved if resume is None else {**resume, **saved})
-        if on_progress is not None:
-            on_progress(name, methods[name].measures.rms)
-        return methods[name]
-
+    record = _Record(on_progress, on_checkpoint, resume)
+    run = record.run
     run("uncorrected", GivenCommand(), problem)
     run("mirror", Mirror(), problem)
     run("mirror_iterated", IteratedMirror(), problem)
     inverse = _inverse_drive(job, rigid.force, desired)
     tips = clip_offset(desired, inverse.tip, problem.max_offset)
     run("inverse_drive", GivenCommand(tips), problem)
+    method = _optimiser(job, objective, adjoint)
+    if job.correction.command == "joint":
+        problem = _joint_problem(job, adjoint, desired, before, weights)
+        start = inverse.motor_positions
+    else:
+        remaining = lambda m: remaining_error(objective, problem, m)
+        start = min(record.methods.values(), key=remaining).command
+        method = _preconditioned(job, method, desired)
+    kept = keeping(job, method, adjoint, record.saved, on_checkpoint, resume)
+    run("corrected", kept, problem, start=start)
+    methods = record.methods
+    cases = {
+        name: _solution(job, rigid, methods[name].command, adjoint) for name in methods
+    }
+    asked = job.correction.method
+    chosen = "corrected" if asked == "gauss_newton" else asked
+    parts = path_parts(
+        np.asarray(desired),
+        np.asarray(before.is_cutting),
+        job.cutter.nominal_radius,
+        removed_volume=np.asarray(rigid.removed_volume),
+    )
+    return Correction(cases, methods, record.wall_time, parts, surface, chosen)
+
+
+class _Record:
+    """Runs methods one after another, keeps what they found, and tells of it."""
+
+    def __init__(
+        self,
+        on_progress: OnProgress | None,
+        on_checkpoint: OnCheckpoint | None,
+        resume: Arrays | None,
+    ):
+        self.methods: dict[str, Corrected] = {}
+        self.wall_time: dict[str, float] = {}
+        self.saved: dict[str, np.ndarray] = {}
+        self._on_progress = on_progress
+        self._on_checkpoint = on_checkpoint
+        self._resume = resume
+
+    def run(self, name: str, method: Any, problem: Problem, **options: Any) -> None:
+        """Run a method, or take up what it found before an interruption."""
+        start = time.perf_counter()
+        kept = unpack_method(below(f"method/{name}", self._resume), problem)
+        if kept is not None:
+            self.methods[name], self.wall_time[name] = kept
+        else:
+            found = method(problem, on_progress=self._on_progress, **options)
+            self.methods[name] = found
+            self.wall_time[name] = time.perf_counter() - start
+        if self._on_checkpoint is not None and name != "corrected":
+            packed = pack_method(self.methods[name], self.wall_time[name])
+            self.saved.update(under(f"method/{name}", packed))
+            before = {} if self._resume is None else self._resume
+            self._on_checkpoint({**before, **self.saved})
+        if self._on_progress is not None:
+            self._on_progress(name, self.methods[name].measures.rms)
+
+
+def _weights(job: Job, rigid: Any, before: Solution) -> Float[np.ndarray, " step"]:
+    """Return how much every row counts; refuse a path of which none does."""
+    if not bool(jnp.any(before.is_cutting)):
+        raise NothingToCorrect(
+            "Argument `job` must have a program that cuts its stock, but the rigid "
+            "tool removes nothing."
+        )
+    try:
+        return job_weights(job, rigid, np.asarray(before.is_cutting))
+    except ValueError as error:
+        raise NothingToCorrect(str(error)) from error
+
+
+def _optimiser(
+    job: Job, objective: AbstractObjective, adjoint: AbstractAdjoint
+) -> GaussNewton:
+    """Return the optimiser with the settings of a job."""
     settings = job.correction
-    method = GaussNewton(
+    return GaussNewton(
         knot_spacing=settings.knot_spacing,
         solver=LevenbergMarquardt(
             max_steps=settings.max_steps,
@@ -242,33 +294,22 @@ def correct(
         max_velocity=settings.max_velocity,
         max_acceleration=settings.max_acceleration,
     )
-    if settings.command == "joint":
-        problem = _joint_problem(job, adjoint, desired, before, weights)
-        method = keeping(job, method, adjoint, saved, on_checkpoint, resume)
-        run("corrected", method, problem, start=inverse.motor_positions)
-    else:
-        best = min(
-            methods.values(), key=lambda m: remaining_error(objective, problem, m)
-        )
-        joints, _ = command_joints(job, desired)
-        middle = joints[joints.shape[0] // 2]
-        response = tip_response(job.robot, middle, job.T_base_work[:3, :3])
-        method = eqx.tree_at(
-            lambda m: m.response, method, response, is_leaf=lambda x: x is None
-        )
-        method = keeping(job, method, adjoint, saved, on_checkpoint, resume)
-        run("corrected", method, problem, start=best.command)
-    cases = {
-        name: _solution(job, rigid, methods[name].command, adjoint) for name in methods
-    }
-    chosen = "corrected" if settings.method == "gauss_newton" else settings.method
-    parts = path_parts(
-        np.asarray(desired),
-        np.asarray(before.is_cutting),
-        job.cutter.nominal_radius,
-        removed_volume=np.asarray(rigid.removed_volume),
+
+
+def _preconditioned(
+    job: Job, method: GaussNewton, desired: Float[Array, "step 3"]
+) -> GaussNewton:
+    """Return the optimiser with the arm's response in the middle of the path."""
+    joints, _ = command_joints(job, desired)
+    middle = joints[joints.shape[0] // 2]
+    response = tip_response(
+        job.robot,  # pyright: ignore[reportArgumentType]
+        middle,
+        job.T_base_work[:3, :3],
     )
-    return Correction(cases, methods, wall_time, parts, surface, chosen)
+    return eqx.tree_at(
+        lambda m: m.response, method, response, is_leaf=lambda x: x is None
+    )
 
 
 def _problem(

@@ -11,11 +11,11 @@ from jaxtyping import Array, Float
 from .._types import RealScalarLike
 from ._bspline import SplineOffsets
 from ._ensemble import Ensemble
-from ._least_squares import (
+from ._least_squares import least_squares
+from ._least_squares_records import (
     LeastSquaresMemory,
     LeastSquaresStep,
     LevenbergMarquardt,
-    least_squares,
 )
 from ._limits import command_limits
 from ._method import AbstractMethod, Corrected, OnProgress, corrected
@@ -177,15 +177,21 @@ class GaussNewton(AbstractMethod):
             forward_runs=solution.forward_runs,
             products=solution.products,
             history=solution.history,
-            detail={
-                "knot_spacing": spline.actual_spacing,
-                "unknowns": float(solution.x.size),
-                "bound_count": float(np.sum(np.abs(np.asarray(solution.x)) >= bound)),
-                "smoothness": self.smoothness,
-                "lag_weight": self.lag_weight,
-            },
+            detail=self._detail(spline, np.asarray(solution.x), bound),
             result=solution.result,
         )
+
+    def _detail(
+        self, spline: SplineOffsets, x: np.ndarray, bound: float
+    ) -> dict[str, float]:
+        """Return what the report says of the method."""
+        return {
+            "knot_spacing": spline.actual_spacing,
+            "unknowns": float(x.size),
+            "bound_count": float(np.sum(np.abs(x) >= bound)),
+            "smoothness": self.smoothness,
+            "lag_weight": self.lag_weight,
+        }
 
 
 class _Told(eqx.Module):

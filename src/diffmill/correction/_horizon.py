@@ -23,7 +23,8 @@ from jaxtyping import Array, Float
 
 from ._bspline import CLAMPED, SplineOffsets
 from ._gauss_newton import ContourResidual, GaussNewton, contour_residual
-from ._least_squares import LeastSquaresStep, least_squares
+from ._least_squares import least_squares
+from ._least_squares_records import LeastSquaresStep
 from ._limits import LinearLimits, command_limits
 from ._memory import (
     Arrays,

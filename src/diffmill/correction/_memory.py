@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from .._result import RESULTS
-from ._least_squares import LeastSquaresMemory, LeastSquaresStep
+from ._least_squares_records import LeastSquaresMemory, LeastSquaresStep
 from ._method import Corrected, corrected
 from ._problem import Motion, Problem
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._result import RESULTS
-from ._least_squares import LeastSquaresStep
+from ._least_squares_records import LeastSquaresStep
 from ._measures import Measures, measure
 from ._problem import FloatRows, Motion, Problem, run
 

@@ -164,26 +164,13 @@ def _build(
         )
     desired = None
     if cutter is not None and speed is not None:
-        period = 2 * math.pi / (speed * cutter.flute_count)
-        if period > 1000 * _SUBSTEP:
-            problems.append(
-                f"[spindle] speed: found {speed * 30 / math.pi:g} rpm; at least "
-                f"{60 / (cutter.flute_count * 1000 * _SUBSTEP):g} rpm is required"
-            )
-        elif program is not None:
-            desired = time_path(program, tables["program"], period, problems)
+        desired = _timed(tables, program, speed, cutter.flute_count, problems)
     work = getattr(tables.get("robot"), "work_in_base", None)
     T_base_work = pose_matrix(work)
     if desired is not None and robot is not None and work is not None:
-        check_reach(
-            robot,
-            desired,
-            T_base_work,
-            start,
-            tables["robot"].tool_rotation,
-            problems,
-            robot_notes,
-        )
+        rotation = tables["robot"].tool_rotation
+        place = (T_base_work, start)
+        check_reach(robot, desired, *place, rotation, problems, robot_notes)
     if desired is not None and cutter is not None and stock is not None:
         check_rapids(desired, cutter, stock, problems)
     simulation = _simulation(tables, cutter, speed, (desired, stock), problems)
@@ -204,6 +191,27 @@ def _build(
         (robot, T_base_work, start),
         robot_notes,
     )
+
+
+def _timed(
+    tables: dict[str, Any],
+    program: Program | Path | None,
+    speed: float,
+    flute_count: int,
+    problems: list[str],
+) -> Path | None:
+    """Return the program as a path with a row per tooth period, if it has one."""
+    period = 2 * math.pi / (speed * flute_count)
+    if period > 1000 * _SUBSTEP:
+        least = 60 / (flute_count * 1000 * _SUBSTEP)
+        problems.append(
+            f"[spindle] speed: found {speed * 30 / math.pi:g} rpm; at least "
+            f"{least:g} rpm is required"
+        )
+        return None
+    if program is None:
+        return None
+    return time_path(program, tables["program"], period, problems)
 
 
 def _assemble(

@@ -3,8 +3,6 @@
 All faults of a file are collected and reported together.
 """
 
-import dataclasses
-import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -25,6 +23,7 @@ from ._elements import (
     triangle_fault,
 )
 from ._faults import raise_faults
+from ._reader import TableReader, are_numbers, is_list
 from ._robot import Robot
 from ._rotations import rpy_matrix
 
@@ -46,73 +45,6 @@ _JOINT_UNITS = {
         "inertia": "kg",
     },
 }
-_COMMON_KEYS = {"kind", "source"}
-
-
-@dataclasses.dataclass
-class _Reader:
-    """A table being read: gives checked values and notes the faults."""
-
-    table: Mapping[str, object]
-    place: str
-    faults: list[str]
-    known: set[str] = dataclasses.field(default_factory=lambda: set(_COMMON_KEYS))
-
-    def fault(self, key: str, allowed: str, found: object) -> None:
-        """Note that a key's value is not what is allowed."""
-        self.faults.append(f"{self.place}.{key}: must be {allowed}, but is {found!r}")
-
-    def take(self, key: str, default: object = None, *, required: bool = False) -> Any:
-        """Return the raw value of a key and mark it as known."""
-        self.known.add(key)
-        if key in self.table:
-            return self.table[key]
-        if required:
-            self.faults.append(f"{self.place}.{key}: is missing")
-        return default
-
-    def quantity(
-        self,
-        key: str,
-        unit: str,
-        default: float = math.nan,
-        *,
-        required: bool = False,
-        is_allowed: Callable[[float], bool] = math.isfinite,
-        allowed: str = "finite",
-    ) -> float:
-        """Return a quantity in SI, the default where the key is absent."""
-        raw = self.take(key, required=required)
-        if raw is None:
-            return default
-        value = _convert(raw, unit)
-        if value is None or not (math.isfinite(value) and is_allowed(value)):
-            self.fault(key, f"a quantity in {unit}, {allowed}", raw)
-            return default
-        return value
-
-    def quantities(
-        self, key: str, unit: str, counts: Sequence[int], default: Sequence[float] = ()
-    ) -> list[float] | None:
-        """Return a list of quantities in SI; None if faulty or missing."""
-        raw = self.take(key, required=not default)
-        if raw is None:
-            return list(default) or None
-        values = [_convert(item, unit) for item in raw] if _is_list(raw) else []
-        finite = [v for v in values if v is not None and math.isfinite(v)]
-        if len(values) not in counts or len(finite) != len(values):
-            count = " or ".join(map(str, counts))
-            self.fault(key, f"a list of {count} quantities in {unit}", raw)
-            return None
-        return finite
-
-    def finish(self) -> None:
-        """Note keys that nothing asked for."""
-        for key in sorted(set(self.table) - self.known):
-            allowed = ", ".join(sorted(self.known))
-            self.faults.append(
-                f"{self.place}.{key}: is not a known key; allowed are {allowed}"
-            )
 
 
 def read_elements(
@@ -131,7 +63,7 @@ def read_elements(
         RobotFileError: If anything is wrong.
     """
     faults: list[str] = []
-    top = _Reader(document, "top level", faults)
+    top = TableReader(document, "top level", faults)
     name = top.take("name", required=True)
     if not isinstance(name, str) and "name" in document:
         top.fault("name", "a string", name)
@@ -170,7 +102,7 @@ def read_drives(
         RobotFileError: If anything is wrong.
     """
     faults: list[str] = []
-    top = _Reader(document, "top level", faults)
+    top = TableReader(document, "top level", faults)
     columns = []
     for key, present in (
         ("stiffness", robot.joint_stiffness),
@@ -180,7 +112,7 @@ def read_drives(
         if not isinstance(table, Mapping):
             top.fault(key, "a table with joints' names as keys", table)
             continue
-        reader = _Reader(table, key, faults)
+        reader = TableReader(table, key, faults)
         rows = zip(robot.joint_names, robot.joint_kinds, present.tolist(), strict=True)
         columns.append(
             [_read_drive(reader, key, name, kind, value) for name, kind, value in rows]
@@ -196,7 +128,7 @@ def _read_list(raw: Any, place: str, faults: list[str]) -> list[AbstractElement]
     """Return the elements of a list of tables."""
     if raw is None:
         return []
-    if not _is_list(raw):
+    if not is_list(raw):
         faults.append(f"{place}: must be a list of tables, but is {raw!r}")
         return []
     elements = []
@@ -211,7 +143,7 @@ def _read_list(raw: Any, place: str, faults: list[str]) -> list[AbstractElement]
                 f"{where}.kind: must be one of {', '.join(_READERS)}, but is {kind!r}"
             )
             continue
-        reader = _Reader(table, f"{where} ({kind})", faults)
+        reader = TableReader(table, f"{where} ({kind})", faults)
         before = len(faults)
         make = _READERS[kind](reader)
         reader.finish()
@@ -220,24 +152,24 @@ def _read_list(raw: Any, place: str, faults: list[str]) -> list[AbstractElement]
     return elements
 
 
-def _read_translation(reader: _Reader) -> Callable[[], AbstractElement]:
+def _read_translation(reader: TableReader) -> Callable[[], AbstractElement]:
     position = reader.quantities("position", "m", (3,))
     return lambda: FixedTranslation(tuple(position or ()))
 
 
-def _read_rotation(reader: _Reader) -> Callable[[], AbstractElement]:
+def _read_rotation(reader: TableReader) -> Callable[[], AbstractElement]:
     rpy = reader.quantities("rpy", "rad", (3,))
     return lambda: FixedRotation(rpy_matrix(*(rpy or ())))
 
 
-def _read_joint(reader: _Reader) -> Callable[[], AbstractElement]:
+def _read_joint(reader: TableReader) -> Callable[[], AbstractElement]:
     kind = str(reader.table["kind"])
     position = _JOINT_UNITS[kind]["position"]
     name = reader.take("name", required=True)
     if "name" in reader.table and not (isinstance(name, str) and name):
         reader.fault("name", "a non-empty string", name)
     axis = reader.take("axis", (0.0, 0.0, 1.0))
-    if not (_is_list(axis) and len(axis) == 3 and _are_numbers(axis) and any(axis)):
+    if not (is_list(axis) and len(axis) == 3 and are_numbers(axis) and any(axis)):
         reader.fault("axis", "a list of 3 numbers that are not all 0", axis)
     is_virtual = reader.take("virtual", False)
     if not isinstance(is_virtual, bool):
@@ -276,7 +208,7 @@ _OPTIONS = {
 }
 
 
-def _read_options(reader: _Reader, kind: str) -> Drive | None:
+def _read_options(reader: TableReader, kind: str) -> Drive | None:
     """Return what a joint's table `drive` says, None without one or after a fault."""
     table = reader.take("drive")
     if table is None:
@@ -284,7 +216,7 @@ def _read_options(reader: _Reader, kind: str) -> Drive | None:
     if not isinstance(table, Mapping):
         reader.fault("drive", f"a table of {', '.join(_OPTIONS)}", table)
         return None
-    inner = _Reader(table, f"{reader.place}.drive", reader.faults)
+    inner = TableReader(table, f"{reader.place}.drive", reader.faults)
     before = len(inner.faults)
     values = {
         key: inner.quantity(
@@ -304,7 +236,7 @@ def _read_options(reader: _Reader, kind: str) -> Drive | None:
 
 
 def _read_drive(
-    reader: _Reader, quantity: str, key: str, kind: str, default: float
+    reader: TableReader, quantity: str, key: str, kind: str, default: float
 ) -> float:
     """Return a joint's stiffness (positive) or damping (not negative) in SI."""
     is_stiffness = quantity == "stiffness"
@@ -317,7 +249,7 @@ def _read_drive(
     )
 
 
-def _read_body(reader: _Reader) -> Callable[[], AbstractElement]:
+def _read_body(reader: TableReader) -> Callable[[], AbstractElement]:
     mass = reader.quantity(
         "mass", "kg", required=True, is_allowed=lambda x: x > 0, allowed="positive"
     )
@@ -335,10 +267,10 @@ def _read_body(reader: _Reader) -> Callable[[], AbstractElement]:
     return lambda: RigidBody(mass, tuple(center or ()), inertia)
 
 
-def _read_fork(reader: _Reader) -> Callable[[], AbstractElement]:
+def _read_fork(reader: TableReader) -> Callable[[], AbstractElement]:
     raw = reader.take("branches", required=True)
     branches = []
-    if raw is not None and not _is_list(raw):
+    if raw is not None and not is_list(raw):
         reader.fault("branches", "a list of lists of elements", raw)
     elif raw is not None:
         for index, branch in enumerate(raw):
@@ -347,7 +279,7 @@ def _read_fork(reader: _Reader) -> Callable[[], AbstractElement]:
     return lambda: Fork(branches)
 
 
-def _read_tool(reader: _Reader) -> Callable[[], AbstractElement]:
+def _read_tool(reader: TableReader) -> Callable[[], AbstractElement]:
     name = reader.take("name", "tool")
     if not (isinstance(name, str) and name):
         reader.fault("name", "a non-empty string", name)
@@ -356,7 +288,7 @@ def _read_tool(reader: _Reader) -> Callable[[], AbstractElement]:
     return lambda: Tool(name, tuple(position or ()), rpy_matrix(*(rpy or ())))
 
 
-_READERS: dict[str, Callable[[_Reader], Callable[[], AbstractElement]]] = {
+_READERS: dict[str, Callable[[TableReader], Callable[[], AbstractElement]]] = {
     "translation": _read_translation,
     "rotation": _read_rotation,
     "revolute": _read_joint,
@@ -365,17 +297,6 @@ _READERS: dict[str, Callable[[_Reader], Callable[[], AbstractElement]]] = {
     "fork": _read_fork,
     "tool": _read_tool,
 }
-
-
-def _is_list(raw: object) -> bool:
-    return isinstance(raw, Sequence) and not isinstance(raw, str)
-
-
-def _are_numbers(values: Sequence[object]) -> bool:
-    return all(
-        isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v)
-        for v in values
-    )
 
 
 def _flatten(elements: Sequence[AbstractElement]) -> list[AbstractElement]:
@@ -387,25 +308,3 @@ def _flatten(elements: Sequence[AbstractElement]) -> list[AbstractElement]:
             for branch in element.branches:
                 flat.extend(_flatten(branch))
     return flat
-
-
-@functools.cache
-def _units():
-    """Return pint's registry; its import takes a moment, so only when needed."""
-    import pint
-
-    return pint.UnitRegistry()
-
-
-def _convert(raw: object, unit: str) -> float | None:
-    """Return a quantity such as "650 mm" in an SI unit, None if it is not one."""
-    if not isinstance(raw, str):
-        return None
-    try:
-        quantity = _units().Quantity(raw)
-        if quantity.unitless:
-            return None
-        return float(quantity.to(unit).magnitude)
-    # pint raises errors of many kinds for text that is not a quantity.
-    except Exception:
-        return None

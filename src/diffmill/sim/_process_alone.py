@@ -16,7 +16,7 @@ from ..cutting import AbstractForceLaw
 from ..workpiece import Pose, Stock
 from ._adjoint import AbstractAdjoint, Plain
 from ._history import ProcessState, Removed, end_period, flush, initial_state
-from ._period import begin_period, substep_force, substep_middles
+from ._period import Engagement, begin_period, substep_force, substep_middles
 from ._plan import ChipModel, ProcessPlan, descends, process_plan
 
 
@@ -117,15 +117,8 @@ def simulate_process(
         state, cut, removed = begin_period(
             plan, cutter, state, index, start, poses, adjoint
         )
-        force = jax.vmap(
-            lambda pose, earlier, *samples: substep_force(
-                plan, cutter, law, bottom_law, pose, earlier, cut.thinned, *samples
-            ),
-            in_axes=(0, 1, 0, 0, 0, 0),
-        )
-        samples = force(
-            poses, state.recent, cut.angle, cut.tooth, cut.occupancy, cut.bottom
-        ).reshape(-1, 3)
+        laws = (law, bottom_law)
+        samples = _period_force(plan, cutter, laws, poses, state.recent, cut)
         state = end_period(state, poses)
         kept = samples if keeps_instantaneous else None
         return state, (jnp.mean(samples, axis=0), kept, removed)
@@ -149,6 +142,25 @@ def simulate_process(
         if samples is None
         else jnp.concatenate([jnp.zeros_like(samples[:1]), samples]),
     )
+
+
+def _period_force(
+    plan: ProcessPlan,
+    cutter: AbstractCutter,
+    laws: tuple[AbstractForceLaw, AbstractForceLaw | None],
+    poses: Pose,
+    recent: Pose,
+    cut: Engagement,
+) -> Float[Array, "angle 3"]:
+    """Return the force at all angles of a period, sub-step by sub-step."""
+    force = jax.vmap(
+        lambda pose, earlier, *samples: substep_force(
+            plan, cutter, *laws, pose, earlier, cut.thinned, *samples
+        ),
+        in_axes=(0, 1, 0, 0, 0, 0),
+    )
+    samples = (cut.angle, cut.tooth, cut.occupancy, cut.bottom)
+    return force(poses, recent, *samples).reshape(-1, 3)
 
 
 def _plan_of_path(
