@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ._types import RealScalarLike, Transform
-from .cutter import AbstractCutter
+from .cutter import AbstractCutter, ToolHolder
 from .cutting import AbstractForceLaw
 from .robot import Robot, ToolRotation
 from .toolpath import Path
@@ -162,6 +162,7 @@ class Job(eqx.Module):
     law: AbstractForceLaw
     spindle_speed: RealScalarLike
     stock: Stock
+        holder: What holds the cutter, to look for in the stock; None if not known.
     path: Path
     robot: Robot | None
     T_base_work: Transform
@@ -178,3 +179,4 @@ class Job(eqx.Module):
     def tooth_period(self) -> RealScalarLike:
         """Time between two teeth T = 2 pi / (omega N_z) [s]."""
         return 2 * 3.141592653589793 / (self.spindle_speed * self.cutter.flute_count)
+    holder: ToolHolder | None = None

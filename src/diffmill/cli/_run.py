@@ -74,13 +74,12 @@ def run_job(
     seconds = time.perf_counter() - start
     dataset = with_job(outcome.to_dataset(), job)
     dataset.attrs.setdefault("wall_time_s", seconds)
+    final = outcome if command == "simulate" else outcome.after
+    dataset = _with_contacts(job, final, dataset, progress)
     if job.simulation.checks_stability:
-        _tell_stability(
-            job, outcome if command == "simulate" else outcome.after, dataset, progress
-        )
+        _tell_stability(job, final, dataset, progress)
     if job.simulation.has_sensitivity:
         progress.say("sensitivity: one derivative for each parameter")
-        final = outcome if command == "simulate" else outcome.after
         dataset = _with_sensitivity(job, final, dataset)
     _write(command, folder, job, outcome, dataset, force=force)
     if checkpoint is not None:
@@ -127,6 +126,38 @@ def _with_sensitivity(job: "Job", solution: Outcome, dataset: Dataset) -> Datase
     return dataset.assign(maps.to_dataset().data_vars)
 
 
+def _with_contacts(
+    job: "Job", solution: Outcome, dataset: Dataset, progress: Progress
+) -> Dataset:
+    """Return the dataset with the holder's contacts; say where it and the shank are."""
+    from ..io import holder_notes, shank_notes
+    from ..sim import tool_contacts
+
+    lines = shank_notes(job.path, np.asarray(solution.shank_volume))
+    if job.holder is not None:
+        contacts = tool_contacts(
+            job.path,
+            job.stock,
+            job.cutter,
+            job.holder,
+            positions=np.asarray(solution.actual),
+            checks_rapids=False,
+        )
+        dataset = dataset.assign(contacts.to_dataset().data_vars)
+        lines += holder_notes(job.path, contacts)
+    _say_and_keep([f"warning: {line}" for line in lines], dataset, progress)
+    return dataset
+
+
+def _say_and_keep(lines: list[str], dataset: Dataset, progress: Progress) -> None:
+    """Say lines and add them to the notes in the attributes of a dataset."""
+    for line in lines:
+        progress.say(line)
+    notes = [dataset.attrs["notes"]] if "notes" in dataset.attrs else []
+    if lines:
+        dataset.attrs["notes"] = "\n".join([*notes, *lines])
+
+
 def _tell_stability(
     job: "Job", solution: Outcome, dataset: Dataset, progress: Progress
 ) -> None:
@@ -144,10 +175,7 @@ def _tell_stability(
         f"growing vibration has the factor {found.radius.max():.3f} per tooth period",
         f"stability: {found.visibility()}",
     ]
-    for line in lines:
-        progress.say(line)
-    notes = [dataset.attrs["notes"]] if "notes" in dataset.attrs else []
-    dataset.attrs["notes"] = "\n".join([*notes, *lines])
+    _say_and_keep(lines, dataset, progress)
     dataset.attrs["stability_largest_radius"] = float(found.radius.max())
 
 

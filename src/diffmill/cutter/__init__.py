@@ -8,7 +8,8 @@ from tip to shank, and rotates clockwise seen from the shank.
 
 Assumes a cutting part and a shank of one radius, a helix of constant lead, and
 run-out as a parallel offset of the tool axis, small beside a chip's arc.
-Leaves out holders, tapered and barrel tools, and run-out in the swept solid.
+A `ToolHolder` is a stack of cylinders and cones, which is only looked for in stock.
+Leaves out tapered and barrel tools, and run-out in the swept solid.
 """
 
 from ._abstract import AbstractCutter as AbstractCutter
@@ -19,3 +20,8 @@ from ._build import (
 )
 from ._elements import EdgeElements as EdgeElements
 from ._end_mill import EndMill as EndMill
+from ._holder import (
+    HolderPart as HolderPart,
+    ToolHolder as ToolHolder,
+    tool_holder as tool_holder,
+)

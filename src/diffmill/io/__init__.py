@@ -26,6 +26,7 @@ from ._checkpoint import (
 from ._gcode import parse_gcode as parse_gcode, read_gcode as read_gcode
 from ._gcode_words import GCodeError as GCodeError
 from ._gcode_writer import write_gcode as write_gcode
+from ._job_checks import holder_notes as holder_notes, shank_notes as shank_notes
 from ._load_job import (
     JobError as JobError,
     job_precision as job_precision,

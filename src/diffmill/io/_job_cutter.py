@@ -6,13 +6,28 @@ from typing import Annotated, Any, Literal
 import pydantic
 from pydantic import Field, StrictInt
 
-from ..cutter import EndMill, ball_end_mill, bull_nose, flat_end_mill
+from ..cutter import (
+    EndMill,
+    ToolHolder,
+    ball_end_mill,
+    bull_nose,
+    flat_end_mill,
+    tool_holder,
+)
 from ._job_fields import Angle, PositiveLength, Tolerance
 from ._job_table import Table
 
 # Steepest helix [rad], and how far angles between teeth may miss a whole turn [deg].
 _STEEPEST = 1.4
 _TURN = 1e-3
+
+
+class HolderPartTable(Table):
+    """A part of `[cutter] holder`: a cylinder, or a cone to another diameter."""
+
+    diameter: PositiveLength = Field(description='a length, such as "32 mm"')
+    upper_diameter: PositiveLength | None = None
+    length: PositiveLength = Field(description='a length, such as "40 mm"')
 
 
 class CutterTable(Table):
@@ -29,6 +44,10 @@ class CutterTable(Table):
     pitch: list[Angle] | None = None
     runout: Tolerance = 0.0
     runout_angle: Angle = 0.0
+    overhang: PositiveLength | None = None
+    holder: Annotated[list[HolderPartTable], Field(min_length=1)] | None = Field(
+        default=None, validate_default=True
+    )
 
     @pydantic.field_validator("corner_radius")
     @classmethod
@@ -98,12 +117,51 @@ class CutterTable(Table):
             )
         return value
 
+    @pydantic.field_validator("overhang")
+    @classmethod
+    def _beyond_flutes(cls, value: float | None, info: Any) -> float | None:
+        flutes = info.data.get("flute_length")
+        if value is not None and flutes is not None and value < flutes:
+            raise ValueError(
+                f"found {value * 1e3:g} mm, but at least the flute length, "
+                f"{flutes * 1e3:g} mm, is required: from the tip to the holder"
+            )
+        return value
+
+    @pydantic.field_validator("holder")
+    @classmethod
+    def _somewhere(
+        cls, value: list[HolderPartTable] | None, info: Any
+    ) -> list[HolderPartTable] | None:
+        # A faulty overhang is not in the data, and has been reported.
+        is_known = "overhang" in info.data
+        if is_known and (value is None) != (info.data["overhang"] is None):
+            raise ValueError(
+                "found overhang without holder, or holder without overhang; both are "
+                "required to know where the holder is, or none"
+            )
+        return value
+
+
+def make_holder(table: CutterTable) -> ToolHolder | None:
+    """Return the tool holder of a checked table, if it has one."""
+    if table.holder is None or table.overhang is None:
+        return None
+    parts = [
+        (p.diameter, p.upper_diameter or p.diameter, p.length) for p in table.holder
+    ]
+    return tool_holder(table.overhang, parts)
+
 
 def make_cutter(table: CutterTable) -> EndMill:
     """Return the end mill of a checked table."""
+    flute_length = table.flute_length
+    if flute_length is None and table.overhang is not None:
+        # The flutes that are assumed must not reach into the holder.
+        flute_length = min(3 * table.diameter, table.overhang)
     options = {
         "helix_angle": table.helix_angle,
-        "flute_length": table.flute_length,
+        "flute_length": flute_length,
         "pitch": table.pitch,
         "runout": table.runout,
         "runout_angle": table.runout_angle,

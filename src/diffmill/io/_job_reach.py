@@ -83,7 +83,7 @@ def _unreached(
     away = float(found.position_residual[k]) * 1e3
     tilt = np.rad2deg(float(found.rotation_residual[k]))
     return (
-        f"[robot]: {_place(path, k)}: outside the robot's reach, with the tip at "
+        f"[robot]: {at_row(path, k)}: outside the robot's reach, with the tip at "
         f"({x:.1f}, {y:.1f}, {z:.1f}) mm in base: the nearest pose found is {away:.1f} "
         f"mm and {tilt:.1f} deg away; so are {is_bad.sum()} of {path.step_count} rows; "
         "move the part with work_in_base"
@@ -103,7 +103,7 @@ def _check_limits(
         scale, unit = (1e3, "mm") if is_slide else (180 / np.pi, "deg")
         most = np.where(is_over[:, i], found.limit_excess[:, i], 0.0).max()
         problems.append(
-            f"[robot]: {_place(path, k)}: joint {robot.joint_names[i]} would stand at "
+            f"[robot]: {at_row(path, k)}: joint {robot.joint_names[i]} would stand at "
             f"{found.q[k, i] * scale:.1f} {unit}; allowed is {lower[i] * scale:.1f} to "
             f"{upper[i] * scale:.1f} {unit}; the path needs up to {most * scale:.1f} "
             f"{unit} more, in {is_over[:, i].sum()} of {path.step_count} rows"
@@ -130,7 +130,7 @@ def _check_branch(
         k = int(np.argmax(is_jump))
         i = int(np.argmax(turn[k]))
         problems.append(
-            f"[robot]: {_place(path, k)}: the arm would have to swing round within one "
+            f"[robot]: {at_row(path, k)}: the arm would have to swing round within one "
             f"tooth period, joint {robot.joint_names[i]} turns by "
             f"{np.rad2deg(turn[k, i]):.1f} deg; start from another configuration with "
             "joint_start, or move the part with work_in_base"
@@ -156,14 +156,14 @@ def _note_singular(
     moves = np.abs(near.joint_direction[k]) > _TAKES_PART
     names = [name for name, m in zip(robot.joint_names, moves, strict=True) if m]
     notes.append(
-        f"[robot]: {_place(path, k)}: nearly a singular pose, where a joint motion "
+        f"[robot]: {at_row(path, k)}: nearly a singular pose, where a joint motion "
         f"({', '.join(names)}) hardly moves the tool: smallest singular value "
         f"{near.smallest[k]:.3g}, lengths in units of the arm's; below "
         f"{_NEAR_SINGULAR:g} in {is_near.sum()} of {path.step_count} rows"
     )
 
 
-def _place(path: Path, k: int) -> str:
+def at_row(path: Path, k: int) -> str:
     """Return line, time and position of a row of a path."""
     x, y, z = np.asarray(path.positions)[k] * 1e3
     line = int(np.asarray(path.line)[k])

@@ -82,8 +82,11 @@ def _owner(table: type[Table], keys: list[str]) -> type[Table]:
     """Return the table, or table within it, that holds the last key."""
     for key in keys[:-1]:
         field = table.model_fields.get(key)
-        types = [] if field is None else [field.annotation, *get_args(field.annotation)]
-        for inner in types:
+        types = [] if field is None else [field.annotation]
+        # The annotation may be a choice, a list, or both, of tables.
+        while types:
+            inner = types.pop()
+            types.extend(get_args(inner))
             if isinstance(inner, type) and issubclass(inner, Table):
                 table = inner
     return table

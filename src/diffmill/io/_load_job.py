@@ -10,13 +10,13 @@ import numpy as np
 from jaxtyping import Float
 
 from .._job import Job, SimulationSettings
-from ..cutter import AbstractCutter
+from ..cutter import AbstractCutter, ToolHolder
 from ..robot import Robot
 from ..sim import default_element_height, descends
 from ..toolpath import Path, Program
-from ._job_checks import check_rapids, immersion, notes
+from ._job_checks import check_overhang, check_rapids, immersion, notes
 from ._job_correction import check_correction, correction_settings
-from ._job_cutter import make_cutter
+from ._job_cutter import make_cutter, make_holder
 from ._job_program import read_program, spindle_speed, time_path
 from ._job_reach import check_reach
 from ._job_robot import pose_matrix, read_robot
@@ -145,6 +145,8 @@ def _build(
     if "spindle" in tables:
         speed = spindle_speed(tables["spindle"].speed, program, problems)
     cutter = make_cutter(tables["cutter"]) if "cutter" in tables else None
+    holder = make_holder(tables["cutter"]) if "cutter" in tables else None
+    check_overhang(tables, problems)
     if "robot" in tables:
         robot, start = read_robot(
             tables["robot"],
@@ -172,7 +174,7 @@ def _build(
         place = (T_base_work, start)
         check_reach(robot, desired, *place, rotation, problems, robot_notes)
     if desired is not None and cutter is not None and stock is not None:
-        check_rapids(desired, cutter, stock, problems)
+        check_rapids(desired, cutter, holder, stock, problems, robot_notes)
     simulation = _simulation(tables, cutter, speed, (desired, stock), problems)
     if "correction" in tables and cutter is not None and simulation is not None:
         check_correction(tables["correction"], cutter, not simulation.axes, problems)
@@ -183,7 +185,7 @@ def _build(
         path.stem,
         text,
         tables,
-        cutter,
+        (cutter, holder),
         speed,
         (desired, stock),
         simulation,
@@ -218,7 +220,7 @@ def _assemble(
     name: str,
     text: str,
     tables: dict[str, Any],
-    cutter: AbstractCutter,
+    tool: tuple[AbstractCutter, ToolHolder | None],
     speed: float | None,
     place: tuple[Path, StockPlan],
     simulation: SimulationSettings,
@@ -231,6 +233,7 @@ def _assemble(
     """Return the job of faultless parts."""
     assert speed is not None
     desired, stock = place
+    cutter, holder = tool
     robot, T_base_work, start = robot_parts
     law, bottom_law = tables["force"].laws()
     return Job(
@@ -254,6 +257,7 @@ def _assemble(
             *notes(stock, desired, cutter),
         ),
         bottom_law=bottom_law,
+        holder=holder,
     )
 
 

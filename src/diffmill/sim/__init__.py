@@ -82,3 +82,4 @@ from ._stepping import (
     MotorCommand as MotorCommand,
     steady_state as steady_state,
 )
+from ._tool_contact import ToolContacts as ToolContacts, tool_contacts as tool_contacts

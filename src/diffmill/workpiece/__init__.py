@@ -13,6 +13,14 @@ are read and written in `_files.py` alone.
 """
 
 from ._cloud import TakenPieces as TakenPieces, taken_pieces as taken_pieces
+from ._contact import (
+    Columns as Columns,
+    Samples as Samples,
+    columns_of as columns_of,
+    sweep as sweep,
+    window_of as window_of,
+)
+from ._contact_depth import ContactTest as ContactTest
 from ._files import (
     MeshFileError as MeshFileError,
     MeshUnit as MeshUnit,
