@@ -153,6 +153,7 @@ class Job(eqx.Module):
         notes: What the user should know but what is no fault.
         bottom_law: The force law of the bottom edges, or None for the one that `law`
             derives (`law.for_bottom()`).
+        holder: What holds the cutter, to look for in the stock; None if not known.
         tool_rotation: Rotation about the tool axis: "fixed", tool x as near to x of
             `work` as the axis allows, or "free", chosen by the inverse kinematics.
     """
@@ -162,7 +163,6 @@ class Job(eqx.Module):
     law: AbstractForceLaw
     spindle_speed: RealScalarLike
     stock: Stock
-        holder: What holds the cutter, to look for in the stock; None if not known.
     path: Path
     robot: Robot | None
     T_base_work: Transform
@@ -173,10 +173,10 @@ class Job(eqx.Module):
     program: str = eqx.field(static=True, default="")
     notes: tuple[str, ...] = eqx.field(static=True, default=())
     bottom_law: AbstractForceLaw | None = None
+    holder: ToolHolder | None = None
     tool_rotation: ToolRotation = eqx.field(static=True, default="fixed")
 
     @property
     def tooth_period(self) -> RealScalarLike:
         """Time between two teeth T = 2 pi / (omega N_z) [s]."""
         return 2 * 3.141592653589793 / (self.spindle_speed * self.cutter.flute_count)
-    holder: ToolHolder | None = None
