@@ -69,6 +69,37 @@ def correct(
     )
 
 
+def identify(
+    file: Annotated[
+        tyro.conf.Positional[pathlib.Path],
+        tyro.conf.arg(
+            metavar="FILE.toml",
+            help="A file that says what was measured, or a job before FORCES.",
+        ),
+    ],
+    forces: Annotated[
+        tyro.conf.Positional[pathlib.Path | None],
+        tyro.conf.arg(
+            metavar="FORCES", help="Measured forces of the job: text, TDMS, MAT, ..."
+        ),
+    ] = None,
+    *,
+    out: Annotated[
+        pathlib.Path | None,
+        tyro.conf.arg(help="Folder for the results; ./<file>-identify if not given."),
+    ] = None,
+    force: _Force = False,
+    quiet: _Quiet = False,
+    allow_outside: _Outside = False,
+) -> int:
+    """Fit force coefficients, joint stiffness or damping to what was measured."""
+    from ._identify import run_identify
+
+    return run_identify(
+        file, forces, out, force=force, is_quiet=quiet, allow_outside=allow_outside
+    )
+
+
 def robot(
     model: Annotated[
         tyro.conf.Positional[str],
@@ -154,6 +185,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     commands: dict[str, Callable[..., Any]] = {
         "simulate": simulate,
         "correct": correct,
+        "identify": identify,
         "robot": robot,
         "example": example,
         "check": check,

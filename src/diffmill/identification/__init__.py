@@ -20,7 +20,13 @@ from ._axes import (
     AxesCandidate as AxesCandidate,
     AxesProposal as AxesProposal,
     apply_axes as apply_axes,
+    combine_axes_proposals as combine_axes_proposals,
     propose_axes as propose_axes,
+)
+from ._beside import (
+    Placed as Placed,
+    place_on_job as place_on_job,
+    place_on_steady_cut as place_on_steady_cut,
 )
 from ._coefficients import (
     ForceCoefficientFit as ForceCoefficientFit,
@@ -37,11 +43,24 @@ from ._damping import (
     RingDownFit as RingDownFit,
     fit_joint_damping as fit_joint_damping,
     fit_ring_down as fit_ring_down,
+    ring_down_frequencies as ring_down_frequencies,
+)
+from ._frequency_response import (
+    FrequencyResponseFit as FrequencyResponseFit,
+    fit_frequency_response as fit_frequency_response,
+    spectral_peaks as spectral_peaks,
 )
 from ._harmonics import refine_spindle_speed as refine_spindle_speed
+from ._left_out import LeftOut as LeftOut, predict_left_out as predict_left_out
 from ._load_advice import (
     LoadTests as LoadTests,
     suggest_load_tests as suggest_load_tests,
+)
+from ._load_check import LoadCheck as LoadCheck, check_load_tests as check_load_tests
+from ._mean_axes import (
+    MeanAxes as MeanAxes,
+    axes_of as axes_of,
+    propose_mean_axes as propose_mean_axes,
 )
 from ._mean_force import (
     NAMES as NAMES,
@@ -49,8 +68,11 @@ from ._mean_force import (
     fit_mean_forces as fit_mean_forces,
     mean_force_matrices as mean_force_matrices,
 )
+from ._meet import Meeting as Meeting, meet as meet
+from ._posterior import relative_uncertainty as relative_uncertainty
 from ._prepare import (
     lowpass_record as lowpass_record,
+    parts_between_gaps as parts_between_gaps,
     remove_drift as remove_drift,
     remove_offset as remove_offset,
     resample_record as resample_record,
@@ -62,6 +84,7 @@ from ._residual import (
     residual_spectrum as residual_spectrum,
 )
 from ._saturation import find_saturated as find_saturated
+from ._steady import immersion as immersion, steady_cut as steady_cut
 from ._stiffness import (
     JointStiffnessFit as JointStiffnessFit,
     deflection_columns as deflection_columns,

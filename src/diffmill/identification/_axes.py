@@ -9,6 +9,7 @@ are shared. For each of the six permutations, physics decides which signs make s
 
 import dataclasses
 import itertools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -180,6 +181,38 @@ def propose_axes(
         for _, lag, matrix in found
     )
     return _proposal(candidates)
+
+
+def combine_axes_proposals(proposals: Sequence[AxesProposal]) -> AxesProposal:
+    """Return what several records of one dynamometer say together.
+
+    Scores and residuals are averaged; the other evidence of each assignment is that
+    of the first record.
+
+    Args:
+        proposals: One per record.
+
+    Returns:
+        The proposal.
+
+    Raises:
+        ValueError: There are none.
+
+    **Differentiability**: runs on the host.
+    """
+    if not proposals:
+        raise ValueError("Argument `proposals` must hold at least one, but is empty.")
+    by_label = [{c.label: c for c in one.candidates} for one in proposals]
+    merged = []
+    for label, first in by_label[0].items():
+        alike = [found[label] for found in by_label]
+        merged.append(
+            first._replace(
+                score=float(np.mean([c.score for c in alike])),
+                residual=float(np.mean([c.residual for c in alike])),
+            )
+        )
+    return _proposal(tuple(merged))
 
 
 def signed_permutations() -> list[Float[np.ndarray, "3 3"]]:

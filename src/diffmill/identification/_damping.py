@@ -20,6 +20,8 @@ Values = Float[Array, "..."] | Float[np.ndarray, "..."] | Sequence
 
 # A damper is a number if its standard error is below this share of it.
 _RELATIVE_ERROR = 0.25
+# Lines of a spectrum per sample: peaks between the lines are not missed.
+_PADDING = 4
 
 
 class RingDownFit(eqx.Module):
@@ -31,6 +33,7 @@ class RingDownFit(eqx.Module):
         frequency_errors: Standard errors [Hz], shape (mode,).
         damping_errors: Standard errors of zeta, shape (mode,).
         explained: Share of the signal's square that the modes explain.
+        fitted: The signal as fitted, shape (sample,).
     """
 
     frequencies: Float[np.ndarray, " mode"]
@@ -38,6 +41,7 @@ class RingDownFit(eqx.Module):
     frequency_errors: Float[np.ndarray, " mode"]
     damping_errors: Float[np.ndarray, " mode"]
     explained: float
+    fitted: Float[np.ndarray, " sample"]
 
 
 class JointDampingFit(eqx.Module):
@@ -114,7 +118,44 @@ def fit_ring_down(time: Values, signal: Values, frequencies: Values) -> RingDown
         frequency_errors=errors[:count][order],
         damping_errors=errors[count:][order],
         explained=1 - float(np.sum(found.fun**2)) / total,
+        fitted=y + found.fun,
     )
+
+
+def ring_down_frequencies(
+    time: Values, signal: Values, count: int
+) -> Float[np.ndarray, " mode"]:
+    """Return guesses of the frequencies in a free vibration.
+
+    The largest line of the spectrum is fitted, then the largest of what that leaves,
+    and so on: a damped mode beside a sharp one has no peak of its own before.
+
+    Args:
+        time: Instants [s], shape (sample,), evenly spaced but for gaps.
+        signal: Shape (sample,), without its mean.
+        count: Number of modes.
+
+    Returns:
+        Frequencies [Hz], ascending, shape (count,).
+
+    Raises:
+        ValueError: As `fit_ring_down`.
+
+    **Differentiability**: runs on the host.
+    """
+    t, y = np.array(time, np.float64), np.array(signal, np.float64)
+    step = float(np.median(np.diff(t)))
+    grid = np.arange(t[0], t[-1], step)
+    lines = np.fft.rfftfreq(_PADDING * grid.size, step)
+    # Less than a period in the record is drift.
+    is_wave = lines > 1.0 / float(t[-1] - t[0])
+    found, left = np.zeros(0), y
+    for _ in range(count):
+        size = np.abs(np.fft.rfft(np.interp(grid, t, left), _PADDING * grid.size))
+        peak = lines[int(np.argmax(np.where(is_wave, size, 0.0)))]
+        fit = fit_ring_down(t, y, np.append(found, peak))
+        found, left = fit.frequencies, y - fit.fitted
+    return found
 
 
 def fit_joint_damping(

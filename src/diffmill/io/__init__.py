@@ -26,7 +26,26 @@ from ._checkpoint import (
 from ._gcode import parse_gcode as parse_gcode, read_gcode as read_gcode
 from ._gcode_words import GCodeError as GCodeError
 from ._gcode_writer import write_gcode as write_gcode
+from ._identification_task import (
+    ForceRecord as ForceRecord,
+    ForceRecordTask as ForceRecordTask,
+    ForceSettings as ForceSettings,
+    FrequencyResponse as FrequencyResponse,
+    LoadTestTask as LoadTestTask,
+    MeanForceTask as MeanForceTask,
+    ModeTask as ModeTask,
+    RingDown as RingDown,
+    StraightCut as StraightCut,
+)
+from ._identified_toml import (
+    doubted as doubted,
+    force_toml as force_toml,
+    joints_toml as joints_toml,
+    snippet as snippet,
+    uncertainty_toml as uncertainty_toml,
+)
 from ._job_checks import holder_notes as holder_notes, shank_notes as shank_notes
+from ._load_identification import load_identification as load_identification
 from ._load_job import (
     JobError as JobError,
     job_precision as job_precision,

@@ -54,6 +54,11 @@ Angle: TypeAlias = Annotated[float, BeforeValidator(_read(q.ANGLE))]
 PositiveTime: TypeAlias = Annotated[
     float, BeforeValidator(_read(q.TIME, sign="positive"))
 ]
+Time: TypeAlias = Annotated[float, BeforeValidator(_read(q.TIME))]
+Frequency: TypeAlias = Annotated[
+    float, BeforeValidator(_read(q.FREQUENCY, sign="positive"))
+]
+Force: TypeAlias = Annotated[float, BeforeValidator(_read(q.FORCE))]
 PositiveSpeed: TypeAlias = Annotated[
     float, BeforeValidator(_read(q.SPEED, sign="positive"))
 ]

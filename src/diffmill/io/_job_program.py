@@ -25,6 +25,7 @@ def file_in_folder(
     problems: list[str],
     *,
     allow_outside: bool,
+    largest: int = _LARGEST_FILE,
 ) -> pathlib.Path | None:
     """Return the path of a file that a job names, or None with a problem noted.
 
@@ -34,6 +35,7 @@ def file_in_folder(
         folder: Folder of the job.
         problems: Receives what is wrong.
         allow_outside: Whether the file may lie outside the job's folder.
+        largest: Largest size that is allowed [byte].
     """
     try:
         path = (folder / name).resolve()
@@ -54,10 +56,10 @@ def file_in_folder(
             f"{key}: found {name!r}, but there is no such file in the job's folder"
         )
         return None
-    if size > _LARGEST_FILE:
+    if size > largest:
         problems.append(
             f"{key}: found {name!r} of {size / 1e6:.0f} MB; at most "
-            f"{_LARGEST_FILE / 1e6:.0f} MB are allowed"
+            f"{largest / 1e6:.0f} MB are allowed"
         )
         return None
     return path

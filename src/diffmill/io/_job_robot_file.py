@@ -25,6 +25,7 @@ def load_robot(
     notes: list[str],
     *,
     allow_outside: bool,
+    needs_mass: bool = True,
 ) -> Robot | None:
     """Return the robot of a job's `model` or `file`, or None with problems noted.
 
@@ -34,6 +35,7 @@ def load_robot(
         problems: Receives what is wrong.
         notes: Receives what is doubtful in a robot file.
         allow_outside: Whether files may lie outside that folder.
+        needs_mass: Whether every joint must move a mass.
     """
     source, drives = _source(table, folder, problems, allow_outside=allow_outside), None
     if table.drives is not None:
@@ -55,7 +57,7 @@ def load_robot(
         problems.extend(f"[robot] {key}: {line}" for line in str(error).splitlines())
         return None
     idle = massless_joints(robot)
-    if idle:
+    if idle and needs_mass:
         problems.append(
             f"[robot] {key}: found no mass on the joints {', '.join(idle)}, but a "
             "simulation needs the masses and inertias of the links"

@@ -69,7 +69,7 @@ def load_job(file: str | os.PathLike[str], *, allow_outside: bool = False) -> Jo
     inputs of `simulate`.
     """
     path = pathlib.Path(file)
-    text, raw = _parse(path)
+    text, raw = parse_toml(path)
     problems: list[str] = []
     tables = read_tables(raw, problems)
     if "program" not in tables:
@@ -90,7 +90,7 @@ def job_precision(file: str | os.PathLike[str]) -> str:
         "float32" if the job says so, else "float64", also for a faulty job.
     """
     try:
-        _, raw = _parse(pathlib.Path(file))
+        _, raw = parse_toml(pathlib.Path(file))
     except JobError:
         return "float64"
     simulation = raw.get("simulation", {})
@@ -98,7 +98,7 @@ def job_precision(file: str | os.PathLike[str]) -> str:
     return "float32" if found == "float32" else "float64"
 
 
-def _parse(path: pathlib.Path) -> tuple[str, dict[str, Any]]:
+def parse_toml(path: pathlib.Path) -> tuple[str, dict[str, Any]]:
     """Return the text and the tables of a TOML file."""
     try:
         if not path.is_file():

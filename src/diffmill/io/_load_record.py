@@ -53,7 +53,7 @@ def load_record(
             str(file), [f"the rate must be positive and finite, but is {rate}."]
         )
     try:
-        table = _table(file)
+        table = read_table(file)
     except OSError as error:
         reason = error.strerror or str(error)
         raise RecordError(str(file), [f"cannot be read: {reason}."]) from None
@@ -73,8 +73,13 @@ def load_record(
     return _record(found, line, notes, str(file))
 
 
-def _table(file: pathlib.Path) -> Table:
-    """Return the columns of a file; what it begins with decides, then its suffix."""
+def read_table(file: pathlib.Path) -> Table:
+    """Return the columns of a file; what it begins with decides, then its suffix.
+
+    Raises:
+        RecordError: If no columns are in it.
+        OSError: If the file cannot be read.
+    """
     with file.open("rb") as stream:
         begin = stream.read(128)
     suffix = file.suffix.lower()

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ._quantity import ANGLE, TIME, QuantityKind
-from ._record_table import FORCE, Column, Table, scale
+from ._quantity import ANGLE, FORCE, TIME, QuantityKind
+from ._record_table import Column, Table, scale
 
 KINDS: dict[str, QuantityKind | None] = {
     "time": TIME,
@@ -78,7 +78,7 @@ def channels_of(
     missing = [key for key in FORCES if found[key] is None]
     if missing and not faults:
         faults.append(
-            f"found no column for {', '.join(missing)} among {_listed(table.columns)}; "
+            f"found no column for {', '.join(missing)} among {listed(table.columns)}; "
             "name it with `channels`."
         )
     values: dict[str, Float[np.ndarray, " sample"]] = {}
@@ -129,7 +129,7 @@ def _find(
 ) -> Column | None:
     """Return the column of one quantity, or None."""
     if key in wanted:
-        return _named(key, wanted[key], columns, faults)
+        return named_column(key, wanted[key], columns, faults)
     exact = [c for c in columns if re.fullmatch(_EXACT[key], c.name, re.IGNORECASE)]
     if len(exact) == 1:
         return exact[0]
@@ -140,12 +140,12 @@ def _find(
     if exact or loose:
         faults.append(
             f"found {len(exact or loose)} columns that may be {key} "
-            f"({_listed(columns, exact or loose)}); name one with `channels`."
+            f"({listed(columns, exact or loose)}); name one with `channels`."
         )
     return None
 
 
-def _named(
+def named_column(
     key: str, label: str | int | None, columns: list[Column], faults: list[str]
 ) -> Column | None:
     """Return the column that the user names."""
@@ -165,7 +165,7 @@ def _named(
         return hits[0]
     faults.append(
         f"the channel {key} = {label!r} names {len(hits) or 'no'} columns; there are "
-        f"{_listed(columns)}, and a number from 1 to {len(columns)} is allowed."
+        f"{listed(columns)}, and a number from 1 to {len(columns)} is allowed."
     )
     return None
 
@@ -174,7 +174,7 @@ def _squeezed(text: str) -> str:
     return re.sub(r"[\W_]", "", text.lower())
 
 
-def _listed(columns: list[Column], only: list[Column] | None = None) -> str:
+def listed(columns: list[Column], only: list[Column] | None = None) -> str:
     shown = [
         f"{place} `{column.name}`"
         for place, column in enumerate(columns, 1)

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from ._quantity import TIME
+from ._quantity import FORCE, TIME
 from ._record_error import RecordError
-from ._record_table import FORCE, Column, Table, header_rate, split_unit
+from ._record_table import Column, Table, header_rate, split_unit
 
 # A matrix with more columns than this is no record of channels.
 _MOST_COLUMNS = 64

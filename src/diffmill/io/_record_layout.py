@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ._quantity import TIME
+from ._quantity import ANGLE, FORCE, FREQUENCY, LENGTH, TIME
 from ._record_columns import looks_named
-from ._record_table import FORCE, is_unit, split_unit
+from ._record_table import is_unit, split_unit
 
 # Consecutive rows after which a table needs no further evidence.
 _CERTAIN = 50
@@ -130,7 +130,7 @@ def labels_of(
             is_nearest = is_nearest and not lines[index].strip()
             continue
         bare = [cell.strip("[](){}<>") for cell in row]
-        if unit_row is None and any(is_unit(cell, FORCE) for cell in bare):
+        if unit_row is None and _are_units(row, bare):
             units, unit_row = bare, index
             continue
         labels = [split_unit(cell, FORCE, TIME) for cell in row]
@@ -148,6 +148,18 @@ def labels_of(
             "decimal commas need another sign between the columns."
         )
     return [(f"column {place}", "") for place in range(1, width + 1)], 0, fault
+
+
+def _are_units(row: list[str], bare: list[str]) -> bool:
+    """Return whether a row of labels holds units."""
+    if any(is_unit(cell, FORCE) for cell in bare):
+        return True
+    filled = [(cell, text) for cell, text in zip(row, bare, strict=True) if text]
+    is_bracketed = [cell[0] in "[({<" and cell[-1] in "])}>" for cell, _ in filled]
+    kinds = (TIME, FREQUENCY, ANGLE, LENGTH)
+    return bool(filled) and (
+        all(is_bracketed) or all(is_unit(text, *kinds) for _, text in filled)
+    )
 
 
 def _label_row(line: str, layout: Layout) -> list[str] | None:

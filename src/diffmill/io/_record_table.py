@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ._quantity import TIME, QuantityKind, quantity
+from ._quantity import FREQUENCY, TIME, QuantityKind, quantity
 
 
 class Column(NamedTuple):
@@ -42,8 +42,6 @@ class Table(NamedTuple):
     notes: tuple[str, ...] = ()
 
 
-FORCE = QuantityKind("a force", "N", "12.5 N")
-FREQUENCY = QuantityKind("a frequency", "1/s", "10 kHz")
 _BRACKETS = re.compile(r"(.*?)[\s_]*[\[({<]\s*([^\[\](){}<>]*?)\s*[\])}>]\s*")
 _SUFFIX = re.compile(r"(.*?)(?:_|\s*/\s*|\s*,\s*|\s+in\s+|\s+)([^\s_/,]+)")
 # Words for units that the unit library does not know or takes for something else.

@@ -23,6 +23,19 @@ from ._dexels import (
 )
 from ._forces import ForceRecord as ForceRecord, plot_forces as plot_forces
 from ._history import plot_deviation as plot_deviation
+from ._identified import (
+    plot_correlation as plot_correlation,
+    plot_force_fit as plot_force_fit,
+    plot_mean_forces as plot_mean_forces,
+    plot_prediction as plot_prediction,
+    plot_residual_spectrum as plot_residual_spectrum,
+)
+from ._identified_robot import (
+    plot_frequency_response as plot_frequency_response,
+    plot_joint_values as plot_joint_values,
+    plot_load_residual as plot_load_residual,
+    plot_ring_down as plot_ring_down,
+)
 from ._inputs import FigureInputs as FigureInputs, figure_inputs as figure_inputs
 from ._paths import plot_paths as plot_paths
 from ._process import chip_chart as chip_chart, force_record as force_record

@@ -1,0 +1,117 @@
+"""`diffmill identify`: read, fit, tell, and write a folder of what was found."""
+
+import json
+import math
+import pathlib
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from ._errors import BadInput, bad_input
+from ._jax import configure_jax
+from ._progress import Progress
+
+
+class Outcome(NamedTuple):
+    """What one identification has found.
+
+    Attributes:
+        lines: The summary for the terminal.
+        toml: Lines of job tables.
+        facts: Everything as numbers and texts, for `identified.json`.
+        draw: Writes the figures to a folder.
+    """
+
+    lines: list[str]
+    toml: list[str]
+    facts: dict[str, Any]
+    draw: Callable[[pathlib.Path], None]
+
+
+def run_identify(
+    file: pathlib.Path,
+    forces: pathlib.Path | None,
+    out: pathlib.Path | None,
+    *,
+    force: bool,
+    is_quiet: bool,
+    allow_outside: bool,
+) -> int:
+    """Identify what a file asks for and write the results; return the exit code.
+
+    Args:
+        file: A file with `kind`, or a job beside `forces`.
+        forces: A record of forces of the job, or None.
+        out: Folder for the results, or None for `./<file>-identify`.
+        force: Whether results that are there are replaced.
+        is_quiet: Whether only errors are printed.
+        allow_outside: Whether the file may name files outside its folder.
+    """
+    configure_jax(None)
+    from .._result import SimulationFailed
+    from ..io import check_folder, load_identification, snippet, write_folder
+
+    folder = pathlib.Path(f"{file.stem}-identify") if out is None else out
+    start = time.perf_counter()
+    with bad_input():
+        check_folder(folder, force=force)
+        task = load_identification(file, forces, allow_outside=allow_outside)
+    progress = Progress(is_quiet=is_quiet)
+    try:
+        with progress:
+            outcome = _identified(task, progress)
+            progress.update("figures")
+    except SimulationFailed as failure:
+        raise BadInput(f"{file}: the cut could not be simulated: {failure}") from None
+
+    def fill(target: pathlib.Path) -> None:
+        head = [f"identified from {file.name} by diffmill", "paste into a job file"]
+        text = snippet(head, outcome.toml)
+        (target / "identified.toml").write_text(text, encoding="utf-8")
+        (target / "summary.txt").write_text(
+            "\n".join(outcome.lines) + "\n", encoding="utf-8"
+        )
+        facts = json.dumps(_plain(outcome.facts), indent=2, allow_nan=False)
+        (target / "identified.json").write_text(facts + "\n", encoding="utf-8")
+        outcome.draw(target)
+
+    with progress:
+        write_folder(folder, fill, force=force)
+    if not is_quiet:
+        print("\n".join([*outcome.lines, "", *outcome.toml]))
+    progress.say(f"results: {folder} ({time.perf_counter() - start:.1f} s)")
+    return 0
+
+
+def _identified(task: Any, progress: Progress) -> Outcome:
+    """Fit what the task asks for."""
+    from ..io import ForceRecordTask, LoadTestTask, MeanForceTask
+
+    if isinstance(task, MeanForceTask):
+        from ._identify_means import identify_means
+
+        return identify_means(task, progress)
+    if isinstance(task, ForceRecordTask):
+        from ._identify_records import identify_records
+
+        return identify_records(task, progress)
+    if isinstance(task, LoadTestTask):
+        from ._identify_robot import identify_stiffness
+
+        return identify_stiffness(task, progress)
+    from ._identify_robot import identify_modes
+
+    return identify_modes(task, progress)
+
+
+def _plain(value: Any) -> Any:
+    """Return facts as JSON can hold them: numbers that are none become None."""
+    if isinstance(value, dict):
+        return {str(key): _plain(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    if hasattr(value, "tolist"):
+        return _plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value

@@ -1,0 +1,406 @@
+"""Joint stiffness from load tests, damping from modes, with their figures."""
+
+import pathlib
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ._errors import BadInput
+from ._identify import Outcome
+from ._identify_text import noted
+from ._progress import Progress
+
+if TYPE_CHECKING:
+    from ..identification import JointDampingFit, JointStiffnessFit, LoadCheck
+    from ..io import FrequencyResponse, LoadTestTask, ModeTask, RingDown
+
+_UNITS = {
+    "receptance": "displacement over force [m/N]",
+    "mobility": "velocity over force [m/(N s)]",
+    "accelerance": "acceleration over force [1/kg]",
+}
+# A measured frequency this far from the model's belongs to it hardly.
+_FAR = 0.3
+
+
+def identify_stiffness(task: "LoadTestTask", progress: Progress) -> Outcome:
+    """Fit joint stiffness to load tests.
+
+    Args:
+        task: The tests.
+        progress: Told what is being done.
+    """
+    from ..identification import check_load_tests, fit_joint_stiffness
+    from ..io import joints_toml, uncertainty_toml
+
+    progress.update("joint stiffness")
+    table = (task.robot, task.q, task.wrench, task.displacement)
+    fit = fit_joint_stiffness(*table, has_offset=task.has_offset, noise=task.noise)
+    check = check_load_tests(task.robot, fit, *table[1:])
+    advice = _advice(task, fit)
+    lines = [*_stiffness_lines(task, fit, check), *advice]
+    toml = ["# No stiffness: the table does not suit the robot; see summary.txt."]
+    if fit.identifiable.any():
+        parts = (fit.stiffness, fit.standard_errors, fit.identifiable)
+        toml = joints_toml(task.robot, "joint_stiffness", *parts)
+        known = fit.identifiable
+        share = float(np.max(fit.standard_errors[known] / fit.stiffness[known]))
+        toml += uncertainty_toml("stiffness", share)
+    facts = {
+        "kind": "load_tests",
+        "joints": list(fit.joint_names),
+        "stiffness_SI": fit.stiffness,
+        "standard_errors_SI": fit.standard_errors,
+        "stiffness_at_least_SI": fit.stiffness_bound,
+        "identifiable": fit.identifiable,
+        "is_consistent": fit.is_consistent,
+        "explained": fit.explained,
+        "share": fit.share,
+        "outlier_rows": [task.rows[i] for i in fit.outliers],
+        "left_out_error": check.error,
+        "noise": fit.noise,
+        "spread_m": fit.spread,
+        "notes": [*task.notes, *fit.notes],
+    }
+    return Outcome(
+        lines, toml, facts, lambda folder: _draw_stiffness(folder, task, fit, check)
+    )
+
+
+def _stiffness_lines(
+    task: "LoadTestTask", fit: "JointStiffnessFit", check: "LoadCheck"
+) -> list[str]:
+    """Return springs and how far to trust them."""
+    robot = task.robot
+    lines = [f"{len(task.rows)} load tests of {robot.name}"]
+    for note in task.notes:
+        lines += noted(note)
+    width = 2 + max(len(name) for name in fit.joint_names)
+    lines += [
+        "",
+        f"{'joint':{width}}{'stiffness':>12}{'std. error':>12}{'of the model':>14}"
+        f"{'share':>8}  unit",
+    ]
+    model = np.asarray(robot.joint_stiffness, np.float64)
+    for i, name in enumerate(fit.joint_names):
+        unit = "N/m" if robot.joint_kinds[i] == "prismatic" else "N m/rad"
+        known = f"{model[i]:14.4g}" if np.isfinite(model[i]) else f"{'-':>14}"
+        part = f"{known}{fit.share[i]:8.1%}  {unit}"
+        if fit.identifiable[i]:
+            number = f"{fit.stiffness[i]:12.4g}{fit.standard_errors[i]:12.2g}"
+            lines.append(f"{name:{width}}{number}{part}")
+            continue
+        least = fit.stiffness_bound[i]
+        more = f", at least {least:.3g}" if least > 0 else ""
+        lines.append(f"{name:{width}}{'-':>12}{'-':>12}{part}   not identifiable{more}")
+    lines.append(
+        f"the springs explain {max(fit.explained, 0):.2%} of the squared displacement; "
+        f"one displacement scatters by {fit.spread * 1e6:.3g} um ({fit.noise})"
+    )
+    if fit.offset is not None:
+        size = ", ".join(f"{1e6 * value:.3g}" for value in fit.offset[:3])
+        lines.append(f"constant displacement: ({size}) um")
+    if fit.outliers:
+        rows = ", ".join(str(task.rows[i]) for i in fit.outliers)
+        lines += noted(
+            f"Rows {rows} of the table contradict the others"
+            + (" and were left out." if fit.is_consistent else "."),
+            "warning",
+        )
+    lines.append(
+        f"left out: each fifth of the table predicted by the rest, {check.error:.1%} "
+        "of the displacement rms off"
+    )
+    for note in fit.notes:
+        if "contradict the others and were left out" in note:
+            # Said above with the numbers of the rows in the file.
+            continue
+        lines += noted(note, "note" if fit.is_consistent else "warning")
+    return lines
+
+
+def _advice(task: "LoadTestTask", fit: "JointStiffnessFit") -> list[str]:
+    """Return load tests that would show what the table does not."""
+    from ..identification import suggest_load_tests
+
+    if fit.identifiable.all() or not fit.is_consistent:
+        return []
+    robot = task.robot
+    model = np.asarray(robot.joint_stiffness)
+    if np.isinf(model[~fit.identifiable]).any():
+        return noted(
+            "Further tests can be proposed once the model has a rough stiffness for "
+            "every joint (joint_stiffness in [robot])."
+        )
+    tests = suggest_load_tests(robot, fit, task.q, task.wrench)
+    lines = ["load tests that would help most:"]
+    for q, wrench in zip(tests.q, tests.wrench, strict=True):
+        pose = ", ".join(
+            f"{1e3 * v:.0f} mm" if kind == "prismatic" else f"{np.rad2deg(v):.0f} deg"
+            for v, kind in zip(q, robot.joint_kinds, strict=True)
+        )
+        force = ", ".join(f"{v:.0f}" for v in wrench[:3])
+        lines.append(f"  joints ({pose}), force ({force}) N in base")
+    if tests.hopeless:
+        lines += noted(
+            f"No force at this tool turns {', '.join(tests.hopeless)}: use a longer or "
+            "sidewards tool, or load by a moment."
+        )
+    return lines
+
+
+def _draw_stiffness(
+    folder: pathlib.Path,
+    task: "LoadTestTask",
+    fit: "JointStiffnessFit",
+    check: "LoadCheck",
+) -> None:
+    """Write the figures."""
+    from ..viz import (
+        plot_joint_values,
+        plot_load_residual,
+        plot_prediction,
+        save_figure,
+    )
+
+    rows = task.rows
+    figure = plot_joint_values(
+        fit.joint_names,
+        fit.stiffness,
+        fit.standard_errors,
+        np.asarray(task.robot.joint_stiffness, np.float64),
+        unit="stiffness [N m/rad, N/m]",
+        bound=fit.stiffness_bound,
+    )
+    save_figure(figure, folder / "stiffness.png")
+    figure = plot_load_residual(rows, task.displacement, fit.residual, fit.outliers)
+    save_figure(figure, folder / "residual.png")
+    figure = plot_prediction(
+        check.measured[:, :3],
+        check.predicted[:, :3],
+        unit="\u00b5m",
+        scale=1e6,
+        what="d",
+        title=f"each fifth of the table predicted by the rest, {check.error:.1%} off",
+        marked=fit.outliers,
+        labels=[f"row {rows[i]}" for i in fit.outliers],
+    )
+    save_figure(figure, folder / "left_out.png")
+
+
+def identify_modes(task: "ModeTask", progress: Progress) -> Outcome:
+    """Fit modes to ring-downs or frequency responses, and the joints' dampers.
+
+    Args:
+        task: The measurements.
+        progress: Told what is being done.
+    """
+    from ..io import RingDown, joints_toml, uncertainty_toml
+
+    is_ring = isinstance(task.measured[0], RingDown)
+    fits = []
+    for one in task.measured:
+        progress.update(f"modes of {one.name}")
+        try:
+            fits.append(_mode_fit(one))
+        except ValueError as error:
+            raise BadInput(f"{one.name}: {error}") from error
+    lines: list[str] = []
+    for one, fit in zip(task.measured, fits, strict=True):
+        lines += _mode_lines(one, fit, is_ring)
+    damping, more = _dampers(task, fits)
+    lines += more
+    toml = ["# Modes only: give [robot] and joint_positions for the joints' dampers."]
+    if damping is not None and damping.identifiable.any():
+        assert task.robot is not None
+        parts = (damping.damping, damping.standard_errors, damping.identifiable)
+        toml = joints_toml(task.robot, "joint_damping", *parts)
+        known = damping.identifiable
+        share = float(np.max(damping.standard_errors[known] / damping.damping[known]))
+        toml += uncertainty_toml("damping", share)
+    elif damping is not None:
+        toml = ["# No joint's damper is identifiable; see summary.txt."]
+    facts: dict[str, Any] = {
+        "kind": "ring_down" if is_ring else "frequency_response",
+        "measured": [
+            {"name": one.name, **_mode_facts(fit)}
+            for one, fit in zip(task.measured, fits, strict=True)
+        ],
+    }
+    if damping is not None and task.robot is not None:
+        facts["joints"] = list(task.robot.joint_names)
+        facts["damping_SI"] = damping.damping
+        facts["damping_errors_SI"] = damping.standard_errors
+        facts["identifiable"] = damping.identifiable
+    return Outcome(
+        lines, toml, facts, lambda folder: _draw_modes(folder, task, fits, damping)
+    )
+
+
+def _mode_fit(one: "RingDown | FrequencyResponse") -> Any:
+    """Return the modes of one measurement."""
+    from ..identification import (
+        fit_frequency_response,
+        fit_ring_down,
+        ring_down_frequencies,
+    )
+    from ..io import RingDown
+
+    if isinstance(one, RingDown):
+        guess = one.frequencies
+        if guess is None:
+            guess = ring_down_frequencies(one.time, one.signal, one.mode_count)
+        return fit_ring_down(one.time, one.signal, guess)
+    band = one.is_fitted
+    return fit_frequency_response(
+        one.frequency[band],
+        one.response[band],
+        frequencies=one.frequencies,
+        quantity=one.quantity,  # pyright: ignore[reportArgumentType]
+    )
+
+
+def _mode_facts(fit: Any) -> dict[str, Any]:
+    facts = {
+        "frequencies_Hz": fit.frequencies,
+        "frequency_errors_Hz": fit.frequency_errors,
+        "damping_ratios": fit.damping_ratios,
+        "damping_errors": fit.damping_errors,
+        "explained": fit.explained,
+    }
+    if hasattr(fit, "stiffness"):
+        facts["modal_stiffness_N_per_m"] = fit.stiffness
+        facts["modal_stiffness_errors_N_per_m"] = fit.stiffness_errors
+    return facts
+
+
+def _mode_lines(one: Any, fit: Any, is_ring: bool) -> list[str]:
+    """Return the modes of one measurement."""
+    lines = [f"{one.name}: the modes explain {fit.explained:.2%} of the signal"]
+    for note in one.notes:
+        lines += noted(note)
+    head = f"  {'frequency':>12}{'std. error':>12}{'damping':>10}{'std. error':>12}"
+    lines.append(head + ("" if is_ring else f"{'modal stiffness':>18}"))
+    for k in range(len(fit.frequencies)):
+        row = (
+            f"  {fit.frequencies[k]:9.4g} Hz{fit.frequency_errors[k]:9.2g} Hz"
+            f"{100 * fit.damping_ratios[k]:8.3g} %{100 * fit.damping_errors[k]:10.2g} %"
+        )
+        if not is_ring:
+            row += (
+                f"{fit.stiffness[k] * 1e-6:9.4g} +- "
+                f"{fit.stiffness_errors[k] * 1e-6:.2g} N/um"
+            )
+        known = fit.damping_errors[k] <= 0.25 * fit.damping_ratios[k]
+        if not (known if is_ring else fit.identifiable[k]):
+            row += "   not identifiable"
+        lines.append(row)
+    if fit.explained < 0.9:
+        lines += noted(
+            "That is little: more modes, another band, or a later start may be needed.",
+            "warning",
+        )
+    return lines
+
+
+def _dampers(
+    task: "ModeTask", fits: list[Any]
+) -> "tuple[JointDampingFit | None, list[str]]":
+    """Return the joints' dampers, and what to say of them."""
+    from ..identification import fit_joint_damping
+    from ..robot import natural_frequencies
+
+    posed = [
+        (one, fit)
+        for one, fit in zip(task.measured, fits, strict=True)
+        if one.q is not None
+    ]
+    if task.robot is None or not posed:
+        return None, []
+    robot, lines, ratios = task.robot, [], []
+    for one, fit in posed:
+        assert one.q is not None
+        own = np.asarray(natural_frequencies(robot, one.q), np.float64)
+        row = np.full(robot.joint_count, np.nan)
+        for f, zeta in zip(fit.frequencies, fit.damping_ratios, strict=True):
+            k = int(np.argmin(np.abs(np.log(own / f))))
+            away = f / own[k] - 1
+            lines.append(
+                f"  {one.name}: {f:.4g} Hz is taken for mode {k + 1} of the model, "
+                f"{own[k]:.4g} Hz ({away:+.0%})"
+            )
+            if abs(away) > _FAR:
+                lines += noted(
+                    "That is far: the mode is left out; correct the stiffness first.",
+                    "warning",
+                )
+            elif np.isfinite(row[k]):
+                lines += noted(
+                    f"Mode {k + 1} is taken already: the second was left out.",
+                    "warning",
+                )
+            else:
+                row[k] = zeta
+        ratios.append(row)
+    if not np.isfinite(np.array(ratios)).any():
+        return None, [*lines, "no measured mode belongs to the model"]
+    fit = fit_joint_damping(robot, [one.q for one, _ in posed], ratios)
+    lines += ["", "joint dampers [N m s/rad, N s/m]:"]
+    for i, name in enumerate(robot.joint_names):
+        text = "not identifiable"
+        if fit.identifiable[i]:
+            text = f"{fit.damping[i]:.4g} +- {fit.standard_errors[i]:.2g}"
+        lines.append(f"  {name}: {text}")
+    for pose, mode in fit.outliers:
+        lines += noted(
+            f"Mode {mode + 1} of {posed[pose][0].name} contradicts the others and was "
+            "left out.",
+            "warning",
+        )
+    if not fit.identifiable.all():
+        lines += noted(
+            "Ring-downs in further poses, and of higher modes, show further joints."
+        )
+    return fit, lines
+
+
+def _draw_modes(
+    folder: pathlib.Path,
+    task: "ModeTask",
+    fits: list[Any],
+    damping: "JointDampingFit | None",
+) -> None:
+    """Write the figures."""
+    from ..io import RingDown
+    from ..viz import (
+        plot_frequency_response,
+        plot_joint_values,
+        plot_ring_down,
+        save_figure,
+    )
+
+    for i, (one, fit) in enumerate(zip(task.measured, fits, strict=True), 1):
+        number = f"_{i}" if len(fits) > 1 else ""
+        if isinstance(one, RingDown):
+            figure = plot_ring_down(one.time, one.signal, fit.fitted, title=one.name)
+            save_figure(figure, folder / f"ring_down{number}.png")
+            continue
+        figure = plot_frequency_response(
+            one.frequency,
+            one.response,
+            one.frequency[one.is_fitted],
+            fit.fitted,
+            unit=_UNITS[one.quantity],
+            modes=fit.frequencies,
+            title=one.name,
+        )
+        save_figure(figure, folder / f"frequency_response{number}.png")
+    if damping is not None and task.robot is not None:
+        figure = plot_joint_values(
+            task.robot.joint_names,
+            damping.damping,
+            damping.standard_errors,
+            np.asarray(task.robot.joint_damping, np.float64),
+            unit="damping [N m s/rad, N s/m]",
+        )
+        save_figure(figure, folder / "damping.png")

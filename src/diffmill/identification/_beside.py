@@ -1,0 +1,236 @@
+"""Records set beside their cuts: speed, window and time, so that a fit can begin."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from .._job import Job
+from ..cutter import AbstractCutter
+from ..cutting import LinearEdgeLaw
+from ._axes import AxesProposal, propose_axes
+from ._cut import Cut, EngagementColumns, at_times, cut_of, engagement_columns
+from ._harmonics import refine_spindle_speed
+from ._mean_force import NAMES
+from ._meet import Meeting, meet
+from ._steady import SETTLED, Side, steady_cut
+
+# Coefficients of a metal in proportion [Pa, N/m], where none are known.
+_USUAL = np.array([1000e6, 350e6, 100e6, 15e3, 15e3, 5e3])
+# Revolutions of a straight cut that are fitted, and teeth to which their number is
+# rounded up so that few sizes are compiled.
+_TURNS, _ROUND = 40, 32
+# Samples from which the axes are judged.
+_JUDGED = 8000
+# A nominal speed that is off by more is doubted.
+_SPEED_OFF = 0.03
+# Share of the largest force below which the tool counts as out of the cut.
+_CUTS = 0.02
+
+
+class Placed(NamedTuple):
+    """A record beside its cut, its axes as recorded.
+
+    Attributes:
+        cut: The cut, with a plan.
+        time: Instants on the clock of the cut, to a revolution or better [s],
+            shape (row,).
+        force: As recorded [N], shape (row, 3); NaN out of the cut.
+        offset: Clock of the cut minus clock of the record [s].
+        proposal: How the axes may lie.
+        meeting: How well the sizes of the forces agree over a job, or None.
+        spindle_speed: As used [rad/s].
+        notes: What was done or is doubtful, one sentence each.
+    """
+
+    cut: Cut
+    time: Float[np.ndarray, " row"]
+    force: Float[np.ndarray, "row 3"]
+    offset: float
+    proposal: AxesProposal
+    meeting: Meeting | None
+    spindle_speed: float
+    notes: tuple[str, ...]
+
+
+def place_on_steady_cut(
+    cutter: AbstractCutter,
+    spindle_speed: float,
+    feed_per_tooth: float,
+    axial_depth: float,
+    time: Float[np.ndarray, " row"],
+    force: Float[np.ndarray, "row 3"],
+    *,
+    radial_depth: float | None = None,
+    side: Side = "slot",
+    refines_speed: bool = True,
+    largest_feed: float | None = None,
+) -> Placed:
+    """Set the steady part of a record beside a straight cut.
+
+    Args:
+        cutter: The cutter.
+        spindle_speed: Nominal [rad/s].
+        feed_per_tooth: f_z [m].
+        axial_depth: a_p [m].
+        time: Instants of the steady part [s], shape (row,).
+        force: As recorded, without offset [N], shape (row, 3); NaN where not known.
+        radial_depth: a_e [m]; not for a slot.
+        side: "slot", "up" or "down".
+        refines_speed: Whether the speed is taken from the record.
+        largest_feed: See `steady_cut`.
+
+    Returns:
+        Its first 40 revolutions beside the cut.
+
+    Raises:
+        ValueError: Sizes that no straight cut has, or less than three revolutions.
+
+    **Differentiability**: runs on the host.
+    """
+    notes = []
+    known = np.isfinite(force).all(axis=1)
+    speed = spindle_speed
+    flutes = cutter.flute_count
+    if refines_speed and known.sum() > 16:
+        speed = refine_spindle_speed(
+            time[known], force[known], spindle_speed, flute_count=flutes
+        )
+        change = speed / spindle_speed - 1
+        if abs(change) > _SPEED_OFF:
+            notes.append(
+                f"The forces repeat at {speed * 30 / math.pi:.6g} rpm, {change:+.1%} "
+                "off the speed given, which was kept: look at speed and number of "
+                "teeth."
+            )
+            speed = spindle_speed
+        elif abs(change) > 1e-4:
+            notes.append(
+                f"The forces repeat at {speed * 30 / math.pi:.6g} rpm ({change:+.2%}), "
+                "which was used."
+            )
+    turn = 2 * math.pi / speed
+    turns = min(_TURNS, math.floor((float(time[-1] - time[0])) / turn + 1e-6))
+    if turns < 3:
+        raise ValueError(
+            f"The record must hold 3 revolutions of {turn:.4g} s, but lasts "
+            f"{float(time[-1] - time[0]):.4g} s."
+        )
+    keep = time <= time[0] + turns * turn
+    teeth = SETTLED + (turns + 2) * flutes + 1
+    teeth = _ROUND * math.ceil(teeth / _ROUND)
+    cut = cut_of(
+        steady_cut(
+            cutter,
+            speed,
+            feed_per_tooth,
+            axial_depth,
+            radial_depth=radial_depth,
+            side=side,
+            teeth=teeth,
+            largest_feed=largest_feed,
+        )
+    )
+    # A revolution of room, within which the fit looks for the shift.
+    offset = turn + SETTLED * cut.tooth_period - float(time[0])
+    when, seen = time[keep] + offset, force[keep]
+    proposal = _judge(engagement_columns(cut), when, seen, turn / 2, cut.tooth_period)
+    return Placed(cut, when, seen, offset, proposal, None, speed, tuple(notes))
+
+
+def place_on_job(
+    job: Job,
+    time: Float[np.ndarray, " row"],
+    force: Float[np.ndarray, "row 3"],
+    *,
+    time_shift: float | None = None,
+) -> Placed:
+    """Set a record beside the cut of a job.
+
+    Args:
+        job: The job; its desired path by a rigid machine.
+        time: Instants of the record [s], shape (row,).
+        force: As recorded, without offset [N], shape (row, 3); NaN where not known.
+        time_shift: Time of the job minus time of the record [s]; found by the sizes of
+            the forces if not given.
+
+    Returns:
+        The record beside the cut, samples out of the cut marked as not known.
+
+    Raises:
+        ValueError: The record does not meet the cut.
+        SimulationFailed: The cut could not be simulated.
+
+    **Differentiability**: runs on the host.
+    """
+    cut = cut_of(job)
+    found = engagement_columns(cut)
+    law = job.law
+    K = _USUAL
+    if isinstance(law, LinearEdgeLaw):
+        K = np.array([np.mean(np.asarray(getattr(law, name))) for name in NAMES])
+    meeting = None
+    if time_shift is None:
+        meeting = meet(found, K, time, force)
+        time_shift = meeting.shift
+    when = time + time_shift
+    turn = cut.tooth_period * cut.cutter.flute_count
+    is_cut = _is_cut(found, K, turn)
+    place = np.round((when - found.start) / found.spacing).astype(np.int64)
+    inside = (place >= 0) & (place < len(is_cut))
+    inside &= is_cut[np.clip(place, 0, len(is_cut) - 1)]
+    if inside.sum() < 12:
+        raise ValueError(
+            f"The record, {float(time[0]):g} to {float(time[-1]):g} s, holds "
+            f"{int(inside.sum())} samples while the job cuts: look at the time shift."
+        )
+    first, last = np.flatnonzero(inside)[[0, -1]]
+    when = when[first : last + 1]
+    seen = np.where(inside[:, None], force, np.nan)[first : last + 1]
+    proposal = _judge(found, when, seen, turn / 2, cut.tooth_period)
+    speed = 2 * math.pi / turn
+    return Placed(cut, when, seen, time_shift, proposal, meeting, speed, ())
+
+
+def _is_cut(found: EngagementColumns, K: np.ndarray, turn: float) -> np.ndarray:
+    """Return at which samples the tool cuts within a revolution."""
+    size = np.linalg.norm(found.columns @ K + found.constant, axis=1)
+    width = 2 * math.ceil(turn / found.spacing) + 1
+    cuts = (size > _CUTS * size.max(initial=0.0)).astype(np.float64)
+    return np.convolve(cuts, np.ones(width), mode="same") > 0.5
+
+
+def _judge(
+    found: EngagementColumns,
+    time: np.ndarray,
+    force: np.ndarray,
+    max_shift: float,
+    tooth_period: float,
+) -> AxesProposal:
+    """Return how the axes may lie, from the longest part without a gap."""
+    step = float(np.median(np.diff(time)))
+    known = np.asarray(np.isfinite(force).all(axis=1))
+    breaks = np.flatnonzero(np.diff(time) > 1.5 * step) + 1
+    best = np.zeros(0, np.int64)
+    for part in np.split(np.arange(len(time)), breaks):
+        rows = part[known[part]]
+        if rows.size > best.size:
+            # Few saturated samples within are no reason to give up: they become zero.
+            best = part[(part >= rows[0]) & (part <= rows[-1])]
+    middle = max(0, (best.size - _JUDGED) // 2)
+    best = best[middle : middle + _JUDGED]
+    # Not more samples than the angles have, or the shifts take long.
+    stride = max(1, int(tooth_period / (32 * step)))
+    best = best[::stride]
+    columns = at_times(found.columns, found.start, found.spacing, time[best])
+    columns = np.where(known[best][:, None, None], columns, 0.0)
+    seen = np.where(known[best][:, None], force[best], 0.0)
+    room = (best.size - 1) * step * stride / 4.2
+    return propose_axes(
+        seen,
+        columns,
+        1 / (step * stride),
+        max_shift=min(max_shift, room),
+        tooth_frequency=1 / tooth_period,
+    )

@@ -1,0 +1,303 @@
+"""Load tests as a table: joint positions, loads and displacements, one pose per row."""
+
+import pathlib
+import re
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from ..robot import Robot, forward_kinematics, with_drives, with_tool
+from . import _quantity as q
+from ._identification_schema import LoadTestsTable, RobotTable
+from ._identification_task import LoadTestTask
+from ._job_program import file_in_folder
+from ._job_robot import pose_matrix
+from ._job_robot_file import load_robot
+from ._job_schema import RobotTable as JobRobotTable
+from ._load_record import read_table
+from ._pose import parse_pose
+from ._record_error import RecordError
+from ._record_table import Table
+from ._table_columns import column_of
+
+_PARTS = r"[\s_.\-]*"
+_STIFFNESS = (q.ROTARY_STIFFNESS, q.LINEAR_STIFFNESS)
+# No joint turns so far [rad], and no load bends a robot so far [m].
+_LARGEST_ANGLE, _LARGEST_MOVE = 4 * np.pi, 0.1
+_DAMPING = (q.ROTARY_DAMPING, q.LINEAR_DAMPING)
+
+
+def read_tool_robot(
+    table: RobotTable,
+    folder: pathlib.Path,
+    problems: list[str],
+    notes: list[str],
+    *,
+    allow_outside: bool,
+    needs_mass: bool,
+) -> Robot | None:
+    """Return the robot of a measurement, or None with problems noted.
+
+    Args:
+        table: `[robot]`.
+        folder: Folder of the file.
+        problems: Receives what is wrong.
+        notes: Receives what is doubtful in a robot file.
+        allow_outside: Whether files may lie outside that folder.
+        needs_mass: Whether every joint must move a mass.
+    """
+    if (table.model is None) == (table.file is None):
+        problems.append(
+            "[robot]: exactly one of model and file (.toml or .urdf) is required"
+        )
+        return None
+    robot = load_robot(
+        JobRobotTable(
+            model=table.model, file=table.file, tool=table.tool, drives=table.drives
+        ),
+        folder,
+        problems,
+        notes,
+        allow_outside=allow_outside,
+        needs_mass=needs_mass,
+    )
+    if robot is None:
+        return None
+    values = {}
+    for key, kinds in (("joint_stiffness", _STIFFNESS), ("joint_damping", _DAMPING)):
+        texts = getattr(table, key)
+        if texts is None:
+            continue
+        values[key] = np.zeros(robot.joint_count)
+        if len(texts) != robot.joint_count:
+            problems.append(
+                f"[robot] {key}: found {len(texts)} values, but one per joint is "
+                f"required: {', '.join(robot.joint_names)}"
+            )
+            return None
+        for i, text in enumerate(texts):
+            try:
+                kind = kinds[int(robot.joint_kinds[i] == "prismatic")]
+                values[key][i] = q.quantity(text, kind)
+            except ValueError as error:
+                problems.append(f"[robot] {key}.{i} ({robot.joint_names[i]}): {error}")
+    robot = with_drives(
+        robot,
+        stiffness=values.get("joint_stiffness"),
+        damping=values.get("joint_damping"),
+    )
+    if table.tool_in_flange is not None:
+        robot = with_tool(robot, pose_matrix(table.tool_in_flange))
+    return robot
+
+
+def joint_positions(
+    texts: list[str] | None, robot: Robot | None, place: str, problems: list[str]
+) -> Float[np.ndarray, " joint"] | None:
+    """Return joint positions that the file gives, None if none or faulty."""
+    if texts is None:
+        return None
+    if robot is None:
+        problems.append(
+            f"{place} joint_positions: found beside no [robot], but it is required then"
+        )
+        return None
+    try:
+        return np.asarray(parse_pose(", ".join(texts), robot), np.float64)
+    except ValueError as error:
+        problems.append(f"{place} joint_positions: {error}")
+        return None
+
+
+def read_load_tests(
+    name: str,
+    table: LoadTestsTable,
+    robot: Robot,
+    folder: pathlib.Path,
+    problems: list[str],
+    notes: list[str],
+    *,
+    allow_outside: bool,
+) -> LoadTestTask | None:
+    """Return load tests in base axes, or None with problems noted.
+
+    Args:
+        name: The file that asks for it.
+        table: `[load_tests]`.
+        robot: The robot with its tool.
+        folder: Folder of the file.
+        problems: Receives what is wrong.
+        notes: What was assumed so far; is added to.
+        allow_outside: Whether the table may lie outside that folder.
+    """
+    place = "[load_tests] file"
+    path = file_in_folder(
+        table.file, place, folder, problems, allow_outside=allow_outside
+    )
+    if path is None:
+        return None
+    faults: list[str] = []
+    try:
+        found = read_table(path)
+        columns = _columns(found, table, robot, faults, notes)
+    except (RecordError, OSError) as error:
+        lines = error.faults if isinstance(error, RecordError) else (str(error),)
+        problems.extend(f"{place}: {path.name}: {line}" for line in lines)
+        return None
+    if columns is None or faults:
+        problems.extend(f"{place}: {path.name}: {line}" for line in faults)
+        return None
+    angles, load, moved = columns
+    notes.extend(found.notes)
+    whole = np.hstack([angles, load])
+    good = np.asarray(np.isfinite(whole).all(axis=1) & np.isfinite(moved).any(axis=1))
+    if not good.all():
+        lost = np.flatnonzero(~good) + 1
+        shown = ", ".join(map(str, lost[:10].tolist()))
+        more = ", ..." if lost.size > 10 else ""
+        notes.append(f"Rows {shown}{more} have empty cells and were left out.")
+    for row in table.skip_rows:
+        if row > len(good):
+            problems.append(
+                f"[load_tests] skip_rows: found {row}, but there are {len(good)} rows"
+            )
+            return None
+        good[row - 1] = False
+    if not good.any():
+        problems.append(f"{place}: {path.name}: found no complete row.")
+        return None
+    angles, load, moved = angles[good], load[good], moved[good]
+    load = _in_base(robot, angles, load, table.load_axes, table.load_frame)
+    moved = _in_base(
+        robot, angles, moved, table.displacement_axes, table.displacement_frame
+    )
+    return LoadTestTask(
+        name=name,
+        robot=robot,
+        q=angles,
+        wrench=np.pad(load, ((0, 0), (0, 6 - load.shape[1]))),
+        displacement=moved,
+        rows=tuple((np.flatnonzero(good) + 1).tolist()),
+        has_offset=table.has_offset,
+        noise=table.noise,
+        notes=tuple(notes),
+    )
+
+
+def _columns(
+    found: Table,
+    table: LoadTestsTable,
+    robot: Robot,
+    faults: list[str],
+    notes: list[str],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Return joint positions, loads and displacements as written, in SI units."""
+    wanted = dict(table.channels or {})
+    joints = [
+        (n, (q.LENGTH,) if kind == "prismatic" else (q.ANGLE,))
+        for n, kind in zip(robot.joint_names, robot.joint_kinds, strict=True)
+    ]
+    groups = {
+        "joint": [
+            (
+                name,
+                kinds,
+                rf"{re.escape(name)}|(q|j|a|theta|axis|joint|achse){_PARTS}{i}",
+            )
+            for i, (name, kinds) in enumerate(joints, 1)
+        ],
+        "force": [(f"F{a}", (q.FORCE,), _letter("f|force|kraft", a)) for a in "xyz"],
+        "moment": [
+            (f"M{a}", (q.MOMENT,), _letter("m|t|moment|torque", a)) for a in "xyz"
+        ],
+        "displacement": [
+            (f"d{a}", (q.LENGTH,), _letter("d|u|delta|defl|deflection|disp\\w*", a))
+            for a in "xyz"
+        ],
+        "rotation": [
+            (f"r{a}", (q.ANGLE,), _letter("r|dr|rot|rotation|phi", a)) for a in "xyz"
+        ],
+    }
+    known = {key for group in groups.values() for key, _, _ in group}
+    for key in wanted:
+        if key not in known:
+            faults.append(
+                f"found the channel `{key}`; allowed are {', '.join(sorted(known))}."
+            )
+    for key in table.units:
+        if key not in groups:
+            faults.append(
+                f"found the unit of `{key}`; allowed are {', '.join(groups)}."
+            )
+    values, missing = {}, []
+    for name, group in groups.items():
+        unit = table.units.get(name)
+        parts = {
+            key: column_of(found, key, kinds, pattern, wanted, faults, notes, unit)
+            for key, kinds, pattern in group
+        }
+        given = {key: part for key, part in parts.items() if part is not None}
+        lost = [key for key in parts if key not in given]
+        is_optional = name in ("moment", "rotation")
+        if lost and (given or not is_optional):
+            missing.extend(lost)
+        elif given:
+            values[name] = np.column_stack(list(given.values()))
+    if missing and not faults:
+        names = ", ".join(f"`{column.name}`" for column in found.columns)
+        faults.append(
+            f"found no column for {', '.join(missing)} among {names}; name it with "
+            "`channels`."
+        )
+    if faults:
+        return None
+    _check_sizes(robot, values, faults)
+    load = [values[n] for n in ("force", "moment") if n in values]
+    moved = [values[n] for n in ("displacement", "rotation") if n in values]
+    return values["joint"], np.hstack(load), np.hstack(moved)
+
+
+def _letter(words: str, axis: str) -> str:
+    return rf"({words}){_PARTS}{axis}|{axis}{_PARTS}({words})"
+
+
+def _check_sizes(
+    robot: Robot, values: dict[str, np.ndarray], faults: list[str]
+) -> None:
+    """Note numbers that only another unit explains."""
+    turning = np.array([kind != "prismatic" for kind in robot.joint_kinds])
+    angle = float(np.nanmax(np.abs(values["joint"][:, turning]), initial=0.0))
+    moved = float(np.nanmedian(np.abs(values["displacement"])))
+    for what, size, limit, unit, wrong in (
+        ("joint", angle, _LARGEST_ANGLE, "rad", "deg"),
+        ("displacement", moved, _LARGEST_MOVE, "m", "mm"),
+    ):
+        if size > limit:
+            faults.append(
+                f"the columns of `{what}` hold {size:.4g} {unit}, which no load test "
+                f"has; give the unit in the header, or by `units`, such as "
+                f'{{ {what} = "{wrong}" }}.'
+            )
+
+
+def _in_base(
+    robot: Robot,
+    angles: np.ndarray,
+    vectors: np.ndarray,
+    axes: list[str] | None,
+    frame: str,
+) -> np.ndarray:
+    """Return vectors with the axes exchanged, turned from the tool into base."""
+    parts = vectors.reshape(len(vectors), -1, 3)
+    if axes is not None:
+        signs = np.array([-1.0 if name.startswith("-") else 1.0 for name in axes])
+        order = ["xyz".index(name[-1]) for name in axes]
+        parts = parts[:, :, order] * signs[None, None]
+    if frame == "tool":
+        poses = jax.vmap(lambda row: forward_kinematics(robot, row))(
+            np.asarray(angles, robot.dtype)
+        )
+        R = np.asarray(poses, np.float64)[:, :3, :3]
+        parts = np.einsum("pij,pkj->pki", R, parts)
+    return parts.reshape(vectors.shape)

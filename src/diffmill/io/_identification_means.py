@@ -1,0 +1,178 @@
+"""Mean forces over the feed: from a table, or of records of one feed each."""
+
+import numpy as np
+
+from ._identification_records import Context, check_straight
+from ._identification_schema import MeansTable
+from ._identification_task import (
+    ForceRecord,
+    ForceSettings,
+    MeanForceTask,
+    StraightCut,
+)
+from ._job_program import file_in_folder
+from ._load_record import read_table
+from ._quantity import FORCE, LENGTH
+from ._record_error import RecordError
+from ._table_columns import column_of
+
+_FEED = r"f_?z|feed|feed[ _]?per[ _]?tooth|vorschub|zahnvorschub"
+
+
+def mean_force_task(
+    name: str,
+    table: MeansTable | None,
+    records: tuple[ForceRecord, ...],
+    rest: tuple[Context, ForceSettings, bool],
+    problems: list[str],
+) -> MeanForceTask | None:
+    """Return mean forces of a table, or of records; None with problems noted.
+
+    Args:
+        name: The file that asks for it.
+        table: `[means]`, or None.
+        records: The records, each with a feed.
+        rest: What the records share, the settings, and whether records were given.
+        problems: Receives what is wrong.
+    """
+    context, settings, has_records = rest
+    if (table is None) != has_records:
+        found = "neither" if table is None else "both"
+        problems.append(
+            f"[means], [[record]]: found {found}, but exactly one of a table of means "
+            "and of records with a feed each is required"
+        )
+        return None
+    if context.cutter is None or context.cut is None:
+        return None
+    if table is None:
+        cuts = [r.process for r in records if isinstance(r.process, StraightCut)]
+        feeds = np.array([cut.feed_per_tooth for cut in cuts])
+        parts = [_inside(record) for record in records]
+        force = np.array([part.mean(axis=0) for part in parts]).reshape(-1, 3)
+        alike = {cut._replace(feed_per_tooth=0.0)[2:5] for cut in cuts}
+        if len(alike) > 1:
+            problems.append(
+                "[[record]]: found different depths or sides, but mean forces over the "
+                'feed need one cut; kind = "force_records" fits them jointly'
+            )
+            return None
+    else:
+        both = _mean_table(table, context, problems)
+        if both is None:
+            return None
+        feeds, force = both
+    if problems:
+        return None
+    if np.unique(feeds).size < 2 or not np.all(feeds > 0):
+        problems.append(
+            f"[means] feed_per_tooth: found {np.unique(feeds).size} different feeds, "
+            "but at least two above 0 are required for a line"
+        )
+        return None
+    cut = StraightCut(
+        context.cutter,
+        context.speed,
+        context.cut.axial_depth,
+        context.cut.radial_depth,
+        context.cut.side,
+        float(feeds.max()),
+    )
+    if records and isinstance(records[0].process, StraightCut):
+        cut = records[0].process
+    if not check_straight(cut, "[cut]", problems):
+        return None
+    order = np.argsort(feeds, kind="stable")
+    sorted_records = tuple(records[i] for i in order) if records else ()
+    return MeanForceTask(
+        name, cut, feeds[order], force[order], sorted_records, settings
+    )
+
+
+def _inside(record: ForceRecord) -> np.ndarray:
+    """Return the forces of a record over whole revolutions of its cut."""
+    cut = record.process
+    time, force = record.record.time, record.record.force
+    stop = record.stop
+    if isinstance(cut, StraightCut) and cut.spindle_speed is not None:
+        turn = 2 * np.pi / cut.spindle_speed
+        stop = record.start + turn * np.floor((stop - record.start) / turn + 1e-6)
+    return force[(time >= record.start) & (time < stop)]
+
+
+def _mean_table(
+    table: MeansTable, context: Context, problems: list[str]
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return feeds and forces of `[means]`, or None with problems noted."""
+    keys = ("feed_per_tooth", "Fx", "Fy", "Fz")
+    given = [key for key in keys if getattr(table, key) is not None]
+    if table.file is None:
+        lost = [key for key in keys if key not in given]
+        counts = {key: len(getattr(table, key)) for key in given}
+        if lost:
+            problems.append(
+                f"[means]: found no {', '.join(lost)}, but a file is required, or "
+                f"{', '.join(keys)}"
+            )
+            return None
+        if len(set(counts.values())) > 1:
+            found = ", ".join(f"{key} {count}" for key, count in counts.items())
+            problems.append(f"[means]: found lists of different lengths: {found}")
+            return None
+        values = {key: np.array(getattr(table, key)) for key in keys}
+    else:
+        if given:
+            problems.append(
+                f"[means] file: found beside {', '.join(given)}; only one is allowed"
+            )
+            return None
+        found = _mean_file(table, context, problems)
+        if found is None:
+            return None
+        values = found
+    force = np.column_stack([values[key] for key in keys[1:]])
+    good = np.isfinite(force).all(axis=1) & np.isfinite(values["feed_per_tooth"])
+    return values["feed_per_tooth"][good], force[good]
+
+
+def _mean_file(
+    table: MeansTable, context: Context, problems: list[str]
+) -> dict[str, np.ndarray] | None:
+    """Return the columns of a table of mean forces."""
+    assert table.file is not None
+    place = "[means] file"
+    path = file_in_folder(
+        table.file, place, context.folder, problems, allow_outside=context.allow_outside
+    )
+    if path is None:
+        return None
+    faults: list[str] = []
+    wanted = dict(table.channels or {})
+    patterns = {
+        "feed_per_tooth": (LENGTH, _FEED),
+        **{
+            f"F{a}": (FORCE, rf"(mean[ _]?)?(f|force|kraft)[\s_.\-]*{a}([ _]?mean)?")
+            for a in "xyz"
+        },
+    }
+    values = {}
+    try:
+        found = read_table(path)
+        notes: list[str] = []
+        for key, (kind, pattern) in patterns.items():
+            column = column_of(found, key, (kind,), pattern, wanted, faults, notes)
+            if column is not None:
+                values[key] = column
+        unitless = [n for n in notes if "taken in m" in n]
+        if unitless and values["feed_per_tooth"].max() > 0.01:
+            faults.append(
+                "the feed has no unit and is larger than 10 mm in m: write its unit in "
+                "the header, such as `fz_mm`."
+            )
+    except (RecordError, OSError) as error:
+        faults = [str(error)]
+    lost = [key for key in patterns if key not in values]
+    if lost and not faults:
+        faults.append(f"found no column for {', '.join(lost)}; name it by `channels`.")
+    problems.extend(f"{place}: {table.file}: {fault}" for fault in faults)
+    return None if faults else values

@@ -1,0 +1,430 @@
+"""Records of forces made ready: read, tared, the cut in them found."""
+
+import dataclasses
+import math
+import pathlib
+from typing import NamedTuple
+
+from .._job import Job
+from ..cutter import AbstractCutter
+from ..identification import (
+    CutSpan,
+    Record,
+    find_cuts,
+    immersion,
+    parts_between_gaps,
+    remove_drift,
+    remove_offset,
+    section,
+)
+from ._identification_schema import CutTable, RecordTable
+from ._identification_task import ForceRecord, StraightCut
+from ._job_program import file_in_folder
+from ._load_job import JobError, load_job
+from ._load_record import load_record
+from ._record_error import RecordError
+
+# Records are longer than programs [byte].
+LARGEST_RECORD = 2_000_000_000
+# Names of the forces that are allowed beside those of `load_record`.
+_ALIASES = {"force_x": "Fx", "force_y": "Fy", "force_z": "Fz"}
+# Shortest section that a tare is taken from, in tooth periods and samples.
+_TARE_PERIODS, _TARE_SAMPLES = 4.0, 20
+# Revolutions that a fit needs at least.
+_LEAST_TURNS = 3.0
+# Cuts that are listed in a message at most.
+_LISTED = 8
+
+
+class Context(NamedTuple):
+    """What the records of a file share.
+
+    Attributes:
+        folder: Folder of the file.
+        allow_outside: Whether files may lie outside of it.
+        cutter: Of `[cutter]`, or None.
+        speed: Of `[spindle]` [rad/s], or None.
+        cut: `[cut]`, or None.
+        jobs: Jobs that have been loaded, by path; None after a fault.
+    """
+
+    folder: pathlib.Path
+    allow_outside: bool
+    cutter: AbstractCutter | None
+    speed: float | None
+    cut: CutTable | None
+    jobs: dict[pathlib.Path, Job | None]
+
+
+def read_force_record(
+    table: RecordTable, place: str, context: Context, problems: list[str]
+) -> ForceRecord | None:
+    """Return a record ready to be fitted, or None with problems noted.
+
+    Args:
+        table: Its checked entry.
+        place: What a line calls the entry, such as "[[record]] 1".
+        context: What the records share.
+        problems: Receives what is wrong.
+    """
+    process = _process(table, place, context, problems)
+    path = file_in_folder(
+        table.file,
+        f"{place} file",
+        context.folder,
+        problems,
+        allow_outside=context.allow_outside,
+        largest=LARGEST_RECORD,
+    )
+    if path is None:
+        return None
+    record = read_record(path, table, place, problems)
+    if record is None or process is None:
+        return None
+    return ready(record, process, table, place, problems)
+
+
+def read_record(
+    path: pathlib.Path, table: RecordTable, place: str, problems: list[str]
+) -> Record | None:
+    """Return the record of a file, or None with problems noted."""
+    channels = {_ALIASES.get(k, k): v for k, v in (table.channels or {}).items()}
+    try:
+        return load_record(path, channels, table.rate)
+    except RecordError as error:
+        problems.extend(f"{place} file: {path.name}: {f}" for f in error.faults)
+        return None
+
+
+def ready(
+    record: Record,
+    process: Job | StraightCut,
+    table: RecordTable,
+    place: str,
+    problems: list[str],
+) -> ForceRecord | None:
+    """Return a record with its cut found and its tare removed.
+
+    Args:
+        record: The record as read.
+        process: What was cut.
+        table: Its checked entry.
+        place: What a line calls the entry.
+        problems: Receives what is wrong.
+    """
+    tooth, turn = _periods(process, record)
+    if record.rate * tooth < 4:
+        problems.append(
+            f"{place} file: found {record.rate:g} samples per second, but at least "
+            f"{4 / tooth:g} are required: four per tooth"
+        )
+        return None
+    cuts, are_found = _cuts(record, tooth)
+    notes = list(record.notes)
+    count = len(problems)
+    span = _span(record, process, table, (cuts, are_found), place, problems)
+    if span is None:
+        return None
+    try:
+        tared = _tared(record, table, (cuts if are_found else [], span), tooth, notes)
+        start, stop = _trimmed(process, table, span, record, notes)
+        used = section(tared, start, stop)
+    except ValueError as error:
+        problems.append(f"{place}: {error}")
+        return None
+    if isinstance(process, StraightCut) and stop - start < _LEAST_TURNS * turn:
+        problems.append(
+            f"{place}: found {stop - start:.4g} s of steady cut, but at least "
+            f"{_LEAST_TURNS:g} revolutions, {_LEAST_TURNS * turn:.4g} s, are required"
+        )
+    if len(problems) > count:
+        return None
+    number = f", cut {table.cut}" if isinstance(table.cut, int) else ""
+    return ForceRecord(
+        name=f"{pathlib.PurePath(table.file).name}{number}",
+        record=tared,
+        process=process,
+        start=start,
+        stop=stop,
+        time_shift=table.time_shift,
+        is_saturated=bool(used.is_saturated.any()),
+        notes=tuple(notes),
+    )
+
+
+def _periods(process: Job | StraightCut, record: Record) -> tuple[float, float]:
+    """Return tooth period and revolution [s]; of a record without speed, samples."""
+    if isinstance(process, Job):
+        tooth, flutes = float(process.tooth_period), process.cutter.flute_count
+    elif process.spindle_speed is None:
+        tooth, flutes = 4 / record.rate, 1
+    else:
+        flutes = process.cutter.flute_count
+        tooth = 2 * math.pi / (process.spindle_speed * flutes)
+    return tooth, tooth * flutes
+
+
+def _process(
+    table: RecordTable, place: str, context: Context, problems: list[str]
+) -> Job | StraightCut | None:
+    """Return what was cut."""
+    sizes = [k for k in _SIZES if getattr(table, k) is not None]
+    if table.job is not None:
+        if sizes:
+            problems.append(
+                f"{place} job: found beside {', '.join(sizes)}, but a job says all of "
+                "that: only one of both is allowed"
+            )
+            return None
+        return _job(table.job, place, context, problems)
+    if context.cutter is None or (context.cut is None and table.axial_depth is None):
+        problems.append(
+            f"{place}: found no job, but it is required, or the tables [cutter], "
+            "[spindle] and [cut] of a straight cut"
+        )
+        return None
+    if table.feed_per_tooth is None:
+        problems.append(
+            f"{place} feed_per_tooth: found nothing, but it is required for a straight "
+            'cut: a length, such as "0.1 mm"'
+        )
+        return None
+    cut = context.cut
+    side = table.side or (cut.side if cut is not None else "slot")
+    width = table.radial_depth or (cut.radial_depth if cut is not None else None)
+    depth = table.axial_depth or (cut.axial_depth if cut is not None else None)
+    assert depth is not None
+    straight = StraightCut(
+        context.cutter,
+        table.speed or context.speed,
+        depth,
+        width,
+        side,
+        table.feed_per_tooth,
+    )
+    return straight if check_straight(straight, place, problems) else None
+
+
+_SIZES = ("feed_per_tooth", "axial_depth", "radial_depth", "side", "speed")
+
+
+def check_straight(cut: StraightCut, place: str, problems: list[str]) -> bool:
+    """Note sizes that no straight cut has; return whether there are none."""
+    diameter = 2 * float(cut.cutter.nominal_radius)
+    count = len(problems)
+    if cut.axial_depth > float(cut.cutter.flute_length):
+        problems.append(
+            f"{place} axial_depth: found {cut.axial_depth * 1e3:g} mm; at most the "
+            f"flute length, {float(cut.cutter.flute_length) * 1e3:g} mm, is allowed"
+        )
+    if cut.feed_per_tooth >= diameter / 4:
+        problems.append(
+            f"{place} feed_per_tooth: found {cut.feed_per_tooth * 1e3:g} mm; less than "
+            f"a quarter of the diameter, {diameter * 250:g} mm, is required"
+        )
+    if (cut.radial_depth is None) != (cut.side == "slot"):
+        found = "nothing" if cut.radial_depth is None else "a radial depth"
+        problems.append(
+            f'{place} radial_depth: found {found} beside side = "{cut.side}"; it is '
+            'required for "up" and "down" and not allowed for "slot"'
+        )
+    else:
+        try:
+            immersion(diameter, cut.radial_depth, cut.side)  # pyright: ignore[reportArgumentType]
+        except ValueError:
+            width = (cut.radial_depth or 0) * 1e3
+            problems.append(
+                f"{place} radial_depth: found {width:g} mm; at most the diameter, "
+                f"{diameter * 1e3:g} mm, is allowed"
+            )
+    return len(problems) == count
+
+
+def _job(name: str, place: str, context: Context, problems: list[str]) -> Job | None:
+    """Return the job that says what was cut; its faults are noted once."""
+    path = file_in_folder(
+        name,
+        f"{place} job",
+        context.folder,
+        problems,
+        allow_outside=context.allow_outside,
+    )
+    if path is None:
+        return None
+    if path not in context.jobs:
+        context.jobs[path] = None
+        try:
+            context.jobs[path] = load_job(path, allow_outside=context.allow_outside)
+        except JobError as error:
+            problems.extend(f"{place} job: {name}: {line}" for line in error.problems)
+    return context.jobs[path]
+
+
+def _cuts(record: Record, tooth: float) -> tuple[list[CutSpan], bool]:
+    """Return the cuts in a record, and whether quiet parts lie beside them."""
+    cuts = find_cuts(record, tooth_frequency=1 / tooth)
+    if not cuts:
+        cuts = find_cuts(record)
+    parts = parts_between_gaps(record)
+    whole = [
+        CutSpan(float(record.time[p.start]), float(record.time[p.stop - 1]))
+        for p in parts
+    ]
+    if not cuts or cuts == whole:
+        first, last = float(record.time[0]), float(record.time[-1])
+        return [CutSpan(first, last)], False
+    return cuts, True
+
+
+def _span(
+    record: Record,
+    process: Job | StraightCut,
+    table: RecordTable,
+    found: tuple[list[CutSpan], bool],
+    place: str,
+    problems: list[str],
+) -> CutSpan | None:
+    """Return the part of the record that belongs to the cut."""
+    cuts, are_found = found
+    first, last = float(record.time[0]), float(record.time[-1])
+    if table.start is not None or table.stop is not None:
+        start = first if table.start is None else max(table.start, first)
+        stop = last if table.stop is None else min(table.stop, last)
+        if start >= stop:
+            problems.append(
+                f"{place} start, stop: found {start:g} s and {stop:g} s, but a part "
+                f"within {first:g} s to {last:g} s is required"
+            )
+            return None
+        return CutSpan(start, stop)
+    if isinstance(table.cut, int):
+        if table.cut > len(cuts):
+            problems.append(
+                f"{place} cut: found {table.cut}, but the record has {_cuts_text(cuts)}"
+            )
+            return None
+        return cuts[table.cut - 1]
+    if isinstance(process, Job):
+        # A job may be idle between cuts, and what is before the first is quiet.
+        return CutSpan(first, last)
+    if len(cuts) > 1 and table.cut != "all":
+        problems.append(
+            f"{place} cut: found nothing, but the record has {_cuts_text(cuts)}; name "
+            "one by its number, an entry for each, or give start and stop"
+        )
+        return None
+    return CutSpan(cuts[0].start, cuts[-1].stop) if are_found else cuts[0]
+
+
+def _cuts_text(cuts: list[CutSpan]) -> str:
+    shown = ", ".join(
+        f"{i} from {cut.start:.4g} to {cut.stop:.4g} s"
+        for i, cut in enumerate(cuts[:_LISTED], 1)
+    )
+    more = ", ..." if len(cuts) > _LISTED else ""
+    return f"{len(cuts)} cut{'s' * (len(cuts) > 1)} ({shown}{more})"
+
+
+def _tared(
+    record: Record,
+    table: RecordTable,
+    found: tuple[list[CutSpan], CutSpan],
+    tooth: float,
+    notes: list[str],
+) -> Record:
+    """Return the record less its offset and drift, and note what was done."""
+    if table.tare == "none":
+        return record
+    if table.tare is not None:
+        before = (table.tare[0], table.tare[1])
+        if isinstance(table.tare_after, list):
+            return remove_drift(
+                record, before, (table.tare_after[0], table.tare_after[1])
+            )
+        return remove_offset(record, *before)
+    cuts, span = found
+    before, after = _quiet(record, cuts, span, tooth)
+    if before is not None and after is not None:
+        notes.append(
+            f"Offset and drift were taken from {before[0]:.4g} to {before[1]:.4g} s "
+            f"and {after[0]:.4g} to {after[1]:.4g} s, where nothing is cut."
+        )
+        return remove_drift(record, before, after)
+    one = before or after
+    if one is None:
+        notes.append(
+            "No section without a cut was found: no offset was removed, and one that "
+            "the record has goes into the edge coefficients. Name one by `tare`."
+        )
+        return record
+    notes.append(
+        f"The offset was taken from {one[0]:.4g} to {one[1]:.4g} s, where nothing is "
+        "cut."
+    )
+    return remove_offset(record, *one)
+
+
+def _quiet(
+    record: Record, cuts: list[CutSpan], span: CutSpan, tooth: float
+) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
+    """Return the sections without a cut before and after a part of the record."""
+    if not cuts:
+        return None, None
+    guard = 2 * _TARE_PERIODS * tooth
+    least = max(_TARE_PERIODS * tooth, _TARE_SAMPLES / record.rate)
+    first, last = float(record.time[0]), float(record.time[-1])
+    inside = [c for c in cuts if c.stop > span.start and c.start < span.stop] or cuts
+    begin, end = inside[0].start, inside[-1].stop
+    earlier = max([c.stop for c in cuts if c.stop < begin], default=None)
+    later = min([c.start for c in cuts if c.start > end], default=None)
+    before = (first if earlier is None else earlier + guard, begin - guard)
+    after = (end + guard, last if later is None else later - guard)
+    sections = []
+    for a, b in (before, after):
+        count = int(((record.time >= a) & (record.time <= b)).sum())
+        is_long = b - a >= least and count >= _TARE_SAMPLES
+        sections.append((a, b) if is_long else None)
+    return sections[0], sections[1]
+
+
+def _trimmed(
+    process: Job | StraightCut,
+    table: RecordTable,
+    span: CutSpan,
+    record: Record,
+    notes: list[str],
+) -> tuple[float, float]:
+    """Return the part of a straight cut where the tool is fully engaged."""
+    start, stop = span
+    speed = getattr(process, "spindle_speed", None)
+    is_chosen = table.start is not None or table.stop is not None
+    if isinstance(process, Job) or speed is None or is_chosen:
+        return start, stop
+    # The tool is in full engagement once its axis has passed the edge of the stock.
+    feed = process.feed_per_tooth * process.cutter.flute_count * speed / (2 * math.pi)
+    travel = 1.1 * float(process.cutter.nominal_radius) / feed
+    step = 2 / record.rate
+    ends = []
+    if start > record.time[0] + step:
+        start, ends = start + travel, ["entry"]
+    if stop < record.time[-1] - step:
+        stop, ends = stop - travel, [*ends, "exit"]
+    if ends:
+        notes.append(
+            f"{travel:.4g} s were left out at {' and '.join(ends)}, while the tool is "
+            "not fully engaged."
+        )
+    if start >= stop:
+        raise ValueError(
+            f"found a cut of {span.stop - span.start:.4g} s, but {len(ends)} x "
+            f"{travel:.4g} s pass until a tool of this radius is fully engaged; look "
+            "at feed, speed and diameter, or give start and stop"
+        )
+    return float(start), float(stop)
+
+
+def with_name(record: ForceRecord, name: str) -> ForceRecord:
+    """Return a record by another name."""
+    return record._replace(
+        name=name, record=dataclasses.replace(record.record, source=name)
+    )

@@ -1,0 +1,290 @@
+"""The tables of a file for `diffmill identify`: which keys there are, what they hold.
+
+`kind` says what was measured; it decides which tables there are. Every table is
+checked on its own, so that a fault in one does not hide those of the others.
+"""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, StrictBool, StrictInt, StrictStr
+
+from ._job_cutter import CutterTable
+from ._job_fields import (
+    Damping,
+    Force,
+    Frequency,
+    PositiveLength,
+    PositiveTime,
+    SpindleSpeed,
+    Stiffness,
+    Time,
+)
+from ._job_schema import PoseTable, SpindleTable
+from ._job_table import Table, validated
+
+AXES = ("x", "y", "z", "-x", "-y", "-z")
+
+
+def _axes(value: object) -> object:
+    """Return three signed axes that are all different."""
+    if isinstance(value, list) and len(value) == 3:
+        names = [str(name).lstrip("+") for name in value]
+        if sorted(name.lstrip("-") for name in names) == ["x", "y", "z"]:
+            return names
+    raise ValueError(
+        f"found {value!r}, but for x, y, z of the work the recorded axis is required, "
+        'each once and with a minus if mirrored, such as ["-y", "x", "z"]'
+    )
+
+
+def _axes_or_proposed(value: object) -> object:
+    """Return three signed axes, or the word for the likeliest ones."""
+    if value == "proposed":
+        return value
+    try:
+        return _axes(value)
+    except ValueError as error:
+        raise ValueError(f'{error}; or "proposed" for the likeliest') from None
+
+
+def _channels(value: object) -> object:
+    """Return names or numbers of columns by quantity; "none" becomes None."""
+    if not isinstance(value, dict):
+        raise ValueError(
+            f"found {value!r}, but a table is required, such as "
+            '{ time = "t", Fx = "Ch1", Fy = "Ch2", Fz = 4 }'
+        )
+    found: dict[str, str | int | None] = {}
+    for key, column in value.items():
+        if isinstance(column, bool) or not isinstance(column, str | int):
+            raise ValueError(
+                f"found {column!r} for {key}, but the name of a column, its number "
+                'from 1, or "none" is required'
+            )
+        found[key] = None if column == "none" else column
+    return found
+
+
+def _span(value: object) -> object:
+    """Return the two ends of a section, or the word for no section."""
+    if value == "none" or (isinstance(value, list) and len(value) == 2):
+        return value
+    raise ValueError(
+        f'found {value!r}, but begin and end are required, such as ["0 s", "0.5 s"], '
+        'or "none"'
+    )
+
+
+def _cut_number(value: object) -> object:
+    """Return the number of a cut from 1, or the word for all."""
+    is_number = isinstance(value, int) and not isinstance(value, bool) and value > 0
+    if value == "all" or is_number:
+        return value
+    raise ValueError(
+        f'found {value!r}, but the number of a cut from 1, or "all", is required'
+    )
+
+
+Axes = Annotated[list[str], BeforeValidator(_axes)]
+AxesOrProposed = Annotated[list[str] | str, BeforeValidator(_axes_or_proposed)]
+Channels = Annotated[dict[str, str | int | None], BeforeValidator(_channels)]
+Span = Annotated[list[Time] | Literal["none"], BeforeValidator(_span)]
+CutNumber = Annotated[int | Literal["all"], BeforeValidator(_cut_number)]
+File = Annotated[StrictStr, Field(min_length=1)]
+Side = Literal["slot", "up", "down"]
+
+
+class CutTable(Table):
+    """`[cut]`: the straight cuts that were made."""
+
+    axial_depth: PositiveLength = Field(description='a length, such as "3 mm"')
+    radial_depth: PositiveLength | None = None
+    side: Side = "slot"
+
+
+class RecordTable(Table):
+    """An entry of `[[record]]`."""
+
+    file: File = Field(description='a file of measured forces, such as "cut1.csv"')
+    channels: Channels | None = None
+    rate: Frequency | None = None
+    job: File | None = None
+    feed_per_tooth: PositiveLength | None = None
+    axial_depth: PositiveLength | None = None
+    radial_depth: PositiveLength | None = None
+    side: Side | None = None
+    speed: SpindleSpeed | None = None
+    start: Time | None = None
+    stop: Time | None = None
+    cut: CutNumber | None = None
+    tare: Span | None = None
+    tare_after: Span | None = None
+    time_shift: Time | None = None
+
+
+class FitTable(Table):
+    """`[fit]`: how forces are fitted."""
+
+    axes: AxesOrProposed | None = None
+    loss: Literal["squares", "huber", "tukey"] = "huber"
+    refine: list[Literal["runout", "radius"]] = Field(default_factory=list)
+    shift_range: PositiveTime | None = None
+    refine_speed: StrictBool = True
+
+
+class MeansTable(Table):
+    """`[means]`: mean forces over the feed, in the file or in another one."""
+
+    file: File | None = None
+    channels: Channels | None = None
+    feed_per_tooth: list[PositiveLength] | None = None
+    Fx: list[Force] | None = None
+    Fy: list[Force] | None = None
+    Fz: list[Force] | None = None
+
+
+class RobotTable(Table):
+    """`[robot]` of a measurement: no place of a workpiece."""
+
+    model: StrictStr | None = None
+    file: StrictStr | None = None
+    tool: StrictStr | None = None
+    drives: File | None = None
+    joint_stiffness: list[Stiffness] | None = None
+    joint_damping: list[Damping] | None = None
+    tool_in_flange: PoseTable | None = None
+
+
+class LoadTestsTable(Table):
+    """`[load_tests]`."""
+
+    file: File = Field(description='a table with one pose per row, such as "loads.csv"')
+    channels: Channels | None = None
+    load_axes: Axes | None = None
+    displacement_axes: Axes | None = None
+    load_frame: Literal["base", "tool"] = "base"
+    displacement_frame: Literal["base", "tool"] = "base"
+    units: dict[StrictStr, StrictStr] = Field(default_factory=dict)
+    has_offset: StrictBool = False
+    noise: Literal["absolute", "relative"] | None = None
+    skip_rows: list[Annotated[StrictInt, Field(ge=1)]] = Field(default_factory=list)
+
+
+class RingDownTable(Table):
+    """An entry of `[[ring_down]]`."""
+
+    file: File = Field(description='a file of a free vibration, such as "hit1.csv"')
+    channels: Channels | None = None
+    rate: Frequency | None = None
+    start: Time | None = None
+    stop: Time | None = None
+    modes: Annotated[StrictInt, Field(ge=1, le=20)] | None = None
+    frequencies: list[Frequency] | None = None
+    joint_positions: list[StrictStr] | None = None
+
+
+class FrequencyResponseTable(Table):
+    """An entry of `[[frequency_response]]`."""
+
+    file: File = Field(description='a file of a frequency response, such as "frf.csv"')
+    channels: Channels | None = None
+    quantity: Literal["receptance", "mobility", "accelerance"] = "receptance"
+    lowest: Frequency | None = None
+    highest: Frequency | None = None
+    modes: Annotated[StrictInt, Field(ge=1, le=20)] | None = None
+    frequencies: list[Frequency] | None = None
+    joint_positions: list[StrictStr] | None = None
+
+
+# Tables of each kind: those required, and those allowed besides. A star marks lists.
+KINDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "mean_forces": (("cutter", "cut"), ("means", "record*", "spindle", "fit")),
+    "force_records": (("record*",), ("cutter", "spindle", "cut", "fit")),
+    "load_tests": (("robot", "load_tests"), ()),
+    "ring_down": (("ring_down*",), ("robot",)),
+    "frequency_response": (("frequency_response*",), ("robot",)),
+}
+_TABLES: dict[str, type[Table]] = {
+    "cutter": CutterTable,
+    "spindle": SpindleTable,
+    "cut": CutTable,
+    "record": RecordTable,
+    "fit": FitTable,
+    "means": MeansTable,
+    "robot": RobotTable,
+    "load_tests": LoadTestsTable,
+    "ring_down": RingDownTable,
+    "frequency_response": FrequencyResponseTable,
+}
+
+
+def read_identification_tables(
+    raw: dict[str, Any], problems: list[str]
+) -> tuple[str | None, dict[str, Any]]:
+    """Check all tables of a file for `diffmill identify`.
+
+    Args:
+        raw: The parsed TOML.
+        problems: Receives a line for everything that is wrong.
+
+    Returns:
+        The kind, None if unknown; and the tables without a fault by name, lists of
+        tables as lists.
+    """
+    kind = raw.get("kind")
+    if kind not in KINDS:
+        found = "nothing" if kind is None else repr(kind)
+        allowed = ", ".join(f'"{name}"' for name in KINDS)
+        problems.append(
+            f"kind: found {found}, but one of {allowed} is required: what was measured"
+        )
+        return None, {}
+    required, optional = KINDS[kind]
+    names = [name.rstrip("*") for name in (*required, *optional)]
+    lists = {name.rstrip("*") for name in (*required, *optional) if "*" in name}
+    for name in raw:
+        if name != "kind" and name not in names:
+            allowed = ", ".join(_shown(name, lists) for name in names)
+            problems.append(
+                f"{name}: found an unknown table or key; allowed for "
+                f'kind = "{kind}": {allowed}'
+            )
+    tables: dict[str, Any] = {}
+    for name in names:
+        if name not in raw:
+            if name in (one.rstrip("*") for one in required):
+                problems.append(
+                    f"{_shown(name, lists)}: found no such table, but it is required"
+                )
+            elif name == "fit":
+                tables[name] = FitTable()
+            continue
+        if name not in lists:
+            table = validated(_TABLES[name], raw[name], f"[{name}]", problems)
+            if table is not None:
+                tables[name] = table
+            continue
+        found = _entries(name, raw[name], problems)
+        if found is not None:
+            tables[name] = found
+    return kind, tables
+
+
+def _entries(name: str, raw: object, problems: list[str]) -> list[Table] | None:
+    """Return the entries of a list of tables, None if one has a fault."""
+    if not isinstance(raw, list) or not raw:
+        problems.append(
+            f"[[{name}]]: found {raw!r}, but a list of tables is required, each headed "
+            f"[[{name}]]"
+        )
+        return None
+    entries = [
+        validated(_TABLES[name], one, f"[[{name}]] {place}", problems)
+        for place, one in enumerate(raw, 1)
+    ]
+    good = [one for one in entries if one is not None]
+    return good if len(good) == len(entries) else None
+
+
+def _shown(name: str, lists: set[str]) -> str:
+    return f"[[{name}]]" if name in lists else f"[{name}]"

@@ -1,0 +1,106 @@
+"""What was identified as tables of a job file, ready to paste."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..robot import Robot
+
+# Largest uncertainty that the table takes.
+_LARGEST = 0.999
+
+
+def force_toml(
+    coefficients: Mapping[str, float],
+    errors: Mapping[str, float],
+    identifiable: Mapping[str, bool],
+) -> list[str]:
+    """Return the lines of `[force]`.
+
+    Args:
+        coefficients: By name [Pa, N/m].
+        errors: Standard errors, likewise.
+        identifiable: Whether the coefficient is known.
+    """
+    lines = ["[force]"]
+    for name, value in coefficients.items():
+        unit, scale = ("N/mm^2", 1e-6) if name.endswith("c") else ("N/mm", 1e-3)
+        number = f'{name} = "{value * scale:.6g} {unit}"'
+        error = f"+- {errors[name] * scale:.2g}"
+        if identifiable[name] and np.isfinite(value):
+            lines.append(f"{number:32}# {error}")
+            continue
+        lost = f"# {name}: not identifiable"
+        if np.isfinite(value):
+            lost += f", {value * scale:.3g} {error} {unit}"
+        needed = name in ("K_tc", "K_rc", "K_ac")
+        lines.append(f"{lost}; {'a job needs it' if needed else 'left out it is 0'}")
+    return lines
+
+
+def doubted(lines: Sequence[str], why: str) -> list[str]:
+    """Return lines as comments below the reason why they are not to be used."""
+    return [f"# {why}", *(f"# {line}".rstrip() for line in lines)]
+
+
+def uncertainty_toml(key: str, relative: float) -> list[str]:
+    """Return the lines of `[correction.uncertainty]` for a correction that is robust.
+
+    Args:
+        key: "force", "stiffness" or "damping".
+        relative: Standard error over the value.
+    """
+    if not np.isfinite(relative):
+        return []
+    value = min(float(relative), _LARGEST)
+    return [
+        "",
+        "[correction.uncertainty]",
+        f"{key} = {value:.3g}",
+        "gaussian = true",
+    ]
+
+
+def joints_toml(
+    robot: Robot,
+    key: str,
+    values: Float[np.ndarray, " joint"],
+    errors: Float[np.ndarray, " joint"],
+    identifiable: Bool[np.ndarray, " joint"],
+) -> list[str]:
+    """Return the lines of `joint_stiffness` or `joint_damping` of `[robot]`.
+
+    Joints that are not identifiable keep the value of the model; without one the list
+    cannot be written, and the lines are comments.
+
+    Args:
+        robot: The robot as it was.
+        key: "joint_stiffness" or "joint_damping".
+        values: As fitted, shape (joint,).
+        errors: Standard errors, shape (joint,).
+        identifiable: Whether a value is known, shape (joint,).
+    """
+    model = np.asarray(getattr(robot, key), np.float64)
+    unit = {"joint_stiffness": ("N*m/rad", "N/m")}.get(key, ("N*m*s/rad", "N*s/m"))
+    rows, is_whole = [], True
+    for i, name in enumerate(robot.joint_names):
+        one = unit[int(robot.joint_kinds[i] == "prismatic")]
+        if identifiable[i]:
+            text = f'    "{values[i]:.6g} {one}",'
+            rows.append(f"{text:32}# {name}: +- {errors[i]:.2g}")
+        elif np.isfinite(model[i]):
+            text = f'    "{model[i]:.6g} {one}",'
+            rows.append(f"{text:32}# {name}: not identifiable; as in the model")
+        else:
+            is_whole = False
+            rows.append(f"    # {name}: not identifiable, and the model has no value")
+    lines = [f"{key} = [", *rows, "]"]
+    if not is_whole:
+        lines = ["# Fill in the joints without a value.", *(f"# {x}" for x in lines)]
+    return ["[robot]", *lines]
+
+
+def snippet(head: Sequence[str], lines: Sequence[str]) -> str:
+    """Return a text of TOML with comments at its head."""
+    return "\n".join([*(f"# {line}" for line in head), "", *lines]) + "\n"
