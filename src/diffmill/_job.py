@@ -74,6 +74,8 @@ class UncertaintySettings(eqx.Module):
         is_gaussian: Whether the uncertainties are standard deviations.
         draws: Members of the ensemble.
         seed: Seed of the draws.
+        objective: Whether the "mean" square error over the members becomes small, or
+            that of the "worst" of them.
     """
 
     stiffness: float = eqx.field(static=True, default=0.0)
@@ -82,6 +84,7 @@ class UncertaintySettings(eqx.Module):
     is_gaussian: bool = eqx.field(static=True, default=False)
     draws: int = eqx.field(static=True, default=4)
     seed: int = eqx.field(static=True, default=0)
+    objective: Literal["mean", "worst"] = eqx.field(static=True, default="mean")
 
 
 class CorrectionSettings(eqx.Module):
@@ -96,14 +99,18 @@ class CorrectionSettings(eqx.Module):
         max_offset: Largest offset of the command from the desired path [m], per axis.
         max_velocity: Largest velocity of the command per axis [m/s], or infinite.
         max_acceleration: Largest acceleration of it per axis [m/s^2], or infinite.
+        gouge: Largest depth to which the machined surface may lie below the ideal one
+            [m], or infinite.
+        stay_in_cut: Whether the tool must cut at least a tenth of every layer that the
+            program lets it cut to the final surface.
         uncertainty: How well the model is known; the mean square error over draws of it
-            becomes small. None to trust the model.
+            becomes small, or that of the worst. None to trust the model.
         tolerance: Error that does not count [m].
         sections: First and last line of a section of the program and its weight.
         finishing_only: Whether only rows that leave a part of the surface count.
         wall_weight: Weight of the walls, for the surface.
         floor_weight: Weight of the floors, for the surface.
-        max_steps: Gauss-Newton steps at most.
+        max_steps: Steps of the optimiser at most.
         max_products: Products with the Jacobian per step at most.
         horizon: Rows that are corrected at once; "auto" takes a whole path of at most
             6000 rows, and segments of 2000 rows of a longer one.
@@ -112,14 +119,16 @@ class CorrectionSettings(eqx.Module):
     """
 
     objective: Literal["path", "surface"] = eqx.field(static=True, default="path")
-    method: Literal["gauss_newton", "mirror", "mirror_iterated", "inverse_drive"] = (
-        eqx.field(static=True, default="gauss_newton")
-    )
+    method: Literal[
+        "gauss_newton", "adam", "mirror", "mirror_iterated", "inverse_drive"
+    ] = eqx.field(static=True, default="gauss_newton")
     command: Literal["tip", "joint"] = eqx.field(static=True, default="tip")
     knot_spacing: float = eqx.field(static=True, default=30e-3)
     max_offset: RealScalarLike = 1e-3
     max_velocity: float = eqx.field(static=True, default=float("inf"))
     max_acceleration: float = eqx.field(static=True, default=float("inf"))
+    gouge: float = eqx.field(static=True, default=float("inf"))
+    stay_in_cut: bool = eqx.field(static=True, default=False)
     uncertainty: UncertaintySettings | None = None
     tolerance: RealScalarLike = 0.0
     sections: tuple[tuple[int, int, float], ...] = eqx.field(static=True, default=())

@@ -1,11 +1,21 @@
 """Correcting a small job from its file, all methods, as the command line does."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from diffmill import load_job
-from diffmill.correction import InfeasibleLimit, NothingToCorrect, correct
+from diffmill.correction import (
+    InfeasibleLimit,
+    NothingToCorrect,
+    SplineOffsets,
+    check_joints,
+    correct,
+    joint_limits,
+    project,
+)
+from diffmill.sim import command_motors
 
 PROGRAM = """G21 G17 G90 G94
 G0 X-6 Y3 Z-1
@@ -88,3 +98,43 @@ def test_every_case_has_every_figure(load):
 def test_weights_that_leave_nothing_are_named(load):
     with pytest.raises(NothingToCorrect, match="lines 3 to 4"):
         correct(load("weight = [{ lines = [1, 9], value = 0 }]\n"))
+
+
+def test_joints_are_held_within_their_limits(load):
+    """A limit 0.1 mm of travel beyond the program: most offsets would break it."""
+    job = load()
+    spline = SplineOffsets(
+        job.path.step_count, float(job.tooth_period), job.correction.knot_spacing
+    )
+    nominal = np.asarray(job.path.positions)
+    bound = float(job.correction.max_offset)
+    assert joint_limits(job, spline, nominal, bound) == ()
+    motors = np.asarray(command_motors(job, jnp.asarray(nominal))[0])
+    joint = 0
+    limit = float(motors[:, joint].max()) + 1e-4 / 1.5
+    upper = jnp.asarray(job.robot.joint_upper).at[joint].set(limit)
+    close = eqx.tree_at(lambda j: j.robot.joint_upper, job, upper)
+    (limits,) = joint_limits(close, spline, nominal, bound)
+    wild = bound * np.sign(np.random.default_rng(0).normal(size=nominal.shape))
+    wild = np.repeat(wild[::60], 60, axis=0)[: len(nominal)]
+    free = nominal + np.asarray(
+        spline.offsets(jnp.asarray(project(spline, wild, bound)))
+    )
+    with pytest.raises(InfeasibleLimit, match=r"`joint limits` of '.*too narrow"):
+        check_joints(close, free)
+    coefficients = project(spline, wild, bound, limits=(limits,))
+    held = nominal + np.asarray(spline.offsets(jnp.asarray(coefficients)))
+    check_joints(close, held)
+    most = np.asarray(command_motors(job, jnp.asarray(held))[0])[:, joint].max()
+    assert limit - 1e-5 < most <= limit
+    # The rows are the derivative of what the motors do.
+    small = 1e-3 * coefficients
+    moved = nominal + np.asarray(spline.offsets(jnp.asarray(small)))
+    change = np.asarray(command_motors(job, jnp.asarray(moved))[0]) - motors
+    rows = limits.apply(small)
+    assert np.max(np.abs(rows)) > 1e-8
+    apart = np.abs(change[:, joint][None] - rows[:, None]).min(axis=1)
+    assert apart.max() < 2e-3 * np.max(np.abs(rows))
+    beyond = eqx.tree_at(lambda j: j.robot.joint_upper, job, upper - 2e-4)
+    with pytest.raises(InfeasibleLimit, match="too narrow"):
+        joint_limits(beyond, spline, nominal, bound)

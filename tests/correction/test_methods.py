@@ -79,6 +79,16 @@ def test_the_inverse_drive_leaves_a_hundredth(uncorrected, inverted):
     assert inverted.measures.rms < 0.01 * uncorrected.measures.rms
 
 
+def test_a_force_of_the_wrong_sign_is_seen(problem, uncorrected, inverted):
+    reversed_cut = eqx.tree_at(
+        lambda p: (p.plant.across, p.plant.along), problem, replace_fn=lambda x: -x
+    )
+    wrong = GivenCommand(inverse_drive_of(reversed_cut))(problem)
+    # What the mass asks for is still right, twice the force is not.
+    assert wrong.measures.rms > 0.5 * uncorrected.measures.rms
+    assert wrong.measures.rms > 20 * inverted.measures.rms
+
+
 def test_gauss_newton_beats_the_mirror_and_the_projected_inverse_drive(
     problem, uncorrected, mirrored, inverted, optimised
 ):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diffmill.correction import PARTS, by_part, path_parts
+from diffmill.correction import PARTS, by_part, path_parts, rows_out_of_cut
 
 PITCH = 0.1e-3
 REACH = 5e-3
@@ -64,6 +64,13 @@ def test_figures_by_part():
     assert found["p95"][3] == pytest.approx(2.0)
     assert np.isnan(found["rms"][[1, 2]]).all()
     np.testing.assert_array_equal(found["rows"], [2, 0, 0, 3])
+
+
+def test_leaving_the_cut_is_counted_where_the_cut_is_full():
+    part = np.array([-1, 0, 3, 3, 2, 1, -1])
+    volume = np.array([0, 0, 1, 0, 0, 0, 0.0])
+    assert rows_out_of_cut(part, volume) == 2
+    assert rows_out_of_cut(part, volume + 1) == 0
 
 
 def test_a_reach_of_nothing_is_refused():

@@ -26,13 +26,22 @@ def test_values_become_settings_in_si():
         max_acceleration="2 m/s^2",
         finishing_only=True,
         floor_weight=0,
-        uncertainty={"stiffness": 0.2, "force": 0.1, "draws": 6},
+        gouge="20 um",
+        stay_in_cut=True,
+        uncertainty={"stiffness": 0.2, "force": 0.1, "draws": 6, "objective": "worst"},
         weight=[{"lines": [12, 30], "value": 0}, {"lines": [31, 31], "value": 2.5}],
     )
     assert not problems
     settings = correction_settings(table)
     assert settings.tolerance == pytest.approx(1e-5)
-    assert settings.uncertainty == UncertaintySettings(0.2, 0.0, 0.1, False, 6, 0)
+    assert settings.uncertainty == UncertaintySettings(
+        0.2, 0.0, 0.1, False, 6, 0, "worst"
+    )
+    assert (settings.gouge, settings.stay_in_cut) == (pytest.approx(2e-5), True)
+    assert correction_settings(read()[0]).gouge == float("inf")
+    assert correction_settings(read()[0]).max_steps == 2
+    assert correction_settings(read(method="adam")[0]).max_steps == 60
+    assert correction_settings(read(method="adam", max_steps=7)[0]).max_steps == 7
     assert correction_settings(read()[0]).uncertainty is None
     assert settings.max_velocity == pytest.approx(0.06)
     assert settings.max_acceleration == pytest.approx(2.0)
@@ -84,7 +93,22 @@ def test_what_the_cutter_does_not_allow(simple_end_mills):
     check_correction(table, flat, True, limited)
     assert ["method" in line for line in limited] == [True, False]
     assert 'command = "joint"' in limited[1]
-    found: list[str] = []
+    found = []
+    check_correction(
+        read(gouge="20 um", stay_in_cut=True, method="adam", horizon=900)[0],
+        ball,
+        True,
+        found,
+    )
+    assert [line.split()[1] for line in found] == [
+        *["horizon:"] * 3,
+        "gouge:",
+        "stay_in_cut:",
+        "gouge:",
+        "stay_in_cut:",
+    ]
+    assert 'method = "adam"' in found[-1]
+    found = []
     check_correction(read(objective="surface")[0], flat, True, found)
     assert found == []
     check_correction(read(objective="surface")[0], flat, False, found)

@@ -7,8 +7,10 @@ with exact derivatives, for the tip or the machined surface, for one model or dr
 it. All report the same figures, over the rows that cut and by part of the path.
 Assumptions: the command is one row per tooth period; the controller follows what
 the knot spacing and the limits of velocity and acceleration allow.
-Left out: corrections of feed and of the tool axis; limits of the joints, of the depth
-of a gouge and of leaving the cut; the worst case instead of the mean over draws.
+Limits of the command and of the joints, the gouge limit and staying in the cut are
+held by Gauss-Newton, not penalised; what cannot be held is refused.
+Left out: corrections of feed and of the tool axis; limits in segments of long paths,
+but those of velocity and acceleration.
 """
 
 from ._bspline import SplineOffsets as SplineOffsets
@@ -18,6 +20,7 @@ from ._correct import (
     NothingToCorrect as NothingToCorrect,
     correct as correct,
 )
+from ._delay import delayed as delayed
 from ._ensemble import (
     Ensemble as Ensemble,
     ScaledPlant as ScaledPlant,
@@ -29,6 +32,7 @@ from ._gauss_newton import (
     GaussNewton as GaussNewton,
     contour_residual as contour_residual,
 )
+from ._held_rows import HeldRows as HeldRows
 from ._horizon import RecedingHorizon as RecedingHorizon
 from ._inverse_drive import (
     InverseDriveCommand as InverseDriveCommand,
@@ -37,6 +41,7 @@ from ._inverse_drive import (
     inverse_drive as inverse_drive,
     spring_deflection as spring_deflection,
 )
+from ._joint_limits import check_joints as check_joints, joint_limits as joint_limits
 from ._least_squares import least_squares as least_squares
 from ._least_squares_records import (
     LeastSquaresSolution as LeastSquaresSolution,
@@ -47,8 +52,10 @@ from ._limited_quadratic import (
     solve_limited_quadratic as solve_limited_quadratic,
 )
 from ._limits import (
+    AbstractLimits as AbstractLimits,
     InfeasibleLimit as InfeasibleLimit,
     LinearLimits as LinearLimits,
+    MixedLimits as MixedLimits,
     command_limits as command_limits,
 )
 from ._measures import Measures as Measures, measure as measure
@@ -62,7 +69,12 @@ from ._objective import (
     AbstractObjective as AbstractObjective,
     PathObjective as PathObjective,
 )
-from ._parts import PARTS as PARTS, by_part as by_part, path_parts as path_parts
+from ._parts import (
+    PARTS as PARTS,
+    by_part as by_part,
+    path_parts as path_parts,
+    rows_out_of_cut as rows_out_of_cut,
+)
 from ._problem import (
     Motion as Motion,
     Plant as Plant,
@@ -90,6 +102,11 @@ from ._spline_window import (
     SplineWindow as SplineWindow,
     spline_window as spline_window,
 )
+from ._surface_bounds import (
+    SurfaceBounds as SurfaceBounds,
+    layer_thickness as layer_thickness,
+    surface_bounds as surface_bounds,
+)
 from ._surface_objective import (
     FinishedSurface as FinishedSurface,
     SurfaceMeasures as SurfaceMeasures,
@@ -98,3 +115,4 @@ from ._surface_objective import (
     measure_surface as measure_surface,
 )
 from ._weights import row_weights as row_weights, surface_poses as surface_poses
+from ._worst_case import worst_case as worst_case

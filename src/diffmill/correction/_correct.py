@@ -24,10 +24,16 @@ from ..sim import (
     solve_command,
     with_precision,
 )
-from ._gauss_newton import GaussNewton
 from ._inverse_drive import inverse_drive
+from ._job_method import (
+    OPTIMISERS,
+    job_optimiser,
+    preconditioned,
+    within_joint_limits,
+)
+from ._joint_limits import check_joints
 from ._kept import horizon_of, keeping
-from ._least_squares_records import LeastSquaresStep, LevenbergMarquardt
+from ._least_squares_records import LeastSquaresStep
 from ._memory import (
     Arrays,
     OnCheckpoint,
@@ -38,14 +44,11 @@ from ._memory import (
 )
 from ._method import Corrected, GivenCommand
 from ._mirror import IteratedMirror, Mirror
-from ._objective import AbstractObjective
 from ._parts import path_parts
 from ._problem import Motion, Problem
 from ._projection import clip_offset
-from ._response import tip_response
 from ._setup import (
     check_limits,
-    job_ensemble,
     job_objective,
     job_surface,
     job_weights,
@@ -156,7 +159,7 @@ def correct(
     """Predict, correct, and predict again.
 
     The mirror, the iterated mirror and the inverse drive are always computed; the
-    best of them starts the Gauss-Newton method.
+    best of them starts the optimiser.
 
     Args:
         job: The job; its machine must be a robot.
@@ -175,7 +178,8 @@ def correct(
         SimulationFailed: The run of the uncorrected program fails.
         NothingToCorrect: The program never cuts, or all that cuts has no weight; a
             `ValueError`.
-        InfeasibleLimit: The program itself breaks a limit; a `ValueError`.
+        InfeasibleLimit: The program itself breaks a limit, or no correction holds all
+            that is asked for; a `ValueError`.
         ValueError: The job has no robot, or JAX is not set up for its precision.
 
     Differentiability: runs on the host, not traceable.
@@ -195,6 +199,7 @@ def correct(
     weights = _weights(job, rigid, before)
     surface = job_surface(job, rigid)
     objective = job_objective(job, surface)
+    method = job_optimiser(job, objective, surface, adjoint)
     problem = _problem(job, TipPlant(job, adjoint), desired, before, weights)
     record = _Record(on_progress, on_checkpoint, resume)
     run = record.run
@@ -204,22 +209,23 @@ def correct(
     inverse = _inverse_drive(job, rigid.force, desired)
     tips = clip_offset(desired, inverse.tip, problem.max_offset)
     run("inverse_drive", GivenCommand(tips), problem)
-    method = _optimiser(job, objective, adjoint)
     if job.correction.command == "joint":
         problem = _joint_problem(job, adjoint, desired, before, weights)
         start = inverse.motor_positions
     else:
         remaining = lambda m: remaining_error(objective, problem, m)
         start = min(record.methods.values(), key=remaining).command
-        method = _preconditioned(job, method, desired)
+        method = preconditioned(method, job, desired)
+    method = within_joint_limits(method, job, problem)
     kept = keeping(job, method, adjoint, record.saved, on_checkpoint, resume)
     run("corrected", kept, problem, start=start)
+    check_joints(job, record.methods["corrected"].command)
     methods = record.methods
     cases = {
         name: _solution(job, rigid, methods[name].command, adjoint) for name in methods
     }
     asked = job.correction.method
-    chosen = "corrected" if asked == "gauss_newton" else asked
+    chosen = "corrected" if asked in OPTIMISERS else asked
     parts = path_parts(
         np.asarray(desired),
         np.asarray(before.is_cutting),
@@ -275,41 +281,6 @@ def _weights(job: Job, rigid: Any, before: Solution) -> Float[np.ndarray, " step
         return job_weights(job, rigid, np.asarray(before.is_cutting))
     except ValueError as error:
         raise NothingToCorrect(str(error)) from error
-
-
-def _optimiser(
-    job: Job, objective: AbstractObjective, adjoint: AbstractAdjoint
-) -> GaussNewton:
-    """Return the optimiser with the settings of a job."""
-    settings = job.correction
-    return GaussNewton(
-        knot_spacing=settings.knot_spacing,
-        solver=LevenbergMarquardt(
-            max_steps=settings.max_steps,
-            max_products=settings.max_products,
-            cost_rtol=1e-2,
-        ),
-        objective=objective,
-        ensemble=job_ensemble(job, adjoint),
-        max_velocity=settings.max_velocity,
-        max_acceleration=settings.max_acceleration,
-    )
-
-
-def _preconditioned(
-    job: Job, method: GaussNewton, desired: Float[Array, "step 3"]
-) -> GaussNewton:
-    """Return the optimiser with the arm's response in the middle of the path."""
-    joints, _ = command_joints(job, desired)
-    middle = joints[joints.shape[0] // 2]
-    response = tip_response(
-        job.robot,  # pyright: ignore[reportArgumentType]
-        middle,
-        job.T_base_work[:3, :3],
-    )
-    return eqx.tree_at(
-        lambda m: m.response, method, response, is_leaf=lambda x: x is None
-    )
 
 
 def _problem(

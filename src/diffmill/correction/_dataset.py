@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._parts import PARTS, by_part
+from ._parts import PARTS, by_part, rows_out_of_cut
 from ._surface_objective import SurfaceMeasures, measure_surface
 
 if TYPE_CHECKING:
@@ -101,6 +101,15 @@ def _figures(correction: "Correction") -> dict[str, tuple[Any, ...]]:
             _about("m s-2", "95 % of the rows have a smaller acceleration"),
         ),
     }
+    left = [
+        rows_out_of_cut(part, np.asarray(solution.removed_volume))
+        for solution in correction.cases.values()
+    ]
+    found["rows_out_of_cut"] = (
+        ("case",),
+        np.array(left, np.int32),
+        _about("1", "rows where the tool removes nothing but should be in a full cut"),
+    )
     for key, text in _PART_FIGURES.items():
         values = np.stack([table[key] for table in tables])
         found[f"part_{key}"] = (("case", "part"), values, _about("m", text))

@@ -29,10 +29,20 @@ class Ensemble(eqx.Module):
         plant: Maps the parameters of a member, shape (parameter,), and a command,
             shape (step, axis), to the motion that follows; traceable.
         draws: Parameters of the members, shape (member, parameter).
+        weights: Shares of the members in a mean, which sum to 1, shape (member,);
+            None for equal ones.
     """
 
     plant: Callable[..., Any]
     draws: Draws
+    weights: Float[np.ndarray, " member"] | Float[Array, " member"] | None = None
+
+    def roots(self, dtype: jnp.dtype) -> Float[Array, " member"]:
+        """Return the roots of the weights, shape (member,)."""
+        count = len(self.draws)
+        equal = np.full(count, 1 / count)
+        weights = equal if self.weights is None else self.weights
+        return jnp.sqrt(jnp.asarray(weights, dtype))
 
     def motions(self, command: Float[Array, "step axis"]) -> Motion:
         """Return the motions of all members, stacked along their first axis.

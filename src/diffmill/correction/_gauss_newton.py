@@ -1,5 +1,6 @@
 """Correction by least squares on the contour error, with exact derivatives."""
 
+import functools
 from collections.abc import Callable
 
 import equinox as eqx
@@ -11,19 +12,24 @@ from jaxtyping import Array, Float
 from .._types import RealScalarLike
 from ._bspline import SplineOffsets
 from ._ensemble import Ensemble
+from ._held_rows import HeldRows
 from ._least_squares import least_squares
 from ._least_squares_records import (
     LeastSquaresMemory,
+    LeastSquaresSolution,
     LeastSquaresStep,
     LevenbergMarquardt,
 )
-from ._limits import command_limits
+from ._limits import AbstractLimits, command_limits
 from ._method import AbstractMethod, Corrected, OnProgress, corrected
 from ._objective import AbstractObjective, PathObjective
 from ._problem import FloatRows, Problem
+from ._products import evaluate
 from ._projection import project
 from ._response import TipResponse, spline_preconditioner
 from ._spline_window import SplineWindow
+from ._surface_bounds import SurfaceBounds, refusal
+from ._worst_case import worst_case
 
 # Contour error that counts as one in the residual [m]; sets no result, only the size
 # of the numbers and what `smoothness` is relative to.
@@ -40,6 +46,7 @@ class ContourResidual(eqx.Module):
         lag_weight: Weight of the deviation along the path, see `GaussNewton`.
         objective: The error that is to become small.
         ensemble: Plants over which the square is a mean; None for that of the problem.
+        bounds: Bounds of the machined surface, whose errors follow as held rows.
     """
 
     problem: Problem
@@ -48,6 +55,7 @@ class ContourResidual(eqx.Module):
     lag_weight: RealScalarLike
     objective: AbstractObjective = PathObjective()
     ensemble: Ensemble | None = None
+    bounds: SurfaceBounds | None = None
 
 
 def contour_residual(
@@ -58,7 +66,8 @@ def contour_residual(
     With `PathObjective` its square is (rms contour error / 0.1 mm)^2 over the rows
     that cut, plus (lag_weight x rms deviation along the path / 0.1 mm)^2 there, plus
     (smoothness x rms second difference of the coefficients / max_offset)^2. With an
-    ensemble the first two are means over its members.
+    ensemble the first two are weighted means over its members. Errors of the surface
+    that are to be held within bounds, in units of 0.1 mm, come last, of all members.
 
     Args:
         coefficients: Spline coefficients of the offset, in the command's unit.
@@ -74,15 +83,19 @@ def contour_residual(
     nominal = jnp.asarray(problem.nominal, dtype)
     command = nominal + args.spline.offsets(coefficients)
     errors = lambda motion: args.objective.errors(problem, motion, args.lag_weight)
+    none = lambda motion: jnp.zeros((0,), dtype)
+    bounded = none if args.bounds is None else args.bounds.errors
     if args.ensemble is None:
-        error = errors(problem.plant(command)) / _UNIT
+        motion = problem.plant(command)
+        error, held = errors(motion), bounded(motion)
     else:
-        each = jax.vmap(errors)(args.ensemble.motions(command))
-        error = each.reshape(-1) / (_UNIT * np.sqrt(each.shape[0]))
+        motions = args.ensemble.motions(command)
+        each = jax.vmap(errors)(motions) * args.ensemble.roots(dtype)[:, None]
+        error, held = each.reshape(-1), jax.vmap(bounded)(motions).reshape(-1)
     rough = args.spline.roughness(coefficients)
     price = jnp.asarray(args.smoothness, dtype) / np.sqrt(rough.shape[0])
     rough = rough * (price / jnp.asarray(problem.max_offset, dtype))
-    return jnp.concatenate([error, rough.reshape(-1)])
+    return jnp.concatenate([error / _UNIT, rough.reshape(-1), held / _UNIT])
 
 
 class GaussNewton(AbstractMethod):
@@ -104,6 +117,10 @@ class GaussNewton(AbstractMethod):
         objective: The error that is to become small.
         ensemble: Draws of an uncertain plant, over which the mean square error is to
             become small instead of that of the problem's plant alone.
+        is_worst_case: Whether the largest mean square error of all members is to become
+            small instead of their mean.
+        bounds: Bounds of the machined surface, which the result keeps in every member.
+        limits: Further limits of the coefficients, of the joints for example.
         max_velocity: Largest velocity of the whole command per axis [its unit / s].
         max_acceleration: Largest acceleration of it per axis [its unit / s^2].
     """
@@ -115,6 +132,9 @@ class GaussNewton(AbstractMethod):
     response: TipResponse | None = None
     objective: AbstractObjective = PathObjective()
     ensemble: Ensemble | None = None
+    is_worst_case: bool = eqx.field(static=True, default=False)
+    bounds: SurfaceBounds | None = None
+    limits: tuple[AbstractLimits, ...] = ()
     max_velocity: float = np.inf
     max_acceleration: float = np.inf
 
@@ -132,44 +152,37 @@ class GaussNewton(AbstractMethod):
         `on_memory` and `resume` are those of `least_squares`.
 
         Raises:
-            InfeasibleLimit: The nominal command breaks a limit.
+            InfeasibleLimit: The nominal command breaks a limit, or no correction keeps
+                the bounds of the surface.
         """
         rows, axes = problem.nominal.shape
         spline = SplineOffsets(rows, problem.time_step, self.knot_spacing)
         bound = float(problem.max_offset)
         nominal = np.asarray(problem.nominal)
-        limits = command_limits(
-            spline,
-            nominal,
-            max_velocity=self.max_velocity,
-            max_acceleration=self.max_acceleration,
-        )
+        limits = self._all_limits(spline, nominal)
         first = np.zeros((spline.coefficient_count, axes))
         if start is not None:
             first = project(spline, np.asarray(start) - nominal, bound, limits=limits)
-        solution = least_squares(
-            contour_residual,
-            jnp.asarray(first, nominal.dtype),
-            ContourResidual(
-                problem,
-                spline,
-                jnp.asarray(self.smoothness, nominal.dtype),
-                jnp.asarray(self.lag_weight, nominal.dtype),
-                self.objective,
-                self.ensemble,
-            ),
-            lower=-bound,
-            upper=bound,
-            scale=bound,
-            limits=limits,
-            solver=self.solver,
-            precondition=None
-            if self.response is None
-            else spline_preconditioner(self.response, spline, problem.time_step),
-            on_progress=None if on_progress is None else _Told(on_progress),
-            on_memory=on_memory,
-            resume=resume,
+        args = ContourResidual(
+            problem,
+            spline,
+            jnp.asarray(self.smoothness, nominal.dtype),
+            jnp.asarray(self.lag_weight, nominal.dtype),
+            self.objective,
+            self.ensemble,
+            self.bounds,
         )
+        solve = functools.partial(self._solve, limits, on_progress)
+        begin = jnp.asarray(first, nominal.dtype)
+        if self.is_worst_case:
+            solution = worst_case(solve, _member_errors, begin, args)
+        else:
+            solution = solve(begin, args, on_memory=on_memory, resume=resume)
+        is_held = self._held().is_within(solution.held)
+        if not is_held and np.all(np.isfinite(solution.held)):
+            x, errors = np.asarray(solution.x), _UNIT * solution.held
+            assert self.bounds is not None
+            raise refusal(self.bounds, errors, x, bound, limits)
         offset = spline.offsets(solution.x)
         return corrected(
             problem,
@@ -179,6 +192,63 @@ class GaussNewton(AbstractMethod):
             history=solution.history,
             detail=self._detail(spline, np.asarray(solution.x), bound),
             result=solution.result,
+        )
+
+    def _solve(
+        self,
+        limits: tuple[AbstractLimits, ...],
+        on_progress: OnProgress | None,
+        first: Float[Array, "coefficient axis"],
+        args: ContourResidual,
+        *,
+        on_memory: Callable[[LeastSquaresMemory], object] | None = None,
+        resume: LeastSquaresMemory | None = None,
+    ) -> LeastSquaresSolution:
+        """Return the least squares within all that is to be held."""
+        problem = args.problem
+        bound = float(problem.max_offset)
+        precondition = None
+        if self.response is not None:
+            precondition = spline_preconditioner(
+                self.response,
+                args.spline,  # pyright: ignore[reportArgumentType]
+                problem.time_step,
+            )
+        return least_squares(
+            contour_residual,
+            first,
+            args,
+            lower=-bound,
+            upper=bound,
+            scale=bound,
+            limits=limits,
+            held=self._held(),
+            solver=self.solver,
+            precondition=precondition,
+            on_progress=None if on_progress is None else _Told(on_progress),
+            on_memory=on_memory,
+            resume=resume,
+        )
+
+    def _all_limits(
+        self, spline: SplineOffsets, nominal: FloatRows
+    ) -> tuple[AbstractLimits, ...]:
+        """Return the limits of the command and those given."""
+        return self.limits + command_limits(
+            spline,
+            nominal,
+            max_velocity=self.max_velocity,
+            max_acceleration=self.max_acceleration,
+        )
+
+    def _held(self) -> HeldRows:
+        """Return the bounds of the rows that the residual holds."""
+        if self.bounds is None:
+            return HeldRows()
+        members = 1 if self.ensemble is None else len(self.ensemble.draws)
+        return HeldRows(
+            np.tile(self.bounds.lower / _UNIT, members),
+            np.tile(self.bounds.upper / _UNIT, members),
         )
 
     def _detail(
@@ -192,6 +262,25 @@ class GaussNewton(AbstractMethod):
             "smoothness": self.smoothness,
             "lag_weight": self.lag_weight,
         }
+
+
+def _member_errors(
+    coefficients: Float[Array, "coefficient axis"], args: ContourResidual
+) -> Float[np.ndarray, " member"]:
+    """Return the root mean square error of each member, in units of 0.1 mm."""
+    assert args.ensemble is not None
+    count = len(args.ensemble.draws)
+    args = eqx.tree_at(
+        lambda a: a.ensemble.weights,
+        args,
+        np.full(count, 1 / count),
+        is_leaf=lambda x: x is None,
+    )
+    residual = np.asarray(evaluate(contour_residual, coefficients, args), np.float64)
+    rough = jax.eval_shape(args.spline.roughness, coefficients).size
+    held = 0 if args.bounds is None else count * len(args.bounds.lower)
+    each = residual[: residual.size - rough - held].reshape(count, -1)
+    return np.sqrt(count * np.sum(each**2, axis=1))
 
 
 class _Told(eqx.Module):

@@ -8,8 +8,9 @@ import numpy as np
 
 from .._job import Job
 from ..sim import AbstractAdjoint
-from ._gauss_newton import GaussNewton
+from ._first_order import Adam
 from ._horizon import RecedingHorizon
+from ._job_method import Optimiser
 from ._job_pieces import JobPieces
 from ._memory import (
     Arrays,
@@ -37,7 +38,8 @@ def horizon_of(job: Job) -> tuple[int, int] | None:
     """
     settings, rows = job.correction, job.path.step_count
     is_able = settings.objective == "path" and job.simulation.mode == "dynamic"
-    is_able &= settings.uncertainty is None
+    is_able &= settings.uncertainty is None and settings.method != "adam"
+    is_able &= not settings.stay_in_cut and not np.isfinite(settings.gouge)
     if settings.horizon == "auto":
         horizon = _HORIZON if rows > _WHOLE_ROWS and is_able else rows
     else:
@@ -47,7 +49,8 @@ def horizon_of(job: Job) -> tuple[int, int] | None:
     if not is_able:
         raise ValueError(
             'Argument `job` must have the horizon "auto" unless its objective is '
-            '"path", its mode "dynamic" and its model certain, but has a horizon of '
+            '"path", its mode "dynamic", its model certain, its method "gauss_newton" '
+            "and its surface free of `gouge` and `stay_in_cut`, but has a horizon of "
             f"{horizon} rows."
         )
     overlap = settings.overlap
@@ -64,7 +67,7 @@ def horizon_of(job: Job) -> tuple[int, int] | None:
 
 def keeping(
     job: Job,
-    method: GaussNewton,
+    method: Optimiser,
     adjoint: AbstractAdjoint,
     saved: Mapping[str, np.ndarray],
     on_checkpoint: OnCheckpoint | None,
@@ -74,7 +77,7 @@ def keeping(
 
     Args:
         job: The job, in its precision.
-        method: Settings of Gauss-Newton.
+        method: The optimiser; Adam begins anew after an interruption.
         adjoint: How to differentiate through the removal.
         saved: What every checkpoint holds besides.
         on_checkpoint: Called after every step, or after every segment.
@@ -88,6 +91,8 @@ def keeping(
         if on_checkpoint is not None:
             on_checkpoint({**saved, **under(prefix, arrays)})
 
+    if isinstance(method, Adam):
+        return method
     found = horizon_of(job)
     if found is None:
         memory = below("gauss_newton", resume)

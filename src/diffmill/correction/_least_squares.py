@@ -1,6 +1,7 @@
 """Bounded nonlinear least squares: Levenberg-Marquardt with products only.
 
-    minimise |r(x)|^2 / 2   subject to  lower <= x <= upper  and linear limits
+    minimise |r(x)|^2 / 2   subject to  lower <= x <= upper,  linear limits
+                            and bounds of further rows that come with r
 
 Each outer step linearises the residual once, minimises the damped linear model within
 the bounds by projected conjugate gradients, and accepts the trial point by the ratio of
@@ -12,73 +13,43 @@ A refused step keeps its linearisation.
 import time
 from collections.abc import Callable, Sequence
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
 from .._result import RESULTS
-from .._types import RealScalarLike
+from ._held_rows import HeldRows, held_step
 from ._least_squares_records import (
     LeastSquaresMemory,
     LeastSquaresSolution,
     LeastSquaresStep,
     LevenbergMarquardt,
 )
-from ._limited_quadratic import solve_limited_quadratic
-from ._limits import LinearLimits
-from ._products import Residual, evaluate
-from ._quadratic import (
-    QuadraticSolution,
-    projected_gradient,
+from ._least_squares_state import (
+    Bound,
+    Box,
+    State,
+    first_damping,
+    largest_slope,
+    linearised,
+    memory_of,
+    model_at,
+    normal,
+    solution_at,
+    state_of,
+    take_spent,
+    unit_box,
 )
+from ._limited_quadratic import solve_limited_quadratic
+from ._limits import AbstractLimits
+from ._products import Residual, evaluate
+from ._quadratic import QuadraticSolution
 
 # Smallest ratio of true to predicted decrease with which a step is accepted.
 _ACCEPT = 1e-4
-
-# A bound of all unknowns: one number, or one per unknown.
-Bound = RealScalarLike | Float[Array, "*unknown"] | Float[np.ndarray, "*unknown"]
-
-
-class _Box(eqx.Module):
-    """Bounds and scale of the unknowns x, in NumPy; inside, z = x / scale."""
-
-    least: np.ndarray
-    most: np.ndarray
-    scale: np.ndarray
-    dtype: np.dtype
-
-    @property
-    def lower(self) -> np.ndarray:
-        """Lower bounds of z."""
-        return self.least / self.scale
-
-    @property
-    def upper(self) -> np.ndarray:
-        """Upper bounds of z."""
-        return self.most / self.scale
-
-    def point(self, z: np.ndarray) -> Array:
-        """Return x on the device for a z, within the bounds to the last bit."""
-        x = np.clip(z * self.scale, self.least, self.most)
-        return jnp.asarray(x, self.dtype)
-
-    def vector(self, p: np.ndarray) -> Array:
-        """Return the difference of two x on the device for one of two z."""
-        return jnp.asarray(p * self.scale, self.dtype)
-
-
-class _State(eqx.Module):
-    """The iteration between two outer steps, in units of the scale."""
-
-    z: np.ndarray
-    cost: float
-    gradient: np.ndarray
-    linear: PyTree
-    damping: float
-    growth: float
-    products: int
-    forward_runs: int
+# Further steps that may be taken to bring held rows within their bounds, and how little
+# of the cost one of them may gain.
+_RETURN_STEPS = 10
+_RETURN_RTOL = 1e-3
 
 
 def least_squares(
@@ -89,7 +60,8 @@ def least_squares(
     lower: Bound = -np.inf,
     upper: Bound = np.inf,
     scale: Bound = 1.0,
-    limits: Sequence[LinearLimits] = (),
+    limits: Sequence[AbstractLimits] = (),
+    held: HeldRows | None = None,
     solver: LevenbergMarquardt | None = None,
     precondition: Callable[[np.ndarray], np.ndarray] | None = None,
     on_progress: Callable[[LeastSquaresStep], bool | None] | None = None,
@@ -107,7 +79,10 @@ def least_squares(
         upper: Upper bounds, likewise.
         scale: Typical size of an unknown, likewise: a diagonal preconditioner. With
             limits it must be the same for all.
-        limits: Limits of differences of the unknowns, which `start` keeps.
+        limits: Limits of the unknowns, which `start` keeps.
+        held: Bounds of the last entries of the residual, which do not count in the
+            square. Where `start` does not keep them they are gone for first, with ten
+            steps more at most.
         solver: Settings.
         precondition: Roughly the inverse of J^T J, on NumPy arrays of the shape of
             `start`; symmetric and positive semidefinite.
@@ -119,32 +94,34 @@ def least_squares(
 
     Returns:
         The solution with its history. Where `on_progress` or the limit of steps ends
-        it, `.result` is `not_converged`.
+        it, or held rows stay out of their bounds, `.result` is `not_converged`.
 
     **Differentiability**: runs on the host, not traceable.
     """
     solver = LevenbergMarquardt() if solver is None else solver
-    box = _box(start, lower, upper, scale)
+    box = unit_box(start, lower, upper, scale)
+    held = HeldRows() if held is None else held
     z = np.clip(np.asarray(start, np.float64) / box.scale, box.lower, box.upper)
     history = [] if resume is None else list(resume.history)
     began = clock() - (history[-1].seconds if history else 0.0)
     if resume is None:
-        state = _State(z, np.inf, z, None, 0.0, 2.0, 0, 0)
+        state = State(z, np.inf, z, None, None, False, 0.0, 2.0, 0, 0)
     else:
-        state = _remembered(resume)
-    state = _linearised(solver, residual, args, box, state)
+        state = state_of(resume)
+    state = linearised(solver, residual, args, box, held, state)
     if not (np.isfinite(state.cost) and np.all(np.isfinite(state.gradient))):
-        return _solution(box, state, history, RESULTS.non_finite)
+        return solution_at(box, held, state, history, RESULTS.non_finite)
     if resume is None:
-        state = _first_damping(solver, box, state)
-    first = _kkt(state, box) if resume is None else resume.first_kkt
+        state = first_damping(solver, held, state)
+    first = largest_slope(state, box) if resume is None else resume.first_kkt
     is_done = first == 0 if resume is None else resume.is_done
-    while not is_done and len(history) < solver.max_steps:
-        before, kkt = state.cost, _kkt(state, box)
-        inner = _inner(solver, state, box, limits, precondition)
-        state, trial_cost, gain, damping = _try(residual, args, box, state, inner)
+    while not is_done and len(history) < _most_steps(solver, state):
+        before, kkt = state.cost, largest_slope(state, box)
+        inner = _inner(solver, state, box, limits, held, precondition)
+        tried = _try(residual, args, box, held, state, inner)
+        state, trial_cost, gain, damping = tried
         if gain > _ACCEPT:
-            state = _linearised(solver, residual, args, box, state)
+            state = linearised(solver, residual, args, box, held, state)
         record = LeastSquaresStep(
             step=len(history) + 1,
             cost=state.cost,
@@ -159,112 +136,29 @@ def least_squares(
             seconds=clock() - began,
         )
         history.append(record)
-        is_done = _is_converged(solver, record, before, inner)
-        is_done |= _kkt(state, box) <= solver.kkt_rtol * first
+        rtol = _RETURN_RTOL if state.is_returning else solver.cost_rtol
+        is_done = _is_converged(rtol, record, before, inner)
+        is_done |= largest_slope(state, box) <= solver.kkt_rtol * first
         if on_memory is not None:
-            on_memory(_memory(state, first, is_done, history))
+            on_memory(memory_of(state, first, is_done, history))
         if on_progress is not None and on_progress(record) and not is_done:
             break
-    result = RESULTS.successful if is_done else RESULTS.not_converged
-    return _solution(box, state, history, result)
+    is_good = is_done and not state.is_returning
+    result = RESULTS.successful if is_good else RESULTS.not_converged
+    return solution_at(box, held, state, history, result)
 
 
-def _box(start: Array, lower: Bound, upper: Bound, scale: Bound) -> _Box:
-    """Return the bounds in units of the scale."""
-    full = [
-        np.broadcast_to(np.asarray(value, np.float64), start.shape)
-        for value in (lower, upper, scale)
-    ]
-    if not np.all(full[0] <= full[1]):
-        raise ValueError("Argument `lower` must not exceed `upper`, but does.")
-    if not np.all((full[2] > 0) & np.isfinite(full[2])):
-        raise ValueError("Argument `scale` must be positive and finite, but is not.")
-    return _Box(full[0], full[1], full[2], np.dtype(start.dtype))
-
-
-def _remembered(memory: LeastSquaresMemory) -> _State:
-    """Return the state of which only the linearisation is missing."""
-    return _State(
-        z=memory.z,
-        cost=np.inf,
-        gradient=memory.z,
-        linear=None,
-        damping=memory.damping,
-        growth=memory.growth,
-        # The linearisation has been counted.
-        products=memory.products - 1,
-        forward_runs=memory.forward_runs - 1,
-    )
-
-
-def _memory(
-    state: _State, first_kkt: float, is_done: bool, history: list[LeastSquaresStep]
-) -> LeastSquaresMemory:
-    return LeastSquaresMemory(
-        z=state.z,
-        damping=state.damping,
-        growth=state.growth,
-        first_kkt=first_kkt,
-        is_done=bool(is_done),
-        products=state.products,
-        forward_runs=state.forward_runs,
-        history=tuple(history),
-    )
-
-
-def _half_square(residual: Array) -> float:
-    return 0.5 * float(jnp.sum(residual**2))
-
-
-def _linearised(
-    solver: LevenbergMarquardt,
-    residual: Residual,
-    args: PyTree,
-    box: _Box,
-    state: _State,
-) -> _State:
-    """Return the state with residual, gradient and linear program at its z."""
-    x = box.point(state.z)
-    r, linear = solver.products.linearise(residual, x, args)
-    gradient = np.asarray(solver.products.transpose(linear, x, r), np.float64)
-    return _State(
-        z=state.z,
-        cost=_half_square(r),
-        gradient=gradient * box.scale,
-        linear=linear,
-        damping=state.damping,
-        growth=state.growth,
-        products=state.products + 1,
-        forward_runs=state.forward_runs + 1,
-    )
-
-
-def _normal(
-    solver: LevenbergMarquardt, box: _Box, state: _State, p: np.ndarray
-) -> np.ndarray:
-    """Return J^T J p in units of the scale."""
-    v = box.vector(p)
-    w = solver.products.forward(state.linear, v)
-    back = solver.products.transpose(state.linear, v, w)
-    return np.asarray(back, np.float64) * box.scale
-
-
-def _first_damping(solver: LevenbergMarquardt, box: _Box, state: _State) -> _State:
-    """Set the damping relative to the curvature along the gradient."""
-    g = state.gradient
-    curvature = np.sum(g * _normal(solver, box, state, g)) / max(np.sum(g**2), 1e-300)
-    return eqx.tree_at(
-        lambda s: (s.damping, s.products),
-        state,
-        (solver.damping * float(curvature), state.products + 2),
-    )
+def _most_steps(solver: LevenbergMarquardt, state: State) -> int:
+    """Return how many steps may be taken, given where the last one led."""
+    return solver.max_steps + (_RETURN_STEPS if state.is_returning else 0)
 
 
 def _inner(
     solver: LevenbergMarquardt,
-    state: _State,
-    box: _Box,
-    limits: Sequence[LinearLimits],
+    state: State,
+    box: Box,
+    limits: Sequence[AbstractLimits],
+    held: HeldRows,
     precondition: Callable[[np.ndarray], np.ndarray] | None,
 ) -> QuadraticSolution:
     """Minimise the damped linear model within the bounds and limits."""
@@ -272,12 +166,15 @@ def _inner(
         outer = precondition
         precondition = lambda g: outer(g / box.scale) / box.scale
     unit = box.scale.flat[0]
+    bounds = [limit.about(state.z * unit, unit) for limit in limits]
+    if held.count and not state.is_returning:
+        bounds.append(held_step(held, *model_at(state)))
     return solve_limited_quadratic(
-        lambda p: _normal(solver, box, state, p) + state.damping * p,
+        lambda p: normal(held, state, p) + state.damping * p,
         state.gradient,
         box.lower - state.z,
         box.upper - state.z,
-        [limit.about(state.z * unit, unit) for limit in limits],
+        bounds,
         rtol=solver.inner_rtol,
         max_products=(solver.max_products - 1) // 2,
         precondition=precondition,
@@ -287,15 +184,16 @@ def _inner(
 def _try(
     residual: Residual,
     args: PyTree,
-    box: _Box,
-    state: _State,
+    box: Box,
+    held: HeldRows,
+    state: State,
     inner: QuadraticSolution,
-) -> tuple[_State, float, float, float]:
+) -> tuple[State, float, float, float]:
     """Evaluate the trial point; return state, trial cost, gain and damping used."""
     model = inner.decrease + 0.5 * state.damping * float(np.sum(inner.p**2))
     slope = float(np.sum(inner.p * state.gradient))
     trial = np.clip(state.z + inner.p, box.lower, box.upper)
-    cost = _half_square(evaluate(residual, box.point(trial), args))
+    cost = held.cost(evaluate(residual, box.point(trial), args), state.is_returning)
     gain = (state.cost - cost) / model if model > 0 else 0.0
     gain = float(gain) if np.isfinite(cost) else -np.inf
     is_accepted = gain > _ACCEPT
@@ -309,43 +207,31 @@ def _try(
         along = (-2 * inner.decrease - 2 * slope) / square if square > 0 else 0.0
         damping = max(state.damping * state.growth, along)
         growth = 2 * state.growth
-    new = _State(
+    new = State(
         z=trial if is_accepted else state.z,
         cost=state.cost,
         gradient=state.gradient,
         # The linear program may be large: an accepted step lets the old one go
         # before the new one is made.
         linear=None if is_accepted else state.linear,
+        residual=None if is_accepted else state.residual,
+        is_returning=state.is_returning,
         damping=damping,
         growth=growth,
-        products=state.products + 2 * inner.products,
+        products=state.products + take_spent(state),
         forward_runs=state.forward_runs + 1,
     )
     return new, cost, gain, state.damping
 
 
 def _is_converged(
-    solver: LevenbergMarquardt,
+    rtol: float,
     record: LeastSquaresStep,
     before: float,
     inner: QuadraticSolution,
 ) -> bool:
     """Tell whether the step, or what the model promises, has become small."""
-    small = solver.cost_rtol * before
+    small = rtol * before
     if inner.decrease <= small:
         return True
     return record.is_accepted and before - record.cost <= small
-
-
-def _kkt(state: _State, box: _Box) -> float:
-    """Return the largest entry of the projected gradient."""
-    entries = projected_gradient(state.z, state.gradient, box.lower, box.upper)
-    return float(np.max(np.abs(entries)))
-
-
-def _solution(
-    box: _Box, state: _State, history: list[LeastSquaresStep], result: RESULTS
-) -> LeastSquaresSolution:
-    return LeastSquaresSolution(
-        x=box.point(state.z), cost=state.cost, history=tuple(history), result=result
-    )

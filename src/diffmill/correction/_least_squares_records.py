@@ -3,6 +3,8 @@
 Also what it must remember to go on after an interruption.
 """
 
+import dataclasses
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
@@ -51,12 +53,14 @@ class LeastSquaresSolution(eqx.Module):
         cost: |r(x)|^2 / 2.
         history: One entry per outer step.
         result: `successful`, `not_converged` or `non_finite`.
+        held: Values of the rows that are held, shape (row,).
     """
 
     x: Float[Array, "*unknown"]
     cost: float
     history: tuple[LeastSquaresStep, ...]
     result: RESULTS
+    held: Float[np.ndarray, " row"] = eqx.field(default_factory=lambda: np.zeros(0))
 
     @property
     def products(self) -> int:
@@ -67,6 +71,35 @@ class LeastSquaresSolution(eqx.Module):
     def forward_runs(self) -> int:
         """Evaluations of the residual in total."""
         return self.history[-1].forward_runs if self.history else 1
+
+
+def following(
+    before: tuple[LeastSquaresStep, ...], steps: tuple[LeastSquaresStep, ...]
+) -> tuple[LeastSquaresStep, ...]:
+    """Return steps with those before them, what these have cost added.
+
+    Args:
+        before: Steps of earlier solutions.
+        steps: Steps of a solution, which count from its own start.
+
+    Returns:
+        All of them.
+
+    **Differentiability**: none, a host function.
+    """
+    if not before:
+        return steps
+    last = before[-1]
+    return before + tuple(
+        dataclasses.replace(
+            step,
+            step=last.step + step.step,
+            products=last.products + step.products,
+            forward_runs=last.forward_runs + step.forward_runs,
+            seconds=last.seconds + step.seconds,
+        )
+        for step in steps
+    )
 
 
 class LeastSquaresMemory(eqx.Module):

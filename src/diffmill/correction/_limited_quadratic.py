@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 import equinox as eqx
 import numpy as np
 
-from ._limits import LinearLimits
+from ._limits import AbstractLimits
 from ._quadratic import QuadraticSolution, solve_bounded_quadratic
 
 # Rounds at most, products and accuracy of each, and the over-relaxation.
@@ -34,7 +34,7 @@ def solve_limited_quadratic(
     gradient: np.ndarray,
     lower: np.ndarray,
     upper: np.ndarray,
-    limits: Sequence[LinearLimits],
+    limits: Sequence[AbstractLimits],
     *,
     rtol: float = 1e-2,
     max_products: int = 40,
@@ -47,7 +47,7 @@ def solve_limited_quadratic(
         gradient: g, shape (coefficient, axis).
         lower: Lower bounds of p, at most 0.
         upper: Upper bounds of p, at least 0.
-        limits: Limits of the differences of p; bounds on either side of 0.
+        limits: Limits of p; bounds on either side of 0.
         rtol: Stop a bounded problem when its projected gradient has fallen so far.
         max_products: Products with A at most without limits in the way; four times as
             many with them.
@@ -116,7 +116,7 @@ class _Shortened(eqx.Module):
 
 
 def _start(
-    p: np.ndarray, A_p: np.ndarray, limits: Sequence[LinearLimits], products: int
+    p: np.ndarray, A_p: np.ndarray, limits: Sequence[AbstractLimits], products: int
 ) -> _State:
     rows = [limit.apply(p) for limit in limits]
     energy = float(np.sum(p * A_p))
@@ -135,7 +135,7 @@ def _start(
 
 
 def _shortened(
-    state: _State, gradient: np.ndarray, limits: Sequence[LinearLimits]
+    state: _State, gradient: np.ndarray, limits: Sequence[AbstractLimits]
 ) -> _Shortened:
     """Return the longest feasible part of p."""
     share = min(1.0, feasible_share(state.p, limits))
@@ -153,7 +153,7 @@ def _round(
     precondition: Callable[[np.ndarray], np.ndarray] | None,
     gradient: np.ndarray,
     bounds: tuple[np.ndarray, np.ndarray],
-    limits: Sequence[LinearLimits],
+    limits: Sequence[AbstractLimits],
     state: _State,
     max_products: int,
 ) -> _State:
@@ -192,7 +192,7 @@ def _round(
     return _State(p, product(p), split, pushed, state.stiffness, products)
 
 
-def feasible_share(p: np.ndarray, limits: Sequence[LinearLimits]) -> float:
+def feasible_share(p: np.ndarray, limits: Sequence[AbstractLimits]) -> float:
     """Return the largest a with a p within the limits; above 1 where there is room.
 
     **Differentiability**: none, a host function.

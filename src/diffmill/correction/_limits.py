@@ -1,4 +1,4 @@
-"""Limits of a command that are linear in its spline: velocity and acceleration.
+"""Limits of a command that are linear in its spline, above all of its derivatives.
 
 A command is a row per tooth period, and its controller gets no more: with B the rows of
 the spline and D_m the m-th differences over the m-th power of the time step,
@@ -8,6 +8,8 @@ the spline and D_m the m-th differences over the m-th power of the time step,
 is exact for these rows and linear in the coefficients c, with a sparse matrix.
 """
 
+import abc
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -22,27 +24,29 @@ Rows = Float[np.ndarray, "row axis"]
 
 
 class InfeasibleLimit(ValueError):
-    """Raise when the program itself breaks a limit that its correction must hold."""
+    """Raise when a limit cannot be held, by the program itself or by any correction."""
 
 
-class LinearLimits(eqx.Module):
-    """Bounds of linear functions of the coefficients of a spline, axis by axis.
+class AbstractLimits(eqx.Module):
+    """Bounds of linear functions of the coefficients of a spline.
 
     Attributes:
-        matrix: Sparse, shape (row, coefficient), of `scipy.sparse`.
-        lower: Least values, shape (row, axis); at most 0.
-        upper: Largest values, shape (row, axis); at least 0.
+        lower: Least values, shape (row, ...); at most 0.
+        upper: Largest values, of the same shape; at least 0.
     """
 
-    matrix: Any
-    lower: Rows
-    upper: Rows
+    lower: eqx.AbstractVar[np.ndarray]
+    upper: eqx.AbstractVar[np.ndarray]
 
-    def apply(self, coefficients: Coefficients) -> Rows:
+    @abc.abstractmethod
+    def apply(self, coefficients: Coefficients) -> np.ndarray:
         """Return the values for coefficients."""
-        return self.matrix @ coefficients
 
-    def about(self, point: Coefficients, unit: float) -> "LinearLimits":
+    @abc.abstractmethod
+    def transpose(self, rows: np.ndarray) -> Coefficients:
+        """Return the transposed map of values."""
+
+    def about(self, point: Coefficients, unit: float) -> "AbstractLimits":
         """Return the limits of a step from a point that keeps them.
 
         Args:
@@ -56,11 +60,57 @@ class LinearLimits(eqx.Module):
         # A point on a limit may be beyond it by rounding.
         lower = np.minimum(self.lower - rows, 0.0) / unit
         upper = np.maximum(self.upper - rows, 0.0) / unit
-        return LinearLimits(self.matrix, lower, upper)
+        return dataclasses.replace(self, lower=lower, upper=upper)
+
+
+class LinearLimits(AbstractLimits):
+    """Bounds of linear functions of the coefficients of a spline, axis by axis.
+
+    Attributes:
+        matrix: Sparse, shape (row, coefficient), of `scipy.sparse`.
+        lower: Least values, shape (row, axis); at most 0.
+        upper: Largest values, shape (row, axis); at least 0.
+        name: What the limit is called in messages.
+    """
+
+    matrix: Any
+    lower: Rows
+    upper: Rows
+    name: str = eqx.field(static=True, default="limits")
+
+    def apply(self, coefficients: Coefficients) -> Rows:
+        """Return the values for coefficients, shape (row, axis)."""
+        return self.matrix @ coefficients
 
     def transpose(self, rows: Rows) -> Coefficients:
-        """Return the transposed map of values per row."""
+        """Return the transposed map of values per row and axis."""
         return self.matrix.T @ rows
+
+
+class MixedLimits(AbstractLimits):
+    """Bounds of linear functions of all axes of the coefficients of a spline.
+
+    Attributes:
+        matrix: Sparse, shape (row, coefficient x axis), of `scipy.sparse`.
+        lower: Least values, shape (row,); at most 0.
+        upper: Largest values, shape (row,); at least 0.
+        axis_count: Axes of the coefficients.
+        name: What the limit is called in messages.
+    """
+
+    matrix: Any
+    lower: Float[np.ndarray, " row"]
+    upper: Float[np.ndarray, " row"]
+    axis_count: int = eqx.field(static=True)
+    name: str = eqx.field(static=True, default="limits")
+
+    def apply(self, coefficients: Coefficients) -> Float[np.ndarray, " row"]:
+        """Return the values for coefficients, shape (row,)."""
+        return self.matrix @ coefficients.reshape(-1)
+
+    def transpose(self, rows: Float[np.ndarray, " row"]) -> Coefficients:
+        """Return the transposed map of values per row."""
+        return (self.matrix.T @ rows).reshape(-1, self.axis_count)
 
 
 def command_limits(
@@ -105,7 +155,10 @@ def command_limits(
         scale = spline.actual_spacing**order
         found.append(
             LinearLimits(
-                matrix * (scale / step), scale * (-limit - rate), scale * (limit - rate)
+                matrix * (scale / step),
+                scale * (-limit - rate),
+                scale * (limit - rate),
+                name,
             )
         )
     return tuple(found)

@@ -100,6 +100,28 @@ def by_part(
     }
 
 
+def rows_out_of_cut(
+    part: Int[np.ndarray, " step"],
+    removed_volume: FloatSteps,
+) -> int:
+    """Return in how many rows a tool cuts nothing where it should be in a full cut.
+
+    Entries and exits do not count: there a tool that is a little off begins or ends
+    its cut a little earlier or later.
+
+    Args:
+        part: What `path_parts` returned, shape (step,).
+        removed_volume: Volume that the tool removes at each row [m^3], shape (step,).
+
+    Returns:
+        Rows of plateaus and corners without any removal.
+
+    **Differentiability**: none, a host function.
+    """
+    is_full = np.isin(part, [PARTS.index("corner"), PARTS.index("plateau")])
+    return int(np.sum(is_full & (np.asarray(removed_volume) <= 0)))
+
+
 def _travel(desired: Float[np.ndarray, "step 3"]) -> Float[np.ndarray, " step"]:
     """Return the length of the path up to each row [m]."""
     steps = np.linalg.norm(np.diff(desired, axis=0), axis=1)

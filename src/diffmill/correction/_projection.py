@@ -8,7 +8,7 @@ from jaxtyping import Float
 from .._types import RealScalarLike
 from ._bspline import SplineOffsets, adjoint_offsets
 from ._limited_quadratic import feasible_share, solve_limited_quadratic
-from ._limits import LinearLimits
+from ._limits import AbstractLimits
 from ._problem import FloatRows
 
 
@@ -17,7 +17,7 @@ def project(
     offset: FloatRows,
     max_offset: RealScalarLike = np.inf,
     *,
-    limits: Sequence[LinearLimits] = (),
+    limits: Sequence[AbstractLimits] = (),
     rtol: float = 1e-8,
 ) -> Float[np.ndarray, "coefficient axis"]:
     """Return the bounded spline closest to a raw offset in least squares.

@@ -61,12 +61,17 @@ def check_limits(job: Job) -> None:
     """
     settings = job.correction
     command_limits(
-        SplineOffsets(
-            job.path.step_count, float(job.tooth_period), settings.knot_spacing
-        ),
+        job_spline(job),
         job.path.positions,
         max_velocity=settings.max_velocity,
         max_acceleration=settings.max_acceleration,
+    )
+
+
+def job_spline(job: Job) -> SplineOffsets:
+    """Return the basis of a job's offsets."""
+    return SplineOffsets(
+        job.path.step_count, float(job.tooth_period), job.correction.knot_spacing
     )
 
 

@@ -53,6 +53,10 @@ def _uncertainty(value: object) -> float:
 Uncertainty = Annotated[float, BeforeValidator(_uncertainty)]
 
 
+# Steps of Adam unless a job says otherwise.
+_ADAM_STEPS = 60
+
+
 class WeightTable(Table):
     """One entry of `weight`: a section of the program and how much it counts."""
 
@@ -71,15 +75,16 @@ class UncertaintyTable(Table):
     gaussian: StrictBool = False
     draws: Annotated[StrictInt, Field(ge=1, le=100)] = 4
     seed: Annotated[StrictInt, Field(ge=0, le=2**31 - 1)] = 0
+    objective: Literal["mean", "worst"] = "mean"
 
 
 class CorrectionTable(Table):
     """`[correction]`."""
 
     objective: Literal["path", "surface"] = "path"
-    method: Literal["gauss_newton", "mirror", "mirror_iterated", "inverse_drive"] = (
-        "gauss_newton"
-    )
+    method: Literal[
+        "gauss_newton", "adam", "mirror", "mirror_iterated", "inverse_drive"
+    ] = "gauss_newton"
     command: Literal["tip", "joint"] = "tip"
     tolerance: Tolerance = 0.0
     weight: list[WeightTable] = Field(default_factory=list)
@@ -90,8 +95,10 @@ class CorrectionTable(Table):
     max_offset: PositiveLength = 1e-3
     max_velocity: PositiveSpeed | None = None
     max_acceleration: Acceleration | None = None
+    gouge: PositiveLength | None = None
+    stay_in_cut: StrictBool = False
     uncertainty: UncertaintyTable | None = None
-    max_steps: Annotated[StrictInt, Field(ge=1, le=1000)] = 2
+    max_steps: Annotated[StrictInt, Field(ge=1, le=1000)] | None = None
     max_products: Annotated[StrictInt, Field(ge=1, le=10_000)] = 30
     horizon: Rows = "auto"
     overlap: Rows = "auto"
@@ -102,6 +109,8 @@ def correction_settings(table: CorrectionTable) -> CorrectionSettings:
     values: dict[str, Any] = table.model_dump(
         exclude={"weight", "uncertainty"}, exclude_none=True
     )
+    if table.method == "adam":
+        values.setdefault("max_steps", _ADAM_STEPS)
     if (known := table.uncertainty) is not None:
         values["uncertainty"] = UncertaintySettings(
             stiffness=known.stiffness,
@@ -110,6 +119,7 @@ def correction_settings(table: CorrectionTable) -> CorrectionSettings:
             is_gaussian=known.gaussian,
             draws=known.draws,
             seed=known.seed,
+            objective=known.objective,
         )
     sections = tuple((e.lines[0], e.lines[1], e.value) for e in table.weight)
     return CorrectionSettings(**values, sections=sections)
@@ -125,6 +135,9 @@ def check_correction(
     for beside, is_whole in (
         ('objective = "surface"', table.objective == "surface"),
         ("an uncertainty", table.uncertainty is not None),
+        ("a gouge limit", table.gouge is not None),
+        ("stay_in_cut = true", table.stay_in_cut),
+        ('method = "adam"', table.method == "adam"),
     ):
         if table.horizon != "auto" and is_whole:
             problems.append(
@@ -137,19 +150,30 @@ def check_correction(
             f"[correction] overlap: found {table.overlap}, but less than the horizon, "
             f"{table.horizon}, is required"
         )
-    if table.objective == "surface":
-        if not (cutter.is_plain and is_upright):
+    for key, found, is_asked, allowed in (
+        ("objective", '"surface"', table.objective == "surface", '"path"'),
+        ("gouge", "a limit", table.gouge is not None, "none"),
+        ("stay_in_cut", "true", table.stay_in_cut, "false"),
+    ):
+        if is_asked and not (cutter.is_plain and is_upright):
             problems.append(
-                '[correction] objective: found "surface", which needs a flat cutter '
-                'that stands along +z; allowed here: "path"'
+                f"[correction] {key}: found {found}, which needs a flat cutter that "
+                f"stands along +z; allowed here: {allowed}"
             )
+    if table.objective == "surface":
         if table.wall_weight == table.floor_weight == 0:
             problems.append(
                 "[correction] wall_weight: found 0 beside floor_weight = 0, but one of "
                 "them above 0 is required"
             )
-    for key in ("max_velocity", "max_acceleration", "uncertainty"):
-        if getattr(table, key) is None:
+    for key in (
+        "max_velocity",
+        "max_acceleration",
+        "gouge",
+        "stay_in_cut",
+        "uncertainty",
+    ):
+        if getattr(table, key) in (None, False):
             continue
         for other, allowed in (("method", "gauss_newton"), ("command", "tip")):
             if (found := getattr(table, other)) != allowed:

@@ -1,0 +1,195 @@
+"""Rows of a residual that are kept within bounds instead of being made small.
+
+They come with the residual, from the same run of the plant, and do not count in the
+square. As long as a row is out of its bounds the least squares first bring it back: the
+part outside counts, many times over. Once all are within, each step is bounded by their
+linear model, drawn in a little for what is not linear, and a trial that leaves the
+bounds all the same is refused.
+"""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PyTree
+
+from ._limits import AbstractLimits
+from ._products import AbstractProducts
+
+# The linear model may go to this share of a bound.
+_DRAWN_IN = 0.95
+# Weight of what is out of bounds while it is brought back.
+_RETURN = 30.0
+
+Rows = Float[np.ndarray, " row"]
+
+
+class HeldRows(eqx.Module):
+    """Bounds of the last entries of a residual.
+
+    Attributes:
+        lower: Least values, below 0 or minus infinity, shape (row,).
+        upper: Largest values, above 0 or infinity, shape (row,).
+    """
+
+    lower: Rows = eqx.field(default_factory=lambda: np.zeros(0))
+    upper: Rows = eqx.field(default_factory=lambda: np.zeros(0))
+
+    def __check_init__(self):
+        if self.lower.shape != self.upper.shape:
+            raise ValueError("Arguments `lower` and `upper` must have one shape.")
+        if not np.all((self.lower < 0) & (self.upper > 0)):
+            raise ValueError(
+                "Arguments `lower` and `upper` must lie below and above 0, but do not."
+            )
+
+    @property
+    def count(self) -> int:
+        """Number of rows."""
+        return self.lower.shape[0]
+
+    def rows(self, residual: Float[Array, " entry"]) -> Rows:
+        """Return the values of the rows."""
+        return np.asarray(residual[residual.shape[0] - self.count :], np.float64)
+
+    def outside(self, rows: Rows, share: float = 1.0) -> Rows:
+        """Return how far rows are out of a share of their bounds, with the sign."""
+        return rows - np.clip(rows, share * self.lower, share * self.upper)
+
+    def is_within(self, rows: Rows) -> bool:
+        """Tell whether all rows are within their bounds."""
+        return bool(np.all((rows >= self.lower) & (rows <= self.upper)))
+
+    def cost(self, residual: Float[Array, "*entry"], is_returning: bool) -> float:
+        """Return half the square that is to become small.
+
+        Infinite for rows out of their bounds that have been within.
+        """
+        if not self.count:
+            return 0.5 * float(jnp.sum(residual**2))
+        rows = self.rows(residual)
+        counted = residual[: residual.shape[0] - self.count]
+        square = float(jnp.sum(counted**2))
+        if is_returning:
+            square += _RETURN**2 * float(np.sum(self.outside(rows, _DRAWN_IN) ** 2))
+        elif not self.is_within(rows):
+            square = np.inf
+        return 0.5 * square
+
+    def slope(
+        self, residual: Float[Array, "*entry"], is_returning: bool
+    ) -> Float[Array, "*entry"]:
+        """Return the derivative of the cost by the residual."""
+        if not self.count:
+            return residual
+        push = np.zeros(self.count)
+        if is_returning:
+            push = _RETURN**2 * self.outside(self.rows(residual), _DRAWN_IN)
+        return self._with_rows(residual, push)
+
+    def curved(
+        self, change: Float[Array, "*entry"], rows: Rows, is_returning: bool
+    ) -> Float[Array, "*entry"]:
+        """Return the change of the slope for one of the residual, to first order."""
+        if not self.count:
+            return change
+        push = np.zeros(self.count)
+        if is_returning:
+            is_out = self.outside(rows, _DRAWN_IN) != 0
+            push = _RETURN**2 * is_out * self.rows(change)
+        return self._with_rows(change, push)
+
+    def only(self, like: Float[Array, " entry"], rows: Rows) -> Float[Array, " entry"]:
+        """Return a residual of which all but the rows is zero."""
+        return self._with_rows(0 * like, rows)
+
+    def _with_rows(
+        self, residual: Float[Array, " entry"], rows: Rows
+    ) -> Float[Array, " entry"]:
+        counted = residual[: residual.shape[0] - self.count]
+        return jnp.concatenate([counted, jnp.asarray(rows, residual.dtype)])
+
+
+class LinearModel:
+    """Products with a residual's Jacobian at one point, counted.
+
+    It remembers the last product J p: rows and square ask for the same one.
+    """
+
+    def __init__(
+        self,
+        products: AbstractProducts,
+        program: PyTree,
+        vector: Callable[[np.ndarray], Array],
+        scale: np.ndarray,
+    ):
+        self.spent = 0
+        self._products = products
+        self._program = program
+        self._vector = vector
+        self._scale = scale
+        self._last: tuple[np.ndarray, Array] | None = None
+
+    def forward(self, p: np.ndarray) -> Array:
+        """Return J p, p in units of the scale."""
+        if self._last is None or self._last[0] is not p:
+            self.spent += 1
+            w = self._products.forward(self._program, self._vector(p))
+            self._last = p, w
+        return self._last[1]
+
+    def transpose(self, w: Array) -> np.ndarray:
+        """Return J^T w in units of the scale."""
+        self.spent += 1
+        like = self._vector(np.zeros_like(self._scale))
+        back = self._products.transpose(self._program, like, w)
+        return np.asarray(back, np.float64) * self._scale
+
+
+class HeldStep(AbstractLimits):
+    """Bounds of a step by the linear model of held rows.
+
+    Attributes:
+        held: The rows.
+        model: The linear model of the residual.
+        lower: Least changes, at most 0, shape (row,).
+        upper: Largest changes, at least 0, shape (row,).
+        residual: The residual where the step begins, for its shape.
+    """
+
+    held: HeldRows
+    model: LinearModel
+    lower: Rows
+    upper: Rows
+    residual: Float[Array, " entry"]
+
+    def apply(self, coefficients: np.ndarray) -> Rows:
+        """Return the changes of the rows."""
+        return self.held.rows(self.model.forward(coefficients))
+
+    def transpose(self, rows: Rows) -> np.ndarray:
+        """Return the transposed map of changes."""
+        return self.model.transpose(self.held.only(self.residual, rows))
+
+
+def held_step(
+    held: HeldRows, model: LinearModel, residual: Float[Array, " entry"]
+) -> HeldStep:
+    """Return the bounds of a step from where a residual is within its own.
+
+    Args:
+        held: The rows.
+        model: The linear model there.
+        residual: The residual there.
+
+    Returns:
+        Bounds that "no step" keeps: a row between a drawn in bound and the bound
+        itself may not come closer.
+
+    **Differentiability**: runs on the host, not traceable.
+    """
+    rows = held.rows(residual)
+    lower = np.minimum(_DRAWN_IN * held.lower - rows, 0.0)
+    upper = np.maximum(_DRAWN_IN * held.upper - rows, 0.0)
+    return HeldStep(held=held, model=model, lower=lower, upper=upper, residual=residual)

@@ -1,0 +1,107 @@
+"""The optimiser that a job asks for, with all that it must hold."""
+
+import dataclasses
+from typing import TypeAlias
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._job import Job
+from ..sim import AbstractAdjoint, command_joints
+from ._first_order import Adam
+from ._gauss_newton import GaussNewton
+from ._joint_limits import joint_limits
+from ._least_squares_records import LevenbergMarquardt
+from ._objective import AbstractObjective
+from ._problem import Problem
+from ._response import tip_response
+from ._setup import job_ensemble, job_spline
+from ._surface_bounds import SurfaceBounds, layer_thickness, surface_bounds
+from ._surface_objective import FinishedSurface
+
+Optimiser: TypeAlias = GaussNewton | Adam
+
+# Methods that look for the case "corrected".
+OPTIMISERS = ("gauss_newton", "adam")
+
+
+def job_optimiser(
+    job: Job,
+    objective: AbstractObjective,
+    surface: FinishedSurface | None,
+    adjoint: AbstractAdjoint,
+) -> Optimiser:
+    """Return the optimiser with the settings of a job.
+
+    Raises:
+        ValueError: Bounds of the surface are asked for where there is none.
+    """
+    settings = job.correction
+    if settings.method == "adam":
+        return Adam(
+            knot_spacing=settings.knot_spacing,
+            steps=settings.max_steps,
+            objective=objective,
+        )
+    known = settings.uncertainty
+    return GaussNewton(
+        knot_spacing=settings.knot_spacing,
+        solver=LevenbergMarquardt(
+            max_steps=settings.max_steps,
+            max_products=settings.max_products,
+            cost_rtol=1e-2,
+        ),
+        objective=objective,
+        ensemble=job_ensemble(job, adjoint),
+        is_worst_case=known is not None and known.objective == "worst",
+        bounds=job_bounds(job, surface),
+        max_velocity=settings.max_velocity,
+        max_acceleration=settings.max_acceleration,
+    )
+
+
+def job_bounds(job: Job, surface: FinishedSurface | None) -> SurfaceBounds | None:
+    """Return the bounds of the surface that `[correction]` asks for, or None.
+
+    Raises:
+        ValueError: They are asked for where there is no surface of walls and floors.
+    """
+    settings = job.correction
+    if not (settings.stay_in_cut or np.isfinite(settings.gouge)):
+        return None
+    if surface is None:
+        raise ValueError(
+            "Argument `job` must have neither `gouge` nor `stay_in_cut`, which need a "
+            "flat cutter along +z that leaves walls or floors."
+        )
+    layers = None
+    if settings.stay_in_cut:
+        layers = layer_thickness(surface, job.stock, job.path.positions)
+    return surface_bounds(surface, gouge=settings.gouge, layers=layers)
+
+
+def within_joint_limits(method: Optimiser, job: Job, problem: Problem) -> Optimiser:
+    """Return the optimiser with the limits of the joints; Adam knows none.
+
+    Raises:
+        InfeasibleLimit: The program leaves the joints no room.
+    """
+    if isinstance(method, Adam):
+        return method
+    bound = float(problem.max_offset)
+    limits = joint_limits(job, job_spline(job), problem.nominal, bound)
+    return dataclasses.replace(method, limits=limits)
+
+
+def preconditioned(
+    method: Optimiser, job: Job, desired: Float[Array, "step 3"]
+) -> Optimiser:
+    """Return the optimiser with the arm's response in the middle of the path."""
+    if isinstance(method, Adam):
+        return method
+    joints, _ = command_joints(job, desired)
+    middle = joints[joints.shape[0] // 2]
+    rotation = jnp.asarray(job.T_base_work)[:3, :3]
+    response = tip_response(job.robot, middle, rotation)  # pyright: ignore[reportArgumentType]
+    return dataclasses.replace(method, response=response)
