@@ -32,6 +32,8 @@ from ._coefficients import (
     ForceCoefficientFit as ForceCoefficientFit,
     fit_force_coefficients as fit_force_coefficients,
 )
+from ._coupled import CoupledFit as CoupledFit, fit_coupled as fit_coupled
+from ._coupled_model import mean_over_period as mean_over_period
 from ._cut import (
     Cut as Cut,
     EngagementColumns as EngagementColumns,

@@ -12,7 +12,7 @@ from .._job import Job
 from ..cutting import LinearEdgeLaw
 from ._advice import advise, identifiable
 from ._cut import Cut
-from ._linear import LinearFit, Loss, Rows, covariance, fit_rows, solve
+from ._linear import LinearFit, Loss, Rows, correlation_of, covariance, fit_rows, solve
 from ._mean_force import NAMES, by_name
 from ._measured import (
     Axes,
@@ -182,7 +182,7 @@ def _report(
     size = _sizes(rows, known)
     rms = float(np.sqrt(np.mean(force**2)))
     is_fixed = identifiable(C[:6, :6], size, rms)
-    correlation = _correlation(C)[:6, :6]
+    correlation = correlation_of(C)[:6, :6]
     is_measured = np.any(np.concatenate(known), axis=0)
     count, more = len(records), len(refined.values)
     names = list(refined.values)
@@ -241,13 +241,6 @@ def _sizes(rows: list[Rows], known: list[np.ndarray]) -> np.ndarray:
         for one, k in zip(rows, known, strict=True)
     )
     return np.sqrt(np.asarray(square) / max(1, sum(int(k.sum()) for k in known)))
-
-
-def _correlation(C: np.ndarray) -> np.ndarray:
-    """Return the correlation of a covariance; NaN where it is infinite."""
-    errors = np.sqrt(np.diagonal(C))
-    safe = np.where(np.isfinite(errors) & (errors > 0), errors, np.nan)
-    return np.where(np.isfinite(C), C, np.nan) / safe[:, None] / safe[None]
 
 
 def _left_out(rows: list[Rows], fit: LinearFit) -> tuple[float, ...]:

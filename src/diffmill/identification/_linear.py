@@ -73,13 +73,30 @@ def solve(rows: Sequence[Rows], weights: Sequence[np.ndarray]) -> np.ndarray:
 
     **Differentiability**: runs on the host.
     """
+    return solve_normal(*normal_equations(rows, weights))
+
+
+def normal_equations(
+    rows: Sequence[Rows], weights: Sequence[np.ndarray]
+) -> tuple[Float[np.ndarray, "unknown unknown"], Float[np.ndarray, " unknown"]]:
+    """Return the normal matrix of all records and its right-hand side.
+
+    Args:
+        rows: Equations of each record.
+        weights: Of every row, shape (row, 3) each; zero where nothing was measured.
+
+    Returns:
+        G and g of G x = g, shapes (unknown, unknown) and (unknown,).
+
+    **Differentiability**: runs on the host.
+    """
     G, g = 0.0, 0.0
     for one, weight in zip(rows, weights, strict=True):
         flat = one.columns.reshape(-1, one.columns.shape[2])
         weighted = flat * weight.reshape(-1, 1)
         G = G + weighted.T @ flat
         g = g + weighted.T @ np.nan_to_num(one.force).reshape(-1)
-    return solve_normal(np.asarray(G), np.asarray(g))
+    return np.asarray(G), np.asarray(g)
 
 
 def solve_normal(
@@ -140,25 +157,42 @@ def fit_rows(rows: Sequence[Rows], loss: Loss = "huber") -> LinearFit:
     known = [np.isfinite(one.force) for one in rows]
     weights = [k.astype(np.float64) for k in known]
     x = solve(rows, weights)
-    spread = np.ones((len(rows), 3))
-    residual: list[np.ndarray] = []
     # Tukey's loss has several minima: Huber's leads to the right one.
     stages = {"squares": ["squares"], "huber": ["huber"], "tukey": ["huber", "tukey"]}
+    fit = weigh(rows, x, "squares")
     for stage in stages[loss]:
         for _ in range(_ITERATIONS):
-            residual = [one.force - one.columns @ x for one in rows]
-            spread = np.stack(
-                [_spread(r, k) for r, k in zip(residual, known, strict=True)]
-            )
-            weights = [
-                robust_weight(r / s[None], stage) * k / s[None] ** 2
-                for r, k, s in zip(residual, known, spread, strict=True)
-            ]
-            last, x = x, solve(rows, weights)
+            fit = weigh(rows, x, stage)
+            last, x = x, solve(rows, fit.weights)
             change = np.abs(x - last) <= 1e-5 * np.abs(x) + 1e-300
             if change.all():
                 break
     residual = [one.force - one.columns @ x for one in rows]
+    return LinearFit(x, fit.weights, fit.spread, residual)
+
+
+def weigh(
+    rows: Sequence[Rows], x: Float[np.ndarray, " unknown"], loss: str
+) -> LinearFit:
+    """Return what some unknowns leave of the records, and the weights that follow.
+
+    Args:
+        rows: Equations of each record.
+        x: The unknowns, shape (unknown,).
+        loss: "squares", "huber" or "tukey".
+
+    Returns:
+        Residuals, spreads and weights at these unknowns.
+
+    **Differentiability**: runs on the host.
+    """
+    residual = [one.force - one.columns @ x for one in rows]
+    known = [np.isfinite(one.force) for one in rows]
+    spread = np.stack([_spread(r, k) for r, k in zip(residual, known, strict=True)])
+    weights = [
+        robust_weight(r / s[None], loss) * k / s[None] ** 2
+        for r, k, s in zip(residual, known, spread, strict=True)
+    ]
     return LinearFit(x, weights, spread, residual)
 
 
@@ -180,6 +214,41 @@ def robust_weight(r: np.ndarray, loss: str) -> np.ndarray:
     if loss == "huber":
         return _HUBER / np.maximum(size, _HUBER)
     return np.where(size < _TUKEY, (1 - np.minimum(size / _TUKEY, 1) ** 2) ** 2, 0.0)
+
+
+def robust_cost(r: np.ndarray, loss: Loss) -> float:
+    """Return twice the sum of the loss of residuals in standard deviations.
+
+    Args:
+        r: Residuals, any shape; NaN counts as 0.
+        loss: "squares" or "huber".
+
+    Returns:
+        The sum; that of the squares where all are small.
+
+    **Differentiability**: runs on the host.
+    """
+    size = np.abs(np.nan_to_num(r))
+    within = size if loss == "squares" else np.minimum(size, _HUBER)
+    return float(np.sum(within * (2 * size - within)))
+
+
+def correlation_of(
+    C: Float[np.ndarray, "unknown unknown"],
+) -> Float[np.ndarray, "unknown unknown"]:
+    """Return the correlation of a covariance; NaN where it is infinite.
+
+    Args:
+        C: Covariance, shape (unknown, unknown).
+
+    Returns:
+        Correlation, same shape.
+
+    **Differentiability**: runs on the host.
+    """
+    errors = np.sqrt(np.diagonal(C))
+    safe = np.where(np.isfinite(errors) & (errors > 0), errors, np.nan)
+    return np.where(np.isfinite(C), C, np.nan) / safe[:, None] / safe[None]
 
 
 def _slope(r: np.ndarray, loss: str) -> np.ndarray:

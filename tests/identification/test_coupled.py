@@ -1,0 +1,192 @@
+"""Parameters of arm and cut from records of three slides that carry a cutter."""
+
+import dataclasses
+import functools
+import math
+
+import equinox as eqx
+import numpy as np
+import pytest
+from helpers import PAPER_LAW
+
+from diffmill import (
+    cutter as ct,
+    identification,
+    robot as rb,
+    sim,
+    toolpath as tp,
+    workpiece as wp,
+)
+from diffmill._job import CorrectionSettings, Job, SimulationSettings
+from diffmill.identification._coupled_model import modelled, parameter_values
+
+PERIOD, MASS, ZETA = 3.75e-3, 80.0, 0.08
+STIFFNESS = np.array([1.5e6, 2.5e6, 4e6])
+# Where a fit starts, over the truth.
+OFF = {"K": [0.7, 1.6, 0.8], "D": [2.0, 2.0, 1.5], "law": [1.3, 0.8, 1.5, 0.7, 1.4, 2]}
+
+
+def slides():
+    """Return three slides, the mass on the last."""
+    joints = [
+        rb.PrismaticJoint(
+            name,
+            tuple(axis),
+            stiffness=float(K),
+            damping=2 * ZETA * math.sqrt(K * MASS),
+        )
+        for name, axis, K in zip("xyz", np.eye(3), STIFFNESS, strict=True)
+    ]
+    return rb.build([*joints, rb.RigidBody(MASS, (0, 0, 0), np.eye(3))])
+
+
+def cut(teeth, feeds, spacing, angles, substeps, **settings):
+    """Return a slot along x, then along y, at two feeds each."""
+    steps = np.repeat(feeds, teeth)
+    x = np.cumsum(np.concatenate([[0.0], steps, 0 * steps])) - 5.5e-3
+    y = np.cumsum(np.concatenate([[0.0], 0 * steps, steps])) + 6e-3
+    tips = np.column_stack([x, y, np.full(len(x), -1e-3)])
+    return Job(
+        name="corner",
+        cutter=ct.flat_end_mill(10e-3, 2),
+        law=PAPER_LAW,
+        spindle_speed=2 * math.pi / (2 * PERIOD),
+        stock=wp.box([0, 0, -2e-3], [x[-1] + 6e-3, y[-1] + 6e-3, 0], spacing),
+        path=tp.vertical_path(PERIOD * np.arange(len(x)), tips),
+        robot=slides(),
+        T_base_work=np.eye(4),
+        joint_start=None,
+        simulation=SimulationSettings(
+            angles=angles,
+            substeps=substeps,
+            element_height=0.5e-3,
+            axial_depth=1.5e-3,
+            **settings,
+        ),
+        correction=CorrectionSettings(),
+    )
+
+
+def started(job, changes=("K", "D", "law")):
+    """Return a job whose parameters are off."""
+    robot, law = job.robot, job.law
+    if "K" in changes:
+        K, D = STIFFNESS * OFF["K"], np.asarray(robot.joint_damping) * OFF["D"]
+        robot = rb.with_drives(robot, stiffness=K, damping=D)
+    if "law" in changes:
+        factors = zip(identification.NAMES, OFF["law"], strict=True)
+        law = dataclasses.replace(law, **{n: f * getattr(law, n) for n, f in factors})
+    return eqx.tree_at(lambda j: (j.robot, j.law), job, (robot, law))
+
+
+def errors(fit, truth):
+    """Return the relative error of what is identifiable, by name."""
+    wanted = parameter_values(truth)
+    return {n: v / wanted[n] - 1 for n, v in fit.parameters.items() if v == v}
+
+
+@functools.cache
+def small():
+    return cut(12, (0.3e-3, 0.4e-3), 0.6e-3, 96, 4)
+
+
+SPRINGS = tuple(range(6))
+
+
+@functools.cache
+def small_record():
+    """The deviation of the small job, by the model that is fitted."""
+    return modelled(sim.with_precision(small()), SPRINGS, np.zeros(6))
+
+
+def test_slopes_agree_with_differences():
+    job = sim.with_precision(small())
+    h = 1e-5
+    for i in SPRINGS:
+        sides = [
+            modelled(job, SPRINGS, h * sign * np.eye(6)[i]).deviation
+            for sign in (1.0, -1.0)
+        ]
+        wanted = (sides[0] - sides[1]) / (2 * h)
+        found = small_record().deviation_slopes[:, :, i]
+        assert np.abs(found - wanted).max() < 1e-6 * np.abs(wanted).max()
+
+
+def test_deflection_alone_gives_springs_and_names_what_it_does_not_show():
+    clean, draw = small_record().deviation, np.random.default_rng(0)
+    offset = np.array([3e-5, -2e-5, 1e-5])
+    # The axial force bends the third slide by less than this noise.
+    seen = clean + offset[None] + 3e-6 * draw.normal(size=clean.shape)
+    fit = identification.fit_coupled(
+        started(small(), ["K"]), deviation=seen, has_offset=True
+    )
+    off = errors(fit, small())
+    assert set(off) == {"K x", "K y", "D x", "D y"}
+    assert max(abs(v) for v in off.values()) < 0.05
+    assert fit.offset is not None
+    np.testing.assert_allclose(fit.offset, offset, atol=2e-6)
+    assert fit.has_converged and fit.explained["deviation"] > 0.97
+    named = " ".join(fit.notes)
+    assert "K z is not identifiable" in named and "D z is not" in named
+    for name in off:
+        wanted = parameter_values(small())[name]
+        assert abs(fit.parameters[name] - wanted) < 4 * fit.standard_errors[name]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_one_record_gives_arm_and_cut(precision):
+    """The record is that of finer rays, angles and sub-steps, with 5 % noise."""
+    fine = cut(60, (0.1e-3, 0.3e-3), 0.4e-3, 240, 12)
+    record, draw = sim.simulate(fine), np.random.default_rng(0)
+    seen = {
+        name: rows + 0.05 * np.sqrt(np.mean(rows**2)) * draw.normal(size=rows.shape)
+        for name, rows in (
+            ("force", np.asarray(record.force)),
+            ("deviation", np.asarray(record.deviation)),
+        )
+    }
+    coarse = cut(60, (0.1e-3, 0.3e-3), 0.5e-3, 192, 8, precision=precision)
+    fit = identification.fit_coupled(started(coarse), **seen)
+    off = errors(fit, fine)
+    assert {"K x", "K y", "D x", "K_tc", "K_rc"} <= set(off)
+    assert max(abs(v) for v in off.values()) < 0.05
+    assert min(fit.explained.values()) > 0.98
+    lost = {name for name, known in fit.identifiable.items() if not known}
+    assert lost == {name for name, value in fit.parameters.items() if math.isnan(value)}
+    assert all(f"{name} is not identifiable" in " ".join(fit.notes) for name in lost)
+
+
+def test_a_record_of_another_machine_is_called_so():
+    turned = small_record().deviation[:, [1, 2, 0]]
+    fit = identification.fit_coupled(started(small(), ["K"]), deviation=turned)
+    assert fit.explained["deviation"] < 0.7
+    assert "does not suit the job" in " ".join(fit.notes)
+
+
+def test_the_mean_over_a_period_is_that_of_the_integral():
+    time = np.arange(0, 0.1, 1e-4)
+    wave = np.column_stack([np.sin(60 * time), 0 * time + 2, time])
+    found = identification.mean_over_period(time, wave, PERIOD)
+    first = time < PERIOD
+    assert np.isnan(found[first]).all() and not np.isnan(found[~first]).any()
+    t = time[~first]
+    wanted = (np.cos(60 * (t - PERIOD)) - np.cos(60 * t)) / (60 * PERIOD)
+    np.testing.assert_allclose(found[~first, 0], wanted, atol=5e-6)
+    np.testing.assert_allclose(found[~first, 1], 2.0)
+    np.testing.assert_allclose(found[~first, 2], t - PERIOD / 2)
+
+
+def test_wrong_arguments_are_named():
+    job, rows = small(), np.zeros((49, 3))
+    with pytest.raises(ValueError, match="must not both be missing"):
+        identification.fit_coupled(job)
+    with pytest.raises(ValueError, match="must have a robot"):
+        bare = eqx.tree_at(lambda j: j.robot, job, None)
+        identification.fit_coupled(bare, deviation=rows)
+    with pytest.raises(ValueError, match=r"`deviation` must have shape \(49, 3\)"):
+        identification.fit_coupled(job, deviation=rows[:20])
+    with pytest.raises(ValueError, match="`fit` may hold"):
+        identification.fit_coupled(job, deviation=rows, fit=["K elbow"])
+    with pytest.raises(ValueError, match="`loss` must be"):
+        identification.fit_coupled(job, deviation=rows, loss="tukey")
