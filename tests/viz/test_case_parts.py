@@ -51,6 +51,17 @@ def test_report_and_command_line_leave_out_a_part_without_rows(tmp_path, result)
     ]
 
 
+def test_leaving_the_cut_is_told(tmp_path, result):
+    assert not any("warning" in line for line in _parts(result))
+    left = np.zeros(len(SIZE), np.int32)
+    left[1] = 7
+    told = result.assign(rows_out_of_cut=(("case",), left))
+    (line,) = [line for line in _parts(told) if "warning" in line]
+    assert "mirror: the tool leaves the cut in 7 steps" in line
+    page = write_report(tmp_path, told, {}).read_text(encoding="utf-8")
+    assert "steps out of the cut" in page and "<td>7</td>" in page
+
+
 def test_a_simulation_has_no_such_table(tmp_path, simulation):
     assert case_parts(simulation) == ()
     assert _parts(simulation) == []

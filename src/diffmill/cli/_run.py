@@ -292,4 +292,10 @@ def _parts(dataset: Dataset) -> list[str]:
             f"{case.name:16}{mean}{rms}{case.max_acceleration:8.2f}"
             f"{case.forward_runs:6d}{case.seconds:7.1f} s"
         )
+    rows += [
+        f"warning: {case.name}: the tool leaves the cut in {case.rows_out_of_cut} "
+        "steps where it should be in a full cut"
+        for case in cases
+        if case.rows_out_of_cut
+    ]
     return rows

@@ -28,6 +28,7 @@ class CaseParts(eqx.Module):
         max_acceleration: Largest acceleration of the commanded tip [m/s^2].
         seconds: Wall time of the method [s]; NaN where it is not known.
         forward_runs: Simulations that the method needed; 0 where it is not known.
+        rows_out_of_cut: Rows where the tool cuts nothing but should be in a full cut.
     """
 
     name: str = eqx.field(static=True)
@@ -38,6 +39,7 @@ class CaseParts(eqx.Module):
     max_acceleration: float
     seconds: float
     forward_runs: int
+    rows_out_of_cut: int
 
 
 def case_parts(dataset: "xarray.Dataset") -> tuple[CaseParts, ...]:
@@ -68,6 +70,7 @@ def case_parts(dataset: "xarray.Dataset") -> tuple[CaseParts, ...]:
                 max_acceleration=float(case["max_acceleration"]),
                 seconds=float(dataset.attrs.get(f"{name}_wall_time_s", np.nan)),
                 forward_runs=int(dataset.attrs.get(f"{name}_forward_runs", 0)),
+                rows_out_of_cut=int(case.get("rows_out_of_cut", 0)),
             )
         )
     return tuple(found)
@@ -82,6 +85,7 @@ def parts_html(dataset: "xarray.Dataset") -> str:
     header = ["case", f"mean x, y, z [{MICROMETRE}]"]
     header += [f"{part}: rms / max [{MICROMETRE}]" for part in parts]
     header.append("command's acceleration, max [m/s\u00b2]")
+    header.append("steps out of the cut")
     rows = [
         [
             case_style(case.name).label,
@@ -91,6 +95,7 @@ def parts_html(dataset: "xarray.Dataset") -> str:
                 for part in parts
             ),
             f"{case.max_acceleration:.2f}",
+            f"{case.rows_out_of_cut}",
         ]
         for case in cases
     ]
@@ -100,7 +105,8 @@ def parts_html(dataset: "xarray.Dataset") -> str:
         "Entry, exit: within a tool radius of travel after the cut begins or grows by "
         "a quarter, before it ends or after it shrinks so; corner: the desired line "
         "turns by more than 10\u00b0 within half a radius to either side; plateau: the "
-        f"rest. Steps in each: {counts}."
+        f"rest. Steps in each: {counts}. Out of the cut: of the corner and plateau, "
+        "where the tool removes nothing."
     )
     table = table_html(
         header, rows, colours=[case_style(case.name).colour for case in cases]
