@@ -108,8 +108,8 @@ def _stiffness_lines(
             "warning",
         )
     lines.append(
-        f"left out: each fifth of the table predicted by the rest, {check.error:.1%} "
-        "of the displacement rms off"
+        f"left out: {_part(task)} predicted by the others, {check.error:.1%} of the "
+        "displacement rms off"
     )
     for note in fit.notes:
         if "contradict the others and were left out" in note:
@@ -117,6 +117,10 @@ def _stiffness_lines(
             continue
         lines += noted(note, "note" if fit.is_consistent else "warning")
     return lines
+
+
+def _part(task: "LoadTestTask") -> str:
+    return "each row" if len(task.rows) <= 5 else "each fifth of the rows"
 
 
 def _advice(task: "LoadTestTask", fit: "JointStiffnessFit") -> list[str]:
@@ -181,7 +185,7 @@ def _draw_stiffness(
         unit="\u00b5m",
         scale=1e6,
         what="d",
-        title=f"each fifth of the table predicted by the rest, {check.error:.1%} off",
+        title=f"{_part(task)} predicted by the others, {check.error:.1%} off",
         marked=fit.outliers,
         labels=[f"row {rows[i]}" for i in fit.outliers],
     )

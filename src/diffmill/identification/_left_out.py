@@ -72,7 +72,7 @@ def _spread(
     found = []
     for row in rows:
         off = np.abs(row.force - row.columns @ fit.raw)
-        seen = np.isfinite(off).any(axis=0)
+        seen = np.asarray(np.isfinite(off).any(axis=0))
         middle = np.nanmedian(np.where(seen[None], off, 0.0), axis=0) / 0.6745
         found.append(np.where(middle > 0, middle, 1.0))
     return found

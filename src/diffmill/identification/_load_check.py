@@ -63,7 +63,9 @@ def check_load_tests(
     good = np.ones(len(moved), bool)
     good[list(fit.outliers)] = False
     # Rotations are as large as displacements if both are over their own size.
-    scale = np.nanstd(moved, axis=0)
+    known = np.isfinite(moved)
+    square = np.sum(np.where(known, moved, 0.0) ** 2, axis=0)
+    scale = np.sqrt(square / np.maximum(known.sum(axis=0), 1))
     scale = np.where(scale > 0, scale, 1.0)
     predicted = np.full_like(moved, np.nan)
     place = np.arange(len(moved)) % min(parts, len(moved))

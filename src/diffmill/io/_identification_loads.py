@@ -238,12 +238,16 @@ def _columns(
             for key, kinds, pattern in group
         }
         given = {key: part for key, part in parts.items() if part is not None}
+        # "none": no load along this axis, no measurement along that one.
+        for key in [k for k in parts if given and k in wanted and wanted[k] is None]:
+            fill = 0.0 if name in ("force", "moment") else np.nan
+            given[key] = np.full(len(next(iter(given.values()))), fill)
         lost = [key for key in parts if key not in given]
         is_optional = name in ("moment", "rotation")
         if lost and (given or not is_optional):
             missing.extend(lost)
         elif given:
-            values[name] = np.column_stack(list(given.values()))
+            values[name] = np.column_stack([given[key] for key in parts])
     if missing and not faults:
         names = ", ".join(f"`{column.name}`" for column in found.columns)
         faults.append(

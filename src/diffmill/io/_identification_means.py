@@ -37,6 +37,9 @@ def mean_force_task(
     """
     context, settings, has_records = rest
     if (table is None) != has_records:
+        if table is None and problems:
+            # A table with a fault of its own has been reported.
+            return None
         found = "neither" if table is None else "both"
         problems.append(
             f"[means], [[record]]: found {found}, but exactly one of a table of means "

@@ -9,6 +9,8 @@ from jaxtyping import Bool, Float, Int
 _SAME_RATE = 0.01
 # A part that begins again is a measurement of its own only from this length on.
 _SHORTEST_PART = 100
+# Stamps of one clock are this share of a usual step apart at least.
+_APART = 0.6
 
 
 class Timeline(NamedTuple):
@@ -149,7 +151,7 @@ def _joined(
         return None
     order = np.argsort(time[starts])
     ends, begins = time[stops - 1][order], time[starts][order]
-    if np.all(begins[1:] >= ends[:-1]):
+    if np.all(begins[1:] >= ends[:-1]) or _interlock(time):
         return None
     out = np.array(time)
     for start, stop in zip(starts[1:], stops[1:], strict=True):
@@ -157,6 +159,13 @@ def _joined(
         pause = 10.0 * (time[stop - 1] - time[start]) / (stop - start - 1)
         out[start:stop] += out[start - 1] + pause - time[start]
     return out
+
+
+def _interlock(time: Float[np.ndarray, " row"]) -> bool:
+    """Return whether rows out of order fill each other's gaps: one clock, shuffled."""
+    steps = np.diff(time)
+    usual = float(np.median(steps[steps > 0]))
+    return bool(np.diff(np.sort(time)).min() > _APART * usual)
 
 
 def _gaps(

@@ -1,0 +1,258 @@
+"""Files for `diffmill identify`: what they hold is read, what is wrong is listed."""
+
+import tomllib
+from typing import Any
+
+import numpy as np
+import pytest
+
+from diffmill import io
+
+HEAD = """kind = "force_records"
+[cutter]
+diameter = "10 mm"
+teeth = 2
+[spindle]
+speed = "6000 rpm"
+[cut]
+axial_depth = "2 mm"
+[[record]]
+file = "cut.txt"
+feed_per_tooth = "0.1 mm"
+"""
+RATE, IDLE, CUT = 4000.0, 0.3, 1.2
+SLIDES = """name = "slides"
+[[elements]]
+kind = "revolute"
+name = "turn"
+axis = [0, 0, 1]
+lower = "-180 deg"
+upper = "180 deg"
+stiffness = "1e5 N*m/rad"
+[[elements]]
+kind = "translation"
+position = ["500 mm", "0 mm", "0 mm"]
+[[elements]]
+kind = "prismatic"
+name = "slide"
+axis = [1, 0, 0]
+lower = "-1 m"
+upper = "1 m"
+stiffness = "4 N/um"
+[[elements]]
+kind = "body"
+mass = "10 kg"
+inertia = ["1 kg*m^2", "1 kg*m^2", "1 kg*m^2"]
+"""
+
+
+def forces(cuts=1):
+    """Return time and force: idle, a cut at 200 teeth a second, idle, and again."""
+    one = np.arange(0, 2 * IDLE + CUT, 1 / RATE)
+    on = (one >= IDLE) & (one < IDLE + CUT)
+    teeth = 60 + 50 * np.sin(2 * np.pi * 200 * one)
+    wave = np.where(on, teeth, 0.0)
+    force = np.column_stack([wave, -0.5 * wave, 0.2 * wave])
+    force = np.tile(force, (cuts, 1))
+    time = np.arange(len(force)) / RATE
+    noise = np.random.default_rng(0).normal(size=force.shape)
+    return time, force + noise + np.array([3.0, -2.0, 5.0])[None] + time[:, None]
+
+
+def text(time, force, row="{:.5f};{:.3f};{:.3f};{:.3f}", head="t;Fx;Fy;Fz\ns;N;N;N\n"):
+    lines = [row.format(t, *f) for t, f in zip(time, force, strict=True)]
+    return head + "\n".join(lines) + "\n"
+
+
+def load(folder, job=HEAD, data=None, **options) -> Any:
+    time, force = forces()
+    content = text(time, force) if data is None else data
+    raw = content if isinstance(content, bytes) else content.encode()
+    (folder / "cut.txt").write_bytes(raw)
+    (folder / "file.toml").write_text(job)
+    task: Any = io.load_identification(folder / "file.toml", **options)
+    return task
+
+
+def test_offset_drift_cut_and_entry_are_found(tmp_path):
+    record = load(tmp_path).records[0]
+    # 20 mm a second: 0.275 s until a radius and a tenth of 5 mm is passed.
+    np.testing.assert_allclose(record.start, IDLE + 0.275, atol=0.02)
+    np.testing.assert_allclose(record.stop, IDLE + CUT - 0.275, atol=0.02)
+    inside = (record.record.time > record.start) & (record.record.time < record.stop)
+    mean = record.record.force[inside].mean(axis=0)
+    np.testing.assert_allclose(mean, [60.0, -30.0, 12.0], atol=0.6)
+    assert any("Offset and drift" in note for note in record.notes)
+
+
+TIME, FORCE = forces()
+SHUFFLED = np.concatenate(
+    np.random.default_rng(1).permutation(np.arange(len(TIME)).reshape(-1, 450))
+)
+
+
+@pytest.mark.parametrize(
+    ("data", "more"),
+    [
+        ("\ufeff" + text(TIME, FORCE).replace(".", ","), ""),
+        (text(TIME, FORCE, head="Pr\u00fcfung\nZeit [s];Fx;Fy;Fz\n"), ""),
+        (
+            text(
+                TIME * 1e3, FORCE / 1e3, "{}\t{}\t{}\t{}", "t_ms\tFx_kN\tFy_kN\tFz_kN\n"
+            ),
+            "",
+        ),
+        (text(TIME, FORCE, "{1}, {2}, {3}", "fs = 4 kHz\nFx,Fy,Fz\n"), ""),
+        (text(TIME, FORCE, "{1}, {2}, {3}", "Fx,Fy,Fz\n"), 'rate = "4 kHz"'),
+        (text(TIME, FORCE, "{:.3f},{},{},{}"), ""),
+        (text(TIME[SHUFFLED], FORCE[SHUFFLED]), ""),
+        (
+            text(TIME, FORCE, head="t;a;b;c\n"),
+            'channels = { force_x = "a", Fy = 3, Fz = "c" }',
+        ),
+    ],
+)
+def test_one_cut_in_many_spellings(tmp_path, data, more):
+    job = HEAD.replace("[[record]]", "[[record]]\n" + more)
+    record = load(tmp_path, job, data).records[0]
+    inside = (record.record.time > record.start) & (record.record.time < record.stop)
+    np.testing.assert_allclose(record.stop - record.start, CUT - 0.55, atol=0.04)
+    mean = record.record.force[inside].mean(axis=0)
+    np.testing.assert_allclose(mean, [60.0, -30.0, 12.0], atol=0.6)
+
+
+def test_several_cuts_are_listed_and_named(tmp_path):
+    data = text(*forces(cuts=2))
+    with pytest.raises(io.JobError, match=r"the record has 2 cuts \(1 from 0\.\d+ to"):
+        load(tmp_path, data=data)
+    second = load(tmp_path, HEAD + "cut = 2\n", data).records[0]
+    assert second.name == "cut.txt, cut 2" and second.start > 2 * IDLE + CUT
+    with pytest.raises(io.JobError, match="cut: found 3, but the record has 2 cuts"):
+        load(tmp_path, HEAD + "cut = 3\n", data)
+
+
+def test_saturation_is_told(tmp_path):
+    force = FORCE.copy()
+    force[:, 0] = np.minimum(force[:, 0], 90.0)
+    record = load(tmp_path, data=text(TIME, force)).records[0]
+    assert record.is_saturated
+    assert any("end of a channel" in note for note in record.notes)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (('kind = "force_records"', 'kind = "forces"'), "kind: found 'forces'"),
+        (('speed = "6000 rpm"', ""), "1 speed: found nothing"),
+        (('feed_per_tooth = "0.1 mm"', ""), "feed_per_tooth: found nothing"),
+        (('"0.1 mm"', '"0.1"'), "found '0.1' without a unit"),
+        (('"0.1 mm"', '"0.1 mm"\nstart = "9 s"'), "start, stop: found 9 s"),
+        (('"0.1 mm"', '"0.1 mm"\nside = "up"'), "radial_depth: found nothing beside"),
+        (('"0.1 mm"', '"0.1 mm"\njob = "a.toml"'), "job: found beside feed_per_tooth"),
+        (('"0.1 mm"', '"0.01 mm"'), "pass until a tool of this radius"),
+        (('"cut.txt"', '"../cut.txt"'), "leads outside"),
+        (('"cut.txt"', '"none.txt"'), "no such file"),
+        (('"0.1 mm"', '"0.1 mm"\ntare = ["0 s", "1"]'), "tare"),
+        (("[cut]", "[cuts]"), "cuts: found an unknown table"),
+    ],
+)
+def test_faults_are_named(tmp_path, change, message):
+    with pytest.raises(io.JobError) as error:
+        load(tmp_path, HEAD.replace(*change))
+    assert message in str(error.value)
+
+
+def test_all_faults_come_at_once(tmp_path):
+    job = (
+        HEAD + '[[record]]\nfile = "none.txt"\nfoo = 1\n[fit]\naxes = ["x", "x", "z"]\n'
+    )
+    job = job.replace("teeth = 2", "teeth = 0")
+    with pytest.raises(io.JobError) as error:
+        load(tmp_path, job)
+    lines = "\n".join(error.value.problems)
+    for part in ("teeth", "foo", "axes: found ['x', 'x', 'z']"):
+        assert part in lines
+
+
+def test_means_of_a_table_and_of_records_agree(tmp_path):
+    (tmp_path / "two.txt").write_text(text(TIME, 1.5 * FORCE))
+    job = HEAD.replace("force_records", "mean_forces")
+    job += '[[record]]\nfile = "two.txt"\nfeed_per_tooth = "0.2 mm"\n'
+    task = load(tmp_path, job)
+    np.testing.assert_allclose(task.feed_per_tooth, [1e-4, 2e-4])
+    np.testing.assert_allclose(task.mean_force[1] / task.mean_force[0], 1.5, rtol=0.01)
+    (tmp_path / "means.csv").write_text(
+        "fz_mm,Fx_N,Fy_N,Fz_N\n0.2,90,-45,18\n0.1,60,-30,12\n"
+    )
+    table = job[: job.index("[[record]]")] + '[means]\nfile = "means.csv"\n'
+    other = load(tmp_path, table)
+    np.testing.assert_allclose(other.feed_per_tooth, task.feed_per_tooth)
+    np.testing.assert_allclose(other.mean_force, task.mean_force, atol=1.0)
+
+
+LOADS = """kind = "load_tests"
+[robot]
+file = "arm.toml"
+[load_tests]
+file = "loads.csv"
+"""
+
+
+def loads(
+    folder,
+    head="turn [deg];slide [mm];Fx [N];Fy [N];Fz [N];dx [um];dy [um];dz [um]",
+    job=LOADS,
+):
+    (folder / "arm.toml").write_text(SLIDES)
+    rows = "0;0;100;0;0;25;0;0\n90;100;0;200;0;0;50;0\n45;0;0;100;;1;2;3\n"
+    (folder / "loads.csv").write_text(f"table 1\n{head}\n{rows}")
+    (folder / "file.toml").write_text(job)
+    task: Any = io.load_identification(folder / "file.toml")
+    return task
+
+
+def test_load_tests_are_read_and_turned(tmp_path):
+    task: Any = loads(tmp_path)
+    np.testing.assert_allclose(task.q, [[0, 0], [np.pi / 2, 0.1]])
+    np.testing.assert_allclose(task.wrench[1], [0, 200, 0, 0, 0, 0])
+    np.testing.assert_allclose(task.displacement[1], [0, 50e-6, 0], atol=1e-12)
+    assert task.rows == (1, 2) and "Rows 3" in task.notes[0]
+    # In the tool, which the second pose turns by a right angle, y is -x of base.
+    turned: Any = loads(tmp_path, job=LOADS + 'load_frame = "tool"\n')
+    np.testing.assert_allclose(turned.wrench[1, :3], [-200, 0, 0], atol=1e-9)
+    mirrored: Any = loads(
+        tmp_path, job=LOADS + 'displacement_axes = ["-y", "x", "z"]\n'
+    )
+    np.testing.assert_allclose(mirrored.displacement[1], [-50e-6, 0, 0], atol=1e-12)
+
+
+def test_load_tests_without_units_are_not_guessed(tmp_path):
+    bare = "turn;slide [mm];Fx;Fy;Fz;dx;dy;dz"
+    with pytest.raises(io.JobError) as error:
+        loads(tmp_path, bare)
+    assert 'units`, such as { joint = "deg" }' in str(error.value)
+    assert 'units`, such as { displacement = "mm" }' in str(error.value)
+    job = LOADS + 'units = { displacement = "um" }\n'
+    task: Any = loads(tmp_path, bare.replace("turn", "turn_deg"), job)
+    np.testing.assert_allclose(task.displacement[0], [25e-6, 0, 0], atol=1e-12)
+
+
+def test_a_component_that_was_not_measured_is_said(tmp_path):
+    head = "turn [deg];slide [mm];Fx [N];Fy [N];Fz [N];dx [um];dy [um];foo"
+    with pytest.raises(io.JobError, match="no column for dz"):
+        loads(tmp_path, head)
+    task: Any = loads(tmp_path, head, LOADS + 'channels = { dz = "none" }\n')
+    assert np.isnan(task.displacement[:, 2]).all()
+
+
+def test_snippets_are_toml_that_a_job_takes():
+    names: list[str] = list(("K_tc", "K_rc", "K_ac", "K_te", "K_re", "K_ae"))
+    values = dict(zip(names, (958.86e6, 250e6, 146e6, 15e3, 19e3, np.nan), strict=True))
+    errors = dict.fromkeys(names, 1e3)
+    known = {name: bool(np.isfinite(value)) for name, value in values.items()}
+    lines = io.force_toml(values, errors, known)
+    lines += io.uncertainty_toml("force", 0.0213)
+    found = tomllib.loads(io.snippet(["head"], lines))
+    assert found["force"]["K_tc"] == "958.86 N/mm^2" and "K_ae" not in found["force"]
+    known = {"force": 0.0213, "gaussian": True}
+    assert found["correction"]["uncertainty"] == known

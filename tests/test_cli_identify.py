@@ -1,0 +1,196 @@
+"""`diffmill identify`: what it prints, writes and refuses."""
+
+import json
+import math
+import tomllib
+
+import numpy as np
+import pytest
+
+from diffmill import cutter as ct, identification
+from diffmill.cli import main
+
+K = np.array([958.86e6, 250.863e6, 146.361e6, 15.758e3, 19.434e3, 18.207e3])
+MEANS = """kind = "mean_forces"
+[cutter]
+diameter = "10 mm"
+teeth = 2
+[cut]
+axial_depth = "3 mm"
+[means]
+file = "means.csv"
+"""
+# Two slides: about each everything is known.
+SLIDES = """name = "slides"
+[[elements]]
+kind = "prismatic"
+name = "x"
+axis = [1, 0, 0]
+lower = "-1 m"
+upper = "1 m"
+stiffness = "4 N/um"
+damping = "400 N*s/m"
+[[elements]]
+kind = "prismatic"
+name = "y"
+axis = [0, 1, 0]
+lower = "-1 m"
+upper = "1 m"
+stiffness = "9 N/um"
+damping = "900 N*s/m"
+[[elements]]
+kind = "body"
+mass = "100 kg"
+inertia = ["1 kg*m^2", "1 kg*m^2", "1 kg*m^2"]
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path.parent / "cache"))
+    (tmp_path / "slides.toml").write_text(SLIDES)
+    return tmp_path
+
+
+def results(folder, name):
+    out = folder / f"{name}-identify"
+    facts = json.loads((out / "identified.json").read_text())
+    return out, facts, tomllib.loads((out / "identified.toml").read_text())
+
+
+def write_means(folder):
+    slope, offset = identification.mean_force_matrices(2, 3e-3, 0.0, math.pi)
+    feeds = np.array([0.05e-3, 0.1e-3, 0.15e-3, 0.2e-3])
+    force = feeds[:, None] * (slope @ K[:3])[None] + (offset @ K[3:])[None]
+    force = force + 0.3 * np.random.default_rng(0).normal(size=force.shape)
+    # The dynamometer is turned: its x is y of the feed.
+    rows = [
+        f"{1e3 * f:g},{y},{x},{z}" for f, (x, y, z) in zip(feeds, force, strict=True)
+    ]
+    (folder / "means.csv").write_text("fz_mm,Fx_N,Fy_N,Fz_N\n" + "\n".join(rows))
+
+
+def test_means_are_fitted_and_axes_are_proposed_not_changed(folder, capsys):
+    write_means(folder)
+    (folder / "means.toml").write_text(MEANS)
+    assert main(["identify", "means.toml"]) == 0
+    text = capsys.readouterr().out
+    assert 'The axes ["y", "x", "z"] make more sense' in text
+    assert "Nothing was changed" in text
+    out, facts, toml = results(folder, "means")
+    assert facts["axes"] == ["x", "y", "z"] and toml == {}
+    (folder / "turned.toml").write_text(MEANS + '[fit]\naxes = ["y", "x", "z"]\n')
+    assert main(["identify", "turned.toml"]) == 0
+    assert "make more sense" not in capsys.readouterr().out
+    out, facts, toml = results(folder, "turned")
+    for name, value in zip(identification.NAMES, K, strict=True):
+        assert abs(facts["coefficients_SI"][name] / value - 1) < 0.05
+        error = facts["coefficients_SI"][name] - value
+        assert abs(error) < 4 * facts["standard_errors_SI"][name]
+    assert toml["force"]["K_tc"].endswith("N/mm^2")
+    assert 0 < toml["correction"]["uncertainty"]["force"] < 0.05
+    assert {"mean_forces.png", "correlation.png", "summary.txt"} <= {
+        p.name for p in out.iterdir()
+    }
+
+
+def test_load_tests_give_springs_and_name_gross_errors(folder, capsys):
+    draw = np.random.default_rng(0)
+    force = draw.uniform(100, 300, (8, 3))
+    moved = force / np.array([4.0, 9.0, np.inf])[None]
+    moved[:, :2] *= 1 + 0.01 * draw.normal(size=(8, 2))
+    moved[4] *= -1
+    rows = [
+        f"0,0,{a[0]},{a[1]},{a[2]},{d[0]},{d[1]},{d[2]}"
+        for a, d in zip(force, moved, strict=True)
+    ]
+    (folder / "loads.csv").write_text(
+        "x [mm],y [mm],Fx [N],Fy [N],Fz [N],dx [um],dy [um],dz [um]\n" + "\n".join(rows)
+    )
+    (folder / "loads.toml").write_text(
+        'kind = "load_tests"\n[robot]\nfile = "slides.toml"\n'
+        '[load_tests]\nfile = "loads.csv"\n'
+    )
+    assert main(["identify", "loads.toml"]) == 0
+    assert "Rows 5 of the table contradict the others" in capsys.readouterr().out
+    out, facts, toml = results(folder, "loads")
+    np.testing.assert_allclose(facts["stiffness_SI"], [4e6, 9e6], rtol=0.02)
+    assert facts["outlier_rows"] == [5] and facts["left_out_error"] < 0.05
+    assert len(toml["robot"]["joint_stiffness"]) == 2
+    assert toml["correction"]["uncertainty"]["gaussian"] is True
+    assert {"stiffness.png", "residual.png", "left_out.png"} <= {
+        p.name for p in out.iterdir()
+    }
+
+
+def test_modes_give_dampers(folder, capsys):
+    # sqrt(K / m) = 200 and 300 rad/s; D / (2 sqrt(K m)) = 1 % and 1.5 %.
+    time = np.arange(0, 1, 5e-4)
+    signal = sum(
+        a * np.exp(-z * w * time) * np.cos(w * np.sqrt(1 - z**2) * time)
+        for a, w, z in ((1.0, 200.0, 0.01), (0.5, 300.0, 0.015))
+    )
+    signal += 0.01 * np.random.default_rng(0).normal(size=time.size)
+    rows = "\n".join(f"{t:.4f}\t{v:.6f}" for t, v in zip(time, signal, strict=True))
+    (folder / "hit.txt").write_text("blow 1\nt\ta\n[s]\t[m/s^2]\n" + rows)
+    (folder / "ring.toml").write_text(
+        'kind = "ring_down"\n[robot]\nfile = "slides.toml"\n[[ring_down]]\n'
+        'file = "hit.txt"\nmodes = 2\njoint_positions = ["0 mm", "0 mm"]\n'
+    )
+    assert main(["identify", "ring.toml"]) == 0
+    out, facts, _ = results(folder, "ring")
+    found = facts["measured"][0]
+    np.testing.assert_allclose(
+        found["frequencies_Hz"], [100 / np.pi, 150 / np.pi], rtol=1e-3
+    )
+    np.testing.assert_allclose(found["damping_ratios"], [0.01, 0.015], rtol=0.05)
+    assert (out / "ring_down.png").is_file()
+    assert "joint dampers" in capsys.readouterr().out
+
+
+def test_what_is_wrong_is_said_once_and_nothing_is_written(folder, capsys):
+    (folder / "bad.toml").write_text('kind = "mean_forces"\n[cutter]\nteeth = 0\n')
+    assert main(["identify", "bad.toml"]) == 2
+    error = capsys.readouterr().err
+    for part in ("diameter", "teeth", "[cut]: found no such table"):
+        assert part in error
+    assert not (folder / "bad-identify").exists()
+    (folder / "job.toml").write_text('[program]\nfile = "a.ngc"\n')
+    assert main(["identify", "job.toml"]) == 2
+    assert "give the file of its measured forces after it" in capsys.readouterr().err
+    assert main(["identify", "job.toml", "none.csv"]) == 2
+    assert "found no file none.csv" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_record_of_a_straight_cut_gives_its_coefficients(folder, capsys):
+    cutter = ct.flat_end_mill(10e-3, 2, helix_angle=math.radians(30))
+    speed = 6000 * 2 * math.pi / 60 * 1.002
+    cut = identification.steady_cut(cutter, speed, 0.1e-3, 2e-3, teeth=96)
+    found = identification.engagement_columns(cut)
+    grid = found.start + found.spacing * np.arange(len(found.columns))
+    time = np.arange(13 * cut.tooth_period, 95 * cut.tooth_period, 1e-4)
+    force = np.stack([np.interp(time, grid, f) for f in (found.columns @ K).T], axis=1)
+    draw = np.random.default_rng(0)
+    force += 0.05 * np.sqrt(np.mean(force**2)) * draw.normal(size=force.shape)
+    rows = [f"{t:.5f};{y};{x};{z}" for t, (x, y, z) in zip(time, force, strict=True)]
+    (folder / "slot.txt").write_text("t;Fx;Fy;Fz\ns;N;N;N\n" + "\n".join(rows))
+    (folder / "slot.toml").write_text(
+        'kind = "force_records"\n[cutter]\ndiameter = "10 mm"\nteeth = 2\n'
+        'helix_angle = "30 deg"\n[spindle]\nspeed = "6000 rpm"\n[cut]\n'
+        'axial_depth = "2 mm"\n[[record]]\nfile = "slot.txt"\n'
+        'feed_per_tooth = "0.1 mm"\n[fit]\naxes = "proposed"\n'
+    )
+    assert main(["identify", "slot.toml"]) == 0
+    text = capsys.readouterr().out
+    assert 'axes: ["y", "x", "z"] (the likeliest, as asked for)' in text
+    assert " 6012." in text and "No section without a cut was found" in text
+    out, facts, toml = results(folder, "slot")
+    for name, value in zip(identification.NAMES, K, strict=True):
+        assert abs(facts["coefficients_SI"][name] / value - 1) < 0.02
+    assert facts["left_out"][0]["error"] < 0.06
+    assert {"record.png", "spectrum.png", "left_out.png", "correlation.png"} <= {
+        p.name for p in out.iterdir()
+    }
+    assert set(toml["force"]) == set(identification.NAMES)
