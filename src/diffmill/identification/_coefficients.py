@@ -37,7 +37,9 @@ class ForceCoefficientFit(eqx.Module):
 
     Attributes:
         coefficients: By name, cutting [Pa] and edge [N/m]; NaN if not identifiable.
-        standard_errors: By name, same units; infinite if nothing is known.
+        standard_errors: By name, same units; infinite if nothing is known. Of the
+            noise: the simulation's own error, some tenths of a percent for the default
+            sizes, counts beside them in records of many thousand samples.
         correlation: Between the coefficients in the order of `NAMES`, shape (6, 6);
             NaN where nothing is known.
         identifiable: By name: whether the records fix the coefficient.

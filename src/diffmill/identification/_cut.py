@@ -30,8 +30,11 @@ from ..sim import (
 )
 from ..workpiece import Stock
 
-# Samples per revolution, and elements along the axis at most.
-_ANGLES, _ELEMENTS = 192, 16
+# Samples per revolution, those for a path of more steps than so many, and elements
+# along the axis at most.
+_ANGLES, _ANGLES_OF_LONG, _LONG, _ELEMENTS = 240, 180, 3000, 16
+# Samples per revolution by whose turn the default element may lag.
+_DEFAULT_ANGLES = 180
 
 
 class Cut(eqx.Module):
@@ -122,9 +125,9 @@ def cut_of(process_or_job: Cut | Job) -> Cut:
 def with_plan(cut: Cut, cutter: AbstractCutter | None = None) -> Cut:
     """Return a cut with sizes that suit identification, for its cutter or another.
 
-    Finer than for a prediction of mean forces: the waveform counts. All teeth are
-    looked at all the time, since where two change places the edge force of both
-    matters.
+    Finer than for a prediction of mean forces: the waveform counts, and an element of a
+    helical edge lags by no more than one sample. All teeth are looked at all the time:
+    where two change places, the edge forces of both matter to the waveform.
 
     Args:
         cut: The cut.
@@ -142,10 +145,12 @@ def with_plan(cut: Cut, cutter: AbstractCutter | None = None) -> Cut:
     if axes is not None and np.allclose(axes, [0.0, 0.0, 1.0], atol=1e-9):
         axes = None
     old = cut.plan
-    angles = _ANGLES if old is None else old.angles
+    usual = _ANGLES_OF_LONG if len(cut.positions) > _LONG else _ANGLES
+    angles = usual if old is None else old.angles
     depth = path_depth(cut.positions, cut.stock, cutter)
     height = default_element_height("near_far", cut.stock.spacing, cutter)
-    height = max(height, depth / _ELEMENTS) if old is None else old.discs.height
+    height = max(height * _DEFAULT_ANGLES / usual, depth / _ELEMENTS)
+    height = height if old is None else old.discs.height
     plunges = descends(cut.positions, cut.stock.top)
     plan = process_plan(
         cut.stock,

@@ -17,7 +17,7 @@ Times: TypeAlias = Float[Array, "..."] | Float[np.ndarray, "..."] | Sequence
 Axes: TypeAlias = tuple[str, str, str]
 
 # Candidates of the time shift per revolution, and rows on which they are compared.
-_CANDIDATES, _COMPARED = 180, 6000
+_CANDIDATES, _COMPARED = 180, 2000
 # Squared residuals that differ by this share are alike.
 _ALIKE = 0.1
 

@@ -23,10 +23,11 @@ from ._measured import Measured, equations, shift_part
 
 REFINABLE = ("runout", "radius")
 
-# Run-out at which the fit starts [m]: at zero its direction has no derivative.
+# Run-out at which the fit starts at least [m]: at zero its direction has no derivative.
 _START = 2e-6
-# Longest step of a length [m], and the step at which the iteration ends.
-_LONGEST, _REST = 1e-5, 2e-8
+# Longest step of a length [m], and the step at which the iteration ends: it converges
+# quadratically, so that the next one would be far smaller.
+_LONGEST, _REST = 1e-5, 1e-7
 _STEPS, _HALVINGS = 15, 4
 # A length that the records do not show stays where it is: its column is below this
 # share of the largest one.
@@ -68,7 +69,7 @@ def refine_records(
     **Differentiability**: runs on the host.
     """
     names = _names(refine)
-    x = np.array([_START if n == "runout_x" else 0.0 for n in names])
+    x = _start(records[0].cut.cutter, names)
     K = fit_rows([equations(one, ()) for one in records], loss).x
     state = [_simulated(one, names, x, K) for one in records]
     fit = _fit(state, K, is_sought, loss)
@@ -119,6 +120,14 @@ def _own_cost(state: State, fit: LinearFit) -> float:
         for r, s in zip(alone.residual, fit.spread, strict=True)
     ]
     return sum(squares)
+
+
+def _start(cutter: AbstractCutter, names: tuple[str, ...]) -> np.ndarray:
+    """Return the lengths at which the fit starts: the run-out that is given."""
+    size = max(float(np.max(np.asarray(cutter.runout))), _START)
+    angle = float(np.asarray(cutter.runout_angle))
+    lengths = {"runout_x": size * np.cos(angle), "runout_y": size * np.sin(angle)}
+    return np.array([lengths.get(name, 0.0) for name in names])
 
 
 def _names(refine: tuple[str, ...]) -> tuple[str, ...]:
