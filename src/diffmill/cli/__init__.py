@@ -1,11 +1,11 @@
-"""The command line: `diffmill simulate`, `correct`, `robot`, `example`, `check`.
+"""The command line: `diffmill simulate`, `correct`, `identify`, `robot`, ...
 
 Reads a job, runs it and writes a folder of results. The only place that configures
 JAX, prints, and turns errors into exit codes: 0 for success, 2 for bad input (nothing
 is written), 1 for a run that failed (what it had computed is kept and marked).
 
 Assumes that one job fills the machine: jobs run one after the other. Leaves out
-fitting, campaigns and other program formats. What computes is imported only once there
+campaigns and other program formats. What computes is imported only once there
 is something to compute, so that help is quick.
 """
 

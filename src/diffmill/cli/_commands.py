@@ -134,7 +134,7 @@ def robot(
 def example(
     name: Annotated[
         tyro.conf.Positional[str],
-        tyro.conf.arg(metavar="NAME", help="paper or paper_small."),
+        tyro.conf.arg(metavar="NAME", help="paper, paper_small or measured_slot."),
     ],
     *,
     out: Annotated[
@@ -145,11 +145,15 @@ def example(
     quiet: _Quiet = False,
 ) -> int:
     """Write a ready-to-run example job beside its program."""
-    from ..examples import copy_example
+    from ..examples import MEASUREMENTS, copy_example
 
     with bad_input():
         job = copy_example(name, out, force=force)
-    if not quiet:
+    if quiet:
+        return 0
+    if name in MEASUREMENTS:
+        print(f"wrote {job}\nnext: diffmill identify {job}")
+    else:
         print(
             f"wrote {job} and {job.with_suffix('.ngc')}\nnext: diffmill correct {job}"
         )

@@ -5,12 +5,15 @@
 Both are cut by the built-in robot `reis_rv130_like` at its home pose. The programs are
 written by the generator `experiments/paper_part/generate.py` of the repository.
 
+`measured_slot` is a measurement for `diffmill identify`, with its source.
+
 Assumes nothing and computes nothing: these are files. They use only what a job file
 can say; other parts, robots and materials are left out.
 """
 
 from ._copy import (
     EXAMPLES as EXAMPLES,
+    MEASUREMENTS as MEASUREMENTS,
     copy_example as copy_example,
     example_files as example_files,
 )

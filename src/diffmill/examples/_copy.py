@@ -4,25 +4,29 @@ import os
 import pathlib
 from importlib import resources
 
+# Jobs with their programs.
 EXAMPLES = ("paper", "paper_small")
+# Measurements for `diffmill identify`.
+MEASUREMENTS = ("measured_slot",)
 
 
 def example_files(name: str) -> dict[str, str]:
     """Return the files of an example by name.
 
     Args:
-        name: One of `EXAMPLES`.
+        name: One of `EXAMPLES` or `MEASUREMENTS`.
 
     Returns:
-        The text of each file: the job first, then its program.
+        The text of each file: the job first, then its program if it has one.
 
     Raises:
         ValueError: There is no such example.
     """
-    if name not in EXAMPLES:
-        raise ValueError(f"example: found {name!r}; allowed: {', '.join(EXAMPLES)}")
+    if name not in (*EXAMPLES, *MEASUREMENTS):
+        allowed = ", ".join((*EXAMPLES, *MEASUREMENTS))
+        raise ValueError(f"example: found {name!r}; allowed: {allowed}")
     folder = resources.files("diffmill.examples")
-    names = (f"{name}.toml", f"{name}.ngc")
+    names = [f"{name}.toml"] + [f"{name}.ngc"] * (name in EXAMPLES)
     return {n: folder.joinpath(n).read_text(encoding="utf-8") for n in names}
 
 
@@ -32,7 +36,7 @@ def copy_example(
     """Write the files of an example to a folder.
 
     Args:
-        name: One of `EXAMPLES`.
+        name: One of `EXAMPLES` or `MEASUREMENTS`.
         folder: Where to write; it is made if absent.
         force: Whether files of the same name are overwritten.
 

@@ -9,6 +9,7 @@ the end, so that a folder of results is complete or absent.
 Stock is a block, a closed mesh, or what an earlier run left. G-code is for an upright
 tool; a path as CSV may carry tool axes.
 Measured forces are read as they stand, from text or what laboratory programs write.
+What `diffmill identify` is to find out stands in a TOML file like a job.
 Leaves out robot programs.
 """
 
