@@ -12,7 +12,7 @@ HERE = pathlib.Path(__file__).parent
 # The runner is shared with other experiments.
 sys.path.append(str(HERE.parent / "common"))
 
-GROUPS = ("coverage", "measured", "load_tests", "speed")
+GROUPS = ("coverage", "measured", "load_tests", "coupled", "speed")
 
 
 if __name__ == "__main__":
