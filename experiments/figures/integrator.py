@@ -56,8 +56,8 @@ def undamped(report: Report) -> None:
     report.say("Energy of the undamped arm, released 1 mrad off in every joint, 10 s,")
     report.say(f"{SUBSTEPS} sub-steps; lowest mode {lowest:.1f} Hz")
     for held, what, bound in (
-        (None, "terms of every step's middle", 0.1),
-        (SUBSTEPS, "terms held for a tooth period, as in the coupled step", 5.0),
+        (1, "terms of every step's middle", 0.1),
+        (SUBSTEPS, "terms held for a tooth period, as in the coupled step", 0.1),
     ):
         drift = energy_drift(arm, held)
         report.figure(f"energy drift, {what}", 100 * drift, bound)
@@ -66,11 +66,11 @@ def undamped(report: Report) -> None:
         report.say(f"    like {100 * ratio:.5f} % damping of the lowest mode")
 
 
-def energy_drift(arm: dm.robot.Robot, held: int | None) -> float:
+def energy_drift(arm: dm.robot.Robot, held: int) -> float:
     """Return the largest change of the swinging arm's energy in 10 s, as a share."""
     theta = dm.robot.motor_positions(arm, arm.home)
     step = TOOTH_PERIOD / SUBSTEPS
-    rows = round(10 / step) // (held or 1)
+    rows = round(10 / step) // held
     start = dm.sim.ArmState(arm.home + 1e-3, jnp.zeros(arm.joint_count))
     motion = jax.jit(
         lambda s: dm.sim.free_motion(arm, s, theta, step, rows, held=held)

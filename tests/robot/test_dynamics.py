@@ -195,3 +195,20 @@ def test_wrong_arguments_are_named(arm):
         dr.forward_dynamics(arm, arm.home, arm.home, arm.home, algorithm="magic")
     with pytest.raises(ValueError, match="`wrench` must have 6 numbers"):
         dr.inverse_dynamics(arm, arm.home, arm.home, arm.home, [1.0, 2.0, 3.0])
+
+
+def test_the_slope_of_gravity_is_the_derivative_of_its_torques(soft_arm, rng):
+    follower = dr.build(
+        [
+            dr.RevoluteJoint("turn", (0, 1, 0.2)),
+            dr.RigidBody(3.0, (0.3, 0.1, 0.0), np.eye(3)),
+            dr.FixedTranslation((0.5, 0.0, 0.1)),
+            dr.RevoluteJoint("follow", (0, 1, 0), mimic=dr.Mimic("turn", -0.7, 0.2)),
+            dr.RigidBody(2.0, (0.2, 0.0, 0.1), np.eye(3)),
+        ]
+    )
+    for robot in (soft_arm, follower):
+        q = jnp.asarray(rng.uniform(-1.0, 1.0, robot.joint_count))
+        slope = jax.jacfwd(lambda q, robot=robot: dr.gravity_forces(robot, q))(q)
+        found = dr.arm_terms(robot, q, jnp.ones_like(q)).gravity_stiffness
+        np.testing.assert_allclose(found, slope, atol=1e-11)

@@ -27,6 +27,7 @@ from ._compliance import (
     static_deflection as static_deflection,
 )
 from ._crba import mass_matrix as mass_matrix
+from ._definite import definite_inverse as definite_inverse
 from ._drive_options import (
     GearTorque as GearTorque,
     across_gap as across_gap,

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from ._kinematics import JointFrames, joint_frames, link_inertia_rows
 from ._mimic import fold
 from ._robot import JointVector, Robot, joint_vector
-from ._spatial import apply_inertia, sum_rows
+from ._spatial import apply_inertia, cross, sum_rows
 
 
 def mass_matrix(robot: Robot, q: JointVector) -> Float[Array, "joint joint"]:
@@ -41,14 +41,46 @@ def composite_mass_matrix(
     robot: Robot, frames: JointFrames, inertias: Float[Array, "body 13"]
 ) -> Float[Array, "joint joint"]:
     """Return M from known frames and link inertias."""
-    moves = robot.ancestry()
-    composite = sum_rows(moves.T, inertias)
+    force = _composite_force(robot, frames, inertias)
+    return _between_joints(robot, sum_rows(force, frames.screws.T))
+
+
+def gravity_stiffness(
+    robot: Robot, frames: JointFrames, inertias: Float[Array, "body 13"]
+) -> Float[Array, "joint joint"]:
+    """Return dG/dq, symmetric, from known frames and link inertias.
+
+    A joint i before joint j turns all that j carries against gravity as if gravity
+    turned the other way, by w_i x g: the derivative of what j feels of its weight.
+    """
+    force = _composite_force(robot, frames, inertias)[:, :3]
+    turned = cross(
+        frames.screws[:, 3:], jnp.broadcast_to(robot.gravity[None], force.shape)
+    )
+    return _between_joints(robot, sum_rows(force, turned.T))
+
+
+def _composite_force(
+    robot: Robot, frames: JointFrames, inertias: Float[Array, "body 13"]
+) -> Float[Array, "body 6"]:
+    """Return the force that moves all behind each joint at its unit acceleration."""
+    composite = sum_rows(robot.ancestry().T, inertias)
     S = frames.screws
     force, moment = apply_inertia(composite, S[:, :3], S[:, 3:])
-    # Row j: the force that moves everything behind joint j at unit acceleration of
-    # j, felt by joint i. It holds where i is an ancestor of j.
-    felt = sum_rows(jnp.concatenate([force, moment], axis=-1), S.T)
-    below = moves * felt
-    strictly_below = (moves - jnp.eye(robot.body_count, dtype=S.dtype)) * felt
-    M = below + strictly_below.T
-    return fold(robot, fold(robot, M).T)
+    return jnp.concatenate([force, moment], axis=-1)
+
+
+def _between_joints(
+    robot: Robot, felt: Float[Array, "body body"]
+) -> Float[Array, "joint joint"]:
+    """Return a symmetric matrix of the joints from what ancestors feel of bodies.
+
+    Args:
+        robot: The robot.
+        felt: Row j: of body j, what joint i feels; it holds where i is an ancestor
+            of j.
+    """
+    moves = robot.ancestry()
+    strictly = moves - jnp.eye(robot.body_count, dtype=felt.dtype)
+    whole = moves * felt + (strictly * felt).T
+    return fold(robot, fold(robot, whole).T)

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from ._aba import articulated_bodies, articulated_inverse, check_algorithm
 from ._crba import mass_matrix
+from ._definite import definite_inverse
 from ._massless import factor, refuse_singular
 from ._rnea import inverse_dynamics
 from ._robot import JointVector, Robot, Wrench, joint_vector, wrench_vector
@@ -146,9 +147,7 @@ def _invert(
 ) -> Float[Array, "joint joint"]:
     if algorithm == "aba":
         return articulated_inverse(robot, q, diagonal)
-    A = mass_matrix(robot, q) + jnp.diag(diagonal)
-    eye = jnp.eye(robot.joint_count, dtype=q.dtype)
-    return jsl.cho_solve((factor(A), True), eye)
+    return definite_inverse(mass_matrix(robot, q) + jnp.diag(diagonal))
 
 
 @_invert.defjvp

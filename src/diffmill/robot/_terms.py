@@ -4,7 +4,7 @@ import equinox as eqx
 import jax
 from jaxtyping import Array, Float
 
-from ._crba import composite_mass_matrix
+from ._crba import composite_mass_matrix, gravity_stiffness
 from ._kinematics import (
     joint_frames,
     link_inertia_rows,
@@ -24,6 +24,7 @@ class ArmTerms(eqx.Module):
         jacobian: At the tool's origin, base axes, linear rows first, (6, joint).
         mass_matrix: M [kg m^2], shape (joint, joint).
         bias_forces: C + G [N m], shape (joint,).
+        gravity_stiffness: dG/dq [N m/rad], symmetric, shape (joint, joint).
     """
 
     joint_positions: Float[Array, " joint"]
@@ -31,10 +32,11 @@ class ArmTerms(eqx.Module):
     jacobian: Float[Array, "6 joint"]
     mass_matrix: Float[Array, "joint joint"]
     bias_forces: Float[Array, " joint"]
+    gravity_stiffness: Float[Array, "joint joint"]
 
 
 def arm_terms(robot: Robot, q: JointVector, qd: JointVector) -> ArmTerms:
-    """Return pose, Jacobian, mass matrix and bias forces of one state.
+    """Return pose, Jacobian, mass matrix, bias forces and their slope of one state.
 
     The reverse mode recomputes the terms from q and qd: inside a scan that is twice
     as fast as storing some thirty intermediates per step.
@@ -65,4 +67,5 @@ def _arm_terms(
         jacobian=tool_jacobian(robot, frames),
         mass_matrix=composite_mass_matrix(robot, frames, inertias),
         bias_forces=newton_euler(robot, frames, inertias, qd),
+        gravity_stiffness=gravity_stiffness(robot, frames, inertias),
     )

@@ -1,8 +1,9 @@
 """The coupled simulation: an elastic robot moves the tool, the cut pushes it back.
 
-One `lax.scan` over tooth periods. At the start of a period the robot's terms (mass
-matrix, bias forces, Jacobian, tip) are computed once: within a period a joint turns
-by some 1e-4 rad, so they are constant to the same accuracy. Each sub-step then takes
+One `lax.scan` over tooth periods. The robot's terms (mass matrix, bias forces,
+Jacobian) are those of the middle of a period, where half a step foretells the arm:
+within a period a joint turns by some 1e-4 rad, so they are constant to the square of
+that, but for the weight, which follows the joints. Each sub-step then takes
 the force F of the teeth that pass in it, at the tip where the robot will be in the
 middle of the sub-step, and hands J^T F to the integrator (`_stepping.py`).
 """
@@ -18,11 +19,12 @@ from .._result import RESULTS
 from .._types import RealScalarLike, Transform
 from ..cutter import AbstractCutter
 from ..cutting import AbstractForceLaw
-from ..robot import Robot, arm_terms
+from ..robot import Robot, arm_terms, forward_kinematics
 from ..workpiece import Pose, Stock
 from ._adjoint import AbstractAdjoint
 from ._bottom import BottomEngagement
 from ._history import ProcessState, Removed, end_period, flush, initial_state
+from ._middle import middle_terms
 from ._midpoint import Midpoint
 from ._period import Engagement, begin_period, substep_force, substep_middles
 from ._plan import ProcessPlan
@@ -63,7 +65,13 @@ class CoupledSolution(eqx.Module):
 
 
 class _Arm(eqx.Module):
-    """The robot's terms of one period, in `work`, ready for its sub-steps."""
+    """The robot's terms of one period, in `work`, ready for its sub-steps.
+
+    Attributes:
+        pose: At the start.
+        jacobian: In the middle.
+        begun: What the integrator has prepared of the terms in the middle.
+    """
 
     pose: Pose
     jacobian: Float[Array, "3 joint"]
@@ -193,7 +201,7 @@ def begin(
         The state, and the volume of the stock inside the tool [m^3].
     """
     state = steady_state(machine.robot, start, (stop - start) / machine.tooth_period)
-    first = arm_at(machine, state).pose
+    first = pose_at(machine, state)
     process, overlap = initial_state(
         machine.plan, stock, machine.cutter, first, pose_count, machine.adjoint
     )
@@ -235,7 +243,7 @@ def _finish(
     """Remove what is pending, and put the rows of all poses together."""
     plan, cutter, adjoint = machine.plan, machine.cutter, machine.adjoint
     dtype, step_count = rows.tip.dtype, rows.tip.shape[0] + 1
-    final = arm_at(machine, state).pose
+    final = pose_at(machine, state)
     last: Int[Array, ""] = jnp.asarray(step_count - 1, jnp.int32)
     process, rest = flush(plan, cutter, process, last, final, adjoint)
     actual = jnp.concatenate([rows.tip, final.tip[None]])
@@ -260,17 +268,27 @@ def along(pose: Pose, tips: Float[Array, "substep 3"]) -> Pose:
     return Pose(tips, jnp.broadcast_to(pose.axis[None], tips.shape))
 
 
-def arm_at(machine: Machine, state: ArmState) -> _Arm:
-    """Return the robot's terms at the start of a period."""
-    robot, T_base_work = machine.robot, machine.T_base_work
-    terms = arm_terms(robot, state.q, state.v)
+def pose_at(machine: Machine, state: ArmState) -> Pose:
+    """Return the tool's pose in `work`."""
+    return _in_work(machine, forward_kinematics(machine.robot, state.q))
+
+
+def _in_work(machine: Machine, T_base_tool: Float[Array, "4 4"]) -> Pose:
+    T_base_work = machine.T_base_work
     to_work = T_base_work[:3, :3].T
+    tip = to_work @ (T_base_tool[:3, 3] - T_base_work[:3, 3])
+    return Pose(tip, None if machine.plan.is_upright else to_work @ T_base_tool[:3, 2])
+
+
+def _arm_in(machine: Machine, state: ArmState, motors: MotorCommand) -> _Arm:
+    """Return the robot's terms in a period, from state and motors at its start."""
+    robot = machine.robot
+    terms = arm_terms(robot, state.q, state.v)
+    pose = _in_work(machine, terms.T_base_tool)
+    terms = middle_terms(robot, terms, state, motors, machine.tooth_period)
     return _Arm(
-        pose=Pose(
-            to_work @ (terms.T_base_tool[:3, 3] - T_base_work[:3, 3]),
-            None if machine.plan.is_upright else to_work @ terms.T_base_tool[:3, 2],
-        ),
-        jacobian=to_work @ terms.jacobian[:3],
+        pose=pose,
+        jacobian=machine.T_base_work[:3, :3].T @ terms.jacobian[:3],
         begun=machine.integrator.begin(robot, terms, machine.substep),
     )
 
@@ -286,7 +304,8 @@ def run_period(
     """Return the state after one tooth period, and its row."""
     T = machine.tooth_period
     middles = substep_middles(machine.plan, start.dtype)
-    arm = arm_at(machine, state)
+    rate = (stop - start) / T
+    arm = _arm_in(machine, state, MotorCommand(start, rate))
     motion = T * middles[:, None] * (arm.jacobian @ state.v)[None]
     predicted = along(arm.pose, arm.pose.tip[None] + motion)
     process, cut, removed = begin_period(
@@ -298,7 +317,6 @@ def run_period(
         predicted,
         machine.adjoint,
     )
-    rate = (stop - start) / T
     targets = start[None] + T * middles[:, None] * rate[None]
     end, (tips, forces) = _run_substeps(
         machine, arm, process, cut, state, targets, rate

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 
 from .._types import RealScalarLike
 from ..robot import Robot, arm_terms
+from ._middle import middle_terms
 from ._midpoint import Midpoint
 from ._stepping import AbstractIntegrator, ArmState, MotorCommand
 
@@ -39,7 +40,7 @@ def free_motion(
     rows: int,
     integrator: AbstractIntegrator | None = None,
     *,
-    held: int | None = None,
+    held: int = 1,
 ) -> FreeMotion:
     """Let the arm swing with its motors at rest.
 
@@ -51,10 +52,8 @@ def free_motion(
         time_step: Step h [s], shape ().
         rows: Rows of the result after the first.
         integrator: The rule of a step; `Midpoint()` if not given.
-        held: Steps per row for which the terms of the row's start hold, as in the
-            coupled simulation with this many sub-steps. If not given, every step is a
-            row with the terms of its own predicted middle, which is what the midpoint
-            rule needs for order 2 where the terms change.
+        held: Steps per row, for which the terms of its middle hold, as in the coupled
+            simulation with this many sub-steps.
 
     Returns:
         The motion, its start in row 0.
@@ -68,25 +67,19 @@ def free_motion(
     h = jnp.asarray(time_step, start.q.dtype)
     command = MotorCommand(motor_positions, jnp.zeros_like(motor_positions))
     rest = jnp.zeros_like(start.q)
+    span = h * held
 
     def step(begun: Any, state: ArmState) -> ArmState:
         return rule.step(robot, begun, state, command, rest, h)
 
-    def row(
-        carry: tuple[ArmState, Array], _: None
-    ) -> tuple[tuple[ArmState, Array], ArmState]:
-        state, dv = carry
-        q, v = state.q, state.v
-        if held is None:
-            # The last step's change of velocity predicts half of this one's.
-            q, v = q + h / 2 * v, v + dv / 2
-        begun = rule.begin(robot, arm_terms(robot, q, v), h)
-        after, _ = jax.lax.scan(
-            lambda s, _: (step(begun, s), None), state, length=held or 1
-        )
-        return (after, after.v - state.v), after
+    def row(state: ArmState, _: None) -> tuple[ArmState, ArmState]:
+        terms = arm_terms(robot, state.q, state.v)
+        terms = middle_terms(robot, terms, state, command, span)
+        begun = rule.begin(robot, terms, h)
+        after, _ = jax.lax.scan(lambda s, _: (step(begun, s), None), state, length=held)
+        return after, after
 
-    _, states = jax.lax.scan(row, (start, rest), length=rows)
+    _, states = jax.lax.scan(row, start, length=rows)
     states = jax.tree.map(lambda x, y: jnp.concatenate([x[None], y]), start, states)
-    time = jnp.arange(rows + 1, dtype=h.dtype) * (h * (held or 1))
+    time = jnp.arange(rows + 1, dtype=h.dtype) * span
     return FreeMotion(time, states.q, states.v)

@@ -8,7 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..robot import ArmTerms, Robot, augmented_inverse, coulomb_damping, gear_torque
+from ..robot import (
+    ArmTerms,
+    Robot,
+    augmented_inverse,
+    coulomb_damping,
+    definite_inverse,
+    gear_torque,
+)
 from ._stepping import AbstractIntegrator, ArmState, MotorCommand, servo_torque
 
 Dynamics: TypeAlias = Literal["crba", "aba"]
@@ -22,12 +29,18 @@ class _Linearised(eqx.Module):
 
     Attributes:
         weight: Where between start and end of a sub-step forces act; 1/2 or per joint.
+        terms: Those of the arm; the weight's part of the bias changes with q.
+        inverse: A^-1, or None where A changes by the sub-step.
     """
 
     weight: Float[Array, " joint"] | float
-    bias: Float[Array, " joint"]
-    inverse: Float[Array, "joint joint"]
-    mass_matrix: Float[Array, "joint joint"] | None
+    terms: ArmTerms
+    inverse: Float[Array, "joint joint"] | None
+
+    def bias(self, q: Float[Array, " joint"]) -> Float[Array, " joint"]:
+        """Return C + G near the joints of the terms, G to first order."""
+        moved = q - self.terms.joint_positions
+        return self.terms.bias_forces + self.terms.gravity_stiffness @ moved
 
 
 class Midpoint(AbstractIntegrator):
@@ -38,7 +51,7 @@ class Midpoint(AbstractIntegrator):
 
     Order 2 for constant terms, stable at any sub-step: it neither damps nor excites an
     oscillation, and lowers a frequency f by the share (2 pi f h)^2 / 12. The terms are
-    those of the start of the period.
+    those that `begin` is given; of the bias, the weight follows q to first order.
 
     Gears with a gap take their slopes where the sub-step begins to act, half of it
     ahead. Motors with a mass are eliminated: their part of the matrix is diagonal.
@@ -68,19 +81,14 @@ class Midpoint(AbstractIntegrator):
                     'Argument `dynamics` must be "crba" for a robot with backlash or '
                     'friction, whose matrix changes by the sub-step, but is "aba".'
                 )
-            return _Linearised(w, terms.bias_forces, jnp.zeros_like(M), M)
+            return _Linearised(w, terms, None)
         K, D = robot.joint_stiffness, robot.joint_damping
         diagonal = _condensed(robot, K, D, w * step).diagonal
         if self.dynamics == "aba":
             q = terms.joint_positions
             inverse = augmented_inverse(robot, q, diagonal, algorithm="aba")
-            return _Linearised(w, terms.bias_forces, inverse, None)
-        A = M + jnp.diag(diagonal)
-        # A sub-step costs one product with the inverse; A is small and definite.
-        factor = jnp.linalg.cholesky(A)
-        eye = jnp.eye(A.shape[0], dtype=A.dtype)
-        inverse = jax.scipy.linalg.cho_solve((factor, True), eye)
-        return _Linearised(w, terms.bias_forces, inverse, None)
+            return _Linearised(w, terms, inverse)
+        return _Linearised(w, terms, definite_inverse(M + jnp.diag(diagonal)))
 
     def step(
         self,
@@ -98,17 +106,17 @@ class Midpoint(AbstractIntegrator):
         if state.theta is not None and state.omega is not None:
             theta, omega = state.theta + s * state.omega, state.omega
         gear = gear_torque(robot, theta - q - s * v, omega - v)
-        tau = gear.torque - begun.bias
+        tau = gear.torque - begun.bias(q + s * v)
         push = h * (tau + load)
         drive = _condensed(robot, gear.stiffness, gear.damping, s)
         pull = jnp.zeros_like(v)
         if robot.motors is not None:
             pull = h * (servo_torque(robot, command, theta, omega) - gear.torque)
             push = push + drive.share * pull
-        if begun.mass_matrix is None:
+        if begun.inverse is not None:
             dv = begun.inverse @ push
         else:
-            A = begun.mass_matrix + jnp.diag(drive.diagonal)
+            A = begun.terms.mass_matrix + jnp.diag(drive.diagonal)
             dv = _braked(robot, A, push, v, h, s)
         q, v = q + h * (v + w * dv), v + dv
         if state.theta is None or state.omega is None:

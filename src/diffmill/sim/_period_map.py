@@ -46,7 +46,7 @@ def period_maps(
         state = ArmState(q, v)
         if robot.motors is not None:
             state = ArmState(q, v, motors[0], rate)
-        terms = arm_terms(robot, q, v)
+        terms = arm_terms(robot, q + tooth_period / 2 * v, v)
         J = T_base_work[:3, :3].T @ terms.jacobian[:3]
         begun = integrator.begin(robot, terms, h)
         command = MotorCommand(motors[0] + first * rate, rate)

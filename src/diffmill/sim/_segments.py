@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, Int
 from .._job import Job
 from ..workpiece import Pose, Rays, Stock
 from ._adjoint import AbstractAdjoint
-from ._coupled import Machine, arm_at, begin, coupled_machine, run_periods
+from ._coupled import Machine, begin, coupled_machine, pose_at, run_periods
 from ._history import QUEUE_LENGTH, ProcessState
 from ._integrators import make_integrator
 from ._simulate import job_plan
@@ -99,7 +99,7 @@ def run_segment(
     process = _with_rows(carry.process, theta.shape[0] + flutes)
     ended, rows = run_periods(machine, (process, carry.arm), theta, first + 1)
     process, state = ended
-    final = arm_at(machine, state).pose.tip
+    final = pose_at(machine, state).tip
     segment = CoupledSegment(
         actual=jnp.concatenate([rows.tip, final[None]]),
         force=jnp.concatenate([jnp.zeros((1, 3), theta.dtype), rows.force]),

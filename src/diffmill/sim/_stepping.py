@@ -1,9 +1,9 @@
 """The robot between two sub-steps: its state, its rate, and who takes the step.
 
-All integrators share one interface: `begin` takes the robot's terms at the start of a
-tooth period and prepares what the sub-steps share, `step` makes one sub-step. The force
-of the teeth comes in as joint torques that are held over the sub-step: between two
-looks at the chip nothing more is known of it.
+All integrators share one interface: `begin` takes the robot's terms in the middle of
+a tooth period and prepares what the sub-steps share, `step` makes one sub-step. The
+force of the teeth comes in as joint torques that are held over the sub-step: between
+two looks at the chip nothing more is known of it.
 """
 
 import abc
@@ -63,7 +63,7 @@ class AbstractIntegrator(eqx.Module):
 
         Args:
             robot: The robot.
-            terms: Its terms at the start of the period.
+            terms: Its terms in the middle of the period.
             step: Length h of a sub-step [s].
 
         Returns:
