@@ -121,8 +121,8 @@ def test_a_gouge_limit_that_cannot_be_held_is_named(held_and_free):
     with pytest.raises(InfeasibleLimit) as refused:
         method(problem)
     text = str(refused.value)
-    assert f"is {1e6 * gouge:.4g} um" in text
-    assert "um too low at (" in text
+    assert f"`gouge` is {1e6 * gouge:.4g} um and cannot be held" in text
+    assert "um too much" in text
     assert "stands at `max_offset` (" in text
 
 

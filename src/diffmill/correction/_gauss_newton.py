@@ -225,7 +225,9 @@ class GaussNewton(AbstractMethod):
             held=self._held(),
             solver=self.solver,
             precondition=precondition,
-            on_progress=None if on_progress is None else _Told(on_progress),
+            on_progress=None
+            if on_progress is None
+            else _Told(on_progress, self.bounds is not None),
             on_memory=on_memory,
             resume=resume,
         )
@@ -287,10 +289,12 @@ class _Told(eqx.Module):
     """Turn a step of the least squares into a message."""
 
     on_progress: OnProgress
+    has_bounds: bool
 
     def __call__(self, step: LeastSquaresStep) -> bool | None:
         """Report the step; the roughness makes the error an upper bound."""
         error = _UNIT * float(np.sqrt(2 * step.cost))
-        return self.on_progress(
-            f"Gauss-Newton step {step.step}: {step.products} products", error
-        )
+        message = f"Gauss-Newton step {step.step}: {step.products} products"
+        if self.has_bounds:
+            message += ", what is out of bounds counted in"
+        return self.on_progress(message, error)

@@ -19,8 +19,11 @@ from ._products import AbstractProducts
 
 # The linear model may go to this share of a bound.
 _DRAWN_IN = 0.95
-# Weight of what is out of bounds while it is brought back.
-_RETURN = 30.0
+# Weight of what is out of bounds while it is brought back: at first all rows together
+# weigh a few times what is to become small, in the end each of them far more.
+_FIRST_WEIGHT = 3.0
+_GROWTH = 3.0
+_LAST_WEIGHT = 30.0
 
 Rows = Float[np.ndarray, " row"]
 
@@ -61,7 +64,22 @@ class HeldRows(eqx.Module):
         """Tell whether all rows are within their bounds."""
         return bool(np.all((rows >= self.lower) & (rows <= self.upper)))
 
-    def cost(self, residual: Float[Array, "*entry"], is_returning: bool) -> float:
+    def weight(self, residual: Float[Array, "*entry"], step_count: int) -> float:
+        """Return the weight of what is out of bounds; 0 if all rows are within.
+
+        It grows with the steps: at once at its largest, the few rows outside would be
+        all that a step looks at.
+        """
+        if not self.count or self.is_within(self.rows(residual)):
+            return 0.0
+        first = _FIRST_WEIGHT / np.sqrt(self.count)
+        return float(min(first * _GROWTH**step_count, _LAST_WEIGHT))
+
+    def is_final(self, weight: float) -> bool:
+        """Tell whether a weight no longer grows."""
+        return weight == 0 or weight >= _LAST_WEIGHT
+
+    def cost(self, residual: Float[Array, "*entry"], weight: float) -> float:
         """Return half the square that is to become small.
 
         Infinite for rows out of their bounds that have been within.
@@ -71,33 +89,33 @@ class HeldRows(eqx.Module):
         rows = self.rows(residual)
         counted = residual[: residual.shape[0] - self.count]
         square = float(jnp.sum(counted**2))
-        if is_returning:
-            square += _RETURN**2 * float(np.sum(self.outside(rows, _DRAWN_IN) ** 2))
+        if weight:
+            square += weight**2 * float(np.sum(self.outside(rows, _DRAWN_IN) ** 2))
         elif not self.is_within(rows):
             square = np.inf
         return 0.5 * square
 
     def slope(
-        self, residual: Float[Array, "*entry"], is_returning: bool
+        self, residual: Float[Array, "*entry"], weight: float
     ) -> Float[Array, "*entry"]:
         """Return the derivative of the cost by the residual."""
         if not self.count:
             return residual
         push = np.zeros(self.count)
-        if is_returning:
-            push = _RETURN**2 * self.outside(self.rows(residual), _DRAWN_IN)
+        if weight:
+            push = weight**2 * self.outside(self.rows(residual), _DRAWN_IN)
         return self._with_rows(residual, push)
 
     def curved(
-        self, change: Float[Array, "*entry"], rows: Rows, is_returning: bool
+        self, change: Float[Array, "*entry"], rows: Rows, weight: float
     ) -> Float[Array, "*entry"]:
         """Return the change of the slope for one of the residual, to first order."""
         if not self.count:
             return change
         push = np.zeros(self.count)
-        if is_returning:
+        if weight:
             is_out = self.outside(rows, _DRAWN_IN) != 0
-            push = _RETURN**2 * is_out * self.rows(change)
+            push = weight**2 * is_out * self.rows(change)
         return self._with_rows(change, push)
 
     def only(self, like: Float[Array, " entry"], rows: Rows) -> Float[Array, " entry"]:

@@ -105,10 +105,11 @@ def least_squares(
     history = [] if resume is None else list(resume.history)
     began = clock() - (history[-1].seconds if history else 0.0)
     if resume is None:
-        state = State(z, np.inf, z, None, None, False, 0.0, 2.0, 0, 0)
+        state = State(z, np.inf, z, None, None, 0.0, 0.0, 2.0, 0, 0)
     else:
         state = state_of(resume)
-    state = linearised(solver, residual, args, box, held, state)
+    count = sum(step.is_accepted for step in history)
+    state = linearised(solver, residual, args, box, held, state, count)
     if not (np.isfinite(state.cost) and np.all(np.isfinite(state.gradient))):
         return solution_at(box, held, state, history, RESULTS.non_finite)
     if resume is None:
@@ -117,11 +118,13 @@ def least_squares(
     is_done = first == 0 if resume is None else resume.is_done
     while not is_done and len(history) < _most_steps(solver, state):
         before, kkt = state.cost, largest_slope(state, box)
+        weight = state.weight
         inner = _inner(solver, state, box, limits, held, precondition)
         tried = _try(residual, args, box, held, state, inner)
         state, trial_cost, gain, damping = tried
         if gain > _ACCEPT:
-            state = linearised(solver, residual, args, box, held, state)
+            count += 1
+            state = linearised(solver, residual, args, box, held, state, count)
         record = LeastSquaresStep(
             step=len(history) + 1,
             cost=state.cost,
@@ -136,21 +139,23 @@ def least_squares(
             seconds=clock() - began,
         )
         history.append(record)
-        rtol = _RETURN_RTOL if state.is_returning else solver.cost_rtol
-        is_done = _is_converged(rtol, record, before, inner)
-        is_done |= largest_slope(state, box) <= solver.kkt_rtol * first
+        # While the weight of what is out of bounds grows, costs are not comparable.
+        if state.weight == weight and held.is_final(weight):
+            rtol = _RETURN_RTOL if weight else solver.cost_rtol
+            is_done = _is_converged(rtol, record, before, inner)
+            is_done |= largest_slope(state, box) <= solver.kkt_rtol * first
         if on_memory is not None:
             on_memory(memory_of(state, first, is_done, history))
         if on_progress is not None and on_progress(record) and not is_done:
             break
-    is_good = is_done and not state.is_returning
+    is_good = is_done and state.weight == 0
     result = RESULTS.successful if is_good else RESULTS.not_converged
     return solution_at(box, held, state, history, result)
 
 
 def _most_steps(solver: LevenbergMarquardt, state: State) -> int:
     """Return how many steps may be taken, given where the last one led."""
-    return solver.max_steps + (_RETURN_STEPS if state.is_returning else 0)
+    return solver.max_steps + (_RETURN_STEPS if state.weight else 0)
 
 
 def _inner(
@@ -167,7 +172,7 @@ def _inner(
         precondition = lambda g: outer(g / box.scale) / box.scale
     unit = box.scale.flat[0]
     bounds = [limit.about(state.z * unit, unit) for limit in limits]
-    if held.count and not state.is_returning:
+    if held.count and state.weight == 0:
         bounds.append(held_step(held, *model_at(state)))
     return solve_limited_quadratic(
         lambda p: normal(held, state, p) + state.damping * p,
@@ -193,7 +198,7 @@ def _try(
     model = inner.decrease + 0.5 * state.damping * float(np.sum(inner.p**2))
     slope = float(np.sum(inner.p * state.gradient))
     trial = np.clip(state.z + inner.p, box.lower, box.upper)
-    cost = held.cost(evaluate(residual, box.point(trial), args), state.is_returning)
+    cost = held.cost(evaluate(residual, box.point(trial), args), state.weight)
     gain = (state.cost - cost) / model if model > 0 else 0.0
     gain = float(gain) if np.isfinite(cost) else -np.inf
     is_accepted = gain > _ACCEPT
@@ -215,7 +220,7 @@ def _try(
         # before the new one is made.
         linear=None if is_accepted else state.linear,
         residual=None if is_accepted else state.residual,
-        is_returning=state.is_returning,
+        weight=state.weight,
         damping=damping,
         growth=growth,
         products=state.products + take_spent(state),

@@ -59,7 +59,7 @@ class State(eqx.Module):
     gradient: np.ndarray
     linear: LinearModel | None
     residual: Array | None
-    is_returning: bool
+    weight: float
     damping: float
     growth: float
     products: int
@@ -91,7 +91,7 @@ def state_of(memory: LeastSquaresMemory) -> State:
         gradient=memory.z,
         linear=None,
         residual=None,
-        is_returning=False,
+        weight=0.0,
         damping=memory.damping,
         growth=memory.growth,
         # The linearisation has been counted.
@@ -123,20 +123,21 @@ def linearised(
     box: Box,
     held: HeldRows,
     state: State,
+    step_count: int,
 ) -> State:
     """Return the state with residual, gradient and linear program at its z."""
     r, program = solver.products.linearise(residual, box.point(state.z), args)
     model = LinearModel(solver.products, program, box.vector, box.scale)
-    is_returning = held.count > 0 and not held.is_within(held.rows(r))
-    gradient = model.transpose(held.slope(r, is_returning))
+    weight = held.weight(r, step_count)
+    gradient = model.transpose(held.slope(r, weight))
     model.spent = 0
     return State(
         z=state.z,
-        cost=held.cost(r, is_returning),
+        cost=held.cost(r, weight),
         gradient=gradient,
         linear=model,
         residual=r,
-        is_returning=is_returning,
+        weight=weight,
         damping=state.damping,
         growth=state.growth,
         products=state.products + 1,
@@ -148,7 +149,7 @@ def normal(held: HeldRows, state: State, p: np.ndarray) -> np.ndarray:
     """Return J^T J p in units of the scale, rows that are held left out or heavy."""
     model, r = model_at(state)
     rows = held.rows(r) if held.count else np.zeros(0)
-    w = held.curved(model.forward(p), rows, state.is_returning)
+    w = held.curved(model.forward(p), rows, state.weight)
     return model.transpose(w)
 
 

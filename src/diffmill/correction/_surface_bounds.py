@@ -182,8 +182,8 @@ def refusal(
     if is_deep:
         limit = 1e6 * bounds.gouge
         text = (
-            f"`gouge` must be at least {limit + most:.4g} um for this program, but is "
-            f"{limit:.4g} um: {most:.4g} um too low at ({at}) mm."
+            f"`gouge` is {limit:.4g} um and cannot be held: the best command found "
+            f"cuts {limit + most:.4g} um deep at ({at}) mm, {most:.4g} um too much."
         )
     else:
         room = 1e6 * float(bounds.upper[point])
