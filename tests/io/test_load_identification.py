@@ -256,3 +256,18 @@ def test_snippets_are_toml_that_a_job_takes():
     assert found["force"]["K_tc"] == "958.86 N/mm^2" and "K_ae" not in found["force"]
     known = {"force": 0.0213, "gaussian": True}
     assert found["correction"]["uncertainty"] == known
+
+
+def test_a_coupled_record_needs_a_job_with_a_robot(tmp_path):
+    (tmp_path / "run.csv").write_text("t_s,a,b\n0,1,2\n0.1,2,3\n0.2,3,4\n")
+    (tmp_path / "file.toml").write_text(
+        'kind = "coupled"\n[coupled]\njob = "none.toml"\nfile = "run.csv"\nfoo = 1\n'
+    )
+    with pytest.raises(io.JobError, match="foo: found an unknown key"):
+        io.load_identification(tmp_path / "file.toml")
+    text = (tmp_path / "file.toml").read_text().replace("foo = 1\n", "")
+    (tmp_path / "file.toml").write_text(text)
+    with pytest.raises(io.JobError) as error:
+        io.load_identification(tmp_path / "file.toml")
+    assert "[coupled] job: found 'none.toml', but there is no such" in str(error.value)
+    assert "neither forces Fx, Fy, Fz nor deviations dx" in str(error.value)

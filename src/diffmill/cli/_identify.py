@@ -85,8 +85,12 @@ def run_identify(
 
 def _identified(task: Any, progress: Progress) -> Outcome:
     """Fit what the task asks for."""
-    from ..io import ForceRecordTask, LoadTestTask, MeanForceTask
+    from ..io import CoupledTask, ForceRecordTask, LoadTestTask, MeanForceTask
 
+    if isinstance(task, CoupledTask):
+        from ._identify_coupled import identify_coupled
+
+        return identify_coupled(task, progress)
     if isinstance(task, MeanForceTask):
         from ._identify_means import identify_means
 

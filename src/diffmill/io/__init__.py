@@ -28,6 +28,7 @@ from ._gcode import parse_gcode as parse_gcode, read_gcode as read_gcode
 from ._gcode_words import GCodeError as GCodeError
 from ._gcode_writer import write_gcode as write_gcode
 from ._identification_task import (
+    CoupledTask as CoupledTask,
     ForceRecord as ForceRecord,
     ForceRecordTask as ForceRecordTask,
     ForceSettings as ForceSettings,

@@ -196,6 +196,19 @@ class FrequencyResponseTable(Table):
     joint_positions: list[StrictStr] | None = None
 
 
+class CoupledTable(Table):
+    """`[coupled]`."""
+
+    job: File = Field(description='the job that was run, such as "part.toml"')
+    file: File = Field(description='forces or deviations over time, such as "run.csv"')
+    channels: Channels | None = None
+    fit: list[StrictStr] | None = None
+    has_offset: StrictBool = False
+    has_time_shift: StrictBool = False
+    time_shift: Time | None = None
+    loss: Literal["squares", "huber"] = "huber"
+
+
 # Tables of each kind: those required, and those allowed besides. A star marks lists.
 KINDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "mean_forces": (("cutter", "cut"), ("means", "record*", "spindle", "fit")),
@@ -203,6 +216,7 @@ KINDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "load_tests": (("robot", "load_tests"), ()),
     "ring_down": (("ring_down*",), ("robot",)),
     "frequency_response": (("frequency_response*",), ("robot",)),
+    "coupled": (("coupled",), ()),
 }
 _TABLES: dict[str, type[Table]] = {
     "cutter": CutterTable,
@@ -215,6 +229,7 @@ _TABLES: dict[str, type[Table]] = {
     "load_tests": LoadTestsTable,
     "ring_down": RingDownTable,
     "frequency_response": FrequencyResponseTable,
+    "coupled": CoupledTable,
 }
 
 

@@ -196,4 +196,32 @@ class ModeTask(NamedTuple):
     measured: tuple[RingDown, ...] | tuple[FrequencyResponse, ...]
 
 
-Task = MeanForceTask | ForceRecordTask | LoadTestTask | ModeTask
+class CoupledTask(NamedTuple):
+    """A record of a robot's cut; see `identification.fit_coupled`.
+
+    Attributes:
+        name: The file.
+        job: The job that was run.
+        time: On the clock of the job's path [s], shape (row,).
+        force: On the tool in `work`, as sampled [N], shape (row, 3), or None.
+        deviation: Tip minus desired tip in `work` [m], shape (row, 3), or None.
+        fit: Names of what is fitted, or None.
+        has_offset: Whether a constant deviation is fitted too.
+        has_time_shift: Whether a shift of the clock is fitted too.
+        loss: "squares" or "huber".
+        notes: What was assumed.
+    """
+
+    name: str
+    job: Job
+    time: Float[np.ndarray, " row"]
+    force: Float[np.ndarray, "row 3"] | None
+    deviation: Float[np.ndarray, "row 3"] | None
+    fit: tuple[str, ...] | None
+    has_offset: bool
+    has_time_shift: bool
+    loss: str
+    notes: tuple[str, ...]
+
+
+Task = MeanForceTask | ForceRecordTask | LoadTestTask | ModeTask | CoupledTask

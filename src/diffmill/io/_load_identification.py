@@ -5,6 +5,7 @@ import pathlib
 
 import numpy as np
 
+from ._identification_coupled import read_coupled
 from ._identification_loads import read_load_tests, read_tool_robot
 from ._identification_means import mean_force_task
 from ._identification_modes import read_frequency_response, read_ring_down
@@ -39,7 +40,8 @@ def load_identification(
 
     Args:
         file: The file, with `kind = "mean_forces"`, "force_records", "load_tests",
-            "ring_down" or "frequency_response"; or a job, if `forces` is given.
+            "ring_down", "frequency_response" or "coupled"; or a job, if `forces` is
+            given.
         forces: A record of forces of the job, wherever it lies.
         allow_outside: Whether the file may name files outside its own folder.
 
@@ -71,7 +73,15 @@ def load_identification(
         task = _forces(path, kind, tables, problems, allow_outside)
     elif kind == "load_tests":
         task = _loads(path, tables, problems, allow_outside)
-    elif kind is not None:
+    elif kind == "coupled" and "coupled" in tables:
+        task = read_coupled(
+            path.stem,
+            tables["coupled"],
+            path.parent,
+            problems,
+            allow_outside=allow_outside,
+        )
+    elif kind in ("ring_down", "frequency_response"):
         task = _modes(path, kind, tables, problems, allow_outside)
     if problems or task is None:
         raise JobError(path, problems)

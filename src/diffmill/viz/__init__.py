@@ -4,8 +4,9 @@ Draws what a reader of a simulation or correction needs to see: the paths with t
 deviation magnified, deviation and contour error over time, cutting forces before and
 after a low-pass, the chip chart of one tooth, the error of the machined surface and
 the cut ray ends; and writes one HTML report that needs no other file. And a robot: its
-line figure, and its stiffness over the workspace. And an identification: measured beside
-fitted, what is left, the correlation, and what was left out beside its prediction.
+line figure, and its stiffness over the workspace. And an identification: measured
+beside fitted, what is left, the correlation, and what was left out beside its
+prediction.
 
 Everything takes the dataset of a result (its layout: `diffmill.io`) or plain NumPy
 arrays, in SI; millimetres, micrometres and degrees appear on the axes only. Assumed:

@@ -1,0 +1,142 @@
+"""Stiffness, damping and force coefficients from one record of a robot's cut."""
+
+import pathlib
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ._errors import BadInput
+from ._identify import Outcome
+from ._identify_text import noted
+from ._progress import Progress
+
+# Below this share of what was measured the parameters are not offered.
+_EXPLAINED = 0.7
+
+if TYPE_CHECKING:
+    from ..identification import CoupledFit
+    from ..io import CoupledTask
+
+
+def identify_coupled(task: "CoupledTask", progress: Progress) -> Outcome:
+    """Fit parameters of arm and cut to a record of a cut.
+
+    Args:
+        task: The record and its job.
+        progress: Told what is being done.
+    """
+    from ..identification import fit_coupled, mean_over_period
+
+    force, period = task.force, float(task.job.tooth_period)
+    if force is not None and float(np.median(np.diff(task.time))) < 0.9 * period:
+        # The simulated force is a mean over the tooth period.
+        force = mean_over_period(task.time, force, period)
+    progress.update("arm and cut")
+    try:
+        fit = fit_coupled(
+            task.job,
+            force=force,
+            deviation=task.deviation,
+            time=task.time,
+            fit=task.fit,
+            has_offset=task.has_offset,
+            has_time_shift=task.has_time_shift,
+            loss=task.loss,  # pyright: ignore[reportArgumentType]
+        )
+    except ValueError as error:
+        raise BadInput(f"{task.name}: {error}") from error
+    facts = {
+        "kind": "coupled",
+        "parameters_SI": fit.parameters,
+        "standard_errors_SI": fit.standard_errors,
+        "identifiable": fit.identifiable,
+        "names": fit.names,
+        "correlation": fit.correlation,
+        "explained": fit.explained,
+        "residual_rms_SI": fit.residual_rms,
+        "offset_m": fit.offset,
+        "time_shift_s": fit.time_shift,
+        "has_converged": fit.has_converged,
+        "notes": [*task.notes, *fit.notes],
+    }
+    return Outcome(
+        _lines(task, fit), _toml(task, fit), facts, lambda folder: _draw(folder, fit)
+    )
+
+
+def _lines(task: "CoupledTask", fit: "CoupledFit") -> list[str]:
+    """Return parameters and how far to trust them."""
+    lines = []
+    for note in task.notes:
+        lines += noted(note)
+    width = 2 + max(len(name) for name in fit.names)
+    lines.append(f"{'parameter':{width}}{'value':>12}{'std. error':>12}{'given x':>10}")
+    for name, factor in zip(fit.names, np.exp(fit.log_scale), strict=True):
+        row = f"{'-':>12}{'-':>12}{factor:10.3f}   not identifiable"
+        if fit.identifiable[name]:
+            value, error = fit.parameters[name], fit.standard_errors[name]
+            row = f"{value:12.5g}{error:12.2g}{factor:10.3f}"
+        lines.append(f"{name:{width}}{row}")
+    for what, share in fit.explained.items():
+        lines.append(f"the fit explains {share:.2%} of the squared {what}")
+    if not fit.has_converged:
+        lines += noted("The iteration did not come to rest.", "warning")
+    for note in fit.notes:
+        lines += noted(note)
+    return lines
+
+
+def _toml(task: "CoupledTask", fit: "CoupledFit") -> list[str]:
+    """Return the tables for a job."""
+    from ..identification import NAMES
+    from ..io import doubted, force_toml, joints_toml
+
+    robot, lines = task.job.robot, []
+    assert robot is not None
+    relative = {}
+    for letter, key, word in (
+        ("K", "joint_stiffness", "stiffness"),
+        ("D", "joint_damping", "damping"),
+    ):
+        names = [f"{letter} {joint}" for joint in robot.joint_names]
+        is_known = np.array([fit.identifiable.get(name, False) for name in names])
+        if not is_known.any():
+            continue
+        joint_values = np.array([fit.parameters.get(name, np.nan) for name in names])
+        joint_errors = np.array(
+            [fit.standard_errors.get(name, np.nan) for name in names]
+        )
+        rows = joints_toml(robot, key, joint_values, joint_errors, is_known)
+        # Both lists stand in one table.
+        lines += rows[1:] if lines else rows
+        relative[word] = float(
+            np.max(joint_errors[is_known] / np.abs(joint_values[is_known]))
+        )
+    if all(name in fit.parameters for name in NAMES):
+        values, errors = (
+            {n: part[n] for n in NAMES}
+            for part in (fit.parameters, fit.standard_errors)
+        )
+        known = {n: fit.identifiable[n] for n in NAMES}
+        lines += ["", *force_toml(values, errors, known)]
+        shares = [
+            fit.standard_errors[n] / abs(fit.parameters[n])
+            for n in NAMES
+            if fit.identifiable[n]
+        ]
+        relative |= {"force": max(shares)} if shares else {}
+    if min(fit.explained.values(), default=1.0) < _EXPLAINED:
+        return doubted(lines, "The record does not suit the job; see summary.txt.")
+    if relative:
+        lines += ["", "[correction.uncertainty]"]
+        lines += [f"{word} = {value:.3g}" for word, value in relative.items()]
+        lines += ["gaussian = true"]
+    return lines or ["# Nothing is identifiable; see summary.txt."]
+
+
+def _draw(folder: pathlib.Path, fit: "CoupledFit") -> None:
+    """Write the figures."""
+    from ..viz import plot_correlation, save_figure
+
+    values: Any = np.asarray(fit.correlation)
+    save_figure(plot_correlation(fit.names, values), folder / "correlation.png")
