@@ -100,7 +100,13 @@ def start(folder, *arguments):
 
 
 def finish(process):
-    text = process.communicate(timeout=900)[1]
+    """Return the exit code and the messages of a run."""
+    with process:
+        try:
+            text = process.communicate(timeout=1500)[1]
+        except subprocess.TimeoutExpired:
+            process.kill()
+            raise
     return process.returncode, text
 
 
@@ -111,14 +117,14 @@ def rms_of(folder, name):
         return float(np.sqrt(np.mean(error**2)))
 
 
-def kill_at_segment(folder, out):
-    """Kill a run without warning once its second segment is on the disk."""
-    process = start(folder, "job.toml", "--out", out)
+def kill_when(folder, out, found, *more):
+    """Kill a run without warning once something is in its checkpoint."""
+    process = start(folder, "job.toml", "--out", out, *more)
     file = pathlib.Path(folder / f"{out}.checkpoint")
-    for _ in range(9000):
+    for _ in range(15000):
         if process.poll() is not None:
             raise AssertionError(process.communicate()[1])
-        if file.exists() and b"horizon/row" in file.read_bytes():
+        if file.exists() and found(file.read_bytes()):
             break
         time.sleep(0.1)
     process.send_signal(signal.SIGKILL)
@@ -133,7 +139,12 @@ def test_a_killed_run_resumes_to_the_same_result(folder):
     assert code == 0, text
     assert "segment 1 of" in text and " s left" in text
     assert not (folder / "all.checkpoint").exists()
-    file = kill_at_segment(folder, "killed")
+    # Among the baselines, after a segment, and in the next one.
+    file = kill_when(folder, "killed", lambda kept: b"method/mirror/" in kept)
+    first = lambda kept: b"horizon/row" in kept
+    kill_when(folder, "killed", first, "--resume")
+    before = file.read_bytes()
+    kill_when(folder, "killed", lambda kept: kept != before, "--resume")
     assert not (folder / "killed").exists()
 
     code, text = finish(start(folder, "job.toml", "--out", "killed"))
@@ -161,5 +172,5 @@ def test_segments_leave_the_error_that_the_whole_path_leaves(folder):
     assert code == 0, text
     segments = rms_of(folder / "all", "corrected")
     whole = rms_of(folder / "whole", "corrected")
-    # Both stop where a step gains little, not at the same place in a flat valley.
+    # At a sharp corner they may end in two local minima, which differ in the lag.
     assert abs(segments - whole) < 0.03 * rms_of(folder / "all", "uncorrected")

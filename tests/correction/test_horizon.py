@@ -84,8 +84,10 @@ def segmented(problem):
 def test_segments_find_what_the_whole_path_finds(problem, segmented):
     whole = METHOD(problem)
     found, saved, _ = segmented
-    assert len(saved) == found.detail["segment_count"] == 4
-    assert abs(found.measures.rms / whole.measures.rms - 1) < 0.01
+    assert found.detail["segment_count"] == 4
+    assert len(saved) == 4 * found.detail["sweeps"] == 8
+    # Two sweeps come a little deeper into a flat valley than the steps of one run.
+    assert -0.05 < found.measures.rms / whole.measures.rms - 1 < 0.01
     assert whole.measures.rms < 1e-5
 
 
@@ -140,9 +142,19 @@ def test_a_window_is_the_spline_in_its_rows(first):
     assert window.is_free.sum() > count / 8 - 6
 
 
-def test_an_overlap_must_fit_the_horizon(problem):
+def test_settings_that_cannot_be_are_refused(problem):
     with pytest.raises(ValueError, match="below `horizon`"):
         horizon(problem, overlap=200)
+    with pytest.raises(ValueError, match="`sweeps` must be at least 1"):
+        horizon(problem, sweeps=0)
+
+
+def test_a_second_sweep_forgets_what_the_start_had_behind_a_segment(problem):
+    # An overlap far shorter than the arm rings, and a path from a poor start.
+    whole = METHOD(problem).measures.rms
+    rms = [horizon(problem, overlap=50, sweeps=n)(problem).measures.rms for n in (1, 2)]
+    assert rms[1] < 0.995 * rms[0]
+    assert rms[1] < 1.01 * whole
 
 
 def test_gauss_newton_goes_on_as_if_it_had_not_been_interrupted(problem):

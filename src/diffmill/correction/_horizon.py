@@ -8,6 +8,14 @@ what the overlap has seen. Coefficients that act on rows which have been run are
 so that the command is as smooth over a seam as anywhere. The cost is that of the whole
 path, restricted to the segment.
 
+What lies behind the end of a segment stays as it was found before: in a first sweep, as
+the start has it, which bends the end of the segment towards the start. A second sweep
+over all segments begins where the first has ended, and takes most of that away.
+
+The contour error hardly sees how far the tool lags, so that there are several local
+minima at a sharp corner, and a segment may find another of them than the whole path, at
+any overlap. Started from the solution of the whole path, segments stay there.
+
 So the work is linear in the length of the path, and what must be in memory at once, the
 linear program of one segment, does not depend on it.
 """
@@ -48,6 +56,7 @@ class _Run(eqx.Module):
     """What has been done up to the end of a segment.
 
     Attributes:
+        sweep: How many sweeps have been finished before.
         row: First row that has not been run; the number of rows at the end.
         coefficients: Of the whole program, the clamped included.
         state: The plant's at that row.
@@ -55,6 +64,7 @@ class _Run(eqx.Module):
         history: Steps of all segments so far.
     """
 
+    sweep: int
     row: int
     coefficients: np.ndarray
     state: Any
@@ -87,6 +97,8 @@ class RecedingHorizon(AbstractMethod):
         method: Settings of the correction of a segment.
         horizon: Rows of a segment.
         overlap: Rows of its end that the next segment corrects once more.
+        sweeps: How often the whole path is gone through, each time from the command
+            that the time before has found; a path of one segment, once.
         on_checkpoint: Called after every segment with all that is needed to go on.
         resume: What it was called with, to go on from there.
     """
@@ -95,6 +107,7 @@ class RecedingHorizon(AbstractMethod):
     method: GaussNewton
     horizon: int = eqx.field(static=True)
     overlap: int = eqx.field(static=True)
+    sweeps: int = eqx.field(static=True, default=2)
     on_checkpoint: OnCheckpoint | None = None
     resume: Arrays | None = None
 
@@ -104,9 +117,13 @@ class RecedingHorizon(AbstractMethod):
                 "Argument `overlap` must be above 0 and below `horizon` "
                 f"({self.horizon} rows), but is {self.overlap} rows."
             )
+        if self.sweeps < 1:
+            raise ValueError(
+                f"Argument `sweeps` must be at least 1, but is {self.sweeps}."
+            )
 
     def segment_count(self, row_count: int) -> int:
-        """Return the number of segments of a path of some rows."""
+        """Return the number of segments of a path of some rows, in one sweep."""
         return 1 + max(0, -(-(row_count - self.horizon) // self._hop))
 
     @property
@@ -128,21 +145,31 @@ class RecedingHorizon(AbstractMethod):
         rows = problem.nominal.shape[0]
         spline = SplineOffsets(rows, problem.time_step, self.method.knot_spacing)
         run = self._first(problem, spline, start)
-        total, seconds = self.segment_count(rows), []
+        total, seconds = self._left(rows, 0, 0), []
         while run.row < rows:
             began = time.perf_counter()
             run = self._segment(problem, spline, run)
             seconds.append(time.perf_counter() - began)
+            error = _rms(problem, run)
+            left = self._left(rows, run.sweep, run.row)
+            if left and run.row >= rows:
+                run = self._again(problem, spline, run)
             if self.on_checkpoint is not None:
                 self.on_checkpoint(_packed(run))
-            left = self.segment_count(rows - run.row) if run.row < rows else 0
             if on_progress is not None:
                 # The first one compiles, which the others do not.
                 each = float(np.mean(seconds[1:] or seconds))
                 message = f"segment {total - left} of {total}, {left * each:.0f} s left"
-                if on_progress(message, _rms(problem, run)):
+                if on_progress(message, error):
                     break
         return self._corrected(problem, spline, run)
+
+    def _left(self, rows: int, sweep: int, row: int) -> int:
+        """Return the number of segments from a row on, of all sweeps."""
+        each = self.segment_count(rows)
+        sweeps = self.sweeps if each > 1 else 1
+        now = self.segment_count(rows - row) if row < rows else 0
+        return now + (sweeps - 1 - sweep) * each
 
     def _first(
         self, problem: Problem, spline: SplineOffsets, start: FloatRows | None
@@ -156,8 +183,14 @@ class RecedingHorizon(AbstractMethod):
             free = project(spline, away, problem.max_offset, limits=limits)
         coefficients = np.pad(free, ((CLAMPED, CLAMPED), (0, 0)))
         state = self.pieces.begin(_command(problem, spline, coefficients, 0, 2))
-        run = _Run(0, coefficients, state, 0.0, ())
+        run = _Run(0, 0, coefficients, state, 0.0, ())
         return _unpacked(self.resume, run) if self.resume else run
+
+    def _again(self, problem: Problem, spline: SplineOffsets, run: _Run) -> _Run:
+        """Return the state before the first segment of the next sweep."""
+        command = _command(problem, spline, run.coefficients, 0, 2)
+        state = self.pieces.begin(command)
+        return _Run(run.sweep + 1, 0, run.coefficients, state, 0.0, run.history)
 
     def _limits(
         self, problem: Problem, spline: SplineOffsets
@@ -185,12 +218,12 @@ class RecedingHorizon(AbstractMethod):
             state = self.pieces.begin(_command(problem, spline, coefficients, 0, 2))
         if is_last:
             # The whole run that follows tells the error of these rows.
-            return _Run(rows, coefficients, state, run.square, history)
+            return _Run(run.sweep, rows, coefficients, state, run.square, history)
         kept = _part(problem, self.pieces.piece, state, row, count)
         command = _command(problem, spline, coefficients, row, count, problem.window)
         state, square = _advance(kept, jnp.asarray(command))
-        square = run.square + float(square)
-        return _Run(row + self._hop, coefficients, state, square, history)
+        square, row = run.square + float(square), row + self._hop
+        return _Run(run.sweep, row, coefficients, state, square, history)
 
     def _solve(
         self, problem: Problem, part: Problem, spline: SplineOffsets, run: _Run
@@ -256,6 +289,7 @@ class RecedingHorizon(AbstractMethod):
                 "knot_spacing": spline.actual_spacing,
                 "unknowns": float(spline.coefficient_count * problem.nominal.shape[1]),
                 "segment_count": float(self.segment_count(rows)),
+                "sweeps": float(self.sweeps),
                 "horizon": float(self.horizon),
                 "overlap": float(self.overlap),
                 "smoothness": self.method.smoothness,
@@ -340,6 +374,7 @@ def _following(
 
 def _packed(run: _Run) -> dict[str, np.ndarray]:
     return {
+        "sweep": np.asarray(run.sweep),
         "row": np.asarray(run.row),
         "coefficients": run.coefficients,
         "square": np.asarray(run.square),
@@ -350,6 +385,7 @@ def _packed(run: _Run) -> dict[str, np.ndarray]:
 
 def _unpacked(arrays: Arrays, like: _Run) -> _Run:
     return _Run(
+        int(arrays["sweep"]),
         int(arrays["row"]),
         np.asarray(arrays["coefficients"]),
         unpack_tree(below("state", arrays), like.state),
