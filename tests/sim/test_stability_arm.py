@@ -1,0 +1,64 @@
+"""The arm in a slot: vibrations grow in time as the eigenvalues say."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import PAPER_LAW
+
+from diffmill import cutter as ct, robot as rb, sim, workpiece as wp
+
+MILL = ct.flat_end_mill(10e-3, 2)
+PERIOD, FEED, ROWS = 3.75e-3, 0.1875e-3, 250
+ROBOT = rb.load("reis_rv130_like")
+STOCK = wp.box([0, 15e-3, -3e-3], [45e-3, 35e-3, 0], 0.5e-3, interval_counts=(6, 6, 1))
+PLAN = sim.process_plan(STOCK, MILL, axial_depth=2e-3)
+
+
+def work_frame():
+    frame = np.eye(4)
+    tip = np.asarray(rb.forward_kinematics(ROBOT, ROBOT.home))[:3, 3]
+    frame[:3, 3] = tip - np.array([25e-3, 25e-3, 0])
+    return frame
+
+
+FRAME = work_frame()
+
+
+@jax.jit
+def motors(tips):
+    Ts = jnp.broadcast_to(jnp.asarray(FRAME)[None], (tips.shape[0], 4, 4))
+    q = rb.inverse_kinematics_path(ROBOT, Ts.at[:, :3, 3].add(tips), ROBOT.home).q
+    return jax.vmap(lambda row: rb.motor_positions(ROBOT, row))(q)
+
+
+@functools.cache
+def program():
+    return jax.jit(
+        lambda theta: sim.simulate_coupled(
+            theta, ROBOT, FRAME, STOCK, MILL, PAPER_LAW, PERIOD, PLAN, sim.Plain()
+        )
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("depth", [0.5e-3, 0.65e-3, 0.75e-3])
+def test_a_kick_of_the_arm_grows_as_predicted(depth):
+    along = np.arange(ROWS)[:, None] * np.array([FEED, 0, 0])
+    theta = motors(jnp.asarray(along + np.array([-6e-3, 25e-3, -depth])))
+    plain, kicked = (program()(x) for x in (theta, theta.at[110].add(1e-9)))
+    moved = np.abs(np.asarray(kicked.actual - plain.actual)).max(axis=1)
+    # In the first windows other modes still fade.
+    start, end = (moved[k : k + 20].max() for k in (140, 220))
+    found = sim.stability_along(
+        theta, plain.joint_positions, plain.force, ROBOT, FRAME, STOCK, MILL,
+        PAPER_LAW, PERIOD, PLAN, np.arange(150, 231, 8),
+    )  # fmt: skip
+    predicted = np.log(found.radius).mean()
+    np.testing.assert_allclose(np.log(end / start) / 80, predicted, atol=2.5e-3)
+    # The limit lies between the first depth and the second.
+    assert (predicted > 0) == (depth > 0.6e-3)
+    if depth > 0.6e-3:
+        assert 55 < np.median(found.frequency) < 65
