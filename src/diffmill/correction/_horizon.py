@@ -32,7 +32,7 @@ from jaxtyping import Array, Float
 from ._bspline import CLAMPED, SplineOffsets
 from ._gauss_newton import ContourResidual, GaussNewton, contour_residual
 from ._least_squares import least_squares
-from ._least_squares_records import LeastSquaresStep
+from ._least_squares_records import LeastSquaresStep, following
 from ._limits import LinearLimits, command_limits
 from ._memory import (
     Arrays,
@@ -270,7 +270,7 @@ class RecedingHorizon(AbstractMethod):
         found = np.asarray(solution.x, np.float64)
         changed = place[np.asarray(window.is_free)]
         new[changed] = found[np.asarray(window.is_free)]
-        return new, run.history + _following(run.history, solution.history)
+        return new, following(run.history, solution.history)
 
     def _corrected(
         self, problem: Problem, spline: SplineOffsets, run: _Run
@@ -351,25 +351,6 @@ def _rms(problem: Problem, run: _Run) -> float:
     """Return the rms contour error of the rows that have been run [m]."""
     weight = float(np.sum(np.asarray(problem.is_cutting)[: run.row]))
     return float(np.sqrt(run.square / weight)) if weight > 0 else 0.0
-
-
-def _following(
-    before: tuple[LeastSquaresStep, ...], steps: tuple[LeastSquaresStep, ...]
-) -> tuple[LeastSquaresStep, ...]:
-    """Return the steps of a segment with what the segments before have cost."""
-    if not before:
-        return steps
-    last = before[-1]
-    return tuple(
-        dataclasses.replace(
-            step,
-            step=last.step + step.step,
-            products=last.products + step.products,
-            forward_runs=last.forward_runs + step.forward_runs,
-            seconds=last.seconds + step.seconds,
-        )
-        for step in steps
-    )
 
 
 def _packed(run: _Run) -> dict[str, np.ndarray]:
