@@ -1,22 +1,13 @@
-"""Records of forces made ready: read, tared, the cut in them found."""
+"""Records of forces made ready: read, beside what was cut, without their offset."""
 
-import dataclasses
 import math
 import pathlib
 from typing import NamedTuple
 
 from .._job import Job
 from ..cutter import AbstractCutter
-from ..identification import (
-    CutSpan,
-    Record,
-    find_cuts,
-    immersion,
-    parts_between_gaps,
-    remove_drift,
-    remove_offset,
-    section,
-)
+from ..identification import Record, immersion, section
+from ._identification_cuts import cuts_in, engaged, span_of, tared
 from ._identification_schema import CutTable, RecordTable
 from ._identification_task import ForceRecord, StraightCut
 from ._job_program import file_in_folder
@@ -28,12 +19,8 @@ from ._record_error import RecordError
 LARGEST_RECORD = 2_000_000_000
 # Names of the forces that are allowed beside those of `load_record`.
 _ALIASES = {"force_x": "Fx", "force_y": "Fy", "force_z": "Fz"}
-# Shortest section that a tare is taken from, in tooth periods and samples.
-_TARE_PERIODS, _TARE_SAMPLES = 4.0, 20
 # Revolutions that a fit needs at least.
 _LEAST_TURNS = 3.0
-# Cuts that are listed in a message at most.
-_LISTED = 8
 
 
 class Context(NamedTuple):
@@ -119,16 +106,16 @@ def ready(
             f"{4 / tooth:g} are required: four per tooth"
         )
         return None
-    cuts, are_found = _cuts(record, tooth)
+    cuts, are_found = cuts_in(record, tooth)
     notes = list(record.notes)
     count = len(problems)
-    span = _span(record, process, table, (cuts, are_found), place, problems)
+    span = span_of(record, process, table, (cuts, are_found), place, problems)
     if span is None:
         return None
     try:
-        tared = _tared(record, table, (cuts if are_found else [], span), tooth, notes)
-        start, stop = _trimmed(process, table, span, record, notes)
-        used = section(tared, start, stop)
+        quiet = tared(record, table, (cuts if are_found else [], span), tooth, notes)
+        start, stop = engaged(process, table, span, record, notes)
+        used = section(quiet, start, stop)
     except ValueError as error:
         problems.append(f"{place}: {error}")
         return None
@@ -142,7 +129,7 @@ def ready(
     number = f", cut {table.cut}" if isinstance(table.cut, int) else ""
     return ForceRecord(
         name=f"{pathlib.PurePath(table.file).name}{number}",
-        record=tared,
+        record=quiet,
         process=process,
         start=start,
         stop=stop,
@@ -258,173 +245,3 @@ def _job(name: str, place: str, context: Context, problems: list[str]) -> Job | 
         except JobError as error:
             problems.extend(f"{place} job: {name}: {line}" for line in error.problems)
     return context.jobs[path]
-
-
-def _cuts(record: Record, tooth: float) -> tuple[list[CutSpan], bool]:
-    """Return the cuts in a record, and whether quiet parts lie beside them."""
-    cuts = find_cuts(record, tooth_frequency=1 / tooth)
-    if not cuts:
-        cuts = find_cuts(record)
-    parts = parts_between_gaps(record)
-    whole = [
-        CutSpan(float(record.time[p.start]), float(record.time[p.stop - 1]))
-        for p in parts
-    ]
-    if not cuts or cuts == whole:
-        first, last = float(record.time[0]), float(record.time[-1])
-        return [CutSpan(first, last)], False
-    return cuts, True
-
-
-def _span(
-    record: Record,
-    process: Job | StraightCut,
-    table: RecordTable,
-    found: tuple[list[CutSpan], bool],
-    place: str,
-    problems: list[str],
-) -> CutSpan | None:
-    """Return the part of the record that belongs to the cut."""
-    cuts, are_found = found
-    first, last = float(record.time[0]), float(record.time[-1])
-    if table.start is not None or table.stop is not None:
-        start = first if table.start is None else max(table.start, first)
-        stop = last if table.stop is None else min(table.stop, last)
-        if start >= stop:
-            problems.append(
-                f"{place} start, stop: found {start:g} s and {stop:g} s, but a part "
-                f"within {first:g} s to {last:g} s is required"
-            )
-            return None
-        return CutSpan(start, stop)
-    if isinstance(table.cut, int):
-        if table.cut > len(cuts):
-            problems.append(
-                f"{place} cut: found {table.cut}, but the record has {_cuts_text(cuts)}"
-            )
-            return None
-        return cuts[table.cut - 1]
-    if isinstance(process, Job):
-        # A job may be idle between cuts, and what is before the first is quiet.
-        return CutSpan(first, last)
-    if len(cuts) > 1 and table.cut != "all":
-        problems.append(
-            f"{place} cut: found nothing, but the record has {_cuts_text(cuts)}; name "
-            "one by its number, an entry for each, or give start and stop"
-        )
-        return None
-    return CutSpan(cuts[0].start, cuts[-1].stop) if are_found else cuts[0]
-
-
-def _cuts_text(cuts: list[CutSpan]) -> str:
-    shown = ", ".join(
-        f"{i} from {cut.start:.4g} to {cut.stop:.4g} s"
-        for i, cut in enumerate(cuts[:_LISTED], 1)
-    )
-    more = ", ..." if len(cuts) > _LISTED else ""
-    return f"{len(cuts)} cut{'s' * (len(cuts) > 1)} ({shown}{more})"
-
-
-def _tared(
-    record: Record,
-    table: RecordTable,
-    found: tuple[list[CutSpan], CutSpan],
-    tooth: float,
-    notes: list[str],
-) -> Record:
-    """Return the record less its offset and drift, and note what was done."""
-    if table.tare == "none":
-        return record
-    if table.tare is not None:
-        before = (table.tare[0], table.tare[1])
-        if isinstance(table.tare_after, list):
-            return remove_drift(
-                record, before, (table.tare_after[0], table.tare_after[1])
-            )
-        return remove_offset(record, *before)
-    cuts, span = found
-    before, after = _quiet(record, cuts, span, tooth)
-    if before is not None and after is not None:
-        notes.append(
-            f"Offset and drift were taken from {before[0]:.4g} to {before[1]:.4g} s "
-            f"and {after[0]:.4g} to {after[1]:.4g} s, where nothing is cut."
-        )
-        return remove_drift(record, before, after)
-    one = before or after
-    if one is None:
-        notes.append(
-            "No section without a cut was found: no offset was removed, and one that "
-            "the record has goes into the edge coefficients. Name one by `tare`."
-        )
-        return record
-    notes.append(
-        f"The offset was taken from {one[0]:.4g} to {one[1]:.4g} s, where nothing is "
-        "cut."
-    )
-    return remove_offset(record, *one)
-
-
-def _quiet(
-    record: Record, cuts: list[CutSpan], span: CutSpan, tooth: float
-) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
-    """Return the sections without a cut before and after a part of the record."""
-    if not cuts:
-        return None, None
-    guard = 2 * _TARE_PERIODS * tooth
-    least = max(_TARE_PERIODS * tooth, _TARE_SAMPLES / record.rate)
-    first, last = float(record.time[0]), float(record.time[-1])
-    inside = [c for c in cuts if c.stop > span.start and c.start < span.stop] or cuts
-    begin, end = inside[0].start, inside[-1].stop
-    earlier = max([c.stop for c in cuts if c.stop < begin], default=None)
-    later = min([c.start for c in cuts if c.start > end], default=None)
-    before = (first if earlier is None else earlier + guard, begin - guard)
-    after = (end + guard, last if later is None else later - guard)
-    sections = []
-    for a, b in (before, after):
-        count = int(((record.time >= a) & (record.time <= b)).sum())
-        is_long = b - a >= least and count >= _TARE_SAMPLES
-        sections.append((a, b) if is_long else None)
-    return sections[0], sections[1]
-
-
-def _trimmed(
-    process: Job | StraightCut,
-    table: RecordTable,
-    span: CutSpan,
-    record: Record,
-    notes: list[str],
-) -> tuple[float, float]:
-    """Return the part of a straight cut where the tool is fully engaged."""
-    start, stop = span
-    speed = getattr(process, "spindle_speed", None)
-    is_chosen = table.start is not None or table.stop is not None
-    if isinstance(process, Job) or speed is None or is_chosen:
-        return start, stop
-    # The tool is in full engagement once its axis has passed the edge of the stock.
-    feed = process.feed_per_tooth * process.cutter.flute_count * speed / (2 * math.pi)
-    travel = 1.1 * float(process.cutter.nominal_radius) / feed
-    step = 2 / record.rate
-    ends = []
-    if start > record.time[0] + step:
-        start, ends = start + travel, ["entry"]
-    if stop < record.time[-1] - step:
-        stop, ends = stop - travel, [*ends, "exit"]
-    if ends:
-        notes.append(
-            f"{travel:.4g} s were left out at {' and '.join(ends)}, while the tool is "
-            "not fully engaged."
-        )
-    if start >= stop:
-        raise ValueError(
-            f"found a cut of {span.stop - span.start:.4g} s, but {len(ends)} x "
-            f"{travel:.4g} s pass until a tool of this radius is fully engaged; look "
-            "at feed, speed and diameter, or give start and stop"
-        )
-    return float(start), float(stop)
-
-
-def with_name(record: ForceRecord, name: str) -> ForceRecord:
-    """Return a record by another name."""
-    return record._replace(
-        name=name, record=dataclasses.replace(record.record, source=name)
-    )
