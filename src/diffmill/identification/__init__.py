@@ -4,8 +4,8 @@ What it models: a record of three forces over time with what is doubtful in it m
 sample by sample; the removal of offset and drift; the cuts in it; its alignment with
 the spindle; the ways in which a dynamometer can be mounted. Cutting coefficients from
 mean forces and from whole records, joint stiffness from load tests, modes and damping
-from a ring-down or a frequency response, each with standard errors and a word on what
-the data cannot tell.
+from a ring-down or a frequency response, or all of them at once from one record of a
+robot that cuts, each with standard errors and a word on what the data cannot tell.
 Assumptions: forces are calibrated; the record was sampled at one rate, except for
 gaps; the amplifier drifts along a straight line between two tare sections.
 Left out: the dynamometer's own dynamics. Files are read by `diffmill.io.load_record`.

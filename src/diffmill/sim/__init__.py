@@ -1,11 +1,15 @@
 """Simulation: the process alone, and the robot that cuts.
 
-One step is one tooth period. Within it the robot takes linear, implicit midpoint
-sub-steps, and the teeth that pass in a sub-step push it with the force of the chip
-between its tip and the tips one or more periods earlier. Removal lags behind the tool
-by a travelled distance; what is still pending is flushed at the end of a run. A second,
-hard chip model, "point_cloud", removes at once and takes the chip's angles from the
-rays that a removal has cut, as the paper does.
+One step is one tooth period. Within it the robot, with the terms of its middle, takes
+linear, implicit midpoint sub-steps, and the teeth that pass in a sub-step push it with
+the force of the chip between its tip and the tips one or more periods earlier. Removal
+lags behind the tool by a travelled distance; what is still pending is flushed at the
+end of a run. A second, hard chip model, "point_cloud", removes at once and takes the
+chip's angles from the rays that a removal has cut, as the paper does.
+
+Beside it: the same run in segments (`run_segment`), without inertia
+(`simulate_quasistatic`) or load (`free_motion`); whether vibrations grow (`stability`);
+what each parameter does (`sensitivity`); where the holder is (`tool_contacts`).
 
 A flat cutter that stands upright takes a fast path (`_upright.py`); any other cutter or
 direction is a row of edge elements in space (`_in_space.py`).
