@@ -15,7 +15,7 @@ import tempfile
 import time
 from typing import Any
 
-# The task's own limit of memory is for 100000 rows, which take most of an hour.
+# Enough to see the slope; `--rows 100000` takes a path as long as a real program.
 ROWS = (10_000, 20_000, 40_000)
 HORIZON, OVERLAP = 2000, 256
 # Sizes of the block and of the cut [mm].
