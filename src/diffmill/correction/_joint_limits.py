@@ -71,8 +71,15 @@ def joint_limits(
 def check_joints(job: Job, command: FloatRows) -> None:
     """Raise if a command brings a motor beyond its limit.
 
+    Args:
+        job: The job; its machine must be a robot.
+        command: Tip positions [m] or joint positions, as the job commands, shape
+            (step, axis).
+
     Raises:
         InfeasibleLimit: It does; the message says which, when and by how much.
+
+    **Differentiability**: none, a host function.
     """
     robot = job.robot
     if robot is None:

@@ -75,6 +75,8 @@ def tip_response(
 
     Returns:
         The response.
+
+    **Differentiability**: none, a host function.
     """
     terms = arm_terms(robot, q, jnp.zeros_like(q))
     return TipResponse(
@@ -98,6 +100,8 @@ def spline_preconditioner(
 
     Returns:
         A symmetric, positive definite map on coefficients, on the host.
+
+    **Differentiability**: none, a host function.
     """
     return banded_preconditioner(
         response, spline, lambda signal: adjoint_offsets(spline, signal), time_step

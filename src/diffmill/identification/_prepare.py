@@ -134,7 +134,13 @@ def resample_record(record: Record, rate: float) -> Record:
 
 
 def section(record: Record, start: float, stop: float) -> Record:
-    """Return the samples of a record from `start` to `stop` [s], both included."""
+    """Return the samples of a record from `start` to `stop` [s], both included.
+
+    Raises:
+        ValueError: Fewer than two samples are left.
+
+    **Differentiability**: none, a host function.
+    """
     keep = (record.time >= start) & (record.time <= stop)
     if np.count_nonzero(keep) < 2:
         raise ValueError(
@@ -149,7 +155,10 @@ def section(record: Record, start: float, stop: float) -> Record:
 
 
 def parts_between_gaps(record: Record) -> list[slice]:
-    """Return the samples between gaps, one slice for each part."""
+    """Return the samples of a record between its gaps, one slice for each part.
+
+    **Differentiability**: none, a host function.
+    """
     starts = [0, *np.flatnonzero(record.is_after_gap[1:]) + 1, record.time.size]
     return [slice(int(a), int(b)) for a, b in itertools.pairwise(starts)]
 

@@ -238,7 +238,17 @@ def static_stretch(
 
 
 def across_gap(robot: Robot, y: Float[Array, " joint"]) -> Float[Array, " joint"]:
-    """Return s^-1(y): the stretch of gears whose springs are stretched by y."""
+    """Return s^-1(y): the stretch of gears whose springs are stretched by y.
+
+    Args:
+        robot: The robot.
+        y: Stretch of the springs alone [rad or m], shape (joint,).
+
+    Returns:
+        Stretch with the gap [rad or m], shape (joint,).
+
+    **Differentiability**: once in y, but at 0 it jumps across the gap.
+    """
     if robot.backlash is None:
         return y
     b, w = robot.backlash.gap, robot.backlash.corner * robot.backlash.gap
@@ -253,7 +263,14 @@ def across_gap(robot: Robot, y: Float[Array, " joint"]) -> Float[Array, " joint"
 def servo_stretch(
     robot: Robot, torque: Float[Array, " joint"]
 ) -> Float[Array, " joint"]:
-    """Return by how much servos at rest yield to a torque, tau / K_s [rad or m]."""
+    """Return by how much servos at rest yield to a torque, tau / K_s [rad or m].
+
+    Args:
+        robot: The robot.
+        torque: [N m or N], shape (joint,).
+
+    **Differentiability**: linear in the torque.
+    """
     if robot.motors is None:
         return jnp.zeros_like(torque)
     return jnp.where(robot.motor_mask(), torque / robot.motors.stiffness, 0.0)
@@ -265,6 +282,12 @@ def gravity_lift(
     """Return what a controller adds to the command against gravity [rad or m].
 
     The yielding of springs and servos; it knows of no gap.
+
+    Args:
+        robot: The robot.
+        gravity: Torque of the weight [N m or N], shape (joint,).
+
+    **Differentiability**: linear in the torque.
     """
     lift = gravity / robot.joint_stiffness
     if robot.motors is None:
@@ -273,7 +296,14 @@ def gravity_lift(
 
 
 def friction_torque(robot: Robot, v: Float[Array, " joint"]) -> Float[Array, " joint"]:
-    """Return the torque of friction against a motion [N m or N], shape (joint,)."""
+    """Return the torque of friction against a motion [N m or N], shape (joint,).
+
+    Args:
+        robot: The robot.
+        v: Joint velocities [rad/s or m/s], shape (joint,).
+
+    **Differentiability**: smooth; steep below the friction's speed.
+    """
     if robot.friction is None:
         return jnp.zeros_like(v)
     f = robot.friction
@@ -283,7 +313,17 @@ def friction_torque(robot: Robot, v: Float[Array, " joint"]) -> Float[Array, " j
 def coulomb_damping(
     friction: Friction, v: Float[Array, " joint"]
 ) -> Float[Array, " joint"]:
-    """Return the damper that brakes like Coulomb friction does at v: F_c tanh / v."""
+    """Return the damper that brakes like Coulomb friction does at v: F_c tanh / v.
+
+    Args:
+        friction: The friction of the joints.
+        v: Joint velocities [rad/s or m/s], shape (joint,).
+
+    Returns:
+        Dampers [N m s/rad or N s/m], shape (joint,).
+
+    **Differentiability**: smooth but for rounding where tanh is replaced by its slope.
+    """
     x = v / friction.speed
     is_slow = jnp.abs(x) < 1e-4
     safe = jnp.where(is_slow, 1.0, x)

@@ -89,7 +89,18 @@ class Period(eqx.Module):
 
 
 class Machine(eqx.Module):
-    """What stays the same from period to period."""
+    """What stays the same from period to period.
+
+    Attributes:
+        robot: The robot with its tool.
+        T_base_work: Pose of the workpiece frame in the robot's base, shape (4, 4).
+        cutter: The milling cutter.
+        laws: Force law of the teeth, and of the bottom edges or None.
+        tooth_period: Time between two teeth [s], shape ().
+        plan: Sizes of the process.
+        adjoint: How to differentiate through the removal.
+        integrator: Rule of the robot's sub-steps.
+    """
 
     robot: Robot
     T_base_work: Float[Array, "4 4"]
@@ -174,7 +185,10 @@ def coupled_machine(
     integrator: AbstractIntegrator | None,
     dtype: jnp.dtype,
 ) -> Machine:
-    """Return the arguments of `simulate_coupled` as one tree, in one precision."""
+    """Return the arguments of `simulate_coupled` as one tree, in one precision.
+
+    **Differentiability**: linear, the arguments are kept as they are.
+    """
     frame, period = jnp.asarray(T_base_work, dtype), jnp.asarray(tooth_period, dtype)
     rule = Midpoint() if integrator is None else integrator
     laws = (law, bottom_law)

@@ -34,7 +34,17 @@ _LEAST_SINE = 0.02
 
 
 def tool_frame(axis: Float[Array, "*pose 3"]) -> Float[Array, "*pose 3 3"]:
-    """Return tool x, y and z as columns; x as near to work x as the axis allows."""
+    """Return tool x, y and z as columns; x as near to work x as the axis allows.
+
+    Args:
+        axis: Unit vectors from tip to shank, shape (*pose, 3).
+
+    Returns:
+        Rotations from tool to `work`, shape (*pose, 3, 3).
+
+    **Differentiability**: smooth but where the axis points along work x: there work y
+    takes its place.
+    """
     tiny = 1e-12
     along = jnp.asarray([1.0, 0.0, 0.0], axis.dtype)
     other = jnp.asarray([0.0, 1.0, 0.0], axis.dtype)

@@ -176,7 +176,14 @@ def job_plan(job: Job) -> ProcessPlan:
 
 @eqx.filter_jit
 def rigid_cut(job: Job, adjoint: AbstractAdjoint) -> ProcessSolution:
-    """Return the process alone on the desired path, as a rigid machine cuts it."""
+    """Return the process alone on the desired path, as a rigid machine cuts it.
+
+    Args:
+        job: The job, in its precision.
+        adjoint: How to differentiate through the removal.
+
+    **Differentiability**: that of `simulate_process`.
+    """
     return simulate_process(
         jnp.asarray(job.path.positions),
         job.stock,
@@ -262,7 +269,18 @@ def solve_command(
 def run_motors(
     job: Job, motors: Float[Array, "step joint"], adjoint: AbstractAdjoint
 ) -> CoupledSolution:
-    """Run the coupled simulation of a job for given motor positions."""
+    """Run the simulation of a job, dynamic or quasi-static, for given motor positions.
+
+    Args:
+        job: The job, in its precision; its machine must be a robot.
+        motors: Motor positions at the tooth instants [rad or m], shape (step, joint).
+        adjoint: How to differentiate through the removal.
+
+    Raises:
+        ValueError: The job has no robot.
+
+    **Differentiability**: that of `simulate_coupled` or `simulate_quasistatic`.
+    """
     if job.robot is None:
         raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
     arguments = (
@@ -296,6 +314,19 @@ def command_joints(
 
     The tool axis is the path's, tool x as near to x of `work` as that allows, or as
     it suits the joints if the job leaves the tool's rotation free.
+
+    Args:
+        job: The job, in its precision; its machine must be a robot.
+        commanded: Tip positions in `work` [m], shape (step, 3).
+
+    Returns:
+        Joint positions [rad or m], shape (step, joint), and whether every tip is
+        reached.
+
+    Raises:
+        ValueError: The job has no robot.
+
+    **Differentiability**: that of `inverse_kinematics_path`.
     """
     robot = job.robot
     if robot is None:
@@ -316,7 +347,17 @@ def command_joints(
 def command_motors(
     job: Job, commanded: Float[Array, "step 3"]
 ) -> tuple[Float[Array, "step joint"], Bool[Array, ""]]:
-    """Return the motor positions of tip positions, and whether all are reached."""
+    """Return the motor positions of tip positions, and whether all are reached.
+
+    Args:
+        job: The job, in its precision; its machine must be a robot.
+        commanded: Tip positions in `work` [m], shape (step, 3).
+
+    Returns:
+        As `command_joints`, for the motors.
+
+    **Differentiability**: that of `inverse_kinematics_path`.
+    """
     q, is_reached = command_joints(job, commanded)
     return joint_motors(job, q), is_reached
 
@@ -324,7 +365,17 @@ def command_motors(
 def joint_motors(
     job: Job, joints: Float[Array, "step joint"]
 ) -> Float[Array, "step joint"]:
-    """Return the motor positions for commanded joints, sag added if compensated."""
+    """Return the motor positions for commanded joints, sag added if compensated.
+
+    Args:
+        job: The job, in its precision.
+        joints: Commanded joint positions [rad or m], shape (step, joint).
+
+    Returns:
+        Motor positions [rad or m], shape (step, joint).
+
+    **Differentiability**: that of `motor_positions`.
+    """
     robot = job.robot
     is_compensated = job.simulation.is_gravity_compensated
     return jax.vmap(
