@@ -13,9 +13,8 @@ from ._job_program import file_in_folder
 from ._load_job import JobError, load_job
 from ._load_record import read_table
 from ._record_error import RecordError
-from ._table_columns import column_of
+from ._table_columns import TIME_NAMES, column_of
 
-_TIME = r"t|time|zeit|x_?value|(rel\w*|elapsed)[ _]?time|seconds|sekunden"
 _PARTS = r"[\s_.\-]*"
 _GROUPS = {
     "force": (q.FORCE, "F", "f|force|kraft"),
@@ -104,7 +103,7 @@ def _columns(
         if key not in known:
             allowed = ", ".join(known)
             faults.append(f"found the channel `{key}`; allowed are {allowed}.")
-    time = column_of(found, "time", (q.TIME,), _TIME, wanted, faults, notes)
+    time = column_of(found, "time", (q.TIME,), TIME_NAMES, wanted, faults, notes)
     parts: dict[str, np.ndarray | None] = {}
     for name, (kind, letter, words) in _GROUPS.items():
         columns = [

@@ -2,112 +2,26 @@
 
 import pathlib
 import re
+from typing import TypeAlias
 
 import jax
 import numpy as np
-from jaxtyping import Float
 
-from ..robot import Robot, forward_kinematics, with_drives, with_tool
+from ..robot import Robot, forward_kinematics
 from . import _quantity as q
-from ._identification_schema import LoadTestsTable, RobotTable
+from ._identification_schema import LoadTestsTable
 from ._identification_task import LoadTestTask
 from ._job_program import file_in_folder
-from ._job_robot import pose_matrix
-from ._job_robot_file import load_robot
-from ._job_schema import RobotTable as JobRobotTable
 from ._load_record import read_table
-from ._pose import parse_pose
 from ._record_error import RecordError
 from ._record_table import Table
 from ._table_columns import column_of
 
 _PARTS = r"[\s_.\-]*"
-_STIFFNESS = (q.ROTARY_STIFFNESS, q.LINEAR_STIFFNESS)
 # No joint turns so far [rad], and no load bends a robot so far [m].
 _LARGEST_ANGLE, _LARGEST_MOVE = 4 * np.pi, 0.1
-_DAMPING = (q.ROTARY_DAMPING, q.LINEAR_DAMPING)
-
-
-def read_tool_robot(
-    table: RobotTable,
-    folder: pathlib.Path,
-    problems: list[str],
-    notes: list[str],
-    *,
-    allow_outside: bool,
-    needs_mass: bool,
-) -> Robot | None:
-    """Return the robot of a measurement, or None with problems noted.
-
-    Args:
-        table: `[robot]`.
-        folder: Folder of the file.
-        problems: Receives what is wrong.
-        notes: Receives what is doubtful in a robot file.
-        allow_outside: Whether files may lie outside that folder.
-        needs_mass: Whether every joint must move a mass.
-    """
-    if (table.model is None) == (table.file is None):
-        problems.append(
-            "[robot]: exactly one of model and file (.toml or .urdf) is required"
-        )
-        return None
-    robot = load_robot(
-        JobRobotTable(
-            model=table.model, file=table.file, tool=table.tool, drives=table.drives
-        ),
-        folder,
-        problems,
-        notes,
-        allow_outside=allow_outside,
-        needs_mass=needs_mass,
-    )
-    if robot is None:
-        return None
-    values = {}
-    for key, kinds in (("joint_stiffness", _STIFFNESS), ("joint_damping", _DAMPING)):
-        texts = getattr(table, key)
-        if texts is None:
-            continue
-        values[key] = np.zeros(robot.joint_count)
-        if len(texts) != robot.joint_count:
-            problems.append(
-                f"[robot] {key}: found {len(texts)} values, but one per joint is "
-                f"required: {', '.join(robot.joint_names)}"
-            )
-            return None
-        for i, text in enumerate(texts):
-            try:
-                kind = kinds[int(robot.joint_kinds[i] == "prismatic")]
-                values[key][i] = q.quantity(text, kind)
-            except ValueError as error:
-                problems.append(f"[robot] {key}.{i} ({robot.joint_names[i]}): {error}")
-    robot = with_drives(
-        robot,
-        stiffness=values.get("joint_stiffness"),
-        damping=values.get("joint_damping"),
-    )
-    if table.tool_in_flange is not None:
-        robot = with_tool(robot, pose_matrix(table.tool_in_flange))
-    return robot
-
-
-def joint_positions(
-    texts: list[str] | None, robot: Robot | None, place: str, problems: list[str]
-) -> Float[np.ndarray, " joint"] | None:
-    """Return joint positions that the file gives, None if none or faulty."""
-    if texts is None:
-        return None
-    if robot is None:
-        problems.append(
-            f"{place} joint_positions: found beside no [robot], but it is required then"
-        )
-        return None
-    try:
-        return np.asarray(parse_pose(", ".join(texts), robot), np.float64)
-    except ValueError as error:
-        problems.append(f"{place} joint_positions: {error}")
-        return None
+# A column: its key, the dimensions that it may have, and what it may be called.
+_Wanted: TypeAlias = tuple[str, tuple[q.QuantityKind, ...], str]
 
 
 def read_load_tests(
@@ -193,19 +107,52 @@ def _columns(
     notes: list[str],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Return joint positions, loads and displacements as written, in SI units."""
-    wanted = dict(table.channels or {})
-    joints = [
-        (n, (q.LENGTH,) if kind == "prismatic" else (q.ANGLE,))
-        for n, kind in zip(robot.joint_names, robot.joint_kinds, strict=True)
-    ]
-    groups = {
+    groups = _groups(robot)
+    known = {key for group in groups.values() for key, _, _ in group}
+    for key in table.channels or {}:
+        if key not in known:
+            faults.append(
+                f"found the channel `{key}`; allowed are {', '.join(sorted(known))}."
+            )
+    for key in table.units:
+        if key not in groups:
+            faults.append(
+                f"found the unit of `{key}`; allowed are {', '.join(groups)}."
+            )
+    values, missing = {}, []
+    for name, group in groups.items():
+        given = _given(name, group, found, table, faults, notes)
+        lost = [key for key, _, _ in group if key not in given]
+        is_optional = name in ("moment", "rotation")
+        if lost and (given or not is_optional):
+            missing.extend(lost)
+        elif given:
+            values[name] = np.column_stack([given[key] for key, _, _ in group])
+    if missing and not faults:
+        names = ", ".join(f"`{column.name}`" for column in found.columns)
+        faults.append(
+            f"found no column for {', '.join(missing)} among {names}; name it with "
+            "`channels`."
+        )
+    if faults:
+        return None
+    _check_sizes(robot, values, faults)
+    load = [values[n] for n in ("force", "moment") if n in values]
+    moved = [values[n] for n in ("displacement", "rotation") if n in values]
+    return values["joint"], np.hstack(load), np.hstack(moved)
+
+
+def _groups(robot: Robot) -> dict[str, list[_Wanted]]:
+    """Return the columns of a table by what they measure."""
+    joints = zip(robot.joint_names, robot.joint_kinds, strict=True)
+    return {
         "joint": [
             (
                 name,
-                kinds,
+                (q.LENGTH,) if kind == "prismatic" else (q.ANGLE,),
                 rf"{re.escape(name)}|(q|j|a|theta|axis|joint|achse){_PARTS}{i}",
             )
-            for i, (name, kinds) in enumerate(joints, 1)
+            for i, (name, kind) in enumerate(joints, 1)
         ],
         "force": [(f"F{a}", (q.FORCE,), _letter("f|force|kraft", a)) for a in "xyz"],
         "moment": [
@@ -219,47 +166,28 @@ def _columns(
             (f"r{a}", (q.ANGLE,), _letter("r|dr|rot|rotation|phi", a)) for a in "xyz"
         ],
     }
-    known = {key for group in groups.values() for key, _, _ in group}
-    for key in wanted:
-        if key not in known:
-            faults.append(
-                f"found the channel `{key}`; allowed are {', '.join(sorted(known))}."
-            )
-    for key in table.units:
-        if key not in groups:
-            faults.append(
-                f"found the unit of `{key}`; allowed are {', '.join(groups)}."
-            )
-    values, missing = {}, []
-    for name, group in groups.items():
-        unit = table.units.get(name)
-        parts = {
-            key: column_of(found, key, kinds, pattern, wanted, faults, notes, unit)
-            for key, kinds, pattern in group
-        }
-        given = {key: part for key, part in parts.items() if part is not None}
-        # "none": no load along this axis, no measurement along that one.
-        for key in [k for k in parts if given and k in wanted and wanted[k] is None]:
-            fill = 0.0 if name in ("force", "moment") else np.nan
-            given[key] = np.full(len(next(iter(given.values()))), fill)
-        lost = [key for key in parts if key not in given]
-        is_optional = name in ("moment", "rotation")
-        if lost and (given or not is_optional):
-            missing.extend(lost)
-        elif given:
-            values[name] = np.column_stack([given[key] for key in parts])
-    if missing and not faults:
-        names = ", ".join(f"`{column.name}`" for column in found.columns)
-        faults.append(
-            f"found no column for {', '.join(missing)} among {names}; name it with "
-            "`channels`."
-        )
-    if faults:
-        return None
-    _check_sizes(robot, values, faults)
-    load = [values[n] for n in ("force", "moment") if n in values]
-    moved = [values[n] for n in ("displacement", "rotation") if n in values]
-    return values["joint"], np.hstack(load), np.hstack(moved)
+
+
+def _given(
+    name: str,
+    group: list[_Wanted],
+    found: Table,
+    table: LoadTestsTable,
+    faults: list[str],
+    notes: list[str],
+) -> dict[str, np.ndarray]:
+    """Return the columns of a group that there are, those that are "none" filled."""
+    wanted, unit = dict(table.channels or {}), table.units.get(name)
+    parts = {
+        key: column_of(found, key, kinds, pattern, wanted, faults, notes, unit)
+        for key, kinds, pattern in group
+    }
+    given = {key: part for key, part in parts.items() if part is not None}
+    # "none": no load along this axis, no measurement along that one.
+    for key in [k for k in parts if given and k in wanted and wanted[k] is None]:
+        fill = 0.0 if name in ("force", "moment") else np.nan
+        given[key] = np.full(len(next(iter(given.values()))), fill)
+    return given
 
 
 def _letter(words: str, axis: str) -> str:

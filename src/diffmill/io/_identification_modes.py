@@ -7,8 +7,8 @@ import numpy as np
 from ..identification import spectral_peaks
 from ..robot import Robot
 from . import _quantity as q
-from ._identification_loads import joint_positions
 from ._identification_records import LARGEST_RECORD
+from ._identification_robot import joint_positions
 from ._identification_schema import FrequencyResponseTable, RingDownTable
 from ._identification_task import FrequencyResponse, RingDown
 from ._job_program import file_in_folder
@@ -16,9 +16,8 @@ from ._load_record import read_table
 from ._record_error import RecordError
 from ._record_table import Table
 from ._record_time import timeline
-from ._table_columns import column_of
+from ._table_columns import TIME_NAMES, column_of
 
-_TIME = r"t|time|zeit|x_?value|(rel\w*|elapsed)[ _]?time|seconds|sekunden"
 _SIGNAL = (
     r"signal|displacement|acceleration|velocity|amplitude|weg|beschleunigung|"
     r"[xyzadv]|acc\w*|disp\w*"
@@ -65,7 +64,7 @@ def read_ring_down(
     notes = list(found.notes)
     wanted = dict(table.channels or {})
     _check_channels(wanted, ("time", "signal"), faults)
-    time = column_of(found, "time", (q.TIME,), _TIME, wanted, faults, notes)
+    time = column_of(found, "time", (q.TIME,), TIME_NAMES, wanted, faults, notes)
     if "signal" not in wanted and len(found.columns) == 1 + (time is not None):
         # The only other column needs no name.
         wanted["signal"] = len(found.columns)

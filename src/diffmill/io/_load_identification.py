@@ -6,10 +6,11 @@ import pathlib
 import numpy as np
 
 from ._identification_coupled import read_coupled
-from ._identification_loads import read_load_tests, read_tool_robot
+from ._identification_loads import read_load_tests
 from ._identification_means import mean_force_task
 from ._identification_modes import read_frequency_response, read_ring_down
 from ._identification_records import Context, read_force_record
+from ._identification_robot import read_tool_robot
 from ._identification_schema import (
     CutTable,
     FitTable,

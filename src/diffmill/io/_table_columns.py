@@ -10,6 +10,9 @@ from ._quantity import QuantityKind
 from ._record_columns import listed, named_column
 from ._record_table import Column, Table, is_unit, scale, split_unit
 
+# What a column of time may be called.
+TIME_NAMES = r"t|time|zeit|x_?value|(rel\w*|elapsed)[ _]?time|seconds|sekunden"
+
 
 def column_of(
     table: Table,
