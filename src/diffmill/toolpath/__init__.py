@@ -13,7 +13,15 @@ differentiates; everything else runs once, on the host, in NumPy.
 
 from ._contour import contour_error as contour_error, contour_vector as contour_vector
 from ._moves import Move as Move, Program as Program
+from ._override import (
+    Override as Override,
+    checked_override as checked_override,
+    cycle_time as cycle_time,
+    retime as retime,
+    rows_until as rows_until,
+)
 from ._path import Path as Path, vertical_path as vertical_path
+from ._path_feed import PathFeed as PathFeed, path_feed as path_feed
 from ._resample import (
     duration as duration,
     path_length as path_length,

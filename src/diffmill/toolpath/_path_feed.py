@@ -1,0 +1,215 @@
+"""A feed override along a path: the same way, travelled faster or slower.
+
+A sampled path says at which speed v every interval between two rows is passed. An
+override o asks for o v. Two passes over the squares of the speeds, forward and
+backward, then take away what a bounded tangential acceleration cannot reach,
+
+    w_(k+1) <= w_k + 2 a ds,
+
+after the lateral acceleration has bounded each of them. The time that an interval
+takes follows, and with it the place on the path at each new tooth instant. All that
+depends on the override is JAX code with arrays of fixed length, so that it
+differentiates; a path that ends early stands still for the rows that are left.
+"""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._types import FloatSteps, RealScalarLike
+from ._path import Path
+
+# Intervals shorter than this are dwells [m].
+_DWELL = 1e-12
+# A speed that changes by less than this share per row is constant but for rounding.
+_CONSTANT = 1e-6
+
+
+class PathFeed(eqx.Module):
+    """A path whose feed can be overridden, with what bounds its speed.
+
+    Attributes:
+        path: The path as programmed.
+        period: Time between two rows T [s].
+        acceleration: Largest acceleration along and across the path [m/s^2].
+        travel: Length of the path up to each row [m], shape (step,).
+        speed: Speed in the interval that ends at row k + 1 [m/s], shape (step - 1,).
+        most: Largest override that the lateral acceleration allows, shape
+            (step - 1,).
+        cubic: Coefficients of the tip within each interval, highest power first, over
+            the share of the interval that is passed [m], shape (4, step - 1, 3).
+    """
+
+    path: Path
+    period: float = eqx.field(static=True)
+    acceleration: Float[np.ndarray, ""] | Float[Array, ""]
+    travel: FloatSteps
+    speed: Float[np.ndarray, " interval"] | Float[Array, " interval"]
+    most: Float[np.ndarray, " interval"] | Float[Array, " interval"]
+    cubic: Float[np.ndarray, "4 interval 3"] | Float[Array, "4 interval 3"]
+
+    def instants(self, override: Float[Array, " knot"]) -> Float[Array, " step"]:
+        """Return when each row of the programmed path is reached.
+
+        Args:
+            override: Override at knots equally spaced over the length of the path,
+                linear between them, shape (knot,). Rapid moves are not overridden.
+
+        Returns:
+            Instants since the start [s], shape (step,).
+
+        **Differentiability**: kinks where a limit of the acceleration begins to act
+        and where a knot passes the middle of an interval.
+        """
+        rates = self._rates(override)
+        ends = jnp.cumsum(jnp.asarray(self.period, override.dtype) / rates)
+        return jnp.concatenate([jnp.zeros(1, override.dtype), ends])
+
+    def places(
+        self, override: Float[Array, " knot"], step_count: int
+    ) -> Float[Array, " row"]:
+        """Return where the tool is at the tooth instants, as rows of the path.
+
+        Args:
+            override: As for `instants`.
+            step_count: Number of tooth instants.
+
+        Returns:
+            Places such as 2.5, midway between rows 2 and 3, shape (row,); the last row
+            of the path for all instants after its end.
+
+        **Differentiability**: as `instants`.
+        """
+        dtype = override.dtype
+        at = self.instants(override)
+        wanted = self.period * jnp.arange(step_count, dtype=dtype)
+        return jnp.interp(wanted, at, jnp.arange(at.size, dtype=dtype))
+
+    def positions(self, places: Float[Array, " row"]) -> Float[Array, "row 3"]:
+        """Return the tool tips at some places [m], shape (row, 3).
+
+        A monotone cubic through the rows of the path, see `resample`.
+
+        **Differentiability**: smooth within an interval, once at rows.
+        """
+        index, share = self._split(places)
+        c = jnp.asarray(self.cubic, places.dtype)[:, index]
+        x = share[:, None]
+        return ((c[0] * x + c[1]) * x + c[2]) * x + c[3]
+
+    def axes(self, places: Float[Array, " row"]) -> Float[Array, "row 3"]:
+        """Return the unit tool axes at some places, shape (row, 3).
+
+        **Differentiability**: kinks at rows.
+        """
+        index, share = self._split(places)
+        rows = jnp.asarray(self.path.axes, places.dtype)
+        axes = rows[index] + share[:, None] * (rows[index + 1] - rows[index])
+        return axes / jnp.linalg.norm(axes, axis=1, keepdims=True)
+
+    def _split(
+        self, places: Float[Array, " row"]
+    ) -> tuple[Array, Float[Array, " row"]]:
+        """Return the interval of each place and the share of it that is passed."""
+        last = self.speed.shape[0] - 1
+        index = jnp.clip(jnp.floor(places).astype(jnp.int32), 0, last)
+        return index, places - index.astype(places.dtype)
+
+    def _rates(self, override: Float[Array, " knot"]) -> Float[Array, " interval"]:
+        """Return the speed of each interval over the programmed one."""
+        dtype = override.dtype
+        cast = lambda values: jnp.asarray(values, dtype)
+        travel = cast(self.travel)
+        knots = travel[-1] * cast(np.linspace(0.0, 1.0, override.shape[0]))
+        middle = (travel[1:] + travel[:-1]) / 2
+        asked = jnp.interp(middle, knots, override)
+        is_rapid = jnp.asarray(self.path.is_rapid)[1:]
+        asked = jnp.where(is_rapid, jnp.ones_like(asked), asked)
+        asked = jnp.minimum(asked, cast(self.most))
+        speed = cast(self.speed)
+        square = _reached(
+            (asked * speed) ** 2, 2 * cast(self.acceleration) * jnp.diff(middle)
+        )
+        # A dwell keeps its time; a root at zero needs a harmless input.
+        is_moving = speed * self.period > _DWELL
+        safe = jnp.where(is_moving, square / jnp.where(is_moving, speed, 1.0) ** 2, 1.0)
+        return jnp.sqrt(safe)
+
+
+def path_feed(path: Path, *, acceleration: RealScalarLike | None = None) -> PathFeed:
+    """Return a path whose feed can be overridden.
+
+    Args:
+        path: The path as programmed, on the host.
+        acceleration: Largest acceleration along and across the path [m/s^2]; the
+            largest of the path itself if not given.
+
+    Returns:
+        The path with what bounds its speed. An override of 1 gives the path itself,
+        unless `acceleration` is less than what it needs.
+
+    Raises:
+        ValueError: If the acceleration is not positive, or the path never accelerates
+            and none is given, or does not move.
+
+    **Differentiability**: none, it runs on the host.
+    """
+    from scipy.interpolate import PchipInterpolator
+
+    rows = np.asarray(path.positions, np.float64)
+    time = np.asarray(path.time, np.float64)
+    period = (time[-1] - time[0]) / (time.size - 1)
+    steps = np.diff(rows, axis=0)
+    length = np.linalg.norm(steps, axis=1)
+    if not np.any(length > _DWELL):
+        raise ValueError("Argument `path` must move the tool, but does not.")
+    change = np.diff(steps, axis=0) / period**2
+    along = np.diff(length) / period**2
+    across = np.sqrt(np.maximum(np.sum(change**2, axis=1) - along**2, 0.0))
+    if acceleration is None:
+        acceleration = np.linalg.norm(change, axis=1).max(initial=0.0)
+        if acceleration < _CONSTANT * length.max() / period**2:
+            raise ValueError(
+                "Argument `acceleration` must be given for a path that never "
+                "accelerates, but is None."
+            )
+    limit = float(np.asarray(acceleration))
+    if not (math.isfinite(limit) and limit > 0):
+        raise ValueError(
+            f"Argument `acceleration` must be positive and finite, but is {limit}."
+        )
+    # The lateral acceleration grows with the square of the speed.
+    most = np.sqrt(limit / np.maximum(across, 1e-6 * limit))
+    ends = np.concatenate([[np.inf], most, [np.inf]])
+    return PathFeed(
+        path=path,
+        period=float(period),
+        acceleration=np.asarray(limit),
+        travel=np.concatenate([[0.0], np.cumsum(length)]),
+        speed=length / period,
+        most=np.minimum(ends[1:], ends[:-1]),
+        cubic=PchipInterpolator(np.arange(float(time.size)), rows, axis=0).c,
+    )
+
+
+def _reached(
+    limit: Float[Array, " interval"], gain: Float[Array, " gap"]
+) -> Float[Array, " interval"]:
+    """Return squares of speeds within their limits that change by `gain` at most."""
+
+    def sweep(limit, gain, reverse):
+        def step(before, x):
+            least = jnp.minimum(x[0], before + x[1])
+            return least, least
+
+        first = limit[-1] if reverse else limit[0]
+        rest = limit[:-1] if reverse else limit[1:]
+        _, found = jax.lax.scan(step, first, (rest, gain), reverse=reverse)
+        parts = [found, first[None]] if reverse else [first[None], found]
+        return jnp.concatenate(parts)
+
+    return sweep(sweep(limit, gain, False), gain, True)
