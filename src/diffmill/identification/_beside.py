@@ -89,27 +89,9 @@ def place_on_steady_cut(
 
     **Differentiability**: runs on the host.
     """
-    notes = []
-    known = np.isfinite(force).all(axis=1)
-    speed = spindle_speed
-    flutes = cutter.flute_count
-    if refines_speed and known.sum() > 16:
-        speed = refine_spindle_speed(
-            time[known], force[known], spindle_speed, flute_count=flutes
-        )
-        change = speed / spindle_speed - 1
-        if abs(change) > _SPEED_OFF:
-            notes.append(
-                f"The forces repeat at {speed * 30 / math.pi:.6g} rpm, {change:+.1%} "
-                "off the speed given, which was kept: look at speed and number of "
-                "teeth."
-            )
-            speed = spindle_speed
-        elif abs(change) > 1e-4:
-            notes.append(
-                f"The forces repeat at {speed * 30 / math.pi:.6g} rpm ({change:+.2%}), "
-                "which was used."
-            )
+    speed, flutes, notes = spindle_speed, cutter.flute_count, ()
+    if refines_speed:
+        speed, notes = _refined(spindle_speed, flutes, time, force)
     turn = 2 * math.pi / speed
     turns = min(_TURNS, math.floor((float(time[-1] - time[0])) / turn + 1e-6))
     if turns < 3:
@@ -136,7 +118,36 @@ def place_on_steady_cut(
     offset = turn + SETTLED * cut.tooth_period - float(time[0])
     when, seen = time[keep] + offset, force[keep]
     proposal = _judge(engagement_columns(cut), when, seen, turn / 2, cut.tooth_period)
-    return Placed(cut, when, seen, offset, proposal, None, speed, tuple(notes))
+    return Placed(cut, when, seen, offset, proposal, None, speed, notes)
+
+
+def _refined(
+    given: float,
+    flute_count: int,
+    time: Float[np.ndarray, " row"],
+    force: Float[np.ndarray, "row 3"],
+) -> tuple[float, tuple[str, ...]]:
+    """Return the spindle speed at which forces repeat [rad/s], and what to know."""
+    known = np.isfinite(force).all(axis=1)
+    if known.sum() <= 16:
+        return given, ()
+    speed = refine_spindle_speed(
+        time[known], force[known], given, flute_count=flute_count
+    )
+    change = speed / given - 1
+    if abs(change) > _SPEED_OFF:
+        note = (
+            f"The forces repeat at {speed * 30 / math.pi:.6g} rpm, {change:+.1%} "
+            "off the speed given, which was kept: look at speed and number of teeth."
+        )
+        return given, (note,)
+    if abs(change) > 1e-4:
+        note = (
+            f"The forces repeat at {speed * 30 / math.pi:.6g} rpm ({change:+.2%}), "
+            "which was used."
+        )
+        return speed, (note,)
+    return speed, ()
 
 
 def place_on_job(

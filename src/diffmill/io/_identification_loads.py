@@ -6,6 +6,7 @@ from typing import TypeAlias
 
 import jax
 import numpy as np
+from jaxtyping import Int
 
 from ..robot import Robot, forward_kinematics
 from . import _quantity as q
@@ -67,10 +68,7 @@ def read_load_tests(
     whole = np.hstack([angles, load])
     good = np.asarray(np.isfinite(whole).all(axis=1) & np.isfinite(moved).any(axis=1))
     if not good.all():
-        lost = np.flatnonzero(~good) + 1
-        shown = ", ".join(map(str, lost[:10].tolist()))
-        more = ", ..." if lost.size > 10 else ""
-        notes.append(f"Rows {shown}{more} have empty cells and were left out.")
+        notes.append(_lost_rows(np.flatnonzero(~good) + 1))
     for row in table.skip_rows:
         if row > len(good):
             problems.append(
@@ -97,6 +95,12 @@ def read_load_tests(
         noise=table.noise,
         notes=tuple(notes),
     )
+
+
+def _lost_rows(lost: Int[np.ndarray, " row"]) -> str:
+    shown = ", ".join(map(str, lost[:10].tolist()))
+    more = ", ..." if lost.size > 10 else ""
+    return f"Rows {shown}{more} have empty cells and were left out."
 
 
 def _columns(

@@ -51,8 +51,7 @@ def mean_force_task(
     if table is None:
         cuts = [r.process for r in records if isinstance(r.process, StraightCut)]
         feeds = np.array([cut.feed_per_tooth for cut in cuts])
-        parts = [_inside(record) for record in records]
-        force = np.array([part.mean(axis=0) for part in parts]).reshape(-1, 3)
+        force = np.array([_mean(record) for record in records]).reshape(-1, 3)
         alike = {cut._replace(feed_per_tooth=0.0)[2:5] for cut in cuts}
         if len(alike) > 1:
             problems.append(
@@ -73,14 +72,8 @@ def mean_force_task(
             "but at least two above 0 are required for a line"
         )
         return None
-    cut = StraightCut(
-        context.cutter,
-        context.speed,
-        context.cut.axial_depth,
-        context.cut.radial_depth,
-        context.cut.side,
-        float(feeds.max()),
-    )
+    sizes = (context.cut.axial_depth, context.cut.radial_depth, context.cut.side)
+    cut = StraightCut(context.cutter, context.speed, *sizes, float(feeds.max()))
     if records and isinstance(records[0].process, StraightCut):
         cut = records[0].process
     if not check_straight(cut, "[cut]", problems):
@@ -92,15 +85,15 @@ def mean_force_task(
     )
 
 
-def _inside(record: ForceRecord) -> np.ndarray:
-    """Return the forces of a record over whole revolutions of its cut."""
+def _mean(record: ForceRecord) -> np.ndarray:
+    """Return the mean force of a record over whole revolutions of its cut."""
     cut = record.process
     time, force = record.record.time, record.record.force
     stop = record.stop
     if isinstance(cut, StraightCut) and cut.spindle_speed is not None:
         turn = 2 * np.pi / cut.spindle_speed
         stop = record.start + turn * np.floor((stop - record.start) / turn + 1e-6)
-    return force[(time >= record.start) & (time < stop)]
+    return force[(time >= record.start) & (time < stop)].mean(axis=0)
 
 
 def _mean_table(

@@ -131,7 +131,36 @@ def check_correction(
     is_upright: bool,
     problems: list[str],
 ) -> None:
-    """Note settings that the cutter or the path do not allow."""
+    """Note settings that the cutter, the path or each other do not allow."""
+    _check_segments(table, problems)
+    for key, found, is_asked, allowed in (
+        ("objective", '"surface"', table.objective == "surface", '"path"'),
+        ("gouge", "a limit", table.gouge is not None, "none"),
+        ("stay_in_cut", "true", table.stay_in_cut, "false"),
+    ):
+        if is_asked and not (cutter.is_plain and is_upright):
+            problems.append(
+                f"[correction] {key}: found {found}, which needs a flat cutter that "
+                f"stands along +z; allowed here: {allowed}"
+            )
+    if table.objective == "surface":
+        if table.wall_weight == table.floor_weight == 0:
+            problems.append(
+                "[correction] wall_weight: found 0 beside floor_weight = 0, but one of "
+                "them above 0 is required"
+            )
+    _check_method(table, problems)
+    for entry in table.weight:
+        first, last = entry.lines
+        if not 1 <= first <= last:
+            problems.append(
+                f"[correction] weight.lines: found [{first}, {last}], but two line "
+                "numbers from 1, the first not above the last, are required"
+            )
+
+
+def _check_segments(table: CorrectionTable, problems: list[str]) -> None:
+    """Note a horizon beside what needs the whole path, or too short for its overlap."""
     for beside, is_whole in (
         ('objective = "surface"', table.objective == "surface"),
         ("an uncertainty", table.uncertainty is not None),
@@ -150,22 +179,10 @@ def check_correction(
             f"[correction] overlap: found {table.overlap}, but less than the horizon, "
             f"{table.horizon}, is required"
         )
-    for key, found, is_asked, allowed in (
-        ("objective", '"surface"', table.objective == "surface", '"path"'),
-        ("gouge", "a limit", table.gouge is not None, "none"),
-        ("stay_in_cut", "true", table.stay_in_cut, "false"),
-    ):
-        if is_asked and not (cutter.is_plain and is_upright):
-            problems.append(
-                f"[correction] {key}: found {found}, which needs a flat cutter that "
-                f"stands along +z; allowed here: {allowed}"
-            )
-    if table.objective == "surface":
-        if table.wall_weight == table.floor_weight == 0:
-            problems.append(
-                "[correction] wall_weight: found 0 beside floor_weight = 0, but one of "
-                "them above 0 is required"
-            )
+
+
+def _check_method(table: CorrectionTable, problems: list[str]) -> None:
+    """Note what only Gauss-Newton on tip positions can hold, beside anything else."""
     for key in (
         "max_velocity",
         "max_acceleration",
@@ -181,10 +198,3 @@ def check_correction(
                     f'[correction] {key}: found beside {other} = "{found}", but it '
                     f'works with {other} = "{allowed}" only'
                 )
-    for entry in table.weight:
-        first, last = entry.lines
-        if not 1 <= first <= last:
-            problems.append(
-                f"[correction] weight.lines: found [{first}, {last}], but two line "
-                "numbers from 1, the first not above the last, are required"
-            )

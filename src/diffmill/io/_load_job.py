@@ -137,10 +137,9 @@ def _build(
     folder = path.parent
     program, robot, start = None, None, None
     robot_notes: list[str] = []
+    outside = {"allow_outside": allow_outside}
     if "program" in tables:
-        program = read_program(
-            tables["program"], folder, problems, allow_outside=allow_outside
-        )
+        program = read_program(tables["program"], folder, problems, **outside)
     speed = None
     if "spindle" in tables:
         speed = spindle_speed(tables["spindle"].speed, program, problems)
@@ -149,21 +148,11 @@ def _build(
     check_overhang(tables, problems)
     if "robot" in tables:
         robot, start = read_robot(
-            tables["robot"],
-            cutter,
-            folder,
-            problems,
-            robot_notes,
-            allow_outside=allow_outside,
+            tables["robot"], cutter, folder, problems, robot_notes, **outside
         )
     if cutter is not None and "force" in tables:
         tables["force"].check_teeth(cutter.flute_count, problems)
-    stock = None
-    if "stock" in tables:
-        precision = getattr(tables.get("simulation"), "precision", "float64")
-        stock = read_stock(
-            tables["stock"], precision, folder, problems, allow_outside=allow_outside
-        )
+    stock = _stock(tables, folder, problems, allow_outside)
     desired = None
     if cutter is not None and speed is not None:
         desired = _timed(tables, program, speed, cutter.flute_count, problems)
@@ -192,6 +181,21 @@ def _build(
         program,
         (robot, T_base_work, start),
         robot_notes,
+    )
+
+
+def _stock(
+    tables: dict[str, Any],
+    folder: pathlib.Path,
+    problems: list[str],
+    allow_outside: bool,
+) -> StockPlan | None:
+    """Return the stock in the precision of the simulation, if there is its table."""
+    if "stock" not in tables:
+        return None
+    precision = getattr(tables.get("simulation"), "precision", "float64")
+    return read_stock(
+        tables["stock"], precision, folder, problems, allow_outside=allow_outside
     )
 
 
@@ -286,23 +290,7 @@ def _simulation(
             f"({cutter.flute_count} x {substeps} = {block}) is required, such as "
             f"{lower}"
         )
-    if table.axial_depth is not None and table.axial_depth > cutter.flute_length:
-        problems.append(
-            f"[simulation] axial_depth: found {table.axial_depth * 1e3:g} mm; at most "
-            f"the flute length, {cutter.flute_length * 1e3:g} mm, is allowed"
-        )
-    if table.chip == "point_cloud" and not cutter.is_plain:
-        problems.append(
-            '[simulation] chip: found "point_cloud", which a flat cutter with even '
-            'pitch and without run-out is required for; others take "near_far"'
-        )
-    if table.stability:
-        _check_vibrates(tables, problems)
-    if table.sensitivity and "robot" in tables and tables["robot"].rigid:
-        problems.append(
-            "[simulation] sensitivity: found true, but with rigid = true no parameter "
-            "moves the tool; only false is allowed"
-        )
+    _check_simulation(tables, cutter, problems)
     if stock is None or path is None:
         return None
     return SimulationSettings(
@@ -323,6 +311,30 @@ def _simulation(
         has_sensitivity=table.sensitivity,
         checks_stability=table.stability,
     )
+
+
+def _check_simulation(
+    tables: dict[str, Any], cutter: AbstractCutter, problems: list[str]
+) -> None:
+    """Note settings that the cutter or the machine do not allow."""
+    table: SimulationTable = tables["simulation"]
+    if table.axial_depth is not None and table.axial_depth > cutter.flute_length:
+        problems.append(
+            f"[simulation] axial_depth: found {table.axial_depth * 1e3:g} mm; at most "
+            f"the flute length, {cutter.flute_length * 1e3:g} mm, is allowed"
+        )
+    if table.chip == "point_cloud" and not cutter.is_plain:
+        problems.append(
+            '[simulation] chip: found "point_cloud", which a flat cutter with even '
+            'pitch and without run-out is required for; others take "near_far"'
+        )
+    if table.stability:
+        _check_vibrates(tables, problems)
+    if table.sensitivity and "robot" in tables and tables["robot"].rigid:
+        problems.append(
+            "[simulation] sensitivity: found true, but with rigid = true no parameter "
+            "moves the tool; only false is allowed"
+        )
 
 
 def _check_vibrates(tables: dict[str, Any], problems: list[str]) -> None:
