@@ -12,6 +12,7 @@ A refused step keeps its linearisation.
 
 import time
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Float, PyTree
@@ -50,6 +51,14 @@ _ACCEPT = 1e-4
 # of the cost one of them may gain.
 _RETURN_STEPS = 10
 _RETURN_RTOL = 1e-3
+
+
+class _Trial(NamedTuple):
+    """A trial point: its cost, true over predicted decrease, and the damping used."""
+
+    cost: float
+    gain: float
+    damping: float
 
 
 def least_squares(
@@ -104,10 +113,8 @@ def least_squares(
     z = np.clip(np.asarray(start, np.float64) / box.scale, box.lower, box.upper)
     history = [] if resume is None else list(resume.history)
     began = clock() - (history[-1].seconds if history else 0.0)
-    if resume is None:
-        state = State(z, np.inf, z, None, None, 0.0, 0.0, 2.0, 0, 0)
-    else:
-        state = state_of(resume)
+    fresh = State(z, np.inf, z, None, None, 0.0, 0.0, 2.0, 0, 0)
+    state = fresh if resume is None else state_of(resume)
     count = sum(step.is_accepted for step in history)
     state = linearised(solver, residual, args, box, held, state, count)
     if not (np.isfinite(state.cost) and np.all(np.isfinite(state.gradient))):
@@ -120,24 +127,12 @@ def least_squares(
         before, kkt = state.cost, largest_slope(state, box)
         weight = state.weight
         inner = _inner(solver, state, box, limits, held, precondition)
-        tried = _try(residual, args, box, held, state, inner)
-        state, trial_cost, gain, damping = tried
-        if gain > _ACCEPT:
+        state, tried = _try(residual, args, box, held, state, inner)
+        if tried.gain > _ACCEPT:
             count += 1
             state = linearised(solver, residual, args, box, held, state, count)
-        record = LeastSquaresStep(
-            step=len(history) + 1,
-            cost=state.cost,
-            trial_cost=trial_cost,
-            is_accepted=gain > _ACCEPT,
-            gain_ratio=gain,
-            damping=damping,
-            kkt=kkt,
-            bound_count=int(inner.is_bound.sum()),
-            products=state.products,
-            forward_runs=state.forward_runs,
-            seconds=clock() - began,
-        )
+        step, seconds = len(history) + 1, clock() - began
+        record = _recorded(step, state, tried, kkt, inner, seconds)
         history.append(record)
         # While the weight of what is out of bounds grows, costs are not comparable.
         if state.weight == weight and held.is_final(weight):
@@ -151,6 +146,30 @@ def least_squares(
     is_good = is_done and state.weight == 0
     result = RESULTS.successful if is_good else RESULTS.not_converged
     return solution_at(box, held, state, history, result)
+
+
+def _recorded(
+    step: int,
+    state: State,
+    tried: _Trial,
+    kkt: float,
+    inner: QuadraticSolution,
+    seconds: float,
+) -> LeastSquaresStep:
+    """Return what a step did and what has been spent."""
+    return LeastSquaresStep(
+        step=step,
+        cost=state.cost,
+        trial_cost=tried.cost,
+        is_accepted=tried.gain > _ACCEPT,
+        gain_ratio=tried.gain,
+        damping=tried.damping,
+        kkt=kkt,
+        bound_count=int(inner.is_bound.sum()),
+        products=state.products,
+        forward_runs=state.forward_runs,
+        seconds=seconds,
+    )
 
 
 def _most_steps(solver: LevenbergMarquardt, state: State) -> int:
@@ -193,8 +212,8 @@ def _try(
     held: HeldRows,
     state: State,
     inner: QuadraticSolution,
-) -> tuple[State, float, float, float]:
-    """Evaluate the trial point; return state, trial cost, gain and damping used."""
+) -> tuple[State, _Trial]:
+    """Evaluate the trial point; return the state after it, and what it was."""
     model = inner.decrease + 0.5 * state.damping * float(np.sum(inner.p**2))
     slope = float(np.sum(inner.p * state.gradient))
     trial = np.clip(state.z + inner.p, box.lower, box.upper)
@@ -226,7 +245,7 @@ def _try(
         products=state.products + take_spent(state),
         forward_runs=state.forward_runs + 1,
     )
-    return new, cost, gain, state.damping
+    return new, _Trial(cost, gain, state.damping)
 
 
 def _is_converged(
