@@ -100,6 +100,7 @@ def test_weights_that_leave_nothing_are_named(load):
         correct(load("weight = [{ lines = [1, 9], value = 0 }]\n"))
 
 
+@pytest.mark.slow
 def test_joints_are_held_within_their_limits(load):
     """A limit 0.1 mm of travel beyond the program: most offsets would break it."""
     job = load()

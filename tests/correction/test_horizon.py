@@ -149,6 +149,7 @@ def test_settings_that_cannot_be_are_refused(problem):
         horizon(problem, sweeps=0)
 
 
+@pytest.mark.slow
 def test_a_second_sweep_forgets_what_the_start_had_behind_a_segment(problem):
     # An overlap far shorter than the arm rings, and a path from a poor start.
     whole = METHOD(problem).measures.rms

@@ -99,6 +99,7 @@ def small_record():
     return modelled(sim.with_precision(small()), SPRINGS, np.zeros(6))
 
 
+@pytest.mark.slow
 def test_slopes_agree_with_differences():
     job = sim.with_precision(small())
     h = 1e-5

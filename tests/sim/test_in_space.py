@@ -342,6 +342,7 @@ def test_clear_of_the_stock_force_and_gradient_are_exactly_zero(adjoint):
         assert float(found) == 0
 
 
+@pytest.mark.slow
 def test_both_adjoints_push_forward_alike():
     at = (tilted_path("ball", 1e-3), jnp.zeros(6))
     plain, traced = (

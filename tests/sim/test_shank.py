@@ -28,7 +28,9 @@ def deep_slot(flute_length, axes=None):
     return run(path)
 
 
-@pytest.mark.parametrize("flute_length", [1e-3, 2e-3, 6e-3])
+@pytest.mark.parametrize(
+    "flute_length", [pytest.param(1e-3, marks=pytest.mark.slow), 2e-3, 6e-3]
+)
 def test_what_the_shank_takes_is_the_slot_above_the_flutes(flute_length):
     solution = deep_slot(flute_length)
     share = max(DEPTH - flute_length, 0) / DEPTH
@@ -37,6 +39,7 @@ def test_what_the_shank_takes_is_the_slot_above_the_flutes(flute_length):
     np.testing.assert_allclose(taken, share * whole, rtol=1e-6, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_only_the_flutes_push():
     short, long = deep_slot(1e-3).force, deep_slot(6e-3).force
     np.testing.assert_allclose(short[50], long[50] / 3, rtol=5e-3)

@@ -85,6 +85,7 @@ def at(share):
     return growth(share * limit()[0])
 
 
+@pytest.mark.slow
 def test_the_limiting_depth_is_that_of_the_lobes():
     below, above = at(0.9), at(1.1)
     assert not below.is_unstable[1:].any() and above.is_unstable[1:].all()

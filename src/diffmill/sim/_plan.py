@@ -31,6 +31,9 @@ _DESCENT = 0.01
 # Elements of a corner are shorter than those of a side by this factor: across them
 # the direction of the force changes.
 _CORNER = 0.5
+# Elements at least of a corner, per square root of its radius over the height of an
+# element: however shallow the cut, its arc is long.
+_LEAST_CORNER = 5.0
 
 
 class Profile(eqx.Module):
@@ -254,9 +257,10 @@ def _profile(
     flat = R - rc
     limit = math.acos(max(0.0, 1 - highest / rc)) if rc > 0 else 0.0
     side = max(0, math.ceil((highest - rc) / dz))
+    corner = max(rc * limit / (_CORNER * dz), _LEAST_CORNER * math.sqrt(rc / dz))
     return Profile(
         bottom=math.ceil(flat / (2 * dz)) if flat > 0 else 0,
-        corner=max(3, math.ceil(rc * limit / (_CORNER * dz))) if rc > 0 else 0,
+        corner=math.ceil(corner),
         side=side,
         # Where the flutes end, so do the elements.
         side_height=(highest - rc) / side if side > 0 else dz,
