@@ -207,8 +207,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("error: interrupted; nothing was written", file=sys.stderr)
+        print("error: interrupted; no results were written", file=sys.stderr)
         return 1
     except (OSError, MemoryError) as error:
-        print(f"error: {error}; nothing was written", file=sys.stderr)
+        print(f"error: {error}; no results were written", file=sys.stderr)
         return 1

@@ -100,10 +100,10 @@ def _identified(task: Any, progress: Progress) -> Outcome:
 
         return identify_records(task, progress)
     if isinstance(task, LoadTestTask):
-        from ._identify_robot import identify_stiffness
+        from ._identify_stiffness import identify_stiffness
 
         return identify_stiffness(task, progress)
-    from ._identify_robot import identify_modes
+    from ._identify_modes import identify_modes
 
     return identify_modes(task, progress)
 

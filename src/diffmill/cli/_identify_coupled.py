@@ -10,12 +10,12 @@ from ._identify import Outcome
 from ._identify_text import noted
 from ._progress import Progress
 
-# Below this share of what was measured the parameters are not offered.
-_EXPLAINED = 0.7
-
 if TYPE_CHECKING:
     from ..identification import CoupledFit
     from ..io import CoupledTask
+
+# Below this share of what was measured the parameters are not offered.
+_EXPLAINED = 0.7
 
 
 def identify_coupled(task: "CoupledTask", progress: Progress) -> Outcome:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ._identify import Outcome
-from ._identify_records import placed, samples
+from ._identify_placed import placed, samples
 from ._identify_text import (
     NONSENSE,
     axes_text,

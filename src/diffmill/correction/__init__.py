@@ -9,8 +9,9 @@ Assumptions: the command is one row per tooth period; the controller follows wha
 the knot spacing and the limits of velocity and acceleration allow.
 Limits of the command and of the joints, the gouge limit and staying in the cut are
 held by Gauss-Newton, not penalised; what cannot be held is refused.
-Left out: corrections of feed and of the tool axis; limits in segments of long paths,
-but those of velocity and acceleration.
+The feed is a second unknown, which trades error for time.
+Left out: feed and offset at once; corrections of the tool axis; limits in segments of
+long paths, but those of velocity and acceleration.
 """
 
 from ._bspline import SplineOffsets as SplineOffsets
@@ -26,6 +27,18 @@ from ._ensemble import (
     ScaledPlant as ScaledPlant,
     draw_scales as draw_scales,
 )
+from ._feed import (
+    FeedProblem as FeedProblem,
+    feed_prediction as feed_prediction,
+    smoothed as smoothed,
+)
+from ._feed_curve import FeedPoint as FeedPoint, feed_curve as feed_curve
+from ._feed_job import (
+    FeedPlant as FeedPlant,
+    feed_tradeoff as feed_tradeoff,
+    tune_feed as tune_feed,
+)
+from ._feed_records import FeedTradeoff as FeedTradeoff, TunedFeed as TunedFeed
 from ._first_order import Adam as Adam
 from ._gauss_newton import (
     ContourResidual as ContourResidual,
@@ -75,6 +88,9 @@ from ._parts import (
     path_parts as path_parts,
     rows_out_of_cut as rows_out_of_cut,
 )
+from ._placement import place_workpiece as place_workpiece
+from ._placement_result import Placement as Placement
+from ._placement_task import predicted_deviation as predicted_deviation
 from ._problem import (
     Motion as Motion,
     Plant as Plant,
