@@ -1,6 +1,6 @@
 """Run all groups of figures on the correction, or those named.
 
-python experiments/correction/run.py [methods details mismatch long] [--out FOLDER]
+python experiments/correction/run.py [methods details mismatch feed long] [--out FOLDER]
 """
 
 import pathlib
@@ -10,7 +10,7 @@ HERE = pathlib.Path(__file__).parent
 # The runner is shared with other experiments.
 sys.path.append(str(HERE.parent / "common"))
 
-GROUPS = ("methods", "details", "mismatch", "long")
+GROUPS = ("methods", "details", "mismatch", "feed", "long")
 
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ from ._dexels import (
     plot_cut_dexels as plot_cut_dexels,
     ray_errors as ray_errors,
 )
+from ._feed import plot_feed as plot_feed
 from ._forces import ForceRecord as ForceRecord, plot_forces as plot_forces
 from ._history import plot_deviation as plot_deviation
 from ._identified import (
