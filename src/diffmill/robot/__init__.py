@@ -96,7 +96,7 @@ from ._rnea import (
     inverse_dynamics as inverse_dynamics,
 )
 from ._robot import Robot as Robot, with_drives as with_drives, with_tool as with_tool
-from ._rotations import rpy_matrix as rpy_matrix
+from ._rotations import rpy_angles as rpy_angles, rpy_matrix as rpy_matrix
 from ._singularity import Singularity as Singularity, singularity as singularity
 from ._skeleton import Skeleton as Skeleton, skeleton as skeleton
 from ._terms import ArmTerms as ArmTerms, arm_terms as arm_terms

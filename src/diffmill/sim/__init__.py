@@ -66,6 +66,7 @@ from ._simulate import (
     Solution as Solution,
     command_joints as command_joints,
     command_motors as command_motors,
+    command_poses as command_poses,
     job_plan as job_plan,
     joint_motors as joint_motors,
     raise_unless_successful as raise_unless_successful,

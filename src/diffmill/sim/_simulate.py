@@ -331,6 +331,16 @@ def command_joints(
     robot = job.robot
     if robot is None:
         raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
+    Ts = command_poses(job, commanded)
+    start = robot.home if job.joint_start is None else jnp.asarray(job.joint_start)
+    found = inverse_kinematics_path(robot, Ts, start, tool_rotation=job.tool_rotation)
+    return found.q, jnp.all(found.converged)
+
+
+def command_poses(
+    job: Job, commanded: Float[Array, "step 3"]
+) -> Float[Array, "step 4 4"]:
+    """Return the poses of the tool in the base for tip positions in `work`."""
     T_base_work = jnp.asarray(job.T_base_work)
     tips = commanded @ T_base_work[:3, :3].T + T_base_work[:3, 3][None]
     Ts = jnp.broadcast_to(T_base_work[None], (commanded.shape[0], 4, 4))
@@ -338,10 +348,7 @@ def command_joints(
     if axes is not None:
         frames = tool_frame(axes.astype(Ts.dtype))
         Ts = Ts.at[:, :3, :3].set(T_base_work[None, :3, :3] @ frames)
-    Ts = Ts.at[:, :3, 3].set(tips)
-    start = robot.home if job.joint_start is None else jnp.asarray(job.joint_start)
-    found = inverse_kinematics_path(robot, Ts, start, tool_rotation=job.tool_rotation)
-    return found.q, jnp.all(found.converged)
+    return Ts.at[:, :3, 3].set(tips)
 
 
 def command_motors(
