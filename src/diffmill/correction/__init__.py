@@ -9,7 +9,8 @@ Assumptions: the command is one row per tooth period; the controller follows wha
 the knot spacing and the limits of velocity and acceleration allow.
 Limits of the command and of the joints, the gouge limit and staying in the cut are
 held by Gauss-Newton, not penalised; what cannot be held is refused.
-The feed is a second unknown, which trades error for time.
+The feed is a second unknown, which trades error for time; the place of the workpiece
+in the cell a third, chosen beforehand by what the springs alone leave.
 Left out: feed and offset at once; corrections of the tool axis; limits in segments of
 long paths, but those of velocity and acceleration.
 """
