@@ -81,6 +81,7 @@ def _tuned(report: Any, even: FeedTradeoff, tuned: TunedFeed) -> None:
         report.say(
             f"{point.weight:9.3g}{point.cycle_time:10.2f}{1e6 * point.rms:9.2f}"
             f"{1e6 * same:9.2f}{point.runs:6d}{values}"
+            + ("" if point.is_settled else "  (steps ran out)")
         )
         if point is not tuned.points[0]:
             report.at_least("even over tuned, same time", same / point.rms, 1)

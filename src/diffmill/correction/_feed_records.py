@@ -87,6 +87,11 @@ class TunedFeed(eqx.Module):
                     column("runs").astype(np.int32),
                     _attributes("1", "simulations, those with derivatives included"),
                 ),
+                "is_settled": (
+                    "weight",
+                    column("is_settled").astype(np.int8),
+                    _attributes("1", "whether no further step promised anything"),
+                ),
                 "feed_override": (
                     ("weight", "knot"),
                     np.stack([point.override for point in self.points]),

@@ -34,6 +34,10 @@ def plot_feed(
         _draw_tuned(panels[0], panels[1], tuned)
     panels[0].set_yscale("log")
     quiet_axes(panels[0], x="cycle time [s]", y=f"contour error, rms [{MICROMETRE}]")
+    # Most curves span less than a power of ten: ticks between need plain numbers.
+    panels[0].tick_params(axis="y", which="both", labelsize=8)
+    panels[0].yaxis.set_major_formatter("{x:g}")
+    panels[0].yaxis.set_minor_formatter("{x:g}")
     panels[0].legend(fontsize=8, frameon=False)
     return figure
 
