@@ -38,8 +38,8 @@ def labels(axes):
 def test_points_are_in_order_of_time_and_named_with_their_override():
     axes = plot_feed(even([5e-6, 9e-6])).axes[0]
     assert labels(axes) == ["uncorrected, even override", "corrected, even override"]
-    np.testing.assert_allclose(axes.lines[0].get_xdata(), [10.0, 20.0])
-    np.testing.assert_allclose(axes.lines[0].get_ydata(), [100.0, 50.0])
+    np.testing.assert_allclose(np.asarray(axes.lines[0].get_xdata()), [10.0, 20.0])
+    np.testing.assert_allclose(np.asarray(axes.lines[0].get_ydata()), [100.0, 50.0])
     assert {text.get_text() for text in axes.texts} == {"0.5", "1"}
 
 
@@ -51,6 +51,6 @@ def test_without_corrections_no_line_and_overrides_below():
         "uncorrected, tuned override",
     ]
     # The program itself is a point of the even ones already.
-    np.testing.assert_allclose(curve.lines[1].get_xdata(), [12.0, 15.0])
+    np.testing.assert_allclose(np.asarray(curve.lines[1].get_xdata()), [12.0, 15.0])
     assert len(along.lines) == 2 and "0.3" in labels(along)[0]
-    assert along.lines[0].get_xdata()[-1] == 100.0
+    assert np.asarray(along.lines[0].get_xdata())[-1] == 100.0
