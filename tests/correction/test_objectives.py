@@ -164,6 +164,15 @@ def test_only_the_second_pass_leaves_the_wall(cut):
     assert found.deepest == pytest.approx(1e-4, rel=1e-3)
 
 
+def test_a_tool_behind_a_rib_does_not_cut_its_front(cut):
+    path = two_passes()
+    path[len(path) // 2 :, 1] = 13e-3
+    surface = finished_surface(cut(jnp.asarray(path)), path, RADIUS)
+    normals = surface.normals[surface.is_wall]
+    assert normals[:, 1].min() < -0.99 and normals[:, 1].max() > 0.99
+    np.testing.assert_allclose(np.asarray(surface.errors(path)), 0.0, atol=1e-12)
+
+
 def test_a_pass_that_is_cut_again_does_not_finish(cut):
     """The first pass leaves the floor near the edge, all else of it is cut again."""
     path = two_passes()

@@ -68,9 +68,10 @@ def test_figures_by_part():
 
 def test_leaving_the_cut_is_counted_where_the_cut_is_full():
     part = np.array([-1, 0, 3, 3, 2, 1, -1])
-    volume = np.array([0, 0, 1, 0, 0, 0, 0.0])
-    assert rows_out_of_cut(part, volume) == 2
-    assert rows_out_of_cut(part, volume + 1) == 0
+    force = np.zeros((7, 3))
+    force[2, 1] = -1.0
+    assert rows_out_of_cut(part, force) == 2
+    assert rows_out_of_cut(part, force + 2) == 0
 
 
 def test_a_reach_of_nothing_is_refused():

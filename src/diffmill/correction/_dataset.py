@@ -102,13 +102,15 @@ def _figures(correction: "Correction") -> dict[str, tuple[Any, ...]]:
         ),
     }
     left = [
-        rows_out_of_cut(part, np.asarray(solution.removed_volume))
+        rows_out_of_cut(part, np.asarray(solution.force))
         for solution in correction.cases.values()
     ]
     found["rows_out_of_cut"] = (
         ("case",),
         np.array(left, np.int32),
-        _about("1", "rows where the tool removes nothing but should be in a full cut"),
+        _about(
+            "1", "rows where nothing pushes the tool but it should be in a full cut"
+        ),
     )
     for key, text in _PART_FIGURES.items():
         values = np.stack([table[key] for table in tables])

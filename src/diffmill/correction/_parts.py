@@ -102,24 +102,25 @@ def by_part(
 
 def rows_out_of_cut(
     part: Int[np.ndarray, " step"],
-    removed_volume: FloatSteps,
+    force: FloatRows3,
 ) -> int:
     """Return in how many rows a tool cuts nothing where it should be in a full cut.
 
     Entries and exits do not count: there a tool that is a little off begins or ends
-    its cut a little earlier or later.
+    its cut a little earlier or later. The force tells, not the removed volume, which
+    poses that stand close together leave to one of them.
 
     Args:
         part: What `path_parts` returned, shape (step,).
-        removed_volume: Volume that the tool removes at each row [m^3], shape (step,).
+        force: Mean force of the tooth period before each row [N], shape (step, 3).
 
     Returns:
-        Rows of plateaus and corners without any removal.
+        Rows of plateaus and corners without any force.
 
     **Differentiability**: none, a host function.
     """
     is_full = np.isin(part, [PARTS.index("corner"), PARTS.index("plateau")])
-    return int(np.sum(is_full & (np.asarray(removed_volume) <= 0)))
+    return int(np.sum(is_full & ~np.any(np.asarray(force) != 0, axis=1)))
 
 
 def _travel(desired: Float[np.ndarray, "step 3"]) -> Float[np.ndarray, " step"]:

@@ -288,7 +288,8 @@ def _wall_poses(
         across = apart[:, 1] * n[0] - apart[:, 0] * n[1]
         square = radius**2 - across**2
         depth = out - np.sqrt(np.clip(square, 0, None))
-        is_near = (square > (0.1 * radius) ** 2) & (tips[:, 2] < p[2])
+        # A tool behind the wall cuts another one.
+        is_near = (square > (0.1 * radius) ** 2) & (tips[:, 2] < p[2]) & (out > 0)
         found.append(_nearest(np.where(is_near, depth, np.inf), reach, _WALL_POSES))
     return np.array(found, np.int32).reshape(len(points), _WALL_POSES)
 

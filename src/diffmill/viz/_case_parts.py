@@ -106,7 +106,7 @@ def parts_html(dataset: "xarray.Dataset") -> str:
         "a quarter, before it ends or after it shrinks so; corner: the desired line "
         "turns by more than 10\u00b0 within half a radius to either side; plateau: the "
         f"rest. Steps in each: {counts}. Out of the cut: of the corner and plateau, "
-        "where the tool removes nothing."
+        "where nothing pushes the tool."
     )
     table = table_html(
         header, rows, colours=[case_style(case.name).colour for case in cases]
