@@ -175,6 +175,7 @@ def _squeezed(text: str) -> str:
 
 
 def listed(columns: list[Column], only: list[Column] | None = None) -> str:
+    """Return numbers and names of columns, or of some of them, 20 at most."""
     shown = [
         f"{place} `{column.name}`"
         for place, column in enumerate(columns, 1)

@@ -26,6 +26,12 @@ from ._adjoint import (
     Plain as Plain,
     Traced as Traced,
 )
+from ._command import (
+    command_joints as command_joints,
+    command_motors as command_motors,
+    command_poses as command_poses,
+    joint_motors as joint_motors,
+)
 from ._coupled import (
     CoupledSolution as CoupledSolution,
     Machine as Machine,
@@ -64,11 +70,7 @@ from ._sensitivity import (
 )
 from ._simulate import (
     Solution as Solution,
-    command_joints as command_joints,
-    command_motors as command_motors,
-    command_poses as command_poses,
     job_plan as job_plan,
-    joint_motors as joint_motors,
     raise_unless_successful as raise_unless_successful,
     rigid_cut as rigid_cut,
     run_motors as run_motors,

@@ -19,7 +19,8 @@ from .._job import Job
 from .._types import FloatRows3
 from ..toolpath import contour_error
 from ._adjoint import Traced
-from ._simulate import command_motors, run_motors, with_precision
+from ._command import command_motors
+from ._simulate import run_motors, with_precision
 
 if TYPE_CHECKING:
     import xarray

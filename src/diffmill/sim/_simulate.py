@@ -13,12 +13,11 @@ from jaxtyping import Array, Bool, Float
 from .._job import Job
 from .._result import RESULTS, SimulationFailed
 from .._types import FloatRows3
-from ..robot import inverse_kinematics_path, motor_positions
 from ..toolpath import contour_error
 from ..workpiece import Stock
 from ._adjoint import AbstractAdjoint, Plain
+from ._command import command_motors, path_axes
 from ._coupled import CoupledSolution, simulate_coupled
-from ._in_space import tool_frame
 from ._integrators import make_integrator
 from ._plan import ProcessPlan, process_plan
 from ._process_alone import ProcessSolution, simulate_process
@@ -190,7 +189,7 @@ def rigid_cut(job: Job, adjoint: AbstractAdjoint) -> ProcessSolution:
         job.cutter,
         job.law,
         job.spindle_speed,
-        _axes(job),
+        path_axes(job),
         plan=job_plan(job),
         adjoint=adjoint,
         bottom_law=job.bottom_law,
@@ -231,7 +230,7 @@ def solve_command(
             job.cutter,
             job.law,
             job.spindle_speed,
-            _axes(job),
+            path_axes(job),
             plan=job_plan(job),
             adjoint=adjoint,
             bottom_law=job.bottom_law,
@@ -300,94 +299,6 @@ def run_motors(
     return simulate_coupled(
         *arguments, make_integrator(job.simulation.integrator, job.simulation.dynamics)
     )
-
-
-def _axes(job: Job) -> Float[Array, "step 3"] | None:
-    """Return the tool axes of the path, or None if the tool stands upright."""
-    return jnp.asarray(job.path.axes) if job.simulation.axes else None
-
-
-def command_joints(
-    job: Job, commanded: Float[Array, "step 3"]
-) -> tuple[Float[Array, "step joint"], Bool[Array, ""]]:
-    """Return the joint positions of tip positions, and whether all are reached.
-
-    The tool axis is the path's, tool x as near to x of `work` as that allows, or as
-    it suits the joints if the job leaves the tool's rotation free.
-
-    Args:
-        job: The job, in its precision; its machine must be a robot.
-        commanded: Tip positions in `work` [m], shape (step, 3).
-
-    Returns:
-        Joint positions [rad or m], shape (step, joint), and whether every tip is
-        reached.
-
-    Raises:
-        ValueError: The job has no robot.
-
-    **Differentiability**: that of `inverse_kinematics_path`.
-    """
-    robot = job.robot
-    if robot is None:
-        raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
-    Ts = command_poses(job, commanded)
-    start = robot.home if job.joint_start is None else jnp.asarray(job.joint_start)
-    found = inverse_kinematics_path(robot, Ts, start, tool_rotation=job.tool_rotation)
-    return found.q, jnp.all(found.converged)
-
-
-def command_poses(
-    job: Job, commanded: Float[Array, "step 3"]
-) -> Float[Array, "step 4 4"]:
-    """Return the poses of the tool in the base for tip positions in `work`."""
-    T_base_work = jnp.asarray(job.T_base_work)
-    tips = commanded @ T_base_work[:3, :3].T + T_base_work[:3, 3][None]
-    Ts = jnp.broadcast_to(T_base_work[None], (commanded.shape[0], 4, 4))
-    axes = _axes(job)
-    if axes is not None:
-        frames = tool_frame(axes.astype(Ts.dtype))
-        Ts = Ts.at[:, :3, :3].set(T_base_work[None, :3, :3] @ frames)
-    return Ts.at[:, :3, 3].set(tips)
-
-
-def command_motors(
-    job: Job, commanded: Float[Array, "step 3"]
-) -> tuple[Float[Array, "step joint"], Bool[Array, ""]]:
-    """Return the motor positions of tip positions, and whether all are reached.
-
-    Args:
-        job: The job, in its precision; its machine must be a robot.
-        commanded: Tip positions in `work` [m], shape (step, 3).
-
-    Returns:
-        As `command_joints`, for the motors.
-
-    **Differentiability**: that of `inverse_kinematics_path`.
-    """
-    q, is_reached = command_joints(job, commanded)
-    return joint_motors(job, q), is_reached
-
-
-def joint_motors(
-    job: Job, joints: Float[Array, "step joint"]
-) -> Float[Array, "step joint"]:
-    """Return the motor positions for commanded joints, sag added if compensated.
-
-    Args:
-        job: The job, in its precision.
-        joints: Commanded joint positions [rad or m], shape (step, joint).
-
-    Returns:
-        Motor positions [rad or m], shape (step, joint).
-
-    **Differentiability**: that of `motor_positions`.
-    """
-    robot = job.robot
-    is_compensated = job.simulation.is_gravity_compensated
-    return jax.vmap(
-        lambda row: motor_positions(robot, row, is_gravity_compensated=is_compensated)  # pyright: ignore[reportArgumentType]
-    )(joints)
 
 
 def raise_unless_successful(solution: Solution) -> None:
