@@ -76,6 +76,8 @@ class UncertaintySettings(eqx.Module):
         seed: Seed of the draws.
         objective: Whether the "mean" square error over the members becomes small, or
             that of the "worst" of them.
+        delay: Largest time by which the offsets may come late to the program [s];
+            every delay from 0 on is as likely, also where the rest is normal.
     """
 
     stiffness: float = eqx.field(static=True, default=0.0)
@@ -85,6 +87,7 @@ class UncertaintySettings(eqx.Module):
     draws: int = eqx.field(static=True, default=4)
     seed: int = eqx.field(static=True, default=0)
     objective: Literal["mean", "worst"] = eqx.field(static=True, default="mean")
+    delay: float = eqx.field(static=True, default=0.0)
 
 
 class CorrectionSettings(eqx.Module):

@@ -7,14 +7,19 @@ import numpy as np
 import pytest
 from correction.spring_mass import SpringMass, rounded_square, soft_arm
 
+from diffmill import examples, io, sim
 from diffmill.correction import (
     Ensemble,
     GaussNewton,
+    LatePlant,
     LevenbergMarquardt,
     Problem,
     contour_of,
+    delayed,
     draw_scales,
+    with_delays,
 )
+from diffmill.correction._setup import job_ensemble
 
 TIME_STEP = 3.75e-3
 NAMES = ("K x", "K y", "K z", "D x", "D y", "D z", "K_tc", "speed")
@@ -91,9 +96,9 @@ def judged(arm, problem):
         vectors = jax.vmap(lambda motion: contour_of(problem, motion))(motions)
         return jnp.linalg.norm(vectors, axis=2)
 
-    def judge(found, draws):
-        each = errors(jnp.asarray(found.command), jnp.asarray(draws))
-        return np.asarray(each)[:, cutting]
+    def judge(found, draws, delay=0.0):
+        late = delayed(found.command, delay, TIME_STEP, nominal=problem.nominal)
+        return np.asarray(errors(late, jnp.asarray(draws)))[:, cutting]
 
     return judge
 
@@ -113,6 +118,62 @@ def test_robust_is_better_where_the_model_is_wrong(problem, robust, judged):
     nominal = judged(GaussNewton(30e-3)(problem), others)
     assert np.percentile(each, 95) < 0.7 * np.percentile(nominal, 95)
     assert np.mean(each**2) < 0.5 * np.mean(nominal**2)
+
+
+def test_delays_cover_their_span_and_leave_the_rest():
+    members = draws(5, 3, force=0.1)
+    found = with_delays(members, largest=10e-3, seed=3)
+    np.testing.assert_array_equal(found[:, :-1], members)
+    # One in each fifth.
+    shares = np.sort(found[:, -1]) / 2e-3
+    np.testing.assert_array_equal(np.floor(shares), np.arange(5))
+    assert with_delays(members, largest=10e-3, seed=4)[0, -1] != found[0, -1]
+    np.testing.assert_array_equal(with_delays(members, largest=0, seed=3)[:, -1], 0)
+    with pytest.raises(ValueError, match="`largest` must be at least 0"):
+        with_delays(members, largest=-1e-3, seed=0)
+
+
+def test_only_the_offset_of_a_member_is_late(arm, problem):
+    member = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    nominal = jnp.asarray(problem.nominal)
+    offset = 1e-4 * jnp.asarray(np.sin(np.arange(len(nominal)) / 9.0))[:, None]
+    plant = Uncertain(arm)
+    late = LatePlant(plant, problem.nominal, TIME_STEP)
+    parameters = jnp.asarray([*member, 2 * TIME_STEP])
+    found = late(parameters, nominal + offset).actual
+    shifted = jnp.concatenate([jnp.zeros((2, 1)), offset[:-2]])
+    wanted = plant(jnp.asarray(member), nominal + shifted).actual
+    np.testing.assert_allclose(found, wanted, atol=1e-12)
+
+
+def test_a_job_with_a_delay_gets_members_with_delays(tmp_path):
+    file = examples.copy_example("paper_small", tmp_path)
+    known = "[correction.uncertainty]\nforce = 0.1\ndraws = 3\n"
+    ensembles = []
+    for more in ("", 'delay = "5 ms"\n'):
+        (tmp_path / "late.toml").write_text(f"{file.read_text()}\n{known}{more}")
+        job = io.load_job(tmp_path / "late.toml")
+        ensembles.append(job_ensemble(job, sim.Traced()))
+    punctual, late = ensembles
+    assert isinstance(late.plant, LatePlant)
+    np.testing.assert_array_equal(late.plant.nominal, job.path.positions)
+    np.testing.assert_array_equal(late.draws[:, :-1], punctual.draws)
+    assert 0 < late.draws[:, -1].min() and late.draws[:, -1].max() < 5e-3
+
+
+@pytest.mark.slow
+def test_robust_is_better_where_the_offset_comes_late(arm, problem, judged):
+    largest = 20e-3
+    members = with_delays(np.zeros((4, 8)), largest=largest, seed=1)
+    late = LatePlant(Uncertain(arm), problem.nominal, TIME_STEP)
+    robust = GaussNewton(30e-3, ensemble=Ensemble(late, members))(problem)
+    nominal = GaussNewton(30e-3)(problem)
+    as_it_is = np.zeros((1, 8))
+    each = lambda found: np.concatenate(
+        [judged(found, as_it_is, delay) for delay in np.linspace(0, largest, 9)]
+    )
+    rms = lambda errors: np.sqrt(np.mean(errors**2))
+    assert rms(each(robust)) < 0.7 * rms(each(nominal))
 
 
 @pytest.mark.slow

@@ -28,14 +28,20 @@ def test_values_become_settings_in_si():
         floor_weight=0,
         gouge="20 um",
         stay_in_cut=True,
-        uncertainty={"stiffness": 0.2, "force": 0.1, "draws": 6, "objective": "worst"},
+        uncertainty={
+            "stiffness": 0.2,
+            "force": 0.1,
+            "draws": 6,
+            "objective": "worst",
+            "delay": "5 ms",
+        },
         weight=[{"lines": [12, 30], "value": 0}, {"lines": [31, 31], "value": 2.5}],
     )
     assert not problems
     settings = correction_settings(table)
     assert settings.tolerance == pytest.approx(1e-5)
     assert settings.uncertainty == UncertaintySettings(
-        0.2, 0.0, 0.1, False, 6, 0, "worst"
+        0.2, 0.0, 0.1, False, 6, 0, "worst", 5e-3
     )
     assert (settings.gouge, settings.stay_in_cut) == (pytest.approx(2e-5), True)
     assert correction_settings(read()[0]).gouge == float("inf")
@@ -63,6 +69,7 @@ def test_values_become_settings_in_si():
         ({"weight": [{"lines": [1], "value": 1}]}, ("weight.0.lines", "2 values")),
         ({"weight": [{"value": 1}]}, ("weight.0.lines", "first and last line")),
         ({"uncertainty": {"force": 1}}, ("uncertainty.force", "less than 1")),
+        ({"uncertainty": {"delay": "-1 ms"}}, ("uncertainty.delay", "at least 0")),
         ({"objective": "both"}, ("objective", "'surface'")),
         ({"finishing_only": 1}, ("finishing_only", "true or false")),
     ],

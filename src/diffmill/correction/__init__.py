@@ -25,8 +25,10 @@ from ._correct import (
 from ._delay import delayed as delayed
 from ._ensemble import (
     Ensemble as Ensemble,
+    LatePlant as LatePlant,
     ScaledPlant as ScaledPlant,
     draw_scales as draw_scales,
+    with_delays as with_delays,
 )
 from ._feed import (
     FeedProblem as FeedProblem,

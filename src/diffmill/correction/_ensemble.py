@@ -17,7 +17,8 @@ from jaxtyping import Array, Float
 from .._job import Job
 from .._types import RealScalarLike
 from ..sim import AbstractAdjoint, command_motors, run_motors, with_scaled
-from ._problem import Motion
+from ._delay import delayed
+from ._problem import FloatRows, Motion
 
 Draws = Float[Array, "member parameter"] | Float[np.ndarray, "member parameter"]
 
@@ -76,6 +77,62 @@ class ScaledPlant(eqx.Module):
         motors, _ = command_motors(self.job, command)
         ran = run_motors(with_scaled(self.job, log_scale), motors, self.adjoint)
         return Motion(ran.actual, ran.force)
+
+
+class LatePlant(eqx.Module):
+    """A plant of an ensemble whose offsets come late to a program that is in time.
+
+    A command that is late as a whole does the same, only later: nothing that an offset
+    could make better.
+
+    Attributes:
+        plant: Maps parameters and a command to a motion, see `Ensemble`.
+        nominal: The program, without offsets, shape (step, axis).
+        time_step: Time between two rows [s].
+    """
+
+    plant: Callable[..., Any]
+    nominal: FloatRows
+    time_step: RealScalarLike
+
+    def __call__(
+        self,
+        parameters: Float[Array, " parameter_and_delay"],
+        command: Float[Array, "step axis"],
+    ) -> Motion:
+        """Return the motion of one member, whose last parameter is its delay [s]."""
+        late = delayed(command, parameters[-1], self.time_step, nominal=self.nominal)
+        return self.plant(parameters[:-1], late)
+
+
+def with_delays(
+    draws: Draws, *, largest: RealScalarLike, seed: int
+) -> Float[np.ndarray, "member parameter_and_delay"]:
+    """Return draws with a last column of delays, each in its own share of the span.
+
+    A few draws from the whole span could all lie at one end of it; so each member gets
+    one of as many equal parts of the span, in an order of its own.
+
+    Args:
+        draws: Parameters of the members, shape (member, parameter).
+        largest: Largest delay [s], at least 0; the smallest is 0.
+        seed: Seed of the delays.
+
+    Returns:
+        Parameters and delays, for a `LatePlant`, shape (member, parameter + 1).
+
+    Raises:
+        ValueError: The largest delay is negative.
+
+    **Differentiability**: none, a host function.
+    """
+    if not largest >= 0:
+        raise ValueError(f"Argument `largest` must be at least 0, but is {largest}.")
+    # A stream of its own: the parameters of a seed stay what they are without delays.
+    rng = np.random.default_rng([seed, 1])
+    count = len(draws)
+    share = (rng.permutation(count) + rng.uniform(size=count)) / count
+    return np.column_stack([np.asarray(draws), float(largest) * share])
 
 
 def draw_scales(

@@ -7,7 +7,13 @@ from .._job import Job
 from .._types import BoolSteps
 from ..sim import AbstractAdjoint, ProcessSolution, parameter_names
 from ._bspline import SplineOffsets
-from ._ensemble import Ensemble, ScaledPlant, draw_scales
+from ._ensemble import (
+    Ensemble,
+    LatePlant,
+    ScaledPlant,
+    draw_scales,
+    with_delays,
+)
 from ._limits import command_limits
 from ._method import Corrected
 from ._objective import AbstractObjective, PathObjective
@@ -108,7 +114,12 @@ def job_ensemble(job: Job, adjoint: AbstractAdjoint) -> Ensemble | None:
         force=known.force,
         is_gaussian=known.is_gaussian,
     )
-    return Ensemble(ScaledPlant(job, adjoint), draws)
+    plant = ScaledPlant(job, adjoint)
+    if known.delay == 0:
+        return Ensemble(plant, draws)
+    # The path is the uncorrected command: only what is added to it comes late.
+    late = LatePlant(plant, np.asarray(job.path.positions), float(job.tooth_period))
+    return Ensemble(late, with_delays(draws, largest=known.delay, seed=known.seed))
 
 
 def remaining_error(

@@ -9,6 +9,7 @@ from .._job import CorrectionSettings, UncertaintySettings
 from ..cutter import AbstractCutter
 from ._job_fields import (
     Acceleration,
+    Delay,
     PositiveLength,
     PositiveSpeed,
     PositiveTime,
@@ -67,7 +68,7 @@ class WeightTable(Table):
 
 
 class UncertaintyTable(Table):
-    """`[correction.uncertainty]`: how well the model is known, relative."""
+    """`[correction.uncertainty]`: how well the model is known, mostly relative."""
 
     stiffness: Uncertainty = 0.0
     damping: Uncertainty = 0.0
@@ -76,6 +77,7 @@ class UncertaintyTable(Table):
     draws: Annotated[StrictInt, Field(ge=1, le=100)] = 4
     seed: Annotated[StrictInt, Field(ge=0, le=2**31 - 1)] = 0
     objective: Literal["mean", "worst"] = "mean"
+    delay: Delay = 0.0
 
 
 class CorrectionTable(Table):
@@ -120,6 +122,7 @@ def correction_settings(table: CorrectionTable) -> CorrectionSettings:
             draws=known.draws,
             seed=known.seed,
             objective=known.objective,
+            delay=known.delay,
         )
     sections = tuple((e.lines[0], e.lines[1], e.value) for e in table.weight)
     return CorrectionSettings(**values, sections=sections)

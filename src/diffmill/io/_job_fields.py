@@ -54,6 +54,7 @@ Angle: TypeAlias = Annotated[float, BeforeValidator(_read(q.ANGLE))]
 PositiveTime: TypeAlias = Annotated[
     float, BeforeValidator(_read(q.TIME, sign="positive"))
 ]
+Delay: TypeAlias = Annotated[float, BeforeValidator(_read(q.TIME, sign="not negative"))]
 Time: TypeAlias = Annotated[float, BeforeValidator(_read(q.TIME))]
 Frequency: TypeAlias = Annotated[
     float, BeforeValidator(_read(q.FREQUENCY, sign="positive"))
