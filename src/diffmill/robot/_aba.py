@@ -84,7 +84,7 @@ def _moved(vector: Vector, place: int, by: Array) -> Vector:
     return (*vector[:place], vector[place] + by, *vector[place + 1 :])
 
 
-def _frames(robot: Robot, q: Vector) -> list[_Frame]:
+def link_frames(robot: Robot, q: Vector) -> list[_Frame]:
     frames = []
     rotations = numbers(robot.placement_rotations, 3)
     positions = numbers(robot.placement_positions, 2)
@@ -286,7 +286,7 @@ def _aba(
     tau: Float[Array, "joint ..."],
     wrench: Float[Array, "6 ..."],
 ) -> Float[Array, "joint ..."]:
-    frames = _frames(robot, numbers(q, 1))
+    frames = link_frames(robot, numbers(q, 1))
     links = _link_inertias(robot)
     motion = _motion(robot, frames, links, numbers(qd, 1))
     _add_wrench(robot, frames, motion.force, numbers(wrench, 1))
@@ -308,7 +308,7 @@ def _inverse(
     tau = jnp.broadcast_to(
         eye.reshape(*eye.shape, *[1] * (q.ndim - 1)), (*eye.shape, *q.shape[1:])
     )
-    frames = _frames(robot, numbers(q[:, None], 1))
+    frames = link_frames(robot, numbers(q[:, None], 1))
     _, inertias = _link_inertias(robot)
     joints = _articulated(robot, frames, inertias, numbers(diagonal[:, None], 1), None)
     base = (jnp.zeros_like(tau[0]),) * 6

@@ -6,6 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import jax.scipy.linalg as jsl
+from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
 from ._aba import articulated_bodies, articulated_inverse, check_algorithm
@@ -14,6 +15,7 @@ from ._definite import definite_inverse
 from ._massless import factor, refuse_singular
 from ._rnea import inverse_dynamics
 from ._robot import JointVector, Robot, Wrench, joint_vector, wrench_vector
+from ._slopes import motion_slopes
 from ._spatial import sum_rows
 from ._terms import arm_terms
 
@@ -115,27 +117,49 @@ def _solve(
     return jsl.cho_solve((factor(terms.mass_matrix), True), load)
 
 
-@_solve.defjvp
+@functools.partial(_solve.defjvp, symbolic_zeros=True)
 def _solve_jvp(
     algorithm: str, primals: tuple[Any, ...], tangents: tuple[Any, ...]
 ) -> tuple[Array, Array]:
     qdd = _solve(algorithm, *primals)
     robot, q, qd, _, wrench = primals
     d_robot, d_q, d_qd, d_tau, d_wrench = tangents
+    slopes = motion_slopes(robot, q, qd, qdd, wrench)
+    times = lambda matrix, vector: sum_rows(matrix, vector[:, None])[:, 0]
+    # What does not change has a zero without a value: nothing is computed for it.
+    changes = [
+        (d_tau, lambda d: d),
+        (d_q, lambda d: -times(slopes.position, d)),
+        (d_qd, lambda d: -times(slopes.velocity, d)),
+        (d_wrench, lambda d: times(slopes.wrench.T, d)),
+    ]
+    load = jnp.zeros_like(qdd)
+    for tangent, change in changes:
+        if not _is_zero(tangent):
+            load = load + change(tangent)
+    if not all(_is_zero(d) for d in jax.tree.leaves(d_robot)):
+        load = load - _change_with_robot(primals, qdd, d_robot)
+    return qdd, times(definite_inverse(slopes.acceleration), load)
+
+
+def _is_zero(tangent: Any) -> bool:
+    return isinstance(tangent, SymbolicZero)
+
+
+def _change_with_robot(primals: tuple[Any, ...], qdd: Array, d_robot: Any) -> Array:
+    """Return how the torques of a motion change with the robot."""
+    robot, q, qd, _, wrench = primals
 
     # The reverse mode computes the motion again: inside a scan that is faster than
     # storing what every step passed through.
     @jax.checkpoint
-    def needed(robot: Robot, q: Array, qd: Array, wrench: Array, qdd: Array) -> Array:
+    def needed(robot: Robot) -> Array:
         return inverse_dynamics(robot, q, qd, qdd, wrench)
 
-    _, change = jax.jvp(
-        needed,
-        (robot, q, qd, wrench, qdd),
-        (d_robot, d_q, d_qd, d_wrench, jnp.zeros_like(qdd)),
+    full = jax.tree.map(
+        lambda d: jnp.zeros(d.shape, d.dtype) if _is_zero(d) else d, d_robot
     )
-    inverse = _invert(algorithm, robot, q, jnp.zeros_like(q))
-    return qdd, sum_rows(inverse, (d_tau - change)[:, None])[:, 0]
+    return jax.jvp(needed, (robot,), (full,))[1]
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
