@@ -87,6 +87,10 @@ def test_a_gap_ends_a_cut_and_a_record_of_one_cut_is_whole():
     np.testing.assert_allclose(
         np.array(cuts), [(time[0], time[499]), (time[500], time[-1])]
     )
+    # Lost samples are no end of it.
+    time[500:] -= 0.99
+    (cut,) = find_cuts(record_of(time, turn_force(SPEED * time), gaps=[500]))
+    np.testing.assert_allclose(cut, (time[0], time[-1]))
 
 
 def test_both_sides_are_filtered_alike():
@@ -201,6 +205,43 @@ def test_a_smooth_peak_is_not_saturated():
     found = find_saturated(np.stack([coarse, clipped, rest], axis=1))
     assert not found[:, 0].any() and not found[:, 2].any()
     np.testing.assert_array_equal(found[:, 1], (clipped == -50.0) | (clipped == 80.0))
+
+
+def test_noise_and_spikes_do_not_hide_a_clipped_channel():
+    time, draw = np.arange(4000) / RATE, np.random.default_rng(0)
+    waves = AMPLITUDE[None] * np.sin(
+        2 * np.pi * 50 * time[:, None] + np.arange(3)[None]
+    )
+    clipped = np.clip(waves, -40.0, 90.0)
+    is_end = clipped != waves
+    clipped = clipped + 0.02 * draw.normal(size=waves.shape)
+    spikes = draw.choice(4000, 8, replace=False)
+    clipped[spikes] = 3000.0
+    found = find_saturated(clipped)
+    assert np.mean(found[is_end]) > 0.97 and not found[:, 2].any()
+    is_spike = np.isin(np.arange(4000), spikes)
+    assert not found[~is_end & ~is_spike[:, None]].any()
+
+
+def test_a_tool_out_of_the_cut_is_not_saturated():
+    """Without noise all forces rest at once, at zero or at their offsets."""
+    time = np.arange(4000) / RATE
+    cuts = ((time > 0.2) & (time < 0.6))[:, None]
+    wave = np.where(cuts, AMPLITUDE[None] * (1.2 + turn_force(SPEED * time) / 200), 0.0)
+    assert not find_saturated(wave).any()
+    assert not find_saturated(np.round(wave + LEVEL[None], 1)).any()
+
+
+def test_gross_errors_do_not_move_the_tare():
+    time, draw = np.arange(1000) / RATE, np.random.default_rng(0)
+    force = LEVEL[None] + draw.normal(size=(1000, 3))
+    wanted = force - force.mean(axis=0)[None]
+    bad = force.copy()
+    bad[[20, 400, 900]] = 1e4
+    found = remove_offset(record_of(time, bad), 0.0, 1.0).force
+    np.testing.assert_allclose(
+        np.delete(found, [20, 400, 900], 0)[0], wanted[0], atol=0.02
+    )
 
 
 def test_what_is_no_record_is_refused():

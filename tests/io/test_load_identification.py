@@ -131,6 +131,33 @@ def test_several_cuts_are_listed_and_named(tmp_path):
         load(tmp_path, HEAD + "cut = 3\n", data)
 
 
+def test_cuts_that_each_begin_at_zero_are_several(tmp_path):
+    """Without idle sections: nothing but the clock tells the cuts apart."""
+    on = (TIME > IDLE) & (TIME < IDLE + CUT)
+    time, force = TIME[on] - TIME[on][0], FORCE[on]
+    data = text(np.tile(time, 3), np.tile(force, (3, 1)))
+    with pytest.raises(io.JobError, match="the record has 3 cuts"):
+        load(tmp_path, data=data)
+    second = load(tmp_path, HEAD + "cut = 2\n", data).records[0]
+    assert second.stop - second.start == pytest.approx(CUT - 0.55, abs=0.01)
+    np.testing.assert_allclose(second.record.time[len(time)], time[-1] + 1.0)
+
+
+def test_lost_samples_do_not_end_a_cut(tmp_path):
+    keep = (TIME < 0.9) | (TIME > 0.91)
+    record = load(tmp_path, data=text(TIME[keep], FORCE[keep])).records[0]
+    np.testing.assert_allclose(record.stop - record.start, CUT - 0.55, atol=0.04)
+
+
+def test_a_time_without_unit_is_suspected(tmp_path):
+    data = text(1e3 * TIME, FORCE, head="t;Fx;Fy;Fz\n")
+    with pytest.raises(io.JobError, match=r"`t` has no unit.*time = .ms.") as error:
+        load(tmp_path, data=data)
+    assert "found 4 samples per second" in str(error.value)
+    job = HEAD + 'units = { time = "ms", force_x = "N" }\n'
+    assert load(tmp_path, job, data).records[0].record.rate == pytest.approx(RATE)
+
+
 def test_saturation_is_told(tmp_path):
     force = FORCE.copy()
     force[:, 0] = np.minimum(force[:, 0], 90.0)

@@ -62,6 +62,13 @@ def load(tmp_path, content, **options):
         b"\xef\xbb\xbf" + text().encode(),
         text("Pr\u00fcfer: M\u00fcller\n" + NAMES).encode("latin-1"),
         text(stamp="12:30:%07.4f"),
+        # A calibration table that is longer than the record.
+        text("1,2,3,4\n" * 200 + "End of header\n" + NAMES),
+        text("Date;Time [s];Fx;Fy;Fz\n;;N;N;N\n", delimiter=";").replace(
+            "\n0.", "\n21.11.2026;0."
+        ),
+        text("Dev1/Time [S],Dev1/Fx [N.],Dev1/Fy (N),Dev1/Fz (N)\n"),
+        text(NAMES) + "# end of the measurement\n\nMin,-1,-2,-3\n",
     ],
 )
 def test_the_numbers_of_any_layout_come_back(tmp_path, content):
@@ -71,6 +78,55 @@ def test_the_numbers_of_any_layout_come_back(tmp_path, content):
     assert record.rate == pytest.approx(RATE, rel=1e-6)
     assert not record.is_after_gap.any()
     assert not record.is_saturated.any()
+
+
+def test_signs_between_thousands_are_no_decimal_signs(tmp_path):
+    # Volts of an amplifier at 100 N/V, written in mV.
+    for sign, decimal in ((",", "."), (".", ",")):
+        lines = []
+        for t, row in zip(TIME, 1e4 * FORCE, strict=True):
+            cells = [f"{v:,.0f}".replace(",", sign) + f"{decimal}0" for v in row]
+            lines.append(";".join([f"{t:.4f}".replace(".", decimal), *cells]))
+        content = "t;Fx;Fy;Fz\ns;mV;mV;mV\n" + "\n".join(lines)
+        record = load(tmp_path, content, units={"force": "0.01 N"})
+        np.testing.assert_allclose(record.force, 100 * FORCE, atol=0.01)
+        np.testing.assert_allclose(record.time, TIME, atol=1e-9)
+
+
+def test_a_time_of_day_goes_on_after_midnight(tmp_path):
+    seconds = (86400 - 0.01 + TIME) % 86400
+    lines = [
+        f"{int(t // 3600):02d}:{int(t % 3600 // 60):02d}:{t % 60:07.4f},{x},{y},{z}"
+        for t, (x, y, z) in zip(seconds, FORCE, strict=True)
+    ]
+    record = load(tmp_path, NAMES + "\n".join(lines))
+    np.testing.assert_array_equal(record.force, FORCE)
+    np.testing.assert_allclose(record.time - record.time[0], TIME, atol=1e-9)
+
+
+def test_equal_stamps_in_wrong_order_are_refused(tmp_path):
+    lines = rows(stamp="%.3f")
+    order = np.random.default_rng(1).permutation(COUNT)
+    with pytest.raises(io.RecordError, match="too few digits to tell which"):
+        load(tmp_path, NAMES + "\n".join(lines[i] for i in order))
+    # Whole blocks in wrong order part no equal stamps.
+    record = load(tmp_path, NAMES + "\n".join(lines[150:] + lines[:150]))
+    np.testing.assert_array_equal(record.force, FORCE)
+
+
+def test_a_dead_channel_is_told(tmp_path):
+    lines = [f"{t:.4f},{x},7,{z}" for t, (x, _, z) in zip(TIME, FORCE, strict=True)]
+    record = load(tmp_path, NAMES + "\n".join(lines))
+    assert "`Fy` (Fy) holds 7 in all rows: a dead channel" in record.notes[0]
+
+
+def test_units_that_are_given_come_before_those_of_the_file(tmp_path):
+    lines = rows(time=1e3 * TIME)
+    units = {"time": "ms", "force": "kN", "Fz": "daN"}
+    record = load(tmp_path, "t,Fx,Fy,Fz\n" + "\n".join(lines), units=units)
+    np.testing.assert_allclose(record.time, TIME, atol=1e-12)
+    np.testing.assert_allclose(record.force, FORCE * np.array([[1e3, 1e3, 10.0]]))
+    assert not record.notes
 
 
 def test_units_become_si(tmp_path):
@@ -226,6 +282,8 @@ def test_columns_are_chosen_by_name_or_number(tmp_path):
         (text(decimal=","), {}, "decimal commas need another sign"),
         (text(), {"rate": 5e3}, "given as 5000 Hz, but the time column has 10000 Hz"),
         (text(), {"rate": -1.0}, "must be positive"),
+        (text(), {"units": {"Mz": "N"}}, "unit of `Mz`; allowed are time, Fx"),
+        (text(), {"units": {"force": "mm"}}, "the unit of `force`: found '1 mm'"),
         (text(), {"channels": {"Fx": 9}}, "from 1 to 4"),
         (text(), {"channels": {"Mz": 1}}, "allowed are time, Fx"),
         (NAMES + "0,1,2,3\n0.1,,,\n0.2,,,\n", {}, "1 complete rows"),

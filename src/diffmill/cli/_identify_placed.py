@@ -61,10 +61,15 @@ def placed(
 
 
 def samples(record: "ForceRecord") -> tuple[Any, Any]:
-    """Return time and force of the part to be fitted, saturated samples unknown."""
+    """Return time and force of the part to be fitted, saturated samples unknown.
+
+    Their neighbours, too: of samples near the end of the range those would remain that
+    noise has made smaller.
+    """
     one = record.record
     keep = (one.time >= record.start) & (one.time <= record.stop)
-    force = np.where(one.is_saturated[:, None], np.nan, one.force)
+    is_lost = np.convolve(one.is_saturated, np.ones(3), mode="same") > 0.5
+    force = np.where(is_lost[:, None], np.nan, one.force)
     return one.time[keep], force[keep]
 
 
@@ -107,6 +112,14 @@ def record_lines(task: "ForceRecordTask", beside: "list[Placed]") -> list[str]:
     return lines
 
 
+def axes_are_doubted(proposal: "AxesProposal", axes: tuple[str, str, str]) -> bool:
+    """Return whether other axes make more sense than those that are used."""
+    from ..identification import axes_of
+
+    used = next(c for c in proposal.candidates if axes_of(c.matrix) == axes)
+    return used.score - proposal.proposals[0].score > _BETTER
+
+
 def axes_lines(
     proposal: "AxesProposal", axes: tuple[str, str, str], takes_proposed: bool
 ) -> list[str]:
@@ -124,7 +137,7 @@ def axes_lines(
     used = next(c for c in proposal.candidates if axes_of(c.matrix) == axes)
     why = "the likeliest, as asked for" if takes_proposed else "as given or recorded"
     lines = [f"axes: {axes_text(axes)} ({why})"]
-    if used.score - best.score > _BETTER:
+    if axes_are_doubted(proposal, axes):
         lines += noted(
             f"The axes {axes_text(likely)} make more sense: score {best.score:.3f} "
             f"against {used.score:.3f}, {best.residual:.1%} of the force left against "

@@ -7,16 +7,13 @@ import numpy as np
 
 from ._errors import BadInput
 from ._identify import Outcome
-from ._identify_placed import axes_lines, placed, record_lines
-from ._identify_text import NONSENSE, coefficient_lines, correlation_lines, noted
+from ._identify_placed import axes_are_doubted, axes_lines, placed, record_lines
+from ._identify_text import coefficient_lines, correlation_lines, noted
 from ._progress import Progress
 
 if TYPE_CHECKING:
     from ..identification import AxesProposal, ForceCoefficientFit, LeftOut
     from ..io import ForceRecordTask
-
-# A fit that explains less of the force is doubted.
-_EXPLAINED = 0.8
 
 
 def identify_records(task: "ForceRecordTask", progress: Progress) -> Outcome:
@@ -65,7 +62,7 @@ def identify_records(task: "ForceRecordTask", progress: Progress) -> Outcome:
     ]
     return Outcome(
         lines,
-        _toml(fit),
+        _toml(fit, not axes_are_doubted(proposal, axes)),
         _facts(task, fit, proposal, left),
         lambda folder: _draw(folder, task, fit, left),
     )
@@ -92,25 +89,21 @@ def _fit_lines(
         f"the fit explains {fit.explained:.2%} of the squared force; it leaves "
         f"{fit.residual_rms:.4g} N of {fit.force_rms:.4g} N rms"
     )
-    if fit.explained < _EXPLAINED:
-        lines += noted(
-            "That is little: axes, cut, speed or time shift may be wrong, and the "
-            "standard errors do not tell how far the coefficients are off.",
-            "warning",
-        )
+    for doubt in fit.doubts:
+        lines += noted(doubt, "warning")
     for part in left:
         lines.append(
             f"left out: {task.records[part.record].name}, {part.what}: "
             f"{part.error:.2%} of the force rms off"
         )
     lines += correlation_lines(names, fit.correlation)
-    for note in fit.notes:
+    for note in fit.notes[len(fit.doubts) :]:
         lines += noted(note)
     return lines
 
 
-def _toml(fit: "ForceCoefficientFit") -> list[str]:
-    """Return the tables for a job."""
+def _toml(fit: "ForceCoefficientFit", is_likely: bool) -> list[str]:
+    """Return the tables for a job, as comments if they are doubtful."""
     from ..identification import relative_uncertainty
     from ..io import doubted, force_toml, uncertainty_toml
 
@@ -124,7 +117,11 @@ def _toml(fit: "ForceCoefficientFit") -> list[str]:
         *force_toml(fit.coefficients, fit.standard_errors, fit.identifiable),
         *uncertainty_toml("force", share),
     ]
-    return doubted(lines, NONSENSE) if fit.raw[0] <= 0 else lines
+    if fit.doubts:
+        return doubted(lines, f"{fit.doubts[0].partition(':')[0]}; see summary.txt.")
+    if not is_likely:
+        return doubted(lines, "Other axes make more sense; see summary.txt.")
+    return lines
 
 
 def _facts(
@@ -148,6 +145,7 @@ def _facts(
         "refined_m": fit.refined,
         "refined_errors_m": fit.refined_errors,
         "explained": fit.explained,
+        "gross_errors": fit.gross_errors,
         "residual_rms_N": fit.residual_rms,
         "force_rms_N": fit.force_rms,
         "axes": fit.axes,

@@ -25,6 +25,8 @@ _TURNS, _ROUND = 40, 32
 _JUDGED = 8000
 # A nominal speed that is off by more is doubted.
 _SPEED_OFF = 0.03
+# A force this many times the largest of all but a few percent is a gross error.
+_SPIKE, _ALL_BUT = 3.0, 0.98
 # Share of the largest force below which the tool counts as out of the cut.
 _CUTS = 0.02
 
@@ -222,6 +224,8 @@ def _judge(
     """Return how the axes may lie, from the longest part without a gap."""
     step = float(np.median(np.diff(time)))
     known = np.asarray(np.isfinite(force).all(axis=1))
+    size = np.abs(np.nan_to_num(force)).max(axis=1)
+    known &= size <= _SPIKE * max(np.quantile(size[known], _ALL_BUT), 1e-300)
     breaks = np.flatnonzero(np.diff(time) > 1.5 * step) + 1
     best = np.zeros(0, np.int64)
     for part in np.split(np.arange(len(time)), breaks):

@@ -28,6 +28,10 @@ from ._refine import REFINABLE, Refined, refine_records
 # Steps of the time shifts after the search, which converge quadratically, and the
 # share of a revolution below which they rest.
 _SHIFT_STEPS, _RESTS = 4, 1e-5
+# Residuals of more standard deviations are gross errors, if they are no larger a share.
+_GROSS, _MANY = 6.0, 0.05
+# A fit that explains a smaller share of the squared force is doubted.
+_EXPLAINED = 0.8
 # A length is known if its standard error is below this [m].
 _TOLD = 1e-5
 
@@ -44,9 +48,11 @@ class ForceCoefficientFit(eqx.Module):
             NaN where nothing is known.
         identifiable: By name: whether the records fix the coefficient.
         residual_rms: Root mean square of measured minus fitted force, over all forces
-            and records [N].
-        force_rms: Root mean square of the measured force [N].
-        explained: Share of the squared force that the fit explains.
+            and records but gross errors [N].
+        force_rms: Root mean square of the measured force, likewise [N].
+        explained: Share of the squared force that the fit explains, likewise.
+        gross_errors: How many measured forces are off by more than six standard
+            deviations of the others; 0 if that are more than a twentieth.
         axes: Which recorded force is which force of the work, with its sign.
         time_shift: Time of each cut minus time of its record [s].
         time_shift_errors: Standard errors [s]; 0 where the shift was given.
@@ -56,6 +62,7 @@ class ForceCoefficientFit(eqx.Module):
             cutter towards tooth 0 and a quarter turn on), `radius` [m]; NaN if not
             identifiable.
         refined_errors: Standard errors of these [m].
+        doubts: Why the numbers are not to be trusted, in words; the first of the notes.
         notes: What to know, in words: which experiment would help.
         records: The records as fitted, in the axes of the work.
         raw: The six numbers as fitted, identifiable or not [Pa, N/m], shape (6,).
@@ -68,12 +75,14 @@ class ForceCoefficientFit(eqx.Module):
     residual_rms: float
     force_rms: float
     explained: float
+    gross_errors: int
     axes: Axes = eqx.field(static=True)
     time_shift: tuple[float, ...]
     time_shift_errors: tuple[float, ...]
     left_out_rms: tuple[float, ...]
     refined: dict[str, float]
     refined_errors: dict[str, float]
+    doubts: tuple[str, ...] = eqx.field(static=True)
     notes: tuple[str, ...] = eqx.field(static=True)
     records: tuple[Measured, ...]
     raw: Float[np.ndarray, " 6"]
@@ -179,8 +188,12 @@ def _report(
     K, errors = fit.x[:6], np.sqrt(np.diagonal(C))
     known = [np.isfinite(one.force) for one in rows]
     seen = np.concatenate([k.reshape(-1) for k in known])
+    is_gross = seen & _gross_errors(fit)
+    seen &= ~is_gross
     force = np.concatenate([one.force.reshape(-1) for one in rows])[seen]
     off = np.concatenate([r.reshape(-1) for r in fit.residual])[seen]
+    explained = 1.0 - float(np.sum(off**2) / max(np.sum(force**2), 1e-300))
+    doubts = _doubts(explained, K)
     size = _sizes(rows, known)
     rms = float(np.sqrt(np.mean(force**2)))
     is_fixed = identifiable(C[:6, :6], size, rms)
@@ -197,7 +210,8 @@ def _report(
         identifiable=dict(zip(NAMES, is_fixed.tolist(), strict=True)),
         residual_rms=float(np.sqrt(np.mean(off**2))),
         force_rms=rms,
-        explained=1.0 - float(np.sum(off**2) / max(np.sum(force**2), 1e-300)),
+        explained=explained,
+        gross_errors=int(is_gross.sum()),
         axes=axes,
         time_shift=tuple(one.shift for one in records),
         time_shift_errors=tuple(
@@ -209,11 +223,55 @@ def _report(
             for n, v, ok in zip(names, lengths, is_told, strict=True)
         },
         refined_errors=dict(zip(names, spreads.tolist(), strict=True)),
-        notes=advise(is_fixed, correlation, size, is_measured)
-        + _refined_notes(names, is_told, records[0].cut.cutter.flute_count),
+        doubts=doubts,
+        notes=(
+            *doubts,
+            *_lost_notes(records, int(is_gross.sum())),
+            *advise(is_fixed, correlation, size, is_measured),
+            *_refined_notes(names, is_told, records[0].cut.cutter.flute_count),
+        ),
         records=tuple(records),
         raw=K,
     )
+
+
+def _gross_errors(fit: LinearFit) -> np.ndarray:
+    """Return which forces are gross errors, all records in one row; none if many."""
+    share = [
+        np.abs(np.nan_to_num(r)) / s[None]
+        for r, s in zip(fit.residual, fit.spread, strict=True)
+    ]
+    found = np.concatenate([one.reshape(-1) for one in share]) > _GROSS
+    return found & (found.mean() <= _MANY)
+
+
+def _doubts(explained: float, K: np.ndarray) -> tuple[str, ...]:
+    """Say why a fit is not to be trusted."""
+    doubts = []
+    if explained < _EXPLAINED:
+        doubts.append(
+            f"The fit explains {max(explained, 0.0):.0%} of the squared force, less "
+            f"than {_EXPLAINED:.0%}: axes, cut, speed or time shift may be wrong, and "
+            "the standard errors do not tell how far the coefficients are off."
+        )
+    if K[0] <= 0:
+        doubts.append("K_tc is not positive: axes or cut are wrong.")
+    return tuple(doubts)
+
+
+def _lost_notes(records: list[Measured], gross: int) -> tuple[str, ...]:
+    """Say what was left out or hardly counts."""
+    notes, saturated = [], sum(one.saturated for one in records)
+    if saturated:
+        notes.append(
+            f"{saturated} samples at the end of a channel's range were left out."
+        )
+    if gross:
+        notes.append(
+            f"{gross} measured forces are off by more than {_GROSS:g} standard "
+            "deviations of the others."
+        )
+    return tuple(notes)
 
 
 def _refined_notes(

@@ -37,8 +37,8 @@ def find_cuts(
     quietest and the loudest twentieth of the record. On a logarithmic scale a cut
     begins above the middle between them and ends below a quarter; its ends are then
     drawn in, by a window at most, to where the window is half full of the cut. Offset
-    and slow drift do not matter. A gap ends a cut, and a pause shorter than the window
-    does not.
+    and slow drift do not matter. A pause or a gap shorter than the window does not end
+    a cut, a longer one does.
 
     Args:
         record: The record.
@@ -49,8 +49,8 @@ def find_cuts(
 
     Returns:
         The cuts; their ends are found to a part of the window. If loud and quiet differ
-        by less than a factor of four, the parts between gaps: there is no tare section
-        in the record, or no cut.
+        by less than a factor of four, the parts between such gaps: there is no tare
+        section in the record, or no cut.
 
     Differentiability: none.
     """
@@ -58,7 +58,7 @@ def find_cuts(
         window = 4.0 / tooth_frequency if tooth_frequency else 0.02
     shortest = 2.0 * window if shortest is None else shortest
     width = max(3, round(window * record.rate))
-    parts = parts_between_gaps(record)
+    parts = parts_between_gaps(record, longest=window)
     loud = [_loudness(record, part, width, tooth_frequency) for part in parts]
     quiet_level, loud_level = np.quantile(np.concatenate(loud), [0.05, 0.95])
     # A channel that rests exactly at zero has no logarithm.

@@ -9,6 +9,9 @@ from ._coefficients import ForceCoefficientFit
 from ._linear import Rows, solve
 from ._measured import equations
 
+# More gross errors than this share are none.
+_MANY = 0.05
+
 
 class LeftOut(NamedTuple):
     """A part of the records, predicted by the rest.
@@ -19,7 +22,8 @@ class LeftOut(NamedTuple):
         time: Instants [s], shape (row,), on the record's clock.
         measured: Force in `work` [N], shape (row, 3); NaN where not measured.
         predicted: The same by coefficients from the rest [N], shape (row, 3).
-        error: Root mean square of the difference over that of the measured force.
+        error: Root mean square of the difference over that of the measured force,
+            without what the fit has found to be gross errors, if that is little.
     """
 
     record: int
@@ -50,19 +54,21 @@ def predict_left_out(fit: ForceCoefficientFit) -> tuple[LeftOut, ...]:
         _weights(row, row.force - row.columns @ fit.raw, s)
         for row, s in zip(rows, spread, strict=True)
     ]
+    good = [_good(row, weight) for row, weight in zip(rows, weights, strict=True)]
     parts = []
     if len(rows) > 1:
         for i, row in enumerate(rows):
             others = [j for j in range(len(rows)) if j != i]
             K = solve([rows[j] for j in others], [weights[j] for j in others])
             every = np.ones(len(row.force), bool)
-            parts.append(_part(fit, i, rows, K, every, "by the other records"))
+            parts.append(_part(fit, i, rows, K, every, good[i], "by the other records"))
         return tuple(parts)
     known = np.flatnonzero(np.isfinite(rows[0].force).any(axis=1))
     first = np.zeros(len(rows[0].force), bool)
     first[: int(np.median(known))] = True
     K = solve(rows, [weights[0] * first[:, None]])
-    return (_part(fit, 0, rows, K, ~first, "its later half by its earlier half"),)
+    what = "its later half by its earlier half"
+    return (_part(fit, 0, rows, K, ~first, good[0], what),)
 
 
 def _spread(
@@ -83,18 +89,26 @@ def _weights(row: Rows, off: np.ndarray, spread: np.ndarray) -> np.ndarray:
     return np.where(share < 5.0, 1.0, 0.0) / spread[None] ** 2
 
 
+def _good(row: Rows, weight: np.ndarray) -> Bool[np.ndarray, "row 3"]:
+    """Return what is no gross error; all of it if too much would be one."""
+    is_gross = np.isfinite(row.force) & (weight == 0)
+    return ~is_gross if is_gross.mean() <= _MANY else np.ones_like(is_gross)
+
+
 def _part(
     fit: ForceCoefficientFit,
     index: int,
     rows: list[Rows],
     K: Float[np.ndarray, " 6"],
     is_kept: Bool[np.ndarray, " row"],
+    is_good: Bool[np.ndarray, "row 3"],
     what: str,
 ) -> LeftOut:
     row = rows[index]
     measured, predicted = row.force[is_kept], (row.columns @ K)[is_kept]
-    off = np.nansum((measured - predicted) ** 2)
-    whole = max(float(np.nansum(measured**2)), 1e-300)
+    counts = is_good[is_kept]
+    off = np.nansum((measured - predicted)[counts] ** 2)
+    whole = max(float(np.nansum(measured[counts] ** 2)), 1e-300)
     return LeftOut(
         index,
         what,

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from .._job import Job
 from ._cut import Cut, EngagementColumns, at_times, cut_of, engagement_columns
 from ._linear import Rows, solve
+from ._saturation import without_saturated
 
 Times: TypeAlias = Float[Array, "..."] | Float[np.ndarray, "..."] | Sequence
 # For each axis of the work the recorded one, with its sign.
@@ -31,6 +32,7 @@ class Measured(eqx.Module):
         time: Instants on the record's clock [s], shape (row,).
         force: On the tool in `work` [N], shape (row, 3); NaN where not measured.
         shift: Time of the cut minus time of the record [s].
+        saturated: How many samples were left out as saturated.
     """
 
     cut: Cut
@@ -38,6 +40,7 @@ class Measured(eqx.Module):
     time: Float[np.ndarray, " row"]
     force: Float[np.ndarray, "row 3"]
     shift: float
+    saturated: int = 0
 
     @property
     def revolution(self) -> float:
@@ -222,6 +225,7 @@ def _measured(
         raise ValueError("Argument `time` must ascend and be finite, but does not.")
     if np.any(np.isinf(seen)):
         raise ValueError("Argument `force` must have no infinite values, but has.")
+    seen, saturated = without_saturated(seen)
     turned = np.column_stack(
         [
             (-1.0 if name.startswith("-") else 1.0) * seen[:, "xyz".index(name[-1])]
@@ -229,4 +233,4 @@ def _measured(
         ]
     )
     whole = cut_of(cut)
-    return Measured(whole, engagement_columns(whole), when, turned, shift)
+    return Measured(whole, engagement_columns(whole), when, turned, shift, saturated)

@@ -9,12 +9,17 @@ from jaxtyping import Float
 from ..numerics import lowpass
 from ._record import Record
 
+# Samples of a tare section that are further off its median do not count, in standard
+# deviations.
+_GROSS = 6.0
 # Cut-off of the filter before a lower rate, as part of that rate.
 _ANTI_ALIAS = 0.4
 
 
 def remove_offset(record: Record, start: float, stop: float) -> Record:
     """Return a record less the mean force of a section without cut.
+
+    Gross errors, six standard deviations off the section's median, do not count.
 
     Args:
         record: The record.
@@ -36,7 +41,7 @@ def remove_drift(
     """Return a record less the line through two sections without cut.
 
     The line goes through the mean time and mean force of both sections: charge
-    amplifiers drift by a constant current.
+    amplifiers drift by a constant current. Gross errors do not count.
 
     Args:
         record: The record.
@@ -154,21 +159,30 @@ def section(record: Record, start: float, stop: float) -> Record:
     return dataclasses.replace(record, **kept)
 
 
-def parts_between_gaps(record: Record) -> list[slice]:
+def parts_between_gaps(record: Record, *, longest: float = 0.0) -> list[slice]:
     """Return the samples of a record between its gaps, one slice for each part.
+
+    Args:
+        record: The record.
+        longest: A gap that lasts no longer parts nothing [s].
 
     **Differentiability**: none, a host function.
     """
-    starts = [0, *np.flatnonzero(record.is_after_gap[1:]) + 1, record.time.size]
+    is_apart = record.is_after_gap[1:] & (np.diff(record.time) > longest)
+    starts = [0, *np.flatnonzero(is_apart) + 1, record.time.size]
     return [slice(int(a), int(b)) for a, b in itertools.pairwise(starts)]
 
 
 def _mean(
     record: Record, start: float, stop: float
 ) -> tuple[float, Float[np.ndarray, " axis"]]:
-    """Return mean time and mean force of a section."""
+    """Return mean time and mean force of a section, gross errors left out."""
     part = section(record, start, stop)
-    return float(part.time.mean()), part.force.mean(axis=0)
+    off = np.abs(part.force - np.median(part.force, axis=0)[None])
+    # The median deviation is 0.67 standard deviations; none tells of few digits.
+    limit = _GROSS / 0.67 * np.median(off, axis=0)
+    is_good = (off <= limit[None]) | (limit[None] == 0)
+    return float(part.time.mean()), np.mean(part.force, axis=0, where=is_good)
 
 
 def _with_force(record: Record, force: Float[np.ndarray, "sample 3"]) -> Record:

@@ -14,7 +14,8 @@ from ..identification import (
 from ._identification_schema import RecordTable
 from ._identification_task import StraightCut
 
-# Shortest section that a tare is taken from, in tooth periods and samples.
+# Shortest section that a tare is taken from, in tooth periods and samples; a gap or a
+# pause so many tooth periods long parts two cuts.
 _TARE_PERIODS, _TARE_SAMPLES = 4.0, 20
 # Cuts that are listed in a message at most.
 _LISTED = 8
@@ -22,30 +23,27 @@ _LISTED = 8
 
 def cuts_in(record: Record, tooth: float) -> tuple[list[CutSpan], bool]:
     """Return the cuts in a record, and whether quiet parts lie beside them."""
-    cuts = find_cuts(record, tooth_frequency=1 / tooth)
+    window = _TARE_PERIODS * tooth
+    cuts = find_cuts(record, tooth_frequency=1 / tooth, window=window)
     if not cuts:
-        cuts = find_cuts(record)
-    parts = parts_between_gaps(record)
+        cuts = find_cuts(record, window=window)
     whole = [
         CutSpan(float(record.time[p.start]), float(record.time[p.stop - 1]))
-        for p in parts
+        for p in parts_between_gaps(record, longest=window)
     ]
-    if not cuts or cuts == whole:
-        first, last = float(record.time[0]), float(record.time[-1])
-        return [CutSpan(first, last)], False
-    return cuts, True
+    # Parts with a long gap between them are cuts of their own.
+    return (whole, False) if not cuts or cuts == whole else (cuts, True)
 
 
 def span_of(
     record: Record,
     process: Job | StraightCut,
     table: RecordTable,
-    found: tuple[list[CutSpan], bool],
+    cuts: list[CutSpan],
     place: str,
     problems: list[str],
 ) -> CutSpan | None:
     """Return the part of the record that belongs to the cut."""
-    cuts, are_found = found
     first, last = float(record.time[0]), float(record.time[-1])
     if table.start is not None or table.stop is not None:
         start = first if table.start is None else max(table.start, first)
@@ -73,7 +71,7 @@ def span_of(
             "one by its number, an entry for each, or give start and stop"
         )
         return None
-    return CutSpan(cuts[0].start, cuts[-1].stop) if are_found else cuts[0]
+    return CutSpan(cuts[0].start, cuts[-1].stop)
 
 
 def _cuts_text(cuts: list[CutSpan]) -> str:

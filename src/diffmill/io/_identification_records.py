@@ -76,8 +76,9 @@ def read_record(
 ) -> Record | None:
     """Return the record of a file, or None with problems noted."""
     channels = {_ALIASES.get(k, k): v for k, v in (table.channels or {}).items()}
+    units = {_ALIASES.get(k, k): v for k, v in table.units.items()}
     try:
-        return load_record(path, channels, table.rate)
+        return load_record(path, channels, table.rate, units)
     except RecordError as error:
         problems.extend(f"{place} file: {path.name}: {f}" for f in error.faults)
         return None
@@ -101,15 +102,20 @@ def ready(
     """
     tooth, turn = _periods(process, record)
     if record.rate * tooth < 4:
+        hint = "".join(
+            f'. {note} Give its unit by `units`, such as {{ time = "ms" }}'
+            for note in record.notes
+            if "was taken in s" in note
+        )
         problems.append(
             f"{place} file: found {record.rate:g} samples per second, but at least "
-            f"{4 / tooth:g} are required: four per tooth"
+            f"{4 / tooth:g} are required: four per tooth{hint}"
         )
         return None
     cuts, are_found = cuts_in(record, tooth)
     notes = list(record.notes)
     count = len(problems)
-    span = span_of(record, process, table, (cuts, are_found), place, problems)
+    span = span_of(record, process, table, cuts, place, problems)
     if span is None:
         return None
     try:

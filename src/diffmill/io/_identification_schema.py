@@ -45,6 +45,7 @@ class RecordTable(Table):
 
     file: File = Field(description='a file of measured forces, such as "cut1.csv"')
     channels: Channels | None = None
+    units: dict[StrictStr, StrictStr] = Field(default_factory=dict)
     rate: Frequency | None = None
     job: File | None = None
     feed_per_tooth: PositiveLength | None = None

@@ -22,6 +22,7 @@ def load_record(
     path: str | os.PathLike[str],
     channels: Mapping[str, str | int | None] | None = None,
     rate: float | None = None,
+    units: Mapping[str, str] | None = None,
 ) -> Record:
     """Return a record of measured forces from a file.
 
@@ -37,6 +38,9 @@ def load_record(
             in the file or its number from 1; None for no such column. What is not in
             it is looked for by name.
         rate: Sampling rate [Hz], needed if neither a time column nor the header has it.
+        units: Unit of `time`, `angle`, `Fx`, `Fy`, `Fz`, or `force` for all three,
+            before what the file says; or what its number 1 stands for: "100 N" for
+            volts of an amplifier set so.
 
     Returns:
         The record in SI units.
@@ -58,7 +62,7 @@ def load_record(
         reason = error.strerror or str(error)
         raise RecordError(str(file), [f"cannot be read: {reason}."]) from None
     notes = list(table.notes)
-    found = channels_of(table, channels or {}, faults, notes)
+    found = channels_of(table, channels or {}, faults, notes, units)
     line = None
     if found is not None:
         is_valid = np.asarray(np.isfinite(found.force).all(axis=1))

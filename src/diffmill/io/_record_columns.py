@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ._quantity import ANGLE, FORCE, TIME, QuantityKind
-from ._record_table import Column, Table, scale
+from ._record_table import Column, Table, given_scale, scale
 
 KINDS: dict[str, QuantityKind | None] = {
     "time": TIME,
@@ -22,8 +22,9 @@ FORCES = ("Fx", "Fy", "Fz")
 _PARTS = r"[\s_.\-]*"
 # Names that leave no doubt; compared with the whole name, whatever its case.
 _EXACT = {
-    "time": r"t|time|zeit|x_?value|time ?stamp|(abs\w*|rel\w*|elapsed)[ _]?time|"
-    r"temps|seconds|sekunden",
+    # LabVIEW writes the device before the name: `Dev1/Time`.
+    "time": r"([^/\\]+[/\\])?(t|time|zeit|x_?value|time ?stamp|"
+    r"(abs\w*|rel\w*|elapsed)[ _]?time|temps|seconds|sekunden)",
     **{
         f"F{axis}": rf"f{_PARTS}{axis}|(force|kraft){_PARTS}{axis}|"
         rf"{axis}{_PARTS}(force|kraft)"
@@ -61,6 +62,7 @@ def channels_of(
     wanted: Mapping[str, str | int | None],
     faults: list[str],
     notes: list[str],
+    units: Mapping[str, str] | None = None,
 ) -> Channels | None:
     """Return the quantities of a table, or None with faults.
 
@@ -70,10 +72,13 @@ def channels_of(
             no such column; a quantity that is not in it is looked for by its name.
         faults: Where what is wrong is added.
         notes: Where what was assumed is added.
+        units: What a number of a quantity stands for, before what the file says;
+            `force` for all three.
     """
     for key in wanted:
         if key not in KINDS:
             faults.append(f"found the channel `{key}`; allowed are {', '.join(KINDS)}.")
+    given = _given_units(units or {}, faults)
     found = {key: _find(key, table.columns, wanted, faults, notes) for key in KINDS}
     missing = [key for key in FORCES if found[key] is None]
     if missing and not faults:
@@ -84,7 +89,7 @@ def channels_of(
     values: dict[str, Float[np.ndarray, " sample"]] = {}
     for key, column in found.items():
         if column is not None:
-            array = _in_si(key, column, faults, notes)
+            array = _in_si(key, column, given.get(key), faults, notes)
             if array is not None:
                 values[key] = array
     sizes = {key: array.size for key, array in values.items()}
@@ -106,6 +111,25 @@ def channels_of(
         (names[0], names[1], names[2]),
         own.pop() or table.rate,
     )
+
+
+def _given_units(units: Mapping[str, str], faults: list[str]) -> dict[str, float]:
+    """Return how many SI units a number stands for, by quantity."""
+    kinds = {key: kind for key, kind in KINDS.items() if kind is not None}
+    factors: dict[str, float] = {}
+    # One for all forces comes first, so that one of their own replaces it.
+    for key in sorted(units, key=lambda key: key != "force"):
+        if key != "force" and key not in kinds:
+            allowed = ", ".join([*kinds, "force"])
+            faults.append(f"found the unit of `{key}`; allowed are {allowed}.")
+            continue
+        try:
+            factor = given_scale(units[key], kinds.get(key, FORCE))
+        except ValueError as error:
+            faults.append(f"the unit of `{key}`: {error}.")
+            continue
+        factors |= dict.fromkeys(FORCES if key == "force" else (key,), factor)
+    return factors
 
 
 def looks_named(names: list[str]) -> bool:
@@ -185,22 +209,38 @@ def listed(columns: list[Column], only: list[Column] | None = None) -> str:
 
 
 def _in_si(
-    key: str, column: Column, faults: list[str], notes: list[str]
+    key: str,
+    column: Column,
+    given: float | None,
+    faults: list[str],
+    notes: list[str],
 ) -> Float[np.ndarray, " sample"] | None:
     """Return a column in SI units, or None with a fault."""
     kind = KINDS[key]
-    factor = 1.0
-    if kind is not None and column.unit:
+    factor = 1.0 if given is None else given
+    if given is not None:
+        pass
+    elif kind is not None and column.unit:
         try:
             factor = scale(column.unit, kind)
         except ValueError as error:
-            faults.append(f"the unit of the column `{column.name}` ({key}): {error}.")
+            example = "ms" if kind is TIME else "deg" if kind is ANGLE else "100 N"
+            faults.append(
+                f"the unit of the column `{column.name}` ({key}): {error}; or say what "
+                f'a number stands for by `units`, such as {{ {key} = "{example}" }}.'
+            )
             return None
     elif kind is not None:
         unit = "rad" if kind is ANGLE else kind.unit
         notes.append(f"The column `{column.name}` has no unit and was taken in {unit}.")
     values = column.values()
-    if not np.isfinite(values).any():
+    finite = values[np.isfinite(values)]
+    if not finite.size:
         faults.append(f"the column `{column.name}` ({key}) holds no number.")
         return None
+    if kind is FORCE and finite.min() == finite.max():
+        notes.append(
+            f"The column `{column.name}` ({key}) holds {finite[0]:g} in all rows: a "
+            "dead channel, unless there is no such force."
+        )
     return values * factor

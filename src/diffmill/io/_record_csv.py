@@ -124,6 +124,8 @@ def _tables(block: bytes, layout: Layout, odd: list[str]) -> list[np.ndarray]:
 
 def _fast(block: bytes, layout: Layout) -> Float[np.ndarray, "row column"] | None:
     """Return the rows of a block that holds nothing but numbers, else None."""
+    if layout.thousands:
+        block = block.replace(layout.thousands.encode(), b"")
     if layout.has_decimal_comma:
         block = block.replace(b",", b".")
     if not block.strip():
@@ -153,6 +155,8 @@ def _slow(
         cells = cells_of(line, layout.delimiter)
         if len(cells) == layout.width + 1 and not cells[-1]:
             cells.pop()
+        if layout.thousands:
+            cells = [cell.replace(layout.thousands, "") for cell in cells]
         row = [number_of(cell) for cell in cells]
         if len(row) == layout.width and not np.all(np.isnan(row)):
             rows.append(row)

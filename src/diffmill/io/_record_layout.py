@@ -11,15 +11,29 @@ from ._quantity import ANGLE, FORCE, FREQUENCY, LENGTH, TIME
 from ._record_columns import looks_named
 from ._record_table import is_unit, split_unit
 
-# Consecutive rows after which a table needs no further evidence.
-_CERTAIN = 50
+# Consecutive rows after which a table needs no further evidence: a header may hold
+# tables of its own.
+_CERTAIN = 1000
 # None stands for any number of blanks. A blank within a cell must not be one before
 # the other signs were tried.
 _DELIMITERS = ("\t", ";", ",", None)
-_CLOCK = re.compile(
-    r"(?:(\d{4})-(\d\d)-(\d\d)[T ])?(\d{1,2}):(\d\d):(\d\d(?:[.,]\d*)?)"
+# A date with the year first or last, a time of day, or both.
+_DATE = re.compile(
+    r"(?:(?P<year>\d{4})[-/.](?P<month>\d\d?)[-/.](?P<day>\d\d?)"
+    r"|(?P<one>\d\d?)(?P<sign>[-/.])(?P<two>\d\d?)[-/.](?P<last>\d{4}))"
+    r"(?:[T ]\s*(?=\d)|$)"
 )
+_CLOCK = re.compile(
+    r"(\d{1,2}):(\d\d)(?::(\d\d(?:[.,]\d*)?))?(?:\s*([AaPp])\.?[Mm]\.?)?Z?"
+)
+# Signs that part thousands: before the decimal sign, every three digits.
+_THOUSANDS = {
+    ",": re.compile(r"[+-]?\d{1,3}(?:,\d{3})+\.\d*"),
+    ".": re.compile(r"[+-]?\d{1,3}(?:\.\d{3})+,\d*"),
+}
 _COMMENT_SIGNS = "#%"
+# Units of amplifiers: the user says what they stand for.
+_ELECTRIC = ("V", "mV", "pC")
 
 
 class Layout(NamedTuple):
@@ -30,6 +44,7 @@ class Layout(NamedTuple):
     width: int
     has_decimal_comma: bool
     has_closing_delimiter: bool
+    thousands: str = ""  # what parts thousands, or nothing
 
 
 def layout_of(lines: list[str]) -> Layout | None:
@@ -55,11 +70,26 @@ def layout_of(lines: list[str]) -> Layout | None:
     if best is None:
         return None
     rows = lines[best.start : best.start + most]
+    thousands = _thousands_in(rows, best.delimiter)
     return best._replace(
-        has_decimal_comma=best.delimiter != "," and any("," in row for row in rows),
+        has_decimal_comma=thousands != ","
+        and best.delimiter != ","
+        and any("," in row for row in rows),
         has_closing_delimiter=best.delimiter is not None
         and all(row.rstrip(" ").endswith(best.delimiter) for row in rows),
+        thousands=thousands,
     )
+
+
+def _thousands_in(rows: list[str], delimiter: str | None) -> str:
+    """Return the sign that parts thousands in some cell, or nothing."""
+    for sign, pattern in _THOUSANDS.items():
+        other = ({",", "."} - {sign}).pop()
+        for row in rows:
+            if sign in row and other in row and sign != delimiter:
+                if any(pattern.fullmatch(cell) for cell in cells_of(row, delimiter)):
+                    return sign
+    return ""
 
 
 def cells_of(line: str, delimiter: str | None) -> list[str]:
@@ -91,30 +121,47 @@ def _is_number(cell: str, delimiter: str | None) -> bool:
 
 
 def number_of(cell: str) -> float:
-    """Return the number in a cell, a time of day in seconds, or NaN."""
+    """Return the number in a cell, a date or a time of day in seconds, or NaN."""
+    for sign, pattern in _THOUSANDS.items():
+        if sign in cell and pattern.fullmatch(cell):
+            cell = cell.replace(sign, "")
     try:
         # Python allows 1_000, which no program writes.
         return float("nan") if "_" in cell else float(cell.replace(",", "."))
     except ValueError:
-        pass
-    match = _CLOCK.fullmatch(cell)
-    if match is None:
-        return float("nan")
-    year, month, day, hour, minute, second = match.groups()
-    days = 0
-    if year:
+        return _seconds_of(cell)
+
+
+def _seconds_of(cell: str) -> float:
+    """Return a date, a time of day or both in seconds, or NaN."""
+    days, rest = 0, cell
+    date = _DATE.match(cell)
+    if date is not None:
+        first, second = date["one"], date["two"]
+        if date["sign"] == "/":
+            # With slashes the month comes first; if it cannot, the day does.
+            month, day = (first, second) if int(first) <= 12 else (second, first)
+        else:
+            month, day = second, first
+        parts = (date["last"] or date["year"], date["month"] or month)
         try:
-            days = datetime.date(int(year), int(month), int(day)).toordinal()
+            days = datetime.date(*map(int, (*parts, date["day"] or day))).toordinal()
         except ValueError:
             return float("nan")
         # Seconds since 2000 keep more digits than seconds since the year 1.
         days -= datetime.date(2000, 1, 1).toordinal()
-    return (
-        days * 86400.0
-        + int(hour) * 3600.0
-        + int(minute) * 60.0
-        + float(second.replace(",", "."))
-    )
+        rest = cell[date.end() :]
+        if not rest:
+            return days * 86400.0
+    clock = _CLOCK.fullmatch(rest)
+    if clock is None:
+        return float("nan")
+    hour, minute, second, half = clock.groups()
+    hours = int(hour)
+    if half is not None:
+        hours = hours % 12 + 12 * (half in "Pp")
+    seconds = float((second or "0").replace(",", "."))
+    return days * 86400.0 + hours * 3600.0 + int(minute) * 60.0 + seconds
 
 
 def labels_of(
@@ -158,7 +205,8 @@ def _are_units(row: list[str], bare: list[str]) -> bool:
     is_bracketed = [cell[0] in "[({<" and cell[-1] in "])}>" for cell, _ in filled]
     kinds = (TIME, FREQUENCY, ANGLE, LENGTH)
     return bool(filled) and (
-        all(is_bracketed) or all(is_unit(text, *kinds) for _, text in filled)
+        all(is_bracketed)
+        or all(text in _ELECTRIC or is_unit(text, *kinds) for _, text in filled)
     )
 
 

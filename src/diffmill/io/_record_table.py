@@ -63,13 +63,36 @@ _SPELLINGS = {
 }
 
 
+# Units that headers in capitals spell so; tried if they mean something else.
+_CAPITALS = {"S": "s", "MS": "ms", "US": "us", "KN": "kN", "DAN": "daN", "NM": "N*m"}
+
+
 def scale(unit: str, kind: QuantityKind) -> float:
     """Return how many SI units one `unit` has.
 
     Raises:
         ValueError: If the unit is unknown or of another kind.
     """
-    return quantity(f"1 {_SPELLINGS.get(unit.lower(), unit)}", kind)
+    plain = unit.rstrip(".") or unit
+    try:
+        return quantity(f"1 {_SPELLINGS.get(plain.lower(), plain)}", kind)
+    except ValueError:
+        if plain not in _CAPITALS:
+            raise
+    return quantity(f"1 {_CAPITALS[plain]}", kind)
+
+
+def given_scale(text: str, kind: QuantityKind) -> float:
+    """Return how many SI units a number in the file stands for, as the user says.
+
+    Args:
+        text: A unit, or an amount of one for a file of volts: "kN", or "100 N".
+        kind: What it must be.
+
+    Raises:
+        ValueError: If the unit is unknown or of another kind.
+    """
+    return quantity(text, kind) if text.lstrip()[:1].isdigit() else scale(text, kind)
 
 
 def is_unit(text: str, *kinds: QuantityKind) -> bool:

@@ -11,6 +11,12 @@ _SAME_RATE = 0.01
 _SHORTEST_PART = 100
 # Stamps of one clock are this share of a usual step apart at least.
 _APART = 0.6
+# Time between parts that each begin at zero [s]: longer than a pause within a cut.
+_PAUSE = 1.0
+# Share of the rows that may be in doubtful order.
+_OPEN = 0.01
+# A clock that steps back by more has passed midnight [s].
+_HALF_DAY, _DAY = 43200.0, 86400.0
 
 
 class Timeline(NamedTuple):
@@ -56,7 +62,7 @@ def timeline(
         return None
     if time is None or np.ptp(time[rows]) == 0:
         return _counted(time, rows, rate, faults, notes)
-    instants, rows = _ordered(time[rows], rows, notes)
+    instants, rows = _ordered(_past_midnight(time[rows]), rows, faults, notes)
     step, resolution = _step(instants)
     if not step > 0:
         faults.append("the time does not increase; name another column or none.")
@@ -97,7 +103,8 @@ def _counted(
     found = "no time column" if time is None else "one instant in the whole time column"
     if rate is None:
         faults.append(
-            f"found {found} and no sampling rate in the header; give the rate."
+            f"found {found} and no sampling rate in the header; give the rate, or name "
+            "the column of the time with `channels`."
         )
         return None
     notes.append(f"There is {found}: the time was counted from the rate {rate:g} Hz.")
@@ -105,19 +112,42 @@ def _counted(
     return Timeline(rows / rate, rows, is_after_gap, rate)
 
 
+def _past_midnight(time: Float[np.ndarray, " row"]) -> Float[np.ndarray, " row"]:
+    """Return a time of day that goes on after midnight."""
+    steps = np.diff(time)
+    is_next = (steps < -_HALF_DAY) & (steps > -_DAY)
+    # Two such steps are a table in wrong order.
+    if np.count_nonzero(is_next) != 1:
+        return time
+    return time + _DAY * np.concatenate([[0.0], np.cumsum(is_next)])
+
+
 def _ordered(
-    time: Float[np.ndarray, " row"], rows: Int[np.ndarray, " row"], notes: list[str]
+    time: Float[np.ndarray, " row"],
+    rows: Int[np.ndarray, " row"],
+    faults: list[str],
+    notes: list[str],
 ) -> tuple[Float[np.ndarray, " kept"], Int[np.ndarray, " kept"]]:
     """Return rows in the order of time, parts that begin again one after another."""
     steps = np.diff(time)
-    if np.count_nonzero(steps < 0) > np.count_nonzero(steps > 0):
+    # Rows without any order step back as often as forward.
+    if np.count_nonzero(steps < 0) > 9 * np.count_nonzero(steps > 0):
         time, rows, steps = time[::-1], rows[::-1], -steps[::-1]
         notes.append("The time column runs backward; the rows were reversed.")
     back = np.flatnonzero(steps < 0) + 1
     if back.size:
         joined = _joined(time, back)
         if joined is None:
-            order = np.argsort(time, kind="stable")
+            order = _in_order(time, back)
+            alike = np.diff(time[order]) == 0
+            # Of rows with the same stamp nobody knows which comes first, unless they
+            # stand together; blocks in wrong order part few of them.
+            is_open = alike & (np.abs(np.diff(order)) != 1)
+            if np.count_nonzero(is_open) > _OPEN * time.size:
+                faults.append(
+                    "the rows are in wrong order, and the time has too few digits to "
+                    "tell which of several rows with the same stamp comes first."
+                )
             time, rows = time[order], rows[order]
             notes.append(
                 f"The time steps back at {back.size} rows; the rows were sorted."
@@ -126,7 +156,7 @@ def _ordered(
             time = joined
             notes.append(
                 f"The time begins again {back.size} times; the parts were set one "
-                "after another, with a gap between them."
+                f"after another, {_PAUSE:g} s between them."
             )
     steps = np.diff(time)
     # A row that was written twice is followed by a usual step, coarse stamps by a long
@@ -139,6 +169,19 @@ def _ordered(
         time, rows = time[~is_repeat], rows[~is_repeat]
         notes.append(f"{count} rows repeat the instant before and were left out.")
     return time, rows
+
+
+def _in_order(
+    time: Float[np.ndarray, " row"], back: Int[np.ndarray, " part"]
+) -> Int[np.ndarray, " row"]:
+    """Return the order of the rows by their stamps, equal ones as the parts tell.
+
+    Of a stamp that two parts share, the rows of the part that begins with it come last.
+    """
+    starts = np.concatenate([[0], back])
+    lengths = np.diff(np.concatenate([starts, [time.size]]))
+    begins = time == np.repeat(time[starts], lengths)
+    return np.lexsort((begins, time))
 
 
 def _joined(
@@ -155,9 +198,7 @@ def _joined(
         return None
     out = np.array(time)
     for start, stop in zip(starts[1:], stops[1:], strict=True):
-        # Ten times a sample before: more than the step that counts as a gap.
-        pause = 10.0 * (time[stop - 1] - time[start]) / (stop - start - 1)
-        out[start:stop] += out[start - 1] + pause - time[start]
+        out[start:stop] += out[start - 1] + _PAUSE - time[start]
     return out
 
 
