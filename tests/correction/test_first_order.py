@@ -1,11 +1,12 @@
 """Adam on the soft arm: slower than Gauss-Newton, but it gets there."""
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from correction.spring_mass import rounded_square, soft_arm
 
-from diffmill.correction import Adam, GivenCommand, Problem
+from diffmill.correction import Adam, GivenCommand, Motion, Problem
 
 TIME_STEP = 3.75e-3
 
@@ -30,3 +31,23 @@ def test_adam_makes_the_error_small_within_the_bound(problem):
     # From a good start it does not leave the best behind.
     again = Adam(steps=5)(problem, start=np.asarray(found.command))
     assert again.measures.rms <= found.measures.rms * 1.02
+
+
+def test_adam_goes_on_as_if_it_had_not_been_interrupted():
+    """On a plant that follows its command, but for what pushes it."""
+    path = np.linspace(0, 1e-2, 60)[:, None] * np.array([[1.0, 0.0, 0.0]])
+    push = np.sin(np.linspace(0, 3, 60))[:, None] * np.array([[0.0, 1e-4, 2e-5]])
+
+    def plant(command):
+        return Motion(command + jnp.asarray(push), jnp.zeros_like(command))
+
+    problem = Problem(plant, path, path, np.ones(60), TIME_STEP)
+    method, kept = Adam(steps=8), []
+    found = method(problem, on_memory=kept.append)
+    assert len(kept) == 8
+    assert found.measures.rms < 0.9 * GivenCommand()(problem).measures.rms
+    for arrays in (kept[0], kept[4], kept[-1]):
+        assert all(isinstance(value, np.ndarray) for value in arrays.values())
+        again = method(problem, resume=arrays)
+        np.testing.assert_array_equal(again.command, found.command)
+        assert again.forward_runs == found.forward_runs

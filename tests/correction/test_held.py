@@ -23,6 +23,7 @@ from diffmill.correction import (
     least_squares,
     surface_bounds,
 )
+from diffmill.correction._memory import pack_worst_case, unpack_worst_case
 from diffmill.workpiece import box
 
 TIME_STEP = 5e-3
@@ -173,17 +174,26 @@ def test_the_worst_member_gets_the_middle_of_all():
         lambda c: plant(jnp.zeros(1), c), path, path, np.ones(ROWS), TIME_STEP
     )
 
-    def middle(**options):
+    def middle(memory=None, **options):
         method = GaussNewton(
             40e-3, smoothness=0.0, ensemble=Ensemble(plant, amounts), **options
         )
-        found = method(problem)
+        found = method(problem, **(memory or {}))
         offset = np.asarray(found.command)[ROWS // 2, 1]
         return -offset / 1e-4, found
 
     mean, once = middle()
-    worst, rounds = middle(is_worst_case=True)
+    kept = []
+    worst, rounds = middle({"on_memory": kept.append}, is_worst_case=True)
     assert mean == pytest.approx(np.mean(amounts), rel=0.02)
     assert worst == pytest.approx(0.5, rel=0.05)
     assert rounds.products > once.products
     assert [s.step for s in rounds.history] == list(range(1, len(rounds.history) + 1))
+    # An interruption in any round changes nothing, to the bit.
+    assert [m.round for m in kept[:1] + kept[-1:]] == [0, 5]
+    for memory in (kept[0], kept[len(kept) // 2], kept[-1]):
+        memory = unpack_worst_case(pack_worst_case(memory))
+        _, again = middle({"resume": memory}, is_worst_case=True)
+        np.testing.assert_array_equal(again.command, rounds.command)
+        assert [s.cost for s in again.history] == [s.cost for s in rounds.history]
+        assert (again.products, again.result) == (rounds.products, rounds.result)

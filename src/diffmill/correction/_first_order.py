@@ -15,6 +15,14 @@ from .._result import RESULTS
 from .._types import RealScalarLike
 from ._bspline import SplineOffsets
 from ._gauss_newton import ContourResidual, contour_residual
+from ._memory import (
+    Arrays,
+    OnCheckpoint,
+    below,
+    pack_tree,
+    under,
+    unpack_tree,
+)
 from ._method import AbstractMethod, Corrected, OnProgress, corrected
 from ._objective import AbstractObjective, PathObjective
 from ._problem import FloatRows, Problem
@@ -52,10 +60,14 @@ class Adam(AbstractMethod):
         *,
         start: FloatRows | None = None,
         on_progress: OnProgress | None = None,
+        on_memory: OnCheckpoint | None = None,
+        resume: Arrays | None = None,
     ) -> Corrected:
-        """Return the best command of all steps, from `start`."""
-        import optax
+        """Return the best command of all steps, from `start`.
 
+        `on_memory` is called after every step with all that is needed to go on from
+        there, `resume` is what it was called with.
+        """
         rows, axes = problem.nominal.shape
         spline = SplineOffsets(rows, problem.time_step, self.knot_spacing)
         nominal = jnp.asarray(problem.nominal)
@@ -70,13 +82,42 @@ class Adam(AbstractMethod):
             jnp.asarray(self.lag_weight, nominal.dtype),
             self.objective,
         )
+        x = jnp.asarray(first / bound, nominal.dtype)
+        best, spent, is_finite = self._search(
+            x, args, on_progress=on_progress, on_memory=on_memory, resume=resume
+        )
+        return corrected(
+            problem,
+            nominal + spline.offsets(best * bound),
+            forward_runs=spent,
+            products=spent,
+            detail={"knot_spacing": spline.actual_spacing, "unknowns": float(x.size)},
+            result=RESULTS.successful if is_finite else RESULTS.non_finite,
+        )
+
+    def _search(
+        self,
+        x: Coefficients,
+        args: ContourResidual,
+        *,
+        on_progress: OnProgress | None,
+        on_memory: OnCheckpoint | None,
+        resume: Arrays | None,
+    ) -> tuple[Coefficients, int, bool]:
+        """Return the best point, the gradients it took, and whether it is finite."""
+        import optax
+
         rate = optax.cosine_decay_schedule(self.step_size, self.steps)
         optimiser = optax.adam(rate)
-        x = jnp.asarray(first / bound, nominal.dtype)
+        bound = jnp.asarray(float(args.problem.max_offset), x.dtype)
         best, lowest, spent = x, np.inf, 0
         state = optimiser.init(x)
-        for k in range(self.steps):
-            cost, gradient = _slope(x, args, jnp.asarray(bound, nominal.dtype))
+        if resume is not None:
+            x, best = jnp.asarray(resume["x"]), jnp.asarray(resume["best"])
+            lowest, spent = float(resume["lowest"]), int(resume["spent"])
+            state = unpack_tree(below("state", resume), state)
+        while spent < self.steps:
+            cost, gradient = _slope(x, args, bound)
             spent += 1
             if not np.isfinite(float(cost)):
                 break
@@ -86,19 +127,15 @@ class Adam(AbstractMethod):
             with jax.numpy_dtype_promotion("standard"):
                 update, state = optimiser.update(gradient, state)
             x = jnp.clip(optax.apply_updates(x, update), -1, 1)  # pyright: ignore[reportArgumentType]
+            if on_memory is not None:
+                kept = {"x": x, "best": best, "lowest": lowest, "spent": spent}
+                arrays = {name: np.asarray(value) for name, value in kept.items()}
+                on_memory({**arrays, **under("state", pack_tree(state))})
             # In the unit of the residuals, 0.1 mm; the roughness makes it a bound.
             error = 1e-4 * float(np.sqrt(2 * lowest))
-            if on_progress is not None and on_progress(f"Adam step {k + 1}", error):
+            if on_progress is not None and on_progress(f"Adam step {spent}", error):
                 break
-        is_finite = np.isfinite(lowest)
-        return corrected(
-            problem,
-            nominal + spline.offsets(best * bound),
-            forward_runs=spent,
-            products=spent,
-            detail={"knot_spacing": spline.actual_spacing, "unknowns": float(x.size)},
-            result=RESULTS.successful if is_finite else RESULTS.non_finite,
-        )
+        return best, spent, bool(np.isfinite(lowest))
 
 
 @eqx.filter_jit

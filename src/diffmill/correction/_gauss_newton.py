@@ -2,6 +2,7 @@
 
 import functools
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -29,7 +30,7 @@ from ._projection import project
 from ._response import TipResponse, spline_preconditioner
 from ._spline_window import SplineWindow
 from ._surface_bounds import SurfaceBounds, refusal
-from ._worst_case import worst_case
+from ._worst_case import WorstCaseMemory, worst_case
 
 # Contour error that counts as one in the residual [m]; sets no result, only the size
 # of the numbers and what `smoothness` is relative to.
@@ -144,12 +145,12 @@ class GaussNewton(AbstractMethod):
         *,
         start: FloatRows | None = None,
         on_progress: OnProgress | None = None,
-        on_memory: Callable[[LeastSquaresMemory], object] | None = None,
-        resume: LeastSquaresMemory | None = None,
+        on_memory: Callable[[Any], object] | None = None,
+        resume: LeastSquaresMemory | WorstCaseMemory | None = None,
     ) -> Corrected:
         """Return the best command within knots and bounds, from `start`.
 
-        `on_memory` and `resume` are those of `least_squares`.
+        `on_memory` and `resume` are those of `least_squares`, or of `worst_case`.
 
         Raises:
             InfeasibleLimit: The nominal command breaks a limit, or no correction keeps
@@ -175,8 +176,14 @@ class GaussNewton(AbstractMethod):
         solve = functools.partial(self._solve, limits, on_progress)
         begin = jnp.asarray(first, nominal.dtype)
         if self.is_worst_case:
-            solution = worst_case(solve, _member_errors, begin, args)
+            assert not isinstance(resume, LeastSquaresMemory)
+            solution = worst_case(
+                *(solve, _member_errors, begin, args),
+                on_memory=on_memory,
+                resume=resume,
+            )
         else:
+            assert not isinstance(resume, WorstCaseMemory)
             solution = solve(begin, args, on_memory=on_memory, resume=resume)
         is_held = self._held().is_within(solution.held)
         if not is_held and np.all(np.isfinite(solution.held)):

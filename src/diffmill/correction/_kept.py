@@ -17,8 +17,10 @@ from ._memory import (
     OnCheckpoint,
     below,
     pack_least_squares,
+    pack_worst_case,
     under,
     unpack_least_squares,
+    unpack_worst_case,
 )
 
 # Paths of at most so many rows are corrected as a whole, unless the job says otherwise.
@@ -77,7 +79,7 @@ def keeping(
 
     Args:
         job: The job, in its precision.
-        method: The optimiser; Adam begins anew after an interruption.
+        method: The optimiser.
         adjoint: How to differentiate through the removal.
         saved: What every checkpoint holds besides.
         on_checkpoint: Called after every step, or after every segment.
@@ -92,14 +94,21 @@ def keeping(
             on_checkpoint({**saved, **under(prefix, arrays)})
 
     if isinstance(method, Adam):
-        return method
-    found = horizon_of(job)
-    if found is None:
-        memory = below("gauss_newton", resume)
         return functools.partial(
             method,
-            on_memory=lambda m: keep("gauss_newton", pack_least_squares(m)),
-            resume=unpack_least_squares(memory) if memory else None,
+            on_memory=lambda arrays: keep("adam", arrays),
+            resume=below("adam", resume) or None,
+        )
+    found = horizon_of(job)
+    if found is None:
+        name, pack, unpack = "gauss_newton", pack_least_squares, unpack_least_squares
+        if method.is_worst_case:
+            name, pack, unpack = "worst_case", pack_worst_case, unpack_worst_case
+        memory = below(name, resume)
+        return functools.partial(
+            method,
+            on_memory=lambda m: keep(name, pack(m)),
+            resume=unpack(memory) if memory else None,
         )
     return RecedingHorizon(
         JobPieces(job, adjoint, job.correction.command == "joint"),

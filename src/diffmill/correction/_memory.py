@@ -14,15 +14,22 @@ import numpy as np
 from jaxtyping import Shaped
 
 from .._result import RESULTS
-from ._least_squares_records import LeastSquaresMemory, LeastSquaresStep
+from ._least_squares_records import (
+    LeastSquaresMemory,
+    LeastSquaresSolution,
+    LeastSquaresStep,
+)
 from ._method import Corrected, corrected
 from ._problem import Motion, Problem
+from ._worst_case import WorstCaseMemory
 
 Arrays: TypeAlias = Mapping[str, Shaped[np.ndarray, "..."]]
 # Called with all that is needed to go on from here.
 OnCheckpoint: TypeAlias = Callable[[Arrays], None]
 _FIELDS = tuple(field.name for field in dataclasses.fields(LeastSquaresStep))
 _WHOLE = ("step", "bound_count", "products", "forward_runs")
+# What a least-squares solution may have for a result.
+_OUTCOMES = (RESULTS.successful, RESULTS.not_converged, RESULTS.non_finite)
 
 
 def under(prefix: str, arrays: Arrays) -> dict[str, np.ndarray]:
@@ -74,6 +81,50 @@ def unpack_least_squares(arrays: Arrays) -> LeastSquaresMemory:
         products=int(arrays["products"]),
         forward_runs=int(arrays["forward_runs"]),
         history=unpack_history(arrays["history"]),
+    )
+
+
+def pack_worst_case(memory: WorstCaseMemory) -> dict[str, np.ndarray]:
+    """Return the memory of the rounds of a worst case as arrays."""
+    packed = {
+        "round": np.asarray(memory.round),
+        "weights": memory.weights,
+        "start": memory.start,
+        "lowest": np.asarray(memory.lowest),
+        "history": pack_history(memory.history),
+        **under("inner", pack_least_squares(memory.inner)),
+    }
+    if (best := memory.best) is not None:
+        is_it = [bool(best.result == outcome) for outcome in _OUTCOMES]
+        solution = {
+            "x": np.asarray(best.x),
+            "cost": np.asarray(best.cost),
+            "held": best.held,
+            "outcome": np.asarray(is_it.index(True)),
+        }
+        packed.update(under("best", solution))
+    return packed
+
+
+def unpack_worst_case(arrays: Arrays) -> WorstCaseMemory:
+    """Return the memory of the rounds of a worst case from its arrays."""
+    best = None
+    if found := below("best", arrays):
+        best = LeastSquaresSolution(
+            x=jnp.asarray(found["x"]),
+            cost=float(found["cost"]),
+            history=(),
+            result=_OUTCOMES[int(found["outcome"])],
+            held=np.asarray(found["held"]),
+        )
+    return WorstCaseMemory(
+        round=int(arrays["round"]),
+        weights=np.asarray(arrays["weights"]),
+        start=np.asarray(arrays["start"]),
+        best=best,
+        lowest=float(arrays["lowest"]),
+        history=unpack_history(arrays["history"]),
+        inner=unpack_least_squares(below("inner", arrays)),
     )
 
 

@@ -7,19 +7,48 @@ Usow, The Lawson algorithm and extensions, Mathematics of Computation 22, 1968.
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._least_squares_records import LeastSquaresSolution, following
+from ._least_squares_records import (
+    LeastSquaresMemory,
+    LeastSquaresSolution,
+    LeastSquaresStep,
+    following,
+)
 
 # Rounds after that with equal weights.
 _ROUNDS = 5
 
 Member = Float[np.ndarray, " member"]
+
+
+class WorstCaseMemory(eqx.Module):
+    """What the rounds need to go on after a step of one of them.
+
+    Attributes:
+        round: Rounds that have ended.
+        weights: Weights of the members in the present one.
+        start: Where it started, of the shape of the unknowns.
+        best: Best of the rounds that have ended, without its steps; None in the first.
+        lowest: Its largest error, infinite in the first.
+        history: Steps of the rounds that have ended.
+        inner: What the present round needs.
+    """
+
+    round: int
+    weights: Member
+    start: Float[np.ndarray, "*unknown"]
+    best: LeastSquaresSolution | None
+    lowest: float
+    history: tuple[LeastSquaresStep, ...]
+    inner: LeastSquaresMemory
 
 
 def reweighted(weights: Member, errors: Member) -> Member:
@@ -40,22 +69,27 @@ def reweighted(weights: Member, errors: Member) -> Member:
 
 
 def worst_case(
-    solve: Callable[[Float[Array, "*unknown"], Any], LeastSquaresSolution],
+    solve: Callable[..., LeastSquaresSolution],
     member_errors: Callable[[Float[Array, "*unknown"], Any], Member],
     start: Float[Array, "*unknown"],
     args: Any,
     *,
     rounds: int = _ROUNDS,
+    on_memory: Callable[[WorstCaseMemory], object] | None = None,
+    resume: WorstCaseMemory | None = None,
 ) -> LeastSquaresSolution:
     """Return the unknowns whose worst member has the smallest error.
 
     Args:
         solve: Minimises the weighted mean square from a start; its second argument has
-            an `.ensemble` with weights.
+            an `.ensemble` with weights, `on_memory` and `resume` are those of
+            `least_squares`.
         member_errors: Root mean square error of each member.
         start: First point.
         args: What `solve` takes.
         rounds: Rounds after the one with equal weights.
+        on_memory: Called after every step with all that is needed to go on.
+        resume: What it was called with, to go on from there as if nothing had been.
 
     Returns:
         The best of all rounds, so no worse than that of the mean; with the steps and
@@ -64,20 +98,40 @@ def worst_case(
     **Differentiability**: runs on the host, not traceable.
     """
     count = len(args.ensemble.draws)
-    weights = np.full(count, 1 / count)
     weigh = lambda weights: eqx.tree_at(
         lambda a: a.ensemble.weights, args, weights, is_leaf=lambda x: x is None
     )
-    last = best = solve(start, weigh(weights))
-    lowest, history = np.inf, last.history
-    for left in reversed(range(rounds + 1)):
-        errors = member_errors(last.x, args)
-        if not np.all(np.isfinite(errors)):
-            break
-        if errors.max() < lowest:
-            best, lowest = last, float(errors.max())
-        if left:
-            weights = reweighted(weights, errors)
-            last = solve(last.x, weigh(weights))
-            history = following(history, last.history)
-    return dataclasses.replace(best, history=history)
+    done, weights, inner = 0, np.full(count, 1 / count), None
+    best, lowest, history = None, np.inf, ()
+    if resume is not None:
+        done, weights, inner = resume.round, resume.weights, resume.inner
+        best, lowest, history = resume.best, resume.lowest, resume.history
+        start = jnp.asarray(resume.start)
+    while True:
+        so_far = functools.partial(
+            WorstCaseMemory, done, weights, np.asarray(start), best, lowest, history
+        )
+        found = solve(
+            start,
+            weigh(weights),
+            on_memory=_remembering(on_memory, so_far),
+            resume=inner,
+        )
+        inner, history = None, following(history, found.history)
+        errors = member_errors(found.x, args)
+        is_finite = bool(np.all(np.isfinite(errors)))
+        if best is None or (is_finite and errors.max() < lowest):
+            best, lowest = found, float(errors.max())
+        if not is_finite or done == rounds:
+            return dataclasses.replace(best, history=history)
+        done, start, weights = done + 1, found.x, reweighted(weights, errors)
+
+
+def _remembering(
+    on_memory: Callable[[WorstCaseMemory], object] | None,
+    so_far: Callable[[LeastSquaresMemory], WorstCaseMemory],
+) -> Callable[[LeastSquaresMemory], object] | None:
+    """Return what tells a step of a round together with the rounds before it."""
+    if on_memory is None:
+        return None
+    return lambda inner: on_memory(so_far(inner))
