@@ -56,7 +56,7 @@ def names(folder):
 def test_help_and_usage(capsys):
     assert main(["--help"]) == 0
     text = capsys.readouterr().out
-    for command in ("simulate", "correct", "robot", "example", "check"):
+    for command in ("simulate", "correct", "feed", "robot", "example", "check"):
         assert command in text
     assert main(["simulate", "--help"]) == 0
     text = capsys.readouterr().out

@@ -69,6 +69,41 @@ def correct(
     )
 
 
+def feed(
+    job: _JobFile,
+    *,
+    overrides: Annotated[
+        tuple[float, ...],
+        tyro.conf.arg(help="Factors of the feed of the whole program to simulate."),
+    ] = (0.5, 0.75, 1.0, 1.25, 1.5),
+    weights: Annotated[
+        tuple[float, ...],
+        tyro.conf.arg(
+            help="Weights of the time against the error: for each the feed along the "
+            "path is tuned and written as a path and a program. May be empty."
+        ),
+    ] = (0.3, 0.1, 0.03),
+    correct: Annotated[
+        bool, tyro.conf.arg(help="Also correct the program at every override.")
+    ] = False,
+    out: _Out = None,
+    force: _Force = False,
+    quiet: _Quiet = False,
+    allow_outside: _Outside = False,
+) -> int:
+    """Say what a slower or faster feed costs in error; tune the feed along the path."""
+    from ._feed import FeedRequest, run_feed
+
+    return run_feed(
+        job,
+        FeedRequest(overrides, weights, correct),
+        out,
+        force=force,
+        is_quiet=quiet,
+        allow_outside=allow_outside,
+    )
+
+
 def identify(
     file: Annotated[
         tyro.conf.Positional[pathlib.Path],
@@ -189,6 +224,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     commands: dict[str, Callable[..., Any]] = {
         "simulate": simulate,
         "correct": correct,
+        "feed": feed,
         "identify": identify,
         "robot": robot,
         "example": example,

@@ -51,7 +51,13 @@ class FeedTradeoff(eqx.Module):
                 name: ("override", getattr(self, name), _attributes(*text))
                 for name, text in about.items()
             },
-            coords={"override": self.override},
+            coords={
+                "override": (
+                    "override",
+                    self.override,
+                    _attributes("1", "factor of the feed of the whole program"),
+                )
+            },
         )
 
 
@@ -99,7 +105,11 @@ class TunedFeed(eqx.Module):
                 ),
             },
             coords={
-                "weight": column("weight"),
+                "weight": (
+                    "weight",
+                    column("weight"),
+                    _attributes("1", "weight of the time; none of the program itself"),
+                ),
                 "travel": ("knot", self.travel, _attributes("m", "length of the path")),
             },
         )

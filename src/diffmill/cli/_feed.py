@@ -1,0 +1,208 @@
+"""The feed of a job: error against time as a table and a figure, and tuned paths."""
+
+import pathlib
+import sys
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import equinox as eqx
+import numpy as np
+
+from ._errors import BadInput, bad_input
+from ._jax import configure_jax
+from ._progress import Progress
+from ._run import with_job
+
+if TYPE_CHECKING:
+    from .._job import Job
+    from ..correction import FeedTradeoff, TunedFeed
+    from ..toolpath import Path
+
+# xarray is imported when there is something to write.
+Dataset: TypeAlias = Any
+
+
+class FeedRequest(eqx.Module):
+    """What is to be tried.
+
+    Attributes:
+        overrides: Factors of the feed of the whole program.
+        weights: Weights of the time, for overrides along the path; may be empty.
+        corrects: Whether the program is corrected at each of the factors too.
+    """
+
+    overrides: tuple[float, ...]
+    weights: tuple[float, ...]
+    corrects: bool
+
+
+def run_feed(
+    file: pathlib.Path,
+    request: FeedRequest,
+    out: pathlib.Path | None,
+    *,
+    force: bool,
+    is_quiet: bool,
+    allow_outside: bool,
+) -> int:
+    """Simulate a job at several feeds, tune the feed along its path; write a folder.
+
+    Args:
+        file: The job file.
+        request: What is to be tried.
+        out: Folder for the results, or None for `./<job>-feed`.
+        force: Whether results that are there are replaced.
+        is_quiet: Whether only errors are printed.
+        allow_outside: Whether the job may name files outside its folder.
+
+    Returns:
+        The exit code.
+    """
+    from .._result import SimulationFailed
+    from ..io import check_folder, load_job
+
+    folder = pathlib.Path(f"{file.stem}-feed") if out is None else out
+    with bad_input():
+        check_folder(folder, force=force)
+        configure_jax(file)
+        job = load_job(file, allow_outside=allow_outside)
+        _check(job, file, request)
+    progress = Progress(is_quiet=is_quiet)
+    for note in job.notes:
+        progress.say(f"note: {note}")
+    try:
+        with progress:
+            tradeoff, tuned = _compute(job, request, progress)
+    except SimulationFailed as failure:
+        print(f"error: the run failed: {failure}", file=sys.stderr)
+        print("nothing could be kept", file=sys.stderr)
+        return 1
+    _write(folder, job, tradeoff, tuned, force=force)
+    progress.say("\n".join(_summary(job, tradeoff, tuned)))
+    progress.say(f"results: {folder}")
+    return 0
+
+
+def _check(job: "Job", file: pathlib.Path, request: FeedRequest) -> None:
+    """Refuse what cannot be tried, before anything runs."""
+    from ..io import JobError
+    from ..toolpath import path_feed
+
+    if job.robot is None:
+        raise JobError(
+            file, ["[robot] rigid: found true, but feed needs a robot: model or file"]
+        )
+    for name, values in (
+        ("--overrides", request.overrides),
+        ("--weights", request.weights),
+    ):
+        if not all(0 < value < np.inf for value in values):
+            found = " ".join(f"{value:g}" for value in values)
+            raise BadInput(f"{name}: found {found}, but numbers above 0 are required")
+    if not request.overrides:
+        raise BadInput("--overrides: found none, but at least one is required")
+    names = [f"{weight:g}" for weight in request.weights]
+    if len(set(names)) < len(names):
+        raise BadInput(f"--weights: found {' '.join(names)}, but each may occur once")
+    path_feed(job.path)
+
+
+def _compute(
+    job: "Job", request: FeedRequest, progress: Progress
+) -> "tuple[FeedTradeoff, TunedFeed | None]":
+    """Run the job at all feeds."""
+    from ..correction import (
+        InfeasibleLimit,
+        NothingToCorrect,
+        feed_tradeoff,
+        tune_feed,
+    )
+
+    try:
+        tradeoff = feed_tradeoff(
+            job,
+            request.overrides,
+            corrects=request.corrects,
+            on_progress=progress.update,
+        )
+        if not request.weights:
+            return tradeoff, None
+        return tradeoff, tune_feed(
+            job, time_weights=request.weights, on_progress=progress.update
+        )
+    except InfeasibleLimit as error:
+        raise BadInput(f"{job.name}: [correction] {error}") from error
+    except NothingToCorrect as error:
+        raise BadInput(
+            f"{job.name}: found nothing that the feed could change: {error} Check the "
+            "stock's place, the program's zero and [correction] weight."
+        ) from error
+
+
+def _write(
+    folder: pathlib.Path,
+    job: "Job",
+    tradeoff: "FeedTradeoff",
+    tuned: "TunedFeed | None",
+    *,
+    force: bool,
+) -> None:
+    """Write the numbers, the figure and the tuned paths."""
+    from ..io import write_results
+    from ..viz import plot_feed, save_figure
+
+    even = tradeoff.to_dataset()
+    along = None if tuned is None else tuned.to_dataset()
+    dataset: Dataset = even
+    files: dict[str, str] = {}
+    if tuned is not None and along is not None:
+        names = {name: f"tuned_{name}" for name in along.data_vars}
+        dataset = even.merge(along.rename(names))
+        for point, path in zip(tuned.points[1:], tuned.paths[1:], strict=True):
+            files.update(_path_files(job, point.weight, path))
+    draw = lambda target: save_figure(plot_feed(even, along), target / "feed.png")
+    write_results(folder, with_job(dataset, job), files=files, fill=draw, force=force)
+
+
+def _path_files(job: "Job", weight: float, path: "Path") -> dict[str, str]:
+    """Return a tuned path and, where the tool stands upright, its program, by name."""
+    from ..io import write_gcode, write_path_csv
+
+    name = f"tuned_{weight:g}"
+    files = {f"{name}.csv": write_path_csv(path)}
+    if np.allclose(path.axes, [0.0, 0.0, 1.0], rtol=0, atol=1e-9):
+        header = [f"{job.name}, feed tuned by diffmill", f"weight of time: {weight:g}"]
+        files[f"{name}.ngc"] = write_gcode(
+            path, header=header, spindle_speed=float(job.spindle_speed)
+        )
+    return files
+
+
+def _summary(
+    job: "Job", tradeoff: "FeedTradeoff", tuned: "TunedFeed | None"
+) -> list[str]:
+    """Return the errors and times as a table."""
+    lines = [
+        f"{job.name}: contour error, rms over the length that is cut [um]",
+        f"{'override':>10}{'time [s]':>10}{'f_z [mm]':>10}{'program':>10}"
+        f"{'corrected':>11}",
+    ]
+    for k in np.argsort(tradeoff.override):
+        error = 1e6 * tradeoff.corrected[k]
+        after = f"{error:11.2f}" if np.isfinite(error) else f"{'-':>11}"
+        lines.append(
+            f"{tradeoff.override[k]:10g}{tradeoff.cycle_time[k]:10.2f}"
+            f"{1e3 * tradeoff.feed_per_tooth[k]:10.4f}"
+            f"{1e6 * tradeoff.uncorrected[k]:10.2f}{after}"
+        )
+    if tuned is None:
+        return lines
+    lines.append("overrides along the path, the program not corrected")
+    lines.append(f"{'weight':>10}{'time [s]':>10}{'program':>10}  override")
+    for point in tuned.points[1:]:
+        low, high = point.override.min(), point.override.max()
+        end = "" if point.is_settled else " (steps ran out)"
+        lines.append(
+            f"{point.weight:10g}{point.cycle_time:10.2f}{1e6 * point.rms:10.2f}"
+            f"  {low:.2f} to {high:.2f}{end}"
+        )
+    return lines

@@ -1,0 +1,139 @@
+"""`diffmill feed`: what it prints, writes and refuses."""
+
+import numpy as np
+import pytest
+import xarray
+from slides_job import write_slides_job
+
+from diffmill import correction, io
+from diffmill.cli import main
+from diffmill.correction import FeedTradeoff, NothingToCorrect, TunedFeed
+from diffmill.correction._feed_curve import FeedPoint
+from diffmill.toolpath import cycle_time, path_feed, retime
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path.parent / "cache"))
+    write_slides_job(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """Return what the command asks for; the errors are made up, the times are not."""
+    calls = {}
+
+    def tradeoff(job, overrides, *, corrects, on_progress):
+        calls.update(overrides=overrides, corrects=corrects)
+        on_progress("override 1", 0.5)
+        factors, feed = np.array(overrides), path_feed(job.path)
+        times = np.array([cycle_time(feed, value) for value in overrides])
+        after = np.full(len(overrides), 1e-6 if corrects else np.nan)
+        return FeedTradeoff(
+            factors, times, 1e-4 * factors, 9e-6 * factors, after, after
+        )
+
+    def tuned(job, *, time_weights, on_progress):
+        calls.update(weights=time_weights)
+        points, paths = [], []
+        for k, weight in enumerate((np.nan, *time_weights)):
+            override = np.full(3, 1.0 - 0.1 * k)
+            paths.append(retime(job.path, override))
+            seconds = float(cycle_time(path_feed(job.path), override))
+            points.append(FeedPoint(weight, override, seconds, 8e-6, k, 3 * k, k < 2))
+        return TunedFeed(tuple(points), np.linspace(0, 0.02, 3), tuple(paths))
+
+    monkeypatch.setattr(correction, "feed_tradeoff", tradeoff)
+    monkeypatch.setattr(correction, "tune_feed", tuned)
+    return calls
+
+
+def test_feed_writes_numbers_a_figure_and_tuned_paths(folder, asked, capsys):
+    command = ["feed", "job.toml", "--overrides", "0.5", "1", "--weights", "0.3", "0.1"]
+    assert main(command) == 0
+    wanted = {"overrides": (0.5, 1.0), "corrects": False, "weights": (0.3, 0.1)}
+    assert asked == wanted
+    text = capsys.readouterr().err
+    for part in (
+        "program  corrected",
+        "0.90 to 0.90\n",
+        "0.80 to 0.80 (steps ran out)",
+        "results: job-feed",
+    ):
+        assert part in text
+    out = folder / "job-feed"
+    assert {p.name for p in out.iterdir()} >= {
+        *("result.nc", "feed.png", "tuned_0.3.csv", "tuned_0.3.ngc"),
+        *("tuned_0.1.csv", "tuned_0.1.ngc"),
+    }
+    with xarray.open_dataset(out / "result.nc", engine="h5netcdf") as found:
+        np.testing.assert_allclose(found["uncorrected"], [4.5e-6, 9e-6])
+        slow, usual = (float(value) for value in found["cycle_time"])
+        assert slow == pytest.approx(2 * usual, rel=0.1)
+        np.testing.assert_allclose(found["tuned_feed_override"][2], 0.8)
+        assert found["override"].attrs["units"] == "1"
+        assert found.attrs["job"] == "job"
+        seconds = float(found["tuned_cycle_time"][1])
+    # What is written takes the time that is told, up to a row.
+    path = io.read_path_csv(out / "tuned_0.3.csv")
+    assert float(path.time[-1]) == pytest.approx(seconds, abs=4e-3)
+    program = (out / "tuned_0.3.ngc").read_text()
+    assert "(weight of time: 0.3)" in program and "G93" in program
+    assert program.count("\nG1 ") == path.step_count - 1
+    assert main([*command, "--quiet"]) == 2
+    assert "--force" in capsys.readouterr().err
+
+
+def test_an_empty_list_of_weights_tunes_nothing(folder, asked, capsys):
+    assert main(["feed", "job.toml", "--weights", "--correct"]) == 0
+    assert asked == {"overrides": (0.5, 0.75, 1.0, 1.25, 1.5), "corrects": True}
+    assert "along the path" not in capsys.readouterr().err
+    names = [p.name for p in (folder / "job-feed").iterdir()]
+    assert "feed.png" in names
+    assert not [name for name in names if name.startswith("tuned")]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--overrides", "1", "0"], "--overrides: found 1 0, but numbers above 0"),
+        (["--overrides"], "--overrides: found none"),
+        (["--weights", "-0.1"], "--weights: found -0.1, but numbers above 0"),
+        (["--weights", "0.1", "0.1"], "each may occur once"),
+    ],
+)
+def test_what_cannot_be_tried_is_refused_before_anything_runs(
+    folder, asked, capsys, arguments, words
+):
+    assert main(["feed", "job.toml", *arguments]) == 2
+    assert words in capsys.readouterr().err
+    assert not asked and not (folder / "job-feed").exists()
+
+
+def test_a_rigid_machine_and_an_idle_program_are_refused(
+    folder, asked, capsys, monkeypatch
+):
+    text = (folder / "job.toml").read_text()
+    i, j = text.index("[robot]"), text.index("[simulation]")
+    (folder / "rigid.toml").write_text(text[:i] + "[robot]\nrigid = true\n" + text[j:])
+    assert main(["feed", "rigid.toml"]) == 2
+    assert "but feed needs a robot" in capsys.readouterr().err
+
+    def idle(job, **options):
+        raise NothingToCorrect("the rigid tool removes nothing.")
+
+    monkeypatch.setattr(correction, "tune_feed", idle)
+    assert main(["feed", "job.toml"]) == 2
+    assert "found nothing that the feed could change" in capsys.readouterr().err
+    assert not (folder / "job-feed").exists()
+
+
+@pytest.mark.slow
+def test_feed_of_a_job(folder, capsys):
+    command = ["feed", "job.toml", "--overrides", "0.5", "1", "--weights", "0.3"]
+    assert main(command) == 0, capsys.readouterr().err
+    with xarray.open_dataset(folder / "job-feed" / "result.nc") as found:
+        assert found["uncorrected"][0] < found["uncorrected"][1]
+        assert found["tuned_rms"][1] < found["tuned_rms"][0]
