@@ -4,6 +4,16 @@ import numpy as np
 
 import diffmill.robot as dr
 
+# Entries of an inertia, as files name them.
+UPPER = {
+    "xx": (0, 0),
+    "yy": (1, 1),
+    "zz": (2, 2),
+    "xy": (0, 1),
+    "xz": (0, 2),
+    "yz": (1, 2),
+}
+
 
 def serial_arm(joint_count: int) -> dr.Robot:
     """Return an arm whose axes alternate like an industrial robot's."""
@@ -50,9 +60,7 @@ def urdf_of(robot: dr.Robot) -> str:
     parts = ['<robot name="arm"><link name="base"/>']
     for i in range(robot.joint_count):
         I = np.asarray(robot.link_inertias[i])
-        upper = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2)}
-        upper |= {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
-        inertia = " ".join(f'i{key}="{float(I[at])!r}"' for key, at in upper.items())
+        inertia = " ".join(f'i{key}="{float(I[at])!r}"' for key, at in UPPER.items())
         R = np.asarray(robot.placement_rotations[i])
         parts.append(
             f'<link name="link_{i}"><inertial>'
@@ -67,3 +75,34 @@ def urdf_of(robot: dr.Robot) -> str:
             '<limit lower="-10" upper="10" effort="1e6" velocity="100"/></joint>'
         )
     return "".join([*parts, "</robot>"])
+
+
+def sdf_of(robot: dr.Robot) -> str:
+    """Return a serial robot of revolute joints as SDF, on a base held by the world."""
+    inertia = "".join(
+        f"<i{key}>{value}</i{key}>"
+        for key, value in zip(UPPER, (1, 1, 1, 0, 0, 0), strict=True)
+    )
+    parts = [
+        '<sdf version="1.10"><model name="arm"><link name="base"><inertial>'
+        f"<mass>1</mass><inertia>{inertia}</inertia></inertial></link>"
+        '<joint name="held" type="fixed"><parent>world</parent><child>base</child>'
+        "</joint>"
+    ]
+    for i in range(robot.joint_count):
+        I = np.asarray(robot.link_inertias[i])
+        inertia = "".join(f"<i{k}>{float(I[at])!r}</i{k}>" for k, at in UPPER.items())
+        R, center = np.asarray(robot.placement_rotations[i]), robot.link_centers[i]
+        parent = f"link_{i - 1}" if i else "base"
+        parts.append(
+            f'<link name="link_{i}"><pose relative_to="joint_{i}">0 0 0 0 0 0</pose>'
+            f"<inertial><pose>{_numbers(np.asarray(center))} 0 0 0</pose>"
+            f"<mass>{float(robot.link_masses[i])!r}</mass><inertia>{inertia}</inertia>"
+            f'</inertial></link><joint name="joint_{i}" type="revolute">'
+            f'<pose relative_to="{parent}">'
+            f"{_numbers(np.asarray(robot.placement_positions[i]))} "
+            f"{_rotation_to_rpy(R)}</pose><parent>{parent}</parent>"
+            f"<child>link_{i}</child><axis><xyz>0 0 1</xyz>"
+            "<limit><lower>-10</lower><upper>10</upper></limit></axis></joint>"
+        )
+    return "".join([*parts, "</model></sdf>"])

@@ -44,6 +44,12 @@ def jax_jobs(
         step = lambda q, _: (q + 1e-9 * function(q), None)
         return lambda q: jax.lax.scan(step, q, length=STEPS)[0]
 
+    def repeated(function: Callable[..., Any], repeats: int):
+        rows = jax.vmap(function)
+        return lambda q, v, tau: jax.lax.scan(
+            lambda q, _: (q + 1e-9 * rows(q, v, tau), None), q, length=repeats
+        )[0]
+
     if mass_matrix is not None:
         add("mass matrix", chain(lambda q: mass_matrix(q)[0]), STEPS, q)
     add("forward dynamics", chain(lambda q: forward(q, q, q)), STEPS, q)
@@ -73,7 +79,9 @@ def jax_jobs(
         add("with its gradient", jax.value_and_grad(rollout), STEPS, q)
     for batch in BATCHES:
         rows = jax.random.uniform(jax.random.key(batch), (3, batch, count))
-        add(f"batch of {batch}", jax.vmap(forward), batch, *rows)
+        # The call from Python costs as much as hundreds of evaluations.
+        repeats = max(4, 4096 // batch)
+        add(f"batch of {batch}", repeated(forward, repeats), batch * repeats, *rows)
     return jobs
 
 

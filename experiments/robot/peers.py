@@ -19,13 +19,14 @@ def _is_there(module: str) -> bool:
 
 
 def pinocchio_jobs(urdf: str, count: int) -> dict[str, Job] | None:
-    """Return the jobs of Pinocchio, each a loop in Python over calls of its C++."""
+    """Return the jobs of Pinocchio: calls of its C++, batches in its loop on a core."""
     if not _is_there("pinocchio"):
         return None
     import pinocchio as pin
 
     model = pin.buildModelFromXML(urdf)
     data = model.createData()
+    pool = pin.ModelPool(model, 1)
     q = np.linspace(-0.5, 0.5, count)
 
     def loop(call: Any, number: int) -> Job:
@@ -52,10 +53,10 @@ def pinocchio_jobs(urdf: str, count: int) -> dict[str, Job] | None:
     }
     for batch in BATCHES:
         rows = np.random.default_rng(batch).uniform(size=(3, batch, count))
+        columns = [np.asfortranarray(x.T) for x in rows]
 
-        def run(rows: np.ndarray = rows) -> None:
-            for q, v, tau in zip(*rows, strict=True):
-                pin.aba(model, data, q, v, tau)
+        def run(columns: list[np.ndarray] = columns) -> None:
+            pin.abaInParallel(1, pool, *columns)
 
         jobs[f"batch of {batch}"] = (run, batch, 0.0)
     return jobs
@@ -108,7 +109,37 @@ def mjx_jobs(urdf: str, count: int) -> dict[str, Job] | None:
     empty = mjx.make_data(model)
 
     def forward(q: Any, v: Any, tau: Any) -> Any:
+        # What `mjx.forward` does without contacts, sensors and constraints.
         data = empty.replace(qpos=q, qvel=v, qfrc_applied=tau)
-        return mjx.forward(model, data).qacc.astype(jnp.float64)
+        position = (mjx.kinematics, mjx.com_pos, mjx.crb, mjx.factor_m)
+        for stage in (*position, mjx.com_vel, mjx.rne, mjx.fwd_acceleration):
+            data = stage(model, data)
+        return data.qacc_smooth.astype(jnp.float64)
 
     return jax_jobs(None, forward, count, has_gradients=False)
+
+
+def jaxsim_jobs(sdf: str) -> dict[str, Job] | None:
+    """Return the jobs of JaxSim, which reads URDF only through another simulator."""
+    if not _is_there("jaxsim"):
+        return None
+    import jaxsim.api as js
+    import rod
+
+    description = rod.Sdf.load(sdf, is_urdf=False).model
+    model = js.model.JaxSimModel.build_from_model_description(description)
+
+    def state(q: Any, v: Any) -> Any:
+        return js.data.JaxSimModelData.build(
+            model, joint_positions=q, joint_velocities=v
+        )
+
+    def mass_matrix(q: Any) -> Any:
+        # The first six rows are the base's.
+        return js.model.free_floating_mass_matrix(model, state(q, 0 * q))[6:, 6:]
+
+    def forward(q: Any, v: Any, tau: Any) -> Any:
+        data = state(q, v)
+        return js.model.forward_dynamics_aba(model, data, joint_forces=tau)[1]
+
+    return jax_jobs(mass_matrix, forward, model.dofs())

@@ -2,7 +2,7 @@
 
 python experiments/robot/run.py [speed joints] [--out FOLDER]
 
-Other programs take part where they are installed: pin, mujoco with mujoco-mjx.
+Other programs take part where they are installed: pin, mujoco with mujoco-mjx, jaxsim.
 """
 
 import pathlib

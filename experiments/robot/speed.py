@@ -1,13 +1,15 @@
 """Speed of the dynamics beside other programs, of a six-joint arm in one run."""
 
+import os
+
 import jax
 import numpy as np
 
 import diffmill.robot as dr
-from arm import serial_arm, urdf_of
+from arm import sdf_of, serial_arm, urdf_of
 from clock import in_turn
 from ours import BATCHES, Job, our_jobs
-from peers import mjx_jobs, mujoco_jobs, pinocchio_jobs
+from peers import jaxsim_jobs, mjx_jobs, mujoco_jobs, pinocchio_jobs
 from reporting import Report, relative
 
 jax.config.update("jax_enable_x64", True)
@@ -33,6 +35,7 @@ def measure(report: Report) -> None:
         "pinocchio": pinocchio_jobs(urdf, 6),
         "mujoco": mujoco_jobs(urdf, 6),
         "mjx": mjx_jobs(urdf, 6),
+        "jaxsim": jaxsim_jobs(sdf_of(robot)),
     }
     for name, jobs in programs.items():
         if jobs is None:
@@ -47,7 +50,10 @@ def measure(report: Report) -> None:
     report.say(
         "microseconds per evaluation, float64; pinocchio and mujoco: a call from"
     )
-    report.say("Python; in JAX: inside a scan, and one call of `vmap` for a batch")
+    report.say(
+        "Python (pinocchio's batches: its own loop on all cores); in JAX: inside a"
+    )
+    report.say("scan, and one call of `vmap` for a batch")
     report.say(f"{'':18}" + "".join(f"{name:>15}" for name in there))
     for row in ROWS:
         cells = [found.get((name, row)) for name in there]
@@ -99,3 +105,12 @@ def _judge(
     for batch in (1024, 8192):
         rate = 1e-6 / ours(f"batch of {batch}")
         report.at_least(f"evaluations, batch of {batch}", rate, 1.0, "M/s")
+        if ("pinocchio", f"batch of {batch}") in found:
+            # As if its loop were as many times faster as there are cores.
+            peer = found["pinocchio", f"batch of {batch}"] / (os.cpu_count() or 1)
+            ratio = peer / ours(f"batch of {batch}")
+            report.at_least(f"pinocchio on all cores over ours, {batch}", ratio, 1.0)
+    for peer in ("mjx", "jaxsim"):
+        if (peer, "forward dynamics") in found:
+            ratio = found[peer, "forward dynamics"] / ours("forward dynamics")
+            report.at_least(f"{peer} over ours, forward dynamics", ratio, 1.0)
