@@ -6,11 +6,13 @@ import tomllib
 
 import numpy as np
 import pytest
+import scipy.io
+import xarray
+from slot_force import SPEED, K, slot_force
 
 from diffmill import cutter as ct, identification
 from diffmill.cli import main
 
-K = np.array([958.86e6, 250.863e6, 146.361e6, 15.758e3, 19.434e3, 18.207e3])
 MEANS = """kind = "mean_forces"
 [cutter]
 diameter = "10 mm"
@@ -161,6 +163,107 @@ def test_what_is_wrong_is_said_once_and_nothing_is_written(folder, capsys):
     assert "give the file of its measured forces after it" in capsys.readouterr().err
     assert main(["identify", "job.toml", "none.csv"]) == 2
     assert "found no file none.csv" in capsys.readouterr().err
+
+
+SLOTS = """kind = "force_records"
+[cutter]
+diameter = "10 mm"
+teeth = 2
+helix_angle = "30 deg"
+[spindle]
+speed = "6000 rpm"
+[cut]
+axial_depth = "2 mm"
+"""
+
+
+def write_records(folder):
+    """Write a slot in the formats of four laboratory programs, with a tacho in one."""
+    nptdms = pytest.importorskip("nptdms")
+    draw, text = np.random.default_rng(0), SLOTS
+    for i, suffix in enumerate(("tdms", "mat", "nc", "txt")):
+        time, feed = np.arange(0, 0.09, 1e-4), (0.08e-3, 0.16e-3)[i % 2]
+        force = slot_force(time + 3e-4 * i, feed)
+        force = force + 0.05 * np.sqrt(np.mean(force**2)) * draw.normal(
+            size=force.shape
+        )
+        # The dynamometer's own vibration, far above the teeth.
+        force += 60 * np.sin(2 * np.pi * 3100 * time)[:, None]
+        columns = dict(zip(("Fx", "Fy", "Fz"), force.T, strict=True))
+        file, more = folder / f"slot{i}.{suffix}", ""
+        if suffix == "tdms":
+            pulse = np.mod(SPEED * time - np.deg2rad(30), 2 * np.pi) < 0.5
+            names = {**columns, "Tacho": pulse.astype(float)}
+            facts = {"unit_string": "N", "wf_increment": 1e-4}
+            with nptdms.TdmsWriter(file) as writer:
+                writer.write_segment(
+                    [nptdms.ChannelObject("Cut", k, v, facts) for k, v in names.items()]
+                )
+            more = "pulses_per_turn = 1\n"
+        elif suffix == "mat":
+            scipy.io.savemat(file, {"time_ms": 1e3 * time, **columns})
+        elif suffix == "nc":
+            variables = {k: ("t", v / 1e3, {"units": "kN"}) for k, v in columns.items()}
+            clock = {"time": ("t", time, {"units": "s"})}
+            xarray.Dataset(variables, clock).to_netcdf(file)
+        else:
+            head = (
+                "DynoWare\nSampling rate [Hz]:\t10000\nTime\tFx\tFy\tFz\ns\tN\tN\tN\n"
+            )
+            rows = [
+                "\t".join(f"{v:.5f}" for v in (t, *f))
+                for t, f in zip(time, force, strict=True)
+            ]
+            file.write_text(head + "\n".join(rows).replace(".", ","))
+        text += (
+            f'[[record]]\nfile = "{file.name}"\nfeed_per_tooth = "{1e3 * feed} mm"\n'
+        )
+        text += more
+    (folder / "four.toml").write_text(text + '[fit]\nlowpass = "1.5 kHz"\n')
+
+
+def test_check_tells_what_an_identification_would_read(folder, capsys):
+    write_records(folder)
+    assert main(["check", "four.toml"]) == 0
+    said = capsys.readouterr().out
+    assert "a file for `diffmill identify` without faults" in said
+    for name in ("slot0.tdms", "slot1.mat", "slot2.nc", "slot3.txt"):
+        assert f"{name}: cut from 0 to 0.0899 s at 10000 Hz" in said
+    assert "angle was taken from the column for the tacho" in said
+    text = (folder / "four.toml").read_text()
+    changes = (
+        ("pulses_per_turn = 1", "pulses_per_turn = 2", "look at the speed and at"),
+        ('"slot1.mat"\n', '"slot1.mat"\ntooth_angle = "3 deg"\n', "without a column"),
+        ('"slot1.mat"\n', '"slot1.mat"\ntime_shift = "3 s"\n', "no clock of its own"),
+    )
+    for old, new, message in changes:
+        (folder / "bad.toml").write_text(text.replace(old, new))
+        assert main(["check", "bad.toml"]) == 2
+        assert message in capsys.readouterr().err
+    (folder / "bad.toml").write_text('kind = "ring_downs"\n')
+    assert main(["check", "bad.toml"]) == 2
+    assert "kind: found 'ring_downs'" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_records_of_four_programs_are_fitted_together(folder, capsys):
+    write_records(folder)
+    assert main(["identify", "four.toml"]) == 0
+    said = capsys.readouterr().out
+    _, facts, _ = results(folder, "four")
+    for name, value in zip(identification.NAMES, K, strict=True):
+        assert abs(facts["coefficients_SI"][name] / value - 1) < 0.03
+    assert facts["explained"] > 0.99
+    # Tooth 0 passes the mark 30 degrees on, or tooth 1 does.
+    angle = float(said.split('tooth_angle = "')[1].split(" deg")[0])
+    assert min(abs(angle - 30), abs(angle + 150)) < 3
+    # With that the first record alone is fitted to its tooth.
+    head, one, *_ = (folder / "four.toml").read_text().split("[[record]]")
+    text = f'{head}[[record]]{one}tooth_angle = "{angle + 4} deg"\n'
+    (folder / "one.toml").write_text(text + '[fit]\nlowpass = "1.5 kHz"\n')
+    assert main(["identify", "one.toml"]) == 0
+    off = float(capsys.readouterr().out.split("the tooth stands ")[1].split(" deg")[0])
+    assert abs(off + 4) < 0.5
 
 
 @pytest.mark.slow

@@ -3,14 +3,11 @@ import math
 
 import numpy as np
 import pytest
+from slot_force import DEPTH, HELIX, PERIOD, SPEED, K, R, slot_force
 
 from diffmill import cutter as ct, identification, workpiece as wp
 
 NAMES = identification.NAMES
-K = np.array([958.86e6, 250.863e6, 146.361e6, 15.758e3, 19.434e3, 18.207e3])
-SPEED = 6000 * 2 * math.pi / 60
-PERIOD = math.pi / SPEED
-R, DEPTH, HELIX = 5e-3, 2e-3, math.radians(30)
 STEPS = 45
 FEEDS = (0.08e-3, 0.16e-3)
 
@@ -32,33 +29,10 @@ def cuts():
     return tuple(slot(feed) for feed in FEEDS)
 
 
-def force(time, feed, runout=0.0):
-    """The force of a slot in NumPy: fine discs, chips between two circles."""
-    z = (np.arange(100) + 0.5) * DEPTH / 100
-    total = np.zeros((len(time), 3))
-    for tooth in range(2):
-        phi = SPEED * time[:, None] + math.pi * tooth - z[None] * math.tan(HELIX) / R
-        # The tooth before stands out by the opposite of what this one does.
-        more = 2 * runout * (1 - 2 * tooth)
-        h = R + more + feed * np.sin(phi) - np.sqrt(R**2 - (feed * np.cos(phi)) ** 2)
-        if runout:
-            # Near its entry a tooth that stands out meets its own last path first.
-            own = R + 2 * feed * np.sin(phi)
-            h = np.minimum(h, own - np.sqrt(R**2 - (2 * feed * np.cos(phi)) ** 2))
-        touch = h > 0
-        h = np.maximum(h, 0)
-        F_t, F_r, F_a = (K[i] * h + K[3 + i] * touch for i in range(3))
-        share = DEPTH / 100
-        total[:, 0] += share * np.sum(-F_t * np.cos(phi) - F_r * np.sin(phi), axis=1)
-        total[:, 1] += share * np.sum(F_t * np.sin(phi) - F_r * np.cos(phi), axis=1)
-        total[:, 2] += share * np.sum(F_a, axis=1)
-    return total
-
-
 def record(feed, seed=0, noise=0.05, shift=0.0, runout=0.0):
     # From the eleventh tooth on the slot is steady.
     time = np.arange(11 * PERIOD, (STEPS - 3) * PERIOD, 1e-4)
-    clean = force(time + shift, feed, runout)
+    clean = slot_force(time + shift, feed, runout)
     rms = np.sqrt(np.mean(clean**2))
     draw = np.random.default_rng(seed)
     return time, clean + noise * rms * draw.normal(size=clean.shape)
@@ -115,6 +89,79 @@ def test_gross_errors_change_little_under_a_robust_loss():
     }
     off = {n: np.abs(fit.raw / clean.raw - 1).max() for n, fit in fits.items()}
     assert off["tukey"] < 0.05 < off["squares"]
+
+
+def test_both_sides_pass_the_low_pass():
+    """Vibration of the dynamometer goes; what is cut off of the force does not bias."""
+    cut, time, seen = both(shift=4e-4)
+    clean = [f.copy() for f in seen]
+    for t, f in zip(time, seen, strict=True):
+        f += 150 * np.sin(2 * math.pi * 2300 * t)[:, None]
+    seen[0][200:203] = np.nan
+    fits = [
+        identification.fit_force_coefficients(cut, time, f, loss="squares", lowpass=c)
+        for f, c in ((seen, None), (seen, 700.0), (clean, 700.0))
+    ]
+    off = [np.abs(found(fit) - K) for fit in fits]
+    assert (errors(fits[1]) < errors(fits[0])).all()
+    assert (off[1] < 4 * errors(fits[1]) + 0.01 * K).all()
+    assert (off[2] < 4 * errors(fits[2]) + 0.01 * K).all()
+    assert fits[0].explained < 0.8 < 0.99 < fits[1].explained
+    np.testing.assert_allclose(fits[1].time_shift, 4e-4, atol=1e-5)
+    assert "less than 80%" in fits[0].doubts[0] and not fits[1].doubts
+    with pytest.raises(ValueError, match="half the sampling rate, 5000 Hz, but is"):
+        identification.fit_force_coefficients(cut, time, seen, lowpass=5e3)
+
+
+def test_saturated_samples_and_gross_errors_are_told():
+    cut, time, seen = both()
+    fits = []
+    for f in seen:
+        f[:, 1] = np.minimum(f[:, 1], 100.0)
+        f[[30, 200], 2] = 900.0
+    fits = identification.fit_force_coefficients(cut, time, seen, time_shift=0.0)
+    assert (np.abs(found(fits) - K) < 4 * errors(fits) + 0.01 * K).all()
+    told = " ".join(fits.notes)
+    assert "at the end of a channel's range were left out" in told
+    assert fits.gross_errors == 4 and "4 measured forces are off" in told
+    assert fits.explained > 0.99 and not fits.doubts
+
+
+def spinning(time, draw):
+    """Return the angle of a spindle that does not run evenly, and its tacho."""
+    angle = SPEED * (1.003 * time - 2e-3 * np.cos(9 * time)) + 0.7
+    pulse = (np.mod(angle - math.radians(40), 2 * math.pi) < 0.6).astype(float)
+    return angle, 5 * pulse + 0.05 * draw.normal(size=time.size)
+
+
+@pytest.mark.parametrize("is_known", [True, False])
+def test_a_tacho_is_the_clock_of_an_uneven_spindle(is_known):
+    time, draw = np.arange(0, 0.3, 1e-4), np.random.default_rng(0)
+    angle, tacho = spinning(time, draw)
+    force = slot_force(angle / SPEED, FEEDS[0]) + 3 * draw.normal(size=(time.size, 3))
+    nothing = np.zeros(time.size, bool)
+    record = identification.Record(
+        time, force, 1e4, nothing, nothing, tacho=tacho, angle=None
+    )
+    first = math.radians(40) if is_known else 0.0
+    seen = identification.angle_from_tacho(record, first_angle=first, smoothing=21)
+    off = np.remainder(seen - angle - first + math.radians(40) + 1, 2 * math.pi) - 1
+    assert np.abs(off).max() < 0.05
+    cutter = cuts()[0].cutter
+    beside = identification.place_on_steady_cut(
+        cutter, SPEED, FEEDS[0], DEPTH, time, force, angle=seen
+    )
+    fit = identification.fit_force_coefficients(
+        beside.cut, beside.time, beside.force, time_shift=0.0 if is_known else None
+    )
+    # A degree of the tacho's phase is some percent of the radial coefficients.
+    np.testing.assert_allclose(found(fit), K, rtol=0.06 if is_known else 0.03)
+    assert fit.explained > 0.995
+    # The speed alone does not follow the spindle.
+    blind = identification.fit_force_coefficients(
+        beside.cut, time - time[0] + beside.time[0], force, time_shift=fit.time_shift[0]
+    )
+    assert blind.explained < 0.98
 
 
 def test_what_is_not_measured_is_not_identifiable():

@@ -1,8 +1,9 @@
-"""What a program, a recorded path or a job contains, in words."""
+"""What a program, a recorded path, a job or an identification contains, in words."""
 
 import collections
 import math
 import pathlib
+import tomllib
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,7 +16,8 @@ def describe_file(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
     """Return lines that describe a file.
 
     Args:
-        file: A job, a program or a recorded path, told by its suffix.
+        file: A job, a file for `diffmill identify`, a program or a recorded path, told
+            by its suffix, and a TOML file by its `kind`.
         allow_outside: Whether a job may name files outside its folder.
 
     Raises:
@@ -23,15 +25,60 @@ def describe_file(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
     """
     suffix = file.suffix.lower()
     if suffix == ".toml":
+        if "kind" in _tables(file):
+            return _describe_identification(file, allow_outside=allow_outside)
         return _describe_job(file, allow_outside=allow_outside)
     if suffix in (".ngc", ".nc", ".gcode"):
         return _describe_program(file)
     if suffix == ".csv":
         return _describe_path(file)
     raise ValueError(
-        f"{file}: found the suffix {suffix!r}; allowed: .toml (job), .ngc, .nc, .gcode "
-        "(G-code), .csv (recorded path)"
+        f"{file}: found the suffix {suffix!r}; allowed: .toml (job or "
+        "identification), .ngc, .nc, .gcode (G-code), .csv (recorded path)"
     )
+
+
+def _tables(file: pathlib.Path) -> dict[str, object]:
+    """Return the tables of a TOML file; none if it is faulty, which is said later."""
+    try:
+        return tomllib.loads(file.read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError):
+        return {}
+
+
+def _describe_identification(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
+    configure_jax(None)
+    from ..io import (
+        CoupledTask,
+        ForceRecordTask,
+        LoadTestTask,
+        MeanForceTask,
+        load_identification,
+    )
+
+    task = load_identification(file, allow_outside=allow_outside)
+    lines = [f"{file}: a file for `diffmill identify` without faults"]
+    if isinstance(task, ForceRecordTask | MeanForceTask):
+        for one in task.records:
+            lines.append(
+                f"  {one.name}: cut from {one.start:.4g} to {one.stop:.4g} s at "
+                f"{one.record.rate:g} Hz"
+            )
+            lines += [f"    note: {note}" for note in one.notes]
+    if isinstance(task, MeanForceTask):
+        lines.append(f"  mean forces at {len(task.feed_per_tooth)} feeds")
+    elif isinstance(task, LoadTestTask):
+        lines.append(f"  {len(task.rows)} load tests of {task.robot.name}")
+        lines += [f"  note: {note}" for note in task.notes]
+    elif isinstance(task, CoupledTask):
+        first, last = float(task.time[0]), float(task.time[-1])
+        lines.append(f"  {len(task.time)} rows from {first:.4g} to {last:.4g} s")
+        lines += [f"  note: {note}" for note in task.notes]
+    elif not isinstance(task, ForceRecordTask):
+        for one in task.measured:
+            lines.append(f"  {one.name}")
+            lines += [f"    note: {note}" for note in one.notes]
+    return lines
 
 
 def _describe_job(file: pathlib.Path, *, allow_outside: bool) -> list[str]:

@@ -14,9 +14,6 @@ if TYPE_CHECKING:
     from ..identification import CoupledFit
     from ..io import CoupledTask
 
-# Below this share of what was measured the parameters are not offered.
-_EXPLAINED = 0.7
-
 
 def identify_coupled(task: "CoupledTask", progress: Progress) -> Outcome:
     """Fit parameters of arm and cut to a record of a cut.
@@ -125,7 +122,7 @@ def _toml(task: "CoupledTask", fit: "CoupledFit") -> list[str]:
             if fit.identifiable[n]
         ]
         relative |= {"force": max(shares)} if shares else {}
-    if min(fit.explained.values(), default=1.0) < _EXPLAINED:
+    if not fit.is_explained:
         return doubted(lines, "The record does not suit the job; see summary.txt.")
     if relative:
         lines += ["", "[correction.uncertainty]"]

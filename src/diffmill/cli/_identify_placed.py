@@ -1,5 +1,6 @@
 """Records of forces beside their cuts, and what they say of time and axes."""
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -35,10 +36,21 @@ def placed(
     from ..io import StraightCut
 
     time, force = samples(record)
+    angle = None
+    if record.angle is not None:
+        angle = record.angle[_is_used(record)]
     process = record.process
     try:
         if not isinstance(process, StraightCut):
-            return place_on_job(process, time, force, time_shift=record.time_shift)
+            is_exact = record.time_shift is not None and not record.knows_tooth
+            return place_on_job(
+                process,
+                time,
+                force,
+                time_shift=record.time_shift,
+                angle=angle,
+                keeps_shift=is_exact,
+            )
         assert process.spindle_speed is not None
         return place_on_steady_cut(
             process.cutter,
@@ -55,6 +67,7 @@ def placed(
                 for one in others
                 if isinstance(one.process, StraightCut)
             ),
+            angle=angle,
         )
     except ValueError as error:
         raise BadInput(f"{record.name}: {error}") from error
@@ -67,10 +80,42 @@ def samples(record: "ForceRecord") -> tuple[Any, Any]:
     noise has made smaller.
     """
     one = record.record
-    keep = (one.time >= record.start) & (one.time <= record.stop)
+    keep = _is_used(record)
     is_lost = np.convolve(one.is_saturated, np.ones(3), mode="same") > 0.5
     force = np.where(is_lost[:, None], np.nan, one.force)
     return one.time[keep], force[keep]
+
+
+def _is_used(record: "ForceRecord") -> Any:
+    """Return which samples are of the part to be fitted."""
+    time = record.record.time
+    return (time >= record.start) & (time <= record.stop)
+
+
+def tooth_lines(
+    records: "Sequence[ForceRecord]", turns: Sequence[tuple[float, float]]
+) -> list[str]:
+    """Return where tooth 0 stands at the zero of a measured spindle angle.
+
+    Args:
+        records: The records.
+        turns: Of each the time shift that the fit has added and a revolution [s].
+    """
+    lines = []
+    for record, (shift, turn) in zip(records, turns, strict=True):
+        # The clock was set so that tooth 0 stands at the measured angle.
+        angle = math.remainder(360 * shift / turn, 360)
+        if record.knows_tooth:
+            lines.append(
+                f"{record.name}: the tooth stands {angle:+.2g} deg off the tooth_angle"
+            )
+        elif record.angle is not None and record.time_shift is None:
+            lines += noted(
+                f"{record.name}: tooth 0, or one that looks alike, stands at "
+                f"{angle:.4g} deg at the zero of the spindle's angle: "
+                f'tooth_angle = "{angle:.4g} deg".'
+            )
+    return lines
 
 
 def record_lines(task: "ForceRecordTask", beside: "list[Placed]") -> list[str]:

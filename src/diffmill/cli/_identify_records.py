@@ -7,13 +7,23 @@ import numpy as np
 
 from ._errors import BadInput
 from ._identify import Outcome
-from ._identify_placed import axes_are_doubted, axes_lines, placed, record_lines
+from ._identify_placed import (
+    axes_are_doubted,
+    axes_lines,
+    placed,
+    record_lines,
+    tooth_lines,
+)
 from ._identify_text import coefficient_lines, correlation_lines, noted
 from ._progress import Progress
 
 if TYPE_CHECKING:
     from ..identification import AxesProposal, ForceCoefficientFit, LeftOut
     from ..io import ForceRecordTask
+
+# How far a tooth may stand off the angle that is given for it [deg]: a degree moves
+# the radial coefficients by some percent, and a mark is hardly known so well.
+_TOOTH_OFF = 10.0
 
 
 def identify_records(task: "ForceRecordTask", progress: Progress) -> Outcome:
@@ -41,16 +51,20 @@ def identify_records(task: "ForceRecordTask", progress: Progress) -> Outcome:
         axes = likely
     progress.update("coefficients")
     fixed = all(record.time_shift is not None for record in task.records)
+    reach = settings.shift_range
+    if reach is None and all(record.knows_tooth for record in task.records):
+        reach = _TOOTH_OFF / 360 * 2 * np.pi / max(one.spindle_speed for one in beside)
     try:
         fit = fit_force_coefficients(
             [one.cut for one in beside],
             [one.time for one in beside],
             [one.force for one in beside],
             axes=axes,
-            time_shift=0.0 if fixed and settings.shift_range is None else None,
-            shift_range=settings.shift_range,
+            time_shift=0.0 if fixed and reach is None else None,
+            shift_range=reach,
             loss=settings.loss,  # pyright: ignore[reportArgumentType]
             refine=settings.refine,
+            lowpass=settings.lowpass,
         )
     except ValueError as error:
         raise BadInput(f"{task.name}: {error}") from error
@@ -59,6 +73,9 @@ def identify_records(task: "ForceRecordTask", progress: Progress) -> Outcome:
         *record_lines(task, beside),
         *axes_lines(proposal, axes, settings.takes_proposed),
         *_fit_lines(fit, left, task),
+        *tooth_lines(
+            task.records, [(one.shift, one.revolution) for one in fit.records]
+        ),
     ]
     return Outcome(
         lines,

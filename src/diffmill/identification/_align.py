@@ -25,7 +25,11 @@ class Alignment(NamedTuple):
 
 
 def angle_from_tacho(
-    record: Record, *, pulses_per_turn: int = 1, first_angle: float = 0.0
+    record: Record,
+    *,
+    pulses_per_turn: int = 1,
+    first_angle: float = 0.0,
+    smoothing: int = 1,
 ) -> Float[np.ndarray, " sample"]:
     """Return the spindle's angle from the pulses of a tacho.
 
@@ -39,6 +43,8 @@ def angle_from_tacho(
         record: A record with a tacho.
         pulses_per_turn: Number of pulses in a turn.
         first_angle: Angle at the first pulse [rad].
+        smoothing: Pulses through whose instants a parabola is laid, around each of
+            them: a steep edge is known to a sample only, while a spindle turns evenly.
 
     Returns:
         The angle at each sample [rad], increasing, shape (sample,).
@@ -70,12 +76,32 @@ def angle_from_tacho(
         )
     steps = np.diff(pulses)
     counts = np.maximum(1.0, np.round(steps / np.median(steps)))
-    angles = np.concatenate([[0.0], np.cumsum(counts)]) * 2 * np.pi / pulses_per_turn
-    speeds = np.diff(angles) / steps
+    numbers = np.concatenate([[0.0], np.cumsum(counts)])
+    if smoothing > 3:
+        pulses, numbers = _smoothed(pulses, numbers, smoothing)
+    angles = numbers * 2 * np.pi / pulses_per_turn
+    speeds = np.diff(angles) / np.diff(pulses)
     inside = np.interp(time, pulses, angles)
     before = np.minimum(time - pulses[0], 0.0) * speeds[0]
     after = np.maximum(time - pulses[-1], 0.0) * speeds[-1]
     return first_angle + inside + before + after
+
+
+def _smoothed(
+    pulses: Float[np.ndarray, " pulse"],
+    numbers: Float[np.ndarray, " pulse"],
+    width: int,
+) -> tuple[Float[np.ndarray, " turn"], Float[np.ndarray, " turn"]]:
+    """Return smooth instants of all pulses, lost ones too, and their numbers."""
+    from scipy.signal import savgol_filter
+
+    every = np.arange(numbers[-1] + 1)
+    instants = np.interp(every, numbers, pulses)
+    width = min(width, every.size)
+    width -= 1 - width % 2
+    if width > 3:
+        instants = np.asarray(savgol_filter(instants, width, 2))
+    return instants, every
 
 
 def align(

@@ -68,6 +68,7 @@ def place_on_steady_cut(
     side: Side = "slot",
     refines_speed: bool = True,
     largest_feed: float | None = None,
+    angle: Float[np.ndarray, " row"] | None = None,
 ) -> Placed:
     """Set the steady part of a record beside a straight cut.
 
@@ -82,6 +83,8 @@ def place_on_steady_cut(
         side: "slot", "up" or "down".
         refines_speed: Whether the speed is taken from the record.
         largest_feed: See `steady_cut`.
+        angle: Measured spindle angle at each row [rad], increasing, or None: the clock
+            of the cut then follows the spindle, and tooth 0 stands at this angle.
 
     Returns:
         Its first 40 revolutions beside the cut.
@@ -92,7 +95,9 @@ def place_on_steady_cut(
     **Differentiability**: runs on the host.
     """
     speed, flutes, notes = spindle_speed, cutter.flute_count, ()
-    if refines_speed:
+    if angle is not None:
+        speed, time = _spindle_clock(time, angle, None)
+    elif refines_speed:
         speed, notes = _refined(spindle_speed, flutes, time, force)
     turn = 2 * math.pi / speed
     turns = min(_TURNS, math.floor((float(time[-1] - time[0])) / turn + 1e-6))
@@ -118,9 +123,33 @@ def place_on_steady_cut(
     )
     # A revolution of room, within which the fit looks for the shift.
     offset = turn + SETTLED * cut.tooth_period - float(time[0])
+    if angle is not None:
+        offset = _in_phase(offset, time, angle, speed)
     when, seen = time[keep] + offset, force[keep]
     proposal = _judge(engagement_columns(cut), when, seen, turn / 2, cut.tooth_period)
     return Placed(cut, when, seen, offset, proposal, None, speed, notes)
+
+
+def _spindle_clock(
+    time: Float[np.ndarray, " row"],
+    angle: Float[np.ndarray, " row"],
+    speed: float | None,
+) -> tuple[float, Float[np.ndarray, " row"]]:
+    """Return a speed, the mean one if not given, and a clock on which it is even."""
+    if speed is None:
+        speed = float(angle[-1] - angle[0]) / float(time[-1] - time[0])
+    return speed, time[0] + (angle - angle[0]) / speed
+
+
+def _in_phase(
+    offset: float, time: np.ndarray, angle: np.ndarray, speed: float
+) -> float:
+    """Return the nearest offset of the clock with which tooth 0 stands at the angle.
+
+    It stands at zero when the clock of the cut does.
+    """
+    off = float(angle[0]) - speed * (float(time[0]) + offset)
+    return offset + math.remainder(off, 2 * math.pi) / speed
 
 
 def _refined(
@@ -158,6 +187,8 @@ def place_on_job(
     force: Float[np.ndarray, "row 3"],
     *,
     time_shift: float | None = None,
+    angle: Float[np.ndarray, " row"] | None = None,
+    keeps_shift: bool = False,
 ) -> Placed:
     """Set a record beside the cut of a job.
 
@@ -167,6 +198,9 @@ def place_on_job(
         force: As recorded, without offset [N], shape (row, 3); NaN where not known.
         time_shift: Time of the job minus time of the record [s]; found by the sizes of
             the forces if not given.
+        angle: Measured spindle angle at each row [rad], increasing, or None: the clock
+            of the record then follows the spindle, and tooth 0 stands at this angle.
+        keeps_shift: Whether the time shift is exact, and the zero of the angle is not.
 
     Returns:
         The record beside the cut, samples out of the cut marked as not known.
@@ -184,11 +218,16 @@ def place_on_job(
     if isinstance(law, LinearEdgeLaw):
         K = np.array([np.mean(np.asarray(getattr(law, name))) for name in NAMES])
     meeting = None
+    turn = cut.tooth_period * cut.cutter.flute_count
+    speed = 2 * math.pi / turn
+    if angle is not None:
+        _, time = _spindle_clock(time, angle, speed)
     if time_shift is None:
         meeting = meet(found, K, time, force)
         time_shift = meeting.shift
+    if angle is not None and not keeps_shift:
+        time_shift = _in_phase(time_shift, time, angle, speed)
     when = time + time_shift
-    turn = cut.tooth_period * cut.cutter.flute_count
     is_cut = _is_cut(found, K, turn)
     place = np.round((when - found.start) / found.spacing).astype(np.int64)
     inside = (place >= 0) & (place < len(is_cut))
@@ -202,7 +241,6 @@ def place_on_job(
     when = when[first : last + 1]
     seen = np.where(inside[:, None], force, np.nan)[first : last + 1]
     proposal = _judge(found, when, seen, turn / 2, cut.tooth_period)
-    speed = 2 * math.pi / turn
     return Placed(cut, when, seen, time_shift, proposal, meeting, speed, ())
 
 

@@ -104,6 +104,7 @@ def fit_force_coefficients(
     shift_range: float | None = None,
     loss: Loss = "huber",
     refine: Sequence[str] = (),
+    lowpass: float | None = None,
 ) -> ForceCoefficientFit:
     """Fit the six coefficients of the linear force law to measured forces.
 
@@ -124,6 +125,8 @@ def fit_force_coefficients(
         loss: "squares", "huber" or "tukey" (for records with many gross errors).
         refine: What else to fit, of "runout" and "radius", by simulating with exact
             derivatives; shared by all records, which share the cutter then.
+        lowpass: Cut-off [Hz] of `numerics.lowpass`, which measured and modelled force
+            pass both, as against the dynamometer's own vibration; none if not given.
 
     Returns:
         The fit; look at `.notes`.
@@ -135,7 +138,7 @@ def fit_force_coefficients(
     **Differentiability**: runs on the host.
     """
     _check_names(axes, loss, refine)
-    records = measured_records(process_or_job, time, force, axes, time_shift)
+    records = measured_records(process_or_job, time, force, axes, time_shift, lowpass)
     is_sought = time_shift is None
     if is_sought:
         records = [find_shift(one, shift_range) for one in records]

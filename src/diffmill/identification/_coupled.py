@@ -24,7 +24,7 @@ from ._coupled_model import (
     parameter_values,
     scaled_job,
 )
-from ._coupled_report import coupled_notes, explained_by
+from ._coupled_report import EXPLAINED, coupled_notes, explained_by
 from ._coupled_steps import SteppedFit, fit_steps
 from ._linear import Loss, Rows, correlation_of, covariance
 
@@ -56,6 +56,7 @@ class CoupledFit(eqx.Module):
         time_shift_error: Standard error [s]; 0 if the shift was not fitted.
         has_converged: Whether the last step was small.
         simulations: Simulations with derivatives that it took.
+        is_explained: Whether it explains enough of each to be trusted.
         notes: What to know, in words.
         job: The job with the fitted parameters; what is not identifiable is as given.
     """
@@ -73,6 +74,7 @@ class CoupledFit(eqx.Module):
     time_shift_error: float
     has_converged: bool
     simulations: int
+    is_explained: bool
     notes: tuple[str, ...] = eqx.field(static=True)
     job: Job
 
@@ -280,6 +282,7 @@ def _report(
         time_shift_error=0.0 if shift is None else float(errors[-1]),
         has_converged=found.has_converged,
         simulations=found.simulations,
+        is_explained=min(explained.values()) >= EXPLAINED,
         notes=coupled_notes(names, is_fixed, correlation, explained, found),
         job=scaled_job(problem.job, names, np.where(is_fixed, logs, 0.0)),
     )

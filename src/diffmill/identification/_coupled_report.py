@@ -9,7 +9,7 @@ from ._linear import LinearFit
 # Parameters are confused with each other from this correlation on.
 _CONFUSED = 0.9
 # Below this share of the square the record is called badly explained.
-_EXPLAINED = 0.7
+EXPLAINED = 0.7
 
 
 def explained_by(
@@ -69,10 +69,10 @@ def coupled_notes(
             "start nearer, or fit fewer parameters."
         )
     for name, share in explained.items():
-        if share < _EXPLAINED:
+        if share < EXPLAINED:
             notes.append(
                 f"The fit explains {max(share, 0.0):.0%} of the squared {name}, less "
-                f"than {_EXPLAINED:.0%}: the record does not suit the job (axes, "
+                f"than {EXPLAINED:.0%}: the record does not suit the job (axes, "
                 "units, signs, clock, or a path that was not run)."
             )
     for i in np.flatnonzero(~is_fixed):

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._job import Job
+from ..numerics import lowpass
 from ._cut import Cut, EngagementColumns, at_times, cut_of, engagement_columns
 from ._linear import Rows, solve
 from ._saturation import without_saturated
@@ -33,6 +34,8 @@ class Measured(eqx.Module):
         force: On the tool in `work` [N], shape (row, 3); NaN where not measured.
         shift: Time of the cut minus time of the record [s].
         saturated: How many samples were left out as saturated.
+        lowpass: Cut-off that `force` has passed [Hz], and what is modelled passes
+            beside it; None for none.
     """
 
     cut: Cut
@@ -41,6 +44,7 @@ class Measured(eqx.Module):
     force: Float[np.ndarray, "row 3"]
     shift: float
     saturated: int = 0
+    lowpass: float | None = None
 
     @property
     def revolution(self) -> float:
@@ -64,11 +68,63 @@ def equations(one: Measured, extra: Sequence[np.ndarray]) -> Rows:
     when = one.time + one.shift
     columns = at_times(found.columns, found.start, found.spacing, when)
     constant = at_times(found.constant, found.start, found.spacing, when)
-    is_inside = (when >= 0) & (when <= one.cut.duration)
-    force = np.where(is_inside[:, None], one.force - constant, np.nan)
+    # What lies outside the cut reaches as far into it as the filter is long.
+    edge = 0.0 if one.lowpass is None else 1.0 / one.lowpass
+    is_inside = (when >= edge) & (when <= one.cut.duration - edge)
     step = float(np.median(np.diff(one.time)))
     lag = max(1, round(one.revolution / step))
-    return Rows(np.concatenate([columns, *extra], axis=2), force, lag)
+    columns = np.concatenate([columns, *extra], axis=2)
+    if one.lowpass is not None:
+        both = np.concatenate([columns, constant[:, :, None]], axis=2)
+        both = filtered(one.time, one.force, both, one.lowpass)
+        columns, constant = both[:, :, :-1], both[:, :, -1]
+    force = np.where(is_inside[:, None], one.force - constant, np.nan)
+    return Rows(columns, force, lag)
+
+
+def filtered(
+    time: Float[np.ndarray, " row"],
+    force: Float[np.ndarray, "row 3"],
+    values: Float[np.ndarray, "row 3 column"],
+    cutoff: float,
+) -> Float[np.ndarray, "row 3 column"]:
+    """Return values after a low-pass over the runs in which a force was measured.
+
+    Whatever passes it over the same runs loses the same, their ends included, so that
+    measured and modelled forces stay comparable.
+
+    Args:
+        time: Instants [s], shape (row,).
+        force: Whose NaN end the runs, as gaps in the time do, shape (row, 3).
+        values: What is filtered, shape (row, 3, column).
+        cutoff: Cut-off frequency [Hz]; see `numerics.lowpass`.
+
+    Returns:
+        Filtered values, shape (row, 3, column); a run of one sample stays.
+
+    Raises:
+        ValueError: The cut-off is not below half the sampling rate.
+
+    **Differentiability**: runs on the host.
+    """
+    steps = np.diff(time)
+    usual = float(np.median(steps))
+    if not 0 < cutoff < 0.5 / usual:
+        raise ValueError(
+            "Argument `lowpass` must lie between 0 and half the sampling rate, "
+            f"{0.5 / usual:g} Hz, but is {cutoff:g} Hz."
+        )
+    is_gap = np.concatenate([[True], steps > 1.5 * usual])
+    result = np.array(values)
+    for axis in range(3):
+        known = np.isfinite(force[:, axis])
+        edges = is_gap | np.concatenate([[True], known[1:] != known[:-1]])
+        starts = np.flatnonzero(edges)
+        for a, b in zip(starts, [*starts[1:], len(time)], strict=True):
+            if known[a] and b - a > 1:
+                part = result[a:b, axis]
+                result[a:b, axis] = lowpass(part, 1.0 / usual, cutoff)
+    return result
 
 
 def force_slope(one: Measured, K: np.ndarray) -> Float[np.ndarray, "row 3"]:
@@ -145,7 +201,20 @@ def find_shift(one: Measured, shift_range: float | None) -> Measured:
         )
     if rows.size > _COMPARED:
         rows = np.sort(np.random.default_rng(0).choice(rows, _COMPARED, replace=False))
-    few = dataclasses.replace(one, time=one.time[rows], force=one.force[rows])
+    few = dataclasses.replace(
+        one, time=one.time[rows], force=one.force[rows], lowpass=None
+    )
+    if one.lowpass is not None:
+        # Single rows have no neighbours to filter with: the simulation has.
+        found = one.engagement
+        rate, count = 1.0 / found.spacing, len(found.columns)
+        columns = lowpass(found.columns.reshape(count, -1), rate, one.lowpass)
+        columns = columns.reshape(count, 3, 6)
+        constant = lowpass(found.constant, rate, one.lowpass)
+        few = dataclasses.replace(
+            few,
+            engagement=dataclasses.replace(found, columns=columns, constant=constant),
+        )
 
     def cost(shift: float) -> float:
         row = equations(dataclasses.replace(few, shift=float(shift)), ())
@@ -173,6 +242,7 @@ def measured_records(
     force: Times | Sequence[Times],
     axes: Axes,
     time_shift: float | Sequence[float] | None,
+    cutoff: float | None = None,
 ) -> list[Measured]:
     """Return the records beside their cuts, each cut simulated.
 
@@ -182,6 +252,7 @@ def measured_records(
         force: [N], shape (row, 3), or a list.
         axes: For each axis of the work the recorded one.
         time_shift: [s], one or one per record, or None for 0.
+        cutoff: Of a low-pass for both sides [Hz], or None.
 
     Returns:
         The records.
@@ -206,13 +277,18 @@ def measured_records(
             f"have {len(cuts)}, {len(times)}, {len(forces)} and {len(shifts)}."
         )
     return [
-        _measured(cut, t, f, axes, shift)
+        _measured(cut, t, f, axes, shift, cutoff)
         for cut, t, f, shift in zip(cuts, times, forces, shifts, strict=True)
     ]
 
 
 def _measured(
-    cut: Cut | Job, time: Times, force: Times, axes: Axes, shift: float
+    cut: Cut | Job,
+    time: Times,
+    force: Times,
+    axes: Axes,
+    shift: float,
+    cutoff: float | None,
 ) -> Measured:
     """Return one record, its axes those of the work."""
     when, seen = np.array(time, np.float64), np.array(force, np.float64)
@@ -232,5 +308,8 @@ def _measured(
             for name in axes
         ]
     )
+    if cutoff is not None:
+        turned = filtered(when, turned, turned[:, :, None], cutoff)[:, :, 0]
     whole = cut_of(cut)
-    return Measured(whole, engagement_columns(whole), when, turned, shift, saturated)
+    columns = engagement_columns(whole)
+    return Measured(whole, columns, when, turned, shift, saturated, cutoff)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 from .._job import Job
 from ..cutter import AbstractCutter
 from ..identification import Record, immersion, section
+from ._identification_angle import spindle_angle
 from ._identification_cuts import cuts_in, engaged, span_of, tared
 from ._identification_schema import CutTable, RecordTable
 from ._identification_task import ForceRecord, StraightCut
@@ -115,6 +116,12 @@ def ready(
     cuts, are_found = cuts_in(record, tooth)
     notes = list(record.notes)
     count = len(problems)
+    angle = spindle_angle(record, process, table, place, problems, notes)
+    if isinstance(process, StraightCut) and table.time_shift is not None:
+        problems.append(
+            f"{place} time_shift: found beside a straight cut, which has no clock of "
+            "its own; leave it out, or give a tacho and tooth_angle"
+        )
     span = span_of(record, process, table, cuts, place, problems)
     if span is None:
         return None
@@ -141,6 +148,8 @@ def ready(
         stop=stop,
         time_shift=table.time_shift,
         is_saturated=bool(used.is_saturated.any()),
+        angle=angle,
+        knows_tooth=angle is not None and table.tooth_angle is not None,
         notes=tuple(notes),
     )
 

@@ -19,6 +19,7 @@ from ._identification_fields import (
 )
 from ._job_cutter import CutterTable
 from ._job_fields import (
+    Angle,
     Damping,
     Force,
     Frequency,
@@ -59,6 +60,8 @@ class RecordTable(Table):
     tare: Span | None = None
     tare_after: Span | None = None
     time_shift: Time | None = None
+    pulses_per_turn: Annotated[StrictInt, Field(ge=1)] | None = None
+    tooth_angle: Angle | None = None
 
 
 class FitTable(Table):
@@ -68,6 +71,7 @@ class FitTable(Table):
     loss: Literal["squares", "huber", "tukey"] = "huber"
     refine: list[Literal["runout", "radius"]] = Field(default_factory=list)
     shift_range: PositiveTime | None = None
+    lowpass: Frequency | None = None
     refine_speed: StrictBool = True
 
 

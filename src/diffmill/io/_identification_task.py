@@ -42,6 +42,9 @@ class ForceRecord(NamedTuple):
         stop: Where it ends [s].
         time_shift: Time of the cut minus time of the record [s], None if not given.
         is_saturated: Whether a sample between start and stop is saturated.
+        angle: Spindle angle by a tacho or an encoder [rad], increasing, shape
+            (sample,), or None.
+        knows_tooth: Whether that is the immersion angle of tooth 0.
         notes: What was assumed or done, one sentence each.
     """
 
@@ -52,6 +55,8 @@ class ForceRecord(NamedTuple):
     stop: float
     time_shift: float | None
     is_saturated: bool
+    angle: Float[np.ndarray, " sample"] | None
+    knows_tooth: bool
     notes: tuple[str, ...]
 
 
@@ -64,6 +69,7 @@ class ForceSettings(NamedTuple):
         loss: "squares", "huber" or "tukey".
         refine: Of "runout" and "radius".
         shift_range: [s], or None.
+        lowpass: Cut-off of a low-pass for both sides [Hz], or None.
         refines_speed: Whether the spindle speed of straight cuts is taken from the
             record.
     """
@@ -73,6 +79,7 @@ class ForceSettings(NamedTuple):
     loss: str
     refine: tuple[str, ...]
     shift_range: float | None
+    lowpass: float | None
     refines_speed: bool
 
 

@@ -129,6 +129,7 @@ def _settings(table: FitTable) -> ForceSettings:
         loss=table.loss,
         refine=tuple(table.refine),
         shift_range=table.shift_range,
+        lowpass=table.lowpass,
         refines_speed=table.refine_speed,
     )
 
@@ -160,6 +161,11 @@ def _forces(
         if record is not None:
             records.append(record)
     settings = _settings(fit if isinstance(fit, FitTable) else FitTable())
+    if kind == "mean_forces" and settings.lowpass is not None:
+        problems.append(
+            "[fit] lowpass: found beside mean forces, which it does not change; "
+            'allowed with kind = "force_records"'
+        )
     if kind == "force_records":
         return ForceRecordTask(path.stem, tuple(records), settings)
     means = tables.get("means")
