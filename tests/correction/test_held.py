@@ -69,6 +69,23 @@ def test_held_rows_are_those_of_a_dense_solver(shift):
     assert found.cost < 1.03 * dense.fun
 
 
+def test_steps_outside_the_bounds_do_not_count():
+    """The way back may be long; what comes after it is what was asked for."""
+
+    def residual(x, args):
+        return jnp.concatenate([x - 5.0, 8 + x[:1] + jnp.sin(3 * x[:1]) - 2 * x[1:]])
+
+    held = HeldRows(np.full(1, -0.1), np.full(1, 0.1))
+    solver = LevenbergMarquardt(max_steps=2, cost_rtol=1e-9, inner_rtol=1e-6)
+    start = jnp.asarray([-3.0, -6.0])
+    found = least_squares(residual, start, held=held, solver=solver)
+    assert held.is_within(found.held)
+    outside = [step.weight > 0 for step in found.history]
+    assert outside == sorted(outside, reverse=True)
+    assert sum(outside) > 0
+    assert len(outside) - sum(outside) == 2
+
+
 def straight_wall():
     """A pass along +x whose wall lies to its right, with a point at every row."""
     path = np.zeros((ROWS, 3))

@@ -47,9 +47,9 @@ from ._quadratic import QuadraticSolution
 
 # Smallest ratio of true to predicted decrease with which a step is accepted.
 _ACCEPT = 1e-4
-# Further steps that may be taken to bring held rows within their bounds, and how little
-# of the cost one of them may gain.
-_RETURN_STEPS = 10
+# Steps that may be taken besides to bring held rows within their bounds, and how little
+# of the cost one of them may gain. What cannot be held gains nothing long before.
+_RETURN_STEPS = 40
 _RETURN_RTOL = 1e-3
 
 
@@ -90,8 +90,8 @@ def least_squares(
             limits it must be the same for all.
         limits: Limits of the unknowns, which `start` keeps.
         held: Bounds of the last entries of the residual, which do not count in the
-            square. Where `start` does not keep them they are gone for first, with ten
-            steps more at most.
+            square. Where `start` does not keep them they are gone for first, in up to
+            40 steps that do not count as those of the solver.
         solver: Settings.
         precondition: Roughly the inverse of J^T J, on NumPy arrays of the shape of
             `start`; symmetric and positive semidefinite.
@@ -123,7 +123,7 @@ def least_squares(
         state = first_damping(solver, held, state)
     first = largest_slope(state, box) if resume is None else resume.first_kkt
     is_done = first == 0 if resume is None else resume.is_done
-    while not is_done and len(history) < _most_steps(solver, state):
+    while not is_done and _has_steps(solver, state, history):
         before, kkt = state.cost, largest_slope(state, box)
         weight = state.weight
         inner = _inner(solver, state, box, limits, held, precondition)
@@ -132,7 +132,7 @@ def least_squares(
             count += 1
             state = linearised(solver, residual, args, box, held, state, count)
         step, seconds = len(history) + 1, clock() - began
-        record = _recorded(step, state, tried, kkt, inner, seconds)
+        record = _recorded(step, state, tried, kkt, inner, seconds, weight)
         history.append(record)
         # While the weight of what is out of bounds grows, costs are not comparable.
         if state.weight == weight and held.is_final(weight):
@@ -155,6 +155,7 @@ def _recorded(
     kkt: float,
     inner: QuadraticSolution,
     seconds: float,
+    weight: float,
 ) -> LeastSquaresStep:
     """Return what a step did and what has been spent."""
     return LeastSquaresStep(
@@ -169,12 +170,18 @@ def _recorded(
         products=state.products,
         forward_runs=state.forward_runs,
         seconds=seconds,
+        weight=weight,
     )
 
 
-def _most_steps(solver: LevenbergMarquardt, state: State) -> int:
-    """Return how many steps may be taken, given where the last one led."""
-    return solver.max_steps + (_RETURN_STEPS if state.weight else 0)
+def _has_steps(
+    solver: LevenbergMarquardt, state: State, history: list[LeastSquaresStep]
+) -> bool:
+    """Tell whether steps are left, of those within the bounds or of those outside."""
+    outside = sum(step.weight > 0 for step in history)
+    if state.weight:
+        return outside < _RETURN_STEPS
+    return len(history) - outside < solver.max_steps
 
 
 def _inner(

@@ -30,6 +30,8 @@ class LeastSquaresStep(eqx.Module):
         forward_runs: Evaluations of the residual in total so far, linearisations
             included.
         seconds: Wall time since the start [s].
+        weight: Weight of the held rows out of their bounds where the step began; 0
+            where all were within.
     """
 
     step: int
@@ -43,6 +45,7 @@ class LeastSquaresStep(eqx.Module):
     products: int
     forward_runs: int
     seconds: float
+    weight: float = 0.0
 
 
 class LeastSquaresSolution(eqx.Module):
