@@ -108,7 +108,7 @@ def test_what_the_cutter_does_not_allow(simple_end_mills):
         found,
     )
     assert [line.split()[1] for line in found] == [
-        *["horizon:"] * 3,
+        "horizon:",
         "gouge:",
         "stay_in_cut:",
         "gouge:",

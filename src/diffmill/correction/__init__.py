@@ -10,9 +10,10 @@ the knot spacing and the limits of velocity and acceleration allow.
 Limits of the command and of the joints, the gouge limit and staying in the cut are
 held by Gauss-Newton, not penalised; what cannot be held is refused.
 The feed is a second unknown, which trades error for time; the place of the workpiece
-in the cell a third, chosen beforehand by what the springs alone leave.
-Left out: feed and offset at once; corrections of the tool axis; limits in segments of
-long paths, but those of velocity and acceleration.
+in the cell, and the turn of the flange about the tool axis, a third, chosen beforehand
+by what the springs alone leave.
+Left out: feed and offset at once; corrections of the tool axis; in segments of long
+paths, the surface as the objective, uncertain models and the limits of the joints.
 """
 
 from ._bspline import SplineOffsets as SplineOffsets

@@ -1,7 +1,7 @@
 """Correction by least squares on the contour error, with exact derivatives."""
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -185,11 +185,8 @@ class GaussNewton(AbstractMethod):
         else:
             assert not isinstance(resume, WorstCaseMemory)
             solution = solve(begin, args, on_memory=on_memory, resume=resume)
-        is_held = self._held().is_within(solution.held)
-        if not is_held and np.all(np.isfinite(solution.held)):
-            x, errors = np.asarray(solution.x), _UNIT * solution.held
-            assert self.bounds is not None
-            raise refusal(self.bounds, errors, x, bound, limits)
+        if self.bounds is not None:
+            check_held(self.bounds, self._held(), solution, bound, limits)
         offset = spline.offsets(solution.x)
         return corrected(
             problem,
@@ -252,13 +249,8 @@ class GaussNewton(AbstractMethod):
 
     def _held(self) -> HeldRows:
         """Return the bounds of the rows that the residual holds."""
-        if self.bounds is None:
-            return HeldRows()
         members = 1 if self.ensemble is None else len(self.ensemble.draws)
-        return HeldRows(
-            np.tile(self.bounds.lower / _UNIT, members),
-            np.tile(self.bounds.upper / _UNIT, members),
-        )
+        return held_rows(self.bounds, members)
 
     def _detail(
         self, spline: SplineOffsets, x: np.ndarray, bound: float
@@ -271,6 +263,52 @@ class GaussNewton(AbstractMethod):
             "smoothness": self.smoothness,
             "lag_weight": self.lag_weight,
         }
+
+
+def held_rows(bounds: SurfaceBounds | None, members: int = 1) -> HeldRows:
+    """Return bounds of the surface as those of the last entries of the residual.
+
+    Args:
+        bounds: The bounds, or None.
+        members: Members of the ensemble, each with rows of its own.
+
+    Returns:
+        The rows, in the unit of the residual.
+
+    **Differentiability**: none, a host function.
+    """
+    if bounds is None:
+        return HeldRows()
+    return HeldRows(
+        np.tile(bounds.lower / _UNIT, members), np.tile(bounds.upper / _UNIT, members)
+    )
+
+
+def check_held(
+    bounds: SurfaceBounds,
+    held: HeldRows,
+    solution: LeastSquaresSolution,
+    max_offset: float,
+    limits: Sequence[AbstractLimits],
+) -> None:
+    """Raise if a solution leaves bounds of the surface.
+
+    Args:
+        bounds: The bounds.
+        held: Their rows, see `held_rows`.
+        solution: The solution.
+        max_offset: Bound of its coefficients.
+        limits: Their limits.
+
+    Raises:
+        InfeasibleLimit: It leaves them.
+
+    **Differentiability**: none, a host function.
+    """
+    if held.is_within(solution.held) or not np.all(np.isfinite(solution.held)):
+        return
+    x, errors = np.asarray(solution.x), _UNIT * solution.held
+    raise refusal(bounds, errors, x, max_offset, limits)
 
 
 def _member_errors(

@@ -12,81 +12,54 @@ What lies behind the end of a segment stays as it was found before: in a first s
 the start has it, which bends the end of the segment towards the start. A second sweep
 over all segments begins where the first has ended, and takes most of that away.
 
-The contour error hardly sees how far the tool lags, so that there are several local
-minima at a sharp corner, and a segment may find another of them than the whole path, at
-any overlap. Started from the solution of the whole path, segments stay there.
+The contour error hardly sees how far the tool leads or lags, so that there are several
+local minima at a sharp corner. A corner near the end of a segment is rounded for a tool
+that must be back in time at once, which may be another of them than that of the whole
+path, and the next segment would not leave it. In the first sweep the overlap therefore
+begins anew, from the start, as it does for the whole path. Limits of velocity and
+acceleration, and bounds of the surface, forbid that: what has been run and the start
+need not fit together.
 
 So the work is linear in the length of the path, and what must be in memory at once, the
 linear program of one segment, does not depend on it.
 """
 
-import dataclasses
 import time
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Int
 
 from ._bspline import CLAMPED, SplineOffsets
-from ._gauss_newton import ContourResidual, GaussNewton, contour_residual
+from ._gauss_newton import (
+    ContourResidual,
+    GaussNewton,
+    check_held,
+    contour_residual,
+    held_rows,
+)
+from ._horizon_run import (
+    HorizonRun,
+    advance,
+    command_at,
+    pack_run,
+    part_of,
+    rms_so_far,
+    unpack_run,
+)
 from ._least_squares import least_squares
 from ._least_squares_records import LeastSquaresStep, following
 from ._limits import LinearLimits, command_limits
-from ._memory import (
-    Arrays,
-    OnCheckpoint,
-    below,
-    pack_history,
-    pack_tree,
-    under,
-    unpack_history,
-    unpack_tree,
-)
+from ._memory import Arrays, OnCheckpoint
 from ._method import AbstractMethod, Corrected, OnProgress, corrected
-from ._problem import FloatRows, Motion, Problem, contour_of
+from ._problem import FloatRows, Problem
 from ._projection import project
 from ._response import banded_preconditioner
-from ._segments import AbstractPiece, AbstractPieces
+from ._segments import AbstractPieces
 from ._spline_window import spline_window, window_limits
-
-
-class _Run(eqx.Module):
-    """What has been done up to the end of a segment.
-
-    Attributes:
-        sweep: How many sweeps have been finished before.
-        row: First row that has not been run; the number of rows at the end.
-        coefficients: Of the whole program, the clamped included.
-        state: The plant's at that row.
-        square: Sum of the weighted squares of the contour error so far [m^2].
-        history: Steps of all segments so far.
-    """
-
-    sweep: int
-    row: int
-    coefficients: np.ndarray
-    state: Any
-    square: float
-    history: tuple[LeastSquaresStep, ...]
-
-
-class _Padded(eqx.Module):
-    """A piece with still rows before and after it, which only the contour looks at."""
-
-    piece: AbstractPiece
-    reach: int = eqx.field(static=True)
-
-    def __call__(self, command: Float[Array, "step axis"]) -> Motion:
-        """Return the motion, its first and last row repeated."""
-        return self.run(command)[0]
-
-    def run(self, command: Float[Array, "step axis"]) -> tuple[Motion, Any]:
-        """Return the motion and the plant's state at the piece's last row."""
-        motion, state = self.piece.run(command[self.reach : -self.reach])
-        repeat = lambda x: jnp.pad(x, ((self.reach, self.reach), (0, 0)), mode="edge")
-        return Motion(repeat(motion.actual), repeat(motion.force)), state
+from ._surface_bounds import SurfaceBounds, refusal
+from ._window_bounds import cut_points, deepest_rows, is_kept, window_bounds
 
 
 class RecedingHorizon(AbstractMethod):
@@ -141,6 +114,10 @@ class RecedingHorizon(AbstractMethod):
 
         `on_progress` is called after every segment, with the rms contour error of
         what has been run; where it ends the method, the rest stays as in `start`.
+
+        Raises:
+            InfeasibleLimit: The nominal command breaks a limit, or no correction of a
+                segment keeps the bounds of the surface.
         """
         rows = problem.nominal.shape[0]
         spline = SplineOffsets(rows, problem.time_step, self.method.knot_spacing)
@@ -150,12 +127,12 @@ class RecedingHorizon(AbstractMethod):
             began = time.perf_counter()
             run = self._segment(problem, spline, run)
             seconds.append(time.perf_counter() - began)
-            error = _rms(problem, run)
+            error = rms_so_far(problem, run)
             left = self._left(rows, run.sweep, run.row)
             if left and run.row >= rows:
                 run = self._again(problem, spline, run)
             if self.on_checkpoint is not None:
-                self.on_checkpoint(_packed(run))
+                self.on_checkpoint(pack_run(run))
             if on_progress is not None:
                 # The first one compiles, which the others do not.
                 each = float(np.mean(seconds[1:] or seconds))
@@ -166,14 +143,16 @@ class RecedingHorizon(AbstractMethod):
 
     def _left(self, rows: int, sweep: int, row: int) -> int:
         """Return the number of segments from a row on, of all sweeps."""
-        each = self.segment_count(rows)
-        sweeps = self.sweeps if each > 1 else 1
         now = self.segment_count(rows - row) if row < rows else 0
-        return now + (sweeps - 1 - sweep) * each
+        return now + (self._sweeps(rows) - 1 - sweep) * self.segment_count(rows)
+
+    def _sweeps(self, rows: int) -> int:
+        """Return how often a path of some rows is gone through."""
+        return self.sweeps if self.segment_count(rows) > 1 else 1
 
     def _first(
         self, problem: Problem, spline: SplineOffsets, start: FloatRows | None
-    ) -> _Run:
+    ) -> HorizonRun:
         """Return the state before the first segment, or that to resume."""
         nominal = np.asarray(problem.nominal)
         free = np.zeros((spline.coefficient_count, nominal.shape[1]))
@@ -182,15 +161,17 @@ class RecedingHorizon(AbstractMethod):
             away = np.asarray(start) - nominal
             free = project(spline, away, problem.max_offset, limits=limits)
         coefficients = np.pad(free, ((CLAMPED, CLAMPED), (0, 0)))
-        state = self.pieces.begin(_command(problem, spline, coefficients, 0, 2))
-        run = _Run(0, 0, coefficients, state, 0.0, ())
-        return _unpacked(self.resume, run) if self.resume else run
+        state = self.pieces.begin(command_at(problem, spline, coefficients, 0, 2))
+        run = HorizonRun(0, 0, coefficients, state, 0.0, ())
+        return unpack_run(self.resume, run) if self.resume else run
 
-    def _again(self, problem: Problem, spline: SplineOffsets, run: _Run) -> _Run:
+    def _again(
+        self, problem: Problem, spline: SplineOffsets, run: HorizonRun
+    ) -> HorizonRun:
         """Return the state before the first segment of the next sweep."""
-        command = _command(problem, spline, run.coefficients, 0, 2)
+        command = command_at(problem, spline, run.coefficients, 0, 2)
         state = self.pieces.begin(command)
-        return _Run(run.sweep + 1, 0, run.coefficients, state, 0.0, run.history)
+        return HorizonRun(run.sweep + 1, 0, run.coefficients, state, 0.0, run.history)
 
     def _limits(
         self, problem: Problem, spline: SplineOffsets
@@ -203,11 +184,13 @@ class RecedingHorizon(AbstractMethod):
             max_acceleration=self.method.max_acceleration,
         )
 
-    def _segment(self, problem: Problem, spline: SplineOffsets, run: _Run) -> _Run:
+    def _segment(
+        self, problem: Problem, spline: SplineOffsets, run: HorizonRun
+    ) -> HorizonRun:
         """Correct the rows of one segment, and run them but for the overlap."""
         rows, row = problem.nominal.shape[0], run.row
         coefficients, history = run.coefficients, run.history
-        part = _part(problem, self.pieces.piece, run.state, row, self.horizon)
+        part = part_of(problem, self.pieces.piece, run.state, row, self.horizon)
         if np.any(part.is_cutting > 0):
             coefficients, history = self._solve(problem, part, spline, run)
         is_last = row + self.horizon >= rows
@@ -215,21 +198,22 @@ class RecedingHorizon(AbstractMethod):
         state = run.state
         if row == 0:
             # The start moves with the command, which has just been changed.
-            state = self.pieces.begin(_command(problem, spline, coefficients, 0, 2))
+            state = self.pieces.begin(command_at(problem, spline, coefficients, 0, 2))
         if is_last:
             # The whole run that follows tells the error of these rows.
-            return _Run(run.sweep, rows, coefficients, state, run.square, history)
-        kept = _part(problem, self.pieces.piece, state, row, count)
-        command = _command(problem, spline, coefficients, row, count, problem.window)
-        state, square = _advance(kept, jnp.asarray(command))
+            return HorizonRun(run.sweep, rows, coefficients, state, run.square, history)
+        kept = part_of(problem, self.pieces.piece, state, row, count)
+        command = command_at(problem, spline, coefficients, row, count, problem.window)
+        state, square = advance(kept, jnp.asarray(command))
         square, row = run.square + float(square), row + self._hop
-        return _Run(run.sweep, row, coefficients, state, square, history)
+        return HorizonRun(run.sweep, row, coefficients, state, square, history)
 
     def _solve(
-        self, problem: Problem, part: Problem, spline: SplineOffsets, run: _Run
+        self, problem: Problem, part: Problem, spline: SplineOffsets, run: HorizonRun
     ) -> tuple[np.ndarray, tuple[LeastSquaresStep, ...]]:
         """Return the coefficients with those of a segment corrected, and the steps."""
         method, bound = self.method, float(problem.max_offset)
+        limits = self._limits(problem, spline)
         dtype = np.asarray(problem.nominal).dtype
         window = spline_window(spline, run.row, self.horizon)
         place = window.place()
@@ -242,6 +226,9 @@ class RecedingHorizon(AbstractMethod):
         share = np.sum(part.is_cutting) / np.sum(np.asarray(problem.is_cutting))
         share *= (len(run.coefficients) - 2) / (place.size - 2)
         smoothness = method.smoothness / np.sqrt(share)
+        own = window_limits(limits, run.coefficients, window)
+        bounds = self._bounds(problem, run.row)
+        held = held_rows(bounds)
         precondition = None
         if method.response is not None:
             precondition = banded_preconditioner(
@@ -256,32 +243,72 @@ class RecedingHorizon(AbstractMethod):
                 jnp.asarray(smoothness, dtype),
                 jnp.asarray(method.lag_weight, dtype),
                 method.objective,
+                None,
+                bounds,
             ),
             lower=np.where(is_free, -bound, first),
             upper=np.where(is_free, bound, first),
             scale=bound,
             solver=method.solver,
             precondition=precondition,
-            limits=window_limits(
-                self._limits(problem, spline), run.coefficients, window
-            ),
+            limits=own,
+            held=held,
         )
         new = run.coefficients.copy()
         found = np.asarray(solution.x, np.float64)
         changed = place[np.asarray(window.is_free)]
         new[changed] = found[np.asarray(window.is_free)]
+        if bounds is not None:
+            check_held(bounds, held, solution, bound, own)
+        if run.sweep == 0 and not limits and bounds is None:
+            again = self._overlapping(spline, run.row)
+            new[again] = run.coefficients[again]
         return new, following(run.history, solution.history)
 
+    def _bounds(self, problem: Problem, row: int) -> SurfaceBounds | None:
+        """Return the bounds of the surface for the segment from a row on.
+
+        Its last rows cannot be brought within, since what lies behind them stays: half
+        of the overlap is left free.
+        """
+        bounds, rows = self.method.bounds, problem.nominal.shape[0]
+        if bounds is None:
+            return None
+        look = self._hop + self.overlap // 2
+        ends = {k: self._end(rows, k, look) for k in range(0, rows, self._hop)}
+        most = max(int(cut_points(bounds, k, end).sum()) for k, end in ends.items())
+        return window_bounds(
+            bounds,
+            deepest_rows(bounds, problem.desired),
+            (row, self._end(rows, row, self._hop), ends[row]),
+            shift=problem.window - row,
+            count=most,
+        )
+
+    def _end(self, rows: int, row: int, count: int) -> int:
+        """Return the row behind some of a segment, all of them if it is the last."""
+        return rows if row + self.horizon >= rows else row + count
+
+    def _overlapping(
+        self, spline: SplineOffsets, row: int
+    ) -> Int[np.ndarray, " coefficient"]:
+        """Return the places of what the segment after that of a row may change."""
+        if row + self.horizon >= spline.step_count:
+            return np.zeros(0, np.int32)
+        window = spline_window(spline, row + self._hop, self.horizon)
+        place = window.place()[np.asarray(window.is_free)]
+        return place[place < spline.coefficient_count + 2 * CLAMPED].astype(np.int32)
+
     def _corrected(
-        self, problem: Problem, spline: SplineOffsets, run: _Run
+        self, problem: Problem, spline: SplineOffsets, run: HorizonRun
     ) -> Corrected:
         """Run the whole plant with the command found."""
         rows = problem.nominal.shape[0]
         share = self.horizon / rows
         last = run.history[-1] if run.history else None
-        return corrected(
+        found = corrected(
             problem,
-            _command(problem, spline, run.coefficients, 0, rows),
+            command_at(problem, spline, run.coefficients, 0, rows),
             forward_runs=0 if last is None else int(np.ceil(share * last.forward_runs)),
             products=0 if last is None else int(np.ceil(share * last.products)),
             history=run.history,
@@ -289,87 +316,16 @@ class RecedingHorizon(AbstractMethod):
                 "knot_spacing": spline.actual_spacing,
                 "unknowns": float(spline.coefficient_count * problem.nominal.shape[1]),
                 "segment_count": float(self.segment_count(rows)),
-                "sweeps": float(self.sweeps),
+                "sweeps": float(self._sweeps(rows)),
                 "horizon": float(self.horizon),
                 "overlap": float(self.overlap),
                 "smoothness": self.method.smoothness,
                 "lag_weight": self.method.lag_weight,
             },
         )
-
-
-@eqx.filter_jit
-def _advance(
-    part: Problem, command: Float[Array, "step axis"]
-) -> tuple[Any, Float[Array, ""]]:
-    """Return the state at a piece's last row, and its sum of squared errors.
-
-    The last row belongs to the piece after.
-    """
-    padded: Any = part.plant
-    motion, state = padded.run(command)
-    weights = jnp.asarray(part.is_cutting, command.dtype)
-    weights = weights.at[-1 - part.window].set(0)
-    square = jnp.sum(contour_of(part, motion) ** 2, axis=1)
-    return state, jnp.sum(jnp.where(weights > 0, weights * square, 0))
-
-
-def _part(problem: Problem, piece: Any, state: Any, row: int, count: int) -> Problem:
-    """Return the problem of some rows, with more around them that do not count."""
-    rows, reach = problem.nominal.shape[0], problem.window
-    inner = np.arange(row, row + count)
-    around = np.clip(np.arange(row - reach, row + count + reach), 0, rows - 1)
-    weights = np.asarray(problem.is_cutting)[np.minimum(inner, rows - 1)]
-    weights = np.pad(np.where(inner < rows, weights, 0), reach)
-    plant = _Padded(piece(state, np.minimum(inner, rows - 1)), reach)
-    return dataclasses.replace(
-        problem,
-        plant=plant,
-        nominal=np.asarray(problem.nominal)[around],
-        desired=np.asarray(problem.desired)[around],
-        is_cutting=weights,
-    )
-
-
-def _command(
-    problem: Problem,
-    spline: SplineOffsets,
-    coefficients: np.ndarray,
-    row: int,
-    count: int,
-    reach: int = 0,
-) -> Float[Array, "step axis"]:
-    """Return the command at some rows, and at some more around them."""
-    nominal = np.asarray(problem.nominal)
-    offsets = spline.offsets(jnp.asarray(coefficients[CLAMPED:-CLAMPED], nominal.dtype))
-    command = nominal + np.asarray(offsets)
-    at = np.clip(np.arange(row - reach, row + count + reach), 0, len(nominal) - 1)
-    return jnp.asarray(command[at])
-
-
-def _rms(problem: Problem, run: _Run) -> float:
-    """Return the rms contour error of the rows that have been run [m]."""
-    weight = float(np.sum(np.asarray(problem.is_cutting)[: run.row]))
-    return float(np.sqrt(run.square / weight)) if weight > 0 else 0.0
-
-
-def _packed(run: _Run) -> dict[str, np.ndarray]:
-    return {
-        "sweep": np.asarray(run.sweep),
-        "row": np.asarray(run.row),
-        "coefficients": run.coefficients,
-        "square": np.asarray(run.square),
-        "history": pack_history(run.history),
-        **under("state", pack_tree(run.state)),
-    }
-
-
-def _unpacked(arrays: Arrays, like: _Run) -> _Run:
-    return _Run(
-        int(arrays["sweep"]),
-        int(arrays["row"]),
-        np.asarray(arrays["coefficients"]),
-        unpack_tree(below("state", arrays), like.state),
-        float(arrays["square"]),
-        unpack_history(arrays["history"]),
-    )
+        if (bounds := self.method.bounds) is not None:
+            errors = np.asarray(bounds.errors(found.motion), np.float64)
+            if np.all(np.isfinite(errors)) and not is_kept(bounds, errors):
+                bound = float(problem.max_offset)
+                raise refusal(bounds, errors, run.coefficients, bound, ())
+        return found

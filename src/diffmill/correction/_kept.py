@@ -41,7 +41,6 @@ def horizon_of(job: Job) -> tuple[int, int] | None:
     settings, rows = job.correction, job.path.step_count
     is_able = settings.objective == "path" and job.simulation.mode == "dynamic"
     is_able &= settings.uncertainty is None and settings.method != "adam"
-    is_able &= not settings.stay_in_cut and not np.isfinite(settings.gouge)
     if settings.horizon == "auto":
         horizon = _HORIZON if rows > _WHOLE_ROWS and is_able else rows
     else:
@@ -51,9 +50,8 @@ def horizon_of(job: Job) -> tuple[int, int] | None:
     if not is_able:
         raise ValueError(
             'Argument `job` must have the horizon "auto" unless its objective is '
-            '"path", its mode "dynamic", its model certain, its method "gauss_newton" '
-            "and its surface free of `gouge` and `stay_in_cut`, but has a horizon of "
-            f"{horizon} rows."
+            '"path", its mode "dynamic", its model certain and its method '
+            f'"gauss_newton", but has a horizon of {horizon} rows.'
         )
     overlap = settings.overlap
     if overlap == "auto":

@@ -63,6 +63,22 @@ class FinishedSurface(eqx.Module):
 
         **Differentiability**: kink where another pose becomes the deepest.
         """
+        depth = self.depths(actual)
+        # The choice is held fixed: `min` would share a tie's derivative among all.
+        best = jnp.argmin(jax.lax.stop_gradient(depth), axis=1)
+        return jnp.take_along_axis(depth, best[:, None], axis=1)[:, 0]
+
+    def depths(self, actual: FloatRows3) -> Float[Array, "point pose"]:
+        """Return how far out of the ideal surface each pose of a point cuts [m].
+
+        Args:
+            actual: Actual tips [m], shape (step, 3).
+
+        Returns:
+            As `errors`, of every pose, shape (point, pose).
+
+        **Differentiability**: smooth where the pose cuts.
+        """
         tips = jnp.asarray(actual)
         p, n = (jnp.asarray(x, tips.dtype) for x in (self.points, self.normals))
         apart = tips[jnp.asarray(self.poses, jnp.int32)] - p[:, None]
@@ -73,10 +89,7 @@ class FinishedSurface(eqx.Module):
         is_under = square > (0.01 * R) ** 2
         wall = out - jnp.sqrt(jnp.where(is_under, square, 1.0))
         wall = jnp.where(is_under, wall, jnp.asarray(_FAR, tips.dtype))
-        depth = jnp.where(jnp.asarray(self.is_wall)[:, None], wall, out)
-        # The choice is held fixed: `min` would share a tie's derivative among all.
-        best = jnp.argmin(jax.lax.stop_gradient(depth), axis=1)
-        return jnp.take_along_axis(depth, best[:, None], axis=1)[:, 0]
+        return jnp.where(jnp.asarray(self.is_wall)[:, None], wall, out)
 
 
 def finished_surface(

@@ -167,8 +167,6 @@ def _check_segments(table: CorrectionTable, problems: list[str]) -> None:
     for beside, is_whole in (
         ('objective = "surface"', table.objective == "surface"),
         ("an uncertainty", table.uncertainty is not None),
-        ("a gouge limit", table.gouge is not None),
-        ("stay_in_cut = true", table.stay_in_cut),
         ('method = "adam"', table.method == "adam"),
     ):
         if table.horizon != "auto" and is_whole:

@@ -1,0 +1,128 @@
+"""Bounds of the surface in segments: held in each, as for the whole path."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from correction.test_held import PATIENT, RADIUS, ROWS, TIME_STEP, straight_wall
+
+from diffmill.correction import (
+    AbstractPiece,
+    AbstractPieces,
+    GaussNewton,
+    InfeasibleLimit,
+    Motion,
+    Problem,
+    RecedingHorizon,
+    surface_bounds,
+)
+from diffmill.correction._window_bounds import deepest_rows, window_bounds
+
+
+class Pushed(AbstractPiece):
+    """Rows that are pushed into the wall and off it, the more the further."""
+
+    path: jax.Array
+    push: jax.Array
+
+    def __call__(self, command):
+        return Motion(
+            command + self.push * (1 + 0.3 * jnp.sin((command - self.path) / 1e-4)),
+            jnp.zeros_like(command),
+        )
+
+    def run(self, command):
+        """Run the rows; nothing is remembered."""
+        return self(command), jnp.zeros(())
+
+
+class PushedPieces(AbstractPieces):
+    """The same, piece by piece."""
+
+    whole: Pushed
+
+    def begin(self, command):
+        """Remember nothing."""
+        return jnp.zeros(())
+
+    def piece(self, state, rows):
+        """Return some rows."""
+        return jax.tree.map(lambda x: x[rows], self.whole)
+
+
+def pushed(max_offset=1e-3):
+    path, surface = straight_wall()
+    phase = np.arange(ROWS) / ROWS
+    push = np.zeros_like(path)
+    push[:, 1] = 1e-4 * np.sin(40 * phase) * np.sin(np.pi * phase) ** 2
+    plant = Pushed(jnp.asarray(path), jnp.asarray(push))
+    return Problem(plant, path, path, np.ones(ROWS), TIME_STEP, max_offset), surface
+
+
+def segments(problem, bounds):
+    method = GaussNewton(70e-3, solver=PATIENT, bounds=bounds)
+    pieces = PushedPieces(problem.plant)
+    return RecedingHorizon(pieces, method, horizon=110, overlap=60)(problem)
+
+
+@pytest.fixture(scope="module")
+def gouge():
+    """Return a limit that the correction without one would break."""
+    problem, surface = pushed()
+    free = GaussNewton(70e-3, solver=PATIENT)(problem)
+    return -0.6 * float(np.asarray(surface.errors(free.motion.actual)).min())
+
+
+def test_segments_hold_the_gouge_limit_as_the_whole_path_does(gouge):
+    problem, surface = pushed()
+    bounds = surface_bounds(surface, gouge=gouge)
+    found = segments(problem, bounds)
+    assert found.detail["segment_count"] == 3
+    errors = np.asarray(surface.errors(found.motion.actual))
+    assert 0.9 * gouge < -errors.min() <= gouge * (1 + 1e-9)
+    whole = GaussNewton(70e-3, solver=PATIENT, bounds=bounds)(problem)
+    assert found.measures.rms < 1.05 * whole.measures.rms
+
+
+def test_a_limit_that_a_segment_cannot_hold_is_named(gouge):
+    problem, surface = pushed(max_offset=5e-6)
+    with pytest.raises(InfeasibleLimit) as refused:
+        segments(problem, surface_bounds(surface, gouge=gouge))
+    text = str(refused.value)
+    assert f"`gouge` is {1e6 * gouge:.4g} um and cannot be held" in text
+    assert "stands at `max_offset` (" in text
+
+
+@pytest.mark.slow
+def test_the_tool_stays_in_a_thin_layer_in_segments():
+    """A program that is rewarded for leaving the wall may not leave the cut."""
+    problem, surface = pushed()
+    away = problem.desired + np.array([[0.0, 2e-4, 0.0]]) * np.sin(
+        np.linspace(0, np.pi, ROWS)[:, None]
+    )
+    problem = eqx.tree_at(lambda p: p.desired, problem, away)
+    layers = np.full(len(surface.points), 1e-4)
+    found = segments(problem, surface_bounds(surface, layers=layers))
+    most = np.asarray(surface.errors(found.motion.actual)).max()
+    assert 0.8e-4 < most <= 0.9e-4 * (1 + 1e-9)
+
+
+def test_every_bound_is_in_some_segment():
+    problem, surface = pushed()
+    bounds = surface_bounds(surface, gouge=1e-5, layers=np.full(81, 1e-4))
+    deepest = deepest_rows(bounds, problem.desired)
+    np.testing.assert_array_equal(deepest, np.arange(40, ROWS - 40))
+    motion = Motion(jnp.asarray(problem.desired), jnp.zeros((ROWS, 3)))
+    seen = []
+    for rows in ((0, 50, 80), (50, 100, 130), (100, ROWS, ROWS)):
+        part = window_bounds(bounds, deepest, rows, shift=0, count=81)
+        assert part.errors(motion).shape == (81,)
+        poses = np.asarray(part.surface.poses)[np.isfinite(part.lower)]
+        assert rows[0] <= poses.min() and poses.max() < rows[2]
+        mine = np.asarray(part.surface.points)[np.isfinite(part.upper)]
+        seen.extend(np.round((mine[:, 0]) / 2e-4).astype(int))
+        free = ~np.isfinite(part.lower)
+        np.testing.assert_array_equal(part.upper[free], np.inf)
+    assert set(seen) == set(range(40, ROWS - 40))
+    assert RADIUS == surface.radius
