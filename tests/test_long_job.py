@@ -172,5 +172,6 @@ def test_segments_leave_the_error_that_the_whole_path_leaves(folder):
     assert code == 0, text
     segments = rms_of(folder / "all", "corrected")
     whole = rms_of(folder / "whole", "corrected")
-    # At a sharp corner they may end in two local minima, which differ in the lag.
-    assert abs(segments - whole) < 0.03 * rms_of(folder / "all", "uncorrected")
+    # In the same local minimum at a sharp corner: in another much more is left.
+    # Along its flat valley error and lag can still be traded for each other.
+    assert abs(segments - whole) < 0.03 * whole
