@@ -50,6 +50,15 @@ class Report:
         return "\n".join([*self.lines, "", end, ""])
 
 
+def store(report: Report, folder: pathlib.Path, name: str) -> None:
+    """End a report with the versions and write it to `<name>.txt` in a folder."""
+    report.say()
+    report.say(f"jax {jax.__version__}, {platform.machine()}, {jax.default_backend()}")
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / f"{name}.txt").write_text(report.text())
+    print(report.text().splitlines()[-1])
+
+
 def relative(found: object, wanted: object) -> float:
     """Return the length of the difference over the length of what is wanted."""
     found, wanted = np.asarray(found), np.asarray(wanted)

@@ -4,6 +4,7 @@ Each length runs in a process of its own, so that its peak of memory is its own.
 path goes to and fro over a block, layer after layer.
 
 python experiments/correction/long.py [--rows 10000 20000 40000] [--arm slides]
+    [--out FOLDER]
 """
 
 import argparse
@@ -135,15 +136,22 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rows", type=int, nargs="+", default=ROWS)
     parser.add_argument("--arm", default="reis_rv130_like")
+    results = pathlib.Path(__file__).parent / "results"
+    parser.add_argument("--out", type=pathlib.Path, default=results)
     parser.add_argument("--one", type=int, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.one is not None:
         print(json.dumps(one(arguments.one, arguments.arm)))
         return
-    sys.path.append(str(pathlib.Path(__file__).parents[1] / "common"))
-    from reporting import Report
+    here = pathlib.Path(__file__).parent
+    sys.path.append(str(here.parent / "common"))
+    from reporting import Report, store
 
-    measure(Report("long paths"), tuple(arguments.rows), arguments.arm)
+    report = Report("diffmill correction: long")
+    print("\n".join(report.lines), flush=True)
+    measure(report, tuple(arguments.rows), arguments.arm)
+    lengths = "_".join(str(rows) for rows in arguments.rows)
+    store(report, arguments.out, f"long_{arguments.arm}_{lengths}")
 
 
 if __name__ == "__main__":

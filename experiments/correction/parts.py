@@ -108,9 +108,13 @@ def freeform(*, length: float = 24, passes: int = 4, step_over: float = 1.5) -> 
 
 
 def _wave(x: float, y: float) -> float:
-    """Return the height of the tip: radii of curvature far above the tool's."""
+    """Return the height of the tip: radii of curvature far above the tool's.
+
+    So shallow, since the first pass is a full slot, in which the softer arm chatters
+    where it is deeper.
+    """
     along, across = 2 * math.pi * x / 24, 2 * math.pi * y / 12
-    return -0.9 - 0.35 * math.sin(along) - 0.15 * math.cos(across)
+    return -0.25 - 0.12 * math.sin(along) - 0.05 * math.cos(across)
 
 
 def _part(
