@@ -1,11 +1,21 @@
+import dataclasses
 import functools
 import math
+import tempfile
+from pathlib import Path
 
 import numpy as np
 import pytest
 from slot_force import DEPTH, HELIX, PERIOD, SPEED, K, R, slot_force
 
-from diffmill import cutter as ct, identification, workpiece as wp
+import diffmill as dm
+from diffmill import (
+    cutter as ct,
+    examples,
+    identification,
+    toolpath as tp,
+    workpiece as wp,
+)
 
 NAMES = identification.NAMES
 STEPS = 45
@@ -73,6 +83,30 @@ def test_noise_a_time_shift_and_turned_axes():
     assert (np.abs(found(fit) - K) < 4 * errors(fit) + 0.01 * K).all()
     assert fit.residual_rms / fit.force_rms == pytest.approx(0.05, rel=0.1)
     assert (errors(fit) < 0.05 * K).all()
+
+
+@pytest.mark.slow
+def test_a_job_in_float32_gives_the_coefficients():
+    one = cuts()[1]
+    with tempfile.TemporaryDirectory() as folder:
+        example = dm.load_job(examples.copy_example("paper_small", Path(folder)))
+    path = tp.vertical_path(PERIOD * np.arange(STEPS), np.asarray(one.positions))
+    job = dataclasses.replace(
+        example,
+        cutter=one.cutter,
+        spindle_speed=SPEED,
+        stock=one.stock,
+        path=path,
+        robot=None,
+        simulation=dataclasses.replace(example.simulation, precision="float32"),
+    )
+    time, seen = record(FEEDS[1], shift=4e-4)
+    for refine in ((), ("runout",)):
+        fit = identification.fit_force_coefficients(job, time, seen, refine=refine)
+        assert fit.records[0].cut.stock.origin.dtype == np.float32
+        assert (np.abs(found(fit) - K) < 4 * errors(fit) + 0.015 * K).all()
+        np.testing.assert_allclose(fit.time_shift, 4e-4, atol=1e-5)
+    assert abs(fit.refined["runout_x"]) < 2e-6
 
 
 def test_gross_errors_change_little_under_a_robust_loss():

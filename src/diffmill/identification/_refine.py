@@ -144,8 +144,8 @@ def _simulated(
     one: Measured, names: tuple[str, ...], lengths: np.ndarray, K: np.ndarray
 ) -> tuple[Measured, np.ndarray]:
     """Return a record beside its cut for given lengths, and the columns of these."""
-    base = dataclasses.replace(one.cut, cutter=_original(one.cut.cutter))
-    dtype = base.stock.origin.dtype
+    dtype = one.cut.stock.origin.dtype
+    base = dataclasses.replace(one.cut, cutter=_original(one.cut.cutter, dtype))
     x = jnp.asarray(np.concatenate([K, lengths]), dtype)
     jacobian, (force, result) = _derivatives(with_plan(base), x, names)
     if result != RESULTS.successful:
@@ -194,9 +194,9 @@ def cutter_with(
     return dataclasses.replace(cutter, **changes)  # pyright: ignore[reportArgumentType]
 
 
-def _original(cutter: AbstractCutter) -> AbstractCutter:
+def _original(cutter: AbstractCutter, dtype: jnp.dtype) -> AbstractCutter:
     """Return the cutter with the radius that it was made with."""
-    diameter = jnp.asarray(2 * cutter.nominal_radius, jnp.result_type(float))
+    diameter = jnp.asarray(2 * cutter.nominal_radius, dtype)
     return eqx.tree_at(lambda c: c.diameter, cutter, diameter)
 
 
