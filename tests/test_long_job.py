@@ -10,80 +10,22 @@ import time
 import numpy as np
 import pytest
 import xarray
+from slides_job import write_slides_job
 
 from diffmill import io
 
-AXIS = """
-[[elements]]
-kind = "prismatic"
-name = "{name}"
-axis = {axis}
-stiffness = "1.0e6 N/m"
-damping = "2 kN*s/m"
-"""
-ARM = (
-    'name = "slides"\n'
-    + AXIS.format(name="x", axis=[1, 0, 0])
-    + AXIS.format(name="y", axis=[0, 1, 0])
-    + AXIS.format(name="z", axis=[0, 0, 1])
-    + """
-[[elements]]
-kind = "body"
-mass = "80 kg"
-inertia = ["1 kg*m^2", "1 kg*m^2", "1 kg*m^2"]
-[[elements]]
-kind = "tool"
-name = "tool"
-"""
-)
-PROGRAM = """G21 G17 G90 G94
-G0 X-5.5 Y1 Z1
-G0 Z-0.8
-G1 X6 F3000
-G1 Y4
-G1 X-5.5
-M2
-"""
-JOB = """
-[cutter]
-kind = "flat"
-diameter = "10 mm"
-teeth = 2
-[spindle]
-speed = "8000 rpm"
-[force]
-K_tc = "989.8 N/mm^2"
-K_rc = "337.3 N/mm^2"
-K_ac = "66.9 N/mm^2"
-[stock]
-lower = ["0 mm", "0 mm", "-2 mm"]
-upper = ["8 mm", "8 mm", "0 mm"]
-spacing = "0.5 mm"
-[program]
-file = "part.ngc"
-acceleration = "0.5 m/s^2"
-[robot]
-file = "arm.toml"
-work_in_base = { position = ["0 mm", "0 mm", "0 mm"] }
-[simulation]
-substeps = 4
-[correction]
-max_steps = 10
-max_products = 60
-horizon = 140
-overlap = 70
-"""
+SETTINGS = ("max_steps = 10", "max_products = 60", "overlap = 70")
+# Enough on a machine that does many other things too [s].
+LIMIT = 5400
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """A folder with the job and a cache of compiled programs."""
     path = tmp_path_factory.mktemp("long")
-    (path / "arm.toml").write_text(ARM)
-    (path / "part.ngc").write_text(PROGRAM)
-    (path / "job.toml").write_text(JOB)
-    (path / "whole.toml").write_text(JOB.replace("horizon = 140", 'horizon = "auto"'))
-    (path / "other.toml").write_text(JOB.replace("0.5 m/s^2", "0.4 m/s^2"))
+    job = write_slides_job(path, *SETTINGS, "horizon = 140").read_text()
+    (path / "whole.toml").write_text(job.replace("horizon = 140", 'horizon = "auto"'))
+    (path / "other.toml").write_text(job.replace("0.5 m/s^2", "0.4 m/s^2"))
     return path
 
 
@@ -103,7 +45,7 @@ def finish(process):
     """Return the exit code and the messages of a run."""
     with process:
         try:
-            text = process.communicate(timeout=1500)[1]
+            text = process.communicate(timeout=LIMIT)[1]
         except subprocess.TimeoutExpired:
             process.kill()
             raise
@@ -121,14 +63,15 @@ def kill_when(folder, out, found, *more):
     """Kill a run without warning once something is in its checkpoint."""
     process = start(folder, "job.toml", "--out", out, *more)
     file = pathlib.Path(folder / f"{out}.checkpoint")
-    for _ in range(15000):
+    is_found, end = False, time.monotonic() + LIMIT
+    while not is_found and time.monotonic() < end:
         if process.poll() is not None:
             raise AssertionError(process.communicate()[1])
-        if file.exists() and found(file.read_bytes()):
-            break
+        is_found = file.exists() and found(file.read_bytes())
         time.sleep(0.1)
     process.send_signal(signal.SIGKILL)
     process.communicate()
+    assert is_found, f"nothing was kept within {LIMIT} s"
     return file
 
 
