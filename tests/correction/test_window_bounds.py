@@ -74,6 +74,7 @@ def gouge():
     return -0.6 * float(np.asarray(surface.errors(free.motion.actual)).min())
 
 
+@pytest.mark.slow
 def test_segments_hold_the_gouge_limit_as_the_whole_path_does(gouge):
     problem, surface = pushed()
     bounds = surface_bounds(surface, gouge=gouge)
@@ -85,6 +86,7 @@ def test_segments_hold_the_gouge_limit_as_the_whole_path_does(gouge):
     assert found.measures.rms < 1.05 * whole.measures.rms
 
 
+@pytest.mark.slow
 def test_a_limit_that_a_segment_cannot_hold_is_named(gouge):
     problem, surface = pushed(max_offset=5e-6)
     with pytest.raises(InfeasibleLimit) as refused:

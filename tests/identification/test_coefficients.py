@@ -125,6 +125,7 @@ def test_gross_errors_change_little_under_a_robust_loss():
     assert off["tukey"] < 0.05 < off["squares"]
 
 
+@pytest.mark.slow
 def test_both_sides_pass_the_low_pass():
     """Vibration of the dynamometer goes; what is cut off of the force does not bias."""
     cut, time, seen = both(shift=4e-4)
@@ -168,6 +169,7 @@ def spinning(time, draw):
     return angle, 5 * pulse + 0.05 * draw.normal(size=time.size)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_known", [True, False])
 def test_a_tacho_is_the_clock_of_an_uneven_spindle(is_known):
     time, draw = np.arange(0, 0.3, 1e-4), np.random.default_rng(0)
