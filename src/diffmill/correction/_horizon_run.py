@@ -116,6 +116,7 @@ def rms_so_far(problem: Problem, run: HorizonRun) -> float:
 
 
 def pack_run(run: HorizonRun) -> dict[str, np.ndarray]:
+    """Return a run as arrays for a checkpoint."""
     return {
         "sweep": np.asarray(run.sweep),
         "row": np.asarray(run.row),
@@ -127,6 +128,7 @@ def pack_run(run: HorizonRun) -> dict[str, np.ndarray]:
 
 
 def unpack_run(arrays: Arrays, like: HorizonRun) -> HorizonRun:
+    """Return the run that `pack_run` was given; `like` has a state of the same form."""
     return HorizonRun(
         int(arrays["sweep"]),
         int(arrays["row"]),

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ._lane_frames import LinkFrame, base_acceleration, link_frames, tool_origin
 from ._lanes import (
     Matrix,
     Vector,
@@ -29,13 +30,6 @@ from ._lanes import (
     transpose,
 )
 from ._robot import Robot
-
-
-class _Frame(NamedTuple):
-    """A link's frame in its parent's."""
-
-    rotation: Matrix
-    position: Vector
 
 
 class _Inertia(NamedTuple):
@@ -84,35 +78,20 @@ def _moved(vector: Vector, place: int, by: Array) -> Vector:
     return (*vector[:place], vector[place] + by, *vector[place + 1 :])
 
 
-def link_frames(robot: Robot, q: Vector) -> list[_Frame]:
-    frames = []
-    rotations = numbers(robot.placement_rotations, 3)
-    positions = numbers(robot.placement_positions, 2)
-    for kind, R, p, q_i in zip(robot.body_kinds, rotations, positions, q, strict=True):
-        x, y, z = transpose(R)
-        if kind == "prismatic":
-            frames.append(hold(_Frame(R, add(p, scale(q_i, z)))))
-            continue
-        s, c = hold((jnp.sin(q_i), jnp.cos(q_i)))
-        x, y = add(scale(c, x), scale(s, y)), add(scale(c, y), scale(-s, x))
-        frames.append(hold(_Frame(transpose((x, y, z)), p)))
-    return frames
-
-
-def _to_link(frame: _Frame, motion: Vector) -> Vector:
+def _to_link(frame: LinkFrame, motion: Vector) -> Vector:
     """Return a motion of the parent, at the link's origin in its axes."""
     to_link = transpose(frame.rotation)
     v, w = motion[:3], motion[3:]
     return apply(to_link, add(v, cross(w, frame.position))) + apply(to_link, w)
 
 
-def _to_parent(frame: _Frame, force: Vector) -> Vector:
+def _to_parent(frame: LinkFrame, force: Vector) -> Vector:
     """Return a force on the link, at the parent's origin in its axes."""
     f = apply(frame.rotation, force[:3])
     return f + add(apply(frame.rotation, force[3:]), cross(frame.position, f))
 
 
-def _inertia_to_parent(frame: _Frame, inertia: _Inertia) -> _Inertia:
+def _inertia_to_parent(frame: LinkFrame, inertia: _Inertia) -> _Inertia:
     """Return an inertia at the parent's origin in its axes."""
     E, p = frame
     back = transpose(E)
@@ -153,7 +132,7 @@ def _link_inertias(robot: Robot) -> tuple[list[Vector], list[_Inertia]]:
 
 def _motion(
     robot: Robot,
-    frames: list[_Frame],
+    frames: list[LinkFrame],
     links: tuple[list[Vector], list[_Inertia]],
     qd: Vector,
 ) -> _Motion:
@@ -182,7 +161,7 @@ def _motion(
 
 def _articulated(
     robot: Robot,
-    frames: list[_Frame],
+    frames: list[LinkFrame],
     inertias: list[_Inertia],
     diagonal: Vector | None,
     drift: list[Vector] | None,
@@ -229,7 +208,7 @@ def _articulated(
 
 def _accelerations(
     robot: Robot,
-    frames: list[_Frame],
+    frames: list[LinkFrame],
     joints: list[_Articulated],
     tau: Vector,
     motion: _Motion | None,
@@ -259,7 +238,7 @@ def _accelerations(
 
 
 def _add_wrench(
-    robot: Robot, frames: list[_Frame], force: list[Vector], wrench: Vector
+    robot: Robot, frames: list[LinkFrame], force: list[Vector], wrench: Vector
 ) -> None:
     """Subtract an external wrench at the tool's origin, in base axes, from `force`."""
     joint = robot.flange_joint
@@ -272,10 +251,7 @@ def _add_wrench(
     for i in reversed(path):
         back = transpose(frames[i].rotation)
         f, n = hold((apply(back, f), apply(back, n)))
-    T_joint_flange = numbers(robot.T_joint_flange, 2)
-    tip = tuple(row[3] for row in numbers(robot.T_flange_tool, 2)[:3])
-    arm = tuple(dot(row[:3], tip) + row[3] for row in T_joint_flange[:3])
-    n = add(n, cross(arm, f))
+    n = add(n, cross(tool_origin(robot), f))
     force[joint] = hold(tuple(a - b for a, b in zip(force[joint], f + n, strict=True)))
 
 
@@ -291,9 +267,7 @@ def _aba(
     motion = _motion(robot, frames, links, numbers(qd, 1))
     _add_wrench(robot, frames, motion.force, numbers(wrench, 1))
     joints = _articulated(robot, frames, links[1], None, motion.drift)
-    zero = jnp.zeros_like(q[0])
-    # Gravity is an upward acceleration of the base.
-    base = tuple(zero - g for g in numbers(robot.gravity, 1)) + (zero,) * 3
+    base = base_acceleration(robot, q[0])
     found = _accelerations(robot, frames, joints, numbers(tau, 1), motion, base)
     return jnp.stack(found)
 

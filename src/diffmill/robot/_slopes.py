@@ -22,9 +22,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._aba import link_frames
 from ._crba import mass_matrix
 from ._kinematics import jacobian
+from ._lane_frames import base_acceleration, link_frames, tool_origin
 from ._lanes import (
     Matrix,
     Vector,
@@ -81,8 +81,8 @@ class _Joint(NamedTuple):
     second: Vector
 
 
-@jax.jit
-def motion_slopes(
+@jax.custom_jvp
+def _motion_slopes(
     robot: Robot,
     q: Float[Array, " joint"],
     qd: Float[Array, " joint"],
@@ -104,17 +104,6 @@ def motion_slopes(
 
     **Differentiability**: smooth.
     """
-    return _motion_slopes(robot, q, qd, qdd, wrench)
-
-
-@jax.custom_jvp
-def _motion_slopes(
-    robot: Robot,
-    q: Float[Array, " joint"],
-    qd: Float[Array, " joint"],
-    qdd: Float[Array, " joint"],
-    wrench: Float[Array, " 6"],
-) -> Slopes:
     n = robot.body_count
     found = _of_bodies(
         robot,
@@ -177,9 +166,7 @@ def _base_frames(robot: Robot, q: Vector) -> tuple[list[Matrix], list[Vector], V
             R, p = hold((product(turn, R), p))
         rotations.append(R)
         positions.append(p)
-    T_joint_flange = numbers(robot.T_joint_flange, 2)
-    tip = tuple(row[3] for row in numbers(robot.T_flange_tool, 2)[:3])
-    tool = tuple(dot(row[:3], tip) + row[3] for row in T_joint_flange[:3])
+    tool = tool_origin(robot)
     if robot.flange_joint >= 0:
         turned = apply(rotations[robot.flange_joint], tool)
         tool = add(positions[robot.flange_joint], turned)
@@ -228,8 +215,7 @@ def _walk(
     """Return the joints' screws and all bodies in motion, from the base outwards."""
     rotations, positions, tool = _base_frames(robot, q)
     zero = jnp.zeros_like(q[0])
-    # Gravity is an upward acceleration of the base.
-    lift = tuple(zero - g for g in numbers(robot.gravity, 1)) + (zero,) * 3
+    lift = base_acceleration(robot, zero)
     velocities: list[Vector] = []
     accelerations: list[Vector] = []
     joints, bodies = [], []
@@ -342,3 +328,4 @@ def _by_wrench(
 
 # Of robot and of the bodies' q, qd, qdd, and wrench; no derivatives of its own.
 _of_bodies = in_lanes(_stacked)
+motion_slopes = jax.jit(_motion_slopes)
