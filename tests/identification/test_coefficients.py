@@ -213,6 +213,19 @@ def test_what_is_not_measured_is_not_identifiable():
     assert fit.law.K_ac == 0
 
 
+@pytest.mark.parametrize("axis", range(3))
+def test_a_dead_channel_is_told(axis):
+    """Along z next to nothing may act on a flat cutter; in the plane that cannot be."""
+    time, force = record(FEEDS[1])
+    fit = identification.fit_force_coefficients(cuts()[1], time, force, time_shift=0.0)
+    assert not any("does not vary" in note for note in fit.notes)
+    force[:, axis] = 0.0
+    fit = identification.fit_force_coefficients(cuts()[1], time, force, time_shift=0.0)
+    text = f"along {'xyz'[axis]} of the work does not vary"
+    assert any(text in note for note in fit.notes)
+    assert any(text in doubt for doubt in fit.doubts) == (axis < 2)
+
+
 def test_the_spectrum_of_the_residual_shows_what_the_model_has_not():
     cut, time, seen = both(noise=0.01)
     seen[0][:, 1] += 8 * np.sin(2 * math.pi * 730 * time[0])

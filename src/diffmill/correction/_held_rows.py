@@ -1,10 +1,10 @@
 """Rows of a residual that are kept within bounds instead of being made small.
 
 They come with the residual, from the same run of the plant, and do not count in the
-square. As long as a row is out of its bounds the least squares first bring it back: the
-part outside counts, many times over. Once all are within, each step is bounded by their
-linear model, drawn in a little for what is not linear, and a trial that leaves the
-bounds all the same is refused.
+square. As long as a row is out of its bounds the least squares first bring it back:
+what their linear model has outside, of this row or any other, counts many times over.
+Once all are within, each step is bounded by their linear model, drawn in a little for
+what is not linear, and a trial that leaves the bounds all the same is refused.
 """
 
 from collections.abc import Callable
@@ -14,16 +14,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
-from ._limits import AbstractLimits
+from ._limits import AbstractRows
 from ._products import AbstractProducts
 
 # The linear model may go to this share of a bound.
 _DRAWN_IN = 0.95
-# Weight of what is out of bounds while it is brought back: at first all rows together
-# weigh a few times what is to become small, in the end each of them far more.
-_FIRST_WEIGHT = 3.0
-_GROWTH = 3.0
-_LAST_WEIGHT = 30.0
+# Weight of what is out of bounds while it is brought back: far more than what is to
+# become small, which is about 1 at its largest.
+_WEIGHT = 30.0
 
 Rows = Float[np.ndarray, " row"]
 
@@ -64,20 +62,11 @@ class HeldRows(eqx.Module):
         """Tell whether all rows are within their bounds."""
         return bool(np.all((rows >= self.lower) & (rows <= self.upper)))
 
-    def weight(self, residual: Float[Array, "*entry"], step_count: int) -> float:
-        """Return the weight of what is out of bounds; 0 if all rows are within.
-
-        It grows with the steps: at once at its largest, the few rows outside would be
-        all that a step looks at.
-        """
+    def weight(self, residual: Float[Array, "*entry"]) -> float:
+        """Return the weight of what is out of bounds; 0 if all rows are within."""
         if not self.count or self.is_within(self.rows(residual)):
             return 0.0
-        first = _FIRST_WEIGHT / np.sqrt(self.count)
-        return float(min(first * _GROWTH**step_count, _LAST_WEIGHT))
-
-    def is_final(self, weight: float) -> bool:
-        """Tell whether a weight no longer grows."""
-        return weight == 0 or weight >= _LAST_WEIGHT
+        return _WEIGHT
 
     def cost(self, residual: Float[Array, "*entry"], weight: float) -> float:
         """Return half the square that is to become small.
@@ -106,17 +95,11 @@ class HeldRows(eqx.Module):
             push = weight**2 * self.outside(self.rows(residual), _DRAWN_IN)
         return self._with_rows(residual, push)
 
-    def curved(
-        self, change: Float[Array, "*entry"], rows: Rows, weight: float
-    ) -> Float[Array, "*entry"]:
-        """Return the change of the slope for one of the residual, to first order."""
+    def without(self, change: Float[Array, "*entry"]) -> Float[Array, "*entry"]:
+        """Return a change of the residual without that of the rows."""
         if not self.count:
             return change
-        push = np.zeros(self.count)
-        if weight:
-            is_out = self.outside(rows, _DRAWN_IN) != 0
-            push = weight**2 * is_out * self.rows(change)
-        return self._with_rows(change, push)
+        return self._with_rows(change, np.zeros(self.count))
 
     def only(self, like: Float[Array, " entry"], rows: Rows) -> Float[Array, " entry"]:
         """Return a residual of which all but the rows is zero."""
@@ -165,14 +148,14 @@ class LinearModel:
         return np.asarray(back, np.float64) * self._scale
 
 
-class HeldStep(AbstractLimits):
+class HeldStep(AbstractRows):
     """Bounds of a step by the linear model of held rows.
 
     Attributes:
         held: The rows.
         model: The linear model of the residual.
-        lower: Least changes, at most 0, shape (row,).
-        upper: Largest changes, at least 0, shape (row,).
+        lower: Least changes, shape (row,).
+        upper: Largest changes, shape (row,).
         residual: The residual where the step begins, for its shape.
     """
 
@@ -194,20 +177,21 @@ class HeldStep(AbstractLimits):
 def held_step(
     held: HeldRows, model: LinearModel, residual: Float[Array, " entry"]
 ) -> HeldStep:
-    """Return the bounds of a step from where a residual is within its own.
+    """Return the bounds of a step.
 
     Args:
         held: The rows.
-        model: The linear model there.
+        model: The linear model where the step begins.
         residual: The residual there.
 
     Returns:
-        Bounds that "no step" keeps: a row between a drawn in bound and the bound
-        itself may not come closer.
+        Bounds of the changes to the drawn in bounds. If all rows are within the bounds
+        themselves, "no step" keeps them: a row between both may not come closer.
 
     **Differentiability**: runs on the host, not traceable.
     """
     rows = held.rows(residual)
-    lower = np.minimum(_DRAWN_IN * held.lower - rows, 0.0)
-    upper = np.maximum(_DRAWN_IN * held.upper - rows, 0.0)
+    lower, upper = _DRAWN_IN * held.lower - rows, _DRAWN_IN * held.upper - rows
+    if held.is_within(rows):
+        lower, upper = np.minimum(lower, 0.0), np.maximum(upper, 0.0)
     return HeldStep(held=held, model=model, lower=lower, upper=upper, residual=residual)

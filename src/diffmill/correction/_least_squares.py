@@ -40,8 +40,8 @@ from ._least_squares_state import (
     take_spent,
     unit_box,
 )
-from ._limited_quadratic import solve_limited_quadratic
-from ._limits import AbstractLimits
+from ._limited_quadratic import Spring, solve_limited_quadratic
+from ._limits import AbstractLimits, AbstractRows
 from ._products import Residual, evaluate
 from ._quadratic import QuadraticSolution
 
@@ -115,8 +115,7 @@ def least_squares(
     began = clock() - (history[-1].seconds if history else 0.0)
     fresh = State(z, np.inf, z, None, None, 0.0, 0.0, 2.0, 0, 0)
     state = fresh if resume is None else state_of(resume)
-    count = sum(step.is_accepted for step in history)
-    state = linearised(solver, residual, args, box, held, state, count)
+    state = linearised(solver, residual, args, box, held, state)
     if not (np.isfinite(state.cost) and np.all(np.isfinite(state.gradient))):
         return solution_at(box, held, state, history, RESULTS.non_finite)
     if resume is None:
@@ -129,13 +128,12 @@ def least_squares(
         inner = _inner(solver, state, box, limits, held, precondition)
         state, tried = _try(residual, args, box, held, state, inner)
         if tried.gain > _ACCEPT:
-            count += 1
-            state = linearised(solver, residual, args, box, held, state, count)
+            state = linearised(solver, residual, args, box, held, state)
         step, seconds = len(history) + 1, clock() - began
         record = _recorded(step, state, tried, kkt, inner, seconds, weight)
         history.append(record)
-        # While the weight of what is out of bounds grows, costs are not comparable.
-        if state.weight == weight and held.is_final(weight):
+        # What counts is another cost once all held rows are within their bounds.
+        if state.weight == weight:
             rtol = _RETURN_RTOL if weight else solver.cost_rtol
             is_done = _is_converged(rtol, record, before, inner)
             is_done |= largest_slope(state, box) <= solver.kkt_rtol * first
@@ -197,15 +195,23 @@ def _inner(
         outer = precondition
         precondition = lambda g: outer(g / box.scale) / box.scale
     unit = box.scale.flat[0]
-    bounds = [limit.about(state.z * unit, unit) for limit in limits]
-    if held.count and state.weight == 0:
-        bounds.append(held_step(held, *model_at(state)))
+    bounds: list[AbstractRows] = [limit.about(state.z * unit, unit) for limit in limits]
+    gradient, springs = state.gradient, []
+    if held.count:
+        model, r = model_at(state)
+        rows = held_step(held, model, r)
+        if state.weight:
+            springs.append(Spring(rows, state.weight))
+            gradient = model.transpose(held.without(r))
+        else:
+            bounds.append(rows)
     return solve_limited_quadratic(
         lambda p: normal(held, state, p) + state.damping * p,
-        state.gradient,
+        gradient,
         box.lower - state.z,
         box.upper - state.z,
         bounds,
+        springs=springs,
         rtol=solver.inner_rtol,
         max_products=(solver.max_products - 1) // 2,
         precondition=precondition,

@@ -123,12 +123,11 @@ def linearised(
     box: Box,
     held: HeldRows,
     state: State,
-    step_count: int,
 ) -> State:
     """Return the state with residual, gradient and linear program at its z."""
     r, program = solver.products.linearise(residual, box.point(state.z), args)
     model = LinearModel(solver.products, program, box.vector, box.scale)
-    weight = held.weight(r, step_count)
+    weight = held.weight(r)
     gradient = model.transpose(held.slope(r, weight))
     model.spent = 0
     return State(
@@ -146,11 +145,9 @@ def linearised(
 
 
 def normal(held: HeldRows, state: State, p: np.ndarray) -> np.ndarray:
-    """Return J^T J p in units of the scale, rows that are held left out or heavy."""
-    model, r = model_at(state)
-    rows = held.rows(r) if held.count else np.zeros(0)
-    w = held.curved(model.forward(p), rows, state.weight)
-    return model.transpose(w)
+    """Return J^T J p in units of the scale, rows that are held left out."""
+    model, _ = model_at(state)
+    return model.transpose(held.without(model.forward(p)))
 
 
 def model_at(state: State) -> tuple[LinearModel, Array]:

@@ -1,32 +1,41 @@
 """Quadratic programs in a box with linear inequalities, products only.
 
-    minimise  p.A p / 2 + g.p   subject to  lower <= p <= upper,  least <= L p <= most
+    minimise  p.A p / 2 + g.p  +  sum over springs of w^2 dist(S p, [least, most])^2 / 2
+    subject to  lower <= p <= upper,  least <= L p <= most
 
-The rows L p are split off as variables of their own, kept within their limits and tied
-to p by springs and multipliers (the alternating direction method: Boyd and others,
-Distributed Optimization and Statistical Learning via the Alternating Direction Method
-of Multipliers, 2011, section 5.2); each round is one bounded problem. What is left of
-a violation is then taken away exactly: p = 0 is feasible and the set is convex, so that
-p is shortened to its border, and the best of the shortened rounds is the result.
+The problem is solved exactly within the span of all vectors that have been multiplied
+by A so far: first those of the conjugate gradients that only know of the box, then, one
+by one, the preconditioned gradient of the Lagrangian at the last solution, which knows
+the push of every bound. Nothing that has been multiplied is lost, and each small
+problem is left to a solver for dense ones. Without bounds this is the method of
+conjugate gradients.
 """
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 
-from ._limits import AbstractLimits
+from ._dense_quadratic import solve_dense_quadratic
+from ._limits import AbstractRows
 from ._quadratic import QuadraticSolution, solve_bounded_quadratic
 
-# Rounds at most, products and accuracy of each, and the over-relaxation.
-_ROUNDS = 200
-_ROUND_PRODUCTS = 6
-_ROUND_RTOL = 0.05
-_RELAXATION = 1.6
-# How many times the products of the problem without limits all rounds may take.
+# How many times the products of the problem without limits there may be.
 _LIMITED = 4
-# Rounds that change the cost by less than this have settled.
-_SETTLED = 1e-7
+# Vectors of the span at most: the small problem is dense in them.
+_LARGEST_SPAN = 150
+# A vector whose part outside the span is smaller than this share adds rounding only.
+_INDEPENDENT = 1e-8
+# Bounds are kept to this share of the largest of their kind: what the dense solver
+# cannot tell. Where a bound leaves more room than that, it is kept exactly.
+_TOLERANCE = 1e-7
+
+
+class Spring(NamedTuple):
+    """Rows that may leave their bounds: w^2 / 2 times the squares of how far."""
+
+    rows: AbstractRows
+    weight: float
 
 
 def solve_limited_quadratic(
@@ -34,8 +43,9 @@ def solve_limited_quadratic(
     gradient: np.ndarray,
     lower: np.ndarray,
     upper: np.ndarray,
-    limits: Sequence[AbstractLimits],
+    limits: Sequence[AbstractRows],
     *,
+    springs: Sequence[Spring] = (),
     rtol: float = 1e-2,
     max_products: int = 40,
     precondition: Callable[[np.ndarray], np.ndarray] | None = None,
@@ -48,18 +58,22 @@ def solve_limited_quadratic(
         lower: Lower bounds of p, at most 0.
         upper: Upper bounds of p, at least 0.
         limits: Limits of p; bounds on either side of 0.
-        rtol: Stop a bounded problem when its projected gradient has fallen so far.
+        springs: Rows whose bounds p = 0 need not keep.
+        rtol: Stop when the gradient of the Lagrangian has fallen so far; without limits
+            the projected one.
         max_products: Products with A at most without limits in the way; four times as
             many with them.
         precondition: As `solve_bounded_quadratic`.
 
     Returns:
-        The solution, exactly within box and limits.
+        The solution, within the box and, but for rounding, the limits. Its decrease
+        counts the springs.
 
     **Differentiability**: runs on the host, not traceable.
     """
+    span = _Span(product, [*limits, *(spring.rows for spring in springs)])
     first = solve_bounded_quadratic(
-        product,
+        span.multiplied,
         gradient,
         lower,
         upper,
@@ -67,143 +81,201 @@ def solve_limited_quadratic(
         max_products=max_products,
         precondition=precondition,
     )
-    p, used = first.p, first.products
-    room = feasible_share(p, limits)
-    if room >= 1:
+    if not springs and feasible_share(first.p, limits) >= 1:
         return first
-    A_p = product(p)
-    state = _start(p, A_p, limits, used + 1)
-    max_products = _LIMITED * max_products
-    best = _shortened(state, gradient, limits)
-    for _ in range(_ROUNDS):
-        if state.products + 4 > max_products:
+    scaled = precondition or (lambda vector: vector)
+    first_size = _size(gradient, scaled(gradient))
+    best: _Point | None = None
+    while True:
+        point = span.solved(gradient, (lower, upper), limits, springs)
+        if point is None:
             break
-        state = _round(
-            product, precondition, gradient, (lower, upper), limits, state, max_products
-        )
-        found = _shortened(state, gradient, limits)
-        change = abs(found.decrease - best.decrease)
-        best = found if found.decrease > best.decrease else best
-        if change <= _SETTLED * best.decrease and found.share > 1 - _SETTLED:
+        if best is None or point.decrease > best.decrease:
+            best = point
+        steep = scaled(point.slope)
+        is_settled = _size(point.slope, steep) <= rtol * first_size
+        is_spent = span.products >= _LIMITED * max_products
+        if is_settled or is_spent or not span.is_grown(steep):
             break
-    p = best.p
+    p = np.zeros_like(gradient) if best is None else best.p
     return QuadraticSolution(
         p=p,
-        decrease=best.decrease,
-        products=state.products,
+        decrease=0.0 if best is None else best.decrease,
+        products=span.products,
         is_bound=(p <= lower) | (p >= upper),
         relative_gradient=first.relative_gradient,
     )
 
 
-class _State(eqx.Module):
-    """The iteration: p, A p, the rows split off and their scaled multipliers."""
+class _Point(NamedTuple):
+    """A point within the bounds, what it gains, and the Lagrangian's gradient there."""
 
     p: np.ndarray
-    A_p: np.ndarray
-    split: list[np.ndarray]
-    pushed: list[np.ndarray]
-    stiffness: list[float]
-    products: int
-
-
-class _Shortened(eqx.Module):
-    """A feasible point on the way to p, how far, and what it gains."""
-
-    p: np.ndarray
-    share: float
     decrease: float
+    slope: np.ndarray
 
 
-def _start(
-    p: np.ndarray, A_p: np.ndarray, limits: Sequence[AbstractLimits], products: int
-) -> _State:
-    rows = [limit.apply(p) for limit in limits]
-    energy = float(np.sum(p * A_p))
-    return _State(
-        p=p,
-        A_p=A_p,
-        split=[
-            np.clip(r, limit.lower, limit.upper)
-            for r, limit in zip(rows, limits, strict=True)
-        ],
-        pushed=[np.zeros_like(r) for r in rows],
-        # Springs as stiff as the problem itself along p.
-        stiffness=[energy / max(float(np.sum(r * r)), 1e-300) for r in rows],
-        products=products,
-    )
+class _Span:
+    """Orthonormal vectors with what A and the rows make of them."""
+
+    def __init__(
+        self,
+        product: Callable[[np.ndarray], np.ndarray],
+        rows: Sequence[AbstractRows],
+    ):
+        self.products = 0
+        self._product = product
+        self._rows = rows
+        # Each with its product and its rows behind it.
+        self._long: list[np.ndarray] = []
+        self._length = 0
+
+    def multiplied(self, v: np.ndarray) -> np.ndarray:
+        """Return A v and remember it."""
+        A_v = self._product(v)
+        self.products += 1
+        self._remember(v, A_v)
+        return A_v
+
+    def is_grown(self, v: np.ndarray) -> bool:
+        """Multiply a vector; tell whether the span has become larger."""
+        if len(self._long) >= _LARGEST_SPAN:
+            return False
+        before = len(self._long)
+        # Only what is new: otherwise rounding is all that is left of a vector that
+        # is almost within the span.
+        size = np.linalg.norm(v)
+        for _ in range(2):
+            for u in self._long:
+                v = v - (u[: v.size] @ v.reshape(-1)) * u[: v.size].reshape(v.shape)
+        if not np.linalg.norm(v) > _INDEPENDENT * size:
+            return False
+        self.multiplied(v / np.linalg.norm(v))
+        return len(self._long) > before
+
+    def _remember(self, v: np.ndarray, A_v: np.ndarray) -> None:
+        parts = [v, A_v, *(rows.apply(v) for rows in self._rows)]
+        long = np.concatenate([part.reshape(-1) for part in parts])
+        self._length, size = v.size, np.linalg.norm(v)
+        for _ in range(2):
+            for u in self._long:
+                long = long - (u[: v.size] @ long[: v.size]) * u
+        left = np.linalg.norm(long[: v.size])
+        if left > _INDEPENDENT * size:
+            self._long.append(long / left)
+
+    def solved(
+        self,
+        gradient: np.ndarray,
+        box: tuple[np.ndarray, np.ndarray],
+        limits: Sequence[AbstractRows],
+        springs: Sequence[Spring],
+    ) -> _Point | None:
+        """Return the best point of the span; None without one."""
+        if not self._long:
+            return None
+        n, long = self._length, np.stack(self._long, axis=1)
+        V, A_V, L_V = long[:n], long[n : 2 * n], long[2 * n :]
+        g = gradient.reshape(-1)
+        kinds = [Bounds.hard(limit.lower, limit.upper) for limit in limits]
+        kinds += [Bounds.of_spring(spring) for spring in springs]
+        each = [Bounds.of_box(*box), *kinds]
+        P = V.T @ A_V
+        found = solve_dense_quadratic(
+            0.5 * (P + P.T),
+            V.T @ g,
+            np.concatenate([V, L_V]),
+            np.concatenate([kind.lower for kind in each]),
+            np.concatenate([kind.upper for kind in each]),
+            np.concatenate([np.full(kind.lower.size, kind.weight) for kind in each]),
+        )
+        if found is None:
+            return None
+        y, push = found
+        values = np.split(L_V @ y, np.cumsum([kind.lower.size for kind in kinds])[:-1])
+        room = [kind.share(rows) for kind, rows in zip(kinds, values, strict=True)]
+        share = min([1.0, *room])
+        p = np.clip((share * (V @ y)).reshape(gradient.shape), *box)
+        gain = -share * (g @ V @ y) - 0.5 * share**2 * (y @ P @ y)
+        for kind, rows in zip(kinds, values, strict=True):
+            gain += kind.energy(0 * rows) - kind.energy(share * rows)
+        pushes = np.split(push, np.cumsum([kind.lower.size for kind in each])[:-1])
+        slope = gradient + (A_V @ y + pushes[0]).reshape(gradient.shape)
+        for rows, kind, force in zip(self._rows, kinds, pushes[1:], strict=True):
+            if np.any(force):
+                slope = slope + rows.transpose(force.reshape(kind.shape))
+        return _Point(p, float(gain), slope)
 
 
-def _shortened(
-    state: _State, gradient: np.ndarray, limits: Sequence[AbstractLimits]
-) -> _Shortened:
-    """Return the longest feasible part of p."""
-    share = min(1.0, feasible_share(state.p, limits))
-    slope = -float(np.sum(state.p * gradient))
-    energy = float(np.sum(state.p * state.A_p))
-    # The best length may be shorter still.
-    share = float(np.clip(slope / energy, 0.0, share)) if energy > 0 else share
-    return _Shortened(
-        share * state.p, share, share * slope - 0.5 * share * share * energy
-    )
+class Bounds(NamedTuple):
+    """Bounds of one kind of rows, drawn in by what the dense solver cannot tell."""
 
+    lower: np.ndarray
+    upper: np.ndarray
+    weight: float
+    slack: float
+    shape: tuple[int, ...]
 
-def _round(
-    product: Callable[[np.ndarray], np.ndarray],
-    precondition: Callable[[np.ndarray], np.ndarray] | None,
-    gradient: np.ndarray,
-    bounds: tuple[np.ndarray, np.ndarray],
-    limits: Sequence[AbstractLimits],
-    state: _State,
-    max_products: int,
-) -> _State:
-    """Move p towards the rows as they were split off, then split them off anew."""
-
-    def pull(rows: list[np.ndarray]) -> np.ndarray:
-        parts = zip(limits, state.stiffness, rows, strict=True)
-        return sum(
-            (rho * limit.transpose(r) for limit, rho, r in parts),
-            np.zeros_like(state.p),
+    @staticmethod
+    def hard(lower: np.ndarray, upper: np.ndarray) -> "Bounds":
+        """Return bounds that p = 0 keeps."""
+        ends = np.concatenate([lower.reshape(-1), upper.reshape(-1)])
+        slack = _TOLERANCE * np.max(np.abs(ends[np.isfinite(ends)]), initial=0.0)
+        return Bounds(
+            np.minimum(lower.reshape(-1) + slack, 0.0),
+            np.maximum(upper.reshape(-1) - slack, 0.0),
+            np.inf,
+            float(slack),
+            lower.shape,
         )
 
-    def stiffened(d: np.ndarray) -> np.ndarray:
-        return product(d) + pull([limit.apply(d) for limit in limits])
+    @staticmethod
+    def of_box(lower: np.ndarray, upper: np.ndarray) -> "Bounds":
+        """Return those of a box, into which a point can be clipped."""
+        flat = lower.reshape(-1), upper.reshape(-1)
+        return Bounds(*flat, np.inf, 0.0, lower.shape)
 
-    apart = [
-        limit.apply(state.p) - s + u
-        for limit, s, u in zip(limits, state.split, state.pushed, strict=True)
-    ]
-    inner = solve_bounded_quadratic(
-        stiffened,
-        gradient + state.A_p + pull(apart),
-        bounds[0] - state.p,
-        bounds[1] - state.p,
-        rtol=_ROUND_RTOL,
-        max_products=min(_ROUND_PRODUCTS, max_products - state.products - 1),
-        precondition=precondition,
-    )
-    p = np.clip(state.p + inner.p, *bounds)
-    split, pushed = [], []
-    for limit, s, u in zip(limits, state.split, state.pushed, strict=True):
-        rows = _RELAXATION * limit.apply(p) + (1 - _RELAXATION) * s
-        split.append(np.clip(rows + u, limit.lower, limit.upper))
-        pushed.append(u + rows - split[-1])
-    products = state.products + inner.products + 1
-    return _State(p, product(p), split, pushed, state.stiffness, products)
+    @staticmethod
+    def of_spring(spring: Spring) -> "Bounds":
+        """Return those of a spring."""
+        lower, upper = spring.rows.lower, spring.rows.upper
+        flat = lower.reshape(-1), upper.reshape(-1)
+        return Bounds(*flat, spring.weight, 0.0, lower.shape)
+
+    def share(self, rows: np.ndarray) -> float:
+        """Return the largest a with a rows within the bounds, but for the slack."""
+        if np.isfinite(self.weight):
+            return np.inf
+        return _share(rows, self.lower - self.slack, self.upper + self.slack)
+
+    def energy(self, rows: np.ndarray) -> float:
+        """Return what the spring holds."""
+        if not np.isfinite(self.weight):
+            return 0.0
+        outside = rows - np.clip(rows, self.lower, self.upper)
+        return 0.5 * self.weight**2 * float(np.sum(outside**2))
 
 
-def feasible_share(p: np.ndarray, limits: Sequence[AbstractLimits]) -> float:
+def _size(slope: np.ndarray, steep: np.ndarray) -> float:
+    """Return the norm of a gradient by the preconditioner."""
+    return float(np.sqrt(max(np.sum(steep * slope), 0.0)))
+
+
+def feasible_share(p: np.ndarray, limits: Sequence[AbstractRows]) -> float:
     """Return the largest a with a p within the limits; above 1 where there is room.
 
     **Differentiability**: none, a host function.
     """
-    share = np.inf
-    for limit in limits:
-        rows = limit.apply(p)
-        bound = np.where(rows > 0, limit.upper, limit.lower)
-        moves = np.abs(rows) > 0
-        if np.any(moves):
-            # A bound that is met by rounding only leaves a share of 0, not below.
-            share = min(share, float(np.min(np.maximum(bound[moves] / rows[moves], 0))))
-    # One rounding less, so that the product itself stays within.
-    return share * (1 - 1e-12)
+    shares = [_share(limit.apply(p), limit.lower, limit.upper) for limit in limits]
+    return min(shares, default=np.inf)
+
+
+def _share(rows: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> float:
+    bound = np.where(rows > 0, upper, lower)
+    moves = np.abs(rows) > 0
+    if not np.any(moves):
+        return np.inf
+    # A bound that is met by rounding only leaves a share of 0, not below. One rounding
+    # less, so that the product itself stays within.
+    least = float(np.min(np.maximum(bound[moves] / rows[moves], 0)))
+    return least * (1 - 1e-12)

@@ -19,6 +19,9 @@ from jaxtyping import Float
 from ._bspline import SplineOffsets, basis_matrix
 from ._problem import FloatRows
 
+# Share of a limit that the steps to it leave.
+_RESERVE = 1e-6
+
 Coefficients = Float[np.ndarray, "coefficient axis"]
 Rows = Float[np.ndarray, "row axis"]
 
@@ -27,12 +30,12 @@ class InfeasibleLimit(ValueError):
     """Raise when a limit cannot be held, by the program itself or by any correction."""
 
 
-class AbstractLimits(eqx.Module):
-    """Bounds of linear functions of the coefficients of a spline.
+class AbstractRows(eqx.Module):
+    """Bounds of linear functions of coefficients.
 
     Attributes:
-        lower: Least values, shape (row, ...); at most 0.
-        upper: Largest values, of the same shape; at least 0.
+        lower: Least values, shape (row, ...).
+        upper: Largest values, of the same shape.
     """
 
     lower: eqx.AbstractVar[np.ndarray]
@@ -46,6 +49,14 @@ class AbstractLimits(eqx.Module):
     def transpose(self, rows: np.ndarray) -> Coefficients:
         """Return the transposed map of values."""
 
+
+class AbstractLimits(AbstractRows):
+    """Bounds of linear functions of the coefficients of a spline that 0 keeps."""
+
+    @abc.abstractmethod
+    def flat(self, axis_count: int) -> Any:
+        """Return the map of the coefficients, row by row, as a sparse matrix."""
+
     def about(self, point: Coefficients, unit: float) -> "AbstractLimits":
         """Return the limits of a step from a point that keeps them.
 
@@ -57,9 +68,11 @@ class AbstractLimits(eqx.Module):
             Limits of the step.
         """
         rows = self.apply(point)
-        # A point on a limit may be beyond it by rounding.
-        lower = np.minimum(self.lower - rows, 0.0) / unit
-        upper = np.maximum(self.upper - rows, 0.0) / unit
+        # A point on a limit may be beyond it by rounding. What a step may take beyond
+        # its own limits, which the dense solver does not tell from them, is kept.
+        kept = 1 - _RESERVE
+        lower = np.minimum(kept * self.lower - rows, 0.0) / unit
+        upper = np.maximum(kept * self.upper - rows, 0.0) / unit
         return dataclasses.replace(self, lower=lower, upper=upper)
 
 
@@ -86,6 +99,12 @@ class LinearLimits(AbstractLimits):
         """Return the transposed map of values per row and axis."""
         return self.matrix.T @ rows
 
+    def flat(self, axis_count: int) -> Any:
+        """Return the map of the coefficients, row by row, as a sparse matrix."""
+        from scipy import sparse
+
+        return sparse.kron(self.matrix, sparse.eye_array(axis_count), format="csr")
+
 
 class MixedLimits(AbstractLimits):
     """Bounds of linear functions of all axes of the coefficients of a spline.
@@ -111,6 +130,10 @@ class MixedLimits(AbstractLimits):
     def transpose(self, rows: Float[np.ndarray, " row"]) -> Coefficients:
         """Return the transposed map of values per row."""
         return (self.matrix.T @ rows).reshape(-1, self.axis_count)
+
+    def flat(self, axis_count: int) -> Any:
+        """Return the map of the coefficients, row by row, as a sparse matrix."""
+        return self.matrix
 
 
 def command_limits(

@@ -1,13 +1,15 @@
 """Bring a command into what the controller can follow: knots and bounds."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from .._types import RealScalarLike
 from ._bspline import SplineOffsets, adjoint_offsets
-from ._limited_quadratic import feasible_share, solve_limited_quadratic
+from ._dense_quadratic import solve_dense_quadratic
+from ._limited_quadratic import Bounds, feasible_share
 from ._limits import AbstractLimits
 from ._problem import FloatRows
 
@@ -18,7 +20,6 @@ def project(
     max_offset: RealScalarLike = np.inf,
     *,
     limits: Sequence[AbstractLimits] = (),
-    rtol: float = 1e-8,
 ) -> Float[np.ndarray, "coefficient axis"]:
     """Return the bounded spline closest to a raw offset in least squares.
 
@@ -29,33 +30,46 @@ def project(
         offset: Offset of a command at every row, shape (step, axis).
         max_offset: Largest magnitude of a coefficient.
         limits: Limits of the command, see `command_limits`.
-        rtol: Accuracy of the bounded problem, relative.
 
     Returns:
         Coefficients, shape (coefficient, axis).
 
+    Raises:
+        RuntimeError: The quadratic program could not be solved.
+
     **Differentiability**: runs on the host, not traceable.
     """
+    from scipy import sparse
+
     offset = np.asarray(offset, np.float64)
     bound = float(max_offset)
     fitted = spline.fit(offset)
     is_within = feasible_share(fitted, limits) >= 1
     if is_within and np.all(np.abs(fitted) <= bound):
         return fitted
-    band = spline.normal_band()
-    # With limits from zero, which keeps them.
-    start = 0 * fitted if limits else np.clip(fitted, -bound, bound)
-    gradient = _banded(band, start) - adjoint_offsets(spline, offset)
-    solution = solve_limited_quadratic(
-        lambda p: _banded(band, p),
-        gradient,
-        -bound - start,
-        bound - start,
-        limits,
-        rtol=rtol,
-        max_products=3000,
+    gradient = -adjoint_offsets(spline, offset)
+    axes = gradient.shape[1]
+    box = np.full(gradient.shape, bound)
+    kinds = [Bounds.of_box(-box, box)]
+    kinds += [Bounds.hard(limit.lower, limit.upper) for limit in limits]
+    found = solve_dense_quadratic(
+        sparse.kron(_symmetric(spline.normal_band()), sparse.eye_array(axes)),
+        gradient.reshape(-1),
+        sparse.vstack(
+            [sparse.eye_array(box.size), *(limit.flat(axes) for limit in limits)]
+        ),
+        np.concatenate([kind.lower for kind in kinds]),
+        np.concatenate([kind.upper for kind in kinds]),
     )
-    return np.clip(start + solution.p, -bound, bound)
+    if found is None:
+        raise RuntimeError(
+            "The command could not be brought within its limits: the quadratic program "
+            "has no solution to working precision."
+        )
+    p = np.clip(found.x.reshape(gradient.shape), -bound, bound)
+    values = [limit.apply(p).reshape(-1) for limit in limits]
+    room = [kind.share(rows) for kind, rows in zip(kinds[1:], values, strict=True)]
+    return min([1.0, *room]) * p
 
 
 def clip_offset(
@@ -80,14 +94,13 @@ def clip_offset(
     return nominal + np.clip(offset, -float(max_offset), float(max_offset))
 
 
-def _banded(
-    band: Float[np.ndarray, "4 coefficient"],
-    x: Float[np.ndarray, "coefficient axis"],
-) -> Float[np.ndarray, "coefficient axis"]:
-    """Return the symmetric banded matrix, given by its upper band, times x."""
-    total = band[3][:, None] * x
-    for k in range(1, 4):
-        entries = band[3 - k][k:, None]
-        total[:-k] += entries * x[k:]
-        total[k:] += entries * x[:-k]
-    return total
+def _symmetric(band: Float[np.ndarray, "4 coefficient"]) -> Any:
+    """Return the symmetric matrix of an upper band, sparse."""
+    from scipy import sparse
+
+    count = band.shape[1]
+    above = [band[3 - k] for k in range(4)]
+    # Both triangles are stored by columns.
+    below = [np.roll(band[3 - k], -k) for k in range(1, 4)]
+    places = [0, 1, 2, 3, -1, -2, -3]
+    return sparse.dia_array((np.stack(above + below), places), shape=(count, count))

@@ -30,6 +30,9 @@ from ._refine import REFINABLE, Refined, refine_records
 _SHIFT_STEPS, _RESTS = 4, 1e-5
 # Residuals of more standard deviations are gross errors, if they are no larger a share.
 _GROSS, _MANY = 6.0, 0.05
+# A channel that varies by less than this share of the liveliest does not vary, and is
+# doubted if this share of the square of the tangential force is along it.
+_DEAD, _EXPECTED = 1e-3, 0.01
 # A fit that explains a smaller share of the squared force is doubted.
 _EXPLAINED = 0.8
 # A length is known if its standard error is below this [m].
@@ -196,7 +199,8 @@ def _report(
     force = np.concatenate([one.force.reshape(-1) for one in rows])[seen]
     off = np.concatenate([r.reshape(-1) for r in fit.residual])[seen]
     explained = 1.0 - float(np.sum(off**2) / max(np.sum(force**2), 1e-300))
-    doubts = _doubts(explained, K)
+    dead, silent = _dead_channels(rows)
+    doubts = (*_doubts(explained, K), *dead)
     size = _sizes(rows, known)
     rms = float(np.sqrt(np.mean(force**2)))
     is_fixed = identifiable(C[:6, :6], size, rms)
@@ -229,6 +233,7 @@ def _report(
         doubts=doubts,
         notes=(
             *doubts,
+            *silent,
             *_lost_notes(records, int(is_gross.sum())),
             *advise(is_fixed, correlation, size, is_measured),
             *_refined_notes(names, is_told, records[0].cut.cutter.flute_count),
@@ -260,6 +265,28 @@ def _doubts(explained: float, K: np.ndarray) -> tuple[str, ...]:
     if K[0] <= 0:
         doubts.append("K_tc is not positive: axes or cut are wrong.")
     return tuple(doubts)
+
+
+def _dead_channels(rows: list[Rows]) -> tuple[list[str], list[str]]:
+    """Return doubts and notes on forces that do not vary, of axes of the work."""
+    measured = np.concatenate([one.force for one in rows])
+    # The tangential force of any cut is seen in both directions across the tool.
+    tangential = np.concatenate([one.columns[:, :, 0] for one in rows])
+    known = np.isfinite(measured)
+    count = known.sum(axis=0)
+    mean = np.sum(measured, axis=0, where=known) / np.maximum(count, 1)
+    off = np.sum((measured - mean[None]) ** 2, axis=0, where=known)
+    spread = np.sqrt(off / np.maximum(count, 1))
+    square = np.sum(tangential**2, axis=0)
+    doubts, notes = [], []
+    for axis in np.flatnonzero((count > 0) & (spread < _DEAD * spread.max())):
+        text = (
+            f"The force along {'xyz'[axis]} of the work does not vary: if its channel "
+            "is dead, leave it out."
+        )
+        expects = square[axis] > _EXPECTED * square.sum()
+        (doubts if expects else notes).append(text)
+    return doubts, notes
 
 
 def _lost_notes(records: list[Measured], gross: int) -> tuple[str, ...]:

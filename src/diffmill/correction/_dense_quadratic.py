@@ -1,0 +1,92 @@
+"""Convex quadratic programs whose matrices are there, by an interior-point method.
+
+    minimise  x.P x / 2 + c.x + sum_j w_j^2 s_j^2 / 2
+    subject to  lower - s <= L x <= upper + s
+
+A row with an infinite weight is a bound; any other is a spring that begins to act at
+the bound. Clarabel solves it: Goulart and Chen, Clarabel: An interior-point solver for
+conic programs with quadratic objectives, 2024.
+"""
+
+import importlib
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+# What the solver calls a solution.
+_SOLVED = ("Solved", "AlmostSolved")
+
+
+class DenseSolution(NamedTuple):
+    """Minimiser of a quadratic program.
+
+    Attributes:
+        x: The minimiser, shape (unknown,).
+        push: Multiplier of each row, positive at its upper bound, shape (row,).
+    """
+
+    x: Float[np.ndarray, " unknown"]
+    push: Float[np.ndarray, " row"]
+
+
+def solve_dense_quadratic(
+    P: Any,
+    c: Float[np.ndarray, " unknown"],
+    rows: Any,
+    lower: Float[np.ndarray, " row"],
+    upper: Float[np.ndarray, " row"],
+    weight: Float[np.ndarray, " row"] | None = None,
+) -> DenseSolution | None:
+    """Minimise a convex quadratic function within bounds of linear rows.
+
+    Args:
+        P: Symmetric and positive semidefinite, an array or sparse.
+        c: Gradient at zero, shape (unknown,).
+        rows: L, an array or sparse, shape (row, unknown).
+        lower: Lower bounds of L x; minus infinity where there is none.
+        upper: Upper bounds, likewise.
+        weight: w of each row, infinite for a bound; all are bounds if not given.
+
+    Returns:
+        The solution, to about eight digits; None if the solver finds none.
+
+    **Differentiability**: none, a host function.
+    """
+    from scipy import sparse
+
+    # Its classes come from Rust, where a type checker does not see them.
+    clarabel: Any = importlib.import_module("clarabel")
+    unknowns = c.shape[0]
+    L: Any = sparse.csr_matrix(rows)
+    over, under = np.flatnonzero(np.isfinite(upper)), np.flatnonzero(np.isfinite(lower))
+    A: Any = sparse.vstack([L[over], -L[under]])
+    b = np.concatenate([upper[over], -lower[under]])
+    full: Any = sparse.csc_matrix(P)
+    if weight is not None:
+        each = np.concatenate([weight[over], weight[under]])
+        gives = np.flatnonzero(np.isfinite(each))
+        count = gives.size
+        entries = (np.full(count, -1.0), (gives, np.arange(count)))
+        A = sparse.hstack([A, sparse.csr_matrix(entries, shape=(len(b), count))])
+        full = sparse.block_diag([full, sparse.diags_array(each[gives] ** 2)])
+        c = np.concatenate([c, np.zeros(count)])
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    cones = [clarabel.NonnegativeConeT(len(b))]
+    found = clarabel.DefaultSolver(
+        sparse.csc_matrix(sparse.triu(full)),
+        c,
+        sparse.csc_matrix(A),
+        b,
+        cones,
+        settings,
+    ).solve()
+    x = np.asarray(found.x)[:unknowns]
+    if str(found.status) not in _SOLVED or not np.all(np.isfinite(x)):
+        return None
+    z = np.asarray(found.z)
+    push = np.zeros(L.shape[0])
+    push[over] += z[: over.size]
+    push[under] -= z[over.size :]
+    return DenseSolution(x, push)
