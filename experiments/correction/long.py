@@ -4,7 +4,7 @@ Each length runs in a process of its own, so that its peak of memory is its own.
 path goes to and fro over a block, layer after layer.
 
 python experiments/correction/long.py [--rows 10000 20000 40000] [--arm slides]
-    [--out FOLDER]
+    [--steps 6] [--products 30] [--out FOLDER]
 """
 
 import argparse
@@ -19,6 +19,8 @@ from typing import Any
 # Enough to see the slope; `--rows 100000` takes a path as long as a real program.
 ROWS = (10_000, 20_000, 40_000)
 HORIZON, OVERLAP = 2000, 256
+# Steps of the optimiser in a segment, and products in a step: those of a job.
+STEPS, PRODUCTS = 6, 30
 # Sizes of the block and of the cut [mm].
 SIDE, STEP_OVER, DEPTH, RADIUS = 60.0, 4.0, 0.5, 5.0
 # What a pass takes with the feed and acceleration of the job, and the way to the next.
@@ -41,10 +43,18 @@ SLIDES = "\n".join(
 
 
 def measure(
-    report: Any, rows: tuple[int, ...] = ROWS, arm: str = "reis_rv130_like"
+    report: Any,
+    rows: tuple[int, ...] = ROWS,
+    arm: str = "reis_rv130_like",
+    steps: int = STEPS,
+    products: int = PRODUCTS,
 ) -> None:
     """Print what each length costs, and whether the cost is in proportion."""
-    report.say(f"{arm}; segments of {HORIZON} rows, of which {OVERLAP} overlap")
+    report.say(
+        f"{arm}; segments of {HORIZON} rows, of which {OVERLAP} overlap; {steps} steps "
+        f"of {products} products"
+    )
+    options = ["--arm", arm, "--steps", str(steps), "--products", str(products)]
     report.say(
         f"{'rows':>8}{'segments':>10}{'s':>9}{'ms/row':>9}{'GB':>8}"
         f"{'before um':>11}{'after um':>10}"
@@ -52,7 +62,7 @@ def measure(
     found = []
     for count in rows:
         text = subprocess.run(
-            [sys.executable, __file__, "--one", str(count), "--arm", arm],
+            [sys.executable, __file__, "--one", str(count), *options],
             stdout=subprocess.PIPE,
             check=True,
             text=True,
@@ -89,7 +99,7 @@ def program(rows: int) -> tuple[str, float]:
     return "\n".join(lines) + "\n", DEPTH * (1 + (passes - 1) // per_layer)
 
 
-def one(rows: int, arm: str) -> dict[str, float]:
+def one(rows: int, arm: str, steps: int, products: int) -> dict[str, float]:
     """Correct one path and return its figures."""
     import resource
 
@@ -102,7 +112,12 @@ def one(rows: int, arm: str) -> dict[str, float]:
         here = pathlib.Path(folder)
         (here / "part.ngc").write_text(text)
         (here / "slides.toml").write_text(SLIDES)
-        settings = {"horizon": f"{HORIZON}", "overlap": f"{OVERLAP}"}
+        settings = {
+            "horizon": f"{HORIZON}",
+            "overlap": f"{OVERLAP}",
+            "max_steps": f"{steps}",
+            "max_products": f"{products}",
+        }
         (here / "job.toml").write_text(
             job_text(arm, "flat", lower, upper, correction=settings, spacing_mm=0.5)
         )
@@ -136,12 +151,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rows", type=int, nargs="+", default=ROWS)
     parser.add_argument("--arm", default="reis_rv130_like")
+    parser.add_argument("--steps", type=int, default=STEPS)
+    parser.add_argument("--products", type=int, default=PRODUCTS)
     results = pathlib.Path(__file__).parent / "results"
     parser.add_argument("--out", type=pathlib.Path, default=results)
     parser.add_argument("--one", type=int, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
+    effort = arguments.steps, arguments.products
     if arguments.one is not None:
-        print(json.dumps(one(arguments.one, arguments.arm)))
+        print(json.dumps(one(arguments.one, arguments.arm, *effort)))
         return
     here = pathlib.Path(__file__).parent
     sys.path.append(str(here.parent / "common"))
@@ -149,7 +167,7 @@ def main() -> None:
 
     report = Report("diffmill correction: long")
     print("\n".join(report.lines), flush=True)
-    measure(report, tuple(arguments.rows), arguments.arm)
+    measure(report, tuple(arguments.rows), arguments.arm, *effort)
     lengths = "_".join(str(rows) for rows in arguments.rows)
     store(report, arguments.out, f"long_{arguments.arm}_{lengths}")
 

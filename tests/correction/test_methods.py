@@ -1,5 +1,7 @@
 """All methods on a soft arm whose cut depends on where the tool really is."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -17,6 +19,7 @@ from diffmill.correction import (
     Mirror,
     Motion,
     Problem,
+    SampledMirror,
     SplineOffsets,
     at_instants,
     contour_residual,
@@ -171,6 +174,24 @@ def test_iterated_mirror_keeps_the_best_and_counts_its_runs(
         relaxations=(mirrored.detail["relaxation"],),
     )(problem)
     assert alone.measures.rms == mirrored.measures.rms
+
+
+def test_a_sampled_mirror_takes_the_branch_of_its_sample(problem, mirrored):
+    """With all rows as its sample it is the whole grid; with half, what suits them."""
+    whole = SampledMirror(problem)(problem)
+    assert whole.measures.rms == mirrored.measures.rms
+    assert whole.forward_runs > mirrored.forward_runs
+    half = slice(len(problem.desired) // 2)
+    sample = dataclasses.replace(
+        problem,
+        nominal=problem.nominal[half],
+        desired=problem.desired[half],
+        is_cutting=problem.is_cutting[half],
+    )
+    found, best = SampledMirror(sample)(problem), IteratedMirror()(sample)
+    for name in ("cutoff", "relaxation"):
+        assert found.detail[name] == best.detail[name]
+    assert found.forward_runs < mirrored.forward_runs
 
 
 def test_mirror_removes_a_constant_deviation():

@@ -109,6 +109,23 @@ def test_permuted_axes_are_a_bad_fit():
     assert "(z, x, y)" in " ".join(fit.notes)
 
 
+@pytest.mark.parametrize("turn", [[1, -1, 1], [-1, -1, 1]])
+def test_a_table_in_other_axes_than_the_robot_is_a_bad_fit(turn):
+    """Load and displacement agree with each other, and explain most of the square."""
+    robot = arm()
+    q, wrench, draw = loads(robot, 8, 5)
+    d = moved(robot, q, wrench)[:, :3]
+    d *= 1 + 0.05 * draw.normal(size=d.shape)
+    T = np.array(turn)
+    turned = np.hstack([T * wrench[:, :3], np.prod(T) * T * wrench[:, 3:]])
+    fit = identification.fit_joint_stiffness(robot, q, turned, d * T)
+    assert not fit.is_consistent and not fit.identifiable.any()
+    names = ", ".join(
+        f"{'-' if sign < 0 else ''}{axis}" for sign, axis in zip(T, "xyz", strict=True)
+    )
+    assert f"load and displacement both read as ({names})" in " ".join(fit.notes)
+
+
 def test_a_constant_offset_is_fitted_when_asked():
     robot = arm()
     q, wrench, _ = loads(robot, 12, 6)

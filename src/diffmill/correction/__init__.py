@@ -81,7 +81,11 @@ from ._method import (
     Corrected as Corrected,
     GivenCommand as GivenCommand,
 )
-from ._mirror import IteratedMirror as IteratedMirror, Mirror as Mirror
+from ._mirror import (
+    IteratedMirror as IteratedMirror,
+    Mirror as Mirror,
+    SampledMirror as SampledMirror,
+)
 from ._objective import (
     AbstractObjective as AbstractObjective,
     PathObjective as PathObjective,

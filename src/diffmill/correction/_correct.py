@@ -1,5 +1,6 @@
 """Correcting a job: the baselines, then the best command that derivatives find."""
 
+import dataclasses
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -31,6 +32,7 @@ from ._job_method import (
     preconditioned,
     within_joint_limits,
 )
+from ._job_pieces import with_rows
 from ._joint_limits import check_joints
 from ._kept import horizon_of, keeping
 from ._least_squares_records import LeastSquaresStep
@@ -42,8 +44,8 @@ from ._memory import (
     under,
     unpack_method,
 )
-from ._method import Corrected, GivenCommand
-from ._mirror import IteratedMirror, Mirror
+from ._method import AbstractMethod, Corrected, GivenCommand
+from ._mirror import IteratedMirror, Mirror, SampledMirror
 from ._parts import path_parts
 from ._problem import Motion, Problem
 from ._projection import clip_offset
@@ -188,7 +190,7 @@ def correct(
     if job.robot is None:
         raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
     # A horizon that cannot be is refused before anything runs.
-    horizon_of(job)
+    horizon = horizon_of(job)
     check_limits(job)
     adjoint = Traced()
     rigid = rigid_cut(job, adjoint)
@@ -205,7 +207,7 @@ def correct(
     run = record.run
     run("uncorrected", GivenCommand(), problem)
     run("mirror", Mirror(), problem)
-    run("mirror_iterated", IteratedMirror(), problem)
+    run("mirror_iterated", _mirror(job, problem, horizon, adjoint), problem)
     inverse = _inverse_drive(job, rigid.force, desired)
     tips = clip_offset(desired, inverse.tip, problem.max_offset)
     run("inverse_drive", GivenCommand(tips), problem)
@@ -281,6 +283,32 @@ def _weights(job: Job, rigid: Any, before: Solution) -> Float[np.ndarray, " step
         return job_weights(job, rigid, np.asarray(before.is_cutting))
     except ValueError as error:
         raise NothingToCorrect(str(error)) from error
+
+
+def _mirror(
+    job: Job,
+    problem: Problem,
+    horizon: tuple[int, int] | None,
+    adjoint: AbstractAdjoint,
+) -> AbstractMethod:
+    """Return the iterated mirror; on a long path its grid sees the first segment.
+
+    The grid runs some hundred times, which on the whole path would cost more than the
+    optimiser.
+    """
+    if horizon is None:
+        return IteratedMirror()
+    first = int(np.flatnonzero(problem.is_cutting)[0])
+    rows = slice(min(first + horizon[0], job.path.step_count))
+    part = with_rows(job, np.arange(job.path.step_count)[rows])
+    sample = dataclasses.replace(
+        problem,
+        plant=TipPlant(part, adjoint),
+        nominal=problem.nominal[rows],
+        desired=problem.desired[rows],
+        is_cutting=problem.is_cutting[rows],
+    )
+    return SampledMirror(sample)
 
 
 def _problem(

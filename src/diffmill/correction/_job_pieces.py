@@ -75,14 +75,14 @@ class JobPieces(AbstractPieces):
 
     def begin(self, command: Float[Array, "step axis"]) -> JobState:
         """Return the state in equilibrium with the motion of the first period."""
-        job = _with_rows(self.job, np.arange(command.shape[0]))
+        job = with_rows(self.job, np.arange(command.shape[0]))
         return _begin(job, self.adjoint, command, self.has_joint_commands)
 
     def piece(self, state: Any, rows: Int[np.ndarray, " step"]) -> JobPiece:
         """Return the piece that starts from a state."""
         # The stock is the state's: the raw one would only be carried along.
         job = eqx.tree_at(
-            lambda j: j.stock, _with_rows(self.job, rows), state.coupled.process.stock
+            lambda j: j.stock, with_rows(self.job, rows), state.coupled.process.stock
         )
         return JobPiece(job, state, self.adjoint, self.has_joint_commands)
 
@@ -118,7 +118,17 @@ def _joints(
     return command_joints(started, command)[0]
 
 
-def _with_rows(job: Job, rows: Int[np.ndarray, " step"]) -> Job:
-    """Return a job with some rows of its path."""
+def with_rows(job: Job, rows: Int[np.ndarray, " step"]) -> Job:
+    """Return a job with some rows of its path.
+
+    Args:
+        job: The job.
+        rows: The rows, shape (step,); one may come several times.
+
+    Returns:
+        The job; stock and settings stay.
+
+    **Differentiability**: that of the path.
+    """
     path = jax.tree.map(lambda x: np.asarray(x)[rows], job.path)
     return eqx.tree_at(lambda j: j.path, job, path)

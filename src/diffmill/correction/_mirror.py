@@ -1,5 +1,6 @@
 """Correction by mirroring the predicted deviation, once or again and again."""
 
+import dataclasses
 from itertools import product
 
 import equinox as eqx
@@ -95,6 +96,45 @@ class IteratedMirror(AbstractMethod):
             "runs_of_full_grid": float(1 + len(grid) * self.iterations),
         }
         return corrected(problem, best.command, forward_runs=runs, detail=detail)
+
+
+class SampledMirror(AbstractMethod):
+    """The iterated mirror with the cut-off and relaxation that suit a part of the path.
+
+    The grid of `IteratedMirror` runs on a sample; only its best branch, or the slowest
+    one where none helps, runs on the whole path.
+
+    Attributes:
+        sample: The problem of the sample.
+        mirror: The grid.
+    """
+
+    sample: Problem
+    mirror: IteratedMirror = IteratedMirror()
+
+    def __call__(
+        self,
+        problem: Problem,
+        *,
+        start: FloatRows | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> Corrected:
+        """Return the best iterate of one branch; tip commands only."""
+        rows = self.sample.nominal.shape[0]
+        part = None if start is None else start[:rows]
+        found = self.mirror(self.sample, start=part, on_progress=on_progress)
+        pair = found.detail["cutoff"], found.detail["relaxation"]
+        if pair[0] == 0:
+            pair = min(self.mirror.cutoffs), min(self.mirror.relaxations)
+        chosen = dataclasses.replace(
+            self.mirror, cutoffs=pair[:1], relaxations=pair[1:]
+        )
+        result = chosen(problem, start=start, on_progress=on_progress)
+        share = rows / problem.nominal.shape[0]
+        return dataclasses.replace(
+            result,
+            forward_runs=result.forward_runs + int(np.ceil(share * found.forward_runs)),
+        )
 
 
 class _Iterate(eqx.Module):

@@ -5,7 +5,6 @@ each a number that cannot be negative. The share of gravity and load in the stif
 some per mille on an industrial arm, is left out as in `robot.cartesian_compliance`.
 """
 
-import itertools
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -15,7 +14,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..robot import Robot, jacobian
-from ._groups import Columns, GroupFit, Values, fit_groups, nonnegative, trimmed_start
+from ._groups import Columns, GroupFit, Values, fit_groups
+from ._load_axes import better_axes
 
 # Tables as users have them.
 Table = Float[Array, "..."] | Float[np.ndarray, "..."] | Sequence[Sequence[float]]
@@ -26,8 +26,6 @@ _RELATIVE_ERROR = 0.1
 _EXPLAINED = 0.7
 # More wrong poses than this share of all say that the model or the table is wrong.
 _OUTLIERS = 0.3
-# Other axes are proposed if they lower the squared residual by this factor.
-_BETTER_AXES = 3.0
 # A column smaller than this share of the largest is rounding.
 _ROUNDING = 1e-9
 # Standard normal quantile of a one-sided bound of 95 %.
@@ -121,8 +119,12 @@ def fit_joint_stiffness(
     """
     angles, load, moved = load_tables(robot, q, wrench, displacement)
     scale = _component_scale(moved)
-    columns = deflection_columns(robot, angles, load)[:, : moved.shape[1]]
-    columns, moved = columns * scale[None, :, None], moved * scale[None]
+
+    def columns_of(load: Float[np.ndarray, "pose 6"]) -> np.ndarray:
+        columns = deflection_columns(robot, angles, load)[:, : moved.shape[1]]
+        return columns * scale[None, :, None]
+
+    columns, moved = columns_of(load), moved * scale[None]
     wide, is_free = columns, np.zeros(robot.joint_count, bool)
     if has_offset:
         constant = np.broadcast_to(
@@ -131,8 +133,16 @@ def fit_joint_stiffness(
         wide = np.concatenate([columns, constant], axis=2)
         is_free = np.r_[is_free, np.ones(moved.shape[1], bool)]
     fit = fit_groups(wide, moved, is_free, noise=noise)
+    used, explained, centred = _explained(fit, moved, robot.joint_count)
+    axes = better_axes(columns_of, load, centred, explained)
     return _report(
-        robot, columns, moved, fit, scale, (max_relative_error, min_explained)
+        robot,
+        columns[used],
+        centred[used],
+        fit,
+        scale,
+        (max_relative_error, min_explained),
+        (explained, axes),
     )
 
 
@@ -225,6 +235,25 @@ def _component_scale(moved: Values) -> Float[np.ndarray, " component"]:
     return scale
 
 
+def _explained(
+    fit: GroupFit, moved: Values, joints: int
+) -> tuple[Bool[np.ndarray, " pose"], float, Values]:
+    """Return which rows count, what is explained of them, and all without the offset.
+
+    Where too many rows contradict, all of them count.
+    """
+    used = ~fit.is_outlier | _contradicts(fit)
+    centred = moved - (fit.x[None, joints:] if len(fit.x) > joints else 0.0)
+    square = float(np.nansum(centred[used] ** 2))
+    left = float(np.nansum(fit.residual[used] ** 2))
+    return used, 1.0 - left / max(square, 1e-300), centred
+
+
+def _contradicts(fit: GroupFit) -> bool:
+    """Tell whether too many rows contradict the others."""
+    return bool(fit.is_outlier.mean() > _OUTLIERS)
+
+
 def _report(
     robot: Robot,
     columns: Columns,
@@ -232,19 +261,17 @@ def _report(
     fit: GroupFit,
     scale: Float[np.ndarray, " component"],
     limits: tuple[float, float],
+    found: tuple[float, str | None],
 ) -> JointStiffnessFit:
-    """Return the fit in words of stiffness."""
+    """Return the fit in words of stiffness, from the rows that count."""
+    explained, axes = found
     count = robot.joint_count
     c = fit.x[:count]
     errors = np.sqrt(np.diagonal(fit.covariance)[:count])
     offset = fit.x[count:] if len(fit.x) > count else None
-    too_many = bool(fit.is_outlier.mean() > _OUTLIERS)
-    used = np.ones(len(moved), bool) if too_many else ~fit.is_outlier
-    centred = moved - (0.0 if offset is None else offset[None])
-    square = float(np.nansum(centred[used] ** 2))
-    explained = 1.0 - float(np.nansum(fit.residual[used] ** 2)) / max(square, 1e-300)
-    parts = np.nansum(columns[used] * centred[used][..., None], axis=(0, 1))
-    axes = _better_axes(columns, centred, explained)
+    too_many = _contradicts(fit)
+    parts = np.nansum(columns * moved[..., None], axis=(0, 1))
+    square = float(np.nansum(moved**2))
     is_consistent = explained >= limits[1] and not too_many and axes is None
     is_fixed = is_consistent & (c > 0) & (errors <= limits[0] * c)
     safe = np.where(is_fixed, c, 1.0)
@@ -288,8 +315,8 @@ def _notes(
         )
     if axes is not None:
         notes.append(
-            f"With the displacement read as {axes} the robot would explain much more: "
-            "look at the axes of the table. They were not changed."
+            f"With {axes} the robot would explain much more: look at the axes of the "
+            "table. They were not changed."
         )
     if too_many:
         notes.append(
@@ -306,37 +333,3 @@ def _notes(
             "`suggest_load_tests` names poses that would show them."
         )
     return tuple(notes)
-
-
-def _better_axes(columns: Columns, moved: Values, explained: float) -> str | None:
-    """Return an assignment of the axes that suits much better, if there is one."""
-    # Where next to nothing is left to explain, nothing can be much better.
-    if not np.all(np.isfinite(moved)) or explained > 0.999:
-        return None
-    is_free = np.zeros(columns.shape[2], bool)
-
-    def cost(turned: Values) -> float:
-        kept = trimmed_start(columns, turned, is_free, starts=20)
-        rows = columns[kept].reshape(-1, columns.shape[2])
-        right = turned[kept].reshape(-1)
-        return float(np.sum((right - rows @ nonnegative(rows, right, is_free)) ** 2))
-
-    best, name = cost(moved) / _BETTER_AXES, None
-    for order in itertools.permutations(range(3)):
-        for signs in itertools.product((1.0, -1.0), repeat=3):
-            turned = moved.copy()
-            for first in range(0, moved.shape[1], 3):
-                picked = [first + axis for axis in order]
-                turned[:, first : first + 3] = moved[:, picked] * np.array(signs)[None]
-            lower = cost(turned)
-            if lower < best:
-                best = lower
-                name = (
-                    "("
-                    + ", ".join(
-                        f"{'-' if sign < 0 else ''}{'xyz'[axis]}"
-                        for axis, sign in zip(order, signs, strict=True)
-                    )
-                    + ")"
-                )
-    return name
