@@ -10,6 +10,7 @@ from diffmill.correction import (
     InfeasibleLimit,
     NothingToCorrect,
     SplineOffsets,
+    UnsuitableSettings,
     check_joints,
     correct,
     joint_limits,
@@ -71,6 +72,11 @@ def test_a_limit_below_the_program_is_refused_before_anything_runs(load):
         correct(load('max_acceleration = "0.2 m/s^2"\n'))
 
 
+def test_knots_wider_than_the_program_are_refused(load):
+    with pytest.raises(UnsuitableSettings, match="leave at least four intervals"):
+        correct(load('knot_spacing = "3 s"\n'))
+
+
 @pytest.mark.slow
 def test_every_case_has_every_figure(load):
     job = load('max_velocity = "120 mm/s"\nfinishing_only = true\n')
@@ -122,10 +128,10 @@ def test_joints_are_held_within_their_limits(load):
         spline.offsets(jnp.asarray(project(spline, wild, bound)))
     )
     with pytest.raises(InfeasibleLimit, match=r"`joint limits` of '.*too narrow"):
-        check_joints(close, free)
+        check_joints(close, free, is_joints=False)
     coefficients = project(spline, wild, bound, limits=(limits,))
     held = nominal + np.asarray(spline.offsets(jnp.asarray(coefficients)))
-    check_joints(close, held)
+    check_joints(close, held, is_joints=False)
     most = np.asarray(command_motors(job, jnp.asarray(held))[0])[:, joint].max()
     assert limit - 1e-5 < most <= limit
     # The rows are the derivative of what the motors do.

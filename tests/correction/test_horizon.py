@@ -1,22 +1,29 @@
 """Segments with a look ahead against the whole path, on a cheap plant."""
 
+import dataclasses
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from correction.spring_mass import SpringMass, rounded_square, soft_arm
+from scipy import sparse
 
+from diffmill._result import RESULTS
 from diffmill.correction import (
     AbstractPiece,
     AbstractPieces,
     GaussNewton,
     LevenbergMarquardt,
+    MixedLimits,
     Problem,
     RecedingHorizon,
     SplineOffsets,
     TipResponse,
     spline_window,
 )
+from diffmill.correction._bspline import basis_matrix
 from diffmill.correction._memory import pack_least_squares, unpack_least_squares
 
 TIME_STEP = 3.75e-3
@@ -140,6 +147,37 @@ def test_a_window_is_the_spline_in_its_rows(first):
     free = np.where(np.asarray(window.is_free)[:, None], full, 0)
     assert np.all(np.asarray(window.offsets(jnp.asarray(free)))[0] == 0)
     assert window.is_free.sum() > count / 8 - 6
+
+
+def test_segments_that_have_not_settled_are_told(problem, segmented):
+    found = segmented[0]
+    is_settled = found.detail["unsettled_segments"] == 0
+    assert is_settled == bool(found.result == RESULTS.successful)
+    hasty = eqx.tree_at(lambda m: m.solver.max_steps, METHOD, 1)
+    pieces = SpringPieces(problem.plant)
+    method = RecedingHorizon(pieces, hasty, horizon=400, overlap=100, sweeps=1)
+    again = method(problem)
+    assert again.detail["unsettled_segments"] == again.detail["segment_count"]
+    assert bool(again.result == RESULTS.not_converged)
+
+
+def test_a_limit_of_all_axes_holds_across_seams(problem):
+    """As those of joints are: x and y together may go half as far as they would."""
+    free = RecedingHorizon(
+        SpringPieces(problem.plant), METHOD, horizon=400, overlap=100, sweeps=1
+    )(problem)
+    together = lambda found: np.sum((found.command - problem.nominal)[:, :2], axis=1)
+    most = 0.5 * together(free).max()
+    spline = SplineOffsets(len(problem.nominal), TIME_STEP, KNOTS)
+    matrix: Any = sparse.kron(basis_matrix(spline), np.array([[1.0, 1.0, 0.0]]), "csr")
+    bound = np.full(len(problem.nominal), most)
+    limit = MixedLimits(matrix, -np.inf * bound, bound, 3, "joints")
+    method = dataclasses.replace(METHOD, limits=(limit,))
+    held = RecedingHorizon(
+        SpringPieces(problem.plant), method, horizon=400, overlap=100, sweeps=1
+    )(problem)
+    assert 0.98 * most < together(held).max() <= most * (1 + 1e-9)
+    assert held.measures.rms > free.measures.rms
 
 
 def test_settings_that_cannot_be_are_refused(problem):

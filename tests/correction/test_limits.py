@@ -47,6 +47,16 @@ def test_a_program_beyond_the_limit_is_named():
     assert command_limits(small_spline(), nominal) == ()
 
 
+def test_a_program_at_the_limit_is_none_beyond_it():
+    """Second differences of a ramp are its acceleration but for rounding."""
+    nominal = np.zeros((81, 3))
+    nominal[:, 1] = 0.5 * 0.5 * (0.01 * np.arange(81)) ** 2
+    rate = np.diff(nominal, 2, axis=0) / 0.01**2
+    assert np.abs(rate).max() > 0.5
+    (limit,) = command_limits(small_spline(), nominal, max_acceleration=0.5)
+    assert np.all(limit.lower <= 0) and np.all(limit.upper >= 0)
+
+
 def test_limited_quadratic_is_that_of_a_dense_solver():
     from scipy.optimize import minimize
 

@@ -16,6 +16,7 @@ from diffmill.correction import (
     SurfaceObjective,
     finished_surface,
     measure_surface,
+    point_shares,
     row_weights,
     surface_poses,
 )
@@ -183,6 +184,46 @@ def test_a_pass_that_is_cut_again_does_not_finish(cut):
     assert surface_poses(ideal).min() >= len(path) // 2
     weights = row_weights(cuts, line, finished=ideal, spread=3)
     np.testing.assert_array_equal(weights > 0, cuts & (np.arange(len(path)) >= 135))
+
+
+def test_all_poses_over_a_floor_are_seen(cut):
+    """Two hundred poses cover each place; the last of them digs."""
+    x = np.arange(0.0, 15e-3, 5e-5)
+    path = np.stack([x, 6e-3 + 0 * x, -1e-3 + 0 * x], axis=1)
+    surface = finished_surface(cut(jnp.asarray(path)), path, RADIUS)
+    floor = ~surface.is_wall
+    off = np.abs(surface.points - np.array([[10e-3, 6e-3, 0.0]]))
+    under = floor & np.all(off[:, :2] < 1e-3, axis=1)
+    assert under.any()
+    actual = path.copy()
+    actual[-40:, 2] -= 50e-6
+    np.testing.assert_allclose(np.asarray(surface.errors(actual))[under], -50e-6)
+
+
+def test_lines_that_do_not_count_leave_a_surface_that_does_not(cut):
+    path = two_passes()
+    surface = finished_surface(cut(jnp.asarray(path)), path, RADIUS)
+    is_second = np.arange(len(path)) >= len(path) // 2
+    shares = point_shares(surface, path, is_second * 0.5)
+    np.testing.assert_array_equal(shares[surface.is_wall], 0.5)
+    # Only the first pass reaches the strip at the edge.
+    edge = ~surface.is_wall & (surface.points[:, 1] < 0.0)
+    none = point_shares(surface, path, ~is_second * 1.0)
+    np.testing.assert_array_equal(none[surface.is_wall], 0.0)
+    assert not edge.any() or np.all(none[edge] == 1.0)
+    # What counts half as much counts like everything, if everything does.
+    problem = Problem(lambda c: c, path, path, np.ones(len(path)), TIME_STEP)
+    motion = Motion(jnp.asarray(wavy(path)), jnp.zeros(path.shape))
+    errors = lambda shares: np.asarray(
+        SurfaceObjective(surface, shares=shares).errors(problem, motion, 0.0)
+    )
+    half = np.full(len(surface.points), 0.5)
+    np.testing.assert_allclose(errors(half), errors(None))
+    walls = errors(surface.is_wall * 1.0)[: len(surface.points)]
+    np.testing.assert_array_equal(walls[~surface.is_wall], 0.0)
+    np.testing.assert_allclose(
+        walls[surface.is_wall], errors(None)[: len(surface.points)][surface.is_wall]
+    )
 
 
 def test_surface_derivative_agrees_with_differences(cut):

@@ -69,6 +69,12 @@ def test_a_cut_off_one_is_refused(file, length):
         latest(file)
 
 
+def test_a_digit_of_the_format_that_has_changed_is_damage(file):
+    data = file.read_bytes()
+    file.write_bytes(data.replace(b"checkpoint 2 ", b"checkpoint 3 ", 1))
+    assert latest(file)[0]["count"] == 1
+
+
 def test_a_run_killed_between_two_renames_goes_on_from_the_one_before(file):
     file.rename(file.with_name("run.checkpoint.writing"))
     assert latest(file)[0]["count"] == 1
@@ -77,11 +83,10 @@ def test_a_run_killed_between_two_renames_goes_on_from_the_one_before(file):
 def test_another_job_or_format_is_refused(file, monkeypatch):
     with pytest.raises(io.CheckpointError, match="another job"):
         latest(file, job="other")
-    data = file.read_bytes()
-    file.write_bytes(data.replace(b"checkpoint 1 ", b"checkpoint 2 ", 1))
-    with pytest.raises(io.CheckpointError, match="only format 1"):
-        latest(file)
-    file.write_bytes(data)
+    with monkeypatch.context() as patch:
+        patch.setattr("diffmill.io._checkpoint._VERSION", 3)
+        with pytest.raises(io.CheckpointError, match="format 2; only format 3"):
+            latest(file)
     monkeypatch.setattr("diffmill.io._checkpoint._versions", lambda: "jax 0")
     with pytest.raises(io.CheckpointError, match="only one made by jax 0"):
         latest(file)

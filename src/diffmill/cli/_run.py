@@ -85,6 +85,11 @@ def run_job(
     if checkpoint is not None:
         checkpoint.remove()
     progress.say(_summary(dataset, job))
+    if dataset.attrs.get("corrected_outcome") == "steps ran out":
+        progress.say(
+            "note: the optimiser ended after [correction] max_steps, before it "
+            "settled: more steps may gain more"
+        )
     progress.say(f"results: {folder} ({seconds:.1f} s)")
     return 0
 
@@ -97,7 +102,12 @@ def _compute(
         from ..sim import simulate
 
         return simulate(job, on_progress=progress.update)
-    from ..correction import InfeasibleLimit, NothingToCorrect, correct
+    from ..correction import (
+        InfeasibleLimit,
+        NothingToCorrect,
+        UnsuitableSettings,
+        correct,
+    )
 
     def tell(message: str, rms: float) -> None:
         progress.update(f"{message}: contour error {rms * 1e6:.2f} um rms")
@@ -109,7 +119,7 @@ def _compute(
             on_checkpoint=None if checkpoint is None else checkpoint.write,
             resume=None if checkpoint is None else checkpoint.resumed,
         )
-    except InfeasibleLimit as error:
+    except (InfeasibleLimit, UnsuitableSettings) as error:
         raise BadInput(f"{job.name}: [correction] {error}") from error
     except NothingToCorrect as error:
         raise BadInput(

@@ -13,7 +13,7 @@ The feed is a second unknown, which trades error for time; the place of the work
 in the cell, and the turn of the flange about the tool axis, a third, chosen beforehand
 by what the springs alone leave.
 Left out: feed and offset at once; corrections of the tool axis; in segments of long
-paths, the surface as the objective, uncertain models and the limits of the joints.
+paths, the surface as the objective and uncertain models.
 """
 
 from ._bspline import SplineOffsets as SplineOffsets
@@ -122,6 +122,7 @@ from ._response import (
     tip_response as tip_response,
 )
 from ._segments import AbstractPiece as AbstractPiece, AbstractPieces as AbstractPieces
+from ._setup import UnsuitableSettings as UnsuitableSettings
 from ._spline_window import (
     SplineWindow as SplineWindow,
     spline_window as spline_window,
@@ -137,6 +138,7 @@ from ._surface_objective import (
     SurfaceObjective as SurfaceObjective,
     finished_surface as finished_surface,
     measure_surface as measure_surface,
+    point_shares as point_shares,
 )
 from ._weights import row_weights as row_weights, surface_poses as surface_poses
 from ._worst_case import worst_case as worst_case

@@ -182,6 +182,8 @@ def correct(
             `ValueError`.
         InfeasibleLimit: The program itself breaks a limit, or no correction holds all
             that is asked for; a `ValueError`.
+        UnsuitableSettings: Knots, horizon or overlap do not suit the path; a
+            `ValueError`.
         ValueError: The job has no robot, or JAX is not set up for its precision.
 
     Differentiability: runs on the host, not traceable.
@@ -200,14 +202,15 @@ def correct(
         raise_unless_successful(before)
     weights = _weights(job, rigid, before)
     surface = job_surface(job, rigid)
-    objective = job_objective(job, surface)
+    objective = job_objective(job, surface, weights)
     method = job_optimiser(job, objective, surface, adjoint)
     problem = _problem(job, TipPlant(job, adjoint), desired, before, weights)
     record = _Record(on_progress, on_checkpoint, resume)
     run = record.run
     run("uncorrected", GivenCommand(), problem)
     run("mirror", Mirror(), problem)
-    run("mirror_iterated", _mirror(job, problem, horizon, adjoint), problem)
+    mirror = _mirror(job, problem, before.is_cutting, horizon, adjoint)
+    run("mirror_iterated", mirror, problem)
     inverse = _inverse_drive(job, rigid.force, desired)
     tips = clip_offset(desired, inverse.tip, problem.max_offset)
     run("inverse_drive", GivenCommand(tips), problem)
@@ -221,13 +224,18 @@ def correct(
     method = within_joint_limits(method, job, problem)
     kept = keeping(job, method, adjoint, record.saved, on_checkpoint, resume)
     run("corrected", kept, problem, start=start)
-    check_joints(job, record.methods["corrected"].command)
-    methods = record.methods
-    cases = {
-        name: _solution(job, rigid, methods[name].command, adjoint) for name in methods
-    }
     asked = job.correction.method
     chosen = "corrected" if asked in OPTIMISERS else asked
+    methods = record.methods
+    are_joints = {
+        name: name == "corrected" and job.correction.command == "joint"
+        for name in methods
+    }
+    check_joints(job, methods[chosen].command, is_joints=are_joints[chosen])
+    cases = {
+        name: _solution(job, rigid, method.command, adjoint, are_joints[name])
+        for name, method in methods.items()
+    }
     parts = path_parts(
         np.asarray(desired),
         np.asarray(before.is_cutting),
@@ -288,25 +296,31 @@ def _weights(job: Job, rigid: Any, before: Solution) -> Float[np.ndarray, " step
 def _mirror(
     job: Job,
     problem: Problem,
+    is_cutting: Array,
     horizon: tuple[int, int] | None,
     adjoint: AbstractAdjoint,
 ) -> AbstractMethod:
-    """Return the iterated mirror; on a long path its grid sees the first segment.
+    """Return the iterated mirror; on a long path its grid sees the first that cuts.
 
     The grid runs some hundred times, which on the whole path would cost more than the
     optimiser.
     """
     if horizon is None:
         return IteratedMirror()
-    first = int(np.flatnonzero(problem.is_cutting)[0])
+    first = int(np.flatnonzero(is_cutting)[0])
     rows = slice(min(first + horizon[0], job.path.step_count))
+    # Where none of these rows counts, the filter that suits the arm is found all the
+    # same from how they cut.
+    weights = problem.is_cutting[rows]
+    if not np.any(weights):
+        weights = np.asarray(is_cutting)[rows].astype(weights.dtype)
     part = with_rows(job, np.arange(job.path.step_count)[rows])
     sample = dataclasses.replace(
         problem,
         plant=TipPlant(part, adjoint),
         nominal=problem.nominal[rows],
         desired=problem.desired[rows],
-        is_cutting=problem.is_cutting[rows],
+        is_cutting=weights,
     )
     return SampledMirror(sample)
 
@@ -361,9 +375,11 @@ def _inverse_drive(
     )
 
 
-def _solution(job: Job, rigid: Any, command: Any, adjoint: AbstractAdjoint) -> Solution:
+def _solution(
+    job: Job, rigid: Any, command: Any, adjoint: AbstractAdjoint, is_joints: bool
+) -> Solution:
     command = jnp.asarray(command)
-    if command.shape[1] == 3:
+    if not is_joints:
         return solve_command(job, rigid, command, adjoint)
     from ..robot import forward_kinematics
 

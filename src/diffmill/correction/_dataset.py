@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._result import RESULTS
 from ._parts import PARTS, by_part, rows_out_of_cut
 from ._surface_objective import SurfaceMeasures, measure_surface
 
@@ -57,6 +58,8 @@ def correction_dataset(correction: "Correction") -> "xarray.Dataset":
         for key, value in method.detail.items():
             dataset.attrs[f"{name}_{key}"] = value
     dataset.attrs["corrected_case"] = correction.chosen
+    is_settled = bool(correction.methods["corrected"].result == RESULTS.successful)
+    dataset.attrs["corrected_outcome"] = "settled" if is_settled else "steps ran out"
     return dataset
 
 

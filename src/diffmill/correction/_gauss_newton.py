@@ -21,7 +21,7 @@ from ._least_squares_records import (
     LeastSquaresStep,
     LevenbergMarquardt,
 )
-from ._limits import AbstractLimits, command_limits
+from ._limits import AbstractLimits, LinearLimits, MixedLimits, command_limits
 from ._method import AbstractMethod, Corrected, OnProgress, corrected
 from ._objective import AbstractObjective, PathObjective
 from ._problem import FloatRows, Problem
@@ -135,7 +135,7 @@ class GaussNewton(AbstractMethod):
     ensemble: Ensemble | None = None
     is_worst_case: bool = eqx.field(static=True, default=False)
     bounds: SurfaceBounds | None = None
-    limits: tuple[AbstractLimits, ...] = ()
+    limits: tuple[LinearLimits | MixedLimits, ...] = ()
     max_velocity: float = np.inf
     max_acceleration: float = np.inf
 
@@ -160,7 +160,7 @@ class GaussNewton(AbstractMethod):
         spline = SplineOffsets(rows, problem.time_step, self.knot_spacing)
         bound = float(problem.max_offset)
         nominal = np.asarray(problem.nominal)
-        limits = self._all_limits(spline, nominal)
+        limits = self.all_limits(spline, nominal)
         first = np.zeros((spline.coefficient_count, axes))
         if start is not None:
             first = project(spline, np.asarray(start) - nominal, bound, limits=limits)
@@ -236,9 +236,9 @@ class GaussNewton(AbstractMethod):
             resume=resume,
         )
 
-    def _all_limits(
+    def all_limits(
         self, spline: SplineOffsets, nominal: FloatRows
-    ) -> tuple[AbstractLimits, ...]:
+    ) -> tuple[LinearLimits | MixedLimits, ...]:
         """Return the limits of the command and those given."""
         return self.limits + command_limits(
             spline,

@@ -31,6 +31,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int
 
+from .._result import RESULTS
 from ._bspline import CLAMPED, SplineOffsets
 from ._gauss_newton import (
     ContourResidual,
@@ -50,7 +51,7 @@ from ._horizon_run import (
 )
 from ._least_squares import least_squares
 from ._least_squares_records import LeastSquaresStep, following
-from ._limits import LinearLimits, command_limits
+from ._limits import LinearLimits, MixedLimits
 from ._memory import Arrays, OnCheckpoint
 from ._method import AbstractMethod, Corrected, OnProgress, corrected
 from ._problem import FloatRows, Problem
@@ -124,10 +125,12 @@ class RecedingHorizon(AbstractMethod):
         run = self._first(problem, spline, start)
         total, seconds = self._left(rows, 0, 0), []
         while run.row < rows:
-            began = time.perf_counter()
+            began, before = time.perf_counter(), run.row
             run = self._segment(problem, spline, run)
+            # The last segment is not run by itself.
+            counted = run.row if run.row < rows else before
             seconds.append(time.perf_counter() - began)
-            error = rms_so_far(problem, run)
+            error = rms_so_far(problem, run, counted)
             left = self._left(rows, run.sweep, run.row)
             if left and run.row >= rows:
                 run = self._again(problem, spline, run)
@@ -175,43 +178,52 @@ class RecedingHorizon(AbstractMethod):
 
     def _limits(
         self, problem: Problem, spline: SplineOffsets
-    ) -> tuple[LinearLimits, ...]:
+    ) -> tuple[LinearLimits | MixedLimits, ...]:
         """Return the limits of the whole command."""
-        return command_limits(
-            spline,
-            problem.nominal,
-            max_velocity=self.method.max_velocity,
-            max_acceleration=self.method.max_acceleration,
-        )
+        return self.method.all_limits(spline, np.asarray(problem.nominal))
+
+    def _has_bounds(self, row: int) -> bool:
+        """Tell whether a segment from a row on cuts what is to be held."""
+        bounds = self.method.bounds
+        if bounds is None:
+            return False
+        return bool(cut_points(bounds, row, row + self.horizon).any())
 
     def _segment(
         self, problem: Problem, spline: SplineOffsets, run: HorizonRun
     ) -> HorizonRun:
         """Correct the rows of one segment, and run them but for the overlap."""
         rows, row = problem.nominal.shape[0], run.row
-        coefficients, history = run.coefficients, run.history
+        coefficients, history, is_settled = run.coefficients, run.history, True
         part = part_of(problem, self.pieces.piece, run.state, row, self.horizon)
-        if np.any(part.is_cutting > 0):
-            coefficients, history = self._solve(problem, part, spline, run)
+        if np.any(part.is_cutting > 0) or self._has_bounds(row):
+            coefficients, history, is_settled = self._solve(problem, part, spline, run)
         is_last = row + self.horizon >= rows
         count = rows - row if is_last else self._hop + 1
-        state = run.state
+        state, unsettled = run.state, run.unsettled + (not is_settled)
         if row == 0:
             # The start moves with the command, which has just been changed.
             state = self.pieces.begin(command_at(problem, spline, coefficients, 0, 2))
         if is_last:
             # The whole run that follows tells the error of these rows.
-            return HorizonRun(run.sweep, rows, coefficients, state, run.square, history)
+            return HorizonRun(
+                *(run.sweep, rows, coefficients, state, run.square, history, unsettled)
+            )
         kept = part_of(problem, self.pieces.piece, state, row, count)
         command = command_at(problem, spline, coefficients, row, count, problem.window)
         state, square = advance(kept, jnp.asarray(command))
         square, row = run.square + float(square), row + self._hop
-        return HorizonRun(run.sweep, row, coefficients, state, square, history)
+        return HorizonRun(
+            *(run.sweep, row, coefficients, state, square, history, unsettled)
+        )
 
     def _solve(
         self, problem: Problem, part: Problem, spline: SplineOffsets, run: HorizonRun
-    ) -> tuple[np.ndarray, tuple[LeastSquaresStep, ...]]:
-        """Return the coefficients with those of a segment corrected, and the steps."""
+    ) -> tuple[np.ndarray, tuple[LeastSquaresStep, ...], bool]:
+        """Return the coefficients with those of a segment corrected, and the steps.
+
+        Also whether the optimiser has settled there.
+        """
         method, bound = self.method, float(problem.max_offset)
         limits = self._limits(problem, spline)
         dtype = np.asarray(problem.nominal).dtype
@@ -224,6 +236,8 @@ class RecedingHorizon(AbstractMethod):
         # Weighted alone, the rows of a segment would count for more than they do in
         # the whole path; the roughness has to grow with them.
         share = np.sum(part.is_cutting) / np.sum(np.asarray(problem.is_cutting))
+        # Where nothing counts but what is held, as in a path that counts alike.
+        share = share if share > 0 else self.horizon / len(np.asarray(problem.nominal))
         share *= (len(run.coefficients) - 2) / (place.size - 2)
         smoothness = method.smoothness / np.sqrt(share)
         own = window_limits(limits, run.coefficients, window)
@@ -263,7 +277,8 @@ class RecedingHorizon(AbstractMethod):
         if run.sweep == 0 and not limits and bounds is None:
             again = self._overlapping(spline, run.row)
             new[again] = run.coefficients[again]
-        return new, following(run.history, solution.history)
+        is_settled = bool(solution.result == RESULTS.successful)
+        return new, following(run.history, solution.history), is_settled
 
     def _bounds(self, problem: Problem, row: int) -> SurfaceBounds | None:
         """Return the bounds of the surface for the segment from a row on.
@@ -321,11 +336,17 @@ class RecedingHorizon(AbstractMethod):
                 "overlap": float(self.overlap),
                 "smoothness": self.method.smoothness,
                 "lag_weight": self.method.lag_weight,
+                "unsettled_segments": float(run.unsettled),
             },
+            result=RESULTS.not_converged if run.unsettled else RESULTS.successful,
         )
         if (bounds := self.method.bounds) is not None:
             errors = np.asarray(bounds.errors(found.motion), np.float64)
             if np.all(np.isfinite(errors)) and not is_kept(bounds, errors):
-                bound = float(problem.max_offset)
-                raise refusal(bounds, errors, run.coefficients, bound, ())
+                free, bound = (
+                    run.coefficients[CLAMPED:-CLAMPED],
+                    float(problem.max_offset),
+                )
+                limits = self._limits(problem, spline)
+                raise refusal(bounds, errors, free, bound, limits)
         return found

@@ -33,6 +33,8 @@ class HorizonRun(eqx.Module):
         state: The plant's at that row.
         square: Sum of the weighted squares of the contour error so far [m^2].
         history: Steps of all segments so far.
+        unsettled: Segments of this sweep in which the steps ran out before the
+            optimiser settled.
     """
 
     sweep: int
@@ -41,6 +43,7 @@ class HorizonRun(eqx.Module):
     state: Any
     square: float
     history: tuple[LeastSquaresStep, ...]
+    unsettled: int = 0
 
 
 class PaddedPiece(eqx.Module):
@@ -109,9 +112,9 @@ def command_at(
     return jnp.asarray(command[at])
 
 
-def rms_so_far(problem: Problem, run: HorizonRun) -> float:
-    """Return the rms contour error of the rows that have been run [m]."""
-    weight = float(np.sum(np.asarray(problem.is_cutting)[: run.row]))
+def rms_so_far(problem: Problem, run: HorizonRun, counted: int) -> float:
+    """Return the rms contour error of the rows that count so far [m]."""
+    weight = float(np.sum(np.asarray(problem.is_cutting)[:counted]))
     return float(np.sqrt(run.square / weight)) if weight > 0 else 0.0
 
 
@@ -123,6 +126,7 @@ def pack_run(run: HorizonRun) -> dict[str, np.ndarray]:
         "coefficients": run.coefficients,
         "square": np.asarray(run.square),
         "history": pack_history(run.history),
+        "unsettled": np.asarray(run.unsettled),
         **under("state", pack_tree(run.state)),
     }
 
@@ -136,4 +140,5 @@ def unpack_run(arrays: Arrays, like: HorizonRun) -> HorizonRun:
         unpack_tree(below("state", arrays), like.state),
         float(arrays["square"]),
         unpack_history(arrays["history"]),
+        int(arrays["unsettled"]),
     )

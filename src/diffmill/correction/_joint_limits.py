@@ -60,7 +60,8 @@ def joint_limits(
         np.asarray(x, np.float64)[None] for x in (robot.joint_lower, robot.joint_upper)
     )
     lower, upper = least + bend - motors, most - bend - motors
-    _check_nominal(job, motors, np.maximum(lower, -upper), spline.time_step)
+    why = ", with what the joint's motion bends over `max_offset`"
+    _refuse(job, motors, np.maximum(lower, -upper), spline.time_step, why)
     reach = max_offset * np.sum(np.abs(slope), axis=2)
     rows, joints = np.nonzero((lower > -reach) | (upper < reach))
     if not rows.size:
@@ -68,13 +69,13 @@ def joint_limits(
     return (_mixed(spline, slope, rows, joints, (lower, upper)),)
 
 
-def check_joints(job: Job, command: FloatRows) -> None:
+def check_joints(job: Job, command: FloatRows, *, is_joints: bool) -> None:
     """Raise if a command brings a motor beyond its limit.
 
     Args:
         job: The job; its machine must be a robot.
-        command: Tip positions [m] or joint positions, as the job commands, shape
-            (step, axis).
+        command: Tip positions [m] or joint positions, shape (step, axis).
+        is_joints: Whether they are joint positions.
 
     Raises:
         InfeasibleLimit: It does; the message says which, when and by how much.
@@ -84,10 +85,10 @@ def check_joints(job: Job, command: FloatRows) -> None:
     robot = job.robot
     if robot is None:
         raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
-    motors = np.asarray(_motors(job, jnp.asarray(command)), np.float64)
+    motors = np.asarray(_motors(job, jnp.asarray(command), is_joints), np.float64)
     least, most = np.asarray(robot.joint_lower), np.asarray(robot.joint_upper)
     excess = np.maximum(least[None] - motors, motors - most[None])
-    _check_nominal(job, motors, excess, float(job.tooth_period))
+    _refuse(job, motors, excess, float(job.tooth_period), "")
 
 
 def _bend(
@@ -101,19 +102,21 @@ def _bend(
     axis_count = command.shape[1]
     # To second order opposite corners are alike.
     signs = itertools.product((1.0, -1.0), repeat=axis_count - 1)
-    bend = np.zeros_like(motors)
+    bend, is_joints = np.zeros_like(motors), job.correction.command == "joint"
     for sign in signs:
         shift = max_offset * np.array([1.0, *sign])
         moved = command + jnp.asarray(shift[None], command.dtype)
-        change = np.asarray(_motors(job, moved), np.float64) - motors
+        change = np.asarray(_motors(job, moved, is_joints), np.float64) - motors
         bend = np.maximum(bend, np.abs(change - slope @ shift))
     return _SAFE * bend
 
 
 @eqx.filter_jit
-def _motors(job: Job, command: Float[Array, "step axis"]) -> Float[Array, "step joint"]:
-    """Return the motor positions of tips, or of joints where they are commanded."""
-    if job.correction.command == "joint":
+def _motors(
+    job: Job, command: Float[Array, "step axis"], is_joints: bool
+) -> Float[Array, "step joint"]:
+    """Return the motor positions of tips, or of joints."""
+    if is_joints:
         return joint_motors(job, command)
     return command_motors(job, command)[0]
 
@@ -124,7 +127,7 @@ def _linearised(
 ) -> tuple[Float[Array, "step joint"], Float[Array, "step joint axis"]]:
     """Return the motors and their derivatives by the same row of the command."""
     axes = jnp.eye(command.shape[1], dtype=command.dtype)
-    motors = lambda rows: _motors(job, rows)
+    motors = lambda rows: _motors(job, rows, job.correction.command == "joint")
 
     # All rows are moved at once: a row's motors depend on its own tip only.
     def along(axis: Float[Array, " axis"]) -> Float[Array, "step joint"]:
@@ -134,7 +137,9 @@ def _linearised(
     return motors(command), jnp.moveaxis(jax.lax.map(along, axes), 0, 2)
 
 
-def _check_nominal(job: Job, motors: Motors, excess: Motors, time_step: float) -> None:
+def _refuse(
+    job: Job, motors: Motors, excess: Motors, time_step: float, why: str
+) -> None:
     """Raise if a motor is beyond its limit, or nearer than its motion bends."""
     row, joint = np.unravel_index(np.argmax(excess), excess.shape)
     worst = float(excess[row, joint])
@@ -147,7 +152,7 @@ def _check_nominal(job: Job, motors: Motors, excess: Motors, time_step: float) -
     raise InfeasibleLimit(
         f"`joint limits` of {name!r} must hold {float(motors[row, joint]):.6g} rad (or "
         f"m) at {row * time_step:.4g} s, but are {least:.6g} to {most:.6g}: "
-        f"{worst:.3g} too narrow, with what the joint's motion bends over `max_offset`."
+        f"{worst:.3g} too narrow{why}."
     )
 
 

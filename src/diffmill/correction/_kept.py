@@ -22,6 +22,7 @@ from ._memory import (
     unpack_least_squares,
     unpack_worst_case,
 )
+from ._setup import UnsuitableSettings
 
 # Paths of at most so many rows are corrected as a whole, unless the job says otherwise.
 _WHOLE_ROWS = 6000
@@ -36,7 +37,7 @@ def horizon_of(job: Job) -> tuple[int, int] | None:
     """Return the rows of a segment and of its overlap; None for the path as a whole.
 
     Raises:
-        ValueError: The job asks for segments where there can be none.
+        UnsuitableSettings: The job asks for segments where there can be none.
     """
     settings, rows = job.correction, job.path.step_count
     is_able = settings.objective == "path" and job.simulation.mode == "dynamic"
@@ -48,7 +49,7 @@ def horizon_of(job: Job) -> tuple[int, int] | None:
     if horizon >= rows:
         return None
     if not is_able:
-        raise ValueError(
+        raise UnsuitableSettings(
             'Argument `job` must have the horizon "auto" unless its objective is '
             '"path", its mode "dynamic", its model certain and its method '
             f'"gauss_newton", but has a horizon of {horizon} rows.'
@@ -58,7 +59,7 @@ def horizon_of(job: Job) -> tuple[int, int] | None:
         knots = round(_OVERLAP_KNOTS * settings.knot_spacing / float(job.tooth_period))
         overlap = max(1, min(knots, horizon // 2))
     if overlap >= horizon:
-        raise ValueError(
+        raise UnsuitableSettings(
             f"Argument `job` must have an overlap below its horizon of {horizon} rows, "
             f"but has {overlap} rows."
         )

@@ -40,7 +40,11 @@ from ._least_squares_state import (
     take_spent,
     unit_box,
 )
-from ._limited_quadratic import Spring, solve_limited_quadratic
+from ._limited_quadratic import (
+    QuadraticNotSolved,
+    Spring,
+    solve_limited_quadratic,
+)
 from ._limits import AbstractLimits, AbstractRows
 from ._products import Residual, evaluate
 from ._quadratic import QuadraticSolution
@@ -103,7 +107,8 @@ def least_squares(
 
     Returns:
         The solution with its history. Where `on_progress` or the limit of steps ends
-        it, or held rows stay out of their bounds, `.result` is `not_converged`.
+        it, rounding leaves no step within the limits, or held rows stay out of their
+        bounds, `.result` is `not_converged`.
 
     **Differentiability**: runs on the host, not traceable.
     """
@@ -125,7 +130,11 @@ def least_squares(
     while not is_done and _has_steps(solver, state, history):
         before, kkt = state.cost, largest_slope(state, box)
         weight = state.weight
-        inner = _inner(solver, state, box, limits, held, precondition)
+        try:
+            inner = _inner(solver, state, box, limits, held, precondition)
+        except QuadraticNotSolved:
+            # Rounding is all that is left; the best point so far is not converged.
+            break
         state, tried = _try(residual, args, box, held, state, inner)
         if tried.gain > _ACCEPT:
             state = linearised(solver, residual, args, box, held, state)
@@ -215,6 +224,7 @@ def _inner(
         rtol=solver.inner_rtol,
         max_products=(solver.max_products - 1) // 2,
         precondition=precondition,
+        rounding=float(np.finfo(box.dtype).eps),
     )
 
 

@@ -24,11 +24,13 @@ from ._quadratic import QuadraticSolution, solve_bounded_quadratic
 _LIMITED = 4
 # Vectors of the span at most: the small problem is dense in them.
 _LARGEST_SPAN = 150
-# A vector whose part outside the span is smaller than this share adds rounding only.
-_INDEPENDENT = 1e-8
 # Bounds are kept to this share of the largest of their kind: what the dense solver
 # cannot tell. Where a bound leaves more room than that, it is kept exactly.
 _TOLERANCE = 1e-7
+
+
+class QuadraticNotSolved(ArithmeticError):
+    """Raise when no small problem could be solved to working precision."""
 
 
 class Spring(NamedTuple):
@@ -49,6 +51,7 @@ def solve_limited_quadratic(
     rtol: float = 1e-2,
     max_products: int = 40,
     precondition: Callable[[np.ndarray], np.ndarray] | None = None,
+    rounding: float = 2.2e-16,
 ) -> QuadraticSolution:
     """Minimise p.A p / 2 + g.p within a box and linear limits that p = 0 keeps.
 
@@ -64,14 +67,20 @@ def solve_limited_quadratic(
         max_products: Products with A at most without limits in the way; four times as
             many with them.
         precondition: As `solve_bounded_quadratic`.
+        rounding: Relative rounding of the products: a vector whose part outside the
+            span is smaller than its root adds nothing but that.
 
     Returns:
         The solution, within the box and, but for rounding, the limits. Its decrease
         counts the springs.
 
+    Raises:
+        QuadraticNotSolved: Rounding leaves no solution.
+
     **Differentiability**: runs on the host, not traceable.
     """
-    span = _Span(product, [*limits, *(spring.rows for spring in springs)])
+    rows = [*limits, *(spring.rows for spring in springs)]
+    span = _Span(product, rows, float(np.sqrt(rounding)))
     first = solve_bounded_quadratic(
         span.multiplied,
         gradient,
@@ -97,10 +106,15 @@ def solve_limited_quadratic(
         is_spent = span.products >= _LIMITED * max_products
         if is_settled or is_spent or not span.is_grown(steep):
             break
-    p = np.zeros_like(gradient) if best is None else best.p
+    if best is None:
+        raise QuadraticNotSolved(
+            "The quadratic program within the limits has no solution to working "
+            "precision."
+        )
+    p = best.p
     return QuadraticSolution(
         p=p,
-        decrease=0.0 if best is None else best.decrease,
+        decrease=best.decrease,
         products=span.products,
         is_bound=(p <= lower) | (p >= upper),
         relative_gradient=first.relative_gradient,
@@ -122,8 +136,10 @@ class _Span:
         self,
         product: Callable[[np.ndarray], np.ndarray],
         rows: Sequence[AbstractRows],
+        independent: float,
     ):
         self.products = 0
+        self._independent = independent
         self._product = product
         self._rows = rows
         # Each with its product and its rows behind it.
@@ -148,7 +164,7 @@ class _Span:
         for _ in range(2):
             for u in self._long:
                 v = v - (u[: v.size] @ v.reshape(-1)) * u[: v.size].reshape(v.shape)
-        if not np.linalg.norm(v) > _INDEPENDENT * size:
+        if not np.linalg.norm(v) > self._independent * size:
             return False
         self.multiplied(v / np.linalg.norm(v))
         return len(self._long) > before
@@ -161,7 +177,7 @@ class _Span:
             for u in self._long:
                 long = long - (u[: v.size] @ long[: v.size]) * u
         left = np.linalg.norm(long[: v.size])
-        if left > _INDEPENDENT * size:
+        if left > self._independent * size:
             self._long.append(long / left)
 
     def solved(

@@ -19,7 +19,8 @@ from jaxtyping import Float
 from ._bspline import SplineOffsets, basis_matrix
 from ._problem import FloatRows
 
-# Share of a limit that the steps to it leave.
+# Share of a limit that the steps to it leave, and by which a program may be beyond it:
+# differences of rows are rounded.
 _RESERVE = 1e-6
 
 Coefficients = Float[np.ndarray, "coefficient axis"]
@@ -179,8 +180,8 @@ def command_limits(
         found.append(
             LinearLimits(
                 matrix * (scale / step),
-                scale * (-limit - rate),
-                scale * (limit - rate),
+                np.minimum(scale * (-limit - rate), 0.0),
+                np.maximum(scale * (limit - rate), 0.0),
                 name,
             )
         )
@@ -197,7 +198,7 @@ def _check_nominal(
     """Raise if the nominal command alone is above the limit."""
     row, axis = np.unravel_index(np.argmax(np.abs(rate)), rate.shape)
     worst = float(np.abs(rate[row, axis]))
-    if worst <= limit:
+    if worst <= limit * (1 + _RESERVE):
         return
     unit = "/s" if order == 1 else "/s^2"
     raise InfeasibleLimit(

@@ -54,7 +54,8 @@ class IteratedMirror(AbstractMethod):
     repeated up to the last iterate, would not get there.
 
     Attributes:
-        cutoffs: Cut-off frequencies [Hz].
+        cutoffs: Cut-off frequencies [Hz]; those above half the rate of the rows are
+            left out.
         relaxations: Relaxations.
         iterations: Iterates of a branch at most.
         order: Order of one pass of the filter.
@@ -78,7 +79,9 @@ class IteratedMirror(AbstractMethod):
         zero = _Iterate(command, rms_contour(problem, contour), 0, 0.0, 0.0)
         first = _deviation(problem, motion)
         best, runs = zero, 1
-        grid = list(product(self.cutoffs, self.relaxations))
+        # A filter needs two rows per period.
+        known = [c for c in self.cutoffs if c < 0.5 / problem.time_step]
+        grid = list(product(known, self.relaxations))
         # One branch after the other: two runs of one compiled program at the same time
         # can block each other in XLA's pool of threads.
         for done, pair in enumerate(grid, start=1):

@@ -87,4 +87,5 @@ def deviation_of(problem: Problem, motion: Motion) -> Float[Array, "step 3"]:
 def row_shares(problem: Problem, dtype: jnp.dtype) -> Float[Array, " step"]:
     """Return the roots of the rows' shares in a weighted mean, shape (step,)."""
     weights = jnp.asarray(problem.is_cutting, dtype)
-    return jnp.sqrt(weights / jnp.sum(weights))
+    total = jnp.sum(weights)
+    return jnp.sqrt(weights / jnp.where(total > 0, total, 1.0))

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from .._types import RealScalarLike
 from ._bspline import SplineOffsets, adjoint_offsets
 from ._dense_quadratic import solve_dense_quadratic
-from ._limited_quadratic import Bounds, feasible_share
+from ._limited_quadratic import Bounds, QuadraticNotSolved, feasible_share
 from ._limits import AbstractLimits
 from ._problem import FloatRows
 
@@ -35,7 +35,7 @@ def project(
         Coefficients, shape (coefficient, axis).
 
     Raises:
-        RuntimeError: The quadratic program could not be solved.
+        QuadraticNotSolved: The quadratic program could not be solved.
 
     **Differentiability**: runs on the host, not traceable.
     """
@@ -62,7 +62,7 @@ def project(
         np.concatenate([kind.upper for kind in kinds]),
     )
     if found is None:
-        raise RuntimeError(
+        raise QuadraticNotSolved(
             "The command could not be brought within its limits: the quadratic program "
             "has no solution to working precision."
         )

@@ -18,8 +18,17 @@ from ._limits import command_limits
 from ._method import Corrected
 from ._objective import AbstractObjective, PathObjective
 from ._problem import Problem
-from ._surface_objective import FinishedSurface, SurfaceObjective, finished_surface
+from ._surface_objective import (
+    FinishedSurface,
+    SurfaceObjective,
+    finished_surface,
+    point_shares,
+)
 from ._weights import row_weights
+
+
+class UnsuitableSettings(ValueError):
+    """Raise when settings of the correction do not suit the path of the job."""
 
 
 def job_weights(
@@ -64,6 +73,7 @@ def check_limits(job: Job) -> None:
 
     Raises:
         InfeasibleLimit: It does.
+        UnsuitableSettings: The program is too short for the knots.
     """
     settings = job.correction
     command_limits(
@@ -75,14 +85,24 @@ def check_limits(job: Job) -> None:
 
 
 def job_spline(job: Job) -> SplineOffsets:
-    """Return the basis of a job's offsets."""
-    return SplineOffsets(
-        job.path.step_count, float(job.tooth_period), job.correction.knot_spacing
-    )
+    """Return the basis of a job's offsets.
+
+    Raises:
+        UnsuitableSettings: The program is too short for the knots.
+    """
+    spacing = job.correction.knot_spacing
+    try:
+        return SplineOffsets(job.path.step_count, float(job.tooth_period), spacing)
+    except ValueError as error:
+        raise UnsuitableSettings(str(error)) from error
 
 
-def job_objective(job: Job, surface: FinishedSurface | None) -> AbstractObjective:
-    """Return the objective that `[correction]` asks for.
+def job_objective(
+    job: Job,
+    surface: FinishedSurface | None,
+    weights: Float[np.ndarray, " step"],
+) -> AbstractObjective:
+    """Return the objective that `[correction]` asks for, with the weights of the rows.
 
     Raises:
         ValueError: A surface is asked for where there is none.
@@ -96,7 +116,11 @@ def job_objective(job: Job, surface: FinishedSurface | None) -> AbstractObjectiv
             "needs a flat cutter along +z that leaves walls or floors."
         )
     return SurfaceObjective(
-        surface, settings.wall_weight, settings.floor_weight, settings.tolerance
+        surface,
+        settings.wall_weight,
+        settings.floor_weight,
+        settings.tolerance,
+        point_shares(surface, job.path.positions, weights),
     )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ._bspline import CLAMPED, SplineOffsets, basis
-from ._limits import LinearLimits
+from ._limits import LinearLimits, MixedLimits
 
 
 class SplineWindow(eqx.Module):
@@ -120,10 +120,10 @@ def spline_window(
 
 
 def window_limits(
-    limits: Sequence[LinearLimits],
+    limits: Sequence[LinearLimits | MixedLimits],
     coefficients: Float[np.ndarray, "all axis"],
     window: SplineWindow,
-) -> tuple[LinearLimits, ...]:
+) -> tuple[MixedLimits, ...]:
     """Return limits of a whole command as those of the coefficients of a window.
 
     Args:
@@ -139,21 +139,29 @@ def window_limits(
     """
     from scipy import sparse
 
+    axes = coefficients.shape[1]
     is_free = np.asarray(window.is_free)
-    inside = np.flatnonzero(is_free)
-    columns = window.place()[is_free] - CLAMPED
-    shape = (inside.size, is_free.size)
-    spread = sparse.csr_array(
-        (np.ones(inside.size), (np.arange(inside.size), inside)), shape=shape
-    )
-    whole = coefficients[CLAMPED:-CLAMPED]
+    inside = _flat(np.flatnonzero(is_free), axes)
+    columns = _flat(window.place()[is_free] - CLAMPED, axes)
+    entries = np.ones(inside.size), (np.arange(inside.size), inside)
+    spread = sparse.csr_array(entries, shape=(inside.size, is_free.size * axes))
+    whole = coefficients[CLAMPED:-CLAMPED].reshape(-1)
     found = []
     for limit in limits:
-        own = sparse.csc_array(limit.matrix)[:, columns]
+        flat = limit.flat(axes)
+        own = sparse.csc_array(flat)[:, columns]
         rows = np.unique(own.nonzero()[0])
         matrix = sparse.csr_array(own)[rows] @ spread
-        others = (limit.matrix @ whole)[rows] - (own @ whole[columns])[rows]
+        others = (flat @ whole)[rows] - (own @ whole[columns])[rows]
+        lower, upper = (end.reshape(-1)[rows] for end in (limit.lower, limit.upper))
         found.append(
-            LinearLimits(matrix, limit.lower[rows] - others, limit.upper[rows] - others)
+            MixedLimits(matrix, lower - others, upper - others, axes, limit.name)
         )
     return tuple(found)
+
+
+def _flat(
+    places: Int[np.ndarray, " place"], axes: int
+) -> Int[np.ndarray, " coefficient"]:
+    """Return the places of all axes of coefficients, row by row."""
+    return (places[:, None] * axes + np.arange(axes)[None]).reshape(-1)

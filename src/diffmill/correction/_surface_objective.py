@@ -24,13 +24,13 @@ from ..workpiece import Stock
 from ._objective import AbstractObjective, beyond, deviation_of, row_shares
 from ._problem import Motion, Problem
 
-# Poses that may decide a point, at most: those nearest to it.
-_WALL_POSES = 32
-_FLOOR_POSES = 128
 # Where a pose does not reach a point, it leaves material this far out [m].
 _FAR = 1.0
-# Points of a kind at most; the rest is left out evenly.
-_POINTS = 2000
+# Points of a kind, and pairs of a point and a pose, at most; the rest of the points is
+# left out evenly.
+_POINTS, _PAIRS = 2000, 2_000_000
+# Poses that differ by less leave a point together [m].
+_SAME_DEPTH = 1e-6
 
 
 class FinishedSurface(eqx.Module):
@@ -63,10 +63,11 @@ class FinishedSurface(eqx.Module):
 
         **Differentiability**: kink where another pose becomes the deepest.
         """
-        depth = self.depths(actual)
         # The choice is held fixed: `min` would share a tie's derivative among all.
-        best = jnp.argmin(jax.lax.stop_gradient(depth), axis=1)
-        return jnp.take_along_axis(depth, best[:, None], axis=1)[:, 0]
+        best = jnp.argmin(self.depths(jax.lax.stop_gradient(actual)), axis=1)
+        poses = jnp.asarray(self.poses, jnp.int32)
+        chosen = jnp.take_along_axis(poses, best[:, None], axis=1)
+        return self._depths(actual, chosen)[:, 0]
 
     def depths(self, actual: FloatRows3) -> Float[Array, "point pose"]:
         """Return how far out of the ideal surface each pose of a point cuts [m].
@@ -79,9 +80,15 @@ class FinishedSurface(eqx.Module):
 
         **Differentiability**: smooth where the pose cuts.
         """
+        return self._depths(actual, jnp.asarray(self.poses, jnp.int32))
+
+    def _depths(
+        self, actual: FloatRows3, poses: Int[Array, "point some"]
+    ) -> Float[Array, "point some"]:
+        """Return how far out of the ideal surface some poses of each point cut."""
         tips = jnp.asarray(actual)
         p, n = (jnp.asarray(x, tips.dtype) for x in (self.points, self.normals))
-        apart = tips[jnp.asarray(self.poses, jnp.int32)] - p[:, None]
+        apart = tips[poses] - p[:, None]
         out = jnp.sum(apart * n[:, None], axis=2)
         across = apart[..., 1] * n[:, None, 0] - apart[..., 0] * n[:, None, 1]
         R = jnp.asarray(self.radius, tips.dtype)
@@ -113,28 +120,31 @@ def finished_surface(
     **Differentiability**: none, a host function.
     """
     tips = np.asarray(desired, np.float64)
-    walls = _thinned(*_wall_points(stock, tips, radius))
-    floors = _thinned(*_floor_points(stock))
+    walls, floors = _wall_points(stock, tips, radius), _floor_points(stock)
+    walls, floors = (
+        tuple(values[_thinned(np.arange(len(values)), _POINTS)] for values in kind)
+        for kind in (walls, floors)
+    )
     poses = [
         _wall_poses(*walls, tips, radius, reach),
         _floor_poses(floors[0], tips, radius, reach),
     ]
-    is_seen = [np.any(rows >= 0, axis=1) for rows in poses]
+    is_seen = [np.array([rows.size > 0 for rows in kind], bool) for kind in poses]
     if not any(seen.any() for seen in is_seen):
         raise ValueError("Argument `stock` must have been cut by a pose, but was not.")
-    width = max(rows.shape[1] for rows in poses)
-    filled = [
-        _filled(rows[seen], width) for rows, seen in zip(poses, is_seen, strict=True)
-    ]
-    kinds = [
-        np.ones(int(is_seen[0].sum()), bool),
-        np.zeros(int(is_seen[1].sum()), bool),
-    ]
+    width = max(rows.size for kind in poses for rows in kind)
+    kept = [_thinned(np.flatnonzero(seen), _PAIRS // (2 * width)) for seen in is_seen]
     return FinishedSurface(
-        points=np.concatenate([walls[0][is_seen[0]], floors[0][is_seen[1]]]),
-        normals=np.concatenate([walls[1][is_seen[0]], floors[1][is_seen[1]]]),
-        is_wall=np.concatenate(kinds),
-        poses=np.concatenate(filled),
+        points=np.concatenate([walls[0][kept[0]], floors[0][kept[1]]]),
+        normals=np.concatenate([walls[1][kept[0]], floors[1][kept[1]]]),
+        is_wall=np.repeat([True, False], [kept[0].size, kept[1].size]),
+        poses=np.stack(
+            [
+                _filled(kind[i], width)
+                for kind, few in zip(poses, kept, strict=True)
+                for i in few
+            ]
+        ),
         radius=np.asarray(radius, np.float64),
     )
 
@@ -147,12 +157,15 @@ class SurfaceObjective(AbstractObjective):
         wall_weight: Weight of the walls' mean square.
         floor_weight: Weight of the floors' mean square.
         tolerance: Half the width of the band within which no error counts [m].
+        shares: How much each point counts among those of its kind, see `point_shares`,
+            shape (point,); all alike if None.
     """
 
     surface: FinishedSurface
     wall_weight: RealScalarLike = 1.0
     floor_weight: RealScalarLike = 1.0
     tolerance: RealScalarLike = 0.0
+    shares: Float[np.ndarray, " point"] | Float[Array, " point"] | None = None
 
     def errors(
         self, problem: Problem, motion: Motion, lag_weight: RealScalarLike
@@ -164,15 +177,43 @@ class SurfaceObjective(AbstractObjective):
         error = self.surface.errors(motion.actual)
         dtype = error.dtype
         is_wall = jnp.asarray(self.surface.is_wall)
-        weight = [
-            jnp.asarray(w, dtype) / jnp.maximum(jnp.sum(rows, dtype=dtype), 1)
-            for w, rows in ((self.wall_weight, is_wall), (self.floor_weight, ~is_wall))
-        ]
-        share = jnp.sqrt(jnp.where(is_wall, weight[0], weight[1]))
+        counts = 1.0 if self.shares is None else self.shares
+        share = jnp.asarray(counts, dtype) * jnp.ones_like(error)
+        weight = jnp.where(is_wall, self.wall_weight, self.floor_weight).astype(dtype)
+        total = jnp.where(
+            is_wall,
+            jnp.sum(jnp.where(is_wall, share, 0.0)),
+            jnp.sum(jnp.where(is_wall, 0.0, share)),
+        )
+        share = jnp.sqrt(weight * share / jnp.maximum(total, 1e-30))
         error = beyond(error[:, None], self.tolerance)[:, 0] * share
         rest = deviation_of(problem, motion) * row_shares(problem, dtype)[:, None]
         rest = jnp.asarray(lag_weight, dtype) * rest
         return jnp.concatenate([error, rest.reshape(-1)])
+
+
+def point_shares(
+    surface: FinishedSurface,
+    desired: FloatRows3,
+    weights: Float[np.ndarray, " step"],
+) -> Float[np.ndarray, " point"]:
+    """Return how much the points of a surface count, from the rows that leave them.
+
+    Args:
+        surface: The surface.
+        desired: The desired path [m], shape (step, 3).
+        weights: Weight of every row, shape (step,).
+
+    Returns:
+        The largest weight of the rows that are the deepest at the point on the desired
+        path, to a micrometre, shape (point,).
+
+    **Differentiability**: none, a host function.
+    """
+    depth = np.asarray(surface.depths(desired), np.float64)
+    is_deepest = depth <= depth.min(axis=1, keepdims=True) + _SAME_DEPTH
+    each = np.asarray(weights, np.float64)[np.asarray(surface.poses)]
+    return np.max(np.where(is_deepest, each, 0.0), axis=1)
 
 
 class SurfaceMeasures(eqx.Module):
@@ -276,14 +317,11 @@ def _floor_points(
     return points, np.tile(np.array([0.0, 0.0, 1.0]), (len(points), 1))
 
 
-def _thinned(
-    points: Float[np.ndarray, "point 3"], normals: Float[np.ndarray, "point 3"]
-) -> tuple[Float[np.ndarray, "few 3"], Float[np.ndarray, "few 3"]]:
-    """Return evenly chosen points, not more than the limit."""
-    if len(points) <= _POINTS:
-        return points, normals
-    chosen = np.linspace(0, len(points) - 1, _POINTS).astype(int)
-    return points[chosen], normals[chosen]
+def _thinned(places: Int[np.ndarray, " many"], most: int) -> Int[np.ndarray, " few"]:
+    """Return evenly chosen places, not more than so many and at least one."""
+    if len(places) <= most:
+        return places
+    return places[np.linspace(0, len(places) - 1, max(1, most)).astype(int)]
 
 
 def _wall_poses(
@@ -292,8 +330,8 @@ def _wall_poses(
     tips: Float[np.ndarray, "step 3"],
     radius: float,
     reach: float,
-) -> Int[np.ndarray, "point pose"]:
-    """Return the poses that may cut each wall point deepest, padded with -1."""
+) -> list[Int[np.ndarray, " pose"]]:
+    """Return the poses that may cut each wall point deepest."""
     found = []
     for p, n in zip(points, normals, strict=True):
         apart = tips - p
@@ -303,8 +341,8 @@ def _wall_poses(
         depth = out - np.sqrt(np.clip(square, 0, None))
         # A tool behind the wall cuts another one.
         is_near = (square > (0.1 * radius) ** 2) & (tips[:, 2] < p[2]) & (out > 0)
-        found.append(_nearest(np.where(is_near, depth, np.inf), reach, _WALL_POSES))
-    return np.array(found, np.int32).reshape(len(points), _WALL_POSES)
+        found.append(np.flatnonzero(is_near & (depth < reach)))
+    return found
 
 
 def _floor_poses(
@@ -312,26 +350,17 @@ def _floor_poses(
     tips: Float[np.ndarray, "step 3"],
     radius: float,
     reach: float,
-) -> Int[np.ndarray, "point pose"]:
-    """Return the poses whose bottom covers each point, padded with -1."""
+) -> list[Int[np.ndarray, " pose"]]:
+    """Return the poses whose bottom covers each point."""
     found = []
     for p in points:
         off = np.hypot(tips[:, 0] - p[0], tips[:, 1] - p[1])
-        depth = np.where(off < radius - reach, tips[:, 2] - p[2], np.inf)
-        found.append(_nearest(depth, reach, _FLOOR_POSES))
-    return np.array(found, np.int32).reshape(len(points), _FLOOR_POSES)
+        is_near = (off < radius - reach) & (tips[:, 2] - p[2] < reach)
+        found.append(np.flatnonzero(is_near))
+    return found
 
 
-def _nearest(
-    depth: Float[np.ndarray, " step"], reach: float, count: int
-) -> Int[np.ndarray, " pose"]:
-    """Return the poses of least depth within reach, padded with -1."""
-    near = np.flatnonzero(depth < reach)
-    near = near[np.argsort(depth[near], kind="stable")][:count]
-    return np.pad(near, (0, count - len(near)), constant_values=-1).astype(np.int32)
-
-
-def _filled(rows: Int[np.ndarray, "point pose"], width: int) -> np.ndarray:
+def _filled(rows: Int[np.ndarray, " pose"], width: int) -> Int[np.ndarray, " wide"]:
     """Return rows of one width; the first pose stands in for what is missing."""
-    wide = np.pad(rows, ((0, 0), (0, width - rows.shape[1])), constant_values=-1)
-    return np.where(wide >= 0, wide, wide[:, :1])
+    missing = width - rows.size
+    return np.concatenate([rows, np.repeat(rows[:1], missing)]).astype(np.int32)

@@ -1,9 +1,9 @@
 """Checkpoints: what a long run needs to go on, in a file that is whole or refused.
 
-A first line holds the version of the format and the SHA-256 of all that follows, an
-`.npz` archive of plain arrays (no pickle). A new checkpoint is written beside the old
-one, flushed to the disk and renamed; the one before is kept. So a run that is killed at
-any moment leaves at least one that is whole.
+A first line holds the version of the format and the SHA-256 of it and of all that
+follows, an `.npz` archive of plain arrays (no pickle). A new checkpoint is written
+beside the old one, flushed to the disk and renamed; the one before is kept. So a run
+that is killed at any moment leaves at least one that is whole.
 """
 
 import dataclasses
@@ -21,13 +21,22 @@ from jaxtyping import Shaped
 
 Arrays: TypeAlias = Mapping[str, Shaped[np.ndarray, "..."]]
 
-_MAGIC, _VERSION = b"diffmill-checkpoint", 1
+_MAGIC, _VERSION = b"diffmill-checkpoint", 2
 # Longest first line that is looked at.
 _LONGEST = 200
 _PREVIOUS = ".previous"
 # Names that the file adds to the arrays, which themselves never begin with a dot.
 _JOB, _MADE_BY = ".job", ".made_by"
-_PACKAGES = ("diffmill", "jax", "jaxlib", "equinox", "numpy", "scipy")
+_PACKAGES = (
+    "diffmill",
+    "jax",
+    "jaxlib",
+    "equinox",
+    "numpy",
+    "scipy",
+    "optax",
+    "clarabel",
+)
 
 
 class CheckpointError(ValueError):
@@ -74,8 +83,8 @@ def write_checkpoint(
     temporary = target.with_name(target.name + ".writing")
     content = _content(arrays, job_fingerprint)
     with open(temporary, "wb") as file:
-        digest = hashlib.sha256(content).hexdigest().encode()
-        file.write(b"%s %d %s\n" % (_MAGIC, _VERSION, digest))
+        version = b"%d" % _VERSION
+        file.write(b"%s %s %s\n" % (_MAGIC, version, _digest(version, content)))
         file.write(content)
         file.flush()
         os.fsync(file.fileno())
@@ -180,6 +189,11 @@ def _content(arrays: Arrays, job_fingerprint: str) -> bytes:
     return buffer.getvalue()
 
 
+def _digest(version: bytes, content: bytes) -> bytes:
+    """Return the SHA-256 of version and content, as hexadecimal digits."""
+    return hashlib.sha256(version + b"\n" + content).hexdigest().encode()
+
+
 def _arrays_of(file: pathlib.Path) -> dict[str, np.ndarray]:
     """Return all arrays of a file whose bytes are as they were written."""
     with open(file, "rb") as stream:
@@ -188,14 +202,14 @@ def _arrays_of(file: pathlib.Path) -> dict[str, np.ndarray]:
     words = first.split()
     if len(words) != 3 or words[0] != _MAGIC or not first.endswith(b"\n"):
         raise DamagedCheckpoint(f"{file}: is damaged: it does not begin as one does")
+    if _digest(words[1], content) != words[2]:
+        raise DamagedCheckpoint(f"{file}: is damaged: its content has changed")
     version = words[1].decode("ascii", "replace")
     if version != str(_VERSION):
         raise CheckpointError(
             f"{file}: found a checkpoint of format {version}; only format {_VERSION} "
             "is read"
         )
-    if hashlib.sha256(content).hexdigest().encode() != words[2]:
-        raise DamagedCheckpoint(f"{file}: is damaged: its content has changed")
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as found:
             arrays = {name: found[name] for name in found.files}
