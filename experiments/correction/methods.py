@@ -52,7 +52,9 @@ SETTINGS = (
     Setting("offset of 0.2 mm", "paper_small", {"max_offset": '"0.2 mm"'}),
     Setting("knots of 60 ms", "paper_small", {"knot_spacing": '"60 ms"'}),
     Setting("at most 1 m/s^2", "paper_small", {"max_acceleration": '"1 m/s^2"'}),
+    Setting("gouge of 30 um", "paper_small", {"gouge": '"30 um"'}),
     Setting("flange spring", "paper_small", {}, SPRING),
+    Setting("Adam", "paper_small", {"method": '"adam"', "max_steps": "100"}),
     Setting("surface", "paper_small", {"objective": '"surface"'}),
     Setting(
         "surface after two passes",
