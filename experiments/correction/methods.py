@@ -171,7 +171,7 @@ def _closer(report: Any, kept: Kept, part: str, arm: str, found: dm.Correction) 
 def _head(report: Any) -> None:
     report.say("contour and surface errors in um; acceleration of the command in m/s^2")
     report.say(
-        f"{'case':16}{'rms':>8}{'95 %':>8}{'max':>8}{'wall95':>8}{'floor95':>8}"
+        f"{'case':16}{'rms':>8}{'95 %':>8}{'max':>8}{'wall95':>8}{'floor95':>8}{'deepest':>8}"
         f"{'m/s^2':>7}{'offset':>8}{'runs':>6}{'products':>9}{'s':>8}"
     )
 
@@ -188,6 +188,7 @@ def _cases(report: Any, found: dm.Correction) -> Any:
             np.percentile(error, 95),
             error.max(),
             *(float(row.get(f"surface_{k}_p95", np.nan)) for k in ("wall", "floor")),
+            float(row.get("surface_deepest", np.nan)),
         )
         report.say(
             f"{name:16}"

@@ -91,7 +91,11 @@ class Adam(AbstractMethod):
             nominal + spline.offsets(best * bound),
             forward_runs=spent,
             products=spent,
-            detail={"knot_spacing": spline.actual_spacing, "unknowns": float(x.size)},
+            detail={
+                "knot_spacing": spline.actual_spacing,
+                "unknowns": float(x.size),
+                "bound_count": float(jnp.sum(jnp.abs(best) >= 1)),
+            },
             result=RESULTS.successful if is_finite else RESULTS.non_finite,
         )
 
