@@ -171,8 +171,8 @@ def _closer(report: Any, kept: Kept, part: str, arm: str, found: dm.Correction) 
 def _head(report: Any) -> None:
     report.say("contour and surface errors in um; acceleration of the command in m/s^2")
     report.say(
-        f"{'case':16}{'rms':>8}{'95 %':>8}{'max':>8}{'wall95':>8}{'floor95':>8}{'deepest':>8}"
-        f"{'m/s^2':>7}{'offset':>8}{'runs':>6}{'products':>9}{'s':>8}"
+        f"{'case':16}{'rms':>8}{'95 %':>8}{'max':>8}{'wall95':>8}{'floor95':>8}"
+        f"{'deepest':>8}{'m/s^2':>7}{'offset':>8}{'runs':>6}{'products':>9}{'s':>8}"
     )
 
 
