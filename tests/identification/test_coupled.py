@@ -113,6 +113,7 @@ def test_slopes_agree_with_differences():
         assert np.abs(found - wanted).max() < 1e-6 * np.abs(wanted).max()
 
 
+@pytest.mark.slow
 def test_deflection_alone_gives_springs_and_names_what_it_does_not_show():
     clean, draw = small_record().deviation, np.random.default_rng(0)
     offset = np.array([3e-5, -2e-5, 1e-5])

@@ -160,7 +160,8 @@ def test_a_gap_within_an_arc_counts_as_material():
     assert relative(mean("near_far", stock), whole) > 0.3
 
 
-@pytest.mark.parametrize("y", [pytest.param(6e-3, marks=pytest.mark.slow), -2.3e-3])
+@pytest.mark.slow
+@pytest.mark.parametrize("y", [6e-3, -2.3e-3])
 def test_both_models_leave_the_same_stock(y):
     path = straight(y, 1.07e-3, steps=STEPS)
     cloud, circles = (compiled(c)(path, STOCK) for c in ("point_cloud", "near_far"))

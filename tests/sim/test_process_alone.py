@@ -158,6 +158,7 @@ def test_a_deeper_cut_than_promised_raises_the_flag():
     )
 
 
+@pytest.mark.slow
 def test_helix_keeps_the_mean_and_spreads_the_extremes():
     helical = ct.flat_end_mill(10e-3, 2, math.radians(30))
     run = lambda mill: jax.jit(

@@ -59,6 +59,7 @@ def test_springs_balance_weight_and_force_in_every_period():
     assert np.linalg.norm(still().force, axis=1).max() > 60
 
 
+@pytest.mark.slow
 def test_the_force_is_that_of_the_process_on_the_actual_path():
     alone = jax.jit(
         lambda tips: sim.simulate_process(
