@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
+from diffmill._result import RESULTS
 from diffmill.correction import (
     Ensemble,
     FinishedSurface,
     GaussNewton,
     HeldRows,
     InfeasibleLimit,
+    LeastSquaresSolution,
     LevenbergMarquardt,
     Mirror,
     Motion,
@@ -22,6 +24,7 @@ from diffmill.correction import (
     layer_thickness,
     least_squares,
     surface_bounds,
+    worst_case,
 )
 from diffmill.correction._memory import pack_worst_case, unpack_worst_case
 from diffmill.workpiece import box
@@ -214,3 +217,28 @@ def test_the_worst_member_gets_the_middle_of_all():
         np.testing.assert_array_equal(again.command, rounds.command)
         assert [s.cost for s in again.history] == [s.cost for s in rounds.history]
         assert (again.products, again.result) == (rounds.products, rounds.result)
+
+
+def test_a_round_that_leaves_its_bounds_is_not_the_best():
+    """The first one ends outside with a smaller error than all that follow."""
+
+    class Weighted(eqx.Module):
+        draws: np.ndarray
+        weights: np.ndarray | None = None
+
+    class Args(eqx.Module):
+        ensemble: Weighted
+
+    def solve(start, args, *, on_memory, resume):
+        x = jnp.full(1, next(points))
+        return LeastSquaresSolution(
+            x, 0.0, (), RESULTS.successful, np.full(1, next(rows))
+        )
+
+    held = HeldRows(np.full(1, -0.1), np.full(1, 0.1))
+    errors = lambda x, args: np.full(2, float(x[0]))
+    args = Args(Weighted(np.zeros((2, 1))))
+    for is_held, best in ((lambda s: True, 1.0), (lambda s: held.is_within(s.held), 2)):
+        points, rows = iter([1.0, 3.0, 2.0]), iter([0.2, 0.05, 0.05])
+        found = worst_case(solve, errors, jnp.zeros(1), args, rounds=2, is_held=is_held)
+        assert float(found.x[0]) == best

@@ -179,6 +179,7 @@ class GaussNewton(AbstractMethod):
             assert not isinstance(resume, LeastSquaresMemory)
             solution = worst_case(
                 *(solve, _member_errors, begin, args),
+                is_held=lambda found: self._held().is_within(found.held),
                 on_memory=on_memory,
                 resume=resume,
             )

@@ -75,6 +75,7 @@ def worst_case(
     args: Any,
     *,
     rounds: int = _ROUNDS,
+    is_held: Callable[[LeastSquaresSolution], bool] = lambda found: True,
     on_memory: Callable[[WorstCaseMemory], object] | None = None,
     resume: WorstCaseMemory | None = None,
 ) -> LeastSquaresSolution:
@@ -88,6 +89,8 @@ def worst_case(
         start: First point.
         args: What `solve` takes.
         rounds: Rounds after the one with equal weights.
+        is_held: Whether a solution keeps what is to be held: any that does is better
+            than one that does not.
         on_memory: Called after every step with all that is needed to go on.
         resume: What it was called with, to go on from there as if nothing had been.
 
@@ -120,8 +123,9 @@ def worst_case(
         inner, history = None, following(history, found.history)
         errors = member_errors(found.x, args)
         is_finite = bool(np.all(np.isfinite(errors)))
-        if best is None or (is_finite and errors.max() < lowest):
-            best, lowest = found, float(errors.max())
+        largest = float(errors.max()) if is_finite and is_held(found) else np.inf
+        if best is None or largest < lowest:
+            best, lowest = found, largest
         if not is_finite or done == rounds:
             return dataclasses.replace(best, history=history)
         done, start, weights = done + 1, found.x, reweighted(weights, errors)
