@@ -19,6 +19,7 @@ from diffmill.correction import (
     point_shares,
     row_weights,
     surface_poses,
+    touching_rows,
 )
 from diffmill.cutter import flat_end_mill
 from diffmill.workpiece import Pose, box, removal_window, remove_poses, surface_error
@@ -198,6 +199,26 @@ def test_all_poses_over_a_floor_are_seen(cut):
     actual = path.copy()
     actual[-40:, 2] -= 50e-6
     np.testing.assert_allclose(np.asarray(surface.errors(actual))[under], -50e-6)
+
+
+def test_rows_that_could_spoil_a_surface_are_those_near_it(cut):
+    """A pass that cuts, the same in the air, and back again over what was cut."""
+    path = two_passes()
+    half = len(path) // 2
+    high = path[:half] + np.array([[0.0, 0.0, 0.3e-3]])
+    path = np.concatenate([path[:half], high[::-1], path[:half]])
+    surface = finished_surface(cut(jnp.asarray(path)), path, RADIUS)
+    found = touching_rows(surface, path)
+    over = (path[:, 0] > -4e-3) & (path[:, 0] < 19e-3)
+    low = path[:, 2] < -0.9e-3
+    np.testing.assert_array_equal(found[over & low], True)
+    # Its side is as near to the wall as that of the pass below.
+    floors = eqx.tree_at(
+        lambda s: (s.points, s.normals, s.is_wall, s.poses),
+        surface,
+        replace_fn=lambda x: x[~surface.is_wall],
+    )
+    assert not np.any(touching_rows(floors, path)[~low])
 
 
 def test_lines_that_do_not_count_leave_a_surface_that_does_not(cut):

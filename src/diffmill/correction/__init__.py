@@ -139,6 +139,7 @@ from ._surface_objective import (
     finished_surface as finished_surface,
     measure_surface as measure_surface,
     point_shares as point_shares,
+    touching_rows as touching_rows,
 )
 from ._weights import row_weights as row_weights, surface_poses as surface_poses
 from ._worst_case import worst_case as worst_case

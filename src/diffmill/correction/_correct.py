@@ -28,6 +28,7 @@ from ..sim import (
 from ._inverse_drive import inverse_drive
 from ._job_method import (
     OPTIMISERS,
+    for_the_path,
     job_optimiser,
     preconditioned,
     within_joint_limits,
@@ -56,7 +57,7 @@ from ._setup import (
     job_weights,
     remaining_error,
 )
-from ._surface_objective import FinishedSurface
+from ._surface_objective import FinishedSurface, touching_rows
 
 if TYPE_CHECKING:
     import xarray
@@ -161,7 +162,9 @@ def correct(
     """Predict, correct, and predict again.
 
     The mirror, the iterated mirror and the inverse drive are always computed; the
-    best of them starts the optimiser.
+    best of them starts the optimiser. For the surface it first brings all rows that
+    touch the surface onto the path: of the poses over a point only the deepest leaves
+    an error, and one after the other would have to be raised.
 
     Args:
         job: The job; its machine must be a robot.
@@ -205,6 +208,7 @@ def correct(
     objective = job_objective(job, surface, weights)
     method = job_optimiser(job, objective, surface, adjoint)
     problem = _problem(job, TipPlant(job, adjoint), desired, before, weights)
+    remaining = lambda m: remaining_error(objective, problem, m)
     record = _Record(on_progress, on_checkpoint, resume)
     run = record.run
     run("uncorrected", GivenCommand(), problem)
@@ -218,10 +222,17 @@ def correct(
         problem = _joint_problem(job, adjoint, desired, before, weights)
         start = inverse.motor_positions
     else:
-        remaining = lambda m: remaining_error(objective, problem, m)
         start = min(record.methods.values(), key=remaining).command
         method = preconditioned(method, job, desired)
     method = within_joint_limits(method, job, problem)
+    if surface is not None and (path_first := for_the_path(method)) is not None:
+        rows = touching_rows(surface, np.asarray(desired))
+        touching = dataclasses.replace(
+            problem, is_cutting=rows.astype(problem.is_cutting.dtype)
+        )
+        found = record.prepare("path_first", path_first, touching, start=start)
+        given = GivenCommand(path_first.begin(problem, start))(problem)
+        start = min((found, given), key=remaining).command
     kept = keeping(job, method, adjoint, record.saved, on_checkpoint, resume)
     run("corrected", kept, problem, start=start)
     asked = job.correction.method
@@ -260,6 +271,14 @@ class _Record:
         self._on_progress = on_progress
         self._on_checkpoint = on_checkpoint
         self._resume = resume
+
+    def prepare(
+        self, name: str, method: Any, problem: Problem, **options: Any
+    ) -> Corrected:
+        """Return what a method finds that is no case, only a start."""
+        self.run(name, method, problem, **options)
+        del self.wall_time[name]
+        return self.methods.pop(name)
 
     def run(self, name: str, method: Any, problem: Problem, **options: Any) -> None:
         """Run a method, or take up what it found before an interruption."""

@@ -163,7 +163,7 @@ class GaussNewton(AbstractMethod):
         limits = self.all_limits(spline, nominal)
         first = np.zeros((spline.coefficient_count, axes))
         if start is not None:
-            first = project(spline, np.asarray(start) - nominal, bound, limits=limits)
+            first = self._projected(problem, start)
         args = ContourResidual(
             problem,
             spline,
@@ -236,6 +236,33 @@ class GaussNewton(AbstractMethod):
             on_memory=on_memory,
             resume=resume,
         )
+
+    def begin(self, problem: Problem, start: FloatRows) -> FloatRows:
+        """Return the command at which the iteration begins, within knots and limits.
+
+        Args:
+            problem: The problem.
+            start: Any command, shape (step, axis).
+
+        Returns:
+            The closest one that the method may return.
+
+        **Differentiability**: none, a host function.
+        """
+        rows = problem.nominal.shape[0]
+        spline = SplineOffsets(rows, problem.time_step, self.knot_spacing)
+        offset = spline.offsets(jnp.asarray(self._projected(problem, start)))
+        return np.asarray(problem.nominal) + np.asarray(offset)
+
+    def _projected(
+        self, problem: Problem, start: FloatRows
+    ) -> Float[np.ndarray, "coefficient axis"]:
+        """Return the coefficients that come closest to a command."""
+        nominal = np.asarray(problem.nominal)
+        spline = SplineOffsets(len(nominal), problem.time_step, self.knot_spacing)
+        limits = self.all_limits(spline, nominal)
+        bound = float(problem.max_offset)
+        return project(spline, np.asarray(start) - nominal, bound, limits=limits)
 
     def all_limits(
         self, spline: SplineOffsets, nominal: FloatRows

@@ -13,12 +13,12 @@ from ._first_order import Adam
 from ._gauss_newton import GaussNewton
 from ._joint_limits import joint_limits
 from ._least_squares_records import LevenbergMarquardt
-from ._objective import AbstractObjective
+from ._objective import AbstractObjective, PathObjective
 from ._problem import Problem
 from ._response import tip_response
 from ._setup import job_ensemble, job_spline
 from ._surface_bounds import SurfaceBounds, layer_thickness, surface_bounds
-from ._surface_objective import FinishedSurface
+from ._surface_objective import FinishedSurface, SurfaceObjective
 
 Optimiser: TypeAlias = GaussNewton | Adam
 
@@ -58,6 +58,24 @@ def job_optimiser(
         bounds=job_bounds(job, surface),
         max_velocity=settings.max_velocity,
         max_acceleration=settings.max_acceleration,
+    )
+
+
+def for_the_path(method: Optimiser) -> GaussNewton | None:
+    """Return what brings the rows near the surface onto the path; None if not needed.
+
+    One model is enough for a start, and it may leave the bounds of the surface.
+    """
+    if not isinstance(method, GaussNewton):
+        return None
+    if not isinstance(method.objective, SurfaceObjective):
+        return None
+    return dataclasses.replace(
+        method,
+        objective=PathObjective(),
+        ensemble=None,
+        is_worst_case=False,
+        bounds=None,
     )
 
 

@@ -31,6 +31,8 @@ _FAR = 1.0
 _POINTS, _PAIRS = 2000, 2_000_000
 # Poses that differ by less leave a point together [m].
 _SAME_DEPTH = 1e-6
+# A pose that is no further out of a point could spoil it [m].
+_NEAR = 1e-4
 
 
 class FinishedSurface(eqx.Module):
@@ -214,6 +216,27 @@ def point_shares(
     is_deepest = depth <= depth.min(axis=1, keepdims=True) + _SAME_DEPTH
     each = np.asarray(weights, np.float64)[np.asarray(surface.poses)]
     return np.max(np.where(is_deepest, each, 0.0), axis=1)
+
+
+def touching_rows(
+    surface: FinishedSurface, desired: FloatRows3
+) -> Bool[np.ndarray, " step"]:
+    """Return which rows come so near to a surface that they could spoil it.
+
+    Args:
+        surface: The surface.
+        desired: The desired path [m], shape (step, 3).
+
+    Returns:
+        Whether a pose is at most 0.1 mm out of a point, shape (step,). More rows than
+        those that cut: also those that pass over what has been cut before.
+
+    **Differentiability**: none, a host function.
+    """
+    is_near = np.asarray(surface.depths(desired)) <= _NEAR
+    found = np.zeros(len(np.asarray(desired)), bool)
+    found[np.unique(np.asarray(surface.poses)[is_near])] = True
+    return found
 
 
 class SurfaceMeasures(eqx.Module):
