@@ -297,3 +297,27 @@ def test_a_record_of_a_straight_cut_gives_its_coefficients(folder, capsys):
         p.name for p in out.iterdir()
     }
     assert set(toml["force"]) == set(identification.NAMES)
+
+
+@pytest.mark.slow
+def test_two_forces_give_what_they_show(folder, capsys):
+    time = np.arange(0, 0.25, 1e-4)
+    force = slot_force(time, 0.1e-3)
+    draw = np.random.default_rng(0)
+    force += 0.05 * np.sqrt(np.mean(force**2)) * draw.normal(size=force.shape)
+    rows = [f"{t:.5f};{x};{y};0" for t, (x, y, _) in zip(time, force, strict=True)]
+    (folder / "slot.txt").write_text("t;Fx;Fy;Fz\ns;N;N;N\n" + "\n".join(rows))
+    (folder / "slot.toml").write_text(
+        SLOTS + '[[record]]\nfile = "slot.txt"\nfeed_per_tooth = "0.1 mm"\n'
+        'channels = { Fz = "none" }\n'
+    )
+    assert main(["identify", "slot.toml"]) == 0
+    said = capsys.readouterr().out
+    assert "does not vary" not in said and "make more sense" not in said
+    assert "no axial force was measured: record it too" in said
+    _, facts, toml = results(folder, "slot")
+    for name, value in zip(identification.NAMES, K, strict=True):
+        assert facts["identifiable"][name] == (not name.startswith("K_a"))
+        if facts["identifiable"][name]:
+            assert abs(facts["coefficients_SI"][name] / value - 1) < 0.03
+    assert set(toml["force"]) == {"K_tc", "K_rc", "K_te", "K_re"}

@@ -88,6 +88,26 @@ def test_the_evidence_of_the_right_axes():
     assert min(other.score for other in others) > best.score + 0.2
 
 
+@pytest.mark.parametrize("channel", range(3))
+def test_two_channels_tell_the_axes_that_they_see(channel):
+    force = columns_of(TIME) @ TRUTH
+    for matrix in signed_permutations():
+        seen = measured(matrix, force)
+        seen[:, channel] = np.nan
+        proposal = propose_axes(seen, columns_of(TIME), RATE, tooth_frequency=200.0)
+        best = proposal.proposals[0]
+        axis = int(np.argmax(np.abs(matrix[:, channel])))
+        if axis == 2:
+            # Nothing but the sign of the channel that is not there is left open.
+            np.testing.assert_array_equal(best.matrix[:2], matrix[:2])
+            assert proposal.is_clear and "no channel for z" in proposal.evidence[3]
+        assert best.residual < 0.15
+        lost = int(np.argmax(np.abs(best.matrix[:, channel])))
+        np.testing.assert_array_equal(
+            np.isnan(best.mean_recorded), np.arange(3) == lost
+        )
+
+
 def test_all_signs_reversed_fit_as_well_but_make_no_sense():
     force = columns_of(TIME) @ TRUTH
     proposal = propose_axes(measured(np.eye(3), force), columns_of(TIME), RATE)

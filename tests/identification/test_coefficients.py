@@ -213,6 +213,25 @@ def test_what_is_not_measured_is_not_identifiable():
     assert fit.law.K_ac == 0
 
 
+def test_saturation_shows_where_a_force_was_not_measured():
+    time, force = record(FEEDS[1])
+    force[:, 0] = np.minimum(force[:, 0], 100.0)
+    force[:, 2] = np.nan
+    fit = identification.fit_force_coefficients(cuts()[1], time, force, time_shift=0.0)
+    assert "at the end of a channel's range were left out" in " ".join(fit.notes)
+
+
+def test_a_channel_that_is_dead_in_one_of_two_records_is_told():
+    cut, time, seen = both()
+    seen[1][:, 1] = 0.0
+    fit = identification.fit_force_coefficients(
+        cut, time, seen, time_shift=0.0, axes=("y", "x", "z")
+    )
+    (doubt,) = [d for d in fit.doubts if "does not vary" in d]
+    assert "along x of the work of record 2" in doubt
+    assert '{ Fy = "none" }' in doubt
+
+
 @pytest.mark.parametrize("axis", range(3))
 def test_a_dead_channel_is_told(axis):
     """Along z next to nothing may act on a flat cutter; in the plane that cannot be."""

@@ -121,6 +121,23 @@ def test_one_cut_in_many_spellings(tmp_path, data, more):
     np.testing.assert_allclose(mean, [60.0, -30.0, 12.0], atol=0.6)
 
 
+def test_a_force_that_is_left_out_changes_nothing_else(tmp_path):
+    time, force = forces()
+    whole = load(tmp_path).records[0]
+    job = HEAD + 'channels = { Fz = "none" }\n'
+    one = load(tmp_path, job, text(time, force)).records[0]
+    two = "t;Fx;Fy\ns;N;N\n" + "\n".join(
+        f"{t:.5f};{x:.3f};{y:.3f}" for t, (x, y, _) in zip(time, force, strict=True)
+    )
+    other = load(tmp_path, job, two).records[0]
+    assert one.record.is_measured == other.record.is_measured == (True, True, False)
+    np.testing.assert_array_equal(one.record.force, other.record.force)
+    np.testing.assert_array_equal(one.record.force[:, :2], whole.record.force[:, :2])
+    np.testing.assert_allclose([one.start, one.stop], [whole.start, whole.stop], 0.01)
+    with pytest.raises(io.JobError, match="mean forces need all three"):
+        load(tmp_path, job.replace("force_records", "mean_forces"), two)
+
+
 def test_several_cuts_are_listed_and_named(tmp_path):
     data = text(*forces(cuts=2))
     with pytest.raises(io.JobError, match=r"the record has 2 cuts \(1 from 0\.\d+ to"):

@@ -120,6 +120,27 @@ def test_a_dead_channel_is_told(tmp_path):
     assert "`Fy` (Fy) holds 7 in all rows: a dead channel" in record.notes[0]
 
 
+@pytest.mark.parametrize("axis", range(3))
+def test_a_force_that_was_not_measured_is_left_out(tmp_path, axis):
+    key = "Fx Fy Fz".split()[axis]
+    lines = [line.split(",") for line in rows()]
+    two = NAMES.replace(f",{key}_N", "")
+    two += "\n".join(",".join(line[: axis + 1] + line[axis + 2 :]) for line in lines)
+    dead = NAMES + "\n".join(
+        ",".join([*line[: axis + 1], "7", *line[axis + 2 :]]) for line in lines
+    )
+    expected = np.where(np.arange(3) == axis, 0.0, FORCE)
+    for content in (two, dead):
+        record = load(tmp_path, content, channels={key: None})
+        np.testing.assert_array_equal(record.force, expected)
+        assert record.is_measured == tuple(i != axis for i in range(3))
+        assert record.names[axis] == key and not record.is_saturated.any()
+    with pytest.raises(io.RecordError, match=rf'left out by {{ {key} = "none" }}'):
+        load(tmp_path, two)
+    with pytest.raises(io.RecordError, match="found no force that was measured"):
+        load(tmp_path, text(), channels=dict.fromkeys(("Fx", "Fy", "Fz")))
+
+
 def test_units_that_are_given_come_before_those_of_the_file(tmp_path):
     lines = rows(time=1e3 * TIME)
     units = {"time": "ms", "force": "kN", "Fz": "daN"}

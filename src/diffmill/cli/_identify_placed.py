@@ -74,15 +74,16 @@ def placed(
 
 
 def samples(record: "ForceRecord") -> tuple[Any, Any]:
-    """Return time and force of the part to be fitted, saturated samples unknown.
+    """Return time and force of the part to be fitted; NaN where not known.
 
-    Their neighbours, too: of samples near the end of the range those would remain that
-    noise has made smaller.
+    Those are forces without a channel, and saturated samples with their neighbours: of
+    samples near the end of the range those would remain that noise has made smaller.
     """
     one = record.record
     keep = _is_used(record)
     is_lost = np.convolve(one.is_saturated, np.ones(3), mode="same") > 0.5
-    force = np.where(is_lost[:, None], np.nan, one.force)
+    is_known = ~is_lost[:, None] & np.array(one.is_measured)[None]
+    force = np.where(is_known, one.force, np.nan)
     return one.time[keep], force[keep]
 
 

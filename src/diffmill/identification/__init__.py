@@ -18,11 +18,13 @@ from ._align import (
     angle_from_tacho as angle_from_tacho,
 )
 from ._axes import (
+    apply_axes as apply_axes,
+    propose_axes as propose_axes,
+)
+from ._axes_proposal import (
     AxesCandidate as AxesCandidate,
     AxesProposal as AxesProposal,
-    apply_axes as apply_axes,
     combine_axes_proposals as combine_axes_proposals,
-    propose_axes as propose_axes,
 )
 from ._beside import (
     Placed as Placed,

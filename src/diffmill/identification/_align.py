@@ -139,8 +139,9 @@ def align(
     """
     nyquist = int(0.45 * record.rate * 2 * np.pi / spindle_speed)
     count = max(1, min(harmonic_count, nyquist, (len(simulated) - 1) // 2))
-    measured = harmonics(record.time, record.force, spindle_speed, count)[1:]
-    model = series_of_turn(np.asarray(simulated, dtype=np.float64), count)[1:]
+    seen = np.array(record.is_measured)
+    measured = harmonics(record.time, record.force[:, seen], spindle_speed, count)[1:]
+    model = series_of_turn(np.asarray(simulated[:, seen], np.float64), count)[1:]
     scale = np.linalg.norm(measured) * np.linalg.norm(model)
     if not scale > 0:
         raise ValueError("Record and simulation must vary over a turn, but one rests.")

@@ -9,12 +9,11 @@ are shared. For each of the six permutations, physics decides which signs make s
 
 import dataclasses
 import itertools
-from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
+from ._axes_proposal import AxesCandidate, AxesProposal, axes_label, proposal_of
 from ._record import Record
 
 # What a violation of physics adds to a relative residual between 0 and 1. A negative
@@ -26,60 +25,6 @@ _PENALTIES = {
     "the axial force is negative": 0.02,
 }
 _RATIOS = (0.1, 1.0)
-# Scores that differ by less are no evidence.
-_CLEAR = 0.05
-_AXES = "xyz"
-
-
-class AxesCandidate(NamedTuple):
-    """One assignment of recorded to simulated axes, and what speaks for it.
-
-    Attributes:
-        matrix: Turns recorded into simulated forces: F = matrix @ F_recorded, one
-            1 or -1 in each row and column, shape (3, 3).
-        label: The same in words, such as `x = -Fy, y = +Fx, z = +Fz`.
-        is_mirrored: Whether the recorded axes are left-handed in the simulation's.
-        score: Relative residual plus what violations of physics add; less is better.
-        residual: Root of the share of the force's square that the fit leaves, 0 to 1.
-        coefficients: K_tc, K_rc, K_ac [Pa], K_te, K_re, K_ae [N/m] of this fit.
-        radial_ratio: Radial over tangential force, edge forces included.
-        violations: What makes no physical sense, in words.
-        time_shift: By how much the record lags behind the simulation [s].
-        phase_error: Phase of the record less that of the fit at the tooth-passing
-            frequency [rad], shape (3,); NaN without that frequency.
-        mean_recorded: Mean of the assigned record [N], shape (3,).
-        mean_fitted: Mean of the fit [N], shape (3,).
-    """
-
-    matrix: Float[np.ndarray, "3 3"]
-    label: str
-    is_mirrored: bool
-    score: float
-    residual: float
-    coefficients: Float[np.ndarray, " coefficient"]
-    radial_ratio: float
-    violations: tuple[str, ...]
-    time_shift: float
-    phase_error: Float[np.ndarray, " axis"]
-    mean_recorded: Float[np.ndarray, " axis"]
-    mean_fitted: Float[np.ndarray, " axis"]
-
-
-class AxesProposal(NamedTuple):
-    """Assignments of the axes, the likeliest first; nothing has been applied.
-
-    Attributes:
-        proposals: The best signs of each of the six permutations, best first.
-        candidates: All 48 signed permutations, best first.
-        is_clear: Whether the best is better than every other by more than 0.05 in
-            score, those apart that differ in the sign of z only.
-        evidence: What speaks for the best, one sentence each.
-    """
-
-    proposals: tuple[AxesCandidate, ...]
-    candidates: tuple[AxesCandidate, ...]
-    is_clear: bool
-    evidence: tuple[str, ...]
 
 
 def apply_axes(record: Record, matrix: Float[np.ndarray, "3 3"]) -> Record:
@@ -102,11 +47,13 @@ def apply_axes(record: Record, matrix: Float[np.ndarray, "3 3"]) -> Record:
             "Argument `matrix` must have one 1 or -1 in each row and column, but is "
             f"{np.asarray(matrix).tolist()}."
         )
+    seen = (size @ np.array(record.is_measured)).astype(bool).tolist()
     return dataclasses.replace(
         record,
         force=record.force @ np.asarray(matrix, dtype=np.float64).T,
         names=("Fx", "Fy", "Fz"),
-        notes=(*record.notes, f"The axes were assigned: {_label(matrix)}."),
+        is_measured=(seen[0], seen[1], seen[2]),
+        notes=(*record.notes, f"The axes were assigned: {axes_label(matrix)}."),
     )
 
 
@@ -129,7 +76,8 @@ def propose_axes(
     alone, for which only the penalties speak.
 
     Args:
-        force: Record less its offset, at equal steps [N], shape (sample, 3).
+        force: Record less its offset, at equal steps [N], shape (sample, 3); a channel
+            that was not measured is NaN throughout.
         columns: Simulated force per unit of each coefficient at the same instants, in
             the order K_tc, K_rc, K_ac, K_te, K_re, K_ae, shape (sample, 3, 6).
         rate: Sampling rate of both [Hz].
@@ -148,6 +96,9 @@ def propose_axes(
     """
     force, columns = np.asarray(force, np.float64), np.asarray(columns, np.float64)
     lags = int(np.ceil(max_shift * rate))
+    is_measured = ~np.isnan(force).all(axis=0)
+    # What was not measured adds nothing to the sums.
+    force = np.where(is_measured[None], force, 0.0)
     if columns.shape != (force.shape[0], 3, 6):
         raise ValueError(
             f"Argument `columns` must have the shape {(force.shape[0], 3, 6)}, but has "
@@ -163,10 +114,11 @@ def propose_axes(
     unit = columns / np.where(scale > 0, scale, 1.0)[None, None]
     products = _products(force, unit, lags)
     inside = slice(lags, force.shape[0] - lags)
-    gram = np.einsum("tac,tad->cd", unit[inside], unit[inside])
-    inverse = np.linalg.pinv(gram, rcond=1e-9, hermitian=True)
+    grams = np.einsum("tac,tad->acd", unit[inside], unit[inside])
     found = []
     for matrix in signed_permutations():
+        seen = _seen(matrix, is_measured)
+        inverse = np.linalg.pinv(grams[seen].sum(axis=0), rcond=1e-9, hermitian=True)
         assigned = np.einsum("ai,iacl->lc", matrix, products)
         solutions = assigned @ inverse
         power = np.sum(force[inside] ** 2)
@@ -177,42 +129,18 @@ def propose_axes(
         found.append((float(score[best]), best - lags, matrix))
     found.sort(key=lambda item: item[0])
     candidates = tuple(
-        _candidate(force, unit, scale, matrix, lag, lags, rate, tooth_frequency)
+        _candidate(
+            force,
+            unit * _seen(matrix, is_measured)[None, :, None],
+            scale,
+            (matrix, _seen(matrix, is_measured)),
+            (lag, lags),
+            rate,
+            tooth_frequency,
+        )
         for _, lag, matrix in found
     )
-    return _proposal(candidates)
-
-
-def combine_axes_proposals(proposals: Sequence[AxesProposal]) -> AxesProposal:
-    """Return what several records of one dynamometer say together.
-
-    Scores and residuals are averaged; the other evidence of each assignment is that
-    of the first record.
-
-    Args:
-        proposals: One per record.
-
-    Returns:
-        The proposal.
-
-    Raises:
-        ValueError: There are none.
-
-    **Differentiability**: runs on the host.
-    """
-    if not proposals:
-        raise ValueError("Argument `proposals` must hold at least one, but is empty.")
-    by_label = [{c.label: c for c in one.candidates} for one in proposals]
-    merged = []
-    for label, first in by_label[0].items():
-        alike = [found[label] for found in by_label]
-        merged.append(
-            first._replace(
-                score=float(np.mean([c.score for c in alike])),
-                residual=float(np.mean([c.residual for c in alike])),
-            )
-        )
-    return _proposal(tuple(merged))
+    return proposal_of(candidates)
 
 
 def signed_permutations() -> list[Float[np.ndarray, "3 3"]]:
@@ -222,6 +150,13 @@ def signed_permutations() -> list[Float[np.ndarray, "3 3"]]:
         for order in itertools.permutations(range(3))
         for signs in itertools.product((1.0, -1.0), repeat=3)
     ]
+
+
+def _seen(
+    matrix: Float[np.ndarray, "3 3"], is_measured: Bool[np.ndarray, " channel"]
+) -> Bool[np.ndarray, " axis"]:
+    """Return which forces of the simulation an assignment has a channel for."""
+    return np.abs(matrix) @ is_measured > 0
 
 
 def _products(
@@ -281,13 +216,13 @@ def _candidate(
     force: Float[np.ndarray, "sample 3"],
     unit: Float[np.ndarray, "sample 3 6"],
     scale: Float[np.ndarray, " coefficient"],
-    matrix: Float[np.ndarray, "3 3"],
-    lag: int,
-    lags: int,
+    assignment: tuple[Float[np.ndarray, "3 3"], Bool[np.ndarray, " axis"]],
+    shift: tuple[int, int],
     rate: float,
     tooth_frequency: float | None,
 ) -> AxesCandidate:
     """Return one assignment with its evidence, fitted anew at its time shift."""
+    (matrix, seen), (lag, lags) = assignment, shift
     count = force.shape[0]
     recorded = force[lags : count - lags] @ matrix.T
     basis = unit[lags - lag : count - lags - lag]
@@ -300,11 +235,12 @@ def _candidate(
     if tooth_frequency is not None:
         turns = np.exp(-2j * np.pi * tooth_frequency / rate * np.arange(len(fitted)))
         phase = np.angle((turns @ recorded) * np.conj(turns @ fitted))
+        phase = np.where(seen, phase, np.nan)
     tests = [bool(test[0]) for test in _violated(solution[None])]
     total = solution[:3] + solution[3:]
     return AxesCandidate(
         matrix=matrix,
-        label=_label(matrix),
+        label=axes_label(matrix),
         is_mirrored=bool(np.linalg.det(matrix) < 0),
         score=residual + float(_penalty(solution[None])[0]),
         residual=residual,
@@ -315,55 +251,6 @@ def _candidate(
         ),
         time_shift=lag / rate,
         phase_error=phase,
-        mean_recorded=recorded.mean(axis=0),
+        mean_recorded=np.where(seen, recorded.mean(axis=0), np.nan),
         mean_fitted=fitted.mean(axis=0),
     )
-
-
-def _label(matrix: Float[np.ndarray, "3 3"]) -> str:
-    parts = []
-    for axis, row in zip(_AXES, matrix, strict=True):
-        channel = int(np.argmax(np.abs(row)))
-        parts.append(f"{axis} = {'+' if row[channel] > 0 else '-'}F{_AXES[channel]}")
-    return ", ".join(parts)
-
-
-def _proposal(candidates: tuple[AxesCandidate, ...]) -> AxesProposal:
-    """Return the candidates in order, the six proposals, and the evidence."""
-    ranked = tuple(sorted(candidates, key=lambda candidate: candidate.score))
-    best = ranked[0]
-    of_order: dict[tuple[int, ...], AxesCandidate] = {}
-    for candidate in ranked:
-        order = tuple(np.argmax(np.abs(candidate.matrix), axis=1).tolist())
-        of_order.setdefault(order, candidate)
-    rivals = [
-        other
-        for other in ranked[1:]
-        if not np.array_equal(other.matrix[:2], best.matrix[:2])
-    ]
-    margin = rivals[0].score - best.score
-    return AxesProposal(
-        tuple(of_order.values()), ranked, margin > _CLEAR, _evidence(best, rivals[0])
-    )
-
-
-def _evidence(best: AxesCandidate, rival: AxesCandidate) -> tuple[str, ...]:
-    signs = ["+-"[int(mean < 0)] for mean in best.mean_recorded]
-    fitted = ["+-"[int(mean < 0)] for mean in best.mean_fitted]
-    lines = [
-        f"{best.label}: the fit leaves {best.residual:.3f} of the force; the next, "
-        f"{rival.label}, leaves {rival.residual:.3f} (scores {best.score:.3f} and "
-        f"{rival.score:.3f}).",
-        f"Radial over tangential force is {best.radial_ratio:.3f}.",
-        f"The means have the signs {' '.join(signs)}, the fit's {' '.join(fitted)}.",
-        "The sign of z rests on a positive axial force alone.",
-    ]
-    if best.is_mirrored:
-        lines.append("The recorded axes are left-handed in those of the simulation.")
-    if np.all(np.isfinite(best.phase_error)):
-        degrees = ", ".join(f"{value:.1f}" for value in np.rad2deg(best.phase_error))
-        lines.append(
-            f"At the tooth-passing frequency the record leads the fit by {degrees} deg."
-        )
-    lines += [f"Against it: {violation}." for violation in best.violations]
-    return tuple(lines)

@@ -9,7 +9,8 @@ from jaxtyping import Float
 from .._job import Job
 from ..cutter import AbstractCutter
 from ..cutting import LinearEdgeLaw
-from ._axes import AxesProposal, propose_axes
+from ._axes import propose_axes
+from ._axes_proposal import AxesProposal
 from ._cut import Cut, EngagementColumns, at_times, cut_of, engagement_columns
 from ._harmonics import refine_spindle_speed
 from ._mean_force import NAMES
@@ -159,6 +160,7 @@ def _refined(
     force: Float[np.ndarray, "row 3"],
 ) -> tuple[float, tuple[str, ...]]:
     """Return the spindle speed at which forces repeat [rad/s], and what to know."""
+    force = force[:, np.isfinite(force).any(axis=0)]
     known = np.isfinite(force).all(axis=1)
     if known.sum() <= 16:
         return given, ()
@@ -261,7 +263,8 @@ def _judge(
 ) -> AxesProposal:
     """Return how the axes may lie, from the longest part without a gap."""
     step = float(np.median(np.diff(time)))
-    known = np.asarray(np.isfinite(force).all(axis=1))
+    is_measured = np.isfinite(force).any(axis=0)
+    known = np.asarray(np.isfinite(force[:, is_measured]).all(axis=1))
     size = np.abs(np.nan_to_num(force)).max(axis=1)
     known &= size <= _SPIKE * max(np.quantile(size[known], _ALL_BUT), 1e-300)
     breaks = np.flatnonzero(np.diff(time) > 1.5 * step) + 1
@@ -279,6 +282,7 @@ def _judge(
     columns = at_times(found.columns, found.start, found.spacing, time[best])
     columns = np.where(known[best][:, None, None], columns, 0.0)
     seen = np.where(known[best][:, None], force[best], 0.0)
+    seen[:, ~is_measured] = np.nan
     room = (best.size - 1) * step * stride / 4.2
     return propose_axes(
         seen,

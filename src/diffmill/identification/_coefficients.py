@@ -199,7 +199,7 @@ def _report(
     force = np.concatenate([one.force.reshape(-1) for one in rows])[seen]
     off = np.concatenate([r.reshape(-1) for r in fit.residual])[seen]
     explained = 1.0 - float(np.sum(off**2) / max(np.sum(force**2), 1e-300))
-    dead, silent = _dead_channels(rows)
+    dead, silent = _dead_channels(rows, axes)
     doubts = (*_doubts(explained, K), *dead)
     size = _sizes(rows, known)
     rms = float(np.sqrt(np.mean(force**2)))
@@ -267,25 +267,26 @@ def _doubts(explained: float, K: np.ndarray) -> tuple[str, ...]:
     return tuple(doubts)
 
 
-def _dead_channels(rows: list[Rows]) -> tuple[list[str], list[str]]:
+def _dead_channels(rows: list[Rows], axes: Axes) -> tuple[list[str], list[str]]:
     """Return doubts and notes on forces that do not vary, of axes of the work."""
-    measured = np.concatenate([one.force for one in rows])
-    # The tangential force of any cut is seen in both directions across the tool.
-    tangential = np.concatenate([one.columns[:, :, 0] for one in rows])
-    known = np.isfinite(measured)
-    count = known.sum(axis=0)
-    mean = np.sum(measured, axis=0, where=known) / np.maximum(count, 1)
-    off = np.sum((measured - mean[None]) ** 2, axis=0, where=known)
-    spread = np.sqrt(off / np.maximum(count, 1))
-    square = np.sum(tangential**2, axis=0)
     doubts, notes = [], []
-    for axis in np.flatnonzero((count > 0) & (spread < _DEAD * spread.max())):
-        text = (
-            f"The force along {'xyz'[axis]} of the work does not vary: if its channel "
-            "is dead, leave it out."
-        )
-        expects = square[axis] > _EXPECTED * square.sum()
-        (doubts if expects else notes).append(text)
+    for place, one in enumerate(rows, 1):
+        known = np.isfinite(one.force)
+        count = known.sum(axis=0)
+        mean = np.sum(one.force, axis=0, where=known) / np.maximum(count, 1)
+        off = np.sum((one.force - mean[None]) ** 2, axis=0, where=known)
+        spread = np.sqrt(off / np.maximum(count, 1))
+        # The tangential force of any cut is seen in both directions across the tool.
+        square = np.sum(one.columns[:, :, 0] ** 2, axis=0)
+        of = f" of record {place}" if len(rows) > 1 else ""
+        for axis in np.flatnonzero((count > 0) & (spread < _DEAD * spread.max())):
+            text = (
+                f"The force along {'xyz'[axis]} of the work{of} does not vary: if its "
+                "channel is dead, leave it out by `channels = "
+                f'{{ F{axes[axis][-1]} = "none" }}`.'
+            )
+            expects = square[axis] > _EXPECTED * square.sum()
+            (doubts if expects else notes).append(text)
     return doubts, notes
 
 

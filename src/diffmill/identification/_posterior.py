@@ -35,8 +35,8 @@ def relative_uncertainty(
     known = np.isfinite(K) & np.isfinite(error)
     if not known.any():
         return float("inf")
-    C = np.nan_to_num(correlation) * error[:, None] * error[None]
-    C = C[np.ix_(known, known)]
+    error = error[known]
+    C = np.nan_to_num(correlation)[np.ix_(known, known)] * error[:, None] * error[None]
     part = columns[:, known]
     own = float(np.sum((part * K[known][None]) ** 2))
     spread = float(np.einsum("ri,ij,rj->", part, C, part))

@@ -133,6 +133,7 @@ def resample_record(record: Record, rate: float) -> Record:
         tacho=None if record.tacho is None or is_lower else follow(record.tacho),
         angle=None if record.angle is None else follow(np.unwrap(record.angle)),
         names=record.names,
+        is_measured=record.is_measured,
         notes=record.notes,
         source=record.source,
     )

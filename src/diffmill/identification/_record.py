@@ -10,7 +10,7 @@ class Record(eqx.Module):
 
     The axes are those of the dynamometer and the sign is the one that it recorded:
     nothing is turned or mirrored by reading. Forces are finite; rows that had none
-    are left out and leave a gap.
+    are left out and leave a gap, and a force that was not measured at all is zero.
 
     Attributes:
         time: Instants [s], increasing, shape (sample,).
@@ -21,12 +21,14 @@ class Record(eqx.Module):
         tacho: Pulses of the spindle in any unit, shape (sample,), or None.
         angle: Measured spindle angle [rad], shape (sample,), or None.
         names: What the file calls the three forces.
+        is_measured: Whether there is a channel of each force.
         notes: What was assumed or repaired when reading, one sentence each.
         source: The file, or where else the record comes from.
 
     Raises:
         ValueError: If shapes disagree, fewer than 2 samples are given, a force is not
-            finite, the time does not increase or the rate is not positive.
+            finite, no force is measured or one that is not differs from zero, the
+            time does not increase or the rate is not positive.
 
     Differentiability: none, the arrays are NumPy's.
     """
@@ -39,6 +41,7 @@ class Record(eqx.Module):
     tacho: Float[np.ndarray, " sample"] | None = None
     angle: Float[np.ndarray, " sample"] | None = None
     names: tuple[str, str, str] = eqx.field(static=True, default=("Fx", "Fy", "Fz"))
+    is_measured: tuple[bool, bool, bool] = eqx.field(static=True, default=(True,) * 3)
     notes: tuple[str, ...] = eqx.field(static=True, default=())
     source: str = eqx.field(static=True, default="")
 
@@ -57,6 +60,12 @@ class Record(eqx.Module):
                 )
         if not np.all(np.isfinite(self.force)):
             raise ValueError("Argument `force` must be finite, but is not.")
+        if not any(self.is_measured):
+            raise ValueError("Argument `is_measured` must name a force, but has none.")
+        if np.any(self.force[:, ~np.array(self.is_measured)]):
+            raise ValueError(
+                "Argument `force` must be zero where not measured, but is not."
+            )
         # Written so that NaN is refused, too.
         if not np.all(np.diff(self.time) > 0):
             raise ValueError("Argument `time` must increase, but does not.")

@@ -68,10 +68,12 @@ def without_saturated(
 
     Differentiability: none.
     """
-    rows = np.flatnonzero(np.isfinite(force).all(axis=1))
+    known = np.isfinite(force)
+    seen = np.flatnonzero(known.any(axis=0))
+    rows = np.flatnonzero(known[:, seen].all(axis=1))
     is_end = np.zeros(force.shape, dtype=bool)
     if rows.size > 1:
-        is_end[rows] = find_saturated(force[rows])
+        is_end[np.ix_(rows, seen)] = find_saturated(force[np.ix_(rows, seen)])
     is_lost = is_end.copy()
     is_lost[1:] |= is_end[:-1]
     is_lost[:-1] |= is_end[1:]

@@ -49,6 +49,17 @@ def mean_force_task(
     if context.cutter is None or context.cut is None:
         return None
     if table is None:
+        for place, one in enumerate(records, 1):
+            lost = [
+                f"F{a}"
+                for a, b in zip("xyz", one.record.is_measured, strict=True)
+                if not b
+            ]
+            if lost:
+                problems.append(
+                    f"[[record]] {place} channels: found no {', '.join(lost)}, but "
+                    'mean forces need all three; kind = "force_records" fits two as well'
+                )
         cuts = [r.process for r in records if isinstance(r.process, StraightCut)]
         feeds = np.array([cut.feed_per_tooth for cut in cuts])
         force = np.array([_mean(record) for record in records]).reshape(-1, 3)
@@ -168,6 +179,11 @@ def _mean_file(
     except (RecordError, OSError) as error:
         faults = [str(error)]
     lost = [key for key in patterns if key not in values]
+    if any(key in wanted and wanted[key] is None for key in lost):
+        faults.append(
+            f"found no {', '.join(lost)}, but mean forces need the feed and all three "
+            'forces; records with kind = "force_records" need not have all.'
+        )
     if lost and not faults:
         faults.append(f"found no column for {', '.join(lost)}; name it by `channels`.")
     problems.extend(f"{place}: {table.file}: {fault}" for fault in faults)

@@ -35,8 +35,8 @@ def load_record(
     Args:
         path: Path of the file.
         channels: Column of `time`, `Fx`, `Fy`, `Fz`, `tacho` or `angle`, by its name
-            in the file or its number from 1; None for no such column. What is not in
-            it is looked for by name.
+            in the file or its number from 1; None for no such column, or a force that
+            was not measured. What is not in it is looked for by name.
         rate: Sampling rate [Hz], needed if neither a time column nor the header has it.
         units: Unit of `time`, `angle`, `Fx`, `Fy`, `Fz`, or `force` for all three,
             before what the file says; or what its number 1 stands for: "100 N" for
@@ -119,6 +119,7 @@ def _record(found: Channels, line: Timeline, notes: list[str], source: str) -> R
         tacho=kept(found.tacho),
         angle=kept(found.angle),
         names=found.names,
+        is_measured=found.is_measured,
         notes=tuple(notes),
         source=source,
     )

@@ -42,10 +42,11 @@ class Channels(NamedTuple):
 
     Attributes:
         time: Instants [s], shape (sample,), or None.
-        force: Forces [N], shape (sample, 3).
+        force: Forces [N], shape (sample, 3); zero where none was measured.
         tacho: Pulses as written, shape (sample,), or None.
         angle: Spindle angle [rad], shape (sample,), or None.
         names: What the file calls the forces.
+        is_measured: Whether there is a column of each force.
         rate: Sampling rate that the file gives [Hz], or None.
     """
 
@@ -54,6 +55,7 @@ class Channels(NamedTuple):
     tacho: Float[np.ndarray, " sample"] | None
     angle: Float[np.ndarray, " sample"] | None
     names: tuple[str, str, str]
+    is_measured: tuple[bool, bool, bool]
     rate: float | None
 
 
@@ -80,12 +82,16 @@ def channels_of(
             faults.append(f"found the channel `{key}`; allowed are {', '.join(KINDS)}.")
     given = _given_units(units or {}, faults)
     found = {key: _find(key, table.columns, wanted, faults, notes) for key in KINDS}
-    missing = [key for key in FORCES if found[key] is None]
+    forces = [key for key in FORCES if found[key] is not None]
+    missing = [key for key in FORCES if key not in forces and key not in wanted]
     if missing and not faults:
         faults.append(
             f"found no column for {', '.join(missing)} among {listed(table.columns)}; "
-            "name it with `channels`."
+            "name it with `channels`, where a force that was not measured is left out "
+            f'by {{ {missing[0]} = "none" }}.'
         )
+    if not forces and not faults:
+        faults.append("found no force that was measured; one of the three is needed.")
     values: dict[str, Float[np.ndarray, " sample"]] = {}
     for key, column in found.items():
         if column is not None:
@@ -97,18 +103,21 @@ def channels_of(
         found_sizes = ", ".join(f"{key} {size}" for key, size in sizes.items())
         faults.append(f"the channels differ in their number of samples: {found_sizes}.")
     # A rate of the forces' own comes before one of the whole file.
-    own = {found[key].rate for key in FORCES if found[key] is not None}  # pyright: ignore[reportOptionalMemberAccess]
+    columns = {key: column for key, column in found.items() if column is not None}
+    own = {columns[key].rate for key in forces}
     if len(own) > 1:
-        faults.append("the three forces differ in their sampling rates.")
+        faults.append("the forces differ in their sampling rates.")
     if faults:
         return None
-    names = [found[key].name for key in FORCES]  # pyright: ignore[reportOptionalMemberAccess]
+    names = [columns[key].name if key in forces else key for key in FORCES]
+    nothing = np.zeros_like(values[forces[0]])
     return Channels(
         values.get("time"),
-        np.stack([values[key] for key in FORCES], axis=1),
+        np.stack([values.get(key, nothing) for key in FORCES], axis=1),
         values.get("tacho"),
         values.get("angle"),
         (names[0], names[1], names[2]),
+        ("Fx" in forces, "Fy" in forces, "Fz" in forces),
         own.pop() or table.rate,
     )
 
@@ -241,6 +250,7 @@ def _in_si(
     if kind is FORCE and finite.min() == finite.max():
         notes.append(
             f"The column `{column.name}` ({key}) holds {finite[0]:g} in all rows: a "
-            "dead channel, unless there is no such force."
+            "dead channel, unless there is no such force; `channels = "
+            f'{{ {key} = "none" }}` leaves it out.'
         )
     return values * factor

@@ -1,0 +1,171 @@
+"""What speaks for an assignment of a dynamometer's axes, in numbers and in words."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+# Scores that differ by less are no evidence.
+_CLEAR = 0.05
+_AXES = "xyz"
+
+
+class AxesCandidate(NamedTuple):
+    """One assignment of recorded to simulated axes, and what speaks for it.
+
+    Attributes:
+        matrix: Turns recorded into simulated forces: F = matrix @ F_recorded, one
+            1 or -1 in each row and column, shape (3, 3).
+        label: The same in words, such as `x = -Fy, y = +Fx, z = +Fz`.
+        is_mirrored: Whether the recorded axes are left-handed in the simulation's.
+        score: Relative residual plus what violations of physics add; less is better.
+        residual: Root of the share of the force's square that the fit leaves, 0 to 1.
+        coefficients: K_tc, K_rc, K_ac [Pa], K_te, K_re, K_ae [N/m] of this fit.
+        radial_ratio: Radial over tangential force, edge forces included.
+        violations: What makes no physical sense, in words.
+        time_shift: By how much the record lags behind the simulation [s].
+        phase_error: Phase of the record less that of the fit at the tooth-passing
+            frequency [rad], shape (3,); NaN without that frequency, or where not
+            measured.
+        mean_recorded: Mean of the assigned record [N], shape (3,); NaN where not
+            measured.
+        mean_fitted: Mean of the fit [N], shape (3,).
+    """
+
+    matrix: Float[np.ndarray, "3 3"]
+    label: str
+    is_mirrored: bool
+    score: float
+    residual: float
+    coefficients: Float[np.ndarray, " coefficient"]
+    radial_ratio: float
+    violations: tuple[str, ...]
+    time_shift: float
+    phase_error: Float[np.ndarray, " axis"]
+    mean_recorded: Float[np.ndarray, " axis"]
+    mean_fitted: Float[np.ndarray, " axis"]
+
+
+class AxesProposal(NamedTuple):
+    """Assignments of the axes, the likeliest first; nothing has been applied.
+
+    Attributes:
+        proposals: The best signs of each of the six permutations, best first.
+        candidates: All 48 signed permutations, best first.
+        is_clear: Whether the best is better than every other by more than 0.05 in
+            score, those apart that differ only in the sign of z or of a channel that
+            was not measured.
+        evidence: What speaks for the best, one sentence each.
+    """
+
+    proposals: tuple[AxesCandidate, ...]
+    candidates: tuple[AxesCandidate, ...]
+    is_clear: bool
+    evidence: tuple[str, ...]
+
+
+def combine_axes_proposals(proposals: Sequence[AxesProposal]) -> AxesProposal:
+    """Return what several records of one dynamometer say together.
+
+    Scores and residuals are averaged; the other evidence of each assignment is that
+    of the first record.
+
+    Args:
+        proposals: One per record.
+
+    Returns:
+        The proposal.
+
+    Raises:
+        ValueError: There are none.
+
+    **Differentiability**: runs on the host.
+    """
+    if not proposals:
+        raise ValueError("Argument `proposals` must hold at least one, but is empty.")
+    by_label = [{c.label: c for c in one.candidates} for one in proposals]
+    merged = []
+    for label, first in by_label[0].items():
+        alike = [found[label] for found in by_label]
+        merged.append(
+            first._replace(
+                score=float(np.mean([c.score for c in alike])),
+                residual=float(np.mean([c.residual for c in alike])),
+            )
+        )
+    return proposal_of(tuple(merged))
+
+
+def axes_label(matrix: Float[np.ndarray, "3 3"]) -> str:
+    """Return an assignment in words, such as `x = -Fy, y = +Fx, z = +Fz`.
+
+    Args:
+        matrix: Turns recorded into simulated forces, shape (3, 3).
+
+    **Differentiability**: runs on the host.
+    """
+    parts = []
+    for axis, row in zip(_AXES, matrix, strict=True):
+        channel = int(np.argmax(np.abs(row)))
+        parts.append(f"{axis} = {'+' if row[channel] > 0 else '-'}F{_AXES[channel]}")
+    return ", ".join(parts)
+
+
+def proposal_of(candidates: tuple[AxesCandidate, ...]) -> AxesProposal:
+    """Return the candidates in order, the six proposals, and the evidence.
+
+    Args:
+        candidates: All 48, in any order.
+
+    **Differentiability**: runs on the host.
+    """
+    ranked = tuple(sorted(candidates, key=lambda candidate: candidate.score))
+    best = ranked[0]
+    of_order: dict[tuple[int, ...], AxesCandidate] = {}
+    for candidate in ranked:
+        order = tuple(np.argmax(np.abs(candidate.matrix), axis=1).tolist())
+        of_order.setdefault(order, candidate)
+    # No record shows the sign of what it has not measured.
+    told = np.isfinite(best.mean_recorded) & (np.arange(3) < 2)
+    rivals = [
+        other
+        for other in ranked[1:]
+        if not np.array_equal(np.abs(other.matrix), np.abs(best.matrix))
+        or not np.array_equal(other.matrix[told], best.matrix[told])
+    ]
+    margin = rivals[0].score - best.score
+    return AxesProposal(
+        tuple(of_order.values()), ranked, margin > _CLEAR, _evidence(best, rivals[0])
+    )
+
+
+def _evidence(best: AxesCandidate, rival: AxesCandidate) -> tuple[str, ...]:
+    seen = np.isfinite(best.mean_recorded)
+    signs, fitted = (
+        [
+            "+-"[int(mean < 0)] if known else "?"
+            for mean, known in zip(means, seen, strict=True)
+        ]
+        for means in (best.mean_recorded, best.mean_fitted)
+    )
+    lines = [
+        f"{best.label}: the fit leaves {best.residual:.3f} of the force; the next, "
+        f"{rival.label}, leaves {rival.residual:.3f} (scores {best.score:.3f} and "
+        f"{rival.score:.3f}).",
+        f"Radial over tangential force is {best.radial_ratio:.3f}.",
+        f"The means have the signs {' '.join(signs)}, the fit's {' '.join(fitted)}.",
+        "The sign of z rests on a positive axial force alone."
+        if seen[2]
+        else "There is no channel for z.",
+    ]
+    if best.is_mirrored:
+        lines.append("The recorded axes are left-handed in those of the simulation.")
+    phases = np.rad2deg(best.phase_error[seen])
+    if np.all(np.isfinite(phases)):
+        degrees = ", ".join(f"{value:.1f}" for value in phases)
+        lines.append(
+            f"At the tooth-passing frequency the record leads the fit by {degrees} deg."
+        )
+    lines += [f"Against it: {violation}." for violation in best.violations]
+    return tuple(lines)
