@@ -234,6 +234,20 @@ def test_means_of_a_table_and_of_records_agree(tmp_path):
     np.testing.assert_allclose(other.mean_force, task.mean_force, atol=1.0)
 
 
+def test_units_of_means_are_given(tmp_path):
+    (tmp_path / "means.csv").write_text(
+        "feed,Fx,Fy,Fz\n0.2,.09,-.045,.018\n0.1,.06,-.03,.012\n"
+    )
+    job = HEAD.replace("force_records", "mean_forces")
+    job = job[: job.index("[[record]]")] + '[means]\nfile = "means.csv"\n'
+    job += 'channels = { feed_per_tooth = "feed" }\n'
+    task = load(tmp_path, job + 'units = { feed_per_tooth = "mm", force = "kN" }\n')
+    np.testing.assert_allclose(task.feed_per_tooth, [1e-4, 2e-4])
+    np.testing.assert_allclose(task.mean_force[0], [60, -30, 12])
+    with pytest.raises(io.JobError, match="unit of `Fx`; allowed are feed_per_tooth"):
+        load(tmp_path, job + 'units = { Fx = "kN" }\n')
+
+
 LOADS = """kind = "load_tests"
 [robot]
 file = "arm.toml"
@@ -246,9 +260,9 @@ def loads(
     folder,
     head="turn [deg];slide [mm];Fx [N];Fy [N];Fz [N];dx [um];dy [um];dz [um]",
     job=LOADS,
+    rows="0;0;100;0;0;25;0;0\n90;100;0;200;0;0;50;0\n45;0;0;100;;1;2;3\n",
 ):
     (folder / "arm.toml").write_text(SLIDES)
-    rows = "0;0;100;0;0;25;0;0\n90;100;0;200;0;0;50;0\n45;0;0;100;;1;2;3\n"
     (folder / "loads.csv").write_text(f"table 1\n{head}\n{rows}")
     (folder / "file.toml").write_text(job)
     task: Any = io.load_identification(folder / "file.toml")
@@ -279,6 +293,27 @@ def test_load_tests_without_units_are_not_guessed(tmp_path):
     job = LOADS + 'units = { displacement = "um" }\n'
     task: Any = loads(tmp_path, bare.replace("turn", "turn_deg"), job)
     np.testing.assert_allclose(task.displacement[0], [25e-6, 0, 0], atol=1e-12)
+
+
+def test_units_of_load_tests_are_spelled_in_many_ways(tmp_path):
+    rows = "90;100;0;200;0;1;2;3;0;50;0\n45;0;0;100;0;4;5;6;1;2;3\n"
+    head = "turn [{}];slide [{}];Fx [N];Fy [N];Fz [N];{};dx [{}];dy [{}];dz [{}]"
+    for angle, length, moment, factor, move in (
+        ("DEG", "MM", "Nm", 1.0, "UM"),
+        ("Deg", "Millimeter", "N.m", 1.0, "um"),
+        ("degrees", "mm", "N-m", 1.0, "Mikrometer"),
+        ("Grad", "mm", "Nmm", 1e-3, "\u00b5m"),
+        ("deg", "mm", "kNm", 1e3, "um"),
+    ):
+        moments = ";".join(f"M{axis} [{moment}]" for axis in "xyz")
+        names = head.format(angle, length, moments, move, move, move)
+        task: Any = loads(tmp_path, names, rows=rows)
+        np.testing.assert_allclose(task.q[0], [np.pi / 2, 0.1])
+        np.testing.assert_allclose(task.wrench[0, 3:], factor * np.arange(1, 4))
+        np.testing.assert_allclose(task.displacement[0], [0, 50e-6, 0], atol=1e-12)
+    odd = names.replace("Mx [kNm]", "Mx [N]")
+    with pytest.raises(io.JobError, match=r"Mx.* such as \"3 N\*m\"; or .* `units`"):
+        loads(tmp_path, odd, rows=rows)
 
 
 def test_a_component_that_was_not_measured_is_said(tmp_path):

@@ -163,6 +163,19 @@ def test_units_become_si(tmp_path):
     assert record.names == ("Fx", "Fy", "Fz")
 
 
+def test_units_are_spelled_in_many_ways(tmp_path):
+    for time, force in (
+        ("Sekunden", "Newton"),
+        ("SECONDS", "newtons"),
+        ("Second", "NEWTON"),
+        ("Sekunde", "Newtons"),
+    ):
+        names = f"Zeit in {time};Fx {force};Fy [{force}];Fz ({force})\n"
+        record = load(tmp_path, text(names, delimiter=";"))
+        np.testing.assert_array_equal(record.force, FORCE)
+        assert not record.notes
+
+
 def test_a_missing_unit_is_said_so(tmp_path):
     record = load(tmp_path, text("time_s,Fx,Fy_N,Fz_N\n"))
     assert record.notes == ("The column `Fx` has no unit and was taken in N.",)

@@ -13,7 +13,7 @@ from ._job_program import file_in_folder
 from ._load_job import JobError, load_job
 from ._load_record import read_table
 from ._record_error import RecordError
-from ._table_columns import TIME_NAMES, column_of
+from ._table_columns import TIME_NAMES, check_keys, column_of
 
 _PARTS = r"[\s_.\-]*"
 _GROUPS = {
@@ -99,11 +99,10 @@ def _columns(
         return None
     notes, wanted = list(found.notes), dict(table.channels or {})
     known = ["time", *(f"{g[1]}{a}" for g in _GROUPS.values() for a in "xyz")]
-    for key in wanted:
-        if key not in known:
-            allowed = ", ".join(known)
-            faults.append(f"found the channel `{key}`; allowed are {allowed}.")
-    time = column_of(found, "time", (q.TIME,), TIME_NAMES, wanted, faults, notes)
+    check_keys("channel", wanted, known, faults)
+    check_keys("unit of", table.units, ("time", *_GROUPS), faults)
+    unit = table.units.get("time")
+    time = column_of(found, "time", (q.TIME,), TIME_NAMES, wanted, faults, notes, unit)
     parts: dict[str, np.ndarray | None] = {}
     for name, (kind, letter, words) in _GROUPS.items():
         columns = [
@@ -115,6 +114,7 @@ def _columns(
                 wanted,
                 faults,
                 notes,
+                table.units.get(name),
             )
             for a in "xyz"
         ]

@@ -16,7 +16,7 @@ from ._job_program import file_in_folder
 from ._load_record import read_table
 from ._record_error import RecordError
 from ._record_table import Table
-from ._table_columns import column_of
+from ._table_columns import check_keys, column_of
 
 _PARTS = r"[\s_.\-]*"
 # No joint turns so far [rad], and no load bends a robot so far [m].
@@ -113,16 +113,8 @@ def _columns(
     """Return joint positions, loads and displacements as written, in SI units."""
     groups = _groups(robot)
     known = {key for group in groups.values() for key, _, _ in group}
-    for key in table.channels or {}:
-        if key not in known:
-            faults.append(
-                f"found the channel `{key}`; allowed are {', '.join(sorted(known))}."
-            )
-    for key in table.units:
-        if key not in groups:
-            faults.append(
-                f"found the unit of `{key}`; allowed are {', '.join(groups)}."
-            )
+    check_keys("channel", table.channels or {}, sorted(known), faults)
+    check_keys("unit of", table.units, groups, faults)
     values, missing = {}, []
     for name, group in groups.items():
         given = _given(name, group, found, table, faults, notes)

@@ -14,7 +14,7 @@ from ._job_program import file_in_folder
 from ._load_record import read_table
 from ._quantity import FORCE, LENGTH
 from ._record_error import RecordError
-from ._table_columns import column_of
+from ._table_columns import check_keys, column_of
 
 _FEED = r"f_?z|feed|feed[ _]?per[ _]?tooth|vorschub|zahnvorschub"
 
@@ -58,7 +58,7 @@ def mean_force_task(
             if lost:
                 problems.append(
                     f"[[record]] {place} channels: found no {', '.join(lost)}, but "
-                    'mean forces need all three; kind = "force_records" fits two as well'
+                    'mean forces need all three; kind = "force_records" fits two, too'
                 )
         cuts = [r.process for r in records if isinstance(r.process, StraightCut)]
         feeds = np.array([cut.feed_per_tooth for cut in cuts])
@@ -166,8 +166,12 @@ def _mean_file(
     try:
         found = read_table(path)
         notes: list[str] = []
+        check_keys("unit of", table.units, ("feed_per_tooth", "force"), faults)
         for key, (kind, pattern) in patterns.items():
-            column = column_of(found, key, (kind,), pattern, wanted, faults, notes)
+            unit = table.units.get("force" if kind is FORCE else key)
+            column = column_of(
+                found, key, (kind,), pattern, wanted, faults, notes, unit
+            )
             if column is not None:
                 values[key] = column
         unitless = [n for n in notes if "taken in m" in n]

@@ -16,7 +16,7 @@ from ._load_record import read_table
 from ._record_error import RecordError
 from ._record_table import Table
 from ._record_time import timeline
-from ._table_columns import TIME_NAMES, column_of
+from ._table_columns import TIME_NAMES, check_keys, column_of
 
 _SIGNAL = (
     r"signal|displacement|acceleration|velocity|amplitude|weg|beschleunigung|"
@@ -29,9 +29,9 @@ _MAGNITUDE = r"mag\w*|abs\w*|amplitude|betrag|h|modulus|\|h\|"
 _PHASE = r"phase|arg\w*|angle|winkel"
 # Units of a response per unit of force, by what is measured.
 _RESPONSES = {
-    "receptance": q.QuantityKind("a receptance", "m/N", "1 um/N"),
-    "mobility": q.QuantityKind("a mobility", "m/s/N", "1 mm/s/N"),
-    "accelerance": q.QuantityKind("an accelerance", "m/s^2/N", "1 m/s^2/N"),
+    "receptance": q.RECEPTANCE,
+    "mobility": q.MOBILITY,
+    "accelerance": q.ACCELERANCE,
 }
 # Lines of a fit at least, beyond two per mode.
 _LEAST_SAMPLES = 20
@@ -63,8 +63,11 @@ def read_ring_down(
     faults: list[str] = []
     notes = list(found.notes)
     wanted = dict(table.channels or {})
-    _check_channels(wanted, ("time", "signal"), faults)
-    time = column_of(found, "time", (q.TIME,), TIME_NAMES, wanted, faults, notes)
+    check_keys("channel", wanted, ("time", "signal"), faults)
+    # Modes do not depend on the size of the signal.
+    check_keys("unit of", table.units, ("time",), faults)
+    unit = table.units.get("time")
+    time = column_of(found, "time", (q.TIME,), TIME_NAMES, wanted, faults, notes, unit)
     if "signal" not in wanted and len(found.columns) == 1 + (time is not None):
         # The only other column needs no name.
         wanted["signal"] = len(found.columns)
@@ -182,16 +185,6 @@ def _table(
         return None
 
 
-def _check_channels(
-    wanted: dict[str, str | int | None], allowed: tuple[str, ...], faults: list[str]
-) -> None:
-    for key in wanted:
-        if key not in allowed:
-            faults.append(
-                f"found the channel `{key}`; allowed are {', '.join(allowed)}."
-            )
-
-
 def _response(
     found: Table,
     table: FrequencyResponseTable,
@@ -201,11 +194,13 @@ def _response(
     """Return frequencies [Hz] and the complex response in SI units."""
     wanted = dict(table.channels or {})
     keys = ("frequency", "real", "imaginary", "magnitude", "phase")
-    _check_channels(wanted, keys, faults)
+    check_keys("channel", wanted, keys, faults)
+    check_keys("unit of", table.units, ("frequency", "response", "phase"), faults)
     kind = _RESPONSES[table.quantity]
 
     def get(key: str, kinds: tuple[q.QuantityKind, ...], pattern: str):
-        return column_of(found, key, kinds, pattern, wanted, faults, notes)
+        unit = table.units.get("response" if kinds == (kind,) else key)
+        return column_of(found, key, kinds, pattern, wanted, faults, notes, unit)
 
     f = get("frequency", (q.FREQUENCY,), _FREQUENCY)
     real, imaginary = get("real", (kind,), _REAL), get("imaginary", (kind,), _IMAGINARY)

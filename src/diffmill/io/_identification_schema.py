@@ -80,6 +80,7 @@ class MeansTable(Table):
 
     file: File | None = None
     channels: Channels | None = None
+    units: dict[StrictStr, StrictStr] = Field(default_factory=dict)
     feed_per_tooth: list[PositiveLength] | None = None
     Fx: list[Force] | None = None
     Fy: list[Force] | None = None
@@ -118,6 +119,7 @@ class RingDownTable(Table):
 
     file: File = Field(description='a file of a free vibration, such as "hit1.csv"')
     channels: Channels | None = None
+    units: dict[StrictStr, StrictStr] = Field(default_factory=dict)
     rate: Frequency | None = None
     start: Time | None = None
     stop: Time | None = None
@@ -131,6 +133,7 @@ class FrequencyResponseTable(Table):
 
     file: File = Field(description='a file of a frequency response, such as "frf.csv"')
     channels: Channels | None = None
+    units: dict[StrictStr, StrictStr] = Field(default_factory=dict)
     quantity: Literal["receptance", "mobility", "accelerance"] = "receptance"
     lowest: Frequency | None = None
     highest: Frequency | None = None
@@ -145,6 +148,7 @@ class CoupledTable(Table):
     job: File = Field(description='the job that was run, such as "part.toml"')
     file: File = Field(description='forces or deviations over time, such as "run.csv"')
     channels: Channels | None = None
+    units: dict[StrictStr, StrictStr] = Field(default_factory=dict)
     fit: list[StrictStr] | None = None
     has_offset: StrictBool = False
     has_time_shift: StrictBool = False

@@ -63,6 +63,9 @@ MASS = QuantityKind("a mass", "kg", "30 kg")
 INERTIA = QuantityKind("a moment of inertia", "kg*m^2", "0.75 kg*m^2")
 MODULUS = QuantityKind("Young's modulus", "N/m^2", "600 GPa")
 DENSITY = QuantityKind("a density", "kg/m^3", "14.5 g/cm^3")
+RECEPTANCE = QuantityKind("a receptance", "m/N", "1 um/N")
+MOBILITY = QuantityKind("a mobility", "m/s/N", "1 mm/s/N")
+ACCELERANCE = QuantityKind("an accelerance", "m/s^2/N", "1 m/s^2/N")
 LINEAR_DAMPING = QuantityKind("a damping", "N*s/m", "2000 N*s/m")
 
 

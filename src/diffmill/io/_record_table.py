@@ -44,27 +44,34 @@ class Table(NamedTuple):
 
 _BRACKETS = re.compile(r"(.*?)[\s_]*[\[({<]\s*([^\[\](){}<>]*?)\s*[\])}>]\s*")
 _SUFFIX = re.compile(r"(.*?)(?:_|\s*/\s*|\s*,\s*|\s+in\s+|\s+)([^\s_/,]+)")
-# Words for units that the unit library does not know or takes for something else.
-_SPELLINGS = {
-    "sec": "s",
-    "secs": "s",
-    "seconds": "s",
-    "sek": "s",
-    "msec": "ms",
-    "newtons": "N",
-    "kp": "kgf",
-    "hz": "Hz",
-    "khz": "kHz",
-    "khertz": "kHz",
-    "°": "deg",
-    "grad": "deg",
-    "rev": "turn",
-    "revs": "turn",
+# Words for units that the unit library does not know or takes for something else,
+# whatever their case.
+_WORDS = {
+    "s": "sec secs second seconds sek sekunde sekunden",
+    "ms": "msec millisecond milliseconds millisekunde millisekunden",
+    "us": "usec microsecond microseconds mikrosekunde mikrosekunden",
+    "N": "newton newtons",
+    "kN": "kilonewton kilonewtons",
+    "kgf": "kp kgf",
+    "lbf": "lbf",
+    "Hz": "hz hertz",
+    "kHz": "khz khertz kilohertz",
+    "deg": "° deg degs degree degrees grad",
+    "rad": "rad rads radian radians",
+    "turn": "rev revs",
+    "m": "meter meters metre metres",
+    "mm": "mm millimeter millimeters millimetre millimetres",
+    "um": "um micrometer micrometers mikrometer",
+    "inch": "inch inches zoll",
+    "lbf*inch": "lbf-in in-lbf lb-in in-lb",
+    "lbf*foot": "lbf-ft ft-lbf lb-ft ft-lb",
 }
-
-
+_SPELLINGS = {word: unit for unit, words in _WORDS.items() for word in words.split()}
 # Units that headers in capitals spell so; tried if they mean something else.
 _CAPITALS = {"S": "s", "MS": "ms", "US": "us", "KN": "kN", "DAN": "daN", "NM": "N*m"}
+# Moments without a sign between their parts, which the unit library reads as a yarn's
+# fineness, or with one that it does not know.
+_MOMENT = re.compile(r"((?:da|[kmM])?N)[.\-]?(mm|cm|m)")
 
 
 def scale(unit: str, kind: QuantityKind) -> float:
@@ -74,12 +81,14 @@ def scale(unit: str, kind: QuantityKind) -> float:
         ValueError: If the unit is unknown or of another kind.
     """
     plain = unit.rstrip(".") or unit
+    moment = _MOMENT.fullmatch(plain)
+    other = f"{moment[1]}*{moment[2]}" if moment else _CAPITALS.get(plain)
     try:
         return quantity(f"1 {_SPELLINGS.get(plain.lower(), plain)}", kind)
     except ValueError:
-        if plain not in _CAPITALS:
+        if other is None:
             raise
-    return quantity(f"1 {_CAPITALS[plain]}", kind)
+    return quantity(f"1 {other}", kind)
 
 
 def given_scale(text: str, kind: QuantityKind) -> float:

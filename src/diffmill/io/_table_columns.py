@@ -1,14 +1,14 @@
 """Columns of a table that is no record of forces: by pattern of name, in SI units."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 from jaxtyping import Float
 
 from ._quantity import QuantityKind
 from ._record_columns import listed, named_column
-from ._record_table import Column, Table, is_unit, scale, split_unit
+from ._record_table import Column, Table, given_scale, is_unit, scale, split_unit
 
 # What a column of time may be called.
 TIME_NAMES = r"t|time|zeit|x_?value|(rel\w*|elapsed)[ _]?time|seconds|sekunden"
@@ -22,7 +22,7 @@ def column_of(
     wanted: Mapping[str, str | int | None],
     faults: list[str],
     notes: list[str],
-    unit: str | None = None,
+    given: str | None = None,
 ) -> Float[np.ndarray, " row"] | None:
     """Return a column in SI units, or None if there is none or it has a fault.
 
@@ -34,15 +34,32 @@ def column_of(
         wanted: Names or numbers of columns that the user gives.
         faults: Receives what is wrong.
         notes: Receives what was assumed.
-        unit: Unit that the user gives, which comes before that of the file.
+        given: What a number stands for, as the user says, before what the file says.
     """
     if key in wanted:
         column = named_column(key, wanted[key], list(table.columns), faults)
     else:
         column = _matching(table, key, kinds, pattern, faults)
-    if column is not None and unit is not None:
-        column = column._replace(unit=unit)
-    return None if column is None else _in_si(column, key, kinds, faults, notes)
+    if column is None:
+        return None
+    return _in_si(column, key, kinds, given, faults, notes)
+
+
+def check_keys(
+    what: str, given: Iterable[str], allowed: Iterable[str], faults: list[str]
+) -> None:
+    """Note what the user gives for a quantity that there is not.
+
+    Args:
+        what: What is given: "channel", or "unit of".
+        given: Its keys.
+        allowed: Those that there are.
+        faults: Receives what is wrong.
+    """
+    known = tuple(allowed)
+    for key in given:
+        if key not in known:
+            faults.append(f"found the {what} `{key}`; allowed are {', '.join(known)}.")
 
 
 def _matching(
@@ -81,6 +98,7 @@ def _in_si(
     column: Column,
     key: str,
     kinds: tuple[QuantityKind, ...],
+    given: str | None,
     faults: list[str],
     notes: list[str],
 ) -> Float[np.ndarray, " row"] | None:
@@ -91,7 +109,7 @@ def _in_si(
         return None
     if not kinds:
         return values
-    unit = column.unit or split_unit(column.name, *kinds)[1]
+    unit = given or column.unit or split_unit(column.name, *kinds)[1]
     if not unit:
         notes.append(
             f"The column `{column.name}` has no unit and was taken in {kinds[0].unit}."
@@ -100,8 +118,11 @@ def _in_si(
     messages = []
     for kind in kinds:
         try:
-            return values * scale(unit, kind)
+            return values * (scale if given is None else given_scale)(unit, kind)
         except ValueError as error:
             messages.append(str(error))
-    faults.append(f"the unit of the column `{column.name}` ({key}): {messages[0]}.")
+    hint = "; or say what a number stands for by `units`" if given is None else ""
+    faults.append(
+        f"the unit of the column `{column.name}` ({key}): {messages[0]}{hint}."
+    )
     return None
