@@ -284,6 +284,14 @@ def test_load_tests_are_read_and_turned(tmp_path):
     np.testing.assert_allclose(mirrored.displacement[1], [-50e-6, 0, 0], atol=1e-12)
 
 
+def test_poses_may_have_names(tmp_path):
+    rows = "P01;0;0;100;0;0;25;0;0;ok\nP02;90;100;0;200;0;0;50;0;ok\n"
+    head = "pose;turn [deg];slide [mm];Fx [N];Fy [N];Fz [N];dx [um];dy [um];dz [um];by"
+    task: Any = loads(tmp_path, head, rows=rows)
+    np.testing.assert_allclose(task.q, [[0, 0], [np.pi / 2, 0.1]])
+    np.testing.assert_allclose(task.displacement[1], [0, 50e-6, 0], atol=1e-12)
+
+
 def test_load_tests_without_units_are_not_guessed(tmp_path):
     bare = "turn;slide [mm];Fx;Fy;Fz;dx;dy;dz"
     with pytest.raises(io.JobError) as error:

@@ -68,6 +68,10 @@ def load(tmp_path, content, **options):
             "\n0.", "\n21.11.2026;0."
         ),
         text("Dev1/Time [S],Dev1/Fx [N.],Dev1/Fy (N),Dev1/Fz (N)\n"),
+        text("time_s|Fx_N|Fy_N|Fz_N\n", delimiter="|"),
+        text("t;Fx;Fy;Fz;State\ns;N;N;N;\n", delimiter=";", closing=";OK"),
+        text("Run,time_s,Fx_N,Fy_N,Fz_N\n").replace("\n0.", "\nslot A,0."),
+        text("Zeit (s) Fx (N) Fy (N) Fz (N)\n", delimiter=" ", decimal=","),
         text(NAMES) + "# end of the measurement\n\nMin,-1,-2,-3\n",
     ],
 )
@@ -78,6 +82,24 @@ def test_the_numbers_of_any_layout_come_back(tmp_path, content):
     assert record.rate == pytest.approx(RATE, rel=1e-6)
     assert not record.is_after_gap.any()
     assert not record.is_saturated.any()
+
+
+def test_words_in_a_column_hide_no_number(tmp_path):
+    lines = [
+        f"{line};{'overload' if i == 50 else 'OK'}" for i, line in enumerate(rows(";"))
+    ]
+    lines[80] = lines[80].replace(";", ";OVL;", 1)
+    head = "t;Fx;Fy;Fz;State\ns;N;N;N;\n"
+    record = load(tmp_path, head + "\n".join(lines))
+    np.testing.assert_array_equal(record.force, np.delete(FORCE, 80, axis=0))
+    with pytest.raises(io.RecordError, match=r"`State` \(tacho\) holds no number"):
+        load(tmp_path, head + "\n".join(lines), channels={"tacho": "State"})
+
+
+def test_decimal_commas_between_blanks_are_no_columns(tmp_path):
+    lines = [f"{x:.2f} {y:.2f} {z:.2f}".replace(".", ",") for x, y, z in FORCE]
+    record = load(tmp_path, "Fx (N) Fy (N) Fz (N)\n" + "\n".join(lines), rate=RATE)
+    np.testing.assert_allclose(record.force, FORCE, atol=0.006)
 
 
 def test_signs_between_thousands_are_no_decimal_signs(tmp_path):
@@ -102,6 +124,15 @@ def test_a_time_of_day_goes_on_after_midnight(tmp_path):
     record = load(tmp_path, NAMES + "\n".join(lines))
     np.testing.assert_array_equal(record.force, FORCE)
     np.testing.assert_allclose(record.time - record.time[0], TIME, atol=1e-9)
+
+
+def test_a_date_may_name_its_time_zone(tmp_path):
+    lines = rows(stamp="2024-05-01T10:00:%07.4f+02:00")
+    lines[150:] = rows(stamp="2024-05-01T08:00:%07.4fZ")[150:]
+    record = load(tmp_path, "time,Fx_N,Fy_N,Fz_N\n" + "\n".join(lines))
+    # Seconds since 2000 have no more digits.
+    np.testing.assert_allclose(record.time - record.time[0], TIME, atol=1e-6)
+    np.testing.assert_array_equal(record.force, FORCE)
 
 
 def test_equal_stamps_in_wrong_order_are_refused(tmp_path):

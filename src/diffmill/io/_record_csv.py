@@ -41,7 +41,7 @@ def read_text(path: pathlib.Path) -> Table:
                 str(path),
                 [
                     "found no table of numbers; needed are rows of at least two "
-                    "columns, separated by tabs, semicolons, commas or blanks."
+                    "columns, separated by tabs, semicolons, commas, bars or blanks."
                 ],
             )
         labels, start, fault = labels_of(lines, layout)
@@ -123,25 +123,30 @@ def _tables(block: bytes, layout: Layout, odd: list[str]) -> list[np.ndarray]:
 
 
 def _fast(block: bytes, layout: Layout) -> Float[np.ndarray, "row column"] | None:
-    """Return the rows of a block that holds nothing but numbers, else None."""
+    """Return the rows of a block of numbers and columns of words, else None."""
     if layout.thousands:
         block = block.replace(layout.thousands.encode(), b"")
     if layout.has_decimal_comma:
         block = block.replace(b",", b".")
     if not block.strip():
         return np.zeros((0, layout.width))
+    used = [place for place in range(layout.width) if place not in layout.text]
     try:
         table = np.loadtxt(
             io.BytesIO(block),
             delimiter=layout.delimiter,
             comments=None,
             quotechar='"',
-            usecols=range(layout.width) if layout.has_closing_delimiter else None,
+            usecols=used if layout.has_closing_delimiter or layout.text else None,
             ndmin=2,
         )
     except ValueError:
         return None
-    return table if table.shape[1] == layout.width else None
+    if table.shape[1] != len(used):
+        return None
+    whole = np.full((len(table), layout.width), np.nan)
+    whole[:, used] = table
+    return whole if layout.text else table
 
 
 def _slow(

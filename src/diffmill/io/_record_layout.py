@@ -16,7 +16,7 @@ from ._record_table import is_unit, split_unit
 _CERTAIN = 1000
 # None stands for any number of blanks. A blank within a cell must not be one before
 # the other signs were tried.
-_DELIMITERS = ("\t", ";", ",", None)
+_DELIMITERS = ("\t", ";", ",", "|", None)
 # A date with the year first or last, a time of day, or both.
 _DATE = re.compile(
     r"(?:(?P<year>\d{4})[-/.](?P<month>\d\d?)[-/.](?P<day>\d\d?)"
@@ -24,7 +24,8 @@ _DATE = re.compile(
     r"(?:[T ]\s*(?=\d)|$)"
 )
 _CLOCK = re.compile(
-    r"(\d{1,2}):(\d\d)(?::(\d\d(?:[.,]\d*)?))?(?:\s*([AaPp])\.?[Mm]\.?)?Z?"
+    r"(\d{1,2}):(\d\d)(?::(\d\d(?:[.,]\d*)?))?(?:\s*([AaPp])\.?[Mm]\.?)?"
+    r"(?:Z|([+-])(\d\d):?(\d\d))?"
 )
 # Signs that part thousands: before the decimal sign, every three digits.
 _THOUSANDS = {
@@ -45,6 +46,7 @@ class Layout(NamedTuple):
     has_decimal_comma: bool
     has_closing_delimiter: bool
     thousands: str = ""  # what parts thousands, or nothing
+    text: tuple[int, ...] = ()  # columns that hold words, from 0
 
 
 def layout_of(lines: list[str]) -> Layout | None:
@@ -78,6 +80,17 @@ def layout_of(lines: list[str]) -> Layout | None:
         has_closing_delimiter=best.delimiter is not None
         and all(row.rstrip(" ").endswith(best.delimiter) for row in rows),
         thousands=thousands,
+        text=_text_columns(rows, best),
+    )
+
+
+def _text_columns(rows: list[str], layout: Layout) -> tuple[int, ...]:
+    """Return the columns in which no cell is a number, but some are words."""
+    table = [cells_of(row, layout.delimiter)[: layout.width] for row in rows]
+    return tuple(
+        place
+        for place, column in enumerate(zip(*table, strict=True))
+        if any(column) and not any(_is_number(cell) for cell in column)
     )
 
 
@@ -104,17 +117,28 @@ def cells_of(line: str, delimiter: str | None) -> list[str]:
 
 
 def _numeric_width(line: str, delimiter: str | None) -> int:
-    """Return the number of cells of a row of numbers, 0 for any other line."""
+    """Return the number of cells of a row of numbers, 0 for any other line.
+
+    Up to half of them may be words, such as a name or a state: of blanks nobody knows
+    whether they part two cells or the words of one.
+    """
     cells = cells_of(line, delimiter)
     if len(cells) > 1 and not cells[-1]:
         cells = cells[:-1]
     filled = [cell for cell in cells if cell]
-    if len(filled) < 2 or not all(_is_number(cell, delimiter) for cell in filled):
+    words = [cell for cell in filled if not _is_number(cell)]
+    # Several numbers in a cell tell that the delimiter is another one.
+    if words and (delimiter is None or any(map(_are_numbers, words))):
         return 0
-    return len(cells)
+    count = len(filled) - len(words)
+    return len(cells) if count >= max(2, len(words)) else 0
 
 
-def _is_number(cell: str, delimiter: str | None) -> bool:
+def _are_numbers(cell: str) -> bool:
+    return all(_is_number(part) for part in cell.split())
+
+
+def _is_number(cell: str) -> bool:
     return bool(cell) and (
         not np.isnan(number_of(cell)) or cell.lower() in ("nan", "-nan", "n/a", "na")
     )
@@ -156,11 +180,13 @@ def _seconds_of(cell: str) -> float:
     clock = _CLOCK.fullmatch(rest)
     if clock is None:
         return float("nan")
-    hour, minute, second, half = clock.groups()
+    hour, minute, second, half, sign, ahead, more = clock.groups()
     hours = int(hour)
     if half is not None:
         hours = hours % 12 + 12 * (half in "Pp")
     seconds = float((second or "0").replace(",", "."))
+    if sign is not None:
+        seconds -= float(f"{sign}1") * (int(ahead) * 3600.0 + int(more) * 60.0)
     return days * 86400.0 + hours * 3600.0 + int(minute) * 60.0 + seconds
 
 
@@ -173,7 +199,7 @@ def labels_of(
     is_nearest = True
     for index in range(layout.start - 1, -1, -1):
         row = _label_row(lines[index], layout)
-        if row is None or any(_is_number(cell, layout.delimiter) for cell in row):
+        if row is None or any(_is_number(cell) for cell in row):
             is_nearest = is_nearest and not lines[index].strip()
             continue
         bare = [cell.strip("[](){}<>") for cell in row]
