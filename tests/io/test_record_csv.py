@@ -300,6 +300,31 @@ def test_rows_without_numbers_leave_marked_gaps(tmp_path):
     assert any("1 lines are no rows" in note for note in record.notes)
 
 
+@pytest.mark.parametrize("share", [[20, 21, 22, 23, 24], [7]])
+@pytest.mark.parametrize("stamp", ["%.3f", "%.4f"])
+def test_rows_without_numbers_do_not_change_the_clock(tmp_path, stamp, share):
+    lines = rows(stamp=stamp)
+    lost = [i for i in range(COUNT) if i % 50 in share]
+    for i in lost:
+        cells = lines[i].split(",")
+        lines[i] = ",".join([*cells[:2], ("", "OVL")[i % 2], cells[3]])
+    for head, options in ((NAMES, {}), ("Rate\n" + NAMES, {"rate": RATE})):
+        record = load(tmp_path, head + "\n".join(lines), **options)
+        good = np.delete(np.arange(COUNT), lost)
+        assert record.rate == RATE
+        np.testing.assert_allclose(np.diff(record.time), np.diff(TIME[good]), atol=1e-9)
+        np.testing.assert_array_equal(record.force, FORCE[good])
+        np.testing.assert_array_equal(record.is_after_gap[1:], np.diff(good) > 1)
+
+
+def test_forces_beside_a_faster_channel_have_no_gaps(tmp_path):
+    lines = [f"{line},1" for line in rows()]
+    lines[1::2] = [f"{line.split(',')[0]},,,,0" for line in lines[1::2]]
+    record = load(tmp_path, NAMES.replace("\n", ",tacho\n") + "\n".join(lines))
+    np.testing.assert_array_equal(record.force, FORCE[::2])
+    assert record.rate == RATE / 2 and not record.is_after_gap.any()
+
+
 def test_a_clipped_channel_is_marked(tmp_path):
     clipped = np.clip(FORCE, -80.0, None)
     lines = [f"{t:.4f},{x},{y},{z}" for t, (x, y, z) in zip(TIME, clipped, strict=True)]

@@ -51,17 +51,21 @@ def timeline(
         faults: Where what is wrong is added.
         notes: Where what was repaired is added.
     """
-    if time is not None:
-        is_valid = is_valid & np.isfinite(time)
-    rows = np.flatnonzero(is_valid).astype(np.int32)
-    lost = is_valid.size - rows.size
+    has_time = np.ones_like(is_valid) if time is None else np.isfinite(time)
+    is_valid = is_valid & has_time
+    kept = np.flatnonzero(is_valid).astype(np.int32)
+    lost = is_valid.size - kept.size
     if lost:
-        notes.append(f"{lost} rows have an empty cell and were left out.")
-    if rows.size < 2:
-        faults.append(f"found {rows.size} complete rows; needed are 2.")
+        notes.append(f"{lost} rows have an empty cell and were left out, as gaps.")
+    if kept.size < 2:
+        faults.append(f"found {kept.size} complete rows; needed are 2.")
         return None
-    if time is None or np.ptp(time[rows]) == 0:
-        return _counted(time, rows, rate, faults, notes)
+    if time is None or np.ptp(time[kept]) == 0:
+        return _counted(time, kept, rate, faults, notes)
+    # Rows without a force have a stamp, which the clock needs if it has few digits;
+    # but forces may stand in every second row only, beside a faster channel.
+    is_slower = np.median(np.diff(kept)) > 1
+    rows = kept if is_slower else np.flatnonzero(has_time).astype(np.int32)
     instants, rows = _ordered(_past_midnight(time[rows]), rows, faults, notes)
     step, resolution = _step(instants)
     if not step > 0:
@@ -85,7 +89,20 @@ def timeline(
         rate = rate or _roundest(instants, is_after_gap, 1 / step, resolution)
         instants = _rebuilt(instants, is_after_gap, rate, notes)
     # Nine digits: the difference of two stamps has no more.
-    return Timeline(instants, rows, is_after_gap, rate or float(f"{1 / step:.9g}"))
+    whole = Timeline(instants, rows, is_after_gap, rate or float(f"{1 / step:.9g}"))
+    return _part(whole, np.flatnonzero(is_valid[rows]))
+
+
+def _part(whole: Timeline, kept: Int[np.ndarray, " kept"]) -> Timeline:
+    """Return some instants of a time line, those that are left out as gaps."""
+    gaps = np.cumsum(whole.is_after_gap)
+    is_apart = (np.diff(kept) > 1) | (np.diff(gaps[kept]) > 0)
+    return Timeline(
+        whole.time[kept],
+        whole.rows[kept],
+        np.concatenate([[False], is_apart]),
+        whole.rate,
+    )
 
 
 def _differ(ratio: float) -> bool:
