@@ -283,6 +283,22 @@ def test_cuts_that_begin_at_zero_again_follow_each_other(tmp_path):
     assert any("begins again" in note for note in record.notes)
 
 
+def test_cycles_with_a_header_each_are_all_read(tmp_path):
+    names = "Cycle {}\nSampling rate [Hz]: 10000\nt;Fx;Fy;Fz\ns;N;N;N\n"
+    lines = rows(";")
+    for short in (lines[:120], [*lines[:60], "pause", *lines[60:120]]):
+        first = names.format(1) + "\n".join(short) + "\n"
+        record = load(tmp_path, first + text(names.format(2), delimiter=";"))
+        np.testing.assert_array_equal(
+            record.force, np.concatenate([FORCE[:120], FORCE])
+        )
+        assert np.flatnonzero(record.is_after_gap) == [120]
+    # The same numbers in another unit are no part of it.
+    record = load(tmp_path, first.replace("s;N", "ms;N") + text(names, delimiter=";"))
+    np.testing.assert_array_equal(record.force, FORCE)
+    assert "120 rows of numbers above the table were not read." in record.notes
+
+
 def test_rows_without_numbers_leave_marked_gaps(tmp_path):
     lines = rows()
     stamps = [line.split(",")[0] for line in lines]

@@ -8,7 +8,14 @@ import numpy as np
 from jaxtyping import Float
 
 from ._record_error import RecordError
-from ._record_layout import Layout, cells_of, labels_of, layout_of, number_of
+from ._record_layout import (
+    Layout,
+    cells_of,
+    first_block,
+    labels_of,
+    layout_of,
+    number_of,
+)
 from ._record_table import Column, Table, header_rate
 
 _HEAD_BYTES = 1 << 20
@@ -48,9 +55,11 @@ def read_text(path: pathlib.Path) -> Table:
         if fault:
             raise RecordError(str(path), [fault])
         # Odd rows may stand between the names and the longest run of good rows.
-        start = start or layout.start
+        start, above = first_block(lines, layout, labels, start)
         stream.seek(sum(len(line) + 1 for line in head.split(b"\n")[:start]))
         values, notes = _values(stream, layout)
+        if above:
+            notes.append(f"{above} rows of numbers above the table were not read.")
     columns = [
         Column(name, unit, lambda place=place: values[:, place])
         for place, (name, unit) in enumerate(labels)

@@ -223,6 +223,37 @@ def labels_of(
     return [(f"column {place}", "") for place in range(1, width + 1)], 0, fault
 
 
+def first_block(
+    lines: list[str], layout: Layout, labels: list[tuple[str, str]], start: int
+) -> tuple[int, int]:
+    """Return where the first block of a table begins, and how many rows lie above.
+
+    Programs write the names anew before every cycle, the longest of which decided on
+    the layout.
+
+    Args:
+        lines: The head of the file.
+        layout: How rows are written.
+        labels: Names and units of the columns.
+        start: The line after them; 0 if there are none.
+
+    Returns:
+        The line after the first labels that are the same, and the number of rows of
+        this width before it, which belong to something else.
+    """
+    stop = start or layout.start
+    is_row = [
+        _numeric_width(line, layout.delimiter) == layout.width for line in lines[:stop]
+    ]
+    for index in (
+        np.flatnonzero(np.diff(np.array(is_row, int), prepend=0) > 0) if start else ()
+    ):
+        found, end, _ = labels_of(lines, layout._replace(start=int(index)))
+        if end and found == labels:
+            return end, sum(is_row[:end])
+    return stop, sum(is_row)
+
+
 def _are_units(row: list[str], bare: list[str]) -> bool:
     """Return whether a row of labels holds units."""
     if any(is_unit(cell, FORCE) for cell in bare):
