@@ -345,6 +345,52 @@ def test_snippets_are_toml_that_a_job_takes():
     assert found["correction"]["uncertainty"] == known
 
 
+def modes(folder, kind, more, content) -> Any:
+    (folder / "data.txt").write_text(content)
+    (folder / "file.toml").write_text(
+        f'kind = "{kind}"\n[[{kind}]]\nfile = "data.txt"\n{more}'
+    )
+    return io.load_identification(folder / "file.toml")
+
+
+def test_frequency_responses_in_the_units_of_analysers(tmp_path):
+    f = np.arange(5.0, 60.0)
+    H = f**2 / (30**2 - f**2 + 0.1j * 30 * f)
+    cells = np.column_stack([f, H.real, H.imag])
+    rows = "\n".join(";".join(f"{v:.8g}" for v in row) for row in cells)
+    job = 'quantity = "accelerance"\n'
+    for head, more, factor in (
+        ("Freq [Hz];Real [g/N];Imag [g/N]", "", 9.80665),
+        ("Freq [Hz];Real [(m/s^2)/N];Imag [(m/s^2)/N]", "", 1.0),
+        ("Freq;Real;Imag\nHz;g/N;g/N", "", 9.80665),
+        ("Freq;Real;Imag\nHz;(mm/s^2)/N;(mm/s^2)/N", "", 1e-3),
+        ("Freq;Real;Imag\n[Hz];[(m/s^2)/N];[(m/s^2)/N]", "", 1.0),
+        (
+            "Freq;Real;Imag",
+            'units = { response = "g/N", frequency = "kHz" }\n',
+            9.80665,
+        ),
+    ):
+        one = modes(
+            tmp_path, "frequency_response", job + more, f"{head}\n{rows}\n"
+        ).measured[0]
+        np.testing.assert_allclose(one.response, factor * H, rtol=1e-6)
+        scale = 1e3 if "kHz" in more else 1.0
+        np.testing.assert_allclose(one.frequency, scale * f)
+    with pytest.raises(io.JobError, match="unit of `real`; allowed are frequency, res"):
+        modes(tmp_path, "frequency_response", 'units = { real = "g/N" }\n', head + rows)
+
+
+def test_the_unit_of_a_ring_down_is_given(tmp_path):
+    time = np.arange(0.0, 1.0, 1e-3)
+    rows = "\n".join(f"{1e3 * t:g};{np.exp(-2 * t) * np.cos(90 * t):.6f}" for t in time)
+    for head, more in (("t;a", 'units = { time = "ms" }\n'), ("t;a\nms;g", "")):
+        one = modes(tmp_path, "ring_down", more, f"{head}\n{rows}\n").measured[0]
+        np.testing.assert_allclose(one.time, time, atol=1e-9)
+    with pytest.raises(io.JobError, match="unit of `signal`; allowed are time"):
+        modes(tmp_path, "ring_down", 'units = { signal = "g" }\n', f"t;a\n{rows}\n")
+
+
 def test_a_coupled_record_needs_a_job_with_a_robot(tmp_path):
     (tmp_path / "run.csv").write_text("t_s,a,b\n0,1,2\n0.1,2,3\n0.2,3,4\n")
     (tmp_path / "file.toml").write_text(

@@ -7,7 +7,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ._quantity import ANGLE, FORCE, FREQUENCY, LENGTH, TIME
+from ._quantity import (
+    ACCELERANCE,
+    ANGLE,
+    FORCE,
+    FREQUENCY,
+    LENGTH,
+    MOBILITY,
+    RECEPTANCE,
+    TIME,
+)
 from ._record_columns import looks_named
 from ._record_table import is_unit, split_unit
 
@@ -33,8 +42,8 @@ _THOUSANDS = {
     ".": re.compile(r"[+-]?\d{1,3}(?:\.\d{3})+,\d*"),
 }
 _COMMENT_SIGNS = "#%"
-# Units of amplifiers: the user says what they stand for.
-_ELECTRIC = ("V", "mV", "pC")
+# Units of amplifiers, for which the user says what they stand for, and gravity's.
+_ELECTRIC = ("V", "mV", "pC", "g")
 
 
 class Layout(NamedTuple):
@@ -202,7 +211,7 @@ def labels_of(
         if row is None or any(_is_number(cell) for cell in row):
             is_nearest = is_nearest and not lines[index].strip()
             continue
-        bare = [cell.strip("[](){}<>") for cell in row]
+        bare = [_unbracketed(cell) for cell in row]
         if unit_row is None and _are_units(row, bare):
             units, unit_row = bare, index
             continue
@@ -221,6 +230,11 @@ def labels_of(
             "decimal commas need another sign between the columns."
         )
     return [(f"column {place}", "") for place in range(1, width + 1)], 0, fault
+
+
+def _unbracketed(cell: str) -> str:
+    is_bracketed = cell[:1] in "[({<" and cell[-1:] in "])}>"
+    return cell[1:-1].strip() if cell and is_bracketed else cell
 
 
 def first_block(
@@ -245,9 +259,8 @@ def first_block(
     is_row = [
         _numeric_width(line, layout.delimiter) == layout.width for line in lines[:stop]
     ]
-    for index in (
-        np.flatnonzero(np.diff(np.array(is_row, int), prepend=0) > 0) if start else ()
-    ):
+    begins = np.flatnonzero(np.diff(np.array(is_row, np.int64), prepend=0) > 0)
+    for index in begins if start else ():
         found, end, _ = labels_of(lines, layout._replace(start=int(index)))
         if end and found == labels:
             return end, sum(is_row[:end])
@@ -260,7 +273,8 @@ def _are_units(row: list[str], bare: list[str]) -> bool:
         return True
     filled = [(cell, text) for cell, text in zip(row, bare, strict=True) if text]
     is_bracketed = [cell[0] in "[({<" and cell[-1] in "])}>" for cell, _ in filled]
-    kinds = (TIME, FREQUENCY, ANGLE, LENGTH)
+    responses = (RECEPTANCE, MOBILITY, ACCELERANCE)
+    kinds = (TIME, FREQUENCY, ANGLE, LENGTH, *responses)
     return bool(filled) and (
         all(is_bracketed)
         or all(text in _ELECTRIC or is_unit(text, *kinds) for _, text in filled)

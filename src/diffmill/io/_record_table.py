@@ -42,7 +42,11 @@ class Table(NamedTuple):
     notes: tuple[str, ...] = ()
 
 
-_BRACKETS = re.compile(r"(.*?)[\s_]*[\[({<]\s*([^\[\](){}<>]*?)\s*[\])}>]\s*")
+# A unit in square brackets may hold round ones: `Re [(m/s^2)/N]`.
+_BRACKETS = re.compile(
+    r"(.*?)[\s_]*(?:\[\s*([^\[\]]*?)\s*\]|[({<]\s*([^\[\](){}<>]*?)\s*[)}>])\s*"
+)
+_NUMERATOR = re.compile(r"\(([^()]*)\)(?=/)")
 _SUFFIX = re.compile(r"(.*?)(?:_|\s*/\s*|\s*,\s*|\s+in\s+|\s+)([^\s_/,]+)")
 # Words for units that the unit library does not know or takes for something else,
 # whatever their case.
@@ -63,6 +67,8 @@ _WORDS = {
     "mm": "mm millimeter millimeters millimetre millimetres",
     "um": "um micrometer micrometers mikrometer",
     "inch": "inch inches zoll",
+    "standard_gravity/N": "g/n",
+    "standard_gravity/lbf": "g/lbf g/lb",
     "lbf*inch": "lbf-in in-lbf lb-in in-lb",
     "lbf*foot": "lbf-ft ft-lbf lb-ft ft-lb",
 }
@@ -80,7 +86,7 @@ def scale(unit: str, kind: QuantityKind) -> float:
     Raises:
         ValueError: If the unit is unknown or of another kind.
     """
-    plain = unit.rstrip(".") or unit
+    plain = _NUMERATOR.sub(r"\1", unit.rstrip(".") or unit)
     moment = _MOMENT.fullmatch(plain)
     other = f"{moment[1]}*{moment[2]}" if moment else _CAPITALS.get(plain)
     try:
@@ -124,7 +130,7 @@ def split_unit(label: str, *kinds: QuantityKind) -> tuple[str, str]:
     text = label.strip().strip('"').strip()
     match = _BRACKETS.fullmatch(text)
     if match is not None:
-        return match[1].strip(), match[2]
+        return match[1].strip(), match[2] or match[3] or ""
     match = _SUFFIX.fullmatch(text)
     if match is not None and is_unit(match[2], *kinds):
         return match[1].strip(), match[2]
