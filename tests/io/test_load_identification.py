@@ -398,9 +398,13 @@ def test_a_coupled_record_needs_a_job_with_a_robot(tmp_path):
     )
     with pytest.raises(io.JobError, match="foo: found an unknown key"):
         io.load_identification(tmp_path / "file.toml")
-    text = (tmp_path / "file.toml").read_text().replace("foo = 1\n", "")
+    units = 'units = { dx = "um" }\n'
+    text = (tmp_path / "file.toml").read_text().replace("foo = 1\n", units)
     (tmp_path / "file.toml").write_text(text)
     with pytest.raises(io.JobError) as error:
         io.load_identification(tmp_path / "file.toml")
     assert "[coupled] job: found 'none.toml', but there is no such" in str(error.value)
-    assert "neither forces Fx, Fy, Fz nor deviations dx" in str(error.value)
+    assert "unit of `dx`; allowed are time, force, deviation" in str(error.value)
+    (tmp_path / "file.toml").write_text(text.replace(units, ""))
+    with pytest.raises(io.JobError, match="neither forces Fx, Fy, Fz nor deviations"):
+        io.load_identification(tmp_path / "file.toml")

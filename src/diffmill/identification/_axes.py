@@ -96,7 +96,7 @@ def propose_axes(
     """
     force, columns = np.asarray(force, np.float64), np.asarray(columns, np.float64)
     lags = int(np.ceil(max_shift * rate))
-    is_measured = ~np.isnan(force).all(axis=0)
+    is_measured = np.asarray(~np.isnan(force).all(axis=0))
     # What was not measured adds nothing to the sums.
     force = np.where(is_measured[None], force, 0.0)
     if columns.shape != (force.shape[0], 3, 6):
