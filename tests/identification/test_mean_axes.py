@@ -70,3 +70,7 @@ def test_one_number_says_as_much_as_the_covariance():
     same[:, [1, 2, 4, 5]] = 0.0
     share = identification.relative_uncertainty(values, errors, correlation, same)
     assert share < 1e-9
+    # What is not known at all does not count.
+    errors["K_ae"], values["K_ae"] = np.inf, np.nan
+    share = identification.relative_uncertainty(values, errors, np.eye(6), columns)
+    assert np.isfinite(share)

@@ -7,6 +7,7 @@ from diffmill.identification import (
     Record,
     align,
     angle_from_tacho,
+    apply_axes,
     find_cuts,
     find_saturated,
     lowpass_record,
@@ -171,6 +172,24 @@ def test_the_force_itself_gives_the_shift(shift):
     assert abs(error) < 0.02 / RATE
     assert 0.98 < found.quality <= 1.0
     assert found.runner_up < 0.95
+
+
+def test_a_force_that_was_not_measured_stays_so():
+    time = np.arange(1500) / RATE
+    force = turn_force(SPEED * (time - 0.00313))
+    force[:, 0] = 0.0
+    record = record_of(time, force, is_measured=(False, True, True))
+    simulated = turn_force(2 * np.pi * np.arange(180) / 180)
+    # What nobody recorded is no disagreement.
+    assert align(record, simulated, SPEED).quality > 0.999
+    other = resample_record(remove_offset(record, 0.0, 0.1), RATE / 2)
+    assert other.is_measured == record.is_measured and not other.force[:, 0].any()
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    assert apply_axes(record, turn).is_measured == (True, False, True)
+    with pytest.raises(ValueError, match="must be zero where not measured"):
+        record_of(time, force, is_measured=(True, True, False))
+    with pytest.raises(ValueError, match="must name a force"):
+        record_of(time, 0.0 * force, is_measured=(False,) * 3)
 
 
 def test_equal_teeth_leave_the_turn_open():
