@@ -97,23 +97,30 @@ def test_means_are_fitted_and_axes_are_proposed_not_changed(folder, capsys):
     }
 
 
-def test_load_tests_give_springs_and_name_gross_errors(folder, capsys):
+def write_loads(folder, count=8, noise=0.01, move_unit="um"):
+    """Write load tests of the slides; return forces and displacements."""
     draw = np.random.default_rng(0)
-    force = draw.uniform(100, 300, (8, 3))
+    force = draw.uniform(100, 300, (count, 3))
     moved = force / np.array([4.0, 9.0, np.inf])[None]
-    moved[:, :2] *= 1 + 0.01 * draw.normal(size=(8, 2))
-    moved[4] *= -1
+    moved[:, :2] *= 1 + noise * draw.normal(size=(count, 2))
+    if count > 4:
+        moved[4] *= -1
     rows = [
         f"0,0,{a[0]},{a[1]},{a[2]},{d[0]},{d[1]},{d[2]}"
         for a, d in zip(force, moved, strict=True)
     ]
+    head = ",".join(f"d{a} [{move_unit}]" for a in "xyz")
     (folder / "loads.csv").write_text(
-        "x [mm],y [mm],Fx [N],Fy [N],Fz [N],dx [um],dy [um],dz [um]\n" + "\n".join(rows)
+        f"x [mm],y [mm],Fx [N],Fy [N],Fz [N],{head}\n" + "\n".join(rows)
     )
     (folder / "loads.toml").write_text(
         'kind = "load_tests"\n[robot]\nfile = "slides.toml"\n'
         '[load_tests]\nfile = "loads.csv"\n'
     )
+
+
+def test_load_tests_give_springs_and_name_gross_errors(folder, capsys):
+    write_loads(folder)
     assert main(["identify", "loads.toml"]) == 0
     assert "Rows 5 of the table contradict the others" in capsys.readouterr().out
     out, facts, toml = results(folder, "loads")
@@ -124,6 +131,17 @@ def test_load_tests_give_springs_and_name_gross_errors(folder, capsys):
     assert {"stiffness.png", "residual.png", "left_out.png"} <= {
         p.name for p in out.iterdir()
     }
+
+
+def test_springs_far_from_the_model_are_comments(folder, capsys):
+    """All a thousand times too stiff: the displacements were micrometres."""
+    write_loads(folder, move_unit="nm")
+    assert main(["identify", "loads.toml"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "about 1e+03 times the model's stiffness" in said
+    out, facts, toml = results(folder, "loads")
+    assert toml == {} and all(facts["identifiable"])
+    assert "# joint_stiffness = [" in (out / "identified.toml").read_text()
 
 
 def test_modes_give_dampers(folder, capsys):

@@ -261,7 +261,7 @@ def loads(
     head="turn [deg];slide [mm];Fx [N];Fy [N];Fz [N];dx [um];dy [um];dz [um]",
     job=LOADS,
     rows="0;0;100;0;0;25;0;0\n90;100;0;200;0;0;50;0\n45;0;0;100;;1;2;3\n",
-):
+) -> Any:
     (folder / "arm.toml").write_text(SLIDES)
     (folder / "loads.csv").write_text(f"table 1\n{head}\n{rows}")
     (folder / "file.toml").write_text(job)
@@ -322,6 +322,21 @@ def test_units_of_load_tests_are_spelled_in_many_ways(tmp_path):
     odd = names.replace("Mx [kNm]", "Mx [N]")
     with pytest.raises(io.JobError, match=r"Mx.* such as \"3 N\*m\"; or .* `units`"):
         loads(tmp_path, odd, rows=rows)
+
+
+def test_millimetres_along_one_load_are_not_taken_for_metres(tmp_path):
+    """Two of three components are small, so that no single one tells."""
+    head = "turn [deg];slide [mm];Fx [N];Fy [N];Fz [N];dx;dy;dz"
+    rows = "0;0;0;0;900;0.02;0.03;0.6\n90;100;0;0;800;0.03;0.02;0.5\n"
+    with pytest.raises(io.JobError, match="0.5512 m, which no load test has"):
+        loads(tmp_path, head, rows=rows)
+    # A tracker's zero is no displacement.
+    far = "0;0;0;0;900;4;5;6.001\n90;100;0;0;800;4;5;6.0015\n"
+    assert loads(tmp_path, head, LOADS + "has_offset = true\n", far).has_offset
+    # Who has a soft arm confirms the unit.
+    soft = rows.replace("0.6", "0.06").replace("0.5", "0.06")
+    job = LOADS + 'units = { displacement = "m" }\n'
+    assert len(loads(tmp_path, head, job, soft).rows) == 2
 
 
 def test_a_component_that_was_not_measured_is_said(tmp_path):

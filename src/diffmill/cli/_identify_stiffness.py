@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from ..identification import JointStiffnessFit, LoadCheck
     from ..io import LoadTestTask
 
+# All springs this many times stiffer or softer than the model's: a unit is wrong.
+_OTHER_UNIT = 30.0
+
 
 def identify_stiffness(task: "LoadTestTask", progress: Progress) -> Outcome:
     """Fit joint stiffness to load tests.
@@ -22,14 +25,17 @@ def identify_stiffness(task: "LoadTestTask", progress: Progress) -> Outcome:
         progress: Told what is being done.
     """
     from ..identification import check_load_tests, fit_joint_stiffness
-    from ..io import joints_toml, uncertainty_toml
+    from ..io import doubted, joints_toml, uncertainty_toml
 
     progress.update("joint stiffness")
     table = (task.robot, task.q, task.wrench, task.displacement)
     fit = fit_joint_stiffness(*table, has_offset=task.has_offset, noise=task.noise)
     check = check_load_tests(task.robot, fit, *table[1:])
     advice = _advice(task, fit)
+    doubt = _unit_doubt(task, fit)
     lines = [*_stiffness_lines(task, fit, check), *advice]
+    if doubt is not None:
+        lines += noted(doubt, "warning")
     toml = ["# No stiffness: the table does not suit the robot; see summary.txt."]
     if fit.identifiable.any():
         parts = (fit.stiffness, fit.standard_errors, fit.identifiable)
@@ -37,6 +43,8 @@ def identify_stiffness(task: "LoadTestTask", progress: Progress) -> Outcome:
         known = fit.identifiable
         share = float(np.max(fit.standard_errors[known] / fit.stiffness[known]))
         toml += uncertainty_toml("stiffness", share)
+    if doubt is not None:
+        toml = doubted(toml, "A unit of the table may be wrong; see summary.txt.")
     facts = {
         "kind": "load_tests",
         "joints": list(fit.joint_names),
@@ -51,10 +59,26 @@ def identify_stiffness(task: "LoadTestTask", progress: Progress) -> Outcome:
         "left_out_error": check.error,
         "noise": fit.noise,
         "spread_m": fit.spread,
-        "notes": [*task.notes, *fit.notes],
+        "notes": [*task.notes, *fit.notes, *([doubt] if doubt else [])],
     }
     return Outcome(
         lines, toml, facts, lambda folder: _draw_stiffness(folder, task, fit, check)
+    )
+
+
+def _unit_doubt(task: "LoadTestTask", fit: "JointStiffnessFit") -> str | None:
+    """Return why the units of the table are doubted, None if they are not."""
+    model = np.asarray(task.robot.joint_stiffness, np.float64)
+    known = fit.identifiable & np.isfinite(model) & (model > 0)
+    if not known.any():
+        return None
+    times = fit.stiffness[known] / model[known]
+    if times.min() <= _OTHER_UNIT and times.max() >= 1 / _OTHER_UNIT:
+        return None
+    usual = np.exp(np.mean(np.log(times)))
+    return (
+        f"All joints that are known have about {usual:.2g} times the model's stiffness:"
+        " look at the units of load and displacement, and at the model."
     )
 
 
