@@ -126,6 +126,52 @@ def test_a_table_in_other_axes_than_the_robot_is_a_bad_fit(turn):
     assert f"load and displacement both read as ({names})" in " ".join(fit.notes)
 
 
+def noisy(robot, count, seed, with_rotations=False, noise=0.05):
+    """Return poses, loads with moments, and displacements with noise."""
+    q, wrench, draw = loads(robot, count, seed)
+    wrench[:, 3:] = 0.3 * draw.permutation(wrench[:, :3])
+    d = moved(robot, q, wrench)[:, : 6 if with_rotations else 3]
+    return q, wrench, d * (1 + noise * draw.normal(size=d.shape))
+
+
+def test_a_load_in_other_axes_is_told_from_complete_rows():
+    """The force sensor is turned, the tracker is not; one cell of it is blank."""
+    robot = arm()
+    q, wrench, d = noisy(robot, 20, 5)
+    d[3, 2] = np.nan
+    turned = wrench.reshape(-1, 2, 3)[:, :, [1, 2, 0]].reshape(-1, 6)
+    fit = identification.fit_joint_stiffness(robot, q, turned, d)
+    assert not fit.is_consistent and not fit.identifiable.any()
+    assert "the load read as (z, x, y)" in " ".join(fit.notes)
+    right = identification.fit_joint_stiffness(robot, q, wrench, d)
+    assert right.is_consistent and right.identifiable.any()
+
+
+def test_axes_that_cannot_be_checked_are_said():
+    robot = arm()
+    q, wrench, d = noisy(robot, 20, 5, noise=0.1)
+    d[:18, 2] = np.nan
+    fit = identification.fit_joint_stiffness(robot, q, wrench, d)
+    assert fit.is_consistent and "The axes could not be checked" in " ".join(fit.notes)
+
+
+@pytest.mark.parametrize("with_rotations", [False, True])
+def test_axes_exchanged_in_the_tool_are_told_in_its_axes(with_rotations):
+    """A sensor on the tool, mirrored there: no exchange of axes of base undoes it."""
+    robot = arm()
+    q, wrench, d = noisy(robot, 20, 5, with_rotations)
+    poses = [np.asarray(rb.forward_kinematics(robot, a)) for a in q]
+    R = np.stack(poses)[:, :3, :3]
+    T = np.diag([1.0, -1.0, 1.0])[[1, 2, 0]]
+    M = R @ T @ R.transpose(0, 2, 1)
+    force = np.einsum("pij,pj->pi", M, wrench[:, :3])
+    moment = -np.einsum("pij,pj->pi", M, wrench[:, 3:])
+    other = np.hstack([force, moment])
+    fit = identification.fit_joint_stiffness(robot, q, other, d, frames=(R, None))
+    assert "the load read as (z, -x, y)" in " ".join(fit.notes)
+    assert not fit.is_consistent
+
+
 def test_a_constant_offset_is_fitted_when_asked():
     robot = arm()
     q, wrench, _ = loads(robot, 12, 6)

@@ -292,6 +292,18 @@ def test_poses_may_have_names(tmp_path):
     np.testing.assert_allclose(task.displacement[1], [0, 50e-6, 0], atol=1e-12)
 
 
+def test_moments_of_mirrored_axes_change_their_sign_once_more(tmp_path):
+    parts = ("turn [deg];slide [mm]", "Fx [N];Fy [N];Fz [N];Mx [N*m];My [N*m];Mz [N*m]")
+    head = ";".join([*parts, "dx [um];dy [um];dz [um];rx [rad];ry [rad];rz [rad]"])
+    rows = "0;0;1;2;3;4;5;6;10;20;30;0.1;0.2;0.3\n"
+    keys = 'load_axes = ["y", "x", "z"]\ndisplacement_axes = ["y", "z", "x"]\n'
+    task = loads(tmp_path, head, LOADS + keys, rows)
+    np.testing.assert_allclose(task.wrench[0], [2, 1, 3, -5, -4, -6])
+    np.testing.assert_allclose(
+        task.displacement[0], [20e-6, 30e-6, 10e-6, 0.2, 0.3, 0.1]
+    )
+
+
 def test_load_tests_without_units_are_not_guessed(tmp_path):
     bare = "turn;slide [mm];Fx;Fy;Fz;dx;dy;dz"
     with pytest.raises(io.JobError) as error:
@@ -328,7 +340,7 @@ def test_millimetres_along_one_load_are_not_taken_for_metres(tmp_path):
     """Two of three components are small, so that no single one tells."""
     head = "turn [deg];slide [mm];Fx [N];Fy [N];Fz [N];dx;dy;dz"
     rows = "0;0;0;0;900;0.02;0.03;0.6\n90;100;0;0;800;0.03;0.02;0.5\n"
-    with pytest.raises(io.JobError, match="0.5512 m, which no load test has"):
+    with pytest.raises(io.JobError, match=r"0\.5512 m, which no load test has"):
         loads(tmp_path, head, rows=rows)
     # A tracker's zero is no displacement.
     far = "0;0;0;0;900;4;5;6.001\n90;100;0;0;800;4;5;6.0015\n"

@@ -29,7 +29,9 @@ def identify_stiffness(task: "LoadTestTask", progress: Progress) -> Outcome:
 
     progress.update("joint stiffness")
     table = (task.robot, task.q, task.wrench, task.displacement)
-    fit = fit_joint_stiffness(*table, has_offset=task.has_offset, noise=task.noise)
+    fit = fit_joint_stiffness(
+        *table, has_offset=task.has_offset, noise=task.noise, frames=task.frames
+    )
     check = check_load_tests(task.robot, fit, *table[1:])
     advice = _advice(task, fit)
     doubt = _unit_doubt(task, fit)

@@ -1,11 +1,12 @@
 """Whether a table of load tests would suit the robot much better with other axes.
 
-Two mistakes are looked for: a displacement in other axes than the load, and both in
-the same axes, but not in those of the robot's base.
+Three mistakes are looked for: a displacement in other axes than those of the robot, a
+load in others, and both in the same axes, but not in those of the robot.
 """
 
 import itertools
 from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -19,7 +20,21 @@ _ALL_EXPLAINED = 0.999
 _STARTS = 20
 
 Turn = Float[np.ndarray, "3 3"]
+Turns = Float[np.ndarray, "pose 3 3"]
 Loads = Float[np.ndarray, "pose 6"]
+
+
+class AxesCheck(NamedTuple):
+    """Whether other axes suit a table better.
+
+    Attributes:
+        better: What is to be read how, such as "the displacement read as (x, -y, z)";
+            None if nothing is much better.
+        is_possible: Whether enough rows have all components to tell.
+    """
+
+    better: str | None
+    is_possible: bool
 
 
 def better_axes(
@@ -27,42 +42,48 @@ def better_axes(
     load: Loads,
     moved: Values,
     explained: float,
-) -> str | None:
+    frames: tuple[Turns | None, Turns | None] = (None, None),
+) -> AxesCheck:
     """Return an assignment of the axes that suits much better, if there is one.
 
     Args:
         columns_of: Returns displacement per compliance for loads [N, N m], shape
             (pose, component, joint).
-        load: The loads, shape (pose, 6).
-        moved: The displacements, shape (pose, component).
+        load: The loads in base axes, shape (pose, 6).
+        moved: The displacements in base axes, shape (pose, component); rows with a
+            missing component do not count.
         explained: Share of their square that the fit explains.
+        frames: Rotations into base of the frames in which the load and the
+            displacement were recorded, whose axes are exchanged, shape (pose, 3, 3)
+            each; None for base.
 
     Returns:
-        What is to be read how, such as "the displacement read as (x, -y, z)"; None if
-        nothing is much better, or displacements are missing.
+        The assignment.
 
     **Differentiability**: none, a host function.
     """
-    if not np.all(np.isfinite(moved)) or explained > _ALL_EXPLAINED:
-        return None
-    columns = columns_of(load)
-    best, found = _cost(columns, moved) / _BETTER_AXES, None
+    if explained > _ALL_EXPLAINED:
+        return AxesCheck(None, True)
+    whole = np.isfinite(moved).all(axis=1)
+    columns, seen = columns_of(load)[whole], moved[whole]
+    if seen.size <= columns.shape[2]:
+        return AxesCheck(None, False)
+    best, found = _cost(columns, seen) / _BETTER_AXES, None
     for name, T in _turns():
+        # Moments and rotations of mirrored axes change their sign once more.
         both = np.linalg.det(T) * T
+        other = columns_of(_turned(load, T, both, frames[0]))[whole]
+        turned = _turned(moved, T, both, frames[1])[whole]
         cases = (
-            (columns, _turned(moved, T, T), "the displacement"),
-            # Moments and rotations of mirrored axes change their sign once more.
-            (
-                columns_of(_turned(load, T, both)),
-                _turned(moved, T, both),
-                "load and displacement both",
-            ),
+            (columns, turned, "the displacement"),
+            (other, seen, "the load"),
+            (other, turned, "load and displacement both"),
         )
-        for turned_columns, turned, what in cases:
-            cost = _cost(turned_columns, turned)
+        for one, values, what in cases:
+            cost = _cost(one, values)
             if cost < best:
                 best, found = cost, f"{what} read as {name}"
-    return found
+    return AxesCheck(found, True)
 
 
 def _cost(columns: Columns, moved: Values) -> float:
@@ -86,9 +107,13 @@ def _turns() -> Iterator[tuple[str, Turn]]:
             yield f"({', '.join(names)})", T
 
 
-def _turned(values: Values, linear: Turn, angular: Turn) -> Values:
-    """Return values with their axes turned, linear parts first."""
-    parts = [values[:, :3] @ linear.T]
-    if values.shape[1] == 6:
-        parts.append(values[:, 3:] @ angular.T)
-    return np.concatenate(parts, axis=1)
+def _turned(values: Values, linear: Turn, angular: Turn, frame: Turns | None) -> Values:
+    """Return values with the axes of their frame turned, linear parts first."""
+    parts = values.reshape(len(values), -1, 3)
+    if frame is not None:
+        parts = np.einsum("pji,pkj->pki", frame, parts)
+    turns = np.stack([linear, angular])[: parts.shape[1]]
+    parts = np.einsum("kij,pkj->pki", turns, parts)
+    if frame is not None:
+        parts = np.einsum("pij,pkj->pki", frame, parts)
+    return parts.reshape(values.shape)

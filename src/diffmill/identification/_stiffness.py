@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..robot import Robot, jacobian
 from ._groups import Columns, GroupFit, Values, fit_groups
-from ._load_axes import better_axes
+from ._load_axes import AxesCheck, Turns, better_axes
 
 # Tables as users have them.
 Table = Float[Array, "..."] | Float[np.ndarray, "..."] | Sequence[Sequence[float]]
@@ -86,6 +86,7 @@ def fit_joint_stiffness(
     *,
     has_offset: bool = False,
     noise: str | None = None,
+    frames: tuple[Turns | None, Turns | None] = (None, None),
     max_relative_error: float = _RELATIVE_ERROR,
     min_explained: float = _EXPLAINED,
 ) -> JointStiffnessFit:
@@ -104,6 +105,9 @@ def fit_joint_stiffness(
             a tracker whose zero is not known.
         noise: "absolute" if all poses scatter alike, "relative" if in proportion to
             the displacement; the likelier of both if not given.
+        frames: Rotations into base of the frames in which load and displacement were
+            recorded, shape (pose, 3, 3) each, None for base: the axes that would suit
+            better are told in these.
         max_relative_error: A stiffness is given if its relative standard error is
             at most this.
         min_explained: Below this share of the squared displacement the table is
@@ -134,7 +138,7 @@ def fit_joint_stiffness(
         is_free = np.r_[is_free, np.ones(moved.shape[1], bool)]
     fit = fit_groups(wide, moved, is_free, noise=noise)
     used, explained, centred = _explained(fit, moved, robot.joint_count)
-    axes = better_axes(columns_of, load, centred, explained)
+    axes = better_axes(columns_of, load, centred, explained, frames)
     return _report(
         robot,
         columns[used],
@@ -261,7 +265,7 @@ def _report(
     fit: GroupFit,
     scale: Float[np.ndarray, " component"],
     limits: tuple[float, float],
-    found: tuple[float, str | None],
+    found: tuple[float, AxesCheck],
 ) -> JointStiffnessFit:
     """Return the fit in words of stiffness, from the rows that count."""
     explained, axes = found
@@ -272,7 +276,7 @@ def _report(
     too_many = _contradicts(fit)
     parts = np.nansum(columns * moved[..., None], axis=(0, 1))
     square = float(np.nansum(moved**2))
-    is_consistent = explained >= limits[1] and not too_many and axes is None
+    is_consistent = explained >= limits[1] and not too_many and axes.better is None
     is_fixed = is_consistent & (c > 0) & (errors <= limits[0] * c)
     safe = np.where(is_fixed, c, 1.0)
     bound = 1.0 / np.maximum(c + _ONE_SIDED * errors, 1e-300)
@@ -301,7 +305,7 @@ def _notes(
     fit: GroupFit,
     is_fixed: Bool[np.ndarray, " joint"],
     explained: float,
-    doubts: tuple[str | None, float, bool],
+    doubts: tuple[AxesCheck, float, bool],
 ) -> tuple[str, ...]:
     """Say what the numbers alone do not."""
     axes, least, too_many = doubts
@@ -313,10 +317,15 @@ def _notes(
             "(axes, units, signs, tool, or elasticity outside the joints). No "
             "stiffness is given."
         )
-    if axes is not None:
+    if axes.better is not None:
         notes.append(
-            f"With {axes} the robot would explain much more: look at the axes of the "
-            "table. They were not changed."
+            f"With {axes.better} of what is x, y, z now the robot would explain much "
+            "more: look at the axes of the table. They were not changed."
+        )
+    if not axes.is_possible:
+        notes.append(
+            "The axes could not be checked: too few rows have all components of the "
+            "displacement."
         )
     if too_many:
         notes.append(
@@ -327,7 +336,7 @@ def _notes(
         rows = ", ".join(str(i) for i in np.flatnonzero(fit.is_outlier))
         notes.append(f"Rows {rows} contradict the others and were left out.")
     lost = [n for n, ok in zip(robot.joint_names, is_fixed, strict=True) if not ok]
-    if lost and explained >= least and axes is None and not too_many:
+    if lost and explained >= least and axes.better is None and not too_many:
         notes.append(
             f"Not identifiable from these loads: {', '.join(lost)}; "
             "`suggest_load_tests` names poses that would show them."

@@ -11,7 +11,7 @@ from jaxtyping import Int
 from ..robot import Robot, forward_kinematics
 from . import _quantity as q
 from ._identification_schema import LoadTestsTable
-from ._identification_task import LoadTestTask
+from ._identification_task import LoadTestTask, Turns
 from ._job_program import file_in_folder
 from ._load_record import read_table
 from ._record_error import RecordError
@@ -81,16 +81,20 @@ def read_load_tests(
         problems.append(f"{place}: {path.name}: found no complete row.")
         return None
     angles, load, moved = angles[good], load[good], moved[good]
-    load = _in_base(robot, angles, load, table.load_axes, table.load_frame)
-    moved = _in_base(
-        robot, angles, moved, table.displacement_axes, table.displacement_frame
+    tool = _tool_axes(robot, angles)
+    load_frame, frame = (
+        tool if name == "tool" else None
+        for name in (table.load_frame, table.displacement_frame)
     )
+    load = _in_base(load, table.load_axes, load_frame)
+    moved = _in_base(moved, table.displacement_axes, frame)
     return LoadTestTask(
         name=name,
         robot=robot,
         q=angles,
         wrench=np.pad(load, ((0, 0), (0, 6 - load.shape[1]))),
         displacement=moved,
+        frames=(load_frame, frame),
         rows=tuple((np.flatnonzero(good) + 1).tolist()),
         has_offset=table.has_offset,
         noise=table.noise,
@@ -227,23 +231,29 @@ def _usual_move(values: dict[str, np.ndarray], table: LoadTestsTable) -> float:
     return float(np.median(lengths)) if lengths.size else 0.0
 
 
+def _tool_axes(robot: Robot, angles: np.ndarray) -> Turns:
+    """Return the rotations of the tool into base."""
+    poses = jax.vmap(lambda row: forward_kinematics(robot, row))(
+        np.asarray(angles, robot.dtype)
+    )
+    return np.asarray(poses, np.float64)[:, :3, :3]
+
+
 def _in_base(
-    robot: Robot,
-    angles: np.ndarray,
-    vectors: np.ndarray,
-    axes: list[str] | None,
-    frame: str,
+    vectors: np.ndarray, axes: list[str] | None, frame: Turns | None
 ) -> np.ndarray:
-    """Return vectors with the axes exchanged, turned from the tool into base."""
+    """Return vectors with the axes exchanged, turned from their frame into base.
+
+    Moments and rotations, behind forces and displacements, change their sign once more
+    where the axes are mirrored.
+    """
     parts = vectors.reshape(len(vectors), -1, 3)
     if axes is not None:
         signs = np.array([-1.0 if name.startswith("-") else 1.0 for name in axes])
         order = ["xyz".index(name[-1]) for name in axes]
+        handed = np.array([1.0, np.prod(signs) * np.linalg.det(np.eye(3)[order])])
         parts = parts[:, :, order] * signs[None, None]
-    if frame == "tool":
-        poses = jax.vmap(lambda row: forward_kinematics(robot, row))(
-            np.asarray(angles, robot.dtype)
-        )
-        R = np.asarray(poses, np.float64)[:, :3, :3]
-        parts = np.einsum("pij,pkj->pki", R, parts)
+        parts = parts * handed[None, : parts.shape[1], None]
+    if frame is not None:
+        parts = np.einsum("pij,pkj->pki", frame, parts)
     return parts.reshape(vectors.shape)

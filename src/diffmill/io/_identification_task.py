@@ -10,6 +10,9 @@ from ..cutter import AbstractCutter
 from ..identification import Record
 from ..robot import Robot
 
+# Rotations of one pose each.
+Turns = Float[np.ndarray, "pose 3 3"]
+
 
 class StraightCut(NamedTuple):
     """A straight cut of constant sizes.
@@ -126,6 +129,8 @@ class LoadTestTask(NamedTuple):
         q: Joint positions [rad or m], shape (pose, joint).
         wrench: In base axes at the tool [N, N m], shape (pose, 6).
         displacement: In base axes [m, rad], shape (pose, 3) or (pose, 6).
+        frames: Rotations into base of the frames in which load and displacement were
+            recorded, shape (pose, 3, 3) each, or None for base.
         rows: Number of each row in the table, from 1.
         has_offset: Whether a constant displacement is fitted too.
         noise: "absolute", "relative" or None.
@@ -137,6 +142,7 @@ class LoadTestTask(NamedTuple):
     q: Float[np.ndarray, "pose joint"]
     wrench: Float[np.ndarray, "pose 6"]
     displacement: Float[np.ndarray, "pose component"]
+    frames: tuple[Turns | None, Turns | None]
     rows: tuple[int, ...]
     has_offset: bool
     noise: str | None
