@@ -72,6 +72,23 @@ def test_several_cuts_are_found(tooth_frequency):
     np.testing.assert_allclose(np.array(cuts), np.array(spans), atol=0.01)
 
 
+@pytest.mark.parametrize("tooth_frequency", [None, 100.0])
+@pytest.mark.parametrize("span", [(0.5, 19.5), (8.0, 8.6)])
+def test_short_idle_sections_and_short_cuts_are_found(tooth_frequency, span):
+    record = cut_record([span], duration=20.0)
+    record.force[[20_000, 41_000, 70_000]] += 5e3
+    (cut,) = find_cuts(record, tooth_frequency=tooth_frequency)
+    np.testing.assert_allclose(cut, span, atol=0.01)
+
+
+@pytest.mark.parametrize("spans", [[(30.0, 31.0)], [(-1.0, 21.0)]])
+def test_noise_or_a_cut_alone_with_spikes_is_whole(spans):
+    record = cut_record(spans, noise=20.0, duration=20.0)
+    record.force[[20_000, 41_000, 70_000]] += 5e3
+    (cut,) = find_cuts(record, tooth_frequency=100.0)
+    np.testing.assert_allclose(cut, record.time[[0, -1]])
+
+
 def test_an_idling_spindle_is_no_cut_at_the_tooth_frequency():
     record = cut_record([(1.0, 2.0)])
     hum = 30.0 * np.sin(2 * np.pi * 370.0 * record.time)

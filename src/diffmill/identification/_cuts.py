@@ -10,6 +10,9 @@ from ._record import Record
 
 # Cutting must be this many times as loud as the rest to be told from it.
 _LOUDER = 4.0
+# Windows in a stretch that tells the level of a section shorter than a twentieth: the
+# median of fewer would be at the mercy of chance where nothing but noise is recorded.
+_STRETCH = 9
 
 
 class CutSpan(NamedTuple):
@@ -34,7 +37,8 @@ def find_cuts(
     """Return the cuts in a record, in their order.
 
     The force's variation within a moving window is compared with its level in the
-    quietest and the loudest twentieth of the record. On a logarithmic scale a cut
+    quietest and the loudest twentieth of the record; if these are alike, in its quietest
+    and its loudest stretch of nine windows. On a logarithmic scale a cut
     begins above the middle between them and ends below a quarter; its ends are then
     drawn in, by a window at most, to where the window is half full of the cut. Offset
     and slow drift do not matter. A pause or a gap shorter than the window does not end
@@ -60,9 +64,9 @@ def find_cuts(
     width = max(3, round(window * record.rate))
     parts = parts_between_gaps(record, longest=window)
     loud = [_loudness(record, part, width, tooth_frequency) for part in parts]
-    quiet_level, loud_level = np.quantile(np.concatenate(loud), [0.05, 0.95])
+    quiet_level, loud_level = _levels(loud, width)
     # A channel that rests exactly at zero has no logarithm.
-    quiet_level = max(float(quiet_level), 1e-6 * float(loud_level))
+    quiet_level = max(quiet_level, 1e-6 * loud_level)
     if loud_level < _LOUDER * quiet_level or loud_level == 0:
         return [
             CutSpan(float(record.time[p.start]), float(record.time[p.stop - 1]))
@@ -80,6 +84,28 @@ def find_cuts(
             if time[last] - time[first] >= shortest:
                 cuts.append(CutSpan(float(time[first]), float(time[last])))
     return cuts
+
+
+def _levels(
+    loud: list[Float[np.ndarray, " sample"]], width: int
+) -> tuple[float, float]:
+    """Return how loud the record is where it is quiet, and where it is loud [N]."""
+    from scipy.ndimage import median_filter
+
+    quiet, high = np.quantile(np.concatenate(loud), [0.05, 0.95]).tolist()
+    if high >= _LOUDER * quiet:
+        return quiet, high
+    # Half a window apart; the median passes over spikes and dropouts. Whole stretches
+    # only: beyond the ends there is nothing.
+    steady = [
+        median_filter(part[:: width // 2], 2 * _STRETCH + 1)[_STRETCH:-_STRETCH]
+        for part in loud
+        if part.size > _STRETCH * width
+    ]
+    if not steady:
+        return quiet, high
+    everything = np.concatenate(steady)
+    return float(everything.min()), float(everything.max())
 
 
 def _loudness(
