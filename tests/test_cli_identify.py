@@ -3,6 +3,8 @@
 import json
 import math
 import tomllib
+import types
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,8 +12,10 @@ import scipy.io
 import xarray
 from slot_force import SPEED, K, slot_force
 
-from diffmill import cutter as ct, identification
+from diffmill import cutter as ct, identification, robot as rb
 from diffmill.cli import main
+from diffmill.cli._identify_coupled import _toml
+from diffmill.cutting import LinearEdgeLaw
 
 MEANS = """kind = "mean_forces"
 [cutter]
@@ -167,6 +171,25 @@ def test_modes_give_dampers(folder, capsys):
     np.testing.assert_allclose(found["damping_ratios"], [0.01, 0.015], rtol=0.05)
     assert (out / "ring_down.png").is_file()
     assert "joint dampers" in capsys.readouterr().out
+
+
+def test_a_coupled_fit_of_some_coefficients_gives_the_whole_table():
+    """Half of the coefficients would be no law: the job's stand beside the fitted."""
+    job = types.SimpleNamespace(robot=rb.load("kuka_kr210_like"), law=LinearEdgeLaw(*K))
+    fitted = dict(zip(("K_tc", "K_rc", "K_ac"), 1.1 * K[:3], strict=True))
+    fit: Any = types.SimpleNamespace(
+        parameters=fitted,
+        standard_errors={name: 0.01 * value for name, value in fitted.items()},
+        identifiable=dict.fromkeys(fitted, True),
+        is_explained=True,
+    )
+    task: Any = types.SimpleNamespace(job=job)
+    text = "\n".join(_toml(task, fit))
+    found = tomllib.loads(text)["force"]
+    assert set(found) == set(identification.NAMES)
+    assert float(found["K_tc"].split()[0]) == pytest.approx(1.1e-6 * K[0], rel=1e-5)
+    assert float(found["K_te"].split()[0]) == pytest.approx(1e-3 * K[3], rel=1e-5)
+    assert text.count("# as in the job") == 3
 
 
 def test_what_is_wrong_is_said_once_and_nothing_is_written(folder, capsys):

@@ -19,6 +19,7 @@ from diffmill import (
 )
 from diffmill._job import CorrectionSettings, Job, SimulationSettings
 from diffmill.identification._coupled_model import modelled, parameter_values
+from diffmill.identification._coupled_names import fitted_names, kept_note
 
 PERIOD, MASS, ZETA = 3.75e-3, 80.0, 0.08
 STIFFNESS = np.array([1.5e6, 2.5e6, 4e6])
@@ -190,6 +191,33 @@ def test_the_mean_over_a_period_is_that_of_the_integral():
     np.testing.assert_allclose(found[~first, 0], wanted, atol=5e-6)
     np.testing.assert_allclose(found[~first, 1], 2.0)
     np.testing.assert_allclose(found[~first, 2], t - PERIOD / 2)
+
+
+def test_a_missing_force_is_missing_for_a_period_only():
+    time = np.arange(0, 0.1, 1e-4)
+    wave = np.column_stack([np.sin(60 * time), 0 * time + 2, time])
+    holed = wave.copy()
+    holed[300, 0] = np.nan
+    found = identification.mean_over_period(time, holed, PERIOD)
+    wanted = identification.mean_over_period(time, wave, PERIOD)
+    near = np.abs(time - time[300] - PERIOD / 2) < PERIOD / 2 + 1.5e-4
+    assert np.isnan(found[near, 0]).sum() >= PERIOD / 1e-4
+    np.testing.assert_allclose(found[~near, 0], wanted[~near, 0], atol=1e-12)
+    np.testing.assert_allclose(found[:, 1:], wanted[:, 1:])
+
+
+def test_what_has_no_start_is_fitted_only_if_asked_for():
+    """A job may leave out edge coefficients: they are 0 then."""
+    job = eqx.tree_at(lambda j: j.law.K_te, small(), 0.0)
+    names = fitted_names(job, None, True)
+    assert set(parameter_values(job)) - set(names) == {"K_te"}
+    assert kept_note(job, True) == (
+        "Not fitted, since a fit starts from a positive and finite number: in the job "
+        "K_te is 0.",
+    )
+    assert kept_note(small(), True) == () and kept_note(job, False) == ()
+    with pytest.raises(ValueError, match="must be positive and finite"):
+        fitted_names(job, ["K_te"], True)
 
 
 def test_wrong_arguments_are_named():

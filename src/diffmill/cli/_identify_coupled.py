@@ -109,16 +109,18 @@ def _toml(task: "CoupledTask", fit: "CoupledFit") -> list[str]:
         relative[word] = float(
             np.max(joint_errors[is_known] / np.abs(joint_values[is_known]))
         )
-    if all(name in fit.parameters for name in NAMES):
-        values, errors = (
-            {n: part[n] for n in NAMES}
-            for part in (fit.parameters, fit.standard_errors)
-        )
-        known = {n: fit.identifiable[n] for n in NAMES}
+    fitted = [name for name in NAMES if name in fit.parameters]
+    if fitted:
+        # A table holds all six: what was not fitted was taken as known.
+        law = task.job.law
+        given = {n: float(np.mean(getattr(law, n))) for n in NAMES if n not in fitted}
+        values = {n: given[n] if n in given else fit.parameters[n] for n in NAMES}
+        errors = {n: fit.standard_errors[n] for n in fitted}
+        known = {n: n in given or fit.identifiable[n] for n in NAMES}
         lines += ["", *force_toml(values, errors, known)]
         shares = [
             fit.standard_errors[n] / abs(fit.parameters[n])
-            for n in NAMES
+            for n in fitted
             if fit.identifiable[n]
         ]
         relative |= {"force": max(shares)} if shares else {}

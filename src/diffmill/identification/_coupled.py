@@ -25,6 +25,7 @@ from ._coupled_model import (
     parameter_values,
     scaled_job,
 )
+from ._coupled_names import fitted_names, kept_note
 from ._coupled_report import EXPLAINED, coupled_notes, explained_by
 from ._coupled_steps import SteppedFit, fit_steps
 from ._linear import LinearFit, Loss, Rows, correlation_of, covariance, weigh
@@ -120,7 +121,8 @@ def fit_coupled(
             the tooth instants of the path if not given.
         fit: Names of what is fitted, see `sim.parameter_names`, all else being known;
             "K" or "D" alone for those of all joints. Stiffness and damping of all
-            joints if not given, and the coefficients if the force was measured.
+            joints if not given, and the coefficients if the force was measured, as far
+            as they are positive and finite in the job.
         has_offset: Whether a constant deviation is fitted too, as of a tracker whose
             zero is not known.
         has_time_shift: Whether a shift of the record's clock is fitted too; its start
@@ -147,7 +149,7 @@ def fit_coupled(
         )
     job = with_precision(job)
     record = _record(job, force, deviation, time)
-    names = _fitted_names(job, fit, force is not None)
+    names = fitted_names(job, fit, force is not None)
     problem = _Problem(job, record, names, has_offset, has_time_shift)
     first = problem.simulated(np.zeros(len(names)))
     if first.result != RESULTS.successful:
@@ -168,7 +170,8 @@ def fit_coupled(
         spent = found.simulations + tried + other.simulations
         found = max(found, other, key=lambda one: problem.share(one.fit, one.x))
         found = dataclasses.replace(found, simulations=spent)
-    return _report(problem, found, loss, max_relative_error)
+    kept = () if fit is not None else kept_note(job, force is not None)
+    return _report(problem, found, loss, max_relative_error, kept)
 
 
 class _Problem(eqx.Module):
@@ -265,39 +268,12 @@ def _record(
     return CoupledRecord(when, *tables)
 
 
-def _fitted_names(
-    job: Job, fit: Sequence[str] | None, has_force: bool
-) -> tuple[str, ...]:
-    """Return the names of what is fitted, refused if they do not exist."""
-    values = parameter_values(job)
-    if fit is None:
-        known = [n for n in values if n[:2] not in ("K ", "D ")]
-        fit = ["K", "D", *(known if has_force else [])]
-    wanted: list[str] = []
-    for name in fit:
-        # What is zero or infinite has no scale.
-        group = [
-            n
-            for n, value in values.items()
-            if n == name or (n.startswith(f"{name} ") and 0 < value < math.inf)
-        ]
-        if not group:
-            raise ValueError(
-                f'Argument `fit` may hold "K", "D", {", ".join(values)}, but holds '
-                f'"{name}".'
-            )
-        wanted += group
-    lost = [n for n in wanted if not 0 < values[n] < math.inf]
-    if lost:
-        raise ValueError(
-            "What is fitted must be positive and finite in the job, where the fit "
-            f"starts, but {lost[0]} is {values[lost[0]]:g}."
-        )
-    return tuple(dict.fromkeys(wanted))
-
-
 def _report(
-    problem: _Problem, found: SteppedFit, loss: Loss, max_relative_error: float
+    problem: _Problem,
+    found: SteppedFit,
+    loss: Loss,
+    max_relative_error: float,
+    kept: tuple[str, ...],
 ) -> CoupledFit:
     """Return the fit with its errors, by name."""
     names, count = problem.names, len(problem.names)
@@ -328,7 +304,10 @@ def _report(
         has_converged=found.has_converged,
         simulations=found.simulations,
         is_explained=min(explained.values()) >= EXPLAINED,
-        notes=coupled_notes(names, is_fixed, correlation, explained, found),
+        notes=(
+            *kept,
+            *coupled_notes(names, is_fixed, correlation, explained, found),
+        ),
         job=scaled_job(problem.job, names, np.where(is_fixed, logs, 0.0)),
     )
 

@@ -219,17 +219,21 @@ def mean_over_period(
 
     Returns:
         The mean of straight lines between the instants [N], shape (row, 3); NaN in
-        the first period.
+        the first period, and where a force within the period is missing.
 
     **Differentiability**: runs on the host.
     """
     when, seen = np.array(time, np.float64), np.array(force, np.float64)
     width, rise = np.diff(when)[:, None], np.diff(seen, axis=0)
     area = width * (seen[1:] + seen[:-1]) / 2
-    total = np.concatenate([np.zeros((1, seen.shape[1])), np.cumsum(area, axis=0)])
+    none = np.zeros((1, seen.shape[1]))
+    # A sum would carry a missing force to the end of the record.
+    total = np.concatenate([none, np.cumsum(np.nan_to_num(area), axis=0)])
+    lost = np.concatenate([none, np.cumsum(np.isnan(area), axis=0)])
     row = np.searchsorted(when, when - period, side="right") - 1
     row = np.clip(row, 0, len(when) - 2)
     after = (when - period - when[row])[:, None]
     begin = total[row] + after * (seen[row] + after / (2 * width[row]) * rise[row])
     is_whole = when - period >= when[0] - 1e-9 * period
-    return np.where(is_whole[:, None], (total - begin) / period, np.nan)
+    is_known = is_whole[:, None] & (lost == lost[row])
+    return np.where(is_known, (total - begin) / period, np.nan)

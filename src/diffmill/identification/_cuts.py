@@ -37,8 +37,8 @@ def find_cuts(
     """Return the cuts in a record, in their order.
 
     The force's variation within a moving window is compared with its level in the
-    quietest and the loudest twentieth of the record; if these are alike, in its quietest
-    and its loudest stretch of nine windows. On a logarithmic scale a cut
+    quietest and the loudest twentieth of the record; if these are alike, in its
+    quietest and its loudest stretch of nine windows. On a logarithmic scale a cut
     begins above the middle between them and ends below a quarter; its ends are then
     drawn in, by a window at most, to where the window is half full of the cut. Offset
     and slow drift do not matter. A pause or a gap shorter than the window does not end

@@ -20,14 +20,16 @@ def force_toml(
 
     Args:
         coefficients: By name [Pa, N/m].
-        errors: Standard errors, likewise.
+        errors: Standard errors, likewise; without a name that is as in the job.
         identifiable: Whether the coefficient is known.
     """
     lines = ["[force]"]
     for name, value in coefficients.items():
         unit, scale = ("N/mm^2", 1e-6) if name.endswith("c") else ("N/mm", 1e-3)
         number = f'{name} = "{value * scale:.6g} {unit}"'
-        error = f"+- {errors[name] * scale:.2g}"
+        error = "as in the job"
+        if name in errors:
+            error = f"+- {errors[name] * scale:.2g}"
         if identifiable[name] and np.isfinite(value):
             lines.append(f"{number:32}# {error}")
             continue
