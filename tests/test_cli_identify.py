@@ -101,6 +101,18 @@ def test_means_are_fitted_and_axes_are_proposed_not_changed(folder, capsys):
     }
 
 
+def test_means_that_other_axes_suit_better_are_comments(folder, capsys):
+    """A mirrored Fx of a slot turns the radial coefficients about, not K_tc."""
+    write_means(folder)
+    (folder / "mirror.toml").write_text(MEANS + '[fit]\naxes = ["-y", "x", "z"]\n')
+    assert main(["identify", "mirror.toml"]) == 0
+    assert "make more sense" in capsys.readouterr().out
+    out, facts, toml = results(folder, "mirror")
+    found = facts["coefficients_SI"]
+    assert found["K_tc"] > 0 > found["K_rc"] and toml == {}
+    assert '# K_rc = "-' in (out / "identified.toml").read_text()
+
+
 def write_loads(folder, count=8, noise=0.01, move_unit="um"):
     """Write load tests of the slides; return forces and displacements."""
     draw = np.random.default_rng(0)

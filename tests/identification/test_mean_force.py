@@ -84,3 +84,18 @@ def test_one_feed_is_no_line():
         identification.fit_mean_forces(
             [1e-4, 1e-4], np.ones((2, 3)), teeth=2, axial_depth=1e-3
         )
+
+
+def test_known_is_what_errs_little_beside_the_force():
+    """An edge coefficient of zero may be known, a large one may not be."""
+    slope, _ = identification.mean_force_matrices(2, 3e-3, 0.0, math.pi)
+    feeds = np.array([0.05e-3, 0.1e-3, 0.15e-3, 0.2e-3])
+    force = feeds[:, None] * (slope @ [900e6, 300e6, 150e6])[None]
+    draw = np.random.default_rng(0).normal(size=force.shape)
+    size = {"teeth": 2, "axial_depth": 3e-3}
+    quiet = identification.fit_mean_forces(feeds, force + 0.3 * draw, **size)
+    assert all(quiet.identifiable.values()) and abs(quiet.coefficients["K_te"]) < 200
+    loud = identification.fit_mean_forces(feeds, force + 40 * draw, **size)
+    assert not any(loud.identifiable.values())
+    two = identification.fit_mean_forces(feeds[:2], force[:2], **size)
+    assert not any(two.identifiable.values())

@@ -248,6 +248,31 @@ def test_units_of_means_are_given(tmp_path):
         load(tmp_path, job + 'units = { Fx = "kN" }\n')
 
 
+def test_spikes_are_left_out_of_a_mean_and_counted(tmp_path):
+    force = FORCE.copy()
+    force[np.linspace(2500, 4500, 10).astype(int), 0] += 5e3
+    (tmp_path / "two.txt").write_text(text(TIME, 1.5 * FORCE))
+    job = HEAD.replace("force_records", "mean_forces")
+    job += '[[record]]\nfile = "two.txt"\nfeed_per_tooth = "0.2 mm"\n'
+    task = load(tmp_path, job, text(TIME, force))
+    np.testing.assert_allclose(task.mean_force[0], [60, -30, 12], atol=0.6)
+    assert "10 of 64 revolutions hold gross errors" in " ".join(task.records[0].notes)
+    assert not any("gross errors" in note for note in task.records[1].notes)
+
+
+def test_what_was_assumed_of_a_table_of_means_is_said(tmp_path):
+    (tmp_path / "means.csv").write_text(
+        "fz_mm,Fx,Fy_N,Fz_N\n0.2,90,-45,18\n0.1,60,-30,12\n0.3,80,,9\n"
+    )
+    job = HEAD.replace("force_records", "mean_forces")
+    job = job[: job.index("[[record]]")] + '[means]\nfile = "means.csv"\n'
+    task = load(tmp_path, job)
+    assert len(task.feed_per_tooth) == 2
+    notes = " ".join(task.notes)
+    assert "`Fx` has no unit and was taken in N" in notes
+    assert "Rows 3 have empty cells" in notes
+
+
 LOADS = """kind = "load_tests"
 [robot]
 file = "arm.toml"

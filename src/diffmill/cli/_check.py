@@ -67,6 +67,7 @@ def _describe_identification(file: pathlib.Path, *, allow_outside: bool) -> list
             lines += [f"    note: {note}" for note in one.notes]
     if isinstance(task, MeanForceTask):
         lines.append(f"  mean forces at {len(task.feed_per_tooth)} feeds")
+        lines += [f"  note: {note}" for note in task.notes]
     elif isinstance(task, LoadTestTask):
         lines.append(f"  {len(task.rows)} load tests of {task.robot.name}")
         lines += [f"  note: {note}" for note in task.notes]

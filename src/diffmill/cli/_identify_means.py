@@ -73,7 +73,7 @@ def identify_means(task: "MeanForceTask", progress: Progress) -> Outcome:
         *_fit_lines(used.fit, force, left),
         *_amplitude_lines(task, amplitudes),
     ]
-    toml, share = _toml(task, used, shape)
+    toml, share = _toml(task, used, shape, found[0].score >= used.score)
     facts = {
         "kind": "mean_forces",
         "feed_per_tooth_m": task.feed_per_tooth,
@@ -90,6 +90,7 @@ def identify_means(task: "MeanForceTask", progress: Progress) -> Outcome:
         "amplitudes_N": [
             {"measured": a.measured, "predicted": a.predicted} for a in amplitudes
         ],
+        "notes": task.notes,
     }
     return Outcome(
         lines, toml, facts, lambda folder: _draw(folder, task, used.fit, force, left)
@@ -153,6 +154,8 @@ def _input_lines(task: "MeanForceTask") -> list[str]:
         f"per tooth; {cut.cutter.flute_count} teeth, {cut.axial_depth * 1e3:g} mm "
         f"deep, {width}"
     ]
+    for note in task.notes:
+        lines += noted(note)
     for record in task.records:
         for note in record.notes:
             lines += noted(f"{record.name}: {note}")
@@ -214,9 +217,9 @@ def _fit_lines(fit: "MeanForceFit", force: Any, left: Any) -> list[str]:
     lost = [name for name, known in fit.identifiable.items() if not known]
     if lost and len(force) > 2:
         lines += noted(
-            f"{', '.join(lost)}: within two standard errors of zero; a wider range of "
-            "feeds tells cutting and edge coefficients better apart, deeper cuts lift "
-            "both over the noise."
+            f"{', '.join(lost)}: the standard error is large beside the mean forces; a "
+            "wider range of feeds tells cutting and edge coefficients better apart, "
+            "deeper cuts lift both over the noise."
         )
     good = np.isfinite(left).all(axis=1)
     if good.any():
@@ -247,9 +250,9 @@ def _amplitude_lines(task: "MeanForceTask", amplitudes: list[Amplitude]) -> list
 
 
 def _toml(
-    task: "MeanForceTask", used: "MeanAxes", shape: dict[str, Any]
+    task: "MeanForceTask", used: "MeanAxes", shape: dict[str, Any], is_likely: bool
 ) -> tuple[list[str], float]:
-    """Return the tables for a job, and the relative uncertainty."""
+    """Return the tables for a job, comments if in doubt, and the uncertainty."""
     from ..identification import mean_force_matrices, relative_uncertainty
     from ..io import doubted, force_toml, uncertainty_toml
 
@@ -261,14 +264,16 @@ def _toml(
     share = relative_uncertainty(
         fit.coefficients, fit.standard_errors, fit.correlation, rows
     )
-    # Noise may hide that a coefficient differs from zero: it is known all the same.
-    known = dict.fromkeys(fit.coefficients, True)
     lines = [
-        *force_toml(fit.coefficients, fit.standard_errors, known),
+        *force_toml(fit.coefficients, fit.standard_errors, fit.identifiable),
         *uncertainty_toml("force", share),
     ]
     if fit.coefficients["K_tc"] <= 0:
         lines = doubted(lines, NONSENSE)
+    elif not is_likely:
+        lines = doubted(lines, "Other axes make more sense; see summary.txt.")
+    elif not any(fit.identifiable.values()):
+        lines = doubted(lines, "No coefficient is identifiable; see summary.txt.")
     return lines, share
 
 

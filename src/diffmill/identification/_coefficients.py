@@ -10,8 +10,9 @@ from jaxtyping import Float
 
 from .._job import Job
 from ..cutting import LinearEdgeLaw
-from ._advice import advise, identifiable
+from ._advice import advise
 from ._cut import Cut
+from ._identifiable import identifiable
 from ._linear import LinearFit, Loss, Rows, correlation_of, covariance, fit_rows, solve
 from ._mean_force import NAMES, by_name
 from ._measured import (

@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..cutting import LinearEdgeLaw
+from ._identifiable import identifiable
 
 # Order of the coefficients wherever they are a vector.
 NAMES = ("K_tc", "K_rc", "K_ac", "K_te", "K_re", "K_ae")
@@ -36,8 +37,8 @@ class MeanForceFit(eqx.Module):
         coefficients: By name, cutting [Pa] and edge [N/m].
         standard_errors: By name, same units; infinite with only two feeds.
         correlation: Between the coefficients in the order of `NAMES`, shape (6, 6).
-        identifiable: By name: whether the coefficient is larger than two standard
-            errors.
+        identifiable: By name: whether the force that the standard error makes is small
+            beside the mean forces; never with only two feeds.
         slope: Of the three lines [N/m], shape (3,), in feed axes.
         offset: Of the three lines [N], shape (3,).
         r_squared: Share of each force's variance that its line explains, shape (3,).
@@ -112,6 +113,10 @@ def fit_mean_forces(
         errors = np.sqrt(np.diagonal(covariance))
     else:
         covariance, errors = np.eye(6), np.full(6, np.inf)
+    per_unit = np.concatenate([np.hstack([f * to_slope, to_offset]) for f in feeds])
+    size = np.sqrt(np.mean(per_unit**2, axis=0))
+    rms = float(np.sqrt(np.mean(mean**2)))
+    is_known = identifiable(np.diag(errors**2), size, rms)
     scale = np.where(np.isfinite(errors) & (errors > 0), errors, 1.0)
     correlation = covariance / scale[:, None] / scale[None]
     around = np.sum((mean - mean.mean(axis=0, keepdims=True)) ** 2, axis=0)
@@ -120,7 +125,7 @@ def fit_mean_forces(
         coefficients=by_name(values),
         standard_errors=by_name(errors),
         correlation=correlation,
-        identifiable={n: bool(abs(v) > 2 * e) for n, v, e in _rows(values, errors)},
+        identifiable=dict(zip(NAMES, is_known.tolist(), strict=True)),
         slope=line[0] / unit,
         offset=line[1],
         r_squared=np.where(around > 0, 1 - unexplained, 0.0),
@@ -158,12 +163,6 @@ def mean_force_matrices(
 def by_name(values: Float[np.ndarray, " 6"]) -> dict[str, float]:
     """Return six numbers with the names of the coefficients."""
     return {name: float(v) for name, v in zip(NAMES, values, strict=True)}
-
-
-def _rows(
-    values: Float[np.ndarray, " 6"], errors: Float[np.ndarray, " 6"]
-) -> list[tuple[str, float, float]]:
-    return list(zip(NAMES, values.tolist(), errors.tolist(), strict=True))
 
 
 def _check(

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ._identification_mean import mean_over_turns
 from ._identification_records import Context, check_straight
 from ._identification_schema import MeansTable
 from ._identification_task import (
@@ -48,6 +49,7 @@ def mean_force_task(
         return None
     if context.cutter is None or context.cut is None:
         return None
+    notes: list[str] = []
     if table is None:
         for place, one in enumerate(records, 1):
             lost = [
@@ -62,7 +64,12 @@ def mean_force_task(
                 )
         cuts = [r.process for r in records if isinstance(r.process, StraightCut)]
         feeds = np.array([cut.feed_per_tooth for cut in cuts])
-        force = np.array([_mean(record) for record in records]).reshape(-1, 3)
+        means = [mean_over_turns(record) for record in records]
+        force = np.array([one for one, _ in means]).reshape(-1, 3)
+        records = tuple(
+            record._replace(notes=(*record.notes, *said))
+            for record, (_, said) in zip(records, means, strict=True)
+        )
         alike = {cut._replace(feed_per_tooth=0.0)[2:5] for cut in cuts}
         if len(alike) > 1:
             problems.append(
@@ -71,7 +78,7 @@ def mean_force_task(
             )
             return None
     else:
-        both = _mean_table(table, context, problems)
+        both = _mean_table(table, context, problems, notes)
         if both is None:
             return None
         feeds, force = both
@@ -92,23 +99,12 @@ def mean_force_task(
     order = np.argsort(feeds, kind="stable")
     sorted_records = tuple(records[i] for i in order) if records else ()
     return MeanForceTask(
-        name, cut, feeds[order], force[order], sorted_records, settings
+        name, cut, feeds[order], force[order], sorted_records, settings, tuple(notes)
     )
 
 
-def _mean(record: ForceRecord) -> np.ndarray:
-    """Return the mean force of a record over whole revolutions of its cut."""
-    cut = record.process
-    time, force = record.record.time, record.record.force
-    stop = record.stop
-    if isinstance(cut, StraightCut) and cut.spindle_speed is not None:
-        turn = 2 * np.pi / cut.spindle_speed
-        stop = record.start + turn * np.floor((stop - record.start) / turn + 1e-6)
-    return force[(time >= record.start) & (time < stop)].mean(axis=0)
-
-
 def _mean_table(
-    table: MeansTable, context: Context, problems: list[str]
+    table: MeansTable, context: Context, problems: list[str], notes: list[str]
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return feeds and forces of `[means]`, or None with problems noted."""
     keys = ("feed_per_tooth", "Fx", "Fy", "Fz")
@@ -133,17 +129,20 @@ def _mean_table(
                 f"[means] file: found beside {', '.join(given)}; only one is allowed"
             )
             return None
-        found = _mean_file(table, context, problems)
+        found = _mean_file(table, context, problems, notes)
         if found is None:
             return None
         values = found
     force = np.column_stack([values[key] for key in keys[1:]])
     good = np.isfinite(force).all(axis=1) & np.isfinite(values["feed_per_tooth"])
+    if not good.all():
+        rows = ", ".join(map(str, (np.flatnonzero(~good) + 1).tolist()))
+        notes.append(f"Rows {rows} have empty cells and were left out.")
     return values["feed_per_tooth"][good], force[good]
 
 
 def _mean_file(
-    table: MeansTable, context: Context, problems: list[str]
+    table: MeansTable, context: Context, problems: list[str], notes: list[str]
 ) -> dict[str, np.ndarray] | None:
     """Return the columns of a table of mean forces."""
     assert table.file is not None
@@ -165,7 +164,7 @@ def _mean_file(
     values = {}
     try:
         found = read_table(path)
-        notes: list[str] = []
+        notes.extend(found.notes)
         check_keys("unit of", table.units, ("feed_per_tooth", "force"), faults)
         for key, (kind, pattern) in patterns.items():
             unit = table.units.get("force" if kind is FORCE else key)

@@ -96,6 +96,7 @@ class MeanForceTask(NamedTuple):
         mean_force: As recorded [N], shape (feed, 3).
         records: The records that the means are of; empty for a table.
         fit: Settings.
+        notes: What was assumed of a table.
     """
 
     name: str
@@ -104,6 +105,7 @@ class MeanForceTask(NamedTuple):
     mean_force: Float[np.ndarray, "feed 3"]
     records: tuple[ForceRecord, ...]
     fit: ForceSettings
+    notes: tuple[str, ...]
 
 
 class ForceRecordTask(NamedTuple):
