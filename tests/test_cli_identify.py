@@ -160,6 +160,29 @@ def test_springs_far_from_the_model_are_comments(folder, capsys):
     assert "# joint_stiffness = [" in (out / "identified.toml").read_text()
 
 
+def test_too_few_tests_are_not_called_those_of_another_robot(folder, capsys):
+    write_loads(folder, count=2, noise=0.4)
+    assert main(["identify", "loads.toml"]) == 0
+    out, facts, toml = results(folder, "loads")
+    assert facts["is_consistent"] and not any(facts["identifiable"]) and toml == {}
+    text = (out / "identified.toml").read_text()
+    assert "these loads do not show any joint well enough" in text
+    assert "does not suit the robot" not in text
+
+
+def test_an_uncertainty_tells_what_it_leaves_out(folder, capsys):
+    """No load along y: its spring is as in the model, and how sure that is nobody."""
+    write_loads(folder)
+    table = (folder / "loads.toml").read_text()
+    keys = 'channels = { Fy = "none", dy = "none" }\n'
+    (folder / "loads.toml").write_text(table + keys)
+    assert main(["identify", "loads.toml"]) == 0
+    out, facts, toml = results(folder, "loads")
+    assert facts["identifiable"] == [True, False]
+    assert 0 < toml["correction"]["uncertainty"]["stiffness"] < 0.1
+    assert "# without the error of y: as in" in (out / "identified.toml").read_text()
+
+
 def test_modes_give_dampers(folder, capsys):
     # sqrt(K / m) = 200 and 300 rad/s; D / (2 sqrt(K m)) = 1 % and 1.5 %.
     time = np.arange(0, 1, 5e-4)

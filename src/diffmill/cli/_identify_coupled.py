@@ -7,7 +7,7 @@ import numpy as np
 
 from ._errors import BadInput
 from ._identify import Outcome
-from ._identify_text import noted
+from ._identify_text import kept_remark, noted
 from ._progress import Progress
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ def _toml(task: "CoupledTask", fit: "CoupledFit") -> list[str]:
 
     robot, lines = task.job.robot, []
     assert robot is not None
-    relative = {}
+    relative, remarks = {}, {}
     for letter, key, word in (
         ("K", "joint_stiffness", "stiffness"),
         ("D", "joint_damping", "damping"),
@@ -109,6 +109,7 @@ def _toml(task: "CoupledTask", fit: "CoupledFit") -> list[str]:
         relative[word] = float(
             np.max(joint_errors[is_known] / np.abs(joint_values[is_known]))
         )
+        remarks[word] = kept_remark(robot.joint_names, is_known)
     fitted = [name for name in NAMES if name in fit.parameters]
     if fitted:
         # A table holds all six: what was not fitted was taken as known.
@@ -128,7 +129,10 @@ def _toml(task: "CoupledTask", fit: "CoupledFit") -> list[str]:
         return doubted(lines, "The record does not suit the job; see summary.txt.")
     if relative:
         lines += ["", "[correction.uncertainty]"]
-        lines += [f"{word} = {value:.3g}" for word, value in relative.items()]
+        for word, value in relative.items():
+            remark = remarks.get(word)
+            lines += [] if remark is None else [f"# {remark}"]
+            lines.append(f"{word} = {value:.3g}")
         lines += ["gaussian = true"]
     return lines or ["# Nothing is identifiable; see summary.txt."]
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from ._errors import BadInput
 from ._identify import Outcome
-from ._identify_text import noted
+from ._identify_text import kept_remark, noted
 from ._progress import Progress
 
 if TYPE_CHECKING:
@@ -52,7 +52,8 @@ def identify_modes(task: "ModeTask", progress: Progress) -> Outcome:
         toml = joints_toml(task.robot, "joint_damping", *parts)
         known = damping.identifiable
         share = float(np.max(damping.standard_errors[known] / damping.damping[known]))
-        toml += uncertainty_toml("damping", share)
+        remark = kept_remark(task.robot.joint_names, known)
+        toml += uncertainty_toml("damping", share, remark)
     elif damping is not None:
         toml = ["# No joint's damper is identifiable; see summary.txt."]
     facts: dict[str, Any] = {

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ._identify import Outcome
-from ._identify_text import noted
+from ._identify_text import kept_remark, noted
 from ._progress import Progress
 
 if TYPE_CHECKING:
@@ -38,13 +38,17 @@ def identify_stiffness(task: "LoadTestTask", progress: Progress) -> Outcome:
     lines = [*_stiffness_lines(task, fit, check), *advice]
     if doubt is not None:
         lines += noted(doubt, "warning")
-    toml = ["# No stiffness: the table does not suit the robot; see summary.txt."]
+    why = "the table does not suit the robot"
+    if fit.is_consistent:
+        why = "these loads do not show any joint well enough"
+    toml = [f"# No stiffness: {why}; see summary.txt."]
     if fit.identifiable.any():
         parts = (fit.stiffness, fit.standard_errors, fit.identifiable)
         toml = joints_toml(task.robot, "joint_stiffness", *parts)
         known = fit.identifiable
         share = float(np.max(fit.standard_errors[known] / fit.stiffness[known]))
-        toml += uncertainty_toml("stiffness", share)
+        remark = kept_remark(fit.joint_names, known)
+        toml += uncertainty_toml("stiffness", share, remark)
     if doubt is not None:
         toml = doubted(toml, "A unit of the table may be wrong; see summary.txt.")
     facts = {

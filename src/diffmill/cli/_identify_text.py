@@ -5,7 +5,7 @@ import textwrap
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 _WIDTH = 88
 # Why coefficients are not offered.
@@ -56,6 +56,19 @@ def correlation_lines(
                 f"{value:.3f})."
             )
     return lines
+
+
+def kept_remark(names: Sequence[str], known: Bool[np.ndarray, " name"]) -> str | None:
+    """Return what an uncertainty does not hold for, None if it holds for all.
+
+    Args:
+        names: Of the joints.
+        known: Which of them were identified, shape (name,).
+    """
+    kept = [name for name, is_known in zip(names, known, strict=True) if not is_known]
+    if not kept:
+        return None
+    return f"without the error of {', '.join(kept)}: as in the model, maybe far off"
 
 
 def axes_text(axes: Sequence[str]) -> str:

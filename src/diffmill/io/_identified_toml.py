@@ -46,12 +46,13 @@ def doubted(lines: Sequence[str], why: str) -> list[str]:
     return [f"# {why}", *(f"# {line}".rstrip() for line in lines)]
 
 
-def uncertainty_toml(key: str, relative: float) -> list[str]:
+def uncertainty_toml(key: str, relative: float, remark: str | None = None) -> list[str]:
     """Return the lines of `[correction.uncertainty]` for a correction that is robust.
 
     Args:
         key: "force", "stiffness" or "damping".
         relative: Standard error over the value.
+        remark: What it does not hold for, a comment above it.
     """
     if not np.isfinite(relative):
         return []
@@ -59,6 +60,7 @@ def uncertainty_toml(key: str, relative: float) -> list[str]:
     return [
         "",
         "[correction.uncertainty]",
+        *([] if remark is None else [f"# {remark}"]),
         f"{key} = {value:.3g}",
         "gaussian = true",
     ]
