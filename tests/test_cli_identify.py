@@ -14,7 +14,7 @@ from slot_force import SPEED, K, slot_force
 
 from diffmill import cutter as ct, identification, robot as rb
 from diffmill.cli import main
-from diffmill.cli._identify_coupled import _toml
+from diffmill.cli._identify_coupled import _draw, _toml
 from diffmill.cutting import LinearEdgeLaw
 
 MEANS = """kind = "mean_forces"
@@ -144,8 +144,11 @@ def test_load_tests_give_springs_and_name_gross_errors(folder, capsys):
     assert facts["outlier_rows"] == [5] and facts["left_out_error"] < 0.05
     assert len(toml["robot"]["joint_stiffness"]) == 2
     assert toml["correction"]["uncertainty"]["gaussian"] is True
-    assert {"stiffness.png", "residual.png", "left_out.png"} <= {
-        p.name for p in out.iterdir()
+    assert {p.name for p in out.glob("*.png")} == {
+        "stiffness.png",
+        "residual.png",
+        "left_out.png",
+        "correlation.png",
     }
 
 
@@ -204,7 +207,8 @@ def test_modes_give_dampers(folder, capsys):
         found["frequencies_Hz"], [100 / np.pi, 150 / np.pi], rtol=1e-3
     )
     np.testing.assert_allclose(found["damping_ratios"], [0.01, 0.015], rtol=0.05)
-    assert (out / "ring_down.png").is_file()
+    names = {"ring_down", "correlation", "damping", "damping_correlation"}
+    assert {p.stem for p in out.glob("*.png")} == names
     assert "joint dampers" in capsys.readouterr().out
 
 
@@ -225,6 +229,26 @@ def test_a_coupled_fit_of_some_coefficients_gives_the_whole_table():
     assert float(found["K_tc"].split()[0]) == pytest.approx(1.1e-6 * K[0], rel=1e-5)
     assert float(found["K_te"].split()[0]) == pytest.approx(1e-3 * K[3], rel=1e-5)
     assert text.count("# as in the job") == 3
+
+
+def test_a_coupled_record_is_drawn_beside_its_fit(tmp_path):
+    cutter = types.SimpleNamespace(flute_count=2)
+    time = np.arange(80) * 4e-3
+    wave = np.column_stack([np.sin(20 * time), np.cos(20 * time), 0 * time])
+    wave[:2] = np.nan
+    task: Any = types.SimpleNamespace(
+        time=time, job=types.SimpleNamespace(tooth_period=4e-3, cutter=cutter)
+    )
+    fit: Any = types.SimpleNamespace(
+        residual={"force": 5 * wave, "deviation": 1e-6 * wave},
+        explained={"force": 0.99, "deviation": 0.98},
+        time_shift=0.0,
+        names=("K a", "D a"),
+        correlation=np.array([[1.0, 0.3], [0.3, np.nan]]),
+    )
+    _draw(tmp_path, task, fit, {"force": 100 * wave, "deviation": 1e-4 * wave})
+    names = {"force.png", "deviation.png", "correlation.png"}
+    assert {p.name for p in tmp_path.iterdir()} == names
 
 
 def test_what_is_wrong_is_said_once_and_nothing_is_written(folder, capsys):

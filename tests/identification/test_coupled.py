@@ -129,6 +129,11 @@ def test_deflection_alone_gives_springs_and_names_what_it_does_not_show():
     assert fit.offset is not None
     np.testing.assert_allclose(fit.offset, offset, atol=2e-6)
     assert fit.has_converged and fit.explained["deviation"] > 0.97
+    left = fit.residual["deviation"]
+    assert left.shape == seen.shape and set(fit.residual) == {"deviation"}
+    rms = np.sqrt(np.nanmean(left**2))
+    assert rms == pytest.approx(fit.residual_rms["deviation"])
+    assert rms == pytest.approx(3e-6, rel=0.2)
     named = " ".join(fit.notes)
     assert "K z is not identifiable" in named and "D z is not" in named
     for name in off:

@@ -14,6 +14,11 @@ if TYPE_CHECKING:
     from ..identification import CoupledFit
     from ..io import CoupledTask
 
+# Letter and unit of a figure, and the factor from SI.
+_SHOWN = {"force": ("F", "N", 1.0), "deviation": ("d", "\u00b5m", 1e6)}
+# Rows that a figure shows closely.
+_ROWS = 60
+
 
 def identify_coupled(task: "CoupledTask", progress: Progress) -> Outcome:
     """Fit parameters of arm and cut to a record of a cut.
@@ -57,7 +62,12 @@ def identify_coupled(task: "CoupledTask", progress: Progress) -> Outcome:
         "notes": [*task.notes, *fit.notes],
     }
     return Outcome(
-        _lines(task, fit), _toml(task, fit), facts, lambda folder: _draw(folder, fit)
+        _lines(task, fit),
+        _toml(task, fit),
+        facts,
+        lambda folder: _draw(
+            folder, task, fit, {"force": force, "deviation": task.deviation}
+        ),
     )
 
 
@@ -137,9 +147,30 @@ def _toml(task: "CoupledTask", fit: "CoupledFit") -> list[str]:
     return lines or ["# Nothing is identifiable; see summary.txt."]
 
 
-def _draw(folder: pathlib.Path, fit: "CoupledFit") -> None:
+def _draw(
+    folder: pathlib.Path,
+    task: "CoupledTask",
+    fit: "CoupledFit",
+    measured: dict[str, Any],
+) -> None:
     """Write the figures."""
-    from ..viz import plot_correlation, save_figure
+    from ..viz import plot_correlation, plot_force_fit, save_figure
 
+    turn = float(task.job.tooth_period) * task.job.cutter.flute_count
+    spacing = float(np.median(np.diff(task.time)))
+    for name, left in fit.residual.items():
+        letter, unit, scale = _SHOWN[name]
+        figure = plot_force_fit(
+            task.time + fit.time_shift,
+            measured[name],
+            measured[name] - left,
+            revolution=turn,
+            title=f"{name}: {fit.explained[name]:.1%} of its square explained",
+            turns=max(4.0, _ROWS * spacing / turn),
+            what=letter,
+            unit=unit,
+            scale=scale,
+        )
+        save_figure(figure, folder / f"{name}.png")
     values: Any = np.asarray(fit.correlation)
     save_figure(plot_correlation(fit.names, values), folder / "correlation.png")

@@ -209,6 +209,7 @@ def _draw_modes(
     """Write the figures."""
     from ..io import RingDown
     from ..viz import (
+        plot_correlation,
         plot_frequency_response,
         plot_joint_values,
         plot_ring_down,
@@ -217,6 +218,10 @@ def _draw_modes(
 
     for i, (one, fit) in enumerate(zip(task.measured, fits, strict=True), 1):
         number = f"_{i}" if len(fits) > 1 else ""
+        modes = range(1, len(fit.frequencies) + 1)
+        names = [f"{what} {k}" for what in ("f", "zeta") for k in modes]
+        figure = plot_correlation(names, fit.correlation)
+        save_figure(figure, folder / f"correlation{number}.png")
         if isinstance(one, RingDown):
             figure = plot_ring_down(one.time, one.signal, fit.fitted, title=one.name)
             save_figure(figure, folder / f"ring_down{number}.png")
@@ -240,3 +245,5 @@ def _draw_modes(
             unit="damping [N m s/rad, N s/m]",
         )
         save_figure(figure, folder / "damping.png")
+        figure = plot_correlation(task.robot.joint_names, damping.correlation)
+        save_figure(figure, folder / "damping_correlation.png")

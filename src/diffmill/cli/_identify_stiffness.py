@@ -182,6 +182,7 @@ def _draw_stiffness(
 ) -> None:
     """Write the figures."""
     from ..viz import (
+        plot_correlation,
         plot_joint_values,
         plot_load_residual,
         plot_prediction,
@@ -211,3 +212,5 @@ def _draw_stiffness(
         labels=[f"row {rows[i]}" for i in fit.outliers],
     )
     save_figure(figure, folder / "left_out.png")
+    figure = plot_correlation(fit.joint_names, fit.correlation)
+    save_figure(figure, folder / "correlation.png")

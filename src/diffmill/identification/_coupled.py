@@ -55,6 +55,8 @@ class CoupledFit(eqx.Module):
             "force" and "deviation", as far as measured (the deviation without its
             offset).
         residual_rms: Root mean square of measured minus fitted, likewise [N, m].
+        residual: Measured minus fitted, likewise, shape (row, 3); NaN where not
+            measured or off the path.
         offset: Constant part of the measured deviation [m], shape (3,), or None.
         time_shift: Time of the path minus time of the record [s].
         time_shift_error: Standard error [s]; 0 if the shift was not fitted.
@@ -73,6 +75,7 @@ class CoupledFit(eqx.Module):
     log_scale: Float[np.ndarray, " parameter"]
     explained: dict[str, float]
     residual_rms: dict[str, float]
+    residual: dict[str, Float[np.ndarray, "row 3"]]
     offset: Float[np.ndarray, " 3"] | None
     time_shift: float
     time_shift_error: float
@@ -288,7 +291,7 @@ def _report(
         "force": problem.record.force,
         "deviation": problem.record.deviation,
     }
-    explained, residual = explained_by(measured, found.fit, offset)
+    explained, left = explained_by(measured, found.fit, offset)
     return CoupledFit(
         parameters=_by_name(names, np.where(is_fixed, values, math.nan)),
         standard_errors=_by_name(names, values * errors[:count]),
@@ -297,7 +300,8 @@ def _report(
         identifiable=dict(zip(names, is_fixed.tolist(), strict=True)),
         log_scale=logs,
         explained=explained,
-        residual_rms=residual,
+        residual_rms=left,
+        residual=dict(zip(explained, found.fit.residual, strict=True)),
         offset=offset,
         time_shift=shift or 0.0,
         time_shift_error=0.0 if shift is None else float(errors[-1]),

@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..robot import Robot, mode_shapes
 from ._groups import fit_groups
+from ._linear import correlation_of
 
 Values = Float[Array, "..."] | Float[np.ndarray, "..."] | Sequence
 
@@ -32,6 +33,8 @@ class RingDownFit(eqx.Module):
         damping_ratios: zeta [-], shape (mode,).
         frequency_errors: Standard errors [Hz], shape (mode,).
         damping_errors: Standard errors of zeta, shape (mode,).
+        correlation: Between the errors of the frequencies, then of zeta, shape
+            (2 mode, 2 mode).
         explained: Share of the signal's square that the modes explain.
         fitted: The signal as fitted, shape (sample,).
     """
@@ -40,6 +43,7 @@ class RingDownFit(eqx.Module):
     damping_ratios: Float[np.ndarray, " mode"]
     frequency_errors: Float[np.ndarray, " mode"]
     damping_errors: Float[np.ndarray, " mode"]
+    correlation: Float[np.ndarray, "both both"]
     explained: float
     fitted: Float[np.ndarray, " sample"]
 
@@ -50,12 +54,15 @@ class JointDampingFit(eqx.Module):
     Attributes:
         damping: D [N m s/rad or N s/m], shape (joint,); NaN where not identifiable.
         standard_errors: Same unit and shape; NaN likewise.
+        correlation: Between the errors, shape (joint, joint); NaN where nothing is
+            known.
         identifiable: Whether the modes fix the damper, shape (joint,).
         outliers: Modes that contradict the others, as indices (pose, mode).
     """
 
     damping: Float[np.ndarray, " joint"]
     standard_errors: Float[np.ndarray, " joint"]
+    correlation: Float[np.ndarray, "joint joint"]
     identifiable: Bool[np.ndarray, " joint"]
     outliers: tuple[tuple[int, int], ...] = eqx.field(static=True)
 
@@ -109,14 +116,17 @@ def fit_ring_down(time: Values, signal: Values, frequencies: Values) -> RingDown
     found = least_squares(residual, start, bounds=bounds, x_scale=start)
     freedom = t.size - 4 * count
     spread = float(np.sum(found.fun**2)) / freedom
-    errors = np.sqrt(spread * np.diagonal(np.linalg.pinv(found.jac.T @ found.jac)))
+    C = spread * np.linalg.pinv(found.jac.T @ found.jac)
+    errors = np.sqrt(np.diagonal(C))
     order = np.argsort(found.x[:count])
+    both = np.concatenate([order, count + order])
     total = max(float(np.sum(y**2)), 1e-300)
     return RingDownFit(
         frequencies=found.x[:count][order],
         damping_ratios=found.x[count:][order],
         frequency_errors=errors[:count][order],
         damping_errors=errors[count:][order],
+        correlation=correlation_of(C)[np.ix_(both, both)],
         explained=1 - float(np.sum(found.fun**2)) / total,
         fitted=y + found.fun,
     )
@@ -209,6 +219,7 @@ def fit_joint_damping(
     return JointDampingFit(
         damping=np.where(is_fixed, D, np.nan),
         standard_errors=np.where(is_fixed, errors, np.nan),
+        correlation=correlation_of(fit.covariance),
         identifiable=is_fixed,
         outliers=tuple(places[i] for i in np.flatnonzero(fit.is_outlier)),
     )

@@ -16,6 +16,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
+from ._linear import correlation_of
+
 Quantity = Literal["receptance", "mobility", "accelerance"]
 Frequencies = Float[Array, " line"] | Float[np.ndarray, " line"]
 Response = Complex[Array, " line"] | Complex[np.ndarray, " line"]
@@ -37,6 +39,8 @@ class FrequencyResponseFit(eqx.Module):
         frequency_errors: Standard errors [Hz], shape (mode,).
         damping_errors: Standard errors of zeta, shape (mode,).
         stiffness_errors: Standard errors [N/m], shape (mode,).
+        correlation: Between the errors of the frequencies, then of zeta, shape
+            (2 mode, 2 mode).
         identifiable: Whether stiffness and damping are known to a quarter,
             shape (mode,).
         explained: Share of the squared response that the modes explain.
@@ -49,6 +53,7 @@ class FrequencyResponseFit(eqx.Module):
     frequency_errors: Float[np.ndarray, " mode"]
     damping_errors: Float[np.ndarray, " mode"]
     stiffness_errors: Float[np.ndarray, " mode"]
+    correlation: Float[np.ndarray, "both both"]
     identifiable: np.ndarray
     explained: float
     fitted: Complex[np.ndarray, " line"]
@@ -152,6 +157,7 @@ def _report(x: np.ndarray, columns, right: np.ndarray, size: float):
     known = (c_error <= _RELATIVE_ERROR * np.abs(c)) & (
         z_error <= _RELATIVE_ERROR * zeta
     )
+    both = np.concatenate([order, count + order])
     half = right.size // 2
     model = (A @ linear) * size
     return FrequencyResponseFit(
@@ -161,6 +167,7 @@ def _report(x: np.ndarray, columns, right: np.ndarray, size: float):
         frequency_errors=errors[:count][order],
         damping_errors=z_error[order],
         stiffness_errors=np.where(c != 0, c_error / safe**2, np.inf)[order],
+        correlation=correlation_of(C)[np.ix_(both, both)],
         identifiable=known[order],
         explained=1 - float(off @ off) / max(float(right @ right), 1e-300),
         fitted=model[:half] + 1j * model[half:],

@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..robot import Robot, jacobian
 from ._groups import Columns, GroupFit, Values, fit_groups
+from ._linear import correlation_of
 from ._load_axes import AxesCheck, Turns, better_axes
 
 # Tables as users have them.
@@ -46,6 +47,8 @@ class JointStiffnessFit(eqx.Module):
             (joint,); without meaning where not identifiable.
         compliance_errors: Standard errors of c, shape (joint,); infinite where the
             loads do not move the joint at all.
+        correlation: Between the errors of c, shape (joint, joint); NaN where nothing
+            is known.
         outliers: Rows of the table that contradict the others, ascending.
         explained: Share of the squared displacement that the springs explain, of the
             rows that agree; of all rows if too many do not.
@@ -66,6 +69,7 @@ class JointStiffnessFit(eqx.Module):
     identifiable: Bool[np.ndarray, " joint"]
     compliance: Float[np.ndarray, " joint"]
     compliance_errors: Float[np.ndarray, " joint"]
+    correlation: Float[np.ndarray, "joint joint"]
     outliers: tuple[int, ...] = eqx.field(static=True)
     explained: float
     share: Float[np.ndarray, " joint"]
@@ -287,6 +291,7 @@ def _report(
         identifiable=is_fixed,
         compliance=c,
         compliance_errors=errors,
+        correlation=correlation_of(fit.covariance)[:count, :count],
         outliers=tuple(int(i) for i in np.flatnonzero(fit.is_outlier)),
         explained=explained,
         share=parts * c / max(square, 1e-300),

@@ -24,8 +24,13 @@ def plot_force_fit(
     title: str = "",
     turns: float = 4.0,
     label: str = "fitted",
+    what: str = "F",
+    unit: str = "N",
+    scale: float = 1.0,
 ) -> "matplotlib.figure.Figure":
     """Draw measured and fitted force and their difference over a few revolutions.
+
+    Or another vector that was measured over time, such as a deviation.
 
     Args:
         time: Instants [s], shape (row,).
@@ -35,10 +40,14 @@ def plot_force_fit(
         title: Title of the figure.
         turns: Revolutions that are shown, around the largest force.
         label: What the fitted force is called.
+        what: Letter of the vector.
+        unit: Of the axes.
+        scale: From SI to that unit.
 
     Returns:
         The figure: to the left the few revolutions, to the right all of it thinned.
     """
+    measured, fitted = scale * measured, scale * fitted
     figure = new_figure(5.4)
     panels = figure.subplots(3, 2, width_ratios=(2.2, 1.0), sharey="row")
     size = np.nansum(np.where(np.isfinite(measured), measured, 0.0) ** 2, axis=1)
@@ -66,7 +75,7 @@ def plot_force_fit(
         quiet_axes(
             left,
             x="time [ms]" if is_last else "",
-            y=f"F{'xyz'[axis]} [N]",
+            y=f"{what}{'xyz'[axis]} [{unit}]",
             title=title if axis == 0 else "",
         )
         quiet_axes(right, x="time of the cut [s]" if is_last else "")
