@@ -1,0 +1,93 @@
+"""The gouge limit in a whole job: kept by the command that comes out."""
+
+import numpy as np
+import pytest
+from slides_job import write_slides_job
+
+import diffmill as dm
+from diffmill.correction import InfeasibleLimit, finished_surface
+from diffmill.workpiece import surface_error
+
+# A wall in two passes; the arm still rings when the second, of 8 um, begins.
+PROGRAM = """G21 G17 G90 G94
+G0 X-5.3 Y-2.008 Z1
+G0 Z-0.8
+G1 X6 F3000
+G1 Y-4
+G1 X-5.3
+G1 Y-2
+G1 X6
+M2
+"""
+GOUGE = 3e-6
+pytestmark = pytest.mark.slow
+
+
+class Free:
+    """The job without further limits, with the baselines that all jobs share."""
+
+    def __init__(self, folder):
+        self.folder, self.kept = folder, {}
+        self.job, self.result = self.correct("max_steps = 3")
+
+    def correct(self, *lines):
+        job = dm.load_job(write_slides_job(self.folder, *lines, program=PROGRAM))
+
+        def keep(arrays):
+            self.kept.update({k: arrays[k] for k in arrays if k.startswith("method/")})
+
+        known = {k: v for k, v in self.kept.items() if "/corrected/" not in k}
+        result = dm.correct(
+            job, resume=known or None, on_checkpoint=None if known else keep
+        )
+        return job, result
+
+
+@pytest.fixture(scope="module")
+def free(tmp_path_factory):
+    return Free(tmp_path_factory.mktemp("slides"))
+
+
+def again(job, result):
+    """Simulate the command anew, as from a file with 1e-12 m."""
+    return dm.simulate(job, commanded=np.round(result.commanded, 12))
+
+
+def errors(job, solution):
+    surface = finished_surface(
+        solution.rigid.stock,
+        job.path.positions,
+        job.cutter.nominal_radius,
+    )
+    return np.asarray(surface.errors(solution.actual))
+
+
+def rms(solution):
+    error = np.asarray(solution.contour_error)[np.asarray(solution.is_cutting)]
+    return float(np.sqrt(np.mean(error**2)))
+
+
+def test_the_gouge_limit_is_kept_and_costs_little(free):
+    job, result = free.correct("max_steps = 3", f'gouge = "{1e6 * GOUGE} um"')
+    after = again(job, result)
+    assert -errors(job, result.before).min() > 3 * GOUGE
+    assert -errors(job, after).min() <= GOUGE + 1e-10
+    assert rms(after) < 0.2 * rms(result.before)
+    assert rms(after) < 2 * result.methods["inverse_drive"].measures.rms
+    # The dexels tell the same, which know nothing of the bounds. Where wall and floor
+    # meet, a point may be off by both.
+    machined = surface_error(after.stock, after.rigid.stock)
+    assert -machined.error[machined.is_cut].min() <= np.sqrt(2) * GOUGE
+
+
+def test_without_a_limit_the_correction_cuts_deeper(free):
+    """Otherwise the test above could not fail."""
+    after = again(free.job, free.result)
+    assert -errors(free.job, after).min() > 1.2 * GOUGE
+
+
+def test_a_gouge_limit_that_cannot_be_held_is_refused(free):
+    with pytest.raises(InfeasibleLimit) as refused:
+        free.correct('gouge = "0.5 um"', 'max_offset = "4 um"')
+    assert "`gouge` is 0.5 um and cannot be held" in str(refused.value)
+    assert "`max_offset` (" in str(refused.value)
