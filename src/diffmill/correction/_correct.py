@@ -1,8 +1,6 @@
 """Correcting a job: the baselines, then the best command that derivatives find."""
 
 import dataclasses
-import time
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
@@ -17,14 +15,13 @@ from ..sim import (
     Solution,
     Traced,
     command_joints,
-    command_motors,
     joint_motors,
     raise_unless_successful,
     rigid_cut,
-    run_motors,
     solve_command,
     with_precision,
 )
+from ._case_record import CaseRecord, OnProgress
 from ._inverse_drive import inverse_drive
 from ._job_method import (
     OPTIMISERS,
@@ -33,22 +30,14 @@ from ._job_method import (
     preconditioned,
     within_joint_limits,
 )
-from ._job_pieces import with_rows
+from ._job_problem import TipPlant, job_mirror, job_problem, joint_problem
 from ._joint_limits import check_joints
 from ._kept import horizon_of, keeping
 from ._least_squares_records import LeastSquaresStep
-from ._memory import (
-    Arrays,
-    OnCheckpoint,
-    below,
-    pack_method,
-    under,
-    unpack_method,
-)
-from ._method import AbstractMethod, Corrected, GivenCommand
-from ._mirror import IteratedMirror, Mirror, SampledMirror
+from ._memory import Arrays, OnCheckpoint
+from ._method import Corrected, GivenCommand
+from ._mirror import Mirror
 from ._parts import path_parts
-from ._problem import Motion, Problem
 from ._projection import clip_offset
 from ._setup import (
     check_limits,
@@ -62,42 +51,11 @@ from ._surface_objective import FinishedSurface, touching_rows
 if TYPE_CHECKING:
     import xarray
 
-# Called with a message and the rms contour error so far [m].
-OnProgress = Callable[[str, float], None]
-
 CASES = ("uncorrected", "mirror", "mirror_iterated", "inverse_drive", "corrected")
 
 
 class NothingToCorrect(ValueError):
     """Raise when a program never cuts, so that there is no error to correct."""
-
-
-class TipPlant(eqx.Module):
-    """A job as a plant that is commanded by tip positions [m]."""
-
-    job: Job
-    adjoint: AbstractAdjoint
-
-    def __call__(self, command: Float[Array, "step 3"]) -> Motion:
-        """Return the motion that follows a command, shape (step, 3)."""
-        motors, _ = command_motors(self.job, command)
-        ran = run_motors(self.job, motors, self.adjoint)
-        return Motion(ran.actual, ran.force)
-
-
-class JointPlant(eqx.Module):
-    """A job as a plant that is commanded by joint positions [rad or m].
-
-    The controller adds the gravity sag, as it does for tip positions.
-    """
-
-    job: Job
-    adjoint: AbstractAdjoint
-
-    def __call__(self, command: Float[Array, "step joint"]) -> Motion:
-        """Return the motion that follows a command, shape (step, joint)."""
-        ran = run_motors(self.job, joint_motors(self.job, command), self.adjoint)
-        return Motion(ran.actual, ran.force)
 
 
 class Correction(eqx.Module):
@@ -207,19 +165,19 @@ def correct(
     surface = job_surface(job, rigid)
     objective = job_objective(job, surface, weights)
     method = job_optimiser(job, objective, surface, adjoint)
-    problem = _problem(job, TipPlant(job, adjoint), desired, before, weights)
+    problem = job_problem(job, TipPlant(job, adjoint), desired, before, weights)
     remaining = lambda m: remaining_error(objective, problem, m)
-    record = _Record(on_progress, on_checkpoint, resume)
+    record = CaseRecord(on_progress, on_checkpoint, resume)
     run = record.run
     run("uncorrected", GivenCommand(), problem)
     run("mirror", Mirror(), problem)
-    mirror = _mirror(job, problem, before.is_cutting, horizon, adjoint)
+    mirror = job_mirror(job, problem, before.is_cutting, horizon, adjoint)
     run("mirror_iterated", mirror, problem)
     inverse = _inverse_drive(job, rigid.force, desired)
     tips = clip_offset(desired, inverse.tip, problem.max_offset)
     run("inverse_drive", GivenCommand(tips), problem)
     if job.correction.command == "joint":
-        problem = _joint_problem(job, adjoint, desired, before, weights)
+        problem = joint_problem(job, adjoint, desired, before, weights)
         start = inverse.motor_positions
     else:
         start = min(record.methods.values(), key=remaining).command
@@ -235,9 +193,20 @@ def correct(
         start = min((found, given), key=remaining).command
     kept = keeping(job, method, adjoint, record.saved, on_checkpoint, resume)
     run("corrected", kept, problem, start=start)
-    asked = job.correction.method
+    return _finished(job, rigid, before, surface, record, adjoint)
+
+
+def _finished(
+    job: Job,
+    rigid: Any,
+    before: Solution,
+    surface: FinishedSurface | None,
+    record: CaseRecord,
+    adjoint: AbstractAdjoint,
+) -> Correction:
+    """Check the command that is asked for, and simulate every case for the record."""
+    asked, methods = job.correction.method, record.methods
     chosen = "corrected" if asked in OPTIMISERS else asked
-    methods = record.methods
     are_joints = {
         name: name == "corrected" and job.correction.command == "joint"
         for name in methods
@@ -248,55 +217,12 @@ def correct(
         for name, method in methods.items()
     }
     parts = path_parts(
-        np.asarray(desired),
+        np.asarray(before.desired),
         np.asarray(before.is_cutting),
         job.cutter.nominal_radius,
         removed_volume=np.asarray(rigid.removed_volume),
     )
     return Correction(cases, methods, record.wall_time, parts, surface, chosen)
-
-
-class _Record:
-    """Runs methods one after another, keeps what they found, and tells of it."""
-
-    def __init__(
-        self,
-        on_progress: OnProgress | None,
-        on_checkpoint: OnCheckpoint | None,
-        resume: Arrays | None,
-    ):
-        self.methods: dict[str, Corrected] = {}
-        self.wall_time: dict[str, float] = {}
-        self.saved: dict[str, np.ndarray] = {}
-        self._on_progress = on_progress
-        self._on_checkpoint = on_checkpoint
-        self._resume = resume
-
-    def prepare(
-        self, name: str, method: Any, problem: Problem, **options: Any
-    ) -> Corrected:
-        """Return what a method finds that is no case, only a start."""
-        self.run(name, method, problem, **options)
-        del self.wall_time[name]
-        return self.methods.pop(name)
-
-    def run(self, name: str, method: Any, problem: Problem, **options: Any) -> None:
-        """Run a method, or take up what it found before an interruption."""
-        start = time.perf_counter()
-        kept = unpack_method(below(f"method/{name}", self._resume), problem)
-        if kept is not None:
-            self.methods[name], self.wall_time[name] = kept
-        else:
-            found = method(problem, on_progress=self._on_progress, **options)
-            self.methods[name] = found
-            self.wall_time[name] = time.perf_counter() - start
-        if self._on_checkpoint is not None and name != "corrected":
-            packed = pack_method(self.methods[name], self.wall_time[name])
-            self.saved.update(under(f"method/{name}", packed))
-            before = {} if self._resume is None else self._resume
-            self._on_checkpoint({**before, **self.saved})
-        if self._on_progress is not None:
-            self._on_progress(name, self.methods[name].measures.rms)
 
 
 def _weights(job: Job, rigid: Any, before: Solution) -> Float[np.ndarray, " step"]:
@@ -310,73 +236,6 @@ def _weights(job: Job, rigid: Any, before: Solution) -> Float[np.ndarray, " step
         return job_weights(job, rigid, np.asarray(before.is_cutting))
     except ValueError as error:
         raise NothingToCorrect(str(error)) from error
-
-
-def _mirror(
-    job: Job,
-    problem: Problem,
-    is_cutting: Array,
-    horizon: tuple[int, int] | None,
-    adjoint: AbstractAdjoint,
-) -> AbstractMethod:
-    """Return the iterated mirror; on a long path its grid sees the first that cuts.
-
-    The grid runs some hundred times, which on the whole path would cost more than the
-    optimiser.
-    """
-    if horizon is None:
-        return IteratedMirror()
-    first = int(np.flatnonzero(is_cutting)[0])
-    rows = slice(min(first + horizon[0], job.path.step_count))
-    # Where none of these rows counts, the filter that suits the arm is found all the
-    # same from how they cut.
-    weights = problem.is_cutting[rows]
-    if not np.any(weights):
-        weights = np.asarray(is_cutting)[rows].astype(weights.dtype)
-    part = with_rows(job, np.arange(job.path.step_count)[rows])
-    sample = dataclasses.replace(
-        problem,
-        plant=TipPlant(part, adjoint),
-        nominal=problem.nominal[rows],
-        desired=problem.desired[rows],
-        is_cutting=weights,
-    )
-    return SampledMirror(sample)
-
-
-def _problem(
-    job: Job,
-    plant: Any,
-    nominal: Float[Array, "step axis"],
-    before: Solution,
-    weights: Float[np.ndarray, " step"],
-) -> Problem:
-    return Problem(
-        plant=plant,
-        nominal=np.asarray(nominal),
-        desired=np.asarray(before.desired),
-        is_cutting=weights.astype(np.asarray(nominal).dtype),
-        time_step=float(job.tooth_period),
-        max_offset=float(job.correction.max_offset),
-    )
-
-
-def _joint_problem(
-    job: Job,
-    adjoint: AbstractAdjoint,
-    desired: Float[Array, "step 3"],
-    before: Solution,
-    weights: Float[np.ndarray, " step"],
-) -> Problem:
-    """Return the problem in joint positions, bounded like the tip at its far end."""
-    from ..robot import jacobian
-
-    nominal, _ = command_joints(job, desired)
-    J = np.asarray(jacobian(job.robot, nominal[0]))[:3]  # pyright: ignore[reportArgumentType]
-    lever = np.linalg.norm(J, axis=0).max()
-    problem = _problem(job, JointPlant(job, adjoint), nominal, before, weights)
-    bound = float(job.correction.max_offset) / lever
-    return eqx.tree_at(lambda p: p.max_offset, problem, np.asarray(bound))
 
 
 @eqx.filter_jit

@@ -163,7 +163,7 @@ class GaussNewton(AbstractMethod):
         limits = self.all_limits(spline, nominal)
         first = np.zeros((spline.coefficient_count, axes))
         if start is not None:
-            first = self._projected(problem, start)
+            first = project(spline, np.asarray(start) - nominal, bound, limits=limits)
         args = ContourResidual(
             problem,
             spline,
@@ -249,20 +249,11 @@ class GaussNewton(AbstractMethod):
 
         **Differentiability**: none, a host function.
         """
-        rows = problem.nominal.shape[0]
-        spline = SplineOffsets(rows, problem.time_step, self.knot_spacing)
-        offset = spline.offsets(jnp.asarray(self._projected(problem, start)))
-        return np.asarray(problem.nominal) + np.asarray(offset)
-
-    def _projected(
-        self, problem: Problem, start: FloatRows
-    ) -> Float[np.ndarray, "coefficient axis"]:
-        """Return the coefficients that come closest to a command."""
         nominal = np.asarray(problem.nominal)
         spline = SplineOffsets(len(nominal), problem.time_step, self.knot_spacing)
-        limits = self.all_limits(spline, nominal)
-        bound = float(problem.max_offset)
-        return project(spline, np.asarray(start) - nominal, bound, limits=limits)
+        limits, bound = self.all_limits(spline, nominal), float(problem.max_offset)
+        first = project(spline, np.asarray(start) - nominal, bound, limits=limits)
+        return nominal + np.asarray(spline.offsets(jnp.asarray(first)))
 
     def all_limits(
         self, spline: SplineOffsets, nominal: FloatRows

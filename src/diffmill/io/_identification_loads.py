@@ -6,7 +6,7 @@ from typing import TypeAlias
 
 import jax
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 
 from ..robot import Robot, forward_kinematics
 from . import _quantity as q
@@ -57,26 +57,17 @@ def read_load_tests(
     try:
         found = read_table(path)
         columns = _columns(found, table, robot, faults, notes)
+        notes.extend(found.notes)
     except (RecordError, OSError) as error:
-        lines = error.faults if isinstance(error, RecordError) else (str(error),)
-        problems.extend(f"{place}: {path.name}: {line}" for line in lines)
-        return None
+        columns = None
+        faults.extend(error.faults if isinstance(error, RecordError) else [str(error)])
     if columns is None or faults:
         problems.extend(f"{place}: {path.name}: {line}" for line in faults)
         return None
     angles, load, moved = columns
-    notes.extend(found.notes)
-    whole = np.hstack([angles, load])
-    good = np.asarray(np.isfinite(whole).all(axis=1) & np.isfinite(moved).any(axis=1))
-    if not good.all():
-        notes.append(_lost_rows(np.flatnonzero(~good) + 1))
-    for row in table.skip_rows:
-        if row > len(good):
-            problems.append(
-                f"[load_tests] skip_rows: found {row}, but there are {len(good)} rows"
-            )
-            return None
-        good[row - 1] = False
+    good = _good_rows(columns, table, problems, notes)
+    if good is None:
+        return None
     if not good.any():
         problems.append(f"{place}: {path.name}: found no complete row.")
         return None
@@ -100,6 +91,28 @@ def read_load_tests(
         noise=table.noise,
         notes=tuple(notes),
     )
+
+
+def _good_rows(
+    columns: tuple[np.ndarray, np.ndarray, np.ndarray],
+    table: LoadTestsTable,
+    problems: list[str],
+    notes: list[str],
+) -> Bool[np.ndarray, " row"] | None:
+    """Return which rows are complete and wanted; None with problems noted."""
+    angles, load, moved = columns
+    whole = np.hstack([angles, load])
+    good = np.asarray(np.isfinite(whole).all(axis=1) & np.isfinite(moved).any(axis=1))
+    if not good.all():
+        notes.append(_lost_rows(np.flatnonzero(~good) + 1))
+    for row in table.skip_rows:
+        if row > len(good):
+            problems.append(
+                f"[load_tests] skip_rows: found {row}, but there are {len(good)} rows"
+            )
+            return None
+        good[row - 1] = False
+    return good
 
 
 def _lost_rows(lost: Int[np.ndarray, " row"]) -> str:

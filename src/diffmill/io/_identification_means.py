@@ -51,32 +51,10 @@ def mean_force_task(
         return None
     notes: list[str] = []
     if table is None:
-        for place, one in enumerate(records, 1):
-            lost = [
-                f"F{a}"
-                for a, b in zip("xyz", one.record.is_measured, strict=True)
-                if not b
-            ]
-            if lost:
-                problems.append(
-                    f"[[record]] {place} channels: found no {', '.join(lost)}, but "
-                    'mean forces need all three; kind = "force_records" fits two, too'
-                )
-        cuts = [r.process for r in records if isinstance(r.process, StraightCut)]
-        feeds = np.array([cut.feed_per_tooth for cut in cuts])
-        means = [mean_over_turns(record) for record in records]
-        force = np.array([one for one, _ in means]).reshape(-1, 3)
-        records = tuple(
-            record._replace(notes=(*record.notes, *said))
-            for record, (_, said) in zip(records, means, strict=True)
-        )
-        alike = {cut._replace(feed_per_tooth=0.0)[2:5] for cut in cuts}
-        if len(alike) > 1:
-            problems.append(
-                "[[record]]: found different depths or sides, but mean forces over the "
-                'feed need one cut; kind = "force_records" fits them jointly'
-            )
+        of_records = _means_of_records(records, problems)
+        if of_records is None:
             return None
+        feeds, force, records = of_records
     else:
         both = _mean_table(table, context, problems, notes)
         if both is None:
@@ -100,6 +78,36 @@ def mean_force_task(
     sorted_records = tuple(records[i] for i in order) if records else ()
     return MeanForceTask(
         name, cut, feeds[order], force[order], sorted_records, settings, tuple(notes)
+    )
+
+
+def _means_of_records(
+    records: tuple[ForceRecord, ...], problems: list[str]
+) -> tuple[np.ndarray, np.ndarray, tuple[ForceRecord, ...]] | None:
+    """Return feeds, forces and records with what is to be said of their means."""
+    for place, one in enumerate(records, 1):
+        seen = zip("xyz", one.record.is_measured, strict=True)
+        if lost := [f"F{axis}" for axis, is_measured in seen if not is_measured]:
+            problems.append(
+                f"[[record]] {place} channels: found no {', '.join(lost)}, but "
+                'mean forces need all three; kind = "force_records" fits two, too'
+            )
+    cuts = [r.process for r in records if isinstance(r.process, StraightCut)]
+    means = [mean_over_turns(record) for record in records]
+    alike = {cut._replace(feed_per_tooth=0.0)[2:5] for cut in cuts}
+    if len(alike) > 1:
+        problems.append(
+            "[[record]]: found different depths or sides, but mean forces over the "
+            'feed need one cut; kind = "force_records" fits them jointly'
+        )
+        return None
+    return (
+        np.array([cut.feed_per_tooth for cut in cuts]),
+        np.array([one for one, _ in means]).reshape(-1, 3),
+        tuple(
+            record._replace(notes=(*record.notes, *said))
+            for record, (_, said) in zip(records, means, strict=True)
+        ),
     )
 
 

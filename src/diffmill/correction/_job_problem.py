@@ -1,0 +1,118 @@
+"""A job as a problem of correction: its plant, commanded by tips or by joints."""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._job import Job
+from ..sim import (
+    AbstractAdjoint,
+    Solution,
+    command_joints,
+    command_motors,
+    joint_motors,
+    run_motors,
+)
+from ._job_pieces import with_rows
+from ._method import AbstractMethod
+from ._mirror import IteratedMirror, SampledMirror
+from ._problem import Motion, Problem
+
+
+class TipPlant(eqx.Module):
+    """A job as a plant that is commanded by tip positions [m]."""
+
+    job: Job
+    adjoint: AbstractAdjoint
+
+    def __call__(self, command: Float[Array, "step 3"]) -> Motion:
+        """Return the motion that follows a command, shape (step, 3)."""
+        motors, _ = command_motors(self.job, command)
+        ran = run_motors(self.job, motors, self.adjoint)
+        return Motion(ran.actual, ran.force)
+
+
+class JointPlant(eqx.Module):
+    """A job as a plant that is commanded by joint positions [rad or m].
+
+    The controller adds the gravity sag, as it does for tip positions.
+    """
+
+    job: Job
+    adjoint: AbstractAdjoint
+
+    def __call__(self, command: Float[Array, "step joint"]) -> Motion:
+        """Return the motion that follows a command, shape (step, joint)."""
+        ran = run_motors(self.job, joint_motors(self.job, command), self.adjoint)
+        return Motion(ran.actual, ran.force)
+
+
+def job_problem(
+    job: Job,
+    plant: Any,
+    nominal: Float[Array, "step axis"],
+    before: Solution,
+    weights: Float[np.ndarray, " step"],
+) -> Problem:
+    """Return the problem of a plant on the path of a job."""
+    return Problem(
+        plant=plant,
+        nominal=np.asarray(nominal),
+        desired=np.asarray(before.desired),
+        is_cutting=weights.astype(np.asarray(nominal).dtype),
+        time_step=float(job.tooth_period),
+        max_offset=float(job.correction.max_offset),
+    )
+
+
+def joint_problem(
+    job: Job,
+    adjoint: AbstractAdjoint,
+    desired: Float[Array, "step 3"],
+    before: Solution,
+    weights: Float[np.ndarray, " step"],
+) -> Problem:
+    """Return the problem in joint positions, bounded like the tip at its far end."""
+    from ..robot import jacobian
+
+    nominal, _ = command_joints(job, desired)
+    J = np.asarray(jacobian(job.robot, nominal[0]))[:3]  # pyright: ignore[reportArgumentType]
+    lever = np.linalg.norm(J, axis=0).max()
+    problem = job_problem(job, JointPlant(job, adjoint), nominal, before, weights)
+    bound = float(job.correction.max_offset) / lever
+    return eqx.tree_at(lambda p: p.max_offset, problem, np.asarray(bound))
+
+
+def job_mirror(
+    job: Job,
+    problem: Problem,
+    is_cutting: Array,
+    horizon: tuple[int, int] | None,
+    adjoint: AbstractAdjoint,
+) -> AbstractMethod:
+    """Return the iterated mirror; on a long path its grid sees the first that cuts.
+
+    The grid runs some hundred times, which on the whole path would cost more than the
+    optimiser.
+    """
+    if horizon is None:
+        return IteratedMirror()
+    first = int(np.flatnonzero(is_cutting)[0])
+    rows = slice(min(first + horizon[0], job.path.step_count))
+    # Where none of these rows counts, the filter that suits the arm is found all the
+    # same from how they cut.
+    weights = problem.is_cutting[rows]
+    if not np.any(weights):
+        weights = np.asarray(is_cutting)[rows].astype(weights.dtype)
+    part = with_rows(job, np.arange(job.path.step_count)[rows])
+    sample = dataclasses.replace(
+        problem,
+        plant=TipPlant(part, adjoint),
+        nominal=problem.nominal[rows],
+        desired=problem.desired[rows],
+        is_cutting=weights,
+    )
+    return SampledMirror(sample)
