@@ -1,7 +1,7 @@
 """Run all groups of figures on the correction, or those named.
 
-python experiments/correction/run.py [methods details mismatch placement feed long]
-    [--out FOLDER]
+python experiments/correction/run.py [methods products details mismatch placement
+    feed long] [--out FOLDER]
 """
 
 import pathlib
@@ -11,7 +11,15 @@ HERE = pathlib.Path(__file__).parent
 # The runner is shared with other experiments.
 sys.path.append(str(HERE.parent / "common"))
 
-GROUPS = ("methods", "details", "mismatch", "placement", "feed", "long")
+GROUPS = (
+    "methods",
+    "products",
+    "details",
+    "mismatch",
+    "placement",
+    "feed",
+    "long",
+)
 
 
 if __name__ == "__main__":

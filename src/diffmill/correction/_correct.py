@@ -155,7 +155,7 @@ def correct(
     # A horizon that cannot be is refused before anything runs.
     horizon = horizon_of(job)
     check_limits(job)
-    adjoint = Traced()
+    adjoint = Traced(keeps_slopes=True)
     rigid = rigid_cut(job, adjoint)
     desired = jnp.asarray(job.path.positions)
     before = solve_command(job, rigid, desired, adjoint)

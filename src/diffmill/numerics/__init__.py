@@ -3,7 +3,8 @@
 What it models: `lowpass`, a Butterworth filter run forward and backward, which takes
 the tooth frequency out of forces for display and noise out of a predicted deviation
 before it is mirrored. The filter has no phase shift, and its order and cut-off are
-arguments.
+arguments. Besides, derivatives that JAX would not find by itself, or not as cheaply:
+`tied`, `clamp`, and `sloped` for what is linearised once and multiplied often.
 
 Assumes equally spaced samples on the host. Leaves out what JAX, equinox and lineax
 already give, and filters within a traced function.
@@ -11,4 +12,5 @@ already give, and filters within a traced function.
 
 from ._clamp import clamp as clamp
 from ._filters import lowpass as lowpass
+from ._sloped import sloped as sloped, sloped_rows as sloped_rows
 from ._tied import tied as tied

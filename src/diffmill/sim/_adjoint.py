@@ -20,7 +20,16 @@ from ..workpiece import Pose
 
 
 class AbstractAdjoint(eqx.Module):
-    """Which derivatives flow through the stock."""
+    """Which derivatives flow through the stock.
+
+    Attributes:
+        keeps_slopes: Whether a linearisation keeps the slopes of forces and
+            occupancies, for many cheap products, instead of computing both again in
+            every product, as suits one gradient. Sizes of a cutter that is no flat one
+            standing upright then have no derivative: asking for it raises ValueError.
+    """
+
+    keeps_slopes: eqx.AbstractVar[bool]
 
     @abc.abstractmethod
     def removal_poses(self, poses: Pose) -> Pose:
@@ -32,7 +41,13 @@ class AbstractAdjoint(eqx.Module):
 
 
 class Plain(AbstractAdjoint):
-    """Differentiate through the ends of all rays."""
+    """Differentiate through the ends of all rays.
+
+    Attributes:
+        keeps_slopes: See `AbstractAdjoint`; here the forces only.
+    """
+
+    keeps_slopes: bool = eqx.field(static=True, default=False)
 
     def removal_poses(self, poses: Pose) -> Pose:
         """Return the poses unchanged."""
@@ -44,7 +59,14 @@ class Plain(AbstractAdjoint):
 
 
 class Traced(AbstractAdjoint):
-    """Differentiate through the poses that the ends remember."""
+    """Differentiate through the poses that the ends remember.
+
+    Attributes:
+        keeps_slopes: See `AbstractAdjoint`; occupancies of a flat cutter that stands
+            upright are computed again all the same.
+    """
+
+    keeps_slopes: bool = eqx.field(static=True, default=False)
 
     def removal_poses(self, poses: Pose) -> Pose:
         """Return the poses as constants."""

@@ -19,6 +19,7 @@ from .._result import RESULTS
 from .._types import RealScalarLike, Transform
 from ..cutter import AbstractCutter
 from ..cutting import AbstractForceLaw
+from ..numerics import sloped
 from ..robot import Robot, arm_terms, forward_kinematics
 from ..workpiece import Pose, Stock
 from ._adjoint import AbstractAdjoint
@@ -352,24 +353,17 @@ def _run_substeps(
 ) -> tuple[ArmState, tuple[Float[Array, "substep 3"], Float[Array, "substep 3"]]]:
     """Return the state at the end of a period, the tips and the forces within it."""
     robot, h = machine.robot, machine.substep
+    keeps_slopes = machine.adjoint.keeps_slopes
+    mean_force = sloped(_mean_force) if keeps_slopes else _mean_force
 
-    @jax.checkpoint
     def substep(
         state: ArmState, x: tuple[Array, Pose, _Samples]
     ) -> tuple[ArmState, tuple[Array, Array]]:
         theta, earlier, samples = x
         tip = arm.pose.tip + arm.jacobian @ (state.q + h / 2 * state.v - start.q)
         pose = Pose(tip, arm.pose.axis)
-        forces = substep_force(
-            machine.plan,
-            machine.cutter,
-            *machine.laws,
-            pose,
-            earlier,
-            cut.thinned,
-            *samples,
-        )
-        F = jnp.mean(forces, axis=0)
+        tool = (machine.plan, machine.cutter, *machine.laws)
+        F = mean_force(*tool, pose, earlier, cut.thinned, *samples)
         load = arm.jacobian.T @ F
         command = MotorCommand(theta, rate)
         end = machine.integrator.step(robot, arm.begun, state, command, load, h)
@@ -377,4 +371,11 @@ def _run_substeps(
 
     earlier = jax.tree.map(lambda x: jnp.moveaxis(x, 0, 1), process.recent)
     xs = (targets, earlier, (cut.angle, cut.tooth, cut.occupancy, cut.bottom))
-    return jax.lax.scan(substep, start, xs)
+    # Without slopes, what the forces come from is computed again rather than kept.
+    step = substep if keeps_slopes else jax.checkpoint(substep)
+    return jax.lax.scan(step, start, xs)
+
+
+def _mean_force(*args: Any) -> Float[Array, " 3"]:
+    """Return the force of a sub-step; arguments of `substep_force`."""
+    return jnp.mean(substep_force(*args), axis=0)

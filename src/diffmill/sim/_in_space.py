@@ -108,6 +108,7 @@ def engagement_in_space(
         plan.discs.band,
         cutter,
         adjoint.table(state.poses),
+        keeps_slopes=adjoint.keeps_slopes,
     )
     return angle, tooth, weight.reshape(angle.shape)
 

@@ -19,13 +19,15 @@ There the chip decides, which begins at the edge and ends inward: without materi
 it, the edge is out.
 """
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ..cutter import AbstractCutter
-from ..numerics import clamp, tied
+from ..numerics import clamp, sloped_rows, tied
 from ._occupancy import REACH, nearest_interval
 from ._pose import Pose
 from ._stock import Stock
@@ -70,6 +72,8 @@ def occupancy_in_space(
     band: float,
     cutter: AbstractCutter,
     poses: Pose | None = None,
+    *,
+    keeps_slopes: bool = False,
 ) -> Float[Array, " point"]:
     """Return how much of the pieces of edge around points is in the material.
 
@@ -82,6 +86,8 @@ def occupancy_in_space(
         cutter: The cutter that cut the stock; used only with `poses`.
         poses: All poses so far, shape (pose, 3), to which the derivative goes; None
             differentiates through the stock.
+        keeps_slopes: With `poses`, whether a linearisation keeps the slopes of each
+            point instead of computing it again in every product.
 
     Returns:
         Occupancy, shape (point,): exactly 0 and 1 away from surfaces.
@@ -90,13 +96,30 @@ def occupancy_in_space(
     another family decides.
     """
     near = tuple(_find(stock, f, points) for f in range(3))
-    ends = [n.ends for n in near]
-    if poses is not None:
-        # One gather for all: its transpose then adds into the table only once.
-        cut_by = poses[jnp.maximum(jnp.stack([n.pose for n in near]), 0)]
-        ends = [_tie(cutter, near[f], f, cut_by[f]) for f in range(3)]
-    combine = jax.checkpoint(_combine, static_argnums=(5,))
-    return combine(points, cells, ends, near, stock.origin, (stock.spacing, band))
+    sizes = (stock.spacing, band)
+    if poses is None:
+        combine = jax.checkpoint(_combine, static_argnums=(5,))
+        ends = [n.ends for n in near]
+        return combine(points, cells, ends, near, stock.origin, sizes)
+    # One gather for all: its transpose then adds into the table only once.
+    cut_by = poses[jnp.maximum(jnp.stack([n.pose for n in near], axis=1), 0)]
+    look = functools.partial(_look, sizes)
+    look = sloped_rows(look) if keeps_slopes else jax.checkpoint(look)
+    return look(points, cells, cut_by, near, cutter, stock.origin)
+
+
+def _look(
+    sizes: tuple[float, float],
+    points: Float[Array, "point 3"],
+    cells: Float[Array, "point edge 3"],
+    cut_by: Pose,
+    near: tuple[_Near, ...],
+    cutter: AbstractCutter,
+    origin: Float[Array, " 3"],
+) -> Float[Array, " point"]:
+    """Return the occupancy, tied to the poses (point, family, 4) that cut the ends."""
+    ends = [_tie(cutter, near[f], f, cut_by[:, f]) for f in range(3)]
+    return _combine(points, cells, ends, near, origin, sizes)
 
 
 def _find(stock: Stock, family: int, points: Float[Array, "point 3"]) -> _Near:

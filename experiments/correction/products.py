@@ -1,0 +1,76 @@
+"""What a product with the Jacobian costs, in forward runs."""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import diffmill as dm
+from diffmill import sim
+from diffmill.correction import StoredProducts
+from part_jobs import part_job
+
+RUNS = 5
+PARTS = ("paper_small", "freeform")
+
+
+def measure(report: Any) -> None:
+    """Print times and memory of products that compute again and that keep slopes."""
+    report.say("times in forward runs (medians, run in turn); memory per 1000 rows")
+    report.say(
+        f"{'part':14}{'slopes':10}{'us a row':>9}{'linearise':>10}{'J v':>8}"
+        f"{'J^T w':>8}{'30 of both':>11}{'MB':>8}"
+    )
+    for part in PARTS:
+        job = sim.with_precision(part_job(part))
+        costs = [_programs(job, keeps) for keeps in (False, True)]
+        times = _alternate([f for functions, _ in costs for f in functions])
+        run, count = times[0], job.path.step_count
+        for k, name in enumerate(("again", "kept")):
+            linearise, forward, transpose = (
+                t / run for t in times[4 * k + 1 : 4 * k + 4]
+            )
+            total = linearise + 15 * (forward + transpose)
+            memory = costs[k][1] / count / 1e3
+            report.say(
+                f"{part:14}{name:10}{1e6 * run / count:9.0f}{linearise:10.2f}"
+                f"{forward:8.2f}{transpose:8.2f}{total:11.1f}{memory:8.0f}"
+            )
+
+
+def _residual(tips: jax.Array, args: tuple[dm.Job, sim.AbstractAdjoint]) -> jax.Array:
+    job, adjoint = args
+    motors, _ = sim.command_motors(job, tips)
+    actual = sim.run_motors(job, motors, adjoint).actual
+    return (actual - jnp.asarray(job.path.positions)).reshape(-1)
+
+
+def _programs(job: dm.Job, keeps_slopes: bool) -> tuple[list[Callable[[], Any]], float]:
+    """Return what is to be timed, and the size of the linear program [byte]."""
+    products, args = StoredProducts(), (job, sim.Traced(keeps_slopes=keeps_slopes))
+    tips = jnp.asarray(job.path.positions)
+    run = jax.jit(lambda p: _residual(p, args))
+    residual, linear = products.linearise(_residual, tips, args)
+    size = sum(x.nbytes for x in jax.tree.leaves(linear) if hasattr(x, "nbytes"))
+    return [
+        lambda: run(tips),
+        lambda: products.linearise(_residual, tips, args),
+        lambda: products.forward(linear, tips),
+        lambda: products.transpose(linear, tips, residual),
+    ], size
+
+
+def _alternate(functions: list[Callable[[], Any]]) -> list[float]:
+    """Return the median time of each function [s], run in turn after a warm-up."""
+    times: list[list[float]] = [[] for _ in functions]
+    for function in functions:
+        jax.block_until_ready(function())
+    for _ in range(RUNS):
+        for function, found in zip(functions, times, strict=True):
+            start = time.perf_counter()
+            jax.block_until_ready(function())
+            found.append(time.perf_counter() - start)
+    return [float(np.median(found)) for found in times]
