@@ -65,7 +65,7 @@ SETTINGS = (
 
 # Until it settles: two steps, which a job takes unless it asks for more, leave what
 # closer to the end converges slowly.
-STEPS = {"max_steps": "6"}
+STEPS = {"max_steps": "3"}
 # Where a figure is missed, the row is run again so.
 CLOSER = {"knots of 15 ms": {"knot_spacing": '"15 ms"'}}
 RESULTS = pathlib.Path(__file__).parent / "results"

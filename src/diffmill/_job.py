@@ -140,7 +140,7 @@ class CorrectionSettings(eqx.Module):
     wall_weight: RealScalarLike = 1.0
     floor_weight: RealScalarLike = 1.0
     max_steps: int = eqx.field(static=True, default=2)
-    max_products: int = eqx.field(static=True, default=30)
+    max_products: int = eqx.field(static=True, default=60)
     horizon: int | Literal["auto"] = eqx.field(static=True, default="auto")
     overlap: int | Literal["auto"] = eqx.field(static=True, default="auto")
 
