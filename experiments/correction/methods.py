@@ -63,8 +63,8 @@ SETTINGS = (
     ),
 )
 
-# Until it settles: two steps, which a job takes unless it asks for more, leave what
-# closer to the end converges slowly.
+# One more than a job takes unless it asks for more: what is closer to the end converges
+# slowly.
 STEPS = {"max_steps": "3"}
 # Where a figure is missed, the row is run again so.
 CLOSER = {"knots of 15 ms": {"knot_spacing": '"15 ms"'}}

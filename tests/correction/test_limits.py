@@ -42,8 +42,8 @@ def test_rows_are_the_derivatives_of_the_curve():
 def test_a_program_beyond_the_limit_is_named():
     nominal = np.zeros((81, 3))
     nominal[:, 1] = 0.5 * 3.0 * (0.01 * np.arange(81)) ** 2
-    with pytest.raises(InfeasibleLimit, match=r"3 /s\^2 on axis 1.*1 /s\^2 too low"):
-        command_limits(small_spline(), nominal, max_acceleration=2.0)
+    with pytest.raises(InfeasibleLimit, match=r"3 m/s\^2 on axis 1.*1 m/s\^2 too low"):
+        command_limits(small_spline(), nominal, max_acceleration=2.0, unit="m")
     assert command_limits(small_spline(), nominal) == ()
 
 

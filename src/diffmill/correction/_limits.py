@@ -143,6 +143,7 @@ def command_limits(
     *,
     max_velocity: float = np.inf,
     max_acceleration: float = np.inf,
+    unit: str = "",
 ) -> tuple[LinearLimits, ...]:
     """Return the limits that keep a whole command within its derivatives' bounds.
 
@@ -151,6 +152,7 @@ def command_limits(
         nominal: The uncorrected command, shape (step, axis).
         max_velocity: Largest velocity per axis [unit of the command / s].
         max_acceleration: Largest acceleration per axis [unit of the command / s^2].
+        unit: Unit of the command, for messages.
 
     Returns:
         One entry for each limit that is finite.
@@ -170,7 +172,8 @@ def command_limits(
         if not np.isfinite(limit):
             continue
         rate = np.diff(nominal, order, axis=0) / spline.time_step**order
-        _check_nominal(name, order, float(limit), rate, spline.time_step)
+        per_time = unit + ("/s" if order == 1 else "/s^2")
+        _check_nominal(name, order, float(limit), rate, spline.time_step, per_time)
         matrix = basis_matrix(spline)
         for _ in range(order):
             matrix = matrix[1:] - matrix[:-1]
@@ -194,13 +197,13 @@ def _check_nominal(
     limit: float,
     rate: Float[np.ndarray, "row axis"],
     time_step: float,
+    unit: str,
 ) -> None:
     """Raise if the nominal command alone is above the limit."""
     row, axis = np.unravel_index(np.argmax(np.abs(rate)), rate.shape)
     worst = float(np.abs(rate[row, axis]))
     if worst <= limit * (1 + _RESERVE):
         return
-    unit = "/s" if order == 1 else "/s^2"
     raise InfeasibleLimit(
         f"Argument `{name}` must be at least what the program itself needs, "
         f"{worst:.4g} {unit} on axis {axis} at {(row + order / 2) * time_step:.4g} s, "

@@ -81,6 +81,7 @@ def check_limits(job: Job) -> None:
         job.path.positions,
         max_velocity=settings.max_velocity,
         max_acceleration=settings.max_acceleration,
+        unit="m",
     )
 
 
