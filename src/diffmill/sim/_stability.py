@@ -79,8 +79,8 @@ class Stability(eqx.Module):
             f"the cut is unstable (chatter) at {count} of the {len(self.row)} rows "
             f"looked at, from time {first:.3f} s; most at {self.time[k]:.3f} s, "
             f"position ({x:.2f}, {y:.2f}, {z:.2f}) mm: a vibration at "
-            f"{self.frequency[k]:.1f} Hz grows by the factor {self.radius[k]:.3g} per "
-            "tooth period"
+            f"{self.frequency[k]:.1f} Hz grows by {100 * (self.radius[k] - 1):.2g} % "
+            "per tooth period"
         )
 
     def visibility(self) -> str:
