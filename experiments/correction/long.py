@@ -4,7 +4,7 @@ Each length runs in a process of its own, so that its peak of memory is its own.
 path goes to and fro over a block, layer after layer.
 
 python experiments/correction/long.py [--rows 10000 20000 40000] [--arm slides]
-    [--steps 6] [--products 30] [--out FOLDER]
+    [--steps 3] [--products 60] [--out FOLDER]
 """
 
 import argparse
@@ -19,8 +19,8 @@ from typing import Any
 # Enough to see the slope; `--rows 100000` takes a path as long as a real program.
 ROWS = (10_000, 20_000, 40_000)
 HORIZON, OVERLAP = 2000, 256
-# Steps of the optimiser in a segment, and products in a step: those of a job.
-STEPS, PRODUCTS = 6, 30
+# Steps of the optimiser in a segment, and products in a step.
+STEPS, PRODUCTS = 3, 60
 # Sizes of the block and of the cut [mm].
 SIDE, STEP_OVER, DEPTH, RADIUS = 60.0, 4.0, 0.5, 5.0
 # What a pass takes with the feed and acceleration of the job, and the way to the next.

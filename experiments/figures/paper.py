@@ -21,7 +21,8 @@ class Commanded(eqx.Module):
     def __call__(self, command: jax.Array) -> dm.correction.Motion:
         """Return the motion that follows a command [m], shape (step, 3)."""
         motors, _ = dm.sim.command_motors(self.job, command)
-        ran = dm.sim.run_motors(self.job, motors, dm.sim.Traced())
+        adjoint = dm.sim.Traced(keeps_slopes=True)
+        ran = dm.sim.run_motors(self.job, motors, adjoint)
         return dm.correction.Motion(ran.actual, ran.force)
 
 

@@ -177,10 +177,16 @@ def test_both_adjoints_give_the_same_coupled_gradient():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("end", ["flat", "ball"])
-def test_kept_slopes_are_the_same_derivative(end):
-    mill = MILL if end == "flat" else ct.ball_end_mill(10e-3, 2)
-    plan = sim.process_plan(STOCK, mill, axial_depth=1.5e-3)
+@pytest.mark.parametrize("kind", ["flat", "ball", "leaning", "uneven"])
+def test_kept_slopes_are_the_same_derivative(kind):
+    mill = MILL
+    if kind in ("ball", "leaning"):
+        mill = ct.ball_end_mill(10e-3, 2)
+    if kind == "uneven":
+        mill = ct.flat_end_mill(10e-3, 2, pitch=(3.0, 2 * math.pi - 3.0))
+    plan = sim.process_plan(
+        STOCK, mill, axial_depth=1.5e-3, is_upright=kind != "leaning", plunges=True
+    )
     rng = np.random.default_rng(7)
     theta = jax.jit(motors)(jnp.asarray(path()))
     along = jnp.asarray(rng.normal(size=theta.shape))

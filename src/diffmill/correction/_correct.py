@@ -155,7 +155,8 @@ def correct(
     # A horizon that cannot be is refused before anything runs.
     horizon = horizon_of(job)
     check_limits(job)
-    adjoint = Traced(keeps_slopes=True)
+    # Adam asks for one gradient at a point, the others for many products.
+    adjoint = Traced(keeps_slopes=job.correction.method != "adam")
     rigid = rigid_cut(job, adjoint)
     desired = jnp.asarray(job.path.positions)
     before = solve_command(job, rigid, desired, adjoint)

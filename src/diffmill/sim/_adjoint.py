@@ -25,8 +25,10 @@ class AbstractAdjoint(eqx.Module):
     Attributes:
         keeps_slopes: Whether a linearisation keeps the slopes of forces and
             occupancies, for many cheap products, instead of computing both again in
-            every product, as suits one gradient. Sizes of a cutter that is no flat one
-            standing upright then have no derivative: asking for it raises ValueError.
+            every product, as suits one gradient. Of forces only with the arm's
+            dynamics, not in its static balance. Where samples are looked up in space
+            (`ProcessPlan.profile`), cutter and stock then are constants: to
+            differentiate in them raises ValueError.
     """
 
     keeps_slopes: eqx.AbstractVar[bool]
