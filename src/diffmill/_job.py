@@ -114,7 +114,7 @@ class CorrectionSettings(eqx.Module):
         wall_weight: Weight of the walls, for the surface.
         floor_weight: Weight of the floors, for the surface.
         max_steps: Steps of the optimiser at most.
-        max_products: Products with the Jacobian per step at most; about five times as
+        max_products: Products with the Jacobian per step at most; about three times as
             many where limits are in the way.
         horizon: Rows that are corrected at once; "auto" takes a whole path of at most
             6000 rows, and segments of 2000 rows of a longer one.

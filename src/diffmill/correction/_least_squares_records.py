@@ -134,7 +134,7 @@ class LevenbergMarquardt(eqx.Module):
 
     Attributes:
         max_steps: Outer steps at most, refused ones included.
-        max_products: Products J v and J^T w at most per outer step; about five times
+        max_products: Products J v and J^T w at most per outer step; about three times
             as many where limits or held rows are in the way.
         cost_rtol: Stop when a step lowers the cost by less than this fraction.
         kkt_rtol: Stop when the projected gradient has fallen by this factor.

@@ -21,7 +21,11 @@ from ._limits import AbstractRows
 from ._quadratic import QuadraticSolution, solve_bounded_quadratic
 
 # How many times the products of the problem without limits there may be.
-_LIMITED = 4
+_LIMITED = 2
+# Products of the conjugate gradients that only know of the box. Where they have become
+# slow each vector is almost a multiple of the one before, and orthonormal ones made of
+# them carry the rounding of each product on to the next.
+_WITHOUT_LIMITS = 14
 # Vectors of the span at most: the small problem is dense in them.
 _LARGEST_SPAN = 150
 # Bounds are kept to this share of the largest of their kind: what the dense solver
@@ -64,8 +68,8 @@ def solve_limited_quadratic(
         springs: Rows whose bounds p = 0 need not keep.
         rtol: Stop when the gradient of the Lagrangian has fallen so far; without limits
             the projected one.
-        max_products: Products with A at most without limits in the way; four times as
-            many with them.
+        max_products: Products with A at most without limits; twice as many with
+            them.
         precondition: As `solve_bounded_quadratic`.
         rounding: Relative rounding of the products: a vector whose part outside the
             span is smaller than its root adds nothing but that.
@@ -87,7 +91,7 @@ def solve_limited_quadratic(
         lower,
         upper,
         rtol=rtol,
-        max_products=max_products,
+        max_products=min(max_products, _WITHOUT_LIMITS) if rows else max_products,
         precondition=precondition,
     )
     if not springs and feasible_share(first.p, limits) >= 1:
