@@ -165,7 +165,9 @@ def test_one_record_gives_arm_and_cut(precision):
     assert all(f"{name} is not identifiable" in " ".join(fit.notes) for name in lost)
 
 
-@pytest.mark.parametrize("factor", [0.2, 2.0, 8.0])
+@pytest.mark.parametrize(
+    "factor", [2.0, *(pytest.param(f, marks=pytest.mark.slow) for f in (0.2, 8.0))]
+)
 def test_a_start_that_is_far_off_does_no_harm(factor):
     clean, draw = small_record().deviation, np.random.default_rng(0)
     seen = clean + 3e-6 * draw.normal(size=clean.shape)
@@ -178,6 +180,7 @@ def test_a_start_that_is_far_off_does_no_harm(factor):
     assert fit.is_explained and fit.explained["deviation"] > 0.97
 
 
+@pytest.mark.slow
 def test_a_record_of_another_machine_is_called_so():
     turned = small_record().deviation[:, [1, 2, 0]]
     fit = identification.fit_coupled(started(small(), ["K"]), deviation=turned)

@@ -333,10 +333,9 @@ def random_direction():
     return jnp.asarray(rng.normal(size=(ROWS, 3))), jnp.asarray(rng.normal(size=6))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    "adjoint",
-    [sim.Plain(), pytest.param(sim.Traced(), marks=pytest.mark.slow)],
-    ids=["plain", "traced"],
+    "adjoint", [sim.Plain(), sim.Traced()], ids=["plain", "traced"]
 )
 def test_clear_of_the_stock_force_and_gradient_are_exactly_zero(adjoint):
     at = (tilted_path("ball", -0.4e-3), jnp.zeros(6))

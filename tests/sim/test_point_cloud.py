@@ -134,6 +134,7 @@ def test_the_raw_face_bounds_the_arc(radial_depth, is_up_milling):
     assert np.all(inside < D / (R * math.sin(width)))
 
 
+@pytest.mark.slow
 def test_the_shares_of_the_discs_add_up_to_the_depth():
     for depth in (0.93e-3, 1.0e-3, 1.07e-3, 1.31e-3):
         arcs = arcs_after(straight(6e-3, depth)[:50])
