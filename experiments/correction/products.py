@@ -1,18 +1,17 @@
 """What a product with the Jacobian costs, in forward runs."""
 
-import time
 from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 import diffmill as dm
 from diffmill import sim
 from diffmill.correction import StoredProducts
 from part_jobs import part_job
+from timing import alternate
 
 RUNS = 5
 PARTS = ("paper_small", "freeform")
@@ -29,7 +28,7 @@ def measure(report: Any) -> None:
     for part in PARTS:
         job = sim.with_precision(part_job(part))
         costs = [_programs(job, keeps) for keeps in (False, True)]
-        times = _alternate([f for functions, _ in costs for f in functions])
+        times = alternate(RUNS, *(f for functions, _ in costs for f in functions))
         run, count = times[0], job.path.step_count
         for k, name in enumerate(("again", "kept")):
             linearise, forward, transpose = (
@@ -65,16 +64,3 @@ def _programs(job: dm.Job, keeps_slopes: bool) -> tuple[list[Callable[[], Any]],
         lambda: products.forward(linear, tips),
         lambda: products.transpose(linear, tips, residual),
     ], size
-
-
-def _alternate(functions: list[Callable[[], Any]]) -> list[float]:
-    """Return the median time of each function [s], run in turn after a warm-up."""
-    times: list[list[float]] = [[] for _ in functions]
-    for function in functions:
-        jax.block_until_ready(function())
-    for _ in range(RUNS):
-        for function, found in zip(functions, times, strict=True):
-            start = time.perf_counter()
-            jax.block_until_ready(function())
-            found.append(time.perf_counter() - start)
-    return [float(np.median(found)) for found in times]

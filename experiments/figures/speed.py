@@ -9,7 +9,6 @@ import json
 import os
 import pathlib
 import re
-import statistics
 import subprocess
 import sys
 import tempfile
@@ -23,6 +22,7 @@ import numpy as np
 
 import diffmill as dm
 from shared import Report, example_job
+from timing import alternate
 
 RUNS = 3
 STOCK_RUNS = 5
@@ -62,19 +62,6 @@ def compiled_pair(job: dm.Job) -> tuple:
         programs.append(jax.jit(function).lower(arrays, tips).compile())
         seconds.append(time.perf_counter() - start)
     return (*programs, seconds)
-
-
-def alternate(runs: int, *functions: Callable) -> list[float]:
-    """Return the median time of each function [s], run in turn after a warm-up."""
-    times: list[list[float]] = [[] for _ in functions]
-    for function in functions:
-        jax.block_until_ready(function())
-    for _ in range(runs):
-        for function, found in zip(functions, times, strict=True):
-            start = time.perf_counter()
-            jax.block_until_ready(function())
-            found.append(time.perf_counter() - start)
-    return [statistics.median(found) for found in times]
 
 
 def _arguments(job: dm.Job) -> tuple:
