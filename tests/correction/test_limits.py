@@ -13,6 +13,7 @@ from diffmill.correction import (
     command_limits,
     solve_limited_quadratic,
 )
+from diffmill.correction._limited_quadratic import _Span
 
 TIME_STEP = 3.75e-3
 
@@ -91,6 +92,22 @@ def test_limited_quadratic_is_that_of_a_dense_solver():
     assert dense.fun > 0.9 * free
     assert cost(found.p[:, 0]) == pytest.approx(dense.fun, rel=2e-2)
     assert found.decrease == pytest.approx(-cost(found.p[:, 0]), rel=1e-6)
+
+
+def test_slow_conjugate_gradients_do_not_hand_rounding_on():
+    # Each vector is almost the one before: orthonormal ones of all of them would
+    # multiply the rounding of a product by a hundred each time.
+    rng = np.random.default_rng(3)
+    A = np.diag(np.logspace(0, -4, 60))
+    span = _Span(lambda p: A @ p, (), rounding=2.2e-16)
+    v = rng.normal(size=(60, 1))
+    for _ in range(20):
+        span.multiplied(v)
+        v = v + 1e-4 * rng.normal(size=v.shape)
+    V, A_V = np.split(np.stack(span._long, axis=1), 2)
+    assert 3 <= V.shape[1] < 20
+    np.testing.assert_allclose(V.T @ V, np.eye(V.shape[1]), atol=1e-12)
+    np.testing.assert_allclose(A_V, A @ V, atol=1e-8)
 
 
 def test_gauss_newton_holds_a_velocity_and_pays_for_it():

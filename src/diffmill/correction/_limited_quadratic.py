@@ -22,9 +22,8 @@ from ._quadratic import QuadraticSolution, solve_bounded_quadratic
 
 # How many times the products of the problem without limits there may be.
 _LIMITED = 2
-# Products of the conjugate gradients that only know of the box. Where they have become
-# slow each vector is almost a multiple of the one before, and orthonormal ones made of
-# them carry the rounding of each product on to the next.
+# Products of the conjugate gradients that only know of the box: beyond the limits
+# they find less than what knows of them.
 _WITHOUT_LIMITS = 14
 # Vectors of the span at most: the small problem is dense in them.
 _LARGEST_SPAN = 150
@@ -84,7 +83,7 @@ def solve_limited_quadratic(
     **Differentiability**: runs on the host, not traceable.
     """
     rows = [*limits, *(spring.rows for spring in springs)]
-    span = _Span(product, rows, float(np.sqrt(rounding)))
+    span = _Span(product, rows, rounding)
     first = solve_bounded_quadratic(
         span.multiplied,
         gradient,
@@ -140,14 +139,16 @@ class _Span:
         self,
         product: Callable[[np.ndarray], np.ndarray],
         rows: Sequence[AbstractRows],
-        independent: float,
+        rounding: float,
     ):
         self.products = 0
-        self._independent = independent
+        self._rounding = rounding
+        self._independent = float(np.sqrt(rounding))
         self._product = product
         self._rows = rows
-        # Each with its product and its rows behind it.
+        # Each with its product and its rows behind it, and how rounded these are.
         self._long: list[np.ndarray] = []
+        self._noise: list[float] = []
         self._length = 0
 
     def multiplied(self, v: np.ndarray) -> np.ndarray:
@@ -175,14 +176,19 @@ class _Span:
 
     def _remember(self, v: np.ndarray, A_v: np.ndarray) -> None:
         parts = [v, A_v, *(rows.apply(v) for rows in self._rows)]
-        long = np.concatenate([part.reshape(-1) for part in parts])
-        self._length, size = v.size, np.linalg.norm(v)
+        long = np.concatenate([part.reshape(-1) for part in parts]) / np.linalg.norm(v)
+        self._length, noise = v.size, self._rounding
         for _ in range(2):
-            for u in self._long:
-                long = long - (u[: v.size] @ long[: v.size]) * u
-        left = np.linalg.norm(long[: v.size])
-        if left > self._independent * size:
+            for u, of_u in zip(self._long, self._noise, strict=True):
+                share = float(u[: v.size] @ long[: v.size])
+                long, noise = long - share * u, noise + abs(share) * of_u
+        left = float(np.linalg.norm(long[: v.size]))
+        # A vector almost within the span hands the rounding of its product, and that
+        # of the others, on to the next: where conjugate gradients have become slow,
+        # some fiftyfold each time.
+        if noise < self._independent * left:
             self._long.append(long / left)
+            self._noise.append(noise / left)
 
     def solved(
         self,
