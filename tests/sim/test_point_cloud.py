@@ -257,6 +257,7 @@ def test_gradients_are_finite_in_the_air_and_in_the_cut(adjoint):
     np.testing.assert_array_equal(gradient[64:], 0)
 
 
+@pytest.mark.slow
 def test_no_step_copies_the_stock():
     path = straight(6e-3)
     sizes = {rays.ends.size for rays in STOCK.families}

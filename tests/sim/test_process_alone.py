@@ -108,6 +108,7 @@ def test_starting_in_the_stock_is_an_overlap_and_no_chip():
     np.testing.assert_array_equal(solution.removed_volume, 0)
 
 
+@pytest.mark.slow
 def test_in_the_air_force_and_gradient_are_exactly_zero():
     path = jnp.asarray(straight(6e-3, -0.1e-3))
 

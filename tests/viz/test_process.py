@@ -9,7 +9,8 @@ from diffmill.workpiece import box
 RADIUS, FEED, DEPTH = 2e-3, 0.05e-3, 0.8e-3
 
 
-@pytest.mark.parametrize("direction", [0.0, pytest.param(2.4, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("direction", [0.0, 2.4])
 def test_chip_of_a_slot_is_that_of_two_circles(direction):
     """A slot in any direction shows the same chip from 0 to 180 degrees."""
     along = np.array([np.cos(direction), np.sin(direction), 0.0])

@@ -1,5 +1,6 @@
 """The methods of a correction, run one after another and remembered."""
 
+import dataclasses
 import time
 from collections.abc import Callable
 from typing import Any
@@ -33,6 +34,8 @@ class CaseRecord:
         self.methods: dict[str, Corrected] = {}
         self.wall_time: dict[str, float] = {}
         self.saved: dict[str, np.ndarray] = {}
+        # Runs, products and seconds of what has only been prepared.
+        self._prepared = (0, 0, 0.0)
         self._on_progress = on_progress
         self._on_checkpoint = on_checkpoint
         self._resume = resume
@@ -40,10 +43,15 @@ class CaseRecord:
     def prepare(
         self, name: str, method: Any, problem: Problem, **options: Any
     ) -> Corrected:
-        """Return what a method finds that is no case, only a start."""
+        """Return what a method finds that is no case, only the start of the next one.
+
+        What it cost counts as a part of that.
+        """
         self.run(name, method, problem, **options)
-        del self.wall_time[name]
-        return self.methods.pop(name)
+        found = self.methods.pop(name)
+        seconds = self.wall_time.pop(name)
+        self._prepared = found.forward_runs, found.products, seconds
+        return found
 
     def run(self, name: str, method: Any, problem: Problem, **options: Any) -> None:
         """Run a method, or take up what it found before an interruption."""
@@ -53,8 +61,14 @@ class CaseRecord:
             self.methods[name], self.wall_time[name] = kept
         else:
             found = method(problem, on_progress=self._on_progress, **options)
-            self.methods[name] = found
-            self.wall_time[name] = time.perf_counter() - start
+            runs, products, seconds = self._prepared
+            self._prepared = (0, 0, 0.0)
+            self.methods[name] = dataclasses.replace(
+                found,
+                forward_runs=found.forward_runs + runs,
+                products=found.products + products,
+            )
+            self.wall_time[name] = time.perf_counter() - start + seconds
         if self._on_checkpoint is not None and name != "corrected":
             packed = pack_method(self.methods[name], self.wall_time[name])
             self.saved.update(under(f"method/{name}", packed))

@@ -64,11 +64,13 @@ def job_optimiser(
 def for_the_path(method: Optimiser) -> GaussNewton | None:
     """Return what brings the rows near the surface onto the path; None if not needed.
 
-    One model is enough for a start, and it may leave the bounds of the surface.
+    One model is enough for a start, and it may leave the bounds of the surface: on the
+    path it is close to them, while the way to them from afar, with a spring at every
+    point that is out of bounds, takes many steps.
     """
     if not isinstance(method, GaussNewton):
         return None
-    if not isinstance(method.objective, SurfaceObjective):
+    if not isinstance(method.objective, SurfaceObjective) and method.bounds is None:
         return None
     return dataclasses.replace(
         method,
