@@ -8,10 +8,10 @@ from correction.spring_mass import rounded_square, soft_arm
 from diffmill.correction import (
     GaussNewton,
     InfeasibleLimit,
+    LimitedQuadratic,
     Problem,
     SplineOffsets,
     command_limits,
-    solve_limited_quadratic,
 )
 from diffmill.correction._limited_quadratic import _Span
 
@@ -69,9 +69,10 @@ def test_limited_quadratic_is_that_of_a_dense_solver():
     limits = command_limits(spline, np.zeros((81, 1)), max_acceleration=8.0)
     (limit,) = limits
     box = np.full(shape, 0.08)
-    found = solve_limited_quadratic(
+    problem = LimitedQuadratic(
         lambda p: A @ p, g, -box, box, limits, rtol=1e-8, max_products=2000
     )
+    found = problem.solve()
     rows = limit.apply(found.p)
     assert np.all((rows <= limit.upper) & (rows >= limit.lower))
     matrix = np.stack([limit.apply(e[:, None])[:, 0] for e in np.eye(shape[0])], 1)

@@ -66,7 +66,7 @@ from ._least_squares_records import (
     LevenbergMarquardt as LevenbergMarquardt,
 )
 from ._limited_quadratic import (
-    solve_limited_quadratic as solve_limited_quadratic,
+    LimitedQuadratic as LimitedQuadratic,
 )
 from ._limits import (
     AbstractLimits as AbstractLimits,

@@ -1,7 +1,6 @@
 """Correcting a job: the baselines, then the best command that derivatives find."""
 
 import dataclasses
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
@@ -23,7 +22,6 @@ from ..sim import (
     with_precision,
 )
 from ._case_record import CaseRecord, OnProgress
-from ._gauss_newton import GaussNewton
 from ._inverse_drive import inverse_drive
 from ._job_method import (
     OPTIMISERS,
@@ -40,7 +38,6 @@ from ._memory import Arrays, OnCheckpoint
 from ._method import Corrected, GivenCommand
 from ._mirror import Mirror
 from ._parts import path_parts
-from ._problem import FloatRows, Problem
 from ._projection import clip_offset
 from ._setup import (
     check_limits,
@@ -188,30 +185,20 @@ def correct(
         start = min(record.methods.values(), key=remaining).command
         method = preconditioned(method, job, desired)
     method = within_joint_limits(method, job, problem)
+    # Segments of a long path come within bounds by themselves.
     path_first = None if horizon else for_the_path(method)
     if surface is not None and path_first is not None:
-        start = _onto_the_path(record, path_first, problem, surface, start, remaining)
+        rows = touching_rows(surface, np.asarray(desired))
+        rows = rows.astype(problem.is_cutting.dtype)
+        if job.correction.objective == "path":
+            rows = np.maximum(problem.is_cutting, rows)
+        touching = dataclasses.replace(problem, is_cutting=rows)
+        found = record.prepare("path_first", path_first, touching, start=start)
+        given = GivenCommand(path_first.begin(problem, start))(problem)
+        start = min((found, given), key=remaining).command
     kept = keeping(job, method, adjoint, record.saved, on_checkpoint, resume)
     run("corrected", kept, problem, start=start)
     return _finished(job, rigid, before, surface, record, adjoint)
-
-
-def _onto_the_path(
-    record: CaseRecord,
-    method: GaussNewton,
-    problem: Problem,
-    surface: FinishedSurface,
-    start: FloatRows,
-    remaining: Callable[[Corrected], float],
-) -> FloatRows:
-    """Return a start with which all rows that touch the surface are on the path."""
-    rows = touching_rows(surface, np.asarray(problem.desired))
-    touching = dataclasses.replace(
-        problem, is_cutting=np.maximum(problem.is_cutting, rows)
-    )
-    found = record.prepare("path_first", method, touching, start=start)
-    given = GivenCommand(method.begin(problem, start))(problem)
-    return min((found, given), key=remaining).command
 
 
 def _finished(

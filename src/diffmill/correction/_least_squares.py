@@ -7,9 +7,11 @@ Each outer step linearises the residual once, minimises the damped linear model 
 the bounds by projected conjugate gradients, and accepts the trial point by the ratio of
 the true to the predicted decrease, which also sets the damping (Nielsen's rule, see
 Madsen, Nielsen and Tingleff, Methods for Non-Linear Least Squares Problems, 2004).
-A refused step keeps its linearisation.
+A refused step is tried again with more damping, in the span of what it has multiplied;
+if that is refused too, the next one keeps its linearisation.
 """
 
+import functools
 import time
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -41,9 +43,9 @@ from ._least_squares_state import (
     unit_box,
 )
 from ._limited_quadratic import (
+    LimitedQuadratic,
     QuadraticNotSolved,
     Spring,
-    solve_limited_quadratic,
 )
 from ._limits import AbstractLimits, AbstractRows
 from ._products import Residual, evaluate
@@ -51,6 +53,8 @@ from ._quadratic import QuadraticSolution
 
 # Smallest ratio of true to predicted decrease with which a step is accepted.
 _ACCEPT = 1e-4
+# Shorter trials of a refused step, from what it has multiplied already: a run each.
+_SHORTER = 3
 # Steps that may be taken besides to bring held rows within their bounds, and how little
 # of the cost one of them may gain. What cannot be held gains nothing long before.
 _RETURN_STEPS = 40
@@ -130,12 +134,12 @@ def least_squares(
     while not is_done and _has_steps(solver, state, history):
         before, kkt = state.cost, largest_slope(state, box)
         weight = state.weight
+        model_of = functools.partial(_model, solver, box, limits, held, precondition)
         try:
-            inner = _inner(solver, state, box, limits, held, precondition)
+            state, tried, inner = _step(residual, args, box, held, state, model_of)
         except QuadraticNotSolved:
             # Rounding is all that is left; the best point so far is not converged.
             break
-        state, tried = _try(residual, args, box, held, state, inner)
         if tried.gain > _ACCEPT:
             state = linearised(solver, residual, args, box, held, state)
         step, seconds = len(history) + 1, clock() - began
@@ -191,15 +195,40 @@ def _has_steps(
     return len(history) - outside < solver.max_steps
 
 
-def _inner(
-    solver: LevenbergMarquardt,
+def _step(
+    residual: Residual,
+    args: PyTree,
+    box: Box,
+    held: HeldRows,
     state: State,
+    model_of: Callable[[State], LimitedQuadratic],
+) -> tuple[State, _Trial, QuadraticSolution]:
+    """Try the step of the damped linear model, and shorter ones if it is refused.
+
+    Raises:
+        QuadraticNotSolved: The model has no solution to working precision.
+    """
+    model = model_of(state)
+    inner = model.solve(state.damping)
+    state, tried = _try(residual, args, box, held, state, inner)
+    for _ in range(_SHORTER):
+        shorter = None if tried.gain > _ACCEPT else model.solve_again(state.damping)
+        if shorter is None:
+            break
+        inner = shorter
+        state, tried = _try(residual, args, box, held, state, inner)
+    return state, tried, inner
+
+
+def _model(
+    solver: LevenbergMarquardt,
     box: Box,
     limits: Sequence[AbstractLimits],
     held: HeldRows,
     precondition: Callable[[np.ndarray], np.ndarray] | None,
-) -> QuadraticSolution:
-    """Minimise the damped linear model within the bounds and limits."""
+    state: State,
+) -> LimitedQuadratic:
+    """Return the linear model within the bounds and limits, damping left open."""
     if precondition is not None:
         outer = precondition
         precondition = lambda g: outer(g / box.scale) / box.scale
@@ -214,8 +243,8 @@ def _inner(
             gradient = model.transpose(held.without(r))
         else:
             bounds.append(rows)
-    return solve_limited_quadratic(
-        lambda p: normal(held, state, p) + state.damping * p,
+    return LimitedQuadratic(
+        lambda p: normal(held, state, p),
         gradient,
         box.lower - state.z,
         box.upper - state.z,

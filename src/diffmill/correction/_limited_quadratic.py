@@ -43,85 +43,115 @@ class Spring(NamedTuple):
     weight: float
 
 
-def solve_limited_quadratic(
-    product: Callable[[np.ndarray], np.ndarray],
-    gradient: np.ndarray,
-    lower: np.ndarray,
-    upper: np.ndarray,
-    limits: Sequence[AbstractRows],
-    *,
-    springs: Sequence[Spring] = (),
-    rtol: float = 1e-2,
-    max_products: int = 40,
-    precondition: Callable[[np.ndarray], np.ndarray] | None = None,
-    rounding: float = 2.2e-16,
-) -> QuadraticSolution:
-    """Minimise p.A p / 2 + g.p within a box and linear limits that p = 0 keeps.
+class LimitedQuadratic:
+    """Minimise p.(A + damping) p / 2 + g.p within a box and limits that p = 0 keeps."""
 
-    Args:
-        product: Returns A p.
-        gradient: g, shape (coefficient, axis).
-        lower: Lower bounds of p, at most 0.
-        upper: Upper bounds of p, at least 0.
-        limits: Limits of p; bounds on either side of 0.
-        springs: Rows whose bounds p = 0 need not keep.
-        rtol: Stop when the gradient of the Lagrangian has fallen so far; without limits
-            the projected one.
-        max_products: Products with A at most without limits; twice as many with
-            them.
-        precondition: As `solve_bounded_quadratic`.
-        rounding: Relative rounding of the products: a vector whose part outside the
-            span is smaller than its root adds nothing but that.
+    def __init__(
+        self,
+        product: Callable[[np.ndarray], np.ndarray],
+        gradient: np.ndarray,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        limits: Sequence[AbstractRows],
+        *,
+        springs: Sequence[Spring] = (),
+        rtol: float = 1e-2,
+        max_products: int = 40,
+        precondition: Callable[[np.ndarray], np.ndarray] | None = None,
+        rounding: float = 2.2e-16,
+    ):
+        """State the problem but for its damping.
 
-    Returns:
-        The solution, within the box and, but for rounding, the limits. Its decrease
-        counts the springs.
+        Args:
+            product: Returns A p.
+            gradient: g, shape (coefficient, axis).
+            lower: Lower bounds of p, at most 0.
+            upper: Upper bounds of p, at least 0.
+            limits: Limits of p; bounds on either side of 0.
+            springs: Rows whose bounds p = 0 need not keep.
+            rtol: Stop when the gradient of the Lagrangian has fallen so far; without
+                limits the projected one.
+            max_products: Products with A at most without limits; twice as many with
+                them.
+            precondition: As `solve_bounded_quadratic`.
+            rounding: Relative rounding of the products: a vector whose part outside
+                the span is smaller than its root adds nothing but that.
+        """
+        rows = [*limits, *(spring.rows for spring in springs)]
+        self._span = _Span(product, rows, rounding)
+        self._gradient = gradient
+        self._box = lower, upper
+        self._limits = limits
+        self._springs = springs
+        self._rtol = rtol
+        self._max_products = max_products
+        self._precondition = precondition
 
-    Raises:
-        QuadraticNotSolved: Rounding leaves no solution.
+    def solve(self, damping: float = 0.0) -> QuadraticSolution:
+        """Return the solution, within the box and, but for rounding, the limits.
 
-    **Differentiability**: runs on the host, not traceable.
-    """
-    rows = [*limits, *(spring.rows for spring in springs)]
-    span = _Span(product, rows, rounding)
-    first = solve_bounded_quadratic(
-        span.multiplied,
-        gradient,
-        lower,
-        upper,
-        rtol=rtol,
-        max_products=min(max_products, _WITHOUT_LIMITS) if rows else max_products,
-        precondition=precondition,
-    )
-    if not springs and feasible_share(first.p, limits) >= 1:
-        return first
-    scaled = precondition or (lambda vector: vector)
-    first_size = _size(gradient, scaled(gradient))
-    best: _Point | None = None
-    while True:
-        point = span.solved(gradient, (lower, upper), limits, springs)
-        if point is None:
-            break
-        if best is None or point.decrease > best.decrease:
-            best = point
-        steep = scaled(point.slope)
-        is_settled = _size(point.slope, steep) <= rtol * first_size
-        is_spent = span.products >= _LIMITED * max_products
-        if is_settled or is_spent or not span.is_grown(steep):
-            break
-    if best is None:
-        raise QuadraticNotSolved(
-            "The quadratic program within the limits has no solution to working "
-            "precision."
+        Its decrease counts the springs.
+
+        Raises:
+            QuadraticNotSolved: Rounding leaves no solution.
+
+        **Differentiability**: runs on the host, not traceable.
+        """
+        is_limited = len(self._limits) + len(self._springs) > 0
+        most = self._max_products
+        first = solve_bounded_quadratic(
+            lambda p: self._span.multiplied(p) + damping * p,
+            self._gradient,
+            *self._box,
+            rtol=self._rtol,
+            max_products=min(most, _WITHOUT_LIMITS) if is_limited else most,
+            precondition=self._precondition,
         )
-    p = best.p
-    return QuadraticSolution(
-        p=p,
-        decrease=best.decrease,
-        products=span.products,
-        is_bound=(p <= lower) | (p >= upper),
-        relative_gradient=first.relative_gradient,
-    )
+        if not self._springs and feasible_share(first.p, self._limits) >= 1:
+            return first
+        scaled = self._precondition or (lambda vector: vector)
+        first_size = _size(self._gradient, scaled(self._gradient))
+        best: _Point | None = None
+        while (point := self._within(damping)) is not None:
+            if best is None or point.decrease > best.decrease:
+                best = point
+            steep = scaled(point.slope)
+            is_settled = _size(point.slope, steep) <= self._rtol * first_size
+            is_spent = self._span.products >= _LIMITED * most
+            if is_settled or is_spent or not self._span.is_grown(steep):
+                break
+        if best is None:
+            raise QuadraticNotSolved(
+                "The quadratic program within the limits has no solution to working "
+                "precision."
+            )
+        return self._solution(best, first.relative_gradient)
+
+    def solve_again(self, damping: float) -> QuadraticSolution | None:
+        """Return the best point of what has been multiplied so far; None without one.
+
+        It costs no product: where a step was refused, what is known of the model is
+        enough for a shorter one.
+
+        **Differentiability**: runs on the host, not traceable.
+        """
+        point = self._within(damping)
+        return None if point is None else self._solution(point, np.nan)
+
+    def _within(self, damping: float) -> "_Point | None":
+        return self._span.solved(
+            self._gradient, self._box, self._limits, self._springs, damping
+        )
+
+    def _solution(self, point: "_Point", relative_gradient: float) -> QuadraticSolution:
+        p, (lower, upper) = point.p, self._box
+        return QuadraticSolution(
+            p=p,
+            decrease=point.decrease,
+            products=self._span.products,
+            is_bound=(p <= lower) | (p >= upper),
+            relative_gradient=relative_gradient,
+        )
 
 
 class _Point(NamedTuple):
@@ -196,6 +226,7 @@ class _Span:
         box: tuple[np.ndarray, np.ndarray],
         limits: Sequence[AbstractRows],
         springs: Sequence[Spring],
+        damping: float,
     ) -> _Point | None:
         """Return the best point of the span; None without one."""
         if not self._long:
@@ -207,8 +238,9 @@ class _Span:
         kinds += [Bounds.of_spring(spring) for spring in springs]
         each = [Bounds.of_box(*box), *kinds]
         P = V.T @ A_V
+        P = 0.5 * (P + P.T) + damping * np.eye(P.shape[0])
         found = solve_dense_quadratic(
-            0.5 * (P + P.T),
+            P,
             V.T @ g,
             np.concatenate([V, L_V]),
             np.concatenate([kind.lower for kind in each]),
@@ -218,15 +250,16 @@ class _Span:
         if found is None:
             return None
         y, push = found
-        values = np.split(L_V @ y, np.cumsum([kind.lower.size for kind in kinds])[:-1])
+        values = _split(L_V @ y, kinds)
         room = [kind.share(rows) for kind, rows in zip(kinds, values, strict=True)]
         share = min([1.0, *room])
         p = np.clip((share * (V @ y)).reshape(gradient.shape), *box)
         gain = -share * (g @ V @ y) - 0.5 * share**2 * (y @ P @ y)
         for kind, rows in zip(kinds, values, strict=True):
             gain += kind.energy(0 * rows) - kind.energy(share * rows)
-        pushes = np.split(push, np.cumsum([kind.lower.size for kind in each])[:-1])
-        slope = gradient + (A_V @ y + pushes[0]).reshape(gradient.shape)
+        pushes = _split(push, each)
+        back = A_V @ y + damping * (V @ y) + pushes[0]
+        slope = gradient + back.reshape(gradient.shape)
         for rows, kind, force in zip(self._rows, kinds, pushes[1:], strict=True):
             if np.any(force):
                 slope = slope + rows.transpose(force.reshape(kind.shape))
@@ -280,6 +313,12 @@ class Bounds(NamedTuple):
             return 0.0
         outside = rows - np.clip(rows, self.lower, self.upper)
         return 0.5 * self.weight**2 * float(np.sum(outside**2))
+
+
+def _split(rows: np.ndarray, kinds: Sequence[Bounds]) -> list[np.ndarray]:
+    """Return the rows of each kind."""
+    ends = np.cumsum([kind.lower.size for kind in kinds], dtype=int)
+    return np.split(rows, ends)[: len(kinds)]
 
 
 def _size(slope: np.ndarray, steep: np.ndarray) -> float:
