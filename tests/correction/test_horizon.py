@@ -92,6 +92,7 @@ def test_segments_find_what_the_whole_path_finds(problem, segmented):
     whole = METHOD(problem)
     found, saved, _ = segmented
     assert found.detail["segment_count"] == 4
+    assert found.detail["bound_count"] == whole.detail["bound_count"] == 0
     assert len(saved) == 4 * found.detail["sweeps"] == 8
     # Two sweeps come a little deeper into a flat valley than the steps of one run.
     assert -0.05 < found.measures.rms / whole.measures.rms - 1 < 0.01

@@ -330,6 +330,9 @@ class RecedingHorizon(AbstractMethod):
             detail={
                 "knot_spacing": spline.actual_spacing,
                 "unknowns": float(spline.coefficient_count * problem.nominal.shape[1]),
+                "bound_count": float(
+                    np.sum(np.abs(run.coefficients) >= float(problem.max_offset))
+                ),
                 "segment_count": float(self.segment_count(rows)),
                 "sweeps": float(self._sweeps(rows)),
                 "horizon": float(self.horizon),
