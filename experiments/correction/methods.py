@@ -152,7 +152,8 @@ def _setting(report: Any, kept: Kept, setting: Setting) -> None:
     if "horizon" in setting.correction:
         whole = _corrected(kept, setting.part, ARMS[0]).to_dataset()
         share = error["corrected"] / _error(whole, "corrected", key)
-        report.figure("rms of the segments over that of the whole path", share, 1.01)
+        what = "rms of the segments over that of the whole path"
+        report.figure(what, share, 1.01, "")
 
 
 def _closer(report: Any, kept: Kept, part: str, arm: str, found: dm.Correction) -> None:
