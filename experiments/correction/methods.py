@@ -71,6 +71,7 @@ STEPS = {"max_steps": "3"}
 # Where a figure is missed, the row is run again so.
 CLOSER = {"knots of 15 ms": {"knot_spacing": '"15 ms"'}}
 RESULTS = pathlib.Path(__file__).parent / "results"
+BASELINES = ("uncorrected", "mirror", "mirror_iterated", "inverse_drive")
 # Baselines by part, arm and what they depend on.
 Kept: TypeAlias = dict[tuple[str, ...], Mapping[str, np.ndarray]]
 
@@ -120,10 +121,13 @@ def _corrected(
     # Which iterate of the mirror is the best depends on the rows that count.
     if "finishing_only" in settings:
         key = (*key, "finishing")
+    # On segments the grid of the mirror sees the first of them only.
+    if "horizon" in settings:
+        key = (*key, "segments")
 
     def keep(arrays: Mapping[str, np.ndarray]) -> None:
-        names = [name for name in arrays if name.startswith("method/")]
-        kept[key] = {name: arrays[name] for name in names}
+        names = [f"method/{name}/" for name in BASELINES]
+        kept[key] = {k: arrays[k] for k in arrays if k.startswith(tuple(names))}
 
     began = time.perf_counter()
 

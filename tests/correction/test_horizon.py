@@ -92,11 +92,19 @@ def test_segments_find_what_the_whole_path_finds(problem, segmented):
     whole = METHOD(problem)
     found, saved, _ = segmented
     assert found.detail["segment_count"] == 4
-    assert found.detail["bound_count"] == whole.detail["bound_count"] == 0
     assert len(saved) == 4 * found.detail["sweeps"] == 8
     # Two sweeps come a little deeper into a flat valley than the steps of one run.
     assert -0.05 < found.measures.rms / whole.measures.rms - 1 < 0.01
     assert whole.measures.rms < 1e-5
+
+
+def test_unknowns_at_the_bound_are_counted(problem):
+    tight = dataclasses.replace(problem, max_offset=2e-5)
+    found = horizon(tight)(tight)
+    offset = np.abs(np.asarray(found.command) - problem.nominal)
+    assert offset.max() == pytest.approx(2e-5, rel=1e-3)
+    assert 0 < found.detail["bound_count"] < found.detail["unknowns"]
+    assert found.detail["bound_count"] > 0.3 * np.sum(offset > 1.999e-5) / 8
 
 
 def test_progress_tells_the_error_so_far_and_the_time_left(segmented):

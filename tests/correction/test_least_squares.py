@@ -10,6 +10,7 @@ from scipy import optimize
 
 from diffmill._result import RESULTS
 from diffmill.correction import (
+    HeldRows,
     LevenbergMarquardt,
     RecomputedProducts,
     StoredProducts,
@@ -116,7 +117,7 @@ def test_counts_what_it_spends(monkeypatch):
     assert np.all(spent <= 9)
     accepted = sum(step.is_accepted for step in history)
     assert solution.forward_runs == 1 + len(trials) + accepted
-    # A refused step has been tried again, without a product.
+    # A refused step has been tried again.
     assert accepted == len(history) < len(trials)
     costs = [step.cost for step in history]
     assert np.all(np.diff(costs) <= 0)
@@ -166,3 +167,24 @@ def test_products_are_the_jacobian(products):
 def test_refuses_crossed_bounds():
     with pytest.raises(ValueError, match="lower"):
         least_squares(rosenbrock, jnp.zeros(2), jnp.array(1.0), lower=1.0, upper=0.0)
+
+
+def test_a_shorter_trial_costs_no_product():
+    """Not where a row is held either, whose push on the step would be one."""
+    solver = LevenbergMarquardt(
+        max_steps=1, max_products=9, cost_rtol=1e-16, kkt_rtol=1e-10
+    )
+    spent = {}
+    for slope in (0.1, 3.0):
+        # The deeper, the further beyond the linear model leads.
+        solution = least_squares(
+            lambda x, at: jnp.stack([jnp.arctan(at * x[0]), x[0]]),
+            jnp.array([1.0]),
+            slope,
+            held=HeldRows(np.array([-5.0]), np.array([5.0])),
+            solver=solver,
+        )
+        (step,) = solution.history
+        spent[slope] = (step.forward_runs - step.is_accepted, step.products)
+    assert spent[0.1][0] == 2 < spent[3.0][0]
+    assert spent[0.1][1] >= spent[3.0][1] > 0

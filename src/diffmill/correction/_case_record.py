@@ -47,7 +47,7 @@ class CaseRecord:
 
         What it cost counts as a part of that.
         """
-        self.run(name, method, problem, **options)
+        self._run(name, method, problem, options, is_start=True)
         found = self.methods.pop(name)
         seconds = self.wall_time.pop(name)
         self._prepared = found.forward_runs, found.products, seconds
@@ -55,14 +55,34 @@ class CaseRecord:
 
     def run(self, name: str, method: Any, problem: Problem, **options: Any) -> None:
         """Run a method, or take up what it found before an interruption."""
+        self._run(name, method, problem, options, is_start=False)
+
+    def keep(self, prefix: str, arrays: Arrays) -> None:
+        """Tell what is needed to go on within a method."""
+        if self._on_checkpoint is not None:
+            self._on_checkpoint({**self.saved, **under(prefix, arrays)})
+
+    def kept(self, prefix: str) -> dict[str, np.ndarray]:
+        """Return what was told so before an interruption, or nothing."""
+        return below(prefix, self._resume)
+
+    def _run(
+        self,
+        name: str,
+        method: Any,
+        problem: Problem,
+        options: dict[str, Any],
+        *,
+        is_start: bool,
+    ) -> None:
         start = time.perf_counter()
-        kept = unpack_method(below(f"method/{name}", self._resume), problem)
+        runs, products, seconds = self._prepared
+        self._prepared = (0, 0, 0.0)
+        kept = unpack_method(self.kept(f"method/{name}"), problem, is_start=is_start)
         if kept is not None:
             self.methods[name], self.wall_time[name] = kept
         else:
             found = method(problem, on_progress=self._on_progress, **options)
-            runs, products, seconds = self._prepared
-            self._prepared = (0, 0, 0.0)
             self.methods[name] = dataclasses.replace(
                 found,
                 forward_runs=found.forward_runs + runs,

@@ -27,12 +27,13 @@ from ._job_method import (
     OPTIMISERS,
     for_the_path,
     job_optimiser,
+    out_of_bounds,
     preconditioned,
     within_joint_limits,
 )
 from ._job_problem import TipPlant, job_mirror, job_problem, joint_problem
 from ._joint_limits import check_joints
-from ._kept import horizon_of, keeping
+from ._kept import horizon_of, keeping, remembering
 from ._least_squares_records import LeastSquaresStep
 from ._memory import Arrays, OnCheckpoint
 from ._method import Corrected, GivenCommand
@@ -99,7 +100,7 @@ class Correction(eqx.Module):
 
     @property
     def history(self) -> tuple[LeastSquaresStep, ...]:
-        """Return the steps of the optimiser."""
+        """Return the steps of the optimiser, without those that found its start."""
         return self.methods["corrected"].history
 
     def to_dataset(self) -> "xarray.Dataset":
@@ -120,10 +121,10 @@ def correct(
     """Predict, correct, and predict again.
 
     The mirror, the iterated mirror and the inverse drive are always computed; the
-    best of them starts the optimiser. For the surface, or within bounds of it, it
-    first brings all rows that touch the surface onto the path: of the poses over a
-    point only the deepest leaves an error, and one after the other would have to be
-    raised.
+    best of them starts the optimiser. For the surface, or within bounds of it, a path
+    that is corrected as a whole is first brought onto the desired one wherever it
+    touches the surface: of the poses over a point only the deepest leaves an error,
+    and one after the other would have to be raised.
 
     Args:
         job: The job; its machine must be a robot.
@@ -185,7 +186,6 @@ def correct(
         start = min(record.methods.values(), key=remaining).command
         method = preconditioned(method, job, desired)
     method = within_joint_limits(method, job, problem)
-    # Segments of a long path come within bounds by themselves.
     path_first = None if horizon else for_the_path(method)
     if surface is not None and path_first is not None:
         rows = touching_rows(surface, np.asarray(desired))
@@ -193,10 +193,13 @@ def correct(
         if job.correction.objective == "path":
             rows = np.maximum(problem.is_cutting, rows)
         touching = dataclasses.replace(problem, is_cutting=rows)
-        found = record.prepare("path_first", path_first, touching, start=start)
-        given = GivenCommand(path_first.begin(problem, start))(problem)
-        start = min((found, given), key=remaining).command
-    kept = keeping(job, method, adjoint, record.saved, on_checkpoint, resume)
+        first = remembering(path_first, "path_first", record)
+        found = record.prepare("path_first", first, touching, start=start)
+        given = GivenCommand(path_first.begin(problem, start))
+        given = record.prepare("given_first", given, problem)
+        closest = lambda m: remaining(m) + out_of_bounds(method, m)
+        start = min((found, given), key=closest).command
+    kept = keeping(job, method, adjoint, record)
     run("corrected", kept, problem, start=start)
     return _finished(job, rigid, before, surface, record, adjoint)
 

@@ -330,9 +330,7 @@ class RecedingHorizon(AbstractMethod):
             detail={
                 "knot_spacing": spline.actual_spacing,
                 "unknowns": float(spline.coefficient_count * problem.nominal.shape[1]),
-                "bound_count": float(
-                    np.sum(np.abs(run.coefficients) >= float(problem.max_offset))
-                ),
+                "bound_count": _bound_count(problem, run),
                 "segment_count": float(self.segment_count(rows)),
                 "sweeps": float(self._sweeps(rows)),
                 "horizon": float(self.horizon),
@@ -353,3 +351,10 @@ class RecedingHorizon(AbstractMethod):
                 limits = self._limits(problem, spline)
                 raise refusal(bounds, errors, free, bound, limits)
         return found
+
+
+def _bound_count(problem: Problem, run: HorizonRun) -> float:
+    """Return how many unknowns stand at the largest offset, in their precision."""
+    dtype = np.asarray(problem.nominal).dtype
+    found = np.abs(np.asarray(run.coefficients, dtype))
+    return float(np.sum(found >= np.asarray(problem.max_offset, dtype)))

@@ -13,6 +13,7 @@ from ._first_order import Adam
 from ._gauss_newton import GaussNewton
 from ._joint_limits import joint_limits
 from ._least_squares_records import LevenbergMarquardt
+from ._method import Corrected
 from ._objective import AbstractObjective, PathObjective
 from ._problem import Problem
 from ._response import tip_response
@@ -66,7 +67,8 @@ def for_the_path(method: Optimiser) -> GaussNewton | None:
 
     One model is enough for a start, and it may leave the bounds of the surface: on the
     path it is close to them, while the way to them from afar, with a spring at every
-    point that is out of bounds, takes many steps.
+    point that is out of bounds, takes many steps. A segment of a long path begins where
+    the one before it has ended, and goes that way.
     """
     if not isinstance(method, GaussNewton):
         return None
@@ -79,6 +81,13 @@ def for_the_path(method: Optimiser) -> GaussNewton | None:
         is_worst_case=False,
         bounds=None,
     )
+
+
+def out_of_bounds(method: Optimiser, found: Corrected) -> float:
+    """Return how far the surface leaves the method's bounds [m]; 0 without any."""
+    if not isinstance(method, GaussNewton) or method.bounds is None:
+        return 0.0
+    return method.bounds.excess(found.motion)
 
 
 def job_bounds(job: Job, surface: FinishedSurface | None) -> SurfaceBounds | None:

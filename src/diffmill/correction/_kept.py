@@ -1,24 +1,20 @@
 """Which optimiser a job asks for, and how it keeps what it has found."""
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
-
-import numpy as np
 
 from .._job import Job
 from ..sim import AbstractAdjoint
+from ._case_record import CaseRecord
 from ._first_order import Adam
+from ._gauss_newton import GaussNewton
 from ._horizon import RecedingHorizon
 from ._job_method import Optimiser
 from ._job_pieces import JobPieces
 from ._memory import (
-    Arrays,
-    OnCheckpoint,
-    below,
     pack_least_squares,
     pack_worst_case,
-    under,
     unpack_least_squares,
     unpack_worst_case,
 )
@@ -67,12 +63,7 @@ def horizon_of(job: Job) -> tuple[int, int] | None:
 
 
 def keeping(
-    job: Job,
-    method: Optimiser,
-    adjoint: AbstractAdjoint,
-    saved: Mapping[str, np.ndarray],
-    on_checkpoint: OnCheckpoint | None,
-    resume: Arrays | None,
+    job: Job, method: Optimiser, adjoint: AbstractAdjoint, record: CaseRecord
 ) -> Callable[..., Any]:
     """Return a method that corrects as the job asks, and tells all that it has found.
 
@@ -80,39 +71,41 @@ def keeping(
         job: The job, in its precision.
         method: The optimiser.
         adjoint: How to differentiate through the removal.
-        saved: What every checkpoint holds besides.
-        on_checkpoint: Called after every step, or after every segment.
-        resume: What it was called with, to go on from there.
+        record: Where it tells it, after every step or every segment, and what it goes
+            on from.
 
     Returns:
         A function of a problem, as `AbstractMethod`.
     """
-
-    def keep(prefix: str, arrays: Arrays) -> None:
-        if on_checkpoint is not None:
-            on_checkpoint({**saved, **under(prefix, arrays)})
-
     if isinstance(method, Adam):
         return functools.partial(
             method,
-            on_memory=lambda arrays: keep("adam", arrays),
-            resume=below("adam", resume) or None,
+            on_memory=lambda arrays: record.keep("adam", arrays),
+            resume=record.kept("adam") or None,
         )
     found = horizon_of(job)
     if found is None:
-        name, pack, unpack = "gauss_newton", pack_least_squares, unpack_least_squares
-        if method.is_worst_case:
-            name, pack, unpack = "worst_case", pack_worst_case, unpack_worst_case
-        memory = below(name, resume)
-        return functools.partial(
-            method,
-            on_memory=lambda m: keep(name, pack(m)),
-            resume=unpack(memory) if memory else None,
-        )
+        name = "worst_case" if method.is_worst_case else "gauss_newton"
+        return remembering(method, name, record)
     return RecedingHorizon(
         JobPieces(job, adjoint, job.correction.command == "joint"),
         method,
         *found,
-        on_checkpoint=lambda arrays: keep("horizon", arrays),
-        resume=below("horizon", resume) or None,
+        on_checkpoint=lambda arrays: record.keep("horizon", arrays),
+        resume=record.kept("horizon") or None,
+    )
+
+
+def remembering(
+    method: GaussNewton, name: str, record: CaseRecord
+) -> Callable[..., Any]:
+    """Return a method on a whole path that tells every step under a name."""
+    pack, unpack = pack_least_squares, unpack_least_squares
+    if method.is_worst_case:
+        pack, unpack = pack_worst_case, unpack_worst_case
+    memory = record.kept(name)
+    return functools.partial(
+        method,
+        on_memory=lambda m: record.keep(name, pack(m)),
+        resume=unpack(memory) if memory else None,
     )

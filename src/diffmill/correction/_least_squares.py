@@ -134,9 +134,12 @@ def least_squares(
     while not is_done and _has_steps(solver, state, history):
         before, kkt = state.cost, largest_slope(state, box)
         weight = state.weight
+        small = before * (_RETURN_RTOL if weight else solver.cost_rtol)
         model_of = functools.partial(_model, solver, box, limits, held, precondition)
         try:
-            state, tried, inner = _step(residual, args, box, held, state, model_of)
+            state, tried, inner, promised = _step(
+                residual, args, box, held, state, model_of, small
+            )
         except QuadraticNotSolved:
             # Rounding is all that is left; the best point so far is not converged.
             break
@@ -147,8 +150,8 @@ def least_squares(
         history.append(record)
         # What counts is another cost once all held rows are within their bounds.
         if state.weight == weight:
-            rtol = _RETURN_RTOL if weight else solver.cost_rtol
-            is_done = _is_converged(rtol, record, before, inner)
+            gained = before - record.cost
+            is_done = promised <= small or (record.is_accepted and gained <= small)
             is_done |= largest_slope(state, box) <= solver.kkt_rtol * first
         if on_memory is not None:
             on_memory(memory_of(state, first, is_done, history))
@@ -202,22 +205,30 @@ def _step(
     held: HeldRows,
     state: State,
     model_of: Callable[[State], LimitedQuadratic],
-) -> tuple[State, _Trial, QuadraticSolution]:
+    small: float,
+) -> tuple[State, _Trial, QuadraticSolution, float]:
     """Try the step of the damped linear model, and shorter ones if it is refused.
+
+    Returns:
+        The state, the last trial, its solution of the model, and the decrease that the
+        first one promised: where that is small no more is tried.
 
     Raises:
         QuadraticNotSolved: The model has no solution to working precision.
     """
     model = model_of(state)
     inner = model.solve(state.damping)
+    promised = inner.decrease
     state, tried = _try(residual, args, box, held, state, inner)
     for _ in range(_SHORTER):
-        shorter = None if tried.gain > _ACCEPT else model.solve_again(state.damping)
+        if tried.gain > _ACCEPT or promised <= small:
+            break
+        shorter = model.solve_again(state.damping)
         if shorter is None:
             break
         inner = shorter
         state, tried = _try(residual, args, box, held, state, inner)
-    return state, tried, inner
+    return state, tried, inner, promised
 
 
 def _model(
@@ -298,16 +309,3 @@ def _try(
         forward_runs=state.forward_runs + 1,
     )
     return new, _Trial(cost, gain, state.damping)
-
-
-def _is_converged(
-    rtol: float,
-    record: LeastSquaresStep,
-    before: float,
-    inner: QuadraticSolution,
-) -> bool:
-    """Tell whether the step, or what the model promises, has become small."""
-    small = rtol * before
-    if inner.decrease <= small:
-        return True
-    return record.is_accepted and before - record.cost <= small

@@ -16,6 +16,9 @@ from ._products import AbstractProducts, StoredProducts
 class LeastSquaresStep(eqx.Module):
     """What one outer step did and what has been spent up to its end.
 
+    Where a refused trial was followed by shorter ones, what is told is that of the
+    last.
+
     Attributes:
         step: Number of the outer step, from 1.
         cost: |r|^2 / 2 at the best point so far.

@@ -74,8 +74,8 @@ class LimitedQuadratic:
             max_products: Products with A at most without limits; twice as many with
                 them.
             precondition: As `solve_bounded_quadratic`.
-            rounding: Relative rounding of the products: a vector whose part outside
-                the span is smaller than its root adds nothing but that.
+            rounding: Relative rounding of the products: what a vector hands on of it,
+                its own and that of the others, stays below its root.
         """
         rows = [*limits, *(spring.rows for spring in springs)]
         self._span = _Span(product, rows, rounding)
@@ -115,8 +115,9 @@ class LimitedQuadratic:
         while (point := self._within(damping)) is not None:
             if best is None or point.decrease > best.decrease:
                 best = point
-            steep = scaled(point.slope)
-            is_settled = _size(point.slope, steep) <= self._rtol * first_size
+            slope = self._span.slope(point, self._gradient, damping)
+            steep = scaled(slope)
+            is_settled = _size(slope, steep) <= self._rtol * first_size
             is_spent = self._span.products >= _LIMITED * most
             if is_settled or is_spent or not self._span.is_grown(steep):
                 break
@@ -155,11 +156,13 @@ class LimitedQuadratic:
 
 
 class _Point(NamedTuple):
-    """A point within the bounds, what it gains, and the Lagrangian's gradient there."""
+    """A point within the bounds, what it gains, and what the bounds push there."""
 
     p: np.ndarray
     decrease: float
-    slope: np.ndarray
+    # Its coordinates in the span, the push of the box and that of each kind of rows.
+    y: np.ndarray
+    pushes: list[np.ndarray]
 
 
 class _Span:
@@ -205,6 +208,8 @@ class _Span:
         return len(self._long) > before
 
     def _remember(self, v: np.ndarray, A_v: np.ndarray) -> None:
+        if not np.any(v):
+            return
         parts = [v, A_v, *(rows.apply(v) for rows in self._rows)]
         long = np.concatenate([part.reshape(-1) for part in parts]) / np.linalg.norm(v)
         self._length, noise = v.size, self._rounding
@@ -257,13 +262,18 @@ class _Span:
         gain = -share * (g @ V @ y) - 0.5 * share**2 * (y @ P @ y)
         for kind, rows in zip(kinds, values, strict=True):
             gain += kind.energy(0 * rows) - kind.energy(share * rows)
-        pushes = _split(push, each)
-        back = A_V @ y + damping * (V @ y) + pushes[0]
+        return _Point(p, float(gain), y, _split(push, each))
+
+    def slope(self, point: _Point, gradient: np.ndarray, damping: float) -> np.ndarray:
+        """Return the Lagrangian's gradient at a point; held rows cost a product."""
+        n, long = self._length, np.stack(self._long, axis=1)
+        of_box, *of_rows = point.pushes
+        back = (long[n : 2 * n] + damping * long[:n]) @ point.y + of_box
         slope = gradient + back.reshape(gradient.shape)
-        for rows, kind, force in zip(self._rows, kinds, pushes[1:], strict=True):
+        for rows, force in zip(self._rows, of_rows, strict=True):
             if np.any(force):
-                slope = slope + rows.transpose(force.reshape(kind.shape))
-        return _Point(p, float(gain), slope)
+                slope = slope + rows.transpose(force.reshape(rows.lower.shape))
+        return slope
 
 
 class Bounds(NamedTuple):
@@ -273,7 +283,6 @@ class Bounds(NamedTuple):
     upper: np.ndarray
     weight: float
     slack: float
-    shape: tuple[int, ...]
 
     @staticmethod
     def hard(lower: np.ndarray, upper: np.ndarray) -> "Bounds":
@@ -285,21 +294,20 @@ class Bounds(NamedTuple):
             np.maximum(upper.reshape(-1) - slack, 0.0),
             np.inf,
             float(slack),
-            lower.shape,
         )
 
     @staticmethod
     def of_box(lower: np.ndarray, upper: np.ndarray) -> "Bounds":
         """Return those of a box, into which a point can be clipped."""
         flat = lower.reshape(-1), upper.reshape(-1)
-        return Bounds(*flat, np.inf, 0.0, lower.shape)
+        return Bounds(*flat, np.inf, 0.0)
 
     @staticmethod
     def of_spring(spring: Spring) -> "Bounds":
         """Return those of a spring."""
         lower, upper = spring.rows.lower, spring.rows.upper
         flat = lower.reshape(-1), upper.reshape(-1)
-        return Bounds(*flat, spring.weight, 0.0, lower.shape)
+        return Bounds(*flat, spring.weight, 0.0)
 
     def share(self, rows: np.ndarray) -> float:
         """Return the largest a with a rows within the bounds, but for the slack."""

@@ -168,18 +168,21 @@ def pack_method(found: Corrected, seconds: float) -> dict[str, np.ndarray]:
     }
 
 
-def unpack_method(arrays: Arrays, problem: Problem) -> tuple[Corrected, float] | None:
+def unpack_method(
+    arrays: Arrays, problem: Problem, *, is_start: bool = False
+) -> tuple[Corrected, float] | None:
     """Return the outcome of a method and its wall time [s].
 
     Args:
         arrays: What `pack_method` has made, or nothing.
         problem: The problem that it was for.
+        is_start: Whether only a start is looked for, which need not have settled.
 
     Returns:
         Both; None where there is nothing, or where the method did not succeed and is
         to be run again for its exact outcome.
     """
-    if not arrays or not bool(arrays["is_successful"]):
+    if not arrays or not (is_start or bool(arrays["is_successful"])):
         return None
     names = [str(name) for name in arrays["detail_names"]]
     found = corrected(

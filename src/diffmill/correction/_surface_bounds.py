@@ -49,6 +49,15 @@ class SurfaceBounds(eqx.Module):
         """
         return self.surface.errors(motion.actual)
 
+    def excess(self, motion: Motion) -> float:
+        """Return how far the worst point is out of its bounds [m]; 0 if none is.
+
+        **Differentiability**: none, a host function.
+        """
+        errors = np.asarray(self.errors(motion), np.float64)
+        out = np.maximum(self.lower - errors, errors - self.upper)
+        return float(np.max(out, initial=0.0))
+
 
 def surface_bounds(
     surface: FinishedSurface,
