@@ -8,9 +8,10 @@ by A so far: first those of the conjugate gradients that only know of the box, t
 by one, the preconditioned gradient of the Lagrangian at the last solution, which knows
 the push of every bound. Nothing that has been multiplied is lost, and each small
 problem is left to a solver for dense ones. Without bounds this is the method of
-conjugate gradients.
+conjugate gradients, kept conjugate.
 """
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -22,9 +23,10 @@ from ._quadratic import QuadraticSolution, solve_bounded_quadratic
 
 # How many times the products of the problem without limits there may be.
 _LIMITED = 2
-# Products of the conjugate gradients that only know of the box: beyond the limits
-# they find less than what knows of them.
-_WITHOUT_LIMITS = 14
+# Products of the conjugate gradients that only know of the box. Their recurrence does
+# not keep them conjugate for long: where they are slow, the best point of the same span,
+# and what grows it from there, gain more with fewer products.
+_BY_RECURRENCE = 14
 # Vectors of the span at most: the small problem is dense in them.
 _LARGEST_SPAN = 150
 # Bounds are kept to this share of the largest of their kind: what the dense solver
@@ -69,8 +71,7 @@ class LimitedQuadratic:
             upper: Upper bounds of p, at least 0.
             limits: Limits of p; bounds on either side of 0.
             springs: Rows whose bounds p = 0 need not keep.
-            rtol: Stop when the gradient of the Lagrangian has fallen so far; without
-                limits the projected one.
+            rtol: Stop when the gradient of the Lagrangian has fallen so far.
             max_products: Products with A at most without limits; twice as many with
                 them.
             precondition: As `solve_bounded_quadratic`.
@@ -97,18 +98,20 @@ class LimitedQuadratic:
 
         **Differentiability**: runs on the host, not traceable.
         """
-        is_limited = len(self._limits) + len(self._springs) > 0
         most = self._max_products
         first = solve_bounded_quadratic(
             lambda p: self._span.multiplied(p) + damping * p,
             self._gradient,
             *self._box,
             rtol=self._rtol,
-            max_products=min(most, _WITHOUT_LIMITS) if is_limited else most,
+            max_products=min(most, _BY_RECURRENCE),
             precondition=self._precondition,
         )
-        if not self._springs and feasible_share(first.p, self._limits) >= 1:
+        is_free = not self._springs and feasible_share(first.p, self._limits) >= 1
+        if is_free and first.relative_gradient <= self._rtol:
             return first
+        if self._limits or self._springs:
+            most *= _LIMITED
         scaled = self._precondition or (lambda vector: vector)
         first_size = _size(self._gradient, scaled(self._gradient))
         best: _Point | None = None
@@ -118,9 +121,11 @@ class LimitedQuadratic:
             slope = self._span.slope(point, self._gradient, damping)
             steep = scaled(slope)
             is_settled = _size(slope, steep) <= self._rtol * first_size
-            is_spent = self._span.products >= _LIMITED * most
+            is_spent = self._span.products >= most
             if is_settled or is_spent or not self._span.is_grown(steep):
                 break
+        if is_free and (best is None or best.decrease <= first.decrease):
+            return dataclasses.replace(first, products=self._span.products)
         if best is None:
             raise QuadraticNotSolved(
                 "The quadratic program within the limits has no solution to working "
