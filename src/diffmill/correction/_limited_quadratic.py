@@ -24,8 +24,8 @@ from ._quadratic import QuadraticSolution, solve_bounded_quadratic
 # How many times the products of the problem without limits there may be.
 _LIMITED = 2
 # Products of the conjugate gradients that only know of the box. Their recurrence does
-# not keep them conjugate for long: where they are slow, the best point of the same span,
-# and what grows it from there, gain more with fewer products.
+# not keep them conjugate for long: where they are slow, the best point of the span, and
+# what grows it from there, gain more with fewer products.
 _BY_RECURRENCE = 14
 # Vectors of the span at most: the small problem is dense in them.
 _LARGEST_SPAN = 150
