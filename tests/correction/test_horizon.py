@@ -104,7 +104,12 @@ def test_unknowns_at_the_bound_are_counted(problem):
     offset = np.abs(np.asarray(found.command) - problem.nominal)
     assert offset.max() == pytest.approx(2e-5, rel=1e-3)
     assert 0 < found.detail["bound_count"] < found.detail["unknowns"]
-    assert found.detail["bound_count"] > 0.3 * np.sum(offset > 1.999e-5) / 8
+    whole = METHOD(tight)
+    assert 0 < whole.detail["bound_count"] < whole.detail["unknowns"]
+    # About one unknown per eight rows that are at the bound throughout.
+    for one in (found, whole):
+        at = np.sum(np.abs(np.asarray(one.command) - problem.nominal) > 1.9999e-5)
+        assert one.detail["bound_count"] > 0.5 * at / 8
 
 
 def test_progress_tells_the_error_so_far_and_the_time_left(segmented):
@@ -171,12 +176,12 @@ def test_segments_that_have_not_settled_are_told(problem, segmented):
 
 
 def test_a_limit_of_all_axes_holds_across_seams(problem):
-    """As those of joints are: x and y together may go a third as far as they would."""
+    """As those of joints are: x and y together may go half as far as they would."""
     free = RecedingHorizon(
         SpringPieces(problem.plant), METHOD, horizon=400, overlap=100, sweeps=1
     )(problem)
     together = lambda found: np.sum((found.command - problem.nominal)[:, :2], axis=1)
-    most = 0.3 * together(free).max()
+    most = 0.5 * together(free).max()
     spline = SplineOffsets(len(problem.nominal), TIME_STEP, KNOTS)
     matrix: Any = sparse.kron(basis_matrix(spline), np.array([[1.0, 1.0, 0.0]]), "csr")
     bound = np.full(len(problem.nominal), most)

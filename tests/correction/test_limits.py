@@ -1,14 +1,18 @@
 """Limits of velocity and acceleration: safe everywhere, held exactly, optimal."""
 
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from correction.spring_mass import rounded_square, soft_arm
+from scipy import sparse
 
 from diffmill.correction import (
     GaussNewton,
     InfeasibleLimit,
     LimitedQuadratic,
+    MixedLimits,
     Problem,
     SplineOffsets,
     command_limits,
@@ -93,6 +97,38 @@ def test_limited_quadratic_is_that_of_a_dense_solver():
     assert dense.fun > 0.9 * free
     assert cost(found.p[:, 0]) == pytest.approx(dense.fun, rel=2e-2)
     assert found.decrease == pytest.approx(-cost(found.p[:, 0]), rel=1e-6)
+
+
+@pytest.mark.parametrize("has_limit", [False, True])
+def test_what_cannot_move_takes_nothing_from_the_rest(has_limit):
+    """As the ends of a segment: their slopes neither settle nor spread."""
+    rng = np.random.default_rng(4)
+    n, pinned = 60, np.arange(60) % 3 == 0
+    Q = np.linalg.qr(rng.normal(size=(n, n)))[0]
+    A = Q @ (np.logspace(0, -3, n)[:, None] * Q.T)
+    g = A @ rng.normal(size=(n, 1))
+    free = np.flatnonzero(~pinned)
+    box = np.where(pinned, 0.0, 100.0)[:, None]
+    # A limit far away, to which nothing comes.
+    most = np.full(n, 1e3)
+    matrix: Any = sparse.csr_array(np.eye(n))
+    far = MixedLimits(matrix, -most, most, 1)
+    mix = Q @ (np.logspace(0, 3, n)[:, None] * Q.T)
+    problem = LimitedQuadratic(
+        lambda p: A @ p,
+        g,
+        -box,
+        box,
+        (far,) if has_limit else (),
+        rtol=1e-6,
+        max_products=15 if has_limit else 30,
+        precondition=lambda r: mix @ r,
+    )
+    found = problem.solve()
+    best = 0.5 * g[free, 0] @ np.linalg.solve(A[np.ix_(free, free)], g[free, 0])
+    assert np.all(found.p[pinned] == 0)
+    assert found.products <= 30
+    assert found.decrease == pytest.approx(best, rel=1e-7)
 
 
 def test_slow_conjugate_gradients_do_not_hand_rounding_on():

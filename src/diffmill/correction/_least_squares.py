@@ -4,7 +4,7 @@
                             and bounds of further rows that come with r
 
 Each outer step linearises the residual once, minimises the damped linear model within
-the bounds by projected conjugate gradients, and accepts the trial point by the ratio of
+the bounds with products only, and accepts the trial point by the ratio of
 the true to the predicted decrease, which also sets the damping (Nielsen's rule, see
 Madsen, Nielsen and Tingleff, Methods for Non-Linear Least Squares Problems, 2004).
 A refused step is tried again with more damping, in the span of what it has multiplied;
@@ -133,7 +133,7 @@ def least_squares(
     is_done = first == 0 if resume is None else resume.is_done
     while not is_done and _has_steps(solver, state, history):
         before, kkt = state.cost, largest_slope(state, box)
-        weight = state.weight
+        weight, damping = state.weight, state.damping
         small = before * (_RETURN_RTOL if weight else solver.cost_rtol)
         model_of = functools.partial(_model, solver, box, limits, held, precondition)
         try:
@@ -150,8 +150,10 @@ def least_squares(
         history.append(record)
         # What counts is another cost once all held rows are within their bounds.
         if state.weight == weight:
-            gained = before - record.cost
-            is_done = promised <= small or (record.is_accepted and gained <= small)
+            # A shorter trial gains little because it is short.
+            is_whole = record.is_accepted and record.damping == damping
+            is_done = promised <= small
+            is_done |= is_whole and before - record.cost <= small
             is_done |= largest_slope(state, box) <= solver.kkt_rtol * first
         if on_memory is not None:
             on_memory(memory_of(state, first, is_done, history))

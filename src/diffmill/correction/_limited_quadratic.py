@@ -19,13 +19,17 @@ import numpy as np
 
 from ._dense_quadratic import solve_dense_quadratic
 from ._limits import AbstractRows
-from ._quadratic import QuadraticSolution, solve_bounded_quadratic
+from ._quadratic import (
+    QuadraticSolution,
+    projected_gradient,
+    solve_bounded_quadratic,
+)
 
 # How many times the products of the problem without limits there may be.
 _LIMITED = 2
-# Products of the conjugate gradients that only know of the box. Their recurrence does
-# not keep them conjugate for long: where they are slow, the best point of the span, and
-# what grows it from there, gain more with fewer products.
+# Products of the conjugate gradients that only know of the box, at least. Their
+# recurrence does not keep them conjugate for long: where they are slow, the best point
+# of the span, and what grows it from there, gain more with fewer products.
 _BY_RECURRENCE = 14
 # Vectors of the span at most: the small problem is dense in them.
 _LARGEST_SPAN = 150
@@ -71,7 +75,8 @@ class LimitedQuadratic:
             upper: Upper bounds of p, at least 0.
             limits: Limits of p; bounds on either side of 0.
             springs: Rows whose bounds p = 0 need not keep.
-            rtol: Stop when the gradient of the Lagrangian has fallen so far.
+            rtol: Stop when the gradient of the Lagrangian, by the preconditioner, has
+                fallen so far; the conjugate gradients, when the projected one has.
             max_products: Products with A at most without limits; twice as many with
                 them.
             precondition: As `solve_bounded_quadratic`.
@@ -98,27 +103,41 @@ class LimitedQuadratic:
 
         **Differentiability**: runs on the host, not traceable.
         """
-        most = self._max_products
+        most, (lower, upper) = self._max_products, self._box
+        is_limited = len(self._limits) + len(self._springs) > 0
+        is_pinned = lower == upper
+
+        def is_enough(p: np.ndarray, products: int) -> bool:
+            # Where the box bounds a point they keep to its face, as the span does not.
+            is_bound = ((p <= lower) | (p >= upper)) & ~is_pinned
+            return products >= _BY_RECURRENCE and (is_limited or not np.any(is_bound))
+
         first = solve_bounded_quadratic(
             lambda p: self._span.multiplied(p) + damping * p,
             self._gradient,
-            *self._box,
+            lower,
+            upper,
             rtol=self._rtol,
-            max_products=min(most, _BY_RECURRENCE),
+            max_products=most,
             precondition=self._precondition,
+            is_enough=is_enough,
         )
         is_free = not self._springs and feasible_share(first.p, self._limits) >= 1
         if is_free and first.relative_gradient <= self._rtol:
             return first
-        if self._limits or self._springs:
+        if is_limited:
             most *= _LIMITED
-        scaled = self._precondition or (lambda vector: vector)
-        first_size = _size(self._gradient, scaled(self._gradient))
+        outer = self._precondition or (lambda vector: vector)
+        # What cannot move counts nowhere: neither as a slope nor as a way.
+        moving = lambda vector: np.where(is_pinned, 0.0, vector)
+        scaled = lambda slope: moving(outer(slope))
+        start = projected_gradient(np.zeros_like(lower), self._gradient, lower, upper)
+        first_size = _size(start, np.where(start != 0, scaled(start), 0.0))
         best: _Point | None = None
         while (point := self._within(damping)) is not None:
             if best is None or point.decrease > best.decrease:
                 best = point
-            slope = self._span.slope(point, self._gradient, damping)
+            slope = moving(self._span.slope(point, self._gradient, damping))
             steep = scaled(slope)
             is_settled = _size(slope, steep) <= self._rtol * first_size
             is_spent = self._span.products >= most
@@ -131,7 +150,7 @@ class LimitedQuadratic:
                 "The quadratic program within the limits has no solution to working "
                 "precision."
             )
-        return self._solution(best, first.relative_gradient)
+        return self._solution(best)
 
     def solve_again(self, damping: float) -> QuadraticSolution | None:
         """Return the best point of what has been multiplied so far; None without one.
@@ -142,21 +161,27 @@ class LimitedQuadratic:
         **Differentiability**: runs on the host, not traceable.
         """
         point = self._within(damping)
-        return None if point is None else self._solution(point, np.nan)
+        return None if point is None else self._solution(point)
 
     def _within(self, damping: float) -> "_Point | None":
         return self._span.solved(
             self._gradient, self._box, self._limits, self._springs, damping
         )
 
-    def _solution(self, point: "_Point", relative_gradient: float) -> QuadraticSolution:
+    def _solution(self, point: "_Point") -> QuadraticSolution:
         p, (lower, upper) = point.p, self._box
+        if not (self._limits or self._springs):
+            # The dense solver stops just short of a bound.
+            width = upper - lower
+            near = np.where(np.isfinite(width), _TOLERANCE * width, 0.0)
+            p = np.where(np.isfinite(lower) & (p - lower <= near), lower, p)
+            p = np.where(np.isfinite(upper) & (upper - p <= near), upper, p)
         return QuadraticSolution(
             p=p,
             decrease=point.decrease,
             products=self._span.products,
             is_bound=(p <= lower) | (p >= upper),
-            relative_gradient=relative_gradient,
+            relative_gradient=np.nan,
         )
 
 

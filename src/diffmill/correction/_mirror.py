@@ -81,8 +81,8 @@ class IteratedMirror(AbstractMethod):
         best, runs = zero, 1
         # A filter needs two rows per period.
         known = [c for c in self.cutoffs if c < 0.5 / problem.time_step]
-        # The fastest first: where they diverge they end soon, and where they do not,
-        # they leave an error that the slow ones will not get below.
+        # The highest cut-offs first: where they diverge they end soon, and if they do
+        # not, they leave an error that the lower ones will not get below.
         grid = list(product(sorted(known, reverse=True), self.relaxations))
         # One branch after the other: two runs of one compiled program at the same time
         # can block each other in XLA's pool of threads.

@@ -35,7 +35,8 @@ class QuadraticSolution(eqx.Module):
         decrease: -q(p), at least 0.
         products: Products with A that were needed.
         is_bound: Which variables stand at a bound.
-        relative_gradient: Norm of the projected gradient over its first value.
+        relative_gradient: Norm of the projected gradient over its first value; NaN
+            where only that by the preconditioner is known.
     """
 
     p: Vector
@@ -62,6 +63,7 @@ def solve_bounded_quadratic(
     rtol: float = 1e-2,
     max_products: int = 40,
     precondition: Callable[[np.ndarray], np.ndarray] | None = None,
+    is_enough: Callable[[np.ndarray, int], bool] | None = None,
 ) -> QuadraticSolution:
     """Minimise p.A p / 2 + g.p in a box that contains p = 0.
 
@@ -74,6 +76,7 @@ def solve_bounded_quadratic(
         max_products: Products with A at most.
         precondition: Roughly A^-1, symmetric and positive semidefinite; within a
             face its rows and columns of bound variables are left out.
+        is_enough: Whether to stop at a point after some products.
 
     Returns:
         The solution; exactly within the bounds, also when the products run out.
@@ -87,6 +90,8 @@ def solve_bounded_quadratic(
     state = _State(p, gradient, free, 0, True)
     norm = first
     while norm > max(rtol * first, _TINY) and state.products < max_products:
+        if is_enough is not None and is_enough(state.p, state.products):
+            break
         free, chopped = _split(state.p, state.gradient, lower, upper)
         if np.sum(chopped**2) <= np.sum(free**2):
             state = _move(

@@ -52,9 +52,13 @@ class SurfaceBounds(eqx.Module):
     def excess(self, motion: Motion) -> float:
         """Return how far the worst point is out of its bounds [m]; 0 if none is.
 
+        Infinite where the motion is not finite.
+
         **Differentiability**: none, a host function.
         """
         errors = np.asarray(self.errors(motion), np.float64)
+        if not np.all(np.isfinite(errors)):
+            return np.inf
         out = np.maximum(self.lower - errors, errors - self.upper)
         return float(np.max(out, initial=0.0))
 
