@@ -38,6 +38,7 @@ from ._least_squares_state import (
     model_at,
     normal,
     solution_at,
+    state_at,
     state_of,
     take_spent,
     unit_box,
@@ -119,11 +120,9 @@ def least_squares(
     solver = LevenbergMarquardt() if solver is None else solver
     box = unit_box(start, lower, upper, scale)
     held = HeldRows() if held is None else held
-    z = np.clip(np.asarray(start, np.float64) / box.scale, box.lower, box.upper)
     history = [] if resume is None else list(resume.history)
     began = clock() - (history[-1].seconds if history else 0.0)
-    fresh = State(z, np.inf, z, None, None, 0.0, 0.0, 2.0, 0, 0)
-    state = fresh if resume is None else state_of(resume)
+    state = state_at(box, start) if resume is None else state_of(resume)
     state = linearised(solver, residual, args, box, held, state)
     if not (np.isfinite(state.cost) and np.all(np.isfinite(state.gradient))):
         return solution_at(box, held, state, history, RESULTS.non_finite)
@@ -150,10 +149,8 @@ def least_squares(
         history.append(record)
         # What counts is another cost once all held rows are within their bounds.
         if state.weight == weight:
-            # A shorter trial gains little because it is short.
-            is_whole = record.is_accepted and record.damping == damping
-            is_done = promised <= small
-            is_done |= is_whole and before - record.cost <= small
+            gained = before - record.cost
+            is_done = _is_converged(record, damping, gained, promised, small)
             is_done |= largest_slope(state, box) <= solver.kkt_rtol * first
         if on_memory is not None:
             on_memory(memory_of(state, first, is_done, history))
@@ -311,3 +308,18 @@ def _try(
         forward_runs=state.forward_runs + 1,
     )
     return new, _Trial(cost, gain, state.damping)
+
+
+def _is_converged(
+    record: LeastSquaresStep,
+    damping: float,
+    gained: float,
+    promised: float,
+    small: float,
+) -> bool:
+    """Tell whether the step, or what the model promised of it, has become small."""
+    if promised <= small:
+        return True
+    # A shorter trial, with more damping than the step began with, gains little because
+    # it is short.
+    return record.is_accepted and record.damping == damping and gained <= small

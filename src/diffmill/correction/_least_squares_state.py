@@ -83,6 +83,12 @@ def unit_box(start: Array, lower: Bound, upper: Bound, scale: Bound) -> Box:
     return Box(full[0], full[1], full[2], np.dtype(start.dtype))
 
 
+def state_at(box: Box, start: Array) -> State:
+    """Return the state at a start, of which only the linearisation is missing."""
+    z = np.clip(np.asarray(start, np.float64) / box.scale, box.lower, box.upper)
+    return State(z, np.inf, z, None, None, 0.0, 0.0, 2.0, 0, 0)
+
+
 def state_of(memory: LeastSquaresMemory) -> State:
     """Return the state of which only the linearisation is missing."""
     return State(

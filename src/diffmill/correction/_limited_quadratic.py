@@ -285,14 +285,14 @@ class _Span:
         if found is None:
             return None
         y, push = found
-        values = _split(L_V @ y, kinds)
+        values = _by_kind(L_V @ y, kinds)
         room = [kind.share(rows) for kind, rows in zip(kinds, values, strict=True)]
         share = min([1.0, *room])
         p = np.clip((share * (V @ y)).reshape(gradient.shape), *box)
         gain = -share * (g @ V @ y) - 0.5 * share**2 * (y @ P @ y)
         for kind, rows in zip(kinds, values, strict=True):
             gain += kind.energy(0 * rows) - kind.energy(share * rows)
-        return _Point(p, float(gain), y, _split(push, each))
+        return _Point(p, float(gain), y, _by_kind(push, each))
 
     def slope(self, point: _Point, gradient: np.ndarray, damping: float) -> np.ndarray:
         """Return the Lagrangian's gradient at a point; held rows cost a product."""
@@ -353,7 +353,7 @@ class Bounds(NamedTuple):
         return 0.5 * self.weight**2 * float(np.sum(outside**2))
 
 
-def _split(rows: np.ndarray, kinds: Sequence[Bounds]) -> list[np.ndarray]:
+def _by_kind(rows: np.ndarray, kinds: Sequence[Bounds]) -> list[np.ndarray]:
     """Return the rows of each kind."""
     ends = np.cumsum([kind.lower.size for kind in kinds], dtype=int)
     return np.split(rows, ends)[: len(kinds)]
