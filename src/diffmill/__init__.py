@@ -22,6 +22,7 @@ if TYPE_CHECKING:
         robot as robot,
         sim as sim,
         toolpath as toolpath,
+        units as units,
         viz as viz,
         workpiece as workpiece,
     )
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 
     __version__: str
 
-_SUBPACKAGES = (
+_MODULES = (
     "correction",
     "cutter",
     "cutting",
@@ -48,6 +49,7 @@ _SUBPACKAGES = (
     "robot",
     "sim",
     "toolpath",
+    "units",
     "viz",
     "workpiece",
 )
@@ -69,7 +71,7 @@ _NAMES = {
 
 def __getattr__(name: str) -> object:
     """Import a public name when it is first used."""
-    if name in _SUBPACKAGES:
+    if name in _MODULES:
         return importlib.import_module(f"{__name__}.{name}")
     if name in _NAMES:
         value = getattr(importlib.import_module(f"{__name__}.{_NAMES[name]}"), name)
@@ -85,4 +87,4 @@ def __getattr__(name: str) -> object:
 
 def __dir__() -> list[str]:
     """Return the public names, imported or not."""
-    return sorted({*globals(), *_SUBPACKAGES, *_NAMES, "__version__"})
+    return sorted({*globals(), *_MODULES, *_NAMES, "__version__"})

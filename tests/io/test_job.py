@@ -104,6 +104,38 @@ def test_defaults_of_the_simulation(write):
     assert settings.mode == "dynamic"
 
 
+@pytest.mark.parametrize(
+    ("change", "fewest"),
+    [
+        (('"flat"', '"flat"'), 180),
+        (('"flat"', '"ball"'), 96),
+        (('"22 mm"', '"22 mm"\nrunout = "5 um"'), 96),
+        # The path goes deeper than the flutes.
+        (('"22 mm"', '"1.2 mm"'), 180),
+    ],
+)
+def test_defaults_that_are_written_out_are_allowed(write, change, fewest):
+    file = write(change)
+    wanted = load_job(file).simulation
+    assert wanted.angles >= fewest
+    table = f"""[simulation]
+angles = {wanted.angles}
+substeps = {wanted.substeps}
+element_height = "{wanted.element_height} m"
+axial_depth = "{wanted.axial_depth:.7g} m"
+[robot]"""
+    found = load_job(write(change, ("[robot]", table))).simulation
+    assert found.angles == wanted.angles
+    assert found.axial_depth == pytest.approx(wanted.axial_depth)
+    coarse = ("[robot]", "[simulation]\nangles = 64\n[robot]")
+    (problem,) = problems_of(write(change, coarse))
+    assert "angles: found 64" in problem
+    assert f"at least {fewest}" in problem
+    deep = ("[robot]", '[simulation]\naxial_depth = "23 mm"\n[robot]')
+    (problem,) = problems_of(write(change, deep))
+    assert "axial_depth: found 23 mm" in problem
+
+
 def test_a_job_may_ask_for_the_chip_of_the_paper(write):
     file = write(("[robot]", '[simulation]\nchip = "point_cloud"\n[robot]'))
     settings = load_job(file).simulation
@@ -398,7 +430,7 @@ def test_file_faults(tmp_path):
     with pytest.raises(JobError, match="a folder"):
         load_job(tmp_path)
     (tmp_path / "job.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(JobError, match="cannot be read"):
+    with pytest.raises(JobError, match="invalid TOML"):
         load_job(tmp_path / "job.toml")
 
 

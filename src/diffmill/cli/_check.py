@@ -3,12 +3,12 @@
 import collections
 import math
 import pathlib
-import tomllib
 from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
 
+from .._toml import parse_toml
 from ._jax import configure_jax
 
 
@@ -41,7 +41,7 @@ def describe_file(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
 def _tables(file: pathlib.Path) -> dict[str, object]:
     """Return the tables of a TOML file; none if it is faulty, which is said later."""
     try:
-        return tomllib.loads(file.read_text(encoding="utf-8-sig"))
+        return parse_toml(file.read_bytes())
     except (OSError, ValueError):
         return {}
 

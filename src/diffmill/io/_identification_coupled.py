@@ -4,8 +4,8 @@ import pathlib
 
 import numpy as np
 
+from .. import units as q
 from ..sim import parameter_names
-from . import _quantity as q
 from ._identification_records import LARGEST_RECORD
 from ._identification_schema import CoupledTable
 from ._identification_task import CoupledTask

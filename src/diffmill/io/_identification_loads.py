@@ -8,8 +8,8 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Int
 
+from .. import units as q
 from ..robot import Robot, forward_kinematics
-from . import _quantity as q
 from ._identification_schema import LoadTestsTable
 from ._identification_task import LoadTestTask, Turns
 from ._job_program import file_in_folder

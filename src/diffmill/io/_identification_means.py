@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ..units import FORCE, LENGTH
 from ._identification_mean import mean_over_turns
 from ._identification_records import Context, check_straight
 from ._identification_schema import MeansTable
@@ -13,7 +14,6 @@ from ._identification_task import (
 )
 from ._job_program import file_in_folder
 from ._load_record import read_table
-from ._quantity import FORCE, LENGTH
 from ._record_error import RecordError
 from ._table_columns import check_keys, column_of
 

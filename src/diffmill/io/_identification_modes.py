@@ -4,9 +4,9 @@ import pathlib
 
 import numpy as np
 
+from .. import units as q
 from ..identification import spectral_peaks
 from ..robot import Robot
-from . import _quantity as q
 from ._identification_records import LARGEST_RECORD
 from ._identification_robot import joint_positions
 from ._identification_schema import FrequencyResponseTable, RingDownTable

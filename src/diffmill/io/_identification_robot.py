@@ -5,8 +5,8 @@ import pathlib
 import numpy as np
 from jaxtyping import Float
 
+from .. import units as q
 from ..robot import Robot, with_drives, with_tool
-from . import _quantity as q
 from ._identification_schema import RobotTable
 from ._job_robot import pose_matrix
 from ._job_robot_file import load_robot

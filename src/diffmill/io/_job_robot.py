@@ -5,6 +5,7 @@ import pathlib
 import numpy as np
 from jaxtyping import Float
 
+from .. import units as q
 from ..cutter import AbstractCutter
 from ..robot import (
     Robot,
@@ -13,7 +14,6 @@ from ..robot import (
     with_drives,
     with_tool,
 )
-from . import _quantity as q
 from ._job_compliance import with_bending_cutter, with_spring
 from ._job_robot_file import check_springs, load_robot
 from ._job_schema import PoseTable, RobotTable

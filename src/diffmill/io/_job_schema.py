@@ -85,7 +85,7 @@ class RobotTable(Table):
 class SimulationTable(Table):
     """`[simulation]`."""
 
-    angles: Annotated[StrictInt, Field(ge=180, le=100_000)] | None = None
+    angles: Annotated[StrictInt, Field(ge=1, le=100_000)] | None = None
     substeps: Annotated[StrictInt, Field(ge=1, le=1000)] | None = None
     element_height: PositiveLength | None = None
     axial_depth: PositiveLength | None = None

@@ -28,7 +28,7 @@ from ._identification_task import (
     Task,
 )
 from ._job_cutter import make_cutter
-from ._load_job import JobError, load_job, parse_toml
+from ._load_job import JobError, load_job, read_toml
 
 
 def load_identification(
@@ -56,7 +56,7 @@ def load_identification(
     **Differentiability**: not applicable, a host function.
     """
     path = pathlib.Path(file)
-    _, raw = parse_toml(path)
+    _, raw = read_toml(path)
     if forces is not None:
         return _of_job(path, raw, pathlib.Path(forces), allow_outside=allow_outside)
     problems: list[str] = []

@@ -3,13 +3,13 @@
 import math
 import os
 import pathlib
-import tomllib
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from .._job import Job, SimulationSettings
+from .._toml import parse_toml
 from ..cutter import AbstractCutter, ToolHolder
 from ..robot import Robot
 from ..sim import default_element_height, descends
@@ -33,6 +33,8 @@ _ROOM = 0.6e-3
 # Samples per revolution: of a flat cutter that stands upright, and of any other.
 _FEWEST_ANGLES, _FEWEST_IN_SPACE = 180, 96
 _LARGEST_JOB = 1_000_000
+# Of a length that is written down with a few digits.
+_ROUNDING = 1e-6
 
 
 class JobError(ValueError):
@@ -69,7 +71,7 @@ def load_job(file: str | os.PathLike[str], *, allow_outside: bool = False) -> Jo
     inputs of `simulate`.
     """
     path = pathlib.Path(file)
-    text, raw = parse_toml(path)
+    text, raw = read_toml(path)
     problems: list[str] = []
     tables = read_tables(raw, problems)
     if "program" not in tables:
@@ -90,7 +92,7 @@ def job_precision(file: str | os.PathLike[str]) -> str:
         "float32" if the job says so, else "float64", also for a faulty job.
     """
     try:
-        _, raw = parse_toml(pathlib.Path(file))
+        _, raw = read_toml(pathlib.Path(file))
     except JobError:
         return "float64"
     simulation = raw.get("simulation", {})
@@ -98,7 +100,7 @@ def job_precision(file: str | os.PathLike[str]) -> str:
     return "float32" if found == "float32" else "float64"
 
 
-def parse_toml(path: pathlib.Path) -> tuple[str, dict[str, Any]]:
+def read_toml(path: pathlib.Path) -> tuple[str, dict[str, Any]]:
     """Return the text and the tables of a TOML file."""
     try:
         if not path.is_file():
@@ -106,12 +108,14 @@ def parse_toml(path: pathlib.Path) -> tuple[str, dict[str, Any]]:
             raise JobError(path, [f"found {found}; a job file (.toml) is required"])
         if path.stat().st_size > _LARGEST_JOB:
             raise JobError(path, ["found more than 1 MB; that is no job file"])
-        text = path.read_text(encoding="utf-8-sig")
-        return text, tomllib.loads(text)
-    except (OSError, UnicodeDecodeError) as error:
+        data = path.read_bytes()
+    except OSError as error:
         raise JobError(path, [f"cannot be read: {error}"]) from error
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise JobError(path, [f"found invalid TOML: {error}"]) from error
+    try:
+        tables = parse_toml(data)
+    except ValueError as error:
+        raise JobError(path, [str(error)]) from error
+    return data.decode("utf-8-sig"), tables
 
 
 def _check_program(
@@ -283,22 +287,25 @@ def _simulation(
     axes = _axes(path, table)
     fewest = _FEWEST_ANGLES if cutter.is_plain and not axes else _FEWEST_IN_SPACE
     angles = table.angles or block * math.ceil(fewest / block)
-    if angles % block:
-        lower = max(angles // block, math.ceil(fewest / block)) * block
+    if angles < fewest or angles % block:
+        near = max(angles // block, math.ceil(fewest / block)) * block
         problems.append(
-            f"[simulation] angles: found {angles}, but a multiple of teeth x substeps "
-            f"({cutter.flute_count} x {substeps} = {block}) is required, such as "
-            f"{lower}"
+            f"[simulation] angles: found {angles}, but at least {fewest} and a "
+            f"multiple of teeth x substeps ({cutter.flute_count} x {substeps} = "
+            f"{block}) is required, such as {near}"
         )
-    _check_simulation(tables, cutter, problems)
-    if stock is None or path is None:
+    deepest = None
+    if path is not None and stock is not None:
+        deepest = immersion(path, cutter, stock) + _ROOM
+    _check_simulation(tables, cutter, deepest, problems)
+    if stock is None or path is None or deepest is None:
         return None
     return SimulationSettings(
         angles=angles,
         substeps=substeps,
         element_height=table.element_height
         or default_element_height(table.chip, stock.spacing, cutter),
-        axial_depth=table.axial_depth or immersion(path, cutter, stock) + _ROOM,
+        axial_depth=table.axial_depth or deepest,
         precision=table.precision,
         is_gravity_compensated=table.gravity_compensated,
         plunges=descends(path.positions, float(stock.upper[2])),
@@ -314,14 +321,25 @@ def _simulation(
 
 
 def _check_simulation(
-    tables: dict[str, Any], cutter: AbstractCutter, problems: list[str]
+    tables: dict[str, Any],
+    cutter: AbstractCutter,
+    deepest: float | None,
+    problems: list[str],
 ) -> None:
-    """Note settings that the cutter or the machine do not allow."""
+    """Note settings that the cutter or the machine do not allow.
+
+    Args:
+        tables: The checked tables of the job.
+        cutter: The cutter.
+        deepest: The depth that is taken if the job gives none [m], if it is known.
+        problems: Receives what is wrong.
+    """
     table: SimulationTable = tables["simulation"]
-    if table.axial_depth is not None and table.axial_depth > cutter.flute_length:
+    most = max(cutter.flute_length, deepest or 0.0)
+    if table.axial_depth is not None and table.axial_depth > most * (1 + _ROUNDING):
         problems.append(
             f"[simulation] axial_depth: found {table.axial_depth * 1e3:g} mm; at most "
-            f"the flute length, {cutter.flute_length * 1e3:g} mm, is allowed"
+            f"{most * 1e3:g} mm is allowed: the flute length, or the depth of the path"
         )
     if table.chip == "point_cloud" and not cutter.is_plain:
         problems.append(

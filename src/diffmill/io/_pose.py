@@ -3,8 +3,8 @@
 import numpy as np
 from jaxtyping import Float
 
+from .. import units as q
 from ..robot import Robot
-from . import _quantity as q
 
 _KINDS = {"revolute": q.ANGLE, "prismatic": q.LENGTH}
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ._quantity import ANGLE, FORCE, TIME, QuantityKind
+from ..units import ANGLE, FORCE, TIME, QuantityKind
 from ._record_table import Column, Table, given_scale, scale
 
 KINDS: dict[str, QuantityKind | None] = {

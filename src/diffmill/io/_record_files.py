@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from ._quantity import FORCE, TIME
+from ..units import FORCE, TIME
 from ._record_error import RecordError
 from ._record_table import Column, Table, header_rate, split_unit
 

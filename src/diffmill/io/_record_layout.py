@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ._quantity import (
+from ..units import (
     ACCELERANCE,
     ANGLE,
     FORCE,

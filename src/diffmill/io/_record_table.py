@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ._quantity import FREQUENCY, TIME, QuantityKind, quantity
+from ..units import FREQUENCY, TIME, QuantityKind, quantity
 
 
 class Column(NamedTuple):

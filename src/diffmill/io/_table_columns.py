@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from jaxtyping import Float
 
-from ._quantity import QuantityKind
+from ..units import QuantityKind
 from ._record_columns import listed, named_column
 from ._record_table import Column, Table, given_scale, is_unit, scale, split_unit
 

@@ -1,11 +1,11 @@
 """Read robots from files: the only module of this subpackage that touches files."""
 
 import os
-import tomllib
 import warnings
 from importlib import resources
 from pathlib import Path
 
+from .._toml import parse_toml
 from ._build import build
 from ._faults import RobotFileError, RobotFileWarning
 from ._massless import massless_joints
@@ -127,6 +127,6 @@ def _choices() -> str:
 def _parse(data: bytes, file: str) -> dict[str, object]:
     """Return the parsed TOML."""
     try:
-        return tomllib.loads(data.decode("utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise RobotFileError(f"{file}: not valid TOML: {error}") from error
+        return parse_toml(data)
+    except ValueError as error:
+        raise RobotFileError(f"{file}: {error}") from error

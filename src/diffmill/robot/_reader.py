@@ -4,10 +4,11 @@ Every value that comes from a file passes here once; quantities leave in SI.
 """
 
 import dataclasses
-import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
+
+from ..units import QuantityKind, quantity
 
 _COMMON_KEYS = {"kind", "source"}
 
@@ -37,7 +38,7 @@ class TableReader:
     def quantity(
         self,
         key: str,
-        unit: str,
+        kind: QuantityKind,
         default: float = math.nan,
         *,
         required: bool = False,
@@ -46,28 +47,41 @@ class TableReader:
     ) -> float:
         """Return a quantity in SI, the default where the key is absent."""
         raw = self.take(key, required=required)
-        if raw is None:
+        value = None if raw is None else self._convert(key, raw, kind)
+        if value is None:
             return default
-        value = _convert(raw, unit)
-        if value is None or not (math.isfinite(value) and is_allowed(value)):
-            self.fault(key, f"a quantity in {unit}, {allowed}", raw)
+        if not is_allowed(value):
+            self.fault(key, allowed, raw)
             return default
         return value
 
     def quantities(
-        self, key: str, unit: str, counts: Sequence[int], default: Sequence[float] = ()
+        self,
+        key: str,
+        kind: QuantityKind,
+        counts: Sequence[int],
+        default: Sequence[float] = (),
     ) -> list[float] | None:
         """Return a list of quantities in SI; None if faulty or missing."""
         raw = self.take(key, required=not default)
         if raw is None:
             return list(default) or None
-        values = [_convert(item, unit) for item in raw] if is_list(raw) else []
-        finite = [v for v in values if v is not None and math.isfinite(v)]
-        if len(values) not in counts or len(finite) != len(values):
+        if not is_list(raw) or len(raw) not in counts:
             count = " or ".join(map(str, counts))
-            self.fault(key, f"a list of {count} quantities in {unit}", raw)
+            allowed = f'a list of {count} quantities such as "{kind.example}"'
+            self.fault(key, allowed, raw)
             return None
-        return finite
+        values = [self._convert(f"{key}[{i}]", v, kind) for i, v in enumerate(raw)]
+        good = [value for value in values if value is not None]
+        return good if len(good) == len(raw) else None
+
+    def _convert(self, key: str, raw: object, kind: QuantityKind) -> float | None:
+        """Return a quantity in SI, None after a fault."""
+        try:
+            return quantity(raw, kind)
+        except ValueError as error:
+            self.faults.append(f"{self.place}.{key}: {error}")
+            return None
 
     def finish(self) -> None:
         """Note keys that nothing asked for."""
@@ -89,25 +103,3 @@ def are_numbers(values: Sequence[object]) -> bool:
         isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v)
         for v in values
     )
-
-
-@functools.cache
-def _units():
-    """Return pint's registry; its import takes a moment, so only when needed."""
-    import pint
-
-    return pint.UnitRegistry()
-
-
-def _convert(raw: object, unit: str) -> float | None:
-    """Return a quantity such as "650 mm" in an SI unit, None if it is not one."""
-    if not isinstance(raw, str):
-        return None
-    try:
-        quantity = _units().Quantity(raw)
-        if quantity.unitless:
-            return None
-        return float(quantity.to(unit).magnitude)
-    # pint raises errors of many kinds for text that is not a quantity.
-    except Exception:
-        return None

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from .. import units
 from ._elements import (
     AbstractElement,
     Drive,
@@ -27,22 +28,22 @@ from ._reader import TableReader, are_numbers, is_list
 from ._robot import Robot
 from ._rotations import rpy_matrix
 
-_JOINT_UNITS = {
+_JOINT_QUANTITIES = {
     "revolute": {
-        "position": "rad",
-        "stiffness": "N*m/rad",
-        "damping": "N*m*s/rad",
-        "force": "N*m",
-        "speed": "rad/s",
-        "inertia": "kg*m^2",
+        "position": units.ANGLE,
+        "stiffness": units.ROTARY_STIFFNESS,
+        "damping": units.ROTARY_DAMPING,
+        "force": units.MOMENT,
+        "speed": units.ANGULAR_SPEED,
+        "inertia": units.INERTIA,
     },
     "prismatic": {
-        "position": "m",
-        "stiffness": "N/m",
-        "damping": "N*s/m",
-        "force": "N",
-        "speed": "m/s",
-        "inertia": "kg",
+        "position": units.LENGTH,
+        "stiffness": units.LINEAR_STIFFNESS,
+        "damping": units.LINEAR_DAMPING,
+        "force": units.FORCE,
+        "speed": units.SPEED,
+        "inertia": units.MASS,
     },
 }
 
@@ -153,18 +154,18 @@ def _read_list(raw: Any, place: str, faults: list[str]) -> list[AbstractElement]
 
 
 def _read_translation(reader: TableReader) -> Callable[[], AbstractElement]:
-    position = reader.quantities("position", "m", (3,))
+    position = reader.quantities("position", units.LENGTH, (3,))
     return lambda: FixedTranslation(tuple(position or ()))
 
 
 def _read_rotation(reader: TableReader) -> Callable[[], AbstractElement]:
-    rpy = reader.quantities("rpy", "rad", (3,))
+    rpy = reader.quantities("rpy", units.ANGLE, (3,))
     return lambda: FixedRotation(rpy_matrix(*(rpy or ())))
 
 
 def _read_joint(reader: TableReader) -> Callable[[], AbstractElement]:
     kind = str(reader.table["kind"])
-    position = _JOINT_UNITS[kind]["position"]
+    position = _JOINT_QUANTITIES[kind]["position"]
     name = reader.take("name", required=True)
     if "name" in reader.table and not (isinstance(name, str) and name):
         reader.fault("name", "a non-empty string", name)
@@ -221,7 +222,7 @@ def _read_options(reader: TableReader, kind: str) -> Drive | None:
     values = {
         key: inner.quantity(
             key,
-            _JOINT_UNITS[kind][unit],
+            _JOINT_QUANTITIES[kind][unit],
             is_allowed=lambda x, low=is_open: x > 0 or (x == 0 and not low),
             allowed="positive" if is_open else "not negative",
         )
@@ -242,7 +243,7 @@ def _read_drive(
     is_stiffness = quantity == "stiffness"
     return reader.quantity(
         key,
-        _JOINT_UNITS[kind][quantity],
+        _JOINT_QUANTITIES[kind][quantity],
         default,
         is_allowed=lambda x: x > 0 or (x == 0 and not is_stiffness),
         allowed="positive" if is_stiffness else "not negative",
@@ -251,10 +252,14 @@ def _read_drive(
 
 def _read_body(reader: TableReader) -> Callable[[], AbstractElement]:
     mass = reader.quantity(
-        "mass", "kg", required=True, is_allowed=lambda x: x > 0, allowed="positive"
+        "mass",
+        units.MASS,
+        required=True,
+        is_allowed=lambda x: x > 0,
+        allowed="positive",
     )
-    center = reader.quantities("center_of_mass", "m", (3,), (0.0, 0.0, 0.0))
-    moments = reader.quantities("inertia", "kg*m^2", (3, 6))
+    center = reader.quantities("center_of_mass", units.LENGTH, (3,), (0.0, 0.0, 0.0))
+    moments = reader.quantities("inertia", units.INERTIA, (3, 6))
     inertia = np.eye(3)
     if moments is not None:
         xx, yy, zz, xy, xz, yz = [*moments, 0.0, 0.0, 0.0][:6]
@@ -283,8 +288,8 @@ def _read_tool(reader: TableReader) -> Callable[[], AbstractElement]:
     name = reader.take("name", "tool")
     if not (isinstance(name, str) and name):
         reader.fault("name", "a non-empty string", name)
-    position = reader.quantities("position", "m", (3,), (0.0, 0.0, 0.0))
-    rpy = reader.quantities("rpy", "rad", (3,), (0.0, 0.0, 0.0))
+    position = reader.quantities("position", units.LENGTH, (3,), (0.0, 0.0, 0.0))
+    rpy = reader.quantities("rpy", units.ANGLE, (3,), (0.0, 0.0, 0.0))
     return lambda: Tool(name, tuple(position or ()), rpy_matrix(*(rpy or ())))
 
 

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from diffmill.io import _quantity as q
+from diffmill import units as q
 
 
 @pytest.mark.parametrize(
@@ -35,6 +35,12 @@ def test_value(text, kind, expected):
     assert q.quantity(text, kind) == pytest.approx(expected, rel=1e-12)
 
 
+def test_what_no_machine_has_is_refused():
+    # 1e300 m would end as an overflow in the first square.
+    with pytest.raises(ValueError, match=r"'1e300 mm', but at most 1e\+20 m is"):
+        q.quantity("1e300 mm", q.LENGTH)
+
+
 @pytest.mark.parametrize(
     ("value", "kind", "found"),
     [
@@ -64,6 +70,8 @@ def test_value(text, kind, expected):
         ("1 mm**9**9**9**9", q.LENGTH, "mm**9**9**9**9"),
         ("2*3 mm", q.LENGTH, "2*3 mm"),
         ("1 __import__('os')", q.LENGTH, "unknown unit"),
+        ("1" * 300 + " mm", q.LENGTH, "a text of 303 characters"),
+        ("1 " + " " * 100_000 + "mm!", q.LENGTH, "a text of 100005 characters"),
     ],
 )
 def test_refused(value, kind, found):

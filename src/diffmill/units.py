@@ -12,8 +12,8 @@ import re
 from typing import Any, NamedTuple
 
 _NUMBER = re.compile(
-    r"\s*(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf(?:inity)?)"
-    r"(?![A-Za-z]))\s*(?P<unit>.*?)\s*",
+    r"(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf(?:inity)?)"
+    r"(?![A-Za-z]))\s*(?P<unit>.*)",
     re.IGNORECASE,
 )
 # Products of names with one-digit powers: `mm**9**9**9` would keep pint busy for hours.
@@ -21,11 +21,13 @@ _TERM = (
     r"(?:[A-Za-z_\u00b0\u00b5\u03bc]+[\u00b2\u00b3]?(?:\s*(?:\^|\*\*)\s*-?[1-9])?|1)"
 )
 _UNIT = re.compile(rf"{_TERM}(?:(?:\s*[*/\u00b7]\s*|\s+){_TERM})*")
-_MAX_UNIT_LENGTH = 40
+_MAX_UNIT_LENGTH, _MAX_LENGTH = 40, 200
+# In SI. Nothing of a machine comes near it, and its powers are still numbers.
+_LARGEST = 1e20
 
 
 class QuantityKind(NamedTuple):
-    """A physical dimension as a job file knows it.
+    """A physical dimension as the files know it.
 
     Attributes:
         noun: What a message calls it, with its article.
@@ -105,14 +107,18 @@ def quantity(value: object, kind: QuantityKind) -> float:
 
     Raises:
         ValueError: If the value is no text, has no unit, a unit that is not known or
-            of another dimension, or is not finite. The message says what was found
-            and what is allowed.
+            of another dimension, or is not finite or larger than anything of a
+            machine. The message says what was found and what is allowed.
 
     Differentiability: not applicable, a host function.
     """
     if not isinstance(value, str):
         raise ValueError(f"found {value!r} without a unit, but {_wanted(kind)}")
-    match = _NUMBER.fullmatch(value)
+    if len(value) > _MAX_LENGTH:
+        raise ValueError(
+            f"found a text of {len(value)} characters, but {_wanted(kind)}"
+        )
+    match = _NUMBER.fullmatch(value.strip())
     if match is None:
         raise ValueError(f"found {value!r}, but {_wanted(kind)}")
     unit = match["unit"]
@@ -141,6 +147,8 @@ def _convert(number: float, unit: str, kind: QuantityKind, text: str) -> float:
     except (pint.PintError, OverflowError) as error:
         raise ValueError(f"found {text!r}, but {_wanted(kind)}") from error
     _check_angle(units, kind, text)
-    if not math.isfinite(magnitude):
-        raise ValueError(f"found {text!r}, but a finite number is required")
+    if not abs(magnitude) <= _LARGEST:
+        raise ValueError(
+            f"found {text!r}, but at most {_LARGEST:g} {kind.unit} is allowed"
+        )
     return magnitude
