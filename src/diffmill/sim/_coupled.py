@@ -300,11 +300,13 @@ def _arm_in(machine: Machine, state: ArmState, motors: MotorCommand) -> _Arm:
     robot = machine.robot
     terms = arm_terms(robot, state.q, state.v)
     pose = _in_work(machine, terms.T_base_tool)
-    terms = middle_terms(robot, terms, state, motors, machine.tooth_period)
+    rule, substeps = machine.integrator, machine.plan.substeps
+    T = machine.tooth_period
+    terms = middle_terms(robot, rule, terms, state, motors, T, substeps)
     return _Arm(
         pose=pose,
         jacobian=machine.T_base_work[:3, :3].T @ terms.jacobian[:3],
-        begun=machine.integrator.begin(robot, terms, machine.substep),
+        begun=rule.begin(robot, terms, machine.substep),
     )
 
 

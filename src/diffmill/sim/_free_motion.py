@@ -74,7 +74,7 @@ def free_motion(
 
     def row(state: ArmState, _: None) -> tuple[ArmState, ArmState]:
         terms = arm_terms(robot, state.q, state.v)
-        terms = middle_terms(robot, terms, state, command, span)
+        terms = middle_terms(robot, rule, terms, state, command, span, held)
         begun = rule.begin(robot, terms, h)
         after, _ = jax.lax.scan(lambda s, _: (step(begun, s), None), state, length=held)
         return after, after

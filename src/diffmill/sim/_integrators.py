@@ -2,13 +2,20 @@
 
 from typing import Literal, TypeAlias
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..robot import ArmTerms, Robot
-from ._midpoint import Dynamics, Midpoint
-from ._stepping import AbstractIntegrator, ArmState, MotorCommand, state_rate
+from ._midpoint import Midpoint
+from ._stepping import (
+    AbstractIntegrator,
+    ArmState,
+    Dynamics,
+    MotorCommand,
+    state_rate,
+)
 
 IntegratorName: TypeAlias = Literal["midpoint", "rk4"]
 
@@ -20,8 +27,16 @@ class RungeKutta4(AbstractIntegrator):
     sub-step costs as much as a whole period of the default. Stable only where no mode
     reaches the angular frequency 2.8 / h.
 
+    Attributes:
+        dynamics: Algorithm of the accelerations.
+
     **Differentiability**: smooth.
     """
+
+    dynamics: Dynamics = eqx.field(static=True, default="crba")
+
+    def steps_to_middle(self, substeps: int) -> int:
+        return -(-substeps // 2)
 
     def begin(self, robot: Robot, terms: ArmTerms, step: Float[Array, ""]) -> None:
         return None
@@ -39,7 +54,8 @@ class RungeKutta4(AbstractIntegrator):
 
         def slope(state: ArmState, after: Float[Array, ""]) -> ArmState:
             target = command.position + after * command.rate
-            return state_rate(robot, state, MotorCommand(target, command.rate), load)
+            motors = MotorCommand(target, command.rate)
+            return state_rate(robot, state, motors, load, self.dynamics)
 
         def ahead(step: Float[Array, ""], rate: ArmState) -> ArmState:
             return jax.tree.map(lambda x, dx: x + step * dx, state, rate)
@@ -61,10 +77,9 @@ def make_integrator(
 
     Args:
         name: "midpoint" or "rk4".
-        dynamics: How the midpoint rule inverts its matrix, "crba" or "aba"; the
-            explicit rule has none.
+        dynamics: Algorithm of the robot's dynamics, "crba" or "aba".
 
     Returns:
         The integrator.
     """
-    return Midpoint(dynamics) if name == "midpoint" else RungeKutta4()
+    return Midpoint(dynamics) if name == "midpoint" else RungeKutta4(dynamics)

@@ -1,7 +1,5 @@
 """The linearly implicit midpoint rule for an arm on its drives."""
 
-from typing import Literal, TypeAlias
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -16,9 +14,13 @@ from ..robot import (
     definite_inverse,
     gear_torque,
 )
-from ._stepping import AbstractIntegrator, ArmState, MotorCommand, servo_torque
-
-Dynamics: TypeAlias = Literal["crba", "aba"]
+from ._stepping import (
+    AbstractIntegrator,
+    ArmState,
+    Dynamics,
+    MotorCommand,
+    servo_torque,
+)
 
 # Coulomb friction's damper is found in this many steps, warm from the last sub-step.
 _BRAKE_STEPS = 3
@@ -69,6 +71,9 @@ class Midpoint(AbstractIntegrator):
     """
 
     dynamics: Dynamics = eqx.field(static=True, default="crba")
+
+    def steps_to_middle(self, substeps: int) -> int:
+        return 1
 
     def begin(
         self, robot: Robot, terms: ArmTerms, step: Float[Array, ""]

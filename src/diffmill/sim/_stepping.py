@@ -7,10 +7,9 @@ two looks at the chip nothing more is known of it.
 """
 
 import abc
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -18,11 +17,15 @@ from ..robot import (
     ArmTerms,
     Robot,
     arm_terms,
+    forward_dynamics,
     friction_torque,
     gear_torque,
     servo_stretch,
     static_stretch,
 )
+
+# Algorithm of the arm's dynamics: mass matrix, or articulated bodies.
+Dynamics: TypeAlias = Literal["crba", "aba"]
 
 
 class ArmState(eqx.Module):
@@ -56,6 +59,17 @@ class MotorCommand(eqx.Module):
 
 class AbstractIntegrator(eqx.Module):
     """A rule for the sub-steps of the robot."""
+
+    @abc.abstractmethod
+    def steps_to_middle(self, substeps: int) -> int:
+        """Return in how many steps the rule foretells the middle of a period.
+
+        Args:
+            substeps: Sub-steps of the period.
+
+        Returns:
+            1 for a rule that is stable at any step.
+        """
 
     @abc.abstractmethod
     def begin(self, robot: Robot, terms: ArmTerms, step: Float[Array, ""]) -> Any:
@@ -113,6 +127,7 @@ def state_rate(
     state: ArmState,
     command: MotorCommand,
     load: Float[Array, " joint"],
+    dynamics: Dynamics = "crba",
 ) -> ArmState:
     """Return the rate of the state by the equations of motion.
 
@@ -123,21 +138,20 @@ def state_rate(
         state: The state.
         command: theta and its rate at this instant.
         load: Joint torques from outside [N m or N], shape (joint,).
+        dynamics: Algorithm of the accelerations.
 
     Returns:
         The rates in the places of what they are rates of.
 
     **Differentiability**: smooth; as the drive's options.
     """
-    terms = arm_terms(robot, state.q, state.v)
     theta, omega = command.position, command.rate
     if robot.motors is not None:
         assert state.theta is not None and state.omega is not None
         theta, omega = state.theta, state.omega
     tau = gear_torque(robot, theta - state.q, omega - state.v).torque
-    factor = jnp.linalg.cholesky(terms.mass_matrix)
-    push = tau - friction_torque(robot, state.v) - terms.bias_forces + load
-    acceleration = jax.scipy.linalg.cho_solve((factor, True), push)
+    push = tau - friction_torque(robot, state.v) + load
+    acceleration = forward_dynamics(robot, state.q, state.v, push, algorithm=dynamics)
     if robot.motors is None:
         return ArmState(state.v, acceleration)
     pull = servo_torque(robot, command, theta, omega) - tau
