@@ -54,8 +54,47 @@ def test_errors_are_as_large_as_the_noise_makes_them():
 def test_what_is_missing_is_said():
     with pytest.raises(ValueError, match="Exactly one"):
         identification.fit_frequency_response(FREQUENCY, response())
-    with pytest.raises(ValueError, match="2 peaks, but 3"):
+    with pytest.raises(ValueError, match="2 modes, but 3"):
         identification.fit_frequency_response(FREQUENCY, response(), modes=3)
+
+
+@pytest.mark.parametrize("quantity", ["receptance", "accelerance"])
+def test_clear_modes_are_found_below_the_noise_of_an_accelerometer(quantity):
+    """Alike in acceleration, it is what stands out most in a displacement."""
+    frequency = np.linspace(5.0, 4000.0, 1000)
+    omega, draw = 2 * np.pi * frequency, np.random.default_rng(1)
+    modes = ((1070.0, 0.035, 2.2e7), (1990.0, 0.02, 4e7), (2650.0, 0.025, 6e7))
+    total = 1 / 2e8
+    for place, zeta, stiffness in modes:
+        own = 2 * np.pi * place
+        total = total + own**2 / stiffness / (
+            own**2 - omega**2 + 2j * zeta * own * omega
+        )
+    total = -(omega**2) * total
+    size = 0.01 * np.sqrt(np.mean(np.abs(total) ** 2))
+    total = total + size * (draw.normal(size=1000) + 1j * draw.normal(size=1000))
+    if quantity == "receptance":
+        total = -total / omega**2
+    fit = identification.fit_frequency_response(
+        frequency, total, modes=3, quantity=quantity
+    )
+    assert fit.identifiable.all() and fit.explained > 0.99
+    np.testing.assert_allclose(fit.frequencies, [m[0] for m in modes], rtol=2e-3)
+    np.testing.assert_allclose(fit.damping_ratios, [m[1] for m in modes], rtol=0.05)
+    np.testing.assert_allclose(fit.stiffness, [m[2] for m in modes], rtol=0.05)
+
+
+def test_what_no_structure_has_is_no_mode():
+    broad = response(0.01, modes=((14.0, 0.03, 1.5e6), (30.0, 0.6, 1e6)))
+    fit = identification.fit_frequency_response(
+        FREQUENCY, broad, frequencies=[14.0, 30.0]
+    )
+    assert fit.is_structural.tolist() == [True, False]
+    assert fit.identifiable.tolist() == [True, False]
+    time = np.arange(0, 1.0, 1e-3)
+    signal = np.cos(2 * np.pi * 14 * time) * np.exp(-3 * time) + 2 * np.exp(-9 * time)
+    ring = identification.fit_ring_down(time, signal, [3.0, 14.0])
+    assert ring.is_structural.tolist() == ring.identifiable.tolist() == [False, True]
 
 
 def test_a_damped_mode_beside_sharp_ones_is_found_in_a_ring_down():

@@ -1,5 +1,6 @@
 """Modes from vibrations and the joints' damping from modes, with their figures."""
 
+import itertools
 import pathlib
 from typing import TYPE_CHECKING, Any
 
@@ -91,6 +92,7 @@ def _mode_fit(one: "RingDown | FrequencyResponse") -> Any:
     return fit_frequency_response(
         one.frequency[band],
         one.response[band],
+        modes=one.mode_count if one.frequencies is None else None,
         frequencies=one.frequencies,
         quantity=one.quantity,  # pyright: ignore[reportArgumentType]
     )
@@ -102,6 +104,8 @@ def _mode_facts(fit: Any) -> dict[str, Any]:
         "frequency_errors_Hz": fit.frequency_errors,
         "damping_ratios": fit.damping_ratios,
         "damping_errors": fit.damping_errors,
+        "identifiable": fit.identifiable,
+        "is_structural": fit.is_structural,
         "explained": fit.explained,
     }
     if hasattr(fit, "stiffness"):
@@ -127,8 +131,9 @@ def _mode_lines(one: Any, fit: Any, is_ring: bool) -> list[str]:
                 f"{fit.stiffness[k] * 1e-6:9.4g} +- "
                 f"{fit.stiffness_errors[k] * 1e-6:.2g} N/um"
             )
-        known = fit.damping_errors[k] <= 0.25 * fit.damping_ratios[k]
-        if not (known if is_ring else fit.identifiable[k]):
+        if not fit.is_structural[k]:
+            row += "   no mode: no structure is damped so much"
+        elif not fit.identifiable[k]:
             row += "   not identifiable"
         lines.append(row)
     if fit.explained < 0.9:
@@ -158,7 +163,8 @@ def _dampers(
         assert one.q is not None
         own = np.asarray(natural_frequencies(robot, one.q), np.float64)
         row = np.full(robot.joint_count, np.nan)
-        for f, zeta in zip(fit.frequencies, fit.damping_ratios, strict=True):
+        own_modes = zip(fit.frequencies, fit.damping_ratios, strict=True)
+        for f, zeta in itertools.compress(own_modes, fit.identifiable):
             k = int(np.argmin(np.abs(np.log(own / f))))
             away = f / own[k] - 1
             lines.append(

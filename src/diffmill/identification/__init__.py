@@ -53,7 +53,6 @@ from ._damping import (
 from ._frequency_response import (
     FrequencyResponseFit as FrequencyResponseFit,
     fit_frequency_response as fit_frequency_response,
-    spectral_peaks as spectral_peaks,
 )
 from ._harmonics import refine_spindle_speed as refine_spindle_speed
 from ._left_out import LeftOut as LeftOut, predict_left_out as predict_left_out

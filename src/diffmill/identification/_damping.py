@@ -16,10 +16,11 @@ from jaxtyping import Array, Bool, Float
 from ..robot import Robot, mode_shapes
 from ._groups import fit_groups
 from ._linear import correlation_of
+from ._mode_model import LARGEST_DAMPING
 
 Values = Float[Array, "..."] | Float[np.ndarray, "..."] | Sequence
 
-# A damper is a number if its standard error is below this share of it.
+# A damper or a ratio is a number if its standard error is below this share of it.
 _RELATIVE_ERROR = 0.25
 # Lines of a spectrum per sample: peaks between the lines are not missed.
 _PADDING = 4
@@ -35,6 +36,9 @@ class RingDownFit(eqx.Module):
         damping_errors: Standard errors of zeta, shape (mode,).
         correlation: Between the errors of the frequencies, then of zeta, shape
             (2 mode, 2 mode).
+        identifiable: Whether the damping ratio is known to a quarter, and is that of
+            a structure, at most 0.3, shape (mode,).
+        is_structural: The latter alone: what is damped more is no mode, shape (mode,).
         explained: Share of the signal's square that the modes explain.
         fitted: The signal as fitted, shape (sample,).
     """
@@ -44,6 +48,8 @@ class RingDownFit(eqx.Module):
     frequency_errors: Float[np.ndarray, " mode"]
     damping_errors: Float[np.ndarray, " mode"]
     correlation: Float[np.ndarray, "both both"]
+    identifiable: Bool[np.ndarray, " mode"]
+    is_structural: Bool[np.ndarray, " mode"]
     explained: float
     fitted: Float[np.ndarray, " sample"]
 
@@ -120,13 +126,17 @@ def fit_ring_down(time: Values, signal: Values, frequencies: Values) -> RingDown
     errors = np.sqrt(np.diagonal(C))
     order = np.argsort(found.x[:count])
     both = np.concatenate([order, count + order])
+    zeta, z_error = found.x[count:][order], errors[count:][order]
+    is_structural = zeta <= LARGEST_DAMPING
     total = max(float(np.sum(y**2)), 1e-300)
     return RingDownFit(
         frequencies=found.x[:count][order],
-        damping_ratios=found.x[count:][order],
+        damping_ratios=zeta,
         frequency_errors=errors[:count][order],
-        damping_errors=errors[count:][order],
+        damping_errors=z_error,
         correlation=correlation_of(C)[np.ix_(both, both)],
+        identifiable=is_structural & (z_error <= _RELATIVE_ERROR * zeta),
+        is_structural=is_structural,
         explained=1 - float(np.sum(found.fun**2)) / total,
         fitted=y + found.fun,
     )

@@ -1,31 +1,22 @@
-"""Frequency, damping and stiffness of modes from a measured frequency response.
-
-Modes of real shape, viscously damped (Ewins, Modal Testing, 2000, chapter 2), with
-what modes outside of the band add:
-
-    H(omega) = sum_k r_k / (omega_k^2 - omega^2 + 2 i zeta_k omega_k omega)
-               + u - l / omega^2
-
-r_k, u and l enter linearly and are eliminated in every step (variable projection).
-"""
-
-import math
-from typing import Literal
+"""Frequency, damping and stiffness of modes from a measured frequency response."""
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Complex, Float
+from jaxtyping import Array, Bool, Complex, Float
 
 from ._linear import correlation_of
+from ._mode_model import LARGEST_DAMPING, ModeModel, Quantity, mode_model
+from ._mode_search import search_modes
 
-Quantity = Literal["receptance", "mobility", "accelerance"]
 Frequencies = Float[Array, " line"] | Float[np.ndarray, " line"]
 Response = Complex[Array, " line"] | Complex[np.ndarray, " line"]
 
-# Damping ratios at which the search starts; the best end counts.
+# Damping ratios at which the search near given frequencies starts; the best end counts.
 _STARTS = (0.003, 0.02, 0.08)
 # A number is one if its standard error is below this share of it.
 _RELATIVE_ERROR = 0.25
+# Share of a bound from which on a number is at it.
+_AT_BOUND = 0.999
 
 
 class FrequencyResponseFit(eqx.Module):
@@ -41,9 +32,12 @@ class FrequencyResponseFit(eqx.Module):
         stiffness_errors: Standard errors [N/m], shape (mode,).
         correlation: Between the errors of the frequencies, then of zeta, shape
             (2 mode, 2 mode).
-        identifiable: Whether stiffness and damping are known to a quarter,
-            shape (mode,).
-        explained: Share of the squared response that the modes explain.
+        identifiable: Whether stiffness and damping are known to a quarter, and the
+            damping is that of a structure, shape (mode,).
+        is_structural: Whether the damping ratio stays below the largest that a
+            structure has, 0.3, shape (mode,): what does not is no mode.
+        explained: Share of the squared response that the modes explain, each line over
+            its scatter.
         fitted: The response as fitted, in the measured quantity, shape (line,).
     """
 
@@ -54,7 +48,8 @@ class FrequencyResponseFit(eqx.Module):
     damping_errors: Float[np.ndarray, " mode"]
     stiffness_errors: Float[np.ndarray, " mode"]
     correlation: Float[np.ndarray, "both both"]
-    identifiable: np.ndarray
+    identifiable: Bool[np.ndarray, " mode"]
+    is_structural: Bool[np.ndarray, " mode"]
     explained: float
     fitted: Complex[np.ndarray, " line"]
 
@@ -73,7 +68,7 @@ def fit_frequency_response(
         frequency: Lines of the band to fit [Hz], above 0, shape (line,).
         response: Displacement over force [m/N], velocity over force [m/(N s)] or
             acceleration over force [1/kg], shape (line,).
-        modes: Number of modes; their frequencies are then taken from the peaks.
+        modes: Number of modes; each is then looked for where it explains most.
         frequencies: Guesses [Hz] instead, shape (mode,).
         quantity: "receptance", "mobility" or "accelerance".
 
@@ -81,47 +76,26 @@ def fit_frequency_response(
         The modes; standard errors take the residual as independent from line to line.
 
     Raises:
-        ValueError: Wrong shapes or choices, or too few lines or peaks.
+        ValueError: Wrong shapes or choices, or too few lines or modes.
 
     **Differentiability**: runs on the host.
     """
-    from scipy.optimize import least_squares
-
     f, H = np.array(frequency, np.float64), np.array(response, np.complex128)
-    guess = _guesses(f, H, modes, frequencies, quantity)
-    count = guess.size
-    omega = 2 * math.pi * f
-    size = max(float(np.sqrt(np.mean(np.abs(H) ** 2))), 1e-300)
-    factor = {"receptance": 1.0, "mobility": 1j * omega, "accelerance": -(omega**2)}
-
-    def columns(x: np.ndarray) -> np.ndarray:
-        """Return real rows (real parts, then imaginary) per linear unknown."""
-        own, zeta = 2 * math.pi * x[:count], x[count:]
-        below = own[None] ** 2 - omega[:, None] ** 2
-        waves = own[None] ** 2 / (below + 2j * (zeta * own)[None] * omega[:, None])
-        middle = float(np.median(omega))
-        rest = np.stack([np.ones_like(omega), -((middle / omega) ** 2)], axis=1)
-        both = np.hstack([waves, rest.astype(complex)])
-        both = both * np.broadcast_to(factor[quantity], omega.shape)[:, None] / size
-        return np.vstack([both.real, both.imag])
-
-    right = np.concatenate([H.real, H.imag]) / size
-
-    def residual(x: np.ndarray) -> np.ndarray:
-        A = columns(x)
-        return A @ _solved(A, right) - right
-
-    bounds = (
-        np.concatenate([0.8 * guess, np.full(count, 1e-5)]),
-        np.concatenate([1.25 * guess, np.full(count, 0.95)]),
-    )
-    ends = [
-        least_squares(residual, start, bounds=bounds, x_scale=start)
-        for zeta in _STARTS
-        for start in [np.concatenate([guess, np.full(count, zeta)])]
-    ]
-    found = min(ends, key=lambda end: end.cost)
-    return _report(found.x, columns, right, size)
+    _check(f, H, modes, frequencies, quantity)
+    model = mode_model(f, H, quantity)
+    if frequencies is None:
+        assert modes is not None
+        x, found = search_modes(model, modes)
+        if found < modes:
+            raise ValueError(
+                f"The response shows {found} modes, but {modes} are sought; give their "
+                "frequencies."
+            )
+        return _report(x, model)
+    guess = np.sort(np.array(frequencies, np.float64))
+    ends = [model.refined(guess, np.full(guess.size, zeta)) for zeta in _STARTS]
+    x, _ = min(ends, key=lambda end: end[1])
+    return _report(x, model)
 
 
 def _solved(A: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -131,16 +105,16 @@ def _solved(A: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.linalg.lstsq(A / scale, b, rcond=None)[0] / scale
 
 
-def _report(x: np.ndarray, columns, right: np.ndarray, size: float):
+def _report(x: Float[np.ndarray, " both"], model: ModeModel) -> FrequencyResponseFit:
     """Return the fit of the frequencies and damping ratios x."""
     count = x.size // 2
-    A = columns(x)
+    A, right = model.columns(x), model.rows
     linear = _solved(A, right)
     off = right - A @ linear
     # Derivatives by frequencies and ratios at a step far above rounding.
     steps = 1e-6 * np.maximum(np.abs(x), 1e-6)
     slopes = [
-        (columns(x + s * e) - columns(x - s * e)) @ linear / (2 * s)
+        (model.columns(x + s * e) - model.columns(x - s * e)) @ linear / (2 * s)
         for s, e in zip(steps, np.eye(x.size), strict=True)
     ]
     J = np.column_stack([*slopes, A])
@@ -154,12 +128,12 @@ def _report(x: np.ndarray, columns, right: np.ndarray, size: float):
     safe = np.where(c != 0, c, 1.0)
     order = np.argsort(x[:count])
     zeta, z_error = x[count:], errors[count : 2 * count]
+    is_structural = zeta < _AT_BOUND * LARGEST_DAMPING
     known = (c_error <= _RELATIVE_ERROR * np.abs(c)) & (
         z_error <= _RELATIVE_ERROR * zeta
     )
     both = np.concatenate([order, count + order])
-    half = right.size // 2
-    model = (A @ linear) * size
+    fitted = (A @ linear).reshape(2, -1) * model.scatter[None]
     return FrequencyResponseFit(
         frequencies=x[:count][order],
         damping_ratios=zeta[order],
@@ -168,20 +142,21 @@ def _report(x: np.ndarray, columns, right: np.ndarray, size: float):
         damping_errors=z_error[order],
         stiffness_errors=np.where(c != 0, c_error / safe**2, np.inf)[order],
         correlation=correlation_of(C)[np.ix_(both, both)],
-        identifiable=known[order],
+        identifiable=(known & is_structural)[order],
+        is_structural=is_structural[order],
         explained=1 - float(off @ off) / max(float(right @ right), 1e-300),
-        fitted=model[:half] + 1j * model[half:],
+        fitted=fitted[0] + 1j * fitted[1],
     )
 
 
-def _guesses(
+def _check(
     f: np.ndarray,
     H: np.ndarray,
     modes: int | None,
     frequencies: np.ndarray | list[float] | None,
     quantity: str,
-) -> Float[np.ndarray, " mode"]:
-    """Return the frequencies to start from; refuse what gives none."""
+) -> None:
+    """Refuse what is no response or gives no modes."""
     if quantity not in ("receptance", "mobility", "accelerance"):
         raise ValueError(
             'Argument `quantity` must be "receptance", "mobility" or "accelerance", '
@@ -205,40 +180,5 @@ def _guesses(
             f"There must be at least one mode and {2 * count + 2} lines for "
             f"{count} modes, but there are {f.size} lines."
         )
-    if frequencies is not None:
-        return np.sort(np.array(frequencies, np.float64))
-    return spectral_peaks(f, np.abs(H), count)
-
-
-def spectral_peaks(
-    frequency: Float[np.ndarray, " line"],
-    amplitude: Float[np.ndarray, " line"],
-    count: int,
-) -> Float[np.ndarray, " mode"]:
-    """Return the frequencies of the most prominent peaks [Hz], ascending.
-
-    Args:
-        frequency: [Hz], shape (line,).
-        amplitude: In any unit, shape (line,).
-        count: Number of peaks.
-
-    Returns:
-        The frequencies, shape (count,).
-
-    Raises:
-        ValueError: There are fewer peaks.
-
-    **Differentiability**: runs on the host.
-    """
-    from scipy.signal import find_peaks
-
-    # On a logarithmic scale small modes beside large ones are peaks, too.
-    level = np.log(np.maximum(amplitude, 1e-12 * amplitude.max(initial=1e-300)))
-    places, found = find_peaks(level, prominence=0.0)
-    if places.size < count:
-        raise ValueError(
-            f"The spectrum has {places.size} peaks, but {count} modes are sought; give "
-            "their frequencies."
-        )
-    best = np.argsort(found["prominences"])[::-1][:count]
-    return np.sort(frequency[places[best]])
+    if not np.any(H):
+        raise ValueError("Argument `response` must differ from zero, but does not.")

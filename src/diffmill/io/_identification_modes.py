@@ -5,7 +5,6 @@ import pathlib
 import numpy as np
 
 from .. import units as q
-from ..identification import spectral_peaks
 from ..robot import Robot
 from ._identification_records import LARGEST_RECORD
 from ._identification_robot import joint_positions
@@ -146,15 +145,9 @@ def read_frequency_response(
                 f"{2 * count + 2} are required for {count} modes."
             )
         guess = np.sort(np.array(table.frequencies or [], np.float64))
-        if not faults and not guess.size:
-            try:
-                guess = spectral_peaks(f[band], np.abs(H[band]), count)
-            except ValueError as error:
-                faults.append(str(error))
         if not faults:
-            return FrequencyResponse(
-                table.file, f, H, table.quantity, band, guess, pose, tuple(notes)
-            )
+            rest = (count, guess if guess.size else None, pose, tuple(notes))
+            return FrequencyResponse(table.file, f, H, table.quantity, band, *rest)
     problems.extend(f"{place} file: {table.file}: {fault}" for fault in faults)
     return None
 

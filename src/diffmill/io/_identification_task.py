@@ -182,7 +182,8 @@ class FrequencyResponse(NamedTuple):
         response: In SI units, shape (line,).
         quantity: "receptance", "mobility" or "accelerance".
         is_fitted: Which lines lie in the band to fit, shape (line,).
-        frequencies: Guesses [Hz], shape (mode,).
+        mode_count: How many modes are sought.
+        frequencies: Guesses [Hz], shape (mode,), or None.
         q: Joint positions [rad or m], shape (joint,), or None.
         notes: What was assumed.
     """
@@ -192,7 +193,8 @@ class FrequencyResponse(NamedTuple):
     response: Complex[np.ndarray, " line"]
     quantity: str
     is_fitted: Bool[np.ndarray, " line"]
-    frequencies: Float[np.ndarray, " mode"]
+    mode_count: int
+    frequencies: Float[np.ndarray, " mode"] | None
     q: Float[np.ndarray, " joint"] | None
     notes: tuple[str, ...]
 
