@@ -151,6 +151,12 @@ def test_simulate_rigid(folder, capsys):
         assert float(np.abs(result["force"]).max()) > 1.0
         for name in result.data_vars:
             assert result[name].attrs["units"]
+    with xarray.open_dataset(out / "surface.nc") as surface:
+        assert {"surface_error", "position", "normal"} <= set(surface.data_vars)
+        is_cut, is_floor = (surface[k].values > 0 for k in ("is_cut", "is_floor"))
+        assert (is_cut & is_floor).any() and (is_cut & ~is_floor).any()
+        assert float(np.abs(surface["surface_error"]).max()) < 1e-12
+        assert set(surface["case"].values) == {"predicted"}
 
 
 @pytest.mark.slow

@@ -3,7 +3,8 @@
 import numpy as np
 import xarray
 
-from diffmill.viz import ChipChart, CutDexels, ForceRecord, SurfaceError
+from diffmill.viz import ChipChart, CutDexels, ForceRecord
+from diffmill.workpiece import SurfaceError
 
 PERIOD = 3.75e-3
 SCALES = {
@@ -127,23 +128,40 @@ def chip_chart(element_count=5):
     return ChipChart(phi, height, chip, weight, 0.0, np.pi - 0.2)
 
 
+def floor_waves():
+    """Grid of the ring that the tool sweeps, and the waves on it."""
+    x, y = np.meshgrid(
+        np.arange(-0.018, 0.018, 0.2e-3), np.arange(-0.016, 0.016, 0.2e-3)
+    )
+    from_line = np.abs(np.maximum(np.abs(x), np.abs(y)) - 0.010)
+    wave = 9e-5 + 3e-5 * np.sin(900.0 * x) * np.cos(700.0 * y)
+    is_cut = from_line < 0.005
+    return x[is_cut], y[is_cut], wave[is_cut]
+
+
 def surface_error(scale=1.0):
-    """Waves on the ring that the tool sweeps; NaN elsewhere."""
-    x = np.arange(-0.018, 0.018, 0.2e-3)
-    y = np.arange(-0.016, 0.016, 0.2e-3)
-    from_line = np.abs(np.maximum(np.abs(x[None]), np.abs(y[:, None])) - 0.010)
-    wave = 9e-5 + 3e-5 * np.sin(900.0 * x[None]) * np.cos(700.0 * y[:, None])
-    return SurfaceError(x, y, np.where(from_line < 0.005, scale * wave, np.nan))
+    """Waves on the floor of the ring, and a wall across x with an error of its own."""
+    x, y, wave = floor_waves()
+    floor = np.stack([x, y, np.full_like(x, -1e-3)], 1)
+    side, height = np.meshgrid(np.arange(-0.016, 0.016, 0.2e-3), [-0.9e-3, -0.5e-3])
+    wall = np.stack([np.full(side.size, 0.015), side.ravel(), height.ravel()], 1)
+    counts = [len(floor), len(wall)]
+    return SurfaceError(
+        points=np.concatenate([floor, wall]),
+        error=scale * np.concatenate([wave, np.full(len(wall), -4e-5)]),
+        normal=np.repeat([[0.0, 0, 1], [-1.0, 0, 0]], counts, axis=0),
+        is_floor=np.repeat([True, False], counts),
+        is_cut=np.ones(sum(counts), bool),
+        family=np.repeat([2, 0], counts),
+    )
 
 
 def cut_dexels():
     """Floor of the ring at z = -1 mm and its two outer walls across x."""
-    item = surface_error()
-    column, row = np.meshgrid(item.x, item.y)
-    cut = np.isfinite(item.error)
-    ideal = np.stack([column[cut], row[cut], np.full(cut.sum(), -1e-3)], 1)
-    floor = ideal + np.stack([0 * item.error[cut]] * 2 + [item.error[cut]], 1)
-    y, z = np.meshgrid(item.y, np.arange(-0.9e-3, 0.0, 0.2e-3))
+    x, y, wave = floor_waves()
+    ideal = np.stack([x, y, np.full_like(x, -1e-3)], 1)
+    floor = ideal + np.stack([0 * wave, 0 * wave, wave], 1)
+    y, z = np.meshgrid(np.unique(y), np.arange(-0.9e-3, 0.0, 0.2e-3))
     side = np.stack([np.full(y.size, 0.015), y.ravel(), z.ravel()], 1)
     both = np.concatenate([side, side * np.array([-1.0, 1.0, 1.0])])
     wall = both.copy()

@@ -225,16 +225,23 @@ def test_chip_without_any_cut_can_be_drawn():
 
 
 def test_surface_map_is_in_micrometres_with_zero_in_the_middle():
-    maps = {"uncorrected": surface_error(), "corrected": surface_error(0.05)}
-    figure = plot_surface_error(maps)
-    image = panels_of(figure)[0].collections[0]
-    error = maps["uncorrected"].error * 1e6
-    np.testing.assert_allclose(np.ma.filled(image.get_array(), np.nan), error)
-    low, high = image.get_clim()
+    errors = {"uncorrected": surface_error(), "corrected": surface_error(0.05)}
+    figure = plot_surface_error(errors)
+    cloud = panels_of(figure)[0].collections[0]
+    item = errors["uncorrected"]
+    wanted = np.column_stack([item.points[:, :2] * 1e3, item.error * 1e6])
+    drawn = np.column_stack([cloud.get_offsets(), cloud.get_array()])
+    np.testing.assert_allclose(
+        drawn[np.lexsort(drawn.T)], wanted[np.lexsort(wanted.T)], atol=1e-9
+    )
+    # Walls lie above floors.
+    assert (drawn[-np.sum(~item.is_floor) :, 2] < 0).all()
+    low, high = cloud.get_clim()
     assert low == -high
     assert panels_of(figure)[2].collections[0].get_clim() == (low, high)
-    rms = np.sqrt(np.nanmean(error**2))
-    assert f"rms {rms:.1f}" in panels_of(figure)[1].get_title(loc="left")
+    title = panels_of(figure)[1].get_title(loc="left")
+    rms = np.sqrt(np.mean(item.error[item.is_floor] ** 2)) * 1e6
+    assert f"floors: rms {rms:.1f}" in title and "walls: rms 40.0, mean -40.0" in title
 
 
 def test_histogram_counts_the_whole_area():
@@ -244,7 +251,7 @@ def test_histogram_counts_the_whole_area():
 
 
 def test_surface_needs_a_case():
-    with pytest.raises(ValueError, match="`maps` must hold at least one"):
+    with pytest.raises(ValueError, match="`errors` must hold at least one"):
         plot_surface_error({})
 
 

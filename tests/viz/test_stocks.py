@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffmill.viz import cut_dexels, ray_errors, surface_error
+from diffmill.viz import cut_dexels, ray_errors
 from diffmill.workpiece import box
 
 
@@ -42,14 +42,6 @@ def pocket(depth, half_width):
     )
 
 
-def test_floor_error_is_the_difference_of_depths_inside_both_pockets():
-    item = surface_error(pocket(0.9e-3, 2.4e-3), pocket(1.0e-3, 2.0e-3))
-    both = (np.abs(item.x) < 2.0e-3)[None] & (np.abs(item.y) < 2.0e-3)[:, None]
-    assert both.any() and not both.all()
-    np.testing.assert_allclose(item.error[both], 1e-4, rtol=1e-9)
-    assert np.isnan(item.error[~both]).all()
-
-
 def test_cut_ends_hold_floor_and_both_walls():
     stock, ideal = pocket(0.9e-3, 2.05e-3), pocket(1.0e-3, 2.0e-3)
     dexels = cut_dexels(stock, ideal)
@@ -68,11 +60,10 @@ def test_uncut_stock_has_neither_floor_nor_wall():
     raw = box([0.0, 0.0, 0.0], [4e-3, 4e-3, 2e-3], 0.5e-3)
     dexels = cut_dexels(raw, raw)
     assert dexels.floor.shape == (0, 3) and dexels.wall.shape == (0, 3)
-    assert np.isnan(surface_error(raw, raw).error).all()
 
 
 def test_another_grid_is_refused():
     one = box([0.0, 0.0, 0.0], [4e-3, 4e-3, 2e-3], 0.5e-3)
     other = box([0.0, 0.0, 0.0], [4e-3, 4e-3, 2e-3], 0.4e-3)
     with pytest.raises(ValueError, match="`ideal` must have the grid"):
-        surface_error(one, other)
+        cut_dexels(one, other)

@@ -1,5 +1,6 @@
 """The distance of a machined surface from the ideal one, against what is known."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
@@ -119,6 +120,50 @@ def test_poses_tell_what_was_cut():
     found = wp.surface_error(machined, ideal)
     is_top = (found.family == 2) & (found.points[:, 2] > -1e-3)
     assert (found.is_cut == is_top).all()
+
+
+def slotted(half_width, depth):
+    """Return a block with a slot along y that a tool cut, as x and z rays see it."""
+    stock = wp.box(
+        [-4e-3, 0, -3e-3], [4e-3, 6e-3, 0], SPACING, interval_counts=(2, 1, 1)
+    )
+    x, y, z = stock.families
+    across = np.asarray(stock.origin[0]) + SPACING * np.arange(z.ends.shape[0])
+    above = np.asarray(stock.origin[2]) + SPACING * np.arange(x.ends.shape[1])
+    floor, floor_pose = np.array(z.ends), np.array(z.poses)
+    is_cut = np.abs(across) < half_width
+    is_live = floor[:, :, 1, 0] > floor[:, :, 0, 0]
+    rows = is_cut[:, None] & is_live
+    floor[rows, 1, 0], floor_pose[rows, 1, 0] = -depth, 3
+    wall, wall_pose = np.array(x.ends), np.array(x.poses)
+    rows = (above > -depth)[None] & (wall[:, :, 1, 0] > wall[:, :, 0, 0])
+    wall[rows, 0, 1], wall[rows, 1, 1] = half_width, wall[rows, 1, 0]
+    wall[rows, 1, 0] = -half_width
+    wall_pose[rows, 0, 1] = wall_pose[rows, 1, 0] = 3
+    families = (wp.Rays(jnp.asarray(wall), jnp.asarray(wall_pose)), y)
+    last = wp.Rays(jnp.asarray(floor), jnp.asarray(floor_pose))
+    return wp.Stock((*families, last), stock.origin, stock.spacing, stock.top)
+
+
+def test_figures_are_those_of_walls_and_floors_that_were_cut():
+    made, ideal = slotted(2.53e-3, 0.96e-3), slotted(2.5e-3, 1.0e-3)
+    found = wp.surface_error(made, ideal, leaves_out_raw=True)
+    # The outer faces and the underside are no place to look at.
+    assert found.is_cut.all() and len(found.error) < len(
+        wp.surface_error(made, ideal).error
+    )
+    measures = wp.measure_surface(found)
+    assert measures.wall_mean == pytest.approx(-0.03e-3, rel=0.02)
+    assert measures.wall_p95 == pytest.approx(0.03e-3, rel=0.02)
+    assert measures.floor_mean == pytest.approx(0.04e-3, rel=0.02)
+    assert measures.deepest == pytest.approx(0.03e-3, rel=0.05)
+    # Of a slot 1 mm deep and 5 mm wide two sevenths are walls.
+    share = found.area_share[~found.is_floor].sum()
+    assert share == pytest.approx(2 / 7, rel=0.1)
+    assert len(wp.surface_error(ideal, ideal, leaves_out_raw=True).error) > 0
+    raw = wp.box([-4e-3, 0, -3e-3], [4e-3, 6e-3, 0], SPACING)
+    nothing = wp.surface_error(raw, raw, leaves_out_raw=True)
+    assert not len(nothing.error) and np.isnan(wp.measure_surface(nothing).wall_rms)
 
 
 def test_closest_points_on_triangles_beat_every_sample():

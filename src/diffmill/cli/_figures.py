@@ -7,7 +7,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from .._job import Job
-    from ..viz import SurfaceError
+    from ..workpiece import SurfaceError
 
 Dataset: TypeAlias = Any
 Solution: TypeAlias = Any
@@ -32,35 +32,49 @@ def write_pictures(
 
     inputs = figure_inputs(job, solutions)
     surfaces = inputs["surfaces"]
-    write_surface(folder / "surface.nc", surfaces)
+    if surfaces:
+        write_surface(folder / "surface.nc", surfaces)
     figures = write_figures(folder, dataset, **inputs)
     write_report(folder, dataset, figures, surfaces=surfaces)
 
 
 def write_surface(file: pathlib.Path, surfaces: "dict[str, SurfaceError]") -> None:
-    """Write height errors of the machined surface as netCDF.
+    """Write the errors of the machined surface as netCDF, a row for each point.
 
     Args:
         file: Path of the file.
-        surfaces: Height error by case, all on the same grid.
+        surfaces: Surface error by case.
     """
     import xarray
 
-    grid = next(iter(surfaces.values()))
-    errors = np.stack([surface.error for surface in surfaces.values()])
-    meaning = "height of the machined floor above the ideal one"
+    def rows(name: str) -> np.ndarray:
+        return np.concatenate([getattr(item, name) for item in surfaces.values()])
+
+    def about(meaning: str, units: str = "1") -> dict[str, str]:
+        return {"units": units, "long_name": meaning}
+
+    counts = [len(item.error) for item in surfaces.values()]
+    distance = "distance from the ideal surface, positive where material was left"
+    normal = "outward normal of the ideal surface at its nearest place"
     dataset = xarray.Dataset(
         {
-            "surface_error": (
-                ("case", "y", "x"),
-                errors,
-                {"units": "m", "long_name": meaning},
-            )
+            "surface_error": ("point", rows("error"), about(distance, "m")),
+            "position": (
+                ("point", "axis"),
+                rows("points"),
+                about("point on the machined surface in work", "m"),
+            ),
+            "normal": (("point", "axis"), rows("normal"), about(normal)),
+            "is_floor": ("point", rows("is_floor"), about("a floor, else a wall")),
+            "is_cut": (
+                "point",
+                rows("is_cut"),
+                about("a tool cut the point, else it is left of the raw stock"),
+            ),
         },
         coords={
-            "case": list(surfaces),
-            "y": ("y", grid.y, {"units": "m"}),
-            "x": ("x", grid.x, {"units": "m"}),
+            "case": ("point", np.repeat(list(surfaces), counts)),
+            "axis": ["x", "y", "z"],
         },
         attrs={"Conventions": "CF-1.11"},
     )

@@ -134,10 +134,8 @@ from ._surface_bounds import (
 )
 from ._surface_objective import (
     FinishedSurface as FinishedSurface,
-    SurfaceMeasures as SurfaceMeasures,
     SurfaceObjective as SurfaceObjective,
     finished_surface as finished_surface,
-    measure_surface as measure_surface,
     point_shares as point_shares,
     touching_rows as touching_rows,
 )

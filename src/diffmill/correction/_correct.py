@@ -47,7 +47,7 @@ from ._setup import (
     job_weights,
     remaining_error,
 )
-from ._surface_objective import FinishedSurface, touching_rows
+from ._surface_objective import touching_rows
 
 if TYPE_CHECKING:
     import xarray
@@ -67,7 +67,6 @@ class Correction(eqx.Module):
         methods: What each method reported, by name.
         wall_time: Time that each method took, compilation included [s].
         path_part: Part of the path of each row, see `path_parts`, shape (step,).
-        surface: The surface as it should be; None where it is not walls and floors.
         chosen: Name of the case whose command is the corrected program.
     """
 
@@ -75,7 +74,6 @@ class Correction(eqx.Module):
     methods: dict[str, Corrected]
     wall_time: dict[str, float]
     path_part: Int[np.ndarray, " step"]
-    surface: FinishedSurface | None
     chosen: str = eqx.field(static=True)
 
     @property
@@ -201,14 +199,13 @@ def correct(
         start = min((found, given), key=closest).command
     kept = keeping(job, method, adjoint, record)
     run("corrected", kept, problem, start=start)
-    return _finished(job, rigid, before, surface, record, adjoint)
+    return _finished(job, rigid, before, record, adjoint)
 
 
 def _finished(
     job: Job,
     rigid: Any,
     before: Solution,
-    surface: FinishedSurface | None,
     record: CaseRecord,
     adjoint: AbstractAdjoint,
 ) -> Correction:
@@ -230,7 +227,7 @@ def _finished(
         job.cutter.nominal_radius,
         removed_volume=np.asarray(rigid.removed_volume),
     )
-    return Correction(cases, methods, record.wall_time, parts, surface, chosen)
+    return Correction(cases, methods, record.wall_time, parts, chosen)
 
 
 def _weights(job: Job, rigid: Any, before: Solution) -> Float[np.ndarray, " step"]:

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._result import RESULTS
+from ..workpiece import SurfaceMeasures, measure_surface, surface_error
 from ._parts import PARTS, by_part, rows_out_of_cut
-from ._surface_objective import SurfaceMeasures, measure_surface
 
 if TYPE_CHECKING:
     import xarray
@@ -123,10 +123,12 @@ def _figures(correction: "Correction") -> dict[str, tuple[Any, ...]]:
 
 def _surface_figures(correction: "Correction") -> dict[str, tuple[Any, ...]]:
     """Return the errors of the machined surface, walls and floors apart."""
-    if correction.surface is None:
+    if not bool(correction.before.rigid.stock.volume() > 0):
         return {}
     measures = [
-        measure_surface(correction.surface, solution.actual)
+        measure_surface(
+            surface_error(solution.stock, solution.rigid.stock, leaves_out_raw=True)
+        )
         for solution in correction.cases.values()
     ]
     found = {}

@@ -239,59 +239,6 @@ def touching_rows(
     return found
 
 
-class SurfaceMeasures(eqx.Module):
-    """Figures of the surface error, walls and floors apart; NaN where there is none.
-
-    Attributes:
-        wall_mean: Mean signed error of the walls [m], positive: material left.
-        wall_rms: Root mean square error of the walls [m].
-        wall_p95: 95 % of the walls' points are closer to the ideal surface [m].
-        floor_mean: As `wall_mean`, of the floors [m].
-        floor_rms: As `wall_rms` [m].
-        floor_p95: As `wall_p95` [m].
-        deepest: How far the tool cut into the ideal part at most [m], at least 0.
-    """
-
-    wall_mean: float
-    wall_rms: float
-    wall_p95: float
-    floor_mean: float
-    floor_rms: float
-    floor_p95: float
-    deepest: float
-
-
-def measure_surface(surface: FinishedSurface, actual: FloatRows3) -> SurfaceMeasures:
-    """Return the figures of the surface that actual tips leave.
-
-    Args:
-        surface: The surface as it should be.
-        actual: Actual tips [m], shape (step, 3).
-
-    Returns:
-        The figures.
-
-    **Differentiability**: none, a host function.
-    """
-    error = np.asarray(surface.errors(actual), np.float64)
-
-    def figures(chosen: np.ndarray) -> tuple[float, float, float]:
-        if not chosen.size:
-            return np.nan, np.nan, np.nan
-        return (
-            float(chosen.mean()),
-            float(np.sqrt(np.mean(chosen**2))),
-            float(np.percentile(np.abs(chosen), 95)),
-        )
-
-    is_wall = np.asarray(surface.is_wall)
-    return SurfaceMeasures(
-        *figures(error[is_wall]),
-        *figures(error[~is_wall]),
-        deepest=float(max(0.0, -error.min())),
-    )
-
-
 def _cut_ends(
     stock: Stock, family: int, sides: tuple[int, ...]
 ) -> tuple[Float[np.ndarray, "end 3"], Int[np.ndarray, " end"]]:

@@ -45,10 +45,9 @@ from ._process import chip_chart as chip_chart, force_record as force_record
 from ._report import write_report as write_report
 from ._robot import plot_robot as plot_robot, plot_stiffness as plot_stiffness
 from ._sensitivity import plot_sensitivity as plot_sensitivity
-from ._stocks import cut_dexels as cut_dexels, surface_error as surface_error
+from ._stocks import cut_dexels as cut_dexels
 from ._style import save_figure as save_figure
 from ._surface import (
-    SurfaceError as SurfaceError,
     plot_surface_error as plot_surface_error,
     surface_html as surface_html,
 )

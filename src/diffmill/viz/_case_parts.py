@@ -133,8 +133,8 @@ def surface_figures_html(dataset: "xarray.Dataset") -> str:
         text = ["-" if np.isnan(value) else f"{value:.1f}" for value in numbers]
         rows.append([case_style(name).label, *text])
     note = (
-        "Error of the machined surface against that of a rigid tool, from the places "
-        "of the tip at the tooth instants; positive mean: material left."
+        "Distance of the machined surface from that of a rigid tool, where a tool cut; "
+        "positive mean: material left."
     )
     table = table_html(header, rows, colours=[case_style(n).colour for n in names])
     return f'{table}<p class="note">{note}</p>'

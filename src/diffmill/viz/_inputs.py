@@ -9,12 +9,12 @@ import numpy as np
 
 from .._job import Job
 from ..sim import Solution, job_plan, simulate_process, with_precision
+from ..workpiece import SurfaceError, surface_error
 from ._chip import ChipChart
 from ._dexels import CutDexels
 from ._forces import ForceRecord
 from ._process import chip_chart, force_record
-from ._stocks import cut_dexels, surface_error
-from ._surface import SurfaceError
+from ._stocks import cut_dexels
 
 # The report's maps: more cases would make it long without telling more.
 _MAPPED = ("predicted", "uncorrected", "corrected")
@@ -68,9 +68,11 @@ def figure_inputs(job: Job, cases: Mapping[str, Solution]) -> FigureInputs:
         else chip_chart(np.asarray(actual), job.stock, job.cutter, plan, step=step),
         dexels=cut_dexels(first.stock, first.rigid.stock),
         surfaces={
-            name: surface_error(solution.stock, solution.rigid.stock)
+            name: surface_error(
+                solution.stock, solution.rigid.stock, leaves_out_raw=True
+            )
             for name, solution in cases.items()
-            if name in _MAPPED
+            if name in _MAPPED and bool(solution.rigid.stock.volume() > 0)
         },
     )
 

@@ -18,11 +18,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..workpiece import SurfaceError
 from ._case_parts import parts_html, surface_figures_html
 from ._cases import CaseNumbers, case_names, case_numbers, reference_case, values_of
 from ._html import image_html, numbers_html, page_html, section_html, table_html
 from ._style import MICROMETRE, case_style
-from ._surface import SurfaceError, surface_html
+from ._surface import surface_html
 from ._write import FigureFile
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ def write_report(
         out_dir: Existing folder.
         dataset: A result of `simulate` or `correct`.
         figures: What `write_figures` returned.
-        surfaces: Height error by case, for the surface that can be turned around;
+        surfaces: Surface error by case, for the surface that can be turned around;
             without it the report is about 5 MB smaller.
         settings: Numerical settings to list, beside the dataset's attributes.
         versions: Versions to list, beside the dataset's attributes.

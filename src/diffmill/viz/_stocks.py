@@ -1,4 +1,4 @@
-"""What the figures need of finished workpieces: floor heights and cut ray ends.
+"""What the figures need of finished workpieces: the cut ray ends.
 
 The ideal workpiece is what the same process leaves on the desired path, on the same
 grid of rays.
@@ -7,36 +7,8 @@ grid of rays.
 import numpy as np
 from jaxtyping import Float
 
-from ..workpiece import Stock, grid_shape, height_map, ray_ends
+from ..workpiece import Stock, grid_shape, ray_ends
 from ._dexels import CutDexels
-from ._surface import SurfaceError
-
-
-def surface_error(stock: Stock, ideal: Stock) -> SurfaceError:
-    """Return how high the machined floors are above the ideal ones.
-
-    Columns that were cut in only one of the two stocks stand at a wall: their height
-    differs by the depth of the cut and says nothing of the floor, so they are NaN.
-
-    Args:
-        stock: The workpiece after the cut.
-        ideal: The workpiece after the same cut on the desired path.
-
-    Returns:
-        The error on the grid of the z rays.
-    """
-    _require_same_grid(stock, ideal)
-    x, y, actual = height_map(stock)
-    _, _, wanted = height_map(ideal)
-    # A floor lies below the raw face by more than rounding.
-    least = 1e-9
-    is_floor = (actual < stock.top - least) & (wanted < ideal.top - least)
-    error = np.where(is_floor, actual - wanted, np.nan)
-    return SurfaceError(
-        np.asarray(x, dtype=np.float64),
-        np.asarray(y, dtype=np.float64),
-        np.ascontiguousarray(error.T, dtype=np.float64),
-    )
 
 
 def cut_dexels(stock: Stock, ideal: Stock) -> CutDexels:

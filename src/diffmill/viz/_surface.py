@@ -1,11 +1,10 @@
-"""The machined floor: map of its height error, histogram, 3-D view for browsers."""
+"""The machined surface: map of its error, histogram, 3-D view for browsers."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-import equinox as eqx
 import numpy as np
-from jaxtyping import Float
 
+from ..workpiece import SurfaceError
 from ._style import (
     INK,
     MICROMETRE,
@@ -13,6 +12,7 @@ from ._style import (
     label_colourbar,
     new_figure,
     quiet_axes,
+    round_factor,
     spread,
 )
 
@@ -21,50 +21,44 @@ if TYPE_CHECKING:
     import matplotlib.cm
     import matplotlib.figure
 
-_BROWSER_CELLS = 160  # per side: keeps the report small and turning it smooth
+_BROWSER_POINTS = 20_000  # per case: keeps the report small and turning it smooth
 
 
-class SurfaceError(eqx.Module):
-    """Height of the machined surface above the ideal one, on a grid.
+def plot_surface_error(errors: dict[str, SurfaceError]) -> "matplotlib.figure.Figure":
+    """Draw a map of the surface error and its histogram, one row per case.
 
-    Attributes:
-        x: Grid coordinates in `work` [m], shape (column,).
-        y: Grid coordinates in `work` [m], shape (row,).
-        error: Signed height error [m], positive where material was left, NaN where
-            nothing was to be cut, shape (row, column).
-    """
-
-    x: Float[np.ndarray, " column"]
-    y: Float[np.ndarray, " row"]
-    error: Float[np.ndarray, "row column"]
-
-
-def plot_surface_error(maps: dict[str, SurfaceError]) -> "matplotlib.figure.Figure":
-    """Draw a map of the height error and its histogram, one row per case.
+    The map is a plan: floors where they are, walls as the lines that they are from
+    above, with the largest error over their height.
 
     Args:
-        maps: Surface error by case; the maps share one colour scale, that of the
-            largest error, and each histogram has its own.
+        errors: Surface error by case; the maps share one colour scale, that of the
+            largest errors, and each histogram has its own.
 
     Returns:
         The figure.
     """
-    if not maps:
-        raise ValueError("Argument `maps` must hold at least one case, but is empty.")
-    first = next(iter(maps.values()))
-    aspect = float(np.ptp(first.y) / max(np.ptp(first.x), 1e-12))
-    figure = new_figure(min(9.5, 0.5 + len(maps) * max(1.9, 4.1 * aspect)))
-    grid = figure.subplots(len(maps), 2, squeeze=False, width_ratios=[1.9, 1.0])
-    limit = max(spread(item.error * 1e6, 99.0) for item in maps.values()) or 1.0
-    for row, (name, item) in enumerate(maps.items()):
+    if not errors:
+        raise ValueError("Argument `errors` must hold at least one case, but is empty.")
+    points = np.concatenate([item.points for item in errors.values()])
+    width, depth = np.ptp(points[:, :2], axis=0) if len(points) else (1.0, 1.0)
+    aspect = float(depth / max(width, 1e-12))
+    figure = new_figure(min(9.5, 0.5 + len(errors) * max(1.9, 4.1 * aspect)))
+    grid = figure.subplots(len(errors), 2, squeeze=False, width_ratios=[1.9, 1.0])
+    limit = _limit_um(errors)
+    for row, (name, item) in enumerate(errors.items()):
         _draw_map(grid[row, 0], item, limit)
         label = case_style(name).label
         quiet_axes(grid[row, 0], x="x [mm]", y="y [mm]", title=label, has_grid=False)
         _draw_histogram(grid[row, 1], item, case_style(name).colour)
     image = _colours(limit)
     bar = figure.colorbar(image, ax=grid[:, 0], pad=0.02, aspect=30, extend="both")
-    label_colourbar(bar, r"height error [$\mathrm{\mu m}$]")
+    label_colourbar(bar, r"surface error [$\mathrm{\mu m}$]")
     return figure
+
+
+def _limit_um(errors: dict[str, SurfaceError]) -> float:
+    """Return the end of the colour scale of all cases."""
+    return max(spread(item.error * 1e6, 99.0) for item in errors.values()) or 1.0
 
 
 def _colours(limit_um: float) -> "matplotlib.cm.ScalarMappable":
@@ -78,14 +72,19 @@ def _draw_map(
     axes: "matplotlib.axes.Axes", item: SurfaceError, limit_um: float
 ) -> None:
     axes.set_facecolor("#e4e4e4")
-    axes.pcolormesh(
-        item.x * 1e3,
-        item.y * 1e3,
-        np.ma.masked_invalid(item.error * 1e6),
+    # The larger error above the smaller one, walls above floors.
+    order = np.lexsort((np.abs(item.error), ~item.is_floor))
+    x, y, _ = item.points[order].T * 1e3
+    axes.scatter(
+        x,
+        y,
+        c=item.error[order] * 1e6,
+        s=2.0,
+        marker="s",
+        linewidths=0,
         cmap="RdBu_r",
         vmin=-limit_um,
         vmax=limit_um,
-        shading="nearest",
         rasterized=True,
     )
     axes.set_aspect("equal")
@@ -94,74 +93,75 @@ def _draw_map(
 def _draw_histogram(
     axes: "matplotlib.axes.Axes", item: SurfaceError, colour: str
 ) -> None:
-    """Draw the share of area by error, with its rms and its 95 % limits."""
-    error_um = item.error[np.isfinite(item.error)] * 1e6
-    quiet_axes(axes, x=r"height error [$\mathrm{\mu m}$]", y="share of area [%]")
+    """Draw the share of area by error, with the rms of walls and floors."""
+    error_um = item.error * 1e6
+    quiet_axes(axes, x=r"surface error [$\mathrm{\mu m}$]", y="share of area [%]")
     if not error_um.size:
         return
     low, high = np.percentile(error_um, [0.5, 99.5])
     pad = max(0.1 * (high - low), 0.05)
-    weights = np.full(error_um.shape, 100.0 / error_um.size)
+    kinds = {"floors": item.is_floor, "walls": ~item.is_floor}
     axes.hist(
-        error_um, bins=40, range=(low - pad, high + pad), weights=weights, color=colour
+        [error_um[rows] for rows in kinds.values()],
+        bins=40,
+        range=(low - pad, high + pad),
+        weights=[100 * item.area_share[rows] for rows in kinds.values()],
+        color=[colour, INK],
+        alpha=0.8,
+        stacked=True,
+        label=list(kinds),
     )
     axes.axvline(0.0, color=INK, linewidth=0.7)
-    bottom, top = np.percentile(error_um, [2.5, 97.5])
+    axes.legend(fontsize=7, frameon=False)
     axes.set_title(
-        f"rms {np.sqrt(np.mean(error_um**2)):.1f}, mean {np.mean(error_um):.1f},\n"
-        rf"95 % in {bottom:.1f} to {top:.1f} $\mathrm{{\mu m}}$",
+        "\n".join(
+            f"{name}: rms {np.sqrt(np.mean(error_um[rows] ** 2)):.1f}, mean "
+            rf"{np.mean(error_um[rows]):.1f} $\mathrm{{\mu m}}$"
+            for name, rows in kinds.items()
+            if rows.any()
+        ),
         fontsize=8,
         loc="left",
         color=INK,
     )
 
 
-def surface_html(maps: dict[str, SurfaceError]) -> str:
+def surface_html(errors: dict[str, SurfaceError]) -> str:
     """Return a block of HTML with the surface to turn around, by plotly.
 
     plotly.js is part of the block (about 5 MB), so the page needs no network.
 
     Args:
-        maps: Surface error by case; buttons switch between cases.
+        errors: Surface error by case; buttons switch between cases.
 
     Returns:
-        A `<div>` with its script; NaN cells are holes.
+        A `<div>` with its script.
     """
     import plotly.graph_objects as go
 
-    first = next(iter(maps.values()))
-    limit = max(spread(item.error * 1e6, 99.0) for item in maps.values()) or 1.0
-    surfaces = [
-        _browser_surface(item, limit, name == next(iter(maps)))
-        for name, item in maps.items()
+    limit = _limit_um(errors)
+    points = np.concatenate([item.points for item in errors.values()])
+    width_um = float(np.ptp(points, axis=0).max()) * 1e6 if len(points) else 1.0
+    # The largest error is drawn as long as a thirtieth of the part.
+    factor = round_factor(max(1.0, width_um / 30 / limit))
+    clouds = [
+        _browser_cloud(item, limit, factor, name == next(iter(errors)))
+        for name, item in errors.items()
     ]
-    figure = go.Figure([go.Surface(**surface) for surface in surfaces])
-    width_um = max(float(np.ptp(first.x)), 1e-9) * 1e6
-    ratio = float(np.ptp(first.y)) * 1e6 / width_um
-    # The box is 1.5 wide for the part's width and 0.7 high for 4 limits.
-    factor = float(f"{0.7 / (4.0 * limit) / (1.5 / width_um):.2g}")
+    figure = go.Figure([go.Scatter3d(**cloud) for cloud in clouds])
     figure.update_layout(
         template="plotly_white",
         margin={"l": 0, "r": 0, "t": 30, "b": 0},
         height=520,
         font={"family": "system-ui, sans-serif", "size": 12},
         scene={
-            "xaxis": {"title": {"text": "x [mm]"}},
-            "yaxis": {"title": {"text": "y [mm]"}},
-            "zaxis": {
-                "title": {"text": f"error [{MICROMETRE}]"},
-                "range": [-2 * limit, 2 * limit],
-            },
-            "aspectmode": "manual",
-            "aspectratio": {"x": 1.5, "y": 1.5 * ratio, "z": 0.7},
-            "camera": {
-                "eye": {"x": 1.0, "y": -1.7, "z": 1.15},
-                "center": {"x": 0.0, "y": 0.0, "z": -0.15},
-            },
+            **{f"{a}axis": {"title": {"text": f"{a} [mm]"}} for a in "xyz"},
+            "aspectmode": "data",
+            "camera": {"eye": {"x": 0.7, "y": -1.3, "z": 1.0}},
         },
         annotations=[
             {
-                "text": f"height error drawn {factor:g} times larger",
+                "text": f"error drawn {factor:g} times larger",
                 "x": 0,
                 "y": 1.07,
                 "xref": "paper",
@@ -170,7 +170,7 @@ def surface_html(maps: dict[str, SurfaceError]) -> str:
                 "showarrow": False,
             }
         ],
-        updatemenus=[_case_buttons(list(maps))] if len(maps) > 1 else [],
+        updatemenus=[_case_buttons(list(errors))] if len(errors) > 1 else [],
     )
     return figure.to_html(
         full_html=False,
@@ -201,18 +201,27 @@ def _case_buttons(names: list[str]) -> dict:
     }
 
 
-def _browser_surface(item: SurfaceError, limit_um: float, is_visible: bool) -> dict:
-    """Return one plotly surface, thinned and rounded to what a screen can show."""
-    rows = slice(None, None, max(1, -(-item.y.shape[0] // _BROWSER_CELLS)))
-    columns = slice(None, None, max(1, -(-item.x.shape[0] // _BROWSER_CELLS)))
+def _browser_cloud(
+    item: SurfaceError, limit_um: float, factor: float, is_visible: bool
+) -> dict[str, Any]:
+    """Return one plotly cloud, thinned and rounded to what a screen can show."""
+    some = slice(None, None, max(1, -(-len(item.error) // _BROWSER_POINTS)))
+    moved = item.points + factor * item.error[:, None] * item.normal
+    x, y, z = np.round(moved[some].T * 1e3, 3).astype(np.float32)
     return {
-        "x": np.round(item.x[columns] * 1e3, 3).astype(np.float32),
-        "y": np.round(item.y[rows] * 1e3, 3).astype(np.float32),
-        "z": np.round(item.error[rows, columns] * 1e6, 2).astype(np.float32),
-        "colorscale": "RdBu",
-        "reversescale": True,
-        "cmin": -limit_um,
-        "cmax": limit_um,
+        "x": x,
+        "y": y,
+        "z": z,
+        "mode": "markers",
         "visible": is_visible,
-        "colorbar": {"title": {"text": MICROMETRE}, "len": 0.7},
+        "hoverinfo": "skip",
+        "marker": {
+            "size": 2,
+            "color": np.round(item.error[some] * 1e6, 2).astype(np.float32),
+            "colorscale": "RdBu",
+            "reversescale": True,
+            "cmin": -limit_um,
+            "cmax": limit_um,
+            "colorbar": {"title": {"text": MICROMETRE}, "len": 0.7},
+        },
     }

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import equinox as eqx
 import numpy as np
 
+from ..workpiece import SurfaceError
 from ._cases import case_names, reference_case, shown_cases, values_of
 from ._chip import ChipChart, plot_chip
 from ._dexels import CutDexels, plot_cut_dexels
@@ -15,7 +16,7 @@ from ._history import plot_deviation
 from ._paths import plan_magnification, plot_paths
 from ._sensitivity import plot_sensitivity
 from ._style import case_style, save_figure
-from ._surface import SurfaceError, plot_surface_error
+from ._surface import plot_surface_error
 
 if TYPE_CHECKING:
     import matplotlib.figure
@@ -64,7 +65,7 @@ def write_figures(
             mean over each tooth period from `dataset`.
         chip: Chip chart of one tooth.
         dexels: Ends of the cut rays, of the reference case.
-        surfaces: Height error of the machined surface, by case.
+        surfaces: Error of the machined surface, by case.
 
     Returns:
         By name, in the report's order: paths, deviation, forces, chip, surface,
@@ -189,9 +190,10 @@ def _draw_surface(surfaces: dict[str, SurfaceError] | None) -> _Drawing:
     if not surfaces:
         return _Drawing(title, "no surface error was computed")
     caption = (
-        "Height of the machined surface above the ideal one. Blue: cut too deep; red: "
-        "material left; grey: not to be cut. All maps share one scale, each histogram "
-        "has its own."
+        "Distance of the machined surface from the ideal one, seen from above: floors, "
+        "and walls as lines with the largest error over their height. Blue: cut too "
+        "deep; red: material left; grey: not cut. All maps share one scale, each "
+        "histogram has its own."
     )
     return _Drawing(title, caption, plot_surface_error(surfaces))
 

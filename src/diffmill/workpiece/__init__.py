@@ -61,5 +61,7 @@ from ._stock_arrays import (
 )
 from ._surface_error import (
     SurfaceError as SurfaceError,
+    SurfaceMeasures as SurfaceMeasures,
+    measure_surface as measure_surface,
     surface_error as surface_error,
 )

@@ -48,39 +48,102 @@ class SurfaceError(eqx.Module):
     is_cut: Bool[np.ndarray, " n"]
     family: Int[np.ndarray, " n"]
 
+    @property
+    def area_share(self) -> Float[np.ndarray, " n"]:
+        """Return the share of the surface that each point stands for, shape (n,).
 
-def surface_error(machined: Stock, ideal: Stock) -> SurfaceError:
+        A plane is met by |n_x| + |n_y| + |n_z| rays per square of the spacing.
+        """
+        share = 1 / np.abs(self.normal).sum(axis=1)
+        return share / share.sum()
+
+
+class SurfaceMeasures(eqx.Module):
+    """Figures of a surface error, walls and floors apart; NaN where there is none.
+
+    Attributes:
+        wall_mean: Mean signed error of the walls [m], positive: material left.
+        wall_rms: Root mean square error of the walls [m].
+        wall_p95: 95 % of the walls' points are closer to the ideal surface [m].
+        floor_mean: As `wall_mean`, of the floors [m].
+        floor_rms: As `wall_rms` [m].
+        floor_p95: As `wall_p95` [m].
+        deepest: How far the tool cut into the ideal part at most [m], at least 0.
+    """
+
+    wall_mean: float
+    wall_rms: float
+    wall_p95: float
+    floor_mean: float
+    floor_rms: float
+    floor_p95: float
+    deepest: float
+
+
+def measure_surface(found: SurfaceError) -> SurfaceMeasures:
+    """Return the figures of a surface error, of the points that a tool cut."""
+    error, is_floor = found.error[found.is_cut], found.is_floor[found.is_cut]
+
+    def figures(chosen: np.ndarray) -> tuple[float, float, float]:
+        if not chosen.size:
+            return np.nan, np.nan, np.nan
+        return (
+            float(chosen.mean()),
+            float(np.sqrt(np.mean(chosen**2))),
+            float(np.percentile(np.abs(chosen), 95)),
+        )
+
+    return SurfaceMeasures(
+        *figures(error[~is_floor]),
+        *figures(error[is_floor]),
+        deepest=float(max(0.0, -error.min(initial=0.0))),
+    )
+
+
+def surface_error(
+    machined: Stock, ideal: Stock, *, leaves_out_raw: bool = False
+) -> SurfaceError:
     """Return how far every ray end of a machined stock is from the ideal surface.
 
     Args:
         machined: The stock as it was cut.
         ideal: The stock as it should be, for example cut by the desired path, or from
             a mesh of the part; its grid may be another one.
+        leaves_out_raw: Whether points that no tool cut, and that the ideal stock has
+            too, are left out.
 
     Returns:
-        One row for each end of each ray of all three families. Against planes the
+        One row for each end of each ray of all three families; none if the machined
+        stock holds no material. Against planes the
         distance is exact to rounding. Where the ideal surface is curved with radius r,
         its mesh is off by up to about 0.4 spacing^2 / r, and along sharp edges oblique
         to all axes by a part of the spacing.
 
     Raises:
-        ValueError: One of them holds no material.
+        ValueError: The ideal stock holds no material.
 
     Differentiability: none, a host function.
     """
     found = [ray_ends(machined, f)[0] for f in range(3)]
     points = np.concatenate(found)
-    if not len(points):
-        raise ValueError("Argument `machined` must hold material, but is empty.")
+    if not bool(ideal.volume() > 0):
+        raise ValueError("Argument `ideal` must hold material, but is empty.")
+    is_cut = np.concatenate([_end_poses(machined, f) >= 0 for f in range(3)])
+    family = np.repeat(np.arange(3), [len(p) for p in found])
+    bound = _end_distance(ideal, points)
+    if leaves_out_raw:
+        kept = is_cut | (bound > 0)
+        points, is_cut, family, bound = (
+            rows[kept] for rows in (points, is_cut, family, bound)
+        )
     error, normal = signed_distance(ideal.to_mesh(), points)
-    error = np.copysign(np.minimum(np.abs(error), _end_distance(ideal, points)), error)
     return SurfaceError(
         points=points,
-        error=error,
+        error=np.copysign(np.minimum(np.abs(error), bound), error),
         normal=normal,
         is_floor=np.abs(normal[:, 2]) > np.sqrt(0.5),
-        is_cut=np.concatenate([_end_poses(machined, f) >= 0 for f in range(3)]),
-        family=np.repeat(np.arange(3), [len(p) for p in found]),
+        is_cut=is_cut,
+        family=family,
     )
 
 
