@@ -210,7 +210,13 @@ def test_what_is_not_measured_is_not_identifiable():
     assert math.isnan(fit.coefficients["K_ac"])
     assert math.isinf(fit.standard_errors["K_ae"])
     assert "axial force" in " ".join(fit.notes)
-    assert fit.law.K_ac == 0
+    # A force of zero would be a guess.
+    with pytest.raises(ValueError, match="do not tell K_ac, K_ae; "):
+        _ = fit.law
+    law = fit.law_with(K_ac=1e8, K_ae=0.0)
+    assert (law.K_ac, law.K_ae, law.K_tc) == (1e8, 0.0, fit.coefficients["K_tc"])
+    with pytest.raises(ValueError, match="but hold K_tx"):
+        fit.law_with(K_tx=1.0)
 
 
 def test_saturation_shows_where_a_force_was_not_measured():

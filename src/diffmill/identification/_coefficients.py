@@ -93,9 +93,43 @@ class ForceCoefficientFit(eqx.Module):
 
     @property
     def law(self) -> LinearEdgeLaw:
-        """The force law with these coefficients; 0 for those not identifiable."""
-        known = {n: 0.0 if np.isnan(v) else v for n, v in self.coefficients.items()}
-        return LinearEdgeLaw(**known)
+        """The force law with these coefficients.
+
+        Raises:
+            ValueError: A coefficient is not identifiable; see `law_with`.
+        """
+        return self.law_with()
+
+    def law_with(self, **known: float) -> LinearEdgeLaw:
+        """Return the force law, given what the records do not tell.
+
+        Args:
+            **known: Coefficients by name [Pa, N/m], in place of those fitted; 0 leaves
+                their force out.
+
+        Returns:
+            The law.
+
+        Raises:
+            ValueError: A coefficient is neither identifiable nor given, or none.
+
+        **Differentiability**: runs on the host.
+        """
+        strange = sorted(set(known) - set(NAMES))
+        if strange:
+            raise ValueError(
+                f"Arguments must be among {', '.join(NAMES)}, but hold "
+                f"{', '.join(strange)}."
+            )
+        every = {**self.coefficients, **known}
+        lost = [name for name, value in every.items() if math.isnan(value)]
+        if lost:
+            wanted = ", ".join(f"{name}=..." for name in lost)
+            raise ValueError(
+                f"The records do not tell {', '.join(lost)}; give what is known "
+                f"otherwise by `law_with({wanted})`, 0 to leave that force out."
+            )
+        return LinearEdgeLaw(**every)
 
 
 def fit_force_coefficients(
