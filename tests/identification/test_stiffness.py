@@ -98,6 +98,25 @@ def test_noise_outliers_and_a_wrist_at_rest(seed):
     assert (fit.stiffness_bound < K * 1.05).all()
 
 
+def test_a_joint_that_the_loads_bound_has_a_number_with_its_interval():
+    """Poses near each other part the joints badly: wide is not unknown."""
+    robot = rb.with_tool(rb.load("kuka_kr10_like"), shifted(0.1))
+    K = np.asarray(robot.joint_stiffness)
+    q, wrench, draw = loads(robot, 12, 5, spread=0.15)
+    wrench *= 0.1
+    d = moved(robot, q, wrench)[:, :3]
+    d += 0.09 * np.sqrt(np.mean(d**2)) * draw.normal(size=d.shape)
+    fit = identification.fit_joint_stiffness(robot, q, wrench, d, noise="absolute")
+    assert fit.explained > 0.99
+    assert fit.identifiable[fit.share > 0.1].all() and not fit.identifiable.all()
+    rough = np.flatnonzero(fit.identifiable & fit.is_rough)
+    assert rough.size and fit.share[rough].max() > 0.1
+    least, most = fit.stiffness_interval[fit.identifiable].T
+    assert (least < fit.stiffness[fit.identifiable]).all()
+    assert (least < K[fit.identifiable]).all() and (K[fit.identifiable] < most).all()
+    assert np.isinf(fit.stiffness_interval[~fit.identifiable, 1]).all()
+
+
 def test_permuted_axes_are_a_bad_fit():
     robot = arm()
     q, wrench, draw = loads(robot, 20, 5)

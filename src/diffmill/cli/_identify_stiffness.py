@@ -46,7 +46,10 @@ def identify_stiffness(task: "LoadTestTask", progress: Progress) -> Outcome:
         parts = (fit.stiffness, fit.standard_errors, fit.identifiable)
         toml = joints_toml(task.robot, "joint_stiffness", *parts)
         known = fit.identifiable
-        share = float(np.max(fit.standard_errors[known] / fit.stiffness[known]))
+        # An equal error of all joints that makes the displacement as uncertain.
+        part = fit.share[known]
+        off = fit.standard_errors[known] / fit.stiffness[known]
+        share = float(np.linalg.norm(part * off) / np.linalg.norm(part))
         remark = kept_remark(fit.joint_names, known)
         toml += uncertainty_toml("stiffness", share, remark)
     if doubt is not None:
@@ -57,6 +60,7 @@ def identify_stiffness(task: "LoadTestTask", progress: Progress) -> Outcome:
         "stiffness_SI": fit.stiffness,
         "standard_errors_SI": fit.standard_errors,
         "stiffness_at_least_SI": fit.stiffness_bound,
+        "stiffness_interval_SI": fit.stiffness_interval,
         "identifiable": fit.identifiable,
         "is_consistent": fit.is_consistent,
         "explained": fit.explained,
@@ -109,7 +113,9 @@ def _stiffness_lines(
         part = f"{known}{fit.share[i]:8.1%}  {unit}"
         if fit.identifiable[i]:
             number = f"{fit.stiffness[i]:12.4g}{fit.standard_errors[i]:12.2g}"
-            lines.append(f"{name:{width}}{number}{part}")
+            least, most = fit.stiffness_interval[i]
+            rough = f"   95 %: {least:.3g} to {most:.3g}" if fit.is_rough[i] else ""
+            lines.append(f"{name:{width}}{number}{part}{rough}")
             continue
         least = fit.stiffness_bound[i]
         more = f", at least {least:.3g}" if least > 0 else ""
@@ -148,7 +154,7 @@ def _advice(task: "LoadTestTask", fit: "JointStiffnessFit") -> list[str]:
     """Return load tests that would show what the table does not."""
     from ..identification import suggest_load_tests
 
-    if fit.identifiable.all() or not fit.is_consistent:
+    if not fit.is_rough.any() or not fit.is_consistent:
         return []
     robot = task.robot
     model = np.asarray(robot.joint_stiffness)

@@ -44,11 +44,11 @@ def suggest_load_tests(
     *,
     count: int = 3,
 ) -> LoadTests:
-    """Return load tests that would fix the joints that a table could not.
+    """Return load tests that would fix the joints that a table knows badly.
 
     Random poses within the joints' limits, each with the largest force of the table
     along the axes of the base, are added one by one; each is the one that lowers the
-    sum of squared relative errors of the missing joints most, if the next tests
+    sum of squared relative errors of these joints most, if the next tests
     scatter like those of the table. Joints without a number are taken to be as stiff
     as the robot model says. Collisions are not looked at.
 
@@ -75,7 +75,7 @@ def suggest_load_tests(
     angles, load, _ = load_tables(robot, q, wrench, np.zeros((len(fit.residual), 3)))
     model = 1.0 / np.asarray(robot.joint_stiffness, np.float64)
     c = np.where(fit.identifiable, fit.compliance, model)
-    is_sought = ~fit.identifiable
+    is_sought = fit.is_rough
     poses, forces = _candidates(robot, float(np.abs(load[:, :3]).max()))
     # In units of the expected compliances; rows in units of their scatter.
     spread = max(fit.spread, 1e-12)

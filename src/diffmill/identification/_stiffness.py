@@ -21,8 +21,11 @@ from ._load_axes import AxesCheck, Turns, better_axes
 # Tables as users have them.
 Table = Float[Array, "..."] | Float[np.ndarray, "..."] | Sequence[Sequence[float]]
 
-# A compliance is a number if its standard error is below this share of it.
-_RELATIVE_ERROR = 0.1
+# A compliance is rough if its standard error is above this share of it.
+_ROUGH = 0.1
+# Probabilities of the interval that is given, and of the one that must leave out a
+# rigid joint: of many joints some seem soft by chance.
+_GIVEN, _BOUNDED = 0.95, 0.99
 # The springs must explain this share of the squared displacements.
 _EXPLAINED = 0.7
 # More wrong poses than this share of all say that the model or the table is wrong.
@@ -42,7 +45,10 @@ class JointStiffnessFit(eqx.Module):
         standard_errors: Of K, same unit and shape; NaN likewise.
         stiffness_bound: K is at least this, with 95 % confidence, shape (joint,); 0
             where nothing is known. Meaningful for joints without a number too.
-        identifiable: Whether the loads fix the joint's stiffness, shape (joint,).
+        stiffness_interval: Least and largest K, with 95 % confidence, (joint, 2);
+            0 and infinity for joints that are not identifiable.
+        identifiable: Whether the loads bound the stiffness from both sides with
+            99 % confidence, however widely, shape (joint,).
         compliance: c = 1 / K as fitted, never negative [rad/(N m) or m/N], shape
             (joint,); without meaning where not identifiable.
         compliance_errors: Standard errors of c, shape (joint,); infinite where the
@@ -66,6 +72,7 @@ class JointStiffnessFit(eqx.Module):
     stiffness: Float[np.ndarray, " joint"]
     standard_errors: Float[np.ndarray, " joint"]
     stiffness_bound: Float[np.ndarray, " joint"]
+    stiffness_interval: Float[np.ndarray, "joint 2"]
     identifiable: Bool[np.ndarray, " joint"]
     compliance: Float[np.ndarray, " joint"]
     compliance_errors: Float[np.ndarray, " joint"]
@@ -81,6 +88,12 @@ class JointStiffnessFit(eqx.Module):
     joint_names: tuple[str, ...] = eqx.field(static=True)
     notes: tuple[str, ...] = eqx.field(static=True)
 
+    @property
+    def is_rough(self) -> Bool[np.ndarray, " joint"]:
+        """Which joints are known to no better than a tenth, or not at all."""
+        rough = self.compliance_errors > _ROUGH * self.compliance
+        return ~self.identifiable | rough
+
 
 def fit_joint_stiffness(
     robot: Robot,
@@ -91,7 +104,7 @@ def fit_joint_stiffness(
     has_offset: bool = False,
     noise: str | None = None,
     frames: tuple[Turns | None, Turns | None] = (None, None),
-    max_relative_error: float = _RELATIVE_ERROR,
+    max_relative_error: float = 1.0,
     min_explained: float = _EXPLAINED,
 ) -> JointStiffnessFit:
     """Fit the joints' stiffness to static load tests.
@@ -112,8 +125,8 @@ def fit_joint_stiffness(
         frames: Rotations into base of the frames in which load and displacement were
             recorded, shape (pose, 3, 3) each, None for base: the axes that would suit
             better are told in these.
-        max_relative_error: A stiffness is given if its relative standard error is
-            at most this.
+        max_relative_error: A stiffness that is bounded is given if its relative
+            standard error is at most this.
         min_explained: Below this share of the squared displacement the table is
             reported as not suiting the robot, and no stiffness is given.
 
@@ -272,6 +285,8 @@ def _report(
     found: tuple[float, AxesCheck],
 ) -> JointStiffnessFit:
     """Return the fit in words of stiffness, from the rows that count."""
+    from scipy.special import stdtrit
+
     explained, axes = found
     count = robot.joint_count
     c = fit.x[:count]
@@ -281,13 +296,18 @@ def _report(
     parts = np.nansum(columns * moved[..., None], axis=(0, 1))
     square = float(np.nansum(moved**2))
     is_consistent = explained >= limits[1] and not too_many and axes.better is None
-    is_fixed = is_consistent & (c > 0) & (errors <= limits[0] * c)
+    freedom = max(1, int(np.isfinite(moved).sum()) - len(fit.x))
+    given, bounded = (stdtrit(freedom, 0.5 + 0.5 * p) for p in (_GIVEN, _BOUNDED))
+    is_fixed = is_consistent & (c > bounded * errors) & (errors <= limits[0] * c)
     safe = np.where(is_fixed, c, 1.0)
     bound = 1.0 / np.maximum(c + _ONE_SIDED * errors, 1e-300)
+    away = given * np.where(is_fixed, errors, 0.0)[:, None] * np.array([1.0, -1.0])
+    interval = 1.0 / (safe[:, None] + away)
     return JointStiffnessFit(
         stiffness=np.where(is_fixed, 1.0 / safe, np.nan),
         standard_errors=np.where(is_fixed, errors / safe**2, np.nan),
         stiffness_bound=np.where(is_consistent, bound, 0.0),
+        stiffness_interval=np.where(is_fixed[:, None], interval, [0.0, np.inf]),
         identifiable=is_fixed,
         compliance=c,
         compliance_errors=errors,
