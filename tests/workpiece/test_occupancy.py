@@ -73,3 +73,29 @@ def test_gradient_matches_differences():
     is_close = np.abs(slope - difference) < 1e-5 * scale
     assert scale > 1e3
     assert is_close.mean() >= 0.95
+
+
+def spread(points, discs):
+    """Return points on the rim, each disc with a copy of its own."""
+    shape = (points.shape[0], discs.count, 3)
+    return jnp.broadcast_to(points[:, None], shape), jnp.full((*shape[:2], 2), 1e-3)
+
+
+def test_discs_with_points_of_their_own_see_what_those_that_share_them_see():
+    rng = np.random.default_rng(4)
+    points = jnp.asarray(
+        rng.uniform([-1e-3, -1e-3, -2e-3], [4e-3, 4e-3, 1e-4], (60, 3))
+    )
+    own = wp.occupancy(STOCK, *spread(points, DISCS), DISCS, MILL)
+    assert float(own.max()) > 0.5
+    np.testing.assert_allclose(own, look(points), atol=1e-14)
+
+
+def test_work_grows_no_faster_than_the_number_of_discs():
+    work = []
+    for count in (12, 24):
+        discs = wp.Discs(count, 0.1e-3, 0.1e-3)
+        place = spread(jnp.full((30, 3), -1e-3), discs)
+        run = jax.jit(lambda p, m, discs=discs: wp.occupancy(STOCK, p, m, discs, MILL))
+        work.append(run.lower(*place).cost_analysis()["flops"])
+    assert work[1] < 2.1 * work[0]

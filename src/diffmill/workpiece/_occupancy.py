@@ -74,6 +74,21 @@ class Discs(eqx.Module):
         shares[0] = jnp.where(height > 0, shares[0] - below_tip, 0)
         return jnp.stack(shares, axis=-1)
 
+    def filled_below_own(
+        self, height: Float[Array, "point element *end"]
+    ) -> Float[Array, "point element *end"]:
+        """Return the share of each disc that lies below a height of its own.
+
+        As `filled_below`, but every disc has its own heights above the tip [m], in
+        the second axis: its cost grows with the discs, not with their square.
+        """
+        place = jnp.arange(self.count, dtype=height.dtype)
+        place = place.reshape(1, -1, *(1,) * (height.ndim - 2))
+        share = hat_integral(height / self.height - (place + 0.5))
+        below_tip = hat_integral(-height / self.height - 0.5)
+        lowest = jnp.where(height > 0, share - below_tip, 0)
+        return jnp.where(place == 0, lowest, share)
+
 
 def occupancy(
     stock: Stock,
@@ -279,23 +294,20 @@ def _combine(
     inside, certainty = _wall_occupancy(
         points, moves, ends[1:], sides, heights, origin, (d, discs.band)
     )
-    # (point, disc, column, side, slot, element)
+    # (point, disc, column, side, slot)
     above_tip = ends[0] - points[..., 2][..., None, None, None]
-    filled = discs.filled_below(above_tip)
     is_live = ends[0][..., 1, :] > ends[0][..., 0, :]
-    filled = jnp.sum(
-        jnp.where(is_live[..., None], filled[..., 1, :, :] - filled[..., 0, :, :], 0),
-        -2,
-    )
+    weights = _column_weights(points, origin, d)
+    # (point, column, element)
+    weights = jnp.moveaxis(weights, 1, 2)
     if points.shape[1] > 1:
-        # Each disc has its own points: keep its own share only.
-        filled = jnp.diagonal(filled, axis1=1, axis2=3)
-        weights = jnp.moveaxis(_column_weights(points, origin, d), 1, 2)
+        below = discs.filled_below_own(above_tip)
+        filled = jnp.where(is_live, below[..., 1, :] - below[..., 0, :], 0)
+        filled = jnp.moveaxis(jnp.sum(filled, -1), 1, 2)
     else:
-        filled, weights = (
-            filled[:, 0],
-            _column_weights(points, origin, d)[:, 0][..., None],
-        )
+        below = discs.filled_below(above_tip[:, 0])
+        filled = below[..., 1, :, :] - below[..., 0, :, :]
+        filled = jnp.sum(jnp.where(is_live[:, 0, ..., None], filled, 0), -2)
     mean = jnp.sum(weights * filled, axis=1)
     # Beside a wall the columns in the air must not thin the disc: walls do that.
     solid = jnp.sum(weights * filled**2, axis=1) / (mean + _BLIND)
