@@ -47,40 +47,42 @@ def subtract(
     """
     low, high = ends[..., 0, :], ends[..., 1, :]
     start, stop, is_cut = (x[..., None] for x in cut)
-    is_live = high > low
-    is_met = is_cut & is_live & (start < high) & (stop > low)
-    keeps_low = is_met & (low < start - SHORTEST)
-    keeps_high = is_met & (high > stop + SHORTEST)
-    is_gone = is_met & ~keeps_low & ~keeps_high
-    new_low = jnp.where(is_gone, DEAD, jnp.where(is_met & ~keeps_low, stop, low))
-    new_high = jnp.where(is_gone, -DEAD, jnp.where(keeps_low, start, high))
-    low_pose = jnp.where(is_met & ~keeps_low, pose, poses[..., 0, :])
-    high_pose = jnp.where(keeps_low, pose, poses[..., 1, :])
-    is_split = keeps_low & keeps_high
 
-    def split() -> tuple[Array, Array, Array]:
-        # The interval to remove lies inside at most one piece: one slot is enough.
-        needs = jnp.any(is_split, axis=-1, keepdims=True)
-        free = jnp.argmin(is_live, axis=-1)[..., None]
-        slots = jnp.arange(low.shape[-1]).reshape((1,) * (low.ndim - 1) + (-1,))
-        takes = needs & ~is_live & (slots == free)
-        rest = jnp.max(jnp.where(is_split, high, -DEAD), axis=-1, keepdims=True)
-        rest_pose = jnp.where(is_split, poses[..., 1, :], -1)
-        rest_pose = jnp.max(rest_pose, axis=-1, keepdims=True)
-        return (
-            _two(jnp.where(takes, stop, new_low), jnp.where(takes, rest, new_high)),
-            _two(
-                jnp.where(takes, pose, low_pose), jnp.where(takes, rest_pose, high_pose)
-            ),
-            needs[..., 0] & jnp.all(is_live, axis=-1),
-        )
-
-    def keep() -> tuple[Array, Array, Array]:
+    # Each branch computes what is met anew: it is cheaper than to hand it over.
+    def trim() -> tuple[Array, Array, Array]:
+        is_met = is_cut & (high > low) & (start < high) & (stop > low)
+        keeps_low = is_met & (low < start - SHORTEST)
+        keeps_high = is_met & (high > stop + SHORTEST)
+        is_gone = is_met & ~keeps_low & ~keeps_high
+        new_low = jnp.where(is_gone, DEAD, jnp.where(is_met & ~keeps_low, stop, low))
+        new_high = jnp.where(is_gone, -DEAD, jnp.where(keeps_low, start, high))
+        low_pose = jnp.where(is_met & ~keeps_low, pose, poses[..., 0, :])
+        high_pose = jnp.where(keeps_low, pose, poses[..., 1, :])
         is_full = jnp.zeros(low.shape[:-1], bool)
         return _two(new_low, new_high), _two(low_pose, high_pose), is_full
 
+    def is_split() -> Bool[Array, "*ray slot"]:
+        return is_cut & (low < start - SHORTEST) & (high > stop + SHORTEST)
+
+    def split() -> tuple[Array, Array, Array]:
+        # The interval to remove lies inside at most one piece: one slot is enough.
+        new, by, _ = trim()
+        is_live, splits = high > low, is_split()
+        needs = jnp.any(splits, axis=-1, keepdims=True)
+        free = jnp.argmin(is_live, axis=-1)[..., None]
+        slots = jnp.arange(low.shape[-1]).reshape((1,) * (low.ndim - 1) + (-1,))
+        takes = (needs & ~is_live & (slots == free))[..., None, :]
+        rest = jnp.max(jnp.where(splits, high, -DEAD), axis=-1, keepdims=True)
+        rest_pose = jnp.where(splits, poses[..., 1, :], -1)
+        rest_pose = jnp.max(rest_pose, axis=-1, keepdims=True)
+        return (
+            jnp.where(takes, _two(stop, rest), new),
+            jnp.where(takes, _two(jnp.full_like(rest_pose, pose), rest_pose), by),
+            needs[..., 0] & jnp.all(is_live, axis=-1),
+        )
+
     # Pieces to split are rare along the axis and the search for slots is dear.
-    return jax.lax.cond(jnp.any(is_split), split, keep)
+    return jax.lax.cond(jnp.any(is_split()), split, trim)
 
 
 def _two(low: Float[Array, "*n"] | Int[Array, "*n"], high: Array) -> Array:
