@@ -72,6 +72,18 @@ def test_a_limit_below_the_program_is_refused_before_anything_runs(load):
         correct(load('max_acceleration = "0.2 m/s^2"\n'))
 
 
+@pytest.mark.parametrize("method", ["adam", "mirror"])
+def test_a_joint_beyond_its_limit_is_refused_before_anything_runs(load, method):
+    job, told = load(f'method = "{method}"\n'), []
+    desired = jnp.asarray(job.path.positions)
+    most = float(command_motors(job, desired)[0][:, 0].max())
+    upper = jnp.asarray(job.robot.joint_upper).at[0].set(most - 1e-4)
+    close = eqx.tree_at(lambda j: j.robot.joint_upper, job, upper)
+    with pytest.raises(InfeasibleLimit, match="`joint limits` of 'axis_1'"):
+        correct(close, on_progress=lambda message, rms: told.append(message))
+    assert not told
+
+
 def test_knots_wider_than_the_program_are_refused(load):
     with pytest.raises(UnsuitableSettings, match="leave at least four intervals"):
         correct(load('knot_spacing = "3 s"\n'))

@@ -157,8 +157,10 @@ def correct(
     check_limits(job)
     # Adam asks for one gradient at a point, the others for many products.
     adjoint = Traced(keeps_slopes=job.correction.method != "adam")
-    rigid = rigid_cut(job, adjoint)
     desired = jnp.asarray(job.path.positions)
+    # A program beyond a joint's limit is refused before anything runs, too.
+    check_joints(job, desired, is_joints=False)
+    rigid = rigid_cut(job, adjoint)
     before = solve_command(job, rigid, desired, adjoint)
     if throw:
         raise_unless_successful(before)
@@ -177,6 +179,9 @@ def correct(
     inverse = _inverse_drive(job, rigid.force, desired)
     tips = clip_offset(desired, inverse.tip, problem.max_offset)
     run("inverse_drive", GivenCommand(tips), problem)
+    asked = job.correction.method
+    if asked not in OPTIMISERS:
+        check_joints(job, record.methods[asked].command, is_joints=False)
     if job.correction.command == "joint":
         problem = joint_problem(job, adjoint, desired, before, weights)
         start = inverse.motor_positions

@@ -15,6 +15,8 @@ from .._result import RESULTS
 from .._types import RealScalarLike
 from ._bspline import SplineOffsets
 from ._gauss_newton import ContourResidual, contour_residual
+from ._limited_quadratic import feasible_share
+from ._limits import AbstractLimits
 from ._memory import (
     Arrays,
     OnCheckpoint,
@@ -32,9 +34,10 @@ Coefficients = Float[Array, "coefficient axis"]
 
 
 class Adam(AbstractMethod):
-    """Adam on the spline offsets of a command, clipped at the bounds after every step.
+    """Adam on the spline offsets of a command, brought within bounds after every step.
 
-    The step falls from its first value to nothing along half a cosine. The best point
+    A step that leaves the limits goes on from the nearest command within them. The step
+    falls from its first value to nothing along half a cosine. The best point
     of all is the result. Kingma, Ba, Adam: a method for stochastic optimization, 2015;
     the implementation is that of optax.
 
@@ -45,6 +48,7 @@ class Adam(AbstractMethod):
         smoothness: As `GaussNewton`.
         lag_weight: As `GaussNewton`.
         objective: The error that is to become small.
+        limits: Limits of the coefficients, of the joints for example.
     """
 
     knot_spacing: float = 30e-3
@@ -53,6 +57,7 @@ class Adam(AbstractMethod):
     smoothness: float = 1e-2
     lag_weight: float = 0.03
     objective: AbstractObjective = PathObjective()
+    limits: tuple[AbstractLimits, ...] = ()
 
     def __call__(
         self,
@@ -74,7 +79,8 @@ class Adam(AbstractMethod):
         bound = float(problem.max_offset)
         first = np.zeros((spline.coefficient_count, axes))
         if start is not None:
-            first = project(spline, np.asarray(start) - np.asarray(nominal), bound)
+            away = np.asarray(start) - np.asarray(nominal)
+            first = project(spline, away, bound, limits=self.limits)
         args = ContourResidual(
             problem,
             spline,
@@ -131,6 +137,7 @@ class Adam(AbstractMethod):
             with jax.numpy_dtype_promotion("standard"):
                 update, state = optimiser.update(gradient, state)
             x = jnp.clip(optax.apply_updates(x, update), -1, 1)  # pyright: ignore[reportArgumentType]
+            x = self._within(x, args)
             if on_memory is not None:
                 kept = {"x": x, "best": best, "lowest": lowest, "spent": spent}
                 arrays = {name: np.asarray(value) for name, value in kept.items()}
@@ -140,6 +147,15 @@ class Adam(AbstractMethod):
             if on_progress is not None and on_progress(f"Adam step {spent}", error):
                 break
         return best, spent, bool(np.isfinite(lowest))
+
+    def _within(self, x: Coefficients, args: ContourResidual) -> Coefficients:
+        """Return the point within the limits whose offsets are nearest."""
+        bound = float(args.problem.max_offset)
+        if feasible_share(np.asarray(x, np.float64) * bound, self.limits) >= 1:
+            return x
+        offset = np.asarray(args.spline.offsets(x * bound))
+        held = project(args.spline, offset, bound, limits=self.limits)  # pyright: ignore[reportArgumentType]
+        return jnp.asarray(held / bound, x.dtype)
 
 
 @eqx.filter_jit

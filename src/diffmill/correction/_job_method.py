@@ -111,13 +111,11 @@ def job_bounds(job: Job, surface: FinishedSurface | None) -> SurfaceBounds | Non
 
 
 def within_joint_limits(method: Optimiser, job: Job, problem: Problem) -> Optimiser:
-    """Return the optimiser with the limits of the joints; Adam knows none.
+    """Return the optimiser with the limits of the joints.
 
     Raises:
         InfeasibleLimit: The program leaves the joints no room.
     """
-    if isinstance(method, Adam):
-        return method
     bound = float(problem.max_offset)
     limits = joint_limits(job, job_spline(job), problem.nominal, bound)
     return dataclasses.replace(method, limits=limits)
