@@ -12,7 +12,7 @@ HERE = pathlib.Path(__file__).parent
 # The runner is shared with other experiments.
 sys.path.append(str(HERE.parent / "common"))
 
-GROUPS = ("speed", "joints")
+GROUPS = ("speed", "joints", "reach")
 
 
 if __name__ == "__main__":

@@ -1,5 +1,7 @@
 """What a job says of a robot that cannot follow its path, before anything runs."""
 
+import re
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -119,23 +121,46 @@ def test_a_nearly_singular_pose_is_a_note(write):
         assert part in note
 
 
+def flat_arm(**limits):
+    """Return a 2R arm in the horizontal plane; limits are those of the elbow."""
+    parts = []
+    for name, options in (("one", {}), ("two", limits)):
+        parts += [
+            rb.RevoluteJoint(name, (0, 0, 1), **options),
+            rb.RigidBody(1.0, (0.1, 0.0, 0.0), np.eye(3)),
+            rb.FixedTranslation((0.5, 0.0, 0.0)),
+        ]
+    return rb.build(parts, name="flat")
+
+
+def flat_path(x, y):
+    rows = np.stack([x, 0 * x + y, 0 * x], axis=1)
+    return vertical_path(np.arange(len(x)) * 4e-3, rows)
+
+
+def test_another_configuration_is_suggested():
+    # From here the elbow bends to the left, and farther than it may.
+    arm, path = flat_arm(lower=-2.0, upper=1.6), flat_path(np.linspace(0.8, 0.6, 9), 0)
+    problems, notes = [], []
+    start = np.array([-0.6, 1.2])
+    check_reach(arm, path, np.eye(4), start, "free", problems, notes)
+    (problem,) = problems
+    assert "joint two would stand at" in problem
+    found = re.search(r'joint_start = \["(.*) deg", "(.*) deg"\] avoids it', problem)
+    start = np.deg2rad([float(text) for text in found.groups()])
+    # The law of cosines at the first point, to the other side.
+    elbow = -np.arccos(0.8**2 / (2 * 0.5**2) - 1)
+    np.testing.assert_allclose(start, [-elbow / 2, elbow], atol=1e-3)
+    problems.clear()
+    check_reach(arm, path, np.eye(4), start, "free", problems, notes)
+    assert not problems
+
+
 @pytest.mark.slow
 def test_a_change_of_configuration_is_a_fault():
     # Close past its own base axis the arm must swing round within a few rows.
-    arm = rb.build(
-        [
-            part
-            for name in ("one", "two")
-            for part in (
-                rb.RevoluteJoint(name, (0, 0, 1)),
-                rb.RigidBody(1.0, (0.1, 0.0, 0.0), np.eye(3)),
-                rb.FixedTranslation((0.5, 0.0, 0.0)),
-            )
-        ],
-        name="flat",
-    )
     x = np.array([20, 12, 4, -4, -12, -20]) * 1e-3
-    path = vertical_path(np.arange(6) * 4e-3, np.stack([x, 0 * x + 0.012, 0 * x], 1))
+    arm, path = flat_arm(), flat_path(x, 0.012)
     problems, notes = [], []
     check_reach(arm, path, np.eye(4), np.array([-1.0, 3.0]), "free", problems, notes)
     (problem,) = problems

@@ -3,6 +3,7 @@
 import functools
 import math
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -50,6 +51,15 @@ def upright(points):
     return Ts
 
 
+def law_of_cosines(points, side):
+    x, y = np.asarray(points, dtype=float)[:, :2].T
+    elbow = side * np.arccos((x**2 + y**2 - L1**2 - L2**2) / (2 * L1 * L2))
+    shoulder = np.arctan2(y, x) - np.arctan2(
+        L2 * np.sin(elbow), L1 + L2 * np.cos(elbow)
+    )
+    return np.stack([shoulder, elbow], axis=-1)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_two_joints_in_closed_form(flat_arm, side):
@@ -57,18 +67,82 @@ def test_two_joints_in_closed_form(flat_arm, side):
     t = np.linspace(0, 2 * math.pi, 40)
     points = np.stack([0.6 + 0.2 * np.cos(t), 0.3 * np.sin(t), 0 * t], axis=-1)
     found = free_path()(flat_arm, upright(points), [0.0, side])
-    x, y = points[:, 0], points[:, 1]
-    elbow = side * np.arccos((x**2 + y**2 - L1**2 - L2**2) / (2 * L1 * L2))
-    shoulder = np.arctan2(y, x) - np.arctan2(
-        L2 * np.sin(elbow), L1 + L2 * np.cos(elbow)
-    )
     assert found.converged.all() and found.within_limits.all()
-    assert_allclose(found.q, np.stack([shoulder, elbow], axis=-1), atol=1e-9)
+    assert_allclose(found.q, law_of_cosines(points, side), atol=1e-9)
     # Half way in the joints is half way in space, to second order of the step.
     assert float(found.midway_error.max()) < 2e-3
     # Fixed, the rotation would have to be one that two joints cannot give.
     fixed = dr.inverse_kinematics_path(flat_arm, upright(points), [0.0, side])
     assert not fixed.converged[1:].any()
+
+
+def test_all_configurations_of_two_joints(flat_arm):
+    point = [[0.3, 0.6, 0.0]]
+    found = dr.configurations(
+        flat_arm, upright(point)[0], [0.0, -1.0], tool_rotation="free"
+    )
+    expected = np.concatenate([law_of_cosines(point, side) for side in (-1.0, 1.0)])
+    assert_allclose(found, expected, atol=1e-9)
+    nothing = dr.configurations(flat_arm, upright([[1.4, 0.0, 0.0]])[0], [0.0, 1.0])
+    assert nothing.shape == (0, 2)
+
+
+def test_the_branch_within_limits_is_taken(flat_arm):
+    # To its left the elbow may only bend by 0.5.
+    tight = eqx.tree_at(lambda r: r.joint_upper, flat_arm, jnp.array([2.5, 0.5]))
+    T = upright([[0.3, 0.6, 0.0]])
+    left = law_of_cosines(T[:, :3, 3], 1.0)[0]
+    found = free()(tight, T[0], left + 0.1)
+    assert bool(found.converged) and bool(found.within_limits)
+    assert_allclose(found.q, law_of_cosines(T[:, :3, 3], -1.0)[0], atol=1e-9)
+    # With one attempt the start decides, and what is beyond is said.
+    found = free()(tight, T[0], left + 0.1, attempts=1)
+    assert_allclose(found.q, left, atol=1e-9)
+    assert bool(found.converged) and not bool(found.within_limits)
+
+
+def test_whole_turns_are_taken_off_where_limits_ask(flat_arm):
+    turned = eqx.tree_at(
+        lambda r: (r.joint_lower, r.joint_upper),
+        flat_arm,
+        (jnp.array([2.0, -2.7]), jnp.array([8.0, 2.7])),
+    )
+    T = upright([[0.3, 0.6, 0.0]])
+    found = free()(turned, T[0], [2.1, 0.5])
+    expected = law_of_cosines(T[:, :3, 3], 1.0)[0] + np.array([2 * math.pi, 0.0])
+    assert bool(found.within_limits)
+    assert_allclose(found.q, expected, atol=1e-9)
+
+
+def test_a_path_starts_where_limits_let_it_end(flat_arm):
+    # Along this line the shoulder passes 0.9 with the elbow on one side only.
+    points = np.stack([np.linspace(0.9, 0.3, 30), np.full(30, 0.5), np.zeros(30)], -1)
+    limit = float(law_of_cosines(points, -1.0)[:, 0].max()) - 0.1
+    tight = eqx.tree_at(lambda r: r.joint_upper, flat_arm, jnp.array([limit, 2.7]))
+    nearest, *others = dr.configurations(
+        tight, upright(points)[0], [0.0, -1.0], tool_rotation="free"
+    )
+    assert nearest[1] < 0.0 and len(others) == 1
+    (start,) = dr.path_starts(tight, upright(points), [0.0, -1.0], tool_rotation="free")
+    assert_allclose(start, law_of_cosines(points, 1.0)[0], atol=1e-9)
+    found = free_path()(tight, upright(points), start)
+    assert found.converged.all() and found.within_limits.all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tool_rotation", ["fixed", "free"])
+def test_poses_within_reach_are_found_and_not_flagged(arm, tool_rotation):
+    lower, upper = np.asarray(arm.joint_lower), np.asarray(arm.joint_upper)
+    q = lower + np.random.default_rng(0).random((60, 6)) * (upper - lower)
+    Ts = jax.vmap(lambda q: dr.forward_kinematics(arm, q))(jnp.asarray(q))
+    solve = lambda T: dr.inverse_kinematics(
+        arm, T, arm.home, tool_rotation=tool_rotation
+    )
+    found = jax.jit(jax.vmap(solve))(Ts)
+    assert found.converged.all() and found.within_limits.all()
+    reached = jax.vmap(lambda q: dr.forward_kinematics(arm, q))(found.q)
+    columns = slice(2, 4) if tool_rotation == "free" else slice(0, 4)
+    assert_allclose(reached[:, :3, columns], Ts[:, :3, columns], atol=1e-9)
 
 
 def test_what_a_point_beyond_reach_lacks(flat_arm):

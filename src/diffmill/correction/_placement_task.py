@@ -79,7 +79,7 @@ def placement_residual(
     robot = with_tool(task.robot, turned_tool(task.robot.T_flange_tool, values[4]))
     Ts = T[None] @ task.Ts_work_tool
     solve = lambda T, q: inverse_kinematics(
-        robot, T, q, tool_rotation=task.tool_rotation
+        robot, T, q, tool_rotation=task.tool_rotation, attempts=1
     )
     first = solve(Ts[0], task.q_start)
     found = jax.vmap(solve, (0, None))(Ts, jax.lax.stop_gradient(first.q))

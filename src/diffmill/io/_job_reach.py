@@ -10,6 +10,7 @@ from ..robot import (
     Robot,
     ToolRotation,
     inverse_kinematics_path,
+    path_starts,
     singularity,
 )
 from ..sim import tool_frame
@@ -25,6 +26,10 @@ _NEAR_SINGULAR = 0.05
 _STRAIGHT, _SLACK = 0.25, 1e-4
 # A joint may turn by this much [rad], and by what an arm of this length [m] has to.
 _TURN, _SHORTEST_ARM = 0.5, 0.3
+# Where a start that is suggested is rounded to [rad or m].
+_ROUNDING = {"revolute": np.deg2rad(0.1), "prismatic": 1e-3}
+# Other configurations that are tried along the whole path.
+_TRIED = 3
 # Joints that move at least this much in the singular motion are named.
 _TAKES_PART = 0.4
 
@@ -37,8 +42,10 @@ def check_reach(
     tool_rotation: ToolRotation,
     problems: list[str],
     notes: list[str],
+    *,
+    start_count: int | None = None,
 ) -> None:
-    """Note where a robot cannot follow a path.
+    """Note where a robot cannot follow a path, and from where it could.
 
     Args:
         robot: The robot with its tool.
@@ -48,29 +55,71 @@ def check_reach(
         tool_rotation: Whether the rotation about the tool axis is free.
         problems: Receives what is wrong, the first place of each kind.
         notes: Receives where a pose is nearly singular.
+        start_count: Joints that `joint_start` names; None for all of the robot.
     """
     T_work_tool = np.tile(np.eye(4), (path.step_count, 1, 1))
     T_work_tool[:, :3, :3] = np.asarray(tool_frame(jnp.asarray(path.axes)))
     T_work_tool[:, :3, 3] = path.positions
     Ts = np.asarray(T_base_work @ T_work_tool, dtype=np.dtype(robot.dtype))
-    start = robot.home if joint_start is None else joint_start
+    start = np.asarray(robot.home if joint_start is None else joint_start)
 
-    def solve(tool_rotation: ToolRotation) -> PathSolution:
-        return jax.device_get(
-            inverse_kinematics_path(robot, Ts, start, tool_rotation=tool_rotation)
-        )
-
-    found = solve(tool_rotation)
-    is_reached = np.asarray(found.converged)
-    if not is_reached.all():
-        line = _unreached(path, Ts, found)
-        if tool_rotation == "fixed" and solve("free").converged.all():
-            line += '; tool_rotation = "free" would reach it'
-        problems.append(line)
-    _check_limits(robot, path, found, problems)
-    _check_branch(robot, path, Ts, found, problems)
-    if is_reached.all():
+    found, faults = _follow(robot, path, Ts, start, tool_rotation)
+    if not faults:
         _note_singular(robot, path, found, tool_rotation, notes)
+        return
+    better = _better_start(robot, path, Ts, start, tool_rotation)
+    if better is not None:
+        faults[0] += f"; {_start_line(robot, better[:start_count])} avoids it"
+    elif tool_rotation == "fixed" and not found.converged.all():
+        free, _ = _follow(robot, path, Ts, start, "free")
+        if free.converged.all():
+            faults[0] += '; tool_rotation = "free" would reach it'
+    problems.extend(faults)
+
+
+def _follow(
+    robot: Robot,
+    path: Path,
+    Ts: Float[np.ndarray, "step 4 4"],
+    start: Float[np.ndarray, " joint"],
+    tool_rotation: ToolRotation,
+) -> tuple[PathSolution, list[str]]:
+    """Return the joints along a path, and what is wrong with them."""
+    faults: list[str] = []
+    found = jax.device_get(
+        inverse_kinematics_path(robot, Ts, start, tool_rotation=tool_rotation)
+    )
+    if not found.converged.all():
+        faults.append(_unreached(path, Ts, found))
+    _check_limits(robot, path, found, faults)
+    _check_branch(robot, path, Ts, found, faults)
+    return found, faults
+
+
+def _better_start(
+    robot: Robot,
+    path: Path,
+    Ts: Float[np.ndarray, "step 4 4"],
+    start: Float[np.ndarray, " joint"],
+    tool_rotation: ToolRotation,
+) -> Float[np.ndarray, " joint"] | None:
+    """Return joints, rounded, from where a path can be followed; None if not found."""
+    grid = np.array([_ROUNDING[kind] for kind in robot.joint_kinds])
+    for q in path_starts(robot, Ts, start, tool_rotation=tool_rotation)[:_TRIED]:
+        rounded = np.round(q / grid) * grid
+        if not _follow(robot, path, Ts, rounded, tool_rotation)[1]:
+            return rounded
+    return None
+
+
+def _start_line(robot: Robot, q: Float[np.ndarray, " joint"]) -> str:
+    """Return the key of a job that lets the arm start at given joints."""
+    kinds = robot.joint_kinds[: len(q)]
+    values = [
+        f'"{1e3 * x:.0f} mm"' if kind == "prismatic" else f'"{np.rad2deg(x):.1f} deg"'
+        for x, kind in zip(q, kinds, strict=True)
+    ]
+    return f"joint_start = [{', '.join(values)}]"
 
 
 def _unreached(

@@ -19,7 +19,7 @@ from ._job_correction import check_correction, correction_settings
 from ._job_cutter import make_cutter, make_holder
 from ._job_program import read_program, spindle_speed, time_path
 from ._job_reach import check_reach
-from ._job_robot import pose_matrix, read_robot
+from ._job_robot import added_joints, pose_matrix, read_robot
 from ._job_schema import (
     ProgramTable,
     SimulationTable,
@@ -164,8 +164,16 @@ def _build(
     T_base_work = pose_matrix(work)
     if desired is not None and robot is not None and work is not None:
         rotation = tables["robot"].tool_rotation
-        place = (T_base_work, start)
-        check_reach(robot, desired, *place, rotation, problems, robot_notes)
+        check_reach(
+            robot,
+            desired,
+            T_base_work,
+            start,
+            rotation,
+            problems,
+            robot_notes,
+            start_count=robot.joint_count - added_joints(tables["robot"]),
+        )
     if desired is not None and cutter is not None and stock is not None:
         check_rapids(desired, cutter, holder, stock, problems, robot_notes)
     simulation = _simulation(tables, cutter, speed, (desired, stock), problems)

@@ -26,6 +26,10 @@ from ._compliance import (
     principal_stiffness as principal_stiffness,
     static_deflection as static_deflection,
 )
+from ._configurations import (
+    configurations as configurations,
+    path_starts as path_starts,
+)
 from ._crba import mass_matrix as mass_matrix
 from ._definite import definite_inverse as definite_inverse
 from ._drive_options import (

@@ -26,6 +26,8 @@ ToolRotation: TypeAlias = Literal["fixed", "free"]
 _WALL = 15
 # Where the wall stops rising, far beyond any limit: a power must not overflow.
 _HIGHEST = 10.0
+# How often an undamped step is repeated for what its floor has left.
+_REPEATS = 3
 # Half a range of a joint without limits [rad or m], and the least half of any.
 _UNLIMITED, _NARROWEST = 3.0, 1e-6
 
@@ -80,33 +82,51 @@ def _tilt(axis: Float[Array, " 3"]) -> Float[Array, " 2"]:
     return jnp.stack([-axis[1], axis[0]]) / half_cosine
 
 
-def damped_inverse(
+def damped_step(
     J: Float[Array, "row joint"],
-    damping: Float[Array, ""],
+    error: Float[Array, " row"],
+    damping: Float[Array, ""] | None,
     weights: Float[Array, " joint"] | None = None,
-) -> Float[Array, "joint row"]:
-    """Return W J^T (J W J^T + damping I)^-1, finite everywhere; W = 1 if None."""
+) -> Float[Array, " joint"]:
+    """Return W J^T (J W J^T + damping I)^-1 error, finite everywhere; W = 1 if None.
+
+    A floor of the damping keeps it finite. Without damping (None) the step is repeated
+    for what the floor has left of the error, so that the error is met to rounding in
+    every direction in which the joints can move at all.
+    """
     scaled = J if weights is None else J * weights[None]
     gram = scaled @ J.T
     # The floor is far above rounding and far below any useful singular value.
     floor = jnp.asarray(jnp.finfo(J.dtype).eps ** 0.75, J.dtype) * jnp.trace(gram)
-    shift = (damping + floor) * jnp.eye(J.shape[0], dtype=J.dtype)
-    return jnp.linalg.solve(gram + shift, scaled).T
+    shift = floor if damping is None else damping + floor
+    eye = jnp.eye(J.shape[0], dtype=J.dtype)
+    inverse = jnp.linalg.solve(gram + shift * eye, scaled).T
+    step = inverse @ error
+    if damping is None:
+        for _ in range(_REPEATS):
+            step = step + inverse @ (error - J @ step)
+    return step
 
 
-def free_step(
+def has_choice(robot: Robot, tool_rotation: ToolRotation) -> bool:
+    """Return whether a pose may leave a family of solutions to choose from."""
+    return tool_rotation == "free" or len(robot.motor_joints) > 6
+
+
+def chosen_step(
     robot: Robot,
     T_base_tool: Float[Array, "4 4"],
     q: Float[Array, " joint"],
-    damping: Float[Array, ""],
+    tool_rotation: ToolRotation,
+    damping: Float[Array, ""] | None,
     share: float = 1.0,
 ) -> Float[Array, " joint"]:
     """Return a step to the pose and, where that leaves a choice, to the middle.
 
     A Gauss-Newton step for the pose, in the metric of the pull's slope; in its null
-    space a share of a Newton step for the pull. It vanishes exactly at the solution.
+    space a share of a Newton step for the pull. It vanishes at the solution.
     """
-    task = pose_task(robot, T_base_tool, q, "free")
+    task = pose_task(robot, T_base_tool, q, tool_rotation)
     lower, upper = robot.joint_lower, robot.joint_upper
     is_limited = jnp.isfinite(lower) & jnp.isfinite(upper)
     low, high = (jnp.where(is_limited, limit, 0.0) for limit in (lower, upper))
@@ -117,13 +137,16 @@ def free_step(
     slope = 1.0 + _WALL * x ** (_WALL - 1)
     pull = -share * half * (x + x**_WALL) / slope
     pull = jnp.where(robot.motor_mask(), pull, -q)
-    inverse = damped_inverse(task.jacobian, damping, half**2 / slope)
-    return pull + inverse @ (task.error - task.jacobian @ pull)
+    left = task.error - task.jacobian @ pull
+    return pull + damped_step(task.jacobian, left, damping, half**2 / slope)
 
 
-def free_slope(
-    robot: Robot, T_base_tool: Float[Array, "4 4"], q: Float[Array, " joint"]
+def choice_slope(
+    robot: Robot,
+    T_base_tool: Float[Array, "4 4"],
+    q: Float[Array, " joint"],
+    tool_rotation: ToolRotation,
 ) -> Float[Array, "joint joint"]:
-    """Return the derivative of the undamped `free_step` in the joint positions."""
-    none = jnp.zeros((), q.dtype)
-    return jax.jacfwd(lambda x: free_step(robot, T_base_tool, x, none))(q)
+    """Return the derivative of the undamped `chosen_step` in the joint positions."""
+    step = lambda x: chosen_step(robot, T_base_tool, x, tool_rotation, None)
+    return jax.jacfwd(step)(q)

@@ -179,7 +179,7 @@ def _poses(
     robot: Robot, Ts: Float[Array, "pose 4 4"], starts: Float[Array, "pose joint"]
 ) -> tuple[Float[Array, "pose joint"], Float[Array, " pose"]]:
     def one(T, start):
-        found = inverse_kinematics(robot, T, start)
+        found = inverse_kinematics(robot, T, start, attempts=1)
         is_reached = found.converged & found.within_limits
         stiffness = principal_stiffness(robot, found.q)[0]
         return (
