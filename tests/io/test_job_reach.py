@@ -147,6 +147,7 @@ def test_another_configuration_is_suggested():
     (problem,) = problems
     assert "joint two would stand at" in problem
     found = re.search(r'joint_start = \["(.*) deg", "(.*) deg"\] avoids it', problem)
+    assert found is not None
     start = np.deg2rad([float(text) for text in found.groups()])
     # The law of cosines at the first point, to the other side.
     elbow = -np.arccos(0.8**2 / (2 * 0.5**2) - 1)
