@@ -52,7 +52,11 @@ def test_limits_are_reported(arm):
     q = np.asarray(arm.home) + np.array([0, 0, 0, 0, 0, 0.1])
     T = dr.forward_kinematics(arm, q)
     assert bool(dr.inverse_kinematics(arm, T, arm.home).within_limits)
-    assert not bool(dr.inverse_kinematics(tight, T, arm.home).within_limits)
+    found = dr.inverse_kinematics(tight, T, arm.home, attempts=1)
+    assert bool(found.converged) and not bool(found.within_limits)
+    assert_allclose(found.limit_excess, [0, 0, 0, 0, 0, 0.09], atol=1e-9)
+    # With the wrist the other way round axis 6 has room.
+    assert bool(dr.inverse_kinematics(tight, T, arm.home).within_limits)
 
 
 def test_a_path_is_followed(arm):
