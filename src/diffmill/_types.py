@@ -12,7 +12,9 @@ RealScalarLike: TypeAlias = (
 
 # Trajectories as users pass them: NumPy on the host or JAX when traced.
 FloatRows3: TypeAlias = Float[Array, "step 3"] | Float[np.ndarray, "step 3"]
+FloatRows: TypeAlias = Float[Array, "step axis"] | Float[np.ndarray, "step axis"]
 FloatSteps: TypeAlias = Float[Array, " step"] | Float[np.ndarray, " step"]
 BoolSteps: TypeAlias = Bool[Array, " step"] | Bool[np.ndarray, " step"]
+IntScalar: TypeAlias = Int[Array, ""] | Int[np.ndarray, ""]
 IntSteps: TypeAlias = Int[Array, " step"] | Int[np.ndarray, " step"]
 Transform: TypeAlias = Float[Array, "4 4"] | Float[np.ndarray, "4 4"]

@@ -4,8 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._types import RealScalarLike
-from ._problem import FloatRows
+from .._types import FloatRows, RealScalarLike
 
 
 def delayed(

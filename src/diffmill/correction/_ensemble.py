@@ -15,10 +15,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._job import Job
-from .._types import RealScalarLike
+from .._types import FloatRows, RealScalarLike
 from ..sim import AbstractAdjoint, command_motors, run_motors, with_scaled
 from ._delay import delayed
-from ._problem import FloatRows, Motion
+from ._problem import Motion
 
 Draws = Float[Array, "member parameter"] | Float[np.ndarray, "member parameter"]
 

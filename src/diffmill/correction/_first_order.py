@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, PyTree
 
 from .._result import RESULTS
-from .._types import RealScalarLike
+from .._types import FloatRows, RealScalarLike
 from ._bspline import SplineOffsets
 from ._gauss_newton import ContourResidual, contour_residual
 from ._limited_quadratic import feasible_share
@@ -27,7 +27,7 @@ from ._memory import (
 )
 from ._method import AbstractMethod, Corrected, OnProgress, corrected
 from ._objective import AbstractObjective, PathObjective
-from ._problem import FloatRows, Problem
+from ._problem import Problem
 from ._projection import project
 
 Coefficients = Float[Array, "coefficient axis"]

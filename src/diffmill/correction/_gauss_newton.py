@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._types import RealScalarLike
+from .._types import FloatRows, RealScalarLike
 from ._bspline import SplineOffsets
 from ._ensemble import Ensemble
 from ._held_rows import HeldRows
@@ -24,7 +24,7 @@ from ._least_squares_records import (
 from ._limits import AbstractLimits, LinearLimits, MixedLimits, command_limits
 from ._method import AbstractMethod, Corrected, OnProgress, corrected
 from ._objective import AbstractObjective, PathObjective
-from ._problem import FloatRows, Problem
+from ._problem import Problem
 from ._products import evaluate
 from ._projection import project
 from ._response import TipResponse, spline_preconditioner

@@ -32,6 +32,7 @@ import numpy as np
 from jaxtyping import Int
 
 from .._result import RESULTS
+from .._types import FloatRows
 from ._bspline import CLAMPED, SplineOffsets
 from ._gauss_newton import (
     ContourResidual,
@@ -54,7 +55,7 @@ from ._least_squares_records import LeastSquaresStep, following
 from ._limits import LinearLimits, MixedLimits
 from ._memory import Arrays, OnCheckpoint
 from ._method import AbstractMethod, Corrected, OnProgress, corrected
-from ._problem import FloatRows, Problem
+from ._problem import Problem
 from ._projection import project
 from ._response import banded_preconditioner
 from ._segments import AbstractPieces

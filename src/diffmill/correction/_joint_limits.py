@@ -19,10 +19,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._job import Job
+from .._types import FloatRows
 from ..sim import command_motors, joint_motors
 from ._bspline import SplineOffsets, basis_matrix
 from ._limits import InfeasibleLimit, MixedLimits
-from ._problem import FloatRows
 
 # The bend within a box is taken as that at its corners and so many times more.
 _SAFE = 1.5

@@ -16,8 +16,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from .._types import FloatRows
 from ._bspline import SplineOffsets, basis_matrix
-from ._problem import FloatRows
 
 # Share of a limit that the steps to it leave, and by which a program may be beyond it:
 # differences of rows are rounded.

@@ -4,7 +4,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._problem import FloatRows, Problem
+from .._types import FloatRows
+from ._problem import Problem
 
 
 class Measures(eqx.Module):

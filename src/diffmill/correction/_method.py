@@ -8,9 +8,10 @@ import numpy as np
 from jaxtyping import Float
 
 from .._result import RESULTS
+from .._types import FloatRows
 from ._least_squares_records import LeastSquaresStep
 from ._measures import Measures, measure
-from ._problem import FloatRows, Motion, Problem, run
+from ._problem import Motion, Problem, run
 
 # Called now and then with a message and a measure of the error; True ends the run.
 OnProgress = Callable[[str, float], bool | None]

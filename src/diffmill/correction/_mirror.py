@@ -7,10 +7,11 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from .._types import FloatRows
 from ..numerics import lowpass
 from ._measures import rms_contour
 from ._method import AbstractMethod, Corrected, OnProgress, corrected
-from ._problem import FloatRows, Motion, Problem, run
+from ._problem import Motion, Problem, run
 from ._projection import clip_offset
 
 # An iterate that changes the error by less than this fraction has settled.

@@ -9,11 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._types import FloatRows3, RealScalarLike
+from .._types import FloatRows, FloatRows3, RealScalarLike
 from ..toolpath import contour_vector
 
-# A signal per row, of the desired path's tip or of any other command.
-FloatRows = Float[Array, "step axis"] | Float[np.ndarray, "step axis"]
 Weights = Float[Array, " step"] | Float[np.ndarray, " step"]
 
 

@@ -6,12 +6,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from .._types import RealScalarLike
+from .._types import FloatRows, RealScalarLike
 from ._bspline import SplineOffsets, adjoint_offsets
 from ._dense_quadratic import solve_dense_quadratic
 from ._limited_quadratic import Bounds, QuadraticNotSolved, feasible_share
 from ._limits import AbstractLimits
-from ._problem import FloatRows
 
 
 def project(

@@ -42,6 +42,7 @@ from ._free_motion import FreeMotion as FreeMotion, free_motion as free_motion
 from ._in_space import tool_frame as tool_frame
 from ._integrators import RungeKutta4 as RungeKutta4, make_integrator as make_integrator
 from ._midpoint import Midpoint as Midpoint
+from ._padding import pad_path as pad_path
 from ._plan import (
     ChipModel as ChipModel,
     ProcessPlan as ProcessPlan,

@@ -27,6 +27,7 @@ from ._bottom import BottomEngagement
 from ._history import ProcessState, Removed, end_period, flush, initial_state
 from ._middle import middle_terms
 from ._midpoint import Midpoint
+from ._padding import last_row, live_rows, when_live
 from ._period import Engagement, begin_period, substep_force, substep_middles
 from ._plan import ProcessPlan
 from ._process_alone import outcome, volumes_by_pose
@@ -130,6 +131,7 @@ def simulate_coupled(
     adjoint: AbstractAdjoint,
     bottom_law: AbstractForceLaw | None = None,
     integrator: AbstractIntegrator | None = None,
+    row_count: Int[Array, ""] | None = None,
 ) -> CoupledSolution:
     """Move the motors, let the arm follow and cut.
 
@@ -149,6 +151,8 @@ def simulate_coupled(
         adjoint: How to differentiate through the removal.
         bottom_law: The law of the bottom edge; derived from `law` if not given.
         integrator: The rule of the robot's sub-steps; `Midpoint()` if not given.
+        row_count: How many rows count, those behind leave everything as it is; shape
+            (). All rows if not given.
 
     Returns:
         The motion, the forces and the final stock.
@@ -170,8 +174,9 @@ def simulate_coupled(
         theta.dtype,
     )
     carry, overlap = begin(machine, stock, theta[0], theta[1], step_count)
-    carry, rows = run_periods(machine, carry, theta, jnp.ones((), jnp.int32))
-    return _finish(machine, *carry, rows, overlap)
+    first = jnp.ones((), jnp.int32)
+    carry, rows = run_periods(machine, carry, theta, first, row_count)
+    return _finish(machine, carry, rows, overlap, last_row(step_count, row_count))
 
 
 def coupled_machine(
@@ -228,6 +233,7 @@ def run_periods(
     carry: Carry,
     theta: Float[Array, "step joint"],
     index: Int[Array, ""],
+    row_count: Int[Array, ""] | None = None,
 ) -> tuple[Carry, Period]:
     """Return the state after all periods between some rows, and their rows.
 
@@ -236,37 +242,42 @@ def run_periods(
         carry: State at the first row.
         theta: Motors at the rows [rad or m], shape (step, joint).
         index: Index of the first period: the row in the table of poses of its end.
+        row_count: Periods of this index and above leave everything as it is; None for
+            no such.
 
     Returns:
         The state at the last row; a row per period, for its start.
     """
 
-    def step(carry: Carry, x: tuple[Array, Array, Array]) -> tuple[Carry, Period]:
+    def step(
+        carry: Carry, x: tuple[Array, Array, Array, Array | None]
+    ) -> tuple[Carry, Period]:
         return run_period(machine, *carry, *x)
 
     indices = index + jnp.arange(theta.shape[0] - 1, dtype=jnp.int32)
-    return jax.lax.scan(step, carry, (indices, theta[:-1], theta[1:]))
+    xs = (indices, theta[:-1], theta[1:], live_rows(indices, row_count))
+    return jax.lax.scan(step, carry, xs)
 
 
 def _finish(
     machine: Machine,
-    process: ProcessState,
-    state: ArmState,
+    carry: Carry,
     rows: Period,
     overlap: Float[Array, ""],
+    last: Int[Array, ""],
 ) -> CoupledSolution:
     """Remove what is pending, and put the rows of all poses together."""
+    process, state = carry
     plan, cutter, adjoint = machine.plan, machine.cutter, machine.adjoint
     dtype, step_count = rows.tip.dtype, rows.tip.shape[0] + 1
     final = pose_at(machine, state)
-    last: Int[Array, ""] = jnp.asarray(step_count - 1, jnp.int32)
     process, rest = flush(plan, cutter, process, last, final, adjoint)
-    actual = jnp.concatenate([rows.tip, final.tip[None]])
+    actual = through(rows.tip, final.tip, last)
     volume, by_shank = volumes_by_pose(step_count, rows.removed, rest)
     return CoupledSolution(
         actual=actual,
         force=jnp.concatenate([jnp.zeros((1, 3), dtype), rows.force]),
-        joint_positions=jnp.concatenate([rows.joint_positions, state.q[None]]),
+        joint_positions=through(rows.joint_positions, state.q, last),
         removed_volume=volume,
         shank_volume=by_shank,
         initial_overlap_volume=overlap,
@@ -274,6 +285,21 @@ def _finish(
         has_failed=jnp.concatenate([jnp.zeros(1, bool), rows.has_failed]),
         result=outcome(process, jnp.all(jnp.isfinite(actual))),
     )
+
+
+def through(
+    rows: Float[Array, "period n"], final: Float[Array, " n"], last: Int[Array, ""]
+) -> Float[Array, "step n"]:
+    """Return the rows at the start of every period, and from the last one on the end.
+
+    Args:
+        rows: One per period, shape (period, n).
+        final: What is reached in the end, shape (n,).
+        last: Index of the last row that counts, shape ().
+    """
+    rows = jnp.concatenate([rows, final[None]])
+    index = jnp.arange(rows.shape[0], dtype=jnp.int32)
+    return jnp.where((index < last)[:, None], rows, final[None])
 
 
 def along(pose: Pose, tips: Float[Array, "substep 3"]) -> Pose:
@@ -317,8 +343,19 @@ def run_period(
     index: Int[Array, ""],
     start: Float[Array, " joint"],
     stop: Float[Array, " joint"],
+    is_live: Bool[Array, ""] | None = None,
 ) -> tuple[tuple[ProcessState, ArmState], Period]:
-    """Return the state after one tooth period, and its row."""
+    """Return the state after one tooth period, and its row.
+
+    Args:
+        machine: What stays the same.
+        process: The process at the start.
+        state: The arm at the start.
+        index: Index of the period, from 1, shape ().
+        start: Motors at the start [rad or m], shape (joint,).
+        stop: Motors at the end, shape (joint,).
+        is_live: Whether the period counts; None if all do. Else the arm stands still.
+    """
     T = machine.tooth_period
     middles = substep_middles(machine.plan, start.dtype)
     rate = (stop - start) / T
@@ -333,10 +370,13 @@ def run_period(
         arm.pose,
         predicted,
         machine.adjoint,
+        is_live,
     )
     targets = start[None] + T * middles[:, None] * rate[None]
-    end, (tips, forces) = _run_substeps(
-        machine, arm, process, cut, state, targets, rate
+    end, (tips, forces) = when_live(
+        is_live,
+        lambda: _run_substeps(machine, arm, process, cut, state, targets, rate),
+        (state, (predicted.tip, jnp.zeros_like(predicted.tip))),
     )
     process = end_period(process, along(arm.pose, tips))
     has_failed = process.has_overflow | process.is_beyond

@@ -13,7 +13,7 @@ A period has two halves, because a robot moves within it:
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from ..cutter import AbstractCutter
 from ..cutting import AbstractForceLaw
@@ -27,6 +27,7 @@ from ._in_space import (
     force_in_space,
     profile_elements,
 )
+from ._padding import when_live
 from ._plan import ProcessPlan
 from ._point_cloud import cloud_engagement, remove_at_once
 from ._upright import upright_chip, upright_engagement, upright_force
@@ -59,6 +60,7 @@ def begin_period(
     pose: Pose,
     predicted: Pose,
     adjoint: AbstractAdjoint,
+    is_live: Bool[Array, ""] | None = None,
 ) -> tuple[ProcessState, Engagement, Removed]:
     """Take in the pose at the start of a period, remove, and look for material.
 
@@ -70,6 +72,8 @@ def begin_period(
         pose: Pose k - 1 at the start, shape (3,).
         predicted: Poses expected in the middle of the sub-steps, shape (substep, 3).
         adjoint: How the run is differentiated.
+        is_live: Whether the period counts, shape (); behind the last row of a padded
+            path nothing is looked up. None for a path that is not padded.
 
     Returns:
         The new state, the engagement of this period, and what was removed.
@@ -84,7 +88,8 @@ def begin_period(
         return state, Engagement(angle, tooth, weight, none, None), removed
     state = remember(plan, state, index - 1, pose)
     state, removed = remove_due(plan, cutter, state, adjoint)
-    return state, look(plan, cutter, state, index, predicted, adjoint), removed
+    engage = lambda: look(plan, cutter, state, index, predicted, adjoint)
+    return state, when_live(is_live, engage), removed
 
 
 def look(

@@ -7,7 +7,7 @@ import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from .._result import RESULTS
 from .._types import FloatRows3, RealScalarLike
@@ -16,6 +16,7 @@ from ..cutting import AbstractForceLaw
 from ..workpiece import Pose, Stock
 from ._adjoint import AbstractAdjoint, Plain
 from ._history import ProcessState, Removed, end_period, flush, initial_state
+from ._padding import last_row, live_rows, when_live
 from ._period import Engagement, begin_period, substep_force, substep_middles
 from ._plan import ChipModel, ProcessPlan, descends, process_plan
 
@@ -62,6 +63,7 @@ def simulate_process(
     bottom_law: AbstractForceLaw | None = None,
     keeps_instantaneous: bool = False,
     chip: ChipModel = "near_far",
+    row_count: Int[Array, ""] | None = None,
 ) -> ProcessSolution:
     """Cut along a path, one row per tooth period.
 
@@ -84,6 +86,8 @@ def simulate_process(
         keeps_instantaneous: Whether to return the force at every angle sample.
         chip: The chip model: "near_far" is smooth and accurate; "point_cloud" is the
             paper's, hard, only for flat cutters that stand upright.
+        row_count: How many rows count, those behind leave everything as it is; shape
+            (). All rows if not given.
 
     Returns:
         The forces, volumes and the final stock. Check `.result` for an overflow.
@@ -111,23 +115,27 @@ def simulate_process(
     state, overlap = initial_state(plan, stock, cutter, path[0], step_count, adjoint)
 
     def step(
-        state: ProcessState, x: tuple[Array, Pose, Pose]
+        state: ProcessState, x: tuple[Array, Pose, Pose, Array | None]
     ) -> tuple[ProcessState, tuple[Array, Array | None, Removed]]:
-        index, start, poses = x
+        index, start, poses, is_live = x
         state, cut, removed = begin_period(
-            plan, cutter, state, index, start, poses, adjoint
+            plan, cutter, state, index, start, poses, adjoint, is_live
         )
         laws = (law, bottom_law)
-        samples = _period_force(plan, cutter, laws, poses, state.recent, cut)
+        samples = when_live(
+            is_live,
+            lambda: _period_force(plan, cutter, laws, poses, state.recent, cut),
+        )
         state = end_period(state, poses)
         kept = samples if keeps_instantaneous else None
         return state, (jnp.mean(samples, axis=0), kept, removed)
 
     index = jnp.arange(1, step_count, dtype=jnp.int32)
-    xs = (index, path[:-1], middles_of(plan, path))
+    middles = middles_of(plan, path, row_count)
+    xs = (index, path[:-1], middles, live_rows(index, row_count))
     state, (force, samples, removed) = jax.lax.scan(step, state, xs)
-    last = jnp.asarray(step_count - 1, jnp.int32)
-    state, rest = flush(plan, cutter, state, last, path[-1], adjoint)
+    last = last_row(step_count, row_count)
+    state, rest = flush(plan, cutter, state, last, path[last], adjoint)
     period = 2 * math.pi / (jnp.asarray(spindle_speed, dtype) * cutter.flute_count)
     volume, by_shank = volumes_by_pose(step_count, removed, rest)
     return ProcessSolution(
@@ -302,8 +310,23 @@ def path_poses(
     return Pose(positions, jnp.asarray(axes, positions.dtype))
 
 
-def middles_of(plan: ProcessPlan, path: Pose) -> Pose:
-    """Return the poses in the middle of the sub-steps, shape (period, substep, 3)."""
+def middles_of(
+    plan: ProcessPlan, path: Pose, row_count: Int[Array, ""] | None = None
+) -> Pose:
+    """Return the poses in the middle of the sub-steps, shape (period, substep, 3).
+
+    Args:
+        plan: Sizes of the process.
+        path: Poses at the tooth instants, shape (step, 3).
+        row_count: How many of them count; all if None.
+    """
+    if row_count is not None:
+        # The curve through the last rows goes on behind them as at the path's end.
+        end = last_row(path.tip.shape[0], row_count)
+        ahead = lambda rows: rows.at[row_count].set(
+            2 * rows[end] - rows[end - 1], mode="drop"
+        )
+        path = jax.tree.map(ahead, path)
     shares = substep_middles(plan, path.tip.dtype)
     tip = within_periods(path.tip, shares)
     if path.axis is None:

@@ -31,6 +31,7 @@ from ..workpiece import Pose, Stock
 from ._adjoint import AbstractAdjoint
 from ._coupled import CoupledSolution, along
 from ._history import ProcessState, Removed, end_period, flush, initial_state
+from ._padding import last_row, live_rows, when_live
 from ._period import Engagement, begin_period, substep_force, substep_middles
 from ._plan import ProcessPlan
 from ._process_alone import outcome, volumes_by_pose
@@ -76,6 +77,7 @@ def simulate_quasistatic(
     plan: ProcessPlan,
     adjoint: AbstractAdjoint,
     bottom_law: AbstractForceLaw | None = None,
+    row_count: Int[Array, ""] | None = None,
 ) -> CoupledSolution:
     """Move the motors, let the arm bend under its weight and the cut, and cut.
 
@@ -91,6 +93,7 @@ def simulate_quasistatic(
         plan: Sizes of the process.
         adjoint: How to differentiate through the removal.
         bottom_law: The law of the bottom edge; derived from `law` if not given.
+        row_count: As for `simulate_coupled`.
 
     Returns:
         The motion, the forces and the final stock, as `simulate_coupled`.
@@ -110,15 +113,15 @@ def simulate_quasistatic(
     )
 
     def step(
-        carry: tuple[ProcessState, _Balance], x: tuple[Array, Array, Array]
+        carry: tuple[ProcessState, _Balance],
+        x: tuple[Array, Array, Array, Array | None],
     ) -> tuple[tuple[ProcessState, _Balance], _Row]:
         return _run_period(machine, *carry, *x)
 
     index = jnp.arange(1, step_count, dtype=jnp.int32)
-    (process, last), rows = jax.lax.scan(
-        step, (process, first), (index, theta[:-1], theta[1:])
-    )
-    end: Int[Array, ""] = jnp.asarray(step_count - 1, jnp.int32)
+    xs = (index, theta[:-1], theta[1:], live_rows(index, row_count))
+    (process, last), rows = jax.lax.scan(step, (process, first), xs)
+    end = last_row(step_count, row_count)
     process, rest = flush(plan, cutter, process, end, last.pose, adjoint)
     volume, by_shank = volumes_by_pose(step_count, rows.removed, rest)
     chain = jax.tree.map(
@@ -144,6 +147,7 @@ def _run_period(
     index: Int[Array, ""],
     begin: Float[Array, " joint"],
     stop: Float[Array, " joint"],
+    is_live: Bool[Array, ""] | None,
 ) -> tuple[tuple[ProcessState, _Balance], _Row]:
     """Return the state after one tooth period, and its row."""
     # The end is near to the start moved along with the motors: linear from there.
@@ -162,6 +166,7 @@ def _run_period(
         start.pose,
         along(pose, tips(start.force)),
         machine.adjoint,
+        is_live,
     )
     mean = lambda F: _mean_force(machine, process, cut, along(pose, tips(F)))
     eye = jnp.eye(3, dtype=stop.dtype)
@@ -173,9 +178,12 @@ def _run_period(
         )
         return F + jnp.linalg.solve(eye - columns.T, found[0] - F), None
 
-    force, _ = jax.lax.scan(newton, start.force, length=_NEWTON_STEPS)
-    end = _Balance(joints(force), Pose(tip(force), pose.axis), force)
-    process = end_period(process, along(pose, tips(force)))
+    def balance() -> _Balance:
+        force, _ = jax.lax.scan(newton, start.force, length=_NEWTON_STEPS)
+        return _Balance(joints(force), Pose(tip(force), pose.axis), force)
+
+    end = when_live(is_live, balance, start)
+    process = end_period(process, along(pose, tips(end.force)))
     has_failed = process.has_overflow | process.is_beyond
     return (process, end), _Row(end, removed, has_failed)
 

@@ -19,6 +19,7 @@ from ._adjoint import AbstractAdjoint, Plain
 from ._command import command_motors, path_axes
 from ._coupled import CoupledSolution, simulate_coupled
 from ._integrators import make_integrator
+from ._padding import cut_rows, on_device, pad_rows, padded_job
 from ._plan import ProcessPlan, process_plan
 from ._process_alone import ProcessSolution, simulate_process
 from ._quasistatic import simulate_quasistatic
@@ -121,7 +122,7 @@ def simulate(
     rigid = rigid_cut(job, adjoint)
     tell("robot and cut", 0.4)
     command = job.path.positions if commanded is None else commanded
-    solution = solve_command(job, rigid, jnp.asarray(command), adjoint)
+    solution = solve_command(job, rigid, on_device(command), adjoint)
     tell("done", 1.0)
     if throw and not isinstance(solution.actual, jax.core.Tracer):
         raise_unless_successful(solution)
@@ -150,7 +151,11 @@ def cast_floats(tree: _Tree, dtype: jnp.dtype) -> _Tree:
         is_float = isinstance(leaf, float) or (
             hasattr(leaf, "dtype") and jnp.issubdtype(leaf.dtype, jnp.floating)  # pyright: ignore[reportAttributeAccessIssue]
         )
-        return jnp.asarray(leaf, dtype) if is_float else leaf  # pyright: ignore[reportArgumentType]
+        if not is_float:
+            return leaf
+        if isinstance(leaf, jax.Array):
+            return jnp.asarray(leaf, dtype)
+        return on_device(np.asarray(leaf, np.dtype(dtype)))  # pyright: ignore[reportArgumentType]
 
     return jax.tree.map(cast, tree)
 
@@ -173,7 +178,6 @@ def job_plan(job: Job) -> ProcessPlan:
     )
 
 
-@eqx.filter_jit
 def rigid_cut(job: Job, adjoint: AbstractAdjoint) -> ProcessSolution:
     """Return the process alone on the desired path, as a rigid machine cuts it.
 
@@ -183,8 +187,20 @@ def rigid_cut(job: Job, adjoint: AbstractAdjoint) -> ProcessSolution:
 
     **Differentiability**: that of `simulate_process`.
     """
+    run, count = padded_job(job), job.path.step_count
+    cut = _cut_along(run, on_device(run.path.positions), adjoint)
+    if run.path.step_count != count:
+        cut = cut_rows(cut, _PROCESS_ROWS, count)
+    return cut
+
+
+@eqx.filter_jit
+def _cut_along(
+    job: Job, positions: Float[Array, "step 3"], adjoint: AbstractAdjoint
+) -> ProcessSolution:
+    """Return the process alone of a rigid machine on the given tips."""
     return simulate_process(
-        jnp.asarray(job.path.positions),
+        positions,
         job.stock,
         job.cutter,
         job.law,
@@ -193,10 +209,10 @@ def rigid_cut(job: Job, adjoint: AbstractAdjoint) -> ProcessSolution:
         plan=job_plan(job),
         adjoint=adjoint,
         bottom_law=job.bottom_law,
+        row_count=job.path.row_count,
     )
 
 
-@eqx.filter_jit
 def solve_command(
     job: Job,
     rigid: ProcessSolution,
@@ -219,49 +235,103 @@ def solve_command(
 
     Differentiability: as `simulate`.
     """
+    run, count = padded_job(job), job.path.step_count
+    commanded = on_device(commanded)
+    theta = None if motors is None else on_device(pad_rows(motors, run))
+    ran = _follow(run, on_device(pad_rows(commanded, run)), adjoint, theta)
+    if run.path.step_count != count:
+        ran = cut_rows(ran, _FOLLOWED_ROWS, count)
+    return Solution(
+        time=on_device(job.path.time),
+        desired=on_device(job.path.positions),
+        commanded=commanded,
+        actual=ran.actual,
+        force=ran.force,
+        removed_volume=ran.removed_volume,
+        shank_volume=ran.shank_volume,
+        contour_error=ran.contour_error,
+        is_cutting=_is_cutting(rigid.force),
+        motor_positions=ran.motor_positions,
+        joint_positions=ran.joint_positions,
+        initial_overlap_volume=ran.initial_overlap_volume,
+        has_failed=ran.has_failed,
+        stock=ran.stock,
+        rigid=rigid,
+        result=ran.result,
+        joint_names=() if job.robot is None else job.robot.joint_names,
+    )
+
+
+def _is_cutting(force: Float[Array, "step 3"]) -> Bool[Array, " step"]:
+    if isinstance(force, jax.core.Tracer):
+        return jnp.any(force != 0, axis=1)
+    # On the host, since a device compiles it for every length.
+    return on_device(np.any(np.asarray(force) != 0, axis=1))
+
+
+class _Followed(eqx.Module):
+    """The run of a command; fields as those of `Solution`."""
+
+    actual: Float[Array, "step 3"]
+    force: Float[Array, "step 3"]
+    removed_volume: Float[Array, " step"]
+    shank_volume: Float[Array, " step"]
+    contour_error: Float[Array, " step"]
+    motor_positions: Float[Array, "step joint"] | None
+    joint_positions: Float[Array, "step joint"] | None
+    has_failed: Bool[Array, " step"]
+    initial_overlap_volume: Float[Array, ""]
+    stock: Stock
+    result: RESULTS
+
+
+# The fields with a row per step.
+_PROCESS_ROWS = ("time", "force", "removed_volume", "shank_volume")
+_FOLLOWED_ROWS = (
+    "actual",
+    "force",
+    "removed_volume",
+    "shank_volume",
+    "contour_error",
+    "motor_positions",
+    "joint_positions",
+    "has_failed",
+)
+
+
+@eqx.filter_jit
+def _follow(
+    job: Job,
+    commanded: Float[Array, "step 3"],
+    adjoint: AbstractAdjoint,
+    motors: Float[Array, "step joint"] | None,
+) -> _Followed:
+    """Return the run of a command; arguments as for `solve_command`."""
     desired = jnp.asarray(job.path.positions)
-    theta = q = None
+    q = None
     is_reached = jnp.ones((), bool)
     if job.robot is None:
         # A rigid machine goes where it is told.
-        ran = simulate_process(
-            commanded,
-            job.stock,
-            job.cutter,
-            job.law,
-            job.spindle_speed,
-            path_axes(job),
-            plan=job_plan(job),
-            adjoint=adjoint,
-            bottom_law=job.bottom_law,
-        )
+        ran = _cut_along(job, commanded, adjoint)
         actual = commanded
         has_failed = jnp.zeros(desired.shape[0], bool)
     else:
         if motors is None:
             motors, is_reached = command_motors(job, commanded)
-        theta = motors
-        ran = run_motors(job, theta, adjoint)
+        ran = run_motors(job, motors, adjoint)
         actual, q, has_failed = ran.actual, ran.joint_positions, ran.has_failed
-    result = RESULTS.where(is_reached, ran.result, RESULTS.not_converged)
-    return Solution(
-        time=jnp.asarray(job.path.time),
-        desired=desired,
-        commanded=commanded,
+    return _Followed(
         actual=actual,
         force=ran.force,
         removed_volume=ran.removed_volume,
         shank_volume=ran.shank_volume,
         contour_error=contour_error(actual, desired),
-        is_cutting=jnp.any(rigid.force != 0, axis=1),
-        motor_positions=theta,
+        motor_positions=motors,
         joint_positions=q,
-        initial_overlap_volume=ran.initial_overlap_volume,
         has_failed=has_failed,
+        initial_overlap_volume=ran.initial_overlap_volume,
         stock=ran.stock,
-        rigid=rigid,
-        result=result,
-        joint_names=() if job.robot is None else job.robot.joint_names,
+        result=RESULTS.where(is_reached, ran.result, RESULTS.not_converged),
     )
 
 
@@ -294,11 +364,11 @@ def run_motors(
         adjoint,
         job.bottom_law,
     )
+    row_count = job.path.row_count
     if job.simulation.mode == "quasistatic":
-        return simulate_quasistatic(*arguments)
-    return simulate_coupled(
-        *arguments, make_integrator(job.simulation.integrator, job.simulation.dynamics)
-    )
+        return simulate_quasistatic(*arguments, row_count=row_count)
+    rule = make_integrator(job.simulation.integrator, job.simulation.dynamics)
+    return simulate_coupled(*arguments, rule, row_count=row_count)
 
 
 def raise_unless_successful(solution: Solution) -> None:

@@ -3,7 +3,7 @@
 import equinox as eqx
 import numpy as np
 
-from .._types import BoolSteps, FloatRows3, FloatSteps, IntSteps
+from .._types import BoolSteps, FloatRows3, FloatSteps, IntScalar, IntSteps
 
 
 class Path(eqx.Module):
@@ -16,6 +16,8 @@ class Path(eqx.Module):
         is_rapid: Whether the row belongs to a rapid move, shape (step,).
         line: Line of the program that caused the row, from 1; 0 where there is
             none, shape (step,).
+        row_count: How many rows count; those behind only fill the arrays up to a
+            length that other paths have too. All rows if None.
     """
 
     time: FloatSteps
@@ -23,6 +25,7 @@ class Path(eqx.Module):
     axes: FloatRows3
     is_rapid: BoolSteps
     line: IntSteps
+    row_count: IntScalar | None = None
 
     def __check_init__(self):
         rows = self.positions.shape[0]

@@ -1,0 +1,113 @@
+"""Padded paths: the same results, and one compiled program for many lengths."""
+
+import jax
+import jax.monitoring
+import numpy as np
+import pytest
+from helpers import PAPER_LAW, relative
+from slides_job import write_slides_job
+
+import diffmill as dm
+from diffmill import cutter as ct, sim, toolpath, workpiece as wp
+
+MILL = ct.flat_end_mill(10e-3, 2)
+STOCK = wp.box([0, 0, -2e-3], [8e-3, 8e-3, 0], 0.5e-3)
+PROGRAM = "G21 G17 G90 G94\nG0 X-5.5 Y1 Z-0.8\nG1 X{end} F{feed}\nM2\n"
+
+
+def slot(steps):
+    x = -5.5e-3 + 0.19e-3 * np.arange(steps)
+    return np.column_stack([x, np.full(steps, 4e-3), np.full(steps, -0.8e-3)])
+
+
+def cut(positions, row_count):
+    return sim.simulate_process(
+        positions,
+        STOCK,
+        MILL,
+        PAPER_LAW,
+        838.0,
+        axial_depth=1e-3,
+        adjoint=sim.Traced(),
+        row_count=row_count,
+    )
+
+
+def dwelling(count, total=72):
+    return slot(count)[np.minimum(np.arange(total), count - 1)]
+
+
+def test_rows_behind_the_last_change_nothing():
+    # The rigid tool that stands still cuts nothing, so that it tells what is wanted.
+    run = jax.jit(cut)
+    rows = dwelling(48)
+    padded, wanted = run(rows, np.int32(48)), run(rows, np.int32(72))
+    # The curve through the last rows goes on, or ends at a tool that stops.
+    assert relative(padded.force[:47], wanted.force[:47]) < 1e-12
+    assert relative(padded.removed_volume, wanted.removed_volume) < 1e-12
+    assert not np.any(padded.force[48:])
+    for found, stock in zip(padded.stock.families, wanted.stock.families, strict=True):
+        np.testing.assert_allclose(found.ends, stock.ends, atol=1e-15)
+    shorter = run(dwelling(40), np.int32(40))
+    assert relative(shorter.force[:40], padded.force[:40]) < 1e-12
+
+
+@pytest.mark.slow
+def test_rows_behind_the_last_have_no_derivative():
+    side = lambda tips, count: cut(tips, count).force[:48, 1].sum()
+    slope = jax.jit(jax.grad(side))
+    rows = dwelling(48)
+    found, wanted = slope(rows, np.int32(48)), slope(rows, np.int32(72))
+    assert not np.any(found[48:])
+    assert relative(found[:46], wanted[:46]) < 1e-9
+
+
+@pytest.fixture
+def compilations():
+    """Return a list that grows by one with every program that is compiled."""
+    names = []
+
+    def listen(event, duration, **_):
+        if event.endswith("backend_compile_duration"):
+            names.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    yield names
+    jax.monitoring.unregister_event_duration_listener(listen)
+
+
+@pytest.mark.parametrize("mode", ["dynamic", "quasistatic"])
+def test_another_feed_and_length_compile_nothing(tmp_path, compilations, mode):
+    counts = []
+    for name, feed, end in (("slow", 1500, 1), ("fast", 2000, 1.5), ("fast", 2000, 2)):
+        program = PROGRAM.format(feed=feed, end=end)
+        folder = tmp_path / f"{name}{end}"
+        folder.mkdir()
+        file = write_slides_job(folder, program=program)
+        settings = f'[simulation]\nmode = "{mode}"\n'
+        file.write_text(file.read_text().replace("[simulation]\n", settings))
+        job = dm.load_job(file)
+        del compilations[:]
+        solution = dm.simulate(job)
+        counts.append((job.path.step_count, len(compilations)))
+        assert solution.actual.shape[0] == job.path.step_count
+        assert np.any(np.asarray(solution.is_cutting))
+    assert len({rows for rows, _ in counts}) == 3
+    assert counts[0][1] > 0
+    assert [count for _, count in counts[1:]] == [0, 0]
+
+
+def test_a_path_is_padded_once_and_never_cut():
+    rows = 300
+    path = toolpath.Path(
+        time=np.arange(rows) * 1e-3,
+        positions=slot(rows),
+        axes=np.tile([0.0, 0.0, 1.0], (rows, 1)),
+        is_rapid=np.zeros(rows, bool),
+        line=np.zeros(rows, np.int32),
+    )
+    padded = sim.pad_path(path)
+    assert padded.step_count > 300 and int(padded.row_count) == 300
+    assert sim.pad_path(padded) is padded
+    with pytest.raises(ValueError, match="300"):
+        sim.pad_path(path, 299)
