@@ -3,9 +3,9 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-from timing import alternate
 
 import diffmill as dm
+from timing import alternate
 
 JOBS = 8
 RUNS = 3
@@ -18,7 +18,9 @@ def measure(report):
     cutter = dm.cutter.flat_end_mill(10e-3, 2)
     law = dm.cutting.LinearEdgeLaw(K_tc=989.8e6, K_rc=337.3e6, K_ac=66.9e6)
     feeds = np.linspace(0.1e-3, 0.2e-3, JOBS)
-    report.say(f"{'depth mm':>9} {'spacing mm':>11} {'angles':>7} {'batch / in turn':>16}")
+    report.say(
+        f"{'depth mm':>9} {'spacing mm':>11} {'angles':>7} {'batch / in turn':>16}"
+    )
     for depth, spacing, angles, substeps in SIZES:
         stock = dm.workpiece.box([0, 0, -depth - 1e-3], [12e-3, 12e-3, 0], spacing)
         plan = dm.sim.process_plan(

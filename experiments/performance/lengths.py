@@ -6,10 +6,10 @@ import time
 import jax
 import jax.monitoring
 import numpy as np
-from example import load_example
-from timing import alternate
 
 import diffmill as dm
+from example import load_example
+from timing import alternate
 
 OVERRIDES = (1.0, 0.8, 1.2)
 RUNS = 5

@@ -14,6 +14,7 @@ GROUPS = ("lengths", "batch")
 
 if __name__ == "__main__":
     import jax
+
     from reporting import run_groups
 
     jax.config.update("jax_enable_x64", True)
