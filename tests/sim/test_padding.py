@@ -67,7 +67,7 @@ def compilations():
     """Return a list that grows by one with every program that is compiled."""
     names = []
 
-    def listen(event, duration, **_):
+    def listen(event: str, duration: float, **_: str | int | float) -> None:
         if event.endswith("backend_compile_duration"):
             names.append(event)
 
@@ -107,7 +107,7 @@ def test_a_path_is_padded_once_and_never_cut():
         line=np.zeros(rows, np.int32),
     )
     padded = sim.pad_path(path)
-    assert padded.step_count > 300 and int(padded.row_count) == 300
+    assert padded.step_count > 300 and padded.row_count == 300
     assert sim.pad_path(padded) is padded
     with pytest.raises(ValueError, match="300"):
         sim.pad_path(path, 299)

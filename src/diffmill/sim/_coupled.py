@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from .._result import RESULTS
-from .._types import RealScalarLike, Transform
+from .._types import IntScalar, RealScalarLike, Transform
 from ..cutter import AbstractCutter
 from ..cutting import AbstractForceLaw
 from ..numerics import sloped
@@ -131,7 +131,7 @@ def simulate_coupled(
     adjoint: AbstractAdjoint,
     bottom_law: AbstractForceLaw | None = None,
     integrator: AbstractIntegrator | None = None,
-    row_count: Int[Array, ""] | None = None,
+    row_count: IntScalar | None = None,
 ) -> CoupledSolution:
     """Move the motors, let the arm follow and cut.
 
@@ -233,7 +233,7 @@ def run_periods(
     carry: Carry,
     theta: Float[Array, "step joint"],
     index: Int[Array, ""],
-    row_count: Int[Array, ""] | None = None,
+    row_count: IntScalar | None = None,
 ) -> tuple[Carry, Period]:
     """Return the state after all periods between some rows, and their rows.
 

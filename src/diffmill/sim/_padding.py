@@ -12,12 +12,13 @@ from typing import TypeVar
 
 import equinox as eqx
 import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._job import CorrectionSettings, Job
-from .._types import FloatRows
+from .._types import FloatRows, IntScalar
 from ..toolpath import Path
 
 _Tree = TypeVar("_Tree")
@@ -60,14 +61,14 @@ def pad_path(path: Path, row_count: int | None = None) -> Path:
     return dataclasses.replace(rows, row_count=np.asarray(count, np.int32))
 
 
-def last_row(step_count: int, row_count: Int[Array, ""] | None) -> Int[Array, ""]:
+def last_row(step_count: int, row_count: IntScalar | None) -> Int[Array, ""]:
     """Return the index of the last row that counts."""
     end = step_count if row_count is None else row_count
     return jnp.asarray(end - 1, jnp.int32)
 
 
 def live_rows(
-    indices: Int[Array, " period"], row_count: Int[Array, ""] | None
+    indices: Int[Array, " period"], row_count: IntScalar | None
 ) -> Bool[Array, " period"] | None:
     """Return which periods end at a row that counts; None for all."""
     return None if row_count is None else indices < row_count

@@ -7,10 +7,10 @@ import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from .._result import RESULTS
-from .._types import FloatRows3, RealScalarLike
+from .._types import FloatRows3, IntScalar, RealScalarLike
 from ..cutter import AbstractCutter
 from ..cutting import AbstractForceLaw
 from ..workpiece import Pose, Stock
@@ -63,7 +63,7 @@ def simulate_process(
     bottom_law: AbstractForceLaw | None = None,
     keeps_instantaneous: bool = False,
     chip: ChipModel = "near_far",
-    row_count: Int[Array, ""] | None = None,
+    row_count: IntScalar | None = None,
 ) -> ProcessSolution:
     """Cut along a path, one row per tooth period.
 
@@ -311,7 +311,7 @@ def path_poses(
 
 
 def middles_of(
-    plan: ProcessPlan, path: Pose, row_count: Int[Array, ""] | None = None
+    plan: ProcessPlan, path: Pose, row_count: IntScalar | None = None
 ) -> Pose:
     """Return the poses in the middle of the sub-steps, shape (period, substep, 3).
 

@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from .._types import RealScalarLike, Transform
+from .._types import IntScalar, RealScalarLike, Transform
 from ..cutter import AbstractCutter
 from ..cutting import AbstractForceLaw
 from ..robot import Robot, arm_terms, loaded_equilibrium, static_stretch
@@ -77,7 +77,7 @@ def simulate_quasistatic(
     plan: ProcessPlan,
     adjoint: AbstractAdjoint,
     bottom_law: AbstractForceLaw | None = None,
-    row_count: Int[Array, ""] | None = None,
+    row_count: IntScalar | None = None,
 ) -> CoupledSolution:
     """Move the motors, let the arm bend under its weight and the cut, and cut.
 
