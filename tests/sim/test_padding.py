@@ -67,7 +67,7 @@ def compilations():
     """Return a list that grows by one with every program that is compiled."""
     names = []
 
-    def listen(event: str, duration: float, **_: str | int | float) -> None:
+    def listen(event: str, duration_secs: float, **_: str | int) -> None:
         if event.endswith("backend_compile_duration"):
             names.append(event)
 
