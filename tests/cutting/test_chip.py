@@ -79,6 +79,14 @@ def test_edge_contact_is_fair_at_both_ends_of_the_cut():
     np.testing.assert_array_equal(still, 0)
 
 
+def test_edge_contact_sums_to_its_length_at_any_phase_of_the_samples():
+    feed, step = jnp.asarray(1e-4), 0.03
+    start = step * np.linspace(0, 1, 17)[:, None]
+    phi = jnp.asarray(start + step * np.arange(-20, 20)[None])
+    length = step * jnp.sum(cutting.edge_contact(feed * phi, feed, step), axis=1)
+    np.testing.assert_allclose(length, start[:, 0] + 19.5 * step, atol=1e-6 * step)
+
+
 def test_the_law_is_linear_with_an_edge():
     law = cutting.LinearEdgeLaw(1e9, 5e8, 1e8, 10.0, 20.0, 30.0)
     F = law.force_per_width(

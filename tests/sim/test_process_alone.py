@@ -8,6 +8,7 @@ import pytest
 from helpers import PAPER_LAW, quadrature_mean_force, relative
 
 from diffmill import RESULTS, cutter as ct, sim, workpiece as wp
+from diffmill.cutting import LinearEdgeLaw
 
 MILL = ct.flat_end_mill(10e-3, 2)
 D = 0.2e-3
@@ -66,6 +67,30 @@ def test_down_milling_matches_the_quadrature():
         PAPER_LAW, FEED, math.acos(-(3e-3) / 5e-3), math.pi, 1e-3
     )
     assert relative(steady(solution), wanted) < 1.5e-2
+
+
+def test_the_force_does_not_jump_where_teeth_change_places():
+    # A finishing cut leaves at the end of the half turn, where the next tooth comes.
+    level = straight(17e-3 - 0.2e-3)
+    rise = np.linspace(-1e-9, 1e-9, STEPS)[:, None] * [0, 0, 1]
+    up, down = (compiled()(level + s * rise, STOCK).force for s in (1, -1))
+    assert jnp.abs(up - down).max() < 1e-3
+
+
+def test_contact_is_fair_at_any_angle_between_feed_and_samples():
+    # Edge forces alone, along the feed and across it, of slots in turned directions.
+    law = LinearEdgeLaw(0.0, 0.0, 0.0, 1e4, 2e4, 0.0)
+    run = jax.jit(
+        lambda p: sim.simulate_process(p, STOCK, MILL, law, SPEED, axial_depth=1.6e-3)
+    )
+    found = []
+    for turn in 2 * math.pi / 192 * np.array([0.0, 0.25, 0.5, 0.75]):
+        along = np.array([math.cos(turn), math.sin(turn), 0.0])
+        path = np.array([8e-3, 6e-3, -1e-3]) + FEED * np.arange(8)[:, None] * along
+        path = path - 7 * FEED * along
+        F = run(path).force[-3:].mean(axis=0)
+        found.append([F @ along, along[0] * F[1] - along[1] * F[0]])
+    assert np.ptp(found, axis=0).max() < 2e-3 * np.abs(found).max()
 
 
 def test_turning_the_feed_turns_the_force():

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .._types import RealScalarLike
-from ..numerics import clamp
+from ..numerics import clamp, hat_integral
 
 # Below this motion per tooth an edge counts as standing still [m].
 _STANDSTILL = 1e-8
@@ -78,7 +78,7 @@ def edge_contact(
     """Return whether an edge is in contact, as a smooth step at zero thickness.
 
     The step is as wide as the chip changes from one sample to the next, centered on
-    zero, so that the sum over samples neither gains nor loses edge length.
+    zero, so that the sum over samples is the length of the edge at any phase of them.
 
     Args:
         chip_thickness: Unclipped chip thickness [m], any shape.
@@ -93,8 +93,7 @@ def edge_contact(
     """
     moving = feed_per_tooth**2 / (feed_per_tooth**2 + _STANDSTILL**2)
     width = angle_step * jnp.maximum(feed_per_tooth, _STANDSTILL)
-    x = clamp(0.0, 0.5 * chip_thickness / width + 0.5, 1.0)
-    return moving * x * x * (3 - 2 * x)
+    return moving * hat_integral(chip_thickness / width)
 
 
 def safe_norm(vector: Float[Array, " n"]) -> Float[Array, ""]:

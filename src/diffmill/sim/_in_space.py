@@ -27,6 +27,7 @@ from ..workpiece import Pose, occupancy_in_space
 from ._adjoint import AbstractAdjoint
 from ._bottom import RAMP
 from ._history import ProcessState
+from ._leading import STILL, has_opposite_teeth, leading_fade, taken_over
 from ._plan import ProcessPlan, turning
 
 # Elements nearer to the axis than this share of the radius count as standing there.
@@ -85,7 +86,7 @@ def engagement_in_space(
         Immersion angles [rad], the tooth of each, and occupancy.
     """
     elements = profile_elements(plan, cutter, predicted.tip.dtype)
-    angle, tooth = _leading(plan, cutter, elements, state, index, predicted)
+    angle, tooth, fade = _leading(plan, cutter, elements, state, index, predicted)
     place = jax.vmap(lambda p, phi: _edge(cutter, elements, p, phi))
     points, normals, along = place(predicted, angle)
     # What an edge that moves on takes: a chip as thick as it moves along its normal.
@@ -110,7 +111,7 @@ def engagement_in_space(
         adjoint.table(state.poses),
         keeps_slopes=adjoint.keeps_slopes,
     )
-    return angle, tooth, weight.reshape(angle.shape)
+    return angle, tooth, fade * weight.reshape(angle.shape)
 
 
 def _leading(
@@ -121,9 +122,11 @@ def _leading(
     index: Int[Array, ""],
     predicted: Pose,
 ) -> tuple[
-    Float[Array, "substep angle kept element"], Int[Array, "substep angle kept element"]
+    Float[Array, "substep angle kept element"],
+    Int[Array, "substep angle kept element"],
+    Float[Array, "substep angle kept element"],
 ]:
-    """Return the angles of the elements that can cut, and the tooth of each.
+    """Return the angles of the elements that can cut, their teeth and weights.
 
     Of evenly spaced teeth only half can be on the leading side, where the normal points
     the way that the tool moves, unless it descends.
@@ -132,24 +135,42 @@ def _leading(
     count = cutter.flute_count
     teeth = jnp.arange(count, dtype=jnp.int32)[None, None, :, None]
     teeth = jnp.broadcast_to(teeth, angle.shape)
+    if _keeps_all(plan, cutter):
+        return angle, teeth, jnp.ones_like(angle)
+    kept = (count + 1) // 2
+    motion = predicted.tip - state.recent.tip[0]
+    frames = tool_frame(predicted.direction())
+    lead = jax.vmap(lambda m, f, phi: _lead(elements, m, f, phi))(motion, frames, angle)
+    order = jnp.argsort(jax.lax.stop_gradient(lead), axis=2, descending=True)
+    angle, lead = (jnp.take_along_axis(x, order[:, :, :kept], 2) for x in (angle, lead))
+    fade = jnp.ones_like(lead)
+    if has_opposite_teeth(cutter):
+        n = elements.bottom_count
+        step = 2 * math.pi / plan.angles
+        fade = fade.at[..., n:].set(leading_fade(lead[..., n:], step))
+    return angle, order[:, :, :kept].astype(jnp.int32), fade
+
+
+def _keeps_all(plan: ProcessPlan, cutter: AbstractCutter) -> bool:
+    """Return whether all teeth are looked up."""
     profile = plan.profile
-    keeps_all = profile is None or profile.keeps_all or not cutter.has_even_pitch
-    kept = count if keeps_all else (count + 1) // 2
-    if kept == count:
-        return angle, teeth
-    frozen = jax.lax.stop_gradient
-    motion = frozen(predicted.tip - state.recent.tip[0])
-    frames = tool_frame(frozen(predicted.direction()))
-    x, y, z = (
-        jnp.sum(motion * frames[..., i], axis=-1)[:, None, None, None] for i in range(3)
-    )
+    is_round = profile is None or profile.keeps_all
+    return is_round or not cutter.has_even_pitch or cutter.flute_count < 2
+
+
+def _lead(
+    elements: EdgeElements,
+    motion: Float[Array, " 3"],
+    frame: Float[Array, "3 3"],
+    angle: Float[Array, "angle tooth element"],
+) -> Float[Array, "angle tooth element"]:
+    """Return the share of the motion along the normals of elements."""
+    x, y, z = frame.T @ (motion / jnp.sqrt(jnp.sum(motion**2) + STILL**2))
     sin_kappa, cos_kappa = (
-        frozen(v)[None, None, None] for v in (elements.sin_kappa, elements.cos_kappa)
+        elements.sin_kappa[None, None],
+        elements.cos_kappa[None, None],
     )
-    phi = frozen(angle)
-    lead = sin_kappa * (jnp.sin(phi) * x + jnp.cos(phi) * y) - cos_kappa * z
-    order = jnp.argsort(lead, axis=2, descending=True)[:, :, :kept]
-    return jnp.take_along_axis(angle, order, axis=2), order.astype(jnp.int32)
+    return sin_kappa * (jnp.sin(angle) * x + jnp.cos(angle) * y) - cos_kappa * z
 
 
 def force_in_space(
@@ -177,6 +198,12 @@ def force_in_space(
     steps = 2 * math.pi / plan.angles * jnp.maximum(elements.sin_kappa, _LEAST_SINE)
     touch = edge_contact(chip, feed, steps[None, None])
     n = elements.bottom_count
+    if has_opposite_teeth(cutter) and not _keeps_all(plan, cutter):
+        frame = tool_frame(pose.direction())
+        lead = _lead(elements, pose.tip - earlier.tip[0], frame, angle)[..., n:]
+        step = 2 * math.pi / plan.angles
+        more = taken_over(lead, step, feed / cutter.diameter)
+        touch = touch.at[..., n:].multiply(more)
     if n > 0:
         # The bottom of a tool that does not descend must not rub.
         least = chip[..., :n] - RAMP * feed

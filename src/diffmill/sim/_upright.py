@@ -18,15 +18,11 @@ from ..cutting import (
     layer_share,
     safe_norm,
 )
-from ..workpiece import has_material_above, occupancy
+from ..workpiece import occupancy
 from ._adjoint import AbstractAdjoint
 from ._history import ProcessState
+from ._leading import STILL, has_opposite_teeth, leading_fade, taken_over
 from ._plan import ProcessPlan, turning
-
-# Cosine of how far outside the leading half a tooth may still cut.
-_BEFORE_LEADING = 0.05
-# A motion per tooth below this has no direction [m].
-_STILL = 1e-8
 
 
 def upright_engagement(
@@ -54,7 +50,7 @@ def upright_engagement(
     Returns:
         Immersion angles [rad], the tooth of each, and occupancy.
     """
-    angle, place = _leading_angles(plan, cutter, state, predicted)
+    angle, place, fade = _leading_angles(plan, cutter, state, predicted)
     # Every period begins with another tooth in the same place.
     tooth = jnp.mod(place - (index - 1), cutter.flute_count)
     radius = cutter.diameter / 2
@@ -67,7 +63,7 @@ def upright_engagement(
     tips = None if table is None else table.tip
     weight = occupancy(state.stock, points, moves, plan.discs, cutter, tips)
     weight = weight.reshape(*angle.shape[:3], plan.discs.count)
-    return angle, tooth, weight
+    return angle, tooth, fade * weight
 
 
 def upright_force(
@@ -103,7 +99,11 @@ def upright_force(
     chip ends; the edge force changes smoothly there.
     """
     chip, feed = upright_chip(plan, cutter, tip, earlier, thinned, angle)
-    touch = edge_contact(chip, feed, 2 * math.pi / plan.angles)
+    step = 2 * math.pi / plan.angles
+    touch = edge_contact(chip, feed, step)
+    if has_opposite_teeth(cutter):
+        lead = _lead((tip - earlier[0])[None, None, None, :2], angle)
+        touch = touch * taken_over(lead, step, feed / cutter.diameter)
     h = jnp.clip(chip, 0, cutter.diameter / 2)
     teeth = jnp.broadcast_to(tooth, h.shape)
     F_t, F_r, F_a = law.force_per_width(h, touch, teeth)
@@ -177,25 +177,26 @@ def _leading_angles(
 ) -> tuple[
     Float[Array, "substep angle kept disc"],
     Int[Array, "substep angle kept disc"],
+    Float[Array, "substep angle kept disc"],
 ]:
-    """Return the angles of the teeth on the leading side, and their places.
-
-    The chip of two circles begins a little before the leading half, so a tooth just
-    outside it comes first if it meets material there.
-    """
+    """Return the angles of the teeth on the leading side, their places and weights."""
     angle = immersion_angles(plan, cutter, predicted.dtype)
     kept = (cutter.flute_count + 1) // 2
     if kept == cutter.flute_count:
-        return angle, jnp.zeros(angle.shape, jnp.int32)
-    frozen = jax.lax.stop_gradient
+        return angle, jnp.zeros(angle.shape, jnp.int32), jnp.ones_like(angle)
     motion = (predicted - state.recent.tip[0])[:, None, None, None, :2]
-    motion = motion / jnp.sqrt(jnp.sum(motion**2, -1, keepdims=True) + _STILL**2)
-    lead = jnp.sin(angle) * motion[..., 0] + jnp.cos(angle) * motion[..., 1]
-    radius = cutter.nominal_radius
-    x = frozen(predicted)[:, None, None, None, 0] + radius * jnp.sin(frozen(angle))
-    y = frozen(predicted)[:, None, None, None, 1] + radius * jnp.cos(frozen(angle))
-    tip = jnp.broadcast_to(frozen(predicted)[:, None, None, None, 2], x.shape)
-    meets = (lead > -_BEFORE_LEADING) & has_material_above(state.stock, x, y, tip)
-    rank = frozen(jnp.where(meets, lead + 2, lead))
-    order = jnp.argsort(rank, axis=2, descending=True)[:, :, :kept]
-    return jnp.take_along_axis(angle, order, axis=2), order.astype(jnp.int32)
+    lead = _lead(motion, angle)
+    order = jnp.argsort(jax.lax.stop_gradient(lead), axis=2, descending=True)
+    angle, lead = (jnp.take_along_axis(x, order[:, :, :kept], 2) for x in (angle, lead))
+    fade = jnp.ones_like(lead)
+    if has_opposite_teeth(cutter):
+        fade = leading_fade(lead, 2 * math.pi / plan.angles)
+    return angle, order[:, :, :kept].astype(jnp.int32), fade
+
+
+def _lead(
+    motion: Float[Array, "*#sample 2"], angle: Float[Array, "*sample"]
+) -> Float[Array, "*sample"]:
+    """Return the sine of the angle by which a tooth has entered the leading half."""
+    motion = motion / jnp.sqrt(jnp.sum(motion**2, -1, keepdims=True) + STILL**2)
+    return jnp.sin(angle) * motion[..., 0] + jnp.cos(angle) * motion[..., 1]

@@ -51,7 +51,6 @@ from ._stock import (
     Stock as Stock,
     box as box,
     grid_shape as grid_shape,
-    has_material_above as has_material_above,
     height_map as height_map,
     ray_ends as ray_ends,
 )

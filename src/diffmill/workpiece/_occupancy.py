@@ -28,7 +28,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ..cutter import AbstractCutter
-from ..numerics import clamp, tied
+from ..numerics import clamp, hat_integral, tied
 from ._stock import Stock
 
 # Distances along a ray are cut off here, in units of the spacing.
@@ -384,17 +384,3 @@ def _column_weights(
         )
     product = weights[0][..., :, None] * weights[1][..., None, :]
     return product.reshape(*product.shape[:-2], 9)
-
-
-@jax.custom_jvp
-def hat_integral(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """Integrate a hat of half-width 1: 0 below -1, 1 above 1, shifts sum to a line."""
-    x = clamp(-1.0, x, 1.0)
-    return 0.5 + x - 0.5 * x * jnp.abs(x)
-
-
-@hat_integral.defjvp
-def _hat_integral_jvp(primals, tangents):
-    # The hat itself: a fraction of what the derivative of clamping would compute.
-    (x,), (tangent,) = primals, tangents
-    return hat_integral(x), jnp.maximum(1 - jnp.abs(x), 0) * tangent

@@ -198,39 +198,6 @@ def block_grid(
     return first - MARGIN * spacing, cells + 2 * MARGIN
 
 
-def has_material_above(
-    stock: Stock,
-    x: Float[Array, "*point"],
-    y: Float[Array, "*point"],
-    height: Float[Array, "*point"],
-) -> Bool[Array, "*point"]:
-    """Return whether the column nearest to a point holds material above a height.
-
-    Args:
-        stock: The workpiece.
-        x: Coordinate along x [m], any shape.
-        y: Coordinate along y [m], same shape.
-        height: Height [m], same shape.
-
-    Returns:
-        Booleans of the same shape, correct to one spacing in the plan.
-
-    Differentiability: none.
-    """
-    rays = stock.families[2].ends
-    i, j = (
-        jnp.clip(
-            jnp.round((v - stock.origin[a]) / stock.spacing).astype(jnp.int32),
-            0,
-            rays.shape[a] - 1,
-        )
-        for a, v in ((0, x), (1, y))
-    )
-    near = rays[i, j]
-    top = jnp.where(near[..., 1, :] > near[..., 0, :], near[..., 1, :], -DEAD)
-    return jnp.max(top, axis=-1) > height
-
-
 def ray_ends(
     stock: Stock, family: int
 ) -> tuple[Float[np.ndarray, "end 3"], Float[np.ndarray, " end"]]:

@@ -1,0 +1,67 @@
+"""Teeth that change places at the ends of the leading half turn.
+
+Of an even number of even teeth only the leading half is looked up. Where a tooth enters
+this half, the opposite one leaves it, and both touch. They fade to zero there, so that
+the change makes no jump. What an edge touches before the half turn and within the fade,
+the next samples take over: over samples at any phase the contact W sums to its length,
+
+    W(x) = H(x - 1) + (1 + b) hat(x - 1),
+
+x angle steps inside the half; H the integral of a hat of half-width 1, b the steps by
+which the chip begins before the half turn.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..cutter import AbstractCutter
+from ..numerics import clamp, hat_integral
+
+# A motion per tooth below this has no direction [m].
+STILL = 1e-8
+# Angle steps over which a chip fades: few, since it is thin there but not taken over.
+_FADE = 0.5
+
+
+def has_opposite_teeth(cutter: AbstractCutter) -> bool:
+    """Return whether a tooth enters the leading half where another leaves it."""
+    return cutter.flute_count % 2 == 0
+
+
+def leading_fade(
+    lead: Float[Array, "*sample"], angle_step: float
+) -> Float[Array, "*sample"]:
+    """Return the weight of a sample near the ends of the leading half.
+
+    Args:
+        lead: Sine of the angle inside the leading half, any shape.
+        angle_step: Angle between two samples [rad].
+
+    Returns:
+        0 at and before the end of the half, 1 half an angle step inside, same shape.
+
+    Differentiability: continuous.
+    """
+    return clamp(0.0, lead / (_FADE * angle_step), 1.0)
+
+
+def taken_over(
+    lead: Float[Array, "*sample"], angle_step: float, before: Float[Array, ""]
+) -> Float[Array, "*sample"]:
+    """Return by how much contact counts for contact that is faded or not looked up.
+
+    Args:
+        lead: As for `leading_fade`.
+        angle_step: Angle between two samples [rad].
+        before: Angle by which a chip begins before the leading half [rad], shape ().
+
+    Returns:
+        W over the fade and over the contact of an undisturbed cut, same shape.
+
+    Differentiability: continuous.
+    """
+    b = before / angle_step
+    # At the very end W and the fade are zero, and their ratio is known.
+    x = clamp(1e-3, lead / angle_step, 2.0)
+    W = hat_integral(x - 1) + (1 + b) * (1 - jnp.abs(x - 1))
+    return W / (clamp(0.0, x / _FADE, 1.0) * hat_integral(x + b))
