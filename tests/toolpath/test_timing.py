@@ -254,3 +254,23 @@ def test_bad_limits_are_named(name, value):
 def test_program_without_motion_is_refused():
     with pytest.raises(ValueError, match="moves nothing"):
         sample_program(chain([(0, 0, 0), (0, 0, 0)]), PERIOD, **LIMITS)
+
+
+def test_a_move_after_one_in_inverse_time_starts_at_rest():
+    # 10 mm in 0.5 s at a constant speed, then 10 mm more by the acceleration limit.
+    first = Move((0.0, 0.0, 0.0), (0.01, 0.0, 0.0), duration=0.5)
+    then = line((0.01, 0.0, 0.0), (0.02, 0.0, 0.0), feed=0.05)
+    path = sample_program(Program((first, then)), 1e-3, **LIMITS)
+    t = np.asarray(path.time) - 0.5
+    rises = (t >= 0) & (t < 0.05 / LIMITS["acceleration"])
+    expected = 0.01 + 0.5 * LIMITS["acceleration"] * t[rises] ** 2
+    np.testing.assert_allclose(path.positions[rises, 0], expected, atol=1e-9)
+
+
+def test_motions_without_end_are_refused():
+    program = Program((line((0.0, 0.0, 0.0), (0.01, 0.0, 0.0)),))
+    for limits in ({"acceleration": 1e-300}, {"acceleration": 1e-12}):
+        with pytest.raises(ValueError, match="tooth periods; at most 1000000"):
+            sample_program(program, 1e-3, **(LIMITS | limits))
+    with pytest.raises(ValueError, match="at most 100 are"):
+        sample_program(program, 1e-3, **LIMITS, most_steps=100)

@@ -1,5 +1,6 @@
 """Where a long correction keeps what it has found, and how it goes on from there."""
 
+import os
 import pathlib
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
@@ -24,7 +25,7 @@ class Checkpoint:
     def __init__(self, folder: pathlib.Path, job: "Job"):
         from ..io import fingerprint
 
-        folder = folder.resolve()
+        folder = pathlib.Path(os.path.realpath(folder))
         self.path = folder.with_name(f"{folder.name}.checkpoint")
         self.resumed: Mapping[str, np.ndarray] | None = None
         self._fingerprint = fingerprint(job)

@@ -19,7 +19,7 @@ from ._gcode_arcs import (
     centre_from_radius,
 )
 from ._gcode_blocks import Block, sorted_block
-from ._gcode_words import Fault, GCodeError, split_words
+from ._gcode_words import SHOWN_FAULTS, Fault, GCodeError, split_words
 
 # Refused codes after which the position and the motion mode are still known.
 _HARMLESS = frozenset(
@@ -30,6 +30,7 @@ _LARGEST_POSITION_MM = 1e5
 _LARGEST_FEED_MM_PER_MIN = 1e7
 _LARGEST_SPEED_RPM = 1e6
 _SHORTEST_DURATION = 1e-7
+_MOST_LINES = 2_000_000
 
 
 @dataclass
@@ -43,6 +44,7 @@ class _State:
         scale: Millimetres per unit of the program.
         feed: Feed [mm/s]; None before the first F word.
         known: Axes whose position the program has stated.
+        speeds: Spindle speeds [rad/s], each once, in order.
     """
 
     feed_default: float | None
@@ -58,7 +60,7 @@ class _State:
     tool: float | None = None
     approach_count: int = 0
     known: set[str] = field(default_factory=set)
-    speeds: list[float] = field(default_factory=list)
+    speeds: dict[float, None] = field(default_factory=dict)
     moves: list[Move] = field(default_factory=list)
 
 
@@ -93,10 +95,14 @@ def parse_gcode(
     """Return the moves of G-code text; arguments and errors as `read_gcode`."""
     faults: list[Fault] = []
     state = _State(None if feed is None else feed * 1e3)
+    # A lone carriage return ends a line only where there is no line feed at all.
+    end = "\n" if "\n" in text else "\r"
+    if text.count(end) > _MOST_LINES:
+        message = f"the program has more than {_MOST_LINES} lines."
+        raise GCodeError(name, [Fault(0, "", message)])
     is_wrapped = is_closed = False
     is_first = True
-    # A lone carriage return ends a line only where there is no line feed at all.
-    for number, row in enumerate(text.split("\n" if "\n" in text else "\r"), 1):
+    for number, row in enumerate(text.split(end), 1):
         bare = row.strip(" \t\r")
         if bare == "%" and (is_first or is_wrapped):
             is_closed = is_wrapped
@@ -106,6 +112,8 @@ def parse_gcode(
         is_first = is_first and not bare
         if is_closed or state.is_ended:
             break
+        if len(faults) > SHOWN_FAULTS:
+            raise GCodeError(name, faults)
     if is_wrapped and not (is_closed or state.is_ended):
         message = "the file ends without the closing % or M2 or M30; it may be cut off."
         faults.append(Fault(0, "", message))
@@ -128,6 +136,8 @@ def _run_line(row: str, number: int, state: _State) -> list[Fault]:
     faults: list[Fault] = []
     block = sorted_block(split_words(row, number, faults), number, faults)
     _execute(block, state, faults)
+    if not faults:
+        return faults
     compact = "".join(row.split())
     return sorted(faults, key=lambda fault: compact.find(fault.word))
 
@@ -189,8 +199,8 @@ def _set_speed_and_tool(block: Block, state: _State, faults: list[Fault]) -> Non
             message = f"a spindle speed lies between 0 and {_LARGEST_SPEED_RPM:g} rpm."
             faults.append(Fault(block.line, word.text, message))
         speed = word.number * 2 * math.pi / 60
-        if speed > 0 and speed not in state.speeds:
-            state.speeds.append(speed)
+        if speed > 0:
+            state.speeds[speed] = None
     word = block.values.get("T")
     if word is not None and not math.isnan(word.number):
         if word.number < 0 or abs(word.number - round(word.number)) > 1e-4:

@@ -9,9 +9,15 @@ ALLOWED_WORDS = (
     "N, G0, G1, G2, G3, G17, G20, G21, G90, G91, G93, G94, X, Y, Z, I, J, R, F, S, T, "
     "M2, M3, M5, M6, M30, comments ( ) and ;, and a line of % before and after"
 )
-_SHOWN_FAULTS = 20
+SHOWN_FAULTS = 20
 _NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)"
 _WORD = re.compile(rf"([A-Z])({_NUMBER})")
+# A line of words and nothing else, O aside, is split at once.
+_PLAIN = re.compile(rf"(?:[A-NP-Z]{_NUMBER})*+")
+_MARK = re.compile(r"[();]")
+_BLANKS = str.maketrans("", "", " \t\r")
+# A controller's longest line is 256 characters; comments may be longer.
+_LONGEST_LINE = 10_000
 # What a word that is not understood is shown as: up to the next plausible letter.
 _UNKNOWN = re.compile(r"[A-Z]?[^A-Z(]+|[A-Z]")
 # After one of these the rest of a line is an expression, not words.
@@ -54,9 +60,9 @@ class GCodeError(ValueError):
 
     def __init__(self, name: str, faults: list[Fault]):
         self.name = name
-        self.faults = tuple(faults[:_SHOWN_FAULTS])
+        self.faults = tuple(faults[:SHOWN_FAULTS])
         lines = [f"{name}, {fault}" for fault in self.faults]
-        if len(faults) > _SHOWN_FAULTS:
+        if len(faults) > SHOWN_FAULTS:
             lines.append(f"{name}: further faults are not listed.")
         if any(fault.is_unsupported for fault in self.faults):
             lines.append(f"Allowed are {ALLOWED_WORDS}.")
@@ -76,10 +82,18 @@ def split_words(text: str, line: int, faults: list[Fault]) -> list[Word]:
 
     Letters may be lower or upper case; blanks mean nothing, even inside a number.
     """
-    code = _without_comments(text, line, faults)
-    compact = re.sub(r"[ \t\r]+", "", code)
+    if len(text) > _LONGEST_LINE:
+        message = f"the line has {len(text)} characters; {_LONGEST_LINE} are allowed."
+        faults.append(Fault(line, text[:30], message))
+        return []
+    code = _without_comments(text, line, faults) if _MARK.search(text) else text
+    compact = code.translate(_BLANKS)
     upper = compact.translate(_UPPER)
     words: list[Word] = []
+    if _PLAIN.fullmatch(upper):
+        for match in _WORD.finditer(upper):
+            _take(match, compact, line, words, faults)
+        return words
     # A block delete without a block deletes nothing.
     position = len(compact) if compact.strip("(") == "/" else 0
     while position < len(compact):
@@ -90,18 +104,27 @@ def split_words(text: str, line: int, faults: list[Fault]) -> list[Word]:
         rest = upper[match.end() : match.end() + 1] if match else ""
         if match and rest not in _EXPRESSION and upper[position] != "O":
             position = match.end()
-            number = float(match[2])
-            shown = compact[match.start() : match.end()]
-            if abs(number) > _LARGEST:
-                faults.append(
-                    Fault(line, shown[:30], f"its size is beyond {_LARGEST:g}.")
-                )
-                number = math.nan
-            if not math.isnan(number) or match[1] in _VALUES:
-                words.append(Word(match[1], number, shown))
+            _take(match, compact, line, words, faults)
             continue
         position = _report_unknown(compact, upper, position, line, faults, words)
     return words
+
+
+def _take(
+    match: re.Match[str],
+    compact: str,
+    line: int,
+    words: list[Word],
+    faults: list[Fault],
+) -> None:
+    """Add the word of a match; one that is too large is reported."""
+    letter, number = match[1], float(match[2])
+    shown = compact[match.start() : match.end()]
+    if abs(number) > _LARGEST:
+        faults.append(Fault(line, shown[:30], f"its size is beyond {_LARGEST:g}."))
+        number = math.nan
+    if not math.isnan(number) or letter in _VALUES:
+        words.append(Word(letter, number, shown))
 
 
 def _report_unknown(
@@ -144,26 +167,22 @@ def _without_comments(text: str, line: int, faults: list[Fault]) -> str:
     """Return a line with a ( left in the place of each comment, where a word ends."""
     out = []
     position = 0
-    while position < len(text):
-        char = text[position]
-        if char == ";":
-            break
-        if char == "(":
-            close = text.find(")", position)
-            if close < 0:
-                message = "the comment is not closed; a ) must end it on its line."
-                faults.append(Fault(line, text[position : position + 30], message))
-                break
-            if "(" in text[position + 1 : close]:
-                message = "a comment must not contain another."
-                shown = text[position : close + 1]
-                faults.append(Fault(line, shown[:30], message))
-            out.append("(")
-            position = close + 1
-            continue
-        if char == ")":
+    while mark := _MARK.search(text, position):
+        out.append(text[position : mark.start()])
+        if mark[0] == ";":
+            return "".join(out)
+        position = mark.end()
+        if mark[0] == ")":
             faults.append(Fault(line, ")", "there is no comment that it closes."))
-        else:
-            out.append(char)
-        position += 1
-    return "".join(out)
+            continue
+        close = text.find(")", position)
+        if close < 0:
+            message = "the comment is not closed; a ) must end it on its line."
+            faults.append(Fault(line, text[mark.start() :][:30], message))
+            return "".join(out)
+        if "(" in text[position:close]:
+            message = "a comment must not contain another."
+            faults.append(Fault(line, text[mark.start() : close + 1][:30], message))
+        out.append("(")
+        position = close + 1
+    return "".join(out) + text[position:]

@@ -194,7 +194,7 @@ def read_identification_tables(
         tables as lists.
     """
     kind = raw.get("kind")
-    if kind not in KINDS:
+    if not isinstance(kind, str) or kind not in KINDS:
         found = "nothing" if kind is None else repr(kind)
         allowed = ", ".join(f'"{name}"' for name in KINDS)
         problems.append(

@@ -1,6 +1,7 @@
 """The program of a job: found, read, timed, with the spindle speed that it implies."""
 
 import math
+import os
 import pathlib
 
 from ..toolpath import Path, Program, resample, sample_program
@@ -10,12 +11,11 @@ from ._job_schema import ProgramTable
 from ._path_csv import PathFileError, read_path_csv
 
 _GCODE_SUFFIXES = (".ngc", ".nc", ".gcode")
-# Above this a path fills the memory with its own rows, and a typing error in the feed
-# is the usual reason.
-_MOST_STEPS = 1_000_000
 _LARGEST_FILE = 64_000_000
 # The program and the job state the same speed in different units.
 _SAME_SPEED = 1e-6
+# Speeds that a message lists.
+_LISTED = 8
 
 
 def file_in_folder(
@@ -38,8 +38,9 @@ def file_in_folder(
         largest: Largest size that is allowed [byte].
     """
     try:
-        path = (folder / name).resolve()
-        is_inside = path.is_relative_to(folder.resolve())
+        # Unlike `resolve`, it lets a loop of links be: that is no file.
+        path = pathlib.Path(os.path.realpath(folder / name))
+        is_inside = path.is_relative_to(os.path.realpath(folder))
         is_file = path.is_file()
         size = path.stat().st_size if is_file else 0
     except (OSError, ValueError) as error:
@@ -107,7 +108,8 @@ def spindle_speed(
     stated = program.spindle_speeds if isinstance(program, Program) else ()
     rpm = 60 / (2 * math.pi)
     if len(stated) > 1:
-        found = ", ".join(f"S{speed * rpm:g}" for speed in stated)
+        found = ", ".join(f"S{speed * rpm:g}" for speed in stated[:_LISTED])
+        found += ", ..." if len(stated) > _LISTED else ""
         problems.append(
             f"[program] file: found the spindle speeds {found}; one speed is allowed"
         )
@@ -135,13 +137,6 @@ def time_path(
     problems: list[str],
 ) -> Path | None:
     """Return the path at the tooth instants, or None with problems noted."""
-    steps = _nominal_duration(program, table) / tooth_period
-    if steps > _MOST_STEPS:
-        problems.append(
-            f"[program] file: found a motion of {steps:.3g} tooth periods; at most "
-            f"{_MOST_STEPS} are allowed (is a feed too small?)"
-        )
-        return None
     try:
         if isinstance(program, Path):
             path = resample(
@@ -165,17 +160,3 @@ def time_path(
         problems.append(f"[program] file: {error}")
         return None
     return path
-
-
-def _nominal_duration(program: Program | Path, table: ProgramTable) -> float:
-    """Return about how long a program takes [s], before it is timed in detail."""
-    if isinstance(program, Path):
-        return float(program.time[-1] - program.time[0])
-    total = 0.0
-    for move in program.timed_moves:
-        if move.duration is not None:
-            total += move.duration
-            continue
-        speed = table.rapid_feed if move.is_rapid else move.feed or table.feed
-        total += move.length / speed if speed else 0.0
-    return total

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._job import Job, SimulationSettings
+from .._messages import shown
 from .._toml import parse_toml
 from ..cutter import AbstractCutter, ToolHolder
 from ..robot import Robot
@@ -47,9 +48,9 @@ class JobError(ValueError):
 
     def __init__(self, file: str | os.PathLike[str], problems: list[str]):
         self.file = os.fspath(file)
-        self.problems = tuple(problems)
+        self.problems = tuple(shown(problems))
         count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
-        lines = "".join(f"\n  - {problem}" for problem in problems)
+        lines = "".join(f"\n  - {problem}" for problem in self.problems)
         super().__init__(f"{self.file}: {count}:{lines}")
 
 

@@ -6,6 +6,7 @@ import pathlib
 import numpy as np
 from jaxtyping import Float, Int
 
+from .._messages import shown
 from ..toolpath import Path
 
 _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "inch": 0.0254}
@@ -18,6 +19,8 @@ _SPEEDS = {
 _UNITS = {"time": _TIMES, "x": _LENGTHS, "y": _LENGTHS, "z": _LENGTHS, "feed": _SPEEDS}
 _PLAIN = ("rapid", "line", "i", "j", "k")
 _SHOWN_FAULTS = 20
+# Farthest from the origin [m].
+_LARGEST = 100.0
 
 
 class PathFileError(ValueError):
@@ -28,11 +31,8 @@ class PathFileError(ValueError):
     """
 
     def __init__(self, name: str, faults: list[str]):
-        self.faults = tuple(faults[:_SHOWN_FAULTS])
-        lines = [f"{name}, {fault}" for fault in self.faults]
-        if len(faults) > _SHOWN_FAULTS:
-            lines.append(f"{name}: further faults are not listed.")
-        super().__init__("\n".join(lines))
+        self.faults = tuple(shown(faults, _SHOWN_FAULTS))
+        super().__init__("\n".join(f"{name}, {fault}" for fault in self.faults))
 
 
 def read_path_csv(file: str | os.PathLike[str]) -> Path:
@@ -84,7 +84,8 @@ def parse_path_csv(text: str, *, name: str = "path") -> Path:
     if faults:
         raise PathFileError(name, faults)
     lines = np.array([row[0] for row in rows[1:]], dtype=np.int32)
-    data = {key: values[:, index] * scales[key] for key, index in columns.items()}
+    with np.errstate(over="ignore"):
+        data = {key: values[:, index] * scales[key] for key, index in columns.items()}
     _check(data, lines, faults)
     if faults:
         raise PathFileError(name, faults)
@@ -211,6 +212,18 @@ def _check(
         faults.append(
             f"line {lines[row]}: found a time of {time[row]:.9g} s after "
             f"{time[row - 1]:.9g} s; the time must increase."
+        )
+    for axis in "xyz":
+        for row in np.flatnonzero(~(np.abs(data[axis]) <= _LARGEST)):
+            faults.append(
+                f"line {lines[row]}: found {axis} at {data[axis][row]:g} m; at most "
+                f"{_LARGEST:g} m is allowed."
+            )
+    number = data.get("line", np.zeros_like(time))
+    for row in np.flatnonzero((number < 0) | (number >= 2**31) | (number % 1 != 0)):
+        faults.append(
+            f"line {lines[row]}: found {number[row]:g} for line; allowed is a whole "
+            "number from 0."
         )
     rapid = data.get("rapid", np.zeros_like(time))
     for row in np.flatnonzero((rapid != 0) & (rapid != 1)):

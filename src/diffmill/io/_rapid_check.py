@@ -99,7 +99,12 @@ def _sweep(
     is_cutting = np.zeros(len(tips), dtype=bool)
     depth = np.zeros(len(tips))
     _remove(heights, x, y, tips[0], radius, bottom)
-    for k in range(1, len(tips)):
+    # A motion beside the map or above it meets nothing.
+    low = np.array([x[0] - radius, y[0] - radius])
+    high = np.array([x[-1] + radius, y[-1] + radius, top - _TOUCH])
+    is_near = np.all(np.maximum(tips[:-1], tips[1:])[:, :2] >= low, axis=1)
+    is_near &= np.all(np.minimum(tips[:-1], tips[1:]) <= high, axis=1)
+    for k in np.flatnonzero(is_near) + 1:
         pieces = max(1, math.ceil(np.linalg.norm(tips[k] - tips[k - 1]) / spacing))
         for piece in range(1, pieces + 1):
             tip = tips[k - 1] + (tips[k] - tips[k - 1]) * (piece / pieces)

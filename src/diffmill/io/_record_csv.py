@@ -22,6 +22,7 @@ _HEAD_BYTES = 1 << 20
 _BLOCK_BYTES = 1 << 24
 # Blocks with odd lines are halved down to this size.
 _SLOW_BYTES = 1 << 16
+_MOST_COLUMNS = 1000
 
 
 def read_text(path: pathlib.Path) -> Table:
@@ -51,6 +52,9 @@ def read_text(path: pathlib.Path) -> Table:
                     "columns, separated by tabs, semicolons, commas, bars or blanks."
                 ],
             )
+        if layout.width > _MOST_COLUMNS:
+            fault = f"found {layout.width} columns; at most {_MOST_COLUMNS} are read."
+            raise RecordError(str(path), [fault])
         labels, start, fault = labels_of(lines, layout)
         if fault:
             raise RecordError(str(path), [fault])

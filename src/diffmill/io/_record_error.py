@@ -1,5 +1,7 @@
 """What is wrong with a file of measurements."""
 
+from .._messages import shown
+
 _SHOWN_FAULTS = 20
 
 
@@ -13,8 +15,5 @@ class RecordError(ValueError):
 
     def __init__(self, name: str, faults: list[str]):
         self.name = name
-        self.faults = tuple(faults[:_SHOWN_FAULTS])
-        lines = [f"{name}: {fault}" for fault in self.faults]
-        if len(faults) > _SHOWN_FAULTS:
-            lines.append(f"{name}: further faults are not listed.")
-        super().__init__("\n".join(lines))
+        self.faults = tuple(shown(faults, _SHOWN_FAULTS))
+        super().__init__("\n".join(f"{name}: {fault}" for fault in self.faults))

@@ -118,10 +118,10 @@ def cells_of(line: str, delimiter: str | None) -> list[str]:
     """Return the cells of a line, quotes removed."""
     if delimiter is None:
         return line.split()
-    if '"' in line:
+    cells = line.split(delimiter)
+    # The standard library refuses a longer one.
+    if '"' in line and len(line) <= csv.field_size_limit():
         cells = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
-    else:
-        cells = line.split(delimiter)
     return [cell.strip() for cell in cells]
 
 

@@ -42,6 +42,9 @@ class Table(NamedTuple):
     notes: tuple[str, ...] = ()
 
 
+# Longer texts are no names and say no rate; on them the patterns below would look for
+# hours at where to begin.
+_LONGEST_LABEL, _LONGEST_LINE = 200, 1000
 # A unit in square brackets may hold round ones: `Re [(m/s^2)/N]`.
 _BRACKETS = re.compile(
     r"(.*?)[\s_]*(?:\[\s*([^\[\]]*?)\s*\]|[({<]\s*([^\[\](){}<>]*?)\s*[)}>])\s*"
@@ -128,6 +131,8 @@ def split_unit(label: str, *kinds: QuantityKind) -> tuple[str, str]:
     or a blank only if it is a unit of one of the kinds.
     """
     text = label.strip().strip('"').strip()
+    if len(text) > _LONGEST_LABEL:
+        return text, ""
     match = _BRACKETS.fullmatch(text)
     if match is not None:
         return match[1].strip(), match[2] or match[3] or ""
@@ -155,6 +160,8 @@ _VALUE = re.compile(
 def header_rate(lines: list[str]) -> float | None:
     """Return the sampling rate [Hz] that a header's lines give, if they do."""
     for line in lines:
+        if len(line) > _LONGEST_LINE:
+            continue
         for pattern, kind, default in (
             (_RATE, FREQUENCY, "Hz"),
             (_INTERVAL, TIME, "s"),

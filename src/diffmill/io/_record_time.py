@@ -87,6 +87,12 @@ def timeline(
     has_few_digits = resolution > 0.1 * step or np.any(np.diff(instants) == 0)
     if has_few_digits:
         rate = rate or _roundest(instants, is_after_gap, 1 / step, resolution)
+        if rate is None:
+            faults.append(
+                "the time has too few digits to tell the sampling rate; give the rate "
+                "and set the channel time to None, or name another column."
+            )
+            return None
         instants = _rebuilt(instants, is_after_gap, rate, notes)
     # Nine digits: the difference of two stamps has no more.
     whole = Timeline(instants, rows, is_after_gap, rate or float(f"{1 / step:.9g}"))
@@ -270,14 +276,19 @@ def _roundest(
     is_after_gap: Bool[np.ndarray, " sample"],
     rate: float,
     resolution: float,
-) -> float:
-    """Return the rate with the fewest digits that the rounded stamps allow [Hz]."""
+) -> float | None:
+    """Return the rate with the fewest digits that the rounded stamps allow [Hz].
+
+    None if the longest part has one stamp only.
+    """
     edges = np.concatenate([[0], np.flatnonzero(is_after_gap), [time.size]])
     longest = int(np.argmax(np.diff(edges)))
     part = time[edges[longest] : edges[longest + 1]]
     if part.size < 3:
         return rate
     slope = float(np.polyfit(np.arange(part.size), part - part[0], 1)[0])
+    if not slope > 0:
+        return None
     doubt = resolution / max(float(part[-1] - part[0]), resolution)
     for digits in range(1, 10):
         candidate = float(f"{1 / slope:.{digits}g}")

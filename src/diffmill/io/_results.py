@@ -50,7 +50,7 @@ def check_folder(out: str | os.PathLike[str], *, force: bool = False) -> None:
     Raises:
         ResultsError: If it is a file, has something in it, or cannot be written.
     """
-    folder = pathlib.Path(out).resolve()
+    folder = pathlib.Path(os.path.realpath(out))
     if folder.exists() and not folder.is_dir():
         raise ResultsError(f"--out {out}: found a file; a folder is required")
     if folder.is_dir() and any(folder.iterdir()) and not force:
@@ -130,7 +130,7 @@ def write_folder(
     Differentiability: not applicable, a host function.
     """
     check_folder(out, force=force)
-    folder = pathlib.Path(out).resolve()
+    folder = pathlib.Path(os.path.realpath(out))
     folder.parent.mkdir(parents=True, exist_ok=True)
     made = tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent)
     temporary = pathlib.Path(made)

@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 
+from .._messages import shown
+
 
 class RobotFileError(ValueError):
     """Raise when a robot file is faulty; the message lists every fault."""
@@ -17,5 +19,5 @@ def raise_faults(file: str, faults: Sequence[str]) -> None:
         count = f"{len(faults)} fault" + ("s" if len(faults) > 1 else "")
         raise RobotFileError(
             f"{file}: {count} in the robot description:\n"
-            + "\n".join(f"  - {fault}" for fault in faults)
+            + "\n".join(f"  - {fault}" for fault in shown(faults))
         )

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ._pieces import Arc, Blend, Segment
+from ._pieces import Arc, Blend, Segment, moved, scaled
 
 # Below this angle two moves count as tangent: at 50 mm/s the velocity then jumps by
 # 0.05 mm/s at most, which is what end points rounded to a micrometre cause anyway.
@@ -29,12 +29,14 @@ class Corner(NamedTuple):
 
 def corner_angle(before: Segment | Arc, after: Segment | Arc) -> float:
     """Return the angle by which the direction of travel jumps [rad]."""
-    u, v = before.tangent(at_end=True), after.tangent(at_end=False)
-    return math.atan2(float(np.linalg.norm(np.cross(u, v))), float(u @ v))
+    a, b, c = before.tangent(at_end=True)
+    x, y, z = after.tangent(at_end=False)
+    across = math.hypot(b * z - c * y, c * x - a * z, a * y - b * x)
+    return math.atan2(across, a * x + b * y + c * z)
 
 
 def round_corner(
-    before: Segment | Arc, after: Segment | Arc, tolerance: float
+    before: Segment | Arc, after: Segment | Arc, angle: float, tolerance: float
 ) -> Corner:
     """Return a curve that leaves and joins two pieces along their tangents.
 
@@ -44,14 +46,13 @@ def round_corner(
 
     Args:
         before: Piece that ends at the corner.
-        after: Piece that starts there; the angle between them is neither tangent nor
-            a reversal.
+        after: Piece that starts there.
+        angle: `corner_angle` of them [rad], neither tangent nor a reversal.
         tolerance: Largest distance between the curve and the corner path [m].
 
     Returns:
         The corner.
     """
-    angle = corner_angle(before, after)
     half = 0.5 * min(before.length, after.length)
     trim = min(half, tolerance * math.sin(angle / 2) / (1 - math.cos(angle / 2)))
     if isinstance(before, Segment) and isinstance(after, Segment):
@@ -70,12 +71,11 @@ def _corner_arc(before: Segment, after: Segment, trim: float, angle: float) -> A
     """Return the arc tangent to two lines at a distance from where they meet."""
     u, v = before.tangent(at_end=True), after.tangent(at_end=False)
     radius = trim / math.tan(angle / 2)
-    inward = v - (u @ v) * u
-    inward = inward / np.linalg.norm(inward)
-    start = before.end - trim * u
-    return Arc(
-        start + radius * inward, -inward, u, (radius, radius), angle, np.zeros(3)
-    )
+    inward = moved(v, -sum(a * b for a, b in zip(u, v, strict=True)), u)
+    inward = scaled(inward, 1 / math.hypot(*inward))
+    centre = moved(moved(before.end, -trim, u), radius, inward)
+    rise = (0.0, 0.0, 0.0)
+    return Arc(centre, scaled(inward, -1.0), u, (radius, radius), angle, rise)
 
 
 def _corner_blend(before: Segment | Arc, after: Segment | Arc, trim: float) -> Blend:
@@ -90,8 +90,8 @@ def _corner_blend(before: Segment | Arc, after: Segment | Arc, trim: float) -> B
         np.stack(
             [
                 start,
-                start + ratio * trim * left.tangent(at_end=True),
-                end - ratio * trim * right.tangent(at_end=False),
+                start + ratio * trim * np.array(left.tangent(at_end=True)),
+                end - ratio * trim * np.array(right.tangent(at_end=False)),
                 end,
             ]
         )

@@ -1,14 +1,15 @@
 """The moves of a program in SI units, before they are timed."""
 
+import dataclasses
 import math
-from typing import TypeAlias
-
-import equinox as eqx
+from typing import NamedTuple, TypeAlias
 
 Point: TypeAlias = tuple[float, float, float]
 
 
-class Move(eqx.Module):
+# A program has up to a million of them: plain tuples are made ten times as fast as
+# modules.
+class Move(NamedTuple):
     """One motion of a program: a straight line, or an arc or helix about z.
 
     An arc keeps its programmed end exactly: a small difference between its radius at
@@ -69,7 +70,8 @@ class Move(eqx.Module):
         return math.hypot(along, self.end[2] - self.start[2], last - first)
 
 
-class Program(eqx.Module):
+@dataclasses.dataclass(frozen=True)
+class Program:
     """A program as read: its moves in order and what else it says.
 
     Attributes:
@@ -86,10 +88,10 @@ class Program(eqx.Module):
     moves: tuple[Move, ...]
     approach_count: int = 0
     spindle_speeds: tuple[float, ...] = ()
-    source: str = eqx.field(static=True, default="")
-    name: str = eqx.field(static=True, default="program")
+    source: str = ""
+    name: str = "program"
 
-    def __check_init__(self):
+    def __post_init__(self):
         if not 0 <= self.approach_count <= len(self.moves):
             raise ValueError(
                 "Argument `approach_count` must lie between 0 and the number of moves "

@@ -5,6 +5,10 @@ import numpy as np
 
 from .._types import BoolSteps, FloatRows3, FloatSteps, IntScalar, IntSteps
 
+# Above this a path fills the memory with its own rows, and a typing error in a feed is
+# the usual reason.
+MOST_STEPS = 1_000_000
+
 
 class Path(eqx.Module):
     """A tool path in `work`, sampled at the tooth instants t_k = k T.
@@ -44,6 +48,23 @@ class Path(eqx.Module):
     def step_count(self) -> int:
         """Number of rows."""
         return self.positions.shape[0]
+
+
+def check_steps(count: float, most: int) -> None:
+    """Refuse a motion of too many tooth periods, or of no end.
+
+    Args:
+        count: Duration of the motion in tooth periods.
+        most: Largest number.
+
+    Raises:
+        ValueError: If there are more.
+    """
+    if not count <= most:
+        raise ValueError(
+            f"found a motion of {count:.3g} tooth periods; at most {most} are allowed "
+            "(is a feed or an acceleration too small, or a time too long?)"
+        )
 
 
 def vertical_path(time: FloatSteps, positions: FloatRows3) -> Path:

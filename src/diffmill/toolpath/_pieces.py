@@ -1,49 +1,24 @@
 """Smooth pieces of curve, each a function of the distance along it."""
 
 import math
-from abc import abstractmethod
+from typing import NamedTuple, TypeAlias
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from ._moves import Move
+from ._moves import Move, Point
 
 
-class AbstractPiece(eqx.Module):
-    """A smooth piece of a path, travelled by its arc length."""
-
-    @property
-    @abstractmethod
-    def length(self) -> float:
-        """Length [m]."""
-
-    @property
-    @abstractmethod
-    def curvature(self) -> float:
-        """Largest curvature [1/m]."""
-
-    @abstractmethod
-    def positions(
-        self, distance: Float[np.ndarray, " point"]
-    ) -> Float[np.ndarray, "point 3"]:
-        """Return the points at distances from the start [m]."""
-
-    @abstractmethod
-    def tangent(self, *, at_end: bool) -> Float[np.ndarray, " 3"]:
-        """Return the unit direction of travel at the start or at the end."""
-
-
-class Segment(AbstractPiece):
+class Segment(NamedTuple):
     """A straight piece, possibly of length zero.
 
     Attributes:
-        start: First point [m], shape (3,).
-        end: Last point [m], shape (3,).
+        start: First point [m].
+        end: Last point [m].
     """
 
-    start: Float[np.ndarray, " 3"]
-    end: Float[np.ndarray, " 3"]
+    start: Point
+    end: Point
 
     @property
     def length(self) -> float:
@@ -59,96 +34,126 @@ class Segment(AbstractPiece):
         self, distance: Float[np.ndarray, " point"]
     ) -> Float[np.ndarray, "point 3"]:
         """Return the points at distances from the start [m]."""
-        fraction = (
-            distance / self.length if self.length > 0 else np.zeros_like(distance)
-        )
-        return self.start + fraction[:, None] * (self.end - self.start)
+        fraction = distance / (self.length or 1.0)
+        along = np.subtract(self.end, self.start)
+        return np.array([self.start]) + fraction[:, None] * along[None]
 
-    def tangent(self, *, at_end: bool) -> Float[np.ndarray, " 3"]:
+    def tangent(self, *, at_end: bool) -> Point:
         """Return the unit direction of travel."""
-        return (self.end - self.start) / self.length
+        (a, b, c), (x, y, z), length = self.start, self.end, self.length
+        return (x - a) / length, (y - b) / length, (z - c) / length
 
     def trimmed(self, head: float, tail: float) -> "Segment":
         """Return the piece without a length at its start and at its end [m]."""
         direction = self.tangent(at_end=False)
-        return Segment(self.start + head * direction, self.end - tail * direction)
+        return Segment(
+            moved(self.start, head, direction), moved(self.end, -tail, direction)
+        )
 
 
-class Arc(AbstractPiece):
+class Arc(NamedTuple):
     """An arc, helix or slight spiral in any plane, from fraction `first` to `last`.
 
         p(u) = c + (r_0 + u (r_1 - r_0)) (cos(u sweep) e_1 + sin(u sweep) e_2) + u rise
 
     Attributes:
-        centre: Centre c at the start [m], shape (3,).
-        radial: Unit vector e_1 from the centre to the start, shape (3,).
-        forward: Unit vector e_2 in the sense of travel, shape (3,).
+        centre: Centre c at the start [m].
+        radial: Unit vector e_1 from the centre to the start.
+        forward: Unit vector e_2 in the sense of travel.
         radii: Radius at the start and at the end of the whole arc [m].
         sweep: Angle of the whole arc, positive [rad].
-        rise: Motion along the axis over the whole arc [m], shape (3,).
+        rise: Motion along the axis over the whole arc [m].
         first: Fraction of the whole arc at which the piece starts.
         last: Fraction of the whole arc at which the piece ends.
     """
 
-    centre: Float[np.ndarray, " 3"]
-    radial: Float[np.ndarray, " 3"]
-    forward: Float[np.ndarray, " 3"]
+    centre: Point
+    radial: Point
+    forward: Point
     radii: tuple[float, float]
     sweep: float
-    rise: Float[np.ndarray, " 3"]
+    rise: Point
     first: float = 0.0
     last: float = 1.0
 
     @property
-    def _whole(self) -> float:
+    def whole(self) -> float:
         """Length of the whole arc [m]; its speed in u is constant but for a spiral."""
-        along = 0.5 * (self.radii[0] + self.radii[1]) * self.sweep
-        across = self.radii[1] - self.radii[0]
-        return math.hypot(along, float(np.linalg.norm(self.rise)), across)
+        first, last = self.radii
+        return math.hypot(0.5 * (first + last) * self.sweep, *self.rise, last - first)
 
     @property
     def length(self) -> float:
         """Length [m]."""
-        return self._whole * (self.last - self.first)
+        return self.whole * (self.last - self.first)
 
     @property
     def curvature(self) -> float:
         """Largest curvature [1/m]; a helix is straighter than its circle."""
         radius = min(self.radii)
-        circular = 0.5 * (self.radii[0] + self.radii[1]) * self.sweep / self._whole
+        circular = 0.5 * (self.radii[0] + self.radii[1]) * self.sweep / self.whole
         return circular**2 / radius
 
     def positions(
         self, distance: Float[np.ndarray, " point"]
     ) -> Float[np.ndarray, "point 3"]:
         """Return the points at distances from the start [m]."""
-        u = (self.first + distance / self._whole)[:, None]
-        radius = self.radii[0] + u * (self.radii[1] - self.radii[0])
-        angle = u * self.sweep
-        spoke = np.cos(angle) * self.radial + np.sin(angle) * self.forward
-        return self.centre + radius * spoke + u * self.rise
+        return arc_positions([self], distance)
 
-    def tangent(self, *, at_end: bool) -> Float[np.ndarray, " 3"]:
+    def tangent(self, *, at_end: bool) -> Point:
         """Return the unit direction of travel at the start or at the end."""
         u = self.last if at_end else self.first
         change = self.radii[1] - self.radii[0]
-        radius = self.radii[0] + u * change
+        speed = (self.radii[0] + u * change) * self.sweep
         cos, sin = math.cos(u * self.sweep), math.sin(u * self.sweep)
-        rate = (
-            change * (cos * self.radial + sin * self.forward)
-            + radius * self.sweep * (cos * self.forward - sin * self.radial)
-            + self.rise
-        )
-        return rate / np.linalg.norm(rate)
+        rate = moved(self.rise, change * cos - speed * sin, self.radial)
+        rate = moved(rate, change * sin + speed * cos, self.forward)
+        return scaled(rate, 1 / math.hypot(*rate))
 
     def trimmed(self, head: float, tail: float) -> "Arc":
         """Return the piece without a length at its start and at its end [m]."""
-        first = self.first + head / self._whole
-        last = self.last - tail / self._whole
-        return eqx.tree_at(lambda arc: (arc.first, arc.last), self, (first, last))
+        whole = self.whole
+        return self._replace(
+            first=self.first + head / whole, last=self.last - tail / whole
+        )
 
 
-class Blend(AbstractPiece):
+def moved(point: Point, length: float, direction: Point) -> Point:
+    """Return a point moved along a vector."""
+    (x, y, z), (u, v, w) = point, direction
+    return x + length * u, y + length * v, z + length * w
+
+
+def scaled(vector: Point, factor: float) -> Point:
+    """Return a vector times a number."""
+    x, y, z = vector
+    return factor * x, factor * y, factor * z
+
+
+def arc_positions(
+    arcs: list[Arc], distance: Float[np.ndarray, " point"]
+) -> Float[np.ndarray, "point 3"]:
+    """Return the points at distances from the starts of arcs.
+
+    Args:
+        arcs: One arc for each point, or one for all.
+        distance: Distances from the start [m], shape (point,).
+    """
+    centre, radial, forward, rise = (
+        np.array([getattr(arc, name) for arc in arcs])
+        for name in ("centre", "radial", "forward", "rise")
+    )
+    first, last, sweep, begin, whole = np.array(
+        [(*arc.radii, arc.sweep, arc.first, arc.whole) for arc in arcs]
+    ).T[..., None]
+    u = begin + distance[:, None] / whole
+    radius, angle = first + u * (last - first), u * sweep
+    return (
+        centre + radius * (np.cos(angle) * radial + np.sin(angle) * forward) + u * rise
+    )
+
+
+class Blend(NamedTuple):
     """A cubic Bezier curve, walked by a table of its arc length.
 
     Attributes:
@@ -190,23 +195,19 @@ class Blend(AbstractPiece):
         parameters = np.linspace(0.0, 1.0, self.table.size)
         return _bezier(self.control, np.interp(distance, self.table, parameters))
 
-    def tangent(self, *, at_end: bool) -> Float[np.ndarray, " 3"]:
-        """Return the unit direction of travel at the start or at the end."""
-        before, after = self.control[2:] if at_end else self.control[:2]
-        return (after - before) / np.linalg.norm(after - before)
+
+Piece: TypeAlias = Segment | Arc | Blend
 
 
 def piece_of_move(move: Move) -> Segment | Arc:
     """Return the curve of a move."""
-    start, end = np.array(move.start), np.array(move.end)
     if move.centre is None:
-        return Segment(start, end)
-    centre = np.array(move.centre)
-    spoke = start - centre
-    radial = spoke / np.linalg.norm(spoke)
-    forward = move.turn * np.array([-radial[1], radial[0], 0.0])
-    rise = np.array([0.0, 0.0, move.end[2] - move.start[2]])
-    return Arc(centre, radial, forward, move.radii, abs(move.sweep), rise)
+        return Segment(move.start, move.end)
+    radii = move.radii
+    radial = scaled(moved(move.start, -1.0, move.centre), 1 / radii[0])
+    forward = (-move.turn * radial[1], move.turn * radial[0], 0.0)
+    rise = (0.0, 0.0, move.end[2] - move.start[2])
+    return Arc(move.centre, radial, forward, radii, abs(move.sweep), rise)
 
 
 def _bezier(

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from .._types import BoolSteps, FloatRows3, FloatSteps, IntSteps, RealScalarLike
-from ._path import Path
+from ._path import MOST_STEPS, Path, check_steps
 
 
 def resample(
@@ -15,6 +15,8 @@ def resample(
     is_rapid: BoolSteps,
     line: IntSteps,
     tooth_period: RealScalarLike,
+    *,
+    most_steps: int = MOST_STEPS,
 ) -> Path:
     """Return a recorded path at the tooth instants.
 
@@ -31,9 +33,13 @@ def resample(
         is_rapid: Whether the motion to a row is rapid, shape (step,).
         line: Line that caused the motion to a row, shape (step,).
         tooth_period: Time between the returned rows [s].
+        most_steps: Largest number of tooth periods.
 
     Returns:
         The path; its last row is the last recorded one, at or just after its time.
+
+    Raises:
+        ValueError: If the time does not increase or is longer than `most_steps`.
 
     **Differentiability**: none, it runs on the host.
     Reference: Fritsch and Carlson, SIAM J. Numer. Anal. 17, 1980.
@@ -53,6 +59,7 @@ def resample(
             "Argument `time` must have at least 2 rows and increase, but does not."
         )
     time = time - time[0]
+    check_steps(float(time[-1]) / period, most_steps)
     count = max(1, math.ceil(time[-1] / period - 1e-6))
     instants = period * np.arange(count + 1)
     inside = np.minimum(instants, time[-1])

@@ -22,8 +22,8 @@ from ._corners import (
     round_corner,
 )
 from ._moves import Move, Program
-from ._path import Path
-from ._pieces import Arc, Blend, Segment, piece_of_move
+from ._path import MOST_STEPS, Path, check_steps
+from ._pieces import Arc, Blend, Piece, Segment, arc_positions, piece_of_move
 
 # Pieces shorter than this are numerical crumbs of a trimmed move.
 _SHORTEST = 1e-12
@@ -36,7 +36,7 @@ _SAME_INSTANT = 1e-6
 class _Leg(NamedTuple):
     """A piece with what limits its speed; `is_stop`: at rest at its end."""
 
-    piece: Segment | Arc | Blend
+    piece: Piece
     speed: float
     duration: float | None
     is_rapid: bool
@@ -64,6 +64,7 @@ def sample_program(
     rapid_feed: RealScalarLike,
     corner_tolerance: RealScalarLike,
     feed: RealScalarLike | None = None,
+    most_steps: int = MOST_STEPS,
 ) -> Path:
     """Return where the tool is at every tooth instant.
 
@@ -80,6 +81,7 @@ def sample_program(
         rapid_feed: Speed of rapid moves [m/s].
         corner_tolerance: Largest distance from a corner [m]; 0 stops exactly there.
         feed: Speed of feed moves that state none [m/s].
+        most_steps: Largest number of tooth periods.
 
     Returns:
         The path. Its last row is the end point, at or just after the end of the
@@ -87,7 +89,8 @@ def sample_program(
         passes there.
 
     Raises:
-        ValueError: If a limit is not positive, a feed is missing, or nothing moves.
+        ValueError: If a limit is not positive, a feed is missing, nothing moves, or
+            the motion takes more than `most_steps`.
 
     **Differentiability**: none, it runs on the host.
     """
@@ -120,6 +123,7 @@ def sample_program(
             f"{program.name}: the program moves nothing after its approach."
         )
     profile = _speeds(legs, float(acceleration))
+    check_steps(float(profile.duration.sum()) / float(tooth_period), most_steps)
     return _sampled(legs, profile, float(tooth_period))
 
 
@@ -172,7 +176,7 @@ def _joint(
     if angle < TANGENT_ANGLE:
         return None, False
     if tolerance > _FINEST_TOLERANCE and angle < REVERSAL_ANGLE:
-        return round_corner(before.piece, after.piece, tolerance), False
+        return round_corner(before.piece, after.piece, angle, tolerance), False
     return None, True
 
 
@@ -185,18 +189,19 @@ def _speeds(legs: list[_Leg], acceleration: float) -> _Profile:
     """Return the speed profile of all pieces by a backward and a forward pass."""
     length = np.array([leg.piece.length for leg in legs])
     limit = np.array([_speed_limit(leg, acceleration) for leg in legs])
-    joint = np.zeros(len(legs) + 1)
-    for index, leg in enumerate(legs[:-1]):
-        if not leg.is_stop:
-            joint[index + 1] = min(limit[index], limit[index + 1])
+    is_stop = np.array([leg.is_stop for leg in legs[:-1]], dtype=bool)
+    inner = np.where(is_stop, 0.0, np.minimum(limit[:-1], limit[1:]))
     gain = 2 * acceleration * length
-    for index in range(len(legs) - 1, -1, -1):
-        joint[index] = min(joint[index], math.sqrt(joint[index + 1] ** 2 + gain[index]))
-    for index in range(len(legs)):
-        joint[index + 1] = min(
-            joint[index + 1], math.sqrt(joint[index] ** 2 + gain[index])
-        )
-    speed_in, speed_out = joint[:-1], joint[1:]
+    # Squares of the speeds where pieces meet: first what can slow down, then what can
+    # speed up.
+    square = [0.0, *(inner**2).tolist(), 0.0]
+    gains = gain.tolist()
+    for index in range(len(gains) - 1, -1, -1):
+        square[index] = min(square[index], square[index + 1] + gains[index])
+    for index, more in enumerate(gains):
+        square[index + 1] = min(square[index + 1], square[index] + more)
+    joint = np.sqrt(square)
+    speed_in, speed_out = joint[:-1].copy(), joint[1:].copy()
     peak = np.sqrt(np.minimum(limit**2, (speed_in**2 + speed_out**2 + gain) / 2))
     rise, fall = (peak - speed_in) / acceleration, (peak - speed_out) / acceleration
     ramps = (speed_in + peak) / 2 * rise + (speed_out + peak) / 2 * fall
@@ -266,9 +271,13 @@ def _positions(
     out = np.zeros((index.size, 3))
     is_straight = np.array([isinstance(leg.piece, Segment) for leg in legs])[index]
     _fill_straight(out, legs, index, distance, is_straight)
-    curved = np.flatnonzero(~is_straight)
-    if curved.size:
-        for rows in np.split(curved, np.flatnonzero(np.diff(index[curved])) + 1):
+    is_arc = np.array([isinstance(leg.piece, Arc) for leg in legs])[index]
+    if is_arc.any():
+        arcs = [piece for i in index[is_arc] if isinstance(piece := legs[i].piece, Arc)]
+        out[is_arc] = arc_positions(arcs, distance[is_arc])
+    other = np.flatnonzero(~(is_straight | is_arc))
+    if other.size:
+        for rows in np.split(other, np.flatnonzero(np.diff(index[other])) + 1):
             out[rows] = legs[index[rows[0]]].piece.positions(distance[rows])
     return out
 

@@ -1,8 +1,11 @@
 """Stock and meshes on disk: the only module of this subpackage that touches files."""
 
+import contextlib
 import io
+import logging
 import os
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args
 
@@ -55,9 +58,13 @@ def load_mesh(path: str | os.PathLike[str], *, unit: MeshUnit = "mm") -> Mesh:
 
     try:
         # Bytes, not a name: without a place there is nothing beside it to follow.
-        raw: Any = trimesh.load_mesh(
-            io.BytesIO(data), file_type=suffix[1:], process=False, skip_materials=True
-        )
+        with _silenced(trimesh.util.log):
+            raw: Any = trimesh.load_mesh(
+                io.BytesIO(data),
+                file_type=suffix[1:],
+                process=False,
+                skip_materials=True,
+            )
         mesh = Mesh(
             np.asarray(raw.vertices, np.float64).reshape(-1, 3),
             np.asarray(raw.faces, np.int64).reshape(-1, 3),
@@ -194,6 +201,16 @@ def load_stock(
     # A damaged archive makes the reader raise anything.
     except Exception as error:
         raise StockFileError(f"{name}: holds no stock: {error}") from error
+
+
+@contextlib.contextmanager
+def _silenced(log: logging.Logger) -> Iterator[None]:
+    """Let a library not print the tracebacks of what it tried."""
+    before, log.disabled = log.disabled, True
+    try:
+        yield
+    finally:
+        log.disabled = before
 
 
 def _headers(archive: zipfile.ZipFile) -> dict[str, tuple[tuple[int, ...], np.dtype]]:

@@ -1,0 +1,26 @@
+"""Lists of faults that can be read, whatever the file is that they quote."""
+
+from collections.abc import Sequence
+
+# Characters of a line; a longer one loses what is in its middle.
+_LONGEST = 600
+
+
+def shown(faults: Sequence[str], most: int = 50) -> list[str]:
+    """Return the first faults, long ones shortened, and a line if there are more.
+
+    Args:
+        faults: What is wrong, one line each.
+        most: Number of faults that are shown.
+    """
+    lines = [_shortened(fault) for fault in faults[:most]]
+    if len(faults) > most:
+        lines.append("further faults are not listed.")
+    return lines
+
+
+def _shortened(line: str) -> str:
+    if len(line) <= _LONGEST:
+        return line
+    half = _LONGEST // 2
+    return f"{line[:half]} ... {line[-half:]}"
