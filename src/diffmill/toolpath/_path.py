@@ -50,7 +50,7 @@ class Path(eqx.Module):
         return self.positions.shape[0]
 
 
-def check_steps(count: float, most: int) -> None:
+def check_steps(count: float, most: float) -> None:
     """Refuse a motion of too many tooth periods, or of no end.
 
     Args:
@@ -62,7 +62,7 @@ def check_steps(count: float, most: int) -> None:
     """
     if not count <= most:
         raise ValueError(
-            f"found a motion of {count:.3g} tooth periods; at most {most} are allowed "
+            f"found a motion of {count:.3g} tooth periods; at most {most:.0f} are allowed "
             "(is a feed or an acceleration too small, or a time too long?)"
         )
 

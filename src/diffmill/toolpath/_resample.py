@@ -16,7 +16,7 @@ def resample(
     line: IntSteps,
     tooth_period: RealScalarLike,
     *,
-    most_steps: int = MOST_STEPS,
+    most_steps: RealScalarLike = MOST_STEPS,
 ) -> Path:
     """Return a recorded path at the tooth instants.
 
@@ -59,7 +59,7 @@ def resample(
             "Argument `time` must have at least 2 rows and increase, but does not."
         )
     time = time - time[0]
-    check_steps(float(time[-1]) / period, most_steps)
+    check_steps(float(time[-1]) / period, float(most_steps))
     count = max(1, math.ceil(time[-1] / period - 1e-6))
     instants = period * np.arange(count + 1)
     inside = np.minimum(instants, time[-1])

@@ -64,7 +64,7 @@ def sample_program(
     rapid_feed: RealScalarLike,
     corner_tolerance: RealScalarLike,
     feed: RealScalarLike | None = None,
-    most_steps: int = MOST_STEPS,
+    most_steps: RealScalarLike = MOST_STEPS,
 ) -> Path:
     """Return where the tool is at every tooth instant.
 
@@ -123,7 +123,7 @@ def sample_program(
             f"{program.name}: the program moves nothing after its approach."
         )
     profile = _speeds(legs, float(acceleration))
-    check_steps(float(profile.duration.sum()) / float(tooth_period), most_steps)
+    check_steps(float(profile.duration.sum() / float(tooth_period)), float(most_steps))
     return _sampled(legs, profile, float(tooth_period))
 
 
