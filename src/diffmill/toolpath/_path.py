@@ -62,8 +62,8 @@ def check_steps(count: float, most: float) -> None:
     """
     if not count <= most:
         raise ValueError(
-            f"found a motion of {count:.3g} tooth periods; at most {most:.0f} are allowed "
-            "(is a feed or an acceleration too small, or a time too long?)"
+            f"found a motion of {count:.3g} tooth periods; at most {most:.0f} are "
+            "allowed (is a feed or an acceleration too small, or a time too long?)"
         )
 
 
