@@ -4,7 +4,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from .._job import Job
 from ..cutter import AbstractCutter
@@ -22,8 +22,9 @@ _USUAL = np.array([1000e6, 350e6, 100e6, 15e3, 15e3, 5e3])
 # Revolutions of a straight cut that are fitted, and teeth to which their number is
 # rounded up so that few sizes are compiled.
 _TURNS, _ROUND = 40, 32
-# Samples from which the axes are judged.
-_JUDGED = 8000
+# Samples from which the axes are judged, how many of a tooth period are enough, the
+# least number, and usual steps over which a line is drawn.
+_JUDGED, _PER_TOOTH, _LEAST, _BRIDGED = 8000, 32, 24, 2.5
 # A nominal speed that is off by more is doubted.
 _SPEED_OFF = 0.03
 # A force this many times the largest of all but a few percent is a gross error.
@@ -261,33 +262,67 @@ def _judge(
     max_shift: float,
     tooth_period: float,
 ) -> AxesProposal:
-    """Return how the axes may lie, from the longest part without a gap."""
-    step = float(np.median(np.diff(time)))
-    is_measured = np.isfinite(force).any(axis=0)
+    """Return how the axes may lie, from the forces on an even grid.
+
+    What lies in a gap too long to be bridged becomes zero, measured and simulated.
+    """
+    is_measured = np.asarray(np.isfinite(force).any(axis=0))
     known = np.asarray(np.isfinite(force[:, is_measured]).all(axis=1))
     size = np.abs(np.nan_to_num(force)).max(axis=1)
-    known &= size <= _SPIKE * max(np.quantile(size[known], _ALL_BUT), 1e-300)
-    breaks = np.flatnonzero(np.diff(time) > 1.5 * step) + 1
-    best = np.zeros(0, np.int64)
-    for part in np.split(np.arange(len(time)), breaks):
-        rows = part[known[part]]
-        if rows.size > best.size:
-            # Few saturated samples within are no reason to give up: they become zero.
-            best = part[(part >= rows[0]) & (part <= rows[-1])]
-    middle = max(0, (best.size - _JUDGED) // 2)
-    best = best[middle : middle + _JUDGED]
-    # Not more samples than the angles have, or the shifts take long.
-    stride = max(1, int(tooth_period / (32 * step)))
-    best = best[::stride]
-    columns = at_times(found.columns, found.start, found.spacing, time[best])
-    columns = np.where(known[best][:, None, None], columns, 0.0)
-    seen = np.where(known[best][:, None], force[best], 0.0)
+    usual = max(float(np.quantile(size[known], _ALL_BUT)), 1e-300)
+    known = np.flatnonzero(known & (size <= _SPIKE * usual))
+    grid, seen, is_near = _on_grid(time[known], force[known], tooth_period)
+    count = int(is_near.sum())
+    if count < _LEAST:
+        raise ValueError(
+            f"The record must hold {_LEAST} samples beside the cut that lie near each "
+            f"other, but its gaps leave {count} of {known.size}."
+        )
+    columns = at_times(found.columns, found.start, found.spacing, grid)
     seen[:, ~is_measured] = np.nan
-    room = (best.size - 1) * step * stride / 4.2
+    spacing = float(grid[1] - grid[0])
     return propose_axes(
-        seen,
-        columns,
-        1 / (step * stride),
-        max_shift=min(max_shift, room),
+        np.where(np.logical_or.outer(is_near, ~is_measured), seen, 0.0),
+        np.where(is_near[:, None, None], columns, 0.0),
+        1 / spacing,
+        # Four times the shift, in whole samples, must be shorter than the record.
+        max_shift=min(max_shift, ((len(grid) - 1) // 4) * spacing * (1 - 1e-9)),
         tooth_frequency=1 / tooth_period,
     )
+
+
+def _on_grid(
+    time: Float[np.ndarray, " row"],
+    force: Float[np.ndarray, "row 3"],
+    tooth_period: float,
+) -> tuple[
+    Float[np.ndarray, " sample"],
+    Float[np.ndarray, "sample 3"],
+    Bool[np.ndarray, " sample"],
+]:
+    """Return even instants where a record is densest, its forces there, and which are.
+
+    Samples may be lost or come at uneven instants: straight lines lie between those
+    that are no further apart than two and a half usual steps.
+    """
+    step = float(np.median(np.diff(time)))
+    # Not more samples than the angles have, or the shifts take long.
+    spacing = step * max(1, int(tooth_period / (_PER_TOOTH * step)))
+    count = int((time[-1] - time[0]) / spacing + 1e-6) + 1
+    grid = time[0] + spacing * np.arange(count)
+    after = np.clip(np.searchsorted(time, grid), 1, len(time) - 1)
+    apart = time[after] - time[after - 1]
+    is_near = apart <= max(_BRIDGED * step, tooth_period / _PER_TOOTH)
+    if count > _JUDGED:
+        held = np.cumsum(np.concatenate([[0], is_near]))
+        first = int(np.argmax(held[_JUDGED:] - held[:-_JUDGED]))
+        part = slice(first, first + _JUDGED)
+        grid, after, apart, is_near = (
+            grid[part],
+            after[part],
+            apart[part],
+            is_near[part],
+        )
+    share = np.clip((grid - time[after - 1]) / apart, 0.0, 1.0)[:, None]
+    seen = (1 - share) * force[after - 1] + share * force[after]
+    return grid, np.nan_to_num(seen), is_near

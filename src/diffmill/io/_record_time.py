@@ -15,6 +15,8 @@ _APART = 0.6
 _PAUSE = 1.0
 # Share of the rows that may be in doubtful order.
 _OPEN = 0.01
+# Steps that scatter by more of themselves are said to be uneven.
+_UNEVEN = 0.05
 # A clock that steps back by more has passed midnight [s].
 _HALF_DAY, _DAY = 43200.0, 86400.0
 
@@ -94,6 +96,12 @@ def timeline(
             )
             return None
         instants = _rebuilt(instants, is_after_gap, rate, notes)
+    uneven = float(np.std(np.diff(instants)[~is_after_gap[1:]])) / step
+    if uneven > _UNEVEN:
+        notes.append(
+            f"The samples are not evenly spaced ({uneven:.0%} of a step rms); their "
+            "own instants were used."
+        )
     # Nine digits: the difference of two stamps has no more.
     whole = Timeline(instants, rows, is_after_gap, rate or float(f"{1 / step:.9g}"))
     return _part(whole, np.flatnonzero(is_valid[rows]))

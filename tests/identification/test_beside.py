@@ -1,0 +1,58 @@
+"""Records of a steady slot, as they come: what is repaired, and what is told."""
+
+import functools
+
+import numpy as np
+import pytest
+from slot_force import DEPTH, HELIX, PERIOD, SPEED, K, R, slot_force
+
+from diffmill import cutter as ct, identification
+
+FEED = 0.1e-3
+TURNS = 12
+
+
+@functools.cache
+def cutter():
+    return ct.flat_end_mill(2 * R, 2, helix_angle=HELIX)
+
+
+def place(time, force, **how):
+    return identification.place_on_steady_cut(
+        cutter(), SPEED, FEED, DEPTH, time, force, **how
+    )
+
+
+def record(rate, seed=0, turns=TURNS, noise=2.0):
+    """Return instants of a slot, its force with noise, and the draw."""
+    draw = np.random.default_rng(seed)
+    time = np.arange(0, turns * 2 * PERIOD * (1 + 1e-9), 1 / rate)
+    return (
+        time,
+        draw,
+        lambda t: slot_force(t, FEED) + noise * draw.normal(size=(t.size, 3)),
+    )
+
+
+@pytest.mark.parametrize("what", ["jitter", "lost"])
+def test_uneven_and_lost_samples_do_not_hinder_the_axes(what):
+    """At ten samples per tooth hardly a run of samples is evenly spaced."""
+    time, draw, force = record(2e3, turns=20)
+    if what == "jitter":
+        time = np.sort(time + 0.8 / 2e3 * draw.uniform(-1, 1, time.size))
+    else:
+        time = time[draw.uniform(size=time.size) > 0.1]
+    beside = place(time, force(time))
+    best = beside.proposal.proposals[0]
+    assert identification.axes_of(best.matrix) == ("x", "y", "z")
+    fit = identification.fit_force_coefficients(beside.cut, beside.time, beside.force)
+    np.testing.assert_allclose(fit.raw, K, rtol=0.06)
+    assert fit.explained > 0.995
+
+
+def test_a_record_that_its_gaps_leave_empty_says_so():
+    _, _, force = record(2e3)
+    bursts = np.arange(TURNS + 1) * 2 * PERIOD
+    time = (bursts[:, None] + 1e-5 * np.arange(3)[None]).reshape(-1)
+    with pytest.raises(ValueError, match="its gaps leave"):
+        place(time, force(time), refines_speed=False)
