@@ -169,6 +169,8 @@ class Job(eqx.Module):
         holder: What holds the cutter, to look for in the stock; None if not known.
         tool_rotation: Rotation about the tool axis: "fixed", tool x as near to x of
             `work` as the axis allows, or "free", chosen by the inverse kinematics.
+        keeps_intervals: Whether the rays of the stock keep the slots that they have;
+            else a run that needs more is repeated with more.
     """
 
     name: str = eqx.field(static=True)
@@ -188,6 +190,7 @@ class Job(eqx.Module):
     bottom_law: AbstractForceLaw | None = None
     holder: ToolHolder | None = None
     tool_rotation: ToolRotation = eqx.field(static=True, default="fixed")
+    keeps_intervals: bool = eqx.field(static=True, default=False)
 
     @property
     def tooth_period(self) -> RealScalarLike:

@@ -46,6 +46,7 @@ def run_job(
     """
     from .._result import SimulationFailed
     from ..io import JobError, check_folder, load_job
+    from ..sim import with_intervals_of
 
     folder = pathlib.Path(f"{file.stem}-{command}") if out is None else out
     with bad_input():
@@ -63,6 +64,7 @@ def run_job(
         with bad_input():
             checkpoint = Checkpoint(folder, job)
             checkpoint.open(resume=resume, force=force, progress=progress)
+    told = len(job.notes)
     for note in job.notes:
         progress.say(f"note: {note}")
     start = time.perf_counter()
@@ -72,9 +74,12 @@ def run_job(
     except SimulationFailed as failure:
         return _keep_failure(folder, job, failure, force=force)
     seconds = time.perf_counter() - start
+    final = outcome if command == "simulate" else outcome.after
+    job = with_intervals_of(job, final.stock)
+    for note in job.notes[told:]:
+        progress.say(f"note: {note}")
     dataset = with_job(outcome.to_dataset(), job)
     dataset.attrs.setdefault("wall_time_s", seconds)
-    final = outcome if command == "simulate" else outcome.after
     dataset = _with_contacts(job, final, dataset, progress)
     if job.simulation.checks_stability:
         _tell_stability(job, final, dataset, progress)

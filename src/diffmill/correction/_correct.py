@@ -17,7 +17,7 @@ from ..sim import (
     command_joints,
     joint_motors,
     raise_unless_successful,
-    rigid_cut,
+    run_with_room,
     solve_command,
     with_precision,
 )
@@ -160,8 +160,8 @@ def correct(
     desired = jnp.asarray(job.path.positions)
     # A program beyond a joint's limit is refused before anything runs, too.
     check_joints(job, desired, is_joints=False)
-    rigid = rigid_cut(job, adjoint)
-    before = solve_command(job, rigid, desired, adjoint)
+    job, before = run_with_room(job, desired, adjoint, lambda message, share: None)
+    rigid = before.rigid
     if throw:
         raise_unless_successful(before)
     weights = _weights(job, rigid, before)

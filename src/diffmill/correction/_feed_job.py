@@ -20,6 +20,7 @@ from ..sim import (
     command_motors,
     run_motors,
     simulate,
+    with_intervals_of,
     with_precision,
 )
 from ..toolpath import cycle_time, path_feed, retime, rows_until
@@ -157,6 +158,7 @@ def tune_feed(
     job = with_precision(job)
     adjoint = Traced()
     before = simulate(job, adjoint=adjoint)
+    job = with_intervals_of(job, before.stock)
     rigid = before.rigid
     cutting = np.asarray(before.is_cutting)
     if not cutting.any():

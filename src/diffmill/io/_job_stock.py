@@ -14,6 +14,7 @@ from ..workpiece import (
     StockFileError,
     box,
     from_mesh,
+    interval_counts,
     load_stock,
     physical_memory,
     ray_ends,
@@ -222,5 +223,5 @@ def _plan_of(stock: Stock, dtype: jnp.dtype) -> StockPlan:
     upper = points.max(axis=0)
     # The highest point of a mesh may lie between the rays.
     upper[2] = stock.top
-    x, y, z = (rays.ends.shape[-1] for rays in stock.families)
-    return StockPlan(points.min(axis=0), upper, stock.spacing, (x, y, z), dtype, stock)
+    counts = interval_counts(stock)
+    return StockPlan(points.min(axis=0), upper, stock.spacing, counts, dtype, stock)

@@ -275,6 +275,7 @@ def _assemble(
         ),
         bottom_law=bottom_law,
         holder=holder,
+        keeps_intervals=tables["stock"].intervals is not None,
     )
 
 

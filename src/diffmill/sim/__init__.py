@@ -41,6 +41,7 @@ from ._coupled import (
 from ._free_motion import FreeMotion as FreeMotion, free_motion as free_motion
 from ._in_space import tool_frame as tool_frame
 from ._integrators import RungeKutta4 as RungeKutta4, make_integrator as make_integrator
+from ._intervals import with_intervals_of as with_intervals_of
 from ._midpoint import Midpoint as Midpoint
 from ._padding import pad_path as pad_path
 from ._plan import (
@@ -75,6 +76,7 @@ from ._simulate import (
     raise_unless_successful as raise_unless_successful,
     rigid_cut as rigid_cut,
     run_motors as run_motors,
+    run_with_room as run_with_room,
     simulate as simulate,
     solve_command as solve_command,
     with_precision as with_precision,

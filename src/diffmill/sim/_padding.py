@@ -124,6 +124,7 @@ def padded_job(job: Job) -> Job:
         simulation=settings,
         correction=CorrectionSettings(),
         holder=None,
+        keeps_intervals=False,
     )
 
 

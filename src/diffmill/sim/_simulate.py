@@ -19,6 +19,7 @@ from ._adjoint import AbstractAdjoint, Plain
 from ._command import command_motors, path_axes
 from ._coupled import CoupledSolution, simulate_coupled
 from ._integrators import make_integrator
+from ._intervals import with_more_intervals
 from ._padding import cut_rows, on_device, pad_rows, padded_job
 from ._plan import ProcessPlan, process_plan
 from ._process_alone import ProcessSolution, simulate_process
@@ -118,15 +119,46 @@ def simulate(
     job = with_precision(job)
     adjoint = Plain() if adjoint is None else adjoint
     tell = on_progress or (lambda message, share: None)
-    tell("rigid cut", 0.0)
-    rigid = rigid_cut(job, adjoint)
-    tell("robot and cut", 0.4)
     command = job.path.positions if commanded is None else commanded
-    solution = solve_command(job, rigid, on_device(command), adjoint)
+    _, solution = run_with_room(job, on_device(command), adjoint, tell)
     tell("done", 1.0)
     if throw and not isinstance(solution.actual, jax.core.Tracer):
         raise_unless_successful(solution)
     return solution
+
+
+def run_with_room(
+    job: Job,
+    commanded: Float[Array, "step 3"],
+    adjoint: AbstractAdjoint,
+    on_progress: OnProgress,
+) -> tuple[Job, Solution]:
+    """Run a job, and again with more slots while its rays need more intervals.
+
+    Args:
+        job: The job, in its precision.
+        commanded: Tip positions that the program says [m], shape (step, 3).
+        adjoint: How to differentiate through the removal.
+        on_progress: Called with a message and the share done.
+
+    Returns:
+        The job with the slots that it took, and its solution, whatever the outcome.
+
+    Differentiability: as `simulate`; what is traced is run once.
+    """
+    on_progress("rigid cut", 0.0)
+    rigid = rigid_cut(job, adjoint)
+    while (more := with_more_intervals(job, rigid.result)) is not None:
+        job = more
+        on_progress(f"rigid cut again: {job.notes[-1]}", 0.0)
+        rigid = rigid_cut(job, adjoint)
+    on_progress("robot and cut", 0.4)
+    solution = solve_command(job, rigid, commanded, adjoint)
+    while (more := with_more_intervals(job, solution.result)) is not None:
+        job = more
+        on_progress(f"robot and cut again: {job.notes[-1]}", 0.4)
+        solution = solve_command(job, rigid, commanded, adjoint)
+    return job, solution
 
 
 def with_precision(job: Job) -> Job:
@@ -257,7 +289,10 @@ def solve_command(
         has_failed=ran.has_failed,
         stock=ran.stock,
         rigid=rigid,
-        result=ran.result,
+        # What a rigid cut that failed says of where the tool cuts would be wrong.
+        result=RESULTS.where(
+            ran.result == RESULTS.successful, rigid.result, ran.result
+        ),
         joint_names=() if job.robot is None else job.robot.joint_names,
     )
 

@@ -52,6 +52,7 @@ from ._stock import (
     box as box,
     grid_shape as grid_shape,
     height_map as height_map,
+    interval_counts as interval_counts,
     ray_ends as ray_ends,
 )
 from ._stock_arrays import (

@@ -111,6 +111,12 @@ def grid_shape(stock: Stock) -> tuple[int, int, int]:
     return stock.families[1].ends.shape[1], count_y, count_z
 
 
+def interval_counts(stock: Stock) -> tuple[int, int, int]:
+    """Return the number of slots of a ray along x, y and z."""
+    x, y, z = (rays.ends.shape[-1] for rays in stock.families)
+    return x, y, z
+
+
 def box(
     lower: Point,
     upper: Point,
