@@ -230,6 +230,28 @@ def test_both_adjoints_agree(mode):
     )
 
 
+@pytest.mark.slow
+def test_reverse_mode_is_the_transpose_of_forward_mode_for_a_helix():
+    # All columns under the tool end at one height, and so tie exactly.
+    mill = ct.flat_end_mill(5e-3, 2, helix_angle=math.radians(30), flute_length=20e-3)
+    stock = wp.box([0, 0, -4e-3], [12e-3, 9e-3, 0], 0.3e-3)
+    plan = sim.process_plan(stock, mill, axial_depth=1.3e-3, substeps=2, angles=48)
+    path = jnp.asarray(straight(4.5e-3, feed=0.2e-3, steps=12)) + jnp.array(
+        [9e-3, 0, 0]
+    )
+    rng = np.random.default_rng(4)
+    weights, direction = jnp.asarray(rng.normal(size=(2, *path.shape)))
+
+    def force(p):
+        return sim.simulate_process(p, stock, mill, PAPER_LAW, SPEED, plan=plan).force
+
+    forward = jax.jit(lambda p: jax.jvp(force, (p,), (direction,))[1])(path)
+    reverse = jax.jit(lambda p: jax.vjp(force, p)[1](weights)[0])(path)
+    np.testing.assert_allclose(
+        jnp.sum(reverse * direction), jnp.sum(weights * forward), rtol=1e-9
+    )
+
+
 def test_wrong_arguments_are_refused():
     with pytest.raises(ValueError, match="positions"):
         sim.simulate_process(np.zeros((1, 3)), STOCK, MILL, PAPER_LAW, SPEED)

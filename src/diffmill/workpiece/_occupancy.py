@@ -312,7 +312,9 @@ def _combine(
     # Beside a wall the columns in the air must not thin the disc: walls do that.
     solid = jnp.sum(weights * filled**2, axis=1) / (mean + _BLIND)
     # Before a higher wall the disc stands on what its lower columns hold.
-    gap = jnp.max(filled, axis=1, keepdims=True) - filled
+    # One of equal columns: a tie shared by comparison is lost to rounding in reverse.
+    fullest = jnp.argmax(jax.lax.stop_gradient(filled), axis=1, keepdims=True)
+    gap = jnp.take_along_axis(filled, fullest, axis=1) - filled
     ledge = jnp.sum(weights * filled * gap, axis=1)
     ledge = ledge / (jnp.sum(weights * gap, axis=1) + _BLIND)
     seen = inside * solid + (1 - inside) * ledge
