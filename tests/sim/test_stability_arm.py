@@ -53,8 +53,8 @@ def test_a_kick_of_the_arm_grows_as_predicted(depth):
     # In the first windows other modes still fade.
     start, end = (moved[k : k + 20].max() for k in (140, 220))
     found = sim.stability_along(
-        theta, plain.joint_positions, plain.force, ROBOT, FRAME, STOCK, MILL,
-        PAPER_LAW, PERIOD, PLAN, np.arange(150, 231, 8),
+        theta, plain.joint_positions, ROBOT, FRAME, STOCK, MILL, PAPER_LAW, PERIOD,
+        PLAN, np.arange(150, 231, 8),
     )  # fmt: skip
     predicted = np.log(found.radius).mean()
     np.testing.assert_allclose(np.log(end / start) / 80, predicted, atol=2.5e-3)

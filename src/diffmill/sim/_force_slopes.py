@@ -1,35 +1,25 @@
 """How the force of the teeth changes with where the tip is and where it was."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+import numpy as np
+from jaxtyping import Array, Float, Int
 
 from ..cutter import AbstractCutter
 from ..cutting import AbstractForceLaw
-from ..workpiece import Pose, Stock
+from ..workpiece import Pose, Stock, repeated
 from ._adjoint import Plain
 from ._bottom import BottomEngagement
 from ._history import ProcessState, end_period, initial_state, remember, remove_due
 from ._period import Engagement, look, substep_force
+from ._period_map import Regeneration
 from ._plan import ProcessPlan
 from ._process_alone import middles_of
 
 
-class ForceSlopes(eqx.Module):
-    """Derivatives of the mean force of a sub-step, in `work`.
-
-    Attributes:
-        now: In the tip in its middle [N/m], shape (step, substep, 3, 3).
-        before: In the tips at the same sub-step of earlier periods, newest first
-            [N/m], shape (step, substep, tooth, 3, 3).
-    """
-
-    now: Float[Array, "step substep 3 3"]
-    before: Float[Array, "step substep tooth 3 3"]
-
-
-@eqx.filter_jit
 def force_slopes(
     path: Pose,
     stock: Stock,
@@ -37,9 +27,9 @@ def force_slopes(
     law: AbstractForceLaw,
     bottom_law: AbstractForceLaw | None,
     plan: ProcessPlan,
-    is_wanted: Bool[Array, " step"],
-) -> ForceSlopes:
-    """Return the slopes along a path, by replaying its removal.
+    rows: Int[np.ndarray, " row"],
+) -> list[Regeneration]:
+    """Return the slopes of the force in some periods, by replaying the removal.
 
     Where there is material is held: a vibration changes the chip, not the arc of the
     cut nor its depth.
@@ -50,42 +40,73 @@ def force_slopes(
         cutter: The cutter.
         law: The force law.
         bottom_law: The law of the bottom edge; derived from `law` if None.
-        plan: Sizes of the process, with the chip model "near_far".
-        is_wanted: For which rows, the periods before their instants, shape (step,).
+        plan: Sizes of the process, with the chip model "near_far"; a sub-step is the
+            piece of a period over which slopes are means.
+        rows: The periods before these rows are asked for, from 1, ascending.
 
     Returns:
-        The slopes; 0 in rows that are not wanted.
+        The slopes, for each row.
 
-    Differentiability: not meant for it.
+    Differentiability: none, a host function.
     """
-    adjoint, dtype = Plain(), path.tip.dtype
-    step_count = path.tip.shape[0]
-    state, _ = initial_state(plan, stock, cutter, path[0], step_count, adjoint)
-    shapes = (plan.substeps, cutter.flute_count)
-    none = (
-        jnp.zeros((shapes[0], 3, 3), dtype),
-        jnp.zeros((*shapes, 3, 3), dtype),
+    tool = _Tool(cutter, (law, bottom_law), plan)
+    # The path between two instants follows from their neighbours, too.
+    padded = jax.tree.map(
+        lambda x: jnp.concatenate([2 * x[:1] - x[1:2], x, 2 * x[-1:] - x[-2:-1]]), path
     )
+    carry = _begin(tool, stock, path)
+    first, found = jnp.ones((), jnp.int32), []
+    for row in rows:
+        last = jnp.asarray(row, jnp.int32)
+        carry, slopes = _replay(tool, carry, padded, first, last)
+        found.append(Regeneration(*(np.asarray(x, np.float64) for x in slopes)))
+        first = last + 1
+    return found
 
-    def step(
-        state: ProcessState, x: tuple[Array, Pose, Pose, Array]
-    ) -> tuple[ProcessState, tuple[Array, Array]]:
-        index, start, poses, wanted = x
-        state = remember(plan, state, index - 1, start)
-        state, _ = remove_due(plan, cutter, state, adjoint)
 
-        def slopes(state: ProcessState) -> tuple[Array, Array]:
-            cut = look(plan, cutter, state, index, poses, adjoint)
-            return _slopes(plan, cutter, (law, bottom_law), poses, state.recent, cut)
+class _Tool(eqx.Module):
+    """What cuts, and how finely."""
 
-        found = jax.lax.cond(wanted, slopes, lambda _: none, state)
-        return end_period(state, poses), found
+    cutter: AbstractCutter
+    laws: tuple[AbstractForceLaw, AbstractForceLaw | None]
+    plan: ProcessPlan
 
-    index = jnp.arange(1, step_count, dtype=jnp.int32)
-    xs = (index, path[:-1], middles_of(plan, path), is_wanted[1:])
-    _, (now, before) = jax.lax.scan(step, state, xs)
-    first = lambda rows: jnp.concatenate([jnp.zeros_like(rows[:1]), rows])
-    return ForceSlopes(first(now), first(before))
+
+@eqx.filter_jit
+def _begin(tool: _Tool, stock: Stock, path: Pose) -> tuple[ProcessState, Pose]:
+    """Return the state before the first period, as if the tool had stood still."""
+    plan, count = tool.plan, path.tip.shape[0]
+    state, _ = initial_state(plan, stock, tool.cutter, path[0], count, Plain())
+    return state, repeated(path[0], (plan.substeps,))
+
+
+@eqx.filter_jit
+def _replay(
+    tool: _Tool,
+    carry: tuple[ProcessState, Pose],
+    padded: Pose,
+    first: Int[Array, ""],
+    last: Int[Array, ""],
+) -> tuple[tuple[ProcessState, Pose], tuple[Array, Array]]:
+    """Return the state in the last period, its poses, and the slopes there.
+
+    The state to begin with is that of the period before the first, with its poses.
+    """
+    plan, cutter = tool.plan, tool.cutter
+
+    def period(index: Array, carry: tuple[ProcessState, Pose]) -> Any:
+        state = end_period(*carry)
+        near = jax.tree.map(
+            lambda x: jax.lax.dynamic_slice_in_dim(x, index - 1, 4), padded
+        )
+        state = remember(plan, state, index - 1, near[1])
+        state, _ = remove_due(plan, cutter, state, Plain())
+        return state, middles_of(plan, near)[1]
+
+    state, poses = jax.lax.fori_loop(first, last + 1, period, carry)
+    cut = look(plan, cutter, state, last, poses, Plain())
+    slopes = _slopes(plan, cutter, tool.laws, poses, state.recent, cut)
+    return (state, poses), slopes
 
 
 def _slopes(

@@ -1,11 +1,13 @@
-"""Whether a vibration of the arm grows in the cut: chatter, from the linearised step.
+"""Whether a vibration of the arm grows in the cut: chatter, from the linear motion.
 
 A chip is what lies between the tip and where it was one tooth period before, so that a
 vibration comes back through the surface that it leaves. About the simulated state one
-tooth period is a linear map of the arm's state and the tips of the last periods, sub-
-step by sub-step as the simulation keeps them: the slopes of the integrator's own step
-and of the library's own force. Its eigenvalues are the factors by which vibrations grow
-per tooth period.
+tooth period is a linear map of the arm's state and of the tips in the last periods, by
+the slopes of the equations of motion and of the library's own force. Its eigenvalues
+are the factors by which vibrations grow per tooth period.
+
+The map has steps of its own, short enough for every mode that the cut could excite
+(`_period_map.py`); those of the simulation may be longer.
 """
 
 import dataclasses
@@ -25,17 +27,23 @@ from ..cutting import AbstractForceLaw
 from ..robot import Robot, arm_terms
 from ..workpiece import Pose, Stock
 from ._force_slopes import force_slopes
-from ._integrators import make_integrator
-from ._midpoint import Midpoint
-from ._period_map import growth, period_maps
+from ._linear_arm import linear_arms
+from ._period_map import Step, monodromy, strongest
 from ._plan import ProcessPlan
 from ._simulate import Solution, job_plan, simulate, with_precision
-from ._stepping import AbstractIntegrator
 
 # Rows that are looked at unless asked for.
 _ROWS = 100
 # An undamped arm in the air has the radius 1; rounding must not make it unstable.
 _TOLERANCE = 1e-4
+# Steps of the analysis per turn of the fastest mode that counts, and per tooth period.
+_STEPS, _LEAST, _MOST = 24, 48, 1200
+# Steps per turn with which the forces of a vibration are right to 3 % here, and with
+# which the midpoint rule keeps a frequency to 5 %.
+_JUDGED, _FOLLOWED = 10, 8
+# A mode counts from this share of the gain with which it could swing by itself: what
+# other modes add is little.
+_EXCITED = 0.5
 
 
 class Stability(eqx.Module):
@@ -51,7 +59,10 @@ class Stability(eqx.Module):
         apparent_frequency: Frequency at which it shows in the poses, one per tooth
             period [Hz], shape (row,); at most half the tooth passing frequency.
         tooth_frequency: Tooth passing frequency [Hz].
-        substeps: Sub-steps per tooth period.
+        fastest_mode: Frequency of the fastest mode that the cut could excite [Hz]; 0
+            if there is none.
+        substeps: Sub-steps of the simulation per tooth period.
+        steps: Steps of this analysis per tooth period.
     """
 
     row: Int[np.ndarray, " row"]
@@ -61,7 +72,9 @@ class Stability(eqx.Module):
     frequency: Float[np.ndarray, " row"]
     apparent_frequency: Float[np.ndarray, " row"]
     tooth_frequency: float
+    fastest_mode: float
     substeps: int = eqx.field(static=True)
+    steps: int = eqx.field(static=True)
 
     @property
     def is_unstable(self) -> Bool[np.ndarray, " row"]:
@@ -84,14 +97,26 @@ class Stability(eqx.Module):
         )
 
     def visibility(self) -> str:
-        """Return which frequencies one pose per tooth period cannot show."""
+        """Return which frequencies a run and its check cannot show."""
         f = self.tooth_frequency
-        return (
+        followed, judged = f * self.substeps / _FOLLOWED, f * self.steps / _JUDGED
+        text = (
             f"poses are kept once per tooth, at {f:.1f} Hz: a vibration above "
             f"{f / 2:.1f} Hz shows in them at a lower frequency, its distance from the "
             f"nearest multiple of {f:.1f} Hz, and one at such a multiple as a constant "
-            f"shift; sub-steps compute vibrations below {f * self.substeps / 2:.0f} Hz"
+            f"shift; sub-steps of the simulation follow vibrations below "
+            f"{followed:.0f} Hz, the stability is that of vibrations below "
+            f"{judged:.0f} Hz"
         )
+        if self.fastest_mode > judged:
+            text += f", not of the mode at {self.fastest_mode:.0f} Hz"
+        if self.fastest_mode > followed:
+            needed = math.ceil(_FOLLOWED * self.fastest_mode / f)
+            text += (
+                f"; the cut could excite the mode at {self.fastest_mode:.0f} Hz, which "
+                f"the simulation follows with [simulation] substeps = {needed}"
+            )
+        return text
 
 
 def stability(
@@ -144,7 +169,6 @@ def stability(
     return stability_along(
         solution.motor_positions,
         solution.joint_positions,
-        solution.force,
         robot,
         job.T_base_work,
         job.stock,
@@ -154,14 +178,12 @@ def stability(
         plan,
         rows,
         bottom_law=job.bottom_law,
-        integrator=make_integrator(job.simulation.integrator, job.simulation.dynamics),
     )
 
 
 def stability_along(
     motor_positions: Float[Array, "step joint"],
     joint_positions: Float[Array, "step joint"],
-    force: Float[Array, "step 3"],
     robot: Robot,
     T_base_work: Transform,
     stock: Stock,
@@ -171,14 +193,12 @@ def stability_along(
     plan: ProcessPlan,
     rows: Sequence[int] | Int[np.ndarray, " row"],
     bottom_law: AbstractForceLaw | None = None,
-    integrator: AbstractIntegrator | None = None,
 ) -> Stability:
     """Return how vibrations grow along a motion; see `stability`.
 
     Args:
         motor_positions: theta at the tooth instants [rad or m], shape (step, joint).
         joint_positions: Joints there [rad or m], shape (step, joint).
-        force: Mean force on the tool over the period before, in `work` [N], (step, 3).
         robot: The robot with its tool.
         T_base_work: Pose of the workpiece in the robot's base, shape (4, 4).
         stock: The raw workpiece.
@@ -188,7 +208,6 @@ def stability_along(
         plan: Sizes of the process, with the chip model "near_far".
         rows: Rows to look at, from 1.
         bottom_law: The law of the bottom edge; derived from `law` if not given.
-        integrator: The rule of the robot's sub-steps; `Midpoint()` if not given.
 
     Returns:
         The growth, on the host.
@@ -198,7 +217,7 @@ def stability_along(
 
     Differentiability: none, a host function.
     """
-    chosen = np.asarray(rows, dtype=np.int32)
+    chosen = np.unique(np.asarray(rows, dtype=np.int32))
     step_count = joint_positions.shape[0]
     if chosen.size == 0 or chosen.min() < 1 or chosen.max() >= step_count:
         raise ValueError(
@@ -206,38 +225,62 @@ def stability_along(
         )
     # What comes after the last row looked at is of no interest.
     end = int(chosen.max()) + 1
-    is_wanted = np.zeros(end, dtype=bool)
-    is_wanted[chosen] = True
-    dtype = joint_positions.dtype
-    T, frame = jnp.asarray(tooth_period, dtype), jnp.asarray(T_base_work, dtype)
+    dtype, T = joint_positions.dtype, float(tooth_period)
+    frame = jnp.asarray(T_base_work, dtype)
     path = _poses(robot, frame, joint_positions[:end], plan.is_upright)
-    slopes = force_slopes(
-        path, stock, cutter, law, bottom_law, plan, jnp.asarray(is_wanted)
-    )
-    maps = period_maps(
+    # The force has its slopes at every angle that is looked at.
+    fine = dataclasses.replace(plan, substeps=plan.angles // cutter.flute_count)
+    slopes = force_slopes(path, stock, cutter, law, bottom_law, fine, chosen)
+    before = chosen - 1
+    middle = lambda x: (x[before] + x[chosen]) / 2
+    arms = linear_arms(
         robot,
         frame,
-        Midpoint() if integrator is None else integrator,
-        T,
-        plan,
-        jax.tree.map(lambda x: x[chosen], slopes),
-        (motor_positions[chosen - 1], motor_positions[chosen]),
-        (joint_positions[chosen - 1], joint_positions[chosen]),
-        force[chosen],
+        middle(motor_positions),
+        middle(joint_positions),
+        (joint_positions[chosen] - joint_positions[before]) / T,
     )
-    radius, frequency, apparent = growth(
-        np.asarray(maps), float(T), (cutter.flute_count, plan.substeps)
-    )
+    A, G, C = (np.asarray(x, np.float64) for x in (arms.A, arms.G, arms.C))
+    gains = [found.gain() for found in slopes]
+    fastest = max(map(_fastest_mode, A, G, C, gains))
+    steps = int(np.clip(math.ceil(_STEPS * T * fastest), _LEAST, _MOST))
+    found = []
+    for A_k, G_k, C_k, regeneration in zip(A, G, C, slopes, strict=True):
+        over_step = Step.of(A_k, G_k, T / steps)
+        matrix, tips = monodromy(over_step, C_k, regeneration.in_steps(steps))
+        found.append(strongest(matrix, tips, T))
+    radius, frequency, apparent = np.array(found).T
     return Stability(
         row=chosen,
-        time=chosen * float(T),
+        time=chosen * T,
         position=np.asarray(path.tip)[chosen],
         radius=radius,
         frequency=frequency,
         apparent_frequency=apparent,
-        tooth_frequency=1 / float(T),
+        tooth_frequency=1 / T,
+        fastest_mode=fastest,
         substeps=plan.substeps,
+        steps=steps,
     )
+
+
+def _fastest_mode(
+    A: Float[np.ndarray, "state state"],
+    G: Float[np.ndarray, "state 3"],
+    C: Float[np.ndarray, "3 state"],
+    gain: float,
+) -> float:
+    """Return the frequency of the fastest mode that the cut could excite [Hz].
+
+    A loop whose gain is below 1 at all frequencies cannot swing by itself: that of the
+    force times that of a mode, |R| / |Re lambda| for its residue and its pole.
+    """
+    poles, shapes = np.linalg.eig(A.astype(complex))
+    residues = (C @ shapes).T[:, :, None] * (np.linalg.pinv(shapes) @ G)[:, None]
+    size = np.linalg.norm(residues, axis=(1, 2))
+    is_excited = gain * size >= _EXCITED * np.abs(np.real(poles))
+    omega = np.abs(np.imag(poles[is_excited]))
+    return float(np.max(omega, initial=0.0)) / (2 * np.pi)
 
 
 @eqx.filter_jit

@@ -17,6 +17,7 @@ from ..robot import (
     ArmTerms,
     Robot,
     arm_terms,
+    definite_inverse,
     forward_dynamics,
     friction_torque,
     gear_torque,
@@ -145,18 +146,47 @@ def state_rate(
 
     **Differentiability**: smooth; as the drive's options.
     """
+    push, spin = _drive(robot, state, command)
+    acceleration = forward_dynamics(
+        robot, state.q, state.v, push + load, algorithm=dynamics
+    )
+    return ArmState(state.v, acceleration, state.omega, spin)
+
+
+def held_rate(
+    robot: Robot,
+    terms: ArmTerms,
+    state: ArmState,
+    command: MotorCommand,
+    load: Float[Array, " joint"],
+) -> ArmState:
+    """Return the rate of the state near the joints of some terms, which are held.
+
+    Arguments as for `state_rate`; of the bias, the weight follows q to first order.
+
+    **Differentiability**: smooth; as the drive's options.
+    """
+    push, spin = _drive(robot, state, command)
+    moved = state.q - terms.joint_positions
+    bias = terms.bias_forces + terms.gravity_stiffness @ moved
+    acceleration = definite_inverse(terms.mass_matrix) @ (push + load - bias)
+    return ArmState(state.v, acceleration, state.omega, spin)
+
+
+def _drive(
+    robot: Robot, state: ArmState, command: MotorCommand
+) -> tuple[Float[Array, " joint"], Float[Array, " joint"] | None]:
+    """Return what gears and friction do to the joints, and the motors' acceleration."""
     theta, omega = command.position, command.rate
     if robot.motors is not None:
         assert state.theta is not None and state.omega is not None
         theta, omega = state.theta, state.omega
     tau = gear_torque(robot, theta - state.q, omega - state.v).torque
-    push = tau - friction_torque(robot, state.v) + load
-    acceleration = forward_dynamics(robot, state.q, state.v, push, algorithm=dynamics)
+    push = tau - friction_torque(robot, state.v)
     if robot.motors is None:
-        return ArmState(state.v, acceleration)
+        return push, None
     pull = servo_torque(robot, command, theta, omega) - tau
-    spin = jnp.where(robot.motor_mask(), pull / robot.motors.inertia, 0.0)
-    return ArmState(state.v, acceleration, omega, spin)
+    return push, jnp.where(robot.motor_mask(), pull / robot.motors.inertia, 0.0)
 
 
 def steady_state(

@@ -1,0 +1,108 @@
+"""Stability at default settings against published limits of fast modes."""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from references import semidiscretisation
+
+from diffmill import cutter as ct, cutting, robot as rb, sim, workpiece as wp
+
+MASS, FREQUENCY, RATIO = 0.03993, 922.0, 0.011
+K_T, K_R = 6e8, 2e8
+DIAMETER, FEED, SUBSTEP = 8e-3, 50e-6, 0.5e-3
+SLOT, DOWN = (0.0, math.pi), (math.pi / 2, math.pi)
+# Speed [rpm], axes with a mode, arc of the cut, and the limit of the depth [m].
+# Insperger, Stepan, Updated semi-discretization method, 2004.
+PUBLISHED = [
+    (5000, (0,), SLOT, 0.411e-3),
+    (8000, (0,), SLOT, 0.679e-3),
+    (7000, (0, 1), SLOT, 0.219e-3),
+    (10000, (0, 1), SLOT, 0.0710e-3),
+    (5000, (0,), DOWN, 0.859e-3),
+]
+
+
+def spindle(axes):
+    """Return a spindle on slides along x and y; only some of them are springs."""
+    omega = 2 * math.pi * FREQUENCY
+    k, c = MASS * omega**2, 2 * RATIO * MASS * omega
+    slides = [
+        rb.PrismaticJoint(name, axis=axis, stiffness=k, damping=c)
+        for at, (name, axis) in enumerate((("x", (1, 0, 0)), ("y", (0, 1, 0))))
+        if at in axes
+    ]
+    body = rb.RigidBody(MASS, (0.0, 0.0, 0.0), 1e-4 * np.eye(3))
+    return rb.build([*slides, body, rb.Tool("tool")])
+
+
+def growth(rpm, robot, arc, depth):
+    """Return what the library says of a straight cut along x, at its default sizes."""
+    period = 60 / (2 * rpm)
+    mill = ct.flat_end_mill(DIAMETER, 2)
+    law = cutting.LinearEdgeLaw(K_tc=K_T, K_rc=K_R, K_ac=0.0, K_te=0, K_re=0, K_ae=0)
+    # Down-milling along +x: the work lies to the right of the feed.
+    top = 6e-3 if arc == SLOT else 0.0
+    stock = wp.box([0, -6e-3, -2e-3], [8e-3, top, 0], 0.2e-3, interval_counts=(6, 6, 1))
+    plan = sim.process_plan(
+        stock,
+        mill,
+        axial_depth=depth + stock.spacing,
+        substeps=math.ceil(period / SUBSTEP - 1e-9),
+    )
+    path = np.zeros((61, robot.joint_count))
+    path[:, 0] = 1e-3 + FEED * np.arange(61)
+    frame = np.eye(4)
+    frame[:3, 3] = rb.forward_kinematics(robot, np.zeros(robot.joint_count))[:3, 3]
+    frame[2, 3] += depth
+    return sim.stability_along(
+        jnp.asarray(path), jnp.asarray(path), robot, frame, stock, mill, law, period,
+        plan, [60],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("rpm", "axes", "arc", "limit"),
+    [PUBLISHED[0], *(pytest.param(*c, marks=pytest.mark.slow) for c in PUBLISHED[1:])],
+)
+def test_published_limits_at_default_settings(rpm, axes, arc, limit):
+    below, above = (
+        growth(rpm, spindle(axes), arc, share * limit) for share in (0.97, 1.03)
+    )
+    assert not below.is_unstable[0] and above.is_unstable[0]
+    assert 0.9 * FREQUENCY < above.frequency[0] < 1.6 * FREQUENCY
+    assert above.fastest_mode == pytest.approx(FREQUENCY, rel=1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("rpm", "axes", "arc", "limit"), PUBLISHED[:3])
+def test_growth_is_that_of_another_method(rpm, axes, arc, limit):
+    cut = semidiscretisation.Cut(
+        rpm / 60, 2, K_T, K_R, MASS, FREQUENCY, RATIO, axes, *arc
+    )
+    for share in (0.6, 1.4):
+        wanted = semidiscretisation.growth(cut, share * limit)
+        found = growth(rpm, spindle(axes), arc, share * limit).radius[0]
+        assert np.log(found) == pytest.approx(np.log(wanted), rel=0.1, abs=0.02)
+
+
+@pytest.mark.slow
+def test_a_bending_tool_chatters_at_default_settings():
+    slide = rb.PrismaticJoint("slide", (1, 0, 0), stiffness=1e10, damping=1e6)
+    body = rb.RigidBody(1e3, (0, 0, 0), np.eye(3))
+    tool = rb.BendingTool(50e-3, 0.0, DIAMETER, DIAMETER, damping_ratio=RATIO)
+    robot = rb.with_bending_tool(rb.build([slide, body, rb.Tool("tool")]), tool)
+    frequency = float(rb.natural_frequencies(robot, np.zeros(3))[2])
+    soft = float(rb.cartesian_compliance(robot, np.zeros(3))[1, 1])
+    mass = 1 / (soft * (2 * math.pi * frequency) ** 2)
+    cut = semidiscretisation.Cut(
+        8000 / 60, 2, K_T, K_R, mass, frequency, RATIO, (0, 1), *SLOT
+    )
+    for depth in (0.1e-3, 0.4e-3):
+        found = growth(8000, robot, SLOT, depth)
+        wanted = semidiscretisation.growth(cut, depth, 300)
+        assert found.radius[0] == pytest.approx(wanted, rel=0.01)
+    assert found.is_unstable[0]  # pyright: ignore[reportPossiblyUnbound]
+    # Eight sub-steps cannot follow a mode that turns eleven times in a period.
+    assert "[simulation] substeps = 88" in found.visibility()  # pyright: ignore[reportPossiblyUnbound]
