@@ -20,6 +20,7 @@ class RESULTS(eqx.Enumeration):
         "`axial_depth` (in a job: [simulation] axial_depth) or slow the motion down."
     )
     non_finite = "A state of the simulation became infinite or not a number."
+    unreachable = "The robot does not reach every pose that is commanded."
     not_converged = "The iteration ended before its tolerance."
     singular_mass_matrix = "The mass matrix of the robot is singular at this pose."
 

@@ -95,6 +95,45 @@ def test_modes_solve_the_equation_of_motion(soft_arm):
     assert (np.asarray(found.joint_shapes)[np.arange(5), largest] > 0).all()
 
 
+def test_damped_modes_are_poles_of_the_equation_of_motion(soft_arm):
+    # Dampers that have nothing to do with the springs, by the matrix of first order.
+    q = np.array([0.3, 0.0, -0.5, 0.1, 0.4])
+    D = np.array([300.0, 2.0, 40.0, 900.0, 0.5])
+    robot = dr.with_drives(soft_arm, damping=D)
+    M, K = np.asarray(dr.mass_matrix(robot, q)), np.asarray(robot.joint_stiffness)
+    A = np.block(
+        [
+            [np.zeros((5, 5)), np.eye(5)],
+            [-np.linalg.solve(M, np.diag(K)), -np.linalg.solve(M, np.diag(D))],
+        ]
+    )
+    poles = np.linalg.eigvals(A)
+    poles = poles[poles.imag > 1e-6]
+    poles = poles[np.argsort(poles.imag)]
+    found = dr.damped_modes(robot, q)
+    assert_allclose(2 * np.pi * found.frequencies, poles.imag, rtol=1e-9)
+    assert_allclose(found.damping_ratios, -poles.real / np.abs(poles), rtol=1e-7)
+    phi = found.joint_shapes
+    left = phi @ M * poles[:, None] ** 2 + phi * D * poles[:, None] + phi * K
+    assert np.abs(left).max() < 1e-6 * np.abs(phi * K).max()
+    assert_allclose(np.einsum("mi,ij,mj->m", phi.conj(), M, phi), 1.0, atol=1e-12)
+
+
+def test_a_strong_damper_locks_its_joint():
+    # The second mass rings alone, with its own small damping: the modal ratio of the
+    # undamped shapes is far too large.
+    robot = dr.with_drives(two_masses(5e3, 1e3), damping=np.array([1e5, 0.6]))
+    found = dr.damped_modes(robot, [0.0, 0.0])
+    assert_allclose(found.frequencies, np.sqrt(1e3) / (2 * np.pi), rtol=1e-3)
+    assert_allclose(found.damping_ratios, 0.6 / (2 * np.sqrt(1e3)), rtol=2e-2)
+    assert dr.damping_ratios(robot, [0.0, 0.0])[0] > 1.0
+    # The softness of a rigid joint is an ordinary number, and it does not ring.
+    rigid = dr.damped_modes(two_masses(np.inf, 1e3), [0.0, 0.0])
+    assert_allclose(rigid.frequencies, np.sqrt(1e3 - 0.09) / (2 * np.pi), rtol=1e-9)
+    assert_allclose(rigid.damping_ratios, 0.6 / (2 * np.sqrt(1e3)), rtol=1e-9)
+    assert_allclose(rigid.energy_shares, [[0.0, 1.0]], atol=1e-12)
+
+
 def test_modes_of_a_partly_rigid_arm_are_finite_numbers():
     found = dr.mode_shapes(two_masses(np.inf, 1e3), [0.0, 0.0])
     # The second mass alone on its spring, damped by c / (2 sqrt(k m)).

@@ -142,6 +142,31 @@ def test_a_mode_keeps_its_frequency_and_damping(frequency):
     np.testing.assert_allclose(found[1], 0.02, rtol=5e-2)
 
 
+def test_an_arm_that_starts_from_rest_starts_at_rest():
+    # Under a constant acceleration the arm lags by a (1 - cos(omega t)) / omega^2.
+    omega, acceleration = 2 * math.pi * 10.0, 2.0
+    t = PERIOD * np.arange(30)
+    theta = 0.5 * acceleration * t[:, None] ** 2
+    air = eqx.tree_at(lambda s: s.origin, STOCK, STOCK.origin + 1.0)
+    run = jax.jit(
+        lambda theta: sim.simulate_coupled(
+            theta,
+            one_mode(10.0, 0.0),
+            np.eye(4),
+            air,
+            MILL,
+            PAPER_LAW,
+            PERIOD,
+            PLAN,
+            sim.Traced(),
+        ).actual[:, 0]
+    )
+    lag = theta[:, 0] - np.asarray(run(jnp.asarray(theta)))
+    expected = acceleration / omega**2 * (1 - np.cos(omega * t))
+    # Up to 1 mm; the mean speed of the first period would add 60 um.
+    np.testing.assert_allclose(lag, expected, atol=6e-6)
+
+
 def test_gradient_along_a_smooth_direction_matches_differences():
     t = np.linspace(0, 1, len(path()))[:, None]
     rng = np.random.default_rng(5)

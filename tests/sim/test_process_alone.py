@@ -166,16 +166,22 @@ def test_rapid_moves_of_millimetres_give_finite_gradients():
     assert np.isfinite(value) and np.isfinite(grad).all()
 
 
-def test_too_few_slots_raise_the_flag():
+def test_too_few_slots_raise_the_flag_where_they_are_too_few():
     stock = wp.box([0, 0, -3e-3], [16e-3, 12e-3, 0], D, interval_counts=(1, 1, 1))
     run = jax.jit(
-        lambda p: (
-            sim.simulate_process(
-                p, stock, MILL, PAPER_LAW, SPEED, axial_depth=1.6e-3
-            ).result
+        lambda p: sim.simulate_process(
+            p, stock, MILL, PAPER_LAW, SPEED, axial_depth=1.6e-3
         )
     )
-    assert bool(run(straight(6e-3)) == RESULTS.interval_overflow)
+    found = run(straight(6e-3))
+    assert bool(found.result == RESULTS.interval_overflow)
+    # The tool meets the stock in row 6; a cut is removed up to 2 mm later.
+    first = int(np.argmax(found.has_failed))
+    assert 6 <= first <= 6 + math.ceil(2e-3 / FEED)
+    # So few steps that all is removed at the end: the last one has it.
+    short = run(straight(6e-3)[: first - 1])
+    assert bool(short.result == RESULTS.interval_overflow)
+    assert int(np.argmax(short.has_failed)) == first - 2
 
 
 def test_a_deeper_cut_than_promised_raises_the_flag():

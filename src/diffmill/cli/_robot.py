@@ -14,14 +14,15 @@ from ._progress import Progress
 from ._robot_text import robot_lines
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Complex, Float
 
     from ..robot import Robot
 
     # jaxtyping checks what it can see; at run time nothing of the kind is imported.
     JointPositions = Float[np.ndarray, " joint"]
+    ComplexShape = Complex[np.ndarray, " 3"]
 else:
-    JointPositions = Any
+    JointPositions = ComplexShape = Any
 
 _LOAD_N = 100.0
 
@@ -93,6 +94,9 @@ def robot_facts(robot: "Robot", q: "JointPositions") -> dict[str, Any]:
             modes = _modes(robot, q)
         except ValueError as error:
             notes.append(str(error))
+    silent = int(np.isfinite(K).sum()) - len(modes or [])
+    if modes is not None and silent:
+        notes.append(f"{silent} of the modes do not ring: their dampers are too strong")
     if np.isinf(K).all():
         notes.append(
             "no joint has a spring, so nothing bends; give the joints stiffness and "
@@ -177,33 +181,36 @@ def _statics(robot: "Robot", q: "JointPositions") -> dict[str, Any]:
 
 
 def _modes(robot: "Robot", q: "JointPositions") -> list[dict[str, Any]]:
-    """Return frequency, damping and shape of every mode that bends a spring."""
-    from ..robot import mode_shapes
+    """Return frequency, damping and shape of every mode that rings."""
+    from ..robot import damped_modes
 
-    found = mode_shapes(robot, q)
-    rows = []
-    for k, frequency in enumerate(np.asarray(found.frequencies)):
-        if not np.isfinite(frequency):
-            continue
-        move = np.asarray(found.tool_shapes)[k, :3]
-        size = float(np.linalg.norm(move))
-        rows.append(
-            {
-                "frequency_Hz": float(frequency),
-                "damping_ratio": float(found.damping_ratios[k]),
-                "energy_shares": dict(
-                    zip(
-                        robot.joint_names,
-                        np.asarray(found.energy_shares)[k].tolist(),
-                        strict=True,
-                    )
-                ),
-                "tool_direction": (move / size).tolist() if size > 0.0 else None,
-            }
+    found = damped_modes(robot, q)
+    return [
+        {
+            "frequency_Hz": float(frequency),
+            "damping_ratio": float(ratio),
+            "energy_shares": dict(zip(robot.joint_names, shares.tolist(), strict=True)),
+            "tool_direction": _direction(shape[:3]),
+        }
+        for frequency, ratio, shares, shape in zip(
+            found.frequencies,
+            found.damping_ratios,
+            found.energy_shares,
+            found.tool_shapes,
+            strict=True,
         )
-    # A rigid joint leaves a mode whose frequency is rounding, far above the others.
-    soft = int(np.isfinite(np.asarray(robot.joint_stiffness)).sum())
-    return rows[:soft]
+    ]
+
+
+def _direction(shape: "ComplexShape") -> list[float] | None:
+    """Return the direction of the largest motion in a cycle, None without motion."""
+    # Turned by this phase, the real part is the longer half axis of the ellipse.
+    move = (shape * np.exp(-0.5j * np.angle(np.sum(shape**2)))).real
+    size = float(np.linalg.norm(move))
+    if not size > 0.0:
+        return None
+    # The greatest entry is positive.
+    return (move / size * np.sign(move[np.argmax(np.abs(move))])).tolist()
 
 
 def _filler(

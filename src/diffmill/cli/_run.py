@@ -256,7 +256,7 @@ def _keep_failure(
     if solution is None:
         print("nothing could be kept", file=sys.stderr)
         return 1
-    failed = np.asarray(solution.has_failed)
+    failed = np.asarray(solution.has_failed) | ~np.asarray(solution.is_reached)
     step = int(np.argmax(failed)) if failed.any() else None
     dataset = with_job(solution.to_dataset(), job)
     dataset = mark_incomplete(dataset, str(failure), failed_step=step)

@@ -163,7 +163,7 @@ def correct(
     job, before = run_with_room(job, desired, adjoint, lambda message, share: None)
     rigid = before.rigid
     if throw:
-        raise_unless_successful(before)
+        raise_unless_successful(before, job)
     weights = _weights(job, rigid, before)
     surface = job_surface(job, rigid)
     objective = job_objective(job, surface, weights)

@@ -165,7 +165,7 @@ class RecedingHorizon(AbstractMethod):
             away = np.asarray(start) - nominal
             free = project(spline, away, problem.max_offset, limits=limits)
         coefficients = np.pad(free, ((CLAMPED, CLAMPED), (0, 0)))
-        state = self.pieces.begin(command_at(problem, spline, coefficients, 0, 2))
+        state = self.pieces.begin(command_at(problem, spline, coefficients, 0, 3))
         run = HorizonRun(0, 0, coefficients, state, 0.0, ())
         return unpack_run(self.resume, run) if self.resume else run
 
@@ -173,7 +173,7 @@ class RecedingHorizon(AbstractMethod):
         self, problem: Problem, spline: SplineOffsets, run: HorizonRun
     ) -> HorizonRun:
         """Return the state before the first segment of the next sweep."""
-        command = command_at(problem, spline, run.coefficients, 0, 2)
+        command = command_at(problem, spline, run.coefficients, 0, 3)
         state = self.pieces.begin(command)
         return HorizonRun(run.sweep + 1, 0, run.coefficients, state, 0.0, run.history)
 
@@ -204,7 +204,7 @@ class RecedingHorizon(AbstractMethod):
         state, unsettled = run.state, run.unsettled + (not is_settled)
         if row == 0:
             # The start moves with the command, which has just been changed.
-            state = self.pieces.begin(command_at(problem, spline, coefficients, 0, 2))
+            state = self.pieces.begin(command_at(problem, spline, coefficients, 0, 3))
         if is_last:
             # The whole run that follows tells the error of these rows.
             return HorizonRun(

@@ -166,7 +166,7 @@ def whole_path(
     q, is_reached = command_joints(job, jnp.asarray(job.path.positions))
     R = jnp.asarray(job.T_base_work, robot.dtype)[:3, :3]
     moved = jax.vmap(lambda q, F: tip_deflection(robot, q, F))(q, force @ R.T)
-    return moved @ R, q, is_reached
+    return moved @ R, q, jnp.all(is_reached)
 
 
 def predicted_deviation(

@@ -103,7 +103,7 @@ def _run(
         scaled = with_scaled(job, full.at[np.array(places)].set(log_scale))
         ran = run_motors(scaled, joint_motors(scaled, joints), Traced())
         found = (ran.force, ran.actual - desired)
-        result = RESULTS.where(is_reached, ran.result, RESULTS.not_converged)
+        result = RESULTS.where(jnp.all(is_reached), ran.result, RESULTS.unreachable)
         return found, (found, result)
 
     return jax.jacfwd(rows, has_aux=True)(log_scale)

@@ -31,6 +31,7 @@ from ._configurations import (
     path_starts as path_starts,
 )
 from ._crba import mass_matrix as mass_matrix
+from ._damped_modes import DampedModes as DampedModes, damped_modes as damped_modes
 from ._definite import definite_inverse as definite_inverse
 from ._drive_options import (
     GearTorque as GearTorque,

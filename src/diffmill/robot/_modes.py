@@ -20,7 +20,7 @@ class Modes(eqx.Module):
     Attributes:
         frequencies: Undamped natural frequencies [Hz], shape (joint,).
         damping_ratios: phi^T D phi / (2 omega); dampers that couple modes are
-            neglected [-], shape (joint,).
+            neglected, see `damped_modes` [-], shape (joint,).
         joint_shapes: phi: joint motion per mode, phi^T M phi = 1 [kg^-1/2 / m or
             kg^-1/2], shape (joint, joint), a row per mode; the entry that is largest
             in `energy_shares` is positive.
@@ -85,7 +85,9 @@ def natural_frequencies(robot: Robot, q: JointVector) -> Float[Array, " joint"]:
 def damping_ratios(robot: Robot, q: JointVector) -> Float[Array, " joint"]:
     """Return the damping ratio of each natural mode.
 
-    The modal one, phi^T D phi / (2 omega): dampers that couple modes are neglected.
+    The modal one, phi^T D phi / (2 omega): dampers that couple modes are neglected,
+    which `damped_modes` does not. Where one damper is much stronger than the others it
+    can be many times too large.
 
     Args:
         robot: The robot.

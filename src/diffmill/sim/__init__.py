@@ -38,6 +38,7 @@ from ._coupled import (
     coupled_machine as coupled_machine,
     simulate_coupled as simulate_coupled,
 )
+from ._failure import raise_unless_successful as raise_unless_successful
 from ._free_motion import FreeMotion as FreeMotion, free_motion as free_motion
 from ._in_space import tool_frame as tool_frame
 from ._integrators import RungeKutta4 as RungeKutta4, make_integrator as make_integrator
@@ -73,7 +74,6 @@ from ._sensitivity import (
 from ._simulate import (
     Solution as Solution,
     job_plan as job_plan,
-    raise_unless_successful as raise_unless_successful,
     rigid_cut as rigid_cut,
     run_motors as run_motors,
     run_with_room as run_with_room,

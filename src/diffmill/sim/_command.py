@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .._job import Job
-from ..robot import inverse_kinematics_path, motor_positions
+from ..robot import PathSolution, inverse_kinematics_path, motor_positions
 from ._in_space import tool_frame
 
 
@@ -16,8 +16,8 @@ def path_axes(job: Job) -> Float[Array, "step 3"] | None:
 
 def command_joints(
     job: Job, commanded: Float[Array, "step 3"]
-) -> tuple[Float[Array, "step joint"], Bool[Array, ""]]:
-    """Return the joint positions of tip positions, and whether all are reached.
+) -> tuple[Float[Array, "step joint"], Bool[Array, " step"]]:
+    """Return the joint positions of tip positions, and which of them are reached.
 
     The tool axis is the path's, tool x as near to x of `work` as that allows, or as
     it suits the joints if the job leaves the tool's rotation free.
@@ -27,21 +27,26 @@ def command_joints(
         commanded: Tip positions in `work` [m], shape (step, 3).
 
     Returns:
-        Joint positions [rad or m], shape (step, joint), and whether every tip is
-        reached.
+        Joint positions [rad or m], shape (step, joint), and whether each tip is
+        reached, shape (step,).
 
     Raises:
         ValueError: The job has no robot.
 
     **Differentiability**: that of `inverse_kinematics_path`.
     """
+    found = command_path(job, commanded)
+    return found.q, found.converged
+
+
+def command_path(job: Job, commanded: Float[Array, "step 3"]) -> PathSolution:
+    """Return what inverse kinematics finds for tip positions, as `command_joints`."""
     robot = job.robot
     if robot is None:
         raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
     Ts = command_poses(job, commanded)
     start = robot.home if job.joint_start is None else jnp.asarray(job.joint_start)
-    found = inverse_kinematics_path(robot, Ts, start, tool_rotation=job.tool_rotation)
-    return found.q, jnp.all(found.converged)
+    return inverse_kinematics_path(robot, Ts, start, tool_rotation=job.tool_rotation)
 
 
 def command_poses(
@@ -60,8 +65,8 @@ def command_poses(
 
 def command_motors(
     job: Job, commanded: Float[Array, "step 3"]
-) -> tuple[Float[Array, "step joint"], Bool[Array, ""]]:
-    """Return the motor positions of tip positions, and whether all are reached.
+) -> tuple[Float[Array, "step joint"], Bool[Array, " step"]]:
+    """Return the motor positions of tip positions, and which of them are reached.
 
     Args:
         job: The job, in its precision; its machine must be a robot.

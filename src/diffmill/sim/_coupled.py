@@ -30,7 +30,7 @@ from ._midpoint import Midpoint
 from ._padding import last_row, live_rows, when_live
 from ._period import Engagement, begin_period, substep_force, substep_middles
 from ._plan import ProcessPlan
-from ._process_alone import outcome, volumes_by_pose
+from ._process_alone import failed_rows, outcome, volumes_by_pose
 from ._stepping import AbstractIntegrator, ArmState, MotorCommand, steady_state
 
 # Angles, teeth and occupancy of one sub-step, and its bottom edges.
@@ -173,7 +173,7 @@ def simulate_coupled(
         integrator,
         theta.dtype,
     )
-    carry, overlap = begin(machine, stock, theta[0], theta[1], step_count)
+    carry, overlap = begin(machine, stock, theta, step_count)
     first = jnp.ones((), jnp.int32)
     carry, rows = run_periods(machine, carry, theta, first, row_count)
     return _finish(machine, carry, rows, overlap, last_row(step_count, row_count))
@@ -204,28 +204,42 @@ def coupled_machine(
 def begin(
     machine: Machine,
     stock: Stock,
-    start: Float[Array, " joint"],
-    stop: Float[Array, " joint"],
+    theta: Float[Array, "step joint"],
     pose_count: int,
 ) -> tuple[Carry, Float[Array, ""]]:
-    """Return the state in equilibrium with the motion of the first period.
+    """Return the state in equilibrium with the motion at the first instant.
 
     Args:
         machine: What stays the same.
         stock: The raw workpiece.
-        start: Motors at the first instant [rad or m], shape (joint,).
-        stop: Motors at the second instant, shape (joint,).
+        theta: Motors at the first instants [rad or m], shape (step, joint), of which
+            three count.
         pose_count: Rows of the table of poses.
 
     Returns:
         The state, and the volume of the stock inside the tool [m^3].
     """
-    state = steady_state(machine.robot, start, (stop - start) / machine.tooth_period)
+    rate = _start_rate(theta, machine.tooth_period)
+    state = steady_state(machine.robot, theta[0], rate)
     first = pose_at(machine, state)
     process, overlap = initial_state(
         machine.plan, stock, machine.cutter, first, pose_count, machine.adjoint
     )
     return (process, state), overlap
+
+
+def _start_rate(
+    theta: Float[Array, "step joint"], period: Float[Array, ""]
+) -> Float[Array, " joint"]:
+    """Return how fast the motors move at the first instant.
+
+    By the parabola through three instants: the mean speed of the first period alone
+    would let an arm that starts from rest begin in motion.
+    """
+    rise = theta[1] - theta[0]
+    if theta.shape[0] > 2:
+        rise = rise - (theta[2] - 2 * theta[1] + theta[0]) / 2
+    return rise / period
 
 
 def run_periods(
@@ -282,7 +296,7 @@ def _finish(
         shank_volume=by_shank,
         initial_overlap_volume=overlap,
         stock=process.stock,
-        has_failed=jnp.concatenate([jnp.zeros(1, bool), rows.has_failed]),
+        has_failed=failed_rows(rows.has_failed, process, last),
         result=outcome(process, jnp.all(jnp.isfinite(actual))),
     )
 

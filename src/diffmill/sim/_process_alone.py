@@ -7,7 +7,7 @@ import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from .._result import RESULTS
 from .._types import FloatRows3, IntScalar, RealScalarLike
@@ -33,6 +33,7 @@ class ProcessSolution(eqx.Module):
             can: shape (step,).
         initial_overlap_volume: Stock inside the tool at the first pose [m^3].
         stock: The stock after the last pose.
+        has_failed: Whether a flag was up after each step, shape (step,).
         result: Outcome of the run.
         instantaneous_force: Force at every angle sample of every period [N], shape
             (step, sample, 3), if it was asked for.
@@ -44,6 +45,7 @@ class ProcessSolution(eqx.Module):
     shank_volume: Float[Array, " step"]
     initial_overlap_volume: Float[Array, ""]
     stock: Stock
+    has_failed: Bool[Array, " step"]
     result: RESULTS
     instantaneous_force: Float[Array, "step sample 3"] | None
 
@@ -116,7 +118,7 @@ def simulate_process(
 
     def step(
         state: ProcessState, x: tuple[Array, Pose, Pose, Array | None]
-    ) -> tuple[ProcessState, tuple[Array, Array | None, Removed]]:
+    ) -> tuple[ProcessState, tuple[Array, Array | None, Removed, Array]]:
         index, start, poses, is_live = x
         state, cut, removed = begin_period(
             plan, cutter, state, index, start, poses, adjoint, is_live
@@ -128,12 +130,13 @@ def simulate_process(
         )
         state = end_period(state, poses)
         kept = samples if keeps_instantaneous else None
-        return state, (jnp.mean(samples, axis=0), kept, removed)
+        failed = state.has_overflow | state.is_beyond
+        return state, (jnp.mean(samples, axis=0), kept, removed, failed)
 
     index = jnp.arange(1, step_count, dtype=jnp.int32)
     middles = middles_of(plan, path, row_count)
     xs = (index, path[:-1], middles, live_rows(index, row_count))
-    state, (force, samples, removed) = jax.lax.scan(step, state, xs)
+    state, (force, samples, removed, failed) = jax.lax.scan(step, state, xs)
     last = last_row(step_count, row_count)
     state, rest = flush(plan, cutter, state, last, path[last], adjoint)
     period = 2 * math.pi / (jnp.asarray(spindle_speed, dtype) * cutter.flute_count)
@@ -145,6 +148,7 @@ def simulate_process(
         shank_volume=by_shank,
         initial_overlap_volume=overlap,
         stock=state.stock,
+        has_failed=failed_rows(failed, state, last),
         result=outcome(state, jnp.all(jnp.isfinite(force))),
         instantaneous_force=None
         if samples is None
@@ -238,6 +242,20 @@ def volumes_by_pose(
         volume = volume.at[removed.pose.reshape(-1)].add(taken.reshape(-1))
         both.append(volume.at[rest.pose].add(last))
     return both[0], both[1]
+
+
+def failed_rows(
+    failed: Bool[Array, " period"], end: ProcessState, last: Int[Array, ""]
+) -> Bool[Array, " step"]:
+    """Return whether a flag was up after each step.
+
+    Args:
+        failed: Whether one was up after each period, shape (period,).
+        end: The state after the last removal.
+        last: The last step, to which that belongs.
+    """
+    rows = jnp.concatenate([jnp.zeros(1, bool), failed])
+    return rows.at[last].set(rows[last] | end.has_overflow | end.is_beyond)
 
 
 def outcome(state: ProcessState, is_finite: Bool[Array, ""]) -> RESULTS:

@@ -34,7 +34,7 @@ from ._history import ProcessState, Removed, end_period, flush, initial_state
 from ._padding import last_row, live_rows, when_live
 from ._period import Engagement, begin_period, substep_force, substep_middles
 from ._plan import ProcessPlan
-from ._process_alone import outcome, volumes_by_pose
+from ._process_alone import failed_rows, outcome, volumes_by_pose
 
 _NEWTON_STEPS = 2
 
@@ -135,7 +135,7 @@ def simulate_quasistatic(
         shank_volume=by_shank,
         initial_overlap_volume=overlap,
         stock=process.stock,
-        has_failed=jnp.concatenate([jnp.zeros(1, bool), rows.has_failed]),
+        has_failed=failed_rows(rows.has_failed, process, end),
         result=outcome(process, jnp.all(jnp.isfinite(chain.pose.tip))),
     )
 

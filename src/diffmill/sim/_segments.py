@@ -61,15 +61,14 @@ def begin_segments(
         machine: The machine and the sizes of the process.
         stock: The raw workpiece.
         motor_positions: Motors at the first instants [rad or m], shape (step, joint),
-            of which the first two count.
+            of which the first three count.
 
     Returns:
         The state at the first instant.
 
     Differentiability: as `simulate_coupled`.
     """
-    theta = motor_positions
-    carry, _ = begin(machine, stock, theta[0], theta[1], _history_rows(machine))
+    carry, _ = begin(machine, stock, motor_positions, _history_rows(machine))
     return CoupledCarry(*carry, jnp.zeros((), jnp.int32))
 
 

@@ -11,13 +11,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._job import Job
-from .._result import RESULTS, SimulationFailed
+from .._result import RESULTS
 from .._types import FloatRows3
 from ..toolpath import contour_error
 from ..workpiece import Stock
 from ._adjoint import AbstractAdjoint, Plain
 from ._command import command_motors, path_axes
 from ._coupled import CoupledSolution, simulate_coupled
+from ._failure import raise_unless_successful
 from ._integrators import make_integrator
 from ._intervals import with_more_intervals
 from ._padding import cut_rows, on_device, pad_rows, padded_job
@@ -51,6 +52,8 @@ class Solution(eqx.Module):
         joint_positions: [rad or m], shape (step, joint); None without a robot.
         initial_overlap_volume: Stock inside the tool at the first pose [m^3].
         has_failed: Whether a flag was up after each step, shape (step,).
+        is_reached: Whether the robot reaches what is commanded, shape (step,); True for
+            a rigid machine.
         stock: The stock after the last pose.
         rigid: The process alone on the desired path.
         result: Outcome of the run.
@@ -70,6 +73,7 @@ class Solution(eqx.Module):
     joint_positions: Float[Array, "step joint"] | None
     initial_overlap_volume: Float[Array, ""]
     has_failed: Bool[Array, " step"]
+    is_reached: Bool[Array, " step"]
     stock: Stock
     rigid: ProcessSolution
     result: RESULTS
@@ -123,7 +127,7 @@ def simulate(
     _, solution = run_with_room(job, on_device(command), adjoint, tell)
     tell("done", 1.0)
     if throw and not isinstance(solution.actual, jax.core.Tracer):
-        raise_unless_successful(solution)
+        raise_unless_successful(solution, job)
     return solution
 
 
@@ -273,6 +277,12 @@ def solve_command(
     ran = _follow(run, on_device(pad_rows(commanded, run)), adjoint, theta)
     if run.path.step_count != count:
         ran = cut_rows(ran, _FOLLOWED_ROWS, count)
+    # What a rigid cut that failed says of where the tool cuts would be wrong; what went
+    # wrong in a cut counts before what is not reached, which `is_reached` tells.
+    is_good = ran.result == RESULTS.successful
+    result = RESULTS.where(is_good, rigid.result, ran.result)
+    only_unreached = (result == RESULTS.successful) & ~jnp.all(ran.is_reached)
+    result = RESULTS.where(only_unreached, RESULTS.unreachable, result)
     return Solution(
         time=on_device(job.path.time),
         desired=on_device(job.path.positions),
@@ -286,13 +296,11 @@ def solve_command(
         motor_positions=ran.motor_positions,
         joint_positions=ran.joint_positions,
         initial_overlap_volume=ran.initial_overlap_volume,
-        has_failed=ran.has_failed,
+        has_failed=ran.has_failed | rigid.has_failed,
+        is_reached=ran.is_reached,
         stock=ran.stock,
         rigid=rigid,
-        # What a rigid cut that failed says of where the tool cuts would be wrong.
-        result=RESULTS.where(
-            ran.result == RESULTS.successful, rigid.result, ran.result
-        ),
+        result=result,
         joint_names=() if job.robot is None else job.robot.joint_names,
     )
 
@@ -315,13 +323,14 @@ class _Followed(eqx.Module):
     motor_positions: Float[Array, "step joint"] | None
     joint_positions: Float[Array, "step joint"] | None
     has_failed: Bool[Array, " step"]
+    is_reached: Bool[Array, " step"]
     initial_overlap_volume: Float[Array, ""]
     stock: Stock
     result: RESULTS
 
 
 # The fields with a row per step.
-_PROCESS_ROWS = ("time", "force", "removed_volume", "shank_volume")
+_PROCESS_ROWS = ("time", "force", "removed_volume", "shank_volume", "has_failed")
 _FOLLOWED_ROWS = (
     "actual",
     "force",
@@ -331,6 +340,7 @@ _FOLLOWED_ROWS = (
     "motor_positions",
     "joint_positions",
     "has_failed",
+    "is_reached",
 )
 
 
@@ -344,17 +354,16 @@ def _follow(
     """Return the run of a command; arguments as for `solve_command`."""
     desired = jnp.asarray(job.path.positions)
     q = None
-    is_reached = jnp.ones((), bool)
+    is_reached = jnp.ones(desired.shape[0], bool)
     if job.robot is None:
         # A rigid machine goes where it is told.
         ran = _cut_along(job, commanded, adjoint)
         actual = commanded
-        has_failed = jnp.zeros(desired.shape[0], bool)
     else:
         if motors is None:
             motors, is_reached = command_motors(job, commanded)
         ran = run_motors(job, motors, adjoint)
-        actual, q, has_failed = ran.actual, ran.joint_positions, ran.has_failed
+        actual, q = ran.actual, ran.joint_positions
     return _Followed(
         actual=actual,
         force=ran.force,
@@ -363,10 +372,11 @@ def _follow(
         contour_error=contour_error(actual, desired),
         motor_positions=motors,
         joint_positions=q,
-        has_failed=has_failed,
+        has_failed=ran.has_failed,
+        is_reached=is_reached,
         initial_overlap_volume=ran.initial_overlap_volume,
         stock=ran.stock,
-        result=RESULTS.where(is_reached, ran.result, RESULTS.not_converged),
+        result=ran.result,
     )
 
 
@@ -404,17 +414,3 @@ def run_motors(
         return simulate_quasistatic(*arguments, row_count=row_count)
     rule = make_integrator(job.simulation.integrator, job.simulation.dynamics)
     return simulate_coupled(*arguments, rule, row_count=row_count)
-
-
-def raise_unless_successful(solution: Solution) -> None:
-    """Raise `SimulationFailed` with the time and place of the first trouble."""
-    if bool(solution.result == RESULTS.successful):
-        return
-    is_bad = solution.has_failed | ~jnp.all(jnp.isfinite(solution.actual), axis=1)
-    row = int(jnp.argmax(is_bad)) if bool(jnp.any(is_bad)) else 0
-    at = ", ".join(f"{1e3 * float(x):.2f}" for x in solution.commanded[row])
-    raise SimulationFailed(
-        f"{RESULTS[solution.result]} First at step {row}, time "
-        f"{float(solution.time[row]):.4f} s, commanded tip ({at}) mm.",
-        solution,
-    )
