@@ -52,4 +52,5 @@ def test_an_unreachable_pose_and_an_overflow_are_both_named(tmp_path):
     assert re.search(r"mm and [\d.]+ deg away, where .*axis_[1-6]", text)
     assert "intervals" in text
     solution = failure.value.solution
+    assert isinstance(solution, dm.Solution)
     np.testing.assert_array_equal(np.flatnonzero(~solution.is_reached), [38, 39])

@@ -72,12 +72,12 @@ def damped_modes(robot: Robot, q: JointVector) -> DampedModes:
     step[joints:, joints:] = -np.diag(S * D) / t
     mu, vectors = np.linalg.eig(step)
     # Of a pair of conjugates the one whose lambda has a positive imaginary part.
-    rings = np.flatnonzero(-mu.imag > _RINGS * np.abs(mu))
+    rings = np.flatnonzero(-np.imag(mu) > _RINGS * np.abs(mu))
     rings = rings[np.abs(mu[rings]) > _RIGID]
     poles = 1.0 / (mu[rings] * t)
     order = np.argsort(poles.imag)
     poles, phi = poles[order], vectors[:joints, rings[order]]
-    phi = phi / np.sqrt(np.einsum("im,ij,jm->m", phi.conj(), M, phi).real)
+    phi = phi / np.sqrt(np.real(np.einsum("im,ij,jm->m", phi.conj(), M, phi)))
     # K phi from the equation of motion: a rigid joint has a force, but no energy.
     force = (M @ phi) * poles**2 + D[:, None] * phi * poles
     energy = np.abs(force) ** 2 * S[:, None]

@@ -43,8 +43,8 @@ def _failed(solution: "Solution") -> str:
     """Return what went wrong in the cut, and where first."""
     text = RESULTS[solution.result]
     if bool(solution.result == RESULTS.non_finite):
-        is_bad = ~np.isfinite(np.asarray(solution.actual)).all(axis=1)
-        is_bad |= ~np.isfinite(np.asarray(solution.force)).all(axis=1)
+        numbers = np.concatenate([solution.actual, solution.force], axis=1)
+        is_bad = np.asarray(~np.isfinite(numbers).all(axis=1))
         text = f"{text}{_broken_joints(solution, is_bad)}"
     else:
         is_bad = np.asarray(solution.has_failed)
