@@ -40,7 +40,7 @@ def test_an_unreachable_pose_and_an_overflow_are_both_named(tmp_path):
     (tmp_path / "job.toml").write_text(JOB)
     job = dm.load_job(tmp_path / "job.toml")
     commanded = np.array(job.path.positions)
-    commanded[38:, 0] += 0.9
+    commanded[38:, 0] += 2.9
     with pytest.raises(dm.SimulationFailed) as failure:
         dm.simulate(job, commanded=commanded)
     text = str(failure.value)
