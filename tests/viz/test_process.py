@@ -1,10 +1,11 @@
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from diffmill.cutter import flat_end_mill
-from diffmill.sim import process_plan
+from diffmill.sim import process_plan, tooth_chip
 from diffmill.viz import chip_chart, force_record
-from diffmill.workpiece import box
+from diffmill.workpiece import Pose, box
 
 RADIUS, FEED, DEPTH = 2e-3, 0.05e-3, 0.8e-3
 
@@ -21,7 +22,8 @@ def test_chip_of_a_slot_is_that_of_two_circles(direction):
     plan = process_plan(
         stock, cutter, axial_depth=DEPTH, angles=96, element_height=0.4e-3
     )
-    chart = chip_chart(tips, stock, cutter, plan, step=50)
+    found = tooth_chip(Pose(jnp.asarray(tips)), stock, cutter, plan, step=50)
+    chart = chip_chart(found, plan.angles)
     phi = chart.immersion_angle
     assert np.ptp(phi) == pytest.approx(2 * np.pi * (1 - 1 / plan.angles))
     # symbols: h chip, u_e part of the feed along the tooth; R^2 - across^2 remains
@@ -42,7 +44,7 @@ def test_step_outside_the_path_is_refused():
     cutter = flat_end_mill(diameter=2 * RADIUS, teeth=2, helix_angle=0.0)
     plan = process_plan(stock, cutter, axial_depth=DEPTH)
     with pytest.raises(ValueError, match="`step` must lie between 1 and 4"):
-        chip_chart(np.zeros((5, 3)), stock, cutter, plan, step=5)
+        tooth_chip(Pose(jnp.zeros((5, 3))), stock, cutter, plan, step=5)
 
 
 def test_force_record_puts_samples_in_the_middle_of_their_parts():

@@ -9,7 +9,8 @@ chip's angles from the rays that a removal has cut, as the paper does.
 
 Beside it: the same run in segments (`run_segment`), without inertia
 (`simulate_quasistatic`) or load (`free_motion`); whether vibrations grow (`stability`);
-what each parameter does (`sensitivity`); where the holder is (`tool_contacts`).
+what each parameter does (`sensitivity`); what a run did within its periods
+(`replay_process`); where the holder is (`tool_contacts`).
 
 A flat cutter that stands upright takes a fast path (`_upright.py`); any other cutter or
 direction is a row of edge elements in space (`_in_space.py`).
@@ -58,6 +59,12 @@ from ._process_alone import (
     simulate_process as simulate_process,
 )
 from ._quasistatic import simulate_quasistatic as simulate_quasistatic
+from ._replay import (
+    ToothChip as ToothChip,
+    actual_poses as actual_poses,
+    replay_process as replay_process,
+    tooth_chip as tooth_chip,
+)
 from ._segments import (
     CoupledCarry as CoupledCarry,
     CoupledSegment as CoupledSegment,

@@ -227,7 +227,7 @@ def stability_along(
     end = int(chosen.max()) + 1
     dtype, T = joint_positions.dtype, float(tooth_period)
     frame = jnp.asarray(T_base_work, dtype)
-    path = _poses(robot, frame, joint_positions[:end], plan.is_upright)
+    path = joint_poses(robot, frame, joint_positions[:end], plan.is_upright)
     # The force has its slopes at every angle that is looked at.
     fine = dataclasses.replace(plan, substeps=plan.angles // cutter.flute_count)
     slopes = force_slopes(path, stock, cutter, law, bottom_law, fine, chosen)
@@ -284,7 +284,7 @@ def _fastest_mode(
 
 
 @eqx.filter_jit
-def _poses(
+def joint_poses(
     robot: Robot,
     T_base_work: Float[Array, "4 4"],
     joint_positions: Float[Array, "step joint"],

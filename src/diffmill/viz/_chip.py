@@ -85,9 +85,12 @@ def plot_chip(chart: ChipChart) -> "matplotlib.figure.Figure":
 
 
 def _edges(middles: Float[np.ndarray, " n"]) -> Float[np.ndarray, " m"]:
-    """Return the cell borders around equally spaced middles."""
-    step = float(middles[1] - middles[0]) if middles.shape[0] > 1 else 1.0
-    return np.append(middles - step / 2, middles[-1] + step / 2)
+    """Return the cell borders around increasing middles, halfway between them."""
+    if middles.shape[0] < 2:
+        return np.array([middles[0] - 0.5, middles[0] + 0.5])
+    inner = (middles[1:] + middles[:-1]) / 2
+    ends = 2 * middles[[0, -1]] - inner[[0, -1]]
+    return np.concatenate([ends[:1], inner, ends[1:]])
 
 
 def _draw_discs(

@@ -3,12 +3,18 @@
 from collections.abc import Mapping
 from typing import TypedDict
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from .._job import Job
-from ..sim import Solution, job_plan, simulate_process, with_precision
+from .._result import RESULTS
+from ..sim import (
+    Solution,
+    actual_poses,
+    job_plan,
+    replay_process,
+    tooth_chip,
+    with_precision,
+)
 from ..workpiece import SurfaceError, surface_error
 from ._chip import ChipChart
 from ._dexels import CutDexels
@@ -23,7 +29,7 @@ _MAPPED = ("predicted", "uncorrected", "corrected")
 class FigureInputs(TypedDict):
     """Keyword arguments of `write_figures` beside the dataset."""
 
-    forces: ForceRecord
+    forces: ForceRecord | None
     chip: ChipChart | None
     dexels: CutDexels
     surfaces: dict[str, SurfaceError]
@@ -32,8 +38,8 @@ class FigureInputs(TypedDict):
 def figure_inputs(job: Job, cases: Mapping[str, Solution]) -> FigureInputs:
     """Return what `write_figures` draws beside the dataset.
 
-    The process runs once more, without the robot, on the actual path of the first
-    case, to keep the force at every angle; and up to one tooth period for its chip.
+    The process runs once more, without the robot, on the actual poses of the first
+    case, to keep the force at every angle; and up to one revolution for its chip.
 
     Args:
         job: The job.
@@ -45,27 +51,15 @@ def figure_inputs(job: Job, cases: Mapping[str, Solution]) -> FigureInputs:
     """
     job = with_precision(job)
     first = next(iter(cases.values()))
-    actual = jnp.asarray(first.actual)
-    plan = job_plan(job)
-
-    @jax.jit
-    def samples(actual: jax.Array) -> jax.Array | None:
-        return simulate_process(
-            actual,
-            job.stock,
-            job.cutter,
-            job.law,
-            job.spindle_speed,
-            plan=plan,
-            keeps_instantaneous=True,
-        ).instantaneous_force
-
-    step = _typical_step(first)
+    replay = replay_process(job, first)
+    samples = replay.instantaneous_force
+    forces = None
+    # What overflowed is not the process of the figure's caption.
+    if samples is not None and bool(replay.result == RESULTS.successful):
+        forces = force_record(np.asarray(first.time), np.asarray(samples))
     return FigureInputs(
-        forces=force_record(np.asarray(first.time), np.asarray(samples(actual))),
-        chip=None
-        if step is None
-        else chip_chart(np.asarray(actual), job.stock, job.cutter, plan, step=step),
+        forces=forces,
+        chip=_chip(job, first),
         dexels=cut_dexels(first.stock, first.rigid.stock),
         surfaces={
             name: surface_error(
@@ -75,6 +69,16 @@ def figure_inputs(job: Job, cases: Mapping[str, Solution]) -> FigureInputs:
             if name in _MAPPED and bool(solution.rigid.stock.volume() > 0)
         },
     )
+
+
+def _chip(job: Job, solution: Solution) -> ChipChart | None:
+    """Return the chip of a typical revolution, None if nothing is cut."""
+    step = _typical_step(solution)
+    if step is None:
+        return None
+    plan, poses = job_plan(job), actual_poses(job, solution)
+    found = tooth_chip(poses, job.stock, job.cutter, plan, step=step)
+    return chip_chart(found, plan.angles)
 
 
 def _typical_step(solution: Solution) -> int | None:
