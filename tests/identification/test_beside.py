@@ -56,3 +56,26 @@ def test_a_record_that_its_gaps_leave_empty_says_so():
     time = (bursts[:, None] + 1e-5 * np.arange(3)[None]).reshape(-1)
     with pytest.raises(ValueError, match="its gaps leave"):
         place(time, force(time), refines_speed=False)
+
+
+def codes(time, force):
+    return {one.code: one.values for one in place(time, force).diagnoses}
+
+
+def test_samples_that_are_lost_unseen_are_told():
+    """Without a time column the rows are counted: the clock steps, the teeth do not."""
+    time, _, force = record(1e4, turns=20)
+    seen = force(time)
+    assert codes(time, seen) == {}
+    lost = np.delete(seen, slice(900, 917), axis=0)
+    values = codes(time[:-17], lost)["samples_lost"]
+    assert values["time"] == pytest.approx(0.09, abs=0.03)
+    assert values["shift"] == pytest.approx(1.7e-3, abs=1e-4)
+
+
+def test_another_number_of_teeth_is_told():
+    time, draw, _ = record(1e4, turns=20)
+    # Four teeth: those of two, and the same half a pitch later.
+    force = slot_force(time, FEED / 2) + slot_force(time + PERIOD / 2, FEED / 2)
+    force += draw.normal(size=force.shape)
+    assert codes(time, force)["tooth_count"] == {"found": 4.0, "given": 2.0}

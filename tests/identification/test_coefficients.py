@@ -251,6 +251,45 @@ def test_a_dead_channel_is_told(axis):
     assert any(text in doubt for doubt in fit.doubts) == (axis < 2)
 
 
+def told(force):
+    """Return what a fit of the second cut tells of a force."""
+    time, _ = record(FEEDS[1])
+    fit = identification.fit_force_coefficients(cuts()[1], time, force, time_shift=0.0)
+    return {one.code: one.values for one in fit.diagnoses}
+
+
+def test_a_record_without_faults_has_no_diagnosis():
+    for noise in (0.02, 0.2):
+        assert told(record(FEEDS[1], noise=noise)[1]) == {}
+
+
+def test_a_unit_that_no_material_has_is_told():
+    found = told(1e3 * record(FEEDS[1])[1])
+    assert found["implausible_pressure"]["factor"] == 1e3
+    assert found["implausible_pressure"]["value"] == pytest.approx(1e3 * K[0], rel=0.1)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_the_gain_of_a_channel_is_told(axis):
+    _, force = record(FEEDS[1])
+    force[:, axis] *= 2
+    values = told(force)["channel_gain"]
+    # Of two channels nobody knows which is wrong.
+    ratio = values["ratio"] ** (1 if values["axis"] == axis else -1)
+    assert ratio == pytest.approx(2, rel=0.05)
+    assert values["left"] < 0.1 * values["before"]
+
+
+def test_an_offset_and_a_drift_are_told():
+    time, force = record(FEEDS[1])
+    offset = np.array([30.0, -40.0, 0.0])
+    values = told(force + offset[None])["offset"]
+    assert (values["x"], values["y"]) == pytest.approx((30, -40), abs=6)
+    slope = 4 * offset / (time[-1] - time[0])
+    values = told(force + slope[None] * (time - time[0])[:, None])["drift"]
+    assert (values["x"], values["y"]) == pytest.approx(tuple(slope[:2]), rel=0.1)
+
+
 def test_the_spectrum_of_the_residual_shows_what_the_model_has_not():
     cut, time, seen = both(noise=0.01)
     seen[0][:, 1] += 8 * np.sin(2 * math.pi * 730 * time[0])

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ._identify import Outcome
+from ._identify_diagnoses import diagnosis_lines
 from ._identify_placed import placed, samples
 from ._identify_text import (
     NONSENSE,
@@ -62,13 +63,15 @@ def identify_means(task: "MeanForceTask", progress: Progress) -> Outcome:
     used = next(one for one in found if one.axes == axes)
     force = _turned(task.mean_force, axes)
     left = _left_out(task.feed_per_tooth, force, shape)
-    amplitudes = []
+    amplitudes, told = [], []
     for record in task.records:
         progress.update(f"tooth passing of {record.name}")
         beside = placed(record, task.fit.refines_speed, task.records)
         amplitudes.append(_amplitude(record, beside, used.fit, axes))
+        told += diagnosis_lines(beside.diagnoses)
     lines = [
         *_input_lines(task),
+        *told,
         *_axes_lines(used, found, task.fit.takes_proposed),
         *_fit_lines(used.fit, force, left),
         *_amplitude_lines(task, amplitudes),

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ._errors import BadInput
+from ._identify_diagnoses import diagnosis_lines
 from ._identify_text import axes_text, noted
 
 if TYPE_CHECKING:
@@ -136,6 +137,7 @@ def record_lines(task: "ForceRecordTask", beside: "list[Placed]") -> list[str]:
         )
         for note in (*record.notes, *one.notes):
             lines += noted(note)
+        lines += diagnosis_lines(one.diagnoses)
         if record.is_saturated:
             lines += noted(
                 "Saturated samples were left out of the fit; mean and largest forces "

@@ -1,5 +1,6 @@
 """Coefficients from whole records of forces, with their figures."""
 
+import dataclasses
 import pathlib
 from typing import TYPE_CHECKING, Any
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from ._errors import BadInput
 from ._identify import Outcome
+from ._identify_diagnoses import diagnosis_facts, diagnosis_lines, diagnosis_title
 from ._identify_placed import (
     axes_are_doubted,
     axes_lines,
@@ -39,6 +41,7 @@ def identify_records(task: "ForceRecordTask", progress: Progress) -> Outcome:
         fit_force_coefficients,
         predict_left_out,
     )
+    from ..io import doubted
 
     settings, beside = task.fit, []
     for record in task.records:
@@ -73,14 +76,25 @@ def identify_records(task: "ForceRecordTask", progress: Progress) -> Outcome:
         *record_lines(task, beside),
         *axes_lines(proposal, axes, settings.takes_proposed),
         *_fit_lines(fit, left, task),
+        *diagnosis_lines(fit.diagnoses, axes, [one.name for one in task.records]),
         *tooth_lines(
             task.records, [(one.shift, one.revolution) for one in fit.records]
         ),
     ]
+    diagnoses = [
+        dataclasses.replace(one, record=i)
+        for i, place in enumerate(beside)
+        for one in place.diagnoses
+    ]
+    diagnoses += fit.diagnoses
+    toml = _toml(fit, not axes_are_doubted(proposal, axes))
+    grave = [one for one in diagnoses if one.is_grave]
+    if grave and not fit.doubts:
+        toml = doubted(toml, f"{diagnosis_title(grave[0])}; see summary.txt.")
     return Outcome(
         lines,
-        _toml(fit, not axes_are_doubted(proposal, axes)),
-        _facts(task, fit, proposal, left),
+        toml,
+        {**_facts(task, fit, proposal, left), "diagnoses": diagnosis_facts(diagnoses)},
         lambda folder: _draw(folder, task, fit, left),
     )
 

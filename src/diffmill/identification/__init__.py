@@ -50,6 +50,7 @@ from ._damping import (
     fit_ring_down as fit_ring_down,
     ring_down_frequencies as ring_down_frequencies,
 )
+from ._diagnosis import Diagnosis as Diagnosis
 from ._frequency_response import (
     FrequencyResponseFit as FrequencyResponseFit,
     fit_frequency_response as fit_frequency_response,

@@ -11,7 +11,9 @@ from ..cutter import AbstractCutter
 from ..cutting import LinearEdgeLaw
 from ._axes import propose_axes
 from ._axes_proposal import AxesProposal
+from ._clock import check_clock, check_teeth
 from ._cut import Cut, EngagementColumns, at_times, cut_of, engagement_columns
+from ._diagnosis import Diagnosis
 from ._harmonics import refine_spindle_speed
 from ._mean_force import NAMES
 from ._meet import Meeting, meet
@@ -46,6 +48,7 @@ class Placed(NamedTuple):
         meeting: How well the sizes of the forces agree over a job, or None.
         spindle_speed: As used [rad/s].
         notes: What was done or is doubtful, one sentence each.
+        diagnoses: What clock and teeth of a steady cut tell.
     """
 
     cut: Cut
@@ -56,6 +59,7 @@ class Placed(NamedTuple):
     meeting: Meeting | None
     spindle_speed: float
     notes: tuple[str, ...]
+    diagnoses: tuple[Diagnosis, ...] = ()
 
 
 def place_on_steady_cut(
@@ -129,7 +133,24 @@ def place_on_steady_cut(
         offset = _in_phase(offset, time, angle, speed)
     when, seen = time[keep] + offset, force[keep]
     proposal = _judge(engagement_columns(cut), when, seen, turn / 2, cut.tooth_period)
-    return Placed(cut, when, seen, offset, proposal, None, speed, notes)
+    diagnoses = () if angle is not None else _diagnosed(time[keep], seen, speed, flutes)
+    return Placed(cut, when, seen, offset, proposal, None, speed, notes, diagnoses)
+
+
+def _diagnosed(
+    time: Float[np.ndarray, " row"],
+    force: Float[np.ndarray, "row 3"],
+    spindle_speed: float,
+    flute_count: int,
+) -> tuple[Diagnosis, ...]:
+    """Return what the phase and the harmonics of a steady cut tell."""
+    force = force[:, np.isfinite(force).any(axis=0)]
+    known = np.isfinite(force).all(axis=1)
+    if known.sum() <= 16:
+        return ()
+    seen = (time[known], force[known], spindle_speed, flute_count)
+    # Without the right teeth there is no phase to look at.
+    return check_teeth(*seen) or check_clock(*seen)
 
 
 def _spindle_clock(

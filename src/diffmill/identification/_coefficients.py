@@ -11,7 +11,9 @@ from jaxtyping import Float
 from .._job import Job
 from ..cutting import LinearEdgeLaw
 from ._advice import advise
+from ._channels import check_channels, check_coefficients
 from ._cut import Cut
+from ._diagnosis import Diagnosis
 from ._identifiable import identifiable
 from ._linear import LinearFit, Loss, Rows, correlation_of, covariance, fit_rows, solve
 from ._mean_force import NAMES, by_name
@@ -36,6 +38,8 @@ _GROSS, _MANY = 6.0, 0.05
 _DEAD, _EXPECTED = 1e-3, 0.01
 # A fit that explains a smaller share of the squared force is doubted.
 _EXPLAINED = 0.8
+# Rows of a record by which its channels are checked.
+_CHECKED = 20000
 # A length is known if its standard error is below this [m].
 _TOLD = 1e-5
 
@@ -66,6 +70,8 @@ class ForceCoefficientFit(eqx.Module):
             cutter towards tooth 0 and a quarter turn on), `radius` [m]; NaN if not
             identifiable.
         refined_errors: Standard errors of these [m].
+        diagnoses: What offset, gain or unit would explain what the fit leaves, or makes
+            the coefficients implausible; nothing was changed.
         doubts: Why the numbers are not to be trusted, in words; the first of the notes.
         notes: What to know, in words: which experiment would help.
         records: The records as fitted, in the axes of the work.
@@ -86,6 +92,7 @@ class ForceCoefficientFit(eqx.Module):
     left_out_rms: tuple[float, ...]
     refined: dict[str, float]
     refined_errors: dict[str, float]
+    diagnoses: tuple[Diagnosis, ...]
     doubts: tuple[str, ...] = eqx.field(static=True)
     notes: tuple[str, ...] = eqx.field(static=True)
     records: tuple[Measured, ...]
@@ -265,6 +272,7 @@ def _report(
             for n, v, ok in zip(names, lengths, is_told, strict=True)
         },
         refined_errors=dict(zip(names, spreads.tolist(), strict=True)),
+        diagnoses=_diagnoses(records, rows, is_gross, np.where(is_fixed, K, np.nan)),
         doubts=doubts,
         notes=(
             *doubts,
@@ -276,6 +284,26 @@ def _report(
         records=tuple(records),
         raw=K,
     )
+
+
+def _diagnoses(
+    records: list[Measured],
+    rows: list[Rows],
+    is_gross: np.ndarray,
+    K: Float[np.ndarray, " 6"],
+) -> tuple[Diagnosis, ...]:
+    """Return what is wrong with channels and units, of rows without gross errors."""
+    found = []
+    sizes = np.cumsum([one.force.size for one in rows])[:-1]
+    for i, (one, row, gross) in enumerate(
+        zip(records, rows, np.split(is_gross, sizes), strict=True)
+    ):
+        few = np.linspace(0, len(one.time) - 1, min(len(one.time), _CHECKED))
+        few = few.astype(np.int64)
+        force = np.where(gross.reshape(-1, 3), np.nan, row.force)[few]
+        part = Rows(row.columns[few], force, row.lag)
+        found += check_channels(part, one.time[few], i)
+    return (*found, *check_coefficients(K))
 
 
 def _gross_errors(fit: LinearFit) -> np.ndarray:

@@ -1,0 +1,48 @@
+"""What a record shows to be wrong with it: a code and its numbers, no words.
+
+Nothing is changed by a diagnosis. Sentences are those of who shows it.
+"""
+
+from collections.abc import Mapping
+
+import equinox as eqx
+
+# What makes coefficients wrong, as against what is only worth knowing.
+_GRAVE = (
+    "samples_lost",
+    "tooth_count",
+    "channel_gain",
+    "offset",
+    "drift",
+    "implausible_pressure",
+    "implausible_ratio",
+)
+
+
+class Diagnosis(eqx.Module):
+    """Something about a record that its numbers tell.
+
+    Attributes:
+        code: What it is:
+            "samples_lost": phase steps by `shift` [s] at the instant `time` [s];
+            "clock_wanders": clock and spindle part by `spread` [s] rms;
+            "tooth_count": forces repeat `found` times a turn, not `given` times;
+            "channel_gain": the force along `axis` (0, 1, 2 of the work) is `ratio`
+            times what suits the others; with it a share `left` of the squared force is
+            not explained, without it `before`;
+            "offset", "drift": constants `x, y, z` [N] or slopes [N/s], likewise;
+            "implausible_pressure": K_tc, `value` [Pa], lies outside `least` to `most`,
+            and would not divided by `factor` (NaN where no power of ten helps);
+            "implausible_ratio": `radial` or `axial` over tangential coefficient.
+        record: Index of the record it is about; 0 for what concerns all.
+        values: Its numbers, by name.
+    """
+
+    code: str = eqx.field(static=True)
+    record: int = eqx.field(static=True)
+    values: Mapping[str, float]
+
+    @property
+    def is_grave(self) -> bool:
+        """Whether coefficients are wrong by it."""
+        return self.code in _GRAVE
