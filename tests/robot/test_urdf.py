@@ -139,7 +139,7 @@ def test_a_urdf_is_the_same_robot_as_its_elements(write):
 def test_the_tool_is_the_only_leaf_or_must_be_chosen(write):
     with pytest.raises(dr.RobotFileError, match="last links are wheel, tip"):
         dr.load(write(GOOD))
-    with pytest.raises(dr.RobotFileError, match="but is 'nose'; the last links are"):
+    with pytest.raises(dr.RobotFileError, match=r"no link 'nose'.*the last links are"):
         dr.load(write(GOOD), tool="nose")
     inner = dr.load(write(GOOD), tool="arm")
     assert_allclose(inner.T_joint_flange[:3, 3], 0.0)
@@ -342,3 +342,62 @@ def test_a_good_file_gives_no_warning(write):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         dr.load(write(GOOD), tool="tip")
+
+
+@pytest.mark.parametrize(
+    ("right", "slip", "parts"),
+    [
+        ('<origin xyz="0 0 0.5"', '<orgin xyz="0 0 0.5"', ("<orgin>", "<origin>")),
+        ('upper="3"', 'uper="3"', ("attribute uper", "'upper'")),
+        ('<mass value="8"/>', '<mas value="8"/>', ("<mas>", "<mass>")),
+        ('<axis xyz="0 1 0"/>', '<axes xyz="0 1 0"/>', ("<axes>", "<axis>")),
+        ('multiplier="-0.5"', 'multipler="-0.5"', ("multipler", "'multiplier'")),
+    ],
+)
+def test_a_misspelt_name_is_a_fault(write, right, slip, parts):
+    assert right in GOOD
+    with pytest.raises(dr.RobotFileError, match="line ") as error:
+        dr.load(write(GOOD.replace(right, slip, 1)), tool="tip")
+    for part in parts:
+        assert part in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("right", "slip", "part"),
+    [
+        ('lower="0.2" upper="3"', 'lower="-185" upper="185"', "in degrees?"),
+        ('<origin xyz="0 0 0.5"', '<origin xyz="0 0 500"', "in millimetres?"),
+        ('upper="0.8"', 'upper="800"', "in millimetres?"),
+        ('<origin xyz="0.1 0 0.2"', '<origin xyz="100 0 200"', "in millimetres?"),
+        ('ixx="0.05"', 'ixx="5e4"', "is it in kg m^2?"),
+        ('<mass value="0.5"/>', '<mass value="5e-4"/>', "is it in kg m^2?"),
+    ],
+)
+def test_a_slip_in_a_unit_is_noted(write, right, slip, part):
+    assert right in GOOD
+    with pytest.warns(dr.RobotFileWarning) as noted:
+        dr.load(write(GOOD.replace(right, slip)), tool="tip")
+    assert part in " ".join(str(item.message) for item in noted)
+
+
+def test_a_joint_that_moves_next_to_nothing_is_noted(write):
+    grain = """<robot name="grain"><link name="base"/><link name="tip"><inertial>
+    <mass value="1e-3"/><inertia ixx="1e-6" iyy="1e-6" izz="1e-6" ixy="0" ixz="0"
+    iyz="0"/></inertial></link><joint name="spin" type="continuous">
+    <parent link="base"/><child link="tip"/></joint></robot>"""
+    with pytest.warns(dr.RobotFileWarning, match="spin move less than 10 g") as noted:
+        dr.load(write(grain))
+    assert len(noted) == 1
+
+
+def test_what_is_no_urdf_is_refused_with_the_reason(write):
+    spaced = GOOD.replace("<robot ", '<u:robot xmlns:u="http://x" ')
+    spaced = spaced.replace("</robot>", "</u:robot>")
+    with pytest.raises(dr.RobotFileError, match="namespace prefix 'u:'"):
+        dr.load(write(spaced))
+    with pytest.raises(ValueError, match="expand its macros"):
+        dr.load(write("<robot/>", "arm.xacro"))
+    with pytest.raises(dr.RobotFileError, match="this is a job"):
+        dr.load(write("[robot]\nrigid = true\n", "job.toml"))
+    with pytest.raises(dr.RobotFileError, match=r"--tool NAME.*wheel"):
+        dr.load(write(GOOD))

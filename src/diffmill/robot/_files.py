@@ -8,13 +8,15 @@ from pathlib import Path
 from .._toml import parse_toml
 from ._build import build
 from ._faults import RobotFileError, RobotFileWarning
-from ._massless import massless_joints
+from ._massless import LIGHTEST, light_joints, massless_joints
 from ._robot import Robot, with_drives
 from ._schema import read_drives, read_elements
 from ._urdf import read_urdf
 
 # Many a URDF is called .xml.
 _URDF_SUFFIXES = (".urdf", ".xml")
+# Tables of a job file.
+_JOB_TABLES = {"cutter", "program", "robot", "stock", "spindle"}
 
 
 def built_in_models() -> list[str]:
@@ -66,7 +68,13 @@ def load(
     if is_urdf:
         name, elements, notes = read_urdf(_read_file(file), file, tool)
     else:
-        name, elements = read_elements(_parse(_read_model(file), file), file)
+        document = _parse(_read_model(file), file)
+        if "elements" not in document and _JOB_TABLES & set(document):
+            raise RobotFileError(
+                f"{file}: this is a job, not a robot description (which has `name` and "
+                "`elements`); its robot is what its table [robot] names."
+            )
+        name, elements = read_elements(document, file)
     try:
         robot = build(elements, tool=tool, name=name)
     except ValueError as error:
@@ -83,6 +91,13 @@ def load(
 def _warn(robot: Robot, notes: list[str], file: str) -> None:
     """Warn once of all that is doubtful in a file."""
     massless = massless_joints(robot)
+    light = [name for name in light_joints(robot) if name not in massless]
+    if light:
+        notes = [
+            f"joints {', '.join(light)} move less than {1e3 * LIGHTEST:g} g: no "
+            "simulation follows how fast they swing",
+            *notes,
+        ]
     if massless:
         notes = [
             "usable for kinematics only: the mass matrix is singular, as nothing with "
@@ -99,6 +114,11 @@ def _read_model(file: str) -> bytes:
     if file in built_in_models():
         model = resources.files("diffmill.robot").joinpath("models", f"{file}.toml")
         return model.read_bytes()
+    if Path(file).suffix.lower() == ".xacro":
+        raise ValueError(
+            f"Argument `model_or_file` is {file!r}, a xacro file: expand its macros "
+            "first (xacro FILE > robot.urdf) and give the URDF."
+        )
     if Path(file).suffix.lower() != ".toml":
         raise ValueError(
             f"Argument `model_or_file` is {file!r}, which is neither a built-in model "

@@ -7,6 +7,9 @@ from jaxtyping import Array, Float
 
 from ._robot import Robot
 
+# A joint that moves less [kg] is no joint of a machine.
+LIGHTEST = 1e-2
+
 
 def massless_joints(robot: Robot) -> tuple[str, ...]:
     """Return the joints that move no mass at all; their row of M is zero.
@@ -19,6 +22,21 @@ def massless_joints(robot: Robot) -> tuple[str, ...]:
     """
     heavy = np.asarray(robot.link_masses) > 0.0
     heavy |= np.asarray(robot.link_inertias).any(axis=(1, 2))
+    return _not_moving(robot, heavy)
+
+
+def light_joints(robot: Robot) -> tuple[str, ...]:
+    """Return the joints that move next to no mass, massless ones included."""
+    masses = np.array(robot.link_masses, float)
+    for body in reversed(range(robot.body_count)):
+        if robot.parents[body] >= 0:
+            masses[robot.parents[body]] += masses[body]
+    return _not_moving(robot, masses >= LIGHTEST)
+
+
+def _not_moving(robot: Robot, heavy: np.ndarray) -> tuple[str, ...]:
+    """Return the joints that move no body of a kind, given whether each is of it."""
+    heavy = heavy.copy()
     for body in reversed(range(robot.body_count)):
         if robot.parents[body] >= 0:
             heavy[robot.parents[body]] |= heavy[body]

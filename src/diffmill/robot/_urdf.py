@@ -70,8 +70,13 @@ def read_urdf(
     if tool is None and len(leaves) == 1:
         (tool,) = leaves
     if tool not in children:
-        fault = f"argument `tool` must be a link, but is {tool!r}"
-        raise_faults(file, [f"{fault}; the last links are {', '.join(leaves)}"])
+        fault = (
+            "several links carry no other, so one has to be named as the tool's"
+            if tool is None
+            else f"there is no link {tool!r} for the tool"
+        )
+        how = 'by `tool` (in a job: [robot] tool = "NAME", else --tool NAME)'
+        raise_faults(file, [f"{fault}, {how}; the last links are {', '.join(leaves)}"])
     by_name = {link.name: link for link in links}
     start = _root(links, joints)[0]
     parser.notes.extend(_massless_notes(by_name, children, start))

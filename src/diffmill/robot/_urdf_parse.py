@@ -3,10 +3,12 @@
 Read are name, version, links with their inertials, and joints with origin, axis,
 limits and mimic; effort, velocity, damping and friction are checked, but the dynamics
 here have none of them. Everything else is passed over: visuals and collisions,
-transmissions, extensions of simulators.
+transmissions, extensions of simulators; but not what is a slip of the pen in a name
+that is read. What looks like a slip in a unit is a note.
 """
 
 import dataclasses
+import difflib
 import math
 import re
 
@@ -24,8 +26,37 @@ _INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 # Plain decimal numbers: Python alone would read underscores too.
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?inf", re.ASCII)
 
+# What is read where, or is known and passed over: elements, then their attributes.
+_ELEMENTS = {
+    "robot": ("link", "joint", "material", "transmission", "gazebo"),
+    "link": ("inertial", "visual", "collision", "sensor", "contact", "gazebo"),
+    "inertial": ("origin", "mass", "inertia"),
+    "joint": (
+        *("origin", "parent", "child", "axis", "limit", "mimic", "dynamics"),
+        *("calibration", "safety_controller", "gazebo"),
+    ),
+}
+_ATTRIBUTES = {
+    "origin": ("xyz", "rpy", "quat_xyzw"),
+    "mass": ("value",),
+    "inertia": _INERTIA,
+    "joint": ("name", "type"),
+    "parent": ("link",),
+    "child": ("link",),
+    "axis": ("xyz",),
+    "limit": ("lower", "upper", "effort", "velocity"),
+    "mimic": ("joint", "multiplier", "offset"),
+}
+# Names that are so much alike are one of them misspelt.
+_ALIKE = 0.7
+# Beyond these no arm is: turns of a joint [rad], lengths [m], radii of gyration [m].
+_MANY_TURNS, _LONG, _WIDE, _NARROW = 20.0, 20.0, 5.0, 1e-4
+
 # Beyond it, products of masses and lengths overflow.
 _TOO_LARGE = 1e60
+
+
+_FAR = "{} m away: is it in millimetres?"
 
 
 @dataclasses.dataclass
@@ -67,6 +98,13 @@ class UrdfParser:
 
     def root(self, root: Node) -> tuple[str, list[UrdfLink], list[UrdfJoint]]:
         """Return name, links and joints of a parsed file."""
+        if root.tag.endswith(":robot"):
+            prefix = root.tag.removesuffix("robot")
+            self.faults.append(
+                f"line {root.line}: the elements carry the namespace prefix "
+                f"{prefix!r}, which URDF does not have: take it off every element"
+            )
+            return "", [], []
         if root.tag != "robot":
             self.faults.append(
                 f"line {root.line}: the root element must be <robot>, but is "
@@ -77,6 +115,7 @@ class UrdfParser:
             self.faults.append("contains xacro macros: expand them with xacro first")
             return "", [], []
         place = f"line {root.line}, robot"
+        self.check_names(root)
         version = root.attributes.get("version", "1.0")
         if version not in ("1.0", "1.1", "1.2"):
             self.fault(place, "version", "1.0, 1.1 or 1.2", version)
@@ -84,6 +123,32 @@ class UrdfParser:
         links = [self.link(node) for node in root.all("link")]
         joints = [self.joint(node) for node in root.all("joint")]
         return name, links, joints
+
+    def check_names(self, node: Node) -> None:
+        """Note elements and attributes that are misspelt ones, here and below."""
+        known = _ATTRIBUTES.get(node.tag, ())
+        for name in node.attributes:
+            self.check_name(node, f"attribute {name}", name, known)
+        for child in node.children:
+            elements = _ELEMENTS.get(node.tag, ())
+            self.check_name(child, f"element <{child.tag}>", child.tag, elements)
+            if child.tag in _ELEMENTS or node.tag in ("inertial", "joint"):
+                self.check_names(child)
+
+    def check_name(
+        self, node: Node, what: str, name: str, known: tuple[str, ...]
+    ) -> None:
+        """Note a name that is not known, but nearly."""
+        if name in known:
+            return
+        alike = difflib.get_close_matches(name, known, n=1, cutoff=_ALIKE)
+        if alike:
+            self.faults.append(
+                f"line {node.line}: {what} of <{node.tag}> is not known; is it "
+                f"{alike[0]!r}?"
+                if what.startswith("attribute")
+                else f"line {node.line}: {what} is not known; is it <{alike[0]}>?"
+            )
 
     def link(self, node: Node) -> UrdfLink:
         """Return a link."""
@@ -113,7 +178,28 @@ class UrdfParser:
         wrong = inertia_fault(inertia) or triangle_fault(inertia)
         if wrong:
             self.notes.append(f"{place}: the inertia should be {wrong.rstrip('.')}")
+        self.check_size(mass, inertia, position, place)
         return RigidBody(max(mass, 0.0), position, inertia, is_possible=not wrong)
+
+    def check_size(
+        self,
+        mass: float,
+        inertia: Float[np.ndarray, "3 3"],
+        center: tuple[float, ...],
+        place: str,
+    ) -> None:
+        """Note a body that is as large or small as none is in the unit of a URDF."""
+        if max(map(abs, center)) > _LONG:
+            self.notes.append(f"{place}: the centre of mass is {_FAR.format(center)}")
+        largest = float(np.trace(inertia)) / 2
+        if not (mass > 0.0 and largest > 0.0):
+            return
+        radius = math.sqrt(largest / mass)
+        if not _NARROW < radius < _WIDE:
+            self.notes.append(
+                f"{place}: the inertia is that of {mass:g} kg at a radius of "
+                f"{radius:.3g} m: is it in kg m^2?"
+            )
 
     def joint(self, node: Node) -> UrdfJoint:
         """Return a joint."""
@@ -124,6 +210,8 @@ class UrdfParser:
             allowed = "revolute, continuous, prismatic or fixed"
             self.fault(place, "type", allowed, kind)
         position, rotation = self.origin(node, place)
+        if max(map(abs, position)) > _LONG:
+            self.notes.append(f"{place}: the origin is {_FAR.format(position)}")
         axis = self.numbers(node.first("axis"), "xyz", f"{place}, axis", _AXIS)
         if kind in _MOVING and not any(axis):
             self.fault(f"{place}, axis", "xyz", "not zero", " ".join(map(str, axis)))
@@ -173,7 +261,21 @@ class UrdfParser:
                 f"{place}: lower must not be above upper, but is {lower} above {upper}"
             )
             return -math.inf, math.inf
+        self.check_range(kind, lower, upper, place)
         return lower, upper
+
+    def check_range(self, kind: str, lower: float, upper: float, place: str) -> None:
+        """Note limits that are as far apart as none are in the unit of a URDF."""
+        farthest = max((abs(x) for x in (lower, upper) if math.isfinite(x)), default=0)
+        if kind == "revolute" and farthest > _MANY_TURNS:
+            self.notes.append(
+                f"{place}: {lower:g} to {upper:g} rad is more than three turns: is it "
+                "in degrees?"
+            )
+        if kind == "prismatic" and farthest > _LONG:
+            self.notes.append(
+                f"{place}: {lower:g} to {upper:g} m is very long: is it in millimetres?"
+            )
 
     def mimic(self, node: Node, place: str) -> Mimic | None:
         """Return which joint a joint follows, if any."""
