@@ -1,21 +1,19 @@
-"""Run all groups of figures of what a person waits for, or those named.
+"""Run all groups of figures of performance, or those named.
 
-python experiments/performance/run.py [lengths batch ...] [--out FOLDER]
+python experiments/performance/run.py [deep ...] [--out FOLDER]
 """
 
 import pathlib
 import sys
 
 HERE = pathlib.Path(__file__).parent
+# The runner is shared with other experiments.
 sys.path.append(str(HERE.parent / "common"))
 
-GROUPS = ("lengths", "batch")
+GROUPS = ("deep",)
 
 
 if __name__ == "__main__":
-    import jax
-
     from reporting import run_groups
 
-    jax.config.update("jax_enable_x64", True)
     run_groups("diffmill performance", __doc__, GROUPS, HERE / "results")
