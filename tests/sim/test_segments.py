@@ -90,7 +90,7 @@ def test_a_run_in_segments_is_the_run():
     assert np.abs(wanted.force[BREAKS[2] :]).max() > 5
     np.testing.assert_allclose(force, wanted.force[1:], atol=1e-9)
     np.testing.assert_allclose(actual, wanted.actual[1:], atol=1e-14)
-    assert carries[-1].process.poses.tip.shape[0] < 60
+    assert len({c.process.track.poses.tip.shape for c in carries}) == 1
 
 
 @pytest.mark.slow

@@ -44,17 +44,18 @@ def test_subtracting_matches_a_loop_over_pieces():
     ends = jnp.asarray(np.stack(all_ends))
     start, stop = (jnp.asarray(np.array(c)) for c in zip(*cuts, strict=True))
     poses = jnp.full(ends.shape, -1, jnp.int32)
+    started, stopped = (jnp.full(500, when, jnp.int32) for when in (7, 8))
     new, by, full = subtract(
-        ends, poses, (start, stop, jnp.ones(500, bool)), jnp.asarray(7, jnp.int32)
+        ends, poses, (start, stop, jnp.ones(500, bool), started, stopped)
     )
     assert not full.any()
     for i, pieces in enumerate(wanted):
         np.testing.assert_allclose(live(np.asarray(new[i])), pieces)
-    # Ends that moved, and only those, carry the pose that moved them.
+    # Ends that moved, and only those, carry the time of the end that moved them.
     is_live = np.asarray(new[:, 1] > new[:, 0])
-    for side, value in ((0, stop), (1, start)):
+    for side, value, when in ((0, stop, 8), (1, start, 7)):
         moved = np.asarray(new[:, side] == value[:, None]) & is_live
-        assert (np.asarray(by[:, side])[moved] == 7).all()
+        assert (np.asarray(by[:, side])[moved] == when).all()
         assert (np.asarray(by[:, side])[~moved & is_live] == -1).all()
 
 
@@ -62,18 +63,19 @@ def test_a_ray_without_a_free_slot_raises_its_flag():
     ends = jnp.asarray(slots([(0.0, 1.0), (2.0, 3.0)], 2))[None]
     poses = jnp.full(ends.shape, -1, jnp.int32)
     yes = jnp.ones(1, bool)
-    pose = jnp.zeros((), jnp.int32)
+    pose = jnp.zeros(1, jnp.int32)
     inside = (jnp.array([0.4]), jnp.array([0.6]), yes)
-    assert subtract(ends, poses, inside, pose)[2].all()
+    assert subtract(ends, poses, (*inside, pose, pose))[2].all()
     beside = (jnp.array([0.4]), jnp.array([1.6]), yes)
-    assert not subtract(ends, poses, beside, pose)[2].any()
+    assert not subtract(ends, poses, (*beside, pose, pose))[2].any()
 
 
 def test_slivers_are_dropped():
     ends = jnp.asarray(slots([(0.0, 1.0)], 2))[None]
     poses = jnp.full(ends.shape, -1, jnp.int32)
-    cut = (jnp.array([0.5e-9]), jnp.array([0.5]), jnp.ones(1, bool))
-    new, _, _ = subtract(ends, poses, cut, jnp.zeros((), jnp.int32))
+    pose = jnp.zeros(1, jnp.int32)
+    cut = (jnp.array([0.5e-9]), jnp.array([0.5]), jnp.ones(1, bool), pose, pose)
+    new, _, _ = subtract(ends, poses, cut)
     assert live(np.asarray(new[0])) == [(0.5, 1.0)]
 
 

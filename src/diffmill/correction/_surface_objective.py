@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._types import FloatRows3, RealScalarLike
-from ..workpiece import Stock
+from ..workpiece import TICKS, Stock
 from ._objective import AbstractObjective, beyond, deviation_of, row_shares
 from ._problem import Motion, Problem
 
@@ -241,8 +241,8 @@ def touching_rows(
 
 def _cut_ends(
     stock: Stock, family: int, sides: tuple[int, ...]
-) -> tuple[Float[np.ndarray, "end 3"], Int[np.ndarray, " end"]]:
-    """Return the ends of a family that a pose cut, and these poses."""
+) -> tuple[Float[np.ndarray, "end 3"], Float[np.ndarray, " end"]]:
+    """Return the ends of a family that a pose cut, and the time in tooth periods."""
     rays = stock.families[family]
     ends, cut_by = np.asarray(rays.ends, np.float64), np.asarray(rays.poses)
     is_cut = (cut_by >= 0) & (ends[:, :, 1] > ends[:, :, 0])[:, :, None]
@@ -253,7 +253,7 @@ def _cut_ends(
     points[:, family] = ends[u, v, side, slot]
     for axis, line in (((family + 1) % 3, u), ((family + 2) % 3, v)):
         points[:, axis] = origin[axis] + line * stock.spacing
-    return points, cut_by[u, v, side, slot]
+    return points, cut_by[u, v, side, slot] / TICKS
 
 
 def _wall_points(
@@ -266,8 +266,10 @@ def _wall_points(
     """
     found = [_cut_ends(stock, family, (0, 1)) for family in (0, 1)]
     points, cut_by = (np.concatenate([f[i] for f in found]) for i in (0, 1))
-    normals = (tips[cut_by] - points) / radius
-    above = points[:, 2] - tips[cut_by, 2]
+    rows = np.arange(len(tips))
+    cutting = np.stack([np.interp(cut_by, rows, tips[:, i]) for i in range(3)], axis=1)
+    normals = (cutting - points) / radius
+    above = points[:, 2] - cutting[:, 2]
     normals[:, 2] = 0.0
     length = np.linalg.norm(normals, axis=1)
     # Points that the rim of the bottom cut have no wall's normal.

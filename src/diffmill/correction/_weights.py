@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .._types import BoolSteps, IntSteps
-from ..workpiece import Stock
+from ..workpiece import TICKS, Stock
 
 
 def row_weights(
@@ -68,7 +68,8 @@ def surface_poses(stock: Stock) -> Int[np.ndarray, " pose"]:
     for rays in stock.families:
         ends, poses = np.asarray(rays.ends), np.asarray(rays.poses)
         is_live = (ends[:, :, 1] > ends[:, :, 0])[:, :, None] & (poses >= 0)
-        found.append(np.unique(poses[is_live]))
+        # A tooth cuts in the period that ends at its pose.
+        found.append(np.unique(-(-poses[is_live] // TICKS)))
     return np.unique(np.concatenate(found))
 
 

@@ -61,7 +61,7 @@ class AbstractCutter(eqx.Module):
         family: Literal[0, 1, 2],
         b: Float[Array, "..."],
         c: Float[Array, "..."],
-        tip: Float[Array, " 3"],
+        tip: Float[Array, "*#ray 3"],
     ) -> tuple[Float[Array, "..."], Float[Array, "..."], Bool[Array, "..."]]:
         """Return where rays enter and leave the upright cutter, and whether they do."""
 

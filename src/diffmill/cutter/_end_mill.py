@@ -165,7 +165,7 @@ class EndMill(AbstractCutter):
         family: Literal[0, 1, 2],
         b: Float[Array, "..."],
         c: Float[Array, "..."],
-        tip: Float[Array, " 3"],
+        tip: Float[Array, "*#ray 3"],
     ) -> tuple[Float[Array, "..."], Float[Array, "..."], Bool[Array, "..."]]:
         """Return where rays enter and leave the upright cutter, and whether they do.
 
@@ -175,7 +175,7 @@ class EndMill(AbstractCutter):
             family: Axis along which the rays run: 0 is x, 1 is y, 2 is z.
             b: Coordinate of each ray along axis (family + 1) % 3 [m].
             c: Coordinate of each ray along axis (family + 2) % 3 [m].
-            tip: Tool tip [m], shape (3,).
+            tip: Tool tip [m], shape (..., 3), broadcast against the rays.
 
         Returns:
             Entry and exit along the ray [m], and whether the ray is hit; entry and
@@ -185,11 +185,11 @@ class EndMill(AbstractCutter):
         root is guarded, so gradients are finite everywhere.
         """
         R = self.diameter / 2
-        db = b - tip[(family + 1) % 3]
-        dc = c - tip[(family + 2) % 3]
+        db = b - tip[..., (family + 1) % 3]
+        dc = c - tip[..., (family + 2) % 3]
         if family == 2:
             is_hit = db**2 + dc**2 < R**2
-            lower = jnp.broadcast_to(tip[2], is_hit.shape)
+            lower = jnp.broadcast_to(tip[..., 2], is_hit.shape)
             if self.kind != "flat":
                 lower = lower + self._end_height(db**2 + dc**2, is_hit)
             return lower, jnp.full_like(lower, _rays.FAR), is_hit
@@ -200,7 +200,7 @@ class EndMill(AbstractCutter):
         # rounding would decide pose by pose and shred such a ray.
         is_hit = (square > (_GRAZE * R) ** 2) & (up > _TOUCH)
         half = jnp.sqrt(jnp.where(is_hit, square, 1.0))
-        return tip[family] - half, tip[family] + half, jnp.asarray(is_hit)
+        return tip[..., family] - half, tip[..., family] + half, jnp.asarray(is_hit)
 
     def _end_height(
         self, square: Float[Array, "..."], is_hit: Bool[Array, "..."]

@@ -13,8 +13,8 @@ from ..robot import (
     path_starts,
     singularity,
 )
-from ..sim import tool_frame
 from ..toolpath import Path
+from ..workpiece import tool_frame
 
 # Rounding of a limit that the path touches [rad or m].
 _LIMIT_SLACK = 1e-9

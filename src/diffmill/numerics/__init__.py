@@ -4,7 +4,8 @@ What it models: `lowpass`, a Butterworth filter run forward and backward, which 
 the tooth frequency out of forces for display and noise out of a predicted deviation
 before it is mirrored. The filter has no phase shift, and its order and cut-off are
 arguments. Besides, derivatives that JAX would not find by itself, or not as cheaply:
-`tied`, `clamp`, and `sloped` for what is linearised once and multiplied often.
+`tied`, `clamp`, `turn_between`, and `sloped` for what is linearised once and
+multiplied often; `hold` keeps what XLA would compute again.
 `hat_integral` is the smooth step that samples at any phase sum up fairly.
 
 Assumes equally spaced samples on the host. Leaves out what JAX, equinox and lineax
@@ -14,5 +15,7 @@ already give, and filters within a traced function.
 from ._clamp import clamp as clamp
 from ._filters import lowpass as lowpass
 from ._hat import hat_integral as hat_integral
+from ._hold import hold as hold
 from ._sloped import sloped as sloped, sloped_rows as sloped_rows
 from ._tied import tied as tied
+from ._turn import turn_between as turn_between

@@ -12,7 +12,7 @@ them the results are the same.
 """
 
 from collections.abc import Callable
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -20,31 +20,16 @@ from jax.custom_batching import custom_vmap
 from jax.experimental.xla_metadata import set_xla_metadata
 from jaxtyping import Array, Float
 
+from ..numerics import hold
 from ._robot import Robot
 
 Vector: TypeAlias = tuple[Array, ...]
 Matrix: TypeAlias = tuple[Vector, ...]
-_T = TypeVar("_T")
 
 # Lanes that are computed together: some hundred arrays of this length fit the second
 # cache. XLA must not split an operation inside a small call into threads (it then emits
 # a call with wrong arguments); it does so from 256 KiB on.
 _BLOCK = 256
-
-
-def _same(values: Any) -> Any:
-    return values
-
-
-_identity = jax.jit(_same)
-
-
-def hold(values: _T) -> _T:
-    """Return the values, which their users are to load and not to compute again."""
-    if jax.default_backend() != "cpu":
-        return jax.lax.optimization_barrier(values)
-    with set_xla_metadata(inlineable="false"):
-        return _identity(values)
 
 
 def _small_call(function: Callable[..., Array]) -> Callable[..., Array]:

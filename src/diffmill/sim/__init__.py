@@ -41,7 +41,6 @@ from ._coupled import (
 )
 from ._failure import raise_unless_successful as raise_unless_successful
 from ._free_motion import FreeMotion as FreeMotion, free_motion as free_motion
-from ._in_space import tool_frame as tool_frame
 from ._integrators import RungeKutta4 as RungeKutta4, make_integrator as make_integrator
 from ._intervals import with_intervals_of as with_intervals_of
 from ._midpoint import Midpoint as Midpoint

@@ -16,7 +16,7 @@ import abc
 
 import equinox as eqx
 
-from ..workpiece import Pose
+from ..workpiece import Pose, PoseTrack
 
 
 class AbstractAdjoint(eqx.Module):
@@ -38,8 +38,8 @@ class AbstractAdjoint(eqx.Module):
         """Return the poses as removal should see them."""
 
     @abc.abstractmethod
-    def table(self, poses: Pose) -> Pose | None:
-        """Return the table of poses that samples are tied to, or None."""
+    def tied_to(self, track: PoseTrack) -> PoseTrack | None:
+        """Return the poses that samples are tied to, or None."""
 
 
 class Plain(AbstractAdjoint):
@@ -55,9 +55,9 @@ class Plain(AbstractAdjoint):
         """Return the poses unchanged."""
         return poses
 
-    def table(self, poses: Pose) -> None:
+    def tied_to(self, track: PoseTrack) -> None:
         """Return None: samples read differentiable ends."""
-        del poses
+        del track
 
 
 class Traced(AbstractAdjoint):
@@ -74,6 +74,6 @@ class Traced(AbstractAdjoint):
         """Return the poses as constants."""
         return poses.frozen()
 
-    def table(self, poses: Pose) -> Pose:
+    def tied_to(self, track: PoseTrack) -> PoseTrack:
         """Return the poses, to which the samples are tied."""
-        return poses
+        return track

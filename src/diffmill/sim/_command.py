@@ -6,7 +6,7 @@ from jaxtyping import Array, Bool, Float
 
 from .._job import Job
 from ..robot import PathSolution, inverse_kinematics_path, motor_positions
-from ._in_space import tool_frame
+from ..workpiece import tool_frame
 
 
 def path_axes(job: Job) -> Float[Array, "step 3"] | None:

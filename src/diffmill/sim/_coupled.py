@@ -285,7 +285,7 @@ def _finish(
     plan, cutter, adjoint = machine.plan, machine.cutter, machine.adjoint
     dtype, step_count = rows.tip.dtype, rows.tip.shape[0] + 1
     final = pose_at(machine, state)
-    process, rest = flush(plan, cutter, process, last, final, adjoint)
+    process, rest = flush(plan, cutter, process, last, final, step_count, adjoint)
     actual = through(rows.tip, final.tip, last)
     volume, by_shank = volumes_by_pose(step_count, rows.removed, rest)
     return CoupledSolution(
@@ -374,8 +374,9 @@ def run_period(
     middles = substep_middles(machine.plan, start.dtype)
     rate = (stop - start) / T
     arm = _arm_in(machine, state, MotorCommand(start, rate))
-    motion = T * middles[:, None] * (arm.jacobian @ state.v)[None]
-    predicted = along(arm.pose, arm.pose.tip[None] + motion)
+    # As in the period before: what the teeth do comes again, and drifts are slow.
+    drift = (arm.pose.tip - process.last_tip)[None]
+    predicted = along(arm.pose, process.recent.tip[0] + drift)
     process, cut, removed = begin_period(
         machine.plan,
         machine.cutter,
@@ -387,12 +388,13 @@ def run_period(
         is_live,
     )
     targets = start[None] + T * middles[:, None] * rate[None]
-    end, (tips, forces) = when_live(
+    rest = jnp.broadcast_to(arm.pose.tip[None], predicted.tip.shape)
+    end, (tips, ends, forces) = when_live(
         is_live,
         lambda: _run_substeps(machine, arm, process, cut, state, targets, rate),
-        (state, (predicted.tip, jnp.zeros_like(predicted.tip))),
+        (state, (predicted.tip, rest, jnp.zeros_like(rest))),
     )
-    process = end_period(process, along(arm.pose, tips))
+    process = end_period(process, along(arm.pose, tips), along(arm.pose, ends))
     has_failed = process.has_overflow | process.is_beyond
     force = jnp.mean(forces, axis=0)
     return (process, end), Period(arm.pose.tip, force, state.q, removed, has_failed)
@@ -406,15 +408,18 @@ def _run_substeps(
     start: ArmState,
     targets: Float[Array, "substep joint"],
     rate: Float[Array, " joint"],
-) -> tuple[ArmState, tuple[Float[Array, "substep 3"], Float[Array, "substep 3"]]]:
-    """Return the state at the end of a period, the tips and the forces within it."""
+) -> tuple[ArmState, tuple[Float[Array, "substep 3"], ...]]:
+    """Return the state at the end of a period, and its sub-steps.
+
+    Of these the tips in their middle, those at their ends, and the forces.
+    """
     robot, h = machine.robot, machine.substep
     keeps_slopes = machine.adjoint.keeps_slopes
     mean_force = sloped(_mean_force) if keeps_slopes else _mean_force
 
     def substep(
         state: ArmState, x: tuple[Array, Pose, _Samples]
-    ) -> tuple[ArmState, tuple[Array, Array]]:
+    ) -> tuple[ArmState, tuple[Array, Array, Array]]:
         theta, earlier, samples = x
         tip = arm.pose.tip + arm.jacobian @ (state.q + h / 2 * state.v - start.q)
         pose = Pose(tip, arm.pose.axis)
@@ -423,7 +428,7 @@ def _run_substeps(
         load = arm.jacobian.T @ F
         command = MotorCommand(theta, rate)
         end = machine.integrator.step(robot, arm.begun, state, command, load, h)
-        return end, (tip, F)
+        return end, (tip, arm.pose.tip + arm.jacobian @ (end.q - start.q), F)
 
     earlier = jax.tree.map(lambda x: jnp.moveaxis(x, 0, 1), process.recent)
     xs = (targets, earlier, (cut.angle, cut.tooth, cut.occupancy, cut.bottom))

@@ -17,7 +17,7 @@ from ._history import ProcessState, end_period, initial_state, remember, remove_
 from ._period import Engagement, look, substep_force
 from ._period_map import Regeneration
 from ._plan import ProcessPlan
-from ._process_alone import middles_of
+from ._process_alone import ends_of, middles_of
 
 
 def force_slopes(
@@ -73,40 +73,41 @@ class _Tool(eqx.Module):
 
 
 @eqx.filter_jit
-def _begin(tool: _Tool, stock: Stock, path: Pose) -> tuple[ProcessState, Pose]:
+def _begin(tool: _Tool, stock: Stock, path: Pose) -> tuple[ProcessState, Pose, Pose]:
     """Return the state before the first period, as if the tool had stood still."""
     plan, count = tool.plan, path.tip.shape[0]
     state, _ = initial_state(plan, stock, tool.cutter, path[0], count, Plain())
-    return state, repeated(path[0], (plan.substeps,))
+    still = repeated(path[0], (plan.substeps,))
+    return state, still, still
 
 
 @eqx.filter_jit
 def _replay(
     tool: _Tool,
-    carry: tuple[ProcessState, Pose],
+    carry: tuple[ProcessState, Pose, Pose],
     padded: Pose,
     first: Int[Array, ""],
     last: Int[Array, ""],
-) -> tuple[tuple[ProcessState, Pose], tuple[Array, Array]]:
+) -> tuple[tuple[ProcessState, Pose, Pose], tuple[Array, Array]]:
     """Return the state in the last period, its poses, and the slopes there.
 
     The state to begin with is that of the period before the first, with its poses.
     """
     plan, cutter = tool.plan, tool.cutter
 
-    def period(index: Array, carry: tuple[ProcessState, Pose]) -> Any:
+    def period(index: Array, carry: tuple[ProcessState, Pose, Pose]) -> Any:
         state = end_period(*carry)
         near = jax.tree.map(
             lambda x: jax.lax.dynamic_slice_in_dim(x, index - 1, 4), padded
         )
-        state = remember(plan, state, index - 1, near[1])
-        state, _ = remove_due(plan, cutter, state, Plain())
-        return state, middles_of(plan, near)[1]
+        state = remember(plan, cutter, state, index - 1, near[1])
+        state, _ = remove_due(plan, cutter, state, index - 1, Plain())
+        return state, middles_of(plan, near)[1], ends_of(plan, near)[1]
 
-    state, poses = jax.lax.fori_loop(first, last + 1, period, carry)
+    state, poses, ends = jax.lax.fori_loop(first, last + 1, period, carry)
     cut = look(plan, cutter, state, last, poses, Plain())
     slopes = _slopes(plan, cutter, tool.laws, poses, state.recent, cut)
-    return (state, poses), slopes
+    return (state, poses, ends), slopes
 
 
 def _slopes(

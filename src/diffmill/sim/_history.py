@@ -6,23 +6,59 @@ that spans it is a queue of fixed length whose entries are a minimum distance ap
 so that a slow or dwelling tool cannot fill it.
 """
 
+import math
+
 import equinox as eqx
 import jax
+import jax.core
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ..cutter import AbstractCutter
 from ..cutting import safe_norm
-from ..workpiece import Pose, Stock, remove_poses, repeated
+from ..workpiece import (
+    Pose,
+    PoseTrack,
+    Stock,
+    ToothPass,
+    remove_passes,
+    remove_poses,
+    repeated,
+    tool_frame,
+)
 from ._adjoint import AbstractAdjoint
+from ._leading import STILL
 from ._plan import ProcessPlan
 
 # Entries of the history; with the lag this sets the least distance between entries.
 QUEUE_LENGTH = 48
 # Earlier circles, as shares of the lag, beyond the exact ones of the last teeth.
 _THINNED = (0.25, 0.5, 0.75, 1.0)
+# Rows of the track that removal looks back on at most: what waits longer is removed.
+HISTORY = 512
 # Two poses at most leave the history in a step, so that it shrinks after slow feed.
 _REMOVALS = 2
+
+
+class Waiting(eqx.Module):
+    """Passes that wait for removal, oldest first, each of one tooth.
+
+    Attributes:
+        row: Index k of the pose before which the tooth looks forward, shape (queue,).
+        forward: Direction of motion along tool x and y, shape (queue, 2).
+        passing: When the tooth looks forward, in tooth periods from pose k - 1, shape
+            (queue,).
+        travel: Distance travelled when the pass came in [m], shape (queue,).
+    """
+
+    row: Int[Array, "*queue"]
+    forward: Float[Array, "*queue 2"]
+    passing: Float[Array, "*queue"]
+    travel: Float[Array, "*queue"]
+
+    def __getitem__(self, item: object) -> "Waiting":
+        """Return some of the passes."""
+        return jax.tree.map(lambda x: x[item], self)
 
 
 class ProcessState(eqx.Module):
@@ -30,12 +66,16 @@ class ProcessState(eqx.Module):
 
     Attributes:
         stock: The workpiece, less the poses still in the queue.
-        poses: Every pose so far, shape (pose, 3); row k is time t_k.
-        last_tip: Tip of the newest of them, without derivative [m], shape (3,).
+        track: Every pose so far, at the ends of the sub-steps.
+        last_tip: Tip of the newest at a tooth instant [m], shape (3,).
         recent: Poses in the middle of the sub-steps of the last tooth periods, newest
             first, shape (tooth, substep, 3).
-        queue: Poses that wait for removal, oldest first, shape (queue,).
-        queue_travel: Distance travelled when each entry came in [m], shape (queue,).
+        ends: Poses at the ends of the sub-steps of the last period, which are not in
+            the track yet, shape (substep, 3).
+        forward: Direction of motion along tool x and y, shape (2,).
+        passing: When in the last period a tooth looked forward, in tooth periods; may
+            be half a period beside it, so that it does not jump, shape ().
+        queue: What waits for removal.
         queue_count: Number of entries, shape ().
         travel: Distance travelled so far [m], shape ().
         has_overflow: Whether a ray ran out of slots, shape ().
@@ -43,11 +83,13 @@ class ProcessState(eqx.Module):
     """
 
     stock: Stock
-    poses: Pose
+    track: PoseTrack
     last_tip: Float[Array, " 3"]
     recent: Pose
-    queue: Int[Array, " queue"]
-    queue_travel: Float[Array, " queue"]
+    ends: Pose
+    forward: Float[Array, " 2"]
+    passing: Float[Array, ""]
+    queue: Waiting
     queue_count: Int[Array, ""]
     travel: Float[Array, ""]
     has_overflow: Bool[Array, ""]
@@ -99,13 +141,22 @@ def initial_state(
         zero[None],
         jnp.ones(1, bool),
     )
+    nodes = max((pose_count - 1) * plan.substeps + 1, _pass_length(plan, cutter, stock))
+    ahead = jnp.zeros(2, dtype).at[1].set(1)
     state = ProcessState(
         stock=cut.stock,
-        poses=repeated(pose, (pose_count,)),
-        last_tip=jax.lax.stop_gradient(pose.tip),
+        track=PoseTrack(repeated(pose, (nodes,)), plan.substeps),
+        last_tip=pose.tip,
         recent=repeated(pose, (cutter.flute_count, plan.substeps)),
-        queue=jnp.zeros(QUEUE_LENGTH, jnp.int32),
-        queue_travel=jnp.zeros(QUEUE_LENGTH, dtype),
+        ends=repeated(pose, (plan.substeps,)),
+        forward=ahead,
+        passing=jnp.zeros((), dtype),
+        queue=Waiting(
+            row=jnp.zeros(QUEUE_LENGTH, jnp.int32),
+            forward=jnp.broadcast_to(ahead[None], (QUEUE_LENGTH, 2)),
+            passing=jnp.zeros(QUEUE_LENGTH, dtype),
+            travel=jnp.zeros(QUEUE_LENGTH, dtype),
+        ),
         queue_count=jnp.ones((), jnp.int32),
         travel=jnp.zeros((), dtype),
         has_overflow=cut.has_overflow,
@@ -116,36 +167,161 @@ def initial_state(
 
 def remember(
     plan: ProcessPlan,
+    cutter: AbstractCutter,
     state: ProcessState,
     index: Int[Array, ""],
     pose: Pose,
 ) -> ProcessState:
-    """Enter a pose in the table, and in the queue if it is far enough from the last."""
+    """Enter a period's poses in the track, and its pass in the queue if it is far on.
+
+    Args:
+        plan: Sizes of the process.
+        cutter: The cutter.
+        state: State after the period that ends at the pose.
+        index: Index k of the pose, shape ().
+        pose: Pose k, shape (3,).
+
+    Returns:
+        The state.
+    """
     frozen = jax.lax.stop_gradient
-    # Reading the table before it is written would make XLA copy it in every step.
-    travel = state.travel + safe_norm(frozen(pose.tip - state.last_tip))
-    poses = state.poses.with_row(index, pose)
-    newest = state.queue_travel[state.queue_count - 1]
+    # Reading the track before it is written would make XLA copy it in every step.
+    motion = frozen(pose.tip - state.last_tip)
+    travel = state.travel + safe_norm(motion)
+    track = tracked(state, index, pose)
+    newest = state.queue.travel[state.queue_count - 1]
     is_far = travel - newest >= plan.lag / QUEUE_LENGTH
     at = jnp.where(is_far, state.queue_count, QUEUE_LENGTH)
+    forward, passing, late = _ahead(cutter, state, index, frozen(pose), motion)
+    queue = jax.tree.map(
+        lambda queue, new: queue.at[at].set(new, mode="drop"),
+        state.queue,
+        Waiting(index, forward, passing + late, travel),
+    )
     return eqx.tree_at(
         lambda s: (
-            s.poses,
+            s.track,
             s.last_tip,
+            s.forward,
+            s.passing,
             s.queue,
-            s.queue_travel,
             s.queue_count,
             s.travel,
         ),
         state,
         (
-            poses,
-            frozen(pose.tip),
-            state.queue.at[at].set(index, mode="drop"),
-            state.queue_travel.at[at].set(travel, mode="drop"),
+            track,
+            pose.tip,
+            forward,
+            passing,
+            queue,
             state.queue_count + is_far.astype(jnp.int32),
             travel,
         ),
+    )
+
+
+def tracked(state: ProcessState, index: Int[Array, ""], pose: Pose) -> PoseTrack:
+    """Return the track with the poses of the last period, up to pose `index`."""
+    substeps = state.track.substeps
+    ends = jax.tree.map(
+        lambda x, last: jnp.concatenate([x[:-1], last[None]]), state.ends, pose
+    )
+    first = jnp.maximum((index - 1) * substeps + 1, 0)
+    return PoseTrack(state.track.poses.with_rows(first, ends), substeps)
+
+
+def _ahead(
+    cutter: AbstractCutter,
+    state: ProcessState,
+    index: Int[Array, ""],
+    pose: Pose,
+    motion: Float[Array, " 3"],
+) -> tuple[Float[Array, " 2"], Float[Array, ""], Float[Array, ""]]:
+    """Return the direction of motion, when an even tooth looks there, and our delay.
+
+    Which of the teeth it is follows the direction without a jump, so that where the
+    direction trembles no tooth is left out.
+    """
+    frame = tool_frame(pose.direction())
+    x, y = jnp.sum(motion * frame[:, 0]), jnp.sum(motion * frame[:, 1])
+    length = jnp.sqrt(x**2 + y**2)
+    is_moving = length > STILL
+    scale = jnp.where(is_moving, length, 1.0)
+    forward = jnp.where(is_moving, jnp.stack([x, y]) / scale, state.forward)
+    count = cutter.flute_count
+    turn = jnp.arctan2(forward[0], forward[1]) * (count / (2 * math.pi))
+    passing = turn + jnp.round(state.passing - turn)
+    is_beside = (passing < -0.5) | (passing >= 1.5)
+    passing = jnp.where(is_beside, passing - jnp.floor(passing), passing)
+    if cutter.has_even_pitch:
+        return forward, passing, jnp.zeros_like(passing)
+    pitch = jax.lax.stop_gradient(jnp.asarray(cutter.pitch_angles, pose.tip.dtype))
+    even = 2 * math.pi / count * jnp.arange(count, dtype=pitch.dtype)
+    early = jnp.mod(pitch - even + math.pi, 2 * math.pi) - math.pi
+    tooth = jnp.mod(1 - index - jnp.round(passing - turn).astype(jnp.int32), count)
+    return forward, passing, -early[tooth] * (count / (2 * math.pi))
+
+
+def _pass_length(plan: ProcessPlan, cutter: AbstractCutter, stock: Stock) -> int:
+    """Return the number of nodes that one turn of a tooth spans, its helix included."""
+    turns = 1 + _helix_turns(plan, cutter, stock)
+    return math.ceil(turns * cutter.flute_count * plan.substeps) + 3
+
+
+def _helix_turns(plan: ProcessPlan, cutter: AbstractCutter, stock: Stock) -> float:
+    """Return how far the helix holds back the highest edge in the stock, in turns."""
+    if not cutter.has_helix:
+        return 0.0
+    if isinstance(cutter.helix_angle, jax.core.Tracer):
+        # Not known, and higher up the tooth is taken to be there.
+        return 1.0
+    height = plan.window.length or plan.window.sizes[2] * stock.spacing
+    height = min(height, cutter.flute_length)
+    lead = abs(math.tan(float(cutter.helix_angle)))
+    return height * lead / (2 * math.pi * cutter.nominal_radius)
+
+
+def _wait(plan: ProcessPlan, cutter: AbstractCutter, stock: Stock) -> int:
+    """Return after how many periods the tooth of a pass has gone around."""
+    turns = 0.5 + _helix_turns(plan, cutter, stock)
+    # One for the period itself, and a half that the tooth may look forward later.
+    return math.ceil(turns * cutter.flute_count + 1.5)
+
+
+def _tooth_pass(
+    plan: ProcessPlan,
+    cutter: AbstractCutter,
+    state: ProcessState,
+    waiting: Waiting,
+    newest: Int[Array, ""],
+    adjoint: AbstractAdjoint,
+) -> ToothPass:
+    """Return a pass in the queue.
+
+    Args:
+        plan: Sizes of the process.
+        cutter: The cutter.
+        state: The state.
+        waiting: The pass, as it stands in the queue.
+        newest: Index of the newest pose that is known, shape ().
+        adjoint: How the run is differentiated.
+    """
+    S, count = plan.substeps, _pass_length(plan, cutter, state.stock)
+    table = state.track.poses
+    start = (waiting.row - 1) * S
+    steps = waiting.passing * S
+    first = start + jnp.floor(steps - cutter.flute_count * S / 2).astype(jnp.int32)
+    first = jnp.clip(first, 0, table.tip.shape[0] - count)
+    nodes = jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, first, count), table)
+    number = lambda value: value.astype(steps.dtype)
+    return ToothPass(
+        nodes=adjoint.removal_poses(nodes),
+        first=first,
+        forward=waiting.forward,
+        passing=number(start - first) + steps,
+        last=number(jnp.clip(newest * S - first, 0, count - 1)),
+        substeps=S,
     )
 
 
@@ -153,27 +329,38 @@ def remove_due(
     plan: ProcessPlan,
     cutter: AbstractCutter,
     state: ProcessState,
+    index: Int[Array, ""],
     adjoint: AbstractAdjoint,
 ) -> tuple[ProcessState, Removed]:
-    """Remove up to two poses that the tool has left behind by the lag."""
-    indices = state.queue[:_REMOVALS]
-    poses = state.poses[indices]
-    age = state.travel - state.queue_travel[:_REMOVALS]
+    """Remove up to two passes that the tool has left behind by the lag.
+
+    Args:
+        plan: Sizes of the process.
+        cutter: The cutter.
+        state: The state, with the newest pose.
+        index: Index of that pose, shape ().
+        adjoint: How the run is differentiated.
+
+    Returns:
+        The state and what was removed.
+    """
+    oldest = state.queue[:_REMOVALS]
+    passes = [
+        _tooth_pass(plan, cutter, state, oldest[i], index, adjoint)
+        for i in range(_REMOVALS)
+    ]
+    age = state.travel - oldest.travel
+    places = jnp.arange(_REMOVALS, dtype=jnp.int32)
+    is_over = index - oldest.row >= _wait(plan, cutter, state.stock)
     is_full = state.queue_count >= QUEUE_LENGTH
-    is_due = (age >= plan.lag) & (
-        jnp.arange(_REMOVALS, dtype=jnp.int32) < state.queue_count - 1
-    )
-    is_due = is_due | (is_full & (jnp.arange(_REMOVALS, dtype=jnp.int32) == 0))
-    apart = jnp.max(jnp.abs(jax.lax.stop_gradient(poses.tip[1] - poses.tip[0])))
+    is_late = (is_full | (index - oldest.row[0] >= HISTORY)) & (places == 0)
+    # The newest stays: what comes in is measured against it.
+    is_due = ((age >= plan.lag) & is_over) | is_late
+    is_due = is_due & (places < state.queue_count - 1)
+    tips = [tooth.center().frozen().tip for tooth in passes]
+    apart = jnp.max(jnp.abs(tips[1] - tips[0]))
     is_due = is_due.at[1].set(is_due[0] & is_due[1] & (apart <= plan.window.slack))
-    cut = remove_poses(
-        state.stock,
-        cutter,
-        plan.window,
-        adjoint.removal_poses(poses),
-        indices,
-        is_due,
-    )
+    cut = remove_passes(state.stock, cutter, plan.window, passes, is_due)
     count = jnp.sum(is_due, dtype=jnp.int32)
     shift = jnp.minimum(
         jnp.arange(QUEUE_LENGTH, dtype=jnp.int32) + count, QUEUE_LENGTH - 1
@@ -182,7 +369,6 @@ def remove_due(
         lambda s: (
             s.stock,
             s.queue,
-            s.queue_travel,
             s.queue_count,
             s.has_overflow,
             s.is_beyond,
@@ -191,32 +377,37 @@ def remove_due(
         (
             cut.stock,
             state.queue[shift],
-            state.queue_travel[shift],
             state.queue_count - count,
             state.has_overflow | cut.has_overflow,
             state.is_beyond | cut.is_beyond,
         ),
     )
-    return state, Removed(indices, cut.volume, cut.by_shank)
+    return state, Removed(oldest.row, cut.volume, cut.by_shank)
 
 
 def thinned_poses(plan: ProcessPlan, state: ProcessState) -> Pose:
     """Return the newest poses in the queue at given distances behind the tool."""
     slots = jnp.arange(QUEUE_LENGTH, dtype=jnp.int32)
-    age = state.travel - state.queue_travel
+    age = state.travel - state.queue.travel
     picks = []
     for share in _THINNED:
         is_old = (age >= share * plan.lag) & (slots < state.queue_count)
         picks.append(jnp.max(jnp.where(is_old, slots, 0)))
-    return state.poses[state.queue[jnp.stack(picks)]]
+    return state.track.poses[state.queue.row[jnp.stack(picks)] * plan.substeps]
 
 
-def end_period(state: ProcessState, middles: Pose) -> ProcessState:
-    """Keep the poses in the middle of the sub-steps of the period just run."""
+def end_period(state: ProcessState, middles: Pose, ends: Pose) -> ProcessState:
+    """Keep the poses of the period just run.
+
+    Args:
+        state: State at its start.
+        middles: Poses in the middle of its sub-steps, shape (substep, 3).
+        ends: Poses at their ends, same shape.
+    """
     recent = jax.tree.map(
         lambda new, old: jnp.concatenate([new[None], old[:-1]]), middles, state.recent
     )
-    return eqx.tree_at(lambda s: s.recent, state, recent)
+    return eqx.tree_at(lambda s: (s.recent, s.ends), state, (recent, ends))
 
 
 def flush(
@@ -225,6 +416,7 @@ def flush(
     state: ProcessState,
     index: Int[Array, ""],
     pose: Pose,
+    pose_count: int,
     adjoint: AbstractAdjoint,
 ) -> tuple[ProcessState, Removed]:
     """Remove all that the history still holds, the last pose included.
@@ -235,29 +427,38 @@ def flush(
         state: State after the last period.
         index: Index of the last pose, shape ().
         pose: The last pose, shape (3,).
+        pose_count: Number of poses of the run, and of periods behind the last pose.
         adjoint: How the run is differentiated.
 
     Returns:
         The state with an empty history, and what was removed.
     """
-    table = state.poses.with_row(index, pose)
-    waiting = jnp.arange(QUEUE_LENGTH, dtype=jnp.int32) < state.queue_count
-    indices = jnp.concatenate([state.queue, index[None]])
-    is_due = jnp.concatenate([waiting, jnp.ones(1, bool)])
+    newest: Int[Array, ""] = jnp.asarray(pose_count - 1, jnp.int32)
+    state = remember(plan, cutter, state, newest, pose)
+    slots = jnp.arange(QUEUE_LENGTH, dtype=jnp.int32)
+    # After the last pose the tool stands there while its teeth go around.
+    rest = jnp.arange(1 + _wait(plan, cutter, state.stock), dtype=jnp.int32)
+    last = jax.vmap(
+        lambda row: Waiting(row, state.forward, state.passing, state.travel)
+    )(index + rest)
+    rows = jax.tree.map(
+        lambda queue, new: jnp.concatenate([queue, new]), state.queue, last
+    )
+    is_due = jnp.concatenate([slots < state.queue_count, jnp.ones(rest.size, bool)])
 
     def remove(carry, x):
         stock, has_overflow, is_beyond = carry
-        at, due = x
-        poses = adjoint.removal_poses(table[at[None]])
-        cut = remove_poses(stock, cutter, plan.window, poses, at[None], due[None])
+        row, due = x
+        tooth = _tooth_pass(plan, cutter, state, row, newest, adjoint)
+        cut = remove_passes(stock, cutter, plan.window, [tooth], due[None])
         flags = (has_overflow | cut.has_overflow, is_beyond | cut.is_beyond)
         return (cut.stock, *flags), (cut.volume[0], cut.by_shank[0])
 
     carry = (state.stock, state.has_overflow, state.is_beyond)
-    (stock, full, beyond), taken = jax.lax.scan(remove, carry, (indices, is_due))
+    (stock, full, beyond), taken = jax.lax.scan(remove, carry, (rows, is_due))
     state = eqx.tree_at(
-        lambda s: (s.stock, s.poses, s.queue_count, s.has_overflow, s.is_beyond),
+        lambda s: (s.stock, s.queue_count, s.has_overflow, s.is_beyond),
         state,
-        (stock, table, jnp.zeros((), jnp.int32), full, beyond),
+        (stock, jnp.zeros((), jnp.int32), full, beyond),
     )
-    return state, Removed(indices, *taken)
+    return state, Removed(jnp.minimum(rows.row, index), *taken)

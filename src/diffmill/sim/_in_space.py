@@ -23,7 +23,7 @@ from jaxtyping import Array, Float, Int
 from ..cutter import AbstractCutter, EdgeElements
 from ..cutting import AbstractForceLaw, edge_contact, safe_norm
 from ..numerics import clamp
-from ..workpiece import Pose, occupancy_in_space
+from ..workpiece import Pose, occupancy_in_space, tool_frame
 from ._adjoint import AbstractAdjoint
 from ._bottom import RAMP
 from ._history import ProcessState
@@ -32,32 +32,6 @@ from ._plan import ProcessPlan, turning
 
 # Elements nearer to the axis than this share of the radius count as standing there.
 _LEAST_SINE = 0.02
-
-
-def tool_frame(axis: Float[Array, "*pose 3"]) -> Float[Array, "*pose 3 3"]:
-    """Return tool x, y and z as columns; x as near to work x as the axis allows.
-
-    Args:
-        axis: Unit vectors from tip to shank, shape (*pose, 3).
-
-    Returns:
-        Rotations from tool to `work`, shape (*pose, 3, 3).
-
-    **Differentiability**: smooth but where the axis points along work x: there work y
-    takes its place.
-    """
-    tiny = 1e-12
-    along = jnp.asarray([1.0, 0.0, 0.0], axis.dtype)
-    other = jnp.asarray([0.0, 1.0, 0.0], axis.dtype)
-    is_along = jnp.sum(jax.lax.stop_gradient(axis[..., 1:]) ** 2, -1) < tiny
-    start = jnp.where(
-        is_along[..., None],
-        other.reshape((1,) * (axis.ndim - 1) + (3,)),
-        along.reshape((1,) * (axis.ndim - 1) + (3,)),
-    )
-    x = start - jnp.sum(start * axis, axis=-1, keepdims=True) * axis
-    x = x / jnp.linalg.norm(x, axis=-1, keepdims=True)
-    return jnp.stack([x, jnp.cross(axis, x), axis], axis=-1)
 
 
 def engagement_in_space(
@@ -108,7 +82,7 @@ def engagement_in_space(
         cell.reshape(-1, 3, 3),
         plan.discs.band,
         cutter,
-        adjoint.table(state.poses),
+        adjoint.tied_to(state.track),
         keeps_slopes=adjoint.keeps_slopes,
     )
     return angle, tooth, fade * weight.reshape(angle.shape)

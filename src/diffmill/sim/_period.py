@@ -86,8 +86,8 @@ def begin_period(
         tooth = jnp.broadcast_to(tooth, angle.shape)
         none = repeated(pose, (0,))
         return state, Engagement(angle, tooth, weight, none, None), removed
-    state = remember(plan, state, index - 1, pose)
-    state, removed = remove_due(plan, cutter, state, adjoint)
+    state = remember(plan, cutter, state, index - 1, pose)
+    state, removed = remove_due(plan, cutter, state, index - 1, adjoint)
     engage = lambda: look(plan, cutter, state, index, predicted, adjoint)
     return state, when_live(is_live, engage), removed
 
@@ -192,6 +192,11 @@ def _earlier_tips(plan: ProcessPlan, earlier: Pose) -> Float[Array, "tooth 3"]:
 def substep_middles(plan: ProcessPlan, dtype: jnp.dtype) -> Float[Array, " substep"]:
     """Return the middle of each sub-step as a share of the tooth period."""
     return (jnp.arange(plan.substeps, dtype=dtype) + 0.5) / plan.substeps
+
+
+def substep_ends(plan: ProcessPlan, dtype: jnp.dtype) -> Float[Array, " substep"]:
+    """Return the end of each sub-step as a share of the tooth period."""
+    return (jnp.arange(plan.substeps, dtype=dtype) + 1) / plan.substeps
 
 
 def element_heights(

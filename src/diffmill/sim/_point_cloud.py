@@ -28,7 +28,7 @@ from ..cutter import AbstractCutter
 from ..numerics import clamp
 from ..workpiece import Pose, Stock, TakenPieces, remove_poses, taken_pieces
 from ._adjoint import AbstractAdjoint
-from ._history import ProcessState, Removed
+from ._history import ProcessState, Removed, tracked
 from ._plan import ProcessPlan
 from ._upright import immersion_angles
 
@@ -82,13 +82,13 @@ def remove_at_once(
     pose: Pose,
     adjoint: AbstractAdjoint,
 ) -> tuple[ProcessState, Removed]:
-    """Enter a pose in the table and remove it from the stock.
+    """Enter a pose in the track and remove it from the stock.
 
     Args:
         plan: Sizes of the process.
         cutter: The cutter.
         state: State after the period before.
-        index: Row of the pose in the table, shape ().
+        index: Index of the pose, shape ().
         pose: The pose, shape (3,).
         adjoint: How the run is differentiated.
 
@@ -107,11 +107,11 @@ def remove_at_once(
         is_due,
     )
     state = eqx.tree_at(
-        lambda s: (s.stock, s.poses, s.has_overflow, s.is_beyond),
+        lambda s: (s.stock, s.track, s.has_overflow, s.is_beyond),
         state,
         (
             cut.stock,
-            state.poses.with_row(index, pose),
+            tracked(state, index, pose),
             state.has_overflow | cut.has_overflow,
             state.is_beyond | cut.is_beyond,
         ),

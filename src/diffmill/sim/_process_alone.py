@@ -17,7 +17,13 @@ from ..workpiece import Pose, Stock
 from ._adjoint import AbstractAdjoint, Plain
 from ._history import ProcessState, Removed, end_period, flush, initial_state
 from ._padding import last_row, live_rows, when_live
-from ._period import Engagement, begin_period, substep_force, substep_middles
+from ._period import (
+    Engagement,
+    begin_period,
+    substep_ends,
+    substep_force,
+    substep_middles,
+)
 from ._plan import ChipModel, ProcessPlan, descends, process_plan
 
 
@@ -117,9 +123,9 @@ def simulate_process(
     state, overlap = initial_state(plan, stock, cutter, path[0], step_count, adjoint)
 
     def step(
-        state: ProcessState, x: tuple[Array, Pose, Pose, Array | None]
+        state: ProcessState, x: tuple[Array, Pose, Pose, Pose, Array | None]
     ) -> tuple[ProcessState, tuple[Array, Array | None, Removed, Array]]:
-        index, start, poses, is_live = x
+        index, start, poses, ends, is_live = x
         state, cut, removed = begin_period(
             plan, cutter, state, index, start, poses, adjoint, is_live
         )
@@ -128,17 +134,18 @@ def simulate_process(
             is_live,
             lambda: _period_force(plan, cutter, laws, poses, state.recent, cut),
         )
-        state = end_period(state, poses)
+        state = end_period(state, poses, ends)
         kept = samples if keeps_instantaneous else None
         failed = state.has_overflow | state.is_beyond
         return state, (jnp.mean(samples, axis=0), kept, removed, failed)
 
     index = jnp.arange(1, step_count, dtype=jnp.int32)
     middles = middles_of(plan, path, row_count)
-    xs = (index, path[:-1], middles, live_rows(index, row_count))
+    ends = ends_of(plan, path, row_count)
+    xs = (index, path[:-1], middles, ends, live_rows(index, row_count))
     state, (force, samples, removed, failed) = jax.lax.scan(step, state, xs)
     last = last_row(step_count, row_count)
-    state, rest = flush(plan, cutter, state, last, path[last], adjoint)
+    state, rest = flush(plan, cutter, state, last, path[last], step_count, adjoint)
     period = 2 * math.pi / (jnp.asarray(spindle_speed, dtype) * cutter.flute_count)
     volume, by_shank = volumes_by_pose(step_count, removed, rest)
     return ProcessSolution(
@@ -338,6 +345,28 @@ def middles_of(
         path: Poses at the tooth instants, shape (step, 3).
         row_count: How many of them count; all if None.
     """
+    return _between(path, substep_middles(plan, path.tip.dtype), row_count)
+
+
+def ends_of(plan: ProcessPlan, path: Pose, row_count: IntScalar | None = None) -> Pose:
+    """Return the poses at the ends of the sub-steps; see `middles_of`.
+
+    Behind the last row that counts the tool is at rest.
+    """
+    ends = _between(path, substep_ends(plan, path.tip.dtype), row_count)
+    if row_count is None:
+        return ends
+    count = path.tip.shape[0]
+    is_live = jnp.arange(1, count, dtype=jnp.int32) < row_count
+    rest = path[last_row(count, row_count)]
+    return jax.tree.map(
+        lambda x, end: jnp.where(is_live[:, None, None], x, end), ends, rest
+    )
+
+
+def _between(
+    path: Pose, shares: Float[Array, " substep"], row_count: IntScalar | None
+) -> Pose:
     if row_count is not None:
         # The curve through the last rows goes on behind them as at the path's end.
         end = last_row(path.tip.shape[0], row_count)
@@ -345,7 +374,6 @@ def middles_of(
             2 * rows[end] - rows[end - 1], mode="drop"
         )
         path = jax.tree.map(ahead, path)
-    shares = substep_middles(plan, path.tip.dtype)
     tip = within_periods(path.tip, shares)
     if path.axis is None:
         return Pose(tip)

@@ -18,6 +18,8 @@ cut without bound and no balance exists: the result is not meaningful there.
 What a real arm adds is left out: swinging at corners, forced vibration and chatter.
 """
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -32,7 +34,13 @@ from ._adjoint import AbstractAdjoint
 from ._coupled import CoupledSolution, along
 from ._history import ProcessState, Removed, end_period, flush, initial_state
 from ._padding import last_row, live_rows, when_live
-from ._period import Engagement, begin_period, substep_force, substep_middles
+from ._period import (
+    Engagement,
+    begin_period,
+    substep_ends,
+    substep_force,
+    substep_middles,
+)
 from ._plan import ProcessPlan
 from ._process_alone import failed_rows, outcome, volumes_by_pose
 
@@ -122,7 +130,7 @@ def simulate_quasistatic(
     xs = (index, theta[:-1], theta[1:], live_rows(index, row_count))
     (process, last), rows = jax.lax.scan(step, (process, first), xs)
     end = last_row(step_count, row_count)
-    process, rest = flush(plan, cutter, process, end, last.pose, adjoint)
+    process, rest = flush(plan, cutter, process, end, last.pose, step_count, adjoint)
     volume, by_shank = volumes_by_pose(step_count, rows.removed, rest)
     chain = jax.tree.map(
         lambda a, b: jnp.concatenate([a[None], b]), first, rows.balance
@@ -156,8 +164,11 @@ def _run_period(
     stretch = lambda tau: static_stretch(machine.robot, tau)
     joints = lambda F: stop - stretch(gravity - jacobian.T @ F)
     tip = lambda F: pose.tip + jacobian @ (joints(F) - near)
-    shares = substep_middles(machine.plan, stop.dtype)[:, None]
-    tips = lambda F: start.pose.tip[None] * (1 - shares) + tip(F)[None] * shares
+
+    def tips(F: Array, places: Callable[..., Array] = substep_middles) -> Array:
+        shares = places(machine.plan, stop.dtype)[:, None]
+        return start.pose.tip[None] * (1 - shares) + tip(F)[None] * shares
+
     process, cut, removed = begin_period(
         machine.plan,
         machine.cutter,
@@ -183,7 +194,8 @@ def _run_period(
         return _Balance(joints(force), Pose(tip(force), pose.axis), force)
 
     end = when_live(is_live, balance, start)
-    process = end_period(process, along(pose, tips(end.force)))
+    ends = tips(end.force, substep_ends)
+    process = end_period(process, along(pose, tips(end.force)), along(pose, ends))
     has_failed = process.has_overflow | process.is_beyond
     return (process, end), _Row(end, removed, has_failed)
 

@@ -20,7 +20,13 @@ from ._history import ProcessState, end_period, initial_state
 from ._in_space import tool_frame
 from ._period import Engagement, begin_period, element_heights, substep_chip
 from ._plan import ProcessPlan
-from ._process_alone import ProcessSolution, middles_of, path_poses, simulate_process
+from ._process_alone import (
+    ProcessSolution,
+    ends_of,
+    middles_of,
+    path_poses,
+    simulate_process,
+)
 from ._simulate import Solution, job_plan, with_precision
 from ._stability import joint_poses
 
@@ -154,9 +160,9 @@ def _last_periods(
     state, _ = initial_state(plan, stock, cutter, path[0], rows, adjoint)
 
     def period(
-        state: ProcessState, x: tuple[Array, Pose, Pose]
+        state: ProcessState, x: tuple[Array, Pose, Pose, Pose]
     ) -> tuple[ProcessState, tuple[Engagement, Array]]:
-        index, start, poses = x
+        index, start, poses, ends = x
         state, cut, _ = begin_period(plan, cutter, state, index, start, poses, adjoint)
         chip = jax.vmap(
             lambda pose, earlier, angle, tooth: substep_chip(
@@ -164,10 +170,10 @@ def _last_periods(
             ),
             in_axes=(0, 1, 0, 0),
         )(poses, state.recent, cut.angle, cut.tooth)
-        return end_period(state, poses), (cut, chip)
+        return end_period(state, poses, ends), (cut, chip)
 
     index = jnp.arange(1, rows, dtype=jnp.int32)
-    xs = (index, path[:-1], middles_of(plan, path))
+    xs = (index, path[:-1], middles_of(plan, path), ends_of(plan, path))
     before = jax.tree.map(lambda x: x[:-count], xs)
     last = jax.tree.map(lambda x: x[-count:], xs)
     state, _ = jax.lax.scan(lambda s, x: (period(s, x)[0], None), state, before)

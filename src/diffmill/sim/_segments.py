@@ -1,9 +1,9 @@
 """The coupled simulation in segments: a run that starts from where another ended.
 
-A segment numbers its poses afresh: its table holds the poses that still wait for
-removal, then its own. Ends of rays that earlier segments cut become raw stock to it:
-they stay where they are and have no derivative. So what is carried from segment to
-segment does not grow with the path, but for the stock itself.
+A segment numbers its poses afresh: its track holds the newest of the segments before,
+as far as removal looks back, then its own. Ends of rays that earlier segments cut
+become raw stock to it: they stay where they are and have no derivative. So what is
+carried from segment to segment does not grow with the path, but for the stock itself.
 """
 
 import equinox as eqx
@@ -12,10 +12,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from .._job import Job
-from ..workpiece import Pose, Rays, Stock
+from ..workpiece import PoseTrack, Rays, Stock
 from ._adjoint import AbstractAdjoint
 from ._coupled import Machine, begin, coupled_machine, pose_at, run_periods
-from ._history import QUEUE_LENGTH, ProcessState
+from ._history import HISTORY, ProcessState
 from ._integrators import make_integrator
 from ._simulate import job_plan
 from ._stepping import ArmState
@@ -68,8 +68,10 @@ def begin_segments(
 
     Differentiability: as `simulate_coupled`.
     """
-    carry, _ = begin(machine, stock, motor_positions, _history_rows(machine))
-    return CoupledCarry(*carry, jnp.zeros((), jnp.int32))
+    rows = _history_rows(machine)
+    (process, arm), _ = begin(machine, stock, motor_positions, rows + 1)
+    process = _moved(process, process.track, rows)
+    return CoupledCarry(process, arm, jnp.zeros((), jnp.int32))
 
 
 def run_segment(
@@ -94,9 +96,11 @@ def run_segment(
     theta = motor_positions
     flutes = machine.cutter.flute_count
     # The tooth that is next follows from the index of the period.
-    first = _history_rows(machine) + jnp.mod(carry.period_count, flutes)
-    process = _with_rows(carry.process, theta.shape[0] + flutes)
-    ended, rows = run_periods(machine, (process, carry.arm), theta, first + 1)
+    ahead = jnp.mod(carry.period_count, flutes)
+    history = _history_rows(machine)
+    process = _with_rows(carry.process, ahead, theta.shape[0] + flutes)
+    first = history + ahead + 1
+    ended, rows = run_periods(machine, (process, carry.arm), theta, first)
     process, state = ended
     final = pose_at(machine, state).tip
     segment = CoupledSegment(
@@ -105,37 +109,53 @@ def run_segment(
         joint_positions=jnp.concatenate([rows.joint_positions, state.q[None]]),
     )
     count = carry.period_count + (theta.shape[0] - 1)
-    process = _renumbered(process, _history_rows(machine))
+    process = _renumbered(process, ahead + theta.shape[0] - 1, history)
     return segment, CoupledCarry(process, state, count)
 
 
 def _history_rows(machine: Machine) -> int:
-    """Return the rows of the table before a segment's own: whole turns of the tool."""
+    """Return the row in the track at which a segment starts, in whole turns."""
     flutes = machine.cutter.flute_count
-    return -(-QUEUE_LENGTH // flutes) * flutes
+    return (-(-HISTORY // flutes) + 2) * flutes
 
 
-def _with_rows(process: ProcessState, count: int) -> ProcessState:
-    """Return the state with more rows in its table of poses."""
+def _with_rows(
+    process: ProcessState, ahead: Int[Array, ""], count: int
+) -> ProcessState:
+    """Return the state with its track moved ahead, and more rows behind it."""
+    track = process.track
+    more = count * track.substeps
     longer = jax.tree.map(
-        lambda x: jnp.concatenate([x, jnp.broadcast_to(x[-1:], (count, 3))]),
-        process.poses,
+        lambda x: jnp.concatenate([x, jnp.broadcast_to(x[-1:], (more, 3))]),
+        track.poses,
     )
-    return eqx.tree_at(lambda s: s.poses, process, longer)
+    poses = longer.with_rows(ahead * track.substeps, track.poses)
+    return _moved(process, PoseTrack(poses, track.substeps), ahead)
 
 
-def _renumbered(process: ProcessState, count: int) -> ProcessState:
-    """Return the state with only the poses of the queue in its table."""
-    order = jnp.minimum(jnp.arange(count, dtype=jnp.int32), QUEUE_LENGTH - 1)
-    poses: Pose = process.poses[process.queue[order]]
+def _renumbered(process: ProcessState, back: Int[Array, ""], last: int) -> ProcessState:
+    """Return the state with row `back + last` of its track as row `last`, its end."""
+    S = process.track.substeps
+    poses = jax.tree.map(
+        lambda x: jax.lax.dynamic_slice_in_dim(x, back * S, last * S + 1),
+        process.track.poses,
+    )
     families = tuple(
         Rays(rays.ends, jnp.full_like(rays.poses, -1))
         for rays in process.stock.families
     )
+    process = eqx.tree_at(lambda s: s.stock.families, process, families)
+    return _moved(process, PoseTrack(poses, S), -back)
+
+
+def _moved(
+    process: ProcessState, track: PoseTrack, rows: Int[Array, ""] | int
+) -> ProcessState:
+    """Return the state with another track, in which its rows stand further on."""
     return eqx.tree_at(
-        lambda s: (s.poses, s.queue, s.stock.families),
+        lambda s: (s.track, s.queue.row),
         process,
-        (poses, jnp.arange(QUEUE_LENGTH, dtype=jnp.int32), families),
+        (track, process.queue.row + rows),
     )
 
 

@@ -59,9 +59,8 @@ def upright_engagement(
     points = (predicted[:, None, None, None] + rim).reshape(-1, angle.shape[3], 3)
     step = 2 * math.pi / plan.angles
     moves = (step * jnp.stack([cos, -sin], -1)).reshape(-1, angle.shape[3], 2)
-    table = adjoint.table(state.poses)
-    tips = None if table is None else table.tip
-    weight = occupancy(state.stock, points, moves, plan.discs, cutter, tips)
+    track = adjoint.tied_to(state.track)
+    weight = occupancy(state.stock, points, moves, plan.discs, cutter, track)
     weight = weight.reshape(*angle.shape[:3], plan.discs.count)
     return angle, tooth, fade * weight
 

@@ -2,7 +2,7 @@
 
 Three orthogonal families of rays (along x, y and z of `work`) with the same spacing;
 each ray holds a fixed number of intervals of material in unsorted slots, and each end
-of an interval remembers which tool pose cut it. Removal subtracts the tool in a window
+of an interval remembers when a tooth cut it. Removal subtracts the tool in a window
 of rays; the signed distance of a point combines what the three families see.
 
 Assumes a grid along the axes of `work`. A ray that needs
@@ -36,11 +36,12 @@ from ._in_space import occupancy_in_space as occupancy_in_space
 from ._memory import physical_memory as physical_memory, stock_bytes as stock_bytes
 from ._mesh import Mesh as Mesh
 from ._occupancy import Discs as Discs, occupancy as occupancy
-from ._pose import Pose as Pose, repeated as repeated
+from ._pose import Pose as Pose, repeated as repeated, tool_frame as tool_frame
 from ._removal import (
     Cut as Cut,
     RemovalWindow as RemovalWindow,
     removal_window as removal_window,
+    remove_passes as remove_passes,
     remove_poses as remove_poses,
     subtract as subtract,
     tilted_window as tilted_window,
@@ -65,3 +66,4 @@ from ._surface_error import (
     measure_surface as measure_surface,
     surface_error as surface_error,
 )
+from ._tooth_pass import TICKS as TICKS, PoseTrack as PoseTrack, ToothPass as ToothPass

@@ -31,6 +31,7 @@ from ..numerics import clamp, sloped_rows, tied
 from ._occupancy import REACH, nearest_interval
 from ._pose import Pose
 from ._stock import Stock
+from ._tooth_pass import PoseTrack
 
 # A family that knows less than the first share of what the best one knows has no say
 # below the second.
@@ -71,7 +72,7 @@ def occupancy_in_space(
     cells: Float[Array, "point edge 3"],
     band: float,
     cutter: AbstractCutter,
-    poses: Pose | None = None,
+    track: PoseTrack | None = None,
     *,
     keeps_slopes: bool = False,
 ) -> Float[Array, " point"]:
@@ -83,10 +84,10 @@ def occupancy_in_space(
         cells: What each piece takes: from one end to the other, its way to the next
             sample, and outward through its chip [m], shape (point, 3, 3).
         band: Resolution of the rays and samples [m].
-        cutter: The cutter that cut the stock; used only with `poses`.
-        poses: All poses so far, shape (pose, 3), to which the derivative goes; None
-            differentiates through the stock.
-        keeps_slopes: With `poses`, whether a linearisation keeps the slopes of each
+        cutter: The cutter that cut the stock; used only with `track`.
+        track: All poses so far, to which the derivative goes; None differentiates
+            through the stock.
+        keeps_slopes: With `track`, whether a linearisation keeps the slopes of each
             point instead of computing it again in every product.
 
     Returns:
@@ -97,12 +98,12 @@ def occupancy_in_space(
     """
     near = tuple(_find(stock, f, points) for f in range(3))
     sizes = (stock.spacing, band)
-    if poses is None:
+    if track is None:
         combine = jax.checkpoint(_combine, static_argnums=(5,))
         ends = [n.ends for n in near]
         return combine(points, cells, ends, near, stock.origin, sizes)
     # One gather for all: its transpose then adds into the table only once.
-    cut_by = poses[jnp.maximum(jnp.stack([n.pose for n in near], axis=1), 0)]
+    cut_by = track.cut_by(jnp.stack([n.pose for n in near], axis=1))
     look = functools.partial(_look, sizes)
     look = sloped_rows(look) if keeps_slopes else jax.checkpoint(look)
     return look(points, cells, cut_by, near, cutter, stock.origin)

@@ -16,7 +16,7 @@ about where a surface is, so it hardly counts while another one does.
 
 Two ways to differentiate with respect to the poses that cut the stock: through the
 ends of the rays (`pose_tips=None`), or through the poses that the ends remember
-(`pose_tips` given), where the stock is a constant and each end that is read here is
+(`track` given), where the stock is a constant and each end that is read here is
 tied to its pose by the slope of the cutter's surface at that end.
 """
 
@@ -30,6 +30,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..cutter import AbstractCutter
 from ..numerics import clamp, hat_integral, tied
 from ._stock import Stock
+from ._tooth_pass import PoseTrack
 
 # Distances along a ray are cut off here, in units of the spacing.
 REACH = 4.0
@@ -96,7 +97,7 @@ def occupancy(
     moves: Float[Array, "point disc 2"],
     discs: Discs,
     cutter: AbstractCutter,
-    pose_tips: Float[Array, "pose 3"] | None = None,
+    track: PoseTrack | None = None,
 ) -> Float[Array, "point element"]:
     """Return how much of each disc is in the material at points on its rim.
 
@@ -107,9 +108,9 @@ def occupancy(
         moves: From each point to the next sample [m], across the axis, shape
             (point, disc, 2).
         discs: The discs.
-        cutter: The cutter that cut the stock; used only with `pose_tips`.
-        pose_tips: Tool tips of all poses so far [m], shape (pose, 3), to which the
-            derivative goes; None differentiates through the stock.
+        cutter: The cutter that cut the stock; used only with `track`.
+        track: All poses so far, to which the derivative goes; None differentiates
+            through the stock.
 
     Returns:
         Occupancy, shape (point, element): exactly 0 and 1 away from surfaces.
@@ -117,13 +118,13 @@ def occupancy(
     Differentiability: continuous; kinks where a point crosses a grid line.
     """
     columns = _find_columns(stock, points)
-    if pose_tips is not None:
-        columns = _tie_columns(columns, pose_tips)
+    if track is not None:
+        columns = _tie_columns(columns, track)
     heights = _wall_heights(stock, points, discs, columns)
     walls = tuple(_find_walls(stock, f, points, heights) for f in (0, 1))
     wall_ends = (walls[0].ends, walls[1].ends)
-    if pose_tips is not None:
-        wall_ends = _tie_walls(cutter, walls, pose_tips)
+    if track is not None:
+        wall_ends = _tie_walls(cutter, walls, track)
     facts = tuple((w.is_upper, w.is_empty) for w in walls)
     combine = jax.checkpoint(_combine, static_argnums=(5,))
     return combine(
@@ -250,13 +251,12 @@ def nearest_interval(
     return low, high, slot
 
 
-def _tie_columns(columns: _Columns, pose_tips: Float[Array, "pose 3"]) -> _Columns:
+def _tie_columns(columns: _Columns, track: PoseTrack) -> _Columns:
     """Return the columns, each end with the derivative of the pose that cut it.
 
     A flat end cuts a column at the height of its tip.
     """
-    height = pose_tips[:, 2][jnp.maximum(columns.poses, 0)]
-    tie = jnp.where(columns.poses >= 0, height, 0)
+    tie = jnp.where(columns.poses >= 0, track.height_by(columns.poses), 0)
     ends = tied(jax.lax.stop_gradient(columns.ends), tie)
     return _Columns(ends, columns.poses)
 
@@ -264,12 +264,12 @@ def _tie_columns(columns: _Columns, pose_tips: Float[Array, "pose 3"]) -> _Colum
 def _tie_walls(
     cutter: AbstractCutter,
     walls: tuple[_Walls, ...],
-    pose_tips: Float[Array, "pose 3"],
+    track: PoseTrack,
 ) -> tuple[Float[Array, "point element 4"], Float[Array, "point element 4"]]:
     """Return the ends of both families with the derivatives of their poses."""
     frozen = jax.lax.stop_gradient
     # One gather for both: its transpose then adds into the table only once.
-    tips = pose_tips[jnp.maximum(jnp.stack([w.pose for w in walls]), 0)]
+    tips = track.cut_by(jnp.stack([w.pose for w in walls])).tip
     moving = []
     for f in (0, 1):
         wall, tip = walls[f], tips[f]

@@ -34,13 +34,11 @@ class Pose(eqx.Module):
         """Return the same poses as constants."""
         return jax.tree.map(jax.lax.stop_gradient, self)
 
-    def with_row(self, index: Array, row: "Pose") -> "Pose":
-        """Return the table with one row replaced."""
-        at = (index, jnp.zeros_like(index))
+    def with_rows(self, first: Array, rows: "Pose") -> "Pose":
+        """Return the table with some rows replaced, from a row on."""
+        at = (first, jnp.zeros_like(first))
         return jax.tree.map(
-            lambda table, new: jax.lax.dynamic_update_slice(table, new[None], at),
-            self,
-            row,
+            lambda table, new: jax.lax.dynamic_update_slice(table, new, at), self, rows
         )
 
 
@@ -49,3 +47,29 @@ def repeated(pose: Pose, shape: tuple[int, ...]) -> Pose:
     return jax.tree.map(
         lambda x: jnp.broadcast_to(x[(None,) * len(shape)], (*shape, 3)), pose
     )
+
+
+def tool_frame(axis: Float[Array, "*pose 3"]) -> Float[Array, "*pose 3 3"]:
+    """Return tool x, y and z as columns; x as near to work x as the axis allows.
+
+    Args:
+        axis: Unit vectors from tip to shank, shape (*pose, 3).
+
+    Returns:
+        Rotations from tool to `work`, shape (*pose, 3, 3).
+
+    **Differentiability**: smooth but where the axis points along work x: there work y
+    takes its place.
+    """
+    tiny = 1e-12
+    along = jnp.asarray([1.0, 0.0, 0.0], axis.dtype)
+    other = jnp.asarray([0.0, 1.0, 0.0], axis.dtype)
+    is_along = jnp.sum(jax.lax.stop_gradient(axis[..., 1:]) ** 2, -1) < tiny
+    start = jnp.where(
+        is_along[..., None],
+        other.reshape((1,) * (axis.ndim - 1) + (3,)),
+        along.reshape((1,) * (axis.ndim - 1) + (3,)),
+    )
+    x = start - jnp.sum(start * axis, axis=-1, keepdims=True) * axis
+    x = x / jnp.linalg.norm(x, axis=-1, keepdims=True)
+    return jnp.stack([x, jnp.cross(axis, x), axis], axis=-1)

@@ -6,6 +6,7 @@ a step removes first and looks at the stock afterwards.
 """
 
 import math
+from collections.abc import Sequence
 from typing import Literal
 
 import equinox as eqx
@@ -17,6 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..cutter import AbstractCutter
 from ._pose import Pose
 from ._stock import DEAD, Rays, Stock, grid_shape
+from ._tooth_pass import Interval, ToothPass, cut_interval, standing
 
 # A tool that leans less than this out of the horizontal lies flat.
 _LEVEL = 1e-6
@@ -27,26 +29,25 @@ SHORTEST = 1e-9
 def subtract(
     ends: Float[Array, "*ray 2 slot"],
     poses: Int[Array, "*ray 2 slot"],
-    cut: tuple[Float[Array, "*ray"], Float[Array, "*ray"], Bool[Array, "*ray"]],
-    pose: Int[Array, ""],
+    cut: Interval,
 ) -> tuple[Float[Array, "*ray 2 slot"], Int[Array, "*ray 2 slot"], Bool[Array, "*ray"]]:
     """Remove one interval from each ray.
 
     Args:
         ends: Lower and upper ends [m], shape (..., 2, slot).
-        poses: Poses that cut these ends, shape (..., 2, slot).
-        cut: Start and end of the interval to remove [m] and whether there is one,
-            each of shape (...).
-        pose: Index of the pose that cuts, shape ().
+        poses: When these ends were cut, in ticks, shape (..., 2, slot).
+        cut: Start and end of the interval to remove [m], whether there is one, and when
+            both ends are cut, in ticks, each of shape (...).
 
     Returns:
-        New ends, new poses, and whether a piece found no free slot, shape (...).
+        New ends, when they were cut, and whether a piece found no free slot, shape
+        (...).
 
     Differentiability: smooth in ends and cut wherever the order of the ends does not
     change.
     """
     low, high = ends[..., 0, :], ends[..., 1, :]
-    start, stop, is_cut = (x[..., None] for x in cut)
+    start, stop, is_cut, started, stopped = (x[..., None] for x in cut)
 
     # Each branch computes what is met anew: it is cheaper than to hand it over.
     def trim() -> tuple[Array, Array, Array]:
@@ -56,8 +57,8 @@ def subtract(
         is_gone = is_met & ~keeps_low & ~keeps_high
         new_low = jnp.where(is_gone, DEAD, jnp.where(is_met & ~keeps_low, stop, low))
         new_high = jnp.where(is_gone, -DEAD, jnp.where(keeps_low, start, high))
-        low_pose = jnp.where(is_met & ~keeps_low, pose, poses[..., 0, :])
-        high_pose = jnp.where(keeps_low, pose, poses[..., 1, :])
+        low_pose = jnp.where(is_met & ~keeps_low, stopped, poses[..., 0, :])
+        high_pose = jnp.where(keeps_low, started, poses[..., 1, :])
         is_full = jnp.zeros(low.shape[:-1], bool)
         return _two(new_low, new_high), _two(low_pose, high_pose), is_full
 
@@ -77,7 +78,7 @@ def subtract(
         rest_pose = jnp.max(rest_pose, axis=-1, keepdims=True)
         return (
             jnp.where(takes, _two(stop, rest), new),
-            jnp.where(takes, _two(jnp.full_like(rest_pose, pose), rest_pose), by),
+            jnp.where(takes, _two(stopped, rest_pose), by),
             needs[..., 0] & jnp.all(is_live, axis=-1),
         )
 
@@ -111,15 +112,15 @@ class Cut(eqx.Module):
 
     Attributes:
         stock: The stock without the poses.
-        volume: What each pose took [m^3], shape (pose,).
-        by_shank: What of it its shank took, above the flutes [m^3], shape (pose,).
+        volume: What each pass took [m^3], shape (pass,).
+        by_shank: What of it its shank took, above the flutes [m^3], shape (pass,).
         has_overflow: Whether a ray ran out of slots, shape ().
         is_beyond: Whether a tool reached beyond the window, shape ().
     """
 
     stock: Stock
-    volume: Float[Array, " pose"]
-    by_shank: Float[Array, " pose"]
+    volume: Float[Array, " pass"]
+    by_shank: Float[Array, " pass"]
     has_overflow: Bool[Array, ""]
     is_beyond: Bool[Array, ""]
 
@@ -197,7 +198,7 @@ def remove_poses(
     indices: Int[Array, " pose"],
     is_due: Bool[Array, " pose"],
 ) -> Cut:
-    """Subtract the cutter at a few close poses from the stock.
+    """Subtract the cutter at a few close poses from the stock, where it stands still.
 
     Args:
         stock: The workpiece.
@@ -212,15 +213,41 @@ def remove_poses(
 
     Differentiability: in the ends of the stock, through the poses.
     """
-    starts, lines, is_beyond = window_lines(stock, cutter, window, poses[0].frozen())
+    passes = [standing(poses[i], indices[i]) for i in range(indices.shape[0])]
+    return remove_passes(stock, cutter, window, passes, is_due)
+
+
+def remove_passes(
+    stock: Stock,
+    cutter: AbstractCutter,
+    window: RemovalWindow,
+    passes: Sequence[ToothPass],
+    is_due: Bool[Array, " pass"],
+) -> Cut:
+    """Subtract what teeth take as they go around, at a few close places.
+
+    Args:
+        stock: The workpiece.
+        cutter: The cutter.
+        window: Size of the window; it stands around the first pass.
+        passes: The passes, each of one tooth.
+        is_due: Which of them to subtract, shape (pass,).
+
+    Returns:
+        The stock, what was taken, and what went wrong.
+
+    Differentiability: in the ends of the stock, through the poses.
+    """
+    centers = [tooth.center().frozen() for tooth in passes]
+    starts, lines, is_beyond = window_lines(stock, cutter, window, centers[0])
     d = stock.spacing
     has_overflow = jnp.zeros((), bool)
-    volumes = jnp.zeros(indices.shape[0], stock.origin.dtype)
+    volumes = jnp.zeros(len(passes), stock.origin.dtype)
     has_cut = jnp.zeros((), bool)
     families = []
     for f in (0, 1, 2):
         new, volume, full = _remove_family(
-            stock.families[f], cutter, f, starts, lines, poses, indices, is_due
+            stock.families[f], cutter, f, starts, lines, passes, is_due
         )
         has_overflow = has_overflow | full
         has_cut = has_cut | jnp.any(volume > 0)
@@ -230,7 +257,7 @@ def remove_poses(
     new_stock = eqx.tree_at(lambda s: s.families, stock, tuple(families))
     by_shank = jnp.zeros_like(volumes)
     if window.has_shank:
-        at = (starts, lines, poses, is_due)
+        at = (starts, lines, centers, is_due)
         by_shank = _shank_volume(stock.families[2], cutter, *at) * d**2
     return Cut(new_stock, volumes, by_shank, has_overflow, is_beyond & has_cut)
 
@@ -240,7 +267,7 @@ def _shank_volume(
     cutter: AbstractCutter,
     starts: list[Int[Array, ""]],
     lines: list[Float[Array, " _"]],
-    poses: Pose,
+    poses: Sequence[Pose],
     is_due: Bool[Array, " pose"],
 ) -> Float[Array, " pose"]:
     """Return how much of each pose's cut lies above its flutes, by the rays along z."""
@@ -251,8 +278,7 @@ def _shank_volume(
     x = jnp.broadcast_to(lines[0][:, None], shape[:2])
     y = jnp.broadcast_to(lines[1][None, :], shape[:2])
     lengths = []
-    for i in range(is_due.shape[0]):
-        pose = poses[i].frozen()
+    for i, pose in enumerate(poses):
         start, stop, is_hit = cutter.intersect_pose(2, x, y, pose.tip, pose.direction())
         a = pose.direction()
         foot = (x - pose.tip[0]) * a[0] + (y - pose.tip[1]) * a[1]
@@ -345,10 +371,9 @@ def _remove_family(
     family: Literal[0, 1, 2],
     starts: list[Int[Array, ""]],
     lines: list[Float[Array, " _"]],
-    poses: Pose,
-    indices: Int[Array, " pose"],
-    is_due: Bool[Array, " pose"],
-) -> tuple[Rays, Float[Array, " pose"], Bool[Array, ""]]:
+    passes: Sequence[ToothPass],
+    is_due: Bool[Array, " pass"],
+) -> tuple[Rays, Float[Array, " pass"], Bool[Array, ""]]:
     axis_b, axis_c = (family + 1) % 3, (family + 2) % 3
     slot_count = rays.ends.shape[-1]
     shape = (lines[axis_b].shape[0], lines[axis_c].shape[0], 2, slot_count)
@@ -359,16 +384,13 @@ def _remove_family(
     b = jnp.broadcast_to(lines[axis_b][:, None], shape[:2])
     c = jnp.broadcast_to(lines[axis_c][None, :], shape[:2])
     removed, has_overflow = [], jnp.zeros((), bool)
-    for i in range(indices.shape[0]):
+    for i, each in enumerate(passes):
 
         def cut(
-            ends: Array, cut_by: Array, pose: Pose = poses[i], index: Array = indices[i]
+            ends: Array, cut_by: Array, tooth: ToothPass = each
         ) -> tuple[Array, Array, Array, Array]:
-            if pose.axis is None:
-                interval = cutter.intersect(family, b, c, pose.tip)
-            else:
-                interval = cutter.intersect_pose(family, b, c, pose.tip, pose.axis)
-            new, by, full = subtract(ends, cut_by, interval, index)
+            interval = cut_interval(cutter, family, b, c, tooth)
+            new, by, full = subtract(ends, cut_by, interval)
             return new, by, jnp.any(full), _removed_length(ends, new)
 
         def skip(ends: Array, cut_by: Array) -> tuple[Array, Array, Array, Array]:

@@ -31,8 +31,8 @@ class Rays(eqx.Module):
 
     Attributes:
         ends: Lower and upper ends along the ray [m], shape (u, v, 2, slot).
-        poses: Index of the tool pose that cut each end, -1 for the raw stock,
-            shape (u, v, 2, slot).
+        poses: Which tool pose cut each end, in 2048ths of a tooth period from pose 0;
+            negative for the raw stock; shape (u, v, 2, slot).
     """
 
     ends: Float[Array, "u v 2 slot"]
