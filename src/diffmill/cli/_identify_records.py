@@ -72,11 +72,14 @@ def identify_records(task: "ForceRecordTask", progress: Progress) -> Outcome:
     except ValueError as error:
         raise BadInput(f"{task.name}: {error}") from error
     left = predict_left_out(fit)
+    is_likely = not axes_are_doubted(proposal, axes)
+    # In wrong axes an offset explains the means, though nothing is wrong with channels.
+    found = fit.diagnoses if is_likely else ()
     lines = [
         *record_lines(task, beside),
         *axes_lines(proposal, axes, settings.takes_proposed),
         *_fit_lines(fit, left, task),
-        *diagnosis_lines(fit.diagnoses, axes, [one.name for one in task.records]),
+        *diagnosis_lines(found, axes, [one.name for one in task.records]),
         *tooth_lines(
             task.records, [(one.shift, one.revolution) for one in fit.records]
         ),
@@ -86,10 +89,10 @@ def identify_records(task: "ForceRecordTask", progress: Progress) -> Outcome:
         for i, place in enumerate(beside)
         for one in place.diagnoses
     ]
-    diagnoses += fit.diagnoses
-    toml = _toml(fit, not axes_are_doubted(proposal, axes))
+    diagnoses += found
+    toml = _toml(fit, is_likely)
     grave = [one for one in diagnoses if one.is_grave]
-    if grave and not fit.doubts:
+    if grave and is_likely and not fit.doubts:
         toml = doubted(toml, f"{diagnosis_title(grave[0])}; see summary.txt.")
     return Outcome(
         lines,
