@@ -101,3 +101,42 @@ def test_work_grows_no_faster_than_the_number_of_discs():
         assert cost is not None
         work.append(cost["flops"])
     assert work[1] < 2.1 * work[0]
+
+
+def pocketed():
+    """Return the block with a round hole of the mill, 1.3 mm deep, off the rays."""
+    tip = jnp.array([[6.07e-3, 5.03e-3, -1.33e-3]])
+    window = wp.removal_window(STOCK, MILL, 2e-3, 0.4e-3)
+    at = jnp.zeros(1, jnp.int32)
+    cut = wp.remove_poses(STOCK, MILL, window, wp.Pose(tip), at, jnp.ones(1, bool))
+    return cut.stock
+
+
+def near_the_rim(heights):
+    """Return points within the band of the hole's rim, shape (point, 3)."""
+    rng = np.random.default_rng(4)
+    turn, radius = rng.uniform(0, 2 * np.pi, 300), rng.uniform(4.92e-3, 5.08e-3, 300)
+    points = [6.07e-3 + radius * np.cos(turn), 5.03e-3 + radius * np.sin(turn)]
+    return np.column_stack([*points, heights])
+
+
+def beside_lines(points, axis, origin):
+    """Return points just before and behind the grid lines nearest to them."""
+    line = origin[axis] + 0.2e-3 * np.round((points[:, axis] - origin[axis]) / 0.2e-3)
+    before, behind = points.copy(), points.copy()
+    before[:, axis], behind[:, axis] = line - 1e-10, line + 1e-10
+    return jnp.asarray(before), jnp.asarray(behind)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_the_wall_does_not_jump_where_a_point_crosses_a_ray(axis):
+    stock = pocketed()
+    origin = np.asarray(stock.origin)
+    points = near_the_rim(np.full(300, -1.03e-3))
+    moves = jnp.full((300, 1, 2), 0.1e-3)
+    before, behind = (
+        wp.occupancy(stock, p[:, None], moves, DISCS, MILL)
+        for p in beside_lines(points, axis, origin)
+    )
+    assert 0.05 < float(jnp.mean(before[:, 0])) < 0.95
+    np.testing.assert_allclose(before, behind, atol=1e-4)

@@ -7,9 +7,9 @@ the question is split:
   disc's height that is material: a partition of unity over the discs, so that the
   shares add up to the depth of cut exactly, at any depth;
 - across the axis, the rays along x and y give the signed distance to walls in the
-  plane of the disc. Each of the two families is interpolated between its rays; with
-  g the slope of that interpolant across the rays, s / sqrt(1 + g^2) is the distance
-  to a straight wall, exactly, and (1 + g^2)^-2 is the family's say.
+  plane of the disc. Each of the two families is interpolated over three rays, by
+  quadratic splines, whose slope g across the rays is continuous: s / sqrt(1 + g^2) is
+  the distance to a straight wall, exactly, and (1 + g^2)^-2 is the family's say.
 
 Their product is the occupancy. A ray that meets no surface within reach says nothing
 about where a surface is, so it hardly counts while another one does.
@@ -145,13 +145,16 @@ class _Columns(eqx.Module):
 
 
 class _Walls(eqx.Module):
-    """The end that decides the distance on each of 2 x 2 rays around each point."""
+    """The end that decides the distance on rays around each point.
 
-    ends: Float[Array, "point element 4"]
-    is_upper: Bool[Array, "point element 4"]
-    is_empty: Bool[Array, "point element 4"]
-    pose: Int[Array, "point element 4"]
-    across: Float[Array, "point element 4"]
+    They stand on the three nearest lines to the side, and below and above.
+    """
+
+    ends: Float[Array, "point element 6"]
+    is_upper: Bool[Array, "point element 6"]
+    is_empty: Bool[Array, "point element 6"]
+    pose: Int[Array, "point element 6"]
+    across: Float[Array, "point element 6"]
 
 
 def _find_columns(stock: Stock, points: Float[Array, "point disc 3"]) -> _Columns:
@@ -198,20 +201,18 @@ def _find_walls(
     at_side = frozen((points[..., side] - stock.origin[side]) / stock.spacing)
     at_height = frozen((heights - stock.origin[2]) / stock.spacing)
     at_side = jnp.broadcast_to(at_side, at_height.shape)
+    counts = rays.ends.shape[:2] if family == 0 else rays.ends.shape[1::-1]
+    middle = jnp.clip(jnp.round(at_side).astype(jnp.int32), 1, counts[0] - 2)
+    below = jnp.clip(jnp.floor(at_height).astype(jnp.int32), 0, counts[1] - 2)
+    line = middle[..., None] + jnp.array([[[-1, -1, 0, 0, 1, 1]]], jnp.int32)
+    level = below[..., None] + jnp.array([[[0, 1, 0, 1, 0, 1]]], jnp.int32)
     # Family 0 is indexed (y, z), family 1 is indexed (z, x).
-    at = (at_side, at_height) if family == 0 else (at_height, at_side)
-    cell = [
-        jnp.clip(jnp.floor(at[a]).astype(jnp.int32), 0, rays.ends.shape[a] - 2)
-        for a in (0, 1)
-    ]
-    row = cell[0][..., None] + jnp.array([[[0, 0, 1, 1]]], jnp.int32)
-    column = cell[1][..., None] + jnp.array([[[0, 1, 0, 1]]], jnp.int32)
+    row, column = (line, level) if family == 0 else (level, line)
     near = rays.ends[row, column]
     x = jnp.broadcast_to(frozen(points[..., family]), at_height.shape)[..., None]
     low, high, slot = nearest_interval(near, x)
     is_upper = frozen(high) - x < x - frozen(low)
     pose = rays.poses[row, column, is_upper.astype(jnp.int32), slot]
-    line = row if family == 0 else column
     return _Walls(
         ends=jnp.where(is_upper, high, low),
         is_upper=is_upper,
@@ -265,7 +266,7 @@ def _tie_walls(
     cutter: AbstractCutter,
     walls: tuple[_Walls, ...],
     track: PoseTrack,
-) -> tuple[Float[Array, "point element 4"], Float[Array, "point element 4"]]:
+) -> tuple[Float[Array, "point element 6"], Float[Array, "point element 6"]]:
     """Return the ends of both families with the derivatives of their poses."""
     frozen = jax.lax.stop_gradient
     # One gather for both: its transpose then adds into the table only once.
@@ -344,22 +345,23 @@ def _wall_occupancy(
         x = jnp.broadcast_to(points[..., f], heights.shape)[..., None]
         s = jnp.where(is_upper, ends[f] - x, x - ends[f])
         s = jnp.where(is_empty, -reach, clamp(-reach, s, reach))
-        # Rows are (side 0 or 1) x (height 0 or 1) for family 0, the transpose for 1.
-        s = s.reshape(*s.shape[:-1], 2, 2)
-        s = s if f == 0 else jnp.swapaxes(s, -1, -2)
+        s = s.reshape(*s.shape[:-1], 3, 2)
         sees = (1 - (s / reach) ** 2) ** 2 + _BLIND
         level = jnp.concatenate([1 - q, q], axis=-1)[..., None, :] * sees
         seen = jnp.sum(level, axis=-1)
         s = jnp.sum(level * s, axis=-1) / seen
         at = (points[..., 1 - f] - origin[1 - f]) / d
-        p = jnp.broadcast_to(at - jax.lax.stop_gradient(jnp.floor(at)), heights.shape)
-        slope = (s[..., 1] - s[..., 0]) / d
-        s_here = s[..., 0] + p * (s[..., 1] - s[..., 0])
+        t = jnp.broadcast_to(at - jax.lax.stop_gradient(jnp.round(at)), heights.shape)
+        slope = (0.5 - t) * (s[..., 1] - s[..., 0]) + (0.5 + t) * (
+            s[..., 2] - s[..., 1]
+        )
+        slope = slope / d
+        s_here = jnp.sum(_spline(t) * s, axis=-1)
         sees_here = (1 - (s_here / reach) ** 2) ** 2
         steepness = 1 + slope**2
         weight = sees_here / steepness**2
         root = jnp.sqrt(steepness)
-        sign = jnp.where(is_upper[..., :1], 1, -1).astype(s.dtype)[..., 0]
+        sign = jnp.where(is_upper[..., 2], 1, -1).astype(s.dtype)
         crossed = slope * moves[..., 1 - f] - sign * moves[..., f]
         ahead = ahead + (weight + _BLIND) * jnp.abs(crossed) / root
         total = total + (weight + _BLIND) * s_here / root
@@ -378,11 +380,11 @@ def _column_weights(
     weights = []
     for a in (0, 1):
         at = (points[..., a] - origin[a]) / spacing
-        t = at - jax.lax.stop_gradient(jnp.round(at))
-        weights.append(
-            jnp.stack(
-                [0.5 * (0.5 - t) ** 2, 0.75 - t**2, 0.5 * (0.5 + t) ** 2], axis=-1
-            )
-        )
+        weights.append(_spline(at - jax.lax.stop_gradient(jnp.round(at))))
     product = weights[0][..., :, None] * weights[1][..., None, :]
     return product.reshape(*product.shape[:-2], 9)
+
+
+def _spline(t: Float[Array, "*point"]) -> Float[Array, "*point 3"]:
+    """Return the quadratic B-spline weights of three lines, `t` from the middle one."""
+    return jnp.stack([0.5 * (0.5 - t) ** 2, 0.75 - t**2, 0.5 * (0.5 + t) ** 2], axis=-1)
