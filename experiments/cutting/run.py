@@ -17,6 +17,7 @@ GROUPS = (
     "rotation",
     "volume",
     "ripple",
+    "slopes",
     "cost",
 )
 

@@ -118,7 +118,7 @@ def _leading(
     order = jnp.argsort(jax.lax.stop_gradient(lead), axis=2, descending=True)
     angle, lead = (jnp.take_along_axis(x, order[:, :, :kept], 2) for x in (angle, lead))
     fade = jnp.ones_like(lead)
-    if has_opposite_teeth(cutter):
+    if has_opposite_teeth(plan, cutter):
         n = elements.bottom_count
         step = 2 * math.pi / plan.angles
         fade = fade.at[..., n:].set(leading_fade(lead[..., n:], step))
@@ -172,7 +172,7 @@ def force_in_space(
     steps = 2 * math.pi / plan.angles * jnp.maximum(elements.sin_kappa, _LEAST_SINE)
     touch = edge_contact(chip, feed, steps[None, None])
     n = elements.bottom_count
-    if has_opposite_teeth(cutter) and not _keeps_all(plan, cutter):
+    if has_opposite_teeth(plan, cutter) and not _keeps_all(plan, cutter):
         frame = tool_frame(pose.direction())
         lead = _lead(elements, pose.tip - earlier.tip[0], frame, angle)[..., n:]
         step = 2 * math.pi / plan.angles

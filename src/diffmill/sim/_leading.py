@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 
 from ..cutter import AbstractCutter
 from ..numerics import clamp, hat_integral
+from ._plan import ProcessPlan
 
 # A motion per tooth below this has no direction [m].
 STILL = 1e-8
@@ -23,9 +24,12 @@ STILL = 1e-8
 _FADE = 0.5
 
 
-def has_opposite_teeth(cutter: AbstractCutter) -> bool:
-    """Return whether a tooth enters the leading half where another leaves it."""
-    return cutter.flute_count % 2 == 0
+def has_opposite_teeth(plan: ProcessPlan, cutter: AbstractCutter) -> bool:
+    """Return whether a tooth is looked up from where another is so no more.
+
+    A point cloud knows where all teeth are.
+    """
+    return cutter.flute_count % 2 == 0 and plan.chip == "near_far"
 
 
 def leading_fade(

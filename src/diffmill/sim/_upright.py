@@ -100,7 +100,7 @@ def upright_force(
     chip, feed = upright_chip(plan, cutter, tip, earlier, thinned, angle)
     step = 2 * math.pi / plan.angles
     touch = edge_contact(chip, feed, step)
-    if has_opposite_teeth(cutter):
+    if has_opposite_teeth(plan, cutter):
         lead = _lead((tip - earlier[0])[None, None, None, :2], angle)
         touch = touch * taken_over(lead, step, feed / cutter.diameter)
     h = jnp.clip(chip, 0, cutter.diameter / 2)
@@ -188,7 +188,7 @@ def _leading_angles(
     order = jnp.argsort(jax.lax.stop_gradient(lead), axis=2, descending=True)
     angle, lead = (jnp.take_along_axis(x, order[:, :, :kept], 2) for x in (angle, lead))
     fade = jnp.ones_like(lead)
-    if has_opposite_teeth(cutter):
+    if has_opposite_teeth(plan, cutter):
         fade = leading_fade(lead, 2 * math.pi / plan.angles)
     return angle, order[:, :, :kept].astype(jnp.int32), fade
 
