@@ -14,6 +14,7 @@ import math
 import os
 import pathlib
 import statistics
+import sys
 import time
 from collections.abc import Callable
 
@@ -21,6 +22,11 @@ import jax
 import numpy as np
 
 import diffmill as dm
+
+# The reference is shared with the tests.
+sys.path.append(str(pathlib.Path(__file__).parents[2] / "tests"))
+
+from references import circles
 
 jax.config.update("jax_enable_x64", True)
 
@@ -95,25 +101,8 @@ def steady(
 
 
 def reference(radial_depth: float) -> np.ndarray:
-    """Return the mean force by a fine quadrature of the chip of two circles [N]."""
-    phi = np.linspace(-0.5, math.pi + 0.5, 400_001)
-    h = RADIUS + FEED * np.sin(phi) - np.sqrt(RADIUS**2 - (FEED * np.cos(phi)) ** 2)
-    is_slot = radial_depth >= DIAMETER
-    leaves = 4.0 if is_slot else math.acos(1 - radial_depth / RADIUS)
-    is_in = (h > 0) & (phi <= leaves)
-    # symbols: F_t tangential, F_r radial, F_a axial force per height
-    F_t, F_r, F_a = (
-        (c * h + e) * is_in
-        for c, e in ((LAW.K_tc, LAW.K_te), (LAW.K_rc, LAW.K_re), (LAW.K_ac, LAW.K_ae))
-    )
-    share = 2 * DEPTH * (phi[1] - phi[0]) / (2 * math.pi)
-    return share * np.array(
-        [
-            np.sum(-F_t * np.cos(phi) - F_r * np.sin(phi)),
-            np.sum(F_t * np.sin(phi) - F_r * np.cos(phi)),
-            np.sum(F_a),
-        ]
-    )
+    """Return the mean force of the chip between two circles in the stock [N]."""
+    return circles.mean_force(LAW, circles.Cut(FEED, radial_depth), DEPTH)
 
 
 def accuracy() -> list[str]:

@@ -11,6 +11,7 @@ HERE = pathlib.Path(__file__).parent
 sys.path += [str(HERE.parent / "common"), str(HERE.parents[1] / "tests")]
 
 GROUPS = (
+    "chip",
     "closed_form",
     "finishing",
     "ball",

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+from references import circles
 
 from shared import (
     DIAMETER,
@@ -10,12 +11,11 @@ from shared import (
     LAW,
     SPACING,
     Report,
-    angles_of,
     compiled_process,
     cut_across,
-    quadrature_force,
     random_block,
     relative,
+    straight_cut,
 )
 
 FEED = 0.1875e-3
@@ -34,7 +34,7 @@ def measure(report: Report) -> None:
 
 def _one(report: Report, name: str, radial_depth: float, depths: np.ndarray) -> None:
     lower, upper, stock = random_block(np.random.default_rng(7))
-    per_depth = quadrature_force(LAW, FEED, *angles_of(radial_depth), 1.0)
+    per_depth = circles.mean_force(LAW, straight_cut(FEED, radial_depth), 1.0)
 
     @jax.jit
     def force_and_slope(positions):

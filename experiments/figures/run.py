@@ -7,8 +7,8 @@ import pathlib
 import sys
 
 HERE = pathlib.Path(__file__).parent
-# The runner is shared with other experiments.
-sys.path.append(str(HERE.parent / "common"))
+# The runner is shared with other experiments, the reference with the tests.
+sys.path += [str(HERE.parent / "common"), str(HERE.parents[1] / "tests")]
 
 GROUPS = (
     "accuracy",

@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 import jax
 import numpy as np
+from references import circles
 
 import diffmill as dm
 from diffmill.examples import copy_example
@@ -103,61 +104,11 @@ def steady_force(solution: dm.sim.ProcessSolution) -> np.ndarray:
     return np.asarray(solution.force)[FIRST_STEADY:].mean(axis=0)
 
 
-def angles_of(radial_depth: float, is_down: bool = False) -> tuple[float, float]:
-    """Return entry and exit angle of a straight cut [rad]."""
-    if radial_depth >= DIAMETER:
-        return 0.0, math.pi
-    width = math.acos(1 - radial_depth / RADIUS)
-    return (math.pi - width, math.pi) if is_down else (0.0, width)
-
-
-def quadrature_force(
-    law: dm.cutting.LinearEdgeLaw,
-    feed: float,
-    entry: float,
-    exit: float,
-    axial_depth: float,
-    *,
-    teeth: int = 2,
-    chip: str = "two circles",
-) -> np.ndarray:
-    """Return the mean force of a straight cut by a fine quadrature, in NumPy [N].
-
-    The chip lies between two circles one feed apart, and also begins where they
-    cross, a little outside the leading half. Entry and exit are judged at the outer
-    circle, but with `chip = "trimmed"` the raw face cuts off the chip's inside too.
-    With `chip = "closed form"` its thickness is h = f sin(phi) (Altintas).
-    """
-    phi = np.linspace(-0.5, math.pi + 0.5, 400_001)
-    step = phi[1] - phi[0]
-    if chip == "closed form":
-        inner = RADIUS - feed * np.sin(phi)
-        low, high = entry, exit
-    else:
-        inner = np.sqrt(RADIUS**2 - (feed * np.cos(phi)) ** 2) - feed * np.sin(phi)
-        low = -1.0 if entry == 0 else entry
-        high = 4.0 if exit == math.pi else exit
-    if chip == "trimmed" and (entry, exit) != (0.0, math.pi):
-        # The face lies where the outer circle enters or leaves the material.
-        face = abs(RADIUS * math.cos(exit if entry == 0 else entry))
-        toward = np.cos(phi) if entry == 0 else -np.cos(phi)
-        sign = 1 if (exit < math.pi / 2 or entry > math.pi / 2) else -1
-        if sign > 0:
-            inner = np.maximum(inner, face / np.maximum(toward, 1e-9))
-    h = RADIUS - inner
-    is_in = (h > 0) & (phi >= low) & (phi <= high)
-    # symbols: F_t tangential, F_r radial, F_a axial force per height
-    F_t = (law.K_tc * h + law.K_te) * is_in
-    F_r = (law.K_rc * h + law.K_re) * is_in
-    F_a = (law.K_ac * h + law.K_ae) * is_in
-    share = teeth * axial_depth * step / (2 * math.pi)
-    return share * np.array(
-        [
-            np.sum(-F_t * np.cos(phi) - F_r * np.sin(phi)),
-            np.sum(F_t * np.sin(phi) - F_r * np.cos(phi)),
-            np.sum(F_a),
-        ]
-    )
+def straight_cut(
+    feed: float, radial_depth: float, is_down: bool = False
+) -> circles.Cut:
+    """Return the same cut for the reference."""
+    return circles.Cut(feed, radial_depth, not is_down, RADIUS)
 
 
 def example_job(name: str) -> dm.Job:

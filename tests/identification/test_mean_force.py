@@ -5,7 +5,8 @@ import pathlib
 
 import numpy as np
 import pytest
-from helpers import PAPER_LAW, quadrature_mean_force
+from helpers import PAPER_LAW
+from references import circles
 
 from diffmill import identification
 
@@ -20,9 +21,7 @@ PAPER = {name: getattr(PAPER_LAW, name) for name in identification.NAMES}
 )
 def test_quadratures_of_the_force_give_the_coefficients_back(entry, exit):
     mean = [
-        quadrature_mean_force(
-            PAPER_LAW, f, entry, exit, 2e-3, teeth=3, is_two_circle=False
-        )
+        circles.thin_chip_mean_force(PAPER_LAW, f, entry, exit, 2e-3, teeth=3)
         for f in FEEDS
     ]
     fit = identification.fit_mean_forces(

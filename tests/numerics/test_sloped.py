@@ -24,7 +24,8 @@ def force(place, weights, scale, tooth):
 
 def occupied(points, ends, is_upper, width):
     s = jnp.where(is_upper, ends["x"] - points[:, :1], points[:, :1] - ends["x"])
-    return jnp.sum(jnp.tanh(s / width), axis=1) * points[:, 1]
+    inside = jnp.tanh(s / width)
+    return jnp.stack([jnp.sum(inside, axis=1) * points[:, 1], inside[:, 0] ** 2], 1)
 
 
 FORCE = (
@@ -116,6 +117,6 @@ def test_a_batch_has_slopes_of_its_own():
 
 
 def test_rows_that_share_a_number_are_refused():
-    shared = sloped_rows(lambda points, width: points[:, 0] / width)
+    shared = sloped_rows(lambda points, width: points / width)
     with pytest.raises(ValueError, match=r"one entry per row, 5, .* shape \(\)"):
         jax.grad(lambda width: jnp.sum(shared(OCCUPIED[0], width)))(2.0)

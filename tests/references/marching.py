@@ -1,10 +1,10 @@
 """Cutting forces of a general end mill, by marching in time along a straight feed.
 
 The tool advances along a straight line with a constant axis, and has done so for ever.
-At each instant each tooth is a row of short elements on its edge. An element cuts
-where it lies in the raw stock and outside everything that the earlier teeth have swept;
-the chip is as thick as the way from the element, along the inward normal, to the
-nearest of the surfaces that they left.
+At each instant each tooth is a row of short elements on its edge. The chip before an
+element is the way from it, along the inward normal, to the nearest of the surfaces that
+the earlier teeth left, as far as that lies in the raw stock: faces that bound the stock
+cut off the chip on either side. An element touches where it has such a chip.
 
 A surface left by an earlier tooth is the tool's surface of revolution, with that
 tooth's own radius, at the place where the tool was then:
@@ -21,9 +21,8 @@ phi = theta + angle_j - 2 z tan(helix) / D. Forces act on the tool:
 F = -F_t t - F_r n + F_a a, n the outward normal and a = t x n (+z on a cylinder).
 
 Left out: motion of the tool across the cutting direction t (feed is slow against the
-rotation); limits of the stock on the inner side of the chip, since entry and exit are
-judged at its outer side; an element whose inward normal meets no earlier surface at all
-(the outermost feed per tooth at the sharp corner of a flat tool) cuts nothing.
+rotation); an element whose inward normal meets no earlier surface at all (the outermost
+feed per tooth at the sharp corner of a flat tool) cuts nothing.
 """
 
 import dataclasses
@@ -35,6 +34,8 @@ import numpy as np
 
 from .halfspaces import Stock
 
+# Parts of a chip, from the edge inward, at which a face of the stock is looked for.
+_PARTS = 16
 # Force per chip width [N/m], tangential, radial, axial, shape (3, ...), from h [m].
 Law = Callable[[np.ndarray], np.ndarray]
 
@@ -180,9 +181,9 @@ class Chips:
     Attributes:
         step: Index of the instant, shape (chip,).
         element: Index of the element, shape (chip,).
-        radius: Distance from the axis [m], shape (chip,).
-        thickness: Chip thickness h [m], shape (chip,).
-        width: Width of the edge in the stock, along the profile [m], shape (chip,).
+        radius: Distance of the middle of the chip from the axis [m], shape (chip,).
+        thickness: Chip thickness h in the stock [m], shape (chip,).
+        width: Width of the chip in the stock, along the profile [m], shape (chip,).
         directions: Unit vectors t, n, a, shape (3, chip, 3).
     """
 
@@ -249,11 +250,17 @@ def chips(
             )
             for k in range(3)
         )
+        phi = theta + angle - tool.lag(elements.height[1])
+        lead = np.broadcast_to(elements.lead, phi.shape)
+        inward = -_directions(phi, lead)[1]
+        most = np.linalg.norm(travel) * 2 * math.pi / len(tool.tooth_angles)
+        looks = [
+            stock.fraction(start + depth * inward, end + depth * inward)
+            for depth in (0, most / 2, most)
+        ]
         # Run-out toward the axis leaves elements at the tip of a ball without radius.
-        share = stock.fraction(start, end) * (radius[1] > 0)
-        step, element = np.nonzero(share)
-        phi = (theta + angle - tool.lag(elements.height[1]))[step, element]
-        directions = _directions(phi, elements.lead[element])
+        step, element = np.nonzero(np.max(looks, axis=0) * (radius[1] > 0))
+        directions = _directions(phi[step, element], elements.lead[element])
         h = _thickness(
             tool,
             tooth,
@@ -264,14 +271,55 @@ def chips(
         )
         # Surfaces slid along themselves touch: rounding is no chip.
         cut = h > 1e-10 * tool.radius
+        step, element, h, directions = (
+            step[cut],
+            element[cut],
+            h[cut],
+            directions[:, cut],
+        )
+        ends = start[step, element], end[step, element]
+        share, filled, depth = _in_stock(stock, *ends, -directions[1], h)
+        cut = share > 0
         yield Chips(
             step[cut],
             element[cut],
-            radius[1, element[cut]],
-            h[cut],
-            (share * elements.width)[step, element][cut],
+            (radius[1, element] - depth * np.sin(elements.lead[element]))[cut],
+            (h * filled)[cut],
+            (share * elements.width[element])[cut],
             directions[:, cut],
         )
+
+
+def _in_stock(
+    stock: Stock,
+    start: np.ndarray,
+    end: np.ndarray,
+    inward: np.ndarray,
+    thickness: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return what of chips is in the stock, each of shape (chip,).
+
+    The share of the width that has a chip, the share of the thickness there, and the
+    mean depth of the chip below the edge [m].
+    """
+
+    def shares(part: float, chips: Any = slice(None)) -> np.ndarray:
+        way = (part * thickness[:, None] * inward)[chips]
+        return stock.fraction(start[chips] + way, end[chips] + way)
+
+    outer, inner = shares(0.0), shares(1.0)
+    width, filled, depth = outer.copy(), np.ones_like(outer), thickness / 2
+    # Where both sides are in the stock so is the chip.
+    part = np.nonzero((outer < 1) | (inner < 1))[0]
+    places = (np.arange(_PARTS) + 0.5) / _PARTS
+    found = np.stack([shares(place, part) for place in places])
+    most, total = found.max(axis=0), found.sum(axis=0)
+    safe = np.where(most > 0, most, 1)
+    width[part] = most
+    filled[part] = total / safe / _PARTS
+    mean = np.sum(places[:, None] * found, axis=0) / np.where(total > 0, total, 1)
+    depth[part] = mean * thickness[part]
+    return width, filled, depth
 
 
 def _cylindrical(radius: np.ndarray, height: np.ndarray, phi: np.ndarray) -> np.ndarray:

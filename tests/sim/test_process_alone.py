@@ -5,7 +5,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import PAPER_LAW, quadrature_mean_force, relative
+from helpers import PAPER_LAW, relative
+from references import circles
 
 from diffmill import RESULTS, cutter as ct, sim, workpiece as wp
 from diffmill.cutting import LinearEdgeLaw
@@ -48,25 +49,23 @@ def test_a_slot_pushes_the_tool_back_and_to_the_side():
     # +y (Altintas' slot), and K_ac > 0 lifts it.
     F = steady(compiled()(straight(6e-3), STOCK))
     assert F[0] < 0 < F[1] and F[2] > 0
-    wanted = quadrature_mean_force(PAPER_LAW, FEED, 0.0, math.pi, 1e-3)
+    wanted = circles.mean_force(PAPER_LAW, circles.Cut(FEED, 10e-3), 1e-3)
     assert relative(F, wanted) < 2e-3
 
 
-@pytest.mark.parametrize("radial_depth", [5e-3, 2e-3, 1e-3, 0.5e-3])
+@pytest.mark.parametrize("radial_depth", [5e-3, 2e-3, 1e-3, 0.5e-3, 0.1e-3])
 def test_partial_cuts_match_the_quadrature(radial_depth):
     # Tooth at phi = 0 looks to +y: stock beside +y is up-milling.
     solution = compiled()(straight(-(5e-3 - radial_depth)), STOCK)
-    exit_angle = math.acos(1 - radial_depth / 5e-3)
-    wanted = quadrature_mean_force(PAPER_LAW, FEED, 0.0, exit_angle, 1e-3)
-    assert relative(steady(solution), wanted) < 1.5e-2
+    wanted = circles.mean_force(PAPER_LAW, circles.Cut(FEED, radial_depth), 1e-3)
+    assert relative(steady(solution), wanted) < 5e-3
 
 
 def test_down_milling_matches_the_quadrature():
     solution = compiled()(straight(12e-3 + 3e-3), STOCK)
-    wanted = quadrature_mean_force(
-        PAPER_LAW, FEED, math.acos(-(3e-3) / 5e-3), math.pi, 1e-3
-    )
-    assert relative(steady(solution), wanted) < 1.5e-2
+    cut = circles.Cut(FEED, 2e-3, is_up_milling=False)
+    wanted = circles.mean_force(PAPER_LAW, cut, 1e-3)
+    assert relative(steady(solution), wanted) < 5e-3
 
 
 def test_the_force_does_not_jump_where_teeth_change_places():
@@ -105,7 +104,7 @@ def test_turning_the_feed_turns_the_force():
 @pytest.mark.parametrize("depth", [0.27e-3, 0.61e-3, 0.93e-3, 1.31e-3])
 def test_force_is_linear_in_the_axial_depth(depth):
     F = steady(compiled()(straight(6e-3, depth), STOCK))
-    one = quadrature_mean_force(PAPER_LAW, FEED, 0.0, math.pi, 1e-3)
+    one = circles.mean_force(PAPER_LAW, circles.Cut(FEED, 10e-3), 1e-3)
     np.testing.assert_allclose(
         np.linalg.norm(F), np.linalg.norm(one) * depth / 1e-3, rtol=5e-3
     )

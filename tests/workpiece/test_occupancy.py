@@ -13,7 +13,8 @@ STOCK = wp.box([0, 0, -3e-3], [12e-3, 10e-3, 0], 0.2e-3)
 @jax.jit
 def look(points):
     moves = jnp.full((points.shape[0], 1, 2), 1e-3)
-    return wp.occupancy(STOCK, points[:, None], moves, DISCS, MILL)
+    none = jnp.zeros_like(moves)
+    return wp.occupancy(STOCK, points[:, None], moves, none, DISCS, MILL)[0]
 
 
 def test_disc_shares_sum_to_the_depth_at_any_depth():

@@ -7,9 +7,9 @@ in the chip thickness (Altintas) or a power of it (Kienzle), plus an edge force 
 there is a chip. Coefficients may differ from tooth to tooth; `materials` lists
 published ones.
 
-Assumes that a chip reaches from the innermost earlier surface to the tooth's own; entry
-and exit are judged at the outer radius, as in the paper's phi_in and phi_out. Where the
-edges are, and which poses came before, is the business of `sim`.
+Assumes that a chip reaches from the innermost earlier surface to the tooth's own, as
+far as that lies in the stock. Where the edges are, what is in the stock, and which
+poses came before, is the business of `sim`.
 """
 
 from ._chip import (
@@ -17,6 +17,7 @@ from ._chip import (
     edge_contact as edge_contact,
     layer_share as layer_share,
     safe_norm as safe_norm,
+    way_of as way_of,
 )
 from ._files import (
     material as material,

@@ -71,7 +71,7 @@ def layer_share(
 
 
 def edge_contact(
-    chip_thickness: Float[Array, "*sample"],
+    chip_per_way: Float[Array, "*sample"],
     feed_per_tooth: Float[Array, ""],
     angle_step: float | Float[Array, "*#sample"],
 ) -> Float[Array, "*sample"]:
@@ -81,7 +81,9 @@ def edge_contact(
     zero, so that the sum over samples is the length of the edge at any phase of them.
 
     Args:
-        chip_thickness: Unclipped chip thickness [m], any shape.
+        chip_per_way: Unclipped chip thickness over the way from the earlier pose that
+            left it, the least over the earlier poses [-], any shape. Of the chip
+            alone, an older pose decided outside the cut, and the step began late.
         feed_per_tooth: Motion since the tooth before [m], shape ().
         angle_step: Angle between two samples [rad], times the sine of the angle between
             the edge's normal and the axis; broadcast.
@@ -92,12 +94,16 @@ def edge_contact(
     Differentiability: continuously differentiable.
     """
     moving = feed_per_tooth**2 / (feed_per_tooth**2 + _STANDSTILL**2)
-    width = angle_step * jnp.maximum(feed_per_tooth, _STANDSTILL)
-    return moving * hat_integral(chip_thickness / width)
+    return moving * hat_integral(chip_per_way / angle_step)
 
 
-def safe_norm(vector: Float[Array, " n"]) -> Float[Array, ""]:
+def safe_norm(vector: Float[Array, "*sample n"]) -> Float[Array, "*sample"]:
     """Return the Euclidean length, with derivative zero at zero."""
-    square = jnp.sum(vector**2)
-    is_zero: Bool[Array, ""] = square == 0
+    square = jnp.sum(vector**2, axis=-1)
+    is_zero: Bool[Array, "*sample"] = square == 0
     return jnp.where(is_zero, 0, jnp.sqrt(jnp.where(is_zero, 1, square)))
+
+
+def way_of(offset: Float[Array, "*sample n"]) -> Float[Array, "*sample"]:
+    """Return the way between two poses, at least a little, to divide by [m]."""
+    return jnp.maximum(safe_norm(offset), _STANDSTILL)

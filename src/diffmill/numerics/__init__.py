@@ -14,7 +14,7 @@ already give, and filters within a traced function.
 
 from ._clamp import clamp as clamp
 from ._filters import lowpass as lowpass
-from ._hat import hat_integral as hat_integral
+from ._hat import hat_integral as hat_integral, mean_step as mean_step
 from ._hold import hold as hold
 from ._sloped import sloped as sloped, sloped_rows as sloped_rows
 from ._tied import tied as tied

@@ -30,3 +30,37 @@ def _hat_integral_jvp(primals, tangents):
     # The hat itself: a fraction of what the derivative of clamping would compute.
     (x,), (tangent,) = primals, tangents
     return hat_integral(x), jnp.maximum(1 - jnp.abs(x), 0) * tangent
+
+
+def mean_step(
+    x: Float[Array, "*n"], width: Float[Array, "*n"], length: Float[Array, "*n"]
+) -> Float[Array, "*n"]:
+    """Return the mean of `hat_integral(. / width)` over a length around x.
+
+    Pieces in a row tile a line.
+
+    Args:
+        x: Middle of the length, any shape.
+        width: Half-width of the hat, above 0, same shape.
+        length: Above 0, not far below the width, or rounding shows; same shape.
+
+    Returns:
+        0 to 1, same shape.
+
+    Differentiability: twice continuously differentiable.
+    """
+    x, half = x / width, 0.5 * length / width
+    return (_integrated_twice(x + half) - _integrated_twice(x - half)) / (2 * half)
+
+
+@jax.custom_jvp
+def _integrated_twice(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """Return the integral of `hat_integral` from below -1 up to x."""
+    c = clamp(-1.0, x, 1.0)
+    return 1 / 6 + 0.5 * c + 0.5 * c**2 - jnp.abs(c) ** 3 / 6 + jnp.maximum(x - 1, 0)
+
+
+@_integrated_twice.defjvp
+def _integrated_twice_jvp(primals, tangents):
+    (x,), (tangent,) = primals, tangents
+    return _integrated_twice(x), hat_integral(x) * tangent

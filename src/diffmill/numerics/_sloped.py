@@ -43,14 +43,14 @@ def sloped(
 
 
 def sloped_rows(
-    function: Callable[..., Float[Array, " row"]],
-) -> Callable[..., Float[Array, " row"]]:
-    """Return a function of rows that is linearised into one gradient per row.
+    function: Callable[..., Float[Array, "row out"]],
+) -> Callable[..., Float[Array, "row out"]]:
+    """Return a function of rows that is linearised into gradients of each row.
 
-    That costs a single reverse sweep.
+    That costs a reverse sweep per output of a row.
 
     Args:
-        function: Takes pytrees, returns one number per row, which depends on the same
+        function: Takes pytrees, returns few numbers per row, which depend on the same
             row of its arguments only: whatever it is differentiated in has the axis
             of the rows first. It must not close over it.
 
@@ -64,15 +64,16 @@ def sloped_rows(
     """
 
     def product(slope: Array, move: Array) -> Array:
-        return jnp.sum((slope * move).reshape(slope.shape[0], -1), axis=1)
+        return jnp.sum((slope * move[None]).reshape(*slope.shape[:2], -1), axis=2).T
 
     def slopes(out: Array, pull: Callable[[Array], Any]) -> PyTree:
-        rows = pull(jnp.ones_like(out))
+        unit = jnp.eye(out.shape[1], dtype=out.dtype)[:, None]
+        rows = jax.vmap(pull)(jnp.broadcast_to(unit, (out.shape[1], *out.shape)))
         for found in jax.tree.leaves(rows):
-            if found.shape[:1] != out.shape:
+            if found.shape[1:2] != out.shape[:1]:
                 raise ValueError(
                     "What rows are differentiated in must have one entry per row, "
-                    f"{out.shape[0]}, but has the shape {found.shape}."
+                    f"{out.shape[0]}, but has the shape {found.shape[1:]}."
                 )
         return rows
 

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ..cutter import AbstractCutter
-from ..cutting import AbstractForceLaw, edge_contact, safe_norm
+from ..cutting import AbstractForceLaw, edge_contact, safe_norm, way_of
 from ..numerics import clamp
 from ..workpiece import Stock
 from ._plan import ProcessPlan, turning
@@ -143,7 +143,7 @@ def bottom_force(
         chip = jnp.where(is_under, jnp.minimum(chip, earlier[k, 2] - tip[2]), chip)
     feed = safe_norm(earlier[0] - tip)
     chip = jnp.where(is_first, chip, 0)
-    touch = edge_contact(chip - RAMP * feed, feed, RAMP)
+    touch = edge_contact(chip / way_of(earlier[0] - tip) - RAMP, feed, RAMP)
     h = clamp(0.0, chip, cutter.nominal_radius)
     teeth = jnp.broadcast_to(cut.tooth[..., None], h.shape)
     F_t, F_r, F_a = law.force_per_width(h, touch, teeth)

@@ -31,10 +31,11 @@ from ._padding import last_row, live_rows, when_live
 from ._period import Engagement, begin_period, substep_force, substep_middles
 from ._plan import ProcessPlan
 from ._process_alone import failed_rows, outcome, volumes_by_pose
+from ._samples import EdgeSamples
 from ._stepping import AbstractIntegrator, ArmState, MotorCommand, steady_state
 
-# Angles, teeth and occupancy of one sub-step, and its bottom edges.
-_Samples: TypeAlias = tuple[Array, Array, Array, BottomEngagement | None]
+# The side edges of one sub-step, and its bottom edges.
+_Edges: TypeAlias = tuple[EdgeSamples, BottomEngagement | None]
 # What evolves: the process and the arm.
 Carry: TypeAlias = tuple[ProcessState, ArmState]
 
@@ -418,20 +419,20 @@ def _run_substeps(
     mean_force = sloped(_mean_force) if keeps_slopes else _mean_force
 
     def substep(
-        state: ArmState, x: tuple[Array, Pose, _Samples]
+        state: ArmState, x: tuple[Array, Pose, _Edges]
     ) -> tuple[ArmState, tuple[Array, Array, Array]]:
-        theta, earlier, samples = x
+        theta, earlier, edges = x
         tip = arm.pose.tip + arm.jacobian @ (state.q + h / 2 * state.v - start.q)
         pose = Pose(tip, arm.pose.axis)
         tool = (machine.plan, machine.cutter, *machine.laws)
-        F = mean_force(*tool, pose, earlier, cut.thinned, *samples)
+        F = mean_force(*tool, pose, earlier, cut.thinned, *edges)
         load = arm.jacobian.T @ F
         command = MotorCommand(theta, rate)
         end = machine.integrator.step(robot, arm.begun, state, command, load, h)
         return end, (tip, arm.pose.tip + arm.jacobian @ (end.q - start.q), F)
 
     earlier = jax.tree.map(lambda x: jnp.moveaxis(x, 0, 1), process.recent)
-    xs = (targets, earlier, (cut.angle, cut.tooth, cut.occupancy, cut.bottom))
+    xs = (targets, earlier, (cut.samples, cut.bottom))
     # Without slopes, what the forces come from is computed again rather than kept.
     step = substep if keeps_slopes else jax.checkpoint(substep)
     return jax.lax.scan(step, start, xs)

@@ -18,6 +18,7 @@ from ._period import Engagement, look, substep_force
 from ._period_map import Regeneration
 from ._plan import ProcessPlan
 from ._process_alone import ends_of, middles_of
+from ._samples import EdgeSamples
 
 
 def force_slopes(
@@ -124,10 +125,10 @@ def _slopes(
         tip: Float[Array, " 3"],
         earlier: Float[Array, "tooth 3"],
         axes: tuple[Array | None, Array | None],
-        samples: tuple[Array, Array, Array, BottomEngagement | None],
+        edges: tuple[EdgeSamples, BottomEngagement | None],
     ) -> Float[Array, " 3"]:
         now, before = Pose(tip, axes[0]), Pose(earlier, axes[1])
-        found = substep_force(plan, cutter, *laws, now, before, cut.thinned, *samples)
+        found = substep_force(plan, cutter, *laws, now, before, cut.thinned, *edges)
         return jnp.mean(found, axis=0)
 
     earlier = jax.tree.map(lambda x: jnp.moveaxis(x, 0, 1), recent)
@@ -135,6 +136,6 @@ def _slopes(
         poses.tip,
         earlier.tip,
         (poses.axis, earlier.axis),
-        (cut.angle, cut.tooth, cut.occupancy, cut.bottom),
+        (cut.samples, cut.bottom),
     )
     return now, jnp.swapaxes(before, 1, 2)

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ..cutter import AbstractCutter, EdgeElements
-from ..cutting import AbstractForceLaw, edge_contact, safe_norm
+from ..cutting import AbstractForceLaw, edge_contact, safe_norm, way_of
 from ..numerics import clamp
 from ..workpiece import Pose, occupancy_in_space, tool_frame
 from ._adjoint import AbstractAdjoint
@@ -29,6 +29,7 @@ from ._bottom import RAMP
 from ._history import ProcessState
 from ._leading import STILL, has_opposite_teeth, leading_fade, taken_over
 from ._plan import ProcessPlan, turning
+from ._samples import EdgeSamples
 
 # Elements nearer to the axis than this share of the radius count as standing there.
 _LEAST_SINE = 0.02
@@ -41,11 +42,7 @@ def engagement_in_space(
     index: Int[Array, ""],
     predicted: Pose,
     adjoint: AbstractAdjoint,
-) -> tuple[
-    Float[Array, "substep angle kept element"],
-    Int[Array, "substep angle kept element"],
-    Float[Array, "substep angle kept element"],
-]:
+) -> EdgeSamples:
     """Return where the edge elements of a period are, and whether in material.
 
     Args:
@@ -57,15 +54,16 @@ def engagement_in_space(
         adjoint: How the run is differentiated.
 
     Returns:
-        Immersion angles [rad], the tooth of each, and occupancy.
+        The samples.
     """
     elements = profile_elements(plan, cutter, predicted.tip.dtype)
     angle, tooth, fade = _leading(plan, cutter, elements, state, index, predicted)
     place = jax.vmap(lambda p, phi: _edge(cutter, elements, p, phi))
     points, normals, along = place(predicted, angle)
-    # What an edge that moves on takes: a chip as thick as it moves along its normal.
-    motion = (predicted.tip - state.recent.tip[0])[:, None, None, None]
-    chip = jnp.maximum(jnp.sum(motion * normals, axis=-1, keepdims=True), 0) * normals
+    # What an edge takes: a chip as thick as it lies beyond the pose a period before.
+    old = state.recent[0][:, None, None, None]
+    chip = cutter.level(points, old.tip, old.direction())
+    chip = clamp(0.0, chip, cutter.nominal_radius)[..., None] * normals
     cell = jnp.stack(
         [
             elements.width[None, None, None, :, None] * along,
@@ -76,7 +74,7 @@ def engagement_in_space(
         ],
         axis=-2,
     )
-    weight = occupancy_in_space(
+    found = occupancy_in_space(
         state.stock,
         points.reshape(-1, 3),
         cell.reshape(-1, 3, 3),
@@ -85,7 +83,8 @@ def engagement_in_space(
         adjoint.tied_to(state.track),
         keeps_slopes=adjoint.keeps_slopes,
     )
-    return angle, tooth, fade * weight.reshape(angle.shape)
+    occupied, chip_share = (share.reshape(angle.shape) for share in found)
+    return EdgeSamples(angle, tooth, fade * occupied, chip_share)
 
 
 def _leading(
@@ -155,9 +154,7 @@ def force_in_space(
     pose: Pose,
     earlier: Pose,
     thinned: Pose,
-    angle: Float[Array, "angle kept element"],
-    tooth: Int[Array, "angle kept element"],
-    weight: Float[Array, "angle kept element"],
+    samples: EdgeSamples,
 ) -> Float[Array, "angle 3"]:
     """Return the force on the tool at the angles of one sub-step.
 
@@ -166,11 +163,14 @@ def force_in_space(
 
     Args and returns: see `substep_force`.
     """
+    angle, tooth = samples.angle, samples.tooth
     elements = profile_elements(plan, cutter, angle.dtype)
-    chip, feed = chip_in_space(plan, cutter, pose, earlier, thinned, angle, tooth)
+    found = chip_in_space(plan, cutter, pose, earlier, thinned, angle, tooth)
+    chip, per_way = found
+    feed = safe_norm(earlier.tip[0] - pose.tip)
     # From one sample to the next, the chip of an element changes by its share of this.
     steps = 2 * math.pi / plan.angles * jnp.maximum(elements.sin_kappa, _LEAST_SINE)
-    touch = edge_contact(chip, feed, steps[None, None])
+    touch = edge_contact(per_way, feed, steps[None, None])
     n = elements.bottom_count
     if has_opposite_teeth(plan, cutter) and not _keeps_all(plan, cutter):
         frame = tool_frame(pose.direction())
@@ -180,9 +180,9 @@ def force_in_space(
         touch = touch.at[..., n:].multiply(more)
     if n > 0:
         # The bottom of a tool that does not descend must not rub.
-        least = chip[..., :n] - RAMP * feed
+        least = per_way[..., :n] - RAMP
         touch = touch.at[..., :n].set(edge_contact(least, feed, RAMP))
-    h = clamp(0.0, chip, cutter.nominal_radius)
+    h = clamp(0.0, chip, cutter.nominal_radius) * samples.chip_share
     parts = []
     if n > 0:
         bottom = law.for_bottom() if bottom_law is None else bottom_law
@@ -193,7 +193,7 @@ def force_in_space(
     width, sin_kappa, cos_kappa = (
         x[None, None] for x in (elements.width, elements.sin_kappa, elements.cos_kappa)
     )
-    share = weight * width
+    share = samples.occupancy * width
     sin, cos = jnp.sin(angle), jnp.cos(angle)
     # In tool axes; t = (cos, -sin, 0), n = (sin k sin, sin k cos, -cos k).
     outward = -F_r * sin_kappa + F_a * cos_kappa
@@ -219,8 +219,8 @@ def chip_in_space(
     thinned: Pose,
     angle: Float[Array, "angle kept element"],
     tooth: Int[Array, "angle kept element"],
-) -> tuple[Float[Array, "angle kept element"], Float[Array, ""]]:
-    """Return the unclipped chip thickness and the feed per tooth, both [m].
+) -> tuple[Float[Array, "angle kept element"], Float[Array, "angle kept element"]]:
+    """Return the unclipped chip thickness [m], and over the way of who left it [-].
 
     Args: see `substep_force`.
     """
@@ -230,6 +230,7 @@ def chip_in_space(
     offsets = cutter.runout_offsets()
     nothing = 2 * cutter.nominal_radius
     chip = jnp.full_like(angle, nothing)
+    per_way = chip / way_of(earlier.tip[0] - pose.tip)
     descent = jnp.full_like(angle[..., :n], nothing)
     covered = jnp.zeros(descent.shape, bool)
     for k in range(1, cutter.flute_count + 1):
@@ -238,9 +239,10 @@ def chip_in_space(
         ahead = (offsets - jnp.roll(offsets, -k))[tooth[..., n:]]
         ahead = ahead * elements.sin_kappa[None, None, n:]
         sides = old if old.tip.shape[2] == 1 else old[:, :, n:]
-        chip = chip.at[..., n:].min(
-            _walk(cutter, points[..., n:, :], normals[..., n:, :], sides, 2) + ahead
-        )
+        left = _walk(cutter, points[..., n:, :], normals[..., n:, :], sides, 2) + ahead
+        chip = chip.at[..., n:].min(left)
+        way = way_of(sides.tip - pose.tip[None, None, None])
+        per_way = per_way.at[..., n:].min(left / way)
         if n > 0:
             ends = old if old.tip.shape[2] == 1 else old[:, :, :n]
             down, is_under = _descent(cutter, points[..., :n, :], ends)
@@ -248,12 +250,17 @@ def chip_in_space(
             descent = jnp.minimum(descent, jnp.where(is_under, down, nothing))
     for i in range(thinned.tip.shape[0]):
         old = thinned[i][None, None, None]
-        chip = chip.at[..., n:].min(
-            _walk(cutter, points[..., n:, :], normals[..., n:, :], old, 1)
+        left = _walk(cutter, points[..., n:, :], normals[..., n:, :], old, 1)
+        chip = chip.at[..., n:].min(left)
+        per_way = per_way.at[..., n:].min(
+            left / way_of(old.tip - pose.tip[None, None, None])
         )
     if n > 0:
-        chip = chip.at[..., :n].set(jnp.where(covered, descent, 0))
-    return chip, safe_norm(earlier.tip[0] - pose.tip)
+        descent = jnp.where(covered, descent, 0)
+        chip = chip.at[..., :n].set(descent)
+        way = way_of(earlier.tip[0] - pose.tip)
+        per_way = per_way.at[..., :n].set(descent / way)
+    return chip, per_way
 
 
 def _walk(

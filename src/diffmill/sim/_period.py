@@ -30,6 +30,7 @@ from ._in_space import (
 from ._padding import when_live
 from ._plan import ProcessPlan
 from ._point_cloud import cloud_engagement, remove_at_once
+from ._samples import EdgeSamples
 from ._upright import upright_chip, upright_engagement, upright_force
 
 
@@ -37,17 +38,12 @@ class Engagement(eqx.Module):
     """Where the teeth of one tooth period meet material.
 
     Attributes:
-        angle: Immersion angle of the samples [rad], shape (substep, angle, kept,
-            disc); the axis disc has length 1 if all elements share their angles.
-        tooth: The tooth of each sample, as `angle`.
-        occupancy: 0 to 1, shape (substep, angle, kept, element).
+        samples: The side edges, shape (substep, angle, kept, element).
         thinned: Some older poses, shape (circle, 3).
         bottom: The bottom edges of an upright flat cutter, if its path descends.
     """
 
-    angle: Float[Array, "substep angle kept disc"]
-    tooth: Int[Array, "substep angle kept disc"]
-    occupancy: Float[Array, "substep angle kept element"]
+    samples: EdgeSamples
     thinned: Pose
     bottom: BottomEngagement | None = None
 
@@ -84,8 +80,9 @@ def begin_period(
         tooth = jnp.arange(cutter.flute_count, dtype=jnp.int32) - (index - 1)
         tooth = jnp.mod(tooth, cutter.flute_count)[None, None, :, None]
         tooth = jnp.broadcast_to(tooth, angle.shape)
-        none = repeated(pose, (0,))
-        return state, Engagement(angle, tooth, weight, none, None), removed
+        # The cloud judges at the rim alone.
+        samples = EdgeSamples(angle, tooth, weight, jnp.ones_like(weight))
+        return state, Engagement(samples, repeated(pose, (0,))), removed
     state = remember(plan, cutter, state, index - 1, pose)
     state, removed = remove_due(plan, cutter, state, index - 1, adjoint)
     engage = lambda: look(plan, cutter, state, index, predicted, adjoint)
@@ -113,7 +110,7 @@ def look(
         bottom = bottom_engagement(
             plan, cutter, state.stock, index, predicted.tip, state.recent.tip[0]
         )
-    return Engagement(*found, thinned_poses(plan, state), bottom)
+    return Engagement(found, thinned_poses(plan, state), bottom)
 
 
 def substep_force(
@@ -124,9 +121,7 @@ def substep_force(
     pose: Pose,
     earlier: Pose,
     thinned: Pose,
-    angle: Float[Array, "angle kept disc"],
-    tooth: Int[Array, "angle kept disc"],
-    weight: Float[Array, "angle kept element"],
+    samples: EdgeSamples,
     bottom: BottomEngagement | None,
 ) -> Float[Array, "angle 3"]:
     """Return the force on the tool at the angles of one sub-step.
@@ -140,9 +135,7 @@ def substep_force(
         earlier: Poses at the same sub-step of earlier periods, newest first, shape
             (tooth, 3).
         thinned: Older poses, shape (circle, 3).
-        angle: Immersion angles [rad], shape (angle, kept, disc).
-        tooth: The tooth at each of them, as `angle`.
-        weight: Occupancy at these angles, shape (angle, kept, element).
+        samples: The side edges in this sub-step, shape (angle, kept, element).
         bottom: The engagement of the bottom edges in this sub-step, if there is one.
 
     Returns:
@@ -154,9 +147,7 @@ def substep_force(
     """
     if plan.profile is None:
         old = _earlier_tips(plan, earlier)
-        force = upright_force(
-            plan, cutter, law, pose.tip, old, thinned.tip, angle, tooth, weight
-        )
+        force = upright_force(plan, cutter, law, pose.tip, old, thinned.tip, samples)
         if bottom is not None:
             under = law.for_bottom() if bottom_law is None else bottom_law
             force = force + bottom_force(
@@ -164,7 +155,7 @@ def substep_force(
             )
         return force
     return force_in_space(
-        plan, cutter, law, bottom_law, pose, earlier, thinned, angle, tooth, weight
+        plan, cutter, law, bottom_law, pose, earlier, thinned, samples
     )
 
 
@@ -174,14 +165,14 @@ def substep_chip(
     pose: Pose,
     earlier: Pose,
     thinned: Pose,
-    angle: Float[Array, "angle kept disc"],
-    tooth: Int[Array, "angle kept disc"],
+    samples: EdgeSamples,
 ) -> Float[Array, "angle kept element"]:
     """Return the unclipped chip thickness of one sub-step [m]; see `substep_force`."""
+    angle = samples.angle
     if plan.profile is None:
         old = _earlier_tips(plan, earlier)
         return upright_chip(plan, cutter, pose.tip, old, thinned.tip, angle)[0]
-    return chip_in_space(plan, cutter, pose, earlier, thinned, angle, tooth)[0]
+    return chip_in_space(plan, cutter, pose, earlier, thinned, angle, samples.tooth)[0]
 
 
 def _earlier_tips(plan: ProcessPlan, earlier: Pose) -> Float[Array, "tooth 3"]:

@@ -173,13 +173,12 @@ def _period_force(
 ) -> Float[Array, "angle 3"]:
     """Return the force at all angles of a period, sub-step by sub-step."""
     force = jax.vmap(
-        lambda pose, earlier, *samples: substep_force(
-            plan, cutter, *laws, pose, earlier, cut.thinned, *samples
+        lambda pose, earlier, samples, bottom: substep_force(
+            plan, cutter, *laws, pose, earlier, cut.thinned, samples, bottom
         ),
-        in_axes=(0, 1, 0, 0, 0, 0),
+        in_axes=(0, 1, 0, 0),
     )
-    samples = (cut.angle, cut.tooth, cut.occupancy, cut.bottom)
-    return force(poses, recent, *samples).reshape(-1, 3)
+    return force(poses, recent, cut.samples, cut.bottom).reshape(-1, 3)
 
 
 def _plan_of_path(

@@ -218,18 +218,17 @@ def _mean_force(
 ) -> Float[Array, " 3"]:
     """Return the mean force of a period whose poses are known."""
     force = jax.vmap(
-        lambda pose, earlier, *samples: substep_force(
+        lambda pose, earlier, samples, bottom: substep_force(
             machine.plan,
             machine.cutter,
             *machine.laws,
             pose,
             earlier,
             cut.thinned,
-            *samples,
+            samples,
+            bottom,
         ),
-        in_axes=(0, 1, 0, 0, 0, 0),
+        in_axes=(0, 1, 0, 0),
     )
-    samples = force(
-        middles, process.recent, cut.angle, cut.tooth, cut.occupancy, cut.bottom
-    )
-    return jnp.mean(samples.reshape(-1, 3), axis=0)
+    found = force(middles, process.recent, cut.samples, cut.bottom)
+    return jnp.mean(found.reshape(-1, 3), axis=0)

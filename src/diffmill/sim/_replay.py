@@ -85,7 +85,7 @@ class ToothChip(eqx.Module):
 
     Attributes:
         angle: Immersion angle of the samples [rad], shape (sample, element).
-        chip_thickness: Chip thickness h [m], same shape.
+        chip_thickness: Chip thickness h in the stock [m], same shape.
         weight: Fraction of the sample that is in stock, from 0 to 1, same shape.
         is_of_tooth: Which samples are the tooth's, same shape.
         height: Height of each edge element above the tip [m], shape (element,).
@@ -138,7 +138,7 @@ def tooth_chip(
     feed = (np.asarray(part.tip[-1] - part.tip[-2], np.float64)) @ frame
     return ToothChip(
         angle=flat(angle),
-        chip_thickness=flat(np.clip(chip, 0, float(cutter.diameter) / 2)),
+        chip_thickness=flat(chip),
         weight=flat(weight),
         is_of_tooth=flat(tooth) == 0,
         height=height[first:],
@@ -155,7 +155,7 @@ def _last_periods(
     Float[Array, "period substep angle kept element"],
     Float[Array, "period substep angle kept element"],
 ]:
-    """Return angle, tooth, unclipped chip and occupancy in the last periods."""
+    """Return angle, tooth, chip in the stock and occupancy in the last periods."""
     adjoint, rows = Plain(), path.tip.shape[0]
     state, _ = initial_state(plan, stock, cutter, path[0], rows, adjoint)
 
@@ -165,11 +165,12 @@ def _last_periods(
         index, start, poses, ends = x
         state, cut, _ = begin_period(plan, cutter, state, index, start, poses, adjoint)
         chip = jax.vmap(
-            lambda pose, earlier, angle, tooth: substep_chip(
-                plan, cutter, pose, earlier, cut.thinned, angle, tooth
+            lambda pose, earlier, samples: substep_chip(
+                plan, cutter, pose, earlier, cut.thinned, samples
             ),
-            in_axes=(0, 1, 0, 0),
-        )(poses, state.recent, cut.angle, cut.tooth)
+            in_axes=(0, 1, 0),
+        )(poses, state.recent, cut.samples)
+        chip = jnp.clip(chip, 0, cutter.diameter / 2) * cut.samples.chip_share
         return end_period(state, poses, ends), (cut, chip)
 
     index = jnp.arange(1, rows, dtype=jnp.int32)
@@ -178,4 +179,5 @@ def _last_periods(
     last = jax.tree.map(lambda x: x[-count:], xs)
     state, _ = jax.lax.scan(lambda s, x: (period(s, x)[0], None), state, before)
     _, (cut, chip) = jax.lax.scan(period, state, last)
-    return cut.angle, cut.tooth, chip, cut.occupancy
+    samples = cut.samples
+    return samples.angle, samples.tooth, chip, samples.occupancy

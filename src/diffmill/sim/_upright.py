@@ -17,12 +17,14 @@ from ..cutting import (
     edge_contact,
     layer_share,
     safe_norm,
+    way_of,
 )
 from ..workpiece import occupancy
 from ._adjoint import AbstractAdjoint
 from ._history import ProcessState
 from ._leading import STILL, has_opposite_teeth, leading_fade, taken_over
 from ._plan import ProcessPlan, turning
+from ._samples import EdgeSamples
 
 
 def upright_engagement(
@@ -32,12 +34,8 @@ def upright_engagement(
     index: Int[Array, ""],
     predicted: Float[Array, "substep 3"],
     adjoint: AbstractAdjoint,
-) -> tuple[
-    Float[Array, "substep angle kept disc"],
-    Int[Array, "substep angle kept disc"],
-    Float[Array, "substep angle kept element"],
-]:
-    """Return where the teeth of a period are, and how much of each disc is in stock.
+) -> EdgeSamples:
+    """Return where the teeth of a period are, and what of their chips is in stock.
 
     Args:
         plan: Sizes of the process.
@@ -48,7 +46,7 @@ def upright_engagement(
         adjoint: How the run is differentiated.
 
     Returns:
-        Immersion angles [rad], the tooth of each, and occupancy.
+        The samples.
     """
     angle, place, fade = _leading_angles(plan, cutter, state, predicted)
     # Every period begins with another tooth in the same place.
@@ -59,10 +57,17 @@ def upright_engagement(
     points = (predicted[:, None, None, None] + rim).reshape(-1, angle.shape[3], 3)
     step = 2 * math.pi / plan.angles
     moves = (step * jnp.stack([cos, -sin], -1)).reshape(-1, angle.shape[3], 2)
+    newest = state.recent.tip[0] - predicted
+    chip = jax.vmap(lambda offset, phi: circle_chip(radius, offset, phi, 0.0))(
+        newest, angle
+    )
+    chips = -jnp.clip(chip, 0, radius)[..., None] / radius * rim[..., :2]
+    chips = chips.reshape(moves.shape)
     track = adjoint.tied_to(state.track)
-    weight = occupancy(state.stock, points, moves, plan.discs, cutter, track)
-    weight = weight.reshape(*angle.shape[:3], plan.discs.count)
-    return angle, tooth, fade * weight
+    found = occupancy(state.stock, points, moves, chips, plan.discs, cutter, track)
+    shape = (*angle.shape[:3], plan.discs.count)
+    occupied, chip_share = (share.reshape(shape) for share in found)
+    return EdgeSamples(angle, tooth, fade * occupied, chip_share)
 
 
 def upright_force(
@@ -72,9 +77,7 @@ def upright_force(
     tip: Float[Array, " 3"],
     earlier: Float[Array, "tooth 3"],
     thinned: Float[Array, "circle 3"],
-    angle: Float[Array, "angle kept disc"],
-    tooth: Int[Array, "angle kept disc"],
-    weight: Float[Array, "angle kept element"],
+    samples: EdgeSamples,
 ) -> Float[Array, "angle 3"]:
     """Return the force on the tool at the angles of one sub-step.
 
@@ -86,9 +89,7 @@ def upright_force(
         earlier: Tips at the same sub-step of earlier periods, newest first [m],
             shape (tooth, 3).
         thinned: Older tips [m], shape (circle, 3).
-        angle: Immersion angles [rad], shape (angle, kept, disc).
-        tooth: The tooth at each of them, shape (angle, kept, disc).
-        weight: Occupancy at these angles, shape (angle, kept, element).
+        samples: The samples of the sub-step, shape (angle, kept, element).
 
     Returns:
         Force on the tool in `work` [N], shape (angle, 3); its mean is the force of
@@ -97,19 +98,22 @@ def upright_force(
     Differentiability: kinks where the deciding earlier circle changes and where a
     chip ends; the edge force changes smoothly there.
     """
-    chip, feed = upright_chip(plan, cutter, tip, earlier, thinned, angle)
+    angle = samples.angle
+    chip, per_way = upright_chip(plan, cutter, tip, earlier, thinned, angle)
+    feed = safe_norm(earlier[0] - tip)
     step = 2 * math.pi / plan.angles
-    touch = edge_contact(chip, feed, step)
+    touch = edge_contact(per_way, feed, step)
     if has_opposite_teeth(plan, cutter):
         lead = _lead((tip - earlier[0])[None, None, None, :2], angle)
         touch = touch * taken_over(lead, step, feed / cutter.diameter)
-    h = jnp.clip(chip, 0, cutter.diameter / 2)
-    teeth = jnp.broadcast_to(tooth, h.shape)
+    h = jnp.clip(chip, 0, cutter.diameter / 2) * samples.chip_share
+    teeth = jnp.broadcast_to(samples.tooth, h.shape)
+    touch = jnp.broadcast_to(touch, h.shape)
     F_t, F_r, F_a = law.force_per_width(h, touch, teeth)
     lower = plan.discs.centers(tip.dtype) - plan.discs.height / 2
     # The shank above the flutes has no edge.
     width = jnp.clip(cutter.flute_length - lower, 0, plan.discs.height)
-    share = weight * width[None, None]
+    share = samples.occupancy * width[None, None]
     sin, cos = jnp.sin(angle), jnp.cos(angle)
     along = [
         jnp.sum(share * component, axis=(1, 2))
@@ -125,20 +129,23 @@ def upright_chip(
     earlier: Float[Array, "tooth 3"],
     thinned: Float[Array, "circle 3"],
     angle: Float[Array, "angle kept disc"],
-) -> tuple[Float[Array, "angle kept element"], Float[Array, ""]]:
-    """Return the unclipped chip thickness and the feed per tooth, both [m]."""
+) -> tuple[Float[Array, "angle kept element"], Float[Array, "angle kept element"]]:
+    """Return the unclipped chip thickness [m], and over the way of who left it [-]."""
     R = cutter.diameter / 2
     lower = plan.discs.centers(tip.dtype) - plan.discs.height / 2
     newest = earlier[0] - tip
     # The tooth just before cut every layer that this one cuts with its side.
     chip = circle_chip(R, newest, angle, 0.0)
+    per_way = chip / way_of(newest)
     nothing = 2 * cutter.nominal_radius
     for old in [*earlier[1:], *thinned]:
         offset = old - tip
         share = layer_share(offset[2], lower, plan.discs.height)[None, None]
         left = circle_chip(R, offset, angle, nothing)
-        chip = jnp.minimum(chip, share * left + (1 - share) * nothing)
-    return chip, safe_norm(newest)
+        left = share * left + (1 - share) * nothing
+        chip = jnp.minimum(chip, left)
+        per_way = jnp.minimum(per_way, left / way_of(offset))
+    return chip, per_way
 
 
 def immersion_angles(

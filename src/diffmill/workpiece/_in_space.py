@@ -6,17 +6,19 @@ out, the others are interpolated, and with g the slope of the interpolant the di
 to the plane is s / sqrt(1 + g^2).
 
 The three planes are then one and the same (a face that all families see), two faces
-of an edge that sticks out (the point is inside if it is inside of both), or two of an
-edge that goes in (inside of one is enough). The least, or the greatest, of the three
-distances answers all three cases. A family that sees the face at a flat angle, or
-whose rays partly meet nothing, knows less and is held back.
+of an edge that sticks out (what is inside of both is inside), or two of an edge that
+goes in (inside of one is enough). The share inside the plane that leaves the least,
+times the shares of planes at right angles to it, answers all three cases. A family that
+sees the face at a flat angle, or whose rays partly meet nothing, knows less and is held
+back.
 
 A piece of edge is not a point: what counts is the mean of the smooth step over it and
 over its way to the next sample, so that pieces in a row add up to the length in the
-material. Where the surface is not crossed but followed this says little: an edge that
-slides over what an earlier pass left is half in and half out, however it is smoothed.
-There the chip decides, which begins at the edge and ends inward: without material in
-it, the edge is out.
+material. The chip, which begins at the edge and ends inward, counts with its mean in
+the same way, so that a surface cuts off its inner or its outer side. Where the surface
+is not crossed but followed the edge says little: one that slides over what an earlier
+pass left is half in and half out, however it is smoothed. There the chip decides: with
+next to no material in it, the edge is out.
 """
 
 import functools
@@ -27,7 +29,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ..cutter import AbstractCutter
-from ..numerics import clamp, sloped_rows, tied
+from ..numerics import clamp, mean_step, sloped_rows, tied
 from ._occupancy import REACH, nearest_interval
 from ._pose import Pose
 from ._stock import Stock
@@ -37,11 +39,13 @@ from ._tooth_pass import PoseTrack
 # below the second.
 _HEARD, _UNHEARD = 0.3, 0.1
 _TINY = 1e-6
+# Share of the rays around a point, by their weights, with which a family half knows.
+_FEW = 1e-2
 # Shorter ways across a surface count as this share of the band: what the rays resolve
 # of a smooth surface.
 _SHORTEST = 0.03
-# Shares of a chip in the material from which on its edge is out, and in.
-_NO_CHIP, _CHIP = 0.05, 0.3
+# Shares of a chip in the material up to which its edge is out, and from which it is in.
+_NO_CHIP, _CHIP = 0.02, 0.1
 # Slope of a cut end against the motion of its pose is cut off at grazing rays.
 _GRAZING = 1e-2
 
@@ -75,14 +79,15 @@ def occupancy_in_space(
     track: PoseTrack | None = None,
     *,
     keeps_slopes: bool = False,
-) -> Float[Array, " point"]:
-    """Return how much of the pieces of edge around points is in the material.
+) -> tuple[Float[Array, " point"], Float[Array, " point"]]:
+    """Return how much of the chips at pieces of edge is in the material.
 
     Args:
         stock: The workpiece.
         points: Middles of the pieces in `work` [m], shape (point, 3).
         cells: What each piece takes: from one end to the other, its way to the next
-            sample, and outward through its chip [m], shape (point, 3, 3).
+            sample, and from the inner side of its chip outward [m], shape
+            (point, 3, 3).
         band: Resolution of the rays and samples [m].
         cutter: The cutter that cut the stock; used only with `track`.
         track: All poses so far, to which the derivative goes; None differentiates
@@ -91,7 +96,9 @@ def occupancy_in_space(
             point instead of computing it again in every product.
 
     Returns:
-        Occupancy, shape (point,): exactly 0 and 1 away from surfaces.
+        The occupancy, the share of each piece that has a chip in the material, exactly
+        0 and 1 away from surfaces; and the share of that chip's thickness that is in
+        the material. Both of shape (point,).
 
     Differentiability: continuous; kinks where a point crosses a grid line and where
     another family decides.
@@ -101,12 +108,14 @@ def occupancy_in_space(
     if track is None:
         combine = jax.checkpoint(_combine, static_argnums=(5,))
         ends = [n.ends for n in near]
-        return combine(points, cells, ends, near, stock.origin, sizes)
+        found = combine(points, cells, ends, near, stock.origin, sizes)
+        return found[:, 0], found[:, 1]
     # One gather for all: its transpose then adds into the table only once.
     cut_by = track.cut_by(jnp.stack([n.pose for n in near], axis=1))
     look = functools.partial(_look, sizes)
     look = sloped_rows(look) if keeps_slopes else jax.checkpoint(look)
-    return look(points, cells, cut_by, near, cutter, stock.origin)
+    found = look(points, cells, cut_by, near, cutter, stock.origin)
+    return found[:, 0], found[:, 1]
 
 
 def _look(
@@ -117,8 +126,8 @@ def _look(
     near: tuple[_Near, ...],
     cutter: AbstractCutter,
     origin: Float[Array, " 3"],
-) -> Float[Array, " point"]:
-    """Return the occupancy, tied to the poses (point, family, 4) that cut the ends."""
+) -> Float[Array, "point 2"]:
+    """Return both shares, tied to the poses (point, family, 4) that cut the ends."""
     ends = [_tie(cutter, near[f], f, cut_by[:, f]) for f in range(3)]
     return _combine(points, cells, ends, near, origin, sizes)
 
@@ -183,58 +192,68 @@ def _combine(
     near: tuple[_Near, ...],
     origin: Float[Array, " 3"],
     sizes: tuple[float, float],
-) -> Float[Array, " point"]:
+) -> Float[Array, "point 2"]:
     d, band = sizes
     faces = [_face(points, ends[f], near[f], f, origin, d) for f in range(3)]
-    distance = jnp.stack([f.distance for f in faces])
     trust = jnp.stack([f.trust for f in faces])
     known = trust / jnp.max(trust, axis=0, keepdims=True)
     doubt = clamp(0.0, (_HEARD - known) / (_HEARD - _UNHEARD), 1.0)
-    held = 2 * REACH * d * doubt
-    full = sum(f.full for f in faces)
-    empty = sum(f.empty for f in faces)
-    least = jnp.min(distance + held, axis=0)
-    greatest = jnp.max(distance - held, axis=0)
-    # How far the surface is crossed along each edge of the cell.
-    across = jnp.stack(
-        [jnp.abs(jnp.sum(f.normal[:, None] * cells, axis=-1)) for f in faces]
+    # What the silent rays of families that see a face are: material, or air.
+    full = jnp.sum(trust * jnp.stack([f.full for f in faces]), axis=0)
+    empty = jnp.sum(trust * jnp.stack([f.empty for f in faces]), axis=0)
+    goes_in = full / (full + empty + _FEW)
+    shares = [_shares(face, cells, band) for face in faces]
+    touched, filled = (
+        _inside(jnp.stack(each), faces, doubt, goes_in)
+        for each in zip(*shares, strict=True)
     )
-    says = trust**2 / (jnp.sum(trust**2, axis=0, keepdims=True) + _TINY)
-    across = jnp.sum(says[..., None] * across, axis=0)
-    goes_in = jax.lax.stop_gradient(full > empty)
-    inside = jnp.where(goes_in, greatest, least)
-    along, ahead, inward = (across[:, i] for i in range(3))
+    filled = filled / (touched + _TINY)
+    share = clamp(0.0, (filled - _NO_CHIP) / (_CHIP - _NO_CHIP), 1.0)
+    return jnp.stack([touched * share**2 * (3 - 2 * share), filled], axis=-1)
+
+
+def _shares(
+    face: _Face, cells: Float[Array, "point edge 3"], band: float
+) -> tuple[Float[Array, " point"], Float[Array, " point"]]:
+    """Return how much of the pieces and of their chips lies inside one plane."""
+    # How far it is out of the material along each edge of the cell.
+    out = jnp.sum(face.normal[:, None] * cells, axis=-1)
     shortest = _SHORTEST * band
-    width = jnp.maximum(0.5 * ahead, shortest)
-    at_edge = _mean_step(inside, width, jnp.maximum(along, shortest))
-    # The whole cell, from the edge inward; a surface that is merely touched is out.
-    in_chip = _mean_step(
-        inside - inward / 2 - shortest,
-        width,
-        jnp.sqrt(along**2 + inward**2 + shortest**2),
-    )
-    share = (in_chip / (at_edge + _TINY) - _NO_CHIP) / (_CHIP - _NO_CHIP)
-    share = clamp(0.0, share, 1.0)
-    return at_edge * share**2 * (3 - 2 * share)
+    along = jnp.maximum(jnp.abs(out[:, 0]), shortest)
+    width = jnp.maximum(jnp.abs(out[:, 1]), shortest)
+    # From the edge to the inner side of the chip.
+    inward = out[:, 2]
+    touched = mean_step(face.distance + jnp.maximum(inward, 0), width, along)
+    length = jnp.sqrt(along**2 + inward**2)
+    return touched, mean_step(face.distance + inward / 2, width, length)
 
 
-def _mean_step(
-    x: Float[Array, " point"],
-    width: Float[Array, " point"],
-    length: Float[Array, " point"],
+def _inside(
+    shares: Float[Array, "3 point"],
+    faces: list[_Face],
+    doubt: Float[Array, "3 point"],
+    goes_in: Float[Array, " point"],
 ) -> Float[Array, " point"]:
-    """Return the mean of a smooth step of half-width `width` over a piece around x.
+    """Return how much is inside of an edge, from what is inside of each plane."""
+    normals = jnp.stack([f.normal for f in faces])
+    out = _inside_all(shares + (1 - shares) * doubt, normals)
+    # Where the edge goes in, what is outside of all planes is outside.
+    into = 1 - _inside_all(1 - shares * (1 - doubt), normals)
+    return (1 - goes_in) * out + goes_in * into
 
-    Pieces in a row tile the edge.
+
+def _inside_all(
+    shares: Float[Array, "3 point"], normals: Float[Array, "3 point 3"]
+) -> Float[Array, " point"]:
+    """Return how much is inside of all planes.
+
+    Planes that are one and the same count once, planes at right angles as a product.
     """
-    x, half = x / width, 0.5 * length / width
-    return (_mean_integral(x + half) - _mean_integral(x - half)) / (2 * half)
-
-
-def _mean_integral(x: Float[Array, " point"]) -> Float[Array, " point"]:
-    """Return the integral of `hat_integral` from below -1 up to x."""
-    c = clamp(-1.0, x, 1.0)
-    return 1 / 6 + 0.5 * c + 0.5 * c**2 - jnp.abs(c) ** 3 / 6 + jnp.maximum(x - 1, 0)
+    least = jax.lax.stop_gradient(jnp.argmin(shares, axis=0))[None]
+    first = jnp.take_along_axis(normals, least[..., None], axis=0)
+    apart = 1 - jnp.sum(normals * first, axis=-1) ** 2
+    others = jnp.prod(1 - (1 - shares) * apart, axis=0)
+    return jnp.take_along_axis(shares, least, axis=0)[0] * others
 
 
 def _face(
@@ -254,7 +273,9 @@ def _face(
         (at - jax.lax.stop_gradient(jnp.floor(at)))
         for at in ((points[:, a] - origin[a]) / d for a in axes)
     )
-    sees = (1 - (s / reach) ** 2) ** 2 + _TINY
+    # A ray that meets nothing says nothing of the slope of a face.
+    meets = (1 - (s / reach) ** 2) ** 2
+    sees = meets + _TINY
     row = jnp.stack([1 - p, 1 - p, p, p], axis=-1)
     column = jnp.stack([1 - q, q, 1 - q, q], axis=-1)
     share = row * column
@@ -262,7 +283,7 @@ def _face(
     total = jnp.sum(weight, axis=-1)
     here = jnp.sum(weight * s, axis=-1) / total
     slopes = [
-        _slope(s, sees * other, pairs, d)
+        _slope(s, meets * other, pairs, d)
         for other, pairs in ((column, ((0, 2), (1, 3))), (row, ((0, 1), (2, 3))))
     ]
     steepness = 1 + slopes[0] ** 2 + slopes[1] ** 2
@@ -272,8 +293,8 @@ def _face(
     normal: list[Array] = [sign, sign, sign]
     normal[axes[0]], normal[axes[1]] = -slopes[0], -slopes[1]
     is_full = ~near.is_empty & (s >= reach)
-    # How surely: within reach, head-on, and all four rays of one mind.
-    trust = jnp.minimum(total, 1) / steepness**2
+    # How surely: head-on, and one ray that meets an end is enough.
+    trust = total / (total + _FEW) / steepness**2
     return _Face(
         distance=here / root,
         normal=jnp.stack(normal, axis=-1) / root[:, None],

@@ -14,6 +14,10 @@ the question is split:
 Their product is the occupancy. A ray that meets no surface within reach says nothing
 about where a surface is, so it hardly counts while another one does.
 
+A chip is no point either: it reaches inward from the rim, and a wall may cut off its
+inner side, or its outer one. Distance and slope of the wall at the rim tell what of it
+is in the material.
+
 Two ways to differentiate with respect to the poses that cut the stock: through the
 ends of the rays (`pose_tips=None`), or through the poses that the ends remember
 (`track` given), where the stock is a constant and each end that is read here is
@@ -28,7 +32,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ..cutter import AbstractCutter
-from ..numerics import clamp, hat_integral, tied
+from ..numerics import clamp, hat_integral, mean_step, tied
 from ._stock import Stock
 from ._tooth_pass import PoseTrack
 
@@ -36,6 +40,8 @@ from ._tooth_pass import PoseTrack
 REACH = 4.0
 # Share of the band across a wall that an edge does not cross on its way.
 _FOLLOWED = 0.3
+# A chip that crosses less of a wall than this, in widths of its band, counts as this.
+_SHORT = 1e-2
 # What a ray without a surface in reach still counts for.
 _BLIND = 1e-6
 
@@ -95,11 +101,12 @@ def occupancy(
     stock: Stock,
     points: Float[Array, "point disc 3"],
     moves: Float[Array, "point disc 2"],
+    chips: Float[Array, "point disc 2"],
     discs: Discs,
     cutter: AbstractCutter,
     track: PoseTrack | None = None,
-) -> Float[Array, "point element"]:
-    """Return how much of each disc is in the material at points on its rim.
+) -> tuple[Float[Array, "point element"], Float[Array, "point element"]]:
+    """Return how much of the chips at points on the rim is in the material.
 
     Args:
         stock: The workpiece.
@@ -107,13 +114,16 @@ def occupancy(
             the axis disc has length 1 if all discs share their points.
         moves: From each point to the next sample [m], across the axis, shape
             (point, disc, 2).
+        chips: From each point to the inner side of its chip [m], as `moves`.
         discs: The discs.
         cutter: The cutter that cut the stock; used only with `track`.
         track: All poses so far, to which the derivative goes; None differentiates
             through the stock.
 
     Returns:
-        Occupancy, shape (point, element): exactly 0 and 1 away from surfaces.
+        The occupancy, the share of each disc that has a chip in the material, exactly
+        0 and 1 away from surfaces; and the share of that chip's thickness that is in
+        the material. Both of shape (point, element).
 
     Differentiability: continuous; kinks where a point crosses a grid line.
     """
@@ -126,10 +136,11 @@ def occupancy(
     if track is not None:
         wall_ends = _tie_walls(cutter, walls, track)
     facts = tuple((w.is_upper, w.is_empty) for w in walls)
-    combine = jax.checkpoint(_combine, static_argnums=(5,))
+    combine = jax.checkpoint(_combine, static_argnums=(6,))
     return combine(
         points,
         moves,
+        chips,
         (columns.ends, *wall_ends),
         (facts, heights),
         stock.origin,
@@ -285,15 +296,16 @@ def _tie_walls(
 def _combine(
     points: Float[Array, "point disc 3"],
     moves: Float[Array, "point disc 2"],
+    chips: Float[Array, "point disc 2"],
     ends: tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."]],
     facts: tuple[tuple[tuple[Bool[Array, "..."], ...], ...], Float[Array, "..."]],
     origin: Float[Array, " 3"],
     sizes: tuple[Discs, float],
-) -> Float[Array, "point element"]:
+) -> tuple[Float[Array, "point element"], Float[Array, "point element"]]:
     discs, d = sizes
     sides, heights = facts
-    inside, certainty = _wall_occupancy(
-        points, moves, ends[1:], sides, heights, origin, (d, discs.band)
+    touched, filled_chip, certainty = _wall_occupancy(
+        points, moves, chips, ends[1:], sides, heights, origin, (d, discs.band)
     )
     # (point, disc, column, side, slot)
     above_tip = ends[0] - points[..., 2][..., None, None, None]
@@ -318,20 +330,27 @@ def _combine(
     gap = jnp.take_along_axis(filled, fullest, axis=1) - filled
     ledge = jnp.sum(weights * filled * gap, axis=1)
     ledge = ledge / (jnp.sum(weights * gap, axis=1) + _BLIND)
-    seen = inside * solid + (1 - inside) * ledge
-    return certainty * seen + (1 - certainty) * inside * mean
+    ground = certainty * ledge
+    rise = certainty * (solid - ledge) + (1 - certainty) * mean
+    touching = ground + rise * touched
+    return touching, (ground + rise * filled_chip) / (touching + _BLIND)
 
 
 def _wall_occupancy(
     points: Float[Array, "point disc 3"],
     moves: Float[Array, "point disc 2"],
+    chips: Float[Array, "point disc 2"],
     ends: tuple[Float[Array, "..."], ...],
     sides: tuple[tuple[Bool[Array, "..."], ...], ...],
     heights: Float[Array, "point element"],
     origin: Float[Array, " 3"],
     sizes: tuple[float, float],
-) -> tuple[Float[Array, "point element"], Float[Array, "point element"]]:
-    """Return the occupancy across walls, and how surely a wall is seen."""
+) -> tuple[
+    Float[Array, "point element"],
+    Float[Array, "point element"],
+    Float[Array, "point element"],
+]:
+    """Return where a chip is in the material, how much of it, and how surely."""
     d, band = sizes
     reach = REACH * d
     q = (heights - origin[2]) / d
@@ -340,6 +359,7 @@ def _wall_occupancy(
     says = jnp.full_like(heights, _BLIND)
     certainty = jnp.zeros_like(heights)
     ahead = jnp.zeros_like(heights)
+    inward = jnp.zeros_like(heights)
     for f in (0, 1):
         is_upper, is_empty = sides[f]
         x = jnp.broadcast_to(points[..., f], heights.shape)[..., None]
@@ -362,15 +382,22 @@ def _wall_occupancy(
         weight = sees_here / steepness**2
         root = jnp.sqrt(steepness)
         sign = jnp.where(is_upper[..., 2], 1, -1).astype(s.dtype)
-        crossed = slope * moves[..., 1 - f] - sign * moves[..., f]
+        crossed, deeper = (
+            slope * way[..., 1 - f] - sign * way[..., f] for way in (moves, chips)
+        )
         ahead = ahead + (weight + _BLIND) * jnp.abs(crossed) / root
+        inward = inward + (weight + _BLIND) * deeper / root
         total = total + (weight + _BLIND) * s_here / root
         says = says + weight + _BLIND
         certainty = certainty + weight
     # A wall that an edge follows rather than crosses is not blurred along its way.
     width = clamp(_FOLLOWED * band, ahead / says, band)
-    inside = hat_integral(total / says / width)
-    return inside, clamp(0.0, 2 * certainty, 1.0)
+    # From the rim to the inner side of the chip.
+    inside, inward = total / says, inward / says
+    touched = hat_integral((inside + jnp.maximum(inward, 0)) / width)
+    length = jnp.sqrt(inward**2 + (_SHORT * width) ** 2)
+    filled = mean_step(inside + inward / 2, width, length)
+    return touched, filled, clamp(0.0, 2 * certainty, 1.0)
 
 
 def _column_weights(
