@@ -313,7 +313,8 @@ def _in_stock(
     part = np.nonzero((outer < 1) | (inner < 1))[0]
     places = (np.arange(_PARTS) + 0.5) / _PARTS
     found = np.stack([shares(place, part) for place in places])
-    most, total = found.max(axis=0), found.sum(axis=0)
+    total = found.sum(axis=0)
+    most = np.max([*found, outer[part], inner[part]], axis=0)
     safe = np.where(most > 0, most, 1)
     width[part] = most
     filled[part] = total / safe / _PARTS
