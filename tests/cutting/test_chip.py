@@ -73,7 +73,7 @@ def test_a_layer_below_an_earlier_tip_was_not_cut_by_it():
 def test_edge_contact_is_fair_at_both_ends_of_the_cut():
     feed, step = jnp.asarray(1e-4), 0.03
     phi = jnp.arange(-0.5, np.pi + 0.5, step / 20)
-    touch = cutting.edge_contact(feed * jnp.sin(phi), feed, step)
+    touch = cutting.edge_contact(jnp.sin(phi), feed, step)
     np.testing.assert_allclose(jnp.sum(touch) * step / 20, np.pi, rtol=2e-4)
     still = cutting.edge_contact(jnp.zeros(5), jnp.zeros(()), step)
     np.testing.assert_array_equal(still, 0)
@@ -83,7 +83,7 @@ def test_edge_contact_sums_to_its_length_at_any_phase_of_the_samples():
     feed, step = jnp.asarray(1e-4), 0.03
     start = step * np.linspace(0, 1, 17)[:, None]
     phi = jnp.asarray(start + step * np.arange(-20, 20)[None])
-    length = step * jnp.sum(cutting.edge_contact(feed * phi, feed, step), axis=1)
+    length = step * jnp.sum(cutting.edge_contact(phi, feed, step), axis=1)
     np.testing.assert_allclose(length, start[:, 0] + 19.5 * step, atol=1e-6 * step)
 
 

@@ -77,9 +77,10 @@ def test_gradient_matches_differences():
 
 
 def spread(points, discs):
-    """Return points on the rim, each disc with a copy of its own."""
+    """Return points on the rim, moves and chips, each disc with a copy of its own."""
     shape = (points.shape[0], discs.count, 3)
-    return jnp.broadcast_to(points[:, None], shape), jnp.full((*shape[:2], 2), 1e-3)
+    moves = jnp.full((*shape[:2], 2), 1e-3)
+    return jnp.broadcast_to(points[:, None], shape), moves, jnp.zeros_like(moves)
 
 
 def test_discs_with_points_of_their_own_see_what_those_that_share_them_see():
@@ -87,7 +88,7 @@ def test_discs_with_points_of_their_own_see_what_those_that_share_them_see():
     points = jnp.asarray(
         rng.uniform([-1e-3, -1e-3, -2e-3], [4e-3, 4e-3, 1e-4], (60, 3))
     )
-    own = wp.occupancy(STOCK, *spread(points, DISCS), DISCS, MILL)
+    own, _ = wp.occupancy(STOCK, *spread(points, DISCS), DISCS, MILL)
     assert float(own.max()) > 0.5
     np.testing.assert_allclose(own, look(points), atol=1e-14)
 
@@ -97,7 +98,7 @@ def test_work_grows_no_faster_than_the_number_of_discs():
     for count in (12, 24):
         discs = wp.Discs(count, 0.1e-3, 0.1e-3)
         place = spread(jnp.full((30, 3), -1e-3), discs)
-        run = jax.jit(lambda p, m, discs=discs: wp.occupancy(STOCK, p, m, discs, MILL))
+        run = jax.jit(lambda *at, discs=discs: wp.occupancy(STOCK, *at, discs, MILL)[0])
         cost = run.lower(*place).cost_analysis()
         assert cost is not None
         work.append(cost["flops"])

@@ -27,7 +27,13 @@ from ..workpiece import Pose, occupancy_in_space, tool_frame
 from ._adjoint import AbstractAdjoint
 from ._bottom import RAMP
 from ._history import ProcessState
-from ._leading import STILL, has_opposite_teeth, leading_fade, taken_over
+from ._leading import (
+    STILL,
+    chip_taken_over,
+    has_opposite_teeth,
+    leading_fade,
+    taken_over,
+)
 from ._plan import ProcessPlan, turning
 from ._samples import EdgeSamples
 
@@ -176,8 +182,9 @@ def force_in_space(
         frame = tool_frame(pose.direction())
         lead = _lead(elements, pose.tip - earlier.tip[0], frame, angle)[..., n:]
         step = 2 * math.pi / plan.angles
-        more = taken_over(lead, step, feed / cutter.diameter)
-        touch = touch.at[..., n:].multiply(more)
+        before = feed / cutter.diameter
+        touch = touch.at[..., n:].multiply(taken_over(lead, step, before))
+        chip = chip.at[..., n:].multiply(chip_taken_over(lead, step, before))
     if n > 0:
         # The bottom of a tool that does not descend must not rub.
         least = per_way[..., :n] - RAMP

@@ -8,7 +8,8 @@ the next samples take over: over samples at any phase the contact W sums to its 
     W(x) = H(x - 1) + (1 + b) hat(x - 1),
 
 x angle steps inside the half; H the integral of a hat of half-width 1, b the steps by
-which the chip begins before the half turn.
+which the chip begins before the half turn. The chip, as thick as x + b there, is taken
+over in the same way.
 """
 
 import jax.numpy as jnp
@@ -69,3 +70,20 @@ def taken_over(
     x = clamp(1e-3, lead / angle_step, 2.0)
     W = hat_integral(x - 1) + (1 + b) * (1 - jnp.abs(x - 1))
     return W / (clamp(0.0, x / _FADE, 1.0) * hat_integral(x + b))
+
+
+def chip_taken_over(
+    lead: Float[Array, "*sample"], angle_step: float, before: Float[Array, ""]
+) -> Float[Array, "*sample"]:
+    """Return by how much a chip counts for that which is faded or not looked up.
+
+    Arguments and result as of `taken_over`.
+
+    Differentiability: continuous.
+    """
+    b = before / angle_step
+    x = clamp(1e-3, lead / angle_step, 2.0)
+    # From -b on all of x + b is lost up to 0, from there the share that is faded.
+    lost = b**2 / 2 + b * _FADE / 2 + _FADE**2 / 6
+    hat = 1 - jnp.abs(x - 1)
+    return 1 + lost * hat / ((x + b) * clamp(0.0, x / _FADE, 1.0))

@@ -22,7 +22,13 @@ from ..cutting import (
 from ..workpiece import occupancy
 from ._adjoint import AbstractAdjoint
 from ._history import ProcessState
-from ._leading import STILL, has_opposite_teeth, leading_fade, taken_over
+from ._leading import (
+    STILL,
+    chip_taken_over,
+    has_opposite_teeth,
+    leading_fade,
+    taken_over,
+)
 from ._plan import ProcessPlan, turning
 from ._samples import EdgeSamples
 
@@ -105,7 +111,9 @@ def upright_force(
     touch = edge_contact(per_way, feed, step)
     if has_opposite_teeth(plan, cutter):
         lead = _lead((tip - earlier[0])[None, None, None, :2], angle)
-        touch = touch * taken_over(lead, step, feed / cutter.diameter)
+        before = feed / cutter.diameter
+        touch = touch * taken_over(lead, step, before)
+        chip = chip * chip_taken_over(lead, step, before)
     h = jnp.clip(chip, 0, cutter.diameter / 2) * samples.chip_share
     teeth = jnp.broadcast_to(samples.tooth, h.shape)
     touch = jnp.broadcast_to(touch, h.shape)
