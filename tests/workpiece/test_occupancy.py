@@ -98,7 +98,9 @@ def test_work_grows_no_faster_than_the_number_of_discs():
     for count in (12, 24):
         discs = wp.Discs(count, 0.1e-3, 0.1e-3)
         place = spread(jnp.full((30, 3), -1e-3), discs)
-        run = jax.jit(lambda *at, discs=discs: wp.occupancy(STOCK, *at, discs, MILL)[0])
+        run = jax.jit(
+            lambda p, m, c, discs=discs: wp.occupancy(STOCK, p, m, c, discs, MILL)[0]
+        )
         cost = run.lower(*place).cost_analysis()
         assert cost is not None
         work.append(cost["flops"])
