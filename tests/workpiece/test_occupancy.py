@@ -139,7 +139,7 @@ def test_the_wall_does_not_jump_where_a_point_crosses_a_ray(axis):
     points = near_the_rim(np.full(300, -1.03e-3))
     moves = jnp.full((300, 1, 2), 0.1e-3)
     before, behind = (
-        wp.occupancy(stock, p[:, None], moves, DISCS, MILL)
+        wp.occupancy(stock, p[:, None], moves, jnp.zeros_like(moves), DISCS, MILL)[0]
         for p in beside_lines(points, axis, origin)
     )
     assert 0.05 < float(jnp.mean(before[:, 0])) < 0.95
