@@ -309,7 +309,7 @@ def _place(
     away: list[Array] = [near, near, near]
     away[f] = jnp.where(is_hit, end - tip[..., f], near)
     away[(f + 1) % 3], away[(f + 2) % 3] = away_b, away_c
-    place = jnp.stack(away, axis=-1)
+    place = jnp.stack(jnp.broadcast_arrays(*away), axis=-1)
     frame = tool_frame(jax.lax.stop_gradient(axis))
     x, y, up = (jnp.sum(place * frame[..., i], axis=-1) for i in range(3))
     return x, y, up
