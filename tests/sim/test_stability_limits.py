@@ -11,7 +11,7 @@ from diffmill import cutter as ct, cutting, robot as rb, sim, workpiece as wp
 
 MASS, FREQUENCY, RATIO = 0.03993, 922.0, 0.011
 K_T, K_R = 6e8, 2e8
-DIAMETER, FEED, SUBSTEP = 8e-3, 50e-6, 0.5e-3
+DIAMETER, FEED, SUBSTEP = 8e-3, 20e-6, 0.5e-3
 SLOT, DOWN = (0.0, math.pi), (math.pi / 2, math.pi)
 # Speed [rpm], axes with a mode, arc of the cut, and the limit of the depth [m].
 # Insperger, Stepan, Updated semi-discretization method, 2004.
