@@ -410,6 +410,9 @@ def _remove_family(
 def _removed_length(
     ends: Float[Array, "u v 2 slot"], new: Float[Array, "u v 2 slot"]
 ) -> Float[Array, ""]:
-    # One sum over all: slot by slot every slot of both would be written out first.
-    lengths = [jnp.maximum(of[:, :, 1] - of[:, :, 0], 0) for of in (ends, new)]
-    return jnp.sum(lengths[0] - lengths[1])
+    # Slot by slot: a sum over so short an axis is four times as slow.
+    removed = jnp.zeros(ends.shape[:2], ends.dtype)
+    for m in range(ends.shape[-1]):
+        for sign, of in ((1, ends), (-1, new)):
+            removed = removed + sign * jnp.maximum(of[:, :, 1, m] - of[:, :, 0, m], 0)
+    return jnp.sum(removed)
