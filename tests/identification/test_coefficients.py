@@ -28,7 +28,7 @@ def slot(feed):
     rows = np.column_stack([x, np.full(STEPS, 6e-3), np.full(STEPS, -DEPTH)])
     return identification.Cut(
         rows,
-        wp.box([-6e-3, 0, -3e-3], [14e-3, 12e-3, 0], 0.4e-3, interval_counts=(4, 4, 1)),
+        wp.box([-6e-3, 0, -3e-3], [14e-3, 12e-3, 0], 0.2e-3, interval_counts=(4, 4, 1)),
         ct.flat_end_mill(2 * R, 2, helix_angle=HELIX),
         SPEED,
     )

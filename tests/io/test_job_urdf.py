@@ -145,7 +145,7 @@ def test_doubtful_inertias_are_noted(write):
         (
             [without_springs('drives = "drives.toml"')],
             {"drives": DRIVES.replace("N/um", "N*m/rad")},
-            ("[robot] file", "drives.toml: 3 faults", "a quantity in N/m"),
+            ("[robot] file", "drives.toml: 3 faults", "'10 N*m/rad'"),
         ),
         (
             [without_springs('drives = "x.toml"')],

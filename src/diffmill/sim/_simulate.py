@@ -281,7 +281,7 @@ def solve_command(
     # wrong in a cut counts before what is not reached, which `is_reached` tells.
     is_good = ran.result == RESULTS.successful
     result = RESULTS.where(is_good, rigid.result, ran.result)
-    only_unreached = (result == RESULTS.successful) & ~jnp.all(ran.is_reached)
+    only_unreached = (result == RESULTS.successful) & ~_all(ran.is_reached)
     result = RESULTS.where(only_unreached, RESULTS.unreachable, result)
     return Solution(
         time=on_device(job.path.time),
@@ -296,7 +296,7 @@ def solve_command(
         motor_positions=ran.motor_positions,
         joint_positions=ran.joint_positions,
         initial_overlap_volume=ran.initial_overlap_volume,
-        has_failed=ran.has_failed | rigid.has_failed,
+        has_failed=_either(ran.has_failed, rigid.has_failed),
         is_reached=ran.is_reached,
         stock=ran.stock,
         rigid=rigid,
@@ -310,6 +310,18 @@ def _is_cutting(force: Float[Array, "step 3"]) -> Bool[Array, " step"]:
         return jnp.any(force != 0, axis=1)
     # On the host, since a device compiles it for every length.
     return on_device(np.any(np.asarray(force) != 0, axis=1))
+
+
+def _all(flags: Bool[Array, " step"]) -> Bool[Array, ""]:
+    if isinstance(flags, jax.core.Tracer):
+        return jnp.all(flags)
+    return on_device(np.asarray(np.all(np.asarray(flags))))
+
+
+def _either(a: Bool[Array, " step"], b: Bool[Array, " step"]) -> Bool[Array, " step"]:
+    if isinstance(a, jax.core.Tracer) or isinstance(b, jax.core.Tracer):
+        return a | b
+    return on_device(np.asarray(a) | np.asarray(b))
 
 
 class _Followed(eqx.Module):

@@ -227,7 +227,8 @@ def _chunk(
         def cut() -> tuple[Array, Array]:
             interval = test.cutter.intersect_pose(2, x, y, tip, axis)
             unknown = jnp.zeros(part.shape, jnp.int32)
-            new, _, is_full = subtract(part, unknown, interval, zero)
+            when = jnp.zeros(interval[0].shape, jnp.int32)
+            new, _, is_full = subtract(part, unknown, (*interval, when, when))
             return new, jnp.any(is_full)
 
         part, is_full = jax.lax.cond(does[0], cut, lambda: (part, jnp.zeros((), bool)))

@@ -257,7 +257,7 @@ def remove_passes(
     new_stock = eqx.tree_at(lambda s: s.families, stock, tuple(families))
     by_shank = jnp.zeros_like(volumes)
     if window.has_shank:
-        at = (starts, lines, centers, is_due)
+        at = (starts, lines, passes, is_due)
         by_shank = _shank_volume(stock.families[2], cutter, *at) * d**2
     return Cut(new_stock, volumes, by_shank, has_overflow, is_beyond & has_cut)
 
@@ -267,10 +267,10 @@ def _shank_volume(
     cutter: AbstractCutter,
     starts: list[Int[Array, ""]],
     lines: list[Float[Array, " _"]],
-    poses: Sequence[Pose],
+    passes: Sequence[ToothPass],
     is_due: Bool[Array, " pose"],
 ) -> Float[Array, " pose"]:
-    """Return how much of each pose's cut lies above its flutes, by the rays along z."""
+    """Return how much of each pass's cut lies above its flutes, by the rays along z."""
     shape = (lines[0].shape[0], lines[1].shape[0], 2, rays.ends.shape[-1])
     zero = jnp.zeros((), jnp.int32)
     ends = jax.lax.dynamic_slice(rays.ends, (starts[0], starts[1], zero, zero), shape)
@@ -278,8 +278,9 @@ def _shank_volume(
     x = jnp.broadcast_to(lines[0][:, None], shape[:2])
     y = jnp.broadcast_to(lines[1][None, :], shape[:2])
     lengths = []
-    for i, pose in enumerate(poses):
-        start, stop, is_hit = cutter.intersect_pose(2, x, y, pose.tip, pose.direction())
+    for i, each in enumerate(passes):
+        pose = each.center()
+        start, stop, is_hit, *_ = cut_interval(cutter, 2, x, y, each)
         a = pose.direction()
         foot = (x - pose.tip[0]) * a[0] + (y - pose.tip[1]) * a[1]
         left = cutter.flute_length - foot

@@ -311,5 +311,6 @@ def _place(
     away[(f + 1) % 3], away[(f + 2) % 3] = away_b, away_c
     place = jnp.stack(jnp.broadcast_arrays(*away), axis=-1)
     frame = tool_frame(jax.lax.stop_gradient(axis))
-    x, y, up = (jnp.sum(place * frame[..., i], axis=-1) for i in range(3))
+    directions = (jnp.broadcast_to(frame[..., i], place.shape) for i in range(3))
+    x, y, up = (jnp.sum(place * along, axis=-1) for along in directions)
     return x, y, up
