@@ -11,6 +11,8 @@ import diffmill as dm
 from example import load_example
 from timing import alternate
 
+jax.config.update("jax_enable_x64", True)
+
 OVERRIDES = (1.0, 0.8, 1.2)
 RUNS = 5
 
