@@ -96,6 +96,23 @@ def test_a_robot_without_masses_has_no_modes(folder, capsys):
     assert facts["statics"]["stiffness_along_axes_N_per_um"] == [4.0, None, 16.0]
 
 
+def test_drives_make_a_urdf_soft(folder, capsys):
+    (folder / "slide.urdf").write_text(
+        '<robot name="slide"><link name="base"/><link name="tip"><inertial>'
+        '<mass value="100"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+        '</inertial></link><joint name="x" type="prismatic"><parent link="base"/>'
+        '<child link="tip"/><axis xyz="1 0 0"/>'
+        '<limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>'
+    )
+    (folder / "drives.toml").write_text(
+        '[stiffness]\nx = "4 N/um"\n[damping]\nx = "400 N*s/m"\n'
+    )
+    assert main(["robot", "slide.urdf", "--drives", "drives.toml"]) == 0
+    assert "31.83 Hz  damping   1.00 %  x 100 %" in capsys.readouterr().out
+    assert main(["robot", "slide.urdf", "--drives", "no.toml", "--force"]) == 2
+    assert "no.toml" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -121,12 +121,12 @@ def test_a_nearly_singular_pose_is_a_note(write):
         assert part in note
 
 
-def flat_arm(**limits):
-    """Return a 2R arm in the horizontal plane; limits are those of the elbow."""
+def flat_arm(**options):
+    """Return a 2R arm in the horizontal plane; options are those of the elbow."""
     parts = []
-    for name, options in (("one", {}), ("two", limits)):
+    for name, own in (("one", {}), ("two", options)):
         parts += [
-            rb.RevoluteJoint(name, (0, 0, 1), **options),
+            rb.RevoluteJoint(name, (0, 0, 1), **own),
             rb.RigidBody(1.0, (0.1, 0.0, 0.0), np.eye(3)),
             rb.FixedTranslation((0.5, 0.0, 0.0)),
         ]
@@ -154,6 +154,25 @@ def test_another_configuration_is_suggested():
     np.testing.assert_allclose(start, [-elbow / 2, elbow], atol=1e-3)
     problems.clear()
     check_reach(arm, path, np.eye(4), start, "free", problems, notes)
+    assert not problems
+
+
+def test_a_joint_that_is_too_slow_is_named():
+    # Stretching the arm the elbow turns faster and faster.
+    x = np.linspace(0.9, 0.99, 31)
+    arm, path = flat_arm(speed=2.0), flat_path(x, 0)
+    elbow = 2 * np.arccos(x)
+    rate = np.abs(np.diff(elbow)) / 4e-3
+    problems, notes = [], []
+    start = np.array([-0.5, 1.0])
+    check_reach(arm, path, np.eye(4), start, "free", problems, notes)
+    (problem,) = problems
+    assert "joint two would move at" in problem and "time 0.120 s" in problem
+    assert f"{np.rad2deg(rate.max()):.1f} deg/s; allowed is 114.6 deg/s" in problem
+    assert f"so in {(rate > 2.0).sum()} of 31 rows" in problem
+    slower = flat_arm(speed=rate.max())
+    problems.clear()
+    check_reach(slower, path, np.eye(4), start, "free", problems, notes)
     assert not problems
 
 

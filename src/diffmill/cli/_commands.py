@@ -153,6 +153,12 @@ def robot(
         str | None,
         tyro.conf.arg(help="The tool, in a URDF the link, if there are several."),
     ] = None,
+    drives: Annotated[
+        pathlib.Path | None,
+        tyro.conf.arg(
+            help="A TOML file with the tables stiffness and damping, joint by joint."
+        ),
+    ] = None,
     out: Annotated[
         pathlib.Path | None,
         tyro.conf.arg(help="Folder for the results; ./<model>-robot if not given."),
@@ -163,7 +169,15 @@ def robot(
     """Print masses, stiffness, modes and sag of a robot; draw it and its stiffness."""
     from ._robot import run_robot
 
-    return run_robot(model, pose=pose, tool=tool, out=out, force=force, is_quiet=quiet)
+    return run_robot(
+        model,
+        pose=pose,
+        tool=tool,
+        drives=drives,
+        out=out,
+        force=force,
+        is_quiet=quiet,
+    )
 
 
 def example(

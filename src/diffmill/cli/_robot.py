@@ -32,6 +32,7 @@ def run_robot(
     *,
     pose: str | None,
     tool: str | None,
+    drives: pathlib.Path | None = None,
     out: pathlib.Path | None,
     force: bool,
     is_quiet: bool,
@@ -42,6 +43,7 @@ def run_robot(
         model: Name of a built-in model, or a robot file.
         pose: Joint positions as text; None for the robot's home.
         tool: Name of the tool; None if there is only one.
+        drives: File with the joints' stiffness and damping; None for the robot's own.
         out: Folder for the results; None for `./<model>-robot`.
         force: Whether results that are there are replaced.
         is_quiet: Whether only errors are printed.
@@ -54,7 +56,7 @@ def run_robot(
     with bad_input(), warnings.catch_warnings(record=True) as noted:
         warnings.simplefilter("always")
         check_folder(folder, force=force)
-        robot = load(model, tool=tool)
+        robot = load(model, tool=tool, drives=drives)
         q = np.asarray(robot.home, float)
         if pose is not None:
             try:
@@ -100,8 +102,8 @@ def robot_facts(robot: "Robot", q: "JointPositions") -> dict[str, Any]:
     if np.isinf(K).all():
         notes.append(
             "no joint has a spring, so nothing bends; give the joints stiffness and "
-            "damping in a robot file, or in a job with joint_stiffness and "
-            "joint_damping"
+            "damping in a robot file, in a file for --drives, or in a job with drives, "
+            "joint_stiffness and joint_damping"
         )
     elif np.isinf(K).any():
         rigid = [n for n, k in zip(robot.joint_names, K, strict=True) if np.isinf(k)]

@@ -93,6 +93,7 @@ def _follow(
         faults.append(_unreached(path, Ts, found))
     _check_limits(robot, path, found, faults)
     _check_branch(robot, path, Ts, found, faults)
+    _check_speed(robot, path, found, faults)
     return found, faults
 
 
@@ -156,6 +157,28 @@ def _check_limits(
             f"{found.q[k, i] * scale:.1f} {unit}; allowed is {lower[i] * scale:.1f} to "
             f"{upper[i] * scale:.1f} {unit}; the path needs up to {most * scale:.1f} "
             f"{unit} more, in {is_over[:, i].sum()} of {path.step_count} rows"
+        )
+
+
+def _check_speed(
+    robot: Robot, path: Path, found: PathSolution, problems: list[str]
+) -> None:
+    """Note joints that would have to move faster than they can."""
+    if robot.joint_speed is None or path.step_count < 2:
+        return
+    allowed = np.asarray(robot.joint_speed)
+    period = np.diff(np.asarray(path.time))[:, None]
+    rate = np.abs(np.diff(np.asarray(found.q), axis=0)) / period
+    is_reached = np.asarray(found.converged)
+    is_fast = (rate > 1.001 * allowed) & (is_reached[1:] & is_reached[:-1])[:, None]
+    for i in np.flatnonzero(is_fast.any(axis=0)).tolist():
+        k = int(np.argmax(np.where(is_fast[:, i], rate[:, i], 0.0)))
+        is_slide = robot.joint_kinds[i] == "prismatic"
+        scale, unit = (1e3, "mm/s") if is_slide else (180 / np.pi, "deg/s")
+        problems.append(
+            f"[robot]: {at_row(path, k + 1)}: joint {robot.joint_names[i]} would move "
+            f"at {rate[k, i] * scale:.1f} {unit}; allowed is {allowed[i] * scale:.1f} "
+            f"{unit}; so in {is_fast[:, i].sum()} of {path.step_count} rows"
         )
 
 

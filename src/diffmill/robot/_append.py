@@ -107,6 +107,9 @@ def append_springs(
         joint_lower=join(robot.joint_lower, -free),
         joint_upper=join(robot.joint_upper, free),
         home=join(robot.home, none),
+        joint_speed=None
+        if robot.joint_speed is None
+        else join(robot.joint_speed, free),
         joint_names=(*robot.joint_names, *(spring.name for spring in springs)),
         body_kinds=(*robot.body_kinds, *(spring.kind for spring in springs)),
         parents=(*robot.parents, robot.flange_joint, *own[:-1]),

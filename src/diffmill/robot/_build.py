@@ -103,6 +103,7 @@ def build(
         is_virtual=tuple(j.is_virtual for j in joints),
         flange_joint=flange_joint,
         mimics=mimics,
+        joint_speed=column("speed"),
     )
     return with_joint_drives(robot, [j.drive for j in joints])
 

@@ -120,6 +120,7 @@ class RevoluteJoint(AbstractElement):
         lower: Lower limit [rad].
         upper: Upper limit [rad].
         home: Angle in the home pose [rad].
+        speed: Fastest turn of the joint [rad/s]; infinite if not known.
         is_virtual: No motor: the spring rests at 0 (an elasticity of the structure).
         mimic: The joint that this one follows; it is then no joint of the joint
             vector, and has no spring, limits or home of its own.
@@ -136,6 +137,7 @@ class RevoluteJoint(AbstractElement):
     is_virtual: bool = eqx.field(static=True, default=False)
     mimic: Mimic | None = None
     drive: Drive | None = None
+    speed: RealScalarLike = math.inf
 
     def __check_init__(self):
         check_joint(self)
@@ -152,6 +154,7 @@ class PrismaticJoint(AbstractElement):
         lower: Lower limit [m].
         upper: Upper limit [m].
         home: Position in the home pose [m].
+        speed: Fastest slide of the joint [m/s]; infinite if not known.
         is_virtual: No motor: the spring rests at 0 (an elasticity of the structure).
         mimic: The joint that this one follows; it is then no joint of the joint
             vector, and has no spring, limits or home of its own.
@@ -168,6 +171,7 @@ class PrismaticJoint(AbstractElement):
     is_virtual: bool = eqx.field(static=True, default=False)
     mimic: Mimic | None = None
     drive: Drive | None = None
+    speed: RealScalarLike = math.inf
 
     def __check_init__(self):
         check_joint(self)
@@ -262,6 +266,11 @@ def check_joint(joint: RevoluteJoint | PrismaticJoint) -> None:
         raise ValueError(
             f"Argument `damping` of {joint.name!r} must be finite and not negative, "
             f"but is {joint.damping}."
+        )
+    if not float(joint.speed) > 0.0:
+        raise ValueError(
+            f"Argument `speed` of {joint.name!r} must be positive, but is "
+            f"{joint.speed}."
         )
     if not float(joint.lower) <= float(joint.home) <= float(joint.upper):
         raise ValueError(

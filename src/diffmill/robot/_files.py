@@ -37,7 +37,7 @@ def load(
     A URDF says nothing of springs: its joints are rigid until `drives`, the job or
     `with_drives` make them soft. Its links are merged where joints are fixed, its
     joints named in `joint_names` depth-first, children in the order of their joints'
-    names. A mimicking joint moves its link, but is not counted. Effort, velocity,
+    names. A mimicking joint moves its link, but is not counted. Effort,
     damping and friction are not used.
 
     Args:

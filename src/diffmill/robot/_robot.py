@@ -95,6 +95,8 @@ class Robot(eqx.Module):
         backlash: Gaps in the gears, or None.
         friction: Friction of the joints, or None.
         motors: Masses of the motors, or None: they stand where the controller says.
+        joint_speed: Fastest motion of each joint [rad/s or m/s], shape (joint,);
+            infinite where it is not known, None for all of them.
         fast_joints: Indices of joints whose own mode is far too fast for the steps of
             a simulation; an implicit integrator lets it die out instead of ringing.
     """
@@ -122,6 +124,7 @@ class Robot(eqx.Module):
     backlash: Backlash | None = None
     friction: Friction | None = None
     motors: Motors | None = None
+    joint_speed: Float[Array, " joint"] | None = None
     fast_joints: tuple[int, ...] = eqx.field(static=True, default=())
 
     @property

@@ -180,6 +180,13 @@ def _read_joint(reader: TableReader) -> Callable[[], AbstractElement]:
     home = reader.quantity("home", position, 0.0)
     if not lower <= home <= upper:
         reader.fault("home", f"between lower {lower:g} and upper {upper:g}", home)
+    speed = reader.quantity(
+        "speed",
+        _JOINT_QUANTITIES[kind]["speed"],
+        math.inf,
+        is_allowed=lambda x: x > 0,
+        allowed="positive",
+    )
     K = _read_drive(reader, "stiffness", "stiffness", kind, math.inf)
     D = _read_drive(reader, "damping", "damping", kind, 0.0)
     drive = _read_options(reader, kind)
@@ -194,6 +201,7 @@ def _read_joint(reader: TableReader) -> Callable[[], AbstractElement]:
         home=home,
         is_virtual=is_virtual,
         drive=drive,
+        speed=speed,
     )
 
 

@@ -191,6 +191,7 @@ def _joint_elements(joint: UrdfJoint) -> list[AbstractElement]:
                 upper=joint.upper,
                 home=float(np.clip(0.0, joint.lower, joint.upper)),
                 mimic=joint.mimic,
+                speed=joint.speed,
             )
         )
     return elements

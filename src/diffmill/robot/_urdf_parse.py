@@ -1,7 +1,7 @@
 """Links and joints of a URDF, checked one by one; all faults are collected.
 
 Read are name, version, links with their inertials, and joints with origin, axis,
-limits and mimic; effort, velocity, damping and friction are checked, but the dynamics
+limits and mimic; effort, damping and friction are checked, but the dynamics
 here have none of them. Everything else is passed over: visuals and collisions,
 transmissions, extensions of simulators; but not what is a slip of the pen in a name
 that is read. What looks like a slip in a unit is a note.
@@ -82,6 +82,7 @@ class UrdfJoint:
     lower: float
     upper: float
     mimic: Mimic | None
+    speed: float = math.inf
 
     @property
     def is_moving(self) -> bool:
@@ -229,6 +230,7 @@ class UrdfParser:
             lower=lower,
             upper=upper,
             mimic=self.mimic(node, place),
+            speed=self.speed(node, place),
         )
 
     def end(self, node: Node, tag: str, place: str) -> str:
@@ -247,7 +249,7 @@ class UrdfParser:
         """
         limit = node.first("limit")
         place = f"{place}, limit"
-        self.numbers_if_there(limit, ("effort", "velocity"), place)
+        self.numbers_if_there(limit, ("effort",), place)
         keys = {"lower", "upper"} & set(() if limit is None else limit.attributes)
         if kind in ("continuous", "fixed") or not keys:
             self.numbers_if_there(limit, ("lower", "upper"), place)
@@ -263,6 +265,14 @@ class UrdfParser:
             return -math.inf, math.inf
         self.check_range(kind, lower, upper, place)
         return lower, upper
+
+    def speed(self, node: Node, place: str) -> float:
+        """Return the fastest motion; files that do not know it say 0 or nothing."""
+        limit = node.first("limit")
+        if limit is None or "velocity" not in limit.attributes:
+            return math.inf
+        key, where = "velocity", f"{place}, limit"
+        return self.number(limit, key, where, is_finite=False) or math.inf
 
     def check_range(self, kind: str, lower: float, upper: float, place: str) -> None:
         """Note limits that are as far apart as none are in the unit of a URDF."""
