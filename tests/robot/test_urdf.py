@@ -44,13 +44,13 @@ GOOD = f"""<?xml version="1.0" encoding="utf-8"?>
     <parent link="column"/> <child link="wheel"/>
     <origin xyz="0 0.2 0.1"/>
     <axis xyz="0 1 0"/>
-    <limit effort="1" velocity="1"/>
+    <limit effort="1" velocity="2"/>
   </joint>
   <joint name="slide" type="prismatic">
     <parent link="column"/> <child link="arm"/>
     <origin xyz="0 0 0.5" rpy="1.2 0.3 -0.4"/>
     <axis xyz="1 0 -0.5"/>
-    <limit upper="0.8" effort="1" velocity="1"/>
+    <limit upper="0.8" effort="1" velocity="0.5"/>
   </joint>
   <joint name="hold" type="fixed">
     <parent link="arm"/> <child link="load"/>
@@ -95,7 +95,7 @@ def bench():
     arm = [
         dr.FixedTranslation((0, 0, 0.5)),
         dr.FixedRotation(dr.rpy_matrix(1.2, 0.3, -0.4)),
-        dr.PrismaticJoint("slide", (1, 0, -0.5), lower=0.0, upper=0.8),
+        dr.PrismaticJoint("slide", (1, 0, -0.5), lower=0.0, upper=0.8, speed=0.5),
         body(4.0, 0.1),
         dr.FixedTranslation((0.3, 0, 0)),
         dr.FixedRotation(dr.rpy_matrix(0, 0.7, 0)),
@@ -108,14 +108,16 @@ def bench():
     ]
     wheel = [
         dr.FixedTranslation((0, 0.2, 0.1)),
-        dr.RevoluteJoint("spin", (0, 1, 0)),
+        dr.RevoluteJoint("spin", (0, 1, 0), speed=2.0),
         body(1.0, 0.0),
     ]
     return dr.build(
         [
             dr.FixedTranslation((0, 0, 0.3)),
             dr.FixedRotation(dr.rpy_matrix(0, 0, 0.5)),
-            dr.RevoluteJoint("turn", (0, 0, 1), lower=0.2, upper=3.0, home=0.2),
+            dr.RevoluteJoint(
+                "turn", (0, 0, 1), lower=0.2, upper=3.0, home=0.2, speed=1.0
+            ),
             body(8.0, 0.2),
             dr.Fork([arm, wheel]),
         ],
