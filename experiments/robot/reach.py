@@ -70,7 +70,7 @@ def measure(report: Report) -> None:
             for what, o in zip(
                 ("poses", "home", "near", "chosen"), outcomes, strict=True
             ):
-                totals.setdefault(f"{what} {rotation}", []).append((len(Ts), o))
+                totals.setdefault(f"{what} {rotation}", []).append(o)
     for what, found in totals.items():
         report.say(
             f"{what}: all arms: not found "

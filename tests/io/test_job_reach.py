@@ -121,6 +121,65 @@ def test_a_nearly_singular_pose_is_a_note(write):
         assert part in note
 
 
+SPRUNG = """name = "sprung"
+[[elements]]
+kind = "prismatic"
+name = "x"
+axis = [1.0, 0.0, 0.0]
+stiffness = "STIFFNESS N/m"
+[[elements]]
+kind = "body"
+mass = "5 kg"
+inertia = ["1 kg*m^2", "1 kg*m^2", "1 kg*m^2"]
+[[elements]]
+kind = "prismatic"
+name = "y"
+axis = [0.0, 1.0, 0.0]
+stiffness = "1e5 N/m"
+[[elements]]
+kind = "prismatic"
+name = "z"
+axis = [0.0, 0.0, 1.0]
+stiffness = "LIFT N/m"
+[[elements]]
+kind = "body"
+mass = "5 kg"
+inertia = ["1 kg*m^2", "1 kg*m^2", "1 kg*m^2"]
+"""
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "substeps", "note"),
+    [
+        # y and z: sqrt(K / 5 kg) / (2 pi); period 3.75 ms, 8 sub-steps under 0.5 ms.
+        (1e5, 8, ""),  # 22.5 Hz
+        (2.5e7, 25, ""),  # 356 Hz: (2 pi f h)^2 / 12 < 1 % up to 0.155 ms
+        (2.5e8, 32, "sub-steps of 0.117 ms let the robot's mode at 1125 Hz ring 5.7 %"),
+    ],
+)
+def test_substeps_follow_the_modes(write, stiffness, substeps, note):
+    # All as stiff, so that each gives way by its share.
+    text = SPRUNG.replace("STIFFNESS", f"{stiffness}").replace("1e5", f"{stiffness}")
+    file = write('file = "sprung.toml"\n' + place(0, 0, 0))
+    (file.parent / "sprung.toml").write_text(text.replace("LIFT", f"{stiffness}"))
+    job = load_job(file)
+    assert job.simulation.substeps == substeps
+    assert any(note in text for text in job.notes) if note else not job.notes
+
+
+def test_springs_that_do_not_hold_the_weight_are_refused(write):
+    # m g = 49 N on 50 N/m.
+    file = write('file = "sprung.toml"\n' + place(0, 0, 0))
+    text = SPRUNG.replace("STIFFNESS", "1e5")
+    (file.parent / "sprung.toml").write_text(text.replace("LIFT", "50"))
+    (problem,) = problems_of(file)
+    for part in ("joint z (50 N/m)", "by 981 mm", "stiffer"):
+        assert part in problem
+    (file.parent / "sprung.toml").write_text(text.replace("LIFT", "1000"))
+    (note,) = load_job(file).notes
+    assert "joint z" in note and "49.1 mm" in note
+
+
 def flat_arm(**options):
     """Return a 2R arm in the horizontal plane; options are those of the elbow."""
     parts = []

@@ -44,7 +44,7 @@ def check_reach(
     notes: list[str],
     *,
     start_count: int | None = None,
-) -> None:
+) -> Float[np.ndarray, "step joint"]:
     """Note where a robot cannot follow a path, and from where it could.
 
     Args:
@@ -56,6 +56,9 @@ def check_reach(
         problems: Receives what is wrong, the first place of each kind.
         notes: Receives where a pose is nearly singular.
         start_count: Joints that `joint_start` names; None for all of the robot.
+
+    Returns:
+        Joint positions along the path [rad or m], shape (step, joint).
     """
     T_work_tool = np.tile(np.eye(4), (path.step_count, 1, 1))
     T_work_tool[:, :3, :3] = np.asarray(tool_frame(jnp.asarray(path.axes)))
@@ -66,7 +69,7 @@ def check_reach(
     found, faults = _follow(robot, path, Ts, start, tool_rotation)
     if not faults:
         _note_singular(robot, path, found, tool_rotation, notes)
-        return
+        return np.asarray(found.q)
     better = _better_start(robot, path, Ts, start, tool_rotation)
     if better is not None:
         faults[0] += f"; {_start_line(robot, better[:start_count])} avoids it"
@@ -75,6 +78,7 @@ def check_reach(
         if free.converged.all():
             faults[0] += '; tool_rotation = "free" would reach it'
     problems.extend(faults)
+    return np.asarray(found.q)
 
 
 def _follow(

@@ -18,6 +18,13 @@ from ..toolpath import Path, Program
 from ._job_checks import check_overhang, check_rapids, immersion, notes
 from ._job_correction import check_correction, correction_settings
 from ._job_cutter import make_cutter, make_holder
+from ._job_modes import (
+    LONGEST_SUBSTEP,
+    check_modes,
+    check_sag,
+    counting_modes,
+    default_substeps,
+)
 from ._job_program import read_program, spindle_speed, time_path
 from ._job_reach import check_reach
 from ._job_robot import added_joints, pose_matrix, read_robot
@@ -28,8 +35,7 @@ from ._job_schema import (
 )
 from ._job_stock import StockPlan, read_stock
 
-# Longest sub-step of the robot [s], and the room below the deepest disc [m].
-_SUBSTEP = 0.5e-3
+# Room below the deepest disc [m].
 _ROOM = 0.6e-3
 # Samples per revolution: of a flat cutter that stands upright, and of any other.
 _FEWEST_ANGLES, _FEWEST_IN_SPACE = 180, 96
@@ -163,9 +169,10 @@ def _build(
         desired = _timed(tables, program, speed, cutter.flute_count, problems)
     work = getattr(tables.get("robot"), "work_in_base", None)
     T_base_work = pose_matrix(work)
+    fastest = 0.0
     if desired is not None and robot is not None and work is not None:
         rotation = tables["robot"].tool_rotation
-        check_reach(
+        q = check_reach(
             robot,
             desired,
             T_base_work,
@@ -175,9 +182,14 @@ def _build(
             robot_notes,
             start_count=robot.joint_count - added_joints(tables["robot"]),
         )
+        fastest = _check_springs(robot, q, problems, robot_notes)
     if desired is not None and cutter is not None and stock is not None:
         check_rapids(desired, cutter, holder, stock, problems, robot_notes)
-    simulation = _simulation(tables, cutter, speed, (desired, stock), problems)
+    simulation = _simulation(tables, cutter, speed, (desired, stock), fastest, problems)
+    if simulation is not None and fastest > 0.0 and simulation.mode == "dynamic":
+        assert cutter is not None and speed is not None
+        period = 2 * math.pi / (speed * cutter.flute_count)
+        check_modes(fastest, period / simulation.substeps, robot_notes)
     if "correction" in tables and cutter is not None and simulation is not None:
         check_correction(tables["correction"], cutter, not simulation.axes, problems)
     if problems or simulation is None or desired is None or cutter is None:
@@ -221,8 +233,8 @@ def _timed(
 ) -> Path | None:
     """Return the program as a path with a row per tooth period, if it has one."""
     period = 2 * math.pi / (speed * flute_count)
-    if period > 1000 * _SUBSTEP:
-        least = 60 / (flute_count * 1000 * _SUBSTEP)
+    if period > 1000 * LONGEST_SUBSTEP:
+        least = 60 / (flute_count * 1000 * LONGEST_SUBSTEP)
         problems.append(
             f"[spindle] speed: found {speed * 30 / math.pi:g} rpm; at least "
             f"{least:g} rpm is required"
@@ -284,6 +296,7 @@ def _simulation(
     cutter: AbstractCutter | None,
     speed: float | None,
     place: tuple[Path | None, StockPlan | None],
+    fastest: float,
     problems: list[str],
 ) -> SimulationSettings | None:
     """Return the numerical settings with their defaults."""
@@ -292,7 +305,9 @@ def _simulation(
     if table is None or cutter is None or speed is None:
         return None
     period = 2 * math.pi / (speed * cutter.flute_count)
-    substeps = table.substeps or max(1, math.ceil(period / _SUBSTEP - 1e-9))
+    substeps = table.substeps or default_substeps(
+        period, fastest if table.mode == "dynamic" else 0.0
+    )
     block = cutter.flute_count * substeps
     axes = _axes(path, table)
     fewest = _FEWEST_ANGLES if cutter.is_plain and not axes else _FEWEST_IN_SPACE
@@ -328,6 +343,24 @@ def _simulation(
         has_sensitivity=table.sensitivity,
         checks_stability=table.stability,
     )
+
+
+def _check_springs(
+    robot: Robot,
+    q: Float[np.ndarray, "step joint"],
+    problems: list[str],
+    notes: list[str],
+) -> float:
+    """Return the highest frequency along a path that counts [Hz], 0 for none."""
+    if not np.isfinite(np.asarray(robot.joint_stiffness)).all():
+        return 0.0
+    poses = q[[0, len(q) // 2, -1]]
+    try:
+        check_sag(robot, poses, problems, notes)
+        return max(np.max(counting_modes(robot, row), initial=0.0) for row in poses)
+    except ValueError as error:
+        problems.append(f"[robot]: {error}")
+        return 0.0
 
 
 def _check_simulation(
