@@ -15,6 +15,7 @@ GROUPS = (
     "closed_form",
     "finishing",
     "ball",
+    "walls",
     "rotation",
     "volume",
     "ripple",

@@ -168,13 +168,14 @@ def correct(
     surface = job_surface(job, rigid)
     objective = job_objective(job, surface, weights)
     method = job_optimiser(job, objective, surface, adjoint)
-    problem = job_problem(job, TipPlant(job, adjoint), desired, before, weights)
+    plant = TipPlant(job, adjoint, before.wall_share)
+    problem = job_problem(job, plant, desired, before, weights)
     remaining = lambda m: remaining_error(objective, problem, m)
     record = CaseRecord(on_progress, on_checkpoint, resume)
     run = record.run
     run("uncorrected", GivenCommand(), problem)
     run("mirror", Mirror(), problem)
-    mirror = job_mirror(job, problem, before.is_cutting, horizon, adjoint)
+    mirror = job_mirror(plant, problem, before.is_cutting, horizon)
     run("mirror_iterated", mirror, problem)
     inverse = _inverse_drive(job, rigid.force, desired)
     tips = clip_offset(desired, inverse.tip, problem.max_offset)
@@ -202,7 +203,7 @@ def correct(
         given = record.prepare("given_first", given, problem)
         closest = lambda m: remaining(m) + out_of_bounds(method, m)
         start = min((found, given), key=closest).command
-    kept = keeping(job, method, adjoint, record)
+    kept = keeping(job, method, adjoint, record, before.wall_share)
     run("corrected", kept, problem, start=start)
     return _finished(job, rigid, before, record, adjoint)
 

@@ -22,6 +22,7 @@ _BY_CASE = (
     "force",
     "removed_volume",
     "deviation",
+    "surface_deviation",
     "contour_error",
     "motor_positions",
     "joint_positions",

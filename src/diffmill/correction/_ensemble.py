@@ -18,6 +18,7 @@ from .._job import Job
 from .._types import FloatRows, RealScalarLike
 from ..sim import AbstractAdjoint, command_motors, run_motors, with_scaled
 from ._delay import delayed
+from ._job_pieces import wall_motion
 from ._problem import Motion
 
 Draws = Float[Array, "member parameter"] | Float[np.ndarray, "member parameter"]
@@ -76,7 +77,7 @@ class ScaledPlant(eqx.Module):
         """Return the motion of one member, see `sim.with_scaled`."""
         motors, _ = command_motors(self.job, command)
         ran = run_motors(with_scaled(self.job, log_scale), motors, self.adjoint)
-        return Motion(ran.actual, ran.force)
+        return wall_motion(self.job, ran, None)
 
 
 class LatePlant(eqx.Module):

@@ -28,6 +28,7 @@ from ._correct import NothingToCorrect, correct
 from ._feed import FeedProblem, smoothed
 from ._feed_curve import OnShare, feed_curve
 from ._feed_records import FeedTradeoff, TunedFeed
+from ._job_pieces import wall_motion
 from ._problem import Motion
 from ._setup import job_weights
 
@@ -48,7 +49,7 @@ class FeedPlant(eqx.Module):
         job = eqx.tree_at(place, self.job, (desired, axes))
         motors, _ = command_motors(job, desired)
         ran = run_motors(job, motors, self.adjoint)
-        return Motion(ran.actual, ran.force)
+        return wall_motion(job, ran, None)
 
 
 def feed_tradeoff(

@@ -12,14 +12,22 @@ from .._job import Job
 from ..sim import (
     AbstractAdjoint,
     CoupledCarry,
+    CoupledSegment,
+    CoupledSolution,
     begin_segments,
     command_joints,
     job_machine,
     joint_motors,
+    path_axes,
     run_segment,
+    wall_deviation,
+    wall_shares,
 )
 from ._problem import Motion
 from ._segments import AbstractPiece, AbstractPieces
+
+# A number per step.
+Steps = Float[Array, " step"] | Float[np.ndarray, " step"]
 
 
 class JobState(eqx.Module):
@@ -42,12 +50,14 @@ class JobPiece(AbstractPiece):
         job: The job with the rows of its path, and the state's stock.
         state: State at the first row.
         adjoint: How to differentiate through the removal.
+        wall_share: When in each period its wall is made; see `TipPlant`.
         has_joint_commands: Whether the command is joint positions, not tips.
     """
 
     job: Job
     state: JobState
     adjoint: AbstractAdjoint
+    wall_share: Steps | None
     has_joint_commands: bool = eqx.field(static=True)
 
     def run(self, command: Float[Array, "step axis"]) -> tuple[Motion, JobState]:
@@ -57,7 +67,8 @@ class JobPiece(AbstractPiece):
         motors = joint_motors(job, joints)
         machine = job_machine(job, self.adjoint)
         rows, coupled = run_segment(machine, before.coupled, motors)
-        return Motion(rows.actual, rows.force), JobState(coupled, joints[-1])
+        motion = wall_motion(job, rows, self.wall_share)
+        return motion, JobState(coupled, joints[-1])
 
 
 class JobPieces(AbstractPieces):
@@ -66,11 +77,13 @@ class JobPieces(AbstractPieces):
     Attributes:
         job: The job, in its precision.
         adjoint: How to differentiate through the removal.
+        wall_share: When in each period its wall is made; see `TipPlant`.
         has_joint_commands: Whether the command is joint positions, not tips.
     """
 
     job: Job
     adjoint: AbstractAdjoint
+    wall_share: Steps | None = None
     has_joint_commands: bool = eqx.field(static=True, default=False)
 
     def begin(self, command: Float[Array, "step axis"]) -> JobState:
@@ -84,7 +97,8 @@ class JobPieces(AbstractPieces):
         job = eqx.tree_at(
             lambda j: j.stock, with_rows(self.job, rows), state.coupled.process.stock
         )
-        return JobPiece(job, state, self.adjoint, self.has_joint_commands)
+        shares = None if self.wall_share is None else np.asarray(self.wall_share)[rows]
+        return JobPiece(job, state, self.adjoint, shares, self.has_joint_commands)
 
 
 @eqx.filter_jit
@@ -116,6 +130,25 @@ def _joints(
         lambda j: j.joint_start, job, start, is_leaf=lambda x: x is None
     )
     return command_joints(started, command)[0]
+
+
+def wall_motion(
+    job: Job, ran: CoupledSolution | CoupledSegment, shares: Steps | None
+) -> Motion:
+    """Return the motion of a job as the walls show it.
+
+    Args:
+        job: The job, with the rows that were run.
+        ran: What its robot does.
+        shares: When in each period its wall is made; by the path alone if None.
+
+    **Differentiability**: linear in the tips.
+    """
+    desired = jnp.asarray(job.path.positions)
+    if shares is None:
+        shares = wall_shares(desired, path_axes(job), job.cutter)
+    deviation = wall_deviation(ran.ends, desired, jnp.asarray(shares, desired.dtype))
+    return Motion(desired + deviation, ran.force)
 
 
 def with_rows(job: Job, rows: Int[np.ndarray, " step"]) -> Job:

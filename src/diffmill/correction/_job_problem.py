@@ -16,38 +16,48 @@ from ..sim import (
     joint_motors,
     run_motors,
 )
-from ._job_pieces import with_rows
+from ._job_pieces import Steps, wall_motion, with_rows
 from ._method import AbstractMethod
 from ._mirror import IteratedMirror, SampledMirror
 from ._problem import Motion, Problem
 
 
 class TipPlant(eqx.Module):
-    """A job as a plant that is commanded by tip positions [m]."""
+    """A job as a plant that is commanded by tip positions [m].
+
+    Attributes:
+        job: The job.
+        adjoint: How to differentiate through the removal.
+        wall_share: When in each period its wall is made, `Solution.wall_share`, shape
+            (step,); by the path alone if None.
+    """
 
     job: Job
     adjoint: AbstractAdjoint
+    wall_share: Steps | None = None
 
     def __call__(self, command: Float[Array, "step 3"]) -> Motion:
         """Return the motion that follows a command, shape (step, 3)."""
         motors, _ = command_motors(self.job, command)
         ran = run_motors(self.job, motors, self.adjoint)
-        return Motion(ran.actual, ran.force)
+        return wall_motion(self.job, ran, self.wall_share)
 
 
 class JointPlant(eqx.Module):
     """A job as a plant that is commanded by joint positions [rad or m].
 
-    The controller adds the gravity sag, as it does for tip positions.
+    The controller adds the gravity sag, as it does for tip positions. Attributes as of
+    `TipPlant`.
     """
 
     job: Job
     adjoint: AbstractAdjoint
+    wall_share: Steps | None = None
 
     def __call__(self, command: Float[Array, "step joint"]) -> Motion:
         """Return the motion that follows a command, shape (step, joint)."""
         ran = run_motors(self.job, joint_motors(self.job, command), self.adjoint)
-        return Motion(ran.actual, ran.force)
+        return wall_motion(self.job, ran, self.wall_share)
 
 
 def job_problem(
@@ -81,17 +91,17 @@ def joint_problem(
     nominal, _ = command_joints(job, desired)
     J = np.asarray(jacobian(job.robot, nominal[0]))[:3]  # pyright: ignore[reportArgumentType]
     lever = np.linalg.norm(J, axis=0).max()
-    problem = job_problem(job, JointPlant(job, adjoint), nominal, before, weights)
+    plant = JointPlant(job, adjoint, before.wall_share)
+    problem = job_problem(job, plant, nominal, before, weights)
     bound = float(job.correction.max_offset) / lever
     return eqx.tree_at(lambda p: p.max_offset, problem, np.asarray(bound))
 
 
 def job_mirror(
-    job: Job,
+    plant: TipPlant,
     problem: Problem,
     is_cutting: Array,
     horizon: tuple[int, int] | None,
-    adjoint: AbstractAdjoint,
 ) -> AbstractMethod:
     """Return the iterated mirror; on a long path its grid sees the first that cuts.
 
@@ -101,16 +111,17 @@ def job_mirror(
     if horizon is None:
         return IteratedMirror()
     first = int(np.flatnonzero(is_cutting)[0])
-    rows = slice(min(first + horizon[0], job.path.step_count))
+    rows = slice(min(first + horizon[0], plant.job.path.step_count))
     # Where none of these rows counts, the filter that suits the arm is found all the
     # same from how they cut.
     weights = problem.is_cutting[rows]
     if not np.any(weights):
         weights = np.asarray(is_cutting)[rows].astype(weights.dtype)
-    part = with_rows(job, np.arange(job.path.step_count)[rows])
+    part = with_rows(plant.job, np.arange(plant.job.path.step_count)[rows])
+    shares = None if plant.wall_share is None else plant.wall_share[rows]
     sample = dataclasses.replace(
         problem,
-        plant=TipPlant(part, adjoint),
+        plant=dataclasses.replace(plant, job=part, wall_share=shares),
         nominal=problem.nominal[rows],
         desired=problem.desired[rows],
         is_cutting=weights,

@@ -11,7 +11,7 @@ from ._first_order import Adam
 from ._gauss_newton import GaussNewton
 from ._horizon import RecedingHorizon
 from ._job_method import Optimiser
-from ._job_pieces import JobPieces
+from ._job_pieces import JobPieces, Steps
 from ._memory import (
     pack_least_squares,
     pack_worst_case,
@@ -63,7 +63,11 @@ def horizon_of(job: Job) -> tuple[int, int] | None:
 
 
 def keeping(
-    job: Job, method: Optimiser, adjoint: AbstractAdjoint, record: CaseRecord
+    job: Job,
+    method: Optimiser,
+    adjoint: AbstractAdjoint,
+    record: CaseRecord,
+    wall_share: Steps,
 ) -> Callable[..., Any]:
     """Return a method that corrects as the job asks, and tells all that it has found.
 
@@ -73,6 +77,7 @@ def keeping(
         adjoint: How to differentiate through the removal.
         record: Where it tells it, after every step or every segment, and what it goes
             on from.
+        wall_share: When in each period its wall is made, shape (step,).
 
     Returns:
         A function of a problem, as `AbstractMethod`.
@@ -88,7 +93,7 @@ def keeping(
         name = "worst_case" if method.is_worst_case else "gauss_newton"
         return remembering(method, name, record)
     return RecedingHorizon(
-        JobPieces(job, adjoint, job.correction.command == "joint"),
+        JobPieces(job, adjoint, wall_share, job.correction.command == "joint"),
         method,
         *found,
         on_checkpoint=lambda arrays: record.keep("horizon", arrays),

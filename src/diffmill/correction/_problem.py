@@ -19,7 +19,8 @@ class Motion(eqx.Module):
     """What a plant does when it is given a command.
 
     Attributes:
-        actual: Tool tip [m], shape (step, 3).
+        actual: Tool tip [m], shape (step, 3); of a job, the desired one with the
+            deviation at the instant at which the wall is made.
         force: Force on the tool, mean over the step [N], shape (step, 3).
     """
 

@@ -26,6 +26,7 @@ _UNITS = {
     "commanded": "m",
     "actual": "m",
     "deviation": "m",
+    "surface_deviation": "m",
     "contour_error": "m",
     "force": "N",
     "removed_volume": "m3",

@@ -32,6 +32,7 @@ from ._command import (
     command_motors as command_motors,
     command_poses as command_poses,
     joint_motors as joint_motors,
+    path_axes as path_axes,
 )
 from ._coupled import (
     CoupledSolution as CoupledSolution,
@@ -99,3 +100,7 @@ from ._stepping import (
     steady_state as steady_state,
 )
 from ._tool_contact import ToolContacts as ToolContacts, tool_contacts as tool_contacts
+from ._wall_instants import (
+    wall_deviation as wall_deviation,
+    wall_shares as wall_shares,
+)

@@ -45,6 +45,8 @@ class CoupledSolution(eqx.Module):
 
     Attributes:
         actual: Tool tip in `work` at the tooth instants [m], shape (step, 3).
+        ends: Tool tip at the ends of the sub-steps of the period before each instant
+            [m], shape (step, substep, 3); row 0 is at rest.
         force: Mean force on the tool over the period before each instant, in `work`
             [N], shape (step, 3); zero in row 0.
         joint_positions: [rad or m], shape (step, joint).
@@ -57,6 +59,7 @@ class CoupledSolution(eqx.Module):
     """
 
     actual: Float[Array, "step 3"]
+    ends: Float[Array, "step substep 3"]
     force: Float[Array, "step 3"]
     joint_positions: Float[Array, "step joint"]
     removed_volume: Float[Array, " step"]
@@ -85,6 +88,7 @@ class Period(eqx.Module):
     """What one tooth period leaves behind."""
 
     tip: Float[Array, " 3"]
+    ends: Float[Array, "substep 3"]
     force: Float[Array, " 3"]
     joint_positions: Float[Array, " joint"]
     removed: Removed
@@ -291,6 +295,7 @@ def _finish(
     volume, by_shank = volumes_by_pose(step_count, rows.removed, rest)
     return CoupledSolution(
         actual=actual,
+        ends=all_ends(rows.tip[0], rows.ends),
         force=jnp.concatenate([jnp.zeros((1, 3), dtype), rows.force]),
         joint_positions=through(rows.joint_positions, state.q, last),
         removed_volume=volume,
@@ -315,6 +320,14 @@ def through(
     rows = jnp.concatenate([rows, final[None]])
     index = jnp.arange(rows.shape[0], dtype=jnp.int32)
     return jnp.where((index < last)[:, None], rows, final[None])
+
+
+def all_ends(
+    start: Float[Array, " 3"], ends: Float[Array, "period substep 3"]
+) -> Float[Array, "step substep 3"]:
+    """Return the ends of sub-steps with those before the first instant, at rest."""
+    rest = jnp.broadcast_to(start[None, None], (1, *ends.shape[1:]))
+    return jnp.concatenate([rest, ends])
 
 
 def along(pose: Pose, tips: Float[Array, "substep 3"]) -> Pose:
@@ -398,7 +411,9 @@ def run_period(
     process = end_period(process, along(arm.pose, tips), along(arm.pose, ends))
     has_failed = process.has_overflow | process.is_beyond
     force = jnp.mean(forces, axis=0)
-    return (process, end), Period(arm.pose.tip, force, state.q, removed, has_failed)
+    return (process, end), Period(
+        arm.pose.tip, ends, force, state.q, removed, has_failed
+    )
 
 
 def _run_substeps(

@@ -12,6 +12,7 @@ import equinox as eqx
 import jax
 import jax.core
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
 from ..cutter import AbstractCutter
@@ -256,11 +257,17 @@ def _ahead(
     passing = jnp.where(is_beside, passing - jnp.floor(passing), passing)
     if cutter.has_even_pitch:
         return forward, passing, jnp.zeros_like(passing)
-    pitch = jax.lax.stop_gradient(jnp.asarray(cutter.pitch_angles, pose.tip.dtype))
-    even = 2 * math.pi / count * jnp.arange(count, dtype=pitch.dtype)
-    early = jnp.mod(pitch - even + math.pi, 2 * math.pi) - math.pi
+    early = early_teeth(cutter, pose.tip.dtype)
     tooth = jnp.mod(1 - index - jnp.round(passing - turn).astype(jnp.int32), count)
     return forward, passing, -early[tooth] * (count / (2 * math.pi))
+
+
+def early_teeth(cutter: AbstractCutter, dtype: DTypeLike) -> Float[Array, " tooth"]:
+    """Return by how much each tooth stands ahead of an even one [rad], a constant."""
+    count = cutter.flute_count
+    pitch = jax.lax.stop_gradient(jnp.asarray(cutter.pitch_angles, dtype))
+    even = 2 * math.pi / count * jnp.arange(count, dtype=dtype)
+    return jnp.mod(pitch - even + math.pi, 2 * math.pi) - math.pi
 
 
 def _pass_length(plan: ProcessPlan, cutter: AbstractCutter, stock: Stock) -> int:

@@ -31,7 +31,7 @@ from ..cutting import AbstractForceLaw
 from ..robot import Robot, arm_terms, loaded_equilibrium, static_stretch
 from ..workpiece import Pose, Stock
 from ._adjoint import AbstractAdjoint
-from ._coupled import CoupledSolution, along
+from ._coupled import CoupledSolution, all_ends, along
 from ._history import ProcessState, Removed, end_period, flush, initial_state
 from ._padding import last_row, live_rows, when_live
 from ._period import (
@@ -59,6 +59,7 @@ class _Row(eqx.Module):
     """What one tooth period leaves behind."""
 
     balance: _Balance
+    ends: Float[Array, "substep 3"]
     removed: Removed
     has_failed: Bool[Array, ""]
 
@@ -137,6 +138,7 @@ def simulate_quasistatic(
     )
     return CoupledSolution(
         actual=chain.pose.tip,
+        ends=all_ends(chain.pose.tip[0], rows.ends),
         force=chain.force,
         joint_positions=chain.q,
         removed_volume=volume,
@@ -197,7 +199,7 @@ def _run_period(
     ends = tips(end.force, substep_ends)
     process = end_period(process, along(pose, tips(end.force)), along(pose, ends))
     has_failed = process.has_overflow | process.is_beyond
-    return (process, end), _Row(end, removed, has_failed)
+    return (process, end), _Row(end, ends, removed, has_failed)
 
 
 def _linear(

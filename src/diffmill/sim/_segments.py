@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, Int
 from .._job import Job
 from ..workpiece import PoseTrack, Rays, Stock
 from ._adjoint import AbstractAdjoint
-from ._coupled import Machine, begin, coupled_machine, pose_at, run_periods
+from ._coupled import Machine, all_ends, begin, coupled_machine, pose_at, run_periods
 from ._history import HISTORY, ProcessState
 from ._integrators import make_integrator
 from ._simulate import job_plan
@@ -40,12 +40,15 @@ class CoupledSegment(eqx.Module):
 
     Attributes:
         actual: Tool tip in `work` at the tooth instants [m], shape (step, 3).
+        ends: Tool tip at the ends of the sub-steps of the period before each instant
+            [m], shape (step, substep, 3); row 0 is at rest.
         force: Mean force on the tool over the period before each instant [N], shape
             (step, 3); zero in row 0, which belongs to the segment before.
         joint_positions: [rad or m], shape (step, joint).
     """
 
     actual: Float[Array, "step 3"]
+    ends: Float[Array, "step substep 3"]
     force: Float[Array, "step 3"]
     joint_positions: Float[Array, "step joint"]
 
@@ -105,6 +108,7 @@ def run_segment(
     final = pose_at(machine, state).tip
     segment = CoupledSegment(
         actual=jnp.concatenate([rows.tip, final[None]]),
+        ends=all_ends(rows.tip[0], rows.ends),
         force=jnp.concatenate([jnp.zeros((1, 3), theta.dtype), rows.force]),
         joint_positions=jnp.concatenate([rows.joint_positions, state.q[None]]),
     )

@@ -19,8 +19,9 @@ from .._job import Job
 from .._types import FloatRows3
 from ..toolpath import contour_error
 from ._adjoint import Traced
-from ._command import command_motors
+from ._command import command_motors, path_axes
 from ._simulate import run_motors, with_precision
+from ._wall_instants import wall_deviation, wall_shares
 
 if TYPE_CHECKING:
     import xarray
@@ -169,9 +170,11 @@ def _pushed(
     """Return the derivatives of the tip and of its contour error in a direction."""
     motors, _ = command_motors(job, command)
     desired = jnp.asarray(job.path.positions)
+    shares = wall_shares(desired, path_axes(job), job.cutter)
 
     def errors(log_scale: Float[Array, " parameter"]) -> tuple[Array, Array]:
         ran = run_motors(with_scaled(job, log_scale), motors, Traced())
-        return ran.actual, contour_error(ran.actual, desired)
+        deviation = wall_deviation(ran.ends, desired, shares)
+        return ran.actual, contour_error(desired + deviation, desired)
 
     return jax.jvp(errors, (jnp.zeros_like(direction),), (direction,))[1]

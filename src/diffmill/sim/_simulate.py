@@ -25,6 +25,7 @@ from ._padding import cut_rows, on_device, pad_rows, padded_job
 from ._plan import ProcessPlan, process_plan
 from ._process_alone import ProcessSolution, simulate_process
 from ._quasistatic import simulate_quasistatic
+from ._wall_instants import wall_deviation, wall_shares
 
 if TYPE_CHECKING:
     import xarray
@@ -45,8 +46,11 @@ class Solution(eqx.Module):
         force: Mean force on the tool over the period before [N], shape (step, 3).
         removed_volume: Volume that each pose removes [m^3], shape (step,).
         shank_volume: What of it the shank above the flutes takes [m^3], shape (step,).
-        contour_error: Distance of `actual` to the desired polyline [m], shape
-            (step,).
+        surface_deviation: Actual - desired at the instant, in the period before, at
+            which a tooth makes the wall [m], shape (step, 3).
+        wall_share: When in that period it does, see `wall_shares`, shape (step,).
+        contour_error: Distance to the desired polyline of the tip with that deviation
+            [m], shape (step,).
         is_cutting: Whether the rigid tool cuts in the period before, shape (step,).
         motor_positions: [rad or m], shape (step, joint); None without a robot.
         joint_positions: [rad or m], shape (step, joint); None without a robot.
@@ -67,6 +71,8 @@ class Solution(eqx.Module):
     force: Float[Array, "step 3"]
     removed_volume: Float[Array, " step"]
     shank_volume: Float[Array, " step"]
+    surface_deviation: Float[Array, "step 3"]
+    wall_share: Float[Array, " step"]
     contour_error: Float[Array, " step"]
     is_cutting: Bool[Array, " step"]
     motor_positions: Float[Array, "step joint"] | None
@@ -274,7 +280,7 @@ def solve_command(
     run, count = padded_job(job), job.path.step_count
     commanded = on_device(commanded)
     theta = None if motors is None else on_device(pad_rows(motors, run))
-    ran = _follow(run, on_device(pad_rows(commanded, run)), adjoint, theta)
+    ran = _follow(run, rigid.stock, on_device(pad_rows(commanded, run)), adjoint, theta)
     if run.path.step_count != count:
         ran = cut_rows(ran, _FOLLOWED_ROWS, count)
     # What a rigid cut that failed says of where the tool cuts would be wrong; what went
@@ -291,6 +297,8 @@ def solve_command(
         force=ran.force,
         removed_volume=ran.removed_volume,
         shank_volume=ran.shank_volume,
+        surface_deviation=ran.surface_deviation,
+        wall_share=ran.wall_share,
         contour_error=ran.contour_error,
         is_cutting=_is_cutting(rigid.force),
         motor_positions=ran.motor_positions,
@@ -331,6 +339,8 @@ class _Followed(eqx.Module):
     force: Float[Array, "step 3"]
     removed_volume: Float[Array, " step"]
     shank_volume: Float[Array, " step"]
+    surface_deviation: Float[Array, "step 3"]
+    wall_share: Float[Array, " step"]
     contour_error: Float[Array, " step"]
     motor_positions: Float[Array, "step joint"] | None
     joint_positions: Float[Array, "step joint"] | None
@@ -348,6 +358,8 @@ _FOLLOWED_ROWS = (
     "force",
     "removed_volume",
     "shank_volume",
+    "surface_deviation",
+    "wall_share",
     "contour_error",
     "motor_positions",
     "joint_positions",
@@ -359,29 +371,37 @@ _FOLLOWED_ROWS = (
 @eqx.filter_jit
 def _follow(
     job: Job,
+    finished: Stock,
     commanded: Float[Array, "step 3"],
     adjoint: AbstractAdjoint,
     motors: Float[Array, "step joint"] | None,
 ) -> _Followed:
-    """Return the run of a command; arguments as for `solve_command`."""
+    """Return the run of a command, given what the rigid cut leaves.
+
+    Other arguments as for `solve_command`.
+    """
     desired = jnp.asarray(job.path.positions)
     q = None
     is_reached = jnp.ones(desired.shape[0], bool)
     if job.robot is None:
         # A rigid machine goes where it is told.
         ran = _cut_along(job, commanded, adjoint)
-        actual = commanded
+        actual, ends = commanded, commanded[:, None]
     else:
         if motors is None:
             motors, is_reached = command_motors(job, commanded)
         ran = run_motors(job, motors, adjoint)
-        actual, q = ran.actual, ran.joint_positions
+        actual, q, ends = ran.actual, ran.joint_positions, ran.ends
+    shares = wall_shares(desired, path_axes(job), job.cutter, finished)
+    deviation = wall_deviation(ends, desired, shares)
     return _Followed(
         actual=actual,
         force=ran.force,
         removed_volume=ran.removed_volume,
         shank_volume=ran.shank_volume,
-        contour_error=contour_error(actual, desired),
+        surface_deviation=deviation,
+        wall_share=shares,
+        contour_error=contour_error(desired + deviation, desired),
         motor_positions=motors,
         joint_positions=q,
         has_failed=ran.has_failed,
