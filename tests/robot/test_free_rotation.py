@@ -337,3 +337,18 @@ def test_derivatives_are_finite_where_nothing_is_reached(three):
     T = jnp.asarray(upright([[1.9, 0.1, 0.0]])[0])
     slope = jax.jit(jax.jacrev(lambda T: free()(three, T, three.home).q))(T)
     assert np.isfinite(slope).all()
+
+
+@pytest.mark.parametrize(
+    ("start", "angle"),
+    [([1.9, -1.8, 0.9], 110.0), ([-0.4, -1.8, 2.3], -70.0), ([0.0, -1.9, 2.1], 40.0)],
+)
+def test_a_line_is_followed_past_the_end_of_a_middle(three, start, angle):
+    # The middle of the joints' ranges that the arm begins at ceases to be one.
+    begin = np.asarray(dr.forward_kinematics(three, start))[:3, 3]
+    way = 0.3 * np.array([math.cos(math.radians(angle)), math.sin(math.radians(angle))])
+    points = begin + np.linspace(0, 1, 60)[:, None] * np.append(way, 0.0)
+    found = free_path()(three, upright(points), start)
+    assert found.converged.all() and found.within_limits[-1]
+    tips = jax.vmap(lambda q: dr.forward_kinematics(three, q)[:3, 3])(found.q)
+    assert_allclose(tips, points, atol=1e-12)

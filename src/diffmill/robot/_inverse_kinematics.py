@@ -36,6 +36,11 @@ _ATTEMPTS = 32
 _LONGEST_STEP = 0.3
 # Squared error below which the linear picture holds [m^2 + rad^2].
 _NEAR = 1e-6
+# Newton steps to the middle of the ranges [rad or m]: longer ones along a path lead
+# away from a middle that has ceased to be one.
+_TRUSTED = 0.1
+# Where it is shorter than this, the arm is at the middle but for rounding.
+_SETTLED = 1e-2
 # Share of the step to the middle of the ranges that is safe far from it.
 _PULL_SHARE = 0.3
 
@@ -173,6 +178,9 @@ def _solve_path(
 ) -> PathSolution:
     def follow(q, T):
         q = _search(robot, T, q, _PATH_STEPS, tool_rotation)
+        if has_choice(robot, tool_rotation):
+            # Where the middle that was followed ends, the arm slides to the next one.
+            q = _search(robot, T, q, _PATH_STEPS, tool_rotation, chooses=False)
         return q, q
 
     start = _rest_virtual(robot, q_start)
@@ -213,15 +221,19 @@ def _search(
     tool_rotation: ToolRotation,
     *,
     limits: tuple[Float[Array, " joint"], Float[Array, " joint"]] | None = None,
+    chooses: bool = True,
 ) -> Float[Array, " joint"]:
-    """Return the end of a fixed number of damped Newton steps, without derivative."""
+    """Return the end of a fixed number of damped Newton steps, without derivative.
+
+    Where the pose leaves a choice they make it, unless `chooses` is False.
+    """
     robot, T, q = lax.stop_gradient((robot, T, q))
 
     def take(q):
         task = pose_task(robot, T, q, tool_rotation)
         # Damping by the squared error keeps the quadratic convergence.
         size = jnp.sum(task.error**2)
-        if has_choice(robot, tool_rotation):
+        if chooses and has_choice(robot, tool_rotation):
             is_newton = steps == _PATH_STEPS
             return _choice_search_step(
                 robot, T, q, tool_rotation, size, is_newton=is_newton
@@ -264,8 +276,8 @@ def _choice_search_step(
     plain = chosen_step(robot, T, q, tool_rotation, 1e-2 * size, _PULL_SHARE)
     if not is_newton:
         return plain
-    newton = _choice_newton_step(robot, T, q, tool_rotation)
-    return jnp.where((size < _NEAR) & jnp.all(jnp.isfinite(newton)), newton, plain)
+    newton, is_trusted = _choice_newton_step(robot, T, q, tool_rotation, _TRUSTED)
+    return jnp.where(is_trusted & (size < _NEAR), newton, plain)
 
 
 def _choice_newton_step(
@@ -273,13 +285,20 @@ def _choice_newton_step(
     T: Float[Array, "4 4"],
     q: Float[Array, " joint"],
     tool_rotation: ToolRotation,
-) -> Float[Array, " joint"]:
+    longest: float,
+) -> tuple[Float[Array, " joint"], Bool[Array, ""]]:
     """Return the Newton step to where the undamped `chosen_step` vanishes.
 
-    Only the step carries the derivative, not its slope.
+    Only the step carries the derivative, not its slope. Also returned is whether no
+    joint moves by more than `longest`; if one does, the step is of no use.
     """
     slope = choice_slope(*lax.stop_gradient((robot, T, q)), tool_rotation)
-    return jnp.linalg.solve(slope, -chosen_step(robot, T, q, tool_rotation, None))
+    left = -chosen_step(robot, T, q, tool_rotation, None)
+    step = jnp.linalg.solve(slope, lax.stop_gradient(left))
+    is_short = jnp.max(jnp.abs(step)) < longest
+    # A singular slope must not spoil derivatives either.
+    regular = jnp.where(is_short, slope, jnp.eye(len(left), dtype=left.dtype))
+    return jnp.linalg.solve(regular, left), is_short
 
 
 def _first_pose(
@@ -398,11 +417,10 @@ def _finish(
     J = lax.stop_gradient(task.jacobian)
     # Where the search failed, a full step might go anywhere: keep its value out.
     is_near = jnp.sum(lax.stop_gradient(task.error) ** 2) < _NEAR
+    step = damped_step(J, task.error, None)
     if has_choice(robot, tool_rotation):
-        step = _choice_newton_step(robot, T, q, tool_rotation)
-        is_near &= jnp.max(jnp.abs(lax.stop_gradient(step))) < _LONGEST_STEP
-    else:
-        step = damped_step(J, task.error, None)
+        newton, is_settled = _choice_newton_step(robot, T, q, tool_rotation, _SETTLED)
+        step = jnp.where(is_settled, newton, step)
     value = jnp.where(is_near, lax.stop_gradient(step), 0.0)
     q = q + value
     if has_choice(robot, tool_rotation):
