@@ -5,7 +5,10 @@ import math
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import slides_job
+from references import wall_cut
 
+import diffmill as dm
 from diffmill import cutter as ct, sim, workpiece as wp
 
 ROWS, SUBSTEPS, FEED = 12, 40, 0.1e-3
@@ -60,3 +63,101 @@ def test_a_shaking_tool_is_seen_as_it_stands_when_the_wall_is_made():
     np.testing.assert_allclose(found[1:, [0, 2]], 0, atol=1e-12)
     # At the tooth instants it stands elsewhere.
     assert np.abs(shake(np.arange(ROWS)) - wanted).max() > 10e-6
+
+
+def cuts(speed):
+    """Return straight cuts along x and y, up and down."""
+    return [wall_cut.Cut(feed, up, speed) for feed in "xy" for up in (True, False)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("speed", wall_cut.SPEEDS)
+def test_a_shaking_tool_leaves_the_wall_of_theory(speed):
+    for cut in cuts(speed):
+        made = wall_cut.wall(cut)
+        wanted = made.expected.mean()
+        assert made.error.mean() == pytest.approx(wanted, rel=0.05)
+        # Teeth that pass just before and after cut up to slope^2 / 2 R deeper.
+        assert made.deviation == pytest.approx(wanted, rel=0.1)
+        assert made.deviation == pytest.approx(wanted, abs=0.04 * made.peak)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("speed", wall_cut.NEAR_ZERO)
+def test_a_wall_is_right_where_the_vibration_crosses_zero(speed):
+    for cut in cuts(speed):
+        made = wall_cut.wall(cut)
+        wanted = made.expected.mean()
+        assert made.error.mean() == pytest.approx(wanted, abs=0.05 * made.peak)
+        assert made.deviation == pytest.approx(wanted, abs=0.05 * made.peak)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cut", wall_cut.HELICES, ids=str)
+def test_a_helix_leaves_the_profile_of_theory(cut):
+    made = wall_cut.wall(cut)
+    assert np.ptp(made.expected) > 0.2 * made.peak
+    np.testing.assert_allclose(made.error, made.expected, atol=0.05 * made.peak)
+
+
+TURNED = """
+[cutter]
+kind = "flat"
+diameter = "10 mm"
+teeth = 2
+helix_angle = "30 deg"
+[spindle]
+speed = "8000 rpm"
+[force]
+K_tc = "989.8 N/mm^2"
+K_rc = "337.3 N/mm^2"
+K_ac = "66.9 N/mm^2"
+K_te = "3.0 N/mm"
+K_re = "15.4 N/mm"
+[stock]
+lower = {lower}
+upper = {upper}
+spacing = "0.25 mm"
+[program]
+file = "turned.ngc"
+acceleration = "20 m/s^2"
+[robot]
+file = "arm.toml"
+work_in_base = {{ position = ["0 mm", "0 mm", "0 mm"] }}
+[robot.bending_tool]
+overhang = "40 mm"
+"""
+# Two ways to cut 6 mm off a side by up-milling, turned by 90 degrees about z.
+WAYS = {
+    "x": (["0 mm", "-1 mm", "-3 mm"], ["12 mm", "8 mm", "0 mm"], "X-7", "X9"),
+    "y": (["-8 mm", "0 mm", "-3 mm"], ["1 mm", "12 mm", "0 mm"], "Y-7", "Y9"),
+}
+
+
+def turned(folder, way):
+    """Return the mean wall error and the mean deviation across the feed [m]."""
+    lower, upper, start, stop = WAYS[way]
+    (folder / "arm.toml").write_text(
+        slides_job.ARM.replace("1.0e6 N/m", "1.0e7 N/m").replace("2 kN", "20 kN")
+    )
+    (folder / "turned.ngc").write_text(
+        f"G21 G90 G94\nG0 {start} Z-2\nG1 {stop} F3000\nM2\n"
+    )
+    (folder / "job.toml").write_text(TURNED.format(lower=lower, upper=upper))
+    done = dm.simulate(dm.load_job(folder / "job.toml"))
+    along, across = (0, 1) if way == "x" else (1, 0)
+    left = 1.0 if way == "x" else -1.0
+    found = wp.surface_error(done.stock, done.rigid.stock, leaves_out_raw=True)
+    is_wall = np.abs(found.normal[:, across]) > 0.99
+    is_wall &= np.abs(found.points[:, along] - 2e-3) < 2e-3
+    is_row = np.abs(np.asarray(done.desired)[:, along] - 2e-3) < 2e-3
+    is_row &= np.asarray(done.is_cutting)
+    deviation = left * np.asarray(done.surface_deviation)[is_row, across]
+    return found.error[is_wall].mean(), deviation.mean()
+
+
+@pytest.mark.slow
+def test_a_turned_job_with_a_tool_that_bends_leaves_the_same_wall(tmp_path):
+    x, y = (turned(tmp_path, way) for way in WAYS)
+    assert min(np.abs([*x, *y])) > 5e-6
+    np.testing.assert_allclose(y, x, rtol=0.02)
