@@ -108,7 +108,16 @@ def test_drives_make_a_urdf_soft(folder, capsys):
         '[stiffness]\nx = "4 N/um"\n[damping]\nx = "400 N*s/m"\n'
     )
     assert main(["robot", "slide.urdf", "--drives", "drives.toml"]) == 0
-    assert "31.83 Hz  damping   1.00 %  x 100 %" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "31.83 Hz  damping   1.00 %  x 100 %" in said
+    assert "the spindle counts only where" in said
+    # Three times as much again hangs on the spring.
+    with open(folder / "drives.toml", "a") as file:
+        inertia = ["1 kg*m^2"] * 3
+        file.write(f'[spindle]\nmass = "300 kg"\ninertia = {inertia}\n')
+    assert main(["robot", "slide.urdf", "--drives", "drives.toml", "--force"]) == 0
+    said = capsys.readouterr().out
+    assert "15.92 Hz" in said and "spindle" not in said
     assert main(["robot", "slide.urdf", "--drives", "no.toml", "--force"]) == 2
     assert "no.toml" in capsys.readouterr().err
 

@@ -125,8 +125,23 @@ def test_springs_may_come_from_a_file(write):
 
 def test_doubtful_inertias_are_noted(write):
     robot = gantry().replace('izz="1"', 'izz="9"', 1)
-    (note,) = [n for n in load_job(write(robot=robot)).notes if "[robot] file" in n]
-    assert "the inertia should be that of a body" in note
+    doubt, spindle = [
+        n for n in load_job(write(robot=robot)).notes if "[robot] file" in n
+    ]
+    assert "the inertia should be that of a body" in doubt
+    assert "the spindle counts only where" in spindle
+
+
+def test_a_spindle_is_given_beside_a_urdf(write):
+    inertia = ["1 kg*m^2"] * 3
+    spindle = f'[spindle]\nmass = "30 kg"\ninertia = {inertia}\n'
+    file = write(without_springs('drives = "drives.toml"'), drives=DRIVES + spindle)
+    job = load_job(file)
+    assert not any("spindle" in note for note in job.notes)
+    bare = load_job(write())
+    assert job.robot is not None and bare.robot is not None
+    added = job.robot.link_masses.sum() - bare.robot.link_masses.sum()
+    np.testing.assert_allclose(added, 30.0)
 
 
 @pytest.mark.parametrize(

@@ -152,3 +152,92 @@ def test_broken_toml_is_named(write):
 def test_what_is_not_there_is_answered_with_what_is(name):
     with pytest.raises(ValueError, match=r"built-in models are .*reis_rv130_like"):
         dr.load(name)
+
+
+def dh_matrix(theta, d, a, alpha, convention):
+    """Return the textbook's matrix of a row of Denavit and Hartenberg's."""
+    (ct, st), (ca, sa) = ((np.cos(x), np.sin(x)) for x in (theta, alpha))
+    if convention == "standard":
+        rows = [
+            [ct, -st * ca, st * sa, a * ct],
+            [st, ct * ca, -ct * sa, a * st],
+            [0, sa, ca, d],
+        ]
+    else:
+        rows = [
+            [ct, -st, 0, a],
+            [st * ca, ct * ca, -sa, -sa * d],
+            [st * sa, ct * sa, ca, ca * d],
+        ]
+    return np.array([*rows, [0, 0, 0, 1]])
+
+
+# theta [deg], d, a [mm], alpha [deg] of a PUMA 560's first joints, with offsets.
+ROWS = [(10, 660, 0, -90), (-30, 149, 432, 5), (90, 20, -20, 90)]
+
+
+@pytest.mark.parametrize("convention", ["standard", "modified"])
+def test_rows_of_denavit_and_hartenberg(tmp_path, convention):
+    text = 'name = "rows"\n'
+    for i, (theta, d, a, alpha) in enumerate(ROWS):
+        joint = f'[[elements]]\nkind = "revolute"\nname = "joint_{i + 1}"\n'
+        row = (
+            f'[[elements]]\nkind = "dh"\ntheta = "{theta} deg"\nd = "{d} mm"\n'
+            f'a = "{a} mm"\nalpha = "{alpha} deg"\n'
+        )
+        if convention == "modified":
+            row += 'convention = "modified"\n'
+        text += joint + row if convention == "standard" else row + joint
+    (tmp_path / "rows.toml").write_text(text)
+    robot = dr.load(tmp_path / "rows.toml")
+    q = np.array([0.3, -0.4, 0.9])
+    T = np.eye(4)
+    for angle, (theta, d, a, alpha) in zip(q, ROWS, strict=True):
+        turn = angle + np.deg2rad(theta)
+        T = T @ dh_matrix(turn, d / 1e3, a / 1e3, np.deg2rad(alpha), convention)
+    assert_allclose(dr.forward_kinematics(robot, q), T, atol=1e-14)
+
+
+COUPLED = """name = "coupled"
+[[elements]]
+kind = "revolute"
+name = "two"
+axis = [0, 1, 0]
+stiffness = "3e5 N*m/rad"
+[[elements]]
+kind = "translation"
+position = ["0 mm", "0 mm", "800 mm"]
+[[elements]]
+kind = "revolute"
+name = "three"
+axis = [0, 1, 0]
+stiffness = "2e5 N*m/rad"
+coupled = { joint = "two", ratio = -1.0 }
+[[elements]]
+kind = "translation"
+position = ["600 mm", "0 mm", "0 mm"]
+[[elements]]
+kind = "body"
+mass = "50 kg"
+inertia = ["1 kg*m^2", "1 kg*m^2", "1 kg*m^2"]
+"""
+
+
+def test_a_joint_is_coupled_with_another(tmp_path):
+    # A parallelogram: the forearm's angle to the ground is the third motor's.
+    (tmp_path / "arm.toml").write_text(COUPLED)
+    robot = dr.load(tmp_path / "arm.toml")
+    assert robot.joint_names == ("two", "three")
+    q2, q3 = 0.4, -0.2
+    x, z = (0.8 * f(q2) for f in (np.sin, np.cos))
+    T = np.asarray(dr.forward_kinematics(robot, [q2, q3]))
+    assert_allclose(T[:3, 3], [x + 0.6 * np.cos(q3), 0, z - 0.6 * np.sin(q3)])
+    # So the weight of the forearm's end turns each motor by its own lever alone.
+    assert_allclose(
+        dr.gravity_forces(robot, [q2, q3]),
+        [-50 * 9.81 * x, -50 * 9.81 * 0.6 * np.cos(q3)],
+    )
+    text = COUPLED.replace('joint = "two"', 'joint = "tow"')
+    (tmp_path / "arm.toml").write_text(text)
+    with pytest.raises(dr.RobotFileError, match="coupled with 'tow', which is no"):
+        dr.load(tmp_path / "arm.toml")

@@ -156,7 +156,7 @@ def robot(
     drives: Annotated[
         pathlib.Path | None,
         tyro.conf.arg(
-            help="A TOML file with the tables stiffness and damping, joint by joint."
+            help="A TOML file with what the robot's own does not say: springs, spindle."
         ),
     ] = None,
     out: Annotated[

@@ -50,7 +50,7 @@ def run_robot(
     """
     configure_jax(None)
     from ..io import check_folder, parse_pose, write_folder
-    from ..robot import load
+    from ..robot import load, spindle_note
 
     folder = pathlib.Path(f"{pathlib.Path(model).stem}-robot") if out is None else out
     with bad_input(), warnings.catch_warnings(record=True) as noted:
@@ -65,6 +65,9 @@ def run_robot(
                 raise ValueError(f"--pose: {error}") from error
     facts = robot_facts(robot, q)
     facts["notes"] += [str(item.message) for item in noted]
+    note = spindle_note(model, drives)
+    if note is not None and facts["modes"] is not None:
+        facts["notes"].append(note)
     if not is_quiet:
         print("\n".join(robot_lines(facts)))
     progress = Progress(is_quiet=is_quiet)

@@ -11,6 +11,7 @@ from ..robot import (
     built_in_models,
     load,
     massless_joints,
+    spindle_note,
 )
 from ._job_program import file_in_folder
 from ._job_schema import RobotTable
@@ -64,6 +65,9 @@ def load_robot(
         )
         return None
     notes.extend(f"[robot] {key}: {warning.message}" for warning in caught)
+    note = spindle_note(source, drives)
+    if note is not None and needs_mass and table.flange_spring is None:
+        notes.append(f"[robot] {key}: {note}")
     return robot
 
 

@@ -7,9 +7,9 @@ motor. Backlash, friction and motors with a mass on a servo are there where thei
 are. Assumptions: all elasticity is in joints, springs and dampers are linear but for a
 gap, the controller is perfect. Compliance and modes are those of the springs with
 motors locked and no gap. Left out: the motors' currents, and contact with anything but
-the tool. Gravity is 9.81 m/s^2 along -z of `base`. A wrench is external, acts on the
-robot at the tool's origin in base axes, linear part first; Jacobian and compliance are
-written likewise.
+the tool. Gravity is 9.81 m/s^2 along -z of `base`, unless the base is tilted. A wrench
+is external, acts on the robot at the tool's origin in base axes, linear part first;
+Jacobian and compliance are written likewise.
 """
 
 from ._bending_tool import (
@@ -67,7 +67,11 @@ from ._faults import (
     RobotFileError as RobotFileError,
     RobotFileWarning as RobotFileWarning,
 )
-from ._files import built_in_models as built_in_models, load as load
+from ._files import (
+    built_in_models as built_in_models,
+    load as load,
+    spindle_note as spindle_note,
+)
 from ._flange_spring import (
     FlangeSpring as FlangeSpring,
     with_flange_spring as with_flange_spring,

@@ -187,12 +187,14 @@ class RigidBody(AbstractElement):
             shape (3, 3), positive semidefinite: a mass may be a point.
         is_possible: False lets pass an inertia that no body has, as real robot files
             contain; their reader warns instead.
+        name: Of the body; one called "spindle" gives way to a user's own.
     """
 
     mass: RealScalarLike
     center_of_mass: Vector3
     inertia: Matrix3
     is_possible: bool = eqx.field(static=True, default=True)
+    name: str = eqx.field(static=True, default="")
 
     def __check_init__(self):
         check_vector("center_of_mass", self.center_of_mass)

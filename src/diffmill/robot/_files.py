@@ -5,12 +5,17 @@ import warnings
 from importlib import resources
 from pathlib import Path
 
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
 from .._toml import parse_toml
 from ._build import build
 from ._faults import RobotFileError, RobotFileWarning
 from ._massless import LIGHTEST, light_joints, massless_joints
-from ._robot import Robot, with_drives
-from ._schema import read_drives, read_elements
+from ._robot import Robot
+from ._schema import read_elements
+from ._setup_file import SPINDLE, apply_setup
 from ._urdf import read_urdf
 
 # Many a URDF is called .xml.
@@ -45,8 +50,11 @@ def load(
             .urdf).
         tool: Name of the tool to use, in a URDF of the link whose frame it is; may be
             left out if there is only one, in a URDF if only one link carries no other.
-        drives: Path of a TOML file with the tables `stiffness` and `damping`, the
-            joints' names as keys and quantities such as "3 MN*m/rad" as values.
+        drives: Path of a TOML file with what the robot's own does not say: tables
+            `stiffness` and `damping`, the joints' names as keys and quantities such as
+            "3 MN*m/rad" as values; `drive`, with a table per joint; `locked`, where
+            joints stand that cannot move; `spindle`, what the flange carries; and
+            `base_rpy`, how the base stands where gravity points down.
 
     Returns:
         The robot; its arrays have the floating point type that is JAX's default at
@@ -75,17 +83,38 @@ def load(
                 "`elements`); its robot is what its table [robot] names."
             )
         name, elements = read_elements(document, file)
+    base = np.eye(3)
+    if drives is not None:
+        side = os.fspath(drives)
+        setup = _parse(_read_file(side), side)
+        elements, base = apply_setup(setup, side, elements, tool)
     try:
         robot = build(elements, tool=tool, name=name)
     except ValueError as error:
         raise RobotFileError(f"{file}: {error}") from error
     if is_urdf:
         _warn(robot, notes, file)
-    if drives is None:
-        return robot
-    side = os.fspath(drives)
-    stiffness, damping = read_drives(_parse(_read_file(side), side), side, robot)
-    return with_drives(robot, stiffness=stiffness, damping=damping)
+    gravity = jnp.asarray(base.T, robot.dtype) @ robot.gravity
+    return eqx.tree_at(lambda r: r.gravity, robot, gravity)
+
+
+def spindle_note(
+    model_or_file: str | os.PathLike[str], drives: str | os.PathLike[str] | None
+) -> str | None:
+    """Return a note if nobody says what the flange of a URDF carries, else None.
+
+    Args:
+        model_or_file: As for `load`, which has read it.
+        drives: Likewise.
+    """
+    is_urdf = Path(model_or_file).suffix.lower() in _URDF_SUFFIXES
+    side = "" if drives is None else os.fspath(drives)
+    if not is_urdf or (side and SPINDLE in _parse(_read_file(side), side)):
+        return None
+    return (
+        "the spindle counts only where a link of the URDF has its mass; else give "
+        "mass, center_of_mass and inertia in a table [spindle] of the drives' file"
+    )
 
 
 def _warn(robot: Robot, notes: list[str], file: str) -> None:

@@ -16,6 +16,7 @@ from ._elements import (
     FixedRotation,
     FixedTranslation,
     Fork,
+    Mimic,
     PrismaticJoint,
     RevoluteJoint,
     RigidBody,
@@ -25,10 +26,9 @@ from ._elements import (
 )
 from ._faults import raise_faults
 from ._reader import TableReader, are_numbers, is_list
-from ._robot import Robot
 from ._rotations import rpy_matrix
 
-_JOINT_QUANTITIES = {
+JOINT_QUANTITIES = {
     "revolute": {
         "position": units.ANGLE,
         "stiffness": units.ROTARY_STIFFNESS,
@@ -72,57 +72,22 @@ def read_elements(
         top.fault("description", "a string", document["description"])
     elements = _read_list(top.take("elements", required=True), "elements", faults)
     top.finish()
-    joints = [
-        e.name
-        for e in _flatten(elements)
-        if isinstance(e, RevoluteJoint | PrismaticJoint)
+    moving = [
+        e for e in flatten(elements) if isinstance(e, RevoluteJoint | PrismaticJoint)
     ]
+    joints = [joint.name for joint in moving]
+    for joint in moving:
+        if joint.mimic is not None and joint.mimic.joint not in joints:
+            faults.append(
+                f"elements: {joint.name!r} is coupled with {joint.mimic.joint!r}, "
+                "which is no joint"
+            )
     for twice in sorted({n for n in joints if joints.count(n) > 1}):
         faults.append(f"elements: the joint name {twice!r} occurs more than once")
     if not joints and not faults:
         faults.append("elements: must contain at least one joint")
     raise_faults(file, faults)
     return str(name), elements
-
-
-def read_drives(
-    document: Mapping[str, object], file: str, robot: Robot
-) -> tuple[list[float], list[float]]:
-    """Return stiffness and damping of a robot's joints from a parsed file.
-
-    Args:
-        document: The parsed file: tables `stiffness` and `damping`, with joints' names
-            as keys. Joints that are not there keep what the robot has.
-        file: Name of the file, for messages.
-        robot: The robot.
-
-    Returns:
-        K [N m/rad or N/m] and D [N m s/rad or N s/m], one per joint.
-
-    Raises:
-        RobotFileError: If anything is wrong.
-    """
-    faults: list[str] = []
-    top = TableReader(document, "top level", faults)
-    columns = []
-    for key, present in (
-        ("stiffness", robot.joint_stiffness),
-        ("damping", robot.joint_damping),
-    ):
-        table = top.take(key, {})
-        if not isinstance(table, Mapping):
-            top.fault(key, "a table with joints' names as keys", table)
-            continue
-        reader = TableReader(table, key, faults)
-        rows = zip(robot.joint_names, robot.joint_kinds, present.tolist(), strict=True)
-        columns.append(
-            [_read_drive(reader, key, name, kind, value) for name, kind, value in rows]
-        )
-        reader.finish()
-    top.finish()
-    raise_faults(file, faults)
-    stiffness, damping = columns
-    return stiffness, damping
 
 
 def _read_list(raw: Any, place: str, faults: list[str]) -> list[AbstractElement]:
@@ -149,7 +114,8 @@ def _read_list(raw: Any, place: str, faults: list[str]) -> list[AbstractElement]
         make = _READERS[kind](reader)
         reader.finish()
         if len(faults) == before:
-            elements.append(make())
+            made = make()
+            elements.extend([made] if isinstance(made, AbstractElement) else made)
     return elements
 
 
@@ -163,15 +129,61 @@ def _read_rotation(reader: TableReader) -> Callable[[], AbstractElement]:
     return lambda: FixedRotation(rpy_matrix(*(rpy or ())))
 
 
-def _read_joint(reader: TableReader) -> Callable[[], AbstractElement]:
+def _read_dh(reader: TableReader) -> Callable[[], list[AbstractElement]]:
+    """Return the fixed part of a row of Denavit and Hartenberg's."""
+    theta = reader.quantity("theta", units.ANGLE, 0.0)
+    alpha = reader.quantity("alpha", units.ANGLE, 0.0)
+    d = reader.quantity("d", units.LENGTH, 0.0)
+    a = reader.quantity("a", units.LENGTH, 0.0)
+    convention = reader.take("convention", "standard")
+    if convention not in _CONVENTIONS:
+        reader.fault("convention", " or ".join(_CONVENTIONS), convention)
+    along_z = [
+        FixedRotation(rpy_matrix(0.0, 0.0, theta)),
+        FixedTranslation((0.0, 0.0, d)),
+    ]
+    along_x = [
+        FixedTranslation((a, 0.0, 0.0)),
+        FixedRotation(rpy_matrix(alpha, 0.0, 0.0)),
+    ]
+    if convention == "standard":
+        return lambda: [*along_z, *along_x]
+    return lambda: [*along_x[::-1], *along_z]
+
+
+def _read_coupling(reader: TableReader, kind: str, axis: Any) -> list[AbstractElement]:
+    """Return what turns a joint with another one, nothing without `coupled`."""
+    table = reader.take("coupled")
+    if table is None:
+        return []
+    if not isinstance(table, Mapping):
+        reader.fault("coupled", "a table of joint and ratio", table)
+        return []
+    inner = TableReader(table, f"{reader.place}.coupled", reader.faults)
+    other = inner.take("joint", required=True)
+    if "joint" in table and not (isinstance(other, str) and other):
+        inner.fault("joint", "the name of a joint", other)
+    ratio = inner.take("ratio", 1.0)
+    if not are_numbers([ratio]):
+        inner.fault("ratio", "a number", ratio)
+        ratio = 1.0
+    inner.finish()
+    joint = RevoluteJoint if kind == "revolute" else PrismaticJoint
+    name = f"coupling of {reader.table.get('name')}"
+    return [joint(name, axis, mimic=Mimic(str(other), ratio))]
+
+
+def _read_joint(reader: TableReader) -> Callable[[], list[AbstractElement]]:
     kind = str(reader.table["kind"])
-    position = _JOINT_QUANTITIES[kind]["position"]
+    position = JOINT_QUANTITIES[kind]["position"]
     name = reader.take("name", required=True)
     if "name" in reader.table and not (isinstance(name, str) and name):
         reader.fault("name", "a non-empty string", name)
     axis = reader.take("axis", (0.0, 0.0, 1.0))
     if not (is_list(axis) and len(axis) == 3 and are_numbers(axis) and any(axis)):
         reader.fault("axis", "a list of 3 numbers that are not all 0", axis)
+        axis = (0.0, 0.0, 1.0)
+    axis = tuple(map(float, axis))
     is_virtual = reader.take("virtual", False)
     if not isinstance(is_virtual, bool):
         reader.fault("virtual", "true or false", is_virtual)
@@ -182,28 +194,35 @@ def _read_joint(reader: TableReader) -> Callable[[], AbstractElement]:
         reader.fault("home", f"between lower {lower:g} and upper {upper:g}", home)
     speed = reader.quantity(
         "speed",
-        _JOINT_QUANTITIES[kind]["speed"],
+        JOINT_QUANTITIES[kind]["speed"],
         math.inf,
         is_allowed=lambda x: x > 0,
         allowed="positive",
     )
-    K = _read_drive(reader, "stiffness", "stiffness", kind, math.inf)
-    D = _read_drive(reader, "damping", "damping", kind, 0.0)
-    drive = _read_options(reader, kind)
+    K = read_drive(reader, "stiffness", "stiffness", kind, math.inf)
+    D = read_drive(reader, "damping", "damping", kind, 0.0)
+    drive = read_options(reader, "drive", kind)
+    coupling = _read_coupling(reader, kind, axis)
     joint = RevoluteJoint if kind == "revolute" else PrismaticJoint
-    return lambda: joint(
-        name=name,
-        axis=tuple(map(float, axis)),
-        stiffness=K,
-        damping=D,
-        lower=lower,
-        upper=upper,
-        home=home,
-        is_virtual=is_virtual,
-        drive=drive,
-        speed=speed,
-    )
+    return lambda: [
+        *coupling,
+        joint(
+            name=name,
+            axis=axis,
+            stiffness=K,
+            damping=D,
+            lower=lower,
+            upper=upper,
+            home=home,
+            is_virtual=is_virtual,
+            drive=drive,
+            speed=speed,
+        ),
+    ]
 
+
+# Whether the row's fixed part follows its joint or precedes it.
+_CONVENTIONS = ("standard", "modified")
 
 # What a joint's table `drive` may hold, and whether it must be above 0.
 _OPTIONS = {
@@ -217,20 +236,20 @@ _OPTIONS = {
 }
 
 
-def _read_options(reader: TableReader, kind: str) -> Drive | None:
-    """Return what a joint's table `drive` says, None without one or after a fault."""
-    table = reader.take("drive")
+def read_options(reader: TableReader, key: str, kind: str) -> Drive | None:
+    """Return what a joint's table says of its drive, None without or after a fault."""
+    table = reader.take(key)
     if table is None:
         return None
     if not isinstance(table, Mapping):
-        reader.fault("drive", f"a table of {', '.join(_OPTIONS)}", table)
+        reader.fault(key, f"a table of {', '.join(_OPTIONS)}", table)
         return None
-    inner = TableReader(table, f"{reader.place}.drive", reader.faults)
+    inner = TableReader(table, f"{reader.place}.{key}", reader.faults)
     before = len(inner.faults)
     values = {
         key: inner.quantity(
             key,
-            _JOINT_QUANTITIES[kind][unit],
+            JOINT_QUANTITIES[kind][unit],
             is_allowed=lambda x, low=is_open: x > 0 or (x == 0 and not low),
             allowed="positive" if is_open else "not negative",
         )
@@ -244,21 +263,25 @@ def _read_options(reader: TableReader, kind: str) -> Drive | None:
     return Drive(**{key: values[key] for key in _OPTIONS if key in table})
 
 
-def _read_drive(
+def read_drive(
     reader: TableReader, quantity: str, key: str, kind: str, default: float
 ) -> float:
     """Return a joint's stiffness (positive) or damping (not negative) in SI."""
     is_stiffness = quantity == "stiffness"
     return reader.quantity(
         key,
-        _JOINT_QUANTITIES[kind][quantity],
+        JOINT_QUANTITIES[kind][quantity],
         default,
         is_allowed=lambda x: x > 0 or (x == 0 and not is_stiffness),
         allowed="positive" if is_stiffness else "not negative",
     )
 
 
-def _read_body(reader: TableReader) -> Callable[[], AbstractElement]:
+def read_body(reader: TableReader) -> Callable[[], RigidBody]:
+    """Return what makes a body of a table, once it is faultless."""
+    name = reader.take("name", "")
+    if not isinstance(name, str):
+        reader.fault("name", "a string", name)
     mass = reader.quantity(
         "mass",
         units.MASS,
@@ -277,7 +300,7 @@ def _read_body(reader: TableReader) -> Callable[[], AbstractElement]:
             reader.faults.append(
                 f"{reader.place}.inertia: (xx, yy, zz, xy, xz, yz) must be {wrong}"
             )
-    return lambda: RigidBody(mass, tuple(center or ()), inertia)
+    return lambda: RigidBody(mass, tuple(center or ()), inertia, name=name)
 
 
 def _read_fork(reader: TableReader) -> Callable[[], AbstractElement]:
@@ -301,23 +324,26 @@ def _read_tool(reader: TableReader) -> Callable[[], AbstractElement]:
     return lambda: Tool(name, tuple(position or ()), rpy_matrix(*(rpy or ())))
 
 
-_READERS: dict[str, Callable[[TableReader], Callable[[], AbstractElement]]] = {
+_READERS: dict[
+    str, Callable[[TableReader], Callable[[], AbstractElement | list[AbstractElement]]]
+] = {
     "translation": _read_translation,
     "rotation": _read_rotation,
     "revolute": _read_joint,
     "prismatic": _read_joint,
-    "body": _read_body,
+    "body": read_body,
     "fork": _read_fork,
     "tool": _read_tool,
+    "dh": _read_dh,
 }
 
 
-def _flatten(elements: Sequence[AbstractElement]) -> list[AbstractElement]:
+def flatten(elements: Sequence[AbstractElement]) -> list[AbstractElement]:
     """Return all elements, those of branches too."""
     flat: list[AbstractElement] = []
     for element in elements:
         flat.append(element)
         if isinstance(element, Fork):
             for branch in element.branches:
-                flat.extend(_flatten(branch))
+                flat.extend(flatten(branch))
     return flat
