@@ -19,9 +19,9 @@ def look(points):
 
 def test_disc_shares_sum_to_the_depth_at_any_depth():
     depth = jnp.linspace(0, 2.0e-3, 57)
-    total = jnp.sum(DISCS.filled_below(depth), axis=-1) * DISCS.height
+    total = jnp.sum(DISCS.filled_below(depth[None]), axis=0) * DISCS.height
     np.testing.assert_allclose(total, depth, atol=1e-15)
-    assert not DISCS.filled_below(jnp.array([-1e-4])).any()
+    assert not DISCS.filled_below(jnp.array([[-1e-4]])).any()
 
 
 @pytest.mark.parametrize("depth", [0.13e-3, 0.6e-3, 1.0e-3, 1.47e-3])

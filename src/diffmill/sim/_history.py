@@ -79,6 +79,7 @@ class ProcessState(eqx.Module):
         queue: What waits for removal.
         queue_count: Number of entries, shape ().
         travel: Distance travelled so far [m], shape ().
+        slots: How many slots of each family of rays hold anything, shape (3,).
         has_overflow: Whether a ray ran out of slots, shape ().
         is_beyond: Whether the tool reached beyond its window, shape ().
     """
@@ -93,6 +94,7 @@ class ProcessState(eqx.Module):
     queue: Waiting
     queue_count: Int[Array, ""]
     travel: Float[Array, ""]
+    slots: Int[Array, " 3"]
     has_overflow: Bool[Array, ""]
     is_beyond: Bool[Array, ""]
 
@@ -160,6 +162,7 @@ def initial_state(
         ),
         queue_count=jnp.ones((), jnp.int32),
         travel=jnp.zeros((), dtype),
+        slots=cut.slots,
         has_overflow=cut.has_overflow,
         is_beyond=cut.is_beyond,
     )
@@ -367,7 +370,7 @@ def remove_due(
     tips = [tooth.center().frozen().tip for tooth in passes]
     apart = jnp.max(jnp.abs(tips[1] - tips[0]))
     is_due = is_due.at[1].set(is_due[0] & is_due[1] & (apart <= plan.window.slack))
-    cut = remove_passes(state.stock, cutter, plan.window, passes, is_due)
+    cut = remove_passes(state.stock, cutter, plan.window, passes, is_due, state.slots)
     count = jnp.sum(is_due, dtype=jnp.int32)
     shift = jnp.minimum(
         jnp.arange(QUEUE_LENGTH, dtype=jnp.int32) + count, QUEUE_LENGTH - 1
@@ -377,6 +380,7 @@ def remove_due(
             s.stock,
             s.queue,
             s.queue_count,
+            s.slots,
             s.has_overflow,
             s.is_beyond,
         ),
@@ -385,6 +389,7 @@ def remove_due(
             cut.stock,
             state.queue[shift],
             state.queue_count - count,
+            cut.slots,
             state.has_overflow | cut.has_overflow,
             state.is_beyond | cut.is_beyond,
         ),
@@ -454,18 +459,18 @@ def flush(
     is_due = jnp.concatenate([slots < state.queue_count, jnp.ones(rest.size, bool)])
 
     def remove(carry, x):
-        stock, has_overflow, is_beyond = carry
+        stock, slots, has_overflow, is_beyond = carry
         row, due = x
         tooth = _tooth_pass(plan, cutter, state, row, newest, adjoint)
-        cut = remove_passes(stock, cutter, plan.window, [tooth], due[None])
+        cut = remove_passes(stock, cutter, plan.window, [tooth], due[None], slots)
         flags = (has_overflow | cut.has_overflow, is_beyond | cut.is_beyond)
-        return (cut.stock, *flags), (cut.volume[0], cut.by_shank[0])
+        return (cut.stock, cut.slots, *flags), (cut.volume[0], cut.by_shank[0])
 
-    carry = (state.stock, state.has_overflow, state.is_beyond)
-    (stock, full, beyond), taken = jax.lax.scan(remove, carry, (rows, is_due))
+    carry = (state.stock, state.slots, state.has_overflow, state.is_beyond)
+    (stock, slots, full, beyond), taken = jax.lax.scan(remove, carry, (rows, is_due))
     state = eqx.tree_at(
-        lambda s: (s.stock, s.queue_count, s.has_overflow, s.is_beyond),
+        lambda s: (s.stock, s.queue_count, s.slots, s.has_overflow, s.is_beyond),
         state,
-        (stock, jnp.zeros((), jnp.int32), full, beyond),
+        (stock, jnp.zeros((), jnp.int32), slots, full, beyond),
     )
     return state, Removed(jnp.minimum(rows.row, index), *taken)

@@ -88,6 +88,7 @@ def engagement_in_space(
         cutter,
         adjoint.tied_to(state.track),
         keeps_slopes=adjoint.keeps_slopes,
+        slots=state.slots,
     )
     occupied, chip_share = (share.reshape(angle.shape) for share in found)
     return EdgeSamples(angle, tooth, fade * occupied, chip_share)

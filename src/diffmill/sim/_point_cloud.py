@@ -105,13 +105,15 @@ def remove_at_once(
         adjoint.removal_poses(pose[None]),
         indices,
         is_due,
+        state.slots,
     )
     state = eqx.tree_at(
-        lambda s: (s.stock, s.track, s.has_overflow, s.is_beyond),
+        lambda s: (s.stock, s.track, s.slots, s.has_overflow, s.is_beyond),
         state,
         (
             cut.stock,
             tracked(state, index, pose),
+            cut.slots,
             state.has_overflow | cut.has_overflow,
             state.is_beyond | cut.is_beyond,
         ),

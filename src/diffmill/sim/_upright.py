@@ -19,6 +19,7 @@ from ..cutting import (
     safe_norm,
     way_of,
 )
+from ..numerics import hold
 from ..workpiece import occupancy
 from ._adjoint import AbstractAdjoint
 from ._history import ProcessState
@@ -70,7 +71,9 @@ def upright_engagement(
     chips = -jnp.clip(chip, 0, radius)[..., None] / radius * rim[..., :2]
     chips = chips.reshape(moves.shape)
     track = adjoint.tied_to(state.track)
-    found = occupancy(state.stock, points, moves, chips, plan.discs, cutter, track)
+    found = occupancy(
+        state.stock, points, moves, chips, plan.discs, cutter, track, state.slots
+    )
     shape = (*angle.shape[:3], plan.discs.count)
     occupied, chip_share = (share.reshape(shape) for share in found)
     return EdgeSamples(angle, tooth, fade * occupied, chip_share)
@@ -114,6 +117,7 @@ def upright_force(
         before = feed / cutter.diameter
         touch = touch * taken_over(lead, step, before)
         chip = chip * chip_taken_over(lead, step, before)
+    chip, touch = hold((chip, touch))
     h = jnp.clip(chip, 0, cutter.diameter / 2) * samples.chip_share
     teeth = jnp.broadcast_to(samples.tooth, h.shape)
     touch = jnp.broadcast_to(touch, h.shape)
@@ -123,11 +127,13 @@ def upright_force(
     width = jnp.clip(cutter.flute_length - lower, 0, plan.discs.height)
     share = samples.occupancy * width[None, None]
     sin, cos = jnp.sin(angle), jnp.cos(angle)
+    parts = hold((share * F_t, share * F_r, share * F_a, sin, cos))
+    F_t, F_r, F_a, sin, cos = parts
     along = [
-        jnp.sum(share * component, axis=(1, 2))
+        jnp.sum(component, axis=(1, 2))
         for component in (-F_t * cos - F_r * sin, F_t * sin - F_r * cos, F_a)
     ]
-    return jnp.stack(along, axis=-1)
+    return jnp.stack(hold(along), axis=-1)
 
 
 def upright_chip(

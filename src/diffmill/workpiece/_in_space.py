@@ -30,7 +30,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..cutter import AbstractCutter
 from ..numerics import clamp, mean_step, sloped_rows, tied
-from ._occupancy import REACH, nearest_interval
+from ._nearest import nearest_interval, taken
+from ._occupancy import REACH
 from ._pose import Pose
 from ._stock import Stock
 from ._tooth_pass import PoseTrack
@@ -79,6 +80,7 @@ def occupancy_in_space(
     track: PoseTrack | None = None,
     *,
     keeps_slopes: bool = False,
+    slots: Int[Array, " 3"] | None = None,
 ) -> tuple[Float[Array, " point"], Float[Array, " point"]]:
     """Return how much of the chips at pieces of edge is in the material.
 
@@ -94,6 +96,8 @@ def occupancy_in_space(
             through the stock.
         keeps_slopes: With `track`, whether a linearisation keeps the slopes of each
             point instead of computing it again in every product.
+        slots: How many slots of each family hold anything, shape (3,); counted if not
+            given.
 
     Returns:
         The occupancy, the share of each piece that has a chip in the material, exactly
@@ -103,7 +107,8 @@ def occupancy_in_space(
     Differentiability: continuous; kinks where a point crosses a grid line and where
     another family decides.
     """
-    near = tuple(_find(stock, f, points) for f in range(3))
+    slots = stock.slots_in_use() if slots is None else slots
+    near = tuple(_find(stock, f, points, slots[f]) for f in range(3))
     sizes = (stock.spacing, band)
     if track is None:
         combine = jax.checkpoint(_combine, static_argnums=(5,))
@@ -132,7 +137,9 @@ def _look(
     return _combine(points, cells, ends, near, origin, sizes)
 
 
-def _find(stock: Stock, family: int, points: Float[Array, "point 3"]) -> _Near:
+def _find(
+    stock: Stock, family: int, points: Float[Array, "point 3"], slots: Int[Array, ""]
+) -> _Near:
     rays = stock.families[family]
     d = stock.spacing
     frozen = jax.lax.stop_gradient(points)
@@ -147,11 +154,13 @@ def _find(stock: Stock, family: int, points: Float[Array, "point 3"]) -> _Near:
     ]
     row = cell[0][:, None] + jnp.array([[0, 0, 1, 1]], jnp.int32)
     column = cell[1][:, None] + jnp.array([[0, 1, 0, 1]], jnp.int32)
-    around = rays.ends[row, column]
+    count = rays.ends.shape[-1]
+    ray = (row * rays.ends.shape[1] + column) * (2 * count)
     x = frozen[:, family, None]
-    low, high, slot = nearest_interval(around, x)
-    is_upper = jax.lax.stop_gradient(high - x < x - low)
-    ends = jnp.where(is_upper, high, low)
+    low, high, slot = nearest_interval(rays.ends, ray, x, slots)
+    is_upper = high - x < x - low
+    at = ray + is_upper.astype(jnp.int32) * count + slot
+    ends = taken(rays.ends, at)
     lines = [
         stock.origin[a] + d * index.astype(points.dtype)
         for a, index in zip(axes, (row, column), strict=True)
@@ -161,8 +170,8 @@ def _find(stock: Stock, family: int, points: Float[Array, "point 3"]) -> _Near:
     return _Near(
         ends=ends,
         is_upper=is_upper,
-        is_empty=jax.lax.stop_gradient(high < low),
-        pose=rays.poses[row, column, is_upper.astype(jnp.int32), slot],
+        is_empty=high < low,
+        pose=taken(rays.poses, at),
         places=jax.lax.stop_gradient(jnp.stack(placed, axis=-1)),
     )
 

@@ -32,7 +32,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ..cutter import AbstractCutter
-from ..numerics import clamp, hat_integral, mean_step, tied
+from ..numerics import clamp, hat_integral, hold, mean_step, tied
+from ._nearest import nearest_interval, taken
 from ._stock import Stock
 from ._tooth_pass import PoseTrack
 
@@ -65,32 +66,20 @@ class Discs(eqx.Module):
         return self.height * (jnp.arange(self.count, dtype=dtype) + 0.5)
 
     def filled_below(
-        self, height: Float[Array, "*end"]
-    ) -> Float[Array, "*end element"]:
+        self, height: Float[Array, "*end disc point"]
+    ) -> Float[Array, "*end element point"]:
         """Return the share of each disc that lies below a height above the tip.
 
         The shares of all discs sum to height / dz at any height between zero and the
         middle of the last disc. The lowest disc ends at the tip: it has no share in
         material below.
-        """
-        # Disc by disc: the transpose of a broadcast over so short an axis is slow.
-        below_tip = hat_integral(-height / self.height - 0.5)
-        shares = [
-            hat_integral(height / self.height - (e + 0.5)) for e in range(self.count)
-        ]
-        shares[0] = jnp.where(height > 0, shares[0] - below_tip, 0)
-        return jnp.stack(shares, axis=-1)
 
-    def filled_below_own(
-        self, height: Float[Array, "point element *end"]
-    ) -> Float[Array, "point element *end"]:
-        """Return the share of each disc that lies below a height of its own.
-
-        As `filled_below`, but every disc has its own heights above the tip [m], in
-        the second axis: its cost grows with the discs, not with their square.
+        Args:
+            height: Above the tip [m], of each disc or the same for all: shape
+                (..., disc, point), where the axis disc has length 1 or that of all.
         """
-        place = jnp.arange(self.count, dtype=height.dtype)
-        place = place.reshape(1, -1, *(1,) * (height.ndim - 2))
+        place = jnp.arange(self.count, dtype=height.dtype)[:, None]
+        place = place.reshape((1,) * (height.ndim - 2) + place.shape)
         share = hat_integral(height / self.height - (place + 0.5))
         below_tip = hat_integral(-height / self.height - 0.5)
         lowest = jnp.where(height > 0, share - below_tip, 0)
@@ -105,6 +94,7 @@ def occupancy(
     discs: Discs,
     cutter: AbstractCutter,
     track: PoseTrack | None = None,
+    slots: Int[Array, " 3"] | None = None,
 ) -> tuple[Float[Array, "point element"], Float[Array, "point element"]]:
     """Return how much of the chips at points on the rim is in the material.
 
@@ -119,6 +109,8 @@ def occupancy(
         cutter: The cutter that cut the stock; used only with `track`.
         track: All poses so far, to which the derivative goes; None differentiates
             through the stock.
+        slots: How many slots of each family hold anything, shape (3,); counted if not
+            given.
 
     Returns:
         The occupancy, the share of each disc that has a chip in the material, exactly
@@ -127,32 +119,30 @@ def occupancy(
 
     Differentiability: continuous; kinks where a point crosses a grid line.
     """
-    columns = _find_columns(stock, points)
+    # Points in the last axis: the arrays are long there, and nothing is summed over it.
+    ways = hold((points, moves, chips))
+    place, move, chip = hold([jnp.transpose(x, (2, 1, 0)) for x in ways])
+    columns = _find_columns(stock, place)
     if track is not None:
         columns = _tie_columns(columns, track)
-    heights = _wall_heights(stock, points, discs, columns)
-    walls = tuple(_find_walls(stock, f, points, heights) for f in (0, 1))
-    wall_ends = (walls[0].ends, walls[1].ends)
+    heights = _wall_heights(stock, place, discs, columns)
+    slots = stock.slots_in_use() if slots is None else slots
+    walls = tuple(_find_walls(stock, f, place, heights, slots[f]) for f in (0, 1))
     if track is not None:
-        wall_ends = _tie_walls(cutter, walls, track)
-    facts = tuple((w.is_upper, w.is_empty) for w in walls)
-    combine = jax.checkpoint(_combine, static_argnums=(6,))
-    return combine(
-        points,
-        moves,
-        chips,
-        (columns.ends, *wall_ends),
-        (facts, heights),
-        stock.origin,
-        (discs, stock.spacing),
+        walls = _tie_walls(cutter, walls, track)
+    combine = jax.checkpoint(_combine, static_argnums=(0, 1))
+    found = combine(
+        discs, stock.spacing, stock.origin, place, (move, chip), heights, columns, walls
     )
+    touched, share = hold(found)
+    return hold((touched.T, share.T))
 
 
 class _Columns(eqx.Module):
     """All ends of the 3 x 3 rays along z around each point."""
 
-    ends: Float[Array, "point disc 9 2 slot"]
-    poses: Int[Array, "point disc 9 2 slot"]
+    ends: Float[Array, "2 slot 9 disc point"]
+    poses: Int[Array, "2 slot 9 disc point"]
 
 
 class _Walls(eqx.Module):
@@ -161,106 +151,90 @@ class _Walls(eqx.Module):
     They stand on the three nearest lines to the side, and below and above.
     """
 
-    ends: Float[Array, "point element 6"]
-    is_upper: Bool[Array, "point element 6"]
-    is_empty: Bool[Array, "point element 6"]
-    pose: Int[Array, "point element 6"]
-    across: Float[Array, "point element 6"]
+    ends: Float[Array, "3 2 element point"]
+    is_upper: Bool[Array, "3 2 element point"]
+    is_empty: Bool[Array, "3 2 element point"]
+    pose: Int[Array, "3 2 element point"]
+    across: Float[Array, "3 1 disc point"]
 
 
-def _find_columns(stock: Stock, points: Float[Array, "point disc 3"]) -> _Columns:
+def _find_columns(stock: Stock, place: Float[Array, "3 disc point"]) -> _Columns:
     rays = stock.families[2]
-    at = jax.lax.stop_gradient((points - stock.origin[None, None]) / stock.spacing)
-    near = [
-        jnp.clip(jnp.round(at[..., a]).astype(jnp.int32), 1, rays.ends.shape[a] - 2)
-        for a in (0, 1)
-    ]
+    counts, slots = rays.ends.shape[:2], rays.ends.shape[-1]
     step = jnp.arange(-1, 2, dtype=jnp.int32)
-    i = near[0][..., None] + jnp.repeat(step, 3)[None, None]
-    j = near[1][..., None] + jnp.tile(step, 3)[None, None]
-    return _Columns(rays.ends[i, j], rays.poses[i, j])
+    near = [_nearest_line(stock, a, place[a], counts[a])[None] for a in (0, 1)]
+    i = near[0] + jnp.repeat(step, 3)[:, None, None]
+    j = near[1] + jnp.tile(step, 3)[:, None, None]
+    slot = jnp.arange(2 * slots, dtype=jnp.int32).reshape(2, slots, 1, 1, 1)
+    ray = hold((i * counts[1] + j) * (2 * slots))
+    at = hold(ray[None, None] + slot)
+    return _Columns(taken(rays.ends, at), taken(rays.poses, at))
+
+
+def _nearest_line(
+    stock: Stock, axis: int, x: Float[Array, "*point"], count: int
+) -> Int[Array, "*point"]:
+    """Return the nearest grid line that has a neighbour on each side."""
+    at = jax.lax.stop_gradient((x - stock.origin[axis]) / stock.spacing)
+    return jnp.clip(jnp.round(at).astype(jnp.int32), 1, count - 2)
 
 
 def _wall_heights(
     stock: Stock,
-    points: Float[Array, "point disc 3"],
+    place: Float[Array, "3 disc point"],
     discs: Discs,
     columns: _Columns,
-) -> Float[Array, "point element"]:
+) -> Float[Array, "element point"]:
     """Return the height at which to look for walls, inside the material of a disc.
 
     A disc that only just reaches into the material from above has its middle in the
     air, where rays along x and y meet nothing; one spacing below the top they do.
     """
-    z = points[..., 2] + discs.centers(points.dtype)[None]
-    low, high = columns.ends[..., 0, :], columns.ends[..., 1, :]
-    reaches = (high > low) & (low < z[:, :, None, None] + discs.height)
-    top = jnp.max(jnp.where(reaches, high, -jnp.inf), axis=(-2, -1))
+    z = place[2] + discs.centers(place.dtype)[:, None]
+    low, high = columns.ends
+    top = jnp.full_like(z, -jnp.inf)
+    for m in range(low.shape[0]):
+        for ray in range(9):
+            lower, upper = low[m, ray], high[m, ray]
+            reaches = (upper > lower) & (lower < z + discs.height)
+            top = jnp.maximum(top, jnp.where(reaches, upper, -jnp.inf))
     is_fringe = (top < z + stock.spacing) & (top > z - discs.height)
-    return jnp.where(is_fringe, jnp.where(is_fringe, top, 0) - stock.spacing, z)
+    return hold(jnp.where(is_fringe, jnp.where(is_fringe, top, 0) - stock.spacing, z))
 
 
 def _find_walls(
     stock: Stock,
     family: Literal[0, 1],
-    points: Float[Array, "point disc 3"],
-    heights: Float[Array, "point element"],
+    place: Float[Array, "3 disc point"],
+    heights: Float[Array, "element point"],
+    in_use: Int[Array, ""],
 ) -> _Walls:
     rays = stock.families[family]
     frozen = jax.lax.stop_gradient
     side = 1 - family
-    at_side = frozen((points[..., side] - stock.origin[side]) / stock.spacing)
-    at_height = frozen((heights - stock.origin[2]) / stock.spacing)
-    at_side = jnp.broadcast_to(at_side, at_height.shape)
-    counts = rays.ends.shape[:2] if family == 0 else rays.ends.shape[1::-1]
-    middle = jnp.clip(jnp.round(at_side).astype(jnp.int32), 1, counts[0] - 2)
-    below = jnp.clip(jnp.floor(at_height).astype(jnp.int32), 0, counts[1] - 2)
-    line = middle[..., None] + jnp.array([[[-1, -1, 0, 0, 1, 1]]], jnp.int32)
-    level = below[..., None] + jnp.array([[[0, 1, 0, 1, 0, 1]]], jnp.int32)
     # Family 0 is indexed (y, z), family 1 is indexed (z, x).
+    counts = rays.ends.shape[:2] if family == 0 else rays.ends.shape[1::-1]
+    middle = _nearest_line(stock, side, place[side], counts[0])
+    at_height = frozen((heights - stock.origin[2]) / stock.spacing)
+    below = jnp.clip(jnp.floor(at_height).astype(jnp.int32), 0, counts[1] - 2)
+    step = jnp.arange(-1, 2, dtype=jnp.int32)[:, None, None, None]
+    line = middle[None, None] + step
+    level = below[None, None] + step[1:].reshape(1, 2, 1, 1)
     row, column = (line, level) if family == 0 else (level, line)
-    near = rays.ends[row, column]
-    x = jnp.broadcast_to(frozen(points[..., family]), at_height.shape)[..., None]
-    low, high, slot = nearest_interval(near, x)
-    is_upper = frozen(high) - x < x - frozen(low)
-    pose = rays.poses[row, column, is_upper.astype(jnp.int32), slot]
+    slots = rays.ends.shape[-1]
+    ray = (row * rays.ends.shape[1] + column) * (2 * slots)
+    x = place[family][None, None]
+    low, high, slot = nearest_interval(rays.ends, ray, x, in_use)
+    x = frozen(x)
+    is_upper = high - x < x - low
+    at = ray + is_upper.astype(jnp.int32) * slots + slot
     return _Walls(
-        ends=jnp.where(is_upper, high, low),
+        ends=taken(rays.ends, at),
         is_upper=is_upper,
-        is_empty=frozen(high) < frozen(low),
-        pose=pose,
-        across=stock.origin[side] + stock.spacing * line.astype(points.dtype),
+        is_empty=high < low,
+        pose=taken(rays.poses, at),
+        across=stock.origin[side] + stock.spacing * line.astype(place.dtype),
     )
-
-
-def nearest_interval(
-    ends: Float[Array, "*ray 2 slot"], x: Float[Array, "*#ray"]
-) -> tuple[Float[Array, "*ray"], Float[Array, "*ray"], Int[Array, "*ray"]]:
-    """Return the interval of each ray that a coordinate lies in, or is nearest to.
-
-    Args:
-        ends: Lower and upper ends [m], shape (..., 2, slot).
-        x: Coordinate along the ray [m], shape (...), broadcast.
-
-    Returns:
-        Lower end, upper end [m], and the slot, each of shape (...).
-
-    Differentiability: in the ends.
-    """
-    low, high = ends[..., 0, 0], ends[..., 1, 0]
-    slot = jnp.zeros(low.shape, jnp.int32)
-    frozen = jax.lax.stop_gradient
-    best = jnp.minimum(x - frozen(low), frozen(high) - x)
-    # One pass over the slots in one loop: reductions over so short an axis are slow.
-    for m in range(1, ends.shape[-1]):
-        start, stop = ends[..., 0, m], ends[..., 1, m]
-        inside = jnp.minimum(x - frozen(start), frozen(stop) - x)
-        is_nearer = inside > best
-        low = jnp.where(is_nearer, start, low)
-        high = jnp.where(is_nearer, stop, high)
-        slot = jnp.where(is_nearer, m, slot)
-        best = jnp.maximum(best, inside)
-    return low, high, slot
 
 
 def _tie_columns(columns: _Columns, track: PoseTrack) -> _Columns:
@@ -274,11 +248,9 @@ def _tie_columns(columns: _Columns, track: PoseTrack) -> _Columns:
 
 
 def _tie_walls(
-    cutter: AbstractCutter,
-    walls: tuple[_Walls, ...],
-    track: PoseTrack,
-) -> tuple[Float[Array, "point element 6"], Float[Array, "point element 6"]]:
-    """Return the ends of both families with the derivatives of their poses."""
+    cutter: AbstractCutter, walls: tuple[_Walls, ...], track: PoseTrack
+) -> tuple[_Walls, ...]:
+    """Return both families, their ends with the derivatives of their poses."""
     frozen = jax.lax.stop_gradient
     # One gather for both: its transpose then adds into the table only once.
     tips = track.cut_by(jnp.stack([w.pose for w in walls])).tip
@@ -289,102 +261,90 @@ def _tie_walls(
         tie = tip[..., f] + frozen(slopes[0]) * tip[..., 1 - f]
         tie = tie + frozen(slopes[1]) * (cutter.diameter / 2)
         tie = jnp.where(wall.pose >= 0, tie, 0)
-        moving.append(tied(frozen(wall.ends), tie))
-    return moving[0], moving[1]
+        ends = tied(frozen(wall.ends), tie)
+        moving.append(eqx.tree_at(lambda w: w.ends, wall, ends))
+    return tuple(moving)
 
 
 def _combine(
-    points: Float[Array, "point disc 3"],
-    moves: Float[Array, "point disc 2"],
-    chips: Float[Array, "point disc 2"],
-    ends: tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."]],
-    facts: tuple[tuple[tuple[Bool[Array, "..."], ...], ...], Float[Array, "..."]],
+    discs: Discs,
+    spacing: float,
     origin: Float[Array, " 3"],
-    sizes: tuple[Discs, float],
-) -> tuple[Float[Array, "point element"], Float[Array, "point element"]]:
-    discs, d = sizes
-    sides, heights = facts
+    place: Float[Array, "3 disc point"],
+    ways: tuple[Float[Array, "2 disc point"], Float[Array, "2 disc point"]],
+    heights: Float[Array, "element point"],
+    columns: _Columns,
+    walls: tuple[_Walls, ...],
+) -> tuple[Float[Array, "element point"], Float[Array, "element point"]]:
     touched, filled_chip, certainty = _wall_occupancy(
-        points, moves, chips, ends[1:], sides, heights, origin, (d, discs.band)
+        spacing, discs.band, origin, place, ways, heights, walls
     )
-    # (point, disc, column, side, slot)
-    above_tip = ends[0] - points[..., 2][..., None, None, None]
-    is_live = ends[0][..., 1, :] > ends[0][..., 0, :]
-    weights = _column_weights(points, origin, d)
-    # (point, column, element)
-    weights = jnp.moveaxis(weights, 1, 2)
-    if points.shape[1] > 1:
-        below = discs.filled_below_own(above_tip)
-        filled = jnp.where(is_live, below[..., 1, :] - below[..., 0, :], 0)
-        filled = jnp.moveaxis(jnp.sum(filled, -1), 1, 2)
-    else:
-        below = discs.filled_below(above_tip[:, 0])
-        filled = below[..., 1, :, :] - below[..., 0, :, :]
-        filled = jnp.sum(jnp.where(is_live[:, 0, ..., None], filled, 0), -2)
-    mean = jnp.sum(weights * filled, axis=1)
+    above_tip = columns.ends - place[2][None, None, None]
+    below = discs.filled_below(above_tip)
+    is_live = columns.ends[1] > columns.ends[0]
+    filled = _sum(jnp.where(is_live, below[1] - below[0], 0))
+    weights = _column_weights(place, origin, spacing)
     # Beside a wall the columns in the air must not thin the disc: walls do that.
-    solid = jnp.sum(weights * filled**2, axis=1) / (mean + _BLIND)
     # Before a higher wall the disc stands on what its lower columns hold.
     # One of equal columns: a tie shared by comparison is lost to rounding in reverse.
-    fullest = jnp.argmax(jax.lax.stop_gradient(filled), axis=1, keepdims=True)
-    gap = jnp.take_along_axis(filled, fullest, axis=1) - filled
-    ledge = jnp.sum(weights * filled * gap, axis=1)
-    ledge = ledge / (jnp.sum(weights * gap, axis=1) + _BLIND)
+    fullest = filled[0]
+    for ray in range(1, 9):
+        fullest = jnp.where(filled[ray] > fullest, filled[ray], fullest)
+    filled, fullest, weights = hold((filled, fullest, weights))
+    weighted, gap = weights * filled, fullest[None] - filled
+    mean = _sum(weighted)
+    solid = _sum(weighted * filled) / (mean + _BLIND)
+    ledge = _sum(weighted * gap) / (_sum(weights * gap) + _BLIND)
     ground = certainty * ledge
     rise = certainty * (solid - ledge) + (1 - certainty) * mean
     touching = ground + rise * touched
     return touching, (ground + rise * filled_chip) / (touching + _BLIND)
 
 
+def _sum(terms: Float[Array, " term *any"]) -> Float[Array, "*any"]:
+    """Sum over a short leading axis, term by term: XLA reduces so few slowly."""
+    return sum((terms[i] for i in range(1, terms.shape[0])), terms[0])
+
+
 def _wall_occupancy(
-    points: Float[Array, "point disc 3"],
-    moves: Float[Array, "point disc 2"],
-    chips: Float[Array, "point disc 2"],
-    ends: tuple[Float[Array, "..."], ...],
-    sides: tuple[tuple[Bool[Array, "..."], ...], ...],
-    heights: Float[Array, "point element"],
+    d: float,
+    band: float,
     origin: Float[Array, " 3"],
-    sizes: tuple[float, float],
+    place: Float[Array, "3 disc point"],
+    ways: tuple[Float[Array, "2 disc point"], Float[Array, "2 disc point"]],
+    heights: Float[Array, "element point"],
+    walls: tuple[_Walls, ...],
 ) -> tuple[
-    Float[Array, "point element"],
-    Float[Array, "point element"],
-    Float[Array, "point element"],
+    Float[Array, "element point"],
+    Float[Array, "element point"],
+    Float[Array, "element point"],
 ]:
     """Return where a chip is in the material, how much of it, and how surely."""
-    d, band = sizes
     reach = REACH * d
     q = (heights - origin[2]) / d
-    q = (q - jax.lax.stop_gradient(jnp.floor(q)))[..., None]
+    q = q - jax.lax.stop_gradient(jnp.floor(q))
     total = jnp.zeros_like(heights)
     says = jnp.full_like(heights, _BLIND)
     certainty = jnp.zeros_like(heights)
     ahead = jnp.zeros_like(heights)
     inward = jnp.zeros_like(heights)
-    for f in (0, 1):
-        is_upper, is_empty = sides[f]
-        x = jnp.broadcast_to(points[..., f], heights.shape)[..., None]
-        s = jnp.where(is_upper, ends[f] - x, x - ends[f])
-        s = jnp.where(is_empty, -reach, clamp(-reach, s, reach))
-        s = s.reshape(*s.shape[:-1], 3, 2)
+    for f, wall in enumerate(walls):
+        x = place[f][None, None]
+        s = jnp.where(wall.is_upper, wall.ends - x, x - wall.ends)
+        s = hold(jnp.where(wall.is_empty, -reach, clamp(-reach, s, reach)))
         sees = (1 - (s / reach) ** 2) ** 2 + _BLIND
-        level = jnp.concatenate([1 - q, q], axis=-1)[..., None, :] * sees
-        seen = jnp.sum(level, axis=-1)
-        s = jnp.sum(level * s, axis=-1) / seen
-        at = (points[..., 1 - f] - origin[1 - f]) / d
+        lower, upper = (1 - q)[None] * sees[:, 0], q[None] * sees[:, 1]
+        s = hold((lower * s[:, 0] + upper * s[:, 1]) / (lower + upper))
+        at = (place[1 - f] - origin[1 - f]) / d
         t = jnp.broadcast_to(at - jax.lax.stop_gradient(jnp.round(at)), heights.shape)
-        slope = (0.5 - t) * (s[..., 1] - s[..., 0]) + (0.5 + t) * (
-            s[..., 2] - s[..., 1]
-        )
-        slope = slope / d
-        s_here = jnp.sum(_spline(t) * s, axis=-1)
+        slope = ((0.5 - t) * (s[1] - s[0]) + (0.5 + t) * (s[2] - s[1])) / d
+        s_here = _sum(_spline(t) * s)
         sees_here = (1 - (s_here / reach) ** 2) ** 2
         steepness = 1 + slope**2
         weight = sees_here / steepness**2
         root = jnp.sqrt(steepness)
-        sign = jnp.where(is_upper[..., 2], 1, -1).astype(s.dtype)
-        crossed, deeper = (
-            slope * way[..., 1 - f] - sign * way[..., f] for way in (moves, chips)
-        )
+        sign = jnp.where(wall.is_upper[1, 0], 1, -1).astype(s.dtype)
+        crossed, deeper = (slope * way[1 - f] - sign * way[f] for way in ways)
         ahead = ahead + (weight + _BLIND) * jnp.abs(crossed) / root
         inward = inward + (weight + _BLIND) * deeper / root
         total = total + (weight + _BLIND) * s_here / root
@@ -401,17 +361,17 @@ def _wall_occupancy(
 
 
 def _column_weights(
-    points: Float[Array, "point disc 3"], origin: Float[Array, " 3"], spacing: float
-) -> Float[Array, "point disc 9"]:
+    place: Float[Array, "3 disc point"], origin: Float[Array, " 3"], spacing: float
+) -> Float[Array, "9 disc point"]:
     """Return the quadratic B-spline weights of the 3 x 3 columns."""
     weights = []
     for a in (0, 1):
-        at = (points[..., a] - origin[a]) / spacing
+        at = (place[a] - origin[a]) / spacing
         weights.append(_spline(at - jax.lax.stop_gradient(jnp.round(at))))
-    product = weights[0][..., :, None] * weights[1][..., None, :]
-    return product.reshape(*product.shape[:-2], 9)
+    product = weights[0][:, None] * weights[1][None]
+    return product.reshape(9, *product.shape[2:])
 
 
-def _spline(t: Float[Array, "*point"]) -> Float[Array, "*point 3"]:
+def _spline(t: Float[Array, "*point"]) -> Float[Array, " 3 *point"]:
     """Return the quadratic B-spline weights of three lines, `t` from the middle one."""
-    return jnp.stack([0.5 * (0.5 - t) ** 2, 0.75 - t**2, 0.5 * (0.5 + t) ** 2], axis=-1)
+    return jnp.stack([0.5 * (0.5 - t) ** 2, 0.75 - t**2, 0.5 * (0.5 + t) ** 2])

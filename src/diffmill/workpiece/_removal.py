@@ -6,7 +6,7 @@ a step removes first and looks at the stock afterwards.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Literal
 
 import equinox as eqx
@@ -24,6 +24,8 @@ from ._tooth_pass import Interval, ToothPass, cut_interval, standing
 _LEVEL = 1e-6
 # Pieces of a ray shorter than this are dropped and counted as removed [m].
 SHORTEST = 1e-9
+# Slots that a removal looks at, if more are not in use.
+_WIDTHS = (3, 8)
 
 
 def subtract(
@@ -114,6 +116,7 @@ class Cut(eqx.Module):
         stock: The stock without the poses.
         volume: What each pass took [m^3], shape (pass,).
         by_shank: What of it its shank took, above the flutes [m^3], shape (pass,).
+        slots: How many slots of each family hold anything, shape (3,).
         has_overflow: Whether a ray ran out of slots, shape ().
         is_beyond: Whether a tool reached beyond the window, shape ().
     """
@@ -121,6 +124,7 @@ class Cut(eqx.Module):
     stock: Stock
     volume: Float[Array, " pass"]
     by_shank: Float[Array, " pass"]
+    slots: Int[Array, " 3"]
     has_overflow: Bool[Array, ""]
     is_beyond: Bool[Array, ""]
 
@@ -197,6 +201,7 @@ def remove_poses(
     poses: Pose,
     indices: Int[Array, " pose"],
     is_due: Bool[Array, " pose"],
+    slots: Int[Array, " 3"] | None = None,
 ) -> Cut:
     """Subtract the cutter at a few close poses from the stock, where it stands still.
 
@@ -207,6 +212,8 @@ def remove_poses(
         poses: Tool poses in `work`, shape (pose, 3).
         indices: Index of each pose, kept with the ends that it cuts, shape (pose,).
         is_due: Which of the poses to subtract, shape (pose,).
+        slots: How many slots of each family hold anything, shape (3,); counted if not
+            given.
 
     Returns:
         The stock, what was taken, and what went wrong.
@@ -214,7 +221,7 @@ def remove_poses(
     Differentiability: in the ends of the stock, through the poses.
     """
     passes = [standing(poses[i], indices[i]) for i in range(indices.shape[0])]
-    return remove_passes(stock, cutter, window, passes, is_due)
+    return remove_passes(stock, cutter, window, passes, is_due, slots)
 
 
 def remove_passes(
@@ -223,6 +230,7 @@ def remove_passes(
     window: RemovalWindow,
     passes: Sequence[ToothPass],
     is_due: Bool[Array, " pass"],
+    slots: Int[Array, " 3"] | None = None,
 ) -> Cut:
     """Subtract what teeth take as they go around, at a few close places.
 
@@ -232,6 +240,8 @@ def remove_passes(
         window: Size of the window; it stands around the first pass.
         passes: The passes, each of one tooth.
         is_due: Which of them to subtract, shape (pass,).
+        slots: How many slots of each family hold anything, shape (3,); counted if not
+            given.
 
     Returns:
         The stock, what was taken, and what went wrong.
@@ -244,11 +254,13 @@ def remove_passes(
     has_overflow = jnp.zeros((), bool)
     volumes = jnp.zeros(len(passes), stock.origin.dtype)
     has_cut = jnp.zeros((), bool)
-    families = []
+    slots = stock.slots_in_use() if slots is None else slots
+    families, in_use = [], []
     for f in (0, 1, 2):
-        new, volume, full = _remove_family(
-            stock.families[f], cutter, f, starts, lines, passes, is_due
+        new, used, volume, full = _remove_family(
+            stock.families[f], cutter, f, starts, lines, passes, is_due, slots[f]
         )
+        in_use.append(used)
         has_overflow = has_overflow | full
         has_cut = has_cut | jnp.any(volume > 0)
         if stock.volume_weights[f]:
@@ -259,7 +271,14 @@ def remove_passes(
     if window.has_shank:
         at = (starts, lines, passes, is_due)
         by_shank = _shank_volume(stock.families[2], cutter, *at) * d**2
-    return Cut(new_stock, volumes, by_shank, has_overflow, is_beyond & has_cut)
+    return Cut(
+        new_stock,
+        volumes,
+        by_shank,
+        jnp.stack(in_use),
+        has_overflow,
+        is_beyond & has_cut,
+    )
 
 
 def _shank_volume(
@@ -374,7 +393,8 @@ def _remove_family(
     lines: list[Float[Array, " _"]],
     passes: Sequence[ToothPass],
     is_due: Bool[Array, " pass"],
-) -> tuple[Rays, Float[Array, " pass"], Bool[Array, ""]]:
+    in_use: Int[Array, ""],
+) -> tuple[Rays, Int[Array, ""], Float[Array, " pass"], Bool[Array, ""]]:
     axis_b, axis_c = (family + 1) % 3, (family + 2) % 3
     slot_count = rays.ends.shape[-1]
     shape = (lines[axis_b].shape[0], lines[axis_c].shape[0], 2, slot_count)
@@ -388,16 +408,20 @@ def _remove_family(
     for i, each in enumerate(passes):
 
         def cut(
-            ends: Array, cut_by: Array, tooth: ToothPass = each
-        ) -> tuple[Array, Array, Array, Array]:
+            ends: Array, cut_by: Array, in_use: Array, tooth: ToothPass = each
+        ) -> tuple[Array, Array, Array, Array, Array]:
             interval = cut_interval(cutter, family, b, c, tooth)
-            new, by, full = subtract(ends, cut_by, interval)
-            return new, by, jnp.any(full), _removed_length(ends, new)
+            return _subtract_in_use(ends, cut_by, interval, in_use)
 
-        def skip(ends: Array, cut_by: Array) -> tuple[Array, Array, Array, Array]:
-            return ends, cut_by, jnp.zeros((), bool), jnp.zeros((), ends.dtype)
+        def skip(
+            ends: Array, cut_by: Array, in_use: Array
+        ) -> tuple[Array, Array, Array, Array, Array]:
+            nothing = jnp.zeros((), ends.dtype)
+            return ends, cut_by, in_use, nothing, jnp.zeros((), bool)
 
-        ends, cut_by, full, length = jax.lax.cond(is_due[i], cut, skip, ends, cut_by)
+        ends, cut_by, in_use, length, full = jax.lax.cond(
+            is_due[i], cut, skip, ends, cut_by, in_use
+        )
         has_overflow = has_overflow | full
         removed.append(length)
     volume = jnp.stack(removed)
@@ -405,7 +429,43 @@ def _remove_family(
         jax.lax.dynamic_update_slice(rays.ends, ends, at),
         jax.lax.dynamic_update_slice(rays.poses, cut_by, at),
     )
-    return new, volume, has_overflow
+    return new, in_use, volume, has_overflow
+
+
+def _subtract_in_use(
+    ends: Float[Array, "u v 2 slot"],
+    cut_by: Int[Array, "u v 2 slot"],
+    interval: Interval,
+    in_use: Int[Array, ""],
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Subtract an interval from each ray, in the slots in use and one more.
+
+    Returns:
+        New ends, when they were cut, the slots in use, the length removed [m], and
+        whether a ray ran out of slots.
+    """
+    # A ray in a long run rarely holds more than two pieces, of many that it has room
+    # for; the cost is that of the slots looked at.
+    count = ends.shape[-1]
+    widths = [width for width in _WIDTHS if width < count] + [count]
+
+    def among(width: int) -> Callable[..., tuple[Array, Array, Array, Array, Array]]:
+        def run(
+            ends: Array, cut_by: Array, interval: Interval
+        ) -> tuple[Array, Array, Array, Array, Array]:
+            old, old_by = ends[..., :width], cut_by[..., :width]
+            new, by, full = subtract(old, old_by, interval)
+            used = jnp.maximum(in_use, Rays(new, by).slots_in_use())
+            length = _removed_length(old, new)
+            ends = jax.lax.dynamic_update_slice(ends, new, (0, 0, 0, 0))
+            cut_by = jax.lax.dynamic_update_slice(cut_by, by, (0, 0, 0, 0))
+            return ends, cut_by, used, length, jnp.any(full)
+
+        return run
+
+    fits = jnp.stack([in_use < width for width in widths[:-1]] + [in_use >= 0])
+    branches = [among(width) for width in widths]
+    return jax.lax.switch(jnp.argmax(fits), branches, ends, cut_by, interval)
 
 
 def _removed_length(

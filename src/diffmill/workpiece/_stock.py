@@ -42,6 +42,12 @@ class Rays(eqx.Module):
         """Return the material along each ray [m], shape (u, v)."""
         return jnp.sum(jnp.maximum(self.ends[:, :, 1] - self.ends[:, :, 0], 0), axis=-1)
 
+    def slots_in_use(self) -> Int[Array, ""]:
+        """Return how many slots hold anything on some ray, from the first on, ()."""
+        is_live = jnp.any(self.ends[:, :, 1] > self.ends[:, :, 0], axis=(0, 1))
+        place = jnp.arange(1, is_live.size + 1, dtype=jnp.int32)
+        return jnp.max(jnp.where(is_live, place, 0))
+
 
 class Stock(eqx.Module):
     """A workpiece as a tri-dexel model.
@@ -79,6 +85,10 @@ class Stock(eqx.Module):
         """
         weights = jnp.asarray(self.volume_weights, self.origin.dtype)
         return jnp.sum(self.volumes() * weights)
+
+    def slots_in_use(self) -> Int[Array, " 3"]:
+        """Return how many slots of each family hold anything, from the first on."""
+        return jnp.stack([rays.slots_in_use() for rays in self.families])
 
     def to_mesh(self) -> Mesh:
         """Return the surface as a closed mesh, on the host.
