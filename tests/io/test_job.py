@@ -440,3 +440,14 @@ def test_precision_is_known_before_the_job(write, tmp_path):
     assert job_precision(file) == "float32"
     assert load_job(file).stock.origin.dtype == np.float32
     assert job_precision(tmp_path / "none.toml") == "float64"
+
+
+def test_a_program_can_be_smoothed_and_a_recorded_path_cannot(write, tmp_path):
+    plain = load_job(write())
+    key = ("[program]", '[program]\nsmoothing = "30 ms"')
+    smooth = load_job(write(key))
+    assert smooth.path.time[-1] > plain.path.time[-1] + 0.03
+    rows = ["time_s,x_mm,y_mm,z_mm", "0,-6,4,-1", "0.05,-4,4,-1"]
+    (tmp_path / "path.csv").write_text("\n".join(rows) + "\n")
+    with pytest.raises(JobError, match=r"\[program\] smoothing: found 30 ms"):
+        load_job(write(key, ('"part.ngc"', '"path.csv"')))

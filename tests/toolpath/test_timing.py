@@ -274,3 +274,68 @@ def test_motions_without_end_are_refused():
             sample_program(program, 1e-3, **(LIMITS | limits))
     with pytest.raises(ValueError, match="at most 100 are"):
         sample_program(program, 1e-3, **LIMITS, most_steps=100)
+
+
+SMOOTHING = 40e-3
+
+
+def smoothed(program, **limits):
+    """Return the plain and the smoothed path of a program."""
+    return (
+        sample_program(program, PERIOD, **(LIMITS | limits), smoothing=tau)
+        for tau in (0.0, SMOOTHING)
+    )
+
+
+def test_a_smoothed_line_is_the_moving_average_of_the_plain_one():
+    plain, smooth = smoothed(chain([(0, 0, 0), (0.02, 0, 0)]))
+    assert duration(smooth) == pytest.approx(duration(plain) + SMOOTHING, abs=PERIOD)
+    width = round(SMOOTHING / PERIOD)
+    x = np.pad(plain.positions[:, 0], (width, width), mode="edge")
+    half = (x[1:] + x[:-1]) / 2
+    wanted = np.convolve(half, np.ones(width) / width, "valid")
+    np.testing.assert_allclose(
+        smooth.positions[:, 0], wanted[: len(smooth.positions)], atol=2e-9
+    )
+    jerk = np.diff(smooth.positions[:, 0], 3) / PERIOD**3
+    assert np.abs(jerk).max() <= 2.0 / SMOOTHING * 1.001
+
+
+def test_a_smoothed_motion_stays_on_the_program_and_stops_where_it_stops():
+    corner, end = (0.02, 0.0, 0.0), (0.02, 0.01, 0.0)
+    moves = (
+        line((0, 0, 0), corner, line=1),
+        line(corner, corner, duration=0.1, line=2, feed=None),
+        line(corner, end, line=3),
+    )
+    plain, smooth = smoothed(Program(moves))
+    assert duration(smooth) == pytest.approx(
+        duration(plain) + 2 * SMOOTHING, abs=2 * PERIOD
+    )
+    off = distance_to_polyline(smooth.positions, np.array([(0, 0, 0), corner, end]))
+    assert off.max() < 1e-12
+    rests = np.linalg.norm(smooth.positions - np.array(corner), axis=1) < 1e-12
+    assert rests.sum() * PERIOD == pytest.approx(0.1, abs=0.01)
+    assert np.all(np.diff(smooth.line) >= 0) and set(smooth.line) == {1, 2, 3}
+    np.testing.assert_allclose(smooth.positions[-1], end, atol=1e-12)
+
+
+def test_a_smoothed_motion_keeps_the_limits_where_the_path_bends():
+    moves = (
+        line((0, 0, 0), (0.02, 0, 0)),
+        arc((0.02, 0, 0), (0.02, 0.002, 0), (0.02, 0.001, 0), 1, feed=0.1),
+        line((0.02, 0.002, 0), (0.0, 0.002, 0), feed=0.03),
+        line((0.0, 0.002, 0), (0.0, 0.012, 0)),
+    )
+    for tolerance in (0.0, 5e-5):
+        _, path = smoothed(Program(moves), corner_tolerance=tolerance)
+        speed = speeds(path)
+        x, y = np.asarray(path.positions)[1:, :2].T
+        radius = np.hypot(x - 0.02, y - 0.001)
+        on_arc = (np.abs(radius - 0.001) < 1e-9) & (x > 0.0201)
+        assert on_arc.sum() > 100
+        assert speed[on_arc].max() <= math.sqrt(2.0 * 0.001) * (1 + 1e-6)
+        assert speed[(y > 0.0025) | (y < 0.0005)].max() <= 0.05 * (1 + 1e-9)
+        acceleration = np.diff(path.positions, n=2, axis=0) / PERIOD**2
+        assert np.linalg.norm(acceleration, axis=1).max() < 2.0 * math.sqrt(2) * 1.02
+        assert speed[0] < 1e-3 * 2.0 * SMOOTHING and speed[-1] < 1e-3 * 2.0 * SMOOTHING

@@ -137,6 +137,12 @@ def time_path(
     problems: list[str],
 ) -> Path | None:
     """Return the path at the tooth instants, or None with problems noted."""
+    if isinstance(program, Path) and table.smoothing > 0:
+        problems.append(
+            f"[program] smoothing: found {table.smoothing * 1e3:g} ms, but a recorded "
+            "path has its own times; allowed with G-code only"
+        )
+        return None
     try:
         if isinstance(program, Path):
             path = resample(
@@ -155,6 +161,7 @@ def time_path(
                 rapid_feed=table.rapid_feed,
                 corner_tolerance=table.corner_tolerance,
                 feed=table.feed,
+                smoothing=table.smoothing,
             )
     except ValueError as error:
         problems.append(f"[program] file: {error}")

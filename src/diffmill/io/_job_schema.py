@@ -15,6 +15,7 @@ from ._job_fields import (
     Acceleration,
     Angles3,
     Damping,
+    Delay,
     Lengths3,
     PositiveLength,
     PositiveSpeed,
@@ -55,6 +56,7 @@ class ProgramTable(Table):
     acceleration: Acceleration = 2.0
     rapid_feed: PositiveSpeed = 0.2
     corner_tolerance: Tolerance = 1e-4
+    smoothing: Delay = 0.0
 
 
 class PoseTable(Table):

@@ -4,7 +4,8 @@ The moves become smooth pieces (corners rounded, or exact stops), each with the 
 speed that the feed and the centripetal acceleration allow. A backward and a forward
 pass over the pieces give the speeds at their ends that a bounded tangential
 acceleration can reach, and each piece is then travelled by speeding up, cruising and
-slowing down. The path is read off at the tooth instants.
+slowing down, smoothed over a time if asked for. The path is read off at the tooth
+instants.
 """
 
 import math
@@ -24,6 +25,7 @@ from ._corners import (
 from ._moves import Move, Program
 from ._path import MOST_STEPS, Path, check_steps
 from ._pieces import Arc, Blend, Piece, Segment, arc_positions, piece_of_move
+from ._smoothing import WayInTime, mean_way, slow_ranges
 
 # Pieces shorter than this are numerical crumbs of a trimmed move.
 _SHORTEST = 1e-12
@@ -64,6 +66,7 @@ def sample_program(
     rapid_feed: RealScalarLike,
     corner_tolerance: RealScalarLike,
     feed: RealScalarLike | None = None,
+    smoothing: RealScalarLike = 0.0,
     most_steps: RealScalarLike = MOST_STEPS,
 ) -> Path:
     """Return where the tool is at every tooth instant.
@@ -81,6 +84,11 @@ def sample_program(
         rapid_feed: Speed of rapid moves [m/s].
         corner_tolerance: Largest distance from a corner [m]; 0 stops exactly there.
         feed: Speed of feed moves that state none [m/s].
+        smoothing: Time over which the way along the path is averaged [s]: the tool
+            stays on the path and within the limits, the tangential acceleration changes
+            by 2 acceleration / smoothing at most, and the way from one stop to the next
+            takes so much longer. Where the curvature jumps, the centripetal
+            acceleration still does.
         most_steps: Largest number of tooth periods.
 
     Returns:
@@ -111,6 +119,10 @@ def sample_program(
             "Argument `corner_tolerance` must be zero or positive, but is "
             f"{corner_tolerance}."
         )
+    if not (math.isfinite(smoothing) and smoothing >= 0):
+        raise ValueError(
+            f"Argument `smoothing` must be zero or positive, but is {smoothing}."
+        )
     default = None if feed is None else float(feed)
     legs = [
         _leg(move, float(rapid_feed), default, program.name)
@@ -122,9 +134,11 @@ def sample_program(
         raise ValueError(
             f"{program.name}: the program moves nothing after its approach."
         )
+    if smoothing > 0:
+        legs = _slowed(legs, float(acceleration), float(smoothing))
     profile = _speeds(legs, float(acceleration))
     check_steps(float(profile.duration.sum() / float(tooth_period)), float(most_steps))
-    return _sampled(legs, profile, float(tooth_period))
+    return _sampled(legs, profile, float(tooth_period), float(smoothing))
 
 
 def _leg(move: Move, rapid_feed: float, feed: float | None, name: str) -> _Leg:
@@ -224,16 +238,70 @@ def _speed_limit(leg: _Leg, acceleration: float) -> float:
     return min(leg.speed, math.sqrt(acceleration / curvature))
 
 
-def _sampled(legs: list[_Leg], profile: _Profile, tooth_period: float) -> Path:
+def _sections(legs: list[_Leg]) -> Int[np.ndarray, " piece"]:
+    """Return for every piece how many stops are before it."""
+    return np.cumsum([0, *(leg.is_stop for leg in legs[:-1])])
+
+
+def _slowed(legs: list[_Leg], acceleration: float, smoothing: float) -> list[_Leg]:
+    """Return the legs, split where a slow one slows down its neighbours.
+
+    Then speeds that are averaged in time keep the limit of every piece.
+    """
+    out = []
+    ranges = slow_ranges(
+        np.array([leg.piece.length for leg in legs]),
+        np.array([_speed_limit(leg, acceleration) for leg in legs]),
+        _sections(legs),
+        smoothing,
+    )
+    for leg, parts in zip(legs, ranges, strict=True):
+        if len(parts) == 1 or isinstance(leg.piece, Blend):
+            out.append(leg._replace(speed=min(leg.speed, *(v for _, v in parts))))
+            continue
+        head, tail = 0.0, leg.piece.length
+        for length, speed in parts:
+            tail -= length
+            piece = leg.piece.trimmed(head, max(tail, 0.0))
+            head += length
+            out.append(leg._replace(piece=piece, speed=speed, is_stop=False))
+        out[-1] = out[-1]._replace(is_stop=leg.is_stop)
+    return out
+
+
+def _sampled(
+    legs: list[_Leg], profile: _Profile, tooth_period: float, smoothing: float
+) -> Path:
     """Return the rows at the tooth instants."""
-    ends = np.cumsum(profile.duration)
-    count = max(1, math.ceil(ends[-1] / tooth_period - _SAME_INSTANT))
-    time = tooth_period * np.arange(count + 1)
     margin = _SAME_INSTANT * tooth_period
-    index = np.searchsorted(ends, time - margin, side="left")
-    index = np.minimum(index, len(legs) - 1)
-    local = time - (ends - profile.duration)[index]
-    distance = _travelled(profile, index, local)
+
+    def at(ends: Float[np.ndarray, " part"], time: np.ndarray) -> np.ndarray:
+        return np.minimum(np.searchsorted(ends, time - margin), ends.size - 1)
+
+    ends = np.cumsum(profile.duration)
+    section = _sections(legs)
+    first = np.flatnonzero(np.diff(section, prepend=-1))
+    stops = ends[np.append(first[1:], len(legs)) - 1]
+    # Between two stops a smoothed motion takes so much longer, but no dwell does.
+    moves = np.bincount(section, profile.length) > 0
+    late = np.cumsum(smoothing * moves)
+    count = max(1, math.ceil((stops[-1] + late[-1]) / tooth_period - _SAME_INSTANT))
+    time = tooth_period * np.arange(count + 1)
+    if smoothing == 0:
+        index = at(ends, time)
+        distance = _travelled(profile, index, time - (ends - profile.duration)[index])
+    else:
+        part = at(stops + late, time)
+        begun = np.append(0.0, stops[:-1])
+        local = time - (begun + late - smoothing * moves)[part]
+        way = _way_in_time(profile)
+        gone = mean_way(way, begun[part], stops[part], local, smoothing)
+        lengths = np.cumsum(profile.length)
+        before = (lengths - profile.length)[first]
+        index = np.searchsorted(lengths, before[part] + gone - _SHORTEST)
+        index = np.clip(index, first[part], np.append(first[1:], len(legs))[part] - 1)
+        distance = before[part] + gone - (lengths - profile.length)[index]
+        distance = np.clip(distance, 0.0, profile.length[index])
     return Path(
         time=time,
         positions=_positions(legs, index, distance),
@@ -241,6 +309,25 @@ def _sampled(legs: list[_Leg], profile: _Profile, tooth_period: float) -> Path:
         is_rapid=np.array([leg.is_rapid for leg in legs])[index],
         line=np.array([leg.line for leg in legs], dtype=np.int32)[index],
     )
+
+
+def _way_in_time(profile: _Profile) -> WayInTime:
+    """Return the way along all pieces as a function of the time."""
+    parts = np.stack(
+        [
+            np.zeros_like(profile.duration),
+            profile.time_rise,
+            profile.duration - profile.time_fall,
+            profile.duration,
+        ],
+        axis=1,
+    )
+    begun = np.cumsum(profile.duration) - profile.duration
+    speed = np.stack(
+        [profile.speed_in, profile.speed_peak, profile.speed_peak, profile.speed_out],
+        axis=1,
+    )
+    return WayInTime((begun[:, None] + parts).reshape(-1), speed.reshape(-1))
 
 
 def _travelled(
