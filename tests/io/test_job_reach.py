@@ -1,12 +1,15 @@
 """What a job says of a robot that cannot follow its path, before anything runs."""
 
+import pathlib
 import re
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from diffmill import robot as rb
+from diffmill.examples import copy_example
 from diffmill.io import JobError, load_job
 from diffmill.io._job_reach import check_reach
 from diffmill.sim import command_joints, with_precision
@@ -178,6 +181,27 @@ def test_springs_that_do_not_hold_the_weight_are_refused(write):
     (file.parent / "sprung.toml").write_text(text.replace("LIFT", "1000"))
     (note,) = load_job(file).notes
     assert "joint z" in note and "49.1 mm" in note
+
+
+@pytest.mark.slow
+def test_a_free_rotation_reaches_what_is_in_reach(tmp_path):
+    file = pathlib.Path(copy_example("paper_small", tmp_path))
+    place = 'work_in_base = { position = ["1.78 m", "-1 m", "1.4 m"] }'
+    free = f'{place}\ntool_rotation = "free"'
+    text = re.sub("^work_in_base = .*$", free, file.read_text(), flags=re.MULTILINE)
+    file.write_text(text)
+    job = load_job(file)
+    robot = job.robot
+    assert robot is not None
+    q, is_reached = command_joints(job, jnp.asarray(job.path.positions))
+    assert is_reached.all()
+    # Every tip and every tool axis is where the program says.
+    Ts = np.asarray(jax.vmap(lambda x: rb.forward_kinematics(robot, x))(q))
+    R, p = np.asarray(job.T_base_work)[:3, :3], np.asarray(job.T_base_work)[:3, 3]
+    tips = np.asarray(job.path.positions) @ R.T + p[None]
+    np.testing.assert_allclose(Ts[:, :3, 3], tips, atol=15e-9)
+    axes = np.broadcast_to([0.0, 0.0, 1.0], tips.shape)
+    np.testing.assert_allclose(Ts[:, :3, 2], axes, atol=1e-8)
 
 
 def flat_arm(**options):

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from robot.trees import random_tree
 
 import diffmill.robot as dr
@@ -183,3 +184,25 @@ def test_mimic_joints_need_composite_bodies(arm):
     )
     with pytest.raises(ValueError, match="must be 'crba'"):
         dr.forward_dynamics(follower, *np.zeros((3, 5)), algorithm="aba")
+
+
+@pytest.mark.parametrize("algorithm", ["crba", "aba"])
+def test_links_next_to_massless_move_as_the_mass_matrix_says(algorithm):
+    parts = []
+    for i, (axis, mass) in enumerate((((0, 0, 1), 5.0), ((0, 1, 0), 1e-11))):
+        inertia = mass * np.diag([0.02, 0.03, 0.025])
+        parts += [
+            dr.RevoluteJoint(f"{i}", axis),
+            dr.RigidBody(mass, (0.1, 0.02, 0.05), inertia),
+            dr.FixedTranslation((0.3, 0.1, 0.2)),
+        ]
+    robot = dr.build(parts)
+    q, still = np.array([0.3, -0.5]), np.zeros(2)
+    M = np.asarray(dr.mass_matrix(robot, q))
+    tau = np.array([1.0, 2.0])
+    # In units of each joint's own inertia the matrix is well conditioned.
+    scale = 1 / np.sqrt(np.diag(M))
+    left = tau - np.asarray(dr.gravity_forces(robot, q))
+    expected = scale * np.linalg.solve(scale[:, None] * M * scale, scale * left)
+    found = dr.forward_dynamics(robot, q, still, tau, algorithm=algorithm)
+    assert_allclose(found, expected, rtol=1e-13)

@@ -53,7 +53,8 @@ def write(tmp_path):
 
 
 def test_a_file_becomes_a_robot_in_si(write):
-    robot = dr.load(write(GOOD), tool="a")
+    with pytest.warns(dr.RobotFileWarning, match="hangs on the joints slide"):
+        robot = dr.load(write(GOOD), tool="a")
     assert robot.name == "bench"
     assert robot.joint_names == ("turn", "slide")
     assert_allclose(robot.home, [np.pi / 6, 0.0])
@@ -189,7 +190,8 @@ def test_rows_of_denavit_and_hartenberg(tmp_path, convention):
             row += 'convention = "modified"\n'
         text += joint + row if convention == "standard" else row + joint
     (tmp_path / "rows.toml").write_text(text)
-    robot = dr.load(tmp_path / "rows.toml")
+    with pytest.warns(dr.RobotFileWarning, match="usable for kinematics only"):
+        robot = dr.load(tmp_path / "rows.toml")
     q = np.array([0.3, -0.4, 0.9])
     T = np.eye(4)
     for angle, (theta, d, a, alpha) in zip(q, ROWS, strict=True):

@@ -65,8 +65,8 @@ def load(
             `RobotFileError` lists all faults at once.
 
     Warns:
-        RobotFileWarning: If a URDF is usable for kinematics only, because joints move
-            no mass, or has inertias that no body has.
+        RobotFileWarning: If a robot is usable for kinematics only, because joints move
+            no mass, or they move next to none; or a URDF has inertias that no body has.
 
     **Differentiability**: none; differentiate by the arrays of the `Robot`.
     """
@@ -92,8 +92,7 @@ def load(
         robot = build(elements, tool=tool, name=name)
     except ValueError as error:
         raise RobotFileError(f"{file}: {error}") from error
-    if is_urdf:
-        _warn(robot, notes, file)
+    _warn(robot, notes, file)
     gravity = jnp.asarray(base.T, robot.dtype) @ robot.gravity
     return eqx.tree_at(lambda r: r.gravity, robot, gravity)
 
