@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffmill import cutting
+from diffmill import cutter, cutting, sim, workpiece
 
 LINEAR = cutting.LinearEdgeLaw(2e9, 8e8, 3e8, 2e4, 3e4, 5e3)
 # The exponents differ, so that mixed-up components show.
@@ -201,3 +201,24 @@ def test_jit_vmap_and_float32(law):
     )
     assert single.dtype == jnp.float32
     np.testing.assert_allclose(single, plain, rtol=1e-5)
+
+
+def test_pressure_on_the_rake_face_of_a_right_hand_helix_pulls_toward_the_work():
+    # By hand: the edge rises by 1 and falls back by tan(helix), so a radial rake face
+    # that holds it has the normal (cos, sin) ahead and up, and a chip without friction
+    # pushes the tool the other way: back by K cos, down by K sin.
+    helix, K = math.radians(30), 1e9
+    mill = cutter.flat_end_mill(10e-3, 2, helix)
+    edge = mill.elements(0, 0, 4, 0.5e-3, jnp.float64)
+    back = np.diff(edge.lag) * 5e-3
+    along = np.stack([-back, np.diff(edge.height)], axis=-1)
+    law = cutting.LinearEdgeLaw(K * math.cos(helix), 0.0, -K * math.sin(helix))
+    F_t, _, F_a = forces(law, 1e-4)[0]
+    on_tool = np.array([-F_t, F_a])
+    np.testing.assert_allclose(along @ on_tool, 0, atol=1e-12 * K * 1e-4)
+    stock = workpiece.box([0, -6e-3, -2e-3], [12e-3, 6e-3, 0], 0.5e-3)
+    x = np.linspace(2e-3, 5e-3, 31)
+    path = np.column_stack([x, 0 * x, np.full_like(x, -1e-3)])
+    force = sim.simulate_process(path, stock, mill, law, 800.0).force
+    # Up-turned z points to the shank.
+    assert float(force[20:, 2].mean()) < -10

@@ -36,7 +36,8 @@ def flat_end_mill(
     Args:
         diameter: Diameter [m], shape ().
         teeth: Number of teeth.
-        helix_angle: Helix angle [rad], shape ().
+        helix_angle: Helix angle [rad], shape (); positive for a right-hand helix, whose
+            edge lags behind its tip.
         flute_length: Height of the cutting part [m]; three diameters if not given.
         nominal_diameter: Diameter that sizes the windows of rays [m]; needed only
             where `diameter` is a traced value.

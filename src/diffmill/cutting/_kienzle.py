@@ -37,7 +37,8 @@ class KienzleLaw(AbstractForceLaw):
         K_tc11: Tangential cutting coefficient at the reference thickness [Pa].
         K_rc11: Radial cutting coefficient at the reference thickness [Pa].
         K_ac11: Axial cutting coefficient at the reference thickness [Pa]; positive
-            pushes the tool toward the shank.
+            pushes the tool toward the shank, as a left-hand helix does, negative
+            toward the work, as a right-hand helix.
         m_t: Tangential exponent [-], from 0 to less than 1.
         m_r: Radial exponent [-], from 0 to less than 1.
         m_a: Axial exponent [-], from 0 to less than 1.

@@ -17,7 +17,8 @@ class LinearEdgeLaw(AbstractForceLaw):
         K_tc: Tangential cutting coefficient [Pa].
         K_rc: Radial cutting coefficient [Pa].
         K_ac: Axial cutting coefficient [Pa]; positive pushes the tool toward the
-            shank.
+            shank, as a left-hand helix does, negative toward the work, as a
+            right-hand helix.
         K_te: Tangential edge coefficient [N/m].
         K_re: Radial edge coefficient [N/m].
         K_ae: Axial edge coefficient [N/m].
