@@ -78,6 +78,18 @@ def test_the_force_does_not_jump_where_teeth_change_places():
     assert jnp.abs(up - down).max() < 1e-3
 
 
+def test_a_straight_path_lies_on_no_kink():
+    # Its samples stand at fixed distances from where teeth change, here in material.
+    path = straight(0.01e-3)
+    wave = np.sin(2 * np.arange(STEPS))[:, None] * [0, 1, 0]
+    step = 1e-8
+    left, middle, right = (
+        jnp.sum(compiled()(path + s * wave, STOCK).force * wave)
+        for s in (-step, 0, step)
+    )
+    assert abs(left - 2 * middle + right) < 1e-3 * abs(right - left)
+
+
 def test_contact_is_fair_at_any_angle_between_feed_and_samples():
     # Edge forces alone, along the feed and across it, of slots in turned directions.
     law = LinearEdgeLaw(0.0, 0.0, 0.0, 1e4, 2e4, 0.0)

@@ -107,6 +107,22 @@ def test_work_grows_no_faster_than_the_number_of_discs():
     assert work[1] < 2.1 * work[0]
 
 
+def test_turning_from_across_a_wall_to_along_it_makes_no_kink():
+    # Just inside the face y = 0, ways to the next sample in all directions.
+    points = jnp.broadcast_to(jnp.array([5.07e-3, 24e-6, -1.03e-3]), (2001, 1, 3))
+    turn = jnp.linspace(0, jnp.pi / 2, 2001)
+
+    @jax.jit
+    def total(turn):
+        moves = 0.16e-3 * jnp.stack([jnp.cos(turn), jnp.sin(turn)], axis=-1)[:, None]
+        none = jnp.zeros_like(moves)
+        found = wp.occupancy(STOCK, points, moves, none, DISCS, MILL)[0]
+        return jnp.sum(found, axis=-1)
+
+    slope = jax.jvp(total, (turn,), (jnp.ones_like(turn),))[1]
+    assert jnp.abs(jnp.diff(slope)).max() < 0.03 * jnp.abs(slope).max()
+
+
 def pocketed():
     """Return the block with a round hole of the mill, 1.3 mm deep, off the rays."""
     tip = jnp.array([[6.07e-3, 5.03e-3, -1.33e-3]])

@@ -6,7 +6,8 @@ before it is mirrored. The filter has no phase shift, and its order and cut-off 
 arguments. Besides, derivatives that JAX would not find by itself, or not as cheaply:
 `tied`, `clamp`, `turn_between`, and `sloped` for what is linearised once and
 multiplied often; `hold` keeps what XLA would compute again.
-`hat_integral` is the smooth step that samples at any phase sum up fairly.
+`hat_integral` is the smooth step that samples at any phase sum up fairly, `ramp` a
+kink rounded off.
 
 Assumes equally spaced samples on the host. Leaves out what JAX, equinox and lineax
 already give, and filters within a traced function.
@@ -14,7 +15,7 @@ already give, and filters within a traced function.
 
 from ._clamp import clamp as clamp
 from ._filters import lowpass as lowpass
-from ._hat import hat_integral as hat_integral, mean_step as mean_step
+from ._hat import hat_integral as hat_integral, mean_step as mean_step, ramp as ramp
 from ._hold import hold as hold
 from ._sloped import sloped as sloped, sloped_rows as sloped_rows
 from ._tied import tied as tied

@@ -53,6 +53,21 @@ def mean_step(
     return (_integrated_twice(x + half) - _integrated_twice(x - half)) / (2 * half)
 
 
+def ramp(x: Float[Array, "*n"], width: float) -> Float[Array, "*n"]:
+    """Return what of x is above zero, its corner rounded off.
+
+    Args:
+        x: Values, any shape.
+        width: The corner is rounded from -width to width; above 0, in the unit of x.
+
+    Returns:
+        0 below -width, x above width; width / 6 at zero, with a slope of a half.
+
+    Differentiability: twice continuously differentiable.
+    """
+    return width * _integrated_twice(x / width)
+
+
 @jax.custom_jvp
 def _integrated_twice(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
     """Return the integral of `hat_integral` from below -1 up to x."""

@@ -5,11 +5,11 @@ this half, the opposite one leaves it, and both touch. They fade to zero there, 
 the change makes no jump. What an edge touches before the half turn and within the fade,
 the next samples take over: over samples at any phase the contact W sums to its length,
 
-    W(x) = H(x - 1) + (1 + b) hat(x - 1),
+    W(x) = H(x - 1) + (1 + b) B(x),  B(x) = u^2 (3 - 2 u),  u = 1 - |x - 1|,
 
-x angle steps inside the half; H the integral of a hat of half-width 1, b the steps by
-which the chip begins before the half turn. The chip, as thick as x + b there, is taken
-over in the same way.
+x angle steps inside the half; H the integral of a hat of half-width 1, so that B over
+samples sums to one; b the steps by which the chip begins before the half turn. The
+chip, as thick as x + b there, is taken over in the same way.
 """
 
 import jax.numpy as jnp
@@ -45,9 +45,9 @@ def leading_fade(
     Returns:
         0 at and before the end of the half, 1 half an angle step inside, same shape.
 
-    Differentiability: continuous.
+    Differentiability: continuously differentiable.
     """
-    return clamp(0.0, lead / (_FADE * angle_step), 1.0)
+    return _faded(lead / angle_step)
 
 
 def taken_over(
@@ -63,13 +63,13 @@ def taken_over(
     Returns:
         W over the fade and over the contact of an undisturbed cut, same shape.
 
-    Differentiability: continuous.
+    Differentiability: continuously differentiable.
     """
     b = before / angle_step
     # At the very end W and the fade are zero, and their ratio is known.
     x = clamp(1e-3, lead / angle_step, 2.0)
-    W = hat_integral(x - 1) + (1 + b) * (1 - jnp.abs(x - 1))
-    return W / (clamp(0.0, x / _FADE, 1.0) * hat_integral(x + b))
+    W = hat_integral(x - 1) + (1 + b) * _spread(x)
+    return W / (_faded(x) * hat_integral(x + b))
 
 
 def chip_taken_over(
@@ -79,11 +79,21 @@ def chip_taken_over(
 
     Arguments and result as of `taken_over`.
 
-    Differentiability: continuous.
+    Differentiability: continuously differentiable.
     """
     b = before / angle_step
     x = clamp(1e-3, lead / angle_step, 2.0)
     # From -b on all of x + b is lost up to 0, from there the share that is faded.
-    lost = b**2 / 2 + b * _FADE / 2 + _FADE**2 / 6
-    hat = 1 - jnp.abs(x - 1)
-    return 1 + lost * hat / ((x + b) * clamp(0.0, x / _FADE, 1.0))
+    lost = b**2 / 2 + b * _FADE / 2 + _FADE**2 * 7 / 48
+    return 1 + lost * _spread(x) / ((x + b) * _faded(x))
+
+
+def _faded(x: Float[Array, "*sample"]) -> Float[Array, "*sample"]:
+    """Return the weight of a sample some angle steps inside the half."""
+    return hat_integral(2 * x / _FADE - 1)
+
+
+def _spread(x: Float[Array, "*sample"]) -> Float[Array, "*sample"]:
+    """Return B, which spreads what is taken over onto the next samples."""
+    u = clamp(0.0, 1 - jnp.abs(x - 1), 1.0)
+    return u**2 * (3 - 2 * u)

@@ -156,9 +156,9 @@ def upright_chip(
         offset = old - tip
         share = layer_share(offset[2], lower, plan.discs.height)[None, None]
         left = circle_chip(R, offset, angle, nothing)
-        left = share * left + (1 - share) * nothing
-        chip = jnp.minimum(chip, left)
-        per_way = jnp.minimum(per_way, left / way_of(offset))
+        # The mean over the disc: what lies below an older pose it did not thin.
+        chip = chip - share * jnp.maximum(chip - left, 0)
+        per_way = per_way - share * jnp.maximum(per_way - left / way_of(offset), 0)
     return chip, per_way
 
 

@@ -32,7 +32,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ..cutter import AbstractCutter
-from ..numerics import clamp, hat_integral, hold, mean_step, tied
+from ..numerics import clamp, hat_integral, hold, mean_step, ramp, tied
 from ._nearest import nearest_interval, taken
 from ._stock import Stock
 from ._tooth_pass import PoseTrack
@@ -41,6 +41,10 @@ from ._tooth_pass import PoseTrack
 REACH = 4.0
 # Share of the band across a wall that an edge does not cross on its way.
 _FOLLOWED = 0.3
+# Bounds of that width are rounded off over this share of the band.
+_CORNER = 0.2
+# Where walls are sure enough, rounded off over this.
+_SURE = 0.3
 # A chip that crosses less of a wall than this, in widths of its band, counts as this.
 _SHORT = 1e-2
 # What a ray without a surface in reach still counts for.
@@ -351,13 +355,15 @@ def _wall_occupancy(
         says = says + weight + _BLIND
         certainty = certainty + weight
     # A wall that an edge follows rather than crosses is not blurred along its way.
-    width = clamp(_FOLLOWED * band, ahead / says, band)
+    width = _FOLLOWED * band + ramp(ahead / says - _FOLLOWED * band, _CORNER * band)
+    width = width - ramp(width - band, _CORNER * band)
     # From the rim to the inner side of the chip.
     inside, inward = total / says, inward / says
-    touched = hat_integral((inside + jnp.maximum(inward, 0)) / width)
     length = jnp.sqrt(inward**2 + (_SHORT * width) ** 2)
+    # To the nearer side of the chip, without the kink of a greatest one.
+    touched = hat_integral((inside + (inward + length) / 2) / width)
     filled = mean_step(inside + inward / 2, width, length)
-    return touched, filled, clamp(0.0, 2 * certainty, 1.0)
+    return touched, filled, 2 * certainty - ramp(2 * certainty - 1, _SURE)
 
 
 def _column_weights(
