@@ -45,7 +45,9 @@ def measure(report):
     runs = [lambda job=job: dm.simulate(job).actual for job in jobs]
     once, four = alternate(RUNS, *runs)
     ratio = (four / once - 1) / 3
-    report.figure("time of a row behind the last one over that of a row", ratio, 0.2, "")
+    report.figure(
+        "time of a row behind the last one over that of a row", ratio, 0.2, ""
+    )
 
 
 def at_feed(path, override):

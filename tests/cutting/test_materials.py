@@ -54,7 +54,7 @@ def test_every_row_is_plausible_and_has_its_source(name):
 
 def test_rows_hold_what_is_read():
     file = importlib.resources.files("diffmill.cutting").joinpath("materials.toml")
-    known = {"source", "cutter", "conditions", "lacks"}
+    known = {"class", "source", "cutter", "conditions", "lacks"}
     known |= {f"K_{i}c_MPa" for i in "tra"} | {f"K_{i}e_N_per_mm" for i in "tra"}
     for row in tomllib.loads(file.read_text(encoding="utf-8")).values():
         assert set(row) <= known

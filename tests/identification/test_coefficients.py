@@ -269,6 +269,18 @@ def test_a_unit_that_no_material_has_is_told():
     assert found["implausible_pressure"]["value"] == pytest.approx(1e3 * K[0], rel=0.1)
 
 
+def test_materials_that_a_coefficient_is_known_of_are_told():
+    # A gain of two in every channel leaves no other trace.
+    time, force = record(FEEDS[1])
+    for gain, expected, other in ((1, "aluminium", "steel"), (2.5, "steel", "alumin")):
+        fit = identification.fit_force_coefficients(
+            cuts()[1], time, gain * force, time_shift=0.0
+        )
+        note = next(note for note in fit.notes if "as published of" in note)
+        assert expected in note
+        assert other not in note
+
+
 @pytest.mark.parametrize("axis", [0, 1])
 def test_the_gain_of_a_channel_is_told(axis):
     _, force = record(FEEDS[1])

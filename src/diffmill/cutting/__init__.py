@@ -21,6 +21,7 @@ from ._chip import (
 )
 from ._files import (
     material as material,
+    material_classes as material_classes,
     material_source as material_source,
     materials as materials,
 )

@@ -78,6 +78,21 @@ def material_source(name: str) -> str:
     return f"{line}; no {row['lacks']}: these are zero" if "lacks" in row else line
 
 
+def material_classes() -> dict[str, tuple[float, float]]:
+    """Return the least and the greatest published K_tc of each class of materials.
+
+    Returns:
+        K_tc [Pa] by class, as "aluminium" or "steel".
+
+    Differentiability: not applicable, a host function.
+    """
+    pressures: dict[str, list[float]] = {}
+    for name in materials():
+        of_class = pressures.setdefault(_row(name)["class"], [])
+        of_class.append(float(material(name).K_tc))
+    return {name: (min(found), max(found)) for name, found in pressures.items()}
+
+
 def _row(name: str) -> dict[str, Any]:
     if name not in _table():
         raise ValueError(

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from jaxtyping import Float
 
-from ..cutting import material, materials
+from ..cutting import material, material_classes, materials
 from ._diagnosis import Diagnosis
 from ._linear import Rows, solve_normal
 
@@ -25,6 +25,8 @@ _GAINS = np.geomspace(1e-4, 1e4, 641)
 _GAIN = 1.15
 # Coefficients of metals and plastics lie within so many times those of the materials.
 _ROOM = 3.0
+# The same for a class of materials: cutters and conditions differ by as much.
+_CLASS_ROOM = 1.25
 # Wrong units: kN, mN, lbf, kgf for N.
 _UNITS = (1e3, 1e-3, 4.4482216, 1 / 4.4482216, 9.80665, 1 / 9.80665)
 # Radial and axial over tangential coefficient of any cutter.
@@ -115,6 +117,15 @@ def _gain(
         for gain in _GAINS
     ]
     return min(tried, default=(math.inf, 0, 1.0))
+
+
+def similar_classes(K_tc: float) -> tuple[str, ...]:
+    """Return the classes of materials that such a pressure is known of [Pa]."""
+    return tuple(
+        name
+        for name, (least, most) in material_classes().items()
+        if least / _CLASS_ROOM <= K_tc <= most * _CLASS_ROOM
+    )
 
 
 def check_coefficients(K: Float[np.ndarray, " 6"]) -> tuple[Diagnosis, ...]:

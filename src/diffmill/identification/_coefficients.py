@@ -11,7 +11,7 @@ from jaxtyping import Float
 from .._job import Job
 from ..cutting import LinearEdgeLaw
 from ._advice import advise
-from ._channels import check_channels, check_coefficients
+from ._channels import check_channels, check_coefficients, similar_classes
 from ._cut import Cut
 from ._diagnosis import Diagnosis
 from ._identifiable import identifiable
@@ -280,9 +280,21 @@ def _report(
             *_lost_notes(records, int(is_gross.sum())),
             *advise(is_fixed, correlation, size, is_measured),
             *_refined_notes(names, is_told, records[0].cut.cutter.flute_count),
+            *_class_notes(K[0], bool(is_fixed[0])),
         ),
         records=tuple(records),
         raw=K,
+    )
+
+
+def _class_notes(K_tc: float, is_known: bool) -> tuple[str, ...]:
+    """Say which materials have such a pressure: the reader knows which one was cut."""
+    if not is_known:
+        return ()
+    names = ", ".join(similar_classes(float(K_tc))) or "no class of materials"
+    return (
+        f"K_tc is {K_tc * 1e-6:.4g} N/mm^2, as published of {names}; if another was "
+        "cut, look at the ranges and units of the channels, and at depth and feed.",
     )
 
 
