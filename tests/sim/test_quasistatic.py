@@ -114,3 +114,32 @@ def test_derivatives_agree_with_central_differences():
     ]
     np.testing.assert_allclose(jax.jacfwd(answer)(x), expected, rtol=1e-4)
     np.testing.assert_allclose(jax.grad(answer)(x), expected, rtol=1e-4)
+
+
+def test_a_bending_tool_bends_as_a_beam_loaded_along_its_flutes():
+    depth, L = 12e-3, 40e-3
+    stock = wp.box([0, 0, -15e-3], [10e-3, 8e-3, 0], 0.5e-3, interval_counts=(4, 4, 1))
+    plan = sim.process_plan(stock, MILL, axial_depth=depth + 0.5e-3)
+    stiff = rb.with_drives(slides(1.0), stiffness=np.full(3, 1e13))
+    tool = rb.BendingTool(L, 0.0, 10e-3, 10e-3)
+    robot = rb.with_bending_tool(stiff, tool)
+    theta = np.zeros((48, 5))
+    theta[:, :3] = slot()
+    theta[:, 2] = -depth
+    simulate = jax.jit(
+        lambda theta: sim.simulate_quasistatic(
+            theta, robot, np.eye(4), stock, MILL, PAPER_LAW, PERIOD, plan, sim.Plain()
+        )
+    )
+    found = simulate(jnp.asarray(theta))
+    bend = np.asarray(found.actual - theta[:, :3])[30:, :2]
+    EI = 600e9 * math.pi * 10e-3**4 / 64
+    # A force at height a shifts the tip by (L - a)^2 (2 L + a) / (6 E I); straight
+    # flutes in a slot load all heights alike.
+    a = (np.arange(1000) + 0.5) / 1000 * depth
+    shift = np.mean((L - a) ** 2 * (2 * L + a)) / (6 * EI)
+    wanted = np.asarray(found.force)[30:, :2] * shift
+    assert np.abs(wanted).max() > 10e-6
+    np.testing.assert_allclose(bend, wanted, atol=0.01 * np.abs(wanted).max())
+    # At the tip it would be a quarter more.
+    assert L**3 / (3 * EI) / shift == pytest.approx(1.285, abs=2e-3)

@@ -28,7 +28,13 @@ from ._history import ProcessState, Removed, end_period, flush, initial_state
 from ._middle import middle_terms
 from ._midpoint import Midpoint
 from ._padding import last_row, live_rows, when_live
-from ._period import Engagement, begin_period, substep_force, substep_middles
+from ._period import (
+    Engagement,
+    begin_period,
+    substep_force,
+    substep_middles,
+    substep_wrench,
+)
 from ._plan import ProcessPlan
 from ._process_alone import failed_rows, outcome, volumes_by_pose
 from ._samples import EdgeSamples
@@ -75,12 +81,12 @@ class _Arm(eqx.Module):
 
     Attributes:
         pose: At the start.
-        jacobian: In the middle.
+        jacobian: In the middle, linear rows first.
         begun: What the integrator has prepared of the terms in the middle.
     """
 
     pose: Pose
-    jacobian: Float[Array, "3 joint"]
+    jacobian: Float[Array, "6 joint"]
     begun: Any
 
 
@@ -359,7 +365,7 @@ def _arm_in(machine: Machine, state: ArmState, motors: MotorCommand) -> _Arm:
     terms = middle_terms(robot, rule, terms, state, motors, T, substeps)
     return _Arm(
         pose=pose,
-        jacobian=machine.T_base_work[:3, :3].T @ terms.jacobian[:3],
+        jacobian=in_work(machine.T_base_work, terms.jacobian),
         begun=rule.begin(robot, terms, machine.substep),
     )
 
@@ -431,20 +437,23 @@ def _run_substeps(
     """
     robot, h = machine.robot, machine.substep
     keeps_slopes = machine.adjoint.keeps_slopes
-    mean_force = sloped(_mean_force) if keeps_slopes else _mean_force
+    # Only on a bending tool the height at which a force acts counts for anything.
+    mean_load = _mean_wrench if robot.fast_joints else _mean_force
+    mean_load = sloped(mean_load) if keeps_slopes else mean_load
+    J = arm.jacobian[:3]
 
     def substep(
         state: ArmState, x: tuple[Array, Pose, _Edges]
     ) -> tuple[ArmState, tuple[Array, Array, Array]]:
         theta, earlier, edges = x
-        tip = arm.pose.tip + arm.jacobian @ (state.q + h / 2 * state.v - start.q)
+        tip = arm.pose.tip + J @ (state.q + h / 2 * state.v - start.q)
         pose = Pose(tip, arm.pose.axis)
         tool = (machine.plan, machine.cutter, *machine.laws)
-        F = mean_force(*tool, pose, earlier, cut.thinned, *edges)
-        load = arm.jacobian.T @ F
+        F = mean_load(*tool, pose, earlier, cut.thinned, *edges)
+        load = arm.jacobian[: F.size].T @ F
         command = MotorCommand(theta, rate)
         end = machine.integrator.step(robot, arm.begun, state, command, load, h)
-        return end, (tip, arm.pose.tip + arm.jacobian @ (end.q - start.q), F)
+        return end, (tip, arm.pose.tip + J @ (end.q - start.q), F[:3])
 
     earlier = jax.tree.map(lambda x: jnp.moveaxis(x, 0, 1), process.recent)
     xs = (targets, earlier, (cut.samples, cut.bottom))
@@ -456,3 +465,16 @@ def _run_substeps(
 def _mean_force(*args: Any) -> Float[Array, " 3"]:
     """Return the force of a sub-step; arguments of `substep_force`."""
     return jnp.mean(substep_force(*args), axis=0)
+
+
+def _mean_wrench(*args: Any) -> Float[Array, " 6"]:
+    """Return force and moment of a sub-step; arguments of `substep_wrench`."""
+    return jnp.mean(substep_wrench(*args), axis=0)
+
+
+def in_work(
+    T_base_work: Float[Array, "4 4"], jacobian: Float[Array, "6 joint"]
+) -> Float[Array, "6 joint"]:
+    """Return a Jacobian with both halves in the axes of the work."""
+    to_work = T_base_work[:3, :3].T
+    return jnp.concatenate([to_work @ jacobian[:3], to_work @ jacobian[3:]])

@@ -153,7 +153,7 @@ def _lead(
     return sin_kappa * (jnp.sin(angle) * x + jnp.cos(angle) * y) - cos_kappa * z
 
 
-def force_in_space(
+def wrench_in_space(
     plan: ProcessPlan,
     cutter: AbstractCutter,
     law: AbstractForceLaw,
@@ -162,13 +162,13 @@ def force_in_space(
     earlier: Pose,
     thinned: Pose,
     samples: EdgeSamples,
-) -> Float[Array, "angle 3"]:
-    """Return the force on the tool at the angles of one sub-step.
+) -> Float[Array, "angle 6"]:
+    """Return force and moment on the tool at the angles of one sub-step.
 
     Per element, F = -F_t t - F_r n + F_a (t x n): t is the way of the tooth, n the
     outward normal. Altintas, Manufacturing Automation, 2012, general end mill.
 
-    Args and returns: see `substep_force`.
+    Args and returns: see `substep_wrench`.
     """
     angle, tooth = samples.angle, samples.tooth
     elements = profile_elements(plan, cutter, angle.dtype)
@@ -205,18 +205,17 @@ def force_in_space(
     sin, cos = jnp.sin(angle), jnp.cos(angle)
     # In tool axes; t = (cos, -sin, 0), n = (sin k sin, sin k cos, -cos k).
     outward = -F_r * sin_kappa + F_a * cos_kappa
-    in_tool = jnp.stack(
-        [
-            jnp.sum(share * (-F_t * cos + outward * sin), axis=(1, 2)),
-            jnp.sum(share * (F_t * sin + outward * cos), axis=(1, 2)),
-            jnp.sum(
-                share * (F_r * cos_kappa + F_a * sin_kappa),
-                axis=(1, 2),
-            ),
-        ],
-        axis=-1,
-    )
-    return in_tool @ tool_frame(pose.direction()).T
+    F_x, F_y = share * (-F_t * cos + outward * sin), share * (F_t * sin + outward * cos)
+    F_z = share * (F_r * cos_kappa + F_a * sin_kappa)
+    lever = elements.height[None, None]
+    along = [
+        jnp.sum(component, axis=(1, 2))
+        for component in (F_x, F_y, F_z, -lever * F_y, lever * F_x)
+    ]
+    frame = tool_frame(pose.direction()).T
+    force = jnp.stack(along[:3], axis=-1) @ frame
+    moment = jnp.stack([*along[3:], jnp.zeros_like(F_z[:, 0, 0])], axis=-1) @ frame
+    return jnp.concatenate([force, moment], axis=-1)
 
 
 def chip_in_space(
@@ -230,7 +229,7 @@ def chip_in_space(
 ) -> tuple[Float[Array, "angle kept element"], Float[Array, "angle kept element"]]:
     """Return the unclipped chip thickness [m], and over the way of who left it [-].
 
-    Args: see `substep_force`.
+    Args: see `substep_wrench`.
     """
     elements = profile_elements(plan, cutter, angle.dtype)
     points, normals, _ = _edge(cutter, elements, pose, angle)

@@ -7,8 +7,8 @@ A period has two halves, because a robot moves within it:
    tooth paths of this period there is material.
    Under the chip model "point_cloud" the pose is removed at once, and what the end of
    the period takes from the stock says where the teeth cut.
-2. `substep_force` gives the force of one sub-step for an actual pose, from the chip
-   between it and the poses one or more tooth periods earlier.
+2. `substep_wrench` gives force and moment of one sub-step for an actual pose, from the
+   chip between it and the poses one or more tooth periods earlier.
 """
 
 import equinox as eqx
@@ -24,14 +24,14 @@ from ._history import ProcessState, Removed, remember, remove_due, thinned_poses
 from ._in_space import (
     chip_in_space,
     engagement_in_space,
-    force_in_space,
     profile_elements,
+    wrench_in_space,
 )
 from ._padding import when_live
 from ._plan import ProcessPlan
 from ._point_cloud import cloud_engagement, remove_at_once
 from ._samples import EdgeSamples
-from ._upright import upright_chip, upright_engagement, upright_force
+from ._upright import upright_chip, upright_engagement, upright_wrench
 
 
 class Engagement(eqx.Module):
@@ -113,7 +113,7 @@ def look(
     return Engagement(found, thinned_poses(plan, state), bottom)
 
 
-def substep_force(
+def substep_wrench(
     plan: ProcessPlan,
     cutter: AbstractCutter,
     law: AbstractForceLaw,
@@ -123,8 +123,8 @@ def substep_force(
     thinned: Pose,
     samples: EdgeSamples,
     bottom: BottomEngagement | None,
-) -> Float[Array, "angle 3"]:
-    """Return the force on the tool at the angles of one sub-step.
+) -> Float[Array, "angle 6"]:
+    """Return force and moment on the tool at the angles of one sub-step.
 
     Args:
         plan: Sizes of the process.
@@ -139,24 +139,39 @@ def substep_force(
         bottom: The engagement of the bottom edges in this sub-step, if there is one.
 
     Returns:
-        Force on the tool in `work` [N], shape (angle, 3); its mean is the force of
-        the sub-step.
+        Force on the tool in `work` [N], then its moment about the tip by levers along
+        the axis [N m], shape (angle, 6); their mean is that of the sub-step.
 
     Differentiability: kinks where the deciding earlier pose changes and where a chip
     ends; the edge force changes smoothly there.
     """
     if plan.profile is None:
         old = _earlier_tips(plan, earlier)
-        force = upright_force(plan, cutter, law, pose.tip, old, thinned.tip, samples)
+        wrench = upright_wrench(plan, cutter, law, pose.tip, old, thinned.tip, samples)
         if bottom is not None:
             under = law.for_bottom() if bottom_law is None else bottom_law
-            force = force + bottom_force(
-                plan, cutter, under, pose.tip, earlier.tip, bottom
-            )
-        return force
-    return force_in_space(
+            force = bottom_force(plan, cutter, under, pose.tip, earlier.tip, bottom)
+            wrench = wrench + jnp.pad(force, ((0, 0), (0, 3)))
+        return wrench
+    return wrench_in_space(
         plan, cutter, law, bottom_law, pose, earlier, thinned, samples
     )
+
+
+def substep_force(
+    plan: ProcessPlan,
+    cutter: AbstractCutter,
+    law: AbstractForceLaw,
+    bottom_law: AbstractForceLaw | None,
+    pose: Pose,
+    earlier: Pose,
+    thinned: Pose,
+    samples: EdgeSamples,
+    bottom: BottomEngagement | None,
+) -> Float[Array, "angle 3"]:
+    """Return the force of `substep_wrench` alone [N], shape (angle, 3)."""
+    tool = (plan, cutter, law, bottom_law)
+    return substep_wrench(*tool, pose, earlier, thinned, samples, bottom)[:, :3]
 
 
 def substep_chip(
@@ -167,7 +182,7 @@ def substep_chip(
     thinned: Pose,
     samples: EdgeSamples,
 ) -> Float[Array, "angle kept element"]:
-    """Return the unclipped chip thickness of one sub-step [m]; see `substep_force`."""
+    """Return the unclipped chip thickness of one sub-step [m]; see `substep_wrench`."""
     angle = samples.angle
     if plan.profile is None:
         old = _earlier_tips(plan, earlier)

@@ -31,15 +31,15 @@ from ..cutting import AbstractForceLaw
 from ..robot import Robot, arm_terms, loaded_equilibrium, static_stretch
 from ..workpiece import Pose, Stock
 from ._adjoint import AbstractAdjoint
-from ._coupled import CoupledSolution, all_ends, along
+from ._coupled import CoupledSolution, all_ends, along, in_work
 from ._history import ProcessState, Removed, end_period, flush, initial_state
 from ._padding import last_row, live_rows, when_live
 from ._period import (
     Engagement,
     begin_period,
     substep_ends,
-    substep_force,
     substep_middles,
+    substep_wrench,
 )
 from ._plan import ProcessPlan
 from ._process_alone import failed_rows, outcome, volumes_by_pose
@@ -48,11 +48,11 @@ _NEWTON_STEPS = 2
 
 
 class _Balance(eqx.Module):
-    """The arm at one instant: joints, pose in `work`, and force on the tool."""
+    """The arm at one instant: joints, pose in `work`, and load on the tool."""
 
     q: Float[Array, " joint"]
     pose: Pose
-    force: Float[Array, " 3"]
+    load: Float[Array, " load"]
 
 
 class _Row(eqx.Module):
@@ -114,9 +114,9 @@ def simulate_quasistatic(
     dtype, step_count = theta.dtype, theta.shape[0]
     frame = jnp.asarray(T_base_work, dtype)
     machine = _Machine(robot, frame, cutter, (law, bottom_law), plan, adjoint)
-    none = jnp.zeros(3, dtype)
     q = loaded_equilibrium(robot, theta[0])
-    first = _Balance(q, _linear(machine, q)[0], none)
+    pose, J, _ = _linear(machine, q)
+    first = _Balance(q, pose, jnp.zeros(J.shape[0], dtype))
     process, overlap = initial_state(
         plan, stock, cutter, first.pose, step_count, adjoint
     )
@@ -139,7 +139,7 @@ def simulate_quasistatic(
     return CoupledSolution(
         actual=chain.pose.tip,
         ends=all_ends(chain.pose.tip[0], rows.ends),
-        force=chain.force,
+        force=chain.load[:, :3],
         joint_positions=chain.q,
         removed_volume=volume,
         shank_volume=by_shank,
@@ -165,7 +165,7 @@ def _run_period(
     pose, jacobian, gravity = _linear(machine, near)
     stretch = lambda tau: static_stretch(machine.robot, tau)
     joints = lambda F: stop - stretch(gravity - jacobian.T @ F)
-    tip = lambda F: pose.tip + jacobian @ (joints(F) - near)
+    tip = lambda F: pose.tip + jacobian[:3] @ (joints(F) - near)
 
     def tips(F: Array, places: Callable[..., Array] = substep_middles) -> Array:
         shares = places(machine.plan, stop.dtype)[:, None]
@@ -177,12 +177,13 @@ def _run_period(
         process,
         index,
         start.pose,
-        along(pose, tips(start.force)),
+        along(pose, tips(start.load)),
         machine.adjoint,
         is_live,
     )
-    mean = lambda F: _mean_force(machine, process, cut, along(pose, tips(F)))
-    eye = jnp.eye(3, dtype=stop.dtype)
+    size = start.load.size
+    mean = lambda F: _mean_load(machine, process, cut, along(pose, tips(F)))[:size]
+    eye = jnp.eye(size, dtype=stop.dtype)
 
     def newton(F: Array, _: None) -> tuple[Array, None]:
         # One pass gives value and slope: the force beside each column is the same.
@@ -192,35 +193,37 @@ def _run_period(
         return F + jnp.linalg.solve(eye - columns.T, found[0] - F), None
 
     def balance() -> _Balance:
-        force, _ = jax.lax.scan(newton, start.force, length=_NEWTON_STEPS)
-        return _Balance(joints(force), Pose(tip(force), pose.axis), force)
+        load, _ = jax.lax.scan(newton, start.load, length=_NEWTON_STEPS)
+        return _Balance(joints(load), Pose(tip(load), pose.axis), load)
 
     end = when_live(is_live, balance, start)
-    ends = tips(end.force, substep_ends)
-    process = end_period(process, along(pose, tips(end.force)), along(pose, ends))
+    ends = tips(end.load, substep_ends)
+    process = end_period(process, along(pose, tips(end.load)), along(pose, ends))
     has_failed = process.has_overflow | process.is_beyond
     return (process, end), _Row(end, ends, removed, has_failed)
 
 
 def _linear(
     machine: _Machine, q: Float[Array, " joint"]
-) -> tuple[Pose, Float[Array, "3 joint"], Float[Array, " joint"]]:
+) -> tuple[Pose, Float[Array, "load joint"], Float[Array, " joint"]]:
     """Return pose and Jacobian of the tip in `work`, and the torques of gravity."""
     terms = arm_terms(machine.robot, q, jnp.zeros_like(q))
     to_work = machine.T_base_work[:3, :3].T
+    J = in_work(machine.T_base_work, terms.jacobian)
     pose = Pose(
         to_work @ (terms.T_base_tool[:3, 3] - machine.T_base_work[:3, 3]),
         None if machine.plan.is_upright else to_work @ terms.T_base_tool[:3, 2],
     )
-    return pose, to_work @ terms.jacobian[:3], terms.bias_forces
+    # Only on a bending tool the height at which a force acts counts for anything.
+    return pose, J if machine.robot.fast_joints else J[:3], terms.bias_forces
 
 
-def _mean_force(
+def _mean_load(
     machine: _Machine, process: ProcessState, cut: Engagement, middles: Pose
-) -> Float[Array, " 3"]:
-    """Return the mean force of a period whose poses are known."""
+) -> Float[Array, " 6"]:
+    """Return mean force and moment of a period whose poses are known."""
     force = jax.vmap(
-        lambda pose, earlier, samples, bottom: substep_force(
+        lambda pose, earlier, samples, bottom: substep_wrench(
             machine.plan,
             machine.cutter,
             *machine.laws,
@@ -233,4 +236,4 @@ def _mean_force(
         in_axes=(0, 1, 0, 0),
     )
     found = force(middles, process.recent, cut.samples, cut.bottom)
-    return jnp.mean(found.reshape(-1, 3), axis=0)
+    return jnp.mean(found.reshape(-1, 6), axis=0)

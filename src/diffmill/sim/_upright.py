@@ -79,7 +79,7 @@ def upright_engagement(
     return EdgeSamples(angle, tooth, fade * occupied, chip_share)
 
 
-def upright_force(
+def upright_wrench(
     plan: ProcessPlan,
     cutter: AbstractCutter,
     law: AbstractForceLaw,
@@ -87,8 +87,8 @@ def upright_force(
     earlier: Float[Array, "tooth 3"],
     thinned: Float[Array, "circle 3"],
     samples: EdgeSamples,
-) -> Float[Array, "angle 3"]:
-    """Return the force on the tool at the angles of one sub-step.
+) -> Float[Array, "angle 6"]:
+    """Return force and moment on the tool at the angles of one sub-step.
 
     Args:
         plan: Sizes of the process.
@@ -101,8 +101,9 @@ def upright_force(
         samples: The samples of the sub-step, shape (angle, kept, element).
 
     Returns:
-        Force on the tool in `work` [N], shape (angle, 3); its mean is the force of
-        the sub-step.
+        Force on the tool in `work` [N] and its moment about the tip [N m], shape
+        (angle, 6); their mean is that of the sub-step. The moment is that of levers
+        along the axis: what turns the tool about it is the spindle's.
 
     Differentiability: kinks where the deciding earlier circle changes and where a
     chip ends; the edge force changes smoothly there.
@@ -129,10 +130,13 @@ def upright_force(
     sin, cos = jnp.sin(angle), jnp.cos(angle)
     parts = hold((share * F_t, share * F_r, share * F_a, sin, cos))
     F_t, F_r, F_a, sin, cos = parts
+    F_x, F_y = hold((-F_t * cos - F_r * sin, F_t * sin - F_r * cos))
+    lever = plan.discs.centers(tip.dtype)[None, None]
     along = [
         jnp.sum(component, axis=(1, 2))
-        for component in (-F_t * cos - F_r * sin, F_t * sin - F_r * cos, F_a)
+        for component in (F_x, F_y, F_a, -lever * F_y, lever * F_x)
     ]
+    along.append(jnp.zeros_like(along[0]))
     return jnp.stack(hold(along), axis=-1)
 
 
