@@ -71,7 +71,13 @@ STEPS = {"max_steps": "3"}
 # Where a figure is missed, the row is run again so.
 CLOSER = {"knots of 15 ms": {"knot_spacing": '"15 ms"'}}
 RESULTS = pathlib.Path(__file__).parent / "results"
-BASELINES = ("uncorrected", "mirror", "mirror_iterated", "inverse_drive")
+BASELINES = (
+    "uncorrected",
+    "mirror",
+    "mirror_iterated",
+    "input_shaper",
+    "inverse_drive",
+)
 # Baselines by part, arm and what they depend on.
 Kept: TypeAlias = dict[tuple[str, ...], Mapping[str, np.ndarray]]
 

@@ -124,7 +124,12 @@ class CorrectionSettings(eqx.Module):
 
     objective: Literal["path", "surface"] = eqx.field(static=True, default="path")
     method: Literal[
-        "gauss_newton", "adam", "mirror", "mirror_iterated", "inverse_drive"
+        "gauss_newton",
+        "adam",
+        "mirror",
+        "mirror_iterated",
+        "input_shaper",
+        "inverse_drive",
     ] = eqx.field(static=True, default="gauss_newton")
     command: Literal["tip", "joint"] = eqx.field(static=True, default="tip")
     knot_spacing: float = eqx.field(static=True, default=30e-3)

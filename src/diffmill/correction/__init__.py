@@ -2,9 +2,10 @@
 
 What it models: a plant (machine with process, any traceable function from a command
 to a motion) and methods that look for a better command behind one interface: the
-mirror, once and iterated; the inverse drive; bounded Gauss-Newton on spline offsets
-with exact derivatives, for the tip or the machined surface, for one model or draws of
-it. All report the same figures, over the rows that cut and by part of the path.
+mirror, once and iterated; an input shaper; the inverse drive; bounded Gauss-Newton on
+spline offsets with exact derivatives, for the tip or the machined surface, for one
+model or draws of it. All report the same figures, over the rows that cut and by part of
+the path.
 Assumptions: the command is one row per tooth period; the controller follows what
 the knot spacing and the limits of velocity and acceleration allow.
 Limits of the command and of the joints, the gouge limit and staying in the cut are
@@ -51,6 +52,7 @@ from ._gauss_newton import (
 )
 from ._held_rows import HeldRows as HeldRows
 from ._horizon import RecedingHorizon as RecedingHorizon
+from ._input_shaper import shaped as shaped, shaped_program as shaped_program
 from ._inverse_drive import (
     InverseDriveCommand as InverseDriveCommand,
     at_instants as at_instants,

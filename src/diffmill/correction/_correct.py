@@ -22,6 +22,7 @@ from ..sim import (
     with_precision,
 )
 from ._case_record import CaseRecord, OnProgress
+from ._input_shaper import shaped_program
 from ._inverse_drive import inverse_drive
 from ._job_method import (
     OPTIMISERS,
@@ -52,7 +53,14 @@ from ._surface_objective import touching_rows
 if TYPE_CHECKING:
     import xarray
 
-CASES = ("uncorrected", "mirror", "mirror_iterated", "inverse_drive", "corrected")
+CASES = (
+    "uncorrected",
+    "mirror",
+    "mirror_iterated",
+    "input_shaper",
+    "inverse_drive",
+    "corrected",
+)
 
 
 class NothingToCorrect(ValueError):
@@ -118,11 +126,11 @@ def correct(
 ) -> Correction:
     """Predict, correct, and predict again.
 
-    The mirror, the iterated mirror and the inverse drive are always computed; the
-    best of them starts the optimiser. For the surface, or within bounds of it, a path
-    that is corrected as a whole is first brought onto the desired one wherever it
-    touches the surface: of the poses over a point only the deepest leaves an error,
-    and one after the other would have to be raised.
+    The mirror, the iterated mirror, an input shaper and the inverse drive are always
+    computed; the best of them starts the optimiser. For the surface, or within bounds
+    of it, a path that is corrected as a whole is first brought onto the desired one
+    wherever it touches the surface: of the poses over a point only the deepest leaves
+    an error, and one after the other would have to be raised.
 
     Args:
         job: The job; its machine must be a robot.
@@ -177,6 +185,8 @@ def correct(
     run("mirror", Mirror(), problem)
     mirror = job_mirror(plant, problem, before.is_cutting, horizon)
     run("mirror_iterated", mirror, problem)
+    tips = clip_offset(desired, shaped_program(job, desired), problem.max_offset)
+    run("input_shaper", GivenCommand(tips), problem)
     inverse = _inverse_drive(job, rigid.force, desired)
     tips = clip_offset(desired, inverse.tip, problem.max_offset)
     run("inverse_drive", GivenCommand(tips), problem)

@@ -85,7 +85,12 @@ class CorrectionTable(Table):
 
     objective: Literal["path", "surface"] = "path"
     method: Literal[
-        "gauss_newton", "adam", "mirror", "mirror_iterated", "inverse_drive"
+        "gauss_newton",
+        "adam",
+        "mirror",
+        "mirror_iterated",
+        "input_shaper",
+        "inverse_drive",
     ] = "gauss_newton"
     command: Literal["tip", "joint"] = "tip"
     tolerance: Tolerance = 0.0

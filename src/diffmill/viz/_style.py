@@ -44,10 +44,11 @@ CASE_STYLES = {
     "uncorrected": CaseStyle("uncorrected", "#D55E00"),
     "mirror": CaseStyle("mirror, one shot", "#E69F00", width=0.9),
     "mirror_iterated": CaseStyle("mirror, iterated", "#CC79A7", width=0.9),
+    "input_shaper": CaseStyle("input shaper", "#56B4E9", width=0.9),
     "inverse_drive": CaseStyle("inverse drive", "#0072B2", width=1.0),
     "corrected": CaseStyle("corrected", "#009E73", width=1.3),
 }
-_SPARE_COLOURS = ("#882255", "#56B4E9", "#999933", "#332288")
+_SPARE_COLOURS = ("#882255", "#117733", "#999933", "#332288")
 
 
 def case_style(name: str) -> CaseStyle:
