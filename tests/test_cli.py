@@ -101,7 +101,7 @@ def test_example_programs_come_from_their_generator():
 
 
 @pytest.mark.parametrize(
-    ("name", "fewest", "most"), [("paper", 2000, 3000), ("paper_small", 700, 1400)]
+    ("name", "fewest", "most"), [("paper", 2500, 3500), ("paper_small", 1500, 2500)]
 )
 def test_examples_load(tmp_path, name, fewest, most):
     job = io.load_job(examples.copy_example(name, tmp_path))

@@ -59,7 +59,8 @@ def errors(job, solution):
         job.path.positions,
         job.cutter.nominal_radius,
     )
-    return np.asarray(surface.errors(solution.actual))
+    made = np.asarray(solution.desired) + np.asarray(solution.surface_deviation)
+    return np.asarray(surface.errors(made))
 
 
 def rms(solution):
@@ -91,3 +92,16 @@ def test_a_gouge_limit_that_cannot_be_held_is_refused(free):
         free.correct('gouge = "0.5 um"', 'max_offset = "4 um"')
     assert "`gouge` is 0.5 um and cannot be held" in str(refused.value)
     assert "`max_offset` (" in str(refused.value)
+
+
+def test_a_command_accelerates_so_many_times_as_much_as_the_program(free):
+    job, result = free.correct("max_steps = 1", "acceleration_factor = 1.5")
+
+    def largest(positions):
+        steps = np.diff(np.asarray(positions), 2, axis=0)
+        return np.abs(steps).max() / float(job.tooth_period) ** 2
+
+    own = largest(job.path.positions)
+    assert largest(free.result.commanded) > 1.6 * own
+    assert largest(result.commanded) <= 1.5 * own * (1 + 1e-5)
+    assert rms(result.after) < rms(result.before)

@@ -2,8 +2,6 @@
 
 import time
 
-import equinox as eqx
-import jax
 import numpy as np
 
 import diffmill as dm
@@ -11,19 +9,6 @@ from shared import Report, example_job
 
 KNOTS = (15e-3, 30e-3, 45e-3, 60e-3)
 MIRRORS = ("mirror", "mirror_iterated")
-
-
-class Commanded(eqx.Module):
-    """The example's machine, commanded by tip positions."""
-
-    job: dm.Job
-
-    def __call__(self, command: jax.Array) -> dm.correction.Motion:
-        """Return the motion that follows a command [m], shape (step, 3)."""
-        motors, _ = dm.sim.command_motors(self.job, command)
-        adjoint = dm.sim.Traced(keeps_slopes=True)
-        ran = dm.sim.run_motors(self.job, motors, adjoint)
-        return dm.correction.Motion(ran.actual, ran.force)
 
 
 def measure(report: Report) -> None:
@@ -77,7 +62,9 @@ def _trade_off(report: Report, job: dm.Job, correction: dm.Correction) -> None:
     job = dm.sim.with_precision(job)
     settings, before = job.correction, correction.before
     problem = dm.correction.Problem(
-        plant=Commanded(job),
+        plant=dm.correction.TipPlant(
+            job, dm.sim.Traced(keeps_slopes=True), before.wall_share
+        ),
         nominal=np.asarray(before.desired),
         desired=np.asarray(before.desired),
         is_cutting=np.asarray(before.is_cutting, float),

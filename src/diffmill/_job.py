@@ -102,6 +102,8 @@ class CorrectionSettings(eqx.Module):
         max_offset: Largest offset of the command from the desired path [m], per axis.
         max_velocity: Largest velocity of the command per axis [m/s], or infinite.
         max_acceleration: Largest acceleration of it per axis [m/s^2], or infinite.
+        acceleration_factor: How many times as much as the program, at its largest on
+            any axis, it may accelerate on every axis; infinite for any.
         gouge: Largest depth to which the machined surface may lie below the ideal one
             [m], or infinite.
         stay_in_cut: Whether the tool must cut at least a tenth of every layer that the
@@ -136,6 +138,7 @@ class CorrectionSettings(eqx.Module):
     max_offset: RealScalarLike = 1e-3
     max_velocity: float = eqx.field(static=True, default=float("inf"))
     max_acceleration: float = eqx.field(static=True, default=float("inf"))
+    acceleration_factor: float = eqx.field(static=True, default=float("inf"))
     gouge: float = eqx.field(static=True, default=float("inf"))
     stay_in_cut: bool = eqx.field(static=True, default=False)
     uncertainty: UncertaintySettings | None = None

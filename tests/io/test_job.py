@@ -451,3 +451,11 @@ def test_a_program_can_be_smoothed_and_a_recorded_path_cannot(write, tmp_path):
     (tmp_path / "path.csv").write_text("\n".join(rows) + "\n")
     with pytest.raises(JobError, match=r"\[program\] smoothing: found 30 ms"):
         load_job(write(key, ('"part.ngc"', '"path.csv"')))
+
+
+def test_a_factor_of_the_acceleration_is_at_least_one(write):
+    tables = ("[robot]", "[correction]\nacceleration_factor = {}\n[robot]")
+    job = load_job(write((tables[0], tables[1].format(2))))
+    assert job.correction.acceleration_factor == 2
+    with pytest.raises(JobError, match=r"acceleration_factor: found 0\.5"):
+        load_job(write((tables[0], tables[1].format(0.5))))

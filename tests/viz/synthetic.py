@@ -11,7 +11,6 @@ SCALES = {
     "uncorrected": 1.0,
     "mirror": 0.45,
     "mirror_iterated": 0.7,
-    "input_shaper": 0.6,
     "inverse_drive": 0.16,
     "corrected": 0.017,
 }

@@ -60,6 +60,7 @@ from ._inverse_drive import (
     inverse_drive as inverse_drive,
     spring_deflection as spring_deflection,
 )
+from ._job_problem import TipPlant as TipPlant
 from ._joint_limits import check_joints as check_joints, joint_limits as joint_limits
 from ._least_squares import least_squares as least_squares
 from ._least_squares_records import (

@@ -17,7 +17,7 @@ from ._method import Corrected
 from ._objective import AbstractObjective, PathObjective
 from ._problem import Problem
 from ._response import tip_response
-from ._setup import job_ensemble, job_spline
+from ._setup import job_ensemble, job_spline, largest_acceleration
 from ._surface_bounds import SurfaceBounds, layer_thickness, surface_bounds
 from ._surface_objective import FinishedSurface, SurfaceObjective
 
@@ -58,7 +58,7 @@ def job_optimiser(
         is_worst_case=known is not None and known.objective == "worst",
         bounds=job_bounds(job, surface),
         max_velocity=settings.max_velocity,
-        max_acceleration=settings.max_acceleration,
+        max_acceleration=largest_acceleration(job),
     )
 
 

@@ -75,14 +75,23 @@ def check_limits(job: Job) -> None:
         InfeasibleLimit: It does.
         UnsuitableSettings: The program is too short for the knots.
     """
-    settings = job.correction
     command_limits(
         job_spline(job),
         job.path.positions,
-        max_velocity=settings.max_velocity,
-        max_acceleration=settings.max_acceleration,
+        max_velocity=job.correction.max_velocity,
+        max_acceleration=largest_acceleration(job),
         unit="m",
     )
+
+
+def largest_acceleration(job: Job) -> float:
+    """Return what the corrected command may accelerate per axis [m/s^2]."""
+    settings = job.correction
+    if not np.isfinite(settings.acceleration_factor):
+        return settings.max_acceleration
+    steps = np.diff(np.asarray(job.path.positions, np.float64), 2, axis=0)
+    own = np.abs(steps).max(initial=0.0) / float(job.tooth_period) ** 2
+    return min(settings.max_acceleration, settings.acceleration_factor * float(own))
 
 
 def job_spline(job: Job) -> SplineOffsets:

@@ -37,8 +37,17 @@ def _rows(value: object) -> int | str:
     )
 
 
+def _factor(value: object) -> float:
+    """Return a factor, a number of at least 1."""
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        if 1 <= value < math.inf:
+            return float(value)
+    raise ValueError(f"found {value!r}, but a number of at least 1 is required")
+
+
 Rows = Annotated[int | Literal["auto"], BeforeValidator(_rows)]
 Weight = Annotated[float, BeforeValidator(_weight)]
+Factor = Annotated[float, BeforeValidator(_factor)]
 
 
 def _uncertainty(value: object) -> float:
@@ -102,6 +111,7 @@ class CorrectionTable(Table):
     max_offset: PositiveLength = 1e-3
     max_velocity: PositiveSpeed | None = None
     max_acceleration: Acceleration | None = None
+    acceleration_factor: Factor | None = None
     gouge: PositiveLength | None = None
     stay_in_cut: StrictBool = False
     uncertainty: UncertaintyTable | None = None
@@ -192,6 +202,7 @@ def _check_method(table: CorrectionTable, problems: list[str]) -> None:
     for key in (
         "max_velocity",
         "max_acceleration",
+        "acceleration_factor",
         "gouge",
         "stay_in_cut",
         "uncertainty",
