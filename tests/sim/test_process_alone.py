@@ -90,6 +90,23 @@ def test_a_straight_path_lies_on_no_kink():
     assert abs(left - 2 * middle + right) < 1e-3 * abs(right - left)
 
 
+@SLOW
+def test_the_slope_on_the_floor_cut_before_is_that_of_differences():
+    # Lifted alone, the first row leaves the floor on which the path began, or digs in.
+    path = np.array([4e-3, 6.01e-3, -1e-3]) + FEED * np.arange(3)[:, None] * [1, 0, 0]
+    plan = sim.process_plan(STOCK, MILL, axial_depth=1.6e-3, has_bottom=False)
+
+    @jax.jit
+    def side(rise):
+        lifted = path + rise * jnp.zeros((3, 3)).at[1, 2].set(1)
+        run = sim.simulate_process(lifted, STOCK, MILL, PAPER_LAW, SPEED, plan=plan)
+        return run.force[1, 1]
+
+    _, found = jax.jvp(side, (0.0,), (1.0,))
+    wanted = (side(10e-6) - side(-10e-6)) / 20e-6
+    np.testing.assert_allclose(found, wanted, rtol=0.02)
+
+
 def test_contact_is_fair_at_any_angle_between_feed_and_samples():
     # Edge forces alone, along the feed and across it, of slots in turned directions.
     law = LinearEdgeLaw(0.0, 0.0, 0.0, 1e4, 2e4, 0.0)

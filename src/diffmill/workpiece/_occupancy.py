@@ -81,13 +81,16 @@ class Discs(eqx.Module):
         Args:
             height: Above the tip [m], of each disc or the same for all: shape
                 (..., disc, point), where the axis disc has length 1 or that of all.
+
+        Differentiability: continuous; at the height of the tip, where the floor of an
+        earlier pass of the same height lies, half the slope above it.
         """
         place = jnp.arange(self.count, dtype=height.dtype)[:, None]
         place = place.reshape((1,) * (height.ndim - 2) + place.shape)
-        share = hat_integral(height / self.height - (place + 0.5))
-        below_tip = hat_integral(-height / self.height - 0.5)
-        lowest = jnp.where(height > 0, share - below_tip, 0)
-        return jnp.where(place == 0, lowest, share)
+        above = jnp.maximum(height, 0)
+        share = hat_integral(above / self.height - (place + 0.5))
+        below_tip = hat_integral(-above / self.height - 0.5)
+        return jnp.where(place == 0, share - below_tip, share)
 
 
 def occupancy(
