@@ -193,7 +193,8 @@ def _modes(robot: "Robot", q: "JointPositions") -> list[dict[str, Any]]:
     return [
         {
             "frequency_Hz": float(frequency),
-            "damping_ratio": float(ratio),
+            # Rounding may put what has no damper below 0.
+            "damping_ratio": max(float(ratio), 0.0),
             "energy_shares": dict(zip(robot.joint_names, shares.tolist(), strict=True)),
             "tool_direction": _direction(shape[:3]),
         }

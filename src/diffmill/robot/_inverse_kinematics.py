@@ -16,6 +16,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
 from .._types import Transform
+from ..numerics import small_inverse
 from ._kinematics import joint_frames
 from ._pose_task import (
     ToolRotation,
@@ -293,12 +294,11 @@ def _choice_newton_step(
     joint moves by more than `longest`; if one does, the step is of no use.
     """
     slope = choice_slope(*lax.stop_gradient((robot, T, q)), tool_rotation)
+    inverse = small_inverse(slope)
     left = -chosen_step(robot, T, q, tool_rotation, None)
-    step = jnp.linalg.solve(slope, lax.stop_gradient(left))
-    is_short = jnp.max(jnp.abs(step)) < longest
+    is_short = jnp.max(jnp.abs(inverse @ lax.stop_gradient(left))) < longest
     # A singular slope must not spoil derivatives either.
-    regular = jnp.where(is_short, slope, jnp.eye(len(left), dtype=left.dtype))
-    return jnp.linalg.solve(regular, left), is_short
+    return jnp.where(is_short, inverse, 0.0) @ left, is_short
 
 
 def _first_pose(

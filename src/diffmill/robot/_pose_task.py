@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..numerics import clamp
+from ..numerics import clamp, small_inverse
 from ._kinematics import JointFrames, joint_frames, tool_jacobian
 from ._robot import Robot
 from ._rotations import rotation_between
@@ -100,7 +100,7 @@ def damped_step(
     floor = jnp.asarray(jnp.finfo(J.dtype).eps ** 0.75, J.dtype) * jnp.trace(gram)
     shift = floor if damping is None else damping + floor
     eye = jnp.eye(J.shape[0], dtype=J.dtype)
-    inverse = jnp.linalg.solve(gram + shift * eye, scaled).T
+    inverse = scaled.T @ small_inverse(gram + shift * eye)
     step = inverse @ error
     if damping is None:
         for _ in range(_REPEATS):
