@@ -79,17 +79,6 @@ def test_edge_contact_is_fair_at_both_ends_of_the_cut():
     np.testing.assert_array_equal(still, 0)
 
 
-def test_the_edge_force_grows_from_standstill_without_a_jump():
-    chip, step = jnp.asarray([0.5]), 0.03
-    touch = jax.jit(lambda feed: cutting.edge_contact(chip, feed, step)[0])
-    # An arm that trembles by 10 nm about a dwell does not rub.
-    assert float(touch(1e-8)) < 1e-3
-    assert 0.4 < float(touch(0.5e-6)) < 0.6
-    assert [float(touch(feed)) for feed in (1e-6, 1e-4)] == [1, 1]
-    feeds = jnp.linspace(0, 2e-6, 401)
-    assert np.abs(np.diff(jax.vmap(touch)(feeds))).max() < 1e-2
-
-
 def test_edge_contact_sums_to_its_length_at_any_phase_of_the_samples():
     feed, step = jnp.asarray(1e-4), 0.03
     start = step * np.linspace(0, 1, 17)[:, None]

@@ -15,12 +15,8 @@ from jaxtyping import Array, Bool, Float
 from .._types import RealScalarLike
 from ..numerics import clamp, hat_integral
 
-# A shorter way is none to divide by [m].
+# Below this motion per tooth an edge counts as standing still [m].
 _STANDSTILL = 1e-8
-# Motion per tooth from which an edge ploughs as ever [m]: the thinnest chip that forms,
-# a fraction of the few micrometres of the radius of a sharp edge. Below it the surface
-# yields elastically, and at standstill there is no force.
-_LEAST_CHIP = 1e-6
 
 
 def circle_chip(
@@ -93,13 +89,12 @@ def edge_contact(
             the edge's normal and the axis; broadcast.
 
     Returns:
-        0 to 1, same shape; 0 for a tool that stands still, and less than 1 for one that
-        moves by less than a chip that can form.
+        0 to 1, same shape; 0 for a tool that stands still.
 
     Differentiability: continuously differentiable.
     """
-    x = clamp(0.0, feed_per_tooth / _LEAST_CHIP, 1.0)
-    return x**2 * (3 - 2 * x) * hat_integral(chip_per_way / angle_step)
+    moving = feed_per_tooth**2 / (feed_per_tooth**2 + _STANDSTILL**2)
+    return moving * hat_integral(chip_per_way / angle_step)
 
 
 def safe_norm(vector: Float[Array, "*sample n"]) -> Float[Array, "*sample"]:
