@@ -1,6 +1,8 @@
 """Strict numerics for the whole test run."""
 
 import os
+import pathlib
+from collections.abc import Iterator
 
 import jax
 import pytest
@@ -17,3 +19,17 @@ def pytest_configure(config: pytest.Config) -> None:
         given = os.environ.get("XLA_FLAGS", "")
         # What is given counts: the last of two flags does.
         os.environ["XLA_FLAGS"] = f"--xla_backend_optimization_level=0 {given}"
+
+
+# Memory mappings from which on compiled programs are dropped. Each takes some tens, and
+# Linux allows a process 65,530: one more ends the interpreter in the compiler.
+_MOST_MAPPINGS = 20_000
+
+
+@pytest.fixture(autouse=True, scope="module")
+def drop_programs() -> Iterator[None]:
+    """Drop compiled programs behind a module where a process holds many."""
+    yield
+    maps = pathlib.Path("/proc/self/maps")
+    if maps.is_file() and maps.read_bytes().count(b"\n") > _MOST_MAPPINGS:
+        jax.clear_caches()
