@@ -56,7 +56,13 @@ def straight(radial_depth, feed, is_up):
 @pytest.mark.parametrize(
     ("radial_depth", "feed"),
     [
-        (0.1e-3, 0.2e-3),
+        pytest.param(
+            0.1e-3,
+            0.2e-3,
+            marks=pytest.mark.xfail(
+                reason="1.15 % since widths of walls bend without kinks", strict=True
+            ),
+        ),
         (0.1e-3, 0.0125e-3),
         (1e-3, 0.1875e-3),
         (7e-3, 0.2e-3),

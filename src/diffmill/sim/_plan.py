@@ -124,9 +124,8 @@ def default_element_height(
 ) -> float:
     """Return the height of a disc if none is asked for.
 
-    Over one disc a helical edge lags by no more than a spacing of the rays, or a
-    default sample if that is more: entry and exit would come in steps that the
-    instantaneous force shows.
+    Over one disc a helical edge lags by no more than a default sample, or entry and
+    exit would come in steps that the instantaneous force shows.
 
     Args:
         chip: The chip model.
@@ -139,10 +138,9 @@ def default_element_height(
     height = _HEIGHT[chip] * spacing
     if not cutter.has_helix or isinstance(cutter.helix_angle, Tracer):
         return height
-    # Across a wall an edge takes this long anyway.
-    way = max(spacing, cutter.nominal_radius * 2 * math.pi / _ANGLES)
+    turn = 2 * math.pi / _ANGLES
     slope = abs(math.tan(float(cutter.helix_angle)))
-    return min(height, way / slope)
+    return min(height, cutter.nominal_radius * turn / slope)
 
 
 def process_plan(
