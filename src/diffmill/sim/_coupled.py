@@ -31,7 +31,6 @@ from ._padding import last_row, live_rows, when_live
 from ._period import (
     Engagement,
     begin_period,
-    substep_force,
     substep_middles,
     substep_wrench,
 )
@@ -463,8 +462,8 @@ def _run_substeps(
 
 
 def _mean_force(*args: Any) -> Float[Array, " 3"]:
-    """Return the force of a sub-step; arguments of `substep_force`."""
-    return jnp.mean(substep_force(*args), axis=0)
+    """Return the force of a sub-step; arguments of `substep_wrench`."""
+    return _mean_wrench(*args)[:3]
 
 
 def _mean_wrench(*args: Any) -> Float[Array, " 6"]:

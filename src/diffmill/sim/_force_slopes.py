@@ -14,7 +14,7 @@ from ..workpiece import Pose, Stock, repeated
 from ._adjoint import Plain
 from ._bottom import BottomEngagement
 from ._history import ProcessState, end_period, initial_state, remember, remove_due
-from ._period import Engagement, look, substep_force
+from ._period import Engagement, look, substep_wrench
 from ._period_map import Regeneration
 from ._plan import ProcessPlan
 from ._process_alone import ends_of, middles_of
@@ -128,8 +128,8 @@ def _slopes(
         edges: tuple[EdgeSamples, BottomEngagement | None],
     ) -> Float[Array, " 3"]:
         now, before = Pose(tip, axes[0]), Pose(earlier, axes[1])
-        found = substep_force(plan, cutter, *laws, now, before, cut.thinned, *edges)
-        return jnp.mean(found, axis=0)
+        found = substep_wrench(plan, cutter, *laws, now, before, cut.thinned, *edges)
+        return jnp.mean(found[:, :3], axis=0)
 
     earlier = jax.tree.map(lambda x: jnp.moveaxis(x, 0, 1), recent)
     now, before = jax.vmap(jax.jacfwd(force, argnums=(0, 1)))(

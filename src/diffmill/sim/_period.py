@@ -158,22 +158,6 @@ def substep_wrench(
     )
 
 
-def substep_force(
-    plan: ProcessPlan,
-    cutter: AbstractCutter,
-    law: AbstractForceLaw,
-    bottom_law: AbstractForceLaw | None,
-    pose: Pose,
-    earlier: Pose,
-    thinned: Pose,
-    samples: EdgeSamples,
-    bottom: BottomEngagement | None,
-) -> Float[Array, "angle 3"]:
-    """Return the force of `substep_wrench` alone [N], shape (angle, 3)."""
-    tool = (plan, cutter, law, bottom_law)
-    return substep_wrench(*tool, pose, earlier, thinned, samples, bottom)[:, :3]
-
-
 def substep_chip(
     plan: ProcessPlan,
     cutter: AbstractCutter,

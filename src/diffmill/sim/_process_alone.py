@@ -21,8 +21,8 @@ from ._period import (
     Engagement,
     begin_period,
     substep_ends,
-    substep_force,
     substep_middles,
+    substep_wrench,
 )
 from ._plan import ChipModel, ProcessPlan, descends, process_plan
 
@@ -172,13 +172,14 @@ def _period_force(
     cut: Engagement,
 ) -> Float[Array, "angle 3"]:
     """Return the force at all angles of a period, sub-step by sub-step."""
-    force = jax.vmap(
-        lambda pose, earlier, samples, bottom: substep_force(
+    wrench = jax.vmap(
+        lambda pose, earlier, samples, bottom: substep_wrench(
             plan, cutter, *laws, pose, earlier, cut.thinned, samples, bottom
         ),
         in_axes=(0, 1, 0, 0),
     )
-    return force(poses, recent, cut.samples, cut.bottom).reshape(-1, 3)
+    found = wrench(poses, recent, cut.samples, cut.bottom)
+    return found[..., :3].reshape(-1, 3)
 
 
 def _plan_of_path(

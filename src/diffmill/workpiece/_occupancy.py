@@ -137,12 +137,27 @@ def occupancy(
     walls = tuple(_find_walls(stock, f, place, heights, slots[f]) for f in (0, 1))
     if track is not None:
         walls = _tie_walls(cutter, walls, track)
+    rim = _Rim(place, move, chip, heights)
     combine = jax.checkpoint(_combine, static_argnums=(0, 1))
-    found = combine(
-        discs, stock.spacing, stock.origin, place, (move, chip), heights, columns, walls
-    )
+    found = combine(discs, stock.spacing, stock.origin, rim, columns, walls)
     touched, share = hold(found)
     return hold((touched.T, share.T))
+
+
+class _Rim(eqx.Module):
+    """Points on the rim, what is taken there, and the heights at which to look.
+
+    Attributes:
+        place: In `work`, at the height of the tip [m].
+        move: To the next sample [m].
+        chip: To the inner side of the chip [m].
+        heights: At which walls are looked for [m].
+    """
+
+    place: Float[Array, "3 disc point"]
+    move: Float[Array, "2 disc point"]
+    chip: Float[Array, "2 disc point"]
+    heights: Float[Array, "element point"]
 
 
 class _Columns(eqx.Module):
@@ -277,20 +292,18 @@ def _combine(
     discs: Discs,
     spacing: float,
     origin: Float[Array, " 3"],
-    place: Float[Array, "3 disc point"],
-    ways: tuple[Float[Array, "2 disc point"], Float[Array, "2 disc point"]],
-    heights: Float[Array, "element point"],
+    rim: _Rim,
     columns: _Columns,
     walls: tuple[_Walls, ...],
 ) -> tuple[Float[Array, "element point"], Float[Array, "element point"]]:
     touched, filled_chip, certainty = _wall_occupancy(
-        spacing, discs.band, origin, place, ways, heights, walls
+        spacing, discs.band, origin, rim, walls
     )
-    above_tip = columns.ends - place[2][None, None, None]
+    above_tip = columns.ends - rim.place[2][None, None, None]
     below = discs.filled_below(above_tip)
     is_live = columns.ends[1] > columns.ends[0]
     filled = _sum(jnp.where(is_live, below[1] - below[0], 0))
-    weights = _column_weights(place, origin, spacing)
+    weights = _column_weights(rim.place, origin, spacing)
     # Beside a wall the columns in the air must not thin the disc: walls do that.
     # Before a higher wall the disc stands on what its lower columns hold.
     # One of equal columns: a tie shared by comparison is lost to rounding in reverse.
@@ -317,9 +330,7 @@ def _wall_occupancy(
     d: float,
     band: float,
     origin: Float[Array, " 3"],
-    place: Float[Array, "3 disc point"],
-    ways: tuple[Float[Array, "2 disc point"], Float[Array, "2 disc point"]],
-    heights: Float[Array, "element point"],
+    rim: _Rim,
     walls: tuple[_Walls, ...],
 ) -> tuple[
     Float[Array, "element point"],
@@ -328,6 +339,7 @@ def _wall_occupancy(
 ]:
     """Return where a chip is in the material, how much of it, and how surely."""
     reach = REACH * d
+    place, heights = rim.place, rim.heights
     q = (heights - origin[2]) / d
     q = q - jax.lax.stop_gradient(jnp.floor(q))
     total = jnp.zeros_like(heights)
@@ -351,7 +363,9 @@ def _wall_occupancy(
         weight = sees_here / steepness**2
         root = jnp.sqrt(steepness)
         sign = jnp.where(wall.is_upper[1, 0], 1, -1).astype(s.dtype)
-        crossed, deeper = (slope * way[1 - f] - sign * way[f] for way in ways)
+        crossed, deeper = (
+            slope * way[1 - f] - sign * way[f] for way in (rim.move, rim.chip)
+        )
         ahead = ahead + (weight + _BLIND) * jnp.abs(crossed) / root
         inward = inward + (weight + _BLIND) * deeper / root
         total = total + (weight + _BLIND) * s_here / root

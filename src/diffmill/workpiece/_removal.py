@@ -7,7 +7,7 @@ a step removes first and looks at the stock afterwards.
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -404,68 +404,75 @@ def _remove_family(
     cut_by = jax.lax.dynamic_slice(rays.poses, at, shape)
     b = jnp.broadcast_to(lines[axis_b][:, None], shape[:2])
     c = jnp.broadcast_to(lines[axis_c][None, :], shape[:2])
+    window = _Window(ends, cut_by, in_use)
     removed, has_overflow = [], jnp.zeros((), bool)
     for i, each in enumerate(passes):
 
-        def cut(
-            ends: Array, cut_by: Array, in_use: Array, tooth: ToothPass = each
-        ) -> tuple[Array, Array, Array, Array, Array]:
+        def cut(window: _Window, tooth: ToothPass = each) -> _Trimmed:
             interval = cut_interval(cutter, family, b, c, tooth)
-            return _subtract_in_use(ends, cut_by, interval, in_use)
+            return _subtract_in_use(window, interval)
 
-        def skip(
-            ends: Array, cut_by: Array, in_use: Array
-        ) -> tuple[Array, Array, Array, Array, Array]:
-            nothing = jnp.zeros((), ends.dtype)
-            return ends, cut_by, in_use, nothing, jnp.zeros((), bool)
+        def skip(window: _Window) -> _Trimmed:
+            return _Trimmed(window, jnp.zeros((), ends.dtype), jnp.zeros((), bool))
 
-        ends, cut_by, in_use, length, full = jax.lax.cond(
-            is_due[i], cut, skip, ends, cut_by, in_use
-        )
-        has_overflow = has_overflow | full
-        removed.append(length)
+        trimmed = jax.lax.cond(is_due[i], cut, skip, window)
+        window = trimmed.window
+        has_overflow = has_overflow | trimmed.is_full
+        removed.append(trimmed.length)
     volume = jnp.stack(removed)
     new = Rays(
-        jax.lax.dynamic_update_slice(rays.ends, ends, at),
-        jax.lax.dynamic_update_slice(rays.poses, cut_by, at),
+        jax.lax.dynamic_update_slice(rays.ends, window.ends, at),
+        jax.lax.dynamic_update_slice(rays.poses, window.cut_by, at),
     )
-    return new, in_use, volume, has_overflow
+    return new, window.in_use, volume, has_overflow
 
 
-def _subtract_in_use(
-    ends: Float[Array, "u v 2 slot"],
-    cut_by: Int[Array, "u v 2 slot"],
-    interval: Interval,
-    in_use: Int[Array, ""],
-) -> tuple[Array, Array, Array, Array, Array]:
-    """Subtract an interval from each ray, in the slots in use and one more.
+class _Window(NamedTuple):
+    """The rays of one family in a window.
 
-    Returns:
-        New ends, when they were cut, the slots in use, the length removed [m], and
-        whether a ray ran out of slots.
+    Attributes:
+        ends: Lower and upper ends [m].
+        cut_by: When they were cut, in ticks.
+        in_use: How many slots hold anything, from the first on.
     """
+
+    ends: Float[Array, "u v 2 slot"]
+    cut_by: Int[Array, "u v 2 slot"]
+    in_use: Int[Array, ""]
+
+
+class _Trimmed(NamedTuple):
+    """What is left of a window, the length taken [m], and whether a ray was full."""
+
+    window: _Window
+    length: Float[Array, ""]
+    is_full: Bool[Array, ""]
+
+
+def _subtract_in_use(window: _Window, interval: Interval) -> _Trimmed:
+    """Subtract an interval from each ray, in the slots in use and one more."""
     # A ray in a long run rarely holds more than two pieces, of many that it has room
     # for; the cost is that of the slots looked at.
-    count = ends.shape[-1]
+    count = window.ends.shape[-1]
     widths = [width for width in _WIDTHS if width < count] + [count]
 
-    def among(width: int) -> Callable[..., tuple[Array, Array, Array, Array, Array]]:
-        def run(
-            ends: Array, cut_by: Array, interval: Interval
-        ) -> tuple[Array, Array, Array, Array, Array]:
-            old, old_by = ends[..., :width], cut_by[..., :width]
-            new, by, full = subtract(old, old_by, interval)
-            used = jnp.maximum(in_use, Rays(new, by).slots_in_use())
-            length = _removed_length(old, new)
-            ends = jax.lax.dynamic_update_slice(ends, new, (0, 0, 0, 0))
-            cut_by = jax.lax.dynamic_update_slice(cut_by, by, (0, 0, 0, 0))
-            return ends, cut_by, used, length, jnp.any(full)
+    def among(width: int) -> Callable[[_Window, Interval], _Trimmed]:
+        def run(window: _Window, interval: Interval) -> _Trimmed:
+            old = window.ends[..., :width]
+            new, by, full = subtract(old, window.cut_by[..., :width], interval)
+            corner = (0, 0, 0, 0)
+            left = _Window(
+                jax.lax.dynamic_update_slice(window.ends, new, corner),
+                jax.lax.dynamic_update_slice(window.cut_by, by, corner),
+                jnp.maximum(window.in_use, Rays(new, by).slots_in_use()),
+            )
+            return _Trimmed(left, _removed_length(old, new), jnp.any(full))
 
         return run
 
-    fits = jnp.stack([in_use < width for width in widths[:-1]] + [in_use >= 0])
+    fits = [window.in_use < width for width in widths[:-1]] + [window.in_use >= 0]
     branches = [among(width) for width in widths]
-    return jax.lax.switch(jnp.argmax(fits), branches, ends, cut_by, interval)
+    return jax.lax.switch(jnp.argmax(jnp.stack(fits)), branches, window, interval)
 
 
 def _removed_length(
