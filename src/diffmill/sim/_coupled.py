@@ -25,9 +25,9 @@ from ..workpiece import Pose, Stock
 from ._adjoint import AbstractAdjoint
 from ._bottom import BottomEngagement
 from ._history import ProcessState, Removed, end_period, flush, initial_state
+from ._live_rows import last_row, live_rows, when_live
 from ._middle import middle_terms
 from ._midpoint import Midpoint
-from ._padding import last_row, live_rows, when_live
 from ._period import (
     Engagement,
     begin_period,

@@ -1,24 +1,21 @@
 """Paths of many lengths for one compiled program.
 
 A compiled program serves arrays of one shape, so a path that is one row longer would
-be compiled anew. A path is therefore padded to one of few lengths before it runs. In
-the rows behind its last one the machine does nothing: a period there leaves the arm as
-it is, removes at most what is left to remove anyway, and costs next to nothing.
+be compiled anew. A path is therefore padded to one of few lengths before it runs, and
+the rows behind its last one are not simulated (`_live_rows.py`).
 """
 
 import dataclasses
-from collections.abc import Callable
 from typing import TypeVar
 
 import equinox as eqx
 import jax
 import jax.core
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float
 
 from .._job import CorrectionSettings, Job
-from .._types import FloatRows, IntScalar
+from .._types import FloatRows
 from ..toolpath import Path
 
 _Tree = TypeVar("_Tree")
@@ -59,43 +56,6 @@ def pad_path(path: Path, row_count: int | None = None) -> Path:
     at = np.minimum(np.arange(total), count - 1)
     rows = jax.tree.map(lambda x: np.asarray(x)[at], path)
     return dataclasses.replace(rows, row_count=np.asarray(count, np.int32))
-
-
-def last_row(step_count: int, row_count: IntScalar | None) -> Int[Array, ""]:
-    """Return the index of the last row that counts."""
-    end = step_count if row_count is None else row_count
-    return jnp.asarray(end - 1, jnp.int32)
-
-
-def live_rows(
-    indices: Int[Array, " period"], row_count: IntScalar | None
-) -> Bool[Array, " period"] | None:
-    """Return which periods end at a row that counts; None for all."""
-    return None if row_count is None else indices < row_count
-
-
-def when_live(
-    is_live: Bool[Array, ""] | None,
-    compute: Callable[[], _Tree],
-    otherwise: _Tree | None = None,
-) -> _Tree:
-    """Return what a period computes, if it is one that counts.
-
-    Only what leaves the stock as it is may be skipped: a branch that hands a stock on
-    copies it, which takes as long as a period.
-
-    Args:
-        is_live: Whether the period counts, shape (); None for a path that is not
-            padded.
-        compute: Returns what the period computes.
-        otherwise: What is returned instead; zeros if not given.
-    """
-    if is_live is None:
-        return compute()
-    if otherwise is None:
-        shapes = jax.eval_shape(compute)
-        otherwise = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
-    return jax.lax.cond(is_live, compute, lambda: otherwise)
 
 
 def padded_job(job: Job) -> Job:

@@ -27,7 +27,7 @@ from ._in_space import (
     profile_elements,
     wrench_in_space,
 )
-from ._padding import when_live
+from ._live_rows import when_live
 from ._plan import ProcessPlan
 from ._point_cloud import cloud_engagement, remove_at_once
 from ._samples import EdgeSamples

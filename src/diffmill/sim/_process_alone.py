@@ -16,7 +16,7 @@ from ..cutting import AbstractForceLaw
 from ..workpiece import Pose, Stock
 from ._adjoint import AbstractAdjoint, Plain
 from ._history import ProcessState, Removed, end_period, flush, initial_state
-from ._padding import last_row, live_rows, when_live
+from ._live_rows import last_row, live_rows, when_live
 from ._period import (
     Engagement,
     begin_period,
