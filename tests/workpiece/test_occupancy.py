@@ -123,9 +123,9 @@ def test_turning_from_across_a_wall_to_along_it_makes_no_kink():
     assert jnp.abs(jnp.diff(slope)).max() < 0.03 * jnp.abs(slope).max()
 
 
-def pocketed():
+def pocketed(x=6.07e-3, y=5.03e-3):
     """Return the block with a round hole of the mill, 1.3 mm deep, off the rays."""
-    tip = jnp.array([[6.07e-3, 5.03e-3, -1.33e-3]])
+    tip = jnp.array([[x, y, -1.33e-3]])
     window = wp.removal_window(STOCK, MILL, 2e-3, 0.4e-3)
     at = jnp.zeros(1, jnp.int32)
     cut = wp.remove_poses(STOCK, MILL, window, wp.Pose(tip), at, jnp.ones(1, bool))
@@ -160,3 +160,22 @@ def test_the_wall_does_not_jump_where_a_point_crosses_a_ray(axis):
     )
     assert 0.05 < float(jnp.mean(before[:, 0])) < 0.95
     np.testing.assert_allclose(before, behind, atol=1e-4)
+
+
+def test_a_column_that_a_cut_just_takes_or_leaves_at_a_slanting_wall_is_not_felt():
+    # The rim passes a column, seen from the axis at an angle that no ray meets head-on.
+    turn = np.radians(50)
+    ray = np.asarray(STOCK.origin)[:2] + STOCK.spacing * np.array([40, 38])
+    out = np.array([np.cos(turn), np.sin(turn)])
+    before, after = (pocketed(*(ray - r * out)) for r in (5e-3 - 1e-10, 5e-3 + 1e-10))
+    changed = after.families[2].ends != before.families[2].ends
+    assert int(changed.any(axis=(2, 3)).sum()) == 1
+    around = np.linspace(-0.06, 0.06, 61) + turn
+    rim = ray - 5e-3 * out + 5e-3 * np.column_stack([np.cos(around), np.sin(around)])
+    points = jnp.asarray(np.column_stack([rim, np.full(61, -1.33e-3)])[:, None])
+    moves = jnp.full((61, 1, 2), 0.1e-3)
+    left, taken = (
+        wp.occupancy(stock, points, moves, jnp.zeros_like(moves), DISCS, MILL)[0]
+        for stock in (before, after)
+    )
+    np.testing.assert_allclose(taken, left, atol=1e-3)

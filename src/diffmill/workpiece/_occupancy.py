@@ -380,7 +380,9 @@ def _wall_occupancy(
     # To the nearer side of the chip, without the kink of a greatest one.
     touched = hat_integral((inside + (inward + length) / 2) / width)
     filled = mean_step(inside + inward / 2, width, length)
-    return touched, filled, 2 * certainty - ramp(2 * certainty - 1, _SURE)
+    # A wall that both families see at 45 degrees is sure, its corner rounded off below.
+    sure = 2 * (1 + _SURE) * certainty
+    return touched, filled, sure - ramp(sure - 1, _SURE)
 
 
 def _column_weights(
