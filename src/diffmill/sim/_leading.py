@@ -9,19 +9,23 @@ the next samples take over: over samples at any phase the contact W sums to its 
 
 x angle steps inside the half; H the integral of a hat of half-width 1, so that B over
 samples sums to one; b the steps by which the chip begins before the half turn. The
-chip, as thick as x + b there, is taken over in the same way.
+chip, as thick as x + b there, is taken over in the same way, by
+
+    V(x) = I(x - 1) + (1 + b) H(x - 1) + ((1 + b)^2 / 2 - 1/24) B(x),
+
+I the integral of H: x + b from two steps on, and as much as the chip from -b on has.
 """
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..cutter import AbstractCutter
-from ..numerics import clamp, hat_integral
+from ..numerics import clamp, hat_integral, ramp
 from ._plan import ProcessPlan
 
 # A motion per tooth below this has no direction [m].
 STILL = 1e-8
-# Angle steps over which a chip fades: few, since it is thin there but not taken over.
+# Angle steps over which a sample fades.
 _FADE = 0.5
 
 
@@ -77,15 +81,15 @@ def chip_taken_over(
 ) -> Float[Array, "*sample"]:
     """Return by how much a chip counts for that which is faded or not looked up.
 
-    Arguments and result as of `taken_over`.
+    Arguments and result as of `taken_over`, V over the fade and the undisturbed chip.
 
     Differentiability: continuously differentiable.
     """
     b = before / angle_step
     x = clamp(1e-3, lead / angle_step, 2.0)
-    # From -b on all of x + b is lost up to 0, from there the share that is faded.
-    lost = b**2 / 2 + b * _FADE / 2 + _FADE**2 * 7 / 48
-    return 1 + lost * _spread(x) / ((x + b) * _faded(x))
+    V = ramp(x - 1, 1.0) + (1 + b) * hat_integral(x - 1)
+    V = V + ((1 + b) ** 2 / 2 - 1 / 24) * _spread(x)
+    return V / ((x + b) * _faded(x))
 
 
 def _faded(x: Float[Array, "*sample"]) -> Float[Array, "*sample"]:
