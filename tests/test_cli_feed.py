@@ -7,8 +7,7 @@ from slides_job import write_slides_job
 
 from diffmill import correction, io
 from diffmill.cli import main
-from diffmill.correction import FeedTradeoff, NothingToCorrect, TunedFeed
-from diffmill.correction._feed_curve import FeedPoint
+from diffmill.correction import FeedPoint, FeedTradeoff, NothingToCorrect, TunedFeed
 from diffmill.toolpath import cycle_time, path_feed, retime
 
 

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
         CorrectionSettings as CorrectionSettings,
         Job as Job,
         SimulationSettings as SimulationSettings,
+        UncertaintySettings as UncertaintySettings,
     )
     from ._result import RESULTS as RESULTS, SimulationFailed as SimulationFailed
     from .correction import Correction as Correction, correct as correct
@@ -63,6 +64,7 @@ _NAMES = {
     "SimulationFailed": "_result",
     "SimulationSettings": "_job",
     "Solution": "sim",
+    "UncertaintySettings": "_job",
     "correct": "correction",
     "load_job": "io",
     "simulate": "sim",

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from correction.spring_mass import rounded_square, soft_arm
 
-from diffmill._result import RESULTS
+from diffmill import RESULTS
 from diffmill.correction import AbstractMethod, GivenCommand, Problem
 from diffmill.correction._case_record import CaseRecord
 from diffmill.correction._method import corrected

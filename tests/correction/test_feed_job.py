@@ -8,8 +8,15 @@ import numpy as np
 import pytest
 from helpers import PAPER_LAW
 
-from diffmill import cutter as ct, robot as rb, toolpath as tp, workpiece as wp
-from diffmill._job import CorrectionSettings, Job, SimulationSettings
+from diffmill import (
+    CorrectionSettings,
+    Job,
+    SimulationSettings,
+    cutter as ct,
+    robot as rb,
+    toolpath as tp,
+    workpiece as wp,
+)
 from diffmill.correction import feed_tradeoff, tune_feed
 from diffmill.sim import simulate
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from diffmill._result import RESULTS
+from diffmill import RESULTS
 from diffmill.correction import (
     Ensemble,
     FinishedSurface,

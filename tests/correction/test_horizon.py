@@ -10,7 +10,7 @@ import pytest
 from correction.spring_mass import SpringMass, rounded_square, soft_arm
 from scipy import sparse
 
-from diffmill._result import RESULTS
+from diffmill import RESULTS
 from diffmill.correction import (
     AbstractPiece,
     AbstractPieces,

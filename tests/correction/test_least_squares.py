@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from diffmill._result import RESULTS
+from diffmill import RESULTS
 from diffmill.correction import (
     HeldRows,
     LevenbergMarquardt,

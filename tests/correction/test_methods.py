@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from correction.spring_mass import rounded_square, soft_arm
 
-from diffmill._result import RESULTS
+from diffmill import RESULTS
 from diffmill.correction import (
     ContourResidual,
     GaussNewton,

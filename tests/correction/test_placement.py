@@ -11,8 +11,15 @@ import pytest
 from helpers import PAPER_LAW
 
 import diffmill as dm
-from diffmill import cutter as ct, robot as rb, toolpath as tp, workpiece as wp
-from diffmill._job import CorrectionSettings, Job, SimulationSettings
+from diffmill import (
+    CorrectionSettings,
+    Job,
+    SimulationSettings,
+    cutter as ct,
+    robot as rb,
+    toolpath as tp,
+    workpiece as wp,
+)
 from diffmill.correction import (
     InfeasibleLimit,
     NothingToCorrect,

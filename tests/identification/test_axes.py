@@ -1,10 +1,11 @@
 """Axes of a dynamometer, recovered from a closed-form cut with straight teeth."""
 
+import itertools
+
 import numpy as np
 import pytest
 
 from diffmill.identification import Record, apply_axes, propose_axes
-from diffmill.identification._axes import signed_permutations
 
 RATE, SPEED, TEETH = 10e3, 2 * np.pi * 100.0, 2
 DEPTH, FEED = 2e-3, 0.1e-3
@@ -44,6 +45,14 @@ def measured(matrix, force, noise=0.05):
 TIME = np.arange(2000) / RATE
 
 
+# The 48 ways to exchange and reverse axes.
+MOUNTINGS = [
+    np.array(signs)[:, None] * np.eye(3)[list(order)]
+    for order in itertools.permutations(range(3))
+    for signs in itertools.product((1.0, -1.0), repeat=3)
+]
+
+
 @pytest.mark.parametrize(
     ("entry", "leave", "max_shift"),
     [(0.0, np.pi, 0.0), (0.0, np.pi, 0.005), (np.pi / 2, np.pi, 0.005), (0, 1.2, 0.0)],
@@ -52,7 +61,7 @@ def test_every_mounting_is_recovered(entry, leave, max_shift):
     columns = columns_of(TIME, entry, leave)
     lag = 0.0 if max_shift == 0 else 0.0021
     force = columns_of(TIME - lag, entry, leave) @ TRUTH
-    for matrix in signed_permutations():
+    for matrix in MOUNTINGS:
         proposal = propose_axes(
             measured(matrix, force), columns, RATE, max_shift=max_shift
         )
@@ -91,7 +100,7 @@ def test_the_evidence_of_the_right_axes():
 @pytest.mark.parametrize("channel", range(3))
 def test_two_channels_tell_the_axes_that_they_see(channel):
     force = columns_of(TIME) @ TRUTH
-    for matrix in signed_permutations():
+    for matrix in MOUNTINGS:
         seen = measured(matrix, force)
         seen[:, channel] = np.nan
         proposal = propose_axes(seen, columns_of(TIME), RATE, tooth_frequency=200.0)

@@ -10,6 +10,9 @@ import pytest
 from helpers import PAPER_LAW
 
 from diffmill import (
+    CorrectionSettings,
+    Job,
+    SimulationSettings,
     cutter as ct,
     identification,
     robot as rb,
@@ -17,7 +20,6 @@ from diffmill import (
     toolpath as tp,
     workpiece as wp,
 )
-from diffmill._job import CorrectionSettings, Job, SimulationSettings
 from diffmill.identification._coupled_model import modelled, parameter_values
 from diffmill.identification._coupled_names import fitted_names, kept_note
 

@@ -5,8 +5,7 @@ import math
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from diffmill.io._gcode import parse_gcode, read_gcode
-from diffmill.io._gcode_words import GCodeError
+from diffmill.io import GCodeError, parse_gcode, read_gcode
 
 MM = 1e-3
 INCH = 25.4e-3

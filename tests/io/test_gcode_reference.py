@@ -7,8 +7,7 @@ import re
 
 import pytest
 
-from diffmill.io._gcode import read_gcode
-from diffmill.io._gcode_words import GCodeError
+from diffmill.io import GCodeError, read_gcode
 
 ROOT = pathlib.Path(__file__).parents[2]
 DATA = ROOT / os.environ.get("DIFFMILL_REFERENCE_DATA", "../shared/data")

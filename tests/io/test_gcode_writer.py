@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from diffmill.io._gcode import parse_gcode
-from diffmill.io._gcode_writer import write_gcode
+from diffmill.io import parse_gcode, write_gcode
 from diffmill.toolpath import Path, sample_program, vertical_path
 
 LIMITS = {"acceleration": 2.0, "rapid_feed": 0.2, "corner_tolerance": 1e-4}

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from diffmill._job import UncertaintySettings
+from diffmill import UncertaintySettings
 from diffmill.io._job_correction import (
     CorrectionTable,
     check_correction,

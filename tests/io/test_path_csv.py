@@ -3,12 +3,7 @@
 import numpy as np
 import pytest
 
-from diffmill.io._path_csv import (
-    PathFileError,
-    parse_path_csv,
-    read_path_csv,
-    write_path_csv,
-)
+from diffmill.io import PathFileError, parse_path_csv, read_path_csv, write_path_csv
 from diffmill.toolpath import Path
 
 

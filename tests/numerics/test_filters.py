@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from diffmill.numerics._filters import lowpass
+from diffmill.numerics import lowpass
 
 RATE = 16 * 8000.0 * 2 / 60
 

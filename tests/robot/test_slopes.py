@@ -7,7 +7,6 @@ import pytest
 from robot.trees import random_tree
 
 import diffmill.robot as dr
-from diffmill.robot._slopes import motion_slopes
 
 
 def motion(robot, rng):
@@ -42,7 +41,7 @@ def test_slopes_are_derivatives_of_the_recursion(kind, rng):
     by_q, by_qd, by_qdd, by_F = jax.jit(
         jax.jacfwd(dr.inverse_dynamics, argnums=(1, 2, 3, 4))
     )(robot, *args)
-    found = jax.jit(motion_slopes)(robot, *args)
+    found = jax.jit(dr.rnea_derivatives)(robot, *args)
     for ours, theirs in (
         (found.position, by_q),
         (found.velocity, by_qd),
@@ -63,7 +62,7 @@ def test_slopes_of_a_pendulum_are_known(rng):
     )
     q = jnp.asarray(rng.normal(size=1))
     one = jnp.ones(1)
-    found = motion_slopes(pendulum, q, one, one, jnp.zeros(6))
+    found = dr.rnea_derivatives(pendulum, q, one, one, jnp.zeros(6))
     g = -float(pendulum.gravity[2])
     np.testing.assert_allclose(found.acceleration, [[m * l**2]], rtol=1e-14)
     np.testing.assert_allclose(found.velocity, [[0.0]], atol=1e-14)
@@ -76,8 +75,8 @@ def test_single_precision_has_the_same_slopes(rng):
     args = motion(robot, rng)
     single = jax.tree.map(lambda x: x.astype(jnp.float32), (robot, *args))
     for a, b in zip(
-        jax.tree.leaves(motion_slopes(*single)),
-        jax.tree.leaves(motion_slopes(robot, *args)),
+        jax.tree.leaves(dr.rnea_derivatives(*single)),
+        jax.tree.leaves(dr.rnea_derivatives(robot, *args)),
         strict=True,
     ):
         assert a.dtype == jnp.float32

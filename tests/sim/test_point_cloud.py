@@ -11,7 +11,7 @@ from helpers import PAPER_LAW, relative
 from references import halfspaces, marching
 
 from diffmill import RESULTS, cutter as ct, robot as rb, sim, workpiece as wp
-from diffmill.sim._point_cloud import chip_arcs
+from diffmill.sim import chip_arcs
 
 R = 5e-3
 MILL = ct.flat_end_mill(2 * R, 2)

@@ -8,8 +8,16 @@ import numpy as np
 import pytest
 from helpers import PAPER_LAW
 
-from diffmill import cutter as ct, robot as rb, sim, toolpath as tp, workpiece as wp
-from diffmill._job import CorrectionSettings, Job, SimulationSettings
+from diffmill import (
+    CorrectionSettings,
+    Job,
+    SimulationSettings,
+    cutter as ct,
+    robot as rb,
+    sim,
+    toolpath as tp,
+    workpiece as wp,
+)
 
 PERIOD = 3.75e-3
 STIFFNESS, MASS = np.array([1.5e6, 2.5e6, 4e6]), 80.0

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffmill import cutter as ct, workpiece as wp
-from diffmill.workpiece._stock import DEAD
+from diffmill.workpiece import DEAD
 
 MILL = ct.flat_end_mill(4e-3, 2)
 subtract = jax.jit(wp.subtract)

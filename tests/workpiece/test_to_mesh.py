@@ -8,8 +8,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from diffmill import workpiece as wp
-from diffmill.workpiece import _cell_loops, _files
-from diffmill.workpiece._stock import DEAD
+from diffmill.workpiece import DEAD, _cell_loops, _files
 
 SPACING = 0.5e-3
 

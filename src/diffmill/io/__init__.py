@@ -56,6 +56,7 @@ from ._load_job import (
 from ._load_record import load_record as load_record
 from ._path_csv import (
     PathFileError as PathFileError,
+    parse_path_csv as parse_path_csv,
     read_path_csv as read_path_csv,
     write_path_csv as write_path_csv,
 )

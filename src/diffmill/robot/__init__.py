@@ -108,6 +108,10 @@ from ._robot import Robot as Robot, with_drives as with_drives, with_tool as wit
 from ._rotations import rpy_angles as rpy_angles, rpy_matrix as rpy_matrix
 from ._singularity import Singularity as Singularity, singularity as singularity
 from ._skeleton import Skeleton as Skeleton, skeleton as skeleton
+from ._slopes import (
+    RneaDerivatives as RneaDerivatives,
+    rnea_derivatives as rnea_derivatives,
+)
 from ._terms import ArmTerms as ArmTerms, arm_terms as arm_terms
 from ._workspace import (
     StiffnessMap as StiffnessMap,

@@ -15,7 +15,7 @@ from ._definite import definite_inverse
 from ._massless import factor, refuse_singular
 from ._rnea import inverse_dynamics
 from ._robot import JointVector, Robot, Wrench, joint_vector, wrench_vector
-from ._slopes import motion_slopes
+from ._slopes import rnea_derivatives
 from ._spatial import sum_rows
 from ._terms import arm_terms
 
@@ -124,7 +124,7 @@ def _solve_jvp(
     qdd = _solve(algorithm, *primals)
     robot, q, qd, _, wrench = primals
     d_robot, d_q, d_qd, d_tau, d_wrench = tangents
-    slopes = motion_slopes(robot, q, qd, qdd, wrench)
+    slopes = rnea_derivatives(robot, q, qd, qdd, wrench)
     times = lambda matrix, vector: sum_rows(matrix, vector[:, None])[:, 0]
     # What does not change has a zero without a value: nothing is computed for it.
     changes = [

@@ -46,7 +46,7 @@ from ._rnea import inverse_dynamics
 from ._robot import Robot
 
 
-class Slopes(eqx.Module):
+class RneaDerivatives(eqx.Module):
     """The torques M qdd + C + G - J^T F to first order.
 
     Attributes:
@@ -82,13 +82,13 @@ class _Joint(NamedTuple):
 
 
 @jax.custom_jvp
-def _motion_slopes(
+def _derivatives(
     robot: Robot,
     q: Float[Array, " joint"],
     qd: Float[Array, " joint"],
     qdd: Float[Array, " joint"],
     wrench: Float[Array, " 6"],
-) -> Slopes:
+) -> RneaDerivatives:
     """Return how `inverse_dynamics` changes with its arguments.
 
     Args:
@@ -113,20 +113,24 @@ def _motion_slopes(
         wrench,
     )
     square = lambda k: fold(robot, fold(robot, found[k * n : (k + 1) * n]).T).T
-    return Slopes(square(0), square(1), square(2), fold(robot, found[3 * n :].T).T)
+    return RneaDerivatives(
+        square(0), square(1), square(2), fold(robot, found[3 * n :].T).T
+    )
 
 
-@_motion_slopes.defjvp
-def _motion_slopes_jvp(
+@_derivatives.defjvp
+def _derivatives_jvp(
     primals: tuple[Any, ...], tangents: tuple[Any, ...]
-) -> tuple[Slopes, Slopes]:
+) -> tuple[RneaDerivatives, RneaDerivatives]:
     # Second derivatives are rare: those of the recursion itself.
-    def slopes(robot: Robot, q: Array, qd: Array, qdd: Array, wrench: Array) -> Slopes:
+    def slopes(
+        robot: Robot, q: Array, qd: Array, qdd: Array, wrench: Array
+    ) -> RneaDerivatives:
         by_q, by_qd = jax.jacfwd(inverse_dynamics, (1, 2))(robot, q, qd, qdd, wrench)
-        return Slopes(mass_matrix(robot, q), by_q, by_qd, jacobian(robot, q))
+        return RneaDerivatives(mass_matrix(robot, q), by_q, by_qd, jacobian(robot, q))
 
     _, change = jax.jvp(slopes, primals, tangents)
-    return _motion_slopes(*primals), change
+    return _derivatives(*primals), change
 
 
 def _spatial(turn: Vector, motion: Vector) -> Vector:
@@ -328,4 +332,4 @@ def _by_wrench(
 
 # Of robot and of the bodies' q, qd, qdd, and wrench; no derivatives of its own.
 _of_bodies = in_lanes(_stacked)
-motion_slopes = jax.jit(_motion_slopes)
+rnea_derivatives = jax.jit(_derivatives)

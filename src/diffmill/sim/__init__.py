@@ -53,6 +53,7 @@ from ._plan import (
     descends as descends,
     process_plan as process_plan,
 )
+from ._point_cloud import chip_arcs as chip_arcs
 from ._process_alone import (
     ProcessSolution as ProcessSolution,
     path_depth as path_depth,

@@ -47,6 +47,7 @@ from ._removal import (
     tilted_window as tilted_window,
 )
 from ._stock import (
+    DEAD as DEAD,
     MARGIN as MARGIN,
     Rays as Rays,
     Stock as Stock,
