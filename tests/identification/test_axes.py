@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from diffmill.identification import Record, apply_axes, propose_axes
+from diffmill.identification import propose_axes
 
 RATE, SPEED, TEETH = 10e3, 2 * np.pi * 100.0, 2
 DEPTH, FEED = 2e-3, 0.1e-3
@@ -134,24 +134,6 @@ def test_noise_alone_is_not_clear():
     proposal = propose_axes(noise, columns_of(TIME), RATE, max_shift=0.005)
     assert proposal.proposals[0].residual > 0.9
     assert not proposal.is_clear
-
-
-def test_axes_are_applied_on_request_only():
-    force = columns_of(TIME) @ TRUTH
-    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    record = Record(
-        TIME,
-        measured(turn, force, noise=0.0),
-        RATE,
-        TIME < 0,
-        TIME < 0,
-        names=("A", "B", "C"),
-    )
-    applied = apply_axes(record, turn)
-    np.testing.assert_allclose(applied.force, force, atol=1e-9)
-    assert "assigned: x = -Fy" in applied.notes[-1]
-    with pytest.raises(ValueError, match="one 1 or -1 in each row"):
-        apply_axes(record, np.ones((3, 3)))
 
 
 def test_wrong_input_is_refused():

@@ -7,17 +7,13 @@ from diffmill.identification import (
     Record,
     align,
     angle_from_tacho,
-    apply_axes,
     find_cuts,
     find_saturated,
-    lowpass_record,
     refine_spindle_speed,
     remove_drift,
     remove_offset,
-    resample_record,
     section,
 )
-from diffmill.numerics import lowpass
 
 RATE, SPEED = 5e3, 2 * np.pi * 50.0
 AMPLITUDE = np.array([100.0, 60.0, 20.0])
@@ -111,49 +107,6 @@ def test_a_gap_ends_a_cut_and_a_record_of_one_cut_is_whole():
     np.testing.assert_allclose(cut, (time[0], time[-1]))
 
 
-def test_both_sides_are_filtered_alike():
-    time = np.arange(1000) / RATE
-    force = turn_force(SPEED * time)
-    record = lowpass_record(record_of(time, force), 150.0)
-    np.testing.assert_array_equal(record.force, lowpass(force, RATE, 150.0))
-
-
-def test_a_gap_parts_the_filter():
-    time = np.arange(1000) / RATE
-    time[500:] += 1.0
-    force = np.where(np.arange(1000) < 500, 0.0, 100.0)[:, None] * np.ones((1, 3))
-    record = lowpass_record(record_of(time, force, gaps=[500]), 100.0)
-    np.testing.assert_allclose(record.force, force, atol=1e-9)
-
-
-@pytest.mark.parametrize("rate", [2e3, 12.5e3])
-def test_resampling_keeps_the_signal(rate):
-    time = np.arange(2000) / RATE
-    time[1000:] += 0.5
-    angle = np.mod(SPEED * time, 2 * np.pi)
-    record = resample_record(
-        record_of(time, turn_force(angle), gaps=[1000], angle=angle, tacho=angle), rate
-    )
-    np.testing.assert_allclose(np.diff(record.time)[: int(0.1 * rate)], 1 / rate)
-    assert not np.any((record.time > time[999]) & (record.time < time[1000]))
-    assert np.count_nonzero(record.is_after_gap) == 1
-    # The filter's ends are bent.
-    middle = (record.time > 0.05) & (record.time < 0.15)
-    expected = turn_force(SPEED * record.time)
-    np.testing.assert_allclose(record.force[middle], expected[middle], atol=1.0)
-    assert record.angle is not None
-    turns = np.exp(1j * record.angle)
-    np.testing.assert_allclose(turns, np.exp(1j * SPEED * record.time), atol=1e-3)
-    assert (record.tacho is None) == (rate < RATE)
-
-
-def test_a_lower_rate_does_not_alias():
-    time = np.arange(4000) / RATE
-    force = np.sin(2 * np.pi * 950.0 * time)[:, None] * np.ones((1, 3))
-    record = resample_record(record_of(time, force), 1000.0)
-    assert np.abs(record.force[100:-100]).max() < 1e-3
-
-
 def test_the_tacho_gives_the_angle():
     time = np.arange(5000) / RATE
     # The spindle speeds up; pulses of a tenth of a turn with a slope, and noise.
@@ -199,10 +152,8 @@ def test_a_force_that_was_not_measured_stays_so():
     simulated = turn_force(2 * np.pi * np.arange(180) / 180)
     # What nobody recorded is no disagreement.
     assert align(record, simulated, SPEED).quality > 0.999
-    other = resample_record(remove_offset(record, 0.0, 0.1), RATE / 2)
+    other = remove_offset(record, 0.0, 0.1)
     assert other.is_measured == record.is_measured and not other.force[:, 0].any()
-    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    assert apply_axes(record, turn).is_measured == (True, False, True)
     with pytest.raises(ValueError, match="must be zero where not measured"):
         record_of(time, force, is_measured=(True, True, False))
     with pytest.raises(ValueError, match="must name a force"):

@@ -18,7 +18,6 @@ from ._align import (
     angle_from_tacho as angle_from_tacho,
 )
 from ._axes import (
-    apply_axes as apply_axes,
     propose_axes as propose_axes,
 )
 from ._axes_proposal import (
@@ -76,11 +75,9 @@ from ._mean_force import (
 from ._meet import Meeting as Meeting, meet as meet
 from ._posterior import relative_uncertainty as relative_uncertainty
 from ._prepare import (
-    lowpass_record as lowpass_record,
     parts_between_gaps as parts_between_gaps,
     remove_drift as remove_drift,
     remove_offset as remove_offset,
-    resample_record as resample_record,
     section as section,
 )
 from ._record import Record as Record

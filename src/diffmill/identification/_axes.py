@@ -7,14 +7,12 @@ law are fitted to the record under each of them, which is cheap: the sums over s
 are shared. For each of the six permutations, physics decides which signs make sense.
 """
 
-import dataclasses
 import itertools
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from ._axes_proposal import AxesCandidate, AxesProposal, axes_label, proposal_of
-from ._record import Record
 
 # What a violation of physics adds to a relative residual between 0 and 1. A negative
 # tangential or radial force weighs most; that K_ac is positive holds less surely.
@@ -25,36 +23,6 @@ _PENALTIES = {
     "the axial force is negative": 0.02,
 }
 _RATIOS = (0.1, 1.0)
-
-
-def apply_axes(record: Record, matrix: Float[np.ndarray, "3 3"]) -> Record:
-    """Return a record in the simulation's axes, and note it there.
-
-    Args:
-        record: The record.
-        matrix: A signed permutation, such as that of an `AxesCandidate`.
-
-    Raises:
-        ValueError: If `matrix` is no signed permutation.
-
-    Differentiability: linear in the force; on the host.
-    """
-    size = np.abs(np.asarray(matrix))
-    if not np.array_equal(np.sort(size, axis=1), [[0, 0, 1]] * 3) or not np.array_equal(
-        size.sum(axis=0), [1, 1, 1]
-    ):
-        raise ValueError(
-            "Argument `matrix` must have one 1 or -1 in each row and column, but is "
-            f"{np.asarray(matrix).tolist()}."
-        )
-    seen = (size @ np.array(record.is_measured)).astype(bool).tolist()
-    return dataclasses.replace(
-        record,
-        force=record.force @ np.asarray(matrix, dtype=np.float64).T,
-        names=("Fx", "Fy", "Fz"),
-        is_measured=(seen[0], seen[1], seen[2]),
-        notes=(*record.notes, f"The axes were assigned: {axes_label(matrix)}."),
-    )
 
 
 def propose_axes(

@@ -6,14 +6,11 @@ import itertools
 import numpy as np
 from jaxtyping import Float
 
-from ..numerics import lowpass
 from ._record import Record
 
 # Samples of a tare section that are further off its median do not count, in standard
 # deviations.
 _GROSS = 6.0
-# Cut-off of the filter before a lower rate, as part of that rate.
-_ANTI_ALIAS = 0.4
 
 
 def remove_offset(record: Record, start: float, stop: float) -> Record:
@@ -59,84 +56,6 @@ def remove_drift(
     slope = (level_2 - level_1) / (time_2 - time_1)
     drift = level_1[None] + slope[None] * (record.time - time_1)[:, None]
     return _with_force(record, record.force - drift)
-
-
-def lowpass_record(record: Record, cutoff: float, *, order: int = 4) -> Record:
-    """Return a record after `numerics.lowpass`, without delay.
-
-    Filter the simulated force with `numerics.lowpass` and the same arguments, so that
-    both sides lose the same. Parts between gaps are filtered apart; a part shorter
-    than two samples stays.
-
-    Args:
-        record: The record.
-        cutoff: Cut-off frequency [Hz], where the gain is 1/2.
-        order: Order of one of the two passes.
-
-    Differentiability: linear in the force; on the host.
-    """
-    force = np.array(record.force)
-    for part in parts_between_gaps(record):
-        if part.stop - part.start > 1:
-            force[part] = lowpass(force[part], record.rate, cutoff, order=order)
-    return _with_force(record, force)
-
-
-def resample_record(record: Record, rate: float) -> Record:
-    """Return a record at another rate, equally spaced between its gaps.
-
-    Before a lower rate the forces pass a low-pass at 0.4 of it. Samples follow a
-    monotone cubic between the recorded ones. A tacho does not survive a lower rate
-    and becomes None: derive the angle first with `angle_from_tacho`.
-
-    Args:
-        record: The record.
-        rate: The new rate [Hz].
-
-    Returns:
-        The record at the instants k / rate after its first; none lies in a gap.
-
-    Differentiability: none; on the host.
-    """
-    from scipy.interpolate import PchipInterpolator
-
-    if not (np.isfinite(rate) and rate > 0):
-        raise ValueError(f"Argument `rate` must be positive and finite, but is {rate}.")
-    is_lower = rate < record.rate * (1 - 1e-9)
-    source = lowpass_record(record, _ANTI_ALIAS * rate) if is_lower else record
-    first = record.time[0]
-    pieces: list[tuple[np.ndarray, slice]] = []
-    for part in parts_between_gaps(record):
-        begin, end = (record.time[[part.start, part.stop - 1]] - first) * rate
-        # A millionth of a sample, so that rounding loses no end.
-        index = np.arange(np.ceil(begin - 1e-6), np.floor(end + 1e-6) + 1)
-        if index.size and part.stop - part.start > 1:
-            pieces.append((first + index / rate, part))
-    time = np.concatenate([instants for instants, _ in pieces])
-
-    def follow(values: Float[np.ndarray, "sample ..."]) -> np.ndarray:
-        out = []
-        for instants, part in pieces:
-            inside = np.clip(instants, *record.time[[part.start, part.stop - 1]])
-            out.append(PchipInterpolator(record.time[part], values[part])(inside))
-        return np.concatenate(out)
-
-    starts = np.cumsum([0, *(instants.size for instants, _ in pieces[:-1])])
-    is_after_gap = np.zeros(time.size, dtype=bool)
-    is_after_gap[starts[1:]] = True
-    return Record(
-        time=time,
-        force=follow(source.force),
-        rate=float(rate),
-        is_saturated=follow(record.is_saturated.astype(float)) > 1e-6,
-        is_after_gap=is_after_gap,
-        tacho=None if record.tacho is None or is_lower else follow(record.tacho),
-        angle=None if record.angle is None else follow(np.unwrap(record.angle)),
-        names=record.names,
-        is_measured=record.is_measured,
-        notes=record.notes,
-        source=record.source,
-    )
 
 
 def section(record: Record, start: float, stop: float) -> Record:
