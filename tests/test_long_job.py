@@ -14,7 +14,12 @@ from slides_job import write_slides_job
 
 from diffmill import io
 
-SETTINGS = ("max_steps = 10", "max_products = 60", "overlap = 70")
+SETTINGS = (
+    "max_steps = 10",
+    "max_products = 60",
+    "overlap = 70",
+    "acceleration_factor = inf",
+)
 # Enough on a machine that does many other things too [s].
 LIMIT = 5400
 

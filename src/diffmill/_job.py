@@ -41,7 +41,9 @@ class SimulationSettings(eqx.Module):
         mode: "dynamic", or "quasistatic": springs balance the mean force of each
             tooth period, without inertia.
         has_sensitivity: Whether the command line adds maps of the sensitivity.
-        checks_stability: Whether the command line looks for chatter after a run.
+        stability: How the command line looks for chatter after a run: "quick", where
+            the cut is deepest, and it says nothing of a stable one; "full", along the
+            path; or "none".
     """
 
     angles: int = eqx.field(static=True)
@@ -60,7 +62,9 @@ class SimulationSettings(eqx.Module):
     dynamics: Literal["crba", "aba"] = eqx.field(static=True, default="crba")
     mode: Literal["dynamic", "quasistatic"] = eqx.field(static=True, default="dynamic")
     has_sensitivity: bool = eqx.field(static=True, default=False)
-    checks_stability: bool = eqx.field(static=True, default=False)
+    stability: Literal["quick", "full", "none"] = eqx.field(
+        static=True, default="quick"
+    )
 
 
 class UncertaintySettings(eqx.Module):

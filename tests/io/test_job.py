@@ -453,6 +453,22 @@ def test_a_program_can_be_smoothed_and_a_recorded_path_cannot(write, tmp_path):
         load_job(write(key, ('"part.ngc"', '"path.csv"')))
 
 
+def test_a_corrected_command_may_accelerate_twice_as_much(write, tmp_path):
+    factor = lambda file: load_job(file).correction.acceleration_factor
+    table = ("[robot]", "[correction]\n{}\n[robot]")
+    state = lambda line: (table[0], table[1].format(line))
+    assert factor(write()) == 2
+    assert factor(write(state("acceleration_factor = inf"))) == math.inf
+    # What is stated instead, and what holds no limits.
+    assert factor(write(state('max_acceleration = "9 m/s^2"'))) == math.inf
+    assert factor(write(state('method = "inverse_drive"'))) == math.inf
+    rows = ["time_s,x_mm,y_mm,z_mm", "0,-6,4,-1", "0.05,-4,4,-1"]
+    (tmp_path / "path.csv").write_text("\n".join(rows) + "\n")
+    lines = 'acceleration = "2 m/s^2"\nrapid_feed = "200 mm/s"\n'
+    lines += 'corner_tolerance = "0.1 mm"\n'
+    assert factor(write(('"part.ngc"', '"path.csv"'), (lines, ""))) == math.inf
+
+
 def test_a_factor_of_the_acceleration_is_at_least_one(write):
     tables = ("[robot]", "[correction]\nacceleration_factor = {}\n[robot]")
     job = load_job(write((tables[0], tables[1].format(2))))

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from diffmill import UncertaintySettings
+from diffmill import CorrectionSettings, UncertaintySettings
 from diffmill.io._job_correction import (
     CorrectionTable,
     check_correction,
@@ -16,6 +16,10 @@ from diffmill.io._job_table import validated
 def read(**raw: Any) -> tuple[Any, list[str]]:
     problems: list[str] = []
     return validated(CorrectionTable, raw, "[correction]", problems), problems
+
+
+def settings_of(table: CorrectionTable) -> CorrectionSettings:
+    return correction_settings(table, is_recorded=False)
 
 
 def test_values_become_settings_in_si():
@@ -38,24 +42,24 @@ def test_values_become_settings_in_si():
         weight=[{"lines": [12, 30], "value": 0}, {"lines": [31, 31], "value": 2.5}],
     )
     assert not problems
-    settings = correction_settings(table)
+    settings = settings_of(table)
     assert settings.tolerance == pytest.approx(1e-5)
     assert settings.uncertainty == UncertaintySettings(
         0.2, 0.0, 0.1, False, 6, 0, "worst", 5e-3
     )
     assert (settings.gouge, settings.stay_in_cut) == (pytest.approx(2e-5), True)
-    assert correction_settings(read()[0]).gouge == float("inf")
-    assert correction_settings(read()[0]).max_steps == 2
-    assert correction_settings(read(method="adam")[0]).max_steps == 60
-    assert correction_settings(read(method="adam", max_steps=7)[0]).max_steps == 7
-    assert correction_settings(read()[0]).uncertainty is None
+    assert settings_of(read()[0]).gouge == float("inf")
+    assert settings_of(read()[0]).max_steps == 2
+    assert settings_of(read(method="adam")[0]).max_steps == 60
+    assert settings_of(read(method="adam", max_steps=7)[0]).max_steps == 7
+    assert settings_of(read()[0]).uncertainty is None
     assert settings.max_velocity == pytest.approx(0.06)
     assert settings.max_acceleration == pytest.approx(2.0)
-    assert correction_settings(read()[0]).max_acceleration == float("inf")
+    assert settings_of(read()[0]).max_acceleration == float("inf")
     assert settings.sections == ((12, 30, 0.0), (31, 31, 2.5))
     assert (settings.objective, settings.finishing_only) == ("surface", True)
     assert (settings.wall_weight, settings.floor_weight) == (1.0, 0.0)
-    assert correction_settings(read()[0]).sections == ()
+    assert settings_of(read()[0]).sections == ()
 
 
 @pytest.mark.parametrize(

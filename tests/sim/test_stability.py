@@ -143,22 +143,26 @@ upper = ["20 mm", "10 mm", "0 mm"]
 spacing = "0.4 mm"
 [program]
 file = "part.ngc"
-[simulation]
-stability = true
 [robot]
+{robot}
+[simulation]
+stability = {stability}
 """
 PROGRAM = "G21 G17 G90 G94\nG0 X-6 Y5 Z1\nG0 Z-1\nG1 X4 F3000\nM2\n"
 
 
-def write_job(folder, robot):
+def write_job(folder, robot, stability):
     (folder / "part.ngc").write_text(PROGRAM)
-    (folder / "job.toml").write_text(JOB + robot)
+    text = JOB.format(robot=robot, stability=stability)
+    (folder / "job.toml").write_text(text)
     return folder / "job.toml"
 
 
 def test_what_cannot_vibrate_is_not_asked(tmp_path):
     with pytest.raises(io.JobError, match="with rigid = true nothing vibrates"):
-        io.load_job(write_job(tmp_path, "rigid = true\n"))
+        io.load_job(write_job(tmp_path, "rigid = true", "true"))
+    job = io.load_job(write_job(tmp_path, "rigid = true", '"quick"'))
+    assert job.simulation.stability == "quick"
 
 
 def test_the_command_line_says_what_is_found(monkeypatch, capsys):
@@ -166,13 +170,54 @@ def test_the_command_line_says_what_is_found(monkeypatch, capsys):
     monkeypatch.setattr(sim, "stability", lambda job, solution: found)
     dataset = types.SimpleNamespace(attrs={"notes": "before"})
     solution = types.SimpleNamespace(is_cutting=np.ones(3, bool))
-    _tell_stability(None, solution, dataset, Progress(is_quiet=False))  # pyright: ignore[reportArgumentType]
+    job = types.SimpleNamespace(simulation=types.SimpleNamespace(stability="full"))
+    _tell_stability(job, solution, dataset, Progress(is_quiet=False))  # pyright: ignore[reportArgumentType]
     first, *lines = dataset.attrs["notes"].splitlines()
     assert first == "before" and lines[0].startswith("warning: the cut is unstable")
     assert lines[1] == f"stability: {found.visibility()}"
     said = capsys.readouterr()
     assert all(line in said.out + said.err for line in lines)
     assert dataset.attrs["stability_largest_radius"] == found.radius.max()
+
+
+DAMPING = 2 * RATIO * STIFFNESS / (2 * math.pi * FREQUENCY)
+
+
+def slot_in_slides(folder, share):
+    """Return a job that cuts a slot with one soft slide."""
+    mass = STIFFNESS / (2 * math.pi * FREQUENCY) ** 2
+    stiff = 'stiffness = "1e10 N/m"\ndamping = "1e6 N*s/m"\n'
+    soft = f'stiffness = "{STIFFNESS} N/m"\ndamping = "{DAMPING} N*s/m"\n'
+    axis = '[[elements]]\nkind = "prismatic"\nname = "{}"\naxis = {}\n{}'
+    (folder / "arm.toml").write_text(
+        'name = "slides"\n'
+        + axis.format("y", [0, 1, 0], stiff)
+        + axis.format("z", [0, 0, 1], stiff)
+        + axis.format("x", [1, 0, 0], soft)
+        + f'[[elements]]\nkind = "body"\nmass = "{mass} kg"\n'
+        'inertia = ["1 kg*m^2", "1 kg*m^2", "1 kg*m^2"]\n'
+        '[[elements]]\nkind = "tool"\nname = "tool"\n'
+    )
+    robot = 'file = "arm.toml"\n'
+    robot += 'work_in_base = { position = ["0 mm", "0 mm", "0 mm"] }'
+    file = write_job(folder, robot, '"quick"')
+    text = file.read_text().replace("teeth = 2", "teeth = 4").replace("8000", "4000")
+    file.write_text(text.replace("0.4 mm", "0.25 mm"))
+    program = PROGRAM.replace("Z-1", f"Z{-1e3 * share * limit()[0]:.6f}")
+    (folder / "part.ngc").write_text(program.replace("F3000", "F1600"))
+    return io.load_job(file)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("share", [0.9, 1.1])
+def test_a_quick_look_finds_chatter_where_there_is_some(tmp_path, share):
+    job = slot_in_slides(tmp_path, share)
+    found = sim.find_chatter(job, sim.simulate(job))
+    if share < 1:
+        assert found is None
+    else:
+        assert found is not None and found.is_unstable.all()
+        np.testing.assert_allclose(found.frequency, limit()[1], rtol=5e-3)
 
 
 @pytest.mark.slow

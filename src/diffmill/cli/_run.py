@@ -81,7 +81,7 @@ def run_job(
     dataset = with_job(outcome.to_dataset(), job)
     dataset.attrs.setdefault("wall_time_s", seconds)
     dataset = _with_contacts(job, final, dataset, progress)
-    if job.simulation.checks_stability:
+    if np.asarray(final.is_cutting).any():
         _tell_stability(job, final, dataset, progress)
     if job.simulation.has_sensitivity:
         progress.say("sensitivity: one derivative for each parameter")
@@ -177,11 +177,14 @@ def _tell_stability(
     job: "Job", solution: Outcome, dataset: Dataset, progress: Progress
 ) -> None:
     """Look for chatter, say what is found and keep it in the attributes."""
-    from ..sim import stability
+    from ..sim import find_chatter, stability
 
-    if not np.asarray(solution.is_cutting).any():
+    check = job.simulation.stability
+    if check == "none":
         return
-    found = stability(job, solution)
+    found = (find_chatter if check == "quick" else stability)(job, solution)
+    if found is None:
+        return
     warning = found.warning()
     lines = [
         f"warning: {warning}"
@@ -190,6 +193,11 @@ def _tell_stability(
         f"growing vibration has the factor {found.radius.max():.3f} per tooth period",
         f"stability: {found.visibility()}",
     ]
+    if check == "quick":
+        lines.append(
+            "stability: looked at where the cut is deepest; [simulation] "
+            "stability = true looks along the whole path"
+        )
     _say_and_keep(lines, dataset, progress)
     dataset.attrs["stability_largest_radius"] = float(found.radius.max())
 

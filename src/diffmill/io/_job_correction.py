@@ -38,11 +38,13 @@ def _rows(value: object) -> int | str:
 
 
 def _factor(value: object) -> float:
-    """Return a factor, a number of at least 1."""
+    """Return a factor, a number of at least 1 or inf."""
     if isinstance(value, int | float) and not isinstance(value, bool):
-        if 1 <= value < math.inf:
+        if value >= 1:
             return float(value)
-    raise ValueError(f"found {value!r}, but a number of at least 1 is required")
+    raise ValueError(
+        f"found {value!r}, but a number of at least 1, or inf, is required"
+    )
 
 
 Rows = Annotated[int | Literal["auto"], BeforeValidator(_rows)]
@@ -65,6 +67,8 @@ Uncertainty = Annotated[float, BeforeValidator(_uncertainty)]
 
 # Steps of Adam unless a job says otherwise.
 _ADAM_STEPS = 60
+# What a corrected command may accelerate unless a job says otherwise, over the program.
+_FACTOR = 2.0
 
 
 class WeightTable(Table):
@@ -121,13 +125,24 @@ class CorrectionTable(Table):
     overlap: Rows = "auto"
 
 
-def correction_settings(table: CorrectionTable) -> CorrectionSettings:
-    """Return the settings of a checked table."""
+def correction_settings(
+    table: CorrectionTable, *, is_recorded: bool
+) -> CorrectionSettings:
+    """Return the settings of a checked table.
+
+    Args:
+        table: The table.
+        is_recorded: Whether the path is a recorded one. It need not start from rest
+            and may hardly accelerate at all, so that a factor of it says nothing.
+    """
     values: dict[str, Any] = table.model_dump(
         exclude={"weight", "uncertainty"}, exclude_none=True
     )
     if table.method == "adam":
         values.setdefault("max_steps", _ADAM_STEPS)
+    is_bound = table.max_acceleration is not None
+    if _holds_limits(table) and not is_recorded and not is_bound:
+        values.setdefault("acceleration_factor", _FACTOR)
     if (known := table.uncertainty) is not None:
         values["uncertainty"] = UncertaintySettings(
             stiffness=known.stiffness,
@@ -195,6 +210,11 @@ def _check_segments(table: CorrectionTable, problems: list[str]) -> None:
             f"[correction] overlap: found {table.overlap}, but less than the horizon, "
             f"{table.horizon}, is required"
         )
+
+
+def _holds_limits(table: CorrectionTable) -> bool:
+    """Return whether the method can hold limits of the command."""
+    return table.method == "gauss_newton" and table.command == "tip"
 
 
 def _check_method(table: CorrectionTable, problems: list[str]) -> None:

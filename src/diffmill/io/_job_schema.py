@@ -99,7 +99,7 @@ class SimulationTable(Table):
     integrator: Literal["midpoint", "rk4"] = "midpoint"
     dynamics: Literal["crba", "aba"] = "crba"
     mode: Literal["dynamic", "quasistatic"] = "dynamic"
-    stability: StrictBool = False
+    stability: StrictBool | Literal["quick"] = "quick"
     sensitivity: StrictBool = False
 
 

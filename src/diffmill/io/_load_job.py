@@ -3,7 +3,7 @@
 import math
 import os
 import pathlib
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -277,7 +277,9 @@ def _assemble(
         joint_start=start,
         tool_rotation=tables["robot"].tool_rotation,
         simulation=simulation,
-        correction=correction_settings(tables["correction"]),
+        correction=correction_settings(
+            tables["correction"], is_recorded=isinstance(program, Path)
+        ),
         source=text,
         program=program.source if isinstance(program, Program) else "",
         notes=(
@@ -341,8 +343,15 @@ def _simulation(
         dynamics=table.dynamics,
         mode=table.mode,
         has_sensitivity=table.sensitivity,
-        checks_stability=table.stability,
+        stability=_stability(table.stability),
     )
+
+
+def _stability(key: bool | Literal["quick"]) -> Literal["quick", "full", "none"]:
+    """Return how chatter is looked for."""
+    if key == "quick":
+        return "quick"
+    return "full" if key else "none"
 
 
 def _check_springs(
@@ -389,7 +398,7 @@ def _check_simulation(
             '[simulation] chip: found "point_cloud", which a flat cutter with even '
             'pitch and without run-out is required for; others take "near_far"'
         )
-    if table.stability:
+    if table.stability is True:
         _check_vibrates(tables, problems)
     if table.sensitivity and "robot" in tables and tables["robot"].rigid:
         problems.append(
@@ -405,7 +414,7 @@ def _check_vibrates(tables: dict[str, Any], problems: list[str]) -> None:
         why = "rigid = true" if is_rigid else 'mode = "quasistatic"'
         problems.append(
             f"[simulation] stability: found true, but with {why} nothing vibrates; "
-            "only false is allowed"
+            'only false or "quick" is allowed'
         )
 
 

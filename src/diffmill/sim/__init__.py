@@ -91,6 +91,7 @@ from ._simulate import (
 )
 from ._stability import (
     Stability as Stability,
+    find_chatter as find_chatter,
     stability as stability,
     stability_along as stability_along,
 )

@@ -28,12 +28,17 @@ from ..robot import Robot, arm_terms
 from ..workpiece import Pose, Stock
 from ._force_slopes import force_slopes
 from ._linear_arm import linear_arms
-from ._period_map import Step, monodromy, strongest
+from ._padding import padded_count
+from ._period_map import Regeneration, Step, monodromy, strongest
 from ._plan import ProcessPlan
+from ._quick_slopes import quick_slopes
 from ._simulate import Solution, job_plan, simulate, with_precision
 
-# Rows that are looked at unless asked for.
-_ROWS = 100
+# Rows that are looked at unless asked for, and those of a quick look.
+_ROWS, _QUICK_ROWS = 100, 6
+# A row whose period is shorter than this share of the median hardly moves: what it
+# removes over its way says nothing of the cut.
+_MOVING = 0.1
 # An undamped arm in the air has the radius 1; rounding must not make it unstable.
 _TOLERANCE = 1e-4
 # Steps of the analysis per turn of the fastest mode that counts, and per tooth period.
@@ -156,8 +161,7 @@ def stability(
     robot = job.robot
     assert robot is not None
     solution = simulate(job) if solution is None else solution
-    settings = dataclasses.replace(job.simulation, chip="near_far")
-    plan = job_plan(dataclasses.replace(job, simulation=settings))
+    plan = _plan(job)
     if rows is None:
         cutting = np.flatnonzero(np.asarray(solution.is_cutting))
         cutting = cutting[cutting > 0]
@@ -179,6 +183,70 @@ def stability(
         rows,
         bottom_law=job.bottom_law,
     )
+
+
+def find_chatter(job: Job, solution: Solution) -> Stability | None:
+    """Return how vibrations grow where a quick look finds that they may.
+
+    The quick look takes the deepest cut of each of a few stretches of the path, and
+    the slopes of its force from where the tool has been (`_quick_slopes.py`). What it
+    suspects is looked at as by `stability`; between these rows chatter is missed.
+
+    Args:
+        job: The job.
+        solution: Its solution.
+
+    Returns:
+        The growth at the suspected rows; None where nothing grows, also for a rigid
+        machine and a quasi-static job.
+
+    Differentiability: none, a host function.
+    """
+    if job.robot is None or job.simulation.mode != "dynamic":
+        return None
+    rows = _deep_rows(solution)
+    if rows.size == 0:
+        return None
+    job = with_precision(job)
+    robot = job.robot
+    assert robot is not None
+    plan, frame = _plan(job), jnp.asarray(job.T_base_work)
+    motors, joints = solution.motor_positions, solution.joint_positions
+    assert motors is not None
+    assert joints is not None
+    path = Pose(solution.actual)
+    if not plan.is_upright:
+        path = joint_poses(robot, frame, _padded(joints), False)
+    slopes = quick_slopes(path, job.stock, job.cutter, job.law, plan, rows)
+    motion = _Motion(motors, joints, solution.actual, float(job.tooth_period))
+    quick = _growth(robot, frame, motion, rows, slopes, plan.substeps)
+    if not quick.is_unstable.any():
+        return None
+    found = stability(job, solution, rows=quick.row[quick.is_unstable])
+    return found if found.is_unstable.any() else None
+
+
+def _deep_rows(solution: Solution) -> Int[np.ndarray, " row"]:
+    """Return the rows of the largest chip's cross section in stretches of the cut."""
+    tips = np.asarray(solution.actual)
+    way = np.linalg.norm(np.diff(tips, axis=0, prepend=tips[:1]), axis=1)
+    volume = np.asarray(solution.removed_volume)
+    cuts = np.flatnonzero(np.asarray(solution.is_cutting) & (volume > 0) & (way > 0))
+    cuts = cuts[cuts > 0]
+    if cuts.size == 0:
+        return cuts
+    least = _MOVING * np.median(way[cuts])
+    area = volume[cuts] / np.maximum(way[cuts], least)
+    stretches = np.array_split(np.arange(cuts.size), min(_QUICK_ROWS, cuts.size))
+    rows = [cuts[stretch[np.argmax(area[stretch])]] for stretch in stretches]
+    # As many rows for every job: one compiled program.
+    return np.resize(np.array(rows), _QUICK_ROWS)
+
+
+def _plan(job: Job) -> ProcessPlan:
+    """Return the plan of a job with the chip model "near_far"."""
+    settings = dataclasses.replace(job.simulation, chip="near_far")
+    return job_plan(dataclasses.replace(job, simulation=settings))
 
 
 def stability_along(
@@ -223,22 +291,56 @@ def stability_along(
         raise ValueError(
             f"Argument `rows` must have rows from 1 to {step_count - 1}, but is {rows}."
         )
-    # What comes after the last row looked at is of no interest.
-    end = int(chosen.max()) + 1
-    dtype, T = joint_positions.dtype, float(tooth_period)
-    frame = jnp.asarray(T_base_work, dtype)
-    path = joint_poses(robot, frame, joint_positions[:end], plan.is_upright)
+    frame = jnp.asarray(T_base_work, joint_positions.dtype)
+    path = joint_poses(robot, frame, _padded(joint_positions), plan.is_upright)
     # The force has its slopes at every angle that is looked at.
     fine = dataclasses.replace(plan, substeps=plan.angles // cutter.flute_count)
     slopes = force_slopes(path, stock, cutter, law, bottom_law, fine, chosen)
-    before = chosen - 1
-    middle = lambda x: (x[before] + x[chosen]) / 2
+    tips = path.tip[:step_count]
+    motion = _Motion(motor_positions, joint_positions, tips, float(tooth_period))
+    return _growth(robot, frame, motion, chosen, slopes, plan.substeps)
+
+
+def _padded(rows: Float[Array, "step joint"]) -> Float[Array, "padded joint"]:
+    """Return rows with the last one again, as many as one of few lengths."""
+    at = np.minimum(np.arange(padded_count(rows.shape[0])), rows.shape[0] - 1)
+    return rows[at]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Motion:
+    """Motors, joints and tips at the tooth instants.
+
+    Attributes:
+        motors: [rad or m], shape (step, joint).
+        joints: [rad or m], shape (step, joint).
+        tips: Tool tips in `work` [m], shape (step, 3).
+        period: Tooth period [s].
+    """
+
+    motors: Float[Array, "step joint"]
+    joints: Float[Array, "step joint"]
+    tips: Float[Array, "step 3"]
+    period: float
+
+
+def _growth(
+    robot: Robot,
+    T_base_work: Float[Array, "4 4"],
+    motion: _Motion,
+    rows: Int[np.ndarray, " row"],
+    slopes: Sequence[Regeneration],
+    substeps: int,
+) -> Stability:
+    """Return the growth in the periods before some rows, by the slopes of the force."""
+    before, T = rows - 1, motion.period
+    motors, joints = (np.asarray(x) for x in (motion.motors, motion.joints))
     arms = linear_arms(
         robot,
-        frame,
-        middle(motor_positions),
-        middle(joint_positions),
-        (joint_positions[chosen] - joint_positions[before]) / T,
+        T_base_work,
+        jnp.asarray((motors[before] + motors[rows]) / 2),
+        jnp.asarray((joints[before] + joints[rows]) / 2),
+        jnp.asarray((joints[rows] - joints[before]) / T),
     )
     A, G, C = (np.asarray(x, np.float64) for x in (arms.A, arms.G, arms.C))
     gains = [found.gain() for found in slopes]
@@ -251,15 +353,15 @@ def stability_along(
         found.append(strongest(matrix, tips, T))
     radius, frequency, apparent = np.array(found).T
     return Stability(
-        row=chosen,
-        time=chosen * T,
-        position=np.asarray(path.tip)[chosen],
+        row=rows,
+        time=rows * T,
+        position=np.asarray(motion.tips)[rows],
         radius=radius,
         frequency=frequency,
         apparent_frequency=apparent,
         tooth_frequency=1 / T,
         fastest_mode=fastest,
-        substeps=plan.substeps,
+        substeps=substeps,
         steps=steps,
     )
 
