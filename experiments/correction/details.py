@@ -10,7 +10,7 @@ from small_job import small_job
 def measure(report: Any, job: dm.Job | None = None) -> None:
     """Print a table of all methods, for the path and for the surface."""
     for name, more in (("path", ""), ("surface", 'objective = "surface"\n')):
-        chosen = small_job(more) if job is None else job
+        chosen = small_job('compare = "all"\n' + more) if job is None else job
         result = dm.correct(chosen)
         _table(report, name, result.to_dataset())
 

@@ -22,6 +22,7 @@ from diffmill.toolpath import contour_error
 from small_job import small_job
 
 WRONG, DRAWS, SEED = 0.2, 50, 12345
+ALL = 'compare = "all"\n'
 UNCERTAIN = (
     f"[correction.uncertainty]\nstiffness = {WRONG}\ndamping = {WRONG}\n"
     f"force = {WRONG}\ndraws = 4\nseed = 1\n"
@@ -45,9 +46,9 @@ def measure(
 ) -> None:
     """Print the error of every command on wrong models."""
     nominal, uncertain, worst = jobs or (
-        small_job(),
-        small_job(UNCERTAIN),
-        small_job(UNCERTAIN + WORST),
+        small_job(ALL),
+        small_job(ALL + UNCERTAIN),
+        small_job(ALL + UNCERTAIN + WORST),
     )
     kept: dict[str, np.ndarray] = {}
 

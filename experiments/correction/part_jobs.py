@@ -64,7 +64,12 @@ def part_job(
     """
     part = PARTS[name]()
     text = job_text(
-        arm, part.cutter, part.lower, part.upper, correction=correction, robot=robot
+        arm,
+        part.cutter,
+        part.lower,
+        part.upper,
+        correction={"compare": '"all"', **(correction or {})},
+        robot=robot,
     )
     with tempfile.TemporaryDirectory() as folder:
         file = pathlib.Path(folder) / f"{name}.toml"

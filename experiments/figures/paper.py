@@ -1,5 +1,6 @@
 """The headline: the example `paper` before and after, and the price of bandwidth."""
 
+import dataclasses
 import time
 
 import numpy as np
@@ -14,6 +15,8 @@ MIRRORS = ("mirror", "mirror_iterated")
 def measure(report: Report) -> None:
     """Correct the example, compare all cases, and trade bandwidth for error."""
     job = example_job("paper")
+    settings = dataclasses.replace(job.correction, compare="all")
+    job = dataclasses.replace(job, correction=settings)
     start = time.perf_counter()
     correction = dm.correct(job)
     total = time.perf_counter() - start
@@ -63,7 +66,7 @@ def _trade_off(report: Report, job: dm.Job, correction: dm.Correction) -> None:
     settings, before = job.correction, correction.before
     problem = dm.correction.Problem(
         plant=dm.correction.TipPlant(
-            job, dm.sim.Traced(keeps_slopes=True), before.wall_share
+            job, dm.sim.Traced(keeps_slopes=True), before.wall_share, before.rigid
         ),
         nominal=np.asarray(before.desired),
         desired=np.asarray(before.desired),

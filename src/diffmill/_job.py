@@ -101,6 +101,8 @@ class CorrectionSettings(eqx.Module):
         objective: "path" (contour error of the tip) or "surface" (signed error of the
             machined surface).
         method: Method whose result is written as the corrected program.
+        compare: "all" to run every method, the baselines' grids included; "few" for the
+            one-shot mirror and the inverse drive beside the one asked for.
         command: "tip" positions (what a program carries) or "joint" angles.
         knot_spacing: Spacing of the B-spline knots [s], the controller's bandwidth.
         max_offset: Largest offset of the command from the desired path [m], per axis.
@@ -137,6 +139,7 @@ class CorrectionSettings(eqx.Module):
         "input_shaper",
         "inverse_drive",
     ] = eqx.field(static=True, default="gauss_newton")
+    compare: Literal["few", "all"] = eqx.field(static=True, default="few")
     command: Literal["tip", "joint"] = eqx.field(static=True, default="tip")
     knot_spacing: float = eqx.field(static=True, default=30e-3)
     max_offset: RealScalarLike = 1e-3

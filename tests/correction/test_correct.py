@@ -7,6 +7,7 @@ import pytest
 
 from diffmill import load_job
 from diffmill.correction import (
+    CASES,
     InfeasibleLimit,
     NothingToCorrect,
     SplineOffsets,
@@ -91,12 +92,13 @@ def test_knots_wider_than_the_program_are_refused(load):
 
 @pytest.mark.slow
 def test_every_case_has_every_figure(load):
-    job = load('max_velocity = "120 mm/s"\nfinishing_only = true\n')
+    more = 'max_velocity = "120 mm/s"\nfinishing_only = true\ncompare = "all"\n'
+    job = load(more)
     result = correct(job)
     data = result.to_dataset()
     fastest = jnp.abs(jnp.diff(result.commanded, axis=0)).max() / job.tooth_period
     assert float(fastest) <= 0.12 * (1 + 1e-9)
-    assert data.sizes["case"] == 5
+    assert tuple(result.cases) == CASES
     parts = data["path_part"].values
     np.testing.assert_array_equal(parts >= 0, data["is_cutting"].values > 0)
     assert {0, 1, 2} <= set(parts.tolist())
@@ -110,6 +112,22 @@ def test_every_case_has_every_figure(load):
     rms = np.sqrt(np.mean(error[parts >= 0] ** 2))
     before = data.sel(case="uncorrected")["contour_error"].values[parts >= 0]
     assert rms < 0.7 * np.sqrt(np.mean(before**2))
+
+
+@pytest.mark.slow
+def test_only_what_is_asked_for_runs(load):
+    result = correct(load('method = "mirror"\n'))
+    assert tuple(result.cases) == ("uncorrected", "mirror", "inverse_drive")
+    assert result.after is result.mirror and result.history == ()
+    runs = {name: found.forward_runs for name, found in result.methods.items()}
+    assert sum(runs.values()) <= 4
+    # A case's solution and figures are those of one run.
+    for name, found in result.methods.items():
+        solution = result.cases[name]
+        np.testing.assert_array_equal(found.command, solution.commanded)
+        np.testing.assert_array_equal(
+            found.motion.actual, solution.desired + solution.surface_deviation
+        )
 
 
 @pytest.mark.slow

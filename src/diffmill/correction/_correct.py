@@ -1,29 +1,28 @@
 """Correcting a job: the baselines, then the best command that derivatives find."""
 
 import dataclasses
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._job import Job
+from .._types import FloatRows
 from ..sim import (
     AbstractAdjoint,
     Solution,
     Traced,
     command_joints,
-    joint_motors,
     raise_unless_successful,
     run_with_room,
-    solve_command,
     with_precision,
 )
 from ._case_record import CaseRecord, OnProgress
+from ._gauss_newton import GaussNewton
 from ._input_shaper import shaped_program
-from ._inverse_drive import inverse_drive
+from ._inverse_drive import InverseDriveCommand, inverse_drive
 from ._job_method import (
     OPTIMISERS,
     for_the_path,
@@ -32,7 +31,15 @@ from ._job_method import (
     preconditioned,
     within_joint_limits,
 )
-from ._job_problem import TipPlant, job_mirror, job_problem, joint_problem
+from ._job_problem import (
+    JointPlant,
+    SolvedMotion,
+    TipPlant,
+    job_mirror,
+    job_problem,
+    joint_problem,
+    solved_motion,
+)
 from ._joint_limits import check_joints
 from ._kept import horizon_of, keeping, remembering
 from ._least_squares_records import LeastSquaresStep
@@ -40,6 +47,7 @@ from ._memory import Arrays, OnCheckpoint
 from ._method import Corrected, GivenCommand
 from ._mirror import Mirror
 from ._parts import path_parts
+from ._problem import Problem
 from ._projection import clip_offset
 from ._setup import (
     check_limits,
@@ -106,8 +114,8 @@ class Correction(eqx.Module):
 
     @property
     def history(self) -> tuple[LeastSquaresStep, ...]:
-        """Return the steps of the optimiser, without those that found its start."""
-        return self.methods["corrected"].history
+        """Return the steps of the chosen method, without those that found its start."""
+        return self.methods[self.chosen].history
 
     def to_dataset(self) -> "xarray.Dataset":
         """Return all cases on `case`, figures by part of the path, and costs."""
@@ -126,8 +134,8 @@ def correct(
 ) -> Correction:
     """Predict, correct, and predict again.
 
-    The mirror, the iterated mirror, an input shaper and the inverse drive are always
-    computed; the best of them starts the optimiser. For the surface, or within bounds
+    The best of the commands that the job compares starts the optimiser, and only a
+    method that is asked for or compared runs. For the surface, or within bounds
     of it, a path that is corrected as a whole is first brought onto the desired one
     wherever it touches the surface: of the poses over a point only the deepest leaves
     an error, and one after the other would have to be raised.
@@ -173,77 +181,143 @@ def correct(
     if throw:
         raise_unless_successful(before, job)
     weights = _weights(job, rigid, before)
-    surface = job_surface(job, rigid)
-    objective = job_objective(job, surface, weights)
-    method = job_optimiser(job, objective, surface, adjoint)
-    plant = TipPlant(job, adjoint, before.wall_share)
+    plant = TipPlant(job, adjoint, before.wall_share, rigid)
     problem = job_problem(job, plant, desired, before, weights)
-    remaining = lambda m: remaining_error(objective, problem, m)
+    task = _Task(job, adjoint, before, problem, horizon)
+    is_optimised = "corrected" in compared(job)
+    # Settings that do not suit the job are refused before the baselines run.
+    optimiser = _Optimiser(task) if is_optimised else None
     record = CaseRecord(on_progress, on_checkpoint, resume)
-    run = record.run
-    run("uncorrected", GivenCommand(), problem)
-    run("mirror", Mirror(), problem)
-    mirror = job_mirror(plant, problem, before.is_cutting, horizon)
-    run("mirror_iterated", mirror, problem)
-    tips = clip_offset(desired, shaped_program(job, desired), problem.max_offset)
-    run("input_shaper", GivenCommand(tips), problem)
     inverse = _inverse_drive(job, rigid.force, desired)
-    tips = clip_offset(desired, inverse.tip, problem.max_offset)
-    run("inverse_drive", GivenCommand(tips), problem)
-    asked = job.correction.method
-    if asked not in OPTIMISERS:
-        check_joints(job, record.methods[asked].command, is_joints=False)
-    if job.correction.command == "joint":
-        problem = joint_problem(job, adjoint, desired, before, weights)
-        start = inverse.motor_positions
-    else:
-        start = min(record.methods.values(), key=remaining).command
-        method = preconditioned(method, job, desired)
-    method = within_joint_limits(method, job, problem)
-    path_first = None if horizon else for_the_path(method)
-    if surface is not None and path_first is not None:
-        rows = touching_rows(surface, np.asarray(desired))
+    _run_baselines(task, record, inverse)
+    if optimiser is not None:
+        optimiser.run(record, inverse)
+    return _finished(task, record)
+
+
+class _Task(NamedTuple):
+    """What every case of a correction is made from."""
+
+    job: Job
+    adjoint: AbstractAdjoint
+    before: Solution
+    problem: Problem
+    horizon: tuple[int, int] | None
+
+
+def compared(job: Job) -> tuple[str, ...]:
+    """Return the cases of a job's correction, in the order of `CASES`."""
+    settings = job.correction
+    if settings.compare == "all":
+        return CASES
+    asked = "corrected" if settings.method in OPTIMISERS else settings.method
+    few = {"uncorrected", "mirror", "inverse_drive", asked}
+    return tuple(case for case in CASES if case in few)
+
+
+def _run_baselines(
+    task: _Task, record: CaseRecord, inverse: InverseDriveCommand
+) -> None:
+    """Run the cases that need no optimiser."""
+    job, problem = task.job, task.problem
+    cases = compared(job)
+    known = solved_motion(task.before)
+    record.run("uncorrected", GivenCommand(motion=known), problem)
+    record.run("mirror", Mirror(before=known), problem)
+    if "mirror_iterated" in cases:
+        mirror = job_mirror(problem, task.before, task.horizon)
+        record.run("mirror_iterated", mirror, problem)
+    desired, bound = jnp.asarray(problem.desired), problem.max_offset
+    if "input_shaper" in cases:
+        tips = clip_offset(desired, shaped_program(job, desired), bound)
+        record.run("input_shaper", GivenCommand(tips), problem)
+    tips = clip_offset(desired, inverse.tip, bound)
+    record.run("inverse_drive", GivenCommand(tips), problem)
+
+
+class _Optimiser:
+    """The case that an optimiser finds, from the best of those before."""
+
+    def __init__(self, task: _Task):
+        job, before = task.job, task.before
+        self.task = task
+        self.surface = job_surface(job, before.rigid)
+        weights = np.asarray(task.problem.is_cutting)
+        self.objective = job_objective(job, self.surface, weights)
+        self.method = job_optimiser(job, self.objective, self.surface, task.adjoint)
+
+    def run(self, record: CaseRecord, inverse: InverseDriveCommand) -> None:
+        """Add the case to those of a record."""
+        job, adjoint, before, problem, _ = self.task
+        method = self.method
+        if job.correction.command == "joint":
+            tips = problem
+            problem = joint_problem(job, adjoint, before, tips)
+            start = inverse.motor_positions
+        else:
+            start = min(record.methods.values(), key=self._remaining).command
+            method = preconditioned(method, job, jnp.asarray(problem.desired))
+        method = within_joint_limits(method, job, problem)
+        path_first = None if self.task.horizon else for_the_path(method)
+        if path_first is not None:
+            start = self._on_the_path(record, path_first, problem, start)
+        kept = keeping(job, method, adjoint, record, before.wall_share)
+        record.run("corrected", kept, problem, start=start)
+
+    def _on_the_path(
+        self,
+        record: CaseRecord,
+        path_first: GaussNewton,
+        problem: Problem,
+        start: FloatRows,
+    ) -> FloatRows:
+        """Return a start with the rows that touch the surface on the path."""
+        assert self.surface is not None
+        rows = touching_rows(self.surface, np.asarray(problem.desired))
         rows = rows.astype(problem.is_cutting.dtype)
-        if job.correction.objective == "path":
+        if self.task.job.correction.objective == "path":
             rows = np.maximum(problem.is_cutting, rows)
         touching = dataclasses.replace(problem, is_cutting=rows)
         first = remembering(path_first, "path_first", record)
         found = record.prepare("path_first", first, touching, start=start)
         given = GivenCommand(path_first.begin(problem, start))
         given = record.prepare("given_first", given, problem)
-        closest = lambda m: remaining(m) + out_of_bounds(method, m)
-        start = min((found, given), key=closest).command
-    kept = keeping(job, method, adjoint, record, before.wall_share)
-    run("corrected", kept, problem, start=start)
-    return _finished(job, rigid, before, record, adjoint)
+        closest = lambda m: self._remaining(m) + out_of_bounds(self.method, m)
+        return min((found, given), key=closest).command
+
+    def _remaining(self, found: Corrected) -> float:
+        return remaining_error(self.objective, self.task.problem, found)
 
 
-def _finished(
-    job: Job,
-    rigid: Any,
-    before: Solution,
-    record: CaseRecord,
-    adjoint: AbstractAdjoint,
-) -> Correction:
-    """Check the command that is asked for, and simulate every case for the record."""
-    asked, methods = job.correction.method, record.methods
+def _finished(task: _Task, record: CaseRecord) -> Correction:
+    """Check the command that is asked for, and collect the solutions of all cases."""
+    job, before, methods = task.job, task.before, record.methods
+    asked = job.correction.method
     chosen = "corrected" if asked in OPTIMISERS else asked
-    are_joints = {
-        name: name == "corrected" and job.correction.command == "joint"
-        for name in methods
-    }
-    check_joints(job, methods[chosen].command, is_joints=are_joints[chosen])
-    cases = {
-        name: _solution(job, rigid, method.command, adjoint, are_joints[name])
-        for name, method in methods.items()
-    }
+    are_joints = job.correction.command == "joint" and chosen == "corrected"
+    check_joints(job, methods[chosen].command, is_joints=are_joints)
+    cases = {name: _solution(task, name, found) for name, found in methods.items()}
     parts = path_parts(
         np.asarray(before.desired),
         np.asarray(before.is_cutting),
         job.cutter.nominal_radius,
-        removed_volume=np.asarray(rigid.removed_volume),
+        removed_volume=np.asarray(before.rigid.removed_volume),
     )
     return Correction(cases, methods, record.wall_time, parts, chosen)
+
+
+def _solution(task: _Task, name: str, found: Corrected) -> Solution:
+    """Return the solution of a case; one that was taken up again has to be run."""
+    if isinstance(found.motion, SolvedMotion):
+        return found.motion.solution
+    job, before = task.job, task.before
+    is_joints = name == "corrected" and job.correction.command == "joint"
+    plant = JointPlant if is_joints else TipPlant
+    motion = plant(job, task.adjoint, before.wall_share, before.rigid).run(
+        found.command
+    )
+    assert isinstance(motion, SolvedMotion)
+    return motion.solution
 
 
 def _weights(job: Job, rigid: Any, before: Solution) -> Float[np.ndarray, " step"]:
@@ -262,7 +336,7 @@ def _weights(job: Job, rigid: Any, before: Solution) -> Float[np.ndarray, " step
 @eqx.filter_jit
 def _inverse_drive(
     job: Job, force: Float[Array, "step 3"], desired: Float[Array, "step 3"]
-) -> Any:
+) -> InverseDriveCommand:
     joints, _ = command_joints(job, desired)
     return inverse_drive(
         job.robot,  # pyright: ignore[reportArgumentType]
@@ -272,18 +346,3 @@ def _inverse_drive(
         T_base_work=job.T_base_work,
         is_gravity_compensated=job.simulation.is_gravity_compensated,
     )
-
-
-def _solution(
-    job: Job, rigid: Any, command: Any, adjoint: AbstractAdjoint, is_joints: bool
-) -> Solution:
-    command = jnp.asarray(command)
-    if not is_joints:
-        return solve_command(job, rigid, command, adjoint)
-    from ..robot import forward_kinematics
-
-    # The tip positions that belong to commanded joints, for the record.
-    T = jnp.asarray(job.T_base_work)
-    tips = jax.vmap(lambda q: forward_kinematics(job.robot, q)[:3, 3])(command)  # pyright: ignore[reportArgumentType]
-    tips = (tips - T[:3, 3][None]) @ T[:3, :3]
-    return solve_command(job, rigid, tips, adjoint, joint_motors(job, command))

@@ -59,7 +59,9 @@ def correction_dataset(correction: "Correction") -> "xarray.Dataset":
         for key, value in method.detail.items():
             dataset.attrs[f"{name}_{key}"] = value
     dataset.attrs["corrected_case"] = correction.chosen
-    is_settled = bool(correction.methods["corrected"].result == RESULTS.successful)
+    is_settled = bool(
+        correction.methods[correction.chosen].result == RESULTS.successful
+    )
     dataset.attrs["corrected_outcome"] = "settled" if is_settled else "steps ran out"
     return dataset
 

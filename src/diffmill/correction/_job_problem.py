@@ -4,25 +4,46 @@ import dataclasses
 from typing import Any
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from .._job import Job
+from .._types import FloatRows
 from ..sim import (
     AbstractAdjoint,
+    ProcessSolution,
     Solution,
     command_joints,
     command_motors,
     joint_motors,
     run_motors,
+    solve_command,
 )
 from ._job_pieces import Steps, wall_motion, with_rows
 from ._method import AbstractMethod
 from ._mirror import IteratedMirror, SampledMirror
-from ._problem import Motion, Problem
+from ._problem import AbstractRun, Motion, Problem
 
 
-class TipPlant(eqx.Module):
+class SolvedMotion(Motion):
+    """The motion of a job, with the solution that it was taken from.
+
+    Attributes as of `Motion`, and:
+        solution: The solution.
+    """
+
+    solution: Solution
+
+
+def solved_motion(solution: Solution) -> SolvedMotion:
+    """Return the motion of a solution, as its walls show it."""
+    actual = solution.desired + solution.surface_deviation
+    return SolvedMotion(actual, solution.force, solution)
+
+
+class TipPlant(AbstractRun):
     """A job as a plant that is commanded by tip positions [m].
 
     Attributes:
@@ -30,11 +51,14 @@ class TipPlant(eqx.Module):
         adjoint: How to differentiate through the removal.
         wall_share: When in each period its wall is made, `Solution.wall_share`, shape
             (step,); by the path alone if None.
+        rigid: `rigid_cut` of the job, to run by the program of `simulate`; None to
+            run by one of its own.
     """
 
     job: Job
     adjoint: AbstractAdjoint
     wall_share: Steps | None = None
+    rigid: ProcessSolution | None = None
 
     def __call__(self, command: Float[Array, "step 3"]) -> Motion:
         """Return the motion that follows a command, shape (step, 3)."""
@@ -42,8 +66,15 @@ class TipPlant(eqx.Module):
         ran = run_motors(self.job, motors, self.adjoint)
         return wall_motion(self.job, ran, self.wall_share)
 
+    def run(self, command: FloatRows) -> Motion:
+        """Return the motion; with its solution, if the rigid cut is known."""
+        if self.rigid is None:
+            return _compiled(self, command)
+        command = jnp.asarray(command)
+        return solved_motion(solve_command(self.job, self.rigid, command, self.adjoint))
 
-class JointPlant(eqx.Module):
+
+class JointPlant(AbstractRun):
     """A job as a plant that is commanded by joint positions [rad or m].
 
     The controller adds the gravity sag, as it does for tip positions. Attributes as of
@@ -53,11 +84,31 @@ class JointPlant(eqx.Module):
     job: Job
     adjoint: AbstractAdjoint
     wall_share: Steps | None = None
+    rigid: ProcessSolution | None = None
 
     def __call__(self, command: Float[Array, "step joint"]) -> Motion:
         """Return the motion that follows a command, shape (step, joint)."""
         ran = run_motors(self.job, joint_motors(self.job, command), self.adjoint)
         return wall_motion(self.job, ran, self.wall_share)
+
+    def run(self, command: FloatRows) -> Motion:
+        """Return the motion; with its solution, if the rigid cut is known."""
+        from ..robot import forward_kinematics
+
+        if self.rigid is None:
+            return _compiled(self, command)
+        job, command = self.job, jnp.asarray(command)
+        # The tips that belong to the joints, for the record.
+        T = jnp.asarray(job.T_base_work)
+        tips = jax.vmap(lambda q: forward_kinematics(job.robot, q)[:3, 3])(command)  # pyright: ignore[reportArgumentType]
+        tips = (tips - T[:3, 3][None]) @ T[:3, :3]
+        motors = joint_motors(job, command)
+        return solved_motion(solve_command(job, self.rigid, tips, self.adjoint, motors))
+
+
+@eqx.filter_jit
+def _compiled(plant: AbstractRun, command: FloatRows) -> Motion:
+    return plant(jnp.asarray(command))
 
 
 def job_problem(
@@ -79,29 +130,30 @@ def job_problem(
 
 
 def joint_problem(
-    job: Job,
-    adjoint: AbstractAdjoint,
-    desired: Float[Array, "step 3"],
-    before: Solution,
-    weights: Float[np.ndarray, " step"],
+    job: Job, adjoint: AbstractAdjoint, before: Solution, tips: Problem
 ) -> Problem:
-    """Return the problem in joint positions, bounded like the tip at its far end."""
+    """Return the problem in joint positions, bounded like the tip at its far end.
+
+    Args:
+        job: The job.
+        adjoint: How to differentiate through the removal.
+        before: Solution of the uncorrected program.
+        tips: The problem in tip positions.
+    """
     from ..robot import jacobian
 
-    nominal, _ = command_joints(job, desired)
+    nominal, _ = command_joints(job, jnp.asarray(tips.desired))
     J = np.asarray(jacobian(job.robot, nominal[0]))[:3]  # pyright: ignore[reportArgumentType]
     lever = np.linalg.norm(J, axis=0).max()
-    plant = JointPlant(job, adjoint, before.wall_share)
+    plant = JointPlant(job, adjoint, before.wall_share, before.rigid)
+    weights = np.asarray(tips.is_cutting)
     problem = job_problem(job, plant, nominal, before, weights)
     bound = float(job.correction.max_offset) / lever
     return eqx.tree_at(lambda p: p.max_offset, problem, np.asarray(bound))
 
 
 def job_mirror(
-    plant: TipPlant,
-    problem: Problem,
-    is_cutting: Array,
-    horizon: tuple[int, int] | None,
+    problem: Problem, before: Solution, horizon: tuple[int, int] | None
 ) -> AbstractMethod:
     """Return the iterated mirror; on a long path its grid sees the first that cuts.
 
@@ -109,7 +161,9 @@ def job_mirror(
     optimiser.
     """
     if horizon is None:
-        return IteratedMirror()
+        return IteratedMirror(before=solved_motion(before))
+    plant, is_cutting = problem.plant, before.is_cutting
+    assert isinstance(plant, TipPlant)
     first = int(np.flatnonzero(is_cutting)[0])
     rows = slice(min(first + horizon[0], plant.job.path.step_count))
     # Where none of these rows counts, the filter that suits the arm is found all the
@@ -121,7 +175,7 @@ def job_mirror(
     shares = None if plant.wall_share is None else plant.wall_share[rows]
     sample = dataclasses.replace(
         problem,
-        plant=dataclasses.replace(plant, job=part, wall_share=shares),
+        plant=dataclasses.replace(plant, job=part, wall_share=shares, rigid=None),
         nominal=problem.nominal[rows],
         desired=problem.desired[rows],
         is_cutting=weights,

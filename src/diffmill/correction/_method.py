@@ -11,7 +11,7 @@ from .._result import RESULTS
 from .._types import FloatRows
 from ._least_squares_records import LeastSquaresStep
 from ._measures import Measures, measure
-from ._problem import Motion, Problem, run
+from ._problem import Motion, Problem, contour_of, run
 
 # Called now and then with a message and a measure of the error; True ends the run.
 OnProgress = Callable[[str, float], bool | None]
@@ -73,9 +73,11 @@ class GivenCommand(AbstractMethod):
 
     Attributes:
         command: The command, shape (step, axis); None for the nominal one.
+        motion: What the plant does with it; found by a run if None.
     """
 
     command: FloatRows | None = None
+    motion: Motion | None = None
 
     def __call__(
         self,
@@ -86,7 +88,8 @@ class GivenCommand(AbstractMethod):
     ) -> Corrected:
         """Return the command with the motion that follows; `start` is not used."""
         command = problem.nominal if self.command is None else self.command
-        return corrected(problem, command)
+        runs = 0 if self.motion is None else 1
+        return corrected(problem, command, motion=self.motion, forward_runs=runs)
 
 
 def corrected(
@@ -94,7 +97,6 @@ def corrected(
     command: FloatRows,
     *,
     motion: Motion | None = None,
-    contour: Float[np.ndarray, "step 3"] | None = None,
     forward_runs: int = 0,
     products: int = 0,
     history: tuple[LeastSquaresStep, ...] = (),
@@ -107,7 +109,6 @@ def corrected(
         problem: The problem.
         command: The final command, shape (step, axis).
         motion: Its motion, if known.
-        contour: Its contour vectors [m], if known.
         forward_runs: Runs of the plant so far.
         products: Products with the Jacobian so far.
         history: Steps of the optimiser.
@@ -119,10 +120,12 @@ def corrected(
 
     **Differentiability**: runs on the host, not traceable.
     """
-    if motion is None or contour is None:
+    if motion is None:
         motion, vectors = run(problem, command)
-        contour = np.asarray(vectors, np.float64)
         forward_runs += 1
+    else:
+        vectors = contour_of(problem, motion)
+    contour = np.asarray(vectors, np.float64)
     figures = measure(problem, command, contour)
     return Corrected(
         command=command,

@@ -11,7 +11,7 @@ from .._types import FloatRows
 from ..numerics import lowpass
 from ._measures import rms_contour
 from ._method import AbstractMethod, Corrected, OnProgress, corrected
-from ._problem import Motion, Problem, run
+from ._problem import Motion, Problem, contour_of, run
 from ._projection import clip_offset
 
 # An iterate that changes the error by less than this fraction has settled.
@@ -22,7 +22,12 @@ class Mirror(AbstractMethod):
     """Subtract the predicted deviation from the command, once and unfiltered.
 
     The offset is clipped at `max_offset` of the problem, row by row and axis by axis.
+
+    Attributes:
+        before: Motion of the nominal command; found by a run if None.
     """
+
+    before: Motion | None = None
 
     def __call__(
         self,
@@ -33,7 +38,9 @@ class Mirror(AbstractMethod):
     ) -> Corrected:
         """Return start - (actual - desired), clipped; tip commands only."""
         command = _start(problem, start)
-        motion, _ = run(problem, command)
+        motion = self.before if start is None else None
+        if motion is None:
+            motion, _ = run(problem, command)
         command = command - _deviation(problem, motion)
         command = clip_offset(problem.nominal, command, problem.max_offset)
         return corrected(problem, command, forward_runs=1)
@@ -60,12 +67,14 @@ class IteratedMirror(AbstractMethod):
         relaxations: Relaxations.
         iterations: Iterates of a branch at most.
         order: Order of one pass of the filter.
+        before: Motion of the nominal command; found by a run if None.
     """
 
     cutoffs: tuple[float, ...] = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0)
     relaxations: tuple[float, ...] = (0.3, 0.5, 1.0)
     iterations: int = 10
     order: int = 4
+    before: Motion | None = None
 
     def __call__(
         self,
@@ -76,7 +85,10 @@ class IteratedMirror(AbstractMethod):
     ) -> Corrected:
         """Return the best iterate of the grid; tip commands only."""
         command = _start(problem, start)
-        motion, contour = run(problem, command)
+        if start is None and self.before is not None:
+            motion, contour = self.before, contour_of(problem, self.before)
+        else:
+            motion, contour = run(problem, command)
         zero = _Iterate(command, rms_contour(problem, contour), 0, 0.0, 0.0)
         first = _deviation(problem, motion)
         best, runs = zero, 1

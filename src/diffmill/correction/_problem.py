@@ -1,5 +1,6 @@
 """What every method of correction is given: a plant, a path and the bounds."""
 
+import abc
 from collections.abc import Callable
 from typing import Any
 
@@ -31,6 +32,18 @@ class Motion(eqx.Module):
 # Maps a command, shape (step, axis), to the motion that follows; traceable. An
 # `eqx.Module` is best: its arrays then enter compiled functions as arguments.
 Plant = Callable[[Float[Array, "step axis"]], Motion]
+
+
+class AbstractRun(eqx.Module):
+    """A plant that runs a command on the host by a program of its own."""
+
+    @abc.abstractmethod
+    def __call__(self, command: Float[Array, "step axis"]) -> Motion:
+        """Return the motion that follows a command, shape (step, axis); traceable."""
+
+    @abc.abstractmethod
+    def run(self, command: FloatRows) -> Motion:
+        """Return the same motion; not traceable."""
 
 
 def _as_leaf(value: RealScalarLike) -> RealScalarLike:
@@ -73,6 +86,7 @@ class Problem(eqx.Module):
                 )
 
 
+@eqx.filter_jit
 def contour_of(problem: Problem, motion: Motion) -> Float[Array, "step 3"]:
     """Return the vector from the nearest point of the desired path to the tip.
 
@@ -89,7 +103,6 @@ def contour_of(problem: Problem, motion: Motion) -> Float[Array, "step 3"]:
     return contour_vector(motion.actual, desired, window=problem.window)
 
 
-@eqx.filter_jit
 def run(problem: Problem, command: FloatRows) -> tuple[Motion, Float[Array, "step 3"]]:
     """Run the plant once, compiled; return its motion and the contour vectors.
 
@@ -100,7 +113,15 @@ def run(problem: Problem, command: FloatRows) -> tuple[Motion, Float[Array, "ste
     Returns:
         The motion and the contour vectors [m], shape (step, 3).
 
-    **Differentiability**: that of the plant.
+    Differentiability: that of the plant; none of an `AbstractRun`.
     """
+    if isinstance(problem.plant, AbstractRun):
+        motion = problem.plant.run(command)
+        return motion, contour_of(problem, motion)
+    return _run(problem, command)
+
+
+@eqx.filter_jit
+def _run(problem: Problem, command: FloatRows) -> tuple[Motion, Float[Array, "step 3"]]:
     motion = problem.plant(jnp.asarray(command))
     return motion, contour_of(problem, motion)

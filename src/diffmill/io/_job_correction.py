@@ -105,6 +105,7 @@ class CorrectionTable(Table):
         "input_shaper",
         "inverse_drive",
     ] = "gauss_newton"
+    compare: Literal["few", "all"] = "few"
     command: Literal["tip", "joint"] = "tip"
     tolerance: Tolerance = 0.0
     weight: list[WeightTable] = Field(default_factory=list)
