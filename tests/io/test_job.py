@@ -150,6 +150,14 @@ def test_a_job_may_ask_for_the_chip_of_the_paper(write):
     assert "[simulation] chip" in problems_of(file)[0]
 
 
+def test_a_hollow_end_stands_upright(write):
+    hollow = ('helix_angle = "30 deg"', 'dish_angle = "2 deg"')
+    file = write(("[robot]", "[simulation]\nbottom_edges = true\n[robot]"), hollow)
+    assert load_job(file).cutter.dish_angle == pytest.approx(math.radians(2))
+    tilting = "[simulation]\nbottom_edges = true\ntool_tilt = true\n[robot]"
+    assert "dish_angle" in problems_of(write(("[robot]", tilting), hollow))[0]
+
+
 def test_exact_number_of_substeps(write):
     # 60 / (15000 * 2) = 2 ms is 4 steps of exactly 0.5 ms.
     job = load_job(write(('"8000 rpm"', '"15000 rpm"')))

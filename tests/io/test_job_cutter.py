@@ -65,6 +65,12 @@ def test_rounded_angles_between_teeth_are_even():
         ({"runout": "-1 um"}, ("runout", "'-1 um'", "at least 0")),
         ({"runout": "5 mm"}, ("runout", "5 mm", "half the diameter")),
         ({"runout_angle": 30}, ("runout_angle", "30", "an angle")),
+        ({"dish_angle": "30 deg"}, ("dish_angle", "30 deg", "from 0 deg to 20 deg")),
+        ({"dish_angle": "-1 deg"}, ("dish_angle", "-1 deg", "from 0 deg to 20 deg")),
+        (
+            {"kind": "ball", "dish_angle": "2 deg"},
+            ("dish_angle", "2 deg", "'ball' is not hollow"),
+        ),
         ({"pitch": ["180 deg", "180 deg"]}, ("pitch", "2 angles", "3 are required")),
         ({"pitch": ["100 deg"] * 3}, ("pitch", "300 deg", "360 deg")),
         (

@@ -24,11 +24,13 @@ class AbstractCutter(eqx.Module):
     pitch_angles: eqx.AbstractVar[Float[Array, " tooth"] | Float[np.ndarray, " tooth"]]
     runout: eqx.AbstractVar[RealScalarLike]
     runout_angle: eqx.AbstractVar[RealScalarLike]
+    dish_angle: eqx.AbstractVar[RealScalarLike]
     flute_count: eqx.AbstractVar[int]
     flute_length: eqx.AbstractVar[float]
     nominal_radius: eqx.AbstractVar[float]
     nominal_corner_radius: eqx.AbstractVar[float]
     has_helix: eqx.AbstractVar[bool]
+    has_dish: eqx.AbstractVar[bool]
     has_even_pitch: eqx.AbstractVar[bool]
     is_plain: eqx.AbstractVar[bool]
 

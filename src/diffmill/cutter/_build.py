@@ -30,6 +30,7 @@ def flat_end_mill(
     pitch: Pitch | None = None,
     runout: RealScalarLike = 0.0,
     runout_angle: RealScalarLike = 0.0,
+    dish_angle: RealScalarLike = 0.0,
 ) -> EndMill:
     """Return a flat end mill.
 
@@ -45,6 +46,8 @@ def flat_end_mill(
             back to the first; even if not given.
         runout: Distance of the axis of rotation from the cutter's own [m], shape ().
         runout_angle: Direction of that offset from tooth 0 [rad], shape ().
+        dish_angle: Angle by which the end is ground hollow, from the corner up to the
+            center [rad], shape ().
 
     Returns:
         The cutter.
@@ -53,13 +56,14 @@ def flat_end_mill(
         ValueError: A size is not finite and positive, there is no tooth, or `pitch`
             is no whole turn in as many parts as there are teeth.
 
-    Differentiability: smooth in all sizes, `pitch` and `runout`.
+    Differentiability: smooth in all sizes, `pitch`, `runout` and `dish_angle`.
     """
     return _end_mill(
         "flat",
         (diameter, None, nominal_diameter, None),
         (teeth, helix_angle, flute_length),
         (pitch, runout, runout_angle),
+        dish_angle,
     )
 
 
@@ -151,6 +155,7 @@ def _end_mill(
     sizes: tuple[RealScalarLike, RealScalarLike | None, float | None, float | None],
     flutes: tuple[int, RealScalarLike, float | None],
     teeth: tuple[Pitch | None, RealScalarLike, RealScalarLike],
+    dish_angle: RealScalarLike = 0.0,
 ) -> EndMill:
     """Return an end mill with its derived static sizes."""
     diameter, corner, nominal, nominal_corner = sizes
@@ -172,12 +177,14 @@ def _end_mill(
         pitch_angles=angles,
         runout=runout,
         runout_angle=runout_angle,
+        dish_angle=dish_angle,
         kind=kind,
         flute_count=count,
         flute_length=3 * D if flute_length is None else float(flute_length),
         nominal_radius=D / 2,
         nominal_corner_radius=corner_radius,
         has_helix=_is_traced(helix_angle) or bool(helix_angle != 0),
+        has_dish=_is_traced(dish_angle) or bool(dish_angle != 0),
         has_even_pitch=has_even_pitch,
         is_plain=kind == "flat" and has_even_pitch and not has_runout,
     )

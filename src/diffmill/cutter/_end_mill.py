@@ -44,6 +44,8 @@ class EndMill(AbstractCutter):
         pitch_angles: Angle of each tooth from tooth 0 [rad], shape (tooth,).
         runout: Offset of the cutter from the axis of rotation [m].
         runout_angle: Direction of that offset from tooth 0 [rad].
+        dish_angle: Angle by which a flat end rises from the corner to the center [rad];
+            only an upright cutter's bottom edges and what it leaves of columns know it.
         kind: "flat", "ball" or "bull".
         flute_count: Number of flutes N_z.
         flute_length: Height of the cutting part above the tip [m].
@@ -51,6 +53,7 @@ class EndMill(AbstractCutter):
             change when `diameter` is differentiated or traced.
         nominal_corner_radius: Corner radius that sizes the edge elements [m].
         has_helix: Whether the flutes are helical; straight ones share their angles.
+        has_dish: Whether a flat end is ground hollow.
         has_even_pitch: Whether the teeth stand at equal angles; False if traced.
         is_plain: Whether the end is flat, the pitch even and no run-out set or traced.
             Such a cutter may be taken through programs without derivatives by
@@ -63,12 +66,14 @@ class EndMill(AbstractCutter):
     pitch_angles: Float[Array, " tooth"] | Float[np.ndarray, " tooth"]
     runout: RealScalarLike
     runout_angle: RealScalarLike
+    dish_angle: RealScalarLike
     kind: Kind = eqx.field(static=True)
     flute_count: int = eqx.field(static=True)
     flute_length: float = eqx.field(static=True)
     nominal_radius: float = eqx.field(static=True)
     nominal_corner_radius: float = eqx.field(static=True)
     has_helix: bool = eqx.field(static=True)
+    has_dish: bool = eqx.field(static=True)
     has_even_pitch: bool = eqx.field(static=True)
     is_plain: bool = eqx.field(static=True)
 
@@ -92,6 +97,7 @@ class EndMill(AbstractCutter):
             ("helix_angle", self.helix_angle, math.pi / 2),
             ("runout", self.runout, R),
             ("runout_angle", self.runout_angle, math.inf),
+            ("dish_angle", self.dish_angle, math.pi / 4),
         ):
             if not isinstance(value, jax.core.Tracer) and not abs(value) < limit:
                 raise ValueError(
@@ -192,6 +198,11 @@ class EndMill(AbstractCutter):
             lower = jnp.broadcast_to(tip[..., 2], is_hit.shape)
             if self.kind != "flat":
                 lower = lower + self._end_height(db**2 + dc**2, is_hit)
+            elif self.has_dish:
+                # No root of zero on the axis, whose derivative is infinite.
+                inward = R - jnp.sqrt(db**2 + dc**2 + _TOUCH**2)
+                rise = jnp.maximum(inward, 0) * jnp.tan(self.dish_angle)
+                lower = lower + jnp.where(is_hit, rise, 0)
             return lower, jnp.full_like(lower, _rays.FAR), is_hit
         across, up = (db, dc) if family == 0 else (dc, db)
         r = R if self.kind == "flat" else self._end_radius(up)

@@ -19,6 +19,8 @@ from ._job_table import Table
 
 # Steepest helix [rad], and how far angles between teeth may miss a whole turn [deg].
 _STEEPEST = 1.4
+# The most by which an end is ground hollow [rad].
+_HOLLOWEST = math.radians(20)
 _TURN = 1e-3
 
 
@@ -44,6 +46,7 @@ class CutterTable(Table):
     pitch: list[Angle] | None = None
     runout: Tolerance = 0.0
     runout_angle: Angle = 0.0
+    dish_angle: Angle = 0.0
     overhang: PositiveLength | None = None
     holder: Annotated[list[HolderPartTable], Field(min_length=1)] | None = Field(
         default=None, validate_default=True
@@ -117,6 +120,22 @@ class CutterTable(Table):
             )
         return value
 
+    @pydantic.field_validator("dish_angle")
+    @classmethod
+    def _hollow(cls, value: float, info: Any) -> float:
+        kind = info.data.get("kind", "flat")
+        if kind != "flat" and value != 0:
+            raise ValueError(
+                f"found {math.degrees(value):g} deg, but the end of a cutter of kind "
+                f'{kind!r} is not hollow; kind = "flat" is'
+            )
+        if not 0 <= value <= _HOLLOWEST:
+            raise ValueError(
+                f"found {math.degrees(value):g} deg, but an angle from 0 deg to 20 deg "
+                "is required"
+            )
+        return value
+
     @pydantic.field_validator("overhang")
     @classmethod
     def _beyond_flutes(cls, value: float | None, info: Any) -> float | None:
@@ -168,5 +187,7 @@ def make_cutter(table: CutterTable) -> EndMill:
     }
     if table.corner_radius is not None:
         return bull_nose(table.diameter, table.teeth, table.corner_radius, **options)
-    make = ball_end_mill if table.kind == "ball" else flat_end_mill
-    return make(table.diameter, table.teeth, **options)
+    if table.kind == "ball":
+        return ball_end_mill(table.diameter, table.teeth, **options)
+    dish = table.dish_angle
+    return flat_end_mill(table.diameter, table.teeth, dish_angle=dish, **options)

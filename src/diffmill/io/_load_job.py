@@ -325,6 +325,11 @@ def _simulation(
     if path is not None and stock is not None:
         deepest = immersion(path, cutter, stock) + _ROOM
     _check_simulation(tables, cutter, deepest, problems)
+    if table.bottom_edges and cutter.has_dish and (axes or not cutter.is_plain):
+        problems.append(
+            "[simulation] bottom_edges: found true, but with dish_angle they are known "
+            "only of a tool that stands upright, with even pitch and without run-out"
+        )
     if stock is None or path is None or deepest is None:
         return None
     return SimulationSettings(

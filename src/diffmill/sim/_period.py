@@ -108,7 +108,13 @@ def look(
     bottom = None
     if plan.bottom > 0:
         bottom = bottom_engagement(
-            plan, cutter, state.stock, index, predicted.tip, state.recent.tip[0]
+            plan,
+            cutter,
+            state.stock,
+            index,
+            predicted.tip,
+            state.recent.tip[0],
+            adjoint.tied_to(state.track),
         )
     return Engagement(found, thinned_poses(plan, state), bottom)
 

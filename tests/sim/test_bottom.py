@@ -1,0 +1,105 @@
+"""The ground-hollow end of a flat cutter, against the geometry of a cone."""
+
+import functools
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from diffmill import RESULTS, cutter as ct, cutting, sim, workpiece as wp
+
+R, D, FEED, TEETH, STEPS = 3e-3, 0.25e-3, 0.1e-3, 2, 100
+DISH = math.radians(2)
+LAW = cutting.LinearEdgeLaw(
+    K_tc=900e6, K_rc=300e6, K_ac=60e6, K_te=12e3, K_re=15e3, K_ae=0.0
+)
+MILL = ct.flat_end_mill(2 * R, TEETH, dish_angle=DISH)
+STOCK = wp.box([-4e-3, -5e-3, -6e-3], [14e-3, 5e-3, 0], D)
+
+
+@functools.cache
+def compiled(has_bottom=True):
+    plan = sim.process_plan(
+        STOCK, MILL, axial_depth=5e-3, plunges=True, has_bottom=has_bottom
+    )
+
+    @eqx.filter_jit
+    def run(path):
+        return sim.simulate_process(path, STOCK, MILL, LAW, 837.0, plan=plan)
+
+    return run
+
+
+def forces(path, has_bottom=True):
+    solution = compiled(has_bottom)(path)
+    assert bool(solution.result == RESULTS.successful)
+    return np.asarray(solution.force)
+
+
+def line(step, start=(0.0, 0.0, -1e-3)):
+    return np.array(start) + np.arange(STEPS)[:, None] * np.array(step)
+
+
+def of_the_end(path):
+    """Return the steady force of the end alone [N]."""
+    return (forces(path) - forces(path, has_bottom=False))[-15:].mean(axis=0)
+
+
+def test_a_plunge_cuts_with_the_whole_end():
+    descent = 0.03e-3
+    wanted = TEETH * R * (LAW.K_rc * descent + LAW.K_re)
+    found = forces(line([0, 0, -descent], (1e-5, 1e-5, 0.5e-3)))
+    assert found[-15:, 2] == pytest.approx(wanted, rel=1e-6)
+    # The corner touches first; the center by R tan(dish) later.
+    depth = -0.5e-3 + descent * np.arange(STEPS)
+    part = (depth > 0.03e-3) & (depth < R * math.tan(DISH))
+    assert np.all(np.diff(found[part, 2]) > 0)
+    assert found[depth < 0, 2] == pytest.approx(0, abs=1e-12)
+
+
+def test_a_level_cut_does_not_feel_the_end():
+    path = line([FEED, 0, 0], (-7.1e-3, 0.3e-3, -1e-3))
+    found, wanted = forces(path), forces(path, has_bottom=False)
+    # The trailing corner only goes over the marks of the feed, FEED tan(DISH) high.
+    assert np.abs(found - wanted).max() < 5e-3 * np.linalg.norm(wanted, axis=1).max()
+    # Nor much while the tool shakes.
+    sinking = path + np.outer(0.2e-6 * np.sin(np.arange(STEPS)), [0, 0, 1])
+    end = forces(sinking) - forces(sinking, has_bottom=False)
+    assert np.abs(end).max() < 2e-2 * np.linalg.norm(wanted, axis=1).max()
+
+
+def ramp_force(slope):
+    """Return the mean axial force of the end in a ramp [N], by quadrature.
+
+    At (r, theta) from the feed the corner passed a way s earlier. A place is cut where
+    the tool has descended by more than the end is hollow since then, and the chip is
+    what is left, or what the tooth before left if that is less.
+    """
+    r = (np.arange(400) + 0.5)[:, None] / 400 * R
+    theta = (np.arange(720) + 0.5)[None] / 720 * 2 * math.pi
+    s = np.sqrt(R**2 - (r * np.sin(theta)) ** 2) - r * np.cos(theta)
+    rise = math.tan(DISH)
+    left = slope * s - (R - r) * rise
+    before = np.sqrt((r * np.cos(theta) + FEED) ** 2 + (r * np.sin(theta)) ** 2)
+    h = np.minimum(left, slope * FEED + (r - before) * rise)
+    h = np.where(before < R, np.maximum(h, 0), 0)
+    return TEETH * R * (LAW.K_rc * h.mean() + LAW.K_re * (h > 0).mean())
+
+
+@pytest.mark.parametrize("slope", [0.01, 0.02, 0.1])
+def test_a_ramp_cuts_with_what_has_descended_below_its_corner(slope):
+    found = of_the_end(line([FEED, 0, -slope * FEED], (0, 0, -0.5e-3)))
+    assert found[2] == pytest.approx(ramp_force(slope), rel=2e-2)
+
+
+def test_the_derivative_in_a_ramp_describes_the_force():
+    path = jnp.asarray(line([FEED, 0, -0.02 * FEED], (0, 0, -0.5e-3)))
+    wave = jnp.sin(jnp.arange(STEPS) / 7)[:, None] * jnp.array([[0.3, 0.2, 1.0]])
+    end = lambda s: compiled()(path + s * wave).force[-40:, 2].sum()
+    _, slope = jax.jvp(end, (jnp.zeros(()),), (jnp.ones(()),))
+    step = 0.5e-6
+    rise = (end(jnp.asarray(step)) - end(jnp.asarray(-step))) / (2 * step)
+    assert float(slope) == pytest.approx(float(rise), rel=5e-2)
