@@ -48,7 +48,7 @@ def test_a_run_that_needs_more_intervals_is_repeated_with_more(tmp_path):
     told = []
     job = dm.load_job(job_file(tmp_path))
     grown = dm.simulate(job, on_progress=lambda message, share: told.append(message))
-    assert dm.workpiece.interval_counts(grown.stock) == (16, 16, 1)
+    assert grown.stock.interval_counts == (16, 16, 1)
     assert any("intervals" in message for message in told)
     stated = dm.load_job(job_file(tmp_path, "intervals = [16, 16, 1]"))
     wanted = dm.simulate(stated)

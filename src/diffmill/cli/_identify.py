@@ -4,28 +4,12 @@ import json
 import math
 import pathlib
 import time
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 from ._errors import BadInput, bad_input
+from ._identify_outcome import Outcome
 from ._jax import configure_jax
 from ._progress import Progress
-
-
-class Outcome(NamedTuple):
-    """What one identification has found.
-
-    Attributes:
-        lines: The summary for the terminal.
-        toml: Lines of job tables.
-        facts: Everything as numbers and texts, for `identified.json`.
-        draw: Writes the figures to a folder.
-    """
-
-    lines: list[str]
-    toml: list[str]
-    facts: dict[str, Any]
-    draw: Callable[[pathlib.Path], None]
 
 
 def run_identify(

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ._errors import BadInput
-from ._identify import Outcome
+from ._identify_outcome import Outcome
 from ._identify_text import kept_remark, noted
 from ._progress import Progress
 

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ._identify import Outcome
 from ._identify_diagnoses import diagnosis_lines
+from ._identify_outcome import Outcome
 from ._identify_placed import placed, samples
 from ._identify_text import (
     NONSENSE,

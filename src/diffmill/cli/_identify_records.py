@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ._errors import BadInput
-from ._identify import Outcome
 from ._identify_diagnoses import diagnosis_facts, diagnosis_lines, diagnosis_title
+from ._identify_outcome import Outcome
 from ._identify_placed import (
     axes_are_doubted,
     axes_lines,

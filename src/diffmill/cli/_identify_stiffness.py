@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ._identify import Outcome
+from ._identify_outcome import Outcome
 from ._identify_text import kept_remark, noted
 from ._progress import Progress
 

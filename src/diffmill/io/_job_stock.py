@@ -14,7 +14,6 @@ from ..workpiece import (
     StockFileError,
     box,
     from_mesh,
-    interval_counts,
     load_stock,
     physical_memory,
     ray_ends,
@@ -223,5 +222,5 @@ def _plan_of(stock: Stock, dtype: jnp.dtype) -> StockPlan:
     upper = points.max(axis=0)
     # The highest point of a mesh may lie between the rays.
     upper[2] = stock.top
-    counts = interval_counts(stock)
+    counts = stock.interval_counts
     return StockPlan(points.min(axis=0), upper, stock.spacing, counts, dtype, stock)

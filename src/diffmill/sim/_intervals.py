@@ -16,8 +16,6 @@ from .._job import Job
 from .._result import RESULTS
 from ..workpiece import (
     Stock,
-    grid_shape,
-    interval_counts,
     physical_memory,
     stock_bytes,
     with_interval_counts,
@@ -45,11 +43,11 @@ def with_more_intervals(job: Job, result: RESULTS) -> Job | None:
         return None
     if not bool(result == RESULTS.interval_overflow):
         return None
-    x, y, z = interval_counts(job.stock)
+    x, y, z = job.stock.interval_counts
     # A tool that stands upright never splits a ray along z.
     counts = (2 * x, 2 * y, 2 * z if job.simulation.axes else z)
     size = job.stock.origin.dtype.itemsize
-    needed = stock_bytes(grid_shape(job.stock), counts, size)
+    needed = stock_bytes(job.stock.grid_shape, counts, size)
     if max(counts) > _MOST or needed > physical_memory() / 2:
         return None
     return _resized(job, counts)
@@ -68,8 +66,8 @@ def with_intervals_of(job: Job, stock: Stock) -> Job:
 
     **Differentiability**: runs on the host.
     """
-    counts = interval_counts(stock)
-    return job if counts == interval_counts(job.stock) else _resized(job, counts)
+    counts = stock.interval_counts
+    return job if counts == job.stock.interval_counts else _resized(job, counts)
 
 
 def _resized(job: Job, counts: tuple[int, int, int]) -> Job:

@@ -7,7 +7,7 @@ grid of rays.
 import numpy as np
 from jaxtyping import Float
 
-from ..workpiece import Stock, grid_shape, ray_ends
+from ..workpiece import Stock, ray_ends
 from ._dexels import CutDexels
 
 
@@ -45,10 +45,10 @@ def _cut_ends(
 
 
 def _require_same_grid(stock: Stock, ideal: Stock) -> None:
-    if grid_shape(stock) != grid_shape(ideal) or not np.allclose(
+    if stock.grid_shape != ideal.grid_shape or not np.allclose(
         np.asarray(stock.origin), np.asarray(ideal.origin), rtol=0.0, atol=1e-9
     ):
         raise ValueError(
             "Argument `ideal` must have the grid of rays of `stock`, "
-            f"{grid_shape(stock)}, but has {grid_shape(ideal)} or another origin."
+            f"{stock.grid_shape}, but has {ideal.grid_shape} or another origin."
         )

@@ -52,9 +52,7 @@ from ._stock import (
     Rays as Rays,
     Stock as Stock,
     box as box,
-    grid_shape as grid_shape,
     height_map as height_map,
-    interval_counts as interval_counts,
     ray_ends as ray_ends,
 )
 from ._stock_arrays import (

@@ -9,20 +9,24 @@ Reference: Ju, Losasso, Schaefer, Warren, Dual contouring of Hermite data, 2002,
 vertices; the passages are those of a manifold version of it (`_cell_loops.py`).
 """
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from jaxtyping import Float, Int
 
 from ._cell_loops import edge_number, find_loops
 from ._hermite import Crossings, find_crossings, inside_nodes
 from ._mesh import Mesh
-from ._stock import Stock
+
+if TYPE_CHECKING:
+    from ._stock import Stock
 
 # Directions that the planes fix less than this, relative to the best fixed one, are
 # left where the mean of the crossings is.
 _CUT_OFF = 0.1
 
 
-def surface_mesh(stock: Stock) -> Mesh:
+def surface_mesh(stock: "Stock") -> Mesh:
     """Return the surface of a stock as a closed mesh, on the host.
 
     Args:
@@ -76,7 +80,7 @@ def _loop_of(
 
 
 def _vertices(
-    stock: Stock,
+    stock: "Stock",
     crossings: Crossings,
     around: Int[np.ndarray, "crossing 4"],
     cell_of_loop: Int[np.ndarray, "loop 3"],

@@ -8,12 +8,16 @@ over a sharp edge. A ray that meets the surface at a shallow angle knows its slo
 badly; it takes the normal of the head-on crossing nearby in whose plane it lies.
 """
 
+from typing import TYPE_CHECKING
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ._memory import check_memory
-from ._stock import Stock, grid_shape
+
+if TYPE_CHECKING:
+    from ._stock import Stock
 
 # Ends on the next ray belong to the same sheet within this many spacings.
 _SHEET = 2.0
@@ -50,7 +54,7 @@ class Crossings(eqx.Module):
     is_upper: Bool[np.ndarray, " crossing"]
 
 
-def inside_nodes(stock: Stock) -> Bool[np.ndarray, "x y z"]:
+def inside_nodes(stock: "Stock") -> Bool[np.ndarray, "x y z"]:
     """Return which nodes of the grid are in the material.
 
     Args:
@@ -62,7 +66,7 @@ def inside_nodes(stock: Stock) -> Bool[np.ndarray, "x y z"]:
     Raises:
         ValueError: The grid is too large for the memory.
     """
-    counts = grid_shape(stock)
+    counts = stock.grid_shape
     node_count = float(np.prod([c + 2.0 for c in counts]))
     check_memory(_NODE_BYTES * node_count, "The surface of the stock")
     votes = np.zeros([c + 2 for c in counts], np.int8)
@@ -74,7 +78,7 @@ def inside_nodes(stock: Stock) -> Bool[np.ndarray, "x y z"]:
     return votes >= 2
 
 
-def _filled(stock: Stock, family: int, count: int) -> Int[np.ndarray, "u v node"]:
+def _filled(stock: "Stock", family: int, count: int) -> Int[np.ndarray, "u v node"]:
     """Return 1 where a node lies within an interval of its ray."""
     ends = np.asarray(stock.families[family].ends, np.float64)
     at = (ends - float(stock.origin[family])) / stock.spacing
@@ -88,7 +92,7 @@ def _filled(stock: Stock, family: int, count: int) -> Int[np.ndarray, "u v node"
     return np.minimum(np.cumsum(change, axis=-1, dtype=np.int8)[..., :-1], 1)
 
 
-def find_crossings(stock: Stock, inside: Bool[np.ndarray, "x y z"]) -> Crossings:
+def find_crossings(stock: "Stock", inside: Bool[np.ndarray, "x y z"]) -> Crossings:
     """Return all crossings with their normals.
 
     Args:
@@ -104,7 +108,7 @@ def find_crossings(stock: Stock, inside: Bool[np.ndarray, "x y z"]) -> Crossings
 
 
 def _family_crossings(
-    stock: Stock, inside: Bool[np.ndarray, "x y z"], family: int
+    stock: "Stock", inside: Bool[np.ndarray, "x y z"], family: int
 ) -> tuple[np.ndarray, ...]:
     b, c = (family + 1) % 3, (family + 2) % 3
     d, origin = stock.spacing, np.asarray(stock.origin, np.float64)

@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..cutter import AbstractCutter
 from ._pose import Pose
-from ._stock import DEAD, Rays, Stock, grid_shape
+from ._stock import DEAD, Rays, Stock
 from ._tooth_pass import Interval, ToothPass, cut_interval, standing
 
 # A tool that leans less than this out of the horizontal lies flat.
@@ -143,7 +143,7 @@ def removal_window(
     Returns:
         The window; never larger than the grid.
     """
-    nx, ny, nz = grid_shape(stock)
+    nx, ny, nz = stock.grid_shape
     d = stock.spacing
     slack = min(reach, cutter.nominal_radius)
     across = int((2 * cutter.nominal_radius + 2 * slack) / d) + 4
@@ -176,7 +176,7 @@ def tilted_window(
     Returns:
         The window; never larger than the grid.
     """
-    shape = grid_shape(stock)
+    shape = stock.grid_shape
     d, R = stock.spacing, cutter.nominal_radius
     slack = min(reach, R)
     diagonal = d * math.sqrt(sum(n**2 for n in shape)) + 2 * R
@@ -353,7 +353,7 @@ def _place(
 ) -> tuple[list[Int[Array, ""]], Bool[Array, ""]]:
     """Return the first grid line of the window on each axis, and what it misses."""
     origin, d = stock.origin, stock.spacing
-    shape, sizes = grid_shape(stock), window.sizes
+    shape, sizes = stock.grid_shape, window.sizes
     if pose.axis is None:
         grid = jnp.floor((pose.tip - origin) / d).astype(jnp.int32)
         starts = [

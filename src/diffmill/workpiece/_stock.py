@@ -90,6 +90,18 @@ class Stock(eqx.Module):
         """Return how many slots of each family hold anything, from the first on."""
         return jnp.stack([rays.slots_in_use() for rays in self.families])
 
+    @property
+    def grid_shape(self) -> tuple[int, int, int]:
+        """Return the number of grid lines along x, y and z."""
+        count_y, count_z = self.families[0].ends.shape[:2]
+        return self.families[1].ends.shape[1], count_y, count_z
+
+    @property
+    def interval_counts(self) -> tuple[int, int, int]:
+        """Return the number of slots of a ray along x, y and z."""
+        x, y, z = (rays.ends.shape[-1] for rays in self.families)
+        return x, y, z
+
     def to_mesh(self) -> Mesh:
         """Return the surface as a closed mesh, on the host.
 
@@ -113,18 +125,6 @@ class Stock(eqx.Module):
             lambda x: x.astype(dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x,
             self,
         )
-
-
-def grid_shape(stock: Stock) -> tuple[int, int, int]:
-    """Return the number of grid lines along x, y and z."""
-    count_y, count_z = stock.families[0].ends.shape[:2]
-    return stock.families[1].ends.shape[1], count_y, count_z
-
-
-def interval_counts(stock: Stock) -> tuple[int, int, int]:
-    """Return the number of slots of a ray along x, y and z."""
-    x, y, z = (rays.ends.shape[-1] for rays in stock.families)
-    return x, y, z
 
 
 def box(
