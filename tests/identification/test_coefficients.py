@@ -256,6 +256,7 @@ def test_a_dead_channel_is_told(axis):
 def told(force):
     """Return what a fit of the second cut tells of a force."""
     time, _ = record(FEEDS[1])
+    time = time[: len(force)]
     fit = identification.fit_force_coefficients(cuts()[1], time, force, time_shift=0.0)
     return {one.code: one.values for one in fit.diagnoses}
 
@@ -263,6 +264,17 @@ def told(force):
 def test_a_record_without_faults_has_no_diagnosis():
     for noise in (0.02, 0.2):
         assert told(record(FEEDS[1], noise=noise)[1]) == {}
+
+
+@pytest.mark.parametrize("share", [0.01, 0.03])
+def test_rows_lost_here_and_there_are_told_by_the_rate_of_the_teeth(share):
+    _, force = record(FEEDS[1])
+    kept = np.random.default_rng(1).uniform(size=len(force)) > share
+    values = told(force[kept])
+    # Nothing else is blamed on the channels.
+    assert set(values) <= {"clock_rate", "implausible_ratio"}
+    lost = 1 - kept.mean()
+    assert values["clock_rate"]["ratio"] == pytest.approx(1 + lost, abs=0.3 * lost)
 
 
 def test_a_unit_that_no_material_has_is_told():

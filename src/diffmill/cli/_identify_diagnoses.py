@@ -62,6 +62,14 @@ def _wanders(v: dict[str, float], axes: Sequence[str]) -> str:
     )
 
 
+def _rate(v: dict[str, float], axes: Sequence[str]) -> str:
+    return (
+        f"By the record's clock the teeth pass {v['ratio']:.4f} times as often as by "
+        "the spindle's speed: look at the speed and at the sampling rate; a record "
+        "without a column of the time may have lost rows here and there."
+    )
+
+
 def _teeth(v: dict[str, float], axes: Sequence[str]) -> str:
     return (
         f"The forces repeat {v['found']:.0f} times a turn: look at the number of "
@@ -127,6 +135,7 @@ def _ratio(v: dict[str, float], axes: Sequence[str]) -> str:
 _TEXTS = {
     "samples_lost": _lost,
     "clock_wanders": _wanders,
+    "clock_rate": _rate,
     "tooth_count": _teeth,
     "channel_gain": _gain,
     "offset": _offset,
@@ -137,6 +146,7 @@ _TEXTS = {
 _TITLES = {
     "samples_lost": "Samples seem to be lost",
     "clock_wanders": "Clock and spindle part",
+    "clock_rate": "Clock and spindle run at different rates",
     "tooth_count": "The number of teeth may be wrong",
     "channel_gain": "A channel may have a wrong gain",
     "offset": "The record has an offset",

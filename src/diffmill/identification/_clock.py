@@ -13,6 +13,9 @@ _TURNS, _WINDOWS = 2, 8
 # Phases [rad] of the tooth passing that a step and a wander must reach, and how far a
 # step must stand out from what it leaves.
 _STEP, _WANDER, _STANDS_OUT = 0.15, 0.3, 5.0
+# A phase that runs away by so much over a record, and the share of the largest product
+# of waves below which a window is out of the cut.
+_RUNS_AWAY, _CUTS = 0.5, 0.1
 # Harmonics of the turn that are looked at, share of the square of all of them that
 # belongs to the teeth, and what is too little for those that are given.
 _HARMONICS, _OF_TEETH, _TOO_LITTLE = 24, 0.97, 0.8
@@ -62,6 +65,48 @@ def check_clock(
         values = {"spread": straight[0] / omega}
         return (Diagnosis("clock_wanders", 0, values),)
     return ()
+
+
+def check_rate(
+    time: Float[np.ndarray, " row"],
+    force: Float[np.ndarray, "row axis"],
+    predicted: Float[np.ndarray, "row axis"],
+    spindle_speed: float,
+    flute_count: int,
+) -> tuple[Diagnosis, ...]:
+    """Return whether the teeth pass at another rate than those of the prediction.
+
+    Rows that are lost here and there of a record without instants make its clock fast:
+    the phase of the tooth passing then runs away from that of any prediction, whose
+    coefficients shift it, but alike all the time.
+
+    Args:
+        time: Instants [s], shape (row,).
+        force: Forces, 0 where not measured [N], shape (row, axis).
+        predicted: Those of the fit, 0 there too [N], shape (row, axis).
+        spindle_speed: [rad/s].
+        flute_count: Number of teeth.
+
+    Returns:
+        At most one diagnosis.
+
+    **Differentiability**: runs on the host.
+    """
+    omega, length = spindle_speed * flute_count, 2 * math.pi / spindle_speed
+    middle, waves = _windows(time, force, omega, length)
+    _, others = _windows(time, predicted, omega, length)
+    cross = np.sum(waves * np.conj(others), axis=1)
+    # Out of the cut there is no phase.
+    cuts = np.abs(cross) > _CUTS * np.max(np.abs(cross), initial=0.0)
+    middle, cross = middle[cuts], cross[cuts]
+    if middle.size < _WINDOWS:
+        return ()
+    phase = np.unwrap(np.angle(cross))
+    slope = float(np.polyfit(middle, phase, 1)[0])
+    off = abs(slope) * (middle[-1] - middle[0])
+    if off < _RUNS_AWAY or off < _STANDS_OUT * _left(middle, phase, None)[0]:
+        return ()
+    return (Diagnosis("clock_rate", 0, {"ratio": 1 + slope / omega}),)
 
 
 def _windows(

@@ -6,16 +6,26 @@ from collections.abc import Sequence
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from .._job import Job
 from ..cutting import LinearEdgeLaw
 from ._advice import advise
 from ._channels import check_channels, check_coefficients, similar_classes
+from ._clock import check_rate
 from ._cut import Cut
 from ._diagnosis import Diagnosis
 from ._identifiable import identifiable
-from ._linear import LinearFit, Loss, Rows, correlation_of, covariance, fit_rows, solve
+from ._linear import (
+    LinearFit,
+    Loss,
+    Rows,
+    correlation_of,
+    covariance,
+    fit_rows,
+    solve,
+    solve_normal,
+)
 from ._mean_force import NAMES, by_name
 from ._measured import (
     Axes,
@@ -310,12 +320,31 @@ def _diagnoses(
     for i, (one, row, gross) in enumerate(
         zip(records, rows, np.split(is_gross, sizes), strict=True)
     ):
+        runs_away = _rate(one, row, gross.reshape(-1, 3), i)
+        found += runs_away
+        if runs_away:
+            # By a wrong clock any channel looks wrong.
+            continue
         few = np.linspace(0, len(one.time) - 1, min(len(one.time), _CHECKED))
         few = few.astype(np.int64)
         force = np.where(gross.reshape(-1, 3), np.nan, row.force)[few]
         part = Rows(row.columns[few], force, row.lag)
         found += check_channels(part, one.time[few], i)
     return (*found, *check_coefficients(K))
+
+
+def _rate(
+    one: Measured, row: Rows, gross: Bool[np.ndarray, "row 3"], record: int
+) -> list[Diagnosis]:
+    """Return whether the record's clock runs at another rate than the spindle."""
+    known = np.isfinite(row.force) & ~gross
+    F = np.where(known, row.force, 0.0)
+    A = np.where(known[:, :, None], row.columns, 0.0)
+    flat = A.reshape(-1, A.shape[2])
+    x = solve_normal(flat.T @ flat, flat.T @ F.reshape(-1))
+    speed, teeth = 2 * math.pi / one.revolution, one.cut.cutter.flute_count
+    found = check_rate(one.time, F, A @ x, speed, teeth)
+    return [dataclasses.replace(told, record=record) for told in found]
 
 
 def _gross_errors(fit: LinearFit) -> np.ndarray:

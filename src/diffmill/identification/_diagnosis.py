@@ -10,6 +10,7 @@ import equinox as eqx
 # What makes coefficients wrong, as against what is only worth knowing.
 _GRAVE = (
     "samples_lost",
+    "clock_rate",
     "tooth_count",
     "channel_gain",
     "offset",
@@ -26,6 +27,7 @@ class Diagnosis(eqx.Module):
         code: What it is:
             "samples_lost": phase steps by `shift` [s] at the instant `time` [s];
             "clock_wanders": clock and spindle part by `spread` [s] rms;
+            "clock_rate": teeth pass `ratio` times as often as the spindle turns them;
             "tooth_count": forces repeat `found` times a turn, not `given` times;
             "channel_gain": the force along `axis` (0, 1, 2 of the work) is `ratio`
             times what suits the others; with it a share `left` of the squared force is
