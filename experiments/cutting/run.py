@@ -20,6 +20,7 @@ GROUPS = (
     "volume",
     "ripple",
     "slopes",
+    "deviation",
     "cost",
 )
 

@@ -44,7 +44,7 @@ def measure(report: Report) -> None:
     worst = {}
     for name, make in REGIMES.items():
         for direction in DIRECTIONS:
-            rows = _compare(_scalar(*make(), direction))
+            rows = compare(_scalar(*make(), direction), STEPS)
             cells = "".join(f"{i:8.2f}{s:8.2f} " for i, s in rows)
             report.say(f"  {f'{name}, {direction}':28}{cells}")
             integral = max(abs(i) for i, _ in rows)
@@ -54,21 +54,24 @@ def measure(report: Report) -> None:
         report.figure(f"{name}: slope against 10 um", slope, 10.0)
 
 
-def _compare(scalar: Callable[[jax.Array], jax.Array]) -> list[tuple[float, float]]:
+def compare(
+    scalar: Callable[[jax.Array], jax.Array], steps: tuple[float, ...]
+) -> list[tuple[float, float]]:
     """Return by step what the integral and the slope in the middle are off by [%]."""
+    samples = SAMPLES[abs(SAMPLES) <= max(steps) * (1 + 1e-9)]
 
     def value_and_slope(s: jax.Array) -> tuple[jax.Array, jax.Array]:
         return jax.jvp(scalar, (s,), (jnp.ones_like(s),))
 
     run = jax.jit(lambda samples: jax.lax.map(value_and_slope, samples))
-    value, slope = (np.asarray(x) for x in run(jnp.asarray(SAMPLES)))
-    middle = len(SAMPLES) // 2
+    value, slope = (np.asarray(x) for x in run(jnp.asarray(samples)))
+    middle = len(samples) // 2
     found = []
-    for a in STEPS:
-        n = int(np.argmin(abs(SAMPLES[middle:] - a)))
+    for a in steps:
+        n = int(np.argmin(abs(samples[middle:] - a)))
         part = slice(middle - n, middle + n + 1)
         rise = value[part][-1] - value[part][0]
-        integral = np.trapezoid(slope[part], SAMPLES[part])
+        integral = np.trapezoid(slope[part], samples[part])
         off = (integral / rise - 1, slope[middle] * 2 * a / rise - 1)
         found.append((100 * float(off[0]), 100 * float(off[1])))
     return found
@@ -86,7 +89,7 @@ def _scalar(
     Bottom edges are off, as they are in a job.
     """
     rng = np.random.default_rng(seed)
-    direction, weights = jnp.asarray(_smooth(rng)), jnp.asarray(_smooth(rng))
+    direction, weights = (jnp.asarray(smooth(rng, ROWS)) for _ in range(2))
     axes = None if axis is None else np.tile(axis, (ROWS, 1))
     plan = dm.sim.process_plan(
         stock,
@@ -113,9 +116,9 @@ def _scalar(
     return scalar
 
 
-def _smooth(rng: np.random.Generator) -> np.ndarray:
-    """Return a few random waves along the path, of size 1 at most, (step, 3)."""
-    t = np.linspace(0, 2 * math.pi, ROWS)[:, None]
+def smooth(rng: np.random.Generator, rows: int) -> np.ndarray:
+    """Return a few random waves along a path, of size 1 at most, shape (step, 3)."""
+    t = np.linspace(0, 2 * math.pi, rows)[:, None]
     waves = [
         rng.normal(size=3) * np.sin(k * t + rng.uniform(0, 2 * math.pi, 3))
         for k in (1, 2, 3)
