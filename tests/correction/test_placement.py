@@ -213,12 +213,13 @@ def test_the_simulated_error_falls_as_predicted(tmp_path):
     )
     share = found.rms_after / found.rms_before
     assert share < 0.8
-    # Without inertia it is the prediction; the whole arm adds what swings.
+    # Without inertia it is the prediction.
     assert static == pytest.approx(found.rms_before, rel=0.05)
     moved = found.moved(job)
     after, _ = rms(dataclasses.replace(moved, simulation=still))
     assert after / static == pytest.approx(share, rel=0.05)
-    assert rms(moved)[0] / before < 1.05 * share
+    # The whole arm swings about that, which does not grow: the squares add up.
+    assert before**2 - rms(moved)[0] ** 2 > 0.9 * (static**2 - after**2)
     # The lines of the job file are that place.
     file = copy_example("paper_small", tmp_path / "moved")
     text = file.read_text().splitlines()
