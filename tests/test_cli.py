@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray
 
-from diffmill import examples, io
+from diffmill import examples, load_job
 from diffmill.cli import main
 
 ROOT = pathlib.Path(__file__).parents[1]
@@ -104,7 +104,7 @@ def test_example_programs_come_from_their_generator():
     ("name", "fewest", "most"), [("paper", 2500, 3500), ("paper_small", 1500, 2500)]
 )
 def test_examples_load(tmp_path, name, fewest, most):
-    job = io.load_job(examples.copy_example(name, tmp_path))
+    job = load_job(examples.copy_example(name, tmp_path))
     assert fewest <= job.path.step_count <= most
     assert job.robot is not None
     assert job.notes == ()

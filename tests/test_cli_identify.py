@@ -14,7 +14,7 @@ from slot_force import SPEED, K, slot_force
 
 from diffmill import cutter as ct, identification, robot as rb
 from diffmill.cli import main
-from diffmill.cli._identify_coupled import _draw, _toml
+from diffmill.cli._identify.coupled import _draw, _toml
 from diffmill.cutting import LinearEdgeLaw
 
 MEANS = """kind = "mean_forces"

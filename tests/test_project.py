@@ -9,7 +9,7 @@ import tomllib
 
 import pytest
 
-from diffmill import io
+from diffmill import load_job
 
 ROOT = pathlib.Path(__file__).parents[1]
 README = ROOT / "README.md"
@@ -99,7 +99,7 @@ def test_job_of_the_readme_is_the_small_example(tmp_path):
     shown = tomllib.loads(readme_block("toml"))
     assert shown["stock"] == shipped["stock"]
     file.write_text(readme_block("toml"), encoding="utf-8")
-    job = io.load_job(file)
+    job = load_job(file)
     assert job.name == "paper_small"
     assert shown == {**shipped, "correction": shown["correction"]}
 

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import diffmill as dm
-from diffmill import sim
+from diffmill import process as pr, sim
 from diffmill.correction import ScaledPlant, delayed, draw_scales
 from diffmill.toolpath import contour_error
 from small_job import small_job
@@ -83,7 +83,7 @@ def _timed(
 def _errors(job: dm.Job, found: dm.Correction) -> Errors:
     cutting = np.asarray(found.before.is_cutting)
     desired = jnp.asarray(job.path.positions)
-    plant = ScaledPlant(sim.with_precision(job), sim.Traced())
+    plant = ScaledPlant(sim.with_precision(job), pr.Traced())
 
     @jax.jit
     def every(scale: jax.Array, command: jax.Array) -> jax.Array:

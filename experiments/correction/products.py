@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 import diffmill as dm
-from diffmill import sim
+from diffmill import process as pr, sim
 from diffmill.correction import StoredProducts
 from part_jobs import part_job
 from timing import alternate
@@ -42,7 +42,7 @@ def measure(report: Any) -> None:
             )
 
 
-def _residual(tips: jax.Array, args: tuple[dm.Job, sim.AbstractAdjoint]) -> jax.Array:
+def _residual(tips: jax.Array, args: tuple[dm.Job, pr.AbstractAdjoint]) -> jax.Array:
     job, adjoint = args
     motors, _ = sim.command_motors(job, tips)
     actual = sim.run_motors(job, motors, adjoint).actual
@@ -54,7 +54,7 @@ run = eqx.filter_jit(_residual)
 
 def _programs(job: dm.Job, keeps_slopes: bool) -> tuple[list[Callable[[], Any]], float]:
     """Return what is to be timed, and the size of the linear program [byte]."""
-    products, args = StoredProducts(), (job, sim.Traced(keeps_slopes=keeps_slopes))
+    products, args = StoredProducts(), (job, pr.Traced(keeps_slopes=keeps_slopes))
     tips = jnp.asarray(job.path.positions)
     residual, linear = products.linearise(_residual, tips, args)
     size = sum(x.nbytes for x in jax.tree.leaves(linear) if hasattr(x, "nbytes"))

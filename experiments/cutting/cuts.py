@@ -94,7 +94,7 @@ def cut(
     """
     axes = None if axis is None else np.tile(axis, (len(path), 1))
     depth = float(stock.top - path[:, 2].min()) if axial_depth is None else axial_depth
-    plan = dm.sim.process_plan(
+    plan = dm.process.process_plan(
         stock,
         cutter,
         axial_depth=depth + stock.spacing,

@@ -91,7 +91,7 @@ def _scalar(
     rng = np.random.default_rng(seed)
     direction, weights = (jnp.asarray(smooth(rng, ROWS)) for _ in range(2))
     axes = None if axis is None else np.tile(axis, (ROWS, 1))
-    plan = dm.sim.process_plan(
+    plan = dm.process.process_plan(
         stock,
         cutter,
         axial_depth=float(stock.top - path[:, 2].min()) + 2 * SPACING,
@@ -109,7 +109,7 @@ def _scalar(
             SPINDLE_SPEED,
             axes,
             plan=plan,
-            adjoint=dm.sim.Traced(),
+            adjoint=dm.process.Traced(),
         ).force
         return jnp.sum(weights * force) / ROWS
 

@@ -25,8 +25,8 @@ def measure(report: Report) -> None:
     """Measure directions, single samples, rapid moves and the two adjoints."""
     path = jnp.asarray(path_with_corner())
     _machine()  # Built outside of what is traced.
-    value = jax.jit(scalar(dm.sim.Traced()))
-    gradient = jax.jit(jax.grad(scalar(dm.sim.Traced())))
+    value = jax.jit(scalar(dm.process.Traced()))
+    gradient = jax.jit(jax.grad(scalar(dm.process.Traced())))
     report.say()
     report.say(f"{ROWS} tooth periods, robot reis_rv130_like, cut with one corner;")
     report.say("scalar: sum of randomly weighted tip positions")
@@ -57,20 +57,20 @@ def _machine() -> tuple[dm.robot.Robot, np.ndarray, dm.workpiece.Stock]:
     return robot, frame, stock
 
 
-def actual(tips: jax.Array, adjoint: dm.sim.AbstractAdjoint) -> jax.Array:
+def actual(tips: jax.Array, adjoint: dm.process.AbstractAdjoint) -> jax.Array:
     """Return where the tip of the robot goes when it is commanded `tips` [m]."""
     robot, frame, stock = _machine()
     Ts = jnp.broadcast_to(jnp.asarray(frame)[None], (tips.shape[0], 4, 4))
     Ts = Ts.at[:, :3, 3].add(tips)
     q = dm.robot.inverse_kinematics_path(robot, Ts, robot.home).q
     motors = jax.vmap(lambda row: dm.robot.motor_positions(robot, row))(q)
-    plan = dm.sim.process_plan(stock, MILL, axial_depth=1.5e-3)
+    plan = dm.process.process_plan(stock, MILL, axial_depth=1.5e-3)
     return dm.sim.simulate_coupled(
         motors, robot, frame, stock, MILL, LAW, TOOTH_PERIOD, plan, adjoint
     ).actual
 
 
-def scalar(adjoint: dm.sim.AbstractAdjoint) -> Scalar:
+def scalar(adjoint: dm.process.AbstractAdjoint) -> Scalar:
     """Return the scalar that is differentiated, as a function of the path."""
     weights = jnp.asarray(np.random.default_rng(6).normal(size=(ROWS, 3)))
     return lambda tips: jnp.sum(weights * actual(tips, adjoint))
@@ -178,12 +178,12 @@ def _rapid(report: Report, gradient: Callable) -> None:
 
 def _adjoints(report: Report, path: jax.Array, slope: np.ndarray) -> None:
     report.say()
-    plain = np.asarray(jax.jit(jax.grad(scalar(dm.sim.Plain())))(path))
+    plain = np.asarray(jax.jit(jax.grad(scalar(dm.process.Plain())))(path))
     difference = np.abs(plain - slope).max() / np.abs(slope).max()
     report.figure("reverse: Plain and Traced differ by", float(difference), 1e-9, "")
     direction = jnp.asarray(smooth_directions(np.random.default_rng(5), ROWS, 1)[0])
     tangents = []
-    for adjoint in (dm.sim.Plain(), dm.sim.Traced()):
+    for adjoint in (dm.process.Plain(), dm.process.Traced()):
         push = jax.jit(
             lambda p, d, a=adjoint: jax.jvp(lambda t: actual(t, a), (p,), (d,))[1]
         )

@@ -97,7 +97,7 @@ def ring_down() -> tuple[float, float]:
     mill = dm.cutter.flat_end_mill(10e-3, 2)
     # A block far below the tip: the tool is in the air.
     air = dm.workpiece.box([0, 0, -1.0], [5e-3, 5e-3, -0.99], 1e-3)
-    plan = dm.sim.process_plan(air, mill, axial_depth=1e-3)
+    plan = dm.process.process_plan(air, mill, axial_depth=1e-3)
     theta = np.full((round(PERIODS / FREQUENCY / TOOTH_PERIOD), 1), 1e-3)
     theta[0] = 0.0
 
@@ -105,7 +105,7 @@ def ring_down() -> tuple[float, float]:
     def run(motors):
         return dm.sim.simulate_coupled(
             motors, robot, np.eye(4), air, mill, LAW, TOOTH_PERIOD, plan,
-            dm.sim.Traced(),
+            dm.process.Traced(),
         ).actual[:, 0]  # fmt: skip
 
     x = np.asarray(run(jnp.asarray(theta)))[2:] - 1e-3
@@ -128,6 +128,6 @@ def with_substeps(job: dm.Job, substeps: int) -> dm.Job:
 
 def headline(job: dm.Job) -> float:
     """Return the rms contour error over the rows that cut [m]."""
-    solution = dm.simulate(job, adjoint=dm.sim.Traced())
+    solution = dm.simulate(job, adjoint=dm.process.Traced())
     error = np.asarray(solution.contour_error)[np.asarray(solution.is_cutting)]
     return float(np.sqrt(np.mean(error**2)))

@@ -17,6 +17,7 @@ from diffmill import (
     cutting,
     examples,
     identification,
+    process as pr,
     robot as rb,
     sim,
     toolpath as tp,
@@ -139,7 +140,7 @@ def costs(report, job):
 
     def tips(x):
         full = jnp.concatenate([x, jnp.zeros(1)])
-        return sim.run_motors(sim.with_scaled(job, full), motors, sim.Traced()).actual
+        return sim.run_motors(sim.with_scaled(job, full), motors, pr.Traced()).actual
 
     zero = jnp.zeros(len(names) - 1)
     first = zero.at[0].set(1.0)

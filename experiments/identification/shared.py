@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from diffmill import cutter as ct, identification, sim, workpiece as wp
+from diffmill import cutter as ct, identification, process as pr, workpiece as wp
 
 # Slot milling of aluminium as measured (forces/measured_slot_means.json) [Pa, N/m].
 K = np.array([958.86e6, 250.863e6, 146.361e6, 15.758e3, 19.434e3, 18.207e3])
@@ -28,8 +28,8 @@ def slot(feeds, teeth_per_feed, spacing, depth=2e-3, runout=0.0, helix=30.0):
 def finer(cut, angles, substeps, height):
     """Return a cut that is simulated with given sizes, every tooth at all times."""
     cutter = dataclasses.replace(cut.cutter, is_plain=False)
-    depth = sim.path_depth(cut.positions, cut.stock, cutter)
-    plan = sim.process_plan(
+    depth = pr.path_depth(cut.positions, cut.stock, cutter)
+    plan = pr.process_plan(
         cut.stock,
         cutter,
         axial_depth=depth,

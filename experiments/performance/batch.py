@@ -26,7 +26,7 @@ def batch_over_turn(depth, spacing, angles, substeps):
     cutter = dm.cutter.flat_end_mill(10e-3, 2)
     law = dm.cutting.LinearEdgeLaw(K_tc=989.8e6, K_rc=337.3e6, K_ac=66.9e6)
     stock = dm.workpiece.box([0, 0, -depth - 1e-3], [12e-3, 12e-3, 0], spacing)
-    plan = dm.sim.process_plan(
+    plan = dm.process.process_plan(
         stock, cutter, axial_depth=depth, angles=angles, substeps=substeps
     )
 

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import diffmill as dm
-from diffmill import sim, workpiece as wp
+from diffmill import process as pr, sim, workpiece as wp
 from reporting import Report
 
 jax.config.update("jax_enable_x64", True)
@@ -80,7 +80,7 @@ def prepared(
     low, high = path.min(axis=0) - room, path.max(axis=0) + room
     high[2] = 0.0
     stock = wp.box(low, high, DIAMETER / rays, interval_counts=(slots, slots, 1))
-    plan = sim.process_plan(stock, mill, axial_depth=depth + stock.spacing)
+    plan = pr.process_plan(stock, mill, axial_depth=depth + stock.spacing)
 
     def run(path: jax.Array, stock: wp.Stock) -> sim.ProcessSolution:
         return sim.simulate_process(path, stock, mill, LAW, SPEED, plan=plan)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from . import (
+        config as config,
         correction as correction,
         cutter as cutter,
         cutting as cutting,
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
         identification as identification,
         io as io,
         numerics as numerics,
+        process as process,
         robot as robot,
         sim as sim,
         toolpath as toolpath,
@@ -33,13 +35,14 @@ if TYPE_CHECKING:
         UncertaintySettings as UncertaintySettings,
     )
     from ._result import RESULTS as RESULTS, SimulationFailed as SimulationFailed
+    from .config import JobError as JobError, load_job as load_job
     from .correction import Correction as Correction, correct as correct
-    from .io import JobError as JobError, load_job as load_job
     from .sim import Solution as Solution, simulate as simulate
 
     __version__: str
 
 _MODULES = (
+    "config",
     "correction",
     "cutter",
     "cutting",
@@ -47,6 +50,7 @@ _MODULES = (
     "identification",
     "io",
     "numerics",
+    "process",
     "robot",
     "sim",
     "toolpath",
@@ -59,14 +63,14 @@ _NAMES = {
     "Correction": "correction",
     "CorrectionSettings": "_job",
     "Job": "_job",
-    "JobError": "io",
+    "JobError": "config",
     "RESULTS": "_result",
     "SimulationFailed": "_result",
     "SimulationSettings": "_job",
     "Solution": "sim",
     "UncertaintySettings": "_job",
     "correct": "correction",
-    "load_job": "io",
+    "load_job": "config",
     "simulate": "sim",
 }
 

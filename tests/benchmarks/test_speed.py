@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from helpers import PAPER_LAW
 
-from diffmill import cutter as ct, robot as rb, sim, workpiece as wp
+from diffmill import cutter as ct, process as pr, robot as rb, sim, workpiece as wp
 
 PERIOD = 3.75e-3
 STEPS = 200
@@ -29,7 +29,7 @@ def block():
 def alone(tips):
     speed = 2 * math.pi / (2 * PERIOD)
     return sim.simulate_process(
-        tips, block(), MILL, PAPER_LAW, speed, axial_depth=1.5e-3, adjoint=sim.Traced()
+        tips, block(), MILL, PAPER_LAW, speed, axial_depth=1.5e-3, adjoint=pr.Traced()
     ).force
 
 
@@ -39,9 +39,9 @@ def coupled(tips):
     Ts = jnp.broadcast_to(frame[None], (STEPS, 4, 4)).at[:, :3, 3].add(tips)
     q = rb.inverse_kinematics_path(ROBOT, Ts, ROBOT.home).q
     motors = jax.vmap(lambda row: rb.motor_positions(ROBOT, row))(q)
-    plan = sim.process_plan(block(), MILL, axial_depth=1.5e-3)
+    plan = pr.process_plan(block(), MILL, axial_depth=1.5e-3)
     return sim.simulate_coupled(
-        motors, ROBOT, frame, block(), MILL, PAPER_LAW, PERIOD, plan, sim.Traced()
+        motors, ROBOT, frame, block(), MILL, PAPER_LAW, PERIOD, plan, pr.Traced()
     ).actual
 
 

@@ -8,8 +8,8 @@ from correction.spring_mass import rounded_square, soft_arm
 
 from diffmill import RESULTS
 from diffmill.correction import AbstractMethod, GivenCommand, Problem
-from diffmill.correction._case_record import CaseRecord
-from diffmill.correction._method import corrected
+from diffmill.correction._core.method import corrected
+from diffmill.correction._job.case_runner import CaseRecord
 
 TIME_STEP = 3.75e-3
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from correction.spring_mass import SpringMass, rounded_square, soft_arm
 
-from diffmill import examples, io, sim
+from diffmill import examples, load_job, process as pr
 from diffmill.correction import (
     Ensemble,
     GaussNewton,
@@ -19,7 +19,7 @@ from diffmill.correction import (
     draw_scales,
     with_delays,
 )
-from diffmill.correction._setup import job_ensemble
+from diffmill.correction._job.objective import job_ensemble
 
 TIME_STEP = 3.75e-3
 NAMES = ("K x", "K y", "K z", "D x", "D y", "D z", "K_tc", "speed")
@@ -152,8 +152,8 @@ def test_a_job_with_a_delay_gets_members_with_delays(tmp_path):
     ensembles = []
     for more in ("", 'delay = "5 ms"\n'):
         (tmp_path / "late.toml").write_text(f"{file.read_text()}\n{known}{more}")
-        job = io.load_job(tmp_path / "late.toml")
-        ensembles.append(job_ensemble(job, sim.Traced()))
+        job = load_job(tmp_path / "late.toml")
+        ensembles.append(job_ensemble(job, pr.Traced()))
     punctual, late = ensembles
     assert isinstance(late.plant, LatePlant)
     np.testing.assert_array_equal(late.plant.nominal, job.path.positions)

@@ -26,7 +26,7 @@ from diffmill.correction import (
     surface_bounds,
     worst_case,
 )
-from diffmill.correction._memory import pack_worst_case, unpack_worst_case
+from diffmill.correction._method.checkpoint import pack_worst_case, unpack_worst_case
 from diffmill.workpiece import box
 
 TIME_STEP = 5e-3

@@ -23,8 +23,11 @@ from diffmill.correction import (
     TipResponse,
     spline_window,
 )
-from diffmill.correction._bspline import basis_matrix
-from diffmill.correction._memory import pack_least_squares, unpack_least_squares
+from diffmill.correction._method.checkpoint import (
+    pack_least_squares,
+    unpack_least_squares,
+)
+from diffmill.correction._spline.spline_offsets import basis_matrix
 
 TIME_STEP = 3.75e-3
 KNOTS = 30e-3

@@ -20,6 +20,8 @@ from diffmill import (
     toolpath as tp,
     workpiece as wp,
 )
+from diffmill.config._build.robot import pose_matrix
+from diffmill.config._schema.job import PoseTable
 from diffmill.correction import (
     InfeasibleLimit,
     NothingToCorrect,
@@ -27,8 +29,6 @@ from diffmill.correction import (
     predicted_deviation,
 )
 from diffmill.examples import copy_example
-from diffmill.io._job_robot import pose_matrix
-from diffmill.io._job_schema import PoseTable
 
 STIFF = 1e15
 FIXED = (0.0, 0.0)

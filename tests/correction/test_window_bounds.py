@@ -17,7 +17,7 @@ from diffmill.correction import (
     RecedingHorizon,
     surface_bounds,
 )
-from diffmill.correction._window_bounds import deepest_rows, window_bounds
+from diffmill.correction._surface.segment_limits import deepest_rows, window_bounds
 
 
 class Pushed(AbstractPiece):

@@ -20,8 +20,8 @@ from diffmill import (
     toolpath as tp,
     workpiece as wp,
 )
-from diffmill.identification._coupled_model import modelled, parameter_values
-from diffmill.identification._coupled_names import fitted_names, kept_note
+from diffmill.identification._coupled.model import modelled, parameter_values
+from diffmill.identification._coupled.parameters import fitted_names, kept_note
 
 PERIOD, MASS, ZETA = 3.75e-3, 80.0, 0.08
 STIFFNESS = np.array([1.5e6, 2.5e6, 4e6])

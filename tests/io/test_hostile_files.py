@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import diffmill
-from diffmill import io, robot, workpiece
+from diffmill import config, io, robot, workpiece
 
 PROGRAM = """G21 G17 G90 G94
 G0 X-6 Y5 Z1
@@ -58,7 +58,7 @@ kind = "tool"
 QUICK = 5.0
 READERS = {
     "job": lambda file: diffmill.load_job(file),
-    "identification": lambda file: io.load_identification(file),
+    "identification": lambda file: config.load_identification(file),
     "robot": lambda file: robot.load(file),
 }
 
@@ -143,7 +143,7 @@ def test_a_loop_of_links_is_no_file(tmp_path):
 def test_the_kind_of_an_identification_is_a_text(tmp_path, kind):
     file = tmp_path / "file.toml"
     file.write_text(IDENTIFICATION.replace('"force_records"', kind))
-    assert "but one of" in message_of(io.load_identification, file)
+    assert "but one of" in message_of(config.load_identification, file)
 
 
 @pytest.mark.parametrize(

@@ -3,8 +3,8 @@ import math
 import numpy as np
 import pytest
 
+from diffmill.config import JobError, job_precision, load_job
 from diffmill.cutting import LinearEdgeLaw
-from diffmill.io import JobError, job_precision, load_job
 
 PROGRAM = """G21 G17 G90 G94
 G0 X-6 Y5 Z1

@@ -6,13 +6,8 @@ import numpy as np
 import pytest
 
 from diffmill import examples
-from diffmill.io import JobError, load_job
-from diffmill.robot import (
-    FlangeSpring,
-    cartesian_compliance,
-    load,
-    with_flange_spring,
-)
+from diffmill.config import JobError, load_job
+from diffmill.robot import FlangeSpring, cartesian_compliance, load, with_flange_spring
 
 TOOL = """
 [robot.bending_tool]

@@ -5,12 +5,12 @@ from typing import Any
 import pytest
 
 from diffmill import CorrectionSettings, UncertaintySettings
-from diffmill.io._job_correction import (
+from diffmill.config._schema.correction import (
     CorrectionTable,
     check_correction,
     correction_settings,
 )
-from diffmill.io._job_table import validated
+from diffmill.config._schema.table import validated
 
 
 def read(**raw: Any) -> tuple[Any, list[str]]:

@@ -3,8 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from diffmill.io._job_cutter import CutterTable, make_cutter
-from diffmill.io._job_table import validated
+from diffmill.config._schema.cutter import CutterTable, make_cutter
+from diffmill.config._schema.table import validated
 
 MILL = {"diameter": "10 mm", "teeth": 3}
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import xarray
 
-from diffmill.cli._progress import Progress
-from diffmill.cli._run import _with_contacts
-from diffmill.io import JobError, load_job
-from diffmill.io._job_checks import check_overhang
+from diffmill.cli._run_job import _with_contacts
+from diffmill.cli._session.progress import Progress
+from diffmill.config import JobError, load_job
+from diffmill.config._check.rapids import check_overhang
 
 JOB = """
 [cutter]

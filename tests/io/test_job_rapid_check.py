@@ -3,7 +3,7 @@ import itertools
 import numpy as np
 import pytest
 
-from diffmill.io import rigid_pass
+from diffmill.config import rigid_pass
 from diffmill.toolpath import Path
 
 LOWER, UPPER = np.array([0.0, 0.0, -5e-3]), np.array([40e-3, 20e-3, 0.0])

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from diffmill import robot as rb
+from diffmill.config import JobError, load_job
+from diffmill.config._check.reach import check_reach
 from diffmill.examples import copy_example
-from diffmill.io import JobError, load_job
-from diffmill.io._job_reach import check_reach
 from diffmill.sim import command_joints, with_precision
 from diffmill.toolpath import vertical_path
 

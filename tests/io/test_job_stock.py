@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from diffmill import workpiece as wp
-from diffmill.io import JobError, load_job, rigid_pass, rigid_pass_of_stock
+from diffmill.config import JobError, load_job, rigid_pass, rigid_pass_of_stock
 from diffmill.toolpath import Path
 
 PROGRAM = """G21 G17 G90 G94

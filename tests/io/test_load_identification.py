@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from diffmill import io
+from diffmill import JobError, config
 
 HEAD = """kind = "force_records"
 [cutter]
@@ -70,7 +70,7 @@ def load(folder, job=HEAD, data=None, **options) -> Any:
     raw = content if isinstance(content, bytes) else content.encode()
     (folder / "cut.txt").write_bytes(raw)
     (folder / "file.toml").write_text(job)
-    task: Any = io.load_identification(folder / "file.toml", **options)
+    task: Any = config.load_identification(folder / "file.toml", **options)
     return task
 
 
@@ -134,17 +134,17 @@ def test_a_force_that_is_left_out_changes_nothing_else(tmp_path):
     np.testing.assert_array_equal(one.record.force, other.record.force)
     np.testing.assert_array_equal(one.record.force[:, :2], whole.record.force[:, :2])
     np.testing.assert_allclose([one.start, one.stop], [whole.start, whole.stop], 0.01)
-    with pytest.raises(io.JobError, match="mean forces need all three"):
+    with pytest.raises(JobError, match="mean forces need all three"):
         load(tmp_path, job.replace("force_records", "mean_forces"), two)
 
 
 def test_several_cuts_are_listed_and_named(tmp_path):
     data = text(*forces(cuts=2))
-    with pytest.raises(io.JobError, match=r"the record has 2 cuts \(1 from 0\.\d+ to"):
+    with pytest.raises(JobError, match=r"the record has 2 cuts \(1 from 0\.\d+ to"):
         load(tmp_path, data=data)
     second = load(tmp_path, HEAD + "cut = 2\n", data).records[0]
     assert second.name == "cut.txt, cut 2" and second.start > 2 * IDLE + CUT
-    with pytest.raises(io.JobError, match="cut: found 3, but the record has 2 cuts"):
+    with pytest.raises(JobError, match="cut: found 3, but the record has 2 cuts"):
         load(tmp_path, HEAD + "cut = 3\n", data)
 
 
@@ -153,7 +153,7 @@ def test_cuts_that_each_begin_at_zero_are_several(tmp_path):
     on = (TIME > IDLE) & (TIME < IDLE + CUT)
     time, force = TIME[on] - TIME[on][0], FORCE[on]
     data = text(np.tile(time, 3), np.tile(force, (3, 1)))
-    with pytest.raises(io.JobError, match="the record has 3 cuts"):
+    with pytest.raises(JobError, match="the record has 3 cuts"):
         load(tmp_path, data=data)
     second = load(tmp_path, HEAD + "cut = 2\n", data).records[0]
     assert second.stop - second.start == pytest.approx(CUT - 0.55, abs=0.01)
@@ -168,7 +168,7 @@ def test_lost_samples_do_not_end_a_cut(tmp_path):
 
 def test_a_time_without_unit_is_suspected(tmp_path):
     data = text(1e3 * TIME, FORCE, head="t;Fx;Fy;Fz\n")
-    with pytest.raises(io.JobError, match=r"`t` has no unit.*time = .ms.") as error:
+    with pytest.raises(JobError, match=r"`t` has no unit.*time = .ms.") as error:
         load(tmp_path, data=data)
     assert "found 4 samples per second" in str(error.value)
     job = HEAD + 'units = { time = "ms", force_x = "N" }\n'
@@ -201,7 +201,7 @@ def test_saturation_is_told(tmp_path):
     ],
 )
 def test_faults_are_named(tmp_path, change, message):
-    with pytest.raises(io.JobError) as error:
+    with pytest.raises(JobError) as error:
         load(tmp_path, HEAD.replace(*change))
     assert message in str(error.value)
 
@@ -211,7 +211,7 @@ def test_all_faults_come_at_once(tmp_path):
         HEAD + '[[record]]\nfile = "none.txt"\nfoo = 1\n[fit]\naxes = ["x", "x", "z"]\n'
     )
     job = job.replace("teeth = 2", "teeth = 0")
-    with pytest.raises(io.JobError) as error:
+    with pytest.raises(JobError) as error:
         load(tmp_path, job)
     lines = "\n".join(error.value.problems)
     for part in ("teeth", "foo", "axes: found ['x', 'x', 'z']"):
@@ -244,7 +244,7 @@ def test_units_of_means_are_given(tmp_path):
     task = load(tmp_path, job + 'units = { feed_per_tooth = "mm", force = "kN" }\n')
     np.testing.assert_allclose(task.feed_per_tooth, [1e-4, 2e-4])
     np.testing.assert_allclose(task.mean_force[0], [60, -30, 12])
-    with pytest.raises(io.JobError, match="unit of `Fx`; allowed are feed_per_tooth"):
+    with pytest.raises(JobError, match="unit of `Fx`; allowed are feed_per_tooth"):
         load(tmp_path, job + 'units = { Fx = "kN" }\n')
 
 
@@ -290,7 +290,7 @@ def loads(
     (folder / "arm.toml").write_text(SLIDES)
     (folder / "loads.csv").write_text(f"table 1\n{head}\n{rows}")
     (folder / "file.toml").write_text(job)
-    task: Any = io.load_identification(folder / "file.toml")
+    task: Any = config.load_identification(folder / "file.toml")
     return task
 
 
@@ -331,7 +331,7 @@ def test_moments_of_mirrored_axes_change_their_sign_once_more(tmp_path):
 
 def test_load_tests_without_units_are_not_guessed(tmp_path):
     bare = "turn;slide [mm];Fx;Fy;Fz;dx;dy;dz"
-    with pytest.raises(io.JobError) as error:
+    with pytest.raises(JobError) as error:
         loads(tmp_path, bare)
     assert 'units`, such as { joint = "deg" }' in str(error.value)
     assert 'units`, such as { displacement = "mm" }' in str(error.value)
@@ -357,7 +357,7 @@ def test_units_of_load_tests_are_spelled_in_many_ways(tmp_path):
         np.testing.assert_allclose(task.wrench[0, 3:], factor * np.arange(1, 4))
         np.testing.assert_allclose(task.displacement[0], [0, 50e-6, 0], atol=1e-12)
     odd = names.replace("Mx [kNm]", "Mx [N]")
-    with pytest.raises(io.JobError, match=r"Mx.* such as \"3 N\*m\"; or .* `units`"):
+    with pytest.raises(JobError, match=r"Mx.* such as \"3 N\*m\"; or .* `units`"):
         loads(tmp_path, odd, rows=rows)
 
 
@@ -365,7 +365,7 @@ def test_millimetres_along_one_load_are_not_taken_for_metres(tmp_path):
     """Two of three components are small, so that no single one tells."""
     head = "turn [deg];slide [mm];Fx [N];Fy [N];Fz [N];dx;dy;dz"
     rows = "0;0;0;0;900;0.02;0.03;0.6\n90;100;0;0;800;0.03;0.02;0.5\n"
-    with pytest.raises(io.JobError, match=r"0\.5512 m, which no load test has"):
+    with pytest.raises(JobError, match=r"0\.5512 m, which no load test has"):
         loads(tmp_path, head, rows=rows)
     # A tracker's zero is no displacement.
     far = "0;0;0;0;900;4;5;6.001\n90;100;0;0;800;4;5;6.0015\n"
@@ -378,7 +378,7 @@ def test_millimetres_along_one_load_are_not_taken_for_metres(tmp_path):
 
 def test_a_component_that_was_not_measured_is_said(tmp_path):
     head = "turn [deg];slide [mm];Fx [N];Fy [N];Fz [N];dx [um];dy [um];foo"
-    with pytest.raises(io.JobError, match="no column for dz"):
+    with pytest.raises(JobError, match="no column for dz"):
         loads(tmp_path, head)
     task: Any = loads(tmp_path, head, LOADS + 'channels = { dz = "none" }\n')
     assert np.isnan(task.displacement[:, 2]).all()
@@ -389,9 +389,9 @@ def test_snippets_are_toml_that_a_job_takes():
     values = dict(zip(names, (958.86e6, 250e6, 146e6, 15e3, 19e3, np.nan), strict=True))
     errors = dict.fromkeys(names, 1e3)
     known = {name: bool(np.isfinite(value)) for name, value in values.items()}
-    lines = io.force_toml(values, errors, known)
-    lines += io.uncertainty_toml("force", 0.0213)
-    found = tomllib.loads(io.snippet(["head"], lines))
+    lines = config.force_toml(values, errors, known)
+    lines += config.uncertainty_toml("force", 0.0213)
+    found = tomllib.loads(config.snippet(["head"], lines))
     assert found["force"]["K_tc"] == "958.86 N/mm^2" and "K_ae" not in found["force"]
     known = {"force": 0.0213, "gaussian": True}
     assert found["correction"]["uncertainty"] == known
@@ -402,7 +402,7 @@ def modes(folder, kind, more, content) -> Any:
     (folder / "file.toml").write_text(
         f'kind = "{kind}"\n[[{kind}]]\nfile = "data.txt"\n{more}'
     )
-    return io.load_identification(folder / "file.toml")
+    return config.load_identification(folder / "file.toml")
 
 
 def test_frequency_responses_in_the_units_of_analysers(tmp_path):
@@ -429,7 +429,7 @@ def test_frequency_responses_in_the_units_of_analysers(tmp_path):
         np.testing.assert_allclose(one.response, factor * H, rtol=1e-6)
         scale = 1e3 if "kHz" in more else 1.0
         np.testing.assert_allclose(one.frequency, scale * f)
-    with pytest.raises(io.JobError, match="unit of `real`; allowed are frequency, res"):
+    with pytest.raises(JobError, match="unit of `real`; allowed are frequency, res"):
         modes(tmp_path, "frequency_response", 'units = { real = "g/N" }\n', head + rows)
 
 
@@ -439,7 +439,7 @@ def test_the_unit_of_a_ring_down_is_given(tmp_path):
     for head, more in (("t;a", 'units = { time = "ms" }\n'), ("t;a\nms;g", "")):
         one = modes(tmp_path, "ring_down", more, f"{head}\n{rows}\n").measured[0]
         np.testing.assert_allclose(one.time, time, atol=1e-9)
-    with pytest.raises(io.JobError, match="unit of `signal`; allowed are time"):
+    with pytest.raises(JobError, match="unit of `signal`; allowed are time"):
         modes(tmp_path, "ring_down", 'units = { signal = "g" }\n', f"t;a\n{rows}\n")
 
 
@@ -448,15 +448,15 @@ def test_a_coupled_record_needs_a_job_with_a_robot(tmp_path):
     (tmp_path / "file.toml").write_text(
         'kind = "coupled"\n[coupled]\njob = "none.toml"\nfile = "run.csv"\nfoo = 1\n'
     )
-    with pytest.raises(io.JobError, match="foo: found an unknown key"):
-        io.load_identification(tmp_path / "file.toml")
+    with pytest.raises(JobError, match="foo: found an unknown key"):
+        config.load_identification(tmp_path / "file.toml")
     units = 'units = { dx = "um" }\n'
     text = (tmp_path / "file.toml").read_text().replace("foo = 1\n", units)
     (tmp_path / "file.toml").write_text(text)
-    with pytest.raises(io.JobError) as error:
-        io.load_identification(tmp_path / "file.toml")
+    with pytest.raises(JobError) as error:
+        config.load_identification(tmp_path / "file.toml")
     assert "[coupled] job: found 'none.toml', but there is no such" in str(error.value)
     assert "unit of `dx`; allowed are time, force, deviation" in str(error.value)
     (tmp_path / "file.toml").write_text(text.replace(units, ""))
-    with pytest.raises(io.JobError, match="neither forces Fx, Fy, Fz nor deviations"):
-        io.load_identification(tmp_path / "file.toml")
+    with pytest.raises(JobError, match="neither forces Fx, Fy, Fz nor deviations"):
+        config.load_identification(tmp_path / "file.toml")

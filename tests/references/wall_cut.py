@@ -136,7 +136,7 @@ def wall(cut: Cut) -> Wall:
         [*lower, -cut.depth - 1e-3], [*upper, 0.0], SPACING, interval_counts=(6, 6, 1)
     )
     tool = dm.cutter.flat_end_mill(2 * RADIUS, TEETH, cut.helix)
-    plan = dm.sim.process_plan(
+    plan = dm.process.process_plan(
         stock, tool, axial_depth=cut.depth + SPACING, substeps=SUBSTEPS, angles=ANGLES
     )
     # The tip starts before the block, at the depth of the cut.
@@ -158,8 +158,8 @@ def wall(cut: Cut) -> Wall:
     desired[:, :2] = (FEED * np.arange(ROWS) - APPROACH)[:, None] * along
     desired[:, 2] = -cut.depth
     desired = jnp.asarray(desired)
-    shares = dm.sim.wall_shares(desired, None, tool, ran.stock)
-    deviation = dm.sim.wall_deviation(ran.ends, desired, shares)[:, :2] @ normal
+    shares = dm.process.wall_shares(desired, None, tool, ran.stock)
+    deviation = dm.process.wall_deviation(ran.ends, desired, shares)[:, :2] @ normal
     is_steady = _is_steady(desired[:, a])
     motion = _periodic_motion(cut)
     angle = cut.wall_angle + heights * math.tan(cut.helix) / RADIUS
@@ -194,7 +194,7 @@ def _left(stock, along, side, depth):
 @eqx.filter_jit
 def _run(motors, robot, frame, stock, tool, period, plan):
     return dm.sim.simulate_coupled(
-        motors, robot, frame, stock, tool, LAW, period, plan, dm.sim.Traced()
+        motors, robot, frame, stock, tool, LAW, period, plan, dm.process.Traced()
     )
 
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffmill import RESULTS, cutter as ct, cutting, sim, workpiece as wp
+from diffmill import RESULTS, cutter as ct, cutting, process as pr, sim, workpiece as wp
 
 R, D, FEED, TEETH, STEPS = 3e-3, 0.25e-3, 0.1e-3, 2, 100
 DISH = math.radians(2)
@@ -22,7 +22,7 @@ STOCK = wp.box([-4e-3, -5e-3, -6e-3], [14e-3, 5e-3, 0], D)
 
 @functools.cache
 def compiled(has_bottom=True):
-    plan = sim.process_plan(
+    plan = pr.process_plan(
         STOCK, MILL, axial_depth=5e-3, plunges=True, has_bottom=has_bottom
     )
 

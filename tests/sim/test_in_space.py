@@ -14,7 +14,7 @@ import pytest
 from helpers import PAPER_LAW, relative
 from references import halfspaces, marching
 
-from diffmill import RESULTS, cutter as ct, sim, workpiece as wp
+from diffmill import RESULTS, cutter as ct, process as pr, sim, workpiece as wp
 
 R, D, FEED = 5e-3, 0.2e-3, 0.1e-3
 SPEED = 8000 * 2 * math.pi / 60
@@ -69,7 +69,7 @@ def line(start, feed=FEED * ALONG, steps=STEPS):
 
 def cut(path, stock, cutter, axis=None, **options):
     axes = None if axis is None else np.tile(axis, (len(path), 1))
-    plan = sim.process_plan(
+    plan = pr.process_plan(
         stock,
         cutter,
         axial_depth=float(stock.top - path[:, 2].min()) + D,
@@ -278,7 +278,7 @@ def weighted(kind, adjoint):
     radius [m].
     """
     axes = np.tile(AXIS, (ROWS, 1))
-    plan = sim.process_plan(
+    plan = pr.process_plan(
         BLOCK_FOR_TILTED,
         mill(kind),
         axial_depth=1.5e-3,
@@ -334,9 +334,7 @@ def random_direction():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "adjoint", [sim.Plain(), sim.Traced()], ids=["plain", "traced"]
-)
+@pytest.mark.parametrize("adjoint", [pr.Plain(), pr.Traced()], ids=["plain", "traced"])
 def test_clear_of_the_stock_force_and_gradient_are_exactly_zero(adjoint):
     at = (tilted_path("ball", -0.4e-3), jnp.zeros(6))
     for found in pushed("ball", adjoint)(at, random_direction()):
@@ -347,8 +345,7 @@ def test_clear_of_the_stock_force_and_gradient_are_exactly_zero(adjoint):
 def test_both_adjoints_push_forward_alike():
     at = (tilted_path("ball", 1e-3), jnp.zeros(6))
     plain, traced = (
-        pushed("ball", a)(at, random_direction())[1]
-        for a in (sim.Plain(), sim.Traced())
+        pushed("ball", a)(at, random_direction())[1] for a in (pr.Plain(), pr.Traced())
     )
     assert abs(plain) > 0
     np.testing.assert_allclose(traced, plain, rtol=1e-9)
@@ -361,7 +358,7 @@ def test_both_adjoints_pull_back_alike():
     def gradient(adjoint):
         return jax.jit(jax.grad(weighted("ball", adjoint)))(path, nothing)
 
-    plain, traced = gradient(sim.Plain()), gradient(sim.Traced())
+    plain, traced = gradient(pr.Plain()), gradient(pr.Traced())
     scale = float(jnp.abs(plain).max())
     assert scale > 0
     np.testing.assert_allclose(traced, plain, rtol=1e-9, atol=1e-9 * scale)
@@ -369,7 +366,7 @@ def test_both_adjoints_pull_back_alike():
 
 @pytest.mark.slow
 def test_gradients_match_central_differences():
-    derivative = pushed("bull", sim.Plain())
+    derivative = pushed("bull", pr.Plain())
     path, none = tilted_path("bull", 1e-3), jnp.zeros(6)
     still = jnp.zeros_like(path)
     # A thousandth of a chip; for axes, what moves the side of the tool as much.
@@ -390,7 +387,7 @@ def test_the_second_pass_cuts_nothing(kind):
     axis = AXIS
     path = line([-0.3e-3, 0.04e-3, depth_of(kind, axis, 1e-3)])
     axes = np.tile(axis, (STEPS, 1))
-    plan = sim.process_plan(
+    plan = pr.process_plan(
         BLOCK_FOR_TILTED, mill(kind), axial_depth=1.5e-3, axes=axes, is_upright=False
     )
     run = jax.jit(

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from helpers import PAPER_LAW
 
-from diffmill import cutter as ct, robot as rb, sim, workpiece as wp
+from diffmill import cutter as ct, process as pr, robot as rb, sim, workpiece as wp
 
 PERIOD, SUBSTEPS = 3.75e-3, 8
 STEP = PERIOD / SUBSTEPS
@@ -112,13 +112,13 @@ def test_the_explicit_rule_in_the_coupled_step():
     robot, frequency, ratio = one_mode(), 10.0, 0.02
     stock = wp.box([1, 1, 1], [1.005, 1.005, 1.005], 1e-3)
     mill = ct.flat_end_mill(10e-3, 2)
-    plan = sim.process_plan(stock, mill, axial_depth=1e-3)
+    plan = pr.process_plan(stock, mill, axial_depth=1e-3)
     theta = np.full((60, 1), 1e-3)
     theta[0] = 0.0
     found = jax.jit(
         lambda theta: sim.simulate_coupled(
             theta, robot, np.eye(4), stock, mill, PAPER_LAW, PERIOD, plan,
-            sim.Traced(), integrator=sim.RungeKutta4(),
+            pr.Traced(), integrator=sim.RungeKutta4(),
         ).actual[:, 0]
     )(jnp.asarray(theta))  # fmt: skip
     # From rest at 1e-3 the error decays; row 1 gives the phase and the amplitude.

@@ -8,7 +8,7 @@ from helpers import PAPER_LAW, relative
 from slides_job import write_slides_job
 
 import diffmill as dm
-from diffmill import cutter as ct, sim, toolpath, workpiece as wp
+from diffmill import cutter as ct, process as pr, sim, toolpath, workpiece as wp
 
 MILL = ct.flat_end_mill(10e-3, 2)
 STOCK = wp.box([0, 0, -2e-3], [8e-3, 8e-3, 0], 0.5e-3)
@@ -28,7 +28,7 @@ def cut(positions, row_count):
         PAPER_LAW,
         838.0,
         axial_depth=1e-3,
-        adjoint=sim.Traced(),
+        adjoint=pr.Traced(),
         row_count=row_count,
     )
 

@@ -10,8 +10,15 @@ import pytest
 from helpers import PAPER_LAW, relative
 from references import halfspaces, marching
 
-from diffmill import RESULTS, cutter as ct, robot as rb, sim, workpiece as wp
-from diffmill.sim import chip_arcs
+from diffmill import (
+    RESULTS,
+    cutter as ct,
+    process as pr,
+    robot as rb,
+    sim,
+    workpiece as wp,
+)
+from diffmill.process import chip_arcs
 
 R = 5e-3
 MILL = ct.flat_end_mill(2 * R, 2)
@@ -25,7 +32,7 @@ LAW = marching.LinearLaw(989.8e6, 337.3e6, 66.9e6, 3.0e3, 15.4e3, 4.5e3)
 
 
 @functools.cache
-def compiled(chip: sim.ChipModel = "point_cloud", helix_deg=0, keeps=False):
+def compiled(chip: pr.ChipModel = "point_cloud", helix_deg=0, keeps=False):
     mill = ct.flat_end_mill(2 * R, 2, math.radians(helix_deg)) if helix_deg else MILL
     return jax.jit(
         lambda positions, stock: sim.simulate_process(
@@ -89,7 +96,7 @@ def test_mean_force_is_that_of_marching(radial_depth, is_up_milling, bound):
 
 def arcs_after(path, stock=STOCK):
     """Return the arcs of the last pose of a path that has cut the stock before."""
-    plan = sim.process_plan(stock, MILL, axial_depth=1.6e-3, chip="point_cloud")
+    plan = pr.process_plan(stock, MILL, axial_depth=1.6e-3, chip="point_cloud")
     cut = compiled("near_far")(path[:-1], stock).stock
     tips = jnp.asarray(path[-2:])
     return jax.jit(lambda s: chip_arcs(plan, MILL, s, tips[0], tips[1]))(cut)
@@ -232,7 +239,7 @@ def test_between_the_jumps_the_derivative_is_exact():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("adjoint", [sim.Plain(), sim.Traced()])
+@pytest.mark.parametrize("adjoint", [pr.Plain(), pr.Traced()])
 def test_gradients_are_finite_in_the_air_and_in_the_cut(adjoint):
     path = straight(6e-3)
     path[:40, 0] = -6e-3 - 3e-3 * np.arange(40)[::-1]
@@ -287,10 +294,10 @@ def test_a_robot_that_cuts_meets_the_force_of_its_own_path():
     Ts = jnp.broadcast_to(jnp.asarray(frame)[None], (len(tips), 4, 4))
     q = rb.inverse_kinematics_path(robot, Ts.at[:, :3, 3].add(tips), robot.home).q
     motors = jax.vmap(lambda row: rb.motor_positions(robot, row))(q)
-    plan = sim.process_plan(STOCK, MILL, axial_depth=1.6e-3, chip="point_cloud")
+    plan = pr.process_plan(STOCK, MILL, axial_depth=1.6e-3, chip="point_cloud")
     arm = jax.jit(
         lambda m: sim.simulate_coupled(
-            m, robot, frame, STOCK, MILL, PAPER_LAW, 3.75e-3, plan, sim.Plain()
+            m, robot, frame, STOCK, MILL, PAPER_LAW, 3.75e-3, plan, pr.Plain()
         )
     )(motors)
     alone = compiled()(np.asarray(arm.actual), STOCK)

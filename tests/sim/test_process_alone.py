@@ -8,7 +8,7 @@ import pytest
 from helpers import PAPER_LAW, relative
 from references import circles
 
-from diffmill import RESULTS, cutter as ct, sim, workpiece as wp
+from diffmill import RESULTS, cutter as ct, process as pr, sim, workpiece as wp
 from diffmill.cutting import LinearEdgeLaw
 
 MILL = ct.flat_end_mill(10e-3, 2)
@@ -94,7 +94,7 @@ def test_a_straight_path_lies_on_no_kink():
 def test_the_slope_on_the_floor_cut_before_is_that_of_differences():
     # Lifted alone, the first row leaves the floor on which the path began, or digs in.
     path = np.array([4e-3, 6.01e-3, -1e-3]) + FEED * np.arange(3)[:, None] * [1, 0, 0]
-    plan = sim.process_plan(STOCK, MILL, axial_depth=1.6e-3, has_bottom=False)
+    plan = pr.process_plan(STOCK, MILL, axial_depth=1.6e-3, has_bottom=False)
 
     @jax.jit
     def side(rise):
@@ -260,7 +260,7 @@ def test_both_adjoints_agree(mode):
             return jax.jit(jax.grad(total))(path)
         return jax.jit(lambda p: jax.jvp(total, (p,), (direction,))[1])(path)
 
-    plain, traced = derivative(sim.Plain()), derivative(sim.Traced())
+    plain, traced = derivative(pr.Plain()), derivative(pr.Traced())
     np.testing.assert_allclose(
         traced, plain, rtol=1e-9, atol=1e-9 * np.abs(plain).max()
     )
@@ -271,7 +271,7 @@ def test_reverse_mode_is_the_transpose_of_forward_mode_for_a_helix():
     # All columns under the tool end at one height, and so tie exactly.
     mill = ct.flat_end_mill(5e-3, 2, helix_angle=math.radians(30), flute_length=20e-3)
     stock = wp.box([0, 0, -4e-3], [12e-3, 9e-3, 0], 0.3e-3)
-    plan = sim.process_plan(stock, mill, axial_depth=1.3e-3, substeps=2, angles=48)
+    plan = pr.process_plan(stock, mill, axial_depth=1.3e-3, substeps=2, angles=48)
     path = jnp.asarray(straight(4.5e-3, feed=0.2e-3, steps=12)) + jnp.array(
         [9e-3, 0, 0]
     )

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from helpers import PAPER_LAW, relative
 
-from diffmill import cutter as ct, robot as rb, sim, workpiece as wp
+from diffmill import cutter as ct, process as pr, robot as rb, sim, workpiece as wp
 
 MILL = ct.flat_end_mill(10e-3, 2)
 PERIOD = 3.75e-3
 STOCK = wp.box([0, 0, -2e-3], [10e-3, 8e-3, 0], 0.5e-3, interval_counts=(4, 4, 1))
-PLAN = sim.process_plan(STOCK, MILL, axial_depth=1.5e-3)
+PLAN = pr.process_plan(STOCK, MILL, axial_depth=1.5e-3)
 STIFFNESS, MASS = np.array([1.5e6, 2.5e6, 4e6]), 80.0
 
 
@@ -38,7 +38,7 @@ def slot(count=48):
 def run(simulate, stiffness, theta):
     robot = rb.with_drives(slides(1.0), stiffness=stiffness)
     return simulate(
-        theta, robot, np.eye(4), STOCK, MILL, PAPER_LAW, PERIOD, PLAN, sim.Traced()
+        theta, robot, np.eye(4), STOCK, MILL, PAPER_LAW, PERIOD, PLAN, pr.Traced()
     )
 
 
@@ -69,7 +69,7 @@ def test_the_force_is_that_of_the_process_on_the_actual_path():
             PAPER_LAW,
             2 * math.pi / (2 * PERIOD),
             plan=PLAN,
-            adjoint=sim.Traced(),
+            adjoint=pr.Traced(),
         )
     )(still().actual)
     # The process alone bends its path smoothly through the instants, here the tip
@@ -119,7 +119,7 @@ def test_derivatives_agree_with_central_differences():
 def test_a_bending_tool_bends_as_a_beam_loaded_along_its_flutes():
     depth, L = 12e-3, 40e-3
     stock = wp.box([0, 0, -15e-3], [10e-3, 8e-3, 0], 0.5e-3, interval_counts=(4, 4, 1))
-    plan = sim.process_plan(stock, MILL, axial_depth=depth + 0.5e-3)
+    plan = pr.process_plan(stock, MILL, axial_depth=depth + 0.5e-3)
     stiff = rb.with_drives(slides(1.0), stiffness=np.full(3, 1e13))
     tool = rb.BendingTool(L, 0.0, 10e-3, 10e-3)
     robot = rb.with_bending_tool(stiff, tool)
@@ -128,7 +128,7 @@ def test_a_bending_tool_bends_as_a_beam_loaded_along_its_flutes():
     theta[:, 2] = -depth
     simulate = jax.jit(
         lambda theta: sim.simulate_quasistatic(
-            theta, robot, np.eye(4), stock, MILL, PAPER_LAW, PERIOD, plan, sim.Plain()
+            theta, robot, np.eye(4), stock, MILL, PAPER_LAW, PERIOD, plan, pr.Plain()
         )
     )
     found = simulate(jnp.asarray(theta))

@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 from helpers import relative
 
-from diffmill import cutter as ct, cutting, robot as rb, sim, workpiece as wp
+from diffmill import (
+    cutter as ct,
+    cutting,
+    process as pr,
+    robot as rb,
+    sim,
+    workpiece as wp,
+)
 
 PERIOD = 2.5e-3
 # Three teeth of unlike force: a segment must begin with the right one.
@@ -32,9 +39,9 @@ def make_machine():
     ]
     body = rb.RigidBody(80.0, (0.0, 0.0, 0.0), np.eye(3))
     gantry = rb.build([*slides, body, rb.Tool("tool")])
-    plan = sim.process_plan(STOCK, MILL, axial_depth=1e-3, angles=24, substeps=4)
+    plan = pr.process_plan(STOCK, MILL, axial_depth=1e-3, angles=24, substeps=4)
     return sim.coupled_machine(
-        *(gantry, np.eye(4), MILL, LAW, PERIOD, plan, sim.Traced(), None, None),
+        *(gantry, np.eye(4), MILL, LAW, PERIOD, plan, pr.Traced(), None, None),
         STOCK.origin.dtype,
     )
 

@@ -13,6 +13,7 @@ from diffmill import (
     Job,
     SimulationSettings,
     cutter as ct,
+    process as pr,
     robot as rb,
     sim,
     toolpath as tp,
@@ -92,7 +93,7 @@ def test_maps_agree_with_differences(job, maps):
     @jax.jit
     def tip(log_scale):
         scaled = sim.with_scaled(job, log_scale)
-        return sim.run_motors(scaled, motors, sim.Traced()).actual
+        return sim.run_motors(scaled, motors, pr.Traced()).actual
 
     zero = np.zeros(len(maps.names))
     for name in ("K y", "K_tc", "K_rc"):

@@ -8,9 +8,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffmill import cutter as ct, cutting, io, robot as rb, sim, workpiece as wp
-from diffmill.cli._progress import Progress
-from diffmill.cli._run import _tell_stability
+from diffmill import (
+    JobError,
+    cutter as ct,
+    cutting,
+    load_job,
+    process as pr,
+    robot as rb,
+    sim,
+    workpiece as wp,
+)
+from diffmill.cli._run_job import _tell_stability
+from diffmill.cli._session.progress import Progress
 
 # Four teeth in a slot: the slope of the force in x does not depend on the angle.
 MILL = ct.flat_end_mill(10e-3, 4)
@@ -21,7 +30,7 @@ PERIOD = 3.75e-3
 FREQUENCY, RATIO, STIFFNESS = 190.0, 0.03, 5e6
 STOCK = wp.box([0, 0, -2e-3], [14e-3, 12e-3, 0], 0.25e-3, interval_counts=(6, 6, 1))
 # Sub-steps short enough that the midpoint rule keeps the mode within 0.3 %.
-PLAN = sim.process_plan(STOCK, MILL, axial_depth=1.5e-3, substeps=24)
+PLAN = pr.process_plan(STOCK, MILL, axial_depth=1.5e-3, substeps=24)
 
 
 def one_mode():
@@ -159,9 +168,9 @@ def write_job(folder, robot, stability):
 
 
 def test_what_cannot_vibrate_is_not_asked(tmp_path):
-    with pytest.raises(io.JobError, match="with rigid = true nothing vibrates"):
-        io.load_job(write_job(tmp_path, "rigid = true", "true"))
-    job = io.load_job(write_job(tmp_path, "rigid = true", '"quick"'))
+    with pytest.raises(JobError, match="with rigid = true nothing vibrates"):
+        load_job(write_job(tmp_path, "rigid = true", "true"))
+    job = load_job(write_job(tmp_path, "rigid = true", '"quick"'))
     assert job.simulation.stability == "quick"
 
 
@@ -205,7 +214,7 @@ def slot_in_slides(folder, share):
     file.write_text(text.replace("0.4 mm", "0.25 mm"))
     program = PROGRAM.replace("Z-1", f"Z{-1e3 * share * limit()[0]:.6f}")
     (folder / "part.ngc").write_text(program.replace("F3000", "F1600"))
-    return io.load_job(file)
+    return load_job(file)
 
 
 @pytest.mark.slow
@@ -226,7 +235,7 @@ def test_the_simulation_grows_and_decays_as_predicted(share):
     depth = share * limit()[0]
     theta, frame = slot(depth)
     run = sim.simulate_coupled(
-        theta, one_mode(), frame, STOCK, MILL, LAW, PERIOD, PLAN, sim.Plain()
+        theta, one_mode(), frame, STOCK, MILL, LAW, PERIOD, PLAN, pr.Plain()
     )
     # The entry shakes the slide; one vibration is left, and a constant deflection.
     x = np.asarray(run.joint_positions - theta)[70:, 0]

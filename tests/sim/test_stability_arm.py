@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from helpers import PAPER_LAW
 
-from diffmill import cutter as ct, robot as rb, sim, workpiece as wp
+from diffmill import cutter as ct, process as pr, robot as rb, sim, workpiece as wp
 
 MILL = ct.flat_end_mill(10e-3, 2)
 PERIOD, FEED, ROWS = 3.75e-3, 0.1875e-3, 250
 ROBOT = rb.load("reis_rv130_like")
 STOCK = wp.box([0, 15e-3, -3e-3], [45e-3, 35e-3, 0], 0.5e-3, interval_counts=(6, 6, 1))
-PLAN = sim.process_plan(STOCK, MILL, axial_depth=2e-3)
+PLAN = pr.process_plan(STOCK, MILL, axial_depth=2e-3)
 
 
 def work_frame():
@@ -38,7 +38,7 @@ def motors(tips):
 def program():
     return jax.jit(
         lambda theta: sim.simulate_coupled(
-            theta, ROBOT, FRAME, STOCK, MILL, PAPER_LAW, PERIOD, PLAN, sim.Plain()
+            theta, ROBOT, FRAME, STOCK, MILL, PAPER_LAW, PERIOD, PLAN, pr.Plain()
         )
     )
 

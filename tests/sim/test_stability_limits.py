@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 from references import semidiscretisation
 
-from diffmill import cutter as ct, cutting, robot as rb, sim, workpiece as wp
+from diffmill import (
+    cutter as ct,
+    cutting,
+    process as pr,
+    robot as rb,
+    sim,
+    workpiece as wp,
+)
 
 MASS, FREQUENCY, RATIO = 0.03993, 922.0, 0.011
 K_T, K_R = 6e8, 2e8
@@ -45,7 +52,7 @@ def growth(rpm, robot, arc, depth):
     # Down-milling along +x: the work lies to the right of the feed.
     top = 6e-3 if arc == SLOT else 0.0
     stock = wp.box([0, -6e-3, -2e-3], [8e-3, top, 0], 0.2e-3, interval_counts=(6, 6, 1))
-    plan = sim.process_plan(
+    plan = pr.process_plan(
         stock,
         mill,
         axial_depth=depth + stock.spacing,

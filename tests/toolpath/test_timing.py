@@ -7,13 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from diffmill.toolpath import (
-    Move,
-    Program,
-    duration,
-    path_length,
-    sample_program,
-)
+from diffmill.toolpath import Move, Program, duration, path_length, sample_program
 
 PERIOD = 1e-4
 LIMITS: dict[str, Any] = {

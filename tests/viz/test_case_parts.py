@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diffmill.cli._run import _parts
+from diffmill.cli._run_job import _parts
 from diffmill.viz import case_parts, write_report
 
 from .synthetic import SCALES

@@ -17,7 +17,7 @@ from diffmill.viz import (
     plot_surface_error,
     ray_errors,
 )
-from diffmill.viz._paths import plan_magnification, zoom_steps
+from diffmill.viz._figure.paths import plan_magnification, zoom_steps
 from diffmill.viz._style import case_style, round_factor, scale_ratio
 
 from .synthetic import (

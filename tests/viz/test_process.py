@@ -3,7 +3,8 @@ import numpy as np
 import pytest
 
 from diffmill.cutter import flat_end_mill
-from diffmill.sim import process_plan, tooth_chip
+from diffmill.process import process_plan
+from diffmill.sim import tooth_chip
 from diffmill.viz import chip_chart, force_record
 from diffmill.workpiece import Pose, box
 

@@ -205,7 +205,7 @@ def test_arguments_out_of_range_are_refused(tmp_path, monkeypatch):
     with pytest.raises(ValueError, match="interval_counts"):
         wp.from_mesh(file, SPACING, interval_counts=(8, 8, 0))
     # Before any ray is cast.
-    monkeypatch.setattr("diffmill.workpiece._from_mesh._solid", None)
+    monkeypatch.setattr("diffmill.workpiece._mesh.from_mesh._solid", None)
     with pytest.raises(ValueError, match="half of the physical memory"):
         wp.from_mesh(file, 1e-9)
 

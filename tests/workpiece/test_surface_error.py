@@ -6,7 +6,7 @@ import pytest
 import trimesh
 
 from diffmill import workpiece as wp
-from diffmill.workpiece._surface_error import closest_on_triangles, signed_distance
+from diffmill.workpiece._mesh.surface_error import closest_on_triangles, signed_distance
 
 SPACING = 0.25e-3
 

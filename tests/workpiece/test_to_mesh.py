@@ -8,7 +8,8 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from diffmill import workpiece as wp
-from diffmill.workpiece import DEAD, _cell_loops, _files
+from diffmill.workpiece import DEAD, _files
+from diffmill.workpiece._mesh import cell_loops as _cell_loops
 
 SPACING = 0.5e-3
 

@@ -9,4 +9,4 @@ campaigns and other program formats. What computes is imported only once there
 is something to compute, so that help is quick.
 """
 
-from ._commands import main as main
+from ._main import main as main

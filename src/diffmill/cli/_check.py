@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._toml import parse_toml
-from ._jax import configure_jax
+from ._session.jax_config import configure_jax
 
 
 def describe_file(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
@@ -48,7 +48,7 @@ def _tables(file: pathlib.Path) -> dict[str, object]:
 
 def _describe_identification(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
     configure_jax(None)
-    from ..io import (
+    from ..config import (
         CoupledTask,
         ForceRecordTask,
         LoadTestTask,
@@ -84,7 +84,7 @@ def _describe_identification(file: pathlib.Path, *, allow_outside: bool) -> list
 
 def _describe_job(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
     configure_jax(file)
-    from ..io import load_job
+    from ..config import load_job
 
     job = load_job(file, allow_outside=allow_outside)
     settings = job.simulation

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import equinox as eqx
 import numpy as np
 
-from ._errors import BadInput, bad_input
-from ._jax import configure_jax
-from ._progress import Progress
-from ._run import with_job
+from ._run_job import with_job
+from ._session.errors import BadInput, bad_input
+from ._session.jax_config import configure_jax
+from ._session.progress import Progress
 
 if TYPE_CHECKING:
     from .._job import Job
@@ -58,7 +58,8 @@ def run_feed(
         The exit code.
     """
     from .._result import SimulationFailed
-    from ..io import check_folder, load_job
+    from ..config import load_job
+    from ..io import check_folder
 
     folder = pathlib.Path(f"{file.stem}-feed") if out is None else out
     with bad_input():
@@ -84,7 +85,7 @@ def run_feed(
 
 def _check(job: "Job", file: pathlib.Path, request: FeedRequest) -> None:
     """Refuse what cannot be tried, before anything runs."""
-    from ..io import JobError
+    from ..config import JobError
     from ..toolpath import path_feed
 
     if job.robot is None:
@@ -110,12 +111,7 @@ def _compute(
     job: "Job", request: FeedRequest, progress: Progress
 ) -> "tuple[FeedTradeoff, TunedFeed | None]":
     """Run the job at all feeds."""
-    from ..correction import (
-        InfeasibleLimit,
-        NothingToCorrect,
-        feed_tradeoff,
-        tune_feed,
-    )
+    from ..correction import InfeasibleLimit, NothingToCorrect, feed_tradeoff, tune_feed
 
     try:
         tradeoff = feed_tradeoff(

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ._errors import bad_input
-from ._jax import configure_jax
-from ._progress import Progress
 from ._robot_text import robot_lines
+from ._session.errors import bad_input
+from ._session.jax_config import configure_jax
+from ._session.progress import Progress
 
 if TYPE_CHECKING:
     from jaxtyping import Complex, Float

@@ -17,104 +17,106 @@ Left out: feed and offset at once; corrections of the tool axis; in segments of 
 paths, the surface as the objective and uncertain models.
 """
 
-from ._bspline import SplineOffsets as SplineOffsets
-from ._correct import (
-    CASES as CASES,
-    Correction as Correction,
-    NothingToCorrect as NothingToCorrect,
-    correct as correct,
-)
-from ._delay import delayed as delayed
-from ._ensemble import (
-    Ensemble as Ensemble,
-    LatePlant as LatePlant,
-    ScaledPlant as ScaledPlant,
-    draw_scales as draw_scales,
-    with_delays as with_delays,
-)
-from ._feed import (
-    FeedProblem as FeedProblem,
-    feed_prediction as feed_prediction,
-    smoothed as smoothed,
-)
-from ._feed_curve import FeedPoint as FeedPoint, feed_curve as feed_curve
-from ._feed_job import (
-    FeedPlant as FeedPlant,
-    feed_tradeoff as feed_tradeoff,
-    tune_feed as tune_feed,
-)
-from ._feed_records import FeedTradeoff as FeedTradeoff, TunedFeed as TunedFeed
-from ._first_order import Adam as Adam
-from ._gauss_newton import (
-    ContourResidual as ContourResidual,
-    GaussNewton as GaussNewton,
-    contour_residual as contour_residual,
-)
-from ._held_rows import HeldRows as HeldRows
-from ._horizon import RecedingHorizon as RecedingHorizon
-from ._input_shaper import shaped as shaped, shaped_program as shaped_program
-from ._inverse_drive import (
-    InverseDriveCommand as InverseDriveCommand,
-    at_instants as at_instants,
-    differentiate as differentiate,
-    inverse_drive as inverse_drive,
-    spring_deflection as spring_deflection,
-)
-from ._job_problem import TipPlant as TipPlant
-from ._joint_limits import check_joints as check_joints, joint_limits as joint_limits
-from ._least_squares import least_squares as least_squares
-from ._least_squares_records import (
-    LeastSquaresSolution as LeastSquaresSolution,
-    LeastSquaresStep as LeastSquaresStep,
-    LevenbergMarquardt as LevenbergMarquardt,
-)
-from ._limited_quadratic import (
-    LimitedQuadratic as LimitedQuadratic,
-)
-from ._limits import (
-    AbstractLimits as AbstractLimits,
-    InfeasibleLimit as InfeasibleLimit,
-    LinearLimits as LinearLimits,
-    MixedLimits as MixedLimits,
-    command_limits as command_limits,
-)
-from ._measures import Measures as Measures, measure as measure
-from ._method import (
+from ._core.error_metrics import Measures as Measures, measure as measure
+from ._core.method import (
     AbstractMethod as AbstractMethod,
     Corrected as Corrected,
     GivenCommand as GivenCommand,
 )
-from ._mirror import (
-    IteratedMirror as IteratedMirror,
-    Mirror as Mirror,
-    SampledMirror as SampledMirror,
-)
-from ._objective import (
+from ._core.path_objective import (
     AbstractObjective as AbstractObjective,
     PathObjective as PathObjective,
 )
-from ._parts import (
+from ._core.path_segments import (
     PARTS as PARTS,
     by_part as by_part,
     path_parts as path_parts,
     rows_out_of_cut as rows_out_of_cut,
 )
-from ._placement import place_workpiece as place_workpiece
-from ._placement_result import Placement as Placement
-from ._placement_task import predicted_deviation as predicted_deviation
-from ._problem import (
+from ._core.problem import (
     Motion as Motion,
     Plant as Plant,
     Problem as Problem,
     contour_of as contour_of,
     run as run,
 )
+from ._core.row_weights import (
+    row_weights as row_weights,
+    surface_poses as surface_poses,
+)
+from ._feed.problem import (
+    FeedProblem as FeedProblem,
+    feed_prediction as feed_prediction,
+    smoothed as smoothed,
+)
+from ._feed.result import FeedTradeoff as FeedTradeoff, TunedFeed as TunedFeed
+from ._feed.trade_off_curve import FeedPoint as FeedPoint, feed_curve as feed_curve
+from ._feed.tune_feed import (
+    FeedPlant as FeedPlant,
+    feed_tradeoff as feed_tradeoff,
+    tune_feed as tune_feed,
+)
+from ._held_rows import HeldRows as HeldRows
+from ._job.correct import (
+    CASES as CASES,
+    Correction as Correction,
+    NothingToCorrect as NothingToCorrect,
+    correct as correct,
+)
+from ._job.joint_limits import (
+    check_joints as check_joints,
+    joint_limits as joint_limits,
+)
+from ._job.objective import UnsuitableSettings as UnsuitableSettings
+from ._job.plants import TipPlant as TipPlant
+from ._least_squares import least_squares as least_squares
+from ._least_squares_records import (
+    LeastSquaresSolution as LeastSquaresSolution,
+    LeastSquaresStep as LeastSquaresStep,
+    LevenbergMarquardt as LevenbergMarquardt,
+)
+from ._limited_quadratic import LimitedQuadratic as LimitedQuadratic
+from ._method.adam import Adam as Adam
+from ._method.delay import delayed as delayed
+from ._method.ensemble import (
+    Ensemble as Ensemble,
+    LatePlant as LatePlant,
+    ScaledPlant as ScaledPlant,
+    draw_scales as draw_scales,
+    with_delays as with_delays,
+)
+from ._method.gauss_newton import (
+    ContourResidual as ContourResidual,
+    GaussNewton as GaussNewton,
+    contour_residual as contour_residual,
+)
+from ._method.input_shaper import shaped as shaped, shaped_program as shaped_program
+from ._method.inverse_drive import (
+    InverseDriveCommand as InverseDriveCommand,
+    at_instants as at_instants,
+    differentiate as differentiate,
+    inverse_drive as inverse_drive,
+    spring_deflection as spring_deflection,
+)
+from ._method.minimax import worst_case as worst_case
+from ._method.mirror import (
+    IteratedMirror as IteratedMirror,
+    Mirror as Mirror,
+    SampledMirror as SampledMirror,
+)
+from ._method.plant_segment import (
+    AbstractPiece as AbstractPiece,
+    AbstractPieces as AbstractPieces,
+)
+from ._method.receding_horizon import RecedingHorizon as RecedingHorizon
+from ._placement.objective import predicted_deviation as predicted_deviation
+from ._placement.place_workpiece import place_workpiece as place_workpiece
+from ._placement.result import Placement as Placement
 from ._products import (
     AbstractProducts as AbstractProducts,
     RecomputedProducts as RecomputedProducts,
     StoredProducts as StoredProducts,
 )
-from ._projection import clip_offset as clip_offset, project as project
 from ._quadratic import (
     QuadraticSolution as QuadraticSolution,
     solve_bounded_quadratic as solve_bounded_quadratic,
@@ -124,23 +126,28 @@ from ._response import (
     spline_preconditioner as spline_preconditioner,
     tip_response as tip_response,
 )
-from ._segments import AbstractPiece as AbstractPiece, AbstractPieces as AbstractPieces
-from ._setup import UnsuitableSettings as UnsuitableSettings
-from ._spline_window import (
+from ._spline.command_limits import (
+    AbstractLimits as AbstractLimits,
+    InfeasibleLimit as InfeasibleLimit,
+    LinearLimits as LinearLimits,
+    MixedLimits as MixedLimits,
+    command_limits as command_limits,
+)
+from ._spline.projection import clip_offset as clip_offset, project as project
+from ._spline.spline_offsets import SplineOffsets as SplineOffsets
+from ._spline.spline_window import (
     SplineWindow as SplineWindow,
     spline_window as spline_window,
 )
-from ._surface_bounds import (
-    SurfaceBounds as SurfaceBounds,
-    layer_thickness as layer_thickness,
-    surface_bounds as surface_bounds,
-)
-from ._surface_objective import (
+from ._surface.finished_surface import (
     FinishedSurface as FinishedSurface,
     SurfaceObjective as SurfaceObjective,
     finished_surface as finished_surface,
     point_shares as point_shares,
     touching_rows as touching_rows,
 )
-from ._weights import row_weights as row_weights, surface_poses as surface_poses
-from ._worst_case import worst_case as worst_case
+from ._surface.surface_limits import (
+    SurfaceBounds as SurfaceBounds,
+    layer_thickness as layer_thickness,
+    surface_bounds as surface_bounds,
+)

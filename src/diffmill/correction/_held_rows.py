@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
-from ._limits import AbstractRows
 from ._products import AbstractProducts
+from ._spline.command_limits import AbstractRows
 
 # The linear model may go to this share of a bound.
 _DRAWN_IN = 0.95

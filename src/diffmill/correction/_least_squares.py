@@ -43,14 +43,10 @@ from ._least_squares_state import (
     take_spent,
     unit_box,
 )
-from ._limited_quadratic import (
-    LimitedQuadratic,
-    QuadraticNotSolved,
-    Spring,
-)
-from ._limits import AbstractLimits, AbstractRows
+from ._limited_quadratic import LimitedQuadratic, QuadraticNotSolved, Spring
 from ._products import Residual, evaluate
 from ._quadratic import QuadraticSolution
+from ._spline.command_limits import AbstractLimits, AbstractRows
 
 # Smallest ratio of true to predicted decrease with which a step is accepted.
 _ACCEPT = 1e-4

@@ -18,12 +18,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ._dense_quadratic import solve_dense_quadratic
-from ._limits import AbstractRows
-from ._quadratic import (
-    QuadraticSolution,
-    projected_gradient,
-    solve_bounded_quadratic,
-)
+from ._quadratic import QuadraticSolution, projected_gradient, solve_bounded_quadratic
+from ._spline.command_limits import AbstractRows
 
 # How many times the products of the problem without limits there may be.
 _LIMITED = 2

@@ -18,8 +18,8 @@ from jaxtyping import Array, Complex, Float
 
 from .._types import RealScalarLike
 from ..robot import Robot, arm_terms
-from ._bspline import SplineOffsets, adjoint_offsets
-from ._spline_window import SplineWindow
+from ._spline.spline_offsets import SplineOffsets, adjoint_offsets
+from ._spline.spline_window import SplineWindow
 
 # Added to T^H T: what the arm hardly follows is not worth chasing.
 _FLOOR = 1e-3

@@ -24,49 +24,25 @@ from ._checkpoint import (
     remove_checkpoint as remove_checkpoint,
     write_checkpoint as write_checkpoint,
 )
-from ._gcode import parse_gcode as parse_gcode, read_gcode as read_gcode
-from ._gcode_words import GCodeError as GCodeError
-from ._gcode_writer import write_gcode as write_gcode
-from ._identification_task import (
-    CoupledTask as CoupledTask,
-    ForceRecord as ForceRecord,
-    ForceRecordTask as ForceRecordTask,
-    ForceSettings as ForceSettings,
-    FrequencyResponse as FrequencyResponse,
-    LoadTestTask as LoadTestTask,
-    MeanForceTask as MeanForceTask,
-    ModeTask as ModeTask,
-    RingDown as RingDown,
-    StraightCut as StraightCut,
-)
-from ._identified_toml import (
-    doubted as doubted,
-    force_toml as force_toml,
-    joints_toml as joints_toml,
-    snippet as snippet,
-    uncertainty_toml as uncertainty_toml,
-)
-from ._job_checks import holder_notes as holder_notes, shank_notes as shank_notes
-from ._load_identification import load_identification as load_identification
-from ._load_job import (
-    JobError as JobError,
-    job_precision as job_precision,
-    load_job as load_job,
-)
-from ._load_record import load_record as load_record
+from ._gcode.parser import parse_gcode as parse_gcode, read_gcode as read_gcode
+from ._gcode.words import GCodeError as GCodeError
+from ._gcode.writer import write_gcode as write_gcode
+from ._joint_positions import parse_pose as parse_pose
 from ._path_csv import (
     PathFileError as PathFileError,
     parse_path_csv as parse_path_csv,
     read_path_csv as read_path_csv,
     write_path_csv as write_path_csv,
 )
-from ._pose import parse_pose as parse_pose
-from ._rapid_check import (
-    RigidPass as RigidPass,
-    rigid_pass as rigid_pass,
-    rigid_pass_of_stock as rigid_pass_of_stock,
+from ._records.columns import (
+    TIME_NAMES as TIME_NAMES,
+    check_keys as check_keys,
+    column_of as column_of,
 )
-from ._record_error import RecordError as RecordError
+from ._records.errors import RecordError as RecordError
+from ._records.load_record import load_record as load_record, read_table as read_table
+from ._records.table import Table as Table
+from ._records.timeline import timeline as timeline
 from ._results import (
     ResultsError as ResultsError,
     check_folder as check_folder,

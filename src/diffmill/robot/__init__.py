@@ -12,28 +12,88 @@ is external, acts on the robot at the tool's origin in base axes, linear part fi
 Jacobian and compliance are written likewise.
 """
 
-from ._bending_tool import (
-    BendingTool as BendingTool,
-    TipSpring as TipSpring,
-    tip_spring as tip_spring,
-    with_bending_tool as with_bending_tool,
+from ._algebra.rotations import rpy_angles as rpy_angles, rpy_matrix as rpy_matrix
+from ._dynamics.crba import mass_matrix as mass_matrix
+from ._dynamics.energy import mechanical_energy as mechanical_energy
+from ._dynamics.forward import (
+    augmented_inverse as augmented_inverse,
+    forward_dynamics as forward_dynamics,
 )
-from ._build import build as build
-from ._compliance import (
+from ._dynamics.rnea import (
+    bias_forces as bias_forces,
+    gravity_forces as gravity_forces,
+    inverse_dynamics as inverse_dynamics,
+)
+from ._dynamics.rnea_derivatives import (
+    RneaDerivatives as RneaDerivatives,
+    rnea_derivatives as rnea_derivatives,
+)
+from ._dynamics.spd_inverse import definite_inverse as definite_inverse
+from ._dynamics.terms import ArmTerms as ArmTerms, arm_terms as arm_terms
+from ._elasticity.compliance import (
     cartesian_compliance as cartesian_compliance,
     cartesian_stiffness as cartesian_stiffness,
     gravity_sag as gravity_sag,
     principal_stiffness as principal_stiffness,
     static_deflection as static_deflection,
 )
-from ._configurations import (
+from ._elasticity.damped_modes import (
+    DampedModes as DampedModes,
+    damped_modes as damped_modes,
+)
+from ._elasticity.modes import (
+    Modes as Modes,
+    damping_ratios as damping_ratios,
+    mode_shapes as mode_shapes,
+    natural_frequencies as natural_frequencies,
+)
+from ._elasticity.receptance import receptance as receptance
+from ._elasticity.static_balance import (
+    loaded_equilibrium as loaded_equilibrium,
+    motor_positions as motor_positions,
+)
+from ._elasticity.workspace import (
+    StiffnessMap as StiffnessMap,
+    reach_box as reach_box,
+    stiffness_map as stiffness_map,
+)
+from ._files.errors import (
+    RobotFileError as RobotFileError,
+    RobotFileWarning as RobotFileWarning,
+)
+from ._files.load import (
+    built_in_models as built_in_models,
+    load as load,
+    spindle_note as spindle_note,
+)
+from ._kinematics.configurations import (
     configurations as configurations,
     path_starts as path_starts,
 )
-from ._crba import mass_matrix as mass_matrix
-from ._damped_modes import DampedModes as DampedModes, damped_modes as damped_modes
-from ._definite import definite_inverse as definite_inverse
-from ._drive_options import (
+from ._kinematics.forward import (
+    forward_kinematics as forward_kinematics,
+    jacobian as jacobian,
+)
+from ._kinematics.inverse import (
+    PathSolution as PathSolution,
+    PoseSolution as PoseSolution,
+    inverse_kinematics as inverse_kinematics,
+    inverse_kinematics_path as inverse_kinematics_path,
+)
+from ._kinematics.pose_error import ToolRotation as ToolRotation
+from ._kinematics.singularity import (
+    Singularity as Singularity,
+    singularity as singularity,
+)
+from ._kinematics.skeleton import Skeleton as Skeleton, skeleton as skeleton
+from ._model.bending_tool import (
+    BendingTool as BendingTool,
+    TipSpring as TipSpring,
+    tip_spring as tip_spring,
+    with_bending_tool as with_bending_tool,
+)
+from ._model.build import build as build
+from ._model.drives import (
     GearTorque as GearTorque,
     across_gap as across_gap,
     coulomb_damping as coulomb_damping,
@@ -46,11 +106,7 @@ from ._drive_options import (
     with_friction as with_friction,
     with_motors as with_motors,
 )
-from ._drives import (
-    loaded_equilibrium as loaded_equilibrium,
-    motor_positions as motor_positions,
-)
-from ._elements import (
+from ._model.elements import (
     AbstractElement as AbstractElement,
     Drive as Drive,
     FixedRotation as FixedRotation,
@@ -62,59 +118,13 @@ from ._elements import (
     RigidBody as RigidBody,
     Tool as Tool,
 )
-from ._energy import mechanical_energy as mechanical_energy
-from ._faults import (
-    RobotFileError as RobotFileError,
-    RobotFileWarning as RobotFileWarning,
-)
-from ._files import (
-    built_in_models as built_in_models,
-    load as load,
-    spindle_note as spindle_note,
-)
-from ._flange_spring import (
+from ._model.flange_spring import (
     FlangeSpring as FlangeSpring,
     with_flange_spring as with_flange_spring,
 )
-from ._forward_dynamics import (
-    augmented_inverse as augmented_inverse,
-    forward_dynamics as forward_dynamics,
-)
-from ._inverse_kinematics import (
-    PathSolution as PathSolution,
-    PoseSolution as PoseSolution,
-    inverse_kinematics as inverse_kinematics,
-    inverse_kinematics_path as inverse_kinematics_path,
-)
-from ._kinematics import (
-    forward_kinematics as forward_kinematics,
-    jacobian as jacobian,
-)
-from ._massless import massless_joints as massless_joints
-from ._modes import (
-    Modes as Modes,
-    damping_ratios as damping_ratios,
-    mode_shapes as mode_shapes,
-    natural_frequencies as natural_frequencies,
-)
-from ._pose_task import ToolRotation as ToolRotation
-from ._receptance import receptance as receptance
-from ._rnea import (
-    bias_forces as bias_forces,
-    gravity_forces as gravity_forces,
-    inverse_dynamics as inverse_dynamics,
-)
-from ._robot import Robot as Robot, with_drives as with_drives, with_tool as with_tool
-from ._rotations import rpy_angles as rpy_angles, rpy_matrix as rpy_matrix
-from ._singularity import Singularity as Singularity, singularity as singularity
-from ._skeleton import Skeleton as Skeleton, skeleton as skeleton
-from ._slopes import (
-    RneaDerivatives as RneaDerivatives,
-    rnea_derivatives as rnea_derivatives,
-)
-from ._terms import ArmTerms as ArmTerms, arm_terms as arm_terms
-from ._workspace import (
-    StiffnessMap as StiffnessMap,
-    reach_box as reach_box,
-    stiffness_map as stiffness_map,
+from ._model.massless_joints import massless_joints as massless_joints
+from ._model.robot import (
+    Robot as Robot,
+    with_drives as with_drives,
+    with_tool as with_tool,
 )

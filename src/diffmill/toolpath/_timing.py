@@ -15,13 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from .._types import RealScalarLike
-from ._corners import (
-    REVERSAL_ANGLE,
-    TANGENT_ANGLE,
-    Corner,
-    corner_angle,
-    round_corner,
-)
+from ._corners import REVERSAL_ANGLE, TANGENT_ANGLE, Corner, corner_angle, round_corner
 from ._moves import Move, Program
 from ._path import MOST_STEPS, Path, check_steps
 from ._pieces import Arc, Blend, Piece, Segment, arc_positions, piece_of_move

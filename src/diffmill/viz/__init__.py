@@ -15,40 +15,40 @@ nothing here computes physics. matplotlib and plotly are imported when a figure 
 drawn, and pyplot's global state is not touched.
 """
 
-from ._case_parts import CaseParts as CaseParts, case_parts as case_parts
 from ._cases import CaseNumbers as CaseNumbers, case_numbers as case_numbers
-from ._chip import ChipChart as ChipChart, plot_chip as plot_chip
-from ._dexels import (
+from ._figure.chip import ChipChart as ChipChart, plot_chip as plot_chip
+from ._figure.dexels import (
     CutDexels as CutDexels,
     plot_cut_dexels as plot_cut_dexels,
     ray_errors as ray_errors,
 )
-from ._feed import plot_feed as plot_feed
-from ._forces import ForceRecord as ForceRecord, plot_forces as plot_forces
-from ._history import plot_deviation as plot_deviation
-from ._identified import (
+from ._figure.feed import plot_feed as plot_feed
+from ._figure.forces import ForceRecord as ForceRecord, plot_forces as plot_forces
+from ._figure.history import plot_deviation as plot_deviation
+from ._figure.identified import (
     plot_correlation as plot_correlation,
     plot_force_fit as plot_force_fit,
     plot_mean_forces as plot_mean_forces,
     plot_prediction as plot_prediction,
     plot_residual_spectrum as plot_residual_spectrum,
 )
-from ._identified_robot import (
+from ._figure.identified_robot import (
     plot_frequency_response as plot_frequency_response,
     plot_joint_values as plot_joint_values,
     plot_load_residual as plot_load_residual,
     plot_ring_down as plot_ring_down,
 )
-from ._inputs import FigureInputs as FigureInputs, figure_inputs as figure_inputs
-from ._paths import plot_paths as plot_paths
-from ._process import chip_chart as chip_chart, force_record as force_record
-from ._report import write_report as write_report
-from ._robot import plot_robot as plot_robot, plot_stiffness as plot_stiffness
-from ._sensitivity import plot_sensitivity as plot_sensitivity
-from ._stocks import cut_dexels as cut_dexels
-from ._style import save_figure as save_figure
-from ._surface import (
+from ._figure.paths import plot_paths as plot_paths
+from ._figure.robot import plot_robot as plot_robot, plot_stiffness as plot_stiffness
+from ._figure.sensitivity import plot_sensitivity as plot_sensitivity
+from ._figure.surface import (
     plot_surface_error as plot_surface_error,
     surface_html as surface_html,
 )
-from ._write import FigureFile as FigureFile, write_figures as write_figures
+from ._process import chip_chart as chip_chart, force_record as force_record
+from ._report.case_parts import CaseParts as CaseParts, case_parts as case_parts
+from ._report.inputs import FigureInputs as FigureInputs, figure_inputs as figure_inputs
+from ._report.report import write_report as write_report
+from ._report.write import FigureFile as FigureFile, write_figures as write_figures
+from ._stocks import cut_dexels as cut_dexels
+from ._style import save_figure as save_figure

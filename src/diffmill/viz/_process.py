@@ -5,8 +5,8 @@ from jaxtyping import Array, Float
 
 from .._types import FloatSteps
 from ..sim import ToothChip
-from ._chip import ChipChart
-from ._forces import ForceRecord
+from ._figure.chip import ChipChart
+from ._figure.forces import ForceRecord
 
 
 def force_record(

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..workpiece import Stock, ray_ends
-from ._dexels import CutDexels
+from ._figure.dexels import CutDexels
 
 
 def cut_dexels(stock: Stock, ideal: Stock) -> CutDexels:

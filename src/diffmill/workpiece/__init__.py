@@ -12,15 +12,44 @@ mesh with its sharp edges, and can be compared with an ideal one point by point.
 are read and written in `_files.py` alone.
 """
 
-from ._cloud import TakenPieces as TakenPieces, taken_pieces as taken_pieces
-from ._contact import (
+from ._dexel.contact import (
     Columns as Columns,
     Samples as Samples,
     columns_of as columns_of,
     sweep as sweep,
     window_of as window_of,
 )
-from ._contact_depth import ContactTest as ContactTest
+from ._dexel.contact_depth import ContactTest as ContactTest
+from ._dexel.dexel_cloud import TakenPieces as TakenPieces, taken_pieces as taken_pieces
+from ._dexel.occupancy import Discs as Discs, occupancy as occupancy
+from ._dexel.occupancy_in_space import occupancy_in_space as occupancy_in_space
+from ._dexel.removal import (
+    Cut as Cut,
+    RemovalWindow as RemovalWindow,
+    removal_window as removal_window,
+    remove_passes as remove_passes,
+    remove_poses as remove_poses,
+    subtract as subtract,
+    tilted_window as tilted_window,
+)
+from ._dexel.stock import (
+    DEAD as DEAD,
+    MARGIN as MARGIN,
+    Rays as Rays,
+    Stock as Stock,
+    box as box,
+    height_map as height_map,
+    ray_ends as ray_ends,
+)
+from ._dexel.stock_arrays import (
+    as_raw_stock as as_raw_stock,
+    with_interval_counts as with_interval_counts,
+)
+from ._dexel.tooth_pass import (
+    TICKS as TICKS,
+    PoseTrack as PoseTrack,
+    ToothPass as ToothPass,
+)
 from ._files import (
     MeshFileError as MeshFileError,
     MeshUnit as MeshUnit,
@@ -31,38 +60,13 @@ from ._files import (
     save_mesh as save_mesh,
     save_stock as save_stock,
 )
-from ._from_mesh import stock_from_mesh as stock_from_mesh
-from ._in_space import occupancy_in_space as occupancy_in_space
 from ._memory import physical_memory as physical_memory, stock_bytes as stock_bytes
-from ._mesh import Mesh as Mesh
-from ._occupancy import Discs as Discs, occupancy as occupancy
-from ._pose import Pose as Pose, repeated as repeated, tool_frame as tool_frame
-from ._removal import (
-    Cut as Cut,
-    RemovalWindow as RemovalWindow,
-    removal_window as removal_window,
-    remove_passes as remove_passes,
-    remove_poses as remove_poses,
-    subtract as subtract,
-    tilted_window as tilted_window,
-)
-from ._stock import (
-    DEAD as DEAD,
-    MARGIN as MARGIN,
-    Rays as Rays,
-    Stock as Stock,
-    box as box,
-    height_map as height_map,
-    ray_ends as ray_ends,
-)
-from ._stock_arrays import (
-    as_raw_stock as as_raw_stock,
-    with_interval_counts as with_interval_counts,
-)
-from ._surface_error import (
+from ._mesh.from_mesh import stock_from_mesh as stock_from_mesh
+from ._mesh.mesh import Mesh as Mesh
+from ._mesh.surface_error import (
     SurfaceError as SurfaceError,
     SurfaceMeasures as SurfaceMeasures,
     measure_surface as measure_surface,
     surface_error as surface_error,
 )
-from ._tooth_pass import TICKS as TICKS, PoseTrack as PoseTrack, ToothPass as ToothPass
+from ._pose import Pose as Pose, repeated as repeated, tool_frame as tool_frame

@@ -12,10 +12,10 @@ from typing import Any, Literal, TypeAlias, get_args
 import jax.numpy as jnp
 import numpy as np
 
-from ._from_mesh import stock_from_mesh
-from ._mesh import Mesh, mesh_fault, weld
-from ._stock import Stock
-from ._stock_arrays import arrays_of_stock, check_headers, stock_of_arrays
+from ._dexel.stock import Stock
+from ._dexel.stock_arrays import arrays_of_stock, check_headers, stock_of_arrays
+from ._mesh.from_mesh import stock_from_mesh
+from ._mesh.mesh import Mesh, mesh_fault, weld
 
 # Unit of the numbers in a mesh file.
 MeshUnit: TypeAlias = Literal["m", "cm", "mm", "um", "in"]

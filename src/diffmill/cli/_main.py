@@ -1,0 +1,264 @@
+"""The commands, their arguments, and the exit code."""
+
+import pathlib
+import sys
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any
+
+import tyro
+
+from ._session.errors import BadInput, bad_input
+
+_JobFile = Annotated[
+    tyro.conf.Positional[pathlib.Path],
+    tyro.conf.arg(metavar="JOB.toml", help="The job file."),
+]
+_Out = Annotated[
+    pathlib.Path | None,
+    tyro.conf.arg(help="Folder for the results; ./<job>-<command> if not given."),
+]
+_Force = Annotated[bool, tyro.conf.arg(help="Replace what is there already.")]
+_Quiet = Annotated[bool, tyro.conf.arg(help="Print nothing but errors.")]
+_Outside = Annotated[
+    bool, tyro.conf.arg(help="Let the job name files outside its own folder.")
+]
+
+
+def simulate(
+    job: _JobFile,
+    *,
+    out: _Out = None,
+    force: _Force = False,
+    quiet: _Quiet = False,
+    allow_outside: _Outside = False,
+) -> int:
+    """Predict forces, deviation and the machined surface of a job."""
+    from ._run_job import run_job
+
+    return run_job(
+        "simulate", job, out, force=force, is_quiet=quiet, allow_outside=allow_outside
+    )
+
+
+def correct(
+    job: _JobFile,
+    *,
+    out: _Out = None,
+    force: _Force = False,
+    quiet: _Quiet = False,
+    allow_outside: _Outside = False,
+    resume: Annotated[
+        bool,
+        tyro.conf.arg(
+            help="Go on from where an interrupted run of the same job was: from the "
+            "checkpoint beside --out."
+        ),
+    ] = False,
+) -> int:
+    """Predict, correct the path, predict again; write the corrected program."""
+    from ._run_job import run_job
+
+    return run_job(
+        "correct",
+        job,
+        out,
+        force=force,
+        is_quiet=quiet,
+        allow_outside=allow_outside,
+        resume=resume,
+    )
+
+
+def feed(
+    job: _JobFile,
+    *,
+    overrides: Annotated[
+        tuple[float, ...],
+        tyro.conf.arg(help="Factors of the feed of the whole program to simulate."),
+    ] = (0.5, 0.75, 1.0, 1.25, 1.5),
+    weights: Annotated[
+        tuple[float, ...],
+        tyro.conf.arg(
+            help="Weights of the time against the error: for each the feed along the "
+            "path is tuned and written as a path and a program. May be empty."
+        ),
+    ] = (0.3, 0.1, 0.03),
+    correct: Annotated[
+        bool, tyro.conf.arg(help="Also correct the program at every override.")
+    ] = False,
+    out: _Out = None,
+    force: _Force = False,
+    quiet: _Quiet = False,
+    allow_outside: _Outside = False,
+) -> int:
+    """Say what a slower or faster feed costs in error; tune the feed along the path."""
+    from ._feed import FeedRequest, run_feed
+
+    return run_feed(
+        job,
+        FeedRequest(overrides, weights, correct),
+        out,
+        force=force,
+        is_quiet=quiet,
+        allow_outside=allow_outside,
+    )
+
+
+def identify(
+    file: Annotated[
+        tyro.conf.Positional[pathlib.Path],
+        tyro.conf.arg(
+            metavar="FILE.toml",
+            help="A file that says what was measured, or a job before FORCES.",
+        ),
+    ],
+    forces: Annotated[
+        tyro.conf.Positional[pathlib.Path | None],
+        tyro.conf.arg(
+            metavar="FORCES", help="Measured forces of the job: text, TDMS, MAT, ..."
+        ),
+    ] = None,
+    *,
+    out: Annotated[
+        pathlib.Path | None,
+        tyro.conf.arg(help="Folder for the results; ./<file>-identify if not given."),
+    ] = None,
+    force: _Force = False,
+    quiet: _Quiet = False,
+    allow_outside: _Outside = False,
+) -> int:
+    """Fit force coefficients, joint stiffness or damping to what was measured."""
+    from ._identify.identify import run_identify
+
+    return run_identify(
+        file, forces, out, force=force, is_quiet=quiet, allow_outside=allow_outside
+    )
+
+
+def robot(
+    model: Annotated[
+        tyro.conf.Positional[str],
+        tyro.conf.arg(
+            metavar="MODEL", help="A built-in model, or a robot file (.toml, .urdf)."
+        ),
+    ],
+    *,
+    pose: Annotated[
+        str | None,
+        tyro.conf.arg(
+            help="Joint positions with units, separated by commas; home if not given."
+        ),
+    ] = None,
+    tool: Annotated[
+        str | None,
+        tyro.conf.arg(help="The tool, in a URDF the link, if there are several."),
+    ] = None,
+    drives: Annotated[
+        pathlib.Path | None,
+        tyro.conf.arg(
+            help="A TOML file with what the robot's own does not say: springs, spindle."
+        ),
+    ] = None,
+    out: Annotated[
+        pathlib.Path | None,
+        tyro.conf.arg(help="Folder for the results; ./<model>-robot if not given."),
+    ] = None,
+    force: _Force = False,
+    quiet: _Quiet = False,
+) -> int:
+    """Print masses, stiffness, modes and sag of a robot; draw it and its stiffness."""
+    from ._robot import run_robot
+
+    return run_robot(
+        model,
+        pose=pose,
+        tool=tool,
+        drives=drives,
+        out=out,
+        force=force,
+        is_quiet=quiet,
+    )
+
+
+def example(
+    name: Annotated[
+        tyro.conf.Positional[str],
+        tyro.conf.arg(metavar="NAME", help="paper, paper_small or measured_slot."),
+    ],
+    *,
+    out: Annotated[
+        pathlib.Path,
+        tyro.conf.arg(help="Folder for the files; the current one if not given."),
+    ] = pathlib.Path("."),
+    force: _Force = False,
+    quiet: _Quiet = False,
+) -> int:
+    """Write a ready-to-run example job beside its program."""
+    from ..examples import MEASUREMENTS, copy_example
+
+    with bad_input():
+        job = copy_example(name, out, force=force)
+    if quiet:
+        return 0
+    if name in MEASUREMENTS:
+        print(f"wrote {job}\nnext: diffmill identify {job}")
+    else:
+        print(
+            f"wrote {job} and {job.with_suffix('.ngc')}\nnext: diffmill correct {job}"
+        )
+    return 0
+
+
+def check(
+    file: Annotated[
+        tyro.conf.Positional[pathlib.Path],
+        tyro.conf.arg(metavar="FILE", help="A program, a recorded path or a job."),
+    ],
+    *,
+    allow_outside: _Outside = False,
+) -> int:
+    """Say what a program, path or job contains and what of it is not supported."""
+    from ._check import describe_file
+
+    with bad_input():
+        lines = describe_file(file, allow_outside=allow_outside)
+    print("\n".join(lines))
+    return 0
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command and return its exit code.
+
+    Args:
+        argv: Arguments without the program's name; those of the process if None.
+
+    Returns:
+        0 for success, 2 for bad input, 1 for a run that failed.
+    """
+    commands: dict[str, Callable[..., Any]] = {
+        "simulate": simulate,
+        "correct": correct,
+        "feed": feed,
+        "identify": identify,
+        "robot": robot,
+        "example": example,
+        "check": check,
+    }
+    try:
+        return tyro.extras.subcommand_cli_from_dict(
+            commands,
+            prog="diffmill",
+            description="Predict and correct the path error of a milling robot.",
+            args=sys.argv[1:] if argv is None else list(argv),
+        )
+    except SystemExit as end:
+        return end.code if isinstance(end.code, int) else 0 if end.code is None else 2
+    except BadInput as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("error: interrupted; no results were written", file=sys.stderr)
+        return 1
+    except (OSError, MemoryError) as error:
+        print(f"error: {error}; no results were written", file=sys.stderr)
+        return 1

@@ -1,0 +1,1 @@
+"""A command's session: errors, progress, checkpoints and the settings of JAX."""

@@ -1,0 +1,40 @@
+"""JAX's settings for a process that runs one job."""
+
+import os
+import pathlib
+import sys
+
+
+def configure_jax(job_file: pathlib.Path | None) -> None:
+    """Set the precision that a job asks for, and a compile cache that persists.
+
+    Args:
+        job_file: The job, whose `[simulation] precision` decides; float64 without one.
+    """
+    import jax
+
+    from ...config import job_precision
+
+    precision = "float64" if job_file is None else job_precision(job_file)
+    jax.config.update("jax_enable_x64", precision == "float64")
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        folder = cache_folder()
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError:
+            # A home that cannot be written to costs compile time, not the run.
+            return
+        jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
+
+
+def cache_folder() -> pathlib.Path:
+    """Return the folder for compiled programs in the user's cache folder."""
+    home = pathlib.Path.home()
+    if sys.platform == "win32":
+        root = pathlib.Path(os.environ.get("LOCALAPPDATA", home / "AppData" / "Local"))
+    elif sys.platform == "darwin":
+        root = home / "Library" / "Caches"
+    else:
+        root = pathlib.Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache")
+    return root / "diffmill" / "jax"

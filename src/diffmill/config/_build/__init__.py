@@ -1,0 +1,1 @@
+"""From checked tables to the parts of a job: program, stock, robot."""

@@ -1,0 +1,133 @@
+"""The robot of a job: loaded, and fitted with drives and a tool."""
+
+import pathlib
+
+import numpy as np
+from jaxtyping import Float
+
+from ... import units as q
+from ...cutter import AbstractCutter
+from ...robot import Robot, built_in_models, rpy_matrix, with_drives, with_tool
+from .._schema.compliance import with_bending_cutter, with_spring
+from .robot_file import check_springs, load_robot
+from .._schema.job import PoseTable, RobotTable
+
+_DRIVE_KINDS = {
+    "joint_stiffness": (q.ROTARY_STIFFNESS, q.LINEAR_STIFFNESS),
+    "joint_damping": (q.ROTARY_DAMPING, q.LINEAR_DAMPING),
+    "joint_start": (q.ANGLE, q.LENGTH),
+}
+
+
+def pose_matrix(pose: PoseTable | None) -> Float[np.ndarray, "4 4"]:
+    """Return a pose as a homogeneous matrix; the identity for None."""
+    T = np.eye(4)
+    if pose is not None:
+        T[:3, :3] = np.asarray(rpy_matrix(*pose.rpy))
+        T[:3, 3] = pose.position
+    return T
+
+
+def read_robot(
+    table: RobotTable,
+    cutter: AbstractCutter | None,
+    folder: pathlib.Path,
+    problems: list[str],
+    notes: list[str],
+    *,
+    allow_outside: bool,
+) -> tuple[Robot | None, Float[np.ndarray, " joint"] | None]:
+    """Return the robot of a job and where inverse kinematics starts.
+
+    Args:
+        table: The `[robot]` table.
+        cutter: The cutter, None after a fault of its own; it bends if the table says.
+        folder: Folder of the job.
+        problems: Receives what is wrong.
+        notes: Receives what is doubtful in a robot file.
+        allow_outside: Whether a robot file may lie outside that folder.
+
+    Returns:
+        The robot, None for a rigid machine or after a fault; and the joint positions
+        to start from, None for the robot's home.
+    """
+    chosen = [key for key in ("model", "file", "rigid") if getattr(table, key)]
+    if len(chosen) != 1:
+        found = " and ".join(chosen) or "nothing"
+        problems.append(
+            f"[robot]: found {found}, but exactly one is required of model (allowed: "
+            f"{', '.join(built_in_models())}), file (.toml or .urdf) and rigid = true"
+        )
+        return None, None
+    if table.rigid:
+        _refuse_with_rigid(table, problems)
+        return None, None
+    if table.work_in_base is None:
+        problems.append(
+            "[robot] work_in_base: found nothing, but it is required: where the "
+            'workpiece lies, such as { position = ["1500 mm", "0 mm", "800 mm"] }'
+        )
+    robot = load_robot(table, folder, problems, notes, allow_outside=allow_outside)
+    if robot is None:
+        return None, None
+    stiffness = _per_joint(table, "joint_stiffness", robot, problems)
+    damping = _per_joint(table, "joint_damping", robot, problems)
+    start = _per_joint(table, "joint_start", robot, problems)
+    if stiffness is not None and not (stiffness > 0).all():
+        problems.append("[robot] joint_stiffness: found 0, but above 0 is required")
+        return None, None
+    robot = with_drives(robot, stiffness=stiffness, damping=damping)
+    check_springs(robot, problems)
+    if table.tool_in_flange is not None:
+        robot = with_tool(robot, pose_matrix(table.tool_in_flange))
+    robot = with_spring(robot, table.flange_spring, problems)
+    robot = with_bending_cutter(robot, table.bending_tool, cutter)
+    if start is not None:
+        start = np.pad(start, (0, robot.joint_count - len(start)))
+    return robot, start
+
+
+def added_joints(table: RobotTable) -> int:
+    """Return how many virtual joints the springs behind the arm add to the robot."""
+    spring = table.flange_spring
+    sprung = 0
+    if spring is not None:
+        sprung = 3 * sum(
+            stiffness is not None
+            for stiffness in (spring.linear_stiffness, spring.rotary_stiffness)
+        )
+    return sprung + (0 if table.bending_tool is None else 2)
+
+
+def _refuse_with_rigid(table: RobotTable, problems: list[str]) -> None:
+    for key in sorted(table.model_fields_set - {"rigid"}):
+        problems.append(
+            f"[robot] {key}: found beside rigid = true, which allows no other key"
+        )
+
+
+def _per_joint(
+    table: RobotTable, key: str, robot: Robot, problems: list[str]
+) -> Float[np.ndarray, " joint"] | None:
+    """Return a list with one quantity per joint in SI, None if absent or faulty."""
+    texts = getattr(table, key)
+    if texts is None:
+        return None
+    names = robot.joint_names
+    if len(texts) != len(names):
+        problems.append(
+            f"[robot] {key}: found {len(texts)} values, but one per joint is required: "
+            f"{', '.join(names)}"
+        )
+        return None
+    rotary, linear = _DRIVE_KINDS[key]
+    values = np.zeros(len(names))
+    is_good = True
+    for i, text in enumerate(texts):
+        kind = linear if robot.joint_kinds[i] == "prismatic" else rotary
+        try:
+            values[i] = q.quantity(text, kind)
+        except ValueError as error:
+            problems.append(f"[robot] {key}.{i} ({names[i]}): {error}")
+            is_good = False
+    return values if is_good else None

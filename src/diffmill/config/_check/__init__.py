@@ -1,0 +1,1 @@
+"""Checks of a whole job: reach, rapids, holder and the robot's modes."""

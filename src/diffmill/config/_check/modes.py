@@ -1,0 +1,122 @@
+"""What a robot's modes ask of a job: sub-steps that follow them, and springs that hold.
+
+The implicit midpoint rule lowers a frequency f by (2 pi f h)^2 / 12, and adds no
+damping.
+"""
+
+import math
+
+import numpy as np
+from jaxtyping import Float
+
+from ...robot import Robot, gravity_forces, mode_shapes
+
+# Longest sub-step of the robot [s], and how much shorter its modes may make it.
+LONGEST_SUBSTEP = 0.5e-3
+_SHORTER = 4
+# By this much the frequency of a mode may be too low that gives way at the tip with at
+# least this share.
+_TOO_LOW, _SHARE = 0.01, 0.05
+# A joint may yield to the weight by this much [rad or m], noted and at all.
+_YIELDS, _FALLS = 0.02, 0.5
+
+
+def counting_modes(
+    robot: Robot, q: Float[np.ndarray, " joint"]
+) -> Float[np.ndarray, " mode"]:
+    """Return the frequencies of the modes by which the tip gives way to a force [Hz].
+
+    Those of joints that are fast by themselves, such as a bending tool's, are left out.
+
+    Args:
+        robot: The robot; every joint has a spring and moves a mass.
+        q: Joint positions [rad or m], shape (joint,).
+    """
+    modes = mode_shapes(robot, q)
+    frequencies = np.asarray(modes.frequencies, float)
+    # The compliance of the tip is the sum over the modes of J phi (J phi)^T / omega^2.
+    gives = np.sum(np.asarray(modes.tool_shapes)[:, :3] ** 2, axis=1)
+    gives = gives / np.maximum(frequencies, 1e-9) ** 2
+    fast = np.asarray(modes.energy_shares)[:, list(robot.fast_joints)].sum(axis=1)
+    counts = (gives > _SHARE * gives.sum()) & (fast < 0.5) & np.isfinite(frequencies)
+    return frequencies[counts]
+
+
+def lowered(frequency: float, substep: float) -> float:
+    """Return by which share the midpoint rule lowers a frequency [-]."""
+    return (2 * math.pi * frequency * substep) ** 2 / 12
+
+
+def default_substeps(period: float, fastest: float) -> int:
+    """Return the sub-steps of a tooth period that follow a mode.
+
+    Args:
+        period: Tooth period [s].
+        fastest: Highest frequency that counts [Hz]; 0 for none.
+
+    Returns:
+        As many as keep a sub-step below 0.5 ms and that frequency within 1 %, but at
+        most four times those of the first.
+    """
+    fewest = max(1, math.ceil(period / LONGEST_SUBSTEP - 1e-9))
+    if not fastest > 0.0:
+        return fewest
+    substep = math.sqrt(12 * _TOO_LOW) / (2 * math.pi * fastest)
+    wanted = math.ceil(period / substep - 1e-9)
+    return min(max(fewest, wanted), _SHORTER * fewest)
+
+
+def check_modes(fastest: float, substep: float, notes: list[str]) -> None:
+    """Note a mode that the sub-steps do not follow.
+
+    Args:
+        fastest: Highest frequency that counts [Hz]; 0 for none.
+        substep: Length of a sub-step [s].
+        notes: Receives what is doubtful.
+    """
+    share = lowered(fastest, substep)
+    if share <= 1.05 * _TOO_LOW:
+        return
+    if 2 * fastest * substep > 1.0:
+        notes.append(
+            f"[simulation] substeps: a mode of the robot at {fastest:.4g} Hz is faster "
+            f"than sub-steps of {1e3 * substep:.3g} ms show at all; is what its joint "
+            "moves heavy enough?"
+        )
+        return
+    notes.append(
+        f"[simulation] substeps: sub-steps of {1e3 * substep:.3g} ms let the robot's "
+        f"mode at {fastest:.4g} Hz ring {100 * share:.1f} % too low"
+    )
+
+
+def check_sag(
+    robot: Robot,
+    poses: Float[np.ndarray, "pose joint"],
+    problems: list[str],
+    notes: list[str],
+) -> None:
+    """Note joints whose springs hardly hold the weight.
+
+    Args:
+        robot: The robot.
+        poses: Joint positions [rad or m], shape (pose, joint).
+        problems: Receives springs that do not.
+        notes: Receives springs that are doubtful.
+    """
+    weight = np.max([np.abs(gravity_forces(robot, q)) for q in poses], axis=0)
+    for i, sag in enumerate(weight / np.asarray(robot.joint_stiffness, float)):
+        if sag <= _YIELDS:
+            continue
+        slides = robot.joint_kinds[i] == "prismatic"
+        text = f"{1e3 * sag:.3g} mm" if slides else f"{np.rad2deg(sag):.3g} deg"
+        unit = "N/m" if slides else "N m/rad"
+        line = (
+            f"[robot]: the spring of joint {robot.joint_names[i]} "
+            f"({float(robot.joint_stiffness[i]):.4g} {unit}) yields to the weight by "
+            f"{text}"
+        )
+        if sag > _FALLS:
+            problems.append(f"{line}; a stiffer one is required")
+        else:
+            notes.append(f"{line}: is its stiffness right?")

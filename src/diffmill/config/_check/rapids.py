@@ -1,0 +1,174 @@
+"""Checks of a job that need more than one value: rapid moves, holder, depth."""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ...cutter import AbstractCutter, ToolHolder
+from ...sim import ToolContacts, tool_contacts
+from ...toolpath import Path
+from .._build.stock import StockPlan
+from .rapid_sweep import rigid_pass, rigid_pass_of_stock
+from .reach import at_row
+
+# Above this share of the radius the chip's entry is too coarse to trust.
+_COARSE = 0.05
+# Lengths that a job states twice [m], and volumes that are rounding [m^3].
+_SAME_LENGTH, _NO_VOLUME = 1e-9, 1e-15
+
+
+def check_overhang(tables: dict[str, Any], problems: list[str]) -> None:
+    """Note a cutter that sticks out of its holder by two different lengths."""
+    own = getattr(tables.get("cutter"), "overhang", None)
+    bending = getattr(tables.get("robot"), "bending_tool", None)
+    if own is not None and bending is not None:
+        if abs(own - bending.overhang) > _SAME_LENGTH:
+            problems.append(
+                f"[cutter] overhang: found {own * 1e3:g} mm, but [robot.bending_tool] "
+                f"overhang is {bending.overhang * 1e3:g} mm; make them equal"
+            )
+
+
+def check_rapids(
+    path: Path,
+    cutter: AbstractCutter,
+    holder: ToolHolder | None,
+    plan: StockPlan,
+    problems: list[str],
+    notes: list[str],
+) -> None:
+    """Note rapid moves that go through stock, once per program line, and the holder.
+
+    A tool that leans is looked for in its true pose, one that stands upright in a
+    height map; the holder always in its true pose.
+    """
+    is_upright = np.allclose(path.axes, [0.0, 0.0, 1.0], atol=1e-6)
+    depth = np.zeros(path.step_count)
+    if is_upright:
+        radius = cutter.nominal_radius
+        if plan.stock is None:
+            found = rigid_pass(path, radius, plan.lower, plan.upper, plan.spacing)
+        else:
+            found = rigid_pass_of_stock(path, radius, plan.stock)
+        depth = np.where(found.is_crash, found.depth, 0)
+    if not is_upright or holder is not None:
+        contacts = tool_contacts(
+            path, plan.make(), cutter, holder, checks_rapids=not is_upright
+        )
+        depth = np.maximum(depth, contacts.rapid_depth)
+        # A holder that is drawn straight back goes into nothing new.
+        is_rapid = np.asarray(path.is_rapid) & ~_draws_back(path)
+        in_rapid = np.where(is_rapid, contacts.holder_depth, 0)
+        _note_rapids(path, in_rapid, " of the tool holder", problems)
+        notes.extend(holder_notes(path, contacts))
+    _note_rapids(path, depth, "", problems)
+
+
+def _draws_back(path: Path) -> Bool[np.ndarray, " step"]:
+    """Return the rows to which the tool moves along its axis, or not at all.
+
+    The first row of a rapid move counts too: part of the way to it is a feed.
+    """
+    tips, axes = np.asarray(path.positions, float), np.asarray(path.axes, float)
+    moves = np.diff(tips, axis=0, prepend=tips[:1])
+    turns = np.diff(axes, axis=0, prepend=axes[:1])
+    along = np.sum(moves * axes, axis=1)
+    away = np.linalg.norm(moves, axis=1) - along
+    is_back = (away < _SAME_LENGTH) & (np.abs(turns).max(axis=1) < _SAME_LENGTH)
+    return is_back | (np.diff(path.is_rapid, prepend=False) & path.is_rapid)
+
+
+def _note_rapids(
+    path: Path, depth: Float[np.ndarray, " step"], what: str, problems: list[str]
+) -> None:
+    """Note the first row of each program line whose rapid move goes through stock."""
+    lines = np.asarray(path.line)
+    rows = np.flatnonzero(depth > 0)
+    _, first = np.unique(lines[rows], return_index=True)
+    for k in rows[np.sort(first)]:
+        x, y, z = np.asarray(path.positions)[k] * 1e3
+        place = f"line {int(lines[k])}, " if lines[k] else ""
+        problems.append(
+            f"[program] file: {place}time {float(path.time[k]):.3f} s: found a rapid "
+            f"move{what} through the stock at ({x:.3f}, {y:.3f}, {z:.3f}) mm, "
+            f"{depth[k] * 1e3:.3f} mm deep; rapid moves are allowed only clear "
+            "of the stock"
+        )
+
+
+def holder_notes(path: Path, contacts: ToolContacts) -> tuple[str, ...]:
+    """Return where the tool holder touches the stock, or nothing.
+
+    Args:
+        path: The path.
+        contacts: What was found along it.
+
+    Returns:
+        Nothing, or one line: the first place, the deepest contact, how many rows, and
+        how deep the holder is in what is left after the path.
+    """
+    depth = contacts.holder_depth
+    rows = np.flatnonzero(depth > 0)
+    if rows.size == 0:
+        return ()
+    left = float(contacts.holder_part_depth.max())
+    after = (
+        f"{left * 1e3:.3f} mm deep in what is left at the end"
+        if left > 0
+        else "all of it in stock that is removed later"
+    )
+    return (
+        f"[cutter] holder: {at_row(path, int(rows[0]))}: the tool holder is in "
+        f"the stock, first here, in {rows.size} of {path.step_count} rows, up to "
+        f"{float(depth.max()) * 1e3:.3f} mm deep; {after}",
+    )
+
+
+def shank_notes(path: Path, volume: Float[np.ndarray, " step"]) -> tuple[str, ...]:
+    """Return where the shank above the flutes takes stock, or nothing.
+
+    Args:
+        path: The path.
+        volume: What the shank takes at each row [m^3], shape (step,).
+
+    Returns:
+        Nothing, or one line: the first place, the volume, and how many rows.
+    """
+    rows = np.flatnonzero(volume > _NO_VOLUME)
+    if rows.size == 0:
+        return ()
+    return (
+        f"[cutter] flute_length: {at_row(path, int(rows[0]))}: the shank above "
+        f"the flutes is in the stock, first here, in {rows.size} of {path.step_count} "
+        f"rows; it would have to take {float(volume.sum()) * 1e9:.3g} mm^3",
+    )
+
+
+def immersion(path: Path, cutter: AbstractCutter, stock: StockPlan) -> float:
+    """Return how deep the path takes the tip below the top of the stock [m]."""
+    tips, radius = np.asarray(path.positions), cutter.nominal_radius
+    low, high = stock.lower, stock.upper
+    is_over = ((tips > low - radius) & (tips < high + radius))[:, :2].all(axis=1)
+    return float(np.max(high[2] - tips[is_over, 2], initial=0.0))
+
+
+def notes(stock: StockPlan, path: Path, cutter: AbstractCutter) -> tuple[str, ...]:
+    """Return what is worth knowing but no fault."""
+    notes = []
+    coarse = _COARSE * cutter.nominal_radius
+    if stock.spacing > coarse:
+        notes.append(
+            f"[stock] spacing is {stock.spacing * 1e3:g} mm; above 0.05 of the radius "
+            f"({coarse * 1e3:g} mm) forces lose accuracy"
+        )
+    depth = immersion(path, cutter, stock)
+    if depth > cutter.flute_length:
+        notes.append(
+            f"the path goes {depth * 1e3:g} mm below the top of the stock, deeper than "
+            f"the flutes ({cutter.flute_length * 1e3:g} mm): shank_volume in the "
+            "result says what its shank would have to take"
+        )
+    if depth <= 0:
+        notes.append("the path never goes below the top of the stock: nothing is cut")
+    return tuple(notes)

@@ -1,0 +1,181 @@
+"""The part of a record in which the tool cuts, and those in which it does not."""
+
+import math
+
+from ..._job import Job
+from ...identification import (
+    CutSpan,
+    Record,
+    find_cuts,
+    parts_between_gaps,
+    remove_drift,
+    remove_offset,
+)
+from .schema import RecordTable
+from .tasks import StraightCut
+
+# Shortest section that a tare is taken from, in tooth periods and samples; a gap or a
+# pause so many tooth periods long parts two cuts.
+_TARE_PERIODS, _TARE_SAMPLES = 4.0, 20
+# Cuts that are listed in a message at most.
+_LISTED = 8
+
+
+def cuts_in(record: Record, tooth: float) -> tuple[list[CutSpan], bool]:
+    """Return the cuts in a record, and whether quiet parts lie beside them."""
+    window = _TARE_PERIODS * tooth
+    cuts = find_cuts(record, tooth_frequency=1 / tooth, window=window)
+    if not cuts:
+        cuts = find_cuts(record, window=window)
+    whole = [
+        CutSpan(float(record.time[p.start]), float(record.time[p.stop - 1]))
+        for p in parts_between_gaps(record, longest=window)
+    ]
+    # Parts with a long gap between them are cuts of their own.
+    return (whole, False) if not cuts or cuts == whole else (cuts, True)
+
+
+def span_of(
+    record: Record,
+    process: Job | StraightCut,
+    table: RecordTable,
+    cuts: list[CutSpan],
+    place: str,
+    problems: list[str],
+) -> CutSpan | None:
+    """Return the part of the record that belongs to the cut."""
+    first, last = float(record.time[0]), float(record.time[-1])
+    if table.start is not None or table.stop is not None:
+        start = first if table.start is None else max(table.start, first)
+        stop = last if table.stop is None else min(table.stop, last)
+        if start >= stop:
+            problems.append(
+                f"{place} start, stop: found {start:g} s and {stop:g} s, but a part "
+                f"within {first:g} s to {last:g} s is required"
+            )
+            return None
+        return CutSpan(start, stop)
+    if isinstance(table.cut, int):
+        if table.cut > len(cuts):
+            problems.append(
+                f"{place} cut: found {table.cut}, but the record has {_cuts_text(cuts)}"
+            )
+            return None
+        return cuts[table.cut - 1]
+    if isinstance(process, Job):
+        # A job may be idle between cuts, and what is before the first is quiet.
+        return CutSpan(first, last)
+    if len(cuts) > 1 and table.cut != "all":
+        problems.append(
+            f"{place} cut: found nothing, but the record has {_cuts_text(cuts)}; name "
+            "one by its number, an entry for each, or give start and stop"
+        )
+        return None
+    return CutSpan(cuts[0].start, cuts[-1].stop)
+
+
+def _cuts_text(cuts: list[CutSpan]) -> str:
+    shown = ", ".join(
+        f"{i} from {cut.start:.4g} to {cut.stop:.4g} s"
+        for i, cut in enumerate(cuts[:_LISTED], 1)
+    )
+    more = ", ..." if len(cuts) > _LISTED else ""
+    return f"{len(cuts)} cut{'s' * (len(cuts) > 1)} ({shown}{more})"
+
+
+def tared(
+    record: Record,
+    table: RecordTable,
+    found: tuple[list[CutSpan], CutSpan],
+    tooth: float,
+    notes: list[str],
+) -> Record:
+    """Return the record less its offset and drift, and note what was done."""
+    if table.tare == "none":
+        return record
+    if table.tare is not None:
+        before = (table.tare[0], table.tare[1])
+        if isinstance(table.tare_after, list):
+            return remove_drift(
+                record, before, (table.tare_after[0], table.tare_after[1])
+            )
+        return remove_offset(record, *before)
+    cuts, span = found
+    before, after = _quiet(record, cuts, span, tooth)
+    if before is not None and after is not None:
+        notes.append(
+            f"Offset and drift were taken from {before[0]:.4g} to {before[1]:.4g} s "
+            f"and {after[0]:.4g} to {after[1]:.4g} s, where nothing is cut."
+        )
+        return remove_drift(record, before, after)
+    one = before or after
+    if one is None:
+        notes.append(
+            "No section without a cut was found: no offset was removed, and one that "
+            "the record has goes into the edge coefficients. Name one by `tare`."
+        )
+        return record
+    notes.append(
+        f"The offset was taken from {one[0]:.4g} to {one[1]:.4g} s, where nothing is "
+        "cut."
+    )
+    return remove_offset(record, *one)
+
+
+def _quiet(
+    record: Record, cuts: list[CutSpan], span: CutSpan, tooth: float
+) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
+    """Return the sections without a cut before and after a part of the record."""
+    if not cuts:
+        return None, None
+    guard = 2 * _TARE_PERIODS * tooth
+    least = max(_TARE_PERIODS * tooth, _TARE_SAMPLES / record.rate)
+    first, last = float(record.time[0]), float(record.time[-1])
+    inside = [c for c in cuts if c.stop > span.start and c.start < span.stop] or cuts
+    begin, end = inside[0].start, inside[-1].stop
+    earlier = max([c.stop for c in cuts if c.stop < begin], default=None)
+    later = min([c.start for c in cuts if c.start > end], default=None)
+    before = (first if earlier is None else earlier + guard, begin - guard)
+    after = (end + guard, last if later is None else later - guard)
+    sections = []
+    for a, b in (before, after):
+        count = int(((record.time >= a) & (record.time <= b)).sum())
+        is_long = b - a >= least and count >= _TARE_SAMPLES
+        sections.append((a, b) if is_long else None)
+    return sections[0], sections[1]
+
+
+def engaged(
+    process: Job | StraightCut,
+    table: RecordTable,
+    span: CutSpan,
+    record: Record,
+    notes: list[str],
+) -> tuple[float, float]:
+    """Return the part of a straight cut where the tool is fully engaged."""
+    start, stop = span
+    speed = getattr(process, "spindle_speed", None)
+    is_chosen = table.start is not None or table.stop is not None
+    if isinstance(process, Job) or speed is None or is_chosen:
+        return start, stop
+    # The tool is in full engagement once its axis has passed the edge of the stock.
+    feed = process.feed_per_tooth * process.cutter.flute_count * speed / (2 * math.pi)
+    travel = 1.1 * float(process.cutter.nominal_radius) / feed
+    step = 2 / record.rate
+    ends = []
+    if start > record.time[0] + step:
+        start, ends = start + travel, ["entry"]
+    if stop < record.time[-1] - step:
+        stop, ends = stop - travel, [*ends, "exit"]
+    if ends:
+        notes.append(
+            f"{travel:.4g} s were left out at {' and '.join(ends)}, while the tool is "
+            "not fully engaged."
+        )
+    if start >= stop:
+        raise ValueError(
+            f"found a cut of {span.stop - span.start:.4g} s, but {len(ends)} x "
+            f"{travel:.4g} s pass until a tool of this radius is fully engaged; look "
+            "at feed, speed and diameter, or give start and stop"
+        )
+    return float(start), float(stop)

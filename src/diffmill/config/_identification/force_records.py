@@ -1,0 +1,261 @@
+"""Records of forces made ready: read, beside what was cut, without their offset."""
+
+import math
+import pathlib
+from typing import NamedTuple
+
+from ..._job import Job
+from ...cutter import AbstractCutter
+from ...identification import Record, immersion, section
+from ...io import RecordError, load_record
+from .._build.program import file_in_folder
+from .._load_job import JobError, load_job
+from .cut_selection import cuts_in, engaged, span_of, tared
+from .schema import CutTable, RecordTable
+from .spindle_angle import spindle_angle
+from .tasks import ForceRecord, StraightCut
+
+# Records are longer than programs [byte].
+LARGEST_RECORD = 2_000_000_000
+# Names of the forces that are allowed beside those of `load_record`.
+_ALIASES = {"force_x": "Fx", "force_y": "Fy", "force_z": "Fz"}
+# Revolutions that a fit needs at least.
+_LEAST_TURNS = 3.0
+
+
+class Context(NamedTuple):
+    """What the records of a file share.
+
+    Attributes:
+        folder: Folder of the file.
+        allow_outside: Whether files may lie outside of it.
+        cutter: Of `[cutter]`, or None.
+        speed: Of `[spindle]` [rad/s], or None.
+        cut: `[cut]`, or None.
+        jobs: Jobs that have been loaded, by path; None after a fault.
+    """
+
+    folder: pathlib.Path
+    allow_outside: bool
+    cutter: AbstractCutter | None
+    speed: float | None
+    cut: CutTable | None
+    jobs: dict[pathlib.Path, Job | None]
+
+
+def read_force_record(
+    table: RecordTable, place: str, context: Context, problems: list[str]
+) -> ForceRecord | None:
+    """Return a record ready to be fitted, or None with problems noted.
+
+    Args:
+        table: Its checked entry.
+        place: What a line calls the entry, such as "[[record]] 1".
+        context: What the records share.
+        problems: Receives what is wrong.
+    """
+    process = _process(table, place, context, problems)
+    path = file_in_folder(
+        table.file,
+        f"{place} file",
+        context.folder,
+        problems,
+        allow_outside=context.allow_outside,
+        largest=LARGEST_RECORD,
+    )
+    if path is None:
+        return None
+    record = read_record(path, table, place, problems)
+    if record is None or process is None:
+        return None
+    return ready(record, process, table, place, problems)
+
+
+def read_record(
+    path: pathlib.Path, table: RecordTable, place: str, problems: list[str]
+) -> Record | None:
+    """Return the record of a file, or None with problems noted."""
+    channels = {_ALIASES.get(k, k): v for k, v in (table.channels or {}).items()}
+    units = {_ALIASES.get(k, k): v for k, v in table.units.items()}
+    try:
+        return load_record(path, channels, table.rate, units)
+    except RecordError as error:
+        problems.extend(f"{place} file: {path.name}: {f}" for f in error.faults)
+        return None
+
+
+def ready(
+    record: Record,
+    process: Job | StraightCut,
+    table: RecordTable,
+    place: str,
+    problems: list[str],
+) -> ForceRecord | None:
+    """Return a record with its cut found and its tare removed.
+
+    Args:
+        record: The record as read.
+        process: What was cut.
+        table: Its checked entry.
+        place: What a line calls the entry.
+        problems: Receives what is wrong.
+    """
+    tooth, turn = _periods(process, record)
+    if record.rate * tooth < 4:
+        hint = "".join(
+            f'. {note} Give its unit by `units`, such as {{ time = "ms" }}'
+            for note in record.notes
+            if "was taken in s" in note
+        )
+        problems.append(
+            f"{place} file: found {record.rate:g} samples per second, but at least "
+            f"{4 / tooth:g} are required: four per tooth{hint}"
+        )
+        return None
+    cuts, are_found = cuts_in(record, tooth)
+    notes = list(record.notes)
+    count = len(problems)
+    angle = spindle_angle(record, process, table, place, problems, notes)
+    if isinstance(process, StraightCut) and table.time_shift is not None:
+        problems.append(
+            f"{place} time_shift: found beside a straight cut, which has no clock of "
+            "its own; leave it out, or give a tacho and tooth_angle"
+        )
+    span = span_of(record, process, table, cuts, place, problems)
+    if span is None:
+        return None
+    try:
+        quiet = tared(record, table, (cuts if are_found else [], span), tooth, notes)
+        start, stop = engaged(process, table, span, record, notes)
+        used = section(quiet, start, stop)
+    except ValueError as error:
+        problems.append(f"{place}: {error}")
+        return None
+    if isinstance(process, StraightCut) and stop - start < _LEAST_TURNS * turn:
+        problems.append(
+            f"{place}: found {stop - start:.4g} s of steady cut, but at least "
+            f"{_LEAST_TURNS:g} revolutions, {_LEAST_TURNS * turn:.4g} s, are required"
+        )
+    if len(problems) > count:
+        return None
+    number = f", cut {table.cut}" if isinstance(table.cut, int) else ""
+    return ForceRecord(
+        name=f"{pathlib.PurePath(table.file).name}{number}",
+        record=quiet,
+        process=process,
+        start=start,
+        stop=stop,
+        time_shift=table.time_shift,
+        is_saturated=bool(used.is_saturated.any()),
+        angle=angle,
+        knows_tooth=angle is not None and table.tooth_angle is not None,
+        notes=tuple(notes),
+    )
+
+
+def _periods(process: Job | StraightCut, record: Record) -> tuple[float, float]:
+    """Return tooth period and revolution [s]; of a record without speed, samples."""
+    if isinstance(process, Job):
+        tooth, flutes = float(process.tooth_period), process.cutter.flute_count
+    elif process.spindle_speed is None:
+        tooth, flutes = 4 / record.rate, 1
+    else:
+        flutes = process.cutter.flute_count
+        tooth = 2 * math.pi / (process.spindle_speed * flutes)
+    return tooth, tooth * flutes
+
+
+def _process(
+    table: RecordTable, place: str, context: Context, problems: list[str]
+) -> Job | StraightCut | None:
+    """Return what was cut."""
+    sizes = [k for k in _SIZES if getattr(table, k) is not None]
+    if table.job is not None:
+        if sizes:
+            problems.append(
+                f"{place} job: found beside {', '.join(sizes)}, but a job says all of "
+                "that: only one of both is allowed"
+            )
+            return None
+        return _job(table.job, place, context, problems)
+    if context.cutter is None or (context.cut is None and table.axial_depth is None):
+        problems.append(
+            f"{place}: found no job, but it is required, or the tables [cutter], "
+            "[spindle] and [cut] of a straight cut"
+        )
+        return None
+    if table.feed_per_tooth is None:
+        problems.append(
+            f"{place} feed_per_tooth: found nothing, but it is required for a straight "
+            'cut: a length, such as "0.1 mm"'
+        )
+        return None
+    cut = context.cut
+    side = table.side or (cut.side if cut is not None else "slot")
+    width = table.radial_depth or (cut.radial_depth if cut is not None else None)
+    depth = table.axial_depth or (cut.axial_depth if cut is not None else None)
+    assert depth is not None
+    straight = StraightCut(
+        context.cutter,
+        table.speed or context.speed,
+        depth,
+        width,
+        side,
+        table.feed_per_tooth,
+    )
+    return straight if check_straight(straight, place, problems) else None
+
+
+_SIZES = ("feed_per_tooth", "axial_depth", "radial_depth", "side", "speed")
+
+
+def check_straight(cut: StraightCut, place: str, problems: list[str]) -> bool:
+    """Note sizes that no straight cut has; return whether there are none."""
+    diameter = 2 * float(cut.cutter.nominal_radius)
+    count = len(problems)
+    if cut.axial_depth > float(cut.cutter.flute_length):
+        problems.append(
+            f"{place} axial_depth: found {cut.axial_depth * 1e3:g} mm; at most the "
+            f"flute length, {float(cut.cutter.flute_length) * 1e3:g} mm, is allowed"
+        )
+    if cut.feed_per_tooth >= diameter / 4:
+        problems.append(
+            f"{place} feed_per_tooth: found {cut.feed_per_tooth * 1e3:g} mm; less than "
+            f"a quarter of the diameter, {diameter * 250:g} mm, is required"
+        )
+    if (cut.radial_depth is None) != (cut.side == "slot"):
+        found = "nothing" if cut.radial_depth is None else "a radial depth"
+        problems.append(
+            f'{place} radial_depth: found {found} beside side = "{cut.side}"; it is '
+            'required for "up" and "down" and not allowed for "slot"'
+        )
+    else:
+        try:
+            immersion(diameter, cut.radial_depth, cut.side)  # pyright: ignore[reportArgumentType]
+        except ValueError:
+            width = (cut.radial_depth or 0) * 1e3
+            problems.append(
+                f"{place} radial_depth: found {width:g} mm; at most the diameter, "
+                f"{diameter * 1e3:g} mm, is allowed"
+            )
+    return len(problems) == count
+
+
+def _job(name: str, place: str, context: Context, problems: list[str]) -> Job | None:
+    """Return the job that says what was cut; its faults are noted once."""
+    path = file_in_folder(
+        name,
+        f"{place} job",
+        context.folder,
+        problems,
+        allow_outside=context.allow_outside,
+    )
+    if path is None:
+        return None
+    if path not in context.jobs:
+        context.jobs[path] = None
+        try:
+            context.jobs[path] = load_job(path, allow_outside=context.allow_outside)
+        except JobError as error:
+            problems.extend(f"{place} job: {name}: {line}" for line in error.problems)
+    return context.jobs[path]

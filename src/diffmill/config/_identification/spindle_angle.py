@@ -1,0 +1,86 @@
+"""The spindle's angle in a record, by a tacho or an encoder, if it has one."""
+
+import math
+
+import numpy as np
+from jaxtyping import Float
+
+from ..._job import Job
+from ...identification import Record, angle_from_tacho
+from .schema import RecordTable
+from .tasks import StraightCut
+
+# A tacho that differs by more from the speed given counts something else.
+_SPEED_OFF = 0.03
+# Turns over which the instants of the pulses are smoothed.
+_SMOOTH = 21
+
+
+def spindle_angle(
+    record: Record,
+    process: Job | StraightCut,
+    table: RecordTable,
+    place: str,
+    problems: list[str],
+    notes: list[str],
+) -> Float[np.ndarray, " sample"] | None:
+    """Return the spindle's angle at each sample, or None.
+
+    Args:
+        record: The record as read.
+        process: What was cut.
+        table: Its checked entry.
+        place: What a line calls the entry.
+        problems: Receives what is wrong, if the file asks for the angle.
+        notes: Receives what was used, or why not.
+
+    Returns:
+        Angle [rad], increasing, shape (sample,): immersion angle of tooth 0 if the
+        file gives `tooth_angle`, else from an unknown zero.
+    """
+    is_asked = table.pulses_per_turn is not None or table.tooth_angle is not None
+    if record.tacho is None and record.angle is None:
+        if is_asked:
+            problems.append(
+                f"{place} pulses_per_turn, tooth_angle: found without a column for "
+                "tacho or angle; name it by `channels`"
+            )
+        return None
+    first = table.tooth_angle or 0.0
+    given = process.spindle_speed
+    if given is None:
+        return None
+    speed = float(given)
+    try:
+        if record.angle is not None:
+            what, angle = "angle", _unwrapped(record.angle) + first
+        else:
+            pulses = table.pulses_per_turn or 1
+            what = "tacho"
+            angle = angle_from_tacho(
+                record,
+                pulses_per_turn=pulses,
+                first_angle=first,
+                smoothing=_SMOOTH * pulses,
+            )
+        measured = float(angle[-1] - angle[0]) / float(record.time[-1] - record.time[0])
+        if abs(measured / speed - 1) > _SPEED_OFF or not np.all(np.diff(angle) > 0):
+            raise ValueError(
+                f"The {what} tells {measured * 30 / math.pi:.5g} rpm, but "
+                f"{speed * 30 / math.pi:.5g} rpm are given: look at the speed and at "
+                "pulses_per_turn."
+            )
+    except ValueError as error:
+        if is_asked:
+            problems.append(f"{place}: {error}")
+        else:
+            notes.append(f"{error} It was not used.")
+        return None
+    notes.append(f"The spindle's angle was taken from the column for the {what}.")
+    return np.asarray(angle, np.float64)
+
+
+def _unwrapped(angle: Float[np.ndarray, " sample"]) -> Float[np.ndarray, " sample"]:
+    """Return an angle without jumps, increasing."""
+    whole = np.unwrap(angle)
+    return whole if whole[-1] >= whole[0] else -whole

@@ -1,0 +1,1 @@
+"""Schemas of the job's tables: one class per table, each default once."""

@@ -1,0 +1,193 @@
+"""The table `[cutter]` of a job file, and the end mill that it describes."""
+
+import math
+from typing import Annotated, Any, Literal
+
+import pydantic
+from pydantic import Field, StrictInt
+
+from ...cutter import (
+    EndMill,
+    ToolHolder,
+    ball_end_mill,
+    bull_nose,
+    flat_end_mill,
+    tool_holder,
+)
+from .fields import Angle, PositiveLength, Tolerance
+from .table import Table
+
+# Steepest helix [rad], and how far angles between teeth may miss a whole turn [deg].
+_STEEPEST = 1.4
+# The most by which an end is ground hollow [rad].
+_HOLLOWEST = math.radians(20)
+_TURN = 1e-3
+
+
+class HolderPartTable(Table):
+    """A part of `[cutter] holder`: a cylinder, or a cone to another diameter."""
+
+    diameter: PositiveLength = Field(description='a length, such as "32 mm"')
+    upper_diameter: PositiveLength | None = None
+    length: PositiveLength = Field(description='a length, such as "40 mm"')
+
+
+class CutterTable(Table):
+    """`[cutter]`."""
+
+    kind: Literal["flat", "ball", "bull"] = Field(default="flat", description='"flat"')
+    diameter: PositiveLength = Field(description='a length, such as "10 mm"')
+    corner_radius: PositiveLength | None = Field(default=None, validate_default=True)
+    teeth: Annotated[StrictInt, Field(ge=1, le=100)] = Field(
+        description="a whole number from 1 to 100"
+    )
+    helix_angle: Angle = 0.0
+    flute_length: PositiveLength | None = None
+    pitch: list[Angle] | None = None
+    runout: Tolerance = 0.0
+    runout_angle: Angle = 0.0
+    dish_angle: Angle = 0.0
+    overhang: PositiveLength | None = None
+    holder: Annotated[list[HolderPartTable], Field(min_length=1)] | None = Field(
+        default=None, validate_default=True
+    )
+
+    @pydantic.field_validator("corner_radius")
+    @classmethod
+    def _fitting(cls, value: float | None, info: Any) -> float | None:
+        kind, diameter = info.data.get("kind"), info.data.get("diameter")
+        if value is None:
+            if kind == "bull":
+                raise ValueError(
+                    'found nothing, but a cutter of kind "bull" requires it: a length, '
+                    'such as "1 mm"'
+                )
+            return None
+        if kind in ("flat", "ball"):
+            raise ValueError(
+                f"found {value * 1e3:g} mm, but a cutter of kind {kind!r} has none to "
+                'choose; kind = "bull" has'
+            )
+        if diameter is not None and value >= diameter / 2:
+            raise ValueError(
+                f"found {value * 1e3:g} mm, but less than half the diameter, "
+                f'{diameter * 5e2:g} mm, is required; kind = "ball" is a full round'
+            )
+        return value
+
+    @pydantic.field_validator("helix_angle")
+    @classmethod
+    def _steep(cls, value: float) -> float:
+        if abs(value) > _STEEPEST:
+            raise ValueError(
+                f"found {math.degrees(value):g} deg, but an angle from "
+                "-80 deg to 80 deg is required"
+            )
+        return value
+
+    @pydantic.field_validator("pitch")
+    @classmethod
+    def _whole(cls, value: list[float] | None, info: Any) -> list[float] | None:
+        if value is None:
+            return None
+        teeth = info.data.get("teeth")
+        if teeth is not None and len(value) != teeth:
+            raise ValueError(
+                f"found {len(value)} angles, but {teeth} are required: from each tooth "
+                "to the next, the last one back to the first"
+            )
+        if min(value, default=0) <= 0:
+            raise ValueError(
+                f"found {math.degrees(min(value, default=0)):g} deg, but angles above "
+                "0 are required"
+            )
+        total = math.degrees(sum(value))
+        if abs(total - 360) > _TURN:
+            raise ValueError(
+                f"found angles that sum to {total:.7g} deg, but 360 deg is required"
+            )
+        # Rounded text must not turn the last tooth away from the first.
+        return [angle * 360 / total for angle in value]
+
+    @pydantic.field_validator("runout")
+    @classmethod
+    def _small(cls, value: float, info: Any) -> float:
+        diameter = info.data.get("diameter")
+        if diameter is not None and value >= diameter / 2:
+            raise ValueError(
+                f"found {value * 1e3:g} mm, but less than half the diameter, "
+                f"{diameter * 5e2:g} mm, is required"
+            )
+        return value
+
+    @pydantic.field_validator("dish_angle")
+    @classmethod
+    def _hollow(cls, value: float, info: Any) -> float:
+        kind = info.data.get("kind", "flat")
+        if kind != "flat" and value != 0:
+            raise ValueError(
+                f"found {math.degrees(value):g} deg, but the end of a cutter of kind "
+                f'{kind!r} is not hollow; kind = "flat" is'
+            )
+        if not 0 <= value <= _HOLLOWEST:
+            raise ValueError(
+                f"found {math.degrees(value):g} deg, but an angle from 0 deg to 20 deg "
+                "is required"
+            )
+        return value
+
+    @pydantic.field_validator("overhang")
+    @classmethod
+    def _beyond_flutes(cls, value: float | None, info: Any) -> float | None:
+        flutes = info.data.get("flute_length")
+        if value is not None and flutes is not None and value < flutes:
+            raise ValueError(
+                f"found {value * 1e3:g} mm, but at least the flute length, "
+                f"{flutes * 1e3:g} mm, is required: from the tip to the holder"
+            )
+        return value
+
+    @pydantic.field_validator("holder")
+    @classmethod
+    def _somewhere(
+        cls, value: list[HolderPartTable] | None, info: Any
+    ) -> list[HolderPartTable] | None:
+        # A faulty overhang is not in the data, and has been reported.
+        is_known = "overhang" in info.data
+        if is_known and (value is None) != (info.data["overhang"] is None):
+            raise ValueError(
+                "found overhang without holder, or holder without overhang; both are "
+                "required to know where the holder is, or none"
+            )
+        return value
+
+
+def make_holder(table: CutterTable) -> ToolHolder | None:
+    """Return the tool holder of a checked table, if it has one."""
+    if table.holder is None or table.overhang is None:
+        return None
+    parts = [
+        (p.diameter, p.upper_diameter or p.diameter, p.length) for p in table.holder
+    ]
+    return tool_holder(table.overhang, parts)
+
+
+def make_cutter(table: CutterTable) -> EndMill:
+    """Return the end mill of a checked table."""
+    flute_length = table.flute_length
+    if flute_length is None and table.overhang is not None:
+        # The flutes that are assumed must not reach into the holder.
+        flute_length = min(3 * table.diameter, table.overhang)
+    options = {
+        "helix_angle": table.helix_angle,
+        "flute_length": flute_length,
+        "pitch": table.pitch,
+        "runout": table.runout,
+        "runout_angle": table.runout_angle,
+    }
+    if table.corner_radius is not None:
+        return bull_nose(table.diameter, table.teeth, table.corner_radius, **options)
+    if table.kind == "ball":
+        return ball_end_mill(table.diameter, table.teeth, **options)
+    dish = table.dish_angle
+    return flat_end_mill(table.diameter, table.teeth, dish_angle=dish, **options)

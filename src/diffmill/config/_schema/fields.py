@@ -1,0 +1,151 @@
+"""What a value of a job file may be: text with a unit becomes an SI number here."""
+
+from collections.abc import Callable
+from typing import Annotated, TypeAlias
+
+from pydantic import BeforeValidator, Field, StrictInt
+
+from ... import units as q
+
+
+def _read(kind: q.QuantityKind, *, sign: str = "any") -> Callable[[object], float]:
+    """Return a converter of text to SI that also checks the sign."""
+
+    def convert(value: object) -> float:
+        number = q.quantity(value, kind)
+        if sign == "positive" and number <= 0:
+            raise ValueError(f"found {value!r}, but {kind.noun} above 0 is required")
+        if sign == "not negative" and number < 0:
+            raise ValueError(
+                f"found {value!r}, but {kind.noun} of at least 0 is required"
+            )
+        return number
+
+    return convert
+
+
+def _read_drive(kinds: tuple[q.QuantityKind, ...]) -> Callable[[object], str]:
+    """Return a check of text that is a quantity of one of some kinds."""
+
+    def check(value: object) -> str:
+        messages = []
+        for kind in kinds:
+            try:
+                number = q.quantity(value, kind)
+            except ValueError as error:
+                messages.append(str(error))
+                continue
+            if number < 0:
+                raise ValueError(f"found {value!r}, but at least 0 is required")
+            return str(value)
+        raise ValueError(messages[0])
+
+    return check
+
+
+Length: TypeAlias = Annotated[float, BeforeValidator(_read(q.LENGTH))]
+PositiveLength: TypeAlias = Annotated[
+    float, BeforeValidator(_read(q.LENGTH, sign="positive"))
+]
+Tolerance: TypeAlias = Annotated[
+    float, BeforeValidator(_read(q.LENGTH, sign="not negative"))
+]
+Angle: TypeAlias = Annotated[float, BeforeValidator(_read(q.ANGLE))]
+PositiveTime: TypeAlias = Annotated[
+    float, BeforeValidator(_read(q.TIME, sign="positive"))
+]
+Delay: TypeAlias = Annotated[float, BeforeValidator(_read(q.TIME, sign="not negative"))]
+Time: TypeAlias = Annotated[float, BeforeValidator(_read(q.TIME))]
+Frequency: TypeAlias = Annotated[
+    float, BeforeValidator(_read(q.FREQUENCY, sign="positive"))
+]
+Force: TypeAlias = Annotated[float, BeforeValidator(_read(q.FORCE))]
+PositiveSpeed: TypeAlias = Annotated[
+    float, BeforeValidator(_read(q.SPEED, sign="positive"))
+]
+SpindleSpeed: TypeAlias = Annotated[
+    float, BeforeValidator(_read(q.ANGULAR_SPEED, sign="positive"))
+]
+Acceleration: TypeAlias = Annotated[
+    float, BeforeValidator(_read(q.ACCELERATION, sign="positive"))
+]
+Stiffness: TypeAlias = Annotated[
+    str, BeforeValidator(_read_drive((q.ROTARY_STIFFNESS, q.LINEAR_STIFFNESS)))
+]
+Damping: TypeAlias = Annotated[
+    str, BeforeValidator(_read_drive((q.ROTARY_DAMPING, q.LINEAR_DAMPING)))
+]
+LinearStiffness: TypeAlias = Annotated[
+    float, BeforeValidator(_read(q.LINEAR_STIFFNESS, sign="positive"))
+]
+RotaryStiffness: TypeAlias = Annotated[
+    float, BeforeValidator(_read(q.ROTARY_STIFFNESS, sign="positive"))
+]
+Mass: TypeAlias = Annotated[float, BeforeValidator(_read(q.MASS, sign="positive"))]
+Inertia: TypeAlias = Annotated[
+    float, BeforeValidator(_read(q.INERTIA, sign="positive"))
+]
+Modulus: TypeAlias = Annotated[
+    float, BeforeValidator(_read(q.MODULUS, sign="positive"))
+]
+Density: TypeAlias = Annotated[
+    float, BeforeValidator(_read(q.DENSITY, sign="positive"))
+]
+Lengths3: TypeAlias = Annotated[list[Length], Field(min_length=3, max_length=3)]
+Angles3: TypeAlias = Annotated[list[Angle], Field(min_length=3, max_length=3)]
+Slots: TypeAlias = Annotated[StrictInt, Field(ge=1, le=64)]
+
+
+def _read_each(
+    convert: Callable[[object], float],
+) -> Callable[[object], float | list[float]]:
+    """Return a converter of one value, or of a list with one value per tooth."""
+
+    def convert_all(value: object) -> float | list[float]:
+        if not isinstance(value, list):
+            return convert(value)
+        if not value:
+            raise ValueError("found an empty list, but one value per tooth is required")
+        return [convert(entry) for entry in value]
+
+    return convert_all
+
+
+def _read_share(least: bool) -> Callable[[object], float]:
+    """Return a check of a plain number up to 1, from 0 or above it."""
+
+    def check(value: object) -> float:
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            if 0 <= value <= 1 and (value > 0 or least):
+                return float(value)
+        low = "from 0" if least else "above 0"
+        raise ValueError(f"found {value!r}, but a number {low} to 1 is required")
+
+    return check
+
+
+Ratio: TypeAlias = Annotated[float, BeforeValidator(_read_share(True))]
+Share: TypeAlias = Annotated[float, BeforeValidator(_read_share(False))]
+
+
+def _read_exponent(value: object) -> float:
+    """Return an exponent of Kienzle's law."""
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        if 0 <= value < 1:
+            return float(value)
+    raise ValueError(f"found {value!r}, but a number from 0 to less than 1 is required")
+
+
+PerTooth: TypeAlias = float | list[float]
+ToothPositivePressure: TypeAlias = Annotated[
+    PerTooth, BeforeValidator(_read_each(_read(q.PRESSURE, sign="positive")))
+]
+ToothPressure: TypeAlias = Annotated[
+    PerTooth, BeforeValidator(_read_each(_read(q.PRESSURE)))
+]
+ToothEdgeForce: TypeAlias = Annotated[
+    PerTooth, BeforeValidator(_read_each(_read(q.EDGE_FORCE)))
+]
+ToothExponent: TypeAlias = Annotated[
+    PerTooth, BeforeValidator(_read_each(_read_exponent))
+]

@@ -1,0 +1,178 @@
+"""`[force]` of a job: a material, or a law with its coefficients."""
+
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from pydantic import Field, StrictStr, field_validator
+
+from ...cutting import (
+    AbstractForceLaw,
+    KienzleLaw,
+    LinearEdgeLaw,
+    material,
+    material_source,
+)
+from .fields import (
+    PositiveLength,
+    ToothEdgeForce,
+    ToothExponent,
+    ToothPositivePressure,
+    ToothPressure,
+)
+from .table import Table, validated
+
+
+class MaterialTable(Table):
+    """`[force]` with a material."""
+
+    material: StrictStr
+
+    @field_validator("material")
+    @classmethod
+    def _known(cls, value: str) -> str:
+        material(value)
+        return value
+
+    def force_law(self) -> AbstractForceLaw:
+        """Return the law of the material."""
+        return material(self.material)
+
+    def notes(self, place: str) -> tuple[str, ...]:
+        """Return what the user should know about the coefficients."""
+        return (f"{place} material {self.material}: {material_source(self.material)}",)
+
+
+class LinearEdgeTable(Table):
+    """`[force]` with `law = "linear_edge"`."""
+
+    law: Literal["linear_edge"] = "linear_edge"
+    K_tc: ToothPositivePressure = Field(description='such as "989.8 N/mm^2"')
+    K_rc: ToothPressure = Field(description='such as "337.3 N/mm^2"')
+    K_ac: ToothPressure = Field(description='such as "66.9 N/mm^2"')
+    K_te: ToothEdgeForce = 0.0
+    K_re: ToothEdgeForce = 0.0
+    K_ae: ToothEdgeForce = 0.0
+
+    def force_law(self) -> AbstractForceLaw:
+        """Return the law."""
+        return LinearEdgeLaw(**_arrays(self))
+
+    def notes(self, place: str) -> tuple[str, ...]:
+        """Return nothing: explicit coefficients are the user's own."""
+        return ()
+
+
+class KienzleTable(Table):
+    """`[force]` with `law = "kienzle"`."""
+
+    law: Literal["kienzle"]
+    K_tc11: ToothPositivePressure = Field(description='such as "1500 N/mm^2"')
+    K_rc11: ToothPressure = Field(description='such as "500 N/mm^2"')
+    K_ac11: ToothPressure = Field(description='such as "0 N/mm^2"')
+    m_t: ToothExponent = Field(description="a number from 0 to 1, such as 0.25")
+    m_r: ToothExponent | None = None
+    m_a: ToothExponent | None = None
+    K_te: ToothEdgeForce = 0.0
+    K_re: ToothEdgeForce = 0.0
+    K_ae: ToothEdgeForce = 0.0
+    reference_thickness: PositiveLength = 1e-3
+    least_thickness: PositiveLength = 1e-6
+
+    def force_law(self) -> AbstractForceLaw:
+        """Return the law; exponents that are left out are the tangential one."""
+        values = _arrays(self)
+        return KienzleLaw(**{"m_r": values["m_t"], "m_a": values["m_t"]} | values)
+
+    def notes(self, place: str) -> tuple[str, ...]:
+        """Return nothing: explicit coefficients are the user's own."""
+        return ()
+
+
+_LAWS = {"linear_edge": LinearEdgeTable, "kienzle": KienzleTable}
+_ForceTable = MaterialTable | LinearEdgeTable | KienzleTable
+
+
+class ForceTables(NamedTuple):
+    """`[force]` and `[force.bottom]`, each checked on its own.
+
+    Attributes:
+        side: Coefficients of the side of the cutter.
+        bottom: Coefficients of the bottom edges, None if they follow from the side.
+    """
+
+    side: _ForceTable
+    bottom: _ForceTable | None
+
+    def laws(self) -> tuple[AbstractForceLaw, AbstractForceLaw | None]:
+        """Return the laws of side and bottom."""
+        bottom = None if self.bottom is None else self.bottom.force_law()
+        return self.side.force_law(), bottom
+
+    def notes(self) -> tuple[str, ...]:
+        """Return what the user should know about the coefficients."""
+        bottom = () if self.bottom is None else self.bottom.notes("[force.bottom]")
+        return self.side.notes("[force]") + bottom
+
+    def check_teeth(self, teeth: int, problems: list[str]) -> None:
+        """Note coefficients per tooth that are more or fewer than the teeth."""
+        for place, table in (("[force]", self.side), ("[force.bottom]", self.bottom)):
+            for key, value in {} if table is None else table:
+                if isinstance(value, list) and len(value) != teeth:
+                    problems.append(
+                        f"{place} {key}: found {len(value)} values, but one value, or "
+                        f"one for each of the {teeth} teeth, is required"
+                    )
+
+
+def read_force(raw: object, problems: list[str]) -> ForceTables | None:
+    """Check `[force]` and the table `bottom` within it.
+
+    Args:
+        raw: What the file holds.
+        problems: Receives a line for everything that is wrong.
+
+    Returns:
+        The tables, or None if there is a fault.
+    """
+    count = len(problems)
+    inner = raw.get("bottom") if isinstance(raw, dict) else None
+    if isinstance(raw, dict):
+        raw = {key: value for key, value in raw.items() if key != "bottom"}
+    side = _read_one(raw, "[force]", problems, ("material", "bottom"))
+    bottom = None
+    if inner is not None:
+        bottom = _read_one(inner, "[force.bottom]", problems, ("material",))
+    if side is None or len(problems) > count:
+        return None
+    return ForceTables(side, bottom)
+
+
+def _read_one(
+    raw: object, place: str, problems: list[str], also: tuple[str, ...]
+) -> _ForceTable | None:
+    """Return one checked table; what it holds says which kind it is."""
+    found = raw if isinstance(raw, dict) else {}
+    if "material" in found:
+        others = ", ".join(key for key in found if key != "material")
+        if others:
+            problems.append(
+                f"{place} material: found together with {others}; a material, or a "
+                "law with its coefficients, is allowed, but not both"
+            )
+        alone = {"material": found["material"]}
+        return validated(MaterialTable, alone, place, problems)
+    law = found.get("law", "linear_edge")
+    if law not in [*_LAWS]:
+        allowed = " or ".join(repr(name) for name in _LAWS)
+        problems.append(f"{place} law: found {law!r}; allowed: {allowed}")
+        return None
+    return validated(_LAWS[law], raw, place, problems, also)
+
+
+def _arrays(table: Table) -> dict[str, Any]:
+    """Return the coefficients that are given, lists as arrays."""
+    return {
+        key: np.asarray(value) if isinstance(value, list) else value
+        for key, value in table
+        if key != "law" and value is not None
+    }

@@ -1,0 +1,150 @@
+"""The tables of a job file: which keys there are and what each may hold.
+
+Every table is checked on its own, so that a fault in one does not hide those of the
+others.
+"""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, StrictBool, StrictInt, StrictStr
+
+from .compliance import BendingToolTable, FlangeSpringTable
+from .correction import CorrectionTable
+from .cutter import CutterTable
+from .fields import (
+    Acceleration,
+    Angles3,
+    Damping,
+    Delay,
+    Lengths3,
+    PositiveLength,
+    PositiveSpeed,
+    Slots,
+    SpindleSpeed,
+    Stiffness,
+    Tolerance,
+)
+from .force import read_force
+from .table import Table, validated
+
+
+class SpindleTable(Table):
+    """`[spindle]`."""
+
+    speed: SpindleSpeed | None = None
+
+
+class StockTable(Table):
+    """`[stock]`."""
+
+    lower: Lengths3 | None = None
+    upper: Lengths3 | None = None
+    mesh: Annotated[StrictStr, Field(min_length=1)] | None = None
+    mesh_unit: Literal["m", "cm", "mm", "um", "in"] | None = None
+    result: Annotated[StrictStr, Field(min_length=1)] | None = None
+    spacing: PositiveLength | None = None
+    intervals: Annotated[list[Slots], Field(min_length=3, max_length=3)] | None = None
+
+
+class ProgramTable(Table):
+    """`[program]`."""
+
+    file: StrictStr = Field(
+        min_length=1, description='a file (.ngc, .nc, .gcode, .csv), such as "part.ngc"'
+    )
+    feed: PositiveSpeed | None = None
+    acceleration: Acceleration = 2.0
+    rapid_feed: PositiveSpeed = 0.2
+    corner_tolerance: Tolerance = 1e-4
+    smoothing: Delay = 0.0
+
+
+class PoseTable(Table):
+    """A pose: R = Rz(yaw) Ry(pitch) Rx(roll)."""
+
+    position: Lengths3 = Field(description='three lengths, such as ["1500 mm", ...]')
+    rpy: Angles3 = Field(default_factory=lambda: [0.0, 0.0, 0.0])
+
+
+class RobotTable(Table):
+    """`[robot]`."""
+
+    model: StrictStr | None = None
+    file: StrictStr | None = None
+    rigid: StrictBool = False
+    tool: StrictStr | None = None
+    drives: Annotated[StrictStr, Field(min_length=1)] | None = None
+    joint_stiffness: list[Stiffness] | None = None
+    joint_damping: list[Damping] | None = None
+    work_in_base: PoseTable | None = None
+    tool_in_flange: PoseTable | None = None
+    joint_start: list[StrictStr] | None = None
+    tool_rotation: Literal["fixed", "free"] = "fixed"
+    flange_spring: FlangeSpringTable | None = None
+    bending_tool: BendingToolTable | None = None
+
+
+class SimulationTable(Table):
+    """`[simulation]`."""
+
+    angles: Annotated[StrictInt, Field(ge=1, le=100_000)] | None = None
+    substeps: Annotated[StrictInt, Field(ge=1, le=1000)] | None = None
+    element_height: PositiveLength | None = None
+    axial_depth: PositiveLength | None = None
+    precision: Literal["float64", "float32"] = "float64"
+    gravity_compensated: StrictBool = True
+    chip: Literal["near_far", "point_cloud"] = "near_far"
+    tool_tilt: StrictBool = False
+    bottom_edges: StrictBool = False
+    integrator: Literal["midpoint", "rk4"] = "midpoint"
+    dynamics: Literal["crba", "aba"] = "crba"
+    mode: Literal["dynamic", "quasistatic"] = "dynamic"
+    stability: StrictBool | Literal["quick"] = "quick"
+    sensitivity: StrictBool = False
+
+
+TABLES: dict[str, type[Table]] = {
+    "cutter": CutterTable,
+    "spindle": SpindleTable,
+    "stock": StockTable,
+    "program": ProgramTable,
+    "robot": RobotTable,
+    "simulation": SimulationTable,
+    "correction": CorrectionTable,
+}
+OPTIONAL_TABLES = frozenset({"spindle", "simulation", "correction"})
+
+
+def read_tables(raw: dict[str, Any], problems: list[str]) -> dict[str, Any]:
+    """Check all tables of a job.
+
+    Args:
+        raw: The parsed TOML.
+        problems: Receives a line for everything that is wrong.
+
+    Returns:
+        The tables without a fault, by name; optional ones that are absent hold
+        their defaults.
+    """
+    tables = {}
+    names = [*TABLES]
+    names.insert(names.index("stock"), "force")
+    allowed = ", ".join(f"[{name}]" for name in names)
+    for name in raw:
+        if name not in names:
+            problems.append(
+                f"{name}: found an unknown table or key; allowed: {allowed}"
+            )
+    for name in names:
+        if name not in raw and name not in OPTIONAL_TABLES:
+            hint = " (rigid = true stands for no robot)" if name == "robot" else ""
+            problems.append(f"[{name}]: found no such table, but it is required{hint}")
+            continue
+        found = raw.get(name, {})
+        if name == "force":
+            table = read_force(found, problems)
+        else:
+            table = validated(TABLES[name], found, f"[{name}]", problems)
+        if table is not None:
+            tables[name] = table
+    return tables

@@ -1,0 +1,1 @@
+"""The problem, its objective, and how errors are measured over the path."""

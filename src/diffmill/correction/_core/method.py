@@ -1,0 +1,140 @@
+"""The interface of all methods of correction, and what they report."""
+
+import abc
+from collections.abc import Callable
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from ..._result import RESULTS
+from ..._types import FloatRows
+from .._least_squares_records import LeastSquaresStep
+from .error_metrics import Measures, measure
+from .problem import Motion, Problem, contour_of, run
+
+# Called now and then with a message and a measure of the error; True ends the run.
+OnProgress = Callable[[str, float], bool | None]
+
+
+class Corrected(eqx.Module):
+    """The outcome of one method.
+
+    Attributes:
+        command: The corrected command, whole, shape (step, axis).
+        motion: What the plant does with it.
+        contour: Contour vectors [m], shape (step, 3).
+        measures: Headline figures.
+        forward_runs: Runs of the plant that the method needed, this last included.
+        products: Products with the Jacobian that it needed.
+        history: Steps of the optimiser; empty for methods without one.
+        detail: Settings that the method itself chose, for the report.
+        result: Outcome.
+    """
+
+    command: FloatRows
+    motion: Motion
+    contour: Float[np.ndarray, "step 3"]
+    measures: Measures
+    forward_runs: int
+    products: int
+    history: tuple[LeastSquaresStep, ...]
+    detail: dict[str, float]
+    result: RESULTS
+
+
+class AbstractMethod(eqx.Module):
+    """A way to find a better command; holds settings only."""
+
+    @abc.abstractmethod
+    def __call__(
+        self,
+        problem: Problem,
+        *,
+        start: FloatRows | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> Corrected:
+        """Return the corrected command.
+
+        Args:
+            problem: The problem.
+            start: Command from which to start, for methods that improve one; None
+                for the nominal one.
+            on_progress: Called with a message and the rms contour error so far [m];
+                True ends the method with the best so far.
+
+        Returns:
+            The outcome, always with a run of the plant on the final command.
+        """
+
+
+class GivenCommand(AbstractMethod):
+    """Evaluate a command that was found elsewhere, or the nominal one.
+
+    Attributes:
+        command: The command, shape (step, axis); None for the nominal one.
+        motion: What the plant does with it; found by a run if None.
+    """
+
+    command: FloatRows | None = None
+    motion: Motion | None = None
+
+    def __call__(
+        self,
+        problem: Problem,
+        *,
+        start: FloatRows | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> Corrected:
+        """Return the command with the motion that follows; `start` is not used."""
+        command = problem.nominal if self.command is None else self.command
+        runs = 0 if self.motion is None else 1
+        return corrected(problem, command, motion=self.motion, forward_runs=runs)
+
+
+def corrected(
+    problem: Problem,
+    command: FloatRows,
+    *,
+    motion: Motion | None = None,
+    forward_runs: int = 0,
+    products: int = 0,
+    history: tuple[LeastSquaresStep, ...] = (),
+    detail: dict[str, float] | None = None,
+    result: RESULTS = RESULTS.successful,
+) -> Corrected:
+    """Collect the outcome of a method; run the plant unless its motion is given.
+
+    Args:
+        problem: The problem.
+        command: The final command, shape (step, axis).
+        motion: Its motion, if known.
+        forward_runs: Runs of the plant so far.
+        products: Products with the Jacobian so far.
+        history: Steps of the optimiser.
+        detail: Settings that the method chose.
+        result: Outcome so far; a motion that is not finite overrides it.
+
+    Returns:
+        The outcome.
+
+    **Differentiability**: runs on the host, not traceable.
+    """
+    if motion is None:
+        motion, vectors = run(problem, command)
+        forward_runs += 1
+    else:
+        vectors = contour_of(problem, motion)
+    contour = np.asarray(vectors, np.float64)
+    figures = measure(problem, command, contour)
+    return Corrected(
+        command=command,
+        motion=motion,
+        contour=contour,
+        measures=figures,
+        forward_runs=forward_runs,
+        products=products,
+        history=history,
+        detail={} if detail is None else detail,
+        result=result if np.isfinite(figures.rms) else RESULTS.non_finite,
+    )

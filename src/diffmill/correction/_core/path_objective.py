@@ -1,0 +1,91 @@
+"""What a correction makes small: an error of the tip or of the machined surface."""
+
+import abc
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..._types import RealScalarLike
+from .problem import Motion, Problem, contour_of
+
+
+class AbstractObjective(eqx.Module):
+    """An error as a vector whose square is a mean square [m^2]."""
+
+    @abc.abstractmethod
+    def errors(
+        self, problem: Problem, motion: Motion, lag_weight: RealScalarLike
+    ) -> Float[Array, " error"]:
+        """Return the weighted errors of a motion.
+
+        Args:
+            problem: The problem, whose row weights count.
+            motion: What the plant does.
+            lag_weight: Weight of what the error itself does not see, so that the
+                command does not drift where that gains nothing.
+
+        Returns:
+            Errors times the root of their share in the mean [m], shape (error,).
+        """
+
+
+class PathObjective(AbstractObjective):
+    """The distance of the tip to the desired path beyond a tolerance band.
+
+    Zero within the band; outside, the cost is the square of the distance to the band,
+    which begins with no slope.
+
+    Attributes:
+        tolerance: Half the width of the band [m], at least 0.
+    """
+
+    tolerance: RealScalarLike = 0.0
+
+    def errors(
+        self, problem: Problem, motion: Motion, lag_weight: RealScalarLike
+    ) -> Float[Array, " error"]:
+        """Return the contour vectors, shortened by the tolerance, and the lag.
+
+        **Differentiability**: that of `contour_of`; kink at the border of the band.
+        """
+        contour = contour_of(problem, motion)
+        lag = deviation_of(problem, motion) - contour
+        error = beyond(contour, self.tolerance)
+        error = error + jnp.asarray(lag_weight, contour.dtype) * lag
+        return (error * row_shares(problem, contour.dtype)[:, None]).reshape(-1)
+
+
+def beyond(
+    vector: Float[Array, "row axis"], tolerance: RealScalarLike
+) -> Float[Array, "row axis"]:
+    """Return vectors shortened by a tolerance, zero where they are shorter.
+
+    Args:
+        vector: Vectors [m], shape (row, axis).
+        tolerance: Length to take off [m], at least 0.
+
+    Returns:
+        Shortened vectors, shape (row, axis).
+
+    **Differentiability**: kink where the length is the tolerance; its square has
+    none. With no tolerance the identity, at zero too.
+    """
+    tolerance = jnp.asarray(tolerance, vector.dtype)
+    square = jnp.sum(vector * vector, axis=1)
+    # The root has no derivative at zero: it gets a harmless input there.
+    length = jnp.sqrt(jnp.where(square > 0, square, 1.0))
+    share = jnp.where(square >= tolerance**2, 1 - tolerance / length, 0.0)
+    return vector * share[:, None]
+
+
+def deviation_of(problem: Problem, motion: Motion) -> Float[Array, "step 3"]:
+    """Return actual - desired [m], shape (step, 3)."""
+    return motion.actual - jnp.asarray(problem.desired, motion.actual.dtype)
+
+
+def row_shares(problem: Problem, dtype: jnp.dtype) -> Float[Array, " step"]:
+    """Return the roots of the rows' shares in a weighted mean, shape (step,)."""
+    weights = jnp.asarray(problem.is_cutting, dtype)
+    total = jnp.sum(weights)
+    return jnp.sqrt(weights / jnp.where(total > 0, total, 1.0))

@@ -1,0 +1,197 @@
+"""Parts of a path where different things go wrong: entry, exit, corner, plateau.
+
+An arm that enters the material is pushed aside and rings; in a corner the force turns
+with the feed; on a plateau the force is steady, so that what is left there is mostly a
+mean. One figure for the whole path hides which of them a correction has missed.
+"""
+
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ..._types import BoolSteps, FloatRows3, FloatSteps
+
+# Names by number; the air is no part.
+PARTS = ("entry", "exit", "corner", "plateau")
+AIR = -1
+# Turn of the feed within the length of a window that makes a corner [rad].
+_TURN = np.deg2rad(10.0)
+# Change of the cut section over a window, relative to the larger, that is no plateau.
+_CHANGE = 0.25
+# Row spacing below which a tool dwells [m].
+_STILL = 1e-9
+
+
+def path_parts(
+    desired: FloatRows3,
+    is_cutting: BoolSteps,
+    reach: float,
+    *,
+    removed_volume: FloatSteps | None = None,
+) -> Int[np.ndarray, " step"]:
+    """Return the part of the path to which every row belongs.
+
+    A row is in a corner if the desired path turns by more than 10 degrees within half
+    a reach to either side. Else it is an entry within a reach after the cut begins,
+    and an exit within a reach before it ends. Where the removed volume is given, rows
+    within a reach behind a rise of the cut section by more than a quarter are an entry
+    too, and those behind a fall an exit. The rest is plateau.
+
+    Args:
+        desired: Desired tips [m], shape (step, 3).
+        is_cutting: Whether the rigid tool cuts, shape (step,).
+        reach: Travel in which the cut settles [m]; the radius of the tool is the
+            travel from its first touch to full immersion.
+        removed_volume: Volume that the rigid tool removes at each row [m^3], shape
+            (step,).
+
+    Returns:
+        Index into `PARTS`, -1 where the tool does not cut, shape (step,).
+
+    Raises:
+        ValueError: The reach is not positive.
+
+    **Differentiability**: none, a host function.
+    """
+    if not reach > 0:
+        raise ValueError(f"Argument `reach` must be positive, but is {reach}.")
+    desired = np.asarray(desired, np.float64)
+    is_cutting = np.asarray(is_cutting, bool)
+    travel = _travel(desired)
+    since, until = _distances_to_air(travel, is_cutting)
+    part = np.full(len(desired), PARTS.index("plateau"), np.int32)
+    if removed_volume is not None:
+        rise = _section_rise(travel, np.asarray(removed_volume, np.float64), reach)
+        part[rise > _CHANGE] = PARTS.index("entry")
+        part[rise < -_CHANGE] = PARTS.index("exit")
+    part[until < reach] = PARTS.index("exit")
+    part[since < reach] = PARTS.index("entry")
+    part[_turn(desired, travel, reach / 2) > _TURN] = PARTS.index("corner")
+    part[~is_cutting] = AIR
+    return part
+
+
+def by_part(
+    error: Float[np.ndarray, " step"] | Float[Array, " step"],
+    part: Int[np.ndarray, " step"],
+) -> dict[str, Float[np.ndarray, " part"]]:
+    """Return figures of an error for each of `PARTS`, NaN where a part is absent.
+
+    Args:
+        error: Length of the error at every row [m], shape (step,).
+        part: What `path_parts` returned, shape (step,).
+
+    Returns:
+        "rms", "p95" and "max" [m] and "rows", each of shape (part,).
+
+    **Differentiability**: none, a host function.
+    """
+    error = np.asarray(error, np.float64)
+    found = [error[part == k] for k in range(len(PARTS))]
+    nothing = np.nan
+
+    def each(figure):
+        return np.array([figure(e) if e.size else nothing for e in found], np.float64)
+
+    return {
+        "rms": each(lambda e: np.sqrt(np.mean(e**2))),
+        "p95": each(lambda e: np.percentile(e, 95)),
+        "max": each(np.max),
+        "rows": np.array([e.size for e in found], np.float64),
+    }
+
+
+def rows_out_of_cut(
+    part: Int[np.ndarray, " step"],
+    force: FloatRows3,
+) -> int:
+    """Return in how many rows a tool cuts nothing where it should be in a full cut.
+
+    Entries and exits do not count: there a tool that is a little off begins or ends
+    its cut a little earlier or later. The force tells, not the removed volume, which
+    poses that stand close together leave to one of them.
+
+    Args:
+        part: What `path_parts` returned, shape (step,).
+        force: Mean force of the tooth period before each row [N], shape (step, 3).
+
+    Returns:
+        Rows of plateaus and corners without any force.
+
+    **Differentiability**: none, a host function.
+    """
+    is_full = np.isin(part, [PARTS.index("corner"), PARTS.index("plateau")])
+    return int(np.sum(is_full & ~np.any(np.asarray(force) != 0, axis=1)))
+
+
+def _travel(desired: Float[np.ndarray, "step 3"]) -> Float[np.ndarray, " step"]:
+    """Return the length of the path up to each row [m]."""
+    steps = np.linalg.norm(np.diff(desired, axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _distances_to_air(
+    travel: Float[np.ndarray, " step"], is_cutting: Bool[np.ndarray, " step"]
+) -> tuple[Float[np.ndarray, " step"], Float[np.ndarray, " step"]]:
+    """Return the travel since the cut began and until it ends [m]."""
+    air = np.flatnonzero(~is_cutting)
+    rows = np.arange(len(travel))
+    if not air.size:
+        # The path begins and ends within the material.
+        return travel - travel[0], travel[-1] - travel
+    place = np.searchsorted(air, rows)
+    first, last = np.clip(place - 1, 0, None), np.clip(place, None, len(air) - 1)
+    since = np.where(place > 0, travel - travel[air[first]], travel - travel[0])
+    until = np.where(place < len(air), travel[air[last]] - travel, travel[-1] - travel)
+    return since, until
+
+
+def _turn(
+    desired: Float[np.ndarray, "step 3"],
+    travel: Float[np.ndarray, " step"],
+    window: float,
+) -> Float[np.ndarray, " step"]:
+    """Return the angle of the feed `window` ahead of a row to that behind it [rad]."""
+    steps = np.diff(desired, axis=0)
+    length = np.linalg.norm(steps, axis=1)
+    moves = np.flatnonzero(length > _STILL)
+    if not moves.size:
+        return np.zeros(len(desired))
+    direction = steps[moves] / length[moves, None]
+    middle = 0.5 * (travel[moves] + travel[moves + 1])
+
+    def at(place):
+        nearest = np.clip(np.searchsorted(middle, place), 0, len(middle) - 1)
+        return direction[nearest]
+
+    cosine = np.sum(at(travel - window) * at(travel + window), axis=1)
+    return np.arccos(np.clip(cosine, -1.0, 1.0))
+
+
+def _section_rise(
+    travel: Float[np.ndarray, " step"],
+    volume: Float[np.ndarray, " step"],
+    reach: float,
+) -> Float[np.ndarray, " step"]:
+    """Return how much of the cut section came up over the last reach, -1 to 1.
+
+    The section is the removed volume per travel, over half a reach to either side.
+    """
+    total = np.cumsum(volume)
+
+    def removed(place):
+        return np.interp(place, *_strictly_rising(travel, total))
+
+    def section(place):
+        return (removed(place + reach / 2) - removed(place - reach / 2)) / reach
+
+    now, before = section(travel), section(travel - reach)
+    larger = np.maximum(now, before)
+    return np.divide(now - before, larger, out=np.zeros_like(now), where=larger > 0)
+
+
+def _strictly_rising(
+    travel: Float[np.ndarray, " step"], total: Float[np.ndarray, " step"]
+) -> tuple[Float[np.ndarray, " row"], Float[np.ndarray, " row"]]:
+    """Return the rows without dwells, with all that was removed up to their end."""
+    is_last = np.append(np.diff(travel) > 0, True)
+    return travel[is_last], total[is_last]

@@ -1,0 +1,79 @@
+"""Which rows of a path count, and how much: finishing passes matter, roughing not."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..._types import BoolSteps, IntSteps
+from ...workpiece import TICKS, Stock
+
+
+def row_weights(
+    is_cutting: BoolSteps,
+    line: IntSteps,
+    *,
+    sections: Sequence[tuple[int, int, float]] = (),
+    finished: Stock | None = None,
+    spread: int = 0,
+) -> Float[np.ndarray, " step"]:
+    """Return the weight of every row in the error.
+
+    Args:
+        is_cutting: Whether the rigid tool cuts, shape (step,); other rows weigh 0.
+        line: Line of the program that caused the row, shape (step,).
+        sections: First and last line of a section and its weight; a later section
+            overrides an earlier one.
+        finished: The stock after the rigid cut; where given, only rows that leave a
+            part of its surface count.
+        spread: Rows to either side of one that leaves a part of the surface that
+            count too: between two rays the tool may advance by several rows.
+
+    Returns:
+        Weights, shape (step,).
+
+    Raises:
+        ValueError: A weight is negative, or no row that cuts has one.
+
+    **Differentiability**: none, a host function.
+    """
+    weights = np.array(is_cutting, np.float64)
+    line = np.asarray(line)
+    for first, last, weight in sections:
+        if weight < 0:
+            raise ValueError(
+                f"Argument `sections` must weigh >= 0, but holds {weight}."
+            )
+        chosen = (line >= first) & (line <= last) & np.asarray(is_cutting, bool)
+        weights[chosen] = weight
+    if finished is not None:
+        is_finishing = np.zeros(len(weights), bool)
+        near = surface_poses(finished)[:, None] + np.arange(-spread, spread + 1)[None]
+        is_finishing[np.clip(near, 0, len(weights) - 1)] = True
+        weights[~is_finishing] = 0.0
+    if not np.any(weights > 0):
+        raise ValueError(
+            "Argument `sections` must leave a row that cuts a weight above 0, but all "
+            f"are 0; the rows that cut come from lines {_lines(line, is_cutting)}."
+        )
+    return weights
+
+
+def surface_poses(stock: Stock) -> Int[np.ndarray, " pose"]:
+    """Return the poses that cut some live end of a stock, ascending.
+
+    **Differentiability**: none, a host function.
+    """
+    found = []
+    for rays in stock.families:
+        ends, poses = np.asarray(rays.ends), np.asarray(rays.poses)
+        is_live = (ends[:, :, 1] > ends[:, :, 0])[:, :, None] & (poses >= 0)
+        # A tooth cuts in the period that ends at its pose.
+        found.append(np.unique(-(-poses[is_live] // TICKS)))
+    return np.unique(np.concatenate(found))
+
+
+def _lines(line: IntSteps, is_cutting: BoolSteps) -> str:
+    """Return the span of the lines that cut."""
+    cut = np.asarray(line)[np.asarray(is_cutting, bool)]
+    return f"{cut.min()} to {cut.max()}" if cut.size else "none"

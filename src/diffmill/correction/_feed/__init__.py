@@ -1,0 +1,1 @@
+"""The feed as the unknown: error against time."""

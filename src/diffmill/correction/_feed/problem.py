@@ -1,0 +1,129 @@
+"""A path whose feed is an unknown, and what the error and the time change with it.
+
+The rows of the path are found anew for every override, the plant is run over them, and
+the error is averaged over the length that is cut. The number of rows is that of the
+slowest override, so that the shapes stay and the whole differentiates.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...toolpath import PathFeed, contour_vector
+from .._core.problem import Weights
+
+
+class FeedProblem(eqx.Module):
+    """A path whose feed is to be chosen.
+
+    Attributes:
+        plant: Maps desired tips [m] and tool axes, each of shape (row, 3), to the
+            `Motion` that follows; traceable.
+        feed: The path with what bounds its speed.
+        weights: How much the error counts per length at each row of the programmed
+            path, shape (step,); best a smooth rise and fall, see `smoothed`.
+        lowest: Smallest override that is allowed.
+        highest: Largest override that is allowed.
+    """
+
+    plant: Callable[..., Any]
+    feed: PathFeed
+    weights: Weights
+    lowest: float = eqx.field(static=True, default=0.5)
+    highest: float = eqx.field(static=True, default=1.5)
+
+    def __check_init__(self):
+        """Refuse bounds that hold no override."""
+        if not 0 < self.lowest < self.highest < float("inf"):
+            raise ValueError(
+                "Argument `bounds` must be two positive numbers, the smaller first, "
+                f"but is {(self.lowest, self.highest)}."
+            )
+
+
+def smoothed(weights: Weights, rows: int = 8) -> Float[np.ndarray, " step"]:
+    """Return weights that rise and fall smoothly, over some rows to either side.
+
+    Where a weight jumps, the rows come and go one by one as the feed changes; the sum
+    over them then has small waves, whose slopes are as steep as what is sought.
+
+    **Differentiability**: none, it runs on the host.
+    """
+    box = np.full(rows, 1 / rows)
+    window = np.convolve(box, box)
+    wide = np.pad(np.asarray(weights, np.float64), rows - 1, mode="edge")
+    return np.convolve(wide, window, mode="valid")
+
+
+def feed_prediction(
+    problem: FeedProblem, override: Float[Array, " knot"], step_count: int
+) -> tuple[Float[Array, "row 3"], Float[Array, " row"]]:
+    """Return the contour vectors and how much each of them counts.
+
+    Args:
+        problem: The path and the plant.
+        override: Override at the knots, shape (knot,).
+        step_count: Rows to simulate; enough for the slowest override that occurs.
+
+    Returns:
+        Vectors from the desired path to the tip [m], shape (row, 3), and the length of
+        the path that each row stands for, times its weight [m], shape (row,): nothing
+        for a tool that stands still.
+
+    **Differentiability**: that of the plant, kinks as `PathFeed.instants`; the choice
+    of the nearest segment of the path is held.
+    """
+    feed = problem.feed
+    places = feed.places(override, step_count)
+    desired = feed.positions(places)
+    motion = problem.plant(desired, feed.axes(places))
+    rows = jnp.arange(problem.weights.shape[0], dtype=places.dtype)
+    weights = jnp.interp(places, rows, jnp.asarray(problem.weights, places.dtype))
+    return contour_vector(motion.actual, desired), weights * _lengths(desired)
+
+
+def _mean_square(
+    contour: Float[Array, "row 3"], share: Float[Array, " row"]
+) -> Float[Array, ""]:
+    return jnp.sum(share * jnp.sum(contour**2, axis=1)) / jnp.sum(share)
+
+
+def _lengths(rows: Float[Array, "row 3"]) -> Float[Array, " row"]:
+    """Return the length that the tool moves up to each row [m]."""
+    steps = jnp.diff(rows, axis=0, prepend=rows[:1])
+    square = jnp.sum(steps**2, axis=1)
+    is_any = square > 0
+    return jnp.where(is_any, jnp.sqrt(jnp.where(is_any, square, 1.0)), 0.0)
+
+
+@eqx.filter_jit
+def feed_figures(
+    problem: FeedProblem, x: Float[Array, " knot"], step_count: int
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """Return the mean square error [m^2] and the time [s]."""
+    override = jnp.exp(x)
+    found = feed_prediction(problem, override, step_count)
+    return _mean_square(*found), problem.feed.instants(override)[-1]
+
+
+@eqx.filter_jit
+def feed_slopes(
+    problem: FeedProblem, x: Float[Array, " knot"], step_count: int
+) -> tuple[Array, ...]:
+    """Return gradient and curvature of half the mean square error and of the time."""
+    predict = lambda x: (feed_prediction(problem, jnp.exp(x), step_count),) * 2
+    slopes, (contour, share) = jax.jacfwd(predict, has_aux=True)(x)
+    # Lengths and weights of the rows change too, but give no curvature: a sum over
+    # other rows of the same path.
+    half = lambda *found: _mean_square(*found) / 2
+    by_contour, by_share = jax.grad(half, argnums=(0, 1))(contour, share)
+    gradient = jnp.einsum("ra,rak->k", by_contour, slopes[0]) + by_share @ slopes[1]
+    J = slopes[0] * jnp.sqrt(share / jnp.sum(share))[:, None, None]
+    J = J.reshape(-1, x.size)
+    time = lambda x: problem.feed.instants(jnp.exp(x))[-1]
+    return gradient, J.T @ J, jax.jacfwd(time)(x), jax.jacfwd(jax.jacfwd(time))(x)

@@ -1,0 +1,216 @@
+"""The feed of a job: what an override costs in error and gains in time.
+
+`feed_tradeoff` overrides the whole program by stated factors and simulates, and
+corrects, each. `tune_feed` looks for the override along the path. Both simulate every
+override over as many rows as the slowest needs, the tool standing still at the end of
+the faster ones, where it cuts nothing: one compiled program serves all.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..._job import Job
+from ..._types import RealScalarLike
+from ...process import AbstractAdjoint, Traced
+from ...sim import (
+    Solution,
+    command_motors,
+    run_motors,
+    simulate,
+    with_intervals_of,
+    with_precision,
+)
+from ...toolpath import cycle_time, path_feed, retime, rows_until
+from .._core.problem import Motion
+from .._job.correct import NothingToCorrect, correct
+from .._job.objective import job_weights
+from .._job.plant_segments import wall_motion
+from .problem import FeedProblem, smoothed
+from .result import FeedTradeoff, TunedFeed
+from .trade_off_curve import OnShare, feed_curve
+
+_WEIGHTS = (0.3, 0.1, 0.03)
+
+
+class FeedPlant(eqx.Module):
+    """A job as a plant that is given tips and tool axes in `work`."""
+
+    job: Job
+    adjoint: AbstractAdjoint
+
+    def __call__(
+        self, desired: Float[Array, "row 3"], axes: Float[Array, "row 3"]
+    ) -> Motion:
+        """Return the motion that follows the desired path as command."""
+        place = lambda job: (job.path.positions, job.path.axes)
+        job = eqx.tree_at(place, self.job, (desired, axes))
+        motors, _ = command_motors(job, desired)
+        ran = run_motors(job, motors, self.adjoint)
+        return wall_motion(job, ran, None)
+
+
+def feed_tradeoff(
+    job: Job,
+    overrides: tuple[float, ...] = (0.5, 0.75, 1.0, 1.25, 1.5),
+    *,
+    corrects: bool = True,
+    acceleration: RealScalarLike | None = None,
+    on_progress: OnShare | None = None,
+) -> FeedTradeoff:
+    """Simulate, and correct, a job at several feeds.
+
+    Args:
+        job: The job; its machine must be a robot.
+        overrides: Factors of the feed of the whole program, positive; rapid moves are
+            not overridden.
+        corrects: Whether each is corrected too, as `[correction]` asks for.
+        acceleration: Largest acceleration of the program [m/s^2]; that of its path if
+            not given.
+        on_progress: Called with a message and the share done.
+
+    Returns:
+        The table. Errors are averaged over the length that is cut, since a slower tool
+        takes more rows for it.
+
+    Raises:
+        SimulationFailed: A run fails; a feed may be too fast for the window of rays.
+        NothingToCorrect: The program never cuts; a `ValueError`.
+        ValueError: The job has no robot, or an override is not positive.
+
+    **Differentiability**: runs on the host, not traceable.
+    """
+    _check_robot(job)
+    feed = path_feed(job.path, acceleration=acceleration)
+    times = [cycle_time(feed, override) for override in overrides]
+    rows = rows_until(max(times), feed.period)
+    tell = on_progress or (lambda message, share: None)
+    columns = []
+    for done, (override, time) in enumerate(zip(overrides, times, strict=True)):
+        share, name = done / len(overrides), f"override {override:g}"
+        tell(name, share)
+        path = retime(
+            job.path, override, acceleration=feed.acceleration, step_count=rows
+        )
+        slowed = eqx.tree_at(lambda j: j.path, job, path)
+        if corrects:
+            report = lambda text, rms, share=share, name=name: tell(
+                f"{name}, {text}: contour error {1e6 * rms:.2f} um rms", share
+            )
+            found = correct(slowed, on_progress=report)
+            before, after = found.before, _error(found.after)
+            offset = float(jnp.abs(found.commanded - before.desired).max())
+        else:
+            before, after, offset = simulate(slowed), np.nan, np.nan
+        columns.append(
+            (override, time, _advance(before), _error(before), after, offset)
+        )
+        tell(f"{name}: {1e6 * _error(before):.2f} um", (done + 1) / len(overrides))
+    return FeedTradeoff(*np.array(columns, float).T)
+
+
+def tune_feed(
+    job: Job,
+    *,
+    time_weights: tuple[float, ...] = _WEIGHTS,
+    count: int = 8,
+    bounds: tuple[float, float] = (0.5, 1.5),
+    acceleration: RealScalarLike | None = None,
+    max_steps: int = 8,
+    on_progress: OnShare | None = None,
+) -> TunedFeed:
+    """Find the feed override along the path for less error, less time, or both.
+
+    For every weight the sum of half the mean square contour error and of the weight
+    times the cycle time becomes small, each over that of the program as it is. At the
+    best override 1 % less time would add as much to the mean square error as twice the
+    weight in percent. Errors are those of the uncorrected program; a `path` found may
+    be corrected afterwards.
+
+    The derivative is that of the coupled simulation. What it holds constant is the
+    rows' choice of the nearest segment of the path, and the rays that a pose cuts;
+    where the tool cuts is taken from the program as it is, its beginning and end
+    smoothed over 8 rows.
+
+    Args:
+        job: The job; its machine must be a robot.
+        time_weights: Weights of the time, positive; each starts where the last ended.
+        count: Knots of the override, equally spaced over the length of the path.
+        bounds: Smallest and largest override.
+        acceleration: Largest acceleration of the program [m/s^2]; that of its path if
+            not given.
+        max_steps: Gauss-Newton steps for each weight at most.
+        on_progress: Called with a message and the share done.
+
+    Returns:
+        The curve, its first point being the program as it is.
+
+    Raises:
+        SimulationFailed: The run of the program as it is fails.
+        NothingToCorrect: The program never cuts; a `ValueError`.
+        ValueError: The job has no robot, a weight or a bound is not positive, or the
+            path never accelerates and no acceleration is given.
+
+    **Differentiability**: runs on the host, not traceable.
+    """
+    _check_robot(job)
+    job = with_precision(job)
+    adjoint = Traced()
+    before = simulate(job, adjoint=adjoint)
+    job = with_intervals_of(job, before.stock)
+    rigid = before.rigid
+    cutting = np.asarray(before.is_cutting)
+    if not cutting.any():
+        raise NothingToCorrect(_NEVER)
+    feed = path_feed(job.path, acceleration=acceleration)
+    problem = FeedProblem(
+        FeedPlant(job, adjoint),
+        feed,
+        smoothed(job_weights(job, rigid, cutting)),
+        *bounds,
+    )
+    points = feed_curve(
+        problem,
+        time_weights=time_weights,
+        count=count,
+        max_steps=max_steps,
+        on_progress=on_progress,
+    )
+    retimed = lambda point: retime(
+        job.path, point.override, acceleration=feed.acceleration
+    )
+    travel = float(feed.travel[-1]) * np.linspace(0.0, 1.0, count)
+    return TunedFeed(points, travel, tuple(retimed(point) for point in points))
+
+
+_NEVER = (
+    "Argument `job` must have a program that cuts its stock, but the rigid tool "
+    "removes nothing."
+)
+
+
+def _check_robot(job: Job) -> None:
+    if job.robot is None:
+        raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
+
+
+def _steps(solution: Solution) -> Float[np.ndarray, " row"]:
+    """Return the length of the path up to each row that cuts, else zero [m]."""
+    rows = np.asarray(solution.desired, np.float64)
+    steps = np.linalg.norm(np.diff(rows, axis=0, prepend=rows[:1]), axis=1)
+    return np.where(np.asarray(solution.is_cutting), steps, 0.0)
+
+
+def _advance(solution: Solution) -> float:
+    """Return the median advance per tooth of the rows that cut [m]."""
+    steps = _steps(solution)
+    if not np.any(steps > 0):
+        raise NothingToCorrect(_NEVER)
+    return float(np.median(steps[steps > 0]))
+
+
+def _error(solution: Solution) -> float:
+    """Return the root mean square contour error over the length that is cut [m]."""
+    square = np.asarray(solution.contour_error, np.float64) ** 2
+    return float(np.sqrt(np.average(square, weights=_steps(solution))))

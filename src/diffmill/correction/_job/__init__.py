@@ -1,0 +1,1 @@
+"""The correction of a job: plants, objective, limits, cases, one after another."""

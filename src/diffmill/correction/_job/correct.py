@@ -1,0 +1,347 @@
+"""Correcting a job: the baselines, then the best command that derivatives find."""
+
+import dataclasses
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ..._job import Job
+from ..._types import FloatRows
+from ...process import AbstractAdjoint, Traced
+from ...sim import (
+    Solution,
+    command_joints,
+    raise_unless_successful,
+    run_with_room,
+    with_precision,
+)
+from .._core.method import Corrected, GivenCommand
+from .._core.path_segments import path_parts
+from .._core.problem import Problem
+from .._least_squares_records import LeastSquaresStep
+from .._method.checkpoint import Arrays, OnCheckpoint
+from .._method.gauss_newton import GaussNewton
+from .._method.input_shaper import shaped_program
+from .._method.inverse_drive import InverseDriveCommand, inverse_drive
+from .._method.mirror import Mirror
+from .._spline.projection import clip_offset
+from .._surface.finished_surface import touching_rows
+from .case_runner import CaseRecord, OnProgress
+from .joint_limits import check_joints
+from .method import (
+    OPTIMISERS,
+    for_the_path,
+    job_optimiser,
+    out_of_bounds,
+    preconditioned,
+    within_joint_limits,
+)
+from .objective import (
+    check_limits,
+    job_objective,
+    job_surface,
+    job_weights,
+    remaining_error,
+)
+from .plants import (
+    JointPlant,
+    SolvedMotion,
+    TipPlant,
+    job_mirror,
+    job_problem,
+    joint_problem,
+    solved_motion,
+)
+from .resumable import horizon_of, keeping, remembering
+
+if TYPE_CHECKING:
+    import xarray
+
+CASES = (
+    "uncorrected",
+    "mirror",
+    "mirror_iterated",
+    "input_shaper",
+    "inverse_drive",
+    "corrected",
+)
+
+
+class NothingToCorrect(ValueError):
+    """Raise when a program never cuts, so that there is no error to correct."""
+
+
+class Correction(eqx.Module):
+    """A corrected job and what it was compared with.
+
+    Attributes:
+        cases: Solution of each case, by name, in the order of `CASES`.
+        methods: What each method reported, by name.
+        wall_time: Time that each method took, compilation included [s].
+        path_part: Part of the path of each row, see `path_parts`, shape (step,).
+        chosen: Name of the case whose command is the corrected program.
+    """
+
+    cases: dict[str, Solution]
+    methods: dict[str, Corrected]
+    wall_time: dict[str, float]
+    path_part: Int[np.ndarray, " step"]
+    chosen: str = eqx.field(static=True)
+
+    @property
+    def before(self) -> Solution:
+        """Return the solution of the uncorrected program."""
+        return self.cases["uncorrected"]
+
+    @property
+    def after(self) -> Solution:
+        """Return the solution of the corrected program."""
+        return self.cases[self.chosen]
+
+    @property
+    def mirror(self) -> Solution:
+        """Return the solution of the one-shot mirror."""
+        return self.cases["mirror"]
+
+    @property
+    def commanded(self) -> Float[Array, "step 3"]:
+        """Return the corrected tip positions [m], shape (step, 3)."""
+        return self.after.commanded
+
+    @property
+    def history(self) -> tuple[LeastSquaresStep, ...]:
+        """Return the steps of the chosen method, without those that found its start."""
+        return self.methods[self.chosen].history
+
+    def to_dataset(self) -> "xarray.Dataset":
+        """Return all cases on `case`, figures by part of the path, and costs."""
+        from .dataset import correction_dataset
+
+        return correction_dataset(self)
+
+
+def correct(
+    job: Job,
+    *,
+    throw: bool = True,
+    on_progress: OnProgress | None = None,
+    on_checkpoint: OnCheckpoint | None = None,
+    resume: Arrays | None = None,
+) -> Correction:
+    """Predict, correct, and predict again.
+
+    The best of the commands that the job compares starts the optimiser, and only a
+    method that is asked for or compared runs. For the surface, or within bounds
+    of it, a path that is corrected as a whole is first brought onto the desired one
+    wherever it touches the surface: of the poses over a point only the deepest leaves
+    an error, and one after the other would have to be raised.
+
+    Args:
+        job: The job; its machine must be a robot.
+        throw: Whether to raise when the uncorrected run does not succeed.
+        on_progress: Called with a message and the rms contour error so far [m].
+        on_checkpoint: Called with all that is needed to go on, plain arrays by name:
+            after every method, every step of Gauss-Newton on a whole path, and every
+            segment of a long one.
+        resume: What it was called with for the same job, to go on from there to the
+            same result.
+
+    Returns:
+        The correction with all its cases.
+
+    Raises:
+        SimulationFailed: The run of the uncorrected program fails.
+        NothingToCorrect: The program never cuts, or all that cuts has no weight; a
+            `ValueError`.
+        InfeasibleLimit: The program itself breaks a limit, or no correction holds all
+            that is asked for; a `ValueError`.
+        UnsuitableSettings: Knots, horizon or overlap do not suit the path; a
+            `ValueError`.
+        ValueError: The job has no robot, or JAX is not set up for its precision.
+
+    Differentiability: runs on the host, not traceable.
+    """
+    job = with_precision(job)
+    if job.robot is None:
+        raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
+    # A horizon that cannot be is refused before anything runs.
+    horizon = horizon_of(job)
+    check_limits(job)
+    # Adam asks for one gradient at a point, the others for many products.
+    adjoint = Traced(keeps_slopes=job.correction.method != "adam")
+    desired = jnp.asarray(job.path.positions)
+    # A program beyond a joint's limit is refused before anything runs, too.
+    check_joints(job, desired, is_joints=False)
+    job, before = run_with_room(job, desired, adjoint, lambda message, share: None)
+    rigid = before.rigid
+    if throw:
+        raise_unless_successful(before, job)
+    weights = _weights(job, rigid, before)
+    plant = TipPlant(job, adjoint, before.wall_share, rigid)
+    problem = job_problem(job, plant, desired, before, weights)
+    task = _Task(job, adjoint, before, problem, horizon)
+    is_optimised = "corrected" in compared(job)
+    # Settings that do not suit the job are refused before the baselines run.
+    optimiser = _Optimiser(task) if is_optimised else None
+    record = CaseRecord(on_progress, on_checkpoint, resume)
+    inverse = _inverse_drive(job, rigid.force, desired)
+    _run_baselines(task, record, inverse)
+    if optimiser is not None:
+        optimiser.run(record, inverse)
+    return _finished(task, record)
+
+
+class _Task(NamedTuple):
+    """What every case of a correction is made from."""
+
+    job: Job
+    adjoint: AbstractAdjoint
+    before: Solution
+    problem: Problem
+    horizon: tuple[int, int] | None
+
+
+def compared(job: Job) -> tuple[str, ...]:
+    """Return the cases of a job's correction, in the order of `CASES`."""
+    settings = job.correction
+    if settings.compare == "all":
+        return CASES
+    asked = "corrected" if settings.method in OPTIMISERS else settings.method
+    few = {"uncorrected", "mirror", "inverse_drive", asked}
+    return tuple(case for case in CASES if case in few)
+
+
+def _run_baselines(
+    task: _Task, record: CaseRecord, inverse: InverseDriveCommand
+) -> None:
+    """Run the cases that need no optimiser."""
+    job, problem = task.job, task.problem
+    cases = compared(job)
+    known = solved_motion(task.before)
+    record.run("uncorrected", GivenCommand(motion=known), problem)
+    record.run("mirror", Mirror(before=known), problem)
+    if "mirror_iterated" in cases:
+        mirror = job_mirror(problem, task.before, task.horizon)
+        record.run("mirror_iterated", mirror, problem)
+    desired, bound = jnp.asarray(problem.desired), problem.max_offset
+    if "input_shaper" in cases:
+        tips = clip_offset(desired, shaped_program(job, desired), bound)
+        record.run("input_shaper", GivenCommand(tips), problem)
+    tips = clip_offset(desired, inverse.tip, bound)
+    record.run("inverse_drive", GivenCommand(tips), problem)
+
+
+class _Optimiser:
+    """The case that an optimiser finds, from the best of those before."""
+
+    def __init__(self, task: _Task):
+        job, before = task.job, task.before
+        self.task = task
+        self.surface = job_surface(job, before.rigid)
+        weights = np.asarray(task.problem.is_cutting)
+        self.objective = job_objective(job, self.surface, weights)
+        self.method = job_optimiser(job, self.objective, self.surface, task.adjoint)
+
+    def run(self, record: CaseRecord, inverse: InverseDriveCommand) -> None:
+        """Add the case to those of a record."""
+        job, adjoint, before, problem, _ = self.task
+        method = self.method
+        if job.correction.command == "joint":
+            tips = problem
+            problem = joint_problem(job, adjoint, before, tips)
+            start = inverse.motor_positions
+        else:
+            start = min(record.methods.values(), key=self._remaining).command
+            method = preconditioned(method, job, jnp.asarray(problem.desired))
+        method = within_joint_limits(method, job, problem)
+        path_first = None if self.task.horizon else for_the_path(method)
+        if path_first is not None:
+            start = self._on_the_path(record, path_first, problem, start)
+        kept = keeping(job, method, adjoint, record, before.wall_share)
+        record.run("corrected", kept, problem, start=start)
+
+    def _on_the_path(
+        self,
+        record: CaseRecord,
+        path_first: GaussNewton,
+        problem: Problem,
+        start: FloatRows,
+    ) -> FloatRows:
+        """Return a start with the rows that touch the surface on the path."""
+        assert self.surface is not None
+        rows = touching_rows(self.surface, np.asarray(problem.desired))
+        rows = rows.astype(problem.is_cutting.dtype)
+        if self.task.job.correction.objective == "path":
+            rows = np.maximum(problem.is_cutting, rows)
+        touching = dataclasses.replace(problem, is_cutting=rows)
+        first = remembering(path_first, "path_first", record)
+        found = record.prepare("path_first", first, touching, start=start)
+        given = GivenCommand(path_first.begin(problem, start))
+        given = record.prepare("given_first", given, problem)
+        closest = lambda m: self._remaining(m) + out_of_bounds(self.method, m)
+        return min((found, given), key=closest).command
+
+    def _remaining(self, found: Corrected) -> float:
+        return remaining_error(self.objective, self.task.problem, found)
+
+
+def _finished(task: _Task, record: CaseRecord) -> Correction:
+    """Check the command that is asked for, and collect the solutions of all cases."""
+    job, before, methods = task.job, task.before, record.methods
+    asked = job.correction.method
+    chosen = "corrected" if asked in OPTIMISERS else asked
+    are_joints = job.correction.command == "joint" and chosen == "corrected"
+    check_joints(job, methods[chosen].command, is_joints=are_joints)
+    cases = {name: _solution(task, name, found) for name, found in methods.items()}
+    parts = path_parts(
+        np.asarray(before.desired),
+        np.asarray(before.is_cutting),
+        job.cutter.nominal_radius,
+        removed_volume=np.asarray(before.rigid.removed_volume),
+    )
+    return Correction(cases, methods, record.wall_time, parts, chosen)
+
+
+def _solution(task: _Task, name: str, found: Corrected) -> Solution:
+    """Return the solution of a case; one that was taken up again has to be run."""
+    if isinstance(found.motion, SolvedMotion):
+        return found.motion.solution
+    job, before = task.job, task.before
+    is_joints = name == "corrected" and job.correction.command == "joint"
+    plant = JointPlant if is_joints else TipPlant
+    motion = plant(job, task.adjoint, before.wall_share, before.rigid).run(
+        found.command
+    )
+    assert isinstance(motion, SolvedMotion)
+    return motion.solution
+
+
+def _weights(job: Job, rigid: Any, before: Solution) -> Float[np.ndarray, " step"]:
+    """Return how much every row counts; refuse a path of which none does."""
+    if not bool(jnp.any(before.is_cutting)):
+        raise NothingToCorrect(
+            "Argument `job` must have a program that cuts its stock, but the rigid "
+            "tool removes nothing."
+        )
+    try:
+        return job_weights(job, rigid, np.asarray(before.is_cutting))
+    except ValueError as error:
+        raise NothingToCorrect(str(error)) from error
+
+
+@eqx.filter_jit
+def _inverse_drive(
+    job: Job, force: Float[Array, "step 3"], desired: Float[Array, "step 3"]
+) -> InverseDriveCommand:
+    joints, _ = command_joints(job, desired)
+    return inverse_drive(
+        job.robot,  # pyright: ignore[reportArgumentType]
+        joints,
+        force,
+        job.tooth_period,
+        T_base_work=job.T_base_work,
+        is_gravity_compensated=job.simulation.is_gravity_compensated,
+    )

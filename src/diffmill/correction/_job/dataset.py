@@ -1,0 +1,158 @@
+"""A correction as labelled arrays: every case with the same figures."""
+
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..._result import RESULTS
+from ...workpiece import SurfaceMeasures, measure_surface, surface_error
+from .._core.path_segments import PARTS, by_part, rows_out_of_cut
+
+if TYPE_CHECKING:
+    import xarray
+
+    from .correct import Correction
+
+# Rows that differ from case to case.
+_BY_CASE = (
+    "commanded",
+    "actual",
+    "force",
+    "removed_volume",
+    "deviation",
+    "surface_deviation",
+    "contour_error",
+    "motor_positions",
+    "joint_positions",
+)
+_PART_FIGURES = {
+    "rms": "root mean square contour error",
+    "p95": "95 % of the rows have a smaller contour error",
+    "max": "largest contour error",
+}
+_SURFACE_FIGURES = {
+    "mean": "mean signed error of the {}s, positive where material was left",
+    "rms": "root mean square error of the {}s",
+    "p95": "95 % of the {}s' points are closer to the ideal surface",
+    "deepest": "largest depth of a cut into the ideal part",
+}
+
+
+def correction_dataset(correction: "Correction") -> "xarray.Dataset":
+    """Return all cases on the dimension `case`, costs in the attributes."""
+    import xarray
+
+    names = list(correction.cases)
+    dataset = xarray.concat(
+        [correction.cases[name].to_dataset() for name in names],
+        dim=xarray.DataArray(names, dims="case", name="case"),
+        data_vars=[*_BY_CASE],
+        combine_attrs="drop_conflicts",
+    )
+    dataset = dataset.assign(_figures(correction)).assign_coords(part=list(PARTS))
+    for name, method in correction.methods.items():
+        dataset.attrs[f"{name}_wall_time_s"] = correction.wall_time[name]
+        dataset.attrs[f"{name}_forward_runs"] = method.forward_runs
+        dataset.attrs[f"{name}_products"] = method.products
+        for key, value in method.detail.items():
+            dataset.attrs[f"{name}_{key}"] = value
+    dataset.attrs["corrected_case"] = correction.chosen
+    is_settled = bool(
+        correction.methods[correction.chosen].result == RESULTS.successful
+    )
+    dataset.attrs["corrected_outcome"] = "settled" if is_settled else "steps ran out"
+    return dataset
+
+
+def _figures(correction: "Correction") -> dict[str, tuple[Any, ...]]:
+    """Return the figures of all cases as variables of a dataset."""
+    part = np.asarray(correction.path_part)
+    contours = [method.contour for method in correction.methods.values()]
+    tables = [by_part(np.linalg.norm(contour, axis=1), part) for contour in contours]
+    means = np.stack([np.mean(contour[part >= 0], axis=0) for contour in contours])
+    accelerations = np.array(
+        [
+            _acceleration(solution.commanded, solution.time)
+            for solution in correction.cases.values()
+        ]
+    )
+    meaning = "mean of the vector from the desired path to the tip, where the tool cuts"
+    found: dict[str, tuple[Any, ...]] = {
+        "path_part": (
+            ("step",),
+            part.astype(np.int8),
+            {
+                "units": "1",
+                "long_name": "part of the path, -1 where the tool does not cut",
+                "flag_values": np.arange(len(PARTS), dtype=np.int8),
+                "flag_meanings": " ".join(PARTS),
+            },
+        ),
+        "contour_mean": (("case", "axis"), means, _about("m", meaning)),
+        "part_rows": (
+            ("part",),
+            tables[0]["rows"].astype(np.int32),
+            _about("1", "rows that belong to the part"),
+        ),
+        "max_acceleration": (
+            ("case",),
+            accelerations[:, 0],
+            _about("m s-2", "largest acceleration of the commanded tip"),
+        ),
+        "p95_acceleration": (
+            ("case",),
+            accelerations[:, 1],
+            _about("m s-2", "95 % of the rows have a smaller acceleration"),
+        ),
+    }
+    left = [
+        rows_out_of_cut(part, np.asarray(solution.force))
+        for solution in correction.cases.values()
+    ]
+    found["rows_out_of_cut"] = (
+        ("case",),
+        np.array(left, np.int32),
+        _about(
+            "1", "rows where nothing pushes the tool but it should be in a full cut"
+        ),
+    )
+    for key, text in _PART_FIGURES.items():
+        values = np.stack([table[key] for table in tables])
+        found[f"part_{key}"] = (("case", "part"), values, _about("m", text))
+    return {**found, **_surface_figures(correction)}
+
+
+def _surface_figures(correction: "Correction") -> dict[str, tuple[Any, ...]]:
+    """Return the errors of the machined surface, walls and floors apart."""
+    if not bool(correction.before.rigid.stock.volume() > 0):
+        return {}
+    measures = [
+        measure_surface(
+            surface_error(solution.stock, solution.rigid.stock, leaves_out_raw=True)
+        )
+        for solution in correction.cases.values()
+    ]
+    found = {}
+    for field in fields(SurfaceMeasures):
+        text = _SURFACE_FIGURES[field.name.split("_")[-1]].format(
+            field.name.split("_")[0]
+        )
+        values = np.array([getattr(measure, field.name) for measure in measures])
+        found[f"surface_{field.name}"] = (("case",), values, _about("m", text))
+    return found
+
+
+def _about(units: str, meaning: str) -> dict[str, Any]:
+    return {"units": units, "long_name": meaning}
+
+
+def _acceleration(
+    commanded: Float[Array, "step 3"], time: Float[Array, " step"]
+) -> tuple[float, float]:
+    """Return the largest acceleration of a tip command, and that of 95 %."""
+    tips, instants = np.asarray(commanded, np.float64), np.asarray(time, np.float64)
+    step = (instants[-1] - instants[0]) / (len(instants) - 1)
+    size = np.linalg.norm(np.diff(tips, 2, axis=0), axis=1) / step**2
+    return float(size.max()), float(np.percentile(size, 95))

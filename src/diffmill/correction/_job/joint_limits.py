@@ -1,0 +1,189 @@
+"""Limits of the joints, of the motors' positions that a command asks for.
+
+A row of a tip command asks for motor positions theta(x), whose derivative at the
+desired tip is known. To first order an offset B c of the tip keeps
+
+    least <= theta(x) + dtheta/dx (B c) <= most,
+
+which is linear in the coefficients c and concerns only rows from which the largest
+offset could reach a limit: of most programs none. The limits are drawn in by what theta
+bends over the largest offset, so that the first order is enough.
+"""
+
+import itertools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..._job import Job
+from ..._types import FloatRows
+from ...sim import command_motors, joint_motors
+from .._spline.command_limits import InfeasibleLimit, MixedLimits
+from .._spline.spline_offsets import SplineOffsets, basis_matrix
+
+# The bend within a box is taken as that at its corners and so many times more.
+_SAFE = 1.5
+
+Motors = Float[np.ndarray, "step joint"]
+
+
+def joint_limits(
+    job: Job, spline: SplineOffsets, nominal: FloatRows, max_offset: float
+) -> tuple[MixedLimits, ...]:
+    """Return the limits that keep a job's motors within their ranges.
+
+    Args:
+        job: The job; its machine must be a robot.
+        spline: Basis of the offset.
+        nominal: The uncorrected command: tips [m] or joints, shape (step, axis).
+        max_offset: Bound of the coefficients.
+
+    Returns:
+        One entry, or none where no limit is near.
+
+    Raises:
+        InfeasibleLimit: The program itself is beyond a limit, or so near to one that
+            the curvature of the motion leaves no room.
+
+    **Differentiability**: none, a host function.
+    """
+    robot = job.robot
+    if robot is None:
+        raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
+    tips = jnp.asarray(nominal)
+    motors, slope = (np.asarray(x, np.float64) for x in _linearised(job, tips))
+    bend = _bend(job, tips, motors, slope, max_offset)
+    least, most = (
+        np.asarray(x, np.float64)[None] for x in (robot.joint_lower, robot.joint_upper)
+    )
+    lower, upper = least + bend - motors, most - bend - motors
+    why = ", with what the joint's motion bends over `max_offset`"
+    _refuse(job, motors, np.maximum(lower, -upper), spline.time_step, why)
+    reach = max_offset * np.sum(np.abs(slope), axis=2)
+    rows, joints = np.nonzero((lower > -reach) | (upper < reach))
+    if not rows.size:
+        return ()
+    return (_mixed(spline, slope, rows, joints, (lower, upper)),)
+
+
+def check_joints(job: Job, command: FloatRows, *, is_joints: bool) -> None:
+    """Raise if a command brings a motor beyond its limit.
+
+    Args:
+        job: The job; its machine must be a robot.
+        command: Tip positions [m] or joint positions, shape (step, axis).
+        is_joints: Whether they are joint positions.
+
+    Raises:
+        InfeasibleLimit: It does; the message says which, when and by how much.
+
+    **Differentiability**: none, a host function.
+    """
+    robot = job.robot
+    if robot is None:
+        raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
+    motors = np.asarray(_motors(job, jnp.asarray(command), is_joints), np.float64)
+    least, most = np.asarray(robot.joint_lower), np.asarray(robot.joint_upper)
+    excess = np.maximum(least[None] - motors, motors - most[None])
+    _refuse(job, motors, excess, float(job.tooth_period), "")
+
+
+def _bend(
+    job: Job,
+    command: Float[Array, "step axis"],
+    motors: Motors,
+    slope: Float[np.ndarray, "step joint axis"],
+    max_offset: float,
+) -> Motors:
+    """Return how far motors come from the first order, at most, within the offset."""
+    axis_count = command.shape[1]
+    # To second order opposite corners are alike.
+    signs = itertools.product((1.0, -1.0), repeat=axis_count - 1)
+    bend, is_joints = np.zeros_like(motors), job.correction.command == "joint"
+    for sign in signs:
+        shift = max_offset * np.array([1.0, *sign])
+        moved = command + jnp.asarray(shift[None], command.dtype)
+        change = np.asarray(_motors(job, moved, is_joints), np.float64) - motors
+        bend = np.maximum(bend, np.abs(change - slope @ shift))
+    return _SAFE * bend
+
+
+@eqx.filter_jit
+def _motors(
+    job: Job, command: Float[Array, "step axis"], is_joints: bool
+) -> Float[Array, "step joint"]:
+    """Return the motor positions of tips, or of joints."""
+    if is_joints:
+        return joint_motors(job, command)
+    return command_motors(job, command)[0]
+
+
+@eqx.filter_jit
+def _linearised(
+    job: Job, command: Float[Array, "step axis"]
+) -> tuple[Float[Array, "step joint"], Float[Array, "step joint axis"]]:
+    """Return the motors and their derivatives by the same row of the command."""
+    axes = jnp.eye(command.shape[1], dtype=command.dtype)
+    motors = lambda rows: _motors(job, rows, job.correction.command == "joint")
+
+    # All rows are moved at once: a row's motors depend on its own tip only.
+    def along(axis: Float[Array, " axis"]) -> Float[Array, "step joint"]:
+        push = jnp.broadcast_to(axis[None], command.shape)
+        return jax.jvp(motors, (command,), (push,))[1]
+
+    return motors(command), jnp.moveaxis(jax.lax.map(along, axes), 0, 2)
+
+
+def _refuse(
+    job: Job, motors: Motors, excess: Motors, time_step: float, why: str
+) -> None:
+    """Raise if a motor is beyond its limit, or nearer than its motion bends."""
+    row, joint = np.unravel_index(np.argmax(excess), excess.shape)
+    worst = float(excess[row, joint])
+    if worst <= 0:
+        return
+    robot = job.robot
+    assert robot is not None
+    name = robot.joint_names[joint]
+    least, most = float(robot.joint_lower[joint]), float(robot.joint_upper[joint])
+    raise InfeasibleLimit(
+        f"`joint limits` of {name!r} must hold {float(motors[row, joint]):.6g} rad (or "
+        f"m) at {row * time_step:.4g} s, but are {least:.6g} to {most:.6g}: "
+        f"{worst:.3g} too narrow{why}."
+    )
+
+
+def _mixed(
+    spline: SplineOffsets,
+    slope: Float[np.ndarray, "step joint axis"],
+    rows: np.ndarray,
+    joints: np.ndarray,
+    bounds: tuple[Motors, Motors],
+) -> MixedLimits:
+    """Return the chosen limits as rows of a sparse matrix."""
+    from scipy import sparse
+
+    basis = sparse.coo_array(basis_matrix(spline)[rows])
+    axis_count = slope.shape[2]
+    parts = [
+        (
+            basis.data * slope[rows, joints, axis][basis.row],
+            (basis.row, basis.col * axis_count + axis),
+        )
+        for axis in range(axis_count)
+    ]
+    shape = (len(rows), spline.coefficient_count * axis_count)
+    matrix = sum(
+        (sparse.csr_array(part, shape=shape) for part in parts[1:]),
+        sparse.csr_array(parts[0], shape=shape),
+    )
+    return MixedLimits(
+        matrix=matrix,
+        lower=bounds[0][rows, joints],
+        upper=bounds[1][rows, joints],
+        axis_count=axis_count,
+        name="joint limits",
+    )

@@ -1,0 +1,135 @@
+"""The optimiser that a job asks for, with all that it must hold."""
+
+import dataclasses
+from typing import TypeAlias
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..._job import Job
+from ...process import AbstractAdjoint
+from ...sim import command_joints
+from .._core.method import Corrected
+from .._core.path_objective import AbstractObjective, PathObjective
+from .._core.problem import Problem
+from .._least_squares_records import LevenbergMarquardt
+from .._method.adam import Adam
+from .._method.gauss_newton import GaussNewton
+from .._response import tip_response
+from .._surface.finished_surface import FinishedSurface, SurfaceObjective
+from .._surface.surface_limits import SurfaceBounds, layer_thickness, surface_bounds
+from .joint_limits import joint_limits
+from .objective import job_ensemble, job_spline, largest_acceleration
+
+Optimiser: TypeAlias = GaussNewton | Adam
+
+# Methods that look for the case "corrected".
+OPTIMISERS = ("gauss_newton", "adam")
+
+
+def job_optimiser(
+    job: Job,
+    objective: AbstractObjective,
+    surface: FinishedSurface | None,
+    adjoint: AbstractAdjoint,
+) -> Optimiser:
+    """Return the optimiser with the settings of a job.
+
+    Raises:
+        ValueError: Bounds of the surface are asked for where there is none.
+    """
+    settings = job.correction
+    if settings.method == "adam":
+        return Adam(
+            knot_spacing=settings.knot_spacing,
+            steps=settings.max_steps,
+            objective=objective,
+        )
+    known = settings.uncertainty
+    return GaussNewton(
+        knot_spacing=settings.knot_spacing,
+        solver=LevenbergMarquardt(
+            max_steps=settings.max_steps,
+            max_products=settings.max_products,
+            cost_rtol=1e-2,
+        ),
+        objective=objective,
+        ensemble=job_ensemble(job, adjoint),
+        is_worst_case=known is not None and known.objective == "worst",
+        bounds=job_bounds(job, surface),
+        max_velocity=settings.max_velocity,
+        max_acceleration=largest_acceleration(job),
+    )
+
+
+def for_the_path(method: Optimiser) -> GaussNewton | None:
+    """Return what brings the rows near the surface onto the path; None if not needed.
+
+    One model is enough for a start, and it may leave the bounds of the surface: on the
+    path it is close to them, while the way to them from afar, with a spring at every
+    point that is out of bounds, takes many steps. A segment of a long path begins where
+    the one before it has ended, and goes that way.
+    """
+    if not isinstance(method, GaussNewton):
+        return None
+    if not isinstance(method.objective, SurfaceObjective) and method.bounds is None:
+        return None
+    return dataclasses.replace(
+        method,
+        objective=PathObjective(),
+        ensemble=None,
+        is_worst_case=False,
+        bounds=None,
+    )
+
+
+def out_of_bounds(method: Optimiser, found: Corrected) -> float:
+    """Return how far the surface leaves the method's bounds [m]; 0 without any."""
+    if not isinstance(method, GaussNewton) or method.bounds is None:
+        return 0.0
+    return method.bounds.excess(found.motion)
+
+
+def job_bounds(job: Job, surface: FinishedSurface | None) -> SurfaceBounds | None:
+    """Return the bounds of the surface that `[correction]` asks for, or None.
+
+    Raises:
+        ValueError: They are asked for where there is no surface of walls and floors.
+    """
+    settings = job.correction
+    if not (settings.stay_in_cut or np.isfinite(settings.gouge)):
+        return None
+    if surface is None:
+        raise ValueError(
+            "Argument `job` must have neither `gouge` nor `stay_in_cut`, which need a "
+            "flat cutter along +z that leaves walls or floors."
+        )
+    layers = None
+    if settings.stay_in_cut:
+        layers = layer_thickness(surface, job.stock, job.path.positions)
+    return surface_bounds(surface, gouge=settings.gouge, layers=layers)
+
+
+def within_joint_limits(method: Optimiser, job: Job, problem: Problem) -> Optimiser:
+    """Return the optimiser with the limits of the joints.
+
+    Raises:
+        InfeasibleLimit: The program leaves the joints no room.
+    """
+    bound = float(problem.max_offset)
+    limits = joint_limits(job, job_spline(job), problem.nominal, bound)
+    return dataclasses.replace(method, limits=limits)
+
+
+def preconditioned(
+    method: Optimiser, job: Job, desired: Float[Array, "step 3"]
+) -> Optimiser:
+    """Return the optimiser with the arm's response in the middle of the path."""
+    if isinstance(method, Adam):
+        return method
+    joints, _ = command_joints(job, desired)
+    middle = joints[joints.shape[0] // 2]
+    rotation = jnp.asarray(job.T_base_work)[:3, :3]
+    response = tip_response(job.robot, middle, rotation)  # pyright: ignore[reportArgumentType]
+    return dataclasses.replace(method, response=response)

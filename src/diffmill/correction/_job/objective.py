@@ -1,0 +1,168 @@
+"""From the settings of a job to weights, objective and surface of its correction."""
+
+import numpy as np
+from jaxtyping import Float
+
+from ..._job import Job
+from ..._types import BoolSteps
+from ...process import AbstractAdjoint, ProcessSolution
+from ...sim import parameter_names
+from .._core.method import Corrected
+from .._core.path_objective import AbstractObjective, PathObjective
+from .._core.problem import Problem
+from .._core.row_weights import row_weights
+from .._method.ensemble import (
+    Ensemble,
+    LatePlant,
+    ScaledPlant,
+    draw_scales,
+    with_delays,
+)
+from .._spline.command_limits import command_limits
+from .._spline.spline_offsets import SplineOffsets
+from .._surface.finished_surface import (
+    FinishedSurface,
+    SurfaceObjective,
+    finished_surface,
+    point_shares,
+)
+
+
+class UnsuitableSettings(ValueError):
+    """Raise when settings of the correction do not suit the path of the job."""
+
+
+def job_weights(
+    job: Job, rigid: ProcessSolution, is_cutting: BoolSteps
+) -> Float[np.ndarray, " step"]:
+    """Return the weight of every row, as `[correction]` asks for.
+
+    Raises:
+        ValueError: No row that cuts has a weight.
+    """
+    settings = job.correction
+    steps = np.linalg.norm(np.diff(np.asarray(job.path.positions), axis=0), axis=1)
+    feed = np.median(steps[np.asarray(is_cutting, bool)[1:]])
+    # The next ray is a spacing away, in which the tool may advance by several rows.
+    spread = int(np.ceil(job.stock.spacing / max(feed, 1e-2 * job.stock.spacing)))
+    return row_weights(
+        is_cutting,
+        job.path.line,
+        sections=settings.sections,
+        finished=rigid.stock if settings.finishing_only else None,
+        spread=spread,
+    )
+
+
+def job_surface(job: Job, rigid: ProcessSolution) -> FinishedSurface | None:
+    """Return the surface as it should be; None where it is not of walls and floors.
+
+    It is for a flat cutter that stands along +z and leaves something of what it cut.
+    """
+    if not job.cutter.is_plain or job.simulation.axes:
+        return None
+    try:
+        return finished_surface(
+            rigid.stock, job.path.positions, job.cutter.nominal_radius
+        )
+    except ValueError:
+        return None
+
+
+def check_limits(job: Job) -> None:
+    """Raise before anything runs if the program itself breaks a limit.
+
+    Raises:
+        InfeasibleLimit: It does.
+        UnsuitableSettings: The program is too short for the knots.
+    """
+    command_limits(
+        job_spline(job),
+        job.path.positions,
+        max_velocity=job.correction.max_velocity,
+        max_acceleration=largest_acceleration(job),
+        unit="m",
+    )
+
+
+def largest_acceleration(job: Job) -> float:
+    """Return what the corrected command may accelerate per axis [m/s^2]."""
+    settings = job.correction
+    if not np.isfinite(settings.acceleration_factor):
+        return settings.max_acceleration
+    steps = np.diff(np.asarray(job.path.positions, np.float64), 2, axis=0)
+    own = np.abs(steps).max(initial=0.0) / float(job.tooth_period) ** 2
+    return min(settings.max_acceleration, settings.acceleration_factor * float(own))
+
+
+def job_spline(job: Job) -> SplineOffsets:
+    """Return the basis of a job's offsets.
+
+    Raises:
+        UnsuitableSettings: The program is too short for the knots.
+    """
+    spacing = job.correction.knot_spacing
+    try:
+        return SplineOffsets(job.path.step_count, float(job.tooth_period), spacing)
+    except ValueError as error:
+        raise UnsuitableSettings(str(error)) from error
+
+
+def job_objective(
+    job: Job,
+    surface: FinishedSurface | None,
+    weights: Float[np.ndarray, " step"],
+) -> AbstractObjective:
+    """Return the objective that `[correction]` asks for, with the weights of the rows.
+
+    Raises:
+        ValueError: A surface is asked for where there is none.
+    """
+    settings = job.correction
+    if settings.objective == "path":
+        return PathObjective(settings.tolerance)
+    if surface is None:
+        raise ValueError(
+            'Argument `job` must have the objective "path", but has "surface", which '
+            "needs a flat cutter along +z that leaves walls or floors."
+        )
+    return SurfaceObjective(
+        surface,
+        settings.wall_weight,
+        settings.floor_weight,
+        settings.tolerance,
+        point_shares(surface, job.path.positions, weights),
+    )
+
+
+def job_ensemble(job: Job, adjoint: AbstractAdjoint) -> Ensemble | None:
+    """Return draws of the job's model, as `[correction.uncertainty]` asks for."""
+    known = job.correction.uncertainty
+    if known is None:
+        return None
+    draws = draw_scales(
+        parameter_names(job),
+        count=known.draws,
+        seed=known.seed,
+        stiffness=known.stiffness,
+        damping=known.damping,
+        force=known.force,
+        is_gaussian=known.is_gaussian,
+    )
+    plant = ScaledPlant(job, adjoint)
+    if known.delay == 0:
+        return Ensemble(plant, draws)
+    # The path is the uncorrected command: only what is added to it comes late.
+    late = LatePlant(plant, np.asarray(job.path.positions), float(job.tooth_period))
+    return Ensemble(late, with_delays(draws, largest=known.delay, seed=known.seed))
+
+
+def remaining_error(
+    objective: AbstractObjective, problem: Problem, found: Corrected
+) -> float:
+    """Return the root mean square of what an objective makes small [m].
+
+    Infinite where the motion is not finite.
+    """
+    errors = np.asarray(objective.errors(problem, found.motion, 0.0), np.float64)
+    return float(np.sqrt(np.sum(errors**2))) if np.isfinite(errors).all() else np.inf

@@ -1,0 +1,165 @@
+"""A job as a plant that is run piece by piece."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ..._job import Job
+from ...process import AbstractAdjoint, wall_deviation, wall_shares
+from ...sim import (
+    CoupledCarry,
+    CoupledSegment,
+    CoupledSolution,
+    begin_segments,
+    command_joints,
+    job_machine,
+    joint_motors,
+    path_axes,
+    run_segment,
+)
+from .._core.problem import Motion
+from .._method.plant_segment import AbstractPiece, AbstractPieces
+
+# A number per step.
+Steps = Float[Array, " step"] | Float[np.ndarray, " step"]
+
+
+class JobState(eqx.Module):
+    """What a job's plant remembers between two rows.
+
+    Attributes:
+        coupled: The simulation's.
+        joints: Where inverse kinematics begins: the joints that were commanded at
+            the row [rad or m], shape (joint,).
+    """
+
+    coupled: CoupledCarry
+    joints: Float[Array, " joint"]
+
+
+class JobPiece(AbstractPiece):
+    """Some rows of a job.
+
+    Attributes:
+        job: The job with the rows of its path, and the state's stock.
+        state: State at the first row.
+        adjoint: How to differentiate through the removal.
+        wall_share: When in each period its wall is made; see `TipPlant`.
+        has_joint_commands: Whether the command is joint positions, not tips.
+    """
+
+    job: Job
+    state: JobState
+    adjoint: AbstractAdjoint
+    wall_share: Steps | None
+    has_joint_commands: bool = eqx.field(static=True)
+
+    def run(self, command: Float[Array, "step axis"]) -> tuple[Motion, JobState]:
+        """Return the motion and the state at the last row."""
+        before, job = self.state, self.job
+        joints = _joints(job, command, before.joints, self.has_joint_commands)
+        motors = joint_motors(job, joints)
+        machine = job_machine(job, self.adjoint)
+        rows, coupled = run_segment(machine, before.coupled, motors)
+        motion = wall_motion(job, rows, self.wall_share)
+        return motion, JobState(coupled, joints[-1])
+
+
+class JobPieces(AbstractPieces):
+    """A job, piece by piece.
+
+    Attributes:
+        job: The job, in its precision.
+        adjoint: How to differentiate through the removal.
+        wall_share: When in each period its wall is made; see `TipPlant`.
+        has_joint_commands: Whether the command is joint positions, not tips.
+    """
+
+    job: Job
+    adjoint: AbstractAdjoint
+    wall_share: Steps | None = None
+    has_joint_commands: bool = eqx.field(static=True, default=False)
+
+    def begin(self, command: Float[Array, "step axis"]) -> JobState:
+        """Return the state in equilibrium with the motion of the first period."""
+        job = with_rows(self.job, np.arange(command.shape[0]))
+        return _begin(job, self.adjoint, command, self.has_joint_commands)
+
+    def piece(self, state: Any, rows: Int[np.ndarray, " step"]) -> JobPiece:
+        """Return the piece that starts from a state."""
+        # The stock is the state's: the raw one would only be carried along.
+        job = eqx.tree_at(
+            lambda j: j.stock, with_rows(self.job, rows), state.coupled.process.stock
+        )
+        shares = None if self.wall_share is None else np.asarray(self.wall_share)[rows]
+        return JobPiece(job, state, self.adjoint, shares, self.has_joint_commands)
+
+
+@eqx.filter_jit
+def _begin(
+    job: Job,
+    adjoint: AbstractAdjoint,
+    command: Float[Array, "step axis"],
+    has_joint_commands: bool,
+) -> JobState:
+    robot = job.robot
+    assert robot is not None
+    start = robot.home if job.joint_start is None else jnp.asarray(job.joint_start)
+    joints = _joints(job, command, start, has_joint_commands)
+    machine = job_machine(job, adjoint)
+    coupled = begin_segments(machine, job.stock, joint_motors(job, joints))
+    return JobState(coupled, joints[0])
+
+
+def _joints(
+    job: Job,
+    command: Float[Array, "step axis"],
+    start: Float[Array, " joint"],
+    has_joint_commands: bool,
+) -> Float[Array, "step joint"]:
+    """Return the joint positions of a command."""
+    if has_joint_commands:
+        return command
+    started = eqx.tree_at(
+        lambda j: j.joint_start, job, start, is_leaf=lambda x: x is None
+    )
+    return command_joints(started, command)[0]
+
+
+def wall_motion(
+    job: Job, ran: CoupledSolution | CoupledSegment, shares: Steps | None
+) -> Motion:
+    """Return the motion of a job as the walls show it.
+
+    Args:
+        job: The job, with the rows that were run.
+        ran: What its robot does.
+        shares: When in each period its wall is made; by the path alone if None.
+
+    **Differentiability**: linear in the tips.
+    """
+    desired = jnp.asarray(job.path.positions)
+    if shares is None:
+        shares = wall_shares(desired, path_axes(job), job.cutter)
+    deviation = wall_deviation(ran.ends, desired, jnp.asarray(shares, desired.dtype))
+    return Motion(desired + deviation, ran.force)
+
+
+def with_rows(job: Job, rows: Int[np.ndarray, " step"]) -> Job:
+    """Return a job with some rows of its path.
+
+    Args:
+        job: The job.
+        rows: The rows, shape (step,); one may come several times.
+
+    Returns:
+        The job; stock and settings stay.
+
+    **Differentiability**: that of the path.
+    """
+    path = jax.tree.map(lambda x: np.asarray(x)[rows], job.path)
+    return eqx.tree_at(lambda j: j.path, job, path)

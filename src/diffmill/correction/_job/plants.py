@@ -1,0 +1,182 @@
+"""A job as a problem of correction: its plant, commanded by tips or by joints."""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..._job import Job
+from ..._types import FloatRows
+from ...process import AbstractAdjoint, ProcessSolution
+from ...sim import (
+    Solution,
+    command_joints,
+    command_motors,
+    joint_motors,
+    run_motors,
+    solve_command,
+)
+from .._core.method import AbstractMethod
+from .._core.problem import AbstractRun, Motion, Problem
+from .._method.mirror import IteratedMirror, SampledMirror
+from .plant_segments import Steps, wall_motion, with_rows
+
+
+class SolvedMotion(Motion):
+    """The motion of a job, with the solution that it was taken from.
+
+    Attributes as of `Motion`, and:
+        solution: The solution.
+    """
+
+    solution: Solution
+
+
+def solved_motion(solution: Solution) -> SolvedMotion:
+    """Return the motion of a solution, as its walls show it."""
+    actual = solution.desired + solution.surface_deviation
+    return SolvedMotion(actual, solution.force, solution)
+
+
+class TipPlant(AbstractRun):
+    """A job as a plant that is commanded by tip positions [m].
+
+    Attributes:
+        job: The job.
+        adjoint: How to differentiate through the removal.
+        wall_share: When in each period its wall is made, `Solution.wall_share`, shape
+            (step,); by the path alone if None.
+        rigid: `rigid_cut` of the job, to run by the program of `simulate`; None to
+            run by one of its own.
+    """
+
+    job: Job
+    adjoint: AbstractAdjoint
+    wall_share: Steps | None = None
+    rigid: ProcessSolution | None = None
+
+    def __call__(self, command: Float[Array, "step 3"]) -> Motion:
+        """Return the motion that follows a command, shape (step, 3)."""
+        motors, _ = command_motors(self.job, command)
+        ran = run_motors(self.job, motors, self.adjoint)
+        return wall_motion(self.job, ran, self.wall_share)
+
+    def run(self, command: FloatRows) -> Motion:
+        """Return the motion; with its solution, if the rigid cut is known."""
+        if self.rigid is None:
+            return _compiled(self, command)
+        command = jnp.asarray(command)
+        return solved_motion(solve_command(self.job, self.rigid, command, self.adjoint))
+
+
+class JointPlant(AbstractRun):
+    """A job as a plant that is commanded by joint positions [rad or m].
+
+    The controller adds the gravity sag, as it does for tip positions. Attributes as of
+    `TipPlant`.
+    """
+
+    job: Job
+    adjoint: AbstractAdjoint
+    wall_share: Steps | None = None
+    rigid: ProcessSolution | None = None
+
+    def __call__(self, command: Float[Array, "step joint"]) -> Motion:
+        """Return the motion that follows a command, shape (step, joint)."""
+        ran = run_motors(self.job, joint_motors(self.job, command), self.adjoint)
+        return wall_motion(self.job, ran, self.wall_share)
+
+    def run(self, command: FloatRows) -> Motion:
+        """Return the motion; with its solution, if the rigid cut is known."""
+        from ...robot import forward_kinematics
+
+        if self.rigid is None:
+            return _compiled(self, command)
+        job, command = self.job, jnp.asarray(command)
+        # The tips that belong to the joints, for the record.
+        T = jnp.asarray(job.T_base_work)
+        tips = jax.vmap(lambda q: forward_kinematics(job.robot, q)[:3, 3])(command)  # pyright: ignore[reportArgumentType]
+        tips = (tips - T[:3, 3][None]) @ T[:3, :3]
+        motors = joint_motors(job, command)
+        return solved_motion(solve_command(job, self.rigid, tips, self.adjoint, motors))
+
+
+@eqx.filter_jit
+def _compiled(plant: AbstractRun, command: FloatRows) -> Motion:
+    return plant(jnp.asarray(command))
+
+
+def job_problem(
+    job: Job,
+    plant: Any,
+    nominal: Float[Array, "step axis"],
+    before: Solution,
+    weights: Float[np.ndarray, " step"],
+) -> Problem:
+    """Return the problem of a plant on the path of a job."""
+    return Problem(
+        plant=plant,
+        nominal=np.asarray(nominal),
+        desired=np.asarray(before.desired),
+        is_cutting=weights.astype(np.asarray(nominal).dtype),
+        time_step=float(job.tooth_period),
+        max_offset=float(job.correction.max_offset),
+    )
+
+
+def joint_problem(
+    job: Job, adjoint: AbstractAdjoint, before: Solution, tips: Problem
+) -> Problem:
+    """Return the problem in joint positions, bounded like the tip at its far end.
+
+    Args:
+        job: The job.
+        adjoint: How to differentiate through the removal.
+        before: Solution of the uncorrected program.
+        tips: The problem in tip positions.
+    """
+    from ...robot import jacobian
+
+    nominal, _ = command_joints(job, jnp.asarray(tips.desired))
+    J = np.asarray(jacobian(job.robot, nominal[0]))[:3]  # pyright: ignore[reportArgumentType]
+    lever = np.linalg.norm(J, axis=0).max()
+    plant = JointPlant(job, adjoint, before.wall_share, before.rigid)
+    weights = np.asarray(tips.is_cutting)
+    problem = job_problem(job, plant, nominal, before, weights)
+    bound = float(job.correction.max_offset) / lever
+    return eqx.tree_at(lambda p: p.max_offset, problem, np.asarray(bound))
+
+
+def job_mirror(
+    problem: Problem, before: Solution, horizon: tuple[int, int] | None
+) -> AbstractMethod:
+    """Return the iterated mirror; on a long path its grid sees the first that cuts.
+
+    The grid runs some hundred times, which on the whole path would cost more than the
+    optimiser.
+    """
+    if horizon is None:
+        return IteratedMirror(before=solved_motion(before))
+    plant, is_cutting = problem.plant, before.is_cutting
+    assert isinstance(plant, TipPlant)
+    first = int(np.flatnonzero(is_cutting)[0])
+    rows = slice(min(first + horizon[0], plant.job.path.step_count))
+    # Where none of these rows counts, the filter that suits the arm is found all the
+    # same from how they cut.
+    weights = problem.is_cutting[rows]
+    if not np.any(weights):
+        weights = np.asarray(is_cutting)[rows].astype(weights.dtype)
+    part = with_rows(plant.job, np.arange(plant.job.path.step_count)[rows])
+    shares = None if plant.wall_share is None else plant.wall_share[rows]
+    sample = dataclasses.replace(
+        problem,
+        plant=dataclasses.replace(plant, job=part, wall_share=shares, rigid=None),
+        nominal=problem.nominal[rows],
+        desired=problem.desired[rows],
+        is_cutting=weights,
+    )
+    return SampledMirror(sample)

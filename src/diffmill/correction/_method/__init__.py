@@ -1,0 +1,1 @@
+"""Methods of correction, and plants that they run on."""

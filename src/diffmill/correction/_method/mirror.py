@@ -1,0 +1,218 @@
+"""Correction by mirroring the predicted deviation, once or again and again."""
+
+import dataclasses
+from itertools import product
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from ..._types import FloatRows
+from ...numerics import lowpass
+from .._core.error_metrics import rms_contour
+from .._core.method import AbstractMethod, Corrected, OnProgress, corrected
+from .._core.problem import Motion, Problem, contour_of, run
+from .._spline.projection import clip_offset
+
+# An iterate that changes the error by less than this fraction has settled.
+_SETTLED = 1e-3
+
+
+class Mirror(AbstractMethod):
+    """Subtract the predicted deviation from the command, once and unfiltered.
+
+    The offset is clipped at `max_offset` of the problem, row by row and axis by axis.
+
+    Attributes:
+        before: Motion of the nominal command; found by a run if None.
+    """
+
+    before: Motion | None = None
+
+    def __call__(
+        self,
+        problem: Problem,
+        *,
+        start: FloatRows | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> Corrected:
+        """Return start - (actual - desired), clipped; tip commands only."""
+        command = _start(problem, start)
+        motion = self.before if start is None else None
+        if motion is None:
+            motion, _ = run(problem, command)
+        command = command - _deviation(problem, motion)
+        command = clip_offset(problem.nominal, command, problem.max_offset)
+        return corrected(problem, command, forward_runs=1)
+
+
+class IteratedMirror(AbstractMethod):
+    """Iterate the mirror with a low-pass and a relaxation; keep the best of a grid.
+
+        c_(i+1) = clip(c_i - relaxation lowpass(actual_i - desired))
+
+    The low-pass is a Butterworth filter run forward and backward, so that it has no
+    phase and half the gain at the cut-off. Every pair of cut-off and relaxation is a
+    branch, and the best iterate of all branches, the start included, by rms contour
+    error over the rows that cut, is the result.
+
+    A branch stops before its last iterate when its error is not finite, has grown
+    twice in succession, has changed by less than 0.1 % twice in succession, or is on
+    the way to end above the best of the branches before: its last relative change,
+    repeated up to the last iterate, would not get there.
+
+    Attributes:
+        cutoffs: Cut-off frequencies [Hz]; those above half the rate of the rows are
+            left out.
+        relaxations: Relaxations.
+        iterations: Iterates of a branch at most.
+        order: Order of one pass of the filter.
+        before: Motion of the nominal command; found by a run if None.
+    """
+
+    cutoffs: tuple[float, ...] = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0)
+    relaxations: tuple[float, ...] = (0.3, 0.5, 1.0)
+    iterations: int = 10
+    order: int = 4
+    before: Motion | None = None
+
+    def __call__(
+        self,
+        problem: Problem,
+        *,
+        start: FloatRows | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> Corrected:
+        """Return the best iterate of the grid; tip commands only."""
+        command = _start(problem, start)
+        if start is None and self.before is not None:
+            motion, contour = self.before, contour_of(problem, self.before)
+        else:
+            motion, contour = run(problem, command)
+        zero = _Iterate(command, rms_contour(problem, contour), 0, 0.0, 0.0)
+        first = _deviation(problem, motion)
+        best, runs = zero, 1
+        # A filter needs two rows per period.
+        known = [c for c in self.cutoffs if c < 0.5 / problem.time_step]
+        # The highest cut-offs first: where they diverge they end soon, and if they do
+        # not, they leave an error that the lower ones will not get below.
+        grid = list(product(sorted(known, reverse=True), self.relaxations))
+        # One branch after the other: two runs of one compiled program at the same time
+        # can block each other in XLA's pool of threads.
+        for done, pair in enumerate(grid, start=1):
+            found, count = _branch(self, problem, zero, first, pair, best.error)
+            runs += count
+            best = min(best, found, key=_rank)
+            if on_progress is not None:
+                message = f"mirror: {done} of {len(grid)} branches, {runs} runs"
+                if on_progress(message, best.error):
+                    break
+        detail = {
+            "cutoff": best.cutoff,
+            "relaxation": best.relaxation,
+            "iterate": float(best.iterate),
+            "runs_of_full_grid": float(1 + len(grid) * self.iterations),
+        }
+        return corrected(problem, best.command, forward_runs=runs, detail=detail)
+
+
+class SampledMirror(AbstractMethod):
+    """The iterated mirror with the cut-off and relaxation that suit a part of the path.
+
+    The grid of `IteratedMirror` runs on a sample; only its best branch, or the slowest
+    one where none helps, runs on the whole path.
+
+    Attributes:
+        sample: The problem of the sample.
+        mirror: The grid.
+    """
+
+    sample: Problem
+    mirror: IteratedMirror = IteratedMirror()
+
+    def __call__(
+        self,
+        problem: Problem,
+        *,
+        start: FloatRows | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> Corrected:
+        """Return the best iterate of one branch; tip commands only."""
+        rows = self.sample.nominal.shape[0]
+        part = None if start is None else start[:rows]
+        found = self.mirror(self.sample, start=part, on_progress=on_progress)
+        pair = found.detail["cutoff"], found.detail["relaxation"]
+        if pair[0] == 0:
+            pair = min(self.mirror.cutoffs), min(self.mirror.relaxations)
+        chosen = dataclasses.replace(
+            self.mirror, cutoffs=pair[:1], relaxations=pair[1:]
+        )
+        result = chosen(problem, start=start, on_progress=on_progress)
+        share = rows / problem.nominal.shape[0]
+        return dataclasses.replace(
+            result,
+            forward_runs=result.forward_runs + int(np.ceil(share * found.forward_runs)),
+        )
+
+
+class _Iterate(eqx.Module):
+    """A command with the error it leaves and where in the grid it was found."""
+
+    command: np.ndarray
+    error: float
+    iterate: int
+    cutoff: float
+    relaxation: float
+
+
+def _rank(iterate: _Iterate) -> tuple[float, float, float, int]:
+    return iterate.error, iterate.cutoff, iterate.relaxation, iterate.iterate
+
+
+def _branch(
+    method: IteratedMirror,
+    problem: Problem,
+    zero: _Iterate,
+    deviation: Float[np.ndarray, "step 3"],
+    pair: tuple[float, float],
+    to_beat: float,
+) -> tuple[_Iterate, int]:
+    """Iterate one pair; return its best iterate and the runs of the plant."""
+    cutoff, relaxation = pair
+    command, best, last = zero.command, zero, zero.error
+    grown = settled = runs = 0
+    for i in range(1, method.iterations + 1):
+        step = lowpass(deviation, 1 / problem.time_step, cutoff, order=method.order)
+        command = command - relaxation * step
+        command = clip_offset(problem.nominal, command, problem.max_offset)
+        motion, contour = run(problem, command)
+        runs += 1
+        deviation = _deviation(problem, motion)
+        error = rms_contour(problem, contour)
+        if not np.isfinite(error) or not np.all(np.isfinite(deviation)):
+            break
+        if error < best.error:
+            best = _Iterate(command, error, i, cutoff, relaxation)
+        grown = grown + 1 if error > last else 0
+        settled = settled + 1 if abs(error - last) < _SETTLED * last else 0
+        # At its present pace, is the branch still below the best at its last iterate?
+        pace, last = error / last, error
+        is_behind = i > 1 and error * pace ** (method.iterations - i) > to_beat
+        if grown == 2 or settled == 2 or is_behind:
+            break
+    return best, runs
+
+
+def _start(problem: Problem, start: FloatRows | None) -> np.ndarray:
+    if problem.nominal.shape[1] != 3:
+        raise ValueError(
+            "Argument `problem` must command tip positions (3 axes) for a mirror, but "
+            f"has {problem.nominal.shape[1]} axes."
+        )
+    command = problem.nominal if start is None else start
+    return np.asarray(command, np.float64)
+
+
+def _deviation(problem: Problem, motion: Motion) -> Float[np.ndarray, "step 3"]:
+    actual = np.asarray(motion.actual, np.float64)
+    return actual - np.asarray(problem.desired, np.float64)

@@ -1,0 +1,48 @@
+"""The interface of a plant that can be run piece by piece."""
+
+import abc
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from .._core.problem import Motion
+
+
+class AbstractPiece(eqx.Module):
+    """Some rows of a plant, from a known state at the first of them."""
+
+    @abc.abstractmethod
+    def run(self, command: Float[Array, "step axis"]) -> tuple[Motion, Any]:
+        """Run the rows.
+
+        Args:
+            command: The command at the rows, shape (step, axis).
+
+        Returns:
+            The motion, whose row 0 is the state at the start, and the state at the
+            last row; traceable.
+        """
+
+
+class AbstractPieces(eqx.Module):
+    """A plant whose state can be kept between two rows.
+
+    The pieces run one after the other do what the whole plant does.
+    """
+
+    @abc.abstractmethod
+    def begin(self, command: Float[Array, "step axis"]) -> Any:
+        """Return the state at row 0, given the command at the first rows."""
+
+    @abc.abstractmethod
+    def piece(self, state: Any, rows: Int[np.ndarray, " step"]) -> AbstractPiece:
+        """Return the piece that starts from a state.
+
+        Args:
+            state: State at the first of the rows.
+            rows: Rows of the path, shape (step,); the last may be repeated, for a
+                tool that dwells at the end. All pieces of as many rows have the same
+                structure and shapes.
+        """

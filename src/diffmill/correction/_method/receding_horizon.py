@@ -1,0 +1,361 @@
+"""Correction of long paths: segment after segment, each with a look ahead.
+
+A segment starts from the state in which the corrected part before it has left the
+machine and the stock. Gauss-Newton corrects its rows by those coefficients of the
+spline over the whole program that act on them; then the rows but for the overlap are
+run with the command found, and the next segment starts there and optimises once more
+what the overlap has seen. Coefficients that act on rows which have been run are held,
+so that the command is as smooth over a seam as anywhere. The cost is that of the whole
+path, restricted to the segment.
+
+What lies behind the end of a segment stays as it was found before: in a first sweep, as
+the start has it, which bends the end of the segment towards the start. A second sweep
+over all segments begins where the first has ended, and takes most of that away.
+
+The contour error hardly sees how far the tool leads or lags, so that there are several
+local minima at a sharp corner. A corner near the end of a segment is rounded for a tool
+that must be back in time at once, which may be another of them than that of the whole
+path, and the next segment would not leave it. In the first sweep the overlap therefore
+begins anew, from the start, as it does for the whole path. Limits of velocity and
+acceleration, and bounds of the surface, forbid that: what has been run and the start
+need not fit together.
+
+So the work is linear in the length of the path, and what must be in memory at once, the
+linear program of one segment, does not depend on it.
+"""
+
+import time
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Int
+
+from ..._result import RESULTS
+from ..._types import FloatRows
+from .._core.method import AbstractMethod, Corrected, OnProgress, corrected
+from .._core.problem import Problem
+from .._least_squares import least_squares
+from .._least_squares_records import LeastSquaresStep, following
+from .._response import banded_preconditioner
+from .._spline.command_limits import LinearLimits, MixedLimits
+from .._spline.projection import project
+from .._spline.spline_offsets import CLAMPED, SplineOffsets
+from .._spline.spline_window import spline_window, window_limits
+from .._surface.segment_limits import cut_points, deepest_rows, is_kept, window_bounds
+from .._surface.surface_limits import SurfaceBounds, refusal
+from .checkpoint import Arrays, OnCheckpoint
+from .gauss_newton import (
+    ContourResidual,
+    GaussNewton,
+    check_held,
+    contour_residual,
+    held_rows,
+)
+from .plant_segment import AbstractPieces
+from .receding_horizon_state import (
+    HorizonRun,
+    advance,
+    command_at,
+    pack_run,
+    part_of,
+    rms_so_far,
+    unpack_run,
+)
+
+
+class RecedingHorizon(AbstractMethod):
+    """Gauss-Newton on segments of a path, for paths of any length.
+
+    Attributes:
+        pieces: The problem's plant, as one that can be run piece by piece.
+        method: Settings of the correction of a segment.
+        horizon: Rows of a segment.
+        overlap: Rows of its end that the next segment corrects once more.
+        sweeps: How often the whole path is gone through, each time from the command
+            that the time before has found; a path of one segment, once.
+        on_checkpoint: Called after every segment with all that is needed to go on.
+        resume: What it was called with, to go on from there.
+    """
+
+    pieces: AbstractPieces
+    method: GaussNewton
+    horizon: int = eqx.field(static=True)
+    overlap: int = eqx.field(static=True)
+    sweeps: int = eqx.field(static=True, default=2)
+    on_checkpoint: OnCheckpoint | None = None
+    resume: Arrays | None = None
+
+    def __check_init__(self):
+        if not 0 < self.overlap < self.horizon:
+            raise ValueError(
+                "Argument `overlap` must be above 0 and below `horizon` "
+                f"({self.horizon} rows), but is {self.overlap} rows."
+            )
+        if self.sweeps < 1:
+            raise ValueError(
+                f"Argument `sweeps` must be at least 1, but is {self.sweeps}."
+            )
+
+    def segment_count(self, row_count: int) -> int:
+        """Return the number of segments of a path of some rows, in one sweep."""
+        return 1 + max(0, -(-(row_count - self.horizon) // self._hop))
+
+    @property
+    def _hop(self) -> int:
+        return self.horizon - self.overlap
+
+    def __call__(
+        self,
+        problem: Problem,
+        *,
+        start: FloatRows | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> Corrected:
+        """Return the best command within knots and bounds, from `start`.
+
+        `on_progress` is called after every segment, with the rms contour error of
+        what has been run; where it ends the method, the rest stays as in `start`.
+
+        Raises:
+            InfeasibleLimit: The nominal command breaks a limit, or no correction of a
+                segment keeps the bounds of the surface.
+        """
+        rows = problem.nominal.shape[0]
+        spline = SplineOffsets(rows, problem.time_step, self.method.knot_spacing)
+        run = self._first(problem, spline, start)
+        total, seconds = self._left(rows, 0, 0), []
+        while run.row < rows:
+            began, before = time.perf_counter(), run.row
+            run = self._segment(problem, spline, run)
+            # The last segment is not run by itself.
+            counted = run.row if run.row < rows else before
+            seconds.append(time.perf_counter() - began)
+            error = rms_so_far(problem, run, counted)
+            left = self._left(rows, run.sweep, run.row)
+            if left and run.row >= rows:
+                run = self._again(problem, spline, run)
+            if self.on_checkpoint is not None:
+                self.on_checkpoint(pack_run(run))
+            if on_progress is not None:
+                # The first one compiles, which the others do not.
+                each = float(np.mean(seconds[1:] or seconds))
+                message = f"segment {total - left} of {total}, {left * each:.0f} s left"
+                if on_progress(message, error):
+                    break
+        return self._corrected(problem, spline, run)
+
+    def _left(self, rows: int, sweep: int, row: int) -> int:
+        """Return the number of segments from a row on, of all sweeps."""
+        now = self.segment_count(rows - row) if row < rows else 0
+        return now + (self._sweeps(rows) - 1 - sweep) * self.segment_count(rows)
+
+    def _sweeps(self, rows: int) -> int:
+        """Return how often a path of some rows is gone through."""
+        return self.sweeps if self.segment_count(rows) > 1 else 1
+
+    def _first(
+        self, problem: Problem, spline: SplineOffsets, start: FloatRows | None
+    ) -> HorizonRun:
+        """Return the state before the first segment, or that to resume."""
+        nominal = np.asarray(problem.nominal)
+        free = np.zeros((spline.coefficient_count, nominal.shape[1]))
+        if start is not None:
+            limits = self._limits(problem, spline)
+            away = np.asarray(start) - nominal
+            free = project(spline, away, problem.max_offset, limits=limits)
+        coefficients = np.pad(free, ((CLAMPED, CLAMPED), (0, 0)))
+        state = self.pieces.begin(command_at(problem, spline, coefficients, 0, 3))
+        run = HorizonRun(0, 0, coefficients, state, 0.0, ())
+        return unpack_run(self.resume, run) if self.resume else run
+
+    def _again(
+        self, problem: Problem, spline: SplineOffsets, run: HorizonRun
+    ) -> HorizonRun:
+        """Return the state before the first segment of the next sweep."""
+        command = command_at(problem, spline, run.coefficients, 0, 3)
+        state = self.pieces.begin(command)
+        return HorizonRun(run.sweep + 1, 0, run.coefficients, state, 0.0, run.history)
+
+    def _limits(
+        self, problem: Problem, spline: SplineOffsets
+    ) -> tuple[LinearLimits | MixedLimits, ...]:
+        """Return the limits of the whole command."""
+        return self.method.all_limits(spline, np.asarray(problem.nominal))
+
+    def _has_bounds(self, row: int) -> bool:
+        """Tell whether a segment from a row on cuts what is to be held."""
+        bounds = self.method.bounds
+        if bounds is None:
+            return False
+        return bool(cut_points(bounds, row, row + self.horizon).any())
+
+    def _segment(
+        self, problem: Problem, spline: SplineOffsets, run: HorizonRun
+    ) -> HorizonRun:
+        """Correct the rows of one segment, and run them but for the overlap."""
+        rows, row = problem.nominal.shape[0], run.row
+        coefficients, history, is_settled = run.coefficients, run.history, True
+        part = part_of(problem, self.pieces.piece, run.state, row, self.horizon)
+        if np.any(part.is_cutting > 0) or self._has_bounds(row):
+            coefficients, history, is_settled = self._solve(problem, part, spline, run)
+        is_last = row + self.horizon >= rows
+        count = rows - row if is_last else self._hop + 1
+        state, unsettled = run.state, run.unsettled + (not is_settled)
+        if row == 0:
+            # The start moves with the command, which has just been changed.
+            state = self.pieces.begin(command_at(problem, spline, coefficients, 0, 3))
+        if is_last:
+            # The whole run that follows tells the error of these rows.
+            return HorizonRun(
+                *(run.sweep, rows, coefficients, state, run.square, history, unsettled)
+            )
+        kept = part_of(problem, self.pieces.piece, state, row, count)
+        command = command_at(problem, spline, coefficients, row, count, problem.window)
+        state, square = advance(kept, jnp.asarray(command))
+        square, row = run.square + float(square), row + self._hop
+        return HorizonRun(
+            *(run.sweep, row, coefficients, state, square, history, unsettled)
+        )
+
+    def _solve(
+        self, problem: Problem, part: Problem, spline: SplineOffsets, run: HorizonRun
+    ) -> tuple[np.ndarray, tuple[LeastSquaresStep, ...], bool]:
+        """Return the coefficients with those of a segment corrected, and the steps.
+
+        Also whether the optimiser has settled there.
+        """
+        method, bound = self.method, float(problem.max_offset)
+        limits = self._limits(problem, spline)
+        dtype = np.asarray(problem.nominal).dtype
+        window = spline_window(spline, run.row, self.horizon)
+        place = window.place()
+        first = np.zeros((place.size, problem.nominal.shape[1]))
+        is_there = place < len(run.coefficients)
+        first[is_there] = run.coefficients[place[is_there]]
+        is_free = np.asarray(window.is_free)[:, None]
+        # Weighted alone, the rows of a segment would count for more than they do in
+        # the whole path; the roughness has to grow with them.
+        share = np.sum(part.is_cutting) / np.sum(np.asarray(problem.is_cutting))
+        # Where nothing counts but what is held, as in a path that counts alike.
+        share = share if share > 0 else self.horizon / len(np.asarray(problem.nominal))
+        share *= (len(run.coefficients) - 2) / (place.size - 2)
+        smoothness = method.smoothness / np.sqrt(share)
+        own = window_limits(limits, run.coefficients, window)
+        bounds = self._bounds(problem, run.row)
+        held = held_rows(bounds)
+        precondition = None
+        if method.response is not None:
+            precondition = banded_preconditioner(
+                method.response, window, window.transposed, problem.time_step
+            )
+        solution = least_squares(
+            contour_residual,
+            jnp.asarray(first, dtype),
+            ContourResidual(
+                part,
+                window.padded(problem.window),
+                jnp.asarray(smoothness, dtype),
+                jnp.asarray(method.lag_weight, dtype),
+                method.objective,
+                None,
+                bounds,
+            ),
+            lower=np.where(is_free, -bound, first),
+            upper=np.where(is_free, bound, first),
+            scale=bound,
+            solver=method.solver,
+            precondition=precondition,
+            limits=own,
+            held=held,
+        )
+        new = run.coefficients.copy()
+        found = np.asarray(solution.x, np.float64)
+        changed = place[np.asarray(window.is_free)]
+        new[changed] = found[np.asarray(window.is_free)]
+        if bounds is not None:
+            check_held(bounds, held, solution, bound, own)
+        if run.sweep == 0 and not limits and bounds is None:
+            again = self._overlapping(spline, run.row)
+            new[again] = run.coefficients[again]
+        is_settled = bool(solution.result == RESULTS.successful)
+        return new, following(run.history, solution.history), is_settled
+
+    def _bounds(self, problem: Problem, row: int) -> SurfaceBounds | None:
+        """Return the bounds of the surface for the segment from a row on.
+
+        Its last rows cannot be brought within, since what lies behind them stays: half
+        of the overlap is left free.
+        """
+        bounds, rows = self.method.bounds, problem.nominal.shape[0]
+        if bounds is None:
+            return None
+        look = self._hop + self.overlap // 2
+        ends = {k: self._end(rows, k, look) for k in range(0, rows, self._hop)}
+        most = max(int(cut_points(bounds, k, end).sum()) for k, end in ends.items())
+        return window_bounds(
+            bounds,
+            deepest_rows(bounds, problem.desired),
+            (row, self._end(rows, row, self._hop), ends[row]),
+            shift=problem.window - row,
+            count=most,
+        )
+
+    def _end(self, rows: int, row: int, count: int) -> int:
+        """Return the row behind some of a segment, all of them if it is the last."""
+        return rows if row + self.horizon >= rows else row + count
+
+    def _overlapping(
+        self, spline: SplineOffsets, row: int
+    ) -> Int[np.ndarray, " coefficient"]:
+        """Return the places of what the segment after that of a row may change."""
+        if row + self.horizon >= spline.step_count:
+            return np.zeros(0, np.int32)
+        window = spline_window(spline, row + self._hop, self.horizon)
+        place = window.place()[np.asarray(window.is_free)]
+        return place[place < spline.coefficient_count + 2 * CLAMPED].astype(np.int32)
+
+    def _corrected(
+        self, problem: Problem, spline: SplineOffsets, run: HorizonRun
+    ) -> Corrected:
+        """Run the whole plant with the command found."""
+        rows = problem.nominal.shape[0]
+        share = self.horizon / rows
+        last = run.history[-1] if run.history else None
+        found = corrected(
+            problem,
+            command_at(problem, spline, run.coefficients, 0, rows),
+            forward_runs=0 if last is None else int(np.ceil(share * last.forward_runs)),
+            products=0 if last is None else int(np.ceil(share * last.products)),
+            history=run.history,
+            detail={
+                "knot_spacing": spline.actual_spacing,
+                "unknowns": float(spline.coefficient_count * problem.nominal.shape[1]),
+                "bound_count": _bound_count(problem, run),
+                "segment_count": float(self.segment_count(rows)),
+                "sweeps": float(self._sweeps(rows)),
+                "horizon": float(self.horizon),
+                "overlap": float(self.overlap),
+                "smoothness": self.method.smoothness,
+                "lag_weight": self.method.lag_weight,
+                "unsettled_segments": float(run.unsettled),
+            },
+            result=RESULTS.not_converged if run.unsettled else RESULTS.successful,
+        )
+        if (bounds := self.method.bounds) is not None:
+            errors = np.asarray(bounds.errors(found.motion), np.float64)
+            if np.all(np.isfinite(errors)) and not is_kept(bounds, errors):
+                free, bound = (
+                    run.coefficients[CLAMPED:-CLAMPED],
+                    float(problem.max_offset),
+                )
+                limits = self._limits(problem, spline)
+                raise refusal(bounds, errors, free, bound, limits)
+        return found
+
+
+def _bound_count(problem: Problem, run: HorizonRun) -> float:
+    """Return how many unknowns stand at the largest offset, in their precision."""
+    dtype = np.asarray(problem.nominal).dtype
+    found = np.abs(np.asarray(run.coefficients, dtype))
+    return float(np.sum(found >= np.asarray(problem.max_offset, dtype)))

@@ -1,0 +1,215 @@
+"""What a place of the workpiece does to the deviation, and how it may be changed.
+
+The force of the rigid cut does not depend on the place. Turned into the base, it
+stretches the drives' springs at the joint positions that the place asks for,
+
+    d = J s(J^T F),    s(tau) = K^-1 tau,
+
+and what of d is across the path is the error. The joints follow the place by the
+implicit function of the inverse kinematics, so that the derivative is exact.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from ..._job import Job
+from ...robot import (
+    Robot,
+    ToolRotation,
+    gravity_forces,
+    inverse_kinematics,
+    jacobian,
+    singularity,
+    static_stretch,
+    with_tool,
+)
+from ...sim import command_joints, with_precision
+
+# Shift along x, y and z of the base, turn of the work, turn of the tool.
+UNKNOWNS = ("x", "y", "z", "angle", "rotation")
+
+
+class PlacementTask(eqx.Module):
+    """Everything that the residual of a place needs.
+
+    Attributes:
+        robot: The robot with its tool.
+        T_base_work: The job's own place, shape (4, 4).
+        Ts_work_tool: Tool poses that count, the path's first one first, shape
+            (row, 4, 4).
+        q_start: Where the search of the first pose begins [rad or m], (joint,).
+        force: Mean force on the tool in `work` [N], shape (row, 3).
+        along: Unit tangents of the path in `work`, shape (row, 3); 0 where it dwells.
+        weights: Factor of each row in the residual [1/m], shape (row,); rows of weight
+            0 only have to be reached.
+        center: Point of the base about which the work turns [m], shape (3,).
+        widths: Unit of each unknown [m, rad], shape (5,).
+        least_singular: Smallest singular value that a pose may have [-], shape ().
+        limited: Indices of the motor joints that have limits.
+        tool_rotation: Whether the inverse kinematics chooses the tool's rotation.
+    """
+
+    robot: Robot
+    T_base_work: Float[Array, "4 4"]
+    Ts_work_tool: Float[Array, "row 4 4"]
+    q_start: Float[Array, " joint"]
+    force: Float[Array, "row 3"]
+    along: Float[Array, "row 3"]
+    weights: Float[Array, " row"]
+    center: Float[Array, " 3"]
+    widths: Float[Array, " 5"]
+    least_singular: Float[Array, ""]
+    limited: tuple[int, ...] = eqx.field(static=True)
+    tool_rotation: ToolRotation = eqx.field(static=True)
+
+
+def placement_residual(
+    unit: Float[Array, " 5"], task: PlacementTask
+) -> Float[Array, " entry"]:
+    """Return the weighted errors across the path, then the joints in their ranges.
+
+    The latter are -1 at the lower and 1 at the upper limit. Infinite where a pose is
+    not reached, or is nearly singular.
+    """
+    values = unit * task.widths
+    T = moved_work(task.T_base_work, task.center, values)
+    robot = with_tool(task.robot, turned_tool(task.robot.T_flange_tool, values[4]))
+    Ts = T[None] @ task.Ts_work_tool
+    solve = lambda T, q: inverse_kinematics(
+        robot, T, q, tool_rotation=task.tool_rotation, attempts=1
+    )
+    first = solve(Ts[0], task.q_start)
+    found = jax.vmap(solve, (0, None))(Ts, jax.lax.stop_gradient(first.q))
+    moved = jax.vmap(lambda q, F: tip_deflection(robot, q, F))(
+        found.q, task.force @ T[:3, :3].T
+    )
+    error = across(moved @ T[:3, :3], task.along) * task.weights[:, None]
+    limited = np.array(task.limited, np.int32)
+    lower, upper = robot.joint_lower[limited], robot.joint_upper[limited]
+    ranges = (2 * found.q[:, limited] - (lower + upper)[None]) / (upper - lower)[None]
+    entries = jnp.concatenate([error.ravel(), ranges.ravel()])
+    is_allowed = jnp.all(found.converged) & jnp.all(
+        _smallest(robot, jax.lax.stop_gradient(found.q), task.tool_rotation)
+        >= task.least_singular
+    )
+    return jnp.where(is_allowed, entries, jnp.inf)
+
+
+def moved_work(
+    T_base_work: Float[Array, "4 4"],
+    center: Float[Array, " 3"],
+    values: Float[Array, " 5"],
+) -> Float[Array, "4 4"]:
+    """Return a place turned about z of the base through a point, then shifted."""
+    turn = _about_z(values[3])
+    position = center + turn[:3, :3] @ (T_base_work[:3, 3] - center) + values[:3]
+    return (turn @ T_base_work).at[:3, 3].set(position)
+
+
+def turned_tool(
+    T_flange_tool: Float[Array, "4 4"], rotation: Float[Array, ""]
+) -> Float[Array, "4 4"]:
+    """Return the tool in the flange with which the flange turns about the tool axis.
+
+    The tool's pose is the path's, so the flange turns the other way round.
+    """
+    return T_flange_tool @ _about_z(-rotation)
+
+
+def tip_deflection(
+    robot: Robot, q: Float[Array, " joint"], force: Float[Array, " 3"]
+) -> Float[Array, " 3"]:
+    """Return how far the tip gives way to a force, both in the base.
+
+    To first order in the stretch of the drives; servos and virtual joints give way
+    too, gaps from where gravity holds them.
+    """
+    J = jacobian(robot, q)[:3]
+    load = J.T @ force
+    if robot.backlash is None:
+        return J @ static_stretch(robot, load)
+    weight = gravity_forces(robot, q)
+    return J @ (static_stretch(robot, weight) - static_stretch(robot, weight - load))
+
+
+def across(
+    vector: Float[Array, "row 3"], along: Float[Array, "row 3"]
+) -> Float[Array, "row 3"]:
+    """Return what of vectors is at right angles to directions, all of it for 0."""
+    return vector - jnp.sum(vector * along, axis=1, keepdims=True) * along
+
+
+def path_tangents(
+    positions: Float[np.ndarray, "step 3"],
+) -> Float[np.ndarray, "step 3"]:
+    """Return unit tangents of a path, 0 where it dwells."""
+    slope = np.gradient(positions, axis=0)
+    length = np.linalg.norm(slope, axis=1, keepdims=True)
+    return slope / np.where(length > 0, length, 1.0)
+
+
+@eqx.filter_jit
+def whole_path(
+    job: Job, force: Float[Array, "step 3"]
+) -> tuple[
+    Float[Array, "step 3"],
+    Float[Array, "step joint"],
+    Bool[Array, ""],
+]:
+    """Return deviation in `work` [m] and joints of every row, and whether reached."""
+    robot = job.robot
+    if robot is None:
+        raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
+    q, is_reached = command_joints(job, jnp.asarray(job.path.positions))
+    R = jnp.asarray(job.T_base_work, robot.dtype)[:3, :3]
+    moved = jax.vmap(lambda q, F: tip_deflection(robot, q, F))(q, force @ R.T)
+    return moved @ R, q, jnp.all(is_reached)
+
+
+def predicted_deviation(
+    job: Job, force: Float[Array, "step 3"] | Float[np.ndarray, "step 3"]
+) -> Float[Array, "step 3"]:
+    """Return how far forces move the tip of a job's robot, without inertia.
+
+    The tip gives way by J K^-1 J^T F at the joint positions of the desired path; that
+    the chip changes with the deviation is left out.
+
+    Args:
+        job: The job; its machine must be a robot.
+        force: Mean force on the tool of every row in `work` [N], shape (step, 3).
+
+    Returns:
+        Deviation in `work` [m], shape (step, 3).
+
+    Raises:
+        ValueError: The job has no robot.
+
+    **Differentiability**: smooth in force, robot and place; in the place by the
+    implicit function of the inverse kinematics.
+    """
+    job = with_precision(job)
+    return whole_path(job, jnp.asarray(force, job.simulation.precision))[0]
+
+
+def least_singular_of(
+    robot: Robot, qs: Float[Array, "row joint"], tool_rotation: ToolRotation
+) -> float:
+    """Return the smallest singular value over poses, lengths in the arm's unit."""
+    return float(jnp.min(_smallest(robot, qs, tool_rotation)))
+
+
+def _smallest(
+    robot: Robot, qs: Float[Array, "row joint"], tool_rotation: ToolRotation
+) -> Float[Array, " row"]:
+    measure = lambda q: singularity(robot, q, tool_rotation=tool_rotation).smallest
+    return jax.vmap(measure)(qs)
+
+
+def _about_z(angle: Float[Array, ""]) -> Float[Array, "4 4"]:
+    """Return a rotation about z as a homogeneous matrix."""
+    c, s = jnp.cos(angle), jnp.sin(angle)
+    turn = jnp.stack([jnp.stack([c, -s]), jnp.stack([s, c])])
+    return jnp.eye(4, dtype=turn.dtype).at[:2, :2].set(turn)

@@ -1,0 +1,1 @@
+"""Offsets of the command as splines, and their limits."""

@@ -1,0 +1,211 @@
+"""Limits of a command that are linear in its spline, above all of its derivatives.
+
+A command is a row per tooth period, and its controller gets no more: with B the rows of
+the spline and D_m the m-th differences over the m-th power of the time step,
+
+    -v <= D_m nominal + D_m B c <= v
+
+is exact for these rows and linear in the coefficients c, with a sparse matrix.
+"""
+
+import abc
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from ..._types import FloatRows
+from .spline_offsets import SplineOffsets, basis_matrix
+
+# Share of a limit that the steps to it leave, and by which a program may be beyond it:
+# differences of rows are rounded.
+_RESERVE = 1e-6
+
+Coefficients = Float[np.ndarray, "coefficient axis"]
+Rows = Float[np.ndarray, "row axis"]
+
+
+class InfeasibleLimit(ValueError):
+    """Raise when a limit cannot be held, by the program itself or by any correction."""
+
+
+class AbstractRows(eqx.Module):
+    """Bounds of linear functions of coefficients.
+
+    Attributes:
+        lower: Least values, shape (row, ...).
+        upper: Largest values, of the same shape.
+    """
+
+    lower: eqx.AbstractVar[np.ndarray]
+    upper: eqx.AbstractVar[np.ndarray]
+
+    @abc.abstractmethod
+    def apply(self, coefficients: Coefficients) -> np.ndarray:
+        """Return the values for coefficients."""
+
+    @abc.abstractmethod
+    def transpose(self, rows: np.ndarray) -> Coefficients:
+        """Return the transposed map of values."""
+
+
+class AbstractLimits(AbstractRows):
+    """Bounds of linear functions of the coefficients of a spline that 0 keeps."""
+
+    @abc.abstractmethod
+    def flat(self, axis_count: int) -> Any:
+        """Return the map of the coefficients, row by row, as a sparse matrix."""
+
+    def about(self, point: Coefficients, unit: float) -> "AbstractLimits":
+        """Return the limits of a step from a point that keeps them.
+
+        Args:
+            point: Coefficients, shape (coefficient, axis).
+            unit: The step is measured in this many units of the coefficients.
+
+        Returns:
+            Limits of the step.
+        """
+        rows = self.apply(point)
+        # A point on a limit may be beyond it by rounding. What a step may take beyond
+        # its own limits, which the dense solver does not tell from them, is kept.
+        kept = 1 - _RESERVE
+        lower = np.minimum(kept * self.lower - rows, 0.0) / unit
+        upper = np.maximum(kept * self.upper - rows, 0.0) / unit
+        return dataclasses.replace(self, lower=lower, upper=upper)
+
+
+class LinearLimits(AbstractLimits):
+    """Bounds of linear functions of the coefficients of a spline, axis by axis.
+
+    Attributes:
+        matrix: Sparse, shape (row, coefficient), of `scipy.sparse`.
+        lower: Least values, shape (row, axis); at most 0.
+        upper: Largest values, shape (row, axis); at least 0.
+        name: What the limit is called in messages.
+    """
+
+    matrix: Any
+    lower: Rows
+    upper: Rows
+    name: str = eqx.field(static=True, default="limits")
+
+    def apply(self, coefficients: Coefficients) -> Rows:
+        """Return the values for coefficients, shape (row, axis)."""
+        return self.matrix @ coefficients
+
+    def transpose(self, rows: Rows) -> Coefficients:
+        """Return the transposed map of values per row and axis."""
+        return self.matrix.T @ rows
+
+    def flat(self, axis_count: int) -> Any:
+        """Return the map of the coefficients, row by row, as a sparse matrix."""
+        from scipy import sparse
+
+        return sparse.kron(self.matrix, sparse.eye_array(axis_count), format="csr")
+
+
+class MixedLimits(AbstractLimits):
+    """Bounds of linear functions of all axes of the coefficients of a spline.
+
+    Attributes:
+        matrix: Sparse, shape (row, coefficient x axis), of `scipy.sparse`.
+        lower: Least values, shape (row,); at most 0.
+        upper: Largest values, shape (row,); at least 0.
+        axis_count: Axes of the coefficients.
+        name: What the limit is called in messages.
+    """
+
+    matrix: Any
+    lower: Float[np.ndarray, " row"]
+    upper: Float[np.ndarray, " row"]
+    axis_count: int = eqx.field(static=True)
+    name: str = eqx.field(static=True, default="limits")
+
+    def apply(self, coefficients: Coefficients) -> Float[np.ndarray, " row"]:
+        """Return the values for coefficients, shape (row,)."""
+        return self.matrix @ coefficients.reshape(-1)
+
+    def transpose(self, rows: Float[np.ndarray, " row"]) -> Coefficients:
+        """Return the transposed map of values per row."""
+        return (self.matrix.T @ rows).reshape(-1, self.axis_count)
+
+    def flat(self, axis_count: int) -> Any:
+        """Return the map of the coefficients, row by row, as a sparse matrix."""
+        return self.matrix
+
+
+def command_limits(
+    spline: SplineOffsets,
+    nominal: FloatRows,
+    *,
+    max_velocity: float = np.inf,
+    max_acceleration: float = np.inf,
+    unit: str = "",
+) -> tuple[LinearLimits, ...]:
+    """Return the limits that keep a whole command within its derivatives' bounds.
+
+    Args:
+        spline: Basis of the offset.
+        nominal: The uncorrected command, shape (step, axis).
+        max_velocity: Largest velocity per axis [unit of the command / s].
+        max_acceleration: Largest acceleration per axis [unit of the command / s^2].
+        unit: Unit of the command, for messages.
+
+    Returns:
+        One entry for each limit that is finite.
+
+    Raises:
+        InfeasibleLimit: The nominal command breaks a limit; the message says which,
+            when, on which axis and by how much.
+
+    **Differentiability**: none, a host function.
+    """
+    nominal = np.asarray(nominal, np.float64)
+    found = []
+    for order, name, limit in (
+        (1, "max_velocity", max_velocity),
+        (2, "max_acceleration", max_acceleration),
+    ):
+        if not np.isfinite(limit):
+            continue
+        rate = np.diff(nominal, order, axis=0) / spline.time_step**order
+        per_time = unit + ("/s" if order == 1 else "/s^2")
+        _check_nominal(name, order, float(limit), rate, spline.time_step, per_time)
+        matrix = basis_matrix(spline)
+        for _ in range(order):
+            matrix = matrix[1:] - matrix[:-1]
+        # In the coefficients' unit, so that rows of both kinds are alike in size.
+        step = spline.time_step**order
+        scale = spline.actual_spacing**order
+        found.append(
+            LinearLimits(
+                matrix * (scale / step),
+                np.minimum(scale * (-limit - rate), 0.0),
+                np.maximum(scale * (limit - rate), 0.0),
+                name,
+            )
+        )
+    return tuple(found)
+
+
+def _check_nominal(
+    name: str,
+    order: int,
+    limit: float,
+    rate: Float[np.ndarray, "row axis"],
+    time_step: float,
+    unit: str,
+) -> None:
+    """Raise if the nominal command alone is above the limit."""
+    row, axis = np.unravel_index(np.argmax(np.abs(rate)), rate.shape)
+    worst = float(np.abs(rate[row, axis]))
+    if worst <= limit * (1 + _RESERVE):
+        return
+    raise InfeasibleLimit(
+        f"Argument `{name}` must be at least what the program itself needs, "
+        f"{worst:.4g} {unit} on axis {axis} at {(row + order / 2) * time_step:.4g} s, "
+        f"but is {limit:.4g} {unit}: {worst - limit:.4g} {unit} too low."
+    )

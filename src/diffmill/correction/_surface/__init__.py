@@ -1,0 +1,1 @@
+"""The machined surface as the objective, and bounds on it."""

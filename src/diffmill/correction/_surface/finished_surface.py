@@ -1,0 +1,338 @@
+"""The error of the machined surface, differentiable, for a flat tool along +z.
+
+The rigid tool leaves a stock whose ray ends are points on the surface as it should be:
+walls, which the side of the tool cut, and floors, which its bottom cut. At such a point
+the machined surface is the deepest of the surfaces that all passes leave there:
+
+    wall:   min over k of  n.(a_k - p) - sqrt(R^2 - (t.(a_k - p))^2)
+    floor:  min over k of  a_kz - p_z
+
+with a_k the actual tips, p the point, n its normal out of the material and t across it.
+The passes that may be the deepest are listed once from the desired path, so that
+an evaluation is a gather and a minimum. Unlike the tip's deviation it sees that a pass
+is cut again by a later one, and which of two neighbouring poses decides.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ..._types import FloatRows3, RealScalarLike
+from ...workpiece import TICKS, Stock
+from .._core.path_objective import AbstractObjective, beyond, deviation_of, row_shares
+from .._core.problem import Motion, Problem
+
+# Where a pose does not reach a point, it leaves material this far out [m].
+_FAR = 1.0
+# Points of a kind, and pairs of a point and a pose, at most; the rest of the points is
+# left out evenly.
+_POINTS, _PAIRS = 2000, 2_000_000
+# Poses that differ by less leave a point together [m].
+_SAME_DEPTH = 1e-6
+# A pose that is no further out of a point could spoil it [m].
+_NEAR = 1e-4
+
+
+class FinishedSurface(eqx.Module):
+    """Points of the ideal surface and the poses that may cut there.
+
+    Attributes:
+        points: Points p [m], shape (point, 3).
+        normals: Unit normals n out of the material, shape (point, 3).
+        is_wall: Whether the point is on a wall, else on a floor, shape (point,).
+        poses: Rows of the path that may be the deepest; a row may stand more than
+            once, shape (point, pose).
+        radius: Radius of the tool R [m].
+    """
+
+    points: Float[np.ndarray, "point 3"] | Float[Array, "point 3"]
+    normals: Float[np.ndarray, "point 3"] | Float[Array, "point 3"]
+    is_wall: Bool[np.ndarray, " point"] | Bool[Array, " point"]
+    poses: Int[np.ndarray, "point pose"] | Int[Array, "point pose"]
+    radius: RealScalarLike
+
+    def errors(self, actual: FloatRows3) -> Float[Array, " point"]:
+        """Return how far out of the ideal surface the machined one lies.
+
+        Args:
+            actual: Actual tips [m], shape (step, 3).
+
+        Returns:
+            Positive where material was left, negative where too much was cut [m],
+            shape (point,).
+
+        **Differentiability**: kink where another pose becomes the deepest.
+        """
+        # The choice is held fixed: `min` would share a tie's derivative among all.
+        best = jnp.argmin(self.depths(jax.lax.stop_gradient(actual)), axis=1)
+        poses = jnp.asarray(self.poses, jnp.int32)
+        chosen = jnp.take_along_axis(poses, best[:, None], axis=1)
+        return self._depths(actual, chosen)[:, 0]
+
+    def depths(self, actual: FloatRows3) -> Float[Array, "point pose"]:
+        """Return how far out of the ideal surface each pose of a point cuts [m].
+
+        Args:
+            actual: Actual tips [m], shape (step, 3).
+
+        Returns:
+            As `errors`, of every pose, shape (point, pose).
+
+        **Differentiability**: smooth where the pose cuts.
+        """
+        return self._depths(actual, jnp.asarray(self.poses, jnp.int32))
+
+    def _depths(
+        self, actual: FloatRows3, poses: Int[Array, "point some"]
+    ) -> Float[Array, "point some"]:
+        """Return how far out of the ideal surface some poses of each point cut."""
+        tips = jnp.asarray(actual)
+        p, n = (jnp.asarray(x, tips.dtype) for x in (self.points, self.normals))
+        apart = tips[poses] - p[:, None]
+        out = jnp.sum(apart * n[:, None], axis=2)
+        across = apart[..., 1] * n[:, None, 0] - apart[..., 0] * n[:, None, 1]
+        R = jnp.asarray(self.radius, tips.dtype)
+        square = R**2 - across**2
+        is_under = square > (0.01 * R) ** 2
+        wall = out - jnp.sqrt(jnp.where(is_under, square, 1.0))
+        wall = jnp.where(is_under, wall, jnp.asarray(_FAR, tips.dtype))
+        return jnp.where(jnp.asarray(self.is_wall)[:, None], wall, out)
+
+
+def finished_surface(
+    stock: Stock, desired: FloatRows3, radius: float, *, reach: float = 5e-4
+) -> FinishedSurface:
+    """Return the surface that a rigid flat tool along +z leaves.
+
+    Args:
+        stock: The stock after the rigid cut; its ends know the poses that cut them.
+        desired: The path of that cut [m], shape (step, 3).
+        radius: Radius of the tool [m].
+        reach: A pose may decide a point if the desired one stays at most this far out
+            of it [m]: twice the largest error that is to be seen right.
+
+    Returns:
+        At most 2000 points of walls and of floors each.
+
+    Raises:
+        ValueError: No end was cut by a pose.
+
+    **Differentiability**: none, a host function.
+    """
+    tips = np.asarray(desired, np.float64)
+    walls, floors = _wall_points(stock, tips, radius), _floor_points(stock)
+    walls, floors = (
+        tuple(values[_thinned(np.arange(len(values)), _POINTS)] for values in kind)
+        for kind in (walls, floors)
+    )
+    poses = [
+        _wall_poses(*walls, tips, radius, reach),
+        _floor_poses(floors[0], tips, radius, reach),
+    ]
+    is_seen = [np.array([rows.size > 0 for rows in kind], bool) for kind in poses]
+    if not any(seen.any() for seen in is_seen):
+        raise ValueError("Argument `stock` must have been cut by a pose, but was not.")
+    width = max(rows.size for kind in poses for rows in kind)
+    kept = [_thinned(np.flatnonzero(seen), _PAIRS // (2 * width)) for seen in is_seen]
+    return FinishedSurface(
+        points=np.concatenate([walls[0][kept[0]], floors[0][kept[1]]]),
+        normals=np.concatenate([walls[1][kept[0]], floors[1][kept[1]]]),
+        is_wall=np.repeat([True, False], [kept[0].size, kept[1].size]),
+        poses=np.stack(
+            [
+                _filled(kind[i], width)
+                for kind, few in zip(poses, kept, strict=True)
+                for i in few
+            ]
+        ),
+        radius=np.asarray(radius, np.float64),
+    )
+
+
+class SurfaceObjective(AbstractObjective):
+    """The signed error of the machined surface, walls and floors apart.
+
+    Attributes:
+        surface: The surface as it should be.
+        wall_weight: Weight of the walls' mean square.
+        floor_weight: Weight of the floors' mean square.
+        tolerance: Half the width of the band within which no error counts [m].
+        shares: How much each point counts among those of its kind, see `point_shares`,
+            shape (point,); all alike if None.
+    """
+
+    surface: FinishedSurface
+    wall_weight: RealScalarLike = 1.0
+    floor_weight: RealScalarLike = 1.0
+    tolerance: RealScalarLike = 0.0
+    shares: Float[np.ndarray, " point"] | Float[Array, " point"] | None = None
+
+    def errors(
+        self, problem: Problem, motion: Motion, lag_weight: RealScalarLike
+    ) -> Float[Array, " error"]:
+        """Return the errors of the points, and the whole deviation for its lag.
+
+        **Differentiability**: that of `FinishedSurface.errors`; kink at the band.
+        """
+        error = self.surface.errors(motion.actual)
+        dtype = error.dtype
+        is_wall = jnp.asarray(self.surface.is_wall)
+        counts = 1.0 if self.shares is None else self.shares
+        share = jnp.asarray(counts, dtype) * jnp.ones_like(error)
+        weight = jnp.where(is_wall, self.wall_weight, self.floor_weight).astype(dtype)
+        total = jnp.where(
+            is_wall,
+            jnp.sum(jnp.where(is_wall, share, 0.0)),
+            jnp.sum(jnp.where(is_wall, 0.0, share)),
+        )
+        share = jnp.sqrt(weight * share / jnp.maximum(total, 1e-30))
+        error = beyond(error[:, None], self.tolerance)[:, 0] * share
+        rest = deviation_of(problem, motion) * row_shares(problem, dtype)[:, None]
+        rest = jnp.asarray(lag_weight, dtype) * rest
+        return jnp.concatenate([error, rest.reshape(-1)])
+
+
+def point_shares(
+    surface: FinishedSurface,
+    desired: FloatRows3,
+    weights: Float[np.ndarray, " step"],
+) -> Float[np.ndarray, " point"]:
+    """Return how much the points of a surface count, from the rows that leave them.
+
+    Args:
+        surface: The surface.
+        desired: The desired path [m], shape (step, 3).
+        weights: Weight of every row, shape (step,).
+
+    Returns:
+        The largest weight of the rows that are the deepest at the point on the desired
+        path, to a micrometre, shape (point,).
+
+    **Differentiability**: none, a host function.
+    """
+    depth = np.asarray(surface.depths(desired), np.float64)
+    is_deepest = depth <= depth.min(axis=1, keepdims=True) + _SAME_DEPTH
+    each = np.asarray(weights, np.float64)[np.asarray(surface.poses)]
+    return np.max(np.where(is_deepest, each, 0.0), axis=1)
+
+
+def touching_rows(
+    surface: FinishedSurface, desired: FloatRows3
+) -> Bool[np.ndarray, " step"]:
+    """Return which rows come so near to a surface that they could spoil it.
+
+    Args:
+        surface: The surface.
+        desired: The desired path [m], shape (step, 3).
+
+    Returns:
+        Whether a pose is at most 0.1 mm out of a point, shape (step,). More rows than
+        those that cut: also those that pass over what has been cut before.
+
+    **Differentiability**: none, a host function.
+    """
+    is_near = np.asarray(surface.depths(desired)) <= _NEAR
+    found = np.zeros(len(np.asarray(desired)), bool)
+    found[np.unique(np.asarray(surface.poses)[is_near])] = True
+    return found
+
+
+def _cut_ends(
+    stock: Stock, family: int, sides: tuple[int, ...]
+) -> tuple[Float[np.ndarray, "end 3"], Float[np.ndarray, " end"]]:
+    """Return the ends of a family that a pose cut, and the time in tooth periods."""
+    rays = stock.families[family]
+    ends, cut_by = np.asarray(rays.ends, np.float64), np.asarray(rays.poses)
+    is_cut = (cut_by >= 0) & (ends[:, :, 1] > ends[:, :, 0])[:, :, None]
+    is_cut &= np.isin(np.arange(2), sides)[None, None, :, None]
+    u, v, side, slot = np.nonzero(is_cut)
+    points = np.empty((len(u), 3))
+    origin = np.asarray(stock.origin, np.float64)
+    points[:, family] = ends[u, v, side, slot]
+    for axis, line in (((family + 1) % 3, u), ((family + 2) % 3, v)):
+        points[:, axis] = origin[axis] + line * stock.spacing
+    return points, cut_by[u, v, side, slot] / TICKS
+
+
+def _wall_points(
+    stock: Stock, tips: Float[np.ndarray, "step 3"], radius: float
+) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, "point 3"]]:
+    """Return points that the tool's side cut, and their normals.
+
+    Points above each other on a wall are alike to an upright tool: the lowest stands
+    for all, half a spacing above the tip so that a tip that lifts still cuts it.
+    """
+    found = [_cut_ends(stock, family, (0, 1)) for family in (0, 1)]
+    points, cut_by = (np.concatenate([f[i] for f in found]) for i in (0, 1))
+    rows = np.arange(len(tips))
+    cutting = np.stack([np.interp(cut_by, rows, tips[:, i]) for i in range(3)], axis=1)
+    normals = (cutting - points) / radius
+    above = points[:, 2] - cutting[:, 2]
+    normals[:, 2] = 0.0
+    length = np.linalg.norm(normals, axis=1)
+    # Points that the rim of the bottom cut have no wall's normal.
+    is_side = (np.abs(length - 1) < 1e-3) & (above > 0.5 * stock.spacing)
+    points, normals = points[is_side], normals[is_side] / length[is_side, None]
+    order = np.argsort(points[:, 2], kind="stable")
+    key = np.round(points[order, :2] / (1e-3 * stock.spacing))
+    chosen = order[np.unique(key, axis=0, return_index=True)[1]]
+    return points[chosen], normals[chosen]
+
+
+def _floor_points(
+    stock: Stock,
+) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, "point 3"]]:
+    """Return points that the tool's bottom cut, and their normals."""
+    points, _ = _cut_ends(stock, 2, (1,))
+    return points, np.tile(np.array([0.0, 0.0, 1.0]), (len(points), 1))
+
+
+def _thinned(places: Int[np.ndarray, " many"], most: int) -> Int[np.ndarray, " few"]:
+    """Return evenly chosen places, not more than so many and at least one."""
+    if len(places) <= most:
+        return places
+    return places[np.linspace(0, len(places) - 1, max(1, most)).astype(int)]
+
+
+def _wall_poses(
+    points: Float[np.ndarray, "point 3"],
+    normals: Float[np.ndarray, "point 3"],
+    tips: Float[np.ndarray, "step 3"],
+    radius: float,
+    reach: float,
+) -> list[Int[np.ndarray, " pose"]]:
+    """Return the poses that may cut each wall point deepest."""
+    found = []
+    for p, n in zip(points, normals, strict=True):
+        apart = tips - p
+        out = apart @ n
+        across = apart[:, 1] * n[0] - apart[:, 0] * n[1]
+        square = radius**2 - across**2
+        depth = out - np.sqrt(np.clip(square, 0, None))
+        # A tool behind the wall cuts another one.
+        is_near = (square > (0.1 * radius) ** 2) & (tips[:, 2] < p[2]) & (out > 0)
+        found.append(np.flatnonzero(is_near & (depth < reach)))
+    return found
+
+
+def _floor_poses(
+    points: Float[np.ndarray, "point 3"],
+    tips: Float[np.ndarray, "step 3"],
+    radius: float,
+    reach: float,
+) -> list[Int[np.ndarray, " pose"]]:
+    """Return the poses whose bottom covers each point."""
+    found = []
+    for p in points:
+        off = np.hypot(tips[:, 0] - p[0], tips[:, 1] - p[1])
+        is_near = (off < radius - reach) & (tips[:, 2] - p[2] < reach)
+        found.append(np.flatnonzero(is_near))
+    return found
+
+
+def _filled(rows: Int[np.ndarray, " pose"], width: int) -> Int[np.ndarray, " wide"]:
+    """Return rows of one width; the first pose stands in for what is missing."""
+    missing = width - rows.size
+    return np.concatenate([rows, np.repeat(rows[:1], missing)]).astype(np.int32)

@@ -1,0 +1,101 @@
+"""Bounds of the machined surface for the rows of a segment.
+
+Not to be too deep is a bound of every pose alone, so each segment holds it for its own.
+To stay in the cut takes one pose that is deep enough: a segment holds it for the points
+whose deepest pose, on the desired path, is among its rows.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ..._types import FloatRows3
+from .finished_surface import FinishedSurface
+from .surface_limits import SurfaceBounds
+
+
+def window_bounds(
+    bounds: SurfaceBounds,
+    deepest: Int[np.ndarray, " point"],
+    rows: tuple[int, int, int],
+    *,
+    shift: int,
+    count: int,
+) -> SurfaceBounds:
+    """Return the bounds of the points that the rows of a segment cut.
+
+    Args:
+        bounds: Bounds of the whole surface.
+        deepest: Row whose desired pose is the deepest at each point, see
+            `deepest_rows`, shape (point,).
+        rows: First row of the segment, the first that the next segment may change,
+            and the first that is not held.
+        shift: What is to be added to a row to have its place in the segment's motion.
+        count: Number of points to return, at least as many as are cut; those that are
+            too many are free. All segments then have the same shapes.
+
+    Returns:
+        The bounds, on the motion of the segment.
+
+    **Differentiability**: none, a host function.
+    """
+    first, hop, end = rows
+    surface = bounds.surface
+    poses = np.asarray(surface.poses)
+    # A point that only the poses before the next segment can decide is decided here.
+    is_kept = (deepest >= first) & (deepest < hop)
+    last = np.where(is_kept, hop, end)[:, None]
+    is_inside = (poses >= first) & (poses < last)
+    is_cut = np.flatnonzero(is_inside.any(axis=1))
+    place, inside = poses[is_cut], is_inside[is_cut]
+    some = np.take_along_axis(place, np.argmax(inside, axis=1)[:, None], axis=1)
+    place = np.where(inside, place, some) + shift
+    is_mine = (deepest[is_cut] >= first) & (deepest[is_cut] < end)
+    free = count - is_cut.size
+    fill = lambda x, value: np.concatenate(
+        [x, np.full((free, *x.shape[1:]), value, x.dtype)]
+    )
+    return SurfaceBounds(
+        FinishedSurface(
+            fill(np.asarray(surface.points)[is_cut], 0),
+            fill(np.asarray(surface.normals)[is_cut], 0),
+            fill(np.asarray(surface.is_wall)[is_cut], False),
+            fill(place.astype(np.int32), shift + first),
+            surface.radius,
+        ),
+        fill(bounds.lower[is_cut], -np.inf),
+        fill(np.where(is_mine, bounds.upper[is_cut], np.inf), np.inf),
+        bounds.gouge,
+    )
+
+
+def cut_points(
+    bounds: SurfaceBounds, first: int, end: int
+) -> Bool[np.ndarray, " point"]:
+    """Return which points the poses of some rows may cut, shape (point,).
+
+    **Differentiability**: none, a host function.
+    """
+    poses = np.asarray(bounds.surface.poses)
+    return np.any((poses >= first) & (poses < end), axis=1)
+
+
+def deepest_rows(
+    bounds: SurfaceBounds, desired: FloatRows3
+) -> Int[np.ndarray, " point"]:
+    """Return the row whose desired pose is the deepest at each point, shape (point,).
+
+    **Differentiability**: none, a host function.
+    """
+    depth = np.asarray(bounds.surface.depths(desired), np.float64)
+    best = np.argmin(depth, axis=1)[:, None]
+    return np.take_along_axis(np.asarray(bounds.surface.poses), best, axis=1)[:, 0]
+
+
+def is_kept(bounds: SurfaceBounds, errors: Float[np.ndarray, " point"]) -> bool:
+    """Tell whether errors of the surface keep the bounds, but for rounding.
+
+    **Differentiability**: none, a host function.
+    """
+    slack = 1e-7
+    is_within = (errors >= bounds.lower - slack) & (errors <= bounds.upper + slack)
+    return bool(np.all(is_within))

@@ -1,0 +1,1 @@
+"""Time, axes and place of a record against the simulation."""

@@ -1,0 +1,224 @@
+"""How a dynamometer may have been mounted: proposals with their evidence.
+
+A dynamometer measures along its own axes, which are turned, mirrored or exchanged
+against those of the simulation, and with the sign of the force on the workpiece or of
+that on the tool. That makes 48 signed permutations. The six coefficients of the force
+law are fitted to the record under each of them, which is cheap: the sums over samples
+are shared. For each of the six permutations, physics decides which signs make sense.
+"""
+
+import itertools
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from .axis_proposal import AxesCandidate, AxesProposal, axes_label, proposal_of
+
+# What a violation of physics adds to a relative residual between 0 and 1. A negative
+# tangential or radial force weighs most; that K_ac is positive holds less surely.
+_PENALTIES = {
+    "the tangential force is negative": 0.5,
+    "the radial force is negative": 0.5,
+    "radial over tangential force is outside 0.1 to 1": 0.25,
+    "the axial force is negative": 0.02,
+}
+_RATIOS = (0.1, 1.0)
+
+
+def propose_axes(
+    force: Float[np.ndarray, "sample 3"],
+    columns: Float[np.ndarray, "instant 3 6"],
+    rate: float,
+    *,
+    max_shift: float = 0.0,
+    tooth_frequency: float | None = None,
+) -> AxesProposal:
+    """Return how the recorded axes may lie in the simulation's, with the evidence.
+
+    For each signed permutation the six coefficients follow from linear least squares,
+    at the time shift with the least score. The score is the relative residual plus a
+    penalty for what physics forbids: tangential and radial force are positive (edge
+    included, at the mean chip), radial over tangential force lies within 0.1 to 1, the
+    axial force is positive. The residual tells the axes apart as long as the forces
+    vary within a turn; it cannot tell all signs at once reversed, nor the sign of z
+    alone, for which only the penalties speak.
+
+    Args:
+        force: Record less its offset, at equal steps [N], shape (sample, 3); a channel
+            that was not measured is NaN throughout.
+        columns: Simulated force per unit of each coefficient at the same instants, in
+            the order K_tc, K_rc, K_ac, K_te, K_re, K_ae, shape (sample, 3, 6).
+        rate: Sampling rate of both [Hz].
+        max_shift: How far the record may be shifted in time either way [s]; 0 if the
+            spindle's angle is known. For a steady cut half a turn is enough.
+        tooth_frequency: Tooth-passing frequency [Hz], for the phases in the evidence.
+
+    Returns:
+        The six proposals and what speaks for the first.
+
+    Raises:
+        ValueError: If shapes disagree, the force is zero, or the record is not longer
+            than four times `max_shift`.
+
+    Differentiability: none.
+    """
+    force, columns = np.asarray(force, np.float64), np.asarray(columns, np.float64)
+    lags = int(np.ceil(max_shift * rate))
+    is_measured = np.asarray(~np.isnan(force).all(axis=0))
+    # What was not measured adds nothing to the sums.
+    force = np.where(is_measured[None], force, 0.0)
+    if columns.shape != (force.shape[0], 3, 6):
+        raise ValueError(
+            f"Argument `columns` must have the shape {(force.shape[0], 3, 6)}, but has "
+            f"{columns.shape}."
+        )
+    if force.shape[0] <= 4 * lags or not np.any(force):
+        raise ValueError(
+            f"The record must not rest at zero and have more than {4 * lags} samples "
+            f"for this `max_shift`, but has {force.shape[0]}."
+        )
+    scale = np.sqrt(np.einsum("tac,tac->c", columns, columns))
+    # A coefficient without effect keeps a column of zeros and the value zero.
+    unit = columns / np.where(scale > 0, scale, 1.0)[None, None]
+    products = _products(force, unit, lags)
+    inside = slice(lags, force.shape[0] - lags)
+    grams = np.einsum("tac,tad->acd", unit[inside], unit[inside])
+    found = []
+    for matrix in signed_permutations():
+        seen = _seen(matrix, is_measured)
+        inverse = np.linalg.pinv(grams[seen].sum(axis=0), rcond=1e-9, hermitian=True)
+        assigned = np.einsum("ai,iacl->lc", matrix, products)
+        solutions = assigned @ inverse
+        power = np.sum(force[inside] ** 2)
+        rest = 1.0 - np.einsum("lc,lc->l", assigned, solutions) / power
+        residual = np.sqrt(np.clip(rest, 0.0, None))
+        score = residual + _penalty(solutions)
+        best = int(np.argmin(score))
+        found.append((float(score[best]), best - lags, matrix))
+    found.sort(key=lambda item: item[0])
+    candidates = tuple(
+        _candidate(
+            force,
+            unit * _seen(matrix, is_measured)[None, :, None],
+            scale,
+            (matrix, _seen(matrix, is_measured)),
+            (lag, lags),
+            rate,
+            tooth_frequency,
+        )
+        for _, lag, matrix in found
+    )
+    return proposal_of(candidates)
+
+
+def signed_permutations() -> list[Float[np.ndarray, "3 3"]]:
+    """Return the 48 matrices that exchange and reverse axes."""
+    return [
+        np.array(signs)[:, None] * np.eye(3)[list(order)]
+        for order in itertools.permutations(range(3))
+        for signs in itertools.product((1.0, -1.0), repeat=3)
+    ]
+
+
+def _seen(
+    matrix: Float[np.ndarray, "3 3"], is_measured: Bool[np.ndarray, " channel"]
+) -> Bool[np.ndarray, " axis"]:
+    """Return which forces of the simulation an assignment has a channel for."""
+    return np.abs(matrix) @ is_measured > 0
+
+
+def _products(
+    force: Float[np.ndarray, "sample 3"],
+    unit: Float[np.ndarray, "sample 3 6"],
+    lags: int,
+) -> Float[np.ndarray, "channel axis coefficient lag"]:
+    """Return sums of channel times shifted column, for lags from -lags to lags."""
+    count = force.shape[0]
+    inner = np.zeros_like(force)
+    inner[lags : count - lags] = force[lags : count - lags]
+    if lags == 0:
+        return np.einsum("ti,tac->iac", inner, unit)[..., None]
+    # The inner part never meets what wraps around within these lags.
+    size = 1 << (count - 1).bit_length()
+    spectrum = np.conj(np.fft.rfft(unit, size, axis=0))
+    wanted = np.arange(-lags, lags + 1)
+    out = np.empty((3, 3, 6, wanted.size))
+    for channel in range(3):
+        product = np.fft.rfft(inner[:, channel], size)[:, None, None] * spectrum
+        sums = np.fft.irfft(product, size, axis=0)[wanted]
+        out[channel] = np.moveaxis(sums, 0, -1)
+    return out
+
+
+def _penalty(
+    solutions: Float[np.ndarray, "lag coefficient"],
+) -> Float[np.ndarray, " lag"]:
+    return sum(
+        np.where(is_violated, weight, 0.0)
+        for is_violated, weight in zip(
+            _violated(solutions), _PENALTIES.values(), strict=True
+        )
+    ) + np.zeros(len(solutions))
+
+
+def _violated(solutions: Float[np.ndarray, "lag coefficient"]) -> list[np.ndarray]:
+    """Return for each penalty where it applies.
+
+    With columns of unit size, cutting and edge part of a solution add to the force.
+    """
+    tangential, radial, axial = (solutions[:, :3] + solutions[:, 3:]).T
+    # Edge forces may exceed the bound at thin chips; noise splits the two parts badly.
+    is_odd = _is_odd(tangential, radial) & _is_odd(solutions[:, 0], solutions[:, 1])
+    both = (tangential > 0) & (radial > 0)
+    return [tangential <= 0, radial <= 0, both & is_odd, axial < 0]
+
+
+def _is_odd(
+    tangential: Float[np.ndarray, " lag"], radial: Float[np.ndarray, " lag"]
+) -> np.ndarray:
+    low, high = _RATIOS
+    return (radial < low * tangential) | (radial > high * tangential)
+
+
+def _candidate(
+    force: Float[np.ndarray, "sample 3"],
+    unit: Float[np.ndarray, "sample 3 6"],
+    scale: Float[np.ndarray, " coefficient"],
+    assignment: tuple[Float[np.ndarray, "3 3"], Bool[np.ndarray, " axis"]],
+    shift: tuple[int, int],
+    rate: float,
+    tooth_frequency: float | None,
+) -> AxesCandidate:
+    """Return one assignment with its evidence, fitted anew at its time shift."""
+    (matrix, seen), (lag, lags) = assignment, shift
+    count = force.shape[0]
+    recorded = force[lags : count - lags] @ matrix.T
+    basis = unit[lags - lag : count - lags - lag]
+    gram = np.einsum("tac,tad->cd", basis, basis)
+    right = np.einsum("ta,tac->c", recorded, basis)
+    solution = np.linalg.pinv(gram, rcond=1e-9, hermitian=True) @ right
+    fitted = basis @ solution
+    residual = float(np.linalg.norm(recorded - fitted) / np.linalg.norm(recorded))
+    phase = np.full(3, np.nan)
+    if tooth_frequency is not None:
+        turns = np.exp(-2j * np.pi * tooth_frequency / rate * np.arange(len(fitted)))
+        phase = np.angle((turns @ recorded) * np.conj(turns @ fitted))
+        phase = np.where(seen, phase, np.nan)
+    tests = [bool(test[0]) for test in _violated(solution[None])]
+    total = solution[:3] + solution[3:]
+    return AxesCandidate(
+        matrix=matrix,
+        label=axes_label(matrix),
+        is_mirrored=bool(np.linalg.det(matrix) < 0),
+        score=residual + float(_penalty(solution[None])[0]),
+        residual=residual,
+        coefficients=solution / np.where(scale > 0, scale, np.inf),
+        radial_ratio=float(total[1] / total[0]) if total[0] else float("nan"),
+        violations=tuple(
+            t for t, is_so in zip(_PENALTIES, tests, strict=True) if is_so
+        ),
+        time_shift=lag / rate,
+        phase_error=phase,
+        mean_recorded=np.where(seen, recorded.mean(axis=0), np.nan),
+        mean_fitted=fitted.mean(axis=0),
+    )

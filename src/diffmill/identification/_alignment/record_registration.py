@@ -1,0 +1,355 @@
+"""Records set beside their cuts: speed, window and time, so that a fit can begin."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..._job import Job
+from ...cutter import AbstractCutter
+from ...cutting import LinearEdgeLaw
+from .._cut.cut_model import (
+    Cut,
+    EngagementColumns,
+    at_times,
+    cut_of,
+    engagement_columns,
+)
+from .._cut.straight_cut import SETTLED, Side, steady_cut
+from .._force.mean_force import NAMES
+from .._record.clock_faults import check_clock, check_teeth
+from .._record.diagnosis import Diagnosis
+from .._record.spindle_harmonics import refine_spindle_speed
+from .axis_assignment import propose_axes
+from .axis_proposal import AxesProposal
+from .time_alignment import Meeting, meet
+
+# Coefficients of a metal in proportion [Pa, N/m], where none are known.
+_USUAL = np.array([1000e6, 350e6, 100e6, 15e3, 15e3, 5e3])
+# Revolutions of a straight cut that are fitted, and teeth to which their number is
+# rounded up so that few sizes are compiled.
+_TURNS, _ROUND = 40, 32
+# Samples from which the axes are judged, how many of a tooth period are enough, the
+# least number, and usual steps over which a line is drawn.
+_JUDGED, _PER_TOOTH, _LEAST, _BRIDGED = 8000, 32, 24, 2.5
+# A nominal speed that is off by more is doubted.
+_SPEED_OFF = 0.03
+# A force this many times the largest of all but a few percent is a gross error.
+_SPIKE, _ALL_BUT = 3.0, 0.98
+# Share of the largest force below which the tool counts as out of the cut.
+_CUTS = 0.02
+
+
+class Placed(NamedTuple):
+    """A record beside its cut, its axes as recorded.
+
+    Attributes:
+        cut: The cut, with a plan.
+        time: Instants on the clock of the cut, to a revolution or better [s],
+            shape (row,).
+        force: As recorded [N], shape (row, 3); NaN out of the cut.
+        offset: Clock of the cut minus clock of the record [s].
+        proposal: How the axes may lie.
+        meeting: How well the sizes of the forces agree over a job, or None.
+        spindle_speed: As used [rad/s].
+        notes: What was done or is doubtful, one sentence each.
+        diagnoses: What clock and teeth of a steady cut tell.
+    """
+
+    cut: Cut
+    time: Float[np.ndarray, " row"]
+    force: Float[np.ndarray, "row 3"]
+    offset: float
+    proposal: AxesProposal
+    meeting: Meeting | None
+    spindle_speed: float
+    notes: tuple[str, ...]
+    diagnoses: tuple[Diagnosis, ...] = ()
+
+
+def place_on_steady_cut(
+    cutter: AbstractCutter,
+    spindle_speed: float,
+    feed_per_tooth: float,
+    axial_depth: float,
+    time: Float[np.ndarray, " row"],
+    force: Float[np.ndarray, "row 3"],
+    *,
+    radial_depth: float | None = None,
+    side: Side = "slot",
+    refines_speed: bool = True,
+    largest_feed: float | None = None,
+    angle: Float[np.ndarray, " row"] | None = None,
+) -> Placed:
+    """Set the steady part of a record beside a straight cut.
+
+    Args:
+        cutter: The cutter.
+        spindle_speed: Nominal [rad/s].
+        feed_per_tooth: f_z [m].
+        axial_depth: a_p [m].
+        time: Instants of the steady part [s], shape (row,).
+        force: As recorded, without offset [N], shape (row, 3); NaN where not known.
+        radial_depth: a_e [m]; not for a slot.
+        side: "slot", "up" or "down".
+        refines_speed: Whether the speed is taken from the record.
+        largest_feed: See `steady_cut`.
+        angle: Measured spindle angle at each row [rad], increasing, or None: the clock
+            of the cut then follows the spindle, and tooth 0 stands at this angle.
+
+    Returns:
+        Its first 40 revolutions beside the cut.
+
+    Raises:
+        ValueError: Sizes that no straight cut has, or less than three revolutions.
+
+    **Differentiability**: runs on the host.
+    """
+    speed, flutes, notes = spindle_speed, cutter.flute_count, ()
+    if angle is not None:
+        speed, time = _spindle_clock(time, angle, None)
+    elif refines_speed:
+        speed, notes = _refined(spindle_speed, flutes, time, force)
+    turn = 2 * math.pi / speed
+    turns = min(_TURNS, math.floor((float(time[-1] - time[0])) / turn + 1e-6))
+    if turns < 3:
+        raise ValueError(
+            f"The record must hold 3 revolutions of {turn:.4g} s, but lasts "
+            f"{float(time[-1] - time[0]):.4g} s."
+        )
+    keep = time <= time[0] + turns * turn
+    teeth = SETTLED + (turns + 2) * flutes + 1
+    teeth = _ROUND * math.ceil(teeth / _ROUND)
+    cut = cut_of(
+        steady_cut(
+            cutter,
+            speed,
+            feed_per_tooth,
+            axial_depth,
+            radial_depth=radial_depth,
+            side=side,
+            teeth=teeth,
+            largest_feed=largest_feed,
+        )
+    )
+    # A revolution of room, within which the fit looks for the shift.
+    offset = turn + SETTLED * cut.tooth_period - float(time[0])
+    if angle is not None:
+        offset = _in_phase(offset, time, angle, speed)
+    when, seen = time[keep] + offset, force[keep]
+    proposal = _judge(engagement_columns(cut), when, seen, turn / 2, cut.tooth_period)
+    diagnoses = () if angle is not None else _diagnosed(time[keep], seen, speed, flutes)
+    return Placed(cut, when, seen, offset, proposal, None, speed, notes, diagnoses)
+
+
+def _diagnosed(
+    time: Float[np.ndarray, " row"],
+    force: Float[np.ndarray, "row 3"],
+    spindle_speed: float,
+    flute_count: int,
+) -> tuple[Diagnosis, ...]:
+    """Return what the phase and the harmonics of a steady cut tell."""
+    force = force[:, np.isfinite(force).any(axis=0)]
+    known = np.isfinite(force).all(axis=1)
+    if known.sum() <= 16:
+        return ()
+    seen = (time[known], force[known], spindle_speed, flute_count)
+    # Without the right teeth there is no phase to look at.
+    return check_teeth(*seen) or check_clock(*seen)
+
+
+def _spindle_clock(
+    time: Float[np.ndarray, " row"],
+    angle: Float[np.ndarray, " row"],
+    speed: float | None,
+) -> tuple[float, Float[np.ndarray, " row"]]:
+    """Return a speed, the mean one if not given, and a clock on which it is even."""
+    if speed is None:
+        speed = float(angle[-1] - angle[0]) / float(time[-1] - time[0])
+    return speed, time[0] + (angle - angle[0]) / speed
+
+
+def _in_phase(
+    offset: float, time: np.ndarray, angle: np.ndarray, speed: float
+) -> float:
+    """Return the nearest offset of the clock with which tooth 0 stands at the angle.
+
+    It stands at zero when the clock of the cut does.
+    """
+    off = float(angle[0]) - speed * (float(time[0]) + offset)
+    return offset + math.remainder(off, 2 * math.pi) / speed
+
+
+def _refined(
+    given: float,
+    flute_count: int,
+    time: Float[np.ndarray, " row"],
+    force: Float[np.ndarray, "row 3"],
+) -> tuple[float, tuple[str, ...]]:
+    """Return the spindle speed at which forces repeat [rad/s], and what to know."""
+    force = force[:, np.isfinite(force).any(axis=0)]
+    known = np.isfinite(force).all(axis=1)
+    if known.sum() <= 16:
+        return given, ()
+    speed = refine_spindle_speed(
+        time[known], force[known], given, flute_count=flute_count
+    )
+    change = speed / given - 1
+    if abs(change) > _SPEED_OFF:
+        note = (
+            f"The forces repeat at {speed * 30 / math.pi:.6g} rpm, {change:+.1%} "
+            "off the speed given, which was kept: look at speed and number of teeth."
+        )
+        return given, (note,)
+    if abs(change) > 1e-4:
+        note = (
+            f"The forces repeat at {speed * 30 / math.pi:.6g} rpm ({change:+.2%}), "
+            "which was used."
+        )
+        return speed, (note,)
+    return speed, ()
+
+
+def place_on_job(
+    job: Job,
+    time: Float[np.ndarray, " row"],
+    force: Float[np.ndarray, "row 3"],
+    *,
+    time_shift: float | None = None,
+    angle: Float[np.ndarray, " row"] | None = None,
+    keeps_shift: bool = False,
+) -> Placed:
+    """Set a record beside the cut of a job.
+
+    Args:
+        job: The job; its desired path by a rigid machine.
+        time: Instants of the record [s], shape (row,).
+        force: As recorded, without offset [N], shape (row, 3); NaN where not known.
+        time_shift: Time of the job minus time of the record [s]; found by the sizes of
+            the forces if not given.
+        angle: Measured spindle angle at each row [rad], increasing, or None: the clock
+            of the record then follows the spindle, and tooth 0 stands at this angle.
+        keeps_shift: Whether the time shift is exact, and the zero of the angle is not.
+
+    Returns:
+        The record beside the cut, samples out of the cut marked as not known.
+
+    Raises:
+        ValueError: The record does not meet the cut.
+        SimulationFailed: The cut could not be simulated.
+
+    **Differentiability**: runs on the host.
+    """
+    cut = cut_of(job)
+    found = engagement_columns(cut)
+    law = job.law
+    K = _USUAL
+    if isinstance(law, LinearEdgeLaw):
+        K = np.array([np.mean(np.asarray(getattr(law, name))) for name in NAMES])
+    meeting = None
+    turn = cut.tooth_period * cut.cutter.flute_count
+    speed = 2 * math.pi / turn
+    if angle is not None:
+        _, time = _spindle_clock(time, angle, speed)
+    if time_shift is None:
+        meeting = meet(found, K, time, force)
+        time_shift = meeting.shift
+    if angle is not None and not keeps_shift:
+        time_shift = _in_phase(time_shift, time, angle, speed)
+    when = time + time_shift
+    is_cut = _is_cut(found, K, turn)
+    place = np.round((when - found.start) / found.spacing).astype(np.int64)
+    inside = (place >= 0) & (place < len(is_cut))
+    inside &= is_cut[np.clip(place, 0, len(is_cut) - 1)]
+    if inside.sum() < 12:
+        raise ValueError(
+            f"The record, {float(time[0]):g} to {float(time[-1]):g} s, holds "
+            f"{int(inside.sum())} samples while the job cuts: look at the time shift."
+        )
+    first, last = np.flatnonzero(inside)[[0, -1]]
+    when = when[first : last + 1]
+    seen = np.where(inside[:, None], force, np.nan)[first : last + 1]
+    proposal = _judge(found, when, seen, turn / 2, cut.tooth_period)
+    return Placed(cut, when, seen, time_shift, proposal, meeting, speed, ())
+
+
+def _is_cut(found: EngagementColumns, K: np.ndarray, turn: float) -> np.ndarray:
+    """Return at which samples the tool cuts within a revolution."""
+    size = np.linalg.norm(found.columns @ K + found.constant, axis=1)
+    width = 2 * math.ceil(turn / found.spacing) + 1
+    cuts = (size > _CUTS * size.max(initial=0.0)).astype(np.float64)
+    return np.convolve(cuts, np.ones(width), mode="same") > 0.5
+
+
+def _judge(
+    found: EngagementColumns,
+    time: np.ndarray,
+    force: np.ndarray,
+    max_shift: float,
+    tooth_period: float,
+) -> AxesProposal:
+    """Return how the axes may lie, from the forces on an even grid.
+
+    What lies in a gap too long to be bridged becomes zero, measured and simulated.
+    """
+    is_measured = np.asarray(np.isfinite(force).any(axis=0))
+    known = np.asarray(np.isfinite(force[:, is_measured]).all(axis=1))
+    size = np.abs(np.nan_to_num(force)).max(axis=1)
+    usual = max(float(np.quantile(size[known], _ALL_BUT)), 1e-300)
+    known = np.flatnonzero(known & (size <= _SPIKE * usual))
+    grid, seen, is_near = _on_grid(time[known], force[known], tooth_period)
+    count = int(is_near.sum())
+    if count < _LEAST:
+        raise ValueError(
+            f"The record must hold {_LEAST} samples beside the cut that lie near each "
+            f"other, but its gaps leave {count} of {known.size}."
+        )
+    columns = at_times(found.columns, found.start, found.spacing, grid)
+    seen[:, ~is_measured] = np.nan
+    spacing = float(grid[1] - grid[0])
+    return propose_axes(
+        np.where(np.logical_or.outer(is_near, ~is_measured), seen, 0.0),
+        np.where(is_near[:, None, None], columns, 0.0),
+        1 / spacing,
+        # Four times the shift, in whole samples, must be shorter than the record.
+        max_shift=min(max_shift, ((len(grid) - 1) // 4) * spacing * (1 - 1e-9)),
+        tooth_frequency=1 / tooth_period,
+    )
+
+
+def _on_grid(
+    time: Float[np.ndarray, " row"],
+    force: Float[np.ndarray, "row 3"],
+    tooth_period: float,
+) -> tuple[
+    Float[np.ndarray, " sample"],
+    Float[np.ndarray, "sample 3"],
+    Bool[np.ndarray, " sample"],
+]:
+    """Return even instants where a record is densest, its forces there, and which are.
+
+    Samples may be lost or come at uneven instants: straight lines lie between those
+    that are no further apart than two and a half usual steps.
+    """
+    step = float(np.median(np.diff(time)))
+    # Not more samples than the angles have, or the shifts take long.
+    spacing = step * max(1, int(tooth_period / (_PER_TOOTH * step)))
+    count = int((time[-1] - time[0]) / spacing + 1e-6) + 1
+    grid = time[0] + spacing * np.arange(count)
+    after = np.clip(np.searchsorted(time, grid), 1, len(time) - 1)
+    apart = time[after] - time[after - 1]
+    is_near = apart <= max(_BRIDGED * step, tooth_period / _PER_TOOTH)
+    if count > _JUDGED:
+        held = np.cumsum(np.concatenate([[0], is_near]))
+        first = int(np.argmax(held[_JUDGED:] - held[:-_JUDGED]))
+        part = slice(first, first + _JUDGED)
+        grid, after, apart, is_near = (
+            grid[part],
+            after[part],
+            apart[part],
+            is_near[part],
+        )
+    share = np.clip((grid - time[after - 1]) / apart, 0.0, 1.0)[:, None]
+    seen = (1 - share) * force[after - 1] + share * force[after]
+    return grid, np.nan_to_num(seen), is_near

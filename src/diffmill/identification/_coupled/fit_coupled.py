@@ -1,0 +1,327 @@
+"""Force coefficients, joint stiffness and damping from one record of a robot that cuts.
+
+What pushes the arm and how far it yields are one simulation, so one record of forces
+and deflections can tell both. Where only deflections were measured, the coefficients
+must be known: a soft arm and a large force look alike.
+"""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from ..._job import Job
+from ..._result import RESULTS, SimulationFailed
+from ...sim import parameter_names, with_precision
+from .._statistics.levenberg_marquardt import SteppedFit, fit_steps
+from .._statistics.robust_regression import (
+    LinearFit,
+    Loss,
+    Rows,
+    correlation_of,
+    covariance,
+    weigh,
+)
+from .model import (
+    CoupledRecord,
+    Modelled,
+    Table,
+    coupled_rows,
+    modelled,
+    parameter_values,
+    scaled_job,
+)
+from .parameters import fitted_names, kept_note
+from .report import EXPLAINED, coupled_notes, explained_by
+
+# A parameter is a number if its relative standard error is at most this: two of them
+# are 5 %.
+_RELATIVE_ERROR = 0.025
+_STEPS = 25
+# Stiffness of all joints, over that given, where a second attempt may start.
+_SCALES = (0.1, 0.25, 0.5, 2.0, 4.0)
+
+
+class CoupledFit(eqx.Module):
+    """Parameters of arm and cut, how sure they are, and what the record cannot tell.
+
+    Attributes:
+        parameters: By name, in SI: "K" and "D" with a joint's name, and the force
+            law's own names; NaN if not identifiable.
+        standard_errors: By name, same units; infinite if nothing is known.
+        correlation: Between their logarithms in the order of `names`, shape
+            (parameter, parameter); NaN where nothing is known.
+        covariance: Of the logarithms, same shape; infinite where nothing is known.
+        identifiable: By name: whether the record fixes the parameter.
+        log_scale: Logarithms of fitted over given parameter, identifiable or not, in
+            the order of `names`, shape (parameter,).
+        explained: Share of the square of what was measured that the fit explains, for
+            "force" and "deviation", as far as measured (the deviation without its
+            offset).
+        residual_rms: Root mean square of measured minus fitted, likewise [N, m].
+        residual: Measured minus fitted, likewise, shape (row, 3); NaN where not
+            measured or off the path.
+        offset: Constant part of the measured deviation [m], shape (3,), or None.
+        time_shift: Time of the path minus time of the record [s].
+        time_shift_error: Standard error [s]; 0 if the shift was not fitted.
+        has_converged: Whether the last step was small.
+        simulations: Simulations with derivatives that it took.
+        is_explained: Whether it explains enough of each to be trusted.
+        notes: What to know, in words.
+        job: The job with the fitted parameters; what is not identifiable is as given.
+    """
+
+    parameters: dict[str, float]
+    standard_errors: dict[str, float]
+    correlation: Float[np.ndarray, "parameter parameter"]
+    covariance: Float[np.ndarray, "parameter parameter"]
+    identifiable: dict[str, bool]
+    log_scale: Float[np.ndarray, " parameter"]
+    explained: dict[str, float]
+    residual_rms: dict[str, float]
+    residual: dict[str, Float[np.ndarray, "row 3"]]
+    offset: Float[np.ndarray, " 3"] | None
+    time_shift: float
+    time_shift_error: float
+    has_converged: bool
+    simulations: int
+    is_explained: bool
+    notes: tuple[str, ...] = eqx.field(static=True)
+    job: Job
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters in the order of the arrays."""
+        return tuple(self.parameters)
+
+
+def fit_coupled(
+    job: Job,
+    *,
+    force: Table | None = None,
+    deviation: Table | None = None,
+    time: Table | None = None,
+    fit: Sequence[str] | None = None,
+    has_offset: bool = False,
+    has_time_shift: bool = False,
+    loss: Loss = "huber",
+    max_relative_error: float = _RELATIVE_ERROR,
+    max_steps: int = _STEPS,
+) -> CoupledFit:
+    """Fit stiffness, damping and force coefficients to a record of a robot's cut.
+
+    Every step of a damped Gauss-Newton iteration runs the coupled simulation once, with
+    exact derivatives. The parameters of the job are where it starts; a factor of
+    several off does no harm: a fit that explains little is begun again from an arm that
+    is softer or stiffer as a whole. A record that is sampled faster than the tooth
+    passing needs its mean over a tooth period first (`mean_over_period`), since that is
+    what the simulated force is; the tip is compared at the tooth instants, and on
+    straight lines between them.
+
+    Args:
+        job: The job that was run; its machine must be a robot. If its controller
+            compensates the sag, then that of the true arm.
+        force: Force on the tool in `work`, mean over the tooth period before each
+            instant [N], shape (row, 3); NaN where not measured.
+        deviation: Tip minus desired tip in `work` [m], shape (row, 3), likewise.
+        time: Instants [s], ascending, on the clock of the job's path, shape (row,);
+            the tooth instants of the path if not given.
+        fit: Names of what is fitted, see `sim.parameter_names`, all else being known;
+            "K" or "D" alone for those of all joints. Stiffness and damping of all
+            joints if not given, and the coefficients if the force was measured, as far
+            as they are positive and finite in the job.
+        has_offset: Whether a constant deviation is fitted too, as of a tracker whose
+            zero is not known.
+        has_time_shift: Whether a shift of the record's clock is fitted too; its start
+            is 0, so that it must be small against the shortest period of the arm.
+        loss: "squares" or "huber".
+        max_relative_error: A parameter is a number if its relative standard error is
+            at most this.
+        max_steps: Steps at most.
+
+    Returns:
+        The fit; look at `.notes`.
+
+    Raises:
+        ValueError: No robot, nothing measured, wrong shapes or names.
+        SimulationFailed: The job with its own parameters cannot be simulated.
+
+    **Differentiability**: runs on the host.
+    """
+    if job.robot is None:
+        raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
+    if loss not in ("squares", "huber"):
+        raise ValueError(
+            f'Argument `loss` must be "squares" or "huber", but is "{loss}".'
+        )
+    job = with_precision(job)
+    record = _record(job, force, deviation, time)
+    names = fitted_names(job, fit, force is not None)
+    problem = _Problem(job, record, names, has_offset, has_time_shift)
+    first = problem.simulated(np.zeros(len(names)))
+    if first.result != RESULTS.successful:
+        raise SimulationFailed(RESULTS[first.result])
+    start = np.zeros(len(names) + 3 * has_offset + has_time_shift)
+    begun = problem.rows(first, start)
+    if not any(np.isfinite(part.force).any() for part in begun):
+        raise ValueError(
+            "Argument `time` must meet the path, from 0 to "
+            f"{float(job.path.time[-1]):g} s, with something measured, but does not."
+        )
+    count = len(names)
+    found = fit_steps(problem.tried, start, begun, count, loss, max_steps)
+    if problem.share(found.fit, found.x) < EXPLAINED:
+        # Far from the truth all slopes are small, and ringing has minima of its own.
+        x, rows, tried = _better_start(problem, start, begun, loss)
+        other = fit_steps(problem.tried, x, rows, count, loss, max_steps)
+        spent = found.simulations + tried + other.simulations
+        found = max(found, other, key=lambda one: problem.share(one.fit, one.x))
+        found = dataclasses.replace(found, simulations=spent)
+    kept = () if fit is not None else kept_note(job, force is not None)
+    return _report(problem, found, loss, max_relative_error, kept)
+
+
+class _Problem(eqx.Module):
+    """The equations of a record at any unknowns."""
+
+    job: Job
+    record: CoupledRecord
+    names: tuple[str, ...] = eqx.field(static=True)
+    has_offset: bool = eqx.field(static=True)
+    has_time_shift: bool = eqx.field(static=True)
+
+    def simulated(self, log_scale: np.ndarray) -> Modelled:
+        """Return the simulation."""
+        everything = parameter_names(self.job)
+        places = tuple(everything.index(name) for name in self.names)
+        return modelled(self.job, places, log_scale)
+
+    def parts(self, x: np.ndarray) -> tuple[np.ndarray | None, float | None]:
+        """Return offset and time shift among the unknowns."""
+        count = len(self.names)
+        offset = x[count : count + 3] if self.has_offset else None
+        return offset, float(x[-1]) if self.has_time_shift else None
+
+    def rows(self, model: Modelled, x: np.ndarray) -> list[Rows]:
+        """Return the equations at some unknowns, for their simulation."""
+        period = float(self.job.tooth_period)
+        turn = period * self.job.cutter.flute_count
+        return coupled_rows(self.record, model, period, turn, *self.parts(x))
+
+    def tried(self, x: np.ndarray) -> list[Rows] | None:
+        """Return the equations at some unknowns, None where the run fails."""
+        model = self.simulated(x[: len(self.names)])
+        if model.result != RESULTS.successful:
+            return None
+        return self.rows(model, x)
+
+    def share(self, fit: LinearFit, x: np.ndarray) -> float:
+        """Return the smallest share of the squares that some unknowns explain."""
+        offset, _ = self.parts(x)
+        measured = {"force": self.record.force, "deviation": self.record.deviation}
+        return min(explained_by(measured, fit, offset)[0].values())
+
+
+def _better_start(
+    problem: _Problem, start: np.ndarray, begun: list[Rows], loss: Loss
+) -> tuple[np.ndarray, list[Rows], int]:
+    """Return the best of arms that are softer or stiffer as a whole.
+
+    Returns:
+        The unknowns, their equations, and how many simulations were run.
+    """
+    is_stiffness, is_damping = (
+        np.array([name.startswith(word) for name in problem.names])
+        for word in ("K ", "D ")
+    )
+    best, rows = start, begun
+    most = problem.share(weigh(begun, np.zeros(len(start)), loss), start)
+    for scale in _SCALES:
+        x = start.copy()
+        # The damping ratio stays.
+        x[: len(problem.names)] += math.log(scale) * (is_stiffness + 0.5 * is_damping)
+        found = problem.tried(x)
+        if found is None:
+            continue
+        share = problem.share(weigh(found, np.zeros(len(x)), loss), x)
+        if share > most:
+            best, rows, most = x, found, share
+    return best, rows, len(_SCALES)
+
+
+def _record(
+    job: Job, force: Table | None, deviation: Table | None, time: Table | None
+) -> CoupledRecord:
+    """Return the record as arrays, refused if it is of another shape."""
+    if force is None and deviation is None:
+        raise ValueError(
+            "Arguments `force` and `deviation` must not both be missing, but are."
+        )
+    when = np.array(job.path.time if time is None else time, np.float64)
+    if when.ndim != 1 or when.size < 12 or not np.all(np.diff(when) > 0):
+        raise ValueError(
+            "Argument `time` must be at least 12 ascending instants, but has shape "
+            f"{when.shape}" + (" or does not ascend." if when.ndim == 1 else ".")
+        )
+    tables = []
+    for name, values in (("force", force), ("deviation", deviation)):
+        rows = None if values is None else np.array(values, np.float64)
+        if rows is not None and (rows.shape != (when.size, 3) or np.isinf(rows).any()):
+            raise ValueError(
+                f"Argument `{name}` must have shape ({when.size}, 3), one row per "
+                f"instant, and no infinite values, but has shape {rows.shape}."
+            )
+        tables.append(rows)
+    return CoupledRecord(when, *tables)
+
+
+def _report(
+    problem: _Problem,
+    found: SteppedFit,
+    loss: Loss,
+    max_relative_error: float,
+    kept: tuple[str, ...],
+) -> CoupledFit:
+    """Return the fit with its errors, by name."""
+    names, count = problem.names, len(problem.names)
+    C = covariance(found.rows, found.fit, loss)
+    errors, logs = np.sqrt(np.diagonal(C)), found.x[:count]
+    is_fixed = errors[:count] <= max_relative_error
+    given = parameter_values(problem.job)
+    values = np.array([given[name] for name in names]) * np.exp(logs)
+    correlation = correlation_of(C)[:count, :count]
+    offset, shift = problem.parts(found.x)
+    measured = {
+        "force": problem.record.force,
+        "deviation": problem.record.deviation,
+    }
+    explained, left = explained_by(measured, found.fit, offset)
+    return CoupledFit(
+        parameters=_by_name(names, np.where(is_fixed, values, math.nan)),
+        standard_errors=_by_name(names, values * errors[:count]),
+        correlation=correlation,
+        covariance=C[:count, :count],
+        identifiable=dict(zip(names, is_fixed.tolist(), strict=True)),
+        log_scale=logs,
+        explained=explained,
+        residual_rms=left,
+        residual=dict(zip(explained, found.fit.residual, strict=True)),
+        offset=offset,
+        time_shift=shift or 0.0,
+        time_shift_error=0.0 if shift is None else float(errors[-1]),
+        has_converged=found.has_converged,
+        simulations=found.simulations,
+        is_explained=min(explained.values()) >= EXPLAINED,
+        notes=(
+            *kept,
+            *coupled_notes(names, is_fixed, correlation, explained, found),
+        ),
+        job=scaled_job(problem.job, names, np.where(is_fixed, logs, 0.0)),
+    )
+
+
+def _by_name(names: tuple[str, ...], values: np.ndarray) -> dict[str, float]:
+    return dict(zip(names, values.tolist(), strict=True))

@@ -1,0 +1,1 @@
+"""The simulated cut whose forces are linear in the coefficients."""

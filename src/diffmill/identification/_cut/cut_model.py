@@ -1,0 +1,278 @@
+"""What a cut does per unit of every coefficient of the force law.
+
+The force is linear in the six coefficients of `cutting.LinearEdgeLaw` once the path,
+the stock and the cutter are given: F(t) = sum_i K_i C_i(t). One simulation with
+derivatives by the coefficients gives all six columns C_i, for any path.
+"""
+
+import dataclasses
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..._job import Job
+from ..._result import RESULTS, SimulationFailed
+from ..._types import FloatRows3, RealScalarLike
+from ...cutter import AbstractCutter
+from ...cutting import AbstractForceLaw, LinearEdgeLaw
+from ...process import (
+    ProcessPlan,
+    default_element_height,
+    descends,
+    path_depth,
+    process_plan,
+    simulate_process,
+)
+from ...sim import with_precision
+from ...workpiece import Stock
+
+# Samples per revolution, those for a path of more steps than so many, and elements
+# along the axis at most.
+_ANGLES, _ANGLES_OF_LONG, _LONG, _ELEMENTS = 240, 180, 3000, 16
+# Samples per revolution by whose turn the default element may lag.
+_DEFAULT_ANGLES = 180
+
+
+class Cut(eqx.Module):
+    """A cut whose forces were measured: all of a process but its force law.
+
+    Attributes:
+        positions: Tip in `work` at the tooth instants [m], shape (step, 3).
+        stock: The workpiece before the cut.
+        cutter: The cutter.
+        spindle_speed: [rad/s].
+        axes: Tool axes, shape (step, 3), or None for +z.
+        plan: How finely it is simulated, or None for the default.
+        bottom_law: A known law of the bottom edges, or None for the one that follows
+            from the coefficients.
+    """
+
+    positions: FloatRows3
+    stock: Stock
+    cutter: AbstractCutter
+    spindle_speed: RealScalarLike
+    axes: FloatRows3 | None = None
+    plan: ProcessPlan | None = None
+    bottom_law: AbstractForceLaw | None = None
+
+    @property
+    def tooth_period(self) -> float:
+        """Time between two teeth [s]."""
+        return 2 * math.pi / (float(self.spindle_speed) * self.cutter.flute_count)
+
+    @property
+    def duration(self) -> float:
+        """Time from the first pose to the last [s]."""
+        return self.tooth_period * (self.positions.shape[0] - 1)
+
+
+class EngagementColumns(eqx.Module):
+    """Force of a cut per unit coefficient, at evenly spaced instants.
+
+    Attributes:
+        start: First instant [s], from the first pose of the path.
+        spacing: Time between two instants [s].
+        columns: Force on the tool in `work` per coefficient, in the order of `NAMES`
+            [m^2 or m], shape (sample, 3, 6).
+        constant: Force that does not depend on them [N], shape (sample, 3).
+    """
+
+    start: float
+    spacing: float
+    columns: Float[np.ndarray, "sample 3 6"]
+    constant: Float[np.ndarray, "sample 3"]
+
+
+def cut_of(process_or_job: Cut | Job) -> Cut:
+    """Return the cut of a job, along its desired path by a rigid machine.
+
+    Args:
+        process_or_job: A job, or a cut, which is returned with its plan filled in.
+
+    Returns:
+        The cut.
+
+    Raises:
+        ValueError: It is neither.
+
+    **Differentiability**: runs on the host.
+    """
+    if isinstance(process_or_job, Job):
+        job = with_precision(process_or_job)
+        cut = Cut(
+            job.path.positions,
+            job.stock,
+            job.cutter,
+            job.spindle_speed,
+            jnp.asarray(job.path.axes) if job.simulation.axes else None,
+            bottom_law=job.bottom_law,
+        )
+        return with_plan(cut)
+    if not isinstance(process_or_job, Cut):
+        raise ValueError(
+            "Argument `process_or_job` must be a job or an `identification.Cut` (what "
+            "`simulate_process` returns does not say how each coefficient acts), but "
+            f"is a {type(process_or_job).__name__}."
+        )
+    cut = process_or_job
+    return cut if cut.plan is not None else with_plan(cut)
+
+
+def with_plan(cut: Cut, cutter: AbstractCutter | None = None) -> Cut:
+    """Return a cut with sizes that suit identification, for its cutter or another.
+
+    Finer than for a prediction of mean forces: the waveform counts, and an element of a
+    helical edge lags by no more than one sample. All teeth are looked at all the time:
+    where two change places, the edge forces of both matter to the waveform.
+
+    Args:
+        cut: The cut.
+        cutter: The cutter to put in its place, if any.
+
+    Returns:
+        The cut with a plan.
+
+    **Differentiability**: runs on the host.
+    """
+    cutter = cut.cutter if cutter is None else cutter
+    # Plain cutters take a quicker program, which looks at some teeth only.
+    cutter = dataclasses.replace(cutter, is_plain=False)  # pyright: ignore[reportCallIssue]
+    axes = None if cut.axes is None else np.asarray(cut.axes, np.float64)
+    if axes is not None and np.allclose(axes, [0.0, 0.0, 1.0], atol=1e-9):
+        axes = None
+    old = cut.plan
+    usual = _ANGLES_OF_LONG if len(cut.positions) > _LONG else _ANGLES
+    angles = usual if old is None else old.angles
+    depth = path_depth(cut.positions, cut.stock, cutter)
+    height = default_element_height("near_far", cut.stock.spacing, cutter)
+    height = max(height * _DEFAULT_ANGLES / usual, depth / _ELEMENTS)
+    height = height if old is None else old.discs.height
+    plunges = descends(cut.positions, cut.stock.top)
+    plan = process_plan(
+        cut.stock,
+        cutter,
+        axial_depth=depth,
+        angles=angles,
+        substeps=8 if old is None else old.substeps,
+        element_height=height,
+        axes=axes,
+        is_upright=axes is None,
+        plunges=plunges,
+        has_bottom=plunges or axes is not None,
+    )
+    assert plan.profile is not None
+    plan = dataclasses.replace(
+        plan, profile=dataclasses.replace(plan.profile, keeps_all=True)
+    )
+    return dataclasses.replace(
+        cut, cutter=cutter, axes=None if axes is None else cut.axes, plan=plan
+    )
+
+
+def engagement_columns(process_or_job: Cut | Job) -> EngagementColumns:
+    """Simulate a cut once and return its force per unit of every coefficient.
+
+    Args:
+        process_or_job: The cut, or a job, of which the desired path is cut.
+
+    Returns:
+        The columns, at the angle samples of the simulation.
+
+    Raises:
+        SimulationFailed: The simulation ran out of intervals or of its window.
+
+    **Differentiability**: runs on the host; `instantaneous_force` is what it
+    differentiates.
+    """
+    cut = cut_of(process_or_job)
+    columns, (constant, result) = _columns(cut)
+    if result != RESULTS.successful:
+        raise SimulationFailed(RESULTS[result])
+    count = columns.shape[1]
+    spacing = cut.tooth_period / count
+    rows = np.asarray(columns[1:], np.float64).reshape(-1, 3, 6)
+    # Row k holds the period that ends at instant k.
+    return EngagementColumns(
+        start=0.5 * spacing,
+        spacing=spacing,
+        columns=rows,
+        constant=np.asarray(constant[1:], np.float64).reshape(-1, 3),
+    )
+
+
+def instantaneous_force(
+    cut: Cut, coefficients: Float[Array, " 6"]
+) -> tuple[Float[Array, "step sample 3"], RESULTS]:
+    """Return the force at every angle sample, and the outcome.
+
+    Args:
+        cut: The cut, with a plan.
+        coefficients: K in the order of `NAMES` [Pa, N/m], shape (6,).
+
+    Returns:
+        Force on the tool in `work` [N], shape (step, sample, 3), row 0 zero; outcome.
+
+    Differentiability: as `sim.simulate_process`.
+    """
+    solution = simulate_process(
+        cut.positions,
+        cut.stock,
+        cut.cutter,
+        LinearEdgeLaw(*coefficients),
+        cut.spindle_speed,
+        cut.axes,
+        plan=cut.plan,
+        bottom_law=cut.bottom_law,
+        keeps_instantaneous=True,
+    )
+    assert solution.instantaneous_force is not None
+    return solution.instantaneous_force, solution.result
+
+
+@eqx.filter_jit
+def _columns(
+    cut: Cut,
+) -> tuple[
+    Float[Array, "step sample 3 6"], tuple[Float[Array, "step sample 3"], RESULTS]
+]:
+    """Return the derivative by the coefficients, and the force without them."""
+
+    def run(k: Float[Array, " 6"]):
+        force, result = instantaneous_force(cut, k)
+        return force, (force, result)
+
+    return jax.jacfwd(run, has_aux=True)(jnp.zeros(6, cut.stock.origin.dtype))
+
+
+def at_times(
+    values: Float[np.ndarray, "..."],
+    start: float,
+    spacing: float,
+    time: np.ndarray,
+) -> Float[np.ndarray, "..."]:
+    """Return evenly spaced values at other instants, straight lines between them.
+
+    Args:
+        values: Values at start + i spacing, shape (sample, ...).
+        start: First instant [s].
+        spacing: Time between two [s].
+        time: Instants [s], shape (row,); outside, the nearest value is taken.
+
+    Returns:
+        Values, shape (row, ...).
+
+    **Differentiability**: runs on the host.
+    """
+    place = np.clip((time - start) / spacing, 0.0, len(values) - 1)
+    first = np.minimum(place.astype(np.int64), len(values) - 2)
+    share = (place - first).reshape(-1, *[1] * (values.ndim - 1))
+    # In place: records have millions of rows.
+    result, rise = values[first], values[first + 1]
+    rise -= result
+    rise *= share
+    result += rise
+    return result

@@ -1,0 +1,1 @@
+"""Cutting coefficients from mean forces or whole records."""

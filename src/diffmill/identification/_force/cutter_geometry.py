@@ -1,0 +1,221 @@
+"""Run-out and radius of the cutter from measured forces, by exact derivatives.
+
+Unlike the coefficients they move the chip itself, so the cut is simulated anew in
+every step of a Gauss-Newton iteration; the derivatives pass through the simulation.
+Coefficients, time shifts and lengths take every step together, by the same robust fit
+as the coefficients alone; a step that raises the cost is halved.
+"""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ..._result import RESULTS, SimulationFailed
+from ...cutter import AbstractCutter
+from .._cut.cut_model import (
+    Cut,
+    EngagementColumns,
+    at_times,
+    instantaneous_force,
+    with_plan,
+)
+from .._statistics.robust_regression import LinearFit, Loss, Rows, fit_rows
+from .regression_rows import Measured, equations, shift_part
+
+REFINABLE = ("runout", "radius")
+
+# Run-out at which the fit starts at least [m]: at zero its direction has no derivative.
+_START = 2e-6
+# Longest step of a length [m], and the step at which the iteration ends: it converges
+# quadratically, so that the next one would be far smaller.
+_LONGEST, _REST = 1e-5, 1e-7
+_STEPS, _HALVINGS = 15, 4
+# A length that the records do not show stays where it is: its column is below this
+# share of the largest one.
+_SHOWN = 1e-3
+
+
+class Refined(eqx.Module):
+    """Lengths of the cutter as fitted.
+
+    Attributes:
+        values: By name [m].
+        records: The records with cuts by the fitted cutter.
+        columns: Change of the force of each record per length [N/m], shape
+            (row, 3, length), or None.
+    """
+
+    values: dict[str, float]
+    records: list[Measured]
+    columns: list[np.ndarray | None]
+
+
+def refine_records(
+    records: list[Measured], refine: tuple[str, ...], is_sought: bool, loss: Loss
+) -> Refined:
+    """Fit lengths of the cutter, with coefficients and time shifts.
+
+    Args:
+        records: The records, which share one cutter.
+        refine: Which of `REFINABLE`.
+        is_sought: Whether the time shifts are fitted too.
+        loss: The loss.
+
+    Returns:
+        The lengths, and the records for them.
+
+    Raises:
+        SimulationFailed: The cut could not be simulated.
+
+    **Differentiability**: runs on the host.
+    """
+    names = _names(refine)
+    x = _start(records[0].cut.cutter, names)
+    K = fit_rows([equations(one, ()) for one in records], loss).x
+    state = [_simulated(one, names, x, K) for one in records]
+    fit = _fit(state, K, is_sought, loss)
+    for _ in range(_STEPS):
+        step = fit.x[6 : 6 + len(names)]
+        step = step * min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-300))
+        shifts = fit.x[6 + len(names) :] if is_sought else np.zeros(len(records))
+        before = _own_cost(state, fit)
+        trial = state
+        for last in (False,) * _HALVINGS + (True,):
+            trial = [
+                _simulated(_later(one, s), names, x + step, fit.x[:6])
+                for (one, _), s in zip(state, shifts, strict=True)
+            ]
+            if last or _own_cost(trial, fit) <= 1.0001 * before:
+                break
+            step, shifts = step / 2, shifts / 2
+        x, state = x + step, trial
+        fit = _fit(state, fit.x[:6], is_sought, loss)
+        if np.abs(step).max() < _REST:
+            break
+    values = {n: float(v) for n, v in zip(names, x, strict=True)}
+    return Refined(values, [one for one, _ in state], [part for _, part in state])
+
+
+State = list[tuple[Measured, np.ndarray]]
+
+
+def _fit(state: State, K: np.ndarray, is_sought: bool, loss: Loss) -> LinearFit:
+    """Fit the linear form of all unknowns."""
+    records = [one for one, _ in state]
+    rows = [
+        equations(one, (part, *shift_part(records, i, K, is_sought)))
+        for i, (one, part) in enumerate(state)
+    ]
+    return fit_rows(rows, loss)
+
+
+def _own_cost(state: State, fit: LinearFit) -> float:
+    """Return the weighted square that coefficients alone leave, per weight.
+
+    The lengths and shifts are those of the simulation, not of its linear form.
+    """
+    rows: list[Rows] = [equations(one, ()) for one, _ in state]
+    alone = fit_rows(rows, "huber")
+    squares = [
+        float(np.nansum(np.minimum(np.abs(r), 5 * s[None]) ** 2))
+        for r, s in zip(alone.residual, fit.spread, strict=True)
+    ]
+    return sum(squares)
+
+
+def _start(cutter: AbstractCutter, names: tuple[str, ...]) -> np.ndarray:
+    """Return the lengths at which the fit starts: the run-out that is given."""
+    size = max(float(np.max(np.asarray(cutter.runout))), _START)
+    angle = float(np.asarray(cutter.runout_angle))
+    lengths = {"runout_x": size * np.cos(angle), "runout_y": size * np.sin(angle)}
+    return np.array([lengths.get(name, 0.0) for name in names])
+
+
+def _names(refine: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names of the lengths."""
+    both = ("runout_x", "runout_y") if "runout" in refine else ()
+    return both + (("radius",) if "radius" in refine else ())
+
+
+def _later(one: Measured, shift: float) -> Measured:
+    return dataclasses.replace(one, shift=one.shift + float(shift))
+
+
+def _simulated(
+    one: Measured, names: tuple[str, ...], lengths: np.ndarray, K: np.ndarray
+) -> tuple[Measured, np.ndarray]:
+    """Return a record beside its cut for given lengths, and the columns of these."""
+    dtype = one.cut.stock.origin.dtype
+    base = dataclasses.replace(one.cut, cutter=_original(one.cut.cutter, dtype))
+    x = jnp.asarray(np.concatenate([K, lengths]), dtype)
+    jacobian, (force, result) = _derivatives(with_plan(base), x, names)
+    if result != RESULTS.successful:
+        raise SimulationFailed(RESULTS[result])
+    J = np.asarray(jacobian[1:], np.float64).reshape(-1, 3, len(x))
+    F = np.asarray(force[1:], np.float64).reshape(-1, 3)
+    spacing = one.cut.tooth_period / force.shape[1]
+    found = EngagementColumns(0.5 * spacing, spacing, J[:, :, :6], F - J[:, :, :6] @ K)
+    cutter = cutter_with(base.cutter, names, jnp.asarray(lengths, dtype))
+    moved = dataclasses.replace(
+        one, cut=dataclasses.replace(one.cut, cutter=cutter), engagement=found
+    )
+    columns = at_times(J[:, :, 6:], found.start, spacing, one.time + one.shift)
+    size = np.sqrt(np.mean(columns**2, axis=(0, 1)))
+    is_shown = size > _SHOWN * size.max(initial=0.0)
+    return moved, np.where(is_shown, columns, 0.0)
+
+
+def cutter_with(
+    cutter: AbstractCutter, names: tuple[str, ...], lengths: Array
+) -> AbstractCutter:
+    """Return a cutter with other run-out or radius.
+
+    Args:
+        cutter: The cutter.
+        names: Of `runout_x`, `runout_y` and `radius`.
+        lengths: Run-out towards tooth 0 and a quarter turn on, and growth of the
+            radius [m], shape (name,).
+
+    Returns:
+        The cutter.
+
+    Differentiability: smooth, but for a run-out of exactly zero.
+    """
+    changes: dict[str, Any] = {}
+    if "runout_x" in names:
+        x, y = lengths[names.index("runout_x")], lengths[names.index("runout_y")]
+        changes = {
+            "runout": jnp.hypot(x, y),
+            "runout_angle": jnp.arctan2(y, x),
+            "is_plain": False,
+        }
+    if "radius" in names:
+        growth = lengths[names.index("radius")]
+        changes["diameter"] = jnp.asarray(cutter.diameter) + 2 * growth
+    return dataclasses.replace(cutter, **changes)  # pyright: ignore[reportArgumentType]
+
+
+def _original(cutter: AbstractCutter, dtype: jnp.dtype) -> AbstractCutter:
+    """Return the cutter with the radius that it was made with."""
+    diameter = jnp.asarray(2 * cutter.nominal_radius, dtype)
+    return eqx.tree_at(lambda c: c.diameter, cutter, diameter)
+
+
+@eqx.filter_jit
+def _derivatives(
+    cut: Cut, x: Array, names: tuple[str, ...]
+) -> tuple[Array, tuple[Array, RESULTS]]:
+    """Return the derivatives of the force by coefficients and lengths, and itself."""
+
+    def run(x: Array) -> tuple[Array, tuple[Array, RESULTS]]:
+        cutter = cutter_with(cut.cutter, names, x[6:])
+        moved = dataclasses.replace(cut, cutter=cutter)
+        force, result = instantaneous_force(moved, x[:6])
+        return force, (force, result)
+
+    return jax.jacfwd(run, has_aux=True)(x)

@@ -1,0 +1,471 @@
+"""The six force coefficients from measured records."""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..._job import Job
+from ...cutting import LinearEdgeLaw
+from .._cut.cut_model import Cut
+from .._record.channel_faults import check_channels, check_coefficients, similar_classes
+from .._record.clock_faults import check_rate
+from .._record.diagnosis import Diagnosis
+from .._statistics.identifiability import identifiable
+from .._statistics.robust_regression import (
+    LinearFit,
+    Loss,
+    Rows,
+    correlation_of,
+    covariance,
+    fit_rows,
+    solve,
+    solve_normal,
+)
+from .cutter_geometry import REFINABLE, Refined, refine_records
+from .experiment_advice import advise
+from .mean_force import NAMES, by_name
+from .regression_rows import (
+    Axes,
+    Measured,
+    Times,
+    equations,
+    find_shift,
+    measured_records,
+    shift_part,
+)
+
+# Steps of the time shifts after the search, which converge quadratically, and the
+# share of a revolution below which they rest.
+_SHIFT_STEPS, _RESTS = 4, 1e-5
+# Residuals of more standard deviations are gross errors, if they are no larger a share.
+_GROSS, _MANY = 6.0, 0.05
+# A channel that varies by less than this share of the liveliest does not vary, and is
+# doubted if this share of the square of the tangential force is along it.
+_DEAD, _EXPECTED = 1e-3, 0.01
+# A fit that explains a smaller share of the squared force is doubted.
+_EXPLAINED = 0.8
+# Rows of a record by which its channels are checked.
+_CHECKED = 20000
+# A length is known if its standard error is below this [m].
+_TOLD = 1e-5
+
+
+class ForceCoefficientFit(eqx.Module):
+    """Force coefficients, how sure they are, and what the records cannot tell.
+
+    Attributes:
+        coefficients: By name, cutting [Pa] and edge [N/m]; NaN if not identifiable.
+        standard_errors: By name, same units; infinite if nothing is known. Of the
+            noise: the simulation's own error, some tenths of a percent for the default
+            sizes, counts beside them in records of many thousand samples.
+        correlation: Between the coefficients in the order of `NAMES`, shape (6, 6);
+            NaN where nothing is known.
+        identifiable: By name: whether the records fix the coefficient.
+        residual_rms: Root mean square of measured minus fitted force, over all forces
+            and records but gross errors [N].
+        force_rms: Root mean square of the measured force, likewise [N].
+        explained: Share of the squared force that the fit explains, likewise.
+        gross_errors: How many measured forces are off by more than six standard
+            deviations of the others; 0 if that are more than a twentieth.
+        axes: Which recorded force is which force of the work, with its sign.
+        time_shift: Time of each cut minus time of its record [s].
+        time_shift_errors: Standard errors [s]; 0 where the shift was given.
+        left_out_rms: Per record: residual over force, both root mean squares, if the
+            coefficients come from the other records alone; empty for one record.
+        refined: What else was fitted, by name: `runout_x`, `runout_y` (offset of the
+            cutter towards tooth 0 and a quarter turn on), `radius` [m]; NaN if not
+            identifiable.
+        refined_errors: Standard errors of these [m].
+        diagnoses: What offset, gain or unit would explain what the fit leaves, or makes
+            the coefficients implausible; nothing was changed.
+        doubts: Why the numbers are not to be trusted, in words; the first of the notes.
+        notes: What to know, in words: which experiment would help.
+        records: The records as fitted, in the axes of the work.
+        raw: The six numbers as fitted, identifiable or not [Pa, N/m], shape (6,).
+    """
+
+    coefficients: dict[str, float]
+    standard_errors: dict[str, float]
+    correlation: Float[np.ndarray, "6 6"]
+    identifiable: dict[str, bool]
+    residual_rms: float
+    force_rms: float
+    explained: float
+    gross_errors: int
+    axes: Axes = eqx.field(static=True)
+    time_shift: tuple[float, ...]
+    time_shift_errors: tuple[float, ...]
+    left_out_rms: tuple[float, ...]
+    refined: dict[str, float]
+    refined_errors: dict[str, float]
+    diagnoses: tuple[Diagnosis, ...]
+    doubts: tuple[str, ...] = eqx.field(static=True)
+    notes: tuple[str, ...] = eqx.field(static=True)
+    records: tuple[Measured, ...]
+    raw: Float[np.ndarray, " 6"]
+
+    @property
+    def law(self) -> LinearEdgeLaw:
+        """The force law with these coefficients.
+
+        Raises:
+            ValueError: A coefficient is not identifiable; see `law_with`.
+        """
+        return self.law_with()
+
+    def law_with(self, **known: float) -> LinearEdgeLaw:
+        """Return the force law, given what the records do not tell.
+
+        Args:
+            **known: Coefficients by name [Pa, N/m], in place of those fitted; 0 leaves
+                their force out.
+
+        Returns:
+            The law.
+
+        Raises:
+            ValueError: A coefficient is neither identifiable nor given, or none.
+
+        **Differentiability**: runs on the host.
+        """
+        strange = sorted(set(known) - set(NAMES))
+        if strange:
+            raise ValueError(
+                f"Arguments must be among {', '.join(NAMES)}, but hold "
+                f"{', '.join(strange)}."
+            )
+        every = {**self.coefficients, **known}
+        lost = [name for name, value in every.items() if math.isnan(value)]
+        if lost:
+            wanted = ", ".join(f"{name}=..." for name in lost)
+            raise ValueError(
+                f"The records do not tell {', '.join(lost)}; give what is known "
+                f"otherwise by `law_with({wanted})`, 0 to leave that force out."
+            )
+        return LinearEdgeLaw(**every)
+
+
+def fit_force_coefficients(
+    process_or_job: Cut | Job | Sequence[Cut | Job],
+    time: Times | Sequence[Times],
+    force: Times | Sequence[Times],
+    *,
+    axes: Axes = ("x", "y", "z"),
+    time_shift: float | Sequence[float] | None = None,
+    shift_range: float | None = None,
+    loss: Loss = "huber",
+    refine: Sequence[str] = (),
+    lowpass: float | None = None,
+) -> ForceCoefficientFit:
+    """Fit the six coefficients of the linear force law to measured forces.
+
+    The cut is simulated once; the force is linear in the coefficients, for any path.
+    Give lists of cuts, times and forces for several records that share coefficients.
+
+    Args:
+        process_or_job: What was cut: a job (along its desired path, by a rigid
+            machine) or a `Cut`; or a list.
+        time: Instants of the record [s], ascending, shape (row,); or a list.
+        force: Force on the tool at these instants [N], shape (row, 3); NaN where not
+            measured; or a list.
+        axes: For x, y, z of the work the recorded axis, such as ("-y", "x", "z").
+        time_shift: What to add to the record's time to get the time of the cut, whose
+            first pose is at 0 [s]; one per record or one for all. Looked for within
+            `shift_range` of zero if not given.
+        shift_range: [s]; a spindle revolution if not given.
+        loss: "squares", "huber" or "tukey" (for records with many gross errors).
+        refine: What else to fit, of "runout" and "radius", by simulating with exact
+            derivatives; shared by all records, which share the cutter then.
+        lowpass: Cut-off [Hz] of `numerics.lowpass`, which measured and modelled force
+            pass both, as against the dynamometer's own vibration; none if not given.
+
+    Returns:
+        The fit; look at `.notes`.
+
+    Raises:
+        ValueError: Wrong shapes, names or times, or the record does not meet the cut.
+        SimulationFailed: The cut could not be simulated.
+
+    **Differentiability**: runs on the host.
+    """
+    _check_names(axes, loss, refine)
+    records = measured_records(process_or_job, time, force, axes, time_shift, lowpass)
+    is_sought = time_shift is None
+    if is_sought:
+        records = [find_shift(one, shift_range) for one in records]
+    refined = Refined({}, records, [None] * len(records))
+    if refine:
+        refined = refine_records(records, tuple(refine), is_sought, loss)
+    records, rows, fit = _settle(refined, is_sought, loss)
+    return _report(records, rows, fit, refined, (axes, loss, is_sought))
+
+
+def _settle(
+    refined: Refined, is_sought: bool, loss: Loss
+) -> tuple[list[Measured], list[Rows], LinearFit]:
+    """Fit everything in linear form, and move the time shifts until they rest."""
+    records = refined.records
+    # Only the slope of the force takes these: gross errors hardly matter.
+    K = fit_rows([equations(one, ()) for one in records], "squares").x
+    rows, fit = [], None
+    for _ in range(_SHIFT_STEPS if is_sought else 1):
+        extra = [
+            (*(() if more is None else (more,)), *shift_part(records, i, K, is_sought))
+            for i, more in enumerate(refined.columns)
+        ]
+        rows = [equations(one, e) for one, e in zip(records, extra, strict=True)]
+        fit = fit_rows(rows, loss)
+        K = fit.x[:6]
+        if not is_sought:
+            break
+        steps = fit.x[-len(records) :]
+        if np.all(np.abs(steps) < _RESTS * records[0].revolution):
+            break
+        records = [
+            dataclasses.replace(one, shift=one.shift + float(step))
+            for one, step in zip(records, steps, strict=True)
+        ]
+    assert fit is not None
+    return records, rows, fit
+
+
+def _report(
+    records: list[Measured],
+    rows: list[Rows],
+    fit: LinearFit,
+    refined: Refined,
+    choice: tuple[Axes, Loss, bool],
+) -> ForceCoefficientFit:
+    """Return the fit with its errors, by name."""
+    axes, loss, is_sought = choice
+    C = covariance(rows, fit, loss)
+    K, errors = fit.x[:6], np.sqrt(np.diagonal(C))
+    known = [np.isfinite(one.force) for one in rows]
+    seen = np.concatenate([k.reshape(-1) for k in known])
+    is_gross = seen & _gross_errors(fit)
+    seen &= ~is_gross
+    force = np.concatenate([one.force.reshape(-1) for one in rows])[seen]
+    off = np.concatenate([r.reshape(-1) for r in fit.residual])[seen]
+    explained = 1.0 - float(np.sum(off**2) / max(np.sum(force**2), 1e-300))
+    dead, silent = _dead_channels(rows, axes)
+    doubts = (*_doubts(explained, K), *dead)
+    size = _sizes(rows, known)
+    rms = float(np.sqrt(np.mean(force**2)))
+    is_fixed = identifiable(C[:6, :6], size, rms)
+    correlation = correlation_of(C)[:6, :6]
+    is_measured = np.any(np.concatenate(known), axis=0)
+    count, more = len(records), len(refined.values)
+    names = list(refined.values)
+    lengths, spreads = np.array(list(refined.values.values())), errors[6 : 6 + more]
+    is_told = spreads <= _TOLD
+    return ForceCoefficientFit(
+        coefficients=by_name(np.where(is_fixed, K, np.nan)),
+        standard_errors=by_name(errors[:6]),
+        correlation=correlation,
+        identifiable=dict(zip(NAMES, is_fixed.tolist(), strict=True)),
+        residual_rms=float(np.sqrt(np.mean(off**2))),
+        force_rms=rms,
+        explained=explained,
+        gross_errors=int(is_gross.sum()),
+        axes=axes,
+        time_shift=tuple(one.shift for one in records),
+        time_shift_errors=tuple(
+            errors[-count:].tolist() if is_sought else [0.0] * count
+        ),
+        left_out_rms=_left_out(rows, fit),
+        refined={
+            n: float(v) if ok else math.nan
+            for n, v, ok in zip(names, lengths, is_told, strict=True)
+        },
+        refined_errors=dict(zip(names, spreads.tolist(), strict=True)),
+        diagnoses=_diagnoses(records, rows, is_gross, np.where(is_fixed, K, np.nan)),
+        doubts=doubts,
+        notes=(
+            *doubts,
+            *silent,
+            *_lost_notes(records, int(is_gross.sum())),
+            *advise(is_fixed, correlation, size, is_measured),
+            *_refined_notes(names, is_told, records[0].cut.cutter.flute_count),
+            *_class_notes(K[0], bool(is_fixed[0])),
+        ),
+        records=tuple(records),
+        raw=K,
+    )
+
+
+def _class_notes(K_tc: float, is_known: bool) -> tuple[str, ...]:
+    """Say which materials have such a pressure: the reader knows which one was cut."""
+    if not is_known:
+        return ()
+    names = ", ".join(similar_classes(float(K_tc))) or "no class of materials"
+    return (
+        f"K_tc is {K_tc * 1e-6:.4g} N/mm^2, as published of {names}; if another was "
+        "cut, look at the ranges and units of the channels, and at depth and feed.",
+    )
+
+
+def _diagnoses(
+    records: list[Measured],
+    rows: list[Rows],
+    is_gross: np.ndarray,
+    K: Float[np.ndarray, " 6"],
+) -> tuple[Diagnosis, ...]:
+    """Return what is wrong with channels and units, of rows without gross errors."""
+    found = []
+    sizes = np.cumsum([one.force.size for one in rows])[:-1]
+    for i, (one, row, gross) in enumerate(
+        zip(records, rows, np.split(is_gross, sizes), strict=True)
+    ):
+        runs_away = _rate(one, row, gross.reshape(-1, 3), i)
+        found += runs_away
+        if runs_away:
+            # By a wrong clock any channel looks wrong.
+            continue
+        few = np.linspace(0, len(one.time) - 1, min(len(one.time), _CHECKED))
+        few = few.astype(np.int64)
+        force = np.where(gross.reshape(-1, 3), np.nan, row.force)[few]
+        part = Rows(row.columns[few], force, row.lag)
+        found += check_channels(part, one.time[few], i)
+    return (*found, *check_coefficients(K))
+
+
+def _rate(
+    one: Measured, row: Rows, gross: Bool[np.ndarray, "row 3"], record: int
+) -> list[Diagnosis]:
+    """Return whether the record's clock runs at another rate than the spindle."""
+    known = np.isfinite(row.force) & ~gross
+    F = np.where(known, row.force, 0.0)
+    A = np.where(known[:, :, None], row.columns, 0.0)
+    flat = A.reshape(-1, A.shape[2])
+    x = solve_normal(flat.T @ flat, flat.T @ F.reshape(-1))
+    speed, teeth = 2 * math.pi / one.revolution, one.cut.cutter.flute_count
+    found = check_rate(one.time, F, A @ x, speed, teeth)
+    return [dataclasses.replace(told, record=record) for told in found]
+
+
+def _gross_errors(fit: LinearFit) -> np.ndarray:
+    """Return which forces are gross errors, all records in one row; none if many."""
+    share = [
+        np.abs(np.nan_to_num(r)) / s[None]
+        for r, s in zip(fit.residual, fit.spread, strict=True)
+    ]
+    found = np.concatenate([one.reshape(-1) for one in share]) > _GROSS
+    return found & (found.mean() <= _MANY)
+
+
+def _doubts(explained: float, K: np.ndarray) -> tuple[str, ...]:
+    """Say why a fit is not to be trusted."""
+    doubts = []
+    if explained < _EXPLAINED:
+        doubts.append(
+            f"The fit explains {max(explained, 0.0):.0%} of the squared force, less "
+            f"than {_EXPLAINED:.0%}: axes, cut, speed or time shift may be wrong, and "
+            "the standard errors do not tell how far the coefficients are off."
+        )
+    if K[0] <= 0:
+        doubts.append("K_tc is not positive: axes or cut are wrong.")
+    return tuple(doubts)
+
+
+def _dead_channels(rows: list[Rows], axes: Axes) -> tuple[list[str], list[str]]:
+    """Return doubts and notes on forces that do not vary, of axes of the work."""
+    doubts, notes = [], []
+    for place, one in enumerate(rows, 1):
+        known = np.isfinite(one.force)
+        count = known.sum(axis=0)
+        mean = np.sum(one.force, axis=0, where=known) / np.maximum(count, 1)
+        off = np.sum((one.force - mean[None]) ** 2, axis=0, where=known)
+        spread = np.sqrt(off / np.maximum(count, 1))
+        # The tangential force of any cut is seen in both directions across the tool.
+        square = np.sum(one.columns[:, :, 0] ** 2, axis=0)
+        of = f" of record {place}" if len(rows) > 1 else ""
+        for axis in np.flatnonzero((count > 0) & (spread < _DEAD * spread.max())):
+            text = (
+                f"The force along {'xyz'[axis]} of the work{of} does not vary: if its "
+                "channel is dead, leave it out by `channels = "
+                f'{{ F{axes[axis][-1]} = "none" }}`.'
+            )
+            expects = square[axis] > _EXPECTED * square.sum()
+            (doubts if expects else notes).append(text)
+    return doubts, notes
+
+
+def _lost_notes(records: list[Measured], gross: int) -> tuple[str, ...]:
+    """Say what was left out or hardly counts."""
+    notes, saturated = [], sum(one.saturated for one in records)
+    if saturated:
+        notes.append(
+            f"{saturated} samples at the end of a channel's range were left out."
+        )
+    if gross:
+        notes.append(
+            f"{gross} measured forces are off by more than {_GROSS:g} standard "
+            "deviations of the others."
+        )
+    return tuple(notes)
+
+
+def _refined_notes(
+    names: list[str], is_told: np.ndarray, flutes: int
+) -> tuple[str, ...]:
+    """Say why a length is not known."""
+    notes = []
+    for name, ok in zip(names, is_told, strict=True):
+        if ok:
+            continue
+        why = "add cuts with another radial depth"
+        if name.startswith("runout"):
+            why = "add cuts with larger feeds, or longer records"
+            if flutes <= 2:
+                why = (
+                    "with two teeth only the difference of their radii shows, so "
+                    "run-out across them cannot be seen"
+                )
+        notes.append(f"{name} is not identifiable: {why}.")
+    return tuple(notes)
+
+
+def _sizes(rows: list[Rows], known: list[np.ndarray]) -> np.ndarray:
+    """Return the root mean square force of a unit of each coefficient."""
+    square = sum(
+        np.einsum("tcu,tc->u", one.columns[:, :, :6] ** 2, k.astype(np.float64))
+        for one, k in zip(rows, known, strict=True)
+    )
+    return np.sqrt(np.asarray(square) / max(1, sum(int(k.sum()) for k in known)))
+
+
+def _left_out(rows: list[Rows], fit: LinearFit) -> tuple[float, ...]:
+    """Return how badly every record is predicted by the others."""
+    if len(rows) < 2:
+        return ()
+    result = []
+    for i, one in enumerate(rows):
+        others = [j for j in range(len(rows)) if j != i]
+        x = solve([rows[j] for j in others], [fit.weights[j] for j in others])
+        # Its own time shift, the last unknowns, is not for the others to say.
+        off = one.force - one.columns @ np.where(x == 0, fit.x, x)
+        result.append(float(np.sqrt(np.nanmean(off**2) / np.nanmean(one.force**2))))
+    return tuple(result)
+
+
+def _check_names(axes: Axes, loss: str, refine: Sequence[str]) -> None:
+    """Refuse unknown choices."""
+    if sorted(name.strip("+-") for name in axes) != ["x", "y", "z"]:
+        raise ValueError(
+            "Argument `axes` must name x, y and z once each, with a sign if mirrored, "
+            f"such as ('-y', 'x', 'z'), but is {tuple(axes)}."
+        )
+    if loss not in ("squares", "huber", "tukey"):
+        raise ValueError(
+            f'Argument `loss` must be "squares", "huber" or "tukey", but is "{loss}".'
+        )
+    unknown = set(refine) - set(REFINABLE)
+    if unknown:
+        raise ValueError(
+            f"Argument `refine` may hold {', '.join(REFINABLE)}, but holds "
+            f"{', '.join(sorted(unknown))}."
+        )

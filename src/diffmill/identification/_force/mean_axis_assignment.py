@@ -1,0 +1,139 @@
+"""Which axes of a dynamometer make physical sense of mean forces over several feeds.
+
+Lines fit any assignment of the axes alike; what tells them apart is the sign pattern
+of the coefficients and the ratio of radial to tangential force.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from .._alignment.axis_assignment import signed_permutations
+from .mean_force import FeedRows, FeedValues, MeanForceFit, fit_mean_forces
+
+# What a violation adds to the score of an assignment.
+_PENALTIES = (
+    ("K_tc is not positive", 4.0),
+    ("K_rc is negative", 3.0),
+    ("K_rc over K_tc is outside 0.1 to 1", 2.0),
+    ("the mean tangential force is not positive", 2.0),
+    ("the mean radial force is not positive", 2.0),
+    ("K_te is negative", 1.0),
+    ("K_re is negative", 1.0),
+    ("the mean axial force is negative", 0.5),
+    ("K_ac is negative", 0.25),
+)
+# A coefficient may be this many standard errors below zero by chance.
+_CHANCE = 2.0
+
+
+class MeanAxes(NamedTuple):
+    """One assignment of the axes, and what speaks against it.
+
+    Attributes:
+        axes: For each axis of the feed frame the recorded one, with its sign.
+        score: Sum of the penalties; less is better.
+        violations: What makes no physical sense, in words.
+        fit: The fit under this assignment.
+    """
+
+    axes: tuple[str, str, str]
+    score: float
+    violations: tuple[str, ...]
+    fit: MeanForceFit
+
+
+def propose_mean_axes(
+    feed_per_tooth: FeedValues,
+    mean_force: FeedRows,
+    *,
+    teeth: int,
+    axial_depth: float,
+    entry_angle: float = 0.0,
+    exit_angle: float = math.pi,
+) -> tuple[MeanAxes, ...]:
+    """Return the assignments of the axes, the one with the most sense first.
+
+    Args:
+        feed_per_tooth: f_z of each cut [m], shape (feed,).
+        mean_force: Mean force as recorded [N], shape (feed, 3).
+        teeth: Number of teeth.
+        axial_depth: a_p [m].
+        entry_angle: [rad]; 0 for a slot.
+        exit_angle: [rad]; pi for a slot.
+
+    Returns:
+        All 48 signed permutations; nothing is applied. Several may score alike: then
+        the means do not tell.
+
+    Raises:
+        ValueError: As `fit_mean_forces`.
+
+    **Differentiability**: runs on the host.
+    """
+    mean = np.array(mean_force, np.float64)
+    feeds = np.array(feed_per_tooth, np.float64)
+    found = []
+    for matrix in signed_permutations():
+        fit = fit_mean_forces(
+            feeds,
+            mean @ matrix.T,
+            teeth=teeth,
+            axial_depth=axial_depth,
+            entry_angle=entry_angle,
+            exit_angle=exit_angle,
+        )
+        violations, score = _judged(fit, float(feeds.mean()))
+        found.append(MeanAxes(axes_of(matrix), score, violations, fit))
+    # Among equals the one that changes least; dynamometers lie flat, z along z.
+    found.sort(key=lambda one: (one.score, one.axes[2][-1] != "z", _changes(one.axes)))
+    return tuple(found)
+
+
+def axes_of(matrix: Float[np.ndarray, "3 3"]) -> tuple[str, str, str]:
+    """Return a signed permutation as names, such as ("-y", "x", "z").
+
+    Args:
+        matrix: Turns recorded into simulated forces, shape (3, 3).
+
+    Returns:
+        For each axis of the simulation the recorded one, with its sign.
+
+    **Differentiability**: runs on the host.
+    """
+    names = []
+    for row in np.asarray(matrix):
+        channel = int(np.argmax(np.abs(row)))
+        names.append(f"{'-' if row[channel] < 0 else ''}{'xyz'[channel]}")
+    return (names[0], names[1], names[2])
+
+
+def _changes(axes: tuple[str, str, str]) -> int:
+    return sum(name != plain for name, plain in zip(axes, "xyz", strict=True))
+
+
+def _judged(fit: MeanForceFit, feed: float) -> tuple[tuple[str, ...], float]:
+    """Return what makes no sense of a fit, and the sum of its penalties."""
+    K, error = fit.coefficients, fit.standard_errors
+
+    def below(name: str) -> bool:
+        slack = _CHANCE * error[name] if np.isfinite(error[name]) else 0.0
+        return K[name] < -slack
+
+    mean = {i: K[f"K_{i}c"] * 0.64 * feed + K[f"K_{i}e"] for i in "tra"}
+    ratio = K["K_rc"] / K["K_tc"] if K["K_tc"] > 0 else math.nan
+    tests = (
+        K["K_tc"] <= 0,
+        below("K_rc"),
+        not 0.1 <= ratio <= 1.0,
+        mean["t"] <= 0,
+        mean["r"] <= 0,
+        below("K_te"),
+        below("K_re"),
+        mean["a"] < 0,
+        below("K_ac"),
+    )
+    hits = [p for p, is_so in zip(_PENALTIES, tests, strict=True) if is_so]
+    return tuple(text for text, _ in hits), float(sum(weight for _, weight in hits))

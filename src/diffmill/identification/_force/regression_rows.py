@@ -1,0 +1,321 @@
+"""A measured record beside its cut: the equations that it gives."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import TypeAlias
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..._job import Job
+from ...numerics import lowpass
+from .._cut.cut_model import (
+    Cut,
+    EngagementColumns,
+    at_times,
+    cut_of,
+    engagement_columns,
+)
+from .._record.saturation import without_saturated
+from .._statistics.robust_regression import Rows, solve
+
+Times: TypeAlias = Float[Array, "..."] | Float[np.ndarray, "..."] | Sequence
+# For each axis of the work the recorded one, with its sign.
+Axes: TypeAlias = tuple[str, str, str]
+
+# Candidates of the time shift per revolution, and rows on which they are compared.
+_CANDIDATES, _COMPARED = 180, 2000
+# Squared residuals that differ by this share are alike.
+_ALIKE = 0.1
+
+
+class Measured(eqx.Module):
+    """One record beside its cut, in the axes of the work.
+
+    Attributes:
+        cut: The cut.
+        engagement: Its force per coefficient.
+        time: Instants on the record's clock [s], shape (row,).
+        force: On the tool in `work` [N], shape (row, 3); NaN where not measured.
+        shift: Time of the cut minus time of the record [s].
+        saturated: How many samples were left out as saturated.
+        lowpass: Cut-off that `force` has passed [Hz], and what is modelled passes
+            beside it; None for none.
+    """
+
+    cut: Cut
+    engagement: EngagementColumns
+    time: Float[np.ndarray, " row"]
+    force: Float[np.ndarray, "row 3"]
+    shift: float
+    saturated: int = 0
+    lowpass: float | None = None
+
+    @property
+    def revolution(self) -> float:
+        """Time of one turn of the spindle [s]."""
+        return self.cut.tooth_period * self.cut.cutter.flute_count
+
+
+def equations(one: Measured, extra: Sequence[np.ndarray]) -> Rows:
+    """Return the equations of a record for the six coefficients and more.
+
+    Args:
+        one: The record.
+        extra: Columns of further unknowns, shape (row, 3, unknown) each.
+
+    Returns:
+        The equations; instants outside the cut count as not measured.
+
+    **Differentiability**: runs on the host.
+    """
+    found = one.engagement
+    when = one.time + one.shift
+    columns = at_times(found.columns, found.start, found.spacing, when)
+    constant = at_times(found.constant, found.start, found.spacing, when)
+    # What lies outside the cut reaches as far into it as the filter is long.
+    edge = 0.0 if one.lowpass is None else 1.0 / one.lowpass
+    is_inside = (when >= edge) & (when <= one.cut.duration - edge)
+    step = float(np.median(np.diff(one.time)))
+    lag = max(1, round(one.revolution / step))
+    columns = np.concatenate([columns, *extra], axis=2)
+    if one.lowpass is not None:
+        both = np.concatenate([columns, constant[:, :, None]], axis=2)
+        both = filtered(one.time, one.force, both, one.lowpass)
+        columns, constant = both[:, :, :-1], both[:, :, -1]
+    force = np.where(is_inside[:, None], one.force - constant, np.nan)
+    return Rows(columns, force, lag)
+
+
+def filtered(
+    time: Float[np.ndarray, " row"],
+    force: Float[np.ndarray, "row 3"],
+    values: Float[np.ndarray, "row 3 column"],
+    cutoff: float,
+) -> Float[np.ndarray, "row 3 column"]:
+    """Return values after a low-pass over the runs in which a force was measured.
+
+    Whatever passes it over the same runs loses the same, their ends included, so that
+    measured and modelled forces stay comparable.
+
+    Args:
+        time: Instants [s], shape (row,).
+        force: Whose NaN end the runs, as gaps in the time do, shape (row, 3).
+        values: What is filtered, shape (row, 3, column).
+        cutoff: Cut-off frequency [Hz]; see `numerics.lowpass`.
+
+    Returns:
+        Filtered values, shape (row, 3, column); a run of one sample stays.
+
+    Raises:
+        ValueError: The cut-off is not below half the sampling rate.
+
+    **Differentiability**: runs on the host.
+    """
+    steps = np.diff(time)
+    usual = float(np.median(steps))
+    if not 0 < cutoff < 0.5 / usual:
+        raise ValueError(
+            "Argument `lowpass` must lie between 0 and half the sampling rate, "
+            f"{0.5 / usual:g} Hz, but is {cutoff:g} Hz."
+        )
+    is_gap = np.concatenate([[True], steps > 1.5 * usual])
+    result = np.array(values)
+    for axis in range(3):
+        known = np.isfinite(force[:, axis])
+        edges = is_gap | np.concatenate([[True], known[1:] != known[:-1]])
+        starts = np.flatnonzero(edges)
+        for a, b in zip(starts, [*starts[1:], len(time)], strict=True):
+            if known[a] and b - a > 1:
+                part = result[a:b, axis]
+                result[a:b, axis] = lowpass(part, 1.0 / usual, cutoff)
+    return result
+
+
+def force_slope(one: Measured, K: np.ndarray) -> Float[np.ndarray, "row 3"]:
+    """Return the rate of the modelled force at the record's instants.
+
+    Args:
+        one: The record.
+        K: Coefficients, shape (6,).
+
+    Returns:
+        dF/dt [N/s], shape (row, 3).
+
+    **Differentiability**: runs on the host.
+    """
+    found = one.engagement
+    modelled = found.columns @ K + found.constant
+    when, half = one.time + one.shift, found.spacing / 2
+    after, before = (
+        at_times(modelled, found.start, found.spacing, when + side)
+        for side in (half, -half)
+    )
+    return (after - before) / (2 * half)
+
+
+def shift_part(
+    records: Sequence[Measured], index: int, K: np.ndarray, is_sought: bool
+) -> tuple[np.ndarray, ...]:
+    """Return the columns of the time shifts in the equations of one record.
+
+    Args:
+        records: All records.
+        index: The one.
+        K: Coefficients, shape (6,).
+        is_sought: Whether the shifts are fitted.
+
+    Returns:
+        One array of shape (row, 3, record), or nothing.
+
+    **Differentiability**: runs on the host.
+    """
+    if not is_sought:
+        return ()
+    one = records[index]
+    part = np.zeros((len(one.time), 3, len(records)))
+    part[:, :, index] = force_slope(one, K)
+    return (part,)
+
+
+def find_shift(one: Measured, shift_range: float | None) -> Measured:
+    """Return a record with the time shift that suits its cut best.
+
+    Args:
+        one: The record.
+        shift_range: Largest shift either way [s]; a revolution if None.
+
+    Returns:
+        The record with its shift.
+
+    Raises:
+        ValueError: The record does not meet the cut for all shifts in the range.
+
+    **Differentiability**: runs on the host.
+    """
+    from scipy.optimize import minimize_scalar
+
+    reach = one.revolution if shift_range is None else float(shift_range)
+    is_inside = (one.time >= reach) & (one.time <= one.cut.duration - reach)
+    rows = np.flatnonzero(is_inside & np.isfinite(one.force).any(axis=1))
+    if rows.size < 12:
+        raise ValueError(
+            f"Argument `time`, from {one.time[0]:g} to {one.time[-1]:g} s, must meet "
+            f"the cut, from 0 to {one.cut.duration:g} s, for shifts up to {reach:g} s; "
+            f"{rows.size} samples do. Give `time_shift` or a smaller `shift_range`."
+        )
+    if rows.size > _COMPARED:
+        rows = np.sort(np.random.default_rng(0).choice(rows, _COMPARED, replace=False))
+    few = dataclasses.replace(
+        one, time=one.time[rows], force=one.force[rows], lowpass=None
+    )
+    if one.lowpass is not None:
+        # Single rows have no neighbours to filter with: the simulation has.
+        found = one.engagement
+        rate, count = 1.0 / found.spacing, len(found.columns)
+        columns = lowpass(found.columns.reshape(count, -1), rate, one.lowpass)
+        columns = columns.reshape(count, 3, 6)
+        constant = lowpass(found.constant, rate, one.lowpass)
+        few = dataclasses.replace(
+            few,
+            engagement=dataclasses.replace(found, columns=columns, constant=constant),
+        )
+
+    def cost(shift: float) -> float:
+        row = equations(dataclasses.replace(few, shift=float(shift)), ())
+        known = np.isfinite(row.force)
+        x = solve([row], [known.astype(np.float64)])
+        return float(np.nansum((row.force - row.columns @ x) ** 2))
+
+    step = one.revolution / _CANDIDATES
+    count = max(1, round(reach / step))
+    shifts = one.shift + step * np.arange(-count, count + 1)
+    costs = np.array([cost(shift) for shift in shifts])
+    # A steady cut repeats itself: of shifts that suit alike, the smallest.
+    good = shifts[costs <= (1 + _ALIKE) * costs.min()]
+    near = np.abs(shifts - good[np.argmin(np.abs(good))]) <= 4 * step
+    best = float(shifts[near][np.argmin(costs[near])])
+    found = minimize_scalar(
+        cost, bounds=(best - step, best + step), options={"xatol": 1e-3 * step}
+    )
+    return dataclasses.replace(one, shift=float(found.x))
+
+
+def measured_records(
+    process_or_job: Cut | Job | Sequence[Cut | Job],
+    time: Times | Sequence[Times],
+    force: Times | Sequence[Times],
+    axes: Axes,
+    time_shift: float | Sequence[float] | None,
+    cutoff: float | None = None,
+) -> list[Measured]:
+    """Return the records beside their cuts, each cut simulated.
+
+    Args:
+        process_or_job: A cut or a job, or a list of them.
+        time: Instants of the record [s], shape (row,), or a list.
+        force: [N], shape (row, 3), or a list.
+        axes: For each axis of the work the recorded one.
+        time_shift: [s], one or one per record, or None for 0.
+        cutoff: Of a low-pass for both sides [Hz], or None.
+
+    Returns:
+        The records.
+
+    Raises:
+        ValueError: Wrong shapes, counts or times.
+
+    **Differentiability**: runs on the host.
+    """
+    cuts: list[Cut | Job]
+    if isinstance(process_or_job, Sequence):
+        cuts, times, forces = list(process_or_job), list(time), list(force)
+    else:
+        cuts, times, forces = [process_or_job], [time], [force]
+    if time_shift is None or isinstance(time_shift, float | int):
+        shifts = [float(time_shift or 0.0)] * len(cuts)
+    else:
+        shifts = [float(shift) for shift in time_shift]
+    if not len(cuts) == len(times) == len(forces) == len(shifts) > 0:
+        raise ValueError(
+            "Lists of cuts, times, forces and shifts must have the same length, but "
+            f"have {len(cuts)}, {len(times)}, {len(forces)} and {len(shifts)}."
+        )
+    return [
+        _measured(cut, t, f, axes, shift, cutoff)
+        for cut, t, f, shift in zip(cuts, times, forces, shifts, strict=True)
+    ]
+
+
+def _measured(
+    cut: Cut | Job,
+    time: Times,
+    force: Times,
+    axes: Axes,
+    shift: float,
+    cutoff: float | None,
+) -> Measured:
+    """Return one record, its axes those of the work."""
+    when, seen = np.array(time, np.float64), np.array(force, np.float64)
+    if when.ndim != 1 or seen.shape != (when.size, 3) or when.size < 12:
+        raise ValueError(
+            "Arguments `time` and `force` must have shapes (row,) and (row, 3), with "
+            f"at least 12 rows, but have {when.shape} and {seen.shape}."
+        )
+    if not (np.all(np.diff(when) > 0) and np.all(np.isfinite(when))):
+        raise ValueError("Argument `time` must ascend and be finite, but does not.")
+    if np.any(np.isinf(seen)):
+        raise ValueError("Argument `force` must have no infinite values, but has.")
+    seen, saturated = without_saturated(seen)
+    turned = np.column_stack(
+        [
+            (-1.0 if name.startswith("-") else 1.0) * seen[:, "xyz".index(name[-1])]
+            for name in axes
+        ]
+    )
+    if cutoff is not None:
+        turned = filtered(when, turned, turned[:, :, None], cutoff)[:, :, 0]
+    whole = cut_of(cut)
+    columns = engagement_columns(whole)
+    return Measured(whole, columns, when, turned, shift, saturated, cutoff)

@@ -1,0 +1,1 @@
+"""Modes and damping from a ring-down or a frequency response."""

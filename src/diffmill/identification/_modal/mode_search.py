@@ -1,0 +1,77 @@
+"""Where the modes of a frequency response lie, one after the other.
+
+The mode that explains most of what is left is added, then all are refined, and so on
+(orthogonal matching pursuit). Noise has as many peaks as lines, but none of them looks
+like a mode over many lines; and a damped mode beside a sharp one has no peak at all.
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+from .mode_model import ModeModel
+
+# Damping ratios of the modes that are tried, as sharp as their neighbours are apart.
+_RATIOS = (0.01, 0.03, 0.1)
+# Modes that are tried at once.
+_BLOCK = 100
+# A mode is there if it explains so many times the scatter of a line. The best of a few
+# thousand that are not there explains less than 20.
+_SEEN = 40.0
+# What is left is rounding.
+_ROUNDING = 1e-12
+
+
+def search_modes(
+    model: ModeModel, count: int
+) -> tuple[Float[np.ndarray, " both"], int]:
+    """Return frequencies and ratios of the modes that explain most.
+
+    Args:
+        model: The response.
+        count: How many modes are sought.
+
+    Returns:
+        Frequencies [Hz], then damping ratios, shape (2 found,), and how many there are:
+        fewer where nothing else is left to be seen.
+
+    **Differentiability**: runs on the host.
+    """
+    x = np.zeros(0)
+    for found in range(count):
+        added = _next(model, x)
+        if added is None:
+            return x, found
+        halves = np.split(x, 2)
+        both = [np.append(half, one) for half, one in zip(halves, added, strict=True)]
+        x, _ = model.refined(*both)
+    return x, count
+
+
+def _next(
+    model: ModeModel, x: Float[np.ndarray, " both"]
+) -> tuple[float, float] | None:
+    """Return frequency and ratio of the mode that explains most of what is left."""
+    basis = model.basis(x)
+    left = model.rows - basis @ (basis.T @ model.rows)
+    square = float(left @ left)
+    if square <= _ROUNDING * float(model.rows @ model.rows):
+        return None
+    best, place = 0.0, (0.0, 0.0)
+    for ratio in _RATIOS:
+        tried = _apart(model.omega / (2 * np.pi), ratio)
+        for first in range(0, tried.size, _BLOCK):
+            block = tried[first : first + _BLOCK]
+            waves = model.waves(block, np.full(block.size, ratio))
+            waves /= np.linalg.norm(waves, axis=0)[None]
+            own = 1.0 - np.sum((basis.T @ waves) ** 2, axis=0)
+            gain = (left @ waves) ** 2 / np.maximum(own, 1e-6)
+            j = int(np.argmax(gain))
+            if gain[j] > best:
+                best, place = float(gain[j]), (float(block[j]), ratio)
+    return place if best > _SEEN * square / left.size else None
+
+
+def _apart(f: Float[np.ndarray, " line"], ratio: float) -> Float[np.ndarray, " mode"]:
+    """Return lines that are no nearer than half the width of a mode."""
+    steps = np.floor(np.log(f / f[0]) / ratio)
+    return f[np.concatenate([[True], np.diff(steps) > 0])]

@@ -1,0 +1,1 @@
+"""Records: preparation, cuts, spindle angle, and what is wrong with them."""

@@ -1,0 +1,1 @@
+"""Regression: robust, non-negative, nonlinear; what is identifiable."""

@@ -1,0 +1,119 @@
+"""Whether a table of load tests would suit the robot much better with other axes.
+
+Three mistakes are looked for: a displacement in other axes than those of the robot, a
+load in others, and both in the same axes, but not in those of the robot.
+"""
+
+import itertools
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from .._statistics.grouped_nnls import Columns, Values, nonnegative, trimmed_start
+
+# Other axes are proposed if they lower the squared residual by this factor.
+_BETTER_AXES = 3.0
+# Where next to nothing is left to explain, nothing can be much better.
+_ALL_EXPLAINED = 0.999
+_STARTS = 20
+
+Turn = Float[np.ndarray, "3 3"]
+Turns = Float[np.ndarray, "pose 3 3"]
+Loads = Float[np.ndarray, "pose 6"]
+
+
+class AxesCheck(NamedTuple):
+    """Whether other axes suit a table better.
+
+    Attributes:
+        better: What is to be read how, such as "the displacement read as (x, -y, z)";
+            None if nothing is much better.
+        is_possible: Whether enough rows have all components to tell.
+    """
+
+    better: str | None
+    is_possible: bool
+
+
+def better_axes(
+    columns_of: Callable[[Loads], Columns],
+    load: Loads,
+    moved: Values,
+    explained: float,
+    frames: tuple[Turns | None, Turns | None] = (None, None),
+) -> AxesCheck:
+    """Return an assignment of the axes that suits much better, if there is one.
+
+    Args:
+        columns_of: Returns displacement per compliance for loads [N, N m], shape
+            (pose, component, joint).
+        load: The loads in base axes, shape (pose, 6).
+        moved: The displacements in base axes, shape (pose, component); rows with a
+            missing component do not count.
+        explained: Share of their square that the fit explains.
+        frames: Rotations into base of the frames in which the load and the
+            displacement were recorded, whose axes are exchanged, shape (pose, 3, 3)
+            each; None for base.
+
+    Returns:
+        The assignment.
+
+    **Differentiability**: none, a host function.
+    """
+    if explained > _ALL_EXPLAINED:
+        return AxesCheck(None, True)
+    whole = np.isfinite(moved).all(axis=1)
+    columns, seen = columns_of(load)[whole], moved[whole]
+    if seen.size <= columns.shape[2]:
+        return AxesCheck(None, False)
+    best, found = _cost(columns, seen) / _BETTER_AXES, None
+    for name, T in _turns():
+        # Moments and rotations of mirrored axes change their sign once more.
+        both = np.linalg.det(T) * T
+        other = columns_of(_turned(load, T, both, frames[0]))[whole]
+        turned = _turned(moved, T, both, frames[1])[whole]
+        cases = (
+            (columns, turned, "the displacement"),
+            (other, seen, "the load"),
+            (other, turned, "load and displacement both"),
+        )
+        for one, values, what in cases:
+            cost = _cost(one, values)
+            if cost < best:
+                best, found = cost, f"{what} read as {name}"
+    return AxesCheck(found, True)
+
+
+def _cost(columns: Columns, moved: Values) -> float:
+    """Return the squared residual of the poses that agree best."""
+    is_free = np.zeros(columns.shape[2], bool)
+    kept = trimmed_start(columns, moved, is_free, starts=_STARTS)
+    rows = columns[kept].reshape(-1, columns.shape[2])
+    right = moved[kept].reshape(-1)
+    return float(np.sum((right - rows @ nonnegative(rows, right, is_free)) ** 2))
+
+
+def _turns() -> Iterator[tuple[str, Turn]]:
+    """Return all assignments of three axes with their names, but the plain one."""
+    for order in itertools.permutations(range(3)):
+        for signs in itertools.product((1.0, -1.0), repeat=3):
+            T = np.eye(3)[list(order)] * np.array(signs)[:, None]
+            if np.array_equal(T, np.eye(3)):
+                continue
+            each = zip(order, signs, strict=True)
+            names = [f"{'-' if sign < 0 else ''}{'xyz'[axis]}" for axis, sign in each]
+            yield f"({', '.join(names)})", T
+
+
+def _turned(values: Values, linear: Turn, angular: Turn, frame: Turns | None) -> Values:
+    """Return values with the axes of their frame turned, linear parts first."""
+    parts = values.reshape(len(values), -1, 3)
+    if frame is not None:
+        parts = np.einsum("pji,pkj->pki", frame, parts)
+    turns = np.stack([linear, angular])[: parts.shape[1]]
+    parts = np.einsum("kij,pkj->pki", turns, parts)
+    if frame is not None:
+        parts = np.einsum("pij,pkj->pki", frame, parts)
+    return parts.reshape(values.shape)

@@ -1,0 +1,369 @@
+"""Joint stiffness from how far known loads move the tool.
+
+The tool moves by d = sum_i c_i J_i (J_i^T w): linear in the compliances c_i = 1 / K_i,
+each a number that cannot be negative. The share of gravity and load in the stiffness,
+some per mille on an industrial arm, is left out as in `robot.cartesian_compliance`.
+"""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from ...robot import Robot, jacobian
+from .._statistics.grouped_nnls import Columns, GroupFit, Values, fit_groups
+from .._statistics.robust_regression import correlation_of
+from .axis_check import AxesCheck, Turns, better_axes
+
+# Tables as users have them.
+Table = Float[Array, "..."] | Float[np.ndarray, "..."] | Sequence[Sequence[float]]
+
+# A compliance is rough if its standard error is above this share of it.
+_ROUGH = 0.1
+# Probabilities of the interval that is given, and of the one that must leave out a
+# rigid joint: of many joints some seem soft by chance.
+_GIVEN, _BOUNDED = 0.95, 0.99
+# The springs must explain this share of the squared displacements.
+_EXPLAINED = 0.7
+# More wrong poses than this share of all say that the model or the table is wrong.
+_OUTLIERS = 0.3
+# A column smaller than this share of the largest is rounding.
+_ROUNDING = 1e-9
+# Standard normal quantile of a one-sided bound of 95 %.
+_ONE_SIDED = 1.645
+
+
+class JointStiffnessFit(eqx.Module):
+    """Joint stiffness, how sure it is, and what the table cannot tell.
+
+    Attributes:
+        stiffness: K of each joint [N m/rad or N/m], shape (joint,); NaN for joints
+            that are not identifiable.
+        standard_errors: Of K, same unit and shape; NaN likewise.
+        stiffness_bound: K is at least this, with 95 % confidence, shape (joint,); 0
+            where nothing is known. Meaningful for joints without a number too.
+        stiffness_interval: Least and largest K, with 95 % confidence, (joint, 2);
+            0 and infinity for joints that are not identifiable.
+        identifiable: Whether the loads bound the stiffness from both sides with
+            99 % confidence, however widely, shape (joint,).
+        compliance: c = 1 / K as fitted, never negative [rad/(N m) or m/N], shape
+            (joint,); without meaning where not identifiable.
+        compliance_errors: Standard errors of c, shape (joint,); infinite where the
+            loads do not move the joint at all.
+        correlation: Between the errors of c, shape (joint, joint); NaN where nothing
+            is known.
+        outliers: Rows of the table that contradict the others, ascending.
+        explained: Share of the squared displacement that the springs explain, of the
+            rows that agree; of all rows if too many do not.
+        share: What each joint contributes to it, shape (joint,).
+        is_consistent: Whether the table suits the robot: enough is explained, few
+            rows contradict, and no other assignment of axes would suit much better.
+        residual: Measured minus fitted displacement, shape (pose, component).
+        offset: Constant displacement that was fitted too, shape (component,), or None.
+        noise: "absolute" or "relative" (to the displacement), the likelier scatter.
+        spread: Standard deviation of one displacement of median size [m].
+        joint_names: Names in the order of the arrays.
+        notes: What to know, in words.
+    """
+
+    stiffness: Float[np.ndarray, " joint"]
+    standard_errors: Float[np.ndarray, " joint"]
+    stiffness_bound: Float[np.ndarray, " joint"]
+    stiffness_interval: Float[np.ndarray, "joint 2"]
+    identifiable: Bool[np.ndarray, " joint"]
+    compliance: Float[np.ndarray, " joint"]
+    compliance_errors: Float[np.ndarray, " joint"]
+    correlation: Float[np.ndarray, "joint joint"]
+    outliers: tuple[int, ...] = eqx.field(static=True)
+    explained: float
+    share: Float[np.ndarray, " joint"]
+    is_consistent: bool
+    residual: Float[np.ndarray, "pose component"]
+    offset: Float[np.ndarray, " component"] | None
+    noise: str = eqx.field(static=True)
+    spread: float
+    joint_names: tuple[str, ...] = eqx.field(static=True)
+    notes: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def is_rough(self) -> Bool[np.ndarray, " joint"]:
+        """Which joints are known to no better than a tenth, or not at all."""
+        rough = self.compliance_errors > _ROUGH * self.compliance
+        return ~self.identifiable | rough
+
+
+def fit_joint_stiffness(
+    robot: Robot,
+    q: Table,
+    wrench: Table,
+    displacement: Table,
+    *,
+    has_offset: bool = False,
+    noise: str | None = None,
+    frames: tuple[Turns | None, Turns | None] = (None, None),
+    max_relative_error: float = 1.0,
+    min_explained: float = _EXPLAINED,
+) -> JointStiffnessFit:
+    """Fit the joints' stiffness to static load tests.
+
+    Args:
+        robot: The robot; only its kinematics count. Its tool is where the load acts
+            and where the displacement is measured.
+        q: Joint positions [rad or m], shape (pose, joint).
+        wrench: Load on the tool at its origin in base axes, linear part first
+            [N, N m], shape (pose, 6), or (pose, 3) for forces only.
+        displacement: How far the load moves the tool's origin, in base axes, linear
+            part first [m, rad], shape (pose, 3) or (pose, 6); NaN for a component
+            that was not measured.
+        has_offset: Whether a constant displacement of all poses is fitted too, as of
+            a tracker whose zero is not known.
+        noise: "absolute" if all poses scatter alike, "relative" if in proportion to
+            the displacement; the likelier of both if not given.
+        frames: Rotations into base of the frames in which load and displacement were
+            recorded, shape (pose, 3, 3) each, None for base: the axes that would suit
+            better are told in these.
+        max_relative_error: A stiffness that is bounded is given if its relative
+            standard error is at most this.
+        min_explained: Below this share of the squared displacement the table is
+            reported as not suiting the robot, and no stiffness is given.
+
+    Returns:
+        The fit; look at `.notes`.
+
+    Raises:
+        ValueError: A table has a wrong shape or numbers that are not finite.
+
+    **Differentiability**: runs on the host.
+    """
+    angles, load, moved = load_tables(robot, q, wrench, displacement)
+    scale = _component_scale(moved)
+
+    def columns_of(load: Float[np.ndarray, "pose 6"]) -> np.ndarray:
+        columns = deflection_columns(robot, angles, load)[:, : moved.shape[1]]
+        return columns * scale[None, :, None]
+
+    columns, moved = columns_of(load), moved * scale[None]
+    wide, is_free = columns, np.zeros(robot.joint_count, bool)
+    if has_offset:
+        constant = np.broadcast_to(
+            np.eye(moved.shape[1])[None], (len(moved), *2 * moved.shape[1:])
+        )
+        wide = np.concatenate([columns, constant], axis=2)
+        is_free = np.r_[is_free, np.ones(moved.shape[1], bool)]
+    fit = fit_groups(wide, moved, is_free, noise=noise)
+    used, explained, centred = _explained(fit, moved, robot.joint_count)
+    axes = better_axes(columns_of, load, centred, explained, frames)
+    return _report(
+        robot,
+        columns[used],
+        centred[used],
+        fit,
+        scale,
+        (max_relative_error, min_explained),
+        (explained, axes),
+    )
+
+
+def deflection_columns(
+    robot: Robot,
+    q: Float[np.ndarray, "pose joint"],
+    wrench: Float[np.ndarray, "pose 6"],
+) -> Float[np.ndarray, "pose 6 joint"]:
+    """Return how far a load moves the tool per unit compliance of each joint.
+
+    Args:
+        robot: The robot.
+        q: Joint positions [rad or m], shape (pose, joint).
+        wrench: Load on the tool in base axes [N, N m], shape (pose, 6).
+
+    Returns:
+        J_i (J_i^T w), linear part first, shape (pose, 6, joint).
+
+    **Differentiability**: runs on the host.
+    """
+    J = np.asarray(_jacobians(robot, jnp.asarray(q, robot.dtype)), np.float64)
+    columns = J * np.einsum("pcj,pc->pj", J, wrench)[:, None]
+    size = np.linalg.norm(columns, axis=(0, 1))
+    # A force through a joint's axis turns it by rounding only.
+    return np.where(size > _ROUNDING * size.max(initial=0.0), columns, 0.0)
+
+
+@eqx.filter_jit
+def _jacobians(
+    robot: Robot, q: Float[Array, "pose joint"]
+) -> Float[Array, "pose 6 joint"]:
+    return jax.vmap(lambda row: jacobian(robot, row))(q)
+
+
+def load_tables(
+    robot: Robot, q: Table, wrench: Table, displacement: Table
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the tables as arrays, the load with its moments.
+
+    Args:
+        robot: The robot.
+        q: Joint positions [rad or m], shape (pose, joint).
+        wrench: Loads [N, N m], shape (pose, 6) or (pose, 3).
+        displacement: [m, rad], shape (pose, 3) or (pose, 6).
+
+    Returns:
+        The three as NumPy arrays, the loads of shape (pose, 6).
+
+    Raises:
+        ValueError: A table has a wrong shape or numbers that are not finite.
+
+    **Differentiability**: runs on the host.
+    """
+    angles, load, moved = (
+        np.array(table, np.float64) for table in (q, wrench, displacement)
+    )
+    count = angles.shape[0] if angles.ndim == 2 else -1
+    for name, table, widths in (
+        ("q", angles, (robot.joint_count,)),
+        ("wrench", load, (3, 6)),
+        ("displacement", moved, (3, 6)),
+    ):
+        allowed = " or ".join(f"({max(count, 0)}, {width})" for width in widths)
+        if table.ndim != 2 or table.shape[1] not in widths or len(table) != count:
+            raise ValueError(
+                f"Argument `{name}` must have shape {allowed}, one row per row of `q`, "
+                f"but has shape {table.shape}."
+            )
+        if name != "displacement" and not np.all(np.isfinite(table)):
+            row = int(np.argmin(np.isfinite(table).all(axis=1)))
+            raise ValueError(
+                f"Argument `{name}` must be finite, but row {row} is {table[row]}."
+            )
+    if np.any(np.isinf(moved)) or not np.any(np.isfinite(moved)):
+        raise ValueError(
+            "Argument `displacement` must have numbers, or NaN where nothing was "
+            "measured, but has none or an infinite one."
+        )
+    load = np.pad(load, ((0, 0), (0, 6 - load.shape[1])))
+    return angles, load, moved
+
+
+def _component_scale(moved: Values) -> Float[np.ndarray, " component"]:
+    """Return what makes rotations comparable with displacements."""
+    scale = np.ones(moved.shape[1])
+    if moved.shape[1] == 6:
+        linear, angular = np.nanmedian(np.abs(moved).reshape(-1, 2, 3), axis=(0, 2))
+        if linear > 0 and angular > 0:
+            scale[3:] = linear / angular
+    return scale
+
+
+def _explained(
+    fit: GroupFit, moved: Values, joints: int
+) -> tuple[Bool[np.ndarray, " pose"], float, Values]:
+    """Return which rows count, what is explained of them, and all without the offset.
+
+    Where too many rows contradict, all of them count.
+    """
+    used = ~fit.is_outlier | _contradicts(fit)
+    centred = moved - (fit.x[None, joints:] if len(fit.x) > joints else 0.0)
+    square = float(np.nansum(centred[used] ** 2))
+    left = float(np.nansum(fit.residual[used] ** 2))
+    return used, 1.0 - left / max(square, 1e-300), centred
+
+
+def _contradicts(fit: GroupFit) -> bool:
+    """Tell whether too many rows contradict the others."""
+    return bool(fit.is_outlier.mean() > _OUTLIERS)
+
+
+def _report(
+    robot: Robot,
+    columns: Columns,
+    moved: Values,
+    fit: GroupFit,
+    scale: Float[np.ndarray, " component"],
+    limits: tuple[float, float],
+    found: tuple[float, AxesCheck],
+) -> JointStiffnessFit:
+    """Return the fit in words of stiffness, from the rows that count."""
+    from scipy.special import stdtrit
+
+    explained, axes = found
+    count = robot.joint_count
+    c = fit.x[:count]
+    errors = np.sqrt(np.diagonal(fit.covariance)[:count])
+    offset = fit.x[count:] if len(fit.x) > count else None
+    too_many = _contradicts(fit)
+    parts = np.nansum(columns * moved[..., None], axis=(0, 1))
+    square = float(np.nansum(moved**2))
+    is_consistent = explained >= limits[1] and not too_many and axes.better is None
+    freedom = max(1, int(np.isfinite(moved).sum()) - len(fit.x))
+    given, bounded = (stdtrit(freedom, 0.5 + 0.5 * p) for p in (_GIVEN, _BOUNDED))
+    is_fixed = is_consistent & (c > bounded * errors) & (errors <= limits[0] * c)
+    safe = np.where(is_fixed, c, 1.0)
+    bound = 1.0 / np.maximum(c + _ONE_SIDED * errors, 1e-300)
+    away = given * np.where(is_fixed, errors, 0.0)[:, None] * np.array([1.0, -1.0])
+    interval = 1.0 / (safe[:, None] + away)
+    return JointStiffnessFit(
+        stiffness=np.where(is_fixed, 1.0 / safe, np.nan),
+        standard_errors=np.where(is_fixed, errors / safe**2, np.nan),
+        stiffness_bound=np.where(is_consistent, bound, 0.0),
+        stiffness_interval=np.where(is_fixed[:, None], interval, [0.0, np.inf]),
+        identifiable=is_fixed,
+        compliance=c,
+        compliance_errors=errors,
+        correlation=correlation_of(fit.covariance)[:count, :count],
+        outliers=tuple(int(i) for i in np.flatnonzero(fit.is_outlier)),
+        explained=explained,
+        share=parts * c / max(square, 1e-300),
+        is_consistent=is_consistent,
+        residual=fit.residual / scale[None],
+        offset=None if offset is None else offset / scale,
+        noise=fit.noise,
+        spread=fit.spread,
+        joint_names=robot.joint_names,
+        notes=_notes(robot, fit, is_fixed, explained, (axes, limits[1], too_many)),
+    )
+
+
+def _notes(
+    robot: Robot,
+    fit: GroupFit,
+    is_fixed: Bool[np.ndarray, " joint"],
+    explained: float,
+    doubts: tuple[AxesCheck, float, bool],
+) -> tuple[str, ...]:
+    """Say what the numbers alone do not."""
+    axes, least, too_many = doubts
+    notes = []
+    if explained < least:
+        notes.append(
+            f"The joints' springs explain {max(explained, 0):.0%} of the squared "
+            f"displacement, less than {least:.0%}: the table does not suit this robot "
+            "(axes, units, signs, tool, or elasticity outside the joints). No "
+            "stiffness is given."
+        )
+    if axes.better is not None:
+        notes.append(
+            f"With {axes.better} of what is x, y, z now the robot would explain much "
+            "more: look at the axes of the table. They were not changed."
+        )
+    if not axes.is_possible:
+        notes.append(
+            "The axes could not be checked: too few rows have all components of the "
+            "displacement."
+        )
+    if too_many:
+        notes.append(
+            f"{int(fit.is_outlier.sum())} of {len(fit.is_outlier)} rows contradict the "
+            "others: too many to leave out."
+        )
+    elif fit.is_outlier.any():
+        rows = ", ".join(str(i) for i in np.flatnonzero(fit.is_outlier))
+        notes.append(f"Rows {rows} contradict the others and were left out.")
+    lost = [n for n, ok in zip(robot.joint_names, is_fixed, strict=True) if not ok]
+    if lost and explained >= least and axes.better is None and not too_many:
+        notes.append(
+            f"Not identifiable from these loads: {', '.join(lost)}; "
+            "`suggest_load_tests` names poses that would show them."
+        )
+    return tuple(notes)

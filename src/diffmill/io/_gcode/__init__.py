@@ -1,0 +1,1 @@
+"""G-code: reading and writing."""

@@ -1,0 +1,87 @@
+"""A sampled path as G-code that a controller travels at the sampled instants."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from ..._types import RealScalarLike
+from ...toolpath import Path
+
+_DECIMALS = 6
+
+
+def write_gcode(
+    path: Path,
+    *,
+    header: Sequence[str] = (),
+    spindle_speed: RealScalarLike | None = None,
+) -> str:
+    """Return a program with one straight move per row in inverse time (G93).
+
+    The program goes to the first row at rapid feed, and from there every row takes
+    exactly the time since the row before it, whatever the controller's acceleration.
+    A row that repeats the one before it (a dwell) would be a move of no length, which
+    has no speed and which controllers skip; it is written one last decimal (1 nm)
+    beside, in z, so that its time is kept. Whether a row was rapid is not kept.
+
+    Args:
+        path: The path; its tool axis must be +z.
+        header: Lines of comment for the top of the program.
+        spindle_speed: Speed that the program sets [rad/s]; None sets none.
+
+    Returns:
+        The program's text, in millimetres.
+
+    Raises:
+        ValueError: If the tool axis is tilted, a number is not finite, or the time
+            does not increase.
+    """
+    time, positions = np.asarray(path.time), np.asarray(path.positions)
+    if np.max(np.abs(np.asarray(path.axes) - [0.0, 0.0, 1.0])) > 1e-9:
+        raise ValueError(
+            "Argument `path` must keep the tool axis along +z, but tilts it; a program "
+            "with X, Y and Z only cannot."
+        )
+    if not (np.all(np.isfinite(positions)) and np.all(np.isfinite(time))):
+        raise ValueError("Argument `path` must be finite, but is not.")
+    steps = np.diff(time)
+    if not np.all(steps > 0):
+        raise ValueError("Argument `path` must have increasing time, but has not.")
+    points = _distinct(np.round(positions * 1e3, _DECIMALS))
+    lines = [f"({_comment(text)})" for text in header]
+    lines += ["G17 G21 G90 G93", f"G0 {_coordinates(points[0])}"]
+    if spindle_speed is not None:
+        rpm = float(spindle_speed) * 60 / (2 * math.pi)
+        lines.append(f"S{round(rpm, 6):.12g} M3")
+    lines += [
+        f"G1 {_coordinates(point)} F{60 / step:.9f}"
+        for point, step in zip(points[1:], steps, strict=True)
+    ]
+    lines += ["M5", "M2"]
+    return "\n".join(lines) + "\n"
+
+
+def _distinct(
+    points: Float[np.ndarray, "step 3"],
+) -> Float[np.ndarray, "step 3"]:
+    """Return points of which none repeats the one before, some moved by 1 nm."""
+    points = points + 0.0
+    nudge = 10.0**-_DECIMALS
+    for row in range(1, len(points)):
+        if np.all(np.abs(points[row] - points[row - 1]) < nudge / 2):
+            points[row, 2] = round(points[row, 2] + nudge, _DECIMALS)
+    return points
+
+
+def _coordinates(point: Float[np.ndarray, " 3"]) -> str:
+    """Return a point in millimetres as words."""
+    x, y, z = (f"{value + 0.0:.{_DECIMALS}f}" for value in point)
+    return f"X{x} Y{y} Z{z}"
+
+
+def _comment(text: str) -> str:
+    """Return text that can stand within parentheses on one line."""
+    plain = " ".join(text.split()).replace("(", "[").replace(")", "]")
+    return plain.encode("ascii", errors="replace").decode("ascii")

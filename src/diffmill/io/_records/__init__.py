@@ -1,0 +1,1 @@
+"""Measured records: text and binary files, channels and time."""

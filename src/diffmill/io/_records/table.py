@@ -1,0 +1,180 @@
+"""What every reader of measurements returns: named columns as written."""
+
+import math
+import re
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ...units import FREQUENCY, TIME, QuantityKind, quantity
+
+
+class Column(NamedTuple):
+    """A column of a file as it stands there.
+
+    Attributes:
+        name: Its name without the unit.
+        unit: Its unit, or "" if none is given.
+        values: Returns the numbers in that unit, shape (sample,); NaN where a cell
+            holds none. A function, so that no unused column is read.
+        rate: Sampling rate of this column [Hz], or None if none is given.
+    """
+
+    name: str
+    unit: str
+    values: Callable[[], Float[np.ndarray, " sample"]]
+    rate: float | None = None
+
+
+class Table(NamedTuple):
+    """The columns of a file, and what its header says about all of them.
+
+    Attributes:
+        columns: The columns, in the order of the file.
+        rate: Sampling rate that the header gives [Hz], or None.
+        notes: What was left out while reading, one sentence each.
+    """
+
+    columns: list[Column]
+    rate: float | None = None
+    notes: tuple[str, ...] = ()
+
+
+# Longer texts are no names and say no rate; on them the patterns below would look for
+# hours at where to begin.
+_LONGEST_LABEL, _LONGEST_LINE = 200, 1000
+# A unit in square brackets may hold round ones: `Re [(m/s^2)/N]`.
+_BRACKETS = re.compile(
+    r"(.*?)[\s_]*(?:\[\s*([^\[\]]*?)\s*\]|[({<]\s*([^\[\](){}<>]*?)\s*[)}>])\s*"
+)
+_NUMERATOR = re.compile(r"\(([^()]*)\)(?=/)")
+_SUFFIX = re.compile(r"(.*?)(?:_|\s*/\s*|\s*,\s*|\s+in\s+|\s+)([^\s_/,]+)")
+# Words for units that the unit library does not know or takes for something else,
+# whatever their case.
+_WORDS = {
+    "s": "sec secs second seconds sek sekunde sekunden",
+    "ms": "msec millisecond milliseconds millisekunde millisekunden",
+    "us": "usec microsecond microseconds mikrosekunde mikrosekunden",
+    "N": "newton newtons",
+    "kN": "kilonewton kilonewtons",
+    "kgf": "kp kgf",
+    "lbf": "lbf",
+    "Hz": "hz hertz",
+    "kHz": "khz khertz kilohertz",
+    "deg": "° deg degs degree degrees grad",
+    "rad": "rad rads radian radians",
+    "turn": "rev revs",
+    "m": "meter meters metre metres",
+    "mm": "mm millimeter millimeters millimetre millimetres",
+    "um": "um micrometer micrometers mikrometer",
+    "inch": "inch inches zoll",
+    "standard_gravity/N": "g/n",
+    "standard_gravity/lbf": "g/lbf g/lb",
+    "lbf*inch": "lbf-in in-lbf lb-in in-lb",
+    "lbf*foot": "lbf-ft ft-lbf lb-ft ft-lb",
+}
+_SPELLINGS = {word: unit for unit, words in _WORDS.items() for word in words.split()}
+# Units that headers in capitals spell so; tried if they mean something else.
+_CAPITALS = {"S": "s", "MS": "ms", "US": "us", "KN": "kN", "DAN": "daN", "NM": "N*m"}
+# Moments without a sign between their parts, which the unit library reads as a yarn's
+# fineness, or with one that it does not know.
+_MOMENT = re.compile(r"((?:da|[kmM])?N)[.\-]?(mm|cm|m)")
+
+
+def scale(unit: str, kind: QuantityKind) -> float:
+    """Return how many SI units one `unit` has.
+
+    Raises:
+        ValueError: If the unit is unknown or of another kind.
+    """
+    plain = _NUMERATOR.sub(r"\1", unit.rstrip(".") or unit)
+    moment = _MOMENT.fullmatch(plain)
+    other = f"{moment[1]}*{moment[2]}" if moment else _CAPITALS.get(plain)
+    try:
+        return quantity(f"1 {_SPELLINGS.get(plain.lower(), plain)}", kind)
+    except ValueError:
+        if other is None:
+            raise
+    return quantity(f"1 {other}", kind)
+
+
+def given_scale(text: str, kind: QuantityKind) -> float:
+    """Return how many SI units a number in the file stands for, as the user says.
+
+    Args:
+        text: A unit, or an amount of one for a file of volts: "kN", or "100 N".
+        kind: What it must be.
+
+    Raises:
+        ValueError: If the unit is unknown or of another kind.
+    """
+    return quantity(text, kind) if text.lstrip()[:1].isdigit() else scale(text, kind)
+
+
+def is_unit(text: str, *kinds: QuantityKind) -> bool:
+    """Return whether a text is a unit of one of the kinds."""
+    for kind in kinds:
+        try:
+            scale(text, kind)
+        except ValueError:
+            continue
+        return True
+    return False
+
+
+def split_unit(label: str, *kinds: QuantityKind) -> tuple[str, str]:
+    """Return name and unit of a label such as `Fx [N]`, `Time (ms)` or `Fx_N`.
+
+    What stands in brackets is the unit; what follows an underscore, a slash, a comma
+    or a blank only if it is a unit of one of the kinds.
+    """
+    text = label.strip().strip('"').strip()
+    if len(text) > _LONGEST_LABEL:
+        return text, ""
+    match = _BRACKETS.fullmatch(text)
+    if match is not None:
+        return match[1].strip(), match[2] or match[3] or ""
+    match = _SUFFIX.fullmatch(text)
+    if match is not None and is_unit(match[2], *kinds):
+        return match[1].strip(), match[2]
+    return text, ""
+
+
+_RATE = re.compile(
+    r"(?:sampl\w*[\s_-]*(?:rate|freq\w*)|scan[\s_-]*rate|abtast(?:rate|frequenz)|\bfs\b)",
+    re.IGNORECASE,
+)
+_INTERVAL = re.compile(
+    r"(?:sampl\w*[\s_-]*(?:interval|period|time)|delta_x|abtast(?:intervall|zeit)|"
+    r"wf_increment|\bdt\b)",
+    re.IGNORECASE,
+)
+_VALUE = re.compile(
+    r"\s*(?:[\[(]\s*(?P<before>[^\])]+?)\s*[\])])?[\s:=;,\"]*"
+    r"(?P<number>\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?)\s*(?P<after>[a-zA-Z\u00b5]*)"
+)
+
+
+def header_rate(lines: list[str]) -> float | None:
+    """Return the sampling rate [Hz] that a header's lines give, if they do."""
+    for line in lines:
+        if len(line) > _LONGEST_LINE:
+            continue
+        for pattern, kind, default in (
+            (_RATE, FREQUENCY, "Hz"),
+            (_INTERVAL, TIME, "s"),
+        ):
+            name = pattern.search(line)
+            value = name and _VALUE.match(line, name.end())
+            if not value:
+                continue
+            unit = value["before"] or value["after"] or default
+            try:
+                number = float(value["number"].replace(",", ".")) * scale(unit, kind)
+            except ValueError:
+                continue
+            if math.isfinite(number) and number > 0:
+                return number if kind is FREQUENCY else 1.0 / number
+    return None

@@ -1,0 +1,176 @@
+"""Measured records as text: tables of numbers below headers of any length."""
+
+import codecs
+import io
+import pathlib
+
+import numpy as np
+from jaxtyping import Float
+
+from .errors import RecordError
+from .table import Column, Table, header_rate
+from .text_layout import Layout, cells_of, first_block, labels_of, layout_of, number_of
+
+_HEAD_BYTES = 1 << 20
+_BLOCK_BYTES = 1 << 24
+# Blocks with odd lines are halved down to this size.
+_SLOW_BYTES = 1 << 16
+_MOST_COLUMNS = 1000
+
+
+def read_text(path: pathlib.Path) -> Table:
+    """Return the columns of a text file.
+
+    Raises:
+        RecordError: If no table with a header is in it.
+        OSError: If the file cannot be read.
+    """
+    with path.open("rb") as file:
+        stream, encoding = _decoded(file, str(path))
+        head = stream.read(_HEAD_BYTES)
+        if b"\n" not in head:
+            # Old Macintosh programs end lines with a carriage return alone.
+            stream = io.BytesIO((head + stream.read()).replace(b"\r", b"\n"))
+            head = stream.read(_HEAD_BYTES)
+        lines = head.decode(encoding, errors="replace").split("\n")
+        if len(head) == _HEAD_BYTES:
+            lines.pop()
+        lines = [line.rstrip("\r") for line in lines]
+        layout = layout_of(lines)
+        if layout is None:
+            raise RecordError(
+                str(path),
+                [
+                    "found no table of numbers; needed are rows of at least two "
+                    "columns, separated by tabs, semicolons, commas, bars or blanks."
+                ],
+            )
+        if layout.width > _MOST_COLUMNS:
+            fault = f"found {layout.width} columns; at most {_MOST_COLUMNS} are read."
+            raise RecordError(str(path), [fault])
+        labels, start, fault = labels_of(lines, layout)
+        if fault:
+            raise RecordError(str(path), [fault])
+        # Odd rows may stand between the names and the longest run of good rows.
+        start, above = first_block(lines, layout, labels, start)
+        stream.seek(sum(len(line) + 1 for line in head.split(b"\n")[:start]))
+        values, notes = _values(stream, layout)
+        if above:
+            notes.append(f"{above} rows of numbers above the table were not read.")
+    columns = [
+        Column(name, unit, lambda place=place: values[:, place])
+        for place, (name, unit) in enumerate(labels)
+    ]
+    return Table(columns, header_rate(lines[:start]), notes=tuple(notes))
+
+
+def _decoded(file: io.BufferedIOBase, name: str) -> tuple[io.BufferedIOBase, str]:
+    """Return a stream whose rows are ASCII, without a byte order mark."""
+    begin = file.read(4096)
+    file.seek(0)
+    for mark, encoding in (
+        (codecs.BOM_UTF16_LE, "utf-16-le"),
+        (codecs.BOM_UTF16_BE, "utf-16-be"),
+    ):
+        if begin.startswith(mark):
+            text = file.read()[len(mark) :].decode(encoding, errors="replace")
+            return io.BytesIO(text.encode()), "utf-8"
+    # Half of plain text in UTF-16 is zero, and always the same half.
+    for encoding, zero, text in (
+        ("utf-16-le", begin[1::2], begin[::2]),
+        ("utf-16-be", begin[::2], begin[1::2]),
+    ):
+        if zero.count(b"\0") > 0.9 * len(zero) > 0 and b"\0" not in text:
+            rows = file.read().decode(encoding, errors="replace")
+            return io.BytesIO(rows.encode()), "utf-8"
+    if b"\0" in begin:
+        raise RecordError(
+            name,
+            [
+                "found a binary file; allowed are text, .tdms, .mat and .nc (export "
+                "DynoWare's .dwd as text)."
+            ],
+        )
+    if begin.startswith(codecs.BOM_UTF8):
+        return io.BytesIO(file.read()[len(codecs.BOM_UTF8) :]), "utf-8"
+    # A character may be cut at the end of what was looked at.
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(begin)
+    except UnicodeDecodeError:
+        return file, "latin-1"
+    return file, "utf-8"
+
+
+def _values(
+    stream: io.BufferedIOBase, layout: Layout
+) -> tuple[Float[np.ndarray, "row column"], list[str]]:
+    """Return the table, and what of it was no row."""
+    blocks: list[np.ndarray] = []
+    odd: list[str] = []
+    while block := stream.read(_BLOCK_BYTES):
+        block += stream.readline()
+        blocks += _tables(block, layout, odd)
+    notes = []
+    if odd:
+        shown = ", ".join(f"`{line[:40]}`" for line in odd[:3])
+        notes.append(f"{len(odd)} lines are no rows and were left out: {shown}.")
+    return np.concatenate(blocks), notes
+
+
+def _tables(block: bytes, layout: Layout, odd: list[str]) -> list[np.ndarray]:
+    """Return the rows of a block, read line by line only around odd lines."""
+    table = _fast(block, layout)
+    if table is not None:
+        return [table]
+    middle = block.find(b"\n", len(block) // 2) + 1
+    if len(block) <= _SLOW_BYTES or middle in (0, len(block)):
+        return [_slow(block, layout, odd)]
+    return _tables(block[:middle], layout, odd) + _tables(block[middle:], layout, odd)
+
+
+def _fast(block: bytes, layout: Layout) -> Float[np.ndarray, "row column"] | None:
+    """Return the rows of a block of numbers and columns of words, else None."""
+    if layout.thousands:
+        block = block.replace(layout.thousands.encode(), b"")
+    if layout.has_decimal_comma:
+        block = block.replace(b",", b".")
+    if not block.strip():
+        return np.zeros((0, layout.width))
+    used = [place for place in range(layout.width) if place not in layout.text]
+    try:
+        table = np.loadtxt(
+            io.BytesIO(block),
+            delimiter=layout.delimiter,
+            comments=None,
+            quotechar='"',
+            usecols=used if layout.has_closing_delimiter or layout.text else None,
+            ndmin=2,
+        )
+    except ValueError:
+        return None
+    if table.shape[1] != len(used):
+        return None
+    whole = np.full((len(table), layout.width), np.nan)
+    whole[:, used] = table
+    return whole if layout.text else table
+
+
+def _slow(
+    block: bytes, layout: Layout, odd: list[str]
+) -> Float[np.ndarray, "row column"]:
+    """Return the rows of a block line by line; cells without a number are NaN."""
+    rows = []
+    for line in block.decode("latin-1").splitlines():
+        if not line.strip():
+            continue
+        cells = cells_of(line, layout.delimiter)
+        if len(cells) == layout.width + 1 and not cells[-1]:
+            cells.pop()
+        if layout.thousands:
+            cells = [cell.replace(layout.thousands, "") for cell in cells]
+        row = [number_of(cell) for cell in cells]
+        if len(row) == layout.width and not np.all(np.isnan(row)):
+            rows.append(row)
+        else:
+            odd.append(line.strip())
+    return np.array(rows).reshape(-1, layout.width)

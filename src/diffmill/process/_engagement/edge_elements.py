@@ -1,0 +1,394 @@
+"""Any cutter, its axis in any direction: edge elements, and chips along their normals.
+
+Every edge element has its own point, outward normal and width. The chip in front of it
+reaches along the inward normal to the surface that earlier teeth swept. That surface
+is known by its signed distance, so the chip follows by walking along the normal: each
+walk leaves an error smaller by 1 - cos of the angle between the normals of the two
+surfaces, some (feed / R)^2.
+
+The k-th tooth before a tooth passed the same angle k pitches earlier, with its own
+run-out; poses at delays that are no whole tooth periods are interpolated between the
+same sub-steps of neighbouring periods.
+
+The bottom edge cuts only what the tool descends into; what the side of the same tooth
+takes beyond the last circle is the side's.
+"""
+
+import math
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from ...cutter import AbstractCutter, EdgeElements
+from ...cutting import AbstractForceLaw, edge_contact, safe_norm, way_of
+from ...numerics import clamp
+from ...workpiece import Pose, occupancy_in_space, tool_frame
+from .._discretisation import ProcessPlan, turning
+from .._removal_history import ProcessState
+from .._stock_derivatives import AbstractAdjoint
+from .bottom_edge import RAMP
+from .edge_samples import EdgeSamples
+from .leading_half import (
+    STILL,
+    chip_taken_over,
+    has_opposite_teeth,
+    leading_fade,
+    taken_over,
+)
+
+# Elements nearer to the axis than this share of the radius count as standing there.
+_LEAST_SINE = 0.02
+
+
+def engagement_in_space(
+    plan: ProcessPlan,
+    cutter: AbstractCutter,
+    state: ProcessState,
+    index: Int[Array, ""],
+    predicted: Pose,
+    adjoint: AbstractAdjoint,
+) -> EdgeSamples:
+    """Return where the edge elements of a period are, and whether in material.
+
+    Args:
+        plan: Sizes of the process.
+        cutter: The cutter.
+        state: State after the removal of this period.
+        index: Index of the period, from 1, shape ().
+        predicted: Poses in the middle of the sub-steps, shape (substep, 3).
+        adjoint: How the run is differentiated.
+
+    Returns:
+        The samples.
+    """
+    elements = profile_elements(plan, cutter, predicted.tip.dtype)
+    angle, tooth, fade = _leading(plan, cutter, elements, state, index, predicted)
+    place = jax.vmap(lambda p, phi: _edge(cutter, elements, p, phi))
+    points, normals, along = place(predicted, angle)
+    # What an edge takes: a chip as thick as it lies beyond the pose a period before.
+    old = state.recent[0][:, None, None, None]
+    chip = cutter.level(points, old.tip, old.direction())
+    chip = clamp(0.0, chip, cutter.nominal_radius)[..., None] * normals
+    cell = jnp.stack(
+        [
+            elements.width[None, None, None, :, None] * along,
+            (2 * math.pi / plan.angles)
+            * elements.radius[None, None, None, :, None]
+            * jnp.cross(along, normals),
+            chip,
+        ],
+        axis=-2,
+    )
+    found = occupancy_in_space(
+        state.stock,
+        points.reshape(-1, 3),
+        cell.reshape(-1, 3, 3),
+        plan.discs.band,
+        cutter,
+        adjoint.tied_to(state.track),
+        keeps_slopes=adjoint.keeps_slopes,
+        slots=state.slots,
+    )
+    occupied, chip_share = (share.reshape(angle.shape) for share in found)
+    return EdgeSamples(angle, tooth, fade * occupied, chip_share)
+
+
+def _leading(
+    plan: ProcessPlan,
+    cutter: AbstractCutter,
+    elements: EdgeElements,
+    state: ProcessState,
+    index: Int[Array, ""],
+    predicted: Pose,
+) -> tuple[
+    Float[Array, "substep angle kept element"],
+    Int[Array, "substep angle kept element"],
+    Float[Array, "substep angle kept element"],
+]:
+    """Return the angles of the elements that can cut, their teeth and weights.
+
+    Of evenly spaced teeth only half can be on the leading side, where the normal points
+    the way that the tool moves, unless it descends.
+    """
+    angle = _angles(plan, cutter, elements, index)
+    count = cutter.flute_count
+    teeth = jnp.arange(count, dtype=jnp.int32)[None, None, :, None]
+    teeth = jnp.broadcast_to(teeth, angle.shape)
+    if _keeps_all(plan, cutter):
+        return angle, teeth, jnp.ones_like(angle)
+    kept = (count + 1) // 2
+    motion = predicted.tip - state.recent.tip[0]
+    frames = tool_frame(predicted.direction())
+    lead = jax.vmap(lambda m, f, phi: _lead(elements, m, f, phi))(motion, frames, angle)
+    order = jnp.argsort(jax.lax.stop_gradient(lead), axis=2, descending=True)
+    angle, lead = (jnp.take_along_axis(x, order[:, :, :kept], 2) for x in (angle, lead))
+    fade = jnp.ones_like(lead)
+    if has_opposite_teeth(plan, cutter):
+        n = elements.bottom_count
+        step = 2 * math.pi / plan.angles
+        fade = fade.at[..., n:].set(leading_fade(lead[..., n:], step))
+    return angle, order[:, :, :kept].astype(jnp.int32), fade
+
+
+def _keeps_all(plan: ProcessPlan, cutter: AbstractCutter) -> bool:
+    """Return whether all teeth are looked up."""
+    profile = plan.profile
+    is_round = profile is None or profile.keeps_all
+    return is_round or not cutter.has_even_pitch or cutter.flute_count < 2
+
+
+def _lead(
+    elements: EdgeElements,
+    motion: Float[Array, " 3"],
+    frame: Float[Array, "3 3"],
+    angle: Float[Array, "angle tooth element"],
+) -> Float[Array, "angle tooth element"]:
+    """Return the share of the motion along the normals of elements."""
+    x, y, z = frame.T @ (motion / jnp.sqrt(jnp.sum(motion**2) + STILL**2))
+    sin_kappa, cos_kappa = (
+        elements.sin_kappa[None, None],
+        elements.cos_kappa[None, None],
+    )
+    return sin_kappa * (jnp.sin(angle) * x + jnp.cos(angle) * y) - cos_kappa * z
+
+
+def wrench_in_space(
+    plan: ProcessPlan,
+    cutter: AbstractCutter,
+    law: AbstractForceLaw,
+    bottom_law: AbstractForceLaw | None,
+    pose: Pose,
+    earlier: Pose,
+    thinned: Pose,
+    samples: EdgeSamples,
+) -> Float[Array, "angle 6"]:
+    """Return force and moment on the tool at the angles of one sub-step.
+
+    Per element, F = -F_t t - F_r n + F_a (t x n): t is the way of the tooth, n the
+    outward normal. Altintas, Manufacturing Automation, 2012, general end mill.
+
+    Args and returns: see `substep_wrench`.
+    """
+    angle, tooth = samples.angle, samples.tooth
+    elements = profile_elements(plan, cutter, angle.dtype)
+    found = chip_in_space(plan, cutter, pose, earlier, thinned, angle, tooth)
+    chip, per_way = found
+    feed = safe_norm(earlier.tip[0] - pose.tip)
+    # From one sample to the next, the chip of an element changes by its share of this.
+    steps = 2 * math.pi / plan.angles * jnp.maximum(elements.sin_kappa, _LEAST_SINE)
+    touch = edge_contact(per_way, feed, steps[None, None])
+    n = elements.bottom_count
+    if has_opposite_teeth(plan, cutter) and not _keeps_all(plan, cutter):
+        frame = tool_frame(pose.direction())
+        lead = _lead(elements, pose.tip - earlier.tip[0], frame, angle)[..., n:]
+        step = 2 * math.pi / plan.angles
+        before = feed / cutter.diameter
+        touch = touch.at[..., n:].multiply(taken_over(lead, step, before))
+        chip = chip.at[..., n:].multiply(chip_taken_over(lead, step, before))
+    if n > 0:
+        # The bottom of a tool that does not descend must not rub.
+        least = per_way[..., :n] - RAMP
+        touch = touch.at[..., :n].set(edge_contact(least, feed, RAMP))
+    h = clamp(0.0, chip, cutter.nominal_radius) * samples.chip_share
+    parts = []
+    if n > 0:
+        bottom = law.for_bottom() if bottom_law is None else bottom_law
+        parts.append(bottom.force_per_width(h[..., :n], touch[..., :n], tooth[..., :n]))
+    if n < h.shape[-1]:
+        parts.append(law.force_per_width(h[..., n:], touch[..., n:], tooth[..., n:]))
+    F_t, F_r, F_a = (jnp.concatenate(f, axis=-1) for f in zip(*parts, strict=True))
+    width, sin_kappa, cos_kappa = (
+        x[None, None] for x in (elements.width, elements.sin_kappa, elements.cos_kappa)
+    )
+    share = samples.occupancy * width
+    sin, cos = jnp.sin(angle), jnp.cos(angle)
+    # In tool axes; t = (cos, -sin, 0), n = (sin k sin, sin k cos, -cos k).
+    outward = -F_r * sin_kappa + F_a * cos_kappa
+    F_x, F_y = share * (-F_t * cos + outward * sin), share * (F_t * sin + outward * cos)
+    F_z = share * (F_r * cos_kappa + F_a * sin_kappa)
+    lever = elements.height[None, None]
+    along = [
+        jnp.sum(component, axis=(1, 2))
+        for component in (F_x, F_y, F_z, -lever * F_y, lever * F_x)
+    ]
+    frame = tool_frame(pose.direction()).T
+    force = jnp.stack(along[:3], axis=-1) @ frame
+    moment = jnp.stack([*along[3:], jnp.zeros_like(F_z[:, 0, 0])], axis=-1) @ frame
+    return jnp.concatenate([force, moment], axis=-1)
+
+
+def chip_in_space(
+    plan: ProcessPlan,
+    cutter: AbstractCutter,
+    pose: Pose,
+    earlier: Pose,
+    thinned: Pose,
+    angle: Float[Array, "angle kept element"],
+    tooth: Int[Array, "angle kept element"],
+) -> tuple[Float[Array, "angle kept element"], Float[Array, "angle kept element"]]:
+    """Return the unclipped chip thickness [m], and over the way of who left it [-].
+
+    Args: see `substep_wrench`.
+    """
+    elements = profile_elements(plan, cutter, angle.dtype)
+    points, normals, _ = _edge(cutter, elements, pose, angle)
+    n = elements.bottom_count
+    offsets = cutter.runout_offsets()
+    nothing = 2 * cutter.nominal_radius
+    chip = jnp.full_like(angle, nothing)
+    per_way = chip / way_of(earlier.tip[0] - pose.tip)
+    descent = jnp.full_like(angle[..., :n], nothing)
+    covered = jnp.zeros(descent.shape, bool)
+    for k in range(1, cutter.flute_count + 1):
+        old = _delayed(cutter, pose, earlier, k, tooth)
+        # Both teeth stand out by their run-out: what one takes the next does not find.
+        ahead = (offsets - jnp.roll(offsets, -k))[tooth[..., n:]]
+        ahead = ahead * elements.sin_kappa[None, None, n:]
+        sides = old if old.tip.shape[2] == 1 else old[:, :, n:]
+        left = _walk(cutter, points[..., n:, :], normals[..., n:, :], sides, 2) + ahead
+        chip = chip.at[..., n:].min(left)
+        way = way_of(sides.tip - pose.tip[None, None, None])
+        per_way = per_way.at[..., n:].min(left / way)
+        if n > 0:
+            ends = old if old.tip.shape[2] == 1 else old[:, :, :n]
+            down, is_under = _descent(cutter, points[..., :n, :], ends)
+            covered = is_under if k == 1 else covered
+            descent = jnp.minimum(descent, jnp.where(is_under, down, nothing))
+    for i in range(thinned.tip.shape[0]):
+        old = thinned[i][None, None, None]
+        left = _walk(cutter, points[..., n:, :], normals[..., n:, :], old, 1)
+        chip = chip.at[..., n:].min(left)
+        per_way = per_way.at[..., n:].min(
+            left / way_of(old.tip - pose.tip[None, None, None])
+        )
+    if n > 0:
+        descent = jnp.where(covered, descent, 0)
+        chip = chip.at[..., :n].set(descent)
+        way = way_of(earlier.tip[0] - pose.tip)
+        per_way = per_way.at[..., :n].set(descent / way)
+    return chip, per_way
+
+
+def _walk(
+    cutter: AbstractCutter,
+    points: Float[Array, "angle kept element 3"],
+    normals: Float[Array, "angle kept element 3"],
+    old: Pose,
+    count: int,
+) -> Float[Array, "angle kept element"]:
+    """Return how far an earlier pose's surface lies inward of points on the edge."""
+    h = cutter.level(points, old.tip, old.direction())
+    for _ in range(count - 1):
+        h = h + cutter.level(points - h[..., None] * normals, old.tip, old.direction())
+    return h
+
+
+def _descent(
+    cutter: AbstractCutter,
+    points: Float[Array, "angle kept element 3"],
+    old: Pose,
+) -> tuple[Float[Array, "angle kept element"], Array]:
+    """Return how far points lie below an earlier pose's end, and whether under it."""
+    axis = old.direction()
+    away = points - old.tip
+    up = jnp.sum(away * axis, axis=-1)
+    across = jnp.sum(away**2, axis=-1) - up**2
+    flat = cutter.nominal_radius - cutter.nominal_corner_radius
+    return -up, jax.lax.stop_gradient(across) < flat**2
+
+
+def _delayed(
+    cutter: AbstractCutter,
+    pose: Pose,
+    earlier: Pose,
+    k: int,
+    tooth: Int[Array, "angle kept element"],
+) -> Pose:
+    """Return the poses when the k-th tooth before each tooth passed.
+
+    The result broadcasts against (angle, kept, element, 3).
+    """
+    if cutter.has_even_pitch:
+        return earlier[k - 1][None, None, None]
+    pitch = jnp.asarray(cutter.pitch_angles, pose.tip.dtype)
+    ahead = jnp.mod(jnp.roll(pitch, -k) - pitch, 2 * math.pi)
+    ahead = jnp.where(ahead < 1e-9, 2 * math.pi, ahead)
+    delay = ahead / (2 * math.pi) * cutter.flute_count
+    low = jnp.clip(jnp.floor(delay).astype(jnp.int32), 0, cutter.flute_count - 1)
+    share = (delay - low.astype(delay.dtype))[:, None]
+    both = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), pose, earlier)
+    return jax.tree.map(
+        lambda x: ((1 - share) * x[low] + share * x[low + 1])[tooth], both
+    )
+
+
+def profile_elements(
+    plan: ProcessPlan, cutter: AbstractCutter, dtype: jnp.dtype
+) -> EdgeElements:
+    """Return the edge elements that a plan asks for."""
+    profile = plan.profile
+    if profile is None:
+        raise TypeError("a tool in space needs a profile")
+    return cutter.elements(
+        profile.bottom,
+        profile.corner,
+        profile.side,
+        profile.side_height,
+        dtype,
+        corner_limit=profile.corner_limit,
+    )
+
+
+def _angles(
+    plan: ProcessPlan,
+    cutter: AbstractCutter,
+    elements: EdgeElements,
+    index: Int[Array, ""],
+) -> Float[Array, "substep angle tooth element"]:
+    """Return the immersion angles of all elements of a period [rad]."""
+    dtype = elements.lag.dtype
+    # Teeth differ: every period the turn goes on where the one before ended.
+    done = jnp.mod(index - 1, cutter.flute_count).astype(dtype)
+    turn = turning(plan, cutter, dtype) + 2 * math.pi / cutter.flute_count * done
+    pitch = jnp.asarray(cutter.pitch_angles, dtype)
+    place = pitch[:, None] - elements.lag[None]
+    return turn[..., None, None] + place[None, None]
+
+
+def _edge(
+    cutter: AbstractCutter,
+    elements: EdgeElements,
+    pose: Pose,
+    angle: Float[Array, "angle kept element"],
+) -> tuple[
+    Float[Array, "angle kept element 3"],
+    Float[Array, "angle kept element 3"],
+    Float[Array, "angle kept element 3"],
+]:
+    """Return points on the edge, outward normals, and directions along the profile.
+
+    The points stand on the cutter without run-out, which enters the chip alone: it
+    is far smaller than what the stock can resolve.
+    """
+    frame = tool_frame(pose.direction())
+    sin, cos = jnp.sin(angle), jnp.cos(angle)
+    zero = jnp.zeros_like(angle)
+    radial = jnp.stack([sin, cos, zero], axis=-1) @ frame.T
+    axis = frame[:, 2]
+    axis = axis[None, None, None]
+    radius, height, sin_kappa, cos_kappa = (
+        x[None, None, :, None]
+        for x in (
+            elements.radius,
+            elements.height,
+            elements.sin_kappa,
+            elements.cos_kappa,
+        )
+    )
+    points = pose.tip[None, None, None] + radius * radial + height * axis
+    return (
+        points,
+        sin_kappa * radial - cos_kappa * axis,
+        cos_kappa * radial + sin_kappa * axis,
+    )

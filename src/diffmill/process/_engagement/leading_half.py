@@ -1,0 +1,103 @@
+"""Teeth that change places at the ends of the leading half turn.
+
+Of an even number of even teeth only the leading half is looked up. Where a tooth enters
+this half, the opposite one leaves it, and both touch. They fade to zero there, so that
+the change makes no jump. What an edge touches before the half turn and within the fade,
+the next samples take over: over samples at any phase the contact W sums to its length,
+
+    W(x) = H(x - 1) + (1 + b) B(x),  B(x) = u^2 (3 - 2 u),  u = 1 - |x - 1|,
+
+x angle steps inside the half; H the integral of a hat of half-width 1, so that B over
+samples sums to one; b the steps by which the chip begins before the half turn. The
+chip, as thick as x + b there, is taken over in the same way, by
+
+    V(x) = I(x - 1) + (1 + b) H(x - 1) + ((1 + b)^2 / 2 - 1/24) B(x),
+
+I the integral of H: x + b from two steps on, and as much as the chip from -b on has.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ...cutter import AbstractCutter
+from ...numerics import clamp, hat_integral, ramp
+from .._discretisation import ProcessPlan
+
+# A motion per tooth below this has no direction [m].
+STILL = 1e-8
+# Angle steps over which a sample fades.
+_FADE = 0.5
+
+
+def has_opposite_teeth(plan: ProcessPlan, cutter: AbstractCutter) -> bool:
+    """Return whether a tooth is looked up from where another is so no more.
+
+    A point cloud knows where all teeth are.
+    """
+    return cutter.flute_count % 2 == 0 and plan.chip == "near_far"
+
+
+def leading_fade(
+    lead: Float[Array, "*sample"], angle_step: float
+) -> Float[Array, "*sample"]:
+    """Return the weight of a sample near the ends of the leading half.
+
+    Args:
+        lead: Sine of the angle inside the leading half, any shape.
+        angle_step: Angle between two samples [rad].
+
+    Returns:
+        0 at and before the end of the half, 1 half an angle step inside, same shape.
+
+    Differentiability: continuously differentiable.
+    """
+    return _faded(lead / angle_step)
+
+
+def taken_over(
+    lead: Float[Array, "*sample"], angle_step: float, before: Float[Array, ""]
+) -> Float[Array, "*sample"]:
+    """Return by how much contact counts for contact that is faded or not looked up.
+
+    Args:
+        lead: As for `leading_fade`.
+        angle_step: Angle between two samples [rad].
+        before: Angle by which a chip begins before the leading half [rad], shape ().
+
+    Returns:
+        W over the fade and over the contact of an undisturbed cut, same shape.
+
+    Differentiability: continuously differentiable.
+    """
+    b = before / angle_step
+    # At the very end W and the fade are zero, and their ratio is known.
+    x = clamp(1e-3, lead / angle_step, 2.0)
+    W = hat_integral(x - 1) + (1 + b) * _spread(x)
+    return W / (_faded(x) * hat_integral(x + b))
+
+
+def chip_taken_over(
+    lead: Float[Array, "*sample"], angle_step: float, before: Float[Array, ""]
+) -> Float[Array, "*sample"]:
+    """Return by how much a chip counts for that which is faded or not looked up.
+
+    Arguments and result as of `taken_over`, V over the fade and the undisturbed chip.
+
+    Differentiability: continuously differentiable.
+    """
+    b = before / angle_step
+    x = clamp(1e-3, lead / angle_step, 2.0)
+    V = ramp(x - 1, 1.0) + (1 + b) * hat_integral(x - 1)
+    V = V + ((1 + b) ** 2 / 2 - 1 / 24) * _spread(x)
+    return V / ((x + b) * _faded(x))
+
+
+def _faded(x: Float[Array, "*sample"]) -> Float[Array, "*sample"]:
+    """Return the weight of a sample some angle steps inside the half."""
+    return hat_integral(2 * x / _FADE - 1)
+
+
+def _spread(x: Float[Array, "*sample"]) -> Float[Array, "*sample"]:
+    """Return B, which spreads what is taken over onto the next samples."""
+    u = clamp(0.0, 1 - jnp.abs(x - 1), 1.0)
+    return u**2 * (3 - 2 * u)

@@ -1,0 +1,476 @@
+"""What the process remembers: the stock, and the poses not yet removed from it.
+
+Removal lags behind the tool by a travelled distance of at least sqrt(R d), the
+distance at which the freshly cut surface has left the smoothing band; the history
+that spans it is a queue of fixed length whose entries are a minimum distance apart,
+so that a slow or dwelling tool cannot fill it.
+"""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.core
+import jax.numpy as jnp
+from jax.typing import DTypeLike
+from jaxtyping import Array, Bool, Float, Int
+
+from ..cutter import AbstractCutter
+from ..cutting import safe_norm
+from ..workpiece import (
+    Pose,
+    PoseTrack,
+    Stock,
+    ToothPass,
+    remove_passes,
+    remove_poses,
+    repeated,
+    tool_frame,
+)
+from ._discretisation import ProcessPlan
+from ._engagement.leading_half import STILL
+from ._stock_derivatives import AbstractAdjoint
+
+# Entries of the history; with the lag this sets the least distance between entries.
+QUEUE_LENGTH = 48
+# Earlier circles, as shares of the lag, beyond the exact ones of the last teeth.
+_THINNED = (0.25, 0.5, 0.75, 1.0)
+# Rows of the track that removal looks back on at most: what waits longer is removed.
+HISTORY = 512
+# Two poses at most leave the history in a step, so that it shrinks after slow feed.
+_REMOVALS = 2
+
+
+class Waiting(eqx.Module):
+    """Passes that wait for removal, oldest first, each of one tooth.
+
+    Attributes:
+        row: Index k of the pose before which the tooth looks forward, shape (queue,).
+        forward: Direction of motion along tool x and y, shape (queue, 2).
+        passing: When the tooth looks forward, in tooth periods from pose k - 1, shape
+            (queue,).
+        travel: Distance travelled when the pass came in [m], shape (queue,).
+    """
+
+    row: Int[Array, "*queue"]
+    forward: Float[Array, "*queue 2"]
+    passing: Float[Array, "*queue"]
+    travel: Float[Array, "*queue"]
+
+    def __getitem__(self, item: object) -> "Waiting":
+        """Return some of the passes."""
+        return jax.tree.map(lambda x: x[item], self)
+
+
+class ProcessState(eqx.Module):
+    """What the process remembers between tooth periods.
+
+    Attributes:
+        stock: The workpiece, less the poses still in the queue.
+        track: Every pose so far, at the ends of the sub-steps.
+        last_tip: Tip of the newest at a tooth instant [m], shape (3,).
+        recent: Poses in the middle of the sub-steps of the last tooth periods, newest
+            first, shape (tooth, substep, 3).
+        ends: Poses at the ends of the sub-steps of the last period, which are not in
+            the track yet, shape (substep, 3).
+        forward: Direction of motion along tool x and y, shape (2,).
+        passing: When in the last period a tooth looked forward, in tooth periods; may
+            be half a period beside it, so that it does not jump, shape ().
+        queue: What waits for removal.
+        queue_count: Number of entries, shape ().
+        travel: Distance travelled so far [m], shape ().
+        slots: How many slots of each family of rays hold anything, shape (3,).
+        has_overflow: Whether a ray ran out of slots, shape ().
+        is_beyond: Whether the tool reached beyond its window, shape ().
+    """
+
+    stock: Stock
+    track: PoseTrack
+    last_tip: Float[Array, " 3"]
+    recent: Pose
+    ends: Pose
+    forward: Float[Array, " 2"]
+    passing: Float[Array, ""]
+    queue: Waiting
+    queue_count: Int[Array, ""]
+    travel: Float[Array, ""]
+    slots: Int[Array, " 3"]
+    has_overflow: Bool[Array, ""]
+    is_beyond: Bool[Array, ""]
+
+
+class Removed(eqx.Module):
+    """Poses removed in one step and what each took [m^3].
+
+    Attributes:
+        pose: Their indices, shape (pose,).
+        volume: All that a pose took [m^3], shape (pose,).
+        by_shank: What of it the shank took, above the flutes [m^3], shape (pose,).
+    """
+
+    pose: Int[Array, " pose"]
+    volume: Float[Array, " pose"]
+    by_shank: Float[Array, " pose"]
+
+
+def initial_state(
+    plan: ProcessPlan,
+    stock: Stock,
+    cutter: AbstractCutter,
+    pose: Pose,
+    pose_count: int,
+    adjoint: AbstractAdjoint,
+) -> tuple[ProcessState, Float[Array, ""]]:
+    """Return the state at pose 0 and the volume of the stock that the tool stands in.
+
+    Args:
+        plan: Sizes of the process.
+        stock: The raw workpiece.
+        cutter: The cutter.
+        pose: Pose 0, shape (3,).
+        pose_count: Number of poses of the whole run.
+        adjoint: How the run is differentiated.
+
+    Returns:
+        The state, and the overlap [m^3], shape ().
+    """
+    dtype = stock.origin.dtype
+    zero = jnp.zeros((), jnp.int32)
+    cut = remove_poses(
+        stock,
+        cutter,
+        plan.window,
+        adjoint.removal_poses(repeated(pose, (1,))),
+        zero[None],
+        jnp.ones(1, bool),
+    )
+    nodes = max((pose_count - 1) * plan.substeps + 1, _pass_length(plan, cutter, stock))
+    ahead = jnp.zeros(2, dtype).at[1].set(1)
+    state = ProcessState(
+        stock=cut.stock,
+        track=PoseTrack(repeated(pose, (nodes,)), plan.substeps),
+        last_tip=pose.tip,
+        recent=repeated(pose, (cutter.flute_count, plan.substeps)),
+        ends=repeated(pose, (plan.substeps,)),
+        forward=ahead,
+        passing=jnp.zeros((), dtype),
+        queue=Waiting(
+            row=jnp.zeros(QUEUE_LENGTH, jnp.int32),
+            forward=jnp.broadcast_to(ahead[None], (QUEUE_LENGTH, 2)),
+            passing=jnp.zeros(QUEUE_LENGTH, dtype),
+            travel=jnp.zeros(QUEUE_LENGTH, dtype),
+        ),
+        queue_count=jnp.ones((), jnp.int32),
+        travel=jnp.zeros((), dtype),
+        slots=cut.slots,
+        has_overflow=cut.has_overflow,
+        is_beyond=cut.is_beyond,
+    )
+    return state, cut.volume[0]
+
+
+def remember(
+    plan: ProcessPlan,
+    cutter: AbstractCutter,
+    state: ProcessState,
+    index: Int[Array, ""],
+    pose: Pose,
+) -> ProcessState:
+    """Enter a period's poses in the track, and its pass in the queue if it is far on.
+
+    Args:
+        plan: Sizes of the process.
+        cutter: The cutter.
+        state: State after the period that ends at the pose.
+        index: Index k of the pose, shape ().
+        pose: Pose k, shape (3,).
+
+    Returns:
+        The state.
+    """
+    frozen = jax.lax.stop_gradient
+    # Reading the track before it is written would make XLA copy it in every step.
+    motion = frozen(pose.tip - state.last_tip)
+    travel = state.travel + safe_norm(motion)
+    track = tracked(state, index, pose)
+    newest = state.queue.travel[state.queue_count - 1]
+    is_far = travel - newest >= plan.lag / QUEUE_LENGTH
+    at = jnp.where(is_far, state.queue_count, QUEUE_LENGTH)
+    forward, passing, late = _ahead(cutter, state, index, frozen(pose), motion)
+    queue = jax.tree.map(
+        lambda queue, new: queue.at[at].set(new, mode="drop"),
+        state.queue,
+        Waiting(index, forward, passing + late, travel),
+    )
+    return eqx.tree_at(
+        lambda s: (
+            s.track,
+            s.last_tip,
+            s.forward,
+            s.passing,
+            s.queue,
+            s.queue_count,
+            s.travel,
+        ),
+        state,
+        (
+            track,
+            pose.tip,
+            forward,
+            passing,
+            queue,
+            state.queue_count + is_far.astype(jnp.int32),
+            travel,
+        ),
+    )
+
+
+def tracked(state: ProcessState, index: Int[Array, ""], pose: Pose) -> PoseTrack:
+    """Return the track with the poses of the last period, up to pose `index`."""
+    substeps = state.track.substeps
+    ends = jax.tree.map(
+        lambda x, last: jnp.concatenate([x[:-1], last[None]]), state.ends, pose
+    )
+    first = jnp.maximum((index - 1) * substeps + 1, 0)
+    return PoseTrack(state.track.poses.with_rows(first, ends), substeps)
+
+
+def _ahead(
+    cutter: AbstractCutter,
+    state: ProcessState,
+    index: Int[Array, ""],
+    pose: Pose,
+    motion: Float[Array, " 3"],
+) -> tuple[Float[Array, " 2"], Float[Array, ""], Float[Array, ""]]:
+    """Return the direction of motion, when an even tooth looks there, and our delay.
+
+    Which of the teeth it is follows the direction without a jump, so that where the
+    direction trembles no tooth is left out.
+    """
+    frame = tool_frame(pose.direction())
+    x, y = jnp.sum(motion * frame[:, 0]), jnp.sum(motion * frame[:, 1])
+    length = jnp.sqrt(x**2 + y**2)
+    is_moving = length > STILL
+    scale = jnp.where(is_moving, length, 1.0)
+    forward = jnp.where(is_moving, jnp.stack([x, y]) / scale, state.forward)
+    count = cutter.flute_count
+    turn = jnp.arctan2(forward[0], forward[1]) * (count / (2 * math.pi))
+    passing = turn + jnp.round(state.passing - turn)
+    is_beside = (passing < -0.5) | (passing >= 1.5)
+    passing = jnp.where(is_beside, passing - jnp.floor(passing), passing)
+    if cutter.has_even_pitch:
+        return forward, passing, jnp.zeros_like(passing)
+    early = early_teeth(cutter, pose.tip.dtype)
+    tooth = jnp.mod(1 - index - jnp.round(passing - turn).astype(jnp.int32), count)
+    return forward, passing, -early[tooth] * (count / (2 * math.pi))
+
+
+def early_teeth(cutter: AbstractCutter, dtype: DTypeLike) -> Float[Array, " tooth"]:
+    """Return by how much each tooth stands ahead of an even one [rad], a constant."""
+    count = cutter.flute_count
+    pitch = jax.lax.stop_gradient(jnp.asarray(cutter.pitch_angles, dtype))
+    even = 2 * math.pi / count * jnp.arange(count, dtype=dtype)
+    return jnp.mod(pitch - even + math.pi, 2 * math.pi) - math.pi
+
+
+def _pass_length(plan: ProcessPlan, cutter: AbstractCutter, stock: Stock) -> int:
+    """Return the number of nodes that one turn of a tooth spans, its helix included."""
+    turns = 1 + _helix_turns(plan, cutter, stock)
+    return math.ceil(turns * cutter.flute_count * plan.substeps) + 3
+
+
+def _helix_turns(plan: ProcessPlan, cutter: AbstractCutter, stock: Stock) -> float:
+    """Return how far the helix holds back the highest edge in the stock, in turns."""
+    if not cutter.has_helix:
+        return 0.0
+    if isinstance(cutter.helix_angle, jax.core.Tracer):
+        # Not known, and higher up the tooth is taken to be there.
+        return 1.0
+    height = plan.window.length or plan.window.sizes[2] * stock.spacing
+    height = min(height, cutter.flute_length)
+    lead = abs(math.tan(float(cutter.helix_angle)))
+    return height * lead / (2 * math.pi * cutter.nominal_radius)
+
+
+def _wait(plan: ProcessPlan, cutter: AbstractCutter, stock: Stock) -> int:
+    """Return after how many periods the tooth of a pass has gone around."""
+    turns = 0.5 + _helix_turns(plan, cutter, stock)
+    # One for the period itself, and a half that the tooth may look forward later.
+    return math.ceil(turns * cutter.flute_count + 1.5)
+
+
+def _tooth_pass(
+    plan: ProcessPlan,
+    cutter: AbstractCutter,
+    state: ProcessState,
+    waiting: Waiting,
+    newest: Int[Array, ""],
+    adjoint: AbstractAdjoint,
+) -> ToothPass:
+    """Return a pass in the queue.
+
+    Args:
+        plan: Sizes of the process.
+        cutter: The cutter.
+        state: The state.
+        waiting: The pass, as it stands in the queue.
+        newest: Index of the newest pose that is known, shape ().
+        adjoint: How the run is differentiated.
+    """
+    S, count = plan.substeps, _pass_length(plan, cutter, state.stock)
+    table = state.track.poses
+    start = (waiting.row - 1) * S
+    steps = waiting.passing * S
+    first = start + jnp.floor(steps - cutter.flute_count * S / 2).astype(jnp.int32)
+    first = jnp.clip(first, 0, table.tip.shape[0] - count)
+    nodes = jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, first, count), table)
+    number = lambda value: value.astype(steps.dtype)
+    return ToothPass(
+        nodes=adjoint.removal_poses(nodes),
+        first=first,
+        forward=waiting.forward,
+        passing=number(start - first) + steps,
+        last=number(jnp.clip(newest * S - first, 0, count - 1)),
+        substeps=S,
+    )
+
+
+def remove_due(
+    plan: ProcessPlan,
+    cutter: AbstractCutter,
+    state: ProcessState,
+    index: Int[Array, ""],
+    adjoint: AbstractAdjoint,
+) -> tuple[ProcessState, Removed]:
+    """Remove up to two passes that the tool has left behind by the lag.
+
+    Args:
+        plan: Sizes of the process.
+        cutter: The cutter.
+        state: The state, with the newest pose.
+        index: Index of that pose, shape ().
+        adjoint: How the run is differentiated.
+
+    Returns:
+        The state and what was removed.
+    """
+    oldest = state.queue[:_REMOVALS]
+    passes = [
+        _tooth_pass(plan, cutter, state, oldest[i], index, adjoint)
+        for i in range(_REMOVALS)
+    ]
+    age = state.travel - oldest.travel
+    places = jnp.arange(_REMOVALS, dtype=jnp.int32)
+    is_over = index - oldest.row >= _wait(plan, cutter, state.stock)
+    is_full = state.queue_count >= QUEUE_LENGTH
+    is_late = (is_full | (index - oldest.row[0] >= HISTORY)) & (places == 0)
+    # The newest stays: what comes in is measured against it.
+    is_due = ((age >= plan.lag) & is_over) | is_late
+    is_due = is_due & (places < state.queue_count - 1)
+    tips = [tooth.center().frozen().tip for tooth in passes]
+    apart = jnp.max(jnp.abs(tips[1] - tips[0]))
+    is_due = is_due.at[1].set(is_due[0] & is_due[1] & (apart <= plan.window.slack))
+    cut = remove_passes(state.stock, cutter, plan.window, passes, is_due, state.slots)
+    count = jnp.sum(is_due, dtype=jnp.int32)
+    shift = jnp.minimum(
+        jnp.arange(QUEUE_LENGTH, dtype=jnp.int32) + count, QUEUE_LENGTH - 1
+    )
+    state = eqx.tree_at(
+        lambda s: (
+            s.stock,
+            s.queue,
+            s.queue_count,
+            s.slots,
+            s.has_overflow,
+            s.is_beyond,
+        ),
+        state,
+        (
+            cut.stock,
+            state.queue[shift],
+            state.queue_count - count,
+            cut.slots,
+            state.has_overflow | cut.has_overflow,
+            state.is_beyond | cut.is_beyond,
+        ),
+    )
+    return state, Removed(oldest.row, cut.volume, cut.by_shank)
+
+
+def thinned_poses(plan: ProcessPlan, state: ProcessState) -> Pose:
+    """Return the newest poses in the queue at given distances behind the tool."""
+    slots = jnp.arange(QUEUE_LENGTH, dtype=jnp.int32)
+    age = state.travel - state.queue.travel
+    picks = []
+    for share in _THINNED:
+        is_old = (age >= share * plan.lag) & (slots < state.queue_count)
+        picks.append(jnp.max(jnp.where(is_old, slots, 0)))
+    return state.track.poses[state.queue.row[jnp.stack(picks)] * plan.substeps]
+
+
+def end_period(state: ProcessState, middles: Pose, ends: Pose) -> ProcessState:
+    """Keep the poses of the period just run.
+
+    Args:
+        state: State at its start.
+        middles: Poses in the middle of its sub-steps, shape (substep, 3).
+        ends: Poses at their ends, same shape.
+    """
+    recent = jax.tree.map(
+        lambda new, old: jnp.concatenate([new[None], old[:-1]]), middles, state.recent
+    )
+    return eqx.tree_at(lambda s: (s.recent, s.ends), state, (recent, ends))
+
+
+def flush(
+    plan: ProcessPlan,
+    cutter: AbstractCutter,
+    state: ProcessState,
+    index: Int[Array, ""],
+    pose: Pose,
+    pose_count: int,
+    adjoint: AbstractAdjoint,
+) -> tuple[ProcessState, Removed]:
+    """Remove all that the history still holds, the last pose included.
+
+    Args:
+        plan: Sizes of the process.
+        cutter: The cutter.
+        state: State after the last period.
+        index: Index of the last pose, shape ().
+        pose: The last pose, shape (3,).
+        pose_count: Number of poses of the run, and of periods behind the last pose.
+        adjoint: How the run is differentiated.
+
+    Returns:
+        The state with an empty history, and what was removed.
+    """
+    newest: Int[Array, ""] = jnp.asarray(pose_count - 1, jnp.int32)
+    state = remember(plan, cutter, state, newest, pose)
+    slots = jnp.arange(QUEUE_LENGTH, dtype=jnp.int32)
+    # After the last pose the tool stands there while its teeth go around.
+    rest = jnp.arange(1 + _wait(plan, cutter, state.stock), dtype=jnp.int32)
+    last = jax.vmap(
+        lambda row: Waiting(row, state.forward, state.passing, state.travel)
+    )(index + rest)
+    rows = jax.tree.map(
+        lambda queue, new: jnp.concatenate([queue, new]), state.queue, last
+    )
+    is_due = jnp.concatenate([slots < state.queue_count, jnp.ones(rest.size, bool)])
+
+    def remove(carry, x):
+        stock, slots, has_overflow, is_beyond = carry
+        row, due = x
+        tooth = _tooth_pass(plan, cutter, state, row, newest, adjoint)
+        cut = remove_passes(stock, cutter, plan.window, [tooth], due[None], slots)
+        flags = (has_overflow | cut.has_overflow, is_beyond | cut.is_beyond)
+        return (cut.stock, cut.slots, *flags), (cut.volume[0], cut.by_shank[0])
+
+    carry = (state.stock, state.slots, state.has_overflow, state.is_beyond)
+    (stock, slots, full, beyond), taken = jax.lax.scan(remove, carry, (rows, is_due))
+    state = eqx.tree_at(
+        lambda s: (s.stock, s.queue_count, s.slots, s.has_overflow, s.is_beyond),
+        state,
+        (stock, jnp.zeros((), jnp.int32), slots, full, beyond),
+    )
+    return state, Removed(jnp.minimum(rows.row, index), *taken)

@@ -1,0 +1,76 @@
+"""Rotations: roll-pitch-yaw and back, and the vector between two orientations."""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..._types import RealScalarLike
+
+
+def rpy_matrix(
+    roll: RealScalarLike, pitch: RealScalarLike, yaw: RealScalarLike
+) -> Float[np.ndarray, "3 3"]:
+    """Return R = Rz(yaw) Ry(pitch) Rx(roll), on the host.
+
+    Args:
+        roll: About x [rad].
+        pitch: About y [rad].
+        yaw: About z [rad].
+
+    Returns:
+        Rotation matrix, shape (3, 3).
+
+    **Differentiability**: none; it describes a model and runs before tracing.
+    """
+    c_r, c_p, c_y = np.cos([float(roll), float(pitch), float(yaw)])
+    s_r, s_p, s_y = np.sin([float(roll), float(pitch), float(yaw)])
+    return np.array(
+        [
+            [c_y * c_p, c_y * s_p * s_r - s_y * c_r, c_y * s_p * c_r + s_y * s_r],
+            [s_y * c_p, s_y * s_p * s_r + c_y * c_r, s_y * s_p * c_r - c_y * s_r],
+            [-s_p, c_p * s_r, c_p * c_r],
+        ]
+    )
+
+
+def rpy_angles(
+    rotation: Float[Array, "3 3"] | Float[np.ndarray, "3 3"],
+) -> tuple[float, float, float]:
+    """Return roll, pitch and yaw of R = Rz(yaw) Ry(pitch) Rx(roll), on the host.
+
+    Args:
+        rotation: Rotation matrix, shape (3, 3).
+
+    Returns:
+        Angles [rad], pitch within +-pi/2.
+
+    **Differentiability**: none; the inverse of `rpy_matrix`.
+    """
+    R = np.asarray(rotation, np.float64)
+    pitch = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))
+    yaw = np.arctan2(R[1, 0], R[0, 0])
+    # From Rz(-yaw) R, which is right for any yaw: where yaw and roll turn about one
+    # axis, yaw is rounding, and roll makes up for it.
+    c, s = np.cos(yaw), np.sin(yaw)
+    roll = np.arctan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1])
+    return float(roll), float(pitch), float(yaw)
+
+
+def rotation_between(
+    target: Float[Array, "3 3"], actual: Float[Array, "3 3"]
+) -> Float[Array, " 3"]:
+    """Return the vector 2 sin(angle / 2) axis that turns `actual` into `target`.
+
+    It is the rotation vector to third order, its derivative at 0 is exact, and it
+    still points the right way for half a turn, where a logarithm is not unique.
+
+    **Differentiability**: smooth for angles below 3.1 rad; finite everywhere.
+    """
+    turn = target @ actual.T
+    sine = jnp.stack(
+        [turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]
+    )
+    # trace = 1 + 2 cos(angle) = 4 cos^2(angle / 2) - 1; the floor keeps half a turn
+    # finite.
+    half_cosine = 0.5 * jnp.sqrt(jnp.maximum(1.0 + jnp.trace(turn), 1e-3))
+    return 0.5 * sine / half_cosine

@@ -1,0 +1,1 @@
+"""Rigid-body dynamics: mass matrix, inverse and forward dynamics, derivatives."""

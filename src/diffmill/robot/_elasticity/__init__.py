@@ -1,0 +1,1 @@
+"""Springs: compliance, modes, receptance, stiffness over the workspace."""

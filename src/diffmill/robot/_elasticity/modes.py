@@ -1,0 +1,158 @@
+"""How the arm rings with its motors locked: frequencies, damping, shapes."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.scipy.linalg as jsl
+from jaxtyping import Array, Float
+
+from .._dynamics.crba import mass_matrix
+from .._kinematics.forward import jacobian
+from .._model.massless_joints import factor, refuse_singular
+from .._model.robot import JointVector, Robot, joint_vector
+
+
+class Modes(eqx.Module):
+    """The natural modes at one pose, the slowest first.
+
+    A mode of which no joint is soft has an infinite frequency.
+
+    Attributes:
+        frequencies: Undamped natural frequencies [Hz], shape (joint,).
+        damping_ratios: phi^T D phi / (2 omega); dampers that couple modes are
+            neglected, see `damped_modes` [-], shape (joint,).
+        joint_shapes: phi: joint motion per mode, phi^T M phi = 1 [kg^-1/2 / m or
+            kg^-1/2], shape (joint, joint), a row per mode; the entry that is largest
+            in `energy_shares` is positive.
+        tool_shapes: J phi: motion of the tool at its origin in base axes, linear part
+            first [kg^-1/2, kg^-1/2 / m], shape (joint, 6).
+        energy_shares: Share of each joint's spring in the energy of the bent arm, a
+            row per mode that adds up to 1, or 0 for a mode that bends no spring [-],
+            shape (joint, joint).
+    """
+
+    frequencies: Float[Array, " joint"]
+    damping_ratios: Float[Array, " joint"]
+    joint_shapes: Float[Array, "joint joint"]
+    tool_shapes: Float[Array, "joint 6"]
+    energy_shares: Float[Array, "joint joint"]
+
+
+def mode_shapes(robot: Robot, q: JointVector) -> Modes:
+    """Return the natural modes with the motors locked.
+
+    Springs only: the change of the torques of gravity with the pose, some per mille
+    of K on an industrial arm, is left out.
+
+    Args:
+        robot: The robot; every joint must carry mass.
+        q: Joint positions [rad or m], shape (joint,).
+
+    Returns:
+        The modes; batches by `vmap`.
+
+    Raises:
+        ValueError: If the mass matrix is singular because joints move no mass; under
+            `jit` and `vmap` the modes are not a number instead.
+
+    **Differentiability**: smooth where no two frequencies coincide, those of two
+    rigid joints included.
+    """
+    modes = _mode_shapes(robot, joint_vector(robot, q, "q"))
+    refuse_singular(robot, modes.joint_shapes, "natural modes")
+    return modes
+
+
+def natural_frequencies(robot: Robot, q: JointVector) -> Float[Array, " joint"]:
+    """Return the undamped natural frequencies with the motors locked.
+
+    Args:
+        robot: The robot.
+        q: Joint positions [rad or m], shape (joint,).
+
+    Returns:
+        Frequencies [Hz], ascending, shape (joint,); infinite for a rigid joint.
+
+    Raises:
+        ValueError: As for `mode_shapes`.
+
+    **Differentiability**: smooth where no two frequencies coincide.
+    """
+    frequencies = _natural_frequencies(robot, joint_vector(robot, q, "q"))
+    return refuse_singular(robot, frequencies, "natural frequencies")
+
+
+def damping_ratios(robot: Robot, q: JointVector) -> Float[Array, " joint"]:
+    """Return the damping ratio of each natural mode.
+
+    The modal one, phi^T D phi / (2 omega): dampers that couple modes are neglected,
+    which `damped_modes` does not. Where one damper is much stronger than the others it
+    can be many times too large.
+
+    Args:
+        robot: The robot.
+        q: Joint positions [rad or m], shape (joint,).
+
+    Returns:
+        Damping ratios [-] in the order of `natural_frequencies`, shape (joint,); 0
+        for a rigid joint.
+
+    **Differentiability**: smooth where no two frequencies coincide.
+    """
+    return mode_shapes(robot, q).damping_ratios
+
+
+@jax.jit
+def _natural_frequencies(
+    robot: Robot, q: Float[Array, " joint"]
+) -> Float[Array, " joint"]:
+    _, softness = _softness(robot, q)
+    # No vectors: the derivative of values alone asks for fewer distinct modes.
+    return _omega(jnp.linalg.eigvalsh(softness)[::-1]) / (2.0 * jnp.pi)
+
+
+@jax.jit
+def _mode_shapes(robot: Robot, q: Float[Array, " joint"]) -> Modes:
+    # symbols: y column of an orthonormal basis, phi = L^-T y, so phi^T M phi = 1
+    L, softness = _softness(robot, q)
+    values, y = jnp.linalg.eigh(softness)
+    omega, y = _omega(values[::-1]), y[:, ::-1]
+    phi = jsl.solve_triangular(L.T, y, lower=False)
+    # K phi = omega^2 M phi = omega^2 L y gives the energy phi^T K phi without K, so
+    # that a rigid joint counts with 0; divided by the sum, omega drops out.
+    energy = (L @ y) ** 2 / robot.joint_stiffness[:, None]
+    total = jnp.sum(energy, axis=0, keepdims=True)
+    shares = energy / jnp.where(total > 0.0, total, 1.0)
+    largest = jnp.argmax(shares, axis=0)
+    phi = phi * _sign(jnp.take_along_axis(phi, largest[None], axis=0))
+    damping = jnp.sum(phi**2 * robot.joint_damping[:, None], axis=0)
+    return Modes(
+        frequencies=omega / (2.0 * jnp.pi),
+        damping_ratios=damping / (2.0 * omega),
+        joint_shapes=phi.T,
+        tool_shapes=(jacobian(robot, q) @ phi).T,
+        energy_shares=shares.T,
+    )
+
+
+def _softness(
+    robot: Robot, q: Float[Array, " joint"]
+) -> tuple[Float[Array, "joint joint"], Float[Array, "joint joint"]]:
+    """Return L and L^T K^-1 L, where M = L L^T.
+
+    The eigenvalues of the latter are 1 / omega^2: an infinite stiffness is an
+    ordinary number.
+    """
+    L = factor(mass_matrix(robot, q))
+    return L, L.T @ (L / robot.joint_stiffness[:, None])
+
+
+def _omega(softness: Float[Array, " joint"]) -> Float[Array, " joint"]:
+    # What is not a number is to stay so.
+    is_soft = ~(softness <= 0.0)
+    omega = jax.lax.rsqrt(jnp.where(is_soft, softness, 1.0))
+    return jnp.where(is_soft, omega, jnp.inf)
+
+
+def _sign(values: Float[Array, "1 joint"]) -> Float[Array, "1 joint"]:
+    return jnp.where(values < 0.0, -1.0, 1.0)

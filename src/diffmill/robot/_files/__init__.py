@@ -1,0 +1,1 @@
+"""Robots from files: URDF and TOML, each fault named."""

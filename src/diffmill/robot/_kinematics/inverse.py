@@ -1,0 +1,444 @@
+"""Inverse kinematics by damped Newton steps, for one pose and for a path.
+
+The search runs without derivatives. A last Newton step with a constant inverse of
+the Jacobian then carries the derivative of the implicit function, exactly and at the
+price of one forward kinematics. Virtual joints stay at 0.
+"""
+
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.typing import DTypeLike
+from jaxtyping import Array, Bool, Float, Int
+
+from ..._types import Transform
+from ...numerics import small_inverse
+from .._model.robot import JointVector, Robot, joint_vector
+from .forward import joint_frames
+from .pose_error import (
+    ToolRotation,
+    choice_slope,
+    chosen_step,
+    damped_step,
+    has_choice,
+    pose_task,
+)
+
+_POSE_STEPS = 60
+_PATH_STEPS = 4
+_POLISH_STEPS = 2
+# Searches for a pose at most.
+_ATTEMPTS = 32
+# Longest step of the search [rad or m]: beyond it the linear picture misleads.
+_LONGEST_STEP = 0.3
+# Squared error below which the linear picture holds [m^2 + rad^2].
+_NEAR = 1e-6
+# Newton steps to the middle of the ranges [rad or m]: longer ones along a path lead
+# away from a middle that has ceased to be one.
+_TRUSTED = 0.1
+# Where it is shorter than this, the arm is at the middle but for rounding.
+_SETTLED = 1e-2
+# Share of the step to the middle of the ranges that is safe far from it.
+_PULL_SHARE = 0.3
+
+
+class PoseSolution(eqx.Module):
+    """The joint positions of one pose.
+
+    Attributes:
+        q: Joint positions [rad or m], shape (joint,).
+        converged: Whether the tool is at the pose.
+        position_residual: Distance of the tool's origin to the pose [m], shape ().
+        rotation_residual: Angle from the tool to the pose; with a free rotation that
+            of the tool axis [rad], shape ().
+        within_limits: Whether all joints are within their limits.
+        limit_excess: How far each joint is beyond its limits [rad or m], shape
+            (joint,).
+    """
+
+    q: Float[Array, " joint"]
+    converged: Bool[Array, ""]
+    position_residual: Float[Array, ""]
+    rotation_residual: Float[Array, ""]
+    within_limits: Bool[Array, ""]
+    limit_excess: Float[Array, " joint"]
+
+
+class PathSolution(eqx.Module):
+    """The joint positions of every pose of a path.
+
+    Attributes:
+        q: Joint positions [rad or m], shape (step, joint).
+        converged: Whether the tool is at the pose, shape (step,).
+        position_residual: Distance of the tool's origin to the pose [m], (step,).
+        rotation_residual: Angle from the tool to the pose; with a free rotation that
+            of the tool axis [rad], shape (step,).
+        within_limits: Whether all joints are within their limits, shape (step,).
+        limit_excess: How far each joint is beyond its limits [rad or m], shape
+            (step, joint).
+        midway_error: How far the tip is from the middle between two poses when every
+            joint is half way between them [m], shape (step,); 0 in row 0. Of the order
+            of (step length)^2 / arm length, but where the arm changes its
+            configuration between two rows.
+    """
+
+    q: Float[Array, "step joint"]
+    converged: Bool[Array, " step"]
+    position_residual: Float[Array, " step"]
+    rotation_residual: Float[Array, " step"]
+    within_limits: Bool[Array, " step"]
+    limit_excess: Float[Array, "step joint"]
+    midway_error: Float[Array, " step"]
+
+
+def inverse_kinematics(
+    robot: Robot,
+    T_base_tool: Transform,
+    q_start: JointVector,
+    *,
+    tool_rotation: ToolRotation = "fixed",
+    attempts: int = _ATTEMPTS,
+) -> PoseSolution:
+    """Return joint positions that bring the tool to a pose.
+
+    Args:
+        robot: The robot.
+        T_base_tool: The pose, shape (4, 4).
+        q_start: Where the search begins [rad or m], shape (joint,). What it leads to
+            is the solution, unless it is none or beyond the limits.
+        tool_rotation: "fixed", or "free": of the pose's rotation only the tool axis
+            counts. A joint more than the pose needs stands near the middle of its
+            range, or near home if it has no limits.
+        attempts: Searches at most: after the first from elsewhere, until the pose is
+            reached within limits. With 1 the solution is that of `q_start`.
+
+    Returns:
+        The solution; check `converged` and `within_limits`.
+
+    **Differentiability**: in the pose and the robot, first derivatives by the
+    implicit function; none in `q_start`. Finite, but not meaningful, where the
+    search did not converge or the pose is singular.
+    """
+    start = joint_vector(robot, q_start, "q_start")
+    T = jnp.asarray(T_base_tool, dtype=robot.dtype)
+    return _solve_pose(robot, T, start, tool_rotation, attempts)
+
+
+def inverse_kinematics_path(
+    robot: Robot,
+    Ts_base_tool: Float[Array, "step 4 4"] | Float[np.ndarray, "step 4 4"],
+    q_start: JointVector,
+    *,
+    tool_rotation: ToolRotation = "fixed",
+    attempts: int = _ATTEMPTS,
+) -> PathSolution:
+    """Return joint positions along a path; each pose starts from the one before.
+
+    Args:
+        robot: The robot.
+        Ts_base_tool: The poses, each near to the one before, shape (step, 4, 4).
+        q_start: Where the search of the first pose begins [rad or m], (joint,).
+        tool_rotation: As for `inverse_kinematics`.
+        attempts: As for `inverse_kinematics`, for the first pose.
+
+    Returns:
+        The solution; check `converged`, `within_limits` and, where the poses may be
+        far apart, `midway_error`. Batches by `vmap`.
+
+    **Differentiability**: as `inverse_kinematics`, pose by pose.
+    """
+    start = joint_vector(robot, q_start, "q_start")
+    Ts = jnp.asarray(Ts_base_tool, dtype=robot.dtype)
+    return _solve_path(robot, Ts, start, tool_rotation, attempts)
+
+
+@functools.partial(jax.jit, static_argnames=("tool_rotation", "attempts"))
+def _solve_pose(
+    robot: Robot,
+    T: Float[Array, "4 4"],
+    q_start: Float[Array, " joint"],
+    tool_rotation: ToolRotation,
+    attempts: int,
+) -> PoseSolution:
+    start = _rest_virtual(robot, q_start)
+    q = _first_pose(robot, T, start, tool_rotation, attempts)
+    return _finish(robot, T, q, tool_rotation)
+
+
+@functools.partial(jax.jit, static_argnames=("tool_rotation", "attempts"))
+def _solve_path(
+    robot: Robot,
+    Ts: Float[Array, "step 4 4"],
+    q_start: Float[Array, " joint"],
+    tool_rotation: ToolRotation,
+    attempts: int,
+) -> PathSolution:
+    def follow(q, T):
+        q = _search(robot, T, q, _PATH_STEPS, tool_rotation)
+        if has_choice(robot, tool_rotation):
+            # Where the middle that was followed ends, the arm slides to the next one.
+            q = _search(robot, T, q, _PATH_STEPS, tool_rotation, chooses=False)
+        return q, q
+
+    start = _rest_virtual(robot, q_start)
+    first = _first_pose(robot, Ts[0], start, tool_rotation, attempts)
+    _, qs = lax.scan(follow, first, lax.stop_gradient(Ts))
+    found = jax.vmap(lambda T, q: _finish(robot, T, q, tool_rotation))(Ts, qs)
+    return PathSolution(
+        found.q,
+        found.converged,
+        found.position_residual,
+        found.rotation_residual,
+        found.within_limits,
+        found.limit_excess,
+        _midway_error(robot, Ts, found.q),
+    )
+
+
+def _rest_virtual(robot: Robot, q: Float[Array, " joint"]) -> Float[Array, " joint"]:
+    return jnp.where(robot.motor_mask(), q, 0.0)
+
+
+def _midway_error(
+    robot: Robot, Ts: Float[Array, "step 4 4"], qs: Float[Array, "step joint"]
+) -> Float[Array, " step"]:
+    """Return how far joints half way are from the middle of two poses."""
+    robot, Ts, qs = lax.stop_gradient((robot, Ts, qs))
+    tip = lambda q: joint_frames(robot, q).tool_position
+    tips = jax.vmap(tip)((qs[1:] + qs[:-1]) / 2)
+    away = tips - (Ts[1:, :3, 3] + Ts[:-1, :3, 3]) / 2
+    return jnp.concatenate([jnp.zeros(1, qs.dtype), jnp.linalg.norm(away, axis=1)])
+
+
+def _search(
+    robot: Robot,
+    T: Float[Array, "4 4"],
+    q: Float[Array, " joint"],
+    steps: int,
+    tool_rotation: ToolRotation,
+    *,
+    limits: tuple[Float[Array, " joint"], Float[Array, " joint"]] | None = None,
+    chooses: bool = True,
+) -> Float[Array, " joint"]:
+    """Return the end of a fixed number of damped Newton steps, without derivative.
+
+    Where the pose leaves a choice they make it, unless `chooses` is False.
+    """
+    robot, T, q = lax.stop_gradient((robot, T, q))
+
+    def take(q):
+        task = pose_task(robot, T, q, tool_rotation)
+        # Damping by the squared error keeps the quadratic convergence.
+        size = jnp.sum(task.error**2)
+        if chooses and has_choice(robot, tool_rotation):
+            is_newton = steps == _PATH_STEPS
+            return _choice_search_step(
+                robot, T, q, tool_rotation, size, is_newton=is_newton
+            )
+        return damped_step(task.jacobian, task.error, 1e-2 * size)
+
+    def step(q, _):
+        dq = take(q)
+        longest = jnp.max(jnp.abs(dq))
+        q = q + dq * jnp.minimum(1.0, _LONGEST_STEP / (longest + 1e-12))
+        return q if limits is None else jnp.clip(q, *limits), None
+
+    q, _ = lax.scan(step, q, length=steps)
+    return q
+
+
+def motor_limits(robot: Robot) -> tuple[Float[Array, " joint"], Float[Array, " joint"]]:
+    """Return limits of the motors, far ones for virtual joints, which stay at 0."""
+    motors = robot.motor_mask()
+    return (
+        jnp.where(motors, robot.joint_lower, -jnp.inf),
+        jnp.where(motors, robot.joint_upper, jnp.inf),
+    )
+
+
+def _choice_search_step(
+    robot: Robot,
+    T: Float[Array, "4 4"],
+    q: Float[Array, " joint"],
+    tool_rotation: ToolRotation,
+    size: Float[Array, ""],
+    *,
+    is_newton: bool,
+) -> Float[Array, " joint"]:
+    """Return a step where the pose leaves a choice; Newton steps only along a path.
+
+    The self-motion curves, so that a whole plain step along it may go too far, and a
+    Newton step from afar may end where the joints are farthest from the middle.
+    """
+    plain = chosen_step(robot, T, q, tool_rotation, 1e-2 * size, _PULL_SHARE)
+    if not is_newton:
+        return plain
+    newton, is_trusted = _choice_newton_step(robot, T, q, tool_rotation, _TRUSTED)
+    return jnp.where(is_trusted & (size < _NEAR), newton, plain)
+
+
+def _choice_newton_step(
+    robot: Robot,
+    T: Float[Array, "4 4"],
+    q: Float[Array, " joint"],
+    tool_rotation: ToolRotation,
+    longest: float,
+) -> tuple[Float[Array, " joint"], Bool[Array, ""]]:
+    """Return the Newton step to where the undamped `chosen_step` vanishes.
+
+    Only the step carries the derivative, not its slope. Also returned is whether no
+    joint moves by more than `longest`; if one does, the step is of no use.
+    """
+    slope = choice_slope(*lax.stop_gradient((robot, T, q)), tool_rotation)
+    inverse = small_inverse(slope)
+    left = -chosen_step(robot, T, q, tool_rotation, None)
+    is_short = jnp.max(jnp.abs(inverse @ lax.stop_gradient(left))) < longest
+    # A singular slope must not spoil derivatives either.
+    return jnp.where(is_short, inverse, 0.0) @ left, is_short
+
+
+def _first_pose(
+    robot: Robot,
+    T: Float[Array, "4 4"],
+    q_start: Float[Array, " joint"],
+    tool_rotation: ToolRotation,
+    attempts: int,
+) -> Float[Array, " joint"]:
+    """Return the end of a search, of further ones from elsewhere if it failed.
+
+    What is reached within limits ends it, then what the start led to counts, and last
+    what is nearest to the pose.
+    """
+    robot, T, q_start = lax.stop_gradient((robot, T, q_start))
+    tolerance = _tolerance(q_start.dtype)
+
+    def attempt(state):
+        count, q, error, _ = state
+        start = start_elsewhere(robot, q_start, count, attempts)
+        # The search from the start may leave the limits, for the branch it is on.
+        lower, upper = (
+            jnp.where(count == 0, sign * jnp.inf, limit)
+            for sign, limit in zip((-1, 1), motor_limits(robot), strict=True)
+        )
+        new = _search(
+            robot, T, start, _POSE_STEPS, tool_rotation, limits=(lower, upper)
+        )
+        new = unwound(robot, _polished(robot, T, new, tool_rotation), q_start)
+        new_error = jnp.max(jnp.abs(pose_task(robot, T, new, tool_rotation).error))
+        lower, upper = motor_limits(robot)
+        is_good = (new_error < tolerance) & jnp.all((new >= lower) & (new <= upper))
+        # What is reached beyond the limits keeps the branch that came first.
+        is_better = is_good | ((error >= tolerance) & (new_error < error))
+        q = jnp.where(is_better, new, q)
+        return count + 1, q, jnp.where(is_better, new_error, error), is_good
+
+    state = (
+        jnp.zeros((), jnp.int32),
+        q_start,
+        jnp.full((), jnp.inf, q_start.dtype),
+        jnp.zeros((), bool),
+    )
+    if attempts == 1:
+        return attempt(state)[1]
+    return lax.while_loop(lambda s: ~s[3] & (s[0] < attempts), attempt, state)[1]
+
+
+def start_elsewhere(
+    robot: Robot,
+    q_start: Float[Array, " joint"],
+    count: Int[Array, ""],
+    attempts: int,
+) -> Float[Array, " joint"]:
+    """Return where a further search begins: the later, the farther from the start."""
+    rng = np.random.default_rng(0)
+    shares = jnp.asarray(rng.random((attempts, q_start.shape[0])), q_start.dtype)
+    slides = [kind == "prismatic" for kind in robot.joint_kinds]
+    half = jnp.where(jnp.asarray(slides), 1.0, jnp.pi).astype(q_start.dtype)
+    lower, upper = motor_limits(robot)
+    lower = jnp.maximum(lower, q_start - half)
+    upper = jnp.minimum(upper, q_start + half)
+    somewhere = lower + shares[count] * (upper - lower)
+    far = jnp.minimum(2.0 * count.astype(q_start.dtype) / attempts, 1.0)
+    return _rest_virtual(robot, q_start + far * (somewhere - q_start))
+
+
+def unwound(
+    robot: Robot, q: Float[Array, " joint"], q_start: Float[Array, " joint"]
+) -> Float[Array, " joint"]:
+    """Return the same pose with whole turns taken off, near the start and in limits."""
+    if robot.has_mimics:
+        # A follower need not turn by whole turns.
+        return q
+    turn = 2 * jnp.pi
+    turns = jnp.asarray([kind == "revolute" for kind in robot.joint_kinds])
+    lower, upper = motor_limits(robot)
+    near = q - turn * jnp.round((q - q_start) / turn)
+    down = near - turn * jnp.ceil(jnp.maximum(near - upper, 0.0) / turn)
+    up = near + turn * jnp.ceil(jnp.maximum(lower - near, 0.0) / turn)
+    is_down = (near > upper) & (down >= lower)
+    is_up = (near < lower) & (up <= upper)
+    near = jnp.where(is_down, down, jnp.where(is_up, up, near))
+    return jnp.where(turns, near, q)
+
+
+def _polished(
+    robot: Robot,
+    T: Float[Array, "4 4"],
+    q: Float[Array, " joint"],
+    tool_rotation: ToolRotation,
+) -> Float[Array, " joint"]:
+    """Return the pose itself for joints near to it, without derivative."""
+    robot, T, q = lax.stop_gradient((robot, T, q))
+    for _ in range(_POLISH_STEPS):
+        task = pose_task(robot, T, q, tool_rotation)
+        step = damped_step(task.jacobian, task.error, None)
+        q = q + jnp.where(jnp.sum(task.error**2) < _NEAR, step, 0.0)
+    return q
+
+
+def _tolerance(dtype: DTypeLike) -> Float[Array, ""]:
+    """Return the residual below which the tool is at the pose [m or rad]."""
+    return jnp.asarray(100.0 * jnp.finfo(dtype).eps ** 0.75, dtype)
+
+
+def _finish(
+    robot: Robot,
+    T: Float[Array, "4 4"],
+    q: Float[Array, " joint"],
+    tool_rotation: ToolRotation,
+) -> PoseSolution:
+    """Take the step that carries the derivative, and judge the result."""
+    q = lax.stop_gradient(q)
+    task = pose_task(robot, T, q, tool_rotation)
+    J = lax.stop_gradient(task.jacobian)
+    # Where the search failed, a full step might go anywhere: keep its value out.
+    is_near = jnp.sum(lax.stop_gradient(task.error) ** 2) < _NEAR
+    step = damped_step(J, task.error, None)
+    if has_choice(robot, tool_rotation):
+        newton, is_settled = _choice_newton_step(robot, T, q, tool_rotation, _SETTLED)
+        step = jnp.where(is_settled, newton, step)
+    value = jnp.where(is_near, lax.stop_gradient(step), 0.0)
+    q = q + value
+    if has_choice(robot, tool_rotation):
+        # The self-motion curves: a step along it leaves the pose a little.
+        q = _polished(robot, T, q, tool_rotation)
+    q = q + (step - lax.stop_gradient(step))
+    left = lax.stop_gradient(pose_task(robot, T, q, tool_rotation).error)
+    excess = jnp.maximum(robot.joint_lower - q, q - robot.joint_upper)
+    return PoseSolution(
+        q=q,
+        converged=jnp.max(jnp.abs(left)) < _tolerance(q.dtype),
+        position_residual=jnp.linalg.norm(left[:3]),
+        rotation_residual=_angle(left[3:]),
+        within_limits=jnp.all((q >= robot.joint_lower) & (q <= robot.joint_upper)),
+        limit_excess=lax.stop_gradient(jnp.maximum(excess, 0.0)),
+    )
+
+
+def _angle(turn: Float[Array, " row"]) -> Float[Array, ""]:
+    """Return the angle of a rotation given as 2 sin(angle / 2) times its axis."""
+    return 2.0 * jnp.arcsin(jnp.minimum(0.5 * jnp.linalg.norm(turn), 1.0))

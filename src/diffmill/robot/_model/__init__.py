@@ -1,0 +1,1 @@
+"""The robot: elements, drives, and how a tree is built from them."""

@@ -1,0 +1,233 @@
+"""Compile elements into a `Robot`.
+
+One walk over the elements keeps the current link and the current frame in it. A
+joint's frame is turned so that its axis is z, and turned back behind it: elements
+never see this, and the algorithms need no axis.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+
+from .drives import with_joint_drives
+from .elements import (
+    AbstractElement,
+    FixedRotation,
+    FixedTranslation,
+    Fork,
+    PrismaticJoint,
+    RevoluteJoint,
+    RigidBody,
+    Tool,
+)
+from .robot import Robot
+
+# The Earth's mean value is not meant: this one is the project's convention.
+_GRAVITY = (0.0, 0.0, -9.81)
+
+
+@dataclasses.dataclass
+class _Walk:
+    """What the walk over the elements has found so far."""
+
+    joints: list[RevoluteJoint | PrismaticJoint] = dataclasses.field(
+        default_factory=list
+    )
+    parents: list[int] = dataclasses.field(default_factory=list)
+    placements: list[np.ndarray] = dataclasses.field(default_factory=list)
+    bodies: list[list[tuple[float, np.ndarray, np.ndarray]]] = dataclasses.field(
+        default_factory=list
+    )
+    tools: dict[str, tuple[int, np.ndarray, np.ndarray]] = dataclasses.field(
+        default_factory=dict
+    )
+
+
+def build(
+    elements: Sequence[AbstractElement], *, tool: str | None = None, name: str = "robot"
+) -> Robot:
+    """Compile a sequence of elements into a robot.
+
+    Args:
+        elements: From the base outwards. Without a `Tool` the end of the sequence
+            is both flange and tool.
+        tool: Name of the tool to use; may be left out if there is only one.
+        name: Name of the model.
+
+    Returns:
+        The robot. Bodies before the first joint belong to the base and are dropped.
+
+    Raises:
+        ValueError: If there is no joint, a name occurs twice, or the tool is not
+            there or not unique, or a joint mimics one that is not there or itself.
+
+    **Differentiability**: none; differentiate by the arrays of the `Robot`.
+    """
+    walk = _Walk()
+    end = _visit(walk, elements, -1, np.eye(4))
+    if not walk.joints:
+        raise ValueError("Argument `elements` must contain at least one joint.")
+    names = [joint.name for joint in walk.joints]
+    twice = sorted({n for n in names if names.count(n) > 1})
+    if twice:
+        raise ValueError(f"Joint names must be unique, but occur twice: {twice}.")
+    flange_joint, flange, T_flange_tool = _choose_tool(walk, end, tool)
+    masses, centers, inertias = zip(*map(_merge, walk.bodies), strict=True)
+    placements = np.stack(walk.placements)
+    mimics = _resolve_mimics(walk.joints)
+    joints = [j for j in walk.joints if j.mimic is None]
+    column = lambda field: jnp.asarray([float(getattr(j, field)) for j in joints])
+    robot = Robot(
+        placement_rotations=jnp.asarray(placements[:, :3, :3]),
+        placement_positions=jnp.asarray(placements[:, :3, 3]),
+        link_masses=jnp.asarray(np.array(masses)),
+        link_centers=jnp.asarray(np.stack(centers)),
+        link_inertias=jnp.asarray(np.stack(inertias)),
+        T_joint_flange=jnp.asarray(flange),
+        T_flange_tool=jnp.asarray(T_flange_tool),
+        joint_stiffness=column("stiffness"),
+        joint_damping=column("damping"),
+        joint_lower=column("lower"),
+        joint_upper=column("upper"),
+        home=column("home"),
+        gravity=jnp.asarray(np.array(_GRAVITY)),
+        name=name,
+        joint_names=tuple(j.name for j in joints),
+        body_kinds=tuple(
+            "prismatic" if isinstance(j, PrismaticJoint) else "revolute"
+            for j in walk.joints
+        ),
+        parents=tuple(walk.parents),
+        is_virtual=tuple(j.is_virtual for j in joints),
+        flange_joint=flange_joint,
+        mimics=mimics,
+        joint_speed=column("speed"),
+    )
+    return with_joint_drives(robot, [j.drive for j in joints])
+
+
+def _visit(
+    walk: _Walk, elements: Sequence[AbstractElement], link: int, frame: np.ndarray
+) -> tuple[int, np.ndarray]:
+    """Walk along one branch; return the link and the frame at its end."""
+    for element in elements:
+        match element:
+            case FixedRotation():
+                frame = frame @ _transform(element.rotation, np.zeros(3))
+            case FixedTranslation():
+                frame = frame @ _transform(np.eye(3), element.position)
+            case RigidBody():
+                if link >= 0:
+                    walk.bodies[link].append(_body_in_link(element, frame))
+            case Fork():
+                for branch in element.branches:
+                    _visit(walk, branch, link, frame)
+            case Tool():
+                if element.name in walk.tools:
+                    raise ValueError(f"Two tools have the name {element.name!r}.")
+                placed = _transform(element.rotation, element.position)
+                walk.tools[element.name] = (link, frame, placed)
+            case RevoluteJoint() | PrismaticJoint():
+                align = _transform(_rotation_of_z_to(element.axis), np.zeros(3))
+                walk.joints.append(element)
+                walk.parents.append(link)
+                walk.placements.append(frame @ align)
+                walk.bodies.append([])
+                link, frame = len(walk.joints) - 1, align.T
+            case _:
+                raise ValueError(
+                    "Argument `elements` must contain elements of diffmill.robot, "
+                    f"but contains {element!r}."
+                )
+    return link, frame
+
+
+def _resolve_mimics(
+    joints: Sequence[RevoluteJoint | PrismaticJoint],
+) -> tuple[tuple[int, float, float] | None, ...]:
+    """Return `Robot.mimics`: chains of followers end at an independent joint.
+
+    Raises:
+        ValueError: If a joint follows one that is not there, or in the end itself.
+    """
+    by_name = {joint.name: joint for joint in joints}
+    independent = [joint.name for joint in joints if joint.mimic is None]
+    resolved: list[tuple[int, float, float] | None] = []
+    for joint in joints:
+        name, multiplier, offset, seen = joint.name, 1.0, 0.0, {joint.name}
+        while (mimic := by_name[name].mimic) is not None:
+            name = mimic.joint
+            if name not in by_name:
+                raise ValueError(
+                    f"Joint {joint.name!r} mimics {name!r}, which is no moving joint; "
+                    f"allowed are {', '.join(by_name)}."
+                )
+            if name in seen:
+                raise ValueError(f"Joint {joint.name!r} mimics itself by {name!r}.")
+            seen.add(name)
+            offset += multiplier * float(mimic.offset)
+            multiplier *= float(mimic.multiplier)
+        own = joint.mimic is None
+        resolved.append(None if own else (independent.index(name), multiplier, offset))
+    return tuple(resolved)
+
+
+def _choose_tool(
+    walk: _Walk, end: tuple[int, np.ndarray], tool: str | None
+) -> tuple[int, np.ndarray, np.ndarray]:
+    """Return the flange's link, the flange in it, and the tool in the flange."""
+    if tool is None and not walk.tools:
+        return (*end, np.eye(4))
+    if tool is None and len(walk.tools) == 1:
+        (chosen,) = walk.tools.values()
+        return chosen
+    if tool is None or tool not in walk.tools:
+        raise ValueError(
+            "Argument `tool` must be one of the robot's tools "
+            f"({', '.join(walk.tools) or 'there is none'}), but is {tool!r}."
+        )
+    return walk.tools[tool]
+
+
+def _transform(rotation: np.ndarray, position: object) -> np.ndarray:
+    """Return a 4 x 4 transform."""
+    T = np.eye(4)
+    T[:3, :3] = rotation
+    T[:3, 3] = np.asarray(position, float)
+    return T
+
+
+def _rotation_of_z_to(axis: object) -> np.ndarray:
+    """Return the smallest rotation that turns z to `axis`."""
+    x, y, z = np.asarray(axis, float) / np.linalg.norm(np.asarray(axis, float))
+    if z < -1.0 + 1e-12:
+        return np.diag([1.0, -1.0, -1.0])
+    skew = np.array([[0.0, 0.0, x], [0.0, 0.0, y], [-x, -y, 0.0]])
+    return np.eye(3) + skew + skew @ skew / (1.0 + z)
+
+
+def _body_in_link(
+    body: RigidBody, frame: np.ndarray
+) -> tuple[float, np.ndarray, np.ndarray]:
+    """Return mass, centre and inertia of a body in its link's frame."""
+    R = frame[:3, :3]
+    center = R @ np.asarray(body.center_of_mass, float) + frame[:3, 3]
+    return float(body.mass), center, R @ np.asarray(body.inertia, float) @ R.T
+
+
+def _merge(
+    bodies: list[tuple[float, np.ndarray, np.ndarray]],
+) -> tuple[float, np.ndarray, np.ndarray]:
+    """Return mass, centre and inertia about it of several bodies."""
+    mass = sum((body[0] for body in bodies), 0.0)
+    # Rotors are described by an inertia without mass: any centre is as good.
+    center = np.zeros(3)
+    if mass > 0.0:
+        center = np.sum([m * c for m, c, _ in bodies], axis=0) / mass
+    inertia = np.zeros((3, 3))
+    for m, c, about_own in bodies:
+        arm = c - center
+        inertia += about_own + m * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    return mass, center, inertia

@@ -1,0 +1,155 @@
+"""A spring between the flange and the spindle: bracket, bearings, tool changer."""
+
+import dataclasses
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+from ..._types import RealScalarLike
+from .._algebra.spatial import apply_matrix, matrix_product
+from .elements import Vector3
+from .robot import Robot
+from .series_springs import Body, Spring, append_springs
+
+_AXES = "xyz"
+
+
+class FlangeSpring(eqx.Module):
+    """Springs at the origin of the flange and the spindle that hangs on them.
+
+    Attributes:
+        mass: Of the spindle [kg].
+        center_of_mass: Its centre in the flange's frame [m], shape (3,).
+        inertia: Its moments about that centre and the flange's axes [kg m^2],
+            shape (3,).
+        linear_stiffness: Along the flange's axes [N/m], shape (3,); None for rigid.
+        rotary_stiffness: About them [N m/rad], shape (3,); None for rigid.
+        damping_ratio: Share of critical damping of each spring alone [-].
+        is_in_link: Whether the robot's last link already holds the spindle, which then
+            moves behind the springs; else it is added.
+    """
+
+    mass: RealScalarLike
+    center_of_mass: Vector3
+    inertia: Vector3
+    linear_stiffness: Vector3 | None = None
+    rotary_stiffness: Vector3 | None = None
+    damping_ratio: RealScalarLike = 0.02
+    is_in_link: bool = eqx.field(static=True, default=True)
+
+    def __check_init__(self):
+        """Refuse springs that are not there."""
+        if self.linear_stiffness is None and self.rotary_stiffness is None:
+            raise ValueError(
+                "Arguments `linear_stiffness` and `rotary_stiffness` must not both be "
+                "None: one of them is the spring."
+            )
+
+
+def with_flange_spring(robot: Robot, spring: FlangeSpring) -> Robot:
+    """Return the robot with springs at its flange, in series with the arm.
+
+    Virtual joints `flange_x`, ... slide along and `flange_rx`, ... turn about the
+    flange's axes, in this order.
+
+    Args:
+        robot: The robot.
+        spring: The springs and the spindle.
+
+    Returns:
+        The robot with three or six more joints.
+
+    Raises:
+        ValueError: If the robot has such a spring already, or its last link is lighter
+            than the spindle that it should hold.
+
+    **Differentiability**: smooth in robot and spring.
+    """
+    dtype = robot.dtype
+    m = jnp.asarray(spring.mass, dtype)
+    c = jnp.asarray(spring.center_of_mass, dtype)
+    moments = jnp.asarray(spring.inertia, dtype)
+    body = Body(m, c, jnp.diag(moments))
+    # About the springs: what a turning spring has to move if all else stands still.
+    swung = moments + m * (jnp.sum(c**2)[None] - c**2)
+    zeta = jnp.asarray(spring.damping_ratio, dtype)
+    springs = []
+    for values, masses, kind, prefix in (
+        (spring.linear_stiffness, jnp.broadcast_to(m, (3,)), "prismatic", "flange_"),
+        (spring.rotary_stiffness, swung, "revolute", "flange_r"),
+    ):
+        if values is None:
+            continue
+        K = jnp.asarray(values, dtype)
+        D = 2 * zeta * jnp.sqrt(K * masses)
+        springs += [Spring(K[i], D[i], prefix + _AXES[i], kind, i) for i in range(3)]
+    if spring.is_in_link:
+        robot = _without(robot, body)
+    return append_springs(robot, springs, body, jnp.eye(4, dtype=dtype))
+
+
+def _without(robot: Robot, body: Body) -> Robot:
+    """Return the robot with a body taken out of the link that carries the flange."""
+    link = robot.flange_joint
+    if link < 0:
+        raise ValueError(
+            "Argument `spring` must say is_in_link=False: the flange is at the base, "
+            "which has no mass to take the spindle from."
+        )
+    R, p = robot.T_joint_flange[:3, :3], robot.T_joint_flange[:3, 3]
+    center = apply_matrix(R, body.center) + p
+    turned = matrix_product(matrix_product(R, body.inertia), R.T)
+    mass, old = robot.link_masses[link], robot.link_centers[link]
+    left = mass - body.mass
+    _check_left(robot, left, body.mass)
+    # A link that is the spindle and nothing else leaves no mass to have a centre.
+    has_left = left > 0
+    safe = jnp.where(has_left, left, 1.0)
+    new = jnp.where(has_left, (mass * old - body.mass * center) / safe, 0.0)
+    inertia = (
+        robot.link_inertias[link]
+        - turned
+        + _steiner(mass, old - new)
+        - _steiner(body.mass, center - new)
+    )
+    inertia = jnp.where(has_left, inertia, 0.0)
+    _check_inertia(robot, inertia)
+    return dataclasses.replace(
+        robot,
+        link_masses=robot.link_masses.at[link].set(left),
+        link_centers=robot.link_centers.at[link].set(new),
+        link_inertias=robot.link_inertias.at[link].set(inertia),
+    )
+
+
+def _steiner(mass: Float[Array, ""], arm: Float[Array, " 3"]) -> Float[Array, "3 3"]:
+    """Return the inertia of a point mass at the end of an arm."""
+    eye = jnp.eye(3, dtype=arm.dtype)
+    return mass * (jnp.sum(arm**2) * eye - arm[:, None] * arm[None, :])
+
+
+def _check_left(robot: Robot, left: Float[Array, ""], mass: Float[Array, ""]) -> None:
+    """Raise if a known link is lighter than what is taken out of it."""
+    if not isinstance(left, Tracer) and float(left) < -1e-9:
+        raise ValueError(
+            f"Argument `mass` must be at most that of the last link of {robot.name!r}, "
+            f"{float(left + mass):.6g} kg, or is_in_link=False, but is "
+            f"{float(np.asarray(mass)):.6g} kg."
+        )
+
+
+def _check_inertia(robot: Robot, inertia: Float[Array, "3 3"]) -> None:
+    """Raise if what is left of a known link is no body."""
+    if isinstance(inertia, Tracer):
+        return
+    least = np.linalg.eigvalsh(np.asarray(inertia))[0]
+    scale = float(np.max(np.abs(robot.link_inertias)))
+    if least < -1e-6 * scale:
+        raise ValueError(
+            "Argument `inertia` must be that of a part of the last link of "
+            f"{robot.name!r}, or is_in_link=False, but what is left has the principal "
+            f"value {least:.3g} kg m^2."
+        )

@@ -1,0 +1,56 @@
+"""Joints that follow another joint: from joint vector to bodies and back.
+
+Every body hangs on one joint of its own, but only the independent joints are counted
+in q. With G the matrix of the multipliers, the bodies' joints stand at G q plus the
+offsets and move with G qd; forces and screws return by G^T, the mass matrix by
+G^T M G. Without a follower all of this is absent from the compiled program.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._algebra.spatial import sum_rows
+from .robot import Robot
+
+
+def unfold_positions(robot: Robot, q: Float[Array, " joint"]) -> Float[Array, " body"]:
+    """Return where the joint of every body stands [rad or m]."""
+    if not robot.has_mimics:
+        return q
+    offsets = np.array([0.0 if m is None else m[2] for m in robot.mimics])
+    return unfold_rates(robot, q) + jnp.asarray(offsets, q.dtype)
+
+
+def unfold_rates(robot: Robot, rates: Float[Array, " joint"]) -> Float[Array, " body"]:
+    """Return how fast the joint of every body moves [rad/s or m/s]."""
+    if not robot.has_mimics:
+        return rates
+    sources, multipliers = _followed(robot)
+    return rates[sources] * jnp.asarray(multipliers, rates.dtype)
+
+
+def fold(
+    robot: Robot, rows: Float[Array, "body column"]
+) -> Float[Array, "joint column"]:
+    """Return G^T times a matrix with one row per body."""
+    if not robot.has_mimics:
+        return rows
+    sources, multipliers = _followed(robot)
+    G = np.zeros((robot.body_count, robot.joint_count))
+    G[np.arange(robot.body_count), sources] = multipliers
+    return sum_rows(jnp.asarray(G.T, rows.dtype), rows)
+
+
+def _followed(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
+    """Return the independent joint that moves each body, and by what factor."""
+    sources, multipliers, own = [], [], 0
+    for mimic in robot.mimics:
+        if mimic is None:
+            sources.append(own)
+            multipliers.append(1.0)
+            own += 1
+        else:
+            sources.append(mimic[0])
+            multipliers.append(mimic[1])
+    return np.array(sources), np.array(multipliers)

@@ -1,0 +1,1 @@
+"""Analyses of a run: stability, sensitivity, collisions of tool and holder."""

@@ -1,0 +1,72 @@
+"""The arm on its drives as a linear system, about one state."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float
+
+from ...robot import Robot, arm_terms
+from .._machine._integrator.base import ArmState, MotorCommand, held_rate
+
+
+class LinearArm(eqx.Module):
+    """x' = A x + G F, tip = C x, with the force F on the tool and the tip in `work`.
+
+    Attributes:
+        A: Slope of the rate in the state, shape (state, state).
+        G: Slope of the rate in the force, shape (state, 3).
+        C: Slope of the tip in the state, shape (3, state).
+    """
+
+    A: Float[Array, "state state"]
+    G: Float[Array, "state 3"]
+    C: Float[Array, "3 state"]
+
+
+@eqx.filter_jit
+def linear_arms(
+    robot: Robot,
+    T_base_work: Float[Array, "4 4"],
+    motors: Float[Array, "row joint"],
+    joints: Float[Array, "row joint"],
+    rates: Float[Array, "row joint"],
+) -> LinearArm:
+    """Return the arm about some states.
+
+    Slopes are those of the drives where they are, gaps and friction too; the mass
+    matrix is held and the weight follows the joints.
+
+    Args:
+        robot: The robot.
+        T_base_work: Pose of the workpiece in the robot's base.
+        motors: Motor positions theta [rad or m], shape (row, joint).
+        joints: Joint positions [rad or m], shape (row, joint).
+        rates: Rates of the motors and of the joints [rad/s or m/s], shape (row, joint).
+
+    Returns:
+        The systems, with a leading axis of rows.
+    """
+
+    def one(
+        theta: Float[Array, " joint"],
+        q: Float[Array, " joint"],
+        v: Float[Array, " joint"],
+    ) -> LinearArm:
+        state = ArmState(q, v)
+        if robot.motors is not None:
+            state = ArmState(q, v, theta, v)
+        terms = arm_terms(robot, q, v)
+        J = T_base_work[:3, :3].T @ terms.jacobian[:3]
+        flat, unravel = ravel_pytree(state)
+
+        def rate(x: Float[Array, " state"], F: Float[Array, " 3"]) -> Array:
+            command = MotorCommand(theta, v)
+            found = held_rate(robot, terms, unravel(x), command, J.T @ F)
+            return ravel_pytree(found)[0]
+
+        A, G = jax.jacfwd(rate, argnums=(0, 1))(flat, jnp.zeros(3, flat.dtype))
+        C = jax.jacfwd(lambda x: J @ unravel(x).q)(flat)
+        return LinearArm(A, G, C)
+
+    return jax.vmap(one)(motors, joints, rates)

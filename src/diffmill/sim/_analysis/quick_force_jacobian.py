@@ -1,0 +1,154 @@
+"""Slopes of the force in one period, from where the tool has been.
+
+A quick look for chatter replays no removal: a point of an edge is in the material if it
+lies in the raw stock and in no earlier pose of the tool, and its distance from the last
+one is the chip. Rubbing edges are left out, and so are run-out and unequal delays.
+"""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ...cutter import AbstractCutter, EdgeElements
+from ...cutting import AbstractForceLaw
+from ...process import ProcessPlan, profile_elements
+from ...workpiece import Pose, Stock, tool_frame
+from .monodromy import Regeneration
+
+# Pieces of a tooth period, and earlier poses that are looked at in one go.
+_PIECES, _CHUNK = 48, 64
+# Parts of a disc.
+_PARTS = 8
+# Older poses stand apart by this share of the radius.
+_APART = 0.03
+
+
+def quick_slopes(
+    path: Pose,
+    stock: Stock,
+    cutter: AbstractCutter,
+    law: AbstractForceLaw,
+    plan: ProcessPlan,
+    rows: Int[np.ndarray, " row"],
+) -> list[Regeneration]:
+    """Return roughly the slopes of the force in the periods before some rows.
+
+    Args:
+        path: Poses at the tooth instants, shape (step, 3).
+        stock: The raw workpiece.
+        cutter: The cutter.
+        law: The force law.
+        plan: Sizes of the process.
+        rows: The rows, from 1.
+
+    Returns:
+        The slopes in the tips now and one period before, for each row.
+
+    Differentiability: none, a host function.
+    """
+    tips = np.asarray(path.tip)
+    near = [_near_rows(tips[: row + 1], cutter, plan) for row in rows]
+    # One shape for all rows.
+    chunks = 2 ** math.ceil(math.log2(max(map(len, near)) / _CHUNK + 1))
+    found = []
+    for row, kept in zip(rows, near, strict=True):
+        at = kept[np.minimum(np.arange(chunks * _CHUNK), len(kept) - 1)]
+        earlier = path[at.reshape(chunks, _CHUNK)]
+        slopes = _slopes(earlier, path[int(row)], stock, cutter, law, plan)
+        now = np.asarray(slopes, np.float64)
+        found.append(Regeneration(now, -now[:, None]))
+    return found
+
+
+def _near_rows(
+    tips: Float[np.ndarray, "step 3"], cutter: AbstractCutter, plan: ProcessPlan
+) -> Int[np.ndarray, " near"]:
+    """Return rows before the last one whose pose it may touch, the newest first."""
+    R, now = cutter.nominal_radius, tips[-1]
+    way = np.cumsum(np.linalg.norm(np.diff(tips, axis=0), axis=1))
+    # The last row of every piece of the way, so that the newest is among them.
+    is_kept = np.append(np.diff(np.floor(way / (_APART * R))) > 0, True)
+    reach = 2 * R + plan.discs.count * plan.discs.height
+    is_near = np.linalg.norm(tips[:-1] - now, axis=1) < reach
+    is_near[-1] = True
+    return np.flatnonzero(is_kept & is_near)[::-1]
+
+
+@eqx.filter_jit
+def _slopes(
+    earlier: Pose,
+    now: Pose,
+    stock: Stock,
+    cutter: AbstractCutter,
+    law: AbstractForceLaw,
+    plan: ProcessPlan,
+) -> Float[Array, "piece 3 3"]:
+    """Return the slopes of the force in the tip, in `work` [N/m]."""
+    edge = _edge(plan, cutter, now.tip.dtype)
+    places = jnp.asarray(cutter.pitch_angles, now.tip.dtype)
+    teeth, pieces = places.shape[0], jnp.arange(_PIECES, dtype=places.dtype) + 0.5
+    turn = 2 * math.pi / teeth / _PIECES * pieces[:, None, None]
+    phi = turn + places[None, :, None] - edge.lag[None, None]
+    frame = tool_frame(now.direction())
+    e = jnp.stack([jnp.sin(phi), jnp.cos(phi), jnp.zeros_like(phi)], -1) @ frame.T
+    t = jnp.stack([jnp.cos(phi), -jnp.sin(phi), jnp.zeros_like(phi)], -1) @ frame.T
+    a = jnp.broadcast_to(frame[:, 2].reshape(1, 1, 1, 3), e.shape)
+    column = lambda x: x[None, None, :, None]
+    normal = column(edge.sin_kappa) * e - column(edge.cos_kappa) * a
+    tip = now.tip.reshape(1, 1, 1, 3)
+    points = tip + column(edge.radius) * e + column(edge.height) * a
+    chip, clearance = _chip_and_clearance(cutter, points, earlier)
+    h = jnp.clip(chip, 0, cutter.nominal_radius)
+    tooth = jnp.broadcast_to(
+        jnp.arange(teeth, dtype=jnp.int32)[None, :, None], phi.shape
+    )
+    # Edges touch wherever there is a chip, and their force does not change with it.
+    force = lambda h: law.force_per_width(h, jnp.ones_like(h), tooth)
+    _, (F_t, F_r, F_a) = jax.jvp(force, (h,), (jnp.ones_like(h),))
+    cuts = (clearance > 0) & _is_inside(stock, points)
+    width = jnp.where(cuts, edge.width[None, None], 0)
+    third = jnp.cross(t, normal)
+    parts = zip((-F_t, -F_r, F_a), (t, normal, third), strict=True)
+    per_chip = sum((width * F)[..., None] * way for F, way in parts)
+    return jnp.einsum("pjea,pjeb->pab", per_chip, normal)
+
+
+def _edge(plan: ProcessPlan, cutter: AbstractCutter, dtype: jnp.dtype) -> EdgeElements:
+    """Return the edge elements of a tooth; those on a flat end cut no chip here."""
+    if plan.profile is not None:
+        return profile_elements(plan, cutter, dtype)
+    # A share of a disc in the material is a number of its parts.
+    parts, height = _PARTS * plan.discs.count, plan.discs.height / _PARTS
+    return cutter.elements(0, 0, parts, height, dtype)
+
+
+def _chip_and_clearance(
+    cutter: AbstractCutter, points: Float[Array, "piece tooth element 3"], earlier: Pose
+) -> tuple[Float[Array, "piece tooth element"], Float[Array, "piece tooth element"]]:
+    """Return the distance from the newest pose, and the least one from all [m]."""
+    places = points.reshape(-1, 3)
+    level = jax.vmap(lambda tip, axis: cutter.level(places, tip[None], axis[None]))
+    tips, axes = earlier.tip, earlier.direction()
+
+    def step(least: Array, poses: tuple[Array, Array]) -> tuple[Array, None]:
+        return jnp.minimum(least, jnp.min(level(*poses), axis=0)), None
+
+    chip = cutter.level(places, tips[0, :1], axes[0, :1])
+    clearance, _ = jax.lax.scan(step, chip, (tips, axes))
+    shape = points.shape[:-1]
+    return chip.reshape(shape), clearance.reshape(shape)
+
+
+def _is_inside(stock: Stock, points: Float[Array, "*point 3"]) -> Bool[Array, "*point"]:
+    """Return whether the nearest ray along z holds material at the points."""
+    ends = stock.families[2].ends
+    origin = stock.origin.reshape(1, 1, 1, 3)
+    place = jnp.round((points - origin) / stock.spacing).astype(jnp.int32)
+    x, y = (jnp.clip(place[..., a], 0, ends.shape[a] - 1) for a in range(2))
+    lower, upper = ends[x, y, 0], ends[x, y, 1]
+    z = points[..., 2:]
+    return jnp.any((lower < z) & (z < upper), axis=-1)

@@ -1,0 +1,179 @@
+"""How much each parameter of machine and cut moves the tool, along the path.
+
+Forward mode beside one simulation per parameter: exact derivatives, in the memory of a
+simulation. All parameters are taken relative: a derivative with respect to ln p says
+what a change of p by its own size would do to first order, so that a hundredth of it is
+the effect of 1 % and parameters of any unit can be compared.
+"""
+
+import dataclasses
+from typing import TYPE_CHECKING
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..._job import Job
+from ..._types import FloatRows3
+from ...process import Traced, wall_deviation, wall_shares
+from ...toolpath import contour_error
+from .._job.simulate import run_motors, with_precision
+from .._machine.commands import command_motors, path_axes
+
+if TYPE_CHECKING:
+    import xarray
+
+
+class Sensitivity(eqx.Module):
+    """Derivatives with respect to the logarithms of the parameters.
+
+    Attributes:
+        names: "K" and "D" with the joint's name for stiffness and damping, the force
+            law's own names, and "speed": spindle and feed together, the chip unchanged.
+        deviation: d(deviation) / d(ln p) [m], shape (parameter, step, 3).
+        contour_error: d(contour error) / d(ln p) [m], shape (parameter, step).
+        time: [s], shape (step,).
+    """
+
+    names: tuple[str, ...] = eqx.field(static=True)
+    deviation: Float[np.ndarray, "parameter step 3"]
+    contour_error: Float[np.ndarray, "parameter step"]
+    time: Float[np.ndarray, " step"]
+
+    def to_dataset(self) -> "xarray.Dataset":
+        """Return the maps as an `xarray.Dataset` on parameter, step and axis."""
+        import xarray
+
+        text = "change per relative change of the parameter of the"
+        return xarray.Dataset(
+            {
+                "sensitivity_deviation": (
+                    ("parameter", "step", "axis"),
+                    self.deviation,
+                    {"units": "m", "long_name": f"{text} deviation"},
+                ),
+                "sensitivity_contour_error": (
+                    ("parameter", "step"),
+                    self.contour_error,
+                    {"units": "m", "long_name": f"{text} contour error"},
+                ),
+            },
+            coords={"parameter": list(self.names), "axis": ["x", "y", "z"]},
+        )
+
+
+def sensitivity(job: Job, *, commanded: FloatRows3 | None = None) -> Sensitivity:
+    """Return how much each parameter moves the tool along the path.
+
+    The motors go where the controller sends them by the job as it is: with a stiffness
+    that is not the true one it also lifts a wrong sag.
+
+    Args:
+        job: The job; its machine must be a robot.
+        commanded: Tip positions that the program commands instead of the desired
+            path [m], shape (step, 3).
+
+    Returns:
+        The maps, one row per stiffness, damping, force coefficient, and the speed.
+
+    Raises:
+        ValueError: The job has no robot, or JAX is not set up for its precision.
+
+    Differentiability: runs on the host, not traceable.
+    """
+    job = with_precision(job)
+    if job.robot is None:
+        raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
+    command = job.path.positions if commanded is None else commanded
+    dtype = jnp.dtype(job.simulation.precision)
+    command = jnp.asarray(command, dtype)
+    names = parameter_names(job)
+    pushed = [
+        _pushed(job, command, jnp.zeros(len(names), dtype).at[k].set(1))
+        for k in range(len(names))
+    ]
+    return Sensitivity(
+        names=names,
+        deviation=np.stack([np.asarray(moved) for moved, _ in pushed]),
+        contour_error=np.stack([np.asarray(error) for _, error in pushed]),
+        time=np.asarray(job.path.time),
+    )
+
+
+def parameter_names(job: Job) -> tuple[str, ...]:
+    """Return the names of a job's parameters in the order of `with_scaled`."""
+    joints = () if job.robot is None else job.robot.joint_names
+    drives = [f"{letter} {joint}" for letter in "KD" for joint in joints]
+    return (*drives, *_coefficient_names(job), "speed")
+
+
+def with_scaled(job: Job, log_scale: Float[Array, " parameter"]) -> Job:
+    """Return a job with every parameter times the exponential of a number.
+
+    Args:
+        job: The job; its machine must be a robot.
+        log_scale: Logarithms of the factors in the order of `parameter_names`, shape
+            (parameter,).
+
+    Returns:
+        The job; all teeth's values of a coefficient have the same factor.
+
+    Differentiability: smooth.
+    """
+    if job.robot is None:
+        raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
+    factor = jnp.exp(log_scale)
+    count = len(job.robot.joint_names)
+    names = _coefficient_names(job)
+    stiffness, damping = factor[:count], factor[count : 2 * count]
+    coefficients = factor[2 * count : -1]
+
+    def leaves(j: Job) -> list[object]:
+        drives = [j.robot.joint_stiffness, j.robot.joint_damping]  # pyright: ignore[reportOptionalMemberAccess]
+        return [*drives, *(getattr(j.law, name) for name in names), j.spindle_speed]
+
+    new = [
+        job.robot.joint_stiffness * stiffness,
+        job.robot.joint_damping * damping,
+        *(
+            jnp.asarray(getattr(job.law, name)) * coefficients[i]
+            for i, name in enumerate(names)
+        ),
+        jnp.asarray(job.spindle_speed) * factor[-1],
+    ]
+    return eqx.tree_at(leaves, job, new)
+
+
+def _coefficient_names(job: Job) -> tuple[str, ...]:
+    """Return the fields of the force law that hold numbers."""
+    return tuple(
+        field.name
+        for field in dataclasses.fields(job.law)
+        if _is_real(getattr(job.law, field.name))
+    )
+
+
+def _is_real(value: object) -> bool:
+    dtype = getattr(value, "dtype", None)
+    if dtype is None:
+        return isinstance(value, float)
+    return bool(jnp.issubdtype(dtype, jnp.floating))
+
+
+@eqx.filter_jit
+def _pushed(
+    job: Job, command: Float[Array, "step 3"], direction: Float[Array, " parameter"]
+) -> tuple[Float[Array, "step 3"], Float[Array, " step"]]:
+    """Return the derivatives of the tip and of its contour error in a direction."""
+    motors, _ = command_motors(job, command)
+    desired = jnp.asarray(job.path.positions)
+    shares = wall_shares(desired, path_axes(job), job.cutter)
+
+    def errors(log_scale: Float[Array, " parameter"]) -> tuple[Array, Array]:
+        ran = run_motors(with_scaled(job, log_scale), motors, Traced())
+        deviation = wall_deviation(ran.ends, desired, shares)
+        return ran.actual, contour_error(desired + deviation, desired)
+
+    return jax.jvp(errors, (jnp.zeros_like(direction),), (direction,))[1]

@@ -1,0 +1,400 @@
+"""Whether a vibration of the arm grows in the cut: chatter, from the linear motion.
+
+A chip is what lies between the tip and where it was one tooth period before, so that a
+vibration comes back through the surface that it leaves. About the simulated state one
+tooth period is a linear map of the arm's state and of the tips in the last periods, by
+the slopes of the equations of motion and of the library's own force. Its eigenvalues
+are the factors by which vibrations grow per tooth period.
+
+The map has steps of its own, short enough for every mode that the cut could excite
+(`_analysis/monodromy.py`); those of the simulation may be longer.
+"""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ..._job import Job
+from ..._types import RealScalarLike, Transform
+from ...cutter import AbstractCutter
+from ...cutting import AbstractForceLaw
+from ...process import ProcessPlan
+from ...robot import Robot, arm_terms
+from ...workpiece import Pose, Stock
+from .._job.padding import padded_count
+from .._job.simulate import Solution, job_plan, simulate, with_precision
+from .force_jacobian import force_slopes
+from .linear_arm import linear_arms
+from .monodromy import Regeneration, Step, monodromy, strongest
+from .quick_force_jacobian import quick_slopes
+
+# Rows that are looked at unless asked for, and those of a quick look.
+_ROWS, _QUICK_ROWS = 100, 6
+# A row whose period is shorter than this share of the median hardly moves: what it
+# removes over its way says nothing of the cut.
+_MOVING = 0.1
+# An undamped arm in the air has the radius 1; rounding must not make it unstable.
+_TOLERANCE = 1e-4
+# Steps of the analysis per turn of the fastest mode that counts, and per tooth period.
+_STEPS, _LEAST, _MOST = 24, 48, 1200
+# Steps per turn with which the forces of a vibration are right to 3 % here, and with
+# which the midpoint rule keeps a frequency to 5 %.
+_JUDGED, _FOLLOWED = 10, 8
+# A mode counts from this share of the gain with which it could swing by itself: what
+# other modes add is little.
+_EXCITED = 0.5
+
+
+class Stability(eqx.Module):
+    """How vibrations grow at some rows of a run.
+
+    Attributes:
+        row: The rows: of the tooth periods that end there, shape (row,).
+        time: [s], shape (row,).
+        position: Tool tip in `work` [m], shape (row, 3).
+        radius: Largest magnitude of the eigenvalues: the factor by which the fastest
+            growing vibration grows per tooth period [-], shape (row,).
+        frequency: Frequency of that vibration [Hz], shape (row,).
+        apparent_frequency: Frequency at which it shows in the poses, one per tooth
+            period [Hz], shape (row,); at most half the tooth passing frequency.
+        tooth_frequency: Tooth passing frequency [Hz].
+        fastest_mode: Frequency of the fastest mode that the cut could excite [Hz]; 0
+            if there is none.
+        substeps: Sub-steps of the simulation per tooth period.
+        steps: Steps of this analysis per tooth period.
+    """
+
+    row: Int[np.ndarray, " row"]
+    time: Float[np.ndarray, " row"]
+    position: Float[np.ndarray, "row 3"]
+    radius: Float[np.ndarray, " row"]
+    frequency: Float[np.ndarray, " row"]
+    apparent_frequency: Float[np.ndarray, " row"]
+    tooth_frequency: float
+    fastest_mode: float
+    substeps: int = eqx.field(static=True)
+    steps: int = eqx.field(static=True)
+
+    @property
+    def is_unstable(self) -> Bool[np.ndarray, " row"]:
+        """Whether a vibration grows, shape (row,)."""
+        return self.radius > 1 + _TOLERANCE
+
+    def warning(self) -> str | None:
+        """Return what the user must know of an unstable cut, or None."""
+        if not self.is_unstable.any():
+            return None
+        k, count = int(np.argmax(self.radius)), int(self.is_unstable.sum())
+        first = float(self.time[np.argmax(self.is_unstable)])
+        x, y, z = self.position[k] * 1e3
+        return (
+            f"the cut is unstable (chatter) at {count} of the {len(self.row)} rows "
+            f"looked at, from time {first:.3f} s; most at {self.time[k]:.3f} s, "
+            f"position ({x:.2f}, {y:.2f}, {z:.2f}) mm: a vibration at "
+            f"{self.frequency[k]:.1f} Hz grows by {100 * (self.radius[k] - 1):.2g} % "
+            "per tooth period"
+        )
+
+    def visibility(self) -> str:
+        """Return which frequencies a run and its check cannot show."""
+        f = self.tooth_frequency
+        followed, judged = f * self.substeps / _FOLLOWED, f * self.steps / _JUDGED
+        text = (
+            f"poses are kept once per tooth, at {f:.1f} Hz: a vibration above "
+            f"{f / 2:.1f} Hz shows in them at a lower frequency, its distance from the "
+            f"nearest multiple of {f:.1f} Hz, and one at such a multiple as a constant "
+            f"shift; sub-steps of the simulation follow vibrations below "
+            f"{followed:.0f} Hz, the stability is that of vibrations below "
+            f"{judged:.0f} Hz"
+        )
+        if self.fastest_mode > judged:
+            text += f", not of the mode at {self.fastest_mode:.0f} Hz"
+        if self.fastest_mode > followed:
+            needed = math.ceil(_FOLLOWED * self.fastest_mode / f)
+            text += (
+                f"; the cut could excite the mode at {self.fastest_mode:.0f} Hz, which "
+                f"the simulation follows with [simulation] substeps = {needed}"
+            )
+        return text
+
+
+def stability(
+    job: Job,
+    solution: Solution | None = None,
+    *,
+    rows: Sequence[int] | Int[np.ndarray, " row"] | None = None,
+) -> Stability:
+    """Return how vibrations grow along the path of a job.
+
+    The removal is replayed along the simulated path, and the coupled step linearised
+    at the rows. With the chip model "point_cloud" the chip of "near_far" is taken.
+
+    Args:
+        job: The job, with a robot.
+        solution: Its solution; simulated if not given.
+        rows: Rows to look at, from 1; if not given, up to 100 rows where the tool
+            cuts, evenly spread.
+
+    Returns:
+        The growth, on the host.
+
+    Raises:
+        ValueError: If the machine is rigid, the job is quasi-static, a row does not
+            exist, or the tool never cuts.
+
+    Differentiability: none, a host function.
+    """
+    if job.robot is None:
+        raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
+    if job.simulation.mode != "dynamic":
+        raise ValueError(
+            'Argument `job` must have mode "dynamic", but has '
+            f'"{job.simulation.mode}", in which nothing vibrates.'
+        )
+    job = with_precision(job)
+    robot = job.robot
+    assert robot is not None
+    solution = simulate(job) if solution is None else solution
+    plan = _plan(job)
+    if rows is None:
+        cutting = np.flatnonzero(np.asarray(solution.is_cutting))
+        cutting = cutting[cutting > 0]
+        if cutting.size == 0:
+            raise ValueError("Argument `solution` must cut somewhere, but does not.")
+        rows = cutting[:: math.ceil(cutting.size / _ROWS)]
+    assert solution.motor_positions is not None
+    assert solution.joint_positions is not None
+    return stability_along(
+        solution.motor_positions,
+        solution.joint_positions,
+        robot,
+        job.T_base_work,
+        job.stock,
+        job.cutter,
+        job.law,
+        job.tooth_period,
+        plan,
+        rows,
+        bottom_law=job.bottom_law,
+    )
+
+
+def find_chatter(job: Job, solution: Solution) -> Stability | None:
+    """Return how vibrations grow where a quick look finds that they may.
+
+    The quick look takes the deepest cut of each of a few stretches of the path, and
+    the slopes of its force from where the tool has been (`_analysis/quick_force_jacobian.py`). What it
+    suspects is looked at as by `stability`; between these rows chatter is missed.
+
+    Args:
+        job: The job.
+        solution: Its solution.
+
+    Returns:
+        The growth at the suspected rows; None where nothing grows, also for a rigid
+        machine and a quasi-static job.
+
+    Differentiability: none, a host function.
+    """
+    if job.robot is None or job.simulation.mode != "dynamic":
+        return None
+    rows = _deep_rows(solution)
+    if rows.size == 0:
+        return None
+    job = with_precision(job)
+    robot = job.robot
+    assert robot is not None
+    plan, frame = _plan(job), jnp.asarray(job.T_base_work)
+    motors, joints = solution.motor_positions, solution.joint_positions
+    assert motors is not None
+    assert joints is not None
+    path = Pose(solution.actual)
+    if not plan.is_upright:
+        path = joint_poses(robot, frame, _padded(joints), False)
+    slopes = quick_slopes(path, job.stock, job.cutter, job.law, plan, rows)
+    motion = _Motion(motors, joints, solution.actual, float(job.tooth_period))
+    quick = _growth(robot, frame, motion, rows, slopes, plan.substeps)
+    if not quick.is_unstable.any():
+        return None
+    found = stability(job, solution, rows=quick.row[quick.is_unstable])
+    return found if found.is_unstable.any() else None
+
+
+def _deep_rows(solution: Solution) -> Int[np.ndarray, " row"]:
+    """Return the rows of the largest chip's cross section in stretches of the cut."""
+    tips = np.asarray(solution.actual)
+    way = np.linalg.norm(np.diff(tips, axis=0, prepend=tips[:1]), axis=1)
+    volume = np.asarray(solution.removed_volume)
+    cuts = np.flatnonzero(np.asarray(solution.is_cutting) & (volume > 0) & (way > 0))
+    cuts = cuts[cuts > 0]
+    if cuts.size == 0:
+        return cuts
+    least = _MOVING * np.median(way[cuts])
+    area = volume[cuts] / np.maximum(way[cuts], least)
+    stretches = np.array_split(np.arange(cuts.size), min(_QUICK_ROWS, cuts.size))
+    rows = [cuts[stretch[np.argmax(area[stretch])]] for stretch in stretches]
+    # As many rows for every job: one compiled program.
+    return np.resize(np.array(rows), _QUICK_ROWS)
+
+
+def _plan(job: Job) -> ProcessPlan:
+    """Return the plan of a job with the chip model "near_far"."""
+    settings = dataclasses.replace(job.simulation, chip="near_far")
+    return job_plan(dataclasses.replace(job, simulation=settings))
+
+
+def stability_along(
+    motor_positions: Float[Array, "step joint"],
+    joint_positions: Float[Array, "step joint"],
+    robot: Robot,
+    T_base_work: Transform,
+    stock: Stock,
+    cutter: AbstractCutter,
+    law: AbstractForceLaw,
+    tooth_period: RealScalarLike,
+    plan: ProcessPlan,
+    rows: Sequence[int] | Int[np.ndarray, " row"],
+    bottom_law: AbstractForceLaw | None = None,
+) -> Stability:
+    """Return how vibrations grow along a motion; see `stability`.
+
+    Args:
+        motor_positions: theta at the tooth instants [rad or m], shape (step, joint).
+        joint_positions: Joints there [rad or m], shape (step, joint).
+        robot: The robot with its tool.
+        T_base_work: Pose of the workpiece in the robot's base, shape (4, 4).
+        stock: The raw workpiece.
+        cutter: The cutter.
+        law: The force law.
+        tooth_period: T [s], shape ().
+        plan: Sizes of the process, with the chip model "near_far".
+        rows: Rows to look at, from 1.
+        bottom_law: The law of the bottom edge; derived from `law` if not given.
+
+    Returns:
+        The growth, on the host.
+
+    Raises:
+        ValueError: If a row does not exist.
+
+    Differentiability: none, a host function.
+    """
+    chosen = np.unique(np.asarray(rows, dtype=np.int32))
+    step_count = joint_positions.shape[0]
+    if chosen.size == 0 or chosen.min() < 1 or chosen.max() >= step_count:
+        raise ValueError(
+            f"Argument `rows` must have rows from 1 to {step_count - 1}, but is {rows}."
+        )
+    frame = jnp.asarray(T_base_work, joint_positions.dtype)
+    path = joint_poses(robot, frame, _padded(joint_positions), plan.is_upright)
+    # The force has its slopes at every angle that is looked at.
+    fine = dataclasses.replace(plan, substeps=plan.angles // cutter.flute_count)
+    slopes = force_slopes(path, stock, cutter, law, bottom_law, fine, chosen)
+    tips = path.tip[:step_count]
+    motion = _Motion(motor_positions, joint_positions, tips, float(tooth_period))
+    return _growth(robot, frame, motion, chosen, slopes, plan.substeps)
+
+
+def _padded(rows: Float[Array, "step joint"]) -> Float[Array, "padded joint"]:
+    """Return rows with the last one again, as many as one of few lengths."""
+    at = np.minimum(np.arange(padded_count(rows.shape[0])), rows.shape[0] - 1)
+    return rows[at]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Motion:
+    """Motors, joints and tips at the tooth instants.
+
+    Attributes:
+        motors: [rad or m], shape (step, joint).
+        joints: [rad or m], shape (step, joint).
+        tips: Tool tips in `work` [m], shape (step, 3).
+        period: Tooth period [s].
+    """
+
+    motors: Float[Array, "step joint"]
+    joints: Float[Array, "step joint"]
+    tips: Float[Array, "step 3"]
+    period: float
+
+
+def _growth(
+    robot: Robot,
+    T_base_work: Float[Array, "4 4"],
+    motion: _Motion,
+    rows: Int[np.ndarray, " row"],
+    slopes: Sequence[Regeneration],
+    substeps: int,
+) -> Stability:
+    """Return the growth in the periods before some rows, by the slopes of the force."""
+    before, T = rows - 1, motion.period
+    motors, joints = (np.asarray(x) for x in (motion.motors, motion.joints))
+    arms = linear_arms(
+        robot,
+        T_base_work,
+        jnp.asarray((motors[before] + motors[rows]) / 2),
+        jnp.asarray((joints[before] + joints[rows]) / 2),
+        jnp.asarray((joints[rows] - joints[before]) / T),
+    )
+    A, G, C = (np.asarray(x, np.float64) for x in (arms.A, arms.G, arms.C))
+    gains = [found.gain() for found in slopes]
+    fastest = max(map(_fastest_mode, A, G, C, gains))
+    steps = int(np.clip(math.ceil(_STEPS * T * fastest), _LEAST, _MOST))
+    found = []
+    for A_k, G_k, C_k, regeneration in zip(A, G, C, slopes, strict=True):
+        over_step = Step.of(A_k, G_k, T / steps)
+        matrix, tips = monodromy(over_step, C_k, regeneration.in_steps(steps))
+        found.append(strongest(matrix, tips, T))
+    radius, frequency, apparent = np.array(found).T
+    return Stability(
+        row=rows,
+        time=rows * T,
+        position=np.asarray(motion.tips)[rows],
+        radius=radius,
+        frequency=frequency,
+        apparent_frequency=apparent,
+        tooth_frequency=1 / T,
+        fastest_mode=fastest,
+        substeps=substeps,
+        steps=steps,
+    )
+
+
+def _fastest_mode(
+    A: Float[np.ndarray, "state state"],
+    G: Float[np.ndarray, "state 3"],
+    C: Float[np.ndarray, "3 state"],
+    gain: float,
+) -> float:
+    """Return the frequency of the fastest mode that the cut could excite [Hz].
+
+    A loop whose gain is below 1 at all frequencies cannot swing by itself: that of the
+    force times that of a mode, |R| / |Re lambda| for its residue and its pole.
+    """
+    poles, shapes = np.linalg.eig(A.astype(complex))
+    residues = (C @ shapes).T[:, :, None] * (np.linalg.pinv(shapes) @ G)[:, None]
+    size = np.linalg.norm(residues, axis=(1, 2))
+    is_excited = gain * size >= _EXCITED * np.abs(np.real(poles))
+    omega = np.abs(np.imag(poles[is_excited]))
+    return float(np.max(omega, initial=0.0)) / (2 * np.pi)
+
+
+@eqx.filter_jit
+def joint_poses(
+    robot: Robot,
+    T_base_work: Float[Array, "4 4"],
+    joint_positions: Float[Array, "step joint"],
+    is_upright: bool,
+) -> Pose:
+    """Return the tool's poses in `work`, shape (step, 3)."""
+    tool = jax.vmap(lambda q: arm_terms(robot, q, jnp.zeros_like(q)).T_base_tool)
+    Ts = tool(joint_positions)
+    to_base = T_base_work[:3, :3]
+    tips = (Ts[:, :3, 3] - T_base_work[None, :3, 3]) @ to_base
+    return Pose(tips, None if is_upright else Ts[:, :3, 2] @ to_base)

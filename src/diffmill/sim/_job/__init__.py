@@ -1,0 +1,1 @@
+"""The simulation of a job: from its settings to a solution."""

@@ -1,0 +1,56 @@
+"""Solutions as labelled arrays."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..._result import RESULTS
+
+if TYPE_CHECKING:
+    import xarray
+
+    from .simulate import Solution
+
+_ROWS = {
+    "time": ("s", "time of the tooth instant"),
+    "desired": ("m", "desired tip position in work"),
+    "commanded": ("m", "tip position that the program commands, without gravity sag"),
+    "actual": ("m", "actual tip position"),
+    "force": ("N", "force on the tool in work, mean over the tooth period before"),
+    "removed_volume": ("m3", "volume that the pose removes"),
+    "shank_volume": ("m3", "what of it the shank above the flutes takes"),
+    "deviation": ("m", "actual - desired"),
+    "surface_deviation": ("m", "actual - desired when, before, a tooth made the wall"),
+    "contour_error": ("m", "distance to the desired polyline when the wall was made"),
+    "is_cutting": ("1", "the rigid tool cuts in the tooth period before"),
+    "motor_positions": ("rad", "motor positions on the joint's side, sag included"),
+    "joint_positions": ("rad", "joint positions"),
+}
+
+
+def solution_dataset(solution: "Solution") -> "xarray.Dataset":
+    """Return a solution as a dataset on the dimensions step, axis and joint."""
+    import xarray
+
+    variables = {}
+    for name, (unit, meaning) in _ROWS.items():
+        values = getattr(solution, name)
+        if values is None:
+            continue
+        array = np.asarray(values)
+        array = array.astype(np.int8) if array.dtype == bool else array
+        last = "joint" if name.endswith("_positions") else "axis"
+        dims = ("step", last)[: array.ndim]
+        variables[name] = (dims, array, {"units": unit, "long_name": meaning})
+    coordinates = {"axis": ["x", "y", "z"]}
+    if solution.joint_positions is not None:
+        coordinates["joint"] = list(solution.joint_names)
+    return xarray.Dataset(
+        variables,
+        coords=coordinates,
+        attrs={
+            "initial_overlap_volume_m3": float(solution.initial_overlap_volume),
+            "stock_volume_m3": float(solution.stock.volume()),
+            "is_successful": int(bool(solution.result == RESULTS.successful)),
+        },
+    )

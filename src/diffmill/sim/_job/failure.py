@@ -1,0 +1,116 @@
+"""What is said of a run that did not succeed: what, in which row, where, what joint."""
+
+from typing import TYPE_CHECKING
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..._job import Job
+from ..._result import RESULTS, SimulationFailed
+from ...robot import PathSolution, Robot, singularity
+from .._machine.commands import command_path
+
+if TYPE_CHECKING:
+    from .simulate import Solution
+
+# A joint that takes at least this part in the motion that hardly moves the tool.
+_TAKES_PART = 0.4
+
+
+def raise_unless_successful(solution: "Solution", job: Job | None = None) -> None:
+    """Raise `SimulationFailed` with time, place and joint of every trouble.
+
+    Args:
+        solution: The solution of a run.
+        job: Its job, in its precision: with it a pose that is not reached is described.
+
+    Raises:
+        SimulationFailed: The outcome is not successful.
+    """
+    if bool(solution.result == RESULTS.successful):
+        return
+    troubles = []
+    is_reached = np.asarray(solution.is_reached)
+    if not is_reached.all():
+        troubles.append(_unreached(solution, ~is_reached, job))
+    if not bool(solution.result == RESULTS.unreachable):
+        troubles.append(_failed(solution))
+    raise SimulationFailed(" ".join(troubles), solution)
+
+
+def _failed(solution: "Solution") -> str:
+    """Return what went wrong in the cut, and where first."""
+    text = RESULTS[solution.result]
+    if bool(solution.result == RESULTS.non_finite):
+        numbers = np.concatenate([solution.actual, solution.force], axis=1)
+        is_bad = np.asarray(~np.isfinite(numbers).all(axis=1))
+        text = f"{text}{_broken_joints(solution, is_bad)}"
+    else:
+        is_bad = np.asarray(solution.has_failed)
+    return f"{text} First at {_at(solution, is_bad)}."
+
+
+def _broken_joints(solution: "Solution", is_bad: Bool[np.ndarray, " step"]) -> str:
+    """Return which joints lost their numbers first, empty without a robot."""
+    if solution.joint_positions is None or not is_bad.any():
+        return ""
+    q = np.asarray(solution.joint_positions)
+    rows = np.flatnonzero(~np.isfinite(q).all(axis=1))
+    if not rows.size:
+        return ""
+    names = [
+        name
+        for name, x in zip(solution.joint_names, q[rows[0]], strict=True)
+        if not np.isfinite(x)
+    ]
+    return f" So did the joints {', '.join(names)}."
+
+
+def _unreached(
+    solution: "Solution", is_bad: Bool[np.ndarray, " step"], job: Job | None
+) -> str:
+    """Return which poses are not reached, and how the arm stands at the first."""
+    text = (
+        f"The robot does not reach {is_bad.sum()} of the {is_bad.size} poses that are "
+        f"commanded. First at {_at(solution, is_bad)}"
+    )
+    if job is None or job.robot is None:
+        return f"{text}."
+    found = command_path(job, jnp.asarray(solution.commanded))
+    k = int(np.argmax(is_bad))
+    away, tilt = float(found.position_residual[k]), float(found.rotation_residual[k])
+    return (
+        f"{text}: the nearest pose found is {1e3 * away:.3g} mm and "
+        f"{np.rad2deg(tilt):.3g} deg away{_held_by(job.robot, job, found, k)}."
+    )
+
+
+def _held_by(robot: Robot, job: Job, found: PathSolution, k: int) -> str:
+    """Return the joints that hold the arm back: beyond limits, or stretched."""
+    q = np.asarray(found.q)[k]
+    excess = np.asarray(found.limit_excess)[k]
+    if excess.any():
+        i = int(np.argmax(excess))
+        at = _position(robot, q, i)
+        return f", where joint {robot.joint_names[i]} is beyond its limits at {at}"
+    measure = singularity(robot, found.q[k], tool_rotation=job.tool_rotation)
+    move = np.abs(np.asarray(measure.joint_direction))
+    joints = [
+        f"{robot.joint_names[i]} ({_position(robot, q, i)})"
+        for i in np.flatnonzero(move > _TAKES_PART).tolist()
+    ]
+    return f", where the joints {', '.join(joints)} hardly move it any more"
+
+
+def _position(robot: Robot, q: Float[np.ndarray, " joint"], i: int) -> str:
+    is_slide = robot.joint_kinds[i] == "prismatic"
+    return f"{1e3 * q[i]:.1f} mm" if is_slide else f"{np.rad2deg(q[i]):.1f} deg"
+
+
+def _at(solution: "Solution", is_bad: Bool[np.ndarray, " step"]) -> str:
+    """Return row, time and place of the first of some rows."""
+    row = int(np.argmax(is_bad))
+    at = ", ".join(f"{1e3 * float(x):.2f}" for x in solution.commanded[row])
+    time = float(solution.time[row])
+    return f"step {row}, time {time:.4f} s, commanded tip ({at}) mm"

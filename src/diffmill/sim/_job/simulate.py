@@ -1,0 +1,454 @@
+"""Simulating a job: the rigid cut first, then the robot that cuts."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, TypeVar
+
+import equinox as eqx
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from ..._job import Job
+from ..._result import RESULTS
+from ..._types import FloatRows3
+from ...process import (
+    AbstractAdjoint,
+    Plain,
+    ProcessPlan,
+    ProcessSolution,
+    process_plan,
+    simulate_process,
+    wall_deviation,
+    wall_shares,
+)
+from ...toolpath import contour_error
+from ...workpiece import Stock
+from .._machine._integrator.rk4 import make_integrator
+from .._machine.commands import command_motors, path_axes
+from .._machine.elastic import CoupledSolution, simulate_coupled
+from .._machine.quasi_static import simulate_quasistatic
+from .failure import raise_unless_successful
+from .intervals import with_more_intervals
+from .padding import cut_rows, on_device, pad_rows, padded_job
+
+if TYPE_CHECKING:
+    import xarray
+
+# Called between the parts of a run with a message and the share done.
+OnProgress = Callable[[str, float], None]
+_Tree = TypeVar("_Tree")
+
+
+class Solution(eqx.Module):
+    """What a job gives; rows are the tooth instants.
+
+    Attributes:
+        time: [s], shape (step,).
+        desired: Where the tip should be, in `work` [m], shape (step, 3).
+        commanded: What the program says, without gravity sag [m], shape (step, 3).
+        actual: Where the tip is [m], shape (step, 3).
+        force: Mean force on the tool over the period before [N], shape (step, 3).
+        removed_volume: Volume that each pose removes [m^3], shape (step,).
+        shank_volume: What of it the shank above the flutes takes [m^3], shape (step,).
+        surface_deviation: Actual - desired at the instant, in the period before, at
+            which a tooth makes the wall [m], shape (step, 3).
+        wall_share: When in that period it does, see `wall_shares`, shape (step,).
+        contour_error: Distance to the desired polyline of the tip with that deviation
+            [m], shape (step,).
+        is_cutting: Whether the rigid tool cuts in the period before, shape (step,).
+        motor_positions: [rad or m], shape (step, joint); None without a robot.
+        joint_positions: [rad or m], shape (step, joint); None without a robot.
+        initial_overlap_volume: Stock inside the tool at the first pose [m^3].
+        has_failed: Whether a flag was up after each step, shape (step,).
+        is_reached: Whether the robot reaches what is commanded, shape (step,); True for
+            a rigid machine.
+        stock: The stock after the last pose.
+        rigid: The process alone on the desired path.
+        result: Outcome of the run.
+        joint_names: Order of the joints.
+    """
+
+    time: Float[Array, " step"]
+    desired: Float[Array, "step 3"]
+    commanded: Float[Array, "step 3"]
+    actual: Float[Array, "step 3"]
+    force: Float[Array, "step 3"]
+    removed_volume: Float[Array, " step"]
+    shank_volume: Float[Array, " step"]
+    surface_deviation: Float[Array, "step 3"]
+    wall_share: Float[Array, " step"]
+    contour_error: Float[Array, " step"]
+    is_cutting: Bool[Array, " step"]
+    motor_positions: Float[Array, "step joint"] | None
+    joint_positions: Float[Array, "step joint"] | None
+    initial_overlap_volume: Float[Array, ""]
+    has_failed: Bool[Array, " step"]
+    is_reached: Bool[Array, " step"]
+    stock: Stock
+    rigid: ProcessSolution
+    result: RESULTS
+    joint_names: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def deviation(self) -> Float[Array, "step 3"]:
+        """Return actual - desired [m], shape (step, 3)."""
+        return self.actual - self.desired
+
+    def to_dataset(self) -> "xarray.Dataset":
+        """Return the rows as an `xarray.Dataset`, units in the attributes."""
+        from .dataset import solution_dataset
+
+        return solution_dataset(self)
+
+
+def simulate(
+    job: Job,
+    *,
+    throw: bool = True,
+    on_progress: OnProgress | None = None,
+    adjoint: AbstractAdjoint | None = None,
+    commanded: FloatRows3 | None = None,
+) -> Solution:
+    """Predict forces, deviation and the machined stock of a job.
+
+    Args:
+        job: The job.
+        throw: Whether to raise when the run does not succeed; not under `jit`, where
+            `.result` tells.
+        on_progress: Called between the rigid and the coupled part.
+        adjoint: How to differentiate through the removal; `Plain()` if not given.
+        commanded: Tip positions that the program commands instead of the desired
+            path [m], shape (step, 3).
+
+    Returns:
+        The solution.
+
+    Raises:
+        SimulationFailed: The outcome is not successful; the message names the time
+            and place, and the exception carries the solution.
+        ValueError: The precision asked for is not enabled in JAX.
+
+    Differentiability: in all leaves of the job, as `simulate_process`.
+    """
+    job = with_precision(job)
+    adjoint = Plain() if adjoint is None else adjoint
+    tell = on_progress or (lambda message, share: None)
+    command = job.path.positions if commanded is None else commanded
+    _, solution = run_with_room(job, on_device(command), adjoint, tell)
+    tell("done", 1.0)
+    if throw and not isinstance(solution.actual, jax.core.Tracer):
+        raise_unless_successful(solution, job)
+    return solution
+
+
+def run_with_room(
+    job: Job,
+    commanded: Float[Array, "step 3"],
+    adjoint: AbstractAdjoint,
+    on_progress: OnProgress,
+) -> tuple[Job, Solution]:
+    """Run a job, and again with more slots while its rays need more intervals.
+
+    Args:
+        job: The job, in its precision.
+        commanded: Tip positions that the program says [m], shape (step, 3).
+        adjoint: How to differentiate through the removal.
+        on_progress: Called with a message and the share done.
+
+    Returns:
+        The job with the slots that it took, and its solution, whatever the outcome.
+
+    Differentiability: as `simulate`; what is traced is run once.
+    """
+    on_progress("rigid cut", 0.0)
+    rigid = rigid_cut(job, adjoint)
+    while (more := with_more_intervals(job, rigid.result)) is not None:
+        job = more
+        on_progress(f"rigid cut again: {job.notes[-1]}", 0.0)
+        rigid = rigid_cut(job, adjoint)
+    on_progress("robot and cut", 0.4)
+    solution = solve_command(job, rigid, commanded, adjoint)
+    while (more := with_more_intervals(job, solution.result)) is not None:
+        job = more
+        on_progress(f"robot and cut again: {job.notes[-1]}", 0.4)
+        solution = solve_command(job, rigid, commanded, adjoint)
+    return job, solution
+
+
+def with_precision(job: Job) -> Job:
+    """Return the job with all its numbers in its precision.
+
+    Raises:
+        ValueError: float64 is asked for and `jax_enable_x64` is off.
+    """
+    dtype = jnp.dtype(job.simulation.precision)
+    if dtype == jnp.float64 and jnp.result_type(float) != dtype:
+        raise ValueError(
+            'Argument `job` must have precision "float32", or '
+            'jax.config.update("jax_enable_x64", True) must come first.'
+        )
+    return cast_floats(job, dtype)
+
+
+def cast_floats(tree: _Tree, dtype: jnp.dtype) -> _Tree:
+    """Return a tree with every floating leaf as an array of one type."""
+
+    def cast(leaf: object) -> object:
+        is_float = isinstance(leaf, float) or (
+            hasattr(leaf, "dtype") and jnp.issubdtype(leaf.dtype, jnp.floating)  # pyright: ignore[reportAttributeAccessIssue]
+        )
+        if not is_float:
+            return leaf
+        if isinstance(leaf, jax.Array):
+            return jnp.asarray(leaf, dtype)
+        return on_device(np.asarray(leaf, np.dtype(dtype)))  # pyright: ignore[reportArgumentType]
+
+    return jax.tree.map(cast, tree)
+
+
+def job_plan(job: Job) -> ProcessPlan:
+    """Return the sizes of a job's process."""
+    settings = job.simulation
+    return process_plan(
+        job.stock,
+        job.cutter,
+        axial_depth=settings.axial_depth,
+        angles=settings.angles,
+        substeps=settings.substeps,
+        element_height=settings.element_height,
+        axes=np.array(settings.axes) if settings.axes else None,
+        is_upright=not settings.axes,
+        plunges=settings.plunges,
+        has_bottom=settings.has_bottom,
+        chip=settings.chip,
+    )
+
+
+def rigid_cut(job: Job, adjoint: AbstractAdjoint) -> ProcessSolution:
+    """Return the process alone on the desired path, as a rigid machine cuts it.
+
+    Args:
+        job: The job, in its precision.
+        adjoint: How to differentiate through the removal.
+
+    **Differentiability**: that of `simulate_process`.
+    """
+    run, count = padded_job(job), job.path.step_count
+    cut = _cut_along(run, on_device(run.path.positions), adjoint)
+    if run.path.step_count != count:
+        cut = cut_rows(cut, _PROCESS_ROWS, count)
+    return cut
+
+
+@eqx.filter_jit
+def _cut_along(
+    job: Job, positions: Float[Array, "step 3"], adjoint: AbstractAdjoint
+) -> ProcessSolution:
+    """Return the process alone of a rigid machine on the given tips."""
+    return simulate_process(
+        positions,
+        job.stock,
+        job.cutter,
+        job.law,
+        job.spindle_speed,
+        path_axes(job),
+        plan=job_plan(job),
+        adjoint=adjoint,
+        bottom_law=job.bottom_law,
+        row_count=job.path.row_count,
+    )
+
+
+def solve_command(
+    job: Job,
+    rigid: ProcessSolution,
+    commanded: Float[Array, "step 3"],
+    adjoint: AbstractAdjoint,
+    motors: Float[Array, "step joint"] | None = None,
+) -> Solution:
+    """Return the solution of a command, given the rigid cut of the desired path.
+
+    Args:
+        job: The job, in its precision.
+        rigid: `rigid_cut(job, ...)`.
+        commanded: Tip positions that the program says [m], shape (step, 3).
+        adjoint: How to differentiate through the removal.
+        motors: Motor positions that override the commanded ones [rad or m], shape
+            (step, joint).
+
+    Returns:
+        The solution.
+
+    Differentiability: as `simulate`.
+    """
+    run, count = padded_job(job), job.path.step_count
+    commanded = on_device(commanded)
+    theta = None if motors is None else on_device(pad_rows(motors, run))
+    ran = _follow(run, rigid.stock, on_device(pad_rows(commanded, run)), adjoint, theta)
+    if run.path.step_count != count:
+        ran = cut_rows(ran, _FOLLOWED_ROWS, count)
+    # What a rigid cut that failed says of where the tool cuts would be wrong; what went
+    # wrong in a cut counts before what is not reached, which `is_reached` tells.
+    is_good = ran.result == RESULTS.successful
+    result = RESULTS.where(is_good, rigid.result, ran.result)
+    only_unreached = (result == RESULTS.successful) & ~_all(ran.is_reached)
+    result = RESULTS.where(only_unreached, RESULTS.unreachable, result)
+    return Solution(
+        time=on_device(job.path.time),
+        desired=on_device(job.path.positions),
+        commanded=commanded,
+        actual=ran.actual,
+        force=ran.force,
+        removed_volume=ran.removed_volume,
+        shank_volume=ran.shank_volume,
+        surface_deviation=ran.surface_deviation,
+        wall_share=ran.wall_share,
+        contour_error=ran.contour_error,
+        is_cutting=_is_cutting(rigid.force),
+        motor_positions=ran.motor_positions,
+        joint_positions=ran.joint_positions,
+        initial_overlap_volume=ran.initial_overlap_volume,
+        has_failed=_either(ran.has_failed, rigid.has_failed),
+        is_reached=ran.is_reached,
+        stock=ran.stock,
+        rigid=rigid,
+        result=result,
+        joint_names=() if job.robot is None else job.robot.joint_names,
+    )
+
+
+def _is_cutting(force: Float[Array, "step 3"]) -> Bool[Array, " step"]:
+    if isinstance(force, jax.core.Tracer):
+        return jnp.any(force != 0, axis=1)
+    # On the host, since a device compiles it for every length.
+    return on_device(np.any(np.asarray(force) != 0, axis=1))
+
+
+def _all(flags: Bool[Array, " step"]) -> Bool[Array, ""]:
+    if isinstance(flags, jax.core.Tracer):
+        return jnp.all(flags)
+    return on_device(np.asarray(np.all(np.asarray(flags))))
+
+
+def _either(a: Bool[Array, " step"], b: Bool[Array, " step"]) -> Bool[Array, " step"]:
+    if isinstance(a, jax.core.Tracer) or isinstance(b, jax.core.Tracer):
+        return a | b
+    return on_device(np.asarray(a) | np.asarray(b))
+
+
+class _Followed(eqx.Module):
+    """The run of a command; fields as those of `Solution`."""
+
+    actual: Float[Array, "step 3"]
+    force: Float[Array, "step 3"]
+    removed_volume: Float[Array, " step"]
+    shank_volume: Float[Array, " step"]
+    surface_deviation: Float[Array, "step 3"]
+    wall_share: Float[Array, " step"]
+    contour_error: Float[Array, " step"]
+    motor_positions: Float[Array, "step joint"] | None
+    joint_positions: Float[Array, "step joint"] | None
+    has_failed: Bool[Array, " step"]
+    is_reached: Bool[Array, " step"]
+    initial_overlap_volume: Float[Array, ""]
+    stock: Stock
+    result: RESULTS
+
+
+# The fields with a row per step.
+_PROCESS_ROWS = ("time", "force", "removed_volume", "shank_volume", "has_failed")
+_FOLLOWED_ROWS = (
+    "actual",
+    "force",
+    "removed_volume",
+    "shank_volume",
+    "surface_deviation",
+    "wall_share",
+    "contour_error",
+    "motor_positions",
+    "joint_positions",
+    "has_failed",
+    "is_reached",
+)
+
+
+@eqx.filter_jit
+def _follow(
+    job: Job,
+    finished: Stock,
+    commanded: Float[Array, "step 3"],
+    adjoint: AbstractAdjoint,
+    motors: Float[Array, "step joint"] | None,
+) -> _Followed:
+    """Return the run of a command, given what the rigid cut leaves.
+
+    Other arguments as for `solve_command`.
+    """
+    desired = jnp.asarray(job.path.positions)
+    q = None
+    is_reached = jnp.ones(desired.shape[0], bool)
+    if job.robot is None:
+        # A rigid machine goes where it is told.
+        ran = _cut_along(job, commanded, adjoint)
+        actual, ends = commanded, commanded[:, None]
+    else:
+        if motors is None:
+            motors, is_reached = command_motors(job, commanded)
+        ran = run_motors(job, motors, adjoint)
+        actual, q, ends = ran.actual, ran.joint_positions, ran.ends
+    shares = wall_shares(desired, path_axes(job), job.cutter, finished)
+    deviation = wall_deviation(ends, desired, shares)
+    return _Followed(
+        actual=actual,
+        force=ran.force,
+        removed_volume=ran.removed_volume,
+        shank_volume=ran.shank_volume,
+        surface_deviation=deviation,
+        wall_share=shares,
+        contour_error=contour_error(desired + deviation, desired),
+        motor_positions=motors,
+        joint_positions=q,
+        has_failed=ran.has_failed,
+        is_reached=is_reached,
+        initial_overlap_volume=ran.initial_overlap_volume,
+        stock=ran.stock,
+        result=ran.result,
+    )
+
+
+def run_motors(
+    job: Job, motors: Float[Array, "step joint"], adjoint: AbstractAdjoint
+) -> CoupledSolution:
+    """Run the simulation of a job, dynamic or quasi-static, for given motor positions.
+
+    Args:
+        job: The job, in its precision; its machine must be a robot.
+        motors: Motor positions at the tooth instants [rad or m], shape (step, joint).
+        adjoint: How to differentiate through the removal.
+
+    Raises:
+        ValueError: The job has no robot.
+
+    **Differentiability**: that of `simulate_coupled` or `simulate_quasistatic`.
+    """
+    if job.robot is None:
+        raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
+    arguments = (
+        motors,
+        job.robot,
+        job.T_base_work,
+        job.stock,
+        job.cutter,
+        job.law,
+        job.tooth_period,
+        job_plan(job),
+        adjoint,
+        job.bottom_law,
+    )
+    row_count = job.path.row_count
+    if job.simulation.mode == "quasistatic":
+        return simulate_quasistatic(*arguments, row_count=row_count)
+    rule = make_integrator(job.simulation.integrator, job.simulation.dynamics)
+    return simulate_coupled(*arguments, rule, row_count=row_count)

@@ -1,0 +1,1 @@
+"""Machines that carry the tool: elastic arm, quasi-static arm, commands."""

@@ -1,0 +1,1 @@
+"""Integrators of the arm within a tooth period."""

@@ -1,0 +1,219 @@
+"""The robot between two sub-steps: its state, its rate, and who takes the step.
+
+All integrators share one interface: `begin` takes the robot's terms in the middle of
+a tooth period and prepares what the sub-steps share, `step` makes one sub-step. The
+force of the teeth comes in as joint torques that are held over the sub-step: between
+two looks at the chip nothing more is known of it.
+"""
+
+import abc
+from typing import Any, Literal, TypeAlias
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ....robot import (
+    ArmTerms,
+    Robot,
+    arm_terms,
+    definite_inverse,
+    forward_dynamics,
+    friction_torque,
+    gear_torque,
+    servo_stretch,
+    static_stretch,
+)
+
+# Algorithm of the arm's dynamics: mass matrix, or articulated bodies.
+Dynamics: TypeAlias = Literal["crba", "aba"]
+
+
+class ArmState(eqx.Module):
+    """What of the robot evolves.
+
+    Attributes:
+        q: Joint positions [rad or m], shape (joint,).
+        v: Joint velocities [rad/s or m/s], shape (joint,).
+        theta: Positions of motors that have a mass [rad or m], shape (joint,); None
+            where they stand as the controller says.
+        omega: Their velocities [rad/s or m/s], shape (joint,), or None.
+    """
+
+    q: Float[Array, " joint"]
+    v: Float[Array, " joint"]
+    theta: Float[Array, " joint"] | None = None
+    omega: Float[Array, " joint"] | None = None
+
+
+class MotorCommand(eqx.Module):
+    """What the controller wants of the motors in one sub-step.
+
+    Attributes:
+        position: theta in the middle of the sub-step [rad or m], shape (joint,).
+        rate: Its constant rate [rad/s or m/s], shape (joint,).
+    """
+
+    position: Float[Array, " joint"]
+    rate: Float[Array, " joint"]
+
+
+class AbstractIntegrator(eqx.Module):
+    """A rule for the sub-steps of the robot."""
+
+    @abc.abstractmethod
+    def steps_to_middle(self, substeps: int) -> int:
+        """Return in how many steps the rule foretells the middle of a period.
+
+        Args:
+            substeps: Sub-steps of the period.
+
+        Returns:
+            1 for a rule that is stable at any step.
+        """
+
+    @abc.abstractmethod
+    def begin(self, robot: Robot, terms: ArmTerms, step: Float[Array, ""]) -> Any:
+        """Prepare what the sub-steps of one period share.
+
+        Args:
+            robot: The robot.
+            terms: Its terms in the middle of the period.
+            step: Length h of a sub-step [s].
+
+        Returns:
+            A tree for `step`.
+        """
+
+    @abc.abstractmethod
+    def step(
+        self,
+        robot: Robot,
+        begun: Any,
+        state: ArmState,
+        command: MotorCommand,
+        load: Float[Array, " joint"],
+        step: Float[Array, ""],
+    ) -> ArmState:
+        """Make one sub-step.
+
+        Args:
+            robot: The robot.
+            begun: What `begin` has prepared.
+            state: At the start of the sub-step.
+            command: Where the motors should be.
+            load: Joint torques of the cutting force, J^T F [N m or N], (joint,).
+            step: Length h of a sub-step [s].
+
+        Returns:
+            The state at its end.
+        """
+
+
+def servo_torque(
+    robot: Robot,
+    command: MotorCommand,
+    theta: Float[Array, " joint"],
+    omega: Float[Array, " joint"],
+) -> Float[Array, " joint"]:
+    """Return what the servos do to the motors."""
+    motors = robot.motors
+    assert motors is not None
+    away, rate = command.position - theta, command.rate - omega
+    return motors.stiffness * away + motors.damping * rate
+
+
+def state_rate(
+    robot: Robot,
+    state: ArmState,
+    command: MotorCommand,
+    load: Float[Array, " joint"],
+    dynamics: Dynamics = "crba",
+) -> ArmState:
+    """Return the rate of the state by the equations of motion.
+
+        q' = v,   M(q) v' = K (theta - q) + D (thetad - v) - C - G + load
+
+    Args:
+        robot: The robot; its drive's options count.
+        state: The state.
+        command: theta and its rate at this instant.
+        load: Joint torques from outside [N m or N], shape (joint,).
+        dynamics: Algorithm of the accelerations.
+
+    Returns:
+        The rates in the places of what they are rates of.
+
+    **Differentiability**: smooth; as the drive's options.
+    """
+    push, spin = _drive(robot, state, command)
+    acceleration = forward_dynamics(
+        robot, state.q, state.v, push + load, algorithm=dynamics
+    )
+    return ArmState(state.v, acceleration, state.omega, spin)
+
+
+def held_rate(
+    robot: Robot,
+    terms: ArmTerms,
+    state: ArmState,
+    command: MotorCommand,
+    load: Float[Array, " joint"],
+) -> ArmState:
+    """Return the rate of the state near the joints of some terms, which are held.
+
+    Arguments as for `state_rate`; of the bias, the weight follows q to first order.
+
+    **Differentiability**: smooth; as the drive's options.
+    """
+    push, spin = _drive(robot, state, command)
+    moved = state.q - terms.joint_positions
+    bias = terms.bias_forces + terms.gravity_stiffness @ moved
+    acceleration = definite_inverse(terms.mass_matrix) @ (push + load - bias)
+    return ArmState(state.v, acceleration, state.omega, spin)
+
+
+def _drive(
+    robot: Robot, state: ArmState, command: MotorCommand
+) -> tuple[Float[Array, " joint"], Float[Array, " joint"] | None]:
+    """Return what gears and friction do to the joints, and the motors' acceleration."""
+    theta, omega = command.position, command.rate
+    if robot.motors is not None:
+        assert state.theta is not None and state.omega is not None
+        theta, omega = state.theta, state.omega
+    tau = gear_torque(robot, theta - state.q, omega - state.v).torque
+    push = tau - friction_torque(robot, state.v)
+    if robot.motors is None:
+        return push, None
+    pull = servo_torque(robot, command, theta, omega) - tau
+    return push, jnp.where(robot.motor_mask(), pull / robot.motors.inertia, 0.0)
+
+
+def steady_state(
+    robot: Robot, theta: Float[Array, " joint"], v: Float[Array, " joint"]
+) -> ArmState:
+    """Return the arm moving with its motors, in equilibrium with gravity and motion.
+
+    The springs are much stiffer than gravity, so that three steps reach rounding.
+
+    Args:
+        robot: The robot.
+        theta: Where the controller wants the motors [rad or m], shape (joint,).
+        v: How fast they and the joints move [rad/s or m/s], shape (joint,).
+
+    Returns:
+        The state; motors with a mass are where their servos hold them.
+
+    **Differentiability**: smooth, but where a gear with a gap carries nothing.
+    """
+    q = tau = theta
+    for _ in range(3):
+        tau = arm_terms(robot, q, v).bias_forces
+        if robot.friction is not None:
+            tau = tau + friction_torque(robot, v)
+        q = theta - static_stretch(robot, tau)
+    if robot.motors is None:
+        return ArmState(q, v)
+    motors = robot.motor_mask()
+    held = theta - servo_stretch(robot, tau)
+    return ArmState(q, v, held, jnp.where(motors, v, 0.0))

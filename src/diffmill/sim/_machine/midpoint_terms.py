@@ -1,0 +1,55 @@
+"""The robot's terms in the middle of what they are held for.
+
+Terms of the start lag behind the arm by half a tooth period, which damps its swinging
+and makes the simulation one of first order in the period. Where the arm will be in the
+middle is told by half a period of the run's own rule: one implicit step of it also of a
+mode that turns often in a period says nothing wild, as the way at the present velocity
+would.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ...robot import ArmTerms, Robot, arm_terms
+from ._integrator.base import AbstractIntegrator, ArmState, MotorCommand
+
+
+def middle_terms(
+    robot: Robot,
+    integrator: AbstractIntegrator,
+    terms: ArmTerms,
+    state: ArmState,
+    motors: MotorCommand,
+    span: Float[Array, ""],
+    substeps: int,
+) -> ArmTerms:
+    """Return the terms where the arm will be half a span later, free of load.
+
+    Args:
+        robot: The robot.
+        integrator: The rule that takes the half span.
+        terms: Its terms at the start.
+        state: At the start.
+        motors: Where the motors should be at the start, and their rate.
+        span: The time that the terms are to be held for [s].
+        substeps: Sub-steps in the span, short enough for the rule.
+
+    Returns:
+        The terms; of second order in the span.
+
+    **Differentiability**: as the rule; what it prepares of the terms is constant.
+    """
+    count = integrator.steps_to_middle(substeps)
+    h, rest = span / 2 / count, jnp.zeros_like(state.v)
+    # Where the middle is follows the state and the drives; that the half step's own
+    # matrix changes with them too is of higher order than the step itself.
+    begun = jax.lax.stop_gradient(integrator.begin(robot, terms, h))
+
+    def step(state: ArmState, after: Float[Array, ""]) -> tuple[ArmState, None]:
+        command = MotorCommand(motors.position + after * motors.rate, motors.rate)
+        return integrator.step(robot, begun, state, command, rest, h), None
+
+    middles = h * (jnp.arange(count, dtype=h.dtype) + 0.5)
+    ahead, _ = jax.lax.scan(step, state, middles)
+    return arm_terms(robot, ahead.q, ahead.v)

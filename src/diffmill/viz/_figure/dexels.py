@@ -1,0 +1,191 @@
+"""Ends of the cut rays: the floor magnified in z, a wall magnified in x."""
+
+from typing import TYPE_CHECKING, Any
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from .._style import (
+    GREY,
+    INK,
+    LIGHT_GREY,
+    label_colourbar,
+    new_figure,
+    quiet_axes,
+    round_factor,
+    scale_ratio,
+    spread,
+)
+
+if TYPE_CHECKING:
+    import matplotlib.axes
+    import matplotlib.figure
+
+_POINTS_DRAWN = 40_000
+
+
+class CutDexels(eqx.Module):
+    """Ends of the rays that the cut has shortened, actual and ideal, in `work`.
+
+    The two sets need not pair up: an actual end belongs to the nearest ideal end on
+    the same ray.
+
+    Attributes:
+        floor: Ends of z rays in the final stock [m], shape (point, 3).
+        floor_ideal: Ends of z rays after the desired path [m], shape (other, 3).
+        wall: Ends of x rays in the final stock [m], shape (wall, 3).
+        wall_ideal: Ends of x rays after the desired path [m], shape (wall_other, 3).
+    """
+
+    floor: Float[np.ndarray, "point 3"]
+    floor_ideal: Float[np.ndarray, "other 3"]
+    wall: Float[np.ndarray, "wall 3"]
+    wall_ideal: Float[np.ndarray, "wall_other 3"]
+
+
+def ray_errors(
+    points: Float[np.ndarray, "point 3"],
+    ideal: Float[np.ndarray, "other 3"],
+    axis: int,
+) -> Float[np.ndarray, " point"]:
+    """Return how far each ray end is from the nearest ideal end on its ray.
+
+    Args:
+        points: Ends in the final stock [m], shape (point, 3).
+        ideal: Ends after the desired path [m], shape (other, 3).
+        axis: Axis along which the rays run: 0, 1 or 2.
+
+    Returns:
+        Signed difference along the axis [m], NaN where the ray has no ideal end,
+        shape (point,).
+    """
+    if not points.shape[0] or not ideal.shape[0]:
+        return np.full(points.shape[0], np.nan)
+    across = [other for other in range(3) if other != axis]
+    # Rays are at least micrometres apart: nanometres name them without doubt.
+    keys = np.round(np.concatenate([points, ideal])[:, across] * 1e9).astype(np.int64)
+    _, ray = np.unique(keys, axis=0, return_inverse=True)
+    ray = ray.reshape(-1)
+    both = np.concatenate([points[:, axis], ideal[:, axis]])
+    # One sortable number: rays apart by more than any ray is long.
+    stride = 4.0 * float(np.ptp(both)) + 1e-3
+    order_key = ray * stride + (both - both.min())
+    count = points.shape[0]
+    order = np.argsort(order_key[count:])
+    sorted_key, sorted_ray = order_key[count:][order], ray[count:][order]
+    right = np.searchsorted(sorted_key, order_key[:count])
+    best = np.full(count, np.nan)
+    for side in (right - 1, right):
+        index = np.clip(side, 0, sorted_key.shape[0] - 1)
+        error = np.where(
+            sorted_ray[index] == ray[:count],
+            both[:count] - ideal[order[index], axis],
+            np.nan,
+        )
+        is_better = np.isnan(best) | (np.abs(error) < np.abs(best))
+        best = np.where(is_better & ~np.isnan(error), error, best)
+    return best
+
+
+def plot_cut_dexels(dexels: CutDexels) -> "matplotlib.figure.Figure":
+    """Draw the cut ray ends of the floor in perspective and of one wall in profile.
+
+    Args:
+        dexels: Cut ends of z rays and of x rays.
+
+    Returns:
+        The figure; the factors of magnification stand in the titles.
+    """
+    has_wall = bool(dexels.wall.shape[0])
+    figure = new_figure(6.4 if has_wall else 4.4)
+    rows = figure.subfigures(
+        2 if has_wall else 1, 1, squeeze=False, height_ratios=[2.1, 1.0][: 1 + has_wall]
+    )[:, 0]
+    _draw_floor(rows[0], dexels)
+    if has_wall:
+        _draw_wall(rows[1].subplots(), dexels)
+    return figure
+
+
+def _draw_floor(figure: "matplotlib.figure.SubFigure", dexels: CutDexels) -> None:
+    """Draw the floor seen from the side and above, z magnified, coloured by error."""
+    from matplotlib.ticker import MaxNLocator
+
+    axes: Any = figure.add_subplot(projection="3d")
+    error = ray_errors(dexels.floor, dexels.floor_ideal, 2)
+    kept = np.flatnonzero(np.isfinite(error))
+    kept = kept[:: max(1, -(-kept.size // _POINTS_DRAWN))]
+    points, error = dexels.floor[kept], error[kept]
+    sides = np.ptp(points[:, :2], axis=0) if kept.size else np.ones(2)
+    limit = spread(error, 99.0) or 1e-6
+    # Four limits fill the drawn height, which is a quarter of the longer side.
+    factor = round_factor(0.25 * float(sides.max()) / (3.0 * limit))
+    image = axes.scatter(
+        points[:, 0] * 1e3,
+        points[:, 1] * 1e3,
+        (points[:, 2] - error + factor * error) * 1e3,
+        c=error * 1e6,
+        cmap="RdBu_r",
+        vmin=-limit * 1e6,
+        vmax=limit * 1e6,
+        s=2.0,
+        linewidths=0,
+        depthshade=False,
+        rasterized=True,
+    )
+    spans = [*(sides * 1e3), max(float(np.ptp(points[:, 2])), factor * 3 * limit) * 1e3]
+    axes.set_box_aspect([max(span, 1e-3) for span in spans], zoom=1.35)
+    axes.view_init(elev=32, azim=-62)
+    axes.set_xlabel("x [mm]", fontsize=8.5, color=INK)
+    axes.set_ylabel("y [mm]", fontsize=8.5, color=INK)
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+        axis.pane.set_facecolor("white")
+        axis.pane.set_edgecolor(LIGHT_GREY)
+        axis.line.set_color(GREY)
+    axes.grid(False)
+    axes.tick_params(labelsize=7.5, pad=0, color=GREY)
+    axes.yaxis.set_major_locator(MaxNLocator(4))
+    # Heights are magnified about the ideal floor: numbers belong to the colours.
+    axes.set_zticks([])
+    figure.suptitle(
+        f"floor: ends of the z rays, error x {factor:g} in z",
+        fontsize=9,
+        x=0.01,
+        ha="left",
+        color=INK,
+    )
+    bar = figure.colorbar(
+        image, ax=axes, location="bottom", pad=0.04, aspect=40, shrink=0.55
+    )
+    label_colourbar(bar, r"z error [$\mathrm{\mu m}$]")
+
+
+def _draw_wall(axes: "matplotlib.axes.Axes", dexels: CutDexels) -> None:
+    """Draw the wall that has most ray ends: its x error along y."""
+    error = ray_errors(dexels.wall, dexels.wall_ideal, 0)
+    kept = np.isfinite(error)
+    points, error = dexels.wall[kept], error[kept]
+    plane_um = np.round((points[:, 0] - error) * 1e6).astype(np.int64)
+    planes, counts = np.unique(plane_um, return_counts=True)
+    if not planes.size:
+        quiet_axes(axes, title="no wall across x was cut")
+        return
+    wall = plane_um == planes[np.argmax(counts)]
+    image = axes.scatter(
+        points[wall, 1] * 1e3,
+        error[wall] * 1e6,
+        c=points[wall, 2] * 1e3,
+        cmap="cividis",
+        s=5,
+        linewidths=0,
+        rasterized=True,
+    )
+    axes.axhline(0.0, color=INK, linewidth=0.7, linestyle=(0, (4, 2)))
+    bar = axes.figure.colorbar(image, ax=axes, pad=0.01, aspect=14)
+    label_colourbar(bar, "z [mm]")
+    title = f"wall at x = {planes[np.argmax(counts)] * 1e-3:.3f} mm"
+    quiet_axes(axes, x="y [mm]", y=r"x error [$\mathrm{\mu m}$]", title=title)
+    ratio = scale_ratio(axes, 1e-3, 1e-6)
+    title += f": ends of the x rays, x drawn {ratio} times larger than y"
+    axes.set_title(title, fontsize=9, loc="left", color=INK)

@@ -1,0 +1,199 @@
+"""Cutting forces over time: every sample grey, the low-passed force black."""
+
+from typing import TYPE_CHECKING
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from ...numerics import lowpass
+from .._style import GREY, INK, legend_above, new_figure, quiet_axes
+
+if TYPE_CHECKING:
+    import matplotlib.axes
+    import matplotlib.figure
+
+_BINS = 1500  # more columns than the figure has pixels across one panel
+
+
+class ForceRecord(eqx.Module):
+    """A force over time, equally spaced, as the tool feels it in `work`.
+
+    Attributes:
+        time: Time of each sample [s], shape (sample,).
+        force: Force on the tool [N], shape (sample, 3).
+        tooth_period: Time between two teeth [s], or 0 where it is not known.
+        is_tooth_mean: Whether each sample is a mean over a tooth period.
+    """
+
+    time: Float[np.ndarray, " sample"]
+    force: Float[np.ndarray, "sample 3"]
+    tooth_period: float = 0.0
+    is_tooth_mean: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self):
+        if self.time.shape[0] < 3:
+            raise ValueError(
+                f"Argument `time` must have at least 3 samples, but has "
+                f"{self.time.shape[0]}."
+            )
+        steps = np.diff(self.time)
+        if not np.allclose(steps, steps.mean(), rtol=1e-3, atol=0.0):
+            raise ValueError(
+                "Argument `time` must be equally spaced, but its steps lie between "
+                f"{steps.min():.3g} s and {steps.max():.3g} s."
+            )
+
+    @property
+    def sample_rate(self) -> float:
+        """Samples per second [Hz]."""
+        return float((self.time.shape[0] - 1) / (self.time[-1] - self.time[0]))
+
+
+def plot_forces(
+    record: ForceRecord,
+    *,
+    cutoff: float = 100.0,
+    order: int = 4,
+    zoom_periods: int = 6,
+) -> "matplotlib.figure.Figure":
+    """Draw F_x, F_y, F_z over time, as computed and after a low-pass.
+
+    Args:
+        record: The force.
+        cutoff: Cut-off of the low-pass [Hz]. Tooth means are drawn as they are: they
+            carry no more than the low-pass would leave.
+        order: Order of one of its two passes.
+        zoom_periods: Tooth periods in the column on the right.
+
+    Returns:
+        The figure: three rows, the whole record left, a few tooth periods right.
+    """
+    figure = new_figure(5.6)
+    has_zoom = record.tooth_period > 0 and not record.is_tooth_mean
+    grid = figure.subplots(
+        3,
+        2 if has_zoom else 1,
+        squeeze=False,
+        sharex="col",
+        width_ratios=[2.4, 1.0] if has_zoom else [1.0],
+    )
+    filtered = (
+        lowpass(record.force, record.sample_rate, cutoff, order=order)
+        if cutoff < record.sample_rate / 2 and not record.is_tooth_mean
+        else None
+    )
+    window = _zoom_window(record, zoom_periods)
+    for axis, name in enumerate("xyz"):
+        _draw_axis(grid[axis, 0], record, filtered, axis)
+        quiet_axes(grid[axis, 0], y=f"$F_{name}$ [N]")
+        if has_zoom:
+            _draw_zoom(grid[axis, 1], record, filtered, axis, window)
+            grid[axis, 0].axvspan(*window, color="#0072B2", alpha=0.3, linewidth=0)
+    grid[0, 0].set_title("whole cut", fontsize=9, loc="left", color=INK)
+    grid[2, 0].set_xlabel("time [s]", fontsize=8.5, color=INK)
+    if has_zoom:
+        title = f"{zoom_periods} tooth periods (blue bar)"
+        grid[0, 1].set_title(title, fontsize=9, loc="left", color=INK)
+        start = f"{window[0]:.3f}"
+        grid[2, 1].set_xlabel(f"time after {start} s [ms]", fontsize=8.5, color=INK)
+    _legend(figure, grid[0, 0], record, None if filtered is None else (cutoff, order))
+    return figure
+
+
+def _zoom_window(record: ForceRecord, periods: int) -> tuple[float, float]:
+    """Return the middle of the cut: where half of the impulse has been given."""
+    impulse = np.cumsum(np.linalg.norm(np.nan_to_num(record.force), axis=1))
+    half = record.time[int(np.searchsorted(impulse, impulse[-1] / 2))]
+    span = periods * record.tooth_period
+    start = min(max(half - span / 2, record.time[0]), record.time[-1] - span)
+    return float(start), float(start + span)
+
+
+def envelope(
+    time: Float[np.ndarray, " sample"],
+    values: Float[np.ndarray, " sample"],
+    size: int,
+) -> tuple[
+    Float[np.ndarray, " bin"], Float[np.ndarray, " bin"], Float[np.ndarray, " bin"]
+]:
+    """Return time, lowest and highest value of each bin of `size` samples."""
+    starts = np.arange(0, time.shape[0], size)
+    return (
+        time[starts],
+        np.minimum.reduceat(values, starts),
+        np.maximum.reduceat(values, starts),
+    )
+
+
+def _draw_axis(
+    axes: "matplotlib.axes.Axes",
+    record: ForceRecord,
+    filtered: Float[np.ndarray, "sample 3"] | None,
+    axis: int,
+) -> None:
+    values = record.force[:, axis]
+    if record.time.shape[0] > 2 * _BINS and not record.is_tooth_mean:
+        # More samples than pixels: the band between the extremes is what a line
+        # would fill; whole teeth, so that no pattern of bins appears.
+        per_tooth = round(record.tooth_period * record.sample_rate)
+        size = max(per_tooth, -(-record.time.shape[0] // _BINS))
+        time, low, high = envelope(record.time, values, size)
+        axes.fill_between(
+            time, low, high, step="post", color="#bdbdbd", linewidth=0.3, label="grey"
+        )
+    else:
+        colour = "black" if record.is_tooth_mean else GREY
+        axes.plot(record.time, values, color=colour, linewidth=0.8, label="grey")
+    if filtered is not None:
+        axes.plot(
+            record.time, filtered[:, axis], color="black", linewidth=0.9, label="black"
+        )
+    axes.set_xlim(float(record.time[0]), float(record.time[-1]))
+
+
+def _draw_zoom(
+    axes: "matplotlib.axes.Axes",
+    record: ForceRecord,
+    filtered: Float[np.ndarray, "sample 3"] | None,
+    axis: int,
+    window: tuple[float, float],
+) -> None:
+    inside = (record.time >= window[0]) & (record.time <= window[1])
+    time_ms = (record.time[inside] - window[0]) * 1e3
+    axes.plot(
+        time_ms,
+        record.force[inside, axis],
+        color=GREY,
+        linewidth=0.9,
+        marker="." if time_ms.size < 300 else "",
+        markersize=2.5,
+    )
+    if filtered is not None:
+        axes.plot(time_ms, filtered[inside, axis], color="black", linewidth=1.1)
+    axes.set_xlim(0.0, (window[1] - window[0]) * 1e3)
+    quiet_axes(axes)
+
+
+def _legend(
+    figure: "matplotlib.figure.Figure",
+    axes: "matplotlib.axes.Axes",
+    record: ForceRecord,
+    filter_settings: tuple[float, int] | None,
+) -> None:
+    """Name the two lines; the filter's order and phase belong to its name."""
+    names = {"grey": "mean over each tooth period"}
+    if not record.is_tooth_mean:
+        names["grey"] = "instantaneous"
+        if record.tooth_period > 0:
+            count = record.tooth_period * record.sample_rate
+            names["grey"] = f"instantaneous, {count:.0f} samples per tooth"
+    if filter_settings is not None:
+        cutoff, order = filter_settings
+        names["black"] = (
+            f"{cutoff:g} Hz low-pass: Butterworth, order {order}, forward and backward "
+            "(zero phase)"
+        )
+    for artist in (*axes.lines, *axes.collections):
+        artist.set_label(names.get(str(artist.get_label()), "_hidden"))
+    legend_above(figure, axes, columns=2)

@@ -1,0 +1,227 @@
+"""The machined surface: map of its error, histogram, 3-D view for browsers."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...workpiece import SurfaceError
+from .._style import (
+    INK,
+    MICROMETRE,
+    case_style,
+    label_colourbar,
+    new_figure,
+    quiet_axes,
+    round_factor,
+    spread,
+)
+
+if TYPE_CHECKING:
+    import matplotlib.axes
+    import matplotlib.cm
+    import matplotlib.figure
+
+_BROWSER_POINTS = 20_000  # per case: keeps the report small and turning it smooth
+
+
+def plot_surface_error(errors: dict[str, SurfaceError]) -> "matplotlib.figure.Figure":
+    """Draw a map of the surface error and its histogram, one row per case.
+
+    The map is a plan: floors where they are, walls as the lines that they are from
+    above, with the largest error over their height.
+
+    Args:
+        errors: Surface error by case; the maps share one colour scale, that of the
+            largest errors, and each histogram has its own.
+
+    Returns:
+        The figure.
+    """
+    if not errors:
+        raise ValueError("Argument `errors` must hold at least one case, but is empty.")
+    points = np.concatenate([item.points for item in errors.values()])
+    width, depth = np.ptp(points[:, :2], axis=0) if len(points) else (1.0, 1.0)
+    aspect = float(depth / max(width, 1e-12))
+    figure = new_figure(min(9.5, 0.5 + len(errors) * max(1.9, 4.1 * aspect)))
+    grid = figure.subplots(len(errors), 2, squeeze=False, width_ratios=[1.9, 1.0])
+    limit = _limit_um(errors)
+    for row, (name, item) in enumerate(errors.items()):
+        _draw_map(grid[row, 0], item, limit)
+        label = case_style(name).label
+        quiet_axes(grid[row, 0], x="x [mm]", y="y [mm]", title=label, has_grid=False)
+        _draw_histogram(grid[row, 1], item, case_style(name).colour)
+    image = _colours(limit)
+    bar = figure.colorbar(image, ax=grid[:, 0], pad=0.02, aspect=30, extend="both")
+    label_colourbar(bar, r"surface error [$\mathrm{\mu m}$]")
+    return figure
+
+
+def _limit_um(errors: dict[str, SurfaceError]) -> float:
+    """Return the end of the colour scale of all cases."""
+    return max(spread(item.error * 1e6, 99.0) for item in errors.values()) or 1.0
+
+
+def _colours(limit_um: float) -> "matplotlib.cm.ScalarMappable":
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    return ScalarMappable(Normalize(-limit_um, limit_um), "RdBu_r")
+
+
+def _draw_map(
+    axes: "matplotlib.axes.Axes", item: SurfaceError, limit_um: float
+) -> None:
+    axes.set_facecolor("#e4e4e4")
+    # The larger error above the smaller one, walls above floors.
+    order = np.lexsort((np.abs(item.error), ~item.is_floor))
+    x, y, _ = item.points[order].T * 1e3
+    axes.scatter(
+        x,
+        y,
+        c=item.error[order] * 1e6,
+        s=2.0,
+        marker="s",
+        linewidths=0,
+        cmap="RdBu_r",
+        vmin=-limit_um,
+        vmax=limit_um,
+        rasterized=True,
+    )
+    axes.set_aspect("equal")
+
+
+def _draw_histogram(
+    axes: "matplotlib.axes.Axes", item: SurfaceError, colour: str
+) -> None:
+    """Draw the share of area by error, with the rms of walls and floors."""
+    error_um = item.error * 1e6
+    quiet_axes(axes, x=r"surface error [$\mathrm{\mu m}$]", y="share of area [%]")
+    if not error_um.size:
+        return
+    low, high = np.percentile(error_um, [0.5, 99.5])
+    pad = max(0.1 * (high - low), 0.05)
+    kinds = {"floors": item.is_floor, "walls": ~item.is_floor}
+    axes.hist(
+        [error_um[rows] for rows in kinds.values()],
+        bins=40,
+        range=(low - pad, high + pad),
+        weights=[100 * item.area_share[rows] for rows in kinds.values()],
+        color=[colour, INK],
+        alpha=0.8,
+        stacked=True,
+        label=list(kinds),
+    )
+    axes.axvline(0.0, color=INK, linewidth=0.7)
+    axes.legend(fontsize=7, frameon=False)
+    axes.set_title(
+        "\n".join(
+            f"{name}: rms {np.sqrt(np.mean(error_um[rows] ** 2)):.1f}, mean "
+            rf"{np.mean(error_um[rows]):.1f} $\mathrm{{\mu m}}$"
+            for name, rows in kinds.items()
+            if rows.any()
+        ),
+        fontsize=8,
+        loc="left",
+        color=INK,
+    )
+
+
+def surface_html(errors: dict[str, SurfaceError]) -> str:
+    """Return a block of HTML with the surface to turn around, by plotly.
+
+    plotly.js is part of the block (about 5 MB), so the page needs no network.
+
+    Args:
+        errors: Surface error by case; buttons switch between cases.
+
+    Returns:
+        A `<div>` with its script.
+    """
+    import plotly.graph_objects as go
+
+    limit = _limit_um(errors)
+    points = np.concatenate([item.points for item in errors.values()])
+    width_um = float(np.ptp(points, axis=0).max()) * 1e6 if len(points) else 1.0
+    # The largest error is drawn as long as a thirtieth of the part.
+    factor = round_factor(max(1.0, width_um / 30 / limit))
+    clouds = [
+        _browser_cloud(item, limit, factor, name == next(iter(errors)))
+        for name, item in errors.items()
+    ]
+    figure = go.Figure([go.Scatter3d(**cloud) for cloud in clouds])
+    figure.update_layout(
+        template="plotly_white",
+        margin={"l": 0, "r": 0, "t": 30, "b": 0},
+        height=520,
+        font={"family": "system-ui, sans-serif", "size": 12},
+        scene={
+            **{f"{a}axis": {"title": {"text": f"{a} [mm]"}} for a in "xyz"},
+            "aspectmode": "data",
+            "camera": {"eye": {"x": 0.7, "y": -1.3, "z": 1.0}},
+        },
+        annotations=[
+            {
+                "text": f"error drawn {factor:g} times larger",
+                "x": 0,
+                "y": 1.07,
+                "xref": "paper",
+                "yref": "paper",
+                "xanchor": "left",
+                "showarrow": False,
+            }
+        ],
+        updatemenus=[_case_buttons(list(errors))] if len(errors) > 1 else [],
+    )
+    return figure.to_html(
+        full_html=False,
+        include_plotlyjs=True,
+        div_id="surface-3d",
+        config={"displaylogo": False, "responsive": True},
+    )
+
+
+def _case_buttons(names: list[str]) -> dict:
+    """Return plotly buttons that show one case at a time."""
+    buttons = [
+        {
+            "label": case_style(name).label,
+            "method": "restyle",
+            "args": [{"visible": [other == name for other in names]}],
+        }
+        for name in names
+    ]
+    return {
+        "type": "buttons",
+        "direction": "right",
+        "buttons": buttons,
+        "x": 0.0,
+        "xanchor": "left",
+        "y": 0.98,
+        "yanchor": "top",
+    }
+
+
+def _browser_cloud(
+    item: SurfaceError, limit_um: float, factor: float, is_visible: bool
+) -> dict[str, Any]:
+    """Return one plotly cloud, thinned and rounded to what a screen can show."""
+    some = slice(None, None, max(1, -(-len(item.error) // _BROWSER_POINTS)))
+    moved = item.points + factor * item.error[:, None] * item.normal
+    x, y, z = np.round(moved[some].T * 1e3, 3).astype(np.float32)
+    return {
+        "x": x,
+        "y": y,
+        "z": z,
+        "mode": "markers",
+        "visible": is_visible,
+        "hoverinfo": "skip",
+        "marker": {
+            "size": 2,
+            "color": np.round(item.error[some] * 1e6, 2).astype(np.float32),
+            "colorscale": "RdBu",
+            "reversescale": True,
+            "cmin": -limit_um,
+            "cmax": limit_um,
+            "colorbar": {"title": {"text": MICROMETRE}, "len": 0.7},
+        },
+    }

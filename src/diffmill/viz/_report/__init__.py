@@ -1,0 +1,1 @@
+"""The report, and all figures of a result as files."""

@@ -1,0 +1,140 @@
+"""What the headline hides: mean error, errors by part of the path, and the price."""
+
+from typing import TYPE_CHECKING
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from .._cases import case_names, select_case
+from .._style import MICROMETRE, case_style
+from .html import table_html
+
+if TYPE_CHECKING:
+    import xarray
+
+_NEEDED = ("contour_mean", "part_rms", "part_max", "part_rows", "max_acceleration")
+
+
+class CaseParts(eqx.Module):
+    """Figures of one case beyond the headline.
+
+    Attributes:
+        name: Name of the case.
+        mean: Mean contour vector where the tool cuts [m], shape (3,).
+        rms: Root mean square contour error by part of the path [m].
+        maximum: Largest contour error by part of the path [m].
+        rows: Rows by part of the path.
+        max_acceleration: Largest acceleration of the commanded tip [m/s^2].
+        seconds: Wall time of the method [s]; NaN where it is not known.
+        forward_runs: Simulations that the method needed; 0 where it is not known.
+        rows_out_of_cut: Rows where the tool cuts nothing but should be in a full cut.
+    """
+
+    name: str = eqx.field(static=True)
+    mean: Float[np.ndarray, " 3"]
+    rms: dict[str, float]
+    maximum: dict[str, float]
+    rows: dict[str, int]
+    max_acceleration: float
+    seconds: float
+    forward_runs: int
+    rows_out_of_cut: int
+
+
+def case_parts(dataset: "xarray.Dataset") -> tuple[CaseParts, ...]:
+    """Return these figures of all cases; none where the dataset lacks them.
+
+    Args:
+        dataset: A result of `correct`.
+
+    **Differentiability**: none, a host function.
+    """
+    if any(name not in dataset for name in _NEEDED):
+        return ()
+    parts = [str(name) for name in dataset["part"].values]
+    found = []
+    for name in case_names(dataset):
+        case = select_case(dataset, name)
+        rms, largest, rows = (
+            np.asarray(case[key], np.float64)
+            for key in ("part_rms", "part_max", "part_rows")
+        )
+        found.append(
+            CaseParts(
+                name=name,
+                mean=np.asarray(case["contour_mean"], np.float64),
+                rms=dict(zip(parts, rms.tolist(), strict=True)),
+                maximum=dict(zip(parts, largest.tolist(), strict=True)),
+                rows=dict(zip(parts, rows.astype(int).tolist(), strict=True)),
+                max_acceleration=float(case["max_acceleration"]),
+                seconds=float(dataset.attrs.get(f"{name}_wall_time_s", np.nan)),
+                forward_runs=int(dataset.attrs.get(f"{name}_forward_runs", 0)),
+                rows_out_of_cut=int(case.get("rows_out_of_cut", 0)),
+            )
+        )
+    return tuple(found)
+
+
+def parts_html(dataset: "xarray.Dataset") -> str:
+    """Return a table of the figures by part and what it means; or nothing."""
+    cases = case_parts(dataset)
+    if not cases:
+        return ""
+    parts = [part for part, rows in cases[0].rows.items() if rows]
+    header = ["case", f"mean x, y, z [{MICROMETRE}]"]
+    header += [f"{part}: rms / max [{MICROMETRE}]" for part in parts]
+    header.append("command's acceleration, max [m/s\u00b2]")
+    header.append("steps out of the cut")
+    rows = [
+        [
+            case_style(case.name).label,
+            ", ".join(f"{value * 1e6:.1f}" for value in case.mean),
+            *(
+                f"{case.rms[part] * 1e6:.1f} / {case.maximum[part] * 1e6:.1f}"
+                for part in parts
+            ),
+            f"{case.max_acceleration:.2f}",
+            f"{case.rows_out_of_cut}",
+        ]
+        for case in cases
+    ]
+    counts = ", ".join(f"{part} {cases[0].rows[part]}" for part in parts)
+    note = (
+        "Mean: of the vector from the desired line to the tool tip, its constant part. "
+        "Entry, exit: within a tool radius of travel after the cut begins or grows by "
+        "a quarter, before it ends or after it shrinks so; corner: the desired line "
+        "turns by more than 10\u00b0 within half a radius to either side; plateau: the "
+        f"rest. Steps in each: {counts}. Out of the cut: of the corner and plateau, "
+        "where nothing pushes the tool."
+    )
+    table = table_html(
+        header, rows, colours=[case_style(case.name).colour for case in cases]
+    )
+    return f'{table}<p class="note">{note}</p>'
+
+
+def surface_figures_html(dataset: "xarray.Dataset") -> str:
+    """Return a table of the machined surface's error, walls and floors apart."""
+    kinds = [kind for kind in ("wall", "floor") if f"surface_{kind}_rms" in dataset]
+    if not kinds or "surface_deepest" not in dataset:
+        return ""
+    names = case_names(dataset)
+    keys = [f"surface_{kind}_{key}" for kind in kinds for key in ("mean", "rms", "p95")]
+    keys.append("surface_deepest")
+    header = ["case"]
+    for kind in kinds:
+        header += [f"{kind}: mean [{MICROMETRE}]", "rms", "95 %"]
+    header.append("deepest cut into the part")
+    rows = []
+    for name in names:
+        case = select_case(dataset, name)
+        numbers = [float(case[key]) * 1e6 for key in keys]
+        text = ["-" if np.isnan(value) else f"{value:.1f}" for value in numbers]
+        rows.append([case_style(name).label, *text])
+    note = (
+        "Distance of the machined surface from that of a rigid tool, where a tool cut; "
+        "positive mean: material left."
+    )
+    table = table_html(header, rows, colours=[case_style(n).colour for n in names])
+    return f'{table}<p class="note">{note}</p>'

@@ -1,0 +1,341 @@
+"""The report of a run: one HTML file that needs nothing else.
+
+What it reads of a result besides the variables of `simulate` and `correct`:
+
+- attributes `job` (name), `source` (text of the job file), `notes` (lines), `versions`
+  (programs and versions, separated by commas), and, of a run that broke off,
+  `incomplete` (1), `incomplete_reason`, `incomplete_time` [s], `incomplete_place` [m];
+- attributes `CASE_NAME`, such as `mirror_products`: the cost and the settings of each
+  case, those that end in `_s` in seconds; `corrected_case`: the case whose command is
+  the corrected program; `is_successful` (0 marks a run that failed);
+- every other attribute is listed as a setting.
+"""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...workpiece import SurfaceError
+from .._cases import CaseNumbers, case_names, case_numbers, reference_case, values_of
+from .._figure.surface import surface_html
+from .._style import MICROMETRE, case_style
+from .case_parts import parts_html, surface_figures_html
+from .html import image_html, numbers_html, page_html, section_html, table_html
+from .write import FigureFile
+
+if TYPE_CHECKING:
+    import xarray
+
+_SPECIAL = (
+    "job",
+    "source",
+    "program",
+    "notes",
+    "versions",
+    "units",
+    "is_successful",
+    "corrected_case",
+    "incomplete",
+    "incomplete_reason",
+    "incomplete_time",
+    "incomplete_place",
+)
+
+
+def write_report(
+    out_dir: str | os.PathLike,
+    dataset: "xarray.Dataset",
+    figures: dict[str, FigureFile],
+    *,
+    surfaces: dict[str, SurfaceError] | None = None,
+    settings: dict[str, str] | None = None,
+    versions: dict[str, str] | None = None,
+    notes: Sequence[str] = (),
+    job_text: str = "",
+    failure: str = "",
+) -> Path:
+    """Write `report.html` and return its path.
+
+    Args:
+        out_dir: Existing folder.
+        dataset: A result of `simulate` or `correct`.
+        figures: What `write_figures` returned.
+        surfaces: Surface error by case, for the surface that can be turned around;
+            without it the report is about 5 MB smaller.
+        settings: Numerical settings to list, beside the dataset's attributes.
+        versions: Versions to list, beside the dataset's attributes.
+        notes: Notes and warnings of the run.
+        job_text: Text of the job file; by default the attribute `source`.
+        failure: What stopped the run; by default what the attributes say. Marks the
+            report as incomplete.
+    """
+    name = str(dataset.attrs.get("job", "job"))
+    failure = failure or _failure(dataset)
+    kind = (
+        "Prediction" if len(case_names(dataset)) == 1 else "Prediction and correction"
+    )
+    title = f"{name} (incomplete)" if failure else name
+    remarks = [*str(dataset.attrs.get("notes", "")).splitlines(), *notes]
+    costs = _case_attributes(dataset)
+    hidden = {*_SPECIAL, *(f"{c}_{key}" for c, found in costs.items() for key in found)}
+    listed = {str(k): _cell(v) for k, v in dataset.attrs.items() if k not in hidden}
+    body = [
+        _head(kind, title, dataset, failure),
+        section_html("Result", *_result_blocks(dataset)),
+        section_html("By part of the path", parts_html(dataset)),
+        section_html("Machined surface", surface_figures_html(dataset)),
+        section_html("Cost", _cost_table(costs)),
+        section_html("Figures", *_figure_blocks(figures)),
+        _turnable_surface(surfaces),
+        section_html("Notes and warnings", _notes(remarks, figures)),
+        section_html(
+            "What was asked", _text_block(job_text or dataset.attrs.get("source", ""))
+        ),
+        section_html("Settings", _pairs({**listed, **(settings or {})}, "setting")),
+        section_html(
+            "Versions", _pairs({**_versions(dataset), **(versions or {})}, "program")
+        ),
+    ]
+    path = Path(out_dir) / "report.html"
+    page = page_html(f"{title} - diffmill", "\n".join(block for block in body if block))
+    path.write_text(page, encoding="utf-8")
+    return path
+
+
+def _head(kind: str, title: str, dataset: "xarray.Dataset", failure: str) -> str:
+    from html import escape
+
+    numbers = {name: case_numbers(dataset, name) for name in case_names(dataset)}
+    text = [
+        "<header>",
+        f'<p class="kind">{escape(kind)}</p><h1>{escape(title)}</h1>',
+        f'<p class="lead">{escape(_lead(dataset, numbers))}</p>',
+    ]
+    if failure:
+        text.append(
+            '<p class="banner"><b>This run is incomplete.</b> '
+            f"{escape(failure)} What follows ends there; its figures do not describe "
+            "the whole job.</p>"
+        )
+    text.append(numbers_html(_headline(dataset, numbers)))
+    return "\n".join([*text, "</header>"])
+
+
+def _lead(dataset: "xarray.Dataset", numbers: dict[str, CaseNumbers]) -> str:
+    """Return the run in one sentence."""
+    steps = dataset.sizes.get("step", 0)
+    time = values_of(dataset, "time", reference_case(dataset))
+    span = f"{time[-1] - time[0]:.2f} s of milling" if time.size else "no step"
+    before = numbers[reference_case(dataset)]
+    text = f"{span}, {steps} tooth periods. The tool misses its desired line by "
+    text += f"{_length(before.rms)} (rms while cutting)"
+    chosen = _chosen(dataset)
+    if chosen:
+        after = _length(numbers[chosen].rms)
+        text += f"; with the corrected program by {after}"
+    return text + "."
+
+
+def _headline(
+    dataset: "xarray.Dataset", numbers: dict[str, CaseNumbers]
+) -> list[tuple[str, str]]:
+    """Return the numbers to print large."""
+    before = numbers[reference_case(dataset)]
+    items = [(_length(before.rms), "contour error (rms) as programmed")]
+    chosen = _chosen(dataset)
+    if chosen:
+        after = numbers[chosen]
+        items.append((_length(after.rms), "contour error (rms) after correction"))
+        items.append((_times(before.rms, after.rms), "smaller contour error"))
+    else:
+        items.append((_length(before.maximum), "largest contour error"))
+    items.append((f"{_number(before.force_mean)} N", "mean cutting force"))
+    return items
+
+
+def _result_blocks(dataset: "xarray.Dataset") -> list[str]:
+    """Return the table of all cases and what its columns mean."""
+    names = case_names(dataset)
+    numbers = [case_numbers(dataset, name) for name in names]
+    reference = numbers[names.index(reference_case(dataset))]
+    rows = [
+        [
+            case_style(item.name).label,
+            _um(item.rms),
+            _um(item.percentile_95),
+            _um(item.maximum),
+            "-" if item is reference else _times(reference.rms, item.rms),
+            _um(item.deviation_rms),
+            _number(item.force_mean),
+            _number(item.force_maximum),
+            _number(item.removed_volume * 1e9),
+        ]
+        for item in numbers
+    ]
+    rms = np.array([item.rms for item in numbers])
+    best = int(np.nanargmin(rms)) if len(names) > 1 and np.isfinite(rms).any() else None
+    table = table_html(
+        [
+            "case",
+            f"contour error rms [{MICROMETRE}]",
+            f"95 % [{MICROMETRE}]",
+            f"max [{MICROMETRE}]",
+            "smaller by",
+            f"deviation rms [{MICROMETRE}]",
+            "mean force [N]",
+            "max force [N]",
+            "removed [mm\u00b3]",
+        ],
+        rows,
+        colours=[case_style(name).colour for name in names],
+        best=best,
+    )
+    legend = (
+        "Contour error: distance of the tool tip from the desired line. Deviation: "
+        "distance from the desired point at the same instant. Both, and the mean "
+        "force, over the steps that cut; forces are means over a tooth period. Bold: "
+        "the smallest rms contour error."
+    )
+    return [table, f'<p class="note">{legend}</p>']
+
+
+def _chosen(dataset: "xarray.Dataset") -> str:
+    """Return the case that became the corrected program; nothing if there is none."""
+    name = str(dataset.attrs.get("corrected_case", "corrected"))
+    names = case_names(dataset)
+    return name if name in names and name != reference_case(dataset) else ""
+
+
+def _case_attributes(dataset: "xarray.Dataset") -> dict[str, dict[str, str]]:
+    """Return the attributes that begin with the name of a case, by case."""
+    # "mirror_iterated_products" belongs to the longest name that fits.
+    names = sorted(case_names(dataset), key=len, reverse=True)
+    found: dict[str, dict[str, str]] = {name: {} for name in case_names(dataset)}
+    for key, value in dataset.attrs.items():
+        if key in _SPECIAL:
+            continue
+        owner = next((n for n in names if str(key).startswith(f"{n}_")), None)
+        if owner is not None:
+            found[owner][str(key)[len(owner) + 1 :]] = _cell(value)
+    return found
+
+
+def _cost_table(costs: dict[str, dict[str, str]]) -> str:
+    """Return what each case cost and the settings that it chose."""
+    keys = list(dict.fromkeys(key for found in costs.values() for key in found))
+    if not keys:
+        return ""
+    header = ["case"]
+    for key in keys:
+        name = key.removesuffix("_s").replace("_", " ")
+        header.append(f"{name} [s]" if key.endswith("_s") else name)
+    rows = [
+        [case_style(case).label, *(found.get(key, "-") for key in keys)]
+        for case, found in costs.items()
+    ]
+    colours = [case_style(case).colour for case in costs]
+    return table_html(header, rows, colours=colours)
+
+
+def _figure_blocks(figures: dict[str, FigureFile]) -> list[str]:
+    return [
+        image_html(file.path, file.title, file.caption)
+        for file in figures.values()
+        if file.path is not None
+    ]
+
+
+def _turnable_surface(surfaces: dict[str, SurfaceError] | None) -> str:
+    if not surfaces:
+        return ""
+    note = '<p class="note">Drag to turn, scroll to zoom. Not printed.</p>'
+    block = section_html("Surface in three dimensions", note, surface_html(surfaces))
+    return f'<div class="screen">{block}</div>'
+
+
+def _notes(remarks: Sequence[str], figures: dict[str, FigureFile]) -> str:
+    from html import escape
+
+    lines = [line for line in remarks if line.strip()]
+    lines += [
+        f'No figure "{file.title}": {file.skipped}.'
+        for file in figures.values()
+        if file.path is None
+    ]
+    if not lines:
+        return ""
+    items = "".join(f"<li>{escape(line)}</li>" for line in lines)
+    return f'<ul class="notes">{items}</ul>'
+
+
+def _text_block(text: object) -> str:
+    from html import escape
+
+    return f"<pre>{escape(str(text).strip())}</pre>" if str(text).strip() else ""
+
+
+def _versions(dataset: "xarray.Dataset") -> dict[str, str]:
+    """Return the attribute `versions`, "name 1.2, other 3.4", as pairs."""
+    items = str(dataset.attrs.get("versions", "")).split(",")
+    pairs = [item.strip().partition(" ") for item in items if item.strip()]
+    return {name: version for name, _, version in pairs}
+
+
+def _failure(dataset: "xarray.Dataset") -> str:
+    """Return why, when and where the run broke off; nothing if it did not."""
+    attributes = dataset.attrs
+    if not int(attributes.get("incomplete", 0)):
+        is_good = int(attributes.get("is_successful", 1))
+        return "" if is_good else "The simulation reported a failure."
+    text = str(attributes.get("incomplete_reason", "")).strip() or "It broke off."
+    if "incomplete_time" in attributes:
+        text += f" It stopped at {float(attributes['incomplete_time']):.4g} s"
+        place = np.ravel(attributes.get("incomplete_place", ())) * 1e3
+        if place.size:
+            text += f", at x, y, z = {', '.join(f'{v:.3f}' for v in place)} mm"
+        text += "."
+    return text
+
+
+def _pairs(values: dict[str, str], name: str) -> str:
+    if not values:
+        return ""
+    rows = [[key.replace("_", " "), value] for key, value in values.items()]
+    return table_html([name, "value"], rows, is_text=True)
+
+
+def _cell(value: object) -> str:
+    """Return any attribute or cost as text."""
+    if isinstance(value, (float, np.floating)):
+        return _number(float(value))
+    if isinstance(value, np.ndarray):
+        return ", ".join(_cell(item) for item in value.ravel())
+    return str(value)
+
+
+def _number(value: float) -> str:
+    """Return three significant digits without an exponent where that is readable."""
+    if not np.isfinite(value):
+        return "-"
+    if value == 0 or 1e-3 <= abs(value) < 1e6:
+        digits = 0 if value == 0 else max(0, 2 - int(np.floor(np.log10(abs(value)))))
+        return f"{value:.{digits}f}"
+    return f"{value:.3g}"
+
+
+def _um(value: float) -> str:
+    return _number(value * 1e6)
+
+
+def _length(value: float) -> str:
+    return f"{_um(value)} {MICROMETRE}"
+
+
+def _times(before: float, after: float) -> str:
+    """Return how many times smaller `after` is, for a table."""
+    if not (np.isfinite(before) and np.isfinite(after)) or after <= 0 or before <= 0:
+        return "-"
+    return f"{_number(before / after)} x"

@@ -1,0 +1,230 @@
+"""All figures of a result as PNG files, with the captions that the report prints."""
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import equinox as eqx
+import numpy as np
+
+from ...workpiece import SurfaceError
+from .._cases import case_names, reference_case, shown_cases, values_of
+from .._figure.chip import ChipChart, plot_chip
+from .._figure.dexels import CutDexels, plot_cut_dexels
+from .._figure.forces import ForceRecord, plot_forces
+from .._figure.history import plot_deviation
+from .._figure.paths import plan_magnification, plot_paths
+from .._figure.sensitivity import plot_sensitivity
+from .._figure.surface import plot_surface_error
+from .._style import case_style, save_figure
+
+if TYPE_CHECKING:
+    import matplotlib.figure
+    import xarray
+
+
+class FigureFile(eqx.Module):
+    """One figure of a run: the file, or why there is none.
+
+    Attributes:
+        title: What it shows, in a few words.
+        caption: What to look at, for the report.
+        path: The PNG, or None when the figure was skipped.
+        skipped: Why it was skipped; empty when it was written.
+    """
+
+    title: str = eqx.field(static=True)
+    caption: str = eqx.field(static=True, default="")
+    path: Path | None = eqx.field(static=True, default=None)
+    skipped: str = eqx.field(static=True, default="")
+
+
+class _Drawing(eqx.Module):
+    """A figure before it is written; `figure` is None when `text` says why not."""
+
+    title: str = eqx.field(static=True)
+    text: str = eqx.field(static=True)
+    figure: "matplotlib.figure.Figure | None" = eqx.field(static=True, default=None)
+
+
+def write_figures(
+    out_dir: str | os.PathLike,
+    dataset: "xarray.Dataset",
+    *,
+    forces: ForceRecord | None = None,
+    chip: ChipChart | None = None,
+    dexels: CutDexels | None = None,
+    surfaces: dict[str, SurfaceError] | None = None,
+) -> dict[str, FigureFile]:
+    """Write the figures of a result; those whose inputs are absent are skipped.
+
+    Args:
+        out_dir: Existing folder for the PNG files.
+        dataset: A result of `simulate` or `correct`.
+        forces: Force within the tooth periods; without it the figure shows the
+            mean over each tooth period from `dataset`.
+        chip: Chip chart of one tooth.
+        dexels: Ends of the cut rays, of the reference case.
+        surfaces: Error of the machined surface, by case.
+
+    Returns:
+        By name, in the report's order: paths, deviation, forces, chip, surface,
+        dexels, and sensitivity where the result has it. A skipped figure has `path`
+        None and says why in `skipped`.
+    """
+    folder = Path(out_dir)
+    drawings = {
+        "paths": _draw_paths(dataset),
+        "deviation": _draw_deviation(dataset),
+        "forces": _draw_forces(dataset, forces),
+        "chip": _draw_chip(chip),
+        "surface": _draw_surface(surfaces),
+        "dexels": _draw_dexels(dexels),
+    }
+    if "sensitivity_contour_error" in dataset:
+        drawings["sensitivity"] = _draw_sensitivity(dataset)
+    files = {}
+    for name, drawing in drawings.items():
+        if drawing.figure is None:
+            files[name] = FigureFile(drawing.title, skipped=drawing.text)
+            continue
+        path = save_figure(drawing.figure, folder / f"{name}.png")
+        files[name] = FigureFile(drawing.title, drawing.text, path)
+    return files
+
+
+def _missing(dataset: "xarray.Dataset", *names: str) -> str:
+    """Return which of `names` the dataset lacks, as a sentence; or nothing."""
+    absent = [name for name in names if name not in dataset]
+    if absent:
+        return f"the result has no {', '.join(absent)}"
+    return "" if dataset.sizes.get("step", 0) > 2 else "the result has under 3 steps"
+
+
+def _draw_paths(dataset: "xarray.Dataset") -> _Drawing:
+    title = "Desired and actual path"
+    reason = _missing(dataset, "time", "desired", "deviation")
+    if reason:
+        return _Drawing(title, reason)
+    factor = plan_magnification(dataset)
+    reference = case_style(reference_case(dataset)).label
+    caption = (
+        f"Plan view: the distance of each path from the desired one (dashed; grey: "
+        f"moves in the air) is drawn {factor:g} times too large, only where the tool "
+        f"cuts. A and B are the two "
+        f"places where the {reference} path is farthest off, one dot per tooth; their "
+        f"scale stands above them. The side view shows how high the tool tip runs "
+        f"above its desired height."
+    )
+    if len(case_names(dataset)) > 1:
+        caption += " A path that follows the dashed line is what a correction is for."
+    caption += _left_out(dataset)
+    return _Drawing(title, caption, plot_paths(dataset))
+
+
+def _left_out(dataset: "xarray.Dataset") -> str:
+    """Return a sentence about cases that would hide all others on a linear scale."""
+    shown = shown_cases(dataset)
+    names = [case_style(n).label for n in case_names(dataset) if n not in shown]
+    if not names:
+        return ""
+    reference = case_style(reference_case(dataset)).label
+    return (
+        f" Not drawn to this scale, because more than twice as far off as "
+        f"{reference}: {', '.join(names)}."
+    )
+
+
+def _draw_deviation(dataset: "xarray.Dataset") -> _Drawing:
+    title = "Deviation over time"
+    reason = _missing(dataset, "time", "desired", "deviation")
+    if reason:
+        return _Drawing(title, reason)
+    caption = (
+        "Actual minus desired tip position at the same instant, in x, y and z. "
+        "Shaded: the tool does not cut."
+    )
+    if "contour_error" in dataset:
+        caption += (
+            " The contour error is the distance to the desired line whatever the "
+            "time, which is what stays on the part; the lowest panel repeats its size "
+            "on a logarithmic scale, so that small errors show beside large ones."
+        )
+    caption += _left_out(dataset)
+    return _Drawing(title, caption, plot_deviation(dataset))
+
+
+def _draw_forces(dataset: "xarray.Dataset", forces: ForceRecord | None) -> _Drawing:
+    title = "Cutting force"
+    reason = "" if forces is not None else _missing(dataset, "time", "force")
+    if reason:
+        return _Drawing(title, reason)
+    record = _tooth_means(dataset) if forces is None else forces
+    caption = "Force of the workpiece on the tool in workpiece axes"
+    if record.is_tooth_mean:
+        caption += ", as its mean over each tooth period."
+    else:
+        caption += (
+            ". Grey: every computed sample, teeth going in and out. Black: what is "
+            "left below 100 Hz, to which a robot's arm can answer; the filter is a "
+            "Butterworth of order 4 run forward and backward, so it delays nothing."
+        )
+    return _Drawing(title, caption, plot_forces(record))
+
+
+def _draw_chip(chip: ChipChart | None) -> _Drawing:
+    title = "Chip thickness of one tooth"
+    if chip is None:
+        return _Drawing(title, "no chip chart was computed")
+    caption = (
+        "What one tooth cuts on its way through the material: angle from the left of "
+        "the feed, clockwise; height along the tool from its tip. White: no chip. Each "
+        "curve below is one disc of the cutter; they coincide where the tool goes "
+        "straight."
+    )
+    return _Drawing(title, caption, plot_chip(chip))
+
+
+def _draw_surface(surfaces: dict[str, SurfaceError] | None) -> _Drawing:
+    title = "Error of the machined surface"
+    if not surfaces:
+        return _Drawing(title, "no surface error was computed")
+    caption = (
+        "Distance of the machined surface from the ideal one, seen from above: floors, "
+        "and walls as lines with the largest error over their height. Blue: cut too "
+        "deep; red: material left; grey: not cut. All maps share one scale, each "
+        "histogram has its own."
+    )
+    return _Drawing(title, caption, plot_surface_error(surfaces))
+
+
+def _draw_dexels(dexels: CutDexels | None) -> _Drawing:
+    title = "Cut ray ends of the workpiece"
+    if dexels is None:
+        return _Drawing(title, "no ray ends were handed over")
+    if not dexels.floor.shape[0] and not dexels.wall.shape[0]:
+        return _Drawing(title, "no ray was cut")
+    caption = (
+        "Where the rays that model the workpiece end after the cut, moved away from "
+        "their ideal ends by the factor in the title: the waves of the floor, and "
+        "below the profile of the wall that most x rays end on."
+    )
+    return _Drawing(title, caption, plot_cut_dexels(dexels))
+
+
+def _draw_sensitivity(dataset: "xarray.Dataset") -> _Drawing:
+    caption = (
+        "What 10 % more of each parameter would do to the contour error, to first "
+        "order: stiffness K and damping D of the joints, the coefficients of the force "
+        "law, and the speed of spindle and feed together. Red: the error grows. The "
+        "controller lifts the sag of the stiffness that it knows. White: no cut."
+    )
+    return _Drawing("Sensitivity to the model", caption, plot_sensitivity(dataset))
+
+
+def _tooth_means(dataset: "xarray.Dataset") -> ForceRecord:
+    """Return the force of the reference case, one sample per tooth period."""
+    case = reference_case(dataset)
+    time = values_of(dataset, "time", case)
+    force = np.nan_to_num(values_of(dataset, "force", case))
+    return ForceRecord(time, force, float(time[1] - time[0]), True)

@@ -1,0 +1,1 @@
+"""The tri-dexel stock: rays, removal, occupancy, contact."""

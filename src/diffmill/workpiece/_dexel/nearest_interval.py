@@ -1,0 +1,59 @@
+"""Which interval of a ray a point lies in, or is nearest to: by place in memory."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from ...numerics import hold
+
+
+def taken(table: Array, at: Int[Array, "*end"]) -> Array:
+    """Return some entries of a table by their place in memory, shape (...).
+
+    **Differentiability**: linear in the table.
+    """
+    return table.reshape(-1).at[at].get(mode="promise_in_bounds")
+
+
+def nearest_interval(
+    ends: Float[Array, "u v 2 slot"],
+    ray: Int[Array, "*ray"],
+    x: Float[Array, "*#ray"],
+    slots: Int[Array, ""],
+) -> tuple[Float[Array, "*ray"], Float[Array, "*ray"], Int[Array, "*ray"]]:
+    """Return the interval of each ray that a coordinate lies in, or is nearest to.
+
+    Args:
+        ends: Lower and upper ends [m].
+        ray: Where in memory the ends of a ray begin, shape (...).
+        x: Coordinate along the ray [m], broadcast.
+        slots: How many slots to look at: those behind hold nothing, shape ().
+
+    Returns:
+        Lower end, upper end [m], and the slot, each of shape (...).
+
+    **Differentiability**: none; all are constants.
+    """
+    ends, x = jax.lax.stop_gradient((ends, x))
+    count = ends.shape[-1]
+    ray = hold(ray)
+
+    def look(m: Int[Array, ""], found: tuple[Array, ...]) -> tuple[Array, ...]:
+        best, low, high, slot = found
+        start, stop = taken(ends, ray + m), taken(ends, ray + (m + count))
+        inside = jnp.minimum(x - start, stop - x)
+        is_nearer = inside > best
+        return (
+            jnp.maximum(best, inside),
+            jnp.where(is_nearer, start, low),
+            jnp.where(is_nearer, stop, high),
+            jnp.where(is_nearer, m, slot),
+        )
+
+    low, high = taken(ends, ray), taken(ends, ray + count)
+    first = (jnp.minimum(x - low, high - x), low, high, jnp.zeros(ray.shape, jnp.int32))
+    if count > 1:
+        # Few of the slots hold anything, and each costs a gather.
+        first = jax.lax.fori_loop(jnp.ones((), jnp.int32), slots, look, first)
+    _, low, high, slot = first
+    return low, high, slot

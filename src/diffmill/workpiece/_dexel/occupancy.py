@@ -1,0 +1,402 @@
+"""How much of each disc of a vertical cutter is in the material, angle by angle.
+
+The rays see what lies head-on to them exactly, and the rest only to their spacing. So
+the question is split:
+
+- along the axis, the columns (rays along z) around a point give the share of each
+  disc's height that is material: a partition of unity over the discs, so that the
+  shares add up to the depth of cut exactly, at any depth;
+- across the axis, the rays along x and y give the signed distance to walls in the
+  plane of the disc. Each of the two families is interpolated over three rays, by
+  quadratic splines, whose slope g across the rays is continuous: s / sqrt(1 + g^2) is
+  the distance to a straight wall, exactly, and (1 + g^2)^-2 is the family's say.
+
+Their product is the occupancy. A ray that meets no surface within reach says nothing
+about where a surface is, so it hardly counts while another one does.
+
+A chip is no point either: it reaches inward from the rim, and a wall may cut off its
+inner side, or its outer one. Distance and slope of the wall at the rim tell what of it
+is in the material.
+
+Two ways to differentiate with respect to the poses that cut the stock: through the
+ends of the rays (`pose_tips=None`), or through the poses that the ends remember
+(`track` given), where the stock is a constant and each end that is read here is
+tied to its pose by the slope of the cutter's surface at that end.
+"""
+
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from ...cutter import AbstractCutter
+from ...numerics import clamp, hat_integral, hold, mean_step, ramp, tied
+from .nearest_interval import nearest_interval, taken
+from .stock import Stock
+from .tooth_pass import PoseTrack
+
+# Distances along a ray are cut off here, in units of the spacing.
+REACH = 4.0
+# Share of the band across a wall that an edge does not cross on its way.
+_FOLLOWED = 0.3
+# Bounds of that width are rounded off over this share of the band.
+_CORNER = 0.2
+# Where walls are sure enough, rounded off over this.
+_SURE = 0.3
+# A chip that crosses less of a wall than this, in widths of its band, counts as this.
+_SHORT = 1e-2
+# What a ray without a surface in reach still counts for.
+_BLIND = 1e-6
+
+
+class Discs(eqx.Module):
+    """The discs of a cutter, from the tip up.
+
+    Attributes:
+        count: Number of discs.
+        height: Height of a disc dz [m].
+        band: Greatest half-width of the transition from 0 to 1 across a wall [m]:
+            half the spacing of the rays, or of the samples on the rim if that is more.
+    """
+
+    count: int = eqx.field(static=True)
+    height: float = eqx.field(static=True)
+    band: float = eqx.field(static=True)
+
+    def centers(self, dtype: jnp.dtype) -> Float[Array, " element"]:
+        """Return the height of the middle of each disc above the tip [m]."""
+        return self.height * (jnp.arange(self.count, dtype=dtype) + 0.5)
+
+    def filled_below(
+        self, height: Float[Array, "*end disc point"]
+    ) -> Float[Array, "*end element point"]:
+        """Return the share of each disc that lies below a height above the tip.
+
+        The shares of all discs sum to height / dz at any height between zero and the
+        middle of the last disc. The lowest disc ends at the tip: it has no share in
+        material below.
+
+        Args:
+            height: Above the tip [m], of each disc or the same for all: shape
+                (..., disc, point), where the axis disc has length 1 or that of all.
+
+        Differentiability: continuous; at the height of the tip, where the floor of an
+        earlier pass of the same height lies, half the slope above it.
+        """
+        place = jnp.arange(self.count, dtype=height.dtype)[:, None]
+        place = place.reshape((1,) * (height.ndim - 2) + place.shape)
+        above = jnp.maximum(height, 0)
+        share = hat_integral(above / self.height - (place + 0.5))
+        below_tip = hat_integral(-above / self.height - 0.5)
+        return jnp.where(place == 0, share - below_tip, share)
+
+
+def occupancy(
+    stock: Stock,
+    points: Float[Array, "point disc 3"],
+    moves: Float[Array, "point disc 2"],
+    chips: Float[Array, "point disc 2"],
+    discs: Discs,
+    cutter: AbstractCutter,
+    track: PoseTrack | None = None,
+    slots: Int[Array, " 3"] | None = None,
+) -> tuple[Float[Array, "point element"], Float[Array, "point element"]]:
+    """Return how much of the chips at points on the rim is in the material.
+
+    Args:
+        stock: The workpiece.
+        points: Points in `work` at the height of the tip [m], shape (point, disc, 3);
+            the axis disc has length 1 if all discs share their points.
+        moves: From each point to the next sample [m], across the axis, shape
+            (point, disc, 2).
+        chips: From each point to the inner side of its chip [m], as `moves`.
+        discs: The discs.
+        cutter: The cutter that cut the stock; used only with `track`.
+        track: All poses so far, to which the derivative goes; None differentiates
+            through the stock.
+        slots: How many slots of each family hold anything, shape (3,); counted if not
+            given.
+
+    Returns:
+        The occupancy, the share of each disc that has a chip in the material, exactly
+        0 and 1 away from surfaces; and the share of that chip's thickness that is in
+        the material. Both of shape (point, element).
+
+    Differentiability: continuous; kinks where a point crosses a grid line.
+    """
+    # Points in the last axis: the arrays are long there, and nothing is summed over it.
+    ways = hold((points, moves, chips))
+    place, move, chip = hold([jnp.transpose(x, (2, 1, 0)) for x in ways])
+    columns = _find_columns(stock, place)
+    if track is not None:
+        columns = _tie_columns(columns, track)
+    heights = _wall_heights(stock, place, discs, columns)
+    slots = stock.slots_in_use() if slots is None else slots
+    walls = tuple(_find_walls(stock, f, place, heights, slots[f]) for f in (0, 1))
+    if track is not None:
+        walls = _tie_walls(cutter, walls, track)
+    rim = _Rim(place, move, chip, heights)
+    combine = jax.checkpoint(_combine, static_argnums=(0, 1))
+    found = combine(discs, stock.spacing, stock.origin, rim, columns, walls)
+    touched, share = hold(found)
+    return hold((touched.T, share.T))
+
+
+class _Rim(eqx.Module):
+    """Points on the rim, what is taken there, and the heights at which to look.
+
+    Attributes:
+        place: In `work`, at the height of the tip [m].
+        move: To the next sample [m].
+        chip: To the inner side of the chip [m].
+        heights: At which walls are looked for [m].
+    """
+
+    place: Float[Array, "3 disc point"]
+    move: Float[Array, "2 disc point"]
+    chip: Float[Array, "2 disc point"]
+    heights: Float[Array, "element point"]
+
+
+class _Columns(eqx.Module):
+    """All ends of the 3 x 3 rays along z around each point."""
+
+    ends: Float[Array, "2 slot 9 disc point"]
+    poses: Int[Array, "2 slot 9 disc point"]
+
+
+class _Walls(eqx.Module):
+    """The end that decides the distance on rays around each point.
+
+    They stand on the three nearest lines to the side, and below and above.
+    """
+
+    ends: Float[Array, "3 2 element point"]
+    is_upper: Bool[Array, "3 2 element point"]
+    is_empty: Bool[Array, "3 2 element point"]
+    pose: Int[Array, "3 2 element point"]
+    across: Float[Array, "3 1 disc point"]
+
+
+def _find_columns(stock: Stock, place: Float[Array, "3 disc point"]) -> _Columns:
+    rays = stock.families[2]
+    counts, slots = rays.ends.shape[:2], rays.ends.shape[-1]
+    step = jnp.arange(-1, 2, dtype=jnp.int32)
+    near = [_nearest_line(stock, a, place[a], counts[a])[None] for a in (0, 1)]
+    i = near[0] + jnp.repeat(step, 3)[:, None, None]
+    j = near[1] + jnp.tile(step, 3)[:, None, None]
+    slot = jnp.arange(2 * slots, dtype=jnp.int32).reshape(2, slots, 1, 1, 1)
+    ray = hold((i * counts[1] + j) * (2 * slots))
+    at = hold(ray[None, None] + slot)
+    return _Columns(taken(rays.ends, at), taken(rays.poses, at))
+
+
+def _nearest_line(
+    stock: Stock, axis: int, x: Float[Array, "*point"], count: int
+) -> Int[Array, "*point"]:
+    """Return the nearest grid line that has a neighbour on each side."""
+    at = jax.lax.stop_gradient((x - stock.origin[axis]) / stock.spacing)
+    return jnp.clip(jnp.round(at).astype(jnp.int32), 1, count - 2)
+
+
+def _wall_heights(
+    stock: Stock,
+    place: Float[Array, "3 disc point"],
+    discs: Discs,
+    columns: _Columns,
+) -> Float[Array, "element point"]:
+    """Return the height at which to look for walls, inside the material of a disc.
+
+    A disc that only just reaches into the material from above has its middle in the
+    air, where rays along x and y meet nothing; one spacing below the top they do.
+    """
+    z = place[2] + discs.centers(place.dtype)[:, None]
+    low, high = columns.ends
+    top = jnp.full_like(z, -jnp.inf)
+    for m in range(low.shape[0]):
+        for ray in range(9):
+            lower, upper = low[m, ray], high[m, ray]
+            reaches = (upper > lower) & (lower < z + discs.height)
+            top = jnp.maximum(top, jnp.where(reaches, upper, -jnp.inf))
+    is_fringe = (top < z + stock.spacing) & (top > z - discs.height)
+    return hold(jnp.where(is_fringe, jnp.where(is_fringe, top, 0) - stock.spacing, z))
+
+
+def _find_walls(
+    stock: Stock,
+    family: Literal[0, 1],
+    place: Float[Array, "3 disc point"],
+    heights: Float[Array, "element point"],
+    in_use: Int[Array, ""],
+) -> _Walls:
+    rays = stock.families[family]
+    frozen = jax.lax.stop_gradient
+    side = 1 - family
+    # Family 0 is indexed (y, z), family 1 is indexed (z, x).
+    counts = rays.ends.shape[:2] if family == 0 else rays.ends.shape[1::-1]
+    middle = _nearest_line(stock, side, place[side], counts[0])
+    at_height = frozen((heights - stock.origin[2]) / stock.spacing)
+    below = jnp.clip(jnp.floor(at_height).astype(jnp.int32), 0, counts[1] - 2)
+    step = jnp.arange(-1, 2, dtype=jnp.int32)[:, None, None, None]
+    line = middle[None, None] + step
+    level = below[None, None] + step[1:].reshape(1, 2, 1, 1)
+    row, column = (line, level) if family == 0 else (level, line)
+    slots = rays.ends.shape[-1]
+    ray = (row * rays.ends.shape[1] + column) * (2 * slots)
+    x = place[family][None, None]
+    low, high, slot = nearest_interval(rays.ends, ray, x, in_use)
+    x = frozen(x)
+    is_upper = high - x < x - low
+    at = ray + is_upper.astype(jnp.int32) * slots + slot
+    return _Walls(
+        ends=taken(rays.ends, at),
+        is_upper=is_upper,
+        is_empty=high < low,
+        pose=taken(rays.poses, at),
+        across=stock.origin[side] + stock.spacing * line.astype(place.dtype),
+    )
+
+
+def _tie_columns(columns: _Columns, track: PoseTrack) -> _Columns:
+    """Return the columns, each end with the derivative of the pose that cut it.
+
+    A flat end cuts a column at the height of its tip.
+    """
+    tie = jnp.where(columns.poses >= 0, track.height_by(columns.poses), 0)
+    ends = tied(jax.lax.stop_gradient(columns.ends), tie)
+    return _Columns(ends, columns.poses)
+
+
+def _tie_walls(
+    cutter: AbstractCutter, walls: tuple[_Walls, ...], track: PoseTrack
+) -> tuple[_Walls, ...]:
+    """Return both families, their ends with the derivatives of their poses."""
+    frozen = jax.lax.stop_gradient
+    # One gather for both: its transpose then adds into the table only once.
+    tips = track.cut_by(jnp.stack([w.pose for w in walls])).tip
+    moving = []
+    for f in (0, 1):
+        wall, tip = walls[f], tips[f]
+        slopes = cutter.wall_slopes(f, frozen(wall.ends), wall.across, frozen(tip))
+        tie = tip[..., f] + frozen(slopes[0]) * tip[..., 1 - f]
+        tie = tie + frozen(slopes[1]) * (cutter.diameter / 2)
+        tie = jnp.where(wall.pose >= 0, tie, 0)
+        ends = tied(frozen(wall.ends), tie)
+        moving.append(eqx.tree_at(lambda w: w.ends, wall, ends))
+    return tuple(moving)
+
+
+def _combine(
+    discs: Discs,
+    spacing: float,
+    origin: Float[Array, " 3"],
+    rim: _Rim,
+    columns: _Columns,
+    walls: tuple[_Walls, ...],
+) -> tuple[Float[Array, "element point"], Float[Array, "element point"]]:
+    touched, filled_chip, certainty = _wall_occupancy(
+        spacing, discs.band, origin, rim, walls
+    )
+    above_tip = columns.ends - rim.place[2][None, None, None]
+    below = discs.filled_below(above_tip)
+    is_live = columns.ends[1] > columns.ends[0]
+    filled = _sum(jnp.where(is_live, below[1] - below[0], 0))
+    weights = _column_weights(rim.place, origin, spacing)
+    # Beside a wall the columns in the air must not thin the disc: walls do that.
+    # Before a higher wall the disc stands on what its lower columns hold.
+    # One of equal columns: a tie shared by comparison is lost to rounding in reverse.
+    fullest = filled[0]
+    for ray in range(1, 9):
+        fullest = jnp.where(filled[ray] > fullest, filled[ray], fullest)
+    filled, fullest, weights = hold((filled, fullest, weights))
+    weighted, gap = weights * filled, fullest[None] - filled
+    mean = _sum(weighted)
+    solid = _sum(weighted * filled) / (mean + _BLIND)
+    ledge = _sum(weighted * gap) / (_sum(weights * gap) + _BLIND)
+    ground = certainty * ledge
+    rise = certainty * (solid - ledge) + (1 - certainty) * mean
+    touching = ground + rise * touched
+    return touching, (ground + rise * filled_chip) / (touching + _BLIND)
+
+
+def _sum(terms: Float[Array, " term *any"]) -> Float[Array, "*any"]:
+    """Sum over a short leading axis, term by term: XLA reduces so few slowly."""
+    return sum((terms[i] for i in range(1, terms.shape[0])), terms[0])
+
+
+def _wall_occupancy(
+    d: float,
+    band: float,
+    origin: Float[Array, " 3"],
+    rim: _Rim,
+    walls: tuple[_Walls, ...],
+) -> tuple[
+    Float[Array, "element point"],
+    Float[Array, "element point"],
+    Float[Array, "element point"],
+]:
+    """Return where a chip is in the material, how much of it, and how surely."""
+    reach = REACH * d
+    place, heights = rim.place, rim.heights
+    q = (heights - origin[2]) / d
+    q = q - jax.lax.stop_gradient(jnp.floor(q))
+    total = jnp.zeros_like(heights)
+    says = jnp.full_like(heights, _BLIND)
+    certainty = jnp.zeros_like(heights)
+    ahead = jnp.zeros_like(heights)
+    inward = jnp.zeros_like(heights)
+    for f, wall in enumerate(walls):
+        x = place[f][None, None]
+        s = jnp.where(wall.is_upper, wall.ends - x, x - wall.ends)
+        s = hold(jnp.where(wall.is_empty, -reach, clamp(-reach, s, reach)))
+        sees = (1 - (s / reach) ** 2) ** 2 + _BLIND
+        lower, upper = (1 - q)[None] * sees[:, 0], q[None] * sees[:, 1]
+        s = hold((lower * s[:, 0] + upper * s[:, 1]) / (lower + upper))
+        at = (place[1 - f] - origin[1 - f]) / d
+        t = jnp.broadcast_to(at - jax.lax.stop_gradient(jnp.round(at)), heights.shape)
+        slope = ((0.5 - t) * (s[1] - s[0]) + (0.5 + t) * (s[2] - s[1])) / d
+        s_here = _sum(_spline(t) * s)
+        sees_here = (1 - (s_here / reach) ** 2) ** 2
+        steepness = 1 + slope**2
+        weight = sees_here / steepness**2
+        root = jnp.sqrt(steepness)
+        sign = jnp.where(wall.is_upper[1, 0], 1, -1).astype(s.dtype)
+        crossed, deeper = (
+            slope * way[1 - f] - sign * way[f] for way in (rim.move, rim.chip)
+        )
+        ahead = ahead + (weight + _BLIND) * jnp.abs(crossed) / root
+        inward = inward + (weight + _BLIND) * deeper / root
+        total = total + (weight + _BLIND) * s_here / root
+        says = says + weight + _BLIND
+        certainty = certainty + weight
+    # A wall that an edge follows rather than crosses is not blurred along its way.
+    width = _FOLLOWED * band + ramp(ahead / says - _FOLLOWED * band, _CORNER * band)
+    width = width - ramp(width - band, _CORNER * band)
+    # From the rim to the inner side of the chip.
+    inside, inward = total / says, inward / says
+    length = jnp.sqrt(inward**2 + (_SHORT * width) ** 2)
+    # To the nearer side of the chip, without the kink of a greatest one.
+    touched = hat_integral((inside + (inward + length) / 2) / width)
+    filled = mean_step(inside + inward / 2, width, length)
+    # A wall that both families see at 45 degrees is sure, its corner rounded off below.
+    sure = 2 * (1 + _SURE) * certainty
+    return touched, filled, sure - ramp(sure - 1, _SURE)
+
+
+def _column_weights(
+    place: Float[Array, "3 disc point"], origin: Float[Array, " 3"], spacing: float
+) -> Float[Array, "9 disc point"]:
+    """Return the quadratic B-spline weights of the 3 x 3 columns."""
+    weights = []
+    for a in (0, 1):
+        at = (place[a] - origin[a]) / spacing
+        weights.append(_spline(at - jax.lax.stop_gradient(jnp.round(at))))
+    product = weights[0][:, None] * weights[1][None]
+    return product.reshape(9, *product.shape[2:])
+
+
+def _spline(t: Float[Array, "*point"]) -> Float[Array, " 3 *point"]:
+    """Return the quadratic B-spline weights of three lines, `t` from the middle one."""
+    return jnp.stack([0.5 * (0.5 - t) ** 2, 0.75 - t**2, 0.5 * (0.5 + t) ** 2])

@@ -1,0 +1,329 @@
+"""How much of a small piece of edge is in the material, its surface in any direction.
+
+Every family of rays gives, around a point, one plane: of four rays, each measures the
+distance along itself to the nearest end; those that meet no end within reach are left
+out, the others are interpolated, and with g the slope of the interpolant the distance
+to the plane is s / sqrt(1 + g^2).
+
+The three planes are then one and the same (a face that all families see), two faces
+of an edge that sticks out (what is inside of both is inside), or two of an edge that
+goes in (inside of one is enough). The share inside the plane that leaves the least,
+times the shares of planes at right angles to it, answers all three cases. A family that
+sees the face at a flat angle, or whose rays partly meet nothing, knows less and is held
+back.
+
+A piece of edge is not a point: what counts is the mean of the smooth step over it and
+over its way to the next sample, so that pieces in a row add up to the length in the
+material. The chip, which begins at the edge and ends inward, counts with its mean in
+the same way, so that a surface cuts off its inner or its outer side. Where the surface
+is not crossed but followed the edge says little: one that slides over what an earlier
+pass left is half in and half out, however it is smoothed. There the chip decides: with
+next to no material in it, the edge is out.
+"""
+
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from ...cutter import AbstractCutter
+from ...numerics import clamp, mean_step, sloped_rows, tied
+from .._pose import Pose
+from .nearest_interval import nearest_interval, taken
+from .occupancy import REACH
+from .stock import Stock
+from .tooth_pass import PoseTrack
+
+# A family that knows less than the first share of what the best one knows has no say
+# below the second.
+_HEARD, _UNHEARD = 0.3, 0.1
+_TINY = 1e-6
+# Share of the rays around a point, by their weights, with which a family half knows.
+_FEW = 1e-2
+# Shorter ways across a surface count as this share of the band: what the rays resolve
+# of a smooth surface.
+_SHORTEST = 0.03
+# Shares of a chip in the material up to which its edge is out, and from which it is in.
+_NO_CHIP, _CHIP = 0.02, 0.1
+# Slope of a cut end against the motion of its pose is cut off at grazing rays.
+_GRAZING = 1e-2
+
+
+class _Near(eqx.Module):
+    """The end that decides the distance on each of 2 x 2 rays around each point."""
+
+    ends: Float[Array, "point 4"]
+    is_upper: Bool[Array, "point 4"]
+    is_empty: Bool[Array, "point 4"]
+    pose: Int[Array, "point 4"]
+    places: Float[Array, "point 4 3"]
+
+
+class _Face(eqx.Module):
+    """The plane that a family sees."""
+
+    distance: Float[Array, " point"]
+    normal: Float[Array, "point 3"]
+    trust: Float[Array, " point"]
+    full: Float[Array, " point"]
+    empty: Float[Array, " point"]
+
+
+def occupancy_in_space(
+    stock: Stock,
+    points: Float[Array, "point 3"],
+    cells: Float[Array, "point edge 3"],
+    band: float,
+    cutter: AbstractCutter,
+    track: PoseTrack | None = None,
+    *,
+    keeps_slopes: bool = False,
+    slots: Int[Array, " 3"] | None = None,
+) -> tuple[Float[Array, " point"], Float[Array, " point"]]:
+    """Return how much of the chips at pieces of edge is in the material.
+
+    Args:
+        stock: The workpiece.
+        points: Middles of the pieces in `work` [m], shape (point, 3).
+        cells: What each piece takes: from one end to the other, its way to the next
+            sample, and from the inner side of its chip outward [m], shape
+            (point, 3, 3).
+        band: Resolution of the rays and samples [m].
+        cutter: The cutter that cut the stock; used only with `track`.
+        track: All poses so far, to which the derivative goes; None differentiates
+            through the stock.
+        keeps_slopes: With `track`, whether a linearisation keeps the slopes of each
+            point instead of computing it again in every product.
+        slots: How many slots of each family hold anything, shape (3,); counted if not
+            given.
+
+    Returns:
+        The occupancy, the share of each piece that has a chip in the material, exactly
+        0 and 1 away from surfaces; and the share of that chip's thickness that is in
+        the material. Both of shape (point,).
+
+    Differentiability: continuous; kinks where a point crosses a grid line and where
+    another family decides.
+    """
+    slots = stock.slots_in_use() if slots is None else slots
+    near = tuple(_find(stock, f, points, slots[f]) for f in range(3))
+    sizes = (stock.spacing, band)
+    if track is None:
+        combine = jax.checkpoint(_combine, static_argnums=(5,))
+        ends = [n.ends for n in near]
+        found = combine(points, cells, ends, near, stock.origin, sizes)
+        return found[:, 0], found[:, 1]
+    # One gather for all: its transpose then adds into the table only once.
+    cut_by = track.cut_by(jnp.stack([n.pose for n in near], axis=1))
+    look = functools.partial(_look, sizes)
+    look = sloped_rows(look) if keeps_slopes else jax.checkpoint(look)
+    found = look(points, cells, cut_by, near, cutter, stock.origin)
+    return found[:, 0], found[:, 1]
+
+
+def _look(
+    sizes: tuple[float, float],
+    points: Float[Array, "point 3"],
+    cells: Float[Array, "point edge 3"],
+    cut_by: Pose,
+    near: tuple[_Near, ...],
+    cutter: AbstractCutter,
+    origin: Float[Array, " 3"],
+) -> Float[Array, "point 2"]:
+    """Return both shares, tied to the poses (point, family, 4) that cut the ends."""
+    ends = [_tie(cutter, near[f], f, cut_by[:, f]) for f in range(3)]
+    return _combine(points, cells, ends, near, origin, sizes)
+
+
+def _find(
+    stock: Stock, family: int, points: Float[Array, "point 3"], slots: Int[Array, ""]
+) -> _Near:
+    rays = stock.families[family]
+    d = stock.spacing
+    frozen = jax.lax.stop_gradient(points)
+    axes = ((family + 1) % 3, (family + 2) % 3)
+    cell = [
+        jnp.clip(
+            jnp.floor((frozen[:, a] - stock.origin[a]) / d).astype(jnp.int32),
+            0,
+            rays.ends.shape[i] - 2,
+        )
+        for i, a in enumerate(axes)
+    ]
+    row = cell[0][:, None] + jnp.array([[0, 0, 1, 1]], jnp.int32)
+    column = cell[1][:, None] + jnp.array([[0, 1, 0, 1]], jnp.int32)
+    count = rays.ends.shape[-1]
+    ray = (row * rays.ends.shape[1] + column) * (2 * count)
+    x = frozen[:, family, None]
+    low, high, slot = nearest_interval(rays.ends, ray, x, slots)
+    is_upper = high - x < x - low
+    at = ray + is_upper.astype(jnp.int32) * count + slot
+    ends = taken(rays.ends, at)
+    lines = [
+        stock.origin[a] + d * index.astype(points.dtype)
+        for a, index in zip(axes, (row, column), strict=True)
+    ]
+    placed: list[Array] = [ends, ends, ends]
+    placed[axes[0]], placed[axes[1]] = lines
+    return _Near(
+        ends=ends,
+        is_upper=is_upper,
+        is_empty=high < low,
+        pose=taken(rays.poses, at),
+        places=jax.lax.stop_gradient(jnp.stack(placed, axis=-1)),
+    )
+
+
+def _tie(
+    cutter: AbstractCutter, near: _Near, family: int, cut_by: Pose
+) -> Float[Array, "point 4"]:
+    """Return the ends with the derivatives of the poses that cut them.
+
+    An end stays on the surface of its pose: level(end; pose) = 0, so it moves by
+    -d(level) / n along its ray, n the normal's part along the ray.
+    """
+    frozen = cut_by.frozen()
+    slope = cutter.normal(near.places, frozen.tip, frozen.direction())[..., family]
+    slope = jax.lax.stop_gradient(slope)
+    away = jnp.where(slope < 0, -_GRAZING, _GRAZING)
+    slope = jnp.where(jnp.abs(slope) < _GRAZING, away, slope)
+    tie = -cutter.level(near.places, cut_by.tip, cut_by.direction()) / slope
+    tie = jnp.where(near.pose >= 0, tie, 0)
+    return tied(jax.lax.stop_gradient(near.ends), tie)
+
+
+def _combine(
+    points: Float[Array, "point 3"],
+    cells: Float[Array, "point edge 3"],
+    ends: list[Float[Array, "point 4"]],
+    near: tuple[_Near, ...],
+    origin: Float[Array, " 3"],
+    sizes: tuple[float, float],
+) -> Float[Array, "point 2"]:
+    d, band = sizes
+    faces = [_face(points, ends[f], near[f], f, origin, d) for f in range(3)]
+    trust = jnp.stack([f.trust for f in faces])
+    known = trust / jnp.max(trust, axis=0, keepdims=True)
+    doubt = clamp(0.0, (_HEARD - known) / (_HEARD - _UNHEARD), 1.0)
+    # What the silent rays of families that see a face are: material, or air.
+    full = jnp.sum(trust * jnp.stack([f.full for f in faces]), axis=0)
+    empty = jnp.sum(trust * jnp.stack([f.empty for f in faces]), axis=0)
+    goes_in = full / (full + empty + _FEW)
+    shares = [_shares(face, cells, band) for face in faces]
+    touched, filled = (
+        _inside(jnp.stack(each), faces, doubt, goes_in)
+        for each in zip(*shares, strict=True)
+    )
+    filled = filled / (touched + _TINY)
+    share = clamp(0.0, (filled - _NO_CHIP) / (_CHIP - _NO_CHIP), 1.0)
+    return jnp.stack([touched * share**2 * (3 - 2 * share), filled], axis=-1)
+
+
+def _shares(
+    face: _Face, cells: Float[Array, "point edge 3"], band: float
+) -> tuple[Float[Array, " point"], Float[Array, " point"]]:
+    """Return how much of the pieces and of their chips lies inside one plane."""
+    # How far it is out of the material along each edge of the cell.
+    out = jnp.sum(face.normal[:, None] * cells, axis=-1)
+    shortest = _SHORTEST * band
+    along = jnp.maximum(jnp.abs(out[:, 0]), shortest)
+    width = jnp.maximum(jnp.abs(out[:, 1]), shortest)
+    # From the edge to the inner side of the chip.
+    inward = out[:, 2]
+    touched = mean_step(face.distance + jnp.maximum(inward, 0), width, along)
+    length = jnp.sqrt(along**2 + inward**2)
+    return touched, mean_step(face.distance + inward / 2, width, length)
+
+
+def _inside(
+    shares: Float[Array, "3 point"],
+    faces: list[_Face],
+    doubt: Float[Array, "3 point"],
+    goes_in: Float[Array, " point"],
+) -> Float[Array, " point"]:
+    """Return how much is inside of an edge, from what is inside of each plane."""
+    normals = jnp.stack([f.normal for f in faces])
+    out = _inside_all(shares + (1 - shares) * doubt, normals)
+    # Where the edge goes in, what is outside of all planes is outside.
+    into = 1 - _inside_all(1 - shares * (1 - doubt), normals)
+    return (1 - goes_in) * out + goes_in * into
+
+
+def _inside_all(
+    shares: Float[Array, "3 point"], normals: Float[Array, "3 point 3"]
+) -> Float[Array, " point"]:
+    """Return how much is inside of all planes.
+
+    Planes that are one and the same count once, planes at right angles as a product.
+    """
+    least = jax.lax.stop_gradient(jnp.argmin(shares, axis=0))[None]
+    first = jnp.take_along_axis(normals, least[..., None], axis=0)
+    apart = 1 - jnp.sum(normals * first, axis=-1) ** 2
+    others = jnp.prod(1 - (1 - shares) * apart, axis=0)
+    return jnp.take_along_axis(shares, least, axis=0)[0] * others
+
+
+def _face(
+    points: Float[Array, "point 3"],
+    ends: Float[Array, "point 4"],
+    near: _Near,
+    family: int,
+    origin: Float[Array, " 3"],
+    d: float,
+) -> _Face:
+    reach = REACH * d
+    axes = ((family + 1) % 3, (family + 2) % 3)
+    x = points[:, family, None]
+    s = jnp.where(near.is_upper, ends - x, x - ends)
+    s = jnp.where(near.is_empty, -reach, clamp(-reach, s, reach))
+    p, q = (
+        (at - jax.lax.stop_gradient(jnp.floor(at)))
+        for at in ((points[:, a] - origin[a]) / d for a in axes)
+    )
+    # A ray that meets nothing says nothing of the slope of a face.
+    meets = (1 - (s / reach) ** 2) ** 2
+    sees = meets + _TINY
+    row = jnp.stack([1 - p, 1 - p, p, p], axis=-1)
+    column = jnp.stack([1 - q, q, 1 - q, q], axis=-1)
+    share = row * column
+    weight = share * sees
+    total = jnp.sum(weight, axis=-1)
+    here = jnp.sum(weight * s, axis=-1) / total
+    slopes = [
+        _slope(s, meets * other, pairs, d)
+        for other, pairs in ((column, ((0, 2), (1, 3))), (row, ((0, 1), (2, 3))))
+    ]
+    steepness = 1 + slopes[0] ** 2 + slopes[1] ** 2
+    root = jnp.sqrt(steepness)
+    is_upper = jnp.sum(jnp.where(near.is_upper, weight, 0), axis=-1) > 0.5 * total
+    sign = jnp.where(is_upper, 1.0, -1.0).astype(points.dtype)
+    normal: list[Array] = [sign, sign, sign]
+    normal[axes[0]], normal[axes[1]] = -slopes[0], -slopes[1]
+    is_full = ~near.is_empty & (s >= reach)
+    # How surely: head-on, and one ray that meets an end is enough.
+    trust = total / (total + _FEW) / steepness**2
+    return _Face(
+        distance=here / root,
+        normal=jnp.stack(normal, axis=-1) / root[:, None],
+        trust=trust,
+        full=jnp.sum(jnp.where(is_full, share, 0), axis=-1),
+        empty=jnp.sum(jnp.where(s <= -reach, share, 0), axis=-1),
+    )
+
+
+def _slope(
+    s: Float[Array, "point 4"],
+    weight: Float[Array, "point 4"],
+    pairs: tuple[tuple[int, int], ...],
+    d: float,
+) -> Float[Array, " point"]:
+    """Return the slope across rays, from those pairs of which both meet an end."""
+    up = jnp.zeros_like(s[:, 0])
+    total = jnp.full_like(up, _TINY)
+    for low, high in pairs:
+        says = weight[:, low] * weight[:, high]
+        up = up + says * (s[:, high] - s[:, low]) / d
+        total = total + says
+    return up / total

@@ -1,0 +1,258 @@
+"""The stock: three orthogonal families of rays, each ray a few intervals."""
+
+import math
+from collections.abc import Sequence
+from typing import TypeAlias
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ..._types import RealScalarLike
+from .._mesh.mesh import Mesh
+
+# A point as users pass it.
+Point: TypeAlias = (
+    Float[Array, " 3"] | Float[np.ndarray, " 3"] | Sequence[RealScalarLike]
+)
+# Ends of a slot that holds nothing: far outside any workpiece, and reversed [m].
+DEAD = 1e3
+# Rays without material around the stock, so that distances are known outside it.
+MARGIN = 4
+
+
+class Rays(eqx.Module):
+    """One family of parallel rays on a square grid.
+
+    A slot m of ray (u, v) is live where `ends[u, v, 0, m] < ends[u, v, 1, m]`; live
+    slots never overlap and are in no particular order.
+
+    Attributes:
+        ends: Lower and upper ends along the ray [m], shape (u, v, 2, slot).
+        poses: Which tool pose cut each end, in 2048ths of a tooth period from pose 0;
+            negative for the raw stock; shape (u, v, 2, slot).
+    """
+
+    ends: Float[Array, "u v 2 slot"]
+    poses: Int[Array, "u v 2 slot"]
+
+    def lengths(self) -> Float[Array, "u v"]:
+        """Return the material along each ray [m], shape (u, v)."""
+        return jnp.sum(jnp.maximum(self.ends[:, :, 1] - self.ends[:, :, 0], 0), axis=-1)
+
+    def slots_in_use(self) -> Int[Array, ""]:
+        """Return how many slots hold anything on some ray, from the first on, ()."""
+        is_live = jnp.any(self.ends[:, :, 1] > self.ends[:, :, 0], axis=(0, 1))
+        place = jnp.arange(1, is_live.size + 1, dtype=jnp.int32)
+        return jnp.max(jnp.where(is_live, place, 0))
+
+
+class Stock(eqx.Module):
+    """A workpiece as a tri-dexel model.
+
+    Family f runs along axis f and is indexed along the axes (f + 1) % 3 and
+    (f + 2) % 3; grid line i of axis a is at `origin[a] + i * spacing`, the same for
+    all families.
+
+    Attributes:
+        families: The rays along x, y and z.
+        origin: First grid line of each axis [m], shape (3,).
+        spacing: Distance between rays d [m].
+        top: Upper face of the raw stock [m].
+        volume_weights: Share of each family in the volume; the rays along the tool
+            axis see floors head-on, so for a vertical tool they count alone.
+    """
+
+    families: tuple[Rays, Rays, Rays]
+    origin: Float[Array, " 3"]
+    spacing: float = eqx.field(static=True)
+    top: float = eqx.field(static=True)
+    volume_weights: tuple[float, float, float] = eqx.field(
+        static=True, default=(0.0, 0.0, 1.0)
+    )
+
+    def volumes(self) -> Float[Array, " 3"]:
+        """Return the volume that each family measures [m^3], shape (3,)."""
+        totals = [jnp.sum(rays.lengths()) for rays in self.families]
+        return jnp.stack(totals) * self.spacing**2
+
+    def volume(self) -> Float[Array, ""]:
+        """Return the volume [m^3], the weighted mean of the families, shape ().
+
+        Differentiability: linear in the ends of the rays.
+        """
+        weights = jnp.asarray(self.volume_weights, self.origin.dtype)
+        return jnp.sum(self.volumes() * weights)
+
+    def slots_in_use(self) -> Int[Array, " 3"]:
+        """Return how many slots of each family hold anything, from the first on."""
+        return jnp.stack([rays.slots_in_use() for rays in self.families])
+
+    @property
+    def grid_shape(self) -> tuple[int, int, int]:
+        """Return the number of grid lines along x, y and z."""
+        count_y, count_z = self.families[0].ends.shape[:2]
+        return self.families[1].ends.shape[1], count_y, count_z
+
+    @property
+    def interval_counts(self) -> tuple[int, int, int]:
+        """Return the number of slots of a ray along x, y and z."""
+        x, y, z = (rays.ends.shape[-1] for rays in self.families)
+        return x, y, z
+
+    def to_mesh(self) -> Mesh:
+        """Return the surface as a closed mesh, on the host.
+
+        Returns:
+            Triangles [m], sharp edges kept. Walls and gaps thinner than the spacing
+            may be lost.
+
+        Raises:
+            ValueError: The stock holds no material, or the grid is too large for the
+                memory.
+
+        Differentiability: none.
+        """
+        from .._mesh.dual_contour import surface_mesh
+
+        return surface_mesh(self)
+
+    def astype(self, dtype: jnp.dtype) -> "Stock":
+        """Return the stock with all lengths in another floating type."""
+        return jax.tree.map(
+            lambda x: x.astype(dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x,
+            self,
+        )
+
+
+def box(
+    lower: Point,
+    upper: Point,
+    spacing: float,
+    *,
+    interval_counts: tuple[int, int, int] = (8, 8, 1),
+    dtype: type | jnp.dtype | None = None,
+) -> Stock:
+    """Return a block as stock.
+
+    Args:
+        lower: Least x, y, z [m], shape (3,).
+        upper: Greatest x, y, z [m], shape (3,).
+        spacing: Distance between rays [m].
+        interval_counts: Slots for intervals of a ray along x, y and z; a cutter with
+            its axis along z never splits a ray along z.
+        dtype: Floating type; JAX's default if not given.
+
+    Returns:
+        The stock; rays stand in the middle of cells of side `spacing`.
+
+    Raises:
+        ValueError: The box is empty, not finite, or the spacing not positive.
+    """
+    low, high = np.asarray(lower, np.float64), np.asarray(upper, np.float64)
+    if not (math.isfinite(spacing) and spacing > 0):
+        raise ValueError(
+            f"Argument `spacing` must be finite and positive, but is {spacing}."
+        )
+    if low.shape != (3,) or high.shape != (3,):
+        raise ValueError("Arguments `lower` and `upper` must have three numbers each.")
+    if not (np.isfinite(low).all() and np.isfinite(high).all() and (high > low).all()):
+        raise ValueError(
+            f"Argument `upper` must be greater than `lower` on every axis, but they "
+            f"are {high.tolist()} and {low.tolist()}."
+        )
+    if min(interval_counts) < 1:
+        raise ValueError(
+            f"Argument `interval_counts` must be at least 1, but is {interval_counts}."
+        )
+    origin, counts = block_grid(low, high, spacing)
+    cells = counts - 2 * MARGIN
+    lines = [origin[a] + spacing * np.arange(counts[a]) for a in range(3)]
+    inside = [
+        (np.arange(counts[a]) >= MARGIN) & (np.arange(counts[a]) < MARGIN + cells[a])
+        for a in range(3)
+    ]
+    dtype = jnp.zeros(()).dtype if dtype is None else jnp.dtype(dtype)
+    families = []
+    for f in range(3):
+        b, c = (f + 1) % 3, (f + 2) % 3
+        shape = (len(lines[b]), len(lines[c]), 2, interval_counts[f])
+        ends = np.empty(shape)
+        ends[:, :, 0], ends[:, :, 1] = DEAD, -DEAD
+        filled = inside[b][:, None] & inside[c][None, :]
+        ends[filled, 0, 0], ends[filled, 1, 0] = low[f], high[f]
+        families.append(
+            Rays(jnp.asarray(ends, dtype), jnp.full(shape, -1, dtype=jnp.int32))
+        )
+    return Stock(
+        families=(families[0], families[1], families[2]),
+        origin=jnp.asarray(origin, dtype),
+        spacing=float(spacing),
+        top=float(high[2]),
+    )
+
+
+def block_grid(
+    lower: Float[np.ndarray, " 3"], upper: Float[np.ndarray, " 3"], spacing: float
+) -> tuple[Float[np.ndarray, " 3"], Int[np.ndarray, " 3"]]:
+    """Return the grid of rays for a block, its margin included, on the host.
+
+    Args:
+        lower: Least x, y, z [m], shape (3,).
+        upper: Greatest x, y, z [m], shape (3,).
+        spacing: Distance between rays [m].
+
+    Returns:
+        The first grid line of each axis [m], shape (3,), and the number of grid lines,
+        shape (3,). A size that is no multiple of the spacing is shared out to both
+        sides.
+    """
+    cells = np.maximum(np.round((upper - lower) / spacing), 1).astype(int)
+    first = (lower + upper) / 2 - (cells - 1) / 2 * spacing
+    return first - MARGIN * spacing, cells + 2 * MARGIN
+
+
+def ray_ends(
+    stock: Stock, family: int
+) -> tuple[Float[np.ndarray, "end 3"], Float[np.ndarray, " end"]]:
+    """Return the ends of all intervals of one family as points, on the host.
+
+    Args:
+        stock: The workpiece.
+        family: 0, 1 or 2: the rays along x, y or z.
+
+    Returns:
+        Points [m], shape (end, 3), and the sign of the outward direction along the
+        ray, -1 for lower and +1 for upper ends, shape (end,).
+    """
+    ends = np.asarray(stock.families[family].ends)
+    origin = np.asarray(stock.origin)
+    is_live = np.broadcast_to((ends[:, :, 1] > ends[:, :, 0])[:, :, None], ends.shape)
+    u, v, side, _ = np.nonzero(is_live)
+    points = np.empty((u.size, 3))
+    points[:, family] = ends[is_live]
+    points[:, (family + 1) % 3] = origin[(family + 1) % 3] + u * stock.spacing
+    points[:, (family + 2) % 3] = origin[(family + 2) % 3] + v * stock.spacing
+    return points, np.where(side == 0, -1.0, 1.0)
+
+
+def height_map(
+    stock: Stock,
+) -> tuple[Float[np.ndarray, " x"], Float[np.ndarray, " y"], Float[np.ndarray, "x y"]]:
+    """Return the highest material above each point of the plan, on the host.
+
+    Args:
+        stock: The workpiece.
+
+    Returns:
+        Grid lines x and y [m], shapes (x,) and (y,), and the height [m], shape
+        (x, y); NaN where a ray holds no material.
+    """
+    ends = np.asarray(stock.families[2].ends)
+    is_live = ends[:, :, 1] > ends[:, :, 0]
+    height = np.where(is_live, ends[:, :, 1], -np.inf).max(axis=-1)
+    origin = np.asarray(stock.origin)
+    lines = [origin[a] + stock.spacing * np.arange(height.shape[a]) for a in range(2)]
+    return lines[0], lines[1], np.where(np.isfinite(height), height, np.nan)

@@ -1,0 +1,316 @@
+"""Which pose of a tool makes which point: where it stands as a tooth goes around.
+
+A point of a surface is made by a tooth at the instant at which it looks at the point:
+the tool shakes and moves on within a tooth period, so walls in other directions, and
+at other heights on a helix, see other poses. What one tooth takes as it goes around
+once is a cutter whose tip depends on direction and height. All of these together are
+what the tool takes.
+
+The turn is cut open behind the tool, where earlier teeth have been: whatever a tooth
+takes ahead of it is one surface without a step.
+
+Times count in tooth periods from pose 0. The ends of rays remember them in whole ticks.
+"""
+
+import math
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.typing import DTypeLike
+from jaxtyping import Array, Bool, Float, Int
+
+from ...cutter import AbstractCutter
+from ...numerics import clamp, hold, turn_between
+from .._pose import Pose, tool_frame
+
+# Parts of a tooth period in which the ends of rays remember when they were cut.
+TICKS = 2048
+# An end tells which pose cut it, and that where the end is: so often in turn. What is
+# left is the square of (way in a radian / R), in R.
+_ROUNDS = 2
+# Parts of a step in which columns look for their time.
+_FINE = 8
+
+# Lower and upper end, whether there is a cut, and when each end was cut, in ticks.
+Interval = tuple[
+    Float[Array, "..."],
+    Float[Array, "..."],
+    Bool[Array, "..."],
+    Int[Array, "..."],
+    Int[Array, "..."],
+]
+
+
+class PoseTrack(eqx.Module):
+    """Poses of a tool at equal steps of time.
+
+    Attributes:
+        poses: Pose i stands at the time i / substeps, shape (node, 3).
+        substeps: Steps per tooth period.
+    """
+
+    poses: Pose
+    substeps: int = eqx.field(static=True)
+
+    def cut_by(self, ticks: Int[Array, "*end"]) -> Pose:
+        """Return the poses that cut some ends, interpolated between two nodes.
+
+        Args:
+            ticks: When they cut, as the ends remember it, shape (...); raw ends, with
+                negative times, get pose 0.
+
+        Returns:
+            Poses, shape (..., 3).
+
+        **Differentiability**: linear in the poses.
+        """
+        return jax.tree.map(lambda x: self._between(x, ticks), self.poses)
+
+    def height_by(self, ticks: Int[Array, "*end"]) -> Float[Array, "*end"]:
+        """Return the height of the tip that cut some ends [m]; see `cut_by`."""
+        return self._between(self.poses.tip[:, 2:], ticks)[..., 0]
+
+    def _between(
+        self, nodes: Float[Array, "node some"], ticks: Int[Array, "*end"]
+    ) -> Float[Array, "*end some"]:
+        ticks = jnp.maximum(ticks, 0)
+        steps = (ticks % TICKS) * self.substeps
+        low = ticks // TICKS * self.substeps + steps // TICKS
+        high = jnp.minimum(low + 1, nodes.shape[0] - 1)
+        share = (steps % TICKS).astype(nodes.dtype)[..., None] / TICKS
+        # One gather for both: its transpose then adds into the table only once.
+        both = nodes[jnp.stack([low, high])]
+        return (1 - share) * both[0] + share * both[1]
+
+
+class ToothPass(eqx.Module):
+    """The poses of a tool while one tooth goes around once.
+
+    Attributes:
+        nodes: Poses at equal steps of time, shape (node, 3); one for a tool that stands
+            still.
+        first: Steps from pose 0 to node 0, shape ().
+        forward: Direction of motion along tool x and y, a unit vector, shape (2,).
+        passing: Node, in parts too, at which the tooth looks forward at the tip, ().
+        last: Last node that is known; later the tool is taken to stand there, ().
+        substeps: Steps per tooth period.
+    """
+
+    nodes: Pose
+    first: Int[Array, ""]
+    forward: Float[Array, " 2"]
+    passing: Float[Array, ""]
+    last: Float[Array, ""]
+    substeps: int = eqx.field(static=True)
+
+    def center(self) -> Pose:
+        """Return the pose at which the tooth looks forward, shape (3,)."""
+        return self.at(clamp(0.0, self.passing, self.last))
+
+    def at(self, node: Float[Array, "*end"]) -> Pose:
+        """Return the poses at some nodes, interpolated, shape (..., 3).
+
+        **Differentiability**: kinks at the nodes.
+        """
+        count = self.nodes.tip.shape[0]
+        if count == 1:
+            return self.nodes[0]
+        low = jnp.clip(jax.lax.stop_gradient(node).astype(jnp.int32), 0, count - 2)
+        share = (node - low.astype(node.dtype))[..., None]
+        between = lambda x: x[low] + share * (x[low + 1] - x[low])
+        tip = between(self.nodes.tip)
+        if self.nodes.axis is None:
+            return Pose(tip)
+        axis = between(self.nodes.axis)
+        return Pose(tip, axis / jnp.linalg.norm(axis, axis=-1, keepdims=True))
+
+    def refined(self, parts: int) -> "ToothPass":
+        """Return the same pass with every step in some parts."""
+        count = (self.nodes.tip.shape[0] - 1) * parts + 1
+        fine = self.at(jnp.arange(count, dtype=self.passing.dtype) / parts)
+        first, passing, last = (
+            parts * value for value in (self.first, self.passing, self.last)
+        )
+        steps = parts * self.substeps
+        return ToothPass(fine, first, self.forward, passing, last, steps)
+
+    def when(
+        self,
+        cutter: AbstractCutter,
+        x: Float[Array, "*#end"],
+        y: Float[Array, "*#end"],
+        height: Float[Array, "*#end"] | None,
+    ) -> Float[Array, "..."]:
+        """Return the node at which the tooth looks at a place.
+
+        Args:
+            cutter: The cutter.
+            x: Place from the tip along tool x [m], shape (...).
+            y: Along tool y [m], broadcast.
+            height: Above the tip [m], broadcast; None for places at the tip.
+
+        Returns:
+            Nodes, in whole ticks, shape (...).
+
+        **Differentiability**: taken as a constant: as an end moves, another pose cuts
+        it, by (way in a radian / R) of its motion.
+        """
+        sin, cos = self.forward[0], self.forward[1]
+        turn = turn_between(x * sin + y * cos, x * cos - y * sin)
+        if height is not None and cutter.has_helix:
+            lead = jnp.tan(jnp.asarray(cutter.helix_angle, turn.dtype))
+            turn = turn + height * lead / (cutter.diameter / 2)
+        nodes_per_radian = cutter.flute_count * self.substeps / (2 * math.pi)
+        node = jax.lax.stop_gradient(self.passing + nodes_per_radian * turn)
+        node = clamp(0.0, node, self.last)
+        return jnp.minimum(self._ticks(node) * (self.substeps / TICKS), self.last)
+
+    def _ticks(self, node: Float[Array, "*end"]) -> Float[Array, "*end"]:
+        """Return whole ticks from node 0, such that they are whole from pose 0 too."""
+        part = self._first_ticks(node.dtype)
+        return jnp.round(node * (TICKS / self.substeps) + part) - part
+
+    def ticks(self, node: Float[Array, "*end"]) -> Int[Array, "*end"]:
+        """Return the times of some nodes in ticks, shape (...)."""
+        part = node * (TICKS / self.substeps) + self._first_ticks(node.dtype)
+        whole = self.first // self.substeps * TICKS
+        return whole + jnp.round(part).astype(jnp.int32)
+
+    def _first_ticks(self, dtype: DTypeLike) -> Float[Array, ""]:
+        """Return the ticks of node 0 in its tooth period."""
+        return (self.first % self.substeps).astype(dtype) * (TICKS / self.substeps)
+
+
+def standing(pose: Pose, index: Int[Array, ""]) -> ToothPass:
+    """Return the pass of a tool that stands still.
+
+    Args:
+        pose: Where, shape (3,).
+        index: Index of the pose, shape ().
+    """
+    zero = jnp.zeros((), pose.tip.dtype)
+    ahead = jnp.zeros(2, pose.tip.dtype).at[1].set(1)
+    return ToothPass(pose[None], index, ahead, zero, zero, 1)
+
+
+def cut_interval(
+    cutter: AbstractCutter,
+    family: Literal[0, 1, 2],
+    b: Float[Array, "u v"],
+    c: Float[Array, "u v"],
+    tooth: ToothPass,
+) -> Interval:
+    """Return what a tooth takes from rays as it goes around once.
+
+    The height of an upright end is that of the tool as the tooth passes over a column;
+    whether it reaches the column is judged at the tip, also on a helix.
+
+    Args:
+        cutter: The cutter.
+        family: Axis along which the rays run.
+        b: Coordinate of each ray along axis (family + 1) % 3 [m], shape (u, v).
+        c: Coordinate of each ray along axis (family + 2) % 3 [m], same shape.
+        tooth: The pass.
+
+    **Differentiability**: as `AbstractCutter.intersect` and `intersect_pose`.
+    """
+    center = tooth.center()
+    if tooth.nodes.tip.shape[0] == 1:
+        start, stop, is_hit = _intersect(cutter, family, b, c, center)
+        when = jnp.broadcast_to(tooth.ticks(tooth.passing), is_hit.shape)
+        return start, stop, is_hit, when, when
+    if center.axis is None and family == 2:
+        # Columns are many, and interpolation would cost more than all the rest.
+        fine = tooth.refined(_FINE)
+        fine = hold(fine)
+        node = hold(fine.when(cutter, b - center.tip[0], c - center.tip[1], None))
+        node = jnp.round(node)
+        near = fine.nodes[node.astype(jnp.int32)]
+        start, stop, is_hit = _intersect(cutter, family, b, c, near)
+        when = fine.ticks(node)
+        return start, stop, is_hit, when, when
+    # Both ends at once, in a leading axis.
+    is_stop = jnp.arange(2, dtype=jnp.int32)[:, None, None] > 0
+    u, v = (x[None] for x in _lines(cutter, family, b, c, center))
+    pose, node = center, tooth.passing
+    start, stop, is_hit = _intersect(cutter, family, u, v, pose)
+    for _ in range(_ROUNDS):
+        end = jnp.where(is_stop, stop, start)
+        x, y, height = _place(family, u, v, end, is_hit, pose)
+        node = tooth.when(cutter, x, y, height)
+        pose = hold(tooth.at(node))
+        start, stop, is_hit = _intersect(cutter, family, u, v, pose)
+    if u.shape[1:] != b.shape or v.shape[1:] != b.shape:
+        start, stop, is_hit = _intersect(cutter, family, b[None], c[None], pose)
+    is_hit = is_hit[0] & is_hit[1] & (start[0] < stop[1])
+    when = jnp.broadcast_to(tooth.ticks(node), (2, *b.shape))
+    return start[0], stop[1], is_hit, when[0], when[1]
+
+
+def _lines(
+    cutter: AbstractCutter,
+    family: Literal[0, 1, 2],
+    b: Float[Array, "u v"],
+    c: Float[Array, "u v"],
+    center: Pose,
+) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+    """Return the rays of which the ends tell when all are cut.
+
+    Those above each other see an upright straight side at the same time: one high up
+    stands for all.
+    """
+    if center.axis is not None or cutter.has_helix or cutter.nominal_corner_radius > 0:
+        return b, c
+    high = (center.tip[2] + cutter.nominal_radius)[None, None]
+    return (b[:, :1], high) if family == 0 else (high, c[:1])
+
+
+def _intersect(
+    cutter: AbstractCutter,
+    family: Literal[0, 1, 2],
+    b: Float[Array, "..."],
+    c: Float[Array, "..."],
+    pose: Pose,
+) -> tuple[Float[Array, "..."], Float[Array, "..."], Bool[Array, "..."]]:
+    if pose.axis is None:
+        return cutter.intersect(family, b, c, pose.tip)
+    return cutter.intersect_pose(family, b, c, pose.tip, pose.axis)
+
+
+def _place(
+    family: Literal[0, 1, 2],
+    b: Float[Array, "..."],
+    c: Float[Array, "..."],
+    end: Float[Array, "..."],
+    is_hit: Bool[Array, "..."],
+    pose: Pose,
+) -> tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."]]:
+    """Return where ends are, along tool x, y and axis from the tip [m].
+
+    Of a ray that is not hit, the place nearest to the tool axis: a tooth that looks
+    there may reach it yet.
+    """
+    tip, f = pose.tip, family
+    away_b, away_c = b - tip[..., (f + 1) % 3], c - tip[..., (f + 2) % 3]
+    if pose.axis is None:
+        along = jnp.where(is_hit, end - tip[..., f], 0)
+        # Tool x and y are those of `work`.
+        if f == 0:
+            return along, away_b, away_c
+        return away_c, along, away_b
+    axis = pose.axis
+    square = 1 - axis[..., f] ** 2
+    near = away_b * axis[..., (f + 1) % 3] + away_c * axis[..., (f + 2) % 3]
+    is_across = square > 1e-12
+    near = near * axis[..., f] / jnp.where(is_across, square, 1)
+    near = jnp.where(is_across, near, 0)
+    away: list[Array] = [near, near, near]
+    away[f] = jnp.where(is_hit, end - tip[..., f], near)
+    away[(f + 1) % 3], away[(f + 2) % 3] = away_b, away_c
+    place = jnp.stack(jnp.broadcast_arrays(*away), axis=-1)
+    frame = tool_frame(jax.lax.stop_gradient(axis))
+    directions = (jnp.broadcast_to(frame[..., i], place.shape) for i in range(3))
+    x, y, up = (jnp.sum(place * along, axis=-1) for along in directions)
+    return x, y, up

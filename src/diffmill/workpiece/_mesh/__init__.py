@@ -1,0 +1,1 @@
+"""Meshes of a stock, into it and out of it."""

@@ -1,0 +1,194 @@
+"""Rays through a closed mesh: where each one enters and leaves the material."""
+
+import math
+from typing import TYPE_CHECKING
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from .._dexel.stock import DEAD, MARGIN, Rays, Stock, block_grid
+from .._memory import check_memory, stock_bytes
+from .mesh import Mesh
+
+if TYPE_CHECKING:
+    import manifold3d
+
+# Shorter pieces of material are rounding, as in removal [m].
+_SHORTEST = 1e-9
+# Slots that cuts need beyond what a raw part holds; a vertical cutter splits no ray
+# along z. For a block this gives the slots of `box`.
+_ROOM = (7, 7, 0)
+
+
+def stock_from_mesh(
+    mesh: Mesh,
+    spacing: float,
+    *,
+    interval_counts: tuple[int, int, int] | None = None,
+    dtype: type | jnp.dtype | None = None,
+) -> Stock:
+    """Return the solid that a closed mesh bounds as stock.
+
+    Args:
+        mesh: A closed mesh, all triangles facing outward; shells may overlap.
+        spacing: Distance between rays [m].
+        interval_counts: Slots for intervals of a ray along x, y and z; by default as
+            many as the part needs and seven more along x and y.
+        dtype: Floating type; JAX's default if not given.
+
+    Returns:
+        The stock, on the grid that `box` gives the box around the mesh.
+
+    Raises:
+        ValueError: The spacing is not positive or so large that no ray meets the mesh,
+            the slots are too few, the mesh is no solid, or the stock is larger than
+            half of the physical memory.
+
+    Differentiability: none, a host function.
+    """
+    if not (math.isfinite(spacing) and spacing > 0):
+        raise ValueError(
+            f"Argument `spacing` must be finite and positive, but is {spacing}."
+        )
+    if interval_counts is not None and min(interval_counts) < 1:
+        raise ValueError(
+            f"Argument `interval_counts` must be at least 1, but is {interval_counts}."
+        )
+    dtype = jnp.zeros(()).dtype if dtype is None else jnp.dtype(dtype)
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    _check_size(high - low, spacing, interval_counts or (8, 8, 1), dtype.itemsize)
+    origin, counts = block_grid(low, high, spacing)
+    solid = _solid(mesh)
+    pieces = [_cast_family(solid, f, origin, counts, spacing) for f in range(3)]
+    needed = [int(np.bincount(ray, minlength=1).max()) for ray, _ in pieces]
+    if min(needed) == 0:
+        axes = [axis for axis, count in zip("xyz", needed, strict=True) if not count]
+        raise ValueError(
+            f"Argument `spacing` must be small enough for rays to meet the mesh, but "
+            f"at {spacing:g} m no ray along {' and '.join(axes)} does."
+        )
+    slots = _slots(needed, interval_counts)
+    size = stock_bytes(counts.tolist(), slots, dtype.itemsize)
+    check_memory(size, f"A stock of spacing {spacing:g} m")
+    families = [
+        _rays(pieces[f], (counts[(f + 1) % 3], counts[(f + 2) % 3]), slots[f], dtype)
+        for f in range(3)
+    ]
+    return Stock(
+        families=(families[0], families[1], families[2]),
+        origin=jnp.asarray(origin, dtype),
+        spacing=float(spacing),
+        top=float(high[2]),
+    )
+
+
+def _check_size(
+    size: Float[np.ndarray, " 3"],
+    spacing: float,
+    slots: tuple[int, int, int],
+    item_size: int,
+) -> None:
+    # In floating point: a tiny spacing would overflow whole numbers.
+    counts = np.maximum(np.round(size / spacing), 1) + 2 * MARGIN
+    needed = stock_bytes(counts.tolist(), slots, item_size)
+    check_memory(needed, f"A stock of spacing {spacing:g} m")
+
+
+def _slots(
+    needed: list[int], wanted: tuple[int, int, int] | None
+) -> tuple[int, int, int]:
+    if wanted is None:
+        x, y, z = (max(n, 1) + room for n, room in zip(needed, _ROOM, strict=True))
+        return x, y, z
+    if any(n > w for n, w in zip(needed, wanted, strict=True)):
+        raise ValueError(
+            f"Argument `interval_counts` is {wanted}, but rays through the mesh have "
+            f"up to {tuple(needed)} intervals along x, y and z."
+        )
+    return wanted
+
+
+def _solid(mesh: Mesh) -> "manifold3d.Manifold":
+    import manifold3d
+
+    faces = mesh.faces.astype(np.uint64)
+    vertices = np.ascontiguousarray(mesh.vertices, np.float64)
+    solid = manifold3d.Manifold(manifold3d.Mesh64(vertices, faces))
+    if solid.status() != manifold3d.Error.NoError or solid.is_empty():
+        raise ValueError(
+            "Argument `mesh` must be a closed, oriented surface, but is none "
+            f"({solid.status().name})."
+        )
+    return solid
+
+
+def _cast_family(
+    solid: "manifold3d.Manifold",
+    family: int,
+    origin: Float[np.ndarray, " 3"],
+    counts: Int[np.ndarray, " 3"],
+    spacing: float,
+) -> tuple[Int[np.ndarray, " piece"], Float[np.ndarray, "piece 2"]]:
+    """Return the pieces of material on all rays of a family.
+
+    Returns:
+        The number of the ray u * len(v) + v of each piece, in ascending order, shape
+        (piece,), and the ends of the piece [m], shape (piece, 2).
+    """
+    b, c = (family + 1) % 3, (family + 2) % 3
+    start, stop = [0.0] * 3, [0.0] * 3
+    start[family] = float(origin[family])
+    stop[family] = float(origin[family] + (counts[family] - 1) * spacing)
+    rays, ends = [], []
+    for u in range(MARGIN, counts[b] - MARGIN):
+        start[b] = stop[b] = float(origin[b] + u * spacing)
+        for v in range(MARGIN, counts[c] - MARGIN):
+            start[c] = stop[c] = float(origin[c] + v * spacing)
+            for piece in _pieces(solid.ray_cast(start, stop), family):
+                rays.append(u * int(counts[c]) + v)
+                ends.append(piece)
+    return _merged(np.array(rays, np.int64), np.array(ends).reshape(-1, 2))
+
+
+def _pieces(hits: "list[manifold3d.RayHit]", family: int) -> list[tuple[float, float]]:
+    """Return the pieces of material between the hits of one ray, in order."""
+    pieces, depth, low = [], 0, 0.0
+    for hit in hits:
+        # Where shells overlap a ray may enter twice before it leaves.
+        is_entry = hit.normal[family] < 0
+        if is_entry and depth == 0:
+            low = hit.position[family]
+        depth += 1 if is_entry else -1
+        if not is_entry and depth == 0:
+            pieces.append((low, hit.position[family]))
+    return pieces
+
+
+def _merged(
+    ray: Int[np.ndarray, " piece"], ends: Float[np.ndarray, "piece 2"]
+) -> tuple[Int[np.ndarray, " joined"], Float[np.ndarray, "joined 2"]]:
+    """Return the pieces without slivers, those that only rounding parts as one."""
+    is_long = ends[:, 1] - ends[:, 0] > _SHORTEST
+    ray, ends = ray[is_long], ends[is_long]
+    is_next = (ray[1:] == ray[:-1]) & (ends[1:, 0] - ends[:-1, 1] <= _SHORTEST)
+    first = np.flatnonzero(np.append(True, ~is_next))[: len(ray)]
+    last = np.append(first[1:], len(ray))[: len(first)] - 1
+    return ray[first], np.stack([ends[first, 0], ends[last, 1]], axis=-1)
+
+
+def _rays(
+    pieces: tuple[Int[np.ndarray, " piece"], Float[np.ndarray, "piece 2"]],
+    grid: tuple[int | np.integer, int | np.integer],
+    slot_count: int,
+    dtype: jnp.dtype,
+) -> Rays:
+    """Return the pieces as rays with a fixed number of slots."""
+    ray, piece_ends = pieces
+    shape = (int(grid[0]), int(grid[1]), 2, slot_count)
+    ends = np.empty(shape)
+    ends[:, :, 0], ends[:, :, 1] = DEAD, -DEAD
+    # How many pieces of the same ray come before.
+    slot = np.arange(len(ray)) - np.searchsorted(ray, ray)
+    ends[ray // shape[1], ray % shape[1], :, slot] = piece_ends
+    return Rays(jnp.asarray(ends, dtype), jnp.full(shape, -1, dtype=jnp.int32))
