@@ -369,7 +369,7 @@ def test_records_of_four_programs_are_fitted_together(folder, capsys):
 def test_a_record_of_a_straight_cut_gives_its_coefficients(folder, capsys):
     cutter = ct.flat_end_mill(10e-3, 2, helix_angle=math.radians(30))
     speed = 6000 * 2 * math.pi / 60 * 1.002
-    cut = identification.steady_cut(cutter, speed, 0.1e-3, 2e-3, teeth=96)
+    cut = identification.straight_cut(cutter, speed, 0.1e-3, 2e-3, teeth=96)
     found = identification.engagement_columns(cut)
     grid = found.start + found.spacing * np.arange(len(found.columns))
     time = np.arange(13 * cut.tooth_period, 95 * cut.tooth_period, 1e-4)

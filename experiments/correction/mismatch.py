@@ -83,7 +83,7 @@ def _timed(
 def _errors(job: dm.Job, found: dm.Correction) -> Errors:
     cutting = np.asarray(found.before.is_cutting)
     desired = jnp.asarray(job.path.positions)
-    plant = ScaledPlant(sim.with_precision(job), pr.Traced())
+    plant = ScaledPlant(sim.with_precision(job), pr.ThroughPoses())
 
     @jax.jit
     def every(scale: jax.Array, command: jax.Array) -> jax.Array:

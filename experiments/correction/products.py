@@ -54,7 +54,7 @@ run = eqx.filter_jit(_residual)
 
 def _programs(job: dm.Job, keeps_slopes: bool) -> tuple[list[Callable[[], Any]], float]:
     """Return what is to be timed, and the size of the linear program [byte]."""
-    products, args = StoredProducts(), (job, pr.Traced(keeps_slopes=keeps_slopes))
+    products, args = StoredProducts(), (job, pr.ThroughPoses(keeps_slopes=keeps_slopes))
     tips = jnp.asarray(job.path.positions)
     residual, linear = products.linearise(_residual, tips, args)
     size = sum(x.nbytes for x in jax.tree.leaves(linear) if hasattr(x, "nbytes"))

@@ -73,6 +73,6 @@ def compiled(job: dm.Job, tips: jax.Array):
 
     def run(command: jax.Array) -> jax.Array:
         motors, _ = dm.sim.command_motors(job, command)
-        return dm.sim.run_motors(job, motors, dm.process.Traced()).actual
+        return dm.sim.run_motors(job, motors, dm.process.ThroughPoses()).actual
 
     return jax.jit(run).lower(tips).compile()

@@ -109,7 +109,7 @@ def _scalar(
             SPINDLE_SPEED,
             axes,
             plan=plan,
-            adjoint=dm.process.Traced(),
+            adjoint=dm.process.ThroughPoses(),
         ).force
         return jnp.sum(weights * force) / ROWS
 

@@ -10,7 +10,7 @@ from shared import Report, example_job, relative
 def measure(report: Report) -> None:
     """Compare the forces of both runs of the small example."""
     job = dm.sim.with_precision(example_job("paper_small"))
-    coupled = dm.simulate(job, adjoint=dm.process.Traced())
+    coupled = dm.simulate(job, adjoint=dm.process.ThroughPoses())
     alone = jax.jit(
         lambda tips: (
             dm.sim.simulate_process(
@@ -20,7 +20,7 @@ def measure(report: Report) -> None:
                 job.law,
                 job.spindle_speed,
                 plan=dm.sim.job_plan(job),
-                adjoint=dm.process.Traced(),
+                adjoint=dm.process.ThroughPoses(),
             ).force
         )
     )(coupled.actual)

@@ -25,8 +25,8 @@ def measure(report: Report) -> None:
     """Measure directions, single samples, rapid moves and the two adjoints."""
     path = jnp.asarray(path_with_corner())
     _machine()  # Built outside of what is traced.
-    value = jax.jit(scalar(dm.process.Traced()))
-    gradient = jax.jit(jax.grad(scalar(dm.process.Traced())))
+    value = jax.jit(scalar(dm.process.ThroughPoses()))
+    gradient = jax.jit(jax.grad(scalar(dm.process.ThroughPoses())))
     report.say()
     report.say(f"{ROWS} tooth periods, robot reis_rv130_like, cut with one corner;")
     report.say("scalar: sum of randomly weighted tip positions")
@@ -178,12 +178,12 @@ def _rapid(report: Report, gradient: Callable) -> None:
 
 def _adjoints(report: Report, path: jax.Array, slope: np.ndarray) -> None:
     report.say()
-    plain = np.asarray(jax.jit(jax.grad(scalar(dm.process.Plain())))(path))
+    plain = np.asarray(jax.jit(jax.grad(scalar(dm.process.ThroughRays())))(path))
     difference = np.abs(plain - slope).max() / np.abs(slope).max()
     report.figure("reverse: Plain and Traced differ by", float(difference), 1e-9, "")
     direction = jnp.asarray(smooth_directions(np.random.default_rng(5), ROWS, 1)[0])
     tangents = []
-    for adjoint in (dm.process.Plain(), dm.process.Traced()):
+    for adjoint in (dm.process.ThroughRays(), dm.process.ThroughPoses()):
         push = jax.jit(
             lambda p, d, a=adjoint: jax.jvp(lambda t: actual(t, a), (p,), (d,))[1]
         )

@@ -105,7 +105,7 @@ def ring_down() -> tuple[float, float]:
     def run(motors):
         return dm.sim.simulate_coupled(
             motors, robot, np.eye(4), air, mill, LAW, TOOTH_PERIOD, plan,
-            dm.process.Traced(),
+            dm.process.ThroughPoses(),
         ).actual[:, 0]  # fmt: skip
 
     x = np.asarray(run(jnp.asarray(theta)))[2:] - 1e-3
@@ -128,6 +128,6 @@ def with_substeps(job: dm.Job, substeps: int) -> dm.Job:
 
 def headline(job: dm.Job) -> float:
     """Return the rms contour error over the rows that cut [m]."""
-    solution = dm.simulate(job, adjoint=dm.process.Traced())
+    solution = dm.simulate(job, adjoint=dm.process.ThroughPoses())
     error = np.asarray(solution.contour_error)[np.asarray(solution.is_cutting)]
     return float(np.sqrt(np.mean(error**2)))

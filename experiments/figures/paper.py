@@ -66,7 +66,10 @@ def _trade_off(report: Report, job: dm.Job, correction: dm.Correction) -> None:
     settings, before = job.correction, correction.before
     problem = dm.correction.Problem(
         plant=dm.correction.TipPlant(
-            job, dm.process.Traced(keeps_slopes=True), before.wall_share, before.rigid
+            job,
+            dm.process.ThroughPoses(keeps_slopes=True),
+            before.wall_share,
+            before.rigid,
         ),
         nominal=np.asarray(before.desired),
         desired=np.asarray(before.desired),

@@ -29,7 +29,13 @@ def block():
 def alone(tips):
     speed = 2 * math.pi / (2 * PERIOD)
     return sim.simulate_process(
-        tips, block(), MILL, PAPER_LAW, speed, axial_depth=1.5e-3, adjoint=pr.Traced()
+        tips,
+        block(),
+        MILL,
+        PAPER_LAW,
+        speed,
+        axial_depth=1.5e-3,
+        adjoint=pr.ThroughPoses(),
     ).force
 
 
@@ -41,7 +47,7 @@ def coupled(tips):
     motors = jax.vmap(lambda row: rb.motor_positions(ROBOT, row))(q)
     plan = pr.process_plan(block(), MILL, axial_depth=1.5e-3)
     return sim.simulate_coupled(
-        motors, ROBOT, frame, block(), MILL, PAPER_LAW, PERIOD, plan, pr.Traced()
+        motors, ROBOT, frame, block(), MILL, PAPER_LAW, PERIOD, plan, pr.ThroughPoses()
     ).actual
 
 

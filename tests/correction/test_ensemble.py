@@ -153,7 +153,7 @@ def test_a_job_with_a_delay_gets_members_with_delays(tmp_path):
     for more in ("", 'delay = "5 ms"\n'):
         (tmp_path / "late.toml").write_text(f"{file.read_text()}\n{known}{more}")
         job = load_job(tmp_path / "late.toml")
-        ensembles.append(job_ensemble(job, pr.Traced()))
+        ensembles.append(job_ensemble(job, pr.ThroughPoses()))
     punctual, late = ensembles
     assert isinstance(late.plant, LatePlant)
     np.testing.assert_array_equal(late.plant.nominal, job.path.positions)

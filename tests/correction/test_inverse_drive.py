@@ -140,7 +140,7 @@ def test_with_a_drive_of_all_options_the_arm_follows():
     q = jnp.asarray(5e-3 * np.sin(np.pi * t / t[-1]) ** 4)[:, None]
     command = inverse_drive(robot, q, np.zeros((rows, 3)), T)
     gravity = rb.gravity_forces(robot, [0.0])
-    theta = command.motor_positions + rb.gravity_lift(robot, gravity)[None]
+    theta = command.motor_positions + rb.gravity_compensation(robot, gravity)[None]
     rule, h = sim.Midpoint(), jnp.asarray(T)
     begun = rule.begin(robot, rb.arm_terms(robot, [0.0], [0.0]), h)
 

@@ -18,7 +18,7 @@ def cutter():
 
 
 def place(time, force, **how):
-    return identification.place_on_steady_cut(
+    return identification.register_on_straight_cut(
         cutter(), SPEED, FEED, DEPTH, time, force, **how
     )
 

@@ -186,7 +186,7 @@ def test_a_tacho_is_the_clock_of_an_uneven_spindle(is_known):
     off = np.remainder(seen - angle - first + math.radians(40) + 1, 2 * math.pi) - 1
     assert np.abs(off).max() < 0.05
     cutter = cuts()[0].cutter
-    beside = identification.place_on_steady_cut(
+    beside = identification.register_on_straight_cut(
         cutter, SPEED, FEEDS[0], DEPTH, time, force, angle=seen
     )
     fit = identification.fit_force_coefficients(

@@ -38,7 +38,7 @@ def test_a_record_on_any_clock_and_in_any_axes_meets_its_cut(start):
     clock = time - time[0] + start
     seen[100:110] = np.nan
     # Coefficients half as large again do not matter.
-    met = identification.meet(found, 1.5 * K, clock, seen)
+    met = identification.align_in_time(found, 1.5 * K, clock, seen)
     assert abs(met.shift - (time[0] - start)) < 2.5e-4
     assert met.quality > 0.9
     np.testing.assert_allclose(met.overlap, 1.0 if first < 0 else 0.95, atol=0.03)
@@ -48,12 +48,12 @@ def test_nothing_to_meet_is_said():
     found = columns()
     time = np.linspace(0, 1, 100)
     with pytest.raises(ValueError, match="rests at zero"):
-        identification.meet(found, K, time, np.zeros((100, 3)))
+        identification.align_in_time(found, K, time, np.zeros((100, 3)))
     idle = identification.EngagementColumns(
         found.start, found.spacing, 0 * found.columns, found.constant
     )
     with pytest.raises(ValueError, match="never cuts"):
-        identification.meet(idle, K, time, np.ones((100, 3)))
+        identification.align_in_time(idle, K, time, np.ones((100, 3)))
 
 
 def test_immersion_of_straight_cuts():
@@ -80,7 +80,7 @@ def test_immersion_of_straight_cuts():
 )
 def test_stock_lies_where_the_teeth_enter_or_leave(side, width, low, high):
     cutter = ct.flat_end_mill(10e-3, 2)
-    cut = identification.steady_cut(
+    cut = identification.straight_cut(
         cutter, 600.0, 0.1e-3, 2e-3, radial_depth=width, side=side, teeth=20
     )
     vertices = np.asarray(cut.stock.to_mesh().vertices)

@@ -194,7 +194,7 @@ def _left(stock, along, side, depth):
 @eqx.filter_jit
 def _run(motors, robot, frame, stock, tool, period, plan):
     return dm.sim.simulate_coupled(
-        motors, robot, frame, stock, tool, LAW, period, plan, dm.process.Traced()
+        motors, robot, frame, stock, tool, LAW, period, plan, dm.process.ThroughPoses()
     )
 
 

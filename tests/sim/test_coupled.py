@@ -59,7 +59,7 @@ def run(tips, adjoint, stock=STOCK):
 
 @functools.cache
 def solution():
-    return jax.jit(lambda p: run(p, pr.Traced()))(jnp.asarray(path()))
+    return jax.jit(lambda p: run(p, pr.ThroughPoses()))(jnp.asarray(path()))
 
 
 @pytest.mark.slow
@@ -92,7 +92,7 @@ def test_the_arm_yields_to_the_force():
 @pytest.mark.slow
 def test_a_robot_at_rest_in_the_air_stays_where_it_is_told():
     tips = jnp.asarray(np.tile([5e-3, 5e-3, 3e-3], (120, 1)))
-    still = jax.jit(lambda p: run(p, pr.Traced()))(tips)
+    still = jax.jit(lambda p: run(p, pr.ThroughPoses()))(tips)
     np.testing.assert_allclose(still.actual, tips, atol=1e-9)
     np.testing.assert_array_equal(still.force, 0)
 
@@ -101,7 +101,7 @@ def test_a_robot_moving_from_the_start_does_not_ring():
     # Constant speed from row 0: without the loaded, moving start it would swing.
     tips = np.tile([0.0, 0.0, 10e-3], (120, 1))
     tips[:, 0] += 50e-3 * PERIOD * np.arange(120)
-    moving = jax.jit(lambda p: run(p, pr.Traced()))(jnp.asarray(tips))
+    moving = jax.jit(lambda p: run(p, pr.ThroughPoses()))(jnp.asarray(tips))
     assert np.abs(np.asarray(moving.actual) - tips).max() < 2e-6
 
 
@@ -129,7 +129,15 @@ def test_a_mode_keeps_its_frequency_and_damping(frequency):
     air = eqx.tree_at(lambda s: s.origin, STOCK, STOCK.origin + 1.0)
     run = jax.jit(
         lambda theta: sim.simulate_coupled(
-            theta, robot, np.eye(4), air, MILL, PAPER_LAW, PERIOD, PLAN, pr.Traced()
+            theta,
+            robot,
+            np.eye(4),
+            air,
+            MILL,
+            PAPER_LAW,
+            PERIOD,
+            PLAN,
+            pr.ThroughPoses(),
         ).actual[:, 0]
     )
     x = np.asarray(run(jnp.asarray(theta))) - 1e-3
@@ -158,7 +166,7 @@ def test_an_arm_that_starts_from_rest_starts_at_rest():
             PAPER_LAW,
             PERIOD,
             PLAN,
-            pr.Traced(),
+            pr.ThroughPoses(),
         ).actual[:, 0]
     )
     lag = theta[:, 0] - np.asarray(run(jnp.asarray(theta)))
@@ -176,7 +184,7 @@ def test_gradient_along_a_smooth_direction_matches_differences():
     weights = jnp.asarray(rng.normal(size=path().shape))
 
     def total(p):
-        return jnp.sum(weights * run(p, pr.Traced()).actual)
+        return jnp.sum(weights * run(p, pr.ThroughPoses()).actual)
 
     value = jax.jit(total)
     tips = jnp.asarray(path())
@@ -195,7 +203,7 @@ def test_both_adjoints_give_the_same_coupled_gradient():
         jax.jit(
             jax.grad(lambda p, a=adjoint: jnp.sum(weights * run(p, a, stock).actual))
         )(jnp.asarray(path()))
-        for adjoint in (pr.Plain(), pr.Traced())
+        for adjoint in (pr.ThroughRays(), pr.ThroughPoses())
     ]
     scale = float(jnp.max(jnp.abs(gradients[0])))
     np.testing.assert_allclose(gradients[1], gradients[0], atol=1e-9 * scale)
@@ -223,8 +231,8 @@ def test_kept_slopes_are_the_same_derivative(kind):
 
     @jax.jit
     def derivatives(theta, along, weights):
-        computed = jax.jvp(actual(pr.Traced()), (theta,), (along,))[1]
-        _, push = jax.linearize(actual(pr.Traced(keeps_slopes=True)), theta)
+        computed = jax.jvp(actual(pr.ThroughPoses()), (theta,), (along,))[1]
+        _, push = jax.linearize(actual(pr.ThroughPoses(keeps_slopes=True)), theta)
         return computed, push(along), jax.linear_transpose(push, theta)(weights)[0]
 
     computed, kept, pulled = derivatives(theta, along, weights)
@@ -237,7 +245,7 @@ def test_kept_slopes_are_the_same_derivative(kind):
 
 def test_new_numbers_do_not_compile_again():
     traces = eqx.debug.assert_max_traces(
-        lambda p: run(p, pr.Traced()).actual, max_traces=1
+        lambda p: run(p, pr.ThroughPoses()).actual, max_traces=1
     )
     compiled = jax.jit(traces)
     compiled(jnp.asarray(path()))

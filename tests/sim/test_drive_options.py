@@ -86,7 +86,7 @@ def test_dead_zone_and_its_inverse():
     )(x)
     assert_allclose(slopes, jax.vmap(jax.grad(lambda x: tau(x[None])[0]))(x), rtol=1e-9)
     loaded = np.abs(torque) > 1e-9 * K
-    back = jax.vmap(lambda t: rb.static_stretch(robot, t[None])[0])(torque[loaded])
+    back = jax.vmap(lambda t: rb.drive_deflection(robot, t[None])[0])(torque[loaded])
     assert_allclose(back, x[loaded], rtol=1e-9)
 
 

@@ -118,7 +118,7 @@ def test_the_explicit_rule_in_the_coupled_step():
     found = jax.jit(
         lambda theta: sim.simulate_coupled(
             theta, robot, np.eye(4), stock, mill, PAPER_LAW, PERIOD, plan,
-            pr.Traced(), integrator=sim.RungeKutta4(),
+            pr.ThroughPoses(), integrator=sim.RungeKutta4(),
         ).actual[:, 0]
     )(jnp.asarray(theta))  # fmt: skip
     # From rest at 1e-3 the error decays; row 1 gives the phase and the amplitude.

@@ -28,7 +28,7 @@ def cut(positions, row_count):
         PAPER_LAW,
         838.0,
         axial_depth=1e-3,
-        adjoint=pr.Traced(),
+        adjoint=pr.ThroughPoses(),
         row_count=row_count,
     )
 

@@ -239,7 +239,7 @@ def test_between_the_jumps_the_derivative_is_exact():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("adjoint", [pr.Plain(), pr.Traced()])
+@pytest.mark.parametrize("adjoint", [pr.ThroughRays(), pr.ThroughPoses()])
 def test_gradients_are_finite_in_the_air_and_in_the_cut(adjoint):
     path = straight(6e-3)
     path[:40, 0] = -6e-3 - 3e-3 * np.arange(40)[::-1]
@@ -297,7 +297,7 @@ def test_a_robot_that_cuts_meets_the_force_of_its_own_path():
     plan = pr.process_plan(STOCK, MILL, axial_depth=1.6e-3, chip="point_cloud")
     arm = jax.jit(
         lambda m: sim.simulate_coupled(
-            m, robot, frame, STOCK, MILL, PAPER_LAW, 3.75e-3, plan, pr.Plain()
+            m, robot, frame, STOCK, MILL, PAPER_LAW, 3.75e-3, plan, pr.ThroughRays()
         )
     )(motors)
     alone = compiled()(np.asarray(arm.actual), STOCK)

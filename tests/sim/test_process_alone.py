@@ -260,7 +260,7 @@ def test_both_adjoints_agree(mode):
             return jax.jit(jax.grad(total))(path)
         return jax.jit(lambda p: jax.jvp(total, (p,), (direction,))[1])(path)
 
-    plain, traced = derivative(pr.Plain()), derivative(pr.Traced())
+    plain, traced = derivative(pr.ThroughRays()), derivative(pr.ThroughPoses())
     np.testing.assert_allclose(
         traced, plain, rtol=1e-9, atol=1e-9 * np.abs(plain).max()
     )

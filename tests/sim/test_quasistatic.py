@@ -38,7 +38,7 @@ def slot(count=48):
 def run(simulate, stiffness, theta):
     robot = rb.with_drives(slides(1.0), stiffness=stiffness)
     return simulate(
-        theta, robot, np.eye(4), STOCK, MILL, PAPER_LAW, PERIOD, PLAN, pr.Traced()
+        theta, robot, np.eye(4), STOCK, MILL, PAPER_LAW, PERIOD, PLAN, pr.ThroughPoses()
     )
 
 
@@ -69,7 +69,7 @@ def test_the_force_is_that_of_the_process_on_the_actual_path():
             PAPER_LAW,
             2 * math.pi / (2 * PERIOD),
             plan=PLAN,
-            adjoint=pr.Traced(),
+            adjoint=pr.ThroughPoses(),
         )
     )(still().actual)
     # The process alone bends its path smoothly through the instants, here the tip
@@ -128,7 +128,15 @@ def test_a_bending_tool_bends_as_a_beam_loaded_along_its_flutes():
     theta[:, 2] = -depth
     simulate = jax.jit(
         lambda theta: sim.simulate_quasistatic(
-            theta, robot, np.eye(4), stock, MILL, PAPER_LAW, PERIOD, plan, pr.Plain()
+            theta,
+            robot,
+            np.eye(4),
+            stock,
+            MILL,
+            PAPER_LAW,
+            PERIOD,
+            plan,
+            pr.ThroughRays(),
         )
     )
     found = simulate(jnp.asarray(theta))

@@ -41,7 +41,7 @@ def make_machine():
     gantry = rb.build([*slides, body, rb.Tool("tool")])
     plan = pr.process_plan(STOCK, MILL, axial_depth=1e-3, angles=24, substeps=4)
     return sim.coupled_machine(
-        *(gantry, np.eye(4), MILL, LAW, PERIOD, plan, pr.Traced(), None, None),
+        *(gantry, np.eye(4), MILL, LAW, PERIOD, plan, pr.ThroughPoses(), None, None),
         STOCK.origin.dtype,
     )
 

@@ -93,7 +93,7 @@ def test_maps_agree_with_differences(job, maps):
     @jax.jit
     def tip(log_scale):
         scaled = sim.with_scaled(job, log_scale)
-        return sim.run_motors(scaled, motors, pr.Traced()).actual
+        return sim.run_motors(scaled, motors, pr.ThroughPoses()).actual
 
     zero = np.zeros(len(maps.names))
     for name in ("K y", "K_tc", "K_rc"):

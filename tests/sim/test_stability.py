@@ -235,7 +235,7 @@ def test_the_simulation_grows_and_decays_as_predicted(share):
     depth = share * limit()[0]
     theta, frame = slot(depth)
     run = sim.simulate_coupled(
-        theta, one_mode(), frame, STOCK, MILL, LAW, PERIOD, PLAN, pr.Plain()
+        theta, one_mode(), frame, STOCK, MILL, LAW, PERIOD, PLAN, pr.ThroughRays()
     )
     # The entry shakes the slide; one vibration is left, and a constant deflection.
     x = np.asarray(run.joint_positions - theta)[70:, 0]

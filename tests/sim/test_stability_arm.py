@@ -38,7 +38,7 @@ def motors(tips):
 def program():
     return jax.jit(
         lambda theta: sim.simulate_coupled(
-            theta, ROBOT, FRAME, STOCK, MILL, PAPER_LAW, PERIOD, PLAN, pr.Plain()
+            theta, ROBOT, FRAME, STOCK, MILL, PAPER_LAW, PERIOD, PLAN, pr.ThroughRays()
         )
     )
 

@@ -12,7 +12,7 @@ from .._job import Job, SimulationSettings
 from .._messages import shown
 from .._toml import parse_toml
 from ..cutter import AbstractCutter, ToolHolder
-from ..process import default_element_height, descends
+from ..process import default_element_height, is_plunging
 from ..robot import Robot
 from ..toolpath import Path, Program
 from ._build.program import read_program, spindle_speed, time_path
@@ -336,7 +336,7 @@ def _simulation(
         axial_depth=table.axial_depth or deepest,
         precision=table.precision,
         is_gravity_compensated=table.gravity_compensated,
-        plunges=descends(path.positions, float(stock.upper[2])),
+        plunges=is_plunging(path.positions, float(stock.upper[2])),
         has_bottom=table.bottom_edges,
         axes=axes,
         chip=table.chip,

@@ -19,11 +19,14 @@ from ._alignment.axis_proposal import (
     combine_axes_proposals as combine_axes_proposals,
 )
 from ._alignment.record_registration import (
-    Placed as Placed,
-    place_on_job as place_on_job,
-    place_on_steady_cut as place_on_steady_cut,
+    RecordRegistration as RecordRegistration,
+    register_on_job as register_on_job,
+    register_on_straight_cut as register_on_straight_cut,
 )
-from ._alignment.time_alignment import Meeting as Meeting, meet as meet
+from ._alignment.time_alignment import (
+    TimeAlignment as TimeAlignment,
+    align_in_time as align_in_time,
+)
 from ._coupled.fit_coupled import CoupledFit as CoupledFit, fit_coupled as fit_coupled
 from ._coupled.model import mean_over_period as mean_over_period
 from ._cut.cut_model import (
@@ -31,10 +34,10 @@ from ._cut.cut_model import (
     EngagementColumns as EngagementColumns,
     engagement_columns as engagement_columns,
 )
-from ._cut.straight_cut import immersion as immersion, steady_cut as steady_cut
+from ._cut.straight_cut import immersion as immersion, straight_cut as straight_cut
 from ._force.cross_validation import (
-    LeftOut as LeftOut,
-    predict_left_out as predict_left_out,
+    CrossValidation as CrossValidation,
+    cross_validate as cross_validate,
 )
 from ._force.force_coefficients import (
     ForceCoefficientFit as ForceCoefficientFit,

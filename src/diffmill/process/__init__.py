@@ -9,7 +9,7 @@ from ._discretisation import (
     ChipModel as ChipModel,
     ProcessPlan as ProcessPlan,
     default_element_height as default_element_height,
-    descends as descends,
+    is_plunging as is_plunging,
     process_plan as process_plan,
 )
 from ._engagement.bottom_edge import BottomEngagement as BottomEngagement
@@ -29,10 +29,10 @@ from ._removal_history import (
     ProcessState as ProcessState,
     Removed as Removed,
     end_period as end_period,
-    flush as flush,
+    enqueue as enqueue,
     initial_state as initial_state,
-    remember as remember,
-    remove_due as remove_due,
+    remove_all as remove_all,
+    remove_lagged as remove_lagged,
 )
 from ._simulate_process import (
     ProcessSolution as ProcessSolution,
@@ -47,14 +47,14 @@ from ._simulate_process import (
 )
 from ._stock_derivatives import (
     AbstractAdjoint as AbstractAdjoint,
-    Plain as Plain,
-    Traced as Traced,
+    ThroughPoses as ThroughPoses,
+    ThroughRays as ThroughRays,
 )
 from ._tooth_period import (
     Engagement as Engagement,
-    begin_period as begin_period,
+    advance_removal as advance_removal,
+    compute_engagement as compute_engagement,
     element_heights as element_heights,
-    look as look,
     substep_chip as substep_chip,
     substep_ends as substep_ends,
     substep_middles as substep_middles,

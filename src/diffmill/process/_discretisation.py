@@ -36,7 +36,7 @@ _CORNER = 0.5
 _LEAST_CORNER = 5.0
 
 
-class Profile(eqx.Module):
+class EdgeDiscretisation(eqx.Module):
     """How many edge elements a cutter in space has, from the center of its end.
 
     Attributes:
@@ -79,7 +79,7 @@ class ProcessPlan(eqx.Module):
     discs: Discs
     window: RemovalWindow
     lag: float = eqx.field(static=True)
-    profile: Profile | None = None
+    profile: EdgeDiscretisation | None = None
     is_upright: bool = eqx.field(static=True, default=True)
     chip: ChipModel = eqx.field(static=True, default="near_far")
     bottom: int = eqx.field(static=True, default=0)
@@ -103,7 +103,7 @@ def turning(
     return (2 * math.pi / cutter.flute_count * share).reshape(plan.substeps, count)
 
 
-def descends(positions: FloatRows3, top: float) -> bool:
+def is_plunging(positions: FloatRows3, top: float) -> bool:
     """Return whether a path descends below the top of the stock with its end ahead.
 
     Args:
@@ -238,7 +238,7 @@ def _tilted_profile(
     length: float,
     dz: float,
     plunges: bool,
-) -> Profile:
+) -> EdgeDiscretisation:
     """Choose the edge elements of a tool that leans."""
     least = 0.0 if axes is None else float(axes[:, 2].min())
     if least > 0:
@@ -250,7 +250,7 @@ def _tilted_profile(
 
 def _profile(
     cutter: AbstractCutter, length: float, dz: float, plunges: bool
-) -> Profile:
+) -> EdgeDiscretisation:
     """Choose the edge elements that reach a length above the tip."""
     R, rc = cutter.nominal_radius, cutter.nominal_corner_radius
     highest = min(length + dz / 2, cutter.flute_length)
@@ -258,7 +258,7 @@ def _profile(
     limit = math.acos(max(0.0, 1 - highest / rc)) if rc > 0 else 0.0
     side = max(0, math.ceil((highest - rc) / dz))
     corner = max(rc * limit / (_CORNER * dz), _LEAST_CORNER * math.sqrt(rc / dz))
-    return Profile(
+    return EdgeDiscretisation(
         bottom=math.ceil(flat / (2 * dz)) if flat > 0 else 0,
         corner=math.ceil(corner),
         side=side,

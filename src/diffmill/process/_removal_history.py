@@ -169,7 +169,7 @@ def initial_state(
     return state, cut.volume[0]
 
 
-def remember(
+def enqueue(
     plan: ProcessPlan,
     cutter: AbstractCutter,
     state: ProcessState,
@@ -335,7 +335,7 @@ def _tooth_pass(
     )
 
 
-def remove_due(
+def remove_lagged(
     plan: ProcessPlan,
     cutter: AbstractCutter,
     state: ProcessState,
@@ -422,7 +422,7 @@ def end_period(state: ProcessState, middles: Pose, ends: Pose) -> ProcessState:
     return eqx.tree_at(lambda s: (s.recent, s.ends), state, (recent, ends))
 
 
-def flush(
+def remove_all(
     plan: ProcessPlan,
     cutter: AbstractCutter,
     state: ProcessState,
@@ -446,7 +446,7 @@ def flush(
         The state with an empty history, and what was removed.
     """
     newest: Int[Array, ""] = jnp.asarray(pose_count - 1, jnp.int32)
-    state = remember(plan, cutter, state, newest, pose)
+    state = enqueue(plan, cutter, state, newest, pose)
     slots = jnp.arange(QUEUE_LENGTH, dtype=jnp.int32)
     # After the last pose the tool stands there while its teeth go around.
     rest = jnp.arange(1 + _wait(plan, cutter, state.stock), dtype=jnp.int32)

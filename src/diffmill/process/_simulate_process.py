@@ -14,13 +14,19 @@ from .._types import FloatRows3, IntScalar, RealScalarLike
 from ..cutter import AbstractCutter
 from ..cutting import AbstractForceLaw
 from ..workpiece import Pose, Stock
-from ._discretisation import ChipModel, ProcessPlan, descends, process_plan
+from ._discretisation import ChipModel, ProcessPlan, is_plunging, process_plan
 from ._live_rows import last_row, live_rows, when_live
-from ._removal_history import ProcessState, Removed, end_period, flush, initial_state
-from ._stock_derivatives import AbstractAdjoint, Plain
+from ._removal_history import (
+    ProcessState,
+    Removed,
+    end_period,
+    initial_state,
+    remove_all,
+)
+from ._stock_derivatives import AbstractAdjoint, ThroughRays
 from ._tooth_period import (
     Engagement,
-    begin_period,
+    advance_removal,
     substep_ends,
     substep_middles,
     substep_wrench,
@@ -89,7 +95,7 @@ def simulate_process(
         axial_depth: Deepest immersion of the tip below the top of the stock [m].
             Taken from the path if that is not traced, else the height of the stock
             or the flutes, whichever is less.
-        adjoint: How to differentiate; `Plain()` if not given.
+        adjoint: How to differentiate; `ThroughRays()` if not given.
         bottom_law: The law of the bottom edge; derived from `law` if not given.
         keeps_instantaneous: Whether to return the force at every angle sample.
         chip: The chip model: "near_far" is smooth and accurate; "point_cloud" is the
@@ -105,10 +111,10 @@ def simulate_process(
             point cloud is asked for where there is none.
 
     Differentiability: in positions, coefficients and diameter, in forward and reverse
-    mode, except at the kinks of chips and rays. Under `Traced` the volumes and the
+    mode, except at the kinks of chips and rays. Under `ThroughPoses` the volumes and the
     stock are constants. With "point_cloud" derivatives exist but are hard: they follow
     the rays that hold the extreme points between the jumps from ray to ray, and under
-    `Traced` ends that earlier poses cut are constants.
+    `ThroughPoses` ends that earlier poses cut are constants.
     """
     dtype = stock.origin.dtype
     positions = _rows(positions, "positions", dtype)
@@ -117,7 +123,7 @@ def simulate_process(
         plan = _plan_of_path(
             positions, axes, stock, cutter, (angles, axial_depth), chip
         )
-    adjoint = Plain() if adjoint is None else adjoint
+    adjoint = ThroughRays() if adjoint is None else adjoint
     step_count = positions.shape[0]
     path = path_poses(positions, axes)
     state, overlap = initial_state(plan, stock, cutter, path[0], step_count, adjoint)
@@ -126,7 +132,7 @@ def simulate_process(
         state: ProcessState, x: tuple[Array, Pose, Pose, Pose, Array | None]
     ) -> tuple[ProcessState, tuple[Array, Array | None, Removed, Array]]:
         index, start, poses, ends, is_live = x
-        state, cut, removed = begin_period(
+        state, cut, removed = advance_removal(
             plan, cutter, state, index, start, poses, adjoint, is_live
         )
         laws = (law, bottom_law)
@@ -145,7 +151,7 @@ def simulate_process(
     xs = (index, path[:-1], middles, ends, live_rows(index, row_count))
     state, (force, samples, removed, failed) = jax.lax.scan(step, state, xs)
     last = last_row(step_count, row_count)
-    state, rest = flush(plan, cutter, state, last, path[last], step_count, adjoint)
+    state, rest = remove_all(plan, cutter, state, last, path[last], step_count, adjoint)
     period = 2 * math.pi / (jnp.asarray(spindle_speed, dtype) * cutter.flute_count)
     volume, by_shank = volumes_by_pose(step_count, removed, rest)
     return ProcessSolution(
@@ -202,7 +208,7 @@ def _plan_of_path(
         angles=angles,
         axes=axes if isinstance(axes, np.ndarray) else None,
         is_upright=axes is None,
-        plunges=is_traced or descends(positions, stock.top),
+        plunges=is_traced or is_plunging(positions, stock.top),
         chip=chip,
     )
 

@@ -1,15 +1,15 @@
 """How a simulation is differentiated through the removal of material.
 
-`Plain` differentiates through the ends of the rays themselves. Every mode of
+`ThroughRays` differentiates through the ends of the rays themselves. Every mode of
 automatic differentiation works, also for the removed volume and the final stock; but
 a tangent of the stock is a second stock, and in reverse mode every step keeps what it
 read and scatters into it.
 
-`Traced` treats the stock as a constant. Every end remembers the pose that cut it, and
+`ThroughPoses` treats the stock as a constant. Every end remembers the pose that cut it, and
 the derivative of an end with respect to that pose is known in closed form; so a step
 carries derivatives from the poses to the samples directly. Both modes of automatic
 differentiation work, a step keeps only the ends that its samples read, and no tangent
-of the stock exists. Volumes and the final stock have no derivative under `Traced`.
+of the stock exists. Volumes and the final stock have no derivative under `ThroughPoses`.
 """
 
 import abc
@@ -42,7 +42,7 @@ class AbstractAdjoint(eqx.Module):
         """Return the poses that samples are tied to, or None."""
 
 
-class Plain(AbstractAdjoint):
+class ThroughRays(AbstractAdjoint):
     """Differentiate through the ends of all rays.
 
     Attributes:
@@ -60,7 +60,7 @@ class Plain(AbstractAdjoint):
         del track
 
 
-class Traced(AbstractAdjoint):
+class ThroughPoses(AbstractAdjoint):
     """Differentiate through the poses that the ends remember.
 
     Attributes:

@@ -2,7 +2,7 @@
 
 A period has two halves, because a robot moves within it:
 
-1. `begin_period` takes the pose at the start of the period into the history, removes
+1. `advance_removal` takes the pose at the start of the period into the history, removes
    from the stock the poses that the tool has left behind, and samples where along the
    tooth paths of this period there is material.
    Under the chip model "point_cloud" the pose is removed at once, and what the end of
@@ -30,7 +30,13 @@ from ._engagement.edge_elements import (
 from ._engagement.edge_samples import EdgeSamples
 from ._engagement.upright import upright_chip, upright_engagement, upright_wrench
 from ._live_rows import when_live
-from ._removal_history import ProcessState, Removed, remember, remove_due, thinned_poses
+from ._removal_history import (
+    ProcessState,
+    Removed,
+    enqueue,
+    remove_lagged,
+    thinned_poses,
+)
 from ._stock_derivatives import AbstractAdjoint
 
 
@@ -48,7 +54,7 @@ class Engagement(eqx.Module):
     bottom: BottomEngagement | None = None
 
 
-def begin_period(
+def advance_removal(
     plan: ProcessPlan,
     cutter: AbstractCutter,
     state: ProcessState,
@@ -83,13 +89,13 @@ def begin_period(
         # The cloud judges at the rim alone.
         samples = EdgeSamples(angle, tooth, weight, jnp.ones_like(weight))
         return state, Engagement(samples, repeated(pose, (0,))), removed
-    state = remember(plan, cutter, state, index - 1, pose)
-    state, removed = remove_due(plan, cutter, state, index - 1, adjoint)
-    engage = lambda: look(plan, cutter, state, index, predicted, adjoint)
+    state = enqueue(plan, cutter, state, index - 1, pose)
+    state, removed = remove_lagged(plan, cutter, state, index - 1, adjoint)
+    engage = lambda: compute_engagement(plan, cutter, state, index, predicted, adjoint)
     return state, when_live(is_live, engage), removed
 
 
-def look(
+def compute_engagement(
     plan: ProcessPlan,
     cutter: AbstractCutter,
     state: ProcessState,
@@ -99,7 +105,7 @@ def look(
 ) -> Engagement:
     """Return where the teeth of a period meet material, after its removal.
 
-    For the chip model "near_far"; arguments as for `begin_period`.
+    For the chip model "near_far"; arguments as for `advance_removal`.
     """
     if plan.profile is None:
         found = upright_engagement(plan, cutter, state, index, predicted.tip, adjoint)

@@ -28,7 +28,7 @@ from ._dynamics.rnea_derivatives import (
     RneaDerivatives as RneaDerivatives,
     rnea_derivatives as rnea_derivatives,
 )
-from ._dynamics.spd_inverse import definite_inverse as definite_inverse
+from ._dynamics.spd_inverse import spd_inverse as spd_inverse
 from ._dynamics.terms import ArmTerms as ArmTerms, arm_terms as arm_terms
 from ._elasticity.compliance import (
     cartesian_compliance as cartesian_compliance,
@@ -95,13 +95,13 @@ from ._model.bending_tool import (
 from ._model.build import build as build
 from ._model.drives import (
     GearTorque as GearTorque,
-    across_gap as across_gap,
+    backlash_deflection as backlash_deflection,
     coulomb_damping as coulomb_damping,
+    drive_deflection as drive_deflection,
     friction_torque as friction_torque,
     gear_torque as gear_torque,
-    gravity_lift as gravity_lift,
-    servo_stretch as servo_stretch,
-    static_stretch as static_stretch,
+    gravity_compensation as gravity_compensation,
+    servo_deflection as servo_deflection,
     with_backlash as with_backlash,
     with_friction as with_friction,
     with_motors as with_motors,

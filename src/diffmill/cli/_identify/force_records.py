@@ -21,7 +21,7 @@ from .text import coefficient_lines, correlation_lines, noted
 
 if TYPE_CHECKING:
     from ...config import ForceRecordTask
-    from ...identification import AxesProposal, ForceCoefficientFit, LeftOut
+    from ...identification import AxesProposal, CrossValidation, ForceCoefficientFit
 
 # How far a tooth may stand off the angle that is given for it [deg]: a degree moves
 # the radial coefficients by some percent, and a mark is hardly known so well.
@@ -39,8 +39,8 @@ def identify_records(task: "ForceRecordTask", progress: Progress) -> Outcome:
     from ...identification import (
         axes_of,
         combine_axes_proposals,
+        cross_validate,
         fit_force_coefficients,
-        predict_left_out,
     )
 
     settings, beside = task.fit, []
@@ -71,7 +71,7 @@ def identify_records(task: "ForceRecordTask", progress: Progress) -> Outcome:
         )
     except ValueError as error:
         raise BadInput(f"{task.name}: {error}") from error
-    left = predict_left_out(fit)
+    left = cross_validate(fit)
     is_likely = not axes_are_doubted(proposal, axes)
     # In wrong axes an offset explains the means, though nothing is wrong with channels.
     found = fit.diagnoses if is_likely else ()
@@ -103,7 +103,9 @@ def identify_records(task: "ForceRecordTask", progress: Progress) -> Outcome:
 
 
 def _fit_lines(
-    fit: "ForceCoefficientFit", left: "tuple[LeftOut, ...]", task: "ForceRecordTask"
+    fit: "ForceCoefficientFit",
+    left: "tuple[CrossValidation, ...]",
+    task: "ForceRecordTask",
 ) -> list[str]:
     """Return coefficients and how far to trust them."""
     names = list(fit.coefficients)
@@ -162,7 +164,7 @@ def _facts(
     task: "ForceRecordTask",
     fit: "ForceCoefficientFit",
     proposal: "AxesProposal",
-    left: "tuple[LeftOut, ...]",
+    left: "tuple[CrossValidation, ...]",
 ) -> dict[str, Any]:
     """Return the numbers for `identified.json`."""
     from ...identification import axes_of
@@ -208,7 +210,7 @@ def _draw(
     folder: pathlib.Path,
     task: "ForceRecordTask",
     fit: "ForceCoefficientFit",
-    left: "tuple[LeftOut, ...]",
+    left: "tuple[CrossValidation, ...]",
 ) -> None:
     """Write the figures."""
     from ...identification import residual_force, residual_spectrum

@@ -13,7 +13,7 @@ from .text import NONSENSE, axes_text, coefficient_lines, correlation_lines, not
 
 if TYPE_CHECKING:
     from ...config import MeanForceTask
-    from ...identification import MeanAxes, MeanForceFit, Placed
+    from ...identification import MeanAxes, MeanForceFit, RecordRegistration
 
 
 class Amplitude(NamedTuple):
@@ -114,7 +114,10 @@ def _left_out(feeds: Any, force: Any, shape: dict[str, Any]) -> Any:
 
 
 def _amplitude(
-    record: Any, beside: "Placed", fit: "MeanForceFit", axes: tuple[str, str, str]
+    record: Any,
+    beside: "RecordRegistration",
+    fit: "MeanForceFit",
+    axes: tuple[str, str, str],
 ) -> Amplitude:
     """Return the amplitude at the tooth passing, measured and predicted."""
     from ...identification import engagement_columns

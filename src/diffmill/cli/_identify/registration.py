@@ -12,7 +12,7 @@ from .text import axes_text, noted
 
 if TYPE_CHECKING:
     from ...config import ForceRecord, ForceRecordTask
-    from ...identification import AxesProposal, Placed
+    from ...identification import AxesProposal, RecordRegistration
 
 # Forces that agree less in size over a job, or meet less of its cut, are doubted.
 _ALIKE, _COVERED = 0.8, 0.9
@@ -22,7 +22,7 @@ _BETTER = 0.05
 
 def placed(
     record: "ForceRecord", refines_speed: bool, others: "Sequence[ForceRecord]"
-) -> "Placed":
+) -> "RecordRegistration":
     """Return a record beside its cut.
 
     Args:
@@ -34,7 +34,7 @@ def placed(
         BadInput: The record and its cut do not meet.
     """
     from ...config import StraightCut
-    from ...identification import place_on_job, place_on_steady_cut
+    from ...identification import register_on_job, register_on_straight_cut
 
     time, force = samples(record)
     angle = None
@@ -44,7 +44,7 @@ def placed(
     try:
         if not isinstance(process, StraightCut):
             is_exact = record.time_shift is not None and not record.knows_tooth
-            return place_on_job(
+            return register_on_job(
                 process,
                 time,
                 force,
@@ -53,7 +53,7 @@ def placed(
                 keeps_shift=is_exact,
             )
         assert process.spindle_speed is not None
-        return place_on_steady_cut(
+        return register_on_straight_cut(
             process.cutter,
             process.spindle_speed,
             process.feed_per_tooth,
@@ -120,7 +120,9 @@ def tooth_lines(
     return lines
 
 
-def record_lines(task: "ForceRecordTask", beside: "list[Placed]") -> list[str]:
+def record_lines(
+    task: "ForceRecordTask", beside: "list[RecordRegistration]"
+) -> list[str]:
     """Return what was read and how it meets its cut.
 
     Args:

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from ..._job import Job
 from ..._types import RealScalarLike
-from ...process import AbstractAdjoint, Traced
+from ...process import AbstractAdjoint, ThroughPoses
 from ...sim import (
     Solution,
     command_motors,
@@ -156,7 +156,7 @@ def tune_feed(
     """
     _check_robot(job)
     job = with_precision(job)
-    adjoint = Traced()
+    adjoint = ThroughPoses()
     before = simulate(job, adjoint=adjoint)
     job = with_intervals_of(job, before.stock)
     rigid = before.rigid

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int
 
 from ..._job import Job
 from ..._types import FloatRows
-from ...process import AbstractAdjoint, Traced
+from ...process import AbstractAdjoint, ThroughPoses
 from ...sim import (
     Solution,
     command_joints,
@@ -171,7 +171,7 @@ def correct(
     horizon = horizon_of(job)
     check_limits(job)
     # Adam asks for one gradient at a point, the others for many products.
-    adjoint = Traced(keeps_slopes=job.correction.method != "adam")
+    adjoint = ThroughPoses(keeps_slopes=job.correction.method != "adam")
     desired = jnp.asarray(job.path.positions)
     # A program beyond a joint's limit is refused before anything runs, too.
     check_joints(job, desired, is_joints=False)

@@ -23,11 +23,11 @@ from jaxtyping import Array, Float
 from ..._types import FloatRows3, RealScalarLike, Transform
 from ...robot import (
     Robot,
-    across_gap,
+    backlash_deflection,
     forward_kinematics,
     friction_torque,
+    gravity_compensation,
     gravity_forces,
-    gravity_lift,
     inverse_dynamics,
 )
 
@@ -92,7 +92,7 @@ def inverse_drive(
     commanded = joint_positions + delta
     if is_gravity_compensated:
         sag = jax.vmap(lambda q: gravity_forces(robot, q))(joint_positions)
-        sag = jax.vmap(lambda G: gravity_lift(robot, G))(sag)
+        sag = jax.vmap(lambda G: gravity_compensation(robot, G))(sag)
         commanded = commanded - jnp.where(is_motor, sag, 0.0)
     tips = jax.vmap(lambda q: forward_kinematics(robot, q)[:3, 3])(commanded)
     motors = jnp.where(is_motor, commanded, 0.0)
@@ -112,7 +112,7 @@ def _drive_deflection(
     K, D = jnp.asarray(robot.joint_stiffness), jnp.asarray(robot.joint_damping)
     delta = spring_deflection(tau, K, D, time_step)
     if robot.backlash is not None:
-        delta = jax.vmap(lambda y: across_gap(robot, y))(delta)
+        delta = jax.vmap(lambda y: backlash_deflection(robot, y))(delta)
     if robot.motors is None:
         return delta
     motors = robot.motors

@@ -19,11 +19,11 @@ from ..._job import Job
 from ...robot import (
     Robot,
     ToolRotation,
+    drive_deflection,
     gravity_forces,
     inverse_kinematics,
     jacobian,
     singularity,
-    static_stretch,
     with_tool,
 )
 from ...sim import command_joints, with_precision
@@ -130,9 +130,11 @@ def tip_deflection(
     J = jacobian(robot, q)[:3]
     load = J.T @ force
     if robot.backlash is None:
-        return J @ static_stretch(robot, load)
+        return J @ drive_deflection(robot, load)
     weight = gravity_forces(robot, q)
-    return J @ (static_stretch(robot, weight) - static_stretch(robot, weight - load))
+    return J @ (
+        drive_deflection(robot, weight) - drive_deflection(robot, weight - load)
+    )
 
 
 def across(

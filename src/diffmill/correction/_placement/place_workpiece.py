@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from ..._job import Job
 from ..._types import FloatRows3
-from ...process import Plain
+from ...process import ThroughRays
 from ...sim import command_poses, rigid_cut, with_precision
 from .._held_rows import HeldRows
 from .._job.correct import NothingToCorrect
@@ -93,7 +93,7 @@ def place_workpiece(
     lower, upper = _bounds(job, shift_bounds, angle_bounds, rotation_bounds)
     job = with_precision(job)
     if force is None:
-        force = rigid_cut(job, Plain()).force
+        force = rigid_cut(job, ThroughRays()).force
     force = jnp.asarray(force, job.simulation.precision)
     task, here = _task(job, force, lower, upper, rows)
     tried, refused = _search(task, lower, upper, starts)

@@ -16,14 +16,14 @@ from .._cut.cut_model import (
     cut_of,
     engagement_columns,
 )
-from .._cut.straight_cut import SETTLED, Side, steady_cut
+from .._cut.straight_cut import SETTLED, Side, straight_cut
 from .._force.mean_force import NAMES
 from .._record.clock_faults import check_clock, check_teeth
 from .._record.diagnosis import Diagnosis
 from .._record.spindle_harmonics import refine_spindle_speed
 from .axis_assignment import propose_axes
 from .axis_proposal import AxesProposal
-from .time_alignment import Meeting, meet
+from .time_alignment import TimeAlignment, align_in_time
 
 # Coefficients of a metal in proportion [Pa, N/m], where none are known.
 _USUAL = np.array([1000e6, 350e6, 100e6, 15e3, 15e3, 5e3])
@@ -41,7 +41,7 @@ _SPIKE, _ALL_BUT = 3.0, 0.98
 _CUTS = 0.02
 
 
-class Placed(NamedTuple):
+class RecordRegistration(NamedTuple):
     """A record beside its cut, its axes as recorded.
 
     Attributes:
@@ -62,13 +62,13 @@ class Placed(NamedTuple):
     force: Float[np.ndarray, "row 3"]
     offset: float
     proposal: AxesProposal
-    meeting: Meeting | None
+    meeting: TimeAlignment | None
     spindle_speed: float
     notes: tuple[str, ...]
     diagnoses: tuple[Diagnosis, ...] = ()
 
 
-def place_on_steady_cut(
+def register_on_straight_cut(
     cutter: AbstractCutter,
     spindle_speed: float,
     feed_per_tooth: float,
@@ -81,7 +81,7 @@ def place_on_steady_cut(
     refines_speed: bool = True,
     largest_feed: float | None = None,
     angle: Float[np.ndarray, " row"] | None = None,
-) -> Placed:
+) -> RecordRegistration:
     """Set the steady part of a record beside a straight cut.
 
     Args:
@@ -94,7 +94,7 @@ def place_on_steady_cut(
         radial_depth: a_e [m]; not for a slot.
         side: "slot", "up" or "down".
         refines_speed: Whether the speed is taken from the record.
-        largest_feed: See `steady_cut`.
+        largest_feed: See `straight_cut`.
         angle: Measured spindle angle at each row [rad], increasing, or None: the clock
             of the cut then follows the spindle, and tooth 0 stands at this angle.
 
@@ -122,7 +122,7 @@ def place_on_steady_cut(
     teeth = SETTLED + (turns + 2) * flutes + 1
     teeth = _ROUND * math.ceil(teeth / _ROUND)
     cut = cut_of(
-        steady_cut(
+        straight_cut(
             cutter,
             speed,
             feed_per_tooth,
@@ -140,7 +140,9 @@ def place_on_steady_cut(
     when, seen = time[keep] + offset, force[keep]
     proposal = _judge(engagement_columns(cut), when, seen, turn / 2, cut.tooth_period)
     diagnoses = () if angle is not None else _diagnosed(time[keep], seen, speed, flutes)
-    return Placed(cut, when, seen, offset, proposal, None, speed, notes, diagnoses)
+    return RecordRegistration(
+        cut, when, seen, offset, proposal, None, speed, notes, diagnoses
+    )
 
 
 def _diagnosed(
@@ -211,7 +213,7 @@ def _refined(
     return speed, ()
 
 
-def place_on_job(
+def register_on_job(
     job: Job,
     time: Float[np.ndarray, " row"],
     force: Float[np.ndarray, "row 3"],
@@ -219,7 +221,7 @@ def place_on_job(
     time_shift: float | None = None,
     angle: Float[np.ndarray, " row"] | None = None,
     keeps_shift: bool = False,
-) -> Placed:
+) -> RecordRegistration:
     """Set a record beside the cut of a job.
 
     Args:
@@ -253,7 +255,7 @@ def place_on_job(
     if angle is not None:
         _, time = _spindle_clock(time, angle, speed)
     if time_shift is None:
-        meeting = meet(found, K, time, force)
+        meeting = align_in_time(found, K, time, force)
         time_shift = meeting.shift
     if angle is not None and not keeps_shift:
         time_shift = _in_phase(time_shift, time, angle, speed)
@@ -271,7 +273,7 @@ def place_on_job(
     when = when[first : last + 1]
     seen = np.where(inside[:, None], force, np.nan)[first : last + 1]
     proposal = _judge(found, when, seen, turn / 2, cut.tooth_period)
-    return Placed(cut, when, seen, time_shift, proposal, meeting, speed, ())
+    return RecordRegistration(cut, when, seen, time_shift, proposal, meeting, speed, ())
 
 
 def _is_cut(found: EngagementColumns, K: np.ndarray, turn: float) -> np.ndarray:

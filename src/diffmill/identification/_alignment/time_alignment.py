@@ -13,7 +13,7 @@ _LONGEST = 1 << 20
 _CUTS = 0.02
 
 
-class Meeting(NamedTuple):
+class TimeAlignment(NamedTuple):
     """Where a record meets its cut.
 
     Attributes:
@@ -27,12 +27,12 @@ class Meeting(NamedTuple):
     overlap: float
 
 
-def meet(
+def align_in_time(
     found: EngagementColumns,
     coefficients: Float[np.ndarray, " 6"],
     time: Float[np.ndarray, " row"],
     force: Float[np.ndarray, "row 3"],
-) -> Meeting:
+) -> TimeAlignment:
     """Return where a record meets its cut best.
 
     The sizes |F| of the measured and of the simulated force are compared at every
@@ -79,4 +79,4 @@ def meet(
     shift = -float(time[0]) - lag * step
     instants = found.start + found.spacing * np.flatnonzero(is_cut) - shift
     inside = (instants >= time[0]) & (instants <= time[-1])
-    return Meeting(shift, best, float(inside.mean()))
+    return TimeAlignment(shift, best, float(inside.mean()))

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from ..._job import Job
 from ..._result import RESULTS
-from ...process import Traced
+from ...process import ThroughPoses
 from ...sim import (
     command_joints,
     joint_motors,
@@ -101,7 +101,7 @@ def _run(
     ) -> tuple[tuple[Array, Array], tuple[tuple[Array, Array], RESULTS]]:
         full = jnp.zeros(len(parameter_names(job)), log_scale.dtype)
         scaled = with_scaled(job, full.at[np.array(places)].set(log_scale))
-        ran = run_motors(scaled, joint_motors(scaled, joints), Traced())
+        ran = run_motors(scaled, joint_motors(scaled, joints), ThroughPoses())
         found = (ran.force, ran.actual - desired)
         result = RESULTS.where(jnp.all(is_reached), ran.result, RESULTS.unreachable)
         return found, (found, result)

@@ -22,7 +22,7 @@ from ...cutting import AbstractForceLaw, LinearEdgeLaw
 from ...process import (
     ProcessPlan,
     default_element_height,
-    descends,
+    is_plunging,
     path_depth,
     process_plan,
     simulate_process,
@@ -151,7 +151,7 @@ def with_plan(cut: Cut, cutter: AbstractCutter | None = None) -> Cut:
     height = default_element_height("near_far", cut.stock.spacing, cutter)
     height = max(height * _DEFAULT_ANGLES / usual, depth / _ELEMENTS)
     height = height if old is None else old.discs.height
-    plunges = descends(cut.positions, cut.stock.top)
+    plunges = is_plunging(cut.positions, cut.stock.top)
     plan = process_plan(
         cut.stock,
         cutter,

@@ -17,7 +17,7 @@ SETTLED = 12
 _PITCH, _LEAST = 1 / 14, 3
 
 
-def steady_cut(
+def straight_cut(
     cutter: AbstractCutter,
     spindle_speed: float,
     feed_per_tooth: float,

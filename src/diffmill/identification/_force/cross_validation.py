@@ -13,7 +13,7 @@ from .regression_rows import equations
 _MANY = 0.05
 
 
-class LeftOut(NamedTuple):
+class CrossValidation(NamedTuple):
     """A part of the records, predicted by the rest.
 
     Attributes:
@@ -34,7 +34,7 @@ class LeftOut(NamedTuple):
     error: float
 
 
-def predict_left_out(fit: ForceCoefficientFit) -> tuple[LeftOut, ...]:
+def cross_validate(fit: ForceCoefficientFit) -> tuple[CrossValidation, ...]:
     """Predict every record by the others, or the later half of one by the earlier.
 
     The coefficients are fitted anew to the rest, robustly in as far as samples that
@@ -103,13 +103,13 @@ def _part(
     is_kept: Bool[np.ndarray, " row"],
     is_good: Bool[np.ndarray, "row 3"],
     what: str,
-) -> LeftOut:
+) -> CrossValidation:
     row = rows[index]
     measured, predicted = row.force[is_kept], (row.columns @ K)[is_kept]
     counts = is_good[is_kept]
     off = np.nansum((measured - predicted)[counts] ** 2)
     whole = max(float(np.nansum(measured[counts] ** 2)), 1e-300)
-    return LeftOut(
+    return CrossValidation(
         index,
         what,
         fit.records[index].time[is_kept],

@@ -16,7 +16,7 @@ from .aba import articulated_bodies, articulated_inverse, check_algorithm
 from .crba import mass_matrix
 from .rnea import inverse_dynamics
 from .rnea_derivatives import rnea_derivatives
-from .spd_inverse import definite_inverse
+from .spd_inverse import spd_inverse
 from .terms import arm_terms
 
 
@@ -139,7 +139,7 @@ def _solve_jvp(
             load = load + change(tangent)
     if not all(_is_zero(d) for d in jax.tree.leaves(d_robot)):
         load = load - _change_with_robot(primals, qdd, d_robot)
-    return qdd, times(definite_inverse(slopes.acceleration), load)
+    return qdd, times(spd_inverse(slopes.acceleration), load)
 
 
 def _is_zero(tangent: Any) -> bool:
@@ -171,7 +171,7 @@ def _invert(
 ) -> Float[Array, "joint joint"]:
     if algorithm == "aba":
         return articulated_inverse(robot, q, diagonal)
-    return definite_inverse(mass_matrix(robot, q) + jnp.diag(diagonal))
+    return spd_inverse(mass_matrix(robot, q) + jnp.diag(diagonal))
 
 
 @_invert.defjvp

@@ -12,7 +12,7 @@ from .._model.massless_joints import factor
 
 
 @jax.custom_jvp
-def definite_inverse(
+def spd_inverse(
     matrix: Float[Array, "joint joint"],
 ) -> Float[Array, "joint joint"]:
     """Return the inverse of a symmetric, positive definite matrix.
@@ -32,7 +32,7 @@ def definite_inverse(
     return jsl.cho_solve((factor(matrix), True), eye)
 
 
-@definite_inverse.defjvp
+@spd_inverse.defjvp
 def _jvp(primals: tuple[Any], tangents: tuple[Any]) -> tuple[Array, Array]:
-    inverse = definite_inverse(*primals)
+    inverse = spd_inverse(*primals)
     return inverse, -sum_rows(inverse, sum_rows(tangents[0], inverse))

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from .._dynamics.rnea import gravity_forces, gravity_torques
 from .._kinematics.forward import joint_frames, link_inertia_rows, tool_jacobian
-from .._model.drives import gravity_lift, static_stretch
+from .._model.drives import drive_deflection, gravity_compensation
 from .._model.robot import JointVector, Robot, Wrench, joint_vector, wrench_vector
 
 # Springs are much stiffer than gravity and load change with the pose: from a
@@ -43,7 +43,7 @@ def motor_positions(
     """
     wanted = joint_vector(robot, q, "q")
     if is_gravity_compensated:
-        wanted = wanted + gravity_lift(robot, gravity_forces(robot, wanted))
+        wanted = wanted + gravity_compensation(robot, gravity_forces(robot, wanted))
     return jnp.where(robot.motor_mask(), wanted, 0.0)
 
 
@@ -84,7 +84,7 @@ def _loaded_equilibrium(
             robot, frames, link_inertia_rows(robot, frames)
         )
         # Divided by K, an infinite stiffness is an ordinary number.
-        return theta - q + static_stretch(robot, load)
+        return theta - q + drive_deflection(robot, load)
 
     fixed = lax.stop_gradient((robot, theta, wrench))
     slope_at = lambda q: jax.jacfwd(lambda x: residual(*fixed, x))(q)

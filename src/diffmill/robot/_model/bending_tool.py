@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from ..._types import RealScalarLike
 from .._algebra.spatial import matrix_product
 from .robot import Robot
-from .series_springs import Body, Spring, append_springs
+from .series_springs import Body, Spring, with_series_springs
 
 # Gauss-Legendre nodes: four are exact for the square of the beam's cubic shape.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
@@ -154,7 +154,7 @@ def with_bending_tool(robot: Robot, tool: BendingTool) -> Robot:
         Spring(K, D, "tool_y", "revolute", 1),
     ]
     body = Body(spring.mass, -up, jnp.zeros((3, 3), robot.dtype))
-    bending = append_springs(
+    bending = with_series_springs(
         robot, springs, body, matrix_product(robot.T_flange_tool, raised)
     )
     own = range(robot.joint_count, bending.joint_count)

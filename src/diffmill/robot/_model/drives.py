@@ -216,7 +216,7 @@ def dead_zone(
     return jnp.where(has_gap, s, x), jnp.where(has_gap, slope, 1.0)
 
 
-def static_stretch(
+def drive_deflection(
     robot: Robot, torque: Float[Array, " joint"]
 ) -> Float[Array, " joint"]:
     """Return theta_c - q of drives at rest: gear, gap and servo in series.
@@ -231,13 +231,15 @@ def static_stretch(
 
     **Differentiability**: smooth, but where a gear with a gap carries nothing.
     """
-    stretch = across_gap(robot, torque / robot.joint_stiffness)
+    stretch = backlash_deflection(robot, torque / robot.joint_stiffness)
     if robot.motors is None:
         return stretch
-    return stretch + servo_stretch(robot, torque)
+    return stretch + servo_deflection(robot, torque)
 
 
-def across_gap(robot: Robot, y: Float[Array, " joint"]) -> Float[Array, " joint"]:
+def backlash_deflection(
+    robot: Robot, y: Float[Array, " joint"]
+) -> Float[Array, " joint"]:
     """Return s^-1(y): the stretch of gears whose springs are stretched by y.
 
     Args:
@@ -260,7 +262,7 @@ def across_gap(robot: Robot, y: Float[Array, " joint"]) -> Float[Array, " joint"
     return jnp.where(is_loaded, jnp.sign(y) * edge, y)
 
 
-def servo_stretch(
+def servo_deflection(
     robot: Robot, torque: Float[Array, " joint"]
 ) -> Float[Array, " joint"]:
     """Return by how much servos at rest yield to a torque, tau / K_s [rad or m].
@@ -276,7 +278,7 @@ def servo_stretch(
     return jnp.where(robot.motor_mask(), torque / robot.motors.stiffness, 0.0)
 
 
-def gravity_lift(
+def gravity_compensation(
     robot: Robot, gravity: Float[Array, " joint"]
 ) -> Float[Array, " joint"]:
     """Return what a controller adds to the command against gravity [rad or m].
@@ -292,7 +294,7 @@ def gravity_lift(
     lift = gravity / robot.joint_stiffness
     if robot.motors is None:
         return lift
-    return lift + servo_stretch(robot, gravity)
+    return lift + servo_deflection(robot, gravity)
 
 
 def friction_torque(robot: Robot, v: Float[Array, " joint"]) -> Float[Array, " joint"]:

@@ -12,7 +12,7 @@ from ..._types import RealScalarLike
 from .._algebra.spatial import apply_matrix, matrix_product
 from .elements import Vector3
 from .robot import Robot
-from .series_springs import Body, Spring, append_springs
+from .series_springs import Body, Spring, with_series_springs
 
 _AXES = "xyz"
 
@@ -88,7 +88,7 @@ def with_flange_spring(robot: Robot, spring: FlangeSpring) -> Robot:
         springs += [Spring(K[i], D[i], prefix + _AXES[i], kind, i) for i in range(3)]
     if spring.is_in_link:
         robot = _without(robot, body)
-    return append_springs(robot, springs, body, jnp.eye(4, dtype=dtype))
+    return with_series_springs(robot, springs, body, jnp.eye(4, dtype=dtype))
 
 
 def _without(robot: Robot, body: Body) -> Robot:

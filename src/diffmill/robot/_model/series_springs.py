@@ -45,7 +45,7 @@ class Body(eqx.Module):
     inertia: Float[Array, "3 3"]
 
 
-def append_springs(
+def with_series_springs(
     robot: Robot,
     springs: Sequence[Spring],
     body: Body,

@@ -14,16 +14,16 @@ from ...process import (
     BottomEngagement,
     EdgeSamples,
     Engagement,
-    Plain,
     ProcessPlan,
     ProcessState,
+    ThroughRays,
+    compute_engagement,
     end_period,
     ends_of,
+    enqueue,
     initial_state,
-    look,
     middles_of,
-    remember,
-    remove_due,
+    remove_lagged,
     substep_wrench,
 )
 from ...workpiece import Pose, Stock, repeated
@@ -86,7 +86,7 @@ class _Tool(eqx.Module):
 def _begin(tool: _Tool, stock: Stock, path: Pose) -> tuple[ProcessState, Pose, Pose]:
     """Return the state before the first period, as if the tool had stood still."""
     plan, count = tool.plan, path.tip.shape[0]
-    state, _ = initial_state(plan, stock, tool.cutter, path[0], count, Plain())
+    state, _ = initial_state(plan, stock, tool.cutter, path[0], count, ThroughRays())
     still = repeated(path[0], (plan.substeps,))
     return state, still, still
 
@@ -110,12 +110,12 @@ def _replay(
         near = jax.tree.map(
             lambda x: jax.lax.dynamic_slice_in_dim(x, index - 1, 4), padded
         )
-        state = remember(plan, cutter, state, index - 1, near[1])
-        state, _ = remove_due(plan, cutter, state, index - 1, Plain())
+        state = enqueue(plan, cutter, state, index - 1, near[1])
+        state, _ = remove_lagged(plan, cutter, state, index - 1, ThroughRays())
         return state, middles_of(plan, near)[1], ends_of(plan, near)[1]
 
     state, poses, ends = jax.lax.fori_loop(first, last + 1, period, carry)
-    cut = look(plan, cutter, state, last, poses, Plain())
+    cut = compute_engagement(plan, cutter, state, last, poses, ThroughRays())
     slopes = _slopes(plan, cutter, tool.laws, poses, state.recent, cut)
     return (state, poses, ends), slopes
 

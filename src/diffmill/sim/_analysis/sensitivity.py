@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 
 from ..._job import Job
 from ..._types import FloatRows3
-from ...process import Traced, wall_deviation, wall_shares
+from ...process import ThroughPoses, wall_deviation, wall_shares
 from ...toolpath import contour_error
 from .._job.simulate import run_motors, with_precision
 from .._machine.commands import command_motors, path_axes
@@ -172,7 +172,7 @@ def _pushed(
     shares = wall_shares(desired, path_axes(job), job.cutter)
 
     def errors(log_scale: Float[Array, " parameter"]) -> tuple[Array, Array]:
-        ran = run_motors(with_scaled(job, log_scale), motors, Traced())
+        ran = run_motors(with_scaled(job, log_scale), motors, ThroughPoses())
         deviation = wall_deviation(ran.ends, desired, shares)
         return ran.actual, contour_error(desired + deviation, desired)
 

@@ -15,11 +15,11 @@ from ..._job import Job
 from ...cutter import AbstractCutter
 from ...process import (
     Engagement,
-    Plain,
     ProcessPlan,
     ProcessSolution,
     ProcessState,
-    begin_period,
+    ThroughRays,
+    advance_removal,
     element_heights,
     end_period,
     ends_of,
@@ -161,14 +161,16 @@ def _last_periods(
     Float[Array, "period substep angle kept element"],
 ]:
     """Return angle, tooth, chip in the stock and occupancy in the last periods."""
-    adjoint, rows = Plain(), path.tip.shape[0]
+    adjoint, rows = ThroughRays(), path.tip.shape[0]
     state, _ = initial_state(plan, stock, cutter, path[0], rows, adjoint)
 
     def period(
         state: ProcessState, x: tuple[Array, Pose, Pose, Pose]
     ) -> tuple[ProcessState, tuple[Engagement, Array]]:
         index, start, poses, ends = x
-        state, cut, _ = begin_period(plan, cutter, state, index, start, poses, adjoint)
+        state, cut, _ = advance_removal(
+            plan, cutter, state, index, start, poses, adjoint
+        )
         chip = jax.vmap(
             lambda pose, earlier, samples: substep_chip(
                 plan, cutter, pose, earlier, cut.thinned, samples

@@ -15,9 +15,9 @@ from ..._result import RESULTS
 from ..._types import FloatRows3
 from ...process import (
     AbstractAdjoint,
-    Plain,
     ProcessPlan,
     ProcessSolution,
+    ThroughRays,
     process_plan,
     simulate_process,
     wall_deviation,
@@ -118,7 +118,7 @@ def simulate(
         throw: Whether to raise when the run does not succeed; not under `jit`, where
             `.result` tells.
         on_progress: Called between the rigid and the coupled part.
-        adjoint: How to differentiate through the removal; `Plain()` if not given.
+        adjoint: How to differentiate through the removal; `ThroughRays()` if not given.
         commanded: Tip positions that the program commands instead of the desired
             path [m], shape (step, 3).
 
@@ -133,7 +133,7 @@ def simulate(
     Differentiability: in all leaves of the job, as `simulate_process`.
     """
     job = with_precision(job)
-    adjoint = Plain() if adjoint is None else adjoint
+    adjoint = ThroughRays() if adjoint is None else adjoint
     tell = on_progress or (lambda message, share: None)
     command = job.path.positions if commanded is None else commanded
     _, solution = run_with_room(job, on_device(command), adjoint, tell)

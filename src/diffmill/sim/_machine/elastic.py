@@ -28,14 +28,14 @@ from ...process import (
     ProcessPlan,
     ProcessState,
     Removed,
-    begin_period,
+    advance_removal,
     end_period,
     failed_rows,
-    flush,
     initial_state,
     last_row,
     live_rows,
     outcome,
+    remove_all,
     substep_middles,
     substep_wrench,
     volumes_by_pose,
@@ -303,7 +303,7 @@ def _finish(
     plan, cutter, adjoint = machine.plan, machine.cutter, machine.adjoint
     dtype, step_count = rows.tip.dtype, rows.tip.shape[0] + 1
     final = pose_at(machine, state)
-    process, rest = flush(plan, cutter, process, last, final, step_count, adjoint)
+    process, rest = remove_all(plan, cutter, process, last, final, step_count, adjoint)
     actual = through(rows.tip, final.tip, last)
     volume, by_shank = volumes_by_pose(step_count, rows.removed, rest)
     return CoupledSolution(
@@ -404,7 +404,7 @@ def run_period(
     # As in the period before: what the teeth do comes again, and drifts are slow.
     drift = (arm.pose.tip - process.last_tip)[None]
     predicted = along(arm.pose, process.recent.tip[0] + drift)
-    process, cut, removed = begin_period(
+    process, cut, removed = advance_removal(
         machine.plan,
         machine.cutter,
         process,

@@ -34,21 +34,21 @@ from ...process import (
     ProcessPlan,
     ProcessState,
     Removed,
-    begin_period,
+    advance_removal,
     end_period,
     failed_rows,
-    flush,
     initial_state,
     last_row,
     live_rows,
     outcome,
+    remove_all,
     substep_ends,
     substep_middles,
     substep_wrench,
     volumes_by_pose,
     when_live,
 )
-from ...robot import Robot, arm_terms, loaded_equilibrium, static_stretch
+from ...robot import Robot, arm_terms, drive_deflection, loaded_equilibrium
 from ...workpiece import Pose, Stock
 from .elastic import CoupledSolution, all_ends, along, in_work
 
@@ -139,7 +139,9 @@ def simulate_quasistatic(
     xs = (index, theta[:-1], theta[1:], live_rows(index, row_count))
     (process, last), rows = jax.lax.scan(step, (process, first), xs)
     end = last_row(step_count, row_count)
-    process, rest = flush(plan, cutter, process, end, last.pose, step_count, adjoint)
+    process, rest = remove_all(
+        plan, cutter, process, end, last.pose, step_count, adjoint
+    )
     volume, by_shank = volumes_by_pose(step_count, rows.removed, rest)
     chain = jax.tree.map(
         lambda a, b: jnp.concatenate([a[None], b]), first, rows.balance
@@ -171,7 +173,7 @@ def _run_period(
     # The end is near to the start moved along with the motors: linear from there.
     near = start.q + stop - begin
     pose, jacobian, gravity = _linear(machine, near)
-    stretch = lambda tau: static_stretch(machine.robot, tau)
+    stretch = lambda tau: drive_deflection(machine.robot, tau)
     joints = lambda F: stop - stretch(gravity - jacobian.T @ F)
     tip = lambda F: pose.tip + jacobian[:3] @ (joints(F) - near)
 
@@ -179,7 +181,7 @@ def _run_period(
         shares = places(machine.plan, stop.dtype)[:, None]
         return start.pose.tip[None] * (1 - shares) + tip(F)[None] * shares
 
-    process, cut, removed = begin_period(
+    process, cut, removed = advance_removal(
         machine.plan,
         machine.cutter,
         process,

@@ -17,12 +17,12 @@ from ....robot import (
     ArmTerms,
     Robot,
     arm_terms,
-    definite_inverse,
+    drive_deflection,
     forward_dynamics,
     friction_torque,
     gear_torque,
-    servo_stretch,
-    static_stretch,
+    servo_deflection,
+    spd_inverse,
 )
 
 # Algorithm of the arm's dynamics: mass matrix, or articulated bodies.
@@ -169,7 +169,7 @@ def held_rate(
     push, spin = _drive(robot, state, command)
     moved = state.q - terms.joint_positions
     bias = terms.bias_forces + terms.gravity_stiffness @ moved
-    acceleration = definite_inverse(terms.mass_matrix) @ (push + load - bias)
+    acceleration = spd_inverse(terms.mass_matrix) @ (push + load - bias)
     return ArmState(state.v, acceleration, state.omega, spin)
 
 
@@ -211,9 +211,9 @@ def steady_state(
         tau = arm_terms(robot, q, v).bias_forces
         if robot.friction is not None:
             tau = tau + friction_torque(robot, v)
-        q = theta - static_stretch(robot, tau)
+        q = theta - drive_deflection(robot, tau)
     if robot.motors is None:
         return ArmState(q, v)
     motors = robot.motor_mask()
-    held = theta - servo_stretch(robot, tau)
+    held = theta - servo_deflection(robot, tau)
     return ArmState(q, v, held, jnp.where(motors, v, 0.0))

@@ -11,8 +11,8 @@ from ....robot import (
     Robot,
     augmented_inverse,
     coulomb_damping,
-    definite_inverse,
     gear_torque,
+    spd_inverse,
 )
 from .base import AbstractIntegrator, ArmState, Dynamics, MotorCommand, servo_torque
 
@@ -87,7 +87,7 @@ class Midpoint(AbstractIntegrator):
             q = terms.joint_positions
             inverse = augmented_inverse(robot, q, diagonal, algorithm="aba")
             return _Linearised(w, terms, inverse)
-        return _Linearised(w, terms, definite_inverse(M + jnp.diag(diagonal)))
+        return _Linearised(w, terms, spd_inverse(M + jnp.diag(diagonal)))
 
     def step(
         self,
