@@ -111,10 +111,10 @@ def simulate_process(
             point cloud is asked for where there is none.
 
     Differentiability: in positions, coefficients and diameter, in forward and reverse
-    mode, except at the kinks of chips and rays. Under `ThroughPoses` the volumes and the
-    stock are constants. With "point_cloud" derivatives exist but are hard: they follow
-    the rays that hold the extreme points between the jumps from ray to ray, and under
-    `ThroughPoses` ends that earlier poses cut are constants.
+    mode, except at the kinks of chips and rays. Under `ThroughPoses` the volumes and
+    the stock are constants. With "point_cloud" derivatives exist but are hard: they
+    follow the rays that hold the extreme points between the jumps from ray to ray, and
+    under `ThroughPoses` ends that earlier poses cut are constants.
     """
     dtype = stock.origin.dtype
     positions = _rows(positions, "positions", dtype)

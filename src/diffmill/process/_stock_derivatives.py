@@ -5,11 +5,12 @@ automatic differentiation works, also for the removed volume and the final stock
 a tangent of the stock is a second stock, and in reverse mode every step keeps what it
 read and scatters into it.
 
-`ThroughPoses` treats the stock as a constant. Every end remembers the pose that cut it, and
-the derivative of an end with respect to that pose is known in closed form; so a step
-carries derivatives from the poses to the samples directly. Both modes of automatic
+`ThroughPoses` treats the stock as a constant. Every end remembers the pose that cut it,
+and the derivative of an end with respect to that pose is known in closed form; so a
+step carries derivatives from the poses to the samples directly. Both modes of automatic
 differentiation work, a step keeps only the ends that its samples read, and no tangent
-of the stock exists. Volumes and the final stock have no derivative under `ThroughPoses`.
+of the stock exists. Volumes and the final stock have no derivative under
+`ThroughPoses`.
 """
 
 import abc

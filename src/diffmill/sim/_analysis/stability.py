@@ -188,9 +188,10 @@ def stability(
 def find_chatter(job: Job, solution: Solution) -> Stability | None:
     """Return how vibrations grow where a quick look finds that they may.
 
-    The quick look takes the deepest cut of each of a few stretches of the path, and
-    the slopes of its force from where the tool has been (`_analysis/quick_force_jacobian.py`). What it
-    suspects is looked at as by `stability`; between these rows chatter is missed.
+    The quick look takes the deepest cut of each of a few stretches of the path, and the
+    slopes of its force from where the tool has been
+    (`_analysis/quick_force_jacobian.py`). What it suspects is looked at as by
+    `stability`; between these rows chatter is missed.
 
     Args:
         job: The job.

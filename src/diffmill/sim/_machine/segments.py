@@ -92,8 +92,8 @@ def run_segment(
         in the state; nothing is flushed.
 
     Differentiability: as `simulate_coupled`; the state is differentiable but for the
-    ends of rays, and under `ThroughPoses` the segment depends on earlier ones by the arm
-    and the poses that wait for removal only.
+    ends of rays, and under `ThroughPoses` the segment depends on earlier ones by the
+    arm and the poses that wait for removal only.
     """
     theta = motor_positions
     flutes = machine.cutter.flute_count

@@ -1,0 +1,99 @@
+"""The rooms of the package: how large they are, and who imports whom."""
+
+import ast
+import itertools
+import pathlib
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import diffmill
+
+ROOT = pathlib.Path(__file__).parents[1]
+SOURCE = ROOT / "src" / "diffmill"
+# Folders of siblings of one kind, which may be many.
+SIBLINGS = {"viz/_figure"}
+LARGEST = 12
+
+
+def module_of(file: pathlib.Path) -> str:
+    parts = ("diffmill", *file.relative_to(SOURCE).with_suffix("").parts)
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imports(file: pathlib.Path) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Yield the modules of diffmill that a file imports, with the names taken."""
+    if file.is_relative_to(SOURCE):
+        package = module_of(file).split(".")
+        package = package if file.name == "__init__.py" else package[:-1]
+    else:
+        package = []
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    # What only a type checker reads is no dependency.
+    for block in [node for node in ast.walk(tree) if isinstance(node, ast.If)]:
+        if ast.unparse(block.test) == "TYPE_CHECKING":
+            block.body = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            for name in node.names:
+                yield name.name, ()
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else []
+            parts = [*base, *(node.module.split(".") if node.module else [])]
+            yield ".".join(parts), tuple(name.name for name in node.names)
+
+
+def is_private(module: str) -> bool:
+    parts = module.split(".")
+    return parts[0] == "diffmill" and any(part.startswith("_") for part in parts[1:])
+
+
+def test_a_folder_shows_its_rooms():
+    for folder in {file.parent for file in SOURCE.rglob("*.py")}:
+        modules = [f for f in folder.glob("*.py") if f.name != "__init__.py"]
+        name = folder.relative_to(SOURCE).as_posix()
+        assert len(modules) <= LARGEST or name in SIBLINGS, (name, len(modules))
+
+
+def test_areas_know_only_what_others_publish():
+    for file in SOURCE.rglob("*.py"):
+        area = module_of(file).split(".")[1:2]
+        for module, _ in imports(file):
+            parts = module.split(".")
+            if parts[0] != "diffmill" or len(parts) < 3 or [parts[1]] == area:
+                continue
+            assert not is_private(".".join(["diffmill", *parts[2:]])), (file, module)
+
+
+def test_modules_import_in_one_direction():
+    files = {module_of(file): file for file in SOURCE.rglob("*.py")}
+    graph = {
+        name: {
+            target
+            for module, names in imports(file)
+            for target in (module, *(f"{module}.{n}" for n in names))
+            if target in files and files[target].name != "__init__.py"
+        }
+        for name, file in files.items()
+        if file.name != "__init__.py"
+    }
+    while graph:
+        leaves = {name for name, targets in graph.items() if not targets & set(graph)}
+        assert leaves, f"import cycle among {sorted(graph)}"
+        graph = {name: graph[name] for name in graph.keys() - leaves}
+
+
+def test_experiments_and_notebooks_use_what_is_public():
+    files = itertools.chain(*((ROOT / d).rglob("*.py") for d in ("experiments",)))
+    for file in files:
+        for module, _ in imports(file):
+            assert not is_private(module), (file, module)
+
+
+def test_names_of_the_glossary_exist():
+    text = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
+    for name in re.findall(r"`dm\.([\w.]+)`", text):
+        found: Any = diffmill
+        for part in name.split("."):
+            assert hasattr(found, part), name
+            found = getattr(found, part)
