@@ -20,7 +20,7 @@ from .workpiece import Stock
 
 
 class SimulationSettings(eqx.Module):
-    """How finely a job is computed.
+    """Settings of a simulation.
 
     Attributes:
         angles: Samples of the immersion angle per revolution; a multiple of teeth x
@@ -68,7 +68,7 @@ class SimulationSettings(eqx.Module):
 
 
 class UncertaintySettings(eqx.Module):
-    """How well the model is known that a correction is computed with.
+    """Uncertainty of the model that a correction is computed with.
 
     Attributes:
         stiffness: Relative uncertainty of every joint's stiffness: half the width of
@@ -95,7 +95,7 @@ class UncertaintySettings(eqx.Module):
 
 
 class CorrectionSettings(eqx.Module):
-    """How a path is corrected.
+    """Settings of a correction.
 
     Attributes:
         objective: "path" (contour error of the tip) or "surface" (signed error of the

@@ -232,7 +232,7 @@ def test_suggested_tests_show_the_missing_joints():
     fit = identification.fit_joint_stiffness(robot, q, wrench, d)
     assert not fit.identifiable[0] and not fit.identifiable[5]
     more = identification.suggest_load_tests(robot, fit, q, wrench)
-    assert more.hopeless == (robot.joint_names[5],)
+    assert more.unobservable == (robot.joint_names[5],)
     q, wrench = np.vstack([q, more.q]), np.vstack([wrench, more.wrench])
     d = moved(robot, q, wrench)[:, :3]
     d += 0.02 * np.sqrt(np.mean(d[:8] ** 2)) * draw.normal(size=d.shape)

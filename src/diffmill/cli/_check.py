@@ -1,4 +1,4 @@
-"""What a program, a recorded path, a job or an identification contains, in words."""
+"""Description of a program, a recorded path, a job or an identification, in words."""
 
 import collections
 import math

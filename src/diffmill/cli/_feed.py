@@ -22,7 +22,7 @@ Dataset: TypeAlias = Any
 
 
 class FeedRequest(eqx.Module):
-    """What is to be tried.
+    """Request of a feed study.
 
     Attributes:
         overrides: Factors of the feed of the whole program.

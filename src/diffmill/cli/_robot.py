@@ -1,4 +1,4 @@
-"""What a robot is made of and how soft it is: in words, as JSON, and drawn."""
+"""Description of a robot and its compliance: in words, as JSON, and drawn."""
 
 import json
 import pathlib

@@ -1,4 +1,4 @@
-"""What was identified as tables of a job file, ready to paste."""
+"""Identified parameters as tables of a job file, ready to paste."""
 
 from collections.abc import Mapping, Sequence
 

@@ -1,4 +1,4 @@
-"""What goes into the least-squares method and comes out: settings, steps, solution.
+"""Settings, steps and solution of the least-squares method.
 
 Also what it must remember to go on after an interruption.
 """
@@ -14,7 +14,7 @@ from ._products import AbstractProducts, StoredProducts
 
 
 class LeastSquaresStep(eqx.Module):
-    """What one outer step did and what has been spent up to its end.
+    """Outer step with the cost up to its end.
 
     Where a refused trial was followed by shorter ones, what is told is that of the
     last.
@@ -109,7 +109,7 @@ def following(
 
 
 class LeastSquaresMemory(eqx.Module):
-    """What the iteration needs to go on after an outer step.
+    """State of the iteration after an outer step.
 
     Attributes:
         z: The best point in units of `scale`, of the shape of the unknowns.

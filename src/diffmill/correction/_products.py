@@ -14,7 +14,7 @@ Residual = Callable[[Float[Array, "*unknown"], PyTree], Float[Array, "*residual"
 
 
 class AbstractProducts(eqx.Module):
-    """How the products with a Jacobian are formed: the trade of memory for time."""
+    """Products with a Jacobian: the trade of memory for time."""
 
     @abc.abstractmethod
     def linearise(

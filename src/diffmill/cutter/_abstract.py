@@ -1,4 +1,4 @@
-"""What the rest of the program asks of a cutter."""
+"""Interface of a cutter."""
 
 import abc
 import math
@@ -14,7 +14,7 @@ from ._elements import EdgeElements
 
 
 class AbstractCutter(eqx.Module):
-    """What removal, engagement and forces ask of a cutter.
+    """Interface of a cutter for removal, engagement and forces.
 
     Every member is elementwise in the coordinates of points and rays, which broadcast.
     """

@@ -40,7 +40,7 @@ class HolderPart(eqx.Module):
 
 
 class ToolHolder(eqx.Module):
-    """What holds the cutter, from its lower face up; it turns, but never cuts.
+    """Holder of the cutter, from its lower face up; it turns, but never cuts.
 
     Attributes:
         overhang: From the tip of the tool to the lower face of the holder [m].

@@ -1,4 +1,4 @@
-"""Where rays along the axes enter and leave an end mill in any pose.
+"""Intersections of rays along the axes with an end mill in any pose.
 
 A ray is reduced to numbers of the pair ray and tool axis, which keep their digits
 when the two are parallel or cross at a right angle. The solid is convex, so each ray

@@ -5,10 +5,10 @@ sample by sample; the removal of offset and drift; the cuts in it; its alignment
 the spindle; the ways in which a dynamometer can be mounted. Cutting coefficients from
 mean forces and from whole records, joint stiffness from load tests, modes and damping
 from a ring-down or a frequency response, or all of them at once from one record of a
-robot that cuts, each with standard errors and a word on what the data cannot tell.
-Assumptions: forces are calibrated; the record was sampled at one rate, except for
-gaps; the amplifier drifts along a straight line between two tare sections.
-Left out: the dynamometer's own dynamics. Files are read by `diffmill.io.load_record`.
+robot that cuts, each with standard errors and the parameters that the data do not
+identify. Assumptions: forces are calibrated; the record was sampled at one rate, except
+for gaps; the amplifier drifts along a straight line between two tare sections. Left
+out: the dynamometer's own dynamics. Files are read by `diffmill.io.load_record`.
 Nothing here is applied unasked: functions return new records or proposals.
 """
 

@@ -1,4 +1,4 @@
-"""How finely the cutting process is computed."""
+"""Discretisation of the cutting process."""
 
 import dataclasses
 import math
@@ -37,7 +37,7 @@ _LEAST_CORNER = 5.0
 
 
 class EdgeDiscretisation(eqx.Module):
-    """How many edge elements a cutter in space has, from the center of its end.
+    """Edge elements of a cutter in space, counted from the center of its end.
 
     Attributes:
         bottom: Elements of the flat end.
@@ -58,7 +58,7 @@ class EdgeDiscretisation(eqx.Module):
 
 
 class ProcessPlan(eqx.Module):
-    """How finely the process is computed; sizes are static.
+    """Discretisation of the process; sizes are static.
 
     Attributes:
         angles: Samples of the immersion angle per revolution.

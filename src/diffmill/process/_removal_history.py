@@ -1,4 +1,4 @@
-"""What the process remembers: the stock, and the poses not yet removed from it.
+"""State of the process: the stock, and the queue of poses not yet removed from it.
 
 Removal lags behind the tool by a travelled distance of at least sqrt(R d), the
 distance at which the freshly cut surface has left the smoothing band; the history
@@ -63,7 +63,7 @@ class Waiting(eqx.Module):
 
 
 class ProcessState(eqx.Module):
-    """What the process remembers between tooth periods.
+    """State of the process between tooth periods.
 
     Attributes:
         stock: The workpiece, less the poses still in the queue.

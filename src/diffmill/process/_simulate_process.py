@@ -34,7 +34,7 @@ from ._tooth_period import (
 
 
 class ProcessSolution(eqx.Module):
-    """What a process alone gives.
+    """Solution of a process without a machine.
 
     Attributes:
         time: Tooth instants [s], shape (step,).

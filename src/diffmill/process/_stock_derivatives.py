@@ -1,4 +1,4 @@
-"""How a simulation is differentiated through the removal of material.
+"""Derivatives of a simulation through the removal of material.
 
 `ThroughRays` differentiates through the ends of the rays themselves. Every mode of
 automatic differentiation works, also for the removed volume and the final stock; but
@@ -21,7 +21,7 @@ from ..workpiece import Pose, PoseTrack
 
 
 class AbstractAdjoint(eqx.Module):
-    """Which derivatives flow through the stock.
+    """Policy for derivatives through the stock.
 
     Attributes:
         keeps_slopes: Whether a linearisation keeps the slopes of forces and

@@ -41,7 +41,7 @@ from ._stock_derivatives import AbstractAdjoint
 
 
 class Engagement(eqx.Module):
-    """Where the teeth of one tooth period meet material.
+    """Engagement of the teeth in one tooth period.
 
     Attributes:
         samples: The side edges, shape (substep, angle, kept, element).

@@ -1,4 +1,4 @@
-"""When, in a tooth period, a tooth makes the wall, and where the tool stands then.
+"""Wall instants: when a tooth makes the wall in its period, and the tool's tip then.
 
 Rows are the tooth instants, at which a tooth looks along tool +y: a phase of the turn
 that has nothing to do with the cut. The wall beside the tool is made by the tooth that

@@ -1,4 +1,4 @@
-"""When the tool is where: a program under feed and acceleration limits.
+"""Timing of a program under feed and acceleration limits.
 
 The moves become smooth pieces (corners rounded, or exact stops), each with the largest
 speed that the feed and the centripetal acceleration allow. A backward and a forward

@@ -1,4 +1,4 @@
-"""What the figures show of the cutting process: fine forces and one tooth's chip."""
+"""Fine forces and one tooth's chip, for the figures."""
 
 import numpy as np
 from jaxtyping import Array, Float

@@ -1,4 +1,4 @@
-"""What the figures need of finished workpieces: the cut ray ends.
+"""Cut ray ends of finished workpieces, for the figures.
 
 The ideal workpiece is what the same process leaves on the desired path, on the same
 grid of rays.

@@ -1,4 +1,4 @@
-"""What all figures share: sizes, colours, quiet axes and how they are saved.
+"""Style of all figures: sizes, colours, quiet axes, and saving.
 
 Colours are those of Okabe and Ito, which readers with any colour vision can tell
 apart; a case has the same colour and line in every figure.
@@ -24,7 +24,7 @@ MICROMETRE = "\u00b5m"  # the micro sign, for text outside matplotlib
 
 
 class CaseStyle(eqx.Module):
-    """How one case looks in every figure.
+    """Look of one case in every figure.
 
     Attributes:
         label: Name for legends and tables.

@@ -1,4 +1,4 @@
-"""How much memory a stock takes, and how much it may."""
+"""Memory of a stock, and its limit."""
 
 import math
 import os

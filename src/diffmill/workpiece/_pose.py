@@ -1,4 +1,4 @@
-"""Where a tool stands: its tip and the direction of its axis."""
+"""Pose of a tool: its tip and the direction of its axis."""
 
 import equinox as eqx
 import jax

@@ -87,7 +87,7 @@ def _lines(task: "CoupledTask", fit: "CoupledFit") -> list[str]:
     for what, share in fit.explained.items():
         lines.append(f"the fit explains {share:.2%} of the squared {what}")
     if not fit.has_converged:
-        lines += noted("The iteration did not come to rest.", "warning")
+        lines += noted("The iteration did not converge.", "warning")
     for note in fit.notes:
         lines += noted(note)
     return lines

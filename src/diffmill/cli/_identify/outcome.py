@@ -1,4 +1,4 @@
-"""What one identification hands to the command line."""
+"""Outcome of an identification for the command line."""
 
 import pathlib
 from collections.abc import Callable
@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 
 class Outcome(NamedTuple):
-    """What one identification has found.
+    """Outcome of an identification.
 
     Attributes:
         lines: The summary for the terminal.

@@ -123,7 +123,7 @@ def tooth_lines(
 def record_lines(
     task: "ForceRecordTask", beside: "list[RecordRegistration]"
 ) -> list[str]:
-    """Return what was read and how it meets its cut.
+    """Return what was read, and its registration.
 
     Args:
         task: The records.

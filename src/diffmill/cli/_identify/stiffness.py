@@ -172,10 +172,10 @@ def _advice(task: "LoadTestTask", fit: "JointStiffnessFit") -> list[str]:
         )
         force = ", ".join(f"{v:.0f}" for v in wrench[:3])
         lines.append(f"  joints ({pose}), force ({force}) N in base")
-    if tests.hopeless:
+    if tests.unobservable:
         lines += noted(
-            f"No force at this tool turns {', '.join(tests.hopeless)}: use a longer or "
-            "sidewards tool, or load by a moment."
+            f"No force at this tool turns {', '.join(tests.unobservable)}: use a longer "
+            "or sidewards tool, or load by a moment."
         )
     return lines
 

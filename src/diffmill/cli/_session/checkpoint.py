@@ -1,4 +1,4 @@
-"""Where a long correction keeps what it has found, and how it goes on from there."""
+"""Checkpoints of a long correction, and its resumption."""
 
 import os
 import pathlib

@@ -18,7 +18,7 @@ _BLOCK_SLOTS = (8, 8, 1)
 
 
 class StockPlan(eqx.Module):
-    """Where a stock is, before or after it is made.
+    """Extent of a stock, before or after it is made.
 
     Attributes:
         lower: Least x, y, z [m], shape (3,).

@@ -1,4 +1,4 @@
-"""What a robot's modes ask of a job: sub-steps that follow them, and springs that hold.
+"""Checks of a robot's modes: sub-steps that follow them, and springs that hold.
 
 The implicit midpoint rule lowers a frequency f by (2 pi f h)^2 / 12, and adds no
 damping.
@@ -14,8 +14,8 @@ from ...robot import Robot, gravity_forces, mode_shapes
 # Longest sub-step of the robot [s], and how much shorter its modes may make it.
 LONGEST_SUBSTEP = 0.5e-3
 _SHORTER = 4
-# By this much the frequency of a mode may be too low that gives way at the tip with at
-# least this share.
+# Tolerated shift of a mode's frequency, and the least share of the tip's compliance
+# that a mode must have for it.
 _TOO_LOW, _SHARE = 0.01, 0.05
 # A joint may yield to the weight by this much [rad or m], noted and at all.
 _YIELDS, _FALLS = 0.02, 0.5
@@ -24,7 +24,7 @@ _YIELDS, _FALLS = 0.02, 0.5
 def counting_modes(
     robot: Robot, q: Float[np.ndarray, " joint"]
 ) -> Float[np.ndarray, " mode"]:
-    """Return the frequencies of the modes by which the tip gives way to a force [Hz].
+    """Return the frequencies of the modes that a force deflects at the tip [Hz].
 
     Those of joints that are fast by themselves, such as a bending tool's, are left out.
 

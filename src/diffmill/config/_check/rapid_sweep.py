@@ -1,4 +1,4 @@
-"""Where a rigid tool cuts, and where it would rush through the stock.
+"""Rigid pass along a path: where it cuts, and where a rapid would hit the stock.
 
 A height map of the stock is swept by the tool before anything is simulated. The tool
 that removes has its full radius, the one that tests rapid moves is a ray spacing
@@ -21,7 +21,7 @@ _TOUCH = 1e-6
 
 
 class RigidPass(eqx.Module):
-    """What a rigid tool does along a path.
+    """Cut of a rigid tool along a path.
 
     Attributes:
         is_cutting: Whether the motion to a row removes stock, shape (step,).

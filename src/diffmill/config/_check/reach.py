@@ -193,7 +193,7 @@ def _check_branch(
     found: PathSolution,
     problems: list[str],
 ) -> None:
-    """Note where the arm swings round between two rows."""
+    """Note where the arm changes configuration between two rows."""
     tips, is_reached = Ts[:, :3, 3], np.asarray(found.converged)
     q = np.asarray(found.q)
     length = np.linalg.norm(np.diff(tips, axis=0, prepend=tips[:1]), axis=1)
@@ -206,8 +206,9 @@ def _check_branch(
         k = int(np.argmax(is_jump))
         i = int(np.argmax(turn[k]))
         problems.append(
-            f"[robot]: {at_row(path, k)}: the arm would have to swing round within one "
-            f"tooth period, joint {robot.joint_names[i]} turns by "
+            f"[robot]: {at_row(path, k)}: the arm would have to change its "
+            "configuration within one tooth period, "
+            f"joint {robot.joint_names[i]} turns by "
             f"{np.rad2deg(turn[k, i]):.1f} deg; start from another configuration with "
             "joint_start, or move the part with work_in_base"
         )

@@ -1,4 +1,4 @@
-"""What a key of a file for `diffmill identify` may hold: axes, columns, sections."""
+"""Types of values in an identification file: axes, columns, sections."""
 
 from typing import Annotated, Literal
 

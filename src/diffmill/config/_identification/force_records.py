@@ -24,7 +24,7 @@ _LEAST_TURNS = 3.0
 
 
 class Context(NamedTuple):
-    """What the records of a file share.
+    """Settings that all records of a file share.
 
     Attributes:
         folder: Folder of the file.

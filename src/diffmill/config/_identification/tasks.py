@@ -1,4 +1,4 @@
-"""What a file for `diffmill identify` asks for, in SI units and with its data read."""
+"""Tasks of an identification file, in SI units and with their data read."""
 
 from typing import NamedTuple
 
@@ -64,7 +64,7 @@ class ForceRecord(NamedTuple):
 
 
 class ForceSettings(NamedTuple):
-    """How forces are fitted; see `identification.fit_force_coefficients`.
+    """Settings of a force fit; see `identification.fit_force_coefficients`.
 
     Attributes:
         axes: For x, y, z of the work the recorded axis; None if the file does not say.

@@ -1,4 +1,4 @@
-"""What a value of a job file may be: text with a unit becomes an SI number here."""
+"""Types of values in a job file: text with a unit becomes an SI number here."""
 
 from collections.abc import Callable
 from typing import Annotated, TypeAlias

@@ -1,4 +1,4 @@
-"""What a correction makes small: an error of the tip or of the machined surface."""
+"""Objective of a correction: an error of the tip or of the machined surface."""
 
 import abc
 

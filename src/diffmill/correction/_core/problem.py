@@ -1,4 +1,4 @@
-"""What every method of correction is given: a plant, a path and the bounds."""
+"""Problem of a correction: a plant, a path and the bounds."""
 
 import abc
 from collections.abc import Callable
@@ -17,7 +17,7 @@ Weights = Float[Array, " step"] | Float[np.ndarray, " step"]
 
 
 class Motion(eqx.Module):
-    """What a plant does when it is given a command.
+    """Motion of a plant that follows a command.
 
     Attributes:
         actual: Tool tip [m], shape (step, 3); of a job, the desired one with the

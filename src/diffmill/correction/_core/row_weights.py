@@ -1,4 +1,4 @@
-"""Which rows of a path count, and how much: finishing passes matter, roughing not."""
+"""Weights of the rows of a path: finishing passes count, roughing does not."""
 
 from collections.abc import Sequence
 

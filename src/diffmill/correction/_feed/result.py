@@ -1,4 +1,4 @@
-"""What is known of a program's time and error at several feeds."""
+"""Time and error of a program at several feeds."""
 
 from typing import TYPE_CHECKING
 

@@ -112,7 +112,7 @@ def _told(point: FeedPoint) -> str:
 
 
 class _Search:
-    """What stays the same from weight to weight."""
+    """Constants of a trade-off curve."""
 
     def __init__(self, problem: FeedProblem, count: int):
         self.problem, self.count = problem, count

@@ -195,7 +195,7 @@ def correct(
 
 
 class _Task(NamedTuple):
-    """What every case of a correction is made from."""
+    """Task that every case of a correction shares."""
 
     job: Job
     adjoint: AbstractAdjoint

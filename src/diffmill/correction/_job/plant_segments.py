@@ -29,7 +29,7 @@ Steps = Float[Array, " step"] | Float[np.ndarray, " step"]
 
 
 class JobState(eqx.Module):
-    """What a job's plant remembers between two rows.
+    """State of a job's plant between two rows.
 
     Attributes:
         coupled: The simulation's.

@@ -1,4 +1,4 @@
-"""Which optimiser a job asks for, and how it keeps what it has found."""
+"""Optimiser of a job, resumable from its checkpoints."""
 
 import functools
 from collections.abc import Callable

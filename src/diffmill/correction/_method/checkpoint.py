@@ -1,4 +1,4 @@
-"""What a correction remembers between two checkpoints, as named plain arrays.
+"""State of a correction between two checkpoints, as named plain arrays.
 
 Arrays only, so that a file of them needs no code to be read. Where they are written is
 the caller's business.

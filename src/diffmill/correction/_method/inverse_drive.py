@@ -33,7 +33,7 @@ from ...robot import (
 
 
 class InverseDriveCommand(eqx.Module):
-    """What the inverse drive commands.
+    """Command of the inverse drive.
 
     Attributes:
         motor_positions: Joint command theta without the gravity sag, which the

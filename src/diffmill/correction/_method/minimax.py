@@ -30,7 +30,7 @@ Member = Float[np.ndarray, " member"]
 
 
 class WorstCaseMemory(eqx.Module):
-    """What the rounds need to go on after a step of one of them.
+    """State of the rounds after a step of one of them.
 
     Attributes:
         round: Rounds that have ended.

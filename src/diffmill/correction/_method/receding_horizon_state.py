@@ -24,7 +24,7 @@ from .plant_segment import AbstractPiece
 
 
 class HorizonRun(eqx.Module):
-    """What has been done up to the end of a segment.
+    """State at the end of a segment.
 
     Attributes:
         sweep: How many sweeps have been finished before.

@@ -1,4 +1,4 @@
-"""What a place of the workpiece does to the deviation, and how it may be changed.
+"""Deviation over the place of the workpiece, and the bounds of the place.
 
 The force of the rigid cut does not depend on the place. Turned into the base, it
 stretches the drives' springs at the joint positions that the place asks for,
@@ -122,9 +122,9 @@ def turned_tool(
 def tip_deflection(
     robot: Robot, q: Float[Array, " joint"], force: Float[Array, " 3"]
 ) -> Float[Array, " 3"]:
-    """Return how far the tip gives way to a force, both in the base.
+    """Return the deflection of the tip under a force, both in the base.
 
-    To first order in the stretch of the drives; servos and virtual joints give way
+    To first order in the stretch of the drives; servos and virtual joints deflect
     too, gaps from where gravity holds them.
     """
     J = jacobian(robot, q)[:3]
@@ -176,7 +176,7 @@ def predicted_deviation(
 ) -> Float[Array, "step 3"]:
     """Return how far forces move the tip of a job's robot, without inertia.
 
-    The tip gives way by J K^-1 J^T F at the joint positions of the desired path; that
+    The tip deflects by J K^-1 J^T F at the joint positions of the desired path; that
     the chip changes with the deviation is left out.
 
     Args:

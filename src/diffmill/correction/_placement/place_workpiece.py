@@ -1,4 +1,4 @@
-"""Where to put the workpiece, and how to turn the tool: where the arm gives way least.
+"""Placement of the workpiece and rotation of the tool where the arm deflects least.
 
 The best of a few spread-out places and the job's own are starts of bounded
 Levenberg-Marquardt steps; joints stay within their ranges as held rows, and a place

@@ -28,7 +28,7 @@ PerPoint = Float[np.ndarray, " point"]
 
 
 class SurfaceBounds(eqx.Module):
-    """How far the machined surface may lie from the ideal one.
+    """Bounds of the machined surface about the ideal one.
 
     Attributes:
         surface: The ideal surface.

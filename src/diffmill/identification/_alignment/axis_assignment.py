@@ -1,4 +1,4 @@
-"""How a dynamometer may have been mounted: proposals with their evidence.
+"""Assignment of a dynamometer's axes: proposals with their evidence.
 
 A dynamometer measures along its own axes, which are turned, mirrored or exchanged
 against those of the simulation, and with the sign of the force on the workpiece or of

@@ -1,4 +1,4 @@
-"""What speaks for an assignment of a dynamometer's axes, in numbers and in words."""
+"""Evidence for an assignment of a dynamometer's axes, in numbers and in words."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""Where in time a record meets its cut, whatever its axes: by the size of the force."""
+"""Alignment of a record with its cut in time, by the size of the force alone."""
 
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ _CUTS = 0.02
 
 
 class TimeAlignment(NamedTuple):
-    """Where a record meets its cut.
+    """Alignment of a record with its cut in time.
 
     Attributes:
         shift: Time of the cut minus time of the record [s].
@@ -33,7 +33,7 @@ def align_in_time(
     time: Float[np.ndarray, " row"],
     force: Float[np.ndarray, "row 3"],
 ) -> TimeAlignment:
-    """Return where a record meets its cut best.
+    """Return the best alignment of a record with its cut.
 
     The sizes |F| of the measured and of the simulated force are compared at every
     shift, so that axes and signs do not matter. The coefficients need to be right in
@@ -56,13 +56,15 @@ def align_in_time(
     modelled = np.linalg.norm(found.columns @ coefficients + found.constant, axis=1)
     is_cut = modelled > _CUTS * modelled.max(initial=0.0)
     if not is_cut.any():
-        raise ValueError("The simulated tool never cuts: there is nothing to meet.")
+        raise ValueError(
+            "The simulated tool never cuts: there is nothing to align with."
+        )
     span = found.start + found.spacing * (len(modelled) - 1)
     step = float(np.median(np.diff(time)))
     step = max(step, (float(time[-1] - time[0]) + span) / _LONGEST)
     size = np.linalg.norm(np.nan_to_num(force), axis=1)
     if not size.any():
-        raise ValueError("The record rests at zero: there is nothing to meet.")
+        raise ValueError("The record is zero throughout: there is nothing to align.")
     grid = np.arange(time[0], time[-1] + step / 2, step)
     # Between two samples far apart nothing was measured, which counts as no force.
     a = np.interp(grid, time, size)

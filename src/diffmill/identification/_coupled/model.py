@@ -1,4 +1,4 @@
-"""What a robot that cuts would have shown to a record, for scaled parameters.
+"""Prediction of a record of a robot that cuts, for scaled parameters.
 
 One coupled simulation with derivatives by the logarithms of the parameters, all of
 them at once: forward mode carries a tangent per parameter beside the run, at a part of
@@ -31,7 +31,7 @@ Table = Float[Array, "..."] | Float[np.ndarray, "..."] | Sequence
 
 
 class CoupledRecord(eqx.Module):
-    """What was measured while a robot cut, with the clock of the job's path.
+    """Measurements of a robot that cut, on the clock of the job's path.
 
     Attributes:
         time: Instants [s], ascending, shape (row,).

@@ -1,4 +1,4 @@
-"""Which parameters of arm and cut are fitted to a coupled record, by their names.
+"""Parameters of arm and cut that are fitted to a coupled record, by name.
 
 Steps are taken in logarithms, so that a fit starts from what is positive and finite.
 """

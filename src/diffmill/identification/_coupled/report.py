@@ -1,4 +1,4 @@
-"""What a fit to a coupled record explains, and what it cannot tell, in words."""
+"""Report of a fit to a coupled record: what it explains, what is unidentifiable."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -65,7 +65,7 @@ def coupled_notes(
     notes = []
     if not found.has_converged:
         notes.append(
-            f"The fit has not come to rest after {found.simulations} simulations: "
+            f"The fit has not converged after {found.simulations} simulations: "
             "start nearer, or fit fewer parameters."
         )
     for name, share in explained.items():

@@ -1,4 +1,4 @@
-"""What a cut does per unit of every coefficient of the force law.
+"""Force of a cut per unit of every coefficient of the force law.
 
 The force is linear in the six coefficients of `cutting.LinearEdgeLaw` once the path,
 the stock and the cutter are given: F(t) = sum_i K_i C_i(t). One simulation with

@@ -1,4 +1,4 @@
-"""How well coefficients predict what they were not fitted to."""
+"""Cross-validation of coefficients on cuts left out of the fit."""
 
 from typing import NamedTuple
 

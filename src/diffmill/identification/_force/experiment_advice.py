@@ -1,4 +1,4 @@
-"""What to measure if a record cannot tell a coefficient."""
+"""Advice for measurements that make a coefficient identifiable."""
 
 import numpy as np
 from jaxtyping import Bool, Float

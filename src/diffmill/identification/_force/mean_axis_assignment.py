@@ -1,4 +1,4 @@
-"""Which axes of a dynamometer make physical sense of mean forces over several feeds.
+"""Assignment of a dynamometer's axes from mean forces over several feeds.
 
 Lines fit any assignment of the axes alike; what tells them apart is the sign pattern
 of the coefficients and the ratio of radial to tangential force.

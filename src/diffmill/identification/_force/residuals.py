@@ -1,4 +1,4 @@
-"""What a fit leaves of a record, over time and over frequency."""
+"""Residual of a fit over time and over frequency."""
 
 import numpy as np
 from jaxtyping import Float

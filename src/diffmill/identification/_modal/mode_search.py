@@ -1,4 +1,4 @@
-"""Where the modes of a frequency response lie, one after the other.
+"""Search for the modes of a frequency response, one after the other.
 
 The mode that explains most of what is left is added, then all are refined, and so on
 (orthogonal matching pursuit). Noise has as many peaks as lines, but none of them looks

@@ -1,4 +1,4 @@
-"""What is wrong with the channels of a record, by what would explain the rest of it.
+"""Faults of a record's channels, by what would explain the rest of it.
 
 Each hypothesis adds unknowns to the fit of one record: a constant or a line of each
 channel, or the gain of one channel against the others. One is told if it explains half

@@ -1,4 +1,4 @@
-"""What the phase of the teeth tells of the clock of a record, and of their number."""
+"""Faults of a record's clock and tooth count, from the phase of the teeth."""
 
 import math
 

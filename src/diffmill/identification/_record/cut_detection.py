@@ -1,4 +1,4 @@
-"""Where in a record the tool cuts."""
+"""Detection of cuts in a record."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""What a record shows to be wrong with it: a code and its numbers, no words.
+"""Diagnosis of a record: a code and its numbers, no words.
 
 Nothing is changed by a diagnosis. Sentences are those of who shows it.
 """

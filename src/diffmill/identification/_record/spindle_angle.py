@@ -10,7 +10,7 @@ from .spindle_harmonics import harmonics, series_of_turn
 
 
 class Alignment(NamedTuple):
-    """How a record lies in time against a simulated turn.
+    """Alignment of a record with a simulated turn.
 
     Attributes:
         shift: measured(t) is nearest to simulated(t - shift) [s], 0 <= shift < a turn.

@@ -1,4 +1,4 @@
-"""Which coefficients measured forces can tell."""
+"""Identifiability of coefficients from measured forces."""
 
 import numpy as np
 from jaxtyping import Bool, Float

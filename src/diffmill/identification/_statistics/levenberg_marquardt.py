@@ -35,7 +35,7 @@ Evaluate = Callable[[np.ndarray], list[Rows] | None]
 
 
 class SteppedFit(eqx.Module):
-    """Where the iteration ended.
+    """Solution of the iteration.
 
     Attributes:
         x: Unknowns, logarithms first, shape (unknown,).

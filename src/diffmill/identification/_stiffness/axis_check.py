@@ -1,4 +1,4 @@
-"""Whether a table of load tests would suit the robot much better with other axes.
+"""Check of the axes of a table of load tests against the robot.
 
 Three mistakes are looked for: a displacement in other axes than those of the robot, a
 load in others, and both in the same axes, but not in those of the robot.
@@ -25,7 +25,7 @@ Loads = Float[np.ndarray, "pose 6"]
 
 
 class AxesCheck(NamedTuple):
-    """Whether other axes suit a table better.
+    """Result of the check of a table's axes.
 
     Attributes:
         better: What is to be read how, such as "the displacement read as (x, -y, z)";

@@ -1,4 +1,4 @@
-"""How well joint stiffness predicts load tests that it was not fitted to."""
+"""Cross-validation of joint stiffness on load tests left out of the fit."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""Which further load tests would show a joint's stiffness."""
+"""Design of further load tests that would show a joint's stiffness."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -26,14 +26,14 @@ class LoadTests(eqx.Module):
         relative_errors: Standard error of each joint's compliance over the compliance
             itself that the table has with them, shape (joint,); infinite for joints
             that no force at the tool can turn.
-        hopeless: Names of these joints: they need a tool with another offset, or a
+        unobservable: Names of these joints: they need a tool with another offset, or a
             moment.
     """
 
     q: Float[np.ndarray, "pose joint"]
     wrench: Float[np.ndarray, "pose 6"]
     relative_errors: Float[np.ndarray, " joint"]
-    hopeless: tuple[str, ...] = eqx.field(static=True)
+    unobservable: tuple[str, ...] = eqx.field(static=True)
 
 
 def suggest_load_tests(

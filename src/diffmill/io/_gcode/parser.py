@@ -35,7 +35,7 @@ _MOST_LINES = 2_000_000
 
 @dataclass
 class _State:
-    """What one block leaves to the next; NaN marks what a fault made unknown.
+    """State between two blocks; NaN marks what a fault made unknown.
 
     Attributes:
         feed_default: Feed where the program gives none [mm/s], or None.

@@ -1,4 +1,4 @@
-"""Which column of a table is which quantity, and its values in SI units."""
+"""Channels of a table: the quantity of each column, and its values in SI units."""
 
 import re
 from collections.abc import Mapping

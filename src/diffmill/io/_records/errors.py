@@ -1,4 +1,4 @@
-"""What is wrong with a file of measurements."""
+"""Errors of files of measurements."""
 
 from ..._messages import shown
 

@@ -1,4 +1,4 @@
-"""What every reader of measurements returns: named columns as written."""
+"""Table of measurements: named columns as written."""
 
 import math
 import re

@@ -1,4 +1,4 @@
-"""How the rows of a text table are written, and what its columns are called."""
+"""Layout of a text table: its rows, and the names of its columns."""
 
 import csv
 import datetime
@@ -47,7 +47,7 @@ _ELECTRIC = ("V", "mV", "pC", "g")
 
 
 class Layout(NamedTuple):
-    """How the rows of a table are written."""
+    """Layout of the rows of a table."""
 
     start: int  # index of the first row among the lines of the head
     delimiter: str | None

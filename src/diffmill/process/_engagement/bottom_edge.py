@@ -35,7 +35,7 @@ _STILL = 1e-8
 
 
 class BottomEngagement(eqx.Module):
-    """Where the bottom edges of one tooth period meet material.
+    """Engagement of the bottom edges in one tooth period.
 
     Attributes:
         angle: Immersion angle of the samples [rad], shape (substep, angle, tooth).

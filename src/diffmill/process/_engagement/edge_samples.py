@@ -1,4 +1,4 @@
-"""Where the edges of a tool are sampled, and what of their chips is material."""
+"""Samples of a tool's edges, with the share of their chips that is material."""
 
 import equinox as eqx
 from jaxtyping import Array, Float, Int

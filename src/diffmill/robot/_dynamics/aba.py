@@ -41,7 +41,7 @@ class _Inertia(NamedTuple):
 
 
 class _Articulated(NamedTuple):
-    """What a joint feels: U = I s, 1 / (s I s), and I c without the joint's part."""
+    """Articulated inertia of a joint: U = I s, 1 / (s I s), I c without its part."""
 
     U: Vector
     inverse: Array

@@ -1,4 +1,4 @@
-"""What a moving arm stores: in its links, its springs and its weight."""
+"""Mechanical energy of an arm: kinetic, of its springs and of its weight."""
 
 import jax
 import jax.numpy as jnp

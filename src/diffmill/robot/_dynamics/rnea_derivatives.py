@@ -1,4 +1,4 @@
-"""How the torques of a motion change with the motion, in closed form.
+"""Derivatives of the inverse dynamics with respect to the motion, in closed form.
 
 The derivatives of recursive Newton-Euler of Singh, Russell, Wensing, Efficient
 Analytical Derivatives of Rigid-Body Dynamics using Spatial Vector Algebra, IEEE
@@ -63,7 +63,7 @@ class RneaDerivatives(eqx.Module):
 
 
 class _Carried(NamedTuple):
-    """What bodies add up to: inertia, its Coriolis terms, and force."""
+    """Composite of bodies: inertia, its Coriolis terms, and force."""
 
     m: Array
     h: Vector

@@ -1,4 +1,4 @@
-"""How soft the arm is: compliance, stiffness, deflection and sag of the tool."""
+"""Compliance of the arm: stiffness, static deflection and sag of the tool."""
 
 import jax
 import jax.numpy as jnp
@@ -37,7 +37,7 @@ def cartesian_stiffness(robot: Robot, q: JointVector) -> Float[Array, "3 3"]:
     `cartesian_compliance`.
 
     Args:
-        robot: The robot; its tip must give way in all three directions, or the
+        robot: The robot; its tip must be compliant in all directions, or the
             result is not finite (`principal_stiffness` is then still right).
         q: Joint positions [rad or m], shape (joint,).
 
@@ -58,7 +58,7 @@ def principal_stiffness(robot: Robot, q: JointVector) -> Float[Array, " 3"]:
 
     Returns:
         Eigenvalues of `cartesian_stiffness` [N/m], ascending, shape (3,); infinite
-        where the tip does not give way.
+        where the tip is rigid.
 
     **Differentiability**: smooth where no two of them coincide.
     """

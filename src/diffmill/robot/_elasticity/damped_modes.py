@@ -1,4 +1,4 @@
-"""How the arm rings with its dampers, which may couple its modes."""
+"""Complex modes of the arm, with dampers that may couple them."""
 
 import equinox as eqx
 import numpy as np

@@ -1,4 +1,4 @@
-"""How the arm rings with its motors locked: frequencies, damping, shapes."""
+"""Modes of the arm with its motors locked: frequencies, damping, shapes."""
 
 import equinox as eqx
 import jax

@@ -1,4 +1,4 @@
-"""How the tool answers to a force that oscillates."""
+"""Receptance of the tool: displacement per oscillating force."""
 
 import jax
 import jax.numpy as jnp

@@ -50,7 +50,7 @@ def motor_positions(
 def loaded_equilibrium(
     robot: Robot, theta: JointVector, wrench: Wrench | None = None
 ) -> Float[Array, " joint"]:
-    """Return where the joints come to rest: K (theta - q) + J^T F - G(q) = 0.
+    """Return the joints' equilibrium: K (theta - q) + J^T F - G(q) = 0.
 
     With backlash and servos the stretch theta - q is theirs too. Friction holds
     nothing: in its smooth form a loaded joint creeps until the springs carry it.

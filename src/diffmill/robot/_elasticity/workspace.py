@@ -1,4 +1,4 @@
-"""Where the tool can go, and how stiff the arm is there."""
+"""Workspace of the arm, and its stiffness there."""
 
 import equinox as eqx
 import jax

@@ -1,4 +1,4 @@
-"""What is said about a robot file: all faults at once, and warnings."""
+"""Errors and warnings of robot files: all faults at once."""
 
 from collections.abc import Sequence
 

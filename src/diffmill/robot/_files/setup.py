@@ -1,4 +1,4 @@
-"""What a robot's own file does not say: springs, drives, spindle, tilt of the base.
+"""Setup of a robot beside its own file: springs, drives, spindle, tilt of the base.
 
 It is read as a change of the robot's elements, so that a joint that is locked is none:
 what it carries belongs to the link before it.

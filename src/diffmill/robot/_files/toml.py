@@ -1,4 +1,4 @@
-"""What a robot file may contain, from parsed tables to elements.
+"""Robot files in TOML, from parsed tables to elements.
 
 All faults of a file are collected and reported together.
 """

@@ -92,7 +92,7 @@ class UrdfJoint:
 
 @dataclasses.dataclass
 class UrdfParser:
-    """What was found wrong (faults) or doubtful (notes) so far."""
+    """Faults and notes found so far."""
 
     faults: list[str] = dataclasses.field(default_factory=list)
     notes: list[str] = dataclasses.field(default_factory=list)

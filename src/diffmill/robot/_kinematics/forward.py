@@ -1,4 +1,4 @@
-"""Where every joint and the tool are, and how the tool moves with the joints.
+"""Forward kinematics: poses of joints and tool, and the tool's Jacobian.
 
 Everything is written in base axes about the tool's origin: the joints' screws are
 then the columns of the Jacobian, and spatial vectors of different links add without

@@ -1,4 +1,4 @@
-"""What inverse kinematics solves: the rows of a pose, and what is left free.
+"""Pose error: the rows that inverse kinematics solves, and the free rotation.
 
 With the rotation about the tool axis fixed, the tool's frame is to be that of the
 pose: six rows. With it free, only the tip and the direction of the tool axis count: a
@@ -33,7 +33,7 @@ _UNLIMITED, _NARROWEST = 3.0, 1e-6
 
 
 class PoseTask(eqx.Module):
-    """What is left to a pose, and how the motors change it.
+    """Residual of a pose with its Jacobian.
 
     Attributes:
         error: From the tool to the pose: position in base [m], then rotation [rad];

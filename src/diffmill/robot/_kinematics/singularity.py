@@ -1,4 +1,4 @@
-"""How near a pose is to a singular one, where the tool cannot move every way."""
+"""Singularity of a pose: distance from one where the tool cannot move every way."""
 
 import functools
 
@@ -13,7 +13,7 @@ from .pose_error import ToolRotation, motor_jacobian
 
 
 class Singularity(eqx.Module):
-    """How well the motors can move the tool at one pose.
+    """Singularity measures of one pose.
 
     Lengths count in units of the arm's, so that shifts and rotations compare: L is the
     longest distance, at right angles, from the tip to the axis of a motor that turns

@@ -11,7 +11,7 @@ from .forward import joint_frames
 
 
 class Skeleton(eqx.Module):
-    """Where the joints of an arm are; all in `base`.
+    """Line figure of an arm: places of its joints, all in `base`.
 
     Attributes:
         mounts: Origin of each joint where a slide would be at 0 [m], shape (body, 3);

@@ -66,7 +66,7 @@ class BendingTool(eqx.Module):
 
 
 class TipSpring(eqx.Module):
-    """What the tip of a bending tool feels.
+    """Springs at the tip of a bending tool.
 
     Attributes:
         stiffness: Force per shift of the tip [N/m].

@@ -30,7 +30,7 @@ _GRAVITY = (0.0, 0.0, -9.81)
 
 @dataclasses.dataclass
 class _Walk:
-    """What the walk over the elements has found so far."""
+    """State of the walk over the elements."""
 
     joints: list[RevoluteJoint | PrismaticJoint] = dataclasses.field(
         default_factory=list

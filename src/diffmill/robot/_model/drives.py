@@ -1,4 +1,4 @@
-"""What a drive may have beyond a spring and a damper, each switched on by its data.
+"""Options of drives beyond spring and damper, each switched on by its data.
 
 Backlash: the gear carries nothing within a gap. Friction: of the joint, on its own side
 of the gear. Motors: a mass behind the gear that a servo holds, instead of one that
@@ -165,7 +165,7 @@ def with_joint_drives(robot: Robot, drives: Sequence[Drive | None]) -> Robot:
 
 
 class GearTorque(eqx.Module):
-    """What the gears carry.
+    """Torque of the gears.
 
     Attributes:
         torque: tau [N m or N], shape (joint,).

@@ -57,7 +57,7 @@ class FixedTranslation(AbstractElement):
 
 
 class Mimic(eqx.Module):
-    """What a joint follows: it stands at multiplier * q + offset of another joint.
+    """Mimicry of another joint: the position is multiplier * q + offset of it.
 
     Attributes:
         joint: Name of the other joint, which may itself follow a third.
@@ -78,7 +78,7 @@ class Mimic(eqx.Module):
 
 
 class Drive(eqx.Module):
-    """What a drive has beyond spring and damper, all of it off by default.
+    """Options of a drive beyond spring and damper, all off by default.
 
     See `with_backlash`, `with_friction` and `with_motors`.
 
@@ -187,7 +187,7 @@ class RigidBody(AbstractElement):
             shape (3, 3), positive semidefinite: a mass may be a point.
         is_possible: False lets pass an inertia that no body has, as real robot files
             contain; their reader warns instead.
-        name: Of the body; one called "spindle" gives way to a user's own.
+        name: Of the body; a user's own spindle replaces one called "spindle".
     """
 
     mass: RealScalarLike

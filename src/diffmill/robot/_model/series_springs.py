@@ -32,7 +32,7 @@ class Spring(eqx.Module):
 
 
 class Body(eqx.Module):
-    """What hangs on the springs.
+    """Body behind the springs.
 
     Attributes:
         mass: [kg].

@@ -1,4 +1,4 @@
-"""What of a tool touches stock beside its edges: its holder, and all of it in rapids.
+"""Collisions: contact of holder and shank with the stock, and of all in rapids.
 
 The whole tool goes through its poses, leaning as it does, in a stock that is cut on the
 way: what is found is in the stock as it is at that time. The shank above the flutes
@@ -46,7 +46,7 @@ Box = tuple[Float[np.ndarray, "sample 3"], Float[np.ndarray, "sample 3"]]
 
 
 class ToolContacts(eqx.Module):
-    """How deep parts of a tool that do not cut are in material, row by row.
+    """Depth of the parts of a tool that do not cut in the material, row by row.
 
     Attributes:
         rapid_depth: Depth of the tool in the stock in rapid moves [m], shape (step,);

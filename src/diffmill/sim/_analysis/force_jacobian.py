@@ -1,4 +1,4 @@
-"""How the force of the teeth changes with where the tip is and where it was."""
+"""Derivatives of the force of the teeth with respect to present and earlier tips."""
 
 from typing import Any
 
@@ -75,7 +75,7 @@ def force_slopes(
 
 
 class _Tool(eqx.Module):
-    """What cuts, and how finely."""
+    """Process with its discretisation."""
 
     cutter: AbstractCutter
     laws: tuple[AbstractForceLaw, AbstractForceLaw | None]

@@ -1,4 +1,4 @@
-"""How much each parameter of machine and cut moves the tool, along the path.
+"""Sensitivity of the deviation to each parameter of machine and cut.
 
 Forward mode beside one simulation per parameter: exact derivatives, in the memory of a
 simulation. All parameters are taken relative: a derivative with respect to ln p says

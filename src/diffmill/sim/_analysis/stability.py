@@ -1,4 +1,4 @@
-"""Whether a vibration of the arm grows in the cut: chatter, from the linear motion.
+"""Stability of the cut: growth of the arm's vibrations, from the linear motion.
 
 A chip is what lies between the tip and where it was one tooth period before, so that a
 vibration comes back through the surface that it leaves. About the simulated state one
@@ -52,7 +52,7 @@ _EXCITED = 0.5
 
 
 class Stability(eqx.Module):
-    """How vibrations grow at some rows of a run.
+    """Growth of vibrations at some rows of a run.
 
     Attributes:
         row: The rows: of the tooth periods that end there, shape (row,).

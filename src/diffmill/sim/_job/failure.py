@@ -1,4 +1,4 @@
-"""What is said of a run that did not succeed: what, in which row, where, what joint."""
+"""Messages of runs that did not succeed: fault, row, place and joint."""
 
 from typing import TYPE_CHECKING
 

@@ -42,7 +42,7 @@ _Tree = TypeVar("_Tree")
 
 
 class Solution(eqx.Module):
-    """What a job gives; rows are the tooth instants.
+    """Solution of a job; rows are the tooth instants.
 
     Attributes:
         time: [s], shape (step,).

@@ -1,7 +1,7 @@
 """The coupled simulation: an elastic robot moves the tool, the cut pushes it back.
 
 One `lax.scan` over tooth periods. The robot's terms (mass matrix, bias forces,
-Jacobian) are those of the middle of a period, where half a step foretells the arm:
+Jacobian) are those of the middle of a period, where half a step predicts the arm:
 within a period a joint turns by some 1e-4 rad, so they are constant to the square of
 that, but for the weight, which follows the joints. Each sub-step then takes
 the force F of the teeth that pass in it, at the tip where the robot will be in the
@@ -54,7 +54,7 @@ Carry: TypeAlias = tuple[ProcessState, ArmState]
 
 
 class CoupledSolution(eqx.Module):
-    """What a robot that cuts does.
+    """Solution of a robot that cuts.
 
     Attributes:
         actual: Tool tip in `work` at the tooth instants [m], shape (step, 3).
@@ -98,7 +98,7 @@ class _Arm(eqx.Module):
 
 
 class Period(eqx.Module):
-    """What one tooth period leaves behind."""
+    """Outputs of one tooth period."""
 
     tip: Float[Array, " 3"]
     ends: Float[Array, "substep 3"]
@@ -109,7 +109,7 @@ class Period(eqx.Module):
 
 
 class Machine(eqx.Module):
-    """What stays the same from period to period.
+    """Constants of a run.
 
     Attributes:
         robot: The robot with its tool.

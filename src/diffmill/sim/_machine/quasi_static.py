@@ -64,7 +64,7 @@ class _Balance(eqx.Module):
 
 
 class _Row(eqx.Module):
-    """What one tooth period leaves behind."""
+    """Outputs of one tooth period."""
 
     balance: _Balance
     ends: Float[Array, "substep 3"]
@@ -73,7 +73,7 @@ class _Row(eqx.Module):
 
 
 class _Machine(eqx.Module):
-    """What stays the same from period to period."""
+    """Constants of a run."""
 
     robot: Robot
     T_base_work: Float[Array, "4 4"]

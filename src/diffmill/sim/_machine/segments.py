@@ -35,7 +35,7 @@ class CoupledCarry(eqx.Module):
 
 
 class CoupledSegment(eqx.Module):
-    """What a robot does in one segment.
+    """Solution of one segment.
 
     Attributes:
         actual: Tool tip in `work` at the tooth instants [m], shape (step, 3).

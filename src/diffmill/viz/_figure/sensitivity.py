@@ -1,4 +1,4 @@
-"""How each parameter moves the tool along the path, as a map over time."""
+"""Map of the sensitivity to each parameter over time."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""What the headline hides: mean error, errors by part of the path, and the price."""
+"""Mean error, errors by part of the path and cost of each case."""
 
 from typing import TYPE_CHECKING
 

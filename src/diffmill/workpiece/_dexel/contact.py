@@ -1,4 +1,4 @@
-"""What of a tool is in the stock as it is when the tool gets there.
+"""Contact of a tool with the stock as it is when the tool gets there.
 
 The rays along z alone carry the stock through the poses, in order: at each the tool
 is looked for in them, then cuts, then its holder is looked for. Nothing here is

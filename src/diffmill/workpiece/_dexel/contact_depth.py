@@ -1,4 +1,4 @@
-"""How deep a tool and its holder are in the material of rays along z."""
+"""Depth of a tool and its holder in the material of rays along z."""
 
 import equinox as eqx
 import jax.numpy as jnp

@@ -19,7 +19,7 @@ from .stock import Stock
 
 
 class TakenPieces(eqx.Module):
-    """What a removal takes from the rays of one family in a window.
+    """Pieces that a removal takes from the rays of one family in a window.
 
     Attributes:
         low: Lowest end that is taken [m], shape (b, c); finite but without meaning

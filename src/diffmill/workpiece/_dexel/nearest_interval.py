@@ -1,4 +1,4 @@
-"""Which interval of a ray a point lies in, or is nearest to: by place in memory."""
+"""Nearest interval of a ray to a point, by place in memory."""
 
 import jax
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""How much of each disc of a vertical cutter is in the material, angle by angle.
+"""Occupancy of the discs of a vertical cutter, angle by angle.
 
 The rays see what lies head-on to them exactly, and the rest only to their spacing. So
 the question is split:

@@ -1,4 +1,4 @@
-"""How much of a small piece of edge is in the material, its surface in any direction.
+"""Occupancy of a small piece of edge, its surface in any direction.
 
 Every family of rays gives, around a point, one plane: of four rays, each measures the
 distance along itself to the nearest end; those that meet no end within reach are left

@@ -93,7 +93,7 @@ def _two(low: Float[Array, "*n"] | Int[Array, "*n"], high: Array) -> Array:
 
 
 class RemovalWindow(eqx.Module):
-    """How many rays a removal reads and writes (static).
+    """Number of rays that a removal reads and writes (static).
 
     Attributes:
         sizes: Grid lines along x, y and z.
@@ -110,7 +110,7 @@ class RemovalWindow(eqx.Module):
 
 
 class Cut(eqx.Module):
-    """What a removal gives.
+    """Result of a removal.
 
     Attributes:
         stock: The stock without the poses.
@@ -442,7 +442,7 @@ class _Window(NamedTuple):
 
 
 class _Trimmed(NamedTuple):
-    """What is left of a window, the length taken [m], and whether a ray was full."""
+    """Window after a removal, the length taken [m], and whether a ray was full."""
 
     window: _Window
     length: Float[Array, ""]

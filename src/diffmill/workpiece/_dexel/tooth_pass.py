@@ -1,4 +1,4 @@
-"""Which pose of a tool makes which point: where it stands as a tooth goes around.
+"""Tooth passes: the pose of the tool that makes each point of a wall.
 
 A point of a surface is made by a tooth at the instant at which it looks at the point:
 the tool shakes and moves on within a tooth period, so walls in other directions, and

@@ -1,4 +1,4 @@
-"""How the surface passes through the cells of a grid, one vertex for each passage.
+"""Passages of the surface through the cells of a grid, one vertex for each.
 
 In a cell whose corners are inside and outside, the crossed edges join, face by face,
 to closed loops; each loop is one passage of the surface and gets one vertex. On a face

@@ -1,4 +1,4 @@
-"""Where the surface crosses the grid, and which way it faces there.
+"""Crossings of the surface with the grid, and its normals there.
 
 A node of the grid is inside where at least two of its three rays say so. The surface
 crosses an edge of the grid between an inside and an outside node, at the end of the ray
@@ -37,7 +37,7 @@ _NODE_BYTES = 32
 
 
 class Crossings(eqx.Module):
-    """Where the surface crosses the edges of the grid, with the grid padded by one.
+    """Crossings of the surface with the edges of the grid, padded by one.
 
     Attributes:
         points: Points on the surface [m], shape (crossing, 3).

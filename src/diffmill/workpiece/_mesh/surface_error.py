@@ -1,4 +1,4 @@
-"""How far a machined surface lies from the ideal one, at every ray end.
+"""Surface error: signed distance from the ideal surface at every ray end.
 
 The ends of the machined stock are points on its surface, exact to rounding. The ideal
 stock becomes a mesh, and each point gets its distance to the nearest triangle, whatever

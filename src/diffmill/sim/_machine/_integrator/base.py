@@ -30,7 +30,7 @@ Dynamics: TypeAlias = Literal["crba", "aba"]
 
 
 class ArmState(eqx.Module):
-    """What of the robot evolves.
+    """State of the robot between sub-steps.
 
     Attributes:
         q: Joint positions [rad or m], shape (joint,).
@@ -47,7 +47,7 @@ class ArmState(eqx.Module):
 
 
 class MotorCommand(eqx.Module):
-    """What the controller wants of the motors in one sub-step.
+    """Command to the motors in one sub-step.
 
     Attributes:
         position: theta in the middle of the sub-step [rad or m], shape (joint,).
@@ -63,7 +63,7 @@ class AbstractIntegrator(eqx.Module):
 
     @abc.abstractmethod
     def steps_to_middle(self, substeps: int) -> int:
-        """Return in how many steps the rule foretells the middle of a period.
+        """Return in how many steps the rule predicts the middle of a period.
 
         Args:
             substeps: Sub-steps of the period.

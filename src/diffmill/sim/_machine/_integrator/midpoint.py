@@ -144,7 +144,7 @@ def _weight(
 
 
 class _Condensed(eqx.Module):
-    """What drives add to the equations of the joints once motors are eliminated.
+    """Terms of the drives in the equations of the joints, motors eliminated.
 
     Attributes:
         diagonal: g - g^2 / A_m, added to the mass matrix; g alone without motors.
