@@ -207,7 +207,7 @@ def test_cache_folder_and_precision(tmp_path):
     # In a process of its own: the settings of JAX are global.
     script = (
         "import json, pathlib, jax\n"
-        "from diffmill.cli._jax import configure_jax\n"
+        "from diffmill.cli._session.jax_config import configure_jax\n"
         "configure_jax(pathlib.Path('job.toml'))\n"
         "print(json.dumps([jax.config.jax_enable_x64, "
         "jax.config.jax_compilation_cache_dir]))\n"

@@ -250,3 +250,49 @@ def test_new_numbers_do_not_compile_again():
     compiled = jax.jit(traces)
     compiled(jnp.asarray(path()))
     compiled(jnp.asarray(path() + 1e-5))
+
+
+@pytest.mark.slow
+def test_a_long_period_looks_up_the_stock_on_its_way():
+    """At 1500 rpm the arm swings once in a tooth period, and chips change with it."""
+    period = 20e-3
+    program = parse_gcode("G21 G17 G90 G94 F300\nG0 X-5.9 Y-3.5 Z-1.5\nG1 X-0.5\nM2\n")
+    path = sample_program(
+        program,
+        period,
+        acceleration=0.05,
+        rapid_feed=0.1,
+        corner_tolerance=0.1e-3,
+    )
+    tips = jnp.asarray(path.positions)
+    stock = wp.box(
+        [-5.5e-3, 0, -4e-3], [4e-3, 8e-3, 0], 0.25e-3, interval_counts=(6, 6, 1)
+    )
+
+    def force(looks):
+        plan = pr.process_plan(
+            stock, MILL, axial_depth=3.5e-3, substeps=40, looks=looks
+        )
+        rest = (stock, MILL, PAPER_LAW, period, plan, pr.ThroughPoses())
+        return jax.jit(
+            lambda p: sim.simulate_coupled(motors(p), ROBOT, FRAME, *rest).force
+        )
+
+    rows = slice(tips.shape[0] // 4, -8)
+    one, ten, twenty = (np.asarray(force(n)(tips))[rows] for n in (1, 10, 20))
+    off = lambda F: np.sqrt(np.sum((F - twenty) ** 2) / np.sum(twenty**2))
+    assert off(ten) < 0.03 and off(one) > 0.1
+    # Derivatives go through each look.
+    push = jnp.sin(jnp.linspace(0, 3, tips.shape[0]))[:, None] * jnp.array(
+        [[0, 1.0, 0]]
+    )
+    run, h = force(10), 1e-9
+    slope = np.asarray(jax.jvp(run, (tips,), (push,))[1])
+    sides = [np.asarray(run(tips + s * h * push)) for s in (1, -1)]
+    wanted = (sides[0] - sides[1]) / (2 * h)
+    assert np.abs(slope - wanted).max() < 1e-3 * np.abs(wanted).max()
+
+
+def test_looks_that_do_not_divide_a_period_are_refused():
+    with pytest.raises(ValueError, match="must divide the sub-steps"):
+        pr.process_plan(STOCK, MILL, axial_depth=1e-3, substeps=8, looks=3)

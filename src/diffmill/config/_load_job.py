@@ -23,6 +23,7 @@ from ._check.modes import (
     check_modes,
     check_sag,
     counting_modes,
+    default_looks,
     default_substeps,
 )
 from ._check.rapids import check_overhang, check_rapids, immersion, notes
@@ -343,6 +344,7 @@ def _simulation(
         integrator=table.integrator,
         dynamics=table.dynamics,
         mode=table.mode,
+        looks=default_looks(period, substeps) if table.chip == "near_far" else 1,
         has_sensitivity=table.sensitivity,
         stability=_stability(table.stability),
     )

@@ -8,6 +8,7 @@ cutter or direction is a row of edge elements (`_engagement/edge_elements.py`).
 from ._discretisation import (
     ChipModel as ChipModel,
     ProcessPlan as ProcessPlan,
+    Substeps as Substeps,
     default_element_height as default_element_height,
     is_plunging as is_plunging,
     process_plan as process_plan,

@@ -2,13 +2,14 @@
 
 import dataclasses
 import math
-from typing import Literal, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from .._types import FloatRows3
 from ..cutter import AbstractCutter
@@ -72,6 +73,8 @@ class ProcessPlan(eqx.Module):
         chip: The chip model; "point_cloud" removes every pose at once, without lag.
         bottom: Annuli of the bottom edge of a flat cutter that stands upright; 0 where
             its path does not descend in material.
+        looks: How often a robot's tooth period looks up the stock, each time for as
+            many sub-steps; their poses are predicted from where the tool is then.
     """
 
     angles: int = eqx.field(static=True)
@@ -83,9 +86,15 @@ class ProcessPlan(eqx.Module):
     is_upright: bool = eqx.field(static=True, default=True)
     chip: ChipModel = eqx.field(static=True, default="near_far")
     bottom: int = eqx.field(static=True, default=0)
+    looks: int = eqx.field(static=True, default=1)
 
     def __check_init__(self):
-        """Refuse a point cloud where there are no discs to sort it into."""
+        """Refuse looks that do not divide a period, and a point cloud without discs."""
+        if self.substeps % self.looks or (self.looks > 1 and self.chip != "near_far"):
+            raise ValueError(
+                "Argument `looks` must divide the sub-steps of a tooth period "
+                f"({self.substeps}), and be 1 for a point cloud, but is {self.looks}."
+            )
         if self.chip == "point_cloud" and self.profile is not None:
             raise ValueError(
                 'Argument `chip` must be "near_far" unless the cutter is flat, has '
@@ -93,14 +102,32 @@ class ProcessPlan(eqx.Module):
             )
 
 
+class Substeps(NamedTuple):
+    """Some sub-steps of a tooth period.
+
+    Attributes:
+        first: Index of the first one, shape ().
+        length: How many.
+    """
+
+    first: Int[Array, ""]
+    length: int
+
+
 def turning(
-    plan: ProcessPlan, cutter: AbstractCutter, dtype: jnp.dtype
+    plan: ProcessPlan,
+    cutter: AbstractCutter,
+    dtype: jnp.dtype,
+    part: Substeps | None = None,
 ) -> Float[Array, "substep angle"]:
     """Return the angles by which the cutter turns from the start of a period [rad]."""
     count = plan.angles // (plan.substeps * cutter.flute_count)
     total = plan.substeps * count
     share = (jnp.arange(total, dtype=dtype) + 0.5) / total
-    return (2 * math.pi / cutter.flute_count * share).reshape(plan.substeps, count)
+    turn = (2 * math.pi / cutter.flute_count * share).reshape(plan.substeps, count)
+    if part is None:
+        return turn
+    return jax.lax.dynamic_slice_in_dim(turn, part.first, part.length)
 
 
 def is_plunging(positions: FloatRows3, top: float) -> bool:
@@ -156,6 +183,7 @@ def process_plan(
     plunges: bool = False,
     has_bottom: bool = True,
     chip: ChipModel = "near_far",
+    looks: int = 1,
 ) -> ProcessPlan:
     """Choose the sizes of a process.
 
@@ -173,13 +201,14 @@ def process_plan(
         plunges: Whether the path descends in material, so that the bottom cuts.
         has_bottom: Whether bottom edges cut where the tool descends.
         chip: The chip model.
+        looks: How often a robot's tooth period looks up the stock.
 
     Returns:
         The plan.
 
     Raises:
         ValueError: A point cloud is asked for, but not of a plain flat cutter that
-            stands upright.
+            stands upright; or looks do not divide the sub-steps.
     """
     is_simple = is_upright and cutter.is_plain
     unit = cutter.flute_count * substeps
@@ -203,7 +232,10 @@ def process_plan(
         is_cut_below = plunges and has_bottom and chip == "near_far"
         bottom = _ANNULI if is_cut_below else 0
         return ProcessPlan(
-            angles, substeps, discs, window, lag, chip=chip, bottom=bottom
+            *(angles, substeps, discs, window, lag),
+            chip=chip,
+            bottom=bottom,
+            looks=looks,
         )
     if is_upright:
         window = removal_window(stock, cutter, axial_depth, reach)
@@ -215,7 +247,10 @@ def process_plan(
     if not has_bottom:
         profile = dataclasses.replace(profile, bottom=0)
     return ProcessPlan(
-        angles, substeps, Discs(1, dz, band), window, lag, profile, is_upright, chip
+        *(angles, substeps, Discs(1, dz, band), window, lag, profile),
+        is_upright=is_upright,
+        chip=chip,
+        looks=looks,
     )
 
 

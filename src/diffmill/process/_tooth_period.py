@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..cutter import AbstractCutter
 from ..cutting import AbstractForceLaw
 from ..workpiece import Pose, repeated
-from ._discretisation import ProcessPlan
+from ._discretisation import ProcessPlan, Substeps
 from ._engagement.bottom_edge import BottomEngagement, bottom_engagement, bottom_force
 from ._engagement.dexel_cloud import cloud_engagement, remove_at_once
 from ._engagement.edge_elements import (
@@ -102,15 +102,21 @@ def compute_engagement(
     index: Int[Array, ""],
     predicted: Pose,
     adjoint: AbstractAdjoint,
+    part: Substeps | None = None,
 ) -> Engagement:
     """Return where the teeth of a period meet material, after its removal.
 
-    For the chip model "near_far"; arguments as for `advance_removal`.
+    For the chip model "near_far"; arguments as for `advance_removal`, and `part` for
+    the sub-steps if these are not all: predicted and recent poses are then theirs.
     """
     if plan.profile is None:
-        found = upright_engagement(plan, cutter, state, index, predicted.tip, adjoint)
+        found = upright_engagement(
+            plan, cutter, state, index, predicted.tip, adjoint, part
+        )
     else:
-        found = engagement_in_space(plan, cutter, state, index, predicted, adjoint)
+        found = engagement_in_space(
+            plan, cutter, state, index, predicted, adjoint, part
+        )
     bottom = None
     if plan.bottom > 0:
         bottom = bottom_engagement(
@@ -121,6 +127,7 @@ def compute_engagement(
             predicted.tip,
             state.recent.tip[0],
             adjoint.tied_to(state.track),
+            part,
         )
     return Engagement(found, thinned_poses(plan, state), bottom)
 

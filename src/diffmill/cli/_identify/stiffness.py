@@ -174,8 +174,8 @@ def _advice(task: "LoadTestTask", fit: "JointStiffnessFit") -> list[str]:
         lines.append(f"  joints ({pose}), force ({force}) N in base")
     if tests.unobservable:
         lines += noted(
-            f"No force at this tool turns {', '.join(tests.unobservable)}: use a longer "
-            "or sidewards tool, or load by a moment."
+            f"No force at this tool turns {', '.join(tests.unobservable)}: use a "
+            "longer or sidewards tool, or load by a moment."
         )
     return lines
 

@@ -13,6 +13,9 @@ from ...robot import Robot, gravity_forces, mode_shapes
 
 # Longest sub-step of the robot [s], and how much shorter its modes may make it.
 LONGEST_SUBSTEP = 0.5e-3
+# A tooth period so long is looked up at once [s]; in a longer one an arm with modes of
+# tens of hertz swings, and looks are no farther apart than this.
+_LOOKED_UP_AT_ONCE, _BETWEEN_LOOKS = 4e-3, 2e-3
 _SHORTER = 4
 # Tolerated shift of a mode's frequency, and the least share of the tip's compliance
 # that a mode must have for it.
@@ -64,6 +67,23 @@ def default_substeps(period: float, fastest: float) -> int:
     substep = math.sqrt(12 * _TOO_LOW) / (2 * math.pi * fastest)
     wanted = math.ceil(period / substep - 1e-9)
     return min(max(fewest, wanted), _SHORTER * fewest)
+
+
+def default_looks(period: float, substeps: int) -> int:
+    """Return how often a tooth period looks up the stock.
+
+    Args:
+        period: Tooth period [s].
+        substeps: Its sub-steps.
+
+    Returns:
+        1 for a period of at most 4 ms; else the least number that leaves no more than
+        2 ms from one look to the next, and as many sub-steps, at least two, to each.
+    """
+    if period <= _LOOKED_UP_AT_ONCE:
+        return 1
+    known = [n for n in range(1, substeps // 2 + 1) if substeps % n == 0] or [1]
+    return next((n for n in known if period <= n * _BETWEEN_LOOKS), known[-1])
 
 
 def check_modes(fastest: float, substep: float, notes: list[str]) -> None:

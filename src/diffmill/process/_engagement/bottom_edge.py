@@ -24,7 +24,7 @@ from ...cutter import AbstractCutter
 from ...cutting import AbstractForceLaw, edge_contact, safe_norm, way_of
 from ...numerics import clamp, tied
 from ...workpiece import PoseTrack, Stock
-from .._discretisation import ProcessPlan, turning
+from .._discretisation import ProcessPlan, Substeps, turning
 
 # Chip over way at which half of an annulus rubs.
 RAMP = 5e-3
@@ -56,6 +56,7 @@ def bottom_engagement(
     predicted: Float[Array, "substep 3"],
     before: Float[Array, "substep 3"],
     track: PoseTrack | None,
+    part: Substeps | None = None,
 ) -> BottomEngagement:
     """Return where material stands on the bottom edges.
 
@@ -70,6 +71,7 @@ def bottom_engagement(
         before: Those of the tooth before [m], same shape.
         track: All poses so far, to which the derivative goes; None differentiates
             through the stock.
+        part: The sub-steps, if these are not all of the period.
 
     Returns:
         The engagement.
@@ -78,7 +80,7 @@ def bottom_engagement(
     """
     pitch = 2 * math.pi / cutter.flute_count
     place = pitch * jnp.arange(cutter.flute_count, dtype=predicted.dtype)
-    turn = turning(plan, cutter, predicted.dtype)
+    turn = turning(plan, cutter, predicted.dtype, part)
     angles = turn[..., None] + place[None, None]
     angle = angles[..., None]
     radius = _radii(plan, cutter, predicted.dtype)[None, None, None]

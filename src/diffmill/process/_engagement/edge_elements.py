@@ -24,7 +24,7 @@ from ...cutter import AbstractCutter, EdgeElements
 from ...cutting import AbstractForceLaw, edge_contact, safe_norm, way_of
 from ...numerics import clamp
 from ...workpiece import Pose, occupancy_in_space, tool_frame
-from .._discretisation import ProcessPlan, turning
+from .._discretisation import ProcessPlan, Substeps, turning
 from .._removal_history import ProcessState
 from .._stock_derivatives import AbstractAdjoint
 from .bottom_edge import RAMP
@@ -48,6 +48,7 @@ def engagement_in_space(
     index: Int[Array, ""],
     predicted: Pose,
     adjoint: AbstractAdjoint,
+    part: Substeps | None = None,
 ) -> EdgeSamples:
     """Return where the edge elements of a period are, and whether in material.
 
@@ -58,12 +59,14 @@ def engagement_in_space(
         index: Index of the period, from 1, shape ().
         predicted: Poses in the middle of the sub-steps, shape (substep, 3).
         adjoint: How the run is differentiated.
+        part: The sub-steps, if these are not all of the period.
 
     Returns:
         The samples.
     """
     elements = profile_elements(plan, cutter, predicted.tip.dtype)
-    angle, tooth, fade = _leading(plan, cutter, elements, state, index, predicted)
+    every = _angles(plan, cutter, elements, index, part)
+    angle, tooth, fade = _leading(plan, cutter, elements, state, predicted, every)
     place = jax.vmap(lambda p, phi: _edge(cutter, elements, p, phi))
     points, normals, along = place(predicted, angle)
     # What an edge takes: a chip as thick as it lies beyond the pose a period before.
@@ -99,8 +102,8 @@ def _leading(
     cutter: AbstractCutter,
     elements: EdgeElements,
     state: ProcessState,
-    index: Int[Array, ""],
     predicted: Pose,
+    angle: Float[Array, "substep angle tooth element"],
 ) -> tuple[
     Float[Array, "substep angle kept element"],
     Int[Array, "substep angle kept element"],
@@ -111,7 +114,6 @@ def _leading(
     Of evenly spaced teeth only half can be on the leading side, where the normal points
     the way that the tool moves, unless it descends.
     """
-    angle = _angles(plan, cutter, elements, index)
     count = cutter.flute_count
     teeth = jnp.arange(count, dtype=jnp.int32)[None, None, :, None]
     teeth = jnp.broadcast_to(teeth, angle.shape)
@@ -345,12 +347,13 @@ def _angles(
     cutter: AbstractCutter,
     elements: EdgeElements,
     index: Int[Array, ""],
+    part: Substeps | None,
 ) -> Float[Array, "substep angle tooth element"]:
     """Return the immersion angles of all elements of a period [rad]."""
     dtype = elements.lag.dtype
     # Teeth differ: every period the turn goes on where the one before ended.
     done = jnp.mod(index - 1, cutter.flute_count).astype(dtype)
-    turn = turning(plan, cutter, dtype) + 2 * math.pi / cutter.flute_count * done
+    turn = turning(plan, cutter, dtype, part) + 2 * math.pi / cutter.flute_count * done
     pitch = jnp.asarray(cutter.pitch_angles, dtype)
     place = pitch[:, None] - elements.lag[None]
     return turn[..., None, None] + place[None, None]

@@ -21,7 +21,7 @@ from ...cutting import (
 )
 from ...numerics import hold
 from ...workpiece import occupancy
-from .._discretisation import ProcessPlan, turning
+from .._discretisation import ProcessPlan, Substeps, turning
 from .._removal_history import ProcessState
 from .._stock_derivatives import AbstractAdjoint
 from .edge_samples import EdgeSamples
@@ -41,6 +41,7 @@ def upright_engagement(
     index: Int[Array, ""],
     predicted: Float[Array, "substep 3"],
     adjoint: AbstractAdjoint,
+    part: Substeps | None = None,
 ) -> EdgeSamples:
     """Return where the teeth of a period are, and what of their chips is in stock.
 
@@ -51,11 +52,12 @@ def upright_engagement(
         index: Index of the period, from 1, shape ().
         predicted: Tips in the middle of the sub-steps [m], shape (substep, 3).
         adjoint: How the run is differentiated.
+        part: The sub-steps, if these are not all of the period.
 
     Returns:
         The samples.
     """
-    angle, place, fade = _leading_angles(plan, cutter, state, predicted)
+    angle, place, fade = _leading_angles(plan, cutter, state, predicted, part)
     # Every period begins with another tooth in the same place.
     tooth = jnp.mod(place - (index - 1), cutter.flute_count)
     radius = cutter.diameter / 2
@@ -167,7 +169,10 @@ def upright_chip(
 
 
 def immersion_angles(
-    plan: ProcessPlan, cutter: AbstractCutter, dtype: jnp.dtype
+    plan: ProcessPlan,
+    cutter: AbstractCutter,
+    dtype: jnp.dtype,
+    part: Substeps | None = None,
 ) -> Float[Array, "substep angle kept disc"]:
     """Return the immersion angle of every tooth at every sample of a period [rad].
 
@@ -178,13 +183,14 @@ def immersion_angles(
         plan: Sizes of the process.
         cutter: The cutter.
         dtype: Floating type.
+        part: The sub-steps, if these are not all of the period.
 
     Returns:
         Angles, shape (substep, angle, tooth, disc); the axis disc has length 1 if the
         flutes are straight.
     """
     pitch = 2 * math.pi / cutter.flute_count
-    turn = turning(plan, cutter, dtype)[..., None, None]
+    turn = turning(plan, cutter, dtype, part)[..., None, None]
     tooth = pitch * jnp.arange(cutter.flute_count, dtype=dtype)[None, None, :, None]
     if not cutter.has_helix:
         return turn + tooth
@@ -198,13 +204,14 @@ def _leading_angles(
     cutter: AbstractCutter,
     state: ProcessState,
     predicted: Float[Array, "substep 3"],
+    part: Substeps | None,
 ) -> tuple[
     Float[Array, "substep angle kept disc"],
     Int[Array, "substep angle kept disc"],
     Float[Array, "substep angle kept disc"],
 ]:
     """Return the angles of the teeth on the leading side, their places and weights."""
-    angle = immersion_angles(plan, cutter, predicted.dtype)
+    angle = immersion_angles(plan, cutter, predicted.dtype, part)
     kept = (cutter.flute_count + 1) // 2
     if kept == cutter.flute_count:
         return angle, jnp.zeros(angle.shape, jnp.int32), jnp.ones_like(angle)

@@ -217,6 +217,7 @@ def job_plan(job: Job) -> ProcessPlan:
         axial_depth=settings.axial_depth,
         angles=settings.angles,
         substeps=settings.substeps,
+        looks=settings.looks,
         element_height=settings.element_height,
         axes=np.array(settings.axes) if settings.axes else None,
         is_upright=not settings.axes,

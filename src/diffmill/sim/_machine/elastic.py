@@ -28,14 +28,18 @@ from ...process import (
     ProcessPlan,
     ProcessState,
     Removed,
+    Substeps,
     advance_removal,
+    compute_engagement,
     end_period,
+    enqueue,
     failed_rows,
     initial_state,
     last_row,
     live_rows,
     outcome,
     remove_all,
+    remove_lagged,
     substep_middles,
     substep_wrench,
     volumes_by_pose,
@@ -404,21 +408,26 @@ def run_period(
     # As in the period before: what the teeth do comes again, and drifts are slow.
     drift = (arm.pose.tip - process.last_tip)[None]
     predicted = along(arm.pose, process.recent.tip[0] + drift)
-    process, cut, removed = advance_removal(
-        machine.plan,
-        machine.cutter,
-        process,
-        index,
-        arm.pose,
-        predicted,
-        machine.adjoint,
-        is_live,
-    )
+    plan, cutter, adjoint = machine.plan, machine.cutter, machine.adjoint
+    cut = None
+    if plan.looks > 1:
+        process = enqueue(plan, cutter, process, index - 1, arm.pose)
+        process, removed = remove_lagged(plan, cutter, process, index - 1, adjoint)
+    else:
+        process, cut, removed = advance_removal(
+            plan, cutter, process, index, arm.pose, predicted, adjoint, is_live
+        )
     targets = start[None] + T * middles[:, None] * rate[None]
     rest = jnp.broadcast_to(arm.pose.tip[None], predicted.tip.shape)
     end, (tips, ends, forces) = when_live(
         is_live,
-        lambda: _run_substeps(machine, arm, process, cut, state, targets, rate),
+        lambda: (
+            _run_looks(machine, arm, process, index, state, targets, rate, drift)
+            if cut is None
+            else _run_substeps(
+                machine, arm, process, cut, state, targets, rate, state.q
+            )
+        ),
         (state, (predicted.tip, rest, jnp.zeros_like(rest))),
     )
     process = end_period(process, along(arm.pose, tips), along(arm.pose, ends))
@@ -429,6 +438,58 @@ def run_period(
     )
 
 
+def _run_looks(
+    machine: Machine,
+    arm: _Arm,
+    process: ProcessState,
+    index: Int[Array, ""],
+    start: ArmState,
+    targets: Float[Array, "substep joint"],
+    rate: Float[Array, " joint"],
+    drift: Float[Array, "1 3"],
+) -> tuple[ArmState, tuple[Float[Array, "substep 3"], ...]]:
+    """Return what `_run_substeps` does, the stock looked up several times on the way.
+
+    Where a period is long, an arm swings within it, and the period before does not tell
+    where the tool will be in its later sub-steps.
+    """
+    looks = machine.plan.looks
+    count = machine.plan.substeps // looks
+
+    def part(
+        carry: tuple[ArmState, Array], x: tuple[Array, Array, Pose]
+    ) -> tuple[tuple[ArmState, Array], tuple[Array, ...]]:
+        state, ahead = carry
+        first, targets, recent = x
+        near = eqx.tree_at(lambda p: p.recent, process, recent)
+        predicted = along(arm.pose, recent.tip[0] + ahead)
+        cut = compute_engagement(
+            machine.plan,
+            machine.cutter,
+            near,
+            index,
+            predicted,
+            machine.adjoint,
+            Substeps(first, count),
+        )
+        end, rows = _run_substeps(
+            machine, arm, near, cut, state, targets, rate, start.q
+        )
+        # How far the tool is off the period before goes on changing as it did.
+        off = rows[0] - recent.tip[0]
+        later = jnp.arange(1, count + 1, dtype=off.dtype)[:, None]
+        return (end, off[-1:] + later * (off[-1:] - off[-2:-1])), rows
+
+    split = lambda x: x.reshape(looks, count, *x.shape[1:])
+    recent = jax.tree.map(
+        lambda x: jnp.swapaxes(jax.vmap(split)(x), 0, 1), process.recent
+    )
+    first = count * jnp.arange(looks, dtype=jnp.int32)
+    ahead = jnp.broadcast_to(drift, (count, 3))
+    (end, _), rows = jax.lax.scan(part, (start, ahead), (first, split(targets), recent))
+    return end, tuple(x.reshape(-1, x.shape[-1]) for x in rows)
+
+
 def _run_substeps(
     machine: Machine,
     arm: _Arm,
@@ -437,8 +498,9 @@ def _run_substeps(
     start: ArmState,
     targets: Float[Array, "substep joint"],
     rate: Float[Array, " joint"],
+    origin: Float[Array, " joint"],
 ) -> tuple[ArmState, tuple[Float[Array, "substep 3"], ...]]:
-    """Return the state at the end of a period, and its sub-steps.
+    """Return the state after sub-steps of a period, and these.
 
     Of these the tips in their middle, those at their ends, and the forces.
     """
@@ -453,14 +515,14 @@ def _run_substeps(
         state: ArmState, x: tuple[Array, Pose, _Edges]
     ) -> tuple[ArmState, tuple[Array, Array, Array]]:
         theta, earlier, edges = x
-        tip = arm.pose.tip + J @ (state.q + h / 2 * state.v - start.q)
+        tip = arm.pose.tip + J @ (state.q + h / 2 * state.v - origin)
         pose = Pose(tip, arm.pose.axis)
         tool = (machine.plan, machine.cutter, *machine.laws)
         F = mean_load(*tool, pose, earlier, cut.thinned, *edges)
         load = arm.jacobian[: F.size].T @ F
         command = MotorCommand(theta, rate)
         end = machine.integrator.step(robot, arm.begun, state, command, load, h)
-        return end, (tip, arm.pose.tip + J @ (end.q - start.q), F[:3])
+        return end, (tip, arm.pose.tip + J @ (end.q - origin), F[:3])
 
     earlier = jax.tree.map(lambda x: jnp.moveaxis(x, 0, 1), process.recent)
     xs = (targets, earlier, (cut.samples, cut.bottom))
