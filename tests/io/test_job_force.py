@@ -39,9 +39,10 @@ m_t = 0.25
 def load(tmp_path):
     """Load a job with this table of forces."""
 
-    def load(force):
+    def load(force, helix=""):
         (tmp_path / "part.ngc").write_text(PROGRAM)
-        (tmp_path / "job.toml").write_text(JOB.format(force=force))
+        text = JOB.format(force=force).replace("teeth = 2", f"teeth = 2\n{helix}")
+        (tmp_path / "job.toml").write_text(text)
         return load_job(tmp_path / "job.toml")
 
     return load
@@ -82,6 +83,14 @@ def test_material(load):
     (note,) = job.notes
     assert cutting.material_source("aluminium_3.1325") in note
     assert "no axial" in load('[force]\nmaterial = "brass_quarter_inch"').notes[0]
+
+
+def test_a_material_cut_by_a_right_hand_helix_has_a_note_on_the_axial_sign(load):
+    text = '[force]\nmaterial = "aluminium_3.1325"'
+    straight, twisted = load(text), load(text, helix='helix_angle = "30 deg"')
+    assert len(twisted.notes) == len(straight.notes) + 1
+    assert any("right-hand helix" in note for note in twisted.notes)
+    assert len(load(text, helix='helix_angle = "-30 deg"').notes) == len(straight.notes)
 
 
 def test_coefficients_per_tooth(load):

@@ -280,7 +280,7 @@ def _assemble(
         source=text,
         program=program.source if isinstance(program, Program) else "",
         notes=(
-            *tables["force"].notes(),
+            *tables["force"].notes(cutter),
             *robot_notes,
             *notes(stock, desired, cutter),
         ),

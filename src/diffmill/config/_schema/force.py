@@ -5,6 +5,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field, StrictStr, field_validator
 
+from ...cutter import AbstractCutter
 from ...cutting import (
     AbstractForceLaw,
     KienzleLaw,
@@ -108,10 +109,26 @@ class ForceTables(NamedTuple):
         bottom = None if self.bottom is None else self.bottom.force_law()
         return self.side.force_law(), bottom
 
-    def notes(self) -> tuple[str, ...]:
+    def notes(self, cutter: AbstractCutter) -> tuple[str, ...]:
         """Return what the user should know about the coefficients."""
         bottom = () if self.bottom is None else self.bottom.notes("[force.bottom]")
-        return self.side.notes("[force]") + bottom
+        found = self.side.notes("[force]") + bottom
+        is_right_hand = cutter.has_helix and float(cutter.helix_angle) > 0
+        if not (is_right_hand and isinstance(self.side, MaterialTable)):
+            return found
+        law = self.side.force_law()
+        numbers = [
+            f"{key} = {value:.4g}"
+            for key in ("K_tc", "K_rc", "K_ac", "K_te", "K_re", "K_ae")
+            if (value := getattr(law, key, None)) is not None
+        ]
+        return (
+            *found,
+            "[force] material: tables print the size of axial coefficients, which push "
+            "the tool toward the shank here, while a right-hand helix pulls it toward "
+            "the work; give the law itself with the sign of K_ac that was measured "
+            f"(N/m^2 and N/m: {', '.join(numbers)})",
+        )
 
     def check_teeth(self, teeth: int, problems: list[str]) -> None:
         """Note coefficients per tooth that are more or fewer than the teeth."""
