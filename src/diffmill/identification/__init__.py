@@ -9,7 +9,7 @@ robot that cuts, each with standard errors and the parameters that the data do n
 identify. Assumptions: forces are calibrated; the record was sampled at one rate, except
 for gaps; the amplifier drifts along a straight line between two tare sections. Left
 out: the dynamometer's own dynamics. Files are read by `diffmill.io.load_record`.
-Nothing here is applied unasked: functions return new records or proposals.
+Nothing is changed in place: functions return new records or proposals.
 """
 
 from ._alignment.axis_assignment import propose_axes as propose_axes

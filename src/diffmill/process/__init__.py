@@ -29,11 +29,10 @@ from ._removal_history import (
     HISTORY as HISTORY,
     ProcessState as ProcessState,
     Removed as Removed,
+    advance_removal as advance_removal,
     end_period as end_period,
-    enqueue as enqueue,
     initial_state as initial_state,
     remove_all as remove_all,
-    remove_lagged as remove_lagged,
 )
 from ._simulate_process import (
     ProcessSolution as ProcessSolution,
@@ -53,7 +52,7 @@ from ._stock_derivatives import (
 )
 from ._tooth_period import (
     Engagement as Engagement,
-    advance_removal as advance_removal,
+    advance_process as advance_process,
     compute_engagement as compute_engagement,
     element_heights as element_heights,
     substep_chip as substep_chip,

@@ -169,7 +169,32 @@ def initial_state(
     return state, cut.volume[0]
 
 
-def enqueue(
+def advance_removal(
+    plan: ProcessPlan,
+    cutter: AbstractCutter,
+    state: ProcessState,
+    index: Int[Array, ""],
+    pose: Pose,
+    adjoint: AbstractAdjoint,
+) -> tuple[ProcessState, Removed]:
+    """Enter a pose in the history, and remove up to two passes that lie behind the lag.
+
+    Args:
+        plan: Sizes of the process.
+        cutter: The cutter.
+        state: State after the period that ends at the pose.
+        index: Index k of the pose, shape ().
+        pose: Pose k, shape (3,).
+        adjoint: How the run is differentiated.
+
+    Returns:
+        The state and what was removed.
+    """
+    state = _enqueue(plan, cutter, state, index, pose)
+    return _remove_lagged(plan, cutter, state, index, adjoint)
+
+
+def _enqueue(
     plan: ProcessPlan,
     cutter: AbstractCutter,
     state: ProcessState,
@@ -335,7 +360,7 @@ def _tooth_pass(
     )
 
 
-def remove_lagged(
+def _remove_lagged(
     plan: ProcessPlan,
     cutter: AbstractCutter,
     state: ProcessState,
@@ -446,7 +471,7 @@ def remove_all(
         The state with an empty history, and what was removed.
     """
     newest: Int[Array, ""] = jnp.asarray(pose_count - 1, jnp.int32)
-    state = enqueue(plan, cutter, state, newest, pose)
+    state = _enqueue(plan, cutter, state, newest, pose)
     slots = jnp.arange(QUEUE_LENGTH, dtype=jnp.int32)
     # After the last pose the tool stands there while its teeth go around.
     rest = jnp.arange(1 + _wait(plan, cutter, state.stock), dtype=jnp.int32)

@@ -26,7 +26,7 @@ from ._removal_history import (
 from ._stock_derivatives import AbstractAdjoint, ThroughRays
 from ._tooth_period import (
     Engagement,
-    advance_removal,
+    advance_process,
     substep_ends,
     substep_middles,
     substep_wrench,
@@ -132,7 +132,7 @@ def simulate_process(
         state: ProcessState, x: tuple[Array, Pose, Pose, Pose, Array | None]
     ) -> tuple[ProcessState, tuple[Array, Array | None, Removed, Array]]:
         index, start, poses, ends, is_live = x
-        state, cut, removed = advance_removal(
+        state, cut, removed = advance_process(
             plan, cutter, state, index, start, poses, adjoint, is_live
         )
         laws = (law, bottom_law)

@@ -2,7 +2,7 @@
 
 A period has two halves, because a robot moves within it:
 
-1. `advance_removal` takes the pose at the start of the period into the history, removes
+1. `advance_process` takes the pose at the start of the period into the history, removes
    from the stock the poses that the tool has left behind, and samples where along the
    tooth paths of this period there is material.
    Under the chip model "point_cloud" the pose is removed at once, and what the end of
@@ -33,8 +33,7 @@ from ._live_rows import when_live
 from ._removal_history import (
     ProcessState,
     Removed,
-    enqueue,
-    remove_lagged,
+    advance_removal,
     thinned_poses,
 )
 from ._stock_derivatives import AbstractAdjoint
@@ -54,7 +53,7 @@ class Engagement(eqx.Module):
     bottom: BottomEngagement | None = None
 
 
-def advance_removal(
+def advance_process(
     plan: ProcessPlan,
     cutter: AbstractCutter,
     state: ProcessState,
@@ -89,8 +88,7 @@ def advance_removal(
         # The cloud judges at the rim alone.
         samples = EdgeSamples(angle, tooth, weight, jnp.ones_like(weight))
         return state, Engagement(samples, repeated(pose, (0,))), removed
-    state = enqueue(plan, cutter, state, index - 1, pose)
-    state, removed = remove_lagged(plan, cutter, state, index - 1, adjoint)
+    state, removed = advance_removal(plan, cutter, state, index - 1, pose, adjoint)
     engage = lambda: compute_engagement(plan, cutter, state, index, predicted, adjoint)
     return state, when_live(is_live, engage), removed
 
@@ -106,7 +104,7 @@ def compute_engagement(
 ) -> Engagement:
     """Return where the teeth of a period meet material, after its removal.
 
-    For the chip model "near_far"; arguments as for `advance_removal`, and `part` for
+    For the chip model "near_far"; arguments as for `advance_process`, and `part` for
     the sub-steps if these are not all: predicted and recent poses are then theirs.
     """
     if plan.profile is None:

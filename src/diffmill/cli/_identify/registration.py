@@ -1,4 +1,4 @@
-"""Records of forces beside their cuts, and what they say of time and axes."""
+"""Registration of records of forces with their cuts: time, axes and doubts."""
 
 import math
 from collections.abc import Sequence

@@ -34,7 +34,7 @@ class Motion(eqx.Module):
 Plant = Callable[[Float[Array, "step axis"]], Motion]
 
 
-class AbstractRun(eqx.Module):
+class AbstractHostPlant(eqx.Module):
     """A plant that runs a command on the host by a program of its own."""
 
     @abc.abstractmethod
@@ -113,9 +113,9 @@ def run(problem: Problem, command: FloatRows) -> tuple[Motion, Float[Array, "ste
     Returns:
         The motion and the contour vectors [m], shape (step, 3).
 
-    Differentiability: that of the plant; none of an `AbstractRun`.
+    Differentiability: that of the plant; none of an `AbstractHostPlant`.
     """
-    if isinstance(problem.plant, AbstractRun):
+    if isinstance(problem.plant, AbstractHostPlant):
         motion = problem.plant.run(command)
         return motion, contour_of(problem, motion)
     return _run(problem, command)

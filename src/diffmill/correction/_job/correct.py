@@ -250,8 +250,7 @@ class _Optimiser:
         job, adjoint, before, problem, _ = self.task
         method = self.method
         if job.correction.command == "joint":
-            tips = problem
-            problem = joint_problem(job, adjoint, before, tips)
+            problem = joint_problem(job, adjoint, before, problem)
             start = inverse.motor_positions
         else:
             start = min(record.methods.values(), key=self._remaining).command

@@ -21,7 +21,7 @@ from ...sim import (
     solve_command,
 )
 from .._core.method import AbstractMethod
-from .._core.problem import AbstractRun, Motion, Problem
+from .._core.problem import AbstractHostPlant, Motion, Problem
 from .._method.mirror import IteratedMirror, SampledMirror
 from .plant_segments import Steps, wall_motion, with_rows
 
@@ -42,7 +42,7 @@ def solved_motion(solution: Solution) -> SolvedMotion:
     return SolvedMotion(actual, solution.force, solution)
 
 
-class TipPlant(AbstractRun):
+class TipPlant(AbstractHostPlant):
     """A job as a plant that is commanded by tip positions [m].
 
     Attributes:
@@ -73,7 +73,7 @@ class TipPlant(AbstractRun):
         return solved_motion(solve_command(self.job, self.rigid, command, self.adjoint))
 
 
-class JointPlant(AbstractRun):
+class JointPlant(AbstractHostPlant):
     """A job as a plant that is commanded by joint positions [rad or m].
 
     The controller adds the gravity sag, as it does for tip positions. Attributes as of
@@ -106,7 +106,7 @@ class JointPlant(AbstractRun):
 
 
 @eqx.filter_jit
-def _compiled(plant: AbstractRun, command: FloatRows) -> Motion:
+def _compiled(plant: AbstractHostPlant, command: FloatRows) -> Motion:
     return plant(jnp.asarray(command))
 
 

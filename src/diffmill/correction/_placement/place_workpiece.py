@@ -1,7 +1,7 @@
 """Placement of the workpiece and rotation of the tool where the arm deflects least.
 
 The best of a few spread-out places and the job's own are starts of bounded
-Levenberg-Marquardt steps; joints stay within their ranges as held rows, and a place
+Levenberg-Marquardt steps; joints stay within their ranges as constraints, and a place
 that the arm cannot reach, or reaches nearly singular, is refused. What is found is
 then judged on the whole path.
 """

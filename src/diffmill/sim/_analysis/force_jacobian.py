@@ -17,13 +17,12 @@ from ...process import (
     ProcessPlan,
     ProcessState,
     ThroughRays,
+    advance_removal,
     compute_engagement,
     end_period,
     ends_of,
-    enqueue,
     initial_state,
     middles_of,
-    remove_lagged,
     substep_wrench,
 )
 from ...workpiece import Pose, Stock, repeated
@@ -110,8 +109,9 @@ def _replay(
         near = jax.tree.map(
             lambda x: jax.lax.dynamic_slice_in_dim(x, index - 1, 4), padded
         )
-        state = enqueue(plan, cutter, state, index - 1, near[1])
-        state, _ = remove_lagged(plan, cutter, state, index - 1, ThroughRays())
+        state, _ = advance_removal(
+            plan, cutter, state, index - 1, near[1], ThroughRays()
+        )
         return state, middles_of(plan, near)[1], ends_of(plan, near)[1]
 
     state, poses, ends = jax.lax.fori_loop(first, last + 1, period, carry)

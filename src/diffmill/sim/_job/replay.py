@@ -19,7 +19,7 @@ from ...process import (
     ProcessSolution,
     ProcessState,
     ThroughRays,
-    advance_removal,
+    advance_process,
     element_heights,
     end_period,
     ends_of,
@@ -168,7 +168,7 @@ def _last_periods(
         state: ProcessState, x: tuple[Array, Pose, Pose, Pose]
     ) -> tuple[ProcessState, tuple[Engagement, Array]]:
         index, start, poses, ends = x
-        state, cut, _ = advance_removal(
+        state, cut, _ = advance_process(
             plan, cutter, state, index, start, poses, adjoint
         )
         chip = jax.vmap(

@@ -29,17 +29,16 @@ from ...process import (
     ProcessState,
     Removed,
     Substeps,
+    advance_process,
     advance_removal,
     compute_engagement,
     end_period,
-    enqueue,
     failed_rows,
     initial_state,
     last_row,
     live_rows,
     outcome,
     remove_all,
-    remove_lagged,
     substep_middles,
     substep_wrench,
     volumes_by_pose,
@@ -411,10 +410,11 @@ def run_period(
     plan, cutter, adjoint = machine.plan, machine.cutter, machine.adjoint
     cut = None
     if plan.looks > 1:
-        process = enqueue(plan, cutter, process, index - 1, arm.pose)
-        process, removed = remove_lagged(plan, cutter, process, index - 1, adjoint)
+        process, removed = advance_removal(
+            plan, cutter, process, index - 1, arm.pose, adjoint
+        )
     else:
-        process, cut, removed = advance_removal(
+        process, cut, removed = advance_process(
             plan, cutter, process, index, arm.pose, predicted, adjoint, is_live
         )
     targets = start[None] + T * middles[:, None] * rate[None]

@@ -34,7 +34,7 @@ from ...process import (
     ProcessPlan,
     ProcessState,
     Removed,
-    advance_removal,
+    advance_process,
     end_period,
     failed_rows,
     initial_state,
@@ -181,7 +181,7 @@ def _run_period(
         shares = places(machine.plan, stop.dtype)[:, None]
         return start.pose.tip[None] * (1 - shares) + tip(F)[None] * shares
 
-    process, cut, removed = advance_removal(
+    process, cut, removed = advance_process(
         machine.plan,
         machine.cutter,
         process,
