@@ -4,12 +4,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import xarray
 
-from diffmill.cli._run_job import _with_contacts
-from diffmill.cli._session.progress import Progress
 from diffmill.config import JobError, load_job
 from diffmill.config._check.rapids import check_overhang
+from diffmill.sim import tool_contacts
 
 JOB = """
 [cutter]
@@ -105,24 +103,19 @@ def test_two_overhangs_must_agree():
     assert len(found) == 1 and "found 4 mm" in found[0] and "5 mm" in found[0]
 
 
-def test_a_holder_in_the_stock_is_noted_and_becomes_rows_of_the_result(write):
+def test_a_holder_in_the_stock_is_noted(write):
     job = load_job(write(HOLDER))
     (note,) = [n for n in job.notes if n.startswith("[cutter] holder")]
     # The lower face stands 1 mm below the top, 8 mm ahead of the middle.
     assert "program line 4" in note and "up to 1.000 mm deep" in note
     assert "1.000 mm deep in what is left" in note
-    solution = SimpleNamespace(
-        actual=job.path.positions, shank_volume=np.zeros(job.path.step_count)
+    contacts = tool_contacts(
+        job.path, job.stock, job.cutter, job.holder, checks_rapids=False
     )
-    solution.shank_volume[40] = 2e-9
-    before = xarray.Dataset(attrs={"notes": "one"})
-    dataset = _with_contacts(job, solution, before, Progress(is_quiet=True))
     x, _, z = job.path.positions.T
-    found = dataset["holder_depth"].values
+    found = contacts.holder_depth
     assert (found[(x > -7.4e-3) & (z < -4.9e-3)] > 0).all()
     assert not found[x < -8e-3].any()
-    first, shank, holder = dataset.attrs["notes"].splitlines()
-    assert first == "one" and "2 mm^3" in shank and "1.000 mm deep" in holder
 
 
 def test_a_rapid_move_of_the_holder_through_stock_is_a_fault(write):

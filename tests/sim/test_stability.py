@@ -2,7 +2,6 @@
 
 import functools
 import math
-import types
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,8 +17,6 @@ from diffmill import (
     sim,
     workpiece as wp,
 )
-from diffmill.cli._run_job import _tell_stability
-from diffmill.cli._session.progress import Progress
 
 # Four teeth in a slot: the slope of the force in x does not depend on the angle.
 MILL = ct.flat_end_mill(10e-3, 4)
@@ -172,21 +169,6 @@ def test_what_cannot_vibrate_is_not_asked(tmp_path):
         load_job(write_job(tmp_path, "rigid = true", "true"))
     job = load_job(write_job(tmp_path, "rigid = true", '"quick"'))
     assert job.simulation.stability == "quick"
-
-
-def test_the_command_line_says_what_is_found(monkeypatch, capsys):
-    found = at(1.1)
-    monkeypatch.setattr(sim, "stability", lambda job, solution: found)
-    dataset = types.SimpleNamespace(attrs={"notes": "before"})
-    solution = types.SimpleNamespace(is_cutting=np.ones(3, bool))
-    job = types.SimpleNamespace(simulation=types.SimpleNamespace(stability="full"))
-    _tell_stability(job, solution, dataset, Progress(is_quiet=False))  # pyright: ignore[reportArgumentType]
-    first, *lines = dataset.attrs["notes"].splitlines()
-    assert first == "before" and lines[0].startswith("warning: the cut is unstable")
-    assert lines[1] == f"stability: {found.visibility()}"
-    said = capsys.readouterr()
-    assert all(line in said.out + said.err for line in lines)
-    assert dataset.attrs["stability_largest_radius"] == found.radius.max()
 
 
 DAMPING = 2 * RATIO * STIFFNESS / (2 * math.pi * FREQUENCY)

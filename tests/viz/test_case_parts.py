@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from diffmill.cli._run_job import _parts
-from diffmill.viz import case_parts, write_report
+from diffmill.viz import case_parts, summary, write_report
 
 from .synthetic import SCALES
 
@@ -42,9 +41,9 @@ def test_report_and_command_line_leave_out_a_part_without_rows(tmp_path, result)
     page = write_report(tmp_path, result, {}).read_text(encoding="utf-8")
     assert "By part of the path" in page
     assert "80.0 / 160.0" in page and "corner: rms" not in page
-    lines = _parts(result)
-    assert "corner" not in lines[2]
-    mirror = next(line for line in lines if line.startswith("mirror "))
+    text = summary(result)
+    assert "corner" not in text
+    *_, mirror = [x for x in text.splitlines() if x.startswith("mirror ")]
     assert mirror.split()[1:] == [
         *("0.45", "-0.90", "1.35", "36.00", "27.00", "18.00"),
         *("1.45", "2", "0.9", "s"),
@@ -52,11 +51,11 @@ def test_report_and_command_line_leave_out_a_part_without_rows(tmp_path, result)
 
 
 def test_leaving_the_cut_is_told(tmp_path, result):
-    assert not any("warning" in line for line in _parts(result))
+    assert "warning" not in summary(result)
     left = np.zeros(len(SIZE), np.int32)
     left[1] = 7
     told = result.assign(rows_out_of_cut=(("case",), left))
-    (line,) = [line for line in _parts(told) if "warning" in line]
+    (line,) = [line for line in summary(told).splitlines() if "warning" in line]
     assert "mirror: the tool leaves the cut in 7 steps" in line
     page = write_report(tmp_path, told, {}).read_text(encoding="utf-8")
     assert "steps out of the cut" in page and "<td>7</td>" in page
@@ -64,7 +63,8 @@ def test_leaving_the_cut_is_told(tmp_path, result):
 
 def test_a_simulation_has_no_such_table(tmp_path, simulation):
     assert case_parts(simulation) == ()
-    assert _parts(simulation) == []
+    lines = summary(simulation).splitlines()
+    assert len(lines) == 3 and lines[2].split()[0] == "predicted"
     page = write_report(tmp_path, simulation, {}).read_text(encoding="utf-8")
     assert "By part of the path" not in page
 

@@ -8,6 +8,7 @@ import equinox as eqx
 import numpy as np
 
 from ._run_job import with_job
+from ._session.attempts import Attempts
 from ._session.errors import BadInput, bad_input
 from ._session.jax_config import configure_jax
 from ._session.progress import Progress
@@ -77,10 +78,10 @@ def run_feed(
         print(f"error: the run failed: {failure}", file=sys.stderr)
         print("nothing could be kept", file=sys.stderr)
         return 1
-    _write(folder, job, tradeoff, tuned, force=force)
     progress.say("\n".join(_summary(job, tradeoff, tuned)))
+    code = _write(folder, job, tradeoff, tuned, force=force)
     progress.say(f"results: {folder}")
-    return 0
+    return code
 
 
 def _check(job: "Job", file: pathlib.Path, request: FeedRequest) -> None:
@@ -141,8 +142,8 @@ def _write(
     tuned: "TunedFeed | None",
     *,
     force: bool,
-) -> None:
-    """Write the numbers, the figure and the tuned paths."""
+) -> int:
+    """Write the numbers and tuned paths, then the figure; return the exit code."""
     from ..io import write_results
     from ..viz import plot_feed, save_figure
 
@@ -155,8 +156,15 @@ def _write(
         dataset = even.merge(along.rename(names))
         for point, path in zip(tuned.points[1:], tuned.paths[1:], strict=True):
             files.update(_path_files(job, point.weight, path))
-    draw = lambda target: save_figure(plot_feed(even, along), target / "feed.png")
-    write_results(folder, with_job(dataset, job), files=files, fill=draw, force=force)
+    write_results(folder, with_job(dataset, job), files=files, force=force)
+    attempts = Attempts()
+
+    def draw(target: pathlib.Path) -> None:
+        with attempts.at("figure"):
+            save_figure(plot_feed(even, along), target / "feed.png")
+
+    attempts.add(folder, draw)
+    return attempts.conclude(folder)
 
 
 def _path_files(job: "Job", weight: float, path: "Path") -> dict[str, str]:

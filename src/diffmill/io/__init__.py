@@ -47,6 +47,7 @@ from ._results import (
     ResultsError as ResultsError,
     check_folder as check_folder,
     described as described,
+    extend_results as extend_results,
     mark_incomplete as mark_incomplete,
     write_folder as write_folder,
     write_results as write_results,

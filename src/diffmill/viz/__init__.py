@@ -49,6 +49,7 @@ from ._process import chip_chart as chip_chart, force_record as force_record
 from ._report.case_parts import CaseParts as CaseParts, case_parts as case_parts
 from ._report.inputs import FigureInputs as FigureInputs, figure_inputs as figure_inputs
 from ._report.report import write_report as write_report
+from ._report.summary import summary as summary
 from ._report.write import FigureFile as FigureFile, write_figures as write_figures
 from ._stocks import cut_dexels as cut_dexels
 from ._style import save_figure as save_figure

@@ -1,41 +1,12 @@
-"""The pictures, the report and the surface error of a finished run."""
+"""The file of the machined surface's error."""
 
 import pathlib
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from .._job import Job
     from ..workpiece import SurfaceError
-
-Dataset: TypeAlias = Any
-Solution: TypeAlias = Any
-
-
-def write_pictures(
-    folder: pathlib.Path,
-    job: "Job",
-    solutions: dict[str, Solution],
-    dataset: Dataset,
-) -> None:
-    """Write figures, `report.html` and `surface.nc` to a folder.
-
-    Args:
-        folder: Existing folder.
-        job: The job.
-        solutions: Solutions by case, the uncorrected one first; the case of a
-            simulation is "predicted".
-        dataset: The dataset of `result.nc`.
-    """
-    from ..viz import figure_inputs, write_figures, write_report
-
-    inputs = figure_inputs(job, solutions)
-    surfaces = inputs["surfaces"]
-    if surfaces:
-        write_surface(folder / "surface.nc", surfaces)
-    figures = write_figures(folder, dataset, **inputs)
-    write_report(folder, dataset, figures, surfaces=surfaces)
 
 
 def write_surface(file: pathlib.Path, surfaces: "dict[str, SurfaceError]") -> None:

@@ -1,0 +1,159 @@
+"""The analyses and figures of a run, added to results that are already written."""
+
+import pathlib
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+from ._session.attempts import Attempts
+from ._session.progress import Progress
+from ._surface_file import write_surface
+
+if TYPE_CHECKING:
+    from .._job import Job
+
+# xarray and the parts that compute are imported when a job runs.
+Dataset: TypeAlias = Any
+Solution: TypeAlias = Any
+
+
+class FinishedRun(NamedTuple):
+    """A run whose results are written.
+
+    Attributes:
+        job: The job.
+        solutions: Solutions by case, the uncorrected one first; the case of a
+            simulation is "predicted".
+        final: The solution whose command is the result.
+        dataset: The content of `result.nc`.
+    """
+
+    job: "Job"
+    solutions: dict[str, Solution]
+    final: Solution
+    dataset: Dataset
+
+
+def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> int:
+    """Add contacts, stability, sensitivity, figures and the report to written results.
+
+    Args:
+        folder: The folder of the results.
+        run: The run.
+        progress: Told what is found.
+
+    Returns:
+        The exit code: 0, or 1 if one of them failed, which leaves the others.
+    """
+    from ..io import described
+
+    attempts = Attempts()
+    dataset = run.dataset
+    for name, step in (
+        ("contacts", _with_contacts),
+        ("stability", _with_stability),
+        ("sensitivity", _with_sensitivity),
+    ):
+        with attempts.at(name):
+            dataset = step(run._replace(dataset=dataset), progress)
+
+    def fill(target: pathlib.Path) -> None:
+        kept = _write_pictures(
+            target, run._replace(dataset=described(dataset)), attempts
+        )
+        kept.to_netcdf(target / "result.nc", engine="h5netcdf")
+
+    attempts.add(folder, fill)
+    return attempts.conclude(folder)
+
+
+def _with_contacts(run: FinishedRun, progress: Progress) -> Dataset:
+    """Return the dataset with the holder's contacts; say where it and the shank are."""
+    from ..config import holder_notes, shank_notes
+    from ..sim import tool_contacts
+
+    job, solution, dataset = run.job, run.final, run.dataset
+    lines = shank_notes(job.path, np.asarray(solution.shank_volume))
+    if job.holder is not None:
+        contacts = tool_contacts(
+            job.path,
+            job.stock,
+            job.cutter,
+            job.holder,
+            positions=np.asarray(solution.actual),
+            checks_rapids=False,
+        )
+        dataset = dataset.assign(contacts.to_dataset().data_vars)
+        lines += holder_notes(job.path, contacts)
+    lines = [f"warning: {line}" for line in lines]
+    return _with_notes(dataset, _said(lines, progress))
+
+
+def _with_stability(run: FinishedRun, progress: Progress) -> Dataset:
+    """Return the dataset with what the search for chatter finds; say it."""
+    from ..sim import find_chatter, stability
+
+    job, dataset = run.job, run.dataset
+    check = job.simulation.stability
+    if check == "none" or not np.asarray(run.final.is_cutting).any():
+        return dataset
+    found = (find_chatter if check == "quick" else stability)(job, run.final)
+    if found is None:
+        return dataset
+    warning = found.warning()
+    lines = [
+        f"warning: {warning}"
+        if warning
+        else f"stability: of {len(found.row)} rows none is unstable; the fastest "
+        f"growing vibration has the factor {found.radius.max():.3f} per tooth period",
+        f"stability: {found.visibility()}",
+    ]
+    if check == "quick":
+        lines.append(
+            "stability: looked at where the cut is deepest; [simulation] "
+            "stability = true looks along the whole path"
+        )
+    dataset = _with_notes(dataset, _said(lines, progress))
+    return dataset.assign_attrs(stability_largest_radius=float(found.radius.max()))
+
+
+def _with_sensitivity(run: FinishedRun, progress: Progress) -> Dataset:
+    """Return the dataset with the sensitivity of the final command, if asked for."""
+    from ..sim import sensitivity
+
+    if not run.job.simulation.has_sensitivity:
+        return run.dataset
+    progress.say("sensitivity: one derivative for each parameter")
+    maps = sensitivity(run.job, commanded=np.asarray(run.final.commanded))
+    return run.dataset.assign(maps.to_dataset().data_vars)
+
+
+def _said(lines: list[str], progress: Progress) -> list[str]:
+    for line in lines:
+        progress.say(line)
+    return lines
+
+
+def _with_notes(dataset: Dataset, lines: list[str]) -> Dataset:
+    """Return a dataset whose attributes hold further notes."""
+    notes = [dataset.attrs["notes"]] if "notes" in dataset.attrs else []
+    return dataset.assign_attrs(notes="\n".join([*notes, *lines])) if lines else dataset
+
+
+def _write_pictures(
+    folder: pathlib.Path, run: FinishedRun, attempts: Attempts
+) -> Dataset:
+    """Write figures, `report.html` and `surface.nc`; return the dataset with notes."""
+    from ..viz import figure_inputs, write_figures, write_report
+
+    inputs, figures = {}, {}
+    with attempts.at("surface"):
+        inputs = figure_inputs(run.job, run.solutions)
+        if inputs["surfaces"]:
+            write_surface(folder / "surface.nc", inputs["surfaces"])
+    with attempts.at("figures"):
+        figures = write_figures(folder, run.dataset, **inputs)
+    dataset = _with_notes(run.dataset, [f"warning: {x}" for x in attempts.lines()])
+    with attempts.at("report"):
+        write_report(folder, dataset, figures, surfaces=inputs.get("surfaces"))
+    return dataset

@@ -1,0 +1,56 @@
+"""The headline figures of a result as text."""
+
+from typing import TYPE_CHECKING
+
+from .._cases import case_names, case_numbers
+from .case_parts import case_parts
+
+if TYPE_CHECKING:
+    import xarray
+
+
+def summary(dataset: "xarray.Dataset") -> str:
+    """Return tables of the headline figures: of each case, and by part of the path.
+
+    Args:
+        dataset: A result of `simulate` or `correct`.
+    """
+    name = dataset.attrs.get("job", "job")
+    rows = [f"{name}: contour error where the tool cuts [um], force [N]"]
+    rows.append(f"{'case':16}{'rms':>10}{'95 %':>10}{'max':>10}{'mean force':>12}")
+    for case in case_names(dataset):
+        found = case_numbers(dataset, case)
+        errors = (found.rms, found.percentile_95, found.maximum)
+        numbers = "".join(f"{value * 1e6:10.2f}" for value in errors)
+        rows.append(f"{case:16}{numbers}{found.force_mean:12.2f}")
+    return "\n".join([*rows, *_parts(dataset)])
+
+
+def _parts(dataset: "xarray.Dataset") -> list[str]:
+    """Return lines of the mean, the parts of the path and the price of each case."""
+    cases = case_parts(dataset)
+    if not cases:
+        return []
+    parts = [part for part, rows in cases[0].rows.items() if rows]
+    head = "".join(f"{part:>10}" for part in parts)
+    rows = [
+        "",
+        "mean vector and rms by part of the path [um], largest acceleration of the "
+        "command [m/s^2], simulations",
+        f"{'case':16}{'mean x':>9}{'y':>9}{'z':>9}{head}{'accel.':>8}{'runs':>6}"
+        f"{'time':>9}",
+    ]
+    for case in cases:
+        mean = "".join(f"{1e6 * value:9.2f}" for value in case.mean)
+        rms = "".join(f"{1e6 * case.rms[part]:10.2f}" for part in parts)
+        rows.append(
+            f"{case.name:16}{mean}{rms}{case.max_acceleration:8.2f}"
+            f"{case.forward_runs:6d}{case.seconds:7.1f} s"
+        )
+    rows += [
+        f"warning: {case.name}: the tool leaves the cut in {case.rows_out_of_cut} "
+        "steps where it should be in a full cut"
+        for case in cases
+        if case.rows_out_of_cut
+    ]
+    return rows

@@ -1,0 +1,133 @@
+"""Analyses and figures of a run on the command line: added to what is written."""
+
+import types
+
+import numpy as np
+import pytest
+import xarray
+
+from diffmill import config, sim, viz
+from diffmill.cli import main
+
+PROGRAM = """G21 G17 G90 G94
+G0 X-26 Y3 Z1
+G0 Z-1.5
+G1 X-7 F6000
+G1 X-26
+M2
+"""
+JOB = """
+[cutter]
+diameter = "10 mm"
+teeth = 2
+overhang = "1 mm"
+holder = [{ diameter = "40 mm", length = "20 mm" }]
+[spindle]
+speed = "8000 rpm"
+[force]
+K_tc = "989.8 N/mm^2"
+K_rc = "337.3 N/mm^2"
+K_ac = "66.9 N/mm^2"
+[stock]
+lower = ["-4 mm", "0 mm", "-2 mm"]
+upper = ["6 mm", "6 mm", "0 mm"]
+spacing = "0.5 mm"
+[program]
+file = "part.ngc"
+[robot]
+rigid = true
+"""
+
+
+def fake_simulate(job, *, on_progress):
+    """Return a run whose tool follows the program; the force is made up."""
+    count = job.path.step_count
+    rows = {
+        "desired": job.path.positions,
+        "actual": job.path.positions,
+        "force": np.full((count, 3), 7.0),
+    }
+    solution = types.SimpleNamespace(
+        actual=job.path.positions,
+        is_cutting=np.ones(count, bool),
+        shank_volume=np.where(np.arange(count) == 40, 2e-9, 0.0),
+        stock=job.stock,
+    )
+    solution.to_dataset = lambda: xarray.Dataset(
+        {name: (("step", "axis"), values) for name, values in rows.items()},
+        {"time": ("step", np.asarray(job.path.time))},
+    )
+    return solution
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sim, "simulate", fake_simulate)
+    monkeypatch.setattr(sim, "find_chatter", lambda job, solution: None)
+    (tmp_path / "job.toml").write_text(JOB)
+    (tmp_path / "part.ngc").write_text(PROGRAM)
+    return tmp_path
+
+
+def fail(*_, **__):
+    raise RuntimeError("no memory left")
+
+
+def result(folder):
+    return xarray.load_dataset(folder / "job-simulate" / "result.nc")
+
+
+def test_a_failing_analysis_or_figure_loses_no_run(folder, monkeypatch, capsys):
+    for module, name in ((config, "holder_notes"), (viz, "figure_inputs")):
+        monkeypatch.setattr(module, name, fail)
+    monkeypatch.setattr(viz, "write_figures", fail)
+    assert main(["simulate", "job.toml", "--quiet"]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    for step in ("contacts", "surface", "figures"):
+        assert f"{step} failed: RuntimeError: no memory left" in line
+    assert "job-simulate" in line and "errors.txt" in line
+    found = result(folder)
+    assert found.attrs["incomplete"] == 0
+    assert "figures failed" in found.attrs["notes"]
+    assert np.isfinite(found["force"]).all() and found["force"].any()
+    out = folder / "job-simulate"
+    kept = {"result.nc", "stock.npz", "report.html", "errors.txt", "manifest.txt"}
+    assert {file.name for file in out.iterdir()} == kept
+    assert set((out / "manifest.txt").read_text().split()) == kept
+    assert "no memory left" in (out / "errors.txt").read_text()
+
+
+def test_results_are_there_before_anything_is_analysed(folder, monkeypatch, capsys):
+    def interrupt(*_, **__):
+        assert result(folder)["force"].any()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(config, "holder_notes", interrupt)
+    assert main(["simulate", "job.toml"]) == 1
+    assert "job-simulate" in capsys.readouterr().err.splitlines()[-1]
+    assert result(folder)["force"].any()
+
+
+def test_contacts_and_stability_are_said_and_kept(folder, monkeypatch, capsys):
+    found = types.SimpleNamespace(
+        row=np.arange(3),
+        radius=np.array([0.9, 1.2, 1.1]),
+        warning=lambda: "the cut is unstable",
+        visibility=lambda: "it shows",
+    )
+    monkeypatch.setattr(sim, "find_chatter", lambda job, solution: found)
+    monkeypatch.setattr(viz, "figure_inputs", fail)
+    assert main(["simulate", "job.toml"]) == 1
+    said = capsys.readouterr().err.splitlines()
+    written = result(folder)
+    *notes, last = written.attrs["notes"].splitlines()
+    assert "surface failed" in last
+    assert {f"note: {note}" for note in notes} & set(said)
+    assert all(note in said for note in notes if f"note: {note}" not in said)
+    assert "warning: the cut is unstable" in notes and "stability: it shows" in notes
+    (shank,) = [note for note in notes if "2 mm^3" in note]
+    (holder,) = [n for n in notes if "holder" in n and n.startswith("warning")]
+    assert notes.index(shank) < notes.index(holder)
+    assert written.attrs["stability_largest_radius"] == 1.2
+    assert written["holder_depth"].max() > 0
