@@ -72,3 +72,12 @@ def test_derivatives_of_the_equilibrium(soft_arm, difference):
     for derivative in (jax.jacrev, jax.jacfwd):
         slope = derivative(rest)(jnp.asarray(x))
         assert_allclose(slope, expected, rtol=1e-6, atol=1e-9)
+
+
+def test_second_derivatives_of_the_equilibrium(arm, difference):
+    slope = jax.jit(jax.jacfwd(lambda F: dr.loaded_equilibrium(arm, arm.home, F)))
+    start = np.concatenate([10.0 * WRENCH[:3], WRENCH[3:]])
+    expected = difference(slope, start, 1.0)
+    assert np.abs(expected).max() > 0
+    found = jax.jacfwd(slope)(jnp.asarray(start))
+    assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())

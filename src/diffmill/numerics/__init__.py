@@ -10,7 +10,7 @@ inverse that batches well.
 `hat_integral` is the smooth step that samples at any phase sum up fairly, `ramp` a
 kink rounded off.
 
-Assumes equally spaced samples on the host. Leaves out what JAX, equinox and lineax
+Assumes equally spaced samples on the host. Leaves out what JAX, equinox and optimistix
 already give, and filters within a traced function.
 """
 

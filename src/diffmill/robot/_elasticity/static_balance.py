@@ -6,7 +6,6 @@ tau = K (theta - q). A virtual joint is the same spring with theta = 0.
 
 import jax
 import jax.numpy as jnp
-from jax import lax
 from jaxtyping import Array, Float
 
 from .._dynamics.rnea import gravity_forces, gravity_torques
@@ -14,9 +13,10 @@ from .._kinematics.forward import joint_frames, link_inertia_rows, tool_jacobian
 from .._model.drives import drive_deflection, gravity_compensation
 from .._model.robot import JointVector, Robot, Wrench, joint_vector, wrench_vector
 
-# Springs are much stiffer than gravity and load change with the pose: from a
-# deflection of 0.1 rad two steps and the last one reach rounding.
-_NEWTON_STEPS = 2
+# Step at which Newton's method ends [rad or m], and steps at most. Springs are much
+# stiffer than gravity and load change with the pose: from a deflection of 0.1 rad three
+# steps reach rounding.
+_TOLERANCE, _NEWTON_STEPS = 1e-6, 8
 
 
 def motor_positions(
@@ -65,7 +65,7 @@ def loaded_equilibrium(
     Returns:
         Joint positions [rad or m], shape (joint,).
 
-    **Differentiability**: smooth; first derivatives by the implicit function.
+    **Differentiability**: smooth; derivatives by the implicit function.
     """
     return _loaded_equilibrium(
         robot,
@@ -78,7 +78,13 @@ def loaded_equilibrium(
 def _loaded_equilibrium(
     robot: Robot, theta: Float[Array, " joint"], wrench: Float[Array, " 6"]
 ) -> Float[Array, " joint"]:
-    def residual(robot, theta, wrench, q):
+    # Imported here: it takes a third of a second, and not every job needs it.
+    import optimistix as optx
+
+    def residual(
+        q: Float[Array, " joint"], given: tuple[Robot, Array, Array]
+    ) -> Float[Array, " joint"]:
+        robot, theta, wrench = given
         frames = joint_frames(robot, q)
         load = tool_jacobian(robot, frames).T @ wrench - gravity_torques(
             robot, frames, link_inertia_rows(robot, frames)
@@ -86,14 +92,12 @@ def _loaded_equilibrium(
         # Divided by K, an infinite stiffness is an ordinary number.
         return theta - q + drive_deflection(robot, load)
 
-    fixed = lax.stop_gradient((robot, theta, wrench))
-    slope_at = lambda q: jax.jacfwd(lambda x: residual(*fixed, x))(q)
-
-    def newton(q, _):
-        return q - jnp.linalg.solve(slope_at(q), residual(*fixed, q)), None
-
-    q, _ = lax.scan(newton, fixed[1], length=_NEWTON_STEPS)
-    # One more step with the differentiable residual has the derivative of the root.
-    q = lax.stop_gradient(q)
-    inverse = lax.stop_gradient(jnp.linalg.inv(slope_at(q)))
-    return q - inverse @ residual(robot, theta, wrench, q)
+    return optx.root_find(
+        residual,
+        optx.Newton(rtol=_TOLERANCE, atol=_TOLERANCE),
+        theta,
+        (robot, theta, wrench),
+        options={"jac": "fwd"},
+        max_steps=_NEWTON_STEPS,
+        throw=False,
+    ).value
