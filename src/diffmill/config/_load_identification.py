@@ -2,19 +2,19 @@
 
 import os
 import pathlib
+from typing import Any
 
 import numpy as np
 
+from ._identification.context import Context
 from ._identification.coupled import read_coupled
-from ._identification.force_records import Context, read_force_record
+from ._identification.force_records import read_force_record
 from ._identification.load_tests import read_load_tests
 from ._identification.mean_forces import mean_force_task
 from ._identification.modal import read_frequency_response, read_ring_down
 from ._identification.robot import read_tool_robot
 from ._identification.schema import (
-    CutTable,
     FitTable,
-    MeansTable,
     RecordTable,
     read_identification_tables,
 )
@@ -59,7 +59,6 @@ def load_identification(
     _, raw = read_toml(path)
     if forces is not None:
         return _of_job(path, raw, pathlib.Path(forces), allow_outside=allow_outside)
-    problems: list[str] = []
     if "kind" not in raw and "program" in raw:
         raise JobError(
             path,
@@ -68,22 +67,18 @@ def load_identification(
                 'a file with kind = "force_records" that names both'
             ],
         )
+    problems: list[str] = []
     kind, tables = read_identification_tables(raw, problems)
+    context = Context(path.parent, allow_outside, problems, {})
     task: Task | None = None
     if kind in ("mean_forces", "force_records"):
-        task = _forces(path, kind, tables, problems, allow_outside)
+        task = _forces(path.stem, kind, tables, context)
     elif kind == "load_tests":
-        task = _loads(path, tables, problems, allow_outside)
+        task = _loads(path.stem, tables, context)
     elif kind == "coupled" and "coupled" in tables:
-        task = read_coupled(
-            path.stem,
-            tables["coupled"],
-            path.parent,
-            problems,
-            allow_outside=allow_outside,
-        )
+        task = read_coupled(path.stem, tables["coupled"], context)
     elif kind in ("ring_down", "frequency_response"):
-        task = _modes(path, kind, tables, problems, allow_outside)
+        task = _modes(path.stem, kind, tables, context)
     if problems or task is None:
         raise JobError(path, problems)
     return task
@@ -110,12 +105,12 @@ def _of_job(
             path, [f"found no file {forces}, but measured forces are needed"]
         )
     job = load_job(path, allow_outside=allow_outside)
-    context = Context(forces.parent, True, None, None, None, {path.resolve(): job})
-    problems: list[str] = []
+    # The record may lie anywhere, and the job has been read.
+    context = Context(forces.parent, True, [], {path.resolve(): job})
     table = RecordTable(file=forces.name, job=os.fspath(path.resolve()))
-    record = read_force_record(table, "record", context, problems)
-    if record is None or problems:
-        raise JobError(forces, problems)
+    record = read_force_record(table, "record", context)
+    if record is None or context.problems:
+        raise JobError(forces, context.problems)
     return ForceRecordTask(path.stem, (record,), _settings(FitTable()))
 
 
@@ -135,139 +130,79 @@ def _settings(table: FitTable) -> ForceSettings:
 
 
 def _forces(
-    path: pathlib.Path,
-    kind: str,
-    tables: dict[str, object],
-    problems: list[str],
-    allow_outside: bool,
+    name: str, kind: str, tables: dict[str, Any], context: Context
 ) -> MeanForceTask | ForceRecordTask | None:
     """Return the task of mean forces or of whole records."""
-    cutter = tables.get("cutter")
-    spindle, cut, fit = (tables.get(key) for key in ("spindle", "cut", "fit"))
-    context = Context(
-        path.parent,
-        allow_outside,
-        None if cutter is None else make_cutter(cutter),  # pyright: ignore[reportArgumentType]
-        getattr(spindle, "speed", None),
-        cut if isinstance(cut, CutTable) else None,
-        {},
+    spindle = tables.get("spindle")
+    context = context._replace(
+        cutter=make_cutter(tables["cutter"]) if "cutter" in tables else None,
+        speed=None if spindle is None else spindle.speed,
+        cut=tables.get("cut"),
     )
-    entries = tables.get("record")
     records: list[ForceRecord] = []
-    for place, entry in enumerate(entries if isinstance(entries, list) else (), 1):
-        name = f"[[record]] {place}"
-        _check_speed(kind, entry, context, name, problems)
-        record = read_force_record(entry, name, context, problems)
+    for number, entry in enumerate(tables.get("record", ()), 1):
+        place = f"[[record]] {number}"
+        _check_speed(kind, entry, context, place)
+        record = read_force_record(entry, place, context)
         if record is not None:
             records.append(record)
-    settings = _settings(fit if isinstance(fit, FitTable) else FitTable())
-    if kind == "mean_forces" and settings.lowpass is not None:
-        problems.append(
+    settings = _settings(tables.get("fit", FitTable()))
+    if kind == "force_records":
+        return ForceRecordTask(name, tuple(records), settings)
+    if settings.lowpass is not None:
+        context.problems.append(
             "[fit] lowpass: found beside mean forces, which it does not change; "
             'allowed with kind = "force_records"'
         )
-    if kind == "force_records":
-        return ForceRecordTask(path.stem, tuple(records), settings)
-    means = tables.get("means")
-    return mean_force_task(
-        path.stem,
-        means if isinstance(means, MeansTable) else None,
-        tuple(records),
-        (context, settings, isinstance(entries, list)),
-        problems,
-    )
+    given = tuple(records) if "record" in tables else None
+    return mean_force_task(name, tables.get("means"), given, settings, context)
 
 
-def _check_speed(
-    kind: str,
-    entry: RecordTable,
-    context: Context,
-    place: str,
-    problems: list[str],
-) -> None:
+def _check_speed(kind: str, entry: RecordTable, context: Context, place: str) -> None:
     """Note a straight cut without a spindle speed, or a job beside mean forces."""
     if kind == "mean_forces" and entry.job is not None:
-        problems.append(
+        context.problems.append(
             f"{place} job: found beside mean forces, which are those of straight cuts; "
             'allowed with kind = "force_records"'
         )
     elif entry.job is None and (entry.speed or context.speed) is None:
-        problems.append(
+        context.problems.append(
             f"{place} speed: found nothing, but it is required here or in [spindle] "
             'for a straight cut, such as "6000 rpm"'
         )
 
 
-def _loads(
-    path: pathlib.Path,
-    tables: dict[str, object],
-    problems: list[str],
-    allow_outside: bool,
-) -> LoadTestTask | None:
+def _loads(name: str, tables: dict[str, Any], context: Context) -> LoadTestTask | None:
     """Return the task of load tests."""
     notes: list[str] = []
     robot = None
     if "robot" in tables:
-        robot = read_tool_robot(
-            tables["robot"],  # pyright: ignore[reportArgumentType]
-            path.parent,
-            problems,
-            notes,
-            allow_outside=allow_outside,
-            needs_mass=False,
-        )
+        robot = read_tool_robot(tables["robot"], context, notes, needs_mass=False)
     if robot is None or "load_tests" not in tables:
         return None
-    return read_load_tests(
-        path.stem,
-        tables["load_tests"],  # pyright: ignore[reportArgumentType]
-        robot,
-        path.parent,
-        problems,
-        notes,
-        allow_outside=allow_outside,
-    )
+    return read_load_tests(name, tables["load_tests"], robot, notes, context)
 
 
 def _modes(
-    path: pathlib.Path,
-    kind: str,
-    tables: dict[str, object],
-    problems: list[str],
-    allow_outside: bool,
+    name: str, kind: str, tables: dict[str, Any], context: Context
 ) -> ModeTask | None:
     """Return the task of ring-downs or frequency responses."""
     robot = None
     if "robot" in tables:
-        robot = read_tool_robot(
-            tables["robot"],  # pyright: ignore[reportArgumentType]
-            path.parent,
-            problems,
-            [],
-            allow_outside=allow_outside,
-            needs_mass=True,
-        )
+        robot = read_tool_robot(tables["robot"], context, [], needs_mass=True)
         if robot is None:
             return None
         if np.isinf(np.asarray(robot.joint_stiffness)).all():
-            problems.append(
+            context.problems.append(
                 "[robot]: found no joint stiffness, but dampers follow from modes only "
                 "with it: by joint_stiffness, or a file named by drives"
             )
     read = read_ring_down if kind == "ring_down" else read_frequency_response
-    entries = tables.get(kind)
     found = [
-        read(
-            entry,
-            f"[[{kind}]] {place}",
-            robot,
-            path.parent,
-            problems,
-            allow_outside=allow_outside,
-        )
-        for place, entry in enumerate(entries if isinstance(entries, list) else (), 1)
+        read(entry, f"[[{kind}]] {number}", robot, context)
+        for number, entry in enumerate(tables.get(kind, ()), 1)
     ]
     good = tuple(one for one in found if one is not None)
-    if not good or problems:
+    if not good or context.problems:
         return None
-    return ModeTask(path.stem, robot, good)  # pyright: ignore[reportArgumentType]
+    return ModeTask(name, robot, good)  # pyright: ignore[reportArgumentType]

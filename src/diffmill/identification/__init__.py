@@ -72,6 +72,7 @@ from ._modal.ring_down import (
 )
 from ._record.cut_detection import CutSpan as CutSpan, find_cuts as find_cuts
 from ._record.diagnosis import Diagnosis as Diagnosis
+from ._record.mean_over_revolutions import mean_over_turns as mean_over_turns
 from ._record.preprocessing import (
     parts_between_gaps as parts_between_gaps,
     remove_drift as remove_drift,

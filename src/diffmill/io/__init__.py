@@ -34,14 +34,14 @@ from ._path_csv import (
     read_path_csv as read_path_csv,
     write_path_csv as write_path_csv,
 )
-from ._records.columns import (
-    TIME_NAMES as TIME_NAMES,
-    check_keys as check_keys,
-    column_of as column_of,
-)
 from ._records.errors import RecordError as RecordError
 from ._records.load_record import load_record as load_record, read_table as read_table
-from ._records.table import Table as Table
+from ._records.reader import (
+    TIME_COLUMN as TIME_COLUMN,
+    Quantity as Quantity,
+    TableReader as TableReader,
+    vector_columns as vector_columns,
+)
 from ._records.timeline import timeline as timeline
 from ._results import (
     ResultsError as ResultsError,

@@ -1,140 +1,101 @@
 """A record of a robot's cut: forces, or how far the tool was off its path."""
 
-import pathlib
+from typing import NamedTuple
 
 import numpy as np
 
-from ... import units as q
-from ...io import TIME_NAMES, RecordError, check_keys, column_of, read_table
+from ...io import TIME_COLUMN, TableReader, vector_columns
 from ...sim import parameter_names
-from .._build.program import file_in_folder
-from .._load_job import JobError, load_job
-from .force_records import LARGEST_RECORD
+from ...units import FORCE, LENGTH
+from .context import Context
 from .schema import CoupledTable
 from .tasks import CoupledTask
 
-_PARTS = r"[\s_.\-]*"
-_GROUPS = {
-    "force": (q.FORCE, "F", "f|force|kraft"),
-    "deviation": (q.LENGTH, "d", r"d|u|delta|dev\w*|defl\w*"),
+_VECTORS = {
+    "force": vector_columns("F", "f|force|kraft", FORCE, "force"),
+    "deviation": vector_columns("d", r"d|u|delta|dev\w*|defl\w*", LENGTH, "deviation"),
 }
 
 
+class _Columns(NamedTuple):
+    """Time, forces and deviations of a record, and what was assumed."""
+
+    time: np.ndarray
+    force: np.ndarray | None
+    deviation: np.ndarray | None
+    notes: tuple[str, ...]
+
+
 def read_coupled(
-    name: str,
-    table: CoupledTable,
-    folder: pathlib.Path,
-    problems: list[str],
-    *,
-    allow_outside: bool,
+    name: str, table: CoupledTable, context: Context
 ) -> CoupledTask | None:
     """Return a record of a robot's cut, or None with problems noted.
 
     Args:
         name: The file that asks for it.
         table: `[coupled]`.
-        folder: Folder of the file.
-        problems: Receives what is wrong.
-        allow_outside: Whether files may lie outside that folder.
+        context: Folder and problems.
     """
-    paths = [
-        file_in_folder(
-            text,
-            f"[coupled] {key}",
-            folder,
-            problems,
-            allow_outside=allow_outside,
-            largest=LARGEST_RECORD,
-        )
-        for key, text in (("job", table.job), ("file", table.file))
-    ]
-    job = None
-    if paths[0] is not None:
-        try:
-            job = load_job(paths[0], allow_outside=allow_outside)
-        except JobError as error:
-            problems.extend(f"[coupled] job: {table.job}: {x}" for x in error.problems)
+    job = context.job(table.job, "[coupled] job")
     if job is not None and job.robot is None:
-        problems.append("[coupled] job: found rigid = true, but a robot is required")
-        job = None
-    if job is not None:
+        context.problems.append(
+            "[coupled] job: found rigid = true, but a robot is required"
+        )
+    elif job is not None:
         known = (*parameter_names(job), "K", "D")
-        for one in table.fit or ():
-            if one not in known:
-                problems.append(
-                    f"[coupled] fit: found {one!r}; allowed: {', '.join(known)}"
-                )
-    found = _columns(paths[1], table, problems)
-    if job is None or found is None or problems:
+        context.problems.extend(
+            f"[coupled] fit: found {one!r}; allowed: {', '.join(known)}"
+            for one in table.fit or ()
+            if one not in known
+        )
+    found = context.read(table, "[coupled]", _columns)
+    if job is None or found is None or context.problems:
         return None
-    time, force, deviation, notes = found
     return CoupledTask(
         name=name,
         job=job,
-        time=time + (table.time_shift or 0.0),
-        force=force,
-        deviation=deviation,
+        time=found.time + (table.time_shift or 0.0),
+        force=found.force,
+        deviation=found.deviation,
         fit=None if table.fit is None else tuple(table.fit),
         has_offset=table.has_offset,
         has_time_shift=table.has_time_shift,
         loss=table.loss,
-        notes=tuple(notes),
+        notes=found.notes,
     )
 
 
-def _columns(
-    path: pathlib.Path | None, table: CoupledTable, problems: list[str]
-) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None, list[str]] | None:
-    """Return time, forces, deviations and notes."""
-    if path is None:
-        return None
-    faults: list[str] = []
-    try:
-        found = read_table(path)
-    except (RecordError, OSError) as error:
-        lines = error.faults if isinstance(error, RecordError) else (str(error),)
-        problems.extend(f"[coupled] file: {table.file}: {line}" for line in lines)
-        return None
-    notes, wanted = list(found.notes), dict(table.channels or {})
-    known = ["time", *(f"{g[1]}{a}" for g in _GROUPS.values() for a in "xyz")]
-    check_keys("channel", wanted, known, faults)
-    check_keys("unit of", table.units, ("time", *_GROUPS), faults)
-    unit = table.units.get("time")
-    time = column_of(found, "time", (q.TIME,), TIME_NAMES, wanted, faults, notes, unit)
+def _columns(reader: TableReader) -> _Columns:
+    """Return time, forces and deviations.
+
+    Raises:
+        RecordError: Nothing of it can be fitted.
+    """
+    reader.allow((TIME_COLUMN, *_VECTORS["force"], *_VECTORS["deviation"]))
+    time = reader.values(TIME_COLUMN)
     parts: dict[str, np.ndarray | None] = {}
-    for name, (kind, letter, words) in _GROUPS.items():
-        columns = [
-            column_of(
-                found,
-                f"{letter}{a}",
-                (kind,),
-                rf"({words}){_PARTS}{a}|{a}{_PARTS}({words})",
-                wanted,
-                faults,
-                notes,
-                table.units.get(name),
-            )
-            for a in "xyz"
-        ]
+    for name, quantities in _VECTORS.items():
+        columns = [reader.values(quantity) for quantity in quantities]
         given = [one for one in columns if one is not None]
         parts[name] = None
         if given:
             empty = np.full(len(given[0]), np.nan)
             both = [empty if one is None else one for one in columns]
             parts[name] = np.column_stack(both)
-    if not faults and (time is None or all(one is None for one in parts.values())):
-        names = ", ".join(f"`{column.name}`" for column in found.columns)
-        faults.append(
+    if not reader.faults and (
+        time is None or all(one is None for one in parts.values())
+    ):
+        reader.faults.append(
             "found no column for time, or neither forces Fx, Fy, Fz nor deviations dx, "
-            f"dy, dz, among {names}; name them with `channels`."
+            f"dy, dz, among {reader.listed()}; name them with `channels`."
         )
-    if time is not None and not faults:
-        good = np.isfinite(time)
-        if good.sum() < 12 or not np.all(np.diff(time[good]) > 0):
-            faults.append("the time must increase over at least 12 rows, but does not.")
-        time = time[good]
-        parts = {k: None if v is None else v[good] for k, v in parts.items()}
-    problems.extend(f"[coupled] file: {table.file}: {fault}" for fault in faults)
-    if faults or time is None:
-        return None
-    return time, parts["force"], parts["deviation"], notes
+    reader.check()
+    assert time is not None
+    good = np.isfinite(time)
+    if good.sum() < 12 or not np.all(np.diff(time[good]) > 0):
+        reader.faults.append(
+            "the time must increase over at least 12 rows, but does not."
+        )
+    reader.check()
+    force, deviation = (None if v is None else v[good] for v in parts.values())
+    return _Columns(time[good], force, deviation, tuple(reader.notes))

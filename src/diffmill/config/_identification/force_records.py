@@ -2,49 +2,24 @@
 
 import math
 import pathlib
-from typing import NamedTuple
 
 from ..._job import Job
-from ...cutter import AbstractCutter
 from ...identification import Record, immersion, section
 from ...io import RecordError, load_record
-from .._build.program import file_in_folder
-from .._load_job import JobError, load_job
+from .context import Context
 from .cut_selection import cuts_in, engaged, span_of, tared
-from .schema import CutTable, RecordTable
+from .schema import RecordTable
 from .spindle_angle import spindle_angle
 from .tasks import ForceRecord, StraightCut
 
-# Records are longer than programs [byte].
-LARGEST_RECORD = 2_000_000_000
 # Names of the forces that are allowed beside those of `load_record`.
 _ALIASES = {"force_x": "Fx", "force_y": "Fy", "force_z": "Fz"}
 # Revolutions that a fit needs at least.
 _LEAST_TURNS = 3.0
 
 
-class Context(NamedTuple):
-    """Settings that all records of a file share.
-
-    Attributes:
-        folder: Folder of the file.
-        allow_outside: Whether files may lie outside of it.
-        cutter: Of `[cutter]`, or None.
-        speed: Of `[spindle]` [rad/s], or None.
-        cut: `[cut]`, or None.
-        jobs: Jobs that have been loaded, by path; None after a fault.
-    """
-
-    folder: pathlib.Path
-    allow_outside: bool
-    cutter: AbstractCutter | None
-    speed: float | None
-    cut: CutTable | None
-    jobs: dict[pathlib.Path, Job | None]
-
-
 def read_force_record(
-    table: RecordTable, place: str, context: Context, problems: list[str]
+    table: RecordTable, place: str, context: Context
 ) -> ForceRecord | None:
     """Return a record ready to be fitted, or None with problems noted.
 
@@ -52,26 +27,18 @@ def read_force_record(
         table: Its checked entry.
         place: What a line calls the entry, such as "[[record]] 1".
         context: What the records share.
-        problems: Receives what is wrong.
     """
-    process = _process(table, place, context, problems)
-    path = file_in_folder(
-        table.file,
-        f"{place} file",
-        context.folder,
-        problems,
-        allow_outside=context.allow_outside,
-        largest=LARGEST_RECORD,
-    )
+    process = _process(table, place, context)
+    path = context.file(table.file, f"{place} file")
     if path is None:
         return None
-    record = read_record(path, table, place, problems)
+    record = _record(path, table, place, context.problems)
     if record is None or process is None:
         return None
-    return ready(record, process, table, place, problems)
+    return _ready(record, process, table, place, context.problems)
 
 
-def read_record(
+def _record(
     path: pathlib.Path, table: RecordTable, place: str, problems: list[str]
 ) -> Record | None:
     """Return the record of a file, or None with problems noted."""
@@ -84,7 +51,7 @@ def read_record(
         return None
 
 
-def ready(
+def _ready(
     record: Record,
     process: Job | StraightCut,
     table: RecordTable,
@@ -166,9 +133,10 @@ def _periods(process: Job | StraightCut, record: Record) -> tuple[float, float]:
 
 
 def _process(
-    table: RecordTable, place: str, context: Context, problems: list[str]
+    table: RecordTable, place: str, context: Context
 ) -> Job | StraightCut | None:
     """Return what was cut."""
+    problems = context.problems
     sizes = [k for k in _SIZES if getattr(table, k) is not None]
     if table.job is not None:
         if sizes:
@@ -177,7 +145,7 @@ def _process(
                 "that: only one of both is allowed"
             )
             return None
-        return _job(table.job, place, context, problems)
+        return context.job(table.job, f"{place} job")
     if context.cutter is None or (context.cut is None and table.axial_depth is None):
         problems.append(
             f"{place}: found no job, but it is required, or the tables [cutter], "
@@ -239,23 +207,3 @@ def check_straight(cut: StraightCut, place: str, problems: list[str]) -> bool:
                 f"{diameter * 1e3:g} mm, is allowed"
             )
     return len(problems) == count
-
-
-def _job(name: str, place: str, context: Context, problems: list[str]) -> Job | None:
-    """Return the job that says what was cut; its faults are noted once."""
-    path = file_in_folder(
-        name,
-        f"{place} job",
-        context.folder,
-        problems,
-        allow_outside=context.allow_outside,
-    )
-    if path is None:
-        return None
-    if path not in context.jobs:
-        context.jobs[path] = None
-        try:
-            context.jobs[path] = load_job(path, allow_outside=context.allow_outside)
-        except JobError as error:
-            problems.extend(f"{place} job: {name}: {line}" for line in error.problems)
-    return context.jobs[path]

@@ -1,37 +1,40 @@
 """Load tests as a table: joint positions, loads and displacements, one pose per row."""
 
-import pathlib
 import re
-from typing import TypeAlias
+from collections.abc import Callable
+from typing import NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Bool, Int
 
 from ... import units as q
-from ...io import RecordError, Table, check_keys, column_of, read_table
+from ...io import Quantity, TableReader, vector_columns
 from ...robot import Robot, forward_kinematics
-from .._build.program import file_in_folder
+from .context import Context
 from .schema import LoadTestsTable
 from .tasks import LoadTestTask, Turns
 
-_PARTS = r"[\s_.\-]*"
 # No joint turns so far [rad], and no load bends a robot so far [m]; hardly one a fifth
 # of that, where the user has not confirmed the unit.
 _LARGEST_ANGLE, _LARGEST_MOVE, _USUAL_MOVE = 4 * np.pi, 0.1, 0.02
-# A column: its key, the dimensions that it may have, and what it may be called.
-_Wanted: TypeAlias = tuple[str, tuple[q.QuantityKind, ...], str]
+
+
+class _Tests(NamedTuple):
+    """Rows of a table as written, in SI units; shape (row, component) each."""
+
+    joint: np.ndarray
+    load: np.ndarray
+    moved: np.ndarray
+    notes: list[str]
 
 
 def read_load_tests(
     name: str,
     table: LoadTestsTable,
     robot: Robot,
-    folder: pathlib.Path,
-    problems: list[str],
     notes: list[str],
-    *,
-    allow_outside: bool,
+    context: Context,
 ) -> LoadTestTask | None:
     """Return load tests in base axes, or None with problems noted.
 
@@ -39,36 +42,21 @@ def read_load_tests(
         name: The file that asks for it.
         table: `[load_tests]`.
         robot: The robot with its tool.
-        folder: Folder of the file.
-        problems: Receives what is wrong.
-        notes: What was assumed so far; is added to.
-        allow_outside: Whether the table may lie outside that folder.
+        notes: What is doubtful in the robot's file.
+        context: Folder and problems.
     """
-    place = "[load_tests] file"
-    path = file_in_folder(
-        table.file, place, folder, problems, allow_outside=allow_outside
-    )
-    if path is None:
+    found = context.read(table, "[load_tests]", _columns(table, robot))
+    if found is None:
         return None
-    faults: list[str] = []
-    try:
-        found = read_table(path)
-        columns = _columns(found, table, robot, faults, notes)
-        notes.extend(found.notes)
-    except (RecordError, OSError) as error:
-        columns = None
-        faults.extend(error.faults if isinstance(error, RecordError) else [str(error)])
-    if columns is None or faults:
-        problems.extend(f"{place}: {path.name}: {line}" for line in faults)
-        return None
-    angles, load, moved = columns
-    good = _good_rows(columns, table, problems, notes)
+    good = _good_rows(found, table, context.problems)
     if good is None:
         return None
     if not good.any():
-        problems.append(f"{place}: {path.name}: found no complete row.")
+        context.problems.append(
+            f"[load_tests] file: {table.file}: found no complete row."
+        )
         return None
-    angles, load, moved = angles[good], load[good], moved[good]
+    angles, load, moved = found.joint[good], found.load[good], found.moved[good]
     tool = _tool_axes(robot, angles)
     load_frame, frame = (
         tool if name == "tool" else None
@@ -86,22 +74,20 @@ def read_load_tests(
         rows=tuple((np.flatnonzero(good) + 1).tolist()),
         has_offset=table.has_offset,
         noise=table.noise,
-        notes=tuple(notes),
+        notes=(*notes, *found.notes),
     )
 
 
 def _good_rows(
-    columns: tuple[np.ndarray, np.ndarray, np.ndarray],
-    table: LoadTestsTable,
-    problems: list[str],
-    notes: list[str],
+    found: _Tests, table: LoadTestsTable, problems: list[str]
 ) -> Bool[np.ndarray, " row"] | None:
     """Return which rows are complete and wanted; None with problems noted."""
-    angles, load, moved = columns
-    whole = np.hstack([angles, load])
-    good = np.asarray(np.isfinite(whole).all(axis=1) & np.isfinite(moved).any(axis=1))
+    whole = np.hstack([found.joint, found.load])
+    good = np.asarray(
+        np.isfinite(whole).all(axis=1) & np.isfinite(found.moved).any(axis=1)
+    )
     if not good.all():
-        notes.append(_lost_rows(np.flatnonzero(~good) + 1))
+        found.notes.append(_lost_rows(np.flatnonzero(~good) + 1))
     for row in table.skip_rows:
         if row > len(good):
             problems.append(
@@ -118,91 +104,69 @@ def _lost_rows(lost: Int[np.ndarray, " row"]) -> str:
     return f"Rows {shown}{more} have empty cells and were left out."
 
 
-def _columns(
-    found: Table,
-    table: LoadTestsTable,
-    robot: Robot,
-    faults: list[str],
-    notes: list[str],
-) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Return joint positions, loads and displacements as written, in SI units."""
-    groups = _groups(robot)
-    known = {key for group in groups.values() for key, _, _ in group}
-    check_keys("channel", table.channels or {}, sorted(known), faults)
-    check_keys("unit of", table.units, groups, faults)
-    values, missing = {}, []
-    for name, group in groups.items():
-        given = _given(name, group, found, table, faults, notes)
-        lost = [key for key, _, _ in group if key not in given]
-        is_optional = name in ("moment", "rotation")
-        if lost and (given or not is_optional):
-            missing.extend(lost)
-        elif given:
-            values[name] = np.column_stack([given[key] for key, _, _ in group])
-    if missing and not faults:
-        names = ", ".join(f"`{column.name}`" for column in found.columns)
-        faults.append(
-            f"found no column for {', '.join(missing)} among {names}; name it with "
-            "`channels`."
-        )
-    if faults:
-        return None
-    _check_sizes(robot, values, table, faults)
-    load = [values[n] for n in ("force", "moment") if n in values]
-    moved = [values[n] for n in ("displacement", "rotation") if n in values]
-    return values["joint"], np.hstack(load), np.hstack(moved)
+def _columns(table: LoadTestsTable, robot: Robot) -> Callable[[TableReader], _Tests]:
+    """Return what reads joint positions, loads and displacements."""
+
+    def build(reader: TableReader) -> _Tests:
+        groups = _groups(robot)
+        reader.allow(quantity for group in groups.values() for quantity in group)
+        values, missing = {}, []
+        for name, group in groups.items():
+            given = _given(name, group, reader)
+            lost = [quantity.key for quantity in group if quantity.key not in given]
+            if lost and (given or name not in ("moment", "rotation")):
+                missing.extend(lost)
+            elif given:
+                values[name] = np.column_stack([given[one.key] for one in group])
+        if missing and not reader.faults:
+            reader.faults.append(
+                f"found no column for {', '.join(missing)} among {reader.listed()}; "
+                "name it with `channels`."
+            )
+        reader.check()
+        _check_sizes(robot, values, table, reader.faults)
+        reader.check()
+        load = [values[n] for n in ("force", "moment") if n in values]
+        moved = [values[n] for n in ("displacement", "rotation") if n in values]
+        return _Tests(values["joint"], np.hstack(load), np.hstack(moved), reader.notes)
+
+    return build
 
 
-def _groups(robot: Robot) -> dict[str, list[_Wanted]]:
+def _groups(robot: Robot) -> dict[str, tuple[Quantity, ...]]:
     """Return the columns of a table by what they measure."""
     joints = zip(robot.joint_names, robot.joint_kinds, strict=True)
+    groups = {
+        "force": ("F", "f|force|kraft", q.FORCE),
+        "moment": ("M", "m|t|moment|torque", q.MOMENT),
+        "displacement": ("d", r"d|u|delta|defl|deflection|disp\w*", q.LENGTH),
+        "rotation": ("r", "r|dr|rot|rotation|phi", q.ANGLE),
+    }
     return {
-        "joint": [
-            (
+        "joint": tuple(
+            Quantity(
                 name,
+                rf"{re.escape(name)}|(q|j|a|theta|axis|joint|achse)[\s_.\-]*{i}",
                 (q.LENGTH,) if kind == "prismatic" else (q.ANGLE,),
-                rf"{re.escape(name)}|(q|j|a|theta|axis|joint|achse){_PARTS}{i}",
+                ("joint",),
             )
             for i, (name, kind) in enumerate(joints, 1)
-        ],
-        "force": [(f"F{a}", (q.FORCE,), _letter("f|force|kraft", a)) for a in "xyz"],
-        "moment": [
-            (f"M{a}", (q.MOMENT,), _letter("m|t|moment|torque", a)) for a in "xyz"
-        ],
-        "displacement": [
-            (f"d{a}", (q.LENGTH,), _letter("d|u|delta|defl|deflection|disp\\w*", a))
-            for a in "xyz"
-        ],
-        "rotation": [
-            (f"r{a}", (q.ANGLE,), _letter("r|dr|rot|rotation|phi", a)) for a in "xyz"
-        ],
+        ),
+        **{name: vector_columns(*what, name) for name, what in groups.items()},
     }
 
 
 def _given(
-    name: str,
-    group: list[_Wanted],
-    found: Table,
-    table: LoadTestsTable,
-    faults: list[str],
-    notes: list[str],
+    name: str, group: tuple[Quantity, ...], reader: TableReader
 ) -> dict[str, np.ndarray]:
     """Return the columns of a group that there are, those that are "none" filled."""
-    wanted, unit = dict(table.channels or {}), table.units.get(name)
-    parts = {
-        key: column_of(found, key, kinds, pattern, wanted, faults, notes, unit)
-        for key, kinds, pattern in group
-    }
+    parts = {quantity.key: reader.values(quantity) for quantity in group}
     given = {key: part for key, part in parts.items() if part is not None}
     # "none": no load along this axis, no measurement along that one.
-    for key in [k for k in parts if given and k in wanted and wanted[k] is None]:
+    for key in [k for k in parts if given and reader.is_excluded(k)]:
         fill = 0.0 if name in ("force", "moment") else np.nan
         given[key] = np.full(len(next(iter(given.values()))), fill)
     return given
-
-
-def _letter(words: str, axis: str) -> str:
-    return rf"({words}){_PARTS}{axis}|{axis}{_PARTS}({words})"
 
 
 def _check_sizes(

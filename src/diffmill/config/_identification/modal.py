@@ -1,53 +1,43 @@
 """Ring-downs and frequency responses from files."""
 
-import pathlib
+from collections.abc import Callable
 
 import numpy as np
 
 from ... import units as q
-from ...io import (
-    TIME_NAMES,
-    RecordError,
-    Table,
-    check_keys,
-    column_of,
-    read_table,
-    timeline,
-)
+from ...io import TIME_COLUMN, Quantity, TableReader, timeline
 from ...robot import Robot
-from .._build.program import file_in_folder
-from .force_records import LARGEST_RECORD
+from .context import Context
 from .robot import joint_positions
 from .schema import FrequencyResponseTable, RingDownTable
 from .tasks import FrequencyResponse, RingDown
 
-_SIGNAL = (
+_SIGNAL = Quantity(
+    "signal",
     r"signal|displacement|acceleration|velocity|amplitude|weg|beschleunigung|"
-    r"[xyzadv]|acc\w*|disp\w*"
+    r"[xyzadv]|acc\w*|disp\w*",
 )
-_FREQUENCY = r"f|freq\w*|frequenz"
-_REAL = r"re|real\w*( part)?|h_?re(al)?|realteil"
-_IMAGINARY = r"im|imag\w*( part)?|h_?im(ag)?|imagin\w*"
-_MAGNITUDE = r"mag\w*|abs\w*|amplitude|betrag|h|modulus|\|h\|"
-_PHASE = r"phase|arg\w*|angle|winkel"
+_FREQUENCY = Quantity(
+    "frequency", r"f|freq\w*|frequenz", (q.FREQUENCY,), ("frequency",)
+)
+_PHASE = Quantity("phase", r"phase|arg\w*|angle|winkel", (q.ANGLE,), ("phase",))
+_PARTS = {
+    "real": r"re|real\w*( part)?|h_?re(al)?|realteil",
+    "imaginary": r"im|imag\w*( part)?|h_?im(ag)?|imagin\w*",
+    "magnitude": r"mag\w*|abs\w*|amplitude|betrag|h|modulus|\|h\|",
+}
 # Units of a response per unit of force, by what is measured.
 _RESPONSES = {
     "receptance": q.RECEPTANCE,
     "mobility": q.MOBILITY,
     "accelerance": q.ACCELERANCE,
 }
-# Lines of a fit at least, beyond two per mode.
+# Samples of a fit at least, beyond four per mode.
 _LEAST_SAMPLES = 20
 
 
 def read_ring_down(
-    table: RingDownTable,
-    place: str,
-    robot: Robot | None,
-    folder: pathlib.Path,
-    problems: list[str],
-    *,
-    allow_outside: bool,
+    table: RingDownTable, place: str, robot: Robot | None, context: Context
 ) -> RingDown | None:
     """Return a free vibration, or None with problems noted.
 
@@ -55,69 +45,66 @@ def read_ring_down(
         table: Its checked entry.
         place: What a line calls the entry.
         robot: The robot, or None.
-        folder: Folder of the file.
-        problems: Receives what is wrong.
-        allow_outside: Whether the file may lie outside that folder.
+        context: Folder and problems.
     """
-    pose = joint_positions(table.joint_positions, robot, place, problems)
-    found = _table(table.file, place, folder, problems, allow_outside)
-    if found is None:
-        return None
-    faults: list[str] = []
-    notes = list(found.notes)
-    wanted = dict(table.channels or {})
-    check_keys("channel", wanted, ("time", "signal"), faults)
-    # Modes do not depend on the size of the signal.
-    check_keys("unit of", table.units, ("time",), faults)
-    unit = table.units.get("time")
-    time = column_of(found, "time", (q.TIME,), TIME_NAMES, wanted, faults, notes, unit)
-    if "signal" not in wanted and len(found.columns) == 1 + (time is not None):
-        # The only other column needs no name.
-        wanted["signal"] = len(found.columns)
-    signal = column_of(found, "signal", (), _SIGNAL, wanted, faults, notes)
-    if signal is None and not faults:
-        names = ", ".join(f"`{column.name}`" for column in found.columns)
-        faults.append(f"found no column for signal among {names}; name it.")
-    line = None
-    if not faults and signal is not None:
-        rate = table.rate or found.rate
-        line = timeline(time, np.isfinite(signal), rate, faults, notes)
-    if line is not None and signal is not None and not faults:
+    pose = joint_positions(table.joint_positions, robot, place, context.problems)
+    return context.read(table, place, _ring_down(table, pose))
+
+
+def _ring_down(
+    table: RingDownTable, pose: np.ndarray | None
+) -> Callable[[TableReader], RingDown]:
+    def build(reader: TableReader) -> RingDown:
+        # Modes do not depend on the size of the signal.
+        reader.allow((TIME_COLUMN, _SIGNAL))
+        time = reader.values(TIME_COLUMN)
+        names = reader.table.columns
+        if "signal" not in reader.channels and len(names) == 1 + (time is not None):
+            # The only other column needs no name.
+            reader.channels["signal"] = len(names)
+        signal = reader.values(_SIGNAL)
+        if signal is None and not reader.faults:
+            reader.faults.append(
+                f"found no column for signal among {reader.listed()}; name it."
+            )
+        reader.check()
+        assert signal is not None
+        rate = table.rate or reader.table.rate
+        line = timeline(time, np.isfinite(signal), rate, reader.faults, reader.notes)
+        reader.check()
+        assert line is not None
         t, y = np.asarray(line.time, np.float64), signal[line.rows]
         first = t[int(np.argmax(np.abs(y - np.median(y))))]
         start = first if table.start is None else table.start
         stop = t[-1] if table.stop is None else table.stop
         if table.start is None:
-            notes.append(f"The ring-down begins at its largest value, {start:.4g} s.")
+            reader.notes.append(
+                f"The ring-down begins at its largest value, {start:.4g} s."
+            )
         keep = (t >= start) & (t <= stop)
-        if keep.sum() >= _LEAST_SAMPLES:
-            t, y = t[keep], y[keep] - y[keep].mean()
-            count = len(table.frequencies or ()) or table.modes or 1
-            guess = np.sort(np.array(table.frequencies or [], np.float64))
-            if t.size > 4 * count:
-                rest = (guess if guess.size else None, pose, tuple(notes))
-                return RingDown(table.file, t, y, count, *rest)
-            faults.append(
-                f"found {t.size} samples, but more than {4 * count} are required for "
-                f"{count} modes."
-            )
-        else:
-            faults.append(
+        count = _mode_count(table)
+        least = max(_LEAST_SAMPLES, 4 * count + 1)
+        if keep.sum() < least:
+            reader.faults.append(
                 f"found {int(keep.sum())} samples from {start:g} to {stop:g} s, but at "
-                f"least {_LEAST_SAMPLES} are required."
+                f"least {least} are required for {count} modes."
             )
-    problems.extend(f"{place} file: {table.file}: {fault}" for fault in faults)
-    return None
+        reader.check()
+        return RingDown(
+            name=reader.name,
+            time=t[keep],
+            signal=y[keep] - y[keep].mean(),
+            mode_count=count,
+            frequencies=_guesses(table),
+            q=pose,
+            notes=tuple(reader.notes),
+        )
+
+    return build
 
 
 def read_frequency_response(
-    table: FrequencyResponseTable,
-    place: str,
-    robot: Robot | None,
-    folder: pathlib.Path,
-    problems: list[str],
-    *,
-    allow_outside: bool,
+    table: FrequencyResponseTable, place: str, robot: Robot | None, context: Context
 ) -> FrequencyResponse | None:
     """Return a frequency response, or None with problems noted.
 
@@ -125,97 +112,84 @@ def read_frequency_response(
         table: Its checked entry.
         place: What a line calls the entry.
         robot: The robot, or None.
-        folder: Folder of the file.
-        problems: Receives what is wrong.
-        allow_outside: Whether the file may lie outside that folder.
+        context: Folder and problems.
     """
-    pose = joint_positions(table.joint_positions, robot, place, problems)
-    found = _table(table.file, place, folder, problems, allow_outside)
-    if found is None:
-        return None
-    faults: list[str] = []
-    notes = list(found.notes)
-    both = _response(found, table, faults, notes)
-    if both is not None and not faults:
-        f, H = both
+    pose = joint_positions(table.joint_positions, robot, place, context.problems)
+    return context.read(table, place, _frequency_response(table, pose))
+
+
+def _frequency_response(
+    table: FrequencyResponseTable, pose: np.ndarray | None
+) -> Callable[[TableReader], FrequencyResponse]:
+    def build(reader: TableReader) -> FrequencyResponse:
+        f, H = _response(reader, _RESPONSES[table.quantity])
         good = np.isfinite(f) & np.isfinite(H) & (f > 0)
         order = np.argsort(f[good], kind="stable")
         f, H = f[good][order], H[good][order]
         band = (f >= (table.lowest or 0.0)) & (f <= (table.highest or np.inf))
-        count = len(table.frequencies or ()) or table.modes or 1
+        count = _mode_count(table)
         if band.sum() < 2 * count + 2:
-            faults.append(
+            reader.faults.append(
                 f"found {int(band.sum())} lines in the band, but at least "
                 f"{2 * count + 2} are required for {count} modes."
             )
-        guess = np.sort(np.array(table.frequencies or [], np.float64))
-        if not faults:
-            rest = (count, guess if guess.size else None, pose, tuple(notes))
-            return FrequencyResponse(table.file, f, H, table.quantity, band, *rest)
-    problems.extend(f"{place} file: {table.file}: {fault}" for fault in faults)
-    return None
+        reader.check()
+        return FrequencyResponse(
+            name=reader.name,
+            frequency=f,
+            response=H,
+            quantity=table.quantity,
+            is_fitted=band,
+            mode_count=count,
+            frequencies=_guesses(table),
+            q=pose,
+            notes=tuple(reader.notes),
+        )
+
+    return build
 
 
-def _table(
-    name: str,
-    place: str,
-    folder: pathlib.Path,
-    problems: list[str],
-    allow_outside: bool,
-) -> Table | None:
-    """Return the columns of a file, or None with a problem noted."""
-    path = file_in_folder(
-        name,
-        f"{place} file",
-        folder,
-        problems,
-        allow_outside=allow_outside,
-        largest=LARGEST_RECORD,
-    )
-    if path is None:
-        return None
-    try:
-        return read_table(path)
-    except (RecordError, OSError) as error:
-        lines = error.faults if isinstance(error, RecordError) else (str(error),)
-        problems.extend(f"{place} file: {name}: {line}" for line in lines)
-        return None
+def _mode_count(table: RingDownTable | FrequencyResponseTable) -> int:
+    return len(table.frequencies or ()) or table.modes or 1
+
+
+def _guesses(table: RingDownTable | FrequencyResponseTable) -> np.ndarray | None:
+    """Return the frequencies that the user gives [Hz], ascending, or None."""
+    return np.sort(np.array(table.frequencies)) if table.frequencies else None
 
 
 def _response(
-    found: Table,
-    table: FrequencyResponseTable,
-    faults: list[str],
-    notes: list[str],
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return frequencies [Hz] and the complex response in SI units."""
-    wanted = dict(table.channels or {})
-    keys = ("frequency", "real", "imaginary", "magnitude", "phase")
-    check_keys("channel", wanted, keys, faults)
-    check_keys("unit of", table.units, ("frequency", "response", "phase"), faults)
-    kind = _RESPONSES[table.quantity]
+    reader: TableReader, kind: q.QuantityKind
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return frequencies [Hz] and the complex response in SI units.
 
-    def get(key: str, kinds: tuple[q.QuantityKind, ...], pattern: str):
-        unit = table.units.get("response" if kinds == (kind,) else key)
-        return column_of(found, key, kinds, pattern, wanted, faults, notes, unit)
-
-    f = get("frequency", (q.FREQUENCY,), _FREQUENCY)
-    real, imaginary = get("real", (kind,), _REAL), get("imaginary", (kind,), _IMAGINARY)
-    if f is not None and real is not None and imaginary is not None:
-        return f, real + 1j * imaginary
-    size = get("magnitude", (kind,), _MAGNITUDE)
-    phase = get("phase", (q.ANGLE,), _PHASE)
-    if f is not None and size is not None and phase is not None:
-        if np.nanmax(np.abs(phase)) > 8 * np.pi and "phase" in " ".join(notes):
-            faults.append(
-                "the phase has no unit and is larger than 8 pi: write its unit in the "
-                "header, such as `phase_deg`."
-            )
-        return f, size * np.exp(1j * phase)
-    if not faults:
-        names = ", ".join(f"`{column.name}`" for column in found.columns)
-        faults.append(
+    Raises:
+        RecordError: There are no columns for it.
+    """
+    parts = {
+        key: Quantity(key, pattern, (kind,), ("response",))
+        for key, pattern in _PARTS.items()
+    }
+    reader.allow((_FREQUENCY, *parts.values(), _PHASE))
+    f = reader.values(_FREQUENCY)
+    real, imaginary = reader.values(parts["real"]), reader.values(parts["imaginary"])
+    H = None
+    if real is not None and imaginary is not None:
+        H = real + 1j * imaginary
+    elif f is not None:
+        size, phase = reader.values(parts["magnitude"]), reader.values(_PHASE)
+        if size is not None and phase is not None:
+            if np.nanmax(np.abs(phase)) > 8 * np.pi and "phase" in str(reader.notes):
+                reader.faults.append(
+                    "the phase has no unit and is larger than 8 pi: write its unit in "
+                    "the header, such as `phase_deg`."
+                )
+            H = size * np.exp(1j * phase)
+    if (f is None or H is None) and not reader.faults:
+        reader.faults.append(
             "found no columns for frequency, and real and imaginary part (or "
-            f"magnitude and phase), among {names}; name them with `channels`."
+            f"magnitude and phase), among {reader.listed()}; name them with `channels`."
         )
-    return None
+    reader.check()
+    assert f is not None and H is not None
+    return f, H

@@ -1,7 +1,5 @@
 """The robot of a measurement, and its poses."""
 
-import pathlib
-
 import numpy as np
 from jaxtyping import Float
 
@@ -11,6 +9,7 @@ from ...robot import Robot, with_drives, with_tool
 from .._build.robot import pose_matrix
 from .._build.robot_file import load_robot
 from .._schema.job import RobotTable as JobRobotTable
+from .context import Context
 from .schema import RobotTable
 
 _STIFFNESS = (q.ROTARY_STIFFNESS, q.LINEAR_STIFFNESS)
@@ -18,24 +17,17 @@ _DAMPING = (q.ROTARY_DAMPING, q.LINEAR_DAMPING)
 
 
 def read_tool_robot(
-    table: RobotTable,
-    folder: pathlib.Path,
-    problems: list[str],
-    notes: list[str],
-    *,
-    allow_outside: bool,
-    needs_mass: bool,
+    table: RobotTable, context: Context, notes: list[str], *, needs_mass: bool
 ) -> Robot | None:
     """Return the robot of a measurement, or None with problems noted.
 
     Args:
         table: `[robot]`.
-        folder: Folder of the file.
-        problems: Receives what is wrong.
+        context: Folder and problems.
         notes: Receives what is doubtful in a robot file.
-        allow_outside: Whether files may lie outside that folder.
         needs_mass: Whether every joint must move a mass.
     """
+    problems = context.problems
     if (table.model is None) == (table.file is None):
         problems.append(
             "[robot]: exactly one of model and file (.toml or .urdf) is required"
@@ -45,10 +37,10 @@ def read_tool_robot(
         JobRobotTable(
             model=table.model, file=table.file, tool=table.tool, drives=table.drives
         ),
-        folder,
+        context.folder,
         problems,
         notes,
-        allow_outside=allow_outside,
+        allow_outside=context.allow_outside,
         needs_mass=needs_mass,
     )
     if robot is None:

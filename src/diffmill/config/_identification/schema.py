@@ -25,6 +25,14 @@ from .._schema.table import Table, validated
 from .fields import Axes, AxesOrProposed, Channels, CutNumber, File, Side, Span
 
 
+class MeasuredTable(Table):
+    """Keys of a table that names a file of measurements."""
+
+    file: File | None = None
+    channels: Channels | None = None
+    units: dict[StrictStr, StrictStr] = Field(default_factory=dict)
+
+
 class CutTable(Table):
     """`[cut]`: the straight cuts that were made."""
 
@@ -33,12 +41,10 @@ class CutTable(Table):
     side: Side = "slot"
 
 
-class RecordTable(Table):
+class RecordTable(MeasuredTable):
     """An entry of `[[record]]`."""
 
     file: File = Field(description='a file of measured forces, such as "cut1.csv"')
-    channels: Channels | None = None
-    units: dict[StrictStr, StrictStr] = Field(default_factory=dict)
     rate: Frequency | None = None
     job: File | None = None
     feed_per_tooth: PositiveLength | None = None
@@ -67,12 +73,9 @@ class FitTable(Table):
     refine_speed: StrictBool = True
 
 
-class MeansTable(Table):
+class MeansTable(MeasuredTable):
     """`[means]`: mean forces over the feed, in the file or in another one."""
 
-    file: File | None = None
-    channels: Channels | None = None
-    units: dict[StrictStr, StrictStr] = Field(default_factory=dict)
     feed_per_tooth: list[PositiveLength] | None = None
     Fx: list[Force] | None = None
     Fy: list[Force] | None = None
@@ -91,27 +94,23 @@ class RobotTable(Table):
     tool_in_flange: PoseTable | None = None
 
 
-class LoadTestsTable(Table):
+class LoadTestsTable(MeasuredTable):
     """`[load_tests]`."""
 
     file: File = Field(description='a table with one pose per row, such as "loads.csv"')
-    channels: Channels | None = None
     load_axes: Axes | None = None
     displacement_axes: Axes | None = None
     load_frame: Literal["base", "tool"] = "base"
     displacement_frame: Literal["base", "tool"] = "base"
-    units: dict[StrictStr, StrictStr] = Field(default_factory=dict)
     has_offset: StrictBool = False
     noise: Literal["absolute", "relative"] | None = None
     skip_rows: list[Annotated[StrictInt, Field(ge=1)]] = Field(default_factory=list)
 
 
-class RingDownTable(Table):
+class RingDownTable(MeasuredTable):
     """An entry of `[[ring_down]]`."""
 
     file: File = Field(description='a file of a free vibration, such as "hit1.csv"')
-    channels: Channels | None = None
-    units: dict[StrictStr, StrictStr] = Field(default_factory=dict)
     rate: Frequency | None = None
     start: Time | None = None
     stop: Time | None = None
@@ -120,12 +119,10 @@ class RingDownTable(Table):
     joint_positions: list[StrictStr] | None = None
 
 
-class FrequencyResponseTable(Table):
+class FrequencyResponseTable(MeasuredTable):
     """An entry of `[[frequency_response]]`."""
 
     file: File = Field(description='a file of a frequency response, such as "frf.csv"')
-    channels: Channels | None = None
-    units: dict[StrictStr, StrictStr] = Field(default_factory=dict)
     quantity: Literal["receptance", "mobility", "accelerance"] = "receptance"
     lowest: Frequency | None = None
     highest: Frequency | None = None
@@ -134,13 +131,11 @@ class FrequencyResponseTable(Table):
     joint_positions: list[StrictStr] | None = None
 
 
-class CoupledTable(Table):
+class CoupledTable(MeasuredTable):
     """`[coupled]`."""
 
     job: File = Field(description='the job that was run, such as "part.toml"')
     file: File = Field(description='forces or deviations over time, such as "run.csv"')
-    channels: Channels | None = None
-    units: dict[StrictStr, StrictStr] = Field(default_factory=dict)
     fit: list[StrictStr] | None = None
     has_offset: StrictBool = False
     has_time_shift: StrictBool = False

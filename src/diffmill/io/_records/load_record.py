@@ -9,11 +9,12 @@ from jaxtyping import Float
 
 from ...identification import Record, find_saturated
 from .binary import read_mat, read_netcdf, read_tdms
-from .channels import Channels, channels_of
 from .errors import RecordError
-from .table import Table
+from .reader import TableReader
+from .record_columns import FORCES, OTHERS
+from .table import Column, Table
 from .text import read_text
-from .timeline import Timeline, timeline
+from .timeline import timeline
 
 _SAME_RATE = 0.01
 
@@ -51,30 +52,57 @@ def load_record(
     **Differentiability**: none, it runs on the host.
     """
     file = pathlib.Path(path)
-    faults: list[str] = []
     if rate is not None and not (np.isfinite(rate) and rate > 0):
         raise RecordError(
             str(file), [f"the rate must be positive and finite, but is {rate}."]
         )
     try:
-        table = read_table(file)
+        reader = TableReader(str(file), read_table(file), channels, units)
     except OSError as error:
         reason = error.strerror or str(error)
         raise RecordError(str(file), [f"cannot be read: {reason}."]) from None
-    notes = list(table.notes)
-    found = channels_of(table, channels or {}, faults, notes, units)
-    line = None
-    if found is not None:
-        is_valid = np.asarray(np.isfinite(found.force).all(axis=1))
-        line = timeline(found.time, is_valid, rate or found.rate, faults, notes)
+    columns, values = _columns(reader)
+    rates = [columns[q.key].rate for q in FORCES if q.key in columns]
+    nothing = np.zeros(max(len(one) for one in values.values()))
+    force = np.stack([values.get(q.key, nothing) for q in FORCES], axis=1)
+    is_valid = np.asarray(np.isfinite(force).all(axis=1))
+    line = timeline(
+        values.get("time"),
+        is_valid,
+        rate or rates[0] or reader.table.rate,
+        reader.faults,
+        reader.notes,
+    )
     if line is not None and rate is not None and abs(line.rate / rate - 1) > _SAME_RATE:
-        faults.append(
+        reader.faults.append(
             f"the rate is given as {rate:g} Hz, but the time column has {line.rate:g} "
             "Hz; leave out the rate, or set the channel time to None."
         )
-    if found is None or line is None or faults:
-        raise RecordError(str(file), faults)
-    return _record(found, line, notes, str(file))
+    reader.check()
+    assert line is not None
+    seen = [q.key in columns for q in FORCES]
+    names = [columns[q.key].name if q.key in columns else q.key for q in FORCES]
+    force = np.ascontiguousarray(force[line.rows], dtype=np.float64)
+    is_saturated = np.asarray(find_saturated(force).any(axis=1))
+    if is_saturated.any():
+        reader.notes.append(
+            f"{np.count_nonzero(is_saturated)} samples are at the end of a channel's "
+            "range and were marked."
+        )
+    other = {q.key: values[q.key][line.rows] for q in OTHERS if q.key in values}
+    return Record(
+        time=np.asarray(line.time, dtype=np.float64),
+        force=force,
+        rate=float(line.rate),
+        is_saturated=is_saturated,
+        is_after_gap=line.is_after_gap,
+        tacho=other.get("tacho"),
+        angle=other.get("angle"),
+        names=(names[0], names[1], names[2]),
+        is_measured=(seen[0], seen[1], seen[2]),
+        notes=tuple(reader.notes),
+        source=reader.name,
+    )
 
 
 def read_table(file: pathlib.Path) -> Table:
@@ -96,30 +124,54 @@ def read_table(file: pathlib.Path) -> Table:
     return read_text(file)
 
 
-def _record(found: Channels, line: Timeline, notes: list[str], source: str) -> Record:
-    force = np.ascontiguousarray(found.force[line.rows], dtype=np.float64)
-    is_saturated = np.asarray(find_saturated(force).any(axis=1))
-    if is_saturated.any():
-        notes.append(
-            f"{np.count_nonzero(is_saturated)} samples are at the end of a channel's "
-            "range and were marked."
+def _columns(
+    reader: TableReader,
+) -> tuple[dict[str, Column], dict[str, Float[np.ndarray, " row"]]]:
+    """Return the columns of a record as written, and their values in SI units.
+
+    Raises:
+        RecordError: A force is missing, or columns do not go together.
+    """
+    quantities = (*OTHERS[:1], *FORCES, *OTHERS[1:])
+    reader.allow(quantities)
+    found = {q.key: reader.find(q) for q in quantities}
+    columns = {key: column for key, column in found.items() if column is not None}
+    forces = [q.key for q in FORCES if q.key in columns]
+    missing = [
+        q.key for q in FORCES if q.key not in columns and not reader.is_excluded(q.key)
+    ]
+    if missing and not reader.faults:
+        reader.faults.append(
+            f"found no column for {', '.join(missing)} among {reader.listed()}; "
+            "name it with `channels`, where a force that was not measured is left out "
+            f'by {{ {missing[0]} = "none" }}.'
         )
-
-    def kept(
-        values: Float[np.ndarray, " row"] | None,
-    ) -> Float[np.ndarray, " kept"] | None:
-        return None if values is None else np.asarray(values, float)[line.rows]
-
-    return Record(
-        time=np.asarray(line.time, dtype=np.float64),
-        force=force,
-        rate=float(line.rate),
-        is_saturated=is_saturated,
-        is_after_gap=line.is_after_gap,
-        tacho=kept(found.tacho),
-        angle=kept(found.angle),
-        names=found.names,
-        is_measured=found.is_measured,
-        notes=tuple(notes),
-        source=source,
-    )
+    if not forces and not reader.faults:
+        reader.faults.append(
+            "found no force that was measured; one of the three is needed."
+        )
+    values = {}
+    for quantity in quantities:
+        key = quantity.key
+        array = reader.in_si(quantity, columns[key]) if key in columns else None
+        if array is None:
+            continue
+        values[key] = array
+        finite = array[np.isfinite(array)]
+        if key in forces and finite.min() == finite.max():
+            reader.notes.append(
+                f"The column `{columns[key].name}` ({key}) holds {finite[0]:g} in all "
+                "rows: a dead channel, unless there is no such force; `channels = "
+                f'{{ {key} = "none" }}` leaves it out.'
+            )
+    sizes = {key: array.size for key, array in values.items()}
+    if not reader.faults and len(set(sizes.values())) > 1:
+        shown = ", ".join(f"{key} {size}" for key, size in sizes.items())
+        reader.faults.append(
+            f"the channels differ in their number of samples: {shown}."
+        )
+    # A rate of the forces' own comes before one of the whole file.
+    if len({columns[key].rate for key in forces}) > 1:
+        reader.faults.append("the forces differ in their sampling rates.")
+    reader.check()
+    return columns, values

@@ -17,7 +17,7 @@ from ...units import (
     RECEPTANCE,
     TIME,
 )
-from .channels import looks_named
+from .record_columns import looks_named
 from .table import is_unit, split_unit
 
 # Consecutive rows after which a table needs no further evidence: a header may hold

@@ -1,8 +1,9 @@
 """The mean force of a record over whole revolutions, those with gross errors apart."""
 
 import numpy as np
+from jaxtyping import Float
 
-from .tasks import ForceRecord, StraightCut
+from .record import Record
 
 # A revolution is wrong if its mean is this many standard deviations off the others,
 # and by this share of the force and this many of its samples: without noise all are
@@ -10,7 +11,9 @@ from .tasks import ForceRecord, StraightCut
 _GROSS, _LEAST, _SAMPLES = 6.0, 0.02, 3.0
 
 
-def mean_over_turns(record: ForceRecord) -> tuple[np.ndarray, tuple[str, ...]]:
+def mean_over_turns(
+    record: Record, start: float, stop: float, spindle_speed: float | None
+) -> tuple[Float[np.ndarray, " 3"], tuple[str, ...]]:
     """Return the mean force of a straight cut, and what was left out of it.
 
     Single samples cannot be judged, since a cut is all peaks; the means of its
@@ -18,19 +21,20 @@ def mean_over_turns(record: ForceRecord) -> tuple[np.ndarray, tuple[str, ...]]:
 
     Args:
         record: The record, offset and drift removed.
+        start: Where the cut begins [s].
+        stop: Where it ends [s].
+        spindle_speed: [rad/s]; None takes the mean of all samples.
 
     Returns:
         The mean [N], shape (3,), and a sentence if revolutions were left out.
     """
-    cut = record.process
-    time, force = record.record.time, record.record.force
-    inside = (time >= record.start) & (time < record.stop)
-    time, force = time[inside], force[inside]
-    if not isinstance(cut, StraightCut) or cut.spindle_speed is None:
+    inside = (record.time >= start) & (record.time < stop)
+    time, force = record.time[inside], record.force[inside]
+    if spindle_speed is None:
         return force.mean(axis=0), ()
-    turn = 2 * np.pi / cut.spindle_speed
-    place = np.floor((time - record.start) / turn).astype(int)
-    count = max(1, int((record.stop - record.start) / turn + 1e-6))
+    turn = 2 * np.pi / spindle_speed
+    place = np.floor((time - start) / turn).astype(int)
+    count = max(1, int((stop - start) / turn + 1e-6))
     force, place = force[place < count], place[place < count]
     sizes = np.bincount(place, minlength=count)
     sums = np.stack([np.bincount(place, f, minlength=count) for f in force.T], axis=1)

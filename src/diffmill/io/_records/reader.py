@@ -1,0 +1,234 @@
+"""Columns of a table by quantity: found by name, in SI units, with what was assumed."""
+
+import re
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ...units import ANGLE, TIME, QuantityKind
+from .errors import RecordError
+from .table import Column, Table, given_scale, is_unit, scale, split_unit
+
+# What may stand between a word and the letter of an axis.
+_PARTS = r"[\s_.\-]*"
+
+
+class Quantity(NamedTuple):
+    """A quantity that a table may have a column of.
+
+    Attributes:
+        key: Its name, as in `channels`.
+        pattern: Regular expression of a column's whole name, whatever its case.
+        kinds: Dimensions that it may have; none takes the numbers as they are.
+        units: Keys of `units` under which its unit may stand, the first one counts.
+        loose: Regular expression to be found within a name if none fits as a whole.
+    """
+
+    key: str
+    pattern: str
+    kinds: tuple[QuantityKind, ...] = ()
+    units: tuple[str, ...] = ()
+    loose: str = ""
+
+
+# LabVIEW writes the device before the name: `Dev1/Time`.
+TIME_COLUMN = Quantity(
+    "time",
+    r"([^/\\]+[/\\])?(t|time|zeit|x_?value|time ?stamp|"
+    r"(abs\w*|rel\w*|elapsed)[ _]?time|temps|seconds|sekunden)",
+    (TIME,),
+    ("time",),
+)
+
+
+def vector_columns(
+    letter: str, words: str, kind: QuantityKind, *units: str
+) -> tuple[Quantity, ...]:
+    """Return the three quantities of a vector, such as Fx, Fy, Fz.
+
+    Args:
+        letter: Before x, y and z in their keys.
+        words: Regular expression of what may stand before or after an axis.
+        kind: Their dimension.
+        *units: Keys of `units` for all three.
+    """
+    return tuple(
+        Quantity(
+            f"{letter}{a}",
+            rf"({words}){_PARTS}{a}|{a}{_PARTS}({words})",
+            (kind,),
+            units,
+        )
+        for a in "xyz"
+    )
+
+
+class TableReader:
+    """A table of which columns are asked for by quantity.
+
+    Attributes:
+        name: The file.
+        table: Its columns as written.
+        channels: Names or numbers (from 1) of columns that the user gives by quantity,
+            None for no such column.
+        units: What a number stands for, as the user says, before what the file says.
+        faults: What is wrong, told at once by `check`.
+        notes: What was assumed.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        table: Table,
+        channels: Mapping[str, str | int | None] | None = None,
+        units: Mapping[str, str] | None = None,
+    ):
+        self.name, self.table = name, table
+        self.channels, self.units = dict(channels or {}), dict(units or {})
+        self.faults: list[str] = []
+        self.notes: list[str] = list(table.notes)
+
+    def check(self) -> None:
+        """Raise `RecordError` with all faults, if there are any."""
+        if self.faults:
+            raise RecordError(self.name, self.faults)
+
+    def allow(self, quantities: Iterable[Quantity]) -> None:
+        """Note channels and units that the user gives for what there is not."""
+        all_of_them = tuple(quantities)
+        for what, given, allowed in (
+            ("channel", self.channels, [q.key for q in all_of_them]),
+            ("unit of", self.units, [key for q in all_of_them for key in q.units]),
+        ):
+            known = ", ".join(dict.fromkeys(allowed))
+            self.faults += [
+                f"found the {what} `{key}`; allowed are {known}."
+                for key in given
+                if key not in allowed
+            ]
+
+    def is_excluded(self, key: str) -> bool:
+        """Return whether the user says that there is no such column."""
+        return key in self.channels and self.channels[key] is None
+
+    def values(self, quantity: Quantity) -> Float[np.ndarray, " row"] | None:
+        """Return a column in SI units, or None if there is none or it has a fault."""
+        column = self.find(quantity)
+        return None if column is None else self.in_si(quantity, column)
+
+    def find(self, quantity: Quantity) -> Column | None:
+        """Return the column of a quantity as written, or None."""
+        key = quantity.key
+        if key in self.channels:
+            return self._named(key, self.channels[key])
+        hits = [c for c in self.table.columns if _fits(c, quantity)]
+        is_whole = bool(hits) or not quantity.loose
+        if not is_whole:
+            hits = [
+                c
+                for c in self.table.columns
+                if re.search(quantity.loose, c.name, re.IGNORECASE)
+            ]
+        if len(hits) > 1:
+            # `fz_mm` beside `Fz_N`: the unit tells which of them is meant.
+            hits = [c for c in hits if _has_kind(c, quantity.kinds)] or hits
+        if len(hits) > 1:
+            self.faults.append(
+                f"found {len(hits)} columns that may be {key} ({self.listed(hits)}); "
+                "name one with `channels`."
+            )
+        if len(hits) != 1:
+            return None
+        if not is_whole:
+            self.notes.append(f"The column `{hits[0].name}` was taken for {key}.")
+        return hits[0]
+
+    def in_si(
+        self, quantity: Quantity, column: Column
+    ) -> Float[np.ndarray, " row"] | None:
+        """Return the numbers of a column in SI units, or None with a fault."""
+        key, kinds = quantity.key, quantity.kinds
+        values = column.values()
+        if not np.isfinite(values).any():
+            self.faults.append(f"the column `{column.name}` ({key}) holds no number.")
+            return None
+        if not kinds:
+            return values
+        by_user = next((name for name in quantity.units if name in self.units), None)
+        given = None if by_user is None else self.units[by_user]
+        unit = given or column.unit or split_unit(column.name, *kinds)[1]
+        if not unit:
+            self.notes.append(
+                f"The column `{column.name}` has no unit and was taken in "
+                f"{kinds[0].unit}."
+            )
+            return values
+        messages = []
+        for kind in kinds:
+            try:
+                return values * (scale if given is None else given_scale)(unit, kind)
+            except ValueError as error:
+                messages.append(str(error))
+        fault = f"the unit of `{by_user}`: {messages[0]}."
+        if by_user is None:
+            example = {TIME: "ms", ANGLE: "deg"}.get(kinds[0], f"100 {kinds[0].unit}")
+            fault = (
+                f"the unit of the column `{column.name}` ({key}): {messages[0]}; or "
+                "say what a number stands for by `units`, such as "
+                f'{{ {quantity.units[0]} = "{example}" }}.'
+            )
+        # Of the unit of a whole vector it is told once.
+        self.faults += [] if fault in self.faults else [fault]
+        return None
+
+    def listed(self, only: list[Column] | None = None) -> str:
+        """Return numbers and names of the columns, or of some, 20 at most."""
+        shown = [
+            f"{place} `{column.name}`"
+            for place, column in enumerate(self.table.columns, 1)
+            if only is None or any(column is other for other in only)
+        ]
+        return ", ".join(shown[:20]) + (", ..." if len(shown) > 20 else "")
+
+    def _named(self, key: str, label: str | int | None) -> Column | None:
+        """Return the column that the user names."""
+        columns = self.table.columns
+        if label is None:
+            return None
+        if isinstance(label, int):
+            if 1 <= label <= len(columns):
+                return columns[label - 1]
+            hits = []
+        else:
+            plain = label.strip()
+            hits = [c for c in columns if c.name == plain]
+            hits = hits or [c for c in columns if c.name.lower() == plain.lower()]
+            hits = hits or [
+                c for c in columns if _squeezed(c.name + c.unit) == _squeezed(label)
+            ]
+        if len(hits) == 1:
+            return hits[0]
+        self.faults.append(
+            f"the channel {key} = {label!r} names {len(hits) or 'no'} columns; there "
+            f"are {self.listed()}, and a number from 1 to {len(columns)} is allowed."
+        )
+        return None
+
+
+def _fits(column: Column, quantity: Quantity) -> bool:
+    """Return whether a column has the name of a quantity, its unit aside."""
+    return any(
+        re.fullmatch(quantity.pattern, name.strip(), re.IGNORECASE)
+        for name in (column.name, split_unit(column.name, *quantity.kinds)[0])
+    )
+
+
+def _has_kind(column: Column, kinds: tuple[QuantityKind, ...]) -> bool:
+    unit = column.unit or split_unit(column.name, *kinds)[1]
+    return not unit or not kinds or is_unit(unit, *kinds)
+
+
+def _squeezed(text: str) -> str:
+    return re.sub(r"[\W_]", "", text.lower())
