@@ -203,12 +203,13 @@ def test_check_other_files(folder, capsys):
 
 
 def test_cache_folder_and_precision(tmp_path):
+    # A job with faults: it is read for its precision first.
     (tmp_path / "job.toml").write_text('[simulation]\nprecision = "float32"\n')
     # In a process of its own: the settings of JAX are global.
     script = (
-        "import json, pathlib, jax\n"
-        "from diffmill.cli._session.jax_config import configure_jax\n"
-        "configure_jax(pathlib.Path('job.toml'))\n"
+        "import json, jax\n"
+        "from diffmill.cli import main\n"
+        "assert main(['simulate', 'job.toml']) == 2\n"
         "print(json.dumps([jax.config.jax_enable_x64, "
         "jax.config.jax_compilation_cache_dir]))\n"
     )

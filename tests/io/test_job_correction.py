@@ -1,135 +1,139 @@
 """`[correction]`: objective, weights and bounds as a job file says them."""
 
-from typing import Any
-
 import pytest
 
-from diffmill import CorrectionSettings, UncertaintySettings
-from diffmill.config._schema.correction import (
-    CorrectionTable,
-    check_correction,
-    correction_settings,
-)
-from diffmill.config._schema.table import validated
+from diffmill import JobError, UncertaintySettings, load_job
+
+JOB = """
+[cutter]
+{cutter}
+diameter = "10 mm"
+teeth = 2
+[spindle]
+speed = "8000 rpm"
+[force]
+K_tc = "989.8 N/mm^2"
+K_rc = "337.3 N/mm^2"
+K_ac = "66.9 N/mm^2"
+[stock]
+lower = ["0 mm", "0 mm", "-3 mm"]
+upper = ["8 mm", "8 mm", "0 mm"]
+spacing = "0.5 mm"
+[program]
+file = "{program}"
+[robot]
+rigid = true
+[correction]
+{correction}
+"""
+PROGRAM = "G21 G17 G90 G94\nG0 X-9 Y4 Z1\nG1 X-8 F6000\nM2\n"
+LEANING = "time_s,x_mm,y_mm,z_mm,i,j,k\n0,-9,4,9,0,0.6,0.8\n0.1,-8,4,9,0,0.6,0.8\n"
+JOINT = 'command = "joint"'
+FLAT, BALL = 'kind = "flat"', 'kind = "ball"'
 
 
-def read(**raw: Any) -> tuple[Any, list[str]]:
-    problems: list[str] = []
-    return validated(CorrectionTable, raw, "[correction]", problems), problems
+@pytest.fixture
+def job_file(tmp_path):
+    """Return a function that writes a job with lines of its correction."""
+    (tmp_path / "part.ngc").write_text(PROGRAM)
+    (tmp_path / "leaning.csv").write_text(LEANING)
+
+    def write(*lines, cutter=FLAT, program="part.ngc"):
+        text = JOB.format(cutter=cutter, program=program, correction="\n".join(lines))
+        (tmp_path / "job.toml").write_text(text)
+        return tmp_path / "job.toml"
+
+    return write
 
 
-def settings_of(table: CorrectionTable) -> CorrectionSettings:
-    return correction_settings(table, is_recorded=False)
+@pytest.fixture
+def settings_of(job_file):
+    return lambda *lines: load_job(job_file(*lines)).correction
 
 
-def test_values_become_settings_in_si():
-    table, problems = read(
-        objective="surface",
-        tolerance="10 um",
-        max_velocity="60 mm/s",
-        max_acceleration="2 m/s^2",
-        finishing_only=True,
-        floor_weight=0,
-        gouge="20 um",
-        stay_in_cut=True,
-        uncertainty={
-            "stiffness": 0.2,
-            "force": 0.1,
-            "draws": 6,
-            "objective": "worst",
-            "delay": "5 ms",
-        },
-        weight=[{"lines": [12, 30], "value": 0}, {"lines": [31, 31], "value": 2.5}],
+@pytest.fixture
+def problems_of(job_file):
+    def problems(*lines, **more):
+        with pytest.raises(JobError) as error:
+            load_job(job_file(*lines, **more))
+        return error.value.problems
+
+    return problems
+
+
+def test_values_become_settings_in_si(settings_of):
+    settings = settings_of(
+        'objective = "surface"',
+        'tolerance = "10 um"',
+        'max_velocity = "60 mm/s"',
+        'max_acceleration = "2 m/s^2"',
+        "finishing_only = true",
+        "floor_weight = 0",
+        'gouge = "20 um"',
+        "stay_in_cut = true",
+        "uncertainty = { stiffness = 0.2, force = 0.1, draws = 6, "
+        'objective = "worst", delay = "5 ms" }',
+        "weight = [{ lines = [12, 30], value = 0 }, { lines = [31, 31], value = 2.5 }]",
     )
-    assert not problems
-    settings = settings_of(table)
     assert settings.tolerance == pytest.approx(1e-5)
     assert settings.uncertainty == UncertaintySettings(
         0.2, 0.0, 0.1, False, 6, 0, "worst", 5e-3
     )
     assert (settings.gouge, settings.stay_in_cut) == (pytest.approx(2e-5), True)
-    assert settings_of(read()[0]).gouge == float("inf")
-    assert settings_of(read()[0]).max_steps == 2
-    assert settings_of(read(method="adam")[0]).max_steps == 60
-    assert settings_of(read(method="adam", max_steps=7)[0]).max_steps == 7
-    assert settings_of(read()[0]).uncertainty is None
     assert settings.max_velocity == pytest.approx(0.06)
     assert settings.max_acceleration == pytest.approx(2.0)
-    assert settings_of(read()[0]).max_acceleration == float("inf")
     assert settings.sections == ((12, 30, 0.0), (31, 31, 2.5))
     assert (settings.objective, settings.finishing_only) == ("surface", True)
     assert (settings.wall_weight, settings.floor_weight) == (1.0, 0.0)
-    assert settings_of(read()[0]).sections == ()
+
+
+def test_defaults(settings_of):
+    settings = settings_of()
+    assert settings.gouge == settings.max_acceleration == float("inf")
+    assert (settings.max_steps, settings.uncertainty, settings.sections) == (
+        2,
+        None,
+        (),
+    )
+    assert settings_of('method = "adam"').max_steps == 60
+    assert settings_of('method = "adam"', "max_steps = 7").max_steps == 7
 
 
 @pytest.mark.parametrize(
-    ("raw", "words"),
+    ("line", "words"),
     [
-        ({"tolerance": "-1 um"}, ("tolerance", "at least 0")),
+        ('tolerance = "-1 um"', ("tolerance", "at least 0")),
         (
-            {"weight": [{"lines": [1, 2], "value": -1}]},
+            "weight = [{ lines = [1, 2], value = -1 }]",
             ("weight.0.value", "at least 0"),
         ),
-        ({"weight": [{"lines": [1], "value": 1}]}, ("weight.0.lines", "2 values")),
-        ({"weight": [{"value": 1}]}, ("weight.0.lines", "first and last line")),
-        ({"uncertainty": {"force": 1}}, ("uncertainty.force", "less than 1")),
-        ({"uncertainty": {"delay": "-1 ms"}}, ("uncertainty.delay", "at least 0")),
-        ({"objective": "both"}, ("objective", "'surface'")),
-        ({"max_products": 3}, ("max_products", "found 3", "at least 4")),
-        ({"finishing_only": 1}, ("finishing_only", "true or false")),
+        ("weight = [{ lines = [1], value = 1 }]", ("weight.0.lines", "2 values")),
+        ("weight = [{ value = 1 }]", ("weight.0.lines", "first and last line")),
+        ("uncertainty = { force = 1 }", ("uncertainty.force", "less than 1")),
+        ('uncertainty = { delay = "-1 ms" }', ("uncertainty.delay", "at least 0")),
+        ('objective = "both"', ("objective", "'surface'")),
+        ("max_products = 3", ("max_products", "found 3", "at least 4")),
+        ("finishing_only = 1", ("finishing_only", "true or false")),
     ],
 )
-def test_faults_are_named(raw, words):
-    _, problems = read(**raw)
-    assert len(problems) == 1
-    assert all(word in problems[0] for word in words), problems[0]
+def test_faults_are_named(problems_of, line, words):
+    (problem,) = problems_of(line)
+    assert all(word in problem for word in words), problem
 
 
-def test_what_the_cutter_does_not_allow(simple_end_mills):
-    table, _ = read(
-        objective="surface",
-        wall_weight=0,
-        floor_weight=0,
-        weight=[{"lines": [5, 2], "value": 1}],
-    )
-    flat, ball = simple_end_mills
-    found: list[str] = []
-    check_correction(table, ball, True, found)
-    assert [line.split()[1] for line in found] == [
-        "objective:",
-        "wall_weight:",
-        "weight.lines:",
-    ]
-    table, _ = read(max_velocity="1 m/s", method="mirror", command="joint")
-    limited: list[str] = []
-    check_correction(table, flat, True, limited)
+def test_what_the_cutter_does_not_allow(problems_of):
+    keys = lambda lines: [line.split()[1] for line in lines]
+    surface = 'objective = "surface"'
+    weights = ("wall_weight = 0", "floor_weight = 0")
+    backwards = "weight = [{ lines = [5, 2], value = 1 }]"
+    found = problems_of(surface, *weights, backwards, cutter=BALL)
+    assert keys(found) == ["objective:", "wall_weight:", "weight.lines:"]
+    limited = problems_of('max_velocity = "1 m/s"', 'method = "mirror"', JOINT)
     assert ["method" in line for line in limited] == [True, False]
-    assert 'command = "joint"' in limited[1]
-    found = []
-    check_correction(
-        read(gouge="20 um", stay_in_cut=True, method="adam", horizon=900)[0],
-        ball,
-        True,
-        found,
-    )
-    assert [line.split()[1] for line in found] == [
-        "horizon:",
-        "gouge:",
-        "stay_in_cut:",
-        "gouge:",
-        "stay_in_cut:",
-    ]
+    assert JOINT in limited[1]
+    bounds = ('gouge = "20 um"', "stay_in_cut = true", "horizon = 900")
+    found = problems_of(*bounds, 'method = "adam"', cutter=BALL)
+    assert keys(found) == ["horizon:", *2 * ["gouge:", "stay_in_cut:"]]
     assert 'method = "adam"' in found[-1]
-    found = []
-    check_correction(read(objective="surface")[0], flat, True, found)
-    assert found == []
-    check_correction(read(objective="surface")[0], flat, False, found)
-    assert "flat cutter" in found[0]
-
-
-@pytest.fixture
-def simple_end_mills():
-    from diffmill.cutter import ball_end_mill, flat_end_mill
-
-    sizes = {"diameter": 0.01, "teeth": 2, "helix_angle": 0.0}
-    return flat_end_mill(**sizes), ball_end_mill(**sizes)
+    (found,) = problems_of(surface, program="leaning.csv")
+    assert "flat cutter" in found

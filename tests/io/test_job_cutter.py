@@ -1,27 +1,62 @@
+import json
 import math
 
 import numpy as np
 import pytest
 
-from diffmill.config._schema.cutter import CutterTable, make_cutter
-from diffmill.config._schema.table import validated
+from diffmill import JobError, load_job
 
+JOB = """
+[cutter]
+{cutter}
+[spindle]
+speed = "8000 rpm"
+[force]
+K_tc = "989.8 N/mm^2"
+K_rc = "337.3 N/mm^2"
+K_ac = "66.9 N/mm^2"
+[stock]
+lower = ["0 mm", "0 mm", "-3 mm"]
+upper = ["8 mm", "8 mm", "0 mm"]
+spacing = "0.5 mm"
+[program]
+file = "part.ngc"
+[robot]
+rigid = true
+"""
+PROGRAM = "G21 G17 G90 G94\nG0 X-9 Y4 Z1\nG1 X-8 F6000\nM2\n"
 MILL = {"diameter": "10 mm", "teeth": 3}
 
 
-def read(**keys):
-    problems = []
-    table = validated(CutterTable, MILL | keys, "[cutter]", problems)
-    return table, problems
+@pytest.fixture
+def job_file(tmp_path):
+    """Return a function that writes a job with keys of its cutter."""
+    (tmp_path / "part.ngc").write_text(PROGRAM)
+
+    def write(**keys):
+        lines = [f"{key} = {json.dumps(value)}" for key, value in (MILL | keys).items()]
+        (tmp_path / "job.toml").write_text(JOB.format(cutter="\n".join(lines)))
+        return tmp_path / "job.toml"
+
+    return write
 
 
-def cutter_of(**keys):
-    table, problems = read(**keys)
-    assert table is not None and problems == []
-    return make_cutter(table)
+@pytest.fixture
+def cutter_of(job_file):
+    return lambda **keys: load_job(job_file(**keys)).cutter
 
 
-def test_kinds():
+@pytest.fixture
+def problems_of(job_file):
+    def problems(**keys):
+        with pytest.raises(JobError) as error:
+            load_job(job_file(**keys))
+        return error.value.problems
+
+    return problems
+
+
+def test_kinds(cutter_of):
     assert cutter_of().kind == "flat" and cutter_of().is_plain
     ball = cutter_of(kind="ball", helix_angle="30 deg", flute_length="12 mm")
     assert ball.kind == "ball" and ball.corner_radius == pytest.approx(5e-3)
@@ -31,7 +66,7 @@ def test_kinds():
     assert bull.kind == "bull" and bull.corner_radius == pytest.approx(1.5e-3)
 
 
-def test_runout_and_pitch():
+def test_runout_and_pitch(cutter_of):
     tool = cutter_of(
         runout="8 um", runout_angle="90 deg", pitch=["110 deg", "120 deg", "130 deg"]
     )
@@ -40,7 +75,7 @@ def test_runout_and_pitch():
     np.testing.assert_allclose(tool.pitch_angles, np.radians([0, 110, 230]))
 
 
-def test_rounded_angles_between_teeth_are_even():
+def test_rounded_angles_between_teeth_are_even(cutter_of):
     tool = cutter_of(teeth=7, pitch=["51.4286 deg"] * 7)
     assert tool.has_even_pitch
 
@@ -81,17 +116,13 @@ def test_rounded_angles_between_teeth_are_even():
         ({"pitch": ["120 deg", 2, "120 deg"]}, ("pitch", "2", "an angle")),
     ],
 )
-def test_one_clear_line_for_a_fault(keys, expected):
-    table, problems = read(**keys)
-    assert table is None
-    (problem,) = problems
+def test_one_clear_line_for_a_fault(problems_of, keys, expected):
+    (problem,) = problems_of(**keys)
     assert problem.startswith(f"[cutter] {expected[0]}")
     for part in expected[1:]:
         assert part in problem
 
 
-def test_a_fault_elsewhere_does_not_bring_a_second_line():
-    _, problems = read(diameter="-1 mm", kind="bull", corner_radius="1 mm")
-    assert len(problems) == 1
-    _, problems = read(teeth=0, pitch=["180 deg", "180 deg"])
-    assert len(problems) == 1
+def test_a_fault_elsewhere_does_not_bring_a_second_line(problems_of):
+    assert len(problems_of(diameter="-1 mm", kind="bull", corner_radius="1 mm")) == 1
+    assert len(problems_of(teeth=0, pitch=["180 deg", "180 deg"])) == 1

@@ -10,10 +10,8 @@ import pytest
 
 from diffmill import robot as rb
 from diffmill.config import JobError, load_job
-from diffmill.config._check.reach import check_reach
 from diffmill.examples import copy_example
 from diffmill.sim import command_joints, with_precision
-from diffmill.toolpath import vertical_path
 
 PROGRAM = "G21 G17 G90 G94\nG0 X-6 Y5 Z1\nG0 Z-1\nG1 X20 F3000\nG0 Z1\nM2\n"
 JOB = """
@@ -204,30 +202,55 @@ def test_a_free_rotation_reaches_what_is_in_reach(tmp_path):
     np.testing.assert_allclose(Ts[:, :3, 2], axes, atol=1e-8)
 
 
-def flat_arm(**options):
-    """Return a 2R arm in the horizontal plane; options are those of the elbow."""
-    parts = []
-    for name, own in (("one", {}), ("two", options)):
-        parts += [
-            rb.RevoluteJoint(name, (0, 0, 1), **own),
-            rb.RigidBody(1.0, (0.1, 0.0, 0.0), np.eye(3)),
-            rb.FixedTranslation((0.5, 0.0, 0.0)),
-        ]
-    return rb.build(parts, name="flat")
+LINK = """
+[[elements]]
+kind = "body"
+mass = "1 kg"
+center_of_mass = ["100 mm", "0 mm", "0 mm"]
+inertia = ["1 kg*m^2", "1 kg*m^2", "1 kg*m^2"]
+[[elements]]
+kind = "translation"
+position = ["500 mm", "0 mm", "0 mm"]
+"""
 
 
-def flat_path(x, y):
-    rows = np.stack([x, 0 * x + y, 0 * x], axis=1)
-    return vertical_path(np.arange(len(x)) * 4e-3, rows)
+def flat_arm(elbow=""):
+    """Return a file of a 2R arm in the horizontal plane, with lines of its elbow."""
+    joints = [
+        f'[[elements]]\nkind = "revolute"\nname = "{name}"\n'
+        f'axis = [0.0, 0.0, 1.0]\nstiffness = "1e6 N*m/rad"\n{own}\n{LINK}'
+        for name, own in (("one", ""), ("two", elbow))
+    ]
+    return 'name = "flat"\n' + "".join(joints)
 
 
-def test_another_configuration_is_suggested():
+@pytest.fixture
+def flat_job(write):
+    """Write a job of this arm on a recorded path, a row each 4 ms; return its path."""
+
+    def flat_job(arm, x, y, start):
+        joints = ", ".join(f'"{value} rad"' for value in start)
+        lines = ['file = "flat.toml"', 'tool_rotation = "free"', place(0, 0, 0)]
+        file = write("\n".join([*lines, f"joint_start = [{joints}]"]))
+        text = file.read_text().replace("part.ngc", "path.csv")
+        text = text.replace("8000 rpm", "7500 rpm").replace(
+            '"20 mm", "10 mm", "0 mm"', '"20 mm", "10 mm", "-1 mm"'
+        )
+        file.write_text(text)
+        (file.parent / "flat.toml").write_text(arm)
+        rows = [f"{4e-3 * k!r},{at!r},{y},0,1" for k, at in enumerate(x.tolist())]
+        text = "\n".join(["time_s,x_m,y_m,z_m,rapid", *rows])
+        (file.parent / "path.csv").write_text(f"{text}\n")
+        return file
+
+    return flat_job
+
+
+def test_another_configuration_is_suggested(flat_job):
     # From here the elbow bends to the left, and farther than it may.
-    arm, path = flat_arm(lower=-2.0, upper=1.6), flat_path(np.linspace(0.8, 0.6, 9), 0)
-    problems, notes = [], []
-    start = np.array([-0.6, 1.2])
-    check_reach(arm, path, np.eye(4), start, "free", problems, notes)
-    (problem,) = problems
+    arm = flat_arm('lower = "-2 rad"\nupper = "1.6 rad"')
+    x = np.linspace(0.8, 0.6, 9)
+    (problem,) = problems_of(flat_job(arm, x, 0, (-0.6, 1.2)))
     assert "joint two would stand at" in problem
     found = re.search(r'joint_start = \["(.*) deg", "(.*) deg"\] avoids it', problem)
     assert found is not None
@@ -235,37 +258,27 @@ def test_another_configuration_is_suggested():
     # The law of cosines at the first point, to the other side.
     elbow = -np.arccos(0.8**2 / (2 * 0.5**2) - 1)
     np.testing.assert_allclose(start, [-elbow / 2, elbow], atol=1e-3)
-    problems.clear()
-    check_reach(arm, path, np.eye(4), start, "free", problems, notes)
-    assert not problems
+    assert load_job(flat_job(arm, x, 0, start)).joint_start == pytest.approx(start)
 
 
-def test_a_joint_that_is_too_slow_is_named():
+def test_a_joint_that_is_too_slow_is_named(flat_job):
     # Stretching the arm the elbow turns faster and faster.
     x = np.linspace(0.9, 0.99, 31)
-    arm, path = flat_arm(speed=2.0), flat_path(x, 0)
     elbow = 2 * np.arccos(x)
     rate = np.abs(np.diff(elbow)) / 4e-3
-    problems, notes = [], []
-    start = np.array([-0.5, 1.0])
-    check_reach(arm, path, np.eye(4), start, "free", problems, notes)
-    (problem,) = problems
+    start = (-0.5, 1.0)
+    (problem,) = problems_of(flat_job(flat_arm('speed = "2 rad/s"'), x, 0, start))
     assert "joint two would move at" in problem and "time 0.120 s" in problem
     assert f"{np.rad2deg(rate.max()):.1f} deg/s; allowed is 114.6 deg/s" in problem
     assert f"so in {(rate > 2.0).sum()} of 31 rows" in problem
-    slower = flat_arm(speed=rate.max())
-    problems.clear()
-    check_reach(slower, path, np.eye(4), start, "free", problems, notes)
-    assert not problems
+    fast_enough = flat_arm(f'speed = "{rate.max() * (1 + 1e-9)} rad/s"')
+    assert load_job(flat_job(fast_enough, x, 0, start)).robot is not None
 
 
 @pytest.mark.slow
-def test_a_change_of_configuration_is_a_fault():
+def test_a_change_of_configuration_is_a_fault(flat_job):
     # Close past its own base axis the arm must swing round within a few rows.
     x = np.array([20, 12, 4, -4, -12, -20]) * 1e-3
-    arm, path = flat_arm(), flat_path(x, 0.012)
-    problems, notes = [], []
-    check_reach(arm, path, np.eye(4), np.array([-1.0, 3.0]), "free", problems, notes)
-    (problem,) = problems
+    (problem,) = problems_of(flat_job(flat_arm(), x, 0.012, (-1.0, 3.0)))
     for part in ("time 0.012 s", "joint one turns by 36.9 deg", "joint_start"):
         assert part in problem

@@ -6,7 +6,6 @@ import pytest
 import trimesh
 
 from diffmill import workpiece as wp
-from diffmill.workpiece._mesh.surface_error import closest_on_triangles, signed_distance
 
 SPACING = 0.25e-3
 
@@ -166,25 +165,6 @@ def test_figures_are_those_of_walls_and_floors_that_were_cut():
     assert not len(nothing.error) and np.isnan(wp.measure_surface(nothing).wall_rms)
 
 
-def test_closest_points_on_triangles_beat_every_sample():
-    rng = np.random.default_rng(0)
-    points, corners = rng.normal(size=(200, 1, 3)), rng.normal(size=(200, 3, 3, 3))
-    foot, feature = closest_on_triangles(points, corners)
-    found = np.linalg.norm(points - foot, axis=-1)
-    # Barycentric weights on a fine grid of each triangle.
-    i, j = (k.ravel() for k in np.meshgrid(*[np.linspace(0, 1, 81)] * 2))
-    weights = np.stack([i, j, 1 - i - j], axis=-1)[i + j <= 1]
-    samples = np.einsum("sw,nkwi->nksi", weights, corners)
-    best = np.linalg.norm(points[:, :, None] - samples, axis=-1).min(axis=-1)
-    assert (found <= best + 1e-12).all()
-    assert (best - found).max() < 0.1
-    assert set(np.unique(feature)) == set(range(7))
-    by_trimesh = trimesh.triangles.closest_point(
-        corners.reshape(-1, 3, 3), np.repeat(points[:, 0], 3, axis=0)
-    )
-    np.testing.assert_allclose(foot.reshape(-1, 3), by_trimesh, atol=1e-12)
-
-
 def test_the_sign_holds_beyond_the_sharpest_edges():
     rng = np.random.default_rng(1)
     for _ in range(40):
@@ -194,6 +174,12 @@ def test_the_sign_holds_beyond_the_sharpest_edges():
         height = (points[:, None] - hull.triangles_center) * hull.face_normals
         is_inside = (height.sum(axis=-1) < 0).all(axis=1)
         mesh = wp.Mesh(np.array(hull.vertices), np.array(hull.faces))
-        distance, normal = signed_distance(mesh, points)
+        distance, normal = wp.signed_distance(mesh, points)
+        corners = np.repeat(hull.triangles[None], len(points), axis=0)
+        feet = trimesh.triangles.closest_point(
+            corners.reshape(-1, 3, 3), np.repeat(points, len(hull.triangles), axis=0)
+        ).reshape(len(points), -1, 3)
+        nearest = np.linalg.norm(points[:, None] - feet, axis=2).min(axis=1)
+        np.testing.assert_allclose(np.abs(distance), nearest, atol=1e-12)
         assert ((distance < 0) == is_inside).all()
         np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1, rtol=1e-9)

@@ -67,6 +67,7 @@ from ._mesh.surface_error import (
     SurfaceError as SurfaceError,
     SurfaceMeasures as SurfaceMeasures,
     measure_surface as measure_surface,
+    signed_distance as signed_distance,
     surface_error as surface_error,
 )
 from ._pose import Pose as Pose, repeated as repeated, tool_frame as tool_frame
