@@ -184,6 +184,22 @@ def test_the_second_pass_cuts_nothing():
     np.testing.assert_allclose(solution.removed_volume[STEPS + 1 :], 0, atol=1e-15)
 
 
+def test_where_the_tool_comes_to_rest_the_derivative_is_that_over_micrometres():
+    # The direction of a motion of 20 nm turns with every nanometre: a derivative that
+    # says so tells nothing about the micrometres by which a path is corrected.
+    path = straight(6e-3)
+    path[70:, 0] = path[69, 0] + 2e-8 * np.arange(1, STEPS - 69)
+    # The tool goes aside and stays there.
+    aside = np.zeros_like(path)
+    aside[75:, 1] = 1.0
+    run = lambda x: compiled()(x, STOCK).force
+    slope = jax.jvp(run, (path,), (aside,))[1]
+    step = 2e-6
+    change = (run(path + step * aside) - run(path - step * aside)) / (2 * step)
+    size = np.max(np.linalg.norm(np.asarray(change), axis=1))
+    assert np.max(np.linalg.norm(np.asarray(slope), axis=1)) < 2 * size
+
+
 def test_rapid_moves_of_millimetres_give_finite_gradients():
     path = straight(6e-3)
     path[:40, 0] = -6e-3 - 3e-3 * np.arange(40)[::-1]

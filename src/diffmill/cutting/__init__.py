@@ -15,6 +15,7 @@ poses came before, is the business of `sim`.
 from ._chip import (
     circle_chip as circle_chip,
     edge_contact as edge_contact,
+    held_at_rest as held_at_rest,
     layer_share as layer_share,
     safe_norm as safe_norm,
     way_of as way_of,

@@ -9,6 +9,7 @@ The chip is the least of these over all earlier poses, so it follows regeneratio
 several teeth and is zero where the tool left the cut.
 """
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -17,6 +18,8 @@ from ..numerics import clamp, hat_integral
 
 # Below this motion per tooth an edge counts as standing still [m].
 _STANDSTILL = 1e-8
+# Below this its direction has no derivative [m].
+_AT_REST = 3e-6
 
 
 def circle_chip(
@@ -102,6 +105,28 @@ def safe_norm(vector: Float[Array, "*sample n"]) -> Float[Array, "*sample"]:
     square = jnp.sum(vector**2, axis=-1)
     is_zero: Bool[Array, "*sample"] = square == 0
     return jnp.where(is_zero, 0, jnp.sqrt(jnp.where(is_zero, 1, square)))
+
+
+def held_at_rest(
+    value: Float[Array, "*sample"], feed_per_tooth: Float[Array, "*#sample"]
+) -> Float[Array, "*sample"]:
+    """Return what depends on the direction of a motion, its derivative held at rest.
+
+    Where the tool hardly moves, its direction turns by feed^-1 per metre: true over
+    nanometres, and of no use over the micrometres by which a path is corrected. There
+    the derivative is zero, as that of a jump.
+
+    Args:
+        value: What depends on the direction, any shape.
+        feed_per_tooth: Motion since the tooth before [m], broadcast.
+
+    Returns:
+        The value.
+
+    Differentiability: that of `value` from 3 um per tooth on, zero below.
+    """
+    is_at_rest = feed_per_tooth < _AT_REST
+    return jnp.where(is_at_rest, jax.lax.stop_gradient(value), value)
 
 
 def way_of(offset: Float[Array, "*sample n"]) -> Float[Array, "*sample"]:

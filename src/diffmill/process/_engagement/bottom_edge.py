@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ...cutter import AbstractCutter
-from ...cutting import AbstractForceLaw, edge_contact, safe_norm, way_of
+from ...cutting import AbstractForceLaw, edge_contact, held_at_rest, safe_norm, way_of
 from ...numerics import clamp, tied
 from ...workpiece import PoseTrack, Stock
 from .._discretisation import ProcessPlan, Substeps, turning
@@ -170,6 +170,7 @@ def bottom_force(
     feed = safe_norm(earlier[0] - tip)
     chip = jnp.where(is_first, chip, 0)
     touch = edge_contact(chip / way_of(earlier[0] - tip) - RAMP, feed, RAMP)
+    touch = held_at_rest(touch, feed)
     h = clamp(0.0, chip, cutter.nominal_radius)
     teeth = jnp.broadcast_to(cut.tooth[..., None], h.shape)
     F_t, F_r, F_a = law.force_per_width(h, touch, teeth)

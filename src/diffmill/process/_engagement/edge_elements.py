@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ...cutter import AbstractCutter, EdgeElements
-from ...cutting import AbstractForceLaw, edge_contact, safe_norm, way_of
+from ...cutting import AbstractForceLaw, edge_contact, held_at_rest, safe_norm, way_of
 from ...numerics import clamp
 from ...workpiece import Pose, occupancy_in_space, tool_frame
 from .._discretisation import ProcessPlan, Substeps, turning
@@ -130,6 +130,7 @@ def _leading(
         n = elements.bottom_count
         step = 2 * math.pi / plan.angles
         fade = fade.at[..., n:].set(leading_fade(lead[..., n:], step))
+        fade = held_at_rest(fade, safe_norm(motion)[:, None, None, None])
     return angle, order[:, :, :kept].astype(jnp.int32), fade
 
 
@@ -187,11 +188,13 @@ def wrench_in_space(
         step = 2 * math.pi / plan.angles
         before = feed / cutter.diameter
         touch = touch.at[..., n:].multiply(taken_over(lead, step, before))
-        chip = chip.at[..., n:].multiply(chip_taken_over(lead, step, before))
+        factor = held_at_rest(chip_taken_over(lead, step, before), feed)
+        chip = chip.at[..., n:].multiply(factor)
     if n > 0:
         # The bottom of a tool that does not descend must not rub.
         least = per_way[..., :n] - RAMP
         touch = touch.at[..., :n].set(edge_contact(least, feed, RAMP))
+    touch = held_at_rest(touch, feed)
     h = clamp(0.0, chip, cutter.nominal_radius) * samples.chip_share
     parts = []
     if n > 0:

@@ -15,6 +15,7 @@ from ...cutting import (
     AbstractForceLaw,
     circle_chip,
     edge_contact,
+    held_at_rest,
     layer_share,
     safe_norm,
     way_of,
@@ -114,12 +115,12 @@ def upright_wrench(
     chip, per_way = upright_chip(plan, cutter, tip, earlier, thinned, angle)
     feed = safe_norm(earlier[0] - tip)
     step = 2 * math.pi / plan.angles
-    touch = edge_contact(per_way, feed, step)
+    touch = held_at_rest(edge_contact(per_way, feed, step), feed)
     if has_opposite_teeth(plan, cutter):
         lead = _lead((tip - earlier[0])[None, None, None, :2], angle)
         before = feed / cutter.diameter
-        touch = touch * taken_over(lead, step, before)
-        chip = chip * chip_taken_over(lead, step, before)
+        touch = touch * held_at_rest(taken_over(lead, step, before), feed)
+        chip = chip * held_at_rest(chip_taken_over(lead, step, before), feed)
     chip, touch = hold((chip, touch))
     h = jnp.clip(chip, 0, cutter.diameter / 2) * samples.chip_share
     teeth = jnp.broadcast_to(samples.tooth, h.shape)
@@ -222,6 +223,7 @@ def _leading_angles(
     fade = jnp.ones_like(lead)
     if has_opposite_teeth(plan, cutter):
         fade = leading_fade(lead, 2 * math.pi / plan.angles)
+        fade = held_at_rest(fade, safe_norm(motion))
     return angle, order[:, :, :kept].astype(jnp.int32), fade
 
 
