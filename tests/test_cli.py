@@ -1,6 +1,7 @@
 import importlib.util
 import json
 import pathlib
+import re
 import subprocess
 import sys
 
@@ -62,9 +63,58 @@ def test_help_and_usage(capsys):
     text = capsys.readouterr().out
     for option in ("--out", "--force", "--quiet", "--allow-outside"):
         assert option in text
-    assert main([]) == 2
-    assert main(["no_such_command"]) == 2
-    assert main(["simulate"]) == 2
+    assert main(["--version"]) == 0
+    assert re.fullmatch(r"diffmill \d+\.\d+.*\n", capsys.readouterr().out)
+
+
+@pytest.mark.parametrize(
+    ("line", "found", "allowed"),
+    [
+        ("", "no command", ("simulate", "identify", "--version")),
+        ("simulat job.toml", "'simulat'", ("simulate", "correct", "check")),
+        ("--verbose", "--verbose", ("simulate", "--help")),
+        ("simulate", "JOB.toml", ("required",)),
+        ("simulate a.toml b.toml", "'b.toml'", ("JOB.toml",)),
+        ("simulate job.toml --fource", "--fource", ("--force", "--out")),
+        ("simulate job.toml --out", "--out", ("no value", "required")),
+        ("simulate job.toml --out --force", "--out", ("no value", "required")),
+        ("feed job.toml --overrides 1 x", "'x'", ("--overrides", "numbers")),
+        ("robot --pose", "--pose", ("no value",)),
+    ],
+)
+def test_a_wrong_command_line_is_one_line(capsys, line, found, allowed):
+    assert main(line.split()) == 2
+    (error,) = capsys.readouterr().err.splitlines()
+    assert error.startswith("error: ") and found in error
+    assert all(word in error for word in allowed)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("teeth = 2", "teeth = two", ("line 4", "'teeth = two'", '"10 mm"')),
+        ("teeth = 2", "teeth = 2\nteeth = 3", ("line 5", "'teeth = 3'", "once")),
+        ("[spindle]", "[cutter]", ("line 5", "'[cutter]'", "once")),
+        ('"8000 rpm"', "8000 rpm", ("line 6", "8000 rpm", '"10 mm"')),
+        ('"8000 rpm"', '"8000 rpm', ("line 6", "quote")),
+    ],
+)
+def test_invalid_toml_shows_its_line(folder, capsys, old, new, words):
+    (folder / "job.toml").write_text(JOB.replace(old, new))
+    assert main(["check", "job.toml"]) == 2
+    _, error = capsys.readouterr().err.splitlines()
+    assert all(word in error for word in words)
+
+
+def test_what_is_refused_at_once_imports_no_jax(folder):
+    (folder / "bad.toml").write_text("[cutter")
+    lines = ["--help", "--version", "correct --help", "wrong", "simulate none.toml"]
+    lines += [f"{name} bad.toml" for name in ("simulate", "feed", "identify", "check")]
+    code = "import sys; from diffmill.cli import main\n" + "".join(
+        f"main({line.split()!r})\nassert 'jax' not in sys.modules, {line!r}\n"
+        for line in lines
+    )
+    subprocess.run([sys.executable, "-c", code], cwd=folder, check=True)
 
 
 @pytest.mark.parametrize("name", examples.EXAMPLES)

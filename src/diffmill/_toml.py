@@ -1,8 +1,15 @@
-"""TOML of an untrusted file: one reader with one kind of error for all of them."""
+"""TOML of an untrusted file: one reader, and the error that lists all faults of one.
 
+Imports no JAX, so that a file that is no job is refused at once.
+"""
+
+import os
+import pathlib
 import re
 import tomllib
 from typing import Any
+
+from ._messages import shown
 
 # Deeper than any table of ours, and shallower than what recursion over it endures.
 _DEEPEST = 50
@@ -10,7 +17,54 @@ _DEEPEST = 50
 _PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
 _LONG_KEY = re.compile(rf"(?<![\w-])(?:{_PART}[ \t]*+\.[ \t]*+){{{_DEEPEST}}}")
 _LARGEST = 2**63
+_LARGEST_FILE = 1_000_000
+# What the reader of the standard library says, and what it means to who wrote the file.
+_PLACE = re.compile(r"(?P<fault>.*) \(at line (?P<line>\d+), column \d+\)")
+_VALUE = (
+    'a value is text in quotes such as "10 mm", a number, true, false, [...] or {...}'
+)
+_MEANINGS = {
+    "Invalid value": _VALUE,
+    "Expected newline or end of document after a statement": _VALUE,
+    r"Illegal character '\n'": "a text ends with a quote in its own line",
+    "Cannot overwrite a value": "a key may occur only once in its table",
+    "Cannot declare": "a table may occur only once",
+}
 _TOO_DEEP = f"it is nested deeper than {_DEEPEST} levels"
+
+
+class JobError(ValueError):
+    """Raise when a job cannot be run; the message lists everything wrong with it.
+
+    Attributes:
+        file: The job file.
+        problems: What is wrong, one line each: key or line, found, allowed.
+    """
+
+    def __init__(self, file: str | os.PathLike[str], problems: list[str]):
+        self.file = os.fspath(file)
+        self.problems = tuple(shown(problems))
+        count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
+        lines = "".join(f"\n  - {problem}" for problem in self.problems)
+        super().__init__(f"{self.file}: {count}:{lines}")
+
+
+def read_toml(path: pathlib.Path) -> tuple[str, dict[str, Any]]:
+    """Return the text and the tables of a TOML file."""
+    try:
+        if not path.is_file():
+            found = "a folder" if path.is_dir() else "no such file"
+            raise JobError(path, [f"found {found}; a job file (.toml) is required"])
+        if path.stat().st_size > _LARGEST_FILE:
+            raise JobError(path, ["found more than 1 MB; that is no job file"])
+        data = path.read_bytes()
+    except OSError as error:
+        raise JobError(path, [f"cannot be read: {error}"]) from error
+    try:
+        tables = parse_toml(data)
+    except ValueError as error:
+        raise JobError(path, [str(error)]) from error
+    return data.decode("utf-8-sig"), tables
 
 
 def parse_toml(data: bytes) -> dict[str, Any]:
@@ -23,6 +77,7 @@ def parse_toml(data: bytes) -> dict[str, Any]:
         ValueError: If it is not valid TOML, is nested deeper than 50 levels, or holds a
             whole number beyond 64 bits. The message says what was found.
     """
+    text = ""
     try:
         text = data.decode("utf-8-sig")
         if _LONG_KEY.search(text):
@@ -31,9 +86,27 @@ def parse_toml(data: bytes) -> dict[str, Any]:
         _check(tables)
     except RecursionError:
         raise ValueError(f"found invalid TOML: {_TOO_DEEP}") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(_invalid(text, str(error))) from error
     except ValueError as error:
         raise ValueError(f"found invalid TOML: {error}") from error
     return tables
+
+
+def _invalid(text: str, fault: str) -> str:
+    """Return what is wrong with a text, with the line and what is allowed there."""
+    place = _PLACE.fullmatch(fault)
+    if place is None:
+        return f"found invalid TOML: {fault}"
+    number = int(place["line"])
+    line = text.split("\n")[number - 1].strip()
+    meaning = next(
+        (m for k, m in _MEANINGS.items() if place["fault"].startswith(k)), ""
+    )
+    return (
+        f"line {number}: found invalid TOML, {line[:80]!r}; "
+        f"{meaning or place['fault'][0].lower() + place['fault'][1:]}"
+    )
 
 
 def _check(tables: dict[str, Any]) -> None:

@@ -3,11 +3,14 @@
 import pathlib
 import sys
 from collections.abc import Callable, Sequence
+from importlib import metadata
 from typing import Annotated, Any
 
 import tyro
 
+from .._toml import read_toml
 from ._session.errors import BadInput, bad_input
+from ._session.usage import check_usage
 
 _JobFile = Annotated[
     tyro.conf.Positional[pathlib.Path],
@@ -24,6 +27,12 @@ _Outside = Annotated[
 ]
 
 
+def _read(file: pathlib.Path) -> None:
+    """Refuse what is no TOML file before anything that takes seconds is imported."""
+    with bad_input():
+        read_toml(file)
+
+
 def simulate(
     job: _JobFile,
     *,
@@ -33,6 +42,7 @@ def simulate(
     allow_outside: _Outside = False,
 ) -> int:
     """Predict forces, deviation and the machined surface of a job."""
+    _read(job)
     from ._run_job import run_job
 
     return run_job(
@@ -56,6 +66,7 @@ def correct(
     ] = False,
 ) -> int:
     """Predict, correct the path, predict again; write the corrected program."""
+    _read(job)
     from ._run_job import run_job
 
     return run_job(
@@ -92,6 +103,7 @@ def feed(
     allow_outside: _Outside = False,
 ) -> int:
     """Say what a slower or faster feed costs in error; tune the feed along the path."""
+    _read(job)
     from ._feed import FeedRequest, run_feed
 
     return run_feed(
@@ -128,6 +140,7 @@ def identify(
     allow_outside: _Outside = False,
 ) -> int:
     """Fit force coefficients, joint stiffness or damping to what was measured."""
+    _read(file)
     from ._identify.identify import run_identify
 
     return run_identify(
@@ -218,6 +231,8 @@ def check(
     allow_outside: _Outside = False,
 ) -> int:
     """Say what a program, path or job contains and what of it is not supported."""
+    if file.suffix == ".toml":
+        _read(file)
     from ._check import describe_file
 
     with bad_input():
@@ -244,12 +259,18 @@ def main(argv: Sequence[str] | None = None) -> int:
         "example": example,
         "check": check,
     }
+    arguments = sys.argv[1:] if argv is None else list(argv)
+    if arguments == ["--version"]:
+        print(f"diffmill {metadata.version('diffmill')}")
+        return 0
     try:
+        check_usage(commands, arguments)
         return tyro.extras.subcommand_cli_from_dict(
             commands,
             prog="diffmill",
-            description="Predict and correct the path error of a milling robot.",
-            args=sys.argv[1:] if argv is None else list(argv),
+            description="Predict and correct the path error of a milling robot. "
+            "diffmill --version prints the version.",
+            args=arguments,
         )
     except SystemExit as end:
         return end.code if isinstance(end.code, int) else 0 if end.code is None else 2

@@ -1,5 +1,6 @@
 """Jobs and identifications: TOML documents, checked as a whole, and what they build."""
 
+from .._toml import JobError as JobError
 from ._check.rapid_sweep import (
     RigidPass as RigidPass,
     rigid_pass as rigid_pass,
@@ -20,7 +21,6 @@ from ._identification.tasks import (
 )
 from ._load_identification import load_identification as load_identification
 from ._load_job import (
-    JobError as JobError,
     job_precision as job_precision,
     load_job as load_job,
 )

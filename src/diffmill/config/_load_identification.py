@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from .._toml import JobError, read_toml
 from ._identification.context import Context
 from ._identification.coupled import read_coupled
 from ._identification.force_records import read_force_record
@@ -27,7 +28,7 @@ from ._identification.tasks import (
     ModeTask,
     Task,
 )
-from ._load_job import JobError, load_job, read_toml
+from ._load_job import load_job
 from ._schema.cutter import make_cutter
 
 

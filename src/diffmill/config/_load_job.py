@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._job import Job, SimulationSettings
-from .._messages import shown
-from .._toml import parse_toml
+from .._toml import JobError, read_toml
 from ..cutter import AbstractCutter, ToolHolder
 from ..process import default_element_height, is_plunging
 from ..robot import Robot
@@ -36,25 +35,8 @@ from ._schema.job import ProgramTable, SimulationTable, read_tables
 _ROOM = 0.6e-3
 # Samples per revolution: of a flat cutter that stands upright, and of any other.
 _FEWEST_ANGLES, _FEWEST_IN_SPACE = 180, 96
-_LARGEST_JOB = 1_000_000
 # Of a length that is written down with a few digits.
 _ROUNDING = 1e-6
-
-
-class JobError(ValueError):
-    """Raise when a job cannot be run; the message lists everything wrong with it.
-
-    Attributes:
-        file: The job file.
-        problems: What is wrong, one line each: key or line, found, allowed.
-    """
-
-    def __init__(self, file: str | os.PathLike[str], problems: list[str]):
-        self.file = os.fspath(file)
-        self.problems = tuple(shown(problems))
-        count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
-        lines = "".join(f"\n  - {problem}" for problem in self.problems)
-        super().__init__(f"{self.file}: {count}:{lines}")
 
 
 def load_job(file: str | os.PathLike[str], *, allow_outside: bool = False) -> Job:
@@ -102,24 +84,6 @@ def job_precision(file: str | os.PathLike[str]) -> str:
     simulation = raw.get("simulation", {})
     found = simulation.get("precision") if isinstance(simulation, dict) else None
     return "float32" if found == "float32" else "float64"
-
-
-def read_toml(path: pathlib.Path) -> tuple[str, dict[str, Any]]:
-    """Return the text and the tables of a TOML file."""
-    try:
-        if not path.is_file():
-            found = "a folder" if path.is_dir() else "no such file"
-            raise JobError(path, [f"found {found}; a job file (.toml) is required"])
-        if path.stat().st_size > _LARGEST_JOB:
-            raise JobError(path, ["found more than 1 MB; that is no job file"])
-        data = path.read_bytes()
-    except OSError as error:
-        raise JobError(path, [f"cannot be read: {error}"]) from error
-    try:
-        tables = parse_toml(data)
-    except ValueError as error:
-        raise JobError(path, [str(error)]) from error
-    return data.decode("utf-8-sig"), tables
 
 
 def _check_program(
