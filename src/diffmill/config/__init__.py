@@ -2,7 +2,6 @@
 
 from .._toml import JobError as JobError
 from ._check.rapid_sweep import (
-    RigidPass as RigidPass,
     rigid_pass as rigid_pass,
     rigid_pass_of_stock as rigid_pass_of_stock,
 )
@@ -11,7 +10,6 @@ from ._identification.tasks import (
     CoupledTask as CoupledTask,
     ForceRecord as ForceRecord,
     ForceRecordTask as ForceRecordTask,
-    ForceSettings as ForceSettings,
     FrequencyResponse as FrequencyResponse,
     LoadTestTask as LoadTestTask,
     MeanForceTask as MeanForceTask,

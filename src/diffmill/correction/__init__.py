@@ -17,12 +17,8 @@ Left out: feed and offset at once; corrections of the tool axis; in segments of 
 paths, the surface as the objective and uncertain models.
 """
 
-from ._core.error_metrics import Measures as Measures, measure as measure
-from ._core.method import (
-    AbstractMethod as AbstractMethod,
-    Corrected as Corrected,
-    GivenCommand as GivenCommand,
-)
+from ._core.error_metrics import measure as measure
+from ._core.method import AbstractMethod as AbstractMethod, GivenCommand as GivenCommand
 from ._core.path_objective import (
     AbstractObjective as AbstractObjective,
     PathObjective as PathObjective,
@@ -35,7 +31,6 @@ from ._core.path_segments import (
 )
 from ._core.problem import (
     Motion as Motion,
-    Plant as Plant,
     Problem as Problem,
     contour_of as contour_of,
     run as run,
@@ -51,11 +46,7 @@ from ._feed.problem import (
 )
 from ._feed.result import FeedTradeoff as FeedTradeoff, TunedFeed as TunedFeed
 from ._feed.trade_off_curve import FeedPoint as FeedPoint, feed_curve as feed_curve
-from ._feed.tune_feed import (
-    FeedPlant as FeedPlant,
-    feed_tradeoff as feed_tradeoff,
-    tune_feed as tune_feed,
-)
+from ._feed.tune_feed import feed_tradeoff as feed_tradeoff, tune_feed as tune_feed
 from ._held_rows import HeldRows as HeldRows
 from ._job.correct import (
     CASES as CASES,
@@ -72,7 +63,6 @@ from ._job.plants import TipPlant as TipPlant
 from ._least_squares import least_squares as least_squares
 from ._least_squares_records import (
     LeastSquaresSolution as LeastSquaresSolution,
-    LeastSquaresStep as LeastSquaresStep,
     LevenbergMarquardt as LevenbergMarquardt,
 )
 from ._limited_quadratic import LimitedQuadratic as LimitedQuadratic
@@ -90,9 +80,8 @@ from ._method.gauss_newton import (
     GaussNewton as GaussNewton,
     contour_residual as contour_residual,
 )
-from ._method.input_shaper import shaped as shaped, shaped_program as shaped_program
+from ._method.input_shaper import shaped as shaped
 from ._method.inverse_drive import (
-    InverseDriveCommand as InverseDriveCommand,
     at_instants as at_instants,
     differentiate as differentiate,
     inverse_drive as inverse_drive,
@@ -111,34 +100,21 @@ from ._method.plant_segment import (
 from ._method.receding_horizon import RecedingHorizon as RecedingHorizon
 from ._placement.objective import predicted_deviation as predicted_deviation
 from ._placement.place_workpiece import place_workpiece as place_workpiece
-from ._placement.result import Placement as Placement
 from ._products import (
-    AbstractProducts as AbstractProducts,
     RecomputedProducts as RecomputedProducts,
     StoredProducts as StoredProducts,
 )
-from ._quadratic import (
-    QuadraticSolution as QuadraticSolution,
-    solve_bounded_quadratic as solve_bounded_quadratic,
-)
-from ._response import (
-    TipResponse as TipResponse,
-    spline_preconditioner as spline_preconditioner,
-    tip_response as tip_response,
-)
+from ._quadratic import solve_bounded_quadratic as solve_bounded_quadratic
+from ._response import TipResponse as TipResponse, tip_response as tip_response
 from ._spline.command_limits import (
-    AbstractLimits as AbstractLimits,
     InfeasibleLimit as InfeasibleLimit,
     LinearLimits as LinearLimits,
     MixedLimits as MixedLimits,
     command_limits as command_limits,
 )
-from ._spline.projection import clip_offset as clip_offset, project as project
+from ._spline.projection import project as project
 from ._spline.spline_offsets import SplineOffsets as SplineOffsets
-from ._spline.spline_window import (
-    SplineWindow as SplineWindow,
-    spline_window as spline_window,
-)
+from ._spline.spline_window import spline_window as spline_window
 from ._surface.finished_surface import (
     FinishedSurface as FinishedSurface,
     SurfaceObjective as SurfaceObjective,

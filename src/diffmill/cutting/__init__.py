@@ -27,5 +27,5 @@ from ._files import (
     materials as materials,
 )
 from ._kienzle import KienzleLaw as KienzleLaw
-from ._law import AbstractForceLaw as AbstractForceLaw, UninclinedLaw as UninclinedLaw
+from ._law import AbstractForceLaw as AbstractForceLaw
 from ._linear_edge import LinearEdgeLaw as LinearEdgeLaw

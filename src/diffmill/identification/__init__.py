@@ -14,7 +14,6 @@ Nothing is changed in place: functions return new records or proposals.
 
 from ._alignment.axis_assignment import propose_axes as propose_axes
 from ._alignment.axis_proposal import (
-    AxesCandidate as AxesCandidate,
     AxesProposal as AxesProposal,
     combine_axes_proposals as combine_axes_proposals,
 )
@@ -23,10 +22,7 @@ from ._alignment.record_registration import (
     register_on_job as register_on_job,
     register_on_straight_cut as register_on_straight_cut,
 )
-from ._alignment.time_alignment import (
-    TimeAlignment as TimeAlignment,
-    align_in_time as align_in_time,
-)
+from ._alignment.time_alignment import align_in_time as align_in_time
 from ._coupled.fit_coupled import CoupledFit as CoupledFit, fit_coupled as fit_coupled
 from ._coupled.model import mean_over_period as mean_over_period
 from ._cut.cut_model import (
@@ -59,13 +55,9 @@ from ._force.residuals import (
     residual_spectrum as residual_spectrum,
 )
 from ._force.uncertainty import relative_uncertainty as relative_uncertainty
-from ._modal.frequency_response import (
-    FrequencyResponseFit as FrequencyResponseFit,
-    fit_frequency_response as fit_frequency_response,
-)
+from ._modal.frequency_response import fit_frequency_response as fit_frequency_response
 from ._modal.ring_down import (
     JointDampingFit as JointDampingFit,
-    RingDownFit as RingDownFit,
     fit_joint_damping as fit_joint_damping,
     fit_ring_down as fit_ring_down,
     ring_down_frequencies as ring_down_frequencies,
@@ -81,20 +73,13 @@ from ._record.preprocessing import (
 )
 from ._record.record import Record as Record
 from ._record.saturation import find_saturated as find_saturated
-from ._record.spindle_angle import (
-    Alignment as Alignment,
-    align as align,
-    angle_from_tacho as angle_from_tacho,
-)
+from ._record.spindle_angle import align as align, angle_from_tacho as angle_from_tacho
 from ._record.spindle_harmonics import refine_spindle_speed as refine_spindle_speed
 from ._stiffness.cross_validation import (
     LoadCheck as LoadCheck,
     check_load_tests as check_load_tests,
 )
-from ._stiffness.experiment_design import (
-    LoadTests as LoadTests,
-    suggest_load_tests as suggest_load_tests,
-)
+from ._stiffness.experiment_design import suggest_load_tests as suggest_load_tests
 from ._stiffness.joint_stiffness import (
     JointStiffnessFit as JointStiffnessFit,
     deflection_columns as deflection_columns,

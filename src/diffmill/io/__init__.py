@@ -20,7 +20,6 @@ from ._checkpoint import (
     has_checkpoint as has_checkpoint,
     latest_checkpoint as latest_checkpoint,
     previous_checkpoint as previous_checkpoint,
-    read_checkpoint as read_checkpoint,
     remove_checkpoint as remove_checkpoint,
     write_checkpoint as write_checkpoint,
 )

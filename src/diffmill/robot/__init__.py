@@ -24,10 +24,7 @@ from ._dynamics.rnea import (
     gravity_forces as gravity_forces,
     inverse_dynamics as inverse_dynamics,
 )
-from ._dynamics.rnea_derivatives import (
-    RneaDerivatives as RneaDerivatives,
-    rnea_derivatives as rnea_derivatives,
-)
+from ._dynamics.rnea_derivatives import rnea_derivatives as rnea_derivatives
 from ._dynamics.spd_inverse import spd_inverse as spd_inverse
 from ._dynamics.terms import ArmTerms as ArmTerms, arm_terms as arm_terms
 from ._elasticity.compliance import (
@@ -37,12 +34,8 @@ from ._elasticity.compliance import (
     principal_stiffness as principal_stiffness,
     static_deflection as static_deflection,
 )
-from ._elasticity.damped_modes import (
-    DampedModes as DampedModes,
-    damped_modes as damped_modes,
-)
+from ._elasticity.damped_modes import damped_modes as damped_modes
 from ._elasticity.modes import (
-    Modes as Modes,
     damping_ratios as damping_ratios,
     mode_shapes as mode_shapes,
     natural_frequencies as natural_frequencies,
@@ -81,20 +74,15 @@ from ._kinematics.inverse import (
     inverse_kinematics_path as inverse_kinematics_path,
 )
 from ._kinematics.pose_error import ToolRotation as ToolRotation
-from ._kinematics.singularity import (
-    Singularity as Singularity,
-    singularity as singularity,
-)
+from ._kinematics.singularity import singularity as singularity
 from ._kinematics.skeleton import Skeleton as Skeleton, skeleton as skeleton
 from ._model.bending_tool import (
     BendingTool as BendingTool,
-    TipSpring as TipSpring,
     tip_spring as tip_spring,
     with_bending_tool as with_bending_tool,
 )
 from ._model.build import build as build
 from ._model.drives import (
-    GearTorque as GearTorque,
     backlash_deflection as backlash_deflection,
     coulomb_damping as coulomb_damping,
     drive_deflection as drive_deflection,
@@ -107,8 +95,6 @@ from ._model.drives import (
     with_motors as with_motors,
 )
 from ._model.elements import (
-    AbstractElement as AbstractElement,
-    Drive as Drive,
     FixedRotation as FixedRotation,
     FixedTranslation as FixedTranslation,
     Fork as Fork,

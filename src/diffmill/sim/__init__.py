@@ -30,13 +30,11 @@ from ._analysis.collisions import (
     tool_contacts as tool_contacts,
 )
 from ._analysis.sensitivity import (
-    Sensitivity as Sensitivity,
     parameter_names as parameter_names,
     sensitivity as sensitivity,
     with_scaled as with_scaled,
 )
 from ._analysis.stability import (
-    Stability as Stability,
     find_chatter as find_chatter,
     stability as stability,
     stability_along as stability_along,
@@ -80,14 +78,10 @@ from ._machine.commands import (
 )
 from ._machine.elastic import (
     CoupledSolution as CoupledSolution,
-    Machine as Machine,
     coupled_machine as coupled_machine,
     simulate_coupled as simulate_coupled,
 )
-from ._machine.free_vibration import (
-    FreeMotion as FreeMotion,
-    free_motion as free_motion,
-)
+from ._machine.free_vibration import free_motion as free_motion
 from ._machine.quasi_static import simulate_quasistatic as simulate_quasistatic
 from ._machine.segments import (
     CoupledCarry as CoupledCarry,

@@ -14,8 +14,6 @@ differentiates; everything else runs once, on the host, in NumPy.
 from ._contour import contour_error as contour_error, contour_vector as contour_vector
 from ._moves import Move as Move, Program as Program
 from ._override import (
-    Override as Override,
-    checked_override as checked_override,
     cycle_time as cycle_time,
     retime as retime,
     rows_until as rows_until,

@@ -15,7 +15,7 @@ nothing here computes physics. matplotlib and plotly are imported when a figure 
 drawn, and pyplot's global state is not touched.
 """
 
-from ._cases import CaseNumbers as CaseNumbers, case_numbers as case_numbers
+from ._cases import case_numbers as case_numbers
 from ._figure.chip import ChipChart as ChipChart, plot_chip as plot_chip
 from ._figure.dexels import (
     CutDexels as CutDexels,
@@ -41,13 +41,10 @@ from ._figure.identified_robot import (
 from ._figure.paths import plot_paths as plot_paths
 from ._figure.robot import plot_robot as plot_robot, plot_stiffness as plot_stiffness
 from ._figure.sensitivity import plot_sensitivity as plot_sensitivity
-from ._figure.surface import (
-    plot_surface_error as plot_surface_error,
-    surface_html as surface_html,
-)
+from ._figure.surface import plot_surface_error as plot_surface_error
 from ._process import chip_chart as chip_chart, force_record as force_record
-from ._report.case_parts import CaseParts as CaseParts, case_parts as case_parts
-from ._report.inputs import FigureInputs as FigureInputs, figure_inputs as figure_inputs
+from ._report.case_parts import case_parts as case_parts
+from ._report.inputs import figure_inputs as figure_inputs
 from ._report.report import write_report as write_report
 from ._report.summary import summary as summary
 from ._report.write import FigureFile as FigureFile, write_figures as write_figures

@@ -24,7 +24,6 @@ from ._dexel.dexel_cloud import TakenPieces as TakenPieces, taken_pieces as take
 from ._dexel.occupancy import Discs as Discs, occupancy as occupancy
 from ._dexel.occupancy_in_space import occupancy_in_space as occupancy_in_space
 from ._dexel.removal import (
-    Cut as Cut,
     RemovalWindow as RemovalWindow,
     removal_window as removal_window,
     remove_passes as remove_passes,
@@ -52,7 +51,6 @@ from ._dexel.tooth_pass import (
 )
 from ._files import (
     MeshFileError as MeshFileError,
-    MeshUnit as MeshUnit,
     StockFileError as StockFileError,
     from_mesh as from_mesh,
     load_mesh as load_mesh,
