@@ -30,7 +30,11 @@ from ._cut.cut_model import (
     EngagementColumns as EngagementColumns,
     engagement_columns as engagement_columns,
 )
-from ._cut.straight_cut import immersion as immersion, straight_cut as straight_cut
+from ._cut.straight_cut import (
+    StraightCut as StraightCut,
+    immersion as immersion,
+    straight_cut as straight_cut,
+)
 from ._force.cross_validation import (
     CrossValidation as CrossValidation,
     cross_validate as cross_validate,
@@ -85,3 +89,24 @@ from ._stiffness.joint_stiffness import (
     deflection_columns as deflection_columns,
     fit_joint_stiffness as fit_joint_stiffness,
 )
+from ._study.coupled import CoupledStudy as CoupledStudy
+from ._study.force_records import (
+    ForceRecordStudy as ForceRecordStudy,
+    ForceRecordStudyFit as ForceRecordStudyFit,
+)
+from ._study.load_tests import (
+    LoadTestStudy as LoadTestStudy,
+    LoadTestStudyFit as LoadTestStudyFit,
+)
+from ._study.mean_forces import (
+    MeanForceStudy as MeanForceStudy,
+    MeanForceStudyFit as MeanForceStudyFit,
+)
+from ._study.modes import (
+    FrequencyResponse as FrequencyResponse,
+    ModeStudy as ModeStudy,
+    ModeStudyFit as ModeStudyFit,
+    RingDown as RingDown,
+)
+from ._study.records import ForceRecord as ForceRecord, ForceSettings as ForceSettings
+from ._study.study import StudyError as StudyError
