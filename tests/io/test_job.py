@@ -1,4 +1,5 @@
 import math
+import re
 
 import numpy as np
 import pytest
@@ -376,8 +377,13 @@ def test_rapid_through_the_stock(write):
     program = PROGRAM.replace("G0 Z1\nM2", "G0 Y12\nG0 Z1\nM2").replace("X20", "X10")
     # Lifting the tool from where it should not be is reported, too.
     sideways, upward = problems_of(write(program=program))
-    for part in ("[program] file", "line 5", "rapid", "1.000 mm deep"):
+    for part in ("[program] file", "line 5", "rapid", "(10.000, 5."):
         assert part in sideways
+    found = re.search(r", (5\.\d+), -1\.000\) mm, (\d\.\d+) mm deep", sideways)
+    assert found is not None
+    # The end of the slot is a half circle: so far the tool is beyond it.
+    beyond = float(found[1]) - 5.0
+    assert beyond - 0.25 < float(found[2]) <= beyond
     assert "line 6" in upward
 
 

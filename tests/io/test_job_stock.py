@@ -5,8 +5,7 @@ import pytest
 import trimesh
 
 from diffmill import workpiece as wp
-from diffmill.config import JobError, load_job, rigid_pass, rigid_pass_of_stock
-from diffmill.toolpath import Path
+from diffmill.config import JobError, load_job
 
 PROGRAM = """G21 G17 G90 G94
 G0 X-6 Y5 Z1
@@ -216,20 +215,3 @@ def test_a_rapid_move_through_a_mesh_is_found(write):
     text = PROGRAM.replace("G1 X20 F3000", "G0 X3").replace("G0 Z1\nM2", "M2")
     file.with_name("part.ngc").write_text(text)
     assert load_job(write('mesh = "part.stl"\n' + SPACING)).stock.top == 0
-
-
-def test_the_rigid_pass_of_a_block_is_the_same_from_rays():
-    x = np.linspace(-6e-3, 26e-3, 65)
-    tips = np.stack([x, np.full(65, 5e-3), np.where(x > 10e-3, 1e-3, -1e-3)], axis=-1)
-    path = Path(
-        time=np.arange(65.0),
-        positions=tips,
-        axes=np.tile([0.0, 0.0, 1.0], (65, 1)),
-        is_rapid=np.zeros(65, bool),
-        line=np.zeros(65, np.int32),
-    )
-    low, high = np.array([0, 0, -3e-3]), np.array([20e-3, 10e-3, 0])
-    wanted = rigid_pass(path, 5e-3, low, high, 0.25e-3)
-    found = rigid_pass_of_stock(path, 5e-3, wp.box(low, high, 0.25e-3))
-    np.testing.assert_array_equal(found.is_cutting, wanted.is_cutting)
-    assert 0 < found.is_cutting.sum() < 65

@@ -1,10 +1,6 @@
 """Jobs and identifications: TOML documents, checked as a whole, and what they build."""
 
 from .._toml import JobError as JobError
-from ._check.rapid_sweep import (
-    rigid_pass as rigid_pass,
-    rigid_pass_of_stock as rigid_pass_of_stock,
-)
 from ._check.rapids import holder_notes as holder_notes, shank_notes as shank_notes
 from ._load_identification import (
     Study as Study,

@@ -9,7 +9,6 @@ from ...cutter import AbstractCutter, ToolHolder
 from ...sim import ToolContacts, tool_contacts
 from ...toolpath import Path
 from .._build.stock import StockPlan
-from .rapid_sweep import rigid_pass, rigid_pass_of_stock
 from .reach import at_row
 
 # Above this share of the radius the chip's entry is too coarse to trust.
@@ -38,31 +37,15 @@ def check_rapids(
     problems: list[str],
     notes: list[str],
 ) -> None:
-    """Note rapid moves that go through stock, once per program line, and the holder.
-
-    A tool that leans is looked for in its true pose, one that stands upright in a
-    height map; the holder always in its true pose.
-    """
-    is_upright = np.allclose(path.axes, [0.0, 0.0, 1.0], atol=1e-6)
-    depth = np.zeros(path.step_count)
-    if is_upright:
-        radius = cutter.nominal_radius
-        if plan.stock is None:
-            found = rigid_pass(path, radius, plan.lower, plan.upper, plan.spacing)
-        else:
-            found = rigid_pass_of_stock(path, radius, plan.stock)
-        depth = np.where(found.is_crash, found.depth, 0)
-    if not is_upright or holder is not None:
-        contacts = tool_contacts(
-            path, plan.make(), cutter, holder, checks_rapids=not is_upright
-        )
-        depth = np.maximum(depth, contacts.rapid_depth)
+    """Note rapid moves that go through stock, once per program line, and the holder."""
+    contacts = tool_contacts(path, plan.make(), cutter, holder)
+    if holder is not None:
         # A holder that is drawn straight back goes into nothing new.
         is_rapid = np.asarray(path.is_rapid) & ~_draws_back(path)
         in_rapid = np.where(is_rapid, contacts.holder_depth, 0)
         _note_rapids(path, in_rapid, " of the tool holder", problems)
         notes.extend(holder_notes(path, contacts))
-    _note_rapids(path, depth, "", problems)
+    _note_rapids(path, contacts.rapid_depth, "", problems)
 
 
 def _draws_back(path: Path) -> Bool[np.ndarray, " step"]:
