@@ -92,6 +92,7 @@ INSIDE = {
     "correction/test_limits.py",
     "correction/test_window_bounds.py",
     "identification/test_coupled.py",
+    "test_cli_identify.py",
 }
 
 

@@ -117,9 +117,7 @@ def _case(case: dict) -> np.ndarray:
     return np.array([mean, *(e / peak for e in extremes), *constants])
 
 
-def _cut(
-    case: dict, law: marching.LinearLaw, feed: float
-) -> tuple[dm.sim.ProcessSolution, int]:
+def _cut(case: dict, law: marching.LinearLaw, feed: float) -> tuple[dm.sim.Run, int]:
     """Cut along +x through a block; the instantaneous force is kept."""
     _, radial, axial, _, is_up = _set_up(case)
     lower, upper = np.array([-7e-3, -8.03e-3, -5e-3]), np.array([11e-3, 8.04e-3, 0.0])

@@ -86,7 +86,7 @@ def cut(
     axial_depth: float | None = None,
     is_general: bool = False,
     keeps_instantaneous: bool = False,
-) -> dm.sim.ProcessSolution:
+) -> dm.sim.Run:
     """Cut along a path with a constant axis.
 
     Everything is a default but what is given; with `is_general` a flat cutter that
@@ -94,7 +94,7 @@ def cut(
     """
     axes = None if axis is None else np.tile(axis, (len(path), 1))
     depth = float(stock.top - path[:, 2].min()) if axial_depth is None else axial_depth
-    plan = dm.process.process_plan(
+    plan = dm.process.choose_engagement(
         stock,
         cutter,
         axial_depth=depth + stock.spacing,
@@ -115,12 +115,12 @@ def _run(path, axes, stock, cutter, law, plan, keeps_instantaneous):
         law,
         SPINDLE_SPEED,
         axes,
-        plan=plan,
+        engagement=plan,
         keeps_instantaneous=keeps_instantaneous,
     )
 
 
-def mean_force(solution: dm.sim.ProcessSolution, first: int) -> np.ndarray:
+def mean_force(solution: dm.sim.Run, first: int) -> np.ndarray:
     """Return the mean force from a row on [N]; not a number where the run failed."""
     if not bool(solution.result == dm.RESULTS.successful):
         return np.full(3, np.nan)

@@ -93,7 +93,7 @@ def _walk(report: Report, kind: str, axis: np.ndarray | None) -> None:
     height = _tip_height(kind, axis, 1e-3)
     path, first = straight([0.05e-3, 0, height], FEED * ALONG)
     axes = None if axis is None else np.tile(axis, (len(path), 1))
-    plan = dm.process.process_plan(
+    plan = dm.process.choose_engagement(
         stock, mill(kind), axial_depth=3e-3, axes=axes, is_upright=axes is None
     )
     # Where the tool's rim at the height of the top touches the side, roughly; the walk
@@ -106,7 +106,7 @@ def _walk(report: Report, kind: str, axis: np.ndarray | None) -> None:
         def mean(y):
             tips = jnp.asarray(path) + y * jnp.array([[0.0, 1.0, 0.0]])
             force = dm.sim.simulate_process(
-                tips, stock, mill(kind), LAW, SPINDLE_SPEED, axes, plan=plan
+                tips, stock, mill(kind), LAW, SPINDLE_SPEED, axes, engagement=plan
             ).force
             return jnp.mean(force[first:], axis=0)
 

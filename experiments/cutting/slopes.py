@@ -91,7 +91,7 @@ def _scalar(
     rng = np.random.default_rng(seed)
     direction, weights = (jnp.asarray(smooth(rng, ROWS)) for _ in range(2))
     axes = None if axis is None else np.tile(axis, (ROWS, 1))
-    plan = dm.process.process_plan(
+    plan = dm.process.choose_engagement(
         stock,
         cutter,
         axial_depth=float(stock.top - path[:, 2].min()) + 2 * SPACING,
@@ -108,7 +108,7 @@ def _scalar(
             LAW,
             SPINDLE_SPEED,
             axes,
-            plan=plan,
+            engagement=plan,
             adjoint=dm.process.ThroughPoses(),
         ).force
         return jnp.sum(weights * force) / ROWS

@@ -19,7 +19,7 @@ def measure(report: Report) -> None:
                 job.cutter,
                 job.law,
                 job.spindle_speed,
-                plan=dm.sim.job_plan(job),
+                engagement=dm.sim.job_engagement(job),
                 adjoint=dm.process.ThroughPoses(),
             ).force
         )

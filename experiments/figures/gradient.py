@@ -64,10 +64,10 @@ def actual(tips: jax.Array, adjoint: dm.process.AbstractAdjoint) -> jax.Array:
     Ts = Ts.at[:, :3, 3].add(tips)
     q = dm.robot.inverse_kinematics_path(robot, Ts, robot.home).q
     motors = jax.vmap(lambda row: dm.robot.motor_positions(robot, row))(q)
-    plan = dm.process.process_plan(stock, MILL, axial_depth=1.5e-3)
-    return dm.sim.simulate_coupled(
-        motors, robot, frame, stock, MILL, LAW, TOOTH_PERIOD, plan, adjoint
-    ).actual
+    plan = dm.process.choose_engagement(stock, MILL, axial_depth=1.5e-3)
+    speed = math.pi / TOOTH_PERIOD
+    process = dm.process.Process(stock, MILL, LAW, speed, plan, derivative=adjoint)
+    return dm.sim.run(dm.sim.ElasticArm(robot, frame), process, motors).actual
 
 
 def scalar(adjoint: dm.process.AbstractAdjoint) -> Scalar:

@@ -13,7 +13,7 @@ from shared import LAW, TOOTH_PERIOD, Report, example_job
 
 FREQUENCY, RATIO, MASS = 10.0, 0.02, 80.0
 PERIODS = 15
-# Sub-steps of a tooth period that `process_plan` and the example choose.
+# Sub-steps of a tooth period that `choose_engagement` and the example choose.
 SUBSTEPS = 8
 
 
@@ -97,16 +97,16 @@ def ring_down() -> tuple[float, float]:
     mill = dm.cutter.flat_end_mill(10e-3, 2)
     # A block far below the tip: the tool is in the air.
     air = dm.workpiece.box([0, 0, -1.0], [5e-3, 5e-3, -0.99], 1e-3)
-    plan = dm.process.process_plan(air, mill, axial_depth=1e-3)
+    plan = dm.process.choose_engagement(air, mill, axial_depth=1e-3)
     theta = np.full((round(PERIODS / FREQUENCY / TOOTH_PERIOD), 1), 1e-3)
     theta[0] = 0.0
 
+    process = dm.process.Process(air, mill, LAW, math.pi / TOOTH_PERIOD, plan)
+    arm = dm.sim.ElasticArm(robot, np.eye(4))
+
     @jax.jit
     def run(motors):
-        return dm.sim.simulate_coupled(
-            motors, robot, np.eye(4), air, mill, LAW, TOOTH_PERIOD, plan,
-            dm.process.ThroughPoses(),
-        ).actual[:, 0]  # fmt: skip
+        return dm.sim.run(arm, process, motors).actual[:, 0]
 
     x = np.asarray(run(jnp.asarray(theta)))[2:] - 1e-3
     # x[k+2] = a x[k+1] + b x[k] holds exactly for one mode; its roots are the poles.

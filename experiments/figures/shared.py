@@ -94,7 +94,7 @@ def compiled_process(
     return jax.jit(run)
 
 
-def steady_force(solution: dm.sim.ProcessSolution) -> np.ndarray:
+def steady_force(solution: dm.sim.Run) -> np.ndarray:
     """Return the mean force over the steady rows [N], shape (3,).
 
     It is not a number where the run has failed.

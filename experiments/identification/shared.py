@@ -29,7 +29,7 @@ def finer(cut, angles, substeps, height):
     """Return a cut that is simulated with given sizes, every tooth at all times."""
     cutter = dataclasses.replace(cut.cutter, is_plain=False)
     depth = pr.path_depth(cut.positions, cut.stock, cutter)
-    plan = pr.process_plan(
+    plan = pr.choose_engagement(
         cut.stock,
         cutter,
         axial_depth=depth,
@@ -40,7 +40,7 @@ def finer(cut, angles, substeps, height):
     )
     profile = dataclasses.replace(plan.profile, keeps_all=True)
     plan = dataclasses.replace(plan, profile=profile)
-    return dataclasses.replace(cut, cutter=cutter, plan=plan)
+    return dataclasses.replace(cut, cutter=cutter, engagement=plan)
 
 
 def force_at(cut, time):

@@ -26,14 +26,16 @@ def batch_over_turn(depth, spacing, angles, substeps):
     cutter = dm.cutter.flat_end_mill(10e-3, 2)
     law = dm.cutting.LinearEdgeLaw(K_tc=989.8e6, K_rc=337.3e6, K_ac=66.9e6)
     stock = dm.workpiece.box([0, 0, -depth - 1e-3], [12e-3, 12e-3, 0], spacing)
-    plan = dm.process.process_plan(
+    plan = dm.process.choose_engagement(
         stock, cutter, axial_depth=depth, angles=angles, substeps=substeps
     )
 
     def force(feed):
         x = -5e-3 + feed * jnp.arange(60)
         tips = jnp.stack([x, jnp.full(60, 6e-3), jnp.full(60, -depth)], axis=1)
-        return dm.sim.simulate_process(tips, stock, cutter, law, 838.0, plan=plan).force
+        return dm.sim.simulate_process(
+            tips, stock, cutter, law, 838.0, engagement=plan
+        ).force
 
     feeds = np.linspace(0.1e-3, 0.2e-3, JOBS)
     one, many = jax.jit(force), jax.jit(jax.vmap(force))

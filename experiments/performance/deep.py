@@ -80,10 +80,10 @@ def prepared(
     low, high = path.min(axis=0) - room, path.max(axis=0) + room
     high[2] = 0.0
     stock = wp.box(low, high, DIAMETER / rays, interval_counts=(slots, slots, 1))
-    plan = pr.process_plan(stock, mill, axial_depth=depth + stock.spacing)
+    plan = pr.choose_engagement(stock, mill, axial_depth=depth + stock.spacing)
 
-    def run(path: jax.Array, stock: wp.Stock) -> sim.ProcessSolution:
-        return sim.simulate_process(path, stock, mill, LAW, SPEED, plan=plan)
+    def run(path: jax.Array, stock: wp.Stock) -> sim.Run:
+        return sim.simulate_process(path, stock, mill, LAW, SPEED, engagement=plan)
 
     inputs = (jnp.asarray(path), stock)
     return jax.jit(run).lower(*inputs).compile(), inputs, plan.discs.count

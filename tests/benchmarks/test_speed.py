@@ -45,10 +45,16 @@ def coupled(tips):
     Ts = jnp.broadcast_to(frame[None], (STEPS, 4, 4)).at[:, :3, 3].add(tips)
     q = rb.inverse_kinematics_path(ROBOT, Ts, ROBOT.home).q
     motors = jax.vmap(lambda row: rb.motor_positions(ROBOT, row))(q)
-    plan = pr.process_plan(block(), MILL, axial_depth=1.5e-3)
-    return sim.simulate_coupled(
-        motors, ROBOT, frame, block(), MILL, PAPER_LAW, PERIOD, plan, pr.ThroughPoses()
-    ).actual
+    plan = pr.choose_engagement(block(), MILL, axial_depth=1.5e-3)
+    process = pr.Process(
+        block(),
+        MILL,
+        PAPER_LAW,
+        math.pi / PERIOD,
+        plan,
+        derivative=pr.ThroughPoses(),
+    )
+    return sim.run(sim.ElasticArm(ROBOT, frame), process, motors).actual
 
 
 def gradient(tips):

@@ -136,7 +136,7 @@ def wall(cut: Cut) -> Wall:
         [*lower, -cut.depth - 1e-3], [*upper, 0.0], SPACING, interval_counts=(6, 6, 1)
     )
     tool = dm.cutter.flat_end_mill(2 * RADIUS, TEETH, cut.helix)
-    plan = dm.process.process_plan(
+    plan = dm.process.choose_engagement(
         stock, tool, axial_depth=cut.depth + SPACING, substeps=SUBSTEPS, angles=ANGLES
     )
     # The tip starts before the block, at the depth of the cut.
@@ -147,10 +147,14 @@ def wall(cut: Cut) -> Wall:
         jnp.asarray(FEED * np.arange(ROWS)[:, None] * np.array([1.0, 0.0])),
         machine(cut.feed, cut.stiffness),
         frame,
-        stock,
-        tool,
-        jnp.asarray(cut.period),
-        plan,
+        dm.process.Process(
+            stock,
+            tool,
+            LAW,
+            2 * math.pi / (TEETH * cut.period),
+            plan,
+            derivative=dm.process.ThroughPoses(),
+        ),
     )
     assert not np.asarray(ran.has_failed).any()
     heights, error = _left(ran.stock, a, side, cut.depth)
@@ -192,10 +196,8 @@ def _left(stock, along, side, depth):
 
 
 @eqx.filter_jit
-def _run(motors, robot, frame, stock, tool, period, plan):
-    return dm.sim.simulate_coupled(
-        motors, robot, frame, stock, tool, LAW, period, plan, dm.process.ThroughPoses()
-    )
+def _run(motors, robot, frame, process):
+    return dm.sim.run(dm.sim.ElasticArm(robot, frame), process, motors)
 
 
 def _periodic_motion(cut: Cut) -> np.ndarray:

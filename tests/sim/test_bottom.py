@@ -22,13 +22,13 @@ STOCK = wp.box([-4e-3, -5e-3, -6e-3], [14e-3, 5e-3, 0], D)
 
 @functools.cache
 def compiled(has_bottom=True):
-    plan = pr.process_plan(
+    plan = pr.choose_engagement(
         STOCK, MILL, axial_depth=5e-3, plunges=True, has_bottom=has_bottom
     )
 
     @eqx.filter_jit
     def run(path):
-        return sim.simulate_process(path, STOCK, MILL, LAW, 837.0, plan=plan)
+        return sim.simulate_process(path, STOCK, MILL, LAW, 837.0, engagement=plan)
 
     return run
 

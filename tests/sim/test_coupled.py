@@ -25,7 +25,14 @@ def work_frame():
 
 
 FRAME = work_frame()
-PLAN = pr.process_plan(STOCK, MILL, axial_depth=1.5e-3)
+PLAN = pr.choose_engagement(STOCK, MILL, axial_depth=1.5e-3)
+ARM = sim.ElasticArm(ROBOT, FRAME)
+
+
+def process(engagement, derivative, stock=STOCK, mill=MILL, period=PERIOD):
+    """Return a process with two teeth."""
+    speed = math.pi / period
+    return pr.Process(stock, mill, PAPER_LAW, speed, engagement, derivative=derivative)
 
 
 @functools.cache
@@ -52,9 +59,7 @@ def motors(tips):
 
 
 def run(tips, adjoint, stock=STOCK):
-    return sim.simulate_coupled(
-        motors(tips), ROBOT, FRAME, stock, MILL, PAPER_LAW, PERIOD, PLAN, adjoint
-    )
+    return sim.run(ARM, process(PLAN, adjoint, stock), motors(tips))
 
 
 @functools.cache
@@ -70,7 +75,7 @@ def test_the_process_alone_on_the_actual_path_gives_the_same_force():
         MILL,
         PAPER_LAW,
         2 * math.pi / (2 * PERIOD),
-        plan=PLAN,
+        engagement=PLAN,
     )
     # Up to the corner; in it the tool nearly stands and shakes within the periods.
     rows = slice(0, 75)
@@ -127,19 +132,9 @@ def test_a_mode_keeps_its_frequency_and_damping(frequency):
     theta = np.full((count, 1), 1e-3)
     theta[0] = 0.0
     air = eqx.tree_at(lambda s: s.origin, STOCK, STOCK.origin + 1.0)
-    run = jax.jit(
-        lambda theta: sim.simulate_coupled(
-            theta,
-            robot,
-            np.eye(4),
-            air,
-            MILL,
-            PAPER_LAW,
-            PERIOD,
-            PLAN,
-            pr.ThroughPoses(),
-        ).actual[:, 0]
-    )
+    arm = sim.ElasticArm(robot, np.eye(4))
+    cut = process(PLAN, pr.ThroughPoses(), air)
+    run = jax.jit(lambda theta: sim.run(arm, cut, theta).actual[:, 0])
     x = np.asarray(run(jnp.asarray(theta))) - 1e-3
     # Fit a decaying oscillation by linear prediction, exact for one mode.
     x = x[2:]
@@ -156,19 +151,9 @@ def test_an_arm_that_starts_from_rest_starts_at_rest():
     t = PERIOD * np.arange(30)
     theta = 0.5 * acceleration * t[:, None] ** 2
     air = eqx.tree_at(lambda s: s.origin, STOCK, STOCK.origin + 1.0)
-    run = jax.jit(
-        lambda theta: sim.simulate_coupled(
-            theta,
-            one_mode(10.0, 0.0),
-            np.eye(4),
-            air,
-            MILL,
-            PAPER_LAW,
-            PERIOD,
-            PLAN,
-            pr.ThroughPoses(),
-        ).actual[:, 0]
-    )
+    arm = sim.ElasticArm(one_mode(10.0, 0.0), np.eye(4))
+    cut = process(PLAN, pr.ThroughPoses(), air)
+    run = jax.jit(lambda theta: sim.run(arm, cut, theta).actual[:, 0])
     lag = theta[:, 0] - np.asarray(run(jnp.asarray(theta)))
     expected = acceleration / omega**2 * (1 - np.cos(omega * t))
     # Up to 1 mm; the mean speed of the first period would add 60 um.
@@ -217,7 +202,7 @@ def test_kept_slopes_are_the_same_derivative(kind):
         mill = ct.ball_end_mill(10e-3, 2)
     if kind == "uneven":
         mill = ct.flat_end_mill(10e-3, 2, pitch=(3.0, 2 * math.pi - 3.0))
-    plan = pr.process_plan(
+    plan = pr.choose_engagement(
         STOCK, mill, axial_depth=1.5e-3, is_upright=kind != "leaning", plunges=True
     )
     rng = np.random.default_rng(7)
@@ -226,8 +211,8 @@ def test_kept_slopes_are_the_same_derivative(kind):
     weights = jnp.asarray(rng.normal(size=path().shape))
 
     def actual(adjoint):
-        machine = (ROBOT, FRAME, STOCK, mill, PAPER_LAW, PERIOD, plan, adjoint)
-        return lambda theta: sim.simulate_coupled(theta, *machine).actual
+        cut = process(plan, adjoint, mill=mill)
+        return lambda theta: sim.run(ARM, cut, theta).actual
 
     @jax.jit
     def derivatives(theta, along, weights):
@@ -270,13 +255,11 @@ def test_a_long_period_looks_up_the_stock_on_its_way():
     )
 
     def force(looks):
-        plan = pr.process_plan(
+        plan = pr.choose_engagement(
             stock, MILL, axial_depth=3.5e-3, substeps=40, looks=looks
         )
-        rest = (stock, MILL, PAPER_LAW, period, plan, pr.ThroughPoses())
-        return jax.jit(
-            lambda p: sim.simulate_coupled(motors(p), ROBOT, FRAME, *rest).force
-        )
+        cut = process(plan, pr.ThroughPoses(), stock, period=period)
+        return jax.jit(lambda p: sim.run(ARM, cut, motors(p)).force)
 
     rows = slice(tips.shape[0] // 4, -8)
     one, ten, twenty = (np.asarray(force(n)(tips))[rows] for n in (1, 10, 20))
@@ -295,4 +278,4 @@ def test_a_long_period_looks_up_the_stock_on_its_way():
 
 def test_looks_that_do_not_divide_a_period_are_refused():
     with pytest.raises(ValueError, match="must divide the sub-steps"):
-        pr.process_plan(STOCK, MILL, axial_depth=1e-3, substeps=8, looks=3)
+        pr.choose_engagement(STOCK, MILL, axial_depth=1e-3, substeps=8, looks=3)

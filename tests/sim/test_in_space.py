@@ -69,7 +69,7 @@ def line(start, feed=FEED * ALONG, steps=STEPS):
 
 def cut(path, stock, cutter, axis=None, **options):
     axes = None if axis is None else np.tile(axis, (len(path), 1))
-    plan = pr.process_plan(
+    plan = pr.choose_engagement(
         stock,
         cutter,
         axial_depth=float(stock.top - path[:, 2].min()) + D,
@@ -80,7 +80,7 @@ def cut(path, stock, cutter, axis=None, **options):
 
     def run(path, stock, cutter):
         return sim.simulate_process(
-            path, stock, cutter, PAPER_LAW, SPEED, axes, plan=plan, **options
+            path, stock, cutter, PAPER_LAW, SPEED, axes, engagement=plan, **options
         )
 
     solution = jax.jit(run)(path, stock, cutter)
@@ -278,7 +278,7 @@ def weighted(kind, adjoint):
     radius [m].
     """
     axes = np.tile(AXIS, (ROWS, 1))
-    plan = pr.process_plan(
+    plan = pr.choose_engagement(
         BLOCK_FOR_TILTED,
         mill(kind),
         axial_depth=1.5e-3,
@@ -307,7 +307,7 @@ def weighted(kind, adjoint):
             jax.tree.map(lambda K: K * (1 + change[2]), PAPER_LAW),
             SPEED,
             leaned / jnp.linalg.norm(leaned, axis=1, keepdims=True),
-            plan=plan,
+            engagement=plan,
             adjoint=adjoint,
         ).force
         return jnp.sum(weights * force)
@@ -390,12 +390,12 @@ def test_the_second_pass_cuts_nothing(kind):
     axis = AXIS
     path = line([-0.3e-3, 0.04e-3, depth_of(kind, axis, 1e-3)])
     axes = np.tile(axis, (STEPS, 1))
-    plan = pr.process_plan(
+    plan = pr.choose_engagement(
         BLOCK_FOR_TILTED, mill(kind), axial_depth=1.5e-3, axes=axes, is_upright=False
     )
     run = jax.jit(
         lambda stock: sim.simulate_process(
-            path, stock, mill(kind), PAPER_LAW, SPEED, axes, plan=plan
+            path, stock, mill(kind), PAPER_LAW, SPEED, axes, engagement=plan
         )
     )
     first = run(BLOCK_FOR_TILTED)

@@ -112,15 +112,14 @@ def test_the_explicit_rule_in_the_coupled_step():
     robot, frequency, ratio = one_mode(), 10.0, 0.02
     stock = wp.box([1, 1, 1], [1.005, 1.005, 1.005], 1e-3)
     mill = ct.flat_end_mill(10e-3, 2)
-    plan = pr.process_plan(stock, mill, axial_depth=1e-3)
+    plan = pr.choose_engagement(stock, mill, axial_depth=1e-3)
     theta = np.full((60, 1), 1e-3)
     theta[0] = 0.0
-    found = jax.jit(
-        lambda theta: sim.simulate_coupled(
-            theta, robot, np.eye(4), stock, mill, PAPER_LAW, PERIOD, plan,
-            pr.ThroughPoses(), integrator=sim.RungeKutta4(),
-        ).actual[:, 0]
-    )(jnp.asarray(theta))  # fmt: skip
+    process = pr.Process(stock, mill, PAPER_LAW, math.pi / PERIOD, plan)
+    arm = sim.ElasticArm(robot, np.eye(4), sim.RungeKutta4())
+    found = jax.jit(lambda theta: sim.run(arm, process, theta).actual[:, 0])(
+        jnp.asarray(theta)
+    )
     # From rest at 1e-3 the error decays; row 1 gives the phase and the amplitude.
     omega = 2 * math.pi * frequency
     pole = omega * complex(-ratio, math.sqrt(1 - ratio**2))

@@ -96,10 +96,11 @@ def test_mean_force_is_that_of_marching(radial_depth, is_up_milling, bound):
 
 def arcs_after(path, stock=STOCK):
     """Return the arcs of the last pose of a path that has cut the stock before."""
-    plan = pr.process_plan(stock, MILL, axial_depth=1.6e-3, chip="point_cloud")
+    plan = pr.choose_engagement(stock, MILL, axial_depth=1.6e-3, chip="point_cloud")
     cut = compiled("near_far")(path[:-1], stock).stock
     tips = jnp.asarray(path[-2:])
-    return jax.jit(lambda s: chip_arcs(plan, MILL, s, tips[0], tips[1]))(cut)
+    process = pr.Process(stock, MILL, PAPER_LAW, 837.0, plan)
+    return jax.jit(lambda s: chip_arcs(process, s, tips[0], tips[1]))(cut)
 
 
 def turned(path, angle):
@@ -294,12 +295,10 @@ def test_a_robot_that_cuts_meets_the_force_of_its_own_path():
     Ts = jnp.broadcast_to(jnp.asarray(frame)[None], (len(tips), 4, 4))
     q = rb.inverse_kinematics_path(robot, Ts.at[:, :3, 3].add(tips), robot.home).q
     motors = jax.vmap(lambda row: rb.motor_positions(robot, row))(q)
-    plan = pr.process_plan(STOCK, MILL, axial_depth=1.6e-3, chip="point_cloud")
-    arm = jax.jit(
-        lambda m: sim.simulate_coupled(
-            m, robot, frame, STOCK, MILL, PAPER_LAW, 3.75e-3, plan, pr.ThroughRays()
-        )
-    )(motors)
+    plan = pr.choose_engagement(STOCK, MILL, axial_depth=1.6e-3, chip="point_cloud")
+    process = pr.Process(STOCK, MILL, PAPER_LAW, math.pi / 3.75e-3, plan)
+    machine = sim.ElasticArm(robot, frame)
+    arm = jax.jit(lambda m: sim.run(machine, process, m))(motors)
     alone = compiled()(np.asarray(arm.actual), STOCK)
     deviation = np.linalg.norm(np.asarray(arm.actual) - tips, axis=1)
     assert deviation.max() > 2e-6

@@ -94,12 +94,14 @@ def test_a_straight_path_lies_on_no_kink():
 def test_the_slope_on_the_floor_cut_before_is_that_of_differences():
     # Lifted alone, the first row leaves the floor on which the path began, or digs in.
     path = np.array([4e-3, 6.01e-3, -1e-3]) + FEED * np.arange(3)[:, None] * [1, 0, 0]
-    plan = pr.process_plan(STOCK, MILL, axial_depth=1.6e-3, has_bottom=False)
+    plan = pr.choose_engagement(STOCK, MILL, axial_depth=1.6e-3, has_bottom=False)
 
     @jax.jit
     def side(rise):
         lifted = path + rise * jnp.zeros((3, 3)).at[1, 2].set(1)
-        run = sim.simulate_process(lifted, STOCK, MILL, PAPER_LAW, SPEED, plan=plan)
+        run = sim.simulate_process(
+            lifted, STOCK, MILL, PAPER_LAW, SPEED, engagement=plan
+        )
         return run.force[1, 1]
 
     _, found = jax.jvp(side, (0.0,), (1.0,))
@@ -287,7 +289,7 @@ def test_reverse_mode_is_the_transpose_of_forward_mode_for_a_helix():
     # All columns under the tool end at one height, and so tie exactly.
     mill = ct.flat_end_mill(5e-3, 2, helix_angle=math.radians(30), flute_length=20e-3)
     stock = wp.box([0, 0, -4e-3], [12e-3, 9e-3, 0], 0.3e-3)
-    plan = pr.process_plan(stock, mill, axial_depth=1.3e-3, substeps=2, angles=48)
+    plan = pr.choose_engagement(stock, mill, axial_depth=1.3e-3, substeps=2, angles=48)
     path = jnp.asarray(straight(4.5e-3, feed=0.2e-3, steps=12)) + jnp.array(
         [9e-3, 0, 0]
     )
@@ -295,7 +297,9 @@ def test_reverse_mode_is_the_transpose_of_forward_mode_for_a_helix():
     weights, direction = jnp.asarray(rng.normal(size=(2, *path.shape)))
 
     def force(p):
-        return sim.simulate_process(p, stock, mill, PAPER_LAW, SPEED, plan=plan).force
+        return sim.simulate_process(
+            p, stock, mill, PAPER_LAW, SPEED, engagement=plan
+        ).force
 
     forward = jax.jit(lambda p: jax.jvp(force, (p,), (direction,))[1])(path)
     reverse = jax.jit(lambda p: jax.vjp(force, p)[1](weights)[0])(path)

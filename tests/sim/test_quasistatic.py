@@ -14,7 +14,7 @@ from diffmill import cutter as ct, process as pr, robot as rb, sim, workpiece as
 MILL = ct.flat_end_mill(10e-3, 2)
 PERIOD = 3.75e-3
 STOCK = wp.box([0, 0, -2e-3], [10e-3, 8e-3, 0], 0.5e-3, interval_counts=(4, 4, 1))
-PLAN = pr.process_plan(STOCK, MILL, axial_depth=1.5e-3)
+PLAN = pr.choose_engagement(STOCK, MILL, axial_depth=1.5e-3)
 STIFFNESS, MASS = np.array([1.5e6, 2.5e6, 4e6]), 80.0
 
 
@@ -35,14 +35,17 @@ def slot(count=48):
     return tips
 
 
-def run(simulate, stiffness, theta):
+PROCESS = pr.Process(
+    STOCK, MILL, PAPER_LAW, math.pi / PERIOD, PLAN, derivative=pr.ThroughPoses()
+)
+
+
+def run(machine, stiffness, theta):
     robot = rb.with_drives(slides(1.0), stiffness=stiffness)
-    return simulate(
-        theta, robot, np.eye(4), STOCK, MILL, PAPER_LAW, PERIOD, PLAN, pr.ThroughPoses()
-    )
+    return sim.run(machine(robot, np.eye(4)), PROCESS, theta)
 
 
-quasistatic = jax.jit(functools.partial(run, sim.simulate_quasistatic))
+quasistatic = jax.jit(functools.partial(run, sim.QuasiStaticArm))
 WEIGHT = np.array([0.0, 0.0, 9.81 * MASS])
 
 
@@ -68,7 +71,7 @@ def test_the_force_is_that_of_the_process_on_the_actual_path():
             MILL,
             PAPER_LAW,
             2 * math.pi / (2 * PERIOD),
-            plan=PLAN,
+            engagement=PLAN,
             adjoint=pr.ThroughPoses(),
         )
     )(still().actual)
@@ -80,7 +83,7 @@ def test_the_force_is_that_of_the_process_on_the_actual_path():
 @pytest.mark.slow
 def test_it_is_the_mean_of_an_overdamped_robot():
     # In the full slot, after the arm has settled.
-    swung = jax.jit(functools.partial(run, sim.simulate_coupled))(
+    swung = jax.jit(functools.partial(run, sim.ElasticArm))(
         jnp.asarray(STIFFNESS), jnp.asarray(slot())
     )
     rows = slice(30, 36)
@@ -119,26 +122,16 @@ def test_derivatives_agree_with_central_differences():
 def test_a_bending_tool_bends_as_a_beam_loaded_along_its_flutes():
     depth, L = 12e-3, 40e-3
     stock = wp.box([0, 0, -15e-3], [10e-3, 8e-3, 0], 0.5e-3, interval_counts=(4, 4, 1))
-    plan = pr.process_plan(stock, MILL, axial_depth=depth + 0.5e-3)
+    plan = pr.choose_engagement(stock, MILL, axial_depth=depth + 0.5e-3)
     stiff = rb.with_drives(slides(1.0), stiffness=np.full(3, 1e13))
     tool = rb.BendingTool(L, 0.0, 10e-3, 10e-3)
     robot = rb.with_bending_tool(stiff, tool)
     theta = np.zeros((48, 5))
     theta[:, :3] = slot()
     theta[:, 2] = -depth
-    simulate = jax.jit(
-        lambda theta: sim.simulate_quasistatic(
-            theta,
-            robot,
-            np.eye(4),
-            stock,
-            MILL,
-            PAPER_LAW,
-            PERIOD,
-            plan,
-            pr.ThroughRays(),
-        )
-    )
+    process = pr.Process(stock, MILL, PAPER_LAW, math.pi / PERIOD, plan)
+    machine = sim.QuasiStaticArm(robot, np.eye(4))
+    simulate = jax.jit(lambda theta: sim.run(machine, process, theta))
     found = simulate(jnp.asarray(theta))
     bend = np.asarray(found.actual - theta[:, :3])[30:, :2]
     EI = 600e9 * math.pi * 10e-3**4 / 64

@@ -3,6 +3,7 @@
 import functools
 import itertools
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -30,7 +31,7 @@ ROWS = 49
 BREAKS = (0, 16, 32, 48)
 
 
-def make_machine():
+def gantry():
     """Return three soft slides at right angles with a milling spindle."""
     stiffness = 80.0 * (2 * np.pi * 30.0) ** 2
     slides = [
@@ -38,15 +39,21 @@ def make_machine():
         for n, a in (("x", (1, 0, 0)), ("y", (0, 1, 0)), ("z", (0, 0, 1)))
     ]
     body = rb.RigidBody(80.0, (0.0, 0.0, 0.0), np.eye(3))
-    gantry = rb.build([*slides, body, rb.Tool("tool")])
-    plan = pr.process_plan(STOCK, MILL, axial_depth=1e-3, angles=24, substeps=4)
-    return sim.coupled_machine(
-        *(gantry, np.eye(4), MILL, LAW, PERIOD, plan, pr.ThroughPoses(), None, None),
-        STOCK.origin.dtype,
-    )
+    return rb.build([*slides, body, rb.Tool("tool")])
 
 
-MACHINE = make_machine()
+MACHINES = {
+    "elastic": sim.ElasticArm(gantry(), np.eye(4)),
+    "quasi-static": sim.QuasiStaticArm(gantry(), np.eye(4)),
+}
+PROCESS = pr.Process(
+    STOCK,
+    MILL,
+    LAW,
+    2 * np.pi / (3 * PERIOD),
+    pr.choose_engagement(STOCK, MILL, axial_depth=1e-3, angles=24, substeps=4),
+    derivative=pr.ThroughPoses(),
+)
 
 
 @functools.cache
@@ -58,39 +65,35 @@ def motors():
     return jnp.asarray(np.stack([x, y, np.full(ROWS, -0.6e-3)], axis=1))
 
 
-@jax.jit
-def whole(theta):
-    m = MACHINE
-    return sim.simulate_coupled(
-        *(theta, m.robot, m.T_base_work, STOCK, m.cutter, LAW, m.tooth_period),
-        *(m.plan, m.adjoint),
-    )
+@eqx.filter_jit
+def whole(theta, machine=MACHINES["elastic"]):
+    return sim.run(machine, PROCESS, theta)
 
 
-@jax.jit
-def segment(carry, theta):
-    return sim.run_segment(MACHINE, carry, theta)
+@eqx.filter_jit
+def segment(state, theta, machine=MACHINES["elastic"]):
+    return sim.run_segment(machine, PROCESS, theta, state)
 
 
-@jax.jit
-def begin(theta):
-    return sim.begin_segments(MACHINE, STOCK, theta)
-
-
-def in_segments(theta):
+def in_segments(theta, machine=MACHINES["elastic"]):
     """Return segments and the state at the start of each."""
-    carry = begin(theta)
-    found, carries = [], []
+    state = eqx.filter_jit(sim.begin_run)(machine, PROCESS, theta)
+    found, states = [], []
     for first, last in itertools.pairwise(BREAKS):
-        carries.append(carry)
-        rows, carry = segment(carry, theta[first : last + 1])
+        states.append(state)
+        rows = segment(state, theta[first : last + 1], machine)
+        state = rows.state
         found.append(rows)
-    return found, carries
+    return found, states
 
 
-def test_a_run_in_segments_is_the_run():
-    wanted = whole(motors())
-    found, carries = in_segments(motors())
+@pytest.mark.parametrize(
+    "kind", ["elastic", pytest.param("quasi-static", marks=pytest.mark.slow)]
+)
+def test_a_run_in_segments_is_the_run(kind):
+    machine = MACHINES[kind]
+    wanted = whole(motors(), machine)
+    found, carries = in_segments(motors(), machine)
     force = np.concatenate([part.force[1:] for part in found])
     actual = np.concatenate([part.actual[1:] for part in found])
     assert np.abs(wanted.force).max() > 20
@@ -107,7 +110,7 @@ def test_a_segment_differentiates_as_the_run():
     push = push.at[: first + 1].set(0)
     wanted = jax.jvp(lambda x: whole(x).actual, (motors(),), (push,))[1][first:]
     carry = in_segments(motors())[1][-1]
-    part = lambda x: segment(carry, x)[0].actual
+    part = lambda x: segment(carry, x).actual
     found = jax.jvp(part, (motors()[first:],), (push[first:],))[1]
     assert relative(found, wanted) < 1e-9
     h = 1e-8

@@ -27,7 +27,8 @@ PERIOD = 3.75e-3
 FREQUENCY, RATIO, STIFFNESS = 190.0, 0.03, 5e6
 STOCK = wp.box([0, 0, -2e-3], [14e-3, 12e-3, 0], 0.25e-3, interval_counts=(6, 6, 1))
 # Sub-steps short enough that the midpoint rule keeps the mode within 0.3 %.
-PLAN = pr.process_plan(STOCK, MILL, axial_depth=1.5e-3, substeps=24)
+PLAN = pr.choose_engagement(STOCK, MILL, axial_depth=1.5e-3, substeps=24)
+PROCESS = pr.Process(STOCK, MILL, LAW, math.pi / PERIOD, PLAN)
 
 
 def one_mode():
@@ -71,18 +72,8 @@ def slot(depth, feed=0.1e-3, rows=124):
 
 def growth(depth):
     q, frame = slot(depth)
-    return sim.stability_along(
-        q,
-        q,
-        one_mode(),
-        frame,
-        STOCK,
-        MILL,
-        LAW,
-        PERIOD,
-        PLAN,
-        [2, 110, 120],
-    )
+    arm = sim.ElasticArm(one_mode(), frame)
+    return sim.stability_along(arm, PROCESS, q, q, [2, 110, 120])
 
 
 @functools.cache
@@ -216,11 +207,9 @@ def test_a_quick_look_finds_chatter_where_there_is_some(tmp_path, share):
 def test_the_simulation_grows_and_decays_as_predicted(share):
     depth = share * limit()[0]
     theta, frame = slot(depth)
-    run = sim.simulate_coupled(
-        theta, one_mode(), frame, STOCK, MILL, LAW, PERIOD, PLAN, pr.ThroughRays()
-    )
+    run = sim.run(sim.ElasticArm(one_mode(), frame), PROCESS, theta)
     # The entry shakes the slide; one vibration is left, and a constant deflection.
-    x = np.asarray(run.joint_positions - theta)[70:, 0]
+    x = (np.asarray(run.joint_positions) - np.asarray(theta))[70:, 0]
     rows = np.column_stack([x[1:-1], x[:-2], np.ones(len(x) - 2)])
     (a, b, _), *_ = np.linalg.lstsq(rows, x[2:], rcond=None)
     pole = np.abs(np.roots([1, -a, -b])).max()
@@ -231,6 +220,6 @@ def test_the_simulation_grows_and_decays_as_predicted(share):
 
 def test_a_row_that_is_not_there_is_refused():
     q, frame = slot(1e-3)
-    robot = one_mode()
+    arm = sim.ElasticArm(one_mode(), frame)
     with pytest.raises(ValueError, match="from 1 to 123"):
-        sim.stability_along(q, q, robot, frame, STOCK, MILL, LAW, PERIOD, PLAN, [0])
+        sim.stability_along(arm, PROCESS, q, q, [0])

@@ -14,7 +14,7 @@ MILL = ct.flat_end_mill(10e-3, 2)
 PERIOD, FEED, ROWS = 3.75e-3, 0.1875e-3, 250
 ROBOT = rb.load("reis_rv130_like")
 STOCK = wp.box([0, 15e-3, -3e-3], [45e-3, 35e-3, 0], 0.5e-3, interval_counts=(6, 6, 1))
-PLAN = pr.process_plan(STOCK, MILL, axial_depth=2e-3)
+PLAN = pr.choose_engagement(STOCK, MILL, axial_depth=2e-3)
 
 
 def work_frame():
@@ -25,6 +25,8 @@ def work_frame():
 
 
 FRAME = work_frame()
+ARM = sim.ElasticArm(ROBOT, FRAME)
+PROCESS = pr.Process(STOCK, MILL, PAPER_LAW, np.pi / PERIOD, PLAN)
 
 
 @jax.jit
@@ -36,11 +38,7 @@ def motors(tips):
 
 @functools.cache
 def program():
-    return jax.jit(
-        lambda theta: sim.simulate_coupled(
-            theta, ROBOT, FRAME, STOCK, MILL, PAPER_LAW, PERIOD, PLAN, pr.ThroughRays()
-        )
-    )
+    return jax.jit(lambda theta: sim.run(ARM, PROCESS, theta))
 
 
 @pytest.mark.slow
@@ -53,9 +51,8 @@ def test_a_kick_of_the_arm_grows_as_predicted(depth):
     # In the first windows other modes still fade.
     start, end = (moved[k : k + 20].max() for k in (140, 220))
     found = sim.stability_along(
-        theta, plain.joint_positions, ROBOT, FRAME, STOCK, MILL, PAPER_LAW, PERIOD,
-        PLAN, np.arange(150, 231, 8),
-    )  # fmt: skip
+        ARM, PROCESS, theta, plain.joint_positions, np.arange(150, 231, 8)
+    )
     predicted = np.log(found.radius).mean()
     np.testing.assert_allclose(np.log(end / start) / 80, predicted, atol=2.5e-3)
     # The limit lies between the first depth and the second.

@@ -52,7 +52,7 @@ def growth(rpm, robot, arc, depth):
     # Down-milling along +x: the work lies to the right of the feed.
     top = 6e-3 if arc == SLOT else 0.0
     stock = wp.box([0, -6e-3, -2e-3], [8e-3, top, 0], 0.2e-3, interval_counts=(6, 6, 1))
-    plan = pr.process_plan(
+    plan = pr.choose_engagement(
         stock,
         mill,
         axial_depth=depth + stock.spacing,
@@ -64,9 +64,12 @@ def growth(rpm, robot, arc, depth):
     frame[:3, 3] = rb.forward_kinematics(robot, np.zeros(robot.joint_count))[:3, 3]
     frame[2, 3] += depth
     return sim.stability_along(
-        jnp.asarray(path), jnp.asarray(path), robot, frame, stock, mill, law, period,
-        plan, [60],
-    )  # fmt: skip
+        sim.ElasticArm(robot, frame),
+        pr.Process(stock, mill, law, math.pi / period, plan),
+        jnp.asarray(path),
+        jnp.asarray(path),
+        [60],
+    )
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,10 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers import PAPER_LAW
 
 from diffmill.cutter import flat_end_mill
-from diffmill.process import process_plan
+from diffmill.process import Process, choose_engagement
 from diffmill.sim import tooth_chip
 from diffmill.viz import chip_chart, force_record
 from diffmill.workpiece import Pose, box
@@ -20,10 +21,11 @@ def test_chip_of_a_slot_is_that_of_two_circles(direction):
     tips = (steps * FEED - 1.5e-3) * along + np.array([0.0, 0.0, -DEPTH])
     stock = box([-5e-3, -5e-3, -2e-3], [5e-3, 5e-3, 0.0], 0.2e-3)
     cutter = flat_end_mill(diameter=2 * RADIUS, teeth=2, helix_angle=0.0)
-    plan = process_plan(
+    plan = choose_engagement(
         stock, cutter, axial_depth=DEPTH, angles=96, element_height=0.4e-3
     )
-    found = tooth_chip(Pose(jnp.asarray(tips)), stock, cutter, plan, step=50)
+    process = Process(stock, cutter, PAPER_LAW, 837.0, plan)
+    found = tooth_chip(process, Pose(jnp.asarray(tips)), step=50)
     chart = chip_chart(found, plan.angles)
     phi = chart.immersion_angle
     assert np.ptp(phi) == pytest.approx(2 * np.pi * (1 - 1 / plan.angles))
@@ -43,9 +45,10 @@ def test_chip_of_a_slot_is_that_of_two_circles(direction):
 def test_step_outside_the_path_is_refused():
     stock = box([0.0, 0.0, 0.0], [4e-3, 4e-3, 2e-3], 0.5e-3)
     cutter = flat_end_mill(diameter=2 * RADIUS, teeth=2, helix_angle=0.0)
-    plan = process_plan(stock, cutter, axial_depth=DEPTH)
+    plan = choose_engagement(stock, cutter, axial_depth=DEPTH)
     with pytest.raises(ValueError, match="`step` must lie between 1 and 4"):
-        tooth_chip(Pose(jnp.zeros((5, 3))), stock, cutter, plan, step=5)
+        process = Process(stock, cutter, PAPER_LAW, 837.0, plan)
+        tooth_chip(process, Pose(jnp.zeros((5, 3))), step=5)
 
 
 def test_force_record_puts_samples_in_the_middle_of_their_parts():

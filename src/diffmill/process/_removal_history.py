@@ -13,23 +13,22 @@ import jax
 import jax.core
 import jax.numpy as jnp
 from jax.typing import DTypeLike
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from ..cutter import AbstractCutter
 from ..cutting import safe_norm
 from ..workpiece import (
     Pose,
     PoseTrack,
-    Stock,
     ToothPass,
     remove_passes,
     remove_poses,
     repeated,
     tool_frame,
 )
-from ._discretisation import ProcessPlan
 from ._engagement.leading_half import STILL
-from ._stock_derivatives import AbstractAdjoint
+from ._process import Process
+from ._state import ProcessState, Removed, Waiting
 
 # Entries of the history; with the lag this sets the least distance between entries.
 QUEUE_LENGTH = 48
@@ -41,117 +40,38 @@ HISTORY = 512
 _REMOVALS = 2
 
 
-class Waiting(eqx.Module):
-    """Passes that wait for removal, oldest first, each of one tooth.
-
-    Attributes:
-        row: Index k of the pose before which the tooth looks forward, shape (queue,).
-        forward: Direction of motion along tool x and y, shape (queue, 2).
-        passing: When the tooth looks forward, in tooth periods from pose k - 1, shape
-            (queue,).
-        travel: Distance travelled when the pass came in [m], shape (queue,).
-    """
-
-    row: Int[Array, "*queue"]
-    forward: Float[Array, "*queue 2"]
-    passing: Float[Array, "*queue"]
-    travel: Float[Array, "*queue"]
-
-    def __getitem__(self, item: object) -> "Waiting":
-        """Return some of the passes."""
-        return jax.tree.map(lambda x: x[item], self)
-
-
-class ProcessState(eqx.Module):
-    """State of the process between tooth periods.
-
-    Attributes:
-        stock: The workpiece, less the poses still in the queue.
-        track: Every pose so far, at the ends of the sub-steps.
-        last_tip: Tip of the newest at a tooth instant [m], shape (3,).
-        recent: Poses in the middle of the sub-steps of the last tooth periods, newest
-            first, shape (tooth, substep, 3).
-        ends: Poses at the ends of the sub-steps of the last period, which are not in
-            the track yet, shape (substep, 3).
-        forward: Direction of motion along tool x and y, shape (2,).
-        passing: When in the last period a tooth looked forward, in tooth periods; may
-            be half a period beside it, so that it does not jump, shape ().
-        queue: What waits for removal.
-        queue_count: Number of entries, shape ().
-        travel: Distance travelled so far [m], shape ().
-        slots: How many slots of each family of rays hold anything, shape (3,).
-        has_overflow: Whether a ray ran out of slots, shape ().
-        is_beyond: Whether the tool reached beyond its window, shape ().
-    """
-
-    stock: Stock
-    track: PoseTrack
-    last_tip: Float[Array, " 3"]
-    recent: Pose
-    ends: Pose
-    forward: Float[Array, " 2"]
-    passing: Float[Array, ""]
-    queue: Waiting
-    queue_count: Int[Array, ""]
-    travel: Float[Array, ""]
-    slots: Int[Array, " 3"]
-    has_overflow: Bool[Array, ""]
-    is_beyond: Bool[Array, ""]
-
-
-class Removed(eqx.Module):
-    """Poses removed in one step and what each took [m^3].
-
-    Attributes:
-        pose: Their indices, shape (pose,).
-        volume: All that a pose took [m^3], shape (pose,).
-        by_shank: What of it the shank took, above the flutes [m^3], shape (pose,).
-    """
-
-    pose: Int[Array, " pose"]
-    volume: Float[Array, " pose"]
-    by_shank: Float[Array, " pose"]
-
-
 def initial_state(
-    plan: ProcessPlan,
-    stock: Stock,
-    cutter: AbstractCutter,
-    pose: Pose,
-    pose_count: int,
-    adjoint: AbstractAdjoint,
+    process: Process, pose: Pose, pose_count: int
 ) -> tuple[ProcessState, Float[Array, ""]]:
     """Return the state at pose 0 and the volume of the stock that the tool stands in.
 
     Args:
-        plan: Sizes of the process.
-        stock: The raw workpiece.
-        cutter: The cutter.
+        process: The process, with the raw workpiece.
         pose: Pose 0, shape (3,).
         pose_count: Number of poses of the whole run.
-        adjoint: How the run is differentiated.
 
     Returns:
         The state, and the overlap [m^3], shape ().
     """
+    stock, cutter, engagement = process.stock, process.cutter, process.engagement
     dtype = stock.origin.dtype
     zero = jnp.zeros((), jnp.int32)
     cut = remove_poses(
         stock,
         cutter,
-        plan.window,
-        adjoint.removal_poses(repeated(pose, (1,))),
+        engagement.window,
+        process.derivative.removal_poses(repeated(pose, (1,))),
         zero[None],
         jnp.ones(1, bool),
     )
-    nodes = max((pose_count - 1) * plan.substeps + 1, _pass_length(plan, cutter, stock))
+    nodes = max((pose_count - 1) * engagement.substeps + 1, _pass_length(process))
     ahead = jnp.zeros(2, dtype).at[1].set(1)
     state = ProcessState(
         stock=cut.stock,
-        track=PoseTrack(repeated(pose, (nodes,)), plan.substeps),
+        track=PoseTrack(repeated(pose, (nodes,)), engagement.substeps),
         last_tip=pose.tip,
-        recent=repeated(pose, (cutter.flute_count, plan.substeps)),
-        ends=repeated(pose, (plan.substeps,)),
+        recent=repeated(pose, (cutter.flute_count, engagement.substeps)),
+        ends=repeated(pose, (engagement.substeps,)),
         forward=ahead,
         passing=jnp.zeros((), dtype),
         queue=Waiting(
@@ -170,33 +90,28 @@ def initial_state(
 
 
 def advance_removal(
-    plan: ProcessPlan,
-    cutter: AbstractCutter,
+    process: Process,
     state: ProcessState,
     index: Int[Array, ""],
     pose: Pose,
-    adjoint: AbstractAdjoint,
 ) -> tuple[ProcessState, Removed]:
     """Enter a pose in the history, and remove up to two passes that lie behind the lag.
 
     Args:
-        plan: Sizes of the process.
-        cutter: The cutter.
+        process: The process.
         state: State after the period that ends at the pose.
         index: Index k of the pose, shape ().
         pose: Pose k, shape (3,).
-        adjoint: How the run is differentiated.
 
     Returns:
         The state and what was removed.
     """
-    state = _enqueue(plan, cutter, state, index, pose)
-    return _remove_lagged(plan, cutter, state, index, adjoint)
+    state = _enqueue(process, state, index, pose)
+    return _remove_lagged(process, state, index)
 
 
 def _enqueue(
-    plan: ProcessPlan,
-    cutter: AbstractCutter,
+    process: Process,
     state: ProcessState,
     index: Int[Array, ""],
     pose: Pose,
@@ -204,8 +119,7 @@ def _enqueue(
     """Enter a period's poses in the track, and its pass in the queue if it is far on.
 
     Args:
-        plan: Sizes of the process.
-        cutter: The cutter.
+        process: The process.
         state: State after the period that ends at the pose.
         index: Index k of the pose, shape ().
         pose: Pose k, shape (3,).
@@ -219,9 +133,9 @@ def _enqueue(
     travel = state.travel + safe_norm(motion)
     track = tracked(state, index, pose)
     newest = state.queue.travel[state.queue_count - 1]
-    is_far = travel - newest >= plan.lag / QUEUE_LENGTH
+    is_far = travel - newest >= process.engagement.lag / QUEUE_LENGTH
     at = jnp.where(is_far, state.queue_count, QUEUE_LENGTH)
-    forward, passing, late = _ahead(cutter, state, index, frozen(pose), motion)
+    forward, passing, late = _ahead(process, state, index, frozen(pose), motion)
     queue = jax.tree.map(
         lambda queue, new: queue.at[at].set(new, mode="drop"),
         state.queue,
@@ -261,7 +175,7 @@ def tracked(state: ProcessState, index: Int[Array, ""], pose: Pose) -> PoseTrack
 
 
 def _ahead(
-    cutter: AbstractCutter,
+    process: Process,
     state: ProcessState,
     index: Int[Array, ""],
     pose: Pose,
@@ -272,7 +186,7 @@ def _ahead(
     Which of the teeth it is follows the direction without a jump, so that where the
     direction trembles no tooth is left out.
     """
-    frame = tool_frame(pose.direction())
+    cutter, frame = process.cutter, tool_frame(pose.direction())
     x, y = jnp.sum(motion * frame[:, 0]), jnp.sum(motion * frame[:, 1])
     length = jnp.sqrt(x**2 + y**2)
     is_moving = length > STILL
@@ -298,60 +212,61 @@ def early_teeth(cutter: AbstractCutter, dtype: DTypeLike) -> Float[Array, " toot
     return jnp.mod(pitch - even + math.pi, 2 * math.pi) - math.pi
 
 
-def _pass_length(plan: ProcessPlan, cutter: AbstractCutter, stock: Stock) -> int:
+def _pass_length(process: Process) -> int:
     """Return the number of nodes that one turn of a tooth spans, its helix included."""
-    turns = 1 + _helix_turns(plan, cutter, stock)
-    return math.ceil(turns * cutter.flute_count * plan.substeps) + 3
+    turns = 1 + _helix_turns(process)
+    return (
+        math.ceil(turns * process.cutter.flute_count * process.engagement.substeps) + 3
+    )
 
 
-def _helix_turns(plan: ProcessPlan, cutter: AbstractCutter, stock: Stock) -> float:
+def _helix_turns(process: Process) -> float:
     """Return how far the helix holds back the highest edge in the stock, in turns."""
+    cutter, window = process.cutter, process.engagement.window
     if not cutter.has_helix:
         return 0.0
     if isinstance(cutter.helix_angle, jax.core.Tracer):
         # Not known, and higher up the tooth is taken to be there.
         return 1.0
-    height = plan.window.length or plan.window.sizes[2] * stock.spacing
+    height = window.length or window.sizes[2] * process.stock.spacing
     height = min(height, cutter.flute_length)
     lead = abs(math.tan(float(cutter.helix_angle)))
     return height * lead / (2 * math.pi * cutter.nominal_radius)
 
 
-def _wait(plan: ProcessPlan, cutter: AbstractCutter, stock: Stock) -> int:
+def _wait(process: Process) -> int:
     """Return after how many periods the tooth of a pass has gone around."""
-    turns = 0.5 + _helix_turns(plan, cutter, stock)
+    turns = 0.5 + _helix_turns(process)
     # One for the period itself, and a half that the tooth may look forward later.
-    return math.ceil(turns * cutter.flute_count + 1.5)
+    return math.ceil(turns * process.cutter.flute_count + 1.5)
 
 
 def _tooth_pass(
-    plan: ProcessPlan,
-    cutter: AbstractCutter,
+    process: Process,
     state: ProcessState,
     waiting: Waiting,
     newest: Int[Array, ""],
-    adjoint: AbstractAdjoint,
 ) -> ToothPass:
     """Return a pass in the queue.
 
     Args:
-        plan: Sizes of the process.
-        cutter: The cutter.
+        process: The process.
         state: The state.
         waiting: The pass, as it stands in the queue.
         newest: Index of the newest pose that is known, shape ().
-        adjoint: How the run is differentiated.
     """
-    S, count = plan.substeps, _pass_length(plan, cutter, state.stock)
+    S, count = process.engagement.substeps, _pass_length(process)
     table = state.track.poses
     start = (waiting.row - 1) * S
     steps = waiting.passing * S
-    first = start + jnp.floor(steps - cutter.flute_count * S / 2).astype(jnp.int32)
+    first = start + jnp.floor(steps - process.cutter.flute_count * S / 2).astype(
+        jnp.int32
+    )
     first = jnp.clip(first, 0, table.tip.shape[0] - count)
     nodes = jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, first, count), table)
     number = lambda value: value.astype(steps.dtype)
     return ToothPass(
-        nodes=adjoint.removal_poses(nodes),
+        nodes=process.derivative.removal_poses(nodes),
         first=first,
         forward=waiting.forward,
         passing=number(start - first) + steps,
@@ -361,41 +276,38 @@ def _tooth_pass(
 
 
 def _remove_lagged(
-    plan: ProcessPlan,
-    cutter: AbstractCutter,
+    process: Process,
     state: ProcessState,
     index: Int[Array, ""],
-    adjoint: AbstractAdjoint,
 ) -> tuple[ProcessState, Removed]:
     """Remove up to two passes that the tool has left behind by the lag.
 
     Args:
-        plan: Sizes of the process.
-        cutter: The cutter.
+        process: The process.
         state: The state, with the newest pose.
         index: Index of that pose, shape ().
-        adjoint: How the run is differentiated.
 
     Returns:
         The state and what was removed.
     """
-    oldest = state.queue[:_REMOVALS]
-    passes = [
-        _tooth_pass(plan, cutter, state, oldest[i], index, adjoint)
-        for i in range(_REMOVALS)
-    ]
+    engagement, oldest = process.engagement, state.queue[:_REMOVALS]
+    passes = [_tooth_pass(process, state, oldest[i], index) for i in range(_REMOVALS)]
     age = state.travel - oldest.travel
     places = jnp.arange(_REMOVALS, dtype=jnp.int32)
-    is_over = index - oldest.row >= _wait(plan, cutter, state.stock)
+    is_over = index - oldest.row >= _wait(process)
     is_full = state.queue_count >= QUEUE_LENGTH
     is_late = (is_full | (index - oldest.row[0] >= HISTORY)) & (places == 0)
     # The newest stays: what comes in is measured against it.
-    is_due = ((age >= plan.lag) & is_over) | is_late
+    is_due = ((age >= engagement.lag) & is_over) | is_late
     is_due = is_due & (places < state.queue_count - 1)
     tips = [tooth.center().frozen().tip for tooth in passes]
     apart = jnp.max(jnp.abs(tips[1] - tips[0]))
-    is_due = is_due.at[1].set(is_due[0] & is_due[1] & (apart <= plan.window.slack))
-    cut = remove_passes(state.stock, cutter, plan.window, passes, is_due, state.slots)
+    is_due = is_due.at[1].set(
+        is_due[0] & is_due[1] & (apart <= engagement.window.slack)
+    )
+    cut = remove_passes(
+        state.stock, process.cutter, engagement.window, passes, is_due, state.slots
+    )
     count = jnp.sum(is_due, dtype=jnp.int32)
     shift = jnp.minimum(
         jnp.arange(QUEUE_LENGTH, dtype=jnp.int32) + count, QUEUE_LENGTH - 1
@@ -422,15 +334,17 @@ def _remove_lagged(
     return state, Removed(oldest.row, cut.volume, cut.by_shank)
 
 
-def thinned_poses(plan: ProcessPlan, state: ProcessState) -> Pose:
+def thinned_poses(process: Process, state: ProcessState) -> Pose:
     """Return the newest poses in the queue at given distances behind the tool."""
     slots = jnp.arange(QUEUE_LENGTH, dtype=jnp.int32)
     age = state.travel - state.queue.travel
     picks = []
     for share in _THINNED:
-        is_old = (age >= share * plan.lag) & (slots < state.queue_count)
+        is_old = (age >= share * process.engagement.lag) & (slots < state.queue_count)
         picks.append(jnp.max(jnp.where(is_old, slots, 0)))
-    return state.track.poses[state.queue.row[jnp.stack(picks)] * plan.substeps]
+    return state.track.poses[
+        state.queue.row[jnp.stack(picks)] * process.engagement.substeps
+    ]
 
 
 def end_period(state: ProcessState, middles: Pose, ends: Pose) -> ProcessState:
@@ -448,33 +362,30 @@ def end_period(state: ProcessState, middles: Pose, ends: Pose) -> ProcessState:
 
 
 def remove_all(
-    plan: ProcessPlan,
-    cutter: AbstractCutter,
+    process: Process,
     state: ProcessState,
     index: Int[Array, ""],
     pose: Pose,
     pose_count: int,
-    adjoint: AbstractAdjoint,
 ) -> tuple[ProcessState, Removed]:
     """Remove all that the history still holds, the last pose included.
 
     Args:
-        plan: Sizes of the process.
-        cutter: The cutter.
+        process: The process.
         state: State after the last period.
         index: Index of the last pose, shape ().
         pose: The last pose, shape (3,).
         pose_count: Number of poses of the run, and of periods behind the last pose.
-        adjoint: How the run is differentiated.
 
     Returns:
         The state with an empty history, and what was removed.
     """
+    cutter, window = process.cutter, process.engagement.window
     newest: Int[Array, ""] = jnp.asarray(pose_count - 1, jnp.int32)
-    state = _enqueue(plan, cutter, state, newest, pose)
+    state = _enqueue(process, state, newest, pose)
     slots = jnp.arange(QUEUE_LENGTH, dtype=jnp.int32)
     # After the last pose the tool stands there while its teeth go around.
-    rest = jnp.arange(1 + _wait(plan, cutter, state.stock), dtype=jnp.int32)
+    rest = jnp.arange(1 + _wait(process), dtype=jnp.int32)
     last = jax.vmap(
         lambda row: Waiting(row, state.forward, state.passing, state.travel)
     )(index + rest)
@@ -486,8 +397,8 @@ def remove_all(
     def remove(carry, x):
         stock, slots, has_overflow, is_beyond = carry
         row, due = x
-        tooth = _tooth_pass(plan, cutter, state, row, newest, adjoint)
-        cut = remove_passes(stock, cutter, plan.window, [tooth], due[None], slots)
+        tooth = _tooth_pass(process, state, row, newest)
+        cut = remove_passes(stock, cutter, window, [tooth], due[None], slots)
         flags = (has_overflow | cut.has_overflow, is_beyond | cut.is_beyond)
         return (cut.stock, cut.slots, *flags), (cut.volume[0], cut.by_shank[0])
 

@@ -28,7 +28,7 @@ class AbstractAdjoint(eqx.Module):
             occupancies, for many cheap products, instead of computing both again in
             every product, as suits one gradient. Of forces only with the arm's
             dynamics, not in its static balance. Where samples are looked up in space
-            (`ProcessPlan.profile`), cutter and stock then are constants: to
+            (`EdgeElementsInSpace`), cutter and stock then are constants: to
             differentiate in them raises ValueError.
     """
 

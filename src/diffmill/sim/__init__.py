@@ -7,8 +7,9 @@ lags behind the tool by a travelled distance; what is still pending is flushed a
 end of a run. A second, hard chip model, "point_cloud", removes at once and takes the
 chip's angles from the rays that a removal has cut, as the paper does.
 
-Beside it: the same run in segments (`run_segment`), without inertia
-(`simulate_quasistatic`) or load (`free_motion`); whether vibrations grow (`stability`);
+What moves the tool is a machine: `Rigid`, `QuasiStaticArm` or `ElasticArm`; `run` moves
+it along a command, `run_segment` from where another run ended. Beside it: the arm
+without load (`free_motion`); whether vibrations grow (`stability`);
 what each parameter does (`sensitivity`); what a run did within its periods
 (`replay_process`); where the holder is (`tool_contacts`).
 
@@ -21,10 +22,6 @@ Leaves out the moment of the force about the tip, and regeneration by more than 
 teeth beyond the thinned history.
 """
 
-from ..process import (
-    ProcessSolution as ProcessSolution,
-    simulate_process as simulate_process,
-)
 from ._analysis.collisions import (
     ToolContacts as ToolContacts,
     tool_contacts as tool_contacts,
@@ -50,7 +47,9 @@ from ._job.replay import (
 )
 from ._job.simulate import (
     Solution as Solution,
-    job_plan as job_plan,
+    job_engagement as job_engagement,
+    job_machine as job_machine,
+    job_process as job_process,
     rigid_cut as rigid_cut,
     run_motors as run_motors,
     run_with_room as run_with_room,
@@ -76,17 +75,16 @@ from ._machine.commands import (
     joint_motors as joint_motors,
     path_axes as path_axes,
 )
-from ._machine.elastic import (
-    CoupledSolution as CoupledSolution,
-    coupled_machine as coupled_machine,
-    simulate_coupled as simulate_coupled,
-)
+from ._machine.elastic import ElasticArm as ElasticArm
 from ._machine.free_vibration import free_motion as free_motion
-from ._machine.quasi_static import simulate_quasistatic as simulate_quasistatic
-from ._machine.segments import (
-    CoupledCarry as CoupledCarry,
-    CoupledSegment as CoupledSegment,
-    begin_segments as begin_segments,
-    job_machine as job_machine,
+from ._machine.machine import (
+    AbstractMachine as AbstractMachine,
+    Run as Run,
+    RunState as RunState,
+    Segment as Segment,
+    begin_run as begin_run,
+    run as run,
     run_segment as run_segment,
 )
+from ._machine.quasi_static import QuasiStaticArm as QuasiStaticArm
+from ._machine.rigid import Rigid as Rigid, simulate_process as simulate_process

@@ -5,8 +5,8 @@ from jaxtyping import Float
 
 from ..._job import Job
 from ..._types import BoolSteps
-from ...process import AbstractAdjoint, ProcessSolution
-from ...sim import parameter_names
+from ...process import AbstractAdjoint
+from ...sim import Run, parameter_names
 from .._core.method import Corrected
 from .._core.path_objective import AbstractObjective, PathObjective
 from .._core.problem import Problem
@@ -33,7 +33,7 @@ class UnsuitableSettings(ValueError):
 
 
 def job_weights(
-    job: Job, rigid: ProcessSolution, is_cutting: BoolSteps
+    job: Job, rigid: Run, is_cutting: BoolSteps
 ) -> Float[np.ndarray, " step"]:
     """Return the weight of every row, as `[correction]` asks for.
 
@@ -54,7 +54,7 @@ def job_weights(
     )
 
 
-def job_surface(job: Job, rigid: ProcessSolution) -> FinishedSurface | None:
+def job_surface(job: Job, rigid: Run) -> FinishedSurface | None:
     """Return the surface as it should be; None where it is not of walls and floors.
 
     It is for a flat cutter that stands along +z and leaves something of what it cut.

@@ -11,12 +11,13 @@ from jaxtyping import Array, Float, Int
 from ..._job import Job
 from ...process import AbstractAdjoint, wall_deviation, wall_shares
 from ...sim import (
-    CoupledCarry,
-    CoupledSegment,
-    CoupledSolution,
-    begin_segments,
+    Run,
+    RunState,
+    Segment,
+    begin_run,
     command_joints,
     job_machine,
+    job_process,
     joint_motors,
     path_axes,
     run_segment,
@@ -37,7 +38,7 @@ class JobState(eqx.Module):
             the row [rad or m], shape (joint,).
     """
 
-    coupled: CoupledCarry
+    coupled: RunState
     joints: Float[Array, " joint"]
 
 
@@ -63,10 +64,10 @@ class JobPiece(AbstractPiece):
         before, job = self.state, self.job
         joints = _joints(job, command, before.joints, self.has_joint_commands)
         motors = joint_motors(job, joints)
-        machine = job_machine(job, self.adjoint)
-        rows, coupled = run_segment(machine, before.coupled, motors)
+        process = job_process(job, self.adjoint)
+        rows = run_segment(job_machine(job), process, motors, before.coupled)
         motion = wall_motion(job, rows, self.wall_share)
-        return motion, JobState(coupled, joints[-1])
+        return motion, JobState(rows.state, joints[-1])
 
 
 class JobPieces(AbstractPieces):
@@ -110,8 +111,8 @@ def _begin(
     assert robot is not None
     start = robot.home if job.joint_start is None else jnp.asarray(job.joint_start)
     joints = _joints(job, command, start, has_joint_commands)
-    machine = job_machine(job, adjoint)
-    coupled = begin_segments(machine, job.stock, joint_motors(job, joints))
+    process = job_process(job, adjoint)
+    coupled = begin_run(job_machine(job), process, joint_motors(job, joints))
     return JobState(coupled, joints[0])
 
 
@@ -130,9 +131,7 @@ def _joints(
     return command_joints(started, command)[0]
 
 
-def wall_motion(
-    job: Job, ran: CoupledSolution | CoupledSegment, shares: Steps | None
-) -> Motion:
+def wall_motion(job: Job, ran: Run | Segment, shares: Steps | None) -> Motion:
     """Return the motion of a job as the walls show it.
 
     Args:

@@ -11,8 +11,9 @@ from jaxtyping import Array, Float
 
 from ..._job import Job
 from ..._types import FloatRows
-from ...process import AbstractAdjoint, ProcessSolution
+from ...process import AbstractAdjoint
 from ...sim import (
+    Run,
     Solution,
     command_joints,
     command_motors,
@@ -57,7 +58,7 @@ class TipPlant(AbstractHostPlant):
     job: Job
     adjoint: AbstractAdjoint
     wall_share: Steps | None = None
-    rigid: ProcessSolution | None = None
+    rigid: Run | None = None
 
     def __call__(self, command: Float[Array, "step 3"]) -> Motion:
         """Return the motion that follows a command, shape (step, 3)."""
@@ -83,7 +84,7 @@ class JointPlant(AbstractHostPlant):
     job: Job
     adjoint: AbstractAdjoint
     wall_share: Steps | None = None
-    rigid: ProcessSolution | None = None
+    rigid: Run | None = None
 
     def __call__(self, command: Float[Array, "step joint"]) -> Motion:
         """Return the motion that follows a command, shape (step, joint)."""

@@ -20,14 +20,14 @@ from ..._types import FloatRows3, RealScalarLike
 from ...cutter import AbstractCutter
 from ...cutting import AbstractForceLaw, LinearEdgeLaw
 from ...process import (
-    ProcessPlan,
+    AbstractEngagement,
+    EdgeElementsInSpace,
+    choose_engagement,
     default_element_height,
     is_plunging,
     path_depth,
-    process_plan,
-    simulate_process,
 )
-from ...sim import with_precision
+from ...sim import simulate_process, with_precision
 from ...workpiece import Stock
 
 # Samples per revolution, those for a path of more steps than so many, and elements
@@ -46,7 +46,7 @@ class Cut(eqx.Module):
         cutter: The cutter.
         spindle_speed: [rad/s].
         axes: Tool axes, shape (step, 3), or None for +z.
-        plan: How finely it is simulated, or None for the default.
+        engagement: How finely it is simulated, or None for the default.
         bottom_law: A known law of the bottom edges, or None for the one that follows
             from the coefficients.
     """
@@ -56,7 +56,7 @@ class Cut(eqx.Module):
     cutter: AbstractCutter
     spindle_speed: RealScalarLike
     axes: FloatRows3 | None = None
-    plan: ProcessPlan | None = None
+    engagement: AbstractEngagement | None = None
     bottom_law: AbstractForceLaw | None = None
 
     @property
@@ -119,7 +119,7 @@ def cut_of(process_or_job: Cut | Job) -> Cut:
             f"is a {type(process_or_job).__name__}."
         )
     cut = process_or_job
-    return cut if cut.plan is not None else with_plan(cut)
+    return cut if cut.engagement is not None else with_plan(cut)
 
 
 def with_plan(cut: Cut, cutter: AbstractCutter | None = None) -> Cut:
@@ -144,7 +144,7 @@ def with_plan(cut: Cut, cutter: AbstractCutter | None = None) -> Cut:
     axes = None if cut.axes is None else np.asarray(cut.axes, np.float64)
     if axes is not None and np.allclose(axes, [0.0, 0.0, 1.0], atol=1e-9):
         axes = None
-    old = cut.plan
+    old = cut.engagement
     usual = _ANGLES_OF_LONG if len(cut.positions) > _LONG else _ANGLES
     angles = usual if old is None else old.angles
     depth = path_depth(cut.positions, cut.stock, cutter)
@@ -152,7 +152,7 @@ def with_plan(cut: Cut, cutter: AbstractCutter | None = None) -> Cut:
     height = max(height * _DEFAULT_ANGLES / usual, depth / _ELEMENTS)
     height = height if old is None else old.discs.height
     plunges = is_plunging(cut.positions, cut.stock.top)
-    plan = process_plan(
+    engagement = choose_engagement(
         cut.stock,
         cutter,
         axial_depth=depth,
@@ -164,13 +164,11 @@ def with_plan(cut: Cut, cutter: AbstractCutter | None = None) -> Cut:
         plunges=plunges,
         has_bottom=plunges or axes is not None,
     )
-    assert plan.profile is not None
-    plan = dataclasses.replace(
-        plan, profile=dataclasses.replace(plan.profile, keeps_all=True)
-    )
-    return dataclasses.replace(
-        cut, cutter=cutter, axes=None if axes is None else cut.axes, plan=plan
-    )
+    assert isinstance(engagement, EdgeElementsInSpace)
+    profile = dataclasses.replace(engagement.profile, keeps_all=True)
+    engagement = dataclasses.replace(engagement, profile=profile)
+    axes = None if axes is None else cut.axes
+    return dataclasses.replace(cut, cutter=cutter, axes=axes, engagement=engagement)
 
 
 def engagement_columns(process_or_job: Cut | Job) -> EngagementColumns:
@@ -225,7 +223,7 @@ def instantaneous_force(
         LinearEdgeLaw(*coefficients),
         cut.spindle_speed,
         cut.axes,
-        plan=cut.plan,
+        engagement=cut.engagement,
         bottom_law=cut.bottom_law,
         keeps_instantaneous=True,
     )

@@ -25,12 +25,23 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ...cutter import AbstractCutter
+from ...cutting import circle_chip, edge_contact, held_at_rest, safe_norm, way_of
 from ...numerics import clamp
-from ...workpiece import Pose, Stock, TakenPieces, remove_poses, taken_pieces
-from .._discretisation import ProcessPlan
-from .._removal_history import ProcessState, Removed, tracked
-from .._stock_derivatives import AbstractAdjoint
-from .upright import immersion_angles
+from ...workpiece import (
+    Discs,
+    Pose,
+    RemovalWindow,
+    Stock,
+    TakenPieces,
+    remove_poses,
+    repeated,
+    taken_pieces,
+)
+from .._process import AbstractEngagement, Process, Substeps
+from .._removal_history import tracked
+from .._state import ProcessState, Removed
+from .edge_samples import EdgeSamples, Engagement
+from .upright import immersion_angles, wrench_of_discs
 
 # Overlaps and distances below this share of a spacing, or of the radius, are rounding.
 _TINY = 1e-6
@@ -74,97 +85,135 @@ class _Rows(eqx.Module):
     height: Float[Array, " row"]
 
 
-def remove_at_once(
-    plan: ProcessPlan,
-    cutter: AbstractCutter,
-    state: ProcessState,
-    index: Int[Array, ""],
-    pose: Pose,
-    adjoint: AbstractAdjoint,
-) -> tuple[ProcessState, Removed]:
-    """Enter a pose in the track and remove it from the stock.
+class DexelCloud(AbstractEngagement):
+    """The paper's own chip, of a flat cutter with even teeth that stands along +z.
 
-    Args:
-        plan: Sizes of the process.
-        cutter: The cutter.
-        state: State after the period before.
-        index: Index of the pose, shape ().
-        pose: The pose, shape (3,).
-        adjoint: How the run is differentiated.
-
-    Returns:
-        The state, its queue unchanged, and what was removed.
+    Attributes as of `AbstractEngagement`.
     """
-    indices = index[None]
-    # Never a constant, which XLA would fold, and then copy the stock in every step.
-    is_due = (pose.tip[2] < state.stock.top)[None]
-    cut = remove_poses(
-        state.stock,
-        cutter,
-        plan.window,
-        adjoint.removal_poses(pose[None]),
-        indices,
-        is_due,
-        state.slots,
-    )
-    state = eqx.tree_at(
-        lambda s: (s.stock, s.track, s.slots, s.has_overflow, s.is_beyond),
-        state,
-        (
-            cut.stock,
-            tracked(state, index, pose),
-            cut.slots,
-            state.has_overflow | cut.has_overflow,
-            state.is_beyond | cut.is_beyond,
-        ),
-    )
-    return state, Removed(indices, cut.volume, cut.by_shank)
 
+    angles: int = eqx.field(static=True)
+    substeps: int = eqx.field(static=True)
+    discs: Discs
+    window: RemovalWindow
+    lag: float = eqx.field(static=True)
+    looks: int = eqx.field(static=True, default=1)
+    is_upright: bool = eqx.field(static=True, default=True, init=False)
 
-def cloud_engagement(
-    plan: ProcessPlan,
-    cutter: AbstractCutter,
-    state: ProcessState,
-    start: Pose,
-    predicted: Pose,
-) -> tuple[
-    Float[Array, "substep angle tooth disc"],
-    Float[Array, "substep angle tooth element"],
-]:
-    """Return where the teeth of a period are, and how much of each sample cuts.
+    def __check_init__(self):
+        """Refuse several looks: what a cloud tells, it tells once a period."""
+        if self.looks != 1:
+            raise ValueError(
+                f"Argument `looks` must be 1 for a point cloud, but is {self.looks}."
+            )
 
-    A sample stands for the angles up to half a step beside it, and counts with what of
-    them lies between phi_in and phi_out.
+    def advance(
+        self, process: Process, state: ProcessState, index: Int[Array, ""], pose: Pose
+    ) -> tuple[ProcessState, Removed]:
+        """Enter a pose in the track and remove it from the stock."""
+        indices = index[None]
+        # Never a constant, which XLA would fold, and then copy the stock in every step.
+        is_due = (pose.tip[2] < state.stock.top)[None]
+        cut = remove_poses(
+            state.stock,
+            process.cutter,
+            self.window,
+            process.derivative.removal_poses(pose[None]),
+            indices,
+            is_due,
+            state.slots,
+        )
+        state = eqx.tree_at(
+            lambda s: (
+                s.stock,
+                s.track,
+                s.last_tip,
+                s.slots,
+                s.has_overflow,
+                s.is_beyond,
+            ),
+            state,
+            (
+                cut.stock,
+                tracked(state, index, pose),
+                pose.tip,
+                cut.slots,
+                state.has_overflow | cut.has_overflow,
+                state.is_beyond | cut.is_beyond,
+            ),
+        )
+        return state, Removed(indices, cut.volume, cut.by_shank)
 
-    Args:
-        plan: Sizes of the process.
-        cutter: The cutter.
-        state: State after the removal of the pose at the start of the period.
-        start: That pose, shape (3,).
-        predicted: Poses in the middle of the sub-steps, shape (substep, 3).
+    def engage(
+        self,
+        process: Process,
+        state: ProcessState,
+        index: Int[Array, ""],
+        predicted: Pose,
+        part: Substeps | None = None,
+    ) -> Engagement:
+        """Return where the teeth of a period are, and how much of each sample cuts.
 
-    Returns:
-        Immersion angles of all teeth [rad], and the share of each that cuts.
+        A sample stands for the angles up to half a step beside it, and counts with what
+        of them lies between phi_in and phi_out.
 
-    Differentiability: hard. The derivative follows the rays that hold the extreme
-    points and knows nothing of the jump when others take over.
-    """
-    n = plan.substeps
-    # Straight on from the last middle to the end of the period.
-    end = start.tip + (predicted.tip[-1] - start.tip) * (n / (n - 0.5))
-    arcs = chip_arcs(plan, cutter, state.stock, start.tip, end)
-    angle = immersion_angles(plan, cutter, end.dtype)
-    seen = jnp.mod(angle - arcs.heading + math.pi, 2 * math.pi) - math.pi
-    half = math.pi / plan.angles
-    upper = jnp.minimum(seen + half, arcs.exit[None, None, None])
-    lower = jnp.maximum(seen - half, arcs.entry[None, None, None])
-    inside = clamp(0.0, (upper - lower) / (2 * half), 1.0)
-    return angle, inside * arcs.share[None, None, None]
+        Differentiability: hard. The derivative follows the rays that hold the extreme
+        points and knows nothing of the jump when others take over.
+        """
+        n, start, teeth = self.substeps, state.last_tip, process.cutter.flute_count
+        # Straight on from the last middle to the end of the period.
+        end = start + (predicted.tip[-1] - start) * (n / (n - 0.5))
+        arcs = chip_arcs(process, state.stock, start, end)
+        angle = immersion_angles(process, end.dtype)
+        seen = jnp.mod(angle - arcs.heading + math.pi, 2 * math.pi) - math.pi
+        half = math.pi / self.angles
+        upper = jnp.minimum(seen + half, arcs.exit[None, None, None])
+        lower = jnp.maximum(seen - half, arcs.entry[None, None, None])
+        inside = clamp(0.0, (upper - lower) / (2 * half), 1.0)
+        weight = inside * arcs.share[None, None, None]
+        tooth = jnp.arange(teeth, dtype=jnp.int32) - (index - 1)
+        tooth = jnp.mod(tooth, teeth)[None, None, :, None]
+        tooth = jnp.broadcast_to(tooth, angle.shape)
+        # The cloud judges at the rim alone.
+        samples = EdgeSamples(angle, tooth, weight, jnp.ones_like(weight))
+        return Engagement(samples, repeated(Pose(start), (0,)))
+
+    def wrench(
+        self,
+        process: Process,
+        samples: EdgeSamples,
+        pose: Pose,
+        earlier: Pose,
+        thinned: Pose,
+    ) -> Float[Array, "angle 6"]:
+        """Return force and moment on the tool at the angles of one sub-step."""
+        chip = self.chip(process, samples, pose, earlier, thinned)
+        newest = earlier.tip[0] - pose.tip
+        feed, step = safe_norm(newest), 2 * math.pi / self.angles
+        touch = edge_contact(chip / way_of(newest), feed, step)
+        touch = held_at_rest(touch, feed)
+        return wrench_of_discs(process, samples, chip, touch)
+
+    def chip(
+        self,
+        process: Process,
+        samples: EdgeSamples,
+        pose: Pose,
+        earlier: Pose,
+        thinned: Pose,
+    ) -> Float[Array, "angle kept element"]:
+        """Return the unclipped chip of two cylinders [m], now and a period ago."""
+        radius = process.cutter.diameter / 2
+        return circle_chip(radius, earlier.tip[0] - pose.tip, samples.angle, 0.0)
+
+    def element_heights(
+        self, cutter: AbstractCutter, dtype: jnp.dtype
+    ) -> Float[Array, " element"]:
+        """Return how far above the tip the middle of every disc is [m]."""
+        return self.discs.centers(dtype)
 
 
 def chip_arcs(
-    plan: ProcessPlan,
-    cutter: AbstractCutter,
+    process: Process,
     stock: Stock,
     before: Float[Array, " 3"],
     tip: Float[Array, " 3"],
@@ -172,8 +221,7 @@ def chip_arcs(
     """Return entry and exit angle of each disc from the cloud of what a pose takes.
 
     Args:
-        plan: Sizes of the process.
-        cutter: The cutter.
+        process: The process.
         stock: The stock, from which the pose before is removed.
         before: Tool tip one tooth period earlier [m], shape (3,).
         tip: Tool tip now [m], shape (3,).
@@ -181,17 +229,18 @@ def chip_arcs(
     Returns:
         The arcs.
 
-    Differentiability: as `cloud_engagement`; a constant where a disc meets nothing.
+    Differentiability: as `DexelCloud.engage`; a constant where a disc meets nothing.
     """
+    cutter, engagement = process.cutter, process.engagement
     motion = jax.lax.stop_gradient(tip - before)
     heading = jnp.arctan2(motion[0], motion[1])
-    taken = taken_pieces(stock, cutter, plan.window, tip)
+    taken = taken_pieces(stock, cutter, engagement.window, tip)
     floor = jax.lax.stop_gradient(before[2] - tip[2])
     rows = _rows(taken[0], taken[1], tip, heading, floor)
     columns = _columns(taken[2], cutter, before, tip, heading)
     low, high = _extent(rows, columns, stock.spacing)
-    dz = plan.discs.height
-    bottom = plan.discs.centers(tip.dtype) - dz / 2
+    dz = engagement.discs.height
+    bottom = engagement.discs.centers(tip.dtype) - dz / 2
     share = jnp.minimum(bottom + dz, high) - jnp.maximum(bottom, low)
     share = clamp(0.0, share / dz, 1.0)
     # A row of rays stands for the layer of one spacing around it.

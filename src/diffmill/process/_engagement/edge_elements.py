@@ -16,129 +16,311 @@ takes beyond the last circle is the side's.
 
 import math
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ...cutter import AbstractCutter, EdgeElements
-from ...cutting import AbstractForceLaw, edge_contact, held_at_rest, safe_norm, way_of
+from ...cutting import edge_contact, held_at_rest, safe_norm, way_of
 from ...numerics import clamp
-from ...workpiece import Pose, occupancy_in_space, tool_frame
-from .._discretisation import ProcessPlan, Substeps, turning
-from .._removal_history import ProcessState
-from .._stock_derivatives import AbstractAdjoint
+from ...workpiece import Discs, Pose, RemovalWindow, occupancy_in_space, tool_frame
+from .._process import AbstractEngagement, Process, Substeps, rotation_angles
+from .._removal_history import advance_removal, thinned_poses
+from .._state import ProcessState, Removed
 from .bottom_edge import RAMP
-from .edge_samples import EdgeSamples
-from .leading_half import (
-    STILL,
-    chip_taken_over,
-    has_opposite_teeth,
-    leading_fade,
-    taken_over,
-)
+from .edge_samples import EdgeSamples, Engagement
+from .leading_half import STILL, chip_taken_over, leading_fade, taken_over
+from .upright import check_looks
 
 # Elements nearer to the axis than this share of the radius count as standing there.
 _LEAST_SINE = 0.02
 
 
-def engagement_in_space(
-    plan: ProcessPlan,
-    cutter: AbstractCutter,
-    state: ProcessState,
-    index: Int[Array, ""],
-    predicted: Pose,
-    adjoint: AbstractAdjoint,
-    part: Substeps | None = None,
-) -> EdgeSamples:
-    """Return where the edge elements of a period are, and whether in material.
+class EdgeDiscretisation(eqx.Module):
+    """Edge elements of a cutter in space, counted from the center of its end.
 
-    Args:
-        plan: Sizes of the process.
-        cutter: The cutter.
-        state: State after the removal of this period.
-        index: Index of the period, from 1, shape ().
-        predicted: Poses in the middle of the sub-steps, shape (substep, 3).
-        adjoint: How the run is differentiated.
-        part: The sub-steps, if these are not all of the period.
-
-    Returns:
-        The samples.
+    Attributes:
+        bottom: Elements of the flat end.
+        corner: Elements of the corner.
+        side: Elements of the side.
+        side_height: Height of an element of the side [m].
+        corner_limit: Angle of the corner up to which they reach [rad].
+        keeps_all: Whether all teeth are looked at all the time, since they cut on the
+            trailing side too.
     """
-    elements = profile_elements(plan, cutter, predicted.tip.dtype)
-    every = _angles(plan, cutter, elements, index, part)
-    angle, tooth, fade = _leading(plan, cutter, elements, state, predicted, every)
-    place = jax.vmap(lambda p, phi: _edge(cutter, elements, p, phi))
-    points, normals, along = place(predicted, angle)
-    # What an edge takes: a chip as thick as it lies beyond the pose a period before.
-    old = state.recent[0][:, None, None, None]
-    chip = cutter.level(points, old.tip, old.direction())
-    chip = clamp(0.0, chip, cutter.nominal_radius)[..., None] * normals
-    cell = jnp.stack(
-        [
-            elements.width[None, None, None, :, None] * along,
-            (2 * math.pi / plan.angles)
-            * elements.radius[None, None, None, :, None]
-            * jnp.cross(along, normals),
-            chip,
-        ],
-        axis=-2,
-    )
-    found = occupancy_in_space(
-        state.stock,
-        points.reshape(-1, 3),
-        cell.reshape(-1, 3, 3),
-        plan.discs.band,
-        cutter,
-        adjoint.tied_to(state.track),
-        keeps_slopes=adjoint.keeps_slopes,
-        slots=state.slots,
-    )
-    occupied, chip_share = (share.reshape(angle.shape) for share in found)
-    return EdgeSamples(angle, tooth, fade * occupied, chip_share)
+
+    bottom: int = eqx.field(static=True)
+    corner: int = eqx.field(static=True)
+    side: int = eqx.field(static=True)
+    side_height: float = eqx.field(static=True)
+    corner_limit: float = eqx.field(static=True)
+    keeps_all: bool = eqx.field(static=True)
+
+    def elements(self, cutter: AbstractCutter, dtype: jnp.dtype) -> EdgeElements:
+        """Return the edge elements of a cutter."""
+        return cutter.elements(
+            self.bottom,
+            self.corner,
+            self.side,
+            self.side_height,
+            dtype,
+            corner_limit=self.corner_limit,
+        )
 
 
-def _leading(
-    plan: ProcessPlan,
-    cutter: AbstractCutter,
-    elements: EdgeElements,
-    state: ProcessState,
-    predicted: Pose,
-    angle: Float[Array, "substep angle tooth element"],
-) -> tuple[
-    Float[Array, "substep angle kept element"],
-    Int[Array, "substep angle kept element"],
-    Float[Array, "substep angle kept element"],
-]:
-    """Return the angles of the elements that can cut, their teeth and weights.
+class EdgeElementsInSpace(AbstractEngagement):
+    """Any cutter, its axis in any direction.
 
-    Of evenly spaced teeth only half can be on the leading side, where the normal points
-    the way that the tool moves, unless it descends.
+    Attributes as of `AbstractEngagement`, and:
+        profile: The edge elements on the bottom, the corner and the side.
     """
-    count = cutter.flute_count
-    teeth = jnp.arange(count, dtype=jnp.int32)[None, None, :, None]
-    teeth = jnp.broadcast_to(teeth, angle.shape)
-    if _keeps_all(plan, cutter):
-        return angle, teeth, jnp.ones_like(angle)
-    kept = (count + 1) // 2
-    motion = predicted.tip - state.recent.tip[0]
-    frames = tool_frame(predicted.direction())
-    lead = jax.vmap(lambda m, f, phi: _lead(elements, m, f, phi))(motion, frames, angle)
-    order = jnp.argsort(jax.lax.stop_gradient(lead), axis=2, descending=True)
-    angle, lead = (jnp.take_along_axis(x, order[:, :, :kept], 2) for x in (angle, lead))
-    fade = jnp.ones_like(lead)
-    if has_opposite_teeth(plan, cutter):
+
+    angles: int = eqx.field(static=True)
+    substeps: int = eqx.field(static=True)
+    discs: Discs
+    window: RemovalWindow
+    lag: float = eqx.field(static=True)
+    profile: EdgeDiscretisation
+    is_upright: bool = eqx.field(static=True, default=True)
+    looks: int = eqx.field(static=True, default=1)
+
+    def __check_init__(self):
+        """Refuse looks that do not divide a period."""
+        check_looks(self)
+
+    def advance(
+        self, process: Process, state: ProcessState, index: Int[Array, ""], pose: Pose
+    ) -> tuple[ProcessState, Removed]:
+        """Enter the pose in the history, and remove what lies behind the lag."""
+        return advance_removal(process, state, index, pose)
+
+    def engage(
+        self,
+        process: Process,
+        state: ProcessState,
+        index: Int[Array, ""],
+        predicted: Pose,
+        part: Substeps | None = None,
+    ) -> Engagement:
+        """Return where the edge elements are, and what of their chips is in stock."""
+        cutter = process.cutter
+        elements = self.profile.elements(cutter, predicted.tip.dtype)
+        every = _angles(process, elements, index, part)
+        angle, tooth, fade = self._leading(process, elements, state, predicted, every)
+        place = jax.vmap(lambda p, phi: _edge(cutter, elements, p, phi))
+        points, normals, along = place(predicted, angle)
+        # What an edge takes: a chip as thick as it lies beyond the pose before.
+        old = state.recent[0][:, None, None, None]
+        chip = cutter.level(points, old.tip, old.direction())
+        chip = clamp(0.0, chip, cutter.nominal_radius)[..., None] * normals
+        cell = jnp.stack(
+            [
+                elements.width[None, None, None, :, None] * along,
+                (2 * math.pi / self.angles)
+                * elements.radius[None, None, None, :, None]
+                * jnp.cross(along, normals),
+                chip,
+            ],
+            axis=-2,
+        )
+        found = occupancy_in_space(
+            state.stock,
+            points.reshape(-1, 3),
+            cell.reshape(-1, 3, 3),
+            self.discs.band,
+            cutter,
+            process.derivative.tied_to(state.track),
+            keeps_slopes=process.derivative.keeps_slopes,
+            slots=state.slots,
+        )
+        occupied, chip_share = (share.reshape(angle.shape) for share in found)
+        samples = EdgeSamples(angle, tooth, fade * occupied, chip_share)
+        return Engagement(samples, thinned_poses(process, state))
+
+    def wrench(
+        self,
+        process: Process,
+        samples: EdgeSamples,
+        pose: Pose,
+        earlier: Pose,
+        thinned: Pose,
+    ) -> Float[Array, "angle 6"]:
+        """Return force and moment on the tool at the angles of one sub-step.
+
+        Per element, F = -F_t t - F_r n + F_a (t x n): t is the way of the tooth, n the
+        outward normal. Altintas, Manufacturing Automation, 2012, general end mill.
+        """
+        angle, tooth = samples.angle, samples.tooth
+        cutter = process.cutter
+        elements = self.profile.elements(cutter, angle.dtype)
+        chip, per_way = self._chip(process, samples, pose, earlier, thinned)
+        feed = safe_norm(earlier.tip[0] - pose.tip)
+        # From sample to sample, the chip of an element changes by its share of this.
+        steps = 2 * math.pi / self.angles * jnp.maximum(elements.sin_kappa, _LEAST_SINE)
+        touch = edge_contact(per_way, feed, steps[None, None])
         n = elements.bottom_count
-        step = 2 * math.pi / plan.angles
-        fade = fade.at[..., n:].set(leading_fade(lead[..., n:], step))
-        fade = held_at_rest(fade, safe_norm(motion)[:, None, None, None])
-    return angle, order[:, :, :kept].astype(jnp.int32), fade
+        if cutter.flute_count % 2 == 0 and not self._keeps_all(cutter):
+            frame = tool_frame(pose.direction())
+            lead = _lead(elements, pose.tip - earlier.tip[0], frame, angle)[..., n:]
+            step = 2 * math.pi / self.angles
+            before = feed / cutter.diameter
+            touch = touch.at[..., n:].multiply(taken_over(lead, step, before))
+            factor = held_at_rest(chip_taken_over(lead, step, before), feed)
+            chip = chip.at[..., n:].multiply(factor)
+        if n > 0:
+            # The bottom of a tool that does not descend must not rub.
+            least = per_way[..., :n] - RAMP
+            touch = touch.at[..., :n].set(edge_contact(least, feed, RAMP))
+        touch = held_at_rest(touch, feed)
+        h = clamp(0.0, chip, cutter.nominal_radius) * samples.chip_share
+        parts = []
+        if n > 0:
+            law = process.bottom_law
+            parts.append(
+                law.force_per_width(h[..., :n], touch[..., :n], tooth[..., :n])
+            )
+        if n < h.shape[-1]:
+            law = process.side_law
+            parts.append(
+                law.force_per_width(h[..., n:], touch[..., n:], tooth[..., n:])
+            )
+        F_t, F_r, F_a = (jnp.concatenate(f, axis=-1) for f in zip(*parts, strict=True))
+        width, sin_kappa, cos_kappa = (
+            x[None, None]
+            for x in (elements.width, elements.sin_kappa, elements.cos_kappa)
+        )
+        share = samples.occupancy * width
+        sin, cos = jnp.sin(angle), jnp.cos(angle)
+        # In tool axes; t = (cos, -sin, 0), n = (sin k sin, sin k cos, -cos k).
+        outward = -F_r * sin_kappa + F_a * cos_kappa
+        F_x, F_y = (
+            share * (-F_t * cos + outward * sin),
+            share * (F_t * sin + outward * cos),
+        )
+        F_z = share * (F_r * cos_kappa + F_a * sin_kappa)
+        lever = elements.height[None, None]
+        along = [
+            jnp.sum(component, axis=(1, 2))
+            for component in (F_x, F_y, F_z, -lever * F_y, lever * F_x)
+        ]
+        frame = tool_frame(pose.direction()).T
+        force = jnp.stack(along[:3], axis=-1) @ frame
+        moment = jnp.stack([*along[3:], jnp.zeros_like(F_z[:, 0, 0])], axis=-1) @ frame
+        return jnp.concatenate([force, moment], axis=-1)
 
+    def chip(
+        self,
+        process: Process,
+        samples: EdgeSamples,
+        pose: Pose,
+        earlier: Pose,
+        thinned: Pose,
+    ) -> Float[Array, "angle kept element"]:
+        """Return the unclipped chip thickness of one sub-step [m]."""
+        return self._chip(process, samples, pose, earlier, thinned)[0]
 
-def _keeps_all(plan: ProcessPlan, cutter: AbstractCutter) -> bool:
-    """Return whether all teeth are looked up."""
-    profile = plan.profile
-    is_round = profile is None or profile.keeps_all
-    return is_round or not cutter.has_even_pitch or cutter.flute_count < 2
+    def element_heights(
+        self, cutter: AbstractCutter, dtype: jnp.dtype
+    ) -> Float[Array, " element"]:
+        """Return how far above the tip the middle of every element is [m]."""
+        return self.profile.elements(cutter, dtype).height
+
+    def _keeps_all(self, cutter: AbstractCutter) -> bool:
+        """Return whether all teeth are looked up."""
+        is_even = cutter.has_even_pitch and cutter.flute_count > 1
+        return self.profile.keeps_all or not is_even
+
+    def _leading(
+        self,
+        process: Process,
+        elements: EdgeElements,
+        state: ProcessState,
+        predicted: Pose,
+        angle: Float[Array, "substep angle tooth element"],
+    ) -> tuple[
+        Float[Array, "substep angle kept element"],
+        Int[Array, "substep angle kept element"],
+        Float[Array, "substep angle kept element"],
+    ]:
+        """Return the angles of the elements that can cut, their teeth and weights.
+
+        Of evenly spaced teeth only half can be on the leading side, where the normal
+        points the way that the tool moves, unless it descends.
+        """
+        cutter = process.cutter
+        count = cutter.flute_count
+        teeth = jnp.arange(count, dtype=jnp.int32)[None, None, :, None]
+        teeth = jnp.broadcast_to(teeth, angle.shape)
+        if self._keeps_all(cutter):
+            return angle, teeth, jnp.ones_like(angle)
+        kept = (count + 1) // 2
+        motion = predicted.tip - state.recent.tip[0]
+        frames = tool_frame(predicted.direction())
+        lead = jax.vmap(lambda m, f, phi: _lead(elements, m, f, phi))(
+            motion, frames, angle
+        )
+        order = jnp.argsort(jax.lax.stop_gradient(lead), axis=2, descending=True)
+        angle, lead = (
+            jnp.take_along_axis(x, order[:, :, :kept], 2) for x in (angle, lead)
+        )
+        fade = jnp.ones_like(lead)
+        if cutter.flute_count % 2 == 0:
+            n = elements.bottom_count
+            step = 2 * math.pi / self.angles
+            fade = fade.at[..., n:].set(leading_fade(lead[..., n:], step))
+            fade = held_at_rest(fade, safe_norm(motion)[:, None, None, None])
+        return angle, order[:, :, :kept].astype(jnp.int32), fade
+
+    def _chip(
+        self,
+        process: Process,
+        samples: EdgeSamples,
+        pose: Pose,
+        earlier: Pose,
+        thinned: Pose,
+    ) -> tuple[Float[Array, "angle kept element"], Float[Array, "angle kept element"]]:
+        """Return the unclipped chip [m], and over the way of who left it [-]."""
+        cutter, angle, tooth = process.cutter, samples.angle, samples.tooth
+        elements = self.profile.elements(cutter, angle.dtype)
+        points, normals, _ = _edge(cutter, elements, pose, angle)
+        n = elements.bottom_count
+        offsets = cutter.runout_offsets()
+        nothing = 2 * cutter.nominal_radius
+        chip = jnp.full_like(angle, nothing)
+        per_way = chip / way_of(earlier.tip[0] - pose.tip)
+        descent = jnp.full_like(angle[..., :n], nothing)
+        covered = jnp.zeros(descent.shape, bool)
+        for k in range(1, cutter.flute_count + 1):
+            old = _delayed(cutter, pose, earlier, k, tooth)
+            # Teeth stand out by their run-out: what one takes the next does not find.
+            ahead = (offsets - jnp.roll(offsets, -k))[tooth[..., n:]]
+            ahead = ahead * elements.sin_kappa[None, None, n:]
+            sides = old if old.tip.shape[2] == 1 else old[:, :, n:]
+            left = (
+                _walk(cutter, points[..., n:, :], normals[..., n:, :], sides, 2) + ahead
+            )
+            chip = chip.at[..., n:].min(left)
+            way = way_of(sides.tip - pose.tip[None, None, None])
+            per_way = per_way.at[..., n:].min(left / way)
+            if n > 0:
+                ends = old if old.tip.shape[2] == 1 else old[:, :, :n]
+                down, is_under = _descent(cutter, points[..., :n, :], ends)
+                covered = is_under if k == 1 else covered
+                descent = jnp.minimum(descent, jnp.where(is_under, down, nothing))
+        for i in range(thinned.tip.shape[0]):
+            old = thinned[i][None, None, None]
+            left = _walk(cutter, points[..., n:, :], normals[..., n:, :], old, 1)
+            chip = chip.at[..., n:].min(left)
+            per_way = per_way.at[..., n:].min(
+                left / way_of(old.tip - pose.tip[None, None, None])
+            )
+        if n > 0:
+            descent = jnp.where(covered, descent, 0)
+            chip = chip.at[..., :n].set(descent)
+            way = way_of(earlier.tip[0] - pose.tip)
+            per_way = per_way.at[..., :n].set(descent / way)
+        return chip, per_way
 
 
 def _lead(
@@ -154,125 +336,6 @@ def _lead(
         elements.cos_kappa[None, None],
     )
     return sin_kappa * (jnp.sin(angle) * x + jnp.cos(angle) * y) - cos_kappa * z
-
-
-def wrench_in_space(
-    plan: ProcessPlan,
-    cutter: AbstractCutter,
-    law: AbstractForceLaw,
-    bottom_law: AbstractForceLaw | None,
-    pose: Pose,
-    earlier: Pose,
-    thinned: Pose,
-    samples: EdgeSamples,
-) -> Float[Array, "angle 6"]:
-    """Return force and moment on the tool at the angles of one sub-step.
-
-    Per element, F = -F_t t - F_r n + F_a (t x n): t is the way of the tooth, n the
-    outward normal. Altintas, Manufacturing Automation, 2012, general end mill.
-
-    Args and returns: see `substep_wrench`.
-    """
-    angle, tooth = samples.angle, samples.tooth
-    elements = profile_elements(plan, cutter, angle.dtype)
-    found = chip_in_space(plan, cutter, pose, earlier, thinned, angle, tooth)
-    chip, per_way = found
-    feed = safe_norm(earlier.tip[0] - pose.tip)
-    # From one sample to the next, the chip of an element changes by its share of this.
-    steps = 2 * math.pi / plan.angles * jnp.maximum(elements.sin_kappa, _LEAST_SINE)
-    touch = edge_contact(per_way, feed, steps[None, None])
-    n = elements.bottom_count
-    if has_opposite_teeth(plan, cutter) and not _keeps_all(plan, cutter):
-        frame = tool_frame(pose.direction())
-        lead = _lead(elements, pose.tip - earlier.tip[0], frame, angle)[..., n:]
-        step = 2 * math.pi / plan.angles
-        before = feed / cutter.diameter
-        touch = touch.at[..., n:].multiply(taken_over(lead, step, before))
-        factor = held_at_rest(chip_taken_over(lead, step, before), feed)
-        chip = chip.at[..., n:].multiply(factor)
-    if n > 0:
-        # The bottom of a tool that does not descend must not rub.
-        least = per_way[..., :n] - RAMP
-        touch = touch.at[..., :n].set(edge_contact(least, feed, RAMP))
-    touch = held_at_rest(touch, feed)
-    h = clamp(0.0, chip, cutter.nominal_radius) * samples.chip_share
-    parts = []
-    if n > 0:
-        bottom = law.for_bottom() if bottom_law is None else bottom_law
-        parts.append(bottom.force_per_width(h[..., :n], touch[..., :n], tooth[..., :n]))
-    if n < h.shape[-1]:
-        parts.append(law.force_per_width(h[..., n:], touch[..., n:], tooth[..., n:]))
-    F_t, F_r, F_a = (jnp.concatenate(f, axis=-1) for f in zip(*parts, strict=True))
-    width, sin_kappa, cos_kappa = (
-        x[None, None] for x in (elements.width, elements.sin_kappa, elements.cos_kappa)
-    )
-    share = samples.occupancy * width
-    sin, cos = jnp.sin(angle), jnp.cos(angle)
-    # In tool axes; t = (cos, -sin, 0), n = (sin k sin, sin k cos, -cos k).
-    outward = -F_r * sin_kappa + F_a * cos_kappa
-    F_x, F_y = share * (-F_t * cos + outward * sin), share * (F_t * sin + outward * cos)
-    F_z = share * (F_r * cos_kappa + F_a * sin_kappa)
-    lever = elements.height[None, None]
-    along = [
-        jnp.sum(component, axis=(1, 2))
-        for component in (F_x, F_y, F_z, -lever * F_y, lever * F_x)
-    ]
-    frame = tool_frame(pose.direction()).T
-    force = jnp.stack(along[:3], axis=-1) @ frame
-    moment = jnp.stack([*along[3:], jnp.zeros_like(F_z[:, 0, 0])], axis=-1) @ frame
-    return jnp.concatenate([force, moment], axis=-1)
-
-
-def chip_in_space(
-    plan: ProcessPlan,
-    cutter: AbstractCutter,
-    pose: Pose,
-    earlier: Pose,
-    thinned: Pose,
-    angle: Float[Array, "angle kept element"],
-    tooth: Int[Array, "angle kept element"],
-) -> tuple[Float[Array, "angle kept element"], Float[Array, "angle kept element"]]:
-    """Return the unclipped chip thickness [m], and over the way of who left it [-].
-
-    Args: see `substep_wrench`.
-    """
-    elements = profile_elements(plan, cutter, angle.dtype)
-    points, normals, _ = _edge(cutter, elements, pose, angle)
-    n = elements.bottom_count
-    offsets = cutter.runout_offsets()
-    nothing = 2 * cutter.nominal_radius
-    chip = jnp.full_like(angle, nothing)
-    per_way = chip / way_of(earlier.tip[0] - pose.tip)
-    descent = jnp.full_like(angle[..., :n], nothing)
-    covered = jnp.zeros(descent.shape, bool)
-    for k in range(1, cutter.flute_count + 1):
-        old = _delayed(cutter, pose, earlier, k, tooth)
-        # Both teeth stand out by their run-out: what one takes the next does not find.
-        ahead = (offsets - jnp.roll(offsets, -k))[tooth[..., n:]]
-        ahead = ahead * elements.sin_kappa[None, None, n:]
-        sides = old if old.tip.shape[2] == 1 else old[:, :, n:]
-        left = _walk(cutter, points[..., n:, :], normals[..., n:, :], sides, 2) + ahead
-        chip = chip.at[..., n:].min(left)
-        way = way_of(sides.tip - pose.tip[None, None, None])
-        per_way = per_way.at[..., n:].min(left / way)
-        if n > 0:
-            ends = old if old.tip.shape[2] == 1 else old[:, :, :n]
-            down, is_under = _descent(cutter, points[..., :n, :], ends)
-            covered = is_under if k == 1 else covered
-            descent = jnp.minimum(descent, jnp.where(is_under, down, nothing))
-    for i in range(thinned.tip.shape[0]):
-        old = thinned[i][None, None, None]
-        left = _walk(cutter, points[..., n:, :], normals[..., n:, :], old, 1)
-        chip = chip.at[..., n:].min(left)
-        per_way = per_way.at[..., n:].min(
-            left / way_of(old.tip - pose.tip[None, None, None])
-        )
-    if n > 0:
-        descent = jnp.where(covered, descent, 0)
-        chip = chip.at[..., :n].set(descent)
-        way = way_of(earlier.tip[0] - pose.tip)
-        per_way = per_way.at[..., :n].set(descent / way)
-    return chip, per_way
 
 
 def _walk(
@@ -328,35 +391,19 @@ def _delayed(
     )
 
 
-def profile_elements(
-    plan: ProcessPlan, cutter: AbstractCutter, dtype: jnp.dtype
-) -> EdgeElements:
-    """Return the edge elements that a plan asks for."""
-    profile = plan.profile
-    if profile is None:
-        raise TypeError("a tool in space needs a profile")
-    return cutter.elements(
-        profile.bottom,
-        profile.corner,
-        profile.side,
-        profile.side_height,
-        dtype,
-        corner_limit=profile.corner_limit,
-    )
-
-
 def _angles(
-    plan: ProcessPlan,
-    cutter: AbstractCutter,
+    process: Process,
     elements: EdgeElements,
     index: Int[Array, ""],
     part: Substeps | None,
 ) -> Float[Array, "substep angle tooth element"]:
     """Return the immersion angles of all elements of a period [rad]."""
-    dtype = elements.lag.dtype
+    cutter, dtype = process.cutter, elements.lag.dtype
     # Teeth differ: every period the turn goes on where the one before ended.
     done = jnp.mod(index - 1, cutter.flute_count).astype(dtype)
-    turn = turning(plan, cutter, dtype, part) + 2 * math.pi / cutter.flute_count * done
+    turn = (
+        rotation_angles(process, dtype, part) + 2 * math.pi / cutter.flute_count * done
+    )
     pitch = jnp.asarray(cutter.pitch_angles, dtype)
     place = pitch[:, None] - elements.lag[None]
     return turn[..., None, None] + place[None, None]

@@ -19,22 +19,12 @@ I the integral of H: x + b from two steps on, and as much as the chip from -b on
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ...cutter import AbstractCutter
 from ...numerics import clamp, hat_integral, ramp
-from .._discretisation import ProcessPlan
 
 # A motion per tooth below this has no direction [m].
 STILL = 1e-8
 # Angle steps over which a sample fades.
 _FADE = 0.5
-
-
-def has_opposite_teeth(plan: ProcessPlan, cutter: AbstractCutter) -> bool:
-    """Return whether a tooth is looked up from where another is so no more.
-
-    A point cloud knows where all teeth are.
-    """
-    return cutter.flute_count % 2 == 0 and plan.chip == "near_far"
 
 
 def leading_fade(

@@ -14,8 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ...cutter import AbstractCutter, EdgeElements
-from ...cutting import AbstractForceLaw
-from ...process import ProcessPlan, profile_elements
+from ...process import EdgeElementsInSpace, Process
 from ...workpiece import Pose, Stock, tool_frame
 from .monodromy import Regeneration
 
@@ -28,21 +27,13 @@ _APART = 0.03
 
 
 def quick_slopes(
-    path: Pose,
-    stock: Stock,
-    cutter: AbstractCutter,
-    law: AbstractForceLaw,
-    plan: ProcessPlan,
-    rows: Int[np.ndarray, " row"],
+    process: Process, path: Pose, rows: Int[np.ndarray, " row"]
 ) -> list[Regeneration]:
     """Return roughly the slopes of the force in the periods before some rows.
 
     Args:
+        process: The process.
         path: Poses at the tooth instants, shape (step, 3).
-        stock: The raw workpiece.
-        cutter: The cutter.
-        law: The force law.
-        plan: Sizes of the process.
         rows: The rows, from 1.
 
     Returns:
@@ -51,44 +42,38 @@ def quick_slopes(
     Differentiability: none, a host function.
     """
     tips = np.asarray(path.tip)
-    near = [_near_rows(tips[: row + 1], cutter, plan) for row in rows]
+    near = [_near_rows(process, tips[: row + 1]) for row in rows]
     # One shape for all rows.
     chunks = 2 ** math.ceil(math.log2(max(map(len, near)) / _CHUNK + 1))
     found = []
     for row, kept in zip(rows, near, strict=True):
         at = kept[np.minimum(np.arange(chunks * _CHUNK), len(kept) - 1)]
         earlier = path[at.reshape(chunks, _CHUNK)]
-        slopes = _slopes(earlier, path[int(row)], stock, cutter, law, plan)
+        slopes = _slopes(process, earlier, path[int(row)])
         now = np.asarray(slopes, np.float64)
         found.append(Regeneration(now, -now[:, None]))
     return found
 
 
 def _near_rows(
-    tips: Float[np.ndarray, "step 3"], cutter: AbstractCutter, plan: ProcessPlan
+    process: Process, tips: Float[np.ndarray, "step 3"]
 ) -> Int[np.ndarray, " near"]:
     """Return rows before the last one whose pose it may touch, the newest first."""
-    R, now = cutter.nominal_radius, tips[-1]
+    R, now, discs = process.cutter.nominal_radius, tips[-1], process.engagement.discs
     way = np.cumsum(np.linalg.norm(np.diff(tips, axis=0), axis=1))
     # The last row of every piece of the way, so that the newest is among them.
     is_kept = np.append(np.diff(np.floor(way / (_APART * R))) > 0, True)
-    reach = 2 * R + plan.discs.count * plan.discs.height
+    reach = 2 * R + discs.count * discs.height
     is_near = np.linalg.norm(tips[:-1] - now, axis=1) < reach
     is_near[-1] = True
     return np.flatnonzero(is_kept & is_near)[::-1]
 
 
 @eqx.filter_jit
-def _slopes(
-    earlier: Pose,
-    now: Pose,
-    stock: Stock,
-    cutter: AbstractCutter,
-    law: AbstractForceLaw,
-    plan: ProcessPlan,
-) -> Float[Array, "piece 3 3"]:
+def _slopes(process: Process, earlier: Pose, now: Pose) -> Float[Array, "piece 3 3"]:
     """Return the slopes of the force in the tip, in `work` [N/m]."""
-    edge = _edge(plan, cutter, now.tip.dtype)
+    cutter = process.cutter
+    edge = _edge(process, now.tip.dtype)
     places = jnp.asarray(cutter.pitch_angles, now.tip.dtype)
     teeth, pieces = places.shape[0], jnp.arange(_PIECES, dtype=places.dtype) + 0.5
     turn = 2 * math.pi / teeth / _PIECES * pieces[:, None, None]
@@ -107,9 +92,9 @@ def _slopes(
         jnp.arange(teeth, dtype=jnp.int32)[None, :, None], phi.shape
     )
     # Edges touch wherever there is a chip, and their force does not change with it.
-    force = lambda h: law.force_per_width(h, jnp.ones_like(h), tooth)
+    force = lambda h: process.side_law.force_per_width(h, jnp.ones_like(h), tooth)
     _, (F_t, F_r, F_a) = jax.jvp(force, (h,), (jnp.ones_like(h),))
-    cuts = (clearance > 0) & _is_inside(stock, points)
+    cuts = (clearance > 0) & _is_inside(process.stock, points)
     width = jnp.where(cuts, edge.width[None, None], 0)
     third = jnp.cross(t, normal)
     parts = zip((-F_t, -F_r, F_a), (t, normal, third), strict=True)
@@ -117,12 +102,14 @@ def _slopes(
     return jnp.einsum("pjea,pjeb->pab", per_chip, normal)
 
 
-def _edge(plan: ProcessPlan, cutter: AbstractCutter, dtype: jnp.dtype) -> EdgeElements:
+def _edge(process: Process, dtype: jnp.dtype) -> EdgeElements:
     """Return the edge elements of a tooth; those on a flat end cut no chip here."""
-    if plan.profile is not None:
-        return profile_elements(plan, cutter, dtype)
+    cutter, engagement = process.cutter, process.engagement
+    if isinstance(engagement, EdgeElementsInSpace):
+        return engagement.profile.elements(cutter, dtype)
     # A share of a disc in the material is a number of its parts.
-    parts, height = _PARTS * plan.discs.count, plan.discs.height / _PARTS
+    discs = engagement.discs
+    parts, height = _PARTS * discs.count, discs.height / _PARTS
     return cutter.elements(0, 0, parts, height, dtype)
 
 

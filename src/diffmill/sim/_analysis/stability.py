@@ -21,14 +21,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._job import Job
-from ..._types import RealScalarLike, Transform
-from ...cutter import AbstractCutter
-from ...cutting import AbstractForceLaw
-from ...process import ProcessPlan
+from ..._types import Transform
+from ...process import Process, ThroughRays
 from ...robot import Robot, arm_terms
-from ...workpiece import Pose, Stock
+from ...workpiece import Pose
 from .._job.padding import padded_count
-from .._job.simulate import Solution, job_plan, simulate, with_precision
+from .._job.simulate import Solution, job_process, simulate, with_precision
+from .._machine.elastic import ElasticArm
 from .force_jacobian import force_slopes
 from .linear_arm import linear_arms
 from .monodromy import Regeneration, Step, monodromy, strongest
@@ -158,10 +157,8 @@ def stability(
             f'"{job.simulation.mode}", in which nothing vibrates.'
         )
     job = with_precision(job)
-    robot = job.robot
-    assert robot is not None
+    assert job.robot is not None
     solution = simulate(job) if solution is None else solution
-    plan = _plan(job)
     if rows is None:
         cutting = np.flatnonzero(np.asarray(solution.is_cutting))
         cutting = cutting[cutting > 0]
@@ -171,17 +168,11 @@ def stability(
     assert solution.motor_positions is not None
     assert solution.joint_positions is not None
     return stability_along(
+        ElasticArm(job.robot, job.T_base_work),
+        _process(job),
         solution.motor_positions,
         solution.joint_positions,
-        robot,
-        job.T_base_work,
-        job.stock,
-        job.cutter,
-        job.law,
-        job.tooth_period,
-        plan,
         rows,
-        bottom_law=job.bottom_law,
     )
 
 
@@ -209,18 +200,17 @@ def find_chatter(job: Job, solution: Solution) -> Stability | None:
     if rows.size == 0:
         return None
     job = with_precision(job)
-    robot = job.robot
-    assert robot is not None
-    plan, frame = _plan(job), jnp.asarray(job.T_base_work)
+    assert job.robot is not None
+    arm, process = ElasticArm(job.robot, job.T_base_work), _process(job)
     motors, joints = solution.motor_positions, solution.joint_positions
     assert motors is not None
     assert joints is not None
     path = Pose(solution.actual)
-    if not plan.is_upright:
-        path = joint_poses(robot, frame, _padded(joints), False)
-    slopes = quick_slopes(path, job.stock, job.cutter, job.law, plan, rows)
-    motion = _Motion(motors, joints, solution.actual, float(job.tooth_period))
-    quick = _growth(robot, frame, motion, rows, slopes, plan.substeps)
+    if not process.engagement.is_upright:
+        path = joint_poses(arm.robot, arm.T_base_work, _padded(joints), False)
+    slopes = quick_slopes(process, path, rows)
+    motion = _Motion(motors, joints, solution.actual)
+    quick = _growth(arm, process, motion, rows, slopes)
     if not quick.is_unstable.any():
         return None
     found = stability(job, solution, rows=quick.row[quick.is_unstable])
@@ -244,39 +234,27 @@ def _deep_rows(solution: Solution) -> Int[np.ndarray, " row"]:
     return np.resize(np.array(rows), _QUICK_ROWS)
 
 
-def _plan(job: Job) -> ProcessPlan:
-    """Return the plan of a job with the chip model "near_far"."""
+def _process(job: Job) -> Process:
+    """Return the process of a job with the chip model "near_far"."""
     settings = dataclasses.replace(job.simulation, chip="near_far")
-    return job_plan(dataclasses.replace(job, simulation=settings))
+    return job_process(dataclasses.replace(job, simulation=settings), ThroughRays())
 
 
 def stability_along(
+    arm: ElasticArm,
+    process: Process,
     motor_positions: Float[Array, "step joint"],
     joint_positions: Float[Array, "step joint"],
-    robot: Robot,
-    T_base_work: Transform,
-    stock: Stock,
-    cutter: AbstractCutter,
-    law: AbstractForceLaw,
-    tooth_period: RealScalarLike,
-    plan: ProcessPlan,
     rows: Sequence[int] | Int[np.ndarray, " row"],
-    bottom_law: AbstractForceLaw | None = None,
 ) -> Stability:
     """Return how vibrations grow along a motion; see `stability`.
 
     Args:
+        arm: The robot; its integrator does not count.
+        process: The process, with the chip model "near_far".
         motor_positions: theta at the tooth instants [rad or m], shape (step, joint).
         joint_positions: Joints there [rad or m], shape (step, joint).
-        robot: The robot with its tool.
-        T_base_work: Pose of the workpiece in the robot's base, shape (4, 4).
-        stock: The raw workpiece.
-        cutter: The cutter.
-        law: The force law.
-        tooth_period: T [s], shape ().
-        plan: Sizes of the process, with the chip model "near_far".
         rows: Rows to look at, from 1.
-        bottom_law: The law of the bottom edge; derived from `law` if not given.
 
     Returns:
         The growth, on the host.
@@ -292,14 +270,20 @@ def stability_along(
         raise ValueError(
             f"Argument `rows` must have rows from 1 to {step_count - 1}, but is {rows}."
         )
-    frame = jnp.asarray(T_base_work, joint_positions.dtype)
-    path = joint_poses(robot, frame, _padded(joint_positions), plan.is_upright)
+    engagement = process.engagement
+    path = joint_poses(
+        arm.robot, arm.T_base_work, _padded(joint_positions), engagement.is_upright
+    )
     # The force has its slopes at every angle that is looked at.
-    fine = dataclasses.replace(plan, substeps=plan.angles // cutter.flute_count)
-    slopes = force_slopes(path, stock, cutter, law, bottom_law, fine, chosen)
-    tips = path.tip[:step_count]
-    motion = _Motion(motor_positions, joint_positions, tips, float(tooth_period))
-    return _growth(robot, frame, motion, chosen, slopes, plan.substeps)
+    substeps = engagement.angles // process.cutter.flute_count
+    fine = eqx.tree_at(
+        lambda p: p.engagement,
+        process,
+        dataclasses.replace(engagement, substeps=substeps),
+    )
+    slopes = force_slopes(fine, path, chosen)
+    motion = _Motion(motor_positions, joint_positions, path.tip[:step_count])
+    return _growth(arm, process, motion, chosen, slopes)
 
 
 def _padded(rows: Float[Array, "step joint"]) -> Float[Array, "padded joint"]:
@@ -316,29 +300,26 @@ class _Motion:
         motors: [rad or m], shape (step, joint).
         joints: [rad or m], shape (step, joint).
         tips: Tool tips in `work` [m], shape (step, 3).
-        period: Tooth period [s].
     """
 
     motors: Float[Array, "step joint"]
     joints: Float[Array, "step joint"]
     tips: Float[Array, "step 3"]
-    period: float
 
 
 def _growth(
-    robot: Robot,
-    T_base_work: Float[Array, "4 4"],
+    arm: ElasticArm,
+    process: Process,
     motion: _Motion,
     rows: Int[np.ndarray, " row"],
     slopes: Sequence[Regeneration],
-    substeps: int,
 ) -> Stability:
     """Return the growth in the periods before some rows, by the slopes of the force."""
-    before, T = rows - 1, motion.period
+    before, T = rows - 1, float(process.tooth_period)
     motors, joints = (np.asarray(x) for x in (motion.motors, motion.joints))
     arms = linear_arms(
-        robot,
-        T_base_work,
+        arm.robot,
+        jnp.asarray(arm.T_base_work),
         jnp.asarray((motors[before] + motors[rows]) / 2),
         jnp.asarray((joints[before] + joints[rows]) / 2),
         jnp.asarray((joints[rows] - joints[before]) / T),
@@ -362,7 +343,7 @@ def _growth(
         apparent_frequency=apparent,
         tooth_frequency=1 / T,
         fastest_mode=fastest,
-        substeps=substeps,
+        substeps=process.engagement.substeps,
         steps=steps,
     )
 
@@ -389,13 +370,14 @@ def _fastest_mode(
 @eqx.filter_jit
 def joint_poses(
     robot: Robot,
-    T_base_work: Float[Array, "4 4"],
+    T_base_work: Transform,
     joint_positions: Float[Array, "step joint"],
     is_upright: bool,
 ) -> Pose:
     """Return the tool's poses in `work`, shape (step, 3)."""
     tool = jax.vmap(lambda q: arm_terms(robot, q, jnp.zeros_like(q)).T_base_tool)
     Ts = tool(joint_positions)
-    to_base = T_base_work[:3, :3]
-    tips = (Ts[:, :3, 3] - T_base_work[None, :3, 3]) @ to_base
+    frame = jnp.asarray(T_base_work, joint_positions.dtype)
+    to_base = frame[:3, :3]
+    tips = (Ts[:, :3, 3] - frame[None, :3, 3]) @ to_base
     return Pose(tips, None if is_upright else Ts[:, :3, 2] @ to_base)

@@ -12,28 +12,25 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._job import Job
-from ...cutter import AbstractCutter
 from ...process import (
+    EdgeElementsInSpace,
     Engagement,
-    ProcessPlan,
-    ProcessSolution,
+    Process,
     ProcessState,
     ThroughRays,
     advance_process,
-    element_heights,
     end_period,
     ends_of,
     initial_state,
     middles_of,
     path_poses,
-    simulate_process,
-    substep_chip,
-    tool_frame,
 )
-from ...workpiece import Pose, Stock
+from ...workpiece import Pose, tool_frame
 from .._analysis.stability import joint_poses
 from .._machine.commands import path_axes
-from .simulate import Solution, job_plan, with_precision
+from .._machine.machine import Run, run
+from .._machine.rigid import Rigid
+from .simulate import Solution, job_process, with_precision
 
 
 def actual_poses(job: Job, solution: Solution) -> Pose:
@@ -56,7 +53,7 @@ def actual_poses(job: Job, solution: Solution) -> Pose:
     return Pose(tips, joint_poses(job.robot, frame, joints, False).axis)
 
 
-def replay_process(job: Job, solution: Solution) -> ProcessSolution:
+def replay_process(job: Job, solution: Solution) -> Run:
     """Return the process of a solution with the force at every angle sample.
 
     Args:
@@ -71,18 +68,9 @@ def replay_process(job: Job, solution: Solution) -> ProcessSolution:
 
 
 @eqx.filter_jit
-def _replay(job: Job, poses: Pose) -> ProcessSolution:
-    return simulate_process(
-        poses.tip,
-        job.stock,
-        job.cutter,
-        job.law,
-        job.spindle_speed,
-        poses.axis,
-        plan=job_plan(job),
-        bottom_law=job.bottom_law,
-        keeps_instantaneous=True,
-    )
+def _replay(job: Job, poses: Pose) -> Run:
+    process = job_process(job, ThroughRays())
+    return run(Rigid(keeps_instantaneous=True), process, poses)
 
 
 class ToothChip(eqx.Module):
@@ -105,18 +93,14 @@ class ToothChip(eqx.Module):
     feed_angle: float
 
 
-def tooth_chip(
-    path: Pose, stock: Stock, cutter: AbstractCutter, plan: ProcessPlan, *, step: int
-) -> ToothChip:
+def tooth_chip(process: Process, path: Pose, *, step: int) -> ToothChip:
     """Return the chip that tooth 0 meets in the revolution that ends at a step.
 
     The process runs along the path up to there, without forces.
 
     Args:
+        process: The process.
         path: Poses at the tooth instants in `work`, shape (step, 3).
-        stock: The raw workpiece.
-        cutter: The cutter.
-        plan: Sizes of the process.
         step: Row of the path at which the revolution ends, from 1; near the start of
             the path the revolution is not whole.
 
@@ -132,13 +116,15 @@ def tooth_chip(
             f"Argument `step` must lie between 1 and {rows - 1}, but is {step}."
         )
     part = path[: step + 1]
-    count = min(cutter.flute_count, step)
-    found = _last_periods(part, stock, cutter, plan, count)
+    engagement, cutter = process.engagement, process.cutter
+    found = _last_periods(process, part, min(cutter.flute_count, step))
     angle, tooth, chip, weight = (np.asarray(x, np.float64) for x in found)
     shape = weight.shape
-    first = 0 if plan.profile is None else plan.profile.bottom
+    is_row = isinstance(engagement, EdgeElementsInSpace)
+    first = engagement.profile.bottom if is_row else 0
     flat = lambda x: np.broadcast_to(x, shape).reshape(-1, shape[-1])[:, first:]
-    height = np.asarray(element_heights(plan, cutter, part.tip.dtype), np.float64)
+    height = engagement.element_heights(cutter, part.tip.dtype)
+    height = np.asarray(height, np.float64)
     frame = np.asarray(tool_frame(part[-1].direction()), np.float64)
     feed = (np.asarray(part.tip[-1] - part.tip[-2], np.float64)) @ frame
     return ToothChip(
@@ -153,7 +139,7 @@ def tooth_chip(
 
 @eqx.filter_jit
 def _last_periods(
-    path: Pose, stock: Stock, cutter: AbstractCutter, plan: ProcessPlan, count: int
+    process: Process, path: Pose, count: int
 ) -> tuple[
     Float[Array, "period substep angle kept disc"],
     Int[Array, "period substep angle kept disc"],
@@ -161,27 +147,26 @@ def _last_periods(
     Float[Array, "period substep angle kept element"],
 ]:
     """Return angle, tooth, chip in the stock and occupancy in the last periods."""
-    adjoint, rows = ThroughRays(), path.tip.shape[0]
-    state, _ = initial_state(plan, stock, cutter, path[0], rows, adjoint)
+    engagement, rows = process.engagement, path.tip.shape[0]
+    state, _ = initial_state(process, path[0], rows)
 
     def period(
         state: ProcessState, x: tuple[Array, Pose, Pose, Pose]
     ) -> tuple[ProcessState, tuple[Engagement, Array]]:
         index, start, poses, ends = x
-        state, cut, _ = advance_process(
-            plan, cutter, state, index, start, poses, adjoint
-        )
+        state, cut, _ = advance_process(process, state, index, start, poses)
         chip = jax.vmap(
-            lambda pose, earlier, samples: substep_chip(
-                plan, cutter, pose, earlier, cut.thinned, samples
+            lambda samples, pose, earlier: engagement.chip(
+                process, samples, pose, earlier, cut.thinned
             ),
-            in_axes=(0, 1, 0),
-        )(poses, state.recent, cut.samples)
-        chip = jnp.clip(chip, 0, cutter.diameter / 2) * cut.samples.chip_share
+            in_axes=(0, 0, 1),
+        )(cut.samples, poses, state.recent)
+        chip = jnp.clip(chip, 0, process.cutter.diameter / 2) * cut.samples.chip_share
         return end_period(state, poses, ends), (cut, chip)
 
     index = jnp.arange(1, rows, dtype=jnp.int32)
-    xs = (index, path[:-1], middles_of(plan, path), ends_of(plan, path))
+    n = engagement.substeps
+    xs = (index, path[:-1], middles_of(n, path), ends_of(n, path))
     before = jax.tree.map(lambda x: x[:-count], xs)
     last = jax.tree.map(lambda x: x[-count:], xs)
     state, _ = jax.lax.scan(lambda s, x: (period(s, x)[0], None), state, before)

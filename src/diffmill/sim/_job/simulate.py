@@ -15,11 +15,11 @@ from ..._result import RESULTS
 from ..._types import FloatRows3
 from ...process import (
     AbstractAdjoint,
-    ProcessPlan,
-    ProcessSolution,
+    AbstractEngagement,
+    Process,
     ThroughRays,
-    process_plan,
-    simulate_process,
+    choose_engagement,
+    path_poses,
     wall_deviation,
     wall_shares,
 )
@@ -27,8 +27,10 @@ from ...toolpath import contour_error
 from ...workpiece import Stock
 from .._machine._integrator.rk4 import make_integrator
 from .._machine.commands import command_motors, path_axes
-from .._machine.elastic import CoupledSolution, simulate_coupled
-from .._machine.quasi_static import simulate_quasistatic
+from .._machine.elastic import ElasticArm
+from .._machine.machine import Run, run
+from .._machine.quasi_static import QuasiStaticArm
+from .._machine.rigid import Rigid
 from .failure import raise_unless_successful
 from .intervals import with_more_intervals
 from .padding import cut_rows, on_device, pad_rows, padded_job
@@ -87,7 +89,7 @@ class Solution(eqx.Module):
     has_failed: Bool[Array, " step"]
     is_reached: Bool[Array, " step"]
     stock: Stock
-    rigid: ProcessSolution
+    rigid: Run
     result: RESULTS
     joint_names: tuple[str, ...] = eqx.field(static=True)
 
@@ -208,10 +210,13 @@ def cast_floats(tree: _Tree, dtype: jnp.dtype) -> _Tree:
     return jax.tree.map(cast, tree)
 
 
-def job_plan(job: Job) -> ProcessPlan:
-    """Return the sizes of a job's process."""
+def job_engagement(job: Job) -> AbstractEngagement:
+    """Return where the teeth of a job meet material, and how finely that is looked up.
+
+    **Differentiability**: sizes are taken on the host.
+    """
     settings = job.simulation
-    return process_plan(
+    return choose_engagement(
         job.stock,
         job.cutter,
         axial_depth=settings.axial_depth,
@@ -227,7 +232,43 @@ def job_plan(job: Job) -> ProcessPlan:
     )
 
 
-def rigid_cut(job: Job, adjoint: AbstractAdjoint) -> ProcessSolution:
+def job_process(job: Job, derivative: AbstractAdjoint) -> Process:
+    """Return the process of a job.
+
+    Args:
+        job: The job, in its precision.
+        derivative: How to differentiate through the removal.
+    """
+    return Process(
+        job.stock,
+        job.cutter,
+        job.law,
+        job.spindle_speed,
+        job_engagement(job),
+        bottom_law=job.bottom_law,
+        derivative=derivative,
+    )
+
+
+def job_machine(job: Job) -> ElasticArm | QuasiStaticArm:
+    """Return the robot of a job as a machine, dynamic or quasi-static.
+
+    Args:
+        job: The job, in its precision.
+
+    Raises:
+        ValueError: The job has no robot.
+    """
+    if job.robot is None:
+        raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
+    settings = job.simulation
+    if settings.mode == "quasistatic":
+        return QuasiStaticArm(job.robot, job.T_base_work)
+    rule = make_integrator(settings.integrator, settings.dynamics)
+    return ElasticArm(job.robot, job.T_base_work, rule)
+
+
+def rigid_cut(job: Job, adjoint: AbstractAdjoint) -> Run:
     """Return the process alone on the desired path, as a rigid machine cuts it.
 
     Args:
@@ -236,9 +277,9 @@ def rigid_cut(job: Job, adjoint: AbstractAdjoint) -> ProcessSolution:
 
     **Differentiability**: that of `simulate_process`.
     """
-    run, count = padded_job(job), job.path.step_count
-    cut = _cut_along(run, on_device(run.path.positions), adjoint)
-    if run.path.step_count != count:
+    padded, count = padded_job(job), job.path.step_count
+    cut = _cut_along(padded, on_device(padded.path.positions), adjoint)
+    if padded.path.step_count != count:
         cut = cut_rows(cut, _PROCESS_ROWS, count)
     return cut
 
@@ -246,25 +287,16 @@ def rigid_cut(job: Job, adjoint: AbstractAdjoint) -> ProcessSolution:
 @eqx.filter_jit
 def _cut_along(
     job: Job, positions: Float[Array, "step 3"], adjoint: AbstractAdjoint
-) -> ProcessSolution:
+) -> Run:
     """Return the process alone of a rigid machine on the given tips."""
-    return simulate_process(
-        positions,
-        job.stock,
-        job.cutter,
-        job.law,
-        job.spindle_speed,
-        path_axes(job),
-        plan=job_plan(job),
-        adjoint=adjoint,
-        bottom_law=job.bottom_law,
-        row_count=job.path.row_count,
-    )
+    path = path_poses(positions, path_axes(job))
+    row_count = job.path.row_count
+    return run(Rigid(), job_process(job, adjoint), path, row_count=row_count)
 
 
 def solve_command(
     job: Job,
-    rigid: ProcessSolution,
+    rigid: Run,
     commanded: Float[Array, "step 3"],
     adjoint: AbstractAdjoint,
     motors: Float[Array, "step joint"] | None = None,
@@ -284,11 +316,12 @@ def solve_command(
 
     Differentiability: as `simulate`.
     """
-    run, count = padded_job(job), job.path.step_count
+    padded, count = padded_job(job), job.path.step_count
     commanded = on_device(commanded)
-    theta = None if motors is None else on_device(pad_rows(motors, run))
-    ran = _follow(run, rigid.stock, on_device(pad_rows(commanded, run)), adjoint, theta)
-    if run.path.step_count != count:
+    theta = None if motors is None else on_device(pad_rows(motors, padded))
+    tips = on_device(pad_rows(commanded, padded))
+    ran = _follow(padded, rigid.stock, tips, adjoint, theta)
+    if padded.path.step_count != count:
         ran = cut_rows(ran, _FOLLOWED_ROWS, count)
     # What a rigid cut that failed says of where the tool cuts would be wrong; what went
     # wrong in a cut counts before what is not reached, which `is_reached` tells.
@@ -359,7 +392,15 @@ class _Followed(eqx.Module):
 
 
 # The fields with a row per step.
-_PROCESS_ROWS = ("time", "force", "removed_volume", "shank_volume", "has_failed")
+_PROCESS_ROWS = (
+    "time",
+    "actual",
+    "ends",
+    "force",
+    "removed_volume",
+    "shank_volume",
+    "has_failed",
+)
 _FOLLOWED_ROWS = (
     "actual",
     "force",
@@ -421,7 +462,7 @@ def _follow(
 
 def run_motors(
     job: Job, motors: Float[Array, "step joint"], adjoint: AbstractAdjoint
-) -> CoupledSolution:
+) -> Run:
     """Run the simulation of a job, dynamic or quasi-static, for given motor positions.
 
     Args:
@@ -432,24 +473,7 @@ def run_motors(
     Raises:
         ValueError: The job has no robot.
 
-    **Differentiability**: that of `simulate_coupled` or `simulate_quasistatic`.
+    **Differentiability**: that of `run`.
     """
-    if job.robot is None:
-        raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
-    arguments = (
-        motors,
-        job.robot,
-        job.T_base_work,
-        job.stock,
-        job.cutter,
-        job.law,
-        job.tooth_period,
-        job_plan(job),
-        adjoint,
-        job.bottom_law,
-    )
-    row_count = job.path.row_count
-    if job.simulation.mode == "quasistatic":
-        return simulate_quasistatic(*arguments, row_count=row_count)
-    rule = make_integrator(job.simulation.integrator, job.simulation.dynamics)
-    return simulate_coupled(*arguments, rule, row_count=row_count)
+    machine, process = job_machine(job), job_process(job, adjoint)
+    return run(machine, process, motors, row_count=job.path.row_count)

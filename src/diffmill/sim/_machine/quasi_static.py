@@ -25,37 +25,25 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._types import IntScalar, RealScalarLike, Transform
-from ...cutter import AbstractCutter
-from ...cutting import AbstractForceLaw
+from ..._types import IntScalar, Transform
 from ...process import (
-    AbstractAdjoint,
-    Engagement,
-    ProcessPlan,
-    ProcessState,
-    Removed,
+    Process,
     advance_process,
     end_period,
-    failed_rows,
-    initial_state,
-    last_row,
-    live_rows,
-    outcome,
-    remove_all,
     substep_ends,
     substep_middles,
-    substep_wrench,
-    volumes_by_pose,
     when_live,
 )
 from ...robot import Robot, arm_terms, drive_deflection, loaded_equilibrium
-from ...workpiece import Pose, Stock
-from .elastic import CoupledSolution, all_ends, along, in_work
+from ...workpiece import Pose
+from .elastic import MotorRow, along, in_work, jacobian_in_work
+from .machine import AbstractMachine, Period, RunState
+from .rigid import period_wrench
 
 _NEWTON_STEPS = 2
 
 
-class _Balance(eqx.Module):
+class Balance(eqx.Module):
     """The arm at one instant: joints, pose in `work`, and load on the tool."""
 
     q: Float[Array, " joint"]
@@ -63,187 +51,105 @@ class _Balance(eqx.Module):
     load: Float[Array, " load"]
 
 
-class _Row(eqx.Module):
-    """Outputs of one tooth period."""
+class QuasiStaticArm(AbstractMachine):
+    """A robot without inertia, which bends under its weight and the cut.
 
-    balance: _Balance
-    ends: Float[Array, "substep 3"]
-    removed: Removed
-    has_failed: Bool[Array, ""]
+    Its command are its motors' positions; time does not matter.
 
-
-class _Machine(eqx.Module):
-    """Constants of a run."""
+    Attributes:
+        robot: The robot with its tool; its damping is not used.
+        T_base_work: Pose of the workpiece frame in the robot's base, shape (4, 4).
+    """
 
     robot: Robot
-    T_base_work: Float[Array, "4 4"]
-    cutter: AbstractCutter
-    laws: tuple[AbstractForceLaw, AbstractForceLaw | None]
-    plan: ProcessPlan
-    adjoint: AbstractAdjoint
+    T_base_work: Transform
 
+    def begin(self, process: Process, command: Float[Array, "step joint"]) -> Balance:
+        """Return the balance with gravity at the first instant."""
+        q = loaded_equilibrium(self.robot, command[0])
+        pose, J, _ = self._linear(process, q)
+        return Balance(q, pose, jnp.zeros(J.shape[0], command.dtype))
 
-def simulate_quasistatic(
-    motor_positions: Float[Array, "step joint"],
-    robot: Robot,
-    T_base_work: Transform,
-    stock: Stock,
-    cutter: AbstractCutter,
-    law: AbstractForceLaw,
-    tooth_period: RealScalarLike,
-    plan: ProcessPlan,
-    adjoint: AbstractAdjoint,
-    bottom_law: AbstractForceLaw | None = None,
-    row_count: IntScalar | None = None,
-) -> CoupledSolution:
-    """Move the motors, let the arm bend under its weight and the cut, and cut.
+    def rows(
+        self,
+        process: Process,
+        command: Float[Array, "step joint"],
+        row_count: IntScalar | None,
+    ) -> MotorRow:
+        """Return the motors at both ends of every period."""
+        del process, row_count
+        return MotorRow(command[:-1], command[1:])
 
-    Args:
-        motor_positions: Motor angles theta at the tooth instants, behind the gear on
-            the joint's side [rad or m], shape (step, joint); 0 for virtual joints.
-        robot: The robot with its tool; its damping is not used.
-        T_base_work: Pose of the workpiece in the robot's base, shape (4, 4).
-        stock: The raw workpiece.
-        cutter: The cutter, as for `simulate_coupled`.
-        law: The force law.
-        tooth_period: T [s], shape (); nothing depends on it, time does not matter.
-        plan: Sizes of the process.
-        adjoint: How to differentiate through the removal.
-        bottom_law: The law of the bottom edge; derived from `law` if not given.
-        row_count: As for `simulate_coupled`.
+    def pose(self, process: Process, state: Balance) -> Pose:
+        """Return the tool's pose in `work`."""
+        del process
+        return state.pose
 
-    Returns:
-        The motion, the forces and the final stock, as `simulate_coupled`.
+    def joint_positions(self, state: Balance) -> Float[Array, " joint"]:
+        """Return the joint positions [rad or m]."""
+        return state.q
 
-    Differentiability: as `simulate_process`; also in the robot's leaves.
-    """
-    del tooth_period
-    theta = motor_positions
-    dtype, step_count = theta.dtype, theta.shape[0]
-    frame = jnp.asarray(T_base_work, dtype)
-    machine = _Machine(robot, frame, cutter, (law, bottom_law), plan, adjoint)
-    q = loaded_equilibrium(robot, theta[0])
-    pose, J, _ = _linear(machine, q)
-    first = _Balance(q, pose, jnp.zeros(J.shape[0], dtype))
-    process, overlap = initial_state(
-        plan, stock, cutter, first.pose, step_count, adjoint
-    )
+    def period(
+        self,
+        process: Process,
+        state: RunState,
+        index: Int[Array, ""],
+        row: MotorRow,
+        is_live: Bool[Array, ""] | None,
+    ) -> tuple[RunState, Period]:
+        """Return the state after one tooth period, and its outputs."""
+        start, stop, substeps = state.machine, row.stop, process.engagement.substeps
+        # The end is near to the start moved along with the motors: linear from there.
+        near = start.q + stop - row.start
+        pose, jacobian, gravity = self._linear(process, near)
+        stretch = lambda tau: drive_deflection(self.robot, tau)
+        joints = lambda F: stop - stretch(gravity - jacobian.T @ F)
+        tip = lambda F: pose.tip + jacobian[:3] @ (joints(F) - near)
 
-    def step(
-        carry: tuple[ProcessState, _Balance],
-        x: tuple[Array, Array, Array, Array | None],
-    ) -> tuple[tuple[ProcessState, _Balance], _Row]:
-        return _run_period(machine, *carry, *x)
+        def tips(F: Array, places: Callable[..., Array] = substep_middles) -> Array:
+            shares = places(substeps, stop.dtype)[:, None]
+            return start.pose.tip[None] * (1 - shares) + tip(F)[None] * shares
 
-    index = jnp.arange(1, step_count, dtype=jnp.int32)
-    xs = (index, theta[:-1], theta[1:], live_rows(index, row_count))
-    (process, last), rows = jax.lax.scan(step, (process, first), xs)
-    end = last_row(step_count, row_count)
-    process, rest = remove_all(
-        plan, cutter, process, end, last.pose, step_count, adjoint
-    )
-    volume, by_shank = volumes_by_pose(step_count, rows.removed, rest)
-    chain = jax.tree.map(
-        lambda a, b: jnp.concatenate([a[None], b]), first, rows.balance
-    )
-    return CoupledSolution(
-        actual=chain.pose.tip,
-        ends=all_ends(chain.pose.tip[0], rows.ends),
-        force=chain.load[:, :3],
-        joint_positions=chain.q,
-        removed_volume=volume,
-        shank_volume=by_shank,
-        initial_overlap_volume=overlap,
-        stock=process.stock,
-        has_failed=failed_rows(rows.has_failed, process, end),
-        result=outcome(process, jnp.all(jnp.isfinite(chain.pose.tip))),
-    )
-
-
-def _run_period(
-    machine: _Machine,
-    process: ProcessState,
-    start: _Balance,
-    index: Int[Array, ""],
-    begin: Float[Array, " joint"],
-    stop: Float[Array, " joint"],
-    is_live: Bool[Array, ""] | None,
-) -> tuple[tuple[ProcessState, _Balance], _Row]:
-    """Return the state after one tooth period, and its row."""
-    # The end is near to the start moved along with the motors: linear from there.
-    near = start.q + stop - begin
-    pose, jacobian, gravity = _linear(machine, near)
-    stretch = lambda tau: drive_deflection(machine.robot, tau)
-    joints = lambda F: stop - stretch(gravity - jacobian.T @ F)
-    tip = lambda F: pose.tip + jacobian[:3] @ (joints(F) - near)
-
-    def tips(F: Array, places: Callable[..., Array] = substep_middles) -> Array:
-        shares = places(machine.plan, stop.dtype)[:, None]
-        return start.pose.tip[None] * (1 - shares) + tip(F)[None] * shares
-
-    process, cut, removed = advance_process(
-        machine.plan,
-        machine.cutter,
-        process,
-        index,
-        start.pose,
-        along(pose, tips(start.load)),
-        machine.adjoint,
-        is_live,
-    )
-    size = start.load.size
-    mean = lambda F: _mean_load(machine, process, cut, along(pose, tips(F)))[:size]
-    eye = jnp.eye(size, dtype=stop.dtype)
-
-    def newton(F: Array, _: None) -> tuple[Array, None]:
-        # One pass gives value and slope: the force beside each column is the same.
-        found, columns = jax.vmap(lambda direction: jax.jvp(mean, (F,), (direction,)))(
-            eye
+        predicted = along(pose, tips(start.load))
+        cutting, cut, removed = advance_process(
+            process, state.process, index, start.pose, predicted, is_live
         )
-        return F + jnp.linalg.solve(eye - columns.T, found[0] - F), None
+        size, recent = start.load.size, cutting.recent
+        eye = jnp.eye(size, dtype=stop.dtype)
 
-    def balance() -> _Balance:
-        load, _ = jax.lax.scan(newton, start.load, length=_NEWTON_STEPS)
-        return _Balance(joints(load), Pose(tip(load), pose.axis), load)
+        def mean(F: Array) -> Array:
+            found = period_wrench(process, cut, along(pose, tips(F)), recent)
+            return jnp.mean(found, axis=0)[:size]
 
-    end = when_live(is_live, balance, start)
-    ends = tips(end.load, substep_ends)
-    process = end_period(process, along(pose, tips(end.load)), along(pose, ends))
-    has_failed = process.has_overflow | process.is_beyond
-    return (process, end), _Row(end, ends, removed, has_failed)
+        def newton(F: Array, _: None) -> tuple[Array, None]:
+            # One pass gives value and slope: the force beside each column is the same.
+            value_and_slope = lambda way: jax.jvp(mean, (F,), (way,))
+            found, columns = jax.vmap(value_and_slope)(eye)
+            return F + jnp.linalg.solve(eye - columns.T, found[0] - F), None
 
+        def balance() -> Balance:
+            load, _ = jax.lax.scan(newton, start.load, length=_NEWTON_STEPS)
+            return Balance(joints(load), Pose(tip(load), pose.axis), load)
 
-def _linear(
-    machine: _Machine, q: Float[Array, " joint"]
-) -> tuple[Pose, Float[Array, "load joint"], Float[Array, " joint"]]:
-    """Return pose and Jacobian of the tip in `work`, and the torques of gravity."""
-    terms = arm_terms(machine.robot, q, jnp.zeros_like(q))
-    to_work = machine.T_base_work[:3, :3].T
-    J = in_work(machine.T_base_work, terms.jacobian)
-    pose = Pose(
-        to_work @ (terms.T_base_tool[:3, 3] - machine.T_base_work[:3, 3]),
-        None if machine.plan.is_upright else to_work @ terms.T_base_tool[:3, 2],
-    )
-    # Only on a bending tool the height at which a force acts counts for anything.
-    return pose, J if machine.robot.fast_joints else J[:3], terms.bias_forces
+        end = when_live(is_live, balance, start)
+        ends = tips(end.load, substep_ends)
+        cutting = end_period(cutting, along(pose, tips(end.load)), along(pose, ends))
+        return RunState(cutting, end, state.period_count), Period(
+            tip=start.pose.tip,
+            ends=ends,
+            force=end.load[:3],
+            joint_positions=start.q,
+            removed=removed,
+            has_failed=cutting.has_overflow | cutting.is_beyond,
+        )
 
-
-def _mean_load(
-    machine: _Machine, process: ProcessState, cut: Engagement, middles: Pose
-) -> Float[Array, " 6"]:
-    """Return mean force and moment of a period whose poses are known."""
-    force = jax.vmap(
-        lambda pose, earlier, samples, bottom: substep_wrench(
-            machine.plan,
-            machine.cutter,
-            *machine.laws,
-            pose,
-            earlier,
-            cut.thinned,
-            samples,
-            bottom,
-        ),
-        in_axes=(0, 1, 0, 0),
-    )
-    found = force(middles, process.recent, cut.samples, cut.bottom)
-    return jnp.mean(found.reshape(-1, 6), axis=0)
+    def _linear(
+        self, process: Process, q: Float[Array, " joint"]
+    ) -> tuple[Pose, Float[Array, "load joint"], Float[Array, " joint"]]:
+        """Return pose and Jacobian of the tip in `work`, and the torques of gravity."""
+        terms = arm_terms(self.robot, q, jnp.zeros_like(q))
+        J = jacobian_in_work(self.T_base_work, terms.jacobian)
+        is_upright = process.engagement.is_upright
+        pose = in_work(self.T_base_work, terms.T_base_tool, is_upright)
+        # Only on a bending tool the height at which a force acts counts for anything.
+        return pose, J if self.robot.fast_joints else J[:3], terms.bias_forces

@@ -7,10 +7,11 @@ import numpy as np
 
 from ..._job import Job
 from ..._result import RESULTS
+from ...process import ThroughRays
 from ...sim import (
     Solution,
     actual_poses,
-    job_plan,
+    job_process,
     replay_process,
     tooth_chip,
     with_precision,
@@ -76,9 +77,9 @@ def _chip(job: Job, solution: Solution) -> ChipChart | None:
     step = _typical_step(solution)
     if step is None:
         return None
-    plan, poses = job_plan(job), actual_poses(job, solution)
-    found = tooth_chip(poses, job.stock, job.cutter, plan, step=step)
-    return chip_chart(found, plan.angles)
+    process = job_process(job, ThroughRays())
+    found = tooth_chip(process, actual_poses(job, solution), step=step)
+    return chip_chart(found, process.engagement.angles)
 
 
 def _typical_step(solution: Solution) -> int | None:

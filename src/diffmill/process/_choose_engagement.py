@@ -2,18 +2,20 @@
 
 import dataclasses
 import math
-from typing import Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, TypeAlias
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float
 
 from .._types import FloatRows3
 from ..cutter import AbstractCutter
-from ..workpiece import Discs, RemovalWindow, Stock, removal_window, tilted_window
+from ..workpiece import Discs, Stock, removal_window, tilted_window
+from ._engagement.bottom_edge import BottomEdges
+from ._engagement.dexel_cloud import DexelCloud
+from ._engagement.edge_elements import EdgeDiscretisation, EdgeElementsInSpace
+from ._engagement.upright import UprightFlat
+from ._process import AbstractEngagement
 
 # A robot that bends tilts its tool by less than this [rad].
 _TILT = 0.02
@@ -35,99 +37,6 @@ _CORNER = 0.5
 # Elements at least of a corner, per square root of its radius over the height of an
 # element: however shallow the cut, its arc is long.
 _LEAST_CORNER = 5.0
-
-
-class EdgeDiscretisation(eqx.Module):
-    """Edge elements of a cutter in space, counted from the center of its end.
-
-    Attributes:
-        bottom: Elements of the flat end.
-        corner: Elements of the corner.
-        side: Elements of the side.
-        side_height: Height of an element of the side [m].
-        corner_limit: Angle of the corner up to which they reach [rad].
-        keeps_all: Whether all teeth are looked at all the time, since they cut on the
-            trailing side too.
-    """
-
-    bottom: int = eqx.field(static=True)
-    corner: int = eqx.field(static=True)
-    side: int = eqx.field(static=True)
-    side_height: float = eqx.field(static=True)
-    corner_limit: float = eqx.field(static=True)
-    keeps_all: bool = eqx.field(static=True)
-
-
-class ProcessPlan(eqx.Module):
-    """Discretisation of the process; sizes are static.
-
-    Attributes:
-        angles: Samples of the immersion angle per revolution.
-        substeps: Sub-steps per tooth period.
-        discs: Discs of the cutter.
-        window: Window of rays of a removal.
-        lag: Travelled distance by which removal lags [m].
-        profile: Edge elements on the bottom, the corner and the side of a cutter in
-            space; None for the discs of a flat cutter that stands upright.
-        is_upright: Whether the tool stands along +z all the time.
-        chip: The chip model; "point_cloud" removes every pose at once, without lag.
-        bottom: Annuli of the bottom edge of a flat cutter that stands upright; 0 where
-            its path does not descend in material.
-        looks: How often a robot's tooth period looks up the stock, each time for as
-            many sub-steps; their poses are predicted from where the tool is then.
-    """
-
-    angles: int = eqx.field(static=True)
-    substeps: int = eqx.field(static=True)
-    discs: Discs
-    window: RemovalWindow
-    lag: float = eqx.field(static=True)
-    profile: EdgeDiscretisation | None = None
-    is_upright: bool = eqx.field(static=True, default=True)
-    chip: ChipModel = eqx.field(static=True, default="near_far")
-    bottom: int = eqx.field(static=True, default=0)
-    looks: int = eqx.field(static=True, default=1)
-
-    def __check_init__(self):
-        """Refuse looks that do not divide a period, and a point cloud without discs."""
-        if self.substeps % self.looks or (self.looks > 1 and self.chip != "near_far"):
-            raise ValueError(
-                "Argument `looks` must divide the sub-steps of a tooth period "
-                f"({self.substeps}), and be 1 for a point cloud, but is {self.looks}."
-            )
-        if self.chip == "point_cloud" and self.profile is not None:
-            raise ValueError(
-                'Argument `chip` must be "near_far" unless the cutter is flat, has '
-                'even teeth without run-out and stands along +z, but is "point_cloud".'
-            )
-
-
-class Substeps(NamedTuple):
-    """Some sub-steps of a tooth period.
-
-    Attributes:
-        first: Index of the first one, shape ().
-        length: How many.
-    """
-
-    first: Int[Array, ""]
-    length: int
-
-
-def turning(
-    plan: ProcessPlan,
-    cutter: AbstractCutter,
-    dtype: jnp.dtype,
-    part: Substeps | None = None,
-) -> Float[Array, "substep angle"]:
-    """Return the angles by which the cutter turns from the start of a period [rad]."""
-    count = plan.angles // (plan.substeps * cutter.flute_count)
-    total = plan.substeps * count
-    share = (jnp.arange(total, dtype=dtype) + 0.5) / total
-    turn = (2 * math.pi / cutter.flute_count * share).reshape(plan.substeps, count)
-    if part is None:
-        return turn
-    return jax.lax.dynamic_slice_in_dim(turn, part.first, part.length)
 
 
 def is_plunging(positions: FloatRows3, top: float) -> bool:
@@ -170,7 +79,7 @@ def default_element_height(
     return min(height, cutter.nominal_radius * turn / slope)
 
 
-def process_plan(
+def choose_engagement(
     stock: Stock,
     cutter: AbstractCutter,
     *,
@@ -184,7 +93,7 @@ def process_plan(
     has_bottom: bool = True,
     chip: ChipModel = "near_far",
     looks: int = 1,
-) -> ProcessPlan:
+) -> AbstractEngagement:
     """Choose the sizes of a process.
 
     Args:
@@ -204,7 +113,7 @@ def process_plan(
         looks: How often a robot's tooth period looks up the stock.
 
     Returns:
-        The plan.
+        `UprightFlat`, `EdgeElementsInSpace` or `DexelCloud`.
 
     Raises:
         ValueError: A point cloud is asked for, but not of a plain flat cutter that
@@ -224,18 +133,25 @@ def process_plan(
     # The sagitta of a fresh surface at this distance is beyond the band.
     lag = 1.25 * math.sqrt(2 * radius * band)
     reach = 2 * stock.spacing
+    sizes: dict[str, Any] = {
+        "angles": angles,
+        "substeps": substeps,
+        "lag": lag,
+        "looks": looks,
+    }
     if is_simple:
         # One more disc than the depth holds: its share rises before it is immersed.
         depth = min(axial_depth, cutter.flute_length)
-        discs = Discs(max(1, math.ceil(depth / dz + 0.5)), dz, band)
-        window = removal_window(stock, cutter, axial_depth, reach)
-        is_cut_below = plunges and has_bottom and chip == "near_far"
-        bottom = _ANNULI if is_cut_below else 0
-        return ProcessPlan(
-            *(angles, substeps, discs, window, lag),
-            chip=chip,
-            bottom=bottom,
-            looks=looks,
+        sizes["discs"] = Discs(max(1, math.ceil(depth / dz + 0.5)), dz, band)
+        sizes["window"] = removal_window(stock, cutter, axial_depth, reach)
+        if chip == "point_cloud":
+            return DexelCloud(**sizes)
+        bottom = BottomEdges(_ANNULI) if plunges and has_bottom else None
+        return UprightFlat(**sizes, bottom=bottom)
+    if chip == "point_cloud":
+        raise ValueError(
+            'Argument `chip` must be "near_far" unless the cutter is flat, has even '
+            'teeth without run-out and stands along +z, but is "point_cloud".'
         )
     if is_upright:
         window = removal_window(stock, cutter, axial_depth, reach)
@@ -246,11 +162,9 @@ def process_plan(
         profile = _tilted_profile(cutter, axes, axial_depth, window.length, dz, plunges)
     if not has_bottom:
         profile = dataclasses.replace(profile, bottom=0)
-    return ProcessPlan(
-        *(angles, substeps, Discs(1, dz, band), window, lag, profile),
-        is_upright=is_upright,
-        chip=chip,
-        looks=looks,
+    discs = Discs(1, dz, band)
+    return EdgeElementsInSpace(
+        **sizes, discs=discs, window=window, profile=profile, is_upright=is_upright
     )
 
 

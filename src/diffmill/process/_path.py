@@ -1,0 +1,116 @@
+"""Paths of the tool: poses at the tooth instants, and within the periods between."""
+
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._types import FloatRows3, IntScalar
+from ..cutter import AbstractCutter
+from ..workpiece import Pose, Stock
+from ._live_rows import last_row
+from ._process import substep_ends, substep_middles
+
+
+def path_poses(
+    positions: Float[Array, "step 3"],
+    axes: Float[Array, "step 3"] | Float[np.ndarray, "step 3"] | None,
+) -> Pose:
+    """Return the poses of a path."""
+    if axes is None:
+        return Pose(positions)
+    return Pose(positions, jnp.asarray(axes, positions.dtype))
+
+
+def within_periods(
+    positions: Float[Array, "step 3"], shares: Float[Array, " substep"]
+) -> Float[Array, "period substep 3"]:
+    """Return where the tip is within the periods between given instants.
+
+    Cubic through the two instants, with the slopes of their neighbours (Catmull-Rom):
+    a chip is the difference of two such positions, and with straight lines between
+    the instants a shaking tool would cut a different chip.
+
+    Args:
+        positions: Tip at the tooth instants [m], shape (step, 3).
+        shares: Share of the period at which to look, shape (substep,).
+
+    Returns:
+        Tips [m], shape (step - 1, substep, 3).
+
+    Differentiability: linear.
+    """
+    first = 2 * positions[:1] - positions[1:2]
+    last = 2 * positions[-1:] - positions[-2:-1]
+    padded = jnp.concatenate([first, positions, last])
+    p0, p1, p2, p3 = (padded[i : i + positions.shape[0] - 1, None] for i in range(4))
+    t = shares[None, :, None]
+    # From differences only, so that a tool that stands still stands exactly still.
+    rise, start, stop = p2 - p1, 0.5 * (p2 - p0), 0.5 * (p3 - p1)
+    bend = 3 * rise - 2 * start - stop + t * (start + stop - 2 * rise)
+    return p1 + t * (start + t * bend)
+
+
+def middles_of(substeps: int, path: Pose, row_count: IntScalar | None = None) -> Pose:
+    """Return the poses in the middle of the sub-steps, shape (period, substep, 3).
+
+    Args:
+        substeps: Sub-steps per tooth period.
+        path: Poses at the tooth instants, shape (step, 3).
+        row_count: How many of them count; all if None.
+    """
+    return _between(path, substep_middles(substeps, path.tip.dtype), row_count)
+
+
+def ends_of(substeps: int, path: Pose, row_count: IntScalar | None = None) -> Pose:
+    """Return the poses at the ends of the sub-steps; see `middles_of`.
+
+    Behind the last row that counts the tool is at rest.
+    """
+    ends = _between(path, substep_ends(substeps, path.tip.dtype), row_count)
+    if row_count is None:
+        return ends
+    count = path.tip.shape[0]
+    is_live = jnp.arange(1, count, dtype=jnp.int32) < row_count
+    rest = path[last_row(count, row_count)]
+    return jax.tree.map(
+        lambda x, end: jnp.where(is_live[:, None, None], x, end), ends, rest
+    )
+
+
+def _between(
+    path: Pose, shares: Float[Array, " substep"], row_count: IntScalar | None
+) -> Pose:
+    if row_count is not None:
+        # The curve through the last rows goes on behind them as at the path's end.
+        end = last_row(path.tip.shape[0], row_count)
+        ahead = lambda rows: rows.at[row_count].set(
+            2 * rows[end] - rows[end - 1], mode="drop"
+        )
+        path = jax.tree.map(ahead, path)
+    tip = within_periods(path.tip, shares)
+    if path.axis is None:
+        return Pose(tip)
+    axis = within_periods(path.axis, shares)
+    return Pose(tip, axis / jnp.linalg.norm(axis, axis=-1, keepdims=True))
+
+
+def path_depth(positions: FloatRows3, stock: Stock, cutter: AbstractCutter) -> float:
+    """Return how deep a path goes below the top of the stock [m].
+
+    Args:
+        positions: Tool tip in `work` [m], shape (step, 3); may be traced.
+        stock: The raw workpiece.
+        cutter: The cutter.
+
+    Returns:
+        The deepest immersion of a path known on the host; for a traced path the
+        height of the stock or of the flutes, whichever is less.
+    """
+    counts = stock.families[0].ends.shape[1]
+    height = counts * stock.spacing
+    if isinstance(positions, jax.core.Tracer):
+        return min(cutter.flute_length, height)
+    deepest = stock.top - float(np.min(np.asarray(positions)[:, 2]))
+    return min(max(deepest, 0.0) + stock.spacing, height)

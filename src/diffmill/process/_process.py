@@ -1,0 +1,218 @@
+"""The cutting process as an object: what is cut, with what, and how finely."""
+
+import abc
+import math
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from .._types import RealScalarLike
+from ..cutter import AbstractCutter
+from ..cutting import AbstractForceLaw
+from ..workpiece import Discs, Pose, RemovalWindow, Stock
+from ._engagement.edge_samples import EdgeSamples, Engagement
+from ._state import ProcessState, Removed
+from ._stock_derivatives import AbstractAdjoint, ThroughRays
+
+
+class Substeps(NamedTuple):
+    """Some sub-steps of a tooth period.
+
+    Attributes:
+        first: Index of the first one, shape ().
+        length: How many.
+    """
+
+    first: Int[Array, ""]
+    length: int
+
+
+class AbstractEngagement(eqx.Module):
+    """Where the teeth are in the material, and what chips they cut.
+
+    Attributes:
+        angles: Samples of the immersion angle per revolution.
+        substeps: Sub-steps per tooth period.
+        looks: How often a robot's tooth period looks up the stock, each time for as
+            many sub-steps; their poses are predicted from where the tool is then.
+        discs: Discs of the cutter, or the height of an edge element and the band.
+        window: Window of rays of a removal.
+        lag: Travelled distance by which removal lags [m].
+        is_upright: Whether the tool stands along +z all the time.
+    """
+
+    angles: eqx.AbstractVar[int]
+    substeps: eqx.AbstractVar[int]
+    looks: eqx.AbstractVar[int]
+    discs: eqx.AbstractVar[Discs]
+    window: eqx.AbstractVar[RemovalWindow]
+    lag: eqx.AbstractVar[float]
+    is_upright: eqx.AbstractVar[bool]
+
+    @abc.abstractmethod
+    def advance(
+        self, process: "Process", state: ProcessState, index: Int[Array, ""], pose: Pose
+    ) -> tuple[ProcessState, Removed]:
+        """Take in the pose at the end of a period, and remove what is due.
+
+        Args:
+            process: The process that is engaged so.
+            state: State after the period that ends at the pose.
+            index: Index k of the pose, shape ().
+            pose: Pose k, shape (3,).
+
+        Returns:
+            The state, and what was removed.
+        """
+
+    @abc.abstractmethod
+    def engage(
+        self,
+        process: "Process",
+        state: ProcessState,
+        index: Int[Array, ""],
+        predicted: Pose,
+        part: Substeps | None = None,
+    ) -> Engagement:
+        """Return where the teeth of a period meet material, after its removal.
+
+        Args:
+            process: The process.
+            state: State after the removal of this period.
+            index: Index k of the period, from pose k - 1 to pose k, shape ().
+            predicted: Poses expected in the middle of the sub-steps, shape
+                (substep, 3).
+            part: The sub-steps if these are not all: predicted and recent poses are
+                then theirs.
+
+        Returns:
+            The engagement.
+        """
+
+    @abc.abstractmethod
+    def wrench(
+        self,
+        process: "Process",
+        samples: EdgeSamples,
+        pose: Pose,
+        earlier: Pose,
+        thinned: Pose,
+    ) -> Float[Array, "angle 6"]:
+        """Return force and moment on the tool at the angles of one sub-step.
+
+        Args:
+            process: The process.
+            samples: The edges in this sub-step, shape (angle, kept, element).
+            pose: Pose in the middle of the sub-step, shape (3,).
+            earlier: Poses at the same sub-step of earlier periods, newest first, shape
+                (tooth, 3).
+            thinned: Older poses, shape (circle, 3).
+
+        Returns:
+            Force on the tool in `work` [N], then its moment about the tip by levers
+            along the axis [N m], shape (angle, 6); their mean is that of the sub-step.
+            What turns the tool about its axis is the spindle's.
+
+        Differentiability: kinks where the deciding earlier pose changes and where a
+        chip ends; the edge force changes smoothly there.
+        """
+
+    @abc.abstractmethod
+    def chip(
+        self,
+        process: "Process",
+        samples: EdgeSamples,
+        pose: Pose,
+        earlier: Pose,
+        thinned: Pose,
+    ) -> Float[Array, "angle kept element"]:
+        """Return the unclipped chip thickness of one sub-step [m]; see `wrench`."""
+
+    @abc.abstractmethod
+    def element_heights(
+        self, cutter: AbstractCutter, dtype: jnp.dtype
+    ) -> Float[Array, " element"]:
+        """Return how far above the tip the middle of every element is [m]."""
+
+
+class Process(eqx.Module):
+    """What is cut, with what, and how finely.
+
+    Attributes:
+        stock: The raw workpiece.
+        cutter: The milling cutter.
+        side_law: Force law of the teeth.
+        bottom_law: Force law of the bottom edges.
+        spindle_speed: [rad/s], shape ().
+        engagement: Where the teeth are in the material, and what chips they cut.
+        derivative: How to differentiate through the removal.
+    """
+
+    stock: Stock
+    cutter: AbstractCutter
+    side_law: AbstractForceLaw
+    bottom_law: AbstractForceLaw
+    spindle_speed: RealScalarLike
+    engagement: AbstractEngagement
+    derivative: AbstractAdjoint
+
+    def __init__(
+        self,
+        stock: Stock,
+        cutter: AbstractCutter,
+        law: AbstractForceLaw,
+        spindle_speed: RealScalarLike,
+        engagement: AbstractEngagement,
+        *,
+        bottom_law: AbstractForceLaw | None = None,
+        derivative: AbstractAdjoint | None = None,
+    ):
+        """Put a process together.
+
+        Args:
+            stock: The raw workpiece.
+            cutter: The cutter.
+            law: The force law.
+            spindle_speed: [rad/s], shape ().
+            engagement: As `choose_engagement` returns it.
+            bottom_law: The law of the bottom edges; derived from `law` if not given.
+            derivative: How to differentiate through the removal; `ThroughRays()` if
+                not given.
+        """
+        self.stock, self.cutter, self.engagement = stock, cutter, engagement
+        self.spindle_speed, self.side_law = spindle_speed, law
+        self.bottom_law = law.for_bottom() if bottom_law is None else bottom_law
+        self.derivative = ThroughRays() if derivative is None else derivative
+
+    @property
+    def tooth_period(self) -> Float[Array, ""]:
+        """Time between two teeth T = 2 pi / (omega N_z) [s]."""
+        speed = jnp.asarray(self.spindle_speed, self.stock.origin.dtype)
+        return 2 * math.pi / (speed * self.cutter.flute_count)
+
+
+def rotation_angles(
+    process: Process, dtype: jnp.dtype, part: Substeps | None = None
+) -> Float[Array, "substep angle"]:
+    """Return the angles by which the cutter turns from the start of a period [rad]."""
+    engagement, teeth = process.engagement, process.cutter.flute_count
+    count = engagement.angles // (engagement.substeps * teeth)
+    total = engagement.substeps * count
+    share = (jnp.arange(total, dtype=dtype) + 0.5) / total
+    turn = (2 * math.pi / teeth * share).reshape(engagement.substeps, count)
+    if part is None:
+        return turn
+    return jax.lax.dynamic_slice_in_dim(turn, part.first, part.length)
+
+
+def substep_middles(substeps: int, dtype: jnp.dtype) -> Float[Array, " substep"]:
+    """Return the middle of each sub-step as a share of the tooth period."""
+    return (jnp.arange(substeps, dtype=dtype) + 0.5) / substeps
+
+
+def substep_ends(substeps: int, dtype: jnp.dtype) -> Float[Array, " substep"]:
+    """Return the end of each sub-step as a share of the tooth period."""
+    return (jnp.arange(substeps, dtype=dtype) + 1) / substeps

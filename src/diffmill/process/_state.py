@@ -1,0 +1,79 @@
+"""State of the process between tooth periods, and what leaves it."""
+
+import equinox as eqx
+import jax
+from jaxtyping import Array, Bool, Float, Int
+
+from ..workpiece import Pose, PoseTrack, Stock
+
+
+class Waiting(eqx.Module):
+    """Passes that wait for removal, oldest first, each of one tooth.
+
+    Attributes:
+        row: Index k of the pose before which the tooth looks forward, shape (queue,).
+        forward: Direction of motion along tool x and y, shape (queue, 2).
+        passing: When the tooth looks forward, in tooth periods from pose k - 1, shape
+            (queue,).
+        travel: Distance travelled when the pass came in [m], shape (queue,).
+    """
+
+    row: Int[Array, "*queue"]
+    forward: Float[Array, "*queue 2"]
+    passing: Float[Array, "*queue"]
+    travel: Float[Array, "*queue"]
+
+    def __getitem__(self, item: object) -> "Waiting":
+        """Return some of the passes."""
+        return jax.tree.map(lambda x: x[item], self)
+
+
+class ProcessState(eqx.Module):
+    """State of the process between tooth periods.
+
+    Attributes:
+        stock: The workpiece, less the poses still in the queue.
+        track: Every pose so far, at the ends of the sub-steps.
+        last_tip: Tip of the newest at a tooth instant [m], shape (3,).
+        recent: Poses in the middle of the sub-steps of the last tooth periods, newest
+            first, shape (tooth, substep, 3).
+        ends: Poses at the ends of the sub-steps of the last period, which are not in
+            the track yet, shape (substep, 3).
+        forward: Direction of motion along tool x and y, shape (2,).
+        passing: When in the last period a tooth looked forward, in tooth periods; may
+            be half a period beside it, so that it does not jump, shape ().
+        queue: What waits for removal.
+        queue_count: Number of entries, shape ().
+        travel: Distance travelled so far [m], shape ().
+        slots: How many slots of each family of rays hold anything, shape (3,).
+        has_overflow: Whether a ray ran out of slots, shape ().
+        is_beyond: Whether the tool reached beyond its window, shape ().
+    """
+
+    stock: Stock
+    track: PoseTrack
+    last_tip: Float[Array, " 3"]
+    recent: Pose
+    ends: Pose
+    forward: Float[Array, " 2"]
+    passing: Float[Array, ""]
+    queue: Waiting
+    queue_count: Int[Array, ""]
+    travel: Float[Array, ""]
+    slots: Int[Array, " 3"]
+    has_overflow: Bool[Array, ""]
+    is_beyond: Bool[Array, ""]
+
+
+class Removed(eqx.Module):
+    """Poses removed in one step and what each took [m^3].
+
+    Attributes:
+        pose: Their indices, shape (pose,).
+        volume: All that a pose took [m^3], shape (pose,).
+        by_shank: What of it the shank took, above the flutes [m^3], shape (pose,).
+    """
+
+    pose: Int[Array, " pose"]
+    volume: Float[Array, " pose"]
+    by_shank: Float[Array, " pose"]

@@ -1,0 +1,442 @@
+"""A machine moves the tool, the process pushes it back: one run of both.
+
+One `lax.scan` over tooth periods. What the machine is decides what a period does
+(`AbstractMachine.period`): a rigid one goes where it is told (`rigid.py`), an arm
+without inertia balances the mean force (`quasi_static.py`), an elastic one takes
+sub-steps (`elastic.py`).
+
+A run may go on from where another ended. Such a segment numbers its poses afresh: its
+track holds the newest of the segments before, as far as removal looks back, then its
+own. Ends of rays that earlier segments cut become raw stock to it: they stay where they
+are and have no derivative. So what is carried from segment to segment does not grow
+with the path, but for the stock itself.
+"""
+
+import abc
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from ..._result import RESULTS
+from ..._types import IntScalar
+from ...process import (
+    HISTORY,
+    Process,
+    ProcessState,
+    Removed,
+    initial_state,
+    last_row,
+    live_rows,
+    remove_all,
+)
+from ...workpiece import Pose, PoseTrack, Rays, Stock
+
+
+class RunState(eqx.Module):
+    """All that a run needs to go on.
+
+    Attributes:
+        process: The stock, less the poses that wait for removal, and these.
+        machine: The machine's own state, a tree.
+        period_count: Tooth periods run so far, which tell the tooth that is next.
+    """
+
+    process: ProcessState
+    machine: Any
+    period_count: Int[Array, ""]
+
+
+class Period(eqx.Module):
+    """Outputs of one tooth period.
+
+    Attributes:
+        tip: Tool tip in `work` at its start [m], shape (3,).
+        ends: Tips at the ends of its sub-steps [m], shape (substep, 3).
+        force: Mean force on the tool in `work` [N], shape (3,).
+        joint_positions: At its start [rad or m], shape (joint,); None without joints.
+        removed: What was removed at its start.
+        has_failed: Whether a flag of the process is up.
+        samples: Force at every angle [N], shape (sample, 3), if it is asked for.
+    """
+
+    tip: Float[Array, " 3"]
+    ends: Float[Array, "substep 3"]
+    force: Float[Array, " 3"]
+    joint_positions: Float[Array, " joint"] | None
+    removed: Removed
+    has_failed: Bool[Array, ""]
+    samples: Float[Array, "sample 3"] | None = None
+
+
+class AbstractMachine(eqx.Module):
+    """What moves the tool along a command, and how it gives way to the force."""
+
+    @abc.abstractmethod
+    def begin(self, process: Process, command: Any) -> Any:
+        """Return the machine's state at the first instant.
+
+        Args:
+            process: The process.
+            command: What it is told, one row per tooth instant.
+        """
+
+    @abc.abstractmethod
+    def rows(self, process: Process, command: Any, row_count: IntScalar | None) -> Any:
+        """Return what every period needs of the command, a tree with an axis period.
+
+        Args:
+            process: The process.
+            command: What the machine is told, one row per tooth instant.
+            row_count: How many rows count, shape (); None for all.
+        """
+
+    @abc.abstractmethod
+    def pose(self, process: Process, state: Any) -> Pose:
+        """Return the tool's pose in `work`."""
+
+    @abc.abstractmethod
+    def joint_positions(self, state: Any) -> Float[Array, " joint"] | None:
+        """Return the joint positions [rad or m], None without joints."""
+
+    @abc.abstractmethod
+    def period(
+        self,
+        process: Process,
+        state: RunState,
+        index: Int[Array, ""],
+        row: Any,
+        is_live: Bool[Array, ""] | None,
+    ) -> tuple[RunState, Period]:
+        """Return the state after one tooth period, and its outputs.
+
+        Args:
+            process: The process.
+            state: State at its start.
+            index: Index of the period, from 1, shape ().
+            row: What it needs of the command, of `rows`.
+            is_live: Whether the period counts; None if all do. Else the machine stands
+                still.
+        """
+
+
+class Run(eqx.Module):
+    """Solution of a machine that cuts; rows are the tooth instants.
+
+    Attributes:
+        time: [s], shape (step,).
+        actual: Tool tip in `work` [m], shape (step, 3).
+        ends: Tool tip at the ends of the sub-steps of the period before each instant
+            [m], shape (step, substep, 3); row 0 is at rest.
+        force: Mean force on the tool over the period before each instant, in `work`
+            [N], shape (step, 3); zero in row 0.
+        joint_positions: [rad or m], shape (step, joint); None without joints.
+        removed_volume: Volume that each pose removes [m^3], shape (step,).
+        shank_volume: What of it the shank above the flutes takes [m^3], which no tool
+            can: shape (step,).
+        initial_overlap_volume: Stock inside the tool at the first pose [m^3].
+        stock: The stock after the last pose.
+        has_failed: Whether a flag was up after each step, shape (step,).
+        result: Outcome of the run.
+        instantaneous_force: Force at every angle sample of every period [N], shape
+            (step, sample, 3), if it was asked for.
+    """
+
+    time: Float[Array, " step"]
+    actual: Float[Array, "step 3"]
+    ends: Float[Array, "step substep 3"]
+    force: Float[Array, "step 3"]
+    joint_positions: Float[Array, "step joint"] | None
+    removed_volume: Float[Array, " step"]
+    shank_volume: Float[Array, " step"]
+    initial_overlap_volume: Float[Array, ""]
+    stock: Stock
+    has_failed: Bool[Array, " step"]
+    result: RESULTS
+    instantaneous_force: Float[Array, "step sample 3"] | None
+
+
+class Segment(eqx.Module):
+    """Solution of one segment of a run.
+
+    Attributes as of `Run`, and:
+        state: State at the last row. What still waits for removal is in it.
+    """
+
+    actual: Float[Array, "step 3"]
+    ends: Float[Array, "step substep 3"]
+    force: Float[Array, "step 3"]
+    joint_positions: Float[Array, "step joint"] | None
+    state: RunState
+
+
+def run(
+    machine: AbstractMachine,
+    process: Process,
+    command: Any,
+    *,
+    row_count: IntScalar | None = None,
+) -> Run:
+    """Move a machine along a command and cut.
+
+    An arm starts in equilibrium with gravity, moving with its motors.
+
+    Args:
+        machine: The machine.
+        process: The process.
+        command: What the machine is told at the tooth instants: for `Rigid` the poses
+            of the tool, shape (step, 3), for an arm its motors' angles theta, behind
+            the gear on the joint's side [rad or m], shape (step, joint); 0 for virtual
+            joints.
+        row_count: How many rows count, those behind leave everything as it is; shape
+            (). All rows if not given.
+
+    Returns:
+        The motion, the forces and the final stock.
+
+    Differentiability: in the command and all leaves of machine and process, in forward
+    and reverse mode, except at the kinks of chips and rays. Under `ThroughPoses` the
+    volumes and the stock are constants.
+    """
+    rows = machine.rows(process, command, row_count)
+    step_count = _length(rows) + 1
+    last = last_row(step_count, row_count)
+    state, overlap = _begin(machine, process, command, step_count)
+    first = jnp.ones((), jnp.int32)
+    state, periods = _run_periods(machine, process, state, first, rows, row_count)
+    final = machine.pose(process, state.machine)
+    ended, rest = remove_all(process, state.process, last, final, step_count)
+    volume, by_shank = _volumes_by_pose(step_count, periods.removed, rest)
+    actual, joints = _all_rows(machine, periods, state, final, last)
+    is_finite = jnp.all(jnp.isfinite(actual)) & jnp.all(jnp.isfinite(periods.force))
+    dtype = actual.dtype
+    return Run(
+        time=process.tooth_period * jnp.arange(step_count, dtype=dtype),
+        actual=actual,
+        ends=_all_ends(periods),
+        force=_with_first(periods.force),
+        joint_positions=joints,
+        removed_volume=volume,
+        shank_volume=by_shank,
+        initial_overlap_volume=overlap,
+        stock=ended.stock,
+        has_failed=_failed_rows(periods.has_failed, ended, last),
+        result=_outcome(ended, is_finite),
+        instantaneous_force=None
+        if periods.samples is None
+        else _with_first(periods.samples),
+    )
+
+
+def begin_run(machine: AbstractMachine, process: Process, command: Any) -> RunState:
+    """Return the state from which the first segment of a run starts.
+
+    Args:
+        machine: The machine.
+        process: The process.
+        command: The first rows of what the machine is told; three count.
+
+    Differentiability: as `run`.
+    """
+    rows = _history_rows(process)
+    state, _ = _begin(machine, process, command, rows + 1)
+    moved = _moved(state.process, state.process.track, rows)
+    return RunState(moved, state.machine, state.period_count)
+
+
+def run_segment(
+    machine: AbstractMachine, process: Process, command: Any, state: RunState
+) -> Segment:
+    """Run some periods from where an earlier run ended.
+
+    Args:
+        machine: The machine.
+        process: The process; its stock is the state's.
+        command: As for `run`; row 0 is the last row of the segment before.
+        state: State at row 0, of `begin_run` or of the segment before.
+
+    Returns:
+        The rows, and the state at the last of them; nothing is flushed.
+
+    Differentiability: as `run`; the state is differentiable but for the ends of rays,
+    and under `ThroughPoses` the segment depends on earlier ones by the machine and the
+    poses that wait for removal only.
+    """
+    rows = machine.rows(process, command, None)
+    count, flutes = _length(rows), process.cutter.flute_count
+    # The tooth that is next follows from the index of the period.
+    ahead, history = jnp.mod(state.period_count, flutes), _history_rows(process)
+    longer = _with_rows(state.process, ahead, count + 1 + flutes)
+    started = RunState(longer, state.machine, state.period_count)
+    first = history + ahead + 1
+    ended, periods = _run_periods(machine, process, started, first, rows)
+    final = machine.pose(process, ended.machine)
+    last = jnp.asarray(count, jnp.int32)
+    actual, joints = _all_rows(machine, periods, ended, final, last)
+    kept = _renumbered(ended.process, ahead + count, history)
+    return Segment(
+        actual,
+        _all_ends(periods),
+        _with_first(periods.force),
+        joints,
+        RunState(kept, ended.machine, state.period_count + count),
+    )
+
+
+def _begin(
+    machine: AbstractMachine, process: Process, command: Any, pose_count: int
+) -> tuple[RunState, Float[Array, ""]]:
+    """Return the state at the first instant, and the volume inside the tool [m^3]."""
+    own = machine.begin(process, command)
+    first = machine.pose(process, own)
+    started, overlap = initial_state(process, first, pose_count)
+    return RunState(started, own, jnp.zeros((), jnp.int32)), overlap
+
+
+def _run_periods(
+    machine: AbstractMachine,
+    process: Process,
+    state: RunState,
+    index: Int[Array, ""],
+    rows: Any,
+    row_count: IntScalar | None = None,
+) -> tuple[RunState, Period]:
+    """Return the state after all periods, from one of some index, and their outputs."""
+    indices = index + jnp.arange(_length(rows), dtype=jnp.int32)
+
+    def step(
+        state: RunState, x: tuple[Array, Any, Array | None]
+    ) -> tuple[RunState, Period]:
+        return machine.period(process, state, *x)
+
+    xs = (indices, rows, live_rows(indices, row_count))
+    return jax.lax.scan(step, state, xs)
+
+
+def _length(rows: Any) -> int:
+    return jax.tree.leaves(rows)[0].shape[0]
+
+
+def _all_rows(
+    machine: AbstractMachine,
+    periods: Period,
+    state: RunState,
+    final: Pose,
+    last: Int[Array, ""],
+) -> tuple[Float[Array, "step 3"], Float[Array, "step joint"] | None]:
+    """Return tips and joints at all instants."""
+    actual = _through(periods.tip, final.tip, last)
+    joints = machine.joint_positions(state.machine)
+    if joints is None or periods.joint_positions is None:
+        return actual, None
+    return actual, _through(periods.joint_positions, joints, last)
+
+
+def _through(
+    rows: Float[Array, "period n"], final: Float[Array, " n"], last: Int[Array, ""]
+) -> Float[Array, "step n"]:
+    """Return the rows at the start of every period, and from the last one on the end.
+
+    Args:
+        rows: One per period, shape (period, n).
+        final: What is reached in the end, shape (n,).
+        last: Index of the last row that counts, shape ().
+    """
+    rows = jnp.concatenate([rows, final[None]])
+    index = jnp.arange(rows.shape[0], dtype=jnp.int32)
+    return jnp.where((index < last)[:, None], rows, final[None])
+
+
+def _all_ends(periods: Period) -> Float[Array, "step substep 3"]:
+    """Return the ends of sub-steps with those before the first instant, at rest."""
+    rest = jnp.broadcast_to(periods.tip[:1, None], (1, *periods.ends.shape[1:]))
+    return jnp.concatenate([rest, periods.ends])
+
+
+def _with_first(rows: Float[Array, "period ..."]) -> Float[Array, "step ..."]:
+    """Return rows with one of zeros in front."""
+    return jnp.concatenate([jnp.zeros_like(rows[:1]), rows])
+
+
+def _volumes_by_pose(
+    step_count: int, removed: Removed, rest: Removed
+) -> tuple[Float[Array, " step"], Float[Array, " step"]]:
+    """Return what each pose took, and its shank, from steps that removed others."""
+    both = []
+    for taken, last in (
+        (removed.volume, rest.volume),
+        (removed.by_shank, rest.by_shank),
+    ):
+        volume = jnp.zeros(step_count, taken.dtype)
+        volume = volume.at[removed.pose.reshape(-1)].add(taken.reshape(-1))
+        both.append(volume.at[rest.pose].add(last))
+    return both[0], both[1]
+
+
+def _failed_rows(
+    failed: Bool[Array, " period"], end: ProcessState, last: Int[Array, ""]
+) -> Bool[Array, " step"]:
+    """Return whether a flag was up after each step.
+
+    Args:
+        failed: Whether one was up after each period, shape (period,).
+        end: The state after the last removal.
+        last: The last step, to which that belongs.
+    """
+    rows = jnp.concatenate([jnp.zeros(1, bool), failed])
+    return rows.at[last].set(rows[last] | end.has_overflow | end.is_beyond)
+
+
+def _outcome(state: ProcessState, is_finite: Bool[Array, ""]) -> RESULTS:
+    """Return the outcome of a run from the flags in its last state."""
+    result = RESULTS.where(state.is_beyond, RESULTS.window_overflow, RESULTS.successful)
+    result = RESULTS.where(state.has_overflow, RESULTS.interval_overflow, result)
+    return RESULTS.where(is_finite, result, RESULTS.non_finite)
+
+
+def _history_rows(process: Process) -> int:
+    """Return the row in the track at which a segment starts, in whole turns."""
+    flutes = process.cutter.flute_count
+    return (-(-HISTORY // flutes) + 2) * flutes
+
+
+def _with_rows(
+    process: ProcessState, ahead: Int[Array, ""], count: int
+) -> ProcessState:
+    """Return the state with its track moved ahead, and more rows behind it."""
+    track = process.track
+    more = count * track.substeps
+    longer = jax.tree.map(
+        lambda x: jnp.concatenate([x, jnp.broadcast_to(x[-1:], (more, 3))]),
+        track.poses,
+    )
+    poses = longer.with_rows(ahead * track.substeps, track.poses)
+    return _moved(process, PoseTrack(poses, track.substeps), ahead)
+
+
+def _renumbered(process: ProcessState, back: Int[Array, ""], last: int) -> ProcessState:
+    """Return the state with row `back + last` of its track as row `last`, its end."""
+    S = process.track.substeps
+    poses = jax.tree.map(
+        lambda x: jax.lax.dynamic_slice_in_dim(x, back * S, last * S + 1),
+        process.track.poses,
+    )
+    families = tuple(
+        Rays(rays.ends, jnp.full_like(rays.poses, -1))
+        for rays in process.stock.families
+    )
+    process = eqx.tree_at(lambda s: s.stock.families, process, families)
+    return _moved(process, PoseTrack(poses, S), -back)
+
+
+def _moved(
+    process: ProcessState, track: PoseTrack, rows: Int[Array, ""] | int
+) -> ProcessState:
+    """Return the state with another track, in which its rows stand further on."""
+    return eqx.tree_at(
+        lambda s: (s.track, s.queue.row),
+        process,
+        (track, process.queue.row + rows),
+    )

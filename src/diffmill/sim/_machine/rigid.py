@@ -1,0 +1,246 @@
+"""A machine that goes where it is told: the process alone, along a given path."""
+
+import equinox as eqx
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ..._types import FloatRows3, IntScalar, RealScalarLike
+from ...cutter import AbstractCutter
+from ...cutting import AbstractForceLaw
+from ...process import (
+    AbstractAdjoint,
+    AbstractEngagement,
+    ChipModel,
+    Engagement,
+    Process,
+    advance_process,
+    choose_engagement,
+    end_period,
+    ends_of,
+    is_plunging,
+    middles_of,
+    path_depth,
+    path_poses,
+    when_live,
+)
+from ...workpiece import Pose, Stock
+from .machine import AbstractMachine, Period, Run, RunState, run
+
+
+class PathRow(eqx.Module):
+    """Poses of one tooth period.
+
+    Attributes:
+        start: At its start, shape (3,).
+        middles: In the middle of its sub-steps, shape (substep, 3).
+        ends: At their ends, shape (substep, 3).
+        stop: At its end, shape (3,).
+    """
+
+    start: Pose
+    middles: Pose
+    ends: Pose
+    stop: Pose
+
+
+class Rigid(AbstractMachine):
+    """A machine that goes where it is told; its command are poses of the tool.
+
+    Between the tooth instants the tool goes along a smooth curve through them.
+
+    Attributes:
+        keeps_instantaneous: Whether the force at every angle sample is returned.
+    """
+
+    keeps_instantaneous: bool = eqx.field(static=True, default=False)
+
+    def begin(self, process: Process, command: Pose) -> Pose:
+        """Return the first pose."""
+        del process
+        return command[0]
+
+    def rows(
+        self, process: Process, command: Pose, row_count: IntScalar | None
+    ) -> PathRow:
+        """Return the poses of all periods."""
+        substeps = process.engagement.substeps
+        middles = middles_of(substeps, command, row_count)
+        ends = ends_of(substeps, command, row_count)
+        return PathRow(command[:-1], middles, ends, command[1:])
+
+    def pose(self, process: Process, state: Pose) -> Pose:
+        """Return the pose that is reached."""
+        del process
+        return state
+
+    def joint_positions(self, state: Pose) -> None:
+        """Return None: it has no joints."""
+        del state
+
+    def period(
+        self,
+        process: Process,
+        state: RunState,
+        index: Int[Array, ""],
+        row: PathRow,
+        is_live: Bool[Array, ""] | None,
+    ) -> tuple[RunState, Period]:
+        """Return the state after one tooth period, and its outputs."""
+        cutting, cut, removed = advance_process(
+            process, state.process, index, row.start, row.middles, is_live
+        )
+        samples = when_live(
+            is_live, lambda: period_wrench(process, cut, row.middles, cutting.recent)
+        )[:, :3]
+        cutting = end_period(cutting, row.middles, row.ends)
+        stop = when_live(is_live, lambda: row.stop, state.machine)
+        return RunState(cutting, stop, state.period_count), Period(
+            tip=row.start.tip,
+            ends=row.ends.tip,
+            force=jnp.mean(samples, axis=0),
+            joint_positions=None,
+            removed=removed,
+            has_failed=cutting.has_overflow | cutting.is_beyond,
+            samples=samples if self.keeps_instantaneous else None,
+        )
+
+
+def period_wrench(
+    process: Process, cut: Engagement, middles: Pose, recent: Pose
+) -> Float[Array, "sample 6"]:
+    """Return force and moment at all angles of a period whose poses are known.
+
+    Args:
+        process: The process.
+        cut: The engagement in the period.
+        middles: Poses in the middle of its sub-steps, shape (substep, 3).
+        recent: Those of earlier periods, newest first, shape (tooth, substep, 3).
+
+    Differentiability: as `AbstractEngagement.wrench`.
+    """
+    wrench = jax.vmap(
+        lambda samples, pose, earlier: process.engagement.wrench(
+            process, samples, pose, earlier, cut.thinned
+        ),
+        in_axes=(0, 0, 1),
+    )
+    return wrench(cut.samples, middles, recent).reshape(-1, 6)
+
+
+def simulate_process(
+    positions: FloatRows3,
+    stock: Stock,
+    cutter: AbstractCutter,
+    law: AbstractForceLaw,
+    spindle_speed: RealScalarLike,
+    axes: FloatRows3 | None = None,
+    *,
+    engagement: AbstractEngagement | None = None,
+    angles: int | None = None,
+    axial_depth: float | None = None,
+    adjoint: AbstractAdjoint | None = None,
+    bottom_law: AbstractForceLaw | None = None,
+    keeps_instantaneous: bool = False,
+    chip: ChipModel = "near_far",
+    row_count: IntScalar | None = None,
+) -> Run:
+    """Cut along a path, one row per tooth period.
+
+    Args:
+        positions: Tool tip in `work` at the tooth instants [m], shape (step, 3).
+        stock: The raw workpiece.
+        cutter: The cutter.
+        law: The force law.
+        spindle_speed: [rad/s], shape ().
+        axes: Tool axis from tip to shank, unit vectors, shape (step, 3); +z if not
+            given.
+        engagement: As of `choose_engagement`; chosen from `angles`, `axial_depth` and
+            `chip` if not given.
+        angles: Samples of the immersion angle per revolution.
+        axial_depth: Deepest immersion of the tip below the top of the stock [m].
+            Taken from the path if that is not traced, else the height of the stock
+            or the flutes, whichever is less.
+        adjoint: How to differentiate; `ThroughRays()` if not given.
+        bottom_law: The law of the bottom edge; derived from `law` if not given.
+        keeps_instantaneous: Whether to return the force at every angle sample.
+        chip: The chip model: "near_far" is smooth and accurate; "point_cloud" is the
+            paper's, hard, only for flat cutters that stand upright.
+        row_count: How many rows count, those behind leave everything as it is; shape
+            (). All rows if not given.
+
+    Returns:
+        The forces, volumes and the final stock. Check `.result` for an overflow.
+
+    Raises:
+        ValueError: An argument has a wrong shape, an axis is not a unit vector, or a
+            point cloud is asked for where there is none.
+
+    Differentiability: as `run`. With "point_cloud" derivatives exist but are hard: they
+    follow the rays that hold the extreme points between the jumps from ray to ray, and
+    under `ThroughPoses` ends that earlier poses cut are constants.
+    """
+    dtype = stock.origin.dtype
+    tips = _rows(positions, "positions", dtype)
+    axes = _directions(axes, tips.shape[0], dtype)
+    if engagement is None:
+        is_traced = isinstance(positions, jax.core.Tracer)
+        if axial_depth is None:
+            axial_depth = path_depth(positions, stock, cutter)
+        engagement = choose_engagement(
+            stock,
+            cutter,
+            axial_depth=axial_depth,
+            angles=angles,
+            axes=axes if isinstance(axes, np.ndarray) else None,
+            is_upright=axes is None,
+            # What a traced path hides is taken at its widest.
+            plunges=is_traced or is_plunging(positions, stock.top),
+            chip=chip,
+        )
+    process = Process(
+        stock,
+        cutter,
+        law,
+        spindle_speed,
+        engagement,
+        bottom_law=bottom_law,
+        derivative=adjoint,
+    )
+    machine = Rigid(keeps_instantaneous)
+    return run(machine, process, path_poses(tips, axes), row_count=row_count)
+
+
+def _rows(values: FloatRows3, name: str, dtype: jnp.dtype) -> Float[Array, "step 3"]:
+    rows = jnp.asarray(values, dtype)
+    if rows.ndim != 2 or rows.shape[1] != 3 or rows.shape[0] < 2:
+        raise ValueError(
+            f"Argument `{name}` must have shape (step, 3) with at least 2 steps, but "
+            f"has shape {rows.shape}."
+        )
+    return rows
+
+
+def _directions(
+    axes: FloatRows3 | None, step_count: int, dtype: jnp.dtype
+) -> Float[Array, "step 3"] | Float[np.ndarray, "step 3"] | None:
+    """Return the axes, or None if the tool is known to stand along +z."""
+    if axes is None:
+        return None
+    if isinstance(axes, jax.core.Tracer):
+        return jnp.asarray(axes, dtype)
+    rows = np.asarray(axes, np.dtype(dtype))
+    if rows.shape != (step_count, 3):
+        raise ValueError(
+            f"Argument `axes` must have shape ({step_count}, 3), as `positions`, but "
+            f"has shape {rows.shape}."
+        )
+    off = np.abs(np.linalg.norm(rows, axis=1) - 1)
+    if not np.all(off < 1e-4):
+        raise ValueError(
+            f"Argument `axes` must have unit vectors, but row {int(np.argmax(off))} "
+            f"has length {np.linalg.norm(rows[np.argmax(off)]):g}."
+        )
+    return None if np.allclose(rows, [0.0, 0.0, 1.0], atol=1e-9) else rows
