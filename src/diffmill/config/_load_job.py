@@ -3,7 +3,7 @@
 import math
 import os
 import pathlib
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -14,6 +14,7 @@ from ..cutter import AbstractCutter, ToolHolder
 from ..process import default_element_height, is_plunging
 from ..robot import Robot
 from ..toolpath import Path, Program
+from ._build.context import FileContext
 from ._build.program import read_program, spindle_speed, time_path
 from ._build.robot import added_joints, pose_matrix, read_robot
 from ._build.stock import StockPlan, read_stock
@@ -29,7 +30,7 @@ from ._check.rapids import check_overhang, check_rapids, immersion, notes
 from ._check.reach import check_reach
 from ._schema.correction import check_correction, correction_settings
 from ._schema.cutter import make_cutter, make_holder
-from ._schema.job import ProgramTable, SimulationTable, read_tables
+from ._schema.job import ProgramTable, RobotTable, SimulationTable, read_tables
 
 # Room below the deepest disc [m].
 _ROOM = 0.6e-3
@@ -58,14 +59,15 @@ def load_job(file: str | os.PathLike[str], *, allow_outside: bool = False) -> Jo
     """
     path = pathlib.Path(file)
     text, raw = read_toml(path)
-    problems: list[str] = []
-    tables = read_tables(raw, problems)
+    context = FileContext(path.parent, allow_outside, [], [])
+    tables = read_tables(raw, context.problems)
     if "program" not in tables:
-        _check_program(raw.get("program"), path.parent, problems, allow_outside)
-    job = _build(path, text, tables, problems, allow_outside=allow_outside)
-    if problems or job is None:
-        raise JobError(path, problems)
-    return job
+        _check_program(raw.get("program"), context)
+    parts = _read_parts(tables, context)
+    simulation = _simulation(tables, parts, context)
+    if context.problems or simulation is None:
+        raise JobError(path, context.problems)
+    return _assemble(path.stem, text, tables, parts, simulation, context.notes)
 
 
 def job_precision(file: str | os.PathLike[str]) -> str:
@@ -86,103 +88,105 @@ def job_precision(file: str | os.PathLike[str]) -> str:
     return "float32" if found == "float32" else "float64"
 
 
-def _check_program(
-    raw: object, folder: pathlib.Path, problems: list[str], allow_outside: bool
-) -> None:
+def _check_program(raw: object, context: FileContext) -> None:
     """Note the faults of a program although its table has faults of its own."""
     name = raw.get("file") if isinstance(raw, dict) else None
     if isinstance(name, str) and name:
         # Any feed will do: a faulty one has been reported.
         table = ProgramTable(file=name).model_copy(update={"feed": 1.0})
-        read_program(table, folder, problems, allow_outside=allow_outside)
+        read_program(table, context)
 
 
-def _build(
-    path: pathlib.Path,
-    text: str,
-    tables: dict[str, Any],
-    problems: list[str],
-    *,
-    allow_outside: bool,
-) -> Job | None:
-    """Return the job of checked tables; None, or a job of no use, after problems."""
-    folder = path.parent
-    program, robot, start = None, None, None
-    robot_notes: list[str] = []
-    outside = {"allow_outside": allow_outside}
+class _Parts(NamedTuple):
+    """Parts of a job; None where a fault keeps one from being there.
+
+    Attributes:
+        program: The program, before it is timed.
+        speed: Spindle speed [rad/s].
+        cutter: The cutter.
+        holder: Its holder, if the job has one.
+        stock: The stock.
+        robot: The robot; None for a rigid machine.
+        T_base_work: Maps work coordinates to the robot's base, shape (4, 4).
+        joint_start: Where inverse kinematics starts [rad or m]; None for home.
+        path: The path with a row per tooth period.
+        fastest: Highest frequency of the robot that counts [Hz]; 0 for none.
+    """
+
+    program: Program | Path | None
+    speed: float | None
+    cutter: AbstractCutter | None
+    holder: ToolHolder | None
+    stock: StockPlan | None
+    robot: Robot | None
+    T_base_work: Float[np.ndarray, "4 4"]
+    joint_start: Float[np.ndarray, " joint"] | None
+    path: Path | None
+    fastest: float = 0.0
+
+    @property
+    def tooth_period(self) -> float:
+        """Tooth period [s] of a job with a cutter and a speed."""
+        assert self.speed is not None and self.cutter is not None
+        return 2 * math.pi / (self.speed * self.cutter.flute_count)
+
+
+def _read_parts(tables: dict[str, Any], context: FileContext) -> _Parts:
+    """Return what checked tables say, with the path and the robot that follows it."""
+    problems = context.problems
+    program, speed, cutter, holder, stock, robot, start = (None,) * 7
     if "program" in tables:
-        program = read_program(tables["program"], folder, problems, **outside)
-    speed = None
+        program = read_program(tables["program"], context)
     if "spindle" in tables:
         speed = spindle_speed(tables["spindle"].speed, program, problems)
-    cutter = make_cutter(tables["cutter"]) if "cutter" in tables else None
-    holder = make_holder(tables["cutter"]) if "cutter" in tables else None
+    if "cutter" in tables:
+        cutter = make_cutter(tables["cutter"])
+        holder = make_holder(tables["cutter"])
     check_overhang(tables, problems)
     if "robot" in tables:
-        robot, start = read_robot(
-            tables["robot"], cutter, folder, problems, robot_notes, **outside
-        )
+        robot, start = read_robot(tables["robot"], cutter, context)
     if cutter is not None and "force" in tables:
         tables["force"].check_teeth(cutter.flute_count, problems)
-    stock = _stock(tables, folder, problems, allow_outside)
-    desired = None
-    if cutter is not None and speed is not None:
-        desired = _timed(tables, program, speed, cutter.flute_count, problems)
+    if "stock" in tables:
+        precision = getattr(tables.get("simulation"), "precision", "float64")
+        stock = read_stock(tables["stock"], precision, context)
     work = getattr(tables.get("robot"), "work_in_base", None)
-    T_base_work = pose_matrix(work)
-    fastest = 0.0
-    if desired is not None and robot is not None and work is not None:
-        rotation = tables["robot"].tool_rotation
-        q = check_reach(
-            robot,
-            desired,
-            T_base_work,
-            start,
-            rotation,
-            problems,
-            robot_notes,
-            start_count=robot.joint_count - added_joints(tables["robot"]),
-        )
-        fastest = _check_springs(robot, q, problems, robot_notes)
-    if desired is not None and cutter is not None and stock is not None:
-        check_rapids(desired, cutter, holder, stock, problems, robot_notes)
-    simulation = _simulation(tables, cutter, speed, (desired, stock), fastest, problems)
-    if simulation is not None and fastest > 0.0 and simulation.mode == "dynamic":
-        assert cutter is not None and speed is not None
-        period = 2 * math.pi / (speed * cutter.flute_count)
-        check_modes(fastest, period / simulation.substeps, robot_notes)
-    if "correction" in tables and cutter is not None and simulation is not None:
-        check_correction(tables["correction"], cutter, not simulation.axes, problems)
-    if problems or simulation is None or desired is None or cutter is None:
-        return None
-    assert stock is not None
-    return _assemble(
-        path.stem,
-        text,
-        tables,
-        (cutter, holder),
-        speed,
-        (desired, stock),
-        simulation,
-        program,
-        (robot, T_base_work, start),
-        robot_notes,
+    parts = _Parts(
+        program, speed, cutter, holder, stock, robot, pose_matrix(work), start, None
     )
+    if cutter is not None and speed is not None:
+        path = _timed(tables, program, speed, cutter.flute_count, problems)
+        parts = parts._replace(path=path)
+    if work is not None:
+        parts = parts._replace(fastest=_follow(tables["robot"], parts, context))
+    if parts.path is not None and cutter is not None and stock is not None:
+        check_rapids(parts.path, cutter, holder, stock, context)
+    return parts
 
 
-def _stock(
-    tables: dict[str, Any],
-    folder: pathlib.Path,
-    problems: list[str],
-    allow_outside: bool,
-) -> StockPlan | None:
-    """Return the stock in the precision of the simulation, if there is its table."""
-    if "stock" not in tables:
-        return None
-    precision = getattr(tables.get("simulation"), "precision", "float64")
-    return read_stock(
-        tables["stock"], precision, folder, problems, allow_outside=allow_outside
+def _follow(table: RobotTable, parts: _Parts, context: FileContext) -> float:
+    """Check that the robot can follow the path; return its highest frequency [Hz]."""
+    robot, path = parts.robot, parts.path
+    if robot is None or path is None:
+        return 0.0
+    q = check_reach(
+        robot,
+        path,
+        parts.T_base_work,
+        parts.joint_start,
+        table.tool_rotation,
+        context,
+        start_count=robot.joint_count - added_joints(table),
     )
+    if not np.isfinite(np.asarray(robot.joint_stiffness)).all():
+        return 0.0
+    poses = q[[0, len(q) // 2, -1]]
+    try:
+        check_sag(robot, poses, context)
+        return max(np.max(counting_modes(robot, row), initial=0.0) for row in poses)
+    except ValueError as error:
+        context.problems.append(f"[robot]: {error}")
+        return 0.0
 
 
 def _timed(
@@ -210,32 +214,25 @@ def _assemble(
     name: str,
     text: str,
     tables: dict[str, Any],
-    tool: tuple[AbstractCutter, ToolHolder | None],
-    speed: float | None,
-    place: tuple[Path, StockPlan],
+    parts: _Parts,
     simulation: SimulationSettings,
-    program: Program | Path | None,
-    robot_parts: tuple[
-        Robot | None, Float[np.ndarray, "4 4"], Float[np.ndarray, " joint"] | None
-    ],
-    robot_notes: list[str],
+    found: list[str],
 ) -> Job:
     """Return the job of faultless parts."""
-    assert speed is not None
-    desired, stock = place
-    cutter, holder = tool
-    robot, T_base_work, start = robot_parts
+    program, cutter, path, stock = parts.program, parts.cutter, parts.path, parts.stock
+    assert cutter is not None and path is not None and stock is not None
+    assert parts.speed is not None
     law, bottom_law = tables["force"].laws()
     return Job(
         name=name,
         cutter=cutter,
         law=law,
-        spindle_speed=speed,
+        spindle_speed=parts.speed,
         stock=stock.make(),
-        path=desired,
-        robot=robot,
-        T_base_work=T_base_work,
-        joint_start=start,
+        path=path,
+        robot=parts.robot,
+        T_base_work=parts.T_base_work,
+        joint_start=parts.joint_start,
         tool_rotation=tables["robot"].tool_rotation,
         simulation=simulation,
         correction=correction_settings(
@@ -243,45 +240,27 @@ def _assemble(
         ),
         source=text,
         program=program.source if isinstance(program, Program) else "",
-        notes=(
-            *tables["force"].notes(cutter),
-            *robot_notes,
-            *notes(stock, desired, cutter),
-        ),
+        notes=(*tables["force"].notes(cutter), *found, *notes(stock, path, cutter)),
         bottom_law=bottom_law,
-        holder=holder,
+        holder=parts.holder,
         keeps_intervals=tables["stock"].intervals is not None,
     )
 
 
 def _simulation(
-    tables: dict[str, Any],
-    cutter: AbstractCutter | None,
-    speed: float | None,
-    place: tuple[Path | None, StockPlan | None],
-    fastest: float,
-    problems: list[str],
+    tables: dict[str, Any], parts: _Parts, context: FileContext
 ) -> SimulationSettings | None:
-    """Return the numerical settings with their defaults."""
+    """Return the numerical settings with their defaults; check what depends on them."""
     table: SimulationTable | None = tables.get("simulation")
-    path, stock = place
-    if table is None or cutter is None or speed is None:
+    cutter, path, stock = parts.cutter, parts.path, parts.stock
+    problems = context.problems
+    if table is None or cutter is None or parts.speed is None:
         return None
-    period = 2 * math.pi / (speed * cutter.flute_count)
-    substeps = table.substeps or default_substeps(
-        period, fastest if table.mode == "dynamic" else 0.0
-    )
-    block = cutter.flute_count * substeps
+    period = parts.tooth_period
+    fastest = parts.fastest if table.mode == "dynamic" else 0.0
+    substeps = table.substeps or default_substeps(period, fastest)
     axes = _axes(path, table)
-    fewest = _FEWEST_ANGLES if cutter.is_plain and not axes else _FEWEST_IN_SPACE
-    angles = table.angles or block * math.ceil(fewest / block)
-    if angles < fewest or angles % block:
-        near = max(angles // block, math.ceil(fewest / block)) * block
-        problems.append(
-            f"[simulation] angles: found {angles}, but at least {fewest} and a "
-            f"multiple of teeth x substeps ({cutter.flute_count} x {substeps} = "
-            f"{block}) is required, such as {near}"
-        )
+    angles = _angles(table, cutter, substeps, not axes, problems)
     deepest = None
     if path is not None and stock is not None:
         deepest = immersion(path, cutter, stock) + _ROOM
@@ -293,6 +272,10 @@ def _simulation(
         )
     if stock is None or path is None or deepest is None:
         return None
+    if fastest > 0.0:
+        check_modes(fastest, period / substeps, context.notes)
+    if "correction" in tables:
+        check_correction(tables["correction"], cutter, not axes, problems)
     return SimulationSettings(
         angles=angles,
         substeps=substeps,
@@ -314,29 +297,32 @@ def _simulation(
     )
 
 
+def _angles(
+    table: SimulationTable,
+    cutter: AbstractCutter,
+    substeps: int,
+    is_upright: bool,
+    problems: list[str],
+) -> int:
+    """Return the samples per revolution: a multiple of those of a tooth period."""
+    block = cutter.flute_count * substeps
+    fewest = _FEWEST_ANGLES if cutter.is_plain and is_upright else _FEWEST_IN_SPACE
+    angles = table.angles or block * math.ceil(fewest / block)
+    if angles < fewest or angles % block:
+        near = max(angles // block, math.ceil(fewest / block)) * block
+        problems.append(
+            f"[simulation] angles: found {angles}, but at least {fewest} and a "
+            f"multiple of teeth x substeps ({cutter.flute_count} x {substeps} = "
+            f"{block}) is required, such as {near}"
+        )
+    return angles
+
+
 def _stability(key: bool | Literal["quick"]) -> Literal["quick", "full", "none"]:
     """Return how chatter is looked for."""
     if key == "quick":
         return "quick"
     return "full" if key else "none"
-
-
-def _check_springs(
-    robot: Robot,
-    q: Float[np.ndarray, "step joint"],
-    problems: list[str],
-    notes: list[str],
-) -> float:
-    """Return the highest frequency along a path that counts [Hz], 0 for none."""
-    if not np.isfinite(np.asarray(robot.joint_stiffness)).all():
-        return 0.0
-    poses = q[[0, len(q) // 2, -1]]
-    try:
-        check_sag(robot, poses, problems, notes)
-        return max(np.max(counting_modes(robot, row), initial=0.0) for row in poses)
-    except ValueError as error:
-        problems.append(f"[robot]: {error}")
-        return 0.0
 
 
 def _check_simulation(

@@ -1,89 +1,32 @@
 """The program of a job: found, read, timed, with the spindle speed that it implies."""
 
 import math
-import os
 import pathlib
 
 from ...toolpath import Path, Program, resample, sample_program
 from ...io import read_gcode
 from ...io import GCodeError
 from .._schema.job import ProgramTable
+from .context import FileContext
 from ...io import PathFileError, read_path_csv
 
 _GCODE_SUFFIXES = (".ngc", ".nc", ".gcode")
-_LARGEST_FILE = 64_000_000
 # The program and the job state the same speed in different units.
 _SAME_SPEED = 1e-6
 # Speeds that a message lists.
 _LISTED = 8
 
 
-def file_in_folder(
-    name: str,
-    key: str,
-    folder: pathlib.Path,
-    problems: list[str],
-    *,
-    allow_outside: bool,
-    largest: int = _LARGEST_FILE,
-) -> pathlib.Path | None:
-    """Return the path of a file that a job names, or None with a problem noted.
-
-    Args:
-        name: The name as in the job.
-        key: Where it stands, for the message.
-        folder: Folder of the job.
-        problems: Receives what is wrong.
-        allow_outside: Whether the file may lie outside the job's folder.
-        largest: Largest size that is allowed [byte].
-    """
-    try:
-        # Unlike `resolve`, it lets a loop of links be: that is no file.
-        path = pathlib.Path(os.path.realpath(folder / name))
-        is_inside = path.is_relative_to(os.path.realpath(folder))
-        is_file = path.is_file()
-        size = path.stat().st_size if is_file else 0
-    except (OSError, ValueError) as error:
-        problems.append(f"{key}: found {name!r}, which cannot be opened: {error}")
-        return None
-    if not is_inside and not allow_outside:
-        problems.append(
-            f"{key}: found {name!r}, which leads outside the job's folder; allowed are "
-            "files in it or below (--allow-outside permits others)"
-        )
-        return None
-    if not is_file:
-        problems.append(
-            f"{key}: found {name!r}, but there is no such file in the job's folder"
-        )
-        return None
-    if size > largest:
-        problems.append(
-            f"{key}: found {name!r} of {size / 1e6:.0f} MB; at most "
-            f"{largest / 1e6:.0f} MB are allowed"
-        )
-        return None
-    return path
-
-
-def read_program(
-    table: ProgramTable,
-    folder: pathlib.Path,
-    problems: list[str],
-    *,
-    allow_outside: bool,
-) -> Program | Path | None:
+def read_program(table: ProgramTable, context: FileContext) -> Program | Path | None:
     """Return the program or the recorded path of a job, or None with problems noted."""
     suffix = pathlib.PurePath(table.file).suffix.lower()
     if suffix not in (*_GCODE_SUFFIXES, ".csv"):
-        problems.append(
+        context.problems.append(
             f"[program] file: found {table.file!r}; allowed: "
             f"{', '.join(_GCODE_SUFFIXES)} (G-code) and .csv (recorded path)"
         )
         return None
-    path = file_in_folder(
-        table.file, "[program] file", folder, problems, allow_outside=allow_outside
-    )
+    path = context.file(table.file, "[program] file")
     if path is None:
         return None
     try:
@@ -91,7 +34,7 @@ def read_program(
             return read_path_csv(path)
         return read_gcode(path, feed=table.feed)
     except (GCodeError, PathFileError) as error:
-        problems.extend(str(error).splitlines())
+        context.problems.extend(str(error).splitlines())
         return None
 
 

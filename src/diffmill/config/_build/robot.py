@@ -1,7 +1,5 @@
 """The robot of a job: loaded, and fitted with drives and a tool."""
 
-import pathlib
-
 import numpy as np
 from jaxtyping import Float
 
@@ -9,6 +7,7 @@ from ... import units as q
 from ...cutter import AbstractCutter
 from ...robot import Robot, built_in_models, rpy_matrix, with_drives, with_tool
 from .._schema.compliance import with_bending_cutter, with_spring
+from .context import FileContext
 from .robot_file import check_springs, load_robot
 from .._schema.job import PoseTable, RobotTable
 
@@ -31,26 +30,20 @@ def pose_matrix(pose: PoseTable | None) -> Float[np.ndarray, "4 4"]:
 def read_robot(
     table: RobotTable,
     cutter: AbstractCutter | None,
-    folder: pathlib.Path,
-    problems: list[str],
-    notes: list[str],
-    *,
-    allow_outside: bool,
+    context: FileContext,
 ) -> tuple[Robot | None, Float[np.ndarray, " joint"] | None]:
     """Return the robot of a job and where inverse kinematics starts.
 
     Args:
         table: The `[robot]` table.
         cutter: The cutter, None after a fault of its own; it bends if the table says.
-        folder: Folder of the job.
-        problems: Receives what is wrong.
-        notes: Receives what is doubtful in a robot file.
-        allow_outside: Whether a robot file may lie outside that folder.
+        context: The job file.
 
     Returns:
         The robot, None for a rigid machine or after a fault; and the joint positions
         to start from, None for the robot's home.
     """
+    problems = context.problems
     chosen = [key for key in ("model", "file", "rigid") if getattr(table, key)]
     if len(chosen) != 1:
         found = " and ".join(chosen) or "nothing"
@@ -67,7 +60,7 @@ def read_robot(
             "[robot] work_in_base: found nothing, but it is required: where the "
             'workpiece lies, such as { position = ["1500 mm", "0 mm", "800 mm"] }'
         )
-    robot = load_robot(table, folder, problems, notes, allow_outside=allow_outside)
+    robot = load_robot(table, context)
     if robot is None:
         return None, None
     stiffness = _per_joint(table, "joint_stiffness", robot, problems)

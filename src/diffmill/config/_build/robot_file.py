@@ -6,7 +6,7 @@ import warnings
 import numpy as np
 
 from ...robot import Robot, RobotFileWarning, built_in_models, load, massless_joints, spindle_note
-from .program import file_in_folder
+from .context import FileContext
 from .._schema.job import RobotTable
 
 _SUFFIXES = (".toml", ".urdf", ".xml")
@@ -14,32 +14,20 @@ _SUFFIXES = (".toml", ".urdf", ".xml")
 
 def load_robot(
     table: RobotTable,
-    folder: pathlib.Path,
-    problems: list[str],
-    notes: list[str],
+    context: FileContext,
     *,
-    allow_outside: bool,
     needs_mass: bool = True,
 ) -> Robot | None:
     """Return the robot of a job's `model` or `file`, or None with problems noted.
 
     Args:
         table: The `[robot]` table, not of a rigid machine.
-        folder: Folder of the job.
-        problems: Receives what is wrong.
-        notes: Receives what is doubtful in a robot file.
-        allow_outside: Whether files may lie outside that folder.
+        context: The file with the table.
         needs_mass: Whether every joint must move a mass.
     """
-    source, drives = _source(table, folder, problems, allow_outside=allow_outside), None
+    source, drives = _source(table, context), None
     if table.drives is not None:
-        drives = file_in_folder(
-            table.drives,
-            "[robot] drives",
-            folder,
-            problems,
-            allow_outside=allow_outside,
-        )
+        drives = context.file(table.drives, "[robot] drives")
     if source is None or (drives is None and table.drives is not None):
         return None
     key = "model" if table.model else "file"
@@ -48,19 +36,19 @@ def load_robot(
             warnings.simplefilter("always", RobotFileWarning)
             robot = load(source, tool=table.tool, drives=drives)
     except ValueError as error:
-        problems.extend(f"[robot] {key}: {line}" for line in str(error).splitlines())
+        context.problems.extend(f"[robot] {key}: {line}" for line in str(error).splitlines())
         return None
     idle = massless_joints(robot)
     if idle and needs_mass:
-        problems.append(
+        context.problems.append(
             f"[robot] {key}: found no mass on the joints {', '.join(idle)}, but a "
             "simulation needs the masses and inertias of the links"
         )
         return None
-    notes.extend(f"[robot] {key}: {warning.message}" for warning in caught)
+    context.notes.extend(f"[robot] {key}: {warning.message}" for warning in caught)
     note = spindle_note(source, drives)
     if note is not None and needs_mass and table.flange_spring is None:
-        notes.append(f"[robot] {key}: {note}")
+        context.notes.append(f"[robot] {key}: {note}")
     return robot
 
 
@@ -77,13 +65,13 @@ def check_springs(robot: Robot, problems: list[str]) -> None:
 
 
 def _source(
-    table: RobotTable, folder: pathlib.Path, problems: list[str], *, allow_outside: bool
+    table: RobotTable, context: FileContext
 ) -> str | pathlib.Path | None:
     """Return a model's name or a file's path, None with a problem noted."""
     if table.model is not None:
         if table.model in built_in_models():
             return table.model
-        problems.append(
+        context.problems.append(
             f"[robot] model: found {table.model!r}; allowed: "
             f"{', '.join(built_in_models())}"
         )
@@ -91,8 +79,6 @@ def _source(
     assert table.file is not None
     if pathlib.PurePath(table.file).suffix.lower() not in _SUFFIXES:
         allowed = ", ".join(_SUFFIXES)
-        problems.append(f"[robot] file: found {table.file!r}; allowed: {allowed}")
+        context.problems.append(f"[robot] file: found {table.file!r}; allowed: {allowed}")
         return None
-    return file_in_folder(
-        table.file, "[robot] file", folder, problems, allow_outside=allow_outside
-    )
+    return context.file(table.file, "[robot] file")

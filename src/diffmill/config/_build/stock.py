@@ -1,7 +1,5 @@
 """The stock of a job: a block, a mesh file, or what an earlier run left."""
 
-import pathlib
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...workpiece import MARGIN, Stock, StockFileError, box, from_mesh, load_stock, physical_memory, ray_ends, stock_bytes, with_interval_counts
-from .program import file_in_folder
+from .context import FileContext
 from .._schema.job import StockTable
 
 # A result and a job may state the same spacing with different rounding.
@@ -52,19 +50,14 @@ class StockPlan(eqx.Module):
 def read_stock(
     table: StockTable,
     precision: str,
-    folder: pathlib.Path,
-    problems: list[str],
-    *,
-    allow_outside: bool,
+    context: FileContext,
 ) -> StockPlan | None:
     """Return the stock of a job, or None with problems noted.
 
     Args:
         table: The table `[stock]`.
         precision: "float64" or "float32".
-        folder: Folder of the job.
-        problems: Receives what is wrong.
-        allow_outside: Whether the files may lie outside the job's folder.
+        context: The job file.
     """
     # Without 64-bit numbers in JAX a request for them would only give a warning.
     is_double = precision == "float64" and jax.config.read("jax_enable_x64")
@@ -77,23 +70,23 @@ def read_stock(
     }
     found = [name for name, is_given in sources.items() if is_given]
     if len(found) > 1:
-        problems.append(
+        context.problems.append(
             f"[stock]: found {', '.join(found)}; only one of lower and upper, mesh, "
             "and result is allowed"
         )
         return None
     if table.mesh_unit is not None and table.mesh is None:
-        problems.append("[stock] mesh_unit: found it without mesh, which it is for")
+        context.problems.append("[stock] mesh_unit: found it without mesh, which it is for")
     if table.spacing is None and table.result is None:
-        problems.append(
+        context.problems.append(
             "[stock] spacing: found nothing, but it is required: a length, such as "
             '"0.2 mm"'
         )
     if table.mesh is not None:
-        return _from_mesh(table, dtype, folder, problems, allow_outside=allow_outside)
+        return _from_mesh(table, dtype, context)
     if table.result is not None:
-        return _from_result(table, dtype, folder, problems, allow_outside=allow_outside)
-    return _block(table, dtype, problems)
+        return _from_result(table, dtype, context)
+    return _block(table, dtype, context.problems)
 
 
 def _block(
@@ -136,15 +129,10 @@ def _block(
 def _from_mesh(
     table: StockTable,
     dtype: jnp.dtype,
-    folder: pathlib.Path,
-    problems: list[str],
-    *,
-    allow_outside: bool,
+    context: FileContext,
 ) -> StockPlan | None:
     assert table.mesh is not None
-    path = file_in_folder(
-        table.mesh, "[stock] mesh", folder, problems, allow_outside=allow_outside
-    )
+    path = context.file(table.mesh, "[stock] mesh")
     if path is None or table.spacing is None:
         return None
     try:
@@ -156,7 +144,7 @@ def _from_mesh(
             dtype=dtype,
         )
     except ValueError as error:
-        problems.append(f"[stock] mesh: {error}")
+        context.problems.append(f"[stock] mesh: {error}")
         return None
     return _plan_of(stock, dtype)
 
@@ -164,19 +152,10 @@ def _from_mesh(
 def _from_result(
     table: StockTable,
     dtype: jnp.dtype,
-    folder: pathlib.Path,
-    problems: list[str],
-    *,
-    allow_outside: bool,
+    context: FileContext,
 ) -> StockPlan | None:
     assert table.result is not None
-    path = file_in_folder(
-        f"{table.result}/stock.npz",
-        "[stock] result",
-        folder,
-        problems,
-        allow_outside=allow_outside,
-    )
+    path = context.file(f"{table.result}/stock.npz", "[stock] result")
     if path is None:
         return None
     try:
@@ -184,14 +163,14 @@ def _from_result(
         slots = _slots(table)
         stock = stock if slots is None else with_interval_counts(stock, slots)
     except StockFileError as error:
-        problems.append(f"[stock] result: {error}")
+        context.problems.append(f"[stock] result: {error}")
         return None
     except ValueError as error:
-        problems.append(f"[stock] intervals: {error}")
+        context.problems.append(f"[stock] intervals: {error}")
         return None
     off = 0.0 if table.spacing is None else abs(table.spacing / stock.spacing - 1)
     if table.spacing is not None and off > _SAME_SPACING:
-        problems.append(
+        context.problems.append(
             f"[stock] spacing: found {table.spacing * 1e3:g} mm, but the rays of the "
             f"result are {stock.spacing * 1e3:g} mm apart; state that or nothing"
         )

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...robot import Robot, gravity_forces, mode_shapes
+from .._build.context import FileContext
 
 # Longest sub-step of the robot [s], and how much shorter its modes may make it.
 LONGEST_SUBSTEP = 0.5e-3
@@ -113,16 +114,14 @@ def check_modes(fastest: float, substep: float, notes: list[str]) -> None:
 def check_sag(
     robot: Robot,
     poses: Float[np.ndarray, "pose joint"],
-    problems: list[str],
-    notes: list[str],
+    context: FileContext,
 ) -> None:
     """Note joints whose springs hardly hold the weight.
 
     Args:
         robot: The robot.
         poses: Joint positions [rad or m], shape (pose, joint).
-        problems: Receives springs that do not.
-        notes: Receives springs that are doubtful.
+        context: Receives springs that do not, and those that are doubtful.
     """
     weight = np.max([np.abs(gravity_forces(robot, q)) for q in poses], axis=0)
     for i, sag in enumerate(weight / np.asarray(robot.joint_stiffness, float)):
@@ -137,6 +136,6 @@ def check_sag(
             f"{text}"
         )
         if sag > _FALLS:
-            problems.append(f"{line}; a stiffer one is required")
+            context.problems.append(f"{line}; a stiffer one is required")
         else:
-            notes.append(f"{line}: is its stiffness right?")
+            context.notes.append(f"{line}: is its stiffness right?")

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 from ...cutter import AbstractCutter, ToolHolder
 from ...sim import ToolContacts, tool_contacts
 from ...toolpath import Path
+from .._build.context import FileContext
 from .._build.stock import StockPlan
 from .reach import at_row
 
@@ -34,8 +35,7 @@ def check_rapids(
     cutter: AbstractCutter,
     holder: ToolHolder | None,
     plan: StockPlan,
-    problems: list[str],
-    notes: list[str],
+    context: FileContext,
 ) -> None:
     """Note rapid moves that go through stock, once per program line, and the holder."""
     contacts = tool_contacts(path, plan.make(), cutter, holder)
@@ -43,9 +43,9 @@ def check_rapids(
         # A holder that is drawn straight back goes into nothing new.
         is_rapid = np.asarray(path.is_rapid) & ~_draws_back(path)
         in_rapid = np.where(is_rapid, contacts.holder_depth, 0)
-        _note_rapids(path, in_rapid, " of the tool holder", problems)
-        notes.extend(holder_notes(path, contacts))
-    _note_rapids(path, contacts.rapid_depth, "", problems)
+        _note_rapids(path, in_rapid, " of the tool holder", context.problems)
+        context.notes.extend(holder_notes(path, contacts))
+    _note_rapids(path, contacts.rapid_depth, "", context.problems)
 
 
 def _draws_back(path: Path) -> Bool[np.ndarray, " step"]:

@@ -15,6 +15,7 @@ from ...robot import (
 )
 from ...toolpath import Path
 from ...workpiece import tool_frame
+from .._build.context import FileContext
 
 # Rounding of a limit that the path touches [rad or m].
 _LIMIT_SLACK = 1e-9
@@ -40,8 +41,7 @@ def check_reach(
     T_base_work: Float[np.ndarray, "4 4"],
     joint_start: Float[np.ndarray, " joint"] | None,
     tool_rotation: ToolRotation,
-    problems: list[str],
-    notes: list[str],
+    context: FileContext,
     *,
     start_count: int | None = None,
 ) -> Float[np.ndarray, "step joint"]:
@@ -53,8 +53,8 @@ def check_reach(
         T_base_work: Maps work coordinates to the robot's base, shape (4, 4).
         joint_start: Joint positions to begin from; None for the robot's home.
         tool_rotation: Whether the rotation about the tool axis is free.
-        problems: Receives what is wrong, the first place of each kind.
-        notes: Receives where a pose is nearly singular.
+        context: Receives what is wrong, the first place of each kind, and where a pose
+            is nearly singular.
         start_count: Joints that `joint_start` names; None for all of the robot.
 
     Returns:
@@ -68,7 +68,7 @@ def check_reach(
 
     found, faults = _follow(robot, path, Ts, start, tool_rotation)
     if not faults:
-        _note_singular(robot, path, found, tool_rotation, notes)
+        _note_singular(robot, path, found, tool_rotation, context.notes)
         return np.asarray(found.q)
     better = _better_start(robot, path, Ts, start, tool_rotation)
     if better is not None:
@@ -77,7 +77,7 @@ def check_reach(
         free, _ = _follow(robot, path, Ts, start, "free")
         if free.converged.all():
             faults[0] += '; tool_rotation = "free" would reach it'
-    problems.extend(faults)
+    context.problems.extend(faults)
     return np.asarray(found.q)
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple, TypeVar
 from ..._job import Job
 from ...cutter import AbstractCutter
 from ...io import RecordError, TableReader, read_table
-from .._build.program import file_in_folder
+from .._build.context import FileContext
 from .._load_job import JobError, load_job
 from .schema import CutTable, MeasuredTable
 
@@ -40,14 +40,12 @@ class Context(NamedTuple):
 
     def file(self, name: str, key: str) -> pathlib.Path | None:
         """Return the path of a file that is named, or None with a problem noted."""
-        return file_in_folder(
-            name,
-            key,
-            self.folder,
-            self.problems,
-            allow_outside=self.allow_outside,
-            largest=_LARGEST_RECORD,
-        )
+        context = self.with_notes([])
+        return context.file(name, key, largest=_LARGEST_RECORD)
+
+    def with_notes(self, notes: list[str]) -> FileContext:
+        """Return the context of a table that a job has, too."""
+        return FileContext(self.folder, self.allow_outside, self.problems, notes)
 
     def job(self, name: str, key: str) -> Job | None:
         """Return a job that is named; its faults are noted once."""

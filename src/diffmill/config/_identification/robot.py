@@ -37,10 +37,7 @@ def read_tool_robot(
         JobRobotTable(
             model=table.model, file=table.file, tool=table.tool, drives=table.drives
         ),
-        context.folder,
-        problems,
-        notes,
-        allow_outside=context.allow_outside,
+        context.with_notes(notes),
         needs_mass=needs_mass,
     )
     if robot is None:
