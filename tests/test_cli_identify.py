@@ -3,19 +3,16 @@
 import json
 import math
 import tomllib
-import types
-from typing import Any
 
 import numpy as np
 import pytest
 import scipy.io
 import xarray
+from slides_job import write_slides_job
 from slot_force import SPEED, K, slot_force
 
-from diffmill import cutter as ct, identification, robot as rb
-from diffmill.cli import main
-from diffmill.cli._identify.coupled import _draw, _toml
-from diffmill.cutting import LinearEdgeLaw
+from diffmill import cutter as ct, identification, load_job
+from diffmill.cli import main, report_of
 
 MEANS = """kind = "mean_forces"
 [cutter]
@@ -211,43 +208,47 @@ def test_modes_give_dampers(folder, capsys):
     assert "joint dampers" in capsys.readouterr().out
 
 
-def test_a_coupled_fit_of_some_coefficients_gives_the_whole_table():
+def test_a_coupled_fit_is_told_and_drawn_beside_its_record(tmp_path):
     """Half of the coefficients would be no law: the job's stand beside the fitted."""
-    job = types.SimpleNamespace(robot=rb.load("kuka_kr210_like"), law=LinearEdgeLaw(*K))
-    fitted = dict(zip(("K_tc", "K_rc", "K_ac"), 1.1 * K[:3], strict=True))
-    fit: Any = types.SimpleNamespace(
-        parameters=fitted,
-        standard_errors={name: 0.01 * value for name, value in fitted.items()},
-        identifiable=dict.fromkeys(fitted, True),
-        is_explained=True,
-    )
-    task: Any = types.SimpleNamespace(job=job)
-    text = "\n".join(_toml(task, fit))
-    found = tomllib.loads(text)["force"]
-    assert set(found) == set(identification.NAMES)
-    assert float(found["K_tc"].split()[0]) == pytest.approx(1.1e-6 * K[0], rel=1e-5)
-    assert float(found["K_te"].split()[0]) == pytest.approx(1e-3 * K[3], rel=1e-5)
-    assert text.count("# as in the job") == 3
-
-
-def test_a_coupled_record_is_drawn_beside_its_fit(tmp_path):
-    cutter = types.SimpleNamespace(flute_count=2)
-    time = np.arange(80) * 4e-3
+    job = load_job(write_slides_job(tmp_path))
+    law = {name: float(getattr(job.law, name)) for name in identification.NAMES}
+    fitted = {name: 1.1 * law[name] for name in ("K_tc", "K_rc", "K_ac")}
+    time = np.arange(80) * float(job.tooth_period)
     wave = np.column_stack([np.sin(20 * time), np.cos(20 * time), 0 * time])
     wave[:2] = np.nan
-    task: Any = types.SimpleNamespace(
-        time=time, job=types.SimpleNamespace(tooth_period=4e-3, cutter=cutter)
+    study = identification.CoupledStudy(
+        "run", job, time, 100 * wave, 1e-4 * wave, None, False, False, "huber", ()
     )
-    fit: Any = types.SimpleNamespace(
-        residual={"force": 5 * wave, "deviation": 1e-6 * wave},
+    fit = identification.CoupledFit(
+        parameters=fitted,
+        standard_errors={name: 0.01 * value for name, value in fitted.items()},
+        correlation=np.eye(3),
+        covariance=1e-4 * np.eye(3),
+        identifiable=dict.fromkeys(fitted, True),
+        log_scale=np.full(3, math.log(1.1)),
         explained={"force": 0.99, "deviation": 0.98},
+        residual_rms={"force": 1.0, "deviation": 1e-6},
+        residual={"force": 5 * wave, "deviation": 1e-6 * wave},
+        offset=None,
         time_shift=0.0,
-        names=("K a", "D a"),
-        correlation=np.array([[1.0, 0.3], [0.3, np.nan]]),
+        time_shift_error=0.0,
+        has_converged=True,
+        simulations=3,
+        is_explained=True,
+        notes=(),
+        job=job,
     )
-    _draw(tmp_path, task, fit, {"force": 100 * wave, "deviation": 1e-4 * wave})
-    names = {"force.png", "deviation.png", "correlation.png"}
-    assert {p.name for p in tmp_path.iterdir()} == names
+    report = report_of(study, fit)
+    text = "\n".join(report.toml)
+    found = tomllib.loads(text)["force"]
+    assert set(found) == set(identification.NAMES)
+    tc, te = (float(found[name].split()[0]) for name in ("K_tc", "K_te"))
+    assert tc == pytest.approx(1.1e-6 * law["K_tc"], rel=1e-5)
+    assert te == pytest.approx(1e-3 * law["K_te"], rel=1e-5)
+    assert text.count("# as in the job") == 3
+    assert set(report.figures) == {"force", "deviation", "correlation"}
+    for draw in report.figures.values():
+        draw().savefig(tmp_path / "figure.png")
 
 
 def test_what_is_wrong_is_said_once_and_nothing_is_written(folder, capsys):
@@ -369,7 +370,9 @@ def test_records_of_four_programs_are_fitted_together(folder, capsys):
 def test_a_record_of_a_straight_cut_gives_its_coefficients(folder, capsys):
     cutter = ct.flat_end_mill(10e-3, 2, helix_angle=math.radians(30))
     speed = 6000 * 2 * math.pi / 60 * 1.002
-    cut = identification.straight_cut(cutter, speed, 0.1e-3, 2e-3, teeth=96)
+    cut = identification.straight_cut(
+        identification.StraightCut(cutter, speed, 0.1e-3, 2e-3), teeth=96
+    )
     found = identification.engagement_columns(cut)
     grid = found.start + found.spacing * np.arange(len(found.columns))
     time = np.arange(13 * cut.tooth_period, 95 * cut.tooth_period, 1e-4)

@@ -92,7 +92,6 @@ INSIDE = {
     "correction/test_limits.py",
     "correction/test_window_bounds.py",
     "identification/test_coupled.py",
-    "test_cli_identify.py",
 }
 
 

@@ -18,9 +18,8 @@ def cutter():
 
 
 def place(time, force, **how):
-    return identification.register_on_straight_cut(
-        cutter(), SPEED, FEED, DEPTH, time, force, **how
-    )
+    sizes = identification.StraightCut(cutter(), SPEED, FEED, DEPTH)
+    return identification.register_on_straight_cut(sizes, time, force, **how)
 
 
 def record(rate, seed=0, turns=TURNS, noise=2.0):

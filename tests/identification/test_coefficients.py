@@ -185,10 +185,8 @@ def test_a_tacho_is_the_clock_of_an_uneven_spindle(is_known):
     seen = identification.angle_from_tacho(record, first_angle=first, smoothing=21)
     off = np.remainder(seen - angle - first + math.radians(40) + 1, 2 * math.pi) - 1
     assert np.abs(off).max() < 0.05
-    cutter = cuts()[0].cutter
-    beside = identification.register_on_straight_cut(
-        cutter, SPEED, FEEDS[0], DEPTH, time, force, angle=seen
-    )
+    sizes = identification.StraightCut(cuts()[0].cutter, SPEED, FEEDS[0], DEPTH)
+    beside = identification.register_on_straight_cut(sizes, time, force, angle=seen)
     fit = identification.fit_force_coefficients(
         beside.cut, beside.time, beside.force, time_shift=0.0 if is_known else None
     )

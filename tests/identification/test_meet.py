@@ -80,9 +80,8 @@ def test_immersion_of_straight_cuts():
 )
 def test_stock_lies_where_the_teeth_enter_or_leave(side, width, low, high):
     cutter = ct.flat_end_mill(10e-3, 2)
-    cut = identification.straight_cut(
-        cutter, 600.0, 0.1e-3, 2e-3, radial_depth=width, side=side, teeth=20
-    )
+    sizes = identification.StraightCut(cutter, 600.0, 0.1e-3, 2e-3, width, side)
+    cut = identification.straight_cut(sizes, teeth=20)
     vertices = np.asarray(cut.stock.to_mesh().vertices)
     np.testing.assert_allclose(vertices[:, 1].min(), low, atol=1e-9)
     np.testing.assert_allclose(vertices[:, 1].max(), high, atol=1e-9)

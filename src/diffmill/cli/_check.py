@@ -48,37 +48,37 @@ def _tables(file: pathlib.Path) -> dict[str, object]:
 
 def _describe_identification(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
     configure_jax(None)
-    from ..config import (
-        CoupledTask,
-        ForceRecordTask,
-        LoadTestTask,
-        MeanForceTask,
-        load_identification,
+    from ..config import load_identification
+    from ..identification import (
+        CoupledStudy,
+        ForceRecordStudy,
+        LoadTestStudy,
+        MeanForceStudy,
+        ModeStudy,
     )
 
-    task = load_identification(file, allow_outside=allow_outside)
+    study = load_identification(file, allow_outside=allow_outside)
     lines = [f"{file}: a file for `diffmill identify` without faults"]
-    if isinstance(task, ForceRecordTask | MeanForceTask):
-        for one in task.records:
+    if isinstance(study, ForceRecordStudy | MeanForceStudy):
+        for one in study.records:
             lines.append(
                 f"  {one.name}: cut from {one.start:.4g} to {one.stop:.4g} s at "
                 f"{one.record.rate:g} Hz"
             )
             lines += [f"    note: {note}" for note in one.notes]
-    if isinstance(task, MeanForceTask):
-        lines.append(f"  mean forces at {len(task.feed_per_tooth)} feeds")
-        lines += [f"  note: {note}" for note in task.notes]
-    elif isinstance(task, LoadTestTask):
-        lines.append(f"  {len(task.rows)} load tests of {task.robot.name}")
-        lines += [f"  note: {note}" for note in task.notes]
-    elif isinstance(task, CoupledTask):
-        first, last = float(task.time[0]), float(task.time[-1])
-        lines.append(f"  {len(task.time)} rows from {first:.4g} to {last:.4g} s")
-        lines += [f"  note: {note}" for note in task.notes]
-    elif not isinstance(task, ForceRecordTask):
-        for one in task.measured:
+    if isinstance(study, ModeStudy):
+        for one in study.measured:
             lines.append(f"  {one.name}")
             lines += [f"    note: {note}" for note in one.notes]
+    elif isinstance(study, MeanForceStudy):
+        lines.append(f"  mean forces at {len(study.feed_per_tooth)} feeds")
+    elif isinstance(study, LoadTestStudy):
+        lines.append(f"  {len(study.rows)} load tests of {study.robot.name}")
+    elif isinstance(study, CoupledStudy):
+        first, last = float(study.time[0]), float(study.time[-1])
+        lines.append(f"  {len(study.time)} rows from {first:.4g} to {last:.4g} s")
+    if not isinstance(study, ForceRecordStudy | ModeStudy):
+        lines += [f"  note: {note}" for note in study.notes]
     return lines
 
 

@@ -2,18 +2,10 @@
 
 from .._toml import JobError as JobError
 from ._check.rapids import holder_notes as holder_notes, shank_notes as shank_notes
-from ._identification.tasks import (
-    CoupledTask as CoupledTask,
-    ForceRecord as ForceRecord,
-    ForceRecordTask as ForceRecordTask,
-    FrequencyResponse as FrequencyResponse,
-    LoadTestTask as LoadTestTask,
-    MeanForceTask as MeanForceTask,
-    ModeTask as ModeTask,
-    RingDown as RingDown,
-    StraightCut as StraightCut,
+from ._load_identification import (
+    Study as Study,
+    load_identification as load_identification,
 )
-from ._load_identification import load_identification as load_identification
 from ._load_job import (
     job_precision as job_precision,
     load_job as load_job,

@@ -2,11 +2,20 @@
 
 import os
 import pathlib
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from .._toml import JobError, read_toml
+from ..identification import (
+    CoupledStudy,
+    ForceRecord,
+    ForceRecordStudy,
+    ForceSettings,
+    LoadTestStudy,
+    MeanForceStudy,
+    ModeStudy,
+)
 from ._identification.context import Context
 from ._identification.coupled import read_coupled
 from ._identification.force_records import read_force_record
@@ -19,17 +28,12 @@ from ._identification.schema import (
     RecordTable,
     read_identification_tables,
 )
-from ._identification.tasks import (
-    ForceRecord,
-    ForceRecordTask,
-    ForceSettings,
-    LoadTestTask,
-    MeanForceTask,
-    ModeTask,
-    Task,
-)
 from ._load_job import load_job
 from ._schema.cutter import make_cutter
+
+Study: TypeAlias = (
+    MeanForceStudy | ForceRecordStudy | LoadTestStudy | ModeStudy | CoupledStudy
+)
 
 
 def load_identification(
@@ -37,8 +41,8 @@ def load_identification(
     forces: str | os.PathLike[str] | None = None,
     *,
     allow_outside: bool = False,
-) -> Task:
-    """Return what a TOML file asks to be identified, its measurements read.
+) -> Study:
+    """Return the study that a TOML file asks for, its measurements read.
 
     Args:
         file: The file, with `kind = "mean_forces"`, "force_records", "load_tests",
@@ -48,7 +52,7 @@ def load_identification(
         allow_outside: Whether the file may name files outside its own folder.
 
     Returns:
-        The task in SI units.
+        The study in SI units; see its `run`.
 
     Raises:
         JobError: If anything is wrong with the file or with a measurement. All is
@@ -71,18 +75,18 @@ def load_identification(
     problems: list[str] = []
     kind, tables = read_identification_tables(raw, problems)
     context = Context(path.parent, allow_outside, problems, {})
-    task: Task | None = None
+    study: Study | None = None
     if kind in ("mean_forces", "force_records"):
-        task = _forces(path.stem, kind, tables, context)
+        study = _forces(path.stem, kind, tables, context)
     elif kind == "load_tests":
-        task = _loads(path.stem, tables, context)
+        study = _loads(path.stem, tables, context)
     elif kind == "coupled" and "coupled" in tables:
-        task = read_coupled(path.stem, tables["coupled"], context)
+        study = read_coupled(path.stem, tables["coupled"], context)
     elif kind in ("ring_down", "frequency_response"):
-        task = _modes(path.stem, kind, tables, context)
-    if problems or task is None:
+        study = _modes(path.stem, kind, tables, context)
+    if problems or study is None:
         raise JobError(path, problems)
-    return task
+    return study
 
 
 def _of_job(
@@ -91,8 +95,8 @@ def _of_job(
     forces: pathlib.Path,
     *,
     allow_outside: bool,
-) -> ForceRecordTask:
-    """Return the task of one record of a job."""
+) -> ForceRecordStudy:
+    """Return the study of one record of a job."""
     if "kind" in raw:
         raise JobError(
             path,
@@ -112,7 +116,7 @@ def _of_job(
     record = read_force_record(table, "record", context)
     if record is None or context.problems:
         raise JobError(forces, context.problems)
-    return ForceRecordTask(path.stem, (record,), _settings(FitTable()))
+    return ForceRecordStudy(path.stem, (record,), _settings(FitTable()))
 
 
 def _settings(table: FitTable) -> ForceSettings:
@@ -132,8 +136,8 @@ def _settings(table: FitTable) -> ForceSettings:
 
 def _forces(
     name: str, kind: str, tables: dict[str, Any], context: Context
-) -> MeanForceTask | ForceRecordTask | None:
-    """Return the task of mean forces or of whole records."""
+) -> MeanForceStudy | ForceRecordStudy | None:
+    """Return the study of mean forces or of whole records."""
     spindle = tables.get("spindle")
     context = context._replace(
         cutter=make_cutter(tables["cutter"]) if "cutter" in tables else None,
@@ -149,7 +153,7 @@ def _forces(
             records.append(record)
     settings = _settings(tables.get("fit", FitTable()))
     if kind == "force_records":
-        return ForceRecordTask(name, tuple(records), settings)
+        return ForceRecordStudy(name, tuple(records), settings)
     if settings.lowpass is not None:
         context.problems.append(
             "[fit] lowpass: found beside mean forces, which it does not change; "
@@ -173,8 +177,8 @@ def _check_speed(kind: str, entry: RecordTable, context: Context, place: str) ->
         )
 
 
-def _loads(name: str, tables: dict[str, Any], context: Context) -> LoadTestTask | None:
-    """Return the task of load tests."""
+def _loads(name: str, tables: dict[str, Any], context: Context) -> LoadTestStudy | None:
+    """Return the study of load tests."""
     notes: list[str] = []
     robot = None
     if "robot" in tables:
@@ -186,8 +190,8 @@ def _loads(name: str, tables: dict[str, Any], context: Context) -> LoadTestTask 
 
 def _modes(
     name: str, kind: str, tables: dict[str, Any], context: Context
-) -> ModeTask | None:
-    """Return the task of ring-downs or frequency responses."""
+) -> ModeStudy | None:
+    """Return the study of ring-downs or frequency responses."""
     robot = None
     if "robot" in tables:
         robot = read_tool_robot(tables["robot"], context, [], needs_mass=True)
@@ -206,4 +210,4 @@ def _modes(
     good = tuple(one for one in found if one is not None)
     if not good or context.problems:
         return None
-    return ModeTask(name, robot, good)  # pyright: ignore[reportArgumentType]
+    return ModeStudy(name, robot, good)  # pyright: ignore[reportArgumentType]

@@ -13,10 +13,6 @@ Nothing is changed in place: functions return new records or proposals.
 """
 
 from ._alignment.axis_assignment import propose_axes as propose_axes
-from ._alignment.axis_proposal import (
-    AxesProposal as AxesProposal,
-    combine_axes_proposals as combine_axes_proposals,
-)
 from ._alignment.record_registration import (
     RecordRegistration as RecordRegistration,
     register_on_job as register_on_job,
@@ -30,9 +26,12 @@ from ._cut.cut_model import (
     EngagementColumns as EngagementColumns,
     engagement_columns as engagement_columns,
 )
-from ._cut.straight_cut import immersion as immersion, straight_cut as straight_cut
+from ._cut.straight_cut import (
+    StraightCut as StraightCut,
+    immersion as immersion,
+    straight_cut as straight_cut,
+)
 from ._force.cross_validation import (
-    CrossValidation as CrossValidation,
     cross_validate as cross_validate,
 )
 from ._force.force_coefficients import (
@@ -40,13 +39,11 @@ from ._force.force_coefficients import (
     fit_force_coefficients as fit_force_coefficients,
 )
 from ._force.mean_axis_assignment import (
-    MeanAxes as MeanAxes,
     axes_of as axes_of,
     propose_mean_axes as propose_mean_axes,
 )
 from ._force.mean_force import (
     NAMES as NAMES,
-    MeanForceFit as MeanForceFit,
     fit_mean_forces as fit_mean_forces,
     mean_force_matrices as mean_force_matrices,
 )
@@ -57,7 +54,6 @@ from ._force.residuals import (
 from ._force.uncertainty import relative_uncertainty as relative_uncertainty
 from ._modal.frequency_response import fit_frequency_response as fit_frequency_response
 from ._modal.ring_down import (
-    JointDampingFit as JointDampingFit,
     fit_joint_damping as fit_joint_damping,
     fit_ring_down as fit_ring_down,
     ring_down_frequencies as ring_down_frequencies,
@@ -75,13 +71,29 @@ from ._record.record import Record as Record
 from ._record.saturation import find_saturated as find_saturated
 from ._record.spindle_angle import align as align, angle_from_tacho as angle_from_tacho
 from ._record.spindle_harmonics import refine_spindle_speed as refine_spindle_speed
-from ._stiffness.cross_validation import (
-    LoadCheck as LoadCheck,
-    check_load_tests as check_load_tests,
-)
 from ._stiffness.experiment_design import suggest_load_tests as suggest_load_tests
 from ._stiffness.joint_stiffness import (
-    JointStiffnessFit as JointStiffnessFit,
     deflection_columns as deflection_columns,
     fit_joint_stiffness as fit_joint_stiffness,
 )
+from ._study.coupled import CoupledStudy as CoupledStudy
+from ._study.force_records import (
+    ForceRecordStudy as ForceRecordStudy,
+    ForceRecordStudyFit as ForceRecordStudyFit,
+)
+from ._study.load_tests import (
+    LoadTestStudy as LoadTestStudy,
+    LoadTestStudyFit as LoadTestStudyFit,
+)
+from ._study.mean_forces import (
+    MeanForceStudy as MeanForceStudy,
+    MeanForceStudyFit as MeanForceStudyFit,
+)
+from ._study.modes import (
+    FrequencyResponse as FrequencyResponse,
+    ModeStudy as ModeStudy,
+    ModeStudyFit as ModeStudyFit,
+    RingDown as RingDown,
+)
+from ._study.records import ForceRecord as ForceRecord, ForceSettings as ForceSettings
+from ._study.study import StudyError as StudyError

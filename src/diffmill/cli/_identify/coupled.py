@@ -1,18 +1,16 @@
-"""Stiffness, damping and force coefficients from one record of a robot's cut."""
+"""Parameters from a record of a robot's cut: what is said of them, and figures."""
 
-import pathlib
-from typing import TYPE_CHECKING, Any
+import functools
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
-from .._session.errors import BadInput
-from .._session.progress import Progress
-from .outcome import Outcome
-from .text import kept_remark, noted
-
-if TYPE_CHECKING:
-    from ...config import CoupledTask
-    from ...identification import CoupledFit
+from ...config import doubted, force_toml, joints_toml
+from ...identification import NAMES, CoupledFit, CoupledStudy
+from ...viz import plot_correlation, plot_force_fit
+from .report import Report, all_noted, noted
+from .text import kept_remark
 
 # Letter and unit of a figure, and the factor from SI.
 _SHOWN = {"force": ("F", "N", 1.0), "deviation": ("d", "\u00b5m", 1e6)}
@@ -20,33 +18,13 @@ _SHOWN = {"force": ("F", "N", 1.0), "deviation": ("d", "\u00b5m", 1e6)}
 _ROWS = 60
 
 
-def identify_coupled(task: "CoupledTask", progress: Progress) -> Outcome:
-    """Fit parameters of arm and cut to a record of a cut.
+def report_coupled(study: CoupledStudy, fit: CoupledFit) -> Report:
+    """Return the report of parameters of arm and cut.
 
     Args:
-        task: The record and its job.
-        progress: Told what is being done.
+        study: The record and its job.
+        fit: Their fit.
     """
-    from ...identification import fit_coupled, mean_over_period
-
-    force, period = task.force, float(task.job.tooth_period)
-    if force is not None and float(np.median(np.diff(task.time))) < 0.9 * period:
-        # The simulated force is a mean over the tooth period.
-        force = mean_over_period(task.time, force, period)
-    progress.update("arm and cut")
-    try:
-        fit = fit_coupled(
-            task.job,
-            force=force,
-            deviation=task.deviation,
-            time=task.time,
-            fit=task.fit,
-            has_offset=task.has_offset,
-            has_time_shift=task.has_time_shift,
-            loss=task.loss,  # pyright: ignore[reportArgumentType]
-        )
-    except ValueError as error:
-        raise BadInput(f"{task.name}: {error}") from error
     facts = {
         "kind": "coupled",
         "parameters_SI": fit.parameters,
@@ -59,23 +37,14 @@ def identify_coupled(task: "CoupledTask", progress: Progress) -> Outcome:
         "offset_m": fit.offset,
         "time_shift_s": fit.time_shift,
         "has_converged": fit.has_converged,
-        "notes": [*task.notes, *fit.notes],
+        "notes": [*study.notes, *fit.notes],
     }
-    return Outcome(
-        _lines(task, fit),
-        _toml(task, fit),
-        facts,
-        lambda folder: _draw(
-            folder, task, fit, {"force": force, "deviation": task.deviation}
-        ),
-    )
+    return Report(_lines(study, fit), _toml(study, fit), facts, _figures(study, fit))
 
 
-def _lines(task: "CoupledTask", fit: "CoupledFit") -> list[str]:
+def _lines(study: CoupledStudy, fit: CoupledFit) -> list[str]:
     """Return parameters and how far to trust them."""
-    lines = []
-    for note in task.notes:
-        lines += noted(note)
+    lines = all_noted(study.notes)
     width = 2 + max(len(name) for name in fit.names)
     lines.append(f"{'parameter':{width}}{'value':>12}{'std. error':>12}{'given x':>10}")
     for name, factor in zip(fit.names, np.exp(fit.log_scale), strict=True):
@@ -88,17 +57,12 @@ def _lines(task: "CoupledTask", fit: "CoupledFit") -> list[str]:
         lines.append(f"the fit explains {share:.2%} of the squared {what}")
     if not fit.has_converged:
         lines += noted("The iteration did not converge.", "warning")
-    for note in fit.notes:
-        lines += noted(note)
-    return lines
+    return lines + all_noted(fit.notes)
 
 
-def _toml(task: "CoupledTask", fit: "CoupledFit") -> list[str]:
+def _toml(study: CoupledStudy, fit: CoupledFit) -> list[str]:
     """Return the tables for a job."""
-    from ...config import doubted, force_toml, joints_toml
-    from ...identification import NAMES
-
-    robot, lines = task.job.robot, []
+    robot, lines = study.job.robot, []
     assert robot is not None
     relative, remarks = {}, {}
     for letter, key, word in (
@@ -123,7 +87,7 @@ def _toml(task: "CoupledTask", fit: "CoupledFit") -> list[str]:
     fitted = [name for name in NAMES if name in fit.parameters]
     if fitted:
         # A table holds all six: what was not fitted was taken as known.
-        law = task.job.law
+        law = study.job.law
         given = {n: float(np.mean(getattr(law, n))) for n in NAMES if n not in fitted}
         values = {n: given[n] if n in given else fit.parameters[n] for n in NAMES}
         errors = {n: fit.standard_errors[n] for n in fitted}
@@ -147,23 +111,22 @@ def _toml(task: "CoupledTask", fit: "CoupledFit") -> list[str]:
     return lines or ["# Nothing is identifiable; see summary.txt."]
 
 
-def _draw(
-    folder: pathlib.Path,
-    task: "CoupledTask",
-    fit: "CoupledFit",
-    measured: dict[str, Any],
-) -> None:
-    """Write the figures."""
-    from ...viz import plot_correlation, plot_force_fit, save_figure
-
-    turn = float(task.job.tooth_period) * task.job.cutter.flute_count
-    spacing = float(np.median(np.diff(task.time)))
-    for name, left in fit.residual.items():
+def _figures(study: CoupledStudy, fit: CoupledFit) -> dict[str, Callable[[], Any]]:
+    """Return what draws the figures."""
+    turn = float(study.job.tooth_period) * study.job.cutter.flute_count
+    spacing = float(np.median(np.diff(study.time)))
+    figures: dict[str, Callable[[], Any]] = {
+        "correlation": functools.partial(
+            plot_correlation, fit.names, np.asarray(fit.correlation)
+        )
+    }
+    for name, measured in study.compared.items():
         letter, unit, scale = _SHOWN[name]
-        figure = plot_force_fit(
-            task.time + fit.time_shift,
-            measured[name],
-            measured[name] - left,
+        figures[name] = functools.partial(
+            plot_force_fit,
+            study.time + fit.time_shift,
+            measured,
+            measured - fit.residual[name],
             revolution=turn,
             title=f"{name}: {fit.explained[name]:.1%} of its square explained",
             turns=max(4.0, _ROWS * spacing / turn),
@@ -171,6 +134,4 @@ def _draw(
             unit=unit,
             scale=scale,
         )
-        save_figure(figure, folder / f"{name}.png")
-    values: Any = np.asarray(fit.correlation)
-    save_figure(plot_correlation(fit.names, values), folder / "correlation.png")
+    return figures

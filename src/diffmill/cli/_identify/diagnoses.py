@@ -1,18 +1,16 @@
 """Sentences of what a record shows to be wrong with it."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from .text import noted
-
-if TYPE_CHECKING:
-    from ...identification import Diagnosis
+from ...identification import Diagnosis
+from .report import noted
 
 
 def diagnosis_lines(
-    diagnoses: "Sequence[Diagnosis]",
+    diagnoses: Sequence[Diagnosis],
     axes: tuple[str, str, str] = ("x", "y", "z"),
     records: Sequence[str] = (),
 ) -> list[str]:
@@ -32,7 +30,7 @@ def diagnosis_lines(
     return lines
 
 
-def diagnosis_facts(diagnoses: "Sequence[Diagnosis]") -> list[dict[str, Any]]:
+def diagnosis_facts(diagnoses: Sequence[Diagnosis]) -> list[dict[str, Any]]:
     """Return diagnoses for `identified.json`."""
     return [
         {"code": d.code, "record": d.record, "values_SI": dict(d.values)}
@@ -40,7 +38,7 @@ def diagnosis_facts(diagnoses: "Sequence[Diagnosis]") -> list[dict[str, Any]]:
     ]
 
 
-def diagnosis_title(one: "Diagnosis") -> str:
+def diagnosis_title(one: Diagnosis) -> str:
     """Return a diagnosis in few words."""
     return _TITLES[one.code]
 

@@ -1,113 +1,53 @@
-"""Coefficients from whole records of forces, with their figures."""
+"""Coefficients from whole records of forces: what is said of them, and figures."""
 
-import dataclasses
-import pathlib
-from typing import TYPE_CHECKING, Any
+import functools
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
-from .._session.errors import BadInput
-from .._session.progress import Progress
-from .diagnoses import diagnosis_facts, diagnosis_lines, diagnosis_title
-from .outcome import Outcome
-from .registration import (
-    axes_are_doubted,
-    axes_lines,
-    placed,
-    record_lines,
-    tooth_lines,
+from ...config import doubted, force_toml, uncertainty_toml
+from ...identification import (
+    ForceRecordStudy,
+    ForceRecordStudyFit,
+    axes_of,
+    residual_force,
+    residual_spectrum,
 )
-from .text import coefficient_lines, correlation_lines, noted
+from ...viz import (
+    plot_correlation,
+    plot_force_fit,
+    plot_prediction,
+    plot_residual_spectrum,
+)
+from .diagnoses import diagnosis_facts, diagnosis_lines, diagnosis_title
+from .registration import axes_lines, record_lines, tooth_lines
+from .report import Report, all_noted
+from .text import coefficient_lines, correlation_lines
 
-if TYPE_CHECKING:
-    from ...config import ForceRecordTask
-    from ...identification import AxesProposal, CrossValidation, ForceCoefficientFit
 
-# How far a tooth may stand off the angle that is given for it [deg]: a degree moves
-# the radial coefficients by some percent, and a mark is hardly known so well.
-_TOOTH_OFF = 10.0
-
-
-def identify_records(task: "ForceRecordTask", progress: Progress) -> Outcome:
-    """Fit the coefficients to records.
+def report_records(study: ForceRecordStudy, found: ForceRecordStudyFit) -> Report:
+    """Return the report of coefficients from records.
 
     Args:
-        task: The records and settings.
-        progress: Told what is being done.
+        study: The records.
+        found: Their fit.
     """
-    from ...config import doubted
-    from ...identification import (
-        axes_of,
-        combine_axes_proposals,
-        cross_validate,
-        fit_force_coefficients,
-    )
-
-    settings, beside = task.fit, []
-    for record in task.records:
-        progress.update(f"cut of {record.name}")
-        beside.append(placed(record, settings.refines_speed, task.records))
-    proposal = combine_axes_proposals([one.proposal for one in beside])
-    likely = axes_of(proposal.proposals[0].matrix)
-    axes = settings.axes or ("x", "y", "z")
-    if settings.takes_proposed:
-        axes = likely
-    progress.update("coefficients")
-    fixed = all(record.time_shift is not None for record in task.records)
-    reach = settings.shift_range
-    if reach is None and all(record.knows_tooth for record in task.records):
-        reach = _TOOTH_OFF / 360 * 2 * np.pi / max(one.spindle_speed for one in beside)
-    try:
-        fit = fit_force_coefficients(
-            [one.cut for one in beside],
-            [one.time for one in beside],
-            [one.force for one in beside],
-            axes=axes,
-            time_shift=0.0 if fixed and reach is None else None,
-            shift_range=reach,
-            loss=settings.loss,  # pyright: ignore[reportArgumentType]
-            refine=settings.refine,
-            lowpass=settings.lowpass,
-        )
-    except ValueError as error:
-        raise BadInput(f"{task.name}: {error}") from error
-    left = cross_validate(fit)
-    is_likely = not axes_are_doubted(proposal, axes)
-    # In wrong axes an offset explains the means, though nothing is wrong with channels.
-    found = fit.diagnoses if is_likely else ()
+    fit, records = found.fit, study.records
+    of_fit = fit.diagnoses if found.has_likely_axes else ()
     lines = [
-        *record_lines(task, beside),
-        *axes_lines(proposal, axes, settings.takes_proposed),
-        *_fit_lines(fit, left, task),
-        *diagnosis_lines(found, axes, [one.name for one in task.records]),
-        *tooth_lines(
-            task.records, [(one.shift, one.revolution) for one in fit.records]
-        ),
+        *record_lines(records, found.registrations),
+        *axes_lines(found, takes_proposed=study.settings.takes_proposed),
+        *_fit_lines(study, found),
+        *diagnosis_lines(of_fit, fit.axes, [one.name for one in records]),
+        *tooth_lines(records, [(one.shift, one.revolution) for one in fit.records]),
     ]
-    diagnoses = [
-        dataclasses.replace(one, record=i)
-        for i, place in enumerate(beside)
-        for one in place.diagnoses
-    ]
-    diagnoses += found
-    toml = _toml(fit, is_likely)
-    grave = [one for one in diagnoses if one.is_grave]
-    if grave and is_likely and not fit.doubts:
-        toml = doubted(toml, f"{diagnosis_title(grave[0])}; see summary.txt.")
-    return Outcome(
-        lines,
-        toml,
-        {**_facts(task, fit, proposal, left), "diagnoses": diagnosis_facts(diagnoses)},
-        lambda folder: _draw(folder, task, fit, left),
-    )
+    return Report(lines, _toml(found), _facts(study, found), _figures(study, found))
 
 
-def _fit_lines(
-    fit: "ForceCoefficientFit",
-    left: "tuple[CrossValidation, ...]",
-    task: "ForceRecordTask",
-) -> list[str]:
+def _fit_lines(study: ForceRecordStudy, found: ForceRecordStudyFit) -> list[str]:
     """Return coefficients and how far to trust them."""
+    fit = found.fit
     names = list(fit.coefficients)
     lines = [
         "",
@@ -125,53 +65,39 @@ def _fit_lines(
         f"the fit explains {fit.explained:.2%} of the squared force; it leaves "
         f"{fit.residual_rms:.4g} N of {fit.force_rms:.4g} N rms"
     )
-    for doubt in fit.doubts:
-        lines += noted(doubt, "warning")
-    for part in left:
+    lines += all_noted(fit.doubts, "warning")
+    for part in found.left_out:
         lines.append(
-            f"left out: {task.records[part.record].name}, {part.what}: "
+            f"left out: {study.records[part.record].name}, {part.what}: "
             f"{part.error:.2%} of the force rms off"
         )
     lines += correlation_lines(names, fit.correlation)
-    for note in fit.notes[len(fit.doubts) :]:
-        lines += noted(note)
-    return lines
+    return lines + all_noted(fit.notes[len(fit.doubts) :])
 
 
-def _toml(fit: "ForceCoefficientFit", is_likely: bool) -> list[str]:
+def _toml(found: ForceRecordStudyFit) -> list[str]:
     """Return the tables for a job, as comments if they are doubtful."""
-    from ...config import doubted, force_toml, uncertainty_toml
-    from ...identification import relative_uncertainty
-
-    rows = np.concatenate(
-        [one.engagement.columns.reshape(-1, 6) for one in fit.records]
-    )
-    share = relative_uncertainty(
-        fit.coefficients, fit.standard_errors, fit.correlation, rows
-    )
+    fit = found.fit
     lines = [
         *force_toml(fit.coefficients, fit.standard_errors, fit.identifiable),
-        *uncertainty_toml("force", share),
+        *uncertainty_toml("force", found.relative_uncertainty),
     ]
+    grave = [one for one in found.diagnoses if one.is_grave]
     if fit.doubts:
         return doubted(lines, f"{fit.doubts[0].partition(':')[0]}; see summary.txt.")
-    if not is_likely:
+    if not found.has_likely_axes:
         return doubted(lines, "Other axes make more sense; see summary.txt.")
+    if grave:
+        return doubted(lines, f"{diagnosis_title(grave[0])}; see summary.txt.")
     return lines
 
 
-def _facts(
-    task: "ForceRecordTask",
-    fit: "ForceCoefficientFit",
-    proposal: "AxesProposal",
-    left: "tuple[CrossValidation, ...]",
-) -> dict[str, Any]:
+def _facts(study: ForceRecordStudy, found: ForceRecordStudyFit) -> dict[str, Any]:
     """Return the numbers for `identified.json`."""
-    from ...identification import axes_of
-
+    fit = found.fit
     return {
         "kind": "force_records",
-        "records": [record.name for record in task.records],
+        "records": [record.name for record in study.records],
         "coefficients_SI": fit.coefficients,
         "standard_errors_SI": fit.standard_errors,
         "raw_SI": fit.raw,
@@ -193,64 +119,51 @@ def _facts(
                 "violations": one.violations,
                 "coefficients_SI": one.coefficients,
             }
-            for one in proposal.proposals
+            for one in found.proposal.proposals
         ],
-        "axes_are_clear": proposal.is_clear,
-        "axes_evidence": proposal.evidence,
+        "axes_are_clear": found.proposal.is_clear,
+        "axes_evidence": found.proposal.evidence,
         "time_shift_s": fit.time_shift,
         "left_out": [
             {"record": part.record, "what": part.what, "error": part.error}
-            for part in left
+            for part in found.left_out
         ],
-        "notes": [*fit.notes, *(n for r in task.records for n in r.notes)],
+        "notes": [*fit.notes, *(n for r in study.records for n in r.notes)],
+        "diagnoses": diagnosis_facts(found.diagnoses),
     }
 
 
-def _draw(
-    folder: pathlib.Path,
-    task: "ForceRecordTask",
-    fit: "ForceCoefficientFit",
-    left: "tuple[CrossValidation, ...]",
-) -> None:
-    """Write the figures."""
-    from ...identification import residual_force, residual_spectrum
-    from ...viz import (
-        plot_correlation,
-        plot_force_fit,
-        plot_prediction,
-        plot_residual_spectrum,
-        save_figure,
-    )
-
-    for i, (record, one) in enumerate(zip(task.records, fit.records, strict=True)):
-        number = f"_{i + 1}" if len(task.records) > 1 else ""
-        off = residual_force(fit, i)
-        figure = plot_force_fit(
+def _figures(
+    study: ForceRecordStudy, found: ForceRecordStudyFit
+) -> dict[str, Callable[[], Any]]:
+    """Return what draws the figures."""
+    fit, draw = found.fit, functools.partial
+    names = list(fit.coefficients)
+    figures: dict[str, Callable[[], Any]] = {}
+    for i, (record, one) in enumerate(zip(study.records, fit.records, strict=True)):
+        number = f"_{i + 1}" if len(study.records) > 1 else ""
+        off, part = residual_force(fit, i), found.left_out[i]
+        figures[f"record{number}"] = draw(
+            plot_force_fit,
             one.time + one.shift,
             one.force,
             one.force - off,
             revolution=one.revolution,
             title=record.name,
         )
-        save_figure(figure, folder / f"record{number}.png")
-        frequency, amplitude = residual_spectrum(fit, i)
-        whole = 2 * np.abs(np.fft.rfft(np.nan_to_num(one.force), axis=0)) / len(off)
-        figure = plot_residual_spectrum(
-            frequency,
-            amplitude,
-            whole,
+        figures[f"spectrum{number}"] = draw(
+            plot_residual_spectrum,
+            *residual_spectrum(fit, i),
+            2 * np.abs(np.fft.rfft(np.nan_to_num(one.force), axis=0)) / len(off),
             tooth_frequency=1 / one.cut.tooth_period,
             flute_count=one.cut.cutter.flute_count,
             title=record.name,
         )
-        save_figure(figure, folder / f"spectrum{number}.png")
-        part = left[i]
-        figure = plot_prediction(
+        figures[f"left_out{number}"] = draw(
+            plot_prediction,
             part.measured,
             part.predicted,
             unit="N",
             title=f"{record.name}: {part.what}, {part.error:.1%} off",
         )
-        save_figure(figure, folder / f"left_out{number}.png")
-    figure = plot_correlation(list(fit.coefficients), fit.correlation)
-    save_figure(figure, folder / "correlation.png")
+    return {**figures, "correlation": draw(plot_correlation, names, fit.correlation)}

@@ -4,12 +4,15 @@ import json
 import math
 import pathlib
 import time
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .._session.errors import BadInput, bad_input
 from .._session.jax_config import configure_jax
 from .._session.progress import Progress
-from .outcome import Outcome
+from .report import Report
+
+if TYPE_CHECKING:
+    from ...config import Study
 
 
 def run_identify(
@@ -34,63 +37,74 @@ def run_identify(
     configure_jax(None)
     from ..._result import SimulationFailed
     from ...config import load_identification, snippet
+    from ...identification import StudyError
     from ...io import check_folder, write_folder
+    from ...viz import save_figure
 
     folder = pathlib.Path(f"{file.stem}-identify") if out is None else out
     start = time.perf_counter()
     with bad_input():
         check_folder(folder, force=force)
-        task = load_identification(file, forces, allow_outside=allow_outside)
+        study = load_identification(file, forces, allow_outside=allow_outside)
     progress = Progress(is_quiet=is_quiet)
     try:
         with progress:
-            outcome = _identified(task, progress)
-            progress.update("figures")
+            found = study.run(progress.update)
+    except StudyError as error:
+        raise BadInput(str(error)) from error
     except SimulationFailed as failure:
         raise BadInput(f"{file}: the cut could not be simulated: {failure}") from None
+    report = report_of(study, found)
 
     def fill(target: pathlib.Path) -> None:
         head = [f"identified from {file.name} by diffmill", "paste into a job file"]
-        text = snippet(head, outcome.toml)
+        text = snippet(head, report.toml)
         (target / "identified.toml").write_text(text, encoding="utf-8")
         (target / "summary.txt").write_text(
-            "\n".join(outcome.lines) + "\n", encoding="utf-8"
+            "\n".join(report.lines) + "\n", encoding="utf-8"
         )
-        facts = json.dumps(_plain(outcome.facts), indent=2, allow_nan=False)
+        facts = json.dumps(_plain(report.facts), indent=2, allow_nan=False)
         (target / "identified.json").write_text(facts + "\n", encoding="utf-8")
-        outcome.draw(target)
+        for name, draw in report.figures.items():
+            save_figure(draw(), target / f"{name}.png")
 
     with progress:
+        progress.update("figures")
         write_folder(folder, fill, force=force)
     if not is_quiet:
-        print("\n".join([*outcome.lines, "", *outcome.toml]))
+        print("\n".join([*report.lines, "", *report.toml]))
     progress.say(f"results: {folder} ({time.perf_counter() - start:.1f} s)")
     return 0
 
 
-def _identified(task: Any, progress: Progress) -> Outcome:
-    """Fit what the task asks for."""
-    from ...config import CoupledTask, ForceRecordTask, LoadTestTask, MeanForceTask
+def report_of(study: "Study", found: Any) -> Report:
+    """Return what a study found as text, job tables, numbers and figures.
 
-    if isinstance(task, CoupledTask):
-        from .coupled import identify_coupled
+    Args:
+        study: The study.
+        found: What its `run` returned.
+    """
+    from ...identification import (
+        CoupledStudy,
+        ForceRecordStudy,
+        LoadTestStudy,
+        MeanForceStudy,
+    )
+    from .coupled import report_coupled
+    from .force_records import report_records
+    from .mean_forces import report_means
+    from .modal import report_modes
+    from .stiffness import report_load_tests
 
-        return identify_coupled(task, progress)
-    if isinstance(task, MeanForceTask):
-        from .mean_forces import identify_means
-
-        return identify_means(task, progress)
-    if isinstance(task, ForceRecordTask):
-        from .force_records import identify_records
-
-        return identify_records(task, progress)
-    if isinstance(task, LoadTestTask):
-        from .stiffness import identify_stiffness
-
-        return identify_stiffness(task, progress)
-    from .modal import identify_modes
-
-    return identify_modes(task, progress)
+    if isinstance(study, CoupledStudy):
+        return report_coupled(study, found)
+    if isinstance(study, ForceRecordStudy):
+        return report_records(study, found)
+    if isinstance(study, LoadTestStudy):
+        return report_load_tests(study, found)
+    if isinstance(study, MeanForceStudy):
+        return report_means(study, found)
+    return report_modes(study, found)
 
 
 def _plain(value: Any) -> Any:

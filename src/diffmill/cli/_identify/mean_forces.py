@@ -1,162 +1,78 @@
-"""Coefficients from mean forces over the feed, with their figures."""
+"""Coefficients from mean forces over the feed: what is said of them, and figures."""
 
-import pathlib
-from typing import TYPE_CHECKING, Any, NamedTuple
+import functools
 
 import numpy as np
 
-from .._session.progress import Progress
+from ...config import doubted, force_toml, uncertainty_toml
+from ...identification import MeanForceStudy, MeanForceStudyFit
+from ...viz import plot_correlation, plot_mean_forces
 from .diagnoses import diagnosis_lines
-from .outcome import Outcome
-from .registration import placed, samples
-from .text import NONSENSE, axes_text, coefficient_lines, correlation_lines, noted
-
-if TYPE_CHECKING:
-    from ...config import MeanForceTask
-    from ...identification import MeanAxes, MeanForceFit, RecordRegistration
+from .report import Report, all_noted, noted
+from .text import NONSENSE, axes_text, coefficient_lines, correlation_lines
 
 
-class Amplitude(NamedTuple):
-    """The tooth-passing frequency in one record, which the means do not show.
-
-    Attributes:
-        measured: Amplitude per force of the work [N], shape (3,).
-        predicted: By the coefficients, shape (3,).
-    """
-
-    measured: Any
-    predicted: Any
-
-
-def identify_means(task: "MeanForceTask", progress: Progress) -> Outcome:
-    """Fit the coefficients to mean forces.
+def report_means(study: MeanForceStudy, found: MeanForceStudyFit) -> Report:
+    """Return the report of coefficients from mean forces.
 
     Args:
-        task: The means and settings.
-        progress: Told what is being done.
+        study: The means.
+        found: Their fit.
     """
-    from ...identification import immersion, propose_mean_axes
-
-    cut = task.cut
-    entry, leave = immersion(
-        2 * float(cut.cutter.nominal_radius),
-        cut.radial_depth,
-        cut.side,  # pyright: ignore[reportArgumentType]
-    )
-    shape = {
-        "teeth": cut.cutter.flute_count,
-        "axial_depth": cut.axial_depth,
-        "entry_angle": entry,
-        "exit_angle": leave,
-    }
-    progress.update("lines over the feed")
-    found = propose_mean_axes(task.feed_per_tooth, task.mean_force, **shape)
-    axes = task.fit.axes or ("x", "y", "z")
-    if task.fit.takes_proposed:
-        axes = found[0].axes
-    used = next(one for one in found if one.axes == axes)
-    force = _turned(task.mean_force, axes)
-    left = _left_out(task.feed_per_tooth, force, shape)
-    amplitudes, told = [], []
-    for record in task.records:
-        progress.update(f"tooth passing of {record.name}")
-        beside = placed(record, task.fit.refines_speed, task.records)
-        amplitudes.append(_amplitude(record, beside, used.fit, axes))
-        told += diagnosis_lines(beside.diagnoses)
+    used, fit = found.used, found.used.fit
     lines = [
-        *_input_lines(task),
-        *told,
-        *_axes_lines(used, found, task.fit.takes_proposed),
-        *_fit_lines(used.fit, force, left),
-        *_amplitude_lines(task, amplitudes),
+        *_input_lines(study),
+        *(x for one in found.registrations for x in diagnosis_lines(one.diagnoses)),
+        *_axes_lines(found, takes_proposed=study.settings.takes_proposed),
+        *_fit_lines(found),
+        *_amplitude_lines(study, found),
     ]
-    toml, share = _toml(task, used, shape, found[0].score >= used.score)
     facts = {
         "kind": "mean_forces",
-        "feed_per_tooth_m": task.feed_per_tooth,
-        "mean_force_N": force,
-        "axes": axes,
-        "proposed_axes": found[0].axes,
-        "coefficients_SI": used.fit.coefficients,
-        "standard_errors_SI": used.fit.standard_errors,
-        "correlation": used.fit.correlation,
-        "identifiable": used.fit.identifiable,
-        "r_squared": used.fit.r_squared,
-        "relative_uncertainty": share,
-        "left_out_N": left,
-        "amplitudes_N": [
-            {"measured": a.measured, "predicted": a.predicted} for a in amplitudes
-        ],
-        "notes": task.notes,
+        "feed_per_tooth_m": study.feed_per_tooth,
+        "mean_force_N": found.force,
+        "axes": used.axes,
+        "proposed_axes": found.axes[0].axes,
+        "coefficients_SI": fit.coefficients,
+        "standard_errors_SI": fit.standard_errors,
+        "correlation": fit.correlation,
+        "identifiable": fit.identifiable,
+        "r_squared": fit.r_squared,
+        "relative_uncertainty": found.relative_uncertainty,
+        "left_out_N": found.left_out,
+        "amplitudes_N": [one._asdict() for one in found.amplitudes],
+        "notes": study.notes,
     }
-    return Outcome(
-        lines, toml, facts, lambda folder: _draw(folder, task, used.fit, force, left)
-    )
+    figures = {
+        "mean_forces": functools.partial(
+            plot_mean_forces,
+            study.feed_per_tooth,
+            found.force,
+            fit.slope,
+            fit.offset,
+            left_out=found.left_out,
+        ),
+        "correlation": functools.partial(
+            plot_correlation, list(fit.coefficients), fit.correlation
+        ),
+    }
+    return Report(lines, _toml(found), facts, figures)
 
 
-def _turned(force: Any, axes: tuple[str, str, str]) -> Any:
-    """Return recorded forces in the axes of the feed."""
-    signs = np.array([-1.0 if name.startswith("-") else 1.0 for name in axes])
-    return force[:, ["xyz".index(name[-1]) for name in axes]] * signs[None]
-
-
-def _left_out(feeds: Any, force: Any, shape: dict[str, Any]) -> Any:
-    """Return every mean as the other feeds predict it; NaN where they cannot."""
-    from ...identification import fit_mean_forces
-
-    out = np.full_like(force, np.nan)
-    for i in range(len(feeds)):
-        rest = feeds != feeds[i]
-        if np.unique(feeds[rest]).size >= 2:
-            fit = fit_mean_forces(feeds[rest], force[rest], **shape)
-            out[i] = fit.slope * feeds[i] + fit.offset
-    return out
-
-
-def _amplitude(
-    record: Any,
-    beside: "RecordRegistration",
-    fit: "MeanForceFit",
-    axes: tuple[str, str, str],
-) -> Amplitude:
-    """Return the amplitude at the tooth passing, measured and predicted."""
-    from ...identification import engagement_columns
-
-    time, force = samples(record)
-    tooth = beside.cut.tooth_period
-    count = np.floor((time[-1] - time[0]) / tooth + 1e-6)
-    keep = (time < time[0] + count * tooth) & np.isfinite(force).all(axis=1)
-
-    def at_tooth(when: Any, values: Any) -> Any:
-        wave = np.exp(-2j * np.pi / tooth * when)
-        return 2 * np.abs(np.mean(values * wave[:, None], axis=0))
-
-    measured = at_tooth(time[keep], _turned(force[keep], axes))
-    found = engagement_columns(beside.cut)
-    K = np.array(list(fit.coefficients.values()))
-    wave = found.columns @ K + found.constant
-    samples_per_tooth = round(tooth / found.spacing)
-    # The last whole revolutions: the cut begins within the stock.
-    turn = samples_per_tooth * beside.cut.cutter.flute_count
-    last = wave[-4 * turn :]
-    return Amplitude(measured, at_tooth(found.spacing * np.arange(len(last)), last))
-
-
-def _input_lines(task: "MeanForceTask") -> list[str]:
+def _input_lines(study: MeanForceStudy) -> list[str]:
     """Return what the means are of."""
-    cut = task.cut
+    cut = study.cut
     width = "slot"
-    low, high = 1e3 * task.feed_per_tooth.min(), 1e3 * task.feed_per_tooth.max()
+    low, high = 1e3 * study.feed_per_tooth.min(), 1e3 * study.feed_per_tooth.max()
     if cut.radial_depth is not None:
         width = f"{cut.side} milling, {cut.radial_depth * 1e3:g} mm wide"
     lines = [
-        f"mean forces at {len(task.feed_per_tooth)} feeds, {low:g} to {high:g} mm "
+        f"mean forces at {len(study.feed_per_tooth)} feeds, {low:g} to {high:g} mm "
         f"per tooth; {cut.cutter.flute_count} teeth, {cut.axial_depth * 1e3:g} mm "
         f"deep, {width}"
     ]
-    for note in task.notes:
-        lines += noted(note)
-    for record in task.records:
+    lines += all_noted(study.notes)
+    for record in study.records:
         for note in record.notes:
             lines += noted(f"{record.name}: {note}")
         if record.is_saturated:
@@ -168,14 +84,13 @@ def _input_lines(task: "MeanForceTask") -> list[str]:
     return lines
 
 
-def _axes_lines(
-    used: "MeanAxes", found: "tuple[MeanAxes, ...]", takes_proposed: bool
-) -> list[str]:
+def _axes_lines(found: MeanForceStudyFit, *, takes_proposed: bool) -> list[str]:
     """Return what the means say of the axes; nothing is changed by it."""
+    used = found.used
     why = "the likeliest, as asked for" if takes_proposed else "as given or recorded"
     lines = [f"axes: {axes_text(used.axes)} ({why})"]
     lines += [f"  against them: {violation}" for violation in used.violations]
-    best = found[0]
+    best = found.axes[0]
     if best.score < used.score:
         against = "; ".join(best.violations) or "nothing"
         lines += noted(
@@ -186,7 +101,7 @@ def _axes_lines(
             'give `axes` in [fit], or "proposed".',
             "warning",
         )
-    alike = [one for one in found if one.score <= best.score and one is not best]
+    alike = [one for one in found.axes if one.score <= best.score and one is not best]
     if alike:
         names = ", ".join(axes_text(one.axes) for one in alike[:4])
         lines += noted(
@@ -196,8 +111,9 @@ def _axes_lines(
     return lines
 
 
-def _fit_lines(fit: "MeanForceFit", force: Any, left: Any) -> list[str]:
+def _fit_lines(found: MeanForceStudyFit) -> list[str]:
     """Return coefficients and how far to trust them."""
+    fit, force, left = found.used.fit, found.force, found.left_out
     lines = [
         "",
         *coefficient_lines(
@@ -235,12 +151,12 @@ def _fit_lines(fit: "MeanForceFit", force: Any, left: Any) -> list[str]:
     return lines + correlation_lines(list(fit.coefficients), fit.correlation)
 
 
-def _amplitude_lines(task: "MeanForceTask", amplitudes: list[Amplitude]) -> list[str]:
+def _amplitude_lines(study: MeanForceStudy, found: MeanForceStudyFit) -> list[str]:
     """Return the amplitudes that the means do not show."""
-    if not amplitudes:
+    if not found.amplitudes:
         return []
     lines = ["amplitude at the tooth passing, not fitted [N]: predicted / measured"]
-    for record, one in zip(task.records, amplitudes, strict=True):
+    for record, one in zip(study.records, found.amplitudes, strict=True):
         parts = [
             f"F{a} {p:.4g} / {m:.4g}"
             for a, p, m in zip("xyz", one.predicted, one.measured, strict=True)
@@ -249,47 +165,17 @@ def _amplitude_lines(task: "MeanForceTask", amplitudes: list[Amplitude]) -> list
     return lines
 
 
-def _toml(
-    task: "MeanForceTask", used: "MeanAxes", shape: dict[str, Any], is_likely: bool
-) -> tuple[list[str], float]:
-    """Return the tables for a job, comments if in doubt, and the uncertainty."""
-    from ...config import doubted, force_toml, uncertainty_toml
-    from ...identification import mean_force_matrices, relative_uncertainty
-
-    fit = used.fit
-    slope, offset = mean_force_matrices(*shape.values())
-    rows = np.concatenate(
-        [np.hstack([feed * slope, offset]) for feed in task.feed_per_tooth]
-    )
-    share = relative_uncertainty(
-        fit.coefficients, fit.standard_errors, fit.correlation, rows
-    )
+def _toml(found: MeanForceStudyFit) -> list[str]:
+    """Return the tables for a job, comments if in doubt."""
+    fit = found.used.fit
     lines = [
         *force_toml(fit.coefficients, fit.standard_errors, fit.identifiable),
-        *uncertainty_toml("force", share),
+        *uncertainty_toml("force", found.relative_uncertainty),
     ]
     if fit.coefficients["K_tc"] <= 0:
-        lines = doubted(lines, NONSENSE)
-    elif not is_likely:
-        lines = doubted(lines, "Other axes make more sense; see summary.txt.")
-    elif not any(fit.identifiable.values()):
-        lines = doubted(lines, "No coefficient is identifiable; see summary.txt.")
-    return lines, share
-
-
-def _draw(
-    folder: pathlib.Path,
-    task: "MeanForceTask",
-    fit: "MeanForceFit",
-    force: Any,
-    left: Any,
-) -> None:
-    """Write the figures."""
-    from ...viz import plot_correlation, plot_mean_forces, save_figure
-
-    figure = plot_mean_forces(
-        task.feed_per_tooth, force, fit.slope, fit.offset, left_out=left
-    )
-    save_figure(figure, folder / "mean_forces.png")
-    figure = plot_correlation(list(fit.coefficients), fit.correlation)
-    save_figure(figure, folder / "correlation.png")
+        return doubted(lines, NONSENSE)
+    if found.axes[0].score < found.used.score:
+        return doubted(lines, "Other axes make more sense; see summary.txt.")
+    if not any(fit.identifiable.values()):
+        return doubted(lines, "No coefficient is identifiable; see summary.txt.")
+    return lines

@@ -1,22 +1,15 @@
 """Lines of text that several identifications print."""
 
 import itertools
-import textwrap
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-_WIDTH = 88
+from .report import noted
+
 # Why coefficients are not offered.
 NONSENSE = "K_tc is not positive: axes or cut are wrong, see summary.txt."
-
-
-def noted(text: str, mark: str = "note") -> list[str]:
-    """Return a sentence as lines behind a mark."""
-    return textwrap.wrap(
-        text, _WIDTH, initial_indent=f"{mark}: ", subsequent_indent="  "
-    )
 
 
 def coefficient_lines(

@@ -4,12 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...identification import CoupledStudy
 from ...io import TIME_COLUMN, TableReader, vector_columns
 from ...sim import parameter_names
 from ...units import FORCE, LENGTH
 from .context import Context
 from .schema import CoupledTable
-from .tasks import CoupledTask
 
 _VECTORS = {
     "force": vector_columns("F", "f|force|kraft", FORCE, "force"),
@@ -28,7 +28,7 @@ class _Columns(NamedTuple):
 
 def read_coupled(
     name: str, table: CoupledTable, context: Context
-) -> CoupledTask | None:
+) -> CoupledStudy | None:
     """Return a record of a robot's cut, or None with problems noted.
 
     Args:
@@ -51,7 +51,7 @@ def read_coupled(
     found = context.read(table, "[coupled]", _columns)
     if job is None or found is None or context.problems:
         return None
-    return CoupledTask(
+    return CoupledStudy(
         name=name,
         job=job,
         time=found.time + (table.time_shift or 0.0),

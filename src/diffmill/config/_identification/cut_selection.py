@@ -6,13 +6,13 @@ from ..._job import Job
 from ...identification import (
     CutSpan,
     Record,
+    StraightCut,
     find_cuts,
     parts_between_gaps,
     remove_drift,
     remove_offset,
 )
 from .schema import RecordTable
-from .tasks import StraightCut
 
 # Shortest section that a tare is taken from, in tooth periods and samples; a gap or a
 # pause so many tooth periods long parts two cuts.

@@ -4,13 +4,12 @@ import math
 import pathlib
 
 from ..._job import Job
-from ...identification import Record, immersion, section
+from ...identification import ForceRecord, Record, StraightCut, immersion, section
 from ...io import RecordError, load_record
 from .context import Context
 from .cut_selection import cuts_in, engaged, span_of, tared
 from .schema import RecordTable
 from .spindle_angle import spindle_angle
-from .tasks import ForceRecord, StraightCut
 
 # Names of the forces that are allowed beside those of `load_record`.
 _ALIASES = {"force_x": "Fx", "force_y": "Fy", "force_z": "Fz"}
@@ -164,12 +163,12 @@ def _process(
     depth = table.axial_depth or (cut.axial_depth if cut is not None else None)
     assert depth is not None
     straight = StraightCut(
-        context.cutter,
-        table.speed or context.speed,
-        depth,
-        width,
-        side,
-        table.feed_per_tooth,
+        cutter=context.cutter,
+        spindle_speed=table.speed or context.speed,
+        feed_per_tooth=table.feed_per_tooth,
+        axial_depth=depth,
+        radial_depth=width,
+        side=side,
     )
     return straight if check_straight(straight, place, problems) else None
 
@@ -199,7 +198,7 @@ def check_straight(cut: StraightCut, place: str, problems: list[str]) -> bool:
         )
     else:
         try:
-            immersion(diameter, cut.radial_depth, cut.side)  # pyright: ignore[reportArgumentType]
+            immersion(diameter, cut.radial_depth, cut.side)
         except ValueError:
             width = (cut.radial_depth or 0) * 1e3
             problems.append(

@@ -6,15 +6,17 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 
 from ... import units as q
+from ...identification import LoadTestStudy
 from ...io import Quantity, TableReader, vector_columns
 from ...robot import Robot, forward_kinematics
 from .context import Context
 from .schema import LoadTestsTable
-from .tasks import LoadTestTask, Turns
 
+# Rotations of one pose each.
+Turns = Float[np.ndarray, "pose 3 3"]
 # No joint turns so far [rad], and no load bends a robot so far [m]; hardly one a fifth
 # of that, where the user has not confirmed the unit.
 _LARGEST_ANGLE, _LARGEST_MOVE, _USUAL_MOVE = 4 * np.pi, 0.1, 0.02
@@ -35,7 +37,7 @@ def read_load_tests(
     robot: Robot,
     notes: list[str],
     context: Context,
-) -> LoadTestTask | None:
+) -> LoadTestStudy | None:
     """Return load tests in base axes, or None with problems noted.
 
     Args:
@@ -64,7 +66,7 @@ def read_load_tests(
     )
     load = _in_base(load, table.load_axes, load_frame)
     moved = _in_base(moved, table.displacement_axes, frame)
-    return LoadTestTask(
+    return LoadTestStudy(
         name=name,
         robot=robot,
         q=angles,

@@ -4,13 +4,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...identification import mean_over_turns
+from ...identification import (
+    ForceRecord,
+    ForceSettings,
+    MeanForceStudy,
+    StraightCut,
+    mean_over_turns,
+)
 from ...io import Quantity, RecordError, TableReader, vector_columns
 from ...units import FORCE, LENGTH
 from .context import Context
 from .force_records import check_straight
 from .schema import MeansTable
-from .tasks import ForceRecord, ForceSettings, MeanForceTask, StraightCut
 
 _FEED = Quantity(
     "feed_per_tooth",
@@ -40,7 +45,7 @@ def mean_force_task(
     records: tuple[ForceRecord, ...] | None,
     settings: ForceSettings,
     context: Context,
-) -> MeanForceTask | None:
+) -> MeanForceStudy | None:
     """Return mean forces of a table, or of records; None with problems noted.
 
     Args:
@@ -76,15 +81,21 @@ def mean_force_task(
             "but at least two above 0 are required for a line"
         )
         return None
-    sizes = (context.cut.axial_depth, context.cut.radial_depth, context.cut.side)
-    cut = StraightCut(context.cutter, context.speed, *sizes, float(feeds.max()))
+    cut = StraightCut(
+        cutter=context.cutter,
+        spindle_speed=context.speed,
+        feed_per_tooth=float(feeds.max()),
+        axial_depth=context.cut.axial_depth,
+        radial_depth=context.cut.radial_depth,
+        side=context.cut.side,
+    )
     if means.records and isinstance(means.records[0].process, StraightCut):
         cut = means.records[0].process
     if not check_straight(cut, "[cut]", problems):
         return None
     order = np.argsort(feeds, kind="stable")
     in_order = tuple(means.records[i] for i in order) if means.records else ()
-    return MeanForceTask(
+    return MeanForceStudy(
         name, cut, feeds[order], means.force[order], in_order, settings, means.notes
     )
 

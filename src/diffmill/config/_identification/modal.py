@@ -5,12 +5,12 @@ from collections.abc import Callable
 import numpy as np
 
 from ... import units as q
+from ...identification import FrequencyResponse, RingDown
 from ...io import TIME_COLUMN, Quantity, TableReader, timeline
 from ...robot import Robot
 from .context import Context
 from .robot import joint_positions
 from .schema import FrequencyResponseTable, RingDownTable
-from .tasks import FrequencyResponse, RingDown
 
 _SIGNAL = Quantity(
     "signal",

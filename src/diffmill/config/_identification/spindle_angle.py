@@ -6,9 +6,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ..._job import Job
-from ...identification import Record, angle_from_tacho
+from ...identification import Record, StraightCut, angle_from_tacho
 from .schema import RecordTable
-from .tasks import StraightCut
 
 # A tacho that differs by more from the speed given counts something else.
 _SPEED_OFF = 0.03

@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..._job import Job
-from ...cutter import AbstractCutter
 from ...cutting import LinearEdgeLaw
 from .._cut.cut_model import (
     Cut,
@@ -16,7 +15,7 @@ from .._cut.cut_model import (
     cut_of,
     engagement_columns,
 )
-from .._cut.straight_cut import SETTLED, Side, straight_cut
+from .._cut.straight_cut import SETTLED, StraightCut, straight_cut
 from .._force.mean_force import NAMES
 from .._record.clock_faults import check_clock, check_teeth
 from .._record.diagnosis import Diagnosis
@@ -46,6 +45,7 @@ class RecordRegistration(NamedTuple):
 
     Attributes:
         cut: The cut, with a plan.
+        engagement: Its force per coefficient.
         time: Instants on the clock of the cut, to a revolution or better [s],
             shape (row,).
         force: As recorded [N], shape (row, 3); NaN out of the cut.
@@ -58,6 +58,7 @@ class RecordRegistration(NamedTuple):
     """
 
     cut: Cut
+    engagement: EngagementColumns
     time: Float[np.ndarray, " row"]
     force: Float[np.ndarray, "row 3"]
     offset: float
@@ -69,15 +70,10 @@ class RecordRegistration(NamedTuple):
 
 
 def register_on_straight_cut(
-    cutter: AbstractCutter,
-    spindle_speed: float,
-    feed_per_tooth: float,
-    axial_depth: float,
+    sizes: StraightCut,
     time: Float[np.ndarray, " row"],
     force: Float[np.ndarray, "row 3"],
     *,
-    radial_depth: float | None = None,
-    side: Side = "slot",
     refines_speed: bool = True,
     largest_feed: float | None = None,
     angle: Float[np.ndarray, " row"] | None = None,
@@ -85,14 +81,9 @@ def register_on_straight_cut(
     """Set the steady part of a record beside a straight cut.
 
     Args:
-        cutter: The cutter.
-        spindle_speed: Nominal [rad/s].
-        feed_per_tooth: f_z [m].
-        axial_depth: a_p [m].
+        sizes: Sizes of the cut, with its nominal spindle speed.
         time: Instants of the steady part [s], shape (row,).
         force: As recorded, without offset [N], shape (row, 3); NaN where not known.
-        radial_depth: a_e [m]; not for a slot.
-        side: "slot", "up" or "down".
         refines_speed: Whether the speed is taken from the record.
         largest_feed: See `straight_cut`.
         angle: Measured spindle angle at each row [rad], increasing, or None: the clock
@@ -103,14 +94,14 @@ def register_on_straight_cut(
 
     Raises:
         ValueError: Sizes that no straight cut has, or less than three revolutions.
-
-    **Differentiability**: runs on the host.
     """
-    speed, flutes, notes = spindle_speed, cutter.flute_count, ()
+    speed, flutes, notes = sizes.spindle_speed, sizes.cutter.flute_count, ()
     if angle is not None:
         speed, time = _spindle_clock(time, angle, None)
+    elif speed is None:
+        raise ValueError("Argument `sizes` must have a spindle speed, but has none.")
     elif refines_speed:
-        speed, notes = _refined(spindle_speed, flutes, time, force)
+        speed, notes = _refined(speed, flutes, time, force)
     turn = 2 * math.pi / speed
     turns = min(_TURNS, math.floor((float(time[-1] - time[0])) / turn + 1e-6))
     if turns < 3:
@@ -121,27 +112,18 @@ def register_on_straight_cut(
     keep = time <= time[0] + turns * turn
     teeth = SETTLED + (turns + 2) * flutes + 1
     teeth = _ROUND * math.ceil(teeth / _ROUND)
-    cut = cut_of(
-        straight_cut(
-            cutter,
-            speed,
-            feed_per_tooth,
-            axial_depth,
-            radial_depth=radial_depth,
-            side=side,
-            teeth=teeth,
-            largest_feed=largest_feed,
-        )
-    )
+    sizes = sizes._replace(spindle_speed=speed)
+    cut = cut_of(straight_cut(sizes, teeth=teeth, largest_feed=largest_feed))
+    found = engagement_columns(cut)
     # A revolution of room, within which the fit looks for the shift.
     offset = turn + SETTLED * cut.tooth_period - float(time[0])
     if angle is not None:
         offset = _in_phase(offset, time, angle, speed)
     when, seen = time[keep] + offset, force[keep]
-    proposal = _judge(engagement_columns(cut), when, seen, turn / 2, cut.tooth_period)
+    proposal = _judge(found, when, seen, turn / 2, cut.tooth_period)
     diagnoses = () if angle is not None else _diagnosed(time[keep], seen, speed, flutes)
     return RecordRegistration(
-        cut, when, seen, offset, proposal, None, speed, notes, diagnoses
+        cut, found, when, seen, offset, proposal, None, speed, notes, diagnoses
     )
 
 
@@ -273,7 +255,9 @@ def register_on_job(
     when = when[first : last + 1]
     seen = np.where(inside[:, None], force, np.nan)[first : last + 1]
     proposal = _judge(found, when, seen, turn / 2, cut.tooth_period)
-    return RecordRegistration(cut, when, seen, time_shift, proposal, meeting, speed, ())
+    return RecordRegistration(
+        cut, found, when, seen, time_shift, proposal, meeting, speed, ()
+    )
 
 
 def _is_cut(found: EngagementColumns, K: np.ndarray, turn: float) -> np.ndarray:

@@ -1,7 +1,7 @@
 """A straight cut of constant width and depth, as test cuts usually are."""
 
 import math
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -17,16 +17,28 @@ SETTLED = 12
 _PITCH, _LEAST = 1 / 14, 3
 
 
+class StraightCut(NamedTuple):
+    """A straight cut of constant sizes.
+
+    Attributes:
+        cutter: The cutter.
+        spindle_speed: Nominal [rad/s], or None if it is not known.
+        feed_per_tooth: f_z [m].
+        axial_depth: a_p [m].
+        radial_depth: a_e [m], not above the diameter; None for a slot.
+        side: "slot", "up" or "down".
+    """
+
+    cutter: AbstractCutter
+    spindle_speed: float | None
+    feed_per_tooth: float
+    axial_depth: float
+    radial_depth: float | None = None
+    side: Side = "slot"
+
+
 def straight_cut(
-    cutter: AbstractCutter,
-    spindle_speed: float,
-    feed_per_tooth: float,
-    axial_depth: float,
-    *,
-    radial_depth: float | None = None,
-    side: Side = "slot",
-    teeth: int = 64,
-    largest_feed: float | None = None,
+    sizes: StraightCut, *, teeth: int = 64, largest_feed: float | None = None
 ) -> Cut:
     """Return a straight cut along x that begins within the stock.
 
@@ -35,12 +47,7 @@ def straight_cut(
     in down milling where it leaves with one (-y).
 
     Args:
-        cutter: The cutter.
-        spindle_speed: [rad/s].
-        feed_per_tooth: f_z [m].
-        axial_depth: a_p [m].
-        radial_depth: a_e [m], not above the diameter; not for a slot.
-        side: "slot", "up" or "down".
+        sizes: Sizes of the cut, with a spindle speed.
         teeth: Tooth periods of the cut, the first 12 of which are not steady.
         largest_feed: The largest feed per tooth of several cuts [m]: with it all have
             stock of one size, and are compiled once.
@@ -49,24 +56,25 @@ def straight_cut(
         The cut.
 
     Raises:
-        ValueError: Sizes that no straight cut has.
-
-    **Differentiability**: runs on the host.
+        ValueError: Sizes that no straight cut has, or no spindle speed.
     """
+    if sizes.spindle_speed is None:
+        raise ValueError("Argument `sizes` must have a spindle speed, but has none.")
+    cutter, feed, depth = sizes.cutter, sizes.feed_per_tooth, sizes.axial_depth
     radius = float(cutter.nominal_radius)
-    _check(feed_per_tooth, axial_depth, radial_depth, side, radius)
-    width = 2 * radius if radial_depth is None else radial_depth
+    _check(feed, depth, sizes.radial_depth, sizes.side, radius)
+    width = 2 * radius if sizes.radial_depth is None else sizes.radial_depth
     room = 0.2 * radius
-    high = radius + room if side != "down" else width - radius
-    low = -radius - room if side != "up" else radius - width
-    x = feed_per_tooth * np.arange(teeth + 1)
-    rows = np.column_stack([x, np.zeros_like(x), np.full_like(x, -axial_depth)])
-    pitch = min(_PITCH * radius, axial_depth / _LEAST)
-    lower = [-radius - room, low, -axial_depth - 2 * pitch]
-    length = teeth * max(feed_per_tooth, largest_feed or 0.0)
+    high = radius + room if sizes.side != "down" else width - radius
+    low = -radius - room if sizes.side != "up" else radius - width
+    x = feed * np.arange(teeth + 1)
+    rows = np.column_stack([x, np.zeros_like(x), np.full_like(x, -depth)])
+    pitch = min(_PITCH * radius, depth / _LEAST)
+    lower = [-radius - room, low, -depth - 2 * pitch]
+    length = teeth * max(feed, largest_feed or 0.0)
     upper = [length + radius + room, high, 0.0]
     stock = box(lower, upper, pitch, interval_counts=(4, 4, 1))
-    return Cut(rows, stock, cutter, spindle_speed)
+    return Cut(rows, stock, cutter, sizes.spindle_speed)
 
 
 def immersion(

@@ -8,9 +8,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..._job import Job
 from ...cutting import LinearEdgeLaw
-from .._cut.cut_model import Cut
 from .._record.channel_faults import check_channels, check_coefficients, similar_classes
 from .._record.clock_faults import check_rate
 from .._record.diagnosis import Diagnosis
@@ -31,6 +29,7 @@ from .mean_force import NAMES, by_name
 from .regression_rows import (
     Axes,
     Measured,
+    Source,
     Times,
     equations,
     find_shift,
@@ -150,7 +149,7 @@ class ForceCoefficientFit(eqx.Module):
 
 
 def fit_force_coefficients(
-    process_or_job: Cut | Job | Sequence[Cut | Job],
+    process_or_job: Source | Sequence[Source],
     time: Times | Sequence[Times],
     force: Times | Sequence[Times],
     *,
@@ -168,7 +167,8 @@ def fit_force_coefficients(
 
     Args:
         process_or_job: What was cut: a job (along its desired path, by a rigid
-            machine) or a `Cut`; or a list.
+            machine), a `Cut`, or a `RecordRegistration`, whose cut is simulated
+            already; or a list.
         time: Instants of the record [s], ascending, shape (row,); or a list.
         force: Force on the tool at these instants [N], shape (row, 3); NaN where not
             measured; or a list.

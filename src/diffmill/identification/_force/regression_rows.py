@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from ..._job import Job
 from ...numerics import lowpass
+from .._alignment.record_registration import RecordRegistration
 from .._cut.cut_model import (
     Cut,
     EngagementColumns,
@@ -23,6 +24,9 @@ from .._statistics.robust_regression import Rows, solve
 Times: TypeAlias = Float[Array, "..."] | Float[np.ndarray, "..."] | Sequence
 # For each axis of the work the recorded one, with its sign.
 Axes: TypeAlias = tuple[str, str, str]
+
+# What was cut; a registration has simulated it already.
+Source: TypeAlias = Cut | Job | RecordRegistration
 
 # Candidates of the time shift per revolution, and rows on which they are compared.
 _CANDIDATES, _COMPARED = 180, 2000
@@ -243,7 +247,7 @@ def find_shift(one: Measured, shift_range: float | None) -> Measured:
 
 
 def measured_records(
-    process_or_job: Cut | Job | Sequence[Cut | Job],
+    process_or_job: Source | Sequence[Source],
     time: Times | Sequence[Times],
     force: Times | Sequence[Times],
     axes: Axes,
@@ -253,7 +257,7 @@ def measured_records(
     """Return the records beside their cuts, each cut simulated.
 
     Args:
-        process_or_job: A cut or a job, or a list of them.
+        process_or_job: A cut, a job or a registration, or a list of them.
         time: Instants of the record [s], shape (row,), or a list.
         force: [N], shape (row, 3), or a list.
         axes: For each axis of the work the recorded one.
@@ -268,8 +272,10 @@ def measured_records(
 
     **Differentiability**: runs on the host.
     """
-    cuts: list[Cut | Job]
-    if isinstance(process_or_job, Sequence):
+    cuts: list[Source]
+    if isinstance(process_or_job, Sequence) and not isinstance(
+        process_or_job, RecordRegistration
+    ):
         cuts, times, forces = list(process_or_job), list(time), list(force)
     else:
         cuts, times, forces = [process_or_job], [time], [force]
@@ -289,7 +295,7 @@ def measured_records(
 
 
 def _measured(
-    cut: Cut | Job,
+    cut: Source,
     time: Times,
     force: Times,
     axes: Axes,
@@ -316,6 +322,9 @@ def _measured(
     )
     if cutoff is not None:
         turned = filtered(when, turned, turned[:, :, None], cutoff)[:, :, 0]
-    whole = cut_of(cut)
-    columns = engagement_columns(whole)
+    if isinstance(cut, RecordRegistration):
+        whole, columns = cut.cut, cut.engagement
+    else:
+        whole = cut_of(cut)
+        columns = engagement_columns(whole)
     return Measured(whole, columns, when, turned, shift, saturated, cutoff)

@@ -1,0 +1,172 @@
+"""Modes of ring-downs or frequency responses, and the joints' dampers from them."""
+
+import itertools
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Complex, Float
+
+from ...robot import Robot, natural_frequencies
+from .._modal.frequency_response import FrequencyResponseFit, fit_frequency_response
+from .._modal.ring_down import (
+    JointDampingFit,
+    RingDownFit,
+    fit_joint_damping,
+    fit_ring_down,
+    ring_down_frequencies,
+)
+from .study import OnProgress, StudyError, silent
+
+# A measured frequency this far from the model's belongs to it hardly.
+_FAR = 0.3
+
+
+class RingDown(NamedTuple):
+    """A free vibration.
+
+    Attributes:
+        name: The file.
+        time: [s], shape (sample,).
+        signal: Without its mean, shape (sample,).
+        mode_count: Number of modes.
+        frequencies: Guesses [Hz], shape (mode,), or None.
+        q: Joint positions [rad or m], shape (joint,), or None.
+        notes: What was assumed.
+    """
+
+    name: str
+    time: Float[np.ndarray, " sample"]
+    signal: Float[np.ndarray, " sample"]
+    mode_count: int
+    frequencies: Float[np.ndarray, " mode"] | None
+    q: Float[np.ndarray, " joint"] | None
+    notes: tuple[str, ...]
+
+    def fit(self) -> RingDownFit:
+        """Return its modes."""
+        guess = self.frequencies
+        if guess is None:
+            guess = ring_down_frequencies(self.time, self.signal, self.mode_count)
+        return fit_ring_down(self.time, self.signal, guess)
+
+
+class FrequencyResponse(NamedTuple):
+    """A measured frequency response.
+
+    Attributes:
+        name: The file.
+        frequency: [Hz], shape (line,).
+        response: In SI units, shape (line,).
+        quantity: "receptance", "mobility" or "accelerance".
+        is_fitted: Which lines lie in the band to fit, shape (line,).
+        mode_count: How many modes are sought.
+        frequencies: Guesses [Hz], shape (mode,), or None.
+        q: Joint positions [rad or m], shape (joint,), or None.
+        notes: What was assumed.
+    """
+
+    name: str
+    frequency: Float[np.ndarray, " line"]
+    response: Complex[np.ndarray, " line"]
+    quantity: str
+    is_fitted: Bool[np.ndarray, " line"]
+    mode_count: int
+    frequencies: Float[np.ndarray, " mode"] | None
+    q: Float[np.ndarray, " joint"] | None
+    notes: tuple[str, ...]
+
+    def fit(self) -> FrequencyResponseFit:
+        """Return its modes."""
+        band = self.is_fitted
+        return fit_frequency_response(
+            self.frequency[band],
+            self.response[band],
+            modes=self.mode_count if self.frequencies is None else None,
+            frequencies=self.frequencies,
+            quantity=self.quantity,  # pyright: ignore[reportArgumentType]
+        )
+
+
+class ModeMatch(NamedTuple):
+    """A measured mode beside that of the model.
+
+    Attributes:
+        measurement: Index of the measurement.
+        frequency: As measured [Hz].
+        mode: Index of the model's mode.
+        own: Frequency of that [Hz].
+        is_far: Whether it is too far from it to count.
+        is_taken: Whether another measured mode was taken for it before.
+    """
+
+    measurement: int
+    frequency: float
+    mode: int
+    own: float
+    is_far: bool
+    is_taken: bool
+
+
+class ModeStudyFit(NamedTuple):
+    """Modes of each measurement, and the joints' dampers.
+
+    Attributes:
+        modes: Of each measurement.
+        matches: Measured modes beside the model's, those in poses that are given.
+        damping: Dampers, or None if no pose is given or no mode belongs to the model.
+    """
+
+    modes: tuple[RingDownFit, ...] | tuple[FrequencyResponseFit, ...]
+    matches: tuple[ModeMatch, ...]
+    damping: JointDampingFit | None
+
+
+class ModeStudy(NamedTuple):
+    """Ring-downs or frequency responses.
+
+    Attributes:
+        name: The file.
+        robot: The robot with masses and joint stiffness, or None.
+        measured: The measurements, all of one kind.
+    """
+
+    name: str
+    robot: Robot | None
+    measured: tuple[RingDown, ...] | tuple[FrequencyResponse, ...]
+
+    def run(self, on_progress: OnProgress = silent) -> ModeStudyFit:
+        """Fit the modes, and the dampers if a robot and poses are given.
+
+        Args:
+            on_progress: Told what is being done.
+
+        Raises:
+            StudyError: A measurement cannot be fitted.
+        """
+        fits = []
+        for one in self.measured:
+            on_progress(f"modes of {one.name}")
+            try:
+                fits.append(one.fit())
+            except ValueError as error:
+                raise StudyError(f"{one.name}: {error}") from error
+        robot = self.robot
+        poses = {i: one.q for i, one in enumerate(self.measured) if one.q is not None}
+        if robot is None or not poses:
+            return ModeStudyFit(tuple(fits), (), None)
+        matches, ratios = [], np.full((len(poses), robot.joint_count), np.nan)
+        for row, (i, q) in zip(ratios, poses.items(), strict=True):
+            own = np.asarray(natural_frequencies(robot, q), np.float64)
+            modes = zip(fits[i].frequencies, fits[i].damping_ratios, strict=True)
+            for f, zeta in itertools.compress(modes, fits[i].identifiable):
+                k = int(np.argmin(np.abs(np.log(own / f))))
+                is_far, is_taken = abs(f / own[k] - 1) > _FAR, bool(np.isfinite(row[k]))
+                matches.append(
+                    ModeMatch(i, float(f), k, float(own[k]), is_far, is_taken)
+                )
+                if not (is_far or is_taken):
+                    row[k] = zeta
+        damping = None
+        if np.isfinite(ratios).any():
+            damping = fit_joint_damping(robot, list(poses.values()), ratios)
+        return ModeStudyFit(tuple(fits), tuple(matches), damping)

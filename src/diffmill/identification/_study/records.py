@@ -1,0 +1,128 @@
+"""Records of forces beside their cuts, as studies take them."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..._job import Job
+from .._alignment.record_registration import (
+    RecordRegistration,
+    register_on_job,
+    register_on_straight_cut,
+)
+from .._cut.straight_cut import StraightCut
+from .._record.record import Record
+from .study import StudyError
+
+
+class ForceRecord(NamedTuple):
+    """A record of forces, ready to be set beside its cut.
+
+    Attributes:
+        name: The file, with the number of the cut if it has several.
+        record: The record, offset and drift removed.
+        process: What was cut.
+        start: Where the part to be fitted begins, on the record's clock [s].
+        stop: Where it ends [s].
+        time_shift: Time of the cut minus time of the record [s], None if not given.
+        is_saturated: Whether a sample between start and stop is saturated.
+        angle: Spindle angle by a tacho or an encoder [rad], increasing, shape
+            (sample,), or None.
+        knows_tooth: Whether that is the immersion angle of tooth 0.
+        notes: What was assumed or done, one sentence each.
+    """
+
+    name: str
+    record: Record
+    process: Job | StraightCut
+    start: float
+    stop: float
+    time_shift: float | None
+    is_saturated: bool
+    angle: Float[np.ndarray, " sample"] | None
+    knows_tooth: bool
+    notes: tuple[str, ...]
+
+    def is_used(self) -> Bool[np.ndarray, " sample"]:
+        """Return which samples are of the part to be fitted."""
+        time = self.record.time
+        return (time >= self.start) & (time <= self.stop)
+
+    def samples(
+        self,
+    ) -> tuple[Float[np.ndarray, " row"], Float[np.ndarray, "row 3"]]:
+        """Return time and force of the part to be fitted; NaN where not known.
+
+        Those are forces without a channel, and saturated samples with their
+        neighbours: of samples near the end of the range those would remain that noise
+        has made smaller.
+        """
+        one, keep = self.record, self.is_used()
+        is_lost = np.convolve(one.is_saturated, np.ones(3), mode="same") > 0.5
+        is_known = ~is_lost[:, None] & np.array(one.is_measured)[None]
+        force = np.where(is_known, one.force, np.nan)
+        return one.time[keep], force[keep]
+
+    def register(
+        self, others: "Sequence[ForceRecord]", *, refines_speed: bool
+    ) -> RecordRegistration:
+        """Return the record beside its cut.
+
+        Args:
+            others: All records, among them this one: their cuts get stock of one size.
+            refines_speed: Whether the speed of straight cuts is taken from the record.
+
+        Raises:
+            StudyError: The record and its cut do not meet.
+        """
+        time, force = self.samples()
+        angle = None if self.angle is None else self.angle[self.is_used()]
+        process = self.process
+        try:
+            if not isinstance(process, StraightCut):
+                return register_on_job(
+                    process,
+                    time,
+                    force,
+                    time_shift=self.time_shift,
+                    angle=angle,
+                    keeps_shift=self.time_shift is not None and not self.knows_tooth,
+                )
+            cuts = [one.process for one in others]
+            return register_on_straight_cut(
+                process,
+                time,
+                force,
+                refines_speed=refines_speed,
+                largest_feed=max(
+                    cut.feed_per_tooth for cut in cuts if isinstance(cut, StraightCut)
+                ),
+                angle=angle,
+            )
+        except ValueError as error:
+            raise StudyError(f"{self.name}: {error}") from error
+
+
+class ForceSettings(NamedTuple):
+    """Settings of a force fit; see `identification.fit_force_coefficients`.
+
+    Attributes:
+        axes: For x, y, z of the work the recorded axis; None if the file does not say.
+        takes_proposed: Whether the file asks for the likeliest axes.
+        loss: "squares", "huber" or "tukey".
+        refine: Of "runout" and "radius".
+        shift_range: [s], or None.
+        lowpass: Cut-off of a low-pass for both sides [Hz], or None.
+        refines_speed: Whether the spindle speed of straight cuts is taken from the
+            record.
+    """
+
+    axes: tuple[str, str, str] | None
+    takes_proposed: bool
+    loss: str
+    refine: tuple[str, ...]
+    shift_range: float | None
+    lowpass: float | None
+    refines_speed: bool
