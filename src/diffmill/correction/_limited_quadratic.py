@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ._dense_quadratic import solve_dense_quadratic
+from ..optimise import solve_quadratic_program
 from ._quadratic import QuadraticSolution, projected_gradient, solve_bounded_quadratic
 from ._spline.command_limits import AbstractRows
 
@@ -270,7 +270,7 @@ class _Span:
         each = [Bounds.of_box(*box), *kinds]
         P = V.T @ A_V
         P = 0.5 * (P + P.T) + damping * np.eye(P.shape[0])
-        found = solve_dense_quadratic(
+        found = solve_quadratic_program(
             P,
             V.T @ g,
             np.concatenate([V, L_V]),

@@ -1,1 +1,1 @@
-"""The document of an identification: schema, records, and the tasks it asks for."""
+"""The document of an identification: schema, records, and the study it asks for."""

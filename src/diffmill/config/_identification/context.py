@@ -5,10 +5,11 @@ from collections.abc import Callable
 from typing import NamedTuple, TypeVar
 
 from ..._job import Job
+from ..._toml import JobError
 from ...cutter import AbstractCutter
 from ...io import RecordError, TableReader, read_table
 from .._build.context import FileContext
-from .._load_job import JobError, load_job
+from .._load_job import load_job
 from .schema import CutTable, MeasuredTable
 
 # Records are longer than programs [byte].

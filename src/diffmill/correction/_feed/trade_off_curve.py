@@ -14,25 +14,39 @@ its second derivatives are exact.
 """
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ...optimise import (
+    AbstractProblem,
+    LeastSquaresState,
+    LevenbergMarquardt,
+    QuadraticModel,
+    least_squares,
+)
 from ...toolpath import cycle_time, rows_until
-from .._quadratic import solve_bounded_quadratic
 from .problem import FeedProblem, feed_figures, feed_slopes
 
 # Called with a message and the share of the weights that are done.
 OnShare = Callable[[str, float], None]
 # Largest change of an override in one step, as a logarithm.
 _STRIDE = 0.4
-# Damping at first, over the mean curvature, and what it is multiplied by.
-_DAMPING, _MORE, _LESS = 1e-3, 10.0, 0.2
+# Factor of the damping after a good step.
+_LESS = 0.2
 # A step that promises less of the objective than this ends the search.
 _SETTLED = 3e-5
 _ATTEMPTS = 6
+
+
+class _Figures(NamedTuple):
+    """Mean square error [m^2] and time [s] of a path."""
+
+    square: float
+    time: float
 
 
 class FeedPoint(eqx.Module):
@@ -93,130 +107,103 @@ def feed_curve(
             "Arguments `count` and `max_steps` must be at least 2 and 1, but are "
             f"{count} and {max_steps}."
         )
-    search = _Search(problem, count)
+    bounds = np.log(problem.lowest), np.log(problem.highest)
+    end = cycle_time(problem.feed, [problem.lowest] * count)
+    rows = rows_until(end, problem.feed.period)
+    x = np.clip(np.zeros(count), *bounds)
+    first = _figures(problem, x, rows)
+    if not (np.isfinite(first.square) and first.square > 0):
+        raise ValueError(
+            "Argument `problem` must have a plant that leaves an error where the tool "
+            f"cuts, but its mean square is {first.square:g}."
+        )
+    solver = LevenbergMarquardt(
+        max_steps=max_steps,
+        attempts=_ATTEMPTS,
+        longest=_STRIDE,
+        less=_LESS,
+        share=_SETTLED,
+    )
     tell = on_progress or (lambda message, share: None)
-    points = [search.start()]
+    state = LeastSquaresState(x, first, solver.damping)
+    points = [_point(float("nan"), state)]
     tell(_told(points[0]), 0.0)
     for done, weight in enumerate(time_weights):
         name = f"weight {weight:g}"
-        report = lambda text, done=done, name=name: tell(
-            f"{name}: {text}", done / len(time_weights)
+        report = lambda at, done=done, name=name: tell(
+            f"{name}: step {at.steps}, {at.value.time:.2f} s, "
+            f"{1e6 * at.value.square**0.5:.2f} um",
+            done / len(time_weights),
         )
-        points.append(search.minimise(weight, points[-1].override, max_steps, report))
+        state = least_squares(
+            _Objective(problem, weight, first, rows),
+            state.x,
+            solver,
+            lower=bounds[0],
+            upper=bounds[1],
+            state=LeastSquaresState(state.x, state.value, solver.damping),
+            callback=report,
+        )
+        points.append(_point(weight, state))
         tell(f"{name}: {_told(points[-1])}", (done + 1) / len(time_weights))
     return tuple(points)
+
+
+def _point(weight: float, state: LeastSquaresState) -> FeedPoint:
+    """Return what was found for a weight; the path as it is has none."""
+    return FeedPoint(
+        weight,
+        np.exp(state.x),
+        state.value.time,
+        state.value.square**0.5,
+        state.steps,
+        state.evaluations + state.models,
+        state.has_converged or bool(np.isnan(weight)),
+    )
 
 
 def _told(point: FeedPoint) -> str:
     return f"{point.cycle_time:.2f} s, contour error {1e6 * point.rms:.2f} um rms"
 
 
-class _Search:
-    """Constants of a trade-off curve."""
+class _Objective(AbstractProblem):
+    """Error and weighed time of a path over the logarithms of its override.
 
-    def __init__(self, problem: FeedProblem, count: int):
-        self.problem, self.count = problem, count
-        self.bounds = np.log(problem.lowest), np.log(problem.highest)
-        self.dtype = jnp.result_type(problem.feed.path.positions)
-        end = cycle_time(problem.feed, [problem.lowest] * count)
-        self.rows = rows_until(end, problem.feed.period)
-        x = np.clip(np.zeros(count), *self.bounds)
-        self.first = self.figures(x)
-        if not (np.isfinite(self.first[0]) and self.first[0] > 0):
-            raise ValueError(
-                "Argument `problem` must have a plant that leaves an error where the "
-                "tool cuts, but its mean square is "
-                f"{self.first[0]:g}."
-            )
-        self.x = x
+    Attributes:
+        problem: The path and the plant.
+        weight: Weight of the time.
+        first: Figures of the path as it is.
+        rows: Rows to simulate.
+    """
 
-    def figures(self, x: Float[np.ndarray, " knot"]) -> tuple[float, float]:
-        """Return the mean square error and the time."""
-        square, time = feed_figures(self.problem, jnp.asarray(x, self.dtype), self.rows)
-        return float(square), float(time)
+    problem: FeedProblem
+    weight: float
+    first: _Figures
+    rows: int
 
-    def start(self) -> FeedPoint:
-        """Return the program as it is."""
-        square, time = self.first
-        return FeedPoint(
-            float("nan"), np.exp(self.x), time, float(np.sqrt(square)), 0, 1, True
-        )
+    def evaluate(self, x: Float[np.ndarray, " knot"]) -> _Figures | None:
+        """Return the figures; None where the motion is not finite."""
+        found = _figures(self.problem, x, self.rows)
+        return found if np.isfinite([found.square, found.time]).all() else None
 
-    def objective(self, figures: tuple[float, float], weight: float) -> float:
-        """Return what becomes small; infinite where the motion is not finite."""
-        value = figures[0] / (2 * self.first[0]) + weight * figures[1] / self.first[1]
-        return value if np.isfinite(value) else np.inf
-
-    def model(
-        self, x: Float[np.ndarray, " knot"], weight: float
-    ) -> tuple[Float[np.ndarray, " knot"], Float[np.ndarray, "knot knot"]]:
-        """Return gradient and curvature of the objective."""
-        found = feed_slopes(self.problem, jnp.asarray(x, self.dtype), self.rows)
-        g, H, g_time, H_time = (np.asarray(value, np.float64) for value in found)
-        square, time = self.first
+    def model(self, x: Float[np.ndarray, " knot"], value: _Figures) -> QuadraticModel:
+        """Return the model of the objective."""
+        dtype = jnp.result_type(self.problem.feed.path.positions)
+        found = feed_slopes(self.problem, jnp.asarray(x, dtype), self.rows)
+        g, H, g_time, H_time = (np.asarray(part, np.float64) for part in found)
         # Where the time is not convex its curvature is left out, not followed.
         values, vectors = np.linalg.eigh((H_time + H_time.T) / 2)
         H_time = (vectors * np.maximum(values, 0.0)) @ vectors.T
-        scale = weight / time
-        return g / square + scale * g_time, H / square + scale * H_time
-
-    def minimise(
-        self,
-        weight: float,
-        start: Float[np.ndarray, " knot"],
-        max_steps: int,
-        report: Callable[[str], None],
-    ) -> FeedPoint:
-        """Return the best override for one weight."""
-        x = np.log(start)
-        best = self.figures(x)
-        damping, runs, steps, is_settled = _DAMPING, 1, 0, False
-        while steps < max_steps and not is_settled:
-            gradient, H = self.model(x, weight)
-            runs += 1
-            moved, damping, tried = self._step(x, best, weight, gradient, H, damping)
-            runs += tried
-            is_settled = moved is None
-            if moved is not None:
-                before = self.objective(best, weight)
-                x, best = moved
-                steps += 1
-                gain = before - self.objective(best, weight)
-                is_settled = gain < _SETTLED * before
-                report(f"step {steps}, {best[1]:.2f} s, {1e6 * best[0] ** 0.5:.2f} um")
-        return FeedPoint(
-            weight, np.exp(x), best[1], float(np.sqrt(best[0])), steps, runs, is_settled
+        square, scale = self.first.square, self.weight / self.first.time
+        cost = lambda x, at: at.square / (2 * square) + scale * at.time
+        return QuadraticModel(
+            cost, g / square + scale * g_time, H / square + scale * H_time
         )
 
-    def _step(
-        self,
-        x: Float[np.ndarray, " knot"],
-        best: tuple[float, float],
-        weight: float,
-        gradient: Float[np.ndarray, " knot"],
-        H: Float[np.ndarray, "knot knot"],
-        damping: float,
-    ) -> tuple[tuple[np.ndarray, tuple[float, float]] | None, float, int]:
-        """Return a better point and its figures or None, the damping, and the runs."""
-        now = self.objective(best, weight)
-        lower = np.maximum(self.bounds[0] - x, -_STRIDE)
-        upper = np.minimum(self.bounds[1] - x, _STRIDE)
-        size = max(float(np.trace(H)) / x.size, 1e-12)
-        for tried in range(1, _ATTEMPTS + 1):
-            damped = H + damping * size * np.eye(x.size)
-            found = solve_bounded_quadratic(
-                lambda p, damped=damped: damped @ p,
-                gradient,
-                np.minimum(lower, 0.0),
-                np.maximum(upper, 0.0),
-                rtol=1e-6,
-                max_products=20 * x.size,
-            )
-            if found.decrease < _SETTLED * now:
-                return None, damping, tried - 1
-            there = x + found.p
-            figures = self.figures(there)
-            if self.objective(figures, weight) < now:
-                return (there, figures), damping * _LESS, tried
-            damping *= _MORE
-        return None, damping, _ATTEMPTS
+
+def _figures(
+    problem: FeedProblem, x: Float[np.ndarray, " knot"], rows: int
+) -> _Figures:
+    dtype = jnp.result_type(problem.feed.path.positions)
+    square, time = feed_figures(problem, jnp.asarray(x, dtype), rows)
+    return _Figures(float(square), float(time))

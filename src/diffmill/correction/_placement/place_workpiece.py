@@ -10,19 +10,24 @@ import dataclasses
 from collections.abc import Sequence
 from typing import TypeAlias
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from ..._job import Job
 from ..._types import FloatRows3
+from ...optimise import (
+    AbstractProblem,
+    LevenbergMarquardt,
+    LinearRows,
+    QuadraticModel,
+    least_squares,
+)
 from ...process import ThroughRays
 from ...sim import command_poses, rigid_cut, with_precision
-from .._held_rows import HeldRows
 from .._job.correct import NothingToCorrect
-from .._least_squares import least_squares
-from .._least_squares_records import LevenbergMarquardt
-from .._products import evaluate
 from .._spline.command_limits import InfeasibleLimit
 from .objective import (
     UNKNOWNS,
@@ -43,6 +48,11 @@ _RANGE = 0.98
 # A pose that is nearer to a singular one than this is refused, unless the job's own
 # place is as near: for a wrist it is some 4 degrees from straight.
 _LEAST_SINGULAR = 0.05
+# The linear model may bring a joint to this share of that range, and what is outside
+# counts so much more than the errors, which are about 1 at the job's own place.
+_DRAWN_IN, _WEIGHT = 0.95, 30.0
+# A step that promises less of the square of the errors than this ends the descent.
+_SETTLED = 1e-9
 # An unknown this near to a bound stands there, as a share of its unit.
 _AT_BOUND = 1e-3
 
@@ -231,22 +241,71 @@ def _search(
     steps[is_free] = ratio ** -np.arange(1.0, count + 1)
     places = [np.clip(np.zeros(len(low)), low, high)]
     places += [low + (high - low) * ((0.5 + k * steps) % 1.0) for k in range(starts)]
-    tried = [(_error(task, place), place) for place in places]
+    problem = _Problem(task)
+    tried = [(problem.error(place), place) for place in places]
     return tried, sum(not np.isfinite(error) for error, _ in tried)
 
 
-def _error(task: PlacementTask, place: Float[np.ndarray, " 5"]) -> float:
-    """Return half the square of a place's residual; infinite where it is refused."""
-    held = _held(task)
-    unit = jnp.asarray(place, task.widths.dtype)
-    entries = evaluate(placement_residual, unit, task)
-    return held.cost(entries, 0.0)
+class _Problem(AbstractProblem):
+    """Residual of a place, its joints in their ranges as constraints.
+
+    As long as a joint is out of its range the steps first bring it back: what is
+    outside counts many times over. Once all are within, no step may leave the ranges.
+    """
+
+    task: PlacementTask
+
+    def evaluate(
+        self, x: Float[np.ndarray, " 5"]
+    ) -> Float[np.ndarray, " entry"] | None:
+        """Return the residual; None where the place is refused."""
+        unit = jnp.asarray(x, self.task.widths.dtype)
+        entries = np.asarray(_residual(unit, self.task), np.float64)
+        return entries if np.all(np.isfinite(entries)) else None
+
+    def model(
+        self, x: Float[np.ndarray, " 5"], value: Float[np.ndarray, " entry"]
+    ) -> QuadraticModel:
+        """Return the model of half the square of the errors."""
+        unit = jnp.asarray(x, self.task.widths.dtype)
+        J = np.asarray(_slopes(unit, self.task), np.float64)
+        error, ranges = self.parts(value)
+        J_error, J_ranges = self.parts(J)
+        is_within = bool(np.all(np.abs(ranges) <= _RANGE))
+        least, most = -_DRAWN_IN * _RANGE - ranges, _DRAWN_IN * _RANGE - ranges
+        if is_within:
+            # A joint between both bounds may not come closer.
+            least, most = np.minimum(least, 0.0), np.maximum(most, 0.0)
+        rows = LinearRows(J_ranges, least, most, np.inf if is_within else _WEIGHT)
+
+        def cost(there: Float[np.ndarray, " 5"], at: np.ndarray) -> float:
+            error, ranges = self.parts(at)
+            if is_within and np.any(np.abs(ranges) > _RANGE):
+                return np.inf
+            outside = np.maximum(np.abs(ranges) - _DRAWN_IN * _RANGE, 0.0)
+            weight = 0.0 if is_within else _WEIGHT
+            return 0.5 * float(error @ error + weight**2 * outside @ outside)
+
+        return QuadraticModel(cost, J_error.T @ error, J_error.T @ J_error, rows)
+
+    def parts(
+        self, entries: Float[np.ndarray, "..."]
+    ) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]:
+        """Return the errors and the joints in their ranges among the entries."""
+        count = 3 * self.task.Ts_work_tool.shape[0]
+        return entries[:count], entries[count:]
+
+    def error(self, x: Float[np.ndarray, " 5"]) -> float:
+        """Return half the square of the errors; infinite where a place is refused."""
+        entries = self.evaluate(x)
+        if entries is None or np.any(np.abs(self.parts(entries)[1]) > _RANGE):
+            return np.inf
+        error, _ = self.parts(entries)
+        return 0.5 * float(error @ error)
 
 
-def _held(task: PlacementTask) -> HeldRows:
-    """Return the bounds of the joints in their ranges."""
-    most = np.full(task.Ts_work_tool.shape[0] * len(task.limited), _RANGE)
-    return HeldRows(-most, most)
+_residual = eqx.filter_jit(placement_residual)
+_slopes = eqx.filter_jit(jax.jacfwd(placement_residual))
 
 
 def _descend(
@@ -257,22 +316,21 @@ def _descend(
     max_steps: int,
 ) -> list[Float[np.ndarray, " 5"]]:
     """Return the unknowns of the ends of two descents, and of their starts."""
-    widths = _widths(lower, upper)
+    widths, problem = _widths(lower, upper), _Problem(task)
     own = tried[0]
     best = min(tried[1:], key=lambda entry: entry[0], default=own)
     found = []
-    for start in [own] if best is own else [own, best]:
-        found.append(start[1])
-        solution = least_squares(
-            placement_residual,
-            jnp.asarray(start[1], task.widths.dtype),
-            task,
-            lower=lower / widths,
-            upper=upper / widths,
-            held=_held(task),
-            solver=LevenbergMarquardt(max_steps=max_steps),
-        )
-        found.append(np.asarray(solution.x, np.float64))
+    for _, start in [own] if best is own else [own, best]:
+        found.append(start)
+        if problem.evaluate(start) is not None:
+            solution = least_squares(
+                problem,
+                start,
+                LevenbergMarquardt(max_steps=max_steps, share=_SETTLED),
+                lower=lower / widths,
+                upper=upper / widths,
+            )
+            found.append(solution.x)
     return [unit * widths for unit in found]
 
 

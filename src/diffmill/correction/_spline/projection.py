@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..._types import FloatRows, RealScalarLike
-from .._dense_quadratic import solve_dense_quadratic
+from ...optimise import solve_quadratic_program
 from .._limited_quadratic import Bounds, QuadraticNotSolved, feasible_share
 from .command_limits import AbstractLimits
 from .spline_offsets import SplineOffsets, adjoint_offsets
@@ -51,7 +51,7 @@ def project(
     box = np.full(gradient.shape, bound)
     kinds = [Bounds.of_box(-box, box)]
     kinds += [Bounds.hard(limit.lower, limit.upper) for limit in limits]
-    found = solve_dense_quadratic(
+    found = solve_quadratic_program(
         sparse.kron(_symmetric(spline.normal_band()), sparse.eye_array(axes)),
         gradient.reshape(-1),
         sparse.vstack(

@@ -15,8 +15,15 @@ from jaxtyping import Float
 
 from ..._job import Job
 from ..._result import RESULTS, SimulationFailed
+from ...optimise import (
+    AbstractProblem,
+    LeastSquaresState,
+    LevenbergMarquardt,
+    QuadraticModel,
+    least_squares,
+)
 from ...sim import parameter_names, with_precision
-from .._statistics.levenberg_marquardt import SteppedFit, fit_steps
+from .._statistics.record_model import record_model, record_solver
 from .._statistics.robust_regression import (
     LinearFit,
     Loss,
@@ -160,31 +167,28 @@ def fit_coupled(
     job = with_precision(job)
     record = _record(job, force, deviation, time)
     names = fitted_names(job, fit, force is not None)
-    problem = _Problem(job, record, names, has_offset, has_time_shift)
-    first = problem.simulated(np.zeros(len(names)))
+    start = np.zeros(len(names) + 3 * has_offset + has_time_shift)
+    problem = _Problem(job, record, names, has_offset, has_time_shift, start, loss)
+    first = problem.simulated(start)
     if first.result != RESULTS.successful:
         raise SimulationFailed(RESULTS[first.result])
-    start = np.zeros(len(names) + 3 * has_offset + has_time_shift)
     begun = problem.rows(first, start)
     if not any(np.isfinite(part.force).any() for part in begun):
         raise ValueError(
             "Argument `time` must meet the path, from 0 to "
             f"{float(job.path.time[-1]):g} s, with something measured, but does not."
         )
-    count = len(names)
-    found = fit_steps(problem.tried, start, begun, count, loss, max_steps)
-    if problem.share(found.fit, found.x) < EXPLAINED:
+    solver = record_solver(problem.is_log, max_steps)
+    state = LeastSquaresState(start, begun, solver.damping)
+    found = least_squares(problem, start, solver, state=state)
+    if problem.share(found.value, found.x) < EXPLAINED:
         # Far from the truth all slopes are small, and ringing has minima of its own.
-        x, rows, tried = _better_start(problem, start, begun, loss)
-        other = fit_steps(problem.tried, x, rows, count, loss, max_steps)
-        spent = found.simulations + tried + other.simulations
-        found = max(found, other, key=lambda one: problem.share(one.fit, one.x))
-        found = dataclasses.replace(found, simulations=spent)
+        found = _other_start(problem, solver, state, found)
     kept = () if fit is not None else kept_note(job, force is not None)
-    return _report(problem, found, loss, max_relative_error, kept)
+    return _report(problem, found, max_relative_error, kept)
 
 
-class _Problem(eqx.Module):
+class _Problem(AbstractProblem):
     """The equations of a record at any unknowns."""
 
     job: Job
@@ -192,12 +196,19 @@ class _Problem(eqx.Module):
     names: tuple[str, ...] = eqx.field(static=True)
     has_offset: bool = eqx.field(static=True)
     has_time_shift: bool = eqx.field(static=True)
+    start: np.ndarray
+    loss: Loss = eqx.field(static=True)
 
-    def simulated(self, log_scale: np.ndarray) -> Modelled:
+    @property
+    def is_log(self) -> np.ndarray:
+        """Which unknowns are logarithms of parameters: the first."""
+        return np.arange(len(self.start)) < len(self.names)
+
+    def simulated(self, x: np.ndarray) -> Modelled:
         """Return the simulation."""
         everything = parameter_names(self.job)
         places = tuple(everything.index(name) for name in self.names)
-        return modelled(self.job, places, log_scale)
+        return modelled(self.job, places, x[: len(places)])
 
     def parts(self, x: np.ndarray) -> tuple[np.ndarray | None, float | None]:
         """Return offset and time shift among the unknowns."""
@@ -211,45 +222,58 @@ class _Problem(eqx.Module):
         turn = period * self.job.cutter.flute_count
         return coupled_rows(self.record, model, period, turn, *self.parts(x))
 
-    def tried(self, x: np.ndarray) -> list[Rows] | None:
+    def evaluate(self, x: np.ndarray) -> list[Rows] | None:
         """Return the equations at some unknowns, None where the run fails."""
-        model = self.simulated(x[: len(self.names)])
-        if model.result != RESULTS.successful:
-            return None
-        return self.rows(model, x)
+        model = self.simulated(x)
+        return None if model.result != RESULTS.successful else self.rows(model, x)
 
-    def share(self, fit: LinearFit, x: np.ndarray) -> float:
+    def model(self, x: np.ndarray, value: list[Rows]) -> QuadraticModel:
+        """Return the model of the robust cost."""
+        return record_model(value, x, self.start, self.is_log, self.loss)
+
+    def fit(self, rows: list[Rows]) -> LinearFit:
+        """Return weights, spreads and residuals of some equations."""
+        return weigh(rows, np.zeros(len(self.start)), self.loss)
+
+    def share(self, rows: list[Rows], x: np.ndarray) -> float:
         """Return the smallest share of the squares that some unknowns explain."""
         offset, _ = self.parts(x)
-        measured = {"force": self.record.force, "deviation": self.record.deviation}
-        return min(explained_by(measured, fit, offset)[0].values())
+        return min(explained_by(self.measured, self.fit(rows), offset)[0].values())
+
+    @property
+    def measured(self) -> dict[str, np.ndarray | None]:
+        """What was measured, by name."""
+        return {"force": self.record.force, "deviation": self.record.deviation}
 
 
-def _better_start(
-    problem: _Problem, start: np.ndarray, begun: list[Rows], loss: Loss
-) -> tuple[np.ndarray, list[Rows], int]:
-    """Return the best of arms that are softer or stiffer as a whole.
+def _other_start(
+    problem: _Problem,
+    solver: LevenbergMarquardt,
+    first: LeastSquaresState,
+    found: LeastSquaresState,
+) -> LeastSquaresState:
+    """Return a fit from an arm that is softer or stiffer as a whole, if it is better.
 
-    Returns:
-        The unknowns, their equations, and how many simulations were run.
+    Its evaluations are those of everything tried.
     """
     is_stiffness, is_damping = (
         np.array([name.startswith(word) for name in problem.names])
         for word in ("K ", "D ")
     )
-    best, rows = start, begun
-    most = problem.share(weigh(begun, np.zeros(len(start)), loss), start)
+    best = first
     for scale in _SCALES:
-        x = start.copy()
+        x = problem.start.copy()
         # The damping ratio stays.
         x[: len(problem.names)] += math.log(scale) * (is_stiffness + 0.5 * is_damping)
-        found = problem.tried(x)
-        if found is None:
-            continue
-        share = problem.share(weigh(found, np.zeros(len(x)), loss), x)
-        if share > most:
-            best, rows, most = x, found, share
-    return best, rows, len(_SCALES)
+        rows = problem.evaluate(x)
+        if rows is not None and problem.share(rows, x) > problem.share(
+            best.value, best.x
+        ):
+            best = LeastSquaresState(x, rows, solver.damping)
+    other = least_squares(problem, best.x, solver, state=best)
+    spent = found.evaluations + len(_SCALES) + other.evaluations
+    better = max(found, other, key=lambda one: problem.share(one.value, one.x))
+    return dataclasses.replace(better, evaluations=spent)
 
 
 def _record(
@@ -280,25 +304,21 @@ def _record(
 
 def _report(
     problem: _Problem,
-    found: SteppedFit,
-    loss: Loss,
+    found: LeastSquaresState,
     max_relative_error: float,
     kept: tuple[str, ...],
 ) -> CoupledFit:
     """Return the fit with its errors, by name."""
     names, count = problem.names, len(problem.names)
-    C = covariance(found.rows, found.fit, loss)
+    fit = problem.fit(found.value)
+    C = covariance(found.value, fit, problem.loss)
     errors, logs = np.sqrt(np.diagonal(C)), found.x[:count]
     is_fixed = errors[:count] <= max_relative_error
     given = parameter_values(problem.job)
     values = np.array([given[name] for name in names]) * np.exp(logs)
     correlation = correlation_of(C)[:count, :count]
     offset, shift = problem.parts(found.x)
-    measured = {
-        "force": problem.record.force,
-        "deviation": problem.record.deviation,
-    }
-    explained, left = explained_by(measured, found.fit, offset)
+    explained, left = explained_by(problem.measured, fit, offset)
     return CoupledFit(
         parameters=_by_name(names, np.where(is_fixed, values, math.nan)),
         standard_errors=_by_name(names, values * errors[:count]),
@@ -308,12 +328,12 @@ def _report(
         log_scale=logs,
         explained=explained,
         residual_rms=left,
-        residual=dict(zip(explained, found.fit.residual, strict=True)),
+        residual=dict(zip(explained, fit.residual, strict=True)),
         offset=offset,
         time_shift=shift or 0.0,
         time_shift_error=0.0 if shift is None else float(errors[-1]),
         has_converged=found.has_converged,
-        simulations=found.simulations,
+        simulations=found.evaluations,
         is_explained=min(explained.values()) >= EXPLAINED,
         notes=(
             *kept,

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Bool, Float
 
-from .._statistics.levenberg_marquardt import SteppedFit
+from ...optimise import LeastSquaresState
 from .._statistics.robust_regression import LinearFit
 
 # Parameters are confused with each other from this correlation on.
@@ -46,7 +46,7 @@ def coupled_notes(
     is_fixed: Bool[np.ndarray, " parameter"],
     correlation: Float[np.ndarray, "parameter parameter"],
     explained: dict[str, float],
-    found: SteppedFit,
+    found: LeastSquaresState,
 ) -> tuple[str, ...]:
     """Say what the numbers alone do not.
 
@@ -65,7 +65,7 @@ def coupled_notes(
     notes = []
     if not found.has_converged:
         notes.append(
-            f"The fit has not converged after {found.simulations} simulations: "
+            f"The fit has not converged after {found.evaluations} simulations: "
             "start nearer, or fit fewer parameters."
         )
     for name, share in explained.items():

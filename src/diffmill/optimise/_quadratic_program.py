@@ -1,4 +1,4 @@
-"""Convex quadratic programs whose matrices are there, by an interior-point method.
+"""Convex quadratic programs with dense matrices, by an interior-point method.
 
     minimise  x.P x / 2 + c.x + sum_j w_j^2 s_j^2 / 2
     subject to  lower - s <= L x <= upper + s
@@ -18,7 +18,7 @@ from jaxtyping import Float
 _SOLVED = ("Solved", "AlmostSolved")
 
 
-class DenseSolution(NamedTuple):
+class QuadraticProgramSolution(NamedTuple):
     """Minimiser of a quadratic program.
 
     Attributes:
@@ -30,14 +30,14 @@ class DenseSolution(NamedTuple):
     push: Float[np.ndarray, " row"]
 
 
-def solve_dense_quadratic(
+def solve_quadratic_program(
     P: Any,
     c: Float[np.ndarray, " unknown"],
     rows: Any,
     lower: Float[np.ndarray, " row"],
     upper: Float[np.ndarray, " row"],
     weight: Float[np.ndarray, " row"] | None = None,
-) -> DenseSolution | None:
+) -> QuadraticProgramSolution | None:
     """Minimise a convex quadratic function within bounds of linear rows.
 
     Args:
@@ -89,4 +89,4 @@ def solve_dense_quadratic(
     push = np.zeros(L.shape[0])
     push[over] += z[: over.size]
     push[under] -= z[over.size :]
-    return DenseSolution(x, push)
+    return QuadraticProgramSolution(x, push)
