@@ -69,7 +69,8 @@ def test_records_of_an_independent_program_give_the_coefficients():
     # Nothing to advise: only what material it may be.
     assert ["as published of" in note for note in fit.notes] == [True]
     assert fit.time_shift == (0.0, 0.0)
-    assert max(fit.left_out_rms) < 0.03
+    left_out = identification.cross_validate(fit)
+    assert max(part.error for part in left_out) < 0.03
 
 
 def test_noise_a_time_shift_and_turned_axes():

@@ -5,14 +5,12 @@ import pytest
 
 from diffmill.identification import (
     Record,
-    align,
     angle_from_tacho,
     find_cuts,
     find_saturated,
     refine_spindle_speed,
     remove_drift,
     remove_offset,
-    section,
 )
 
 RATE, SPEED = 5e3, 2 * np.pi * 50.0
@@ -128,49 +126,17 @@ def test_the_tacho_gives_the_angle():
         angle_from_tacho(record_of(time, record.force, tacho=0.0 * time))
 
 
-@pytest.mark.parametrize("shift", [0.0, 0.00313, 0.0171])
-def test_the_force_itself_gives_the_shift(shift):
-    time = 1.0 + np.arange(1500) / RATE
-    random = np.random.default_rng(2)
-    force = turn_force(SPEED * (time - shift)) + LEVEL[None]
-    force += 5.0 * random.normal(size=force.shape)
-    simulated = turn_force(2 * np.pi * np.arange(180) / 180)
-    found = align(record_of(time, force), simulated, SPEED)
-    turn = 2 * np.pi / SPEED
-    error = (found.shift - shift + turn / 2) % turn - turn / 2
-    # A hundredth of a sample.
-    assert abs(error) < 0.02 / RATE
-    assert 0.98 < found.quality <= 1.0
-    assert found.runner_up < 0.95
-
-
 def test_a_force_that_was_not_measured_stays_so():
     time = np.arange(1500) / RATE
     force = turn_force(SPEED * (time - 0.00313))
     force[:, 0] = 0.0
     record = record_of(time, force, is_measured=(False, True, True))
-    simulated = turn_force(2 * np.pi * np.arange(180) / 180)
-    # What nobody recorded is no disagreement.
-    assert align(record, simulated, SPEED).quality > 0.999
     other = remove_offset(record, 0.0, 0.1)
     assert other.is_measured == record.is_measured and not other.force[:, 0].any()
     with pytest.raises(ValueError, match="must be zero where not measured"):
         record_of(time, force, is_measured=(True, True, False))
     with pytest.raises(ValueError, match="must name a force"):
         record_of(time, 0.0 * force, is_measured=(False,) * 3)
-
-
-def test_equal_teeth_leave_the_turn_open():
-    time = np.arange(1000) / RATE
-    force = np.cos(2 * SPEED * time)[:, None] * AMPLITUDE[None]
-    angles = 2 * np.pi * np.arange(180) / 180
-    simulated = np.cos(2 * angles)[:, None] * AMPLITUDE[None]
-    found = align(record_of(time, force), simulated, SPEED)
-    assert found.runner_up == pytest.approx(found.quality, abs=1e-6)
-    with pytest.raises(ValueError, match="one turn"):
-        align(section(record_of(time, force), 0.0, 0.01), simulated, SPEED)
-    with pytest.raises(ValueError, match="must vary"):
-        align(record_of(time, force), 0.0 * simulated, SPEED)
 
 
 @pytest.mark.parametrize("off", [-0.008, 0.003])

@@ -186,7 +186,7 @@ def test_axes_exchanged_in_the_tool_are_told_in_its_axes(with_rotations):
     force = np.einsum("pij,pj->pi", M, wrench[:, :3])
     moment = -np.einsum("pij,pj->pi", M, wrench[:, 3:])
     other = np.hstack([force, moment])
-    fit = identification.fit_joint_stiffness(robot, q, other, d, frames=(R, None))
+    fit = identification.fit_joint_stiffness(robot, q, other, d, load_frame=R)
     assert "the load read as (z, -x, y)" in " ".join(fit.notes)
     assert not fit.is_consistent
 

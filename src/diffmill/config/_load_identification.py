@@ -57,8 +57,6 @@ def load_identification(
     Raises:
         JobError: If anything is wrong with the file or with a measurement. All is
             listed at once.
-
-    **Differentiability**: not applicable, a host function.
     """
     path = pathlib.Path(file)
     _, raw = read_toml(path)

@@ -69,7 +69,7 @@ from ._record.preprocessing import (
 )
 from ._record.record import Record as Record
 from ._record.saturation import find_saturated as find_saturated
-from ._record.spindle_angle import align as align, angle_from_tacho as angle_from_tacho
+from ._record.spindle_angle import angle_from_tacho as angle_from_tacho
 from ._record.spindle_harmonics import refine_spindle_speed as refine_spindle_speed
 from ._stiffness.experiment_design import suggest_load_tests as suggest_load_tests
 from ._stiffness.joint_stiffness import (

@@ -56,8 +56,6 @@ def fingerprint(tree: Any) -> str:
 
     Raises:
         TypeError: Something in it has no bytes that stand for it.
-
-    Differentiability: none, a host function.
     """
     digest = hashlib.sha256()
     _feed(digest, tree)
@@ -76,8 +74,6 @@ def write_checkpoint(
 
     Raises:
         OSError: The file cannot be written; the earlier ones are as they were.
-
-    Differentiability: none, a host function.
     """
     target = pathlib.Path(path)
     temporary = target.with_name(target.name + ".writing")
@@ -108,8 +104,6 @@ def read_checkpoint(
         DamagedCheckpoint: The file is not whole.
         CheckpointError: It is of another job, format or version of the programs.
         OSError: It cannot be read.
-
-    Differentiability: none, a host function.
     """
     arrays = _arrays_of(pathlib.Path(path))
     made_by, job = str(arrays.pop(_MADE_BY)), str(arrays.pop(_JOB))
@@ -142,8 +136,6 @@ def latest_checkpoint(
     Raises:
         DamagedCheckpoint: There are checkpoints, but none is whole.
         CheckpointError: It is of another job, format or version of the programs.
-
-    Differentiability: none, a host function.
     """
     notes: list[str] = []
     for file in (pathlib.Path(path), previous_checkpoint(path)):

@@ -23,8 +23,6 @@ def parse_pose(text: str, robot: Robot) -> Float[np.ndarray, " joint"]:
     Raises:
         ValueError: If the count, a quantity or its unit is wrong, or a position is
             beyond the joint's limits; the message names all that is wrong.
-
-    Differentiability: not applicable, it reads text.
     """
     parts = [part.strip() for part in text.split(",")]
     joints = range(robot.joint_count)

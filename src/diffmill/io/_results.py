@@ -93,8 +93,6 @@ def write_results(
 
     Raises:
         ResultsError: If the folder is not empty, or cannot be written to.
-
-    Differentiability: not applicable, a host function.
     """
 
     def fill_all(folder: pathlib.Path) -> None:
@@ -128,8 +126,6 @@ def write_folder(
 
     Raises:
         ResultsError: If the folder is not empty, or cannot be written to.
-
-    Differentiability: not applicable, a host function.
     """
     check_folder(out, force=force)
     folder = pathlib.Path(os.path.realpath(out))
@@ -150,8 +146,6 @@ def extend_results(
 
     Raises:
         OSError: The files cannot be written.
-
-    Differentiability: not applicable, a host function.
     """
     folder = pathlib.Path(os.path.realpath(out))
     with _filled(folder, fill) as temporary:

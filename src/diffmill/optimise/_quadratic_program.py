@@ -50,8 +50,6 @@ def solve_quadratic_program(
 
     Returns:
         The solution, to about eight digits; None if the solver finds none.
-
-    **Differentiability**: none, a host function.
     """
     from scipy import sparse
 

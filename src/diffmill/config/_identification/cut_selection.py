@@ -86,7 +86,8 @@ def _cuts_text(cuts: list[CutSpan]) -> str:
 def tared(
     record: Record,
     table: RecordTable,
-    found: tuple[list[CutSpan], CutSpan],
+    cuts: list[CutSpan],
+    span: CutSpan,
     tooth: float,
     notes: list[str],
 ) -> Record:
@@ -100,7 +101,6 @@ def tared(
                 record, before, (table.tare_after[0], table.tare_after[1])
             )
         return remove_offset(record, *before)
-    cuts, span = found
     before, after = _quiet(record, cuts, span, tooth)
     if before is not None and after is not None:
         notes.append(

@@ -91,7 +91,7 @@ def _ready(
     if span is None:
         return None
     try:
-        quiet = tared(record, table, (cuts if are_found else [], span), tooth, notes)
+        quiet = tared(record, table, cuts if are_found else [], span, tooth, notes)
         start, stop = engaged(process, table, span, record, notes)
         used = section(quiet, start, stop)
     except ValueError as error:

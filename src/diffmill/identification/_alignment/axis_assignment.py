@@ -8,6 +8,7 @@ are shared. For each of the six permutations, physics decides which signs make s
 """
 
 import itertools
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -59,8 +60,6 @@ def propose_axes(
     Raises:
         ValueError: If shapes disagree, the force is zero, or the record is not longer
             than four times `max_shift`.
-
-    Differentiability: none.
     """
     force, columns = np.asarray(force, np.float64), np.asarray(columns, np.float64)
     lags = int(np.ceil(max_shift * rate))
@@ -91,24 +90,33 @@ def propose_axes(
         solutions = assigned @ inverse
         power = np.sum(force[inside] ** 2)
         rest = 1.0 - np.einsum("lc,lc->l", assigned, solutions) / power
-        residual = np.sqrt(np.clip(rest, 0.0, None))
-        score = residual + _penalty(solutions)
+        score = np.sqrt(np.clip(rest, 0.0, None)) + _penalty(solutions)
         best = int(np.argmin(score))
-        found.append((float(score[best]), best - lags, matrix))
-    found.sort(key=lambda item: item[0])
-    candidates = tuple(
-        _candidate(
-            force,
-            unit * _seen(matrix, is_measured)[None, :, None],
-            scale,
-            (matrix, _seen(matrix, is_measured)),
-            (lag, lags),
-            rate,
-            tooth_frequency,
+        found.append(_Assignment(float(score[best]), matrix, seen, best - lags))
+    found.sort(key=lambda one: one.score)
+    turn = None if tooth_frequency is None else 2 * np.pi * tooth_frequency / rate
+    candidates = []
+    for one in found:
+        basis = unit[inside.start - one.lag : inside.stop - one.lag] * one.seen[:, None]
+        candidates.append(_candidate(one, force[inside], basis, turn))
+    return proposal_of(
+        tuple(
+            one._replace(
+                coefficients=one.coefficients / np.where(scale > 0, scale, np.inf),
+                time_shift=one.time_shift / rate,
+            )
+            for one in candidates
         )
-        for _, lag, matrix in found
     )
-    return proposal_of(candidates)
+
+
+class _Assignment(NamedTuple):
+    """A signed permutation at the time shift, in samples, with the least score."""
+
+    score: float
+    matrix: Float[np.ndarray, "3 3"]
+    seen: Bool[np.ndarray, " axis"]
+    lag: int
 
 
 def signed_permutations() -> list[Float[np.ndarray, "3 3"]]:
@@ -181,27 +189,26 @@ def _is_odd(
 
 
 def _candidate(
+    one: _Assignment,
     force: Float[np.ndarray, "sample 3"],
-    unit: Float[np.ndarray, "sample 3 6"],
-    scale: Float[np.ndarray, " coefficient"],
-    assignment: tuple[Float[np.ndarray, "3 3"], Bool[np.ndarray, " axis"]],
-    shift: tuple[int, int],
-    rate: float,
-    tooth_frequency: float | None,
+    basis: Float[np.ndarray, "sample 3 6"],
+    turn: float | None,
 ) -> AxesCandidate:
-    """Return one assignment with its evidence, fitted anew at its time shift."""
-    (matrix, seen), (lag, lags) = assignment, shift
-    count = force.shape[0]
-    recorded = force[lags : count - lags] @ matrix.T
-    basis = unit[lags - lag : count - lags - lag]
+    """Return one assignment with its evidence, fitted anew at its time shift.
+
+    Its coefficients are those of the basis and its shift is in samples; `turn` is the
+    angle of the tooth passing per sample [rad].
+    """
+    matrix, seen = one.matrix, one.seen
+    recorded = force @ matrix.T
     gram = np.einsum("tac,tad->cd", basis, basis)
     right = np.einsum("ta,tac->c", recorded, basis)
     solution = np.linalg.pinv(gram, rcond=1e-9, hermitian=True) @ right
     fitted = basis @ solution
     residual = float(np.linalg.norm(recorded - fitted) / np.linalg.norm(recorded))
     phase = np.full(3, np.nan)
-    if tooth_frequency is not None:
-        turns = np.exp(-2j * np.pi * tooth_frequency / rate * np.arange(len(fitted)))
+    if turn is not None:
+        turns = np.exp(-1j * turn * np.arange(len(fitted)))
         phase = np.angle((turns @ recorded) * np.conj(turns @ fitted))
         phase = np.where(seen, phase, np.nan)
     tests = [bool(test[0]) for test in _violated(solution[None])]
@@ -212,12 +219,12 @@ def _candidate(
         is_mirrored=bool(np.linalg.det(matrix) < 0),
         score=residual + float(_penalty(solution[None])[0]),
         residual=residual,
-        coefficients=solution / np.where(scale > 0, scale, np.inf),
+        coefficients=solution,
         radial_ratio=float(total[1] / total[0]) if total[0] else float("nan"),
         violations=tuple(
             t for t, is_so in zip(_PENALTIES, tests, strict=True) if is_so
         ),
-        time_shift=lag / rate,
+        time_shift=float(one.lag),
         phase_error=phase,
         mean_recorded=np.where(seen, recorded.mean(axis=0), np.nan),
         mean_fitted=fitted.mean(axis=0),

@@ -79,8 +79,6 @@ def combine_axes_proposals(proposals: Sequence[AxesProposal]) -> AxesProposal:
 
     Raises:
         ValueError: There are none.
-
-    **Differentiability**: runs on the host.
     """
     if not proposals:
         raise ValueError("Argument `proposals` must hold at least one, but is empty.")
@@ -102,8 +100,6 @@ def axes_label(matrix: Float[np.ndarray, "3 3"]) -> str:
 
     Args:
         matrix: Turns recorded into simulated forces, shape (3, 3).
-
-    **Differentiability**: runs on the host.
     """
     parts = []
     for axis, row in zip(_AXES, matrix, strict=True):
@@ -117,8 +113,6 @@ def proposal_of(candidates: tuple[AxesCandidate, ...]) -> AxesProposal:
 
     Args:
         candidates: All 48, in any order.
-
-    **Differentiability**: runs on the host.
     """
     ranked = tuple(sorted(candidates, key=lambda candidate: candidate.score))
     best = ranked[0]

@@ -222,8 +222,6 @@ def register_on_job(
     Raises:
         ValueError: The record does not meet the cut.
         SimulationFailed: The cut could not be simulated.
-
-    **Differentiability**: runs on the host.
     """
     cut = cut_of(job)
     found = engagement_columns(cut)

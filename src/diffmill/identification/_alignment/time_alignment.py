@@ -50,8 +50,6 @@ def align_in_time(
 
     Raises:
         ValueError: The simulated tool never cuts, or the record rests at zero.
-
-    **Differentiability**: runs on the host.
     """
     modelled = np.linalg.norm(found.columns @ coefficients + found.constant, axis=1)
     is_cut = modelled > _CUTS * modelled.max(initial=0.0)

@@ -155,8 +155,6 @@ def fit_coupled(
     Raises:
         ValueError: No robot, nothing measured, wrong shapes or names.
         SimulationFailed: The job with its own parameters cannot be simulated.
-
-    **Differentiability**: runs on the host.
     """
     if job.robot is None:
         raise ValueError("Argument `job` must have a robot, but its machine is rigid.")

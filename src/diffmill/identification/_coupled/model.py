@@ -78,8 +78,6 @@ def modelled(
 
     Returns:
         Forces and deviations with their derivatives.
-
-    **Differentiability**: runs on the host.
     """
     dtype = jnp.dtype(job.simulation.precision)
     slopes, (rows, result) = _run(job, places, jnp.asarray(log_scale, dtype))
@@ -117,8 +115,6 @@ def parameter_values(job: Job) -> dict[str, float]:
 
     Returns:
         Values in SI; of coefficients that differ from tooth to tooth the mean.
-
-    **Differentiability**: runs on the host.
     """
     assert job.robot is not None
     names = parameter_names(job)[:-1]
@@ -174,8 +170,6 @@ def coupled_rows(
         One for the force, one for the deviation, as far as they were measured; the
         `force` of each is measured minus modelled. Instants outside of the path count
         as not measured.
-
-    **Differentiability**: runs on the host.
     """
     when = record.time + (shift or 0.0)
     last = step * (len(model.force) - 1)
@@ -220,8 +214,6 @@ def mean_over_period(
     Returns:
         The mean of straight lines between the instants [N], shape (row, 3); NaN in
         the first period, and where a force within the period is missing.
-
-    **Differentiability**: runs on the host.
     """
     when, seen = np.array(time, np.float64), np.array(force, np.float64)
     width, rise = np.diff(when)[:, None], np.diff(seen, axis=0)

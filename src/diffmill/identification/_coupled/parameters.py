@@ -25,8 +25,6 @@ def fitted_names(
 
     Raises:
         ValueError: A name does not exist, or its value gives no start.
-
-    **Differentiability**: runs on the host.
     """
     values = parameter_values(job)
     if fit is None:
@@ -69,8 +67,6 @@ def kept_note(job: Job, has_force: bool) -> tuple[str, ...]:
 
     Returns:
         A sentence, or none.
-
-    **Differentiability**: runs on the host.
     """
     values = parameter_values(job)
     kept = [

@@ -26,8 +26,6 @@ def explained_by(
 
     Returns:
         Shares by name, and root mean squares of the residual.
-
-    **Differentiability**: runs on the host.
     """
     seen = {name: rows for name, rows in measured.items() if rows is not None}
     explained, left = {}, {}
@@ -59,8 +57,6 @@ def coupled_notes(
 
     Returns:
         Sentences, none if all is well.
-
-    **Differentiability**: runs on the host.
     """
     notes = []
     if not found.has_converged:

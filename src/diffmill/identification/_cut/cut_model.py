@@ -98,8 +98,6 @@ def cut_of(process_or_job: Cut | Job) -> Cut:
 
     Raises:
         ValueError: It is neither.
-
-    **Differentiability**: runs on the host.
     """
     if isinstance(process_or_job, Job):
         job = with_precision(process_or_job)
@@ -135,8 +133,6 @@ def with_plan(cut: Cut, cutter: AbstractCutter | None = None) -> Cut:
 
     Returns:
         The cut with a plan.
-
-    **Differentiability**: runs on the host.
     """
     cutter = cut.cutter if cutter is None else cutter
     # Plain cutters take a quicker program, which looks at some teeth only.
@@ -262,8 +258,6 @@ def at_times(
 
     Returns:
         Values, shape (row, ...).
-
-    **Differentiability**: runs on the host.
     """
     place = np.clip((time - start) / spacing, 0.0, len(values) - 1)
     first = np.minimum(place.astype(np.int64), len(values) - 2)

@@ -92,8 +92,6 @@ def immersion(
 
     Raises:
         ValueError: A radial depth that no such cut has.
-
-    **Differentiability**: runs on the host.
     """
     _check(1.0, 1.0, radial_depth, side, diameter / 2)
     if radial_depth is None:

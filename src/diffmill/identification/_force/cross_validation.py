@@ -45,8 +45,6 @@ def cross_validate(fit: ForceCoefficientFit) -> tuple[CrossValidation, ...]:
 
     Returns:
         One part per record.
-
-    **Differentiability**: runs on the host.
     """
     rows = [equations(one, ()) for one in fit.records]
     spread = _spread(rows, fit)

@@ -71,8 +71,6 @@ def refine_records(
 
     Raises:
         SimulationFailed: The cut could not be simulated.
-
-    **Differentiability**: runs on the host.
     """
     names = _names(refine)
     x = _start(records[0].cut.cutter, names)

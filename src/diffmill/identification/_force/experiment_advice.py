@@ -25,8 +25,6 @@ def advise(
 
     Returns:
         Sentences, none if all are fixed.
-
-    **Differentiability**: runs on the host.
     """
     notes = []
     for i in np.flatnonzero(~is_fixed):

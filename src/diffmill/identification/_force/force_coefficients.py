@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -20,7 +21,6 @@ from .._statistics.robust_regression import (
     correlation_of,
     covariance,
     fit_rows,
-    solve,
     solve_normal,
 )
 from .cutter_geometry import REFINABLE, Refined, refine_records
@@ -73,8 +73,6 @@ class ForceCoefficientFit(eqx.Module):
         axes: Which recorded force is which force of the work, with its sign.
         time_shift: Time of each cut minus time of its record [s].
         time_shift_errors: Standard errors [s]; 0 where the shift was given.
-        left_out_rms: Per record: residual over force, both root mean squares, if the
-            coefficients come from the other records alone; empty for one record.
         refined: What else was fitted, by name: `runout_x`, `runout_y` (offset of the
             cutter towards tooth 0 and a quarter turn on), `radius` [m]; NaN if not
             identifiable.
@@ -98,7 +96,6 @@ class ForceCoefficientFit(eqx.Module):
     axes: Axes = eqx.field(static=True)
     time_shift: tuple[float, ...]
     time_shift_errors: tuple[float, ...]
-    left_out_rms: tuple[float, ...]
     refined: dict[str, float]
     refined_errors: dict[str, float]
     diagnoses: tuple[Diagnosis, ...]
@@ -128,8 +125,6 @@ class ForceCoefficientFit(eqx.Module):
 
         Raises:
             ValueError: A coefficient is neither identifiable nor given, or none.
-
-        **Differentiability**: runs on the host.
         """
         strange = sorted(set(known) - set(NAMES))
         if strange:
@@ -189,8 +184,6 @@ def fit_force_coefficients(
     Raises:
         ValueError: Wrong shapes, names or times, or the record does not meet the cut.
         SimulationFailed: The cut could not be simulated.
-
-    **Differentiability**: runs on the host.
     """
     _check_names(axes, loss, refine)
     records = measured_records(process_or_job, time, force, axes, time_shift, lowpass)
@@ -200,13 +193,21 @@ def fit_force_coefficients(
     refined = Refined({}, records, [None] * len(records))
     if refine:
         refined = refine_records(records, tuple(refine), is_sought, loss)
-    records, rows, fit = _settle(refined, is_sought, loss)
-    return _report(records, rows, fit, refined, (axes, loss, is_sought))
+    found = _settle(refined, is_sought, loss)
+    return _report(found, refined, axes)
 
 
-def _settle(
-    refined: Refined, is_sought: bool, loss: Loss
-) -> tuple[list[Measured], list[Rows], LinearFit]:
+class _Settled(NamedTuple):
+    """Linear form of all records with its fit, their time shifts at rest."""
+
+    records: list[Measured]
+    rows: list[Rows]
+    fit: LinearFit
+    is_sought: bool
+    loss: Loss
+
+
+def _settle(refined: Refined, is_sought: bool, loss: Loss) -> _Settled:
     """Fit everything in linear form, and move the time shifts until they rest."""
     records = refined.records
     # Only the slope of the force takes these: gross errors hardly matter.
@@ -230,19 +231,13 @@ def _settle(
             for one, step in zip(records, steps, strict=True)
         ]
     assert fit is not None
-    return records, rows, fit
+    return _Settled(records, rows, fit, is_sought, loss)
 
 
-def _report(
-    records: list[Measured],
-    rows: list[Rows],
-    fit: LinearFit,
-    refined: Refined,
-    choice: tuple[Axes, Loss, bool],
-) -> ForceCoefficientFit:
+def _report(found: _Settled, refined: Refined, axes: Axes) -> ForceCoefficientFit:
     """Return the fit with its errors, by name."""
-    axes, loss, is_sought = choice
-    C = covariance(rows, fit, loss)
+    records, rows, fit = found.records, found.rows, found.fit
+    C = covariance(rows, fit, found.loss)
     K, errors = fit.x[:6], np.sqrt(np.diagonal(C))
     known = [np.isfinite(one.force) for one in rows]
     seen = np.concatenate([k.reshape(-1) for k in known])
@@ -274,9 +269,8 @@ def _report(
         axes=axes,
         time_shift=tuple(one.shift for one in records),
         time_shift_errors=tuple(
-            errors[-count:].tolist() if is_sought else [0.0] * count
+            errors[-count:].tolist() if found.is_sought else [0.0] * count
         ),
-        left_out_rms=_left_out(rows, fit),
         refined={
             n: float(v) if ok else math.nan
             for n, v, ok in zip(names, lengths, is_told, strict=True)
@@ -436,20 +430,6 @@ def _sizes(rows: list[Rows], known: list[np.ndarray]) -> np.ndarray:
         for one, k in zip(rows, known, strict=True)
     )
     return np.sqrt(np.asarray(square) / max(1, sum(int(k.sum()) for k in known)))
-
-
-def _left_out(rows: list[Rows], fit: LinearFit) -> tuple[float, ...]:
-    """Return how badly every record is predicted by the others."""
-    if len(rows) < 2:
-        return ()
-    result = []
-    for i, one in enumerate(rows):
-        others = [j for j in range(len(rows)) if j != i]
-        x = solve([rows[j] for j in others], [fit.weights[j] for j in others])
-        # Its own time shift, the last unknowns, is not for the others to say.
-        off = one.force - one.columns @ np.where(x == 0, fit.x, x)
-        result.append(float(np.sqrt(np.nanmean(off**2) / np.nanmean(one.force**2))))
-    return tuple(result)
 
 
 def _check_names(axes: Axes, loss: str, refine: Sequence[str]) -> None:

@@ -70,8 +70,6 @@ def propose_mean_axes(
 
     Raises:
         ValueError: As `fit_mean_forces`.
-
-    **Differentiability**: runs on the host.
     """
     mean = np.array(mean_force, np.float64)
     feeds = np.array(feed_per_tooth, np.float64)
@@ -100,8 +98,6 @@ def axes_of(matrix: Float[np.ndarray, "3 3"]) -> tuple[str, str, str]:
 
     Returns:
         For each axis of the simulation the recorded one, with its sign.
-
-    **Differentiability**: runs on the host.
     """
     names = []
     for row in np.asarray(matrix):

@@ -86,8 +86,6 @@ def fit_mean_forces(
     Raises:
         ValueError: Wrong shapes, fewer than two different feeds, numbers that are not
             finite, or impossible angles or sizes.
-
-    **Differentiability**: runs on the host.
     """
     feeds = np.array(feed_per_tooth, np.float64)
     mean = np.array(mean_force, np.float64)
@@ -147,8 +145,6 @@ def mean_force_matrices(
     Returns:
         Slopes of the mean forces F_x, F_y, F_z per K_tc, K_rc, K_ac [m], and offsets
         per K_te, K_re, K_ae [m], each of shape (3, 3).
-
-    **Differentiability**: runs on the host.
     """
     a, b = entry_angle, exit_angle
     share = teeth * axial_depth / (2 * math.pi)

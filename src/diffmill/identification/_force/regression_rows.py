@@ -71,8 +71,6 @@ def equations(one: Measured, extra: Sequence[np.ndarray]) -> Rows:
 
     Returns:
         The equations; instants outside the cut count as not measured.
-
-    **Differentiability**: runs on the host.
     """
     found = one.engagement
     when = one.time + one.shift
@@ -114,8 +112,6 @@ def filtered(
 
     Raises:
         ValueError: The cut-off is not below half the sampling rate.
-
-    **Differentiability**: runs on the host.
     """
     steps = np.diff(time)
     usual = float(np.median(steps))
@@ -146,8 +142,6 @@ def force_slope(one: Measured, K: np.ndarray) -> Float[np.ndarray, "row 3"]:
 
     Returns:
         dF/dt [N/s], shape (row, 3).
-
-    **Differentiability**: runs on the host.
     """
     found = one.engagement
     modelled = found.columns @ K + found.constant
@@ -172,8 +166,6 @@ def shift_part(
 
     Returns:
         One array of shape (row, 3, record), or nothing.
-
-    **Differentiability**: runs on the host.
     """
     if not is_sought:
         return ()
@@ -195,8 +187,6 @@ def find_shift(one: Measured, shift_range: float | None) -> Measured:
 
     Raises:
         ValueError: The record does not meet the cut for all shifts in the range.
-
-    **Differentiability**: runs on the host.
     """
     from scipy.optimize import minimize_scalar
 
@@ -269,8 +259,6 @@ def measured_records(
 
     Raises:
         ValueError: Wrong shapes, counts or times.
-
-    **Differentiability**: runs on the host.
     """
     cuts: list[Source]
     if isinstance(process_or_job, Sequence) and not isinstance(

@@ -19,8 +19,6 @@ def residual_force(
     Returns:
         Force in `work` axes [N], shape (row, 3); NaN where nothing was measured or
         the record is outside the cut.
-
-    **Differentiability**: runs on the host.
     """
     row = equations(fit.records[record], ())
     return row.force - row.columns @ fit.raw
@@ -42,8 +40,6 @@ def residual_spectrum(
     Returns:
         Frequencies [Hz], shape (frequency,), and amplitudes of sines in `work` axes
         [N], shape (frequency, 3), of the whole record (rectangular window).
-
-    **Differentiability**: runs on the host.
     """
     off = np.nan_to_num(residual_force(fit, record))
     step = float(np.median(np.diff(fit.records[record].time)))

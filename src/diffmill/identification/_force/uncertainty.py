@@ -27,8 +27,6 @@ def relative_uncertainty(
 
     Returns:
         The relative error, infinite if nothing is known.
-
-    **Differentiability**: runs on the host.
     """
     K = np.array([coefficients[name] for name in NAMES])
     error = np.array([standard_errors[name] for name in NAMES])

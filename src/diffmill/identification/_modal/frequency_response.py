@@ -77,8 +77,6 @@ def fit_frequency_response(
 
     Raises:
         ValueError: Wrong shapes or choices, or too few lines or modes.
-
-    **Differentiability**: runs on the host.
     """
     f, H = np.array(frequency, np.float64), np.array(response, np.complex128)
     _check(f, H, modes, frequencies, quantity)

@@ -109,8 +109,6 @@ def mode_model(
 
     Returns:
         The model.
-
-    **Differentiability**: runs on the host.
     """
     omega = 2 * math.pi * frequency
     factors = {"receptance": 1.0, "mobility": 1j * omega, "accelerance": -(omega**2)}

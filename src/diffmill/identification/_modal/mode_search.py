@@ -33,8 +33,6 @@ def search_modes(
     Returns:
         Frequencies [Hz], then damping ratios, shape (2 found,), and how many there are:
         fewer where nothing else is left to be seen.
-
-    **Differentiability**: runs on the host.
     """
     x = np.zeros(0)
     for found in range(count):

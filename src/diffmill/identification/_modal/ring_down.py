@@ -88,8 +88,6 @@ def fit_ring_down(time: Values, signal: Values, frequencies: Values) -> RingDown
 
     Raises:
         ValueError: Wrong shapes, or fewer samples than unknowns.
-
-    **Differentiability**: runs on the host.
     """
     from scipy.optimize import least_squares
 
@@ -160,8 +158,6 @@ def ring_down_frequencies(
 
     Raises:
         ValueError: As `fit_ring_down`.
-
-    **Differentiability**: runs on the host.
     """
     t, y = np.array(time, np.float64), np.array(signal, np.float64)
     step = float(np.median(np.diff(t)))
@@ -200,8 +196,6 @@ def fit_joint_damping(
 
     Raises:
         ValueError: Wrong shapes.
-
-    **Differentiability**: runs on the host.
     """
     poses, ratios = np.array(q, np.float64), np.array(damping_ratios, np.float64)
     joints = robot.joint_count

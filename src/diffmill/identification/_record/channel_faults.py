@@ -45,8 +45,6 @@ def check_channels(
 
     Returns:
         Diagnoses, the one that explains most first.
-
-    **Differentiability**: runs on the host.
     """
     known = np.isfinite(rows.force)
     F = np.where(known, rows.force, 0.0)
@@ -136,8 +134,6 @@ def check_coefficients(K: Float[np.ndarray, " 6"]) -> tuple[Diagnosis, ...]:
 
     Returns:
         Diagnoses.
-
-    **Differentiability**: runs on the host.
     """
     if not K[0] > 0:
         return ()

@@ -41,8 +41,6 @@ def check_clock(
 
     Returns:
         At most one diagnosis.
-
-    **Differentiability**: runs on the host.
     """
     omega = spindle_speed * flute_count
     middle, waves = _windows(time, force, omega, _TURNS * 2 * math.pi / spindle_speed)
@@ -89,8 +87,6 @@ def check_rate(
 
     Returns:
         At most one diagnosis.
-
-    **Differentiability**: runs on the host.
     """
     omega, length = spindle_speed * flute_count, 2 * math.pi / spindle_speed
     middle, waves = _windows(time, force, omega, length)
@@ -161,8 +157,6 @@ def check_teeth(
 
     Returns:
         At most one diagnosis.
-
-    **Differentiability**: runs on the host.
     """
     turn = 2 * math.pi / spindle_speed
     step = float(np.median(np.diff(time)))

@@ -55,8 +55,6 @@ def find_cuts(
         The cuts; their ends are found to a part of the window. If loud and quiet differ
         by less than a factor of four, the parts between such gaps: there is no tare
         section in the record, or no cut.
-
-    Differentiability: none.
     """
     if window is None:
         window = 4.0 / tooth_frequency if tooth_frequency else 0.02

@@ -63,8 +63,6 @@ def section(record: Record, start: float, stop: float) -> Record:
 
     Raises:
         ValueError: Fewer than two samples are left.
-
-    **Differentiability**: none, a host function.
     """
     keep = (record.time >= start) & (record.time <= stop)
     if np.count_nonzero(keep) < 2:
@@ -85,8 +83,6 @@ def parts_between_gaps(record: Record, *, longest: float = 0.0) -> list[slice]:
     Args:
         record: The record.
         longest: A gap that lasts no longer parts nothing [s].
-
-    **Differentiability**: none, a host function.
     """
     is_apart = record.is_after_gap[1:] & (np.diff(record.time) > longest)
     starts = [0, *np.flatnonzero(is_apart) + 1, record.time.size]

@@ -29,8 +29,6 @@ class Record(eqx.Module):
         ValueError: If shapes disagree, fewer than 2 samples are given, a force is not
             finite, no force is measured or one that is not differs from zero, the
             time does not increase or the rate is not positive.
-
-    Differentiability: none, the arrays are NumPy's.
     """
 
     time: Float[np.ndarray, " sample"]

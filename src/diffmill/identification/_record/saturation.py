@@ -35,8 +35,6 @@ def find_saturated(
 
     Returns:
         Whether a sample is saturated, shape (sample, axis).
-
-    Differentiability: none.
     """
     values = np.asarray(force, dtype=np.float64)
     out = np.zeros(values.shape, dtype=bool)
@@ -65,8 +63,6 @@ def without_saturated(
 
     Returns:
         Forces with NaN in the place of these, and how many were saturated.
-
-    Differentiability: none.
     """
     known = np.isfinite(force)
     seen = np.flatnonzero(known.any(axis=0))

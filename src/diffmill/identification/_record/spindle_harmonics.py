@@ -31,8 +31,6 @@ def harmonics(
     Raises:
         ValueError: If the record is shorter than one turn or has fewer than two
             samples per period of the highest harmonic.
-
-    Differentiability: none, it runs on the host.
     """
     duration = float(time[-1] - time[0])
     if not spindle_speed > 0 or duration * spindle_speed < 2 * np.pi * (1 - 1e-2):
@@ -62,21 +60,6 @@ def harmonics(
     return out * turns[:, None]
 
 
-def series_of_turn(
-    force: Float[np.ndarray, "sample ..."], count: int
-) -> Complex[np.ndarray, "harmonic ..."]:
-    """Return the coefficients of `harmonics` for equally spaced samples of one turn.
-
-    The first sample stands at angle zero, the last one step before a full turn.
-    """
-    if force.shape[0] <= 2 * count:
-        raise ValueError(
-            f"One turn must have more than {2 * count} samples for {count} harmonics, "
-            f"but has {force.shape[0]}."
-        )
-    return np.fft.rfft(force, axis=0)[: count + 1] / force.shape[0]
-
-
 def refine_spindle_speed(
     time: Float[np.ndarray, " sample"],
     force: Float[np.ndarray, "sample axis"],
@@ -99,8 +82,6 @@ def refine_spindle_speed(
 
     Returns:
         The speed [rad/s]; the nominal one if the record has fewer than eight turns.
-
-    Differentiability: none, it runs on the host.
     """
     turn = 2 * np.pi / spindle_speed
     omega, length = float(spindle_speed), 8.0

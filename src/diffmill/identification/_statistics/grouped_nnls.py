@@ -69,8 +69,6 @@ def nonnegative(
 
     Returns:
         x, shape (unknown,); one of several solutions where A has no full rank.
-
-    **Differentiability**: runs on the host.
     """
     from scipy.optimize import nnls
 
@@ -97,8 +95,6 @@ def inverse_information(
     Returns:
         The inverse, shape (unknown, unknown), with infinity on the diagonal of
         unknowns that A does not fix; and the number of independent columns.
-
-    **Differentiability**: runs on the host.
     """
     scale = np.linalg.norm(A, axis=0)
     is_seen = scale > 0
@@ -136,8 +132,6 @@ def fit_groups(
 
     Returns:
         The fit.
-
-    **Differentiability**: runs on the host.
     """
     free = np.zeros(columns.shape[2], bool) if is_free is None else is_free
     count = values.shape[0]
@@ -232,8 +226,6 @@ def trimmed_start(
 
     Returns:
         Which groups are in that half, shape (group,).
-
-    **Differentiability**: runs on the host.
     """
     count, height, width = A.shape
     size = min(count, math.ceil(width / height) + 1)

@@ -25,8 +25,6 @@ def identifiable(
 
     Returns:
         Whether each is fixed, shape (6,).
-
-    **Differentiability**: runs on the host.
     """
     errors = np.sqrt(np.diagonal(covariance))
     is_seen = np.isfinite(errors) & (size > 0)

@@ -70,8 +70,6 @@ def solve(rows: Sequence[Rows], weights: Sequence[np.ndarray]) -> np.ndarray:
 
     Returns:
         Unknowns, shape (unknown,); 0 for one that does not appear.
-
-    **Differentiability**: runs on the host.
     """
     return solve_normal(*normal_equations(rows, weights))
 
@@ -87,8 +85,6 @@ def normal_equations(
 
     Returns:
         G and g of G x = g, shapes (unknown, unknown) and (unknown,).
-
-    **Differentiability**: runs on the host.
     """
     G, g = 0.0, 0.0
     for one, weight in zip(rows, weights, strict=True):
@@ -110,8 +106,6 @@ def solve_normal(
 
     Returns:
         x, shape (unknown,).
-
-    **Differentiability**: runs on the host.
     """
     inverse, _ = inverse_normal(G)
     return inverse @ g
@@ -129,8 +123,6 @@ def inverse_normal(
     Returns:
         The inverse where G is regular, shape (unknown, unknown), and which unknowns
         have no part in its null space, shape (unknown,).
-
-    **Differentiability**: runs on the host.
     """
     scale = np.sqrt(np.maximum(np.diagonal(G), 0.0))
     is_seen = scale > 0
@@ -151,8 +143,6 @@ def fit_rows(rows: Sequence[Rows], loss: Loss = "huber") -> LinearFit:
 
     Returns:
         The fit.
-
-    **Differentiability**: runs on the host.
     """
     known = [np.isfinite(one.force) for one in rows]
     weights = [k.astype(np.float64) for k in known]
@@ -183,8 +173,6 @@ def weigh(
 
     Returns:
         Residuals, spreads and weights at these unknowns.
-
-    **Differentiability**: runs on the host.
     """
     residual = [one.force - one.columns @ x for one in rows]
     known = [np.isfinite(one.force) for one in rows]
@@ -205,8 +193,6 @@ def robust_weight(r: np.ndarray, loss: str) -> np.ndarray:
 
     Returns:
         Weights from 0 to 1, same shape.
-
-    **Differentiability**: runs on the host.
     """
     size = np.abs(np.nan_to_num(r, nan=math.inf))
     if loss == "squares":
@@ -225,8 +211,6 @@ def robust_cost(r: np.ndarray, loss: Loss) -> float:
 
     Returns:
         The sum; that of the squares where all are small.
-
-    **Differentiability**: runs on the host.
     """
     size = np.abs(np.nan_to_num(r))
     within = size if loss == "squares" else np.minimum(size, _HUBER)
@@ -243,8 +227,6 @@ def correlation_of(
 
     Returns:
         Correlation, same shape.
-
-    **Differentiability**: runs on the host.
     """
     errors = np.sqrt(np.diagonal(C))
     safe = np.where(np.isfinite(errors) & (errors > 0), errors, np.nan)
@@ -287,8 +269,6 @@ def covariance(
 
     Returns:
         Covariance, shape (unknown, unknown).
-
-    **Differentiability**: runs on the host.
     """
     width = rows[0].columns.shape[2]
     bread, meat, white = np.zeros((3, width, width))

@@ -42,7 +42,8 @@ def better_axes(
     load: Loads,
     moved: Values,
     explained: float,
-    frames: tuple[Turns | None, Turns | None] = (None, None),
+    load_frame: Turns | None = None,
+    moved_frame: Turns | None = None,
 ) -> AxesCheck:
     """Return an assignment of the axes that suits much better, if there is one.
 
@@ -53,14 +54,12 @@ def better_axes(
         moved: The displacements in base axes, shape (pose, component); rows with a
             missing component do not count.
         explained: Share of their square that the fit explains.
-        frames: Rotations into base of the frames in which the load and the
-            displacement were recorded, whose axes are exchanged, shape (pose, 3, 3)
-            each; None for base.
+        load_frame: Rotations into base of the frame in which the load was recorded,
+            whose axes are exchanged, shape (pose, 3, 3); None for base.
+        moved_frame: The same of the displacement.
 
     Returns:
         The assignment.
-
-    **Differentiability**: none, a host function.
     """
     if explained > _ALL_EXPLAINED:
         return AxesCheck(None, True)
@@ -72,8 +71,8 @@ def better_axes(
     for name, T in _turns():
         # Moments and rotations of mirrored axes change their sign once more.
         both = np.linalg.det(T) * T
-        other = columns_of(_turned(load, T, both, frames[0]))[whole]
-        turned = _turned(moved, T, both, frames[1])[whole]
+        other = columns_of(_turned(load, T, both, load_frame))[whole]
+        turned = _turned(moved, T, both, moved_frame)[whole]
         cases = (
             (columns, turned, "the displacement"),
             (other, seen, "the load"),

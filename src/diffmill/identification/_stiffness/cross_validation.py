@@ -53,8 +53,6 @@ def check_load_tests(
 
     Raises:
         ValueError: A table has a wrong shape.
-
-    **Differentiability**: runs on the host.
     """
     angles, load, moved = load_tables(robot, q, wrench, displacement)
     columns = deflection_columns(robot, angles, load)[:, : moved.shape[1]]

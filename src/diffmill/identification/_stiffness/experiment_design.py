@@ -64,8 +64,6 @@ def suggest_load_tests(
 
     Raises:
         ValueError: A table has a wrong shape, or the fit is not consistent.
-
-    **Differentiability**: runs on the host.
     """
     if not fit.is_consistent:
         raise ValueError(

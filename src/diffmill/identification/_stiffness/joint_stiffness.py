@@ -6,6 +6,7 @@ some per mille on an industrial arm, is left out as in `robot.cartesian_complian
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -103,7 +104,8 @@ def fit_joint_stiffness(
     *,
     has_offset: bool = False,
     noise: str | None = None,
-    frames: tuple[Turns | None, Turns | None] = (None, None),
+    load_frame: Turns | None = None,
+    displacement_frame: Turns | None = None,
     max_relative_error: float = 1.0,
     min_explained: float = _EXPLAINED,
 ) -> JointStiffnessFit:
@@ -122,9 +124,10 @@ def fit_joint_stiffness(
             a tracker whose zero is not known.
         noise: "absolute" if all poses scatter alike, "relative" if in proportion to
             the displacement; the likelier of both if not given.
-        frames: Rotations into base of the frames in which load and displacement were
-            recorded, shape (pose, 3, 3) each, None for base: the axes that would suit
-            better are told in these.
+        load_frame: Rotations into base of the frame in which the load was recorded,
+            shape (pose, 3, 3), None for base: the axes that would suit better are told
+            in it.
+        displacement_frame: The same of the displacement.
         max_relative_error: A stiffness that is bounded is given if its relative
             standard error is at most this.
         min_explained: Below this share of the squared displacement the table is
@@ -135,8 +138,6 @@ def fit_joint_stiffness(
 
     Raises:
         ValueError: A table has a wrong shape or numbers that are not finite.
-
-    **Differentiability**: runs on the host.
     """
     angles, load, moved = load_tables(robot, q, wrench, displacement)
     scale = _component_scale(moved)
@@ -155,16 +156,21 @@ def fit_joint_stiffness(
         is_free = np.r_[is_free, np.ones(moved.shape[1], bool)]
     fit = fit_groups(wide, moved, is_free, noise=noise)
     used, explained, centred = _explained(fit, moved, robot.joint_count)
-    axes = better_axes(columns_of, load, centred, explained, frames)
-    return _report(
-        robot,
-        columns[used],
-        centred[used],
-        fit,
-        scale,
-        (max_relative_error, min_explained),
-        (explained, axes),
+    axes = better_axes(
+        columns_of, load, centred, explained, load_frame, displacement_frame
     )
+    found = _Explained(columns[used], centred[used], explained, min_explained, axes)
+    return _report(robot, found, fit, scale, max_relative_error)
+
+
+class _Explained(NamedTuple):
+    """The rows that count, and how well springs suit them."""
+
+    columns: Columns
+    moved: Values
+    share: float
+    least: float
+    axes: AxesCheck
 
 
 def deflection_columns(
@@ -181,8 +187,6 @@ def deflection_columns(
 
     Returns:
         J_i (J_i^T w), linear part first, shape (pose, 6, joint).
-
-    **Differentiability**: runs on the host.
     """
     J = np.asarray(_jacobians(robot, jnp.asarray(q, robot.dtype)), np.float64)
     columns = J * np.einsum("pcj,pc->pj", J, wrench)[:, None]
@@ -214,8 +218,6 @@ def load_tables(
 
     Raises:
         ValueError: A table has a wrong shape or numbers that are not finite.
-
-    **Differentiability**: runs on the host.
     """
     angles, load, moved = (
         np.array(table, np.float64) for table in (q, wrench, displacement)
@@ -277,17 +279,15 @@ def _contradicts(fit: GroupFit) -> bool:
 
 def _report(
     robot: Robot,
-    columns: Columns,
-    moved: Values,
+    found: _Explained,
     fit: GroupFit,
     scale: Float[np.ndarray, " component"],
-    limits: tuple[float, float],
-    found: tuple[float, AxesCheck],
+    max_relative_error: float,
 ) -> JointStiffnessFit:
     """Return the fit in words of stiffness, from the rows that count."""
     from scipy.special import stdtrit
 
-    explained, axes = found
+    columns, moved, explained = found.columns, found.moved, found.share
     count = robot.joint_count
     c = fit.x[:count]
     errors = np.sqrt(np.diagonal(fit.covariance)[:count])
@@ -295,10 +295,13 @@ def _report(
     too_many = _contradicts(fit)
     parts = np.nansum(columns * moved[..., None], axis=(0, 1))
     square = float(np.nansum(moved**2))
-    is_consistent = explained >= limits[1] and not too_many and axes.better is None
+    is_suited = explained >= found.least and found.axes.better is None
+    is_consistent = is_suited and not too_many
     freedom = max(1, int(np.isfinite(moved).sum()) - len(fit.x))
     given, bounded = (stdtrit(freedom, 0.5 + 0.5 * p) for p in (_GIVEN, _BOUNDED))
-    is_fixed = is_consistent & (c > bounded * errors) & (errors <= limits[0] * c)
+    is_fixed = (
+        is_consistent & (c > bounded * errors) & (errors <= max_relative_error * c)
+    )
     safe = np.where(is_fixed, c, 1.0)
     bound = 1.0 / np.maximum(c + _ONE_SIDED * errors, 1e-300)
     away = given * np.where(is_fixed, errors, 0.0)[:, None] * np.array([1.0, -1.0])
@@ -321,19 +324,19 @@ def _report(
         noise=fit.noise,
         spread=fit.spread,
         joint_names=robot.joint_names,
-        notes=_notes(robot, fit, is_fixed, explained, (axes, limits[1], too_many)),
+        notes=_notes(robot, found, fit, is_fixed),
     )
 
 
 def _notes(
     robot: Robot,
+    found: _Explained,
     fit: GroupFit,
     is_fixed: Bool[np.ndarray, " joint"],
-    explained: float,
-    doubts: tuple[AxesCheck, float, bool],
 ) -> tuple[str, ...]:
     """Say what the numbers alone do not."""
-    axes, least, too_many = doubts
+    axes, explained, least = found.axes, found.share, found.least
+    too_many = _contradicts(fit)
     notes = []
     if explained < least:
         notes.append(

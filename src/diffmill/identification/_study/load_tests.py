@@ -49,8 +49,9 @@ class LoadTestStudy(NamedTuple):
         q: Joint positions [rad or m], shape (pose, joint).
         wrench: In base axes at the tool [N, N m], shape (pose, 6).
         displacement: In base axes [m, rad], shape (pose, 3) or (pose, 6).
-        frames: Rotations into base of the frames in which load and displacement were
-            recorded, shape (pose, 3, 3) each, or None for base.
+        load_frame: Rotations into base of the frame in which the load was recorded,
+            shape (pose, 3, 3), or None for base.
+        displacement_frame: The same of the displacement.
         rows: Number of each row in the table, from 1.
         has_offset: Whether a constant displacement is fitted too.
         noise: "absolute", "relative" or None.
@@ -62,7 +63,8 @@ class LoadTestStudy(NamedTuple):
     q: Float[np.ndarray, "pose joint"]
     wrench: Float[np.ndarray, "pose 6"]
     displacement: Float[np.ndarray, "pose component"]
-    frames: tuple[Turns | None, Turns | None]
+    load_frame: Turns | None
+    displacement_frame: Turns | None
     rows: tuple[int, ...]
     has_offset: bool
     noise: str | None
@@ -81,7 +83,8 @@ class LoadTestStudy(NamedTuple):
             *table,
             has_offset=self.has_offset,
             noise=self.noise,
-            frames=self.frames,
+            load_frame=self.load_frame,
+            displacement_frame=self.displacement_frame,
         )
         known = fit.identifiable
         model = np.asarray(self.robot.joint_stiffness, np.float64)

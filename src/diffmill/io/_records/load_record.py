@@ -48,8 +48,6 @@ def load_record(
 
     Raises:
         RecordError: If the file cannot be read; all that is wrong is listed.
-
-    **Differentiability**: none, it runs on the host.
     """
     file = pathlib.Path(path)
     if rate is not None and not (np.isfinite(rate) and rate > 0):
