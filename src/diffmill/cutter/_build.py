@@ -60,10 +60,15 @@ def flat_end_mill(
     """
     return _end_mill(
         "flat",
-        (diameter, None, nominal_diameter, None),
-        (teeth, helix_angle, flute_length),
-        (pitch, runout, runout_angle),
-        dish_angle,
+        diameter,
+        teeth,
+        helix_angle,
+        flute_length=flute_length,
+        nominal_diameter=nominal_diameter,
+        pitch=pitch,
+        runout=runout,
+        runout_angle=runout_angle,
+        dish_angle=dish_angle,
     )
 
 
@@ -100,9 +105,14 @@ def ball_end_mill(
     """
     return _end_mill(
         "ball",
-        (diameter, None, nominal_diameter, None),
-        (teeth, helix_angle, flute_length),
-        (pitch, runout, runout_angle),
+        diameter,
+        teeth,
+        helix_angle,
+        flute_length=flute_length,
+        nominal_diameter=nominal_diameter,
+        pitch=pitch,
+        runout=runout,
+        runout_angle=runout_angle,
     )
 
 
@@ -144,45 +154,57 @@ def bull_nose(
     """
     return _end_mill(
         "bull",
-        (diameter, corner_radius, nominal_diameter, nominal_corner_radius),
-        (teeth, helix_angle, flute_length),
-        (pitch, runout, runout_angle),
+        diameter,
+        teeth,
+        helix_angle,
+        corner_radius=corner_radius,
+        flute_length=flute_length,
+        nominal_diameter=nominal_diameter,
+        nominal_corner_radius=nominal_corner_radius,
+        pitch=pitch,
+        runout=runout,
+        runout_angle=runout_angle,
     )
 
 
 def _end_mill(
     kind: Kind,
-    sizes: tuple[RealScalarLike, RealScalarLike | None, float | None, float | None],
-    flutes: tuple[int, RealScalarLike, float | None],
-    teeth: tuple[Pitch | None, RealScalarLike, RealScalarLike],
+    diameter: RealScalarLike,
+    teeth: int,
+    helix_angle: RealScalarLike,
+    *,
+    corner_radius: RealScalarLike | None = None,
+    flute_length: float | None = None,
+    nominal_diameter: float | None = None,
+    nominal_corner_radius: float | None = None,
+    pitch: Pitch | None = None,
+    runout: RealScalarLike = 0.0,
+    runout_angle: RealScalarLike = 0.0,
     dish_angle: RealScalarLike = 0.0,
 ) -> EndMill:
     """Return an end mill with its derived static sizes."""
-    diameter, corner, nominal, nominal_corner = sizes
-    count, helix_angle, flute_length = flutes
-    pitch, runout, runout_angle = teeth
-    D = _nominal("diameter", diameter, nominal)
-    corner_radius = {"flat": 0.0, "ball": D / 2}.get(kind)
-    if corner is not None:
-        corner_radius = _nominal("corner_radius", corner, nominal_corner)
-    assert corner_radius is not None
-    if count < 1:
-        raise ValueError(f"Argument `teeth` must be at least 1, but is {count}.")
-    angles, has_even_pitch = _pitch_angles(pitch, count)
+    D = _nominal("diameter", diameter, nominal_diameter)
+    nominal_corner = {"flat": 0.0, "ball": D / 2}.get(kind)
+    if corner_radius is not None:
+        nominal_corner = _nominal("corner_radius", corner_radius, nominal_corner_radius)
+    assert nominal_corner is not None
+    if teeth < 1:
+        raise ValueError(f"Argument `teeth` must be at least 1, but is {teeth}.")
+    angles, has_even_pitch = _pitch_angles(pitch, teeth)
     has_runout = _is_traced(runout) or bool(runout != 0)
     return EndMill(
         diameter=diameter,
-        own_corner_radius=corner,
+        own_corner_radius=corner_radius,
         helix_angle=helix_angle,
         pitch_angles=angles,
         runout=runout,
         runout_angle=runout_angle,
         dish_angle=dish_angle,
         kind=kind,
-        flute_count=count,
+        flute_count=teeth,
         flute_length=3 * D if flute_length is None else float(flute_length),
         nominal_radius=D / 2,
-        nominal_corner_radius=corner_radius,
+        nominal_corner_radius=nominal_corner,
         has_helix=_is_traced(helix_angle) or bool(helix_angle != 0),
         has_dish=_is_traced(dish_angle) or bool(dish_angle != 0),
         has_even_pitch=has_even_pitch,

@@ -306,7 +306,12 @@ def _remove_lagged(
         is_due[0] & is_due[1] & (apart <= engagement.window.slack)
     )
     cut = remove_passes(
-        state.stock, process.cutter, engagement.window, passes, is_due, state.slots
+        state.stock,
+        process.cutter,
+        engagement.window,
+        passes,
+        is_due,
+        slots=state.slots,
     )
     count = jnp.sum(is_due, dtype=jnp.int32)
     shift = jnp.minimum(
@@ -398,7 +403,7 @@ def remove_all(
         stock, slots, has_overflow, is_beyond = carry
         row, due = x
         tooth = _tooth_pass(process, state, row, newest)
-        cut = remove_passes(stock, cutter, window, [tooth], due[None], slots)
+        cut = remove_passes(stock, cutter, window, [tooth], due[None], slots=slots)
         flags = (has_overflow | cut.has_overflow, is_beyond | cut.is_beyond)
         return (cut.stock, cut.slots, *flags), (cut.volume[0], cut.by_shank[0])
 

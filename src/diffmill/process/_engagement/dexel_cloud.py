@@ -120,7 +120,7 @@ class DexelCloud(AbstractEngagement):
             process.derivative.removal_poses(pose[None]),
             indices,
             is_due,
-            state.slots,
+            slots=state.slots,
         )
         state = eqx.tree_at(
             lambda s: (

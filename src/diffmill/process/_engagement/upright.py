@@ -83,7 +83,14 @@ class UprightFlat(AbstractEngagement):
         chips = chips.reshape(moves.shape)
         track = process.derivative.tied_to(state.track)
         found = occupancy(
-            state.stock, points, moves, chips, self.discs, cutter, track, state.slots
+            state.stock,
+            points,
+            moves,
+            chips,
+            self.discs,
+            cutter,
+            track=track,
+            slots=state.slots,
         )
         shape = (*angle.shape[:3], self.discs.count)
         occupied, chip_share = (share.reshape(shape) for share in found)

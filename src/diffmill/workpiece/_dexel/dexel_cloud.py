@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float
 
 from ...cutter import AbstractCutter
 from .._pose import Pose
-from .removal import SHORTEST, RemovalWindow, window_lines
+from .removal import SHORTEST, RemovalWindow, window_grid
 from .stock import Stock
 
 
@@ -54,14 +54,12 @@ def taken_pieces(
     Differentiability: in the ends of the stock and in the tip, as long as the same
     interval of a ray holds its outermost end.
     """
-    starts, lines, _ = window_lines(stock, cutter, window, Pose(tip).frozen())
+    grid = window_grid(stock, cutter, window, Pose(tip).frozen())
 
     def of_family(family: Literal[0, 1, 2]) -> TakenPieces:
-        b, c = lines[(family + 1) % 3], lines[(family + 2) % 3]
+        at, (bs, cs) = grid.of_family(family)
         ends = stock.families[family].ends
-        zero = jnp.zeros((), jnp.int32)
-        at = (starts[(family + 1) % 3], starts[(family + 2) % 3], zero, zero)
-        size = (b.shape[0], c.shape[0], *ends.shape[2:])
+        size = (*bs.shape, *ends.shape[2:])
         # Above the stock there is nothing; and behind a condition the window is read
         # once, not again for each of its uses.
         ends = jax.lax.cond(
@@ -70,7 +68,6 @@ def taken_pieces(
             lambda ends: jnp.zeros(size, ends.dtype),
             ends,
         )
-        bs, cs = jnp.broadcast_arrays(b[:, None], c[None, :])
         start, stop, is_hit = cutter.intersect(family, bs, cs, tip)
         low = jnp.maximum(ends[:, :, 0], start[..., None])
         high = jnp.minimum(ends[:, :, 1], stop[..., None])
@@ -78,8 +75,7 @@ def taken_pieces(
         is_taken = jnp.any(is_piece, axis=-1)
         least = jnp.min(jnp.where(is_piece, low, jnp.inf), axis=-1)
         most = jnp.max(jnp.where(is_piece, high, -jnp.inf), axis=-1)
-        return TakenPieces(
-            jnp.where(is_taken, least, 0), jnp.where(is_taken, most, 0), is_taken, b, c
-        )
+        least, most = (jnp.where(is_taken, end, 0) for end in (least, most))
+        return TakenPieces(least, most, is_taken, bs[:, 0], cs[0])
 
     return of_family(0), of_family(1), of_family(2)

@@ -100,6 +100,7 @@ def occupancy(
     chips: Float[Array, "point disc 2"],
     discs: Discs,
     cutter: AbstractCutter,
+    *,
     track: PoseTrack | None = None,
     slots: Int[Array, " 3"] | None = None,
 ) -> tuple[Float[Array, "point element"], Float[Array, "point element"]]:

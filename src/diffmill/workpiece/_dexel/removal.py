@@ -109,6 +109,45 @@ class RemovalWindow(eqx.Module):
     has_shank: bool = eqx.field(static=True, default=False)
 
 
+class WindowGrid(NamedTuple):
+    """Grid lines of a window where it stands.
+
+    Attributes:
+        starts: First grid line on each axis.
+        lines: Coordinates of its lines on each axis [m].
+        is_beyond: Whether the tool reaches beyond the window, shape ().
+    """
+
+    starts: list[Int[Array, ""]]
+    lines: list[Float[Array, " _"]]
+    is_beyond: Bool[Array, ""]
+
+    def of_family(
+        self, family: int
+    ) -> tuple[tuple[Int[Array, ""], ...], list[Float[Array, "u v"]]]:
+        """Return where the rays of a family begin in their table, and stand [m]."""
+        axes = ((family + 1) % 3, (family + 2) % 3)
+        zero = jnp.zeros((), jnp.int32)
+        places = jnp.meshgrid(*(self.lines[axis] for axis in axes), indexing="ij")
+        return (*(self.starts[axis] for axis in axes), zero, zero), places
+
+
+class _RemovedFamily(NamedTuple):
+    """Rays of a family after a removal.
+
+    Attributes:
+        rays: The rays.
+        in_use: How many slots hold anything, from the first on.
+        length: What each pass took [m], shape (pass,).
+        has_overflow: Whether a ray ran out of slots, shape ().
+    """
+
+    rays: Rays
+    in_use: Int[Array, ""]
+    length: Float[Array, " pass"]
+    has_overflow: Bool[Array, ""]
+
+
 class Cut(eqx.Module):
     """Result of a removal.
 
@@ -201,6 +240,7 @@ def remove_poses(
     poses: Pose,
     indices: Int[Array, " pose"],
     is_due: Bool[Array, " pose"],
+    *,
     slots: Int[Array, " 3"] | None = None,
 ) -> Cut:
     """Subtract the cutter at a few close poses from the stock, where it stands still.
@@ -221,7 +261,7 @@ def remove_poses(
     Differentiability: in the ends of the stock, through the poses.
     """
     passes = [standing(poses[i], indices[i]) for i in range(indices.shape[0])]
-    return remove_passes(stock, cutter, window, passes, is_due, slots)
+    return remove_passes(stock, cutter, window, passes, is_due, slots=slots)
 
 
 def remove_passes(
@@ -230,6 +270,7 @@ def remove_passes(
     window: RemovalWindow,
     passes: Sequence[ToothPass],
     is_due: Bool[Array, " pass"],
+    *,
     slots: Int[Array, " 3"] | None = None,
 ) -> Cut:
     """Subtract what teeth take as they go around, at a few close places.
@@ -249,53 +290,48 @@ def remove_passes(
     Differentiability: in the ends of the stock, through the poses.
     """
     centers = [tooth.center().frozen() for tooth in passes]
-    starts, lines, is_beyond = window_lines(stock, cutter, window, centers[0])
+    grid = window_grid(stock, cutter, window, centers[0])
     d = stock.spacing
     has_overflow = jnp.zeros((), bool)
     volumes = jnp.zeros(len(passes), stock.origin.dtype)
     has_cut = jnp.zeros((), bool)
     slots = stock.slots_in_use() if slots is None else slots
+    due = [(each, is_due[i]) for i, each in enumerate(passes)]
     families, in_use = [], []
     for f in (0, 1, 2):
-        new, used, volume, full = _remove_family(
-            stock.families[f], cutter, f, starts, lines, passes, is_due, slots[f]
-        )
-        in_use.append(used)
-        has_overflow = has_overflow | full
-        has_cut = has_cut | jnp.any(volume > 0)
+        removed = _remove_family(stock.families[f], cutter, f, grid, due, slots[f])
+        in_use.append(removed.in_use)
+        has_overflow = has_overflow | removed.has_overflow
+        has_cut = has_cut | jnp.any(removed.length > 0)
         if stock.volume_weights[f]:
-            volumes = volumes + volume * stock.volume_weights[f] * d**2
-        families.append(new)
+            volumes = volumes + removed.length * stock.volume_weights[f] * d**2
+        families.append(removed.rays)
     new_stock = eqx.tree_at(lambda s: s.families, stock, tuple(families))
     by_shank = jnp.zeros_like(volumes)
     if window.has_shank:
-        at = (starts, lines, passes, is_due)
-        by_shank = _shank_volume(stock.families[2], cutter, *at) * d**2
+        by_shank = _shank_volume(stock, cutter, grid, passes, is_due) * d**2
     return Cut(
         new_stock,
         volumes,
         by_shank,
         jnp.stack(in_use),
         has_overflow,
-        is_beyond & has_cut,
+        grid.is_beyond & has_cut,
     )
 
 
 def _shank_volume(
-    rays: Rays,
+    stock: Stock,
     cutter: AbstractCutter,
-    starts: list[Int[Array, ""]],
-    lines: list[Float[Array, " _"]],
+    grid: WindowGrid,
     passes: Sequence[ToothPass],
     is_due: Bool[Array, " pose"],
 ) -> Float[Array, " pose"]:
     """Return how much of each pass's cut lies above its flutes, by the rays along z."""
-    shape = (lines[0].shape[0], lines[1].shape[0], 2, rays.ends.shape[-1])
-    zero = jnp.zeros((), jnp.int32)
-    ends = jax.lax.dynamic_slice(rays.ends, (starts[0], starts[1], zero, zero), shape)
-    ends = jax.lax.stop_gradient(ends)
-    x = jnp.broadcast_to(lines[0][:, None], shape[:2])
-    y = jnp.broadcast_to(lines[1][None, :], shape[:2])
+    rays = stock.families[2]
+    at, (x, y) = grid.of_family(2)
+    shape = (*x.shape, 2, rays.ends.shape[-1])
+    ends = jax.lax.stop_gradient(jax.lax.dynamic_slice(rays.ends, at, shape))
     lengths = []
     for i, each in enumerate(passes):
         pose = each.center()
@@ -318,20 +354,16 @@ def _shank_volume(
     return jnp.stack(lengths)
 
 
-def window_lines(
+def window_grid(
     stock: Stock, cutter: AbstractCutter, window: RemovalWindow, pose: Pose
-) -> tuple[list[Int[Array, ""]], list[Float[Array, " _"]], Bool[Array, ""]]:
-    """Return where a window around a pose stands.
+) -> WindowGrid:
+    """Return the grid lines of a window around a pose.
 
     Args:
         stock: The workpiece.
         cutter: The cutter.
         window: Size of the window.
         pose: The pose, without derivative, shape (3,).
-
-    Returns:
-        First grid line on each axis; coordinates of its lines on each axis [m]; and
-        whether the tool reaches beyond it.
 
     Differentiability: none.
     """
@@ -345,7 +377,7 @@ def window_lines(
         )
         for a in range(3)
     ]
-    return starts, lines, is_beyond
+    return WindowGrid(starts, lines, is_beyond)
 
 
 def _place(
@@ -389,24 +421,17 @@ def _remove_family(
     rays: Rays,
     cutter: AbstractCutter,
     family: Literal[0, 1, 2],
-    starts: list[Int[Array, ""]],
-    lines: list[Float[Array, " _"]],
-    passes: Sequence[ToothPass],
-    is_due: Bool[Array, " pass"],
+    grid: WindowGrid,
+    due: Sequence[tuple[ToothPass, Bool[Array, ""]]],
     in_use: Int[Array, ""],
-) -> tuple[Rays, Int[Array, ""], Float[Array, " pass"], Bool[Array, ""]]:
-    axis_b, axis_c = (family + 1) % 3, (family + 2) % 3
-    slot_count = rays.ends.shape[-1]
-    shape = (lines[axis_b].shape[0], lines[axis_c].shape[0], 2, slot_count)
-    zero = jnp.zeros((), jnp.int32)
-    at = (starts[axis_b], starts[axis_c], zero, zero)
+) -> _RemovedFamily:
+    at, (b, c) = grid.of_family(family)
+    shape = (*b.shape, 2, rays.ends.shape[-1])
     ends = jax.lax.dynamic_slice(rays.ends, at, shape)
     cut_by = jax.lax.dynamic_slice(rays.poses, at, shape)
-    b = jnp.broadcast_to(lines[axis_b][:, None], shape[:2])
-    c = jnp.broadcast_to(lines[axis_c][None, :], shape[:2])
     window = _Window(ends, cut_by, in_use)
     removed, has_overflow = [], jnp.zeros((), bool)
-    for i, each in enumerate(passes):
+    for each, is_due in due:
 
         def cut(window: _Window, tooth: ToothPass = each) -> _Trimmed:
             interval = cut_interval(cutter, family, b, c, tooth)
@@ -415,7 +440,7 @@ def _remove_family(
         def skip(window: _Window) -> _Trimmed:
             return _Trimmed(window, jnp.zeros((), ends.dtype), jnp.zeros((), bool))
 
-        trimmed = jax.lax.cond(is_due[i], cut, skip, window)
+        trimmed = jax.lax.cond(is_due, cut, skip, window)
         window = trimmed.window
         has_overflow = has_overflow | trimmed.is_full
         removed.append(trimmed.length)
@@ -424,7 +449,7 @@ def _remove_family(
         jax.lax.dynamic_update_slice(rays.ends, window.ends, at),
         jax.lax.dynamic_update_slice(rays.poses, window.cut_by, at),
     )
-    return new, window.in_use, volume, has_overflow
+    return _RemovedFamily(new, window.in_use, volume, has_overflow)
 
 
 class _Window(NamedTuple):
