@@ -83,6 +83,59 @@ def test_modules_import_in_one_direction():
         graph = {name: graph[name] for name in graph.keys() - leaves}
 
 
+# Functions with more parameters than this; the list only grows shorter.
+MOST_PARAMETERS = 6
+LONG_LISTS = {
+    "correction/_least_squares.py:_recorded",
+    "correction/_least_squares.py:_step",
+    "correction/_quadratic.py:_move",
+    "identification/_alignment/axis_assignment.py:_candidate",
+    "identification/_force/cross_validation.py:_part",
+    "identification/_stiffness/joint_stiffness.py:_report",
+    "sim/_machine/midpoint_terms.py:middle_terms",
+    "workpiece/_dexel/occupancy_in_space.py:_look",
+}
+
+
+def parameters(function: ast.FunctionDef) -> int:
+    """Return how many there are, without options: keyword-only ones with a default."""
+    given = function.args
+    named = [a.arg for a in given.posonlyargs + given.args]
+    required = [default for default in given.kw_defaults if default is None]
+    is_method = named[:1] in (["self"], ["cls"])
+    return len(named) - is_method + len(required) + (given.vararg is not None)
+
+
+def test_functions_have_few_parameters():
+    long = {
+        f"{file.relative_to(SOURCE).as_posix()}:{node.name}"
+        for file in SOURCE.rglob("*.py")
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if isinstance(node, ast.FunctionDef) and parameters(node) > MOST_PARAMETERS
+    }
+    assert long <= LONG_LISTS
+
+
+# Exported names of all areas; the number only gets smaller.
+MOST_NAMES = 485
+
+
+def test_few_names_are_exported():
+    files = [
+        file
+        for file in SOURCE.rglob("__init__.py")
+        if not is_private(module_of(file)) and file.parent != SOURCE
+    ]
+    names = [
+        name
+        for file in files
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ImportFrom)
+        for name in node.names
+    ]
+    assert len(names) <= MOST_NAMES
+
+
 # Tests that still reach inside; this list only grows shorter.
 INSIDE = {
     "correction/test_case_record.py",
