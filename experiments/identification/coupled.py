@@ -60,7 +60,7 @@ def corner(teeth, spacing, angles, substeps):
         law=LAW,
         spindle_speed=SPEED,
         stock=wp.box([0, 0, -3e-3], [x[-1] + 6e-3, y[-1] + 6e-3, 0], spacing),
-        path=tp.vertical_path(PERIOD * np.arange(len(x)), tips),
+        path=tp.Path.upright(PERIOD * np.arange(len(x)), tips),
         robot=slides(),
         T_base_work=np.eye(4),
         joint_start=None,

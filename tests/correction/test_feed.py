@@ -14,7 +14,7 @@ from diffmill.correction import (
     feed_prediction,
     smoothed,
 )
-from diffmill.toolpath import path_feed, vertical_path
+from diffmill.toolpath import Path, path_feed
 
 PERIOD, STEP, ROWS, KNOTS = 4e-3, 0.2e-3, 200, 4
 # Slope of the best override over the share of the path.
@@ -47,7 +47,7 @@ def problem():
     """Return a straight path without ramps that cuts nearly everywhere."""
     tips = np.zeros((ROWS, 3))
     tips[:, 0] = STEP * np.arange(ROWS)
-    path = vertical_path(PERIOD * np.arange(ROWS), tips)
+    path = Path.upright(PERIOD * np.arange(ROWS), tips)
     # The acceleration is far from binding.
     feed = path_feed(path, acceleration=1e3)
     plant = SoftAcross(jnp.asarray(tips[-1, 0]))

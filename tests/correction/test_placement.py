@@ -61,7 +61,7 @@ def job_of(robot, position=(1.2, 0.0, 0.0), length=0.05, **more):
         law=PAPER_LAW,
         spindle_speed=100.0,
         stock=wp.box([0, 0, -2e-3], [4e-3, 4e-3, 0], 1e-3),
-        path=tp.vertical_path(0.03 * np.arange(ROWS), tips),
+        path=tp.Path.upright(0.03 * np.arange(ROWS), tips),
         robot=robot,
         T_base_work=T_base_work,
         joint_start=None,

@@ -93,7 +93,7 @@ def test_a_job_in_float32_gives_the_coefficients():
     one = cuts()[1]
     with tempfile.TemporaryDirectory() as folder:
         example = dm.load_job(examples.copy_example("paper_small", Path(folder)))
-    path = tp.vertical_path(PERIOD * np.arange(STEPS), np.asarray(one.positions))
+    path = tp.Path.upright(PERIOD * np.arange(STEPS), np.asarray(one.positions))
     job = dataclasses.replace(
         example,
         cutter=one.cutter,

@@ -55,7 +55,7 @@ def cut(teeth, feeds, spacing, angles, substeps, **settings):
         law=PAPER_LAW,
         spindle_speed=2 * math.pi / (2 * PERIOD),
         stock=wp.box([0, 0, -2e-3], [x[-1] + 6e-3, y[-1] + 6e-3, 0], spacing),
-        path=tp.vertical_path(PERIOD * np.arange(len(x)), tips),
+        path=tp.Path.upright(PERIOD * np.arange(len(x)), tips),
         robot=slides(),
         T_base_work=np.eye(4),
         joint_start=None,

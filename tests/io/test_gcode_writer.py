@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diffmill.io import parse_gcode, write_gcode
-from diffmill.toolpath import Path, sample_program, vertical_path
+from diffmill.toolpath import Path, sample_program
 
 LIMITS = {"acceleration": 2.0, "rapid_feed": 0.2, "corner_tolerance": 1e-4}
 
@@ -17,7 +17,7 @@ def curve(period, rows=400):
         [0.1 + 0.05 * t, 0.003 * np.sin(9 * t), 1e-3 * np.cos(5 * t)], axis=1
     )
     positions[100:120] = positions[100:101]
-    return vertical_path(t, positions)
+    return Path.upright(t, positions)
 
 
 @pytest.mark.parametrize("rpm", [8000.0, 7777.7, 12345.678])
@@ -58,6 +58,6 @@ def test_refusals():
     with pytest.raises(ValueError, match="tilts"):
         write_gcode(tilt)
     with pytest.raises(ValueError, match="increasing"):
-        write_gcode(vertical_path(np.zeros(3), path.positions))
+        write_gcode(Path.upright(np.zeros(3), path.positions))
     with pytest.raises(ValueError, match="finite"):
-        write_gcode(vertical_path(path.time, np.full((3, 3), np.nan)))
+        write_gcode(Path.upright(path.time, np.full((3, 3), np.nan)))

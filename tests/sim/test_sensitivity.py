@@ -45,7 +45,7 @@ def job():
         law=PAPER_LAW,
         spindle_speed=2 * math.pi / (2 * PERIOD),
         stock=wp.box([0, 0, -2e-3], [10e-3, 8e-3, 0], 0.5e-3),
-        path=tp.vertical_path(PERIOD * np.arange(COUNT), tips),
+        path=tp.Path.upright(PERIOD * np.arange(COUNT), tips),
         robot=slides(),
         T_base_work=np.eye(4),
         joint_start=None,

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from diffmill.toolpath import Move, Program, duration, path_length, sample_program
+from diffmill.toolpath import Move, Program, sample_program
 
 PERIOD = 1e-4
 LIMITS: dict[str, Any] = {
@@ -59,9 +59,10 @@ def distance_to_polyline(points, vertices):
 )
 def test_duration_of_one_line(length, expected):
     path = sample_program(chain([(0, 0, 0), (length, 0, 0)]), PERIOD, **LIMITS)
-    assert expected <= duration(path) < expected + PERIOD * (1 + 1e-6)
+    assert expected <= path.duration < expected + PERIOD * (1 + 1e-6)
     np.testing.assert_allclose(path.positions[-1], [length, 0, 0], atol=1e-15)
-    np.testing.assert_allclose(path_length(path), length, rtol=1e-12)
+    steps = np.linalg.norm(np.diff(path.positions, axis=0), axis=1)
+    np.testing.assert_allclose(steps.sum(), length, rtol=1e-12)
 
 
 def test_position_within_a_trapezoid():
@@ -81,7 +82,7 @@ def test_exact_stop_at_every_corner():
     points = [(0, 0, 0), (0.02, 0, 0), (0.02, 0.01, 0)]
     path = sample_program(chain(points), PERIOD, **LIMITS)
     expected = 0.03 / 0.05 + 2 * 0.05 / 2.0
-    assert expected <= duration(path) < expected + 1.001 * PERIOD
+    assert expected <= path.duration < expected + 1.001 * PERIOD
     assert np.max(distance_to_polyline(path.positions, np.array(points))) < 1e-15
 
 
@@ -107,7 +108,7 @@ def test_rounded_corner_keeps_tolerance_and_acceleration(turn):
     # Along and across the path each keep the limit; their sum may reach sqrt(2) of it.
     assert np.max(np.linalg.norm(acceleration, axis=1)) < 2.0 * math.sqrt(2) * 1.01
     stop = sample_program(chain(points), PERIOD, **LIMITS)
-    assert duration(path) < duration(stop)
+    assert path.duration < stop.duration
 
 
 def test_speed_and_acceleration_limits_of_a_mixed_program():
@@ -165,7 +166,7 @@ def test_tangent_arc_is_passed_without_a_stop():
     )
     path = sample_program(Program(moves), PERIOD, **LIMITS)
     expected = (0.04 + np.pi * 0.01) / 0.05 + 0.05 / 2.0
-    assert expected <= duration(path) < expected + 1.001 * PERIOD
+    assert expected <= path.duration < expected + 1.001 * PERIOD
 
 
 def test_helix_points_lie_on_the_helix():
@@ -198,7 +199,7 @@ def test_rapid_moves_stop_and_are_marked():
     )
     first = 2 * math.sqrt(0.01 / 2.0)
     expected = first + 0.01 / 0.05 + 0.05 / 2
-    assert expected <= duration(path) < expected + 1.001 * PERIOD
+    assert expected <= path.duration < expected + 1.001 * PERIOD
     np.testing.assert_array_equal(path.is_rapid, path.time <= first)
     np.testing.assert_array_equal(path.line, np.where(path.time <= first, 3, 4))
 
@@ -218,7 +219,7 @@ def test_many_short_chords_of_a_circle_are_as_fast_as_the_circle():
     points = 0.02 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     path = sample_program(chain(points), 1e-3, **(LIMITS | {"corner_tolerance": 1e-4}))
     expected = 2 * np.pi * 0.02 / 0.05 + 0.05 / 2
-    np.testing.assert_allclose(duration(path), expected, rtol=2e-3)
+    np.testing.assert_allclose(path.duration, expected, rtol=2e-3)
 
 
 def test_inverse_time_moves_take_their_duration():
@@ -232,7 +233,7 @@ def test_inverse_time_moves_take_their_duration():
 def test_feed_may_come_from_outside():
     program = chain([(0, 0, 0), (0.02, 0, 0)], feed=None)
     path = sample_program(program, PERIOD, **LIMITS, feed=0.05)
-    assert abs(duration(path) - 0.425) < 1.001 * PERIOD
+    assert abs(path.duration - 0.425) < 1.001 * PERIOD
     with pytest.raises(ValueError, match="line 1: the move has no feed"):
         sample_program(program, PERIOD, **LIMITS)
 
@@ -283,7 +284,7 @@ def smoothed(program, **limits):
 
 def test_a_smoothed_line_is_the_moving_average_of_the_plain_one():
     plain, smooth = smoothed(chain([(0, 0, 0), (0.02, 0, 0)]))
-    assert duration(smooth) == pytest.approx(duration(plain) + SMOOTHING, abs=PERIOD)
+    assert smooth.duration == pytest.approx(plain.duration + SMOOTHING, abs=PERIOD)
     width = round(SMOOTHING / PERIOD)
     x = np.pad(plain.positions[:, 0], (width, width), mode="edge")
     half = (x[1:] + x[:-1]) / 2
@@ -303,8 +304,8 @@ def test_a_smoothed_motion_stays_on_the_program_and_stops_where_it_stops():
         line(corner, end, line=3),
     )
     plain, smooth = smoothed(Program(moves))
-    assert duration(smooth) == pytest.approx(
-        duration(plain) + 2 * SMOOTHING, abs=2 * PERIOD
+    assert smooth.duration == pytest.approx(
+        plain.duration + 2 * SMOOTHING, abs=2 * PERIOD
     )
     off = distance_to_polyline(smooth.positions, np.array([(0, 0, 0), corner, end]))
     assert off.max() < 1e-12

@@ -18,11 +18,7 @@ from ._override import (
     retime as retime,
     rows_until as rows_until,
 )
-from ._path import Path as Path, vertical_path as vertical_path
+from ._path import Path as Path
 from ._path_feed import PathFeed as PathFeed, path_feed as path_feed
-from ._resample import (
-    duration as duration,
-    path_length as path_length,
-    resample as resample,
-)
+from ._resample import resample as resample
 from ._timing import sample_program as sample_program

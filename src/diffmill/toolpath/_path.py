@@ -44,10 +44,32 @@ class Path(eqx.Module):
                 f"Argument `positions` must have at least 2 rows, but has {rows}."
             )
 
+    @classmethod
+    def upright(cls, time: FloatSteps, positions: FloatRows3) -> "Path":
+        """Return a path with the tool axis along +z of `work` and no rapid moves.
+
+        Args:
+            time: Tooth instants [s], shape (step,).
+            positions: Tool tip [m], shape (step, 3).
+        """
+        rows = positions.shape[0]
+        return cls(
+            time=time,
+            positions=positions,
+            axes=np.tile(np.array([0.0, 0.0, 1.0]), (rows, 1)),
+            is_rapid=np.zeros(rows, dtype=bool),
+            line=np.zeros(rows, dtype=np.int32),
+        )
+
     @property
     def step_count(self) -> int:
         """Number of rows."""
         return self.positions.shape[0]
+
+    @property
+    def duration(self) -> float:
+        """Time from the first row to the last [s]."""
+        return float(self.time[-1]) - float(self.time[0])
 
 
 def check_steps(count: float, most: float) -> None:
@@ -65,23 +87,3 @@ def check_steps(count: float, most: float) -> None:
             f"found a motion of {count:.3g} tooth periods; at most {most:.0f} are "
             "allowed (is a feed or an acceleration too small, or a time too long?)"
         )
-
-
-def vertical_path(time: FloatSteps, positions: FloatRows3) -> Path:
-    """Return a `Path` with the tool axis along +z of `work` and no rapid moves.
-
-    Args:
-        time: Tooth instants [s], shape (step,).
-        positions: Tool tip [m], shape (step, 3).
-
-    Returns:
-        The path, its arrays as given.
-    """
-    rows = positions.shape[0]
-    return Path(
-        time=time,
-        positions=positions,
-        axes=np.tile(np.array([0.0, 0.0, 1.0]), (rows, 1)),
-        is_rapid=np.zeros(rows, dtype=bool),
-        line=np.zeros(rows, dtype=np.int32),
-    )

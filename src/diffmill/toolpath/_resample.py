@@ -75,20 +75,3 @@ def resample(
         is_rapid=np.asarray(is_rapid)[row],
         line=np.asarray(line, dtype=np.int32)[row],
     )
-
-
-def path_length(path: Path) -> float:
-    """Return the length of the polyline through the rows [m].
-
-    **Differentiability**: none, it runs on the host.
-    """
-    steps = np.diff(np.asarray(path.positions), axis=0)
-    return float(np.sum(np.linalg.norm(steps, axis=1)))
-
-
-def duration(path: Path) -> float:
-    """Return the time from the first row to the last [s].
-
-    **Differentiability**: none, it runs on the host.
-    """
-    return float(path.time[-1]) - float(path.time[0])
