@@ -144,7 +144,6 @@ INSIDE = {
     "correction/test_horizon.py",
     "correction/test_limits.py",
     "correction/test_window_bounds.py",
-    "identification/test_coupled.py",
 }
 
 

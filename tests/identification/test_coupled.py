@@ -20,8 +20,6 @@ from diffmill import (
     toolpath as tp,
     workpiece as wp,
 )
-from diffmill.identification._coupled.model import modelled, parameter_values
-from diffmill.identification._coupled.parameters import fitted_names, kept_note
 
 PERIOD, MASS, ZETA = 3.75e-3, 80.0, 0.08
 STIFFNESS = np.array([1.5e6, 2.5e6, 4e6])
@@ -82,9 +80,19 @@ def started(job, changes=("K", "D", "law")):
     return eqx.tree_at(lambda j: (j.robot, j.law), job, (robot, law))
 
 
+def values_of(job):
+    """Return the parameters of a job, by name."""
+    robot, law = job.robot, job.law
+    values = [*robot.joint_stiffness, *robot.joint_damping]
+    values += [getattr(law, name) for name in identification.NAMES]
+    *names, speed = sim.parameter_names(job)
+    assert speed == "speed"
+    return dict(zip(names, map(float, values), strict=True))
+
+
 def errors(fit, truth):
     """Return the relative error of what is identifiable, by name."""
-    wanted = parameter_values(truth)
+    wanted = values_of(truth)
     return {n: v / wanted[n] - 1 for n, v in fit.parameters.items() if v == v}
 
 
@@ -93,32 +101,15 @@ def small():
     return cut(12, (0.3e-3, 0.4e-3), 0.6e-3, 96, 4)
 
 
-SPRINGS = tuple(range(6))
-
-
 @functools.cache
 def small_record():
-    """The deviation of the small job, by the model that is fitted."""
-    return modelled(sim.with_precision(small()), SPRINGS, np.zeros(6))
-
-
-@pytest.mark.slow
-def test_slopes_agree_with_differences():
-    job = sim.with_precision(small())
-    h = 1e-5
-    for i in SPRINGS:
-        sides = [
-            modelled(job, SPRINGS, h * sign * np.eye(6)[i]).deviation
-            for sign in (1.0, -1.0)
-        ]
-        wanted = (sides[0] - sides[1]) / (2 * h)
-        found = small_record().deviation_slopes[:, :, i]
-        assert np.abs(found - wanted).max() < 1e-6 * np.abs(wanted).max()
+    """The force and the deviation of the small job, by its own model."""
+    return sim.simulate(small())
 
 
 @pytest.mark.slow
 def test_deflection_alone_gives_springs_and_names_what_it_does_not_show():
-    clean, draw = small_record().deviation, np.random.default_rng(0)
+    clean, draw = np.asarray(small_record().deviation), np.random.default_rng(0)
     offset = np.array([3e-5, -2e-5, 1e-5])
     # The axial force bends the third slide by less than this noise.
     seen = clean + offset[None] + 3e-6 * draw.normal(size=clean.shape)
@@ -139,7 +130,7 @@ def test_deflection_alone_gives_springs_and_names_what_it_does_not_show():
     named = " ".join(fit.notes)
     assert "K z is not identifiable" in named and "D z is not" in named
     for name in off:
-        wanted = parameter_values(small())[name]
+        wanted = values_of(small())[name]
         assert abs(fit.parameters[name] - wanted) < 4 * fit.standard_errors[name]
 
 
@@ -171,7 +162,7 @@ def test_one_record_gives_arm_and_cut(precision):
     "factor", [2.0, *(pytest.param(f, marks=pytest.mark.slow) for f in (0.2, 8.0))]
 )
 def test_a_start_that_is_far_off_does_no_harm(factor):
-    clean, draw = small_record().deviation, np.random.default_rng(0)
+    clean, draw = np.asarray(small_record().deviation), np.random.default_rng(0)
     seen = clean + 3e-6 * draw.normal(size=clean.shape)
     job = small()
     robot = rb.with_drives(slides(), stiffness=factor * STIFFNESS)
@@ -184,7 +175,7 @@ def test_a_start_that_is_far_off_does_no_harm(factor):
 
 @pytest.mark.slow
 def test_a_record_of_another_machine_is_called_so():
-    turned = small_record().deviation[:, [1, 2, 0]]
+    turned = np.asarray(small_record().deviation)[:, [1, 2, 0]]
     fit = identification.fit_coupled(started(small(), ["K"]), deviation=turned)
     assert fit.explained["deviation"] < 0.7
     assert "does not suit the job" in " ".join(fit.notes)
@@ -216,18 +207,22 @@ def test_a_missing_force_is_missing_for_a_period_only():
     np.testing.assert_allclose(found[:, 1:], wanted[:, 1:])
 
 
-def test_what_has_no_start_is_fitted_only_if_asked_for():
+@pytest.mark.slow
+def test_what_has_no_start_is_not_fitted_and_noted():
     """A job may leave out edge coefficients: they are 0 then."""
     job = eqx.tree_at(lambda j: j.law.K_te, small(), 0.0)
-    names = fitted_names(job, None, True)
-    assert set(parameter_values(job)) - set(names) == {"K_te"}
-    assert kept_note(job, True) == (
-        "Not fitted, since a fit starts from a positive and finite number: in the job "
-        "K_te is 0.",
-    )
-    assert kept_note(small(), True) == () and kept_note(job, False) == ()
-    with pytest.raises(ValueError, match="must be positive and finite"):
-        fitted_names(job, ["K_te"], True)
+    record = small_record()
+    rows = {"force": np.asarray(record.force), "deviation": record.deviation}
+    fit = identification.fit_coupled(job, **rows, max_steps=1)
+    assert set(values_of(job)) - set(fit.parameters) == {"K_te"}
+    (note,) = [note for note in fit.notes if note.startswith("Not fitted")]
+    assert "K_te is 0" in note
+
+
+def test_a_parameter_without_a_start_is_refused():
+    job = eqx.tree_at(lambda j: j.law.K_te, small(), 0.0)
+    with pytest.raises(ValueError, match=r"positive.*K_te is 0"):
+        identification.fit_coupled(job, force=np.zeros((49, 3)), fit=["K_te"])
 
 
 def test_wrong_arguments_are_named():
