@@ -22,15 +22,6 @@ def test_ray_ends_lie_on_the_faces():
         assert (others < np.delete(high, family)).all()
 
 
-def test_height_map():
-    stock = wp.box([0, 0, -2e-3], [2e-3, 2e-3, 0.3e-3], 0.5e-3)
-    x, y, height = wp.height_map(stock)
-    assert height.shape == (x.size, y.size)
-    inside = (x > 0) & (x < 2e-3)
-    np.testing.assert_allclose(height[np.ix_(inside, inside)], 0.3e-3)
-    assert np.isnan(height[~inside]).all()
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

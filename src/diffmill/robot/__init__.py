@@ -29,7 +29,6 @@ from ._dynamics.spd_inverse import spd_inverse as spd_inverse
 from ._dynamics.terms import ArmTerms as ArmTerms, arm_terms as arm_terms
 from ._elasticity.compliance import (
     cartesian_compliance as cartesian_compliance,
-    cartesian_stiffness as cartesian_stiffness,
     gravity_sag as gravity_sag,
     principal_stiffness as principal_stiffness,
     static_deflection as static_deflection,

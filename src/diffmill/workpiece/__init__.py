@@ -37,7 +37,6 @@ from ._dexel.stock import (
     Rays as Rays,
     Stock as Stock,
     box as box,
-    height_map as height_map,
     ray_ends as ray_ends,
 )
 from ._dexel.stock_arrays import (

@@ -30,25 +30,6 @@ def cartesian_compliance(robot: Robot, q: JointVector) -> Float[Array, "6 6"]:
     return (J / robot.joint_stiffness[None]) @ J.T
 
 
-def cartesian_stiffness(robot: Robot, q: JointVector) -> Float[Array, "3 3"]:
-    """Return the force that moves the tool's tip, per displacement.
-
-    The tool is free to rotate: the inverse of the translational part of
-    `cartesian_compliance`.
-
-    Args:
-        robot: The robot; its tip must be compliant in all directions, or the
-            result is not finite (`principal_stiffness` is then still right).
-        q: Joint positions [rad or m], shape (joint,).
-
-    Returns:
-        Stiffness in base axes [N/m], shape (3, 3).
-
-    **Differentiability**: smooth.
-    """
-    return jnp.linalg.inv(cartesian_compliance(robot, q)[:3, :3])
-
-
 def principal_stiffness(robot: Robot, q: JointVector) -> Float[Array, " 3"]:
     """Return the stiffness of the tool's tip in its principal directions.
 
@@ -57,8 +38,9 @@ def principal_stiffness(robot: Robot, q: JointVector) -> Float[Array, " 3"]:
         q: Joint positions [rad or m], shape (joint,).
 
     Returns:
-        Eigenvalues of `cartesian_stiffness` [N/m], ascending, shape (3,); infinite
-        where the tip is rigid.
+        Eigenvalues of the inverse of the translational part of `cartesian_compliance`,
+        so of a tool that is free to rotate [N/m], ascending, shape (3,); infinite where
+        the tip is rigid.
 
     **Differentiability**: smooth where no two of them coincide.
     """

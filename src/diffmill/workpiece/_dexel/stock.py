@@ -236,23 +236,3 @@ def ray_ends(
     points[:, (family + 1) % 3] = origin[(family + 1) % 3] + u * stock.spacing
     points[:, (family + 2) % 3] = origin[(family + 2) % 3] + v * stock.spacing
     return points, np.where(side == 0, -1.0, 1.0)
-
-
-def height_map(
-    stock: Stock,
-) -> tuple[Float[np.ndarray, " x"], Float[np.ndarray, " y"], Float[np.ndarray, "x y"]]:
-    """Return the highest material above each point of the plan, on the host.
-
-    Args:
-        stock: The workpiece.
-
-    Returns:
-        Grid lines x and y [m], shapes (x,) and (y,), and the height [m], shape
-        (x, y); NaN where a ray holds no material.
-    """
-    ends = np.asarray(stock.families[2].ends)
-    is_live = ends[:, :, 1] > ends[:, :, 0]
-    height = np.where(is_live, ends[:, :, 1], -np.inf).max(axis=-1)
-    origin = np.asarray(stock.origin)
-    lines = [origin[a] + stock.spacing * np.arange(height.shape[a]) for a in range(2)]
-    return lines[0], lines[1], np.where(np.isfinite(height), height, np.nan)
