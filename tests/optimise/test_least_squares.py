@@ -139,3 +139,24 @@ def test_a_state_goes_on_where_it_ended():
 def test_a_start_without_a_value_is_refused():
     with pytest.raises(ValueError, match="x0"):
         least_squares(Decay(), np.array([1.0, -1.0]), SOLVER)
+
+
+class Useless(AbstractProblem):
+    """The decay, with a third unknown of no effect and a first one of many digits."""
+
+    def evaluate(self, x):
+        return decay(np.array([1e-9 * x[0], x[1]])) - SEEN if x[1] >= 0 else None
+
+    def model(self, x, value):
+        wave = np.exp(-x[1] * TIME)
+        J = np.column_stack([1e-9 * wave, -1e-9 * x[0] * TIME * wave, 0.0 * TIME])
+        cost = lambda there, r: 0.5 * float(r @ r)
+        return QuadraticModel(cost, J.T @ value, J.T @ J)
+
+
+def test_an_unknown_without_effect_stays():
+    solver = LevenbergMarquardt(max_steps=60, still=np.array([1e-3, 1e-12, 0.1]))
+    found = least_squares(Useless(), np.array([1e8, 5.0, 7.0]), solver)
+    wanted = least_squares(Decay(), TRUTH, SOLVER).x
+    assert found.has_converged and found.x[2] == 7.0
+    assert_allclose(found.x[:2], wanted * [1e9, 1.0], rtol=1e-6)

@@ -103,7 +103,7 @@ class LevenbergMarquardt(eqx.Module):
         rest: Squared length of a step in the metric of the curvature at which a good
             step is the last.
         kink: The same for a refused step: further ones would be refused too.
-        still: Largest change of an unknown that counts as none.
+        still: Largest change of each unknown that counts as none, likewise.
         share: Smallest decrease over the cost that is worth a trial.
     """
 
@@ -115,7 +115,7 @@ class LevenbergMarquardt(eqx.Module):
     more: float = 10.0
     rest: float = 0.0
     kink: float = 0.0
-    still: float = 0.0
+    still: float | Vector = 0.0
     share: float = 0.0
 
 
@@ -214,7 +214,7 @@ def _stepped(
         state = dataclasses.replace(state, evaluations=state.evaluations + 1)
         is_better = value is not None and cost <= now and np.isfinite(cost)
         damping *= solver.less if is_better else solver.more
-        is_still = float(np.abs(p).max(initial=0.0)) < solver.still
+        is_still = bool(np.all(np.abs(p) < solver.still))
         if is_better:
             return dataclasses.replace(
                 state,
@@ -234,20 +234,26 @@ def _stepped(
 def _damped_step(
     model: QuadraticModel, damping: float, box: LinearRows
 ) -> Vector | None:
-    """Return the step of the damped model within its constraints, None for none."""
-    least = np.maximum(np.diagonal(model.curvature), 1e-300)
-    H = model.curvature + damping * np.diag(least)
+    """Return the step of the damped model within its constraints, None for none.
+
+    Unknowns without effect on the cost stay.
+    """
+    own = np.diagonal(model.curvature)
+    is_free = (own > 0) & (box.upper > box.lower)
+    # In units in which the curvature is one: the unknowns differ by many digits.
+    unit = 1.0 / np.sqrt(own[is_free])
+    H = model.curvature[np.ix_(is_free, is_free)] * unit[:, None] * unit[None]
+    H = H + damping * np.eye(len(H))
+    g = model.gradient[is_free] * unit
+    p = np.zeros(len(own))
     if model.rows is None:
-        p = np.linalg.solve(H, -model.gradient)
+        p[is_free] = np.linalg.solve(H, -g) * unit
         if np.all((p >= box.lower) & (p <= box.upper)):
             return p
-    is_free = box.upper > box.lower
     parts = [box] if model.rows is None else [box, model.rows]
-    # In units in which the curvature is one: the solver's digits are relative to it.
-    unit = 1.0 / np.sqrt(np.diagonal(H)[is_free])
     found = solve_quadratic_program(
-        H[np.ix_(is_free, is_free)] * unit[:, None] * unit[None],
-        model.gradient[is_free] * unit,
+        H,
+        g,
         np.vstack([one.matrix[:, is_free] for one in parts]) * unit[None],
         np.concatenate([one.lower for one in parts]),
         np.concatenate([one.upper for one in parts]),
@@ -255,6 +261,5 @@ def _damped_step(
     )
     if found is None:
         return None
-    p = np.zeros(len(H))
     p[is_free] = found.x * unit
     return np.clip(p, box.lower, box.upper)
