@@ -371,8 +371,6 @@ class EndMill(AbstractCutter):
         Returns:
             runout cos(runout_angle - pitch angle) [m], shape (tooth,); the first
             order in the run-out over the radius.
-
-        Differentiability: smooth.
         """
         pitch = jnp.asarray(self.pitch_angles)
         offset = jnp.asarray(self.runout, pitch.dtype)

@@ -155,8 +155,6 @@ def path_feed(path: Path, *, acceleration: RealScalarLike | None = None) -> Path
     Raises:
         ValueError: If the acceleration is not positive, or the path never accelerates
             and none is given, or does not move.
-
-    **Differentiability**: none, it runs on the host.
     """
     from scipy.interpolate import PchipInterpolator
 

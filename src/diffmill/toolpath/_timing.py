@@ -93,8 +93,6 @@ def sample_program(
     Raises:
         ValueError: If a limit is not positive, a feed is missing, nothing moves, or
             the motion takes more than `most_steps`.
-
-    **Differentiability**: none, it runs on the host.
     """
     limits = {
         "tooth_period": tooth_period,

@@ -46,8 +46,6 @@ def load_mesh(path: str | os.PathLike[str], *, unit: MeshUnit = "mm") -> Mesh:
     Raises:
         MeshFileError: The file cannot be read, or its triangles bound no solid.
         ValueError: The unit is unknown.
-
-    Differentiability: none.
     """
     scale, suffix = _scale(unit), _suffix(path)
     try:
@@ -110,8 +108,6 @@ def from_mesh(
         MeshFileError: The file cannot be read, or its triangles bound no solid.
         ValueError: An argument is out of range, the slots are too few, or the stock is
             larger than half of the physical memory.
-
-    Differentiability: none.
     """
     mesh = load_mesh(path, unit=unit)
     return stock_from_mesh(mesh, spacing, interval_counts=interval_counts, dtype=dtype)
@@ -134,8 +130,6 @@ def save_mesh(
         MeshFileError: The suffix is none of these.
         ValueError: The stock holds no material, or the unit is unknown.
         OSError: The file cannot be written.
-
-    Differentiability: none.
     """
     scale, suffix = _scale(unit), _suffix(path)
     mesh = (
@@ -157,8 +151,6 @@ def save_stock(stock: Stock, path: str | os.PathLike[str]) -> None:
         path: Path of the .npz file. It receives, for each axis f of x, y and z, the
             array `ends_f` (u, v, 2, slot) and the array `poses_f` of the same shape,
             and `origin`, `spacing`, `top`, `volume_weights`.
-
-    Differentiability: none.
     """
     with open(path, "wb") as file:
         np.savez_compressed(file, allow_pickle=False, **arrays_of_stock(stock))
@@ -184,8 +176,6 @@ def load_stock(
 
     Raises:
         StockFileError: The file cannot be read, is damaged or of another format.
-
-    Differentiability: none.
     """
     name = os.fspath(path)
     try:

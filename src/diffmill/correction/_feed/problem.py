@@ -51,8 +51,6 @@ def smoothed(weights: Weights, rows: int = 8) -> Float[np.ndarray, " step"]:
 
     Where a weight jumps, the rows come and go one by one as the feed changes; the sum
     over them then has small waves, whose slopes are as steep as what is sought.
-
-    **Differentiability**: none, it runs on the host.
     """
     box = np.full(rows, 1 / rows)
     window = np.convolve(box, box)

@@ -95,8 +95,6 @@ def feed_curve(
     Raises:
         ValueError: A weight is not positive, a count is too small, or the path as it
             is has no error to trade, or one that is not finite.
-
-    **Differentiability**: runs on the host, not traceable.
     """
     if not time_weights or not all(0 < w < float("inf") for w in time_weights):
         raise ValueError(

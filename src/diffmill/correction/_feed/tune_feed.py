@@ -78,8 +78,6 @@ def feed_tradeoff(
         SimulationFailed: A run fails; a feed may be too fast for the window of rays.
         NothingToCorrect: The program never cuts; a `ValueError`.
         ValueError: The job has no robot, or an override is not positive.
-
-    **Differentiability**: runs on the host, not traceable.
     """
     _check_robot(job)
     feed = path_feed(job.path, acceleration=acceleration)
@@ -151,8 +149,6 @@ def tune_feed(
         NothingToCorrect: The program never cuts; a `ValueError`.
         ValueError: The job has no robot, a weight or a bound is not positive, or the
             path never accelerates and no acceleration is given.
-
-    **Differentiability**: runs on the host, not traceable.
     """
     _check_robot(job)
     job = with_precision(job)

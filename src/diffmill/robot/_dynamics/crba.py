@@ -23,8 +23,6 @@ def mass_matrix(robot: Robot, q: JointVector) -> Float[Array, "joint joint"]:
 
     Returns:
         M [kg m^2, kg m or kg], symmetric, shape (joint, joint).
-
-    **Differentiability**: smooth.
     """
     return _mass_matrix(robot, joint_vector(robot, q, "q"))
 

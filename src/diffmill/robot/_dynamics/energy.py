@@ -25,8 +25,6 @@ def mechanical_energy(
 
     Returns:
         Energy [J], shape (); the weight counts from the base's origin.
-
-    **Differentiability**: smooth.
     """
     return _mechanical_energy(
         robot,

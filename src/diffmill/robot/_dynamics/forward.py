@@ -52,8 +52,6 @@ def forward_dynamics(
         ValueError: If the algorithm is unknown or cannot treat the robot, or if M is
             singular because joints move no mass; under `jit` and `vmap` the
             accelerations are not a number instead.
-
-    **Differentiability**: smooth.
     """
     check_algorithm(robot, algorithm)
     accelerations = _forward_dynamics(
@@ -88,8 +86,6 @@ def augmented_inverse(
     Raises:
         ValueError: If the algorithm is unknown or cannot treat the robot, or if the
             matrix is singular; under `jit` and `vmap` it is not a number instead.
-
-    **Differentiability**: smooth.
     """
     check_algorithm(robot, algorithm)
     inverse = _augmented_inverse(

@@ -39,8 +39,6 @@ def inverse_dynamics(
 
     Returns:
         Torques that act on the joints [N m or N], shape (joint,).
-
-    **Differentiability**: smooth.
     """
     return _inverse_dynamics(
         robot,
@@ -63,8 +61,6 @@ def bias_forces(
 
     Returns:
         Torques [N m or N], shape (joint,).
-
-    **Differentiability**: smooth.
     """
     zero = jnp.zeros(robot.joint_count, robot.dtype)
     return inverse_dynamics(robot, q, qd, zero)
@@ -79,8 +75,6 @@ def gravity_forces(robot: Robot, q: JointVector) -> Float[Array, " joint"]:
 
     Returns:
         Torques [N m or N], shape (joint,).
-
-    **Differentiability**: smooth.
     """
     return _gravity_forces(robot, joint_vector(robot, q, "q"))
 

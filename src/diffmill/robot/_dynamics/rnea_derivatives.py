@@ -101,8 +101,6 @@ def _derivatives(
 
     Returns:
         The slopes.
-
-    **Differentiability**: smooth.
     """
     n = robot.body_count
     found = _of_bodies(

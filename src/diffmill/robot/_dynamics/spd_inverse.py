@@ -25,8 +25,6 @@ def spd_inverse(
 
     Returns:
         The inverse; not a number where the matrix is singular to rounding.
-
-    **Differentiability**: smooth.
     """
     eye = jnp.eye(matrix.shape[0], dtype=matrix.dtype)
     return jsl.cho_solve((factor(matrix), True), eye)

@@ -48,8 +48,6 @@ def arm_terms(robot: Robot, q: JointVector, qd: JointVector) -> ArmTerms:
 
     Returns:
         The terms.
-
-    **Differentiability**: smooth.
     """
     return _arm_terms(robot, joint_vector(robot, q, "q"), joint_vector(robot, qd, "qd"))
 

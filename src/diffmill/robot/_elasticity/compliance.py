@@ -23,8 +23,6 @@ def cartesian_compliance(robot: Robot, q: JointVector) -> Float[Array, "6 6"]:
     Returns:
         Displacement and rotation of the tool per wrench, both at the tool's origin
         in base axes, linear part first [m/N, 1/N, rad/(N m)], shape (6, 6).
-
-    **Differentiability**: smooth.
     """
     J = jacobian(robot, q)
     return (J / robot.joint_stiffness[None]) @ J.T

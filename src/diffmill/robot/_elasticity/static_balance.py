@@ -38,8 +38,6 @@ def motor_positions(
     Returns:
         Motor positions on the joint side [rad or m], shape (joint,); 0 for virtual
         joints.
-
-    **Differentiability**: smooth.
     """
     wanted = joint_vector(robot, q, "q")
     if is_gravity_compensated:

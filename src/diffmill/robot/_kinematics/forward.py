@@ -135,8 +135,6 @@ def forward_kinematics(robot: Robot, q: JointVector) -> Float[Array, "4 4"]:
 
     Returns:
         T_base_tool: maps tool coordinates to base, shape (4, 4).
-
-    **Differentiability**: smooth.
     """
     return _forward_kinematics(robot, joint_vector(robot, q, "q"))
 
@@ -150,8 +148,6 @@ def jacobian(robot: Robot, q: JointVector) -> Float[Array, "6 joint"]:
 
     Returns:
         Linear rows [m/rad or -] first, then angular [- or rad/m], shape (6, joint).
-
-    **Differentiability**: smooth.
     """
     return _jacobian(robot, joint_vector(robot, q, "q"))
 

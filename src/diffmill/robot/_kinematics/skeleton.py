@@ -40,8 +40,6 @@ def skeleton(robot: Robot, q: JointVector) -> Skeleton:
 
     Returns:
         The points; `robot.parents` tells which belong together.
-
-    **Differentiability**: smooth.
     """
     values = joint_vector(robot, q, "q")
     frames = joint_frames(robot, values)

@@ -76,8 +76,6 @@ def with_friction(
 
     Raises:
         ValueError: If a friction is negative or a speed not positive.
-
-    **Differentiability**: smooth.
     """
     F_c = joint_vector(robot, coulomb, "coulomb")
     F_v = joint_vector(robot, viscous, "viscous")
@@ -110,8 +108,6 @@ def with_motors(
     Raises:
         ValueError: If an inertia or a stiffness of a joint with a motor is not
             positive, or a damping negative.
-
-    **Differentiability**: smooth.
     """
     has_motor = robot.motor_mask()
     values = []

@@ -233,8 +233,6 @@ def with_tool(robot: Robot, T_flange_tool: Transform) -> Robot:
 
     Returns:
         The changed robot.
-
-    **Differentiability**: smooth.
     """
     tool = jnp.asarray(T_flange_tool, dtype=robot.dtype)
     return eqx.tree_at(lambda r: r.T_flange_tool, robot, tool)
@@ -258,8 +256,6 @@ def with_drives(
 
     Raises:
         ValueError: If a stiffness is not positive or a damping negative.
-
-    **Differentiability**: smooth.
     """
     if stiffness is not None:
         values = joint_vector(robot, stiffness, "stiffness")

@@ -47,8 +47,6 @@ def case_parts(dataset: "xarray.Dataset") -> tuple[CaseParts, ...]:
 
     Args:
         dataset: A result of `correct`.
-
-    **Differentiability**: none, a host function.
     """
     if any(name not in dataset for name in _NEEDED):
         return ()

@@ -364,8 +364,6 @@ def window_grid(
         cutter: The cutter.
         window: Size of the window.
         pose: The pose, without derivative, shape (3,).
-
-    Differentiability: none.
     """
     origin, d = stock.origin, stock.spacing
     starts, is_beyond = _place(stock, cutter, window, pose)

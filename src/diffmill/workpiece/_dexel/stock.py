@@ -112,8 +112,6 @@ class Stock(eqx.Module):
         Raises:
             ValueError: The stock holds no material, or the grid is too large for the
                 memory.
-
-        Differentiability: none.
         """
         from .._mesh.dual_contour import surface_mesh
 

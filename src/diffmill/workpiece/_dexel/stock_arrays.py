@@ -124,8 +124,6 @@ def as_raw_stock(stock: Stock) -> Stock:
 
     Raises:
         ValueError: The stock holds no material.
-
-    Differentiability: none, a host function.
     """
     # Rays along z alone would miss a wall that stands between them.
     z_lines = np.asarray(stock.origin)[2] + stock.spacing * np.arange(
@@ -154,8 +152,6 @@ def with_interval_counts(stock: Stock, interval_counts: tuple[int, int, int]) ->
 
     Raises:
         ValueError: The slots are too few for the intervals that there are.
-
-    Differentiability: none, a host function.
     """
     families = []
     needed = []

@@ -38,8 +38,6 @@ def surface_mesh(stock: "Stock") -> Mesh:
     Raises:
         ValueError: The stock holds no material, or the grid is too large for the
             memory.
-
-    Differentiability: none.
     """
     inside = inside_nodes(stock)
     if not inside.any():

@@ -44,8 +44,6 @@ def stock_from_mesh(
         ValueError: The spacing is not positive or so large that no ray meets the mesh,
             the slots are too few, the mesh is no solid, or the stock is larger than
             half of the physical memory.
-
-    Differentiability: none, a host function.
     """
     if not (math.isfinite(spacing) and spacing > 0):
         raise ValueError(

@@ -121,8 +121,6 @@ def surface_error(
 
     Raises:
         ValueError: The ideal stock holds no material.
-
-    Differentiability: none, a host function.
     """
     found = [ray_ends(machined, f)[0] for f in range(3)]
     points = np.concatenate(found)
