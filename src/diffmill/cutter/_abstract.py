@@ -36,6 +36,11 @@ class AbstractCutter(eqx.Module):
 
     @property
     @abc.abstractmethod
+    def has_corner(self) -> bool:
+        """Whether the end is rounded."""
+
+    @property
+    @abc.abstractmethod
     def corner_radius(self) -> RealScalarLike:
         """Corner radius [m]: 0 for a flat end, the radius for a ball."""
 
@@ -94,9 +99,9 @@ class AbstractCutter(eqx.Module):
         bottom: int,
         corner: int,
         side: int,
-        height: float,
+        height: RealScalarLike,
         dtype: DTypeLike,
-        corner_limit: float = math.pi / 2,
+        corner_limit: RealScalarLike = math.pi / 2,
     ) -> EdgeElements:
         """Return the edge elements of one tooth, from the centre to the shank."""
 

@@ -5,6 +5,8 @@ import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
+from .._types import RealScalarLike
+
 
 class EdgeElements(eqx.Module):
     """Edge elements from the center of the end to the shank, by their middles.
@@ -34,8 +36,8 @@ class EdgeElements(eqx.Module):
 def edge_elements(
     sizes: tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]],
     counts: tuple[int, int, int],
-    height: float,
-    corner_limit: float,
+    height: RealScalarLike,
+    corner_limit: RealScalarLike,
     dtype: DTypeLike,
 ) -> EdgeElements:
     """Return the elements of a flat end, a round corner, and a straight side.

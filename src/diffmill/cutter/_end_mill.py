@@ -69,9 +69,9 @@ class EndMill(AbstractCutter):
     dish_angle: RealScalarLike
     kind: Kind = eqx.field(static=True)
     flute_count: int = eqx.field(static=True)
-    flute_length: float = eqx.field(static=True)
-    nominal_radius: float = eqx.field(static=True)
-    nominal_corner_radius: float = eqx.field(static=True)
+    flute_length: float
+    nominal_radius: float
+    nominal_corner_radius: float
     has_helix: bool = eqx.field(static=True)
     has_dish: bool = eqx.field(static=True)
     has_even_pitch: bool = eqx.field(static=True)
@@ -104,6 +104,11 @@ class EndMill(AbstractCutter):
                     f"Argument `{name}` must be finite and below {limit:g} in size, "
                     f"but is {value}."
                 )
+
+    @property
+    def has_corner(self) -> bool:
+        """Whether the end is rounded."""
+        return self.kind != "flat"
 
     @property
     def corner_radius(self) -> RealScalarLike:
@@ -329,9 +334,9 @@ class EndMill(AbstractCutter):
         bottom: int,
         corner: int,
         side: int,
-        height: float,
+        height: RealScalarLike,
         dtype: DTypeLike,
-        corner_limit: float = math.pi / 2,
+        corner_limit: RealScalarLike = math.pi / 2,
     ) -> EdgeElements:
         """Return the edge elements of one tooth, from the centre to the shank.
 
@@ -353,7 +358,9 @@ class EndMill(AbstractCutter):
 
         Differentiability: smooth in the sizes.
         """
-        if min(bottom, corner, side) < 0 or not 0 <= corner_limit <= 1.5708:
+        is_known = not isinstance(corner_limit, jax.core.Tracer)
+        is_beyond = is_known and not 0 <= corner_limit <= 1.5708
+        if min(bottom, corner, side) < 0 or is_beyond:
             raise ValueError(
                 "Arguments `bottom`, `corner` and `side` must be at least 0 and "
                 "`corner_limit` from 0 to pi / 2, but are "

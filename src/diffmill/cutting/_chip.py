@@ -26,7 +26,7 @@ def circle_chip(
     radius: RealScalarLike,
     offset: Float[Array, " 3"],
     immersion_angle: Float[Array, "*sample"],
-    if_missed: float,
+    if_missed: RealScalarLike,
 ) -> Float[Array, "*sample"]:
     """Return the thickness that one earlier circle leaves along a tooth's radius.
 

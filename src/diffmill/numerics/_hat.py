@@ -53,7 +53,7 @@ def mean_step(
     return (_integrated_twice(x + half) - _integrated_twice(x - half)) / (2 * half)
 
 
-def ramp(x: Float[Array, "*n"], width: float) -> Float[Array, "*n"]:
+def ramp(x: Float[Array, "*n"], width: float | Float[Array, ""]) -> Float[Array, "*n"]:
     """Return what of x is above zero, its corner rounded off.
 
     Args:

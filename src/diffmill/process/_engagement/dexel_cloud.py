@@ -95,7 +95,7 @@ class DexelCloud(AbstractEngagement):
     substeps: int = eqx.field(static=True)
     discs: Discs
     window: RemovalWindow
-    lag: float = eqx.field(static=True)
+    lag: float
     looks: int = eqx.field(static=True, default=1)
     is_upright: bool = eqx.field(static=True, default=True, init=False)
 

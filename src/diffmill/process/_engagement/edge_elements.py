@@ -53,8 +53,8 @@ class EdgeDiscretisation(eqx.Module):
     bottom: int = eqx.field(static=True)
     corner: int = eqx.field(static=True)
     side: int = eqx.field(static=True)
-    side_height: float = eqx.field(static=True)
-    corner_limit: float = eqx.field(static=True)
+    side_height: float
+    corner_limit: float
     keeps_all: bool = eqx.field(static=True)
 
     def elements(self, cutter: AbstractCutter, dtype: jnp.dtype) -> EdgeElements:
@@ -80,7 +80,7 @@ class EdgeElementsInSpace(AbstractEngagement):
     substeps: int = eqx.field(static=True)
     discs: Discs
     window: RemovalWindow
-    lag: float = eqx.field(static=True)
+    lag: float
     profile: EdgeDiscretisation
     is_upright: bool = eqx.field(static=True, default=True)
     looks: int = eqx.field(static=True, default=1)

@@ -41,7 +41,7 @@ class UprightFlat(AbstractEngagement):
     substeps: int = eqx.field(static=True)
     discs: Discs
     window: RemovalWindow
-    lag: float = eqx.field(static=True)
+    lag: float
     looks: int = eqx.field(static=True, default=1)
     bottom: BottomEdges | None = None
     is_upright: bool = eqx.field(static=True, default=True, init=False)

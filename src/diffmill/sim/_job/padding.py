@@ -89,12 +89,12 @@ def padded_job(job: Job) -> Job:
 
 
 def pad_rows(
-    rows: FloatRows, job: Job
+    rows: FloatRows, step_count: int
 ) -> Float[Array, "row axis"] | Float[np.ndarray, "row axis"]:
-    """Return rows as long as those of a padded job; the last one comes again."""
-    if rows.shape[0] == job.path.step_count:
+    """Return rows as long as those of a padded path; the last one comes again."""
+    if rows.shape[0] == step_count:
         return rows
-    at = np.minimum(np.arange(job.path.step_count), rows.shape[0] - 1)
+    at = np.minimum(np.arange(step_count), rows.shape[0] - 1)
     return np.asarray(rows)[at]
 
 

@@ -1,5 +1,6 @@
 """Simulating a job: the rigid cut first, then the robot that cuts."""
 
+import dataclasses
 from collections.abc import Callable
 from typing import TYPE_CHECKING, TypeVar
 
@@ -23,7 +24,7 @@ from ...process import (
     wall_deviation,
     wall_shares,
 )
-from ...toolpath import contour_error
+from ...toolpath import Path, contour_error
 from ...workpiece import Stock
 from .._machine._integrator.rk4 import make_integrator
 from .._machine.commands import command_motors, path_axes
@@ -41,6 +42,10 @@ if TYPE_CHECKING:
 # Called between the parts of a run with a message and the share done.
 OnProgress = Callable[[str, float], None]
 _Tree = TypeVar("_Tree")
+# Any directions of the tool: which ones is known to the sizes alone.
+_ANY_AXIS = ((0.0, 0.0, 1.0),)
+# Sizes of a cutter that are none of its derivatives.
+_NOMINAL = ("flute_length", "nominal_radius", "nominal_corner_radius")
 
 
 class Solution(eqx.Module):
@@ -191,7 +196,9 @@ def with_precision(job: Job) -> Job:
             'Argument `job` must have precision "float32", or '
             'jax.config.update("jax_enable_x64", True) must come first.'
         )
-    return cast_floats(job, dtype)
+    sizes = lambda j: [getattr(j.cutter, name) for name in _NOMINAL]
+    # What sizes arrays stays a number of Python, known while a program is traced.
+    return eqx.tree_at(sizes, cast_floats(job, dtype), sizes(job))
 
 
 def cast_floats(tree: _Tree, dtype: jnp.dtype) -> _Tree:
@@ -277,21 +284,57 @@ def rigid_cut(job: Job, adjoint: AbstractAdjoint) -> Run:
 
     **Differentiability**: that of `simulate_process`.
     """
-    padded, count = padded_job(job), job.path.step_count
-    cut = _cut_along(padded, on_device(padded.path.positions), adjoint)
-    if padded.path.step_count != count:
+    program, count = _program(job, adjoint), job.path.step_count
+    cut = _cut_along(program, on_device(program.path.positions))
+    if program.path.step_count != count:
         cut = cut_rows(cut, _PROCESS_ROWS, count)
     return cut
 
 
+class _Program(eqx.Module):
+    """What a compiled program sees of a job: numbers alone, none of them static.
+
+    Attributes:
+        process: The process.
+        machine: What moves the tool; None for a rigid machine.
+        path: The path, of one of few lengths.
+        axes: Tool axes, shape (step, 3); None if it stands upright.
+        kinematics: The job, of which only what inverse kinematics needs is left.
+    """
+
+    process: Process
+    machine: ElasticArm | QuasiStaticArm | None
+    path: Path
+    axes: Float[Array, "step 3"] | None
+    kinematics: Job
+
+
+def _program(job: Job, derivative: AbstractAdjoint) -> _Program:
+    """Return what a compiled program sees of a job, sizes taken on the host."""
+    padded, dtype = padded_job(job), jnp.dtype(job.simulation.precision)
+    machine = None if job.robot is None else job_machine(padded)
+    # Of the settings only choices are left, and of the axes whether there are any.
+    settings = dataclasses.replace(
+        padded.simulation,
+        element_height=0.0,
+        axial_depth=0.0,
+        axes=_ANY_AXIS if padded.simulation.axes else (),
+    )
+    rest = eqx.tree_at(
+        lambda j: (j.cutter, j.law, j.bottom_law, j.stock, j.spindle_speed),
+        dataclasses.replace(padded, simulation=settings),
+        (None,) * 5,
+        is_leaf=lambda x: x is None,
+    )
+    process = cast_floats(job_process(padded, derivative), dtype)
+    return _Program(process, machine, padded.path, path_axes(padded), rest)
+
+
 @eqx.filter_jit
-def _cut_along(
-    job: Job, positions: Float[Array, "step 3"], adjoint: AbstractAdjoint
-) -> Run:
+def _cut_along(program: _Program, positions: Float[Array, "step 3"]) -> Run:
     """Return the process alone of a rigid machine on the given tips."""
-    path = path_poses(positions, path_axes(job))
-    row_count = job.path.row_count
-    return run(Rigid(), job_process(job, adjoint), path, row_count=row_count)
+    path = path_poses(positions, program.axes)
+    return run(Rigid(), program.process, path, row_count=program.path.row_count)
 
 
 def solve_command(
@@ -316,12 +359,12 @@ def solve_command(
 
     Differentiability: as `simulate`.
     """
-    padded, count = padded_job(job), job.path.step_count
-    commanded = on_device(commanded)
-    theta = None if motors is None else on_device(pad_rows(motors, padded))
-    tips = on_device(pad_rows(commanded, padded))
-    ran = _follow(padded, rigid.stock, tips, adjoint, theta)
-    if padded.path.step_count != count:
+    program, count = _program(job, adjoint), job.path.step_count
+    commanded, steps = on_device(commanded), program.path.step_count
+    theta = None if motors is None else on_device(pad_rows(motors, steps))
+    tips = on_device(pad_rows(commanded, steps))
+    ran = _follow(program, rigid.stock, tips, theta)
+    if steps != count:
         ran = cut_rows(ran, _FOLLOWED_ROWS, count)
     # What a rigid cut that failed says of where the tool cuts would be wrong; what went
     # wrong in a cut counts before what is not reached, which `is_reached` tells.
@@ -418,29 +461,28 @@ _FOLLOWED_ROWS = (
 
 @eqx.filter_jit
 def _follow(
-    job: Job,
+    program: _Program,
     finished: Stock,
     commanded: Float[Array, "step 3"],
-    adjoint: AbstractAdjoint,
     motors: Float[Array, "step joint"] | None,
 ) -> _Followed:
     """Return the run of a command, given what the rigid cut leaves.
 
     Other arguments as for `solve_command`.
     """
-    desired = jnp.asarray(job.path.positions)
-    q = None
+    path, process = program.path, program.process
+    desired = jnp.asarray(path.positions)
     is_reached = jnp.ones(desired.shape[0], bool)
-    if job.robot is None:
+    if program.machine is None:
         # A rigid machine goes where it is told.
-        ran = _cut_along(job, commanded, adjoint)
+        ran = _cut_along(program, commanded)
         actual, ends = commanded, commanded[:, None]
     else:
         if motors is None:
-            motors, is_reached = command_motors(job, commanded)
-        ran = run_motors(job, motors, adjoint)
-        actual, q, ends = ran.actual, ran.joint_positions, ran.ends
-    shares = wall_shares(desired, path_axes(job), job.cutter, finished)
+            motors, is_reached = command_motors(program.kinematics, commanded)
+        ran = run(program.machine, process, motors, row_count=path.row_count)
+        actual, ends = ran.actual, ran.ends
+    shares = wall_shares(desired, program.axes, process.cutter, finished)
     deviation = wall_deviation(ends, desired, shares)
     return _Followed(
         actual=actual,
@@ -451,7 +493,7 @@ def _follow(
         wall_share=shares,
         contour_error=contour_error(desired + deviation, desired),
         motor_positions=motors,
-        joint_positions=q,
+        joint_positions=ran.joint_positions,
         has_failed=ran.has_failed,
         is_reached=is_reached,
         initial_overlap_volume=ran.initial_overlap_volume,

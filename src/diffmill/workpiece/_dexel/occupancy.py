@@ -62,8 +62,8 @@ class Discs(eqx.Module):
     """
 
     count: int = eqx.field(static=True)
-    height: float = eqx.field(static=True)
-    band: float = eqx.field(static=True)
+    height: float
+    band: float
 
     def centers(self, dtype: jnp.dtype) -> Float[Array, " element"]:
         """Return the height of the middle of each disc above the tip [m]."""
@@ -139,7 +139,7 @@ def occupancy(
     if track is not None:
         walls = _tie_walls(cutter, walls, track)
     rim = _Rim(place, move, chip, heights)
-    combine = jax.checkpoint(_combine, static_argnums=(0, 1))
+    combine = jax.checkpoint(_combine, static_argnums=(1,))
     found = combine(discs, stock.spacing, stock.origin, rim, columns, walls)
     touched, share = hold(found)
     return hold((touched.T, share.T))
@@ -329,7 +329,7 @@ def _sum(terms: Float[Array, " term *any"]) -> Float[Array, "*any"]:
 
 def _wall_occupancy(
     d: float,
-    band: float,
+    band: float | Float[Array, ""],
     origin: Float[Array, " 3"],
     rim: _Rim,
     walls: tuple[_Walls, ...],

@@ -75,7 +75,7 @@ def occupancy_in_space(
     stock: Stock,
     points: Float[Array, "point 3"],
     cells: Float[Array, "point edge 3"],
-    band: float,
+    band: float | Float[Array, ""],
     cutter: AbstractCutter,
     track: PoseTrack | None = None,
     *,
@@ -111,9 +111,9 @@ def occupancy_in_space(
     near = tuple(_find(stock, f, points, slots[f]) for f in range(3))
     sizes = (stock.spacing, band)
     if track is None:
-        combine = jax.checkpoint(_combine, static_argnums=(5,))
+        combine = jax.checkpoint(functools.partial(_combine, sizes=sizes))
         ends = [n.ends for n in near]
-        found = combine(points, cells, ends, near, stock.origin, sizes)
+        found = combine(points, cells, ends, near, stock.origin)
         return found[:, 0], found[:, 1]
     # One gather for all: its transpose then adds into the table only once.
     cut_by = track.cut_by(jnp.stack([n.pose for n in near], axis=1))
@@ -124,7 +124,7 @@ def occupancy_in_space(
 
 
 def _look(
-    sizes: tuple[float, float],
+    sizes: tuple[float, float | Float[Array, ""]],
     points: Float[Array, "point 3"],
     cells: Float[Array, "point edge 3"],
     cut_by: Pose,
@@ -200,7 +200,7 @@ def _combine(
     ends: list[Float[Array, "point 4"]],
     near: tuple[_Near, ...],
     origin: Float[Array, " 3"],
-    sizes: tuple[float, float],
+    sizes: tuple[float, float | Float[Array, ""]],
 ) -> Float[Array, "point 2"]:
     d, band = sizes
     faces = [_face(points, ends[f], near[f], f, origin, d) for f in range(3)]
@@ -222,7 +222,7 @@ def _combine(
 
 
 def _shares(
-    face: _Face, cells: Float[Array, "point edge 3"], band: float
+    face: _Face, cells: Float[Array, "point edge 3"], band: float | Float[Array, ""]
 ) -> tuple[Float[Array, " point"], Float[Array, " point"]]:
     """Return how much of the pieces and of their chips lies inside one plane."""
     # How far it is out of the material along each edge of the cell.

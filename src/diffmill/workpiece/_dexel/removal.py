@@ -93,7 +93,7 @@ def _two(low: Float[Array, "*n"] | Int[Array, "*n"], high: Array) -> Array:
 
 
 class RemovalWindow(eqx.Module):
-    """Number of rays that a removal reads and writes (static).
+    """Number of rays that a removal reads and writes.
 
     Attributes:
         sizes: Grid lines along x, y and z.
@@ -104,8 +104,8 @@ class RemovalWindow(eqx.Module):
     """
 
     sizes: tuple[int, int, int] = eqx.field(static=True)
-    slack: float = eqx.field(static=True)
-    length: float = eqx.field(static=True, default=0.0)
+    slack: float
+    length: float = 0.0
     has_shank: bool = eqx.field(static=True, default=False)
 
 
@@ -191,7 +191,7 @@ def removal_window(
     return RemovalWindow(
         (min(across, nx), min(across, ny), min(height, nz)),
         slack,
-        has_shank=axial_depth > cutter.flute_length,
+        has_shank=bool(axial_depth > cutter.flute_length),
     )
 
 

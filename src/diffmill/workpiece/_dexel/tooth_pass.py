@@ -261,7 +261,7 @@ def _lines(
     Those above each other see an upright straight side at the same time: one high up
     stands for all.
     """
-    if center.axis is not None or cutter.has_helix or cutter.nominal_corner_radius > 0:
+    if center.axis is not None or cutter.has_helix or cutter.has_corner:
         return b, c
     high = (center.tip[2] + cutter.nominal_radius)[None, None]
     return (b[:, :1], high) if family == 0 else (high, c[:1])
