@@ -28,7 +28,7 @@ FREQUENCY, RATIO, STIFFNESS = 190.0, 0.03, 5e6
 STOCK = wp.box([0, 0, -2e-3], [14e-3, 12e-3, 0], 0.25e-3, interval_counts=(6, 6, 1))
 # Sub-steps short enough that the midpoint rule keeps the mode within 0.3 %.
 PLAN = pr.choose_engagement(STOCK, MILL, axial_depth=1.5e-3, substeps=24)
-PROCESS = pr.Process(STOCK, MILL, LAW, math.pi / PERIOD, PLAN)
+PROCESS = pr.Process(STOCK, MILL, LAW, 2 * math.pi / (4 * PERIOD), PLAN)
 
 
 def one_mode():
