@@ -202,6 +202,16 @@ def test_where_the_tool_comes_to_rest_the_derivative_is_that_over_micrometres():
     assert np.max(np.linalg.norm(np.asarray(slope), axis=1)) < 2 * size
 
 
+def test_a_cutter_may_be_an_argument_of_a_compiled_program():
+    # What sizes arrays is part of a tree's structure, so that it is never traced.
+    path = straight(6e-3, steps=24)
+    force = lambda mill, x: (
+        sim.simulate_process(x, STOCK, mill, PAPER_LAW, SPEED, axial_depth=1.6e-3).force
+    )
+    found = jax.jit(force)(MILL, path)
+    np.testing.assert_allclose(found, force(MILL, path), rtol=1e-9, atol=1e-9)
+
+
 def test_rapid_moves_of_millimetres_give_finite_gradients():
     path = straight(6e-3)
     path[:40, 0] = -6e-3 - 3e-3 * np.arange(40)[::-1]

@@ -34,6 +34,14 @@ class AbstractCutter(eqx.Module):
     has_even_pitch: eqx.AbstractVar[bool]
     is_plain: eqx.AbstractVar[bool]
 
+    @abc.abstractmethod
+    def with_sizes_as_leaves(self) -> "AbstractCutter":
+        """Return the cutter with its nominal sizes as leaves.
+
+        They are part of a tree's structure otherwise, since they size arrays. A program
+        that has been given its sizes then does not depend on their values.
+        """
+
     @property
     @abc.abstractmethod
     def has_corner(self) -> bool:

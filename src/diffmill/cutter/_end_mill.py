@@ -1,5 +1,6 @@
 """End mills as the solids that they sweep when they rotate."""
 
+import dataclasses
 import math
 from typing import Literal, TypeAlias
 
@@ -69,9 +70,9 @@ class EndMill(AbstractCutter):
     dish_angle: RealScalarLike
     kind: Kind = eqx.field(static=True)
     flute_count: int = eqx.field(static=True)
-    flute_length: float
-    nominal_radius: float
-    nominal_corner_radius: float
+    flute_length: float = eqx.field(static=True)
+    nominal_radius: float = eqx.field(static=True)
+    nominal_corner_radius: float = eqx.field(static=True)
     has_helix: bool = eqx.field(static=True)
     has_dish: bool = eqx.field(static=True)
     has_even_pitch: bool = eqx.field(static=True)
@@ -104,6 +105,11 @@ class EndMill(AbstractCutter):
                     f"Argument `{name}` must be finite and below {limit:g} in size, "
                     f"but is {value}."
                 )
+
+    def with_sizes_as_leaves(self) -> "EndMill":
+        """Return the cutter with its nominal sizes as leaves."""
+        values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        return _SizedEndMill(**values)
 
     @property
     def has_corner(self) -> bool:
@@ -382,3 +388,11 @@ class EndMill(AbstractCutter):
         pitch = jnp.asarray(self.pitch_angles)
         offset = jnp.asarray(self.runout, pitch.dtype)
         return offset * jnp.cos(jnp.asarray(self.runout_angle, pitch.dtype) - pitch)
+
+
+class _SizedEndMill(EndMill):
+    """An end mill of which the nominal sizes are leaves; attributes as of `EndMill`."""
+
+    flute_length: float
+    nominal_radius: float
+    nominal_corner_radius: float

@@ -44,8 +44,6 @@ OnProgress = Callable[[str, float], None]
 _Tree = TypeVar("_Tree")
 # Any directions of the tool: which ones is known to the sizes alone.
 _ANY_AXIS = ((0.0, 0.0, 1.0),)
-# Sizes of a cutter that are none of its derivatives.
-_NOMINAL = ("flute_length", "nominal_radius", "nominal_corner_radius")
 
 
 class Solution(eqx.Module):
@@ -196,9 +194,7 @@ def with_precision(job: Job) -> Job:
             'Argument `job` must have precision "float32", or '
             'jax.config.update("jax_enable_x64", True) must come first.'
         )
-    sizes = lambda j: [getattr(j.cutter, name) for name in _NOMINAL]
-    # What sizes arrays stays a number of Python, known while a program is traced.
-    return eqx.tree_at(sizes, cast_floats(job, dtype), sizes(job))
+    return cast_floats(job, dtype)
 
 
 def cast_floats(tree: _Tree, dtype: jnp.dtype) -> _Tree:
@@ -326,7 +322,9 @@ def _program(job: Job, derivative: AbstractAdjoint) -> _Program:
         (None,) * 5,
         is_leaf=lambda x: x is None,
     )
-    process = cast_floats(job_process(padded, derivative), dtype)
+    process = job_process(padded, derivative)
+    free = process.cutter.with_sizes_as_leaves()
+    process = cast_floats(eqx.tree_at(lambda p: p.cutter, process, free), dtype)
     return _Program(process, machine, padded.path, path_axes(padded), rest)
 
 
