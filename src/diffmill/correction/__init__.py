@@ -101,11 +101,11 @@ from ._method.receding_horizon import RecedingHorizon as RecedingHorizon
 from ._placement.objective import predicted_deviation as predicted_deviation
 from ._placement.place_workpiece import place_workpiece as place_workpiece
 from ._products import (
-    RecomputedProducts as RecomputedProducts,
     StoredProducts as StoredProducts,
 )
 from ._quadratic import solve_bounded_quadratic as solve_bounded_quadratic
 from ._response import TipResponse as TipResponse, tip_response as tip_response
+from ._run_products import RunProducts as RunProducts
 from ._spline.command_limits import (
     InfeasibleLimit as InfeasibleLimit,
     LinearLimits as LinearLimits,

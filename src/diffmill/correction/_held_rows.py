@@ -142,10 +142,16 @@ class LinearModel:
 
     def transpose(self, w: Array) -> np.ndarray:
         """Return J^T w in units of the scale."""
+        return self._back(self._products.transpose, w)
+
+    def gradient(self, w: Array) -> np.ndarray:
+        """Return the same to the last digit, in units of the scale."""
+        return self._back(self._products.gradient, w)
+
+    def _back(self, product: Callable[..., Array], w: Array) -> np.ndarray:
         self.spent += 1
         like = self._vector(np.zeros_like(self._scale))
-        back = self._products.transpose(self._program, like, w)
-        return np.asarray(back, np.float64) * self._scale
+        return np.asarray(product(self._program, like, w), np.float64) * self._scale
 
 
 class HeldStep(AbstractRows):

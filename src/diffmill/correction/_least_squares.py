@@ -246,7 +246,7 @@ def _model(
         rows = held_step(held, model, r)
         if state.weight:
             springs.append(Spring(rows, state.weight))
-            gradient = model.transpose(held.without(r))
+            gradient = model.gradient(held.without(r))
         else:
             bounds.append(rows)
     return LimitedQuadratic(

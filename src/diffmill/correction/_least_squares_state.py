@@ -134,7 +134,7 @@ def linearised(
     r, program = solver.products.linearise(residual, box.point(state.z), args)
     model = LinearModel(solver.products, program, box.vector, box.scale)
     weight = held.weight(r)
-    gradient = model.transpose(held.slope(r, weight))
+    gradient = model.gradient(held.slope(r, weight))
     model.spent = 0
     return State(
         z=state.z,

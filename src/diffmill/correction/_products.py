@@ -2,7 +2,6 @@
 
 import abc
 from collections.abc import Callable
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -34,6 +33,12 @@ class AbstractProducts(eqx.Module):
     ) -> Float[Array, "*unknown"]:
         """Return J^T w; x only tells the shape of the unknowns."""
 
+    def gradient(
+        self, linear: PyTree, x: Float[Array, "*unknown"], w: Float[Array, "*residual"]
+    ) -> Float[Array, "*unknown"]:
+        """Return J^T w to the last digit, where the products are not."""
+        return self.transpose(linear, x, w)
+
 
 class StoredProducts(AbstractProducts):
     """Linearise once and store the linear program: the fastest products.
@@ -60,38 +65,6 @@ class StoredProducts(AbstractProducts):
     ) -> Float[Array, "*unknown"]:
         """Return J^T w from the stored program, transposed."""
         return _pull(linear, x, w)
-
-
-class RecomputedProducts(AbstractProducts):
-    """Run the simulation again in every product: least memory.
-
-    Attributes:
-        adjoint_residual: The same residual with a reverse mode that bounds memory
-            (it need not have a forward mode), or None to transpose the residual
-            itself.
-    """
-
-    adjoint_residual: Callable[..., Any] | None = None
-
-    def linearise(
-        self, residual: Residual, x: Float[Array, "*unknown"], args: PyTree
-    ) -> tuple[Float[Array, "*residual"], PyTree]:
-        """Return the residual; only the point is kept."""
-        return evaluate(residual, x, args), (residual, x, args)
-
-    def forward(
-        self, linear: PyTree, v: Float[Array, "*unknown"]
-    ) -> Float[Array, "*residual"]:
-        """Return J v by forward mode beside the simulation."""
-        residual, x, args = linear
-        return _jvp(residual, x, args, v)
-
-    def transpose(
-        self, linear: PyTree, x: Float[Array, "*unknown"], w: Float[Array, "*residual"]
-    ) -> Float[Array, "*unknown"]:
-        """Return J^T w by reverse mode of the adjoint residual."""
-        residual, x, args = linear
-        return _vjp(self.adjoint_residual or residual, x, args, w)
 
 
 @eqx.filter_jit
@@ -124,20 +97,11 @@ def _pull(
 
 
 @eqx.filter_jit
-def _jvp(
-    residual: Residual,
-    x: Float[Array, "*unknown"],
-    args: PyTree,
-    v: Float[Array, "*unknown"],
-) -> Float[Array, "*residual"]:
-    return jax.jvp(lambda y: residual(y, args), (x,), (v,))[1]
-
-
-@eqx.filter_jit
-def _vjp(
+def pull_once(
     residual: Residual,
     x: Float[Array, "*unknown"],
     args: PyTree,
     w: Float[Array, "*residual"],
 ) -> Float[Array, "*unknown"]:
+    """Return J^T w by one run in reverse mode."""
     return jax.vjp(lambda y: residual(y, args), x)[1](w)[0]

@@ -48,10 +48,12 @@ from ._removal_history import (
     end_period as end_period,
     initial_state as initial_state,
     remove_all as remove_all,
+    thinned_rows as thinned_rows,
 )
 from ._state import ProcessState as ProcessState, Removed as Removed
 from ._stock_derivatives import (
     AbstractAdjoint as AbstractAdjoint,
+    StockHeld as StockHeld,
     ThroughPoses as ThroughPoses,
     ThroughRays as ThroughRays,
 )

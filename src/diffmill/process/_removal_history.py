@@ -341,15 +341,19 @@ def _remove_lagged(
 
 def thinned_poses(process: Process, state: ProcessState) -> Pose:
     """Return the newest poses in the queue at given distances behind the tool."""
+    rows = thinned_rows(process, state)
+    return state.track.poses[rows * process.engagement.substeps]
+
+
+def thinned_rows(process: Process, state: ProcessState) -> Int[Array, " circle"]:
+    """Return the indices of the thinned poses, those at tooth instants."""
     slots = jnp.arange(QUEUE_LENGTH, dtype=jnp.int32)
     age = state.travel - state.queue.travel
     picks = []
     for share in _THINNED:
         is_old = (age >= share * process.engagement.lag) & (slots < state.queue_count)
         picks.append(jnp.max(jnp.where(is_old, slots, 0)))
-    return state.track.poses[
-        state.queue.row[jnp.stack(picks)] * process.engagement.substeps
-    ]
+    return state.queue.row[jnp.stack(picks)]
 
 
 def end_period(state: ProcessState, middles: Pose, ends: Pose) -> ProcessState:

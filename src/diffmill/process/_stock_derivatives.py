@@ -78,3 +78,23 @@ class ThroughPoses(AbstractAdjoint):
     def tied_to(self, track: PoseTrack) -> PoseTrack:
         """Return the poses, to which the samples are tied."""
         return track
+
+
+class StockHeld(AbstractAdjoint):
+    """Differentiate as if the stock did not depend on the path.
+
+    Chips follow all poses all the same: theirs is the surface that the last teeth left.
+
+    Attributes:
+        keeps_slopes: See `AbstractAdjoint`.
+    """
+
+    keeps_slopes: bool = eqx.field(static=True, default=False)
+
+    def removal_poses(self, poses: Pose) -> Pose:
+        """Return the poses as constants."""
+        return poses.frozen()
+
+    def tied_to(self, track: PoseTrack) -> PoseTrack:
+        """Return the poses as constants."""
+        return PoseTrack(track.poses.frozen(), track.substeps)

@@ -57,6 +57,10 @@ from ._job.simulate import (
     solve_command as solve_command,
     with_precision as with_precision,
 )
+from ._linear.linear_run import (
+    LinearRun as LinearRun,
+    linearise as linearise,
+)
 from ._machine._integrator.base import (
     AbstractIntegrator as AbstractIntegrator,
     ArmState as ArmState,

@@ -46,6 +46,30 @@ class AbstractHostPlant(eqx.Module):
         """Return the same motion; not traceable."""
 
 
+class LinearMotion(eqx.Module):
+    """A motion and how it changes with the command."""
+
+    motion: eqx.AbstractVar[Motion]
+
+    @abc.abstractmethod
+    def move(self, changes: Float[Array, "step axis direction"]) -> Motion:
+        """Return the changes of the motion, each direction a row of the first axis.
+
+        Args:
+            changes: Of the command, shape (step, axis, direction).
+
+        **Differentiability**: linear.
+        """
+
+
+class AbstractLinearPlant(AbstractHostPlant):
+    """A plant that knows its linear system, so that no derivative is traced."""
+
+    @abc.abstractmethod
+    def linearised(self, command: Float[Array, "step axis"]) -> LinearMotion | None:
+        """Return the linear system around a command; None where there is none."""
+
+
 def _as_leaf(value: RealScalarLike) -> RealScalarLike:
     # A Python number would be static in compiled functions, and a new one compile.
     return value if isinstance(value, jax.Array) else np.asarray(value, np.float64)

@@ -17,6 +17,7 @@ from .._least_squares_records import LevenbergMarquardt
 from .._method.adam import Adam
 from .._method.gauss_newton import GaussNewton
 from .._response import tip_response
+from .._run_products import RunProducts
 from .._surface.finished_surface import FinishedSurface, SurfaceObjective
 from .._surface.surface_limits import SurfaceBounds, layer_thickness, surface_bounds
 from .joint_limits import joint_limits
@@ -53,6 +54,7 @@ def job_optimiser(
             max_steps=settings.max_steps,
             max_products=settings.max_products,
             cost_rtol=1e-2,
+            products=RunProducts(),
         ),
         objective=objective,
         ensemble=job_ensemble(job, adjoint),

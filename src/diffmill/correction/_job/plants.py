@@ -11,18 +11,24 @@ from jaxtyping import Array, Float
 
 from ..._job import Job
 from ..._types import FloatRows
-from ...process import AbstractAdjoint
+from ...process import AbstractAdjoint, StockHeld, wall_deviation, wall_shares
 from ...sim import (
+    ElasticArm,
+    LinearRun,
     Run,
     Solution,
     command_joints,
     command_motors,
+    job_machine,
+    job_process,
     joint_motors,
+    linearise,
+    path_axes,
     run_motors,
     solve_command,
 )
 from .._core.method import AbstractMethod
-from .._core.problem import AbstractHostPlant, Motion, Problem
+from .._core.problem import AbstractLinearPlant, LinearMotion, Motion, Problem
 from .._method.mirror import IteratedMirror, SampledMirror
 from .plant_segments import Steps, wall_motion, with_rows
 
@@ -43,7 +49,7 @@ def solved_motion(solution: Solution) -> SolvedMotion:
     return SolvedMotion(actual, solution.force, solution)
 
 
-class TipPlant(AbstractHostPlant):
+class TipPlant(AbstractLinearPlant):
     """A job as a plant that is commanded by tip positions [m].
 
     Attributes:
@@ -73,8 +79,14 @@ class TipPlant(AbstractHostPlant):
         command = jnp.asarray(command)
         return solved_motion(solve_command(self.job, self.rigid, command, self.adjoint))
 
+    def linearised(self, command: FloatRows) -> "LinearJob | None":
+        """Return the linear system around a command of a dynamic arm."""
+        if not has_linear_run(self.job):
+            return None
+        return _linear_tips(self, jnp.asarray(command))
 
-class JointPlant(AbstractHostPlant):
+
+class JointPlant(AbstractLinearPlant):
     """A job as a plant that is commanded by joint positions [rad or m].
 
     The controller adds the gravity sag, as it does for tip positions. Attributes as of
@@ -105,9 +117,89 @@ class JointPlant(AbstractHostPlant):
         motors = joint_motors(job, command)
         return solved_motion(solve_command(job, self.rigid, tips, self.adjoint, motors))
 
+    def linearised(self, command: FloatRows) -> "LinearJob | None":
+        """Return the linear system around a command of a dynamic arm."""
+        if not has_linear_run(self.job):
+            return None
+        return _linear_joints(self, jnp.asarray(command))
+
+
+class LinearJob(LinearMotion):
+    """The motion of a job and the linear system around it.
+
+    Attributes:
+        motion: The motion.
+        run: The system, in the motors.
+        motors: Slopes of the motors in the command, row by row, shape (step, joint,
+            axis).
+        wall_share: When in each period its wall is made, shape (step,).
+    """
+
+    motion: Motion
+    run: LinearRun
+    motors: Float[Array, "step joint axis"]
+    wall_share: Float[Array, " step"]
+
+    def move(self, changes: Float[Array, "step axis direction"]) -> Motion:
+        """Return the changes of the motion, each direction a row of the first axis."""
+        motors = jnp.einsum("kja,kad->kjd", self.motors, changes)
+        found = self.run.move(motors)
+        still = jnp.zeros((changes.shape[0], 3), changes.dtype)
+        walls = jax.vmap(
+            lambda ends: wall_deviation(ends, still, self.wall_share), in_axes=-1
+        )
+        return Motion(walls(found.ends), jnp.moveaxis(found.force, -1, 0))
+
+
+def has_linear_run(job: Job) -> bool:
+    """Return whether the linear system of a job's run is known in closed form."""
+    settings = job.simulation
+    is_known = settings.chip == "near_far" and settings.integrator == "midpoint"
+    return settings.mode == "dynamic" and is_known
+
 
 @eqx.filter_jit
-def _compiled(plant: AbstractHostPlant, command: FloatRows) -> Motion:
+def _linear_tips(plant: TipPlant, command: Float[Array, "step 3"]) -> LinearJob:
+    motors, _ = command_motors(plant.job, command)
+
+    def along(axis: Array) -> Array:
+        move = jnp.broadcast_to(axis[None], command.shape)
+        return jax.jvp(lambda x: command_motors(plant.job, x)[0], (command,), (move,))[
+            1
+        ]
+
+    # A row of motors follows the same row of tips alone.
+    slopes = jax.vmap(along, out_axes=-1)(jnp.eye(3, dtype=command.dtype))
+    return _linear_job(plant, motors, slopes)
+
+
+@eqx.filter_jit
+def _linear_joints(plant: JointPlant, command: Float[Array, "step joint"]) -> LinearJob:
+    one = lambda row: joint_motors(plant.job, row[None])[0]
+    slopes = jax.vmap(jax.jacfwd(one))(command)
+    return _linear_job(plant, joint_motors(plant.job, command), slopes)
+
+
+def _linear_job(
+    plant: TipPlant | JointPlant,
+    motors: Float[Array, "step joint"],
+    slopes: Float[Array, "step joint axis"],
+) -> LinearJob:
+    job = plant.job
+    machine = job_machine(job)
+    assert isinstance(machine, ElasticArm)
+    ran, run = linearise(machine, job_process(job, StockHeld()), motors)
+    desired = jnp.asarray(job.path.positions)
+    shares = plant.wall_share
+    if shares is None:
+        shares = wall_shares(desired, path_axes(job), job.cutter)
+    shares = jnp.asarray(shares, desired.dtype)
+    motion = wall_motion(job, ran, shares)
+    return LinearJob(motion, run, slopes, shares)
+
+
+@eqx.filter_jit
+def _compiled(plant: AbstractLinearPlant, command: FloatRows) -> Motion:
     return plant(jnp.asarray(command))
 
 

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from ..._types import FloatRows, RealScalarLike
 from .._core.method import AbstractMethod, Corrected, OnProgress, corrected
 from .._core.path_objective import AbstractObjective, PathObjective
-from .._core.problem import Problem
+from .._core.problem import Motion, Problem
 from .._held_rows import HeldRows
 from .._least_squares import least_squares
 from .._least_squares_records import (
@@ -84,20 +84,36 @@ def contour_residual(
 
     **Differentiability**: that of the plant; kinks where the nearest segment changes.
     """
-    problem = args.problem
-    dtype = coefficients.dtype
-    nominal = jnp.asarray(problem.nominal, dtype)
+    nominal = jnp.asarray(args.problem.nominal, coefficients.dtype)
     command = nominal + args.spline.offsets(coefficients)
+    if args.ensemble is None:
+        return terms(coefficients, args, args.problem.plant(command))
+    return terms(coefficients, args, args.ensemble.motions(command))
+
+
+def terms(
+    coefficients: Float[Array, "coefficient axis"],
+    args: ContourResidual,
+    motion: Motion,
+) -> Float[Array, " residual"]:
+    """Return the residual of a motion that is known, see `contour_residual`.
+
+    Args:
+        coefficients: Spline coefficients of the offset, in the command's unit.
+        args: The problem, the basis and the weight.
+        motion: What the plant does; of an ensemble the motions of all members, stacked.
+
+    **Differentiability**: kinks where the nearest segment changes.
+    """
+    problem, dtype = args.problem, coefficients.dtype
     errors = lambda motion: args.objective.errors(problem, motion, args.lag_weight)
     none = lambda motion: jnp.zeros((0,), dtype)
     bounded = none if args.bounds is None else args.bounds.errors
     if args.ensemble is None:
-        motion = problem.plant(command)
         error, held = errors(motion), bounded(motion)
     else:
-        motions = args.ensemble.motions(command)
-        each = jax.vmap(errors)(motions) * args.ensemble.roots(dtype)[:, None]
-        error, held = each.reshape(-1), jax.vmap(bounded)(motions).reshape(-1)
+        each = jax.vmap(errors)(motion) * args.ensemble.roots(dtype)[:, None]
+        error, held = each.reshape(-1), jax.vmap(bounded)(motion).reshape(-1)
     rough = args.spline.roughness(coefficients)
     price = jnp.asarray(args.smoothness, dtype) / np.sqrt(rough.shape[0])
     rough = rough * (price / jnp.asarray(problem.max_offset, dtype))

@@ -47,7 +47,7 @@ class MotorRow(eqx.Module):
     stop: Float[Array, "*period joint"]
 
 
-class _Arm(eqx.Module):
+class Arm(eqx.Module):
     """The robot in one period, in `work`, ready for its sub-steps.
 
     Attributes:
@@ -67,12 +67,28 @@ class _Arm(eqx.Module):
     substep: Float[Array, ""]
 
 
-class _Substeps(eqx.Module):
-    """Sub-steps of a period: the tips in their middle and at their ends, the forces."""
+class ArmSubsteps(eqx.Module):
+    """Sub-steps of a period.
 
+    Attributes:
+        predicted: Tips at which the stock was looked up [m], shape (*substep, 3).
+        tips: Tips in their middle [m], same shape.
+        ends: Tips at their ends [m], same shape.
+        loads: Forces in `work` [N] and, on a bending tool, their moments about the tip
+            [N m], shape (*substep, load).
+    """
+
+    predicted: Float[Array, "*substep 3"]
     tips: Float[Array, "*substep 3"]
     ends: Float[Array, "*substep 3"]
-    forces: Float[Array, "*substep 3"]
+    loads: Float[Array, "*substep load"]
+
+
+class _Look(eqx.Module):
+    """A look at the stock: the poses that were expected, and what was found there."""
+
+    predicted: Pose
+    found: Engagement
 
 
 class ElasticArm(AbstractMachine):
@@ -93,7 +109,7 @@ class ElasticArm(AbstractMachine):
 
     def begin(self, process: Process, command: Float[Array, "step joint"]) -> ArmState:
         """Return the state in equilibrium with the motion at the first instant."""
-        rate = _start_rate(command, process.tooth_period)
+        rate = start_rate(command, process.tooth_period)
         return steady_state(self.robot, command[0], rate)
 
     def rows(
@@ -124,10 +140,21 @@ class ElasticArm(AbstractMachine):
         is_live: Bool[Array, ""] | None,
     ) -> tuple[RunState, Period]:
         """Return the state after one tooth period, and its outputs."""
+        return self.follow(process, state, index, row, is_live)[:2]
+
+    def follow(
+        self,
+        process: Process,
+        state: RunState,
+        index: Int[Array, ""],
+        row: MotorRow,
+        is_live: Bool[Array, ""] | None = None,
+    ) -> tuple[RunState, Period, ArmSubsteps]:
+        """Return what `period` does, and the sub-steps."""
         cutting, start = state.process, state.machine
         engagement, T = process.engagement, process.tooth_period
         rate = (row.stop - row.start) / T
-        arm = self._arm(process, start, MotorCommand(row.start, rate))
+        arm = self.arm(process, start, MotorCommand(row.start, rate))
         # As in the period before: what the teeth do comes again, and drifts are slow.
         drift = (arm.pose.tip - cutting.last_tip)[None]
         predicted = along(arm.pose, cutting.recent.tip[0] + drift)
@@ -144,24 +171,31 @@ class ElasticArm(AbstractMachine):
                 process, cutting, index, arm.pose, predicted, is_live
             )
             follow = lambda: self._run_substeps(
-                process, arm, cutting.recent, cut, start, targets
+                process, arm, cutting.recent, _Look(predicted, cut), start, targets
             )
         rest = jnp.broadcast_to(arm.pose.tip[None], predicted.tip.shape)
-        still = _Substeps(predicted.tip, rest, jnp.zeros_like(rest))
+        none = jnp.zeros((rest.shape[0], self.load_count), rest.dtype)
+        still = ArmSubsteps(predicted.tip, predicted.tip, rest, none)
         end, steps = when_live(is_live, follow, (start, still))
         cutting = end_period(
             cutting, along(arm.pose, steps.tips), along(arm.pose, steps.ends)
         )
-        return RunState(cutting, end, state.period_count), Period(
+        period = Period(
             tip=arm.pose.tip,
             ends=steps.ends,
-            force=jnp.mean(steps.forces, axis=0),
+            force=jnp.mean(steps.loads[:, :3], axis=0),
             joint_positions=start.q,
             removed=removed,
             has_failed=cutting.has_overflow | cutting.is_beyond,
         )
+        return RunState(cutting, end, state.period_count), period, steps
 
-    def _arm(self, process: Process, state: ArmState, motors: MotorCommand) -> _Arm:
+    @property
+    def load_count(self) -> int:
+        """Numbers of a load: on a bending tool the height counts at which it acts."""
+        return 6 if self.robot.fast_joints else 3
+
+    def arm(self, process: Process, state: ArmState, motors: MotorCommand) -> Arm:
         """Return the robot in a period, from state and motors at its start."""
         robot, rule = self.robot, self.integrator
         T, substeps = process.tooth_period, process.engagement.substeps
@@ -170,7 +204,7 @@ class ElasticArm(AbstractMachine):
         pose = in_work(T_base_work, terms.T_base_tool, is_upright)
         terms = middle_terms(robot, rule, terms, state, motors, T, substeps)
         h = T / substeps
-        return _Arm(
+        return Arm(
             pose=pose,
             joints=state.q,
             jacobian=jacobian_in_work(T_base_work, terms.jacobian),
@@ -182,12 +216,12 @@ class ElasticArm(AbstractMachine):
     def _run_looks(
         self,
         process: Process,
-        arm: _Arm,
+        arm: Arm,
         begun: RunState,
         index: Int[Array, ""],
         targets: Float[Array, "substep joint"],
         drift: Float[Array, "1 3"],
-    ) -> tuple[ArmState, _Substeps]:
+    ) -> tuple[ArmState, ArmSubsteps]:
         """Return what `_run_substeps` does, the stock looked up several times.
 
         Where a period is long, an arm swings within it, and the period before does not
@@ -199,14 +233,15 @@ class ElasticArm(AbstractMachine):
 
         def part(
             carry: tuple[ArmState, Array], x: tuple[Array, Array, Pose]
-        ) -> tuple[tuple[ArmState, Array], _Substeps]:
+        ) -> tuple[tuple[ArmState, Array], ArmSubsteps]:
             state, ahead = carry
             first, targets, recent = x
             near = eqx.tree_at(lambda p: p.recent, cutting, recent)
             predicted = along(arm.pose, recent.tip[0] + ahead)
             substeps = Substeps(first, count)
             cut = engagement.engage(process, near, index, predicted, substeps)
-            end, rows = self._run_substeps(process, arm, recent, cut, state, targets)
+            look = _Look(predicted, cut)
+            end, rows = self._run_substeps(process, arm, recent, look, state, targets)
             # How far the tool is off the period before goes on changing as it did.
             off = rows.tips - recent.tip[0]
             later = jnp.arange(1, count + 1, dtype=off.dtype)[:, None]
@@ -225,38 +260,38 @@ class ElasticArm(AbstractMachine):
     def _run_substeps(
         self,
         process: Process,
-        arm: _Arm,
+        arm: Arm,
         recent: Pose,
-        cut: Engagement,
+        look: _Look,
         start: ArmState,
         targets: Float[Array, "substep joint"],
-    ) -> tuple[ArmState, _Substeps]:
+    ) -> tuple[ArmState, ArmSubsteps]:
         """Return the state after sub-steps of a period, and these."""
         robot, h = self.robot, arm.substep
         keeps_slopes = process.derivative.keeps_slopes
-        # Only on a bending tool the height at which a force acts counts for anything.
-        mean_load = _mean_wrench if robot.fast_joints else _mean_force
+        mean_load = _mean_wrench if self.load_count == 6 else _mean_force
         mean_load = sloped(mean_load) if keeps_slopes else mean_load
         J = arm.jacobian[:3]
         tool = _tool_of(process)
 
         def substep(
-            state: ArmState, x: tuple[Array, Pose, EdgeSamples]
-        ) -> tuple[ArmState, _Substeps]:
-            theta, earlier, samples = x
+            state: ArmState, x: tuple[Array, Array, Pose, EdgeSamples]
+        ) -> tuple[ArmState, ArmSubsteps]:
+            theta, looked, earlier, samples = x
             tip = arm.pose.tip + J @ (state.q + h / 2 * state.v - arm.joints)
             pose = Pose(tip, arm.pose.axis)
-            F = mean_load(tool, samples, pose, earlier, cut.thinned)
+            F = mean_load(tool, samples, pose, earlier, look.found.thinned)
             load = arm.jacobian[: F.size].T @ F
             command = MotorCommand(theta, arm.rate)
             end = self.integrator.step(robot, arm.begun, state, command, load, h)
             moved = arm.pose.tip + J @ (end.q - arm.joints)
-            return end, _Substeps(tip, moved, F[:3])
+            return end, ArmSubsteps(looked, tip, moved, F)
 
         earlier = jax.tree.map(lambda x: jnp.moveaxis(x, 0, 1), recent)
         # Without slopes, what the forces come from is computed again rather than kept.
         step = substep if keeps_slopes else jax.checkpoint(substep)
-        return jax.lax.scan(step, start, (targets, earlier, cut.samples))
+        xs = (targets, look.predicted.tip, earlier, look.found.samples)
+        return jax.lax.scan(step, start, xs)
 
 
 def _tool_of(process: Process) -> Process:
@@ -277,7 +312,7 @@ def _mean_wrench(
     return jnp.mean(found, axis=0)
 
 
-def _start_rate(
+def start_rate(
     theta: Float[Array, "step joint"], period: Float[Array, ""]
 ) -> Float[Array, " joint"]:
     """Return how fast the motors move at the first instant.

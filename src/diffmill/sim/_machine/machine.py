@@ -203,7 +203,7 @@ def run(
     rows = machine.rows(process, command, row_count)
     step_count = _length(rows) + 1
     last = last_row(step_count, row_count)
-    state, overlap = _begin(machine, process, command, step_count)
+    state, overlap = begin(machine, process, command, step_count)
     first = jnp.ones((), jnp.int32)
     state, periods = _run_periods(machine, process, state, first, rows, row_count)
     final = machine.pose(process, state.machine)
@@ -215,8 +215,8 @@ def run(
     return Run(
         time=process.tooth_period * jnp.arange(step_count, dtype=dtype),
         actual=actual,
-        ends=_all_ends(periods),
-        force=_with_first(periods.force),
+        ends=all_ends(periods),
+        force=with_first(periods.force),
         joint_positions=joints,
         removed_volume=volume,
         shank_volume=by_shank,
@@ -226,7 +226,7 @@ def run(
         result=_outcome(ended, is_finite),
         instantaneous_force=None
         if periods.samples is None
-        else _with_first(periods.samples),
+        else with_first(periods.samples),
     )
 
 
@@ -241,7 +241,7 @@ def begin_run(machine: AbstractMachine, process: Process, command: Any) -> RunSt
     Differentiability: as `run`.
     """
     rows = _history_rows(process)
-    state, _ = _begin(machine, process, command, rows + 1)
+    state, _ = begin(machine, process, command, rows + 1)
     moved = _moved(state.process, state.process.track, rows)
     return RunState(moved, state.machine, state.period_count)
 
@@ -278,14 +278,14 @@ def run_segment(
     kept = _renumbered(ended.process, ahead + count, history)
     return Segment(
         actual,
-        _all_ends(periods),
-        _with_first(periods.force),
+        all_ends(periods),
+        with_first(periods.force),
         joints,
         RunState(kept, ended.machine, state.period_count + count),
     )
 
 
-def _begin(
+def begin(
     machine: AbstractMachine, process: Process, command: Any, pose_count: int
 ) -> tuple[RunState, Float[Array, ""]]:
     """Return the state at the first instant, and the volume inside the tool [m^3]."""
@@ -349,13 +349,13 @@ def _through(
     return jnp.where((index < last)[:, None], rows, final[None])
 
 
-def _all_ends(periods: Period) -> Float[Array, "step substep 3"]:
+def all_ends(periods: Period) -> Float[Array, "step substep 3"]:
     """Return the ends of sub-steps with those before the first instant, at rest."""
     rest = jnp.broadcast_to(periods.tip[:1, None], (1, *periods.ends.shape[1:]))
     return jnp.concatenate([rest, periods.ends])
 
 
-def _with_first(rows: Float[Array, "period ..."]) -> Float[Array, "step ..."]:
+def with_first(rows: Float[Array, "period ..."]) -> Float[Array, "step ..."]:
     """Return rows with one of zeros in front."""
     return jnp.concatenate([jnp.zeros_like(rows[:1]), rows])
 

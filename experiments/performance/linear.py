@@ -1,0 +1,77 @@
+"""What the linear run of a correction costs, beside the stored linear program.
+
+The small example's first rows; times are of the processor, in runs of the machine.
+"""
+
+import pathlib
+import tempfile
+import time
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import diffmill as dm
+from diffmill import correction as co, process as pr, sim
+from reporting import Report
+
+jax.config.update("jax_enable_x64", True)
+
+ROWS, RUNS, STEPS = 300, 3, 4
+
+
+def measure(report: Report) -> None:
+    """Print times of the linear run, its columns, and of steps of Gauss-Newton."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = dm.examples.copy_example("paper_small", pathlib.Path(folder))
+        job = sim.with_precision(dm.load_job(file))
+    first = jax.tree.map(lambda x: np.asarray(x)[:ROWS], job.path)
+    job = eqx.tree_at(lambda j: j.path, job, first)
+    tips = jnp.asarray(job.path.positions)
+    motors = sim.command_motors(job, tips)[0]
+    machine, process = sim.job_machine(job), sim.job_process(job, pr.StockHeld())
+    forward = eqx.filter_jit(lambda x: sim.run(machine, process, x).ends)
+    linearise = eqx.filter_jit(lambda x: sim.linearise(machine, process, x)[1])
+    run = spent(lambda: forward(motors))
+    report.say(f"a run of {ROWS} rows: {run:.3f} s")
+    around = linearise(motors)
+    report.say(f"linear run: {spent(lambda: linearise(motors)) / run:.1f} runs")
+    moves = jnp.ones((*motors.shape, 96))
+    move = eqx.filter_jit(lambda around, moves: around.move(moves).ends)
+    columns = spent(lambda: move(around, moves))
+    report.say(f"96 directions through it: {columns / run:.2f} runs")
+    plant = co.TipPlant(job, pr.ThroughPoses(keeps_slopes=True))
+    problem = co.Problem(
+        plant=plant,
+        nominal=np.asarray(tips),
+        desired=np.asarray(tips),
+        is_cutting=np.ones(ROWS),
+        time_step=float(job.tooth_period),
+    )
+    for name, products in (
+        ("linear run", co.RunProducts()),
+        ("stored program", co.StoredProducts()),
+    ):
+        solver = co.LevenbergMarquardt(max_steps=STEPS, products=products)
+        method = co.GaussNewton(solver=solver)
+        method(problem)
+        began = time.process_time()
+        found = method(problem)
+        took = time.process_time() - began
+        report.say(
+            f"{STEPS} steps of Gauss-Newton, {name}: {took / run:.0f} runs, "
+            f"{1e6 * found.measures.rms:.2f} um, {found.products} products"
+        )
+
+
+def spent(function: Callable[[], Any]) -> float:
+    """Return the least processor time of a few calls after a first one [s]."""
+    times = []
+    for _ in range(RUNS + 1):
+        start = time.process_time()
+        jax.block_until_ready(function())
+        times.append(time.process_time() - start)
+    return min(times[1:])

@@ -1,0 +1,260 @@
+"""The run as a linear, time-varying system, period by period.
+
+Around a simulated run a change of the motors moves the arm, the arm moves the tips, the
+tips change the forces, and the forces move the arm:
+
+    f = L (x, theta_0, theta_1, r, h, p)      loads of the sub-steps of a period
+    (x', m, e) = A (x, theta_0, theta_1, f)   the arm after it, tips on the way
+
+x the arm at the start, theta the motors at both ends, r the poses of the sub-steps in
+the periods before, h the thinned older poses, p the pose one period ago. That the force
+of a sub-step follows its own tip, and that tip the forces before, is solved in each
+period once. One recurrence then carries any number of directions at once.
+
+The stock is held: how a surface moves with the poses that cut it is left out.
+"""
+
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float, Int
+
+from ...process import AbstractEngagement, Process
+from .._machine._integrator.base import ArmState, steady_state
+from .._machine.elastic import ElasticArm, MotorRow, start_rate
+from .._machine.machine import RunState, Segment, all_ends, begin, with_first
+from .period_slopes import ArmSlopes, ForceSlopes, arm_slopes, force_slopes
+
+# Periods whose arm is linearised at once.
+_BATCH = 128
+
+
+class LinearMotion(eqx.Module):
+    """Changes of a run, in some directions.
+
+    Attributes:
+        ends: Of the tips at the ends of the sub-steps of the period before each row
+            [m], shape (step, substep, 3, direction); row 0 is at rest.
+        force: Of the mean forces over the period before each row [N], shape (step, 3,
+            direction).
+    """
+
+    ends: Float[Array, "step substep 3 direction"]
+    force: Float[Array, "step 3 direction"]
+
+
+class LinearRun(eqx.Module):
+    """The linear system around a run.
+
+    Attributes:
+        loads: L, shape (period, load, cause).
+        arm: A, shape (period, output, input).
+        pose: Of the pose at the start of a period in x, shape (period, pose, state).
+        circles: Rows of the thinned poses, shape (period, circle).
+        begin: Of the first state in the first three motor positions, shape (state,
+            3 joint).
+        periods: Teeth whose poses a force remembers.
+        substeps: Sub-steps of a period.
+    """
+
+    loads: Float[Array, "period load cause"]
+    arm: Float[Array, "period output input"]
+    pose: Float[Array, "period pose state"]
+    circles: Int[Array, "period circle"]
+    begin: Float[Array, "state motor"]
+    periods: int = eqx.field(static=True)
+    substeps: int = eqx.field(static=True)
+
+    def move(self, motors: Float[Array, "step joint direction"]) -> LinearMotion:
+        """Return how the run changes with its motors.
+
+        Args:
+            motors: Changes of the motor positions [rad or m], shape (step, joint,
+                direction).
+
+        **Differentiability**: linear.
+        """
+        directions = motors.shape[-1]
+        x = self.begin @ motors[:3].reshape(-1, directions)
+        first = self.pose[0] @ x
+        S, d = self.substeps, first.shape[0]
+        steps = motors.shape[0]
+        r = jnp.broadcast_to(first[None, None], (self.periods, S, d, directions))
+        history = jnp.zeros((steps, d, directions), x.dtype)
+
+        def period(carry, row):
+            x, r, before, history = carry
+            index, loads, arm, pose, circles, start, stop = row
+            p = pose @ x
+            history = history.at[index].set(p)
+            old = history[circles].reshape(-1, directions)
+            inputs = [x, start, stop, r.reshape(-1, directions), old, before]
+            f = loads @ jnp.concatenate(inputs)
+            out = arm @ jnp.concatenate([x, start, stop, f])
+            n = x.shape[0]
+            x, tips = out[:n], out[n:].reshape(2, S, 3, directions)
+            m = tips[0]
+            if d > 3:
+                axis = jnp.broadcast_to(p[None, 3:], (S, d - 3, directions))
+                m = jnp.concatenate([m, axis], axis=1)
+            r = jnp.concatenate([m[None], r[:-1]])
+            force = jnp.mean(f.reshape(S, -1, directions)[:, :3], axis=0)
+            return (x, r, p, history), (tips[1], force)
+
+        index = jnp.arange(steps - 1, dtype=jnp.int32)
+        rows = (index, self.loads, self.arm, self.pose, self.circles)
+        _, (ends, force) = jax.lax.scan(
+            period, (x, r, first, history), (*rows, motors[:-1], motors[1:])
+        )
+        rest = jnp.broadcast_to(first[None, None, :3], (1, *ends.shape[1:]))
+        still = jnp.zeros((1, 3, directions), force.dtype)
+        return LinearMotion(
+            jnp.concatenate([rest, ends]), jnp.concatenate([still, force])
+        )
+
+
+class _Around(eqx.Module):
+    """The state and loads of a period, and the slopes of its loads."""
+
+    state: ArmState
+    loads: Float[Array, "substep load"]
+    force: ForceSlopes
+
+
+def linearise(
+    machine: ElasticArm, process: Process, motors: Float[Array, "step joint"]
+) -> tuple[Segment, LinearRun]:
+    """Run a machine, and return the linear system around the run.
+
+    Args:
+        machine: The machine.
+        process: The process; its derivative must hold the stock.
+        motors: Motor positions [rad or m], shape (step, joint).
+
+    Returns:
+        The rows of the run, and the system.
+
+    **Differentiability**: none is meant.
+    """
+    steps = motors.shape[0]
+    state, _ = begin(machine, process, motors, steps)
+
+    def period(state: RunState, x: tuple[Array, MotorRow]):
+        ended, out, substeps = machine.follow(process, state, *x)
+        before, after = state.process, ended.process
+        # As the period saw it, before its own poses became the most recent.
+        near = eqx.tree_at(
+            lambda s: (s.recent, s.ends), after, (before.recent, before.ends)
+        )
+        middles = after.recent[0]
+        predicted = eqx.tree_at(lambda p: p.tip, middles, substeps.predicted)
+        slopes = force_slopes(
+            process, near, x[0], predicted, middles, machine.load_count
+        )
+        return ended, (out, _Around(state.machine, substeps.loads, slopes))
+
+    rows = machine.rows(process, motors, None)
+    index = jnp.arange(1, steps, dtype=jnp.int32)
+    ended, (periods, around) = jax.lax.scan(period, state, (index, rows))
+    arms = jax.lax.map(
+        lambda x: arm_slopes(machine, process, *x),
+        (around.state, rows, around.loads),
+        batch_size=_BATCH,
+    )
+    solve = functools.partial(_solved, process.engagement, motors.shape[1])
+    loads, arm, pose = jax.vmap(solve)(around.force, arms)
+
+    def first(head: Float[Array, "row joint"]) -> Array:
+        rate = start_rate(head, process.tooth_period)
+        return ravel_pytree(steady_state(machine.robot, head[0], rate))[0]
+
+    begun = jax.jacfwd(first)(motors[:3])
+    final = machine.pose(process, ended.machine).tip
+    joints = periods.joint_positions
+    assert joints is not None
+    ran = Segment(
+        actual=jnp.concatenate([periods.tip, final[None]]),
+        ends=all_ends(periods),
+        force=with_first(periods.force),
+        joint_positions=jnp.concatenate([joints, ended.machine.q[None]]),
+        state=ended,
+    )
+    return ran, LinearRun(
+        loads=loads,
+        arm=arm,
+        pose=pose,
+        circles=around.force.circles,
+        begin=begun.reshape(begun.shape[0], -1),
+        periods=process.cutter.flute_count,
+        substeps=process.engagement.substeps,
+    )
+
+
+def prediction(
+    engagement: AbstractEngagement,
+) -> Float[np.ndarray, "substep substep"]:
+    """Return how the poses that are looked up follow the tips of the period so far.
+
+    They are those of the period before, and the way that the tool has moved since or,
+    after the first look-up of a period, the way that it is off, extrapolated.
+    """
+    S, count = engagement.substeps, engagement.substeps // engagement.looks
+    rows, later = np.zeros((S, S)), np.arange(1.0, count + 1)
+    for first in range(count, S, count):
+        rows[first : first + count, first - 1] = 1 + later
+        rows[first : first + count, first - 2] = -later
+    return rows
+
+
+def _solved(
+    engagement: AbstractEngagement, joints: int, force: ForceSlopes, arm: ArmSlopes
+) -> tuple[Array, Array, Array]:
+    """Return L, A and the slope of the pose of one period."""
+    S, l, d = force.now.shape
+    T = force.before.shape[2]
+    n, m = arm.end.shape[0], 2 * joints
+    dtype = force.now.dtype
+    ahead = jnp.asarray(prediction(engagement), dtype)
+    is_first = (jnp.arange(S) < S // engagement.looks).astype(dtype)
+    P = arm.pose[:, :n]
+    tip = jnp.eye(d, 3, dtype=dtype)
+    # Of the poses of the sub-steps in all inputs of the arm.
+    inputs = n + m + S * l
+    axis = jnp.zeros((d - 3, inputs), dtype).at[:, :n].set(P[3:])
+    middles = jnp.concatenate(
+        [arm.middles, jnp.broadcast_to(axis[None], (S, d - 3, inputs))], axis=1
+    )
+    # The pose that is looked up: r_0 + ahead (tips - r_0) + the motion of the pose.
+    looked = jnp.einsum("st,tai->sai", ahead, arm.middles)
+    moved = jnp.zeros((3, inputs), dtype).at[:, :n].set(P[:3])
+    looked = looked + is_first[:, None, None] * moved[None]
+    looked = jnp.concatenate(
+        [looked, jnp.broadcast_to(axis[None], (S, d - 3, inputs))], axis=1
+    )
+    by_arm = jnp.einsum("slp,spi->sli", force.now, middles)
+    by_arm = by_arm + jnp.einsum("slp,spi->sli", force.predicted, looked)
+    by_tip = force.predicted[..., :3]
+    # The remembered poses: (tooth, substep, pose).
+    own = jnp.eye(S, dtype=dtype)
+    before = jnp.einsum("sltp,su->sltup", force.before, own)
+    before = before.at[:, :, 0, :, :3].add(
+        jnp.einsum("sla,su->slua", by_tip, own - ahead)
+    )
+    last = -is_first[:, None, None] * jnp.einsum("sla,pa->slp", by_tip, tip)
+    free = S * l
+    rest = [
+        before.reshape(free, T * S * d),
+        force.thinned.reshape(free, -1),
+        last.reshape(free, d),
+    ]
+    by_arm = by_arm.reshape(free, inputs)
+    stiff = jnp.eye(free, dtype=dtype) - by_arm[:, n + m :]
+    right = jnp.concatenate([by_arm[:, : n + m], *rest], axis=1)
+    # A load follows those of earlier sub-steps only.
+    loads = jax.scipy.linalg.solve_triangular(stiff, right, lower=True)
+    out = [arm.end, arm.middles.reshape(-1, inputs), arm.ends.reshape(-1, inputs)]
+    return loads, jnp.concatenate(out), P

@@ -1,0 +1,96 @@
+"""The run as a linear system, against forward-mode derivatives that hold the stock."""
+
+import functools
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import PAPER_LAW
+
+from diffmill import cutter as ct, process as pr, robot as rb, sim, workpiece as wp
+
+PERIOD = 2.5e-3
+ROWS = 20
+STOCK = wp.box([0, 0, -1e-3], [8e-3, 6e-3, 0], 0.5e-3, interval_counts=(4, 4, 2))
+FLAT = ct.flat_end_mill(10e-3, 2)
+HELIX = ct.flat_end_mill(10e-3, 2, helix_angle=math.radians(30))
+
+
+@functools.cache
+def gantry():
+    """Return three soft slides and a swivel about y with a milling spindle."""
+    K = 80.0 * (2 * np.pi * 30.0) ** 2
+    joints = [
+        rb.PrismaticJoint(n, axis=a, stiffness=K, damping=600.0)
+        for n, a in (("x", (1, 0, 0)), ("y", (0, 1, 0)), ("z", (0, 0, 1)))
+    ]
+    swivel = rb.RevoluteJoint("b", axis=(0, 1, 0), stiffness=4e4, damping=30.0)
+    body = rb.RigidBody(80.0, (0.0, 0.0, 0.1), np.eye(3))
+    return rb.build([*joints, swivel, body, rb.Tool("tool", (0.0, 0.0, -0.1))])
+
+
+def motors():
+    t = np.linspace(0, 1, ROWS)
+    x, y = -3e-3 + 4e-3 * t, 1.5e-3 + 1e-3 * np.sin(2 * t)
+    z = 0.1 - 0.6e-3 - 0.2e-3 * t
+    return jnp.asarray(np.stack([x, y, z, 2e-3 * t], axis=1))
+
+
+BEND = rb.BendingTool(40e-3, 0.0, 8e-3, 8e-3)
+ROBOTS = {
+    "plain": gantry,
+    "motors": lambda: rb.with_motors(gantry(), [30.0] * 4, [2e7] * 4, [900.0] * 4),
+    "backlash and friction": lambda: rb.with_friction(
+        rb.with_backlash(gantry(), [2e-6] * 4), [20.0] * 4, [5.0] * 4, [1e-3] * 4
+    ),
+    "bending tool": lambda: rb.with_bending_tool(gantry(), BEND),
+}
+CUTS = {
+    "upright": (FLAT, {}),
+    "looks": (FLAT, {"looks": 2}),
+    "bottom": (FLAT, {"plunges": True}),
+    "helix": (HELIX, {}),
+    "in space": (FLAT, {"is_upright": False}),
+}
+CASES = [
+    pytest.param("plain", "upright"),
+    *(pytest.param("plain", cut, marks=pytest.mark.slow) for cut in list(CUTS)[1:]),
+    *(pytest.param(r, "upright", marks=pytest.mark.slow) for r in list(ROBOTS)[1:]),
+]
+
+
+@pytest.mark.parametrize(("kind", "cut"), CASES)
+def test_the_linear_run_is_the_derivative_with_the_stock_held(kind, cut):
+    robot = ROBOTS[kind]()
+    mill, options = CUTS[cut]
+    engagement = pr.choose_engagement(
+        STOCK, mill, axial_depth=1e-3, angles=24, substeps=4, **options
+    )
+    process = pr.Process(
+        STOCK,
+        mill,
+        PAPER_LAW,
+        math.pi / PERIOD,
+        engagement,
+        derivative=pr.StockHeld(),
+    )
+    machine = sim.ElasticArm(robot, np.eye(4))
+    theta = motors()
+    theta = jnp.pad(theta, ((0, 0), (0, robot.joint_count - theta.shape[1])))
+    rng = np.random.default_rng(0)
+    change = 1e-6 * np.cumsum(rng.normal(size=(*theta.shape, 2)), axis=0)
+    change[:, 4:] = 0.0
+
+    @jax.jit
+    def both(theta, change):
+        found = sim.linearise(machine, process, theta)[1].move(change)
+        run = lambda x: sim.run(machine, process, x)
+        pushed = jax.jvp(run, (theta,), (change[..., 1],))[1]
+        return (found.ends[..., 1], found.force[..., 1]), (pushed.ends, pushed.force)
+
+    found, wanted = both(theta, jnp.asarray(change))
+    for have, want in zip(found, wanted, strict=True):
+        assert np.max(np.abs(want)) > 0
+        assert np.max(np.abs(have - want)) < 1e-9 * np.max(np.abs(want))
