@@ -89,11 +89,6 @@ LONG_LISTS = {
     "correction/_least_squares.py:_recorded",
     "correction/_least_squares.py:_step",
     "correction/_quadratic.py:_move",
-    "identification/_alignment/axis_assignment.py:_candidate",
-    "identification/_force/cross_validation.py:_part",
-    "identification/_stiffness/joint_stiffness.py:_report",
-    "sim/_machine/midpoint_terms.py:middle_terms",
-    "workpiece/_dexel/occupancy_in_space.py:_look",
 }
 
 

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 
 from .._statistics.robust_regression import Rows, solve
 from .force_coefficients import ForceCoefficientFit
-from .regression_rows import equations
+from .regression_rows import Measured, equations
 
 # More gross errors than this share are none.
 _MANY = 0.05
@@ -46,72 +46,58 @@ def cross_validate(fit: ForceCoefficientFit) -> tuple[CrossValidation, ...]:
     Returns:
         One part per record.
     """
-    rows = [equations(one, ()) for one in fit.records]
-    spread = _spread(rows, fit)
-    weights = [
-        _weights(row, row.force - row.columns @ fit.raw, s)
-        for row, s in zip(rows, spread, strict=True)
-    ]
-    good = [_good(row, weight) for row, weight in zip(rows, weights, strict=True)]
-    parts = []
-    if len(rows) > 1:
-        for i, row in enumerate(rows):
-            others = [j for j in range(len(rows)) if j != i]
-            K = solve([rows[j] for j in others], [weights[j] for j in others])
-            every = np.ones(len(row.force), bool)
-            parts.append(_part(fit, i, rows, K, every, good[i], "by the other records"))
+    records = [_weigh(i, one, fit.raw) for i, one in enumerate(fit.records)]
+    if len(records) > 1:
+        parts = []
+        for record in records:
+            others = [other for other in records if other is not record]
+            K = solve([o.rows for o in others], [o.weight for o in others])
+            every = np.ones(len(record.time), bool)
+            parts.append(record.predicted(K, every, "by the other records"))
         return tuple(parts)
-    known = np.flatnonzero(np.isfinite(rows[0].force).any(axis=1))
-    first = np.zeros(len(rows[0].force), bool)
+    (record,) = records
+    known = np.flatnonzero(np.isfinite(record.rows.force).any(axis=1))
+    first = np.zeros(len(record.time), bool)
     first[: int(np.median(known))] = True
-    K = solve(rows, [weights[0] * first[:, None]])
-    what = "its later half by its earlier half"
-    return (_part(fit, 0, rows, K, ~first, good[0], what),)
+    K = solve([record.rows], [record.weight * first[:, None]])
+    return (record.predicted(K, ~first, "its later half by its earlier half"),)
 
 
-def _spread(
-    rows: list[Rows], fit: ForceCoefficientFit
-) -> list[Float[np.ndarray, " 3"]]:
-    """Return the scatter of each force of each record, by its median."""
-    found = []
-    for row in rows:
-        off = np.abs(row.force - row.columns @ fit.raw)
-        seen = np.asarray(np.isfinite(off).any(axis=0))
-        middle = np.nanmedian(np.where(seen[None], off, 0.0), axis=0) / 0.6745
-        found.append(np.where(middle > 0, middle, 1.0))
-    return found
+class _WeightedRecord(NamedTuple):
+    """The equations of a record, with what each counts in a fit and in an error."""
+
+    place: int
+    time: Float[np.ndarray, " row"]
+    rows: Rows
+    weight: Float[np.ndarray, "row 3"]
+    is_good: Bool[np.ndarray, "row 3"]
+
+    def predicted(
+        self, K: Float[np.ndarray, " 6"], is_left_out: Bool[np.ndarray, " row"], by: str
+    ) -> CrossValidation:
+        """Return the rows left out beside what coefficients from others predict."""
+        measured = self.rows.force[is_left_out]
+        predicted = (self.rows.columns @ K)[is_left_out]
+        counts = self.is_good[is_left_out]
+        off = np.nansum((measured - predicted)[counts] ** 2)
+        whole = max(float(np.nansum(measured[counts] ** 2)), 1e-300)
+        error = float(np.sqrt(off / whole))
+        time = self.time[is_left_out]
+        return CrossValidation(self.place, by, time, measured, predicted, error)
 
 
-def _weights(row: Rows, off: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    share = np.nan_to_num(np.abs(off) / spread[None], nan=np.inf)
-    return np.where(share < 5.0, 1.0, 0.0) / spread[None] ** 2
+def _weigh(place: int, one: Measured, K: Float[np.ndarray, " 6"]) -> _WeightedRecord:
+    """Return a record weighted by its scatter about the fit, gross errors not at all.
 
-
-def _good(row: Rows, weight: np.ndarray) -> Bool[np.ndarray, "row 3"]:
-    """Return what is no gross error; all of it if too much would be one."""
-    is_gross = np.isfinite(row.force) & (weight == 0)
-    return ~is_gross if is_gross.mean() <= _MANY else np.ones_like(is_gross)
-
-
-def _part(
-    fit: ForceCoefficientFit,
-    index: int,
-    rows: list[Rows],
-    K: Float[np.ndarray, " 6"],
-    is_kept: Bool[np.ndarray, " row"],
-    is_good: Bool[np.ndarray, "row 3"],
-    what: str,
-) -> CrossValidation:
-    row = rows[index]
-    measured, predicted = row.force[is_kept], (row.columns @ K)[is_kept]
-    counts = is_good[is_kept]
-    off = np.nansum((measured - predicted)[counts] ** 2)
-    whole = max(float(np.nansum(measured[counts] ** 2)), 1e-300)
-    return CrossValidation(
-        index,
-        what,
-        fit.records[index].time[is_kept],
-        measured,
-        predicted,
-        float(np.sqrt(off / whole)),
-    )
+    They count in the error of a prediction where too many rows would be gross.
+    """
+    rows = equations(one, ())
+    off = np.abs(rows.force - rows.columns @ K)
+    seen = np.asarray(np.isfinite(off).any(axis=0))
+    spread = np.nanmedian(np.where(seen[None], off, 0.0), axis=0) / 0.6745
+    spread = np.where(spread > 0, spread, 1.0)[None]
+    is_far = np.nan_to_num(off / spread, nan=np.inf) >= 5.0
+    is_gross = np.isfinite(rows.force) & is_far
+    is_good = ~is_gross if is_gross.mean() <= _MANY else np.ones_like(is_gross)
+    weight = np.where(is_far, 0.0, 1.0) / spread**2
+    return _WeightedRecord(place, one.time, rows, weight, is_good)

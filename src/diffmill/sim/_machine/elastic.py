@@ -32,7 +32,7 @@ from ...workpiece import Pose
 from ._integrator.base import AbstractIntegrator, ArmState, MotorCommand, steady_state
 from ._integrator.midpoint import Midpoint
 from .machine import AbstractMachine, Period, RunState
-from .midpoint_terms import middle_terms
+from .midpoint_terms import HeldSpan, middle_terms
 
 
 class MotorRow(eqx.Module):
@@ -198,19 +198,18 @@ class ElasticArm(AbstractMachine):
     def arm(self, process: Process, state: ArmState, motors: MotorCommand) -> Arm:
         """Return the robot in a period, from state and motors at its start."""
         robot, rule = self.robot, self.integrator
-        T, substeps = process.tooth_period, process.engagement.substeps
+        span = HeldSpan(process.tooth_period, process.engagement.substeps)
         terms = arm_terms(robot, state.q, state.v)
         T_base_work, is_upright = self.T_base_work, process.engagement.is_upright
         pose = in_work(T_base_work, terms.T_base_tool, is_upright)
-        terms = middle_terms(robot, rule, terms, state, motors, T, substeps)
-        h = T / substeps
+        terms = middle_terms(robot, rule, terms, state, motors, span)
         return Arm(
             pose=pose,
             joints=state.q,
             jacobian=jacobian_in_work(T_base_work, terms.jacobian),
-            begun=rule.begin(robot, terms, h),
+            begun=rule.begin(robot, terms, span.substep),
             rate=motors.rate,
-            substep=h,
+            substep=span.substep,
         )
 
     def _run_looks(

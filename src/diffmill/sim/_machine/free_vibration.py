@@ -15,7 +15,7 @@ from ..._types import RealScalarLike
 from ...robot import Robot, arm_terms
 from ._integrator.base import AbstractIntegrator, ArmState, MotorCommand
 from ._integrator.midpoint import Midpoint
-from .midpoint_terms import middle_terms
+from .midpoint_terms import HeldSpan, middle_terms
 
 
 class FreeMotion(eqx.Module):
@@ -67,19 +67,19 @@ def free_motion(
     h = jnp.asarray(time_step, start.q.dtype)
     command = MotorCommand(motor_positions, jnp.zeros_like(motor_positions))
     rest = jnp.zeros_like(start.q)
-    span = h * held
+    span = HeldSpan(h * held, held)
 
     def step(begun: Any, state: ArmState) -> ArmState:
         return rule.step(robot, begun, state, command, rest, h)
 
     def row(state: ArmState, _: None) -> tuple[ArmState, ArmState]:
         terms = arm_terms(robot, state.q, state.v)
-        terms = middle_terms(robot, rule, terms, state, command, span, held)
+        terms = middle_terms(robot, rule, terms, state, command, span)
         begun = rule.begin(robot, terms, h)
         after, _ = jax.lax.scan(lambda s, _: (step(begun, s), None), state, length=held)
         return after, after
 
     _, states = jax.lax.scan(row, start, length=rows)
     states = jax.tree.map(lambda x, y: jnp.concatenate([x[None], y]), start, states)
-    time = jnp.arange(rows + 1, dtype=h.dtype) * span
+    time = jnp.arange(rows + 1, dtype=h.dtype) * span.duration
     return FreeMotion(time, states.q, states.v)

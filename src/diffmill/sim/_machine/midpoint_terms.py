@@ -7,6 +7,7 @@ mode that turns often in a period says nothing wild, as the way at the present v
 would.
 """
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -15,14 +16,30 @@ from ...robot import ArmTerms, Robot, arm_terms
 from ._integrator.base import AbstractIntegrator, ArmState, MotorCommand
 
 
+class HeldSpan(eqx.Module):
+    """The time for which the robot's terms are held.
+
+    Attributes:
+        duration: [s], shape ().
+        substeps: Sub-steps in it, short enough for the integrator.
+    """
+
+    duration: Float[Array, ""]
+    substeps: int = eqx.field(static=True)
+
+    @property
+    def substep(self) -> Float[Array, ""]:
+        """Length of a sub-step [s], shape ()."""
+        return self.duration / self.substeps
+
+
 def middle_terms(
     robot: Robot,
     integrator: AbstractIntegrator,
     terms: ArmTerms,
     state: ArmState,
     motors: MotorCommand,
-    span: Float[Array, ""],
-    substeps: int,
+    span: HeldSpan,
 ) -> ArmTerms:
     """Return the terms where the arm will be half a span later, free of load.
 
@@ -32,16 +49,15 @@ def middle_terms(
         terms: Its terms at the start.
         state: At the start.
         motors: Where the motors should be at the start, and their rate.
-        span: The time that the terms are to be held for [s].
-        substeps: Sub-steps in the span, short enough for the rule.
+        span: What the terms are to be held for.
 
     Returns:
         The terms; of second order in the span.
 
     **Differentiability**: as the rule; what it prepares of the terms is constant.
     """
-    count = integrator.steps_to_middle(substeps)
-    h, rest = span / 2 / count, jnp.zeros_like(state.v)
+    count = integrator.steps_to_middle(span.substeps)
+    h, rest = span.duration / 2 / count, jnp.zeros_like(state.v)
     # Where the middle is follows the state and the drives; that the half step's own
     # matrix changes with them too is of higher order than the step itself.
     begun = jax.lax.stop_gradient(integrator.begin(robot, terms, h))

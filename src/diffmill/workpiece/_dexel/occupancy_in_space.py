@@ -21,8 +21,6 @@ pass left is half in and half out, however it is smoothed. There the chip decide
 next to no material in it, the edge is out.
 """
 
-import functools
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -59,6 +57,14 @@ class _Near(eqx.Module):
     is_empty: Bool[Array, "point 4"]
     pose: Int[Array, "point 4"]
     places: Float[Array, "point 4 3"]
+
+
+class _Grid(eqx.Module):
+    """Where the rays are, and how finely they tell a surface."""
+
+    origin: Float[Array, " 3"]
+    spacing: float = eqx.field(static=True)
+    band: float | Float[Array, ""]
 
 
 class _Face(eqx.Module):
@@ -109,32 +115,29 @@ def occupancy_in_space(
     """
     slots = stock.slots_in_use() if slots is None else slots
     near = tuple(_find(stock, f, points, slots[f]) for f in range(3))
-    sizes = (stock.spacing, band)
+    grid = _Grid(stock.origin, stock.spacing, band)
     if track is None:
-        combine = jax.checkpoint(functools.partial(_combine, sizes=sizes))
         ends = [n.ends for n in near]
-        found = combine(points, cells, ends, near, stock.origin)
+        found = jax.checkpoint(_combine)(points, cells, ends, near, grid)
         return found[:, 0], found[:, 1]
     # One gather for all: its transpose then adds into the table only once.
     cut_by = track.cut_by(jnp.stack([n.pose for n in near], axis=1))
-    look = functools.partial(_look, sizes)
-    look = sloped_rows(look) if keeps_slopes else jax.checkpoint(look)
-    found = look(points, cells, cut_by, near, cutter, stock.origin)
+    look = sloped_rows(_look) if keeps_slopes else jax.checkpoint(_look)
+    found = look(points, cells, cut_by, near, cutter, grid)
     return found[:, 0], found[:, 1]
 
 
 def _look(
-    sizes: tuple[float, float | Float[Array, ""]],
     points: Float[Array, "point 3"],
     cells: Float[Array, "point edge 3"],
     cut_by: Pose,
     near: tuple[_Near, ...],
     cutter: AbstractCutter,
-    origin: Float[Array, " 3"],
+    grid: _Grid,
 ) -> Float[Array, "point 2"]:
     """Return both shares, tied to the poses (point, family, 4) that cut the ends."""
     ends = [_tie(cutter, near[f], f, cut_by[:, f]) for f in range(3)]
-    return _combine(points, cells, ends, near, origin, sizes)
+    return _combine(points, cells, ends, near, grid)
 
 
 def _find(
@@ -199,11 +202,9 @@ def _combine(
     cells: Float[Array, "point edge 3"],
     ends: list[Float[Array, "point 4"]],
     near: tuple[_Near, ...],
-    origin: Float[Array, " 3"],
-    sizes: tuple[float, float | Float[Array, ""]],
+    grid: _Grid,
 ) -> Float[Array, "point 2"]:
-    d, band = sizes
-    faces = [_face(points, ends[f], near[f], f, origin, d) for f in range(3)]
+    faces = [_face(points, ends[f], near[f], f, grid) for f in range(3)]
     trust = jnp.stack([f.trust for f in faces])
     known = trust / jnp.max(trust, axis=0, keepdims=True)
     doubt = clamp(0.0, (_HEARD - known) / (_HEARD - _UNHEARD), 1.0)
@@ -211,7 +212,7 @@ def _combine(
     full = jnp.sum(trust * jnp.stack([f.full for f in faces]), axis=0)
     empty = jnp.sum(trust * jnp.stack([f.empty for f in faces]), axis=0)
     goes_in = full / (full + empty + _FEW)
-    shares = [_shares(face, cells, band) for face in faces]
+    shares = [_shares(face, cells, grid.band) for face in faces]
     touched, filled = (
         _inside(jnp.stack(each), faces, doubt, goes_in)
         for each in zip(*shares, strict=True)
@@ -270,9 +271,9 @@ def _face(
     ends: Float[Array, "point 4"],
     near: _Near,
     family: int,
-    origin: Float[Array, " 3"],
-    d: float,
+    grid: _Grid,
 ) -> _Face:
+    d, origin = grid.spacing, grid.origin
     reach = REACH * d
     axes = ((family + 1) % 3, (family + 2) % 3)
     x = points[:, family, None]
