@@ -45,9 +45,8 @@ def test_subtracting_matches_a_loop_over_pieces():
     start, stop = (jnp.asarray(np.array(c)) for c in zip(*cuts, strict=True))
     poses = jnp.full(ends.shape, -1, jnp.int32)
     started, stopped = (jnp.full(500, when, jnp.int32) for when in (7, 8))
-    new, by, full = subtract(
-        ends, poses, (start, stop, jnp.ones(500, bool), started, stopped)
-    )
+    cut = wp.CutInterval(start, stop, jnp.ones(500, bool), started, stopped)
+    new, by, full = subtract(ends, poses, cut)
     assert not full.any()
     for i, pieces in enumerate(wanted):
         np.testing.assert_allclose(live(np.asarray(new[i])), pieces)
@@ -64,17 +63,19 @@ def test_a_ray_without_a_free_slot_raises_its_flag():
     poses = jnp.full(ends.shape, -1, jnp.int32)
     yes = jnp.ones(1, bool)
     pose = jnp.zeros(1, jnp.int32)
-    inside = (jnp.array([0.4]), jnp.array([0.6]), yes)
-    assert subtract(ends, poses, (*inside, pose, pose))[2].all()
-    beside = (jnp.array([0.4]), jnp.array([1.6]), yes)
-    assert not subtract(ends, poses, (*beside, pose, pose))[2].any()
+    low, high, far = jnp.array([0.4]), jnp.array([0.6]), jnp.array([1.6])
+    inside = wp.CutInterval(low, high, yes, pose, pose)
+    assert subtract(ends, poses, inside)[2].all()
+    across = wp.CutInterval(low, far, yes, pose, pose)
+    assert not subtract(ends, poses, across)[2].any()
 
 
 def test_slivers_are_dropped():
     ends = jnp.asarray(slots([(0.0, 1.0)], 2))[None]
     poses = jnp.full(ends.shape, -1, jnp.int32)
     pose = jnp.zeros(1, jnp.int32)
-    cut = (jnp.array([0.5e-9]), jnp.array([0.5]), jnp.ones(1, bool), pose, pose)
+    low, high = jnp.array([0.5e-9]), jnp.array([0.5])
+    cut = wp.CutInterval(low, high, jnp.ones(1, bool), pose, pose)
     new, _, _ = subtract(ends, poses, cut)
     assert live(np.asarray(new[0])) == [(0.5, 1.0)]
 

@@ -2,6 +2,7 @@
 
 import os
 import pathlib
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -62,10 +63,17 @@ def read_path_csv(file: str | os.PathLike[str]) -> Path:
     return parse_path_csv(text, name=path.name)
 
 
+class _Line(NamedTuple):
+    """A line of a file, numbered from 1."""
+
+    number: int
+    text: str
+
+
 def parse_path_csv(text: str, *, name: str = "path") -> Path:
     """Return a path from CSV text; arguments and errors as `read_path_csv`."""
     rows = [
-        (number, line.strip())
+        _Line(number, line.strip())
         for number, line in enumerate(text.splitlines(), 1)
         if line.strip() and not line.lstrip().startswith("#")
     ]
@@ -83,7 +91,7 @@ def parse_path_csv(text: str, *, name: str = "path") -> Path:
         faults.append(f"found {len(rows) - 1} rows after the header; needed are 2.")
     if faults:
         raise PathFileError(name, faults)
-    lines = np.array([row[0] for row in rows[1:]], dtype=np.int32)
+    lines = np.array([row.number for row in rows[1:]], dtype=np.int32)
     with np.errstate(over="ignore"):
         data = {key: values[:, index] * scales[key] for key, index in columns.items()}
     _check(data, lines, faults)
@@ -169,7 +177,7 @@ def _columns(
 
 
 def _values(
-    rows: list[tuple[int, str]], labels: list[str], delimiter: str, faults: list[str]
+    rows: list[_Line], labels: list[str], delimiter: str, faults: list[str]
 ) -> Float[np.ndarray, "row column"]:
     """Return the table of numbers as written; wrong ones are reported and left 0."""
     out = np.zeros((len(rows), len(labels)))

@@ -412,10 +412,12 @@ def remove_all(
         return (cut.stock, cut.slots, *flags), (cut.volume[0], cut.by_shank[0])
 
     carry = (state.stock, state.slots, state.has_overflow, state.is_beyond)
-    (stock, slots, full, beyond), taken = jax.lax.scan(remove, carry, (rows, is_due))
+    (stock, slots, full, beyond), (volume, by_shank) = jax.lax.scan(
+        remove, carry, (rows, is_due)
+    )
     state = eqx.tree_at(
         lambda s: (s.stock, s.queue_count, s.slots, s.has_overflow, s.is_beyond),
         state,
         (stock, jnp.zeros((), jnp.int32), slots, full, beyond),
     )
-    return state, Removed(jnp.minimum(rows.row, index), *taken)
+    return state, Removed(jnp.minimum(rows.row, index), volume, by_shank)

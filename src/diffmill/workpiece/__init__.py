@@ -12,14 +12,6 @@ mesh with its sharp edges, and can be compared with an ideal one point by point.
 are read and written in `_files.py` alone.
 """
 
-from ._dexel.contact import (
-    Columns as Columns,
-    Samples as Samples,
-    columns_of as columns_of,
-    sweep as sweep,
-    window_of as window_of,
-)
-from ._dexel.contact_depth import ContactTest as ContactTest
 from ._dexel.dexel_cloud import TakenPieces as TakenPieces, taken_pieces as taken_pieces
 from ._dexel.occupancy import Discs as Discs, occupancy as occupancy
 from ._dexel.occupancy_in_space import occupancy_in_space as occupancy_in_space
@@ -45,6 +37,7 @@ from ._dexel.stock_arrays import (
 )
 from ._dexel.tooth_pass import (
     TICKS as TICKS,
+    CutInterval as CutInterval,
     PoseTrack as PoseTrack,
     ToothPass as ToothPass,
 )

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -203,7 +204,7 @@ def _silenced(log: logging.Logger) -> Iterator[None]:
         log.disabled = before
 
 
-def _headers(archive: zipfile.ZipFile) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
+def _headers(archive: zipfile.ZipFile) -> dict[str, jax.ShapeDtypeStruct]:
     """Return shape and type of each array without reading what it holds."""
     headers = {}
     for entry in archive.infolist():
@@ -212,7 +213,8 @@ def _headers(archive: zipfile.ZipFile) -> dict[str, tuple[tuple[int, ...], np.dt
             if version != (1, 0):
                 raise ValueError(f"array {entry.filename!r} is of format {version}")
             shape, _, dtype = np.lib.format.read_array_header_1_0(file)
-        headers[entry.filename.removesuffix(".npy")] = (shape, dtype)
+        name = entry.filename.removesuffix(".npy")
+        headers[name] = jax.ShapeDtypeStruct(shape, dtype)
     return headers
 
 

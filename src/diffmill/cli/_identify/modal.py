@@ -63,11 +63,11 @@ def _toml(study: ModeStudy, found: ModeStudyFit) -> list[str]:
     known = damping.identifiable
     if not known.any():
         return ["# No joint's damper is identifiable; see summary.txt."]
-    parts = (damping.damping, damping.standard_errors, known)
-    share = float(np.max(damping.standard_errors[known] / damping.damping[known]))
+    values, errors = damping.damping, damping.standard_errors
+    share = float(np.max(errors[known] / values[known]))
     remark = kept_remark(robot.joint_names, known)
     return [
-        *joints_toml(robot, "joint_damping", *parts),
+        *joints_toml(robot, "joint_damping", values, errors, known),
         *uncertainty_toml("damping", share, remark),
     ]
 

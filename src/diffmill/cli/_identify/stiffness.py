@@ -94,10 +94,10 @@ def _toml(study: LoadTestStudy, found: LoadTestStudyFit) -> list[str]:
         if fit.is_consistent:
             why = "these loads do not show any joint well enough"
         return [f"# No stiffness: {why}; see summary.txt."]
-    parts = (fit.stiffness, fit.standard_errors, fit.identifiable)
-    remark = kept_remark(fit.joint_names, fit.identifiable)
+    values, errors, known = fit.stiffness, fit.standard_errors, fit.identifiable
+    remark = kept_remark(fit.joint_names, known)
     return [
-        *joints_toml(study.robot, "joint_stiffness", *parts),
+        *joints_toml(study.robot, "joint_stiffness", values, errors, known),
         *uncertainty_toml("stiffness", found.relative_uncertainty, remark),
     ]
 

@@ -139,12 +139,6 @@ def _columns(table: LoadTestsTable, robot: Robot) -> Callable[[TableReader], _Te
 def _groups(robot: Robot) -> dict[str, tuple[Quantity, ...]]:
     """Return the columns of a table by what they measure."""
     joints = zip(robot.joint_names, robot.joint_kinds, strict=True)
-    groups = {
-        "force": ("F", "f|force|kraft", q.FORCE),
-        "moment": ("M", "m|t|moment|torque", q.MOMENT),
-        "displacement": ("d", r"d|u|delta|defl|deflection|disp\w*", q.LENGTH),
-        "rotation": ("r", "r|dr|rot|rotation|phi", q.ANGLE),
-    }
     return {
         "joint": tuple(
             Quantity(
@@ -155,7 +149,12 @@ def _groups(robot: Robot) -> dict[str, tuple[Quantity, ...]]:
             )
             for i, (name, kind) in enumerate(joints, 1)
         ),
-        **{name: vector_columns(*what, name) for name, what in groups.items()},
+        "force": vector_columns("F", "f|force|kraft", q.FORCE, "force"),
+        "moment": vector_columns("M", "m|t|moment|torque", q.MOMENT, "moment"),
+        "displacement": vector_columns(
+            "d", r"d|u|delta|defl|deflection|disp\w*", q.LENGTH, "displacement"
+        ),
+        "rotation": vector_columns("r", "r|dr|rot|rotation|phi", q.ANGLE, "rotation"),
     }
 
 

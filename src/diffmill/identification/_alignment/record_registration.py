@@ -138,9 +138,11 @@ def _diagnosed(
     known = np.isfinite(force).all(axis=1)
     if known.sum() <= 16:
         return ()
-    seen = (time[known], force[known], spindle_speed, flute_count)
+    time, force = time[known], force[known]
     # Without the right teeth there is no phase to look at.
-    return check_teeth(*seen) or check_clock(*seen)
+    return check_teeth(time, force, spindle_speed, flute_count) or check_clock(
+        time, force, spindle_speed, flute_count
+    )
 
 
 def _spindle_clock(

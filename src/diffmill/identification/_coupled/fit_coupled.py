@@ -208,17 +208,21 @@ class _Problem(AbstractProblem):
         places = tuple(everything.index(name) for name in self.names)
         return modelled(self.job, places, x[: len(places)])
 
-    def parts(self, x: np.ndarray) -> tuple[np.ndarray | None, float | None]:
-        """Return offset and time shift among the unknowns."""
+    def offset(self, x: np.ndarray) -> np.ndarray | None:
+        """Return the offset of the deviation among the unknowns."""
         count = len(self.names)
-        offset = x[count : count + 3] if self.has_offset else None
-        return offset, float(x[-1]) if self.has_time_shift else None
+        return x[count : count + 3] if self.has_offset else None
+
+    def time_shift(self, x: np.ndarray) -> float | None:
+        """Return the time shift among the unknowns."""
+        return float(x[-1]) if self.has_time_shift else None
 
     def rows(self, model: Modelled, x: np.ndarray) -> list[Rows]:
         """Return the equations at some unknowns, for their simulation."""
         period = float(self.job.tooth_period)
         turn = period * self.job.cutter.flute_count
-        return coupled_rows(self.record, model, period, turn, *self.parts(x))
+        offset, shift = self.offset(x), self.time_shift(x)
+        return coupled_rows(self.record, model, period, turn, offset, shift)
 
     def evaluate(self, x: np.ndarray) -> list[Rows] | None:
         """Return the equations at some unknowns, None where the run fails."""
@@ -235,8 +239,8 @@ class _Problem(AbstractProblem):
 
     def share(self, rows: list[Rows], x: np.ndarray) -> float:
         """Return the smallest share of the squares that some unknowns explain."""
-        offset, _ = self.parts(x)
-        return min(explained_by(self.measured, self.fit(rows), offset)[0].values())
+        fit = self.fit(rows)
+        return min(explained_by(self.measured, fit, self.offset(x))[0].values())
 
     @property
     def measured(self) -> dict[str, np.ndarray | None]:
@@ -288,16 +292,17 @@ def _record(
             "Argument `time` must be at least 12 ascending instants, but has shape "
             f"{when.shape}" + (" or does not ascend." if when.ndim == 1 else ".")
         )
-    tables = []
-    for name, values in (("force", force), ("deviation", deviation)):
+
+    def rows_of(name: str, values: Table | None) -> np.ndarray | None:
         rows = None if values is None else np.array(values, np.float64)
         if rows is not None and (rows.shape != (when.size, 3) or np.isinf(rows).any()):
             raise ValueError(
                 f"Argument `{name}` must have shape ({when.size}, 3), one row per "
                 f"instant, and no infinite values, but has shape {rows.shape}."
             )
-        tables.append(rows)
-    return CoupledRecord(when, *tables)
+        return rows
+
+    return CoupledRecord(when, rows_of("force", force), rows_of("deviation", deviation))
 
 
 def _report(
@@ -315,7 +320,7 @@ def _report(
     given = parameter_values(problem.job)
     values = np.array([given[name] for name in names]) * np.exp(logs)
     correlation = correlation_of(C)[:count, :count]
-    offset, shift = problem.parts(found.x)
+    offset, shift = problem.offset(found.x), problem.time_shift(found.x)
     explained, left = explained_by(problem.measured, fit, offset)
     return CoupledFit(
         parameters=_by_name(names, np.where(is_fixed, values, math.nan)),

@@ -7,7 +7,7 @@ as the coefficients alone; a step that raises the cost is halved.
 """
 
 import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -99,10 +99,16 @@ def refine_records(
     return Refined(values, [one for one, _ in state], [part for _, part in state])
 
 
-State = list[tuple[Measured, np.ndarray]]
+class _Linearised(NamedTuple):
+    """A record with the change of its force per length, shape (row, 3, length)."""
+
+    record: Measured
+    columns: np.ndarray
 
 
-def _fit(state: State, K: np.ndarray, is_sought: bool, loss: Loss) -> LinearFit:
+def _fit(
+    state: list[_Linearised], K: np.ndarray, is_sought: bool, loss: Loss
+) -> LinearFit:
     """Fit the linear form of all unknowns."""
     records = [one for one, _ in state]
     rows = [
@@ -112,7 +118,7 @@ def _fit(state: State, K: np.ndarray, is_sought: bool, loss: Loss) -> LinearFit:
     return fit_rows(rows, loss)
 
 
-def _own_cost(state: State, fit: LinearFit) -> float:
+def _own_cost(state: list[_Linearised], fit: LinearFit) -> float:
     """Return the weighted square that coefficients alone leave, per weight.
 
     The lengths and shifts are those of the simulation, not of its linear form.
@@ -146,8 +152,8 @@ def _later(one: Measured, shift: float) -> Measured:
 
 def _simulated(
     one: Measured, names: tuple[str, ...], lengths: np.ndarray, K: np.ndarray
-) -> tuple[Measured, np.ndarray]:
-    """Return a record beside its cut for given lengths, and the columns of these."""
+) -> _Linearised:
+    """Return a record with its cut for given lengths, linearised in these."""
     dtype = one.cut.stock.origin.dtype
     base = dataclasses.replace(one.cut, cutter=_original(one.cut.cutter, dtype))
     x = jnp.asarray(np.concatenate([K, lengths]), dtype)
@@ -165,7 +171,7 @@ def _simulated(
     columns = at_times(J[:, :, 6:], found.start, spacing, one.time + one.shift)
     size = np.sqrt(np.mean(columns**2, axis=(0, 1)))
     is_shown = size > _SHOWN * size.max(initial=0.0)
-    return moved, np.where(is_shown, columns, 0.0)
+    return _Linearised(moved, np.where(is_shown, columns, 0.0))
 
 
 def cutter_with(

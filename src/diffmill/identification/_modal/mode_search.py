@@ -39,9 +39,11 @@ def search_modes(
         added = _next(model, x)
         if added is None:
             return x, found
-        halves = np.split(x, 2)
-        both = [np.append(half, one) for half, one in zip(halves, added, strict=True)]
-        x, _ = model.refined(*both)
+        frequencies, ratios = np.split(x, 2)
+        frequency, ratio = added
+        x, _ = model.refined(
+            np.append(frequencies, frequency), np.append(ratios, ratio)
+        )
     return x, count
 
 

@@ -77,10 +77,11 @@ class LoadTestStudy(NamedTuple):
             on_progress: Told what is being done.
         """
         on_progress("joint stiffness")
-        table = (self.q, self.wrench, self.displacement)
         fit = fit_joint_stiffness(
             self.robot,
-            *table,
+            self.q,
+            self.wrench,
+            self.displacement,
             has_offset=self.has_offset,
             noise=self.noise,
             load_frame=self.load_frame,
@@ -99,7 +100,7 @@ class LoadTestStudy(NamedTuple):
             share = float(np.linalg.norm(part * off) / np.linalg.norm(part))
         return LoadTestStudyFit(
             fit,
-            check_load_tests(self.robot, fit, *table),
+            check_load_tests(self.robot, fit, self.q, self.wrench, self.displacement),
             advice,
             lacks_model,
             _unit_ratio(fit, model),

@@ -110,7 +110,7 @@ class MeanForceStudy(NamedTuple):
             refines = self.settings.refines_speed
             registrations.append(record.register(self.records, refines_speed=refines))
             amplitudes.append(_amplitude(record, registrations[-1], used))
-        slope, offset = mean_force_matrices(*shape.values())
+        slope, offset = mean_force_matrices(**shape)
         rows = np.concatenate([np.hstack([feed * slope, offset]) for feed in feeds])
         fit = used.fit
         return MeanForceStudyFit(

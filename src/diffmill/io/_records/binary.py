@@ -62,11 +62,11 @@ def read_mat(path: pathlib.Path) -> Table:
 
         with _refusing(path, "MAT"):
             content = loadmat(path, simplify_cells=True)
-    leaves = [leaf for leaf in _leaves(content) if not leaf[0].startswith("__")]
-    scalars = {name: value for name, value in leaves if np.ndim(value) == 0}
-    shared = Counter(name.rpartition(".")[2] for name, _ in leaves)
+    leaves = {n: value for n, value in _leaves(content) if not n.startswith("__")}
+    scalars = {n: value for n, value in leaves.items() if np.ndim(value) == 0}
+    shared = Counter(name.rpartition(".")[2] for name in leaves)
     columns = []
-    for name, value in leaves:
+    for name, value in leaves.items():
         last = name.rpartition(".")[2]
         label = name if shared[last] > 1 else last
         columns += _matrix_columns(label, value, _labels_beside(name, leaves))
@@ -137,10 +137,10 @@ def _leaves(content: Any, name: str = "") -> Iterator[tuple[str, Any]]:
         yield name, content
 
 
-def _labels_beside(name: str, leaves: list[tuple[str, Any]]) -> list[str] | None:
+def _labels_beside(name: str, leaves: dict[str, Any]) -> list[str] | None:
     """Return the first list of texts in the same structure, or None."""
     folder = name.rpartition(".")[0]
-    for other, value in leaves:
+    for other, value in leaves.items():
         if np.asarray(value).dtype.kind in "fiubc":
             continue
         texts = np.asarray(value, dtype=object).ravel().tolist()

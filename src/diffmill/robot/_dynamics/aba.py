@@ -40,6 +40,13 @@ class _Inertia(NamedTuple):
     J: Matrix
 
 
+class _Links(NamedTuple):
+    """Mass times centre of each link, and its inertia at its origin."""
+
+    first_moments: list[Vector]
+    inertias: list[_Inertia]
+
+
 class _Articulated(NamedTuple):
     """Articulated inertia of a joint: U = I s, 1 / (s I s), I c without its part."""
 
@@ -111,7 +118,7 @@ def _inertia_to_parent(frame: LinkFrame, inertia: _Inertia) -> _Inertia:
     return _Inertia(A, B_new, J_new)
 
 
-def _link_inertias(robot: Robot) -> tuple[list[Vector], list[_Inertia]]:
+def _link_inertias(robot: Robot) -> _Links:
     """Return mass times centre, and the inertias at the links' origins."""
     first, inertias = [], []
     masses = numbers(robot.link_masses, 1)
@@ -127,20 +134,20 @@ def _link_inertias(robot: Robot) -> tuple[list[Vector], list[_Inertia]]:
         )
         first.append(h)
         inertias.append(_Inertia(A, B, J))
-    return hold((first, inertias))
+    return hold(_Links(first, inertias))
 
 
 def _motion(
     robot: Robot,
     frames: list[LinkFrame],
-    links: tuple[list[Vector], list[_Inertia]],
+    links: _Links,
     qd: Vector,
 ) -> _Motion:
     """Return what velocities do: drift of the axes, and forces of motion."""
     zero = jnp.zeros_like(qd[0])
     motions, drift, force = [], [], []
     for i, parent in enumerate(robot.parents):
-        h, (A, _, J) = links[0][i], links[1][i]
+        h, (A, _, J) = links.first_moments[i], links.inertias[i]
         at_rest = (zero,) * 6
         V = _to_link(frames[i], motions[parent]) if parent >= 0 else at_rest
         turned = lambda x: (x[1] * qd[i], -x[0] * qd[i], zero)  # noqa: B023
@@ -266,7 +273,7 @@ def _aba(
     links = _link_inertias(robot)
     motion = _motion(robot, frames, links, numbers(qd, 1))
     _add_wrench(robot, frames, motion.force, numbers(wrench, 1))
-    joints = _articulated(robot, frames, links[1], None, motion.drift)
+    joints = _articulated(robot, frames, links.inertias, None, motion.drift)
     base = base_acceleration(robot, q[0])
     found = _accelerations(robot, frames, joints, numbers(tau, 1), motion, base)
     return jnp.stack(found)
@@ -283,7 +290,7 @@ def _inverse(
         eye.reshape(*eye.shape, *[1] * (q.ndim - 1)), (*eye.shape, *q.shape[1:])
     )
     frames = link_frames(robot, numbers(q[:, None], 1))
-    _, inertias = _link_inertias(robot)
+    inertias = _link_inertias(robot).inertias
     joints = _articulated(robot, frames, inertias, numbers(diagonal[:, None], 1), None)
     base = (jnp.zeros_like(tau[0]),) * 6
     return jnp.stack(_accelerations(robot, frames, joints, numbers(tau, 1), None, base))

@@ -4,6 +4,8 @@ A motor stands where the controller says, theta; the joint hangs on it by a spri
 tau = K (theta - q). A virtual joint is the same spring with theta = 0.
 """
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -72,6 +74,14 @@ def loaded_equilibrium(
     )
 
 
+class _LoadedArm(NamedTuple):
+    """What an equilibrium depends on, in the units of `loaded_equilibrium`."""
+
+    robot: Robot
+    theta: Float[Array, " joint"]
+    wrench: Float[Array, " 6"]
+
+
 @jax.jit
 def _loaded_equilibrium(
     robot: Robot, theta: Float[Array, " joint"], wrench: Float[Array, " 6"]
@@ -79,10 +89,8 @@ def _loaded_equilibrium(
     # Imported here: it takes a third of a second, and not every job needs it.
     import optimistix as optx
 
-    def residual(
-        q: Float[Array, " joint"], given: tuple[Robot, Array, Array]
-    ) -> Float[Array, " joint"]:
-        robot, theta, wrench = given
+    def residual(q: Float[Array, " joint"], arm: _LoadedArm) -> Float[Array, " joint"]:
+        robot, theta, wrench = arm
         frames = joint_frames(robot, q)
         load = tool_jacobian(robot, frames).T @ wrench - gravity_torques(
             robot, frames, link_inertia_rows(robot, frames)
@@ -94,7 +102,7 @@ def _loaded_equilibrium(
         residual,
         optx.Newton(rtol=_TOLERANCE, atol=_TOLERANCE),
         theta,
-        (robot, theta, wrench),
+        _LoadedArm(robot, theta, wrench),
         options={"jac": "fwd"},
         max_steps=_NEWTON_STEPS,
         throw=False,

@@ -293,7 +293,8 @@ def _choice_newton_step(
     Only the step carries the derivative, not its slope. Also returned is whether no
     joint moves by more than `longest`; if one does, the step is of no use.
     """
-    slope = choice_slope(*lax.stop_gradient((robot, T, q)), tool_rotation)
+    frozen, T_frozen, q_frozen = lax.stop_gradient((robot, T, q))
+    slope = choice_slope(frozen, T_frozen, q_frozen, tool_rotation)
     inverse = small_inverse(slope)
     left = -chosen_step(robot, T, q, tool_rotation, None)
     is_short = jnp.max(jnp.abs(inverse @ lax.stop_gradient(left))) < longest

@@ -7,6 +7,7 @@ never see this, and the algorithms need no axis.
 
 import dataclasses
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -28,6 +29,22 @@ from .robot import Robot
 _GRAVITY = (0.0, 0.0, -9.81)
 
 
+class _Mass(NamedTuple):
+    """Mass [kg], its centre [m] and the inertia about it [kg m^2], in a link."""
+
+    mass: float
+    center: np.ndarray
+    inertia: np.ndarray
+
+
+class _Place(NamedTuple):
+    """A link, -1 for the base, a frame in it, and a tool in that frame."""
+
+    link: int
+    frame: np.ndarray
+    tool: np.ndarray
+
+
 @dataclasses.dataclass
 class _Walk:
     """State of the walk over the elements."""
@@ -37,12 +54,8 @@ class _Walk:
     )
     parents: list[int] = dataclasses.field(default_factory=list)
     placements: list[np.ndarray] = dataclasses.field(default_factory=list)
-    bodies: list[list[tuple[float, np.ndarray, np.ndarray]]] = dataclasses.field(
-        default_factory=list
-    )
-    tools: dict[str, tuple[int, np.ndarray, np.ndarray]] = dataclasses.field(
-        default_factory=dict
-    )
+    bodies: list[list[_Mass]] = dataclasses.field(default_factory=list)
+    tools: dict[str, _Place] = dataclasses.field(default_factory=dict)
 
 
 def build(
@@ -73,8 +86,8 @@ def build(
     twice = sorted({n for n in names if names.count(n) > 1})
     if twice:
         raise ValueError(f"Joint names must be unique, but occur twice: {twice}.")
-    flange_joint, flange, T_flange_tool = _choose_tool(walk, end, tool)
-    masses, centers, inertias = zip(*map(_merge, walk.bodies), strict=True)
+    flange = _choose_tool(walk, end, tool)
+    bodies = [_merge(each) for each in walk.bodies]
     placements = np.stack(walk.placements)
     mimics = _resolve_mimics(walk.joints)
     joints = [j for j in walk.joints if j.mimic is None]
@@ -82,11 +95,11 @@ def build(
     robot = Robot(
         placement_rotations=jnp.asarray(placements[:, :3, :3]),
         placement_positions=jnp.asarray(placements[:, :3, 3]),
-        link_masses=jnp.asarray(np.array(masses)),
-        link_centers=jnp.asarray(np.stack(centers)),
-        link_inertias=jnp.asarray(np.stack(inertias)),
-        T_joint_flange=jnp.asarray(flange),
-        T_flange_tool=jnp.asarray(T_flange_tool),
+        link_masses=jnp.asarray(np.array([body.mass for body in bodies])),
+        link_centers=jnp.asarray(np.stack([body.center for body in bodies])),
+        link_inertias=jnp.asarray(np.stack([body.inertia for body in bodies])),
+        T_joint_flange=jnp.asarray(flange.frame),
+        T_flange_tool=jnp.asarray(flange.tool),
         joint_stiffness=column("stiffness"),
         joint_damping=column("damping"),
         joint_lower=column("lower"),
@@ -101,7 +114,7 @@ def build(
         ),
         parents=tuple(walk.parents),
         is_virtual=tuple(j.is_virtual for j in joints),
-        flange_joint=flange_joint,
+        flange_joint=flange.link,
         mimics=mimics,
         joint_speed=column("speed"),
     )
@@ -110,8 +123,8 @@ def build(
 
 def _visit(
     walk: _Walk, elements: Sequence[AbstractElement], link: int, frame: np.ndarray
-) -> tuple[int, np.ndarray]:
-    """Walk along one branch; return the link and the frame at its end."""
+) -> _Place:
+    """Walk along one branch; return its end as a tool."""
     for element in elements:
         match element:
             case FixedRotation():
@@ -128,7 +141,7 @@ def _visit(
                 if element.name in walk.tools:
                     raise ValueError(f"Two tools have the name {element.name!r}.")
                 placed = _transform(element.rotation, element.position)
-                walk.tools[element.name] = (link, frame, placed)
+                walk.tools[element.name] = _Place(link, frame, placed)
             case RevoluteJoint() | PrismaticJoint():
                 align = _transform(_rotation_of_z_to(element.axis), np.zeros(3))
                 walk.joints.append(element)
@@ -141,7 +154,7 @@ def _visit(
                     "Argument `elements` must contain elements of diffmill.robot, "
                     f"but contains {element!r}."
                 )
-    return link, frame
+    return _Place(link, frame, np.eye(4))
 
 
 def _resolve_mimics(
@@ -174,12 +187,10 @@ def _resolve_mimics(
     return tuple(resolved)
 
 
-def _choose_tool(
-    walk: _Walk, end: tuple[int, np.ndarray], tool: str | None
-) -> tuple[int, np.ndarray, np.ndarray]:
-    """Return the flange's link, the flange in it, and the tool in the flange."""
+def _choose_tool(walk: _Walk, end: _Place, tool: str | None) -> _Place:
+    """Return the flange with the tool in it."""
     if tool is None and not walk.tools:
-        return (*end, np.eye(4))
+        return end
     if tool is None and len(walk.tools) == 1:
         (chosen,) = walk.tools.values()
         return chosen
@@ -208,20 +219,17 @@ def _rotation_of_z_to(axis: object) -> np.ndarray:
     return np.eye(3) + skew + skew @ skew / (1.0 + z)
 
 
-def _body_in_link(
-    body: RigidBody, frame: np.ndarray
-) -> tuple[float, np.ndarray, np.ndarray]:
-    """Return mass, centre and inertia of a body in its link's frame."""
+def _body_in_link(body: RigidBody, frame: np.ndarray) -> _Mass:
+    """Return a body in its link's frame."""
     R = frame[:3, :3]
     center = R @ np.asarray(body.center_of_mass, float) + frame[:3, 3]
-    return float(body.mass), center, R @ np.asarray(body.inertia, float) @ R.T
+    inertia = R @ np.asarray(body.inertia, float) @ R.T
+    return _Mass(float(body.mass), center, inertia)
 
 
-def _merge(
-    bodies: list[tuple[float, np.ndarray, np.ndarray]],
-) -> tuple[float, np.ndarray, np.ndarray]:
-    """Return mass, centre and inertia about it of several bodies."""
-    mass = sum((body[0] for body in bodies), 0.0)
+def _merge(bodies: list[_Mass]) -> _Mass:
+    """Return several bodies as one."""
+    mass = sum((body.mass for body in bodies), 0.0)
     # Rotors are described by an inertia without mass: any centre is as good.
     center = np.zeros(3)
     if mass > 0.0:
@@ -230,4 +238,4 @@ def _merge(
     for m, c, about_own in bodies:
         arm = c - center
         inertia += about_own + m * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-    return mass, center, inertia
+    return _Mass(mass, center, inertia)

@@ -20,15 +20,9 @@ from ...cutter import (
     flat_end_mill,
 )
 from ...toolpath import Path
-from ...workpiece import (
-    Columns,
-    ContactTest,
-    Samples,
-    Stock,
-    columns_of,
-    sweep,
-    window_of,
-)
+from ...workpiece import Stock
+from .contact import Columns, Samples, columns_of, sweep, window_of
+from .contact_depth import ContactTest
 
 if TYPE_CHECKING:
     import xarray
@@ -147,16 +141,20 @@ def _contacts(
         travel = _travel(tip, axis, holder)
         is_looked = is_held & _every(travel, d / 2, np.asarray(path.line)[row], is_held)
     is_tool = is_near & is_rapid & checks_rapids
-    windows = (
-        window_of(columns, box, is_near),
-        window_of(columns, holder_box, is_looked),
+    samples = Samples(
+        tip,
+        axis,
+        is_cut=is_near & ~is_rapid,
+        is_tool=is_tool,
+        is_holder=is_looked,
+        tool=window_of(columns, box, is_near),
+        holder=window_of(columns, holder_box, is_looked),
     )
-    is_cut = is_near & ~is_rapid
-    samples = Samples(tip, axis, is_cut, is_tool, is_looked, *windows)
     depths = np.zeros((3, len(tips)))
     is_full = False
     if is_tool.any() or is_looked.any():
-        test = ContactTest(cutter, *_smaller(cutter, d), holder, _TOUCH * d)
+        inner, lift = _smaller(cutter, d)
+        test = ContactTest(cutter, inner, lift, holder, _TOUCH * d)
         found, is_full = _swept(columns, test, samples)
         # A row where it was not looked for has what was found just before.
         last = np.maximum.accumulate(np.where(is_looked, np.arange(len(row)), 0))
@@ -261,9 +259,9 @@ def _smaller(cutter: AbstractCutter, margin: float) -> tuple[AbstractCutter, flo
     """Return a cutter inside another, and how far its tip is above the other's."""
     R, rc = cutter.nominal_radius, cutter.nominal_corner_radius
     radius = max(R - margin, R / 2)
-    sizes = (2 * radius, cutter.flute_count)
+    diameter, teeth = 2 * radius, cutter.flute_count
     if rc == 0:
-        return flat_end_mill(*sizes), 0.0
+        return flat_end_mill(diameter, teeth), 0.0
     if rc >= R:
-        return ball_end_mill(*sizes), R - radius
-    return bull_nose(*sizes, min(rc, 0.99 * radius)), 0.0
+        return ball_end_mill(diameter, teeth), R - radius
+    return bull_nose(diameter, teeth, min(rc, 0.99 * radius)), 0.0

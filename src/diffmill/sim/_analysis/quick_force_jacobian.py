@@ -122,7 +122,8 @@ def _chip_and_clearance(
     tips, axes = earlier.tip, earlier.direction()
 
     def step(least: Array, poses: tuple[Array, Array]) -> tuple[Array, None]:
-        return jnp.minimum(least, jnp.min(level(*poses), axis=0)), None
+        tip, axis = poses
+        return jnp.minimum(least, jnp.min(level(tip, axis), axis=0)), None
 
     chip = cutter.level(places, tips[0, :1], axes[0, :1])
     clearance, _ = jax.lax.scan(step, chip, (tips, axes))

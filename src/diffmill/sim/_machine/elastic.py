@@ -298,9 +298,11 @@ def _tool_of(process: Process) -> Process:
     return eqx.tree_at(lambda p: p.stock, process, None)
 
 
-def _mean_force(process: Process, *cut: Any) -> Float[Array, " 3"]:
-    """Return the force of a sub-step; arguments as of `AbstractEngagement.wrench`."""
-    return _mean_wrench(process, *cut)[:3]
+def _mean_force(
+    process: Process, samples: EdgeSamples, pose: Pose, earlier: Pose, thinned: Pose
+) -> Float[Array, " 3"]:
+    """Return the force of a sub-step."""
+    return _mean_wrench(process, samples, pose, earlier, thinned)[:3]
 
 
 def _mean_wrench(

@@ -309,7 +309,8 @@ def _run_periods(
     def step(
         state: RunState, x: tuple[Array, Any, Array | None]
     ) -> tuple[RunState, Period]:
-        return machine.period(process, state, *x)
+        index, row, is_live = x
+        return machine.period(process, state, index, row, is_live)
 
     xs = (indices, rows, live_rows(indices, row_count))
     return jax.lax.scan(step, state, xs)

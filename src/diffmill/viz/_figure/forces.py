@@ -97,7 +97,13 @@ def plot_forces(
         grid[0, 1].set_title(title, fontsize=9, loc="left", color=INK)
         start = f"{window[0]:.3f}"
         grid[2, 1].set_xlabel(f"time after {start} s [ms]", fontsize=8.5, color=INK)
-    _legend(figure, grid[0, 0], record, None if filtered is None else (cutoff, order))
+    names = _line_names(record)
+    if filtered is not None:
+        names["black"] = (
+            f"{cutoff:g} Hz low-pass: Butterworth, order {order}, forward and backward "
+            "(zero phase)"
+        )
+    _legend(figure, grid[0, 0], names)
     return figure
 
 
@@ -175,25 +181,22 @@ def _draw_zoom(
     quiet_axes(axes)
 
 
+def _line_names(record: ForceRecord) -> dict[str, str]:
+    """Return the name of the line of the forces as they are."""
+    if record.is_tooth_mean:
+        return {"grey": "mean over each tooth period"}
+    if record.tooth_period <= 0:
+        return {"grey": "instantaneous"}
+    count = record.tooth_period * record.sample_rate
+    return {"grey": f"instantaneous, {count:.0f} samples per tooth"}
+
+
 def _legend(
     figure: "matplotlib.figure.Figure",
     axes: "matplotlib.axes.Axes",
-    record: ForceRecord,
-    filter_settings: tuple[float, int] | None,
+    names: dict[str, str],
 ) -> None:
-    """Name the two lines; the filter's order and phase belong to its name."""
-    names = {"grey": "mean over each tooth period"}
-    if not record.is_tooth_mean:
-        names["grey"] = "instantaneous"
-        if record.tooth_period > 0:
-            count = record.tooth_period * record.sample_rate
-            names["grey"] = f"instantaneous, {count:.0f} samples per tooth"
-    if filter_settings is not None:
-        cutoff, order = filter_settings
-        names["black"] = (
-            f"{cutoff:g} Hz low-pass: Butterworth, order {order}, forward and backward "
-            "(zero phase)"
-        )
+    """Name the lines; order and phase of a filter belong to its name."""
     for artist in (*axes.lines, *axes.collections):
         artist.set_label(names.get(str(artist.get_label()), "_hidden"))
     legend_above(figure, axes, columns=2)

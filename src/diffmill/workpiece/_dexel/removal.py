@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ...cutter import AbstractCutter
 from .._pose import Pose
 from .stock import DEAD, Rays, Stock
-from .tooth_pass import Interval, ToothPass, cut_interval, standing
+from .tooth_pass import CutInterval, ToothPass, cut_interval, standing
 
 # A tool that leans less than this out of the horizontal lies flat.
 _LEVEL = 1e-6
@@ -31,15 +31,14 @@ _WIDTHS = (3, 8)
 def subtract(
     ends: Float[Array, "*ray 2 slot"],
     poses: Int[Array, "*ray 2 slot"],
-    cut: Interval,
+    cut: CutInterval,
 ) -> tuple[Float[Array, "*ray 2 slot"], Int[Array, "*ray 2 slot"], Bool[Array, "*ray"]]:
     """Remove one interval from each ray.
 
     Args:
         ends: Lower and upper ends [m], shape (..., 2, slot).
         poses: When these ends were cut, in ticks, shape (..., 2, slot).
-        cut: Start and end of the interval to remove [m], whether there is one, and when
-            both ends are cut, in ticks, each of shape (...).
+        cut: What to remove, each of shape (...).
 
     Returns:
         New ends, when they were cut, and whether a piece found no free slot, shape
@@ -296,7 +295,7 @@ def remove_passes(
     volumes = jnp.zeros(len(passes), stock.origin.dtype)
     has_cut = jnp.zeros((), bool)
     slots = stock.slots_in_use() if slots is None else slots
-    due = [(each, is_due[i]) for i, each in enumerate(passes)]
+    due = [_DuePass(each, is_due[i]) for i, each in enumerate(passes)]
     families, in_use = [], []
     for f in (0, 1, 2):
         removed = _remove_family(stock.families[f], cutter, f, grid, due, slots[f])
@@ -415,12 +414,19 @@ def _place(
     return starts, is_beyond
 
 
+class _DuePass(NamedTuple):
+    """A pass, and whether it is removed now."""
+
+    tooth: ToothPass
+    is_due: Bool[Array, ""]
+
+
 def _remove_family(
     rays: Rays,
     cutter: AbstractCutter,
     family: Literal[0, 1, 2],
     grid: WindowGrid,
-    due: Sequence[tuple[ToothPass, Bool[Array, ""]]],
+    due: Sequence[_DuePass],
     in_use: Int[Array, ""],
 ) -> _RemovedFamily:
     at, (b, c) = grid.of_family(family)
@@ -472,15 +478,15 @@ class _Trimmed(NamedTuple):
     is_full: Bool[Array, ""]
 
 
-def _subtract_in_use(window: _Window, interval: Interval) -> _Trimmed:
+def _subtract_in_use(window: _Window, interval: CutInterval) -> _Trimmed:
     """Subtract an interval from each ray, in the slots in use and one more."""
     # A ray in a long run rarely holds more than two pieces, of many that it has room
     # for; the cost is that of the slots looked at.
     count = window.ends.shape[-1]
     widths = [width for width in _WIDTHS if width < count] + [count]
 
-    def among(width: int) -> Callable[[_Window, Interval], _Trimmed]:
-        def run(window: _Window, interval: Interval) -> _Trimmed:
+    def among(width: int) -> Callable[[_Window, CutInterval], _Trimmed]:
+        def run(window: _Window, interval: CutInterval) -> _Trimmed:
             old = window.ends[..., :width]
             new, by, full = subtract(old, window.cut_by[..., :width], interval)
             corner = (0, 0, 0, 0)

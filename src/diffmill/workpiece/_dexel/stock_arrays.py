@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Shaped
@@ -35,7 +36,7 @@ def arrays_of_stock(stock: Stock) -> dict[str, Any]:
     return arrays
 
 
-def check_headers(headers: Mapping[str, tuple[tuple[int, ...], np.dtype]]) -> None:
+def check_headers(headers: Mapping[str, jax.ShapeDtypeStruct]) -> None:
     """Raise if arrays cannot be a stock, judged by their shapes and types.
 
     Args:
@@ -48,13 +49,14 @@ def check_headers(headers: Mapping[str, tuple[tuple[int, ...], np.dtype]]) -> No
         raise ValueError(f"the arrays {', '.join(missing)} are missing")
     if unknown := sorted(headers.keys() - _NAMES - _OPTIONAL):
         raise ValueError(f"the arrays {', '.join(unknown)} are unknown")
-    for name, (shape, dtype) in headers.items():
+    for name, header in headers.items():
+        shape, dtype = header.shape, header.dtype
         if dtype.kind != ("i" if name.startswith("poses") else "f"):
             raise ValueError(f"the array {name} holds {dtype}, which is not allowed")
         wanted = {"origin": (3,), "volume_weights": (3,), "spacing": (), "top": ()}
         if name in wanted and shape != wanted[name]:
             raise ValueError(f"the array {name} has shape {shape}")
-    shapes = {name: shape for name, (shape, _) in headers.items()}
+    shapes = {name: header.shape for name, header in headers.items()}
     for axis in "xyz":
         shape = shapes[f"ends_{axis}"]
         if len(shape) != 4 or shape[2] != 2 or min(shape) < 1:
@@ -64,7 +66,7 @@ def check_headers(headers: Mapping[str, tuple[tuple[int, ...], np.dtype]]) -> No
     lines = [shapes[f"ends_{axis}"][:2] for axis in "xyz"]
     if any(lines[f][1] != lines[(f + 1) % 3][0] for f in range(3)):
         raise ValueError("the families of rays do not stand on one grid")
-    size = sum(math.prod(shape) * dtype.itemsize for shape, dtype in headers.values())
+    size = sum(math.prod(h.shape) * h.dtype.itemsize for h in headers.values())
     check_memory(float(size), "the stock")
 
 

@@ -13,7 +13,7 @@ Times count in tooth periods from pose 0. The ends of rays remember them in whol
 """
 
 import math
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -33,14 +33,23 @@ _ROUNDS = 2
 # Parts of a step in which columns look for their time.
 _FINE = 8
 
-# Lower and upper end, whether there is a cut, and when each end was cut, in ticks.
-Interval = tuple[
-    Float[Array, "..."],
-    Float[Array, "..."],
-    Bool[Array, "..."],
-    Int[Array, "..."],
-    Int[Array, "..."],
-]
+
+class CutInterval(NamedTuple):
+    """What is cut from rays.
+
+    Attributes:
+        start: Lower end [m], shape (...).
+        stop: Upper end [m], same shape.
+        is_cut: Whether there is a cut, same shape.
+        started: When the lower end was cut, in ticks, same shape.
+        stopped: When the upper end was cut, in ticks, same shape.
+    """
+
+    start: Float[Array, "..."]
+    stop: Float[Array, "..."]
+    is_cut: Bool[Array, "..."]
+    started: Int[Array, "..."]
+    stopped: Int[Array, "..."]
 
 
 class PoseTrack(eqx.Module):
@@ -201,7 +210,7 @@ def cut_interval(
     b: Float[Array, "u v"],
     c: Float[Array, "u v"],
     tooth: ToothPass,
-) -> Interval:
+) -> CutInterval:
     """Return what a tooth takes from rays as it goes around once.
 
     The height of an upright end is that of the tool as the tooth passes over a column;
@@ -220,7 +229,7 @@ def cut_interval(
     if tooth.nodes.tip.shape[0] == 1:
         start, stop, is_hit = _intersect(cutter, family, b, c, center)
         when = jnp.broadcast_to(tooth.ticks(tooth.passing), is_hit.shape)
-        return start, stop, is_hit, when, when
+        return CutInterval(start, stop, is_hit, when, when)
     if center.axis is None and family == 2:
         # Columns are many, and interpolation would cost more than all the rest.
         fine = tooth.refined(_FINE)
@@ -230,7 +239,7 @@ def cut_interval(
         near = fine.nodes[node.astype(jnp.int32)]
         start, stop, is_hit = _intersect(cutter, family, b, c, near)
         when = fine.ticks(node)
-        return start, stop, is_hit, when, when
+        return CutInterval(start, stop, is_hit, when, when)
     # Both ends at once, in a leading axis.
     is_stop = jnp.arange(2, dtype=jnp.int32)[:, None, None] > 0
     u, v = (x[None] for x in _lines(cutter, family, b, c, center))
@@ -246,7 +255,7 @@ def cut_interval(
         start, stop, is_hit = _intersect(cutter, family, b[None], c[None], pose)
     is_hit = is_hit[0] & is_hit[1] & (start[0] < stop[1])
     when = jnp.broadcast_to(tooth.ticks(node), (2, *b.shape))
-    return start[0], stop[1], is_hit, when[0], when[1]
+    return CutInterval(start[0], stop[1], is_hit, when[0], when[1])
 
 
 def _lines(

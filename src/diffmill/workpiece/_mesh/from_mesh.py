@@ -1,7 +1,7 @@
 """Rays through a closed mesh: where each one enters and leaves the material."""
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -121,19 +121,26 @@ def _solid(mesh: Mesh) -> "manifold3d.Manifold":
     return solid
 
 
+class _Pieces(NamedTuple):
+    """Pieces of material on the rays of a family.
+
+    Attributes:
+        ray: The number u * len(v) + v of each piece's ray, ascending, shape (piece,).
+        ends: Its ends [m], shape (piece, 2).
+    """
+
+    ray: Int[np.ndarray, " piece"]
+    ends: Float[np.ndarray, "piece 2"]
+
+
 def _cast_family(
     solid: "manifold3d.Manifold",
     family: int,
     origin: Float[np.ndarray, " 3"],
     counts: Int[np.ndarray, " 3"],
     spacing: float,
-) -> tuple[Int[np.ndarray, " piece"], Float[np.ndarray, "piece 2"]]:
-    """Return the pieces of material on all rays of a family.
-
-    Returns:
-        The number of the ray u * len(v) + v of each piece, in ascending order, shape
-        (piece,), and the ends of the piece [m], shape (piece, 2).
-    """
+) -> _Pieces:
+    """Return the pieces of material on all rays of a family."""
     b, c = (family + 1) % 3, (family + 2) % 3
     start, stop = [0.0] * 3, [0.0] * 3
     start[family] = float(origin[family])
@@ -165,18 +172,18 @@ def _pieces(hits: "list[manifold3d.RayHit]", family: int) -> list[tuple[float, f
 
 def _merged(
     ray: Int[np.ndarray, " piece"], ends: Float[np.ndarray, "piece 2"]
-) -> tuple[Int[np.ndarray, " joined"], Float[np.ndarray, "joined 2"]]:
+) -> _Pieces:
     """Return the pieces without slivers, those that only rounding parts as one."""
     is_long = ends[:, 1] - ends[:, 0] > _SHORTEST
     ray, ends = ray[is_long], ends[is_long]
     is_next = (ray[1:] == ray[:-1]) & (ends[1:, 0] - ends[:-1, 1] <= _SHORTEST)
     first = np.flatnonzero(np.append(True, ~is_next))[: len(ray)]
     last = np.append(first[1:], len(ray))[: len(first)] - 1
-    return ray[first], np.stack([ends[first, 0], ends[last, 1]], axis=-1)
+    return _Pieces(ray[first], np.stack([ends[first, 0], ends[last, 1]], axis=-1))
 
 
 def _rays(
-    pieces: tuple[Int[np.ndarray, " piece"], Float[np.ndarray, "piece 2"]],
+    pieces: _Pieces,
     grid: tuple[int | np.integer, int | np.integer],
     slot_count: int,
     dtype: jnp.dtype,

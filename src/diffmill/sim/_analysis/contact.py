@@ -11,10 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._pose import Pose
+from ...workpiece import DEAD, CutInterval, Pose, Stock, subtract
 from .contact_depth import ContactTest, holder_depth, tool_depth
-from .removal import subtract
-from .stock import DEAD, Stock
 
 # Poses that one call of the compiled loop takes.
 _CHUNK = 512
@@ -164,29 +162,18 @@ def sweep(
     depths = np.zeros((2, count))
     has_overflow = False
     ends, dtype = columns.ends, columns.ends.dtype
-    rows = (
-        samples.tip.astype(dtype),
-        samples.axis.astype(dtype),
-        np.stack([samples.is_cut, samples.is_tool, samples.is_holder], axis=-1),
-        samples.tool.first,
-        samples.holder.first,
-    )
-    for first in range(0, count, _CHUNK):
-        part = [x[first : first + _CHUNK] for x in rows]
-        size = len(part[0])
+    origin = jnp.asarray(columns.origin, dtype)
+
+    def padded(x: np.ndarray) -> Array:
         # A short chunk is filled with poses that do nothing.
-        part = [
-            np.concatenate([x, np.zeros((_CHUNK - size, *x.shape[1:]), x.dtype)])
-            for x in part
-        ]
-        ends, found, is_full = _chunk(
-            ends,
-            jnp.asarray(columns.origin, dtype),
-            columns.spacing,
-            test,
-            (samples.tool.size, samples.holder.size),
-            tuple(jnp.asarray(x) for x in part),
-        )
+        rest = np.zeros((_CHUNK - len(x), *x.shape[1:]), x.dtype)
+        is_real = np.issubdtype(x.dtype, np.floating)
+        return jnp.asarray(np.concatenate([x, rest]), dtype if is_real else x.dtype)
+
+    for first in range(0, count, _CHUNK):
+        part = jax.tree.map(padded, samples[first : first + _CHUNK])
+        ends, found, is_full = _chunk(ends, origin, columns.spacing, test, part)
+        size = min(_CHUNK, count - first)
         depths[:, first : first + size] = np.asarray(found).T[:, :size]
         has_overflow |= bool(is_full)
     return (
@@ -203,8 +190,7 @@ def _chunk(
     origin: Float[Array, " 2"],
     spacing: float,
     test: ContactTest,
-    sizes: tuple[tuple[int, int], tuple[int, int]],
-    rows: tuple[Array, ...],
+    samples: Samples,
 ) -> tuple[Float[Array, "x y 2 slot"], Float[Array, "sample 2"], Bool[Array, ""]]:
     """Take a tool through a fixed number of poses."""
     slots = ends.shape[-1]
@@ -215,23 +201,25 @@ def _chunk(
         at = (first[0], first[1], zero, zero)
         return jax.lax.dynamic_slice(ends, at, (*size, 2, slots))
 
-    def step(ends: Array, row: tuple[Array, ...]) -> tuple[Array, tuple[Array, Array]]:
-        tip, axis, does, first, first_holder = row
-        pose = Pose(tip, axis)
-        part = window(ends, first, sizes[0])
-        x, y = _places(origin, spacing, first, sizes[0])
+    def step(ends: Array, sample: Samples) -> tuple[Array, tuple[Array, Array]]:
+        tip, axis = jnp.asarray(sample.tip), jnp.asarray(sample.axis)
+        pose, first = Pose(tip, axis), jnp.asarray(sample.tool.first)
+        part = window(ends, first, sample.tool.size)
+        x, y = _places(origin, spacing, first, sample.tool.size)
         in_tool = jax.lax.cond(
-            does[1], lambda: tool_depth(part, x, y, pose, test), lambda: nothing
+            sample.is_tool, lambda: tool_depth(part, x, y, pose, test), lambda: nothing
         )
 
         def cut() -> tuple[Array, Array]:
-            interval = test.cutter.intersect_pose(2, x, y, tip, axis)
+            start, stop, is_hit = test.cutter.intersect_pose(2, x, y, tip, axis)
+            when = jnp.zeros(start.shape, jnp.int32)
+            interval = CutInterval(start, stop, is_hit, when, when)
             unknown = jnp.zeros(part.shape, jnp.int32)
-            when = jnp.zeros(interval[0].shape, jnp.int32)
-            new, _, is_full = subtract(part, unknown, (*interval, when, when))
+            new, _, is_full = subtract(part, unknown, interval)
             return new, jnp.any(is_full)
 
-        part, is_full = jax.lax.cond(does[0], cut, lambda: (part, jnp.zeros((), bool)))
+        whole = lambda: (part, jnp.zeros((), bool))
+        part, is_full = jax.lax.cond(sample.is_cut, cut, whole)
         ends = jax.lax.dynamic_update_slice(
             ends, part, (first[0], first[1], zero, zero)
         )
@@ -239,14 +227,15 @@ def _chunk(
             return ends, (jnp.stack([in_tool, nothing]), is_full)
 
         def look() -> Array:
-            near = window(ends, first_holder, sizes[1])
-            x, y = _places(origin, spacing, first_holder, sizes[1])
+            at, size = jnp.asarray(sample.holder.first), sample.holder.size
+            near = window(ends, at, size)
+            x, y = _places(origin, spacing, at, size)
             return holder_depth(near, x, y, pose, test)
 
-        in_holder = jax.lax.cond(does[2], look, lambda: nothing)
+        in_holder = jax.lax.cond(sample.is_holder, look, lambda: nothing)
         return ends, (jnp.stack([in_tool, in_holder]), is_full)
 
-    ends, (depths, is_full) = jax.lax.scan(step, ends, rows)
+    ends, (depths, is_full) = jax.lax.scan(step, ends, samples)
     return ends, depths, jnp.any(is_full)
 
 

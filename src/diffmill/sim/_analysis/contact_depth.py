@@ -2,10 +2,10 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from ...cutter import AbstractCutter, ToolHolder
-from .._pose import Pose
+from ...workpiece import Pose
 
 # A piece shorter than this is rounding [m].
 _SHORTEST = 1e-8
@@ -39,7 +39,14 @@ def tool_depth(
     """Return how deep the cutter is in material where its inner one meets it."""
     axis = pose.direction()
     interval = test.inner.intersect_pose(2, x, y, pose.tip + test.lift * axis, axis)
-    points, is_in = _inside(ends, x, y, interval)
+    start, stop, is_hit = (v[..., None] for v in interval)
+    low = jnp.maximum(ends[:, :, 0], start)
+    high = jnp.minimum(ends[:, :, 1], stop)
+    is_in = is_hit & (high > low + _SHORTEST)
+    # The solid is convex: its distance grows from its ends to somewhere near there.
+    z = jnp.where(is_in, jnp.clip((start + stop) / 2, low, high), 0)
+    x, y = (jnp.broadcast_to(v[..., None], z.shape) for v in (x, y))
+    points = jnp.stack([x, y, z], axis=-1)
     tip, axis = (v[None, None, None] for v in (pose.tip, axis))
     depth = jnp.where(is_in, -test.cutter.level(points, tip, axis), 0)
     return jnp.max(depth)
@@ -60,20 +67,3 @@ def holder_depth(
     )
     deepest = jnp.max(depth)
     return jnp.where(deepest > test.touch, deepest, 0)
-
-
-def _inside(
-    ends: Float[Array, "x y 2 slot"],
-    x: Float[Array, "x y"],
-    y: Float[Array, "x y"],
-    interval: tuple[Float[Array, "x y"], Float[Array, "x y"], Bool[Array, "x y"]],
-) -> tuple[Float[Array, "x y slot 3"], Bool[Array, "x y slot"]]:
-    """Return the point of each piece of material nearest to the middle of a solid."""
-    start, stop, is_hit = (v[..., None] for v in interval)
-    low = jnp.maximum(ends[:, :, 0], start)
-    high = jnp.minimum(ends[:, :, 1], stop)
-    is_in = is_hit & (high > low + _SHORTEST)
-    # The solid is convex: its distance grows from its ends to somewhere near there.
-    z = jnp.where(is_in, jnp.clip((start + stop) / 2, low, high), 0)
-    x, y = (jnp.broadcast_to(v[..., None], z.shape) for v in (x, y))
-    return jnp.stack([x, y, z], axis=-1), is_in
