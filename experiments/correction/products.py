@@ -52,9 +52,14 @@ def _residual(tips: jax.Array, args: tuple[dm.Job, pr.AbstractAdjoint]) -> jax.A
 run = eqx.filter_jit(_residual)
 
 
-def _programs(job: dm.Job, keeps_slopes: bool) -> tuple[list[Callable[[], Any]], float]:
+def _programs(
+    job: dm.Job, keeps_jacobian: bool
+) -> tuple[list[Callable[[], Any]], float]:
     """Return what is to be timed, and the size of the linear program [byte]."""
-    products, args = StoredProducts(), (job, pr.ThroughPoses(keeps_slopes=keeps_slopes))
+    products, args = (
+        StoredProducts(),
+        (job, pr.ThroughPoses(keeps_jacobian=keeps_jacobian)),
+    )
     tips = jnp.asarray(job.path.positions)
     residual, linear = products.linearise(_residual, tips, args)
     size = sum(x.nbytes for x in jax.tree.leaves(linear) if hasattr(x, "nbytes"))

@@ -67,7 +67,7 @@ def _trade_off(report: Report, job: dm.Job, correction: dm.Correction) -> None:
     problem = dm.correction.Problem(
         plant=dm.correction.TipPlant(
             job,
-            dm.process.ThroughPoses(keeps_slopes=True),
+            dm.process.ThroughPoses(keeps_jacobian=True),
             before.wall_share,
             before.rigid,
         ),

@@ -341,7 +341,7 @@ def test_wrong_arguments_are_named():
         identification.fit_force_coefficients(cut, time, seen, axes=("x", "x", "z"))
     with pytest.raises(ValueError, match="same length"):
         identification.fit_force_coefficients(cut, time[:1], seen)
-    with pytest.raises(ValueError, match="must meet the cut"):
+    with pytest.raises(ValueError, match="`time`"):
         identification.fit_force_coefficients(cut[0], time[0] + 9.0, seen[0])
     with pytest.raises(ValueError, match="radius"):
         identification.fit_force_coefficients(cut, time, seen, refine=["speed"])

@@ -217,7 +217,7 @@ def test_kept_slopes_are_the_same_derivative(kind):
     @jax.jit
     def derivatives(theta, along, weights):
         computed = jax.jvp(actual(pr.ThroughPoses()), (theta,), (along,))[1]
-        _, push = jax.linearize(actual(pr.ThroughPoses(keeps_slopes=True)), theta)
+        _, push = jax.linearize(actual(pr.ThroughPoses(keeps_jacobian=True)), theta)
         return computed, push(along), jax.linear_transpose(push, theta)(weights)[0]
 
     computed, kept, pulled = derivatives(theta, along, weights)

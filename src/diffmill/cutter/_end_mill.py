@@ -13,7 +13,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float
 
 from .._types import RealScalarLike
-from ..numerics import tied
+from ..numerics import with_derivative_of
 from . import _profile, _rays
 from ._abstract import AbstractCutter
 from ._elements import EdgeElements, edge_elements
@@ -294,7 +294,7 @@ class EndMill(AbstractCutter):
             off = self.level(jnp.stack(place, axis=-1), tip, axis)
             # The end stays where the level is zero: only its derivative counts.
             is_free = is_hit & (t > ray.low) & (t < ray.high)
-            ends.append(tied(end, jnp.where(is_free, -off / slope, 0)))
+            ends.append(with_derivative_of(end, jnp.where(is_free, -off / slope, 0)))
         return ends[0], ends[1], is_hit
 
     def wall_slopes(

@@ -1,4 +1,4 @@
-"""Measured records, prepared and set beside the simulation.
+"""Measured records, prepared and registered on the simulation.
 
 What it models: a record of three forces over time with what is doubtful in it marked
 sample by sample; the removal of offset and drift; the cuts in it; its alignment with

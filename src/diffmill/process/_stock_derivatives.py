@@ -24,7 +24,7 @@ class AbstractAdjoint(eqx.Module):
     """Policy for derivatives through the stock.
 
     Attributes:
-        keeps_slopes: Whether a linearisation keeps the slopes of forces and
+        keeps_jacobian: Whether a linearisation keeps the slopes of forces and
             occupancies, for many cheap products, instead of computing both again in
             every product, as suits one gradient. Of forces only with the arm's
             dynamics, not in its static balance. Where samples are looked up in space
@@ -32,7 +32,7 @@ class AbstractAdjoint(eqx.Module):
             differentiate in them raises ValueError.
     """
 
-    keeps_slopes: eqx.AbstractVar[bool]
+    keeps_jacobian: eqx.AbstractVar[bool]
 
     @abc.abstractmethod
     def removal_poses(self, poses: Pose) -> Pose:
@@ -40,17 +40,17 @@ class AbstractAdjoint(eqx.Module):
 
     @abc.abstractmethod
     def tied_to(self, track: PoseTrack) -> PoseTrack | None:
-        """Return the poses that samples are tied to, or None."""
+        """Return the poses that carry the derivatives of samples, or None."""
 
 
 class ThroughRays(AbstractAdjoint):
     """Differentiate through the ends of all rays.
 
     Attributes:
-        keeps_slopes: See `AbstractAdjoint`; here the forces only.
+        keeps_jacobian: See `AbstractAdjoint`; here the forces only.
     """
 
-    keeps_slopes: bool = eqx.field(static=True, default=False)
+    keeps_jacobian: bool = eqx.field(static=True, default=False)
 
     def removal_poses(self, poses: Pose) -> Pose:
         """Return the poses unchanged."""
@@ -65,18 +65,18 @@ class ThroughPoses(AbstractAdjoint):
     """Differentiate through the poses that the ends remember.
 
     Attributes:
-        keeps_slopes: See `AbstractAdjoint`; occupancies of a flat cutter that stands
+        keeps_jacobian: See `AbstractAdjoint`; occupancies of a flat cutter that stands
             upright are computed again all the same.
     """
 
-    keeps_slopes: bool = eqx.field(static=True, default=False)
+    keeps_jacobian: bool = eqx.field(static=True, default=False)
 
     def removal_poses(self, poses: Pose) -> Pose:
         """Return the poses as constants."""
         return poses.frozen()
 
     def tied_to(self, track: PoseTrack) -> PoseTrack:
-        """Return the poses, to which the samples are tied."""
+        """Return the poses, which carry the derivatives of the samples."""
         return track
 
 
@@ -86,10 +86,10 @@ class StockHeld(AbstractAdjoint):
     Chips follow all poses all the same: theirs is the surface that the last teeth left.
 
     Attributes:
-        keeps_slopes: See `AbstractAdjoint`.
+        keeps_jacobian: See `AbstractAdjoint`.
     """
 
-    keeps_slopes: bool = eqx.field(static=True, default=False)
+    keeps_jacobian: bool = eqx.field(static=True, default=False)
 
     def removal_poses(self, poses: Pose) -> Pose:
         """Return the poses as constants."""

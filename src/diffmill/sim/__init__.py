@@ -3,7 +3,7 @@
 One step is one tooth period. Within it the robot, with the terms of its middle, takes
 linear, implicit midpoint sub-steps, and the teeth that pass in a sub-step push it with
 the force of the chip between its tip and the tips one or more periods earlier. Removal
-lags behind the tool by a travelled distance; what is still pending is flushed at the
+lags behind the tool by a travelled distance; what is still pending is removed at the
 end of a run. A second, hard chip model, "point_cloud", removes at once and takes the
 chip's angles from the rays that a removal has cut, as the paper does.
 

@@ -66,7 +66,7 @@ def _fit_lines(study: ForceRecordStudy, found: ForceRecordStudyFit) -> list[str]
         f"{fit.residual_rms:.4g} N of {fit.force_rms:.4g} N rms"
     )
     lines += all_noted(fit.doubts, "warning")
-    for part in found.left_out:
+    for part in found.predicted:
         lines.append(
             f"left out: {study.records[part.record].name}, {part.what}: "
             f"{part.error:.2%} of the force rms off"
@@ -126,7 +126,7 @@ def _facts(study: ForceRecordStudy, found: ForceRecordStudyFit) -> dict[str, Any
         "time_shift_s": fit.time_shift,
         "left_out": [
             {"record": part.record, "what": part.what, "error": part.error}
-            for part in found.left_out
+            for part in found.predicted
         ],
         "notes": [*fit.notes, *(n for r in study.records for n in r.notes)],
         "diagnoses": diagnosis_facts(found.diagnoses),
@@ -142,7 +142,7 @@ def _figures(
     figures: dict[str, Callable[[], Any]] = {}
     for i, (record, one) in enumerate(zip(study.records, fit.records, strict=True)):
         number = f"_{i + 1}" if len(study.records) > 1 else ""
-        off, part = residual_force(fit, i), found.left_out[i]
+        off, part = residual_force(fit, i), found.predicted[i]
         figures[f"record{number}"] = draw(
             plot_force_fit,
             one.time + one.shift,

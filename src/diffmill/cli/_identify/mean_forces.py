@@ -39,7 +39,7 @@ def report_means(study: MeanForceStudy, found: MeanForceStudyFit) -> Report:
         "identifiable": fit.identifiable,
         "r_squared": fit.r_squared,
         "relative_uncertainty": found.relative_uncertainty,
-        "left_out_N": found.left_out,
+        "left_out_N": found.predicted,
         "amplitudes_N": [one._asdict() for one in found.amplitudes],
         "notes": study.notes,
     }
@@ -50,7 +50,7 @@ def report_means(study: MeanForceStudy, found: MeanForceStudyFit) -> Report:
             found.force,
             fit.slope,
             fit.offset,
-            left_out=found.left_out,
+            predicted=found.predicted,
         ),
         "correlation": functools.partial(
             plot_correlation, list(fit.coefficients), fit.correlation
@@ -113,7 +113,7 @@ def _axes_lines(found: MeanForceStudyFit, *, takes_proposed: bool) -> list[str]:
 
 def _fit_lines(found: MeanForceStudyFit) -> list[str]:
     """Return coefficients and how far to trust them."""
-    fit, force, left = found.used.fit, found.force, found.left_out
+    fit, force, left = found.used.fit, found.force, found.predicted
     lines = [
         "",
         *coefficient_lines(

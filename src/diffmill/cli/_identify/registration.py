@@ -1,4 +1,4 @@
-"""Records of forces beside their cuts, in words: time, axes and doubts."""
+"""Registration of force records in words: time, axes and doubts."""
 
 import math
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from .diagnoses import diagnosis_lines
 from .report import all_noted, noted
 from .text import axes_text
 
-# Forces that agree less in size over a job, or meet less of its cut, are doubted.
+# Forces that agree less in size over a job, or overlap less of its cut, are doubted.
 _ALIKE, _COVERED = 0.8, 0.9
 
 
@@ -52,7 +52,7 @@ def record_lines(
 
     Args:
         records: The records.
-        registrations: Each of them beside its cut.
+        registrations: Of each of them.
     """
     lines = []
     for record, one in zip(records, registrations, strict=True):
@@ -70,14 +70,14 @@ def record_lines(
                 "are larger than they show.",
                 "warning",
             )
-        if one.meeting is None:
+        if one.alignment is None:
             continue
         lines.append(
-            f"  the job's time is the record's {one.meeting.shift:+.4g} s; the sizes "
-            f"of the forces correlate by {one.meeting.quality:.3f}, and "
-            f"{one.meeting.overlap:.0%} of the cut are in the record"
+            f"  the job's time is the record's {one.alignment.shift:+.4g} s; the sizes "
+            f"of the forces correlate by {one.alignment.quality:.3f}, and "
+            f"{one.alignment.overlap:.0%} of the cut are in the record"
         )
-        if one.meeting.quality < _ALIKE or one.meeting.overlap < _COVERED:
+        if one.alignment.quality < _ALIKE or one.alignment.overlap < _COVERED:
             lines += noted(
                 "Record and job hardly agree in where the tool cuts: look at feed, "
                 "speed, zero and stock of the job, or give the time shift.",

@@ -171,7 +171,7 @@ def correct(
     horizon = horizon_of(job)
     check_limits(job)
     # Adam asks for one gradient at a point, the others for many products.
-    adjoint = ThroughPoses(keeps_slopes=job.correction.method != "adam")
+    adjoint = ThroughPoses(keeps_jacobian=job.correction.method != "adam")
     desired = jnp.asarray(job.path.positions)
     # A program beyond a joint's limit is refused before anything runs, too.
     check_joints(job, desired, is_joints=False)

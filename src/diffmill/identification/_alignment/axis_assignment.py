@@ -41,7 +41,7 @@ def propose_axes(
     penalty for what physics forbids: tangential and radial force are positive (edge
     included, at the mean chip), radial over tangential force lies within 0.1 to 1, the
     axial force is positive. The residual tells the axes apart as long as the forces
-    vary within a turn; it cannot tell all signs at once reversed, nor the sign of z
+    vary within a turn; it does not show all signs at once reversed, nor the sign of z
     alone, for which only the penalties speak.
 
     Args:

@@ -1,4 +1,4 @@
-"""Records set beside their cuts: speed, window and time, so that a fit can begin."""
+"""Registration of records on their cuts: speed, window and time, to begin a fit."""
 
 import math
 from typing import NamedTuple
@@ -41,7 +41,7 @@ _CUTS = 0.02
 
 
 class RecordRegistration(NamedTuple):
-    """A record beside its cut, its axes as recorded.
+    """A record registered on its cut, its axes as recorded.
 
     Attributes:
         cut: The cut, with a plan.
@@ -51,7 +51,7 @@ class RecordRegistration(NamedTuple):
         force: As recorded [N], shape (row, 3); NaN out of the cut.
         offset: Clock of the cut minus clock of the record [s].
         proposal: How the axes may lie.
-        meeting: How well the sizes of the forces agree over a job, or None.
+        alignment: How well the sizes of the forces agree over a job, or None.
         spindle_speed: As used [rad/s].
         notes: What was done or is doubtful, one sentence each.
         diagnoses: What clock and teeth of a steady cut tell.
@@ -63,7 +63,7 @@ class RecordRegistration(NamedTuple):
     force: Float[np.ndarray, "row 3"]
     offset: float
     proposal: AxesProposal
-    meeting: TimeAlignment | None
+    alignment: TimeAlignment | None
     spindle_speed: float
     notes: tuple[str, ...]
     diagnoses: tuple[Diagnosis, ...] = ()
@@ -78,7 +78,7 @@ def register_on_straight_cut(
     largest_feed: float | None = None,
     angle: Float[np.ndarray, " row"] | None = None,
 ) -> RecordRegistration:
-    """Set the steady part of a record beside a straight cut.
+    """Register the steady part of a record on a straight cut.
 
     Args:
         sizes: Sizes of the cut, with its nominal spindle speed.
@@ -90,7 +90,7 @@ def register_on_straight_cut(
             of the cut then follows the spindle, and tooth 0 stands at this angle.
 
     Returns:
-        Its first 40 revolutions beside the cut.
+        Its first 40 revolutions with the cut.
 
     Raises:
         ValueError: Sizes that no straight cut has, or less than three revolutions.
@@ -206,7 +206,7 @@ def register_on_job(
     angle: Float[np.ndarray, " row"] | None = None,
     keeps_shift: bool = False,
 ) -> RecordRegistration:
-    """Set a record beside the cut of a job.
+    """Set a record with the cut of a job.
 
     Args:
         job: The job; its desired path by a rigid machine.
@@ -219,10 +219,10 @@ def register_on_job(
         keeps_shift: Whether the time shift is exact, and the zero of the angle is not.
 
     Returns:
-        The record beside the cut, samples out of the cut marked as not known.
+        The record with the cut, samples out of the cut marked as not known.
 
     Raises:
-        ValueError: The record does not meet the cut.
+        ValueError: The record does not overlap the cut.
         SimulationFailed: The cut could not be simulated.
     """
     cut = cut_of(job)
@@ -231,14 +231,14 @@ def register_on_job(
     K = _USUAL
     if isinstance(law, LinearEdgeLaw):
         K = np.array([np.mean(np.asarray(getattr(law, name))) for name in NAMES])
-    meeting = None
+    alignment = None
     turn = cut.tooth_period * cut.cutter.flute_count
     speed = 2 * math.pi / turn
     if angle is not None:
         _, time = _spindle_clock(time, angle, speed)
     if time_shift is None:
-        meeting = align_in_time(found, K, time, force)
-        time_shift = meeting.shift
+        alignment = align_in_time(found, K, time, force)
+        time_shift = alignment.shift
     if angle is not None and not keeps_shift:
         time_shift = _in_phase(time_shift, time, angle, speed)
     when = time + time_shift
@@ -256,7 +256,7 @@ def register_on_job(
     seen = np.where(inside[:, None], force, np.nan)[first : last + 1]
     proposal = _judge(found, when, seen, turn / 2, cut.tooth_period)
     return RecordRegistration(
-        cut, found, when, seen, time_shift, proposal, meeting, speed, ()
+        cut, found, when, seen, time_shift, proposal, alignment, speed, ()
     )
 
 
@@ -288,7 +288,7 @@ def _judge(
     count = int(is_near.sum())
     if count < _LEAST:
         raise ValueError(
-            f"The record must hold {_LEAST} samples beside the cut that lie near each "
+            f"The record must hold {_LEAST} samples with the cut that lie near each "
             f"other, but its gaps leave {count} of {known.size}."
         )
     columns = at_times(found.columns, found.start, found.spacing, grid)

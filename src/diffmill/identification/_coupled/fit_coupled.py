@@ -53,7 +53,7 @@ _SCALES = (0.1, 0.25, 0.5, 2.0, 4.0)
 
 
 class CoupledFit(eqx.Module):
-    """Parameters of arm and cut, how sure they are, and what the record cannot tell.
+    """Parameters of arm and cut, how sure they are, and which are not identifiable.
 
     Attributes:
         parameters: By name, in SI: "K" and "D" with a joint's name, and the force
@@ -173,7 +173,7 @@ def fit_coupled(
     begun = problem.rows(first, start)
     if not any(np.isfinite(part.force).any() for part in begun):
         raise ValueError(
-            "Argument `time` must meet the path, from 0 to "
+            "Argument `time` must overlap the path, from 0 to "
             f"{float(job.path.time[-1]):g} s, with something measured, but does not."
         )
     solver = record_solver(problem.is_log, max_steps)

@@ -1,4 +1,4 @@
-"""Cross-validation of coefficients on cuts left out of the fit."""
+"""Cross-validation of coefficients on cuts that the fit did not use."""
 
 from typing import NamedTuple
 
@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 
 from .._statistics.robust_regression import Rows, solve
 from .force_coefficients import ForceCoefficientFit
-from .regression_rows import Measured, equations
+from .regression_rows import RegisteredRecord, equations
 
 # More gross errors than this share are none.
 _MANY = 0.05
@@ -73,20 +73,25 @@ class _WeightedRecord(NamedTuple):
     is_good: Bool[np.ndarray, "row 3"]
 
     def predicted(
-        self, K: Float[np.ndarray, " 6"], is_left_out: Bool[np.ndarray, " row"], by: str
+        self,
+        K: Float[np.ndarray, " 6"],
+        chosen: Bool[np.ndarray, " row"],
+        by: str,
     ) -> CrossValidation:
-        """Return the rows left out beside what coefficients from others predict."""
-        measured = self.rows.force[is_left_out]
-        predicted = (self.rows.columns @ K)[is_left_out]
-        counts = self.is_good[is_left_out]
+        """Return some rows with the prediction of coefficients from others."""
+        measured = self.rows.force[chosen]
+        predicted = (self.rows.columns @ K)[chosen]
+        counts = self.is_good[chosen]
         off = np.nansum((measured - predicted)[counts] ** 2)
         whole = max(float(np.nansum(measured[counts] ** 2)), 1e-300)
         error = float(np.sqrt(off / whole))
-        time = self.time[is_left_out]
+        time = self.time[chosen]
         return CrossValidation(self.place, by, time, measured, predicted, error)
 
 
-def _weigh(place: int, one: Measured, K: Float[np.ndarray, " 6"]) -> _WeightedRecord:
+def _weigh(
+    place: int, one: RegisteredRecord, K: Float[np.ndarray, " 6"]
+) -> _WeightedRecord:
     """Return a record weighted by its scatter about the fit, gross errors not at all.
 
     They count in the error of a prediction where too many rows would be gross.

@@ -25,9 +25,9 @@ from .._cut.cut_model import (
     with_plan,
 )
 from .._statistics.robust_regression import LinearFit, Loss, Rows, fit_rows
-from .regression_rows import Measured, equations, shift_part
+from .regression_rows import RegisteredRecord, equations, shift_part
 
-REFINABLE = ("runout", "radius")
+LENGTHS = ("runout", "radius")
 
 # Run-out at which the fit starts at least [m]: at zero its direction has no derivative.
 _START = 2e-6
@@ -40,7 +40,7 @@ _STEPS, _HALVINGS = 15, 4
 _SHOWN = 1e-3
 
 
-class Refined(eqx.Module):
+class CutterGeometry(eqx.Module):
     """Lengths of the cutter as fitted.
 
     Attributes:
@@ -51,18 +51,21 @@ class Refined(eqx.Module):
     """
 
     values: dict[str, float]
-    records: list[Measured]
+    records: list[RegisteredRecord]
     columns: list[np.ndarray | None]
 
 
-def refine_records(
-    records: list[Measured], refine: tuple[str, ...], is_sought: bool, loss: Loss
-) -> Refined:
+def fit_cutter_geometry(
+    records: list[RegisteredRecord],
+    refine: tuple[str, ...],
+    is_sought: bool,
+    loss: Loss,
+) -> CutterGeometry:
     """Fit lengths of the cutter, with coefficients and time shifts.
 
     Args:
         records: The records, which share one cutter.
-        refine: Which of `REFINABLE`.
+        refine: Which of `LENGTHS`.
         is_sought: Whether the time shifts are fitted too.
         loss: The loss.
 
@@ -96,13 +99,15 @@ def refine_records(
         if np.abs(step).max() < _REST:
             break
     values = {n: float(v) for n, v in zip(names, x, strict=True)}
-    return Refined(values, [one for one, _ in state], [part for _, part in state])
+    return CutterGeometry(
+        values, [one for one, _ in state], [part for _, part in state]
+    )
 
 
 class _Linearised(NamedTuple):
     """A record with the change of its force per length, shape (row, 3, length)."""
 
-    record: Measured
+    record: RegisteredRecord
     columns: np.ndarray
 
 
@@ -146,12 +151,12 @@ def _names(refine: tuple[str, ...]) -> tuple[str, ...]:
     return both + (("radius",) if "radius" in refine else ())
 
 
-def _later(one: Measured, shift: float) -> Measured:
+def _later(one: RegisteredRecord, shift: float) -> RegisteredRecord:
     return dataclasses.replace(one, shift=one.shift + float(shift))
 
 
 def _simulated(
-    one: Measured, names: tuple[str, ...], lengths: np.ndarray, K: np.ndarray
+    one: RegisteredRecord, names: tuple[str, ...], lengths: np.ndarray, K: np.ndarray
 ) -> _Linearised:
     """Return a record with its cut for given lengths, linearised in these."""
     dtype = one.cut.stock.origin.dtype

@@ -23,12 +23,12 @@ from .._statistics.robust_regression import (
     fit_rows,
     solve_normal,
 )
-from .cutter_geometry import REFINABLE, Refined, refine_records
+from .cutter_geometry import LENGTHS, CutterGeometry, fit_cutter_geometry
 from .experiment_advice import advise
 from .mean_force import NAMES, by_name
 from .regression_rows import (
     Axes,
-    Measured,
+    RegisteredRecord,
     Source,
     Times,
     equations,
@@ -54,7 +54,7 @@ _TOLD = 1e-5
 
 
 class ForceCoefficientFit(eqx.Module):
-    """Force coefficients, how sure they are, and what the records cannot tell.
+    """Force coefficients, how sure they are, and which are not identifiable.
 
     Attributes:
         coefficients: By name, cutting [Pa] and edge [N/m]; NaN if not identifiable.
@@ -101,7 +101,7 @@ class ForceCoefficientFit(eqx.Module):
     diagnoses: tuple[Diagnosis, ...]
     doubts: tuple[str, ...] = eqx.field(static=True)
     notes: tuple[str, ...] = eqx.field(static=True)
-    records: tuple[Measured, ...]
+    records: tuple[RegisteredRecord, ...]
     raw: Float[np.ndarray, " 6"]
 
     @property
@@ -182,7 +182,7 @@ def fit_force_coefficients(
         The fit; look at `.notes`.
 
     Raises:
-        ValueError: Wrong shapes, names or times, or the record does not meet the cut.
+        ValueError: Wrong shapes, names or times, or no overlap of record and cut.
         SimulationFailed: The cut could not be simulated.
     """
     _check_names(axes, loss, refine)
@@ -190,9 +190,9 @@ def fit_force_coefficients(
     is_sought = time_shift is None
     if is_sought:
         records = [find_shift(one, shift_range) for one in records]
-    refined = Refined({}, records, [None] * len(records))
+    refined = CutterGeometry({}, records, [None] * len(records))
     if refine:
-        refined = refine_records(records, tuple(refine), is_sought, loss)
+        refined = fit_cutter_geometry(records, tuple(refine), is_sought, loss)
     found = _settle(refined, is_sought, loss)
     return _report(found, refined, axes)
 
@@ -200,14 +200,14 @@ def fit_force_coefficients(
 class _Settled(NamedTuple):
     """Linear form of all records with its fit, their time shifts at rest."""
 
-    records: list[Measured]
+    records: list[RegisteredRecord]
     rows: list[Rows]
     fit: LinearFit
     is_sought: bool
     loss: Loss
 
 
-def _settle(refined: Refined, is_sought: bool, loss: Loss) -> _Settled:
+def _settle(refined: CutterGeometry, is_sought: bool, loss: Loss) -> _Settled:
     """Fit everything in linear form, and move the time shifts until they rest."""
     records = refined.records
     # Only the slope of the force takes these: gross errors hardly matter.
@@ -234,7 +234,9 @@ def _settle(refined: Refined, is_sought: bool, loss: Loss) -> _Settled:
     return _Settled(records, rows, fit, is_sought, loss)
 
 
-def _report(found: _Settled, refined: Refined, axes: Axes) -> ForceCoefficientFit:
+def _report(
+    found: _Settled, refined: CutterGeometry, axes: Axes
+) -> ForceCoefficientFit:
     """Return the fit with its errors, by name."""
     records, rows, fit = found.records, found.rows, found.fit
     C = covariance(rows, fit, found.loss)
@@ -303,7 +305,7 @@ def _class_notes(K_tc: float, is_known: bool) -> tuple[str, ...]:
 
 
 def _diagnoses(
-    records: list[Measured],
+    records: list[RegisteredRecord],
     rows: list[Rows],
     is_gross: np.ndarray,
     K: Float[np.ndarray, " 6"],
@@ -328,7 +330,7 @@ def _diagnoses(
 
 
 def _rate(
-    one: Measured, row: Rows, gross: Bool[np.ndarray, "row 3"], record: int
+    one: RegisteredRecord, row: Rows, gross: Bool[np.ndarray, "row 3"], record: int
 ) -> list[Diagnosis]:
     """Return whether the record's clock runs at another rate than the spindle."""
     known = np.isfinite(row.force) & ~gross
@@ -388,7 +390,7 @@ def _dead_channels(rows: list[Rows], axes: Axes) -> tuple[list[str], list[str]]:
     return doubts, notes
 
 
-def _lost_notes(records: list[Measured], gross: int) -> tuple[str, ...]:
+def _lost_notes(records: list[RegisteredRecord], gross: int) -> tuple[str, ...]:
     """Say what was left out or hardly counts."""
     notes, saturated = [], sum(one.saturated for one in records)
     if saturated:
@@ -443,9 +445,9 @@ def _check_names(axes: Axes, loss: str, refine: Sequence[str]) -> None:
         raise ValueError(
             f'Argument `loss` must be "squares", "huber" or "tukey", but is "{loss}".'
         )
-    unknown = set(refine) - set(REFINABLE)
+    unknown = set(refine) - set(LENGTHS)
     if unknown:
         raise ValueError(
-            f"Argument `refine` may hold {', '.join(REFINABLE)}, but holds "
+            f"Argument `refine` may hold {', '.join(LENGTHS)}, but holds "
             f"{', '.join(sorted(unknown))}."
         )

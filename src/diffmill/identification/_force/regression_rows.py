@@ -1,4 +1,4 @@
-"""A measured record beside its cut: the equations that it gives."""
+"""Regression rows of a force record with its cut."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -34,8 +34,8 @@ _CANDIDATES, _COMPARED = 180, 2000
 _ALIKE = 0.1
 
 
-class Measured(eqx.Module):
-    """One record beside its cut, in the axes of the work.
+class RegisteredRecord(eqx.Module):
+    """One record with its cut, in the axes of the work.
 
     Attributes:
         cut: The cut.
@@ -44,8 +44,8 @@ class Measured(eqx.Module):
         force: On the tool in `work` [N], shape (row, 3); NaN where not measured.
         shift: Time of the cut minus time of the record [s].
         saturated: How many samples were left out as saturated.
-        lowpass: Cut-off that `force` has passed [Hz], and what is modelled passes
-            beside it; None for none.
+        lowpass: Cut-off that `force` has passed [Hz], and what is modelled
+            passes too; None for none.
     """
 
     cut: Cut
@@ -62,7 +62,7 @@ class Measured(eqx.Module):
         return self.cut.tooth_period * self.cut.cutter.flute_count
 
 
-def equations(one: Measured, extra: Sequence[np.ndarray]) -> Rows:
+def equations(one: RegisteredRecord, extra: Sequence[np.ndarray]) -> Rows:
     """Return the equations of a record for the six coefficients and more.
 
     Args:
@@ -133,7 +133,7 @@ def filtered(
     return result
 
 
-def force_slope(one: Measured, K: np.ndarray) -> Float[np.ndarray, "row 3"]:
+def force_slope(one: RegisteredRecord, K: np.ndarray) -> Float[np.ndarray, "row 3"]:
     """Return the rate of the modelled force at the record's instants.
 
     Args:
@@ -154,7 +154,7 @@ def force_slope(one: Measured, K: np.ndarray) -> Float[np.ndarray, "row 3"]:
 
 
 def shift_part(
-    records: Sequence[Measured], index: int, K: np.ndarray, is_sought: bool
+    records: Sequence[RegisteredRecord], index: int, K: np.ndarray, is_sought: bool
 ) -> tuple[np.ndarray, ...]:
     """Return the columns of the time shifts in the equations of one record.
 
@@ -175,7 +175,7 @@ def shift_part(
     return (part,)
 
 
-def find_shift(one: Measured, shift_range: float | None) -> Measured:
+def find_shift(one: RegisteredRecord, shift_range: float | None) -> RegisteredRecord:
     """Return a record with the time shift that suits its cut best.
 
     Args:
@@ -186,7 +186,7 @@ def find_shift(one: Measured, shift_range: float | None) -> Measured:
         The record with its shift.
 
     Raises:
-        ValueError: The record does not meet the cut for all shifts in the range.
+        ValueError: The record does not overlap the cut for all shifts in the range.
     """
     from scipy.optimize import minimize_scalar
 
@@ -195,9 +195,10 @@ def find_shift(one: Measured, shift_range: float | None) -> Measured:
     rows = np.flatnonzero(is_inside & np.isfinite(one.force).any(axis=1))
     if rows.size < 12:
         raise ValueError(
-            f"Argument `time`, from {one.time[0]:g} to {one.time[-1]:g} s, must meet "
-            f"the cut, from 0 to {one.cut.duration:g} s, for shifts up to {reach:g} s; "
-            f"{rows.size} samples do. Give `time_shift` or a smaller `shift_range`."
+            f"Argument `time`, from {one.time[0]:g} to {one.time[-1]:g} s, must "
+            f"overlap the cut, from 0 to {one.cut.duration:g} s, for shifts up to "
+            f"{reach:g} s; {rows.size} samples do. Give `time_shift` or a smaller "
+            "`shift_range`."
         )
     if rows.size > _COMPARED:
         rows = np.sort(np.random.default_rng(0).choice(rows, _COMPARED, replace=False))
@@ -243,8 +244,8 @@ def measured_records(
     axes: Axes,
     time_shift: float | Sequence[float] | None,
     cutoff: float | None = None,
-) -> list[Measured]:
-    """Return the records beside their cuts, each cut simulated.
+) -> list[RegisteredRecord]:
+    """Return the records with their cuts, each cut simulated.
 
     Args:
         process_or_job: A cut, a job or a registration, or a list of them.
@@ -289,7 +290,7 @@ def _measured(
     axes: Axes,
     shift: float,
     cutoff: float | None,
-) -> Measured:
+) -> RegisteredRecord:
     """Return one record, its axes those of the work."""
     when, seen = np.array(time, np.float64), np.array(force, np.float64)
     if when.ndim != 1 or seen.shape != (when.size, 3) or when.size < 12:
@@ -315,4 +316,4 @@ def _measured(
     else:
         whole = cut_of(cut)
         columns = engagement_columns(whole)
-    return Measured(whole, columns, when, turned, shift, saturated, cutoff)
+    return RegisteredRecord(whole, columns, when, turned, shift, saturated, cutoff)

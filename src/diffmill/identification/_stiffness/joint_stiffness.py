@@ -38,7 +38,7 @@ _ONE_SIDED = 1.645
 
 
 class JointStiffnessFit(eqx.Module):
-    """Joint stiffness, how sure it is, and what the table cannot tell.
+    """Joint stiffness, how sure it is, and the joints that are not identifiable.
 
     Attributes:
         stiffness: K of each joint [N m/rad or N/m], shape (joint,); NaN for joints

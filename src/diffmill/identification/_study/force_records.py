@@ -26,10 +26,10 @@ class ForceRecordStudyFit(NamedTuple):
     """Coefficients of whole records, and what checks them.
 
     Attributes:
-        registrations: Each record beside its cut.
+        registrations: Each record with its cut.
         proposal: How the axes may lie, all records together.
         fit: The coefficients.
-        left_out: Each record predicted by the others.
+        predicted: Each record predicted by the others.
         diagnoses: What is wrong with clocks, teeth, channels and units.
         has_likely_axes: Whether no other axes make more sense.
         relative_uncertainty: One relative error that says as much as those of the fit.
@@ -38,7 +38,7 @@ class ForceRecordStudyFit(NamedTuple):
     registrations: tuple[RecordRegistration, ...]
     proposal: AxesProposal
     fit: ForceCoefficientFit
-    left_out: tuple[CrossValidation, ...]
+    predicted: tuple[CrossValidation, ...]
     diagnoses: tuple[Diagnosis, ...]
     has_likely_axes: bool
     relative_uncertainty: float
@@ -58,13 +58,13 @@ class ForceRecordStudy(NamedTuple):
     settings: ForceSettings
 
     def run(self, on_progress: OnProgress = silent) -> ForceRecordStudyFit:
-        """Set the records beside their cuts and fit the coefficients.
+        """Register the records on their cuts and fit the coefficients.
 
         Args:
             on_progress: Told what is being done.
 
         Raises:
-            StudyError: A record does not meet its cut, or cannot be fitted.
+            StudyError: A record does not overlap its cut, or cannot be fitted.
             SimulationFailed: A cut could not be simulated.
         """
         settings, found = self.settings, []

@@ -33,9 +33,9 @@ class MeanForceStudyFit(NamedTuple):
         axes: The assignments of the axes, the one with the most sense first.
         used: That of the fit.
         force: Mean forces in its axes [N], shape (feed, 3).
-        left_out: Each of them predicted by the other feeds [N], shape (feed, 3); NaN
+        predicted: Each of them predicted by the other feeds [N], shape (feed, 3); NaN
             where they cannot.
-        registrations: Each record beside its cut; none for a table of means.
+        registrations: Each record with its cut; none for a table of means.
         amplitudes: Of each record, likewise.
         relative_uncertainty: One relative error that says as much as those of the fit.
     """
@@ -43,7 +43,7 @@ class MeanForceStudyFit(NamedTuple):
     axes: tuple[MeanAxes, ...]
     used: MeanAxes
     force: Float[np.ndarray, "feed 3"]
-    left_out: Float[np.ndarray, "feed 3"]
+    predicted: Float[np.ndarray, "feed 3"]
     registrations: tuple[RecordRegistration, ...]
     amplitudes: tuple[Amplitude, ...]
     relative_uncertainty: float
@@ -77,7 +77,7 @@ class MeanForceStudy(NamedTuple):
             on_progress: Told what is being done.
 
         Raises:
-            StudyError: A record does not meet its cut.
+            StudyError: A record does not overlap its cut.
             SimulationFailed: A cut could not be simulated.
         """
         cut = self.cut
@@ -98,12 +98,12 @@ class MeanForceStudy(NamedTuple):
             axes = found[0].axes
         used = next(one for one in found if one.axes == axes)
         force = _turned(self.mean_force, axes)
-        left_out = np.full_like(force, np.nan)
+        predicted = np.full_like(force, np.nan)
         for i in range(len(feeds)):
             rest = feeds != feeds[i]
             if np.unique(feeds[rest]).size >= 2:
                 line = fit_mean_forces(feeds[rest], force[rest], **shape)
-                left_out[i] = line.slope * feeds[i] + line.offset
+                predicted[i] = line.slope * feeds[i] + line.offset
         registrations, amplitudes = [], []
         for record in self.records:
             on_progress(f"tooth passing of {record.name}")
@@ -117,7 +117,7 @@ class MeanForceStudy(NamedTuple):
             found,
             used,
             force,
-            left_out,
+            predicted,
             tuple(registrations),
             tuple(amplitudes),
             relative_uncertainty(

@@ -1,4 +1,4 @@
-"""Records of forces beside their cuts, as studies take them."""
+"""Records of forces with their cuts, as studies take them."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -18,7 +18,7 @@ from .study import StudyError
 
 
 class ForceRecord(NamedTuple):
-    """A record of forces, ready to be set beside its cut.
+    """A record of forces, ready to be registered on its cut.
 
     Attributes:
         name: The file, with the number of the cut if it has several.
@@ -68,14 +68,14 @@ class ForceRecord(NamedTuple):
     def register(
         self, others: "Sequence[ForceRecord]", *, refines_speed: bool
     ) -> RecordRegistration:
-        """Return the record beside its cut.
+        """Return the record registered on its cut.
 
         Args:
             others: All records, among them this one: their cuts get stock of one size.
             refines_speed: Whether the speed of straight cuts is taken from the record.
 
         Raises:
-            StudyError: The record and its cut do not meet.
+            StudyError: The record and its cut do not overlap.
         """
         time, force = self.samples()
         angle = None if self.angle is None else self.angle[self.is_used()]

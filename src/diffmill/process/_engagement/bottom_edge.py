@@ -22,7 +22,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ...cutter import AbstractCutter
 from ...cutting import edge_contact, held_at_rest, safe_norm, way_of
-from ...numerics import clamp, tied
+from ...numerics import clamp, with_derivative_of
 from ...workpiece import Pose
 from .._process import Process, Substeps, rotation_angles
 from .._state import ProcessState
@@ -103,7 +103,7 @@ class BottomEdges(eqx.Module):
                 if track is not None:
                     poses = rays.poses[cell[0] + i, cell[1] + j]
                     tie = jnp.where(poses >= 0, track.height_by(poses), 0)
-                    ends = tied(jax.lax.stop_gradient(ends), tie)
+                    ends = with_derivative_of(jax.lax.stop_gradient(ends), tie)
                 low, high = ends[..., 0, :], ends[..., 1, :]
                 # Material that begins above the bottom is not on it.
                 is_on = (high > low) & (low < tip[..., 2:] + engagement.discs.band)

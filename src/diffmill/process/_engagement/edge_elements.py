@@ -131,7 +131,7 @@ class EdgeElementsInSpace(AbstractEngagement):
             self.discs.band,
             cutter,
             process.derivative.tied_to(state.track),
-            keeps_slopes=process.derivative.keeps_slopes,
+            keeps_jacobian=process.derivative.keeps_jacobian,
             slots=state.slots,
         )
         occupied, chip_share = (share.reshape(angle.shape) for share in found)

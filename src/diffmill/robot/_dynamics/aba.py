@@ -20,10 +20,10 @@ from .scalar_code import (
     add,
     add_matrices,
     apply,
+    as_scalar_code,
     cross,
     dot,
     hold,
-    in_lanes,
     numbers,
     product,
     scale,
@@ -297,6 +297,6 @@ def _inverse(
 
 
 # Of robot, q, qd, tau and wrench; no derivatives of its own.
-articulated_bodies = in_lanes(_aba)
+articulated_bodies = as_scalar_code(_aba)
 # Of robot, q and what is added to the diagonal of M.
-articulated_inverse = in_lanes(_inverse)
+articulated_inverse = as_scalar_code(_inverse)

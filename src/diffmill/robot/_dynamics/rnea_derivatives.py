@@ -34,10 +34,10 @@ from .scalar_code import (
     add,
     add_matrices,
     apply,
+    as_scalar_code,
     cross,
     dot,
     hold,
-    in_lanes,
     numbers,
     product,
     scale,
@@ -329,5 +329,5 @@ def _by_wrench(
 
 
 # Of robot and of the bodies' q, qd, qdd, and wrench; no derivatives of its own.
-_of_bodies = in_lanes(_stacked)
+_of_bodies = as_scalar_code(_stacked)
 rnea_derivatives = jax.jit(_derivatives)

@@ -7,8 +7,8 @@ nothing and a batch runs along SIMD registers.
 XLA's CPU compiler fuses such code until every result computes its own inputs again.
 Two attributes of its calls stop that, for these operations alone: what a call that is
 not inlined returns is stored (`hold`), and a call that is declared small is compiled to
-one function without a dispatch per operation (`in_lanes`). They are hints: without
-them the results are the same.
+one function without a dispatch per operation (`as_scalar_code`). They are hints:
+without them the results are the same.
 """
 
 from collections.abc import Callable
@@ -46,15 +46,15 @@ def _small_call(function: Callable[..., Array]) -> Callable[..., Array]:
     return call
 
 
-def in_lanes(function: Callable[..., Array]) -> Callable[..., Array]:
-    """Return a function of a robot and arrays, which `vmap` turns into lanes.
+def as_scalar_code(function: Callable[..., Array]) -> Callable[..., Array]:
+    """Return a function of a robot and arrays, which `vmap` batches.
 
     Args:
-        function: Of a robot and of arrays with any number of trailing axes of lanes;
+        function: Of a robot and of arrays with any number of trailing axes of a batch;
             returns an array with the same trailing axes.
 
     Returns:
-        The function of arrays without lanes. A batch of robots is computed one robot
+        The function of arrays without a batch. A batch of robots is computed one robot
         after the other.
     """
     compute = _small_call(function)
@@ -100,10 +100,10 @@ def _with_rows(is_batched: Any, values: Any, rows: list[Array]) -> Any:
 def _in_blocks(
     compute: Callable[..., Array], robot: Robot, args: list[Array], count: int
 ) -> Array:
-    """Return the results of a batch, lanes last inside, batch first outside."""
+    """Return the results of a batch, whose axis is last inside, first outside."""
     if count <= _BLOCK:
-        lanes = compute(robot, *(jnp.moveaxis(x, 0, -1) for x in args))
-        return jnp.moveaxis(lanes, -1, 0)
+        columns = compute(robot, *(jnp.moveaxis(x, 0, -1) for x in args))
+        return jnp.moveaxis(columns, -1, 0)
     blocks = -(-count // _BLOCK)
 
     def split(x: Array) -> Array:
@@ -112,8 +112,8 @@ def _in_blocks(
         return jnp.pad(x, spare, mode="edge").reshape(blocks, _BLOCK, *x.shape[1:])
 
     def block(rows: list[Array]) -> Array:
-        lanes = compute(robot, *(jnp.moveaxis(x, 0, -1) for x in rows))
-        return jnp.moveaxis(lanes, -1, 0)
+        columns = compute(robot, *(jnp.moveaxis(x, 0, -1) for x in rows))
+        return jnp.moveaxis(columns, -1, 0)
 
     found = jax.lax.map(block, [split(x) for x in args])
     return found.reshape(blocks * _BLOCK, *found.shape[2:])[:count]

@@ -72,7 +72,7 @@ class Period(eqx.Module):
 
 
 class AbstractMachine(eqx.Module):
-    """What moves the tool along a command, and how it gives way to the force."""
+    """What moves the tool along a command, and how compliant it is."""
 
     @abc.abstractmethod
     def begin(self, process: Process, command: Any) -> Any:
@@ -258,7 +258,7 @@ def run_segment(
         state: State at row 0, of `begin_run` or of the segment before.
 
     Returns:
-        The rows, and the state at the last of them; nothing is flushed.
+        The rows, and the state at the last of them; nothing of the queue is removed.
 
     Differentiability: as `run`; the state is differentiable but for the ends of rays,
     and under `ThroughPoses` the segment depends on earlier ones by the machine and the

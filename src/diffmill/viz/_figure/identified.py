@@ -222,7 +222,7 @@ def plot_mean_forces(
     slope: Float[np.ndarray, " 3"],
     offset: Float[np.ndarray, " 3"],
     *,
-    left_out: Float[np.ndarray, "feed 3"] | None = None,
+    predicted: Float[np.ndarray, "feed 3"] | None = None,
 ) -> "matplotlib.figure.Figure":
     """Draw mean forces over the feed with their lines, and what these leave.
 
@@ -231,7 +231,7 @@ def plot_mean_forces(
         mean_force: In feed axes [N], shape (feed, 3).
         slope: Of the lines [N/m], shape (3,).
         offset: Of the lines [N], shape (3,).
-        left_out: Each mean predicted by the other feeds [N], shape (feed, 3).
+        predicted: Each mean predicted by the other feeds [N], shape (feed, 3).
 
     Returns:
         The figure.
@@ -245,10 +245,10 @@ def plot_mean_forces(
         top.plot(ends, 1e-3 * slope[axis] * ends + offset[axis], color=FITTED, lw=1.0)
         line = slope[axis] * feed_per_tooth + offset[axis]
         top.scatter(f, mean_force[:, axis], s=22, color=MEASURED, label="measured")
-        if left_out is not None:
+        if predicted is not None:
             top.scatter(
                 f,
-                left_out[:, axis],
+                predicted[:, axis],
                 s=34,
                 facecolors="none",
                 edgecolors=INK,

@@ -118,11 +118,11 @@ def _draw_paths(dataset: "xarray.Dataset") -> _Drawing:
     )
     if len(case_names(dataset)) > 1:
         caption += " A path that follows the dashed line is what a correction is for."
-    caption += _left_out(dataset)
+    caption += _undrawn_note(dataset)
     return _Drawing(title, caption, plot_paths(dataset))
 
 
-def _left_out(dataset: "xarray.Dataset") -> str:
+def _undrawn_note(dataset: "xarray.Dataset") -> str:
     """Return a sentence about cases that would hide all others on a linear scale."""
     shown = shown_cases(dataset)
     names = [case_style(n).label for n in case_names(dataset) if n not in shown]
@@ -150,7 +150,7 @@ def _draw_deviation(dataset: "xarray.Dataset") -> _Drawing:
             "time, which is what stays on the part; the lowest panel repeats its size "
             "on a logarithmic scale, so that small errors show beside large ones."
         )
-    caption += _left_out(dataset)
+    caption += _undrawn_note(dataset)
     return _Drawing(title, caption, plot_deviation(dataset))
 
 

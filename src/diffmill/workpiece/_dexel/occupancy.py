@@ -21,7 +21,7 @@ is in the material.
 Two ways to differentiate with respect to the poses that cut the stock: through the
 ends of the rays (`pose_tips=None`), or through the poses that the ends remember
 (`track` given), where the stock is a constant and each end that is read here is
-tied to its pose by the slope of the cutter's surface at that end.
+derived by its pose through the slope of the cutter's surface at that end.
 """
 
 from typing import Literal
@@ -32,7 +32,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ...cutter import AbstractCutter
-from ...numerics import clamp, hat_integral, hold, mean_step, ramp, tied
+from ...numerics import clamp, hat_integral, hold, mean_step, ramp, with_derivative_of
 from .nearest_interval import nearest_interval, taken
 from .stock import Stock
 from .tooth_pass import PoseTrack
@@ -266,7 +266,7 @@ def _tie_columns(columns: _Columns, track: PoseTrack) -> _Columns:
     A flat end cuts a column at the height of its tip.
     """
     tie = jnp.where(columns.poses >= 0, track.height_by(columns.poses), 0)
-    ends = tied(jax.lax.stop_gradient(columns.ends), tie)
+    ends = with_derivative_of(jax.lax.stop_gradient(columns.ends), tie)
     return _Columns(ends, columns.poses)
 
 
@@ -284,7 +284,7 @@ def _tie_walls(
         tie = tip[..., f] + frozen(slopes[0]) * tip[..., 1 - f]
         tie = tie + frozen(slopes[1]) * (cutter.diameter / 2)
         tie = jnp.where(wall.pose >= 0, tie, 0)
-        ends = tied(frozen(wall.ends), tie)
+        ends = with_derivative_of(frozen(wall.ends), tie)
         moving.append(eqx.tree_at(lambda w: w.ends, wall, ends))
     return tuple(moving)
 

@@ -27,7 +27,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ...cutter import AbstractCutter
-from ...numerics import clamp, mean_step, sloped_rows, tied
+from ...numerics import clamp, eager_row_jacobian, mean_step, with_derivative_of
 from .._pose import Pose
 from .nearest_interval import nearest_interval, taken
 from .occupancy import REACH
@@ -85,7 +85,7 @@ def occupancy_in_space(
     cutter: AbstractCutter,
     track: PoseTrack | None = None,
     *,
-    keeps_slopes: bool = False,
+    keeps_jacobian: bool = False,
     slots: Int[Array, " 3"] | None = None,
 ) -> tuple[Float[Array, " point"], Float[Array, " point"]]:
     """Return how much of the chips at pieces of edge is in the material.
@@ -100,7 +100,7 @@ def occupancy_in_space(
         cutter: The cutter that cut the stock; used only with `track`.
         track: All poses so far, to which the derivative goes; None differentiates
             through the stock.
-        keeps_slopes: With `track`, whether a linearisation keeps the slopes of each
+        keeps_jacobian: With `track`, whether a linearisation keeps the slopes of each
             point instead of computing it again in every product.
         slots: How many slots of each family hold anything, shape (3,); counted if not
             given.
@@ -122,7 +122,7 @@ def occupancy_in_space(
         return found[:, 0], found[:, 1]
     # One gather for all: its transpose then adds into the table only once.
     cut_by = track.cut_by(jnp.stack([n.pose for n in near], axis=1))
-    look = sloped_rows(_look) if keeps_slopes else jax.checkpoint(_look)
+    look = eager_row_jacobian(_look) if keeps_jacobian else jax.checkpoint(_look)
     found = look(points, cells, cut_by, near, cutter, grid)
     return found[:, 0], found[:, 1]
 
@@ -135,7 +135,7 @@ def _look(
     cutter: AbstractCutter,
     grid: _Grid,
 ) -> Float[Array, "point 2"]:
-    """Return both shares, tied to the poses (point, family, 4) that cut the ends."""
+    """Return both shares, derived by the poses (point, family, 4) that cut the ends."""
     ends = [_tie(cutter, near[f], f, cut_by[:, f]) for f in range(3)]
     return _combine(points, cells, ends, near, grid)
 
@@ -194,7 +194,7 @@ def _tie(
     slope = jnp.where(jnp.abs(slope) < _GRAZING, away, slope)
     tie = -cutter.level(near.places, cut_by.tip, cut_by.direction()) / slope
     tie = jnp.where(near.pose >= 0, tie, 0)
-    return tied(jax.lax.stop_gradient(near.ends), tie)
+    return with_derivative_of(jax.lax.stop_gradient(near.ends), tie)
 
 
 def _combine(

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffmill.numerics import sloped, sloped_rows
+from diffmill.numerics import eager_jacobian, eager_row_jacobian
 
 RNG = np.random.default_rng(3)
 
@@ -41,8 +41,8 @@ OCCUPIED = (
     0.3,
 )
 CASES = {
-    "few outputs": (force, sloped(force), FORCE),
-    "rows": (occupied, sloped_rows(occupied), OCCUPIED),
+    "few outputs": (force, eager_jacobian(force), FORCE),
+    "rows": (occupied, eager_row_jacobian(occupied), OCCUPIED),
 }
 
 
@@ -110,13 +110,13 @@ def test_what_does_not_move_takes_no_part(both):
 
 def test_a_batch_has_slopes_of_its_own():
     plain, at = in_its_floats(force, FORCE)
-    kept, _ = in_its_floats(sloped(force), FORCE)
+    kept, _ = in_its_floats(eager_jacobian(force), FORCE)
     batch = jax.tree.map(lambda x: jnp.stack([x, 2 * x]), at)
     push = lambda f: jax.vmap(lambda x: jax.jvp(f, (x,), (like(at),))[1])(batch)
     np.testing.assert_allclose(push(kept), push(plain), rtol=1e-12)
 
 
 def test_rows_that_share_a_number_are_refused():
-    shared = sloped_rows(lambda points, width: points / width)
+    shared = eager_row_jacobian(lambda points, width: points / width)
     with pytest.raises(ValueError, match=r"one entry per row, 5, .* shape \(\)"):
         jax.grad(lambda width: jnp.sum(shared(OCCUPIED[0], width)))(2.0)

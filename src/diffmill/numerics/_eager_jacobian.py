@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
 
-def sloped(
+def eager_jacobian(
     function: Callable[..., Float[Array, " out"]],
 ) -> Callable[..., Float[Array, " out"]]:
     """Return a function of few outputs that is linearised into its Jacobian.
@@ -42,7 +42,7 @@ def sloped(
     return _with_slopes(function, slopes, product)
 
 
-def sloped_rows(
+def eager_row_jacobian(
     function: Callable[..., Float[Array, "row out"]],
 ) -> Callable[..., Float[Array, "row out"]]:
     """Return a function of rows that is linearised into gradients of each row.
