@@ -3,33 +3,12 @@
 import pytest
 
 from diffmill import JobError, UncertaintySettings, load_job
+from small_job import PROGRAM, small_job
 
-JOB = """
-[cutter]
-{cutter}
-diameter = "10 mm"
-teeth = 2
-[spindle]
-speed = "8000 rpm"
-[force]
-K_tc = "989.8 N/mm^2"
-K_rc = "337.3 N/mm^2"
-K_ac = "66.9 N/mm^2"
-[stock]
-lower = ["0 mm", "0 mm", "-3 mm"]
-upper = ["8 mm", "8 mm", "0 mm"]
-spacing = "0.5 mm"
-[program]
-file = "{program}"
-[robot]
-rigid = true
-[correction]
-{correction}
-"""
-PROGRAM = "G21 G17 G90 G94\nG0 X-9 Y4 Z1\nG1 X-8 F6000\nM2\n"
 LEANING = "time_s,x_mm,y_mm,z_mm,i,j,k\n0,-9,4,9,0,0.6,0.8\n0.1,-8,4,9,0,0.6,0.8\n"
 JOINT = 'command = "joint"'
-FLAT, BALL = 'kind = "flat"', 'kind = "ball"'
+MILL = 'diameter = "10 mm"\nteeth = 2\n'
+FLAT, BALL = f'{MILL}kind = "flat"', f'{MILL}kind = "ball"'
 
 
 @pytest.fixture
@@ -39,7 +18,8 @@ def job_file(tmp_path):
     (tmp_path / "leaning.csv").write_text(LEANING)
 
     def write(*lines, cutter=FLAT, program="part.ngc"):
-        text = JOB.format(cutter=cutter, program=program, correction="\n".join(lines))
+        more = "\n".join(["[correction]", *lines])
+        text = small_job(cutter, program=program, more=more)
         (tmp_path / "job.toml").write_text(text)
         return tmp_path / "job.toml"
 

@@ -5,26 +5,8 @@ import numpy as np
 import pytest
 
 from diffmill import JobError, load_job
+from small_job import PROGRAM, small_job
 
-JOB = """
-[cutter]
-{cutter}
-[spindle]
-speed = "8000 rpm"
-[force]
-K_tc = "989.8 N/mm^2"
-K_rc = "337.3 N/mm^2"
-K_ac = "66.9 N/mm^2"
-[stock]
-lower = ["0 mm", "0 mm", "-3 mm"]
-upper = ["8 mm", "8 mm", "0 mm"]
-spacing = "0.5 mm"
-[program]
-file = "part.ngc"
-[robot]
-rigid = true
-"""
-PROGRAM = "G21 G17 G90 G94\nG0 X-9 Y4 Z1\nG1 X-8 F6000\nM2\n"
 MILL = {"diameter": "10 mm", "teeth": 3}
 
 
@@ -35,7 +17,7 @@ def job_file(tmp_path):
 
     def write(**keys):
         lines = [f"{key} = {json.dumps(value)}" for key, value in (MILL | keys).items()]
-        (tmp_path / "job.toml").write_text(JOB.format(cutter="\n".join(lines)))
+        (tmp_path / "job.toml").write_text(small_job("\n".join(lines)))
         return tmp_path / "job.toml"
 
     return write

@@ -88,16 +88,7 @@ class KienzleLaw(AbstractForceLaw):
     ) -> tuple[
         Float[Array, "*sample"], Float[Array, "*sample"], Float[Array, "*sample"]
     ]:
-        """Return tangential, radial and axial force per width.
-
-        Args:
-            chip_thickness: Chip thickness h [m], zero outside the cut, any shape.
-            edge_contact: 0 to 1, whether the edge touches the material, same shape.
-            tooth: Index of the tooth, same shape; matters only to coefficients per
-                tooth.
-
-        Returns:
-            Three forces per chip width [N/m], each of the same shape.
+        """Return tangential, radial and axial force per width; see `AbstractForceLaw`.
 
         Differentiability: once continuously differentiable in the chip, h = 0
         included; the curvature jumps at the least thickness. Smooth in the

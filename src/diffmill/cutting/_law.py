@@ -32,7 +32,17 @@ class AbstractForceLaw(eqx.Module):
     ) -> tuple[
         Float[Array, "*sample"], Float[Array, "*sample"], Float[Array, "*sample"]
     ]:
-        """Return F_t, F_r and F_a per width [N/m]."""
+        """Return tangential, radial and axial force per width.
+
+        Args:
+            chip_thickness: Chip thickness h [m], zero outside the cut, any shape.
+            edge_contact: 0 to 1, whether the edge touches the material, same shape.
+            tooth: Index of the tooth, same shape; matters only to coefficients per
+                tooth.
+
+        Returns:
+            Three forces per chip width [N/m], each of the same shape.
+        """
 
     def for_bottom(self) -> "AbstractForceLaw":
         """Return the law of the bottom edges that is derived from this one.
@@ -62,15 +72,7 @@ class UninclinedLaw(AbstractForceLaw):
     ) -> tuple[
         Float[Array, "*sample"], Float[Array, "*sample"], Float[Array, "*sample"]
     ]:
-        """Return F_t, F_r and zero per width.
-
-        Args:
-            chip_thickness: Chip thickness h [m], any shape.
-            edge_contact: 0 to 1, whether the edge touches the material, same shape.
-            tooth: Index of the tooth, same shape.
-
-        Returns:
-            Three forces per chip width [N/m], each of the same shape.
+        """Return F_t, F_r and zero per width; see `AbstractForceLaw`.
 
         Differentiability: as `law`.
         """
