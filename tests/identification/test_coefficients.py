@@ -319,7 +319,7 @@ def test_the_spectrum_of_the_residual_shows_what_the_model_has_not():
     cut, time, seen = both(noise=0.01)
     seen[0][:, 1] += 8 * np.sin(2 * math.pi * 730 * time[0])
     fit = identification.fit_force_coefficients(cut, time, seen, time_shift=0.0)
-    frequency, amplitude = identification.residual_spectrum(fit)
+    frequency, amplitude = fit.residual_spectrum()
     peak = np.argmax(amplitude[:, 1])
     assert frequency[peak] == pytest.approx(730, abs=8)
     assert amplitude[peak, 1] == pytest.approx(8, rel=0.3)

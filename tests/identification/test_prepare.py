@@ -9,8 +9,6 @@ from diffmill.identification import (
     find_cuts,
     find_saturated,
     refine_spindle_speed,
-    remove_drift,
-    remove_offset,
 )
 
 RATE, SPEED = 5e3, 2 * np.pi * 50.0
@@ -49,14 +47,14 @@ def test_offset_and_drift_come_off_exactly():
     force = turn_force(SPEED * time) * ((time > 0.1) & (time < 0.3))[:, None]
     slope = np.array([7.0, 0.0, -30.0])
     record = record_of(time, force + LEVEL[None] + slope[None] * time[:, None])
-    straight = remove_drift(record, (0.0, 0.09), (0.31, 0.4))
+    straight = record.without_drift((0.0, 0.09), (0.31, 0.4))
     np.testing.assert_allclose(straight.force, force, atol=1e-10)
-    level = remove_offset(record_of(time, force + LEVEL[None]), 0.0, 0.09)
+    level = record_of(time, force + LEVEL[None]).without_offset(0.0, 0.09)
     np.testing.assert_allclose(level.force, force, atol=1e-10)
     with pytest.raises(ValueError, match="must hold 2 samples"):
-        remove_offset(record, 5.0, 6.0)
+        record.without_offset(5.0, 6.0)
     with pytest.raises(ValueError, match="two sections"):
-        remove_drift(record, (0.0, 0.1), (0.0, 0.1))
+        record.without_drift((0.0, 0.1), (0.0, 0.1))
 
 
 @pytest.mark.parametrize("tooth_frequency", [None, 100.0])
@@ -131,7 +129,7 @@ def test_a_force_that_was_not_measured_stays_so():
     force = turn_force(SPEED * (time - 0.00313))
     force[:, 0] = 0.0
     record = record_of(time, force, is_measured=(False, True, True))
-    other = remove_offset(record, 0.0, 0.1)
+    other = record.without_offset(0.0, 0.1)
     assert other.is_measured == record.is_measured and not other.force[:, 0].any()
     with pytest.raises(ValueError, match="must be zero where not measured"):
         record_of(time, force, is_measured=(True, True, False))
@@ -191,7 +189,7 @@ def test_gross_errors_do_not_move_the_tare():
     wanted = force - force.mean(axis=0)[None]
     bad = force.copy()
     bad[[20, 400, 900]] = 1e4
-    found = remove_offset(record_of(time, bad), 0.0, 1.0).force
+    found = record_of(time, bad).without_offset(0.0, 1.0).force
     np.testing.assert_allclose(
         np.delete(found, [20, 400, 900], 0)[0], wanted[0], atol=0.02
     )

@@ -1,6 +1,5 @@
 """Files for `diffmill identify`: what they hold is read, what is wrong is listed."""
 
-import tomllib
 from typing import Any
 
 import numpy as np
@@ -382,19 +381,6 @@ def test_a_component_that_was_not_measured_is_said(tmp_path):
         loads(tmp_path, head)
     task: Any = loads(tmp_path, head, LOADS + 'channels = { dz = "none" }\n')
     assert np.isnan(task.displacement[:, 2]).all()
-
-
-def test_snippets_are_toml_that_a_job_takes():
-    names: list[str] = list(("K_tc", "K_rc", "K_ac", "K_te", "K_re", "K_ae"))
-    values = dict(zip(names, (958.86e6, 250e6, 146e6, 15e3, 19e3, np.nan), strict=True))
-    errors = dict.fromkeys(names, 1e3)
-    known = {name: bool(np.isfinite(value)) for name, value in values.items()}
-    lines = config.force_toml(values, errors, known)
-    lines += config.uncertainty_toml("force", 0.0213)
-    found = tomllib.loads(config.snippet(["head"], lines))
-    assert found["force"]["K_tc"] == "958.86 N/mm^2" and "K_ae" not in found["force"]
-    known = {"force": 0.0213, "gaussian": True}
-    assert found["correction"]["uncertainty"] == known
 
 
 def modes(folder, kind, more, content) -> Any:

@@ -69,11 +69,11 @@ def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> 
 
 def _with_contacts(run: FinishedRun, progress: Progress) -> Dataset:
     """Return the dataset with the holder's contacts; say where it and the shank are."""
-    from ..config import holder_notes, shank_notes
+    from ..config import tool_notes
     from ..sim import tool_contacts
 
     job, solution, dataset = run.job, run.final, run.dataset
-    lines = shank_notes(job.path, np.asarray(solution.shank_volume))
+    contacts = None
     if job.holder is not None:
         contacts = tool_contacts(
             job.path,
@@ -84,8 +84,8 @@ def _with_contacts(run: FinishedRun, progress: Progress) -> Dataset:
             checks_rapids=False,
         )
         dataset = dataset.assign(contacts.to_dataset().data_vars)
-        lines += holder_notes(job.path, contacts)
-    lines = [f"warning: {line}" for line in lines]
+    found = tool_notes(job.path, np.asarray(solution.shank_volume), contacts)
+    lines = [f"warning: {line}" for line in found]
     return _with_notes(dataset, _said(lines, progress))
 
 

@@ -47,10 +47,6 @@ from ._force.mean_force import (
     fit_mean_forces as fit_mean_forces,
     mean_force_matrices as mean_force_matrices,
 )
-from ._force.residuals import (
-    residual_force as residual_force,
-    residual_spectrum as residual_spectrum,
-)
 from ._force.uncertainty import relative_uncertainty as relative_uncertainty
 from ._modal.frequency_response import fit_frequency_response as fit_frequency_response
 from ._modal.ring_down import (
@@ -61,12 +57,6 @@ from ._modal.ring_down import (
 from ._record.cut_detection import CutSpan as CutSpan, find_cuts as find_cuts
 from ._record.diagnosis import Diagnosis as Diagnosis
 from ._record.mean_over_revolutions import mean_over_turns as mean_over_turns
-from ._record.preprocessing import (
-    parts_between_gaps as parts_between_gaps,
-    remove_drift as remove_drift,
-    remove_offset as remove_offset,
-    section as section,
-)
 from ._record.record import Record as Record
 from ._record.saturation import find_saturated as find_saturated
 from ._record.spindle_angle import angle_from_tacho as angle_from_tacho

@@ -4,7 +4,7 @@ What it models: `lowpass`, a Butterworth filter run forward and backward, which 
 the tooth frequency out of forces for display and noise out of a predicted deviation
 before it is mirrored. The filter has no phase shift, and its order and cut-off are
 arguments. Besides, derivatives that JAX would not find by itself, or not as cheaply:
-`with_derivative_of`, `clamp`, `turn_between`, and `eager_jacobian` for what is
+`with_derivative_of`, `clamp` and `eager_jacobian` for what is
 linearised once and multiplied often; `hold` keeps what XLA would compute again, and
 `small_inverse` is an inverse that batches well.
 `hat_integral` is the smooth step that samples at any phase sum up fairly, `ramp` a
@@ -23,5 +23,4 @@ from ._filters import lowpass as lowpass
 from ._hat import hat_integral as hat_integral, mean_step as mean_step, ramp as ramp
 from ._hold import hold as hold
 from ._inverse import small_inverse as small_inverse
-from ._turn import turn_between as turn_between
 from ._with_derivative import with_derivative_of as with_derivative_of

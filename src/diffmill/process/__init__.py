@@ -5,26 +5,30 @@ the teeth are in the material and what chips they cut is one class per model
 (`_engagement/`): a flat cutter that stands upright, any cutter in any direction as a
 row of edge elements, and the paper's cloud of dexel points. `choose_engagement` takes
 the one that suits, with its sizes.
+
+The chip's inner surface comes analytically from recent tool positions (circles), and
+the stock, whose removal lags behind by a travelled distance, only says where there is
+material. Assumes that a chip reaches from the innermost earlier surface to the tooth's
+own, as far as that lies in the stock.
 """
 
+from ._chip import (
+    circle_chip as circle_chip,
+    edge_contact as edge_contact,
+    layer_share as layer_share,
+)
 from ._choose_engagement import (
     ChipModel as ChipModel,
     choose_engagement as choose_engagement,
     default_element_height as default_element_height,
     is_plunging as is_plunging,
 )
-from ._engagement.bottom_edge import BottomEdges as BottomEdges
-from ._engagement.dexel_cloud import DexelCloud as DexelCloud, chip_arcs as chip_arcs
-from ._engagement.edge_elements import (
-    EdgeDiscretisation as EdgeDiscretisation,
-    EdgeElementsInSpace as EdgeElementsInSpace,
-)
+from ._engagement.dexel_cloud import chip_arcs as chip_arcs
+from ._engagement.edge_elements import EdgeElementsInSpace as EdgeElementsInSpace
 from ._engagement.edge_samples import (
-    BottomSamples as BottomSamples,
     EdgeSamples as EdgeSamples,
     Engagement as Engagement,
 )
-from ._engagement.upright import UprightFlat as UprightFlat
 from ._live_rows import (
     last_row as last_row,
     live_rows as live_rows,

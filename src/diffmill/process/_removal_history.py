@@ -16,7 +16,6 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int
 
 from ..cutter import AbstractCutter
-from ..cutting import safe_norm
 from ..workpiece import (
     Pose,
     PoseTrack,
@@ -26,6 +25,7 @@ from ..workpiece import (
     repeated,
     tool_frame,
 )
+from ._chip import safe_norm
 from ._engagement.leading_half import STILL
 from ._process import Process
 from ._state import ProcessState, Removed, Waiting

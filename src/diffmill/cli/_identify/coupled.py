@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from ...config import doubted, force_toml, joints_toml
 from ...identification import NAMES, CoupledFit, CoupledStudy
 from ...viz import plot_correlation, plot_force_fit
 from .report import Report, all_noted, noted
 from .text import kept_remark
+from .toml_snippets import doubted, force_toml, joints_toml
 
 # Letter and unit of a figure, and the factor from SI.
 _SHOWN = {"force": ("F", "N", 1.0), "deviation": ("d", "\u00b5m", 1e6)}

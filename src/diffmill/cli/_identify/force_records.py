@@ -6,13 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from ...config import doubted, force_toml, uncertainty_toml
 from ...identification import (
     ForceRecordStudy,
     ForceRecordStudyFit,
     axes_of,
-    residual_force,
-    residual_spectrum,
 )
 from ...viz import (
     plot_correlation,
@@ -24,6 +21,7 @@ from .diagnoses import diagnosis_facts, diagnosis_lines, diagnosis_title
 from .registration import axes_lines, record_lines, tooth_lines
 from .report import Report, all_noted
 from .text import coefficient_lines, correlation_lines
+from .toml_snippets import doubted, force_toml, uncertainty_toml
 
 
 def report_records(study: ForceRecordStudy, found: ForceRecordStudyFit) -> Report:
@@ -142,7 +140,7 @@ def _figures(
     figures: dict[str, Callable[[], Any]] = {}
     for i, (record, one) in enumerate(zip(study.records, fit.records, strict=True)):
         number = f"_{i + 1}" if len(study.records) > 1 else ""
-        off, part = residual_force(fit, i), found.predicted[i]
+        off, part = fit.residual_force(i), found.predicted[i]
         figures[f"record{number}"] = draw(
             plot_force_fit,
             one.time + one.shift,
@@ -153,7 +151,7 @@ def _figures(
         )
         figures[f"spectrum{number}"] = draw(
             plot_residual_spectrum,
-            *residual_spectrum(fit, i),
+            *fit.residual_spectrum(i),
             2 * np.abs(np.fft.rfft(np.nan_to_num(one.force), axis=0)) / len(off),
             tooth_frequency=1 / one.cut.tooth_period,
             flute_count=one.cut.cutter.flute_count,

@@ -10,6 +10,7 @@ from .._session.errors import BadInput, bad_input
 from .._session.jax_config import configure_jax
 from .._session.progress import Progress
 from .report import Report
+from .toml_snippets import snippet
 
 if TYPE_CHECKING:
     from ...config import Study
@@ -36,7 +37,7 @@ def run_identify(
     """
     configure_jax(None)
     from ..._result import SimulationFailed
-    from ...config import load_identification, snippet
+    from ...config import load_identification
     from ...identification import StudyError
     from ...io import check_folder, write_folder
     from ...viz import save_figure

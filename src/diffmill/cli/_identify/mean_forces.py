@@ -4,12 +4,12 @@ import functools
 
 import numpy as np
 
-from ...config import doubted, force_toml, uncertainty_toml
 from ...identification import MeanForceStudy, MeanForceStudyFit
 from ...viz import plot_correlation, plot_mean_forces
 from .diagnoses import diagnosis_lines
 from .report import Report, all_noted, noted
 from .text import NONSENSE, axes_text, coefficient_lines, correlation_lines
+from .toml_snippets import doubted, force_toml, uncertainty_toml
 
 
 def report_means(study: MeanForceStudy, found: MeanForceStudyFit) -> Report:

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from ...config import joints_toml, uncertainty_toml
 from ...identification import ModeStudy, ModeStudyFit, RingDown
 from ...viz import (
     plot_correlation,
@@ -16,6 +15,7 @@ from ...viz import (
 )
 from .report import Report, all_noted, noted
 from .text import kept_remark
+from .toml_snippets import joints_toml, uncertainty_toml
 
 _UNITS = {
     "receptance": "displacement over force [m/N]",

@@ -4,7 +4,6 @@ import functools
 
 import numpy as np
 
-from ...config import doubted, joints_toml, uncertainty_toml
 from ...identification import LoadTestStudy, LoadTestStudyFit
 from ...viz import (
     plot_correlation,
@@ -14,6 +13,7 @@ from ...viz import (
 )
 from .report import Report, all_noted, noted
 from .text import kept_remark
+from .toml_snippets import doubted, joints_toml, uncertainty_toml
 
 
 def report_load_tests(study: LoadTestStudy, found: LoadTestStudyFit) -> Report:

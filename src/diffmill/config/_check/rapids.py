@@ -80,6 +80,23 @@ def _note_rapids(
         )
 
 
+def tool_notes(
+    path: Path, shank_volume: Float[np.ndarray, " step"], contacts: ToolContacts | None
+) -> tuple[str, ...]:
+    """Return where parts of the tool that do not cut are in the stock.
+
+    Args:
+        path: The path.
+        shank_volume: What the shank takes at each row [m^3], shape (step,).
+        contacts: What was found of the holder along the path, or None without one.
+
+    Returns:
+        Nothing, or one line each for the shank and for the holder.
+    """
+    shank = _shank_notes(path, shank_volume)
+    return shank if contacts is None else shank + holder_notes(path, contacts)
+
+
 def holder_notes(path: Path, contacts: ToolContacts) -> tuple[str, ...]:
     """Return where the tool holder touches the stock, or nothing.
 
@@ -108,7 +125,7 @@ def holder_notes(path: Path, contacts: ToolContacts) -> tuple[str, ...]:
     )
 
 
-def shank_notes(path: Path, volume: Float[np.ndarray, " step"]) -> tuple[str, ...]:
+def _shank_notes(path: Path, volume: Float[np.ndarray, " step"]) -> tuple[str, ...]:
     """Return where the shank above the flutes takes stock, or nothing.
 
     Args:

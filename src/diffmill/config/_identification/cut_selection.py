@@ -8,9 +8,6 @@ from ...identification import (
     Record,
     StraightCut,
     find_cuts,
-    parts_between_gaps,
-    remove_drift,
-    remove_offset,
 )
 from .schema import RecordTable
 
@@ -29,7 +26,7 @@ def cuts_in(record: Record, tooth: float) -> tuple[list[CutSpan], bool]:
         cuts = find_cuts(record, window=window)
     whole = [
         CutSpan(float(record.time[p.start]), float(record.time[p.stop - 1]))
-        for p in parts_between_gaps(record, longest=window)
+        for p in record.parts_between_gaps(longest=window)
     ]
     # Parts with a long gap between them are cuts of their own.
     return (whole, False) if not cuts or cuts == whole else (cuts, True)
@@ -97,17 +94,17 @@ def tared(
     if table.tare is not None:
         before = (table.tare[0], table.tare[1])
         if isinstance(table.tare_after, list):
-            return remove_drift(
-                record, before, (table.tare_after[0], table.tare_after[1])
+            return record.without_drift(
+                before, (table.tare_after[0], table.tare_after[1])
             )
-        return remove_offset(record, *before)
+        return record.without_offset(*before)
     before, after = _quiet(record, cuts, span, tooth)
     if before is not None and after is not None:
         notes.append(
             f"Offset and drift were taken from {before[0]:.4g} to {before[1]:.4g} s "
             f"and {after[0]:.4g} to {after[1]:.4g} s, where nothing is cut."
         )
-        return remove_drift(record, before, after)
+        return record.without_drift(before, after)
     one = before or after
     if one is None:
         notes.append(
@@ -119,7 +116,7 @@ def tared(
         f"The offset was taken from {one[0]:.4g} to {one[1]:.4g} s, where nothing is "
         "cut."
     )
-    return remove_offset(record, *one)
+    return record.without_offset(*one)
 
 
 def _quiet(

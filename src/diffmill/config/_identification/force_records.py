@@ -4,7 +4,7 @@ import math
 import pathlib
 
 from ..._job import Job
-from ...identification import ForceRecord, Record, StraightCut, immersion, section
+from ...identification import ForceRecord, Record, StraightCut, immersion
 from ...io import RecordError, load_record
 from .context import Context
 from .cut_selection import cuts_in, engaged, span_of, tared
@@ -93,7 +93,7 @@ def _ready(
     try:
         quiet = tared(record, table, cuts if are_found else [], span, tooth, notes)
         start, stop = engaged(process, table, span, record, notes)
-        used = section(quiet, start, stop)
+        used = quiet.section(start, stop)
     except ValueError as error:
         problems.append(f"{place}: {error}")
         return None

@@ -142,6 +142,41 @@ class ForceCoefficientFit(eqx.Module):
             )
         return LinearEdgeLaw(**every)
 
+    def residual_force(self, record: int = 0) -> Float[np.ndarray, "row 3"]:
+        """Return measured minus modelled force of a record.
+
+        Args:
+            record: Index of the record.
+
+        Returns:
+            Force in `work` axes [N], shape (row, 3); NaN where nothing was measured or
+            the record is outside the cut.
+        """
+        row = equations(self.records[record], ())
+        return row.force - row.columns @ self.raw
+
+    def residual_spectrum(
+        self, record: int = 0
+    ) -> tuple[Float[np.ndarray, " frequency"], Float[np.ndarray, "frequency 3"]]:
+        """Return the amplitudes that the fit leaves, over the frequency.
+
+        Peaks at the spindle frequency tell of run-out, at the tooth passing and its
+        multiples of a wrong engagement or law, elsewhere of vibration. White noise is
+        flat.
+
+        Args:
+            record: Index of the record, which must have been sampled evenly; missing
+                samples count as zero.
+
+        Returns:
+            Frequencies [Hz], shape (frequency,), and amplitudes of sines in `work` axes
+            [N], shape (frequency, 3), of the whole record (rectangular window).
+        """
+        off = np.nan_to_num(self.residual_force(record))
+        step = float(np.median(np.diff(self.records[record].time)))
+        amplitude = 2 * np.abs(np.fft.rfft(off, axis=0)) / len(off)
+        return np.fft.rfftfreq(len(off), step), amplitude
+
 
 def fit_force_coefficients(
     process_or_job: Source | Sequence[Source],

@@ -5,7 +5,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from .preprocessing import parts_between_gaps
 from .record import Record
 
 # Cutting must be this many times as loud as the rest to be told from it.
@@ -60,7 +59,7 @@ def find_cuts(
         window = 4.0 / tooth_frequency if tooth_frequency else 0.02
     shortest = 2.0 * window if shortest is None else shortest
     width = max(3, round(window * record.rate))
-    parts = parts_between_gaps(record, longest=window)
+    parts = record.parts_between_gaps(longest=window)
     loud = [_loudness(record, part, width, tooth_frequency) for part in parts]
     quiet_level, loud_level = _levels(loud, width)
     # A channel that rests exactly at zero has no logarithm.

@@ -1,8 +1,15 @@
 """A measured record of forces, with what is doubtful in it marked."""
 
+import dataclasses
+import itertools
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
+
+# Samples of a tare section that are further off its median do not count, in standard
+# deviations.
+_GROSS = 6.0
 
 
 class Record(eqx.Module):
@@ -71,3 +78,79 @@ class Record(eqx.Module):
             raise ValueError(
                 f"Argument `rate` must be positive and finite, but is {self.rate}."
             )
+
+    def section(self, start: float, stop: float) -> "Record":
+        """Return the samples from `start` to `stop` [s], both included.
+
+        Raises:
+            ValueError: Fewer than two samples are left.
+        """
+        keep = (self.time >= start) & (self.time <= stop)
+        if np.count_nonzero(keep) < 2:
+            raise ValueError(
+                f"The section {start:g} s to {stop:g} s must hold 2 samples of the "
+                f"record ({self.time[0]:g} s to {self.time[-1]:g} s), but holds "
+                f"{np.count_nonzero(keep)}."
+            )
+        names = ("time", "force", "is_saturated", "is_after_gap", "tacho", "angle")
+        values = {name: getattr(self, name) for name in names}
+        kept = {name: None if v is None else v[keep] for name, v in values.items()}
+        return dataclasses.replace(self, **kept)
+
+    def parts_between_gaps(self, *, longest: float = 0.0) -> list[slice]:
+        """Return the samples between the gaps, one slice for each part.
+
+        Args:
+            longest: A gap that lasts no longer parts nothing [s].
+        """
+        is_apart = self.is_after_gap[1:] & (np.diff(self.time) > longest)
+        starts = [0, *np.flatnonzero(is_apart) + 1, self.time.size]
+        return [slice(int(a), int(b)) for a, b in itertools.pairwise(starts)]
+
+    def without_offset(self, start: float, stop: float) -> "Record":
+        """Return the record less the mean force of a section without cut.
+
+        Gross errors, six standard deviations off the section's median, do not count.
+
+        Args:
+            start: Where the tare section begins [s].
+            stop: Where it ends [s].
+
+        Raises:
+            ValueError: If fewer than 2 samples lie in the section.
+        """
+        _, level = self._level(start, stop)
+        return dataclasses.replace(self, force=self.force - level[None])
+
+    def without_drift(
+        self, before: tuple[float, float], after: tuple[float, float]
+    ) -> "Record":
+        """Return the record less the line through two sections without cut.
+
+        The line goes through the mean time and mean force of both sections: charge
+        amplifiers drift by a constant current. Gross errors do not count.
+
+        Args:
+            before: Where the tare section before the cut begins and ends [s].
+            after: The same of the one after it.
+
+        Raises:
+            ValueError: If fewer than 2 samples lie in a section or both are the same.
+        """
+        (time_1, level_1), (time_2, level_2) = self._level(*before), self._level(*after)
+        if time_1 == time_2:
+            raise ValueError("Arguments `before` and `after` must be two sections.")
+        slope = (level_2 - level_1) / (time_2 - time_1)
+        drift = level_1[None] + slope[None] * (self.time - time_1)[:, None]
+        return dataclasses.replace(self, force=self.force - drift)
+
+    def _level(
+        self, start: float, stop: float
+    ) -> tuple[float, Float[np.ndarray, " axis"]]:
+        """Return mean time and mean force of a section, gross errors left out."""
+        part = self.section(start, stop)
+        off = np.abs(part.force - np.median(part.force, axis=0)[None])
+        # The median deviation is 0.67 standard deviations; none tells of few digits.
+        limit = _GROSS / 0.67 * np.median(off, axis=0)
+        is_good = (off <= limit[None]) | (limit[None] == 0)
+        return float(part.time.mean()), np.mean(part.force, axis=0, where=is_good)

@@ -21,9 +21,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ...cutter import AbstractCutter
-from ...cutting import edge_contact, held_at_rest, safe_norm, way_of
 from ...numerics import clamp, with_derivative_of
 from ...workpiece import Pose
+from .._chip import edge_contact, held_at_rest, safe_norm, way_of
 from .._process import Process, Substeps, rotation_angles
 from .._state import ProcessState
 from .edge_samples import BottomSamples

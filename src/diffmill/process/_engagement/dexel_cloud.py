@@ -25,7 +25,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ...cutter import AbstractCutter
-from ...cutting import circle_chip, edge_contact, held_at_rest, safe_norm, way_of
 from ...numerics import clamp
 from ...workpiece import (
     Discs,
@@ -37,6 +36,7 @@ from ...workpiece import (
     repeated,
     taken_pieces,
 )
+from .._chip import circle_chip, edge_contact, held_at_rest, safe_norm, way_of
 from .._process import AbstractEngagement, Process, Substeps
 from .._removal_history import tracked
 from .._state import ProcessState, Removed

@@ -22,9 +22,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ...cutter import AbstractCutter, EdgeElements
-from ...cutting import edge_contact, held_at_rest, safe_norm, way_of
 from ...numerics import clamp
 from ...workpiece import Discs, Pose, RemovalWindow, occupancy_in_space, tool_frame
+from .._chip import edge_contact, held_at_rest, safe_norm, way_of
 from .._process import AbstractEngagement, Process, Substeps, rotation_angles
 from .._removal_history import advance_removal, thinned_poses
 from .._state import ProcessState, Removed

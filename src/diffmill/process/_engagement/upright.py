@@ -12,7 +12,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ...cutter import AbstractCutter
-from ...cutting import (
+from ...numerics import hold
+from ...workpiece import Discs, Pose, RemovalWindow, occupancy
+from .._chip import (
     circle_chip,
     edge_contact,
     held_at_rest,
@@ -20,8 +22,6 @@ from ...cutting import (
     safe_norm,
     way_of,
 )
-from ...numerics import hold
-from ...workpiece import Discs, Pose, RemovalWindow, occupancy
 from .._process import AbstractEngagement, Process, Substeps, rotation_angles
 from .._removal_history import advance_removal, thinned_poses
 from .._state import ProcessState, Removed

@@ -22,8 +22,9 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
 from ...cutter import AbstractCutter
-from ...numerics import clamp, hold, turn_between
+from ...numerics import clamp, hold
 from .._pose import Pose, tool_frame
+from .turn_between import turn_between
 
 # Parts of a tooth period in which the ends of rays remember when they were cut.
 TICKS = 2048

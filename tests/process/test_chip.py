@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffmill import cutting
+from diffmill import cutting, process
 
 R = 5e-3
 
@@ -22,7 +22,7 @@ def march_to_circle(offset, angle):
 @pytest.mark.parametrize("angle", [0.3, 1.2, 2.8])
 def test_the_chip_ends_where_the_earlier_circle_does(angle):
     offset = np.array([-0.4e-3, 0.15e-3])
-    chip = cutting.circle_chip(R, jnp.array([*offset, 0.0]), jnp.array([angle]), 0.0)
+    chip = process.circle_chip(R, jnp.array([*offset, 0.0]), jnp.array([angle]), 0.0)
     np.testing.assert_allclose(chip[0], march_to_circle(offset, angle), atol=1e-12)
 
 
@@ -30,7 +30,7 @@ def test_the_chip_tends_to_feed_times_sine():
     phi = jnp.linspace(0.1, 3.0, 30)
     errors = []
     for feed in (2e-4, 1e-4, 5e-5):
-        chip = cutting.circle_chip(R, jnp.array([-feed, 0.0, 0.0]), phi, 0.0)
+        chip = process.circle_chip(R, jnp.array([-feed, 0.0, 0.0]), phi, 0.0)
         errors.append(float(jnp.max(jnp.abs(chip / feed - jnp.sin(phi)))))
     assert errors[0] < 0.025
     # First order in f / R.
@@ -41,7 +41,7 @@ def test_a_missed_circle_is_what_it_is_told_to_be_and_has_no_gradient():
     far = jnp.array([0.0, 12e-3, 0.0])
 
     def chip(offset):
-        return cutting.circle_chip(R, offset, jnp.array([np.pi / 2]), 1.25)[0]
+        return process.circle_chip(R, offset, jnp.array([np.pi / 2]), 1.25)[0]
 
     assert float(chip(far)) == 1.25
     np.testing.assert_array_equal(jax.grad(chip)(far), 0)
@@ -53,7 +53,7 @@ def test_chip_gradient_matches_differences(dtype):
     offset = jnp.array([-0.2e-3, 0.05e-3, 0.0], dtype)
 
     def chips(offset):
-        return cutting.circle_chip(jnp.asarray(R, dtype), offset, phi, 0.0)
+        return process.circle_chip(jnp.asarray(R, dtype), offset, phi, 0.0)
 
     step = 1e-6 if dtype == jnp.float64 else 2e-5
     exact = jax.jacfwd(chips)(offset)
@@ -66,16 +66,16 @@ def test_chip_gradient_matches_differences(dtype):
 
 def test_a_layer_below_an_earlier_tip_was_not_cut_by_it():
     lower = jnp.array([0.0, 0.4e-3, 0.8e-3])
-    share = cutting.layer_share(jnp.asarray(0.6e-3), lower, 0.4e-3)
+    share = process.layer_share(jnp.asarray(0.6e-3), lower, 0.4e-3)
     np.testing.assert_allclose(share, [0, 0.5, 1], atol=1e-12)
 
 
 def test_edge_contact_is_fair_at_both_ends_of_the_cut():
     feed, step = jnp.asarray(1e-4), 0.03
     phi = jnp.arange(-0.5, np.pi + 0.5, step / 20)
-    touch = cutting.edge_contact(jnp.sin(phi), feed, step)
+    touch = process.edge_contact(jnp.sin(phi), feed, step)
     np.testing.assert_allclose(jnp.sum(touch) * step / 20, np.pi, rtol=2e-4)
-    still = cutting.edge_contact(jnp.zeros(5), jnp.zeros(()), step)
+    still = process.edge_contact(jnp.zeros(5), jnp.zeros(()), step)
     np.testing.assert_array_equal(still, 0)
 
 
@@ -83,7 +83,7 @@ def test_edge_contact_sums_to_its_length_at_any_phase_of_the_samples():
     feed, step = jnp.asarray(1e-4), 0.03
     start = step * np.linspace(0, 1, 17)[:, None]
     phi = jnp.asarray(start + step * np.arange(-20, 20)[None])
-    length = step * jnp.sum(cutting.edge_contact(phi, feed, step), axis=1)
+    length = step * jnp.sum(process.edge_contact(phi, feed, step), axis=1)
     np.testing.assert_allclose(length, start[:, 0] + 19.5 * step, atol=1e-6 * step)
 
 

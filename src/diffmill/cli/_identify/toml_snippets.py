@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..robot import Robot
+from ...robot import Robot
 
 # Largest uncertainty that the table takes.
 _LARGEST = 0.999
