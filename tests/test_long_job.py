@@ -101,11 +101,11 @@ def test_a_killed_run_resumes_to_the_same_result(folder):
     assert code == 2 and "another job" in text
     # A damaged checkpoint: the one before is used.
     file.write_bytes(file.read_bytes()[:-100])
-    assert io.previous_checkpoint(file).exists()
+    assert io.CheckpointFile(file, "").previous.exists()
     code, text = finish(start(folder, "job.toml", "--out", "killed", "--resume"))
     assert code == 0, text
     assert "damaged" in text and "before it is used" in text
-    assert not io.has_checkpoint(file)
+    assert not io.CheckpointFile(file, "").exists()
     for name in ("corrected.csv", "corrected.ngc"):
         assert (folder / "killed" / name).read_bytes() == (
             folder / "all" / name

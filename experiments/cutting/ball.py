@@ -75,7 +75,7 @@ def _plane(rng: np.random.Generator, slope: float, direction: float) -> float:
     path = path - (path[:1, 0] + 2.3e-3) * feed / feed[0]
     corners = box_corners([-8e-3, -7e-3, -9e-3], [8e-3, 7e-3, 0.0])
     corners[:, 2] -= (corners[:, :2] @ normal[:2]) / normal[2]
-    stock = dm.workpiece.stock_from_mesh(hexahedron(corners), SPACING)
+    stock = dm.workpiece.from_mesh(hexahedron(corners), SPACING)
     found = mean_force(cut(path, stock, mill("ball")), first)
     tip = path[first:].mean(axis=0)
     wanted = reference_force("ball", plane, feed, tip=tip)

@@ -63,9 +63,7 @@ def _turned(kind: str, radial_depth: float, turn: Rotation) -> np.ndarray:
         # The raw face of a half immersion goes through the axis.
         lower[1] = 0.0
     corners = turn.apply(box_corners(lower, upper))
-    stock = dm.workpiece.stock_from_mesh(
-        hexahedron(corners), SPACING, interval_counts=SLOTS
-    )
+    stock = dm.workpiece.from_mesh(hexahedron(corners), SPACING, interval_counts=SLOTS)
     path, first = straight([-1.5e-3, 0.0, -DEPTH], FEED * ALONG)
     size = float(np.linalg.norm(upper - lower))
     solution = cut(

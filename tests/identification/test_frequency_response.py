@@ -106,8 +106,8 @@ def test_a_damped_mode_beside_sharp_ones_is_found_in_a_ring_down():
         wave = np.cos(own * np.sqrt(1 - zeta**2) * time)
         signal += size * np.exp(-zeta * own * time) * wave
     signal += 0.01 * np.random.default_rng(0).normal(size=time.size)
-    guess = identification.ring_down_frequencies(time, signal, 3)
-    np.testing.assert_allclose(guess, [m[0] for m in modes], rtol=0.01)
-    fit = identification.fit_ring_down(time, signal, guess)
+    ring = identification.RingDown("ring", time, signal, 3, None, None, ())
+    fit = ring.fit()
+    np.testing.assert_allclose(fit.frequencies, [m[0] for m in modes], rtol=0.01)
     np.testing.assert_allclose(fit.damping_ratios, [m[1] for m in modes], rtol=0.05)
     assert np.std(signal - fit.fitted) < 0.012

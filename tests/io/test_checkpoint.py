@@ -18,14 +18,16 @@ def file(tmp_path):
     """Two checkpoints, the older one kept."""
     path = tmp_path / "run.checkpoint"
     for count in (1, 2):
-        io.write_checkpoint(
-            path, {**ARRAYS, "count": np.asarray(count)}, job_fingerprint="job"
-        )
+        checkpoint(path).write({**ARRAYS, "count": np.asarray(count)})
     return path
 
 
+def checkpoint(path, job="job"):
+    return io.CheckpointFile(path, job)
+
+
 def latest(path, job="job"):
-    arrays, notes = io.latest_checkpoint(path, job_fingerprint=job)
+    arrays, notes = checkpoint(path, job).latest()
     assert arrays is not None
     return arrays, notes
 
@@ -55,7 +57,7 @@ def test_a_damaged_one_is_refused_and_the_one_before_used(file, at):
     assert str(file) in notes[0]
     assert "before it is used" in notes[1]
     # What goes on from there must not push the whole one out by the damaged one.
-    io.write_checkpoint(file, {"count": np.asarray(3)}, job_fingerprint="job")
+    checkpoint(file).write({"count": np.asarray(3)})
     file.write_bytes(b"")
     assert latest(file)[0]["count"] == 1
 
@@ -64,8 +66,8 @@ def test_a_damaged_one_is_refused_and_the_one_before_used(file, at):
 def test_a_cut_off_one_is_refused(file, length):
     file.write_bytes(file.read_bytes()[:length])
     assert latest(file)[0]["count"] == 1
-    io.previous_checkpoint(file).write_bytes(b"")
-    with pytest.raises(io.DamagedCheckpoint, match="no other checkpoint"):
+    checkpoint(file).previous.write_bytes(b"")
+    with pytest.raises(io.CheckpointError, match="no other checkpoint"):
         latest(file)
 
 
@@ -94,13 +96,13 @@ def test_another_job_or_format_is_refused(file, monkeypatch):
 
 def test_there_may_be_none(tmp_path):
     path = tmp_path / "run.checkpoint"
-    assert io.latest_checkpoint(path, job_fingerprint="job") == (None, ())
-    assert not io.has_checkpoint(path)
+    assert checkpoint(path).latest() == (None, ())
+    assert not checkpoint(path).exists()
 
 
 def test_removing_leaves_nothing(file):
-    assert io.has_checkpoint(file)
-    io.remove_checkpoint(file)
+    assert checkpoint(file).exists()
+    checkpoint(file).remove()
     assert not any(file.parent.iterdir())
 
 

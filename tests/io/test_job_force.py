@@ -79,9 +79,9 @@ def test_kienzle(load):
 
 def test_material(load):
     job = load('[force]\nmaterial = "aluminium_3.1325"')
-    assert job.law == cutting.material("aluminium_3.1325")
+    assert job.law == cutting.material("aluminium_3.1325").law
     (note,) = job.notes
-    assert cutting.material_source("aluminium_3.1325") in note
+    assert cutting.material("aluminium_3.1325").source in note
     assert "no axial" in load('[force]\nmaterial = "brass_quarter_inch"').notes[0]
 
 
@@ -108,7 +108,7 @@ def test_bottom(load):
     assert isinstance(job.bottom_law, cutting.KienzleLaw)
     assert job.bottom_law.K_tc11 == pytest.approx(1.5e9)
     job = load(LINEAR + '[force.bottom]\nmaterial = "aluminium_6082_t6"')
-    assert job.bottom_law == cutting.material("aluminium_6082_t6")
+    assert job.bottom_law == cutting.material("aluminium_6082_t6").law
     assert job.notes[0].startswith("[force.bottom] material aluminium_6082_t6")
 
 

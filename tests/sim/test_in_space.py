@@ -157,7 +157,7 @@ def wedge(slope, direction):
         (1, 3, 7, 5),
     ]
     faces = [f for a, b, c, d in sides for f in ((a, b, c), (a, c, d))]
-    return wp.stock_from_mesh(wp.Mesh(vertices, np.array(faces, np.int32)), D)
+    return wp.from_mesh(wp.Mesh(vertices, np.array(faces, np.int32)), D)
 
 
 @pytest.mark.parametrize(

@@ -111,7 +111,7 @@ def test_a_slot_has_its_exact_volume_and_every_step_counts():
 def test_no_ray_is_left_inside_any_pose_and_none_is_cut_outside():
     _, after, _, tips = cut_block(0.1e-3)
     for family in range(3):
-        points, sign = wp.ray_ends(after, family)
+        points, sign = after.ray_ends(family)
         # A point a hair inside the material must lie outside every pose.
         points = points.copy()
         points[:, family] -= sign * 1e-7

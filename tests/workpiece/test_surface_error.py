@@ -12,7 +12,7 @@ SPACING = 0.25e-3
 
 def stock_of(mesh, spacing=SPACING):
     vertices, faces = np.array(mesh.vertices), np.array(mesh.faces)
-    return wp.stock_from_mesh(wp.Mesh(vertices, faces), spacing)
+    return wp.from_mesh(wp.Mesh(vertices, faces), spacing)
 
 
 def test_a_floor_too_high_and_a_wall_too_deep_have_their_signs():
@@ -151,7 +151,7 @@ def test_figures_are_those_of_walls_and_floors_that_were_cut():
     assert found.is_cut.all() and len(found.error) < len(
         wp.surface_error(made, ideal).error
     )
-    measures = wp.measure_surface(found)
+    measures = found.measures()
     assert measures.wall_mean == pytest.approx(-0.03e-3, rel=0.02)
     assert measures.wall_p95 == pytest.approx(0.03e-3, rel=0.02)
     assert measures.floor_mean == pytest.approx(0.04e-3, rel=0.02)
@@ -162,7 +162,7 @@ def test_figures_are_those_of_walls_and_floors_that_were_cut():
     assert len(wp.surface_error(ideal, ideal, leaves_out_raw=True).error) > 0
     raw = wp.box([-4e-3, 0, -3e-3], [4e-3, 6e-3, 0], SPACING)
     nothing = wp.surface_error(raw, raw, leaves_out_raw=True)
-    assert not len(nothing.error) and np.isnan(wp.measure_surface(nothing).wall_rms)
+    assert not len(nothing.error) and np.isnan(nothing.measures().wall_rms)
 
 
 def test_the_sign_holds_beyond_the_sharpest_edges():

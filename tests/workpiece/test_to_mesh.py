@@ -28,7 +28,7 @@ def assert_closed(mesh):
 def stock_of(mesh, spacing=SPACING):
     """Return the stock of a trimesh given in metres."""
     vertices, faces = np.array(mesh.vertices), np.array(mesh.faces)
-    return wp.stock_from_mesh(wp.Mesh(vertices, faces), spacing)
+    return wp.from_mesh(wp.Mesh(vertices, faces), spacing)
 
 
 def sphere_area(radius):

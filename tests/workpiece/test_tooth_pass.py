@@ -58,7 +58,7 @@ def looks_at(mill, x, y, height):
 def cut_ends(stock, family):
     """Return ends that the tooth made, and the times that they remember."""
     rays = stock.families[family]
-    points, _ = wp.ray_ends(stock, family)
+    points, _ = stock.ray_ends(family)
     low, high = rays.ends[:, :, 0], rays.ends[:, :, 1]
     is_live = np.broadcast_to(np.asarray(high > low)[:, :, None], rays.ends.shape)
     ticks = np.asarray(rays.poses)[is_live]

@@ -8,12 +8,7 @@ Assumes that the force follows the chip at once. Chip thickness and where the ed
 in the stock is the business of `process`.
 """
 
-from ._files import (
-    material as material,
-    material_classes as material_classes,
-    material_source as material_source,
-    materials as materials,
-)
+from ._files import material as material, materials as materials
 from ._kienzle import KienzleLaw as KienzleLaw
 from ._law import AbstractForceLaw as AbstractForceLaw
 from ._linear_edge import LinearEdgeLaw as LinearEdgeLaw

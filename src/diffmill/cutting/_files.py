@@ -2,9 +2,10 @@
 
 import functools
 import tomllib
+from collections.abc import Mapping
 from importlib import resources
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 from ._linear_edge import LinearEdgeLaw
 
@@ -21,87 +22,52 @@ _UNITS = MappingProxyType(
 )
 
 
-def materials() -> tuple[str, ...]:
-    """Return the names of the materials with published coefficients, sorted.
+class Material(NamedTuple):
+    """A material with published coefficients.
 
-    Returns:
-        Names that `material` and `[force] material` of a job take.
+    They belong to the cutter and conditions of their source. Axial coefficients that a
+    source lacks are zero.
 
-    Differentiability: not applicable, a host function.
+    Attributes:
+        law: The force law with Python floats as coefficients [Pa, N/m].
+        source: Where they come from: cutter, conditions, and which are missing.
+        kind: Class of materials, as "aluminium" or "steel".
     """
-    return tuple(sorted(_table()))
+
+    law: LinearEdgeLaw
+    source: str
+    kind: str
 
 
-def material(name: str) -> LinearEdgeLaw:
-    """Return the force law of a material, with published coefficients.
-
-    Coefficients belong to the cutter and conditions of their source, which
-    `material_source` tells. Axial coefficients that a source lacks are zero.
+def material(name: str) -> Material:
+    """Return a material with published coefficients.
 
     Args:
         name: One of `materials()`.
 
-    Returns:
-        The law with Python floats as coefficients [Pa, N/m].
-
     Raises:
         ValueError: If there is no such material; the message lists the names.
-
-    Differentiability: not applicable, a host function; differentiate by the law's
-    coefficients.
     """
-    row = _row(name)
-    return LinearEdgeLaw(
-        **{
-            coefficient: row.get(key, 0.0) * factor
-            for coefficient, (key, factor) in _UNITS.items()
-        }
-    )
-
-
-def material_source(name: str) -> str:
-    """Return where a material's coefficients come from and what they lack.
-
-    Args:
-        name: One of `materials()`.
-
-    Returns:
-        One line: source, cutter, conditions, and which coefficients are missing.
-
-    Raises:
-        ValueError: If there is no such material; the message lists the names.
-
-    Differentiability: not applicable, a host function.
-    """
-    row = _row(name)
-    line = f"{row['source']}; cutter: {row['cutter']}; conditions: {row['conditions']}"
-    return f"{line}; no {row['lacks']}: these are zero" if "lacks" in row else line
-
-
-def material_classes() -> dict[str, tuple[float, float]]:
-    """Return the least and the greatest published K_tc of each class of materials.
-
-    Returns:
-        K_tc [Pa] by class, as "aluminium" or "steel".
-
-    Differentiability: not applicable, a host function.
-    """
-    pressures: dict[str, list[float]] = {}
-    for name in materials():
-        of_class = pressures.setdefault(_row(name)["class"], [])
-        of_class.append(float(material(name).K_tc))
-    return {name: (min(found), max(found)) for name, found in pressures.items()}
-
-
-def _row(name: str) -> dict[str, Any]:
-    if name not in _table():
+    if name not in materials():
         raise ValueError(
             f"found the unknown material {name!r}; allowed: {', '.join(materials())}"
         )
-    return _table()[name]
+    return materials()[name]
 
 
 @functools.cache
-def _table() -> dict[str, Any]:
+def materials() -> Mapping[str, Material]:
+    """Return the materials that `[force] material` of a job takes, by name, sorted."""
     file = resources.files("diffmill.cutting").joinpath("materials.toml")
-    return tomllib.loads(file.read_text(encoding="utf-8"))
+    table = tomllib.loads(file.read_text(encoding="utf-8"))
+    return MappingProxyType({name: _material(table[name]) for name in sorted(table)})
+
+
+def _material(row: dict[str, Any]) -> Material:
+    line = f"{row['source']}; cutter: {row['cutter']}; conditions: {row['conditions']}"
+    if "lacks" in row:
+        line += f"; no {row['lacks']}: these are zero"
+    values = {
+        name: row.get(key, 0.0) * factor for name, (key, factor) in _UNITS.items()
+    }
+    return Material(LinearEdgeLaw(**values), line, row["class"])

@@ -52,7 +52,6 @@ from ._modal.frequency_response import fit_frequency_response as fit_frequency_r
 from ._modal.ring_down import (
     fit_joint_damping as fit_joint_damping,
     fit_ring_down as fit_ring_down,
-    ring_down_frequencies as ring_down_frequencies,
 )
 from ._record.cut_detection import CutSpan as CutSpan, find_cuts as find_cuts
 from ._record.diagnosis import Diagnosis as Diagnosis

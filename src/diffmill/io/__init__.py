@@ -15,13 +15,8 @@ Leaves out robot programs.
 
 from ._checkpoint import (
     CheckpointError as CheckpointError,
-    DamagedCheckpoint as DamagedCheckpoint,
+    CheckpointFile as CheckpointFile,
     fingerprint as fingerprint,
-    has_checkpoint as has_checkpoint,
-    latest_checkpoint as latest_checkpoint,
-    previous_checkpoint as previous_checkpoint,
-    remove_checkpoint as remove_checkpoint,
-    write_checkpoint as write_checkpoint,
 )
 from ._gcode.parser import parse_gcode as parse_gcode, read_gcode as read_gcode
 from ._gcode.words import GCodeError as GCodeError

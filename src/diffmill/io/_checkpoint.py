@@ -14,7 +14,7 @@ import pathlib
 import zipfile
 from collections.abc import Mapping
 from importlib import metadata
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Shaped
@@ -62,113 +62,98 @@ def fingerprint(tree: Any) -> str:
     return digest.hexdigest()
 
 
-def write_checkpoint(
-    path: str | os.PathLike[str], arrays: Arrays, *, job_fingerprint: str
-) -> None:
-    """Write a checkpoint, and keep the one before under the suffix `.previous`.
+class CheckpointFile(NamedTuple):
+    """A checkpoint and the one before it, under the suffix `.previous`.
 
-    Args:
+    Attributes:
         path: The file.
-        arrays: What is to be kept, plain arrays by name.
-        job_fingerprint: `fingerprint` of the job.
-
-    Raises:
-        OSError: The file cannot be written; the earlier ones are as they were.
+        job_fingerprint: `fingerprint` of the job that it belongs to.
     """
-    target = pathlib.Path(path)
-    temporary = target.with_name(target.name + ".writing")
-    content = _content(arrays, job_fingerprint)
-    with open(temporary, "wb") as file:
-        version = b"%d" % _VERSION
-        file.write(b"%s %s %s\n" % (_MAGIC, version, _digest(version, content)))
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    # A damaged one must not take the place of the whole one that the run went on from.
-    if _is_whole(target):
-        os.replace(target, previous_checkpoint(target))
-    os.replace(temporary, target)
-    _flush_folder(target.parent)
 
+    path: pathlib.Path
+    job_fingerprint: str
 
-def read_checkpoint(
-    path: str | os.PathLike[str], *, job_fingerprint: str
-) -> dict[str, np.ndarray]:
-    """Return the arrays of one checkpoint file.
+    @property
+    def previous(self) -> pathlib.Path:
+        """The file that holds the checkpoint before."""
+        return self.path.with_name(self.path.name + _PREVIOUS)
 
-    Args:
-        path: The file.
-        job_fingerprint: `fingerprint` of the job that is to go on.
+    def exists(self) -> bool:
+        """Return whether a checkpoint, or the one before it, is there."""
+        return self.path.exists() or self.previous.exists()
 
-    Raises:
-        DamagedCheckpoint: The file is not whole.
-        CheckpointError: It is of another job, format or version of the programs.
-        OSError: It cannot be read.
-    """
-    arrays = _arrays_of(pathlib.Path(path))
-    made_by, job = str(arrays.pop(_MADE_BY)), str(arrays.pop(_JOB))
-    if made_by != _versions():
-        raise CheckpointError(
-            f"{os.fspath(path)}: found a checkpoint made by {made_by}; only one made "
-            f"by {_versions()} goes on to the same result"
-        )
-    if job != job_fingerprint:
-        raise CheckpointError(
-            f"{os.fspath(path)}: found a checkpoint of another job; the job and all "
-            "files that it names must be as they were when the run was started"
-        )
-    return arrays
+    def remove(self) -> None:
+        """Remove the checkpoint and the one before it, if they are there."""
+        self.path.unlink(missing_ok=True)
+        self.previous.unlink(missing_ok=True)
 
+    def write(self, arrays: Arrays) -> None:
+        """Write a checkpoint, and keep the one before.
 
-def latest_checkpoint(
-    path: str | os.PathLike[str], *, job_fingerprint: str
-) -> tuple[dict[str, np.ndarray] | None, tuple[str, ...]]:
-    """Return the newest checkpoint that is whole.
+        Args:
+            arrays: What is to be kept, plain arrays by name.
 
-    Args:
-        path: The file; the one before is sought beside it.
-        job_fingerprint: `fingerprint` of the job that is to go on.
+        Raises:
+            OSError: The file cannot be written; the earlier ones are as they were.
+        """
+        target = self.path
+        temporary = target.with_name(target.name + ".writing")
+        content = _content(arrays, self.job_fingerprint)
+        with open(temporary, "wb") as file:
+            version = b"%d" % _VERSION
+            file.write(b"%s %s %s\n" % (_MAGIC, version, _digest(version, content)))
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        # A damaged one must not take the place of the whole one that the run went on
+        # from.
+        if _is_whole(target):
+            os.replace(target, self.previous)
+        os.replace(temporary, target)
+        _flush_folder(target.parent)
 
-    Returns:
-        Its arrays, or None if there is no checkpoint at all; and notes on what was
-        refused.
+    def latest(self) -> tuple[dict[str, np.ndarray] | None, tuple[str, ...]]:
+        """Return the newest checkpoint that is whole.
 
-    Raises:
-        DamagedCheckpoint: There are checkpoints, but none is whole.
-        CheckpointError: It is of another job, format or version of the programs.
-    """
-    notes: list[str] = []
-    for file in (pathlib.Path(path), previous_checkpoint(path)):
-        if not file.exists():
-            continue
-        try:
-            found = read_checkpoint(file, job_fingerprint=job_fingerprint)
-        except DamagedCheckpoint as error:
-            notes.append(str(error))
-            continue
+        Returns:
+            Its arrays, or None if there is no checkpoint at all; and notes on what was
+            refused.
+
+        Raises:
+            DamagedCheckpoint: There are checkpoints, but none is whole.
+            CheckpointError: It is of another job, format or version of the programs.
+        """
+        notes: list[str] = []
+        for file in (self.path, self.previous):
+            if not file.exists():
+                continue
+            try:
+                found = self._read(file)
+            except DamagedCheckpoint as error:
+                notes.append(str(error))
+                continue
+            if notes:
+                notes.append(f"the checkpoint before it is used: {file}")
+            return found, tuple(notes)
         if notes:
-            notes.append(f"the checkpoint before it is used: {file}")
-        return found, tuple(notes)
-    if notes:
-        raise DamagedCheckpoint("; ".join([*notes, "no other checkpoint is there"]))
-    return None, ()
+            raise DamagedCheckpoint("; ".join([*notes, "no other checkpoint is there"]))
+        return None, ()
 
-
-def has_checkpoint(path: str | os.PathLike[str]) -> bool:
-    """Return whether a checkpoint, or the one before it, is there."""
-    return pathlib.Path(path).exists() or previous_checkpoint(path).exists()
-
-
-def remove_checkpoint(path: str | os.PathLike[str]) -> None:
-    """Remove a checkpoint and the one before it, if they are there."""
-    pathlib.Path(path).unlink(missing_ok=True)
-    previous_checkpoint(path).unlink(missing_ok=True)
-
-
-def previous_checkpoint(path: str | os.PathLike[str]) -> pathlib.Path:
-    """Return the file that holds the checkpoint before."""
-    file = pathlib.Path(path)
-    return file.with_name(file.name + _PREVIOUS)
+    def _read(self, file: pathlib.Path) -> dict[str, np.ndarray]:
+        """Return the arrays of one file, if it is whole and of this job."""
+        arrays = _arrays_of(file)
+        made_by, job = str(arrays.pop(_MADE_BY)), str(arrays.pop(_JOB))
+        if made_by != _versions():
+            raise CheckpointError(
+                f"{file}: found a checkpoint made by {made_by}; only one made by "
+                f"{_versions()} goes on to the same result"
+            )
+        if job != self.job_fingerprint:
+            raise CheckpointError(
+                f"{file}: found a checkpoint of another job; the job and all files "
+                "that it names must be as they were when the run was started"
+            )
+        return arrays
 
 
 def _content(arrays: Arrays, job_fingerprint: str) -> bytes:

@@ -22,7 +22,6 @@ from ..workpiece import (
     ToothPass,
     remove_passes,
     remove_poses,
-    repeated,
     tool_frame,
 )
 from ._chip import safe_norm
@@ -60,7 +59,7 @@ def initial_state(
         stock,
         cutter,
         engagement.window,
-        process.derivative.removal_poses(repeated(pose, (1,))),
+        process.derivative.removal_poses(pose.repeated(1)),
         zero[None],
         jnp.ones(1, bool),
     )
@@ -68,10 +67,10 @@ def initial_state(
     ahead = jnp.zeros(2, dtype).at[1].set(1)
     state = ProcessState(
         stock=cut.stock,
-        track=PoseTrack(repeated(pose, (nodes,)), engagement.substeps),
+        track=PoseTrack(pose.repeated(nodes), engagement.substeps),
         last_tip=pose.tip,
-        recent=repeated(pose, (cutter.flute_count, engagement.substeps)),
-        ends=repeated(pose, (engagement.substeps,)),
+        recent=pose.repeated(cutter.flute_count, engagement.substeps),
+        ends=pose.repeated(engagement.substeps),
         forward=ahead,
         passing=jnp.zeros((), dtype),
         queue=Waiting(

@@ -68,10 +68,7 @@ from ._machine._integrator.base import (
     steady_state as steady_state,
 )
 from ._machine._integrator.midpoint import Midpoint as Midpoint
-from ._machine._integrator.rk4 import (
-    RungeKutta4 as RungeKutta4,
-    make_integrator as make_integrator,
-)
+from ._machine._integrator.rk4 import RungeKutta4 as RungeKutta4
 from ._machine.commands import (
     command_joints as command_joints,
     command_motors as command_motors,

@@ -7,7 +7,7 @@ grid of rays.
 import numpy as np
 from jaxtyping import Float
 
-from ..workpiece import Stock, ray_ends
+from ..workpiece import Stock
 from ._figure.dexels import CutDexels
 
 
@@ -34,7 +34,7 @@ def _cut_ends(
     stock: Stock, family: int, *, is_upper_only: bool = False
 ) -> Float[np.ndarray, "end 3"]:
     """Return the ends of one family that remember a tool pose."""
-    points, side = ray_ends(stock, family)
+    points, side = stock.ray_ends(family)
     rays = stock.families[family]
     ends = np.asarray(rays.ends)
     is_live = np.broadcast_to((ends[:, :, 1] > ends[:, :, 0])[:, :, None], ends.shape)

@@ -29,7 +29,6 @@ from ._dexel.stock import (
     Rays as Rays,
     Stock as Stock,
     box as box,
-    ray_ends as ray_ends,
 )
 from ._dexel.stock_arrays import (
     as_raw_stock as as_raw_stock,
@@ -45,19 +44,15 @@ from ._files import (
     MeshFileError as MeshFileError,
     StockFileError as StockFileError,
     from_mesh as from_mesh,
-    load_mesh as load_mesh,
     load_stock as load_stock,
     save_mesh as save_mesh,
     save_stock as save_stock,
 )
 from ._memory import physical_memory as physical_memory, stock_bytes as stock_bytes
-from ._mesh.from_mesh import stock_from_mesh as stock_from_mesh
 from ._mesh.mesh import Mesh as Mesh
 from ._mesh.surface_error import (
     SurfaceError as SurfaceError,
-    SurfaceMeasures as SurfaceMeasures,
-    measure_surface as measure_surface,
     signed_distance as signed_distance,
     surface_error as surface_error,
 )
-from ._pose import Pose as Pose, repeated as repeated, tool_frame as tool_frame
+from ._pose import Pose as Pose, tool_frame as tool_frame

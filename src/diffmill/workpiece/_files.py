@@ -84,19 +84,20 @@ def load_mesh(path: str | os.PathLike[str], *, unit: MeshUnit = "mm") -> Mesh:
 
 
 def from_mesh(
-    path: str | os.PathLike[str],
+    path_or_mesh: str | os.PathLike[str] | Mesh,
     spacing: float,
     *,
     unit: MeshUnit = "mm",
     interval_counts: tuple[int, int, int] | None = None,
     dtype: type | jnp.dtype | None = None,
 ) -> Stock:
-    """Return the solid in a mesh file as stock, in the place where the file has it.
+    """Return the solid that a closed mesh bounds as stock, in the place where it is.
 
     Args:
-        path: An STL, OBJ or PLY file; a closed surface, all triangles facing outward.
+        path_or_mesh: An STL, OBJ or PLY file, or a mesh; a closed surface, all
+            triangles facing outward; shells may overlap.
         spacing: Distance between rays [m].
-        unit: Unit of the numbers in the file, which these formats do not tell.
+        unit: Unit of the numbers in a file, which these formats do not tell.
         interval_counts: Slots for intervals of a ray along x, y and z; by default as
             many as the part needs and seven more along x and y.
         dtype: Floating type; JAX's default if not given.
@@ -110,7 +111,8 @@ def from_mesh(
         ValueError: An argument is out of range, the slots are too few, or the stock is
             larger than half of the physical memory.
     """
-    mesh = load_mesh(path, unit=unit)
+    is_mesh = isinstance(path_or_mesh, Mesh)
+    mesh = path_or_mesh if is_mesh else load_mesh(path_or_mesh, unit=unit)
     return stock_from_mesh(mesh, spacing, interval_counts=interval_counts, dtype=dtype)
 
 

@@ -34,19 +34,18 @@ class Pose(eqx.Module):
         """Return the same poses as constants."""
         return jax.tree.map(jax.lax.stop_gradient, self)
 
+    def repeated(self, *counts: int) -> "Pose":
+        """Return one pose, shape (3,), many times, shape (*counts, 3)."""
+        return jax.tree.map(
+            lambda x: jnp.broadcast_to(x[(None,) * len(counts)], (*counts, 3)), self
+        )
+
     def with_rows(self, first: Array, rows: "Pose") -> "Pose":
         """Return the table with some rows replaced, from a row on."""
         at = (first, jnp.zeros_like(first))
         return jax.tree.map(
             lambda table, new: jax.lax.dynamic_update_slice(table, new, at), self, rows
         )
-
-
-def repeated(pose: Pose, shape: tuple[int, ...]) -> Pose:
-    """Return one pose, shape (3,), many times, shape (*shape, 3)."""
-    return jax.tree.map(
-        lambda x: jnp.broadcast_to(x[(None,) * len(shape)], (*shape, 3)), pose
-    )
 
 
 def tool_frame(axis: Float[Array, "*pose 3"]) -> Float[Array, "*pose 3 3"]:

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ...workpiece import MARGIN, Stock, StockFileError, box, from_mesh, load_stock, physical_memory, ray_ends, stock_bytes, with_interval_counts
+from ...workpiece import MARGIN, Stock, StockFileError, box, from_mesh, load_stock, physical_memory, stock_bytes, with_interval_counts
 from .context import FileContext
 from .._schema.job import StockTable
 
@@ -186,7 +186,7 @@ def _slots(table: StockTable) -> tuple[int, int, int] | None:
 
 
 def _plan_of(stock: Stock, dtype: jnp.dtype) -> StockPlan:
-    points = np.concatenate([ray_ends(stock, f)[0] for f in range(3)])
+    points = np.concatenate([stock.ray_ends(f)[0] for f in range(3)])
     upper = points.max(axis=0)
     # The highest point of a mesh may lie between the rays.
     upper[2] = stock.top

@@ -11,7 +11,6 @@ from ...cutting import (
     KienzleLaw,
     LinearEdgeLaw,
     material,
-    material_source,
 )
 from .fields import (
     PositiveLength,
@@ -36,11 +35,11 @@ class MaterialTable(Table):
 
     def force_law(self) -> AbstractForceLaw:
         """Return the law of the material."""
-        return material(self.material)
+        return material(self.material).law
 
     def notes(self, place: str) -> tuple[str, ...]:
         """Return what the user should know about the coefficients."""
-        return (f"{place} material {self.material}: {material_source(self.material)}",)
+        return (f"{place} material {self.material}: {material(self.material).source}",)
 
 
 class LinearEdgeTable(Table):

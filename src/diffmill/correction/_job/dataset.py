@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._result import RESULTS
-from ...workpiece import SurfaceMeasures, measure_surface, surface_error
+from ...workpiece import surface_error
 from .._core.path_segments import PARTS, by_part, rows_out_of_cut
 
 if TYPE_CHECKING:
@@ -129,13 +129,13 @@ def _surface_figures(correction: "Correction") -> dict[str, tuple[Any, ...]]:
     if not bool(correction.before.rigid.stock.volume() > 0):
         return {}
     measures = [
-        measure_surface(
-            surface_error(solution.stock, solution.rigid.stock, leaves_out_raw=True)
-        )
+        surface_error(
+            solution.stock, solution.rigid.stock, leaves_out_raw=True
+        ).measures()
         for solution in correction.cases.values()
     ]
     found = {}
-    for field in fields(SurfaceMeasures):
+    for field in fields(measures[0]):
         text = _SURFACE_FIGURES[field.name.split("_")[-1]].format(
             field.name.split("_")[0]
         )

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from jaxtyping import Float
 
-from ...cutting import material, material_classes, materials
+from ...cutting import materials
 from .._statistics.robust_regression import Rows, solve_normal
 from .diagnosis import Diagnosis
 
@@ -119,10 +119,13 @@ def _gain(
 
 def similar_classes(K_tc: float) -> tuple[str, ...]:
     """Return the classes of materials that such a pressure is known of [Pa]."""
+    known: dict[str, list[float]] = {}
+    for one in materials().values():
+        known.setdefault(one.kind, []).append(float(one.law.K_tc))
     return tuple(
-        name
-        for name, (least, most) in material_classes().items()
-        if least / _CLASS_ROOM <= K_tc <= most * _CLASS_ROOM
+        kind
+        for kind, values in known.items()
+        if min(values) / _CLASS_ROOM <= K_tc <= max(values) * _CLASS_ROOM
     )
 
 
@@ -137,7 +140,7 @@ def check_coefficients(K: Float[np.ndarray, " 6"]) -> tuple[Diagnosis, ...]:
     """
     if not K[0] > 0:
         return ()
-    known = [float(material(name).K_tc) for name in materials()]
+    known = [float(one.law.K_tc) for one in materials().values()]
     least, most = min(known) / _ROOM, max(known) * _ROOM
     if not least <= K[0] <= most:
         fits = [u for u in _UNITS if min(known) <= K[0] / u <= max(known)]

@@ -33,7 +33,6 @@ from ...workpiece import (
     Stock,
     TakenPieces,
     remove_poses,
-    repeated,
     taken_pieces,
 )
 from .._chip import circle_chip, edge_contact, held_at_rest, safe_norm, way_of
@@ -175,7 +174,7 @@ class DexelCloud(AbstractEngagement):
         tooth = jnp.broadcast_to(tooth, angle.shape)
         # The cloud judges at the rim alone.
         samples = EdgeSamples(angle, tooth, weight, jnp.ones_like(weight))
-        return Engagement(samples, repeated(Pose(start), (0,)))
+        return Engagement(samples, Pose(start).repeated(0))
 
     def wrench(
         self,

@@ -16,7 +16,7 @@ from ...process import (
     initial_state,
     middles_of,
 )
-from ...workpiece import Pose, repeated
+from ...workpiece import Pose
 from .monodromy import Regeneration
 
 
@@ -65,7 +65,7 @@ class _Replayed(eqx.Module):
 def _begin(process: Process, path: Pose) -> _Replayed:
     """Return the state before the first period, as if the tool had stood still."""
     state, _ = initial_state(process, path[0], path.tip.shape[0])
-    still = repeated(path[0], (process.engagement.substeps,))
+    still = path[0].repeated(process.engagement.substeps)
     return _Replayed(state, still, still)
 
 

@@ -86,6 +86,28 @@ class Stock(eqx.Module):
         weights = jnp.asarray(self.volume_weights, self.origin.dtype)
         return jnp.sum(self.volumes() * weights)
 
+    def ray_ends(
+        self, family: int
+    ) -> tuple[Float[np.ndarray, "end 3"], Float[np.ndarray, " end"]]:
+        """Return the ends of all intervals of one family as points, on the host.
+
+        Args:
+            family: 0, 1 or 2: the rays along x, y or z.
+
+        Returns:
+            Points [m], shape (end, 3), and the sign of the outward direction along the
+            ray, -1 for lower and +1 for upper ends, shape (end,).
+        """
+        ends, origin = np.asarray(self.families[family].ends), np.asarray(self.origin)
+        is_live = (ends[:, :, 1] > ends[:, :, 0])[:, :, None]
+        is_live = np.broadcast_to(is_live, ends.shape)
+        u, v, side, _ = np.nonzero(is_live)
+        points = np.empty((u.size, 3))
+        points[:, family] = ends[is_live]
+        for axis, index in (((family + 1) % 3, u), ((family + 2) % 3, v)):
+            points[:, axis] = origin[axis] + index * self.spacing
+        return points, np.where(side == 0, -1.0, 1.0)
+
     def slots_in_use(self) -> Int[Array, " 3"]:
         """Return how many slots of each family hold anything, from the first on."""
         return jnp.stack([rays.slots_in_use() for rays in self.families])
@@ -210,27 +232,3 @@ def block_grid(
     cells = np.maximum(np.round((upper - lower) / spacing), 1).astype(int)
     first = (lower + upper) / 2 - (cells - 1) / 2 * spacing
     return first - MARGIN * spacing, cells + 2 * MARGIN
-
-
-def ray_ends(
-    stock: Stock, family: int
-) -> tuple[Float[np.ndarray, "end 3"], Float[np.ndarray, " end"]]:
-    """Return the ends of all intervals of one family as points, on the host.
-
-    Args:
-        stock: The workpiece.
-        family: 0, 1 or 2: the rays along x, y or z.
-
-    Returns:
-        Points [m], shape (end, 3), and the sign of the outward direction along the
-        ray, -1 for lower and +1 for upper ends, shape (end,).
-    """
-    ends = np.asarray(stock.families[family].ends)
-    origin = np.asarray(stock.origin)
-    is_live = np.broadcast_to((ends[:, :, 1] > ends[:, :, 0])[:, :, None], ends.shape)
-    u, v, side, _ = np.nonzero(is_live)
-    points = np.empty((u.size, 3))
-    points[:, family] = ends[is_live]
-    points[:, (family + 1) % 3] = origin[(family + 1) % 3] + u * stock.spacing
-    points[:, (family + 2) % 3] = origin[(family + 2) % 3] + v * stock.spacing
-    return points, np.where(side == 0, -1.0, 1.0)

@@ -13,17 +13,41 @@ Reference: Baerentzen, Aanaes, Signed distance computation using the angle weigh
 pseudonormal, 2005, for the sign.
 """
 
+import math
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from .._dexel.stock import Stock, ray_ends
+from .._dexel.stock import Stock
 from .mesh import Mesh
 
 # Triangles of the mesh are about one spacing large: the nearest is among these.
 _CANDIDATES = 24
 # Points at a time: bounds the memory.
 _CHUNK = 20_000
+
+
+class SurfaceMeasures(eqx.Module):
+    """Figures of a surface error, walls and floors apart; NaN where there is none.
+
+    Attributes:
+        wall_mean: Mean signed error of the walls [m], positive: material left.
+        wall_rms: Root mean square error of the walls [m].
+        wall_p95: 95 % of the walls' points are closer to the ideal surface [m].
+        floor_mean: As `wall_mean`, of the floors [m].
+        floor_rms: As `wall_rms` [m].
+        floor_p95: As `wall_p95` [m].
+        deepest: How far the tool cut into the ideal part at most [m], at least 0.
+    """
+
+    wall_mean: float
+    wall_rms: float
+    wall_p95: float
+    floor_mean: float
+    floor_rms: float
+    floor_p95: float
+    deepest: float
 
 
 class SurfaceError(eqx.Module):
@@ -57,47 +81,27 @@ class SurfaceError(eqx.Module):
         share = 1 / np.abs(self.normal).sum(axis=1)
         return share / share.sum()
 
-
-class SurfaceMeasures(eqx.Module):
-    """Figures of a surface error, walls and floors apart; NaN where there is none.
-
-    Attributes:
-        wall_mean: Mean signed error of the walls [m], positive: material left.
-        wall_rms: Root mean square error of the walls [m].
-        wall_p95: 95 % of the walls' points are closer to the ideal surface [m].
-        floor_mean: As `wall_mean`, of the floors [m].
-        floor_rms: As `wall_rms` [m].
-        floor_p95: As `wall_p95` [m].
-        deepest: How far the tool cut into the ideal part at most [m], at least 0.
-    """
-
-    wall_mean: float
-    wall_rms: float
-    wall_p95: float
-    floor_mean: float
-    floor_rms: float
-    floor_p95: float
-    deepest: float
-
-
-def measure_surface(found: SurfaceError) -> SurfaceMeasures:
-    """Return the figures of a surface error, of the points that a tool cut."""
-    error, is_floor = found.error[found.is_cut], found.is_floor[found.is_cut]
-
-    def figures(chosen: np.ndarray) -> tuple[float, float, float]:
-        if not chosen.size:
-            return np.nan, np.nan, np.nan
-        return (
-            float(chosen.mean()),
-            float(np.sqrt(np.mean(chosen**2))),
-            float(np.percentile(np.abs(chosen), 95)),
+    def measures(self) -> SurfaceMeasures:
+        """Return the figures of the points that a tool cut."""
+        error, is_floor = self.error[self.is_cut], self.is_floor[self.is_cut]
+        wall, floor = error[~is_floor], error[is_floor]
+        return SurfaceMeasures(
+            wall_mean=_mean(wall),
+            wall_rms=math.sqrt(_mean(wall**2)),
+            wall_p95=_p95(wall),
+            floor_mean=_mean(floor),
+            floor_rms=math.sqrt(_mean(floor**2)),
+            floor_p95=_p95(floor),
+            deepest=float(max(0.0, -error.min(initial=0.0))),
         )
 
-    return SurfaceMeasures(
-        *figures(error[~is_floor]),
-        *figures(error[is_floor]),
-        deepest=float(max(0.0, -error.min(initial=0.0))),
-    )
+
+def _mean(values: np.ndarray) -> float:
+    return float(values.mean()) if values.size else math.nan
+
+
+def _p95(values: np.ndarray) -> float:
+    return float(np.percentile(np.abs(values), 95)) if values.size else math.nan
 
 
 def surface_error(
@@ -122,7 +126,7 @@ def surface_error(
     Raises:
         ValueError: The ideal stock holds no material.
     """
-    found = [ray_ends(machined, f)[0] for f in range(3)]
+    found = [machined.ray_ends(f)[0] for f in range(3)]
     points = np.concatenate(found)
     if not bool(ideal.volume() > 0):
         raise ValueError("Argument `ideal` must hold material, but is empty.")
@@ -155,12 +159,12 @@ def _end_distance(
     """
     from scipy.spatial import KDTree
 
-    tree = KDTree(np.concatenate([ray_ends(stock, f)[0] for f in range(3)]))
+    tree = KDTree(np.concatenate([stock.ray_ends(f)[0] for f in range(3)]))
     return np.asarray(tree.query(points)[0], np.float64)
 
 
 def _end_poses(stock: Stock, family: int) -> Int[np.ndarray, " end"]:
-    """Return the poses of the ends in the order of `ray_ends`."""
+    """Return the poses of the ends in the order of `Stock.ray_ends`."""
     rays = stock.families[family]
     ends = np.asarray(rays.ends)
     is_live = np.broadcast_to((ends[:, :, 1] > ends[:, :, 0])[:, :, None], ends.shape)
