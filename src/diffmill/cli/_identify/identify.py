@@ -10,7 +10,6 @@ from .._session.errors import BadInput, bad_input
 from .._session.jax_config import configure_jax
 from .._session.progress import Progress
 from .report import Report
-from .toml_snippets import snippet
 
 if TYPE_CHECKING:
     from ...config import Study
@@ -41,6 +40,7 @@ def run_identify(
     from ...identification import StudyError
     from ...io import check_folder, write_folder
     from ...viz import save_figure
+    from .toml_snippets import snippet
 
     folder = pathlib.Path(f"{file.stem}-identify") if out is None else out
     start = time.perf_counter()
