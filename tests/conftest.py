@@ -12,13 +12,22 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 
+# The newer emitters of fused loops pass through MLIR: they take as long again as all
+# else in the compiler. Tests use all cores already, so that no program is split.
+_FAST_COMPILING = (
+    "--xla_backend_optimization_level=0",
+    "--xla_cpu_use_fusion_emitters=false",
+    "--xla_cpu_parallel_codegen_split_count=1",
+)
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Compile the fast tests quickly: that, not running, is most of their time."""
     is_fast = config.option.markexpr == "not slow"
     if is_fast and not config.getoption("benchmark_only", default=False):
         given = os.environ.get("XLA_FLAGS", "")
         # What is given counts: the last of two flags does.
-        os.environ["XLA_FLAGS"] = f"--xla_backend_optimization_level=0 {given}"
+        os.environ["XLA_FLAGS"] = " ".join([*_FAST_COMPILING, given])
 
 
 # Memory mappings from which on compiled programs are dropped. Each takes some tens, and
