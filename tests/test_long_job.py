@@ -16,7 +16,6 @@ from diffmill import io
 
 SETTINGS = (
     "max_steps = 10",
-    "max_products = 60",
     "overlap = 70",
     "acceleration_factor = inf",
 )

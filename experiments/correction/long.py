@@ -116,7 +116,6 @@ def one(rows: int, arm: str, steps: int, products: int) -> dict[str, float]:
             "horizon": f"{HORIZON}",
             "overlap": f"{OVERLAP}",
             "max_steps": f"{steps}",
-            "max_products": f"{products}",
         }
         (here / "job.toml").write_text(
             job_text(arm, "flat", lower, upper, correction=settings, spacing_mm=0.5)

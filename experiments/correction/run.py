@@ -1,6 +1,6 @@
 """Run all groups of figures on the correction, or those named.
 
-python experiments/correction/run.py [methods products details mismatch placement
+python experiments/correction/run.py [methods details mismatch placement
     feed long] [--out FOLDER]
 """
 
@@ -13,7 +13,6 @@ sys.path.append(str(HERE.parent / "common"))
 
 GROUPS = (
     "methods",
-    "products",
     "details",
     "mismatch",
     "placement",

@@ -48,7 +48,7 @@ def _table(report: Report, correction: dm.Correction, total: float) -> None:
         report.say(
             f"  {name:16}{1e6 * m.rms:8.2f}{1e6 * m.p95:8.2f}{1e6 * m.max:8.1f}"
             f"{m.p95_acceleration:8.2f}{m.max_acceleration:8.2f}"
-            f"{1e3 * m.max_offset:8.3f}{found.forward_runs:6d}{found.products:7d}"
+            f"{1e3 * m.max_offset:8.3f}{found.forward_runs:6d}{found.linearisations:7d}"
             f"{correction.wall_time[name]:8.1f}"
         )
     report.say("  a: acceleration of the command [m/s^2]; offset [mm]; wall time [s]")
@@ -78,29 +78,23 @@ def _trade_off(report: Report, job: dm.Job, correction: dm.Correction) -> None:
         max_offset=float(settings.max_offset),
     )
     start = correction.methods["inverse_drive"].command
-    joints, _ = dm.sim.command_joints(job, before.desired)
-    middle = joints[joints.shape[0] // 2]
-    response = dm.correction.tip_response(job.robot, middle, job.T_base_work[:3, :3])
     report.say()
     report.say("Trade-off: Gauss-Newton from the inverse drive, over the knot spacing")
     report.say(
         f"  {'knots [ms]':>12}{'rms [um]':>10}{'max [um]':>10}{'a p95':>8}{'a max':>8}"
-        f"{'products':>10}{'at bound':>10}"
+        f"{'systems':>10}{'at bound':>10}"
     )
     for knots in KNOTS:
         method = dm.correction.GaussNewton(
             knot_spacing=knots,
-            solver=dm.correction.LevenbergMarquardt(
-                max_steps=settings.max_steps,
-                max_products=settings.max_products,
-                cost_rtol=1e-2,
+            solver=dm.optimise.LevenbergMarquardt(
+                max_steps=settings.max_steps, damping=1e-6, share=1e-2
             ),
-            response=response,
         )
         found = method(problem, start=start)
         m = found.measures
         report.say(
             f"  {1e3 * found.detail['knot_spacing']:12.1f}{1e6 * m.rms:10.2f}"
             f"{1e6 * m.max:10.1f}{m.p95_acceleration:8.2f}{m.max_acceleration:8.2f}"
-            f"{found.products:10d}{int(found.detail['bound_count']):10d}"
+            f"{found.linearisations:10d}{int(found.detail['bound_count']):10d}"
         )

@@ -124,8 +124,6 @@ class CorrectionSettings(eqx.Module):
         wall_weight: Weight of the walls, for the surface.
         floor_weight: Weight of the floors, for the surface.
         max_steps: Steps of the optimiser at most.
-        max_products: Products with the Jacobian per step at most; about three times as
-            many where limits are in the way.
         horizon: Rows that are corrected at once; "auto" takes a whole path of at most
             6000 rows, and segments of 2000 rows of a longer one.
         overlap: Rows at the end of a segment that the next one corrects once more;
@@ -157,7 +155,6 @@ class CorrectionSettings(eqx.Module):
     wall_weight: RealScalarLike = 1.0
     floor_weight: RealScalarLike = 1.0
     max_steps: int = eqx.field(static=True, default=2)
-    max_products: int = eqx.field(static=True, default=60)
     horizon: int | Literal["auto"] = eqx.field(static=True, default="auto")
     overlap: int | Literal["auto"] = eqx.field(static=True, default="auto")
 

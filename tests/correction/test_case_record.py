@@ -15,14 +15,14 @@ TIME_STEP = 3.75e-3
 
 
 class Unsettled(AbstractMethod):
-    """Finds half of the path in five products, and has not settled."""
+    """Finds half of the path with five linear systems, and has not settled."""
 
     calls: list
 
     def __call__(self, problem, *, start=None, on_progress=None):
         self.calls.append(start)
         command = 0.5 * np.asarray(problem.nominal)
-        found = corrected(problem, command, forward_runs=3, products=5)
+        found = corrected(problem, command, forward_runs=3, linearisations=5)
         return dataclasses.replace(found, result=RESULTS.not_converged)
 
 
@@ -45,8 +45,8 @@ def test_a_start_is_no_case_but_costs(problem):
     all_of(record, problem, calls)
     assert list(record.methods) == list(record.wall_time) == ["corrected"]
     found = record.methods["corrected"]
-    # Four runs and five products each time, and one run between.
-    assert (found.forward_runs, found.products) == (9, 10)
+    # Four runs and five linear systems each time, and one run between.
+    assert (found.forward_runs, found.linearisations) == (9, 10)
     record.run("another", GivenCommand(), problem)
     assert record.methods["another"].forward_runs == 1
 
@@ -59,7 +59,10 @@ def test_a_start_is_taken_up_and_a_case_that_has_not_settled_runs_again(problem)
     all_of(again, problem, more)
     assert len(calls) == 2 and len(more) == 1
     one, other = (r.methods["corrected"] for r in (record, again))
-    assert (one.forward_runs, one.products) == (other.forward_runs, other.products)
+    assert (one.forward_runs, one.linearisations) == (
+        other.forward_runs,
+        other.linearisations,
+    )
     np.testing.assert_array_equal(more[0], calls[1])
     assert again.wall_time["corrected"] > 0
 
@@ -72,4 +75,4 @@ def test_what_is_told_within_a_method_comes_with_all_before(problem):
     resumed = CaseRecord(None, None, saved[-1])
     np.testing.assert_array_equal(resumed.kept("first")["z"], np.arange(3.0))
     resumed.run("uncorrected", Unsettled([]), problem)
-    assert resumed.methods["uncorrected"].products == 0
+    assert resumed.methods["uncorrected"].linearisations == 0

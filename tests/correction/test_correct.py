@@ -54,7 +54,6 @@ angles = 192
 substeps = 4
 [correction]
 max_steps = 1
-max_products = 8
 """
 
 

@@ -7,19 +7,17 @@ import numpy as np
 import pytest
 from correction.spring_mass import SpringMass, rounded_square, soft_arm
 
-from diffmill import examples, load_job, process as pr
 from diffmill.correction import (
     Ensemble,
     GaussNewton,
     LatePlant,
-    LevenbergMarquardt,
     Problem,
     contour_of,
     delayed,
     draw_scales,
     with_delays,
 )
-from diffmill.correction._job.objective import job_ensemble
+from diffmill.optimise import LevenbergMarquardt
 
 TIME_STEP = 3.75e-3
 NAMES = ("K x", "K y", "K z", "D x", "D y", "D z", "K_tc", "speed")
@@ -78,7 +76,7 @@ def problem(arm):
 
 @pytest.mark.slow
 def test_an_ensemble_of_the_nominal_plant_changes_nothing(arm, problem):
-    once = LevenbergMarquardt(max_steps=1)
+    once = LevenbergMarquardt(max_steps=1, damping=1e-6)
     members = Ensemble(Uncertain(arm), np.zeros((2, 8)))
     found = GaussNewton(30e-3, ensemble=members, solver=once)(problem)
     alone = GaussNewton(30e-3, solver=once)(problem)
@@ -92,9 +90,8 @@ def judged(arm, problem):
 
     @jax.jit
     def errors(command, draws):
-        motions = Ensemble(plant, draws).motions(command)
-        vectors = jax.vmap(lambda motion: contour_of(problem, motion))(motions)
-        return jnp.linalg.norm(vectors, axis=2)
+        one = lambda draw: contour_of(problem, plant(draw, command))
+        return jnp.linalg.norm(jax.lax.map(one, draws), axis=2)
 
     def judge(found, draws, delay=0.0):
         late = delayed(found.command, delay, TIME_STEP, nominal=problem.nominal)
@@ -140,25 +137,10 @@ def test_only_the_offset_of_a_member_is_late(arm, problem):
     plant = Uncertain(arm)
     late = LatePlant(plant, problem.nominal, TIME_STEP)
     parameters = jnp.asarray([*member, 2 * TIME_STEP])
-    found = late(parameters, nominal + offset).actual
+    found = late.member(parameters)(nominal + offset).actual
     shifted = jnp.concatenate([jnp.zeros((2, 1)), offset[:-2]])
     wanted = plant(jnp.asarray(member), nominal + shifted).actual
     np.testing.assert_allclose(found, wanted, atol=1e-12)
-
-
-def test_a_job_with_a_delay_gets_members_with_delays(tmp_path):
-    file = examples.copy_example("paper_small", tmp_path)
-    known = "[correction.uncertainty]\nforce = 0.1\ndraws = 3\n"
-    ensembles = []
-    for more in ("", 'delay = "5 ms"\n'):
-        (tmp_path / "late.toml").write_text(f"{file.read_text()}\n{known}{more}")
-        job = load_job(tmp_path / "late.toml")
-        ensembles.append(job_ensemble(job, pr.ThroughPoses()))
-    punctual, late = ensembles
-    assert isinstance(late.plant, LatePlant)
-    np.testing.assert_array_equal(late.plant.nominal, job.path.positions)
-    np.testing.assert_array_equal(late.draws[:, :-1], punctual.draws)
-    assert 0 < late.draws[:, -1].min() and late.draws[:, -1].max() < 5e-3
 
 
 @pytest.mark.slow

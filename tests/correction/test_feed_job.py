@@ -65,7 +65,7 @@ def job():
             axial_depth=1.5e-3,
             mode="quasistatic",
         ),
-        correction=CorrectionSettings(max_steps=1, max_products=6),
+        correction=CorrectionSettings(max_steps=1),
     )
 
 

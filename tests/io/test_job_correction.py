@@ -92,7 +92,6 @@ def test_defaults(settings_of):
         ("uncertainty = { force = 1 }", ("uncertainty.force", "less than 1")),
         ('uncertainty = { delay = "-1 ms" }', ("uncertainty.delay", "at least 0")),
         ('objective = "both"', ("objective", "'surface'")),
-        ("max_products = 3", ("max_products", "found 3", "at least 4")),
         ("finishing_only = 1", ("finishing_only", "true or false")),
     ],
 )

@@ -11,8 +11,10 @@ from diffmill.optimise import (
     LeastSquaresState,
     LevenbergMarquardt,
     LinearRows,
+    OutputConstraints,
     QuadraticModel,
     least_squares,
+    minimum_within,
 )
 
 TIME = np.linspace(0.0, 3.0, 40)
@@ -71,7 +73,7 @@ class BehindWall(AbstractProblem):
             spring = 0.0 if is_within else (30.0 * max(beyond + 0.05, 0.0)) ** 2
             return 0.5 * (float(np.sum((there - self.target) ** 2)) + spring)
 
-        return QuadraticModel(cost, x - self.target, np.eye(2), rows)
+        return QuadraticModel(cost, x - self.target, np.eye(2), (rows,))
 
 
 @pytest.mark.parametrize("upper", [np.inf, 1.0])
@@ -160,3 +162,87 @@ def test_an_unknown_without_effect_stays():
     wanted = least_squares(Decay(), TRUTH, SOLVER).x
     assert found.has_converged and found.x[2] == 7.0
     assert_allclose(found.x[:2], wanted * [1e9, 1.0], rtol=1e-6)
+
+
+class Constrained(AbstractProblem):
+    """A curved residual, some of whose functions of x are held within bounds."""
+
+    A: np.ndarray
+    b: np.ndarray
+    C: np.ndarray
+    shift: float
+    held: OutputConstraints
+
+    def evaluate(self, x):
+        r = np.sin(self.A @ x) + 0.1 * (self.A @ x) - self.b
+        return r, self.C @ x + 0.2 * np.sin(self.C @ x) - self.shift
+
+    def model(self, x, value):
+        r, y = value
+        J = (np.cos(self.A @ x) + 0.1)[:, None] * self.A
+        slopes = (1 + 0.2 * np.cos(self.C @ x))[:, None] * self.C
+        is_hard = self.held.is_within(y)
+        cost = lambda x, at: (
+            0.5 * float(at[0] @ at[0]) + self.held.cost(at[1], is_hard=is_hard)
+        )
+        rows = self.held.rows(y, slopes)
+        return QuadraticModel(cost, J.T @ r, J.T @ J, (rows,))
+
+
+@pytest.mark.parametrize("shift", [0.0, 1.5])
+def test_bounds_of_outputs_are_those_of_a_dense_solver(shift):
+    """Once from a start that keeps them, once from one that does not."""
+    rng = np.random.default_rng(0)
+    held = OutputConstraints(np.full(5, -0.5), np.full(5, 0.5))
+    problem = Constrained(
+        rng.normal(size=(20, 6)) * 0.4,
+        rng.normal(size=20),
+        rng.normal(size=(5, 6)),
+        shift,
+        held,
+    )
+    solver = LevenbergMarquardt(max_steps=80, share=1e-9)
+    assert held.is_within(problem.evaluate(np.zeros(6))[1]) == (shift == 0.0)
+    found = least_squares(problem, np.zeros(6), solver)
+    assert held.is_within(found.value[1])
+    # Drawn in as the linear model is: the true optimum lies a little lower.
+    drawn = 0.95 * 0.5
+    dense = scipy.optimize.minimize(
+        lambda x: 0.5 * np.sum(problem.evaluate(x)[0] ** 2),
+        found.x,
+        constraints=[
+            {"type": "ineq", "fun": lambda x: drawn - problem.evaluate(x)[1]},
+            {"type": "ineq", "fun": lambda x: drawn + problem.evaluate(x)[1]},
+        ],
+        options={"maxiter": 300, "ftol": 1e-12},
+    )
+    assert 0.5 * np.sum(found.value[0] ** 2) < 1.03 * dense.fun
+
+
+def test_bounds_that_exclude_zero_are_refused():
+    with pytest.raises(ValueError, match="`lower`"):
+        OutputConstraints(np.array([0.1]), np.array([0.5]))
+
+
+@pytest.mark.parametrize("count", [3, 40])
+def test_few_of_many_constraints_bind_and_all_hold(count):
+    """The minimum with those that bind is that with all, soft ones included."""
+    rng = np.random.default_rng(count)
+    root = rng.normal(size=(30, 12))
+    H, g = root.T @ root, 20 * rng.normal(size=12)
+    L = rng.normal(size=(count, 12))
+    hard = LinearRows(L, np.full(count, -0.5), np.full(count, 0.3))
+    soft = LinearRows(np.eye(12), np.full(12, -0.1), np.full(12, 0.1), 3.0)
+    found = minimum_within(H, g, [hard, soft])
+    cost = lambda x: 0.5 * x @ H @ x + g @ x + soft.energy(x)
+    dense = scipy.optimize.minimize(
+        cost,
+        np.zeros(12),
+        constraints=[
+            {"type": "ineq", "fun": lambda x: 0.3 - L @ x},
+            {"type": "ineq", "fun": lambda x: L @ x + 0.5},
+        ],
+        options={"maxiter": 1000, "ftol": 1e-14},
+    )
+    assert np.all(L @ found <= 0.3 + 1e-8) and np.all(L @ found >= -0.5 - 1e-8)
+    assert cost(found) == pytest.approx(dense.fun, rel=1e-6)

@@ -85,7 +85,7 @@ def test_the_linear_run_is_the_derivative_with_the_stock_held(kind, cut):
 
     @jax.jit
     def both(theta, change):
-        found = sim.linearise(machine, process, theta)[1].move(change)
+        found = sim.linearise(machine, process, theta).move(change)
         run = lambda x: sim.run(machine, process, x)
         pushed = jax.jvp(run, (theta,), (change[..., 1],))[1]
         return (found.ends[..., 1], found.force[..., 1]), (pushed.ends, pushed.force)

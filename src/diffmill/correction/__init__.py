@@ -47,7 +47,6 @@ from ._feed.problem import (
 from ._feed.result import FeedTradeoff as FeedTradeoff, TunedFeed as TunedFeed
 from ._feed.trade_off_curve import FeedPoint as FeedPoint, feed_curve as feed_curve
 from ._feed.tune_feed import feed_tradeoff as feed_tradeoff, tune_feed as tune_feed
-from ._held_rows import HeldRows as HeldRows
 from ._job.correct import (
     CASES as CASES,
     Correction as Correction,
@@ -59,27 +58,16 @@ from ._job.joint_limits import (
     joint_limits as joint_limits,
 )
 from ._job.objective import UnsuitableSettings as UnsuitableSettings
-from ._job.plants import TipPlant as TipPlant
-from ._least_squares import least_squares as least_squares
-from ._least_squares_records import (
-    LeastSquaresSolution as LeastSquaresSolution,
-    LevenbergMarquardt as LevenbergMarquardt,
-)
-from ._limited_quadratic import LimitedQuadratic as LimitedQuadratic
+from ._job.plants import ScaledPlant as ScaledPlant, TipPlant as TipPlant
 from ._method.adam import Adam as Adam
 from ._method.delay import delayed as delayed
 from ._method.ensemble import (
     Ensemble as Ensemble,
     LatePlant as LatePlant,
-    ScaledPlant as ScaledPlant,
     draw_scales as draw_scales,
     with_delays as with_delays,
 )
-from ._method.gauss_newton import (
-    ContourResidual as ContourResidual,
-    GaussNewton as GaussNewton,
-    contour_residual as contour_residual,
-)
+from ._method.gauss_newton import GaussNewton as GaussNewton
 from ._method.input_shaper import shaped as shaped
 from ._method.inverse_drive import (
     at_instants as at_instants,
@@ -87,11 +75,14 @@ from ._method.inverse_drive import (
     inverse_drive as inverse_drive,
     spring_deflection as spring_deflection,
 )
-from ._method.minimax import worst_case as worst_case
 from ._method.mirror import (
     IteratedMirror as IteratedMirror,
     Mirror as Mirror,
     SampledMirror as SampledMirror,
+)
+from ._method.offset_fit import (
+    ContourResidual as ContourResidual,
+    contour_residual as contour_residual,
 )
 from ._method.plant_segment import (
     AbstractPiece as AbstractPiece,
@@ -100,12 +91,6 @@ from ._method.plant_segment import (
 from ._method.receding_horizon import RecedingHorizon as RecedingHorizon
 from ._placement.objective import predicted_deviation as predicted_deviation
 from ._placement.place_workpiece import place_workpiece as place_workpiece
-from ._products import (
-    StoredProducts as StoredProducts,
-)
-from ._quadratic import solve_bounded_quadratic as solve_bounded_quadratic
-from ._response import TipResponse as TipResponse, tip_response as tip_response
-from ._run_products import RunProducts as RunProducts
 from ._spline.command_limits import (
     InfeasibleLimit as InfeasibleLimit,
     LinearLimits as LinearLimits,

@@ -11,14 +11,18 @@ Reference: Nocedal and Wright, Numerical Optimization, 2006, chapter 10.3.
 
 import abc
 import dataclasses
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ._quadratic_program import solve_quadratic_program
+
+# A step so near to a bound, as a share of its range, is at the bound.
+_AT_BOUND = 1e-7
 
 Vector: TypeAlias = Float[np.ndarray, " unknown"]
 # Whatever a problem computes at a point.
@@ -29,13 +33,13 @@ class LinearRows(eqx.Module):
     """Linear constraints of a step p: lower <= matrix @ p <= upper.
 
     Attributes:
-        matrix: Shape (row, unknown).
+        matrix: An array or sparse, of `scipy.sparse`, shape (row, unknown).
         lower: Least values, or minus infinity, shape (row,).
         upper: Largest values, or infinity, shape (row,).
         weight: Stiffness of the springs that act outside; infinite for constraints.
     """
 
-    matrix: Float[np.ndarray, "row unknown"]
+    matrix: Any
     lower: Float[np.ndarray, " row"]
     upper: Float[np.ndarray, " row"]
     weight: float = np.inf
@@ -57,19 +61,19 @@ class QuadraticModel(eqx.Module):
             infinite where the point is not allowed.
         gradient: Of the cost, shape (unknown,).
         curvature: Positive semidefinite, shape (unknown, unknown).
-        rows: Constraints of the step, or None.
+        rows: Constraints of the step, of any number of kinds.
     """
 
     cost: Callable[[Vector, Value], float]
     gradient: Vector
     curvature: Float[np.ndarray, "unknown unknown"]
-    rows: LinearRows | None = None
+    rows: tuple[LinearRows, ...] = ()
 
     def decrease(self, p: Vector) -> float:
         """Return by how much a step lowers the cost in the model."""
         change = float(self.gradient @ p + 0.5 * p @ self.curvature @ p)
-        if self.rows is not None:
-            change += self.rows.energy(p) - self.rows.energy(np.zeros_like(p))
+        for rows in self.rows:
+            change += rows.energy(p) - rows.energy(np.zeros_like(p))
         return -change
 
 
@@ -119,6 +123,26 @@ class LevenbergMarquardt(eqx.Module):
     share: float = 0.0
 
 
+class LeastSquaresStep(eqx.Module):
+    """A step that was looked for, with what it has come to so far.
+
+    Attributes:
+        cost: That of the best point, as the model of this step counts it.
+        damping: Of the last trial.
+        evaluations: How often the problem was evaluated so far.
+        models: How often its quadratic model was made so far.
+        seconds: Wall time since the start [s].
+        is_accepted: Whether a trial lowered the cost.
+    """
+
+    cost: float
+    damping: float
+    evaluations: int
+    models: int
+    seconds: float
+    is_accepted: bool
+
+
 class LeastSquaresState(eqx.Module):
     """State of the method, from which it goes on; the last one is the solution.
 
@@ -130,6 +154,7 @@ class LeastSquaresState(eqx.Module):
         evaluations: How often the problem was evaluated.
         models: How often its quadratic model was made.
         has_converged: Whether no further step is worth while.
+        history: The steps that were looked for.
     """
 
     x: Vector
@@ -139,6 +164,7 @@ class LeastSquaresState(eqx.Module):
     evaluations: int = 1
     models: int = 0
     has_converged: bool = False
+    history: tuple[LeastSquaresStep, ...] = ()
 
 
 def least_squares(
@@ -149,7 +175,8 @@ def least_squares(
     lower: float | Vector = -np.inf,
     upper: float | Vector = np.inf,
     state: LeastSquaresState | None = None,
-    callback: Callable[[LeastSquaresState], None] | None = None,
+    callback: Callable[[LeastSquaresState], bool | None] | None = None,
+    clock: Callable[[], float] = time.perf_counter,
 ) -> LeastSquaresState:
     """Minimise the cost of a problem.
 
@@ -161,7 +188,9 @@ def least_squares(
         upper: Largest values, likewise.
         state: An earlier state to go on from, or its value at `x0`, which then is not
             computed again.
-        callback: Called with the state after each step.
+        callback: Called with the state after each step that was looked for; True ends
+            the search.
+        clock: Returns the time [s].
 
     Returns:
         The last state.
@@ -176,19 +205,29 @@ def least_squares(
                 "Argument `x0` must be a point of the problem, but is not."
             )
         state = LeastSquaresState(x0, value, solver.damping)
+    began = clock() - (state.history[-1].seconds if state.history else 0.0)
     for _ in range(solver.max_steps - state.steps):
         if state.has_converged:
             break
-        before = state.steps
-        box = LinearRows(
-            np.eye(len(x0)),
-            np.minimum(np.maximum(lower - state.x, -1.0 * solver.longest), 0.0),
-            np.maximum(np.minimum(upper - state.x, solver.longest), 0.0),
-        )
-        state = _stepped(problem, state, solver, box)
-        if callback is not None and state.steps > before:
-            callback(state)
+        box = _box(state.x, solver.longest, lower, upper)
+        state = _stepped(problem, state, solver, box, lambda: clock() - began)
+        if callback is not None and callback(state):
+            break
     return state
+
+
+def _box(
+    x: Vector, longest: float | Vector, lower: float | Vector, upper: float | Vector
+) -> LinearRows:
+    """Return the bounds of a step from a point as constraints."""
+    from scipy import sparse
+
+    far = np.broadcast_to(longest, x.shape)
+    return LinearRows(
+        sparse.eye_array(len(x), format="csr"),
+        np.minimum(np.maximum(lower - x, -far), 0.0),
+        np.maximum(np.minimum(upper - x, far), 0.0),
+    )
 
 
 def _stepped(
@@ -196,12 +235,15 @@ def _stepped(
     state: LeastSquaresState,
     solver: LevenbergMarquardt,
     box: LinearRows,
+    seconds: Callable[[], float],
 ) -> LeastSquaresState:
     """Return the state after one step, or where none is worth while."""
     model = problem.model(state.x, state.value)
     now, damping = model.cost(state.x, state.value), state.damping
     state = dataclasses.replace(state, models=state.models + 1)
+    cost, used, is_better, has_converged = now, damping, False, True
     for _ in range(solver.attempts):
+        used = damping
         p = _damped_step(model, damping, box)
         if p is None:
             damping *= solver.more
@@ -212,23 +254,28 @@ def _stepped(
         value = problem.evaluate(state.x + p)
         cost = np.inf if value is None else model.cost(state.x + p, value)
         state = dataclasses.replace(state, evaluations=state.evaluations + 1)
-        is_better = value is not None and cost <= now and np.isfinite(cost)
+        is_better = value is not None and bool(cost <= now and np.isfinite(cost))
         damping *= solver.less if is_better else solver.more
         is_still = bool(np.all(np.abs(p) < solver.still))
         if is_better:
-            return dataclasses.replace(
-                state,
-                x=state.x + p,
-                value=value,
-                damping=damping,
-                steps=state.steps + 1,
-                has_converged=is_still
-                or curved < solver.rest
-                or now - cost < solver.share * now,
+            state = dataclasses.replace(
+                state, x=state.x + p, value=value, steps=state.steps + 1
             )
+            has_converged = is_still or curved < solver.rest
+            has_converged |= now - cost < solver.share * now
+            break
         if is_still or curved < solver.kink:
             break
-    return dataclasses.replace(state, damping=damping, has_converged=True)
+    cost = cost if is_better else now
+    step = LeastSquaresStep(
+        cost, used, state.evaluations, state.models, seconds(), is_better
+    )
+    return dataclasses.replace(
+        state,
+        damping=damping,
+        has_converged=has_converged,
+        history=(*state.history, step),
+    )
 
 
 def _damped_step(
@@ -244,22 +291,75 @@ def _damped_step(
     unit = 1.0 / np.sqrt(own[is_free])
     H = model.curvature[np.ix_(is_free, is_free)] * unit[:, None] * unit[None]
     H = H + damping * np.eye(len(H))
-    g = model.gradient[is_free] * unit
-    p = np.zeros(len(own))
-    if model.rows is None:
-        p[is_free] = np.linalg.solve(H, -g) * unit
-        if np.all((p >= box.lower) & (p <= box.upper)):
-            return p
-    parts = [box] if model.rows is None else [box, model.rows]
-    found = solve_quadratic_program(
+    found = minimum_within(
         H,
-        g,
-        np.vstack([one.matrix[:, is_free] for one in parts]) * unit[None],
-        np.concatenate([one.lower for one in parts]),
-        np.concatenate([one.upper for one in parts]),
-        np.concatenate([np.full(len(one.lower), one.weight) for one in parts]),
+        model.gradient[is_free] * unit,
+        [_in_units(rows, is_free, unit) for rows in (box, *model.rows)],
     )
     if found is None:
         return None
-    p[is_free] = found.x * unit
-    return np.clip(p, box.lower, box.upper)
+    p = np.zeros(len(own))
+    p[is_free] = found * unit
+    # The solver stops just short of a bound.
+    width = box.upper - box.lower
+    near = np.where(np.isfinite(width), _AT_BOUND * width, 0.0)
+    p = np.where(p <= box.lower + near, box.lower, p)
+    return np.where(p >= box.upper - near, box.upper, p)
+
+
+def _in_units(
+    rows: LinearRows,
+    is_free: Bool[np.ndarray, " unknown"],
+    unit: Float[np.ndarray, " free"],
+) -> LinearRows:
+    """Return constraints of the free unknowns in their units."""
+    from scipy import sparse
+
+    matrix = sparse.csr_array(rows.matrix)[:, is_free] @ sparse.diags_array(unit)
+    is_there = np.diff(matrix.indptr) > 0
+    return LinearRows(
+        matrix[is_there], rows.lower[is_there], rows.upper[is_there], rows.weight
+    )
+
+
+def minimum_within(
+    H: Float[np.ndarray, "unknown unknown"],
+    g: Vector,
+    rows: Sequence[LinearRows],
+) -> Vector | None:
+    """Minimise x.H x / 2 + g.x within linear constraints and springs.
+
+    Of many constraints few bind, so those are left out that the minimum of the others
+    keeps by itself: what it leaves is added until it leaves none. The last minimum is
+    that of all.
+
+    Args:
+        H: Symmetric and positive definite, shape (unknown, unknown).
+        g: Gradient at zero, shape (unknown,).
+        rows: Constraints, of several kinds.
+
+    Returns:
+        The minimum, to about eight digits, shape (unknown,); None if there is none.
+    """
+    from scipy import linalg, sparse
+
+    x = linalg.solve(H, -g, assume_a="pos")
+    if not rows:
+        return x
+    matrix = sparse.csr_array(sparse.vstack([part.matrix for part in rows]))
+    lower = np.concatenate([part.lower for part in rows])
+    upper = np.concatenate([part.upper for part in rows])
+    weight = np.concatenate([np.full(len(part.lower), part.weight) for part in rows])
+    is_held = np.zeros(len(lower), bool)
+    while True:
+        values = matrix @ x
+        is_new = ((values < lower) | (values > upper)) & ~is_held
+        if not is_new.any():
+            return x
+        is_held |= is_new
+        found = solve_quadratic_program(
+            H, g, matrix[is_held], lower[is_held], upper[is_held], weight[is_held]
+        )
+        if found is None:
+            return None
+        x = found.x

@@ -121,7 +121,6 @@ class CorrectionTable(Table):
     stay_in_cut: StrictBool = False
     uncertainty: UncertaintyTable | None = None
     max_steps: Annotated[StrictInt, Field(ge=1, le=1000)] | None = None
-    max_products: Annotated[StrictInt, Field(ge=4, le=10_000)] = 60
     horizon: Rows = "auto"
     overlap: Rows = "auto"
 

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from ..._result import RESULTS
 from ..._types import FloatRows
-from .._least_squares_records import LeastSquaresStep
+from ...optimise import LeastSquaresStep
 from .error_metrics import Measures, measure
 from .problem import Motion, Problem, contour_of, run
 
@@ -26,7 +26,7 @@ class Corrected(eqx.Module):
         contour: Contour vectors [m], shape (step, 3).
         measures: Headline figures.
         forward_runs: Runs of the plant that the method needed, this last included.
-        products: Products with the Jacobian that it needed.
+        linearisations: Runs with their linear system, or with a gradient.
         history: Steps of the optimiser; empty for methods without one.
         detail: Settings that the method itself chose, for the report.
         result: Outcome.
@@ -37,7 +37,7 @@ class Corrected(eqx.Module):
     contour: Float[np.ndarray, "step 3"]
     measures: Measures
     forward_runs: int
-    products: int
+    linearisations: int
     history: tuple[LeastSquaresStep, ...]
     detail: dict[str, float]
     result: RESULTS
@@ -98,7 +98,7 @@ def corrected(
     *,
     motion: Motion | None = None,
     forward_runs: int = 0,
-    products: int = 0,
+    linearisations: int = 0,
     history: tuple[LeastSquaresStep, ...] = (),
     detail: dict[str, float] | None = None,
     result: RESULTS = RESULTS.successful,
@@ -110,7 +110,7 @@ def corrected(
         command: The final command, shape (step, axis).
         motion: Its motion, if known.
         forward_runs: Runs of the plant so far.
-        products: Products with the Jacobian so far.
+        linearisations: Runs with their linear system so far.
         history: Steps of the optimiser.
         detail: Settings that the method chose.
         result: Outcome so far; a motion that is not finite overrides it.
@@ -133,7 +133,7 @@ def corrected(
         contour=contour,
         measures=figures,
         forward_runs=forward_runs,
-        products=products,
+        linearisations=linearisations,
         history=history,
         detail={} if detail is None else detail,
         result=result if np.isfinite(figures.rms) else RESULTS.non_finite,

@@ -17,16 +17,16 @@ Weights = Float[Array, " step"] | Float[np.ndarray, " step"]
 
 
 class Motion(eqx.Module):
-    """Motion of a plant that follows a command.
+    """Motion of a plant that follows a command, or its changes in some directions.
 
     Attributes:
-        actual: Tool tip [m], shape (step, 3); of a job, the desired one with the
-            deviation at the instant at which the wall is made.
-        force: Force on the tool, mean over the step [N], shape (step, 3).
+        actual: Tool tip [m], shape (*direction, step, 3); of a job, the desired one
+            with the deviation at the instant at which the wall is made.
+        force: Force on the tool, mean over the step [N], same shape.
     """
 
-    actual: Float[Array, "step 3"]
-    force: Float[Array, "step 3"]
+    actual: Float[Array, "*direction step 3"]
+    force: Float[Array, "*direction step 3"]
 
 
 # Maps a command, shape (step, axis), to the motion that follows; traceable. An
@@ -44,30 +44,6 @@ class AbstractHostPlant(eqx.Module):
     @abc.abstractmethod
     def run(self, command: FloatRows) -> Motion:
         """Return the same motion; not traceable."""
-
-
-class LinearMotion(eqx.Module):
-    """A motion and how it changes with the command."""
-
-    motion: eqx.AbstractVar[Motion]
-
-    @abc.abstractmethod
-    def move(self, changes: Float[Array, "step axis direction"]) -> Motion:
-        """Return the changes of the motion, each direction a row of the first axis.
-
-        Args:
-            changes: Of the command, shape (step, axis, direction).
-
-        **Differentiability**: linear.
-        """
-
-
-class AbstractLinearPlant(AbstractHostPlant):
-    """A plant that knows its linear system, so that no derivative is traced."""
-
-    @abc.abstractmethod
-    def linearised(self, command: Float[Array, "step axis"]) -> LinearMotion | None:
-        """Return the linear system around a command; None where there is none."""
 
 
 def _as_leaf(value: RealScalarLike) -> RealScalarLike:
@@ -127,6 +103,20 @@ def contour_of(problem: Problem, motion: Motion) -> Float[Array, "step 3"]:
     return contour_vector(motion.actual, desired, window=problem.window)
 
 
+def motion_of(plant: Plant, command: FloatRows) -> Motion:
+    """Return the motion of a plant that follows a command, by a compiled program.
+
+    Args:
+        plant: The plant.
+        command: The whole command, not its offset, shape (step, axis).
+
+    **Differentiability**: none, a host function.
+    """
+    if isinstance(plant, AbstractHostPlant):
+        return plant.run(command)
+    return _compiled(plant, command)
+
+
 def run(problem: Problem, command: FloatRows) -> tuple[Motion, Float[Array, "step 3"]]:
     """Run the plant once, compiled; return its motion and the contour vectors.
 
@@ -137,15 +127,12 @@ def run(problem: Problem, command: FloatRows) -> tuple[Motion, Float[Array, "ste
     Returns:
         The motion and the contour vectors [m], shape (step, 3).
 
-    Differentiability: that of the plant; none of an `AbstractHostPlant`.
+    **Differentiability**: none, a host function.
     """
-    if isinstance(problem.plant, AbstractHostPlant):
-        motion = problem.plant.run(command)
-        return motion, contour_of(problem, motion)
-    return _run(problem, command)
+    motion = motion_of(problem.plant, command)
+    return motion, contour_of(problem, motion)
 
 
 @eqx.filter_jit
-def _run(problem: Problem, command: FloatRows) -> tuple[Motion, Float[Array, "step 3"]]:
-    motion = problem.plant(jnp.asarray(command))
-    return motion, contour_of(problem, motion)
+def _compiled(plant: Plant, command: FloatRows) -> Motion:
+    return plant(jnp.asarray(command))

@@ -34,7 +34,7 @@ class CaseRecord:
         self.methods: dict[str, Corrected] = {}
         self.wall_time: dict[str, float] = {}
         self.saved: dict[str, np.ndarray] = {}
-        # Runs, products and seconds of what has only been prepared.
+        # Runs, linearisations and seconds of what has only been prepared.
         self._prepared = (0, 0, 0.0)
         self._on_progress = on_progress
         self._on_checkpoint = on_checkpoint
@@ -50,7 +50,7 @@ class CaseRecord:
         self._run(name, method, problem, options, is_start=True)
         found = self.methods.pop(name)
         seconds = self.wall_time.pop(name)
-        self._prepared = found.forward_runs, found.products, seconds
+        self._prepared = found.forward_runs, found.linearisations, seconds
         return found
 
     def run(self, name: str, method: Any, problem: Problem, **options: Any) -> None:
@@ -76,7 +76,7 @@ class CaseRecord:
         is_start: bool,
     ) -> None:
         start = time.perf_counter()
-        runs, products, seconds = self._prepared
+        runs, linearisations, seconds = self._prepared
         self._prepared = (0, 0, 0.0)
         kept = unpack_method(self.kept(f"method/{name}"), problem, is_start=is_start)
         if kept is not None:
@@ -86,7 +86,7 @@ class CaseRecord:
             self.methods[name] = dataclasses.replace(
                 found,
                 forward_runs=found.forward_runs + runs,
-                products=found.products + products,
+                linearisations=found.linearisations + linearisations,
             )
             self.wall_time[name] = time.perf_counter() - start + seconds
         if self._on_checkpoint is not None and name != "corrected":

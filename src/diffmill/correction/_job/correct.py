@@ -10,7 +10,8 @@ from jaxtyping import Array, Float, Int
 
 from ..._job import Job
 from ..._types import FloatRows
-from ...process import AbstractAdjoint, ThroughPoses
+from ...optimise import LeastSquaresStep
+from ...process import ThroughPoses
 from ...sim import (
     Solution,
     command_joints,
@@ -21,7 +22,6 @@ from ...sim import (
 from .._core.method import Corrected, GivenCommand
 from .._core.path_segments import path_parts
 from .._core.problem import Problem
-from .._least_squares_records import LeastSquaresStep
 from .._method.checkpoint import Arrays, OnCheckpoint
 from .._method.gauss_newton import GaussNewton
 from .._method.input_shaper import shaped_program
@@ -36,7 +36,6 @@ from .method import (
     for_the_path,
     job_optimiser,
     out_of_bounds,
-    preconditioned,
     within_joint_limits,
 )
 from .objective import (
@@ -170,8 +169,8 @@ def correct(
     # A horizon that cannot be is refused before anything runs.
     horizon = horizon_of(job)
     check_limits(job)
-    # Adam asks for one gradient at a point, the others for many products.
-    adjoint = ThroughPoses(keeps_jacobian=job.correction.method != "adam")
+    # Adam asks for one gradient at a point, the others for many columns.
+    adjoint = ThroughPoses(keeps_slopes=job.correction.method != "adam")
     desired = jnp.asarray(job.path.positions)
     # A program beyond a joint's limit is refused before anything runs, too.
     check_joints(job, desired, is_joints=False)
@@ -182,7 +181,7 @@ def correct(
     weights = _weights(job, rigid, before)
     plant = TipPlant(job, adjoint, before.wall_share, rigid)
     problem = job_problem(job, plant, desired, before, weights)
-    task = _Task(job, adjoint, before, problem, horizon)
+    task = _Task(job, plant, before, problem, horizon)
     is_optimised = "corrected" in compared(job)
     # Settings that do not suit the job are refused before the baselines run.
     optimiser = _Optimiser(task) if is_optimised else None
@@ -198,7 +197,7 @@ class _Task(NamedTuple):
     """Task that every case of a correction shares."""
 
     job: Job
-    adjoint: AbstractAdjoint
+    plant: TipPlant
     before: Solution
     problem: Problem
     horizon: tuple[int, int] | None
@@ -243,18 +242,18 @@ class _Optimiser:
         self.surface = job_surface(job, before.rigid)
         weights = np.asarray(task.problem.is_cutting)
         self.objective = job_objective(job, self.surface, weights)
-        self.method = job_optimiser(job, self.objective, self.surface, task.adjoint)
+        self.method = job_optimiser(job, self.objective, self.surface, task.plant)
 
     def run(self, record: CaseRecord, inverse: InverseDriveCommand) -> None:
         """Add the case to those of a record."""
-        job, adjoint, before, problem, _ = self.task
+        job, before, problem = self.task.job, self.task.before, self.task.problem
+        adjoint = self.task.plant.adjoint
         method = self.method
         if job.correction.command == "joint":
             problem = joint_problem(job, adjoint, before, problem)
             start = inverse.motor_positions
         else:
             start = min(record.methods.values(), key=self._remaining).command
-            method = preconditioned(method, job, jnp.asarray(problem.desired))
         method = within_joint_limits(method, job, problem)
         path_first = None if self.task.horizon else for_the_path(method)
         if path_first is not None:
@@ -309,11 +308,10 @@ def _solution(task: _Task, name: str, found: Corrected) -> Solution:
     if isinstance(found.motion, SolvedMotion):
         return found.motion.solution
     job, before = task.job, task.before
-    is_joints = name == "corrected" and job.correction.command == "joint"
-    plant = JointPlant if is_joints else TipPlant
-    motion = plant(job, task.adjoint, before.wall_share, before.rigid).run(
-        found.command
-    )
+    plant: TipPlant | JointPlant = task.plant
+    if name == "corrected" and job.correction.command == "joint":
+        plant = JointPlant(job, plant.adjoint, before.wall_share, before.rigid)
+    motion = plant.run(found.command)
     assert isinstance(motion, SolvedMotion)
     return motion.solution
 

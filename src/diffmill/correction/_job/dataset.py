@@ -55,7 +55,7 @@ def correction_dataset(correction: "Correction") -> "xarray.Dataset":
     for name, method in correction.methods.items():
         dataset.attrs[f"{name}_wall_time_s"] = correction.wall_time[name]
         dataset.attrs[f"{name}_forward_runs"] = method.forward_runs
-        dataset.attrs[f"{name}_products"] = method.products
+        dataset.attrs[f"{name}_linearisations"] = method.linearisations
         for key, value in method.detail.items():
             dataset.attrs[f"{name}_{key}"] = value
     dataset.attrs["corrected_case"] = correction.chosen

@@ -3,25 +3,20 @@
 import dataclasses
 from typing import TypeAlias
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from ..._job import Job
-from ...process import AbstractAdjoint
-from ...sim import command_joints
+from ...optimise import LevenbergMarquardt
 from .._core.method import Corrected
 from .._core.path_objective import AbstractObjective, PathObjective
 from .._core.problem import Problem
-from .._least_squares_records import LevenbergMarquardt
 from .._method.adam import Adam
 from .._method.gauss_newton import GaussNewton
-from .._response import tip_response
-from .._run_products import RunProducts
 from .._surface.finished_surface import FinishedSurface, SurfaceObjective
 from .._surface.surface_limits import SurfaceBounds, layer_thickness, surface_bounds
 from .joint_limits import joint_limits
 from .objective import job_ensemble, job_spline, largest_acceleration
+from .plants import TipPlant
 
 Optimiser: TypeAlias = GaussNewton | Adam
 
@@ -33,7 +28,7 @@ def job_optimiser(
     job: Job,
     objective: AbstractObjective,
     surface: FinishedSurface | None,
-    adjoint: AbstractAdjoint,
+    plant: TipPlant,
 ) -> Optimiser:
     """Return the optimiser with the settings of a job.
 
@@ -51,13 +46,10 @@ def job_optimiser(
     return GaussNewton(
         knot_spacing=settings.knot_spacing,
         solver=LevenbergMarquardt(
-            max_steps=settings.max_steps,
-            max_products=settings.max_products,
-            cost_rtol=1e-2,
-            products=RunProducts(),
+            max_steps=settings.max_steps, damping=1e-6, share=1e-2
         ),
         objective=objective,
-        ensemble=job_ensemble(job, adjoint),
+        ensemble=job_ensemble(job, plant),
         is_worst_case=known is not None and known.objective == "worst",
         bounds=job_bounds(job, surface),
         max_velocity=settings.max_velocity,
@@ -122,16 +114,3 @@ def within_joint_limits(method: Optimiser, job: Job, problem: Problem) -> Optimi
     bound = float(problem.max_offset)
     limits = joint_limits(job, job_spline(job), problem.nominal, bound)
     return dataclasses.replace(method, limits=limits)
-
-
-def preconditioned(
-    method: Optimiser, job: Job, desired: Float[Array, "step 3"]
-) -> Optimiser:
-    """Return the optimiser with the arm's response in the middle of the path."""
-    if isinstance(method, Adam):
-        return method
-    joints, _ = command_joints(job, desired)
-    middle = joints[joints.shape[0] // 2]
-    rotation = jnp.asarray(job.T_base_work)[:3, :3]
-    response = tip_response(job.robot, middle, rotation)  # pyright: ignore[reportArgumentType]
-    return dataclasses.replace(method, response=response)

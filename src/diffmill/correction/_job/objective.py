@@ -5,19 +5,12 @@ from jaxtyping import Float
 
 from ..._job import Job
 from ..._types import BoolSteps
-from ...process import AbstractAdjoint
 from ...sim import Run, parameter_names
 from .._core.method import Corrected
 from .._core.path_objective import AbstractObjective, PathObjective
 from .._core.problem import Problem
 from .._core.row_weights import row_weights
-from .._method.ensemble import (
-    Ensemble,
-    LatePlant,
-    ScaledPlant,
-    draw_scales,
-    with_delays,
-)
+from .._method.ensemble import Ensemble, LatePlant, draw_scales, with_delays
 from .._spline.command_limits import command_limits
 from .._spline.spline_offsets import SplineOffsets
 from .._surface.finished_surface import (
@@ -26,6 +19,7 @@ from .._surface.finished_surface import (
     finished_surface,
     point_shares,
 )
+from .plants import ScaledPlant, TipPlant
 
 
 class UnsuitableSettings(ValueError):
@@ -135,7 +129,7 @@ def job_objective(
     )
 
 
-def job_ensemble(job: Job, adjoint: AbstractAdjoint) -> Ensemble | None:
+def job_ensemble(job: Job, nominal: TipPlant) -> Ensemble | None:
     """Return draws of the job's model, as `[correction.uncertainty]` asks for."""
     known = job.correction.uncertainty
     if known is None:
@@ -149,7 +143,7 @@ def job_ensemble(job: Job, adjoint: AbstractAdjoint) -> Ensemble | None:
         force=known.force,
         is_gaussian=known.is_gaussian,
     )
-    plant = ScaledPlant(job, adjoint)
+    plant = ScaledPlant(nominal)
     if known.delay == 0:
         return Ensemble(plant, draws)
     # The path is the uncorrected command: only what is added to it comes late.

@@ -9,24 +9,27 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..._job import Job
-from ...process import AbstractAdjoint, wall_deviation, wall_shares
+from ..._types import FloatRows
+from ...process import AbstractAdjoint
 from ...sim import (
-    Run,
     RunState,
-    Segment,
     begin_run,
     command_joints,
     job_machine,
     job_process,
     joint_motors,
-    path_axes,
     run_segment,
 )
 from .._core.problem import Motion
 from .._method.plant_segment import AbstractPiece, AbstractPieces
-
-# A number per step.
-Steps = Float[Array, " step"] | Float[np.ndarray, " step"]
+from .linear_job import (
+    LinearJob,
+    Steps,
+    has_linear_run,
+    linear_job,
+    row_slopes,
+    wall_motion,
+)
 
 
 class JobState(eqx.Module):
@@ -69,6 +72,12 @@ class JobPiece(AbstractPiece):
         motion = wall_motion(job, rows, self.wall_share)
         return motion, JobState(rows.state, joints[-1])
 
+    def linearised(self, command: FloatRows) -> LinearJob | None:
+        """Return the linear system around a command, from the fixed first state."""
+        if not has_linear_run(self.job):
+            return None
+        return _linear_piece(self, jnp.asarray(command))
+
 
 class JobPieces(AbstractPieces):
     """A job, piece by piece.
@@ -101,6 +110,18 @@ class JobPieces(AbstractPieces):
 
 
 @eqx.filter_jit
+def _linear_piece(piece: JobPiece, command: Float[Array, "step axis"]) -> LinearJob:
+    job, state = piece.job, piece.state
+
+    def motors(command: Float[Array, "step axis"]) -> Float[Array, "step joint"]:
+        joints = _joints(job, command, state.joints, piece.has_joint_commands)
+        return joint_motors(job, joints)
+
+    theta, slopes = row_slopes(motors, command)
+    return linear_job(job, theta, slopes, piece.wall_share, state.coupled)
+
+
+@eqx.filter_jit
 def _begin(
     job: Job,
     adjoint: AbstractAdjoint,
@@ -129,23 +150,6 @@ def _joints(
         lambda j: j.joint_start, job, start, is_leaf=lambda x: x is None
     )
     return command_joints(started, command)[0]
-
-
-def wall_motion(job: Job, ran: Run | Segment, shares: Steps | None) -> Motion:
-    """Return the motion of a job as the walls show it.
-
-    Args:
-        job: The job, with the rows that were run.
-        ran: What its robot does.
-        shares: When in each period its wall is made; by the path alone if None.
-
-    **Differentiability**: linear in the tips.
-    """
-    desired = jnp.asarray(job.path.positions)
-    if shares is None:
-        shares = wall_shares(desired, path_axes(job), job.cutter)
-    deviation = wall_deviation(ran.ends, desired, jnp.asarray(shares, desired.dtype))
-    return Motion(desired + deviation, ran.force)
 
 
 def with_rows(job: Job, rows: Int[np.ndarray, " step"]) -> Job:

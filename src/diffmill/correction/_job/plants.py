@@ -11,26 +11,30 @@ from jaxtyping import Array, Float
 
 from ..._job import Job
 from ..._types import FloatRows
-from ...process import AbstractAdjoint, StockHeld, wall_deviation, wall_shares
+from ...process import AbstractAdjoint
 from ...sim import (
-    ElasticArm,
-    LinearRun,
     Run,
     Solution,
     command_joints,
     command_motors,
-    job_machine,
-    job_process,
     joint_motors,
-    linearise,
-    path_axes,
     run_motors,
     solve_command,
+    with_scaled,
 )
 from .._core.method import AbstractMethod
-from .._core.problem import AbstractLinearPlant, LinearMotion, Motion, Problem
+from .._core.problem import AbstractHostPlant, Motion, Problem
+from .._method.ensemble import AbstractUncertainPlant, Parameters
 from .._method.mirror import IteratedMirror, SampledMirror
-from .plant_segments import Steps, wall_motion, with_rows
+from .linear_job import (
+    LinearJob,
+    Steps,
+    has_linear_run,
+    linear_job,
+    row_slopes,
+    wall_motion,
+)
+from .plant_segments import with_rows
 
 
 class SolvedMotion(Motion):
@@ -49,7 +53,7 @@ def solved_motion(solution: Solution) -> SolvedMotion:
     return SolvedMotion(actual, solution.force, solution)
 
 
-class TipPlant(AbstractLinearPlant):
+class TipPlant(AbstractHostPlant):
     """A job as a plant that is commanded by tip positions [m].
 
     Attributes:
@@ -59,25 +63,35 @@ class TipPlant(AbstractLinearPlant):
             (step,); by the path alone if None.
         rigid: `rigid_cut` of the job, to run by the program of `simulate`; None to
             run by one of its own.
+        controller: The job as the controller knows it, which turns tips into motors;
+            None for the job itself.
     """
 
     job: Job
     adjoint: AbstractAdjoint
     wall_share: Steps | None = None
     rigid: Run | None = None
+    controller: Job | None = None
+
+    def motors(self, command: Float[Array, "step 3"]) -> Float[Array, "step joint"]:
+        """Return the motors that the controller moves, shape (step, joint)."""
+        known = self.job if self.controller is None else self.controller
+        return command_motors(known, command)[0]
 
     def __call__(self, command: Float[Array, "step 3"]) -> Motion:
         """Return the motion that follows a command, shape (step, 3)."""
-        motors, _ = command_motors(self.job, command)
-        ran = run_motors(self.job, motors, self.adjoint)
+        ran = run_motors(self.job, self.motors(command), self.adjoint)
         return wall_motion(self.job, ran, self.wall_share)
 
     def run(self, command: FloatRows) -> Motion:
         """Return the motion; with its solution, if the rigid cut is known."""
         if self.rigid is None:
             return _compiled(self, command)
-        command = jnp.asarray(command)
-        return solved_motion(solve_command(self.job, self.rigid, command, self.adjoint))
+        job, command = self.job, jnp.asarray(command)
+        motors = None if self.controller is None else _motors(self, command)
+        return solved_motion(
+            solve_command(job, self.rigid, command, self.adjoint, motors)
+        )
 
     def linearised(self, command: FloatRows) -> "LinearJob | None":
         """Return the linear system around a command of a dynamic arm."""
@@ -86,7 +100,26 @@ class TipPlant(AbstractLinearPlant):
         return _linear_tips(self, jnp.asarray(command))
 
 
-class JointPlant(AbstractLinearPlant):
+class ScaledPlant(AbstractUncertainPlant):
+    """A job with scaled parameters as a plant that is commanded by tip positions.
+
+    The controller knows the job as it is, so that a stiffness that is not the true one
+    leaves a part of the sag.
+
+    Attributes:
+        plant: The plant of the job as it is.
+    """
+
+    plant: TipPlant
+
+    def member(self, parameters: Parameters) -> TipPlant:
+        """Return the plant with scaled parameters, see `sim.with_scaled`."""
+        log_scale = jnp.asarray(parameters, self.plant.job.path.positions.dtype)
+        job = with_scaled(self.plant.job, log_scale)
+        return dataclasses.replace(self.plant, job=job, controller=self.plant.job)
+
+
+class JointPlant(AbstractHostPlant):
     """A job as a plant that is commanded by joint positions [rad or m].
 
     The controller adds the gravity sag, as it does for tip positions. Attributes as of
@@ -124,82 +157,25 @@ class JointPlant(AbstractLinearPlant):
         return _linear_joints(self, jnp.asarray(command))
 
 
-class LinearJob(LinearMotion):
-    """The motion of a job and the linear system around it.
-
-    Attributes:
-        motion: The motion.
-        run: The system, in the motors.
-        motors: Slopes of the motors in the command, row by row, shape (step, joint,
-            axis).
-        wall_share: When in each period its wall is made, shape (step,).
-    """
-
-    motion: Motion
-    run: LinearRun
-    motors: Float[Array, "step joint axis"]
-    wall_share: Float[Array, " step"]
-
-    def move(self, changes: Float[Array, "step axis direction"]) -> Motion:
-        """Return the changes of the motion, each direction a row of the first axis."""
-        motors = jnp.einsum("kja,kad->kjd", self.motors, changes)
-        found = self.run.move(motors)
-        still = jnp.zeros((changes.shape[0], 3), changes.dtype)
-        walls = jax.vmap(
-            lambda ends: wall_deviation(ends, still, self.wall_share), in_axes=-1
-        )
-        return Motion(walls(found.ends), jnp.moveaxis(found.force, -1, 0))
-
-
-def has_linear_run(job: Job) -> bool:
-    """Return whether the linear system of a job's run is known in closed form."""
-    settings = job.simulation
-    is_known = settings.chip == "near_far" and settings.integrator == "midpoint"
-    return settings.mode == "dynamic" and is_known
+@eqx.filter_jit
+def _motors(plant: TipPlant, command: FloatRows) -> Float[Array, "step joint"]:
+    return plant.motors(jnp.asarray(command))
 
 
 @eqx.filter_jit
 def _linear_tips(plant: TipPlant, command: Float[Array, "step 3"]) -> LinearJob:
-    motors, _ = command_motors(plant.job, command)
-
-    def along(axis: Array) -> Array:
-        move = jnp.broadcast_to(axis[None], command.shape)
-        return jax.jvp(lambda x: command_motors(plant.job, x)[0], (command,), (move,))[
-            1
-        ]
-
-    # A row of motors follows the same row of tips alone.
-    slopes = jax.vmap(along, out_axes=-1)(jnp.eye(3, dtype=command.dtype))
-    return _linear_job(plant, motors, slopes)
+    motors, slopes = row_slopes(plant.motors, command)
+    return linear_job(plant.job, motors, slopes, plant.wall_share)
 
 
 @eqx.filter_jit
 def _linear_joints(plant: JointPlant, command: Float[Array, "step joint"]) -> LinearJob:
-    one = lambda row: joint_motors(plant.job, row[None])[0]
-    slopes = jax.vmap(jax.jacfwd(one))(command)
-    return _linear_job(plant, joint_motors(plant.job, command), slopes)
-
-
-def _linear_job(
-    plant: TipPlant | JointPlant,
-    motors: Float[Array, "step joint"],
-    slopes: Float[Array, "step joint axis"],
-) -> LinearJob:
-    job = plant.job
-    machine = job_machine(job)
-    assert isinstance(machine, ElasticArm)
-    ran, run = linearise(machine, job_process(job, StockHeld()), motors)
-    desired = jnp.asarray(job.path.positions)
-    shares = plant.wall_share
-    if shares is None:
-        shares = wall_shares(desired, path_axes(job), job.cutter)
-    shares = jnp.asarray(shares, desired.dtype)
-    motion = wall_motion(job, ran, shares)
-    return LinearJob(motion, run, slopes, shares)
+    motors, slopes = row_slopes(lambda q: joint_motors(plant.job, q), command)
+    return linear_job(plant.job, motors, slopes, plant.wall_share)
 
 
 @eqx.filter_jit
-def _compiled(plant: AbstractLinearPlant, command: FloatRows) -> Motion:
+def _compiled(plant: AbstractHostPlant, command: FloatRows) -> Motion:
     return plant(jnp.asarray(command))
 
 

@@ -7,12 +7,7 @@ from typing import Any
 from ..._job import Job
 from ...process import AbstractAdjoint
 from .._method.adam import Adam
-from .._method.checkpoint import (
-    pack_least_squares,
-    pack_worst_case,
-    unpack_least_squares,
-    unpack_worst_case,
-)
+from .._method.checkpoint import pack_rounds, unpack_rounds
 from .._method.gauss_newton import GaussNewton
 from .._method.receding_horizon import RecedingHorizon
 from .case_runner import CaseRecord
@@ -90,8 +85,7 @@ def keeping(
         )
     found = horizon_of(job)
     if found is None:
-        name = "worst_case" if method.is_worst_case else "gauss_newton"
-        return remembering(method, name, record)
+        return remembering(method, "gauss_newton", record)
     return RecedingHorizon(
         JobPieces(job, adjoint, wall_share, job.correction.command == "joint"),
         method,
@@ -105,12 +99,9 @@ def remembering(
     method: GaussNewton, name: str, record: CaseRecord
 ) -> Callable[..., Any]:
     """Return a method on a whole path that tells every step under a name."""
-    pack, unpack = pack_least_squares, unpack_least_squares
-    if method.is_worst_case:
-        pack, unpack = pack_worst_case, unpack_worst_case
-    memory = record.kept(name)
+    state = record.kept(name)
     return functools.partial(
         method,
-        on_memory=lambda m: record.keep(name, pack(m)),
-        resume=unpack(memory) if memory else None,
+        on_state=lambda state: record.keep(name, pack_rounds(state)),
+        resume=unpack_rounds(state) if state else None,
     )

@@ -16,12 +16,11 @@ from ..._types import FloatRows, RealScalarLike
 from .._core.method import AbstractMethod, Corrected, OnProgress, corrected
 from .._core.path_objective import AbstractObjective, PathObjective
 from .._core.problem import Problem
-from .._limited_quadratic import feasible_share
-from .._spline.command_limits import AbstractLimits
+from .._spline.command_limits import AbstractLimits, feasible_share
 from .._spline.projection import project
 from .._spline.spline_offsets import SplineOffsets
 from .checkpoint import Arrays, OnCheckpoint, below, pack_tree, under, unpack_tree
-from .gauss_newton import ContourResidual, contour_residual
+from .offset_fit import ContourResidual, contour_residual
 
 Coefficients = Float[Array, "coefficient axis"]
 
@@ -88,8 +87,7 @@ class Adam(AbstractMethod):
         return corrected(
             problem,
             nominal + spline.offsets(best * bound),
-            forward_runs=spent,
-            products=spent,
+            linearisations=spent,
             detail={
                 "knot_spacing": spline.actual_spacing,
                 "unknowns": float(x.size),

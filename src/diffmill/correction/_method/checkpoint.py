@@ -14,22 +14,18 @@ import numpy as np
 from jaxtyping import Shaped
 
 from ..._result import RESULTS
+from ...optimise import LeastSquaresState, LeastSquaresStep
 from .._core.method import Corrected, corrected
 from .._core.problem import Motion, Problem
-from .._least_squares_records import (
-    LeastSquaresMemory,
-    LeastSquaresSolution,
-    LeastSquaresStep,
-)
-from .minimax import WorstCaseMemory
+from .minimax import WorstCaseState
+from .offset_fit import FitValue
 
 Arrays: TypeAlias = Mapping[str, Shaped[np.ndarray, "..."]]
 # Called with all that is needed to go on from here.
 OnCheckpoint: TypeAlias = Callable[[Arrays], None]
 _FIELDS = tuple(field.name for field in dataclasses.fields(LeastSquaresStep))
-_WHOLE = ("step", "bound_count", "products", "forward_runs")
-# What a least-squares solution may have for a result.
-_OUTCOMES = (RESULTS.successful, RESULTS.not_converged, RESULTS.non_finite)
+_WHOLE = ("evaluations", "models")
+_VALUE = tuple(field.name for field in dataclasses.fields(FitValue))
 
 
 def under(prefix: str, arrays: Arrays) -> dict[str, np.ndarray]:
@@ -63,68 +59,55 @@ def unpack_history(
     return tuple(steps)
 
 
-def pack_least_squares(memory: LeastSquaresMemory) -> dict[str, np.ndarray]:
-    """Return the memory of a least-squares iteration as arrays."""
-    names = [f.name for f in dataclasses.fields(memory) if f.name != "history"]
-    packed = {name: np.asarray(getattr(memory, name)) for name in names}
-    return {**packed, "history": pack_history(memory.history)}
-
-
-def unpack_least_squares(arrays: Arrays) -> LeastSquaresMemory:
-    """Return the memory of a least-squares iteration from its arrays."""
-    return LeastSquaresMemory(
-        z=np.asarray(arrays["z"]),
-        damping=float(arrays["damping"]),
-        growth=float(arrays["growth"]),
-        first_kkt=float(arrays["first_kkt"]),
-        is_done=bool(arrays["is_done"]),
-        products=int(arrays["products"]),
-        forward_runs=int(arrays["forward_runs"]),
-        history=unpack_history(arrays["history"]),
-    )
-
-
-def pack_worst_case(memory: WorstCaseMemory) -> dict[str, np.ndarray]:
-    """Return the memory of the rounds of a worst case as arrays."""
+def pack_rounds(state: WorstCaseState) -> dict[str, np.ndarray]:
+    """Return the state of Gauss-Newton, in one or several rounds, as arrays."""
     packed = {
-        "round": np.asarray(memory.round),
-        "weights": memory.weights,
-        "start": memory.start,
-        "lowest": np.asarray(memory.lowest),
-        "history": pack_history(memory.history),
-        **under("inner", pack_least_squares(memory.inner)),
+        "round": np.asarray(state.round),
+        "weights": state.weights,
+        **under("inner", _pack_fit(state.inner)),
     }
-    if (best := memory.best) is not None:
-        is_it = [bool(best.result == outcome) for outcome in _OUTCOMES]
-        solution = {
-            "x": np.asarray(best.x),
-            "cost": np.asarray(best.cost),
-            "held": best.held,
-            "outcome": np.asarray(is_it.index(True)),
-        }
-        packed.update(under("best", solution))
+    if state.best is not None:
+        packed.update(under("best", _pack_fit(state.best)))
     return packed
 
 
-def unpack_worst_case(arrays: Arrays) -> WorstCaseMemory:
-    """Return the memory of the rounds of a worst case from its arrays."""
-    best = None
-    if found := below("best", arrays):
-        best = LeastSquaresSolution(
-            x=jnp.asarray(found["x"]),
-            cost=float(found["cost"]),
-            history=(),
-            result=_OUTCOMES[int(found["outcome"])],
-            held=np.asarray(found["held"]),
-        )
-    return WorstCaseMemory(
+def unpack_rounds(arrays: Arrays) -> WorstCaseState:
+    """Return the state of Gauss-Newton from its arrays."""
+    best = below("best", arrays)
+    return WorstCaseState(
         round=int(arrays["round"]),
         weights=np.asarray(arrays["weights"]),
-        start=np.asarray(arrays["start"]),
-        best=best,
-        lowest=float(arrays["lowest"]),
+        best=_unpack_fit(best) if best else None,
+        inner=_unpack_fit(below("inner", arrays)),
+    )
+
+
+def _pack_fit(state: LeastSquaresState) -> dict[str, np.ndarray]:
+    """Return the state of a fit as arrays."""
+    return {
+        "x": state.x,
+        "errors": state.value.errors,
+        "rough": state.value.rough,
+        "outputs": state.value.outputs,
+        "damping": np.asarray(state.damping),
+        "has_converged": np.asarray(state.has_converged),
+        "counts": np.array([state.steps, state.evaluations, state.models], np.int64),
+        "history": pack_history(state.history),
+    }
+
+
+def _unpack_fit(arrays: Arrays) -> LeastSquaresState:
+    """Return the state of a fit from its arrays."""
+    steps, evaluations, models = (int(count) for count in arrays["counts"])
+    return LeastSquaresState(
+        x=np.asarray(arrays["x"]),
+        value=FitValue(*(np.asarray(arrays[k]) for k in _VALUE)),
+        damping=float(arrays["damping"]),
+        steps=steps,
+        evaluations=evaluations,
+        models=models,
+        has_converged=bool(arrays["has_converged"]),
         history=unpack_history(arrays["history"]),
-        inner=unpack_least_squares(below("inner", arrays)),
     )
 
 
@@ -159,7 +142,7 @@ def pack_method(found: Corrected, seconds: float) -> dict[str, np.ndarray]:
         "command": np.asarray(found.command),
         "actual": np.asarray(found.motion.actual),
         "force": np.asarray(found.motion.force),
-        "counts": np.array([found.forward_runs, found.products], np.int64),
+        "counts": np.array([found.forward_runs, found.linearisations], np.int64),
         "detail_names": np.array([*found.detail], np.str_),
         "detail": np.array([*found.detail.values()], np.float64),
         "is_successful": np.asarray(bool(found.result == RESULTS.successful)),
@@ -189,7 +172,7 @@ def unpack_method(
         arrays["command"],
         motion=Motion(jnp.asarray(arrays["actual"]), jnp.asarray(arrays["force"])),
         forward_runs=int(arrays["counts"][0]),
-        products=int(arrays["counts"][1]),
+        linearisations=int(arrays["counts"][1]),
         detail=dict(zip(names, map(float, arrays["detail"]), strict=True)),
     )
     return found, float(arrays["seconds"])

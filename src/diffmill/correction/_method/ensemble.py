@@ -5,6 +5,7 @@ as it is. The mean square over draws of the model's parameters is a least-square
 problem like that of one model, only with the residuals of all draws.
 """
 
+import abc
 from collections.abc import Callable
 from typing import Any
 
@@ -14,97 +15,144 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..._job import Job
 from ..._types import FloatRows, RealScalarLike
-from ...process import AbstractAdjoint
-from ...sim import command_motors, run_motors, with_scaled
-from .._core.problem import Motion
-from .._job.plant_segments import wall_motion
+from .._core.linear_motion import LinearMotion, linear_motion
+from .._core.problem import AbstractHostPlant, Motion, Plant, motion_of
 from .delay import delayed
 
 Draws = Float[Array, "member parameter"] | Float[np.ndarray, "member parameter"]
+Parameters = Float[Array, " parameter"] | Float[np.ndarray, " parameter"]
+
+
+class AbstractUncertainPlant(eqx.Module):
+    """A plant whose parameters are not known exactly."""
+
+    @abc.abstractmethod
+    def member(self, parameters: Parameters) -> Plant:
+        """Return the plant with given parameters, shape (parameter,)."""
 
 
 class Ensemble(eqx.Module):
     """Draws of a plant's parameters.
 
     Attributes:
-        plant: Maps the parameters of a member, shape (parameter,), and a command,
-            shape (step, axis), to the motion that follows; traceable.
+        plant: The uncertain plant, or a function of the parameters of a member, shape
+            (parameter,), and a command, shape (step, axis); traceable.
         draws: Parameters of the members, shape (member, parameter).
         weights: Shares of the members in a mean, which sum to 1, shape (member,);
             None for equal ones.
     """
 
-    plant: Callable[..., Any]
+    plant: AbstractUncertainPlant | Callable[..., Any]
     draws: Draws
-    weights: Float[np.ndarray, " member"] | Float[Array, " member"] | None = None
+    weights: Float[np.ndarray, " member"] | None = None
 
-    def roots(self, dtype: jnp.dtype) -> Float[Array, " member"]:
-        """Return the roots of the weights, shape (member,)."""
-        count = len(self.draws)
-        equal = np.full(count, 1 / count)
-        weights = equal if self.weights is None else self.weights
-        return jnp.sqrt(jnp.asarray(weights, dtype))
-
-    def motions(self, command: Float[Array, "step axis"]) -> Motion:
-        """Return the motions of all members, stacked along their first axis.
-
-        One after the other: memory grows by the results only.
-
-        **Differentiability**: that of the plant.
-        """
-        draws = jnp.asarray(self.draws, command.dtype)
-        return jax.lax.map(lambda draw: self.plant(draw, command), draws)
+    def plants(self) -> tuple[Plant, ...]:
+        """Return the plants of all members."""
+        return tuple(member_of(self.plant, np.asarray(draw)) for draw in self.draws)
 
 
-class ScaledPlant(eqx.Module):
-    """A job with scaled parameters as a plant that is commanded by tip positions.
+class _Member(eqx.Module):
+    """A function of parameters and a command, its parameters given."""
 
-    The controller knows the job as it is, so that a stiffness that is not the true one
-    leaves a part of the sag.
+    plant: Callable[..., Any]
+    parameters: Parameters
 
-    Attributes:
-        job: The job.
-        adjoint: How to differentiate through the removal.
-    """
-
-    job: Job
-    adjoint: AbstractAdjoint
-
-    def __call__(
-        self, log_scale: Float[Array, " parameter"], command: Float[Array, "step 3"]
-    ) -> Motion:
-        """Return the motion of one member, see `sim.with_scaled`."""
-        motors, _ = command_motors(self.job, command)
-        ran = run_motors(with_scaled(self.job, log_scale), motors, self.adjoint)
-        return wall_motion(self.job, ran, None)
+    def __call__(self, command: Float[Array, "step axis"]) -> Motion:
+        """Return the motion that follows a command, shape (step, axis)."""
+        return self.plant(jnp.asarray(self.parameters, command.dtype), command)
 
 
-class LatePlant(eqx.Module):
+def member_of(
+    plant: AbstractUncertainPlant | Callable[..., Any], parameters: Parameters
+) -> Plant:
+    """Return an uncertain plant with given parameters, shape (parameter,)."""
+    if isinstance(plant, AbstractUncertainPlant):
+        return plant.member(parameters)
+    return _Member(plant, parameters)
+
+
+class LatePlant(AbstractUncertainPlant):
     """A plant of an ensemble whose offsets come late to a program that is in time.
 
     A command that is late as a whole does the same, only later: nothing that an offset
     could make better.
 
     Attributes:
-        plant: Maps parameters and a command to a motion, see `Ensemble`.
+        plant: The plant that the late command reaches, see `Ensemble`.
+        nominal: The program, without offsets, shape (step, axis).
+        time_step: Time between two rows [s].
+    """
+
+    plant: AbstractUncertainPlant | Callable[..., Any]
+    nominal: FloatRows
+    time_step: RealScalarLike
+
+    def member(self, parameters: Parameters) -> "Late":
+        """Return the plant of one member, whose last parameter is its delay [s]."""
+        plant = member_of(self.plant, parameters[:-1])
+        return Late(plant, parameters[-1], self.nominal, self.time_step)
+
+
+class Late(AbstractHostPlant):
+    """A plant whose offsets come late.
+
+    Attributes:
+        plant: The plant that the late command reaches.
+        delay: [s], shape ().
         nominal: The program, without offsets, shape (step, axis).
         time_step: Time between two rows [s].
     """
 
     plant: Callable[..., Any]
+    delay: RealScalarLike
     nominal: FloatRows
     time_step: RealScalarLike
 
-    def __call__(
-        self,
-        parameters: Float[Array, " parameter_and_delay"],
-        command: Float[Array, "step axis"],
-    ) -> Motion:
-        """Return the motion of one member, whose last parameter is its delay [s]."""
-        late = delayed(command, parameters[-1], self.time_step, nominal=self.nominal)
-        return self.plant(parameters[:-1], late)
+    def late(self, command: Float[Array, "step axis"]) -> Float[Array, "step axis"]:
+        """Return the command as it comes."""
+        delay = jnp.asarray(self.delay, command.dtype)
+        return delayed(command, delay, self.time_step, nominal=self.nominal)
+
+    def __call__(self, command: Float[Array, "step axis"]) -> Motion:
+        """Return the motion that follows a command, shape (step, axis)."""
+        return self.plant(self.late(command))
+
+    def run(self, command: FloatRows) -> Motion:
+        """Return the same motion; not traceable."""
+        return motion_of(self.plant, _late(self, jnp.asarray(command)))
+
+    def linearised(self, command: FloatRows) -> LinearMotion:
+        """Return the linear system around a command."""
+        late = _late(self, jnp.asarray(command))
+        inner = linear_motion(self.plant, late)
+        return LateMotion(inner.motion, inner, self, jnp.asarray(command))
+
+
+class LateMotion(LinearMotion):
+    """The linear system behind a delay.
+
+    Attributes:
+        motion: The motion of the plant.
+        inner: The linear system of the plant.
+        late: The delay.
+        command: Around which command, before the delay.
+    """
+
+    motion: Motion
+    inner: LinearMotion
+    late: Late
+    command: Float[Array, "step axis"]
+
+    def move(self, changes: Float[Array, "step axis direction"]) -> Motion:
+        """Return the changes of the motion, each direction a row of the first axis."""
+        _, push = jax.linearize(self.late.late, self.command)
+        return self.inner.move(jax.vmap(push, in_axes=-1, out_axes=-1)(changes))
+
+
+@eqx.filter_jit
+def _late(plant: Late, command: Float[Array, "step axis"]) -> Float[Array, "step axis"]:
+    return plant.late(command)
 
 
 def with_delays(

@@ -7,48 +7,35 @@ Usow, The Lawson algorithm and extensions, Mathematics of Computation 22, 1968.
 """
 
 import dataclasses
-import functools
 from collections.abc import Callable
-from typing import Any
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from .._least_squares_records import (
-    LeastSquaresMemory,
-    LeastSquaresSolution,
-    LeastSquaresStep,
-    following,
-)
+from ...optimise import LeastSquaresState, LevenbergMarquardt
+from .offset_fit import FitValue, OffsetFit, fit_offsets
 
 # Rounds after that with equal weights.
-_ROUNDS = 5
+ROUNDS = 5
 
 Member = Float[np.ndarray, " member"]
 
 
-class WorstCaseMemory(eqx.Module):
+class WorstCaseState(eqx.Module):
     """State of the rounds after a step of one of them.
 
     Attributes:
         round: Rounds that have ended.
         weights: Weights of the members in the present one.
-        start: Where it started, of the shape of the unknowns.
-        best: Best of the rounds that have ended, without its steps; None in the first.
-        lowest: Its largest error, infinite in the first.
-        history: Steps of the rounds that have ended.
-        inner: What the present round needs.
+        best: Best of the rounds that have ended; None in the first.
+        inner: The present round.
     """
 
     round: int
     weights: Member
-    start: Float[np.ndarray, "*unknown"]
-    best: LeastSquaresSolution | None
-    lowest: float
-    history: tuple[LeastSquaresStep, ...]
-    inner: LeastSquaresMemory
+    best: LeastSquaresState | None
+    inner: LeastSquaresState
 
 
 def reweighted(weights: Member, errors: Member) -> Member:
@@ -69,73 +56,75 @@ def reweighted(weights: Member, errors: Member) -> Member:
 
 
 def worst_case(
-    solve: Callable[..., LeastSquaresSolution],
-    member_errors: Callable[[Float[Array, "*unknown"], Any], Member],
-    start: Float[Array, "*unknown"],
-    args: Any,
+    fit: OffsetFit,
+    start: Float[np.ndarray, "coefficient axis"],
+    solver: LevenbergMarquardt,
     *,
-    rounds: int = _ROUNDS,
-    is_held: Callable[[LeastSquaresSolution], bool] = lambda found: True,
-    on_memory: Callable[[WorstCaseMemory], object] | None = None,
-    resume: WorstCaseMemory | None = None,
-) -> LeastSquaresSolution:
-    """Return the unknowns whose worst member has the smallest error.
+    bound: float,
+    rounds: int = ROUNDS,
+    callback: Callable[[WorstCaseState], bool] = lambda state: False,
+    state: WorstCaseState | None = None,
+) -> LeastSquaresState | None:
+    """Return the offsets whose worst member has the smallest error.
 
     Args:
-        solve: Minimises the weighted mean square from a start; its second argument has
-            an `.ensemble` with weights, `on_memory` and `resume` are those of
-            `least_squares`.
-        member_errors: Root mean square error of each member.
-        start: First point.
-        args: What `solve` takes.
-        rounds: Rounds after the one with equal weights.
-        is_held: Whether a solution keeps what is to be held: any that does is better
-            than one that does not.
-        on_memory: Called after every step with all that is needed to go on.
-        resume: What it was called with, to go on from there as if nothing had been.
+        fit: The problem, with the weights of the first round.
+        start: Coefficients, shape (coefficient, axis).
+        solver: Settings of every round.
+        bound: Largest magnitude of an unknown.
+        rounds: Rounds after the one with equal weights; without any the mean becomes
+            small.
+        callback: Called after every step with all that is needed to go on; True ends
+            the search.
+        state: What it was called with, to go on from there.
 
     Returns:
-        The best of all rounds, so no worse than that of the mean; with the steps and
-        the price of all.
+        The best state of all rounds, so no worse than that of the mean, with the
+        price of all; None where the start has no finite residual.
 
-    **Differentiability**: runs on the host, not traceable.
+    **Differentiability**: none, a host function.
     """
-    count = len(args.ensemble.draws)
-    weigh = lambda weights: eqx.tree_at(
-        lambda a: a.ensemble.weights, args, weights, is_leaf=lambda x: x is None
-    )
-    done, weights, inner = 0, np.full(count, 1 / count), None
-    best, lowest, history = None, np.inf, ()
-    if resume is not None:
-        done, weights, inner = resume.round, resume.weights, resume.inner
-        best, lowest, history = resume.best, resume.lowest, resume.history
-        start = jnp.asarray(resume.start)
+    done, best, inner = 0, None, None
+    if state is not None:
+        done, best, inner = state.round, state.best, state.inner
+        fit = dataclasses.replace(fit, weights=state.weights)
+    is_stopped = False
     while True:
-        so_far = functools.partial(
-            WorstCaseMemory, done, weights, np.asarray(start), best, lowest, history
+
+        def tell(inner: LeastSquaresState, done=done, fit=fit, best=best) -> bool:
+            nonlocal is_stopped
+            is_stopped = callback(WorstCaseState(done, fit.weights, best, inner))
+            return is_stopped
+
+        found = fit_offsets(
+            fit, start, solver, lower=-bound, upper=bound, state=inner, callback=tell
         )
-        found = solve(
-            start,
-            weigh(weights),
-            on_memory=_remembering(on_memory, so_far),
-            resume=inner,
+        if found is None:
+            return None
+        if best is None or _largest(fit, found.value) < _largest(fit, best.value):
+            best = found
+        # The price is that of all rounds.
+        best = dataclasses.replace(
+            best,
+            history=found.history,
+            evaluations=found.evaluations,
+            models=found.models,
         )
-        inner, history = None, following(history, found.history)
-        errors = member_errors(found.x, args)
-        is_finite = bool(np.all(np.isfinite(errors)))
-        largest = float(errors.max()) if is_finite and is_held(found) else np.inf
-        if best is None or largest < lowest:
-            best, lowest = found, largest
-        if not is_finite or done == rounds:
-            return dataclasses.replace(best, history=history)
-        done, start, weights = done + 1, found.x, reweighted(weights, errors)
+        if is_stopped or done == rounds:
+            return best
+        done += 1
+        weights = reweighted(fit.weights, _member_errors(found.value))
+        fit = dataclasses.replace(fit, weights=weights)
+        inner = dataclasses.replace(
+            found, steps=0, has_converged=False, damping=solver.damping
+        )
 
 
-def _remembering(
-    on_memory: Callable[[WorstCaseMemory], object] | None,
-    so_far: Callable[[LeastSquaresMemory], WorstCaseMemory],
-) -> Callable[[LeastSquaresMemory], object] | None:
-    """Return what tells a step of a round together with the rounds before it."""
-    if on_memory is None:
-        return None
-    return lambda inner: on_memory(so_far(inner))
+def _largest(fit: OffsetFit, value: FitValue) -> float:
+    """Return the error of the worst member; infinite out of the bounds of outputs."""
+    return float(_member_errors(value).max()) if fit.is_within(value) else np.inf
+
+
+def _member_errors(value: FitValue) -> Member:
+    """Return the root mean square error of each member, in units of 0.1 mm."""
+    return np.sqrt(np.sum(value.errors**2, axis=1))

@@ -7,6 +7,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from ..._types import FloatRows
+from .._core.linear_motion import LinearMotion
 from .._core.problem import Motion
 
 
@@ -24,6 +26,10 @@ class AbstractPiece(eqx.Module):
             The motion, whose row 0 is the state at the start, and the state at the
             last row; traceable.
         """
+
+    def linearised(self, command: FloatRows) -> LinearMotion | None:
+        """Return the linear system around a command; None where it is not known."""
+        return None
 
 
 class AbstractPieces(eqx.Module):

@@ -21,9 +21,10 @@ acceleration, and bounds of the surface, forbid that: what has been run and the 
 need not fit together.
 
 So the work is linear in the length of the path, and what must be in memory at once, the
-linear program of one segment, does not depend on it.
+linear system of one segment, does not depend on it.
 """
 
+import dataclasses
 import time
 
 import equinox as eqx
@@ -33,11 +34,9 @@ from jaxtyping import Int
 
 from ..._result import RESULTS
 from ..._types import FloatRows
+from ...optimise import LeastSquaresStep
 from .._core.method import AbstractMethod, Corrected, OnProgress, corrected
 from .._core.problem import Problem
-from .._least_squares import least_squares
-from .._least_squares_records import LeastSquaresStep, following
-from .._response import banded_preconditioner
 from .._spline.command_limits import LinearLimits, MixedLimits
 from .._spline.projection import project
 from .._spline.spline_offsets import CLAMPED, SplineOffsets
@@ -45,13 +44,8 @@ from .._spline.spline_window import spline_window, window_limits
 from .._surface.segment_limits import cut_points, deepest_rows, is_kept, window_bounds
 from .._surface.surface_limits import SurfaceBounds, refusal
 from .checkpoint import Arrays, OnCheckpoint
-from .gauss_newton import (
-    ContourResidual,
-    GaussNewton,
-    check_held,
-    contour_residual,
-    held_rows,
-)
+from .gauss_newton import GaussNewton, check_held
+from .offset_fit import ContourResidual, fit_offsets, offset_fit
 from .plant_segment import AbstractPieces
 from .receding_horizon_state import (
     HorizonRun,
@@ -243,43 +237,36 @@ class RecedingHorizon(AbstractMethod):
         smoothness = method.smoothness / np.sqrt(share)
         own = window_limits(limits, run.coefficients, window)
         bounds = self._bounds(problem, run.row)
-        held = held_rows(bounds)
-        precondition = None
-        if method.response is not None:
-            precondition = banded_preconditioner(
-                method.response, window, window.transposed, problem.time_step
-            )
-        solution = least_squares(
-            contour_residual,
-            jnp.asarray(first, dtype),
-            ContourResidual(
-                part,
-                window.padded(problem.window),
-                jnp.asarray(smoothness, dtype),
-                jnp.asarray(method.lag_weight, dtype),
-                method.objective,
-                None,
-                bounds,
-            ),
-            lower=np.where(is_free, -bound, first),
-            upper=np.where(is_free, bound, first),
-            scale=bound,
-            solver=method.solver,
-            precondition=precondition,
-            limits=own,
-            held=held,
+        args = ContourResidual(
+            part,
+            window.padded(problem.window),
+            jnp.asarray(smoothness, dtype),
+            jnp.asarray(method.lag_weight, dtype),
+            method.objective,
+            bounds,
         )
+        fit = offset_fit(args, (part.plant,), limits=own)
+        found = fit_offsets(
+            fit,
+            first,
+            method.solver,
+            lower=np.where(is_free, -bound, first).reshape(-1),
+            upper=np.where(is_free, bound, first).reshape(-1),
+        )
+        if found is None:
+            return run.coefficients, run.history, False
         new = run.coefficients.copy()
-        found = np.asarray(solution.x, np.float64)
-        changed = place[np.asarray(window.is_free)]
-        new[changed] = found[np.asarray(window.is_free)]
+        x = np.asarray(fit.coefficients(found.x), np.float64)
+        changed = np.asarray(window.is_free)
+        new[place[changed]] = x[changed]
         if bounds is not None:
-            check_held(bounds, held, solution, bound, own)
+            check_held(bounds, fit, found, bound)
         if run.sweep == 0 and not limits and bounds is None:
             again = self._overlapping(spline, run.row)
             new[again] = run.coefficients[again]
-        is_settled = bool(solution.result == RESULTS.successful)
-        return new, following(run.history, solution.history), is_settled
+        history = _following(run.history, found.history)
+        is_settled = found.has_converged and fit.is_within(found.value)
+        return new, history, is_settled
 
     def _bounds(self, problem: Problem, row: int) -> SurfaceBounds | None:
         """Return the bounds of the surface for the segment from a row on.
@@ -325,8 +312,8 @@ class RecedingHorizon(AbstractMethod):
         found = corrected(
             problem,
             command_at(problem, spline, run.coefficients, 0, rows),
-            forward_runs=0 if last is None else int(np.ceil(share * last.forward_runs)),
-            products=0 if last is None else int(np.ceil(share * last.products)),
+            forward_runs=0 if last is None else int(np.ceil(share * last.evaluations)),
+            linearisations=0 if last is None else int(np.ceil(share * last.models)),
             history=run.history,
             detail={
                 "knot_spacing": spline.actual_spacing,
@@ -359,3 +346,21 @@ def _bound_count(problem: Problem, run: HorizonRun) -> float:
     dtype = np.asarray(problem.nominal).dtype
     found = np.abs(np.asarray(run.coefficients, dtype))
     return float(np.sum(found >= np.asarray(problem.max_offset, dtype)))
+
+
+def _following(
+    before: tuple[LeastSquaresStep, ...], steps: tuple[LeastSquaresStep, ...]
+) -> tuple[LeastSquaresStep, ...]:
+    """Return steps with those of earlier segments, what these have cost added."""
+    if not before:
+        return steps
+    last = before[-1]
+    return before + tuple(
+        dataclasses.replace(
+            step,
+            evaluations=last.evaluations + step.evaluations,
+            models=last.models + step.models,
+            seconds=last.seconds + step.seconds,
+        )
+        for step in steps
+    )

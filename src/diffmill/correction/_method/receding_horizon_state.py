@@ -8,8 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._types import FloatRows
+from ...optimise import LeastSquaresStep
+from .._core.linear_motion import LinearMotion, linear_motion
 from .._core.problem import Motion, Problem, contour_of
-from .._least_squares_records import LeastSquaresStep
 from .._spline.spline_offsets import CLAMPED, SplineOffsets
 from .checkpoint import (
     Arrays,
@@ -59,8 +61,52 @@ class PaddedPiece(eqx.Module):
     def run(self, command: Float[Array, "step axis"]) -> tuple[Motion, Any]:
         """Return the motion and the plant's state at the piece's last row."""
         motion, state = self.piece.run(command[self.reach : -self.reach])
-        repeat = lambda x: jnp.pad(x, ((self.reach, self.reach), (0, 0)), mode="edge")
-        return Motion(repeat(motion.actual), repeat(motion.force)), state
+        return _repeated(motion, self.reach), state
+
+    def linearised(self, command: FloatRows) -> "PaddedMotion":
+        """Return the linear system around a command."""
+        inner = linear_motion(_Rows(self.piece), command[self.reach : -self.reach])
+        return PaddedMotion(_repeated(inner.motion, self.reach), inner, self.reach)
+
+
+class PaddedMotion(LinearMotion):
+    """The linear system of a piece with still rows before and after it.
+
+    Attributes:
+        motion: The motion with these rows.
+        inner: The linear system of the piece.
+        reach: Still rows at either end.
+    """
+
+    motion: Motion
+    inner: LinearMotion
+    reach: int = eqx.field(static=True)
+
+    def move(self, changes: Float[Array, "step axis direction"]) -> Motion:
+        """Return the changes of the motion, each direction a row of the first axis."""
+        return _repeated(self.inner.move(changes[self.reach : -self.reach]), self.reach)
+
+
+class _Rows(eqx.Module):
+    """A piece as a plant."""
+
+    piece: AbstractPiece
+
+    def __call__(self, command: Float[Array, "step axis"]) -> Motion:
+        """Return the motion that follows a command, shape (step, axis)."""
+        return self.piece.run(command)[0]
+
+    def linearised(self, command: FloatRows) -> LinearMotion | None:
+        """Return the linear system around a command, if the piece knows it."""
+        return self.piece.linearised(command)
+
+
+def _repeated(motion: Motion, reach: int) -> Motion:
+    """Return a motion with its first and last rows repeated."""
+    pad = lambda x: jnp.pad(
+        x, (*((0, 0),) * (x.ndim - 2), (reach, reach), (0, 0)), mode="edge"
+    )
+    return Motion(pad(motion.actual), pad(motion.force))
 
 
 @eqx.filter_jit

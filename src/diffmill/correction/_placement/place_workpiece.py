@@ -21,7 +21,7 @@ from ..._types import FloatRows3
 from ...optimise import (
     AbstractProblem,
     LevenbergMarquardt,
-    LinearRows,
+    OutputConstraints,
     QuadraticModel,
     least_squares,
 )
@@ -48,9 +48,6 @@ _RANGE = 0.98
 # A pose that is nearer to a singular one than this is refused, unless the job's own
 # place is as near: for a wrist it is some 4 degrees from straight.
 _LEAST_SINGULAR = 0.05
-# The linear model may bring a joint to this share of that range, and what is outside
-# counts so much more than the errors, which are about 1 at the job's own place.
-_DRAWN_IN, _WEIGHT = 0.95, 30.0
 # A step that promises less of the square of the errors than this ends the descent.
 _SETTLED = 1e-9
 # An unknown this near to a bound stands there, as a share of its unit.
@@ -271,22 +268,17 @@ class _Problem(AbstractProblem):
         J = np.asarray(_slopes(unit, self.task), np.float64)
         error, ranges = self.parts(value)
         J_error, J_ranges = self.parts(J)
-        is_within = bool(np.all(np.abs(ranges) <= _RANGE))
-        least, most = -_DRAWN_IN * _RANGE - ranges, _DRAWN_IN * _RANGE - ranges
-        if is_within:
-            # A joint between both bounds may not come closer.
-            least, most = np.minimum(least, 0.0), np.maximum(most, 0.0)
-        rows = LinearRows(J_ranges, least, most, np.inf if is_within else _WEIGHT)
+        limits = OutputConstraints(
+            np.full(len(ranges), -_RANGE), np.full(len(ranges), _RANGE)
+        )
+        is_hard = limits.is_within(ranges)
+        rows = limits.rows(ranges, J_ranges)
 
         def cost(there: Float[np.ndarray, " 5"], at: np.ndarray) -> float:
             error, ranges = self.parts(at)
-            if is_within and np.any(np.abs(ranges) > _RANGE):
-                return np.inf
-            outside = np.maximum(np.abs(ranges) - _DRAWN_IN * _RANGE, 0.0)
-            weight = 0.0 if is_within else _WEIGHT
-            return 0.5 * float(error @ error + weight**2 * outside @ outside)
+            return 0.5 * float(error @ error) + limits.cost(ranges, is_hard=is_hard)
 
-        return QuadraticModel(cost, J_error.T @ error, J_error.T @ J_error, rows)
+        return QuadraticModel(cost, J_error.T @ error, J_error.T @ J_error, (rows,))
 
     def parts(
         self, entries: Float[np.ndarray, "..."]

@@ -9,7 +9,7 @@ is exact for these rows and linear in the coefficients c, with a sparse matrix.
 """
 
 import abc
-import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..._types import FloatRows
+from ...optimise import LinearRows
 from .spline_offsets import SplineOffsets, basis_matrix
 
 # Share of a limit that the steps to it leave, and by which a program may be beyond it:
@@ -31,8 +32,8 @@ class InfeasibleLimit(ValueError):
     """Raise when a limit cannot be held, by the program itself or by any correction."""
 
 
-class AbstractRows(eqx.Module):
-    """Bounds of linear functions of coefficients.
+class AbstractLimits(eqx.Module):
+    """Bounds of linear functions of the coefficients of a spline that 0 keeps.
 
     Attributes:
         lower: Least values, shape (row, ...).
@@ -47,34 +48,23 @@ class AbstractRows(eqx.Module):
         """Return the values for coefficients."""
 
     @abc.abstractmethod
-    def transpose(self, rows: np.ndarray) -> Coefficients:
-        """Return the transposed map of values."""
-
-
-class AbstractLimits(AbstractRows):
-    """Bounds of linear functions of the coefficients of a spline that 0 keeps."""
-
-    @abc.abstractmethod
     def flat(self, axis_count: int) -> Any:
         """Return the map of the coefficients, row by row, as a sparse matrix."""
 
-    def about(self, point: Coefficients, unit: float) -> "AbstractLimits":
-        """Return the limits of a step from a point that keeps them.
+    def about(self, point: Coefficients) -> LinearRows:
+        """Return the limits as constraints of a step from a point that keeps them.
 
         Args:
             point: Coefficients, shape (coefficient, axis).
-            unit: The step is measured in this many units of the coefficients.
-
-        Returns:
-            Limits of the step.
         """
         rows = self.apply(point)
         # A point on a limit may be beyond it by rounding. What a step may take beyond
-        # its own limits, which the dense solver does not tell from them, is kept.
+        # its own limits, which the solver does not tell from them, is kept.
         kept = 1 - _RESERVE
-        lower = np.minimum(kept * self.lower - rows, 0.0) / unit
-        upper = np.maximum(kept * self.upper - rows, 0.0) / unit
-        return dataclasses.replace(self, lower=lower, upper=upper)
+        lower = np.minimum(kept * self.lower - rows, 0.0)
+        upper = np.maximum(kept * self.upper - rows, 0.0)
+        matrix = self.flat(point.shape[1])
+        return LinearRows(matrix, lower.reshape(-1), upper.reshape(-1))
 
 
 class LinearLimits(AbstractLimits):
@@ -95,10 +85,6 @@ class LinearLimits(AbstractLimits):
     def apply(self, coefficients: Coefficients) -> Rows:
         """Return the values for coefficients, shape (row, axis)."""
         return self.matrix @ coefficients
-
-    def transpose(self, rows: Rows) -> Coefficients:
-        """Return the transposed map of values per row and axis."""
-        return self.matrix.T @ rows
 
     def flat(self, axis_count: int) -> Any:
         """Return the map of the coefficients, row by row, as a sparse matrix."""
@@ -127,10 +113,6 @@ class MixedLimits(AbstractLimits):
     def apply(self, coefficients: Coefficients) -> Float[np.ndarray, " row"]:
         """Return the values for coefficients, shape (row,)."""
         return self.matrix @ coefficients.reshape(-1)
-
-    def transpose(self, rows: Float[np.ndarray, " row"]) -> Coefficients:
-        """Return the transposed map of values per row."""
-        return (self.matrix.T @ rows).reshape(-1, self.axis_count)
 
     def flat(self, axis_count: int) -> Any:
         """Return the map of the coefficients, row by row, as a sparse matrix."""
@@ -209,3 +191,23 @@ def _check_nominal(
         f"{worst:.4g} {unit} on axis {axis} at {(row + order / 2) * time_step:.4g} s, "
         f"but is {limit:.4g} {unit}: {worst - limit:.4g} {unit} too low."
     )
+
+
+def feasible_share(p: Coefficients, limits: Sequence[AbstractLimits]) -> float:
+    """Return the largest a with a p within the limits; above 1 where there is room.
+
+    **Differentiability**: none, a host function.
+    """
+    shares = [_share(limit.apply(p), limit.lower, limit.upper) for limit in limits]
+    return min(shares, default=np.inf)
+
+
+def _share(rows: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> float:
+    bound = np.where(rows > 0, upper, lower)
+    moves = np.abs(rows) > 0
+    if not np.any(moves):
+        return np.inf
+    # A bound that is met by rounding only leaves a share of 0, not below. One rounding
+    # less, so that the product itself stays within.
+    least = float(np.min(np.maximum(bound[moves] / rows[moves], 0)))
+    return least * (1 - 1e-12)

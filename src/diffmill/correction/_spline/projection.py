@@ -1,5 +1,6 @@
 """Bring a command into what the controller can follow: knots and bounds."""
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -8,9 +9,16 @@ from jaxtyping import Float
 
 from ..._types import FloatRows, RealScalarLike
 from ...optimise import solve_quadratic_program
-from .._limited_quadratic import Bounds, QuadraticNotSolved, feasible_share
-from .command_limits import AbstractLimits
+from .command_limits import AbstractLimits, feasible_share
 from .spline_offsets import SplineOffsets, adjoint_offsets
+
+# Limits are drawn in by this share of their largest bound: what the solver cannot tell.
+# Where a bound is 0 it may be passed by as much.
+_TOLERANCE = 1e-7
+
+
+class QuadraticNotSolved(ArithmeticError):
+    """Raise when a quadratic program could not be solved to working precision."""
 
 
 def project(
@@ -48,17 +56,18 @@ def project(
         return fitted
     gradient = -adjoint_offsets(spline, offset)
     axes = gradient.shape[1]
-    box = np.full(gradient.shape, bound)
-    kinds = [Bounds.of_box(-box, box)]
-    kinds += [Bounds.hard(limit.lower, limit.upper) for limit in limits]
+    box = np.full(gradient.size, bound)
+    hard = [_moved(limit, _TOLERANCE) for limit in limits]
     found = solve_quadratic_program(
         sparse.kron(_symmetric(spline.normal_band()), sparse.eye_array(axes)),
         gradient.reshape(-1),
         sparse.vstack(
             [sparse.eye_array(box.size), *(limit.flat(axes) for limit in limits)]
         ),
-        np.concatenate([kind.lower for kind in kinds]),
-        np.concatenate([kind.upper for kind in kinds]),
+        np.concatenate(
+            [-box.reshape(-1), *(limit.lower.reshape(-1) for limit in hard)]
+        ),
+        np.concatenate([box.reshape(-1), *(limit.upper.reshape(-1) for limit in hard)]),
     )
     if found is None:
         raise QuadraticNotSolved(
@@ -66,9 +75,20 @@ def project(
             "has no solution to working precision."
         )
     p = np.clip(found.x.reshape(gradient.shape), -bound, bound)
-    values = [limit.apply(p).reshape(-1) for limit in limits]
-    room = [kind.share(rows) for kind, rows in zip(kinds[1:], values, strict=True)]
-    return min([1.0, *room]) * p
+    loose = [_moved(limit, -_TOLERANCE) for limit in limits]
+    return min(1.0, feasible_share(p, loose)) * p
+
+
+def _moved(limit: AbstractLimits, share: float) -> AbstractLimits:
+    """Return a limit drawn in by a share of its largest bound, or let out where 0."""
+    ends = np.concatenate([limit.lower.reshape(-1), limit.upper.reshape(-1)])
+    slack = share * np.max(np.abs(ends[np.isfinite(ends)]), initial=0.0)
+    if slack > 0:
+        lower, upper = limit.lower + slack, limit.upper - slack
+        lower, upper = np.minimum(lower, 0.0), np.maximum(upper, 0.0)
+    else:
+        lower, upper = np.minimum(limit.lower, slack), np.maximum(limit.upper, -slack)
+    return dataclasses.replace(limit, lower=lower, upper=upper)
 
 
 def clip_offset(

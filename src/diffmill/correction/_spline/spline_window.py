@@ -63,25 +63,6 @@ class SplineWindow(eqx.Module):
         weights = np.pad(np.asarray(self.weights), ((reach,) * 2, (0, 0)), mode="edge")
         return SplineWindow(start, weights, self.first, self.is_free)
 
-    def normal_band(self) -> Float[np.ndarray, "4 coefficient"]:
-        """Return the upper band of B^T B, in the layout of `scipy.linalg`."""
-        band = np.zeros((4, self.is_free.shape[0]))
-        start, weights = np.asarray(self.start), np.asarray(self.weights)
-        for r in range(4):
-            for s in range(r, 4):
-                np.add.at(band[3 - (s - r)], start + s, weights[:, r] * weights[:, s])
-        return band
-
-    def transposed(
-        self, signal: Float[np.ndarray, "step axis"]
-    ) -> Float[np.ndarray, "coefficient axis"]:
-        """Return B^T signal on the host, shape (coefficient, axis)."""
-        total = np.zeros((self.is_free.shape[0], signal.shape[1]))
-        start, weights = np.asarray(self.start), np.asarray(self.weights)
-        for r in range(4):
-            np.add.at(total, start + r, weights[:, r, None] * signal)
-        return total
-
 
 def spline_window(
     spline: SplineOffsets, first_row: int, row_count: int

@@ -26,7 +26,7 @@ from jaxtyping import Array, Float, Int
 from ...process import AbstractEngagement, Process
 from .._machine._integrator.base import ArmState, steady_state
 from .._machine.elastic import ElasticArm, MotorRow, start_rate
-from .._machine.machine import RunState, Segment, all_ends, begin, with_first
+from .._machine.machine import RunState, all_ends, begin, continued, with_first
 from .period_slopes import ArmSlopes, ForceSlopes, arm_slopes, force_slopes
 
 # Periods whose arm is linearised at once.
@@ -51,16 +51,22 @@ class LinearRun(eqx.Module):
     """The linear system around a run.
 
     Attributes:
+        ends: Tips of the run itself at the ends of the sub-steps of the period before
+            each row [m], shape (step, substep, 3).
+        force: Its mean forces over the period before each row [N], shape (step, 3).
         loads: L, shape (period, load, cause).
         arm: A, shape (period, output, input).
         pose: Of the pose at the start of a period in x, shape (period, pose, state).
-        circles: Rows of the thinned poses, shape (period, circle).
+        circles: Rows of the thinned poses, shape (period, circle); those before the
+            first row, which stay, are negative.
         begin: Of the first state in the first three motor positions, shape (state,
             3 joint).
         periods: Teeth whose poses a force remembers.
         substeps: Sub-steps of a period.
     """
 
+    ends: Float[Array, "step substep 3"]
+    force: Float[Array, "step 3"]
     loads: Float[Array, "period load cause"]
     arm: Float[Array, "period output input"]
     pose: Float[Array, "period pose state"]
@@ -84,6 +90,7 @@ class LinearRun(eqx.Module):
         S, d = self.substeps, first.shape[0]
         steps = motors.shape[0]
         r = jnp.broadcast_to(first[None, None], (self.periods, S, d, directions))
+        # The last row stands for those before the first, which do not move.
         history = jnp.zeros((steps, d, directions), x.dtype)
 
         def period(carry, row):
@@ -126,22 +133,30 @@ class _Around(eqx.Module):
 
 
 def linearise(
-    machine: ElasticArm, process: Process, motors: Float[Array, "step joint"]
-) -> tuple[Segment, LinearRun]:
+    machine: ElasticArm,
+    process: Process,
+    motors: Float[Array, "step joint"],
+    state: RunState | None = None,
+) -> LinearRun:
     """Run a machine, and return the linear system around the run.
 
     Args:
         machine: The machine.
         process: The process; its derivative must hold the stock.
         motors: Motor positions [rad or m], shape (step, joint).
+        state: State at row 0, which does not move, of `begin_run` or an earlier
+            segment; None to begin with the motors.
 
     Returns:
-        The rows of the run, and the system.
+        The system, with the run itself.
 
     **Differentiability**: none is meant.
     """
-    steps = motors.shape[0]
-    state, _ = begin(machine, process, motors, steps)
+    steps, first = motors.shape[0], jnp.ones((), jnp.int32)
+    if state is None:
+        started, _ = begin(machine, process, motors, steps)
+    else:
+        started, first = continued(process, state, steps - 1)
 
     def period(state: RunState, x: tuple[Array, MotorRow]):
         ended, out, substeps = machine.follow(process, state, *x)
@@ -158,8 +173,8 @@ def linearise(
         return ended, (out, _Around(state.machine, substeps.loads, slopes))
 
     rows = machine.rows(process, motors, None)
-    index = jnp.arange(1, steps, dtype=jnp.int32)
-    ended, (periods, around) = jax.lax.scan(period, state, (index, rows))
+    index = first + jnp.arange(steps - 1, dtype=jnp.int32)
+    _, (periods, around) = jax.lax.scan(period, started, (index, rows))
     arms = jax.lax.map(
         lambda x: arm_slopes(machine, process, *x),
         (around.state, rows, around.loads),
@@ -168,27 +183,20 @@ def linearise(
     solve = functools.partial(_solved, process.engagement, motors.shape[1])
     loads, arm, pose = jax.vmap(solve)(around.force, arms)
 
-    def first(head: Float[Array, "row joint"]) -> Array:
+    def begun(head: Float[Array, "row joint"]) -> Array:
         rate = start_rate(head, process.tooth_period)
         return ravel_pytree(steady_state(machine.robot, head[0], rate))[0]
 
-    begun = jax.jacfwd(first)(motors[:3])
-    final = machine.pose(process, ended.machine).tip
-    joints = periods.joint_positions
-    assert joints is not None
-    ran = Segment(
-        actual=jnp.concatenate([periods.tip, final[None]]),
+    head = jax.jacfwd(begun)(motors[:3])
+    head = head.reshape(head.shape[0], -1)
+    return LinearRun(
         ends=all_ends(periods),
         force=with_first(periods.force),
-        joint_positions=jnp.concatenate([joints, ended.machine.q[None]]),
-        state=ended,
-    )
-    return ran, LinearRun(
         loads=loads,
         arm=arm,
         pose=pose,
-        circles=around.force.circles,
-        begin=begun.reshape(begun.shape[0], -1),
+        circles=jnp.maximum(around.force.circles - (first - 1), -1),
+        begin=head if state is None else jnp.zeros_like(head),
         periods=process.cutter.flute_count,
         substeps=process.engagement.substeps,
     )

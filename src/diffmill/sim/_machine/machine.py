@@ -265,17 +265,13 @@ def run_segment(
     poses that wait for removal only.
     """
     rows = machine.rows(process, command, None)
-    count, flutes = _length(rows), process.cutter.flute_count
-    # The tooth that is next follows from the index of the period.
-    ahead, history = jnp.mod(state.period_count, flutes), _history_rows(process)
-    longer = _with_rows(state.process, ahead, count + 1 + flutes)
-    started = RunState(longer, state.machine, state.period_count)
-    first = history + ahead + 1
+    count, history = _length(rows), _history_rows(process)
+    started, first = continued(process, state, count)
     ended, periods = _run_periods(machine, process, started, first, rows)
     final = machine.pose(process, ended.machine)
     last = jnp.asarray(count, jnp.int32)
     actual, joints = _all_rows(machine, periods, ended, final, last)
-    kept = _renumbered(ended.process, ahead + count, history)
+    kept = _renumbered(ended.process, first - 1 - history + count, history)
     return Segment(
         actual,
         all_ends(periods),
@@ -283,6 +279,18 @@ def run_segment(
         joints,
         RunState(kept, ended.machine, state.period_count + count),
     )
+
+
+def continued(
+    process: Process, state: RunState, count: int
+) -> tuple[RunState, Int[Array, ""]]:
+    """Return a state with room for more periods, and the index of the first of them."""
+    flutes = process.cutter.flute_count
+    # The tooth that is next follows from the index of the period.
+    ahead, history = jnp.mod(state.period_count, flutes), _history_rows(process)
+    longer = _with_rows(state.process, ahead, count + 1 + flutes)
+    started = RunState(longer, state.machine, state.period_count)
+    return started, history + ahead + 1
 
 
 def begin(

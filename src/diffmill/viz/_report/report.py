@@ -5,7 +5,7 @@ What it reads of a result besides the variables of `simulate` and `correct`:
 - attributes `job` (name), `source` (text of the job file), `notes` (lines), `versions`
   (programs and versions, separated by commas), and, of a run that broke off,
   `incomplete` (1), `incomplete_reason`, `incomplete_time` [s], `incomplete_place` [m];
-- attributes `CASE_NAME`, such as `mirror_products`: the cost and the settings of each
+- attributes `CASE_NAME`, such as `mirror_forward_runs`: the cost and the settings of each
   case, those that end in `_s` in seconds; `corrected_case`: the case whose command is
   the corrected program; `is_successful` (0 marks a run that failed);
 - every other attribute is listed as a setting.
@@ -211,7 +211,7 @@ def _chosen(dataset: "xarray.Dataset") -> str:
 
 def _case_attributes(dataset: "xarray.Dataset") -> dict[str, dict[str, str]]:
     """Return the attributes that begin with the name of a case, by case."""
-    # "mirror_iterated_products" belongs to the longest name that fits.
+    # "mirror_iterated_forward_runs" belongs to the longest name that fits.
     names = sorted(case_names(dataset), key=len, reverse=True)
     found: dict[str, dict[str, str]] = {name: {} for name in case_names(dataset)}
     for key, value in dataset.attrs.items():

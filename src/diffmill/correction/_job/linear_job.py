@@ -1,0 +1,117 @@
+"""The linear system of a job, of its whole path or of some rows."""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..._job import Job
+from ...process import StockHeld, wall_deviation, wall_shares
+from ...sim import (
+    ElasticArm,
+    LinearRun,
+    Run,
+    RunState,
+    Segment,
+    job_machine,
+    job_process,
+    linearise,
+    path_axes,
+)
+from .._core.linear_motion import LinearMotion
+from .._core.problem import Motion
+
+# A number per step.
+Steps = Float[Array, " step"] | Float[np.ndarray, " step"]
+
+
+def wall_motion(
+    job: Job, ran: Run | Segment | LinearRun, shares: Steps | None
+) -> Motion:
+    """Return the motion of a job as the walls show it.
+
+    Args:
+        job: The job, with the rows that were run.
+        ran: What its robot does.
+        shares: When in each period its wall is made; by the path alone if None.
+
+    **Differentiability**: linear in the tips.
+    """
+    desired = jnp.asarray(job.path.positions)
+    if shares is None:
+        shares = wall_shares(desired, path_axes(job), job.cutter)
+    deviation = wall_deviation(ran.ends, desired, jnp.asarray(shares, desired.dtype))
+    return Motion(desired + deviation, ran.force)
+
+
+class LinearJob(LinearMotion):
+    """The motion of a job and the linear system around it.
+
+    Attributes:
+        motion: The motion.
+        run: The system, in the motors.
+        motors: Slopes of the motors in the command, row by row, shape (step, joint,
+            axis).
+        wall_share: When in each period its wall is made, shape (step,).
+    """
+
+    motion: Motion
+    run: LinearRun
+    motors: Float[Array, "step joint axis"]
+    wall_share: Float[Array, " step"]
+
+    def move(self, changes: Float[Array, "step axis direction"]) -> Motion:
+        """Return the changes of the motion, each direction a row of the first axis."""
+        motors = jnp.einsum("kja,kad->kjd", self.motors, changes)
+        found = self.run.move(motors)
+        still = jnp.zeros((changes.shape[0], 3), changes.dtype)
+        walls = jax.vmap(
+            lambda ends: wall_deviation(ends, still, self.wall_share), in_axes=-1
+        )
+        return Motion(walls(found.ends), jnp.moveaxis(found.force, -1, 0))
+
+
+def has_linear_run(job: Job) -> bool:
+    """Return whether the linear system of a job's run is known in closed form."""
+    settings = job.simulation
+    is_known = settings.chip == "near_far" and settings.integrator == "midpoint"
+    return settings.mode == "dynamic" and is_known
+
+
+def row_slopes(
+    function: Callable[[Array], Array], command: Float[Array, "step axis"]
+) -> tuple[Float[Array, "step joint"], Float[Array, "step joint axis"]]:
+    """Return motors and their slopes, of which a row follows its own tip alone."""
+    motors, push = jax.linearize(function, command)
+    axes = jnp.eye(command.shape[1], dtype=command.dtype)
+    along = lambda axis: push(jnp.broadcast_to(axis[None], command.shape))
+    return motors, jax.vmap(along, out_axes=-1)(axes)
+
+
+def linear_job(
+    job: Job,
+    motors: Float[Array, "step joint"],
+    slopes: Float[Array, "step joint axis"],
+    wall_share: Steps | None,
+    state: RunState | None = None,
+) -> LinearJob:
+    """Return the linear system of a job around a run.
+
+    Args:
+        job: The job, of a dynamic arm.
+        motors: Its motors [rad or m], shape (step, joint).
+        slopes: Slopes of the motors in the command, shape (step, joint, axis).
+        wall_share: When in each period its wall is made; by the path alone if None.
+        state: State at row 0, as of `sim.linearise`.
+    """
+    machine = job_machine(job)
+    assert isinstance(machine, ElasticArm)
+    run = linearise(machine, job_process(job, StockHeld()), motors, state)
+    desired = jnp.asarray(job.path.positions)
+    if wall_share is None:
+        wall_share = wall_shares(desired, path_axes(job), job.cutter)
+    shares = jnp.asarray(wall_share, desired.dtype)
+    motion = wall_motion(job, run, shares)
+    return LinearJob(motion, run, slopes, shares)

@@ -1,0 +1,360 @@
+"""Offsets of a command as a least-squares problem with a Jacobian that is written down.
+
+The unknowns are the coefficients of a spline, some hundred. Each is carried through the
+linear system of the plant, many at once, which gives the whole Jacobian; every limit is
+then a row of the one quadratic program of a step.
+"""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import TypeAlias
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ..._types import RealScalarLike
+from ...optimise import (
+    AbstractProblem,
+    LeastSquaresState,
+    LevenbergMarquardt,
+    OutputConstraints,
+    QuadraticModel,
+    least_squares,
+)
+from .._core.linear_motion import LinearMotion, linear_motion
+from .._core.path_objective import AbstractObjective, PathObjective
+from .._core.problem import Motion, Plant, Problem, motion_of
+from .._spline.command_limits import AbstractLimits
+from .._spline.spline_offsets import SplineOffsets
+from .._spline.spline_window import SplineWindow
+from .._surface.surface_limits import SurfaceBounds
+
+# Contour error that counts as one in the residual [m]; sets no result, only the size
+# of the numbers and what `smoothness` is relative to.
+UNIT = 1e-4
+# Unknowns that are carried through the run at once: what bounds its memory.
+_BLOCK = 96
+# Steps that may be taken besides to bring outputs within their bounds, and how little
+# of the cost one of them may gain. What cannot be held gains nothing long before.
+_RETURN_STEPS = 40
+_RETURN_SHARE = 1e-3
+
+Unknowns: TypeAlias = Float[np.ndarray, " unknown"]
+
+
+class ContourResidual(eqx.Module):
+    """Everything that the residual needs besides the coefficients and the motion.
+
+    Attributes:
+        problem: The problem.
+        spline: Basis of the offsets.
+        smoothness: Weight of the roughness, see `GaussNewton`.
+        lag_weight: Weight of the deviation along the path, see `GaussNewton`.
+        objective: The error that is to become small.
+        bounds: Bounds of the machined surface, whose errors follow as outputs.
+    """
+
+    problem: Problem
+    spline: SplineOffsets | SplineWindow
+    smoothness: RealScalarLike
+    lag_weight: RealScalarLike
+    objective: AbstractObjective = PathObjective()
+    bounds: SurfaceBounds | None = None
+
+
+class Errors(eqx.Module):
+    """Residual of one motion, in units of 0.1 mm.
+
+    Attributes:
+        error: Errors that become small, shape (error,).
+        rough: Weighted second differences of the coefficients, shape (rough,).
+        output: Errors of the surface that have bounds, shape (output,).
+    """
+
+    error: Float[Array, "*direction error"]
+    rough: Float[Array, "*direction rough"]
+    output: Float[Array, "*direction output"]
+
+
+def contour_residual(
+    coefficients: Float[Array, "coefficient axis"], args: ContourResidual
+) -> Float[Array, " residual"]:
+    """Return the weighted errors and the roughness as one vector.
+
+    With `PathObjective` its square is (rms contour error / 0.1 mm)^2 over the rows
+    that cut, plus (lag_weight x rms deviation along the path / 0.1 mm)^2 there, plus
+    (smoothness x rms second difference of the coefficients / max_offset)^2.
+
+    Args:
+        coefficients: Spline coefficients of the offset, in the command's unit.
+        args: The problem, the basis and the weight.
+
+    Returns:
+        Dimensionless residuals, the error first.
+
+    **Differentiability**: that of the plant; kinks where the nearest segment changes.
+    """
+    motion = args.problem.plant(_command(coefficients, args))
+    found = errors_of(motion, coefficients, args)
+    return jnp.concatenate([found.error, found.rough])
+
+
+def errors_of(
+    motion: Motion,
+    coefficients: Float[Array, "coefficient axis"],
+    args: ContourResidual,
+) -> Errors:
+    """Return the residual of a motion that is known, see `contour_residual`.
+
+    **Differentiability**: kinks where the nearest segment changes.
+    """
+    problem, dtype = args.problem, coefficients.dtype
+    error = args.objective.errors(problem, motion, args.lag_weight)
+    rough = args.spline.roughness(coefficients)
+    price = jnp.asarray(args.smoothness, dtype) / np.sqrt(rough.shape[0])
+    rough = rough * (price / jnp.asarray(problem.max_offset, dtype))
+    none = jnp.zeros((0,), dtype)
+    output = none if args.bounds is None else args.bounds.errors(motion)
+    return Errors(error / UNIT, rough.reshape(-1), output / UNIT)
+
+
+class FitValue(eqx.Module):
+    """Residual at a point, on the host.
+
+    Attributes:
+        errors: Of every member, shape (member, error).
+        rough: Roughness, shape (rough,).
+        outputs: Outputs that have bounds, of every member, shape (member, output).
+    """
+
+    errors: Float[np.ndarray, "member error"]
+    rough: Float[np.ndarray, " rough"]
+    outputs: Float[np.ndarray, "member output"]
+
+    def square(self, weights: Float[np.ndarray, " member"]) -> float:
+        """Return the weighted mean square of the errors, and the roughness."""
+        return float(weights @ np.sum(self.errors**2, axis=1) + self.rough @ self.rough)
+
+
+class OffsetFit(AbstractProblem):
+    """Offsets of a command whose errors become small, in all members of an ensemble.
+
+    Attributes:
+        args: What the residual needs.
+        plants: The members' plants; one for a certain model.
+        weights: Shares of the members in the mean square, shape (member,).
+        limits: Limits of the coefficients.
+        constraints: Bounds of the outputs, of one member after the other.
+    """
+
+    args: ContourResidual
+    plants: Sequence[Plant]
+    weights: Float[np.ndarray, " member"]
+    limits: Sequence[AbstractLimits] = ()
+    constraints: OutputConstraints = OutputConstraints()
+
+    def coefficients(self, x: Unknowns) -> Float[Array, "coefficient axis"]:
+        """Return the unknowns as coefficients, shape (coefficient, axis)."""
+        nominal = np.asarray(self.args.problem.nominal)
+        return jnp.asarray(x.reshape(-1, nominal.shape[1]), nominal.dtype)
+
+    def is_within(self, value: FitValue) -> bool:
+        """Tell whether all outputs are within their bounds."""
+        return self.constraints.is_within(value.outputs.reshape(-1))
+
+    def evaluate(self, x: Unknowns) -> FitValue | None:
+        """Return the residual at a point; None where it is not finite."""
+        at = self.coefficients(x)
+        command = _host_command(at, self.args)
+        found = [
+            _host_errors(motion_of(plant, command), at, self.args)
+            for plant in self.plants
+        ]
+        stack = lambda rows: np.stack([np.asarray(row, np.float64) for row in rows])
+        value = FitValue(
+            stack([one.error for one in found]),
+            np.asarray(found[0].rough, np.float64),
+            stack([one.output for one in found]),
+        )
+        square = value.square(self.weights) + np.sum(value.outputs**2)
+        return value if np.isfinite(square) else None
+
+    def model(self, x: Unknowns, value: FitValue) -> QuadraticModel:
+        """Return the model of half the square of the residual."""
+        gradient, curvature = np.zeros(x.size), np.zeros((x.size, x.size))
+        slopes, rough = [], np.zeros((0, x.size))
+        for plant, weight, error in zip(
+            self.plants, self.weights, value.errors, strict=True
+        ):
+            by_error, rough, by_output = self._jacobian(plant, x)
+            gradient += weight * (by_error.T @ error)
+            curvature += weight * (by_error.T @ by_error)
+            slopes.append(by_output)
+        gradient += rough.T @ value.rough
+        curvature += rough.T @ rough
+        point = np.asarray(self.coefficients(x), np.float64)
+        rows = [limit.about(point) for limit in self.limits]
+        outputs, is_hard = value.outputs.reshape(-1), self.is_within(value)
+        if outputs.size:
+            rows.append(self.constraints.rows(outputs, np.concatenate(slopes)))
+        cost = lambda x, at: (
+            0.5 * at.square(self.weights)
+            + self.constraints.cost(at.outputs.reshape(-1), is_hard=is_hard)
+        )
+        return QuadraticModel(cost, gradient, curvature, tuple(rows))
+
+    def _jacobian(
+        self, plant: Plant, x: Unknowns
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the slopes of errors, roughness and outputs of one member."""
+        at = self.coefficients(x)
+        linear = linear_motion(plant, _host_command(at, self.args))
+        blocks = [
+            _columns(linear, at, self.args, jnp.asarray(block))
+            for block in _blocks(x.size)
+        ]
+        joined = lambda rows: np.concatenate([np.asarray(row) for row in rows])[
+            : x.size
+        ].T.astype(np.float64)
+        return (
+            joined([block.error for block in blocks]),
+            joined([block.rough for block in blocks]),
+            joined([block.output for block in blocks]),
+        )
+
+
+def offset_fit(
+    args: ContourResidual,
+    plants: Sequence[Plant],
+    weights: Float[np.ndarray, " member"] | None = None,
+    limits: Sequence[AbstractLimits] = (),
+) -> OffsetFit:
+    """Return the problem of some plants, with the bounds of the surface of `args`.
+
+    Args:
+        args: What the residual needs; its own plant is left out.
+        plants: The members' plants.
+        weights: Shares of the members in the mean square; equal if None.
+        limits: Limits of the coefficients.
+    """
+    count = len(plants)
+    equal = np.full(count, 1 / count)
+    constraints = OutputConstraints()
+    if (bounds := args.bounds) is not None:
+        constraints = OutputConstraints(
+            np.tile(bounds.lower / UNIT, count), np.tile(bounds.upper / UNIT, count)
+        )
+    # A compiled program is then the same for all plants.
+    problem = dataclasses.replace(args.problem, plant=_no_plant)
+    return OffsetFit(
+        dataclasses.replace(args, problem=problem),
+        tuple(plants),
+        equal if weights is None else np.asarray(weights, np.float64),
+        tuple(limits),
+        constraints,
+    )
+
+
+def _no_plant(command: Float[Array, "step axis"]) -> Motion:
+    raise NotImplementedError("the residual of a motion that is known needs no plant")
+
+
+def fit_offsets(
+    fit: OffsetFit,
+    start: Float[np.ndarray, "coefficient axis"],
+    solver: LevenbergMarquardt,
+    *,
+    lower: float | Unknowns,
+    upper: float | Unknowns,
+    state: LeastSquaresState | None = None,
+    callback: Callable[[LeastSquaresState], bool | None] | None = None,
+) -> LeastSquaresState | None:
+    """Return the offsets whose errors are least.
+
+    Where outputs begin out of their bounds they are brought back first, in up to 40
+    steps that do not count as those of the solver.
+
+    Args:
+        fit: The problem.
+        start: Coefficients, shape (coefficient, axis), within the bounds and limits.
+        solver: Settings.
+        lower: Least values of the unknowns.
+        upper: Largest values.
+        state: An earlier state to go on from.
+        callback: As of `optimise.least_squares`.
+
+    Returns:
+        The last state; None where the start has no finite residual.
+
+    **Differentiability**: none, a host function.
+    """
+    if state is None:
+        x = np.clip(np.asarray(start, np.float64).reshape(-1), lower, upper)
+        value = fit.evaluate(x)
+        if value is None:
+            return None
+        state = LeastSquaresState(x, value, solver.damping)
+    is_stopped = False
+
+    def tell(found: LeastSquaresState) -> bool:
+        nonlocal state, is_stopped
+        state = found
+        if fit.is_within(found.value):
+            state = dataclasses.replace(
+                found, steps=0, has_converged=False, damping=solver.damping
+            )
+        is_stopped = callback is not None and bool(callback(state))
+        return is_stopped or fit.is_within(found.value)
+
+    if not fit.is_within(state.value):
+        back = dataclasses.replace(solver, max_steps=_RETURN_STEPS, share=_RETURN_SHARE)
+        least_squares(
+            fit, state.x, back, lower=lower, upper=upper, state=state, callback=tell
+        )
+        if is_stopped or not fit.is_within(state.value):
+            return state
+    return least_squares(
+        fit, state.x, solver, lower=lower, upper=upper, state=state, callback=callback
+    )
+
+
+def _blocks(count: int) -> list[Int[np.ndarray, " unknown"]]:
+    """Return the unknowns in blocks of one length, the last one filled up."""
+    size = min(_BLOCK, count)
+    firsts = range(0, count, size)
+    return [np.minimum(np.arange(i, i + size), count - 1) for i in firsts]
+
+
+def _command(
+    coefficients: Float[Array, "coefficient axis"], args: ContourResidual
+) -> Float[Array, "step axis"]:
+    nominal = jnp.asarray(args.problem.nominal, coefficients.dtype)
+    return nominal + args.spline.offsets(coefficients)
+
+
+_host_command = eqx.filter_jit(_command)
+_host_errors = eqx.filter_jit(errors_of)
+
+
+@eqx.filter_jit
+def _columns(
+    linear: LinearMotion,
+    coefficients: Float[Array, "coefficient axis"],
+    args: ContourResidual,
+    block: Int[Array, " direction"],
+) -> Errors:
+    """Return the slopes of the residual in some of the unknowns, a row each."""
+    count, axes = coefficients.shape
+    dtype = coefficients.dtype
+    # The basis is the same for every axis: its columns are offsets of unit vectors.
+    basis = args.spline.offsets(jnp.eye(count, dtype=dtype))
+    column, axis = block // axes, block % axes
+    along = jax.nn.one_hot(axis, axes, dtype=dtype)
+    moves = linear.move(basis[:, column][:, None] * along.T[None])
+    units = along[:, None] * jax.nn.one_hot(column, count, dtype=dtype)[..., None]
+    residual = lambda motion, x: errors_of(motion, x, args)
+    _, push = jax.linearize(residual, linear.motion, coefficients)
+    return jax.vmap(push)(moves, units)
