@@ -4,7 +4,7 @@ Each length runs in a process of its own, so that its peak of memory is its own.
 path goes to and fro over a block, layer after layer.
 
 python experiments/correction/long.py [--rows 10000 20000 40000] [--arm slides]
-    [--steps 3] [--products 60] [--out FOLDER]
+    [--steps 3] [--out FOLDER]
 """
 
 import argparse
@@ -19,8 +19,8 @@ from typing import Any
 # Enough to see the slope; `--rows 100000` takes a path as long as a real program.
 ROWS = (10_000, 20_000, 40_000)
 HORIZON, OVERLAP = 2000, 256
-# Steps of the optimiser in a segment, and products in a step.
-STEPS, PRODUCTS = 3, 60
+# Steps of the optimiser in a segment.
+STEPS = 3
 # Sizes of the block and of the cut [mm].
 SIDE, STEP_OVER, DEPTH, RADIUS = 60.0, 4.0, 0.5, 5.0
 # What a pass takes with the feed and acceleration of the job, and the way to the next.
@@ -47,14 +47,12 @@ def measure(
     rows: tuple[int, ...] = ROWS,
     arm: str = "reis_rv130_like",
     steps: int = STEPS,
-    products: int = PRODUCTS,
 ) -> None:
     """Print what each length costs, and whether the cost is in proportion."""
     report.say(
-        f"{arm}; segments of {HORIZON} rows, of which {OVERLAP} overlap; {steps} steps "
-        f"of {products} products"
+        f"{arm}; segments of {HORIZON} rows, of which {OVERLAP} overlap; {steps} steps"
     )
-    options = ["--arm", arm, "--steps", str(steps), "--products", str(products)]
+    options = ["--arm", arm, "--steps", str(steps)]
     report.say(
         f"{'rows':>8}{'segments':>10}{'s':>9}{'ms/row':>9}{'GB':>8}"
         f"{'before um':>11}{'after um':>10}"
@@ -99,7 +97,7 @@ def program(rows: int) -> tuple[str, float]:
     return "\n".join(lines) + "\n", DEPTH * (1 + (passes - 1) // per_layer)
 
 
-def one(rows: int, arm: str, steps: int, products: int) -> dict[str, float]:
+def one(rows: int, arm: str, steps: int) -> dict[str, float]:
     """Correct one path and return its figures."""
     import resource
 
@@ -151,14 +149,12 @@ def main() -> None:
     parser.add_argument("--rows", type=int, nargs="+", default=ROWS)
     parser.add_argument("--arm", default="reis_rv130_like")
     parser.add_argument("--steps", type=int, default=STEPS)
-    parser.add_argument("--products", type=int, default=PRODUCTS)
     results = pathlib.Path(__file__).parent / "results"
     parser.add_argument("--out", type=pathlib.Path, default=results)
     parser.add_argument("--one", type=int, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    effort = arguments.steps, arguments.products
     if arguments.one is not None:
-        print(json.dumps(one(arguments.one, arguments.arm, *effort)))
+        print(json.dumps(one(arguments.one, arguments.arm, arguments.steps)))
         return
     here = pathlib.Path(__file__).parent
     sys.path.append(str(here.parent / "common"))
@@ -166,7 +162,7 @@ def main() -> None:
 
     report = Report("diffmill correction: long")
     print("\n".join(report.lines), flush=True)
-    measure(report, tuple(arguments.rows), arguments.arm, *effort)
+    measure(report, tuple(arguments.rows), arguments.arm, arguments.steps)
     lengths = "_".join(str(rows) for rows in arguments.rows)
     store(report, arguments.out, f"long_{arguments.arm}_{lengths}")
 

@@ -189,7 +189,7 @@ def _head(report: Any) -> None:
     report.say("contour and surface errors in um; acceleration of the command in m/s^2")
     report.say(
         f"{'case':16}{'rms':>8}{'95 %':>8}{'max':>8}{'wall95':>8}{'floor95':>8}"
-        f"{'deepest':>8}{'m/s^2':>7}{'offset':>8}{'runs':>6}{'products':>9}{'s':>8}"
+        f"{'deepest':>8}{'m/s^2':>7}{'offset':>8}{'runs':>6}{'systems':>9}{'s':>8}"
     )
 
 
@@ -212,7 +212,7 @@ def _cases(report: Any, found: dm.Correction) -> Any:
             + "".join(f"{1e6 * value:8.1f}" for value in errors)
             + f"{float(row['max_acceleration']):7.2f}{1e6 * offset:8.0f}"
             + f"{data.attrs[f'{name}_forward_runs']:6d}"
-            + f"{data.attrs[f'{name}_products']:9d}"
+            + f"{data.attrs[f'{name}_linearisations']:9d}"
             + f"{data.attrs[f'{name}_wall_time_s']:8.1f}"
         )
     _left(report, found)
@@ -258,7 +258,7 @@ def _judge(report: Any, found: dm.Correction) -> bool:
 def _price(report: Any, found: dm.Correction, steps: list[float]) -> None:
     """Print the time to a twentieth of the error, in runs, without compilation.
 
-    A product's time is that of the steps after the first, which compiles.
+    A step's time is that of those after the first, which compiles.
     """
     history = found.history
     least = 0.05 * found.methods["uncorrected"].measures.rms
@@ -267,12 +267,12 @@ def _price(report: Any, found: dm.Correction, steps: list[float]) -> None:
         report.say("  a twentieth of the error is not reached")
         return
     first, last = history[0], history[-1]
-    product = (last.seconds - first.seconds) / (last.products - first.products)
+    step = (last.seconds - first.seconds) / (len(history) - 1)
     mirror = found.methods["mirror_iterated"]
     run = found.wall_time["mirror_iterated"] / mirror.forward_runs
     report.figure(
         f"forward runs' time to 5 % of the error ({there[0] + 1} steps)",
-        history[there[0]].products * product / run,
+        (there[0] + 1) * step / run,
         60,
         "",
     )

@@ -17,7 +17,7 @@ import numpy as np
 
 import diffmill as dm
 from diffmill import process as pr, sim
-from diffmill.correction import ScaledPlant, delayed, draw_scales
+from diffmill.correction import ScaledPlant, TipPlant, delayed, draw_scales
 from diffmill.toolpath import contour_error
 from small_job import small_job
 
@@ -75,7 +75,7 @@ def _timed(
     found = dm.correct(job, resume=kept)
     last = found.history[-1]
     report.say(
-        f"{name}: {last.products} products over all members, {last.seconds:.0f} s"
+        f"{name}: {last.models} linear systems of all members, {last.seconds:.0f} s"
     )
     return found.commanded
 
@@ -83,11 +83,11 @@ def _timed(
 def _errors(job: dm.Job, found: dm.Correction) -> Errors:
     cutting = np.asarray(found.before.is_cutting)
     desired = jnp.asarray(job.path.positions)
-    plant = ScaledPlant(sim.with_precision(job), pr.ThroughPoses())
+    plant = ScaledPlant(TipPlant(sim.with_precision(job), pr.ThroughPoses()))
 
     @jax.jit
     def every(scale: jax.Array, command: jax.Array) -> jax.Array:
-        return contour_error(plant(scale, command).actual, desired)
+        return contour_error(plant.member(scale)(command).actual, desired)
 
     return lambda scale, command: np.asarray(
         every(jnp.asarray(scale), jnp.asarray(command))

@@ -67,7 +67,7 @@ def _trade_off(report: Report, job: dm.Job, correction: dm.Correction) -> None:
     problem = dm.correction.Problem(
         plant=dm.correction.TipPlant(
             job,
-            dm.process.ThroughPoses(keeps_jacobian=True),
+            dm.process.ThroughPoses(),
             before.wall_share,
             before.rigid,
         ),

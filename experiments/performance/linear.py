@@ -44,7 +44,7 @@ def measure(report: Report) -> None:
     move = eqx.filter_jit(lambda around, moves: around.move(moves).ends)
     columns = spent(lambda: move(around, moves))
     report.say(f"96 directions through it: {columns / run:.2f} runs")
-    plant = co.TipPlant(job, pr.ThroughPoses(keeps_jacobian=True))
+    plant = co.TipPlant(job, pr.ThroughPoses())
     problem = co.Problem(
         plant=plant,
         nominal=np.asarray(tips),

@@ -18,7 +18,6 @@ from diffmill.correction import (
     layer_thickness,
     surface_bounds,
 )
-from diffmill.correction._method.checkpoint import pack_rounds, unpack_rounds
 from diffmill.optimise import LevenbergMarquardt
 from diffmill.workpiece import box
 
@@ -150,7 +149,6 @@ def test_the_worst_member_gets_the_middle_of_all():
     # An interruption in any round changes nothing, to the bit.
     assert [m.round for m in kept[:1] + kept[-1:]] == [0, 5]
     for memory in (kept[0], kept[len(kept) // 2], kept[-1]):
-        memory = unpack_rounds(pack_rounds(memory))
         _, again = middle({"resume": memory}, is_worst_case=True)
         np.testing.assert_array_equal(again.command, rounds.command)
         assert [s.cost for s in again.history] == [s.cost for s in rounds.history]

@@ -68,6 +68,7 @@ def test_the_minimum_within_limits_is_that_of_a_dense_solver():
     rows = limit.about(np.zeros((count, 1)))
     far = np.full(count, 0.08)
     found = minimum_within(A, g, [LinearRows(np.eye(count), -far, far), rows])
+    assert found is not None
     matrix = rows.matrix.toarray()
     assert np.all(matrix @ found <= rows.upper + 1e-9)
     assert np.all(matrix @ found >= rows.lower - 1e-9)

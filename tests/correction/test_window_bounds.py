@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from correction.test_held import PATIENT, RADIUS, ROWS, TIME_STEP, straight_wall
+from correction.test_held import PATIENT, ROWS, TIME_STEP, straight_wall
 
 from diffmill.correction import (
     AbstractPiece,
@@ -17,7 +17,6 @@ from diffmill.correction import (
     RecedingHorizon,
     surface_bounds,
 )
-from diffmill.correction._surface.segment_limits import deepest_rows, window_bounds
 
 
 class Pushed(AbstractPiece):
@@ -108,23 +107,3 @@ def test_the_tool_stays_in_a_thin_layer_in_segments():
     found = segments(problem, surface_bounds(surface, layers=layers))
     most = np.asarray(surface.errors(found.motion.actual)).max()
     assert 0.8e-4 < most <= 0.9e-4 * (1 + 1e-9)
-
-
-def test_every_bound_is_in_some_segment():
-    problem, surface = pushed()
-    bounds = surface_bounds(surface, gouge=1e-5, layers=np.full(81, 1e-4))
-    deepest = deepest_rows(bounds, problem.desired)
-    np.testing.assert_array_equal(deepest, np.arange(40, ROWS - 40))
-    motion = Motion(jnp.asarray(problem.desired), jnp.zeros((ROWS, 3)))
-    seen = []
-    for rows in ((0, 50, 80), (50, 100, 130), (100, ROWS, ROWS)):
-        part = window_bounds(bounds, deepest, rows, shift=0, count=81)
-        assert part.errors(motion).shape == (81,)
-        poses = np.asarray(part.surface.poses)[np.isfinite(part.lower)]
-        assert rows[0] <= poses.min() and poses.max() < rows[2]
-        mine = np.asarray(part.surface.points)[np.isfinite(part.upper)]
-        seen.extend(np.round((mine[:, 0]) / 2e-4).astype(int))
-        free = ~np.isfinite(part.lower)
-        np.testing.assert_array_equal(part.upper[free], np.inf)
-    assert set(seen) == set(range(40, ROWS - 40))
-    assert RADIUS == surface.radius

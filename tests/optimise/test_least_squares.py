@@ -234,6 +234,7 @@ def test_few_of_many_constraints_bind_and_all_hold(count):
     hard = LinearRows(L, np.full(count, -0.5), np.full(count, 0.3))
     soft = LinearRows(np.eye(12), np.full(12, -0.1), np.full(12, 0.1), 3.0)
     found = minimum_within(H, g, [hard, soft])
+    assert found is not None
     cost = lambda x: 0.5 * x @ H @ x + g @ x + soft.energy(x)
     dense = scipy.optimize.minimize(
         cost,

@@ -194,9 +194,14 @@ def test_both_adjoints_give_the_same_coupled_gradient():
     np.testing.assert_allclose(gradients[1], gradients[0], atol=1e-9 * scale)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["flat", "ball", "leaning", "uneven"])
-def test_kept_slopes_are_the_same_derivative(kind):
+# Cutters and poses besides the flat one that stands upright.
+OTHERS = ("ball", "leaning", "uneven")
+
+
+@pytest.mark.parametrize(
+    "kind", ["flat", *(pytest.param(k, marks=pytest.mark.slow) for k in OTHERS)]
+)
+def test_forward_and_reverse_mode_are_one_derivative(kind):
     mill = MILL
     if kind in ("ball", "leaning"):
         mill = ct.ball_end_mill(10e-3, 2)
@@ -210,21 +215,16 @@ def test_kept_slopes_are_the_same_derivative(kind):
     along = jnp.asarray(rng.normal(size=theta.shape))
     weights = jnp.asarray(rng.normal(size=path().shape))
 
-    def actual(adjoint):
-        cut = process(plan, adjoint, mill=mill)
-        return lambda theta: sim.run(ARM, cut, theta).actual
+    cut = process(plan, pr.ThroughPoses(), mill=mill)
 
     @jax.jit
-    def derivatives(theta, along, weights):
-        computed = jax.jvp(actual(pr.ThroughPoses()), (theta,), (along,))[1]
-        _, push = jax.linearize(actual(pr.ThroughPoses(keeps_jacobian=True)), theta)
-        return computed, push(along), jax.linear_transpose(push, theta)(weights)[0]
+    def both(theta, along, weights):
+        _, push = jax.linearize(lambda x: sim.run(ARM, cut, x).actual, theta)
+        return push(along), jax.linear_transpose(push, theta)(weights)[0]
 
-    computed, kept, pulled = derivatives(theta, along, weights)
-    # Where little of a chip is in material, slopes are steep and cancel.
-    assert relative(kept, computed) < 1e-7
+    pushed, pulled = both(theta, along, weights)
     np.testing.assert_allclose(
-        jnp.sum(pulled * along), jnp.sum(weights * kept), rtol=1e-9
+        jnp.sum(pulled * along), jnp.sum(weights * pushed), rtol=1e-9
     )
 
 

@@ -54,15 +54,10 @@ CUTS = {
     "helix": (HELIX, {}),
     "in space": (FLAT, {"is_upright": False}),
 }
-CASES = [
-    pytest.param("plain", "upright"),
-    *(pytest.param("plain", cut, marks=pytest.mark.slow) for cut in list(CUTS)[1:]),
-    *(pytest.param(r, "upright", marks=pytest.mark.slow) for r in list(ROBOTS)[1:]),
-]
 
 
-@pytest.mark.parametrize(("kind", "cut"), CASES)
-def test_the_linear_run_is_the_derivative_with_the_stock_held(kind, cut):
+def model(kind, cut):
+    """Return machine, process and motors of a case."""
     robot = ROBOTS[kind]()
     mill, options = CUTS[cut]
     engagement = pr.choose_engagement(
@@ -79,6 +74,19 @@ def test_the_linear_run_is_the_derivative_with_the_stock_held(kind, cut):
     machine = sim.ElasticArm(robot, np.eye(4))
     theta = motors()
     theta = jnp.pad(theta, ((0, 0), (0, robot.joint_count - theta.shape[1])))
+    return machine, process, theta
+
+
+CASES = [
+    pytest.param("plain", "upright"),
+    *(pytest.param("plain", cut, marks=pytest.mark.slow) for cut in list(CUTS)[1:]),
+    *(pytest.param(r, "upright", marks=pytest.mark.slow) for r in list(ROBOTS)[1:]),
+]
+
+
+@pytest.mark.parametrize(("kind", "cut"), CASES)
+def test_the_linear_run_is_the_derivative_with_the_stock_held(kind, cut):
+    machine, process, theta = model(kind, cut)
     rng = np.random.default_rng(0)
     change = 1e-6 * np.cumsum(rng.normal(size=(*theta.shape, 2)), axis=0)
     change[:, 4:] = 0.0
@@ -92,5 +100,31 @@ def test_the_linear_run_is_the_derivative_with_the_stock_held(kind, cut):
 
     found, wanted = both(theta, jnp.asarray(change))
     for have, want in zip(found, wanted, strict=True):
+        assert np.max(np.abs(want)) > 0
+        assert np.max(np.abs(have - want)) < 1e-9 * np.max(np.abs(want))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rows", [8, 9])
+def test_a_segment_has_the_linear_run_of_its_rows(rows):
+    """From a state that does not move, with older poses in what a chip remembers."""
+    machine, process, theta = model("plain", "upright")
+    rng = np.random.default_rng(1)
+    change = jnp.asarray(1e-6 * np.cumsum(rng.normal(size=theta.shape), axis=0))
+    change = (change - change[rows][None])[rows:]
+
+    @jax.jit
+    def both(theta, change):
+        begun = sim.begin_run(machine, process, theta)
+        state = sim.run_segment(machine, process, theta[: rows + 1], begun).state
+        rest = theta[rows:]
+        found = sim.linearise(machine, process, rest, state)
+        run = lambda x: sim.run_segment(machine, process, x, state)
+        ran, pushed = jax.jvp(run, (rest,), (change,))
+        moved = found.move(change[..., None])
+        have = (found.ends, found.force, moved.ends[..., 0], moved.force[..., 0])
+        return have, (ran.ends, ran.force, pushed.ends, pushed.force)
+
+    for have, want in zip(*both(theta, change), strict=True):
         assert np.max(np.abs(want)) > 0
         assert np.max(np.abs(have - want)) < 1e-9 * np.max(np.abs(want))

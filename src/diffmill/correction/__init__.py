@@ -84,13 +84,13 @@ from ._method.offset_fit import (
     ContourResidual as ContourResidual,
     contour_residual as contour_residual,
 )
-from ._method.plant_segment import (
+from ._placement.objective import predicted_deviation as predicted_deviation
+from ._placement.place_workpiece import place_workpiece as place_workpiece
+from ._segments.plant_segment import (
     AbstractPiece as AbstractPiece,
     AbstractPieces as AbstractPieces,
 )
-from ._method.receding_horizon import RecedingHorizon as RecedingHorizon
-from ._placement.objective import predicted_deviation as predicted_deviation
-from ._placement.place_workpiece import place_workpiece as place_workpiece
+from ._segments.receding_horizon import RecedingHorizon as RecedingHorizon
 from ._spline.command_limits import (
     InfeasibleLimit as InfeasibleLimit,
     LinearLimits as LinearLimits,

@@ -4,8 +4,7 @@ What it models: `lowpass`, a Butterworth filter run forward and backward, which 
 the tooth frequency out of forces for display and noise out of a predicted deviation
 before it is mirrored. The filter has no phase shift, and its order and cut-off are
 arguments. Besides, derivatives that JAX would not find by itself, or not as cheaply:
-`with_derivative_of`, `clamp` and `eager_jacobian` for what is
-linearised once and multiplied often; `hold` keeps what XLA would compute again, and
+`with_derivative_of` and `clamp`; `hold` keeps what XLA would compute again, and
 `small_inverse` is an inverse that batches well.
 `hat_integral` is the smooth step that samples at any phase sum up fairly, `ramp` a
 kink rounded off.
@@ -15,10 +14,6 @@ already give, and filters within a traced function.
 """
 
 from ._clamp import clamp as clamp
-from ._eager_jacobian import (
-    eager_jacobian as eager_jacobian,
-    eager_row_jacobian as eager_row_jacobian,
-)
 from ._filters import lowpass as lowpass
 from ._hat import hat_integral as hat_integral, mean_step as mean_step, ramp as ramp
 from ._hold import hold as hold

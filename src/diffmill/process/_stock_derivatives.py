@@ -21,18 +21,7 @@ from ..workpiece import Pose, PoseTrack
 
 
 class AbstractAdjoint(eqx.Module):
-    """Policy for derivatives through the stock.
-
-    Attributes:
-        keeps_jacobian: Whether a linearisation keeps the slopes of forces and
-            occupancies, for many cheap products, instead of computing both again in
-            every product, as suits one gradient. Of forces only with the arm's
-            dynamics, not in its static balance. Where samples are looked up in space
-            (`EdgeElementsInSpace`), cutter and stock then are constants: to
-            differentiate in them raises ValueError.
-    """
-
-    keeps_jacobian: eqx.AbstractVar[bool]
+    """Policy for derivatives through the stock."""
 
     @abc.abstractmethod
     def removal_poses(self, poses: Pose) -> Pose:
@@ -44,13 +33,7 @@ class AbstractAdjoint(eqx.Module):
 
 
 class ThroughRays(AbstractAdjoint):
-    """Differentiate through the ends of all rays.
-
-    Attributes:
-        keeps_jacobian: See `AbstractAdjoint`; here the forces only.
-    """
-
-    keeps_jacobian: bool = eqx.field(static=True, default=False)
+    """Differentiate through the ends of all rays."""
 
     def removal_poses(self, poses: Pose) -> Pose:
         """Return the poses unchanged."""
@@ -62,14 +45,7 @@ class ThroughRays(AbstractAdjoint):
 
 
 class ThroughPoses(AbstractAdjoint):
-    """Differentiate through the poses that the ends remember.
-
-    Attributes:
-        keeps_jacobian: See `AbstractAdjoint`; occupancies of a flat cutter that stands
-            upright are computed again all the same.
-    """
-
-    keeps_jacobian: bool = eqx.field(static=True, default=False)
+    """Differentiate through the poses that the ends remember."""
 
     def removal_poses(self, poses: Pose) -> Pose:
         """Return the poses as constants."""
@@ -84,12 +60,7 @@ class StockHeld(AbstractAdjoint):
     """Differentiate as if the stock did not depend on the path.
 
     Chips follow all poses all the same: theirs is the surface that the last teeth left.
-
-    Attributes:
-        keeps_jacobian: See `AbstractAdjoint`.
     """
-
-    keeps_jacobian: bool = eqx.field(static=True, default=False)
 
     def removal_poses(self, poses: Pose) -> Pose:
         """Return the poses as constants."""

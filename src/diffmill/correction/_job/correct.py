@@ -169,8 +169,7 @@ def correct(
     # A horizon that cannot be is refused before anything runs.
     horizon = horizon_of(job)
     check_limits(job)
-    # Adam asks for one gradient at a point, the others for many columns.
-    adjoint = ThroughPoses(keeps_slopes=job.correction.method != "adam")
+    adjoint = ThroughPoses()
     desired = jnp.asarray(job.path.positions)
     # A program beyond a joint's limit is refused before anything runs, too.
     check_joints(job, desired, is_joints=False)

@@ -21,7 +21,7 @@ from ...sim import (
     run_segment,
 )
 from .._core.problem import Motion
-from .._method.plant_segment import AbstractPiece, AbstractPieces
+from .._segments.plant_segment import AbstractPiece, AbstractPieces
 from .linear_job import (
     LinearJob,
     Steps,

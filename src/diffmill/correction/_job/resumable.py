@@ -9,7 +9,7 @@ from ...process import AbstractAdjoint
 from .._method.adam import Adam
 from .._method.checkpoint import pack_rounds, unpack_rounds
 from .._method.gauss_newton import GaussNewton
-from .._method.receding_horizon import RecedingHorizon
+from .._segments.receding_horizon import RecedingHorizon
 from .case_runner import CaseRecord
 from .method import Optimiser
 from .objective import UnsuitableSettings

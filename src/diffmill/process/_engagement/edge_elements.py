@@ -131,7 +131,6 @@ class EdgeElementsInSpace(AbstractEngagement):
             self.discs.band,
             cutter,
             process.derivative.tied_to(state.track),
-            keeps_jacobian=process.derivative.keeps_jacobian,
             slots=state.slots,
         )
         occupied, chip_share = (share.reshape(angle.shape) for share in found)

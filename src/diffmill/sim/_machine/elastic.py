@@ -16,7 +16,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._types import IntScalar, Transform
-from ...numerics import eager_jacobian
 from ...process import (
     EdgeSamples,
     Engagement,
@@ -267,9 +266,7 @@ class ElasticArm(AbstractMachine):
     ) -> tuple[ArmState, ArmSubsteps]:
         """Return the state after sub-steps of a period, and these."""
         robot, h = self.robot, arm.substep
-        keeps_jacobian = process.derivative.keeps_jacobian
         mean_load = _mean_wrench if self.load_count == 6 else _mean_force
-        mean_load = eager_jacobian(mean_load) if keeps_jacobian else mean_load
         J = arm.jacobian[:3]
         tool = _tool_of(process)
 
@@ -287,10 +284,9 @@ class ElasticArm(AbstractMachine):
             return end, ArmSubsteps(looked, tip, moved, F)
 
         earlier = jax.tree.map(lambda x: jnp.moveaxis(x, 0, 1), recent)
-        # Without slopes, what the forces come from is computed again rather than kept.
-        step = substep if keeps_jacobian else jax.checkpoint(substep)
+        # What the forces come from is computed again rather than kept.
         xs = (targets, look.predicted.tip, earlier, look.found.samples)
-        return jax.lax.scan(step, start, xs)
+        return jax.lax.scan(jax.checkpoint(substep), start, xs)
 
 
 def _tool_of(process: Process) -> Process:

@@ -5,9 +5,9 @@ What it reads of a result besides the variables of `simulate` and `correct`:
 - attributes `job` (name), `source` (text of the job file), `notes` (lines), `versions`
   (programs and versions, separated by commas), and, of a run that broke off,
   `incomplete` (1), `incomplete_reason`, `incomplete_time` [s], `incomplete_place` [m];
-- attributes `CASE_NAME`, such as `mirror_forward_runs`: the cost and the settings of each
-  case, those that end in `_s` in seconds; `corrected_case`: the case whose command is
-  the corrected program; `is_successful` (0 marks a run that failed);
+- attributes `CASE_NAME`, such as `mirror_forward_runs`: the cost and the settings of
+  each case, those that end in `_s` in seconds; `corrected_case`: the case whose
+  command is the corrected program; `is_successful` (0 marks a run that failed);
 - every other attribute is listed as a setting.
 """
 

@@ -27,7 +27,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ...cutter import AbstractCutter
-from ...numerics import clamp, eager_row_jacobian, mean_step, with_derivative_of
+from ...numerics import clamp, mean_step, with_derivative_of
 from .._pose import Pose
 from .nearest_interval import nearest_interval, taken
 from .occupancy import REACH
@@ -85,7 +85,6 @@ def occupancy_in_space(
     cutter: AbstractCutter,
     track: PoseTrack | None = None,
     *,
-    keeps_jacobian: bool = False,
     slots: Int[Array, " 3"] | None = None,
 ) -> tuple[Float[Array, " point"], Float[Array, " point"]]:
     """Return how much of the chips at pieces of edge is in the material.
@@ -100,8 +99,6 @@ def occupancy_in_space(
         cutter: The cutter that cut the stock; used only with `track`.
         track: All poses so far, to which the derivative goes; None differentiates
             through the stock.
-        keeps_jacobian: With `track`, whether a linearisation keeps the slopes of each
-            point instead of computing it again in every product.
         slots: How many slots of each family hold anything, shape (3,); counted if not
             given.
 
@@ -122,8 +119,7 @@ def occupancy_in_space(
         return found[:, 0], found[:, 1]
     # One gather for all: its transpose then adds into the table only once.
     cut_by = track.cut_by(jnp.stack([n.pose for n in near], axis=1))
-    look = eager_row_jacobian(_look) if keeps_jacobian else jax.checkpoint(_look)
-    found = look(points, cells, cut_by, near, cutter, grid)
+    found = jax.checkpoint(_look)(points, cells, cut_by, near, cutter, grid)
     return found[:, 0], found[:, 1]
 
 

@@ -12,8 +12,7 @@ from ..._types import FloatRows
 from ...optimise import LeastSquaresStep
 from .._core.linear_motion import LinearMotion, linear_motion
 from .._core.problem import Motion, Problem, contour_of
-from .._spline.spline_offsets import CLAMPED, SplineOffsets
-from .checkpoint import (
+from .._method.checkpoint import (
     Arrays,
     below,
     pack_history,
@@ -22,6 +21,7 @@ from .checkpoint import (
     unpack_history,
     unpack_tree,
 )
+from .._spline.spline_offsets import CLAMPED, SplineOffsets
 from .plant_segment import AbstractPiece
 
 

@@ -37,15 +37,15 @@ from ..._types import FloatRows
 from ...optimise import LeastSquaresStep
 from .._core.method import AbstractMethod, Corrected, OnProgress, corrected
 from .._core.problem import Problem
+from .._method.checkpoint import Arrays, OnCheckpoint
+from .._method.gauss_newton import GaussNewton, check_held
+from .._method.offset_fit import ContourResidual, fit_offsets, offset_fit
 from .._spline.command_limits import LinearLimits, MixedLimits
 from .._spline.projection import project
 from .._spline.spline_offsets import CLAMPED, SplineOffsets
 from .._spline.spline_window import spline_window, window_limits
 from .._surface.segment_limits import cut_points, deepest_rows, is_kept, window_bounds
 from .._surface.surface_limits import SurfaceBounds, refusal
-from .checkpoint import Arrays, OnCheckpoint
-from .gauss_newton import GaussNewton, check_held
-from .offset_fit import ContourResidual, fit_offsets, offset_fit
 from .plant_segment import AbstractPieces
 from .receding_horizon_state import (
     HorizonRun,

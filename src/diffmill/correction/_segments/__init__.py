@@ -1,0 +1,1 @@
+"""Long paths: segment after segment."""
