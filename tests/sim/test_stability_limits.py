@@ -55,7 +55,8 @@ def growth(rpm, robot, arc, depth):
     plan = pr.choose_engagement(
         stock,
         mill,
-        axial_depth=depth + stock.spacing,
+        # As deep for all depths, so that they share a compiled program.
+        axial_depth=1.3e-3,
         substeps=math.ceil(period / SUBSTEP - 1e-9),
     )
     path = np.zeros((61, robot.joint_count))
