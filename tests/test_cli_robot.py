@@ -7,7 +7,7 @@ import pytest
 
 from diffmill.cli import main
 
-# Three slides and a mass: everything about it is known.
+# Three slides and a mass: everything about it is known. Short ones: a small map.
 SLIDES = """name = "slides"
 [[elements]]
 kind = "prismatic"
@@ -21,14 +21,14 @@ damping = "400 N*s/m"
 kind = "prismatic"
 name = "y"
 axis = [0, 1, 0]
-lower = "-1 m"
-upper = "1 m"
+lower = "-250 mm"
+upper = "250 mm"
 [[elements]]
 kind = "prismatic"
 name = "z"
 axis = [0, 0, 1]
-lower = "-1 m"
-upper = "1 m"
+lower = "-100 mm"
+upper = "100 mm"
 stiffness = "16 N/um"
 [[elements]]
 kind = "body"
@@ -128,7 +128,7 @@ def test_drives_make_a_urdf_soft(folder, capsys):
         (["nothing"], "the built-in models are kuka_kr10_like"),
         (["slides.toml", "--pose", "1 m, 2 m"], "--pose: found 2 positions"),
         (["slides.toml", "--pose", "1 deg, 0 m, 0 m"], "x: "),
-        (["slides.toml", "--pose", "0 m, 0 m, 2 m"], "allowed is -1000 to 1000 mm"),
+        (["slides.toml", "--pose", "0 m, 0 m, 2 m"], "allowed is -100 to 100 mm"),
         (["slides.toml", "--tool", "drill"], "'drill'"),
     ],
 )

@@ -41,6 +41,8 @@ def test_uneven_and_lost_samples_do_not_hinder_the_axes(what):
         time = np.sort(time + 0.8 / 2e3 * draw.uniform(-1, 1, time.size))
     else:
         time = time[draw.uniform(size=time.size) > 0.1]
+    # As many samples in all cases: one program.
+    time = time[:340]
     beside = place(time, force(time))
     best = beside.proposal.proposals[0]
     assert identification.axes_of(best.matrix) == ("x", "y", "z")
@@ -65,7 +67,8 @@ def test_samples_that_are_lost_unseen_are_told():
     """Without a time column the rows are counted: the clock steps, the teeth do not."""
     time, _, force = record(1e4, turns=20)
     seen = force(time)
-    assert codes(time, seen) == {}
+    # As many samples in all cases: one program.
+    assert codes(time[:-17], seen[:-17]) == {}
     lost = np.delete(seen, slice(900, 917), axis=0)
     values = codes(time[:-17], lost)["samples_lost"]
     assert values["time"] == pytest.approx(0.09, abs=0.03)
@@ -77,4 +80,4 @@ def test_another_number_of_teeth_is_told():
     # Four teeth: those of two, and the same half a pitch later.
     force = slot_force(time, FEED / 2) + slot_force(time + PERIOD / 2, FEED / 2)
     force += draw.normal(size=force.shape)
-    assert codes(time, force)["tooth_count"] == {"found": 4.0, "given": 2.0}
+    assert codes(time[:-17], force[:-17])["tooth_count"] == {"found": 4.0, "given": 2.0}

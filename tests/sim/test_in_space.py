@@ -160,10 +160,8 @@ def wedge(slope, direction):
     return wp.from_mesh(wp.Mesh(vertices, np.array(faces, np.int32)), D)
 
 
-@pytest.mark.parametrize(
-    "direction",
-    [0.5, *(pytest.param(a, marks=pytest.mark.slow) for a in (0.0, 1.6, math.pi))],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("direction", [0.0, 0.5, 1.6, math.pi])
 def test_a_ball_on_an_inclined_plane_matches_the_reference(direction):
     slope, depth = math.radians(20), 0.8e-3
     rise = math.tan(slope) * math.cos(direction)
@@ -235,10 +233,8 @@ def test_teeth_that_differ_match_the_reference(options, same):
     assert relative(found, wanted) < 2e-2
 
 
-@pytest.mark.parametrize(
-    "kind",
-    ["flat", *(pytest.param(k, marks=pytest.mark.slow) for k in ("ball", "bull"))],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["flat", "ball", "bull"])
 def test_plunging_matches_the_reference(kind):
     path = line([0.03e-3, 0.05e-3, 0.5e-3], -FEED * UP, 26)
     found = cut(path, BLOCK, mill(kind), plunges=True).force

@@ -89,7 +89,9 @@ EDITS = (
 )
 
 
-@pytest.mark.parametrize("mode", ["dynamic", "quasistatic"])
+@pytest.mark.parametrize(
+    "mode", ["dynamic", pytest.param("quasistatic", marks=pytest.mark.slow)]
+)
 def test_other_numbers_and_lengths_compile_nothing(tmp_path, compilations, mode):
     counts, rows, forces = [], [], []
     for k, edits in enumerate(EDITS):

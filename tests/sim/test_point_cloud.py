@@ -94,13 +94,16 @@ def test_mean_force_is_that_of_marching(radial_depth, is_up_milling, bound):
     assert max(errors) < bound
 
 
+compiled_arcs = eqx.filter_jit(chip_arcs)
+
+
 def arcs_after(path, stock=STOCK):
     """Return the arcs of the last pose of a path that has cut the stock before."""
     plan = pr.choose_engagement(stock, MILL, axial_depth=1.6e-3, chip="point_cloud")
     cut = compiled("near_far")(path[:-1], stock).stock
     tips = jnp.asarray(path[-2:])
     process = pr.Process(stock, MILL, PAPER_LAW, 837.0, plan)
-    return jax.jit(lambda s: chip_arcs(process, s, tips[0], tips[1]))(cut)
+    return compiled_arcs(process, cut, tips[0], tips[1])
 
 
 def turned(path, angle):

@@ -36,6 +36,7 @@ K_tc = "3000 N/mm^2"
 K_rc = "2000 N/mm^2"
 K_ac = "100 N/mm^2"
 """
+SLOW = pytest.mark.slow
 STEPS, DEPTH, FEED = 48, 0.8, 0.2
 PERIOD = 60 / 8000 / 2
 
@@ -65,8 +66,11 @@ def tooth_means(record):
 @pytest.mark.parametrize(
     "options",
     [
-        {"cutter": BALL, "lean": 0.4},
-        {"ramp": 0.1, "force": BOTTOM, "simulation": "bottom_edges = true"},
+        pytest.param({"cutter": BALL, "lean": 0.4}, marks=SLOW),
+        pytest.param(
+            {"ramp": 0.1, "force": BOTTOM, "simulation": "bottom_edges = true"},
+            marks=SLOW,
+        ),
         {"cutter": FLAT + '\nrunout = "20 um"\npitch = ["170 deg", "190 deg"]'},
     ],
     ids=["leaning", "bottom", "runout"],
