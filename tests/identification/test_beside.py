@@ -33,7 +33,9 @@ def record(rate, seed=0, turns=TURNS, noise=2.0):
     )
 
 
-@pytest.mark.parametrize("what", ["jitter", "lost"])
+@pytest.mark.parametrize(
+    "what", ["lost", pytest.param("jitter", marks=pytest.mark.slow)]
+)
 def test_uneven_and_lost_samples_do_not_hinder_the_axes(what):
     """At ten samples per tooth hardly a run of samples is evenly spaced."""
     time, draw, force = record(2e3, turns=20)
