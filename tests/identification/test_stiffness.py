@@ -244,7 +244,7 @@ def test_suggested_tests_show_the_missing_joints():
 def test_tables_of_a_wrong_shape_are_refused():
     robot = arm()
     q, wrench, _ = loads(robot, 4, 0)
-    with pytest.raises(ValueError, match=r"`wrench` must have shape \(4, 3\)"):
+    with pytest.raises(ValueError, match=r"`wrench`.*\(4, 3\)"):
         identification.fit_joint_stiffness(robot, q, wrench[:3], wrench)
     with pytest.raises(ValueError, match="`displacement`"):
         identification.fit_joint_stiffness(robot, q, wrench, np.full((4, 3), np.nan))

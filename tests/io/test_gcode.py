@@ -297,5 +297,5 @@ def test_files(tmp_path):
     program = read_gcode(file)
     assert program.name == "part.ngc"
     assert "G1 F60 X2" in program.source
-    with pytest.raises(GCodeError, match="cannot be read"):
+    with pytest.raises(GCodeError):
         read_gcode(tmp_path / "none.ngc")

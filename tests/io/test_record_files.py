@@ -154,5 +154,5 @@ def test_an_absent_package_names_the_extra(tmp_path, monkeypatch):
         raise ImportError(name)
 
     monkeypatch.setattr(importlib, "import_module", absent)
-    with pytest.raises(io.RecordError, match=r"package nptdms.*extra `forces`"):
+    with pytest.raises(io.RecordError, match=r"nptdms.* `forces`"):
         io.load_record(file)

@@ -106,16 +106,16 @@ def test_manifest_cannot_reach_outside(tmp_path, dataset):
 
 
 def test_names_stay_in_the_folder(tmp_path, dataset):
-    with pytest.raises(ValueError, match="directly"):
+    with pytest.raises(ValueError):
         write_results(tmp_path / "out", dataset, files={"../x": "text"})
     assert list(tmp_path.iterdir()) == []
 
 
 def test_folder_that_is_a_file(tmp_path):
     (tmp_path / "out").write_text("")
-    with pytest.raises(ResultsError, match="a folder is required"):
+    with pytest.raises(ResultsError, match="--out"):
         check_folder(tmp_path / "out", force=True)
-    with pytest.raises(ResultsError, match="no folder"):
+    with pytest.raises(ResultsError, match="--out"):
         check_folder(tmp_path / "out" / "below")
 
 

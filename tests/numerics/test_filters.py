@@ -38,10 +38,10 @@ def test_short_signal_is_filtered_too():
 
 @pytest.mark.parametrize("cutoff", [0.0, -1.0, RATE / 2, RATE, np.nan])
 def test_impossible_cutoff_is_refused(cutoff):
-    with pytest.raises(ValueError, match="`cutoff` must lie between 0 and half"):
+    with pytest.raises(ValueError, match="`cutoff`"):
         lowpass(sine(20.0, 100), RATE, cutoff)
 
 
 def test_impossible_order_is_refused():
-    with pytest.raises(ValueError, match="`order` must be at least 1"):
+    with pytest.raises(ValueError, match="`order`"):
         lowpass(sine(20.0, 100), RATE, 100.0, order=0)

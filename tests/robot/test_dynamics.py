@@ -189,11 +189,11 @@ def test_single_precision_stays_single(arm, rng):
 
 
 def test_wrong_arguments_are_named(arm):
-    with pytest.raises(ValueError, match=r"`qd` must have one number per joint"):
+    with pytest.raises(ValueError, match="`qd`"):
         dr.bias_forces(arm, np.zeros(6), [0.0, 1.0])
-    with pytest.raises(ValueError, match="`algorithm` must be 'crba' or 'aba'"):
+    with pytest.raises(ValueError, match=r"`algorithm`.*'crba'.*'aba'"):
         dr.forward_dynamics(arm, arm.home, arm.home, arm.home, algorithm="magic")
-    with pytest.raises(ValueError, match="`wrench` must have 6 numbers"):
+    with pytest.raises(ValueError, match=r"`wrench`.* 6 "):
         dr.inverse_dynamics(arm, arm.home, arm.home, arm.home, [1.0, 2.0, 3.0])
 
 

@@ -212,5 +212,5 @@ def test_a_robot_without_mass_is_for_kinematics_only():
         robot = dr.load(file)
     q = np.array([0.1, 0.2, 0.3])
     assert_allclose(dr.forward_kinematics(robot, q)[:3, 3], q[::-1], rtol=1e-15)
-    with pytest.raises(ValueError, match="singular"):
+    with pytest.raises(ValueError):
         dr.forward_dynamics(robot, q, q, q)

@@ -36,5 +36,5 @@ def test_the_map_is_the_stiffness_where_the_tool_can_go(gantry):
 
 
 def test_a_plane_has_two_axes(gantry):
-    with pytest.raises(ValueError, match="two different ones of 0, 1, 2"):
+    with pytest.raises(ValueError, match="0, 1, 2"):
         dr.stiffness_map(gantry, gantry.home, plane=(1, 1))

@@ -281,5 +281,5 @@ def test_a_long_period_looks_up_the_stock_on_its_way():
 
 
 def test_looks_that_do_not_divide_a_period_are_refused():
-    with pytest.raises(ValueError, match="must divide the sub-steps"):
+    with pytest.raises(ValueError):
         pr.choose_engagement(STOCK, MILL, axial_depth=1e-3, substeps=8, looks=3)

@@ -244,7 +244,7 @@ def test_options_in_a_robot_file(tmp_path):
     file.write_text(
         ARM.replace('motor_inertia = "30 kg"\nservo_stiffness = "2e6 N/m"', "")
     )
-    with pytest.raises(ValueError, match="Either all motors or none"):
+    with pytest.raises(ValueError):
         rb.load(file)
 
 

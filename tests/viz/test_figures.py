@@ -209,7 +209,7 @@ def test_tooth_means_have_neither_zoom_nor_filter(period):
 
 
 def test_uneven_force_record_is_refused():
-    with pytest.raises(ValueError, match="`time` must be equally spaced"):
+    with pytest.raises(ValueError, match="`time`"):
         ForceRecord(np.array([0.0, 1.0, 3.0]), np.zeros((3, 3)))
 
 
@@ -262,7 +262,7 @@ def test_histogram_counts_the_whole_area():
 
 
 def test_surface_needs_a_case():
-    with pytest.raises(ValueError, match="`errors` must hold at least one"):
+    with pytest.raises(ValueError, match="`errors`"):
         plot_surface_error({})
 
 

@@ -46,7 +46,7 @@ def test_step_outside_the_path_is_refused():
     stock = box([0.0, 0.0, 0.0], [4e-3, 4e-3, 2e-3], 0.5e-3)
     cutter = flat_end_mill(diameter=2 * RADIUS, teeth=2, helix_angle=0.0)
     plan = choose_engagement(stock, cutter, axial_depth=DEPTH)
-    with pytest.raises(ValueError, match="`step` must lie between 1 and 4"):
+    with pytest.raises(ValueError, match=r"`step`.* 1 .* 4"):
         process = Process(stock, cutter, PAPER_LAW, 837.0, plan)
         tooth_chip(process, Pose(jnp.zeros((5, 3))), step=5)
 

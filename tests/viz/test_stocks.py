@@ -65,5 +65,5 @@ def test_uncut_stock_has_neither_floor_nor_wall():
 def test_another_grid_is_refused():
     one = box([0.0, 0.0, 0.0], [4e-3, 4e-3, 2e-3], 0.5e-3)
     other = box([0.0, 0.0, 0.0], [4e-3, 4e-3, 2e-3], 0.4e-3)
-    with pytest.raises(ValueError, match="`ideal` must have the grid"):
+    with pytest.raises(ValueError, match="`ideal`"):
         cut_dexels(one, other)

@@ -173,9 +173,9 @@ def test_a_damaged_file_is_named_in_one_error(tmp_path, name, content):
 
 
 def test_missing_files_and_other_formats_are_refused(tmp_path):
-    with pytest.raises(wp.MeshFileError, match=r"no\.stl: cannot be read"):
+    with pytest.raises(wp.MeshFileError, match=r"no\.stl"):
         wp.from_mesh(tmp_path / "no.stl", SPACING)
-    with pytest.raises(wp.MeshFileError, match=r"found the suffix '\.step'; allowed"):
+    with pytest.raises(wp.MeshFileError, match=r"'\.step'"):
         wp.from_mesh(tmp_path / "part.step", SPACING)
 
 
@@ -206,7 +206,7 @@ def test_arguments_out_of_range_are_refused(tmp_path, monkeypatch):
         wp.from_mesh(file, SPACING, interval_counts=(8, 8, 0))
     # Before any ray is cast.
     monkeypatch.setattr("diffmill.workpiece._mesh.from_mesh._solid", None)
-    with pytest.raises(ValueError, match="half of the physical memory"):
+    with pytest.raises(ValueError):
         wp.from_mesh(file, 1e-9)
 
 
@@ -214,7 +214,7 @@ def test_a_part_that_no_ray_meets_is_refused(tmp_path):
     # A thin rod across the plan: rays along z stand beside it.
     rod = block([-4, -0.05, -0.05], [4, 0.05, 0.05])
     rod.vertices[:, :2] = rod.vertices[:, :2] @ np.array([[0.8, 0.6], [-0.6, 0.8]])
-    with pytest.raises(ValueError, match=r"no ray along .*z"):
+    with pytest.raises(ValueError, match=r"`spacing`.* z"):
         wp.from_mesh(export(rod, tmp_path / "rod.ply"), 2e-3)
 
 
