@@ -31,7 +31,7 @@ def measure(report: Report) -> None:
     tilt = ((0.0, 0.0, 1.0),)
     settings = dataclasses.replace(base.simulation, angles=96)
     tilting = dataclasses.replace(settings, axes=tilt)
-    slots = dm.workpiece.with_interval_counts(base.stock, (8, 8, 4))
+    slots = base.stock.with_interval_counts((8, 8, 4))
     jobs = {
         "flat, upright": base,
         "ball, upright": changed(base, cutter=ball, simulation=settings),

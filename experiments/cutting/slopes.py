@@ -147,7 +147,7 @@ def _grooved(depth: float) -> dm.workpiece.Stock:
     y = -12e-3 + 0.2e-3 * np.arange(100)
     path = np.column_stack([np.full(100, 4.03e-3), y, np.full(100, -depth)])
     stock = dm.sim.simulate_process(path, _block(), mill("flat"), LAW, SPINDLE_SPEED)
-    return dm.workpiece.as_raw_stock(stock.stock)
+    return stock.stock.as_raw()
 
 
 def _run_out() -> dm.cutter.EndMill:

@@ -111,9 +111,11 @@ def _removed(
     depth = float(stock.top - tips[:, 2].min()) + spacing
     is_upright = axis[2] == 1
     if is_upright:
-        window = dm.workpiece.removal_window(stock, cutter, depth, spacing)
+        window = dm.workpiece.RemovalWindow.upright(stock, cutter, depth, spacing)
     else:
-        window = dm.workpiece.tilted_window(stock, cutter, axis[None], depth, spacing)
+        window = dm.workpiece.RemovalWindow.tilted(
+            stock, cutter, axis[None], depth, spacing
+        )
     after, is_bad = _remove(stock, cutter, window, tips, None if is_upright else axis)
     if bool(is_bad):
         return math.nan

@@ -21,7 +21,7 @@ from diffmill.correction import (
     touching_rows,
 )
 from diffmill.cutter import flat_end_mill
-from diffmill.workpiece import Pose, box, removal_window, remove_poses, surface_error
+from diffmill.workpiece import Pose, RemovalWindow, box, remove_poses, surface_error
 
 TIME_STEP = 3.75e-3
 RADIUS = 5e-3
@@ -93,7 +93,7 @@ def cutter():
 def cut(cutter):
     """Return a function that cuts a block along tips."""
     stock = box([0.0, 0.0, -3e-3], [15e-3, 12e-3, 0.0], 0.5e-3)
-    window = removal_window(stock, cutter, 2e-3, 1e-3)
+    window = RemovalWindow.upright(stock, cutter, 2e-3, 1e-3)
 
     @jax.jit
     def along(tips):

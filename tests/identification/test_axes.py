@@ -67,6 +67,8 @@ def test_every_mounting_is_recovered(entry, leave, max_shift):
         )
         best = proposal.proposals[0]
         np.testing.assert_array_equal(best.matrix, matrix)
+        for row, name in zip(matrix, best.axes, strict=True):
+            assert row["xyz".index(name[-1])] == (-1 if name[0] == "-" else 1)
         assert proposal.is_clear
         assert best.residual < 0.15  # half a sample of shift adds to the noise
         assert best.violations == ()

@@ -47,13 +47,6 @@ def test_a_slot_read_with_wrong_axes_makes_no_sense():
     assert found[0].axes == ("y", "x", "z") and found[0].score == 0
 
 
-def test_names_of_a_signed_permutation():
-    matrix = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    assert identification.axes_of(matrix) == ("-y", "x", "z")
-    force = np.array([[1.0, 2.0, 3.0]])
-    np.testing.assert_array_equal(force @ matrix.T, [[-2.0, 1.0, 3.0]])
-
-
 def test_one_number_says_as_much_as_the_covariance():
     # Independent errors of 3 % of each coefficient, whatever the force.
     columns = np.random.default_rng(0).normal(size=(50, 6))

@@ -126,7 +126,7 @@ def test_turning_from_across_a_wall_to_along_it_makes_no_kink():
 def pocketed(x=6.07e-3, y=5.03e-3):
     """Return the block with a round hole of the mill, 1.3 mm deep, off the rays."""
     tip = jnp.array([[x, y, -1.33e-3]])
-    window = wp.removal_window(STOCK, MILL, 2e-3, 0.4e-3)
+    window = wp.RemovalWindow.upright(STOCK, MILL, 2e-3, 0.4e-3)
     at = jnp.zeros(1, jnp.int32)
     cut = wp.remove_poses(STOCK, MILL, window, wp.Pose(tip), at, jnp.ones(1, bool))
     return cut.stock

@@ -83,7 +83,7 @@ def test_slivers_are_dropped():
 @functools.cache
 def cut_block(spacing):
     stock = wp.box([0, 0, -2e-3], [12e-3, 10e-3, 0], spacing)
-    window = wp.removal_window(stock, MILL, 1.3e-3, 0.4e-3)
+    window = wp.RemovalWindow.upright(stock, MILL, 1.3e-3, 0.4e-3)
 
     def step(stock, x):
         tip, pose = x
@@ -131,7 +131,7 @@ def test_no_ray_is_left_inside_any_pose_and_none_is_cut_outside():
 
 def test_a_tool_deeper_than_its_window_raises_the_flag():
     stock = wp.box([0, 0, -4e-3], [8e-3, 8e-3, 0], 0.2e-3)
-    window = wp.removal_window(stock, MILL, 0.4e-3, 0.2e-3)
+    window = wp.RemovalWindow.upright(stock, MILL, 0.4e-3, 0.2e-3)
     tip = jnp.array([[4e-3, 4e-3, -3e-3]])
     yes, pose = jnp.ones(1, bool), jnp.zeros(1, jnp.int32)
     assert wp.remove_poses(stock, MILL, window, wp.Pose(tip), pose, yes).is_beyond

@@ -25,7 +25,7 @@ quick = settings(max_examples=25, deadline=None, derandomize=True)
 
 @functools.cache
 def remover(kind):
-    window = wp.tilted_window(STOCK, MILLS[kind], None, 5e-3, D)
+    window = wp.RemovalWindow.tilted(STOCK, MILLS[kind], None, 5e-3, D)
     index, yes = jnp.zeros(1, jnp.int32), jnp.ones(1, bool)
 
     def one(stock, tip, axis):

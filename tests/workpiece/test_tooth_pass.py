@@ -30,7 +30,7 @@ def tip(time):
 def cut(request):
     """Return cutter and stock after one tooth has gone around, forward at time 2.5."""
     mill = ct.flat_end_mill(2 * R, TEETH, request.param)
-    window = wp.removal_window(STOCK, mill, 2.3e-3, D)
+    window = wp.RemovalWindow.upright(STOCK, mill, 2.3e-3, D)
     time = np.arange(5 * SUBSTEPS + 1) / SUBSTEPS
     # Feed along x: the tooth looks forward, at phi = pi / 2, in the middle of a period.
     tooth = wp.ToothPass(

@@ -12,7 +12,6 @@ can say; other parts, robots and materials are left out.
 """
 
 from ._copy import (
-    EXAMPLES as EXAMPLES,
     MEASUREMENTS as MEASUREMENTS,
     copy_example as copy_example,
     example_files as example_files,

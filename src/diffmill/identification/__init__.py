@@ -39,7 +39,6 @@ from ._force.force_coefficients import (
     fit_force_coefficients as fit_force_coefficients,
 )
 from ._force.mean_axis_assignment import (
-    axes_of as axes_of,
     propose_mean_axes as propose_mean_axes,
 )
 from ._force.mean_force import (

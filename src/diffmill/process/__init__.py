@@ -35,10 +35,8 @@ from ._live_rows import (
     when_live as when_live,
 )
 from ._path import (
-    ends_of as ends_of,
-    middles_of as middles_of,
     path_depth as path_depth,
-    path_poses as path_poses,
+    poses_within as poses_within,
 )
 from ._process import (
     AbstractEngagement as AbstractEngagement,
@@ -49,7 +47,6 @@ from ._process import (
 )
 from ._removal_history import (
     HISTORY as HISTORY,
-    end_period as end_period,
     initial_state as initial_state,
     remove_all as remove_all,
     thinned_rows as thinned_rows,

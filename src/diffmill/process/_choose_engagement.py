@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from .._types import FloatRows3
 from ..cutter import AbstractCutter
-from ..workpiece import Discs, Stock, removal_window, tilted_window
+from ..workpiece import Discs, RemovalWindow, Stock
 from ._engagement.bottom_edge import BottomEdges
 from ._engagement.dexel_cloud import DexelCloud
 from ._engagement.edge_elements import EdgeDiscretisation, EdgeElementsInSpace
@@ -143,7 +143,7 @@ def choose_engagement(
         # One more disc than the depth holds: its share rises before it is immersed.
         depth = min(axial_depth, cutter.flute_length)
         sizes["discs"] = Discs(max(1, math.ceil(depth / dz + 0.5)), dz, band)
-        sizes["window"] = removal_window(stock, cutter, axial_depth, reach)
+        sizes["window"] = RemovalWindow.upright(stock, cutter, axial_depth, reach)
         if chip == "point_cloud":
             return DexelCloud(**sizes)
         bottom = BottomEdges(_ANNULI) if plunges and has_bottom else None
@@ -154,11 +154,11 @@ def choose_engagement(
             'teeth without run-out and stands along +z, but is "point_cloud".'
         )
     if is_upright:
-        window = removal_window(stock, cutter, axial_depth, reach)
+        window = RemovalWindow.upright(stock, cutter, axial_depth, reach)
         profile = _profile(cutter, axial_depth, dz, plunges)
     else:
         axes = _tilted(axes)
-        window = tilted_window(stock, cutter, axes, axial_depth, reach)
+        window = RemovalWindow.tilted(stock, cutter, axes, axial_depth, reach)
         profile = _tilted_profile(cutter, axes, axial_depth, window.length, dz, plunges)
     if not has_bottom:
         profile = dataclasses.replace(profile, bottom=0)

@@ -1,5 +1,7 @@
 """Paths of the tool: poses at the tooth instants, and within the periods between."""
 
+from typing import NamedTuple
+
 import jax
 import jax.core
 import jax.numpy as jnp
@@ -11,16 +13,6 @@ from ..cutter import AbstractCutter
 from ..workpiece import Pose, Stock
 from ._live_rows import last_row
 from ._process import substep_ends, substep_middles
-
-
-def path_poses(
-    positions: Float[Array, "step 3"],
-    axes: Float[Array, "step 3"] | Float[np.ndarray, "step 3"] | None,
-) -> Pose:
-    """Return the poses of a path."""
-    if axes is None:
-        return Pose(positions)
-    return Pose(positions, jnp.asarray(axes, positions.dtype))
 
 
 def within_periods(
@@ -52,31 +44,42 @@ def within_periods(
     return p1 + t * (start + t * bend)
 
 
-def middles_of(substeps: int, path: Pose, row_count: IntScalar | None = None) -> Pose:
-    """Return the poses in the middle of the sub-steps, shape (period, substep, 3).
+class PosesWithin(NamedTuple):
+    """Poses within the periods of a path.
+
+    Attributes:
+        middles: In the middle of the sub-steps, shape (period, substep, 3).
+        ends: At their ends, same shape; behind the last row that counts the tool is at
+            rest.
+    """
+
+    middles: Pose
+    ends: Pose
+
+
+def poses_within(
+    substeps: int, path: Pose, row_count: IntScalar | None = None
+) -> PosesWithin:
+    """Return the poses within the periods between given instants.
 
     Args:
         substeps: Sub-steps per tooth period.
         path: Poses at the tooth instants, shape (step, 3).
         row_count: How many of them count; all if None.
     """
-    return _between(path, substep_middles(substeps, path.tip.dtype), row_count)
-
-
-def ends_of(substeps: int, path: Pose, row_count: IntScalar | None = None) -> Pose:
-    """Return the poses at the ends of the sub-steps; see `middles_of`.
-
-    Behind the last row that counts the tool is at rest.
-    """
-    ends = _between(path, substep_ends(substeps, path.tip.dtype), row_count)
+    middles, ends = (
+        _between(path, shares(substeps, path.tip.dtype), row_count)
+        for shares in (substep_middles, substep_ends)
+    )
     if row_count is None:
-        return ends
+        return PosesWithin(middles, ends)
     count = path.tip.shape[0]
     is_live = jnp.arange(1, count, dtype=jnp.int32) < row_count
     rest = path[last_row(count, row_count)]
-    return jax.tree.map(
+    ends = jax.tree.map(
         lambda x, end: jnp.where(is_live[:, None, None], x, end), ends, rest
     )
+    return PosesWithin(middles, ends)
 
 
 def _between(

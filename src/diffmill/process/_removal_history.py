@@ -355,20 +355,6 @@ def thinned_rows(process: Process, state: ProcessState) -> Int[Array, " circle"]
     return state.queue.row[jnp.stack(picks)]
 
 
-def end_period(state: ProcessState, middles: Pose, ends: Pose) -> ProcessState:
-    """Keep the poses of the period just run.
-
-    Args:
-        state: State at its start.
-        middles: Poses in the middle of its sub-steps, shape (substep, 3).
-        ends: Poses at their ends, same shape.
-    """
-    recent = jax.tree.map(
-        lambda new, old: jnp.concatenate([new[None], old[:-1]]), middles, state.recent
-    )
-    return eqx.tree_at(lambda s: (s.recent, s.ends), state, (recent, ends))
-
-
 def remove_all(
     process: Process,
     state: ProcessState,

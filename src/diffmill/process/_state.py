@@ -2,6 +2,7 @@
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ..workpiece import Pose, PoseTrack, Stock
@@ -63,6 +64,20 @@ class ProcessState(eqx.Module):
     slots: Int[Array, " 3"]
     has_overflow: Bool[Array, ""]
     is_beyond: Bool[Array, ""]
+
+    def ended(self, middles: Pose, ends: Pose) -> "ProcessState":
+        """Return the state that keeps the poses of the period just run.
+
+        Args:
+            middles: Poses in the middle of its sub-steps, shape (substep, 3).
+            ends: Poses at their ends, same shape.
+        """
+        recent = jax.tree.map(
+            lambda new, old: jnp.concatenate([new[None], old[:-1]]),
+            middles,
+            self.recent,
+        )
+        return eqx.tree_at(lambda s: (s.recent, s.ends), self, (recent, ends))
 
 
 class Removed(eqx.Module):

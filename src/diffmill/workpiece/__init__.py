@@ -17,11 +17,9 @@ from ._dexel.occupancy import Discs as Discs, occupancy as occupancy
 from ._dexel.occupancy_in_space import occupancy_in_space as occupancy_in_space
 from ._dexel.removal import (
     RemovalWindow as RemovalWindow,
-    removal_window as removal_window,
     remove_passes as remove_passes,
     remove_poses as remove_poses,
     subtract as subtract,
-    tilted_window as tilted_window,
 )
 from ._dexel.stock import (
     DEAD as DEAD,
@@ -29,10 +27,6 @@ from ._dexel.stock import (
     Rays as Rays,
     Stock as Stock,
     box as box,
-)
-from ._dexel.stock_arrays import (
-    as_raw_stock as as_raw_stock,
-    with_interval_counts as with_interval_counts,
 )
 from ._dexel.tooth_pass import (
     TICKS as TICKS,

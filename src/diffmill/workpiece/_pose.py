@@ -3,6 +3,7 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 
@@ -17,6 +18,17 @@ class Pose(eqx.Module):
 
     tip: Float[Array, "*pose 3"]
     axis: Float[Array, "*pose 3"] | None = None
+
+    @classmethod
+    def along(
+        cls,
+        positions: Float[Array, "step 3"],
+        axes: Float[Array, "step 3"] | Float[np.ndarray, "step 3"] | None,
+    ) -> "Pose":
+        """Return the poses of a path, which stands upright without axes."""
+        if axes is not None:
+            axes = jnp.asarray(axes, positions.dtype)
+        return cls(positions, axes)
 
     def direction(self) -> Float[Array, "*pose 3"]:
         """Return the axis, also where it is +z and not kept, same shape."""

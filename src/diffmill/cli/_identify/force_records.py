@@ -9,7 +9,6 @@ import numpy as np
 from ...identification import (
     ForceRecordStudy,
     ForceRecordStudyFit,
-    axes_of,
 )
 from ...viz import (
     plot_correlation,
@@ -111,7 +110,7 @@ def _facts(study: ForceRecordStudy, found: ForceRecordStudyFit) -> dict[str, Any
         "axes": fit.axes,
         "proposed_axes": [
             {
-                "axes": axes_of(one.matrix),
+                "axes": one.axes,
                 "score": one.score,
                 "residual": one.residual,
                 "violations": one.violations,

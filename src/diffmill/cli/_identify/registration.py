@@ -9,7 +9,6 @@ from ...identification import (
     ForceRecord,
     ForceRecordStudyFit,
     RecordRegistration,
-    axes_of,
 )
 from .diagnoses import diagnosis_lines
 from .report import all_noted, noted
@@ -95,12 +94,12 @@ def axes_lines(found: ForceRecordStudyFit, *, takes_proposed: bool) -> list[str]
     """
     proposal, axes = found.proposal, found.fit.axes
     best = proposal.proposals[0]
-    used = next(c for c in proposal.candidates if axes_of(c.matrix) == axes)
+    used = next(c for c in proposal.candidates if c.axes == axes)
     why = "the likeliest, as asked for" if takes_proposed else "as given or recorded"
     lines = [f"axes: {axes_text(axes)} ({why})"]
     if not found.has_likely_axes:
         lines += noted(
-            f"The axes {axes_text(axes_of(best.matrix))} make more sense: score "
+            f"The axes {axes_text(best.axes)} make more sense: score "
             f"{best.score:.3f} against {used.score:.3f}, {best.residual:.1%} of the "
             f"force left against {used.residual:.1%}. Nothing was changed; give `axes` "
             'in [fit], or "proposed".',

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ...workpiece import MARGIN, Stock, StockFileError, box, from_mesh, load_stock, physical_memory, stock_bytes, with_interval_counts
+from ...workpiece import MARGIN, Stock, StockFileError, box, from_mesh, load_stock, physical_memory, stock_bytes
 from .context import FileContext
 from .._schema.job import StockTable
 
@@ -161,7 +161,7 @@ def _from_result(
     try:
         stock = load_stock(path, dtype=dtype)
         slots = _slots(table)
-        stock = stock if slots is None else with_interval_counts(stock, slots)
+        stock = stock if slots is None else stock.with_interval_counts(slots)
     except StockFileError as error:
         context.problems.append(f"[stock] result: {error}")
         return None

@@ -11,6 +11,22 @@ _CLEAR = 0.05
 _AXES = "xyz"
 
 
+def axes_names(matrix: Float[np.ndarray, "3 3"]) -> tuple[str, str, str]:
+    """Return a signed permutation as names, such as ("-y", "x", "z").
+
+    Args:
+        matrix: Turns recorded into simulated forces, shape (3, 3).
+
+    Returns:
+        For each axis of the simulation the recorded one, with its sign.
+    """
+    names = []
+    for row in np.asarray(matrix):
+        channel = int(np.argmax(np.abs(row)))
+        names.append(f"{'-' if row[channel] < 0 else ''}{'xyz'[channel]}")
+    return (names[0], names[1], names[2])
+
+
 class AxesCandidate(NamedTuple):
     """One assignment of recorded to simulated axes, and what speaks for it.
 
@@ -45,6 +61,11 @@ class AxesCandidate(NamedTuple):
     phase_error: Float[np.ndarray, " axis"]
     mean_recorded: Float[np.ndarray, " axis"]
     mean_fitted: Float[np.ndarray, " axis"]
+
+    @property
+    def axes(self) -> tuple[str, str, str]:
+        """For each axis of the simulation the recorded one, such as "-y"."""
+        return axes_names(self.matrix)
 
 
 class AxesProposal(NamedTuple):

@@ -8,9 +8,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from .._alignment.axis_assignment import signed_permutations
+from .._alignment.axis_proposal import axes_names
 from .mean_force import FeedRows, FeedValues, MeanForceFit, fit_mean_forces
 
 # What a violation adds to the score of an assignment.
@@ -84,26 +84,10 @@ def propose_mean_axes(
             exit_angle=exit_angle,
         )
         violations, score = _judged(fit, float(feeds.mean()))
-        found.append(MeanAxes(axes_of(matrix), score, violations, fit))
+        found.append(MeanAxes(axes_names(matrix), score, violations, fit))
     # Among equals the one that changes least; dynamometers lie flat, z along z.
     found.sort(key=lambda one: (one.score, one.axes[2][-1] != "z", _changes(one.axes)))
     return tuple(found)
-
-
-def axes_of(matrix: Float[np.ndarray, "3 3"]) -> tuple[str, str, str]:
-    """Return a signed permutation as names, such as ("-y", "x", "z").
-
-    Args:
-        matrix: Turns recorded into simulated forces, shape (3, 3).
-
-    Returns:
-        For each axis of the simulation the recorded one, with its sign.
-    """
-    names = []
-    for row in np.asarray(matrix):
-        channel = int(np.argmax(np.abs(row)))
-        names.append(f"{'-' if row[channel] < 0 else ''}{'xyz'[channel]}")
-    return (names[0], names[1], names[2])
 
 
 def _changes(axes: tuple[str, str, str]) -> int:

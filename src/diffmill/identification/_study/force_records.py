@@ -9,7 +9,6 @@ from .._alignment.axis_proposal import AxesProposal, combine_axes_proposals
 from .._alignment.record_registration import RecordRegistration
 from .._force.cross_validation import CrossValidation, cross_validate
 from .._force.force_coefficients import ForceCoefficientFit, fit_force_coefficients
-from .._force.mean_axis_assignment import axes_of
 from .._force.uncertainty import relative_uncertainty
 from .._record.diagnosis import Diagnosis
 from .records import ForceRecord, ForceSettings
@@ -76,7 +75,7 @@ class ForceRecordStudy(NamedTuple):
         proposal = combine_axes_proposals([one.proposal for one in found])
         axes = settings.axes or ("x", "y", "z")
         if settings.takes_proposed:
-            axes = axes_of(proposal.proposals[0].matrix)
+            axes = proposal.proposals[0].axes
         on_progress("coefficients")
         is_fixed = all(record.time_shift is not None for record in self.records)
         reach = settings.shift_range
@@ -97,7 +96,7 @@ class ForceRecordStudy(NamedTuple):
             )
         except ValueError as error:
             raise StudyError(f"{self.name}: {error}") from error
-        used = next(c for c in proposal.candidates if axes_of(c.matrix) == axes)
+        used = next(c for c in proposal.candidates if c.axes == axes)
         is_likely = used.score - proposal.proposals[0].score <= _BETTER
         diagnoses = [
             dataclasses.replace(one, record=i)

@@ -11,10 +11,8 @@ from ...process import (
     Engagement,
     Process,
     ProcessState,
-    end_period,
-    ends_of,
     initial_state,
-    middles_of,
+    poses_within,
 )
 from ...workpiece import Pose
 from .monodromy import Regeneration
@@ -85,12 +83,13 @@ def _replay(
     n = engagement.substeps
 
     def period(index: Array, at: _Replayed) -> _Replayed:
-        state = end_period(at.state, at.middles, at.ends)
+        state = at.state.ended(at.middles, at.ends)
         near = jax.tree.map(
             lambda x: jax.lax.dynamic_slice_in_dim(x, index - 1, 4), padded
         )
         state, _ = engagement.advance(process, state, index - 1, near[1])
-        return _Replayed(state, middles_of(n, near)[1], ends_of(n, near)[1])
+        middles, ends = poses_within(n, near)
+        return _Replayed(state, middles[1], ends[1])
 
     at = jax.lax.fori_loop(first, last + 1, period, before)
     cut = engagement.engage(process, at.state, last, at.middles)

@@ -14,7 +14,7 @@ import jax.core
 
 from ..._job import Job
 from ..._result import RESULTS
-from ...workpiece import Stock, physical_memory, stock_bytes, with_interval_counts
+from ...workpiece import Stock, physical_memory, stock_bytes
 
 # More intervals than this on a ray are no pocket but a fault of the program.
 _MOST = 128
@@ -72,6 +72,6 @@ def _resized(job: Job, counts: tuple[int, int, int]) -> Job:
     )
     mark = note.split("{}")[0]
     notes = tuple(n for n in job.notes if not n.startswith(mark))
-    job = eqx.tree_at(lambda j: j.stock, job, with_interval_counts(job.stock, counts))
+    job = eqx.tree_at(lambda j: j.stock, job, job.stock.with_interval_counts(counts))
     listed = ", ".join(str(count) for count in counts)
     return dataclasses.replace(job, notes=(*notes, note.format(listed)))

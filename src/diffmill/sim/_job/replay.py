@@ -19,11 +19,8 @@ from ...process import (
     ProcessState,
     ThroughRays,
     advance_process,
-    end_period,
-    ends_of,
     initial_state,
-    middles_of,
-    path_poses,
+    poses_within,
 )
 from ...workpiece import Pose, tool_frame
 from .._analysis.stability import joint_poses
@@ -45,7 +42,7 @@ def actual_poses(job: Job, solution: Solution) -> Pose:
     """
     tips = jnp.asarray(solution.actual)
     if job.robot is None or solution.joint_positions is None:
-        return path_poses(tips, path_axes(job))
+        return Pose.along(tips, path_axes(job))
     if not job.simulation.axes:
         return Pose(tips)
     frame = jnp.asarray(job.T_base_work, tips.dtype)
@@ -162,11 +159,12 @@ def _last_periods(
             in_axes=(0, 0, 1),
         )(cut.samples, poses, state.recent)
         chip = jnp.clip(chip, 0, process.cutter.diameter / 2) * cut.samples.chip_share
-        return end_period(state, poses, ends), (cut, chip)
+        return state.ended(poses, ends), (cut, chip)
 
     index = jnp.arange(1, rows, dtype=jnp.int32)
     n = engagement.substeps
-    xs = (index, path[:-1], middles_of(n, path), ends_of(n, path))
+    within = poses_within(n, path)
+    xs = (index, path[:-1], within.middles, within.ends)
     before = jax.tree.map(lambda x: x[:-count], xs)
     last = jax.tree.map(lambda x: x[-count:], xs)
     state, _ = jax.lax.scan(lambda s, x: (period(s, x)[0], None), state, before)

@@ -20,12 +20,11 @@ from ...process import (
     Process,
     ThroughRays,
     choose_engagement,
-    path_poses,
     wall_deviation,
     wall_shares,
 )
 from ...toolpath import Path, contour_error
-from ...workpiece import Stock
+from ...workpiece import Pose, Stock
 from .._machine._integrator.rk4 import make_integrator
 from .._machine.commands import command_motors, path_axes
 from .._machine.elastic import ElasticArm
@@ -331,7 +330,7 @@ def _program(job: Job, derivative: AbstractAdjoint) -> _Program:
 @eqx.filter_jit
 def _cut_along(program: _Program, positions: Float[Array, "step 3"]) -> Run:
     """Return the process alone of a rigid machine on the given tips."""
-    path = path_poses(positions, program.axes)
+    path = Pose.along(positions, program.axes)
     return run(Rigid(), program.process, path, row_count=program.path.row_count)
 
 

@@ -22,7 +22,6 @@ from ...process import (
     Process,
     Substeps,
     advance_process,
-    end_period,
     substep_middles,
     when_live,
 )
@@ -176,8 +175,8 @@ class ElasticArm(AbstractMachine):
         none = jnp.zeros((rest.shape[0], self.load_count), rest.dtype)
         still = ArmSubsteps(predicted.tip, predicted.tip, rest, none)
         end, steps = when_live(is_live, follow, (start, still))
-        cutting = end_period(
-            cutting, along(arm.pose, steps.tips), along(arm.pose, steps.ends)
+        cutting = cutting.ended(
+            along(arm.pose, steps.tips), along(arm.pose, steps.ends)
         )
         period = Period(
             tip=arm.pose.tip,

@@ -29,7 +29,6 @@ from ..._types import IntScalar, Transform
 from ...process import (
     Process,
     advance_process,
-    end_period,
     substep_ends,
     substep_middles,
     when_live,
@@ -133,7 +132,7 @@ class QuasiStaticArm(AbstractMachine):
 
         end = when_live(is_live, balance, start)
         ends = tips(end.load, substep_ends)
-        cutting = end_period(cutting, along(pose, tips(end.load)), along(pose, ends))
+        cutting = cutting.ended(along(pose, tips(end.load)), along(pose, ends))
         return RunState(cutting, end, state.period_count), Period(
             tip=start.pose.tip,
             ends=ends,

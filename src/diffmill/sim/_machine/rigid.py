@@ -18,12 +18,9 @@ from ...process import (
     Process,
     advance_process,
     choose_engagement,
-    end_period,
-    ends_of,
     is_plunging,
-    middles_of,
     path_depth,
-    path_poses,
+    poses_within,
     when_live,
 )
 from ...workpiece import Pose, Stock
@@ -67,8 +64,7 @@ class Rigid(AbstractMachine):
     ) -> PathRow:
         """Return the poses of all periods."""
         substeps = process.engagement.substeps
-        middles = middles_of(substeps, command, row_count)
-        ends = ends_of(substeps, command, row_count)
+        middles, ends = poses_within(substeps, command, row_count)
         return PathRow(command[:-1], middles, ends, command[1:])
 
     def pose(self, process: Process, state: Pose) -> Pose:
@@ -95,7 +91,7 @@ class Rigid(AbstractMachine):
         samples = when_live(
             is_live, lambda: period_wrench(process, cut, row.middles, cutting.recent)
         )[:, :3]
-        cutting = end_period(cutting, row.middles, row.ends)
+        cutting = cutting.ended(row.middles, row.ends)
         stop = when_live(is_live, lambda: row.stop, state.machine)
         return RunState(cutting, stop, state.period_count), Period(
             tip=row.start.tip,
@@ -210,7 +206,7 @@ def simulate_process(
         derivative=adjoint,
     )
     machine = Rigid(keeps_instantaneous)
-    return run(machine, process, path_poses(tips, axes), row_count=row_count)
+    return run(machine, process, Pose.along(tips, axes), row_count=row_count)
 
 
 def _rows(values: FloatRows3, name: str, dtype: jnp.dtype) -> Float[Array, "step 3"]:

@@ -107,6 +107,72 @@ class RemovalWindow(eqx.Module):
     length: float = 0.0
     has_shank: bool = eqx.field(static=True, default=False)
 
+    @classmethod
+    def upright(
+        cls, stock: Stock, cutter: AbstractCutter, axial_depth: float, reach: float
+    ) -> "RemovalWindow":
+        """Return the window for a cutter that stands along +z.
+
+        Args:
+            stock: The workpiece.
+            cutter: The cutter.
+            axial_depth: Deepest immersion of the tip below the top of the stock [m].
+            reach: Distance between two poses that one window should hold [m].
+
+        Returns:
+            The window; never larger than the grid.
+        """
+        nx, ny, nz = stock.grid_shape
+        d = stock.spacing
+        slack = min(reach, cutter.nominal_radius)
+        across = int((2 * cutter.nominal_radius + 2 * slack) / d) + 4
+        # From the row below the tip to that above the top, wherever the tip is.
+        height = int(axial_depth / d) + 4
+        return cls(
+            (min(across, nx), min(across, ny), min(height, nz)),
+            slack,
+            has_shank=bool(axial_depth > cutter.flute_length),
+        )
+
+    @classmethod
+    def tilted(
+        cls,
+        stock: Stock,
+        cutter: AbstractCutter,
+        axes: Float[np.ndarray, "pose 3"] | None,
+        axial_depth: float,
+        reach: float,
+    ) -> "RemovalWindow":
+        """Return the window for a cutter in any direction.
+
+        Args:
+            stock: The workpiece.
+            cutter: The cutter.
+            axes: Directions that will occur, shape (pose, 3); None if they are not
+                known beforehand: the window is then the whole grid.
+            axial_depth: Deepest immersion of the tip below the top of the stock [m].
+            reach: Distance between two poses that one window should hold [m].
+
+        Returns:
+            The window; never larger than the grid.
+        """
+        shape = stock.grid_shape
+        d, R = stock.spacing, cutter.nominal_radius
+        slack = min(reach, R)
+        diagonal = d * math.sqrt(sum(n**2 for n in shape)) + 2 * R
+        if axes is None:
+            return cls(shape, slack, diagonal, diagonal > cutter.flute_length)
+        least = float(axes[:, 2].min())
+        # Where the lowest point of the rim of the highest disc leaves the stock.
+        sink = R * math.sqrt(max(0.0, 1 - least**2))
+        leaves = (axial_depth + sink) / least if least > 0 else math.inf
+        length = min(diagonal, leaves + 2 * d)
+        across = np.sqrt(np.maximum(1 - axes**2, 0))
+        extent = (length * np.abs(axes) + 2 * R * across).max(axis=0) + 2 * slack
+        counts = [min(int(extent[a] / d) + 4, shape[a]) for a in range(3)]
+        has_shank = length > cutter.flute_length
+        return cls((counts[0], counts[1], counts[2]), slack, length, has_shank)
+
 
 class WindowGrid(NamedTuple):
     """Grid lines of a window where it stands.
@@ -165,71 +231,6 @@ class Cut(eqx.Module):
     slots: Int[Array, " 3"]
     has_overflow: Bool[Array, ""]
     is_beyond: Bool[Array, ""]
-
-
-def removal_window(
-    stock: Stock, cutter: AbstractCutter, axial_depth: float, reach: float
-) -> RemovalWindow:
-    """Return the window for a cutter that stands along +z.
-
-    Args:
-        stock: The workpiece.
-        cutter: The cutter.
-        axial_depth: Deepest immersion of the tip below the top of the stock [m].
-        reach: Distance between two poses that one window should hold [m].
-
-    Returns:
-        The window; never larger than the grid.
-    """
-    nx, ny, nz = stock.grid_shape
-    d = stock.spacing
-    slack = min(reach, cutter.nominal_radius)
-    across = int((2 * cutter.nominal_radius + 2 * slack) / d) + 4
-    # From the row below the tip to the row above the top, wherever the tip is between.
-    height = int(axial_depth / d) + 4
-    return RemovalWindow(
-        (min(across, nx), min(across, ny), min(height, nz)),
-        slack,
-        has_shank=bool(axial_depth > cutter.flute_length),
-    )
-
-
-def tilted_window(
-    stock: Stock,
-    cutter: AbstractCutter,
-    axes: Float[np.ndarray, "pose 3"] | None,
-    axial_depth: float,
-    reach: float,
-) -> RemovalWindow:
-    """Return the window for a cutter in any direction.
-
-    Args:
-        stock: The workpiece.
-        cutter: The cutter.
-        axes: Directions that will occur, shape (pose, 3); None if they are not known
-            beforehand: the window is then the whole grid.
-        axial_depth: Deepest immersion of the tip below the top of the stock [m].
-        reach: Distance between two poses that one window should hold [m].
-
-    Returns:
-        The window; never larger than the grid.
-    """
-    shape = stock.grid_shape
-    d, R = stock.spacing, cutter.nominal_radius
-    slack = min(reach, R)
-    diagonal = d * math.sqrt(sum(n**2 for n in shape)) + 2 * R
-    if axes is None:
-        return RemovalWindow(shape, slack, diagonal, diagonal > cutter.flute_length)
-    least = float(axes[:, 2].min())
-    # Where the lowest point of the rim of the highest disc leaves the stock.
-    sink = R * math.sqrt(max(0.0, 1 - least**2))
-    leaves = (axial_depth + sink) / least if least > 0 else math.inf
-    length = min(diagonal, leaves + 2 * d)
-    across = np.sqrt(np.maximum(1 - axes**2, 0))
-    extent = (length * np.abs(axes) + 2 * R * across).max(axis=0) + 2 * slack
-    counts = [min(int(extent[a] / d) + 4, shape[a]) for a in range(3)]
-    has_shank = length > cutter.flute_length
-    return RemovalWindow((counts[0], counts[1], counts[2]), slack, length, has_shank)
 
 
 def remove_poses(

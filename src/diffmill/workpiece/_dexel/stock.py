@@ -1,5 +1,6 @@
 """The stock: three orthogonal families of rays, each ray a few intervals."""
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from typing import TypeAlias
@@ -107,6 +108,51 @@ class Stock(eqx.Module):
         for axis, index in (((family + 1) % 3, u), ((family + 2) % 3, v)):
             points[:, axis] = origin[axis] + index * self.spacing
         return points, np.where(side == 0, -1.0, 1.0)
+
+    def as_raw(self) -> "Stock":
+        """Return a machined stock as raw stock for another path.
+
+        Returns:
+            The same material. The ends forget the poses that cut them, which mean
+            nothing to another path, and the top is the highest material that is left.
+
+        Raises:
+            ValueError: The stock holds no material.
+        """
+        # Rays along z alone would miss a wall that stands between them.
+        z_lines = np.asarray(self.origin)[2] + self.spacing * np.arange(
+            self.families[0].ends.shape[1]
+        )
+        ends = [np.asarray(rays.ends) for rays in self.families]
+        is_live = [e[:, :, 1] > e[:, :, 0] for e in ends]
+        heights = (
+            np.broadcast_to(z_lines[None, :, None], is_live[0].shape)[is_live[0]],
+            np.broadcast_to(z_lines[:, None, None], is_live[1].shape)[is_live[1]],
+            ends[2][:, :, 1][is_live[2]],
+        )
+        top = max(float(np.max(h, initial=-np.inf)) for h in heights)
+        if not math.isfinite(top):
+            raise ValueError("A raw stock must hold material, but this one is empty.")
+        x, y, z = (Rays(r.ends, jnp.full_like(r.poses, -1)) for r in self.families)
+        return dataclasses.replace(self, families=(x, y, z), top=top)
+
+    def with_interval_counts(self, interval_counts: tuple[int, int, int]) -> "Stock":
+        """Return the same material in rays with another number of slots.
+
+        Args:
+            interval_counts: Slots for intervals of a ray along x, y and z.
+
+        Raises:
+            ValueError: The slots are too few for the intervals that there are.
+        """
+        pairs = zip(self.families, interval_counts, strict=True)
+        families, needed = zip(*(_resized(r, c) for r, c in pairs), strict=True)
+        if any(n > count for n, count in zip(needed, interval_counts, strict=True)):
+            raise ValueError(
+                f"Argument `interval_counts` is {interval_counts}, but rays of the "
+                f"stock have up to {needed} intervals along x, y and z."
+            )
+        return dataclasses.replace(self, families=families)
 
     def slots_in_use(self) -> Int[Array, " 3"]:
         """Return how many slots of each family hold anything, from the first on."""
@@ -232,3 +278,19 @@ def block_grid(
     cells = np.maximum(np.round((upper - lower) / spacing), 1).astype(int)
     first = (lower + upper) / 2 - (cells - 1) / 2 * spacing
     return first - MARGIN * spacing, cells + 2 * MARGIN
+
+
+def _resized(rays: Rays, count: int) -> tuple[Rays, int]:
+    """Return rays with another number of slots, and how many they need."""
+    ends, poses = np.asarray(rays.ends), np.asarray(rays.poses)
+    is_live = ends[:, :, 1] > ends[:, :, 0]
+    # The live slots first, then cut off or pad with dead ones.
+    order = np.argsort(~is_live, axis=-1, kind="stable")[:, :, None]
+    shape = (*ends.shape[:2], 2, count)
+    new_ends, new_poses = np.empty(shape, ends.dtype), np.full(shape, -1, np.int32)
+    new_ends[:, :, 0], new_ends[:, :, 1] = DEAD, -DEAD
+    kept = min(count, ends.shape[-1])
+    new_ends[..., :kept] = np.take_along_axis(ends, order, axis=-1)[..., :kept]
+    new_poses[..., :kept] = np.take_along_axis(poses, order, axis=-1)[..., :kept]
+    needed = int(is_live.sum(axis=-1).max(initial=0))
+    return Rays(jnp.asarray(new_ends), jnp.asarray(new_poses)), needed

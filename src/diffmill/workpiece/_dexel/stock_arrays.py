@@ -111,74 +111,7 @@ def stock_of_arrays(
         top=float(arrays["top"]),
         volume_weights=(float(weights[0]), float(weights[1]), float(weights[2])),
     )
-    return as_raw_stock(stock) if is_raw else stock
-
-
-def as_raw_stock(stock: Stock) -> Stock:
-    """Return a machined stock as raw stock for another path.
-
-    Args:
-        stock: The stock, for example that of a solution.
-
-    Returns:
-        The same material. The ends forget the poses that cut them, which mean nothing
-        to another path, and the top is the highest material that is left.
-
-    Raises:
-        ValueError: The stock holds no material.
-    """
-    # Rays along z alone would miss a wall that stands between them.
-    z_lines = np.asarray(stock.origin)[2] + stock.spacing * np.arange(
-        stock.families[0].ends.shape[1]
-    )
-    ends = [np.asarray(rays.ends) for rays in stock.families]
-    is_live = [e[:, :, 1] > e[:, :, 0] for e in ends]
-    heights = (
-        np.broadcast_to(z_lines[None, :, None], is_live[0].shape)[is_live[0]],
-        np.broadcast_to(z_lines[:, None, None], is_live[1].shape)[is_live[1]],
-        ends[2][:, :, 1][is_live[2]],
-    )
-    top = max(float(np.max(h, initial=-np.inf)) for h in heights)
-    if not math.isfinite(top):
-        raise ValueError("Argument `stock` must hold material, but is empty.")
-    x, y, z = (Rays(r.ends, jnp.full_like(r.poses, -1)) for r in stock.families)
-    return Stock((x, y, z), stock.origin, stock.spacing, top, stock.volume_weights)
-
-
-def with_interval_counts(stock: Stock, interval_counts: tuple[int, int, int]) -> Stock:
-    """Return the same material in rays with another number of slots.
-
-    Args:
-        stock: The stock.
-        interval_counts: Slots for intervals of a ray along x, y and z.
-
-    Raises:
-        ValueError: The slots are too few for the intervals that there are.
-    """
-    families = []
-    needed = []
-    for rays, count in zip(stock.families, interval_counts, strict=True):
-        ends, poses = np.asarray(rays.ends), np.asarray(rays.poses)
-        is_live = ends[:, :, 1] > ends[:, :, 0]
-        needed.append(int(is_live.sum(axis=-1).max(initial=0)))
-        # The live slots first, then cut off or pad with dead ones.
-        order = np.argsort(~is_live, axis=-1, kind="stable")[:, :, None]
-        shape = (*ends.shape[:2], 2, count)
-        new_ends, new_poses = np.empty(shape, ends.dtype), np.full(shape, -1, np.int32)
-        new_ends[:, :, 0], new_ends[:, :, 1] = DEAD, -DEAD
-        kept = min(count, ends.shape[-1])
-        new_ends[..., :kept] = np.take_along_axis(ends, order, axis=-1)[..., :kept]
-        new_poses[..., :kept] = np.take_along_axis(poses, order, axis=-1)[..., :kept]
-        families.append(Rays(jnp.asarray(new_ends), jnp.asarray(new_poses)))
-    if any(n > count for n, count in zip(needed, interval_counts, strict=True)):
-        raise ValueError(
-            f"Argument `interval_counts` is {interval_counts}, but rays of the stock "
-            f"have up to {tuple(needed)} intervals along x, y and z."
-        )
-    x, y, z = families
-    return Stock(
-        (x, y, z), stock.origin, stock.spacing, stock.top, stock.volume_weights
-    )
+    return stock.as_raw() if is_raw else stock
 
 
 def _check_ends(ends: Float[np.ndarray, "u v 2 slot"], axis: str) -> None:
