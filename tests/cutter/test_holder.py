@@ -8,7 +8,7 @@ import diffmill.cutter as ct
 
 # A nose, a cone that widens and one that narrows [m].
 PARTS = [(0.020, 0.020, 0.015), (0.024, 0.050, 0.010), (0.050, 0.030, 0.020)]
-HOLDER = ct.tool_holder(0.040, PARTS)
+HOLDER = ct.ToolHolder.from_sizes(0.040, PARTS)
 
 
 def depth_of_points(points, tip, axis):
@@ -97,4 +97,4 @@ def test_pieces_that_are_none_hold_nothing():
 )
 def test_impossible_holders_are_refused(overhang, parts, name):
     with pytest.raises(ValueError, match=f"`{name}`"):
-        ct.tool_holder(overhang, parts)
+        ct.ToolHolder.from_sizes(overhang, parts)

@@ -15,7 +15,6 @@ from diffmill.viz import (
     plot_forces,
     plot_paths,
     plot_surface_error,
-    ray_errors,
 )
 
 from .synthetic import (
@@ -266,7 +265,7 @@ def test_surface_needs_a_case():
         plot_surface_error({})
 
 
-@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("axis", [0, 2])
 def test_ray_errors_match_a_loop_over_rays(axis):
     generator = np.random.default_rng(5)
     across = [other for other in range(3) if other != axis]
@@ -283,7 +282,13 @@ def test_ray_errors_match_a_loop_over_rays(axis):
             errors = point[axis] - ideal[same, axis]
             expected[index] = errors[np.argmin(np.abs(errors))]
     assert np.isnan(expected).any()
-    np.testing.assert_allclose(ray_errors(points, ideal, axis), expected, atol=1e-12)
+    none = np.zeros((0, 3))
+    found = (
+        CutDexels(none, none, points, ideal).wall_error()
+        if axis == 0
+        else CutDexels(points, ideal, none, none).floor_error()
+    )
+    np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
 def test_dexels_of_floor_and_wall_are_drawn_with_their_error():
@@ -296,7 +301,7 @@ def test_dexels_of_floor_and_wall_are_drawn_with_their_error():
         if axes.get_title(loc="left").startswith("wall")
     )
     scatter = wall.collections[0]
-    expected = 1e6 * ray_errors(dexels.wall, dexels.wall_ideal, 0)
+    expected = 1e6 * dexels.wall_error()
     drawn = np.asarray(scatter.get_offsets())[:, 1]
     assert drawn.size == dexels.wall.shape[0] // 2
     np.testing.assert_allclose(np.sort(drawn), np.sort(expected[: drawn.size]))

@@ -6,7 +6,7 @@ from helpers import PAPER_LAW
 from diffmill.cutter import flat_end_mill
 from diffmill.process import Process, choose_engagement
 from diffmill.sim import tooth_chip
-from diffmill.viz import chip_chart, force_record
+from diffmill.viz import ChipChart, ForceRecord
 from diffmill.workpiece import Pose, box
 
 RADIUS, FEED, DEPTH = 2e-3, 0.05e-3, 0.8e-3
@@ -26,7 +26,7 @@ def test_chip_of_a_slot_is_that_of_two_circles(direction):
     )
     process = Process(stock, cutter, PAPER_LAW, 837.0, plan)
     found = tooth_chip(process, Pose(jnp.asarray(tips)), step=50)
-    chart = chip_chart(found, plan.angles)
+    chart = ChipChart.from_tooth(found, plan.angles)
     phi = chart.immersion_angle
     assert np.ptp(phi) == pytest.approx(2 * np.pi * (1 - 1 / plan.angles))
     # symbols: h chip, u_e part of the feed along the tooth; R^2 - across^2 remains
@@ -54,7 +54,7 @@ def test_step_outside_the_path_is_refused():
 def test_force_record_puts_samples_in_the_middle_of_their_parts():
     time = 0.1 * np.arange(4)
     samples = np.arange(4 * 5 * 3, dtype=float).reshape(4, 5, 3)
-    record = force_record(time, samples)
+    record = ForceRecord.from_periods(time, samples)
     np.testing.assert_allclose(record.time, 0.01 + 0.02 * np.arange(15))
     np.testing.assert_array_equal(record.force[0], samples[1, 0])
     np.testing.assert_array_equal(record.force[-1], samples[3, 4])

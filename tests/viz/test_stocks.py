@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffmill.viz import cut_dexels, ray_errors
+from diffmill.viz import CutDexels
 from diffmill.workpiece import box
 
 
@@ -44,11 +44,11 @@ def pocket(depth, half_width):
 
 def test_cut_ends_hold_floor_and_both_walls():
     stock, ideal = pocket(0.9e-3, 2.05e-3), pocket(1.0e-3, 2.0e-3)
-    dexels = cut_dexels(stock, ideal)
+    dexels = CutDexels.from_stocks(stock, ideal)
     np.testing.assert_allclose(dexels.floor[:, 2], -0.9e-3)
-    np.testing.assert_allclose(ray_errors(dexels.floor, dexels.floor_ideal, 2), 1e-4)
+    np.testing.assert_allclose(dexels.floor_error(), 1e-4)
     np.testing.assert_allclose(np.abs(dexels.wall[:, 0]), 2.05e-3)
-    error = ray_errors(dexels.wall, dexels.wall_ideal, 0)
+    error = dexels.wall_error()
     known = np.isfinite(error)
     assert known.any()
     np.testing.assert_allclose(
@@ -58,7 +58,7 @@ def test_cut_ends_hold_floor_and_both_walls():
 
 def test_uncut_stock_has_neither_floor_nor_wall():
     raw = box([0.0, 0.0, 0.0], [4e-3, 4e-3, 2e-3], 0.5e-3)
-    dexels = cut_dexels(raw, raw)
+    dexels = CutDexels.from_stocks(raw, raw)
     assert dexels.floor.shape == (0, 3) and dexels.wall.shape == (0, 3)
 
 
@@ -66,4 +66,4 @@ def test_another_grid_is_refused():
     one = box([0.0, 0.0, 0.0], [4e-3, 4e-3, 2e-3], 0.5e-3)
     other = box([0.0, 0.0, 0.0], [4e-3, 4e-3, 2e-3], 0.4e-3)
     with pytest.raises(ValueError, match="`ideal`"):
-        cut_dexels(one, other)
+        CutDexels.from_stocks(one, other)

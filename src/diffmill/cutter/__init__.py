@@ -20,4 +20,4 @@ from ._build import (
 )
 from ._elements import EdgeElements as EdgeElements
 from ._end_mill import EndMill as EndMill
-from ._holder import ToolHolder as ToolHolder, tool_holder as tool_holder
+from ._holder import ToolHolder as ToolHolder

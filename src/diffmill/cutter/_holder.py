@@ -50,6 +50,23 @@ class ToolHolder(eqx.Module):
     overhang: float = eqx.field(static=True)
     parts: tuple[HolderPart, ...]
 
+    @classmethod
+    def from_sizes(
+        cls, overhang: float, parts: Sequence[tuple[float, float, float]]
+    ) -> "ToolHolder":
+        """Return a holder from numbers.
+
+        Args:
+            overhang: From the tip of the tool to the lower face of the holder [m].
+            parts: From the lower face up: lower diameter, upper diameter and length of
+                each part [m].
+
+        Raises:
+            ValueError: There is no part, or a size is not finite and positive.
+        """
+        sizes = (tuple(float(size) for size in part) for part in parts)
+        return cls(float(overhang), tuple(HolderPart(*size) for size in sizes))
+
     def __check_init__(self):
         """Refuse a holder of nothing."""
         if not (math.isfinite(self.overhang) and self.overhang > 0):
@@ -120,27 +137,6 @@ class ToolHolder(eqx.Module):
             is_in = is_hit & (last > first)
             found = jnp.maximum(found, jnp.where(is_in, jnp.minimum(up, side), 0))
         return found
-
-
-def tool_holder(
-    overhang: float, parts: Sequence[tuple[float, float, float]]
-) -> ToolHolder:
-    """Return a holder from numbers.
-
-    Args:
-        overhang: From the tip of the tool to the lower face of the holder [m].
-        parts: From the lower face up: lower diameter, upper diameter and length of
-            each part [m].
-
-    Returns:
-        The holder.
-
-    Raises:
-        ValueError: There is no part, or a size is not finite and positive.
-    """
-    return ToolHolder(
-        float(overhang), tuple(HolderPart(*(float(x) for x in p)) for p in parts)
-    )
 
 
 def _frustum(ray: _rays.Ray, part: HolderPart, foot: float) -> Interval:

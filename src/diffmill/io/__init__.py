@@ -34,7 +34,6 @@ from ._records.reader import (
     TIME_COLUMN as TIME_COLUMN,
     Quantity as Quantity,
     TableReader as TableReader,
-    vector_columns as vector_columns,
 )
 from ._records.timeline import timeline as timeline
 from ._results import (

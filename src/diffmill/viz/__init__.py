@@ -20,7 +20,6 @@ from ._figure.chip import ChipChart as ChipChart, plot_chip as plot_chip
 from ._figure.dexels import (
     CutDexels as CutDexels,
     plot_cut_dexels as plot_cut_dexels,
-    ray_errors as ray_errors,
 )
 from ._figure.feed import plot_feed as plot_feed
 from ._figure.forces import ForceRecord as ForceRecord, plot_forces as plot_forces
@@ -42,11 +41,9 @@ from ._figure.paths import plot_paths as plot_paths
 from ._figure.robot import plot_robot as plot_robot, plot_stiffness as plot_stiffness
 from ._figure.sensitivity import plot_sensitivity as plot_sensitivity
 from ._figure.surface import plot_surface_error as plot_surface_error
-from ._process import chip_chart as chip_chart, force_record as force_record
 from ._report.case_parts import case_parts as case_parts
 from ._report.inputs import figure_inputs as figure_inputs
 from ._report.report import write_report as write_report
 from ._report.summary import summary as summary
 from ._report.write import FigureFile as FigureFile, write_figures as write_figures
-from ._stocks import cut_dexels as cut_dexels
 from ._style import save_figure as save_figure

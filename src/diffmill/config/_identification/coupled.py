@@ -5,15 +5,15 @@ from typing import NamedTuple
 import numpy as np
 
 from ...identification import CoupledStudy
-from ...io import TIME_COLUMN, TableReader, vector_columns
+from ...io import TIME_COLUMN, Quantity, TableReader
 from ...sim import parameter_names
 from ...units import FORCE, LENGTH
 from .context import Context
 from .schema import CoupledTable
 
 _VECTORS = {
-    "force": vector_columns("F", "f|force|kraft", FORCE, "force"),
-    "deviation": vector_columns("d", r"d|u|delta|dev\w*|defl\w*", LENGTH, "deviation"),
+    "force": Quantity.vector("F", "f|force|kraft", FORCE, "force"),
+    "deviation": Quantity.vector("d", r"d|u|delta|dev\w*|defl\w*", LENGTH, "deviation"),
 }
 
 

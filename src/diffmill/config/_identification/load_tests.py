@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 
 from ... import units as q
 from ...identification import LoadTestStudy
-from ...io import Quantity, TableReader, vector_columns
+from ...io import Quantity, TableReader
 from ...robot import Robot, forward_kinematics
 from .context import Context
 from .schema import LoadTestsTable
@@ -149,12 +149,12 @@ def _groups(robot: Robot) -> dict[str, tuple[Quantity, ...]]:
             )
             for i, (name, kind) in enumerate(joints, 1)
         ),
-        "force": vector_columns("F", "f|force|kraft", q.FORCE, "force"),
-        "moment": vector_columns("M", "m|t|moment|torque", q.MOMENT, "moment"),
-        "displacement": vector_columns(
+        "force": Quantity.vector("F", "f|force|kraft", q.FORCE, "force"),
+        "moment": Quantity.vector("M", "m|t|moment|torque", q.MOMENT, "moment"),
+        "displacement": Quantity.vector(
             "d", r"d|u|delta|defl|deflection|disp\w*", q.LENGTH, "displacement"
         ),
-        "rotation": vector_columns("r", "r|dr|rot|rotation|phi", q.ANGLE, "rotation"),
+        "rotation": Quantity.vector("r", "r|dr|rot|rotation|phi", q.ANGLE, "rotation"),
     }
 
 

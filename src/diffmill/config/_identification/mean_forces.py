@@ -11,7 +11,7 @@ from ...identification import (
     StraightCut,
     mean_over_turns,
 )
-from ...io import Quantity, RecordError, TableReader, vector_columns
+from ...io import Quantity, RecordError, TableReader
 from ...units import FORCE, LENGTH
 from .context import Context
 from .force_records import check_straight
@@ -25,7 +25,7 @@ _FEED = Quantity(
 )
 _FORCES = tuple(
     q._replace(pattern=rf"(mean[ _]?)?({q.pattern})([ _]?mean)?")
-    for q in vector_columns("F", "f|force|kraft", FORCE, "force")
+    for q in Quantity.vector("F", "f|force|kraft", FORCE, "force")
 )
 _KEYS = tuple(q.key for q in (_FEED, *_FORCES))
 

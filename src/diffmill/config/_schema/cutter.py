@@ -12,7 +12,6 @@ from ...cutter import (
     ball_end_mill,
     bull_nose,
     flat_end_mill,
-    tool_holder,
 )
 from .fields import Angle, PositiveLength, Tolerance
 from .table import Table
@@ -169,7 +168,7 @@ def make_holder(table: CutterTable) -> ToolHolder | None:
     parts = [
         (p.diameter, p.upper_diameter or p.diameter, p.length) for p in table.holder
     ]
-    return tool_holder(table.overhang, parts)
+    return ToolHolder.from_sizes(table.overhang, parts)
 
 
 def make_cutter(table: CutterTable) -> EndMill:

@@ -32,6 +32,29 @@ class Quantity(NamedTuple):
     units: tuple[str, ...] = ()
     loose: str = ""
 
+    @classmethod
+    def vector(
+        cls, letter: str, words: str, kind: QuantityKind, unit: str | None = None
+    ) -> "tuple[Quantity, ...]":
+        """Return the three quantities of a vector, such as Fx, Fy, Fz.
+
+        Args:
+            letter: Before x, y and z in their keys.
+            words: Regular expression of what may stand before or after an axis.
+            kind: Their dimension.
+            unit: Key of `units` for all three.
+        """
+        units = () if unit is None else (unit,)
+        return tuple(
+            cls(
+                f"{letter}{a}",
+                rf"({words}){_PARTS}{a}|{a}{_PARTS}({words})",
+                (kind,),
+                units,
+            )
+            for a in "xyz"
+        )
+
 
 # LabVIEW writes the device before the name: `Dev1/Time`.
 TIME_COLUMN = Quantity(
@@ -41,28 +64,6 @@ TIME_COLUMN = Quantity(
     (TIME,),
     ("time",),
 )
-
-
-def vector_columns(
-    letter: str, words: str, kind: QuantityKind, *units: str
-) -> tuple[Quantity, ...]:
-    """Return the three quantities of a vector, such as Fx, Fy, Fz.
-
-    Args:
-        letter: Before x, y and z in their keys.
-        words: Regular expression of what may stand before or after an axis.
-        kind: Their dimension.
-        *units: Keys of `units` for all three.
-    """
-    return tuple(
-        Quantity(
-            f"{letter}{a}",
-            rf"({words}){_PARTS}{a}|{a}{_PARTS}({words})",
-            (kind,),
-            units,
-        )
-        for a in "xyz"
-    )
 
 
 class TableReader:

@@ -3,13 +3,13 @@
 import re
 
 from ...units import ANGLE, FORCE
-from .reader import TIME_COLUMN, Quantity, vector_columns
+from .reader import TIME_COLUMN, Quantity
 
 # Names that leave no doubt, and names that hold the force's as a word:
 # `Dyno Fx filtered`, `Ch1_Fx`.
 FORCES = tuple(
     q._replace(units=(q.key, "force"), loose=rf"(?<![a-z])f[ _]?{q.key[1]}(?![a-z])")
-    for q in vector_columns("F", "f|force|kraft", FORCE)
+    for q in Quantity.vector("F", "f|force|kraft", FORCE)
 )
 OTHERS = (
     TIME_COLUMN,

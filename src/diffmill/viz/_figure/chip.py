@@ -6,6 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from ...sim import ToothChip
 from .._style import GREY, INK, label_colourbar, new_figure, quiet_axes
 
 if TYPE_CHECKING:
@@ -34,6 +35,31 @@ class ChipChart(eqx.Module):
     weight: Float[np.ndarray, "element angle"]
     entry_angle: float | None = None
     exit_angle: float | None = None
+
+    @classmethod
+    def from_tooth(cls, chip: ToothChip, columns: int) -> "ChipChart":
+        """Return the samples of a tooth sorted by angle and height.
+
+        Args:
+            chip: The chip that the tooth meets in a revolution.
+            columns: Samples per revolution.
+
+        Returns:
+            The chip in the feed frame: angle 0 is on the left of the feed, the angle
+            grows clockwise. Angles of a helical cutter are true to half a sample.
+        """
+        slot = np.round(chip.angle / (2 * np.pi) * columns - 0.5).astype(np.int64)
+        element = np.broadcast_to(np.arange(chip.height.size), slot.shape)
+        at = (element[chip.is_of_tooth], slot[chip.is_of_tooth] % columns)
+        chart, share = np.zeros((2, chip.height.size, columns))
+        chart[at] = chip.chip_thickness[chip.is_of_tooth]
+        share[at] = chip.weight[chip.is_of_tooth]
+        # The left of the feed is a quarter turn before it.
+        left = chip.feed_angle - np.pi / 2
+        turn = 2 * np.pi * (np.arange(columns) + 0.5) / columns - left
+        turn = (turn + np.pi / 2) % (2 * np.pi) - np.pi / 2
+        order = np.argsort(turn)
+        return cls(turn[order], chip.height, chart[:, order], share[:, order])
 
 
 def plot_chip(chart: ChipChart) -> "matplotlib.figure.Figure":

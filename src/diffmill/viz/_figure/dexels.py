@@ -6,6 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from ...workpiece import Stock
 from .._style import (
     GREY,
     INK,
@@ -43,8 +44,41 @@ class CutDexels(eqx.Module):
     wall: Float[np.ndarray, "wall 3"]
     wall_ideal: Float[np.ndarray, "wall_other 3"]
 
+    @classmethod
+    def from_stocks(cls, stock: Stock, ideal: Stock) -> "CutDexels":
+        """Return the ends that the tool has cut: floors of z rays, walls of x rays.
 
-def ray_errors(
+        Args:
+            stock: The workpiece after the cut.
+            ideal: The workpiece after the same cut on the desired path.
+
+        Returns:
+            Upper ends of z rays and both ends of x rays, where a pose made them.
+        """
+        _require_same_grid(stock, ideal)
+        return cls(
+            _cut_ends(stock, 2, is_upper_only=True),
+            _cut_ends(ideal, 2, is_upper_only=True),
+            _cut_ends(stock, 0),
+            _cut_ends(ideal, 0),
+        )
+
+    def floor_error(self) -> Float[np.ndarray, " point"]:
+        """Return how far each end of the floor is above the ideal one [m].
+
+        NaN where the ray has no ideal end.
+        """
+        return _ray_errors(self.floor, self.floor_ideal, 2)
+
+    def wall_error(self) -> Float[np.ndarray, " wall"]:
+        """Return how far each end of the walls is from the ideal one along x [m].
+
+        NaN where the ray has no ideal end.
+        """
+        return _ray_errors(self.wall, self.wall_ideal, 0)
+
+
+def _ray_errors(
     points: Float[np.ndarray, "point 3"],
     ideal: Float[np.ndarray, "other 3"],
     axis: int,
@@ -88,6 +122,30 @@ def ray_errors(
     return best
 
 
+def _cut_ends(
+    stock: Stock, family: int, *, is_upper_only: bool = False
+) -> Float[np.ndarray, "end 3"]:
+    """Return the ends of one family that remember a tool pose."""
+    points, side = stock.ray_ends(family)
+    rays = stock.families[family]
+    ends = np.asarray(rays.ends)
+    is_live = np.broadcast_to((ends[:, :, 1] > ends[:, :, 0])[:, :, None], ends.shape)
+    is_cut = np.asarray(rays.poses)[is_live] >= 0
+    if is_upper_only:
+        is_cut &= side > 0
+    return np.asarray(points[is_cut], dtype=np.float64)
+
+
+def _require_same_grid(stock: Stock, ideal: Stock) -> None:
+    if stock.grid_shape != ideal.grid_shape or not np.allclose(
+        np.asarray(stock.origin), np.asarray(ideal.origin), rtol=0.0, atol=1e-9
+    ):
+        raise ValueError(
+            "Argument `ideal` must have the grid of rays of `stock`, "
+            f"{stock.grid_shape}, but has {ideal.grid_shape} or another origin."
+        )
+
+
 def plot_cut_dexels(dexels: CutDexels) -> "matplotlib.figure.Figure":
     """Draw the cut ray ends of the floor in perspective and of one wall in profile.
 
@@ -113,7 +171,7 @@ def _draw_floor(figure: "matplotlib.figure.SubFigure", dexels: CutDexels) -> Non
     from matplotlib.ticker import MaxNLocator
 
     axes: Any = figure.add_subplot(projection="3d")
-    error = ray_errors(dexels.floor, dexels.floor_ideal, 2)
+    error = dexels.floor_error()
     kept = np.flatnonzero(np.isfinite(error))
     kept = kept[:: max(1, -(-kept.size // _POINTS_DRAWN))]
     points, error = dexels.floor[kept], error[kept]
@@ -163,7 +221,7 @@ def _draw_floor(figure: "matplotlib.figure.SubFigure", dexels: CutDexels) -> Non
 
 def _draw_wall(axes: "matplotlib.axes.Axes", dexels: CutDexels) -> None:
     """Draw the wall that has most ray ends: its x error along y."""
-    error = ray_errors(dexels.wall, dexels.wall_ideal, 0)
+    error = dexels.wall_error()
     kept = np.isfinite(error)
     points, error = dexels.wall[kept], error[kept]
     plane_um = np.round((points[:, 0] - error) * 1e6).astype(np.int64)

@@ -4,8 +4,9 @@ from typing import TYPE_CHECKING
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
+from ..._types import FloatSteps
 from ...numerics import lowpass
 from .._style import GREY, INK, legend_above, new_figure, quiet_axes
 
@@ -43,6 +44,30 @@ class ForceRecord(eqx.Module):
                 "Argument `time` must be equally spaced, but its steps lie between "
                 f"{steps.min():.3g} s and {steps.max():.3g} s."
             )
+
+    @classmethod
+    def from_periods(
+        cls,
+        time: FloatSteps,
+        samples: Float[Array, "step sample 3"] | Float[np.ndarray, "step sample 3"],
+    ) -> "ForceRecord":
+        """Return forces within the tooth periods as one record over time.
+
+        Args:
+            time: Tooth instants t_k [s], shape (step,).
+            samples: Forces in the middles of equal parts of the period that ends at
+                t_k [N], shape (step, sample, 3); row 0 belongs to no period and is
+                left out.
+
+        Returns:
+            The record.
+        """
+        at = np.asarray(time, dtype=np.float64)
+        force = np.asarray(samples, dtype=np.float64)[1:]
+        period = float((at[-1] - at[0]) / (at.shape[0] - 1))
+        part = (np.arange(force.shape[1]) + 0.5) / force.shape[1]
+        fine = at[:-1, None] + part * period
+        return cls(fine.reshape(-1), force.reshape(-1, 3), period)
 
     @property
     def sample_rate(self) -> float:

@@ -20,8 +20,6 @@ from ...workpiece import SurfaceError, surface_error
 from .._figure.chip import ChipChart
 from .._figure.dexels import CutDexels
 from .._figure.forces import ForceRecord
-from .._process import chip_chart, force_record
-from .._stocks import cut_dexels
 
 # The report's maps: more cases would make it long without telling more.
 _MAPPED = ("predicted", "uncorrected", "corrected")
@@ -57,11 +55,11 @@ def figure_inputs(job: Job, cases: Mapping[str, Solution]) -> FigureInputs:
     forces = None
     # What overflowed is not the process of the figure's caption.
     if samples is not None and bool(replay.result == RESULTS.successful):
-        forces = force_record(np.asarray(first.time), np.asarray(samples))
+        forces = ForceRecord.from_periods(np.asarray(first.time), np.asarray(samples))
     return FigureInputs(
         forces=forces,
         chip=_chip(job, first),
-        dexels=cut_dexels(first.stock, first.rigid.stock),
+        dexels=CutDexels.from_stocks(first.stock, first.rigid.stock),
         surfaces={
             name: surface_error(
                 solution.stock, solution.rigid.stock, leaves_out_raw=True
@@ -79,7 +77,7 @@ def _chip(job: Job, solution: Solution) -> ChipChart | None:
         return None
     process = job_process(job, ThroughRays())
     found = tooth_chip(process, actual_poses(job, solution), step=step)
-    return chip_chart(found, process.engagement.angles)
+    return ChipChart.from_tooth(found, process.engagement.angles)
 
 
 def _typical_step(solution: Solution) -> int | None:
