@@ -96,6 +96,7 @@ def test_a_robot_without_masses_has_no_modes(folder, capsys):
     assert facts["statics"]["stiffness_along_axes_N_per_um"] == [4.0, None, 16.0]
 
 
+@pytest.mark.slow
 def test_drives_make_a_urdf_soft(folder, capsys):
     (folder / "slide.urdf").write_text(
         '<robot name="slide"><link name="base"/><link name="tip"><inertial>'

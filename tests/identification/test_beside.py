@@ -65,6 +65,7 @@ def codes(time, force):
     return {one.code: one.values for one in place(time, force).diagnoses}
 
 
+@pytest.mark.slow
 def test_samples_that_are_lost_unseen_are_told():
     """Without a time column the rows are counted: the clock steps, the teeth do not."""
     time, _, force = record(1e4, turns=20)

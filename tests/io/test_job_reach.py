@@ -246,6 +246,7 @@ def flat_job(write):
     return flat_job
 
 
+@pytest.mark.slow
 def test_another_configuration_is_suggested(flat_job):
     # From here the elbow bends to the left, and farther than it may.
     arm = flat_arm('lower = "-2 rad"\nupper = "1.6 rad"')

@@ -11,10 +11,15 @@ STOCK = wp.box([0, 0, -3e-3], [12e-3, 10e-3, 0], 0.2e-3)
 
 
 @jax.jit
+def seen_in(stock, points, moves):
+    none = jnp.zeros_like(moves)
+    return wp.occupancy(stock, points, moves, none, DISCS, MILL)[0]
+
+
+@jax.jit
 def look(points):
     moves = jnp.full((points.shape[0], 1, 2), 1e-3)
-    none = jnp.zeros_like(moves)
-    return wp.occupancy(STOCK, points[:, None], moves, none, DISCS, MILL)[0]
+    return seen_in(STOCK, points[:, None], moves)
 
 
 def test_disc_shares_sum_to_the_depth_at_any_depth():
@@ -88,7 +93,8 @@ def test_discs_with_points_of_their_own_see_what_those_that_share_them_see():
     points = jnp.asarray(
         rng.uniform([-1e-3, -1e-3, -2e-3], [4e-3, 4e-3, 1e-4], (60, 3))
     )
-    own, _ = wp.occupancy(STOCK, *spread(points, DISCS), DISCS, MILL)
+    places, moves, _ = spread(points, DISCS)
+    own = seen_in(STOCK, places, moves)
     assert float(own.max()) > 0.5
     np.testing.assert_allclose(own, look(points), atol=1e-14)
 
@@ -123,6 +129,7 @@ def test_turning_from_across_a_wall_to_along_it_makes_no_kink():
     assert jnp.abs(jnp.diff(slope)).max() < 0.03 * jnp.abs(slope).max()
 
 
+@jax.jit
 def pocketed(x=6.07e-3, y=5.03e-3):
     """Return the block with a round hole of the mill, 1.3 mm deep, off the rays."""
     tip = jnp.array([[x, y, -1.33e-3]])
@@ -155,8 +162,7 @@ def test_the_wall_does_not_jump_where_a_point_crosses_a_ray(axis):
     points = near_the_rim(np.full(300, -1.03e-3))
     moves = jnp.full((300, 1, 2), 0.1e-3)
     before, behind = (
-        wp.occupancy(stock, p[:, None], moves, jnp.zeros_like(moves), DISCS, MILL)[0]
-        for p in beside_lines(points, axis, origin)
+        seen_in(stock, p[:, None], moves) for p in beside_lines(points, axis, origin)
     )
     assert 0.05 < float(jnp.mean(before[:, 0])) < 0.95
     np.testing.assert_allclose(before, behind, atol=1e-4)
@@ -174,8 +180,5 @@ def test_a_column_that_a_cut_just_takes_or_leaves_at_a_slanting_wall_is_not_felt
     rim = ray - 5e-3 * out + 5e-3 * np.column_stack([np.cos(around), np.sin(around)])
     points = jnp.asarray(np.column_stack([rim, np.full(61, -1.33e-3)])[:, None])
     moves = jnp.full((61, 1, 2), 0.1e-3)
-    left, taken = (
-        wp.occupancy(stock, points, moves, jnp.zeros_like(moves), DISCS, MILL)[0]
-        for stock in (before, after)
-    )
+    left, taken = (seen_in(stock, points, moves) for stock in (before, after))
     np.testing.assert_allclose(taken, left, atol=1e-3)
