@@ -70,6 +70,7 @@ from ._kinematics.inverse import (
     PathSolution as PathSolution,
     PoseSolution as PoseSolution,
     inverse_kinematics as inverse_kinematics,
+    inverse_kinematics_near as inverse_kinematics_near,
     inverse_kinematics_path as inverse_kinematics_path,
 )
 from ._kinematics.pose_error import ToolRotation as ToolRotation

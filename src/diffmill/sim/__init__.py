@@ -74,6 +74,7 @@ from ._machine.commands import (
     command_motors as command_motors,
     command_poses as command_poses,
     joint_motors as joint_motors,
+    motor_slopes as motor_slopes,
     path_axes as path_axes,
 )
 from ._machine.elastic import ElasticArm as ElasticArm

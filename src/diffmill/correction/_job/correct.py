@@ -328,11 +328,16 @@ def _weights(job: Job, rigid: Any, before: Solution) -> Float[np.ndarray, " step
         raise NothingToCorrect(str(error)) from error
 
 
-@eqx.filter_jit
 def _inverse_drive(
     job: Job, force: Float[Array, "step 3"], desired: Float[Array, "step 3"]
 ) -> InverseDriveCommand:
-    joints, _ = command_joints(job, desired)
+    return _driven(job, command_joints(job, desired)[0], force)
+
+
+@eqx.filter_jit
+def _driven(
+    job: Job, joints: Float[Array, "step joint"], force: Float[Array, "step 3"]
+) -> InverseDriveCommand:
     return inverse_drive(
         job.robot,  # pyright: ignore[reportArgumentType]
         joints,

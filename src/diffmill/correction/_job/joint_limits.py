@@ -12,15 +12,13 @@ bends over the largest offset, so that the first order is enough.
 
 import itertools
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from ..._job import Job
 from ..._types import FloatRows
-from ...sim import command_motors, joint_motors
+from ...sim import command_joints, command_motors, joint_motors, motor_slopes
 from .._spline.command_limits import InfeasibleLimit, MixedLimits
 from .._spline.spline_offsets import SplineOffsets, basis_matrix
 
@@ -54,7 +52,11 @@ def joint_limits(
     if robot is None:
         raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
     tips = jnp.asarray(nominal)
-    motors, slope = (np.asarray(x, np.float64) for x in _linearised(job, tips))
+    are_joints = job.correction.command == "joint"
+    joints = tips if are_joints else command_joints(job, tips)[0]
+    motors = np.asarray(joint_motors(job, joints), np.float64)
+    slope = motor_slopes(job, joints, None if are_joints else tips)
+    slope = np.asarray(slope, np.float64)
     bend = _bend(job, tips, motors, slope, max_offset)
     least, most = (
         np.asarray(x, np.float64)[None] for x in (robot.joint_lower, robot.joint_upper)
@@ -111,7 +113,6 @@ def _bend(
     return _SAFE * bend
 
 
-@eqx.filter_jit
 def _motors(
     job: Job, command: Float[Array, "step axis"], is_joints: bool
 ) -> Float[Array, "step joint"]:
@@ -119,22 +120,6 @@ def _motors(
     if is_joints:
         return joint_motors(job, command)
     return command_motors(job, command)[0]
-
-
-@eqx.filter_jit
-def _linearised(
-    job: Job, command: Float[Array, "step axis"]
-) -> tuple[Float[Array, "step joint"], Float[Array, "step joint axis"]]:
-    """Return the motors and their derivatives by the same row of the command."""
-    axes = jnp.eye(command.shape[1], dtype=command.dtype)
-    motors = lambda rows: _motors(job, rows, job.correction.command == "joint")
-
-    # All rows are moved at once: a row's motors depend on its own tip only.
-    def along(axis: Float[Array, " axis"]) -> Float[Array, "step joint"]:
-        push = jnp.broadcast_to(axis[None], command.shape)
-        return jax.jvp(motors, (command,), (push,))[1]
-
-    return motors(command), jnp.moveaxis(jax.lax.map(along, axes), 0, 2)
 
 
 def _refuse(

@@ -1,7 +1,6 @@
 """The linear system of a job, of its whole path or of some rows."""
 
-from collections.abc import Callable
-
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -80,16 +79,7 @@ def has_linear_run(job: Job) -> bool:
     return settings.mode == "dynamic" and is_known
 
 
-def row_slopes(
-    function: Callable[[Array], Array], command: Float[Array, "step axis"]
-) -> tuple[Float[Array, "step joint"], Float[Array, "step joint axis"]]:
-    """Return motors and their slopes, of which a row follows its own tip alone."""
-    motors, push = jax.linearize(function, command)
-    axes = jnp.eye(command.shape[1], dtype=command.dtype)
-    along = lambda axis: push(jnp.broadcast_to(axis[None], command.shape))
-    return motors, jax.vmap(along, out_axes=-1)(axes)
-
-
+@eqx.filter_jit
 def linear_job(
     job: Job,
     motors: Float[Array, "step joint"],

@@ -18,6 +18,7 @@ from ...sim import (
     job_machine,
     job_process,
     joint_motors,
+    motor_slopes,
     run_segment,
 )
 from .._core.problem import Motion
@@ -27,7 +28,6 @@ from .linear_job import (
     Steps,
     has_linear_run,
     linear_job,
-    row_slopes,
     wall_motion,
 )
 
@@ -76,7 +76,12 @@ class JobPiece(AbstractPiece):
         """Return the linear system around a command, from the fixed first state."""
         if not has_linear_run(self.job):
             return None
-        return _linear_piece(self, jnp.asarray(command))
+        job, start = self.job, self.state.joints
+        command, are_joints = jnp.asarray(command), self.has_joint_commands
+        joints = _joints(job, command, start, are_joints)
+        slopes = motor_slopes(job, joints, None if are_joints else command)
+        motors, state = joint_motors(job, joints), self.state.coupled
+        return linear_job(job, motors, slopes, self.wall_share, state)
 
 
 class JobPieces(AbstractPieces):
@@ -107,18 +112,6 @@ class JobPieces(AbstractPieces):
         )
         shares = None if self.wall_share is None else np.asarray(self.wall_share)[rows]
         return JobPiece(job, state, self.adjoint, shares, self.has_joint_commands)
-
-
-@eqx.filter_jit
-def _linear_piece(piece: JobPiece, command: Float[Array, "step axis"]) -> LinearJob:
-    job, state = piece.job, piece.state
-
-    def motors(command: Float[Array, "step axis"]) -> Float[Array, "step joint"]:
-        joints = _joints(job, command, state.joints, piece.has_joint_commands)
-        return joint_motors(job, joints)
-
-    theta, slopes = row_slopes(motors, command)
-    return linear_job(job, theta, slopes, piece.wall_share, state.coupled)
 
 
 @eqx.filter_jit

@@ -18,6 +18,7 @@ from ...sim import (
     command_joints,
     command_motors,
     joint_motors,
+    motor_slopes,
     run_motors,
     solve_command,
     with_scaled,
@@ -31,7 +32,6 @@ from .linear_job import (
     Steps,
     has_linear_run,
     linear_job,
-    row_slopes,
     wall_motion,
 )
 from .plant_segments import with_rows
@@ -88,7 +88,7 @@ class TipPlant(AbstractHostPlant):
         if self.rigid is None:
             return _compiled(self, command)
         job, command = self.job, jnp.asarray(command)
-        motors = None if self.controller is None else _motors(self, command)
+        motors = None if self.controller is None else self.motors(command)
         return solved_motion(
             solve_command(job, self.rigid, command, self.adjoint, motors)
         )
@@ -97,7 +97,15 @@ class TipPlant(AbstractHostPlant):
         """Return the linear system around a command of a dynamic arm."""
         if not has_linear_run(self.job):
             return None
-        return _linear_tips(self, jnp.asarray(command))
+        known = self.job if self.controller is None else self.controller
+        command = jnp.asarray(command)
+        joints, _ = command_joints(known, command)
+        return linear_job(
+            self.job,
+            joint_motors(known, joints),
+            motor_slopes(known, joints, command),
+            self.wall_share,
+        )
 
 
 class ScaledPlant(AbstractUncertainPlant):
@@ -154,24 +162,9 @@ class JointPlant(AbstractHostPlant):
         """Return the linear system around a command of a dynamic arm."""
         if not has_linear_run(self.job):
             return None
-        return _linear_joints(self, jnp.asarray(command))
-
-
-@eqx.filter_jit
-def _motors(plant: TipPlant, command: FloatRows) -> Float[Array, "step joint"]:
-    return plant.motors(jnp.asarray(command))
-
-
-@eqx.filter_jit
-def _linear_tips(plant: TipPlant, command: Float[Array, "step 3"]) -> LinearJob:
-    motors, slopes = row_slopes(plant.motors, command)
-    return linear_job(plant.job, motors, slopes, plant.wall_share)
-
-
-@eqx.filter_jit
-def _linear_joints(plant: JointPlant, command: Float[Array, "step joint"]) -> LinearJob:
-    motors, slopes = row_slopes(lambda q: joint_motors(plant.job, q), command)
-    return linear_job(plant.job, motors, slopes, plant.wall_share)
+        job, joints = self.job, jnp.asarray(command)
+        motors, slopes = joint_motors(job, joints), motor_slopes(job, joints)
+        return linear_job(job, motors, slopes, self.wall_share)
 
 
 @eqx.filter_jit

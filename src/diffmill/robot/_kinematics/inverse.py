@@ -156,6 +156,31 @@ def inverse_kinematics_path(
     return _solve_path(robot, Ts, start, tool_rotation, attempts)
 
 
+def inverse_kinematics_near(
+    robot: Robot,
+    T_base_tool: Float[Array, "4 4"],
+    q: Float[Array, " joint"],
+    *,
+    tool_rotation: ToolRotation = "fixed",
+) -> PoseSolution:
+    """Return the joint positions of a pose from such as are known to reach it.
+
+    One Newton step, which carries the derivative: no search is compiled with it.
+
+    Args:
+        robot: The robot.
+        T_base_tool: The pose, shape (4, 4).
+        q: Joint positions that reach it but for rounding [rad or m], shape (joint,).
+        tool_rotation: As for `inverse_kinematics`.
+
+    Returns:
+        The solution.
+
+    **Differentiability**: as `inverse_kinematics`.
+    """
+    return _finish(robot, T_base_tool, q, tool_rotation)
+
+
 @functools.partial(jax.jit, static_argnames=("tool_rotation", "attempts"))
 def _solve_pose(
     robot: Robot,

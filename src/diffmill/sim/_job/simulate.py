@@ -358,9 +358,13 @@ def solve_command(
     """
     program, count = _program(job, adjoint), job.path.step_count
     commanded, steps = on_device(commanded), program.path.step_count
-    theta = None if motors is None else on_device(pad_rows(motors, steps))
     tips = on_device(pad_rows(commanded, steps))
-    ran = _follow(program, rigid.stock, tips, theta)
+    is_reached = on_device(np.ones(steps, bool))
+    if motors is not None:
+        motors = on_device(pad_rows(motors, steps))
+    elif program.machine is not None:
+        motors, is_reached = command_motors(program.kinematics, tips)
+    ran = _follow(program, rigid.stock, _Command(tips, motors, is_reached))
     if steps != count:
         ran = cut_rows(ran, _FOLLOWED_ROWS, count)
     # What a rigid cut that failed says of where the tool cuts would be wrong; what went
@@ -456,27 +460,25 @@ _FOLLOWED_ROWS = (
 )
 
 
-@eqx.filter_jit
-def _follow(
-    program: _Program,
-    finished: Stock,
-    commanded: Float[Array, "step 3"],
-    motors: Float[Array, "step joint"] | None,
-) -> _Followed:
-    """Return the run of a command, given what the rigid cut leaves.
+class _Command(eqx.Module):
+    """A command, as tips and as motors."""
 
-    Other arguments as for `solve_command`.
-    """
+    tips: Float[Array, "step 3"]
+    motors: Float[Array, "step joint"] | None
+    is_reached: Bool[Array, " step"]
+
+
+@eqx.filter_jit
+def _follow(program: _Program, finished: Stock, command: _Command) -> _Followed:
+    """Return the run of a command, given what the rigid cut leaves."""
     path, process = program.path, program.process
-    desired = jnp.asarray(path.positions)
-    is_reached = jnp.ones(desired.shape[0], bool)
+    desired, motors = jnp.asarray(path.positions), command.motors
     if program.machine is None:
         # A rigid machine goes where it is told.
-        ran = _cut_along(program, commanded)
-        actual, ends = commanded, commanded[:, None]
+        ran = _cut_along(program, command.tips)
+        actual, ends = command.tips, command.tips[:, None]
     else:
-        if motors is None:
-            motors, is_reached = command_motors(program.kinematics, commanded)
+        assert motors is not None
         ran = run(program.machine, process, motors, row_count=path.row_count)
         actual, ends = ran.actual, ran.ends
     shares = wall_shares(desired, program.axes, process.cutter, finished)
@@ -492,7 +494,7 @@ def _follow(
         motor_positions=motors,
         joint_positions=ran.joint_positions,
         has_failed=ran.has_failed,
-        is_reached=is_reached,
+        is_reached=command.is_reached,
         initial_overlap_volume=ran.initial_overlap_volume,
         stock=ran.stock,
         result=ran.result,

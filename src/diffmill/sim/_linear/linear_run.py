@@ -29,9 +29,6 @@ from .._machine.elastic import ElasticArm, MotorRow, start_rate
 from .._machine.machine import RunState, all_ends, begin, continued, with_first
 from .period_slopes import ArmSlopes, ForceSlopes, arm_slopes, force_slopes
 
-# Periods whose arm is linearised at once.
-_BATCH = 128
-
 
 class LinearMotion(eqx.Module):
     """Changes of a run, in some directions.
@@ -175,10 +172,9 @@ def linearise(
     rows = machine.rows(process, motors, None)
     index = first + jnp.arange(steps - 1, dtype=jnp.int32)
     _, (periods, around) = jax.lax.scan(period, started, (index, rows))
+    # One after the other: in batches it is no faster, and compiles three times as long.
     arms = jax.lax.map(
-        lambda x: arm_slopes(machine, process, *x),
-        (around.state, rows, around.loads),
-        batch_size=_BATCH,
+        lambda x: arm_slopes(machine, process, *x), (around.state, rows, around.loads)
     )
     solve = functools.partial(_solved, process.engagement, motors.shape[1])
     loads, arm, pose = jax.vmap(solve)(around.force, arms)

@@ -113,8 +113,11 @@ def force_slopes(
     # A sample of an edge follows the pose of its own sub-step: one motion of all.
     unit = jnp.eye(ahead.shape[-1], dtype=ahead.dtype)
     moves = jnp.broadcast_to(unit[:, None], (unit.shape[0], *ahead.shape))
-    by_ahead = jax.vmap(lambda move: push(move, jnp.zeros_like(move)))(moves)
-    by_newest = jax.vmap(lambda move: push(jnp.zeros_like(move), move))(moves)
+    still = jnp.zeros_like(moves)
+    # Both together, so that they are compiled once.
+    by_either = jax.vmap(push)(
+        jnp.concatenate([moves, still]), jnp.concatenate([still, moves])
+    )
 
     def load(
         middle: Array,
@@ -134,16 +137,14 @@ def force_slopes(
     found = slopes(as_rows(middles), earlier, old, samples, fixed)
     now, before, thinned, by_edges = found
 
-    def through(moved: EdgeSamples) -> Float[Array, "substep load pose"]:
-        both = zip(jax.tree.leaves(by_edges), jax.tree.leaves(moved), strict=True)
-        products = [jnp.einsum("sl...,ps...->slp", a, b) for a, b in both]
-        return jnp.sum(jnp.stack(products), axis=0)
-
+    both = zip(jax.tree.leaves(by_edges), jax.tree.leaves(by_either), strict=True)
+    products = [jnp.einsum("sl...,ps...->slp", a, b) for a, b in both]
+    predicted, newest_slope = jnp.split(sum(products[1:], products[0]), 2, axis=-1)
     return ForceSlopes(
         now=now,
-        before=before.at[:, :, 0].add(through(by_newest)),
+        before=before.at[:, :, 0].add(newest_slope),
         thinned=thinned,
-        predicted=through(by_ahead),
+        predicted=predicted,
         circles=circles,
     )
 

@@ -1,12 +1,28 @@
-"""From the tips that a program commands to the motors of the job's robot."""
+"""From the tips that a program commands to the motors of the job's robot.
 
+Inverse kinematics takes long to compile. On the host it runs by programs of its own, of
+few lengths, which all that need joints or motors share.
+"""
+
+from typing import Any
+
+import equinox as eqx
 import jax
+import jax.core
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..._job import Job
-from ...robot import PathSolution, inverse_kinematics_path, motor_positions
+from ...robot import (
+    PathSolution,
+    Robot,
+    inverse_kinematics_near,
+    inverse_kinematics_path,
+    motor_positions,
+)
 from ...workpiece import tool_frame
+from .._job.padding import on_device, pad_rows, padded_count
 
 
 def path_axes(job: Job) -> Float[Array, "step 3"] | None:
@@ -41,26 +57,57 @@ def command_joints(
 
 def command_path(job: Job, commanded: Float[Array, "step 3"]) -> PathSolution:
     """Return what inverse kinematics finds for tip positions, as `command_joints`."""
-    robot = job.robot
-    if robot is None:
-        raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
-    Ts = command_poses(job, commanded)
+    robot = _robot_of(job)
+    axes = path_axes(job)
     start = robot.home if job.joint_start is None else jnp.asarray(job.joint_start)
-    return inverse_kinematics_path(robot, Ts, start, tool_rotation=job.tool_rotation)
+    count, rows = commanded.shape[0], commanded.shape[0]
+    if not _is_traced(job, commanded):
+        rows = padded_count(count)
+        commanded = on_device(pad_rows(commanded, rows))
+        axes = None if axes is None else on_device(pad_rows(axes, rows))
+    Ts = _poses(jnp.asarray(job.T_base_work), commanded, axes)
+    found = inverse_kinematics_path(robot, Ts, start, tool_rotation=job.tool_rotation)
+    return _first_rows(found, count, rows)
 
 
 def command_poses(
     job: Job, commanded: Float[Array, "step 3"]
 ) -> Float[Array, "step 4 4"]:
     """Return the poses of the tool in the base for tip positions in `work`."""
-    T_base_work = jnp.asarray(job.T_base_work)
+    return _poses(jnp.asarray(job.T_base_work), commanded, path_axes(job))
+
+
+@eqx.filter_jit
+def _poses(
+    T_base_work: Float[Array, "4 4"],
+    commanded: Float[Array, "step 3"],
+    axes: Float[Array, "step 3"] | None,
+) -> Float[Array, "step 4 4"]:
     tips = commanded @ T_base_work[:3, :3].T + T_base_work[:3, 3][None]
     Ts = jnp.broadcast_to(T_base_work[None], (commanded.shape[0], 4, 4))
-    axes = path_axes(job)
     if axes is not None:
         frames = tool_frame(axes.astype(Ts.dtype))
         Ts = Ts.at[:, :3, :3].set(T_base_work[None, :3, :3] @ frames)
     return Ts.at[:, :3, 3].set(tips)
+
+
+def _robot_of(job: Job) -> Robot:
+    if job.robot is None:
+        raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
+    return job.robot
+
+
+def _is_traced(*trees: Any) -> bool:
+    """Tell whether a compiled function is being traced."""
+    leaves = jax.tree.leaves(trees)
+    return any(isinstance(leaf, jax.core.Tracer) for leaf in leaves)
+
+
+def _first_rows(tree: Any, count: int, rows: int) -> Any:
+    """Return the first of some rows; cut on the host, which compiles nothing."""
+    if count == rows:
+        return tree
+    return jax.tree.map(lambda x: on_device(np.asarray(x)[:count]), tree)
 
 
 def command_motors(
@@ -95,8 +142,92 @@ def joint_motors(
 
     **Differentiability**: that of `motor_positions`.
     """
-    robot = job.robot
+    count, rows = joints.shape[0], joints.shape[0]
+    if not _is_traced(job, joints):
+        rows = padded_count(count)
+        joints = on_device(pad_rows(joints, rows))
     is_compensated = job.simulation.is_gravity_compensated
+    motors = _motors(_robot_of(job), joints, is_compensated)
+    return _first_rows(motors, count, rows)
+
+
+@eqx.filter_jit
+def _motors(
+    robot: Robot, joints: Float[Array, "step joint"], is_compensated: bool
+) -> Float[Array, "step joint"]:
     return jax.vmap(
-        lambda row: motor_positions(robot, row, is_gravity_compensated=is_compensated)  # pyright: ignore[reportArgumentType]
+        lambda q: motor_positions(robot, q, is_gravity_compensated=is_compensated)
     )(joints)
+
+
+def motor_slopes(
+    job: Job,
+    joints: Float[Array, "step joint"],
+    commanded: Float[Array, "step 3"] | None = None,
+) -> Float[Array, "step joint axis"]:
+    """Return how the motors of each row change with its command.
+
+    Args:
+        job: The job, in its precision.
+        joints: Commanded joint positions [rad or m], shape (step, joint).
+        commanded: Tip positions that they reach [m], shape (step, 3), whose change it
+            is; None for that of the joints themselves.
+
+    Returns:
+        Slopes, shape (step, joint, axis).
+
+    **Differentiability**: none is meant.
+    """
+    count, rows = joints.shape[0], joints.shape[0]
+    Ts = None
+    if commanded is not None:
+        Ts = command_poses(job, commanded)
+    if not _is_traced(job, joints, commanded):
+        rows = padded_count(count)
+        joints = on_device(pad_rows(joints, rows))
+        Ts = None if Ts is None else on_device(pad_rows(Ts, rows))
+    found = _slopes(_Slopes(job), joints, Ts)
+    return _first_rows(found, count, rows)
+
+
+class _Slopes(eqx.Module):
+    """What the slopes of motors need of a job."""
+
+    robot: Robot
+    R_base_work: Float[Array, "3 3"]
+    tool_rotation: Any = eqx.field(static=True)
+    is_compensated: bool = eqx.field(static=True)
+
+    def __init__(self, job: Job):
+        self.robot = _robot_of(job)
+        self.R_base_work = jnp.asarray(job.T_base_work)[:3, :3]
+        self.tool_rotation = job.tool_rotation
+        self.is_compensated = job.simulation.is_gravity_compensated
+
+
+@eqx.filter_jit
+def _slopes(
+    known: _Slopes,
+    joints: Float[Array, "step joint"],
+    Ts: Float[Array, "step 4 4"] | None,
+) -> Float[Array, "step joint axis"]:
+    robot, is_compensated = known.robot, known.is_compensated
+
+    def by_joints(q: Float[Array, " joint"]) -> Float[Array, "joint joint"]:
+        motors = lambda q: motor_positions(
+            robot, q, is_gravity_compensated=is_compensated
+        )
+        return jax.jacfwd(motors)(q)
+
+    def by_tip(
+        q: Float[Array, " joint"], T: Float[Array, "4 4"]
+    ) -> Float[Array, "joint 3"]:
+        near = lambda p: (
+            inverse_kinematics_near(
+                robot, T.at[:3, 3].set(p), q, tool_rotation=known.tool_rotation
+            ).q
+        )
+        return jax.jacfwd(near)(T[:3, 3]) @ known.R_base_work
+
+    slopes = jax.vmap(by_joints)(joints)
+    return slopes if Ts is None else slopes @ jax.vmap(by_tip)(joints, Ts)
