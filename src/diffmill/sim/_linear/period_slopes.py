@@ -139,12 +139,13 @@ def force_slopes(
 
     both = zip(jax.tree.leaves(by_edges), jax.tree.leaves(by_either), strict=True)
     products = [jnp.einsum("sl...,ps...->slp", a, b) for a, b in both]
-    predicted, newest_slope = jnp.split(sum(products[1:], products[0]), 2, axis=-1)
+    slopes = sum(products[1:], products[0])
+    by_predicted, by_newest = jnp.split(slopes, 2, axis=-1)
     return ForceSlopes(
         now=now,
-        before=before.at[:, :, 0].add(newest_slope),
+        before=before.at[:, :, 0].add(by_newest),
         thinned=thinned,
-        predicted=predicted,
+        predicted=by_predicted,
         circles=circles,
     )
 
