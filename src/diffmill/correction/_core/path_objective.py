@@ -9,6 +9,9 @@ from jaxtyping import Array, Float
 from ..._types import RealScalarLike
 from .problem import Motion, Problem, contour_of
 
+# Weight of a row in the air: its error counts as a hundredth of one in the cut.
+_IN_AIR = 1e-4
+
 
 class AbstractObjective(eqx.Module):
     """An error as a vector whose square is a mean square [m^2]."""
@@ -85,7 +88,12 @@ def deviation_of(problem: Problem, motion: Motion) -> Float[Array, "step 3"]:
 
 
 def row_shares(problem: Problem, dtype: jnp.dtype) -> Float[Array, " step"]:
-    """Return the roots of the rows' shares in a weighted mean, shape (step,)."""
+    """Return the roots of the rows' shares in a weighted mean, shape (step,).
+
+    Rows that do not count have a little weight all the same: what no row sees would be
+    free to leave the path as far as the bounds, on the way through the air.
+    """
     weights = jnp.asarray(problem.is_cutting, dtype)
     total = jnp.sum(weights)
-    return jnp.sqrt(weights / jnp.where(total > 0, total, 1.0))
+    seen = jnp.maximum(weights, jnp.asarray(_IN_AIR, dtype))
+    return jnp.sqrt(seen / jnp.where(total > 0, total, 1.0))

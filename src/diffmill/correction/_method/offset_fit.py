@@ -85,8 +85,9 @@ def contour_residual(
     """Return the weighted errors and the roughness as one vector.
 
     With `PathObjective` its square is (rms contour error / 0.1 mm)^2 over the rows
-    that cut, plus (lag_weight x rms deviation along the path / 0.1 mm)^2 there, plus
-    (smoothness x rms second difference of the coefficients / max_offset)^2.
+    that cut, where one in the air counts a hundredth, plus (lag_weight x rms deviation
+    along the path / 0.1 mm)^2 there, plus (smoothness
+    x rms second difference of the coefficients / max_offset)^2.
 
     Args:
         coefficients: Spline coefficients of the offset, in the command's unit.
