@@ -79,7 +79,7 @@ def result(folder):
 
 
 def test_a_failing_analysis_or_figure_loses_no_run(folder, monkeypatch, capsys):
-    for module, name in ((config, "holder_notes"), (viz, "figure_inputs")):
+    for module, name in ((config, "tool_notes"), (viz, "figure_inputs")):
         monkeypatch.setattr(module, name, fail)
     monkeypatch.setattr(viz, "write_figures", fail)
     assert main(["simulate", "job.toml", "--quiet"]) == 1
@@ -103,7 +103,7 @@ def test_results_are_there_before_anything_is_analysed(folder, monkeypatch, caps
         assert result(folder)["force"].any()
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(config, "holder_notes", interrupt)
+    monkeypatch.setattr(config, "tool_notes", interrupt)
     assert main(["simulate", "job.toml"]) == 1
     assert "job-simulate" in capsys.readouterr().err.splitlines()[-1]
     assert result(folder)["force"].any()
