@@ -15,7 +15,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._job import CorrectionSettings, Job
-from ..._types import FloatRows
 from ...toolpath import Path
 
 _Tree = TypeVar("_Tree")
@@ -89,8 +88,8 @@ def padded_job(job: Job) -> Job:
 
 
 def pad_rows(
-    rows: FloatRows, step_count: int
-) -> Float[Array, "row axis"] | Float[np.ndarray, "row axis"]:
+    rows: Float[Array, "step ..."] | Float[np.ndarray, "step ..."], step_count: int
+) -> Float[Array, "row ..."] | Float[np.ndarray, "row ..."]:
     """Return rows as long as those of a padded path; the last one comes again."""
     if rows.shape[0] == step_count:
         return rows
