@@ -15,6 +15,7 @@ The stock is held: how a surface moves with the poses that cut it is left out.
 """
 
 import functools
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -24,9 +25,8 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
 from ...process import AbstractEngagement, Process
-from .._machine._integrator.base import ArmState, steady_state
-from .._machine.elastic import ElasticArm, MotorRow, start_rate
 from .._machine.machine import RunState, all_ends, begin, continued, with_first
+from .._machine.substeps import AbstractSwinging, CommandRow, follow
 from .period_slopes import ArmSlopes, ForceSlopes, arm_slopes, force_slopes
 
 
@@ -124,13 +124,13 @@ class LinearRun(eqx.Module):
 class _Around(eqx.Module):
     """The state and loads of a period, and the slopes of its loads."""
 
-    state: ArmState
+    state: Any
     loads: Float[Array, "substep load"]
     force: ForceSlopes
 
 
 def linearise(
-    machine: ElasticArm,
+    machine: AbstractSwinging,
     process: Process,
     motors: Float[Array, "step joint"],
     state: RunState | None = None,
@@ -155,8 +155,8 @@ def linearise(
     else:
         started, first = continued(process, state, steps - 1)
 
-    def period(state: RunState, x: tuple[Array, MotorRow]):
-        ended, out, substeps = machine.follow(process, state, *x)
+    def period(state: RunState, x: tuple[Array, CommandRow]):
+        ended, out, substeps = follow(machine, process, state, *x)
         before, after = state.process, ended.process
         # As the period saw it, before its own poses became the most recent.
         near = eqx.tree_at(
@@ -180,8 +180,7 @@ def linearise(
     loads, arm, pose = jax.vmap(solve)(around.force, arms)
 
     def begun(head: Float[Array, "row joint"]) -> Array:
-        rate = start_rate(head, process.tooth_period)
-        return ravel_pytree(steady_state(machine.robot, head[0], rate))[0]
+        return ravel_pytree(machine.begin(process, head))[0]
 
     head = jax.jacfwd(begun)(motors[:3])
     head = head.reshape(head.shape[0], -1)

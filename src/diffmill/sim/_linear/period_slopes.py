@@ -9,6 +9,8 @@ held: how a surface moves with the poses that cut it is left out.
 A pose is a row of 3 numbers, the tip, or of 6 where the tool tilts: tip and axis.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -23,8 +25,7 @@ from ...process import (
     thinned_rows,
 )
 from ...workpiece import Pose
-from .._machine._integrator.base import ArmState, MotorCommand
-from .._machine.elastic import ElasticArm, MotorRow
+from .._machine.substeps import AbstractSwinging, CommandRow
 
 
 class ForceSlopes(eqx.Module):
@@ -151,10 +152,10 @@ def force_slopes(
 
 
 def arm_slopes(
-    machine: ElasticArm,
+    machine: AbstractSwinging,
     process: Process,
-    state: ArmState,
-    row: MotorRow,
+    state: Any,
+    row: CommandRow,
     loads: Float[Array, "substep load"],
 ) -> ArmSlopes:
     """Return the slopes of the arm over one period.
@@ -167,34 +168,27 @@ def arm_slopes(
         loads: Loads of the sub-steps in `work` [N], [N m], shape (substep, load).
     """
     flat, unravel = ravel_pytree(state)
-    T, S = process.tooth_period, process.engagement.substeps
-    middles = substep_middles(S, flat.dtype)
+    S = process.engagement.substeps
+    times = process.tooth_period * substep_middles(S, flat.dtype)
 
-    def follow(x: Array, start: Array, stop: Array, loads: Array) -> tuple[Array, ...]:
-        first: ArmState = unravel(x)
-        rate = (stop - start) / T
-        arm = machine.arm(process, first, MotorCommand(start, rate))
-        h, J = arm.substep, arm.jacobian
+    def move(x: Array, start: Array, stop: Array, loads: Array) -> tuple[Array, ...]:
+        first = unravel(x)
+        span = machine.span(process, first, CommandRow(start, stop))
 
         def substep(
-            state: ArmState, row: tuple[Array, Array]
-        ) -> tuple[ArmState, tuple[Array, Array]]:
-            theta, load = row
-            middle = arm.pose.tip + J[:3] @ (state.q + h / 2 * state.v - first.q)
-            torque = J[: load.size].T @ load
-            command = MotorCommand(theta, rate)
-            end = machine.integrator.step(
-                machine.robot, arm.begun, state, command, torque, h
-            )
-            return end, (middle, arm.pose.tip + J[:3] @ (end.q - first.q))
+            state: Any, row: tuple[Array, Array]
+        ) -> tuple[Any, tuple[Array, Array]]:
+            time, load = row
+            middle = span.middle(state, time)
+            end = span.step(state, time, load)
+            return end, (middle, span.tip(end))
 
-        targets = start[None] + T * middles[:, None] * rate[None]
-        end, (tips, ends) = jax.lax.scan(substep, first, (targets, loads))
-        return ravel_pytree(end)[0], as_rows(arm.pose), tips, ends
+        end, (tips, ends) = jax.lax.scan(substep, first, (times, loads))
+        return ravel_pytree(end)[0], as_rows(span.pose), tips, ends
 
     inputs = flat, row.start, row.stop, loads
-    by_start = jax.jacfwd(follow, argnums=(0, 1, 2))(*inputs)
-    by_loads = jax.jacfwd(follow, argnums=3)(*inputs)
+    by_start = jax.jacfwd(move, argnums=(0, 1, 2))(*inputs)
+    by_loads = jax.jacfwd(move, argnums=3)(*inputs)
     joined = [
         jnp.concatenate([*slopes, by_load.reshape(*by_load.shape[:-2], -1)], axis=-1)
         for slopes, by_load in zip(by_start, by_loads, strict=True)

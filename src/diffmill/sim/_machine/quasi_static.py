@@ -35,9 +35,10 @@ from ...process import (
 )
 from ...robot import Robot, arm_terms, drive_deflection, loaded_equilibrium
 from ...workpiece import Pose
-from .elastic import MotorRow, along, in_work, jacobian_in_work
+from .elastic import in_work, jacobian_in_work
 from .machine import AbstractMachine, Period, RunState
 from .rigid import period_wrench
+from .substeps import CommandRow, along
 
 _NEWTON_STEPS = 2
 
@@ -74,10 +75,10 @@ class QuasiStaticArm(AbstractMachine):
         process: Process,
         command: Float[Array, "step joint"],
         row_count: IntScalar | None,
-    ) -> MotorRow:
+    ) -> CommandRow:
         """Return the motors at both ends of every period."""
         del process, row_count
-        return MotorRow(command[:-1], command[1:])
+        return CommandRow(command[:-1], command[1:])
 
     def pose(self, process: Process, state: Balance) -> Pose:
         """Return the tool's pose in `work`."""
@@ -93,7 +94,7 @@ class QuasiStaticArm(AbstractMachine):
         process: Process,
         state: RunState,
         index: Int[Array, ""],
-        row: MotorRow,
+        row: CommandRow,
         is_live: Bool[Array, ""] | None,
     ) -> tuple[RunState, Period]:
         """Return the state after one tooth period, and its outputs."""
