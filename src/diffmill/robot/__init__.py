@@ -44,6 +44,7 @@ from ._elasticity.static_balance import (
     loaded_equilibrium as loaded_equilibrium,
     motor_positions as motor_positions,
 )
+from ._elasticity.tip_modes import TipModes as TipModes, tip_modes as tip_modes
 from ._elasticity.workspace import (
     StiffnessMap as StiffnessMap,
     reach_box as reach_box,

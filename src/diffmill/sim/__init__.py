@@ -7,11 +7,12 @@ lags behind the tool by a travelled distance; what is still pending is removed a
 end of a run. A second, hard chip model, "point_cloud", removes at once and takes the
 chip's angles from the rays that a removal has cut, as the paper does.
 
-What moves the tool is a machine: `Rigid`, `QuasiStaticArm` or `ElasticArm`; `run` moves
-it along a command, `run_segment` from where another run ended. Beside it: the arm
-without load (`free_motion`); whether vibrations grow (`stability`);
-what each parameter does (`sensitivity`); what a run did within its periods
-(`replay_process`); where the holder is (`tool_contacts`).
+What moves the tool is a machine: `Rigid`, `QuasiStaticArm`, `ElasticArm`, or one given
+by its modes at the tool tip, `ModalMachine`; `run` moves it along a command,
+`run_segment` from where another run ended. Beside it: the arm without load
+(`free_motion`); whether vibrations grow (`stability`); what each parameter does
+(`sensitivity`); what a run did within its periods (`replay_process`); where the holder
+is (`tool_contacts`).
 
 The cutting process, which knows no robot, is `diffmill.process`.
 
@@ -88,5 +89,6 @@ from ._machine.machine import (
     run as run,
     run_segment as run_segment,
 )
+from ._machine.modal import ModalMachine as ModalMachine
 from ._machine.quasi_static import QuasiStaticArm as QuasiStaticArm
 from ._machine.rigid import Rigid as Rigid, simulate_process as simulate_process

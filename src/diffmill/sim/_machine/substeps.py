@@ -76,13 +76,12 @@ class AbstractSpan(eqx.Module):
 
 
 class AbstractSwinging(AbstractMachine):
-    """A machine with inertia; it takes sub-steps.
+    """A machine with inertia; it takes sub-steps."""
 
-    Attributes:
-        load_count: Numbers of a load: 3 for a force, 6 with its moment.
-    """
-
-    load_count: eqx.AbstractVar[int]
+    @property
+    @abc.abstractmethod
+    def load_count(self) -> int:
+        """Numbers of a load: 3 for a force, 6 with its moment."""
 
     @abc.abstractmethod
     def span(self, process: Process, state: Any, row: CommandRow) -> AbstractSpan:
