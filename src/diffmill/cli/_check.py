@@ -4,12 +4,16 @@ import collections
 import math
 import pathlib
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
 from .._toml import parse_toml
 from ._session.jax_config import configure_jax
+
+if TYPE_CHECKING:
+    from ..toolpath import Move, Program
 
 
 def describe_file(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
@@ -105,25 +109,57 @@ def _describe_program(file: pathlib.Path) -> list[str]:
     from ..io import read_gcode
 
     program = read_gcode(file)
+    lines = [f"{file}: everything in it is supported"]
+    if len(program.tools) == 1:
+        lines += _describe_moves(program)
+    else:
+        for tool in program.tools:
+            lines.append(f"  tool {'not named' if tool is None else f'T{tool}'}:")
+            lines += [f"  {line}" for line in _describe_moves(program.of_tool(tool))]
+    return lines + [f"  note: {note}" for note in program.notes]
+
+
+def _describe_moves(program: "Program") -> list[str]:
+    """Return lines that describe the moves of one tool."""
     moves = program.timed_moves
-    kinds = collections.Counter(
-        "rapid" if m.is_rapid else "line" if m.centre is None else "arc" for m in moves
-    )
-    counts = ", ".join(f"{kinds[k]} {k}s" for k in ("rapid", "line", "arc") if kinds[k])
+    kinds = collections.Counter(_kind(move) for move in moves)
+    names = ("rapid", "line", "arc", "rest")
+    counts = ", ".join(f"{kinds[k]} {k}s" for k in names if kinds[k])
     feeds = sorted({m.feed for m in moves if m.feed is not None})
     speeds = [f"{60 * s / (2 * math.pi):g} rpm" for s in program.spindle_speeds]
+    at_feed = [m for m in moves if not m.is_rapid]
+    length = math.fsum(m.length for m in at_feed)
+    seconds = math.fsum(_duration(m) for m in at_feed)
     lines = [
-        f"{file}: everything in it is supported",
-        f"  moves: {counts}; {program.path_length * 1e3:.1f} mm after the approach",
+        f"  moves: {counts or 'none'}; {program.path_length * 1e3:.1f} mm after the "
+        f"approach, {length * 1e3:.1f} mm of it at a feed in {seconds:.3f} s without "
+        "acceleration",
         f"  spindle: {', '.join(speeds) or 'no S word'}",
         f"  feed: {', '.join(f'{f * 6e4:g} mm/min' for f in feeds) or 'none'}",
     ]
-    inverse = sum(m.duration is not None for m in moves)
+    inverse = [m.duration for m in moves if m.duration is not None and m.length > 0]
     if inverse:
-        seconds = math.fsum(m.duration for m in moves if m.duration is not None)
-        lines.append(f"  inverse time: {inverse} moves in {seconds:.3f} s")
+        lines.append(
+            f"  inverse time: {len(inverse)} moves in {math.fsum(inverse):.3f} s"
+        )
     points = [m.start for m in moves] + [m.end for m in moves]
     return [*lines, *_extents(np.array(points))] if moves else lines
+
+
+def _kind(move: "Move") -> str:
+    """Return what kind of motion a move is."""
+    if move.is_rapid:
+        return "rapid"
+    if move.centre is not None:
+        return "arc"
+    return "line" if move.length > 0 or move.duration is None else "rest"
+
+
+def _duration(move: "Move") -> float:
+    """Return how long a move at a feed takes at least [s]; 0 where it has no feed."""
+    if move.duration is not None:
+        return move.duration
+    return move.length / move.feed if move.feed else 0.0
 
 
 def _describe_path(file: pathlib.Path) -> list[str]:

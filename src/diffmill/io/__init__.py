@@ -2,7 +2,7 @@
 
 A job is a TOML file whose every quantity is text with a unit; it is checked as a
 whole, so that one error lists everything wrong with it and with the program that it
-names. Programs are G-code (three axes, the words listed by `diffmill.io.GCodeError`)
+names. Programs are G-code (three axes, the words listed by `diffmill.io.ProgramError`)
 or recorded paths as CSV. Results are written to a temporary folder that is renamed at
 the end, so that a folder of results is complete or absent.
 
@@ -18,9 +18,6 @@ from ._checkpoint import (
     CheckpointFile as CheckpointFile,
     fingerprint as fingerprint,
 )
-from ._gcode.parser import parse_gcode as parse_gcode, read_gcode as read_gcode
-from ._gcode.words import GCodeError as GCodeError
-from ._gcode.writer import write_gcode as write_gcode
 from ._joint_positions import parse_pose as parse_pose
 from ._path_csv import (
     PathFileError as PathFileError,
@@ -28,6 +25,13 @@ from ._path_csv import (
     read_path_csv as read_path_csv,
     write_path_csv as write_path_csv,
 )
+from ._programs.faults import ProgramError as ProgramError
+from ._programs.rs274.interpreter import (
+    parse_gcode as parse_gcode,
+    read_gcode as read_gcode,
+)
+from ._programs.rs274.writer import write_gcode as write_gcode
+from ._programs.setup import ProgramSetup as ProgramSetup
 from ._records.errors import RecordError as RecordError
 from ._records.load_record import load_record as load_record, read_table as read_table
 from ._records.reader import (

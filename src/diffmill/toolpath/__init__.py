@@ -12,7 +12,12 @@ differentiates; everything else runs once, on the host, in NumPy.
 """
 
 from ._contour import contour_error as contour_error, contour_vector as contour_vector
-from ._moves import Move as Move, Program as Program
+from ._moves import (
+    Move as Move,
+    Point as Point,
+    Program as Program,
+    Section as Section,
+)
 from ._override import (
     cycle_time as cycle_time,
     retime as retime,

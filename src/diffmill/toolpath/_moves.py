@@ -6,11 +6,13 @@ from typing import NamedTuple, TypeAlias
 
 Point: TypeAlias = tuple[float, float, float]
 
+_UP = (0.0, 0.0, 1.0)
+
 
 # A program has up to a million of them: plain tuples are made ten times as fast as
 # modules.
 class Move(NamedTuple):
-    """One motion of a program: a straight line, or an arc or helix about z.
+    """One motion of a program: a straight line, an arc or a helix.
 
     An arc keeps its programmed end exactly: a small difference between its radius at
     the start and at the end is spread over the angle.
@@ -18,12 +20,16 @@ class Move(NamedTuple):
     Attributes:
         start: Tool tip before the move, in `work` [m].
         end: Tool tip after the move, in `work` [m].
-        centre: Centre of an arc at the height of its start [m]; None for a line.
-        turn: +1 counter-clockwise seen from +z, -1 clockwise, 0 for a line.
+        centre: Centre of an arc in the plane of its start [m]; None for a line.
+        turn: 0 for a line; the turns that an arc begins, positive counter-clockwise
+            seen from the tip of `normal`: +1 and -1 for all arcs up to a full circle.
         feed: Speed along the move [m/s], or None if none applies.
         duration: Time of an inverse-time move [s], or None.
         is_rapid: Whether the machine moves as fast as it can.
         line: Line of the program, from 1.
+        normal: Unit vector along the axis of an arc.
+        axis: Unit tool axis at the end, tip to shank.
+        rest: Time for which the tool stays at the end [s].
     """
 
     start: Point
@@ -34,16 +40,33 @@ class Move(NamedTuple):
     duration: float | None = None
     is_rapid: bool = False
     line: int = 0
+    normal: Point = _UP
+    axis: Point = _UP
+    rest: float = 0.0
+
+    @property
+    def spokes(self) -> tuple[Point, Point]:
+        """Vectors from the axis of an arc to its start and to its end [m]."""
+        if self.centre is None:
+            return ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        return _across(self.start, self.centre, self.normal), _across(
+            self.end, self.centre, self.normal
+        )
 
     @property
     def radii(self) -> tuple[float, float]:
         """Radius of an arc at its start and end [m]; zeros for a line."""
+        first, last = self.spokes
+        return math.hypot(*first), math.hypot(*last)
+
+    @property
+    def rise(self) -> float:
+        """Way of a helix along `normal` [m]."""
         if self.centre is None:
-            return (0.0, 0.0)
-        x, y, _ = self.centre
-        return (
-            math.hypot(self.start[0] - x, self.start[1] - y),
-            math.hypot(self.end[0] - x, self.end[1] - y),
+            return 0.0
+        return sum(
+            (b - a) * n
+            for a, b, n in zip(self.start, self.end, self.normal, strict=True)
         )
 
     @property
@@ -51,14 +74,15 @@ class Move(NamedTuple):
         """Signed angle of an arc [rad], a full turn if it ends where it starts."""
         if self.centre is None:
             return 0.0
-        x, y, _ = self.centre
-        ax, ay = self.start[0] - x, self.start[1] - y
-        bx, by = self.end[0] - x, self.end[1] - y
-        angle = self.turn * math.atan2(ax * by - ay * bx, ax * bx + ay * by)
+        (a, b, c), (x, y, z) = self.spokes
+        u, v, w = self.normal
+        sign = 1 if self.turn > 0 else -1
+        across = u * (b * z - c * y) + v * (c * x - a * z) + w * (a * y - b * x)
+        angle = sign * math.atan2(across, a * x + b * y + c * z)
         # Rounding of equal end points must not turn a full circle into no motion.
         if angle < 1e-9:
             angle += 2 * math.pi
-        return self.turn * angle
+        return sign * (angle + 2 * math.pi * (abs(self.turn) - 1))
 
     @property
     def length(self) -> float:
@@ -67,7 +91,31 @@ class Move(NamedTuple):
             return math.dist(self.start, self.end)
         first, last = self.radii
         along = 0.5 * (first + last) * self.sweep
-        return math.hypot(along, self.end[2] - self.start[2], last - first)
+        return math.hypot(along, self.rise, last - first)
+
+
+class Section(NamedTuple):
+    """Moves in a row that one tool makes.
+
+    The first of them may be rapid moves from an unknown place, because not every axis
+    had been programmed before them. They fix where the motion begins, and are no part
+    of it.
+
+    Attributes:
+        tool: Number of the tool, or None if the program names none.
+        first: Index of the first move.
+        stop: Index behind the last move.
+        approach_count: Number of leading rapid moves that come from an unknown place.
+        spindle_speeds: Different speeds that are set, in order [rad/s].
+        line: Line of the program with which it begins.
+    """
+
+    tool: int | None
+    first: int
+    stop: int
+    approach_count: int = 0
+    spindle_speeds: tuple[float, ...] = ()
+    line: int = 1
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,13 +124,16 @@ class Program:
 
     Attributes:
         moves: The moves, zero-length ones included, each starting where the one
-            before it ended; the first starts at the origin of `work`.
-        approach_count: Number of leading rapid moves that come from an unknown place,
-            because not every axis had been programmed before them. They fix where
-            the simulated motion begins and are no part of it.
+            before it ended; the first starts at the origin of `work`. Where the
+            section changes, the tip may jump.
+        approach_count: Number of leading rapid moves that come from an unknown place
+            and are no part of the simulated motion.
         spindle_speeds: Different speeds that the program sets, in order [rad/s].
         source: The program's text.
         name: Name of its file, for messages.
+        sections: Which tool makes which moves; empty if one makes all.
+        notes: What the program says without an effect on the motion, or what was
+            assumed, a sentence each.
     """
 
     moves: tuple[Move, ...]
@@ -90,6 +141,8 @@ class Program:
     spindle_speeds: tuple[float, ...] = ()
     source: str = ""
     name: str = "program"
+    sections: tuple[Section, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self):
         if not 0 <= self.approach_count <= len(self.moves):
@@ -105,10 +158,92 @@ class Program:
 
     @property
     def timed_moves(self) -> tuple[Move, ...]:
-        """The moves that are simulated: all but the approach."""
-        return self.moves[self.approach_count :]
+        """The moves that are simulated: all but the approach.
+
+        A rest is a move of its own, without a length, that takes its time.
+        """
+        moves = self.moves[self.approach_count :]
+        if not any(move.rest for move in moves):
+            return moves
+        return tuple(one for move in moves for one in _with_rest(move))
 
     @property
     def path_length(self) -> float:
         """Length of all simulated moves, corners not rounded [m]."""
         return math.fsum(move.length for move in self.timed_moves)
+
+    @property
+    def tools(self) -> tuple[int | None, ...]:
+        """Numbers of the tools in the order of their first move; None for no number."""
+        return tuple(dict.fromkeys(part.tool for part in self.sections)) or (None,)
+
+    def cuts(self, tool: int | None) -> bool:
+        """Return whether a tool makes a move at a feed."""
+        if not self.sections:
+            return any(not move.is_rapid for move in self.moves)
+        return any(
+            not move.is_rapid and move.length > 0
+            for part in self.sections
+            if part.tool == tool
+            for move in self.moves[part.first : part.stop]
+        )
+
+    def of_tool(self, tool: int | None = None) -> "Program":
+        """Return the program of one tool alone.
+
+        Where other tools work in between, a rapid move goes straight from where the
+        tool was left to where its place is known again.
+
+        Args:
+            tool: Number of the tool; None for the first that makes a move at a feed.
+
+        Raises:
+            ValueError: If the program has no such tool.
+        """
+        if len(self.sections) < 2 and tool in (None, *self.tools):
+            return self
+        if tool is None:
+            tool = next((one for one in self.tools if self.cuts(one)), self.tools[0])
+        parts = [part for part in self.sections if part.tool == tool]
+        if not parts:
+            found = ", ".join(f"T{one}" for one in self.tools if one is not None)
+            raise ValueError(
+                f"{self.name}: there is no tool {tool}; found: {found or 'no T word'}."
+            )
+        moves: list[Move] = []
+        for part in parts:
+            own = self.moves[part.first : part.stop]
+            if moves and part.approach_count:
+                own = own[part.approach_count - 1 :]
+                own = (own[0]._replace(start=moves[-1].end), *own[1:])
+            elif moves and own and own[0].start != moves[-1].end:
+                first = own[0]
+                bridge = Move(
+                    moves[-1].end, first.start, is_rapid=True, line=first.line
+                )
+                moves.append(bridge._replace(axis=first.axis))
+            moves.extend(own)
+        speeds = dict.fromkeys(speed for part in parts for speed in part.spindle_speeds)
+        return dataclasses.replace(
+            self,
+            moves=tuple(moves),
+            approach_count=parts[0].approach_count,
+            spindle_speeds=tuple(speeds),
+            sections=(parts[0]._replace(first=0, stop=len(moves)),),
+        )
+
+
+def _across(point: Point, centre: Point, normal: Point) -> Point:
+    """Return the vector from a centre to a point, without its part along a normal."""
+    x, y, z = point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]
+    u, v, w = normal
+    along = u * x + v * y + w * z
+    return x - along * u, y - along * v, z - along * w
+
+
+def _with_rest(move: Move) -> tuple[Move, ...]:
+    """Return a move, and the rest at its end as another one."""
+    if not move.rest:
+        return (move,)
+    rest = Move(move.end, move.end, duration=move.rest, line=move.line, axis=move.axis)
+    return move._replace(rest=0.0), rest

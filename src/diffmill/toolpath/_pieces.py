@@ -204,9 +204,11 @@ def piece_of_move(move: Move) -> Segment | Arc:
     if move.centre is None:
         return Segment(move.start, move.end)
     radii = move.radii
-    radial = scaled(moved(move.start, -1.0, move.centre), 1 / radii[0])
-    forward = (-move.turn * radial[1], move.turn * radial[0], 0.0)
-    rise = (0.0, 0.0, move.end[2] - move.start[2])
+    radial = scaled(move.spokes[0], 1 / radii[0])
+    (a, b, c), (u, v, w) = radial, move.normal
+    sign = math.copysign(1.0, move.turn)
+    forward = scaled((v * c - w * b, w * a - u * c, u * b - v * a), sign)
+    rise = scaled(move.normal, move.rise)
     return Arc(move.centre, radial, forward, radii, abs(move.sweep), rise)
 
 

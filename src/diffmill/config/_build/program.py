@@ -3,12 +3,16 @@
 import math
 import pathlib
 
-from ...toolpath import Path, Program, resample, sample_program
-from ...io import read_gcode
-from ...io import GCodeError
+from ...io import (
+    PathFileError,
+    ProgramError,
+    ProgramSetup,
+    read_gcode,
+    read_path_csv,
+)
+from ...toolpath import Path, Point, Program, resample, sample_program
 from .._schema.job import ProgramTable
 from .context import FileContext
-from ...io import PathFileError, read_path_csv
 
 _GCODE_SUFFIXES = (".ngc", ".nc", ".gcode")
 # The program and the job state the same speed in different units.
@@ -32,10 +36,48 @@ def read_program(table: ProgramTable, context: FileContext) -> Program | Path | 
     try:
         if suffix == ".csv":
             return read_path_csv(path)
-        return read_gcode(path, feed=table.feed)
-    except (GCodeError, PathFileError) as error:
+        program = read_gcode(path, setup=_setup(table))
+        chosen = program.of_tool(table.tool)
+    except (ProgramError, PathFileError) as error:
         context.problems.extend(str(error).splitlines())
         return None
+    except ValueError as error:
+        context.problems.append(f"[program] tool: {error}")
+        return None
+    context.notes.extend(f"[program] {note}" for note in program.notes)
+    if len(program.sections) > 1:
+        context.notes.append(_tool_note(program, chosen))
+    return chosen
+
+
+def _tool_note(program: Program, chosen: Program) -> str:
+    """Return which tool of several is simulated, and which are not."""
+    tool = chosen.sections[0].tool
+    rest = [f"T{one}" for one in program.tools if one != tool]
+    others = f"; left out: {', '.join(rest)}" if rest else ""
+    return f"[program] tool: {'T' + str(tool) if tool is not None else 'no T'}{others}"
+
+
+def _setup(table: ProgramTable) -> ProgramSetup:
+    """Return what the job says and the program does not."""
+    zero = table.machine_zero
+    return ProgramSetup(
+        feed=table.feed,
+        offsets={name: _point(zero) for name, zero in table.offsets.items()},
+        tool_lengths=table.tool_lengths,
+        machine_zero=None if zero is None else _point(zero),
+        reference_points=(
+            _point(table.reference_point),
+            _point(table.second_reference_point),
+        ),
+        skips_blocks=table.block_delete,
+    )
+
+
+def _point(lengths: list[float]) -> Point:
+    """Return three lengths as a point."""
+    x, y, z = lengths
+    return x, y, z
 
 
 def spindle_speed(

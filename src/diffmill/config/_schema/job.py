@@ -4,7 +4,7 @@ Every table is checked on its own, so that a fault in one does not hide those of
 others.
 """
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import Field, StrictBool, StrictInt, StrictStr
 
@@ -26,6 +26,12 @@ from .fields import (
 )
 from .force import read_force
 from .table import Table, validated
+
+CoordinateSystem: TypeAlias = Literal[
+    "G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3"
+]
+# Keys of a TOML table are text.
+ToolNumber: TypeAlias = Annotated[int, Field(ge=0)]
 
 
 class SpindleTable(Table):
@@ -50,13 +56,20 @@ class ProgramTable(Table):
     """`[program]`."""
 
     file: StrictStr = Field(
-        min_length=1, description='a file (.ngc, .nc, .gcode, .csv), such as "part.ngc"'
+        min_length=1, description='a program or a path (.csv), such as "part.ngc"'
     )
     feed: PositiveSpeed | None = None
     acceleration: Acceleration = 2.0
     rapid_feed: PositiveSpeed = 0.2
     corner_tolerance: Tolerance = 1e-4
     smoothing: Delay = 0.0
+    tool: Annotated[StrictInt, Field(ge=0)] | None = None
+    block_delete: StrictBool = False
+    offsets: dict[CoordinateSystem, Lengths3] = Field(default_factory=dict)
+    tool_lengths: dict[ToolNumber, Tolerance] = Field(default_factory=dict)
+    machine_zero: Lengths3 | None = None
+    reference_point: Lengths3 = Field(default_factory=lambda: [0.0, 0.0, 0.0])
+    second_reference_point: Lengths3 = Field(default_factory=lambda: [0.0, 0.0, 0.0])
 
 
 class PoseTable(Table):

@@ -5,11 +5,8 @@ import re
 import string
 from typing import NamedTuple
 
-ALLOWED_WORDS = (
-    "N, G0, G1, G2, G3, G17, G20, G21, G90, G91, G93, G94, X, Y, Z, I, J, R, F, S, T, "
-    "M2, M3, M5, M6, M30, comments ( ) and ;, and a line of % before and after"
-)
-SHOWN_FAULTS = 20
+from ..faults import Fault
+
 _NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)"
 _WORD = re.compile(rf"([A-Z])({_NUMBER})")
 # A line of words and nothing else, O aside, is split at once.
@@ -25,48 +22,7 @@ _EXPRESSION = frozenset("#[]<>=@^{}\"'")
 _NAMES = re.compile(r"<[^>]*>|\[[^\]]*\]")
 _LARGEST = 1e9
 _UPPER = str.maketrans(string.ascii_lowercase, string.ascii_uppercase)
-_VALUES = frozenset("XYZIJKRFST")
-
-
-class Fault(NamedTuple):
-    """One thing wrong with a program.
-
-    Attributes:
-        line: Line of the file, from 1; 0 for the file as a whole.
-        word: The word found, as written; may be empty.
-        message: What is wrong, and what is allowed.
-        is_unsupported: Whether the list of all allowed words is of help.
-    """
-
-    line: int
-    word: str
-    message: str
-    is_unsupported: bool = False
-
-    def __str__(self) -> str:
-        """Return the fault as one line of text."""
-        place = f"line {self.line}: " if self.line else ""
-        found = f'found "{self.word}": ' if self.word else ""
-        return place + found + self.message
-
-
-class GCodeError(ValueError):
-    """A program that cannot be read, with everything wrong in it.
-
-    Attributes:
-        name: Name of the program's file.
-        faults: What is wrong, in the order of the lines; at most 20.
-    """
-
-    def __init__(self, name: str, faults: list[Fault]):
-        self.name = name
-        self.faults = tuple(faults[:SHOWN_FAULTS])
-        lines = [f"{name}, {fault}" for fault in self.faults]
-        if len(faults) > SHOWN_FAULTS:
-            lines.append(f"{name}: further faults are not listed.")
-        if any(fault.is_unsupported for fault in self.faults):
-            lines.append(f"Allowed are {ALLOWED_WORDS}.")
-        super().__init__("\n".join(lines))
+_VALUES = frozenset("XYZIJKRFSTPQLHD")
 
 
 class Word(NamedTuple):
@@ -94,8 +50,7 @@ def split_words(text: str, line: int, faults: list[Fault]) -> list[Word]:
         for match in _WORD.finditer(upper):
             _take(match, compact, line, words, faults)
         return words
-    # A block delete without a block deletes nothing.
-    position = len(compact) if compact.strip("(") == "/" else 0
+    position = 0
     while position < len(compact):
         if upper[position] == "(":
             position += 1
@@ -144,11 +99,11 @@ def _report_unknown(
     if letter == "O" or is_expression:
         shown, end = compact[position:].split("(")[0], len(compact)
     if letter == "/":
-        message = "block delete is not supported; remove the line or the slash."
+        message = "a block delete / stands at the start of its line only."
     elif letter == "%":
         message = "a % stands alone on the first and on the last line only."
     elif letter == "O":
-        message = "program numbers and subprograms are not supported."
+        message = "subprograms and O-words are not supported; write their blocks out."
     elif is_expression:
         message = "parameters and expressions are not supported; write plain numbers."
     elif letter in string.ascii_uppercase:

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from ..._types import RealScalarLike
-from ...toolpath import Path
+from ...._types import RealScalarLike
+from ....toolpath import Path
 
 _DECIMALS = 6
 

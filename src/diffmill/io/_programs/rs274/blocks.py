@@ -1,0 +1,132 @@
+"""One block of G-code with its words sorted by meaning."""
+
+from dataclasses import dataclass, field
+
+from ..faults import Fault
+from .words import Word
+
+# G codes times ten, by modal group; "once" are those that hold for one block.
+_G_GROUPS = {
+    **dict.fromkeys([0, 10, 20, 30, 730, 800, 810, 820, 830, 850, 890], "motion"),
+    **dict.fromkeys([40, 100, 280, 300, 530, 920, 921, 922, 923], "once"),
+    **dict.fromkeys([170, 180, 190], "plane"),
+    **dict.fromkeys([200, 210], "units"),
+    400: "cutter radius",
+    **dict.fromkeys([430, 490], "tool length"),
+    **dict.fromkeys([540, 550, 560, 570, 580, 590, 591, 592, 593], "system"),
+    **dict.fromkeys([610, 611, 640], "path control"),
+    **dict.fromkeys([900, 910], "distance"),
+    **dict.fromkeys([901, 911], "centres"),
+    **dict.fromkeys([930, 940, 950], "feed mode"),
+    970: "spindle mode",
+    **dict.fromkeys([980, 990], "retract"),
+}
+_M_GROUPS = {
+    **dict.fromkeys([0, 1, 2, 30, 60], "end"),
+    **dict.fromkeys([3, 4, 5], "spindle"),
+    6: "tool change",
+    **dict.fromkeys([7, 8, 9], "coolant"),
+    **dict.fromkeys([48, 49], "overrides"),
+}
+# Several of them may stand in a line.
+_SHARED = frozenset({"coolant"})
+_WHY_NOT = {
+    410: "program the path of the tool's centre",
+    420: "program the path of the tool's centre",
+    **dict.fromkeys([380, 382, 383, 384, 385], "where a probe touches is not known"),
+    **dict.fromkeys([330, 331, 740, 840], "threads are not simulated"),
+    **dict.fromkeys([650, 660, 670], "write the blocks of the macro out"),
+}
+_LETTERS = frozenset("NXYZIJKRFSTPQLHD")
+_ROTARY = frozenset("ABC")
+ALLOWED_WORDS = (
+    "N, G0 to G4, G10 L2 and L20, G17 to G21, G28, G30, G40, G43, G49, G53 to G59.3, "
+    "G61, G61.1, G64, G73, G80 to G83, G85, G89, G90, G90.1, G91, G91.1, G92 to G92.3, "
+    "G93 to G95, G97 to G99, X, Y, Z, I, J, K, R, P, Q, L, F, S, T, H, D, M0 to M9, "
+    "M30, M48, M49, M60, a program number O, block delete /, comments ( ) and ;, and "
+    "a line of % before and after"
+)
+
+
+@dataclass(slots=True)
+class Block:
+    """The words of one line.
+
+    Attributes:
+        line: Line of the file, from 1.
+        g: G codes times ten, by modal group; "refused" holds one that is not known.
+        m: M codes by modal group.
+        values: Other words by letter.
+        texts: How the code of a group is written.
+        is_g_refused: Whether a G code of the line is not supported.
+        used: Letters that a code of the line has made use of.
+    """
+
+    line: int
+    g: dict[str, int] = field(default_factory=dict)
+    m: dict[str, int] = field(default_factory=dict)
+    values: dict[str, Word] = field(default_factory=dict)
+    texts: dict[str, str] = field(default_factory=dict)
+    is_g_refused: bool = False
+    used: set[str] = field(default_factory=set)
+
+    def number(self, letter: str) -> float | None:
+        """Return the number of a letter, or None; it counts as used."""
+        word = self.values.get(letter)
+        if word is None:
+            return None
+        self.used.add(letter)
+        return word.number
+
+    def axes(self) -> list[str]:
+        """Return the letters of linear axes that the block has."""
+        values = self.values
+        return [letter for letter in "XYZ" if letter in values]
+
+
+def sorted_block(words: list[Word], line: int, faults: list[Fault]) -> Block:
+    """Return the words of a line by their meaning; report those that have none."""
+    block = Block(line)
+    for index, word in enumerate(words):
+        letter = word.letter
+        if letter == "G":
+            _add_code(block, word, round(word.number * 10), 10, faults)
+        elif letter == "M":
+            _add_code(block, word, round(word.number), 1, faults)
+        elif letter == "N" and (index > 0 or word.number < 0):
+            message = "a line number N is not negative and starts its line."
+            faults.append(Fault(line, word.text, message))
+        elif letter in _LETTERS:
+            if letter in block.values:
+                message = f"only one {letter} is allowed in a line."
+                faults.append(Fault(line, word.text, message))
+            block.values.setdefault(letter, word)
+        else:
+            why = " (an axis that turns)" if letter in _ROTARY else ""
+            message = f"{letter}{why} is not supported."
+            faults.append(Fault(line, word.text, message, True))
+    return block
+
+
+def _add_code(
+    block: Block, word: Word, code: int, factor: int, faults: list[Fault]
+) -> None:
+    """File a G or M code under its modal group, or report it."""
+    groups, present = (
+        (_G_GROUPS, block.g) if word.letter == "G" else (_M_GROUPS, block.m)
+    )
+    name = f"{word.letter}{code / factor:g}"
+    group = groups.get(code)
+    if group is None or abs(word.number * factor - code) > 1e-3:
+        why = _WHY_NOT.get(code) if word.letter == "G" else None
+        message = f"{name} is not supported{'' if why is None else f': {why}'}."
+        faults.append(Fault(block.line, word.text, message, True))
+        if word.letter == "G":
+            block.is_g_refused = True
+            block.g.setdefault("refused", code)
+    elif group in present and group not in _SHARED:
+        message = f"only one code for {group} is allowed in a line."
+        faults.append(Fault(block.line, word.text, message))
+    else:
+        present[group] = code
+        block.texts[group] = word.text

@@ -1,0 +1,150 @@
+"""Canned cycles: drilling, with rests and pecks, as plunges.
+
+The order of the moves is that of LinuxCNC: up to the retract plane if the tool is below
+it, across, down to the retract plane, the plunge, and out again.
+"""
+
+import math
+from collections.abc import Callable
+
+from ....toolpath import Point
+from ..faults import Fault
+from .blocks import Block
+from .pace import motion_text
+from .state import AXES, MM_PER_INCH, Cycle, State, find_shift
+
+CYCLES = frozenset([730, 810, 820, 830, 850, 890])
+_WITH_REST = frozenset([820, 890])
+_WITH_PECK = frozenset([730, 830])
+# How far above the last depth, or how far out, a peck goes by rapid [inch].
+_CLEARANCE = 0.01
+_MOST_PLUNGES = 100_000
+
+# Makes a move to a point; the flag tells whether it is rapid.
+Go = Callable[[list[float], bool], None]
+
+
+def run_cycle(block: Block, state: State, go: Go, faults: list[Fault]) -> None:
+    """Make the moves of a canned cycle.
+
+    Args:
+        block: A block with axis words.
+        state: State before it; its cycle words are updated.
+        go: Makes a move from where the tool is.
+        faults: Receives what is wrong.
+    """
+    depth = state.plane
+    shift = find_shift(block, state, faults)
+    cycle = _take_words(block, state, shift)
+    repeats = block.number("L")
+    if any(math.isnan(word.number) for word in block.values.values()):
+        return
+    message = _fault(block, state, cycle, repeats)
+    if message:
+        faults.append(Fault(block.line, motion_text(block), message))
+        return
+    place, step = _places(block, state, shift)
+    at = list(state.position)
+    retract, bottom = cycle.retract, cycle.bottom
+    if retract < bottom:
+        message = "the retract plane R lies below the bottom of the hole."
+        faults.append(Fault(block.line, motion_text(block), message))
+        return
+    if cycle.level < retract:
+        at[depth] = retract
+        go(at, True)
+    clear = max(cycle.level, retract) if state.is_retract_high else retract
+    count = 1 if repeats is None else int(repeats)
+    pecks = (retract - bottom) / cycle.peck if state.motion in _WITH_PECK else 1
+    if count * pecks > _MOST_PLUNGES:
+        message = f"the cycle has more than {_MOST_PLUNGES} plunges."
+        faults.append(Fault(block.line, motion_text(block), message))
+        return
+    for _ in range(count):
+        place = [a + b for a, b in zip(place, step, strict=True)]
+        go(_at(place, at[depth], depth), True)
+        if at[depth] != retract:
+            go(_at(place, retract, depth), True)
+        _plunge(state, place, retract, bottom, go)
+        if state.motion == 850:
+            go(_at(place, retract, depth), False)
+        go(_at(place, clear, depth), state.motion != 890)
+        at[depth] = clear
+
+
+def _take_words(block: Block, state: State, shift: Point) -> Cycle:
+    """Return the cycle's words, those of earlier blocks where this one has none."""
+    cycle, scale, depth = state.cycle, state.scale, state.plane
+    if math.isnan(cycle.level):
+        cycle.level = state.position[depth]
+    zero = cycle.level if state.is_incremental else shift[depth]
+    bottom, retract = block.number(AXES[depth]), block.number("R")
+    if retract is not None:
+        cycle.retract = retract * scale + zero
+    if bottom is not None:
+        zero = cycle.retract if state.is_incremental else shift[depth]
+        cycle.bottom = bottom * scale + zero
+    if (rest := block.number("P")) is not None:
+        cycle.rest = rest
+    if (peck := block.number("Q")) is not None:
+        cycle.peck = peck * scale
+    return cycle
+
+
+def _fault(block: Block, state: State, cycle: Cycle, repeats: float | None) -> str:
+    """Return what is wrong with the words of a cycle, or nothing."""
+    if state.feed_mode == 930:
+        return "a canned cycle has no duration of its own; use G94 or G95."
+    if math.isnan(cycle.bottom):
+        return f"a canned cycle needs the bottom of the hole ({AXES[state.plane]})."
+    if math.isnan(cycle.retract):
+        return "a canned cycle needs its retract plane R."
+    if state.motion in _WITH_REST and not cycle.rest >= 0:
+        return "this cycle needs a P (time at the bottom, in seconds)."
+    if state.motion in _WITH_PECK and not cycle.peck > 0:
+        return "this cycle needs a Q above 0 (depth of a peck)."
+    if repeats is not None and not (repeats >= 1 and repeats % 1 == 0):
+        return "the number of repetitions L is a whole number from 1."
+    return ""
+
+
+def _places(
+    block: Block, state: State, shift: Point
+) -> tuple[list[float], list[float]]:
+    """Return where the holes begin and how far apart repeated ones are [mm]."""
+    place, step = list(state.position), [0.0] * 3
+    for axis, letter in enumerate(AXES):
+        value = None if axis == state.plane else block.number(letter)
+        if value is None:
+            continue
+        if state.is_incremental:
+            step[axis] = value * state.scale
+        else:
+            place[axis] = value * state.scale + shift[axis]
+    return place, step
+
+
+def _at(place: list[float], depth: float, axis: int) -> list[float]:
+    """Return a point over a hole."""
+    point = list(place)
+    point[axis] = depth
+    return point
+
+
+def _plunge(
+    state: State, place: list[float], retract: float, bottom: float, go: Go
+) -> None:
+    """Make the moves from the retract plane to the bottom of a hole."""
+    depth, cycle = state.plane, state.cycle
+    if state.motion in _WITH_PECK:
+        clearance = _CLEARANCE * MM_PER_INCH
+        level = retract - cycle.peck
+        while level > bottom:
+            go(_at(place, level, depth), False)
+            if state.motion == 830:
+                go(_at(place, retract, depth), True)
+            go(_at(place, level + clearance, depth), True)
+            level -= cycle.peck
+    go(_at(place, bottom, depth), False)
+    if state.motion in _WITH_REST:
+        state.out.rest(cycle.rest)

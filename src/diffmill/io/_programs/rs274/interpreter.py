@@ -1,0 +1,549 @@
+"""G-code to moves: RS274/NGC and its dialects as far as they move three axes.
+
+A block is executed in the order of the standard (feed mode, feed, tool, speed, rest,
+plane, units, tool length, coordinate system, distance mode, zeros, motion, end),
+whatever the order of its words. What is not understood is an error, never skipped, and
+all errors of a file are reported together.
+"""
+
+import math
+import os
+import pathlib
+import re
+
+from ....toolpath import Move, Point, Program
+from ..faults import SHOWN_FAULTS, Fault, ProgramError
+from ..setup import ProgramSetup
+from ..text import read_text, split_lines
+from .arcs import (
+    INCH_TOLERANCE,
+    MM_TOLERANCE,
+    ArcError,
+    centre_from_offset,
+    centre_from_radius,
+)
+from .blocks import ALLOWED_WORDS, Block, sorted_block
+from .cycles import CYCLES, run_cycle
+from .offsets import choose_system, compensate_length, offset_axes, set_data
+from .pace import Pace, find_pace, motion_text, set_feed
+from .state import (
+    AXES,
+    MM_PER_INCH,
+    Cycle,
+    State,
+    find_shift,
+    machine_zero,
+    metres,
+    new_state,
+    tuple3,
+)
+from .words import split_words
+
+# Refused codes after which the position and the motion mode are still known.
+_HARMLESS = frozenset([410, 420])
+_LARGEST_POSITION_MM = 1e5
+_LARGEST_SPEED_RPM = 1e6
+_LONGEST_REST = 1e6
+_NORMALS = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+_CENTRE_WORDS = "IJK"
+_PROGRAM_NUMBER = re.compile(r"\s*[oO]\s*\d+\s*(\(.*|;.*)?")
+_NO_MOTION = {
+    "end": "stops for the operator, which takes no time here",
+    "spindle": "the cutter is taken to be made for a spindle that turns this way",
+    "coolant": "coolant changes no motion",
+    "overrides": "overrides are at 100 %",
+    "cutter radius": "there is no compensation of the cutter's radius",
+    "path control": "corners are rounded by the job's corner tolerance",
+    "spindle mode": "the spindle has a constant speed",
+}
+
+
+def read_gcode(
+    file: str | os.PathLike[str],
+    *,
+    feed: float | None = None,
+    setup: ProgramSetup | None = None,
+) -> Program:
+    """Return the moves of a G-code file.
+
+    Args:
+        file: Path of the file; bytes that are no UTF-8 may stand in comments.
+        feed: Feed of moves for which the file gives none [m/s]; None makes a missing
+            feed an error.
+        setup: What else the file does not say.
+
+    Returns:
+        The program in SI units, with its text.
+
+    Raises:
+        ProgramError: If the file cannot be read or contains anything that is not
+            supported; the message lists up to 20 faults with line and word.
+    """
+    path = pathlib.Path(file)
+    return parse_gcode(read_text(path), name=path.name, feed=feed, setup=setup)
+
+
+def parse_gcode(
+    text: str,
+    *,
+    name: str = "program",
+    feed: float | None = None,
+    setup: ProgramSetup | None = None,
+) -> Program:
+    """Return the moves of G-code text; arguments and errors as `read_gcode`."""
+    setup = ProgramSetup() if setup is None else setup
+    if feed is not None:
+        setup = ProgramSetup(**{**vars(setup), "feed": feed})
+    faults: list[Fault] = []
+    state = new_state(setup)
+    is_wrapped = is_closed = False
+    is_first = True
+    for number, row in enumerate(split_lines(text, name), 1):
+        bare = row.strip(" \t\r")
+        if bare == "%" and (is_first or is_wrapped):
+            is_closed = is_wrapped
+            is_wrapped = True
+        elif bare:
+            faults.extend(_run_line(bare, number, state))
+        is_first = is_first and not bare
+        if is_closed or state.is_ended:
+            break
+        if len(faults) > SHOWN_FAULTS:
+            raise ProgramError(name, faults, ALLOWED_WORDS)
+    if is_wrapped and not (is_closed or state.is_ended):
+        message = "the file ends without the closing % or M2 or M30; it may be cut off."
+        faults.append(Fault(0, "", message))
+    if faults:
+        raise ProgramError(name, faults, ALLOWED_WORDS)
+    return state.out.finish(text, name)
+
+
+def _run_line(row: str, number: int, state: State) -> list[Fault]:
+    """Read and execute one line; return its faults in the order of its words."""
+    if row[0] == "/":
+        row = row[1:]
+        if state.setup.skips_blocks:
+            state.out.note("/", "lines with a block delete are left out", number)
+            return []
+        state.out.note("/", "lines with a block delete are carried out", number)
+    elif row[0] in "oO:" and not state.out.moves:
+        row = row.replace(":", "O", 1)
+        if _PROGRAM_NUMBER.fullmatch(row):
+            state.out.note(row.split("(")[0].strip(), "is a program number", number)
+            return []
+    faults: list[Fault] = []
+    words = split_words(row, number, faults)
+    if not words and not faults:
+        return faults
+    block = sorted_block(words, number, faults)
+    _execute(block, state, faults)
+    if not faults:
+        return faults
+    compact = "".join(row.split())
+    return sorted(faults, key=lambda fault: compact.find(fault.word))
+
+
+def _execute(block: Block, state: State, faults: list[Fault]) -> None:
+    """Carry out one block in the order of the standard."""
+    codes = block.g
+    _apply_refused(block, state)
+    set_feed(block, state, faults)
+    if block.m or "S" in block.values or "T" in block.values:
+        _set_tool(block, state, faults)
+        _set_speed(block, state, faults)
+        _note_codes(block, block.m, "M", state)
+    if codes:
+        _set_modes(block, state, faults)
+    if codes.get("once") in (100, 280, 300, 920, 921, 922, 923):
+        _once(block, state, faults)
+    else:
+        _move(block, state, faults)
+    if len(block.used) < len(block.values):
+        _report_unused(block, state, faults)
+    state.is_ended = block.m.get("end") in (2, 30)
+
+
+def _apply_refused(block: Block, state: State) -> None:
+    """Forget what a refused G code would have changed, so that it has no echo."""
+    code = block.g.get("refused")
+    if code is None or code in _HARMLESS:
+        return
+    state.motion = -1
+    state.position = (math.nan, math.nan, math.nan)
+
+
+def _set_modes(block: Block, state: State, faults: list[Fault]) -> None:
+    """Apply the G codes of a block that move nothing themselves."""
+    codes = block.g
+    if codes.get("once") == 40:
+        _rest(block, state, faults)
+    if "plane" in codes:
+        state.plane = {170: 2, 180: 1, 190: 0}[codes["plane"]]
+        state.is_plane_known = True
+    if "units" in codes:
+        state.scale = MM_PER_INCH if codes["units"] == 200 else 1.0
+    compensate_length(block, state, faults)
+    choose_system(block, state)
+    if "distance" in codes:
+        state.is_incremental = codes["distance"] == 910
+    if "retract" in codes:
+        state.is_retract_high = codes["retract"] == 980
+    if "centres" in codes:
+        state.is_centre_absolute = codes["centres"] == 901
+    _note_codes(block, codes, "G", state)
+    if "path control" in codes:
+        block.used.update("PQ")
+    if codes.get("cutter radius") == 400 or "refused" in codes:
+        block.used.add("D")
+
+
+def _note_codes(block: Block, codes: dict[str, int], letter: str, state: State) -> None:
+    """Note codes that change no motion."""
+    for group, code in codes.items():
+        if group not in _NO_MOTION or (letter == "M" and code in (2, 3, 5, 30)):
+            continue
+        sentence = _NO_MOTION[group]
+        value = code / 10 if letter == "G" else code
+        state.out.note(f"{letter}{value:g}", sentence, block.line)
+
+
+def _rest(block: Block, state: State, faults: list[Fault]) -> None:
+    """Apply G4."""
+    duration = block.number("P")
+    if duration is None or duration < 0 or duration > _LONGEST_REST:
+        message = f"a rest needs a P from 0 to {_LONGEST_REST:g} s."
+        faults.append(Fault(block.line, block.texts["once"], message))
+        return
+    state.out.rest(duration)
+
+
+def _set_tool(block: Block, state: State, faults: list[Fault]) -> None:
+    """Apply T and M6."""
+    number = block.number("T")
+    if number is not None and not math.isnan(number):
+        if number < 0 or abs(number - round(number)) > 1e-4:
+            message = "a tool number is a whole number, not negative."
+            faults.append(Fault(block.line, block.values["T"].text, message))
+        else:
+            state.selected_tool = round(number)
+            if state.out.tool is None and not state.out.moves:
+                state.out.change_tool(state.selected_tool, block.line)
+    if "tool change" in block.m:
+        if state.selected_tool is not None:
+            state.out.change_tool(state.selected_tool, block.line)
+        elif number is None:
+            message = "a tool change needs a T word before it or in its line."
+            faults.append(Fault(block.line, block.texts["tool change"], message))
+
+
+def _set_speed(block: Block, state: State, faults: list[Fault]) -> None:
+    """Apply S."""
+    number = block.number("S")
+    if number is None:
+        return
+    if not 0 <= number <= _LARGEST_SPEED_RPM and not math.isnan(number):
+        message = f"a spindle speed lies between 0 and {_LARGEST_SPEED_RPM:g} rpm."
+        faults.append(Fault(block.line, block.values["S"].text, message))
+    state.spindle_rpm = number
+    state.out.set_speed(number * 2 * math.pi / 60)
+
+
+def _once(block: Block, state: State, faults: list[Fault]) -> None:
+    """Carry out a code that holds for one block and takes its axis words."""
+    code = block.g["once"]
+    if code == 100:
+        set_data(block, state, faults)
+    elif code in (280, 300):
+        _return_home(block, state, faults)
+    else:
+        offset_axes(block, state, faults)
+    if "motion" in block.g:
+        _choose_motion(block.g["motion"], state)
+
+
+def _return_home(block: Block, state: State, faults: list[Fault]) -> None:
+    """Go to a reference point of the machine, through the point of the axis words."""
+    zero = machine_zero(block, block.texts["once"], state, faults)
+    axes = block.axes()
+    through = _end_point(block, state, faults)
+    if zero is None:
+        state.position = through
+        return
+    home = list(through)
+    stated = state.setup.reference_points[block.g["once"] == 300]
+    for axis, letter in enumerate(AXES):
+        if letter in axes or not axes:
+            home[axis] = zero[axis] + 1e3 * stated[axis]
+    if "Z" in axes or not axes:
+        home[2] -= _known_length(block, state, faults)
+    _go(block, state, through, Pace(), "")
+    _go(block, state, tuple3(home), Pace(), "".join(axes) or AXES)
+
+
+def _known_length(block: Block, state: State, faults: list[Fault]) -> float:
+    """Return the compensated tool length [mm]; that it is not known is a fault."""
+    if state.length is None:
+        message = (
+            "a machine position needs the compensated length of the tool (in a job: "
+            f"[program] tool_lengths; {state.length_word})."
+        )
+        faults.append(Fault(block.line, block.texts["once"], message))
+        return 0.0
+    return state.length
+
+
+def _move(block: Block, state: State, faults: list[Fault]) -> None:
+    """Carry out the motion of a block, if it has one."""
+    values, axes = block.values, block.axes()
+    motion = block.g.get("motion")
+    if motion is not None:
+        _choose_motion(motion, state)
+    motion = state.motion
+    is_arc = motion in (20, 30)
+    if not axes and not _moves_without_axes(block, is_arc):
+        if motion in CYCLES and "motion" in block.g:
+            message = "a canned cycle needs an axis word."
+            faults.append(Fault(block.line, block.texts["motion"], message))
+        return
+    if block.is_g_refused or motion == -1:
+        block.used.update(values)
+    if motion is None or motion == 800:
+        if not block.is_g_refused:
+            message = "no motion is chosen yet; needed is a G0, G1, G2 or G3 before."
+            faults.append(Fault(block.line, values[axes[0]].text, message))
+            block.used.update(values)
+        motion = -1
+    if motion in CYCLES:
+        _cycle(block, state, faults)
+        return
+    was_unknown = state.is_height_unknown
+    is_machine = block.g.get("once") == 530
+    end = (
+        _machine_point(block, state, faults)
+        if is_machine
+        else _end_point(block, state, faults)
+    )
+    if motion == -1 or block.is_g_refused:
+        state.position = end
+        return
+    pace = Pace()
+    if motion != 0:
+        if was_unknown:
+            _report_height(block, state, faults)
+        pace = find_pace(block, state, faults)
+    axes_stated = "" if state.is_incremental and not is_machine else "".join(axes)
+    if is_arc:
+        _arc(block, state, end, pace, faults)
+        return
+    _go(block, state, end, pace, axes_stated)
+
+
+def _choose_motion(motion: int, state: State) -> None:
+    """Apply a motion code; a cycle forgets the words of another one."""
+    if motion != state.motion:
+        is_series = motion in CYCLES and state.motion in CYCLES
+        state.cycle = Cycle(state.cycle.level if is_series else math.nan)
+    state.motion = motion
+
+
+def _moves_without_axes(block: Block, is_arc: bool) -> bool:
+    """Return whether a block without X, Y and Z is a motion all the same."""
+    if block.is_g_refused:
+        return False
+    if "motion" in block.g:
+        return block.g["motion"] not in (*CYCLES, 800)
+    return is_arc and any(letter in block.values for letter in "IJKR")
+
+
+def _report_height(block: Block, state: State, faults: list[Fault]) -> None:
+    """Report a feed motion whose height depends on a tool length that is not known."""
+    message = (
+        "the tool's height is not known after G43 or G49; needed is a Z before it, "
+        "or the tool's length (in a job: [program] tool_lengths)."
+    )
+    faults.append(Fault(block.line, motion_text(block), message))
+    state.is_height_unknown = False
+
+
+def _go(block: Block, state: State, end: Point, pace: Pace, axes: str) -> None:
+    """Make a straight move; without a pace it is rapid."""
+    start, state.position = state.position, end
+    is_rapid = state.motion == 0 or block.g.get("once") in (280, 300)
+    state.out.add(
+        Move(
+            metres(start),
+            metres(end),
+            None,
+            0,
+            pace.feed,
+            pace.duration,
+            is_rapid,
+            block.line,
+        ),
+        axes,
+    )
+
+
+def _cycle(block: Block, state: State, faults: list[Fault]) -> None:
+    """Carry out a canned cycle."""
+    if state.is_height_unknown:
+        _report_height(block, state, faults)
+    pace = find_pace(block, state, faults) if state.feed_mode != 930 else Pace()
+    axes = "" if state.is_incremental else "".join(block.axes())
+
+    def go(point: list[float], is_rapid: bool) -> None:
+        start, state.position = state.position, tuple3(point)
+        move = Move(
+            metres(start),
+            metres(state.position),
+            feed=None if is_rapid else pace.feed,
+            is_rapid=is_rapid,
+            line=block.line,
+        )
+        state.out.add(move, axes)
+
+    run_cycle(block, state, go, faults)
+
+
+def _machine_point(block: Block, state: State, faults: list[Fault]) -> Point:
+    """Return where a motion in machine coordinates (G53) ends [mm]."""
+    text = block.texts["once"]
+    if state.motion not in (0, 10) or state.is_incremental:
+        message = "G53 needs G0 or G1, and G90."
+        faults.append(Fault(block.line, text, message))
+    zero = machine_zero(block, text, state, faults)
+    end = list(state.position)
+    for axis, letter in enumerate(AXES):
+        value = block.number(letter)
+        if value is not None and zero is not None:
+            end[axis] = zero[axis] + value * state.scale
+            if axis == 2:
+                end[axis] -= _known_length(block, state, faults)
+    return tuple3(end)
+
+
+def _end_point(block: Block, state: State, faults: list[Fault]) -> Point:
+    """Return where a motion ends [mm]."""
+    x, y, z = state.position
+    shift = state.shift or find_shift(block, state, faults)
+    end = [x, y, z]
+    values, scale = block.values, state.scale
+    for axis, letter in enumerate(AXES):
+        word = values.get(letter)
+        if word is None:
+            continue
+        block.used.add(letter)
+        value = word.number * scale
+        if state.is_incremental:
+            end[axis] += value
+        else:
+            end[axis] = value + shift[axis]
+            if axis == 2:
+                state.is_height_unknown = False
+        if abs(end[axis]) > _LARGEST_POSITION_MM:
+            message = f"a position is {_LARGEST_POSITION_MM / 1e3:g} m at most."
+            faults.append(Fault(block.line, word.text, message))
+    return end[0], end[1], end[2]
+
+
+def _arc(
+    block: Block, state: State, end: Point, pace: Pace, faults: list[Fault]
+) -> None:
+    """Make an arc or a helix in the working plane."""
+    start, state.position = state.position, end
+    turns = block.number("P")
+    if turns is not None and not (turns >= 1 and turns % 1 == 0):
+        message = "the number of turns P is a whole number from 1."
+        faults.append(Fault(block.line, block.values["P"].text, message))
+        return
+    sign = -1 if state.motion == 20 else 1
+    centre = _centre(block, state, (start, end), sign, faults)
+    if centre is None:
+        return
+    state.out.add(
+        Move(
+            metres(start),
+            metres(end),
+            metres(centre),
+            sign * int(turns or 1),
+            pace.feed,
+            pace.duration,
+            line=block.line,
+            normal=_NORMALS[state.plane],
+        ),
+        "",
+    )
+
+
+def _centre(
+    block: Block,
+    state: State,
+    ends: tuple[Point, Point],
+    turn: int,
+    faults: list[Fault],
+) -> Point | None:
+    """Return the centre of an arc at its start's height [mm], or None with a fault."""
+    values, scale = block.values, state.scale
+    first, second = (state.plane + 1) % 3, (state.plane + 2) % 3
+    letters = [_CENTRE_WORDS[axis] for axis in (first, second)]
+    across = _CENTRE_WORDS[state.plane]
+    found = [block.number(letter) for letter in letters]
+    radius = block.number("R")
+    plane = AXES[min(first, second)] + AXES[max(first, second)]
+    shown, message = motion_text(block), ""
+    if across in values:
+        shown = values[across].text
+        message = f"an arc in the {plane} plane has no {across}."
+        block.used.add(across)
+    elif radius is not None and found != [None, None]:
+        shown, message = values["R"].text, "an arc has either R, or its centre."
+    elif radius is None and found == [None, None]:
+        message = f"an arc needs its centre ({' and '.join(sorted(letters))}) or its "
+        message += "radius (R)."
+    elif radius is not None and not {AXES[first], AXES[second]} & set(values):
+        shown = values["R"].text
+        message = f"an arc with R needs an end {plane[0]} or {plane[1]}."
+    elif radius is None and state.is_centre_absolute and None in found:
+        message = "an absolute centre (G90.1) needs both of its words."
+    if message:
+        faults.append(Fault(block.line, shown, message))
+        return None
+    # In the units of the program, because the tolerances are.
+    begin, last = ((end[first] / scale, end[second] / scale) for end in ends)
+    tolerance = INCH_TOLERANCE if scale == MM_PER_INCH else MM_TOLERANCE
+    try:
+        if radius is not None:
+            centre = centre_from_radius(begin, last, radius, turn, tolerance)
+        else:
+            offset = found[0] or 0.0, found[1] or 0.0
+            if state.is_centre_absolute:
+                shift = find_shift(block, state, faults)
+                offset = (
+                    offset[0] + shift[first] / scale - begin[0],
+                    offset[1] + shift[second] / scale - begin[1],
+                )
+            centre = centre_from_offset(begin, last, offset, tolerance)
+    except ArcError as error:
+        faults.append(Fault(block.line, shown, str(error)))
+        return None
+    out = list(ends[0])
+    out[first], out[second] = centre[0] * scale, centre[1] * scale
+    return tuple3(out)
+
+
+def _report_unused(block: Block, state: State, faults: list[Fault]) -> None:
+    """Report words that no code of the line makes use of."""
+    if block.is_g_refused:
+        return
+    unused = [letter for letter in block.values if letter not in block.used]
+    for letter in unused:
+        if letter == "N":
+            continue
+        word = block.values[letter]
+        if letter in "IJKR":
+            message = f"{letter} belongs to an arc, but there is no G2 or G3."
+            if state.motion == -1:
+                continue
+        else:
+            message = f"{letter} belongs to no code of its line."
+        faults.append(Fault(block.line, word.text, message))

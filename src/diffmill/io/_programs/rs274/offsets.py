@@ -1,0 +1,150 @@
+"""Words that move the zero of the program: systems, G92, G10, tool lengths."""
+
+import math
+
+from ....toolpath import Point
+from ..faults import Fault
+from .blocks import Block
+from .state import AXES, State, find_shift, find_zero, machine_zero, tuple3
+
+_SYSTEMS = ("G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3")
+
+
+def choose_system(block: Block, state: State) -> None:
+    """Apply G54 to G59.3."""
+    code = block.g.get("system")
+    if code is not None:
+        state.system = f"G{code / 10:g}"
+        state.shift = None
+
+
+def offset_axes(block: Block, state: State, faults: list[Fault]) -> None:
+    """Apply G92 and its followers."""
+    code = block.g["once"]
+    if code == 920:
+        _state_position(block, state, faults)
+        return
+    if code == 923:
+        state.own_offset = state.stored_offset
+    else:
+        if code == 922:
+            state.stored_offset = state.own_offset
+        state.own_offset = (0.0, 0.0, 0.0)
+    state.shift = None
+
+
+def _state_position(block: Block, state: State, faults: list[Fault]) -> None:
+    """Apply G92: the tool is where the words say."""
+    axes = block.axes()
+    if not axes:
+        message = "G92 needs X, Y or Z."
+        faults.append(Fault(block.line, block.texts["once"], message))
+    shift = list(find_shift(block, state, faults))
+    position = list(state.position)
+    for letter in axes:
+        axis = AXES.index(letter)
+        stated = (block.number(letter) or 0.0) * state.scale
+        if not state.out.moves:
+            # Before any motion the place is not known but stated here.
+            position[axis] = stated + shift[axis]
+            state.out.known.add(letter)
+        else:
+            shift[axis] = position[axis] - stated
+    zero = find_zero(state.system, block, state, faults)
+    state.position = tuple3(position)
+    state.own_offset = tuple3(a - b for a, b in zip(shift, zero, strict=True))
+    state.stored_offset = state.own_offset
+    state.shift = None
+
+
+def set_data(block: Block, state: State, faults: list[Fault]) -> None:
+    """Apply G10 L2 and L20: the zero of a system."""
+    kind, number = block.number("L"), block.number("P")
+    text = block.texts["once"]
+    if kind not in (2, 20) or "R" in block.values:
+        message = "G10 is supported as L2 or L20 without R only."
+        faults.append(Fault(block.line, text, message, True))
+        return
+    if number is None or number not in range(len(_SYSTEMS) + 1):
+        message = f"G10 needs a P from 0 to {len(_SYSTEMS)}."
+        faults.append(Fault(block.line, text, message))
+        return
+    name = _SYSTEMS[int(number) - 1] if number else state.system
+    found = _stated_zero(block, kind, name, state, faults)
+    if found is not None:
+        state.zeros[name] = found
+        state.shift = None
+
+
+def _stated_zero(
+    block: Block, kind: float, name: str, state: State, faults: list[Fault]
+) -> Point | None:
+    """Return the zero of a system that G10 states [mm], or None with a fault."""
+    base = (0.0, 0.0, 0.0)
+    if kind == 2:
+        found = machine_zero(block, block.texts["once"], state, faults)
+        if found is None:
+            return None
+        base = found
+    whole = len(block.axes()) == 3
+    zero = [0.0] * 3 if whole else list(find_zero(name, block, state, faults))
+    for letter in block.axes():
+        axis = AXES.index(letter)
+        value = (block.number(letter) or 0.0) * state.scale
+        if kind == 2:
+            zero[axis] = base[axis] + value
+        else:
+            zero[axis] = state.position[axis] - state.own_offset[axis] - value
+    return tuple3(zero)
+
+
+def compensate_length(block: Block, state: State, faults: list[Fault]) -> None:
+    """Apply G43 and G49: the tip is where the program says by another length."""
+    code = block.g.get("tool length")
+    if code is None:
+        return
+    text = block.texts["tool length"]
+    length, word = 0.0, ""
+    if code == 430:
+        given = block.number("H")
+        if given is not None and math.isnan(given):
+            return
+        number = state.out.tool if given is None else round(given)
+        if number is None:
+            message = "G43 needs an H, or a tool before it."
+            faults.append(Fault(block.line, text, message))
+            return
+        word = f"H{number}"
+        length = _length_of(number, state)
+        if length is None:
+            _note_length(block, number, state)
+    if word == state.length_word:
+        return
+    if length is None or state.length is None:
+        if state.out.moves:
+            state.is_height_unknown = True
+            if not state.out.is_approach:
+                state.out.begin_section(block.line)
+            state.out.known.discard("Z")
+    elif length != state.length:
+        x, y, z = state.position
+        state.position = (x, y, z - (length - state.length))
+        if state.out.moves and not state.out.is_approach:
+            state.out.begin_section(block.line)
+    state.length, state.length_word = length, word
+
+
+def _length_of(number: int, state: State) -> float | None:
+    """Return the length that H compensates [mm]; None if it is not known."""
+    lengths = state.setup.tool_lengths
+    if number == 0 and 0 not in lengths:
+        return 0.0
+    return 1e3 * lengths[number] if number in lengths else None
+
+
+def _note_length(block: Block, number: int, state: State) -> None:
+    """Note what is assumed of a length that is not known."""
+    sentence = "its length is not given; the tip is where Z says after it"
+    if state.out.tool not in (None, number):
+        sentence += f", and tool T{state.out.tool} is taken to have this length"
+    state.out.note(f"G43 H{number}", sentence, block.line)

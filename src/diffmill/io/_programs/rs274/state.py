@@ -1,0 +1,129 @@
+"""What holds from one block of a program to the next."""
+
+import math
+from dataclasses import dataclass, field
+
+from ....toolpath import Point
+from ..faults import Fault
+from ..move_list import MoveList
+from ..setup import ProgramSetup
+from .blocks import Block
+
+MM_PER_INCH = 25.4
+AXES = "XYZ"
+
+
+@dataclass
+class Cycle:
+    """Words of a canned cycle, which hold until another motion is chosen [mm, s].
+
+    `level` is where the tool was before the first of several cycles in a row.
+    """
+
+    level: float = math.nan
+    bottom: float = math.nan
+    retract: float = math.nan
+    rest: float = math.nan
+    peck: float = math.nan
+
+
+@dataclass(slots=True)
+class State:
+    """State between two blocks; NaN marks what a fault made unknown.
+
+    Attributes:
+        setup: What the program does not say.
+        out: The moves so far.
+        position: Tool tip in `work` [mm].
+        motion: Motion code times ten; None before the first, 800 for none, -1 after a
+            refused one.
+        plane: Index of the axis across the working plane.
+        scale: Millimetres per unit of the program.
+        feed: Feed [mm/s], with G95 per revolution [mm]; None before the first F word.
+        feed_mode: 930 inverse time, 940 per minute, 950 per revolution.
+        system: Coordinate system, such as "G54".
+        zeros: Zeros of the systems in `work` [mm].
+        own_offset: Offset of G92 [mm], and the one that G92.3 restores.
+        shift: From program coordinates to `work` [mm]; None if to be found anew.
+        length: Compensated tool length [mm]; None if it is not known.
+    """
+
+    setup: ProgramSetup
+    out: MoveList = field(default_factory=MoveList)
+    position: Point = (0.0, 0.0, 0.0)
+    motion: int | None = None
+    plane: int = 2
+    is_plane_known: bool = True
+    scale: float = 1.0
+    is_incremental: bool = False
+    is_centre_absolute: bool = False
+    is_retract_high: bool = False
+    is_ended: bool = False
+    is_height_unknown: bool = False
+    feed: float | None = None
+    feed_mode: int = 940
+    spindle_rpm: float = 0.0
+    selected_tool: int | None = None
+    system: str = "G54"
+    zeros: dict[str, Point] = field(default_factory=dict)
+    own_offset: Point = (0.0, 0.0, 0.0)
+    stored_offset: Point = (0.0, 0.0, 0.0)
+    shift: Point | None = None
+    length: float | None = 0.0
+    length_word: str = ""
+    cycle: Cycle = field(default_factory=Cycle)
+
+
+def new_state(setup: ProgramSetup) -> State:
+    """Return the state before the first block."""
+    zeros = {
+        name: (1e3 * x, 1e3 * y, 1e3 * z) for name, (x, y, z) in setup.offsets.items()
+    }
+    return State(setup, zeros=zeros)
+
+
+def find_shift(block: Block, state: State, faults: list[Fault]) -> Point:
+    """Return the way from program coordinates to `work` [mm]."""
+    if state.shift is not None:
+        return state.shift
+    zero = find_zero(state.system, block, state, faults)
+    state.shift = tuple3(a + b for a, b in zip(zero, state.own_offset, strict=True))
+    return state.shift
+
+
+def find_zero(name: str, block: Block, state: State, faults: list[Fault]) -> Point:
+    """Return the zero of a system in `work` [mm]; the first one used is `work`."""
+    if name not in state.zeros:
+        if state.zeros:
+            message = (
+                f"where {name} lies is not known; needed is its zero in `work` "
+                f'(in a job: [program] offsets = {{ {name} = ["0 mm", ...] }}).'
+            )
+            faults.append(Fault(block.line, block.texts.get("system", ""), message))
+        state.zeros[name] = (0.0, 0.0, 0.0)
+    return state.zeros[name]
+
+
+def machine_zero(
+    block: Block, word: str, state: State, faults: list[Fault]
+) -> Point | None:
+    """Return the zero of the machine in `work` [mm], or None with a fault."""
+    if state.setup.machine_zero is None:
+        message = (
+            "where the machine's zero lies is not known; needed is its place in "
+            "`work` (in a job: [program] machine_zero)."
+        )
+        faults.append(Fault(block.line, word, message))
+        return None
+    return tuple3(1e3 * value for value in state.setup.machine_zero)
+
+
+def tuple3(values) -> Point:
+    """Return three numbers as a point."""
+    x, y, z = values
+    return x, y, z
+
+
+def metres(point: Point) -> Point:
+    """Return a point given in millimetres in metres."""
+    return point[0] * 1e-3, point[1] * 1e-3, point[2] * 1e-3

@@ -1,0 +1,30 @@
+"""What a program for a machine takes for granted and does not say itself."""
+
+import dataclasses
+from collections.abc import Mapping
+
+from ...toolpath import Point
+
+
+@dataclasses.dataclass(frozen=True)
+class ProgramSetup:
+    """What the operator of a machine sets up before a program runs.
+
+    Attributes:
+        feed: Feed of moves for which the program gives none [m/s], or None.
+        offsets: Zeros of coordinate systems in `work` [m], by word ("G54", "G59.1").
+            A program that uses one system alone needs none: it is `work`.
+        tool_lengths: Lengths that G43 H compensates [m], by number. Without them the
+            tip is where the program says as soon as it states Z after G43 or G49.
+        machine_zero: Zero of the machine in `work` [m]; G53, G28, G30 and G10 L2
+            need it.
+        reference_points: Machine coordinates to which G28 and G30 go [m].
+        skips_blocks: Whether lines that begin with a block delete / are left out.
+    """
+
+    feed: float | None = None
+    offsets: Mapping[str, Point] = dataclasses.field(default_factory=dict)
+    tool_lengths: Mapping[int, float] = dataclasses.field(default_factory=dict)
+    machine_zero: Point | None = None
+    reference_points: tuple[Point, Point] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    skips_blocks: bool = False

@@ -1,0 +1,214 @@
+"""Words of real programs: their motion by hand, and what a program cannot say."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from diffmill.io import ProgramError, ProgramSetup, parse_gcode
+from diffmill.toolpath import sample_program
+
+MM = 1e-3
+
+
+def motion(text, **setup):
+    """Return kind and end [mm] of every move."""
+    moves = parse_gcode(text, setup=ProgramSetup(**setup)).moves
+    return [
+        ("r" if move.is_rapid else "f", *(round(v / MM, 6) for v in move.end))
+        for move in moves
+    ]
+
+
+def faults(text, **setup):
+    with pytest.raises(ProgramError) as caught:
+        parse_gcode(text, setup=ProgramSetup(**setup))
+    return [(fault.line, fault.word) for fault in caught.value.faults]
+
+
+def test_words_that_move_nothing_are_noted():
+    text = "%\nO1001 (part)\nn1.5 g21 g40 g64 p0.1\nM8\nS100 M4\nM0\n/G0X1\n"
+    text += "M48 G97\nG61.1\nG0 X2 Y2 Z2\nM9\nM30\n%\n"
+    program = parse_gcode(text)
+    assert [move.line for move in program.moves] == [7, 10]
+    noted = " ".join(program.notes)
+    for word in ("O1001", "G40", "G64", "M8", "M4", "M0", "/", "M48", "G97", "M9"):
+        assert f" {word}: " in noted
+    assert "line 4: M8" in noted
+    skipped = parse_gcode(text, setup=ProgramSetup(skips_blocks=True))
+    assert [move.line for move in skipped.moves] == [10]
+
+
+def test_rest_takes_its_time():
+    program = parse_gcode("G0 X0 Y0 Z0\nG1 X1 F60\nG4 P0.5\nX2\nG82 X3 R0 Z-1 P.25\n")
+    assert [move.rest for move in program.moves if move.rest] == [0.5, 0.25]
+    timed = [move.duration for move in program.timed_moves if move.duration]
+    assert timed == [0.5, 0.25]
+    path = sample_program(
+        program, 0.01, acceleration=1.0, rapid_feed=0.1, corner_tolerance=0.0
+    )
+    still = (path.positions[1:] == path.positions[:-1]).all(axis=1).sum()
+    assert still == pytest.approx(75, abs=3)
+
+
+@pytest.mark.parametrize(
+    ("plane", "arc", "end", "centre", "normal"),
+    [
+        ("G17", "G2 X1 Y1 J1 Z2", (1, 1, 2), (0, 1, 0), (0, 0, 1)),
+        ("G18", "G3 X1 Z1 R1 Y2", (1, 2, 1), (1, 0, 0), (0, 1, 0)),
+        ("G18", "G2 X1 Z1 I1 Y2", (1, 2, 1), (1, 0, 0), (0, 1, 0)),
+        ("G19", "G3 Y1 Z1 K1 X2", (2, 1, 1), (0, 0, 1), (1, 0, 0)),
+        ("G90.1 G17", "G3 X1 Y1 I0 J1", (1, 1, 0), (0, 1, 0), (0, 0, 1)),
+    ],
+)
+def test_arcs_of_all_planes_turn_about_their_axis(plane, arc, end, centre, normal):
+    (move,) = parse_gcode(f"{plane} F60\n{arc}").moves
+    assert [round(v / MM, 9) for v in move.end] == list(end)
+    assert move.normal == normal
+    assert move.centre is not None
+    assert [round(v / MM, 9) for v in move.centre] == list(centre)
+    assert move.radii == pytest.approx((MM, MM))
+    path = sample_program(
+        parse_gcode(f"{plane} F60\n{arc}"),
+        0.01,
+        acceleration=1.0,
+        rapid_feed=0.1,
+        corner_tolerance=0.0,
+    )
+    across = np.asarray(path.positions) - np.array(move.centre)
+    across = across - (across @ normal)[:, None] * [normal]
+    assert (across**2).sum(axis=1) == pytest.approx(MM**2, rel=1e-9)
+
+
+def test_turns_of_a_helix():
+    (move,) = parse_gcode("F60 G3 I1 Z3 P3").moves
+    assert move.sweep == pytest.approx(6 * math.pi)
+    assert move.length == pytest.approx(math.hypot(6 * math.pi, 3) * MM)
+    path = sample_program(
+        parse_gcode("F60 G3 I1 Z3 P3"),
+        0.001,
+        acceleration=1.0,
+        rapid_feed=0.1,
+        corner_tolerance=0.0,
+    )
+    assert path.duration == pytest.approx(move.length / 1e-3, rel=1e-2)
+
+
+def test_drilling_goes_back_to_the_plane_that_is_asked_for():
+    text = "G0 X0 Y0 Z9\n{} G81 X1 R2 Z-3 F60\nX4\nG80"
+    high = [("r", 0, 0, 9), ("r", 1, 0, 9), ("r", 1, 0, 2), ("f", 1, 0, -3)]
+    high += [("r", 1, 0, 9), ("r", 4, 0, 9), ("r", 4, 0, 2), ("f", 4, 0, -3)]
+    assert motion(text.format("G98")) == [*high, ("r", 4, 0, 9)]
+    low = [*high[:4], ("r", 1, 0, 2), ("r", 4, 0, 2), ("f", 4, 0, -3), ("r", 4, 0, 2)]
+    assert motion(text.format("G99")) == low
+
+
+def test_pecks():
+    text = "G0 X0 Y0 Z2\nG83 X0 R1 Z-3 Q2 F60"
+    found = [(kind, z) for kind, _, _, z in motion(text)]
+    clear = 0.254
+    first = [("r", 2), ("r", 2), ("r", 1), ("f", -1), ("r", 1)]
+    assert found == [*first, ("r", -1 + clear), ("f", -3), ("r", 1)]
+
+
+def test_feed_per_revolution():
+    moves = parse_gcode("G95 S600 F0.2\nG1 X1\nS1200\nX2").moves
+    assert [move.feed for move in moves] == pytest.approx([2e-3, 4e-3])
+    assert faults("G95 F0.2\nG1 X1") == [(2, "G1")]
+
+
+def test_one_coordinate_system_is_the_workpiece():
+    assert motion("G56 G0 X1") == [("r", 1, 0, 0)]
+    assert faults("G0 X1\nG55\nG0 X1 Y1") == [(3, "")]
+    both = {"G54": (0.0, 0.0, 0.0), "G55": (0.1, 0.0, -0.01)}
+    assert motion("G0 X1\nG55 X1 Z2\nG91 X1", offsets=both) == [
+        ("r", 1, 0, 0),
+        ("r", 101, 0, -8),
+        ("r", 102, 0, -8),
+    ]
+
+
+def test_g92_moves_the_zero_and_not_the_tool():
+    text = "G0 X10 Y0 Z0\nG92 X1\nG0 X3\nG92.2\nX3\nG92.3\nX3\nG92.1\nX3"
+    assert [row[1] for row in motion(text)] == [10, 12, 3, 12, 3]
+    # Before any motion it says where the tool is.
+    program = parse_gcode("G92 X10 Y5 Z2\nG91 G0 X1")
+    assert program.moves[0].end == pytest.approx((11 * MM, 5 * MM, 2 * MM))
+
+
+def test_machine_positions_need_the_zero_of_the_machine():
+    text = "G0 X1 Y1 Z1\nG91 G28 Z0\nG90 G53 G0 X-5\n"
+    assert faults(text) == [(2, "G28"), (3, "G53")]
+    setup = {
+        "machine_zero": (0.0, 0.0, 0.5),
+        "reference_points": ((0.0, 0.0, -0.01), (0.0, 0.0, 0.0)),
+    }
+    assert motion(text, **setup)[1:] == [
+        ("r", 1, 1, 1),
+        ("r", 1, 1, 490),
+        ("r", -5, 1, 490),
+    ]
+
+
+def test_tool_lengths():
+    # The tip of a tool that is 20 mm longer is 20 mm lower; the machine stands still.
+    text = "T1 M6\nG43 H1 G0 X0 Y0 Z50\nT2 M6\nG43 H2\nG91 G0 Z-5"
+    assert motion(text, tool_lengths={1: 0.1, 2: 0.12})[-1] == ("r", 0, 0, 25)
+    # Without lengths a height must be stated before the tool cuts again.
+    assert parse_gcode("G43 H1\nG0 X0 Y0 Z5\nG1 Z0 F60").approach_count == 1
+    assert faults("G0 X0 Y0 Z5\nG43 H1\nG1 X5 F60\nG1 Z1") == [(3, "G1")]
+
+
+TWO_TOOLS = """T1 M6 S1000 M3
+G0 X0 Y0 Z5
+G1 Z-1 F60
+G0 Z5
+T2 M6 S2000
+G0 X9 Y9
+G0 Z5
+G1 Z-2
+G0 Z5
+T1 M6 S1000
+G0 X4 Y4
+Z5
+G1 Z-3
+M2
+"""
+
+
+def test_one_of_several_tools_is_chosen():
+    program = parse_gcode(TWO_TOOLS)
+    assert program.tools == (1, 2)
+    assert len(program.moves) == 10
+    first = program.of_tool()
+    ends = [tuple(round(v / MM, 6) for v in move.end) for move in first.timed_moves]
+    assert ends == [(0, 0, -1), (0, 0, 5), (4, 4, 5), (4, 4, -3)]
+    for before, after in itertools.pairwise(first.moves):
+        assert before.end == after.start
+    second = program.of_tool(2)
+    assert [move.line for move in second.timed_moves] == [8, 9]
+    rpm = 2 * math.pi / 60
+    assert second.spindle_speeds == pytest.approx((2000 * rpm,))
+    assert first.spindle_speeds == pytest.approx((1000 * rpm,))
+    with pytest.raises(ValueError):
+        program.of_tool(3)
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "word"),
+    [
+        ("G0 X1\nG41 D1 X2", 2, "G41"),
+        ("G0 X1\nM98 P10", 2, "M98"),
+        ("G0 X1\no1 call", 2, "o1call"),
+        ("G0 X1\n#1=[2+3]", 2, "#1=[2+3]"),
+        ("G68 X0 Y0 R45\nG0 X1", 1, "G68"),
+        ("G0 X1\nG10 L1 P1 Z2", 2, "G10"),
+        ("G0 X1\nG81 X2 Z-1 F9", 2, "G81"),
+        ("G0 X1 Z5\nG81 X2 Z3 R1 F9", 2, "G81"),
+        ("G0 X1 Q5", 1, "Q5"),
+        ("G0 X1 U2", 1, "U2"),
+    ],
+)
+def test_refusals(text, line, word):
+    assert faults(text)[0] == (line, word)
