@@ -51,7 +51,7 @@ def measure(report: Report) -> None:
 def undamped(report: Report) -> None:
     """Say how much energy the undamped arm of the paper loses in 10 s."""
     arm = dm.robot.load("reis_rv130_like")
-    arm = dm.robot.with_drives(arm, damping=np.zeros(arm.joint_count))
+    arm = arm.with_drives(damping=np.zeros(arm.joint_count))
     lowest = float(dm.robot.natural_frequencies(arm, arm.home)[0])
     report.say("Energy of the undamped arm, released 1 mrad off in every joint, 10 s,")
     report.say(f"{SUBSTEPS} sub-steps; lowest mode {lowest:.1f} Hz")

@@ -12,9 +12,9 @@ def _arm():
     """Return an arm whose tool is at the centre of its wrist: no force turns that."""
     robot = rb.load("kuka_kr210_like")
     T = np.eye(4)
-    robot = rb.with_tool(robot, jnp.asarray(T))
+    robot = robot.with_tool(jnp.asarray(T))
     T[2, 3] = -np.linalg.norm(np.asarray(rb.jacobian(robot, robot.home))[:3, 4])
-    return rb.with_tool(robot, jnp.asarray(T))
+    return robot.with_tool(jnp.asarray(T))
 
 
 def measure(report):

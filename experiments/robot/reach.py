@@ -172,7 +172,7 @@ def _follow(
     return _outcome(jax.jit(jax.vmap(solve))(lines, starts))
 
 
-def _outcome(found: dr.PoseSolution | dr.PathSolution) -> Outcome:
+def _outcome(found: dr.JointSolution) -> Outcome:
     away = np.maximum(found.position_residual, found.rotation_residual)
     along = tuple(range(1, away.ndim))
     is_there = np.all(away < THERE, axis=along)

@@ -132,15 +132,15 @@ def test_with_a_drive_of_all_options_the_arm_follows():
     # Hanging, so that the gear always lies on the same side of its gap.
     joint = rb.PrismaticJoint("slide", (0, 0, 1), stiffness=8e5, damping=400.0)
     plain = rb.build([joint, rb.RigidBody(50.0, (0, 0, 0), np.eye(3))])
-    robot = rb.with_backlash(plain, [2e-4])
-    robot = rb.with_friction(robot, [20.0], [50.0], [5e-3])
-    robot = rb.with_motors(robot, [20.0], [4e6], [2e4])
+    robot = plain.with_backlash([2e-4])
+    robot = robot.with_friction([20.0], [50.0], [5e-3])
+    robot = robot.with_motors([20.0], [4e6], [2e4])
     T, rows = 0.5e-3, 601
     t = T * np.arange(rows)
     q = jnp.asarray(5e-3 * np.sin(np.pi * t / t[-1]) ** 4)[:, None]
     command = inverse_drive(robot, q, np.zeros((rows, 3)), T)
     gravity = rb.gravity_forces(robot, [0.0])
-    theta = command.motor_positions + rb.gravity_compensation(robot, gravity)[None]
+    theta = command.motor_positions + robot.gravity_compensation(gravity)[None]
     rule, h = sim.Midpoint(), jnp.asarray(T)
     begun = rule.begin(robot, rb.arm_terms(robot, [0.0], [0.0]), h)
 

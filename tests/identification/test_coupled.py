@@ -73,7 +73,7 @@ def started(job, changes=("K", "D", "law")):
     robot, law = job.robot, job.law
     if "K" in changes:
         K, D = STIFFNESS * OFF["K"], np.asarray(robot.joint_damping) * OFF["D"]
-        robot = rb.with_drives(robot, stiffness=K, damping=D)
+        robot = robot.with_drives(stiffness=K, damping=D)
     if "law" in changes:
         factors = zip(identification.NAMES, OFF["law"], strict=True)
         law = dataclasses.replace(law, **{n: f * getattr(law, n) for n, f in factors})
@@ -165,7 +165,7 @@ def test_a_start_that_is_far_off_does_no_harm(factor):
     clean, draw = np.asarray(small_record().deviation), np.random.default_rng(0)
     seen = clean + 3e-6 * draw.normal(size=clean.shape)
     job = small()
-    robot = rb.with_drives(slides(), stiffness=factor * STIFFNESS)
+    robot = slides().with_drives(stiffness=factor * STIFFNESS)
     far = eqx.tree_at(lambda j: j.robot, job, robot)
     fit = identification.fit_coupled(far, deviation=seen)
     off = errors(fit, small())

@@ -13,15 +13,15 @@ def arm(tool=(0.15, 0.0, 0.1)):
     robot = rb.load("kuka_kr210_like")
     T = np.eye(4)
     T[:3, 3] = tool
-    return rb.with_tool(robot, jnp.asarray(T))
+    return robot.with_tool(jnp.asarray(T))
 
 
 @functools.cache
 def wristless():
     """Return the arm with the tool's origin at the centre of its wrist."""
-    robot = rb.with_tool(rb.load("kuka_kr210_like"), shifted(0.0))
+    robot = rb.load("kuka_kr210_like").with_tool(shifted(0.0))
     distance = np.linalg.norm(np.asarray(rb.jacobian(robot, robot.home))[:3, 4])
-    robot = rb.with_tool(robot, shifted(-distance))
+    robot = robot.with_tool(shifted(-distance))
     assert np.linalg.norm(np.asarray(rb.jacobian(robot, robot.home))[:3, 3:]) < 1e-9
     return robot
 
@@ -100,7 +100,7 @@ def test_noise_outliers_and_a_wrist_at_rest(seed):
 
 def test_a_joint_that_the_loads_bound_has_a_number_with_its_interval():
     """Poses near each other part the joints badly: wide is not unknown."""
-    robot = rb.with_tool(rb.load("kuka_kr10_like"), shifted(0.1))
+    robot = rb.load("kuka_kr10_like").with_tool(shifted(0.1))
     K = np.asarray(robot.joint_stiffness)
     q, wrench, draw = loads(robot, 12, 5, spread=0.15)
     wrench *= 0.1

@@ -7,7 +7,7 @@ import pytest
 
 from diffmill import examples
 from diffmill.config import JobError, load_job
-from diffmill.robot import FlangeSpring, cartesian_compliance, load, with_flange_spring
+from diffmill.robot import FlangeSpring, cartesian_compliance, load
 
 TOOL = """
 [robot.bending_tool]
@@ -49,7 +49,7 @@ def test_both_tables_make_a_robot_in_series(write):
     names = ("flange_rx", "flange_ry", "flange_rz", "tool_x", "tool_y")
     assert robot.joint_names[6:] == names
     C = np.asarray(cartesian_compliance(robot, robot.home))
-    only = with_flange_spring(load("reis_rv130_like"), SPINDLE)
+    only = SPINDLE.mounted_on(load("reis_rv130_like"))
     more = np.trace(C[:3, :3]) - np.trace(
         np.asarray(cartesian_compliance(only, only.home))[:3, :3]
     )

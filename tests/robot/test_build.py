@@ -90,15 +90,15 @@ def test_wrong_elements_are_refused(make, message):
 
 
 def test_drives_are_changed_one_by_one(planar_arm):
-    changed = dr.with_drives(planar_arm, stiffness=[1.0, 2.0])
+    changed = planar_arm.with_drives(stiffness=[1.0, 2.0])
     assert_allclose(changed.joint_stiffness, [1.0, 2.0])
     assert_allclose(changed.joint_damping, planar_arm.joint_damping)
-    changed = dr.with_drives(planar_arm, damping=np.array([3.0, 4.0]))
+    changed = planar_arm.with_drives(damping=np.array([3.0, 4.0]))
     assert_allclose(changed.joint_stiffness, planar_arm.joint_stiffness)
     assert_allclose(changed.joint_damping, [3.0, 4.0])
     with pytest.raises(ValueError, match="`stiffness`"):
-        dr.with_drives(planar_arm, stiffness=[1.0])
+        planar_arm.with_drives(stiffness=[1.0])
     with pytest.raises(ValueError, match="`stiffness`"):
-        dr.with_drives(planar_arm, stiffness=[1.0, 0.0])
+        planar_arm.with_drives(stiffness=[1.0, 0.0])
     with pytest.raises(ValueError, match="`damping`"):
-        dr.with_drives(planar_arm, damping=[-1.0, 0.0])
+        planar_arm.with_drives(damping=[-1.0, 0.0])

@@ -64,7 +64,7 @@ def test_a_rigid_joint_does_not_ring():
 
 def test_gradients_of_frequencies_and_compliance(arm, difference):
     def both(x):
-        robot = dr.with_drives(arm, stiffness=x * 1e6)
+        robot = arm.with_drives(stiffness=x * 1e6)
         first = dr.natural_frequencies(robot, robot.home)[:2]
         return jnp.concatenate(
             [first, 1e6 * jnp.diag(dr.cartesian_compliance(robot, robot.home))[:3]]
@@ -99,7 +99,7 @@ def test_damped_modes_are_poles_of_the_equation_of_motion(soft_arm):
     # Dampers that have nothing to do with the springs, by the matrix of first order.
     q = np.array([0.3, 0.0, -0.5, 0.1, 0.4])
     D = np.array([300.0, 2.0, 40.0, 900.0, 0.5])
-    robot = dr.with_drives(soft_arm, damping=D)
+    robot = soft_arm.with_drives(damping=D)
     M, K = np.asarray(dr.mass_matrix(robot, q)), np.asarray(robot.joint_stiffness)
     A = np.block(
         [
@@ -122,7 +122,7 @@ def test_damped_modes_are_poles_of_the_equation_of_motion(soft_arm):
 def test_a_strong_damper_locks_its_joint():
     # The second mass rings alone, with its own small damping: the modal ratio of the
     # undamped shapes is far too large.
-    robot = dr.with_drives(two_masses(5e3, 1e3), damping=np.array([1e5, 0.6]))
+    robot = two_masses(5e3, 1e3).with_drives(damping=np.array([1e5, 0.6]))
     found = dr.damped_modes(robot, [0.0, 0.0])
     assert_allclose(found.frequencies, np.sqrt(1e3) / (2 * np.pi), rtol=1e-3)
     assert_allclose(found.damping_ratios, 0.6 / (2 * np.sqrt(1e3)), rtol=2e-2)
@@ -195,7 +195,7 @@ def test_stiffness_is_the_inverse_of_the_free_compliance(arm):
 def test_rigid_directions_are_infinitely_stiff(planar_arm):
     found = np.asarray(dr.principal_stiffness(planar_arm, [0.4, -0.9]))
     assert np.isfinite(found[:2]).all() and found[2] == np.inf
-    stiff = dr.with_drives(planar_arm, stiffness=[np.inf, np.inf])
+    stiff = planar_arm.with_drives(stiffness=[np.inf, np.inf])
     assert (np.asarray(dr.principal_stiffness(stiff, [0.4, -0.9])) == np.inf).all()
     assert_allclose(dr.gravity_sag(stiff, [0.4, -0.9]), 0.0, atol=1e-15)
 
@@ -214,7 +214,7 @@ def test_receptance_of_one_mass_and_of_the_modes(soft_arm):
     assert_allclose(np.abs(found[:, 1:]), 0.0)
     # Dampers in proportion to the springs: a sum over modes is then exact.
     beta, q = 1e-3, np.array([0.3, 0.0, -0.5, 0.1, 0.4])
-    robot = dr.with_drives(soft_arm, damping=beta * soft_arm.joint_stiffness)
+    robot = soft_arm.with_drives(damping=beta * soft_arm.joint_stiffness)
     modes = dr.mode_shapes(robot, q)
     u = np.asarray(modes.tool_shapes)[:, :3]
     w = 2 * np.pi * np.asarray(modes.frequencies)
@@ -236,7 +236,7 @@ def test_statics_and_shapes_have_derivatives(planar_arm, difference):
 
     @jax.jit
     def several(x):
-        robot = dr.with_drives(planar_arm, stiffness=x * 1e3)
+        robot = planar_arm.with_drives(stiffness=x * 1e3)
         wrench = jnp.array([6.0, 0.0, 10.0, 0.0, 0.5, 0.0])
         modes = dr.mode_shapes(robot, pose)
         answer = dr.receptance(robot, pose, np.array([2.0]))[0, 0, 0]

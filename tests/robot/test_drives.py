@@ -51,7 +51,7 @@ def test_virtual_joints_have_no_motor(soft_arm):
 
 
 def test_a_rigid_joint_does_not_move(planar_arm):
-    stiff = dr.with_drives(planar_arm, stiffness=[np.inf, 400.0])
+    stiff = planar_arm.with_drives(stiffness=[np.inf, 400.0])
     q = dr.loaded_equilibrium(stiff, [0.2, 0.1])
     assert float(q[0]) == 0.2
     assert float(q[1]) < 0.1
@@ -63,7 +63,7 @@ def test_derivatives_of_the_equilibrium(soft_arm, difference):
     n = soft_arm.joint_count
 
     def rest(x):
-        robot = dr.with_drives(soft_arm, stiffness=x[n + 6 :] * 1e3)
+        robot = soft_arm.with_drives(stiffness=x[n + 6 :] * 1e3)
         return dr.loaded_equilibrium(robot, x[:n], x[n : n + 6])
 
     rest = jax.jit(rest)

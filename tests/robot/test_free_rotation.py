@@ -252,7 +252,7 @@ def leaning(arm):
     T = np.eye(4)
     T[:3, :3] = dr.rpy_matrix(0.0, 0.9, 0.2)
     T[:3, 3] = (0.1, 0.02, 0.15)
-    return dr.with_tool(arm, arm.T_flange_tool @ jnp.asarray(T))
+    return arm.with_tool(arm.T_flange_tool @ jnp.asarray(T))
 
 
 def circle(robot, count):
@@ -311,7 +311,7 @@ def test_derivatives_are_those_of_the_root(three, difference):
     def joints(shift):
         # Out of the plane nothing can be reached.
         moved = T.at[:2, 3].add(shift[:2])
-        robot = dr.with_tool(three, three.T_flange_tool.at[0, 3].add(shift[2]))
+        robot = three.with_tool(three.T_flange_tool.at[0, 3].add(shift[2]))
         return free()(robot, moved, three.home).q
 
     joints = jax.jit(joints)

@@ -100,7 +100,7 @@ def test_derivative_by_the_geometry(arm):
     T = jnp.asarray(dr.forward_kinematics(arm, arm.home))
 
     def by_tool(s):
-        robot = dr.with_tool(arm, arm.T_flange_tool.at[2, 3].add(s))
+        robot = arm.with_tool(arm.T_flange_tool.at[2, 3].add(s))
         return dr.inverse_kinematics(robot, T, arm.home).q
 
     def by_target(s):

@@ -51,7 +51,7 @@ def test_joints_that_do_not_carry_the_tool_have_no_column():
 def test_another_tool_moves_the_tip(planar_arm):
     T = np.eye(4)
     T[:3, 3] = [0.1, 0.0, 0.0]
-    longer = dr.with_tool(planar_arm, T)
+    longer = planar_arm.with_tool(T)
     assert_allclose(
         dr.forward_kinematics(longer, [0.0, 0.0])[:3, 3], [1.3, 0, 0], atol=1e-15
     )

@@ -103,7 +103,7 @@ def test_compliance_and_modes_agree_with_pinocchio_and_scipy():
 
 def at_flange(name: str) -> dr.Robot:
     """Return a built-in model with its tip at the flange, as the data have it."""
-    return dr.with_tool(dr.load(name), np.eye(4))
+    return dr.load(name).with_tool(np.eye(4))
 
 
 def test_the_built_in_kr210_bends_as_computed_elsewhere():

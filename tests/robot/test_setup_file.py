@@ -116,7 +116,7 @@ def test_a_spindle_hangs_on_the_flange(load):
     bare, robot = load(), load(SPINDLE)
     q = np.array([0.1, 0.4, -0.8])
     # What it adds to the weight: 30 kg at its centre.
-    center = dr.with_tool(bare, np.array(_shift(0.0, 0.05, 0.08)))
+    center = bare.with_tool(np.array(_shift(0.0, 0.05, 0.08)))
     J = np.asarray(dr.jacobian(center, q))
     added = dr.mass_matrix(robot, q) - dr.mass_matrix(bare, q)
     R = np.asarray(dr.forward_kinematics(bare, q))[:3, :3]

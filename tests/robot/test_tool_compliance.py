@@ -26,12 +26,12 @@ SPINDLE = dr.FlangeSpring(
 
 @pytest.fixture(scope="module")
 def bending(arm):
-    return dr.with_bending_tool(arm, PLAIN)
+    return PLAIN.mounted_on(arm)
 
 
 @pytest.fixture(scope="module")
 def sprung(arm):
-    return dr.with_flange_spring(arm, SPINDLE)
+    return SPINDLE.mounted_on(arm)
 
 
 def padded(robot, q):
@@ -64,7 +64,7 @@ def test_frequency_of_a_plain_cantilever():
             dr.RigidBody(1e3, (0, 0, 0), np.eye(3)),
         ]
     )
-    robot = dr.with_bending_tool(anchor, PLAIN)
+    robot = PLAIN.mounted_on(anchor)
     found = np.asarray(dr.natural_frequencies(robot, np.zeros(3)))[:2]
     b = 1.875104068711961
     assert abs(math.cos(b) * math.cosh(b) + 1) < 1e-12
@@ -72,7 +72,7 @@ def test_frequency_of_a_plain_cantilever():
     assert_allclose(found, omega / (2 * math.pi), rtol=2e-2)
     # Rayleigh's quotient of the static shape is an upper bound.
     assert np.all(found > omega / (2 * math.pi))
-    mass = dr.tip_spring(PLAIN).mass
+    mass = PLAIN.tip_spring().mass
     assert_allclose(mass, 33 / 140 * DENSITY * AREA * L, rtol=1e-12)
     assert_allclose(dr.damping_ratios(robot, np.zeros(3))[:2], 0.02, rtol=1e-6)
 
@@ -86,7 +86,7 @@ def test_a_stepped_beam_by_plain_integration():
     integral = lambda y: np.concatenate([[0], np.cumsum((y[1:] + y[:-1]) / 2)]) * step
     slope = integral(curvature)
     w = integral(slope)
-    found = dr.tip_spring(STEPPED)
+    found = STEPPED.tip_spring()
     assert_allclose(1 / found.stiffness, w[-1], rtol=1e-4)
     assert_allclose(found.hinge_height, w[-1] / slope[-1], rtol=1e-4)
     moving = DENSITY * math.pi / 4 * integral((d * w / w[-1]) ** 2)[-1]
@@ -96,7 +96,7 @@ def test_a_stepped_beam_by_plain_integration():
 def test_slope_of_the_compliance_in_the_overhang(arm):
     def tip(overhang):
         tool = dr.BendingTool(overhang, 0.0, D, D)
-        robot = dr.with_bending_tool(arm, tool)
+        robot = tool.mounted_on(arm)
         q = jnp.concatenate([arm.home, jnp.zeros(2)])
         return jnp.trace(dr.cartesian_compliance(robot, q)[:3, :3])
 
@@ -130,7 +130,7 @@ def test_the_spindle_moves_behind_the_springs_and_is_not_counted_twice(arm, spru
 @pytest.mark.slow
 def test_with_both_the_tool_reaches_its_poses(arm):
     linear = dataclasses.replace(SPINDLE, rotary_stiffness=None)
-    robot = dr.with_bending_tool(dr.with_flange_spring(arm, linear), STEPPED)
+    robot = STEPPED.mounted_on(linear.mounted_on(arm))
     assert robot.joint_names[6:] == (
         *("flange_x", "flange_y", "flange_z"),
         *("tool_x", "tool_y"),
@@ -157,8 +157,8 @@ def test_with_both_the_tool_reaches_its_poses(arm):
 
 def test_what_is_refused(arm, sprung, bending):
     for again in (
-        lambda: dr.with_flange_spring(sprung, SPINDLE),
-        lambda: dr.with_bending_tool(bending, PLAIN),
+        lambda: SPINDLE.mounted_on(sprung),
+        lambda: PLAIN.mounted_on(bending),
     ):
         with pytest.raises(ValueError):
             again()
@@ -166,9 +166,9 @@ def test_what_is_refused(arm, sprung, bending):
         dr.FlangeSpring(1.0, (0, 0, 0), (1, 1, 1))
     heavy = dr.FlangeSpring(99.0, (0, 0, 0.1), (1, 1, 1), rotary_stiffness=(1, 1, 1))
     with pytest.raises(ValueError, match=r"`mass`.* 36\.6 kg"):
-        dr.with_flange_spring(arm, heavy)
+        heavy.mounted_on(arm)
     big = dr.FlangeSpring(30.0, (0, 0, 0.1), (9, 9, 9), rotary_stiffness=(1, 1, 1))
     with pytest.raises(ValueError):
-        dr.with_flange_spring(arm, big)
+        big.mounted_on(arm)
     with pytest.raises(ValueError, match="`overhang`"):
         dr.BendingTool(0.0, 0.0, D, D)

@@ -290,7 +290,7 @@ def test_links_without_mass(write):
     ):
         robot = dr.load(write(bare.replace("<mimic", "<nothing")), tool="wheel")
     q = jnp.array([0.3, 0.1, 0.2, 0.5])
-    robot = dr.with_drives(robot, stiffness=np.full(4, 1e5))
+    robot = robot.with_drives(stiffness=np.full(4, 1e5))
     assert np.isfinite(dr.forward_kinematics(robot, q)).all()
     zero = np.zeros(4)
     with pytest.raises(ValueError, match=r"'bench'.* spin "):

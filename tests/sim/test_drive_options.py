@@ -39,7 +39,7 @@ def move(robot, q, v, rows, rule, *, theta=0.0, step=STEP):
 @BOTH
 def test_frequencies_of_two_masses(rule):
     J, K_s = 30.0, 2e6
-    robot = rb.with_motors(slide(), [J], [K_s], [0.0])
+    robot = slide().with_motors([J], [K_s], [0.0])
     q, _ = move(robot, 1e-3, 0.0, 4000, rule, step=2e-4)
     # Both modes swing undamped: x[k+4] + a (x[k+3] + x[k+1]) + b x[k+2] + x[k] = 0.
     A = np.column_stack([q[3:-1] + q[1:-3], q[2:-2]])
@@ -58,7 +58,7 @@ def test_frequencies_of_two_masses(rule):
 @BOTH
 def test_a_hanging_mass_rests_at_the_end_of_its_gap(rule):
     b = 2e-4
-    robot = rb.with_backlash(slide(damping=5000.0, axis=(0, 0, 1)), [b])
+    robot = slide(damping=5000.0, axis=(0, 0, 1)).with_backlash([b])
     sag = M * 9.81 / K + b / 2
     assert_allclose(rb.loaded_equilibrium(robot, [0.0]), [-sag], rtol=1e-12)
     start = sim.steady_state(robot, jnp.zeros(1), jnp.zeros(1))
@@ -73,20 +73,20 @@ def test_a_hanging_mass_rests_at_the_end_of_its_gap(rule):
 
 
 def test_dead_zone_and_its_inverse():
-    robot = rb.with_backlash(slide(), [2e-4], corner=0.3)
+    robot = slide().with_backlash([2e-4], corner=0.3)
     x = jnp.linspace(-3e-4, 3e-4, 601)
-    tau = jax.vmap(lambda x: rb.gear_torque(robot, x[None], jnp.zeros(1)).torque[0])
+    tau = jax.vmap(lambda x: robot.gear_torque(x[None], jnp.zeros(1)).torque[0])
     torque = np.asarray(tau(x))
     outside = np.abs(np.asarray(x)) > 1.3e-4
     assert_allclose(torque[outside], K * (x - jnp.sign(x) * 1e-4)[outside], rtol=1e-9)
     inside = np.abs(np.asarray(x)) < 0.7e-4
     assert_allclose(torque[inside], 0.0)
-    slopes = jax.vmap(
-        lambda x: rb.gear_torque(robot, x[None], jnp.zeros(1)).stiffness[0]
-    )(x)
+    slopes = jax.vmap(lambda x: robot.gear_torque(x[None], jnp.zeros(1)).stiffness[0])(
+        x
+    )
     assert_allclose(slopes, jax.vmap(jax.grad(lambda x: tau(x[None])[0]))(x), rtol=1e-9)
     loaded = np.abs(torque) > 1e-9 * K
-    back = jax.vmap(lambda t: rb.drive_deflection(robot, t[None])[0])(torque[loaded])
+    back = jax.vmap(lambda t: robot.drive_deflection(t[None])[0])(torque[loaded])
     assert_allclose(back, x[loaded], rtol=1e-9)
 
 
@@ -94,7 +94,7 @@ def test_dead_zone_and_its_inverse():
 def test_a_sliding_mass_stops_where_friction_has_used_its_energy(rule):
     # A spring as soft as nothing: F_c brakes evenly, s = M v^2 / (2 F_c).
     F_c, v0 = 100.0, 0.05
-    robot = rb.with_friction(slide(stiffness=1e-3), [F_c], [0.0], [1e-5])
+    robot = slide(stiffness=1e-3).with_friction([F_c], [0.0], [1e-5])
     step = STEP if isinstance(rule, sim.Midpoint) else 1e-5 * M / F_c
     rows = round(2 * M * v0 / F_c / step)
     q, v = move(robot, 0.0, v0, rows, rule, step=step)
@@ -106,9 +106,9 @@ def test_a_sliding_mass_stops_where_friction_has_used_its_energy(rule):
 
 def test_friction_sticks_below_its_limit_and_slides_above():
     F_c, v_s = 100.0, 1e-5
-    soft = rb.with_friction(slide(stiffness=1e-3, axis=(0, 0, 1)), [F_c], [20.0], [v_s])
+    soft = slide(stiffness=1e-3, axis=(0, 0, 1)).with_friction([F_c], [20.0], [v_s])
     weight = M * 9.81
-    held = rb.with_friction(soft, [2 * weight], [0.0], [v_s])
+    held = soft.with_friction([2 * weight], [0.0], [v_s])
     _, v = move(held, 0.0, 0.0, 400, sim.Midpoint())
     # It creeps as slowly as the smooth law says.
     assert_allclose(v[-1], -v_s * math.atanh(0.5), rtol=1e-6)
@@ -123,23 +123,23 @@ def test_friction_sticks_below_its_limit_and_slides_above():
 def test_nothing_of_an_option_is_the_plain_drive():
     plain, rule = slide(damping=D), sim.Midpoint()
     wanted, _ = move(plain, 1e-3, 0.2, 200, rule)
-    gap = rb.with_backlash(plain, [0.0])
-    smooth = rb.with_friction(plain, [0.0], [0.0], [1e-3])
+    gap = plain.with_backlash([0.0])
+    smooth = plain.with_friction([0.0], [0.0], [1e-3])
     scale = np.abs(wanted).max()
     for robot in (gap, smooth):
         assert_allclose(move(robot, 1e-3, 0.2, 200, rule)[0], wanted, atol=1e-9 * scale)
-    narrow = rb.with_backlash(plain, [1e-9])
+    narrow = plain.with_backlash([1e-9])
     assert_allclose(move(narrow, 1e-3, 0.2, 200, rule)[0], wanted, atol=1e-5 * scale)
 
 
 def test_a_light_motor_on_a_stiff_servo_is_no_motor():
     plain = slide(damping=D)
     wanted, _ = move(plain, 1e-3, 0.2, 200, sim.Midpoint())
-    light = rb.with_motors(plain, [1e-6], [K * 1e6], [K * 1e3])
+    light = plain.with_motors([1e-6], [K * 1e6], [K * 1e3])
     found, _ = move(light, 1e-3, 0.2, 200, sim.Midpoint())
     assert_allclose(found, wanted, atol=1e-5 * np.abs(wanted).max())
     # And one without mass on a servo as soft as the gear halves the stiffness.
-    series = rb.with_motors(slide(), [1e-9], [K], [0.0])
+    series = slide().with_motors([1e-9], [K], [0.0])
     half, _ = move(slide(stiffness=K / 2), 1e-3, 0.0, 200, sim.Midpoint())
     start = sim.ArmState(*(jnp.array([x]) for x in (1e-3, 0.0, 0.5e-3, 0.0)))
     found = run(series, start, jnp.zeros(1), 200, sim.Midpoint()).joint_positions
@@ -157,9 +157,9 @@ def test_the_rules_agree_on_all_options_together():
 
 def everything(x):
     robot = slide(damping=D, axis=(0, 0, 1))
-    robot = rb.with_backlash(robot, x[:1])
-    robot = rb.with_friction(robot, x[1:2], x[2:3], x[3:4])
-    return rb.with_motors(robot, x[4:5], x[5:6], x[6:7])
+    robot = robot.with_backlash(x[:1])
+    robot = robot.with_friction(x[1:2], x[2:3], x[3:4])
+    return robot.with_motors(x[4:5], x[5:6], x[6:7])
 
 
 @pytest.mark.slow
@@ -182,11 +182,11 @@ def test_slopes_in_the_numbers_of_all_options():
 
 def test_what_is_refused():
     for make, text in (
-        (lambda: rb.with_backlash(slide(), [-1e-4]), "`gap` must be not negative"),
-        (lambda: rb.with_backlash(slide(), [1e-4], corner=2.0), "`corner` must be"),
-        (lambda: rb.with_friction(slide(), [1.0], [0.0], [0.0]), "`speed` must be pos"),
-        (lambda: rb.with_motors(slide(), [0.0], [1.0], [0.0]), "`inertia` must be pos"),
-        (lambda: rb.with_motors(slide(), [1.0, 2.0], [1.0], [0.0]), "one number per"),
+        (lambda: slide().with_backlash([-1e-4]), "`gap` must be not negative"),
+        (lambda: slide().with_backlash([1e-4], corner=2.0), "`corner` must be"),
+        (lambda: slide().with_friction([1.0], [0.0], [0.0]), "`speed` must be pos"),
+        (lambda: slide().with_motors([0.0], [1.0], [0.0]), "`inertia` must be pos"),
+        (lambda: slide().with_motors([1.0, 2.0], [1.0], [0.0]), "one number per"),
     ):
         with pytest.raises(ValueError, match=text):
             make()
@@ -251,7 +251,7 @@ def test_options_in_a_robot_file(tmp_path):
 def test_a_bending_tool_has_a_plain_drive():
     robot = everything(jnp.array([2e-4, 3.0, 10.0, 0.02, 20.0, 4e6, 800.0]))
     tool = rb.BendingTool(50e-3, 0.0, 10e-3, 10e-3)
-    found = rb.with_bending_tool(robot, tool)
+    found = tool.mounted_on(robot)
     assert found.backlash and found.friction
     assert_allclose(found.backlash.gap, [2e-4, 0.0, 0.0])
     assert_allclose(found.friction.coulomb, [3.0, 0.0, 0.0])

@@ -88,7 +88,7 @@ def test_one_mode_at_the_default_substeps():
 
 @pytest.mark.parametrize("held", [1, SUBSTEPS])
 def test_energy_of_the_undamped_arm_over_ten_seconds(held):
-    arm = rb.with_drives(rb.load("reis_rv130_like"), damping=np.zeros(6))
+    arm = rb.load("reis_rv130_like").with_drives(damping=np.zeros(6))
     theta = rb.motor_positions(arm, arm.home)
     rows = round(10 / STEP) // held
     start = sim.ArmState(arm.home + 1e-3, jnp.zeros(6))
@@ -140,7 +140,7 @@ def test_a_fast_joint_rings_where_steps_follow_and_settles_where_not():
         ]
     )
     tool = rb.BendingTool(50e-3, 0.0, 10e-3, 10e-3, damping_ratio=0.0)
-    robot = rb.with_bending_tool(anchor, tool)
+    robot = tool.mounted_on(anchor)
     frequency = float(rb.natural_frequencies(robot, np.zeros(3))[1])
     start = sim.steady_state(robot, jnp.zeros(3), jnp.zeros(3))
     start = sim.ArmState(start.q.at[2].add(1e-4), start.v)

@@ -41,11 +41,13 @@ def motors():
 BEND = rb.BendingTool(40e-3, 0.0, 8e-3, 8e-3)
 ROBOTS = {
     "plain": gantry,
-    "motors": lambda: rb.with_motors(gantry(), [30.0] * 4, [2e7] * 4, [900.0] * 4),
-    "backlash and friction": lambda: rb.with_friction(
-        rb.with_backlash(gantry(), [2e-6] * 4), [20.0] * 4, [5.0] * 4, [1e-3] * 4
+    "motors": lambda: gantry().with_motors([30.0] * 4, [2e7] * 4, [900.0] * 4),
+    "backlash and friction": lambda: (
+        gantry()
+        .with_backlash([2e-6] * 4)
+        .with_friction([20.0] * 4, [5.0] * 4, [1e-3] * 4)
     ),
-    "bending tool": lambda: rb.with_bending_tool(gantry(), BEND),
+    "bending tool": lambda: BEND.mounted_on(gantry()),
 }
 CUTS = {
     "upright": (FLAT, {}),

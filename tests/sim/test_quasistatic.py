@@ -41,7 +41,7 @@ PROCESS = pr.Process(
 
 
 def run(machine, stiffness, theta):
-    robot = rb.with_drives(slides(1.0), stiffness=stiffness)
+    robot = slides(1.0).with_drives(stiffness=stiffness)
     return sim.run(machine(robot, np.eye(4)), PROCESS, theta)
 
 
@@ -123,9 +123,9 @@ def test_a_bending_tool_bends_as_a_beam_loaded_along_its_flutes():
     depth, L = 12e-3, 40e-3
     stock = wp.box([0, 0, -15e-3], [10e-3, 8e-3, 0], 0.5e-3, interval_counts=(4, 4, 1))
     plan = pr.choose_engagement(stock, MILL, axial_depth=depth + 0.5e-3)
-    stiff = rb.with_drives(slides(1.0), stiffness=np.full(3, 1e13))
+    stiff = slides(1.0).with_drives(stiffness=np.full(3, 1e13))
     tool = rb.BendingTool(L, 0.0, 10e-3, 10e-3)
-    robot = rb.with_bending_tool(stiff, tool)
+    robot = tool.mounted_on(stiff)
     theta = np.zeros((48, 5))
     theta[:, :3] = slot()
     theta[:, 2] = -depth

@@ -103,7 +103,7 @@ def test_a_bending_tool_chatters_at_default_settings():
     slide = rb.PrismaticJoint("slide", (1, 0, 0), stiffness=1e10, damping=1e6)
     body = rb.RigidBody(1e3, (0, 0, 0), np.eye(3))
     tool = rb.BendingTool(50e-3, 0.0, DIAMETER, DIAMETER, damping_ratio=RATIO)
-    robot = rb.with_bending_tool(rb.build([slide, body, rb.Tool("tool")]), tool)
+    robot = tool.mounted_on(rb.build([slide, body, rb.Tool("tool")]))
     frequency = float(rb.natural_frequencies(robot, np.zeros(3))[2])
     soft = float(rb.cartesian_compliance(robot, np.zeros(3))[1, 1])
     mass = 1 / (soft * (2 * math.pi * frequency) ** 2)

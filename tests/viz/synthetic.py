@@ -3,7 +3,8 @@
 import numpy as np
 import xarray
 
-from diffmill.viz import ChipChart, CutDexels, ForceRecord
+from diffmill.sim import ToothChip
+from diffmill.viz import CutDexels, ForceRecord
 from diffmill.workpiece import SurfaceError
 
 PERIOD = 3.75e-3
@@ -125,7 +126,7 @@ def chip_chart(element_count=5):
     start = 0.15 * np.arange(element_count)[:, None]
     weight = ((phi[None] > start) & (phi[None] < np.pi - 0.2 + 0 * start)).astype(float)
     chip = np.maximum(0.1875e-3 * np.sin(phi), 0.0)[None] * np.ones((element_count, 1))
-    return ChipChart(phi, height, chip, weight, 0.0, np.pi - 0.2)
+    return ToothChip(phi, height, chip, weight)
 
 
 def floor_waves():

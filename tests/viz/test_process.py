@@ -5,8 +5,8 @@ from helpers import PAPER_LAW
 
 from diffmill.cutter import flat_end_mill
 from diffmill.process import Process, choose_engagement
-from diffmill.sim import tooth_chip
-from diffmill.viz import ChipChart, ForceRecord
+from diffmill.sim import Replay
+from diffmill.viz import ForceRecord
 from diffmill.workpiece import Pose, box
 
 RADIUS, FEED, DEPTH = 2e-3, 0.05e-3, 0.8e-3
@@ -25,8 +25,7 @@ def test_chip_of_a_slot_is_that_of_two_circles(direction):
         stock, cutter, axial_depth=DEPTH, angles=96, element_height=0.4e-3
     )
     process = Process(stock, cutter, PAPER_LAW, 837.0, plan)
-    found = tooth_chip(process, Pose(jnp.asarray(tips)), step=50)
-    chart = ChipChart.from_tooth(found, plan.angles)
+    chart = Replay(process, Pose(jnp.asarray(tips))).tooth_chip(step=50)
     phi = chart.immersion_angle
     assert np.ptp(phi) == pytest.approx(2 * np.pi * (1 - 1 / plan.angles))
     # symbols: h chip, u_e part of the feed along the tooth; R^2 - across^2 remains
@@ -48,7 +47,7 @@ def test_step_outside_the_path_is_refused():
     plan = choose_engagement(stock, cutter, axial_depth=DEPTH)
     with pytest.raises(ValueError, match=r"`step`.* 1 .* 4"):
         process = Process(stock, cutter, PAPER_LAW, 837.0, plan)
-        tooth_chip(process, Pose(jnp.zeros((5, 3))), step=5)
+        Replay(process, Pose(jnp.zeros((5, 3)))).tooth_chip(step=5)
 
 
 def test_force_record_puts_samples_in_the_middle_of_their_parts():

@@ -29,27 +29,11 @@ from ._engagement.edge_samples import (
     EdgeSamples as EdgeSamples,
     Engagement as Engagement,
 )
-from ._live_rows import (
-    last_row as last_row,
-    live_rows as live_rows,
-    when_live as when_live,
-)
-from ._path import (
-    path_depth as path_depth,
-    poses_within as poses_within,
-)
+from ._path import path_depth as path_depth
 from ._process import (
     AbstractEngagement as AbstractEngagement,
     Process as Process,
     Substeps as Substeps,
-    substep_ends as substep_ends,
-    substep_middles as substep_middles,
-)
-from ._removal_history import (
-    HISTORY as HISTORY,
-    initial_state as initial_state,
-    remove_all as remove_all,
-    thinned_rows as thinned_rows,
 )
 from ._state import ProcessState as ProcessState, Removed as Removed
 from ._stock_derivatives import (
@@ -58,5 +42,4 @@ from ._stock_derivatives import (
     ThroughPoses as ThroughPoses,
     ThroughRays as ThroughRays,
 )
-from ._tooth_period import advance_process as advance_process
 from ._wall_instants import wall_deviation as wall_deviation, wall_shares as wall_shares

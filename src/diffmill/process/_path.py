@@ -8,11 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._live_rows import last_row
 from .._types import FloatRows3, IntScalar
 from ..cutter import AbstractCutter
 from ..workpiece import Pose, Stock
-from ._live_rows import last_row
-from ._process import substep_ends, substep_middles
 
 
 def within_periods(
@@ -97,6 +96,16 @@ def _between(
         return Pose(tip)
     axis = within_periods(path.axis, shares)
     return Pose(tip, axis / jnp.linalg.norm(axis, axis=-1, keepdims=True))
+
+
+def substep_middles(substeps: int, dtype: jnp.dtype) -> Float[Array, " substep"]:
+    """Return the middle of each sub-step as a share of the tooth period."""
+    return (jnp.arange(substeps, dtype=dtype) + 0.5) / substeps
+
+
+def substep_ends(substeps: int, dtype: jnp.dtype) -> Float[Array, " substep"]:
+    """Return the end of each sub-step as a share of the tooth period."""
+    return (jnp.arange(substeps, dtype=dtype) + 1) / substeps
 
 
 def path_depth(positions: FloatRows3, stock: Stock, cutter: AbstractCutter) -> float:

@@ -7,13 +7,16 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
-from .._types import RealScalarLike
+from .._live_rows import when_live
+from .._types import IntScalar, RealScalarLike
 from ..cutter import AbstractCutter
 from ..cutting import AbstractForceLaw
 from ..workpiece import Discs, Pose, RemovalWindow, Stock
 from ._engagement.edge_samples import EdgeSamples, Engagement
+from ._path import PosesWithin, poses_within, substep_ends, substep_middles
+from ._removal_history import RemovalHistory
 from ._state import ProcessState, Removed
 from ._stock_derivatives import AbstractAdjoint, ThroughRays
 
@@ -193,6 +196,80 @@ class Process(eqx.Module):
         speed = jnp.asarray(self.spindle_speed, self.stock.origin.dtype)
         return 2 * math.pi / (speed * self.cutter.flute_count)
 
+    @property
+    def removal(self) -> RemovalHistory:
+        """How removal lags behind the tool."""
+        engagement = self.engagement
+        return RemovalHistory(
+            self.cutter,
+            engagement.window,
+            engagement.lag,
+            engagement.substeps,
+            self.stock.spacing,
+            self.derivative,
+        )
+
+    def begin(
+        self, pose: Pose, pose_count: int
+    ) -> tuple[ProcessState, Float[Array, ""]]:
+        """Return the state at pose 0, and the volume that the tool stands in.
+
+        Args:
+            pose: Pose 0, shape (3,).
+            pose_count: Number of poses of the whole run.
+
+        Returns:
+            The state, and the overlap [m^3], shape ().
+        """
+        return self.removal.begin(self.stock, pose, pose_count)
+
+    def advance(
+        self,
+        state: ProcessState,
+        index: Int[Array, ""],
+        pose: Pose,
+        predicted: Pose,
+        is_live: Bool[Array, ""] | None = None,
+    ) -> tuple[ProcessState, Engagement, Removed]:
+        """Take in the pose at the start of a period, remove, and look for material.
+
+        Args:
+            state: State after the period before.
+            index: Index k of the period, which runs from pose k - 1 to pose k, shape
+                ().
+            pose: Pose k - 1 at the start, shape (3,).
+            predicted: Poses expected in the middle of the sub-steps, shape (substep,
+                3).
+            is_live: Whether the period counts, shape (); behind the last row of a
+                padded path nothing is looked up. None for a path that is not padded.
+
+        Returns:
+            The new state, the engagement of this period, and what was removed.
+        """
+        engagement = self.engagement
+        state, removed = engagement.advance(self, state, index - 1, pose)
+        engage = lambda: engagement.engage(self, state, index, predicted)
+        return state, when_live(is_live, engage), removed
+
+    def poses_within(
+        self, path: Pose, row_count: IntScalar | None = None
+    ) -> PosesWithin:
+        """Return the poses within the periods between given instants.
+
+        Args:
+            path: Poses at the tooth instants, shape (step, 3).
+            row_count: How many of them count; all if None.
+        """
+        return poses_within(self.engagement.substeps, path, row_count)
+
+    def substep_middles(self, dtype: jnp.dtype) -> Float[Array, " substep"]:
+        """Return the middle of each sub-step as a share of the tooth period."""
+        return substep_middles(self.engagement.substeps, dtype)
+
+    def substep_ends(self, dtype: jnp.dtype) -> Float[Array, " substep"]:
+        """Return the end of each sub-step as a share of the tooth period."""
+        return substep_ends(self.engagement.substeps, dtype)
+
 
 def rotation_angles(
     process: Process, dtype: jnp.dtype, part: Substeps | None = None
@@ -206,13 +283,3 @@ def rotation_angles(
     if part is None:
         return turn
     return jax.lax.dynamic_slice_in_dim(turn, part.first, part.length)
-
-
-def substep_middles(substeps: int, dtype: jnp.dtype) -> Float[Array, " substep"]:
-    """Return the middle of each sub-step as a share of the tooth period."""
-    return (jnp.arange(substeps, dtype=dtype) + 0.5) / substeps
-
-
-def substep_ends(substeps: int, dtype: jnp.dtype) -> Float[Array, " substep"]:
-    """Return the end of each sub-step as a share of the tooth period."""
-    return (jnp.arange(substeps, dtype=dtype) + 1) / substeps

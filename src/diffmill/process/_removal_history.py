@@ -7,6 +7,7 @@ so that a slow or dwelling tool cannot fill it.
 """
 
 import math
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -19,6 +20,8 @@ from ..cutter import AbstractCutter
 from ..workpiece import (
     Pose,
     PoseTrack,
+    RemovalWindow,
+    Stock,
     ToothPass,
     remove_passes,
     remove_poses,
@@ -26,141 +29,374 @@ from ..workpiece import (
 )
 from ._chip import safe_norm
 from ._engagement.leading_half import STILL
-from ._process import Process
 from ._state import ProcessState, Removed, Waiting
+from ._stock_derivatives import AbstractAdjoint
 
 # Entries of the history; with the lag this sets the least distance between entries.
 QUEUE_LENGTH = 48
 # Earlier circles, as shares of the lag, beyond the exact ones of the last teeth.
 _THINNED = (0.25, 0.5, 0.75, 1.0)
 # Rows of the track that removal looks back on at most: what waits longer is removed.
-HISTORY = 512
+_HISTORY = 512
 # Two poses at most leave the history in a step, so that it shrinks after slow feed.
 _REMOVALS = 2
 
 
-def initial_state(
-    process: Process, pose: Pose, pose_count: int
-) -> tuple[ProcessState, Float[Array, ""]]:
-    """Return the state at pose 0 and the volume of the stock that the tool stands in.
+class RemovalHistory(NamedTuple):
+    """The poses that wait for removal, and how it lags behind them.
 
-    Args:
-        process: The process, with the raw workpiece.
-        pose: Pose 0, shape (3,).
-        pose_count: Number of poses of the whole run.
-
-    Returns:
-        The state, and the overlap [m^3], shape ().
+    Attributes:
+        cutter: The milling cutter.
+        window: Window of rays of a removal.
+        lag: Travelled distance by which removal lags [m].
+        substeps: Sub-steps per tooth period.
+        spacing: Spacing of the rays [m].
+        derivative: How to differentiate through the removal.
     """
-    stock, cutter, engagement = process.stock, process.cutter, process.engagement
-    dtype = stock.origin.dtype
-    zero = jnp.zeros((), jnp.int32)
-    cut = remove_poses(
-        stock,
-        cutter,
-        engagement.window,
-        process.derivative.removal_poses(pose.repeated(1)),
-        zero[None],
-        jnp.ones(1, bool),
-    )
-    nodes = max((pose_count - 1) * engagement.substeps + 1, _pass_length(process))
-    ahead = jnp.zeros(2, dtype).at[1].set(1)
-    state = ProcessState(
-        stock=cut.stock,
-        track=PoseTrack(pose.repeated(nodes), engagement.substeps),
-        last_tip=pose.tip,
-        recent=pose.repeated(cutter.flute_count, engagement.substeps),
-        ends=pose.repeated(engagement.substeps),
-        forward=ahead,
-        passing=jnp.zeros((), dtype),
-        queue=Waiting(
-            row=jnp.zeros(QUEUE_LENGTH, jnp.int32),
-            forward=jnp.broadcast_to(ahead[None], (QUEUE_LENGTH, 2)),
-            passing=jnp.zeros(QUEUE_LENGTH, dtype),
-            travel=jnp.zeros(QUEUE_LENGTH, dtype),
-        ),
-        queue_count=jnp.ones((), jnp.int32),
-        travel=jnp.zeros((), dtype),
-        slots=cut.slots,
-        has_overflow=cut.has_overflow,
-        is_beyond=cut.is_beyond,
-    )
-    return state, cut.volume[0]
 
+    cutter: AbstractCutter
+    window: RemovalWindow
+    lag: float
+    substeps: int
+    spacing: float
+    derivative: AbstractAdjoint
 
-def advance_removal(
-    process: Process,
-    state: ProcessState,
-    index: Int[Array, ""],
-    pose: Pose,
-) -> tuple[ProcessState, Removed]:
-    """Enter a pose in the history, and remove up to two passes that lie behind the lag.
+    @property
+    def row_count(self) -> int:
+        """Rows that removal looks back on at most, in whole turns."""
+        flutes = self.cutter.flute_count
+        return (-(-_HISTORY // flutes) + 2) * flutes
 
-    Args:
-        process: The process.
-        state: State after the period that ends at the pose.
-        index: Index k of the pose, shape ().
-        pose: Pose k, shape (3,).
+    def begin(
+        self, stock: Stock, pose: Pose, pose_count: int
+    ) -> tuple[ProcessState, Float[Array, ""]]:
+        """Return the state at pose 0, and the volume that the tool stands in.
 
-    Returns:
-        The state and what was removed.
-    """
-    state = _enqueue(process, state, index, pose)
-    return _remove_lagged(process, state, index)
+        Args:
+            stock: The raw workpiece.
+            pose: Pose 0, shape (3,).
+            pose_count: Number of poses of the whole run.
 
+        Returns:
+            The state, and the overlap [m^3], shape ().
+        """
+        cutter, dtype = self.cutter, stock.origin.dtype
+        zero = jnp.zeros((), jnp.int32)
+        cut = remove_poses(
+            stock,
+            cutter,
+            self.window,
+            self.derivative.removal_poses(pose.repeated(1)),
+            zero[None],
+            jnp.ones(1, bool),
+        )
+        nodes = max((pose_count - 1) * self.substeps + 1, self._pass_length())
+        ahead = jnp.zeros(2, dtype).at[1].set(1)
+        state = ProcessState(
+            stock=cut.stock,
+            track=PoseTrack(pose.repeated(nodes), self.substeps),
+            last_tip=pose.tip,
+            recent=pose.repeated(cutter.flute_count, self.substeps),
+            ends=pose.repeated(self.substeps),
+            forward=ahead,
+            passing=jnp.zeros((), dtype),
+            queue=Waiting(
+                row=jnp.zeros(QUEUE_LENGTH, jnp.int32),
+                forward=jnp.broadcast_to(ahead[None], (QUEUE_LENGTH, 2)),
+                passing=jnp.zeros(QUEUE_LENGTH, dtype),
+                travel=jnp.zeros(QUEUE_LENGTH, dtype),
+            ),
+            queue_count=jnp.ones((), jnp.int32),
+            travel=jnp.zeros((), dtype),
+            slots=cut.slots,
+            has_overflow=cut.has_overflow,
+            is_beyond=cut.is_beyond,
+        )
+        return state, cut.volume[0]
 
-def _enqueue(
-    process: Process,
-    state: ProcessState,
-    index: Int[Array, ""],
-    pose: Pose,
-) -> ProcessState:
-    """Enter a period's poses in the track, and its pass in the queue if it is far on.
+    def advance(
+        self,
+        state: ProcessState,
+        index: Int[Array, ""],
+        pose: Pose,
+    ) -> tuple[ProcessState, Removed]:
+        """Enter a pose in the history, and remove up to two passes behind the lag.
 
-    Args:
-        process: The process.
-        state: State after the period that ends at the pose.
-        index: Index k of the pose, shape ().
-        pose: Pose k, shape (3,).
+        Args:
+            state: State after the period that ends at the pose.
+            index: Index k of the pose, shape ().
+            pose: Pose k, shape (3,).
 
-    Returns:
-        The state.
-    """
-    frozen = jax.lax.stop_gradient
-    # Reading the track before it is written would make XLA copy it in every step.
-    motion = frozen(pose.tip - state.last_tip)
-    travel = state.travel + safe_norm(motion)
-    track = tracked(state, index, pose)
-    newest = state.queue.travel[state.queue_count - 1]
-    is_far = travel - newest >= process.engagement.lag / QUEUE_LENGTH
-    at = jnp.where(is_far, state.queue_count, QUEUE_LENGTH)
-    forward, passing, late = _ahead(process, state, index, frozen(pose), motion)
-    queue = jax.tree.map(
-        lambda queue, new: queue.at[at].set(new, mode="drop"),
-        state.queue,
-        Waiting(index, forward, passing + late, travel),
-    )
-    return eqx.tree_at(
-        lambda s: (
-            s.track,
-            s.last_tip,
-            s.forward,
-            s.passing,
-            s.queue,
-            s.queue_count,
-            s.travel,
-        ),
-        state,
-        (
-            track,
-            pose.tip,
-            forward,
-            passing,
-            queue,
-            state.queue_count + is_far.astype(jnp.int32),
-            travel,
-        ),
-    )
+        Returns:
+            The state and what was removed.
+        """
+        state = self._enqueue(state, index, pose)
+        return self._remove_lagged(state, index)
+
+    def _enqueue(
+        self,
+        state: ProcessState,
+        index: Int[Array, ""],
+        pose: Pose,
+    ) -> ProcessState:
+        """Enter a period's poses in the track, and its pass in the queue if far on.
+
+        Args:
+            state: State after the period that ends at the pose.
+            index: Index k of the pose, shape ().
+            pose: Pose k, shape (3,).
+
+        Returns:
+            The state.
+        """
+        frozen = jax.lax.stop_gradient
+        # Reading the track before it is written would make XLA copy it in every step.
+        motion = frozen(pose.tip - state.last_tip)
+        travel = state.travel + safe_norm(motion)
+        track = tracked(state, index, pose)
+        newest = state.queue.travel[state.queue_count - 1]
+        is_far = travel - newest >= self.lag / QUEUE_LENGTH
+        at = jnp.where(is_far, state.queue_count, QUEUE_LENGTH)
+        forward, passing, late = self._ahead(state, index, frozen(pose), motion)
+        queue = jax.tree.map(
+            lambda queue, new: queue.at[at].set(new, mode="drop"),
+            state.queue,
+            Waiting(index, forward, passing + late, travel),
+        )
+        return eqx.tree_at(
+            lambda s: (
+                s.track,
+                s.last_tip,
+                s.forward,
+                s.passing,
+                s.queue,
+                s.queue_count,
+                s.travel,
+            ),
+            state,
+            (
+                track,
+                pose.tip,
+                forward,
+                passing,
+                queue,
+                state.queue_count + is_far.astype(jnp.int32),
+                travel,
+            ),
+        )
+
+    def _ahead(
+        self,
+        state: ProcessState,
+        index: Int[Array, ""],
+        pose: Pose,
+        motion: Float[Array, " 3"],
+    ) -> tuple[Float[Array, " 2"], Float[Array, ""], Float[Array, ""]]:
+        """Return the direction of motion, when an even tooth looks there, our delay.
+
+        Which of the teeth it is follows the direction without a jump, so that where
+        the direction trembles no tooth is left out.
+        """
+        cutter, frame = self.cutter, tool_frame(pose.direction())
+        x, y = jnp.sum(motion * frame[:, 0]), jnp.sum(motion * frame[:, 1])
+        length = jnp.sqrt(x**2 + y**2)
+        is_moving = length > STILL
+        scale = jnp.where(is_moving, length, 1.0)
+        forward = jnp.where(is_moving, jnp.stack([x, y]) / scale, state.forward)
+        count = cutter.flute_count
+        turn = jnp.arctan2(forward[0], forward[1]) * (count / (2 * math.pi))
+        passing = turn + jnp.round(state.passing - turn)
+        is_beside = (passing < -0.5) | (passing >= 1.5)
+        passing = jnp.where(is_beside, passing - jnp.floor(passing), passing)
+        if cutter.has_even_pitch:
+            return forward, passing, jnp.zeros_like(passing)
+        early = early_teeth(cutter, pose.tip.dtype)
+        tooth = jnp.mod(1 - index - jnp.round(passing - turn).astype(jnp.int32), count)
+        return forward, passing, -early[tooth] * (count / (2 * math.pi))
+
+    def _remove_lagged(
+        self,
+        state: ProcessState,
+        index: Int[Array, ""],
+    ) -> tuple[ProcessState, Removed]:
+        """Remove up to two passes that the tool has left behind by the lag.
+
+        Args:
+            state: The state, with the newest pose.
+            index: Index of that pose, shape ().
+
+        Returns:
+            The state and what was removed.
+        """
+        oldest = state.queue[:_REMOVALS]
+        passes = [self._tooth_pass(state, oldest[i], index) for i in range(_REMOVALS)]
+        age = state.travel - oldest.travel
+        places = jnp.arange(_REMOVALS, dtype=jnp.int32)
+        is_over = index - oldest.row >= self._wait()
+        is_full = state.queue_count >= QUEUE_LENGTH
+        is_late = (is_full | (index - oldest.row[0] >= _HISTORY)) & (places == 0)
+        # The newest stays: what comes in is measured against it.
+        is_due = ((age >= self.lag) & is_over) | is_late
+        is_due = is_due & (places < state.queue_count - 1)
+        tips = [tooth.center().frozen().tip for tooth in passes]
+        apart = jnp.max(jnp.abs(tips[1] - tips[0]))
+        is_due = is_due.at[1].set(is_due[0] & is_due[1] & (apart <= self.window.slack))
+        cut = remove_passes(
+            state.stock,
+            self.cutter,
+            self.window,
+            passes,
+            is_due,
+            slots=state.slots,
+        )
+        count = jnp.sum(is_due, dtype=jnp.int32)
+        shift = jnp.minimum(
+            jnp.arange(QUEUE_LENGTH, dtype=jnp.int32) + count, QUEUE_LENGTH - 1
+        )
+        state = eqx.tree_at(
+            lambda s: (
+                s.stock,
+                s.queue,
+                s.queue_count,
+                s.slots,
+                s.has_overflow,
+                s.is_beyond,
+            ),
+            state,
+            (
+                cut.stock,
+                state.queue[shift],
+                state.queue_count - count,
+                cut.slots,
+                state.has_overflow | cut.has_overflow,
+                state.is_beyond | cut.is_beyond,
+            ),
+        )
+        return state, Removed(oldest.row, cut.volume, cut.by_shank)
+
+    def thinned_poses(self, state: ProcessState) -> Pose:
+        """Return the newest poses in the queue at given distances behind the tool."""
+        rows = self.thinned_rows(state)
+        return state.track.poses[rows * self.substeps]
+
+    def thinned_rows(self, state: ProcessState) -> Int[Array, " circle"]:
+        """Return the indices of the thinned poses, those at tooth instants."""
+        slots = jnp.arange(QUEUE_LENGTH, dtype=jnp.int32)
+        age = state.travel - state.queue.travel
+        picks = []
+        for share in _THINNED:
+            is_old = (age >= share * self.lag) & (slots < state.queue_count)
+            picks.append(jnp.max(jnp.where(is_old, slots, 0)))
+        return state.queue.row[jnp.stack(picks)]
+
+    def finish(
+        self,
+        state: ProcessState,
+        index: Int[Array, ""],
+        pose: Pose,
+        pose_count: int,
+    ) -> tuple[ProcessState, Removed]:
+        """Remove all that the history still holds, the last pose included.
+
+        Args:
+            state: State after the last period.
+            index: Index of the last pose, shape ().
+            pose: The last pose, shape (3,).
+            pose_count: Number of poses of the run, and of periods behind the last pose.
+
+        Returns:
+            The state with an empty history, and what was removed.
+        """
+        cutter, window = self.cutter, self.window
+        newest: Int[Array, ""] = jnp.asarray(pose_count - 1, jnp.int32)
+        state = self._enqueue(state, newest, pose)
+        slots = jnp.arange(QUEUE_LENGTH, dtype=jnp.int32)
+        # After the last pose the tool stands there while its teeth go around.
+        rest = jnp.arange(1 + self._wait(), dtype=jnp.int32)
+        last = jax.vmap(
+            lambda row: Waiting(row, state.forward, state.passing, state.travel)
+        )(index + rest)
+        rows = jax.tree.map(
+            lambda queue, new: jnp.concatenate([queue, new]), state.queue, last
+        )
+        is_due = jnp.concatenate([slots < state.queue_count, jnp.ones(rest.size, bool)])
+
+        def remove(carry, x):
+            stock, slots, has_overflow, is_beyond = carry
+            row, due = x
+            tooth = self._tooth_pass(state, row, newest)
+            cut = remove_passes(stock, cutter, window, [tooth], due[None], slots=slots)
+            flags = (has_overflow | cut.has_overflow, is_beyond | cut.is_beyond)
+            return (cut.stock, cut.slots, *flags), (cut.volume[0], cut.by_shank[0])
+
+        carry = (state.stock, state.slots, state.has_overflow, state.is_beyond)
+        (stock, slots, full, beyond), (volume, by_shank) = jax.lax.scan(
+            remove, carry, (rows, is_due)
+        )
+        state = eqx.tree_at(
+            lambda s: (s.stock, s.queue_count, s.slots, s.has_overflow, s.is_beyond),
+            state,
+            (stock, jnp.zeros((), jnp.int32), slots, full, beyond),
+        )
+        return state, Removed(jnp.minimum(rows.row, index), volume, by_shank)
+
+    def _tooth_pass(
+        self,
+        state: ProcessState,
+        waiting: Waiting,
+        newest: Int[Array, ""],
+    ) -> ToothPass:
+        """Return a pass in the queue.
+
+        Args:
+            state: The state.
+            waiting: The pass, as it stands in the queue.
+            newest: Index of the newest pose that is known, shape ().
+        """
+        S, count = self.substeps, self._pass_length()
+        table = state.track.poses
+        start = (waiting.row - 1) * S
+        steps = waiting.passing * S
+        first = start + jnp.floor(steps - self.cutter.flute_count * S / 2).astype(
+            jnp.int32
+        )
+        first = jnp.clip(first, 0, table.tip.shape[0] - count)
+        nodes = jax.tree.map(
+            lambda x: jax.lax.dynamic_slice_in_dim(x, first, count), table
+        )
+        number = lambda value: value.astype(steps.dtype)
+        return ToothPass(
+            nodes=self.derivative.removal_poses(nodes),
+            first=first,
+            forward=waiting.forward,
+            passing=number(start - first) + steps,
+            last=number(jnp.clip(newest * S - first, 0, count - 1)),
+            substeps=S,
+        )
+
+    def _pass_length(self) -> int:
+        """Return how many nodes one turn of a tooth spans, its helix included."""
+        turns = 1 + self._helix_turns()
+        return math.ceil(turns * self.cutter.flute_count * self.substeps) + 3
+
+    def _helix_turns(self) -> float:
+        """Return how far the helix holds back the highest edge in stock, in turns."""
+        cutter, window = self.cutter, self.window
+        if not cutter.has_helix:
+            return 0.0
+        if isinstance(cutter.helix_angle, jax.core.Tracer):
+            # Not known, and higher up the tooth is taken to be there.
+            return 1.0
+        height = window.length or window.sizes[2] * self.spacing
+        height = min(height, cutter.flute_length)
+        lead = abs(math.tan(float(cutter.helix_angle)))
+        return height * lead / (2 * math.pi * cutter.nominal_radius)
+
+    def _wait(self) -> int:
+        """Return after how many periods the tooth of a pass has gone around."""
+        turns = 0.5 + self._helix_turns()
+        # One for the period itself, and a half that the tooth may look forward later.
+        return math.ceil(turns * self.cutter.flute_count + 1.5)
 
 
 def tracked(state: ProcessState, index: Int[Array, ""], pose: Pose) -> PoseTrack:
@@ -173,236 +409,9 @@ def tracked(state: ProcessState, index: Int[Array, ""], pose: Pose) -> PoseTrack
     return PoseTrack(state.track.poses.with_rows(first, ends), substeps)
 
 
-def _ahead(
-    process: Process,
-    state: ProcessState,
-    index: Int[Array, ""],
-    pose: Pose,
-    motion: Float[Array, " 3"],
-) -> tuple[Float[Array, " 2"], Float[Array, ""], Float[Array, ""]]:
-    """Return the direction of motion, when an even tooth looks there, and our delay.
-
-    Which of the teeth it is follows the direction without a jump, so that where the
-    direction trembles no tooth is left out.
-    """
-    cutter, frame = process.cutter, tool_frame(pose.direction())
-    x, y = jnp.sum(motion * frame[:, 0]), jnp.sum(motion * frame[:, 1])
-    length = jnp.sqrt(x**2 + y**2)
-    is_moving = length > STILL
-    scale = jnp.where(is_moving, length, 1.0)
-    forward = jnp.where(is_moving, jnp.stack([x, y]) / scale, state.forward)
-    count = cutter.flute_count
-    turn = jnp.arctan2(forward[0], forward[1]) * (count / (2 * math.pi))
-    passing = turn + jnp.round(state.passing - turn)
-    is_beside = (passing < -0.5) | (passing >= 1.5)
-    passing = jnp.where(is_beside, passing - jnp.floor(passing), passing)
-    if cutter.has_even_pitch:
-        return forward, passing, jnp.zeros_like(passing)
-    early = early_teeth(cutter, pose.tip.dtype)
-    tooth = jnp.mod(1 - index - jnp.round(passing - turn).astype(jnp.int32), count)
-    return forward, passing, -early[tooth] * (count / (2 * math.pi))
-
-
 def early_teeth(cutter: AbstractCutter, dtype: DTypeLike) -> Float[Array, " tooth"]:
     """Return by how much each tooth stands ahead of an even one [rad], a constant."""
     count = cutter.flute_count
     pitch = jax.lax.stop_gradient(jnp.asarray(cutter.pitch_angles, dtype))
     even = 2 * math.pi / count * jnp.arange(count, dtype=dtype)
     return jnp.mod(pitch - even + math.pi, 2 * math.pi) - math.pi
-
-
-def _pass_length(process: Process) -> int:
-    """Return the number of nodes that one turn of a tooth spans, its helix included."""
-    turns = 1 + _helix_turns(process)
-    return (
-        math.ceil(turns * process.cutter.flute_count * process.engagement.substeps) + 3
-    )
-
-
-def _helix_turns(process: Process) -> float:
-    """Return how far the helix holds back the highest edge in the stock, in turns."""
-    cutter, window = process.cutter, process.engagement.window
-    if not cutter.has_helix:
-        return 0.0
-    if isinstance(cutter.helix_angle, jax.core.Tracer):
-        # Not known, and higher up the tooth is taken to be there.
-        return 1.0
-    height = window.length or window.sizes[2] * process.stock.spacing
-    height = min(height, cutter.flute_length)
-    lead = abs(math.tan(float(cutter.helix_angle)))
-    return height * lead / (2 * math.pi * cutter.nominal_radius)
-
-
-def _wait(process: Process) -> int:
-    """Return after how many periods the tooth of a pass has gone around."""
-    turns = 0.5 + _helix_turns(process)
-    # One for the period itself, and a half that the tooth may look forward later.
-    return math.ceil(turns * process.cutter.flute_count + 1.5)
-
-
-def _tooth_pass(
-    process: Process,
-    state: ProcessState,
-    waiting: Waiting,
-    newest: Int[Array, ""],
-) -> ToothPass:
-    """Return a pass in the queue.
-
-    Args:
-        process: The process.
-        state: The state.
-        waiting: The pass, as it stands in the queue.
-        newest: Index of the newest pose that is known, shape ().
-    """
-    S, count = process.engagement.substeps, _pass_length(process)
-    table = state.track.poses
-    start = (waiting.row - 1) * S
-    steps = waiting.passing * S
-    first = start + jnp.floor(steps - process.cutter.flute_count * S / 2).astype(
-        jnp.int32
-    )
-    first = jnp.clip(first, 0, table.tip.shape[0] - count)
-    nodes = jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, first, count), table)
-    number = lambda value: value.astype(steps.dtype)
-    return ToothPass(
-        nodes=process.derivative.removal_poses(nodes),
-        first=first,
-        forward=waiting.forward,
-        passing=number(start - first) + steps,
-        last=number(jnp.clip(newest * S - first, 0, count - 1)),
-        substeps=S,
-    )
-
-
-def _remove_lagged(
-    process: Process,
-    state: ProcessState,
-    index: Int[Array, ""],
-) -> tuple[ProcessState, Removed]:
-    """Remove up to two passes that the tool has left behind by the lag.
-
-    Args:
-        process: The process.
-        state: The state, with the newest pose.
-        index: Index of that pose, shape ().
-
-    Returns:
-        The state and what was removed.
-    """
-    engagement, oldest = process.engagement, state.queue[:_REMOVALS]
-    passes = [_tooth_pass(process, state, oldest[i], index) for i in range(_REMOVALS)]
-    age = state.travel - oldest.travel
-    places = jnp.arange(_REMOVALS, dtype=jnp.int32)
-    is_over = index - oldest.row >= _wait(process)
-    is_full = state.queue_count >= QUEUE_LENGTH
-    is_late = (is_full | (index - oldest.row[0] >= HISTORY)) & (places == 0)
-    # The newest stays: what comes in is measured against it.
-    is_due = ((age >= engagement.lag) & is_over) | is_late
-    is_due = is_due & (places < state.queue_count - 1)
-    tips = [tooth.center().frozen().tip for tooth in passes]
-    apart = jnp.max(jnp.abs(tips[1] - tips[0]))
-    is_due = is_due.at[1].set(
-        is_due[0] & is_due[1] & (apart <= engagement.window.slack)
-    )
-    cut = remove_passes(
-        state.stock,
-        process.cutter,
-        engagement.window,
-        passes,
-        is_due,
-        slots=state.slots,
-    )
-    count = jnp.sum(is_due, dtype=jnp.int32)
-    shift = jnp.minimum(
-        jnp.arange(QUEUE_LENGTH, dtype=jnp.int32) + count, QUEUE_LENGTH - 1
-    )
-    state = eqx.tree_at(
-        lambda s: (
-            s.stock,
-            s.queue,
-            s.queue_count,
-            s.slots,
-            s.has_overflow,
-            s.is_beyond,
-        ),
-        state,
-        (
-            cut.stock,
-            state.queue[shift],
-            state.queue_count - count,
-            cut.slots,
-            state.has_overflow | cut.has_overflow,
-            state.is_beyond | cut.is_beyond,
-        ),
-    )
-    return state, Removed(oldest.row, cut.volume, cut.by_shank)
-
-
-def thinned_poses(process: Process, state: ProcessState) -> Pose:
-    """Return the newest poses in the queue at given distances behind the tool."""
-    rows = thinned_rows(process, state)
-    return state.track.poses[rows * process.engagement.substeps]
-
-
-def thinned_rows(process: Process, state: ProcessState) -> Int[Array, " circle"]:
-    """Return the indices of the thinned poses, those at tooth instants."""
-    slots = jnp.arange(QUEUE_LENGTH, dtype=jnp.int32)
-    age = state.travel - state.queue.travel
-    picks = []
-    for share in _THINNED:
-        is_old = (age >= share * process.engagement.lag) & (slots < state.queue_count)
-        picks.append(jnp.max(jnp.where(is_old, slots, 0)))
-    return state.queue.row[jnp.stack(picks)]
-
-
-def remove_all(
-    process: Process,
-    state: ProcessState,
-    index: Int[Array, ""],
-    pose: Pose,
-    pose_count: int,
-) -> tuple[ProcessState, Removed]:
-    """Remove all that the history still holds, the last pose included.
-
-    Args:
-        process: The process.
-        state: State after the last period.
-        index: Index of the last pose, shape ().
-        pose: The last pose, shape (3,).
-        pose_count: Number of poses of the run, and of periods behind the last pose.
-
-    Returns:
-        The state with an empty history, and what was removed.
-    """
-    cutter, window = process.cutter, process.engagement.window
-    newest: Int[Array, ""] = jnp.asarray(pose_count - 1, jnp.int32)
-    state = _enqueue(process, state, newest, pose)
-    slots = jnp.arange(QUEUE_LENGTH, dtype=jnp.int32)
-    # After the last pose the tool stands there while its teeth go around.
-    rest = jnp.arange(1 + _wait(process), dtype=jnp.int32)
-    last = jax.vmap(
-        lambda row: Waiting(row, state.forward, state.passing, state.travel)
-    )(index + rest)
-    rows = jax.tree.map(
-        lambda queue, new: jnp.concatenate([queue, new]), state.queue, last
-    )
-    is_due = jnp.concatenate([slots < state.queue_count, jnp.ones(rest.size, bool)])
-
-    def remove(carry, x):
-        stock, slots, has_overflow, is_beyond = carry
-        row, due = x
-        tooth = _tooth_pass(process, state, row, newest)
-        cut = remove_passes(stock, cutter, window, [tooth], due[None], slots=slots)
-        flags = (has_overflow | cut.has_overflow, is_beyond | cut.is_beyond)
-        return (cut.stock, cut.slots, *flags), (cut.volume[0], cut.by_shank[0])
-
-    carry = (state.stock, state.slots, state.has_overflow, state.is_beyond)
-    (stock, slots, full, beyond), (volume, by_shank) = jax.lax.scan(
-        remove, carry, (rows, is_due)
-    )
-    state = eqx.tree_at(
-        lambda s: (s.stock, s.queue_count, s.slots, s.has_overflow, s.is_beyond),
-        state,
-        (stock, jnp.zeros((), jnp.int32), slots, full, beyond),
-    )
-    return state, Removed(jnp.minimum(rows.row, index), volume, by_shank)

@@ -68,10 +68,8 @@ from ._kinematics.forward import (
     jacobian as jacobian,
 )
 from ._kinematics.inverse import (
-    PathSolution as PathSolution,
-    PoseSolution as PoseSolution,
+    JointSolution as JointSolution,
     inverse_kinematics as inverse_kinematics,
-    inverse_kinematics_near as inverse_kinematics_near,
     inverse_kinematics_path as inverse_kinematics_path,
 )
 from ._kinematics.pose_error import ToolRotation as ToolRotation
@@ -79,22 +77,8 @@ from ._kinematics.singularity import singularity as singularity
 from ._kinematics.skeleton import Skeleton as Skeleton, skeleton as skeleton
 from ._model.bending_tool import (
     BendingTool as BendingTool,
-    tip_spring as tip_spring,
-    with_bending_tool as with_bending_tool,
 )
 from ._model.build import build as build
-from ._model.drives import (
-    backlash_deflection as backlash_deflection,
-    coulomb_damping as coulomb_damping,
-    drive_deflection as drive_deflection,
-    friction_torque as friction_torque,
-    gear_torque as gear_torque,
-    gravity_compensation as gravity_compensation,
-    servo_deflection as servo_deflection,
-    with_backlash as with_backlash,
-    with_friction as with_friction,
-    with_motors as with_motors,
-)
 from ._model.elements import (
     FixedRotation as FixedRotation,
     FixedTranslation as FixedTranslation,
@@ -107,11 +91,8 @@ from ._model.elements import (
 )
 from ._model.flange_spring import (
     FlangeSpring as FlangeSpring,
-    with_flange_spring as with_flange_spring,
 )
 from ._model.massless_joints import massless_joints as massless_joints
 from ._model.robot import (
     Robot as Robot,
-    with_drives as with_drives,
-    with_tool as with_tool,
 )

@@ -11,8 +11,8 @@ What moves the tool is a machine: `Rigid`, `QuasiStaticArm`, `ElasticArm`, or on
 by its modes at the tool tip, `ModalMachine`; `run` moves it along a command,
 `run_segment` from where another run ended. Beside it: the arm without load
 (`free_motion`); whether vibrations grow (`stability`); what each parameter does
-(`sensitivity`); what a run did within its periods (`replay_process`); where the holder
-is (`tool_contacts`).
+(`sensitivity`); what a run did within its periods (`Replay`); where the holder is
+(`tool_contacts`).
 
 The cutting process, which knows no robot, is `diffmill.process`.
 
@@ -41,10 +41,8 @@ from ._job.failure import raise_unless_successful as raise_unless_successful
 from ._job.intervals import with_intervals_of as with_intervals_of
 from ._job.padding import pad_path as pad_path
 from ._job.replay import (
+    Replay as Replay,
     ToothChip as ToothChip,
-    actual_poses as actual_poses,
-    replay_process as replay_process,
-    tooth_chip as tooth_chip,
 )
 from ._job.simulate import (
     Solution as Solution,

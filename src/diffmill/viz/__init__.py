@@ -16,7 +16,7 @@ drawn, and pyplot's global state is not touched.
 """
 
 from ._cases import case_numbers as case_numbers
-from ._figure.chip import ChipChart as ChipChart, plot_chip as plot_chip
+from ._figure.chip import plot_chip as plot_chip
 from ._figure.dexels import (
     CutDexels as CutDexels,
     plot_cut_dexels as plot_cut_dexels,

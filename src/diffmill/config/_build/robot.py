@@ -5,7 +5,7 @@ from jaxtyping import Float
 
 from ... import units as q
 from ...cutter import AbstractCutter
-from ...robot import Robot, built_in_models, rpy_matrix, with_drives, with_tool
+from ...robot import Robot, built_in_models, rpy_matrix
 from .._schema.compliance import with_bending_cutter, with_spring
 from .context import FileContext
 from .robot_file import check_springs, load_robot
@@ -69,10 +69,10 @@ def read_robot(
     if stiffness is not None and not (stiffness > 0).all():
         problems.append("[robot] joint_stiffness: found 0, but above 0 is required")
         return None, None
-    robot = with_drives(robot, stiffness=stiffness, damping=damping)
+    robot = robot.with_drives(stiffness=stiffness, damping=damping)
     check_springs(robot, problems)
     if table.tool_in_flange is not None:
-        robot = with_tool(robot, pose_matrix(table.tool_in_flange))
+        robot = robot.with_tool(pose_matrix(table.tool_in_flange))
     robot = with_spring(robot, table.flange_spring, problems)
     robot = with_bending_cutter(robot, table.bending_tool, cutter)
     if start is not None:

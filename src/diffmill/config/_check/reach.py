@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...robot import (
-    PathSolution,
+    JointSolution,
     Robot,
     ToolRotation,
     inverse_kinematics_path,
@@ -87,7 +87,7 @@ def _follow(
     Ts: Float[np.ndarray, "step 4 4"],
     start: Float[np.ndarray, " joint"],
     tool_rotation: ToolRotation,
-) -> tuple[PathSolution, list[str]]:
+) -> tuple[JointSolution, list[str]]:
     """Return the joints along a path, and what is wrong with them."""
     faults: list[str] = []
     found = jax.device_get(
@@ -128,7 +128,7 @@ def _start_line(robot: Robot, q: Float[np.ndarray, " joint"]) -> str:
 
 
 def _unreached(
-    path: Path, Ts: Float[np.ndarray, "step 4 4"], found: PathSolution
+    path: Path, Ts: Float[np.ndarray, "step 4 4"], found: JointSolution
 ) -> str:
     """Return the line about poses out of reach."""
     is_bad = ~np.asarray(found.converged)
@@ -145,7 +145,7 @@ def _unreached(
 
 
 def _check_limits(
-    robot: Robot, path: Path, found: PathSolution, problems: list[str]
+    robot: Robot, path: Path, found: JointSolution, problems: list[str]
 ) -> None:
     """Note joints beyond their limits in rows that are reached."""
     lower, upper = np.asarray(robot.joint_lower), np.asarray(robot.joint_upper)
@@ -165,7 +165,7 @@ def _check_limits(
 
 
 def _check_speed(
-    robot: Robot, path: Path, found: PathSolution, problems: list[str]
+    robot: Robot, path: Path, found: JointSolution, problems: list[str]
 ) -> None:
     """Note joints that would have to move faster than they can."""
     if robot.joint_speed is None or path.step_count < 2:
@@ -190,7 +190,7 @@ def _check_branch(
     robot: Robot,
     path: Path,
     Ts: Float[np.ndarray, "step 4 4"],
-    found: PathSolution,
+    found: JointSolution,
     problems: list[str],
 ) -> None:
     """Note where the arm changes configuration between two rows."""
@@ -217,7 +217,7 @@ def _check_branch(
 def _note_singular(
     robot: Robot,
     path: Path,
-    found: PathSolution,
+    found: JointSolution,
     tool_rotation: ToolRotation,
     notes: list[str],
 ) -> None:

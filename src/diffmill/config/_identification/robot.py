@@ -5,7 +5,7 @@ from jaxtyping import Float
 
 from ... import units as q
 from ...io import parse_pose
-from ...robot import Robot, with_drives, with_tool
+from ...robot import Robot
 from .._build.robot import pose_matrix
 from .._build.robot_file import load_robot
 from .._schema.job import RobotTable as JobRobotTable
@@ -60,13 +60,12 @@ def read_tool_robot(
                 values[key][i] = q.quantity(text, kind)
             except ValueError as error:
                 problems.append(f"[robot] {key}.{i} ({robot.joint_names[i]}): {error}")
-    robot = with_drives(
-        robot,
+    robot = robot.with_drives(
         stiffness=values.get("joint_stiffness"),
         damping=values.get("joint_damping"),
     )
     if table.tool_in_flange is not None:
-        robot = with_tool(robot, pose_matrix(table.tool_in_flange))
+        robot = robot.with_tool(pose_matrix(table.tool_in_flange))
     return robot
 
 

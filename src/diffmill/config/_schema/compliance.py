@@ -12,8 +12,6 @@ from ...robot import (
     BendingTool,
     FlangeSpring,
     Robot,
-    with_bending_tool,
-    with_flange_spring,
 )
 from .fields import (
     Density,
@@ -75,7 +73,7 @@ def with_spring(
     options = table.model_dump(exclude={"in_last_link"})
     try:
         spring = FlangeSpring(**options, is_in_link=table.in_last_link)
-        return with_flange_spring(robot, spring)
+        return spring.mounted_on(robot)
     except ValueError as error:
         problems.append(f"[robot.flange_spring]: {error}")
         return robot
@@ -108,4 +106,4 @@ def with_bending_cutter(
         flute_share=table.flute_share,
         damping_ratio=table.damping_ratio,
     )
-    return with_bending_tool(robot, tool)
+    return tool.mounted_on(robot)

@@ -23,10 +23,7 @@ from jaxtyping import Array, Float
 from ..._types import FloatRows3, RealScalarLike, Transform
 from ...robot import (
     Robot,
-    backlash_deflection,
     forward_kinematics,
-    friction_torque,
-    gravity_compensation,
     gravity_forces,
     inverse_dynamics,
 )
@@ -92,7 +89,7 @@ def inverse_drive(
     commanded = joint_positions + delta
     if is_gravity_compensated:
         sag = jax.vmap(lambda q: gravity_forces(robot, q))(joint_positions)
-        sag = jax.vmap(lambda G: gravity_compensation(robot, G))(sag)
+        sag = jax.vmap(robot.gravity_compensation)(sag)
         commanded = commanded - jnp.where(is_motor, sag, 0.0)
     tips = jax.vmap(lambda q: forward_kinematics(robot, q)[:3, 3])(commanded)
     motors = jnp.where(is_motor, commanded, 0.0)
@@ -108,11 +105,11 @@ def _drive_deflection(
 ) -> Float[Array, "step joint"]:
     """Return command - q of every joint: gear, gap, motor and servo in series."""
     if robot.friction is not None:
-        tau = tau + jax.vmap(lambda v: friction_torque(robot, v))(velocities)
+        tau = tau + jax.vmap(robot.friction_torque)(velocities)
     K, D = jnp.asarray(robot.joint_stiffness), jnp.asarray(robot.joint_damping)
     delta = spring_deflection(tau, K, D, time_step)
     if robot.backlash is not None:
-        delta = jax.vmap(lambda y: backlash_deflection(robot, y))(delta)
+        delta = jax.vmap(lambda y: robot.backlash_deflection(y))(delta)
     if robot.motors is None:
         return delta
     motors = robot.motors

@@ -19,12 +19,10 @@ from ..._job import Job
 from ...robot import (
     Robot,
     ToolRotation,
-    drive_deflection,
     gravity_forces,
     inverse_kinematics,
     jacobian,
     singularity,
-    with_tool,
 )
 from ...sim import command_joints, with_precision
 
@@ -76,7 +74,7 @@ def placement_residual(
     """
     values = unit * task.widths
     T = moved_work(task.T_base_work, task.center, values)
-    robot = with_tool(task.robot, turned_tool(task.robot.T_flange_tool, values[4]))
+    robot = task.robot.with_tool(turned_tool(task.robot.T_flange_tool, values[4]))
     Ts = T[None] @ task.Ts_work_tool
     solve = lambda T, q: inverse_kinematics(
         robot, T, q, tool_rotation=task.tool_rotation, attempts=1
@@ -130,11 +128,9 @@ def tip_deflection(
     J = jacobian(robot, q)[:3]
     load = J.T @ force
     if robot.backlash is None:
-        return J @ drive_deflection(robot, load)
+        return J @ robot.drive_deflection(load)
     weight = gravity_forces(robot, q)
-    return J @ (
-        drive_deflection(robot, weight) - drive_deflection(robot, weight - load)
-    )
+    return J @ (robot.drive_deflection(weight) - robot.drive_deflection(weight - load))
 
 
 def across(

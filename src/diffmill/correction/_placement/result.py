@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._job import Job
-from ...robot import rpy_angles, with_tool
+from ...robot import rpy_angles
 from .objective import across, path_tangents, whole_path
 
 # A joint that turns by more than this between two rows [rad] changes configuration.
@@ -66,7 +66,7 @@ class Placement(eqx.Module):
         return dataclasses.replace(
             job,
             T_base_work=self.T_base_work,
-            robot=with_tool(job.robot, self.T_flange_tool),
+            robot=job.robot.with_tool(self.T_flange_tool),
         )
 
 

@@ -26,7 +26,6 @@ from ...numerics import clamp
 from ...workpiece import Discs, Pose, RemovalWindow, occupancy_in_space, tool_frame
 from .._chip import edge_contact, held_at_rest, safe_norm, way_of
 from .._process import AbstractEngagement, Process, Substeps, rotation_angles
-from .._removal_history import advance_removal, thinned_poses
 from .._state import ProcessState, Removed
 from .bottom_edge import RAMP
 from .edge_samples import EdgeSamples, Engagement
@@ -93,7 +92,7 @@ class EdgeElementsInSpace(AbstractEngagement):
         self, process: Process, state: ProcessState, index: Int[Array, ""], pose: Pose
     ) -> tuple[ProcessState, Removed]:
         """Enter the pose in the history, and remove what lies behind the lag."""
-        return advance_removal(process, state, index, pose)
+        return process.removal.advance(state, index, pose)
 
     def engage(
         self,
@@ -135,7 +134,7 @@ class EdgeElementsInSpace(AbstractEngagement):
         )
         occupied, chip_share = (share.reshape(angle.shape) for share in found)
         samples = EdgeSamples(angle, tooth, fade * occupied, chip_share)
-        return Engagement(samples, thinned_poses(process, state))
+        return Engagement(samples, process.removal.thinned_poses(state))
 
     def wrench(
         self,

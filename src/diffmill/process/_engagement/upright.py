@@ -23,7 +23,6 @@ from .._chip import (
     way_of,
 )
 from .._process import AbstractEngagement, Process, Substeps, rotation_angles
-from .._removal_history import advance_removal, thinned_poses
 from .._state import ProcessState, Removed
 from .bottom_edge import BottomEdges
 from .edge_samples import EdgeSamples, Engagement
@@ -54,7 +53,7 @@ class UprightFlat(AbstractEngagement):
         self, process: Process, state: ProcessState, index: Int[Array, ""], pose: Pose
     ) -> tuple[ProcessState, Removed]:
         """Enter the pose in the history, and remove what lies behind the lag."""
-        return advance_removal(process, state, index, pose)
+        return process.removal.advance(state, index, pose)
 
     def engage(
         self,
@@ -100,7 +99,7 @@ class UprightFlat(AbstractEngagement):
             samples = eqx.tree_at(
                 lambda s: s.bottom, samples, bottom, is_leaf=lambda x: x is None
             )
-        return Engagement(samples, thinned_poses(process, state))
+        return Engagement(samples, process.removal.thinned_poses(state))
 
     def wrench(
         self,

@@ -12,7 +12,6 @@ from jaxtyping import Array, Float
 
 from .._dynamics.rnea import gravity_forces, gravity_torques
 from .._kinematics.forward import joint_frames, link_inertia_rows, tool_jacobian
-from .._model.drives import drive_deflection, gravity_compensation
 from .._model.robot import JointVector, Robot, Wrench, joint_vector, wrench_vector
 
 # Step at which Newton's method ends [rad or m], and steps at most. Springs are much
@@ -43,7 +42,7 @@ def motor_positions(
     """
     wanted = joint_vector(robot, q, "q")
     if is_gravity_compensated:
-        wanted = wanted + gravity_compensation(robot, gravity_forces(robot, wanted))
+        wanted = wanted + robot.gravity_compensation(gravity_forces(robot, wanted))
     return jnp.where(robot.motor_mask(), wanted, 0.0)
 
 
@@ -96,7 +95,7 @@ def _loaded_equilibrium(
             robot, frames, link_inertia_rows(robot, frames)
         )
         # Divided by K, an infinite stiffness is an ordinary number.
-        return theta - q + drive_deflection(robot, load)
+        return theta - q + robot.drive_deflection(load)
 
     return optx.root_find(
         residual,

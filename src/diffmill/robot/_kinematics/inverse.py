@@ -5,6 +5,7 @@ the Jacobian then carries the derivative of the implicit function, exactly and a
 price of one forward kinematics. Virtual joints stay at 0.
 """
 
+import dataclasses
 import functools
 
 import equinox as eqx
@@ -46,53 +47,31 @@ _SETTLED = 1e-2
 _PULL_SHARE = 0.3
 
 
-class PoseSolution(eqx.Module):
-    """The joint positions of one pose.
+class JointSolution(eqx.Module):
+    """The joint positions of one pose, or of every pose of a path.
 
     Attributes:
-        q: Joint positions [rad or m], shape (joint,).
-        converged: Whether the tool is at the pose.
-        position_residual: Distance of the tool's origin to the pose [m], shape ().
+        q: Joint positions [rad or m], shape (*step, joint).
+        converged: Whether the tool is at the pose, shape (*step,).
+        position_residual: Distance of the tool's origin to the pose [m], (*step,).
         rotation_residual: Angle from the tool to the pose; with a free rotation that
-            of the tool axis [rad], shape ().
-        within_limits: Whether all joints are within their limits.
+            of the tool axis [rad], shape (*step,).
+        within_limits: Whether all joints are within their limits, shape (*step,).
         limit_excess: How far each joint is beyond its limits [rad or m], shape
-            (joint,).
-    """
-
-    q: Float[Array, " joint"]
-    converged: Bool[Array, ""]
-    position_residual: Float[Array, ""]
-    rotation_residual: Float[Array, ""]
-    within_limits: Bool[Array, ""]
-    limit_excess: Float[Array, " joint"]
-
-
-class PathSolution(eqx.Module):
-    """The joint positions of every pose of a path.
-
-    Attributes:
-        q: Joint positions [rad or m], shape (step, joint).
-        converged: Whether the tool is at the pose, shape (step,).
-        position_residual: Distance of the tool's origin to the pose [m], (step,).
-        rotation_residual: Angle from the tool to the pose; with a free rotation that
-            of the tool axis [rad], shape (step,).
-        within_limits: Whether all joints are within their limits, shape (step,).
-        limit_excess: How far each joint is beyond its limits [rad or m], shape
-            (step, joint).
+            (*step, joint).
         midway_error: How far the tip is from the middle between two poses when every
-            joint is half way between them [m], shape (step,); 0 in row 0. Of the order
-            of (step length)^2 / arm length, but where the arm changes its
-            configuration between two rows.
+            joint is half way between them [m], shape (*step,); 0 in row 0 and for one
+            pose. Of the order of (step length)^2 / arm length, but where the arm
+            changes its configuration between two rows.
     """
 
-    q: Float[Array, "step joint"]
-    converged: Bool[Array, " step"]
-    position_residual: Float[Array, " step"]
-    rotation_residual: Float[Array, " step"]
-    within_limits: Bool[Array, " step"]
-    limit_excess: Float[Array, "step joint"]
-    midway_error: Float[Array, " step"]
+    q: Float[Array, "*step joint"]
+    converged: Bool[Array, "*step"]
+    position_residual: Float[Array, "*step"]
+    rotation_residual: Float[Array, "*step"]
+    within_limits: Bool[Array, "*step"]
+    limit_excess: Float[Array, "*step joint"]
+    midway_error: Float[Array, "*step"]
 
 
 def inverse_kinematics(
@@ -102,7 +81,7 @@ def inverse_kinematics(
     *,
     tool_rotation: ToolRotation = "fixed",
     attempts: int = _ATTEMPTS,
-) -> PoseSolution:
+) -> JointSolution:
     """Return joint positions that bring the tool to a pose.
 
     Args:
@@ -114,7 +93,9 @@ def inverse_kinematics(
             counts. A joint more than the pose needs stands near the middle of its
             range, or near home if it has no limits.
         attempts: Searches at most: after the first from elsewhere, until the pose is
-            reached within limits. With 1 the solution is that of `q_start`.
+            reached within limits. With 1 the solution is that of `q_start`. With 0
+            there is no search, which need not be compiled then: `q_start` reaches the
+            pose but for rounding, and one Newton step carries the derivative.
 
     Returns:
         The solution; check `converged` and `within_limits`.
@@ -125,6 +106,8 @@ def inverse_kinematics(
     """
     start = joint_vector(robot, q_start, "q_start")
     T = jnp.asarray(T_base_tool, dtype=robot.dtype)
+    if attempts == 0:
+        return _finish(robot, T, start, tool_rotation)
     return _solve_pose(robot, T, start, tool_rotation, attempts)
 
 
@@ -135,7 +118,7 @@ def inverse_kinematics_path(
     *,
     tool_rotation: ToolRotation = "fixed",
     attempts: int = _ATTEMPTS,
-) -> PathSolution:
+) -> JointSolution:
     """Return joint positions along a path; each pose starts from the one before.
 
     Args:
@@ -156,31 +139,6 @@ def inverse_kinematics_path(
     return _solve_path(robot, Ts, start, tool_rotation, attempts)
 
 
-def inverse_kinematics_near(
-    robot: Robot,
-    T_base_tool: Float[Array, "4 4"],
-    q: Float[Array, " joint"],
-    *,
-    tool_rotation: ToolRotation = "fixed",
-) -> PoseSolution:
-    """Return the joint positions of a pose from such as are known to reach it.
-
-    One Newton step, which carries the derivative: no search is compiled with it.
-
-    Args:
-        robot: The robot.
-        T_base_tool: The pose, shape (4, 4).
-        q: Joint positions that reach it but for rounding [rad or m], shape (joint,).
-        tool_rotation: As for `inverse_kinematics`.
-
-    Returns:
-        The solution.
-
-    **Differentiability**: as `inverse_kinematics`.
-    """
-    return _finish(robot, T_base_tool, q, tool_rotation)
-
-
 @functools.partial(jax.jit, static_argnames=("tool_rotation", "attempts"))
 def _solve_pose(
     robot: Robot,
@@ -188,7 +146,7 @@ def _solve_pose(
     q_start: Float[Array, " joint"],
     tool_rotation: ToolRotation,
     attempts: int,
-) -> PoseSolution:
+) -> JointSolution:
     start = _rest_virtual(robot, q_start)
     q = _first_pose(robot, T, start, tool_rotation, attempts)
     return _finish(robot, T, q, tool_rotation)
@@ -201,7 +159,7 @@ def _solve_path(
     q_start: Float[Array, " joint"],
     tool_rotation: ToolRotation,
     attempts: int,
-) -> PathSolution:
+) -> JointSolution:
     def follow(q, T):
         q = _search(robot, T, q, _PATH_STEPS, tool_rotation)
         if has_choice(robot, tool_rotation):
@@ -213,15 +171,7 @@ def _solve_path(
     first = _first_pose(robot, Ts[0], start, tool_rotation, attempts)
     _, qs = lax.scan(follow, first, lax.stop_gradient(Ts))
     found = jax.vmap(lambda T, q: _finish(robot, T, q, tool_rotation))(Ts, qs)
-    return PathSolution(
-        found.q,
-        found.converged,
-        found.position_residual,
-        found.rotation_residual,
-        found.within_limits,
-        found.limit_excess,
-        _midway_error(robot, Ts, found.q),
-    )
+    return dataclasses.replace(found, midway_error=_midway_error(robot, Ts, found.q))
 
 
 def _rest_virtual(robot: Robot, q: Float[Array, " joint"]) -> Float[Array, " joint"]:
@@ -436,7 +386,7 @@ def _finish(
     T: Float[Array, "4 4"],
     q: Float[Array, " joint"],
     tool_rotation: ToolRotation,
-) -> PoseSolution:
+) -> JointSolution:
     """Take the step that carries the derivative, and judge the result."""
     q = lax.stop_gradient(q)
     task = pose_task(robot, T, q, tool_rotation)
@@ -455,13 +405,14 @@ def _finish(
     q = q + (step - lax.stop_gradient(step))
     left = lax.stop_gradient(pose_task(robot, T, q, tool_rotation).error)
     excess = jnp.maximum(robot.joint_lower - q, q - robot.joint_upper)
-    return PoseSolution(
+    return JointSolution(
         q=q,
         converged=jnp.max(jnp.abs(left)) < _tolerance(q.dtype),
         position_residual=jnp.linalg.norm(left[:3]),
         rotation_residual=_angle(left[3:]),
         within_limits=jnp.all((q >= robot.joint_lower) & (q <= robot.joint_upper)),
         limit_excess=lax.stop_gradient(jnp.maximum(excess, 0.0)),
+        midway_error=jnp.zeros((), q.dtype),
     )
 
 

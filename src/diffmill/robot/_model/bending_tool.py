@@ -23,6 +23,21 @@ from .series_springs import Body, Spring, with_series_springs
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
+class TipSpring(eqx.Module):
+    """Springs at the tip of a bending tool.
+
+    Attributes:
+        stiffness: Force per shift of the tip [N/m].
+        hinge_height: Height of the hinge above the tip, shift per turn [m].
+        mass: Mass that moves with the tip, by Rayleigh's quotient of the shape under
+            a force at the tip; 33/140 of a plain beam [kg].
+    """
+
+    stiffness: Float[Array, ""]
+    hinge_height: Float[Array, ""]
+    mass: Float[Array, ""]
+
+
 class BendingTool(eqx.Module):
     """Shape and material of a tool that sticks out of its holder.
 
@@ -64,101 +79,82 @@ class BendingTool(eqx.Module):
         _check(self, "flute_length", 0.0)
         _check(self, "damping_ratio", 0.0)
 
+    def mounted_on(self, robot: Robot) -> Robot:
+        """Return the robot with a tool that bends, in series with the arm.
 
-class TipSpring(eqx.Module):
-    """Springs at the tip of a bending tool.
+        Two virtual joints, `tool_x` and `tool_y`, turn the tool about its own x and y
+        axes. The tip and its direction follow a force at the tip as those of the beam
+        do; a moment there is answered by the hinge alone. Its mode, at some kHz, is a
+        fast joint's: an integrator that does not damp would let it ring in steps that
+        cannot follow. The mass that moves with the tip is added to the robot's, which
+        is taken to hold the rest of the tool. Place the tip (`Robot.with_tool`) and the
+        `FlangeSpring` first.
 
-    Attributes:
-        stiffness: Force per shift of the tip [N/m].
-        hinge_height: Height of the hinge above the tip, shift per turn [m].
-        mass: Mass that moves with the tip, by Rayleigh's quotient of the shape under
-            a force at the tip; 33/140 of a plain beam [kg].
-    """
+        Args:
+            robot: The robot; z of its tool points from the tip to the shank.
 
-    stiffness: Float[Array, ""]
-    hinge_height: Float[Array, ""]
-    mass: Float[Array, ""]
+        Returns:
+            The robot with two more joints.
 
+        Raises:
+            ValueError: If the robot has a bending tool already.
 
-def tip_spring(tool: BendingTool, dtype: DTypeLike = float) -> TipSpring:
-    """Return stiffness, hinge and moving mass of a bending tool (Euler beam).
+        **Differentiability**: smooth in robot and tool.
+        """
+        spring = self.tip_spring(robot.dtype)
+        # symbols: a height of the hinge, K and D of the hinge, J its inertia
+        a = spring.hinge_height
+        K = spring.stiffness * a**2
+        J = spring.mass * a**2
+        D = 2 * jnp.asarray(self.damping_ratio, robot.dtype) * jnp.sqrt(K * J)
+        up = jnp.zeros(3, robot.dtype).at[2].set(a)
+        raised = jnp.eye(4, dtype=robot.dtype).at[:3, 3].set(up)
+        springs = [
+            Spring(K, D, "tool_x", "revolute", 0),
+            Spring(K, D, "tool_y", "revolute", 1),
+        ]
+        body = Body(spring.mass, -up, jnp.zeros((3, 3), robot.dtype))
+        bending = with_series_springs(
+            robot, springs, body, matrix_product(robot.T_flange_tool, raised)
+        )
+        own = range(robot.joint_count, bending.joint_count)
+        return dataclasses.replace(bending, fast_joints=(*robot.fast_joints, *own))
 
-        1 / k = L_f^3 / (3 E I_f) + (L^3 - L_f^3) / (3 E I_s),  I = pi d^4 / 64
+    def tip_spring(self, dtype: DTypeLike = float) -> TipSpring:
+        """Return stiffness, hinge and moving mass of a bending tool (Euler beam).
 
-    Args:
-        tool: The tool; L its overhang, L_f its flutes.
-        dtype: Floating point type of the result.
+            1 / k = L_f^3 / (3 E I_f) + (L^3 - L_f^3) / (3 E I_s),  I = pi d^4 / 64
 
-    Returns:
-        The spring.
+        Args:
+            dtype: Floating point type of the result.
 
-    **Differentiability**: smooth; kink where the flutes end at the holder.
-    """
-    # symbols: L lengths, d diameters, I second moments of area, A cross sections, of
-    # the flutes (f) and the shank (s); w deflection per unit force at the tip
-    number = lambda value: jnp.asarray(value, dtype)
-    L, E = number(tool.overhang), number(tool.young_modulus)
-    L_f = jnp.minimum(number(tool.flute_length), L)
-    L_s = L - L_f
-    d_f = number(tool.flute_share) * number(tool.cutter_diameter)
-    d_s = number(tool.shank_diameter)
-    I_f, I_s = jnp.pi * d_f**4 / 64, jnp.pi * d_s**4 / 64
-    A_f, A_s = jnp.pi * d_f**2 / 4, jnp.pi * d_s**2 / 4
-    shift = L_f**3 / (3 * E * I_f) + (L**3 - L_f**3) / (3 * E * I_s)
-    turn = L_f**2 / (2 * E * I_f) + (L**2 - L_f**2) / (2 * E * I_s)
-    share = jnp.asarray((_NODES + 1) / 2, dtype)
-    x, y = share * L_s, share * L_f
-    bend = lambda x, length, EI: (length * x**2 / 2 - x**3 / 6) / EI
-    slope = (L * L_s - L_s**2 / 2) / (E * I_s)
-    w_s = bend(x, L, E * I_s)
-    w_f = bend(L_s, L, E * I_s) + slope * y + bend(y, L_f, E * I_f)
-    weights = jnp.asarray(_WEIGHTS / 2, dtype)
-    moving = A_s * L_s * (weights @ w_s**2) + A_f * L_f * (weights @ w_f**2)
-    mass = number(tool.density) * moving / shift**2
-    return TipSpring(stiffness=1 / shift, hinge_height=shift / turn, mass=mass)
+        Returns:
+            The spring.
 
-
-def with_bending_tool(robot: Robot, tool: BendingTool) -> Robot:
-    """Return the robot with a tool that bends, in series with the arm.
-
-    Two virtual joints, `tool_x` and `tool_y`, turn the tool about its own x and y axes.
-    The tip and its direction follow a force at the tip as those of the beam do; a
-    moment there is answered by the hinge alone. Its mode, at some kHz, is a fast
-    joint's: an integrator that does not damp would let it ring in steps that cannot
-    follow. The mass that moves with the tip is added to the robot's, which is taken to
-    hold the rest of the tool. Place the tip (`with_tool`) and the spring of the flange
-    (`with_flange_spring`) first.
-
-    Args:
-        robot: The robot; z of its tool points from the tip to the shank.
-        tool: The tool.
-
-    Returns:
-        The robot with two more joints.
-
-    Raises:
-        ValueError: If the robot has a bending tool already.
-
-    **Differentiability**: smooth in robot and tool.
-    """
-    spring = tip_spring(tool, robot.dtype)
-    # symbols: a height of the hinge, K and D of the hinge, J its inertia
-    a = spring.hinge_height
-    K = spring.stiffness * a**2
-    J = spring.mass * a**2
-    D = 2 * jnp.asarray(tool.damping_ratio, robot.dtype) * jnp.sqrt(K * J)
-    up = jnp.zeros(3, robot.dtype).at[2].set(a)
-    raised = jnp.eye(4, dtype=robot.dtype).at[:3, 3].set(up)
-    springs = [
-        Spring(K, D, "tool_x", "revolute", 0),
-        Spring(K, D, "tool_y", "revolute", 1),
-    ]
-    body = Body(spring.mass, -up, jnp.zeros((3, 3), robot.dtype))
-    bending = with_series_springs(
-        robot, springs, body, matrix_product(robot.T_flange_tool, raised)
-    )
-    own = range(robot.joint_count, bending.joint_count)
-    return dataclasses.replace(bending, fast_joints=(*robot.fast_joints, *own))
+        **Differentiability**: smooth; kink where the flutes end at the holder.
+        """
+        # symbols: L lengths, d diameters, I second moments of area, A cross sections,
+        # of the flutes (f) and the shank (s); w deflection per unit force at the tip
+        number = lambda value: jnp.asarray(value, dtype)
+        L, E = number(self.overhang), number(self.young_modulus)
+        L_f = jnp.minimum(number(self.flute_length), L)
+        L_s = L - L_f
+        d_f = number(self.flute_share) * number(self.cutter_diameter)
+        d_s = number(self.shank_diameter)
+        I_f, I_s = jnp.pi * d_f**4 / 64, jnp.pi * d_s**4 / 64
+        A_f, A_s = jnp.pi * d_f**2 / 4, jnp.pi * d_s**2 / 4
+        shift = L_f**3 / (3 * E * I_f) + (L**3 - L_f**3) / (3 * E * I_s)
+        turn = L_f**2 / (2 * E * I_f) + (L**2 - L_f**2) / (2 * E * I_s)
+        share = jnp.asarray((_NODES + 1) / 2, dtype)
+        x, y = share * L_s, share * L_f
+        bend = lambda x, length, EI: (length * x**2 / 2 - x**3 / 6) / EI
+        slope = (L * L_s - L_s**2 / 2) / (E * I_s)
+        w_s = bend(x, L, E * I_s)
+        w_f = bend(L_s, L, E * I_s) + slope * y + bend(y, L_f, E * I_f)
+        weights = jnp.asarray(_WEIGHTS / 2, dtype)
+        moving = A_s * L_s * (weights @ w_s**2) + A_f * L_f * (weights @ w_f**2)
+        mass = number(self.density) * moving / shift**2
+        return TipSpring(stiffness=1 / shift, hinge_height=shift / turn, mass=mass)
 
 
 def _check(tool: BendingTool, name: str, least: float, *, is_open: bool = False):

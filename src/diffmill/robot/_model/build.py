@@ -12,9 +12,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from .drives import with_joint_drives
 from .elements import (
     AbstractElement,
+    Drive,
     FixedRotation,
     FixedTranslation,
     Fork,
@@ -118,7 +118,7 @@ def build(
         mimics=mimics,
         joint_speed=column("speed"),
     )
-    return with_joint_drives(robot, [j.drive for j in joints])
+    return _with_drive_options(robot, [j.drive for j in joints])
 
 
 def _visit(
@@ -239,3 +239,40 @@ def _merge(bodies: list[_Mass]) -> _Mass:
         arm = c - center
         inertia += about_own + m * (arm @ arm * np.eye(3) - np.outer(arm, arm))
     return _Mass(mass, center, inertia)
+
+
+def _with_drive_options(robot: Robot, drives: Sequence[Drive | None]) -> Robot:
+    """Return the robot with the options that its joints' elements ask for.
+
+    Args:
+        robot: The robot.
+        drives: One per joint.
+
+    Returns:
+        The robot, the same if none asks for any.
+
+    Raises:
+        ValueError: If some of the motors have a mass, but not all of them, or a
+            virtual joint has one.
+    """
+    if not any(drives):
+        return robot
+    filled = [drive or Drive() for drive in drives]
+    column = lambda name: [float(getattr(drive, name)) for drive in filled]
+    if any(column("backlash")):
+        robot = robot.with_backlash(column("backlash"))
+    coulomb, viscous = column("coulomb_friction"), column("viscous_friction")
+    if any(coulomb + viscous):
+        robot = robot.with_friction(coulomb, viscous, column("friction_speed"))
+    has_mass = [drive.motor_inertia is not None for drive in filled]
+    if not any(has_mass):
+        return robot
+    if has_mass != robot.motor_mask().tolist():
+        names = [n for n, m in zip(robot.joint_names, has_mass, strict=True) if m]
+        raise ValueError(
+            "Either all motors or none must have a `motor_inertia`, and virtual joints "
+            f"have no motor, but those of {', '.join(names)} have one."
+        )
+    inertia = [drive.motor_inertia or 1.0 for drive in filled]
+    stiffness = [drive.servo_stiffness or 1.0 for drive in filled]
+    return robot.with_motors(inertia, stiffness, column("servo_damping"))

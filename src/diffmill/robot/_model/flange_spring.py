@@ -48,47 +48,47 @@ class FlangeSpring(eqx.Module):
                 "None: one of them is the spring."
             )
 
+    def mounted_on(self, robot: Robot) -> Robot:
+        """Return the robot with springs at its flange, in series with the arm.
 
-def with_flange_spring(robot: Robot, spring: FlangeSpring) -> Robot:
-    """Return the robot with springs at its flange, in series with the arm.
+        Virtual joints `flange_x`, ... slide along and `flange_rx`, ... turn about the
+        flange's axes, in this order.
 
-    Virtual joints `flange_x`, ... slide along and `flange_rx`, ... turn about the
-    flange's axes, in this order.
+        Args:
+            robot: The robot.
 
-    Args:
-        robot: The robot.
-        spring: The springs and the spindle.
+        Returns:
+            The robot with three or six more joints.
 
-    Returns:
-        The robot with three or six more joints.
+        Raises:
+            ValueError: If the robot has such a spring already, or its last link is
+                lighter than the spindle that it should hold.
 
-    Raises:
-        ValueError: If the robot has such a spring already, or its last link is lighter
-            than the spindle that it should hold.
-
-    **Differentiability**: smooth in robot and spring.
-    """
-    dtype = robot.dtype
-    m = jnp.asarray(spring.mass, dtype)
-    c = jnp.asarray(spring.center_of_mass, dtype)
-    moments = jnp.asarray(spring.inertia, dtype)
-    body = Body(m, c, jnp.diag(moments))
-    # About the springs: what a turning spring has to move if all else stands still.
-    swung = moments + m * (jnp.sum(c**2)[None] - c**2)
-    zeta = jnp.asarray(spring.damping_ratio, dtype)
-    springs = []
-    for values, masses, kind, prefix in (
-        (spring.linear_stiffness, jnp.broadcast_to(m, (3,)), "prismatic", "flange_"),
-        (spring.rotary_stiffness, swung, "revolute", "flange_r"),
-    ):
-        if values is None:
-            continue
-        K = jnp.asarray(values, dtype)
-        D = 2 * zeta * jnp.sqrt(K * masses)
-        springs += [Spring(K[i], D[i], prefix + _AXES[i], kind, i) for i in range(3)]
-    if spring.is_in_link:
-        robot = _without(robot, body)
-    return with_series_springs(robot, springs, body, jnp.eye(4, dtype=dtype))
+        **Differentiability**: smooth in robot and spring.
+        """
+        dtype = robot.dtype
+        m = jnp.asarray(self.mass, dtype)
+        c = jnp.asarray(self.center_of_mass, dtype)
+        moments = jnp.asarray(self.inertia, dtype)
+        body = Body(m, c, jnp.diag(moments))
+        # About the springs: what a turning spring moves if all else stands still.
+        swung = moments + m * (jnp.sum(c**2)[None] - c**2)
+        zeta = jnp.asarray(self.damping_ratio, dtype)
+        springs = []
+        for values, masses, kind, prefix in (
+            (self.linear_stiffness, jnp.broadcast_to(m, (3,)), "prismatic", "flange_"),
+            (self.rotary_stiffness, swung, "revolute", "flange_r"),
+        ):
+            if values is None:
+                continue
+            K = jnp.asarray(values, dtype)
+            D = 2 * zeta * jnp.sqrt(K * masses)
+            springs += [
+                Spring(K[i], D[i], prefix + _AXES[i], kind, i) for i in range(3)
+            ]
+        if self.is_in_link:
+            robot = _without(robot, body)
+        return with_series_springs(robot, springs, body, jnp.eye(4, dtype=dtype))
 
 
 def _without(robot: Robot, body: Body) -> Robot:

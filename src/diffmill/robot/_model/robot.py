@@ -1,5 +1,6 @@
 """A robot compiled to arrays: what every algorithm of this subpackage takes."""
 
+import dataclasses
 from collections.abc import Sequence
 from typing import TypeAlias
 
@@ -11,6 +12,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float
 
 from ..._types import RealScalarLike, Transform
+from .drives import Backlash, Friction, GearTorque, Motors
 
 # What a user may pass as joint positions, velocities or torques.
 JointVector: TypeAlias = (
@@ -19,46 +21,6 @@ JointVector: TypeAlias = (
 Wrench: TypeAlias = (
     Float[Array, " 6"] | Float[np.ndarray, " 6"] | Sequence[RealScalarLike]
 )
-
-
-class Backlash(eqx.Module):
-    """Gaps in the gears; see `with_backlash`.
-
-    Attributes:
-        gap: b [rad or m], shape (joint,).
-        corner: Width of a rounded corner as a share of the gap [-], shape ().
-    """
-
-    gap: Float[Array, " joint"]
-    corner: Float[Array, ""]
-
-
-class Friction(eqx.Module):
-    """Friction of the joints; see `with_friction`.
-
-    Attributes:
-        coulomb: F_c [N m or N], shape (joint,).
-        viscous: F_v [N m s/rad or N s/m], shape (joint,).
-        speed: v_s [rad/s or m/s], shape (joint,).
-    """
-
-    coulomb: Float[Array, " joint"]
-    viscous: Float[Array, " joint"]
-    speed: Float[Array, " joint"]
-
-
-class Motors(eqx.Module):
-    """Masses behind the gears, held by servos; see `with_motors`.
-
-    Attributes:
-        inertia: J_m [kg m^2 or kg], shape (joint,).
-        stiffness: K_s [N m/rad or N/m], shape (joint,).
-        damping: D_s [N m s/rad or N s/m], shape (joint,).
-    """
-
-    inertia: Float[Array, " joint"]
-    stiffness: Float[Array, " joint"]
-    damping: Float[Array, " joint"]
 
 
 class Robot(eqx.Module):
@@ -183,6 +145,239 @@ class Robot(eqx.Module):
             joint = self.parents[joint]
         return moves
 
+    def with_tool(self, T_flange_tool: Transform) -> "Robot":
+        """Return the robot with another tool tip; masses stay as they are.
+
+        Args:
+            T_flange_tool: Maps tool coordinates to the flange's, shape (4, 4); tool +z
+                points from the tip to the shank.
+
+        Returns:
+            The changed robot.
+        """
+        tool = jnp.asarray(T_flange_tool, dtype=self.dtype)
+        return eqx.tree_at(lambda r: r.T_flange_tool, self, tool)
+
+    def with_drives(
+        self,
+        *,
+        stiffness: JointVector | None = None,
+        damping: JointVector | None = None,
+    ) -> "Robot":
+        """Return the robot with other springs or dampers; None keeps what is there.
+
+        Args:
+            stiffness: K per joint [N m/rad or N/m], shape (joint,).
+            damping: D per joint [N m s/rad or N s/m], shape (joint,).
+
+        Returns:
+            The changed robot.
+
+        Raises:
+            ValueError: If a stiffness is not positive or a damping negative.
+        """
+        K, D = self.joint_stiffness, self.joint_damping
+        if stiffness is not None:
+            K = joint_vector(self, stiffness, "stiffness")
+            _check_drives("stiffness", K, K > 0.0, "positive")
+        if damping is not None:
+            D = joint_vector(self, damping, "damping")
+            _check_drives("damping", D, D >= 0.0, "not negative")
+        return dataclasses.replace(self, joint_stiffness=K, joint_damping=D)
+
+    def with_backlash(
+        self, gap: JointVector, *, corner: RealScalarLike = 0.2
+    ) -> "Robot":
+        """Return the robot with backlash in its gears.
+
+            tau = K s(x) + D s'(x) x',   x = theta - q
+
+        s is 0 in the middle of the gap, has slope 1 outside of it, and goes from one to
+        the other along a parabola; without a gap it is x.
+
+        Args:
+            gap: b, by which a joint moves freely with its motor locked [rad or m],
+                shape (joint,); 0 for none.
+            corner: Width of the parabola at either end as a share of the gap, above 0
+                and at most 1 [-].
+
+        Returns:
+            The changed robot.
+
+        Raises:
+            ValueError: If a gap is negative.
+
+        **Differentiability**: smooth for a gap above 0.
+        """
+        b = joint_vector(self, gap, "gap")
+        _check_drives("gap", b, b >= 0.0, "not negative")
+        share = jnp.asarray(corner, self.dtype)
+        _check_drives(
+            "corner", share, (share > 0.0) & (share <= 1.0), "above 0, at most 1"
+        )
+        return dataclasses.replace(self, backlash=Backlash(b, share))
+
+    def with_friction(
+        self, coulomb: JointVector, viscous: JointVector, speed: JointVector
+    ) -> "Robot":
+        """Return the robot with friction in its joints.
+
+            tau_f = F_c tanh(v / v_s) + F_v v
+
+        Args:
+            coulomb: F_c [N m or N], shape (joint,); 0 for none.
+            viscous: F_v [N m s/rad or N s/m], shape (joint,); 0 for none.
+            speed: v_s, above which a joint slides [rad/s or m/s], shape (joint,). Below
+                it the joint creeps where a real one would stick.
+
+        Returns:
+            The changed robot.
+
+        Raises:
+            ValueError: If a friction is negative or a speed not positive.
+        """
+        F_c = joint_vector(self, coulomb, "coulomb")
+        F_v = joint_vector(self, viscous, "viscous")
+        v_s = joint_vector(self, speed, "speed")
+        _check_drives("coulomb", F_c, F_c >= 0.0, "not negative")
+        _check_drives("viscous", F_v, F_v >= 0.0, "not negative")
+        _check_drives("speed", v_s, v_s > 0.0, "positive")
+        return dataclasses.replace(self, friction=Friction(F_c, F_v, v_s))
+
+    def with_motors(
+        self, inertia: JointVector, stiffness: JointVector, damping: JointVector
+    ) -> "Robot":
+        """Return the robot with motors that have a mass and are held by a servo.
+
+            J_m theta'' = K_s (theta_c - theta) + D_s (theta_c' - theta') - tau
+
+        theta_c is what the controller commands, tau what the gear carries. All numbers
+        are behind the gear, on the joint's side: a rotor's inertia times the ratio
+        squared.
+
+        Args:
+            inertia: J_m [kg m^2 or kg], shape (joint,); not used for virtual joints.
+            stiffness: K_s of the servo [N m/rad or N/m], shape (joint,).
+            damping: D_s of the servo [N m s/rad or N s/m], shape (joint,).
+
+        Returns:
+            The changed robot.
+
+        Raises:
+            ValueError: If an inertia or a stiffness of a joint with a motor is not
+                positive, or a damping negative.
+        """
+        has_motor = self.motor_mask()
+        values = []
+        for name, given in (("inertia", inertia), ("stiffness", stiffness)):
+            value = joint_vector(self, given, name)
+            # Virtual joints have no motor: any number does, and 1 divides safely.
+            value = jnp.where(has_motor, value, 1.0)
+            is_good = (value > 0.0) & jnp.isfinite(value)
+            _check_drives(name, value, is_good, "positive and finite")
+            values.append(value)
+        D_s = jnp.where(has_motor, joint_vector(self, damping, "damping"), 0.0)
+        _check_drives("damping", D_s, D_s >= 0.0, "not negative")
+        return dataclasses.replace(self, motors=Motors(values[0], values[1], D_s))
+
+    def gear_torque(
+        self, stretch: Float[Array, " joint"], rate: Float[Array, " joint"]
+    ) -> GearTorque:
+        """Return what the gears carry at a stretch x = theta - q.
+
+        Args:
+            stretch: x [rad or m], shape (joint,).
+            rate: x' [rad/s or m/s], shape (joint,).
+
+        Returns:
+            Torque and slopes. The damper works where the spring does: its torque is
+            that of D d s(x) / dt.
+
+        **Differentiability**: smooth; slopes have kinks at the corners of a gap.
+        """
+        K, D = self.joint_stiffness, self.joint_damping
+        if self.backlash is None:
+            return GearTorque(K * stretch + D * rate, K, D)
+        s, slope = self.backlash.dead_zone(stretch)
+        return GearTorque(K * s + D * slope * rate, K * slope, D * slope)
+
+    def drive_deflection(
+        self, torque: Float[Array, " joint"]
+    ) -> Float[Array, " joint"]:
+        """Return theta_c - q of drives at rest: gear, gap and servo in series.
+
+        Args:
+            torque: What the gears carry [N m or N], shape (joint,).
+
+        Returns:
+            s^-1(tau / K) + tau / K_s [rad or m], shape (joint,). A gear that carries
+            nothing is in the middle of its gap.
+
+        **Differentiability**: smooth, but where a gear with a gap carries nothing.
+        """
+        stretch = self.backlash_deflection(torque / self.joint_stiffness)
+        if self.motors is None:
+            return stretch
+        return stretch + self.servo_deflection(torque)
+
+    def backlash_deflection(self, y: Float[Array, " joint"]) -> Float[Array, " joint"]:
+        """Return s^-1(y): the stretch of gears whose springs are stretched by y.
+
+        Args:
+            y: Stretch of the springs alone [rad or m], shape (joint,).
+
+        Returns:
+            Stretch with the gap [rad or m], shape (joint,).
+
+        **Differentiability**: once in y, but at 0 it jumps across the gap.
+        """
+        if self.backlash is None:
+            return y
+        return self.backlash.deflection(y)
+
+    def servo_deflection(
+        self, torque: Float[Array, " joint"]
+    ) -> Float[Array, " joint"]:
+        """Return by how much servos at rest yield to a torque, tau / K_s [rad or m].
+
+        Args:
+            torque: [N m or N], shape (joint,).
+
+        **Differentiability**: linear in the torque.
+        """
+        if self.motors is None:
+            return jnp.zeros_like(torque)
+        return jnp.where(self.motor_mask(), torque / self.motors.stiffness, 0.0)
+
+    def gravity_compensation(
+        self, gravity: Float[Array, " joint"]
+    ) -> Float[Array, " joint"]:
+        """Return what a controller adds to the command against gravity [rad or m].
+
+        The yielding of springs and servos; it knows of no gap.
+
+        Args:
+            gravity: Torque of the weight [N m or N], shape (joint,).
+
+        **Differentiability**: linear in the torque.
+        """
+        lift = gravity / self.joint_stiffness
+        if self.motors is None:
+            return lift
+        return lift + self.servo_deflection(gravity)
+
+    def friction_torque(self, v: Float[Array, " joint"]) -> Float[Array, " joint"]:
+        """Return the torque of friction against a motion [N m or N], shape (joint,).
+
+        Args:
+            v: Joint velocities [rad/s or m/s], shape (joint,).
+
+        **Differentiability**: smooth; steep below the friction's speed.
+        """
+        if self.friction is None:
+            return jnp.zeros_like(v)
+        return self.friction.torque(v)
+
 
 def joint_vector(
     robot: Robot, values: JointVector, name: str
@@ -223,52 +418,7 @@ def wrench_vector(robot: Robot, wrench: Wrench | None) -> Float[Array, " 6"]:
     return vector
 
 
-def with_tool(robot: Robot, T_flange_tool: Transform) -> Robot:
-    """Return the robot with another tool tip; masses stay as they are.
-
-    Args:
-        robot: The robot.
-        T_flange_tool: Maps tool coordinates to the flange's, shape (4, 4); tool +z
-            points from the tip to the shank.
-
-    Returns:
-        The changed robot.
-    """
-    tool = jnp.asarray(T_flange_tool, dtype=robot.dtype)
-    return eqx.tree_at(lambda r: r.T_flange_tool, robot, tool)
-
-
-def with_drives(
-    robot: Robot,
-    *,
-    stiffness: JointVector | None = None,
-    damping: JointVector | None = None,
-) -> Robot:
-    """Return the robot with other springs or dampers; None keeps what is there.
-
-    Args:
-        robot: The robot.
-        stiffness: K per joint [N m/rad or N/m], shape (joint,).
-        damping: D per joint [N m s/rad or N s/m], shape (joint,).
-
-    Returns:
-        The changed robot.
-
-    Raises:
-        ValueError: If a stiffness is not positive or a damping negative.
-    """
-    if stiffness is not None:
-        values = joint_vector(robot, stiffness, "stiffness")
-        check_drives("stiffness", values, values > 0.0, "positive")
-        robot = eqx.tree_at(lambda r: r.joint_stiffness, robot, values)
-    if damping is not None:
-        values = joint_vector(robot, damping, "damping")
-        check_drives("damping", values, values >= 0.0, "not negative")
-        robot = eqx.tree_at(lambda r: r.joint_damping, robot, values)
-    return robot
-
-
-def check_drives(
+def _check_drives(
     name: str,
     values: Float[Array, "*shape"],
     is_allowed: Bool[Array, "*shape"],

@@ -10,7 +10,8 @@ from jaxtyping import Array, Float
 
 from ..._types import RealScalarLike
 from .._algebra.spatial import apply_matrix, matrix_product
-from .robot import Backlash, Friction, Motors, Robot
+from .drives import Backlash, Friction, Motors
+from .robot import Robot
 
 
 class Spring(eqx.Module):

@@ -11,8 +11,6 @@ from ...process import (
     Engagement,
     Process,
     ProcessState,
-    initial_state,
-    poses_within,
 )
 from ...workpiece import Pose
 from .monodromy import Regeneration
@@ -62,7 +60,7 @@ class _Replayed(eqx.Module):
 @eqx.filter_jit
 def _begin(process: Process, path: Pose) -> _Replayed:
     """Return the state before the first period, as if the tool had stood still."""
-    state, _ = initial_state(process, path[0], path.tip.shape[0])
+    state, _ = process.begin(path[0], path.tip.shape[0])
     still = path[0].repeated(process.engagement.substeps)
     return _Replayed(state, still, still)
 
@@ -80,7 +78,6 @@ def _replay(
     It begins with the period before the first.
     """
     engagement = process.engagement
-    n = engagement.substeps
 
     def period(index: Array, at: _Replayed) -> _Replayed:
         state = at.state.ended(at.middles, at.ends)
@@ -88,7 +85,7 @@ def _replay(
             lambda x: jax.lax.dynamic_slice_in_dim(x, index - 1, 4), padded
         )
         state, _ = engagement.advance(process, state, index - 1, near[1])
-        middles, ends = poses_within(n, near)
+        middles, ends = process.poses_within(near)
         return _Replayed(state, middles[1], ends[1])
 
     at = jax.lax.fori_loop(first, last + 1, period, before)

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 
 from ..._job import Job
 from ..._result import RESULTS, SimulationFailed
-from ...robot import PathSolution, Robot, singularity
+from ...robot import JointSolution, Robot, singularity
 from .._machine.commands import command_path
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ def _unreached(
     )
 
 
-def _held_by(robot: Robot, job: Job, found: PathSolution, k: int) -> str:
+def _held_by(robot: Robot, job: Job, found: JointSolution, k: int) -> str:
     """Return the joints that hold the arm back: beyond limits, or stretched."""
     q = np.asarray(found.q)[k]
     excess = np.asarray(found.limit_excess)[k]

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from ..._job import Job
 from ...process import (
@@ -18,9 +18,6 @@ from ...process import (
     Process,
     ProcessState,
     ThroughRays,
-    advance_process,
-    initial_state,
-    poses_within,
 )
 from ...workpiece import Pose, tool_frame
 from .._analysis.stability import joint_poses
@@ -30,16 +27,96 @@ from .._machine.rigid import Rigid
 from .simulate import Solution, job_process, with_precision
 
 
-def actual_poses(job: Job, solution: Solution) -> Pose:
-    """Return the poses of the tool in `work` at the tooth instants, shape (step, 3).
+class ToothChip(eqx.Module):
+    """The chip that one tooth meets in a revolution, on the host.
 
-    Args:
-        job: The job.
-        solution: Its solution.
-
-    Returns:
-        The poses; without an axis where the tool stands along +z all the time.
+    Attributes:
+        immersion_angle: Angle phi in the feed frame, clockwise from the left of the
+            feed [rad], equally spaced, shape (angle,).
+        height: Height of each edge element above the tip [m], shape (element,).
+        chip_thickness: Chip thickness h in the stock [m], shape (element, angle).
+        weight: Fraction of the sample that is in stock, from 0 to 1, shape
+            (element, angle).
     """
+
+    immersion_angle: Float[np.ndarray, " angle"]
+    height: Float[np.ndarray, " element"]
+    chip_thickness: Float[np.ndarray, "element angle"]
+    weight: Float[np.ndarray, "element angle"]
+
+
+class Replay(eqx.Module):
+    """A process along poses that are known.
+
+    Attributes:
+        process: The process.
+        path: Poses at the tooth instants in `work`, shape (step, 3).
+    """
+
+    process: Process
+    path: Pose
+
+    @classmethod
+    def of_solution(cls, job: Job, solution: Solution) -> "Replay":
+        """Return the process of a solution, along its actual poses.
+
+        Args:
+            job: The job.
+            solution: Its solution.
+        """
+        job = with_precision(job)
+        return cls(job_process(job, ThroughRays()), _actual_poses(job, solution))
+
+    def run(self) -> Run:
+        """Return the run with the force at every angle sample. Check `.result`."""
+        return _run(self.process, self.path)
+
+    def tooth_chip(self, step: int) -> ToothChip:
+        """Return the chip that tooth 0 meets in the revolution that ends at a step.
+
+        The process runs along the path up to there, without forces.
+
+        Args:
+            step: Row of the path at which the revolution ends, from 1; near the start
+                of the path the revolution is not whole.
+
+        Returns:
+            The chip on the edge, without the flat end of the tool. Angles of a helical
+            cutter are true to half a sample.
+
+        Raises:
+            ValueError: If there is no such step.
+        """
+        rows = self.path.tip.shape[0]
+        if not 1 <= step < rows:
+            raise ValueError(
+                f"Argument `step` must lie between 1 and {rows - 1}, but is {step}."
+            )
+        part = self.path[: step + 1]
+        engagement, cutter = self.process.engagement, self.process.cutter
+        found = _last_periods(self.process, part, min(cutter.flute_count, step))
+        angle, tooth, chip, weight = (np.asarray(x, np.float64) for x in found)
+        shape = weight.shape
+        is_row = isinstance(engagement, EdgeElementsInSpace)
+        first = engagement.profile.bottom if is_row else 0
+        flat = lambda x: np.broadcast_to(x, shape).reshape(-1, shape[-1])[:, first:]
+        height = engagement.element_heights(cutter, part.tip.dtype)
+        height = np.asarray(height, np.float64)[first:]
+        columns, is_of_tooth = engagement.angles, flat(tooth) == 0
+        slot = np.round(flat(angle) / (2 * np.pi) * columns - 0.5).astype(np.int64)
+        element = np.broadcast_to(np.arange(height.size), slot.shape)
+        at = (element[is_of_tooth], slot[is_of_tooth] % columns)
+        chart, share = np.zeros((2, height.size, columns))
+        chart[at] = flat(chip)[is_of_tooth]
+        share[at] = flat(weight)[is_of_tooth]
+        turn = 2 * np.pi * (np.arange(columns) + 0.5) / columns - _left_of_feed(part)
+        turn = (turn + np.pi / 2) % (2 * np.pi) - np.pi / 2
+        order = np.argsort(turn)
+        return ToothChip(turn[order], height, chart[:, order], share[:, order])
+
+
+def _actual_poses(job: Job, solution: Solution) -> Pose:
+    """Return the poses at the tooth instants, without an axis where it is always +z."""
     tips = jnp.asarray(solution.actual)
     if job.robot is None or solution.joint_positions is None:
         return Pose.along(tips, path_axes(job))
@@ -50,88 +127,16 @@ def actual_poses(job: Job, solution: Solution) -> Pose:
     return Pose(tips, joint_poses(job.robot, frame, joints, False).axis)
 
 
-def replay_process(job: Job, solution: Solution) -> Run:
-    """Return the process of a solution with the force at every angle sample.
-
-    Args:
-        job: The job.
-        solution: Its solution.
-
-    Returns:
-        The process along the actual poses. Check `.result`.
-    """
-    job = with_precision(job)
-    return _replay(job, actual_poses(job, solution))
-
-
 @eqx.filter_jit
-def _replay(job: Job, poses: Pose) -> Run:
-    process = job_process(job, ThroughRays())
+def _run(process: Process, poses: Pose) -> Run:
     return run(Rigid(keeps_instantaneous=True), process, poses)
 
 
-class ToothChip(eqx.Module):
-    """The chip that one tooth meets in a revolution, on the host.
-
-    Attributes:
-        angle: Immersion angle of the samples [rad], shape (sample, element).
-        chip_thickness: Chip thickness h in the stock [m], same shape.
-        weight: Fraction of the sample that is in stock, from 0 to 1, same shape.
-        is_of_tooth: Which samples are the tooth's, same shape.
-        height: Height of each edge element above the tip [m], shape (element,).
-        feed_angle: Direction of the feed, from tool y clockwise [rad].
-    """
-
-    angle: Float[np.ndarray, "sample element"]
-    chip_thickness: Float[np.ndarray, "sample element"]
-    weight: Float[np.ndarray, "sample element"]
-    is_of_tooth: Bool[np.ndarray, "sample element"]
-    height: Float[np.ndarray, " element"]
-    feed_angle: float
-
-
-def tooth_chip(process: Process, path: Pose, *, step: int) -> ToothChip:
-    """Return the chip that tooth 0 meets in the revolution that ends at a step.
-
-    The process runs along the path up to there, without forces.
-
-    Args:
-        process: The process.
-        path: Poses at the tooth instants in `work`, shape (step, 3).
-        step: Row of the path at which the revolution ends, from 1; near the start of
-            the path the revolution is not whole.
-
-    Returns:
-        The chip on the edge, without the flat end of the tool.
-
-    Raises:
-        ValueError: If there is no such step.
-    """
-    rows = path.tip.shape[0]
-    if not 1 <= step < rows:
-        raise ValueError(
-            f"Argument `step` must lie between 1 and {rows - 1}, but is {step}."
-        )
-    part = path[: step + 1]
-    engagement, cutter = process.engagement, process.cutter
-    found = _last_periods(process, part, min(cutter.flute_count, step))
-    angle, tooth, chip, weight = (np.asarray(x, np.float64) for x in found)
-    shape = weight.shape
-    is_row = isinstance(engagement, EdgeElementsInSpace)
-    first = engagement.profile.bottom if is_row else 0
-    flat = lambda x: np.broadcast_to(x, shape).reshape(-1, shape[-1])[:, first:]
-    height = engagement.element_heights(cutter, part.tip.dtype)
-    height = np.asarray(height, np.float64)
-    frame = np.asarray(tool_frame(part[-1].direction()), np.float64)
-    feed = (np.asarray(part.tip[-1] - part.tip[-2], np.float64)) @ frame
-    return ToothChip(
-        angle=flat(angle),
-        chip_thickness=flat(chip),
-        weight=flat(weight),
-        is_of_tooth=flat(tooth) == 0,
-        height=height[first:],
-        feed_angle=float(np.arctan2(feed[0], feed[1])),
-    )
+def _left_of_feed(path: Pose) -> float:
+    """Return the immersion angle on the left of the feed at the end of a path [rad]."""
+    frame = np.asarray(tool_frame(path[-1].direction()), np.float64)
+    feed = (np.asarray(path.tip[-1] - path.tip[-2], np.float64)) @ frame
+    return float(np.arctan2(feed[0], feed[1])) - np.pi / 2
 
 
 @eqx.filter_jit
@@ -145,13 +150,13 @@ def _last_periods(
 ]:
     """Return angle, tooth, chip in the stock and occupancy in the last periods."""
     engagement, rows = process.engagement, path.tip.shape[0]
-    state, _ = initial_state(process, path[0], rows)
+    state, _ = process.begin(path[0], rows)
 
     def period(
         state: ProcessState, x: tuple[Array, Pose, Pose, Pose]
     ) -> tuple[ProcessState, tuple[Engagement, Array]]:
         index, start, poses, ends = x
-        state, cut, _ = advance_process(process, state, index, start, poses)
+        state, cut, _ = process.advance(state, index, start, poses)
         chip = jax.vmap(
             lambda samples, pose, earlier: engagement.chip(
                 process, samples, pose, earlier, cut.thinned
@@ -162,8 +167,7 @@ def _last_periods(
         return state.ended(poses, ends), (cut, chip)
 
     index = jnp.arange(1, rows, dtype=jnp.int32)
-    n = engagement.substeps
-    within = poses_within(n, path)
+    within = process.poses_within(path)
     xs = (index, path[:-1], within.middles, within.ends)
     before = jax.tree.map(lambda x: x[:-count], xs)
     last = jax.tree.map(lambda x: x[-count:], xs)

@@ -21,8 +21,6 @@ from ...process import (
     EdgeSamples,
     Process,
     ProcessState,
-    substep_middles,
-    thinned_rows,
 )
 from ...workpiece import Pose
 from .._machine.substeps import AbstractSwinging, CommandRow
@@ -131,7 +129,7 @@ def force_slopes(
         found = engagement.wrench(process, eqx.combine(edges, known), *poses)
         return jnp.mean(found, axis=0)[:load_count]
 
-    circles = thinned_rows(process, state)
+    circles = process.removal.thinned_rows(state)
     old = as_rows(state.track.poses[circles * engagement.substeps])
     earlier = jnp.moveaxis(as_rows(state.recent), 0, 1)
     slopes = jax.vmap(jax.jacrev(load, argnums=(0, 1, 2, 3)), (0, 0, None, 0, 0))
@@ -168,8 +166,7 @@ def arm_slopes(
         loads: Loads of the sub-steps in `work` [N], [N m], shape (substep, load).
     """
     flat, unravel = ravel_pytree(state)
-    S = process.engagement.substeps
-    times = process.tooth_period * substep_middles(S, flat.dtype)
+    times = process.tooth_period * process.substep_middles(flat.dtype)
 
     def move(x: Array, start: Array, stop: Array, loads: Array) -> tuple[Array, ...]:
         first = unravel(x)

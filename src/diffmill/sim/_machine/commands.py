@@ -15,9 +15,9 @@ from jaxtyping import Array, Bool, Float
 
 from ..._job import Job
 from ...robot import (
-    PathSolution,
+    JointSolution,
     Robot,
-    inverse_kinematics_near,
+    inverse_kinematics,
     inverse_kinematics_path,
     motor_positions,
 )
@@ -55,7 +55,7 @@ def command_joints(
     return found.q, found.converged
 
 
-def command_path(job: Job, commanded: Float[Array, "step 3"]) -> PathSolution:
+def command_path(job: Job, commanded: Float[Array, "step 3"]) -> JointSolution:
     """Return what inverse kinematics finds for tip positions, as `command_joints`."""
     robot = _robot_of(job)
     axes = path_axes(job)
@@ -223,8 +223,12 @@ def _slopes(
         q: Float[Array, " joint"], T: Float[Array, "4 4"]
     ) -> Float[Array, "joint 3"]:
         near = lambda p: (
-            inverse_kinematics_near(
-                robot, T.at[:3, 3].set(p), q, tool_rotation=known.tool_rotation
+            inverse_kinematics(
+                robot,
+                T.at[:3, 3].set(p),
+                q,
+                tool_rotation=known.tool_rotation,
+                attempts=0,
             ).q
         )
         return jax.jacfwd(near)(T[:3, 3]) @ known.R_base_work

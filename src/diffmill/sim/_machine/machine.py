@@ -20,17 +20,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from ..._live_rows import last_row, live_rows
 from ..._result import RESULTS
 from ..._types import IntScalar
 from ...process import (
-    HISTORY,
     Process,
     ProcessState,
     Removed,
-    initial_state,
-    last_row,
-    live_rows,
-    remove_all,
 )
 from ...workpiece import Pose, PoseTrack, Rays, Stock
 
@@ -207,7 +203,7 @@ def run(
     first = jnp.ones((), jnp.int32)
     state, periods = _run_periods(machine, process, state, first, rows, row_count)
     final = machine.pose(process, state.machine)
-    ended, rest = remove_all(process, state.process, last, final, step_count)
+    ended, rest = process.removal.finish(state.process, last, final, step_count)
     volume, by_shank = _volumes_by_pose(step_count, periods.removed, rest)
     actual, joints = _all_rows(machine, periods, state, final, last)
     is_finite = jnp.all(jnp.isfinite(actual)) & jnp.all(jnp.isfinite(periods.force))
@@ -240,7 +236,7 @@ def begin_run(machine: AbstractMachine, process: Process, command: Any) -> RunSt
 
     Differentiability: as `run`.
     """
-    rows = _history_rows(process)
+    rows = process.removal.row_count
     state, _ = begin(machine, process, command, rows + 1)
     moved = _moved(state.process, state.process.track, rows)
     return RunState(moved, state.machine, state.period_count)
@@ -265,7 +261,7 @@ def run_segment(
     poses that wait for removal only.
     """
     rows = machine.rows(process, command, None)
-    count, history = _length(rows), _history_rows(process)
+    count, history = _length(rows), process.removal.row_count
     started, first = continued(process, state, count)
     ended, periods = _run_periods(machine, process, started, first, rows)
     final = machine.pose(process, ended.machine)
@@ -287,7 +283,7 @@ def continued(
     """Return a state with room for more periods, and the index of the first of them."""
     flutes = process.cutter.flute_count
     # The tooth that is next follows from the index of the period.
-    ahead, history = jnp.mod(state.period_count, flutes), _history_rows(process)
+    ahead, history = jnp.mod(state.period_count, flutes), process.removal.row_count
     longer = _with_rows(state.process, ahead, count + 1 + flutes)
     started = RunState(longer, state.machine, state.period_count)
     return started, history + ahead + 1
@@ -299,7 +295,7 @@ def begin(
     """Return the state at the first instant, and the volume inside the tool [m^3]."""
     own = machine.begin(process, command)
     first = machine.pose(process, own)
-    started, overlap = initial_state(process, first, pose_count)
+    started, overlap = process.begin(first, pose_count)
     return RunState(started, own, jnp.zeros((), jnp.int32)), overlap
 
 
@@ -403,12 +399,6 @@ def _outcome(state: ProcessState, is_finite: Bool[Array, ""]) -> RESULTS:
     result = RESULTS.where(state.is_beyond, RESULTS.window_overflow, RESULTS.successful)
     result = RESULTS.where(state.has_overflow, RESULTS.interval_overflow, result)
     return RESULTS.where(is_finite, result, RESULTS.non_finite)
-
-
-def _history_rows(process: Process) -> int:
-    """Return the row in the track at which a segment starts, in whole turns."""
-    flutes = process.cutter.flute_count
-    return (-(-HISTORY // flutes) + 2) * flutes
 
 
 def _with_rows(

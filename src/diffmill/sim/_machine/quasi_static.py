@@ -18,22 +18,17 @@ cut without bound and no balance exists: the result is not meaningful there.
 What a real arm adds is left out: swinging at corners, forced vibration and chatter.
 """
 
-from collections.abc import Callable
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from ..._live_rows import when_live
 from ..._types import IntScalar, Transform
 from ...process import (
     Process,
-    advance_process,
-    substep_ends,
-    substep_middles,
-    when_live,
 )
-from ...robot import Robot, arm_terms, drive_deflection, loaded_equilibrium
+from ...robot import Robot, arm_terms, loaded_equilibrium
 from ...workpiece import Pose
 from .elastic import in_work, jacobian_in_work
 from .machine import AbstractMachine, Period, RunState
@@ -98,27 +93,28 @@ class QuasiStaticArm(AbstractMachine):
         is_live: Bool[Array, ""] | None,
     ) -> tuple[RunState, Period]:
         """Return the state after one tooth period, and its outputs."""
-        start, stop, substeps = state.machine, row.stop, process.engagement.substeps
+        start, stop, dtype = state.machine, row.stop, row.stop.dtype
         # The end is near to the start moved along with the motors: linear from there.
         near = start.q + stop - row.start
         pose, jacobian, gravity = self._linear(process, near)
-        stretch = lambda tau: drive_deflection(self.robot, tau)
-        joints = lambda F: stop - stretch(gravity - jacobian.T @ F)
+        joints = lambda F: stop - self.robot.drive_deflection(gravity - jacobian.T @ F)
         tip = lambda F: pose.tip + jacobian[:3] @ (joints(F) - near)
 
-        def tips(F: Array, places: Callable[..., Array] = substep_middles) -> Array:
-            shares = places(substeps, stop.dtype)[:, None]
+        middles, last = process.substep_middles(dtype), process.substep_ends(dtype)
+
+        def tips(F: Array, places: Array) -> Array:
+            shares = places[:, None]
             return start.pose.tip[None] * (1 - shares) + tip(F)[None] * shares
 
-        predicted = along(pose, tips(start.load))
-        cutting, cut, removed = advance_process(
-            process, state.process, index, start.pose, predicted, is_live
+        predicted = along(pose, tips(start.load, middles))
+        cutting, cut, removed = process.advance(
+            state.process, index, start.pose, predicted, is_live
         )
         size, recent = start.load.size, cutting.recent
-        eye = jnp.eye(size, dtype=stop.dtype)
+        eye = jnp.eye(size, dtype=dtype)
 
         def mean(F: Array) -> Array:
-            found = period_wrench(process, cut, along(pose, tips(F)), recent)
+            found = period_wrench(process, cut, along(pose, tips(F, middles)), recent)
             return jnp.mean(found, axis=0)[:size]
 
         def newton(F: Array, _: None) -> tuple[Array, None]:
@@ -132,8 +128,8 @@ class QuasiStaticArm(AbstractMachine):
             return Balance(joints(load), Pose(tip(load), pose.axis), load)
 
         end = when_live(is_live, balance, start)
-        ends = tips(end.load, substep_ends)
-        cutting = cutting.ended(along(pose, tips(end.load)), along(pose, ends))
+        ends = tips(end.load, last)
+        cutting = cutting.ended(along(pose, tips(end.load, middles)), along(pose, ends))
         return RunState(cutting, end, state.period_count), Period(
             tip=start.pose.tip,
             ends=ends,

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from ..._live_rows import when_live
 from ..._types import FloatRows3, IntScalar, RealScalarLike
 from ...cutter import AbstractCutter
 from ...cutting import AbstractForceLaw
@@ -16,12 +17,9 @@ from ...process import (
     ChipModel,
     Engagement,
     Process,
-    advance_process,
     choose_engagement,
     is_plunging,
     path_depth,
-    poses_within,
-    when_live,
 )
 from ...workpiece import Pose, Stock
 from .machine import AbstractMachine, Period, Run, RunState, run
@@ -63,8 +61,7 @@ class Rigid(AbstractMachine):
         self, process: Process, command: Pose, row_count: IntScalar | None
     ) -> PathRow:
         """Return the poses of all periods."""
-        substeps = process.engagement.substeps
-        middles, ends = poses_within(substeps, command, row_count)
+        middles, ends = process.poses_within(command, row_count)
         return PathRow(command[:-1], middles, ends, command[1:])
 
     def pose(self, process: Process, state: Pose) -> Pose:
@@ -85,8 +82,8 @@ class Rigid(AbstractMachine):
         is_live: Bool[Array, ""] | None,
     ) -> tuple[RunState, Period]:
         """Return the state after one tooth period, and its outputs."""
-        cutting, cut, removed = advance_process(
-            process, state.process, index, row.start, row.middles, is_live
+        cutting, cut, removed = process.advance(
+            state.process, index, row.start, row.middles, is_live
         )
         samples = when_live(
             is_live, lambda: period_wrench(process, cut, row.middles, cutting.recent)

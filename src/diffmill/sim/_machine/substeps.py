@@ -14,14 +14,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from ..._live_rows import when_live
 from ...process import (
     EdgeSamples,
     Engagement,
     Process,
     Substeps,
-    advance_process,
-    substep_middles,
-    when_live,
 )
 from ...workpiece import Pose
 from .machine import AbstractMachine, Period, RunState
@@ -142,14 +140,14 @@ def follow(
     # As in the period before: what the teeth do comes again, and drifts are slow.
     drift = (span.pose.tip - cutting.last_tip)[None]
     predicted = along(span.pose, cutting.recent.tip[0] + drift)
-    times = T * substep_middles(engagement.substeps, row.start.dtype)
+    times = T * process.substep_middles(row.start.dtype)
     if engagement.looks > 1:
         cutting, removed = engagement.advance(process, cutting, index - 1, span.pose)
         advanced = RunState(cutting, start, state.period_count)
         move = lambda: _run_looks(coupled, advanced, index, times, drift)
     else:
-        cutting, cut, removed = advance_process(
-            process, cutting, index, span.pose, predicted, is_live
+        cutting, cut, removed = process.advance(
+            cutting, index, span.pose, predicted, is_live
         )
         look = _Look(predicted, cut)
         move = lambda: _run_substeps(coupled, cutting.recent, look, start, times)

@@ -2,12 +2,11 @@
 
 from typing import TYPE_CHECKING
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
 from ...sim import ToothChip
-from .._style import GREY, INK, label_colourbar, new_figure, quiet_axes
+from .._style import label_colourbar, new_figure, quiet_axes
 
 if TYPE_CHECKING:
     import matplotlib.axes
@@ -15,54 +14,7 @@ if TYPE_CHECKING:
     import matplotlib.figure
 
 
-class ChipChart(eqx.Module):
-    """Chip thickness that one tooth meets, over its angle and along the axis.
-
-    Attributes:
-        immersion_angle: Angle phi in the feed frame, clockwise from the left of the
-            feed [rad], equally spaced, shape (angle,).
-        height: Height of the middle of each disc above the tip [m], shape (element,).
-        chip_thickness: Chip thickness h [m], shape (element, angle).
-        weight: Fraction of the sample that is in stock, from 0 to 1, shape
-            (element, angle).
-        entry_angle: Analytic entry angle [rad] to mark, or None.
-        exit_angle: Analytic exit angle [rad] to mark, or None.
-    """
-
-    immersion_angle: Float[np.ndarray, " angle"]
-    height: Float[np.ndarray, " element"]
-    chip_thickness: Float[np.ndarray, "element angle"]
-    weight: Float[np.ndarray, "element angle"]
-    entry_angle: float | None = None
-    exit_angle: float | None = None
-
-    @classmethod
-    def from_tooth(cls, chip: ToothChip, columns: int) -> "ChipChart":
-        """Return the samples of a tooth sorted by angle and height.
-
-        Args:
-            chip: The chip that the tooth meets in a revolution.
-            columns: Samples per revolution.
-
-        Returns:
-            The chip in the feed frame: angle 0 is on the left of the feed, the angle
-            grows clockwise. Angles of a helical cutter are true to half a sample.
-        """
-        slot = np.round(chip.angle / (2 * np.pi) * columns - 0.5).astype(np.int64)
-        element = np.broadcast_to(np.arange(chip.height.size), slot.shape)
-        at = (element[chip.is_of_tooth], slot[chip.is_of_tooth] % columns)
-        chart, share = np.zeros((2, chip.height.size, columns))
-        chart[at] = chip.chip_thickness[chip.is_of_tooth]
-        share[at] = chip.weight[chip.is_of_tooth]
-        # The left of the feed is a quarter turn before it.
-        left = chip.feed_angle - np.pi / 2
-        turn = 2 * np.pi * (np.arange(columns) + 0.5) / columns - left
-        turn = (turn + np.pi / 2) % (2 * np.pi) - np.pi / 2
-        order = np.argsort(turn)
-        return cls(turn[order], chip.height, chart[:, order], share[:, order])
-
-
-def plot_chip(chart: ChipChart) -> "matplotlib.figure.Figure":
+def plot_chip(chart: ToothChip) -> "matplotlib.figure.Figure":
     """Draw the chip chart as a colour map above its discs as curves.
 
     Args:
@@ -106,7 +58,9 @@ def plot_chip(chart: ChipChart) -> "matplotlib.figure.Figure":
         y=r"$h$ [$\mathrm{\mu m}$]",
         title="the same, one curve per disc",
     )
-    _mark_angles(chart, (top, bottom))
+    low, high = _cutting_range(chart)
+    pad = 0.06 * (high - low) + 1.0
+    bottom.set_xlim(low - pad, high + pad)
     return figure
 
 
@@ -145,31 +99,10 @@ def _draw_discs(
     return colours
 
 
-def _mark_angles(
-    chart: ChipChart, panels: "tuple[matplotlib.axes.Axes, matplotlib.axes.Axes]"
-) -> None:
-    """Show the cutting range with some air around it, and the analytic angles."""
-    angle_deg = np.rad2deg(chart.immersion_angle)
+def _cutting_range(chart: ToothChip) -> tuple[float, float]:
+    """Return the first and the last angle at which the tooth cuts [deg]."""
     cuts = (chart.chip_thickness * chart.weight > 1e-12).any(axis=0)
-    low, high = (
-        (angle_deg[cuts].min(), angle_deg[cuts].max()) if cuts.any() else (0, 360)
-    )
-    pad = 0.06 * (high - low) + 1.0
-    panels[1].set_xlim(low - pad, high + pad)
-    for name, angle in (("entry", chart.entry_angle), ("exit", chart.exit_angle)):
-        if angle is None:
-            continue
-        for axes in panels:
-            axes.axvline(np.rad2deg(angle), color=GREY, linewidth=0.9, linestyle=":")
-        panels[1].annotate(
-            f"{name} {np.rad2deg(angle):.1f} deg",
-            (float(np.rad2deg(angle)), 1.0),
-            xycoords=("data", "axes fraction"),
-            xytext=(-3 if name == "exit" else 3, -3),
-            textcoords="offset points",
-            rotation=90,
-            va="top",
-            ha="right" if name == "exit" else "left",
-            fontsize=7.5,
-            color=INK,
-        )
+    if not cuts.any():
+        return 0.0, 360.0
+    angle_deg = np.rad2deg(chart.immersion_angle[cuts])
+    return float(angle_deg.min()), float(angle_deg.max())

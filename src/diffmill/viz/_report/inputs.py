@@ -7,17 +7,8 @@ import numpy as np
 
 from ..._job import Job
 from ..._result import RESULTS
-from ...process import ThroughRays
-from ...sim import (
-    Solution,
-    actual_poses,
-    job_process,
-    replay_process,
-    tooth_chip,
-    with_precision,
-)
+from ...sim import Replay, Solution, ToothChip
 from ...workpiece import SurfaceError, surface_error
-from .._figure.chip import ChipChart
 from .._figure.dexels import CutDexels
 from .._figure.forces import ForceRecord
 
@@ -29,7 +20,7 @@ class FigureInputs(TypedDict):
     """Keyword arguments of `write_figures` beside the dataset."""
 
     forces: ForceRecord | None
-    chip: ChipChart | None
+    chip: ToothChip | None
     dexels: CutDexels
     surfaces: dict[str, SurfaceError]
 
@@ -48,17 +39,17 @@ def figure_inputs(job: Job, cases: Mapping[str, Solution]) -> FigureInputs:
     Returns:
         The inputs; forces, chip and ray ends are those of the first case.
     """
-    job = with_precision(job)
     first = next(iter(cases.values()))
-    replay = replay_process(job, first)
-    samples = replay.instantaneous_force
-    forces = None
+    replay = Replay.of_solution(job, first)
+    run = replay.run()
+    samples = run.instantaneous_force
+    forces, step = None, _typical_step(first)
     # What overflowed is not the process of the figure's caption.
-    if samples is not None and bool(replay.result == RESULTS.successful):
+    if samples is not None and bool(run.result == RESULTS.successful):
         forces = ForceRecord.from_periods(np.asarray(first.time), np.asarray(samples))
     return FigureInputs(
         forces=forces,
-        chip=_chip(job, first),
+        chip=None if step is None else replay.tooth_chip(step),
         dexels=CutDexels.from_stocks(first.stock, first.rigid.stock),
         surfaces={
             name: surface_error(
@@ -68,16 +59,6 @@ def figure_inputs(job: Job, cases: Mapping[str, Solution]) -> FigureInputs:
             if name in _MAPPED and bool(solution.rigid.stock.volume() > 0)
         },
     )
-
-
-def _chip(job: Job, solution: Solution) -> ChipChart | None:
-    """Return the chip of a typical revolution, None if nothing is cut."""
-    step = _typical_step(solution)
-    if step is None:
-        return None
-    process = job_process(job, ThroughRays())
-    found = tooth_chip(process, actual_poses(job, solution), step=step)
-    return ChipChart.from_tooth(found, process.engagement.angles)
 
 
 def _typical_step(solution: Solution) -> int | None:

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 import equinox as eqx
 import numpy as np
 
+from ...sim import ToothChip
 from ...workpiece import SurfaceError
 from .._cases import case_names, reference_case, shown_cases, values_of
-from .._figure.chip import ChipChart, plot_chip
+from .._figure.chip import plot_chip
 from .._figure.dexels import CutDexels, plot_cut_dexels
 from .._figure.forces import ForceRecord, plot_forces
 from .._figure.history import plot_deviation
@@ -52,7 +53,7 @@ def write_figures(
     dataset: "xarray.Dataset",
     *,
     forces: ForceRecord | None = None,
-    chip: ChipChart | None = None,
+    chip: ToothChip | None = None,
     dexels: CutDexels | None = None,
     surfaces: dict[str, SurfaceError] | None = None,
 ) -> dict[str, FigureFile]:
@@ -172,7 +173,7 @@ def _draw_forces(dataset: "xarray.Dataset", forces: ForceRecord | None) -> _Draw
     return _Drawing(title, caption, plot_forces(record))
 
 
-def _draw_chip(chip: ChipChart | None) -> _Drawing:
+def _draw_chip(chip: ToothChip | None) -> _Drawing:
     title = "Chip thickness of one tooth"
     if chip is None:
         return _Drawing(title, "no chip chart was computed")

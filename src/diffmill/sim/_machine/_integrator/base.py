@@ -17,11 +17,7 @@ from ....robot import (
     ArmTerms,
     Robot,
     arm_terms,
-    drive_deflection,
     forward_dynamics,
-    friction_torque,
-    gear_torque,
-    servo_deflection,
     spd_inverse,
 )
 
@@ -181,8 +177,8 @@ def _drive(
     if robot.motors is not None:
         assert state.theta is not None and state.omega is not None
         theta, omega = state.theta, state.omega
-    tau = gear_torque(robot, theta - state.q, omega - state.v).torque
-    push = tau - friction_torque(robot, state.v)
+    tau = robot.gear_torque(theta - state.q, omega - state.v).torque
+    push = tau - robot.friction_torque(state.v)
     if robot.motors is None:
         return push, None
     pull = servo_torque(robot, command, theta, omega) - tau
@@ -210,10 +206,10 @@ def steady_state(
     for _ in range(3):
         tau = arm_terms(robot, q, v).bias_forces
         if robot.friction is not None:
-            tau = tau + friction_torque(robot, v)
-        q = theta - drive_deflection(robot, tau)
+            tau = tau + robot.friction_torque(v)
+        q = theta - robot.drive_deflection(tau)
     if robot.motors is None:
         return ArmState(q, v)
     motors = robot.motor_mask()
-    held = theta - servo_deflection(robot, tau)
+    held = theta - robot.servo_deflection(tau)
     return ArmState(q, v, held, jnp.where(motors, v, 0.0))

@@ -10,8 +10,6 @@ from ....robot import (
     ArmTerms,
     Robot,
     augmented_inverse,
-    coulomb_damping,
-    gear_torque,
     spd_inverse,
 )
 from .base import AbstractIntegrator, ArmState, Dynamics, MotorCommand, servo_torque
@@ -104,7 +102,7 @@ class Midpoint(AbstractIntegrator):
         theta, omega = command.position, command.rate
         if state.theta is not None and state.omega is not None:
             theta, omega = state.theta + s * state.omega, state.omega
-        gear = gear_torque(robot, theta - q - s * v, omega - v)
+        gear = robot.gear_torque(theta - q - s * v, omega - v)
         tau = gear.torque - begun.bias(q + s * v)
         push = h * (tau + load)
         drive = _condensed(robot, gear.stiffness, gear.damping, s)
@@ -199,6 +197,6 @@ def _braked(
     push = push - h * robot.friction.viscous * v
     dv = jnp.zeros_like(v)
     for _ in range(_BRAKE_STEPS):
-        c = h * coulomb_damping(robot.friction, v + dv)
+        c = h * robot.friction.coulomb_damping(v + dv)
         dv = solve(A + jnp.diag(c), push - c * v)
     return dv

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
-from .._types import IntScalar
+from ._types import IntScalar
 
 _Tree = TypeVar("_Tree")
 
