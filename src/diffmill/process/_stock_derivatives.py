@@ -66,6 +66,6 @@ class StockHeld(AbstractAdjoint):
         """Return the poses as constants."""
         return poses.frozen()
 
-    def tied_to(self, track: PoseTrack) -> PoseTrack:
-        """Return the poses as constants."""
-        return PoseTrack(track.poses.frozen(), track.substeps)
+    def tied_to(self, track: PoseTrack) -> None:
+        """Return None: the ends that samples read are constants."""
+        del track

@@ -15,19 +15,28 @@ The stock is held: how a surface moves with the poses that cut it is left out.
 """
 
 import functools
-from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, Shaped
 
 from ...process import AbstractEngagement, Process
 from .._machine.machine import RunState, all_ends, begin, continued, with_first
 from .._machine.substeps import AbstractSwinging, CommandRow, follow
-from .period_slopes import ArmSlopes, ForceSlopes, arm_slopes, force_slopes
+from .period_slopes import (
+    ArmSlopes,
+    ForceSlopes,
+    arm_slopes,
+    force_slopes,
+    period_force,
+)
+
+# Periods of which the slopes of the forces are computed at a time: alone, a period is
+# so small that what it costs is calls, and memory grows with the periods.
+_BATCH = 8
 
 
 class LinearMotion(eqx.Module):
@@ -121,14 +130,6 @@ class LinearRun(eqx.Module):
         )
 
 
-class _Around(eqx.Module):
-    """The state and loads of a period, and the slopes of its loads."""
-
-    state: Any
-    loads: Float[Array, "substep load"]
-    force: ForceSlopes
-
-
 def linearise(
     machine: AbstractSwinging,
     process: Process,
@@ -164,20 +165,26 @@ def linearise(
         )
         middles = after.recent[0]
         predicted = eqx.tree_at(lambda p: p.tip, middles, substeps.predicted)
-        slopes = force_slopes(
-            process, near, x[0], predicted, middles, machine.load_count
-        )
-        return ended, (out, _Around(state.machine, substeps.loads, slopes))
+        force = period_force(process, near, x[0], predicted, middles)
+        return ended, (out, state.machine, substeps.loads, force)
+
+    def batch(state: RunState, xs: tuple[Array, CommandRow]):
+        ended, (*rest, force) = jax.lax.scan(period, state, xs)
+        slopes = jax.vmap(lambda x: force_slopes(process, x, machine.load_count))
+        return ended, (*rest, slopes(force))
 
     rows = machine.rows(process, motors, None)
     index = first + jnp.arange(steps - 1, dtype=jnp.int32)
-    _, (periods, around) = jax.lax.scan(period, started, (index, rows))
+    batches = jax.tree.map(_in_batches, (index, rows))
+    _, around = jax.lax.scan(batch, started, batches)
+    around = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[: steps - 1], around)
+    periods, states, loads, force = around
     # One after the other: in batches it is no faster, and compiles three times as long.
     arms = jax.lax.map(
-        lambda x: arm_slopes(machine, process, *x), (around.state, rows, around.loads)
+        lambda x: arm_slopes(machine, process, *x), (states, rows, loads)
     )
     solve = functools.partial(_solved, process.engagement, motors.shape[1])
-    loads, arm, pose = jax.vmap(solve)(around.force, arms)
+    loads, arm, pose = jax.vmap(solve)(force, arms)
 
     def begun(head: Float[Array, "row joint"]) -> Array:
         return ravel_pytree(machine.begin(process, head))[0]
@@ -190,11 +197,17 @@ def linearise(
         loads=loads,
         arm=arm,
         pose=pose,
-        circles=jnp.maximum(around.force.circles - (first - 1), -1),
+        circles=jnp.maximum(force.circles - (first - 1), -1),
         begin=head if state is None else jnp.zeros_like(head),
         periods=process.cutter.flute_count,
         substeps=process.engagement.substeps,
     )
+
+
+def _in_batches(rows: Shaped[Array, " period *any"]) -> Shaped[Array, "..."]:
+    """Return rows in batches; the last one is filled up with the last row."""
+    index = jnp.arange(-(-rows.shape[0] // _BATCH) * _BATCH)
+    return rows[jnp.minimum(index, rows.shape[0] - 1).reshape(-1, _BATCH)]
 
 
 def prediction(

@@ -9,6 +9,7 @@ held: how a surface moves with the poses that cut it is left out.
 A pose is a row of 3 numbers, the tip, or of 6 where the tool tilts: tip and axis.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -22,7 +23,7 @@ from ...process import (
     Process,
     ProcessState,
 )
-from ...workpiece import Pose
+from ...workpiece import RAYS_READ, Pose
 from .._machine.substeps import AbstractSwinging, CommandRow
 
 
@@ -79,15 +80,37 @@ def as_poses(rows: Float[Array, "*pose component"]) -> Pose:
     return Pose(rows[..., :3], rows[..., 3:])
 
 
-def force_slopes(
+class PeriodForce(eqx.Module):
+    """What the slopes of a period's loads follow from.
+
+    Attributes:
+        samples: The numbers of its edges that have a slope.
+        known: The rest of its edges.
+        push: The samples' change with the poses that are looked up and with those of
+            the period before.
+        middles: Poses in the middle of the sub-steps, shape (substep, pose).
+        recent: Those of the periods before, newest first, shape (tooth, substep, pose).
+        thinned: The thinned older poses, shape (circle, pose).
+        circles: Their rows, shape (circle,).
+    """
+
+    samples: EdgeSamples
+    known: EdgeSamples
+    push: Callable[[Array, Array], EdgeSamples]
+    middles: Float[Array, "substep pose"]
+    recent: Float[Array, "tooth substep pose"]
+    thinned: Float[Array, "circle pose"]
+    circles: Int[Array, " circle"]
+
+
+def period_force(
     process: Process,
     state: ProcessState,
     index: Int[Array, ""],
     predicted: Pose,
     middles: Pose,
-    load_count: int,
-) -> ForceSlopes:
-    """Return the slopes of a period's loads.
+) -> PeriodForce:
+    """Return what the slopes of a period's loads follow from.
 
     Args:
         process: The process; its derivative holds the stock.
@@ -95,7 +118,6 @@ def force_slopes(
         index: Index of the period, from 1, shape ().
         predicted: Poses at which the stock is looked up, shape (substep, 3).
         middles: Poses in the middle of the sub-steps, shape (substep, 3).
-        load_count: 3 for forces, 6 with moments about the tip.
     """
     engagement = process.engagement
 
@@ -107,14 +129,32 @@ def force_slopes(
         cut = engagement.engage(process, near, index, as_poses(ahead))
         return eqx.partition(cut.samples, eqx.is_inexact_array)
 
-    ahead, newest = as_rows(predicted), as_rows(state.recent[0])
-    samples, push, fixed = jax.linearize(engage, ahead, newest, has_aux=True)
+    recent = as_rows(state.recent)
+    ahead = as_rows(predicted)
+    # Kept is what was read of the stock; the rest is computed again.
+    policy = jax.checkpoint_policies.save_only_these_names(RAYS_READ)
+    engage = jax.checkpoint(engage, policy=policy)
+    samples, push, known = jax.linearize(engage, ahead, recent[0], has_aux=True)
+    circles = process.removal.thinned_rows(state)
+    thinned = as_rows(state.track.poses[circles * engagement.substeps])
+    return PeriodForce(samples, known, push, as_rows(middles), recent, thinned, circles)
+
+
+def force_slopes(process: Process, around: PeriodForce, load_count: int) -> ForceSlopes:
+    """Return the slopes of a period's loads.
+
+    Args:
+        process: The process; its stock does not count.
+        around: What they follow from.
+        load_count: 3 for forces, 6 with moments about the tip.
+    """
     # A sample of an edge follows the pose of its own sub-step: one motion of all.
-    unit = jnp.eye(ahead.shape[-1], dtype=ahead.dtype)
-    moves = jnp.broadcast_to(unit[:, None], (unit.shape[0], *ahead.shape))
+    shape = around.middles.shape
+    unit = jnp.eye(shape[-1], dtype=around.middles.dtype)
+    moves = jnp.broadcast_to(unit[:, None], (shape[-1], *shape))
     still = jnp.zeros_like(moves)
     # Both together, so that they are compiled once.
-    by_either = jax.vmap(push)(
+    by_either = jax.vmap(around.push)(
         jnp.concatenate([moves, still]), jnp.concatenate([still, moves])
     )
 
@@ -126,14 +166,14 @@ def force_slopes(
         known: EdgeSamples,
     ) -> Array:
         poses = as_poses(middle), as_poses(earlier), as_poses(old)
-        found = engagement.wrench(process, eqx.combine(edges, known), *poses)
+        found = process.engagement.wrench(process, eqx.combine(edges, known), *poses)
         return jnp.mean(found, axis=0)[:load_count]
 
-    circles = process.removal.thinned_rows(state)
-    old = as_rows(state.track.poses[circles * engagement.substeps])
-    earlier = jnp.moveaxis(as_rows(state.recent), 0, 1)
+    earlier = jnp.moveaxis(around.recent, 0, 1)
     slopes = jax.vmap(jax.jacrev(load, argnums=(0, 1, 2, 3)), (0, 0, None, 0, 0))
-    found = slopes(as_rows(middles), earlier, old, samples, fixed)
+    found = slopes(
+        around.middles, earlier, around.thinned, around.samples, around.known
+    )
     now, before, thinned, by_edges = found
 
     both = zip(jax.tree.leaves(by_edges), jax.tree.leaves(by_either), strict=True)
@@ -145,7 +185,7 @@ def force_slopes(
         before=before.at[:, :, 0].add(by_newest),
         thinned=thinned,
         predicted=by_predicted,
-        circles=circles,
+        circles=around.circles,
     )
 
 

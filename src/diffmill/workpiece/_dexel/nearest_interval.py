@@ -2,9 +2,13 @@
 
 import jax
 import jax.numpy as jnp
+from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Float, Int
 
 from ...numerics import hold
+
+# What was read of rays: who computes a look again keeps it, and not the stock.
+RAYS_READ = "read of rays"
 
 
 def taken(table: Array, at: Int[Array, "*end"]) -> Array:
@@ -12,7 +16,9 @@ def taken(table: Array, at: Int[Array, "*end"]) -> Array:
 
     **Differentiability**: linear in the table.
     """
-    return table.reshape(-1).at[at].get(mode="promise_in_bounds")
+    return checkpoint_name(
+        table.reshape(-1).at[at].get(mode="promise_in_bounds"), RAYS_READ
+    )
 
 
 def nearest_interval(
@@ -56,4 +62,4 @@ def nearest_interval(
         # Few of the slots hold anything, and each costs a gather.
         first = jax.lax.fori_loop(jnp.ones((), jnp.int32), slots, look, first)
     _, low, high, slot = first
-    return low, high, slot
+    return checkpoint_name(low, RAYS_READ), checkpoint_name(high, RAYS_READ), slot
