@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from ._types import RealScalarLike, Transform
 from .cutter import AbstractCutter, ToolHolder
 from .cutting import AbstractForceLaw
-from .robot import Robot, ToolRotation
+from .robot import Controller, Robot, ToolRotation
 from .toolpath import Path
 from .workpiece import Stock
 
@@ -185,6 +185,7 @@ class Job(eqx.Module):
             `work` as the axis allows, or "free", chosen by the inverse kinematics.
         keeps_intervals: Whether the rays of the stock keep the slots that they have;
             else a run that needs more is repeated with more.
+        controller: What the robot's motors do of their command; None if they follow it.
     """
 
     name: str = eqx.field(static=True)
@@ -205,6 +206,7 @@ class Job(eqx.Module):
     holder: ToolHolder | None = None
     tool_rotation: ToolRotation = eqx.field(static=True, default="fixed")
     keeps_intervals: bool = eqx.field(static=True, default=False)
+    controller: Controller | None = None
 
     @property
     def tooth_period(self) -> RealScalarLike:

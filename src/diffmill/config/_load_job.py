@@ -12,7 +12,7 @@ from .._job import Job, SimulationSettings
 from .._toml import JobError, read_toml
 from ..cutter import AbstractCutter, ToolHolder
 from ..process import default_element_height, is_plunging
-from ..robot import Robot
+from ..robot import Controller, Robot
 from ..toolpath import Path, Program
 from ._build.context import FileContext
 from ._build.program import read_program, spindle_speed, time_path
@@ -28,6 +28,7 @@ from ._check.modes import (
 )
 from ._check.rapids import check_overhang, check_rapids, immersion, notes
 from ._check.reach import check_reach
+from ._schema.controller import ControllerTable
 from ._schema.correction import check_correction, correction_settings
 from ._schema.cutter import make_cutter, make_holder
 from ._schema.job import ProgramTable, RobotTable, SimulationTable, read_tables
@@ -36,6 +37,8 @@ from ._schema.job import ProgramTable, RobotTable, SimulationTable, read_tables
 _ROOM = 0.6e-3
 # Samples per revolution: of a flat cutter that stands upright, and of any other.
 _FEWEST_ANGLES, _FEWEST_IN_SPACE = 180, 96
+# Delays of its controller for which a program is at rest before and after it.
+_REST = 3.0
 # Of a length that is written down with a few digits.
 _ROUNDING = 1e-6
 
@@ -110,6 +113,7 @@ class _Parts(NamedTuple):
         T_base_work: Maps work coordinates to the robot's base, shape (4, 4).
         joint_start: Where inverse kinematics starts [rad or m]; None for home.
         path: The path with a row per tooth period.
+        controller: What is between program and motors; None for nothing.
         fastest: Highest frequency of the robot that counts [Hz]; 0 for none.
     """
 
@@ -122,6 +126,7 @@ class _Parts(NamedTuple):
     T_base_work: Float[np.ndarray, "4 4"]
     joint_start: Float[np.ndarray, " joint"] | None
     path: Path | None
+    controller: Controller | None = None
     fastest: float = 0.0
 
     @property
@@ -154,14 +159,52 @@ def _read_parts(tables: dict[str, Any], context: FileContext) -> _Parts:
     parts = _Parts(
         program, speed, cutter, holder, stock, robot, pose_matrix(work), start, None
     )
+    controller = _controller(tables, robot, problems)
     if cutter is not None and speed is not None:
         path = _timed(tables, program, speed, cutter.flute_count, problems)
-        parts = parts._replace(path=path)
+        if controller is not None and path is not None and isinstance(program, Program):
+            path = path.with_rest(_rest_rows(controller, parts.tooth_period))
+        parts = parts._replace(path=path, controller=controller)
     if work is not None:
         parts = parts._replace(fastest=_follow(tables["robot"], parts, context))
     if parts.path is not None and cutter is not None and stock is not None:
         check_rapids(parts.path, cutter, holder, stock, context)
     return parts
+
+
+def _controller(
+    tables: dict[str, Any], robot: Robot | None, problems: list[str]
+) -> Controller | None:
+    """Return the controller of a job; None if it is ideal, or after a fault."""
+    table: ControllerTable | None = tables.get("controller")
+    if table is None or "robot" not in tables:
+        return None
+    added = added_joints(tables["robot"])
+    count = 1 if robot is None else robot.joint_count - added
+    try:
+        found = table.controller(count, added)
+    except ValueError as error:
+        if robot is not None:
+            problems.append(str(error))
+        return None
+    if found is not None and tables["robot"].rigid:
+        problems.append(
+            "[controller]: found a controller, but with rigid = true there are no "
+            'motors to follow it; only preset = "ideal" is allowed'
+        )
+    return found
+
+
+def _rest_rows(controller: Controller, tooth_period: float) -> int:
+    """Return the rows for which a program is at rest before and after it.
+
+    The motors begin before the clock on which the mean delay is left out, and end after
+    it: by a delay, and servos by some of them.
+    """
+    lag = float(controller.delay)
+    if controller.dead_time is not None:
+        lag -= float(controller.dead_time)
+    return math.ceil(_REST * lag / tooth_period)
 
 
 def _follow(table: RobotTable, parts: _Parts, context: FileContext) -> float:
@@ -244,6 +287,7 @@ def _assemble(
         bottom_law=bottom_law,
         holder=parts.holder,
         keeps_intervals=tables["stock"].intervals is not None,
+        controller=parts.controller,
     )
 
 

@@ -19,7 +19,4 @@ from ._least_squares import (
     minimum_within as minimum_within,
 )
 from ._output_constraints import OutputConstraints as OutputConstraints
-from ._quadratic_program import (
-    QuadraticProgramSolution as QuadraticProgramSolution,
-    solve_quadratic_program as solve_quadratic_program,
-)
+from ._quadratic_program import solve_quadratic_program as solve_quadratic_program

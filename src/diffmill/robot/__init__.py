@@ -2,17 +2,18 @@
 
 What it models: a tree of rigid links built from elements in any order; each joint
 hangs on its motor by a spring and a damper, tau = K (theta - q) + D (thetad - qd),
-the motor standing where the controller says. A virtual joint has the spring but no
+the motor standing where the controller leads it. A virtual joint has the spring but no
 motor. Backlash, friction and motors with a mass on a servo are there where their data
 are. Assumptions: all elasticity is in joints, springs and dampers are linear but for a
-gap, the controller is perfect. Compliance and modes are those of the springs with
-motors locked and no gap. Left out: the motors' currents, and contact with anything but
-the tool. Gravity is 9.81 m/s^2 along -z of `base`, unless the base is tilted. A wrench
-is external, acts on the robot at the tool's origin in base axes, linear part first;
-Jacobian and compliance are written likewise.
+gap; what motors do of their command, a `Controller` tells. Compliance and modes are
+those of the springs with motors locked and no gap. Left out: the motors' currents, and
+contact with anything but the tool. Gravity is 9.81 m/s^2 along -z of `base`, unless the
+base is tilted. A wrench is external, acts on the robot at the tool's origin in base
+axes, linear part first; Jacobian and compliance are written likewise.
 """
 
 from ._algebra.rotations import rpy_angles as rpy_angles, rpy_matrix as rpy_matrix
+from ._control.controller import Controller as Controller
 from ._dynamics.crba import mass_matrix as mass_matrix
 from ._dynamics.energy import mechanical_energy as mechanical_energy
 from ._dynamics.forward import (

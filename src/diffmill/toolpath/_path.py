@@ -61,6 +61,23 @@ class Path(eqx.Module):
             line=np.zeros(rows, dtype=np.int32),
         )
 
+    def with_rest(self, count: int) -> "Path":
+        """Return the path with rows at rest before and after it.
+
+        Args:
+            count: Rows to either side.
+        """
+        rows = np.arange(-count, self.step_count + count)
+        at = np.clip(rows, 0, self.step_count - 1)
+        step = self.duration / (self.step_count - 1)
+        return Path(
+            time=float(self.time[0]) + step * np.arange(rows.size),
+            positions=np.asarray(self.positions)[at],
+            axes=np.asarray(self.axes)[at],
+            is_rapid=np.asarray(self.is_rapid)[at],
+            line=np.asarray(self.line)[at],
+        )
+
     @property
     def step_count(self) -> int:
         """Number of rows."""

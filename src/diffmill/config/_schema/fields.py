@@ -97,7 +97,7 @@ Slots: TypeAlias = Annotated[StrictInt, Field(ge=1, le=64)]
 
 
 def _read_each(
-    convert: Callable[[object], float],
+    convert: Callable[[object], float], owner: str = "tooth"
 ) -> Callable[[object], float | list[float]]:
     """Return a converter of one value, or of a list with one value per tooth."""
 
@@ -105,7 +105,9 @@ def _read_each(
         if not isinstance(value, list):
             return convert(value)
         if not value:
-            raise ValueError("found an empty list, but one value per tooth is required")
+            raise ValueError(
+                f"found an empty list, but one value per {owner} is required"
+            )
         return [convert(entry) for entry in value]
 
     return convert_all
@@ -136,7 +138,21 @@ def _read_exponent(value: object) -> float:
     raise ValueError(f"found {value!r}, but a number from 0 to less than 1 is required")
 
 
+def _read_positive(value: object) -> float:
+    """Return a plain number above 0."""
+    if isinstance(value, int | float) and not isinstance(value, bool) and value > 0:
+        return float(value)
+    raise ValueError(f"found {value!r}, but a number above 0 is required")
+
+
 PerTooth: TypeAlias = float | list[float]
+JointFrequency: TypeAlias = Annotated[
+    float | list[float],
+    BeforeValidator(_read_each(_read(q.FREQUENCY, sign="positive"), "joint")),
+]
+JointRatio: TypeAlias = Annotated[
+    float | list[float], BeforeValidator(_read_each(_read_positive, "joint"))
+]
 ToothPositivePressure: TypeAlias = Annotated[
     PerTooth, BeforeValidator(_read_each(_read(q.PRESSURE, sign="positive")))
 ]

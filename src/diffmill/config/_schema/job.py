@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 from pydantic import Field, StrictBool, StrictInt, StrictStr
 
 from .compliance import BendingToolTable, FlangeSpringTable
+from .controller import read_controller
 from .correction import CorrectionTable
 from .cutter import CutterTable
 from .fields import (
@@ -125,7 +126,7 @@ TABLES: dict[str, type[Table]] = {
     "simulation": SimulationTable,
     "correction": CorrectionTable,
 }
-OPTIONAL_TABLES = frozenset({"spindle", "simulation", "correction"})
+OPTIONAL_TABLES = frozenset({"spindle", "controller", "simulation", "correction"})
 
 
 def read_tables(raw: dict[str, Any], problems: list[str]) -> dict[str, Any]:
@@ -142,6 +143,7 @@ def read_tables(raw: dict[str, Any], problems: list[str]) -> dict[str, Any]:
     tables = {}
     names = [*TABLES]
     names.insert(names.index("stock"), "force")
+    names.insert(names.index("simulation"), "controller")
     allowed = ", ".join(f"[{name}]" for name in names)
     for name in raw:
         if name not in names:
@@ -156,6 +158,8 @@ def read_tables(raw: dict[str, Any], problems: list[str]) -> dict[str, Any]:
         found = raw.get(name, {})
         if name == "force":
             table = read_force(found, problems)
+        elif name == "controller":
+            table = read_controller(found, problems)
         else:
             table = validated(TABLES[name], found, f"[{name}]", problems)
         if table is not None:

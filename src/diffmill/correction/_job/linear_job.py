@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 
 from ..._job import Job
 from ...process import StockHeld, wall_deviation, wall_shares
+from ...robot import Controller
 from ...sim import (
     ElasticArm,
     LinearRun,
@@ -51,19 +52,25 @@ class LinearJob(LinearMotion):
     Attributes:
         motion: The motion.
         run: The system, in the motors.
-        motors: Slopes of the motors in the command, row by row, shape (step, joint,
-            axis).
+        motors: Slopes of the commanded motors in the command, row by row, shape (step,
+            joint, axis).
         wall_share: When in each period its wall is made, shape (step,).
+        time_step: Time between two rows [s], shape ().
+        controller: What the motors do of their command; None if they follow it.
     """
 
     motion: Motion
     run: LinearRun
     motors: Float[Array, "step joint axis"]
     wall_share: Float[Array, " step"]
+    time_step: Float[Array, ""]
+    controller: Controller | None
 
     def move(self, changes: Float[Array, "step axis direction"]) -> Motion:
         """Return the changes of the motion, each direction a row of the first axis."""
         motors = jnp.einsum("kja,kad->kjd", self.motors, changes)
+        if self.controller is not None:
+            motors = self.controller.motors(motors, self.time_step)
         found = self.run.move(motors)
         still = jnp.zeros((changes.shape[0], 3), changes.dtype)
         walls = jax.vmap(
@@ -91,17 +98,21 @@ def linear_job(
 
     Args:
         job: The job, of a dynamic arm.
-        motors: Its motors [rad or m], shape (step, joint).
-        slopes: Slopes of the motors in the command, shape (step, joint, axis).
+        motors: Its commanded motors [rad or m], shape (step, joint).
+        slopes: Slopes of them in the command, shape (step, joint, axis).
         wall_share: When in each period its wall is made; by the path alone if None.
         state: State at row 0, as of `sim.linearise`.
     """
     machine = job_machine(job)
     assert isinstance(machine, ElasticArm)
-    run = linearise(machine, job_process(job, StockHeld()), motors, state)
+    process, controller = job_process(job, StockHeld()), job.controller
+    if controller is not None:
+        motors = controller.motors(motors, process.tooth_period)
+    run = linearise(machine, process, motors, state)
     desired = jnp.asarray(job.path.positions)
     if wall_share is None:
         wall_share = wall_shares(desired, path_axes(job), job.cutter)
     shares = jnp.asarray(wall_share, desired.dtype)
     motion = wall_motion(job, run, shares)
-    return LinearJob(motion, run, slopes, shares)
+    time_step = jnp.asarray(process.tooth_period, motors.dtype)
+    return LinearJob(motion, run, slopes, shares, time_step, controller)

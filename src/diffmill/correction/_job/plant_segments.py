@@ -99,6 +99,13 @@ class JobPieces(AbstractPieces):
     wall_share: Steps | None = None
     has_joint_commands: bool = eqx.field(static=True, default=False)
 
+    def __check_init__(self):
+        if self.job.controller is not None:
+            raise ValueError(
+                "Argument `job` must have an ideal controller to be run piece by "
+                "piece: the motors of any other follow commands before and after them."
+            )
+
     def begin(self, command: Float[Array, "step axis"]) -> JobState:
         """Return the state in equilibrium with the motion of the first period."""
         job = with_rows(self.job, np.arange(command.shape[0]))

@@ -33,6 +33,7 @@ def horizon_of(job: Job) -> tuple[int, int] | None:
     settings, rows = job.correction, job.path.step_count
     is_able = settings.objective == "path" and job.simulation.mode == "dynamic"
     is_able &= settings.uncertainty is None and settings.method != "adam"
+    is_able &= job.controller is None
     if settings.horizon == "auto":
         horizon = _HORIZON if rows > _WHOLE_ROWS and is_able else rows
     else:
@@ -42,8 +43,8 @@ def horizon_of(job: Job) -> tuple[int, int] | None:
     if not is_able:
         raise UnsuitableSettings(
             'Argument `job` must have the horizon "auto" unless its objective is '
-            '"path", its mode "dynamic", its model certain and its method '
-            f'"gauss_newton", but has a horizon of {horizon} rows.'
+            '"path", its mode "dynamic", its model certain, its controller ideal and '
+            f'its method "gauss_newton", but has a horizon of {horizon} rows.'
         )
     overlap = settings.overlap
     if overlap == "auto":

@@ -23,6 +23,7 @@ from ...process import (
     wall_deviation,
     wall_shares,
 )
+from ...robot import Controller
 from ...toolpath import Path, contour_error
 from ...workpiece import Pose, Stock
 from .._machine._integrator.rk4 import make_integrator
@@ -62,7 +63,8 @@ class Solution(eqx.Module):
         contour_error: Distance to the desired polyline of the tip with that deviation
             [m], shape (step,).
         is_cutting: Whether the rigid tool cuts in the period before, shape (step,).
-        motor_positions: [rad or m], shape (step, joint); None without a robot.
+        motor_positions: What the motors do of their command [rad or m], shape (step,
+            joint); None without a robot.
         joint_positions: [rad or m], shape (step, joint); None without a robot.
         initial_overlap_volume: Stock inside the tool at the first pose [m^3].
         has_failed: Whether a flag was up after each step, shape (step,).
@@ -292,6 +294,7 @@ class _Program(eqx.Module):
     Attributes:
         process: The process.
         machine: What moves the tool; None for a rigid machine.
+        controller: What its motors do of their command; None if they follow it.
         path: The path, of one of few lengths.
         axes: Tool axes, shape (step, 3); None if it stands upright.
         kinematics: The job, of which only what inverse kinematics needs is left.
@@ -299,6 +302,7 @@ class _Program(eqx.Module):
 
     process: Process
     machine: ElasticArm | QuasiStaticArm | None
+    controller: Controller | None
     path: Path
     axes: Float[Array, "step 3"] | None
     kinematics: Job
@@ -317,14 +321,16 @@ def _program(job: Job, derivative: AbstractAdjoint) -> _Program:
     )
     rest = eqx.tree_at(
         lambda j: (j.cutter, j.law, j.bottom_law, j.stock, j.spindle_speed),
-        dataclasses.replace(padded, simulation=settings),
+        dataclasses.replace(padded, simulation=settings, controller=None),
         (None,) * 5,
         is_leaf=lambda x: x is None,
     )
     process = job_process(padded, derivative)
     free = process.cutter.with_sizes_as_leaves()
     process = cast_floats(eqx.tree_at(lambda p: p.cutter, process, free), dtype)
-    return _Program(process, machine, padded.path, path_axes(padded), rest)
+    return _Program(
+        process, machine, padded.controller, padded.path, path_axes(padded), rest
+    )
 
 
 @eqx.filter_jit
@@ -348,8 +354,8 @@ def solve_command(
         rigid: `rigid_cut(job, ...)`.
         commanded: Tip positions that the program says [m], shape (step, 3).
         adjoint: How to differentiate through the removal.
-        motors: Motor positions that override the commanded ones [rad or m], shape
-            (step, joint).
+        motors: Commanded motor positions that override those of the tips [rad or m],
+            shape (step, joint).
 
     Returns:
         The solution.
@@ -479,6 +485,8 @@ def _follow(program: _Program, finished: Stock, command: _Command) -> _Followed:
         actual, ends = command.tips, command.tips[:, None]
     else:
         assert motors is not None
+        if program.controller is not None:
+            motors = program.controller.motors(motors, process.tooth_period)
         ran = run(program.machine, process, motors, row_count=path.row_count)
         actual, ends = ran.actual, ran.ends
     shares = wall_shares(desired, program.axes, process.cutter, finished)
@@ -508,7 +516,8 @@ def run_motors(
 
     Args:
         job: The job, in its precision; its machine must be a robot.
-        motors: Motor positions at the tooth instants [rad or m], shape (step, joint).
+        motors: Commanded motor positions at the tooth instants [rad or m], shape
+            (step, joint).
         adjoint: How to differentiate through the removal.
 
     Raises:
@@ -517,4 +526,6 @@ def run_motors(
     **Differentiability**: that of `run`.
     """
     machine, process = job_machine(job), job_process(job, adjoint)
+    if job.controller is not None:
+        motors = job.controller.motors(motors, process.tooth_period)
     return run(machine, process, motors, row_count=job.path.row_count)

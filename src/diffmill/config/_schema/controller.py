@@ -1,0 +1,116 @@
+"""`[controller]`: what is between the program and the motors."""
+
+import functools
+import tomllib
+from importlib import resources
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+from pydantic import Field
+
+from ...robot import Controller
+from .fields import (
+    Delay,
+    Frequency,
+    JointFrequency,
+    JointRatio,
+    PositiveTime,
+    Ratio,
+)
+from .table import Table, validated
+
+# What stands for a part that a preset has and this controller lacks.
+_NONE = "none"
+# Nothing between program and motors.
+_IDEAL = "ideal"
+
+
+class ShaperTable(Table):
+    """`[controller] shaper`: the mode that an input shaper leaves at rest."""
+
+    frequency: Frequency = Field(description='a frequency, such as "9 Hz"')
+    damping_ratio: Ratio = 0.0
+
+
+class ControllerTable(Table):
+    """`[controller]`, after its preset."""
+
+    interpolation_cycle: PositiveTime | None = None
+    interpolation: Literal["hold", "linear", "spline"] = "spline"
+    moving_average: PositiveTime | None = None
+    shaper: ShaperTable | None = None
+    low_pass: Frequency | None = None
+    dead_time: Delay | None = None
+    bandwidth: JointFrequency | None = None
+    damping_ratio: JointRatio | None = None
+
+    def controller(self, joint_count: int, added: int) -> Controller | None:
+        """Return the controller; None if it is ideal.
+
+        Args:
+            joint_count: Joints of the robot as its file has it.
+            added: Virtual joints behind them, which have no motor.
+
+        Raises:
+            ValueError: A list has not one value for each joint.
+        """
+        parts = {k: v for k, v in self if v is not None and k != "interpolation"}
+        if not parts:
+            return None
+        if "damping_ratio" in parts and "bandwidth" not in parts:
+            raise ValueError(
+                "[controller] damping_ratio: found without a bandwidth, which is "
+                "required beside it"
+            )
+        shaper = parts.pop("shaper", None)
+        if shaper is not None:
+            parts["shaper_frequency"] = shaper.frequency
+            parts["shaper_damping_ratio"] = shaper.damping_ratio
+        for key in ("bandwidth", "damping_ratio"):
+            if isinstance(parts.get(key), list):
+                parts[key] = _each(key, parts[key], joint_count, added)
+        return Controller(interpolation=self.interpolation, **parts)
+
+
+def _each(
+    key: str, values: list[float], joint_count: int, added: int
+) -> Float[np.ndarray, " joint"]:
+    """Return a value for each joint, those without a motor included."""
+    if len(values) != joint_count:
+        raise ValueError(
+            f"[controller] {key}: found {len(values)} values, but one value, or one "
+            f"for each of the {joint_count} joints, is required"
+        )
+    return np.array([*values, *values[-1:] * added])
+
+
+@functools.cache
+def controller_presets() -> dict[str, dict[str, Any]]:
+    """Return the tables that `[controller] preset` names, with the ideal one."""
+    file = resources.files("diffmill.robot").joinpath("controllers.toml")
+    return {_IDEAL: {}} | tomllib.loads(file.read_text(encoding="utf-8"))
+
+
+def read_controller(raw: object, problems: list[str]) -> ControllerTable | None:
+    """Check `[controller]`: its own keys count before those of its preset.
+
+    Args:
+        raw: What the file holds.
+        problems: Receives a line for everything that is wrong.
+
+    Returns:
+        The table, or None if it has a fault.
+    """
+    if not isinstance(raw, dict):
+        return validated(ControllerTable, raw, "[controller]", problems)
+    name = raw.get("preset", _IDEAL)
+    presets = controller_presets()
+    if not isinstance(name, str) or name not in presets:
+        problems.append(
+            f"[controller] preset: found {name!r}; allowed: {', '.join(presets)}"
+        )
+        return None
+    own = {key: value for key, value in raw.items() if key != "preset"}
+    merged = {k: v for k, v in (presets[name] | own).items() if v != _NONE}
+    return validated(ControllerTable, merged, "[controller]", problems, ("preset",))

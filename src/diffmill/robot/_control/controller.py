@@ -1,0 +1,369 @@
+"""The controller: what a drive's motor does of what the program commands.
+
+A chain of linear operators, the same for a short and a long path, in the order of the
+signal:
+
+    moving average    (1 / T_f) int_{t - T_f}^t u        a limit of the jerk
+    input shaper      A_1 u(t) + A_2 u(t - T_d / 2)      leaves a mode at rest
+    interpolation     u at the instants n T_c, and what the drive makes of them
+    dead time         u(t - t_0)
+    low-pass          y' = w_f (u - y)
+    servo             y' = w (u - y)   or   y'' + 2 zeta w y' + w^2 y = w^2 u
+
+A command moves linearly between the tooth instants, as the simulation takes it, and
+stands still before the first and after the last. The averages of such a command are
+exact, and so are the servos for an input that is linear between the instants at which
+they are evaluated.
+
+A path is known beforehand, so that a delay alone leaves no error on the part: it only
+makes the program late. `motors` therefore tells the motors on a clock that is late by
+the chain's mean delay: what remains is what it does to the shape of the path, and where
+the joints differ.
+"""
+
+import math
+from typing import Literal, TypeAlias
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.linalg import expm
+from jaxtyping import Array, Float, Int
+
+from ..._types import RealScalarLike
+
+# A number for all joints, or one for each.
+EachJoint: TypeAlias = (
+    Float[Array, " joint"] | Float[np.ndarray, " joint"] | RealScalarLike
+)
+Interpolation: TypeAlias = Literal["hold", "linear", "spline"]
+# Cycles by which the kinds of interpolation come late: a drive that goes from one point
+# to the next has to know the next, and a spline one more.
+_LATE_CYCLES = {"hold": 0.5, "linear": 1.0, "spline": 2.0}
+# Parts of a tooth period in which the servo sees a staircase.
+_STAIRCASE_PARTS = 4
+# An instant that rounding puts before a cycle belongs to it [cycles].
+_SAME_CYCLE = 1e-6
+
+
+class Controller(eqx.Module):
+    """A linear controller between commanded and actual motor positions.
+
+    Each part is left out where it is None; one without any part is ideal.
+
+    Attributes:
+        moving_average: Time T_f over which the command is averaged [s].
+        shaper_frequency: Frequency of the damped mode that the input shaper leaves at
+            rest [Hz].
+        shaper_damping_ratio: Damping ratio of that mode, below 1 [-].
+        interpolation_cycle: Cycle T_c of the set points [s].
+        interpolation: What the drive makes of them: "hold", a staircase; "linear", a
+            polygon; "spline", cubic pieces with continuous speed.
+        dead_time: Time t_0 until a command acts at all [s].
+        low_pass: Cut-off frequency w_f / (2 pi) of a low-pass of first order [Hz].
+        bandwidth: w / (2 pi) of the servos, one for all joints or one for each [Hz],
+            shape () or (joint,).
+        damping_ratio: zeta of servos of second order [-], same shapes; None for those
+            of first order.
+    """
+
+    moving_average: RealScalarLike | None = None
+    shaper_frequency: RealScalarLike | None = None
+    shaper_damping_ratio: RealScalarLike = 0.0
+    interpolation_cycle: RealScalarLike | None = None
+    interpolation: Interpolation = eqx.field(static=True, default="spline")
+    dead_time: RealScalarLike | None = None
+    low_pass: RealScalarLike | None = None
+    bandwidth: EachJoint | None = None
+    damping_ratio: EachJoint | None = None
+
+    def __check_init__(self):
+        if self.interpolation not in _LATE_CYCLES:
+            raise ValueError(
+                "Argument `interpolation` must be one of "
+                f"{', '.join(_LATE_CYCLES)}, but is {self.interpolation!r}."
+            )
+        if self.damping_ratio is not None and self.bandwidth is None:
+            raise ValueError(
+                "Argument `damping_ratio` must come with a `bandwidth`, but has none."
+            )
+
+    @property
+    def delay(self) -> Float[Array, ""]:
+        """Mean delay of a slow motion, that of the servos averaged over them [s]."""
+        number = lambda x: jnp.asarray(x, float)
+        late = jnp.zeros((), float)
+        if self.moving_average is not None:
+            late = late + number(self.moving_average) / 2
+        if self.shaper_frequency is not None:
+            late = late + self._shaper()[1] / (2 * number(self.shaper_frequency))
+        if self.interpolation_cycle is not None:
+            cycles = _LATE_CYCLES[self.interpolation]
+            late = late + cycles * number(self.interpolation_cycle)
+        if self.dead_time is not None:
+            late = late + number(self.dead_time)
+        if self.low_pass is not None:
+            late = late + 1 / (2 * math.pi * number(self.low_pass))
+        if self.bandwidth is not None:
+            late = late + jnp.mean(self._servo_lag())
+        return late
+
+    def motors(
+        self, commands: Float[Array, "step joint ..."], time_step: RealScalarLike
+    ) -> Float[Array, "step joint ..."]:
+        """Return what the motors do, on a clock that is late by `delay`.
+
+        Args:
+            commands: Commanded motor positions [rad or m], shape (step, joint), or
+                changes of them in some directions, shape (step, joint, direction).
+            time_step: Time between two rows [s].
+
+        **Differentiability**: linear in the commands; smooth in bandwidth and damping,
+        with kinks in the other numbers.
+        """
+        return self._follow(commands, time_step, self.delay)
+
+    def respond(
+        self, commands: Float[Array, "step joint ..."], time_step: RealScalarLike
+    ) -> Float[Array, "step joint ..."]:
+        """Return what the motors do at the instants of the commands, delay and all.
+
+        Arguments, result and **Differentiability** are those of `motors`.
+        """
+        return self._follow(commands, time_step, jnp.zeros(()))
+
+    def _follow(
+        self,
+        commands: Float[Array, "step joint ..."],
+        time_step: RealScalarLike,
+        first: Float[Array, ""],
+    ) -> Float[Array, "step joint ..."]:
+        """Return what the motors do at instants of which the first is not 0 [s]."""
+        dtype = commands.dtype
+        T, first = jnp.asarray(time_step, dtype), first.astype(dtype)
+        steps = commands.shape[0]
+        # From where it starts, so that no digits are lost in integrals over the time.
+        start = commands[:1]
+        signal = _Signal(commands - start, T)
+        has_servo = self.low_pass is not None or self.bandwidth is not None
+        is_fine = self.interpolation == "hold" and self.interpolation_cycle is not None
+        parts = _STAIRCASE_PARTS if has_servo and is_fine else 1
+        index = jnp.arange((steps - 1) * parts + 1, dtype=dtype)
+        rows = self._set_points(signal, first + index * (T / parts))
+        if has_servo:
+            # A motion that has begun before is followed with the lag of its speed.
+            span = T
+            if self.interpolation_cycle is not None:
+                span = jnp.maximum(T, jnp.asarray(self.interpolation_cycle, dtype))
+            ends = self._set_points(signal, jnp.stack([first - span, first]))
+            rows = self._lagged(rows, T / parts, (ends[1] - ends[0]) / span)[::parts]
+        return start + rows
+
+    def _set_points(
+        self, signal: "_Signal", time: Float[Array, " instant"]
+    ) -> Float[Array, "instant joint ..."]:
+        """Return what the servos are given at some instants."""
+        if self.dead_time is not None:
+            time = time - jnp.asarray(self.dead_time, time.dtype)
+        if self.interpolation_cycle is None:
+            return self._filtered(signal, time)
+        cycle = jnp.asarray(self.interpolation_cycle, time.dtype)
+        count = jnp.floor(time / cycle + _SAME_CYCLE)
+        s = jnp.maximum(time / cycle - count, 0)
+        at = lambda back: self._filtered(signal, (count - back) * cycle)
+        if self.interpolation == "hold":
+            return at(0)
+        if self.interpolation == "linear":
+            return _shared(1 - s, at(1)) + _shared(s, at(0))
+        # Catmull and Rom's cubic between the second and third of four points.
+        weights = (
+            -0.5 * s + s**2 - 0.5 * s**3,
+            1 - 2.5 * s**2 + 1.5 * s**3,
+            0.5 * s + 2 * s**2 - 1.5 * s**3,
+            -0.5 * s**2 + 0.5 * s**3,
+        )
+        points = [_shared(w, at(3 - i)) for i, w in enumerate(weights)]
+        return points[0] + points[1] + points[2] + points[3]
+
+    def _filtered(
+        self, signal: "_Signal", time: Float[Array, " instant"]
+    ) -> Float[Array, "instant joint ..."]:
+        """Return the averaged and shaped command at some instants."""
+        if self.moving_average is None:
+            mean = signal.at
+        else:
+            span = jnp.asarray(self.moving_average, time.dtype)
+            mean = lambda t: (signal.integral(t) - signal.integral(t - span)) / span
+        if self.shaper_frequency is None:
+            return mean(time)
+        first, second = self._shaper()
+        half = 1 / (2 * jnp.asarray(self.shaper_frequency, time.dtype))
+        dtype = time.dtype
+        return first.astype(dtype) * mean(time) + second.astype(dtype) * mean(
+            time - half
+        )
+
+    def _shaper(self) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """Return the shares of the two parts of the input shaper."""
+        zeta = jnp.asarray(self.shaper_damping_ratio, float)
+        K = jnp.exp(-zeta * math.pi / jnp.sqrt(1 - zeta**2))
+        return 1 / (1 + K), K / (1 + K)
+
+    def _servo_lag(self) -> Float[Array, "*joint"]:
+        """Return by how much the servos come late to a slow motion [s]."""
+        assert self.bandwidth is not None
+        lag = 1 / (2 * math.pi * jnp.asarray(self.bandwidth, float))
+        if self.damping_ratio is None:
+            return lag
+        return 2 * jnp.asarray(self.damping_ratio, float) * lag
+
+    def _lagged(
+        self,
+        rows: Float[Array, "instant joint ..."],
+        step: Float[Array, ""],
+        speed: Float[Array, "joint ..."],
+    ) -> Float[Array, "instant joint ..."]:
+        """Return what low-pass and servos make of set points.
+
+        Args:
+            rows: The set points.
+            step: Time between them [s].
+            speed: Of the motion before the first [rad/s or m/s].
+        """
+        dtype, joints = rows.dtype, rows.shape[1]
+        each = lambda x: jnp.broadcast_to(jnp.asarray(x, dtype), (joints,))
+        column = lambda x: x.reshape(joints, *(1,) * (rows.ndim - 2))
+        if self.low_pass is not None:
+            w = 2 * math.pi * jnp.asarray(self.low_pass, dtype)
+            rows = _first_order(rows, w * step, rows[0] - speed / w)
+        if self.bandwidth is None:
+            return rows
+        w = 2 * math.pi * each(self.bandwidth)
+        begun = rows[0] - speed * column(each(self._servo_lag()))
+        if self.damping_ratio is None:
+            return _first_order(rows, column(w * step), begun)
+        turns = jax.vmap(_turn)(w * step, each(self.damping_ratio))
+        turns = jax.tree.map(column, turns)
+        return _second_order(rows, turns, begun, speed / column(w))
+
+
+class _Signal(eqx.Module):
+    """A command that is linear between its rows, and constant before and after.
+
+    Attributes:
+        rows: The rows; the first is zero, shape (step, joint) or more.
+        time_step: Time between them T [s].
+        sums: Integral up to each row, same shape as the rows.
+    """
+
+    rows: Float[Array, "step joint ..."]
+    time_step: Float[Array, ""]
+    sums: Float[Array, "step joint ..."]
+
+    def __init__(self, rows: Float[Array, "step joint ..."], time_step: Array):
+        self.rows, self.time_step = rows, time_step
+        means = (rows[:-1] + rows[1:]) / 2
+        self.sums = jnp.concatenate(
+            [jnp.zeros_like(rows[:1]), time_step * jnp.cumsum(means, axis=0)]
+        )
+
+    def at(self, time: Float[Array, " instant"]) -> Float[Array, "instant joint ..."]:
+        """Return the command at some instants [s]."""
+        row, share = self._place(time)
+        start = self.rows[row]
+        return start + _shared(share, self.rows[row + 1] - start)
+
+    def integral(
+        self, time: Float[Array, " instant"]
+    ) -> Float[Array, "instant joint ..."]:
+        """Return the integral of the command up to some instants."""
+        row, share = self._place(time)
+        start, T = self.rows[row], self.time_step
+        inside = _shared(T * share, start) + _shared(
+            T * share**2 / 2, self.rows[row + 1] - start
+        )
+        after = jnp.maximum(time - (self.rows.shape[0] - 1) * T, 0)
+        return self.sums[row] + inside + _shared(after, self.rows[-1:])
+
+    def _place(
+        self, time: Float[Array, " instant"]
+    ) -> tuple[Int[Array, " instant"], Float[Array, " instant"]]:
+        """Return the row before each instant, and the share of the step behind it."""
+        last = self.rows.shape[0] - 1
+        place = jnp.clip(time / self.time_step, 0, last)
+        row = jnp.minimum(place.astype(jnp.int32), last - 1)
+        return row, place - row.astype(time.dtype)
+
+
+def _shared(
+    weights: Float[Array, " instant"], rows: Float[Array, "row joint ..."]
+) -> Float[Array, "instant joint ..."]:
+    """Return rows, each times its weight."""
+    return weights.reshape(-1, *(1,) * (rows.ndim - 1)) * rows
+
+
+class _Turn(eqx.Module):
+    """Exact step of a servo of second order for an input that changes linearly.
+
+    (y, v)' = free (y, v) + start u_0 + rise (u_1 - u_0),   v = dy/dt / w
+    """
+
+    free: tuple[Array, Array, Array, Array]
+    start: tuple[Array, Array]
+    rise: tuple[Array, Array]
+
+
+def _turn(step: Float[Array, ""], damping_ratio: Float[Array, ""]) -> _Turn:
+    """Return the step of a servo, its length being w times that in seconds."""
+    zero, one = jnp.zeros_like(step), jnp.ones_like(step)
+    table = [
+        [zero, step, zero, zero],
+        [-step, -2 * damping_ratio * step, step, zero],
+        [zero, zero, zero, one],
+        [zero, zero, zero, zero],
+    ]
+    E = expm(jnp.stack([jnp.stack(row) for row in table]))
+    return _Turn(
+        (E[0, 0], E[0, 1], E[1, 0], E[1, 1]), (E[0, 2], E[1, 2]), (E[0, 3], E[1, 3])
+    )
+
+
+def _first_order(
+    rows: Float[Array, "instant joint ..."],
+    step: Float[Array, "*joint"],
+    begun: Float[Array, "joint ..."],
+) -> Float[Array, "instant joint ..."]:
+    """Return what y' = w (u - y) makes of rows that are w times a time apart."""
+    E = jnp.exp(-step)
+    late = -jnp.expm1(-step) / step
+
+    def advance(y: Array, ends: tuple[Array, Array]) -> tuple[Array, Array]:
+        start, end = ends
+        y = E * y + (1 - E) * start + (1 - late) * (end - start)
+        return y, y
+
+    _, found = jax.lax.scan(advance, begun, (rows[:-1], rows[1:]))
+    return jnp.concatenate([begun[None], found])
+
+
+def _second_order(
+    rows: Float[Array, "instant joint ..."],
+    turn: _Turn,
+    begun: Float[Array, "joint ..."],
+    speed: Float[Array, "joint ..."],
+) -> Float[Array, "instant joint ..."]:
+    """Return what y'' + 2 zeta w y' + w^2 y = w^2 u makes of rows."""
+    a, b, c, d = turn.free
+
+    def advance(
+        state: tuple[Array, Array], ends: tuple[Array, Array]
+    ) -> tuple[tuple[Array, Array], Array]:
+        (y, v), (start, end) = state, ends
+        rise = end - start
+        new = a * y + b * v + turn.start[0] * start + turn.rise[0] * rise
+        v = c * y + d * v + turn.start[1] * start + turn.rise[1] * rise
+        return (new, v), new
+
+    _, found = jax.lax.scan(advance, (begun, speed), (rows[:-1], rows[1:]))
+    return jnp.concatenate([begun[None], found])

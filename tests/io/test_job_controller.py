@@ -1,0 +1,115 @@
+"""`[controller]` of a job, and what it does to a run."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from diffmill import sim
+from diffmill.config import JobError, load_job
+
+PROGRAM = """G21 G17 G90 G94
+G0 X-6 Y5 Z1
+G0 Z-1
+G1 X4 F3000
+G0 Z1
+M2
+"""
+JOB = """
+[cutter]
+kind = "flat"
+diameter = "10 mm"
+teeth = 2
+helix_angle = "0 deg"
+flute_length = "22 mm"
+[spindle]
+speed = "8000 rpm"
+[force]
+material = "aluminium_3.1325"
+[stock]
+lower = ["0 mm", "0 mm", "-3 mm"]
+upper = ["8 mm", "10 mm", "0 mm"]
+spacing = "0.5 mm"
+[program]
+file = "part.ngc"
+[robot]
+rigid = true
+"""
+ROBOT = """model = "reis_rv130_like"
+work_in_base = { position = ["1525 mm", "-5 mm", "936 mm"] }
+"""
+
+
+def write(folder, controller, robot=ROBOT):
+    (folder / "part.ngc").write_text(PROGRAM)
+    (folder / "job.toml").write_text(JOB.replace("rigid = true", robot) + controller)
+    return folder / "job.toml"
+
+
+def test_an_ideal_controller_is_none(tmp_path):
+    plain = load_job(write(tmp_path, ""))
+    ideal = load_job(write(tmp_path, '[controller]\npreset = "ideal"'))
+    assert plain.controller is None and ideal.controller is None
+    assert np.array_equal(plain.path.positions, ideal.path.positions)
+
+
+def test_a_preset_and_keys_of_its_own(tmp_path):
+    table = """[controller]
+preset = "kuka_krc4_like"
+moving_average = "none"
+interpolation = "hold"
+bandwidth = ["4 Hz", "5 Hz", "6 Hz", "7 Hz", "8 Hz", "9 Hz"]
+shaper = { frequency = "9 Hz", damping_ratio = 0.04 }
+"""
+    found = load_job(write(tmp_path, table)).controller
+    assert found.interpolation_cycle == pytest.approx(12e-3)
+    assert found.interpolation == "hold"
+    assert found.moving_average is None
+    assert found.damping_ratio == pytest.approx(0.707)
+    assert np.allclose(found.bandwidth, [4, 5, 6, 7, 8, 9])
+    assert found.shaper_frequency == pytest.approx(9.0)
+    assert found.shaper_damping_ratio == pytest.approx(0.04)
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ('preset = "best"', "preset: found 'best'; allowed: ideal, "),
+        ('bandwidth = "8"', "bandwidth: found '8'"),
+        ('bandwidth = ["8 Hz", "9 Hz"]', "bandwidth: found 2 values"),
+        ("damping_ratio = 0.7", "damping_ratio: found without a bandwidth"),
+        ('bandwidth = "8 Hz"\ndamping_ratio = 0', "a number above 0"),
+        ('interpolation = "round"', "interpolation: found 'round'"),
+        ('low_pas = "8 Hz"', "low_pas: found an unknown key; allowed: "),
+        ("shaper = { damping_ratio = 0.1 }", "frequency: found nothing"),
+    ],
+)
+def test_what_is_wrong_has_one_line(tmp_path, table, message):
+    with pytest.raises(JobError) as error:
+        load_job(write(tmp_path, f"[controller]\n{table}"))
+    (problem,) = error.value.problems
+    assert problem.startswith("[controller]") and message in problem
+
+
+def test_a_rigid_machine_has_no_motors(tmp_path):
+    file = write(tmp_path, '[controller]\nbandwidth = "8 Hz"', robot="rigid = true")
+    with pytest.raises(JobError, match="no motors to follow it"):
+        load_job(file)
+
+
+def test_the_motors_follow_their_controller(tmp_path):
+    """At a constant speed they are where they should be, and a stop is rounded."""
+    plain = load_job(write(tmp_path, ""))
+    job = load_job(write(tmp_path, '[controller]\nmoving_average = "100 ms"'))
+    rest = (job.path.step_count - plain.path.step_count) // 2
+    assert rest * job.tooth_period >= 100e-3
+    rows = slice(rest, rest + plain.path.step_count)
+    assert np.allclose(job.path.positions[rows], plain.path.positions)
+    command, _ = sim.command_motors(job, jnp.asarray(job.path.positions))
+    theta = np.asarray(job.controller.motors(command, job.tooth_period))
+    shifts = np.linspace(-50e-3, 50e-3, 2001)
+    command = np.asarray(command)
+    at = job.path.time[:, None] + shifts[None]
+    for have, one in zip(theta.T, command.T, strict=True):
+        mean = np.trapezoid(np.interp(at, job.path.time, one), shifts, axis=1) / 100e-3
+        assert np.allclose(have, mean, atol=2e-8)
+    assert np.abs(theta - command).max() > 1e-5

@@ -1,0 +1,144 @@
+"""The controller's parts against what is known of them by hand."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from diffmill.robot import Controller
+
+STEP = 3.75e-3
+TIME = STEP * np.arange(400)
+SPEED = 0.7
+
+
+def ramp(joints=1):
+    return jnp.asarray(np.tile(SPEED * TIME[:, None], (1, joints)))
+
+
+def settled(controller, rows):
+    """Return the response late in a ramp, over its speed: by how much it lags [s]."""
+    found = controller.respond(rows, STEP)
+    return np.asarray((rows - found)[250:300]) / SPEED
+
+
+@pytest.mark.parametrize(
+    ("controller", "lag"),
+    [
+        (Controller(moving_average=60e-3), 30e-3),
+        (Controller(moving_average=1e-3), 0.5e-3),
+        (Controller(dead_time=17e-3), 17e-3),
+        (Controller(low_pass=5.0), 1 / (2 * np.pi * 5.0)),
+        (Controller(bandwidth=8.0), 1 / (2 * np.pi * 8.0)),
+        (Controller(bandwidth=8.0, damping_ratio=0.7), 1.4 / (2 * np.pi * 8.0)),
+        (Controller(bandwidth=8.0, damping_ratio=1.0), 2.0 / (2 * np.pi * 8.0)),
+        (Controller(bandwidth=8.0, damping_ratio=1.6), 3.2 / (2 * np.pi * 8.0)),
+        (Controller(shaper_frequency=10.0), 25e-3),
+        (Controller(interpolation_cycle=12e-3, interpolation="linear"), 12e-3),
+        (Controller(interpolation_cycle=12e-3, interpolation="spline"), 24e-3),
+    ],
+)
+def test_a_ramp_comes_late_by_the_mean_delay(controller, lag):
+    found = settled(controller, ramp())
+    assert np.allclose(found, lag, rtol=1e-6)
+    assert np.isclose(float(controller.delay), lag, rtol=1e-6)
+    # On a clock that is so much late nothing of it is left.
+    at_once = controller.motors(ramp(), STEP)
+    assert np.allclose(at_once[150:200], ramp()[150:200], atol=1e-6 * SPEED * lag)
+
+
+def test_set_points_that_are_held_make_a_staircase():
+    held = Controller(interpolation_cycle=12e-3, interpolation="hold")
+    found = np.asarray(held.respond(ramp(), STEP))[:, 0]
+    assert np.allclose(found, SPEED * 12e-3 * np.floor(TIME / 12e-3 + 1e-9))
+    assert np.isclose(float(held.delay), 6e-3)
+
+
+def test_every_joint_has_its_own_bandwidth():
+    controller = Controller(bandwidth=jnp.asarray([4.0, 16.0]))
+    found = settled(controller, ramp(2))
+    assert np.allclose(found, 1 / (2 * np.pi * np.array([4.0, 16.0])), rtol=1e-6)
+
+
+@pytest.mark.parametrize("zeta", [0.3, 1.0, 2.0])
+def test_a_servo_follows_its_differential_equation(zeta):
+    w = 2 * np.pi * 6.0
+    rows = np.sin(9.0 * TIME)[:, None] * np.minimum(TIME / 0.2, 1.0)[:, None]
+    found = Controller(bandwidth=6.0, damping_ratio=zeta).respond(
+        jnp.asarray(rows), STEP
+    )
+    # Runge-Kutta on the same polygon, in a hundred parts of a step.
+    y = v = 0.0
+    wanted, h = [0.0], STEP / 100
+    for start, end in zip(rows[:-1, 0], rows[1:, 0], strict=True):
+        for part in range(100):
+            u = [start + (end - start) * (part + s) / 100 for s in (0.0, 0.5, 1.0)]
+            rate = lambda y, v, u: (v, w**2 * (u - y) - 2 * zeta * w * v)
+            a = rate(y, v, u[0])
+            b = rate(y + h / 2 * a[0], v + h / 2 * a[1], u[1])
+            c = rate(y + h / 2 * b[0], v + h / 2 * b[1], u[1])
+            d = rate(y + h * c[0], v + h * c[1], u[2])
+            y += h / 6 * (a[0] + 2 * b[0] + 2 * c[0] + d[0])
+            v += h / 6 * (a[1] + 2 * b[1] + 2 * c[1] + d[1])
+        wanted.append(y)
+    assert np.allclose(np.asarray(found)[:, 0], wanted, atol=1e-9)
+
+
+def test_an_input_shaper_leaves_its_oscillator_at_rest():
+    """A step of the speed shakes an undamped oscillator; the shaped one does not."""
+    frequency, step = 8.0, 0.25e-3
+    time = step * np.arange(4000)
+    rows = jnp.asarray(np.minimum(time, 0.3)[:, None])
+    w = 2 * np.pi * frequency
+    oscillator = Controller(bandwidth=frequency, damping_ratio=1e-9)
+
+    def swing(rows):
+        y = np.asarray(oscillator.respond(rows, step))[:, 0]
+        return np.ptp(y[-int(1 / frequency / step) :]) / 2
+
+    plain = swing(rows)
+    shaped = swing(Controller(shaper_frequency=frequency).respond(rows, step))
+    assert plain > 0.1 / w
+    assert shaped < 1e-4 * plain
+
+
+def test_a_rest_stays_and_a_way_ends_where_it_should():
+    full = Controller(
+        moving_average=50e-3,
+        shaper_frequency=10.0,
+        shaper_damping_ratio=0.05,
+        interpolation_cycle=12e-3,
+        interpolation="hold",
+        dead_time=8e-3,
+        low_pass=20.0,
+        bandwidth=10.0,
+        damping_ratio=0.7,
+    )
+    rows = jnp.asarray(1.3 + 0.2 * np.clip((TIME - 0.4) / 0.3, 0, 1)[:, None])
+    found = np.asarray(full.motors(rows, STEP))[:, 0]
+    assert np.allclose(found[:40], 1.3, atol=1e-12)
+    assert np.isclose(found[-1], 1.5, atol=1e-9)
+
+
+def test_it_is_linear_traced_and_smooth_in_its_bandwidth():
+    def make(bandwidth):
+        return Controller(
+            moving_average=40e-3,
+            interpolation_cycle=4e-3,
+            low_pass=30.0,
+            bandwidth=bandwidth,
+            damping_ratio=0.8,
+        )
+
+    rng = np.random.default_rng(3)
+    rows = jnp.asarray(np.cumsum(rng.normal(size=(60, 2, 3)), axis=0))
+    run = jax.jit(lambda w, x: make(w).motors(x, STEP))
+    alone = jnp.stack([run(9.0, rows[..., i]) for i in range(3)], axis=-1)
+    assert np.allclose(run(9.0, rows), alone, atol=1e-12)
+    mixed = rows @ jnp.asarray([1.0, -2.0, 0.5])
+    assert np.allclose(run(9.0, mixed), alone @ jnp.asarray([1.0, -2.0, 0.5]))
+    slope = jax.jvp(lambda w: run(w, mixed), (9.0,), (1.0,))[1]
+    steps = (run(9.0 + 1e-4, mixed) - run(9.0 - 1e-4, mixed)) / 2e-4
+    assert np.allclose(slope, steps, rtol=1e-5, atol=1e-6 * np.abs(steps).max())
+    back = jax.grad(lambda w: jnp.sum(run(w, mixed) ** 2))(9.0)
+    assert np.isclose(back, np.sum(2 * run(9.0, mixed) * slope), rtol=1e-9)
