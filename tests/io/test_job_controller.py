@@ -61,6 +61,7 @@ bandwidth = ["4 Hz", "5 Hz", "6 Hz", "7 Hz", "8 Hz", "9 Hz"]
 shaper = { frequency = "9 Hz", damping_ratio = 0.04 }
 """
     found = load_job(write(tmp_path, table)).controller
+    assert found is not None
     assert found.interpolation_cycle == pytest.approx(12e-3)
     assert found.interpolation == "hold"
     assert found.moving_average is None
@@ -100,6 +101,7 @@ def test_the_motors_follow_their_controller(tmp_path):
     """At a constant speed they are where they should be, and a stop is rounded."""
     plain = load_job(write(tmp_path, ""))
     job = load_job(write(tmp_path, '[controller]\nmoving_average = "100 ms"'))
+    assert job.controller is not None
     rest = (job.path.step_count - plain.path.step_count) // 2
     assert rest * job.tooth_period >= 100e-3
     rows = slice(rest, rest + plain.path.step_count)
