@@ -66,6 +66,7 @@ shaper = { frequency = "9 Hz", damping_ratio = 0.04 }
     assert found.interpolation == "hold"
     assert found.moving_average is None
     assert found.damping_ratio == pytest.approx(0.707)
+    assert found.bandwidth is not None
     assert np.allclose(found.bandwidth, [4, 5, 6, 7, 8, 9])
     assert found.shaper_frequency == pytest.approx(9.0)
     assert found.shaper_damping_ratio == pytest.approx(0.04)

@@ -142,3 +142,26 @@ def test_it_is_linear_traced_and_smooth_in_its_bandwidth():
     assert np.allclose(slope, steps, rtol=1e-5, atol=1e-6 * np.abs(steps).max())
     back = jax.grad(lambda w: jnp.sum(run(w, mixed) ** 2))(9.0)
     assert np.isclose(back, np.sum(2 * run(9.0, mixed) * slope), rtol=1e-9)
+
+
+# The fast tests are compiled without the optimisation that this is about.
+@pytest.mark.slow
+@pytest.mark.parametrize("interpolation", ["hold", "linear"])
+@pytest.mark.parametrize("servo", [{}, {"bandwidth": 10.0, "damping_ratio": 0.7}])
+def test_a_compiled_run_takes_the_rows_of_an_eager_one(interpolation, servo):
+    """Instants that fall on rows: compiled anew, a row and its share went apart."""
+    controller = Controller(
+        moving_average=30e-3,
+        interpolation_cycle=12e-3,
+        interpolation=interpolation,
+        **servo,
+    )
+    step = jnp.asarray(0.0037500000000000003)
+    rng = np.random.default_rng(0)
+    rows = jnp.asarray(np.cumsum(rng.normal(size=(167, 6)), axis=0))
+    wanted = controller.motors(rows, step)
+    for found in (
+        jax.jit(lambda x: controller.motors(x, step))(rows),
+        jax.jit(lambda x, T: controller.motors(x, T))(rows, step),
+    ):
+        assert np.allclose(found, wanted, rtol=0, atol=1e-12 * np.abs(wanted).max())

@@ -43,8 +43,8 @@ Interpolation: TypeAlias = Literal["hold", "linear", "spline"]
 _LATE_CYCLES = {"hold": 0.5, "linear": 1.0, "spline": 2.0}
 # Parts of a tooth period in which the servo sees a staircase.
 _STAIRCASE_PARTS = 4
-# An instant that rounding puts before a cycle belongs to it [cycles].
-_SAME_CYCLE = 1e-6
+# Roundings by which a place may miss the whole number that it is.
+_ROUNDINGS = 16
 
 
 class Controller(eqx.Module):
@@ -169,8 +169,9 @@ class Controller(eqx.Module):
         if self.interpolation_cycle is None:
             return self._filtered(signal, time)
         cycle = jnp.asarray(self.interpolation_cycle, time.dtype)
-        count = jnp.floor(time / cycle + _SAME_CYCLE)
-        s = jnp.maximum(time / cycle - count, 0)
+        cycles = _snapped(time / cycle)
+        count = jnp.floor(cycles)
+        s = cycles - count
         at = lambda back: self._filtered(signal, (count - back) * cycle)
         if self.interpolation == "hold":
             return at(0)
@@ -291,9 +292,24 @@ class _Signal(eqx.Module):
     ) -> tuple[Int[Array, " instant"], Float[Array, " instant"]]:
         """Return the row before each instant, and the share of the step behind it."""
         last = self.rows.shape[0] - 1
-        place = jnp.clip(time / self.time_step, 0, last)
+        place = _snapped(jnp.clip(time / self.time_step, 0, last))
         row = jnp.minimum(place.astype(jnp.int32), last - 1)
         return row, place - row.astype(time.dtype)
+
+
+def _snapped(places: Float[Array, " instant"]) -> Float[Array, " instant"]:
+    """Return places of which those that only rounding keeps off a whole number are one.
+
+    XLA computes a cheap number anew wherever it is used, and rounds it there in one way
+    or the other: a row and the share behind it would belong to different places.
+    """
+    near = jnp.round(places)
+    size = jnp.maximum(jnp.max(jnp.abs(places)), 1)
+    margin = _ROUNDINGS * jnp.finfo(places.dtype).eps * size
+    is_whole = jnp.abs(places - near) < margin
+    # The value without a rounding of its own, the derivative of the places.
+    slope = places - jax.lax.stop_gradient(places)
+    return jnp.where(is_whole, near, places) + jnp.where(is_whole, slope, 0)
 
 
 def _shared(
