@@ -227,6 +227,20 @@ def test_aborted_run_is_kept(folder, capsys):
         assert result.sizes["step"] >= 1
 
 
+def test_convert_there_and_back(folder, capsys):
+    (folder / "two.ngc").write_text("T1 M6\nG0 X0 Y0 Z1\nG1 X5 F60\nG2 X9 R4\nM2\n")
+    assert main(["convert", "two.ngc", "two.src"]) == 0
+    assert main(["convert", "two.src", "two.csv"]) == 0
+    assert main(["convert", "two.csv", "two.mod", "--tolerance", "5 um"]) == 0
+    for name in ("two.src", "two.csv", "two.mod"):
+        assert main(["check", name]) == 0
+        assert "z: 1.000 to 1.000 mm" in capsys.readouterr().out
+    assert main(["convert", "two.ngc", "two.src"]) == 2
+    assert main(["convert", "two.ngc", "two.foo"]) == 2
+    assert main(["convert", "two.ngc", "two.mod", "--force", "--tolerance", "5"]) == 2
+    assert not list(folder.glob(".two*"))
+
+
 def test_check_program(folder, capsys):
     assert main(["check", "part.ngc"]) == 0
     text = capsys.readouterr().out

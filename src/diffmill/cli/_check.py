@@ -13,7 +13,7 @@ from .._toml import parse_toml
 from ._session.jax_config import configure_jax
 
 if TYPE_CHECKING:
-    from ..toolpath import Move, Program
+    from ..toolpath import Move, Path, Program
 
 
 def describe_file(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
@@ -32,14 +32,18 @@ def describe_file(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
         if "kind" in _tables(file):
             return _describe_identification(file, allow_outside=allow_outside)
         return _describe_job(file, allow_outside=allow_outside)
-    if suffix in (".ngc", ".nc", ".gcode"):
-        return _describe_program(file)
-    if suffix == ".csv":
-        return _describe_path(file)
-    raise ValueError(
-        f"{file}: found the suffix {suffix!r}; allowed: .toml (job or "
-        "identification), .ngc, .nc, .gcode (G-code), .csv (recorded path)"
-    )
+    from ..io import PROGRAM_FORMATS, read_program
+    from ..toolpath import Path
+
+    if suffix not in PROGRAM_FORMATS:
+        raise ValueError(
+            f"{file}: found the suffix {suffix!r}; allowed: .toml (job or "
+            f"identification), {', '.join(PROGRAM_FORMATS)}"
+        )
+    program = read_program(file)
+    if isinstance(program, Path):
+        return _describe_path(file, program)
+    return _describe_program(file, program)
 
 
 def _tables(file: pathlib.Path) -> dict[str, object]:
@@ -105,11 +109,11 @@ def _describe_job(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
     ]
 
 
-def _describe_program(file: pathlib.Path) -> list[str]:
-    from ..io import read_gcode
+def _describe_program(file: pathlib.Path, program: "Program") -> list[str]:
+    from ..io import PROGRAM_FORMATS
 
-    program = read_gcode(file)
-    lines = [f"{file}: everything in it is supported"]
+    kind = PROGRAM_FORMATS[file.suffix.lower()]
+    lines = [f"{file}: {kind}, everything in it is supported"]
     if len(program.tools) == 1:
         lines += _describe_moves(program)
     else:
@@ -162,10 +166,7 @@ def _duration(move: "Move") -> float:
     return move.length / move.feed if move.feed else 0.0
 
 
-def _describe_path(file: pathlib.Path) -> list[str]:
-    from ..io import read_path_csv
-
-    path = read_path_csv(file)
+def _describe_path(file: pathlib.Path, path: "Path") -> list[str]:
     time = np.asarray(path.time)
     return [
         f"{file}: a recorded path without faults",

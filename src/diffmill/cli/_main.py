@@ -241,6 +241,37 @@ def check(
     return 0
 
 
+def convert(
+    source: Annotated[
+        tyro.conf.Positional[pathlib.Path],
+        tyro.conf.arg(metavar="IN", help="A program or a path, told by its suffix."),
+    ],
+    target: Annotated[
+        tyro.conf.Positional[pathlib.Path],
+        tyro.conf.arg(metavar="OUT", help="The file to write; its suffix tells how."),
+    ],
+    *,
+    tolerance: Annotated[
+        str,
+        tyro.conf.arg(help="How far what is written may lie beside what is read."),
+    ] = "1 um",
+    force: _Force = False,
+    quiet: _Quiet = False,
+) -> int:
+    """Write a program in another format: G-code, KRL, RAPID, APT, a path as CSV."""
+    from ..units import LENGTH, quantity
+    from ._convert import convert_file
+
+    with bad_input():
+        length = quantity(tolerance, LENGTH)
+        if not length > 0:
+            raise ValueError(f"--tolerance: found {tolerance!r}; needed is one above 0")
+        lines = convert_file(source, target, tolerance=length, force=force)
+    if not quiet:
+        print("\n".join(lines))
+    return 0
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code.
 
@@ -258,6 +289,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "robot": robot,
         "example": example,
         "check": check,
+        "convert": convert,
     }
     arguments = sys.argv[1:] if argv is None else list(argv)
     if arguments == ["--version"]:

@@ -10,7 +10,7 @@ Stock is a block, a closed mesh, or what an earlier run left. G-code is for an u
 tool; a path as CSV may carry tool axes.
 Measured forces are read as they stand, from text or what laboratory programs write.
 What `diffmill identify` is to find out stands in a TOML file like a job.
-Leaves out robot programs.
+Programs of robots are read and written as far as they are plain motion.
 """
 
 from ._checkpoint import (
@@ -26,6 +26,12 @@ from ._path_csv import (
     write_path_csv as write_path_csv,
 )
 from ._programs.faults import ProgramError as ProgramError
+from ._programs.formats import (
+    PROGRAM_FORMATS as PROGRAM_FORMATS,
+    program_of_path as program_of_path,
+    read_program as read_program,
+    write_program as write_program,
+)
 from ._programs.rs274.interpreter import (
     parse_gcode as parse_gcode,
     read_gcode as read_gcode,

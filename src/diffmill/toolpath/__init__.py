@@ -25,5 +25,6 @@ from ._override import (
 )
 from ._path import Path as Path
 from ._path_feed import PathFeed as PathFeed, path_feed as path_feed
+from ._reduce import reduce_path as reduce_path
 from ._resample import resample as resample
 from ._timing import sample_program as sample_program

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 
 from .._types import RealScalarLike
 from ._corners import REVERSAL_ANGLE, TANGENT_ANGLE, Corner, corner_angle, round_corner
-from ._moves import Move, Program
+from ._moves import Move, Point, Program
 from ._path import MOST_STEPS, Path, check_steps
 from ._pieces import Arc, Blend, Piece, Segment, arc_positions, piece_of_move
 from ._smoothing import WayInTime, mean_way, slow_ranges
@@ -30,7 +30,10 @@ _SAME_INSTANT = 1e-6
 
 
 class _Leg(NamedTuple):
-    """A piece with what limits its speed; `is_stop`: at rest at its end."""
+    """A piece with what limits its speed; `is_stop`: at rest at its end.
+
+    The tool axis turns evenly from `first_axis` to `last_axis`.
+    """
 
     piece: Piece
     speed: float
@@ -38,6 +41,8 @@ class _Leg(NamedTuple):
     is_rapid: bool
     line: int
     is_stop: bool = True
+    first_axis: Point = (0.0, 0.0, 1.0)
+    last_axis: Point = (0.0, 0.0, 1.0)
 
 
 class _Profile(NamedTuple):
@@ -116,11 +121,20 @@ def sample_program(
             f"Argument `smoothing` must be zero or positive, but is {smoothing}."
         )
     default = None if feed is None else float(feed)
-    legs = [
-        _leg(move, float(rapid_feed), default, program.name)
-        for move in program.timed_moves
-        if move.length > 0 or move.duration is not None
-    ]
+    moves = program.timed_moves
+    approach = program.moves[: program.approach_count]
+    axis = approach[-1].axis if approach else moves[0].axis if moves else None
+    legs = []
+    for move in moves:
+        if move.length > 0 or move.duration is not None:
+            leg = _leg(move, float(rapid_feed), default, program.name)
+            legs.append(leg._replace(first_axis=axis, last_axis=move.axis))
+            axis = move.axis
+        elif move.axis != axis:
+            raise ValueError(
+                f"{program.name}, line {move.line}: the tool turns on the spot, which "
+                "has no time."
+            )
     legs = _rounded(legs, float(corner_tolerance))
     if not legs:
         raise ValueError(
@@ -165,7 +179,9 @@ def _rounded(legs: list[_Leg], tolerance: float) -> list[_Leg]:
             out[-1] = out[-1]._replace(is_stop=True)
         if corner is not None and after is not None:
             speed = min(before.speed, after.speed)
-            out.append(_Leg(corner.piece, speed, None, False, after.line, False))
+            leg = _Leg(corner.piece, speed, None, False, after.line, False)
+            axis = before.last_axis
+            out.append(leg._replace(first_axis=axis, last_axis=axis))
         head = tail
     return out
 
@@ -255,8 +271,10 @@ def _slowed(legs: list[_Leg], acceleration: float, smoothing: float) -> list[_Le
         for length, speed in parts:
             tail -= length
             piece = leg.piece.trimmed(head, max(tail, 0.0))
+            first = _axis_at(leg, head)
             head += length
-            out.append(leg._replace(piece=piece, speed=speed, is_stop=False))
+            part = leg._replace(piece=piece, speed=speed, is_stop=False)
+            out.append(part._replace(first_axis=first, last_axis=_axis_at(leg, head)))
         out[-1] = out[-1]._replace(is_stop=leg.is_stop)
     return out
 
@@ -297,7 +315,7 @@ def _sampled(
     return Path(
         time=time,
         positions=_positions(legs, index, distance),
-        axes=np.tile(np.array([0.0, 0.0, 1.0]), (count + 1, 1)),
+        axes=_axes(legs, index, distance),
         is_rapid=np.array([leg.is_rapid for leg in legs])[index],
         line=np.array([leg.line for leg in legs], dtype=np.int32)[index],
     )
@@ -339,6 +357,28 @@ def _travelled(
         time < rise, up * time, np.where(left < fall, length - down * left, cruise)
     )
     return np.clip(distance, 0.0, length)
+
+
+def _axis_at(leg: _Leg, distance: float) -> Point:
+    """Return the tool axis at a distance from the start of a leg, not normalised."""
+    share = distance / leg.piece.length
+    (a, b, c), (x, y, z) = leg.first_axis, leg.last_axis
+    return a + share * (x - a), b + share * (y - b), c + share * (z - c)
+
+
+def _axes(
+    legs: list[_Leg],
+    index: Int[np.ndarray, " step"],
+    distance: Float[np.ndarray, " step"],
+) -> Float[np.ndarray, "step 3"]:
+    """Return the unit tool axes."""
+    first, last = (
+        np.array([getattr(leg, name) for leg in legs])[index]
+        for name in ("first_axis", "last_axis")
+    )
+    length = np.array([leg.piece.length or 1.0 for leg in legs])[index]
+    axes = first + (distance / length)[:, None] * (last - first)
+    return axes / np.linalg.norm(axes, axis=1, keepdims=True)
 
 
 def _positions(

@@ -3,18 +3,12 @@
 import math
 import pathlib
 
-from ...io import (
-    PathFileError,
-    ProgramError,
-    ProgramSetup,
-    read_gcode,
-    read_path_csv,
-)
+from ... import io
+from ...io import PROGRAM_FORMATS, PathFileError, ProgramError, ProgramSetup
 from ...toolpath import Path, Point, Program, resample, sample_program
 from .._schema.job import ProgramTable
 from .context import FileContext
 
-_GCODE_SUFFIXES = (".ngc", ".nc", ".gcode")
 # The program and the job state the same speed in different units.
 _SAME_SPEED = 1e-6
 # Speeds that a message lists.
@@ -24,19 +18,19 @@ _LISTED = 8
 def read_program(table: ProgramTable, context: FileContext) -> Program | Path | None:
     """Return the program or the recorded path of a job, or None with problems noted."""
     suffix = pathlib.PurePath(table.file).suffix.lower()
-    if suffix not in (*_GCODE_SUFFIXES, ".csv"):
+    if suffix not in PROGRAM_FORMATS:
         context.problems.append(
             f"[program] file: found {table.file!r}; allowed: "
-            f"{', '.join(_GCODE_SUFFIXES)} (G-code) and .csv (recorded path)"
+            f"{', '.join(PROGRAM_FORMATS)}"
         )
         return None
     path = context.file(table.file, "[program] file")
     if path is None:
         return None
     try:
-        if suffix == ".csv":
-            return read_path_csv(path)
-        program = read_gcode(path, setup=_setup(table))
+        program = io.read_program(path, setup=_setup(table))
+        if isinstance(program, Path):
+            return program
         chosen = program.of_tool(table.tool)
     except (ProgramError, PathFileError) as error:
         context.problems.extend(str(error).splitlines())

@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ...._types import RealScalarLike
-from ....toolpath import Path
+from ....toolpath import Move, Path, Program
+from ..geometry import straight_pieces
 
 _DECIMALS = 6
 
@@ -85,3 +86,75 @@ def _comment(text: str) -> str:
     """Return text that can stand within parentheses on one line."""
     plain = " ".join(text.split()).replace("(", "[").replace(")", "]")
     return plain.encode("ascii", errors="replace").decode("ascii")
+
+
+def write_moves(
+    program: Program, *, header: Sequence[str] = (), tolerance: RealScalarLike = 1e-6
+) -> str:
+    """Return a program as G-code: its lines, arcs, feeds, durations and rests.
+
+    Args:
+        program: The program; its tool axis must be +z.
+        header: Lines of comment for the top of the program.
+        tolerance: How far straight pieces may lie beside an arc whose axis is none of
+            x, y and z [m].
+
+    Raises:
+        ValueError: If the tool axis is tilted.
+    """
+    moves = program.moves[max(program.approach_count - 1, 0) :]
+    if any(abs(move.axis[2] - 1) > 1e-9 for move in moves):
+        raise ValueError(
+            "the program tilts the tool axis; G-code with X, Y and Z only cannot."
+        )
+    lines = [f"({_comment(text)})" for text in header] + ["G17 G21 G40 G49 G90 G94"]
+    speeds = iter(program.spindle_speeds)
+    if (speed := next(speeds, None)) is not None:
+        lines.append(f"S{round(float(speed) * 30 / math.pi, 6):.12g} M3")
+    plane, feed, mode = 2, None, 940
+    for move in moves:
+        normal = [round(value, 9) + 0.0 for value in move.normal]
+        is_plane = sorted(map(abs, normal)) == [0.0, 0.0, 1.0]
+        whole = [move] if is_plane else straight_pieces(move, float(tolerance))
+        for one in whole:
+            words = []
+            if (
+                one.centre is not None
+                and abs(normal.index(max(normal, key=abs))) != plane
+            ):
+                plane = normal.index(max(normal, key=abs))
+                words.append(f"G{(19, 18, 17)[plane]}")
+            if not one.is_rapid and one.length > 0:
+                wanted = 940 if one.duration is None else 930
+                if wanted != mode:
+                    mode, feed = wanted, None
+                    words.append(f"G{mode // 10}")
+            words.append(_motion_words(one, plane, normal))
+            if one.duration is not None and one.length > 0:
+                words.append(f"F{60 / one.duration:.9f}")
+            elif one.feed is not None and one.feed != feed:
+                feed = one.feed
+                words.append(f"F{feed * 6e4:.9g}")
+            if one.length > 0 or one.duration is None:
+                lines.append(" ".join(words))
+            rest = one.rest or (0.0 if one.length > 0 else one.duration or 0.0)
+            if rest:
+                lines.append(f"G4 P{rest:.9g}")
+    lines += ["M5"] * bool(program.spindle_speeds) + ["M2"]
+    return "\n".join(lines) + "\n"
+
+
+def _motion_words(move: Move, plane: int, normal: list[float]) -> str:
+    """Return the words of one motion, without its feed."""
+    end = _coordinates(np.array(move.end) * 1e3)
+    if move.centre is None:
+        return f"G{0 if move.is_rapid else 1} {end}"
+    is_left = move.turn * normal[plane] > 0
+    offset = [1e3 * (c - s) for c, s in zip(move.centre, move.start, strict=True)]
+    centre = " ".join(
+        f"{letter}{offset[axis]:.{_DECIMALS}f}"
+        for axis, letter in enumerate("IJK")
+        if axis != plane
+    )
+    turns = f" P{abs(move.turn)}" if abs(move.turn) > 1 else ""
+    return f"G{3 if is_left else 2} {end} {centre}{turns}"

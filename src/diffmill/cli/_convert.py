@@ -1,0 +1,49 @@
+"""A program of one format written in another."""
+
+import os
+import pathlib
+
+from ._session.errors import BadInput
+
+
+def convert_file(
+    source: pathlib.Path, target: pathlib.Path, *, tolerance: float, force: bool
+) -> list[str]:
+    """Write a program in the format of another suffix; return lines about it.
+
+    Args:
+        source: The program or the path.
+        target: The file to write.
+        tolerance: How far the written motion may lie beside the read one [m].
+        force: Whether a file that is there may be replaced.
+
+    Raises:
+        BadInput: If a file is there already.
+        ValueError: If the program cannot be read, or the format cannot say it.
+    """
+    from ..io import read_program, write_program
+    from ..toolpath import Path, reduce_path
+
+    if target.exists() and not force:
+        raise BadInput(f"{target}: the file exists; --force replaces it")
+    program = read_program(source)
+    lines = []
+    if isinstance(program, Path):
+        if target.suffix.lower() != ".csv":
+            reduced = reduce_path(program, tolerance)
+            lines.append(
+                f"rows: {program.step_count}, blocks: {reduced.step_count - 1}"
+            )
+            program = reduced
+    else:
+        lines += [f"note: {note}" for note in program.notes]
+        if len(program.tools) > 1:
+            program = program.of_tool()
+            tool = program.sections[0].tool
+            lines.append(f"note: only tool {tool} is written, others are left out")
+    header = [f"converted from {source.name} by diffmill"]
+    text = write_program(program, target.suffix, header=header, tolerance=tolerance)
+    beside = target.with_name(f".{target.name}.{os.getpid()}")
+    beside.write_text(text, encoding="utf-8")
+    beside.replace(target)
+    return [f"wrote {target}", *lines]

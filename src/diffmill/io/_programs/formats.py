@@ -1,0 +1,149 @@
+"""Programs of every format, told by the suffix of the file."""
+
+import math
+import os
+import pathlib
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...toolpath import Move, Path, Point, Program, sample_program
+from .._path_csv import read_path_csv, write_path_csv
+from .faults import Fault, ProgramError
+from .robots.apt import parse_apt
+from .robots.krl import parse_krl
+from .robots.rapid import parse_rapid
+from .robots.writers import write_apt, write_krl, write_rapid
+from .rs274.interpreter import parse_gcode
+from .rs274.writer import write_moves
+from .setup import ProgramSetup
+from .text import read_text
+
+GCODE = (".ngc", ".nc", ".gcode", ".tap", ".cnc")
+APT = (".apt", ".cls", ".cl", ".cldata")
+RAPID = (".mod", ".prg", ".modx")
+KRL = (".src",)
+PROGRAM_FORMATS = {
+    **dict.fromkeys(GCODE, "G-code"),
+    **dict.fromkeys(KRL, "KRL"),
+    **dict.fromkeys(RAPID, "RAPID"),
+    **dict.fromkeys(APT, "APT"),
+    ".csv": "path as CSV",
+}
+# With which a program without its own times becomes a path: those of a job.
+_PERIOD = 4e-3
+_ACCELERATION = 2.0
+_RAPID_FEED = 0.2
+
+
+def read_program(
+    file: str | os.PathLike[str], *, setup: ProgramSetup | None = None
+) -> Program | Path:
+    """Return a program of any format; a path as CSV is returned as recorded.
+
+    Args:
+        file: Path of the file; its suffix tells the format.
+        setup: What the program does not say, with G-code.
+
+    Raises:
+        ValueError: If the file cannot be read, with file, line and word.
+    """
+    path = pathlib.Path(file)
+    suffix, setup = path.suffix.lower(), ProgramSetup() if setup is None else setup
+    if suffix == ".csv":
+        return read_path_csv(path)
+    if suffix not in PROGRAM_FORMATS:
+        fault = Fault(
+            0, "", f"the suffix {suffix!r} is not known; allowed: {allowed()}."
+        )
+        raise ProgramError(str(path), [fault])
+    text = read_text(path)
+    if suffix in KRL:
+        beside = path.with_suffix(".dat")
+        data = read_text(beside) if beside.is_file() else ""
+        return parse_krl(text, data, name=path.name)
+    if suffix in RAPID:
+        return parse_rapid(text, name=path.name)
+    if suffix in APT:
+        return parse_apt(text, name=path.name)
+    return parse_gcode(text, name=path.name, setup=setup)
+
+
+def allowed() -> str:
+    """Return the suffixes and what they stand for."""
+    groups: dict[str, list[str]] = {}
+    for suffix, name in PROGRAM_FORMATS.items():
+        groups.setdefault(name, []).append(suffix)
+    return ", ".join(f"{' '.join(group)} ({name})" for name, group in groups.items())
+
+
+def write_program(
+    program: Program | Path,
+    suffix: str,
+    *,
+    header: Sequence[str] = (),
+    tolerance: float = 1e-6,
+) -> str:
+    """Return the text of a program in the format of a suffix.
+
+    A path is written with one straight move per row, in the time between the rows:
+    `diffmill.toolpath.reduce_path` leaves few of them.
+
+    Args:
+        program: The program or the path.
+        suffix: Such as ".src".
+        header: Lines of comment.
+        tolerance: How far straight pieces may lie beside an arc that the format does
+            not know, and corners be rounded where times are needed [m].
+
+    Raises:
+        ValueError: If the suffix is not known, or the format cannot say the motion.
+    """
+    suffix = suffix.lower()
+    if suffix not in PROGRAM_FORMATS:
+        raise ValueError(f"found the suffix {suffix!r}; allowed: {allowed()}")
+    if suffix == ".csv":
+        return write_path_csv(_timed(program, tolerance))
+    moves = program_of_path(program) if isinstance(program, Path) else program
+    if suffix in KRL:
+        return write_krl(moves, header=header, tolerance=tolerance)
+    if suffix in RAPID:
+        return write_rapid(moves, header=header, tolerance=tolerance)
+    if suffix in APT:
+        return write_apt(moves, header=header, tolerance=tolerance)
+    return write_moves(moves, header=header, tolerance=tolerance)
+
+
+def program_of_path(path: Path, *, name: str = "path") -> Program:
+    """Return a path as a program of straight moves that take the time of its rows."""
+    time, points = np.asarray(path.time), np.asarray(path.positions).tolist()
+    axes, lines = np.asarray(path.axes).tolist(), np.asarray(path.line).tolist()
+    start = _point(points[0])
+    first = Move((0.0, 0.0, 0.0), start, is_rapid=True, line=lines[0])
+    moves = [first._replace(axis=_point(axes[0]))]
+    rows = zip(points[1:], axes[1:], np.diff(time).tolist(), lines[1:], strict=True)
+    for point, axis, duration, line in rows:
+        end = _point(point)
+        move = Move(start, end, duration=duration, line=line)
+        moves.append(move._replace(axis=_point(axis)))
+        start = end
+    return Program(tuple(moves), approach_count=1, name=name)
+
+
+def _timed(program: Program | Path, tolerance: float) -> Path:
+    """Return a path; a program is timed with the defaults of a job."""
+    if isinstance(program, Path):
+        return program
+    return sample_program(
+        program.of_tool(),
+        _PERIOD,
+        acceleration=_ACCELERATION,
+        rapid_feed=_RAPID_FEED,
+        corner_tolerance=tolerance if math.isfinite(tolerance) else 0.0,
+    )
+
+
+def _point(values: list[float]) -> Point:
+    """Return three numbers as a point."""
+    x, y, z = values
+    return x, y, z

@@ -1,0 +1,124 @@
+"""Poses of tools as robot programs write them, and curves as straight pieces.
+
+A controller's tool axis points from the flange to the tip, ours from the tip to the
+shank: the frames differ by half a turn about x. The turn about the axis is chosen so
+that x of the tool is as near to x of `work` as the axis allows.
+"""
+
+import math
+
+import numpy as np
+from jaxtyping import Float
+
+from ...toolpath import Move, Point
+
+_MOST_PIECES = 100_000
+
+
+def tool_matrix(axis: Point) -> Float[np.ndarray, "3 3"]:
+    """Return the axes of a controller's tool frame in `work`, as columns."""
+    z = np.array(axis) / math.hypot(*axis)
+    x = np.array([1.0, 0.0, 0.0]) - z[0] * z
+    if np.linalg.norm(x) < 1e-6:
+        x = np.array([0.0, 0.0, -z[0]])
+    x = x / np.linalg.norm(x)
+    return np.stack([x, np.cross(x, z), -z], axis=1)
+
+
+def abc_of_axis(axis: Point) -> Point:
+    """Return the angles A, B, C [deg] of a tool: R = Rz(A) Ry(B) Rx(C)."""
+    R = tool_matrix(axis)
+    a = math.atan2(R[1, 0], R[0, 0])
+    b = math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0]))
+    c = math.atan2(R[2, 1], R[2, 2])
+    return math.degrees(a), math.degrees(b), math.degrees(c)
+
+
+def axis_of_abc(a: float, b: float, c: float) -> Point:
+    """Return the tool axis, tip to shank, of angles A, B, C [deg]."""
+    a, b, c = math.radians(a), math.radians(b), math.radians(c)
+    return (
+        -(math.cos(a) * math.sin(b) * math.cos(c) + math.sin(a) * math.sin(c)),
+        -(math.sin(a) * math.sin(b) * math.cos(c) - math.cos(a) * math.sin(c)),
+        -math.cos(b) * math.cos(c),
+    )
+
+
+def quaternion_of_axis(axis: Point) -> tuple[float, float, float, float]:
+    """Return the quaternion (w, x, y, z) of a tool."""
+    from scipy.spatial.transform import Rotation
+
+    x, y, z, w = Rotation.from_matrix(tool_matrix(axis)).as_quat()
+    return (w, x, y, z) if w >= 0 else (-w, -x, -y, -z)
+
+
+def axis_of_quaternion(w: float, x: float, y: float, z: float) -> Point:
+    """Return the tool axis, tip to shank, of a quaternion of any length above 0."""
+    square = w * w + x * x + y * y + z * z
+    return (
+        -2 * (x * z + w * y) / square,
+        -2 * (y * z - w * x) / square,
+        -(w * w - x * x - y * y + z * z) / square,
+    )
+
+
+def circle_through(first: Point, middle: Point, last: Point) -> tuple[Point, Point]:
+    """Return centre and normal of the circle through three points.
+
+    The way from the first over the middle to the last is counter-clockwise about the
+    normal.
+
+    Raises:
+        ValueError: If the points lie on a line.
+    """
+    a, b, c = np.array(first), np.array(middle), np.array(last)
+    u, v = b - a, c - a
+    across = np.cross(u, v)
+    square = float(across @ across)
+    if square < 1e-12 * float(u @ u) * float(v @ v) or square == 0:
+        raise ValueError("the three points of the circle lie on a line.")
+    to_centre = np.cross(across, u) * (v @ v) + np.cross(v, across) * (u @ u)
+    centre, normal = a + to_centre / (2 * square), across / math.sqrt(square)
+    return _point(centre), _point(normal)
+
+
+def arc_points(move: Move, count: int) -> Float[np.ndarray, "point 3"]:
+    """Return points of an arc at equal parts of its angle, its start left out [m]."""
+    assert move.centre is not None
+    first, last = move.radii
+    sweep = move.sweep
+    normal = np.array(move.normal)
+    radial = np.array(move.spokes[0]) / first
+    part = np.arange(1, count + 1)[:, None] / count
+    radius, angle = first + part * (last - first), part * sweep
+    around = np.cos(angle) * radial + np.sin(angle) * np.cross(normal, radial)
+    points = np.array(move.centre) + radius * around + part * move.rise * normal
+    points[-1] = move.end
+    return points
+
+
+def straight_pieces(move: Move, tolerance: float) -> list[Move]:
+    """Return a move as straight ones that leave an arc by a tolerance at most [m]."""
+    if move.centre is None:
+        return [move]
+    radius = max(move.radii)
+    ratio = min(max(1 - tolerance / radius, -1.0), 1.0)
+    step = max(2 * math.acos(ratio), 1e-4)
+    count = min(max(1, math.ceil(abs(move.sweep) / step)), _MOST_PIECES)
+    pieces, start = [], move.start
+    duration = None if move.duration is None else move.duration / count
+    for row in arc_points(move, count):
+        end = _point(row)
+        one = move._replace(
+            start=start, end=end, centre=None, turn=0, duration=duration, rest=0.0
+        )
+        pieces.append(one)
+        start = end
+    pieces[-1] = pieces[-1]._replace(rest=move.rest)
+    return pieces
+
+
+def _point(values: Float[np.ndarray, " 3"]) -> Point:
+    """Return three numbers as a point."""
+    x, y, z = values.tolist()
+    return x, y, z

@@ -1,0 +1,1 @@
+"""Programs of robots and of planning systems: KRL, RAPID, APT."""

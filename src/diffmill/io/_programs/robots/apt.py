@@ -1,0 +1,273 @@
+"""APT source and CLDATA as text: GOTO with a tool axis, feeds, tools and circles."""
+
+import itertools
+import math
+import re
+
+from ....toolpath import Move, Point, Program
+from ..faults import SHOWN_FAULTS, ProgramError
+from ..text import split_lines
+from .reader import Reader
+
+_MM_PER_INCH = 25.4
+_QUIET = frozenset(
+    "PARTNO PPRINT INSERT REMARK $$ MACHIN MULTAX INTOL OUTTOL TOLER CUTTER COOLNT "
+    "SELECT STOP OPSTOP CLEARP PREFUN AUXFUN LINTOL DISPLAY "
+    "SEQNO LEADER TPRINT TLAXIS CSI_SET_FLUTE_LENGTH CSI_SET_EXTENSION_LENGTH".split()
+)
+_DRILLS = frozenset(["DRILL", "FACE", "CDRILL", "SPOT"])
+_DEEP = frozenset(["DEEP", "DEEP2"])
+# How far above the last depth a peck goes by rapid [m]: the program does not say.
+_CLEARANCE = 0.254e-3
+_MOST_PECKS = 10_000
+_FEED_UNITS = {"MMPM": 1.0, "IPM": _MM_PER_INCH, "PERMIN": None}
+_UNITS = {"MM": 1.0, "INCHES": _MM_PER_INCH, "INCH": _MM_PER_INCH}
+# Frames that change nothing.
+_FRAMES = {
+    "CSYS": (1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0),
+    "TRNTYP": (math.nan, 0.0, 0.0, 0.0),
+}
+# How far the radii at the ends of a circle may differ [m].
+_SPIRAL = 5e-5
+
+
+class _Apt(Reader):
+    """State of the reader of APT."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.scale = 1.0
+        self.is_rapid = False
+        self.circle: list[float] | None = None
+        self.cycle: dict[str, float] | None = None
+        self.cycle_feed: float | None = None
+
+
+def parse_apt(text: str, *, name: str = "program.apt") -> Program:
+    """Return the moves of an APT program.
+
+    Raises:
+        ProgramError: If anything but plain motion is found; up to 20 faults.
+    """
+    reader = _Apt()
+    held, begun = "", 0
+    for number, row in enumerate(split_lines(text, name), 1):
+        bare = row.split("$$")[0].strip()
+        begun = begun if held else number
+        held += bare
+        # A $ at the end of a line goes on in the next.
+        if held.endswith("$"):
+            held = held[:-1]
+            continue
+        statement, held = held, ""
+        if statement.upper().split("/")[0].strip() in ("FINI", "END"):
+            break
+        if statement:
+            _statement(statement, begun, reader)
+        if len(reader.faults) > SHOWN_FAULTS:
+            break
+    if reader.faults:
+        raise ProgramError(name, reader.faults)
+    return reader.out.finish(text, name)
+
+
+def _statement(row: str, line: int, reader: _Apt) -> None:
+    """Carry out one statement."""
+    word, _, rest = row.partition("/")
+    word = word.strip().upper()
+    parts = [part.strip().upper() for part in rest.split(",") if part.strip()]
+    if word in ("GOTO", "FROM", "GODLTA", "GOHOME", "CIRCLE"):
+        _motion(word, row, parts, line, reader)
+    elif word == "RAPID":
+        reader.is_rapid = True
+    elif word == "FEDRAT":
+        _feed(row, parts, line, reader)
+    elif word in ("UNITS", "UNIT"):
+        if not parts or parts[0] not in _UNITS:
+            reader.refuse(line, row, f"allowed are {', '.join(_UNITS)}.")
+        else:
+            reader.scale = _UNITS[parts[0]]
+    elif word == "SPINDL":
+        speeds = [part for part in parts if _is_number(part)]
+        if speeds:
+            reader.out.set_speed(float(speeds[0]) * 2 * math.pi / 60)
+    elif word == "LOADTL" or (word == "LOAD" and parts[:1] == ["TOOL"]):
+        numbers = [part for part in parts if _is_number(part)]
+        if not numbers:
+            reader.refuse(line, row, "needed is the number of a tool.")
+            return
+        reader.out.change_tool(round(float(numbers[0])), line)
+    elif word == "DELAY" and parts and _is_number(parts[0]):
+        reader.out.rest(float(parts[0]))
+    elif word == "CYCLE":
+        _cycle(row, parts, line, reader)
+    elif word in _FRAMES:
+        pairs = zip(parts, _FRAMES[word], strict=False)
+        if any(_is_number(found) and float(found) != plain for found, plain in pairs):
+            message = "a frame that is moved or turned is not supported."
+            reader.refuse(line, row, message)
+    elif word == "CUTCOM":
+        sentence = "the points are taken to be those of the tool's centre"
+        reader.out.note(word, sentence, line)
+    elif word.split(" ")[0] in _QUIET or not word:
+        reader.out.note(word.split(" ")[0], "changes no motion here", line)
+    else:
+        reader.refuse(line, row, "is no plain motion and is not supported.")
+
+
+def _is_number(text: str) -> bool:
+    """Return whether a text is a finite number."""
+    return re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)(E[+-]?\d+)?", text) is not None
+
+
+def _feed(row: str, parts: list[str], line: int, reader: _Apt) -> None:
+    """Apply FEDRAT: it ends RAPID, and counts per minute unless it says otherwise."""
+    numbers = [part for part in parts if _is_number(part)]
+    units = [part for part in parts if not _is_number(part)]
+    unit = units[0] if units else "PERMIN"
+    if len(numbers) != 1 or unit not in _FEED_UNITS or not float(numbers[0]) > 0:
+        allowed = ", ".join(_FEED_UNITS)
+        reader.refuse(line, row, f"needed is a feed above 0, with one of {allowed}.")
+        return
+    scale = _FEED_UNITS[unit] or reader.scale
+    reader.feed = float(numbers[0]) * scale * 1e-3 / 60
+    reader.is_rapid = False
+
+
+def _motion(word: str, row: str, parts: list[str], line: int, reader: _Apt) -> None:
+    """Carry out a motion, or keep the circle of the next."""
+    if not all(_is_number(part) for part in parts) or len(parts) not in (3, 6, 7):
+        reader.refuse(line, row, "needed are 3 numbers, or 6 with the tool axis.")
+        return
+    numbers = [float(part) for part in parts]
+    if word == "CIRCLE":
+        reader.circle = numbers
+        return
+    if word == "GOHOME":
+        reader.refuse(line, row, "where home is, the program does not say.")
+        return
+    x, y, z = (1e-3 * reader.scale * value for value in numbers[:3])
+    point, axis = (x, y, z), reader.axis
+    if word == "GODLTA":
+        a, b, c = reader.position
+        point = (a + x, b + y, c + z)
+    elif len(numbers) >= 6:
+        length = math.hypot(*numbers[3:6])
+        if abs(length - 1) > 1e-2:
+            reader.refuse(line, row, "the tool axis is a unit vector.")
+            return
+        i, j, k = (value / length for value in numbers[3:6])
+        axis = (i, j, k)
+    if word == "FROM":
+        reader.position, reader.axis, reader.is_placed = point, axis, True
+        reader.out.known.update("XYZ")
+    elif reader.circle is not None:
+        _circle(point, axis, line, reader)
+    elif reader.cycle is not None:
+        _drill(point, axis, reader.cycle, line, reader)
+    else:
+        reader.line_to(point, axis, line, is_rapid=reader.is_rapid)
+        # RAPID holds for one motion.
+        reader.is_rapid = False
+
+
+def _circle(point: Point, axis: Point, line: int, reader: _Apt) -> None:
+    """Make an arc about the circle of the statement before, to a point."""
+    numbers, reader.circle = reader.circle, None
+    assert numbers is not None
+    if len(numbers) < 6:
+        reader.refuse(line, "CIRCLE", "needed are centre and axis of the circle.")
+        return
+    x, y, z = (1e-3 * reader.scale * value for value in numbers[:3])
+    i, j, k = numbers[3:6]
+    length = math.hypot(i, j, k)
+    if abs(length - 1) > 1e-2 or not reader.is_placed:
+        message = "needed are a unit vector as the axis, and a place to start from."
+        reader.refuse(line, "CIRCLE", message)
+        return
+    normal = (i / length, j / length, k / length)
+    start = reader.position
+    height = sum((a - b) * n for a, b, n in zip(start, (x, y, z), normal, strict=True))
+    centre = (
+        x + height * normal[0],
+        y + height * normal[1],
+        z + height * normal[2],
+    )
+    if reader.feed is None:
+        reader.refuse(line, "CIRCLE", "there is no FEDRAT before it.")
+    move = Move(start, point, centre, 1, reader.feed, line=line, normal=normal)
+    first, last = move.radii
+    if min(first, last) == 0 or abs(first - last) > _SPIRAL:
+        message = f"its radius is {first * 1e3:.6g} mm at the start, "
+        reader.refuse(line, "CIRCLE", message + f"{last * 1e3:.6g} mm at the end.")
+        return
+    reader.out.add(move._replace(axis=axis), "")
+    reader.position, reader.axis = point, axis
+
+
+def _cycle(row: str, parts: list[str], line: int, reader: _Apt) -> None:
+    """Apply CYCLE: drilling as plunges."""
+    kind = parts[0] if parts else ""
+    if kind in ("OFF", "INIT"):
+        reader.cycle = None
+        return
+    words = {a: float(b) for a, b in itertools.pairwise(parts) if _is_number(b)}
+    reader.cycle, reader.cycle_feed = words, reader.feed
+    needed = ["FEDTO", "RAPTO", *(["1STPECK", "SUBPECK"] if kind in _DEEP else [])]
+    pecks = [words.get(word, 1.0) for word in ("1STPECK", "SUBPECK")]
+    if kind not in _DRILLS | _DEEP or min(pecks) <= 0 or set(needed) - set(words):
+        message = f"allowed are OFF, INIT, {', '.join(sorted(_DRILLS))} with FEDTO and "
+        message += (
+            f"RAPTO, and {', '.join(sorted(_DEEP))} with 1STPECK and SUBPECK too."
+        )
+        reader.refuse(line, row, message)
+        reader.cycle = {"FEDTO": 0.0, "RAPTO": 0.0}
+        reader.cycle_feed = 1.0
+        return
+    for unit in ("MMPM", "IPM"):
+        if unit in words:
+            reader.cycle_feed = words[unit] * (_FEED_UNITS[unit] or 1.0) * 1e-3 / 60
+
+
+def _drill(
+    point: Point, axis: Point, cycle: dict[str, float], line: int, reader: _Apt
+) -> None:
+    """Make a plunge along the tool axis below a point."""
+
+    def at(height: float) -> Point:
+        way = 1e-3 * reader.scale * height
+        return (
+            point[0] + way * axis[0],
+            point[1] + way * axis[1],
+            point[2] + way * axis[2],
+        )
+
+    above = max(cycle["RAPTO"], cycle.get("RTRCTO", cycle["RAPTO"]))
+    feed, reader.feed = reader.feed, reader.cycle_feed
+    reader.line_to(at(above), axis, line, is_rapid=True)
+    reader.line_to(at(cycle["RAPTO"]), axis, line, is_rapid=True)
+    for depth in _peck_depths(cycle, line, reader):
+        reader.line_to(at(-depth), axis, line)
+        reader.line_to(at(cycle["RAPTO"]), axis, line, is_rapid=True)
+        clear = _CLEARANCE * 1e3 / reader.scale
+        reader.line_to(at(clear - depth), axis, line, is_rapid=True)
+    reader.line_to(at(-cycle["FEDTO"]), axis, line)
+    if cycle.get("DWELL"):
+        reader.out.rest(cycle["DWELL"])
+    reader.line_to(at(above), axis, line, is_rapid=True)
+    reader.feed = feed
+
+
+def _peck_depths(cycle: dict[str, float], line: int, reader: _Apt) -> list[float]:
+    """Return the depths between which a deep hole is left, the last one aside."""
+    if "1STPECK" not in cycle:
+        return []
+    first, step, last = cycle["1STPECK"], cycle["SUBPECK"], cycle["FEDTO"]
+    count = math.ceil((last - first) / step) if last > first else 0
+    if count > _MOST_PECKS:
+        reader.refuse(line, "CYCLE", f"a hole has at most {_MOST_PECKS} pecks.")
+        return []
+    if count:
+        message = "each peck goes out to RAPTO and back to 0.254 mm above its depth"
+        reader.out.note("CYCLE", message, line)
+    return [first + step * index for index in range(count)]

@@ -1,0 +1,214 @@
+"""ABB RAPID: plain motion of one module.
+
+Read are robtarget, speeddata and constants of them, MoveL, MoveC, MoveJ and MoveAbsJ,
+Offs, speeds with V or T, zones, tools and work objects, WaitTime, and comments.
+"""
+
+import re
+
+from ....toolpath import Point, Program
+from ..faults import SHOWN_FAULTS, ProgramError
+from ..geometry import axis_of_quaternion
+from ..text import MOST_LINES
+from .reader import Reader
+
+_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_DECLARED = re.compile(
+    r"(?:LOCAL\s+)?(?:CONST|PERS|VAR)\s+(\w+)\s+(\w+)\s*(?::=\s*(.*))?",
+    re.IGNORECASE | re.DOTALL,
+)
+_MOVE = re.compile(r"(MoveL|MoveJ|MoveC|MoveAbsJ)\s+(.*)", re.IGNORECASE | re.DOTALL)
+_OFFSET = re.compile(r"Offs\s*\((.*)\)", re.IGNORECASE | re.DOTALL)
+_SPEED = re.compile(r"v(\d+)", re.IGNORECASE)
+_OPTION = re.compile(rf"\\(V|T)\s*:=\s*({_NUMBER})", re.IGNORECASE)
+_WORK_OBJECT = re.compile(r"\\WObj\s*:=\s*(\w+)", re.IGNORECASE)
+_FRAME = re.compile(
+    r"(?:MODULE|PROC)\b.*|ENDMODULE|ENDPROC|RETURN|%%%|VERSION\s*:\s*1"
+    r"|LANGUAGE\s*:\s*ENGLISH",
+    re.IGNORECASE | re.DOTALL,
+)
+_QUIET = re.compile(
+    r"(SetDO|Set|Reset|SetAO|PulseDO|TPWrite|TPErase|ConfL|ConfJ|SingArea|AccSet|VelSet"
+    r"|ActUnit|Stop|StopMove|ClkReset|ClkStart|ClkStop)\b.*",
+    re.IGNORECASE | re.DOTALL,
+)
+_WAIT = re.compile(rf"WaitTime\s+(?:\\InPos\s*,\s*)?({_NUMBER})", re.IGNORECASE)
+_FASTEST = 5.0
+
+
+class _Rapid(Reader):
+    """State of the reader of RAPID."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.targets: dict[str, list[float]] = {}
+        self.speeds: dict[str, float] = {"vmax": _FASTEST}
+        self.frame: str | None = None
+        self.procedures = 0
+
+
+def parse_rapid(text: str, *, name: str = "program.mod") -> Program:
+    """Return the moves of a RAPID module.
+
+    Raises:
+        ProgramError: If anything but plain motion is found; up to 20 faults.
+    """
+    reader = _Rapid()
+    for line, statement in _statements(text):
+        _statement(statement, line, reader)
+        if len(reader.faults) > SHOWN_FAULTS or line > MOST_LINES:
+            break
+    if reader.faults:
+        raise ProgramError(name, reader.faults)
+    return reader.out.finish(text, name)
+
+
+def _statements(text: str):
+    """Yield the first line and the text of every statement."""
+    begun, parts = 0, []
+    for number, row in enumerate(text.splitlines(), 1):
+        bare = re.sub(r'"[^"]*"', '""', row).split("!")[0].strip()
+        if not bare:
+            continue
+        if not parts:
+            begun = number
+        if not parts and _FRAME.fullmatch(bare):
+            yield begun, bare
+            continue
+        *ended, rest = bare.split(";")
+        for part in ended:
+            yield begun, " ".join([*parts, part]).strip()
+            begun, parts = number, []
+        if rest.strip():
+            parts.append(rest.strip())
+    if parts:
+        yield begun, " ".join(parts)
+
+
+def _statement(row: str, line: int, reader: _Rapid) -> None:
+    """Carry out one statement."""
+    if not row:
+        return
+    if _FRAME.fullmatch(row):
+        reader.procedures += row.upper().startswith("PROC")
+        if reader.procedures > 1:
+            reader.refuse(line, row, "one PROC per module is read; write calls out.")
+    elif found := _DECLARED.fullmatch(row):
+        _declare(found, line, reader)
+    elif found := _MOVE.fullmatch(row):
+        _move(found[1].lower(), found[2], line, reader)
+    elif found := _WAIT.fullmatch(row):
+        reader.out.rest(float(found[1]))
+    elif found := _QUIET.fullmatch(row):
+        reader.out.note(found[1], "changes no path", line)
+    else:
+        reader.refuse(line, row, "is no plain motion and is not supported.")
+
+
+def _declare(found: re.Match[str], line: int, reader: _Rapid) -> None:
+    """Keep a constant that a motion may name."""
+    kind, name, value = found[1].lower(), found[2].lower(), found[3]
+    if value is None:
+        return
+    if kind == "robtarget":
+        reader.targets[name] = _numbers(value, 17, line, reader)
+    elif kind == "speeddata":
+        reader.speeds[name] = 1e-3 * _numbers(value, 4, line, reader)[0]
+
+
+def _numbers(text: str, count: int, line: int, reader: Reader) -> list[float]:
+    """Return the numbers of nested lists, brackets aside."""
+    parts = text.replace("[", " ").replace("]", " ").split(",")
+    try:
+        found = [float(part) for part in parts]
+    except ValueError:
+        found = []
+    if len(found) != count:
+        reader.refuse(line, text, f"needed are {count} numbers in brackets.")
+        return [0.0] * 3 + [0.0, 0.0, 1.0, 0.0] + [0.0] * (count - 7)
+    return found
+
+
+def _arguments(text: str) -> list[str]:
+    """Return arguments that are separated by commas outside of brackets."""
+    out, depth, begun = [], 0, 0
+    for index, letter in enumerate(text):
+        depth += (letter in "[(") - (letter in "])")
+        if letter == "," and depth == 0:
+            out.append(text[begun:index].strip())
+            begun = index + 1
+    return [*out, text[begun:].strip()]
+
+
+def _target(text: str, line: int, reader: _Rapid) -> tuple[Point, Point]:
+    """Return tip [m] and axis of a target: a name, numbers, or one with an offset."""
+    shift = [0.0, 0.0, 0.0]
+    if found := _OFFSET.fullmatch(text):
+        text, *moved = _arguments(found[1])
+        shift = _numbers(",".join(moved), 3, line, reader)[:3]
+    if text.startswith("["):
+        values = _numbers(text, 17, line, reader)
+    elif text.lower() in reader.targets:
+        values = reader.targets[text.lower()]
+    else:
+        reader.refuse(line, text, "no robtarget of this name is declared as numbers.")
+        return reader.position, reader.axis
+    x, y, z = (1e-3 * (a + b) for a, b in zip(values[:3], shift, strict=True))
+    if not any(values[3:7]):
+        reader.refuse(line, text, "the quaternion has no length.")
+        return (x, y, z), reader.axis
+    return (x, y, z), axis_of_quaternion(*values[3:7])
+
+
+def _pace(text: str, line: int, reader: _Rapid) -> float | None:
+    """Set the feed of a motion; return its duration [s] if it states one."""
+    option = _OPTION.search(text)
+    name = text.split("\\")[0].strip().lower()
+    if option and option[1].upper() == "T":
+        return float(option[2])
+    if option:
+        reader.feed = 1e-3 * float(option[2])
+    elif name.startswith("["):
+        reader.feed = 1e-3 * _numbers(name, 4, line, reader)[0]
+    elif name in reader.speeds:
+        reader.feed = reader.speeds[name]
+    elif found := _SPEED.fullmatch(name):
+        reader.feed = 1e-3 * float(found[1])
+    else:
+        reader.refuse(line, text, "no speeddata of this name is declared as numbers.")
+    if reader.feed is not None and not reader.feed > 0:
+        reader.refuse(line, text, "a speed is above 0.")
+    return None
+
+
+def _move(kind: str, rest: str, line: int, reader: _Rapid) -> None:
+    """Carry out a motion."""
+    arguments = _arguments(rest)
+    count = 5 if kind == "movec" else 4
+    if len(arguments) != count:
+        reader.refuse(
+            line, rest, f"needed are {count} arguments: to, speed, zone, tool."
+        )
+        return
+    frame = _WORK_OBJECT.search(arguments[-1])
+    frame = "wobj0" if frame is None else frame[1].lower()
+    if reader.frame not in (None, frame):
+        message = "several work objects are not supported; `work` is one of them."
+        reader.refuse(line, frame, message)
+    reader.frame = frame
+    if kind == "moveabsj":
+        message = "goes to joint angles; the motion is taken up at the next position"
+        reader.out.note("MoveAbsJ", message, line)
+        reader.lose_place(line)
+        return
+    point, axis = _target(arguments[-4], line, reader)
+    duration = _pace(arguments[-3], line, reader)
+    if kind == "movec":
+        if duration is not None:
+            reader.refuse(line, arguments[-3], "an arc with a time is not supported.")
+        reader.arc_to(_target(arguments[0], line, reader)[0], point, axis, line)
+        return
+    if kind == "movej":
+        reader.out.note("MoveJ", "is taken as a straight rapid move", line)
+    is_rapid = kind == "movej"
+    reader.line_to(point, axis, line, is_rapid=is_rapid, duration=duration)

@@ -1,0 +1,83 @@
+"""What readers of robot programs have in common: the pose, and moves from it."""
+
+from dataclasses import dataclass, field
+
+from ....toolpath import Move, Point
+from ..faults import Fault
+from ..geometry import circle_through
+from ..move_list import MoveList
+
+_FARTHEST = 100.0
+
+
+@dataclass
+class Reader:
+    """Where the tool is while a program is read, the moves and the faults so far.
+
+    Attributes:
+        position: Tool tip [m], and whether a motion has brought it there.
+        axis: Tool axis, tip to shank.
+        feed: Feed [m/s], or None before the first.
+    """
+
+    out: MoveList = field(default_factory=MoveList)
+    faults: list[Fault] = field(default_factory=list)
+    position: Point = (0.0, 0.0, 0.0)
+    axis: Point = (0.0, 0.0, 1.0)
+    is_placed: bool = False
+    feed: float | None = None
+
+    def refuse(self, line: int, word: str, message: str) -> None:
+        """Report a fault."""
+        self.faults.append(Fault(line, " ".join(word.split())[:40], message))
+
+    def lose_place(self, line: int) -> None:
+        """Forget where the tool is, as after a motion of joints."""
+        if self.out.moves:
+            self.out.begin_section(line)
+        self.is_placed = False
+
+    def line_to(
+        self,
+        end: Point,
+        axis: Point,
+        line: int,
+        *,
+        is_rapid: bool = False,
+        duration: float | None = None,
+    ) -> None:
+        """Make a straight move; from an unknown place it is an approach."""
+        is_rapid |= not self.is_placed
+        feed = None if is_rapid else self._feed(line, duration)
+        self._check(end, line)
+        move = Move(self.position, end, feed=feed, is_rapid=is_rapid, line=line)
+        duration = None if is_rapid else duration
+        self.out.add(move._replace(duration=duration, axis=axis), "XYZ")
+        self.position, self.axis, self.is_placed = end, axis, True
+
+    def arc_to(self, through: Point, end: Point, axis: Point, line: int) -> None:
+        """Make an arc through a point."""
+        try:
+            centre, normal = circle_through(self.position, through, end)
+        except ValueError as error:
+            self.refuse(line, "", str(error))
+            return
+        if not self.is_placed:
+            self.refuse(line, "", "an arc needs a motion to a stated place before it.")
+        self._check(end, line)
+        move = Move(self.position, end, centre, 1, self._feed(line, None), line=line)
+        self.out.add(move._replace(normal=normal, axis=axis), "")
+        self.position, self.axis = end, axis
+
+    def _feed(self, line: int, duration: float | None) -> float | None:
+        """Return the feed of a motion that has no duration of its own."""
+        if duration is not None:
+            return None
+        if self.feed is None:
+            self.refuse(line, "", "there is no speed; needed is one before this line.")
+        return self.feed
+
+    def _check(self, end: Point, line: int) -> None:
+        """Report a place that is too far away."""
+        if not all(abs(value) <= _FARTHEST for value in end):
+            self.refuse(line, "", f"a position is {_FARTHEST:g} m at most.")

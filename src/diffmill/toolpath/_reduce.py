@@ -1,0 +1,99 @@
+"""Fewer rows for a path that stays within a tolerance, in position at every time."""
+
+import math
+
+import numpy as np
+from jaxtyping import Float
+
+from .._types import RealScalarLike
+from ._path import Path
+
+# Two points of the tool keep the tolerance: the tip, and one so far up its axis [m].
+_LEVER = 0.1
+# A block covers no more rows than this; it bounds the work for each.
+_MOST_ROWS = 512
+
+
+def reduce_path(path: Path, tolerance: RealScalarLike) -> Path:
+    """Return a path of few rows that are joined by straight lines at constant speed.
+
+    At the time of every row the new path is within the tolerance of the old one. From
+    each new row the line goes on as long as one exists that keeps the tolerance at all
+    rows on its way; it then ends where the middle of these lines ends. So the new rows
+    lie beside the old ones, on either side of a bend, and one needs half of the blocks
+    that a choice among the old rows would take. Rapid rows and others never share a
+    block.
+
+    Args:
+        path: The path, at rest or moving at its ends; its time increases.
+        tolerance: Largest distance at the time of a row [m]; 0 returns the path.
+
+    Returns:
+        The path at the ends of the blocks; the first and the last row are within the
+        tolerance of the old ones, and their times are the same.
+
+    Raises:
+        ValueError: If the tolerance is negative or not finite.
+    """
+    if not (math.isfinite(tolerance) and tolerance >= 0):
+        raise ValueError(
+            f"Argument `tolerance` must be zero or positive, but is {tolerance}."
+        )
+    if tolerance == 0:
+        return path
+    time, axes = np.asarray(path.time), np.asarray(path.axes)
+    points = np.concatenate([np.asarray(path.positions), _LEVER * axes], axis=1)
+    is_rapid = np.asarray(path.is_rapid)
+    kept, row, corner = [0], 0, points[0]
+    corners = [corner]
+    while row < time.size - 1:
+        end = min(row + _MOST_ROWS, time.size - 1)
+        # A row carries the kind of the motion that leads to it.
+        other = np.flatnonzero(is_rapid[row + 2 : end + 1] != is_rapid[row + 1])
+        end = row + 1 + int(other[0]) if other.size else end
+        span = time[row + 1 : end + 1] - time[row]
+        count, speed = _longest_line(
+            span, points[row + 1 : end + 1] - corner, tolerance
+        )
+        row += count
+        corner = corner + speed * span[count - 1]
+        kept.append(row)
+        corners.append(corner)
+    found = np.array(corners)
+    directions = found[:, 3:] / np.linalg.norm(found[:, 3:], axis=1, keepdims=True)
+    return Path(
+        time=time[kept],
+        positions=found[:, :3],
+        axes=directions if np.ptp(axes, axis=0).any() else axes[kept],
+        is_rapid=is_rapid[kept],
+        line=np.asarray(path.line)[kept],
+    )
+
+
+def _longest_line(
+    span: Float[np.ndarray, " row"],
+    way: Float[np.ndarray, "row 6"],
+    tolerance: RealScalarLike,
+) -> tuple[int, Float[np.ndarray, " 6"]]:
+    """Return how many rows a line from the origin can serve, and its speed.
+
+    Args:
+        span: Times since the start of the line [s].
+        way: Where the rows are, from there [m].
+        tolerance: Largest distance of a row [m].
+    """
+    least = np.maximum.accumulate((way - tolerance) / span[:, None], axis=0)
+    most = np.minimum.accumulate((way + tolerance) / span[:, None], axis=0)
+    is_open = np.all(least <= most, axis=1)
+    count = is_open.size if is_open.all() else int(np.argmin(is_open))
+    for last in range(count, 1, -1):
+        speed = 0.5 * (least[last - 1] + most[last - 1])
+        gap = way[:last] - speed * span[:last, None]
+        if max(_largest(gap[:, :3]), _largest(gap[:, 3:])) <= tolerance:
+            return last, speed
+    return 1, way[0] / span[0]
+
+
+def _largest(gap: Float[np.ndarray, "row 3"]) -> float:
+    """Return the largest length."""
+    return float(np.max(np.linalg.norm(gap, axis=1)))

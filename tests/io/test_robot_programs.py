@@ -1,0 +1,277 @@
+"""Programs of robots and planning systems: motion by hand, refusals, round trips."""
+
+import math
+
+import numpy as np
+import pytest
+
+from diffmill.io import (
+    ProgramError,
+    parse_gcode,
+    program_of_path,
+    read_program,
+    write_program,
+)
+from diffmill.toolpath import Path, Program, reduce_path, sample_program
+
+LIMITS = {"acceleration": 2.0, "rapid_feed": 0.2, "corner_tolerance": 0.0}
+MM = 1e-3
+
+
+@pytest.fixture
+def read(tmp_path):
+    def read_text(text, suffix, data=""):
+        (tmp_path / f"part{suffix}").write_text(text)
+        if data:
+            (tmp_path / "part.dat").write_text(data)
+        program = read_program(tmp_path / f"part{suffix}")
+        assert isinstance(program, Program)
+        return program
+
+    return read_text
+
+
+def ends(program):
+    return [
+        ("r" if m.is_rapid else "f", *(round(v / MM, 6) for v in m.end))
+        for m in program.moves
+    ]
+
+
+KRL = """&ACCESS RVP
+DEF part( )
+;FOLD INI
+BAS(#INITMOV,0)
+$BASE=BASE_DATA[1]
+$TOOL=TOOL_DATA[3]
+PTP HOME
+PTP {X 0,Y 0,Z 5,A 0,B 0,C 180} C_PTP
+$VEL.CP=0.05
+LIN XP1 C_DIS
+WAIT SEC 0.5
+CIRC {X 11,Y 1,Z 0},{X 10,Y 2,Z 0}
+SPLINE WITH $VEL.CP=0.02
+SLIN {X 0}
+SLIN {Y 5}
+ENDSPLINE
+END
+"""
+DATA = "DEFDAT part\nDECL E6POS XP1={X 10.0,Y 0,Z 0,A 0,B 30,C 180,S 2,T 35}\nENDDAT\n"
+
+
+def test_krl(read):
+    program = read(KRL, ".src", DATA)
+    assert ends(program) == [
+        ("r", 0, 0, 5),
+        ("f", 10, 0, 0),
+        ("f", 10, 2, 0),
+        ("f", 0, 2, 0),
+        ("f", 0, 5, 0),
+    ]
+    assert [move.feed for move in program.moves] == [None, 0.05, 0.05, 0.02, 0.02]
+    assert program.tools == (3,)
+    assert program.moves[1].rest == 0.5
+    arc = program.moves[2]
+    assert arc.centre == pytest.approx((0.01, 0.001, 0.0))
+    assert arc.sweep == pytest.approx(math.pi)
+    # B turns about y: the shank, which points up, leans by 30 degrees to +x.
+    assert program.moves[1].axis == pytest.approx((0.5, 0.0, math.cos(math.pi / 6)))
+
+
+RAPID = """MODULE part
+  CONST robtarget p1:=[[10,0,0],[0,1,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]];
+  CONST speeddata slow:=[20,500,5000,1000];
+  PROC main()
+    ! comment ; with a semicolon
+    MoveAbsJ [[0,0,0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]],v1000,fine,tool0;
+    MoveJ Offs(p1,-10,0,5),v500,z10,tool0\\WObj:=wobj1;
+    MoveL p1,v50,
+      z1,tool0\\WObj:=wobj1;
+    WaitTime 0.5;
+    MoveC [[11,1,0],[0,1,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]],
+      Offs(p1,0,2,0),slow,z1,tool0\\WObj:=wobj1;
+    MoveL Offs(p1,-10,2,0),v1000\\T:=0.25,fine,tool0\\WObj:=wobj1;
+  ENDPROC
+ENDMODULE
+"""
+
+
+def test_rapid(read):
+    program = read(RAPID.replace(",tool0;", ",tool0\\WObj:=wobj1;"), ".mod")
+    assert ends(program) == [
+        ("r", 0, 0, 5),
+        ("f", 10, 0, 0),
+        ("f", 10, 2, 0),
+        ("f", 0, 2, 0),
+    ]
+    paces = [(move.feed, move.duration) for move in program.moves]
+    assert paces == [(None, None), (0.05, None), (0.02, None), (None, 0.25)]
+    assert program.moves[1].line == 8
+    assert program.moves[1].rest == 0.5
+    assert program.moves[2].sweep == pytest.approx(math.pi)
+    assert program.moves[2].axis == pytest.approx((0, 0, 1))
+
+
+APT = """PARTNO/TEST
+UNITS/INCHES
+LOADTL/4
+SPINDL/6000,RPM,CLW
+RAPID
+GOTO/0,0,1,0,0,1
+FEDRAT/10,IPM
+GOTO/0,0,0
+GOTO/1,0,0,0.6,0,0.8
+CIRCLE/1,1,0,0,0,1
+GOTO/2,1,0
+GODLTA/0,0,$
+0.5
+DELAY/0.25
+FINI
+"""
+
+
+def test_apt(read):
+    program = read(APT, ".apt")
+    inch = 25.4
+    assert ends(program) == [
+        ("r", 0, 0, inch),
+        ("f", 0, 0, 0),
+        ("f", inch, 0, 0),
+        ("f", 2 * inch, inch, 0),
+        ("f", 2 * inch, inch, 12.7),
+    ]
+    assert program.moves[1].feed == pytest.approx(10 * inch * MM / 60)
+    assert program.moves[2].axis == pytest.approx((0.6, 0, 0.8))
+    assert program.moves[3].sweep == pytest.approx(math.pi / 2)
+    assert program.moves[4].rest == 0.25
+    assert program.tools == (4,)
+    assert program.spindle_speed == pytest.approx(200 * math.pi)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "text", "line"),
+    [
+        (".src", "DEF a( )\nFOR I=1 TO 3\nEND", 2),
+        (".src", "DEF a( )\nLIN XP9\nEND", 2),
+        (".src", "DEF a( )\nPTP {X 1}\nLIN {X 2}\nEND", 3),
+        (".src", "DEF a( )\n$BASE={X 1}\n$BASE={X 2}\nEND", 3),
+        (".src", "DEF a( )\nPTP {X 1}\n$VEL.CP=1\nCIRC {X 2},{X 3}\nEND", 4),
+        (".mod", "MODULE a\nPROC main()\nIF a=1 THEN\nENDPROC\nENDMODULE", 3),
+        (".mod", "MODULE a\nPROC main()\nMoveL p9,v50,z1,tool0;\nENDPROC", 3),
+        (".apt", "PARTNO/A\nGOTO/1,2\n", 2),
+        (".apt", "PARTNO/A\nLOOPST\n", 2),
+        (".apt", "CSYS/1,0,0,5,0,1,0,0,0,0,1,0\nGOTO/1,2,3\n", 1),
+    ],
+)
+def test_what_is_no_plain_motion_is_refused(read, suffix, text, line):
+    with pytest.raises(ProgramError) as caught:
+        read(text, suffix)
+    assert caught.value.faults[0].line == line
+    assert f"part{suffix}, line {line}" in str(caught.value)
+
+
+def curved_path(is_tilted=False):
+    t = 0.004 * np.arange(600)
+    x = 0.05 * t + 2e-4 * np.sin(9 * t)
+    positions = np.stack([x, 0.01 * np.sin(2 * t), 1e-3 * np.cos(5 * t)], axis=1)
+    path = Path.upright(t, positions)
+    if not is_tilted:
+        return path
+    axes = np.stack([np.sin(0.2 * t), 0 * t, np.cos(0.2 * t)], axis=1)
+    return Path(t, positions, axes, path.is_rapid, path.line)
+
+
+@pytest.mark.parametrize("tolerance", [1e-6, 5e-6, 20e-6])
+@pytest.mark.parametrize("is_tilted", [False, True])
+def test_few_blocks_keep_the_tolerance_at_every_time(tolerance, is_tilted):
+    path = curved_path(is_tilted)
+    blocks = reduce_path(path, tolerance)
+    time = np.asarray(path.time)
+    for points, others, most in [
+        (path.positions, blocks.positions, tolerance),
+        (path.axes, blocks.axes, 20 * tolerance),
+    ]:
+        back = [np.interp(time, blocks.time, row) for row in np.asarray(others).T]
+        gap = np.linalg.norm(np.stack(back, axis=1) - points, axis=1)
+        assert np.max(gap) < 1.01 * most
+    # A chord on either side of an arc: its sagitta is two tolerances, a T^2 / 8.
+    speed = np.gradient(path.positions, time, axis=0)
+    bend = np.linalg.norm(np.gradient(speed, time, axis=0), axis=1)
+    fewest = np.sum(np.sqrt(bend / (16 * tolerance))) * 0.004
+    assert blocks.step_count - 1 < 1.6 * fewest + 3
+
+
+@pytest.mark.parametrize("suffix", [".ngc", ".src", ".mod"])
+def test_written_path_reads_back_in_position_and_time(read, suffix):
+    path = reduce_path(curved_path(), 5e-6)
+    text = write_program(path, suffix, header=["made ( here )"])
+    program = read(text, suffix)
+    period = 0.004
+    expected = sample_program(program_of_path(path), period, **LIMITS)
+    back = sample_program(program, period, **LIMITS)
+    assert back.step_count == expected.step_count
+    gap = np.linalg.norm(np.asarray(back.positions) - expected.positions, axis=1)
+    assert np.max(gap) < 5e-9
+
+
+@pytest.mark.parametrize("suffix", [".src", ".mod", ".apt"])
+def test_tool_axes_read_back(read, suffix):
+    path = reduce_path(curved_path(is_tilted=True), 20e-6)
+    program = read(write_program(path, suffix), suffix)
+    axes = np.array([move.axis for move in program.moves])
+    assert axes == pytest.approx(np.asarray(path.axes), abs=1e-7)
+    timed = sample_program(program, 0.01, **LIMITS)
+    found = np.asarray(timed.axes)
+    assert np.linalg.norm(found, axis=1) == pytest.approx(np.ones(len(found)))
+    assert found[-1] == pytest.approx(np.asarray(path.axes)[-1], abs=1e-6)
+    assert np.max(np.abs(np.diff(found, axis=0))) < 0.02
+    with pytest.raises(ValueError):
+        write_program(path, ".ngc")
+
+
+PART = """G21 G90 S6000 M3
+G0 X0 Y0 Z5
+G1 Z0 F300
+G1 X10 F600
+G3 X10 Y10 J5
+G4 P0.5
+G2 X5 Y5 R-5
+G18 G2 X0 Z3 R9
+G17 G3 X0 Y5 I3 Z4 P2
+G0 Z9
+M2
+"""
+
+
+@pytest.mark.parametrize("suffix", [".ngc", ".src", ".mod", ".apt"])
+def test_a_program_keeps_its_motion_in_every_format(read, suffix):
+    program = parse_gcode(PART)
+    back = read(write_program(program, suffix, tolerance=1e-7), suffix)
+    assert back.path_length == pytest.approx(program.path_length, rel=1e-5)
+    assert sum(move.rest for move in back.moves) == 0.5
+    one, two = (
+        sample_program(p, 0.01, acceleration=1e8, rapid_feed=0.2, corner_tolerance=0.0)
+        for p in (program, back)
+    )
+    rows = min(one.step_count, two.step_count)
+    assert abs(one.step_count - two.step_count) <= 2
+    gap = np.asarray(one.positions)[:rows] - np.asarray(two.positions)[:rows]
+    assert np.max(np.linalg.norm(gap, axis=1)) < 2e-5
+
+
+def test_spline_of_krl_goes_through_its_points(read):
+    t = np.linspace(0.0, 1.0, 21)
+    points = np.stack([50 * t, 5 * np.sin(4 * t), 0 * t], axis=1)
+    lines = [
+        f"SPL {{X {x:.6f},Y {y:.6f},Z 0}}\nTIME_BLOCK PART=5" for x, y, _ in points[1:]
+    ]
+    text = "DEF a( )\nPTP {X 0,Y 0,Z 0,A 0,B 0,C 180}\nSPLINE\nTIME_BLOCK START\n"
+    text += "\n".join(lines).rsplit("\n", 1)[0] + "\nTIME_BLOCK END=1\nENDSPLINE\nEND\n"
+    path = sample_program(read(text, ".src"), 0.0125, **LIMITS)
+    found = np.asarray(path.positions)
+    # Away from the ends, where a natural spline has no bend, it follows the sine.
+    assert path.duration == pytest.approx(1.0)
+    time = np.asarray(path.time)
+    gap = found[:, 1] - 5e-3 * np.sin(4 * time)
+    inside = (time > 0.2) & (time < 0.8)
+    assert np.max(np.abs(gap[inside])) < 2e-6
