@@ -83,7 +83,7 @@ def _timed(
 def _errors(job: dm.Job, found: dm.Correction) -> Errors:
     cutting = np.asarray(found.before.is_cutting)
     desired = jnp.asarray(job.path.positions)
-    plant = ScaledPlant(TipPlant(sim.with_precision(job), pr.ThroughPoses()))
+    plant = ScaledPlant(TipPlant(job.with_precision(), pr.ThroughPoses()))
 
     @jax.jit
     def every(scale: jax.Array, command: jax.Array) -> jax.Array:

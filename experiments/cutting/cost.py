@@ -24,7 +24,7 @@ def measure(report: Report) -> None:
     """Time the small example with four tools, in runs that alternate."""
     with tempfile.TemporaryDirectory() as folder:
         job = dm.load_job(copy_example("paper_small", pathlib.Path(folder)))
-    base = dm.sim.with_precision(job)
+    base = job.with_precision()
     diameter = 2 * job.cutter.nominal_radius
     teeth = job.cutter.flute_count
     ball = dm.cutter.ball_end_mill(diameter, teeth)
@@ -72,7 +72,7 @@ def compiled(job: dm.Job, tips: jax.Array):
     """Return the coupled run of a job as a compiled function of its command."""
 
     def run(command: jax.Array) -> jax.Array:
-        motors, _ = dm.sim.command_motors(job, command)
+        motors, _ = dm.sim.JobKinematics(job).motors(command)
         return dm.sim.run_motors(job, motors, dm.process.ThroughPoses()).actual
 
     return jax.jit(run).lower(tips).compile()

@@ -9,7 +9,7 @@ from shared import Report, example_job, relative
 
 def measure(report: Report) -> None:
     """Compare the forces of both runs of the small example."""
-    job = dm.sim.with_precision(example_job("paper_small"))
+    job = example_job("paper_small").with_precision()
     coupled = dm.simulate(job, adjoint=dm.process.ThroughPoses())
     alone = jax.jit(
         lambda tips: (
@@ -19,7 +19,7 @@ def measure(report: Report) -> None:
                 job.cutter,
                 job.law,
                 job.spindle_speed,
-                engagement=dm.sim.job_engagement(job),
+                engagement=dm.sim.job_process(job, dm.process.ThroughRays()).engagement,
                 adjoint=dm.process.ThroughPoses(),
             ).force
         )

@@ -67,7 +67,7 @@ def actual(tips: jax.Array, adjoint: dm.process.AbstractAdjoint) -> jax.Array:
     plan = dm.process.choose_engagement(stock, MILL, axial_depth=1.5e-3)
     speed = math.pi / TOOTH_PERIOD
     process = dm.process.Process(stock, MILL, LAW, speed, plan, derivative=adjoint)
-    return dm.sim.run(dm.sim.ElasticArm(robot, frame), process, motors).actual
+    return dm.sim.ElasticArm(robot, frame).run(process, motors).actual
 
 
 def scalar(adjoint: dm.process.AbstractAdjoint) -> Scalar:

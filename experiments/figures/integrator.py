@@ -106,7 +106,7 @@ def ring_down() -> tuple[float, float]:
 
     @jax.jit
     def run(motors):
-        return dm.sim.run(arm, process, motors).actual[:, 0]
+        return arm.run(process, motors).actual[:, 0]
 
     x = np.asarray(run(jnp.asarray(theta)))[2:] - 1e-3
     # x[k+2] = a x[k+1] + b x[k] holds exactly for one mode; its roots are the poles.

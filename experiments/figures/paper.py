@@ -62,7 +62,7 @@ def _table(report: Report, correction: dm.Correction, total: float) -> None:
 
 def _trade_off(report: Report, job: dm.Job, correction: dm.Correction) -> None:
     """Show what a controller of less bandwidth costs."""
-    job = dm.sim.with_precision(job)
+    job = job.with_precision()
     settings, before = job.correction, correction.before
     problem = dm.correction.Problem(
         plant=dm.correction.TipPlant(

@@ -32,7 +32,7 @@ def measure(report: Report) -> None:
     """Measure the coupled run and its gradient, float64 and then float32."""
     report.say()
     report.say(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at the start")
-    job = dm.sim.with_precision(example_job("paper"))
+    job = example_job("paper").with_precision()
     forward, backward, compile_times = compiled_pair(job)
     report.figure("compile time of the coupled simulation", compile_times[0], 10.0, "s")
     report.figure("compile time of its gradient", compile_times[1], 25.0, "s")
@@ -45,7 +45,7 @@ def measure(report: Report) -> None:
 
 def error_of(job: dm.Job, tips: jax.Array) -> jax.Array:
     """Return the mean square deviation of the tip from the desired path [m^2]."""
-    motors, _ = dm.sim.command_motors(job, tips)
+    motors, _ = dm.sim.JobKinematics(job).motors(tips)
     actual = dm.sim.run_motors(job, motors, dm.process.ThroughPoses()).actual
     desired = jnp.asarray(job.path.positions)
     return jnp.mean(jnp.sum((actual - desired) ** 2, axis=1))
@@ -100,7 +100,7 @@ def _memory(report: Report, job: dm.Job, forward: Callable, backward: Callable) 
         150.0,
         "MB",
     )
-    single = dm.sim.with_precision(with_settings(job, precision="float32"))
+    single = with_settings(job, precision="float32").with_precision()
     _, small, _ = compiled_pair(single)
     report.figure(
         "gradient's memory per 1000 steps, float32",
@@ -195,7 +195,7 @@ def large_copies(text: str, least: int) -> list[str]:
 
 def _areas(report: Report) -> None:
     """Compare the same path in a block and in one of 16 times its area."""
-    job = dm.sim.with_precision(example_job("paper_small"))
+    job = example_job("paper_small").with_precision()
     lower, upper = np.array([0, 0, -6e-3]), np.array([42e-3, 17e-3, 0])
     middle, half = (lower + upper) / 2, (upper - lower) / 2
     jobs = []

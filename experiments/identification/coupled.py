@@ -81,7 +81,7 @@ def corner(teeth, spacing, angles, substeps):
 def with_factors(job, factors):
     """Return a job whose parameters are the truth's times factors."""
     log_scale = np.concatenate([np.log(factors), [0.0]])
-    return sim.with_scaled(sim.with_precision(job), jnp.asarray(log_scale))
+    return sim.with_scaled(job.with_precision(), jnp.asarray(log_scale))
 
 
 def noisy(values, draw):
@@ -136,7 +136,7 @@ def measure(report):
 def costs(report, job):
     """Time derivatives by all parameters at once, one by one, and a gradient."""
     names = sim.parameter_names(job)
-    motors, _ = sim.command_motors(job, jnp.asarray(job.path.positions))
+    motors, _ = sim.JobKinematics(job).motors(jnp.asarray(job.path.positions))
 
     def tips(x):
         full = jnp.concatenate([x, jnp.zeros(1)])

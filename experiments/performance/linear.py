@@ -28,13 +28,13 @@ def measure(report: Report) -> None:
     """Print times of the linear run, its columns, and of steps of Gauss-Newton."""
     with tempfile.TemporaryDirectory() as folder:
         file = dm.examples.copy_example("paper_small", pathlib.Path(folder))
-        job = sim.with_precision(dm.load_job(file))
+        job = dm.load_job(file).with_precision()
     first = jax.tree.map(lambda x: np.asarray(x)[:ROWS], job.path)
     job = eqx.tree_at(lambda j: j.path, job, first)
     tips = jnp.asarray(job.path.positions)
-    motors = sim.command_motors(job, tips)[0]
+    motors = sim.JobKinematics(job).motors(tips)[0]
     machine, process = sim.job_machine(job), sim.job_process(job, pr.StockHeld())
-    forward = eqx.filter_jit(lambda x: sim.run(machine, process, x).ends)
+    forward = eqx.filter_jit(lambda x: machine.run(process, x).ends)
     linearise = eqx.filter_jit(lambda x: sim.linearise(machine, process, x))
     run = spent(lambda: forward(motors))
     report.say(f"a run of {ROWS} rows: {run:.3f} s")

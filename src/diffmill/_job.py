@@ -5,12 +5,15 @@ recompile); counts, names and choices are static. Reading a job from a file, uni
 and the error that lists every fault are in `diffmill.io`.
 """
 
+import dataclasses
 from typing import Literal
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ._arrays import cast_floats
 from ._types import RealScalarLike, Transform
 from .cutter import AbstractCutter, ToolHolder
 from .cutting import AbstractForceLaw
@@ -212,3 +215,44 @@ class Job(eqx.Module):
     def tooth_period(self) -> RealScalarLike:
         """Time between two teeth T = 2 pi / (omega N_z) [s]."""
         return 2 * 3.141592653589793 / (self.spindle_speed * self.cutter.flute_count)
+
+    @property
+    def tool_axes(self) -> Float[Array, "step 3"] | None:
+        """Tool axes of the path, None if the tool stands upright."""
+        return jnp.asarray(self.path.axes) if self.simulation.axes else None
+
+    def with_precision(self) -> "Job":
+        """Return the job with all its numbers in its precision.
+
+        Raises:
+            ValueError: float64 is asked for and `jax_enable_x64` is off.
+        """
+        dtype = jnp.dtype(self.simulation.precision)
+        if dtype == jnp.float64 and jnp.result_type(float) != dtype:
+            raise ValueError(
+                'Argument `job` must have precision "float32", or '
+                'jax.config.update("jax_enable_x64", True) must come first.'
+            )
+        return cast_floats(self, dtype)
+
+    def with_intervals(self, counts: tuple[int, int, int]) -> "Job":
+        """Return the job with slots for so many intervals along x, y and z, and a note.
+
+        The same job if it has so many.
+
+        **Differentiability**: runs on the host.
+        """
+        if counts == self.stock.interval_counts:
+            return self
+        note = (
+            "[stock] intervals: the rays were given {} intervals along x, y and z, "
+            "since the program needs more than it began with"
+        )
+        mark = note.split("{}")[0]
+        notes = tuple(n for n in self.notes if not n.startswith(mark))
+        listed = ", ".join(str(count) for count in counts)
+        return dataclasses.replace(
+            self,
+            stock=self.stock.with_interval_counts(counts),
+            notes=(*notes, note.format(listed)),
+        )

@@ -54,7 +54,7 @@ def coupled(tips):
         plan,
         derivative=pr.ThroughPoses(),
     )
-    return sim.run(sim.ElasticArm(ROBOT, frame), process, motors).actual
+    return sim.ElasticArm(ROBOT, frame).run(process, motors).actual
 
 
 def gradient(tips):

@@ -17,7 +17,7 @@ from diffmill.correction import (
     joint_limits,
     project,
 )
-from diffmill.sim import command_motors
+from diffmill.sim import JobKinematics
 
 PROGRAM = """G21 G17 G90 G94
 G0 X-6 Y3 Z-1
@@ -76,7 +76,7 @@ def test_a_limit_below_the_program_is_refused_before_anything_runs(load):
 def test_a_joint_beyond_its_limit_is_refused_before_anything_runs(load, method):
     job, told = load(f'method = "{method}"\n'), []
     desired = jnp.asarray(job.path.positions)
-    most = float(command_motors(job, desired)[0][:, 0].max())
+    most = float(JobKinematics(job).motors(desired)[0][:, 0].max())
     upper = jnp.asarray(job.robot.joint_upper).at[0].set(most - 1e-4)
     close = eqx.tree_at(lambda j: j.robot.joint_upper, job, upper)
     with pytest.raises(InfeasibleLimit, match="`joint limits` of 'axis_1'"):
@@ -145,7 +145,7 @@ def test_joints_are_held_within_their_limits(load):
     nominal = np.asarray(job.path.positions)
     bound = float(job.correction.max_offset)
     assert joint_limits(job, spline, nominal, bound) == ()
-    motors = np.asarray(command_motors(job, jnp.asarray(nominal))[0])
+    motors = np.asarray(JobKinematics(job).motors(jnp.asarray(nominal))[0])
     joint = 0
     limit = float(motors[:, joint].max()) + 1e-4 / 1.5
     upper = jnp.asarray(job.robot.joint_upper).at[joint].set(limit)
@@ -161,12 +161,12 @@ def test_joints_are_held_within_their_limits(load):
     coefficients = project(spline, wild, bound, limits=(limits,))
     held = nominal + np.asarray(spline.offsets(jnp.asarray(coefficients)))
     check_joints(close, held, is_joints=False)
-    most = np.asarray(command_motors(job, jnp.asarray(held))[0])[:, joint].max()
+    most = np.asarray(JobKinematics(job).motors(jnp.asarray(held))[0])[:, joint].max()
     assert limit - 1e-5 < most <= limit
     # The rows are the derivative of what the motors do.
     small = 1e-3 * coefficients
     moved = nominal + np.asarray(spline.offsets(jnp.asarray(small)))
-    change = np.asarray(command_motors(job, jnp.asarray(moved))[0]) - motors
+    change = np.asarray(JobKinematics(job).motors(jnp.asarray(moved))[0]) - motors
     rows = limits.apply(small)
     assert np.max(np.abs(rows)) > 1e-8
     apart = np.abs(change[:, joint][None] - rows[:, None]).min(axis=1)

@@ -110,7 +110,7 @@ def test_solves_the_equation_of_motion(arm):
     for k in (50, 137, 333):
         wrench = np.concatenate([force[k], np.zeros(3)])
         tau = rb.mass_matrix(arm, q[k]) @ qdd[k]
-        tau = tau + rb.bias_forces(arm, q[k], qd[k])
+        tau = tau + rb.arm_terms(arm, q[k], qd[k]).bias_forces
         tau = tau - rb.jacobian(arm, q[k]).T @ wrench
         error = np.abs(spring[k - 1] - np.asarray(tau))
         assert error.max() < 2e-3 * np.abs(tau).max()
@@ -149,7 +149,7 @@ def test_with_a_drive_of_all_options_the_arm_follows():
         after = rule.step(robot, begun, state, target, jnp.zeros(1), h)
         return after, after.q
 
-    start = sim.steady_state(robot, theta[0], jnp.zeros(1))
+    start = sim.ArmState.steady(robot, theta[0], jnp.zeros(1))
     _, found = jax.lax.scan(step, start, (theta[:-1], theta[1:]))
     np.testing.assert_allclose(found, q[1:], atol=3e-6)
     # It matters: the plain answer misses by the gap and the servo's yielding.

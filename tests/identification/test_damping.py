@@ -26,7 +26,9 @@ def test_dampers_from_the_damping_of_modes():
     robot = rb.load("kuka_kr210_like")
     draw = np.random.default_rng(0)
     q = np.asarray(robot.home)[None] + draw.uniform(-0.5, 0.5, (6, 6))
-    ratios = np.stack([rb.damping_ratios(robot, jnp.asarray(row)) for row in q])
+    ratios = np.stack(
+        [rb.mode_shapes(robot, jnp.asarray(row)).damping_ratios for row in q]
+    )
     fit = identification.fit_joint_damping(robot, q, ratios)
     assert fit.identifiable.all()
     np.testing.assert_allclose(fit.damping, robot.joint_damping, rtol=1e-6)

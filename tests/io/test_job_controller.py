@@ -107,7 +107,7 @@ def test_the_motors_follow_their_controller(tmp_path):
     assert rest * job.tooth_period >= 100e-3
     rows = slice(rest, rest + plain.path.step_count)
     assert np.allclose(job.path.positions[rows], plain.path.positions)
-    command, _ = sim.command_motors(job, jnp.asarray(job.path.positions))
+    command, _ = sim.JobKinematics(job).motors(jnp.asarray(job.path.positions))
     theta = np.asarray(job.controller.motors(command, job.tooth_period))
     shifts = np.linspace(-50e-3, 50e-3, 2001)
     command = np.asarray(command)

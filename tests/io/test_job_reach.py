@@ -11,7 +11,7 @@ import pytest
 from diffmill import robot as rb
 from diffmill.config import JobError, load_job
 from diffmill.examples import copy_example
-from diffmill.sim import command_joints, with_precision
+from diffmill.sim import JobKinematics
 
 PROGRAM = "G21 G17 G90 G94\nG0 X-6 Y5 Z1\nG0 Z-1\nG1 X20 F3000\nG0 Z1\nM2\n"
 JOB = """
@@ -105,7 +105,9 @@ def test_a_free_tool_rotation_reaches_where_a_fixed_one_does_not(write):
     assert problem.endswith('tool_rotation = "free" would reach it')
     job = load_job(write(turned + 'tool_rotation = "free"\n'))
     assert job.tool_rotation == "free"
-    q, is_reached = command_joints(with_precision(job), jnp.asarray(job.path.positions))
+    q, is_reached = JobKinematics(job.with_precision()).joints(
+        jnp.asarray(job.path.positions)
+    )
     assert is_reached.all()
     # The slides' positions are those of the tip in the base.
     R, p = np.asarray(job.T_base_work)[:3, :3], np.asarray(job.T_base_work)[:3, 3]
@@ -191,7 +193,7 @@ def test_a_free_rotation_reaches_what_is_in_reach(tmp_path):
     job = load_job(file)
     robot = job.robot
     assert robot is not None
-    q, is_reached = command_joints(job, jnp.asarray(job.path.positions))
+    q, is_reached = JobKinematics(job).joints(jnp.asarray(job.path.positions))
     assert is_reached.all()
     # Every tip and every tool axis is where the program says.
     Ts = np.asarray(jax.vmap(lambda x: rb.forward_kinematics(robot, x))(q))

@@ -197,7 +197,7 @@ def _left(stock, along, side, depth):
 
 @eqx.filter_jit
 def _run(motors, robot, frame, process):
-    return dm.sim.run(dm.sim.ElasticArm(robot, frame), process, motors)
+    return dm.sim.ElasticArm(robot, frame).run(process, motors)
 
 
 def _periodic_motion(cut: Cut) -> np.ndarray:

@@ -52,7 +52,7 @@ def test_damping_in_proportion_to_stiffness():
     robot = two_masses(5e3, 1e3)
     assert_allclose(robot.joint_damping / robot.joint_stiffness, 6e-4)
     omega = 2 * np.pi * np.asarray(dr.natural_frequencies(robot, [0.0, 0.0]))
-    ratios = dr.damping_ratios(robot, [0.0, 0.0])
+    ratios = dr.mode_shapes(robot, [0.0, 0.0]).damping_ratios
     assert_allclose(ratios, 6e-4 * omega / 2, rtol=1e-10)
 
 
@@ -126,7 +126,7 @@ def test_a_strong_damper_locks_its_joint():
     found = dr.damped_modes(robot, [0.0, 0.0])
     assert_allclose(found.frequencies, np.sqrt(1e3) / (2 * np.pi), rtol=1e-3)
     assert_allclose(found.damping_ratios, 0.6 / (2 * np.sqrt(1e3)), rtol=2e-2)
-    assert dr.damping_ratios(robot, [0.0, 0.0])[0] > 1.0
+    assert dr.mode_shapes(robot, [0.0, 0.0]).damping_ratios[0] > 1.0
     # The softness of a rigid joint is an ordinary number, and it does not ring.
     rigid = dr.damped_modes(two_masses(np.inf, 1e3), [0.0, 0.0])
     assert_allclose(rigid.frequencies, np.sqrt(1e3 - 0.09) / (2 * np.pi), rtol=1e-9)

@@ -29,7 +29,9 @@ def test_planar_arm_has_its_closed_form(planar_arm, q):
     M, C, G = planar_closed_form(q, qd)
     np.testing.assert_allclose(dr.mass_matrix(planar_arm, q), M, atol=1e-13)
     np.testing.assert_allclose(dr.gravity_forces(planar_arm, q), G, atol=1e-12)
-    np.testing.assert_allclose(dr.bias_forces(planar_arm, q, qd), C + G, atol=1e-12)
+    np.testing.assert_allclose(
+        dr.arm_terms(planar_arm, q, qd).bias_forces, C + G, atol=1e-12
+    )
 
 
 def test_a_sliding_mass_is_weighed(rng):
@@ -128,7 +130,7 @@ def test_arm_terms_are_those_of_the_single_functions(soft_arm, rng):
         dr.forward_kinematics(soft_arm, q),
         dr.jacobian(soft_arm, q),
         dr.mass_matrix(soft_arm, q),
-        dr.bias_forces(soft_arm, q, qd),
+        dr.inverse_dynamics(soft_arm, q, qd, np.zeros_like(q)),
     ]
     found = [
         terms.T_base_tool,
@@ -190,7 +192,7 @@ def test_single_precision_stays_single(arm, rng):
 
 def test_wrong_arguments_are_named(arm):
     with pytest.raises(ValueError, match="`qd`"):
-        dr.bias_forces(arm, np.zeros(6), [0.0, 1.0])
+        dr.arm_terms(arm, np.zeros(6), [0.0, 1.0])
     with pytest.raises(ValueError, match=r"`algorithm`.*'crba'.*'aba'"):
         dr.forward_dynamics(arm, arm.home, arm.home, arm.home, algorithm="magic")
     with pytest.raises(ValueError, match=r"`wrench`.* 6 "):

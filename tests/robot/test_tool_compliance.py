@@ -74,7 +74,9 @@ def test_frequency_of_a_plain_cantilever():
     assert np.all(found > omega / (2 * math.pi))
     mass = PLAIN.tip_spring().mass
     assert_allclose(mass, 33 / 140 * DENSITY * AREA * L, rtol=1e-12)
-    assert_allclose(dr.damping_ratios(robot, np.zeros(3))[:2], 0.02, rtol=1e-6)
+    assert_allclose(
+        dr.mode_shapes(robot, np.zeros(3)).damping_ratios[:2], 0.02, rtol=1e-6
+    )
 
 
 def test_a_stepped_beam_by_plain_integration():

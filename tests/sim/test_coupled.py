@@ -59,7 +59,7 @@ def motors(tips):
 
 
 def run(tips, adjoint, stock=STOCK):
-    return sim.run(ARM, process(PLAN, adjoint, stock), motors(tips))
+    return ARM.run(process(PLAN, adjoint, stock), motors(tips))
 
 
 @functools.cache
@@ -135,7 +135,7 @@ def in_air(robot, theta):
     """Return the tip along x of a robot that cuts nothing."""
     air = eqx.tree_at(lambda s: s.origin, STOCK, STOCK.origin + 1.0)
     cut = process(PLAN, pr.ThroughPoses(), air)
-    return sim.run(sim.ElasticArm(robot, np.eye(4)), cut, theta).actual[:, 0]
+    return sim.ElasticArm(robot, np.eye(4)).run(cut, theta).actual[:, 0]
 
 
 AIR_ROWS = 320
@@ -227,7 +227,7 @@ def test_forward_and_reverse_mode_are_one_derivative(kind):
 
     @jax.jit
     def both(theta, along, weights):
-        _, push = jax.linearize(lambda x: sim.run(ARM, cut, x).actual, theta)
+        _, push = jax.linearize(lambda x: ARM.run(cut, x).actual, theta)
         return push(along), jax.linear_transpose(push, theta)(weights)[0]
 
     pushed, pulled = both(theta, along, weights)
@@ -263,7 +263,7 @@ def test_a_long_period_looks_up_the_stock_on_its_way():
             stock, MILL, axial_depth=3.5e-3, substeps=40, looks=looks
         )
         cut = process(plan, pr.ThroughPoses(), stock, period=period)
-        return jax.jit(lambda p: sim.run(ARM, cut, motors(p)).force)
+        return jax.jit(lambda p: ARM.run(cut, motors(p)).force)
 
     rows = slice(tips.shape[0] // 4, -8)
     one, ten, twenty = (np.asarray(force(n)(tips))[rows] for n in (1, 10, 20))

@@ -61,7 +61,7 @@ def test_a_hanging_mass_rests_at_the_end_of_its_gap(rule):
     robot = slide(damping=5000.0, axis=(0, 0, 1)).with_backlash([b])
     sag = M * 9.81 / K + b / 2
     assert_allclose(rb.loaded_equilibrium(robot, [0.0]), [-sag], rtol=1e-12)
-    start = sim.steady_state(robot, jnp.zeros(1), jnp.zeros(1))
+    start = sim.ArmState.steady(robot, jnp.zeros(1), jnp.zeros(1))
     assert_allclose(start.q, [-sag], rtol=1e-12)
     # From either side it comes to the same place.
     for q in (0.0, -4e-4, 3e-4):
@@ -168,7 +168,7 @@ def test_slopes_in_the_numbers_of_all_options():
 
     @jax.jit
     def end(scale):
-        start = sim.steady_state(everything(x * scale), jnp.zeros(1), jnp.zeros(1))
+        start = sim.ArmState.steady(everything(x * scale), jnp.zeros(1), jnp.zeros(1))
         start = sim.ArmState(start.q, start.v + 0.05, start.theta, start.omega)
         motion = sim.free_motion(everything(x * scale), start, jnp.zeros(1), STEP, 60)
         return 1e6 * motion.joint_positions[-1, 0]
@@ -255,6 +255,6 @@ def test_a_bending_tool_has_a_plain_drive():
     assert found.backlash and found.friction
     assert_allclose(found.backlash.gap, [2e-4, 0.0, 0.0])
     assert_allclose(found.friction.coulomb, [3.0, 0.0, 0.0])
-    start = sim.steady_state(found, jnp.zeros(3), jnp.zeros(3))
+    start = sim.ArmState.steady(found, jnp.zeros(3), jnp.zeros(3))
     motion = run(found, start, jnp.zeros(3), 50, sim.Midpoint(), STEP)
     assert_allclose(motion.joint_positions, start.q[None].repeat(51, 0), atol=1e-9)

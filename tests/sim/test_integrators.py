@@ -117,7 +117,7 @@ def test_the_explicit_rule_in_the_coupled_step():
     theta[0] = 0.0
     process = pr.Process(stock, mill, PAPER_LAW, math.pi / PERIOD, plan)
     arm = sim.ElasticArm(robot, np.eye(4), sim.RungeKutta4())
-    found = jax.jit(lambda theta: sim.run(arm, process, theta).actual[:, 0])(
+    found = jax.jit(lambda theta: arm.run(process, theta).actual[:, 0])(
         jnp.asarray(theta)
     )
     # From rest at 1e-3 the error decays; row 1 gives the phase and the amplitude.
@@ -142,7 +142,7 @@ def test_a_fast_joint_rings_where_steps_follow_and_settles_where_not():
     tool = rb.BendingTool(50e-3, 0.0, 10e-3, 10e-3, damping_ratio=0.0)
     robot = tool.mounted_on(anchor)
     frequency = float(rb.natural_frequencies(robot, np.zeros(3))[1])
-    start = sim.steady_state(robot, jnp.zeros(3), jnp.zeros(3))
+    start = sim.ArmState.steady(robot, jnp.zeros(3), jnp.zeros(3))
     start = sim.ArmState(start.q.at[2].add(1e-4), start.v)
     run = jax.jit(lambda h: sim.free_motion(robot, start, jnp.zeros(3), h, 200))
     assert 2 * math.pi * frequency * STEP > 10

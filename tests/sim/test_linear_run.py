@@ -96,7 +96,7 @@ def test_the_linear_run_is_the_derivative_with_the_stock_held(kind, cut):
     @jax.jit
     def both(theta, change):
         found = sim.linearise(machine, process, theta).move(change)
-        run = lambda x: sim.run(machine, process, x)
+        run = lambda x: machine.run(process, x)
         pushed = jax.jvp(run, (theta,), (change[..., 1],))[1]
         return (found.ends[..., 1], found.force[..., 1]), (pushed.ends, pushed.force)
 
@@ -117,11 +117,11 @@ def test_a_segment_has_the_linear_run_of_its_rows(rows):
 
     @jax.jit
     def both(theta, change):
-        begun = sim.begin_run(machine, process, theta)
-        state = sim.run_segment(machine, process, theta[: rows + 1], begun).state
+        begun = machine.begin_run(process, theta)
+        state = machine.run_segment(process, theta[: rows + 1], begun).state
         rest = theta[rows:]
         found = sim.linearise(machine, process, rest, state)
-        run = lambda x: sim.run_segment(machine, process, x, state)
+        run = lambda x: machine.run_segment(process, x, state)
         ran, pushed = jax.jvp(run, (rest,), (change,))
         moved = found.move(change[..., None])
         have = (found.ends, found.force, moved.ends[..., 0], moved.force[..., 0])

@@ -152,10 +152,10 @@ def compare(robot, T_base_work, substeps):
     motors = arm_motors(robot, tips, T_base_work)
     q = np.asarray(motors[len(tips) // 2])
     arm = sim.ElasticArm(robot=robot, T_base_work=T_base_work)
-    ran = jax.jit(lambda m: sim.run(arm, known, m))(motors)
+    ran = jax.jit(lambda m: arm.run(known, m))(motors)
     modes = rb.tip_modes(robot, q, T_base_work)
     machine = sim.ModalMachine(modes)
-    modal = jax.jit(lambda c: sim.run(machine, known, c))(jnp.asarray(tips))
+    modal = jax.jit(lambda c: machine.run(known, c))(jnp.asarray(tips))
     return np.asarray(ran.actual) - tips, np.asarray(modal.actual) - tips
 
 
@@ -196,7 +196,7 @@ def test_the_deviation_follows_the_modes_as_its_derivative_says():
             jnp.array([0.05, 0.08]) * jnp.exp(log_scale[1]),
             jnp.array([[0.1, 0.02, 0.0], [-0.02, 0.12, 0.05]]) * jnp.exp(log_scale[2]),
         )
-        return sim.run(sim.ModalMachine(modes), known, tips).actual - tips
+        return sim.ModalMachine(modes).run(known, tips).actual - tips
 
     deviation = jax.jit(deviation)
     start = jnp.zeros(3)

@@ -301,7 +301,7 @@ def test_a_robot_that_cuts_meets_the_force_of_its_own_path():
     plan = pr.choose_engagement(STOCK, MILL, axial_depth=1.6e-3, chip="point_cloud")
     process = pr.Process(STOCK, MILL, PAPER_LAW, math.pi / 3.75e-3, plan)
     machine = sim.ElasticArm(robot, frame)
-    arm = jax.jit(lambda m: sim.run(machine, process, m))(motors)
+    arm = jax.jit(lambda m: machine.run(process, m))(motors)
     alone = compiled()(np.asarray(arm.actual), STOCK)
     deviation = np.linalg.norm(np.asarray(arm.actual) - tips, axis=1)
     assert deviation.max() > 2e-6

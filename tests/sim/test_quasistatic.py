@@ -42,7 +42,7 @@ PROCESS = pr.Process(
 
 def run(machine, stiffness, theta):
     robot = slides(1.0).with_drives(stiffness=stiffness)
-    return sim.run(machine(robot, np.eye(4)), PROCESS, theta)
+    return machine(robot, np.eye(4)).run(PROCESS, theta)
 
 
 quasistatic = jax.jit(functools.partial(run, sim.QuasiStaticArm))
@@ -131,7 +131,7 @@ def test_a_bending_tool_bends_as_a_beam_loaded_along_its_flutes():
     theta[:, 2] = -depth
     process = pr.Process(stock, MILL, PAPER_LAW, math.pi / PERIOD, plan)
     machine = sim.QuasiStaticArm(robot, np.eye(4))
-    simulate = jax.jit(lambda theta: sim.run(machine, process, theta))
+    simulate = jax.jit(lambda theta: machine.run(process, theta))
     found = simulate(jnp.asarray(theta))
     bend = np.asarray(found.actual - theta[:, :3])[30:, :2]
     EI = 600e9 * math.pi * 10e-3**4 / 64

@@ -67,17 +67,17 @@ def motors():
 
 @eqx.filter_jit
 def whole(theta, machine=MACHINES["elastic"]):
-    return sim.run(machine, PROCESS, theta)
+    return machine.run(PROCESS, theta)
 
 
 @eqx.filter_jit
 def segment(state, theta, machine=MACHINES["elastic"]):
-    return sim.run_segment(machine, PROCESS, theta, state)
+    return machine.run_segment(PROCESS, theta, state)
 
 
 def in_segments(theta, machine=MACHINES["elastic"]):
     """Return segments and the state at the start of each."""
-    state = eqx.filter_jit(sim.begin_run)(machine, PROCESS, theta)
+    state = eqx.filter_jit(machine.begin_run)(PROCESS, theta)
     found, states = [], []
     for first, last in itertools.pairwise(BREAKS):
         states.append(state)

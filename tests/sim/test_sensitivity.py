@@ -87,8 +87,8 @@ def test_before_the_cut_only_the_sag_moves_the_tool(maps):
 
 @pytest.mark.slow
 def test_maps_agree_with_differences(job, maps):
-    job = sim.with_precision(job)
-    motors, _ = sim.command_motors(job, jnp.asarray(job.path.positions))
+    job = job.with_precision()
+    motors, _ = sim.JobKinematics(job).motors(jnp.asarray(job.path.positions))
 
     @jax.jit
     def tip(log_scale):

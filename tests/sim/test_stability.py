@@ -207,7 +207,7 @@ def test_a_quick_look_finds_chatter_where_there_is_some(tmp_path, share):
 def test_the_simulation_grows_and_decays_as_predicted(share):
     depth = share * limit()[0]
     theta, frame = slot(depth)
-    run = sim.run(sim.ElasticArm(one_mode(), frame), PROCESS, theta)
+    run = sim.ElasticArm(one_mode(), frame).run(PROCESS, theta)
     # The entry shakes the slide; one vibration is left, and a constant deflection.
     x = (np.asarray(run.joint_positions) - np.asarray(theta))[70:, 0]
     rows = np.column_stack([x[1:-1], x[:-2], np.ones(len(x) - 2)])

@@ -38,7 +38,7 @@ def motors(tips):
 
 @functools.cache
 def program():
-    return jax.jit(lambda theta: sim.run(ARM, PROCESS, theta))
+    return jax.jit(lambda theta: ARM.run(PROCESS, theta))
 
 
 @pytest.mark.slow

@@ -223,18 +223,20 @@ def _filler(
     robot: "Robot", q: "JointPositions", facts: dict[str, Any]
 ) -> Callable[[pathlib.Path], None]:
     """Return what writes the table and the figures to a folder."""
-    from ..robot import skeleton, stiffness_map
+    from ..robot import Skeleton, StiffnessMap
     from ..viz import plot_robot, plot_stiffness, save_figure
 
     def fill(folder: pathlib.Path) -> None:
         text = json.dumps(facts, indent=2, allow_nan=False)
         (folder / "robot.json").write_text(text + "\n", encoding="utf-8")
-        bones = skeleton(robot, q)
+        bones = Skeleton.of_robot(robot, q)
         title = f"{robot.name}: {facts['mass_kg']:.0f} kg in motion"
         save_figure(plot_robot(robot, bones, title=title), folder / "robot.png")
         if facts["statics"] is None:
             return
-        maps = [stiffness_map(robot, q, plane=plane) for plane in ((0, 2), (0, 1))]
+        maps = [
+            StiffnessMap.around(robot, q, plane=plane) for plane in ((0, 2), (0, 1))
+        ]
         if not any(np.isfinite(item.stiffness).any() for item in maps):
             return
         title = f"{robot.name}: the tool keeps its direction; grey: not reached so"

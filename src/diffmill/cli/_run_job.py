@@ -47,7 +47,6 @@ def run_job(
     from .._result import SimulationFailed
     from ..config import JobError, load_job
     from ..io import check_folder, write_results
-    from ..sim import with_intervals_of
 
     folder = pathlib.Path(f"{file.stem}-{command}") if out is None else out
     with bad_input():
@@ -77,7 +76,7 @@ def run_job(
     seconds = time.perf_counter() - start
     solutions = {"predicted": outcome} if command == "simulate" else outcome.cases
     final = outcome if command == "simulate" else outcome.after
-    job = with_intervals_of(job, final.stock)
+    job = job.with_intervals(final.stock.interval_counts)
     for note in job.notes[told:]:
         progress.say(f"note: {note}")
     dataset = with_job(outcome.to_dataset(), job)

@@ -21,12 +21,10 @@ from ._dynamics.forward import (
     forward_dynamics as forward_dynamics,
 )
 from ._dynamics.rnea import (
-    bias_forces as bias_forces,
     gravity_forces as gravity_forces,
     inverse_dynamics as inverse_dynamics,
 )
 from ._dynamics.rnea_derivatives import rnea_derivatives as rnea_derivatives
-from ._dynamics.spd_inverse import spd_inverse as spd_inverse
 from ._dynamics.terms import ArmTerms as ArmTerms, arm_terms as arm_terms
 from ._elasticity.compliance import (
     cartesian_compliance as cartesian_compliance,
@@ -36,7 +34,6 @@ from ._elasticity.compliance import (
 )
 from ._elasticity.damped_modes import damped_modes as damped_modes
 from ._elasticity.modes import (
-    damping_ratios as damping_ratios,
     mode_shapes as mode_shapes,
     natural_frequencies as natural_frequencies,
 )
@@ -49,7 +46,6 @@ from ._elasticity.tip_modes import TipModes as TipModes, tip_modes as tip_modes
 from ._elasticity.workspace import (
     StiffnessMap as StiffnessMap,
     reach_box as reach_box,
-    stiffness_map as stiffness_map,
 )
 from ._files.errors import (
     RobotFileError as RobotFileError,
@@ -75,7 +71,7 @@ from ._kinematics.inverse import (
 )
 from ._kinematics.pose_error import ToolRotation as ToolRotation
 from ._kinematics.singularity import singularity as singularity
-from ._kinematics.skeleton import Skeleton as Skeleton, skeleton as skeleton
+from ._kinematics.skeleton import Skeleton as Skeleton
 from ._model.bending_tool import (
     BendingTool as BendingTool,
 )

@@ -8,7 +8,7 @@ end of a run. A second, hard chip model, "point_cloud", removes at once and take
 chip's angles from the rays that a removal has cut, as the paper does.
 
 What moves the tool is a machine: `Rigid`, `QuasiStaticArm`, `ElasticArm`, or one given
-by its modes at the tool tip, `ModalMachine`; `run` moves it along a command,
+by its modes at the tool tip, `ModalMachine`; its `run` moves it along a command,
 `run_segment` from where another run ended. Beside it: the arm without load
 (`free_motion`); whether vibrations grow (`stability`); what each parameter does
 (`sensitivity`); what a run did within its periods (`Replay`); where the holder is
@@ -37,8 +37,6 @@ from ._analysis.stability import (
     stability as stability,
     stability_along as stability_along,
 )
-from ._job.failure import raise_unless_successful as raise_unless_successful
-from ._job.intervals import with_intervals_of as with_intervals_of
 from ._job.padding import pad_path as pad_path
 from ._job.replay import (
     Replay as Replay,
@@ -46,7 +44,6 @@ from ._job.replay import (
 )
 from ._job.simulate import (
     Solution as Solution,
-    job_engagement as job_engagement,
     job_machine as job_machine,
     job_process as job_process,
     rigid_cut as rigid_cut,
@@ -54,7 +51,6 @@ from ._job.simulate import (
     run_with_room as run_with_room,
     simulate as simulate,
     solve_command as solve_command,
-    with_precision as with_precision,
 )
 from ._linear.linear_run import (
     LinearRun as LinearRun,
@@ -64,18 +60,10 @@ from ._machine._integrator.base import (
     AbstractIntegrator as AbstractIntegrator,
     ArmState as ArmState,
     MotorCommand as MotorCommand,
-    steady_state as steady_state,
 )
 from ._machine._integrator.midpoint import Midpoint as Midpoint
 from ._machine._integrator.rk4 import RungeKutta4 as RungeKutta4
-from ._machine.commands import (
-    command_joints as command_joints,
-    command_motors as command_motors,
-    command_poses as command_poses,
-    joint_motors as joint_motors,
-    motor_slopes as motor_slopes,
-    path_axes as path_axes,
-)
+from ._machine.commands import JobKinematics as JobKinematics
 from ._machine.elastic import ElasticArm as ElasticArm
 from ._machine.free_vibration import free_motion as free_motion
 from ._machine.machine import (
@@ -83,9 +71,6 @@ from ._machine.machine import (
     Run as Run,
     RunState as RunState,
     Segment as Segment,
-    begin_run as begin_run,
-    run as run,
-    run_segment as run_segment,
 )
 from ._machine.modal import ModalMachine as ModalMachine
 from ._machine.quasi_static import QuasiStaticArm as QuasiStaticArm

@@ -14,14 +14,7 @@ from jaxtyping import Array, Float
 from ..._job import Job
 from ..._types import RealScalarLike
 from ...process import AbstractAdjoint, ThroughPoses
-from ...sim import (
-    Solution,
-    command_motors,
-    run_motors,
-    simulate,
-    with_intervals_of,
-    with_precision,
-)
+from ...sim import JobKinematics, Solution, run_motors, simulate
 from ...toolpath import cycle_time, path_feed, retime, rows_until
 from .._core.problem import Motion
 from .._job.correct import NothingToCorrect, correct
@@ -46,7 +39,7 @@ class FeedPlant(eqx.Module):
         """Return the motion that follows the desired path as command."""
         place = lambda job: (job.path.positions, job.path.axes)
         job = eqx.tree_at(place, self.job, (desired, axes))
-        motors, _ = command_motors(job, desired)
+        motors, _ = JobKinematics(job).motors(desired)
         ran = run_motors(job, motors, self.adjoint)
         return wall_motion(job, ran, None)
 
@@ -151,10 +144,10 @@ def tune_feed(
             path never accelerates and no acceleration is given.
     """
     _check_robot(job)
-    job = with_precision(job)
+    job = job.with_precision()
     adjoint = ThroughPoses()
     before = simulate(job, adjoint=adjoint)
-    job = with_intervals_of(job, before.stock)
+    job = job.with_intervals(before.stock.interval_counts)
     rigid = before.rigid
     cutting = np.asarray(before.is_cutting)
     if not cutting.any():

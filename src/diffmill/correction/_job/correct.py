@@ -12,13 +12,7 @@ from ..._job import Job
 from ..._types import FloatRows
 from ...optimise import LeastSquaresStep
 from ...process import ThroughPoses
-from ...sim import (
-    Solution,
-    command_joints,
-    raise_unless_successful,
-    run_with_room,
-    with_precision,
-)
+from ...sim import JobKinematics, Solution, run_with_room
 from .._core.method import Corrected, GivenCommand
 from .._core.path_segments import path_parts
 from .._core.problem import Problem
@@ -163,7 +157,7 @@ def correct(
 
     Differentiability: runs on the host, not traceable.
     """
-    job = with_precision(job)
+    job = job.with_precision()
     if job.robot is None:
         raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
     # A horizon that cannot be is refused before anything runs.
@@ -176,7 +170,7 @@ def correct(
     job, before = run_with_room(job, desired, adjoint, lambda message, share: None)
     rigid = before.rigid
     if throw:
-        raise_unless_successful(before, job)
+        before.raise_unless_successful(job)
     weights = _weights(job, rigid, before)
     plant = TipPlant(job, adjoint, before.wall_share, rigid)
     problem = job_problem(job, plant, desired, before, weights)
@@ -331,7 +325,7 @@ def _weights(job: Job, rigid: Any, before: Solution) -> Float[np.ndarray, " step
 def _inverse_drive(
     job: Job, force: Float[Array, "step 3"], desired: Float[Array, "step 3"]
 ) -> InverseDriveCommand:
-    return _driven(job, command_joints(job, desired)[0], force)
+    return _driven(job, JobKinematics(job).joints(desired)[0], force)
 
 
 @eqx.filter_jit

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 
 from ..._job import Job
 from ..._types import FloatRows
-from ...sim import command_joints, command_motors, joint_motors, motor_slopes
+from ...sim import JobKinematics
 from .._spline.command_limits import InfeasibleLimit, MixedLimits
 from .._spline.spline_offsets import SplineOffsets, basis_matrix
 
@@ -53,9 +53,9 @@ def joint_limits(
         raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
     tips = jnp.asarray(nominal)
     are_joints = job.correction.command == "joint"
-    joints = tips if are_joints else command_joints(job, tips)[0]
-    motors = np.asarray(joint_motors(job, joints), np.float64)
-    slope = motor_slopes(job, joints, None if are_joints else tips)
+    joints = tips if are_joints else JobKinematics(job).joints(tips)[0]
+    motors = np.asarray(JobKinematics(job).motors_of(joints), np.float64)
+    slope = JobKinematics(job).motor_slopes(joints, None if are_joints else tips)
     slope = np.asarray(slope, np.float64)
     bend = _bend(job, tips, motors, slope, max_offset)
     least, most = (
@@ -118,8 +118,8 @@ def _motors(
 ) -> Float[Array, "step joint"]:
     """Return the motor positions of tips, or of joints."""
     if is_joints:
-        return joint_motors(job, command)
-    return command_motors(job, command)[0]
+        return JobKinematics(job).motors_of(command)
+    return JobKinematics(job).motors(command)[0]
 
 
 def _refuse(

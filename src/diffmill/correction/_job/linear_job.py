@@ -18,7 +18,6 @@ from ...sim import (
     job_machine,
     job_process,
     linearise,
-    path_axes,
 )
 from .._core.linear_motion import LinearMotion
 from .._core.problem import Motion
@@ -41,7 +40,7 @@ def wall_motion(
     """
     desired = jnp.asarray(job.path.positions)
     if shares is None:
-        shares = wall_shares(desired, path_axes(job), job.cutter)
+        shares = wall_shares(desired, job.tool_axes, job.cutter)
     deviation = wall_deviation(ran.ends, desired, jnp.asarray(shares, desired.dtype))
     return Motion(desired + deviation, ran.force)
 
@@ -111,7 +110,7 @@ def linear_job(
     run = linearise(machine, process, motors, state)
     desired = jnp.asarray(job.path.positions)
     if wall_share is None:
-        wall_share = wall_shares(desired, path_axes(job), job.cutter)
+        wall_share = wall_shares(desired, job.tool_axes, job.cutter)
     shares = jnp.asarray(wall_share, desired.dtype)
     motion = wall_motion(job, run, shares)
     time_step = jnp.asarray(process.tooth_period, motors.dtype)

@@ -12,14 +12,10 @@ from ..._job import Job
 from ..._types import FloatRows
 from ...process import AbstractAdjoint
 from ...sim import (
+    JobKinematics,
     RunState,
-    begin_run,
-    command_joints,
     job_machine,
     job_process,
-    joint_motors,
-    motor_slopes,
-    run_segment,
 )
 from .._core.problem import Motion
 from .._segments.plant_segment import AbstractPiece, AbstractPieces
@@ -66,9 +62,9 @@ class JobPiece(AbstractPiece):
         """Return the motion and the state at the last row."""
         before, job = self.state, self.job
         joints = _joints(job, command, before.joints, self.has_joint_commands)
-        motors = joint_motors(job, joints)
+        motors = JobKinematics(job).motors_of(joints)
         process = job_process(job, self.adjoint)
-        rows = run_segment(job_machine(job), process, motors, before.coupled)
+        rows = job_machine(job).run_segment(process, motors, before.coupled)
         motion = wall_motion(job, rows, self.wall_share)
         return motion, JobState(rows.state, joints[-1])
 
@@ -79,8 +75,10 @@ class JobPiece(AbstractPiece):
         job, start = self.job, self.state.joints
         command, are_joints = jnp.asarray(command), self.has_joint_commands
         joints = _joints(job, command, start, are_joints)
-        slopes = motor_slopes(job, joints, None if are_joints else command)
-        motors, state = joint_motors(job, joints), self.state.coupled
+        slopes = JobKinematics(job).motor_slopes(
+            joints, None if are_joints else command
+        )
+        motors, state = JobKinematics(job).motors_of(joints), self.state.coupled
         return linear_job(job, motors, slopes, self.wall_share, state)
 
 
@@ -133,7 +131,7 @@ def _begin(
     start = robot.home if job.joint_start is None else jnp.asarray(job.joint_start)
     joints = _joints(job, command, start, has_joint_commands)
     process = job_process(job, adjoint)
-    coupled = begin_run(job_machine(job), process, joint_motors(job, joints))
+    coupled = job_machine(job).begin_run(process, JobKinematics(job).motors_of(joints))
     return JobState(coupled, joints[0])
 
 
@@ -149,7 +147,7 @@ def _joints(
     started = eqx.tree_at(
         lambda j: j.joint_start, job, start, is_leaf=lambda x: x is None
     )
-    return command_joints(started, command)[0]
+    return JobKinematics(started).joints(command)[0]
 
 
 def with_rows(job: Job, rows: Int[np.ndarray, " step"]) -> Job:

@@ -12,17 +12,7 @@ from jaxtyping import Array, Float
 from ..._job import Job
 from ..._types import FloatRows
 from ...process import AbstractAdjoint
-from ...sim import (
-    Run,
-    Solution,
-    command_joints,
-    command_motors,
-    joint_motors,
-    motor_slopes,
-    run_motors,
-    solve_command,
-    with_scaled,
-)
+from ...sim import JobKinematics, Run, Solution, run_motors, solve_command, with_scaled
 from .._core.method import AbstractMethod
 from .._core.problem import AbstractHostPlant, Motion, Problem
 from .._method.ensemble import AbstractUncertainPlant, Parameters
@@ -76,7 +66,7 @@ class TipPlant(AbstractHostPlant):
     def motors(self, command: Float[Array, "step 3"]) -> Float[Array, "step joint"]:
         """Return the motors that the controller moves, shape (step, joint)."""
         known = self.job if self.controller is None else self.controller
-        return command_motors(known, command)[0]
+        return JobKinematics(known).motors(command)[0]
 
     def __call__(self, command: Float[Array, "step 3"]) -> Motion:
         """Return the motion that follows a command, shape (step, 3)."""
@@ -99,11 +89,11 @@ class TipPlant(AbstractHostPlant):
             return None
         known = self.job if self.controller is None else self.controller
         command = jnp.asarray(command)
-        joints, _ = command_joints(known, command)
+        joints, _ = JobKinematics(known).joints(command)
         return linear_job(
             self.job,
-            joint_motors(known, joints),
-            motor_slopes(known, joints, command),
+            JobKinematics(known).motors_of(joints),
+            JobKinematics(known).motor_slopes(joints, command),
             self.wall_share,
         )
 
@@ -141,7 +131,9 @@ class JointPlant(AbstractHostPlant):
 
     def __call__(self, command: Float[Array, "step joint"]) -> Motion:
         """Return the motion that follows a command, shape (step, joint)."""
-        ran = run_motors(self.job, joint_motors(self.job, command), self.adjoint)
+        ran = run_motors(
+            self.job, JobKinematics(self.job).motors_of(command), self.adjoint
+        )
         return wall_motion(self.job, ran, self.wall_share)
 
     def run(self, command: FloatRows) -> Motion:
@@ -155,7 +147,7 @@ class JointPlant(AbstractHostPlant):
         T = jnp.asarray(job.T_base_work)
         tips = jax.vmap(lambda q: forward_kinematics(job.robot, q)[:3, 3])(command)  # pyright: ignore[reportArgumentType]
         tips = (tips - T[:3, 3][None]) @ T[:3, :3]
-        motors = joint_motors(job, command)
+        motors = JobKinematics(job).motors_of(command)
         return solved_motion(solve_command(job, self.rigid, tips, self.adjoint, motors))
 
     def linearised(self, command: FloatRows) -> "LinearJob | None":
@@ -163,7 +155,10 @@ class JointPlant(AbstractHostPlant):
         if not has_linear_run(self.job):
             return None
         job, joints = self.job, jnp.asarray(command)
-        motors, slopes = joint_motors(job, joints), motor_slopes(job, joints)
+        motors, slopes = (
+            JobKinematics(job).motors_of(joints),
+            JobKinematics(job).motor_slopes(joints),
+        )
         return linear_job(job, motors, slopes, self.wall_share)
 
 
@@ -203,7 +198,7 @@ def joint_problem(
     """
     from ...robot import jacobian
 
-    nominal, _ = command_joints(job, jnp.asarray(tips.desired))
+    nominal, _ = JobKinematics(job).joints(jnp.asarray(tips.desired))
     J = np.asarray(jacobian(job.robot, nominal[0]))[:3]  # pyright: ignore[reportArgumentType]
     lever = np.linalg.norm(J, axis=0).max()
     plant = JointPlant(job, adjoint, before.wall_share, before.rigid)

@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 from ..._job import Job
 from ..._types import FloatRows3, RealScalarLike
 from ...robot import damped_modes
-from ...sim import command_joints
+from ...sim import JobKinematics
 
 
 def shaped(
@@ -70,7 +70,7 @@ def shaped_program(job: Job, desired: Float[Array, "step 3"]) -> Float[Array, "s
 
     **Differentiability**: none, a host function.
     """
-    joints, _ = command_joints(job, desired)
+    joints, _ = JobKinematics(job).joints(desired)
     modes = damped_modes(job.robot, joints[joints.shape[0] // 2])  # pyright: ignore[reportArgumentType]
     if modes.frequencies.size == 0:
         return desired

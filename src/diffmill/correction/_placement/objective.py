@@ -24,7 +24,7 @@ from ...robot import (
     jacobian,
     singularity,
 )
-from ...sim import command_joints, with_precision
+from ...sim import JobKinematics
 
 # Shift along x, y and z of the base, turn of the work, turn of the tool.
 UNKNOWNS = ("x", "y", "z", "angle", "rotation")
@@ -161,7 +161,7 @@ def whole_path(
     robot = job.robot
     if robot is None:
         raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
-    q, is_reached = command_joints(job, jnp.asarray(job.path.positions))
+    q, is_reached = JobKinematics(job).joints(jnp.asarray(job.path.positions))
     R = jnp.asarray(job.T_base_work, robot.dtype)[:3, :3]
     moved = jax.vmap(lambda q, F: tip_deflection(robot, q, F))(q, force @ R.T)
     return moved @ R, q, jnp.all(is_reached)
@@ -188,7 +188,7 @@ def predicted_deviation(
     **Differentiability**: smooth in force, robot and place; in the place by the
     implicit function of the inverse kinematics.
     """
-    job = with_precision(job)
+    job = job.with_precision()
     return whole_path(job, jnp.asarray(force, job.simulation.precision))[0]
 
 

@@ -26,7 +26,7 @@ from ...optimise import (
     least_squares,
 )
 from ...process import ThroughRays
-from ...sim import command_poses, rigid_cut, with_precision
+from ...sim import JobKinematics, rigid_cut
 from .._job.correct import NothingToCorrect
 from .._spline.command_limits import InfeasibleLimit
 from .objective import (
@@ -98,7 +98,7 @@ def place_workpiece(
     derivative, the inverse kinematics' by the implicit function.
     """
     lower, upper = _bounds(job, shift_bounds, angle_bounds, rotation_bounds)
-    job = with_precision(job)
+    job = job.with_precision()
     if force is None:
         force = rigid_cut(job, ThroughRays()).force
     force = jnp.asarray(force, job.simulation.precision)
@@ -182,7 +182,9 @@ def _task(
     weights = np.full(len(chosen), 1 / (reference * np.sqrt(len(even))))
     weights[: len(ends)] = 0.0
     T = np.asarray(job.T_base_work, np.float64)
-    poses = np.asarray(command_poses(job, jnp.asarray(job.path.positions)), np.float64)
+    poses = np.asarray(
+        JobKinematics(job).poses(jnp.asarray(job.path.positions)), np.float64
+    )
     poses = np.linalg.inv(T)[None] @ poses[chosen]
     middle = 0.5 * (tips[cutting].min(axis=0) + tips[cutting].max(axis=0))
     lows, highs = np.asarray(robot.joint_lower), np.asarray(robot.joint_upper)

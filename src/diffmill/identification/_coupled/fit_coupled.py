@@ -22,7 +22,7 @@ from ...optimise import (
     QuadraticModel,
     least_squares,
 )
-from ...sim import parameter_names, with_precision
+from ...sim import parameter_names
 from .._statistics.record_model import record_model, record_solver
 from .._statistics.robust_regression import (
     LinearFit,
@@ -162,7 +162,7 @@ def fit_coupled(
         raise ValueError(
             f'Argument `loss` must be "squares" or "huber", but is "{loss}".'
         )
-    job = with_precision(job)
+    job = job.with_precision()
     record = _record(job, force, deviation, time)
     names = fitted_names(job, fit, force is not None)
     start = np.zeros(len(names) + 3 * has_offset + has_time_shift)

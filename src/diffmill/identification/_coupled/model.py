@@ -17,13 +17,7 @@ from jaxtyping import Array, Float
 from ..._job import Job
 from ..._result import RESULTS
 from ...process import ThroughPoses
-from ...sim import (
-    command_joints,
-    joint_motors,
-    parameter_names,
-    run_motors,
-    with_scaled,
-)
+from ...sim import JobKinematics, parameter_names, run_motors, with_scaled
 from .._cut.cut_model import at_times
 from .._statistics.robust_regression import Rows
 
@@ -92,14 +86,16 @@ def _run(
 ) -> tuple[tuple[Array, Array], tuple[tuple[Array, Array], RESULTS]]:
     """Return the derivatives, the force and the deviation, and the outcome."""
     desired = jnp.asarray(job.path.positions)
-    joints, is_reached = command_joints(job, desired)
+    joints, is_reached = JobKinematics(job).joints(desired)
 
     def rows(
         log_scale: Array,
     ) -> tuple[tuple[Array, Array], tuple[tuple[Array, Array], RESULTS]]:
         full = jnp.zeros(len(parameter_names(job)), log_scale.dtype)
         scaled = with_scaled(job, full.at[np.array(places)].set(log_scale))
-        ran = run_motors(scaled, joint_motors(scaled, joints), ThroughPoses())
+        ran = run_motors(
+            scaled, JobKinematics(scaled).motors_of(joints), ThroughPoses()
+        )
         found = (ran.force, ran.actual - desired)
         result = RESULTS.where(jnp.all(is_reached), ran.result, RESULTS.unreachable)
         return found, (found, result)

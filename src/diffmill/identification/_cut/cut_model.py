@@ -27,7 +27,7 @@ from ...process import (
     is_plunging,
     path_depth,
 )
-from ...sim import simulate_process, with_precision
+from ...sim import simulate_process
 from ...workpiece import Stock
 
 # Samples per revolution, those for a path of more steps than so many, and elements
@@ -100,7 +100,7 @@ def cut_of(process_or_job: Cut | Job) -> Cut:
         ValueError: It is neither.
     """
     if isinstance(process_or_job, Job):
-        job = with_precision(process_or_job)
+        job = process_or_job.with_precision()
         cut = Cut(
             job.path.positions,
             job.stock,

@@ -49,23 +49,6 @@ def inverse_dynamics(
     )
 
 
-def bias_forces(
-    robot: Robot, q: JointVector, qd: JointVector
-) -> Float[Array, " joint"]:
-    """Return C(q, qd) + G(q): the torques of a motion without acceleration.
-
-    Args:
-        robot: The robot.
-        q: Joint positions [rad or m], shape (joint,).
-        qd: Joint velocities [rad/s or m/s], shape (joint,).
-
-    Returns:
-        Torques [N m or N], shape (joint,).
-    """
-    zero = jnp.zeros(robot.joint_count, robot.dtype)
-    return inverse_dynamics(robot, q, qd, zero)
-
-
 def gravity_forces(robot: Robot, q: JointVector) -> Float[Array, " joint"]:
     """Return G(q): the torques that hold the robot against gravity.
 

@@ -2,6 +2,7 @@
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._kinematics.forward import (
@@ -13,6 +14,7 @@ from .._kinematics.forward import (
 from .._model.robot import JointVector, Robot, joint_vector
 from .crba import composite_mass_matrix, gravity_stiffness
 from .rnea import newton_euler
+from .spd_inverse import spd_inverse
 
 
 class ArmTerms(eqx.Module):
@@ -33,6 +35,17 @@ class ArmTerms(eqx.Module):
     mass_matrix: Float[Array, "joint joint"]
     bias_forces: Float[Array, " joint"]
     gravity_stiffness: Float[Array, "joint joint"]
+
+    def augmented_inverse(
+        self, diagonal: Float[Array, " joint"] | None = None
+    ) -> Float[Array, "joint joint"]:
+        """Return (M + diag(d))^-1, differentiated as an inverse.
+
+        Args:
+            diagonal: d [kg m^2], shape (joint,); 0 if not given.
+        """
+        M = self.mass_matrix
+        return spd_inverse(M if diagonal is None else M + jnp.diag(diagonal))
 
 
 def arm_terms(robot: Robot, q: JointVector, qd: JointVector) -> ArmTerms:

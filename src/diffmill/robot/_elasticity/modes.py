@@ -20,7 +20,9 @@ class Modes(eqx.Module):
     Attributes:
         frequencies: Undamped natural frequencies [Hz], shape (joint,).
         damping_ratios: phi^T D phi / (2 omega); dampers that couple modes are
-            neglected, see `damped_modes` [-], shape (joint,).
+            neglected, which `damped_modes` does not: where one is much stronger than
+            the others it can be many times too large [-], shape (joint,); 0 for a
+            rigid joint.
         joint_shapes: phi: joint motion per mode, phi^T M phi = 1 [kg^-1/2 / m or
             kg^-1/2], shape (joint, joint), a row per mode; the entry that is largest
             in `energy_shares` is positive.
@@ -80,26 +82,6 @@ def natural_frequencies(robot: Robot, q: JointVector) -> Float[Array, " joint"]:
     """
     frequencies = _natural_frequencies(robot, joint_vector(robot, q, "q"))
     return refuse_singular(robot, frequencies, "natural frequencies")
-
-
-def damping_ratios(robot: Robot, q: JointVector) -> Float[Array, " joint"]:
-    """Return the damping ratio of each natural mode.
-
-    The modal one, phi^T D phi / (2 omega): dampers that couple modes are neglected,
-    which `damped_modes` does not. Where one damper is much stronger than the others it
-    can be many times too large.
-
-    Args:
-        robot: The robot.
-        q: Joint positions [rad or m], shape (joint,).
-
-    Returns:
-        Damping ratios [-] in the order of `natural_frequencies`, shape (joint,); 0
-        for a rigid joint.
-
-    **Differentiability**: smooth where no two frequencies coincide.
-    """
-    return mode_shapes(robot, q).damping_ratios
 
 
 @jax.jit

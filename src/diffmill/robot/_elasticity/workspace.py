@@ -34,6 +34,60 @@ class StiffnessMap(eqx.Module):
     stiffness: Float[np.ndarray, "up across"]
     plane: tuple[int, int] = eqx.field(static=True)
 
+    @classmethod
+    def around(
+        cls,
+        robot: Robot,
+        q: JointVector,
+        *,
+        plane: tuple[int, int] = (0, 2),
+        count: int = 49,
+    ) -> "StiffnessMap":
+        """Return the least stiffness of the tip on a plane through a pose.
+
+        The plane is parallel to two base axes; the tool keeps its direction. Inverse
+        kinematics starts at the pose, then, where that failed, at what was found
+        nearest: another branch of the arm may reach what is not found here.
+
+        Args:
+            robot: The robot.
+            q: Joint positions of the pose [rad or m], shape (joint,).
+            plane: Indices of the two base axes.
+            count: Points along the longer side.
+
+        Returns:
+            The map.
+
+        Raises:
+            ValueError: If `plane` is not two different base axes.
+
+        **Differentiability**: none; `principal_stiffness` is differentiable.
+        """
+        if len(set(plane)) != 2 or not set(plane) <= {0, 1, 2}:
+            raise ValueError(
+                "Argument `plane` must be two different ones of 0, 1, 2, but is "
+                f"{plane}."
+            )
+        start = joint_vector(robot, q, "q")
+        T = np.asarray(forward_kinematics(robot, start)).astype(float)
+        box = reach_box(robot)[:, list(plane)]
+        # A coarse look first: where the tool keeps its direction is less than all it
+        # reaches.
+        for points in (count // 2 + 1, count):
+            spacing = np.max(box[1] - box[0]) / (points - 1)
+            axes = [
+                _through(T[axis, 3], box[0, i], box[1, i], spacing)
+                for i, axis in enumerate(plane)
+            ]
+            stiffness = _on_grid(robot, T, start, plane, axes[0], axes[1])
+            rows, columns = np.nonzero(~np.isnan(stiffness))
+            if not rows.size:
+                break
+            reached = np.stack([axes[0][columns], axes[1][rows]], axis=-1)
+            box = np.stack([reached.min(axis=0), reached.max(axis=0)])
+            box = box + spacing * np.array([[-1.0], [1.0]])
+        return cls(axes[0], axes[1], stiffness, plane)
+
 
 def reach_box(robot: Robot) -> Float[np.ndarray, "2 3"]:
     """Return the corners of a box around what the tool reaches, by random poses.
@@ -60,58 +114,6 @@ def reach_box(robot: Robot) -> Float[np.ndarray, "2 3"]:
     q = np.where(robot.motor_mask(), lower + share * (upper - lower), 0.0)
     tips = np.asarray(_tips(robot, jnp.asarray(q, robot.dtype)))
     return np.stack([tips.min(axis=0), tips.max(axis=0)]).astype(float)
-
-
-def stiffness_map(
-    robot: Robot,
-    q: JointVector,
-    *,
-    plane: tuple[int, int] = (0, 2),
-    count: int = 49,
-) -> StiffnessMap:
-    """Return the least stiffness of the tip on a plane through a pose.
-
-    The plane is parallel to two base axes; the tool keeps its direction. Inverse
-    kinematics starts at the pose, then, where that failed, at what was found nearest:
-    another branch of the arm may reach what is not found here.
-
-    Args:
-        robot: The robot.
-        q: Joint positions of the pose [rad or m], shape (joint,).
-        plane: Indices of the two base axes.
-        count: Points along the longer side.
-
-    Returns:
-        The map.
-
-    Raises:
-        ValueError: If `plane` is not two different base axes.
-
-    **Differentiability**: none; `principal_stiffness` is differentiable.
-    """
-    if len(set(plane)) != 2 or not set(plane) <= {0, 1, 2}:
-        raise ValueError(
-            f"Argument `plane` must be two different ones of 0, 1, 2, but is {plane}."
-        )
-    start = joint_vector(robot, q, "q")
-    T = np.asarray(forward_kinematics(robot, start)).astype(float)
-    box = reach_box(robot)[:, list(plane)]
-    # A coarse look first: where the tool keeps its direction is less than all it
-    # reaches.
-    for points in (count // 2 + 1, count):
-        spacing = np.max(box[1] - box[0]) / (points - 1)
-        axes = [
-            _through(T[axis, 3], box[0, i], box[1, i], spacing)
-            for i, axis in enumerate(plane)
-        ]
-        stiffness = _on_grid(robot, T, start, plane, axes[0], axes[1])
-        rows, columns = np.nonzero(~np.isnan(stiffness))
-        if not rows.size:
-            break
-        reached = np.stack([axes[0][columns], axes[1][rows]], axis=-1)
-        box = np.stack([reached.min(axis=0), reached.max(axis=0)])
-        box = box + spacing * np.array([[-1.0], [1.0]])
-    return StiffnessMap(axes[0], axes[1], stiffness, plane)
 
 
 def _through(

@@ -30,31 +30,31 @@ class Skeleton(eqx.Module):
     tool: Float[Array, " 3"]
     tool_rotation: Float[Array, "3 3"]
 
+    @classmethod
+    def of_robot(cls, robot: Robot, q: JointVector) -> "Skeleton":
+        """Return where the joints of the arm are.
 
-def skeleton(robot: Robot, q: JointVector) -> Skeleton:
-    """Return where the joints of the arm are.
+        Args:
+            robot: The robot.
+            q: Joint positions [rad or m], shape (joint,).
 
-    Args:
-        robot: The robot.
-        q: Joint positions [rad or m], shape (joint,).
-
-    Returns:
-        The points; `robot.parents` tells which belong together.
-    """
-    values = joint_vector(robot, q, "q")
-    frames = joint_frames(robot, values)
-    slides = robot.prismatic_mask()
-    travel = jnp.where(slides, unfold_positions(robot, values), 0.0)
-    axes = frames.rotations[:, :, 2]
-    flange = robot.T_joint_flange[:3, 3]
-    if robot.flange_joint >= 0:
-        R = frames.rotations[robot.flange_joint]
-        flange = frames.positions[robot.flange_joint] + apply_matrix(R, flange)
-    return Skeleton(
-        mounts=frames.positions - travel[:, None] * axes,
-        origins=frames.positions,
-        axes=axes,
-        flange=flange,
-        tool=frames.tool_position,
-        tool_rotation=frames.tool_rotation,
-    )
+        Returns:
+            The points; `robot.parents` tells which belong together.
+        """
+        values = joint_vector(robot, q, "q")
+        frames = joint_frames(robot, values)
+        slides = robot.prismatic_mask()
+        travel = jnp.where(slides, unfold_positions(robot, values), 0.0)
+        axes = frames.rotations[:, :, 2]
+        flange = robot.T_joint_flange[:3, 3]
+        if robot.flange_joint >= 0:
+            R = frames.rotations[robot.flange_joint]
+            flange = frames.positions[robot.flange_joint] + apply_matrix(R, flange)
+        return cls(
+            mounts=frames.positions - travel[:, None] * axes,
+            origins=frames.positions,
+            axes=axes,
+            flange=flange,
+            tool=frames.tool_position,
+            tool_rotation=frames.tool_rotation,
+        )

@@ -19,8 +19,8 @@ from ..._job import Job
 from ..._types import FloatRows3
 from ...process import ThroughPoses, wall_deviation, wall_shares
 from ...toolpath import contour_error
-from .._job.simulate import run_motors, with_precision
-from .._machine.commands import command_motors, path_axes
+from .._job.simulate import run_motors
+from .._machine.commands import JobKinematics
 
 if TYPE_CHECKING:
     import xarray
@@ -83,7 +83,7 @@ def sensitivity(job: Job, *, commanded: FloatRows3 | None = None) -> Sensitivity
 
     Differentiability: runs on the host, not traceable.
     """
-    job = with_precision(job)
+    job = job.with_precision()
     if job.robot is None:
         raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
     command = job.path.positions if commanded is None else commanded
@@ -167,9 +167,9 @@ def _pushed(
     job: Job, command: Float[Array, "step 3"], direction: Float[Array, " parameter"]
 ) -> tuple[Float[Array, "step 3"], Float[Array, " step"]]:
     """Return the derivatives of the tip and of its contour error in a direction."""
-    motors, _ = command_motors(job, command)
+    motors, _ = JobKinematics(job).motors(command)
     desired = jnp.asarray(job.path.positions)
-    shares = wall_shares(desired, path_axes(job), job.cutter)
+    shares = wall_shares(desired, job.tool_axes, job.cutter)
 
     def errors(log_scale: Float[Array, " parameter"]) -> tuple[Array, Array]:
         ran = run_motors(with_scaled(job, log_scale), motors, ThroughPoses())

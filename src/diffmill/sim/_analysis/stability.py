@@ -26,7 +26,7 @@ from ...process import Process, ThroughRays
 from ...robot import Robot, arm_terms
 from ...workpiece import Pose
 from .._job.padding import padded_count
-from .._job.simulate import Solution, job_process, simulate, with_precision
+from .._job.simulate import Solution, job_process, simulate
 from .._machine.elastic import ElasticArm
 from .force_jacobian import force_slopes
 from .linear_arm import linear_arms
@@ -156,7 +156,7 @@ def stability(
             'Argument `job` must have mode "dynamic", but has '
             f'"{job.simulation.mode}", in which nothing vibrates.'
         )
-    job = with_precision(job)
+    job = job.with_precision()
     assert job.robot is not None
     solution = simulate(job) if solution is None else solution
     if rows is None:
@@ -199,7 +199,7 @@ def find_chatter(job: Job, solution: Solution) -> Stability | None:
     rows = _deep_rows(solution)
     if rows.size == 0:
         return None
-    job = with_precision(job)
+    job = job.with_precision()
     assert job.robot is not None
     arm, process = ElasticArm(job.robot, job.T_base_work), _process(job)
     motors, joints = solution.motor_positions, solution.joint_positions

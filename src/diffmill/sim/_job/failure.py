@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..._job import Job
-from ..._result import RESULTS, SimulationFailed
+from ..._result import RESULTS
 from ...robot import JointSolution, Robot, singularity
-from .._machine.commands import command_path
+from .._machine.commands import JobKinematics
 
 if TYPE_CHECKING:
     from .simulate import Solution
@@ -18,25 +18,20 @@ if TYPE_CHECKING:
 _TAKES_PART = 0.4
 
 
-def raise_unless_successful(solution: "Solution", job: Job | None = None) -> None:
-    """Raise `SimulationFailed` with time, place and joint of every trouble.
+def troubles_of(solution: "Solution", job: Job | None) -> str:
+    """Return what went wrong in a run, when, where and with which joint.
 
     Args:
-        solution: The solution of a run.
+        solution: The solution of a run that is not successful.
         job: Its job, in its precision: with it a pose that is not reached is described.
-
-    Raises:
-        SimulationFailed: The outcome is not successful.
     """
-    if bool(solution.result == RESULTS.successful):
-        return
     troubles = []
     is_reached = np.asarray(solution.is_reached)
     if not is_reached.all():
         troubles.append(_unreached(solution, ~is_reached, job))
     if not bool(solution.result == RESULTS.unreachable):
         troubles.append(_failed(solution))
-    raise SimulationFailed(" ".join(troubles), solution)
+    return " ".join(troubles)
 
 
 def _failed(solution: "Solution") -> str:
@@ -77,7 +72,7 @@ def _unreached(
     )
     if job is None or job.robot is None:
         return f"{text}."
-    found = command_path(job, jnp.asarray(solution.commanded))
+    found = JobKinematics(job).solve(jnp.asarray(solution.commanded))
     k = int(np.argmax(is_bad))
     away, tilt = float(found.position_residual[k]), float(found.rotation_residual[k])
     return (

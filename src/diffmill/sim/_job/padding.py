@@ -14,6 +14,7 @@ import jax.core
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._arrays import on_device
 from ..._job import CorrectionSettings, Job
 from ...toolpath import Path
 
@@ -112,8 +113,3 @@ def cut_rows(tree: _Tree, names: tuple[str, ...], row_count: int) -> _Tree:
     at = lambda tree: [getattr(tree, name) for name in given]
     kept = [on_device(np.asarray(rows)[:row_count]) for rows in at(tree)]
     return eqx.tree_at(at, tree, kept)
-
-
-def on_device(rows: Array | np.ndarray) -> Array:
-    """Return an array of JAX; `jnp.asarray` would compile a copy for every shape."""
-    return rows if isinstance(rows, jax.Array) else jax.device_put(rows)

@@ -21,10 +21,9 @@ from ...process import (
 )
 from ...workpiece import Pose, tool_frame
 from .._analysis.stability import joint_poses
-from .._machine.commands import path_axes
-from .._machine.machine import Run, run
+from .._machine.machine import Run
 from .._machine.rigid import Rigid
-from .simulate import Solution, job_process, with_precision
+from .simulate import Solution, job_process
 
 
 class ToothChip(eqx.Module):
@@ -64,7 +63,7 @@ class Replay(eqx.Module):
             job: The job.
             solution: Its solution.
         """
-        job = with_precision(job)
+        job = job.with_precision()
         return cls(job_process(job, ThroughRays()), _actual_poses(job, solution))
 
     def run(self) -> Run:
@@ -119,7 +118,7 @@ def _actual_poses(job: Job, solution: Solution) -> Pose:
     """Return the poses at the tooth instants, without an axis where it is always +z."""
     tips = jnp.asarray(solution.actual)
     if job.robot is None or solution.joint_positions is None:
-        return Pose.along(tips, path_axes(job))
+        return Pose.along(tips, job.tool_axes)
     if not job.simulation.axes:
         return Pose(tips)
     frame = jnp.asarray(job.T_base_work, tips.dtype)
@@ -129,7 +128,7 @@ def _actual_poses(job: Job, solution: Solution) -> Pose:
 
 @eqx.filter_jit
 def _run(process: Process, poses: Pose) -> Run:
-    return run(Rigid(keeps_instantaneous=True), process, poses)
+    return Rigid(keeps_instantaneous=True).run(process, poses)
 
 
 def _left_of_feed(path: Pose) -> float:

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax
@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from ..._arrays import cast_floats, on_device
 from ..._job import Job
-from ..._result import RESULTS
+from ..._result import RESULTS, SimulationFailed
 from ..._types import FloatRows3
 from ...process import (
     AbstractAdjoint,
-    AbstractEngagement,
     Process,
     ThroughRays,
     choose_engagement,
@@ -27,21 +27,20 @@ from ...robot import Controller
 from ...toolpath import Path, contour_error
 from ...workpiece import Pose, Stock
 from .._machine._integrator.rk4 import make_integrator
-from .._machine.commands import command_motors, path_axes
+from .._machine.commands import JobKinematics
 from .._machine.elastic import ElasticArm
-from .._machine.machine import Run, run
+from .._machine.machine import Run
 from .._machine.quasi_static import QuasiStaticArm
 from .._machine.rigid import Rigid
-from .failure import raise_unless_successful
+from .failure import troubles_of
 from .intervals import with_more_intervals
-from .padding import cut_rows, on_device, pad_rows, padded_job
+from .padding import cut_rows, pad_rows, padded_job
 
 if TYPE_CHECKING:
     import xarray
 
 # Called between the parts of a run with a message and the share done.
 OnProgress = Callable[[str, float], None]
-_Tree = TypeVar("_Tree")
 # Any directions of the tool: which ones is known to the sizes alone.
 _ANY_AXIS = ((0.0, 0.0, 1.0),)
 
@@ -97,6 +96,19 @@ class Solution(eqx.Module):
     result: RESULTS
     joint_names: tuple[str, ...] = eqx.field(static=True)
 
+    def raise_unless_successful(self, job: Job | None = None) -> None:
+        """Raise `SimulationFailed` with time, place and joint of every trouble.
+
+        Args:
+            job: The job, in its precision: with it a pose that is not reached is
+                described.
+
+        Raises:
+            SimulationFailed: The outcome is not successful.
+        """
+        if bool(self.result != RESULTS.successful):
+            raise SimulationFailed(troubles_of(self, job), self)
+
     @property
     def deviation(self) -> Float[Array, "step 3"]:
         """Return actual - desired [m], shape (step, 3)."""
@@ -138,14 +150,14 @@ def simulate(
 
     Differentiability: in all leaves of the job, as `simulate_process`.
     """
-    job = with_precision(job)
+    job = job.with_precision()
     adjoint = ThroughRays() if adjoint is None else adjoint
     tell = on_progress or (lambda message, share: None)
     command = job.path.positions if commanded is None else commanded
     _, solution = run_with_room(job, on_device(command), adjoint, tell)
     tell("done", 1.0)
     if throw and not isinstance(solution.actual, jax.core.Tracer):
-        raise_unless_successful(solution, job)
+        solution.raise_unless_successful(job)
     return solution
 
 
@@ -183,44 +195,15 @@ def run_with_room(
     return job, solution
 
 
-def with_precision(job: Job) -> Job:
-    """Return the job with all its numbers in its precision.
+def job_process(job: Job, derivative: AbstractAdjoint) -> Process:
+    """Return the process of a job.
 
-    Raises:
-        ValueError: float64 is asked for and `jax_enable_x64` is off.
-    """
-    dtype = jnp.dtype(job.simulation.precision)
-    if dtype == jnp.float64 and jnp.result_type(float) != dtype:
-        raise ValueError(
-            'Argument `job` must have precision "float32", or '
-            'jax.config.update("jax_enable_x64", True) must come first.'
-        )
-    return cast_floats(job, dtype)
-
-
-def cast_floats(tree: _Tree, dtype: jnp.dtype) -> _Tree:
-    """Return a tree with every floating leaf as an array of one type."""
-
-    def cast(leaf: object) -> object:
-        is_float = isinstance(leaf, float) or (
-            hasattr(leaf, "dtype") and jnp.issubdtype(leaf.dtype, jnp.floating)  # pyright: ignore[reportAttributeAccessIssue]
-        )
-        if not is_float:
-            return leaf
-        if isinstance(leaf, jax.Array):
-            return jnp.asarray(leaf, dtype)
-        return on_device(np.asarray(leaf, np.dtype(dtype)))  # pyright: ignore[reportArgumentType]
-
-    return jax.tree.map(cast, tree)
-
-
-def job_engagement(job: Job) -> AbstractEngagement:
-    """Return where the teeth of a job meet material, and how finely that is looked up.
-
-    **Differentiability**: sizes are taken on the host.
+    Args:
+        job: The job, in its precision.
+        derivative: How to differentiate through the removal.
     """
     settings = job.simulation
-    return choose_engagement(
+    engagement = choose_engagement(
         job.stock,
         job.cutter,
         axial_depth=settings.axial_depth,
@@ -234,21 +217,12 @@ def job_engagement(job: Job) -> AbstractEngagement:
         has_bottom=settings.has_bottom,
         chip=settings.chip,
     )
-
-
-def job_process(job: Job, derivative: AbstractAdjoint) -> Process:
-    """Return the process of a job.
-
-    Args:
-        job: The job, in its precision.
-        derivative: How to differentiate through the removal.
-    """
     return Process(
         job.stock,
         job.cutter,
         job.law,
         job.spindle_speed,
-        job_engagement(job),
+        engagement,
         bottom_law=job.bottom_law,
         derivative=derivative,
     )
@@ -329,7 +303,7 @@ def _program(job: Job, derivative: AbstractAdjoint) -> _Program:
     free = process.cutter.with_sizes_as_leaves()
     process = cast_floats(eqx.tree_at(lambda p: p.cutter, process, free), dtype)
     return _Program(
-        process, machine, padded.controller, padded.path, path_axes(padded), rest
+        process, machine, padded.controller, padded.path, padded.tool_axes, rest
     )
 
 
@@ -337,7 +311,7 @@ def _program(job: Job, derivative: AbstractAdjoint) -> _Program:
 def _cut_along(program: _Program, positions: Float[Array, "step 3"]) -> Run:
     """Return the process alone of a rigid machine on the given tips."""
     path = Pose.along(positions, program.axes)
-    return run(Rigid(), program.process, path, row_count=program.path.row_count)
+    return Rigid().run(program.process, path, row_count=program.path.row_count)
 
 
 def solve_command(
@@ -369,7 +343,7 @@ def solve_command(
     if motors is not None:
         motors = on_device(pad_rows(motors, steps))
     elif program.machine is not None:
-        motors, is_reached = command_motors(program.kinematics, tips)
+        motors, is_reached = JobKinematics(program.kinematics).motors(tips)
     ran = _follow(program, rigid.stock, _Command(tips, motors, is_reached))
     if steps != count:
         ran = cut_rows(ran, _FOLLOWED_ROWS, count)
@@ -487,7 +461,7 @@ def _follow(program: _Program, finished: Stock, command: _Command) -> _Followed:
         assert motors is not None
         if program.controller is not None:
             motors = program.controller.motors(motors, process.tooth_period)
-        ran = run(program.machine, process, motors, row_count=path.row_count)
+        ran = program.machine.run(process, motors, row_count=path.row_count)
         actual, ends = ran.actual, ran.ends
     shares = wall_shares(desired, program.axes, process.cutter, finished)
     deviation = wall_deviation(ends, desired, shares)
@@ -528,4 +502,4 @@ def run_motors(
     machine, process = job_machine(job), job_process(job, adjoint)
     if job.controller is not None:
         motors = job.controller.motors(motors, process.tooth_period)
-    return run(machine, process, motors, row_count=job.path.row_count)
+    return machine.run(process, motors, row_count=job.path.row_count)

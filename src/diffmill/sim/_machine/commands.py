@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from ..._arrays import on_device
 from ..._job import Job
 from ...robot import (
     JointSolution,
@@ -22,59 +23,139 @@ from ...robot import (
     motor_positions,
 )
 from ...workpiece import tool_frame
-from .._job.padding import on_device, pad_rows, padded_count
+from .._job.padding import pad_rows, padded_count
 
 
-def path_axes(job: Job) -> Float[Array, "step 3"] | None:
-    """Return the tool axes of the path, or None if the tool stands upright."""
-    return jnp.asarray(job.path.axes) if job.simulation.axes else None
+class JobKinematics(eqx.Module):
+    """What the robot of a job does to follow the tips that a program commands.
 
-
-def command_joints(
-    job: Job, commanded: Float[Array, "step 3"]
-) -> tuple[Float[Array, "step joint"], Bool[Array, " step"]]:
-    """Return the joint positions of tip positions, and which of them are reached.
-
-    The tool axis is the path's, tool x as near to x of `work` as that allows, or as
-    it suits the joints if the job leaves the tool's rotation free.
-
-    Args:
+    Attributes:
         job: The job, in its precision; its machine must be a robot.
-        commanded: Tip positions in `work` [m], shape (step, 3).
-
-    Returns:
-        Joint positions [rad or m], shape (step, joint), and whether each tip is
-        reached, shape (step,).
-
-    Raises:
-        ValueError: The job has no robot.
-
-    **Differentiability**: that of `inverse_kinematics_path`.
     """
-    found = command_path(job, commanded)
-    return found.q, found.converged
 
+    job: Job
 
-def command_path(job: Job, commanded: Float[Array, "step 3"]) -> JointSolution:
-    """Return what inverse kinematics finds for tip positions, as `command_joints`."""
-    robot = _robot_of(job)
-    axes = path_axes(job)
-    start = robot.home if job.joint_start is None else jnp.asarray(job.joint_start)
-    count, rows = commanded.shape[0], commanded.shape[0]
-    if not _is_traced(job, commanded):
-        rows = padded_count(count)
-        commanded = on_device(pad_rows(commanded, rows))
-        axes = None if axes is None else on_device(pad_rows(axes, rows))
-    Ts = _poses(jnp.asarray(job.T_base_work), commanded, axes)
-    found = inverse_kinematics_path(robot, Ts, start, tool_rotation=job.tool_rotation)
-    return _first_rows(found, count, rows)
+    @property
+    def robot(self) -> Robot:
+        """The robot.
 
+        Raises:
+            ValueError: The job has none.
+        """
+        if self.job.robot is None:
+            raise ValueError(
+                "Argument `job` must have a robot, but its machine is rigid."
+            )
+        return self.job.robot
 
-def command_poses(
-    job: Job, commanded: Float[Array, "step 3"]
-) -> Float[Array, "step 4 4"]:
-    """Return the poses of the tool in the base for tip positions in `work`."""
-    return _poses(jnp.asarray(job.T_base_work), commanded, path_axes(job))
+    def solve(self, commanded: Float[Array, "step 3"]) -> JointSolution:
+        """Return what inverse kinematics finds for tip positions, as `joints`."""
+        robot = self.robot
+        axes = self.job.tool_axes
+        start = (
+            robot.home
+            if self.job.joint_start is None
+            else jnp.asarray(self.job.joint_start)
+        )
+        count, rows = commanded.shape[0], commanded.shape[0]
+        if not _is_traced(self.job, commanded):
+            rows = padded_count(count)
+            commanded = on_device(pad_rows(commanded, rows))
+            axes = None if axes is None else on_device(pad_rows(axes, rows))
+        Ts = _poses(jnp.asarray(self.job.T_base_work), commanded, axes)
+        found = inverse_kinematics_path(
+            robot, Ts, start, tool_rotation=self.job.tool_rotation
+        )
+        return _first_rows(found, count, rows)
+
+    def joints(
+        self, commanded: Float[Array, "step 3"]
+    ) -> tuple[Float[Array, "step joint"], Bool[Array, " step"]]:
+        """Return the joint positions of tip positions, and which of them are reached.
+
+        The tool axis is the path's, tool x as near to x of `work` as that allows, or as
+        it suits the joints if the job leaves the tool's rotation free.
+
+        Args:
+            commanded: Tip positions in `work` [m], shape (step, 3).
+
+        Returns:
+            Joint positions [rad or m], shape (step, joint), and whether each tip is
+            reached, shape (step,).
+
+        **Differentiability**: that of `inverse_kinematics_path`.
+        """
+        found = self.solve(commanded)
+        return found.q, found.converged
+
+    def poses(self, commanded: Float[Array, "step 3"]) -> Float[Array, "step 4 4"]:
+        """Return the poses of the tool in the base for tip positions in `work`."""
+        return _poses(jnp.asarray(self.job.T_base_work), commanded, self.job.tool_axes)
+
+    def motors(
+        self, commanded: Float[Array, "step 3"]
+    ) -> tuple[Float[Array, "step joint"], Bool[Array, " step"]]:
+        """Return the motor positions of tip positions, and which of them are reached.
+
+        Args:
+            commanded: Tip positions in `work` [m], shape (step, 3).
+
+        Returns:
+            As `joints`, for the motors.
+
+        **Differentiability**: that of `inverse_kinematics_path`.
+        """
+        q, is_reached = self.joints(commanded)
+        return self.motors_of(q), is_reached
+
+    def motors_of(
+        self, joints: Float[Array, "step joint"]
+    ) -> Float[Array, "step joint"]:
+        """Return the motor positions for commanded joints, sag added if compensated.
+
+        Args:
+            joints: Commanded joint positions [rad or m], shape (step, joint).
+
+        Returns:
+            Motor positions [rad or m], shape (step, joint).
+
+        **Differentiability**: that of `motor_positions`.
+        """
+        count, rows = joints.shape[0], joints.shape[0]
+        if not _is_traced(self.job, joints):
+            rows = padded_count(count)
+            joints = on_device(pad_rows(joints, rows))
+        is_compensated = self.job.simulation.is_gravity_compensated
+        motors = _motors(self.robot, joints, is_compensated)
+        return _first_rows(motors, count, rows)
+
+    def motor_slopes(
+        self,
+        joints: Float[Array, "step joint"],
+        commanded: Float[Array, "step 3"] | None = None,
+    ) -> Float[Array, "step joint axis"]:
+        """Return how the motors of each row change with its command.
+
+        Args:
+            joints: Commanded joint positions [rad or m], shape (step, joint).
+            commanded: Tip positions that they reach [m], shape (step, 3), whose change
+                it is; None for that of the joints themselves.
+
+        Returns:
+            Slopes, shape (step, joint, axis).
+
+        **Differentiability**: none is meant.
+        """
+        count, rows = joints.shape[0], joints.shape[0]
+        Ts = None
+        if commanded is not None:
+            Ts = self.poses(commanded)
+        if not _is_traced(self.job, joints, commanded):
+            rows = padded_count(count)
+            joints = on_device(pad_rows(joints, rows))
+            Ts = None if Ts is None else on_device(pad_rows(Ts, rows))
+        found = _slopes(_Slopes(self.job, self.robot), joints, Ts)
+        return _first_rows(found, count, rows)
 
 
 @eqx.filter_jit
@@ -91,12 +172,6 @@ def _poses(
     return Ts.at[:, :3, 3].set(tips)
 
 
-def _robot_of(job: Job) -> Robot:
-    if job.robot is None:
-        raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
-    return job.robot
-
-
 def _is_traced(*trees: Any) -> bool:
     """Tell whether a compiled function is being traced."""
     leaves = jax.tree.leaves(trees)
@@ -110,47 +185,6 @@ def _first_rows(tree: Any, count: int, rows: int) -> Any:
     return jax.tree.map(lambda x: on_device(np.asarray(x)[:count]), tree)
 
 
-def command_motors(
-    job: Job, commanded: Float[Array, "step 3"]
-) -> tuple[Float[Array, "step joint"], Bool[Array, " step"]]:
-    """Return the motor positions of tip positions, and which of them are reached.
-
-    Args:
-        job: The job, in its precision; its machine must be a robot.
-        commanded: Tip positions in `work` [m], shape (step, 3).
-
-    Returns:
-        As `command_joints`, for the motors.
-
-    **Differentiability**: that of `inverse_kinematics_path`.
-    """
-    q, is_reached = command_joints(job, commanded)
-    return joint_motors(job, q), is_reached
-
-
-def joint_motors(
-    job: Job, joints: Float[Array, "step joint"]
-) -> Float[Array, "step joint"]:
-    """Return the motor positions for commanded joints, sag added if compensated.
-
-    Args:
-        job: The job, in its precision.
-        joints: Commanded joint positions [rad or m], shape (step, joint).
-
-    Returns:
-        Motor positions [rad or m], shape (step, joint).
-
-    **Differentiability**: that of `motor_positions`.
-    """
-    count, rows = joints.shape[0], joints.shape[0]
-    if not _is_traced(job, joints):
-        rows = padded_count(count)
-        joints = on_device(pad_rows(joints, rows))
-    is_compensated = job.simulation.is_gravity_compensated
-    motors = _motors(_robot_of(job), joints, is_compensated)
-    return _first_rows(motors, count, rows)
-
-
 @eqx.filter_jit
 def _motors(
     robot: Robot, joints: Float[Array, "step joint"], is_compensated: bool
@@ -158,36 +192,6 @@ def _motors(
     return jax.vmap(
         lambda q: motor_positions(robot, q, is_gravity_compensated=is_compensated)
     )(joints)
-
-
-def motor_slopes(
-    job: Job,
-    joints: Float[Array, "step joint"],
-    commanded: Float[Array, "step 3"] | None = None,
-) -> Float[Array, "step joint axis"]:
-    """Return how the motors of each row change with its command.
-
-    Args:
-        job: The job, in its precision.
-        joints: Commanded joint positions [rad or m], shape (step, joint).
-        commanded: Tip positions that they reach [m], shape (step, 3), whose change it
-            is; None for that of the joints themselves.
-
-    Returns:
-        Slopes, shape (step, joint, axis).
-
-    **Differentiability**: none is meant.
-    """
-    count, rows = joints.shape[0], joints.shape[0]
-    Ts = None
-    if commanded is not None:
-        Ts = command_poses(job, commanded)
-    if not _is_traced(job, joints, commanded):
-        rows = padded_count(count)
-        joints = on_device(pad_rows(joints, rows))
-        Ts = None if Ts is None else on_device(pad_rows(Ts, rows))
-    found = _slopes(_Slopes(job), joints, Ts)
-    return _first_rows(found, count, rows)
 
 
 class _Slopes(eqx.Module):
@@ -198,8 +202,8 @@ class _Slopes(eqx.Module):
     tool_rotation: Any = eqx.field(static=True)
     is_compensated: bool = eqx.field(static=True)
 
-    def __init__(self, job: Job):
-        self.robot = _robot_of(job)
+    def __init__(self, job: Job, robot: Robot):
+        self.robot = robot
         self.R_base_work = jnp.asarray(job.T_base_work)[:3, :3]
         self.tool_rotation = job.tool_rotation
         self.is_compensated = job.simulation.is_gravity_compensated

@@ -16,7 +16,7 @@ from ..._types import IntScalar, Transform
 from ...process import Process
 from ...robot import Robot, arm_terms, forward_kinematics
 from ...workpiece import Pose
-from ._integrator.base import AbstractIntegrator, ArmState, MotorCommand, steady_state
+from ._integrator.base import AbstractIntegrator, ArmState, MotorCommand
 from ._integrator.midpoint import Midpoint
 from .machine import Period, RunState
 from .midpoint_terms import HeldSpan, middle_terms
@@ -88,7 +88,7 @@ class ElasticArm(AbstractSwinging):
     def begin(self, process: Process, command: Float[Array, "step joint"]) -> ArmState:
         """Return the state in equilibrium with the motion at the first instant."""
         rate = start_rate(command, process.tooth_period)
-        return steady_state(self.robot, command[0], rate)
+        return ArmState.steady(self.robot, command[0], rate)
 
     def rows(
         self,

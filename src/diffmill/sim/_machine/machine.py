@@ -117,6 +117,108 @@ class AbstractMachine(eqx.Module):
                 still.
         """
 
+    def run(
+        self,
+        process: Process,
+        command: Any,
+        *,
+        row_count: IntScalar | None = None,
+    ) -> "Run":
+        """Move a machine along a command and cut.
+
+        An arm starts in equilibrium with gravity, moving with its motors.
+
+        Args:
+            process: The process.
+            command: What the machine is told at the tooth instants: for `Rigid` the
+                poses of the tool, shape (step, 3), for an arm its motors' angles theta,
+                behind the gear on the joint's side [rad or m], shape (step, joint); 0
+                for virtual joints.
+            row_count: How many rows count, those behind leave everything as it is;
+                shape (). All rows if not given.
+
+        Returns:
+            The motion, the forces and the final stock.
+
+        Differentiability: in the command and all leaves of machine and process, in
+        forward and reverse mode, except at the kinks of chips and rays. Under
+        `ThroughPoses` the volumes and the stock are constants.
+        """
+        rows = self.rows(process, command, row_count)
+        step_count = _length(rows) + 1
+        last = last_row(step_count, row_count)
+        state, overlap = begin(self, process, command, step_count)
+        first = jnp.ones((), jnp.int32)
+        state, periods = _run_periods(self, process, state, first, rows, row_count)
+        final = self.pose(process, state.machine)
+        ended, rest = process.removal.finish(state.process, last, final, step_count)
+        volume, by_shank = _volumes_by_pose(step_count, periods.removed, rest)
+        actual, joints = _all_rows(self, periods, state, final, last)
+        is_finite = jnp.all(jnp.isfinite(actual)) & jnp.all(jnp.isfinite(periods.force))
+        dtype = actual.dtype
+        return Run(
+            time=process.tooth_period * jnp.arange(step_count, dtype=dtype),
+            actual=actual,
+            ends=all_ends(periods),
+            force=with_first(periods.force),
+            joint_positions=joints,
+            removed_volume=volume,
+            shank_volume=by_shank,
+            initial_overlap_volume=overlap,
+            stock=ended.stock,
+            has_failed=_failed_rows(periods.has_failed, ended, last),
+            result=_outcome(ended, is_finite),
+            instantaneous_force=None
+            if periods.samples is None
+            else with_first(periods.samples),
+        )
+
+    def begin_run(self, process: Process, command: Any) -> RunState:
+        """Return the state from which the first segment of a run starts.
+
+        Args:
+            process: The process.
+            command: The first rows of what the machine is told; three count.
+
+        Differentiability: as `run`.
+        """
+        rows = process.removal.row_count
+        state, _ = begin(self, process, command, rows + 1)
+        moved = _moved(state.process, state.process.track, rows)
+        return RunState(moved, state.machine, state.period_count)
+
+    def run_segment(self, process: Process, command: Any, state: RunState) -> "Segment":
+        """Run some periods from where an earlier run ended.
+
+        Args:
+            process: The process; its stock is the state's.
+            command: As for `run`; row 0 is the last row of the segment before.
+            state: State at row 0, of `begin_run` or of the segment before.
+
+        Returns:
+            The rows, and the state at the last of them; nothing of the queue is
+            removed.
+
+        Differentiability: as `run`; the state is differentiable but for the ends of
+        rays, and under `ThroughPoses` the segment depends on earlier ones by the
+        machine and the poses that wait for removal only.
+        """
+        rows = self.rows(process, command, None)
+        count, history = _length(rows), process.removal.row_count
+        started, first = continued(process, state, count)
+        ended, periods = _run_periods(self, process, started, first, rows)
+        final = self.pose(process, ended.machine)
+        last = jnp.asarray(count, jnp.int32)
+        actual, joints = _all_rows(self, periods, ended, final, last)
+        kept = _renumbered(ended.process, first - 1 - history + count, history)
+        return Segment(
+            actual,
+            all_ends(periods),
+            with_first(periods.force),
+            joints,
+            RunState(kept, ended.machine, state.period_count + count),
+        )
+
 
 class Run(eqx.Module):
     """Solution of a machine that cuts; rows are the tooth instants.
@@ -166,115 +268,6 @@ class Segment(eqx.Module):
     force: Float[Array, "step 3"]
     joint_positions: Float[Array, "step joint"] | None
     state: RunState
-
-
-def run(
-    machine: AbstractMachine,
-    process: Process,
-    command: Any,
-    *,
-    row_count: IntScalar | None = None,
-) -> Run:
-    """Move a machine along a command and cut.
-
-    An arm starts in equilibrium with gravity, moving with its motors.
-
-    Args:
-        machine: The machine.
-        process: The process.
-        command: What the machine is told at the tooth instants: for `Rigid` the poses
-            of the tool, shape (step, 3), for an arm its motors' angles theta, behind
-            the gear on the joint's side [rad or m], shape (step, joint); 0 for virtual
-            joints.
-        row_count: How many rows count, those behind leave everything as it is; shape
-            (). All rows if not given.
-
-    Returns:
-        The motion, the forces and the final stock.
-
-    Differentiability: in the command and all leaves of machine and process, in forward
-    and reverse mode, except at the kinks of chips and rays. Under `ThroughPoses` the
-    volumes and the stock are constants.
-    """
-    rows = machine.rows(process, command, row_count)
-    step_count = _length(rows) + 1
-    last = last_row(step_count, row_count)
-    state, overlap = begin(machine, process, command, step_count)
-    first = jnp.ones((), jnp.int32)
-    state, periods = _run_periods(machine, process, state, first, rows, row_count)
-    final = machine.pose(process, state.machine)
-    ended, rest = process.removal.finish(state.process, last, final, step_count)
-    volume, by_shank = _volumes_by_pose(step_count, periods.removed, rest)
-    actual, joints = _all_rows(machine, periods, state, final, last)
-    is_finite = jnp.all(jnp.isfinite(actual)) & jnp.all(jnp.isfinite(periods.force))
-    dtype = actual.dtype
-    return Run(
-        time=process.tooth_period * jnp.arange(step_count, dtype=dtype),
-        actual=actual,
-        ends=all_ends(periods),
-        force=with_first(periods.force),
-        joint_positions=joints,
-        removed_volume=volume,
-        shank_volume=by_shank,
-        initial_overlap_volume=overlap,
-        stock=ended.stock,
-        has_failed=_failed_rows(periods.has_failed, ended, last),
-        result=_outcome(ended, is_finite),
-        instantaneous_force=None
-        if periods.samples is None
-        else with_first(periods.samples),
-    )
-
-
-def begin_run(machine: AbstractMachine, process: Process, command: Any) -> RunState:
-    """Return the state from which the first segment of a run starts.
-
-    Args:
-        machine: The machine.
-        process: The process.
-        command: The first rows of what the machine is told; three count.
-
-    Differentiability: as `run`.
-    """
-    rows = process.removal.row_count
-    state, _ = begin(machine, process, command, rows + 1)
-    moved = _moved(state.process, state.process.track, rows)
-    return RunState(moved, state.machine, state.period_count)
-
-
-def run_segment(
-    machine: AbstractMachine, process: Process, command: Any, state: RunState
-) -> Segment:
-    """Run some periods from where an earlier run ended.
-
-    Args:
-        machine: The machine.
-        process: The process; its stock is the state's.
-        command: As for `run`; row 0 is the last row of the segment before.
-        state: State at row 0, of `begin_run` or of the segment before.
-
-    Returns:
-        The rows, and the state at the last of them; nothing of the queue is removed.
-
-    Differentiability: as `run`; the state is differentiable but for the ends of rays,
-    and under `ThroughPoses` the segment depends on earlier ones by the machine and the
-    poses that wait for removal only.
-    """
-    rows = machine.rows(process, command, None)
-    count, history = _length(rows), process.removal.row_count
-    started, first = continued(process, state, count)
-    ended, periods = _run_periods(machine, process, started, first, rows)
-    final = machine.pose(process, ended.machine)
-    last = jnp.asarray(count, jnp.int32)
-    actual, joints = _all_rows(machine, periods, ended, final, last)
-    kept = _renumbered(ended.process, first - 1 - history + count, history)
-    return Segment(
-        actual,
-        all_ends(periods),
-        with_first(periods.force),
-        joints,
-        RunState(kept, ended.machine, state.period_count + count),
-    )
 
 
 def continued(

@@ -22,7 +22,7 @@ from ...process import (
     path_depth,
 )
 from ...workpiece import Pose, Stock
-from .machine import AbstractMachine, Period, Run, RunState, run
+from .machine import AbstractMachine, Period, Run, RunState
 
 
 class PathRow(eqx.Module):
@@ -203,7 +203,7 @@ def simulate_process(
         derivative=adjoint,
     )
     machine = Rigid(keeps_instantaneous)
-    return run(machine, process, Pose.along(tips, axes), row_count=row_count)
+    return machine.run(process, Pose.along(tips, axes), row_count=row_count)
 
 
 def _rows(values: FloatRows3, name: str, dtype: jnp.dtype) -> Float[Array, "step 3"]:

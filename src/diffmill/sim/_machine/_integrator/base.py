@@ -18,7 +18,6 @@ from ....robot import (
     Robot,
     arm_terms,
     forward_dynamics,
-    spd_inverse,
 )
 
 # Algorithm of the arm's dynamics: mass matrix, or articulated bodies.
@@ -40,6 +39,36 @@ class ArmState(eqx.Module):
     v: Float[Array, " joint"]
     theta: Float[Array, " joint"] | None = None
     omega: Float[Array, " joint"] | None = None
+
+    @classmethod
+    def steady(
+        cls, robot: Robot, theta: Float[Array, " joint"], v: Float[Array, " joint"]
+    ) -> "ArmState":
+        """Return the arm moving with its motors, balanced with gravity and motion.
+
+        The springs are much stiffer than gravity, so that three steps reach rounding.
+
+        Args:
+            robot: The robot.
+            theta: Where the controller wants the motors [rad or m], shape (joint,).
+            v: How fast they and the joints move [rad/s or m/s], shape (joint,).
+
+        Returns:
+            The state; motors with a mass are where their servos hold them.
+
+        **Differentiability**: smooth, but where a gear with a gap carries nothing.
+        """
+        q = tau = theta
+        for _ in range(3):
+            tau = arm_terms(robot, q, v).bias_forces
+            if robot.friction is not None:
+                tau = tau + robot.friction_torque(v)
+            q = theta - robot.drive_deflection(tau)
+        if robot.motors is None:
+            return cls(q, v)
+        motors = robot.motor_mask()
+        held = theta - robot.servo_deflection(tau)
+        return cls(q, v, held, jnp.where(motors, v, 0.0))
 
 
 class MotorCommand(eqx.Module):
@@ -165,7 +194,7 @@ def held_rate(
     push, spin = _drive(robot, state, command)
     moved = state.q - terms.joint_positions
     bias = terms.bias_forces + terms.gravity_stiffness @ moved
-    acceleration = spd_inverse(terms.mass_matrix) @ (push + load - bias)
+    acceleration = terms.augmented_inverse() @ (push + load - bias)
     return ArmState(state.v, acceleration, state.omega, spin)
 
 
@@ -183,33 +212,3 @@ def _drive(
         return push, None
     pull = servo_torque(robot, command, theta, omega) - tau
     return push, jnp.where(robot.motor_mask(), pull / robot.motors.inertia, 0.0)
-
-
-def steady_state(
-    robot: Robot, theta: Float[Array, " joint"], v: Float[Array, " joint"]
-) -> ArmState:
-    """Return the arm moving with its motors, in equilibrium with gravity and motion.
-
-    The springs are much stiffer than gravity, so that three steps reach rounding.
-
-    Args:
-        robot: The robot.
-        theta: Where the controller wants the motors [rad or m], shape (joint,).
-        v: How fast they and the joints move [rad/s or m/s], shape (joint,).
-
-    Returns:
-        The state; motors with a mass are where their servos hold them.
-
-    **Differentiability**: smooth, but where a gear with a gap carries nothing.
-    """
-    q = tau = theta
-    for _ in range(3):
-        tau = arm_terms(robot, q, v).bias_forces
-        if robot.friction is not None:
-            tau = tau + robot.friction_torque(v)
-        q = theta - robot.drive_deflection(tau)
-    if robot.motors is None:
-        return ArmState(q, v)
-    motors = robot.motor_mask()
-    held = theta - robot.servo_deflection(tau)
-    return ArmState(q, v, held, jnp.where(motors, v, 0.0))

@@ -10,7 +10,6 @@ from ....robot import (
     ArmTerms,
     Robot,
     augmented_inverse,
-    spd_inverse,
 )
 from .base import AbstractIntegrator, ArmState, Dynamics, MotorCommand, servo_torque
 
@@ -85,7 +84,7 @@ class Midpoint(AbstractIntegrator):
             q = terms.joint_positions
             inverse = augmented_inverse(robot, q, diagonal, algorithm="aba")
             return _Linearised(w, terms, inverse)
-        return _Linearised(w, terms, spd_inverse(M + jnp.diag(diagonal)))
+        return _Linearised(w, terms, terms.augmented_inverse(diagonal))
 
     def step(
         self,

@@ -1,0 +1,31 @@
+"""Arrays of numbers known on the host, for devices and in one precision."""
+
+from typing import TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+_Tree = TypeVar("_Tree")
+
+
+def on_device(rows: Array | np.ndarray) -> Array:
+    """Return an array of JAX; `jnp.asarray` would compile a copy for every shape."""
+    return rows if isinstance(rows, jax.Array) else jax.device_put(rows)
+
+
+def cast_floats(tree: _Tree, dtype: jnp.dtype) -> _Tree:
+    """Return a tree with every floating leaf as an array of one type."""
+
+    def cast(leaf: object) -> object:
+        is_float = isinstance(leaf, float) or (
+            hasattr(leaf, "dtype") and jnp.issubdtype(leaf.dtype, jnp.floating)  # pyright: ignore[reportAttributeAccessIssue]
+        )
+        if not is_float:
+            return leaf
+        if isinstance(leaf, jax.Array):
+            return jnp.asarray(leaf, dtype)
+        return on_device(np.asarray(leaf, np.dtype(dtype)))  # pyright: ignore[reportArgumentType]
+
+    return jax.tree.map(cast, tree)
