@@ -8,6 +8,7 @@ import numpy as np
 
 from .._toml import JobError, read_toml
 from ..identification import (
+    ControllerStudy,
     CoupledStudy,
     ForceRecord,
     ForceRecordStudy,
@@ -16,6 +17,7 @@ from ..identification import (
     MeanForceStudy,
     ModeStudy,
 )
+from ._identification.air_path import read_air_path
 from ._identification.context import Context
 from ._identification.coupled import read_coupled
 from ._identification.force_records import read_force_record
@@ -32,7 +34,12 @@ from ._load_job import load_job
 from ._schema.cutter import make_cutter
 
 Study: TypeAlias = (
-    MeanForceStudy | ForceRecordStudy | LoadTestStudy | ModeStudy | CoupledStudy
+    MeanForceStudy
+    | ForceRecordStudy
+    | LoadTestStudy
+    | ModeStudy
+    | CoupledStudy
+    | ControllerStudy
 )
 
 
@@ -46,8 +53,8 @@ def load_identification(
 
     Args:
         file: The file, with `kind = "mean_forces"`, "force_records", "load_tests",
-            "ring_down", "frequency_response" or "coupled"; or a job, if `forces` is
-            given.
+            "ring_down", "frequency_response", "coupled" or "controller"; or a job,
+            if `forces` is given.
         forces: A record of forces of the job, wherever it lies.
         allow_outside: Whether the file may name files outside its own folder.
 
@@ -80,6 +87,8 @@ def load_identification(
         study = _loads(path.stem, tables, context)
     elif kind == "coupled" and "coupled" in tables:
         study = read_coupled(path.stem, tables["coupled"], context)
+    elif kind == "controller" and "air_path" in tables:
+        study = read_air_path(path.stem, tables["air_path"], context)
     elif kind in ("ring_down", "frequency_response"):
         study = _modes(path.stem, kind, tables, context)
     if problems or study is None:

@@ -64,6 +64,10 @@ from ._stiffness.joint_stiffness import (
     deflection_columns as deflection_columns,
     fit_joint_stiffness as fit_joint_stiffness,
 )
+from ._study.controller import (
+    ControllerStudy as ControllerStudy,
+    ControllerStudyFit as ControllerStudyFit,
+)
 from ._study.coupled import CoupledStudy as CoupledStudy
 from ._study.force_records import (
     ForceRecordStudy as ForceRecordStudy,

@@ -86,17 +86,21 @@ def report_of(study: "Study", found: Any) -> Report:
         found: What its `run` returned.
     """
     from ...identification import (
+        ControllerStudy,
         CoupledStudy,
         ForceRecordStudy,
         LoadTestStudy,
         MeanForceStudy,
     )
+    from .controller import report_controller
     from .coupled import report_coupled
     from .force_records import report_records
     from .mean_forces import report_means
     from .modal import report_modes
     from .stiffness import report_load_tests
 
+    if isinstance(study, ControllerStudy):
+        return report_controller(study, found)
     if isinstance(study, CoupledStudy):
         return report_coupled(study, found)
     if isinstance(study, ForceRecordStudy):

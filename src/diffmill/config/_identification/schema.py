@@ -143,6 +143,14 @@ class CoupledTable(MeasuredTable):
     loss: Literal["squares", "huber"] = "huber"
 
 
+class AirPathTable(Table):
+    """`[air_path]`."""
+
+    commanded: File = Field(description='a path as CSV, such as "commanded.csv"')
+    actual: File = Field(description='a path as CSV on its clock, such as "actual.csv"')
+    order: Literal["first", "second"] = "second"
+
+
 # Tables of each kind: those required, and those allowed besides. A star marks lists.
 KINDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "mean_forces": (("cutter", "cut"), ("means", "record*", "spindle", "fit")),
@@ -151,6 +159,7 @@ KINDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "ring_down": (("ring_down*",), ("robot",)),
     "frequency_response": (("frequency_response*",), ("robot",)),
     "coupled": (("coupled",), ()),
+    "controller": (("air_path",), ()),
 }
 _TABLES: dict[str, type[Table]] = {
     "cutter": CutterTable,
@@ -164,6 +173,7 @@ _TABLES: dict[str, type[Table]] = {
     "ring_down": RingDownTable,
     "frequency_response": FrequencyResponseTable,
     "coupled": CoupledTable,
+    "air_path": AirPathTable,
 }
 
 

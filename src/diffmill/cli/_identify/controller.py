@@ -1,0 +1,75 @@
+"""Bandwidth and dead time of a controller: what is said of them, and a figure."""
+
+import functools
+
+from ...identification import ControllerStudy, ControllerStudyFit
+from ...viz import plot_prediction
+from .report import Report, all_noted, noted
+
+
+def report_controller(study: ControllerStudy, found: ControllerStudyFit) -> Report:
+    """Return the report of a controller.
+
+    Args:
+        study: The paths in the air.
+        found: Their fit.
+    """
+    errors, zeta = found.standard_errors, found.damping_ratio
+    lines = [
+        f"{int(study.is_recorded.sum())} rows of a path in the air, every "
+        f"{study.time_step * 1e3:.3g} ms",
+        *all_noted(study.notes),
+        "",
+        f"bandwidth      {found.bandwidth:9.4g} +- {errors['bandwidth']:.2g} Hz "
+        f"(servo of {study.order} order)",
+    ]
+    if zeta is not None:
+        lines.append(f"damping ratio  {zeta:9.4g} +- {errors['damping_ratio']:.2g}")
+    lines += [
+        f"dead time      {found.dead_time * 1e3:9.4g} +- "
+        f"{errors['dead_time'] * 1e3:.2g} ms",
+        f"left: {found.residual_rms * 1e6:.3g} um rms per axis",
+    ]
+    toml = ["[controller]"]
+    if found.is_identifiable:
+        toml.append(
+            f'bandwidth = "{found.bandwidth:.6g} Hz"      # +- '
+            f"{errors['bandwidth']:.2g}"
+        )
+        if zeta is not None:
+            number = f"{zeta:.6g}"
+            toml.append(
+                f"damping_ratio = {number}        # +- {errors['damping_ratio']:.2g}"
+            )
+        toml.append(
+            f'dead_time = "{found.dead_time * 1e3:.6g} ms"      # +- '
+            f"{errors['dead_time'] * 1e3:.2g}"
+        )
+    else:
+        toml = ["# No bandwidth: this path does not show it; see summary.txt."]
+        lines += noted(
+            "The path does not part the bandwidth from the dead time: record one that "
+            "speeds up and slows down more often, or harder, such as short moves with "
+            "exact stops at the feed and acceleration of the cut.",
+            "warning",
+        )
+    facts = {
+        "kind": "controller",
+        "bandwidth_Hz": found.bandwidth,
+        "damping_ratio": zeta,
+        "dead_time_s": found.dead_time,
+        "standard_errors": errors,
+        "is_identifiable": found.is_identifiable,
+        "residual_rms_m": found.residual_rms,
+        "notes": list(study.notes),
+    }
+    draw = functools.partial(
+        plot_prediction,
+        found.measured,
+        found.predicted,
+        unit="\u00b5m",
+        scale=1e6,
+        what="d",
+        title="actual less commanded, and by the controller found",
+    )
+    return Report(lines, toml, facts, {"controller": draw})

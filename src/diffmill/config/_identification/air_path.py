@@ -1,0 +1,61 @@
+"""Commanded and actual paths in the air, on one clock."""
+
+import numpy as np
+
+from ...identification import ControllerStudy
+from ...io import PathFileError, read_path_csv
+from ...toolpath import Path
+from .context import Context
+from .schema import AirPathTable
+
+
+def read_air_path(
+    name: str, table: AirPathTable, context: Context
+) -> ControllerStudy | None:
+    """Return both paths at the instants of the record, or None with problems noted.
+
+    Args:
+        name: The file that asks for it.
+        table: `[air_path]`.
+        context: Folder and problems.
+    """
+    commanded = _path(table.commanded, "commanded", context)
+    actual = _path(table.actual, "actual", context)
+    if commanded is None or actual is None:
+        return None
+    steps = np.diff(actual.time)
+    step = float(np.median(steps))
+    first = min(commanded.time[0], actual.time[0])
+    time = first + step * np.arange(1 + int((actual.time[-1] - first) / step + 1e-6))
+    at = lambda path: np.stack(
+        [np.interp(time, path.time, x) for x in np.asarray(path.positions).T], axis=1
+    )
+    notes = []
+    if np.ptp(steps) > 0.5 * step:
+        notes.append(
+            f"The record's rows are {steps.min() * 1e3:.3g} to {steps.max() * 1e3:.3g} "
+            f"ms apart; they were interpolated every {step * 1e3:.3g} ms."
+        )
+    return ControllerStudy(
+        name=name,
+        time_step=step,
+        commanded=at(commanded),
+        actual=at(actual),
+        is_recorded=np.asarray(time >= float(actual.time[0]) - 1e-6 * step),
+        order=table.order,
+        notes=tuple(notes),
+    )
+
+
+def _path(name: str, key: str, context: Context) -> Path | None:
+    """Return a path that is named, or None with its faults noted."""
+    file = context.file(name, f"[air_path] {key}")
+    if file is None:
+        return None
+    try:
+        return read_path_csv(file)
+    except PathFileError as error:
+        context.problems.extend(
+            f"[air_path] {key}: {line}" for line in str(error).splitlines()
+        )
+        return None

@@ -1,0 +1,81 @@
+"""Bandwidth and dead time from a path in the air with noise of 5 um."""
+
+import json
+
+import numpy as np
+import pytest
+
+from diffmill.cli import main
+from diffmill.config import load_identification
+from diffmill.identification import StudyError
+
+RNG = np.random.default_rng(5)
+
+
+def command(time):
+    """Return short moves with speeds up to 50 mm/s and 0.5 m/s^2, in x and y."""
+    x = 8e-3 * (1 - np.cos(2 * np.pi * 0.9 * time)) / 2
+    y = 3e-3 * np.sin(2 * np.pi * 1.7 * time) ** 3
+    rows = np.stack([x, y, 0 * time], axis=1)
+    return rows * np.clip(time / 0.3, 0, 1)[:, None] ** 2
+
+
+def served(time, bandwidth, dead_time, zeta):
+    """Return what a servo makes of it, by small steps of its differential equation."""
+    h = 0.1e-3
+    fine = np.arange(0, time[-1] + h, h)
+    target = command(np.maximum(fine - dead_time, 0))
+    w = 2 * np.pi * bandwidth
+    y, v, out = np.zeros(3), np.zeros(3), []
+    for u in target:
+        out.append(y.copy())
+        if zeta is None:
+            y = y + h * w * (u - y)
+        else:
+            v = v + h * (w**2 * (u - y) - 2 * zeta * w * v)
+            y = y + h * v
+    return np.stack([np.interp(time, fine, x) for x in np.array(out).T], axis=1)
+
+
+def write(folder, time, actual, more=""):
+    head = "time_s,x_mm,y_mm,z_mm"
+    for name, rows in (("commanded", command(time)), ("actual", actual)):
+        table = np.column_stack([time, 1e3 * rows])
+        np.savetxt(
+            folder / f"{name}.csv", table, delimiter=",", header=head, comments=""
+        )
+    text = 'kind = "controller"\n[air_path]\ncommanded = "commanded.csv"\n'
+    (folder / "air.toml").write_text(text + 'actual = "actual.csv"\n' + more)
+    return folder / "air.toml"
+
+
+@pytest.mark.parametrize(
+    ("bandwidth", "dead_time", "zeta"),
+    [
+        (8.0, 20e-3, 0.7),
+        pytest.param(15.0, 12e-3, 1.0, marks=pytest.mark.slow),
+        pytest.param(2.65, 8e-3, None, marks=pytest.mark.slow),
+    ],
+)
+def test_it_is_found_within_five_per_cent(tmp_path, bandwidth, dead_time, zeta):
+    time = 4e-3 * np.arange(1500)
+    actual = served(time, bandwidth, dead_time, zeta) + np.array([[1e-3, -2e-3, 0]])
+    actual = actual + 5e-6 * RNG.normal(size=actual.shape)
+    more = 'order = "first"\n' if zeta is None else ""
+    file, out = write(tmp_path, time, actual, more), tmp_path / "out"
+    assert main(["identify", str(file), "--out", str(out)]) == 0
+    found = json.loads((out / "identified.json").read_text())
+    assert found["bandwidth_Hz"] == pytest.approx(bandwidth, rel=0.05)
+    assert found["dead_time_s"] == pytest.approx(dead_time, rel=0.05)
+    assert found["residual_rms_m"] == pytest.approx(5e-6, rel=0.1)
+    if zeta is not None:
+        assert found["damping_ratio"] == pytest.approx(zeta, rel=0.05)
+    assert "[controller]\nbandwidth" in (out / "identified.toml").read_text()
+
+
+def test_a_path_that_stands_is_refused(tmp_path):
+    time = 4e-3 * np.arange(100)
+    file = write(tmp_path, time, np.zeros((100, 3)))
+    (tmp_path / "commanded.csv").write_text((tmp_path / "actual.csv").read_text())
+    with pytest.raises(StudyError, match="a path that moves"):
+        load_identification(file).run()
