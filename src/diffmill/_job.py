@@ -17,7 +17,7 @@ from ._arrays import cast_floats
 from ._types import RealScalarLike, Transform
 from .cutter import AbstractCutter, ToolHolder
 from .cutting import AbstractForceLaw
-from .robot import Controller, Robot, ToolRotation
+from .robot import Controller, Robot, TipModes, ToolRotation
 from .toolpath import Path
 from .workpiece import Stock
 
@@ -172,7 +172,7 @@ class Job(eqx.Module):
         spindle_speed: [rad/s].
         stock: The workpiece before the cut.
         path: The desired path, sampled at the tooth instants.
-        robot: The robot with its tool, or None for a rigid machine.
+        robot: The robot with its tool, or None for a rigid machine and one of modes.
         T_base_work: Pose of the workpiece frame in the robot's base, shape (4, 4).
         joint_start: Joint angles near which inverse kinematics begins [rad],
             shape (joint,), or None for the robot's home.
@@ -186,6 +186,8 @@ class Job(eqx.Module):
         holder: What holds the cutter, to look for in the stock; None if not known.
         tool_rotation: Rotation about the tool axis: "fixed", tool x as near to x of
             `work` as the axis allows, or "free", chosen by the inverse kinematics.
+        modes: The modes at the tool tip, in the axes of the work, of a machine that is
+            given by them; None for a robot and a rigid machine.
         keeps_intervals: Whether the rays of the stock keep the slots that they have;
             else a run that needs more is repeated with more.
         controller: What the robot's motors do of their command; None if they follow it.
@@ -210,6 +212,16 @@ class Job(eqx.Module):
     tool_rotation: ToolRotation = eqx.field(static=True, default="fixed")
     keeps_intervals: bool = eqx.field(static=True, default=False)
     controller: Controller | None = None
+    modes: TipModes | None = None
+
+    def __check_init__(self):
+        if self.robot is not None and self.modes is not None:
+            raise ValueError("Argument `modes` must be None beside a robot.")
+
+    @property
+    def is_rigid(self) -> bool:
+        """Whether the machine goes where it is told."""
+        return self.robot is None and self.modes is None
 
     @property
     def tooth_period(self) -> RealScalarLike:

@@ -157,7 +157,7 @@ inertia = ["1 kg*m^2", "1 kg*m^2", "1 kg*m^2"]
         # y and z: sqrt(K / 5 kg) / (2 pi); period 3.75 ms, 8 sub-steps under 0.5 ms.
         (1e5, 8, ""),  # 22.5 Hz
         (2.5e7, 25, ""),  # 356 Hz: (2 pi f h)^2 / 12 < 1 % up to 0.155 ms
-        (2.5e8, 32, "sub-steps of 0.117 ms let the robot's mode at 1125 Hz ring 5.7 %"),
+        (2.5e8, 32, "sub-steps of 0.117 ms let the mode at 1125 Hz ring 5.7 %"),
     ],
 )
 def test_substeps_follow_the_modes(write, stiffness, substeps, note):

@@ -48,6 +48,7 @@ ROBOTS = {
         .with_friction([20.0] * 4, [5.0] * 4, [1e-3] * 4)
     ),
     "bending tool": lambda: BEND.mounted_on(gantry()),
+    "modes": gantry,
 }
 CUTS = {
     "upright": (FLAT, {}),
@@ -73,8 +74,12 @@ def model(kind, cut):
         engagement,
         derivative=pr.StockHeld(),
     )
-    machine = sim.ElasticArm(robot, np.eye(4))
     theta = motors()
+    if kind == "modes":
+        found = rb.tip_modes(robot, robot.home, np.eye(4))
+        tips = theta[:, :3] - jnp.array([[0.0, 0.0, 0.1]])
+        return sim.ModalMachine(found), process, tips
+    machine = sim.ElasticArm(robot, np.eye(4))
     theta = jnp.pad(theta, ((0, 0), (0, robot.joint_count - theta.shape[1])))
     return machine, process, theta
 

@@ -20,6 +20,7 @@ MASS, FREQUENCY, RATIO = 0.03993, 922.0, 0.011
 K_T, K_R = 6e8, 2e8
 DIAMETER, FEED, SUBSTEP = 8e-3, 20e-6, 0.5e-3
 SLOT, DOWN = (0.0, math.pi), (math.pi / 2, math.pi)
+UP = (0.0, math.pi / 2)
 # Speed [rpm], axes with a mode, arc of the cut, and the limit of the depth [m].
 # Insperger, Stepan, Updated semi-discretization method, 2004.
 PUBLISHED = [
@@ -44,14 +45,21 @@ def spindle(axes):
     return rb.build([*slides, body, rb.Tool("tool")])
 
 
-def growth(rpm, robot, arc, depth):
-    """Return what the library says of a straight cut along x, at its default sizes."""
+def modes(axes):
+    """Return the same spindle by its modes at the tip."""
+    count = len(axes)
+    shapes = np.eye(3)[list(axes)] / MASS**0.5
+    return rb.TipModes(np.full(count, FREQUENCY), np.full(count, RATIO), shapes)
+
+
+def straight_cut(rpm, arc):
+    """Return the process of a straight cut along x at its default sizes."""
     period = 60 / (2 * rpm)
     mill = ct.flat_end_mill(DIAMETER, 2)
     law = cutting.LinearEdgeLaw(K_tc=K_T, K_rc=K_R, K_ac=0.0, K_te=0, K_re=0, K_ae=0)
     # Down-milling along +x: the work lies to the right of the feed.
-    top = 6e-3 if arc == SLOT else 0.0
-    stock = wp.box([0, -6e-3, -2e-3], [8e-3, top, 0], 0.2e-3, interval_counts=(6, 6, 1))
+    low, top = 0.0 if arc == UP else -6e-3, 0.0 if arc == DOWN else 6e-3
+    stock = wp.box([0, low, -2e-3], [8e-3, top, 0], 0.2e-3, interval_counts=(6, 6, 1))
     plan = pr.choose_engagement(
         stock,
         mill,
@@ -59,6 +67,19 @@ def growth(rpm, robot, arc, depth):
         axial_depth=1.3e-3,
         substeps=math.ceil(period / SUBSTEP - 1e-9),
     )
+    return pr.Process(stock, mill, law, math.pi / period, plan)
+
+
+def modal_growth(rpm, axes, arc, depth):
+    """Return what the library says of the spindle's modes in a straight cut."""
+    tips = np.zeros((61, 3))
+    tips[:, 0], tips[:, 2] = 1e-3 + FEED * np.arange(61), -depth
+    machine, tips = sim.ModalMachine(modes(axes)), jnp.asarray(tips)
+    return sim.stability_along(machine, straight_cut(rpm, arc), tips, tips, [60])
+
+
+def growth(rpm, robot, arc, depth):
+    """Return what the library says of a robot in a straight cut."""
     path = np.zeros((61, robot.joint_count))
     path[:, 0] = 1e-3 + FEED * np.arange(61)
     frame = np.eye(4)
@@ -66,7 +87,7 @@ def growth(rpm, robot, arc, depth):
     frame[2, 3] += depth
     return sim.stability_along(
         sim.ElasticArm(robot, frame),
-        pr.Process(stock, mill, law, math.pi / period, plan),
+        straight_cut(rpm, arc),
         jnp.asarray(path),
         jnp.asarray(path),
         [60],
@@ -84,6 +105,52 @@ def test_published_limits_at_default_settings(rpm, axes, arc, limit):
     assert not below.is_unstable[0] and above.is_unstable[0]
     assert 0.9 * FREQUENCY < above.frequency[0] < 1.6 * FREQUENCY
     assert above.fastest_mode == pytest.approx(FREQUENCY, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("rpm", "axes", "arc", "limit"),
+    [PUBLISHED[0], *(pytest.param(*c, marks=pytest.mark.slow) for c in PUBLISHED[1:])],
+)
+def test_modes_at_the_tip_have_the_published_limits(rpm, axes, arc, limit):
+    below, above = (
+        modal_growth(rpm, axes, arc, share * limit) for share in (0.97, 1.03)
+    )
+    assert not below.is_unstable[0] and above.is_unstable[0]
+    assert 0.9 * FREQUENCY < above.frequency[0] < 1.6 * FREQUENCY
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("rpm", "axes", "arc"),
+    [(5000, (0,), UP), (8000, (0, 1), UP), (8000, (0, 1), DOWN), (6000, (0,), DOWN)],
+)
+def test_modes_at_the_tip_have_the_limits_of_another_method(rpm, axes, arc):
+    cut = semidiscretisation.Cut(
+        rpm / 60, 2, K_T, K_R, MASS, FREQUENCY, RATIO, axes, *arc
+    )
+    rough = limit_of(cut, 0.02e-3, first_unstable(cut), 100)
+    limit = limit_of(cut, 0.9 * rough, 1.05 * rough, 300)
+    below, above = (
+        modal_growth(rpm, axes, arc, share * limit) for share in (0.97, 1.03)
+    )
+    assert not below.is_unstable[0] and above.is_unstable[0]
+
+
+def first_unstable(cut):
+    """Return the least of some depths at which a cut is unstable [m]."""
+    depths = np.arange(0.05e-3, 3e-3, 0.05e-3)
+    return next(d for d in depths if semidiscretisation.growth(cut, d, 100) > 1)
+
+
+def limit_of(cut, stable, unstable, steps):
+    """Return the depth between two at which vibrations begin to grow [m]."""
+    while unstable - stable > 1e-3 * stable:
+        middle = (stable + unstable) / 2
+        if semidiscretisation.growth(cut, middle, steps) > 1:
+            unstable = middle
+        else:
+            stable = middle
+    return stable
 
 
 @pytest.mark.slow

@@ -96,7 +96,11 @@ def _describe_job(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
 
     job = load_job(file, allow_outside=allow_outside)
     settings = job.simulation
-    robot = "none (rigid machine)" if job.robot is None else job.robot.name
+    robot = "none (rigid machine)"
+    if job.robot is not None:
+        robot = job.robot.name
+    elif job.modes is not None:
+        robot = f"none ({len(job.modes.frequencies)} modes at the tool tip)"
     return [
         f"{file}: a job without faults",
         f"  path: {job.path.step_count} tooth periods of "

@@ -53,10 +53,13 @@ def run_job(
         check_folder(folder, force=force)
         configure_jax(file)
         job = load_job(file, allow_outside=allow_outside)
-        if command == "correct" and job.robot is None:
+        if command == "correct" and job.is_rigid:
             raise JobError(
                 file,
-                ["[robot] rigid: found true, but correct needs a robot: model or file"],
+                [
+                    "[robot] rigid: found true, but correct needs a robot, by model or "
+                    "file, or [machine]"
+                ],
             )
     progress = Progress(is_quiet=is_quiet)
     checkpoint = None

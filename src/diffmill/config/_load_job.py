@@ -12,9 +12,10 @@ from .._job import Job, SimulationSettings
 from .._toml import JobError, read_toml
 from ..cutter import AbstractCutter, ToolHolder
 from ..process import default_element_height, is_plunging
-from ..robot import Controller, Robot
+from ..robot import Controller, Robot, TipModes
 from ..toolpath import Path, Program
 from ._build.context import FileContext
+from ._build.machine import fastest_mode, read_machine
 from ._build.program import read_program, spindle_speed, time_path
 from ._build.robot import added_joints, pose_matrix, read_robot
 from ._build.stock import StockPlan, read_stock
@@ -109,12 +110,13 @@ class _Parts(NamedTuple):
         cutter: The cutter.
         holder: Its holder, if the job has one.
         stock: The stock.
-        robot: The robot; None for a rigid machine.
+        robot: The robot; None for a rigid machine and one of modes.
         T_base_work: Maps work coordinates to the robot's base, shape (4, 4).
         joint_start: Where inverse kinematics starts [rad or m]; None for home.
         path: The path with a row per tooth period.
         controller: What is between program and motors; None for nothing.
-        fastest: Highest frequency of the robot that counts [Hz]; 0 for none.
+        fastest: Highest frequency of the machine that counts [Hz]; 0 for none.
+        modes: The modes of a machine that is given by them, else None.
     """
 
     program: Program | Path | None
@@ -128,6 +130,7 @@ class _Parts(NamedTuple):
     path: Path | None
     controller: Controller | None = None
     fastest: float = 0.0
+    modes: TipModes | None = None
 
     @property
     def tooth_period(self) -> float:
@@ -165,6 +168,11 @@ def _read_parts(tables: dict[str, Any], context: FileContext) -> _Parts:
         if controller is not None and path is not None and isinstance(program, Program):
             path = path.with_rest(_rest_rows(controller, parts.tooth_period))
         parts = parts._replace(path=path, controller=controller)
+    if "machine" in tables:
+        modes = read_machine(tables["machine"], context)
+        _check_machine(tables, problems)
+        if modes is not None:
+            parts = parts._replace(modes=modes, fastest=fastest_mode(modes))
     if work is not None:
         parts = parts._replace(fastest=_follow(tables["robot"], parts, context))
     if parts.path is not None and cutter is not None and stock is not None:
@@ -177,17 +185,19 @@ def _controller(
 ) -> Controller | None:
     """Return the controller of a job; None if it is ideal, or after a fault."""
     table: ControllerTable | None = tables.get("controller")
-    if table is None or "robot" not in tables:
+    own, is_machine = tables.get("robot"), "machine" in tables
+    if table is None or (own is None and not is_machine):
         return None
-    added = added_joints(tables["robot"])
-    count = 1 if robot is None else robot.joint_count - added
+    added = 0 if own is None else added_joints(own)
+    # A machine of modes has a drive for each axis of the work.
+    count = 3 if robot is None else robot.joint_count - added
     try:
         found = table.controller(count, added)
     except ValueError as error:
-        if robot is not None:
+        if robot is not None or is_machine:
             problems.append(str(error))
         return None
-    if found is not None and tables["robot"].rigid:
+    if found is not None and own is not None and own.rigid:
         problems.append(
             "[controller]: found a controller, but with rigid = true there are no "
             'motors to follow it; only preset = "ideal" is allowed'
@@ -232,6 +242,19 @@ def _follow(table: RobotTable, parts: _Parts, context: FileContext) -> float:
         return 0.0
 
 
+def _check_machine(tables: dict[str, Any], problems: list[str]) -> None:
+    """Note settings that a machine of modes does not know."""
+    for table, key, value, why in (
+        ("simulation", "mode", "quasistatic", "a mode has a mass"),
+        ("correction", "command", "joint", "a machine of modes has no joints"),
+        ("correction", "method", "inverse_drive", "it is known of a robot alone"),
+    ):
+        if getattr(tables.get(table), key, None) == value:
+            problems.append(
+                f'[{table}] {key}: found "{value}" beside [machine], but {why}'
+            )
+
+
 def _timed(
     tables: dict[str, Any],
     program: Program | Path | None,
@@ -274,9 +297,10 @@ def _assemble(
         stock=stock.make(),
         path=path,
         robot=parts.robot,
+        modes=parts.modes,
         T_base_work=parts.T_base_work,
         joint_start=parts.joint_start,
-        tool_rotation=tables["robot"].tool_rotation,
+        tool_rotation=getattr(tables.get("robot"), "tool_rotation", "fixed"),
         simulation=simulation,
         correction=correction_settings(
             tables["correction"], is_recorded=isinstance(program, Path)
@@ -313,6 +337,11 @@ def _simulation(
         problems.append(
             "[simulation] bottom_edges: found true, but with dish_angle they are known "
             "only of a tool that stands upright, with even pitch and without run-out"
+        )
+    if parts.modes is not None and parts.controller is not None and axes:
+        problems.append(
+            "[controller]: found beside [machine] and a tool that tilts, but it is "
+            "known of the axes x, y and z alone"
         )
     if stock is None or path is None or deepest is None:
         return None

@@ -100,14 +100,14 @@ def check_modes(fastest: float, substep: float, notes: list[str]) -> None:
         return
     if 2 * fastest * substep > 1.0:
         notes.append(
-            f"[simulation] substeps: a mode of the robot at {fastest:.4g} Hz is faster "
-            f"than sub-steps of {1e3 * substep:.3g} ms show at all; is what its joint "
-            "moves heavy enough?"
+            f"[simulation] substeps: a mode at {fastest:.4g} Hz is faster than "
+            f"sub-steps of {1e3 * substep:.3g} ms show at all; is what moves in it "
+            "heavy enough?"
         )
         return
     notes.append(
-        f"[simulation] substeps: sub-steps of {1e3 * substep:.3g} ms let the robot's "
-        f"mode at {fastest:.4g} Hz ring {100 * share:.1f} % too low"
+        f"[simulation] substeps: sub-steps of {1e3 * substep:.3g} ms let the mode "
+        f"at {fastest:.4g} Hz ring {100 * share:.1f} % too low"
     )
 
 

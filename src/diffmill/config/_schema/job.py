@@ -26,6 +26,7 @@ from .fields import (
     Tolerance,
 )
 from .force import read_force
+from .machine import MachineTable, is_machine
 from .table import Table, validated
 
 CoordinateSystem: TypeAlias = Literal[
@@ -123,6 +124,7 @@ TABLES: dict[str, type[Table]] = {
     "stock": StockTable,
     "program": ProgramTable,
     "robot": RobotTable,
+    "machine": MachineTable,
     "simulation": SimulationTable,
     "correction": CorrectionTable,
 }
@@ -141,6 +143,11 @@ def read_tables(raw: dict[str, Any], problems: list[str]) -> dict[str, Any]:
         their defaults.
     """
     tables = {}
+    if "machine" in raw and "robot" in raw:
+        problems.append(
+            "[machine]: found beside [robot], but a job has either: modes of a spindle "
+            "on an arm are those of [robot.flange_spring] and [robot.bending_tool]"
+        )
     names = [*TABLES]
     names.insert(names.index("stock"), "force")
     names.insert(names.index("simulation"), "controller")
@@ -151,8 +158,14 @@ def read_tables(raw: dict[str, Any], problems: list[str]) -> dict[str, Any]:
                 f"{name}: found an unknown table or key; allowed: {allowed}"
             )
     for name in names:
+        if name == "machine" and name not in raw:
+            continue
+        if name == "robot" and is_machine(raw):
+            continue
         if name not in raw and name not in OPTIONAL_TABLES:
-            hint = " (rigid = true stands for no robot)" if name == "robot" else ""
+            hint = ""
+            if name == "robot":
+                hint = " (rigid = true stands for no robot), or [machine]"
             problems.append(f"[{name}]: found no such table, but it is required{hint}")
             continue
         found = raw.get(name, {})

@@ -133,7 +133,7 @@ def correct(
     an error, and one after the other would have to be raised.
 
     Args:
-        job: The job; its machine must be a robot.
+        job: The job; its machine must not be rigid.
         throw: Whether to raise when the uncorrected run does not succeed.
         on_progress: Called with a message and the rms contour error so far [m].
         on_checkpoint: Called with all that is needed to go on, plain arrays by name:
@@ -158,8 +158,8 @@ def correct(
     Differentiability: runs on the host, not traceable.
     """
     job = job.with_precision()
-    if job.robot is None:
-        raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
+    if job.is_rigid:
+        raise ValueError("Argument `job` must not have a rigid machine, but has.")
     # A horizon that cannot be is refused before anything runs.
     horizon = horizon_of(job)
     check_limits(job)
@@ -179,7 +179,9 @@ def correct(
     # Settings that do not suit the job are refused before the baselines run.
     optimiser = _Optimiser(task) if is_optimised else None
     record = CaseRecord(on_progress, on_checkpoint, resume)
-    inverse = _inverse_drive(job, rigid.force, desired)
+    inverse = None
+    if job.robot is not None:
+        inverse = _inverse_drive(job, rigid.force, desired)
     _run_baselines(task, record, inverse)
     if optimiser is not None:
         optimiser.run(record, inverse)
@@ -199,15 +201,18 @@ class _Task(NamedTuple):
 def compared(job: Job) -> tuple[str, ...]:
     """Return the cases of a job's correction, in the order of `CASES`."""
     settings = job.correction
-    if settings.compare == "all":
-        return CASES
     asked = "corrected" if settings.method in OPTIMISERS else settings.method
-    few = {"uncorrected", "mirror", "inverse_drive", asked}
-    return tuple(case for case in CASES if case in few)
+    cases = {"uncorrected", "mirror", "inverse_drive", asked}
+    if settings.compare == "all":
+        cases = set(CASES)
+    if job.robot is None:
+        # The drives of other machines are not known.
+        cases -= {"inverse_drive"}
+    return tuple(case for case in CASES if case in cases)
 
 
 def _run_baselines(
-    task: _Task, record: CaseRecord, inverse: InverseDriveCommand
+    task: _Task, record: CaseRecord, inverse: InverseDriveCommand | None
 ) -> None:
     """Run the cases that need no optimiser."""
     job, problem = task.job, task.problem
@@ -222,8 +227,9 @@ def _run_baselines(
     if "input_shaper" in cases:
         tips = clip_offset(desired, shaped_program(job, desired), bound)
         record.run("input_shaper", GivenCommand(tips), problem)
-    tips = clip_offset(desired, inverse.tip, bound)
-    record.run("inverse_drive", GivenCommand(tips), problem)
+    if inverse is not None:
+        tips = clip_offset(desired, inverse.tip, bound)
+        record.run("inverse_drive", GivenCommand(tips), problem)
 
 
 class _Optimiser:
@@ -237,12 +243,13 @@ class _Optimiser:
         self.objective = job_objective(job, self.surface, weights)
         self.method = job_optimiser(job, self.objective, self.surface, task.plant)
 
-    def run(self, record: CaseRecord, inverse: InverseDriveCommand) -> None:
+    def run(self, record: CaseRecord, inverse: InverseDriveCommand | None) -> None:
         """Add the case to those of a record."""
         job, before, problem = self.task.job, self.task.before, self.task.problem
         adjoint = self.task.plant.adjoint
         method = self.method
         if job.correction.command == "joint":
+            assert inverse is not None
             problem = joint_problem(job, adjoint, before, problem)
             start = inverse.motor_positions
         else:

@@ -50,7 +50,7 @@ def joint_limits(
     """
     robot = job.robot
     if robot is None:
-        raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
+        return ()
     tips = jnp.asarray(nominal)
     are_joints = job.correction.command == "joint"
     joints = tips if are_joints else JobKinematics(job).joints(tips)[0]
@@ -75,7 +75,7 @@ def check_joints(job: Job, command: FloatRows, *, is_joints: bool) -> None:
     """Raise if a command brings a motor beyond its limit.
 
     Args:
-        job: The job; its machine must be a robot.
+        job: The job; a machine without joints has no limits of them.
         command: Tip positions [m] or joint positions, shape (step, axis).
         is_joints: Whether they are joint positions.
 
@@ -86,7 +86,7 @@ def check_joints(job: Job, command: FloatRows, *, is_joints: bool) -> None:
     """
     robot = job.robot
     if robot is None:
-        raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
+        return
     motors = np.asarray(_motors(job, jnp.asarray(command), is_joints), np.float64)
     least, most = np.asarray(robot.joint_lower), np.asarray(robot.joint_upper)
     excess = np.maximum(least[None] - motors, motors - most[None])

@@ -10,8 +10,8 @@ from ..._job import Job
 from ...process import StockHeld, wall_deviation, wall_shares
 from ...robot import Controller
 from ...sim import (
-    ElasticArm,
     LinearRun,
+    QuasiStaticArm,
     Run,
     RunState,
     Segment,
@@ -96,14 +96,14 @@ def linear_job(
     """Return the linear system of a job around a run.
 
     Args:
-        job: The job, of a dynamic arm.
+        job: The job, of a dynamic machine.
         motors: Its commanded motors [rad or m], shape (step, joint).
         slopes: Slopes of them in the command, shape (step, joint, axis).
         wall_share: When in each period its wall is made; by the path alone if None.
         state: State at row 0, as of `sim.linearise`.
     """
     machine = job_machine(job)
-    assert isinstance(machine, ElasticArm)
+    assert not isinstance(machine, QuasiStaticArm)
     process, controller = job_process(job, StockHeld()), job.controller
     if controller is not None:
         motors = controller.motors(motors, process.tooth_period)

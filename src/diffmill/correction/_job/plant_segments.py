@@ -126,9 +126,11 @@ def _begin(
     command: Float[Array, "step axis"],
     has_joint_commands: bool,
 ) -> JobState:
-    robot = job.robot
-    assert robot is not None
-    start = robot.home if job.joint_start is None else jnp.asarray(job.joint_start)
+    start = command[0]
+    if job.robot is not None:
+        start = job.robot.home
+        if job.joint_start is not None:
+            start = jnp.asarray(job.joint_start)
     joints = _joints(job, command, start, has_joint_commands)
     process = job_process(job, adjoint)
     coupled = job_machine(job).begin_run(process, JobKinematics(job).motors_of(joints))

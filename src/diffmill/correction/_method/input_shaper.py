@@ -62,7 +62,7 @@ def shaped_program(job: Job, desired: Float[Array, "step 3"]) -> Float[Array, "s
     """Return the program of a job shaped for the slowest mode of its arm.
 
     Args:
-        job: The job, with a robot; its pose in the middle of the path counts.
+        job: The job; of a robot its pose in the middle of the path counts.
         desired: The program [m], shape (step, 3).
 
     Returns:
@@ -70,14 +70,26 @@ def shaped_program(job: Job, desired: Float[Array, "step 3"]) -> Float[Array, "s
 
     **Differentiability**: none, a host function.
     """
-    joints, _ = JobKinematics(job).joints(desired)
-    modes = damped_modes(job.robot, joints[joints.shape[0] // 2])  # pyright: ignore[reportArgumentType]
-    if modes.frequencies.size == 0:
+    frequencies, ratios = _ringing(job, desired)
+    if frequencies.size == 0:
         return desired
+    slowest = int(np.argmin(frequencies))
     path = shaped(
         np.asarray(desired),
         float(job.tooth_period),
-        frequency=modes.frequencies[0],
-        damping_ratio=modes.damping_ratios[0],
+        frequency=frequencies[slowest],
+        damping_ratio=ratios[slowest],
     )
     return jnp.asarray(path, desired.dtype)
+
+
+def _ringing(
+    job: Job, desired: Float[Array, "step 3"]
+) -> tuple[Float[np.ndarray, " mode"], Float[np.ndarray, " mode"]]:
+    """Return at which frequencies the machine rings [Hz], and the damping ratios."""
+    if job.modes is not None:
+        ratios = np.asarray(job.modes.damping_ratios)
+        return np.asarray(job.modes.frequencies) * np.sqrt(1 - ratios**2), ratios
+    joints, _ = JobKinematics(job).joints(desired)
+    modes = damped_modes(job.robot, joints[joints.shape[0] // 2])  # pyright: ignore[reportArgumentType]
+    return modes.frequencies, modes.damping_ratios

@@ -1,4 +1,4 @@
-"""The arm on its drives as a linear system, about one state."""
+"""A machine as a linear system, about one state: an arm on its drives, or modes."""
 
 import equinox as eqx
 import jax
@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
-from ...robot import Robot, arm_terms
+from ...robot import Robot, TipModes, arm_terms
 from .._machine._integrator.base import ArmState, MotorCommand, held_rate
 
 
@@ -22,6 +22,19 @@ class LinearArm(eqx.Module):
     A: Float[Array, "state state"]
     G: Float[Array, "state 3"]
     C: Float[Array, "3 state"]
+
+
+def linear_modes(modes: TipModes, row_count: int) -> LinearArm:
+    """Return modes as a linear system, the same in all rows."""
+    omega = 2 * jnp.pi * jnp.asarray(modes.frequencies)
+    ratio, shapes = jnp.asarray(modes.damping_ratios), jnp.asarray(modes.shapes)
+    eye, none = jnp.eye(omega.size, dtype=omega.dtype), jnp.zeros_like(shapes)
+    spring, damper = jnp.diag(omega**2), jnp.diag(2 * ratio * omega)
+    A = jnp.block([[jnp.zeros_like(eye), eye], [-spring, -damper]])
+    G = jnp.concatenate([none, shapes])
+    C = jnp.concatenate([shapes, none]).T
+    repeated = lambda x: jnp.broadcast_to(x[None], (row_count, *x.shape))
+    return jax.tree.map(repeated, LinearArm(A, G, C))
 
 
 @eqx.filter_jit

@@ -84,8 +84,8 @@ def sensitivity(job: Job, *, commanded: FloatRows3 | None = None) -> Sensitivity
     Differentiability: runs on the host, not traceable.
     """
     job = job.with_precision()
-    if job.robot is None:
-        raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
+    if job.is_rigid:
+        raise ValueError("Argument `job` must not have a rigid machine, but has.")
     command = job.path.positions if commanded is None else commanded
     dtype = jnp.dtype(job.simulation.precision)
     command = jnp.asarray(command, dtype)
@@ -104,8 +104,7 @@ def sensitivity(job: Job, *, commanded: FloatRows3 | None = None) -> Sensitivity
 
 def parameter_names(job: Job) -> tuple[str, ...]:
     """Return the names of a job's parameters in the order of `with_scaled`."""
-    joints = () if job.robot is None else job.robot.joint_names
-    drives = [f"{letter} {joint}" for letter in "KD" for joint in joints]
+    drives = [f"{letter} {name}" for letter in "KD" for name in _springs(job)]
     return (*drives, *_coefficient_names(job), "speed")
 
 
@@ -122,21 +121,23 @@ def with_scaled(job: Job, log_scale: Float[Array, " parameter"]) -> Job:
 
     Differentiability: smooth.
     """
-    if job.robot is None:
-        raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
     factor = jnp.exp(log_scale)
-    count = len(job.robot.joint_names)
+    count = len(_springs(job))
     names = _coefficient_names(job)
     stiffness, damping = factor[:count], factor[count : 2 * count]
     coefficients = factor[2 * count : -1]
 
     def leaves(j: Job) -> list[object]:
-        drives = [j.robot.joint_stiffness, j.robot.joint_damping]  # pyright: ignore[reportOptionalMemberAccess]
-        return [*drives, *(getattr(j.law, name) for name in names), j.spindle_speed]
+        return [*_drives(j), *(getattr(j.law, name) for name in names), j.spindle_speed]
 
+    if job.modes is None:
+        scales = [stiffness, damping]
+    else:
+        # At the same modal mass: omega^2 is the stiffness, 2 zeta omega the damping.
+        root = jnp.sqrt(stiffness)
+        scales = [root, damping / root]
     new = [
-        job.robot.joint_stiffness * stiffness,
-        job.robot.joint_damping * damping,
+        *(own * scale for own, scale in zip(_drives(job), scales, strict=True)),
         *(
             jnp.asarray(getattr(job.law, name)) * coefficients[i]
             for i, name in enumerate(names)
@@ -144,6 +145,25 @@ def with_scaled(job: Job, log_scale: Float[Array, " parameter"]) -> Job:
         jnp.asarray(job.spindle_speed) * factor[-1],
     ]
     return eqx.tree_at(leaves, job, new)
+
+
+def _springs(job: Job) -> tuple[str, ...]:
+    """Return the names of what is soft: joints or modes."""
+    if job.modes is not None:
+        return tuple(f"mode {k + 1}" for k in range(len(job.modes.frequencies)))
+    if job.robot is None:
+        raise ValueError("Argument `job` must not have a rigid machine, but has.")
+    return job.robot.joint_names
+
+
+def _drives(job: Job) -> list[Array]:
+    """Return the leaves that say how soft and how damped the machine is."""
+    if job.modes is not None:
+        leaves = [job.modes.frequencies, job.modes.damping_ratios]
+    else:
+        assert job.robot is not None
+        leaves = [job.robot.joint_stiffness, job.robot.joint_damping]
+    return leaves  # pyright: ignore[reportReturnType]
 
 
 def _coefficient_names(job: Job) -> tuple[str, ...]:

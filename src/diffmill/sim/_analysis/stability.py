@@ -27,9 +27,11 @@ from ...robot import Robot, arm_terms
 from ...workpiece import Pose
 from .._job.padding import padded_count
 from .._job.simulate import Solution, job_process, simulate
+from .._machine.commands import JobKinematics
 from .._machine.elastic import ElasticArm
+from .._machine.modal import ModalMachine
 from .force_jacobian import force_slopes
-from .linear_arm import linear_arms
+from .linear_arm import LinearArm, linear_arms, linear_modes
 from .monodromy import Regeneration, Step, monodromy, strongest
 from .quick_force_jacobian import quick_slopes
 
@@ -135,7 +137,7 @@ def stability(
     at the rows. With the chip model "point_cloud" the chip of "near_far" is taken.
 
     Args:
-        job: The job, with a robot.
+        job: The job; its machine must not be rigid.
         solution: Its solution; simulated if not given.
         rows: Rows to look at, from 1; if not given, up to 100 rows where the tool
             cuts, evenly spread.
@@ -149,15 +151,14 @@ def stability(
 
     Differentiability: none, a host function.
     """
-    if job.robot is None:
-        raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
+    if job.is_rigid:
+        raise ValueError("Argument `job` must not have a rigid machine, but has.")
     if job.simulation.mode != "dynamic":
         raise ValueError(
             'Argument `job` must have mode "dynamic", but has '
             f'"{job.simulation.mode}", in which nothing vibrates.'
         )
     job = job.with_precision()
-    assert job.robot is not None
     solution = simulate(job) if solution is None else solution
     if rows is None:
         cutting = np.flatnonzero(np.asarray(solution.is_cutting))
@@ -165,14 +166,9 @@ def stability(
         if cutting.size == 0:
             raise ValueError("Argument `solution` must cut somewhere, but does not.")
         rows = cutting[:: math.ceil(cutting.size / _ROWS)]
-    assert solution.motor_positions is not None
-    assert solution.joint_positions is not None
+    motion = _motion(job, solution)
     return stability_along(
-        ElasticArm(job.robot, job.T_base_work),
-        _process(job),
-        solution.motor_positions,
-        solution.joint_positions,
-        rows,
+        _machine(job), _process(job), motion.motors, motion.joints, rows
     )
 
 
@@ -194,23 +190,18 @@ def find_chatter(job: Job, solution: Solution) -> Stability | None:
 
     Differentiability: none, a host function.
     """
-    if job.robot is None or job.simulation.mode != "dynamic":
+    if job.is_rigid or job.simulation.mode != "dynamic":
         return None
     rows = _deep_rows(solution)
     if rows.size == 0:
         return None
     job = job.with_precision()
-    assert job.robot is not None
-    arm, process = ElasticArm(job.robot, job.T_base_work), _process(job)
-    motors, joints = solution.motor_positions, solution.joint_positions
-    assert motors is not None
-    assert joints is not None
+    machine, process, motion = _machine(job), _process(job), _motion(job, solution)
     path = Pose(solution.actual)
     if not process.engagement.is_upright:
-        path = joint_poses(arm.robot, arm.T_base_work, _padded(joints), False)
+        path = _poses(machine, motion.joints, is_upright=False)
     slopes = quick_slopes(process, path, rows)
-    motion = _Motion(motors, joints, solution.actual)
-    quick = _growth(arm, process, motion, rows, slopes)
+    quick = _growth(machine, process, motion, rows, slopes)
     if not quick.is_unstable.any():
         return None
     found = stability(job, solution, rows=quick.row[quick.is_unstable])
@@ -241,7 +232,7 @@ def _process(job: Job) -> Process:
 
 
 def stability_along(
-    arm: ElasticArm,
+    arm: ElasticArm | ModalMachine,
     process: Process,
     motor_positions: Float[Array, "step joint"],
     joint_positions: Float[Array, "step joint"],
@@ -250,10 +241,12 @@ def stability_along(
     """Return how vibrations grow along a motion; see `stability`.
 
     Args:
-        arm: The robot; its integrator does not count.
+        arm: The machine; its integrator does not count.
         process: The process, with the chip model "near_far".
-        motor_positions: theta at the tooth instants [rad or m], shape (step, joint).
-        joint_positions: Joints there [rad or m], shape (step, joint).
+        motor_positions: theta at the tooth instants [rad or m], shape (step, joint);
+            of a machine of modes its command.
+        joint_positions: Joints there [rad or m], shape (step, joint); of a machine of
+            modes its poses, as a command has them.
         rows: Rows to look at, from 1.
 
     Returns:
@@ -271,9 +264,7 @@ def stability_along(
             f"Argument `rows` must have rows from 1 to {step_count - 1}, but is {rows}."
         )
     engagement = process.engagement
-    path = joint_poses(
-        arm.robot, arm.T_base_work, _padded(joint_positions), engagement.is_upright
-    )
+    path = _poses(arm, joint_positions, is_upright=engagement.is_upright)
     # The force has its slopes at every angle that is looked at.
     substeps = engagement.angles // process.cutter.flute_count
     fine = eqx.tree_at(
@@ -284,6 +275,37 @@ def stability_along(
     slopes = force_slopes(fine, path, chosen)
     motion = _Motion(motor_positions, joint_positions, path.tip[:step_count])
     return _growth(arm, process, motion, chosen, slopes)
+
+
+def _machine(job: Job) -> ElasticArm | ModalMachine:
+    """Return the machine of a job in its precision."""
+    if job.modes is not None:
+        return ModalMachine(job.modes)
+    assert job.robot is not None
+    return ElasticArm(job.robot, job.T_base_work)
+
+
+def _motion(job: Job, solution: Solution) -> "_Motion":
+    """Return the motion of a solution."""
+    if job.modes is not None:
+        rows = JobKinematics(job).tool_rows
+        return _Motion(rows(solution.commanded), rows(solution.actual), solution.actual)
+    assert solution.motor_positions is not None
+    assert solution.joint_positions is not None
+    return _Motion(solution.motor_positions, solution.joint_positions, solution.actual)
+
+
+def _poses(
+    machine: ElasticArm | ModalMachine,
+    positions: Float[Array, "step joint"],
+    *,
+    is_upright: bool,
+) -> Pose:
+    """Return the tool's poses in `work`, as many as one of few lengths."""
+    rows = _padded(positions)
+    if isinstance(machine, ElasticArm):
+        return joint_poses(machine.robot, machine.T_base_work, rows, is_upright)
+    return Pose(rows[:, :3], None if is_upright else rows[:, 3:])
 
 
 def _padded(rows: Float[Array, "step joint"]) -> Float[Array, "padded joint"]:
@@ -297,8 +319,8 @@ class _Motion:
     """Motors, joints and tips at the tooth instants.
 
     Attributes:
-        motors: [rad or m], shape (step, joint).
-        joints: [rad or m], shape (step, joint).
+        motors: [rad or m], shape (step, joint); of a machine of modes its command.
+        joints: [rad or m], shape (step, joint); of a machine of modes its poses.
         tips: Tool tips in `work` [m], shape (step, 3).
     """
 
@@ -307,23 +329,36 @@ class _Motion:
     tips: Float[Array, "step 3"]
 
 
+def _linear(
+    machine: ElasticArm | ModalMachine,
+    motion: _Motion,
+    rows: Int[np.ndarray, " row"],
+    T: float,
+) -> LinearArm:
+    """Return the machine in the middle of the periods before some rows."""
+    if isinstance(machine, ModalMachine):
+        return linear_modes(machine.modes, len(rows))
+    motors, joints = (np.asarray(x) for x in (motion.motors, motion.joints))
+    before = rows - 1
+    return linear_arms(
+        machine.robot,
+        jnp.asarray(machine.T_base_work),
+        jnp.asarray((motors[before] + motors[rows]) / 2),
+        jnp.asarray((joints[before] + joints[rows]) / 2),
+        jnp.asarray((joints[rows] - joints[before]) / T),
+    )
+
+
 def _growth(
-    arm: ElasticArm,
+    arm: ElasticArm | ModalMachine,
     process: Process,
     motion: _Motion,
     rows: Int[np.ndarray, " row"],
     slopes: Sequence[Regeneration],
 ) -> Stability:
     """Return the growth in the periods before some rows, by the slopes of the force."""
-    before, T = rows - 1, float(process.tooth_period)
-    motors, joints = (np.asarray(x) for x in (motion.motors, motion.joints))
-    arms = linear_arms(
-        arm.robot,
-        jnp.asarray(arm.T_base_work),
-        jnp.asarray((motors[before] + motors[rows]) / 2),
-        jnp.asarray((joints[before] + joints[rows]) / 2),
-        jnp.asarray((joints[rows] - joints[before]) / T),
-    )
+    T = float(process.tooth_period)
+    arms = _linear(arm, motion, rows, T)
     A, G, C = (np.asarray(x, np.float64) for x in (arms.A, arms.G, arms.C))
     gains = [found.gain() for found in slopes]
     fastest = max(map(_fastest_mode, A, G, C, gains))

@@ -30,6 +30,7 @@ from .._machine._integrator.rk4 import make_integrator
 from .._machine.commands import JobKinematics
 from .._machine.elastic import ElasticArm
 from .._machine.machine import Run
+from .._machine.modal import ModalMachine
 from .._machine.quasi_static import QuasiStaticArm
 from .._machine.rigid import Rigid
 from .failure import troubles_of
@@ -228,18 +229,22 @@ def job_process(job: Job, derivative: AbstractAdjoint) -> Process:
     )
 
 
-def job_machine(job: Job) -> ElasticArm | QuasiStaticArm:
-    """Return the robot of a job as a machine, dynamic or quasi-static.
+def job_machine(job: Job) -> ElasticArm | QuasiStaticArm | ModalMachine:
+    """Return the machine of a job: its modes, or its robot, dynamic or quasi-static.
 
     Args:
         job: The job, in its precision.
 
     Raises:
-        ValueError: The job has no robot.
+        ValueError: The machine is rigid, or quasi-static modes are asked for.
     """
+    settings = job.simulation
+    if job.modes is not None:
+        if settings.mode == "quasistatic":
+            raise ValueError('Argument `job` must have mode "dynamic" for its modes.')
+        return ModalMachine(job.modes)
     if job.robot is None:
         raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
-    settings = job.simulation
     if settings.mode == "quasistatic":
         return QuasiStaticArm(job.robot, job.T_base_work)
     rule = make_integrator(settings.integrator, settings.dynamics)
@@ -275,7 +280,7 @@ class _Program(eqx.Module):
     """
 
     process: Process
-    machine: ElasticArm | QuasiStaticArm | None
+    machine: ElasticArm | QuasiStaticArm | ModalMachine | None
     controller: Controller | None
     path: Path
     axes: Float[Array, "step 3"] | None
@@ -285,7 +290,7 @@ class _Program(eqx.Module):
 def _program(job: Job, derivative: AbstractAdjoint) -> _Program:
     """Return what a compiled program sees of a job, sizes taken on the host."""
     padded, dtype = padded_job(job), jnp.dtype(job.simulation.precision)
-    machine = None if job.robot is None else job_machine(padded)
+    machine = None if job.is_rigid else job_machine(padded)
     # Of the settings only choices are left, and of the axes whether there are any.
     settings = dataclasses.replace(
         padded.simulation,
@@ -473,7 +478,7 @@ def _follow(program: _Program, finished: Stock, command: _Command) -> _Followed:
         surface_deviation=deviation,
         wall_share=shares,
         contour_error=contour_error(desired + deviation, desired),
-        motor_positions=motors,
+        motor_positions=None if ran.joint_positions is None else motors,
         joint_positions=ran.joint_positions,
         has_failed=ran.has_failed,
         is_reached=command.is_reached,
@@ -489,9 +494,9 @@ def run_motors(
     """Run the simulation of a job, dynamic or quasi-static, for given motor positions.
 
     Args:
-        job: The job, in its precision; its machine must be a robot.
+        job: The job, in its precision; its machine must not be rigid.
         motors: Commanded motor positions at the tooth instants [rad or m], shape
-            (step, joint).
+            (step, joint); for modes the poses of the tool, see `ModalMachine`.
         adjoint: How to differentiate through the removal.
 
     Raises:

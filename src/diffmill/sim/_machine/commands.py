@@ -27,10 +27,12 @@ from .._job.padding import pad_rows, padded_count
 
 
 class JobKinematics(eqx.Module):
-    """What the robot of a job does to follow the tips that a program commands.
+    """What the machine of a job does to follow the tips that a program commands.
+
+    A machine of modes has no joints: its drives are where the tip is.
 
     Attributes:
-        job: The job, in its precision; its machine must be a robot.
+        job: The job, in its precision; its machine must not be rigid.
     """
 
     job: Job
@@ -85,6 +87,8 @@ class JobKinematics(eqx.Module):
 
         **Differentiability**: that of `inverse_kinematics_path`.
         """
+        if self.job.modes is not None:
+            return commanded, on_device(np.ones(commanded.shape[0], bool))
         found = self.solve(commanded)
         return found.q, found.converged
 
@@ -121,6 +125,8 @@ class JobKinematics(eqx.Module):
 
         **Differentiability**: that of `motor_positions`.
         """
+        if self.job.modes is not None:
+            return self.tool_rows(joints)
         count, rows = joints.shape[0], joints.shape[0]
         if not _is_traced(self.job, joints):
             rows = padded_count(count)
@@ -128,6 +134,13 @@ class JobKinematics(eqx.Module):
         is_compensated = self.job.simulation.is_gravity_compensated
         motors = _motors(self.robot, joints, is_compensated)
         return _first_rows(motors, count, rows)
+
+    def tool_rows(self, commanded: Float[Array, "step 3"]) -> Float[Array, "step axis"]:
+        """Return the command of a machine of modes: tips, and axes of a tilted tool."""
+        axes = self.job.tool_axes
+        if axes is None:
+            return commanded
+        return jnp.concatenate([commanded, axes.astype(commanded.dtype)], axis=1)
 
     def motor_slopes(
         self,
@@ -147,6 +160,10 @@ class JobKinematics(eqx.Module):
         **Differentiability**: none is meant.
         """
         count, rows = joints.shape[0], joints.shape[0]
+        if self.job.modes is not None:
+            axes = 3 if self.job.tool_axes is None else 6
+            one = jnp.eye(axes, 3, dtype=joints.dtype)
+            return jnp.broadcast_to(one[None], (count, axes, 3))
         Ts = None
         if commanded is not None:
             Ts = self.poses(commanded)

@@ -1,0 +1,69 @@
+"""The machine of a job that is given by its modes at the tool tip."""
+
+import numpy as np
+
+from ..._toml import JobError, read_toml
+from ...robot import TipModes, rpy_matrix
+from .._schema.machine import MachineTable, ModesFile, ModeTable
+from .._schema.table import validated
+from .context import FileContext
+
+# A mode of a smaller share of the tip's compliance needs no sub-steps of its own.
+_SHARE = 0.05
+
+
+def read_machine(table: MachineTable, context: FileContext) -> TipModes | None:
+    """Return the modes of a machine, or None with problems noted.
+
+    Args:
+        table: The `[machine]` table.
+        context: The job file.
+    """
+    problems, before = context.problems, len(context.problems)
+    if (table.modes is None) == (table.file is None):
+        found = "nothing" if table.modes is None else "both"
+        problems.append(
+            f"[machine]: found {found} of modes and file, but exactly one is required: "
+            "[[machine.modes]], or a file that holds them"
+        )
+        return None
+    entries = table.modes
+    if table.file is not None:
+        entries = _from_file(table.file, context)
+    if entries is None:
+        return None
+    for k, entry in enumerate(entries):
+        entry.check(f"[machine] modes.{k}", problems)
+    if len(problems) > before:
+        return None
+    to_work = np.asarray(rpy_matrix(*table.rpy), np.float64)
+    modes = TipModes(
+        np.array([entry.frequency for entry in entries]),
+        np.array([entry.damping_ratio for entry in entries]),
+        np.array([entry.shape() for entry in entries]) @ to_work.T,
+    )
+    carried = np.asarray(modes.participation, np.float64) * table.carries()[None]
+    return TipModes(modes.frequencies, modes.damping_ratios, modes.shapes, carried)
+
+
+def fastest_mode(modes: TipModes) -> float:
+    """Return the highest frequency of a mode that a force deflects at the tip [Hz]."""
+    frequencies = np.asarray(modes.frequencies, np.float64)
+    gives = np.sum(np.asarray(modes.shapes) ** 2, axis=1) / frequencies**2
+    return float(frequencies[gives > _SHARE * gives.sum()].max())
+
+
+def _from_file(name: str, context: FileContext) -> list[ModeTable] | None:
+    """Return the modes of a file, or None with problems noted."""
+    path = context.file(name, "[machine] file")
+    if path is None:
+        return None
+    try:
+        _, raw = read_toml(path)
+    except JobError as error:
+        context.problems.append(f"[machine] file: {error}")
+        return None
+    found = validated(
+        ModesFile, raw.get("machine", {}), f"{name}: [machine]", context.problems
+    )
+    return None if found is None else found.modes
