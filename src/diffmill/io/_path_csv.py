@@ -20,6 +20,7 @@ _SPEEDS = {
 _UNITS = {"time": _TIMES, "x": _LENGTHS, "y": _LENGTHS, "z": _LENGTHS, "feed": _SPEEDS}
 _PLAIN = ("rapid", "line", "i", "j", "k")
 _SHOWN_FAULTS = 20
+_MOST_BYTES = 250_000_000
 # Farthest from the origin [m].
 _LARGEST = 100.0
 
@@ -57,9 +58,13 @@ def read_path_csv(file: str | os.PathLike[str]) -> Path:
     """
     path = pathlib.Path(file)
     try:
-        text = path.read_bytes().decode("utf-8-sig", errors="replace")
+        with path.open("rb") as stream:
+            data = stream.read(_MOST_BYTES + 1)
     except OSError as error:
         raise PathFileError(str(path), [f"cannot be read: {error.strerror}."]) from None
+    if len(data) > _MOST_BYTES:
+        raise PathFileError(path.name, [f"has more than {_MOST_BYTES / 1e6:g} MB."])
+    text = data.decode("utf-8-sig", errors="replace")
     return parse_path_csv(text, name=path.name)
 
 

@@ -17,13 +17,15 @@ def read_text(path: pathlib.Path) -> str:
             the largest size is read.
     """
     try:
+        # What is no plain file tells no size, so that reading is bounded too.
+        is_large = path.stat().st_size > MOST_BYTES
         with path.open("rb") as file:
-            data = file.read(MOST_BYTES + 1)
+            data = b"" if is_large else file.read(MOST_BYTES + 1)
     except OSError as error:
         reason = error.strerror or "unknown reason"
         fault = Fault(0, "", f"the file cannot be read: {reason}.")
         raise ProgramError(str(path), [fault]) from error
-    if len(data) > MOST_BYTES:
+    if is_large or len(data) > MOST_BYTES:
         message = f"the file has more than {MOST_BYTES / 1e6:g} MB."
         raise ProgramError(path.name, [Fault(0, "", message)])
     return data.decode("utf-8-sig", errors="replace")
