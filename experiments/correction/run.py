@@ -1,7 +1,7 @@
 """Run all groups of figures on the correction, or those named.
 
 python experiments/correction/run.py [methods details mismatch placement
-    feed long] [--out FOLDER]
+    feed long controller] [--out FOLDER]
 """
 
 import pathlib
@@ -18,6 +18,7 @@ GROUPS = (
     "placement",
     "feed",
     "long",
+    "controller",
 )
 
 

@@ -52,6 +52,7 @@ MOMENT = QuantityKind("a moment", "N*m", "3 N*m")
 SPEED = QuantityKind("a speed", "m/s", "50 mm/s")
 ANGULAR_SPEED = QuantityKind("a rotational speed", "rad/s", "8000 rpm", "required")
 ACCELERATION = QuantityKind("an acceleration", "m/s^2", "2 m/s^2")
+JERK = QuantityKind("a jerk", "m/s^3", "10 m/s^3")
 PRESSURE = QuantityKind("a cutting coefficient (pressure)", "N/m^2", "989.8 N/mm^2")
 EDGE_FORCE = QuantityKind("an edge coefficient (force per length)", "N/m", "3.0 N/mm")
 ROTARY_STIFFNESS = QuantityKind(

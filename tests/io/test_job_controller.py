@@ -92,6 +92,22 @@ def test_what_is_wrong_has_one_line(tmp_path, table, message):
     assert problem.startswith("[controller]") and message in problem
 
 
+def test_a_jerk_is_the_time_that_keeps_it(tmp_path):
+    """Tangential jerk of a straight way, by differences of a finely sampled path."""
+    file = write(tmp_path, "", robot="rigid = true")
+    text = file.read_text().replace(
+        'file = "part.ngc"', 'file = "part.ngc"\njerk = "40 m/s^3"'
+    )
+    file.write_text(text)
+    path = load_job(file).path
+    step = path.time[1] - path.time[0]
+    jerk = np.abs(np.diff(path.positions, n=3, axis=0)).max() / step**3
+    assert 0.9 * 20.0 < jerk < 40.0 * (1 + 1e-6)
+    file.write_text(text.replace("jerk =", 'smoothing = "10 ms"\njerk ='))
+    with pytest.raises(JobError, match="jerk: found beside smoothing"):
+        load_job(file)
+
+
 def test_a_rigid_machine_has_no_motors(tmp_path):
     file = write(tmp_path, '[controller]\nbandwidth = "8 Hz"', robot="rigid = true")
     with pytest.raises(JobError, match="no motors to follow it"):

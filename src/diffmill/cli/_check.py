@@ -58,6 +58,7 @@ def _describe_identification(file: pathlib.Path, *, allow_outside: bool) -> list
     configure_jax(None)
     from ..config import load_identification
     from ..identification import (
+        ControllerStudy,
         CoupledStudy,
         ForceRecordStudy,
         LoadTestStudy,
@@ -82,6 +83,9 @@ def _describe_identification(file: pathlib.Path, *, allow_outside: bool) -> list
         lines.append(f"  mean forces at {len(study.feed_per_tooth)} feeds")
     elif isinstance(study, LoadTestStudy):
         lines.append(f"  {len(study.rows)} load tests of {study.robot.name}")
+    elif isinstance(study, ControllerStudy):
+        rows = int(study.is_recorded.sum())
+        lines.append(f"  {rows} rows every {study.time_step * 1e3:.3g} ms")
     elif isinstance(study, CoupledStudy):
         first, last = float(study.time[0]), float(study.time[-1])
         lines.append(f"  {len(study.time)} rows from {first:.4g} to {last:.4g} s")

@@ -116,10 +116,20 @@ def time_path(
     problems: list[str],
 ) -> Path | None:
     """Return the path at the tooth instants, or None with problems noted."""
-    if isinstance(program, Path) and table.smoothing > 0:
+    smoothing = table.smoothing
+    if table.jerk is not None:
+        if smoothing > 0:
+            problems.append(
+                "[program] jerk: found beside smoothing; one of them is allowed"
+            )
+            return None
+        # From full acceleration to full braking in this time, which is the worst.
+        smoothing = 2 * table.acceleration / table.jerk
+    if isinstance(program, Path) and smoothing > 0:
+        key = "smoothing" if table.jerk is None else "jerk"
         problems.append(
-            f"[program] smoothing: found {table.smoothing * 1e3:g} ms, but a recorded "
-            "path has its own times; allowed with G-code only"
+            f"[program] {key}: found one, but a recorded path has its own times; "
+            "allowed with a program only"
         )
         return None
     try:
@@ -140,7 +150,7 @@ def time_path(
                 rapid_feed=table.rapid_feed,
                 corner_tolerance=table.corner_tolerance,
                 feed=table.feed,
-                smoothing=table.smoothing,
+                smoothing=smoothing,
             )
     except ValueError as error:
         problems.append(f"[program] file: {error}")

@@ -69,6 +69,7 @@ SpindleSpeed: TypeAlias = Annotated[
 Acceleration: TypeAlias = Annotated[
     float, BeforeValidator(_read(q.ACCELERATION, sign="positive"))
 ]
+Jerk: TypeAlias = Annotated[float, BeforeValidator(_read(q.JERK, sign="positive"))]
 Stiffness: TypeAlias = Annotated[
     str, BeforeValidator(_read_drive((q.ROTARY_STIFFNESS, q.LINEAR_STIFFNESS)))
 ]

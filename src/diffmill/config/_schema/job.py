@@ -17,6 +17,7 @@ from .fields import (
     Angles3,
     Damping,
     Delay,
+    Jerk,
     Lengths3,
     PositiveLength,
     PositiveSpeed,
@@ -65,6 +66,7 @@ class ProgramTable(Table):
     rapid_feed: PositiveSpeed = 0.2
     corner_tolerance: Tolerance = 1e-4
     smoothing: Delay = 0.0
+    jerk: Jerk | None = None
     tool: Annotated[StrictInt, Field(ge=0)] | None = None
     block_delete: StrictBool = False
     offsets: dict[CoordinateSystem, Lengths3] = Field(default_factory=dict)

@@ -1,0 +1,92 @@
+"""The correction through a controller: presets, and a curve over its bandwidth.
+
+python experiments/correction/controller.py [--example paper] [--out FOLDER]
+    [--bandwidths 2 3 5 10 20] [--knots "15 ms"]
+"""
+
+import argparse
+import pathlib
+import sys
+import tempfile
+from typing import Any
+
+import diffmill as dm
+from diffmill import examples
+from diffmill.viz import case_numbers
+
+PRESETS = ("ideal", "kuka_krc4_like", "abb_irc5_like", "cnc_following_error")
+BANDWIDTHS = (2.0, 3.0, 5.0, 8.0, 20.0)
+CASES = ("uncorrected", "mirror", "inverse_drive", "corrected")
+# What the correction is to reach against the uncorrected program and the best mirror.
+BETTER, BETTER_THAN_MIRROR = 10.0, 3.0
+RESULTS = pathlib.Path(__file__).parent / "results"
+
+
+def controlled_job(example: str, controller: str, knots: str) -> dm.Job:
+    """Return an example job with lines of a table `[controller]`."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = examples.copy_example(example, pathlib.Path(folder))
+        text = file.read_text().replace(
+            'knot_spacing = "30 ms"', f'knot_spacing = "{knots}"'
+        )
+        file.write_text(f"{text}\n[controller]\n{controller}\n")
+        return dm.load_job(file)
+
+
+def measure(
+    report: Any,
+    example: str = "paper_small",
+    bandwidths: tuple[float, ...] = BANDWIDTHS,
+    knots: str = "30 ms",
+) -> None:
+    """Print all cases for every preset, then over the bandwidth of slow servos."""
+    report.say(f"{example}, knots of {knots}; rms contour error in um, offset in mm")
+    _head(report, "preset")
+    for preset in PRESETS:
+        _row(report, preset, example, f'preset = "{preset}"', knots)
+    report.say()
+    report.say("kuka_krc4_like with servos of another bandwidth")
+    _head(report, "bandwidth")
+    for bandwidth in bandwidths:
+        controller = f'preset = "kuka_krc4_like"\nbandwidth = "{bandwidth:g} Hz"'
+        _row(report, f"{bandwidth:g} Hz", example, controller, knots)
+
+
+def _head(report: Any, what: str) -> None:
+    report.say(f"{what:20}{''.join(f'{case:>15}' for case in CASES)}{'offset':>9}")
+
+
+def _row(report: Any, name: str, example: str, controller: str, knots: str) -> None:
+    """Print the cases of one controller, and judge the correction."""
+    found = dm.correct(controlled_job(example, controller, knots))
+    data = found.to_dataset()
+    rms = {case: case_numbers(data, case).rms for case in CASES}
+    offset = abs(found.commanded - found.before.desired).max()
+    report.say(
+        f"{name:20}"
+        + "".join(f"{1e6 * rms[case]:15.2f}" for case in CASES)
+        + f"{1e3 * float(offset):9.2f}"
+    )
+    gains = [rms[case] / rms["corrected"] for case in ("uncorrected", "mirror")]
+    for what, gain, limit in zip(
+        ("uncorrected", "mirror"), gains, (BETTER, BETTER_THAN_MIRROR), strict=True
+    ):
+        report.at_least(f"{name}: {what} over corrected", gain, limit)
+
+
+if __name__ == "__main__":
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    sys.path.append(str(pathlib.Path(__file__).parents[1] / "common"))
+    from reporting import Report, store
+
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--example", default="paper_small")
+    parser.add_argument("--bandwidths", type=float, nargs="*", default=BANDWIDTHS)
+    parser.add_argument("--knots", default="30 ms")
+    parser.add_argument("--out", type=pathlib.Path, default=RESULTS)
+    given = parser.parse_args()
+    result = Report(f"diffmill correction: controller, {given.example}")
+    measure(result, given.example, tuple(given.bandwidths), given.knots)
+    store(result, given.out, f"controller_{given.example}")
