@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from ._job import (
         CorrectionSettings as CorrectionSettings,
         Job as Job,
+        LineWeight as LineWeight,
         SimulationSettings as SimulationSettings,
         UncertaintySettings as UncertaintySettings,
     )
@@ -65,6 +66,7 @@ _NAMES = {
     "Correction": "correction",
     "CorrectionSettings": "_job",
     "Job": "_job",
+    "LineWeight": "_job",
     "JobError": "config",
     "RESULTS": "_result",
     "SimulationFailed": "_result",

@@ -6,7 +6,7 @@ and the error that lists every fault are in `diffmill.io`.
 """
 
 import dataclasses
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -99,6 +99,20 @@ class UncertaintySettings(eqx.Module):
     delay: float = eqx.field(static=True, default=0.0)
 
 
+class LineWeight(NamedTuple):
+    """Weight of a section of a program.
+
+    Attributes:
+        first: Its first line.
+        last: Its last line.
+        weight: Weight of the error in its rows [-].
+    """
+
+    first: int
+    last: int
+    weight: float
+
+
 class CorrectionSettings(eqx.Module):
     """Settings of a correction.
 
@@ -122,7 +136,7 @@ class CorrectionSettings(eqx.Module):
         uncertainty: How well the model is known; the mean square error over draws of it
             becomes small, or that of the worst. None to trust the model.
         tolerance: Error that does not count [m].
-        sections: First and last line of a section of the program and its weight.
+        sections: Sections of the program with weights of their own.
         finishing_only: Whether only rows that leave a part of the surface count.
         wall_weight: Weight of the walls, for the surface.
         floor_weight: Weight of the floors, for the surface.
@@ -153,7 +167,7 @@ class CorrectionSettings(eqx.Module):
     stay_in_cut: bool = eqx.field(static=True, default=False)
     uncertainty: UncertaintySettings | None = None
     tolerance: RealScalarLike = 0.0
-    sections: tuple[tuple[int, int, float], ...] = eqx.field(static=True, default=())
+    sections: tuple[LineWeight, ...] = eqx.field(static=True, default=())
     finishing_only: bool = eqx.field(static=True, default=False)
     wall_weight: RealScalarLike = 1.0
     floor_weight: RealScalarLike = 1.0

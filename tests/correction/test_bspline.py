@@ -84,5 +84,5 @@ def test_projection_meets_the_bound_and_the_conditions_of_optimality():
 
 
 def test_refuses_knots_wider_than_the_program():
-    with pytest.raises(ValueError, match="four intervals"):
+    with pytest.raises(ValueError, match="`knot_spacing`"):
         SplineOffsets(10, 3.75e-3, 30e-3)

@@ -79,13 +79,13 @@ def test_a_joint_beyond_its_limit_is_refused_before_anything_runs(load, method):
     most = float(JobKinematics(job).motors(desired)[0][:, 0].max())
     upper = jnp.asarray(job.robot.joint_upper).at[0].set(most - 1e-4)
     close = eqx.tree_at(lambda j: j.robot.joint_upper, job, upper)
-    with pytest.raises(InfeasibleLimit, match="`joint limits` of 'axis_1'"):
+    with pytest.raises(InfeasibleLimit, match="'axis_1'"):
         correct(close, on_progress=lambda message, rms: told.append(message))
     assert not told
 
 
 def test_knots_wider_than_the_program_are_refused(load):
-    with pytest.raises(UnsuitableSettings, match="leave at least four intervals"):
+    with pytest.raises(UnsuitableSettings, match="`knot_spacing`"):
         correct(load('knot_spacing = "3 s"\n'))
 
 
@@ -156,7 +156,7 @@ def test_joints_are_held_within_their_limits(load):
     free = nominal + np.asarray(
         spline.offsets(jnp.asarray(project(spline, wild, bound)))
     )
-    with pytest.raises(InfeasibleLimit, match=r"`joint limits` of '.*too narrow"):
+    with pytest.raises(InfeasibleLimit, match="`joint limits`"):
         check_joints(close, free, is_joints=False)
     coefficients = project(spline, wild, bound, limits=(limits,))
     held = nominal + np.asarray(spline.offsets(jnp.asarray(coefficients)))
@@ -172,5 +172,5 @@ def test_joints_are_held_within_their_limits(load):
     apart = np.abs(change[:, joint][None] - rows[:, None]).min(axis=1)
     assert apart.max() < 2e-3 * np.max(np.abs(rows))
     beyond = eqx.tree_at(lambda j: j.robot.joint_upper, job, upper - 2e-4)
-    with pytest.raises(InfeasibleLimit, match="too narrow"):
+    with pytest.raises(InfeasibleLimit, match="`joint limits`"):
         joint_limits(beyond, spline, nominal, bound)

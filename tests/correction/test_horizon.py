@@ -186,7 +186,7 @@ def test_a_limit_of_all_axes_holds_across_seams(problem):
 def test_settings_that_cannot_be_are_refused(problem):
     with pytest.raises(ValueError, match="below `horizon`"):
         horizon(problem, overlap=200)
-    with pytest.raises(ValueError, match="`sweeps` must be at least 1"):
+    with pytest.raises(ValueError, match=r"`sweeps`.* 1"):
         horizon(problem, sweeps=0)
 
 

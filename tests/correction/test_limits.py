@@ -41,7 +41,7 @@ def test_rows_are_the_derivatives_of_the_curve():
 def test_a_program_beyond_the_limit_is_named():
     nominal = np.zeros((81, 3))
     nominal[:, 1] = 0.5 * 3.0 * (0.01 * np.arange(81)) ** 2
-    with pytest.raises(InfeasibleLimit, match=r"3 m/s\^2 on axis 1.*1 m/s\^2 too low"):
+    with pytest.raises(InfeasibleLimit, match=r"3 m/s\^2 .*axis 1.*1 m/s\^2"):
         command_limits(small_spline(), nominal, max_acceleration=2.0, unit="m")
     assert command_limits(small_spline(), nominal) == ()
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from correction.spring_mass import rounded_square, soft_arm
 
+from diffmill import LineWeight
 from diffmill.correction import (
     GaussNewton,
     GivenCommand,
@@ -62,10 +63,12 @@ def test_no_band_keeps_the_derivative_at_zero():
 def test_weights_by_line_and_by_what_finishes():
     is_cutting = np.array([False, True, True, True, True, True])
     line = np.array([1, 2, 2, 3, 4, 4], np.int32)
-    weights = row_weights(is_cutting, line, sections=[(1, 3, 0.5), (3, 3, 2.0)])
+    weights = row_weights(
+        is_cutting, line, sections=[LineWeight(1, 3, 0.5), LineWeight(3, 3, 2.0)]
+    )
     np.testing.assert_array_equal(weights, [0, 0.5, 0.5, 2, 1, 1])
     with pytest.raises(ValueError, match="lines 2 to 4"):
-        row_weights(is_cutting, line, sections=[(0, 9, 0.0)])
+        row_weights(is_cutting, line, sections=[LineWeight(0, 9, 0.0)])
 
 
 def test_what_weighs_nothing_is_left_alone():

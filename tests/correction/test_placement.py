@@ -170,9 +170,9 @@ def test_bounds_without_sense_are_refused(bounds, more, message):
 
 def test_a_rigid_machine_and_a_cut_in_air_are_refused():
     job, bounds = job_of(arm()), [(-0.1, 0.1), FIXED, FIXED]
-    with pytest.raises(ValueError, match="must have a robot"):
+    with pytest.raises(ValueError, match=r"`job`.*robot"):
         place_workpiece(dataclasses.replace(job, robot=None), shift_bounds=bounds)
-    with pytest.raises(NothingToCorrect, match="never cuts"):
+    with pytest.raises(NothingToCorrect):
         place_workpiece(job, shift_bounds=bounds, force=steady([0.0, 0.0, 0.0]))
 
 

@@ -110,7 +110,7 @@ def test_a_jerk_is_the_time_that_keeps_it(tmp_path):
 
 def test_a_rigid_machine_has_no_motors(tmp_path):
     file = write(tmp_path, '[controller]\nbandwidth = "8 Hz"', robot="rigid = true")
-    with pytest.raises(JobError, match="no motors to follow it"):
+    with pytest.raises(JobError, match=r"\[controller\]"):
         load_job(file)
 
 

@@ -167,7 +167,7 @@ def test_lost_samples_do_not_end_a_cut(tmp_path):
 
 def test_a_time_without_unit_is_suspected(tmp_path):
     data = text(1e3 * TIME, FORCE, head="t;Fx;Fy;Fz\n")
-    with pytest.raises(JobError, match=r"`t` has no unit.*time = .ms.") as error:
+    with pytest.raises(JobError, match=r"`t`.*time = .ms.") as error:
         load(tmp_path, data=data)
     assert "found 4 samples per second" in str(error.value)
     job = HEAD + 'units = { time = "ms", force_x = "N" }\n'
@@ -356,7 +356,7 @@ def test_units_of_load_tests_are_spelled_in_many_ways(tmp_path):
         np.testing.assert_allclose(task.wrench[0, 3:], factor * np.arange(1, 4))
         np.testing.assert_allclose(task.displacement[0], [0, 50e-6, 0], atol=1e-12)
     odd = names.replace("Mx [kNm]", "Mx [N]")
-    with pytest.raises(JobError, match=r"Mx.* such as \"3 N\*m\"; or .* `units`"):
+    with pytest.raises(JobError, match=r"Mx.*\"3 N\*m\".*`units`"):
         loads(tmp_path, odd, rows=rows)
 
 

@@ -385,7 +385,7 @@ def test_a_joint_that_moves_next_to_nothing_is_noted(write):
 def test_what_is_no_urdf_is_refused_with_the_reason(write):
     spaced = GOOD.replace("<robot ", '<u:robot xmlns:u="http://x" ')
     spaced = spaced.replace("</robot>", "</u:robot>")
-    with pytest.raises(dr.RobotFileError, match="namespace prefix 'u:'"):
+    with pytest.raises(dr.RobotFileError, match="'u:'"):
         dr.load(write(spaced))
     with pytest.raises(ValueError):
         dr.load(write("<robot/>", "arm.xacro"))

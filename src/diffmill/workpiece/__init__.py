@@ -24,7 +24,6 @@ from ._dexel.removal import (
 )
 from ._dexel.stock import (
     DEAD as DEAD,
-    MARGIN as MARGIN,
     Rays as Rays,
     Stock as Stock,
     box as box,
@@ -43,7 +42,6 @@ from ._files import (
     save_mesh as save_mesh,
     save_stock as save_stock,
 )
-from ._memory import physical_memory as physical_memory, stock_bytes as stock_bytes
 from ._mesh.mesh import Mesh as Mesh
 from ._mesh.surface_error import (
     SurfaceError as SurfaceError,
@@ -51,3 +49,4 @@ from ._mesh.surface_error import (
     surface_error as surface_error,
 )
 from ._pose import Pose as Pose, tool_frame as tool_frame
+from ._stock_memory import StockMemory as StockMemory

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ...workpiece import MARGIN, Stock, StockFileError, box, from_mesh, load_stock, physical_memory, stock_bytes
+from ...workpiece import Stock, StockFileError, StockMemory, box, from_mesh, load_stock
 from .context import FileContext
 from .._schema.job import StockTable
 
@@ -111,15 +111,13 @@ def _block(
     if len(problems) > before or table.spacing is None:
         return None
     lower, upper = np.asarray(table.lower), np.asarray(table.upper)
-    counts = np.maximum(np.round((upper - lower) / table.spacing), 1) + 2 * MARGIN
     slots = _slots(table) or _BLOCK_SLOTS
-    needed = stock_bytes(counts.tolist(), slots, dtype.itemsize)
-    limit = physical_memory() / 2
-    if needed > limit:
+    memory = StockMemory.of_block(upper - lower, table.spacing, slots, dtype.itemsize)
+    if memory.is_too_much:
         problems.append(
             f"[stock] spacing: found {table.spacing * 1e3:g} mm, for which the stock "
-            f"takes {needed / 1e9:.3g} GB; at most half of the physical memory, "
-            f"{limit / 1e9:.3g} GB, is allowed: take a larger spacing, a smaller box "
+            f"takes {memory.needed / 1e9:.3g} GB; at most half of the physical memory, "
+            f"{memory.limit / 1e9:.3g} GB, is allowed: take a larger spacing, a smaller box "
             "or float32"
         )
         return None

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, StrictBool, StrictInt
 
-from ..._job import CorrectionSettings, UncertaintySettings
+from ..._job import CorrectionSettings, LineWeight, UncertaintySettings
 from ...cutter import AbstractCutter
 from .fields import (
     Acceleration,
@@ -154,7 +154,7 @@ def correction_settings(
             objective=known.objective,
             delay=known.delay,
         )
-    sections = tuple((e.lines[0], e.lines[1], e.value) for e in table.weight)
+    sections = tuple(LineWeight(e.lines[0], e.lines[1], e.value) for e in table.weight)
     return CorrectionSettings(**values, sections=sections)
 
 

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..._job import LineWeight
 from ..._types import BoolSteps, IntSteps
 from ...workpiece import TICKS, Stock
 
@@ -13,7 +14,7 @@ def row_weights(
     is_cutting: BoolSteps,
     line: IntSteps,
     *,
-    sections: Sequence[tuple[int, int, float]] = (),
+    sections: Sequence[LineWeight] = (),
     finished: Stock | None = None,
     spread: int = 0,
 ) -> Float[np.ndarray, " step"]:
@@ -22,8 +23,8 @@ def row_weights(
     Args:
         is_cutting: Whether the rigid tool cuts, shape (step,); other rows weigh 0.
         line: Line of the program that caused the row, shape (step,).
-        sections: First and last line of a section and its weight; a later section
-            overrides an earlier one.
+        sections: Sections with weights of their own; a later one overrides an earlier
+            one.
         finished: The stock after the rigid cut; where given, only rows that leave a
             part of its surface count.
         spread: Rows to either side of one that leaves a part of the surface that

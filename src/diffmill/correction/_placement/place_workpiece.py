@@ -8,7 +8,7 @@ then judged on the whole path.
 
 import dataclasses
 from collections.abc import Sequence
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -220,12 +220,24 @@ def _widths(
     return np.where(widths > 0, widths, 1.0)
 
 
+class _Tried(NamedTuple):
+    """A place that was tried, and its error.
+
+    Attributes:
+        error: Sum of the squares of what is left; infinite where it is refused.
+        place: The unknowns in widths of their bounds, shape (5,).
+    """
+
+    error: float
+    place: Float[np.ndarray, " 5"]
+
+
 def _search(
     task: PlacementTask,
     lower: Float[np.ndarray, " 5"],
     upper: Float[np.ndarray, " 5"],
     starts: int,
-) -> tuple[list[tuple[float, np.ndarray]], int]:
+) -> tuple[list[_Tried], int]:
     """Return errors and places, the job's own first, and how many are refused."""
     low, high = lower / _widths(lower, upper), upper / _widths(lower, upper)
     # Unknowns that are fixed take no part in the spreading.
@@ -241,8 +253,8 @@ def _search(
     places = [np.clip(np.zeros(len(low)), low, high)]
     places += [low + (high - low) * ((0.5 + k * steps) % 1.0) for k in range(starts)]
     problem = _Problem(task)
-    tried = [(problem.error(place), place) for place in places]
-    return tried, sum(not np.isfinite(error) for error, _ in tried)
+    tried = [_Tried(problem.error(place), place) for place in places]
+    return tried, sum(not np.isfinite(entry.error) for entry in tried)
 
 
 class _Problem(AbstractProblem):
@@ -306,13 +318,13 @@ def _descend(
     task: PlacementTask,
     lower: Float[np.ndarray, " 5"],
     upper: Float[np.ndarray, " 5"],
-    tried: list[tuple[float, np.ndarray]],
+    tried: list[_Tried],
     max_steps: int,
 ) -> list[Float[np.ndarray, " 5"]]:
     """Return the unknowns of the ends of two descents, and of their starts."""
     widths, problem = _widths(lower, upper), _Problem(task)
     own = tried[0]
-    best = min(tried[1:], key=lambda entry: entry[0], default=own)
+    best = min(tried[1:], key=lambda entry: entry.error, default=own)
     found = []
     for _, start in [own] if best is own else [own, best]:
         found.append(start)

@@ -11,7 +11,7 @@ import jax.core
 
 from ..._job import Job
 from ..._result import RESULTS
-from ...workpiece import physical_memory, stock_bytes
+from ...workpiece import StockMemory
 
 # More intervals than this on a ray are no pocket but a fault of the program.
 _MOST = 128
@@ -39,7 +39,7 @@ def with_more_intervals(job: Job, result: RESULTS) -> Job | None:
     # A tool that stands upright never splits a ray along z.
     counts = (2 * x, 2 * y, 2 * z if job.simulation.axes else z)
     size = job.stock.origin.dtype.itemsize
-    needed = stock_bytes(job.stock.grid_shape, counts, size)
-    if max(counts) > _MOST or needed > physical_memory() / 2:
+    memory = StockMemory.of_grid(job.stock.grid_shape, counts, size)
+    if max(counts) > _MOST or memory.is_too_much:
         return None
     return job.with_intervals(counts)

@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 
 from .._dexel.stock import DEAD, MARGIN, Rays, Stock, block_grid
 from .._memory import check_memory, stock_bytes
+from .._stock_memory import StockMemory
 from .mesh import Mesh
 
 if TYPE_CHECKING:
@@ -87,9 +88,7 @@ def _check_size(
     slots: tuple[int, int, int],
     item_size: int,
 ) -> None:
-    # In floating point: a tiny spacing would overflow whole numbers.
-    counts = np.maximum(np.round(size / spacing), 1) + 2 * MARGIN
-    needed = stock_bytes(counts.tolist(), slots, item_size)
+    needed = StockMemory.of_block(size, spacing, slots, item_size).needed
     check_memory(needed, f"A stock of spacing {spacing:g} m")
 
 
