@@ -80,7 +80,7 @@ class Mimic(eqx.Module):
 class Drive(eqx.Module):
     """Options of a drive beyond spring and damper, all off by default.
 
-    See `with_backlash`, `with_friction` and `with_motors`.
+    See `with_backlash`, `with_friction` and `with_motors` of `Robot`.
 
     Attributes:
         backlash: Gap of the gear [rad or m].
