@@ -176,6 +176,23 @@ class CorrectionSettings(eqx.Module):
     overlap: int | Literal["auto"] = eqx.field(static=True, default="auto")
 
 
+class OutputSettings(eqx.Module):
+    """How a corrected program is written.
+
+    Attributes:
+        formats: Suffixes of the programs, such as ".ngc".
+        tolerance: Largest distance of the written motion from the command at the
+            time of every row [m]; 0 writes every row.
+        cycle: Time between the rows of a stream of offsets [s]; 0 writes none.
+        max_step: How far an offset may change in a cycle [m].
+    """
+
+    formats: tuple[str, ...] = eqx.field(static=True, default=(".ngc",))
+    tolerance: float = eqx.field(static=True, default=5e-6)
+    cycle: float = eqx.field(static=True, default=0.0)
+    max_step: float = eqx.field(static=True, default=float("inf"))
+
+
 class Job(eqx.Module):
     """A cut to predict and correct.
 
@@ -205,6 +222,7 @@ class Job(eqx.Module):
         keeps_intervals: Whether the rays of the stock keep the slots that they have;
             else a run that needs more is repeated with more.
         controller: What the robot's motors do of their command; None if they follow it.
+        output: How a corrected program is written.
     """
 
     name: str = eqx.field(static=True)
@@ -225,6 +243,7 @@ class Job(eqx.Module):
     holder: ToolHolder | None = None
     tool_rotation: ToolRotation = eqx.field(static=True, default="fixed")
     keeps_intervals: bool = eqx.field(static=True, default=False)
+    output: OutputSettings = OutputSettings()
     controller: Controller | None = None
     modes: TipModes | None = None
 

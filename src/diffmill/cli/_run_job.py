@@ -5,7 +5,6 @@ import sys
 import time
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-import equinox as eqx
 import numpy as np
 
 from ._analyses import FinishedRun, add_analyses
@@ -84,7 +83,13 @@ def run_job(
         progress.say(f"note: {note}")
     dataset = with_job(outcome.to_dataset(), job)
     dataset.attrs.setdefault("wall_time_s", seconds)
-    files = _corrected_files(job, outcome) if command == "correct" else {}
+    files = {}
+    if command == "correct":
+        from ._corrected import corrected_files
+
+        files, said = corrected_files(job, np.asarray(outcome.commanded, float))
+        for line in said:
+            progress.say(line)
     # Whatever fails from here on, the run is kept.
     write_results(folder, dataset, files=files, stock=final.stock, force=force)
     if checkpoint is not None:
@@ -164,18 +169,6 @@ def with_job(dataset: Dataset, job: "Job") -> Dataset:
         added["notes"] = "\n".join(job.notes)
     dataset.attrs = {**added, **dataset.attrs}
     return dataset
-
-
-def _corrected_files(job: "Job", correction: Outcome) -> dict[str, str]:
-    """Return the corrected path and program, by file name."""
-    from ..io import write_gcode, write_path_csv
-
-    path = eqx.tree_at(
-        lambda p: p.positions, job.path, np.asarray(correction.commanded, float)
-    )
-    header = [f"{job.name}, corrected by diffmill", f"method: {job.correction.method}"]
-    program = write_gcode(path, header=header, spindle_speed=float(job.spindle_speed))
-    return {"corrected.csv": write_path_csv(path), "corrected.ngc": program}
 
 
 def _keep_failure(

@@ -311,6 +311,7 @@ def _assemble(
         bottom_law=bottom_law,
         holder=parts.holder,
         keeps_intervals=tables["stock"].intervals is not None,
+        output=tables["output"].settings(),
         controller=parts.controller,
     )
 

@@ -4,10 +4,12 @@ Every table is checked on its own, so that a fault in one does not hide those of
 others.
 """
 
+import math
 from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import Field, StrictBool, StrictInt, StrictStr
 
+from ..._job import OutputSettings
 from .compliance import BendingToolTable, FlangeSpringTable
 from .controller import read_controller
 from .correction import CorrectionTable
@@ -101,6 +103,27 @@ class RobotTable(Table):
     bending_tool: BendingToolTable | None = None
 
 
+class OutputTable(Table):
+    """`[output]`."""
+
+    formats: list[Literal["gcode", "krl", "rapid", "apt"]] = Field(
+        default_factory=lambda: ["gcode"]
+    )
+    tolerance: Tolerance = 5e-6
+    stream_cycle: Delay = 0.0
+    max_step: PositiveLength = math.inf
+
+    def settings(self) -> OutputSettings:
+        """Return the settings of a job."""
+        suffixes = {"gcode": ".ngc", "krl": ".src", "rapid": ".mod", "apt": ".apt"}
+        return OutputSettings(
+            formats=tuple(suffixes[name] for name in self.formats),
+            tolerance=self.tolerance,
+            cycle=self.stream_cycle,
+            max_step=self.max_step,
+        )
+
+
 class SimulationTable(Table):
     """`[simulation]`."""
 
@@ -129,8 +152,11 @@ TABLES: dict[str, type[Table]] = {
     "machine": MachineTable,
     "simulation": SimulationTable,
     "correction": CorrectionTable,
+    "output": OutputTable,
 }
-OPTIONAL_TABLES = frozenset({"spindle", "controller", "simulation", "correction"})
+OPTIONAL_TABLES = frozenset(
+    {"spindle", "controller", "simulation", "correction", "output"}
+)
 
 
 def read_tables(raw: dict[str, Any], problems: list[str]) -> dict[str, Any]:

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._arrays import on_device
-from ..._job import CorrectionSettings, Job
+from ..._job import CorrectionSettings, Job, OutputSettings
 from ...toolpath import Path
 
 _Tree = TypeVar("_Tree")
@@ -85,6 +85,7 @@ def padded_job(job: Job) -> Job:
         correction=CorrectionSettings(),
         holder=None,
         keeps_intervals=False,
+        output=OutputSettings(),
     )
 
 
