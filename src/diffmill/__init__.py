@@ -33,6 +33,7 @@ if TYPE_CHECKING:
         CorrectionSettings as CorrectionSettings,
         Job as Job,
         LineWeight as LineWeight,
+        ScatterSettings as ScatterSettings,
         SimulationSettings as SimulationSettings,
         UncertaintySettings as UncertaintySettings,
     )
@@ -69,6 +70,7 @@ _NAMES = {
     "LineWeight": "_job",
     "JobError": "config",
     "RESULTS": "_result",
+    "ScatterSettings": "_job",
     "SimulationFailed": "_result",
     "SimulationSettings": "_job",
     "Solution": "sim",

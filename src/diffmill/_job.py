@@ -22,6 +22,20 @@ from .toolpath import Path
 from .workpiece import Stock
 
 
+class ScatterSettings(eqx.Module):
+    """Relative standard deviations of the model's parameters, each on its own.
+
+    Attributes:
+        stiffness: Of every joint's stiffness.
+        damping: Of every joint's damping.
+        force: Of every force coefficient.
+    """
+
+    stiffness: float = eqx.field(static=True, default=0.0)
+    damping: float = eqx.field(static=True, default=0.0)
+    force: float = eqx.field(static=True, default=0.0)
+
+
 class SimulationSettings(eqx.Module):
     """Settings of a simulation.
 
@@ -45,6 +59,8 @@ class SimulationSettings(eqx.Module):
         mode: "dynamic", or "quasistatic": springs balance the mean force of each
             tooth period, without inertia.
         has_sensitivity: Whether the command line adds maps of the sensitivity.
+        scatter: How far the machine may be from the model; the command line adds the
+            error to be expected then. None if it is not known.
         stability: How the command line looks for chatter after a run: "quick", where
             the cut is deepest, and it says nothing of a stable one; "full", along the
             path; or "none".
@@ -70,6 +86,7 @@ class SimulationSettings(eqx.Module):
         static=True, default="quick"
     )
     looks: int = eqx.field(static=True, default=1)
+    scatter: ScatterSettings | None = None
 
 
 class UncertaintySettings(eqx.Module):

@@ -3,6 +3,7 @@
 import functools
 import math
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -106,6 +107,40 @@ def test_the_linear_run_is_the_derivative_with_the_stock_held(kind, cut):
         return (found.ends[..., 1], found.force[..., 1]), (pushed.ends, pushed.force)
 
     found, wanted = both(theta, jnp.asarray(change))
+    for have, want in zip(found, wanted, strict=True):
+        assert np.max(np.abs(want)) > 0
+        assert np.max(np.abs(have - want)) < 1e-9 * np.max(np.abs(want))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["plain", "motors"])
+def test_the_linear_run_follows_parameters_of_machine_and_cut(kind):
+    machine, process, theta = model(kind, "upright")
+    change = jnp.asarray([[0.1], [-0.2], [0.3], [0.4]])
+
+    def scaled(log):
+        factor = jnp.exp(log)
+        robot = machine.robot
+        leaves = lambda r: (r.joint_stiffness, r.joint_damping)
+        values = robot.joint_stiffness * factor[0], robot.joint_damping * factor[1]
+        soft = sim.ElasticArm(eqx.tree_at(leaves, robot, values), np.eye(4))
+        leaves = lambda p: (p.side_law.K_tc, p.side_law.K_re)
+        law = process.side_law
+        values = law.K_tc * factor[2], law.K_re * factor[3]
+        return sim.CuttingMachine(soft, eqx.tree_at(leaves, process, values))
+
+    @jax.jit
+    def both(theta, change):
+        still = jnp.zeros((*theta.shape, 1))
+        linear = sim.linearise(
+            machine, process, theta, scaled=scaled, parameter_count=4
+        )
+        found = linear.move(still, change)
+        run = lambda log: sim.run(*scaled(log), theta)
+        pushed = jax.jvp(run, (jnp.zeros(4),), (change[:, 0],))[1]
+        return (found.ends[..., 0], found.force[..., 0]), (pushed.ends, pushed.force)
+
+    found, wanted = both(theta, change)
     for have, want in zip(found, wanted, strict=True):
         assert np.max(np.abs(want)) > 0
         assert np.max(np.abs(have - want)) < 1e-9 * np.max(np.abs(want))

@@ -1,7 +1,9 @@
 """Sensitivity maps against differences and against what a spring does."""
 
+import dataclasses
 import math
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +13,7 @@ from helpers import PAPER_LAW
 from diffmill import (
     CorrectionSettings,
     Job,
+    ScatterSettings,
     SimulationSettings,
     cutter as ct,
     process as pr,
@@ -110,6 +113,37 @@ def test_maps_agree_with_differences(job, maps):
         error = np.abs(found - exact) / size
         assert np.quantile(error, 0.95) < 1e-3
         assert error.max() < 0.1
+
+
+@pytest.mark.slow
+def test_the_band_of_a_stiffness_is_its_sag_and_adds_to_the_error(job):
+    """Before the cut a spring that is 10 % off leaves a tenth of the weight's sag."""
+    settings = dataclasses.replace(
+        job.simulation, mode="dynamic", scatter=ScatterSettings(stiffness=0.1)
+    )
+    job = dataclasses.replace(job, simulation=settings)
+    solution = sim.simulate(job)
+    band = sim.error_band(job, solution)
+    assert band.names == ("K x", "K y", "K z")
+    sag = 9.81 * MASS / STIFFNESS[2]
+    np.testing.assert_allclose(band.shift[2, 0], [0, 0, 0.1 * sag], rtol=1e-6)
+    np.testing.assert_allclose(band.spread[0], 0.1 * sag, rtol=1e-6)
+    error = np.asarray(solution.contour_error)
+    np.testing.assert_allclose(band.expected**2, error**2 + band.spread**2)
+    cutting = np.asarray(solution.is_cutting)
+    assert band.rms == pytest.approx(np.sqrt(np.mean(band.expected[cutting] ** 2)))
+    assert next(iter(band.shares())) == "K z"
+    data = band.to_dataset()
+    assert data["contour_error_spread"].attrs["units"] == "m"
+
+    softer = eqx.tree_at(
+        lambda j: j.robot.joint_stiffness, job, job.robot.joint_stiffness * (1 - 1e-3)
+    )
+    # The controller goes on by the stiffness that it knows.
+    ran = sim.run_motors(softer, solution.motor_positions, pr.StockHeld())
+    moved = np.asarray(ran.actual - solution.actual)[:, 2]
+    known = np.sum(band.shift, axis=0)[:, 2]
+    assert np.quantile(np.abs(known * -1e-2 - moved), 0.9) < 0.05 * np.abs(moved).max()
 
 
 def test_scaling_reaches_every_parameter_and_no_other(job):

@@ -53,6 +53,7 @@ def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> 
         ("contacts", _with_contacts),
         ("stability", _with_stability),
         ("sensitivity", _with_sensitivity),
+        ("expected error", _with_expected_error),
     ):
         with attempts.at(name):
             dataset = step(run._replace(dataset=dataset), progress)
@@ -126,6 +127,25 @@ def _with_sensitivity(run: FinishedRun, progress: Progress) -> Dataset:
     progress.say("sensitivity: one derivative for each parameter")
     maps = sensitivity(run.job, commanded=np.asarray(run.final.commanded))
     return run.dataset.assign(maps.to_dataset().data_vars)
+
+
+def _with_expected_error(run: FinishedRun, progress: Progress) -> Dataset:
+    """Return the dataset with the error under the scatter of the model, if given."""
+    from ..sim import error_band
+
+    if run.job.simulation.scatter is None:
+        return run.dataset
+    progress.say("expected error: the linear system around the run")
+    band = error_band(run.job, run.final)
+    most = list(band.shares().items())[:3]
+    shares = ", ".join(f"{name} {size * 1e6:.2f}" for name, size in most)
+    line = (
+        f"expected error: {band.rms * 1e6:.2f} um rms where the tool cuts, with the "
+        f"scatter of the model; most by {shares} um"
+    )
+    found = band.to_dataset()
+    dataset = run.dataset.assign(found.data_vars).assign_attrs(found.attrs)
+    return _with_notes(dataset, _said([line], progress))
 
 
 def _said(lines: list[str], progress: Progress) -> list[str]:

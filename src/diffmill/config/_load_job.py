@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from .._job import Job, SimulationSettings
+from .._job import Job, ScatterSettings, SimulationSettings
 from .._toml import JobError, read_toml
 from ..cutter import AbstractCutter, ToolHolder
 from ..process import default_element_height, is_plunging
@@ -344,6 +344,13 @@ def _simulation(
             "[controller]: found beside [machine] and a tool that tilts, but it is "
             "known of the axes x, y and z alone"
         )
+    robot: RobotTable | None = tables.get("robot")
+    is_still = table.mode != "dynamic" or (robot is not None and robot.rigid)
+    if table.scatter is not None and is_still:
+        problems.append(
+            "[simulation] scatter: found a table, but the error to be expected is "
+            'known only of a machine with mode = "dynamic" that is not rigid'
+        )
     if stock is None or path is None or deepest is None:
         return None
     if fastest > 0.0:
@@ -368,6 +375,9 @@ def _simulation(
         looks=default_looks(period, substeps) if table.chip == "near_far" else 1,
         has_sensitivity=table.sensitivity,
         stability=_stability(table.stability),
+        scatter=None
+        if table.scatter is None
+        else ScatterSettings(**table.scatter.model_dump()),
     )
 
 

@@ -27,6 +27,7 @@ from ._analysis.collisions import (
     ToolContacts as ToolContacts,
     tool_contacts as tool_contacts,
 )
+from ._analysis.error_band import error_band as error_band
 from ._analysis.sensitivity import (
     parameter_names as parameter_names,
     sensitivity as sensitivity,
@@ -53,6 +54,7 @@ from ._job.simulate import (
     solve_command as solve_command,
 )
 from ._linear.linear_run import (
+    CuttingMachine as CuttingMachine,
     LinearRun as LinearRun,
     linearise as linearise,
 )

@@ -14,6 +14,7 @@ from .fields import (
     PositiveSpeed,
     PositiveTime,
     Tolerance,
+    Uncertainty,
 )
 from .table import Table
 
@@ -50,19 +51,6 @@ def _factor(value: object) -> float:
 Rows = Annotated[int | Literal["auto"], BeforeValidator(_rows)]
 Weight = Annotated[float, BeforeValidator(_weight)]
 Factor = Annotated[float, BeforeValidator(_factor)]
-
-
-def _uncertainty(value: object) -> float:
-    """Return a relative uncertainty, a number of at least 0 and below 1."""
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        if 0 <= value < 1:
-            return float(value)
-    raise ValueError(
-        f"found {value!r}, but a number from 0 to less than 1, such as 0.2, is required"
-    )
-
-
-Uncertainty = Annotated[float, BeforeValidator(_uncertainty)]
 
 
 # Steps of Adam unless a job says otherwise.

@@ -166,3 +166,16 @@ ToothEdgeForce: TypeAlias = Annotated[
 ToothExponent: TypeAlias = Annotated[
     PerTooth, BeforeValidator(_read_each(_read_exponent))
 ]
+
+
+def _uncertainty(value: object) -> float:
+    """Return a relative uncertainty, a number of at least 0 and below 1."""
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        if 0 <= value < 1:
+            return float(value)
+    raise ValueError(
+        f"found {value!r}, but a number from 0 to less than 1, such as 0.2, is required"
+    )
+
+
+Uncertainty = Annotated[float, BeforeValidator(_uncertainty)]

@@ -27,6 +27,7 @@ from .fields import (
     SpindleSpeed,
     Stiffness,
     Tolerance,
+    Uncertainty,
 )
 from .force import read_force
 from .machine import MachineTable, is_machine
@@ -124,6 +125,14 @@ class OutputTable(Table):
         )
 
 
+class ScatterTable(Table):
+    """`[simulation] scatter`: relative standard deviations of the model."""
+
+    stiffness: Uncertainty = 0.0
+    damping: Uncertainty = 0.0
+    force: Uncertainty = 0.0
+
+
 class SimulationTable(Table):
     """`[simulation]`."""
 
@@ -141,6 +150,7 @@ class SimulationTable(Table):
     mode: Literal["dynamic", "quasistatic"] = "dynamic"
     stability: StrictBool | Literal["quick"] = "quick"
     sensitivity: StrictBool = False
+    scatter: ScatterTable | None = None
 
 
 TABLES: dict[str, type[Table]] = {

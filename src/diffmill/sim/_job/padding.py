@@ -72,7 +72,7 @@ def padded_job(job: Job) -> Job:
     if not isinstance(path.positions, jax.core.Tracer):
         path = pad_path(path)
     settings = dataclasses.replace(
-        job.simulation, has_sensitivity=False, stability="none"
+        job.simulation, has_sensitivity=False, stability="none", scatter=None
     )
     return dataclasses.replace(
         job,

@@ -3,11 +3,12 @@
 Around a simulated run a change of the motors moves the arm, the arm moves the tips, the
 tips change the forces, and the forces move the arm:
 
-    f = L (x, theta_0, theta_1, r, h, p)      loads of the sub-steps of a period
-    (x', m, e) = A (x, theta_0, theta_1, f)   the arm after it, tips on the way
+    f = L (x, theta_0, theta_1, r, h, p, c)      loads of the sub-steps of a period
+    (x', m, e) = A (x, theta_0, theta_1, f, c)   the arm after it, tips on the way
 
 x the arm at the start, theta the motors at both ends, r the poses of the sub-steps in
-the periods before, h the thinned older poses, p the pose one period ago. That the force
+the periods before, h the thinned older poses, p the pose one period ago, c parameters
+of machine and cut, such as stiffness and force coefficients. That the force
 of a sub-step follows its own tip, and that tip the forces before, is solved in each
 period once. One recurrence then carries any number of directions at once.
 
@@ -15,6 +16,7 @@ The stock is held: how a surface moves with the poses that cut it is left out.
 """
 
 import functools
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -28,7 +30,9 @@ from .._machine.machine import RunState, all_ends, begin, continued, with_first
 from .._machine.substeps import AbstractSwinging, CommandRow, follow
 from .period_slopes import (
     ArmSlopes,
+    CuttingMachine,
     ForceSlopes,
+    SwingingModel,
     arm_slopes,
     force_slopes,
     period_force,
@@ -65,8 +69,8 @@ class LinearRun(eqx.Module):
         pose: Of the pose at the start of a period in x, shape (period, pose, state).
         circles: Rows of the thinned poses, shape (period, circle); those before the
             first row, which stay, are negative.
-        begin: Of the first state in the first three motor positions, shape (state,
-            3 joint).
+        begin: Of the first state in the first three motor positions and in the
+            parameters, shape (state, 3 joint + parameter).
         periods: Teeth whose poses a force remembers.
         substeps: Sub-steps of a period.
     """
@@ -77,21 +81,30 @@ class LinearRun(eqx.Module):
     arm: Float[Array, "period output input"]
     pose: Float[Array, "period pose state"]
     circles: Int[Array, "period circle"]
-    begin: Float[Array, "state motor"]
+    begin: Float[Array, "state first"]
     periods: int = eqx.field(static=True)
     substeps: int = eqx.field(static=True)
 
-    def move(self, motors: Float[Array, "step joint direction"]) -> LinearMotion:
-        """Return how the run changes with its motors.
+    def move(
+        self,
+        motors: Float[Array, "step joint direction"],
+        parameters: Float[Array, "parameter direction"] | None = None,
+    ) -> LinearMotion:
+        """Return how the run changes with its motors and parameters.
 
         Args:
             motors: Changes of the motor positions [rad or m], shape (step, joint,
                 direction).
+            parameters: Relative changes of the parameters, shape (parameter,
+                direction); None for a system without any.
 
         **Differentiability**: linear.
         """
         directions = motors.shape[-1]
-        x = self.begin @ motors[:3].reshape(-1, directions)
+        if parameters is None:
+            parameters = jnp.zeros((0, directions), motors.dtype)
+        head = motors[:3].reshape(-1, directions)
+        x = self.begin @ jnp.concatenate([head, parameters])
         first = self.pose[0] @ x
         S, d = self.substeps, first.shape[0]
         steps = motors.shape[0]
@@ -106,8 +119,8 @@ class LinearRun(eqx.Module):
             history = history.at[index].set(p)
             old = history[circles].reshape(-1, directions)
             inputs = [x, start, stop, r.reshape(-1, directions), old, before]
-            f = loads @ jnp.concatenate(inputs)
-            out = arm @ jnp.concatenate([x, start, stop, f])
+            f = loads @ jnp.concatenate([*inputs, parameters])
+            out = arm @ jnp.concatenate([x, start, stop, f, parameters])
             n = x.shape[0]
             x, tips = out[:n], out[n:].reshape(2, S, 3, directions)
             m = tips[0]
@@ -135,6 +148,9 @@ def linearise(
     process: Process,
     motors: Float[Array, "step joint"],
     state: RunState | None = None,
+    *,
+    scaled: Callable[[Array], CuttingMachine] | None = None,
+    parameter_count: int = 0,
 ) -> LinearRun:
     """Run a machine, and return the linear system around the run.
 
@@ -144,6 +160,10 @@ def linearise(
         motors: Motor positions [rad or m], shape (step, joint).
         state: State at row 0, which does not move, of `begin_run` or an earlier
             segment; None to begin with the motors.
+        scaled: Machine and process with their parameters scaled by the exponentials of
+            some numbers, shape (parameter,); None without parameters. A state that is
+            given does not follow them.
+        parameter_count: How many parameters there are.
 
     Returns:
         The system, with the run itself.
@@ -151,6 +171,9 @@ def linearise(
     **Differentiability**: none is meant.
     """
     steps, first = motors.shape[0], jnp.ones((), jnp.int32)
+    model = SwingingModel(
+        scaled or (lambda _: CuttingMachine(machine, process)), parameter_count
+    )
     if state is None:
         started, _ = begin(machine, process, motors, steps)
     else:
@@ -170,7 +193,7 @@ def linearise(
 
     def batch(state: RunState, xs: tuple[Array, CommandRow]):
         ended, (*rest, force) = jax.lax.scan(period, state, xs)
-        slopes = jax.vmap(lambda x: force_slopes(process, x, machine.load_count))
+        slopes = jax.vmap(lambda x: force_slopes(model, x))
         return ended, (*rest, slopes(force))
 
     rows = machine.rows(process, motors, None)
@@ -180,17 +203,17 @@ def linearise(
     around = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[: steps - 1], around)
     periods, states, loads, force = around
     # One after the other: in batches it is no faster, and compiles three times as long.
-    arms = jax.lax.map(
-        lambda x: arm_slopes(machine, process, *x), (states, rows, loads)
-    )
+    arms = jax.lax.map(lambda x: arm_slopes(model, *x), (states, rows, loads))
     solve = functools.partial(_solved, process.engagement, motors.shape[1])
     loads, arm, pose = jax.vmap(solve)(force, arms)
 
-    def begun(head: Float[Array, "row joint"]) -> Array:
+    def begun(head: Float[Array, "row joint"], parameters: Array) -> Array:
+        machine, process = model.scaled(parameters)
         return ravel_pytree(machine.begin(process, head))[0]
 
-    head = jax.jacfwd(begun)(motors[:3])
-    head = head.reshape(head.shape[0], -1)
+    at = motors[:3], model.nominal(motors.dtype)
+    head, by_parameters = jax.jacfwd(begun, argnums=(0, 1))(*at)
+    head = jnp.concatenate([head.reshape(head.shape[0], -1), by_parameters], axis=1)
     return LinearRun(
         ends=all_ends(periods),
         force=with_first(periods.force),
@@ -239,7 +262,8 @@ def _solved(
     P = arm.pose[:, :n]
     tip = jnp.eye(d, 3, dtype=dtype)
     # Of the poses of the sub-steps in all inputs of the arm.
-    inputs = n + m + S * l
+    free = S * l
+    inputs = arm.end.shape[1]
     axis = jnp.zeros((d - 3, inputs), dtype).at[:, :n].set(P[3:])
     middles = jnp.concatenate(
         [arm.middles, jnp.broadcast_to(axis[None], (S, d - 3, inputs))], axis=1
@@ -261,15 +285,16 @@ def _solved(
         jnp.einsum("sla,su->slua", by_tip, own - ahead)
     )
     last = -is_first[:, None, None] * jnp.einsum("sla,pa->slp", by_tip, tip)
-    free = S * l
     rest = [
         before.reshape(free, T * S * d),
         force.thinned.reshape(free, -1),
         last.reshape(free, d),
     ]
     by_arm = by_arm.reshape(free, inputs)
-    stiff = jnp.eye(free, dtype=dtype) - by_arm[:, n + m :]
-    right = jnp.concatenate([by_arm[:, : n + m], *rest], axis=1)
+    by_motion, by_loads, by_parameters = jnp.split(by_arm, [n + m, n + m + free], 1)
+    by_parameters = by_parameters + force.parameters.reshape(free, -1)
+    stiff = jnp.eye(free, dtype=dtype) - by_loads
+    right = jnp.concatenate([by_motion, *rest, by_parameters], axis=1)
     # A load follows those of earlier sub-steps only.
     loads = jax.scipy.linalg.solve_triangular(stiff, right, lower=True)
     out = [arm.end, arm.middles.reshape(-1, inputs), arm.ends.reshape(-1, inputs)]

@@ -10,12 +10,13 @@ A pose is a row of 3 numbers, the tip, or of 6 where the tool tilts: tip and axi
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int
 
 from ...process import (
@@ -25,6 +26,35 @@ from ...process import (
 )
 from ...workpiece import RAYS_READ, Pose
 from .._machine.substeps import AbstractSwinging, CommandRow
+
+
+class CuttingMachine(NamedTuple):
+    """A machine and what it cuts.
+
+    Attributes:
+        machine: The machine.
+        process: The process.
+    """
+
+    machine: AbstractSwinging
+    process: Process
+
+
+class SwingingModel(eqx.Module):
+    """A machine that cuts, as it follows from some parameters.
+
+    Attributes:
+        scaled: Machine and process from the logarithms of the factors that scale their
+            parameters, shape (parameter,).
+        count: How many there are.
+    """
+
+    scaled: Callable[[Float[Array, " parameter"]], CuttingMachine]
+    count: int = eqx.field(static=True)
+
+    def nominal(self, dtype: DTypeLike) -> Float[Array, " parameter"]:
+        """Return the logarithms at which nothing is scaled."""
+        return jnp.zeros(self.count, dtype)
 
 
 class ForceSlopes(eqx.Module):
@@ -37,6 +67,8 @@ class ForceSlopes(eqx.Module):
         thinned: In the thinned older poses, shape (substep, load, circle, pose).
         predicted: In the pose at which the stock was looked up, shape (substep, load,
             pose).
+        parameters: In the parameters of the process, the stock held, shape (substep,
+            load, parameter).
         circles: Rows of the thinned poses, shape (circle,).
     """
 
@@ -44,14 +76,15 @@ class ForceSlopes(eqx.Module):
     before: Float[Array, "substep load tooth pose"]
     thinned: Float[Array, "substep load circle pose"]
     predicted: Float[Array, "substep load pose"]
+    parameters: Float[Array, "substep load parameter"]
     circles: Int[Array, " circle"]
 
 
 class ArmSlopes(eqx.Module):
     """Slopes of the arm over one period, in its inputs one after the other.
 
-    The inputs are the state at the start, the motors at the start and at the end, and
-    the loads of the sub-steps.
+    The inputs are the state at the start, the motors at the start and at the end, the
+    loads of the sub-steps, and the parameters of the machine.
 
     Attributes:
         end: Of the state at the end, shape (state, input).
@@ -140,14 +173,14 @@ def period_force(
     return PeriodForce(samples, known, push, as_rows(middles), recent, thinned, circles)
 
 
-def force_slopes(process: Process, around: PeriodForce, load_count: int) -> ForceSlopes:
+def force_slopes(model: SwingingModel, around: PeriodForce) -> ForceSlopes:
     """Return the slopes of a period's loads.
 
     Args:
-        process: The process; its stock does not count.
+        model: Machine and process; its stock does not count.
         around: What they follow from.
-        load_count: 3 for forces, 6 with moments about the tip.
     """
+    at = model.nominal(around.middles.dtype)
     # A sample of an edge follows the pose of its own sub-step: one motion of all.
     shape = around.middles.shape
     unit = jnp.eye(shape[-1], dtype=around.middles.dtype)
@@ -163,18 +196,22 @@ def force_slopes(process: Process, around: PeriodForce, load_count: int) -> Forc
         earlier: Array,
         old: Array,
         edges: EdgeSamples,
+        parameters: Array,
         known: EdgeSamples,
     ) -> Array:
+        machine, process = model.scaled(parameters)
         poses = as_poses(middle), as_poses(earlier), as_poses(old)
         found = process.engagement.wrench(process, eqx.combine(edges, known), *poses)
-        return jnp.mean(found, axis=0)[:load_count]
+        return jnp.mean(found, axis=0)[: machine.load_count]
 
     earlier = jnp.moveaxis(around.recent, 0, 1)
-    slopes = jax.vmap(jax.jacrev(load, argnums=(0, 1, 2, 3)), (0, 0, None, 0, 0))
-    found = slopes(
-        around.middles, earlier, around.thinned, around.samples, around.known
+    slopes = jax.vmap(
+        jax.jacrev(load, argnums=(0, 1, 2, 3, 4)), (0, 0, None, 0, None, 0)
     )
-    now, before, thinned, by_edges = found
+    found = slopes(
+        around.middles, earlier, around.thinned, around.samples, at, around.known
+    )
+    now, before, thinned, by_edges, by_parameters = found
 
     both = zip(jax.tree.leaves(by_edges), jax.tree.leaves(by_either), strict=True)
     products = [jnp.einsum("sl...,ps...->slp", a, b) for a, b in both]
@@ -185,13 +222,13 @@ def force_slopes(process: Process, around: PeriodForce, load_count: int) -> Forc
         before=before.at[:, :, 0].add(by_newest),
         thinned=thinned,
         predicted=by_predicted,
+        parameters=by_parameters,
         circles=around.circles,
     )
 
 
 def arm_slopes(
-    machine: AbstractSwinging,
-    process: Process,
+    model: SwingingModel,
     state: Any,
     row: CommandRow,
     loads: Float[Array, "substep load"],
@@ -199,16 +236,18 @@ def arm_slopes(
     """Return the slopes of the arm over one period.
 
     Args:
-        machine: The machine.
-        process: The process, of which the tooth period and the sub-steps count.
+        model: Machine and process; tooth period and sub-steps of that count.
         state: The arm at the start.
         row: Motors at both ends, shape (joint,).
         loads: Loads of the sub-steps in `work` [N], [N m], shape (substep, load).
     """
     flat, unravel = ravel_pytree(state)
-    times = process.tooth_period * process.substep_middles(flat.dtype)
 
-    def move(x: Array, start: Array, stop: Array, loads: Array) -> tuple[Array, ...]:
+    def move(
+        x: Array, start: Array, stop: Array, parameters: Array, loads: Array
+    ) -> tuple[Array, ...]:
+        machine, process = model.scaled(parameters)
+        times = process.tooth_period * process.substep_middles(flat.dtype)
         first = unravel(x)
         span = machine.span(process, first, CommandRow(start, stop))
 
@@ -223,11 +262,13 @@ def arm_slopes(
         end, (tips, ends) = jax.lax.scan(substep, first, (times, loads))
         return ravel_pytree(end)[0], as_rows(span.pose), tips, ends
 
-    inputs = flat, row.start, row.stop, loads
-    by_start = jax.jacfwd(move, argnums=(0, 1, 2))(*inputs)
-    by_loads = jax.jacfwd(move, argnums=3)(*inputs)
+    inputs = flat, row.start, row.stop, model.nominal(flat.dtype), loads
+    by_start = jax.jacfwd(move, argnums=(0, 1, 2, 3))(*inputs)
+    by_loads = jax.jacfwd(move, argnums=4)(*inputs)
     joined = [
-        jnp.concatenate([*slopes, by_load.reshape(*by_load.shape[:-2], -1)], axis=-1)
+        jnp.concatenate(
+            [*slopes[:3], by_load.reshape(*by_load.shape[:-2], -1), slopes[3]], axis=-1
+        )
         for slopes, by_load in zip(by_start, by_loads, strict=True)
     ]
     return ArmSlopes(*joined)

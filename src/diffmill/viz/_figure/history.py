@@ -26,7 +26,8 @@ def plot_deviation(dataset: "xarray.Dataset") -> "matplotlib.figure.Figure":
         The figure: three components, the contour error, and its absolute value on
         a logarithmic scale, on which small errors stay visible beside large ones.
         Grey bands are steps that do not cut. A case that is off by more than twice
-        as much as the uncorrected one appears on the logarithmic scale alone.
+        as much as the uncorrected one appears on the logarithmic scale alone. There
+        the error to be expected of a machine that scatters is dotted, if it is known.
     """
     figure = new_figure(7.6)
     has_contour = "contour_error" in dataset
@@ -82,6 +83,17 @@ def _draw_contour(
         usual = size[np.isfinite(size)]
         low = np.percentile(usual, 2) if usual.size else _FLOOR_UM
         smallest = min(smallest, float(low))
+    if "contour_error_expected" in dataset:
+        reference = reference_case(dataset)
+        expected = np.asarray(dataset["contour_error_expected"], np.float64) * 1e6
+        absolute.plot(
+            values_of(dataset, "time", reference),
+            np.where(cutting_of(dataset, reference), expected, np.nan),
+            color="#555555",
+            linewidth=1.0,
+            linestyle=":",
+            label="expected, model scattered",
+        )
     quiet_axes(signed, y=r"contour error [$\mathrm{\mu m}$]")
     absolute.set_yscale("log")
     absolute.set_ylim(max(_FLOOR_UM, 0.5 * smallest), 2.0 * largest)
