@@ -101,8 +101,8 @@ def error_band(job: Job, solution: Solution) -> ErrorBand:
         The band.
 
     Raises:
-        ValueError: The job has no machine that swings or no scatter, or JAX is not set up for
-            its precision.
+        ValueError: The job has no machine that swings or no scatter, or JAX is not
+            set up for its precision.
 
     Differentiability: runs on the host, not traceable.
     """
