@@ -120,13 +120,13 @@ def test_the_linear_run_follows_parameters_of_machine_and_cut(kind):
 
     def scaled(log):
         factor = jnp.exp(log)
+        assert isinstance(machine, sim.ElasticArm)
         robot = machine.robot
         leaves = lambda r: (r.joint_stiffness, r.joint_damping)
         values = robot.joint_stiffness * factor[0], robot.joint_damping * factor[1]
         soft = sim.ElasticArm(eqx.tree_at(leaves, robot, values), np.eye(4))
         leaves = lambda p: (p.side_law.K_tc, p.side_law.K_re)
-        law = process.side_law
-        values = law.K_tc * factor[2], law.K_re * factor[3]
+        values = PAPER_LAW.K_tc * factor[2], PAPER_LAW.K_re * factor[3]
         return sim.CuttingMachine(soft, eqx.tree_at(leaves, process, values))
 
     @jax.jit
@@ -136,7 +136,7 @@ def test_the_linear_run_follows_parameters_of_machine_and_cut(kind):
             machine, process, theta, scaled=scaled, parameter_count=4
         )
         found = linear.move(still, change)
-        run = lambda log: sim.run(*scaled(log), theta)
+        run = lambda log: scaled(log).machine.run(scaled(log).process, theta)
         pushed = jax.jvp(run, (jnp.zeros(4),), (change[:, 0],))[1]
         return (found.ends[..., 0], found.force[..., 0]), (pushed.ends, pushed.force)
 

@@ -140,6 +140,7 @@ def test_the_band_of_a_stiffness_is_its_sag_and_adds_to_the_error(job):
         lambda j: j.robot.joint_stiffness, job, job.robot.joint_stiffness * (1 - 1e-3)
     )
     # The controller goes on by the stiffness that it knows.
+    assert solution.motor_positions is not None
     ran = sim.run_motors(softer, solution.motor_positions, pr.StockHeld())
     moved = np.asarray(ran.actual - solution.actual)[:, 2]
     known = np.sum(band.shift, axis=0)[:, 2]
