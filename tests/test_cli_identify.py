@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import scipy.io
 import xarray
-from slides_job import write_slides_job
+from slides_job import JOB, write_slides_job
 from slot_force import SPEED, K, slot_force
 
-from diffmill import cutter as ct, identification, load_job
+from diffmill import cutter as ct, identification, load_job, robot as rb
 from diffmill.cli import main, report_of
 
 MEANS = """kind = "mean_forces"
@@ -206,6 +206,40 @@ def test_modes_give_dampers(folder, capsys):
     names = {"ring_down", "correlation", "damping", "damping_correlation"}
     assert {p.stem for p in out.glob("*.png")} == names
     assert "joint dampers" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_a_hammer_test_gives_the_machine_of_a_job(folder):
+    shapes = np.array([[0.2, 0.0, 0.0], [0.5, 0.0, 0.0], [0.0, 0.3, 0.0]])
+    ratios = np.array([0.02, 0.04, 0.03])
+    machine = rb.TipModes(np.array([60.0, 200.0, 90.0]), ratios, shapes)
+    lines = np.arange(20.0, 400.0, 0.5)
+    truth = np.asarray(machine.receptance(lines))
+    random = np.random.default_rng(0)
+    text = 'kind = "frequency_response"\n'
+    for axis, count in ((0, 2), (1, 1)):
+        H = truth[:, axis, axis]
+        noise = random.normal(size=(2, H.size)) * 2e-3 * np.abs(H).max()
+        H = H + noise[0] + 1j * noise[1]
+        rows = "".join(
+            f"{f},{h.real},{h.imag}\n" for f, h in zip(lines, H, strict=True)
+        )
+        (folder / f"{axis}.csv").write_text("frequency_Hz,real,imag\n" + rows)
+        text += (
+            f'[[frequency_response]]\nfile = "{axis}.csv"\nmodes = {count}\n'
+            f'units = {{ response = "m/N" }}\n'
+            f"direction = {[float(k == axis) for k in range(3)]}\n"
+        )
+    (folder / "hammer.toml").write_text(text)
+    assert main(["identify", "hammer.toml"]) == 0
+    file = write_slides_job(folder)
+    robot, rest = JOB.index("[robot]"), JOB.index("[simulation]")
+    named = '[machine]\nfile = "hammer-identify/identified.toml"\n'
+    file.write_text(JOB[:robot] + named + JOB[rest:])
+    modes = load_job(file).modes
+    assert modes is not None
+    found = np.asarray(modes.receptance(lines))
+    assert np.abs(found - truth).max() < 0.01 * np.abs(truth).max()
 
 
 def test_a_coupled_fit_is_told_and_drawn_beside_its_record(tmp_path):

@@ -21,6 +21,7 @@ from ._build.robot import added_joints, pose_matrix, read_robot
 from ._build.stock import StockPlan, read_stock
 from ._check.modes import (
     LONGEST_SUBSTEP,
+    check_held_force,
     check_modes,
     check_sag,
     counting_modes,
@@ -353,7 +354,9 @@ def _simulation(
         )
     if stock is None or path is None or deepest is None:
         return None
-    if fastest > 0.0:
+    if parts.modes is not None:
+        check_held_force(fastest, period / substeps, context.notes)
+    elif fastest > 0.0:
         check_modes(fastest, period / substeps, context.notes)
     if "correction" in tables:
         check_correction(tables["correction"], cutter, not axes, problems)

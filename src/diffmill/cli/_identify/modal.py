@@ -6,7 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from ...identification import ModeStudy, ModeStudyFit, RingDown
+from ...identification import (
+    FrequencyResponse,
+    ModeStudy,
+    ModeStudyFit,
+    RingDown,
+)
 from ...viz import (
     plot_correlation,
     plot_frequency_response,
@@ -56,6 +61,9 @@ def report_modes(study: ModeStudy, found: ModeStudyFit) -> Report:
 def _toml(study: ModeStudy, found: ModeStudyFit) -> list[str]:
     """Return the tables for a job."""
     damping, robot = found.damping, study.robot
+    machine = _machine_toml(study, found)
+    if machine:
+        return machine
     if damping is None or robot is None:
         return [
             "# Modes only: give [robot] and joint_positions for the joints' dampers."
@@ -70,6 +78,35 @@ def _toml(study: ModeStudy, found: ModeStudyFit) -> list[str]:
         *joints_toml(robot, "joint_damping", values, errors, known),
         *uncertainty_toml("damping", share, remark),
     ]
+
+
+def _machine_toml(study: ModeStudy, found: ModeStudyFit) -> list[str]:
+    """Return the modes of a machine, of what was measured at its tool tip."""
+    return [
+        line
+        for one, fit in zip(study.measured, found.modes, strict=True)
+        if isinstance(one, FrequencyResponse) and one.direction is not None
+        for line in _mode_tables(one, fit)
+    ]
+
+
+def _mode_tables(one: FrequencyResponse, fit: Any) -> list[str]:
+    """Return the modes of one direction as tables of a job."""
+    lines = []
+    # At the point that is struck every mode moves with the force.
+    known = fit.identifiable & fit.is_structural & (fit.stiffness > 0)
+    for k, is_known in enumerate(known):
+        if not is_known:
+            lines.append(f"# {one.name}: {fit.frequencies[k]:.4g} Hz is not known")
+            continue
+        lines += [
+            "[[machine.modes]]",
+            f'frequency = "{fit.frequencies[k]:.8g} Hz"',
+            f"damping_ratio = {fit.damping_ratios[k]:.8g}",
+            f"direction = {one.direction}",
+            f'stiffness = "{fit.stiffness[k]:.8g} N/m"',
+        ]
+    return lines
 
 
 def _mode_facts(fit: Any) -> dict[str, Any]:

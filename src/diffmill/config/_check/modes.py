@@ -111,6 +111,23 @@ def check_modes(fastest: float, substep: float, notes: list[str]) -> None:
     )
 
 
+def check_held_force(fastest: float, substep: float, notes: list[str]) -> None:
+    """Note a mode of a machine that a force held over the sub-steps drives too little.
+
+    Args:
+        fastest: Highest frequency that counts [Hz].
+        substep: Length of a sub-step [s].
+        notes: Receives what is doubtful.
+    """
+    share = (2 * math.pi * fastest * substep) ** 2 / 24
+    if share > _TOO_LOW:
+        notes.append(
+            f"[simulation] substeps: a force that oscillates at {fastest:.4g} Hz is "
+            f"{100 * share:.1f} % too small when it is held over sub-steps of "
+            f"{1e3 * substep:.3g} ms"
+        )
+
+
 def check_sag(
     robot: Robot,
     poses: Float[np.ndarray, "pose joint"],

@@ -122,6 +122,11 @@ def _frequency_response(
     table: FrequencyResponseTable, pose: np.ndarray | None
 ) -> Callable[[TableReader], FrequencyResponse]:
     def build(reader: TableReader) -> FrequencyResponse:
+        if table.direction is not None and not any(table.direction):
+            reader.faults.append(
+                f"direction: found {table.direction}, but a direction is required, "
+                "such as [1, 0, 0]."
+            )
         f, H = _response(reader, _RESPONSES[table.quantity])
         good = np.isfinite(f) & np.isfinite(H) & (f > 0)
         order = np.argsort(f[good], kind="stable")
@@ -144,6 +149,7 @@ def _frequency_response(
             frequencies=_guesses(table),
             q=pose,
             notes=tuple(reader.notes),
+            direction=table.direction,
         )
 
     return build

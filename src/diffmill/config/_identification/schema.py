@@ -21,6 +21,7 @@ from .._schema.fields import (
     Time,
 )
 from .._schema.job import PoseTable, SpindleTable
+from .._schema.machine import Direction
 from .._schema.table import Table, validated
 from .fields import Axes, AxesOrProposed, Channels, CutNumber, File, Side, Span
 
@@ -129,6 +130,7 @@ class FrequencyResponseTable(MeasuredTable):
     modes: Annotated[StrictInt, Field(ge=1, le=20)] | None = None
     frequencies: list[Frequency] | None = None
     joint_positions: list[StrictStr] | None = None
+    direction: Direction | None = None
 
 
 class CoupledTable(MeasuredTable):

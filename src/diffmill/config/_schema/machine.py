@@ -1,6 +1,6 @@
 """`[machine]`: a machine given by its modes at the tool tip, instead of a robot."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -12,14 +12,19 @@ from .table import Table
 _AXES = ("x", "y", "z")
 
 
+Direction: TypeAlias = Annotated[
+    list[StrictFloat | StrictInt], Field(min_length=3, max_length=3)
+]
+
+
 class ModeTable(Table):
     """An entry of `[[machine.modes]]`: one mode as the tool tip shows it."""
 
     frequency: Frequency = Field(description='the natural one, such as "922 Hz"')
     damping_ratio: Ratio = Field(description="the damping ratio, such as 0.02")
-    direction: Annotated[
-        list[StrictFloat | StrictInt], Field(min_length=3, max_length=3)
-    ] = Field(description="in which the tip moves, such as [1, 0, 0]; of any length")
+    direction: Direction = Field(
+        description="in which the tip moves, such as [1, 0, 0]; of any length"
+    )
     stiffness: LinearStiffness | None = None
     mass: Mass | None = None
 

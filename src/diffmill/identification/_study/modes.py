@@ -63,6 +63,8 @@ class FrequencyResponse(NamedTuple):
         frequencies: Guesses [Hz], shape (mode,), or None.
         q: Joint positions [rad or m], shape (joint,), or None.
         notes: What was assumed.
+        direction: In which the tool tip was struck and its motion measured, in the
+            axes of the machine, of any length; None if it was not there.
     """
 
     name: str
@@ -74,6 +76,7 @@ class FrequencyResponse(NamedTuple):
     frequencies: Float[np.ndarray, " mode"] | None
     q: Float[np.ndarray, " joint"] | None
     notes: tuple[str, ...]
+    direction: list[float] | None = None
 
     def fit(self) -> FrequencyResponseFit:
         """Return its modes."""
