@@ -1,16 +1,16 @@
 """Files in and out: jobs, programs, recorded paths, results.
 
-A job is a TOML file whose every quantity is text with a unit; it is checked as a
-whole, so that one error lists everything wrong with it and with the program that it
-names. Programs are G-code (three axes, the words listed by `diffmill.io.ProgramError`)
-or recorded paths as CSV. Results are written to a temporary folder that is renamed at
-the end, so that a folder of results is complete or absent.
+A job is a TOML file whose every quantity is text with a unit; it is checked as a whole,
+so that one error lists everything wrong with it and with the program that it names.
+Programs are G-code (three axes, the words listed by `diffmill.io.ProgramError`), KRL,
+RAPID and APT as far as they are plain motion, or recorded paths as CSV. Results are
+written to a temporary folder that is renamed at the end, so that a folder of results is
+complete or absent.
 
 Stock is a block, a closed mesh, or what an earlier run left. G-code is for an upright
-tool; a path as CSV may carry tool axes.
-Measured forces are read as they stand, from text or what laboratory programs write.
-What `diffmill identify` is to find out stands in a TOML file like a job.
-Programs of robots are read and written as far as they are plain motion.
+tool; the others carry tool axes. Measured forces are read as they stand, from text or
+what laboratory programs write. What `diffmill identify` is to find out stands in a TOML
+file like a job.
 """
 
 from ._checkpoint import (

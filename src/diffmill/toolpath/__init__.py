@@ -3,12 +3,13 @@
 A program is a list of moves (lines, arcs, helices); a path is the tool tip at every
 tooth instant. Between them stands the timing: the programmed feed, one limit of the
 tangential and the centripetal acceleration, corners rounded within a tolerance or
-stopped at, a start and an end at rest. Assumed: the controller travels with
-trapezoidal speed (no jerk limit), a corner is rounded by an arc between lines and by a
-cubic curve at arcs, rapid moves are straight and end at rest. Left out: dwells other
-than inverse-time moves without displacement, rotary axes, and the controller's own
-path deviation. The contour error of a path against the desired one is JAX code and
-differentiates; everything else runs once, on the host, in NumPy.
+stopped at, a start and an end at rest. Assumed: the controller travels with trapezoidal
+speed (no jerk limit), a corner is rounded by an arc between lines and by a cubic curve
+at arcs, rapid moves are straight and end at rest, the tool axis turns evenly along a
+move. A path of few blocks keeps a tolerance at every time (`reduce_path`). Left out:
+axes of a machine that turn, and the controller's own path deviation. The contour error
+of a path against the desired one is JAX code and differentiates; everything else runs
+once, on the host, in NumPy.
 """
 
 from ._contour import contour_error as contour_error, contour_vector as contour_vector
