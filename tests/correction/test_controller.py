@@ -1,4 +1,4 @@
-"""The linear system of a job goes through its controller."""
+"""A correction through a controller: the linear system, and what it makes of a path."""
 
 import jax
 import jax.numpy as jnp
@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from diffmill.config import load_job
-from diffmill.correction import TipPlant
+from diffmill.correction import TipPlant, correct
 from diffmill.process import StockHeld
+from diffmill.sim import JobKinematics
 
 PROGRAM = """G21 G17 G90 G94
 G0 X-6 Y5 Z1
@@ -79,3 +80,20 @@ def test_the_linear_system_goes_through_the_controller(job):
         (found.force[0], pushed.force),
     ]:
         assert np.max(np.abs(have - want)) < 1e-9 * np.max(np.abs(want))
+
+
+@pytest.mark.slow
+def test_a_correction_makes_up_for_the_controller(job):
+    found = correct(job)
+    error = {
+        name: np.sqrt(np.mean(np.asarray(case.contour_error)[case.is_cutting] ** 2))
+        for name, case in found.cases.items()
+    }
+    assert error["corrected"] < 0.1 * error["uncorrected"]
+    assert error["corrected"] < 0.3 * min(error["mirror"], error["inverse_drive"])
+    # What is recorded are the motors as they move, not as they are told.
+    told, _ = JobKinematics(job).motors(jnp.asarray(job.path.positions))
+    assert job.controller is not None and found.before.motor_positions is not None
+    moved = job.controller.motors(told, job.tooth_period)
+    assert np.allclose(found.before.motor_positions, moved, rtol=0, atol=1e-12)
+    assert np.abs(moved - told).max() > 1e-5
