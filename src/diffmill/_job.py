@@ -205,7 +205,7 @@ class OutputSettings(eqx.Module):
     """
 
     formats: tuple[str, ...] = eqx.field(static=True, default=(".ngc",))
-    tolerance: float = eqx.field(static=True, default=5e-6)
+    tolerance: float = eqx.field(static=True, default=1e-6)
     cycle: float = eqx.field(static=True, default=0.0)
     max_step: float = eqx.field(static=True, default=float("inf"))
 

@@ -110,7 +110,7 @@ class OutputTable(Table):
     formats: list[Literal["gcode", "krl", "rapid", "apt"]] = Field(
         default_factory=lambda: ["gcode"]
     )
-    tolerance: Tolerance = 5e-6
+    tolerance: Tolerance = 1e-6
     stream_cycle: Delay = 0.0
     max_step: PositiveLength = math.inf
 
