@@ -200,7 +200,7 @@ def linearise(
     index = first + jnp.arange(steps - 1, dtype=jnp.int32)
     batches = jax.tree.map(_in_batches, (index, rows))
     _, around = jax.lax.scan(batch, started, batches)
-    around = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[: steps - 1], around)
+    around = jax.tree.map(lambda x: jax.lax.collapse(x, 0, 2)[: steps - 1], around)
     periods, states, loads, force = around
     # One after the other: in batches it is no faster, and compiles three times as long.
     arms = jax.lax.map(lambda x: arm_slopes(model, *x), (states, rows, loads))
