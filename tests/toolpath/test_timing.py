@@ -315,6 +315,19 @@ def test_a_smoothed_motion_stays_on_the_program_and_stops_where_it_stops():
     np.testing.assert_allclose(smooth.positions[-1], end, atol=1e-12)
 
 
+def test_moves_that_state_their_time_keep_it_when_others_are_smoothed():
+    ends = [(0.001 * i, 0.0005 * (i % 2), 0.0) for i in range(6)]
+    timed = [line(a, b, feed=None, duration=0.0123) for a, b in pairwise(ends)]
+    free = line(ends[-1], (0.02, 0.0, 0.0))
+    plain, smooth = smoothed(Program((*timed, free)))
+    rows = math.floor(5 * 0.0123 / PERIOD)
+    np.testing.assert_allclose(
+        smooth.positions[:rows], plain.positions[:rows], atol=1e-12
+    )
+    assert smooth.duration == pytest.approx(plain.duration + SMOOTHING, abs=PERIOD)
+    np.testing.assert_allclose(smooth.positions[-1], free.end, atol=1e-12)
+
+
 def test_a_smoothed_motion_keeps_the_limits_where_the_path_bends():
     moves = (
         line((0, 0, 0), (0.02, 0, 0)),

@@ -47,7 +47,7 @@ def mean_way(
     start: Times,
     stop: Times,
     local: Times,
-    smoothing: float,
+    smoothing: Times,
 ) -> Times:
     """Return the mean over the last tau of the way between two stops [m].
 
@@ -56,7 +56,7 @@ def mean_way(
         start: When, in the plain motion, the tool leaves the stop before [s].
         stop: When it reaches the next one [s].
         local: Time since the stop before [s], from 0 to stop - start + tau.
-        smoothing: tau [s].
+        smoothing: tau [s]; the way itself where it is zero.
 
     Returns:
         Way since the stop before, shape (step,).
@@ -69,8 +69,10 @@ def mean_way(
         _, A = way(start + inside)
         return A - A_0 - s_0 * inside + (s_1 - s_0) * np.maximum(t - whole, 0.0)
 
-    mean = (area(local) - area(local - smoothing)) / smoothing
-    return np.clip(mean, 0.0, s_1 - s_0)
+    tau = np.where(smoothing > 0, smoothing, 1.0)
+    mean = (area(local) - area(local - tau)) / tau
+    here = way(start + np.clip(local, 0.0, whole))[0] - s_0
+    return np.clip(np.where(smoothing > 0, mean, here), 0.0, s_1 - s_0)
 
 
 def slow_ranges(

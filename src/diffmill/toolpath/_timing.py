@@ -73,8 +73,8 @@ def sample_program(
     The tangential and the centripetal acceleration each stay within the limit. The
     tool starts and ends at rest and stops where a rapid move begins or ends, where it
     turns back, and, without a corner tolerance, at every corner. Moves that give a
-    duration (inverse time) take exactly that, at a constant speed, unrounded; one of
-    them without a displacement holds the tool for its duration.
+    duration (inverse time) take exactly that, at a constant speed, unrounded and not
+    smoothed; one of them without a displacement holds the tool for its duration.
 
     Args:
         program: The program; its approach is left out.
@@ -292,9 +292,11 @@ def _sampled(
     section = _sections(legs)
     first = np.flatnonzero(np.diff(section, prepend=-1))
     stops = ends[np.append(first[1:], len(legs)) - 1]
-    # Between two stops a smoothed motion takes so much longer, but no dwell does.
-    moves = np.bincount(section, profile.length) > 0
-    late = np.cumsum(smoothing * moves)
+    # Between two stops a smoothed motion takes so much longer; a move that states its
+    # time does not, and no dwell.
+    is_free = np.array([leg.duration is None for leg in legs])
+    longer = smoothing * (np.bincount(section, profile.length * is_free) > 0)
+    late = np.cumsum(longer)
     count = max(1, math.ceil((stops[-1] + late[-1]) / tooth_period - _SAME_INSTANT))
     time = tooth_period * np.arange(count + 1)
     if smoothing == 0:
@@ -303,9 +305,9 @@ def _sampled(
     else:
         part = at(stops + late, time)
         begun = np.append(0.0, stops[:-1])
-        local = time - (begun + late - smoothing * moves)[part]
+        local = time - (begun + late - longer)[part]
         way = _way_in_time(profile)
-        gone = mean_way(way, begun[part], stops[part], local, smoothing)
+        gone = mean_way(way, begun[part], stops[part], local, longer[part])
         lengths = np.cumsum(profile.length)
         before = (lengths - profile.length)[first]
         index = np.searchsorted(lengths, before[part] + gone - _SHORTEST)
