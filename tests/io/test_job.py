@@ -470,7 +470,7 @@ def test_a_program_can_be_smoothed_and_a_recorded_path_cannot(write, tmp_path):
     assert smooth.path.time[-1] > plain.path.time[-1] + 0.03
     rows = ["time_s,x_mm,y_mm,z_mm", "0,-6,4,-1", "0.05,-4,4,-1"]
     (tmp_path / "path.csv").write_text("\n".join(rows) + "\n")
-    with pytest.raises(JobError, match=r"\[program\] smoothing: found 30 ms"):
+    with pytest.raises(JobError, match=r"\[program\] smoothing"):
         load_job(write(key, ('"part.ngc"', '"path.csv"')))
 
 

@@ -7,7 +7,7 @@ the effect of 1 % and parameters of any unit can be compared.
 """
 
 import dataclasses
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
@@ -156,14 +156,12 @@ def _springs(job: Job) -> tuple[str, ...]:
     return job.robot.joint_names
 
 
-def _drives(job: Job) -> list[Array]:
+def _drives(job: Job) -> list[Any]:
     """Return the leaves that say how soft and how damped the machine is."""
     if job.modes is not None:
-        leaves = [job.modes.frequencies, job.modes.damping_ratios]
-    else:
-        assert job.robot is not None
-        leaves = [job.robot.joint_stiffness, job.robot.joint_damping]
-    return leaves  # pyright: ignore[reportReturnType]
+        return [job.modes.frequencies, job.modes.damping_ratios]
+    assert job.robot is not None
+    return [job.robot.joint_stiffness, job.robot.joint_damping]
 
 
 def _coefficient_names(job: Job) -> tuple[str, ...]:
