@@ -44,6 +44,22 @@ def test_pip_and_uv_get_the_same_pins():
     assert len(pins) > len(project["project"]["dependencies"])
 
 
+def test_type_checkers_are_told_that_the_package_is_typed():
+    import diffmill
+
+    assert pathlib.Path(diffmill.__file__).with_name("py.typed").is_file()
+
+
+def test_citation_names_the_version_and_licence_of_the_package():
+    lines = (ROOT / "CITATION.cff").read_text(encoding="utf-8").splitlines()
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    facts = project["project"]
+    assert f"version: {facts['version']}" in lines
+    assert f"license: {facts['license']}" in lines
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert f"\n## {facts['version']}" in changes
+
+
 def test_every_name_is_found_and_import_leaves_jax_alone():
     code = """
 import sys
