@@ -159,6 +159,15 @@ def test_headline_is_that_of_the_chosen_case(tmp_path, correction):
     assert f"{rms:.1f} {MICROMETRE} contour error (rms) after" in text
 
 
+def test_the_error_of_the_written_program_stands_beside_that_of_the_command(
+    tmp_path, correction
+):
+    given = correction.assign_attrs(written_rms_ngc=12.34e-6)
+    text = read(write_report(tmp_path, given, {})).text
+    assert "12.3" in text and "corrected.ngc" in text
+    assert "written_rms_ngc" not in text
+
+
 def test_failed_run_without_a_reason_is_marked_too(tmp_path, simulation):
     failed = simulation.assign_attrs(is_successful=0)
     assert "This run is incomplete." in read(write_report(tmp_path, failed, {})).text

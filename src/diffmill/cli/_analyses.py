@@ -35,7 +35,7 @@ class FinishedRun(NamedTuple):
 
 
 def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> int:
-    """Add contacts, stability, sensitivity, figures and the report to written results.
+    """Add analyses, figures and the report to written results.
 
     Args:
         folder: The folder of the results.
@@ -49,6 +49,9 @@ def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> 
 
     attempts = Attempts()
     dataset = run.dataset
+    if "corrected_case" in dataset.attrs:
+        with attempts.at("written program"):
+            dataset = _with_written(folder, run, progress)
     for name, step in (
         ("contacts", _with_contacts),
         ("stability", _with_stability),
@@ -66,6 +69,18 @@ def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> 
 
     attempts.add(folder, fill)
     return attempts.conclude(folder)
+
+
+def _with_written(
+    folder: pathlib.Path, run: FinishedRun, progress: Progress
+) -> Dataset:
+    """Return the dataset with the errors that the written programs leave; say them."""
+    from ._corrected import written_errors
+
+    errors, lines = written_errors(run.job, run.final, folder)
+    suffix = lambda name: name.rpartition(".")[2]
+    found = {f"written_rms_{suffix(name)}": rms for name, rms in errors.items()}
+    return _with_notes(run.dataset.assign_attrs(found), _said(lines, progress))
 
 
 def _with_contacts(run: FinishedRun, progress: Progress) -> Dataset:

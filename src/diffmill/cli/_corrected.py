@@ -1,13 +1,101 @@
 """The corrected command as files: a path, programs, a stream of offsets."""
 
+import pathlib
 from typing import TYPE_CHECKING
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 if TYPE_CHECKING:
     from .._job import Job
+    from ..sim import Solution
+    from ..toolpath import Path
+
+# A written program that leaves so much more than its command calls for more blocks.
+_WORTH_A_NOTE = 1.2
+
+
+def written_errors(
+    job: "Job", final: "Solution", folder: pathlib.Path
+) -> tuple[dict[str, float], list[str]]:
+    """Read the corrected programs of a folder and run them.
+
+    Args:
+        job: The job.
+        final: Solution of the command that they were written from.
+        folder: The folder.
+
+    Returns:
+        Root mean square contour error where the tool cuts [m] by name of file, and
+        lines about them.
+    """
+    job, own = job.with_precision(), _rms(final, np.asarray(final.is_cutting))
+    found, said = {}, []
+    for suffix in job.output.formats:
+        name = f"corrected{suffix}"
+        path = written_path(folder / name, float(job.tooth_period))
+        if path is None:
+            said.append(f"{name}: not run, since it states feeds instead of times")
+            continue
+        found[name] = rms = _run_written(job, final, path)
+        said.append(
+            f"{name}: read back and run, it leaves {rms * 1e6:.2f} um rms where the "
+            f"tool cuts; its command leaves {own * 1e6:.2f} um"
+        )
+        if not rms <= _WORTH_A_NOTE * own:
+            said.append(
+                f"note: {name} leaves {rms / own:.2g} times the error of its command: "
+                "[output] tolerance is "
+                f"{job.output.tolerance * 1e6:g} um, a smaller one takes more blocks"
+            )
+    return found, said
+
+
+def written_path(file: pathlib.Path, tooth_period: float) -> "Path | None":
+    """Return a written program as a path; None if its moves do not state their times.
+
+    Args:
+        file: The program.
+        tooth_period: Time between the rows of the path [s].
+    """
+    from ..io import read_program
+    from ..toolpath import Path, sample_program
+
+    program = read_program(file)
+    assert not isinstance(program, Path)
+    if any(move.duration is None for move in program.timed_moves if move.length > 0):
+        return None
+    # No limit holds for moves that state their times.
+    return sample_program(
+        program, tooth_period, acceleration=1.0, rapid_feed=1.0, corner_tolerance=0.0
+    )
+
+
+def _run_written(job: "Job", final: "Solution", path: "Path") -> float:
+    """Return the rms contour error that a path leaves instead of its command [m]."""
+    import jax.numpy as jnp
+
+    from ..process import ThroughPoses
+    from ..sim import solve_command
+
+    # Rounded times may end a row sooner or later; the tool then rests at the end.
+    rows = np.minimum(np.arange(job.path.step_count), path.step_count - 1)
+    dtype = final.commanded.dtype
+    if job.simulation.axes:
+        axes = jnp.asarray(path.axes[rows], dtype)
+        job = eqx.tree_at(lambda j: j.path.axes, job, axes)
+    tips = jnp.asarray(path.positions[rows], dtype)
+    # By the program that the correction has compiled.
+    solution = solve_command(job, final.rigid, tips, ThroughPoses())
+    solution.raise_unless_successful(job)
+    return _rms(solution, np.asarray(final.is_cutting))
+
+
+def _rms(solution: "Solution", is_cutting: Bool[np.ndarray, " step"]) -> float:
+    """Return the rms contour error where the tool cuts [m]."""
+    error = np.asarray(solution.contour_error, np.float64)[is_cutting]
+    return float(np.sqrt(np.mean(error**2)))
 
 
 def corrected_files(

@@ -7,7 +7,8 @@ What it reads of a result besides the variables of `simulate` and `correct`:
   `incomplete` (1), `incomplete_reason`, `incomplete_time` [s], `incomplete_place` [m];
 - attributes `CASE_NAME`, such as `mirror_forward_runs`: the cost and the settings of
   each case, those that end in `_s` in seconds; `corrected_case`: the case whose
-  command is the corrected program; `is_successful` (0 marks a run that failed);
+  command is the corrected program; `written_rms_SUFFIX` [m], the error that the
+  program in `corrected.SUFFIX` leaves; `is_successful` (0 marks a run that failed);
 - every other attribute is listed as a setting.
 """
 
@@ -43,6 +44,7 @@ _SPECIAL = (
     "incomplete_time",
     "incomplete_place",
 )
+_WRITTEN = "written_rms_"
 
 
 def write_report(
@@ -81,6 +83,7 @@ def write_report(
     remarks = [*str(dataset.attrs.get("notes", "")).splitlines(), *notes]
     costs = _case_attributes(dataset)
     hidden = {*_SPECIAL, *(f"{c}_{key}" for c, found in costs.items() for key in found)}
+    hidden |= {f"{_WRITTEN}{suffix}" for suffix in _written(dataset)}
     listed = {str(k): _cell(v) for k, v in dataset.attrs.items() if k not in hidden}
     body = [
         _head(kind, title, dataset, failure),
@@ -136,6 +139,8 @@ def _lead(dataset: "xarray.Dataset", numbers: dict[str, CaseNumbers]) -> str:
     if chosen:
         after = _length(numbers[chosen].rms)
         text += f"; with the corrected program by {after}"
+    for suffix, rms in _written(dataset).items():
+        text += f", as written in corrected.{suffix} by {_length(rms)}"
     return text + "."
 
 
@@ -149,6 +154,10 @@ def _headline(
     if chosen:
         after = numbers[chosen]
         items.append((_length(after.rms), "contour error (rms) after correction"))
+        items += [
+            (_length(rms), f"contour error (rms) of corrected.{suffix}, read and run")
+            for suffix, rms in _written(dataset).items()
+        ]
         items.append((_times(before.rms, after.rms), "smaller contour error"))
     else:
         items.append((_length(before.maximum), "largest contour error"))
@@ -207,6 +216,15 @@ def _chosen(dataset: "xarray.Dataset") -> str:
     name = str(dataset.attrs.get("corrected_case", "corrected"))
     names = case_names(dataset)
     return name if name in names and name != reference_case(dataset) else ""
+
+
+def _written(dataset: "xarray.Dataset") -> dict[str, float]:
+    """Return the rms error of the written programs that were run [m], by suffix."""
+    return {
+        str(key).removeprefix(_WRITTEN): float(value)
+        for key, value in dataset.attrs.items()
+        if str(key).startswith(_WRITTEN)
+    }
 
 
 def _case_attributes(dataset: "xarray.Dataset") -> dict[str, dict[str, str]]:

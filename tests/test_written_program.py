@@ -1,0 +1,55 @@
+"""A corrected program is read back from its file and run."""
+
+import numpy as np
+import pytest
+import xarray
+from slides_job import write_slides_job
+
+import diffmill as dm
+from diffmill import io
+from diffmill.cli import main
+from diffmill.toolpath import reduce_path, sample_program
+
+OUTPUT = """
+[output]
+formats = ["gcode", "krl", "apt"]
+tolerance = "15 um"
+"""
+
+
+@pytest.mark.slow
+def test_the_error_of_the_written_program_is_stated(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    file = write_slides_job(tmp_path, 'method = "inverse_drive"')
+    file.write_text(file.read_text() + OUTPUT)
+    assert main(["correct", "job.toml", "--out", "out"]) == 0
+    said = capsys.readouterr().err
+    with xarray.open_dataset(tmp_path / "out" / "result.nc", engine="h5netcdf") as kept:
+        found, case = kept.attrs, kept.sel(case="inverse_drive").load()
+    is_cutting = case.is_cutting.values.astype(bool)
+    own = np.sqrt(np.mean(case.contour_error.values[is_cutting] ** 2))
+
+    # The blocks are known without their text, and the motion at every tooth instant.
+    job = dm.load_job(file)
+    path = io.read_path_csv(tmp_path / "out" / "corrected.csv")
+    blocks = io.program_of_path(reduce_path(path, 15e-6))
+    read = sample_program(
+        blocks,
+        float(job.tooth_period),
+        acceleration=1.0,
+        rapid_feed=1.0,
+        corner_tolerance=0.0,
+    )
+    run = dm.simulate(
+        job,
+        commanded=read.positions[: job.path.step_count],
+        adjoint=dm.process.ThroughPoses(),
+    )
+    error = np.asarray(run.contour_error)[np.asarray(run.is_cutting)]
+    expected = np.sqrt(np.mean(error**2))
+    assert expected > 1.2 * own
+    # Text holds a nanometre.
+    assert found["written_rms_ngc"] == pytest.approx(expected, abs=10e-9)
+    assert found["written_rms_src"] == pytest.approx(expected, abs=10e-9)
+    assert "written_rms_apt" not in found and "corrected.apt: not run" in said
+    assert f"{expected * 1e6:.2f} um" in said and "[output] tolerance" in said
