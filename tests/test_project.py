@@ -128,12 +128,30 @@ def test_python_of_the_readme_runs():
     assert shape.strip() == "(60, 3)"
 
 
+@pytest.mark.slow
+def test_documentation_builds_without_a_warning_and_fetches_nothing(tmp_path):
+    pytest.importorskip("mkdocs")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict"]
+    subprocess.run([*command, "--site-dir", tmp_path], cwd=ROOT, check=True)
+    pages = {file.stem: file.read_text("utf-8") for file in tmp_path.glob("*.html")}
+    for text in pages.values():
+        assert not re.findall(r'<script[^>]*src="https?:', text)
+        assert not re.findall(r'<link[^>]*stylesheet[^>]*href="https?:', text)
+        assert not re.findall(r'<img[^>]*src="https?:', text)
+    key = re.search(r"<code>knot_spacing</code>.*?</tr>", pages["job_keys"], re.DOTALL)
+    assert key is not None
+    assert "0.03" in key[0]
+    assert "controller can follow" in key[0]
+    assert 'id="diffmill.correction.correct"' in pages["python"]
+
+
 def test_continuous_integration_runs_the_commands_of_the_readme():
     script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
     assert 'step "$uv pytest -m slow tests/test_project.py"' in script
     assert "grep '^python3 -m venv .venv-tools ' README.md" in script
     assert 'step "${commands[0]//paper/paper_small}"' in script
     assert 'step "${commands[1]}"' in script
+    assert 'step "$uv mkdocs build --strict"' in script
     # The shell's replacement must give a command for the small example, file and all.
     small = readme_commands()[0].replace("paper", "paper_small")
     assert "out/paper_small.toml" in small
