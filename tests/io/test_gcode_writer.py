@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from diffmill.io import parse_gcode, write_gcode
+from diffmill.io import parse_gcode, program_frame, write_gcode
 from diffmill.toolpath import Path, sample_program
 
 LIMITS = {"acceleration": 2.0, "rapid_feed": 0.2, "corner_tolerance": 1e-4}
@@ -61,3 +61,83 @@ def test_refusals():
         write_gcode(Path.upright(np.zeros(3), path.positions))
     with pytest.raises(ValueError):
         write_gcode(Path.upright(path.time, np.full((3, 3), np.nan)))
+
+
+PROGRAM = """%
+O100 (bracket)
+(6 mm slot drill) ; roughing
+G21 G17 G90 G94 G55
+T1 M6 (face mill)
+G43 H1
+S4000 M3
+G0 X0 Y0 Z5
+G1 X10 F600 (face)
+M5
+T2
+M6
+G43 H2 T3
+(slot)
+S8000 M4
+M8
+G0 X0 Y0 Z1
+G1 Z-1 F300
+(first wall)
+G1 X20 F600
+M9
+(second wall)
+G1 Y10
+(nothing more)
+M5
+G0 Z50
+M9
+T3 M6
+(drill)
+M8
+G0 X1
+M9
+M30
+%
+"""
+
+
+def test_a_corrected_program_keeps_what_the_program_says_beside_its_motion():
+    program = parse_gcode(PROGRAM)
+    path = sample_program(program.of_tool(2), 0.02, **LIMITS)
+    frame = program_frame(program.source, np.asarray(path.line).tolist())
+    text = write_gcode(path, spindle_speed=8000 * math.pi / 30, frame=frame)
+    lines = text.splitlines()
+    start = next(i for i, one in enumerate(lines) if one.startswith("G0"))
+    assert lines[:start] == [
+        "(bracket)",
+        "(6 mm slot drill)",
+        "(roughing)",
+        "(face mill)",
+        "G17 G21 G90 G93",
+        "T2 M6",
+        "G43 H2",
+        "M8",
+        "S8000 M4",
+    ]
+    rest = [one for one in lines[start:] if one[0] != "G"]
+    assert rest == [
+        "(slot)",
+        "(first wall)",
+        "M9",
+        "(second wall)",
+        "(nothing more)",
+        "M5",
+        "M9",
+        "M30",
+    ]
+    # A comment stands before the motion that it stood before.
+    after = lines[lines.index("(second wall)") + 1]
+    row = np.flatnonzero(np.asarray(path.line) == 23)[0]
+    assert after.startswith(f"G1 X{path.positions[row, 0] * 1e3:.6f} ")
+    back = sample_program(parse_gcode(text), 0.02, **LIMITS)
+    np.testing.assert_allclose(back.positions, path.positions, atol=3e-9)
+    np.testing.assert_allclose(back.time, path.time, rtol=1e-12)
+
+
+def test_of_another_format_nothing_is_kept():
+    frame = program_frame("&ACCESS RVP\nDEF part( )\n;T1 M6\nPTP {X 0}\nEND\n", [4])
+    assert (frame.comments, frame.opening, frame.between) == ((), (), ())

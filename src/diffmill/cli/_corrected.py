@@ -107,7 +107,13 @@ def corrected_files(
         job: The job.
         commanded: Tip positions of the corrected command [m], shape (step, 3).
     """
-    from ..io import offset_stream, write_gcode, write_path_csv, write_program
+    from ..io import (
+        offset_stream,
+        program_frame,
+        write_gcode,
+        write_path_csv,
+        write_program,
+    )
     from ..toolpath import reduce_path
 
     output, said = job.output, []
@@ -119,7 +125,10 @@ def corrected_files(
         name = f"corrected{suffix}"
         if suffix == ".ngc":
             speed = float(job.spindle_speed)
-            files[name] = write_gcode(blocks, header=header, spindle_speed=speed)
+            frame = program_frame(job.program, np.asarray(path.line).tolist())
+            files[name] = write_gcode(
+                blocks, header=header, spindle_speed=speed, frame=frame
+            )
         else:
             files[name] = write_program(blocks, suffix, header=header)
         said.append(

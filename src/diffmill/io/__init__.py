@@ -32,6 +32,10 @@ from ._programs.formats import (
     read_program as read_program,
     write_program as write_program,
 )
+from ._programs.rs274.frame import (
+    ProgramFrame as ProgramFrame,
+    program_frame as program_frame,
+)
 from ._programs.rs274.interpreter import (
     parse_gcode as parse_gcode,
     read_gcode as read_gcode,

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from ...._types import RealScalarLike
 from ....toolpath import Move, Path, Program
 from ..geometry import straight_pieces
+from .frame import ProgramFrame, comment_block
 
 _DECIMALS = 6
 
@@ -18,6 +19,7 @@ def write_gcode(
     *,
     header: Sequence[str] = (),
     spindle_speed: RealScalarLike | None = None,
+    frame: ProgramFrame | None = None,
 ) -> str:
     """Return a program with one straight move per row in inverse time (G93).
 
@@ -31,6 +33,8 @@ def write_gcode(
         path: The path; its tool axis must be +z.
         header: Lines of comment for the top of the program.
         spindle_speed: Speed that the program sets [rad/s]; None sets none.
+        frame: What stands before, between and behind the motion; a comment or coolant
+            stands before the first row of its line or of a later one.
 
     Returns:
         The program's text, in millimetres.
@@ -51,17 +55,21 @@ def write_gcode(
     if not np.all(steps > 0):
         raise ValueError("Argument `path` must have increasing time, but has not.")
     points = _distinct(np.round(positions * 1e3, _DECIMALS))
-    lines = [f"({_comment(text)})" for text in header]
-    lines += ["G17 G21 G90 G93", f"G0 {_coordinates(points[0])}"]
+    frame = ProgramFrame() if frame is None else frame
+    lines = [comment_block(text) for text in (*header, *frame.comments)]
+    lines += ["G17 G21 G90 G93", *frame.opening]
     if spindle_speed is not None:
         rpm = float(spindle_speed) * 60 / (2 * math.pi)
-        lines.append(f"S{round(rpm, 6):.12g} M3")
-    lines += [
-        f"G1 {_coordinates(point)} F{60 / step:.9f}"
-        for point, step in zip(points[1:], steps, strict=True)
-    ]
-    lines += ["M5", "M2"]
-    return "\n".join(lines) + "\n"
+        lines.append(f"S{round(rpm, 6):.12g} {frame.spindle}")
+    lines.append(f"G0 {_coordinates(points[0])}")
+    between, said = frame.between, 0
+    numbers = np.asarray(path.line)[1:].tolist()
+    for point, step, number in zip(points[1:], steps, numbers, strict=True):
+        while said < len(between) and between[said][0] <= number:
+            lines.append(between[said][1])
+            said += 1
+        lines.append(f"G1 {_coordinates(point)} F{60 / step:.9f}")
+    return "\n".join([*lines, *frame.closing]) + "\n"
 
 
 def _distinct(
@@ -80,12 +88,6 @@ def _coordinates(point: Float[np.ndarray, " 3"]) -> str:
     """Return a point in millimetres as words."""
     x, y, z = (f"{value + 0.0:.{_DECIMALS}f}" for value in point)
     return f"X{x} Y{y} Z{z}"
-
-
-def _comment(text: str) -> str:
-    """Return text that can stand within parentheses on one line."""
-    plain = " ".join(text.split()).replace("(", "[").replace(")", "]")
-    return plain.encode("ascii", errors="replace").decode("ascii")
 
 
 def write_moves(
@@ -107,7 +109,7 @@ def write_moves(
         raise ValueError(
             "the program tilts the tool axis; G-code with X, Y and Z only cannot."
         )
-    lines = [f"({_comment(text)})" for text in header] + ["G17 G21 G40 G49 G90 G94"]
+    lines = [comment_block(text) for text in header] + ["G17 G21 G40 G49 G90 G94"]
     speeds = iter(program.spindle_speeds)
     if (speed := next(speeds, None)) is not None:
         lines.append(f"S{round(float(speed) * 30 / math.pi, 6):.12g} M3")

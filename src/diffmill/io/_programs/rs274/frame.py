@@ -1,0 +1,152 @@
+"""What a program says beside its motion, for a corrected one to say it again."""
+
+import bisect
+import re
+from collections.abc import Collection
+from typing import NamedTuple
+
+from ..faults import Fault
+from ..text import split_lines
+from .words import Word, split_words
+
+# Lines of motion alone are most of a program.
+_SAYS = re.compile(r"[(;MmSsTtHh]|[Gg]\s*49")
+_COMMENT = re.compile(r"\(([^()]*)\)|;(.*)")
+_PROGRAM_NUMBER = re.compile(r"\s*[oO:]")
+_MOVES = frozenset("XYZ")
+_COOLANT = (7, 8, 9)
+
+
+class ProgramFrame(NamedTuple):
+    """What stands before, between and after the motion of one tool.
+
+    Attributes:
+        comments: Those of the header.
+        opening: Blocks before the motion: tool, its length, coolant.
+        spindle: "M3", or "M4" where it turns the other way.
+        between: Lines of the program, and what is said before their motion: a comment
+            in parentheses, or coolant.
+        closing: Blocks behind the motion.
+    """
+
+    comments: tuple[str, ...] = ()
+    opening: tuple[str, ...] = ()
+    spindle: str = "M3"
+    between: tuple[tuple[int, str], ...] = ()
+    closing: tuple[str, ...] = ("M5", "M2")
+
+
+def program_frame(source: str, lines: Collection[int]) -> ProgramFrame:
+    """Return what a G-code program says beside the motion of some of its lines.
+
+    Comments are kept in the header, and where no change of the tool stands between them
+    and a line that still moves. Blocks with a block delete / are left out.
+
+    Args:
+        source: The text of the program; of another format, or empty, nothing is kept.
+        lines: Numbers of the lines whose motion is kept, from 1.
+    """
+    moving = sorted({line for line in lines if line > 0})
+    if not moving:
+        return ProgramFrame()
+    said, faults = _Said(moving), list[Fault]()
+    for number, text in enumerate(split_lines(source, "program"), 1):
+        if _SAYS.search(text) or not said.has_moved:
+            said.add(number, text, faults)
+        # A program in G-code has been read without a fault: this is none.
+        if faults:
+            return ProgramFrame()
+        if said.end:
+            break
+    return said.frame()
+
+
+class _Said:
+    """What has been said so far; the kept motion is that of the lines `moving`."""
+
+    def __init__(self, moving: list[int]):
+        self.moving, self.has_moved = moving, False
+        self.first, self.last = moving[0], moving[-1]
+        self.header: list[str] = []
+        self.between: list[tuple[int, str]] = []
+        self.selected, self.loaded, self.length = "", "", ""
+        self.spindle, self.end = "M3", ""
+        self.coolant: dict[str, None] = {}
+        self.closing: dict[str, None] = {}
+
+    def add(self, number: int, text: str, faults: list[Fault]) -> None:
+        """Take in a line."""
+        if text.lstrip().startswith(("/", "%")):
+            return
+        has_words = self.has_moved or not _PROGRAM_NUMBER.match(text)
+        words = split_words(text, number, faults) if has_words else []
+        found = [(word.letter, word.number) for word in words]
+        if ("M", 6) in found:
+            self._drop_other_tools(number)
+        for match in _COMMENT.finditer(text):
+            comment = (match[1] or match[2] or "").strip()
+            if comment and not self.has_moved:
+                self.header.append(comment)
+            elif comment and number <= self.last:
+                self.between.append((number, comment_block(comment)))
+        for word in words:
+            self._word(number, word)
+        if ("M", 6) in found and number <= self.first:
+            self.loaded = f"{self.selected} M6"
+        self.has_moved |= any(letter in _MOVES for letter, _ in found)
+
+    def _drop_other_tools(self, change: int) -> None:
+        """Drop what no kept motion follows before a change of the tool."""
+        while self.between:
+            at = bisect.bisect_left(self.moving, self.between[-1][0])
+            if at < len(self.moving) and self.moving[at] < change:
+                break
+            self.between.pop()
+
+    def _word(self, number: int, word: Word) -> None:
+        """Take in a word."""
+        key, is_before = f"{word.letter}{word.number:g}", number <= self.first
+        if word.letter == "M" and word.number in (2, 30):
+            self.end = key
+        elif word.letter == "M" and word.number in _COOLANT:
+            self._cool(number, key)
+        elif is_before and word.letter == "T":
+            self.selected = key
+        elif is_before and word.letter == "H":
+            self.length = key
+        elif is_before and key == "G49":
+            self.length = ""
+        elif is_before and key in ("M3", "M4"):
+            self.spindle = key
+
+    def _cool(self, number: int, key: str) -> None:
+        """Take in a word of coolant, where it stands."""
+        if number > self.last:
+            # What is switched on there is for another tool.
+            self.closing |= {key: None} if key == "M9" else {}
+        elif number > self.first:
+            self.between.append((number, key))
+        elif key == "M9":
+            self.coolant.clear()
+        else:
+            self.coolant[key] = None
+
+    def frame(self) -> ProgramFrame:
+        """Return what is kept."""
+        # One that is selected later is the next one.
+        tool = self.loaded or self.selected
+        opening = [tool] * bool(tool)
+        opening += [f"G43 {self.length}"] * bool(self.length)
+        return ProgramFrame(
+            comments=tuple(self.header),
+            opening=(*opening, *self.coolant),
+            spindle=self.spindle,
+            between=tuple(self.between),
+            closing=("M5", *self.closing, self.end or "M2"),
+        )
+
+
+def comment_block(text: str) -> str:
+    """Return text as a comment on one line."""
+    plain = " ".join(text.split()).replace("(", "[").replace(")", "]")
+    return f"({plain.encode('ascii', errors='replace').decode('ascii')})"
