@@ -116,8 +116,8 @@ def test_maps_agree_with_differences(job, maps):
 
 
 @pytest.mark.slow
-def test_the_band_of_a_stiffness_is_its_sag_and_adds_to_the_error(job):
-    """Before the cut a spring that is 10 % off leaves a tenth of the weight's sag."""
+def test_the_band_of_a_stiffness_adds_to_the_error(job):
+    """Of slides the sag is the same everywhere: who probes the work does not see it."""
     settings = dataclasses.replace(
         job.simulation, mode="dynamic", scatter=ScatterSettings(stiffness=0.1)
     )
@@ -125,14 +125,14 @@ def test_the_band_of_a_stiffness_is_its_sag_and_adds_to_the_error(job):
     solution = sim.simulate(job)
     band = sim.error_band(job, solution)
     assert band.names == ("K x", "K y", "K z")
+    np.testing.assert_allclose(band.shift[:, 0], 0.0, atol=1e-15)
     sag = 9.81 * MASS / STIFFNESS[2]
-    np.testing.assert_allclose(band.shift[2, 0], [0, 0, 0.1 * sag], rtol=1e-6)
-    np.testing.assert_allclose(band.spread[0], 0.1 * sag, rtol=1e-6)
+    air = np.argmax(np.asarray(solution.is_cutting)) - 1
+    assert air > 0 and np.max(band.spread[:air]) < 1e-3 * sag
     error = np.asarray(solution.contour_error)
     np.testing.assert_allclose(band.expected**2, error**2 + band.spread**2)
     cutting = np.asarray(solution.is_cutting)
     assert band.rms == pytest.approx(np.sqrt(np.mean(band.expected[cutting] ** 2)))
-    assert next(iter(band.shares())) == "K z"
     data = band.to_dataset()
     assert data["contour_error_spread"].attrs["units"] == "m"
 
@@ -142,7 +142,8 @@ def test_the_band_of_a_stiffness_is_its_sag_and_adds_to_the_error(job):
     # The controller goes on by the stiffness that it knows.
     assert solution.motor_positions is not None
     ran = sim.run_motors(softer, solution.motor_positions, pr.StockHeld())
-    moved = np.asarray(ran.actual - solution.actual)[:, 2]
+    moved = np.asarray(ran.actual - solution.actual)
+    moved = (moved - moved[0])[:, 2]
     known = np.sum(band.shift, axis=0)[:, 2]
     assert np.quantile(np.abs(known * -1e-2 - moved), 0.9) < 0.05 * np.abs(moved).max()
 

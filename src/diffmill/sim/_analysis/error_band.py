@@ -4,6 +4,10 @@ Stiffness, damping and force coefficients are known to some percent. Each that i
 its standard deviation moves the tool by one column of the linear system around the run;
 independent of each other, their squares add up to the covariance of the tool's place.
 The stock is held: how a surface moves with the poses that cut it is left out.
+
+The place of the work is found with the arm itself, so what is off where the path begins
+is no error of the part: a stiffness that is off shows by how the sag changes along the
+path, not by the sag.
 """
 
 from typing import TYPE_CHECKING
@@ -90,8 +94,7 @@ class ErrorBand(eqx.Module):
 def error_band(job: Job, solution: Solution) -> ErrorBand:
     """Return the error to be expected under `job.simulation.scatter`.
 
-    The motors do what they do in the solution: the controller knows the model alone, so
-    a stiffness that is off also leaves a sag.
+    The motors do what they do in the solution: the controller knows the model alone.
 
     Args:
         job: The job; its machine must swing, and its scatter be given.
@@ -157,6 +160,8 @@ def _shifts(
 
     def across(ends: Float[Array, "step substep 3"]) -> Float[Array, "step 3"]:
         change = wall_deviation(ends, jnp.zeros_like(desired), shares)
+        # The place of the work was probed with the arm as it hangs at the start.
+        change = change - change[:1]
         return jax.jvp(lambda x: contour_vector(x, desired), (at,), (change,))[1]
 
     return jax.vmap(across, in_axes=-1)(moved.ends)

@@ -92,7 +92,7 @@ def _draw_contour(
             color="#555555",
             linewidth=1.0,
             linestyle=":",
-            label="expected, model scattered",
+            label="expected",
         )
     quiet_axes(signed, y=r"contour error [$\mathrm{\mu m}$]")
     absolute.set_yscale("log")
