@@ -29,10 +29,11 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     pages = {
         "index.md": readme,
         "conventions.md": section(readme, "Conventions"),
-        "model.md": section(readme, "The model in short"),
+        "assumptions.md": section(readme, "The model in short"),
         "contributing.md": (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"),
         "changes.md": (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"),
         "python.md": python_page(),
+        "derivatives.md": derivatives_page(),
         "job_keys.md": keys_page(
             "The keys of a job", CONFIG / "_schema", meanings_of(toml_block(readme))
         ),
@@ -70,6 +71,40 @@ def python_page() -> str:
                 lines += ["", f"::: diffmill.{area}.{name}"]
                 lines += ["    options: { heading_level: 3 }"]
     return "\n".join(lines) + "\n"
+
+
+def derivatives_page() -> str:
+    """Return the page of what the docstrings of public names say of derivatives."""
+    lines = ["# What is differentiable", ""]
+    lines += [
+        "A function that is not smooth everywhere says so. A name that is not here"
+    ]
+    lines += ["is smooth where it can be traced, or runs on the host."]
+    for area in AREAS:
+        init = PACKAGE / area / "__init__.py"
+        names = public_names(init) if init.exists() else []
+        found = {}
+        for file in sorted((PACKAGE / area).rglob("*.py")):
+            for node in ast.parse(file.read_text(encoding="utf-8")).body:
+                if getattr(node, "name", None) in names and (what := kinks(node)):
+                    found[node.name] = what
+        if found:
+            lines += ["", f"## dm.{area}", "", "| name | derivatives |", "|---|---|"]
+            lines += [f"| `{name}` | {found[name]} |" for name in sorted(found)]
+    return "\n".join(lines) + "\n"
+
+
+def kinks(node: ast.stmt) -> str:
+    """Return what the docstring of a function or class says of its derivatives."""
+    if not isinstance(node, ast.FunctionDef | ast.ClassDef):
+        return ""
+    text = ast.get_docstring(node) or ""
+    found = re.search(
+        r"^\**Differentiability\**: (.*?)(?=\n\n|\n\w+:|\Z)",
+        text,
+        re.DOTALL | re.MULTILINE,
+    )
+    return " ".join(found[1].split()).replace("|", "\\|") if found else ""
 
 
 def public_names(file: pathlib.Path) -> list[str]:

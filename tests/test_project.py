@@ -143,6 +143,7 @@ def test_documentation_builds_without_a_warning_and_fetches_nothing(tmp_path):
     assert "0.03" in key[0]
     assert "controller can follow" in key[0]
     assert 'id="diffmill.correction.correct"' in pages["python"]
+    assert "<code>contour_error</code>" in pages["derivatives"]
 
 
 def test_continuous_integration_runs_the_commands_of_the_readme():
