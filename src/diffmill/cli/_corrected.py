@@ -1,5 +1,6 @@
 """The corrected command as files: a path, programs, a stream of offsets."""
 
+import dataclasses
 import pathlib
 from typing import TYPE_CHECKING
 
@@ -60,10 +61,18 @@ def written_path(file: pathlib.Path, tooth_period: float) -> "Path | None":
         tooth_period: Time between the rows of the path [s].
     """
     from ..io import read_program
-    from ..toolpath import Path, sample_program
+    from ..toolpath import Move, Path, sample_program
 
     program = read_program(file)
     assert not isinstance(program, Path)
+    if count := program.approach_count:
+        # A rest at the first point is a part of the command, but not of a program.
+        last = program.moves[count - 1]
+        rest = Move(last.end, last.end, duration=last.rest, axis=last.axis)
+        moves = (*program.moves[:count], rest, *program.moves[count:])
+        program = dataclasses.replace(
+            program, moves=moves if last.rest else program.moves
+        )
     if any(move.duration is None for move in program.timed_moves if move.length > 0):
         return None
     # No limit holds for moves that state their times.
