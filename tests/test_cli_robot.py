@@ -45,6 +45,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_robot_prints_and_draws(folder, capsys):
     command = ["robot", "slides.toml", "--pose", "100 mm, -20 cm, 0 m"]
     assert main(command) == 0

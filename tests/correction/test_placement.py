@@ -89,6 +89,7 @@ def steady(force):
     return rows
 
 
+@pytest.mark.slow
 def test_the_tool_turns_until_the_stiff_direction_takes_the_force():
     # symbols: a, b compliances along the slides, which the column turns with the tool
     F, (a, b, c) = np.array([30.0, 50.0, 10.0]), (1e-6, 0.25e-6, 0.1e-6)

@@ -33,9 +33,8 @@ def record(rate, seed=0, turns=TURNS, noise=2.0):
     )
 
 
-@pytest.mark.parametrize(
-    "what", ["lost", pytest.param("jitter", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("what", ["lost", "jitter"])
 def test_uneven_and_lost_samples_do_not_hinder_the_axes(what):
     """At ten samples per tooth hardly a run of samples is evenly spaced."""
     time, draw, force = record(2e3, turns=20)
@@ -78,6 +77,7 @@ def test_samples_that_are_lost_unseen_are_told():
     assert values["shift"] == pytest.approx(1.7e-3, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_another_number_of_teeth_is_told():
     time, draw, _ = record(1e4, turns=20)
     # Four teeth: those of two, and the same half a pitch later.

@@ -95,6 +95,7 @@ def test_a_ramp_cuts_with_what_has_descended_below_its_corner(slope):
     assert found[2] == pytest.approx(ramp_force(slope), rel=2e-2)
 
 
+@pytest.mark.slow
 def test_the_derivative_in_a_ramp_describes_the_force():
     path = jnp.asarray(line([FEED, 0, -0.02 * FEED], (0, 0, -0.5e-3)))
     wave = jnp.sin(jnp.arange(STEPS) / 7)[:, None] * jnp.array([[0.3, 0.2, 1.0]])

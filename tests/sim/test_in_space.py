@@ -177,6 +177,7 @@ def test_a_ball_on_an_inclined_plane_matches_the_reference(direction):
     assert relative(found, wanted) < 2e-2
 
 
+@pytest.mark.slow
 def test_helix_matches_the_reference_at_every_instant():
     # Bottom elements send even a flat cutter that stands upright this way.
     solution = cut(
@@ -205,6 +206,7 @@ def pitch(first):
     return np.array([first, 2 * math.pi - first])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "same"),
     [

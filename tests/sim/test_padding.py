@@ -37,6 +37,7 @@ def dwelling(count, total=72):
     return slot(count)[np.minimum(np.arange(total), count - 1)]
 
 
+@pytest.mark.slow
 def test_rows_behind_the_last_change_nothing():
     # The rigid tool that stands still cuts nothing, so that it tells what is wanted.
     run = jax.jit(cut)

@@ -197,6 +197,7 @@ def test_the_second_pass_cuts_nothing():
     np.testing.assert_allclose(solution.removed_volume[steps + 1 :], 0, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_where_the_tool_comes_to_rest_the_derivative_is_that_over_micrometres():
     # The direction of a motion of 20 nm turns with every nanometre: a derivative that
     # says so tells nothing about the micrometres by which a path is corrected.
@@ -357,10 +358,8 @@ def test_wrong_arguments_are_refused():
         sim.simulate_process(straight(6e-3), STOCK, MILL, PAPER_LAW, SPEED, axes)
 
 
-@pytest.mark.parametrize(
-    "case",
-    ["flat", *(pytest.param(c, marks=SLOW) for c in ("ball", "tilted", "point_cloud"))],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["flat", "ball", "tilted", "point_cloud"])
 def test_everything_runs_in_single_precision(case):
     positions = np.stack([np.linspace(-2e-3, 4e-3, 30), np.zeros(30), np.zeros(30)], 1)
     single = lambda x: (

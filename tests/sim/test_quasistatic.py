@@ -119,6 +119,7 @@ def test_derivatives_agree_with_central_differences():
     np.testing.assert_allclose(jax.grad(answer)(x), expected, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_bending_tool_bends_as_a_beam_loaded_along_its_flutes():
     depth, L = 12e-3, 40e-3
     stock = wp.box([0, 0, -15e-3], [10e-3, 8e-3, 0], 0.5e-3, interval_counts=(4, 4, 1))

@@ -28,10 +28,8 @@ def deep_slot(flute_length, axes=None):
     return run(path)
 
 
-@pytest.mark.parametrize(
-    "flute_length",
-    [2e-3, *(pytest.param(length, marks=pytest.mark.slow) for length in (1e-3, 6e-3))],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("flute_length", [2e-3, 1e-3, 6e-3])
 def test_what_the_shank_takes_is_the_slot_above_the_flutes(flute_length):
     solution = deep_slot(flute_length)
     share = max(DEPTH - flute_length, 0) / DEPTH

@@ -100,6 +100,7 @@ def test_in_air_only_the_damping_counts():
     np.testing.assert_allclose(found.frequency[0], damped, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_fast_vibration_shows_at_another_frequency():
     # Chatter of one mode is above half of the tooth passing frequency, 133 Hz.
     found = at(1.1)
