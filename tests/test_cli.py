@@ -188,11 +188,21 @@ def test_folder_is_refused_before_anything_runs(folder, capsys):
     assert names(folder / "out") == ["mine.txt"]
 
 
+@pytest.mark.parametrize("text", ["20", "20 kg", "0 um", "wide"])
+def test_a_tolerance_on_the_command_line_is_a_length(folder, capsys, text):
+    before = names(folder)
+    assert main(["simulate", "job.toml", "--tolerance-band", text]) == 2
+    (error,) = capsys.readouterr().err.splitlines()
+    assert "--tolerance-band" in error and repr(text) in error and "length" in error
+    assert names(folder) == before
+
+
 @pytest.mark.slow
 def test_simulate_rigid(folder, capsys):
-    assert main(["simulate", "job.toml", "--quiet"]) == 0
+    assert main([*"simulate job.toml --quiet --tolerance-band".split(), "20 um"]) == 0
     captured = capsys.readouterr()
     assert captured.out + captured.err == ""
+    assert "Within 20 " in (folder / "job-simulate" / "report.html").read_text("utf-8")
     out = folder / "job-simulate"
     assert {"result.nc", "stock.npz", "surface.nc", "report.html"} <= set(names(out))
     with xarray.open_dataset(out / "result.nc") as result:

@@ -153,6 +153,8 @@ class CorrectionSettings(eqx.Module):
         uncertainty: How well the model is known; the mean square error over draws of it
             becomes small, or that of the worst. None to trust the model.
         tolerance: Error that does not count [m].
+        tolerance_band: Contour error that the result is held against [m], which does
+            not change it; 0 for no verdict.
         sections: Sections of the program with weights of their own.
         finishing_only: Whether only rows that leave a part of the surface count.
         wall_weight: Weight of the walls, for the surface.
@@ -184,6 +186,7 @@ class CorrectionSettings(eqx.Module):
     stay_in_cut: bool = eqx.field(static=True, default=False)
     uncertainty: UncertaintySettings | None = None
     tolerance: RealScalarLike = 0.0
+    tolerance_band: RealScalarLike = 0.0
     sections: tuple[LineWeight, ...] = eqx.field(static=True, default=())
     finishing_only: bool = eqx.field(static=True, default=False)
     wall_weight: RealScalarLike = 1.0

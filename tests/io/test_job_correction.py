@@ -41,6 +41,14 @@ def problems_of(job_file):
     return problems
 
 
+def test_the_tolerance_band_is_the_tolerance_unless_given(settings_of):
+    assert settings_of("").tolerance_band == 0
+    assert settings_of('tolerance = "10 um"').tolerance_band == pytest.approx(1e-5)
+    both = settings_of('tolerance = "10 um"', 'tolerance_band = "20 um"')
+    assert both.tolerance_band == pytest.approx(2e-5)
+    assert both.tolerance == pytest.approx(1e-5)
+
+
 def test_values_become_settings_in_si(settings_of):
     settings = settings_of(
         'objective = "surface"',

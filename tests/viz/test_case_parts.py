@@ -58,7 +58,7 @@ def test_leaving_the_cut_is_told(tmp_path, result):
     (line,) = [line for line in summary(told).splitlines() if "warning" in line]
     assert "mirror: the tool leaves the cut in 7 steps" in line
     page = write_report(tmp_path, told, {}).read_text(encoding="utf-8")
-    assert "steps out of the cut" in page and "<td>7</td>" in page
+    assert "steps out of the cut" in page and 'out of the cut">7</td>' in page
 
 
 def test_a_simulation_has_no_such_table(tmp_path, simulation):
@@ -76,4 +76,6 @@ def test_surface_figures_are_listed_by_kind(tmp_path, result):
     with_surface = result.assign(surface_deepest=(("case",), SIZE * 70e-6), **surface)
     page = write_report(tmp_path, with_surface, {}).read_text(encoding="utf-8")
     assert "Machined surface" in page
-    assert "<td>22.5</td><td>-</td><td>31.5</td>" in page
+    cells = [cell.partition("<")[0] for cell in page.split(">")]
+    at = cells.index("31.5")
+    assert [cell for cell in cells[:at] if cell.strip()][-2:] == ["22.5", "-"]

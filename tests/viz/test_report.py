@@ -1,6 +1,5 @@
 """The report holds everything in one file, and says what the dataset says."""
 
-import re
 from html.parser import HTMLParser
 
 import numpy as np
@@ -22,7 +21,7 @@ class Reader(HTMLParser):
 
     def handle_starttag(self, tag, attrs):
         self.tags.append((tag, dict(attrs)))
-        if tag not in ("meta", "img", "br", "link"):
+        if tag not in ("meta", "img", "br", "link", "input"):
             self.open.append(tag)
 
     def handle_endtag(self, tag):
@@ -117,14 +116,11 @@ def test_report_needs_no_other_file(full_run):
         assert tag not in ("link", "iframe", "object")
         source = attributes.get("src", "")
         assert not source or source.startswith("data:image/png;base64,")
+    policy = next(a["content"] for t, a in reader.tags if "http-equiv" in a)
+    assert policy.startswith("default-src 'none'") and "http" not in policy
     images = [tag for tag, _ in reader.tags if tag == "img"]
     assert len(images) == len(figures)
-    assert path.stat().st_size < 8e6
-
-
-def test_plotly_is_embedded_once(full_run):
-    text = full_run[1].read_text(encoding="utf-8")
-    assert len(re.findall(r"\* plotly\.js v", text)) == 1
+    assert path.stat().st_size < 4e6
 
 
 def test_report_prints_the_headline(full_run, correction):
@@ -133,7 +129,11 @@ def test_report_prints_the_headline(full_run, correction):
     assert f"{before.rms * 1e6:.0f} {MICROMETRE} contour error" in text
     assert f"{after.rms * 1e6:.2f} {MICROMETRE} contour error" in text
     assert f"{before.rms / after.rms:.1f} x" in text
-    for part in ("mirror, iterated", "wall time [s] products cutoff hz", "12.0 0 3.00"):
+    for part in (
+        "mirror, iterated",
+        "wall time [s] 0.400 0.900 12.0",
+        "cutoff hz - - 3.00",
+    ):
         assert part in text
     for part in ("diffmill 0.0-test", "angles 192", "jax 0.0", "exceeds 0.05 R & more"):
         assert part in text
@@ -147,7 +147,7 @@ def test_text_of_the_job_is_escaped(tmp_path, simulation):
     path = write_report(tmp_path, hostile, figures, failure="<b>stop</b>")
     reader = read(path)
     tags = [tag for tag, _ in reader.tags]
-    assert "script" not in tags and "img" not in tags and "u" not in tags
+    assert tags.count("script") == 2 and "img" not in tags and "u" not in tags
     for part in ("<script>alert(1)</script>", "<b>not markup</b>", "<b>why</b>"):
         assert part in reader.text
 

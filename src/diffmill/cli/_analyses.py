@@ -190,5 +190,7 @@ def _write_pictures(
         figures = write_figures(folder, run.dataset, **inputs)
     dataset = _with_notes(run.dataset, [f"warning: {x}" for x in attempts.lines()])
     with attempts.at("report"):
-        write_report(folder, dataset, figures, surfaces=inputs.get("surfaces"))
+        write_report(
+            folder, dataset, figures, surfaces=inputs.get("surfaces"), job=run.job
+        )
     return dataset

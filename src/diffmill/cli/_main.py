@@ -22,6 +22,14 @@ _Out = Annotated[
 ]
 _Force = Annotated[bool, tyro.conf.arg(help="Replace what is there already.")]
 _Quiet = Annotated[bool, tyro.conf.arg(help="Print nothing but errors.")]
+_Band = Annotated[
+    str | None,
+    tyro.conf.arg(
+        metavar="LENGTH",
+        help='Contour error to hold the result against, such as "20 um", in place of '
+        "that of the job.",
+    ),
+]
 _Outside = Annotated[
     bool, tyro.conf.arg(help="Let the job name files outside its own folder.")
 ]
@@ -40,13 +48,20 @@ def simulate(
     force: _Force = False,
     quiet: _Quiet = False,
     allow_outside: _Outside = False,
+    tolerance_band: _Band = None,
 ) -> int:
     """Predict forces, deviation and the machined surface of a job."""
     _read(job)
     from ._run_job import run_job
 
     return run_job(
-        "simulate", job, out, force=force, is_quiet=quiet, allow_outside=allow_outside
+        "simulate",
+        job,
+        out,
+        force=force,
+        is_quiet=quiet,
+        allow_outside=allow_outside,
+        tolerance_band=tolerance_band,
     )
 
 
@@ -57,6 +72,7 @@ def correct(
     force: _Force = False,
     quiet: _Quiet = False,
     allow_outside: _Outside = False,
+    tolerance_band: _Band = None,
     resume: Annotated[
         bool,
         tyro.conf.arg(
@@ -76,6 +92,7 @@ def correct(
         force=force,
         is_quiet=quiet,
         allow_outside=allow_outside,
+        tolerance_band=tolerance_band,
         resume=resume,
     )
 

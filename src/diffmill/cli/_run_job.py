@@ -30,6 +30,7 @@ def run_job(
     force: bool,
     is_quiet: bool,
     allow_outside: bool,
+    tolerance_band: str | None = None,
     resume: bool = False,
 ) -> int:
     """Load, run and write a job; return the exit code.
@@ -41,12 +42,15 @@ def run_job(
         force: Whether results that are there are replaced.
         is_quiet: Whether only errors are printed.
         allow_outside: Whether the job may name files outside its folder.
+        tolerance_band: Contour error to hold the result against, with its unit; by
+            default that of the job.
         resume: Whether a correction goes on from its checkpoint.
     """
     from .._result import SimulationFailed
     from ..config import JobError, load_job
     from ..io import check_folder, write_results
 
+    band = _length(tolerance_band)
     folder = pathlib.Path(f"{file.stem}-{command}") if out is None else out
     with bad_input():
         check_folder(folder, force=force)
@@ -82,6 +86,8 @@ def run_job(
     for note in job.notes[told:]:
         progress.say(f"note: {note}")
     dataset = with_job(outcome.to_dataset(), job)
+    band = float(job.correction.tolerance_band) if band is None else band
+    dataset.attrs["tolerance_band"] = band
     dataset.attrs.setdefault("wall_time_s", seconds)
     files = {}
     if command == "correct":
@@ -97,6 +103,21 @@ def run_job(
     progress.say(_summary(dataset))
     progress.say(f"results: {folder}; the run took {seconds:.1f} s with compilation")
     return _analyse(folder, FinishedRun(job, solutions, final, dataset), progress)
+
+
+def _length(text: str | None) -> float | None:
+    """Return a length of the command line [m]."""
+    from ..units import LENGTH, quantity
+
+    if text is None:
+        return None
+    try:
+        found = quantity(text, LENGTH)
+        if found > 0:
+            return found
+        raise ValueError(f"found {text!r}, but a length above 0 is required")
+    except ValueError as error:
+        raise BadInput(f"--tolerance-band: {error}") from error
 
 
 def _analyse(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> int:

@@ -11,8 +11,8 @@ prediction.
 Everything takes the dataset of a result (its layout: `diffmill.io`) or plain NumPy
 arrays, in SI; millimetres, micrometres and degrees appear on the axes only. Assumed:
 steps at equal times, the tool axis near z. Left out: animation, interactive windows;
-nothing here computes physics. matplotlib and plotly are imported when a figure is
-drawn, and pyplot's global state is not touched.
+nothing here computes physics. matplotlib is imported when a figure is drawn, and
+pyplot's global state is not touched.
 """
 
 from ._cases import case_numbers as case_numbers

@@ -96,6 +96,7 @@ class CorrectionTable(Table):
     compare: Literal["few", "all"] = "few"
     command: Literal["tip", "joint"] = "tip"
     tolerance: Tolerance = 0.0
+    tolerance_band: PositiveLength | None = None
     weight: list[WeightTable] = Field(default_factory=list)
     finishing_only: StrictBool = False
     wall_weight: Weight = 1.0
@@ -126,6 +127,8 @@ def correction_settings(
     values: dict[str, Any] = table.model_dump(
         exclude={"weight", "uncertainty"}, exclude_none=True
     )
+    # Who says which error does not count has said which one is allowed.
+    values.setdefault("tolerance_band", table.tolerance)
     if table.method == "adam":
         values.setdefault("max_steps", _ADAM_STEPS)
     is_bound = table.max_acceleration is not None

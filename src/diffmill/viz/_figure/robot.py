@@ -34,7 +34,7 @@ def plot_robot(
     Returns:
         The figure.
     """
-    lines = _lines(robot, bones)
+    lines = arm_lines(robot, bones)
     points = np.concatenate([np.zeros((1, 3)), *lines])
     span = float(np.max(np.ptp(points, axis=0))) or 1.0
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
@@ -157,7 +157,7 @@ def draw_arm(
     i, j = plane
     colour = "white" if is_faint else _LINK
     width = 1.4 if is_faint else 4.0
-    for line in _lines(robot, bones):
+    for line in arm_lines(robot, bones):
         if is_faint:
             axes.plot(line[:, i], line[:, j], color=INK, linewidth=2.4, zorder=3)
         axes.plot(
@@ -212,7 +212,7 @@ def _is_virtual(robot: Robot) -> list[bool]:
     return [next(own) if m is None else robot.is_virtual[m[0]] for m in robot.mimics]
 
 
-def _lines(robot: Robot, bones: Skeleton) -> list[Float[np.ndarray, "point 3"]]:
+def arm_lines(robot: Robot, bones: Skeleton) -> list[Float[np.ndarray, "point 3"]]:
     """Return a line per body from its parent's joint to its own, and the tool's."""
     origins, mounts = np.asarray(bones.origins), np.asarray(bones.mounts)
     start = lambda body: origins[body] if body >= 0 else np.zeros(3)

@@ -1,18 +1,16 @@
-"""The machined surface: map of its error, histogram, 3-D view for browsers."""
+"""The machined surface: map of its error and histogram."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...workpiece import SurfaceError
 from .._style import (
     INK,
-    MICROMETRE,
     case_style,
     label_colourbar,
     new_figure,
     quiet_axes,
-    round_factor,
     spread,
 )
 
@@ -20,8 +18,6 @@ if TYPE_CHECKING:
     import matplotlib.axes
     import matplotlib.cm
     import matplotlib.figure
-
-_BROWSER_POINTS = 20_000  # per case: keeps the report small and turning it smooth
 
 
 def plot_surface_error(errors: dict[str, SurfaceError]) -> "matplotlib.figure.Figure":
@@ -124,104 +120,3 @@ def _draw_histogram(
         loc="left",
         color=INK,
     )
-
-
-def surface_html(errors: dict[str, SurfaceError]) -> str:
-    """Return a block of HTML with the surface to turn around, by plotly.
-
-    plotly.js is part of the block (about 5 MB), so the page needs no network.
-
-    Args:
-        errors: Surface error by case; buttons switch between cases.
-
-    Returns:
-        A `<div>` with its script.
-    """
-    import plotly.graph_objects as go
-
-    limit = _limit_um(errors)
-    points = np.concatenate([item.points for item in errors.values()])
-    width_um = float(np.ptp(points, axis=0).max()) * 1e6 if len(points) else 1.0
-    # The largest error is drawn as long as a thirtieth of the part.
-    factor = round_factor(max(1.0, width_um / 30 / limit))
-    clouds = [
-        _browser_cloud(item, limit, factor, name == next(iter(errors)))
-        for name, item in errors.items()
-    ]
-    figure = go.Figure([go.Scatter3d(**cloud) for cloud in clouds])
-    figure.update_layout(
-        template="plotly_white",
-        margin={"l": 0, "r": 0, "t": 30, "b": 0},
-        height=520,
-        font={"family": "system-ui, sans-serif", "size": 12},
-        scene={
-            **{f"{a}axis": {"title": {"text": f"{a} [mm]"}} for a in "xyz"},
-            "aspectmode": "data",
-            "camera": {"eye": {"x": 0.7, "y": -1.3, "z": 1.0}},
-        },
-        annotations=[
-            {
-                "text": f"error drawn {factor:g} times larger",
-                "x": 0,
-                "y": 1.07,
-                "xref": "paper",
-                "yref": "paper",
-                "xanchor": "left",
-                "showarrow": False,
-            }
-        ],
-        updatemenus=[_case_buttons(list(errors))] if len(errors) > 1 else [],
-    )
-    return figure.to_html(
-        full_html=False,
-        include_plotlyjs=True,
-        div_id="surface-3d",
-        config={"displaylogo": False, "responsive": True},
-    )
-
-
-def _case_buttons(names: list[str]) -> dict:
-    """Return plotly buttons that show one case at a time."""
-    buttons = [
-        {
-            "label": case_style(name).label,
-            "method": "restyle",
-            "args": [{"visible": [other == name for other in names]}],
-        }
-        for name in names
-    ]
-    return {
-        "type": "buttons",
-        "direction": "right",
-        "buttons": buttons,
-        "x": 0.0,
-        "xanchor": "left",
-        "y": 0.98,
-        "yanchor": "top",
-    }
-
-
-def _browser_cloud(
-    item: SurfaceError, limit_um: float, factor: float, is_visible: bool
-) -> dict[str, Any]:
-    """Return one plotly cloud, thinned and rounded to what a screen can show."""
-    some = slice(None, None, max(1, -(-len(item.error) // _BROWSER_POINTS)))
-    moved = item.points + factor * item.error[:, None] * item.normal
-    x, y, z = np.round(moved[some].T * 1e3, 3).astype(np.float32)
-    return {
-        "x": x,
-        "y": y,
-        "z": z,
-        "mode": "markers",
-        "visible": is_visible,
-        "hoverinfo": "skip",
-        "marker": {
-            "size": 2,
-            "color": np.round(item.error[some] * 1e6, 2).astype(np.float32),
-            "colorscale": "RdBu",
-            "reversescale": True,
-            "cmin": -limit_um,
-            "cmax": limit_um,
-            "colorbar": {"title": {"text": MICROMETRE}, "len": 0.7},
-        },
-    }

@@ -9,22 +9,26 @@ What it reads of a result besides the variables of `simulate` and `correct`:
   each case, those that end in `_s` in seconds; `corrected_case`: the case whose
   command is the corrected program; `written_rms_SUFFIX` [m], the error that the
   program in `corrected.SUFFIX` leaves; `is_successful` (0 marks a run that failed);
+  `tolerance_band` [m], the contour error to hold the result against;
 - every other attribute is listed as a setting.
 """
 
 import os
 from collections.abc import Sequence
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..._job import Job
 from ...workpiece import SurfaceError
 from .._cases import CaseNumbers, case_names, case_numbers, reference_case, values_of
-from .._figure.surface import surface_html
 from .._style import MICROMETRE, case_style
 from .case_parts import parts_html, surface_figures_html
 from .html import image_html, numbers_html, page_html, section_html, table_html
+from .scene import scene_html
+from .verdict import chosen_case, limits, tolerance_band, verdict
 from .write import FigureFile
 
 if TYPE_CHECKING:
@@ -39,6 +43,8 @@ _SPECIAL = (
     "units",
     "is_successful",
     "corrected_case",
+    "corrected_outcome",
+    "tolerance_band",
     "incomplete",
     "incomplete_reason",
     "incomplete_time",
@@ -53,6 +59,7 @@ def write_report(
     figures: dict[str, FigureFile],
     *,
     surfaces: dict[str, SurfaceError] | None = None,
+    job: Job | None = None,
     settings: dict[str, str] | None = None,
     versions: dict[str, str] | None = None,
     notes: Sequence[str] = (),
@@ -65,8 +72,9 @@ def write_report(
         out_dir: Existing folder.
         dataset: A result of `simulate` or `correct`.
         figures: What `write_figures` returned.
-        surfaces: Surface error by case, for the surface that can be turned around;
-            without it the report is about 5 MB smaller.
+        surfaces: Surface error by case, for the part that can be turned around.
+        job: For the arm and the raw part beside it, and for the bounds that limited
+            the correction.
         settings: Numerical settings to list, beside the dataset's attributes.
         versions: Versions to list, beside the dataset's attributes.
         notes: Notes and warnings of the run.
@@ -85,14 +93,23 @@ def write_report(
     hidden = {*_SPECIAL, *(f"{c}_{key}" for c, found in costs.items() for key in found)}
     hidden |= {f"{_WRITTEN}{suffix}" for suffix in _written(dataset)}
     listed = {str(k): _cell(v) for k, v in dataset.attrs.items() if k not in hidden}
+    bounds = None if job is None else job.correction
+    scene = scene_html(
+        dataset,
+        chosen_case(dataset),
+        surfaces=surfaces,
+        job=job,
+        band=tolerance_band(dataset),
+    )
     body = [
         _head(kind, title, dataset, failure),
+        section_html("Where the tool misses", scene),
         section_html("Result", *_result_blocks(dataset)),
+        section_html("What limited the result", _items(limits(dataset, bounds))),
         section_html("By part of the path", parts_html(dataset)),
         section_html("Machined surface", surface_figures_html(dataset)),
         section_html("Cost", _cost_table(costs)),
         section_html("Figures", *_figure_blocks(figures)),
-        _turnable_surface(surfaces),
         section_html("Notes and warnings", _notes(remarks, figures)),
         section_html(
             "What was asked", _text_block(job_text or dataset.attrs.get("source", ""))
@@ -109,8 +126,6 @@ def write_report(
 
 
 def _head(kind: str, title: str, dataset: "xarray.Dataset", failure: str) -> str:
-    from html import escape
-
     numbers = {name: case_numbers(dataset, name) for name in case_names(dataset)}
     text = [
         "<header>",
@@ -119,10 +134,16 @@ def _head(kind: str, title: str, dataset: "xarray.Dataset", failure: str) -> str
     ]
     if failure:
         text.append(
-            '<p class="banner"><b>This run is incomplete.</b> '
+            '<p class="banner bad"><b>This run is incomplete.</b> '
             f"{escape(failure)} What follows ends there; its figures do not describe "
             "the whole job.</p>"
         )
+    found = verdict(dataset, is_complete=not failure)
+    mark = {True: " good", False: " bad", None: ""}[found.is_held]
+    text.append(
+        f'<p class="banner{mark}" id="verdict"><b>{escape(found.title)}.</b> '
+        f"{escape(found.text)}</p>"
+    )
     text.append(numbers_html(_headline(dataset, numbers)))
     return "\n".join([*text, "</header>"])
 
@@ -246,16 +267,13 @@ def _cost_table(costs: dict[str, dict[str, str]]) -> str:
     keys = list(dict.fromkeys(key for found in costs.values() for key in found))
     if not keys:
         return ""
-    header = ["case"]
+    rows = []
     for key in keys:
         name = key.removesuffix("_s").replace("_", " ")
-        header.append(f"{name} [s]" if key.endswith("_s") else name)
-    rows = [
-        [case_style(case).label, *(found.get(key, "-") for key in keys)]
-        for case, found in costs.items()
-    ]
-    colours = [case_style(case).colour for case in costs]
-    return table_html(header, rows, colours=colours)
+        title = f"{name} [s]" if key.endswith("_s") else name
+        rows.append([title, *(found.get(key, "-") for found in costs.values())])
+    # One column for each case: they are fewer than what is said of them.
+    return table_html(["", *(case_style(case).label for case in costs)], rows)
 
 
 def _figure_blocks(figures: dict[str, FigureFile]) -> list[str]:
@@ -266,23 +284,18 @@ def _figure_blocks(figures: dict[str, FigureFile]) -> list[str]:
     ]
 
 
-def _turnable_surface(surfaces: dict[str, SurfaceError] | None) -> str:
-    if not surfaces:
-        return ""
-    note = '<p class="note">Drag to turn, scroll to zoom. Not printed.</p>'
-    block = section_html("Surface in three dimensions", note, surface_html(surfaces))
-    return f'<div class="screen">{block}</div>'
-
-
 def _notes(remarks: Sequence[str], figures: dict[str, FigureFile]) -> str:
-    from html import escape
-
     lines = [line for line in remarks if line.strip()]
     lines += [
         f'No figure "{file.title}": {file.skipped}.'
         for file in figures.values()
         if file.path is None
     ]
+    return _items(lines)
+
+
+def _items(lines: Sequence[str]) -> str:
+    """Return lines as a list, or nothing."""
     if not lines:
         return ""
     items = "".join(f"<li>{escape(line)}</li>" for line in lines)
@@ -290,8 +303,6 @@ def _notes(remarks: Sequence[str], figures: dict[str, FigureFile]) -> str:
 
 
 def _text_block(text: object) -> str:
-    from html import escape
-
     return f"<pre>{escape(str(text).strip())}</pre>" if str(text).strip() else ""
 
 

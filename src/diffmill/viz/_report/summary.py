@@ -3,7 +3,9 @@
 from typing import TYPE_CHECKING
 
 from .._cases import case_names, case_numbers
+from .._style import MICROMETRE
 from .case_parts import case_parts
+from .verdict import verdict
 
 if TYPE_CHECKING:
     import xarray
@@ -23,7 +25,16 @@ def summary(dataset: "xarray.Dataset") -> str:
         errors = (found.rms, found.percentile_95, found.maximum)
         numbers = "".join(f"{value * 1e6:10.2f}" for value in errors)
         rows.append(f"{case:16}{numbers}{found.force_mean:12.2f}")
-    return "\n".join([*rows, *_parts(dataset)])
+    return "\n".join([*rows, *_parts(dataset), *_verdict(dataset)])
+
+
+def _verdict(dataset: "xarray.Dataset") -> list[str]:
+    """Return the verdict if a tolerance was stated."""
+    found = verdict(dataset)
+    if found.is_held is None:
+        return []
+    # Not every terminal prints a micro sign.
+    return [f"{found.title}. {found.text}".replace(MICROMETRE, "um")]
 
 
 def _parts(dataset: "xarray.Dataset") -> list[str]:

@@ -1,0 +1,213 @@
+"""Whether a result stays within a tolerance, and what limited it."""
+
+from typing import TYPE_CHECKING
+
+import equinox as eqx
+import numpy as np
+
+from ..._job import CorrectionSettings
+from .._cases import case_names, cutting_of, reference_case, select_case, values_of
+from .._style import MICROMETRE, case_style
+from .case_parts import case_parts
+
+if TYPE_CHECKING:
+    import xarray
+
+# A bound counts as reached so near to it: the optimiser keeps a reserve.
+_NEAR = 0.98
+# A part of the path is named if its share of the error is so much above its length.
+_TELLING = 0.1
+
+
+class Verdict(eqx.Module):
+    """The contour error of one case against a tolerance.
+
+    Attributes:
+        is_held: Whether it stays within at every step that cuts; None if no
+            tolerance was stated or there is nothing to judge.
+        title: In a few words.
+        text: What was found, where it is worst.
+    """
+
+    is_held: bool | None = eqx.field(static=True)
+    title: str = eqx.field(static=True)
+    text: str = eqx.field(static=True)
+
+
+def chosen_case(dataset: "xarray.Dataset") -> str:
+    """Return the case that became the corrected program; else the reference."""
+    name = str(dataset.attrs.get("corrected_case", "corrected"))
+    return name if name in case_names(dataset) else reference_case(dataset)
+
+
+def tolerance_band(dataset: "xarray.Dataset") -> float:
+    """Return the stated tolerance of a result [m], 0 if there is none."""
+    return float(dataset.attrs.get("tolerance_band", 0.0))
+
+
+def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
+    """Return whether the result keeps its tolerance.
+
+    Args:
+        dataset: A result of `simulate` or `correct`; its attribute `tolerance_band`
+            is the largest contour error that is allowed [m].
+        is_complete: Whether the run reached its end.
+    """
+    case, band = chosen_case(dataset), tolerance_band(dataset)
+    if not is_complete:
+        return Verdict(None, "No verdict", "The run did not reach its end.")
+    error = _cutting_error(dataset, case)
+    if not error.size:
+        return Verdict(None, "No verdict", "Nothing was cut.")
+    largest, label = float(error.max()), case_style(case).label
+    text = f"Largest contour error of the {label} path: {largest * 1e6:.3g} "
+    text += f"{MICROMETRE}{_place(dataset, case)}."
+    if not band:
+        text += (
+            " No tolerance was stated: [correction] tolerance_band or --tolerance-band "
+            "asks for a verdict."
+        )
+        return Verdict(None, "No tolerance stated", text)
+    is_held = largest <= band
+    share = 100 * float(np.mean(error <= band))
+    # 99.97 % is not "100 %" of a path that leaves the band.
+    shown = "all" if is_held else f"{min(share, 99.9):.1f} %"
+    title = f"{'Within' if is_held else 'Not within'} {band * 1e6:.3g} {MICROMETRE}"
+    text += f" Within the tolerance: {shown} of the steps that cut."
+    return Verdict(is_held, title, text)
+
+
+def _cutting_error(dataset: "xarray.Dataset", case: str) -> np.ndarray:
+    """Return the sizes of the finite contour errors where the tool cuts [m]."""
+    if "contour_error" not in dataset:
+        return np.zeros(0)
+    error = np.abs(values_of(dataset, "contour_error", case))
+    return error[cutting_of(dataset, case) & np.isfinite(error)]
+
+
+def _place(dataset: "xarray.Dataset", case: str) -> str:
+    """Return when and where the contour error is largest."""
+    if "desired" not in dataset:
+        return ""
+    error = np.abs(values_of(dataset, "contour_error", case))
+    row = int(np.nanargmax(np.where(cutting_of(dataset, case), error, np.nan)))
+    time = values_of(dataset, "time", case)[row]
+    x, y, z = 1e3 * values_of(dataset, "desired", case)[row]
+    return f", at {time:.3f} s, x, y, z = {x:.2f}, {y:.2f}, {z:.2f} mm"
+
+
+def limits(
+    dataset: "xarray.Dataset", settings: CorrectionSettings | None
+) -> tuple[str, ...]:
+    """Return what kept the error from being smaller, in sentences.
+
+    Args:
+        dataset: A result of `simulate` or `correct`.
+        settings: Those of the correction, for its bounds.
+    """
+    case = chosen_case(dataset)
+    found = []
+    if case != reference_case(dataset) and settings is not None:
+        found += _bounds_reached(dataset, case, settings)
+    if dataset.attrs.get("corrected_outcome") == "steps ran out":
+        found.append(
+            "The optimiser ended after [correction] max_steps, before it settled: more "
+            "steps may gain more."
+        )
+    if case != reference_case(dataset) and settings is not None:
+        found += _above_knots(dataset, case, settings.knot_spacing)
+    return (*found, *_constant_share(dataset, case), *_part_share(dataset, case))
+
+
+def _bounds_reached(
+    dataset: "xarray.Dataset", case: str, settings: CorrectionSettings
+) -> list[str]:
+    """Return the bounds of the command that it reached."""
+    if "commanded" not in dataset or settings.command != "tip":
+        return []
+    time = values_of(dataset, "time", case)
+    desired = values_of(dataset, "desired", case)
+    commanded = values_of(dataset, "commanded", case)
+    step = (time[-1] - time[0]) / (len(time) - 1)
+    offset = np.abs(commanded - desired).max(axis=1)
+    speed = np.abs(np.diff(commanded, axis=0)).max(axis=1) / step
+    rate = lambda path: np.abs(np.diff(path, 2, axis=0)).max(axis=1) / step**2
+    own = float(rate(desired).max(initial=0.0)) if len(time) > 2 else 0.0
+    factor = settings.acceleration_factor
+    most = settings.max_acceleration
+    if np.isfinite(factor):
+        most = min(most, factor * own)
+    found = []
+    for values, bound, name, unit in (
+        (offset, float(settings.max_offset), "max_offset", "m"),
+        (speed, settings.max_velocity, "max_velocity", "m/s"),
+        (rate(commanded), most, "max_acceleration, or its factor,", "m/s\u00b2"),
+    ):
+        share = float(np.mean(values >= _NEAR * bound)) if np.isfinite(bound) else 0.0
+        if share > 0:
+            found.append(
+                f"The command stands at its bound [correction] {name} of {bound:.3g} "
+                f"{unit} in {100 * share:.2g} % of the steps: a wider one may gain "
+                "more."
+            )
+    return found
+
+
+def _above_knots(
+    dataset: "xarray.Dataset", case: str, knot_spacing: float
+) -> list[str]:
+    """Return whether most of what is left is faster than the knots can follow."""
+    if "deviation" not in dataset:
+        return []
+    time = values_of(dataset, "time", case)
+    cutting = cutting_of(dataset, case)
+    left = np.nan_to_num(values_of(dataset, "deviation", case)) * cutting[:, None]
+    power = np.sum(np.abs(np.fft.rfft(left, axis=0)) ** 2, axis=1)
+    step = (time[-1] - time[0]) / (len(time) - 1)
+    fastest = 0.5 / knot_spacing
+    above = np.fft.rfftfreq(len(time), step) > fastest
+    share = float(power[above].sum() / max(power.sum(), 1e-30))
+    if share < 0.5:
+        return []
+    return [
+        f"{100 * share:.0f} % of the square of the deviation that is left is faster "
+        f"than {fastest:.3g} Hz, half of one over the knots' spacing: only a shorter "
+        "[correction] knot_spacing follows it."
+    ]
+
+
+def _constant_share(dataset: "xarray.Dataset", case: str) -> list[str]:
+    """Return whether most of the error is a constant vector, such as a sag."""
+    if "contour_mean" not in dataset:
+        return []
+    mean = np.asarray(select_case(dataset, case)["contour_mean"], np.float64)
+    square = float(np.mean(_cutting_error(dataset, case) ** 2))
+    share = float(mean @ mean) / square if square else 0.0
+    if share < 0.5:
+        return []
+    x, y, z = 1e6 * mean
+    return [
+        f"{min(100 * share, 100):.0f} % of the square of the contour error is a "
+        f"constant vector, {x:.3g}, {y:.3g}, {z:.3g} {MICROMETRE} in x, y, z: a static "
+        "bend, which a shift of the program takes out."
+    ]
+
+
+def _part_share(dataset: "xarray.Dataset", case: str) -> list[str]:
+    """Return which part of the path holds more of the error than its length says."""
+    item = next((found for found in case_parts(dataset) if found.name == case), None)
+    if item is None:
+        return []
+    rows = {part: count for part, count in item.rows.items() if count}
+    squares = {part: rows[part] * item.rms[part] ** 2 for part in rows}
+    total, count = sum(squares.values()), sum(rows.values())
+    if not total or len(rows) < 2:
+        return []
+    excess = {part: squares[part] / total - rows[part] / count for part in rows}
+    part = max(excess, key=lambda name: excess[name])
+    if excess[part] < _TELLING:
+        return []
+    return [
+        f"The {part} holds {100 * squares[part] / total:.0f} % of the square of the "
+        f"contour error in {100 * rows[part] / count:.0f} % of the steps."
+    ]

@@ -1,0 +1,118 @@
+"""What the report says of a tolerance, and of what limited the result."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from diffmill.viz import summary, write_report
+
+from .synthetic import PERIOD
+from .test_report import read
+
+
+def report(folder, dataset, job=None):
+    return read(write_report(folder, dataset, {}, job=job)).text
+
+
+def with_correction(job, **settings):
+    """Return a job whose correction has other settings."""
+    changed = dataclasses.replace(job.correction, **settings)
+    return dataclasses.replace(job, correction=changed)
+
+
+def offset_by(dataset, offset):
+    """Return a result whose corrected command is the desired path and an offset."""
+    commanded = dataset["commanded"].copy()
+    commanded.loc[{"case": "corrected"}] = dataset["desired"].values + offset
+    return dataset.assign(commanded=commanded)
+
+
+def corrected_error(dataset):
+    error = np.abs(dataset["contour_error"].sel(case="corrected").values)
+    return np.where(dataset["is_cutting"].values, error, 0.0)
+
+
+@pytest.mark.parametrize(("factor", "is_held"), [(1.01, True), (0.99, False)])
+def test_the_largest_error_decides(tmp_path, correction, factor, is_held):
+    error = corrected_error(correction)
+    band = factor * error.max()
+    text = report(tmp_path, correction.assign_attrs(tolerance_band=band))
+    assert ("Not within" in text) != is_held
+    assert ("Within the tolerance: all" in text) == is_held
+    row = int(error.argmax())
+    x, y, z = 1e3 * correction["desired"].values[row]
+    time = correction["time"].values[row]
+    assert f"at {time:.3f} s, x, y, z = {x:.2f}, {y:.2f}, {z:.2f} mm" in text
+
+
+def test_the_share_within_is_that_of_the_steps_that_cut(tmp_path, correction):
+    error = corrected_error(correction)
+    cutting = correction["is_cutting"].values
+    band = float(np.percentile(error[cutting], 60))
+    share = 100 * np.mean(error[cutting] <= band)
+    text = report(tmp_path, correction.assign_attrs(tolerance_band=band))
+    assert f"Within the tolerance: {share:.1f} % of the steps" in text
+
+
+def test_an_unfinished_run_and_one_without_a_tolerance_get_no_verdict(
+    tmp_path, correction
+):
+    text = report(tmp_path, correction)
+    assert "No tolerance stated" in text and "--tolerance-band" in text
+    stopped = correction.assign_attrs(tolerance_band=1.0, incomplete=np.int32(1))
+    assert "No verdict. The run did not reach its end" in report(tmp_path, stopped)
+
+
+def test_the_summary_says_the_verdict_too(correction):
+    assert "tolerance" not in summary(correction)
+    assert "Within 1e+04 um" in summary(correction.assign_attrs(tolerance_band=1e-2))
+    assert "Not within 0.01 um" in summary(correction.assign_attrs(tolerance_band=1e-8))
+
+
+def test_a_bound_that_the_command_reaches_is_named_with_its_share(
+    tmp_path, correction, job
+):
+    count = correction.sizes["step"]
+    ramp = np.linspace(0, 1, count)[:, None] * np.array([1e-3, 0, 0])
+    wide = with_correction(job, acceleration_factor=np.inf)
+    text = report(tmp_path, offset_by(correction, ramp), wide)
+    share = 100 * np.mean(np.linspace(0, 1, count) >= 0.98)
+    assert f"max_offset of 0.001 m in {share:.2g} %" in text
+    assert "max_acceleration" not in text
+    assert "max_offset" not in report(tmp_path, offset_by(correction, ramp / 2), wide)
+
+
+def test_a_command_as_fast_as_it_may_be_is_told(tmp_path, correction, job):
+    time = correction["time"].values
+    offset = np.zeros((time.size, 3))
+    offset[:, 2] = 1e-4 * np.sin(2 * np.pi * 20 * time)
+    bound = 0.8 * 1e-4 * (2 * np.pi * 20) ** 2
+    capped = with_correction(job, max_acceleration=bound, acceleration_factor=np.inf)
+    text = report(tmp_path, offset_by(correction, offset), capped)
+    assert f"of {bound:.3g} m/s" in text and "a wider one may gain more" in text
+
+
+@pytest.mark.parametrize(("hertz", "is_named"), [(10.0, False), (25.0, True)])
+def test_what_is_faster_than_the_knots_is_named(
+    tmp_path, correction, job, hertz, is_named
+):
+    """Knots 30 ms apart follow up to 16.7 Hz."""
+    count = correction.sizes["step"]
+    wave = 1e-6 * np.sin(2 * np.pi * hertz * PERIOD * np.arange(count))
+    deviation = correction["deviation"].copy()
+    deviation.loc[{"case": "corrected"}] = wave[:, None] * np.ones(3)
+    knots = with_correction(job, knot_spacing=30e-3)
+    text = report(tmp_path, correction.assign(deviation=deviation), knots)
+    assert ("is faster than 16.7 Hz" in text) == is_named
+
+
+def test_steps_that_ran_out_and_a_constant_error_are_named(tmp_path, correction):
+    mean = np.zeros((correction.sizes["case"], 3))
+    error = corrected_error(correction)[correction["is_cutting"].values]
+    mean[-1, 2] = 0.9 * np.sqrt(np.mean(error**2))
+    result = correction.assign(contour_mean=(("case", "axis"), mean))
+    text = report(tmp_path, result.assign_attrs(corrected_outcome="steps ran out"))
+    assert "[correction] max_steps" in text
+    assert "81 % of the square of the contour error is a constant vector" in text
+    assert "What limited the result" not in report(tmp_path, correction)
