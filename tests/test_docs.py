@@ -1,0 +1,238 @@
+"""The documents: spelled right, linked right, and what they show is executed."""
+
+import pathlib
+import re
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import pytest
+from slides_job import PROGRAM, write_slides_job
+
+from diffmill import load_job
+from diffmill.cli import main
+from diffmill.config import load_identification
+from diffmill.examples import copy_example
+
+ROOT = pathlib.Path(__file__).parents[1]
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+GLOSSARY = ROOT / "docs" / "glossary.md"
+# Right, but near to a word that is often meant: to and fro, statics, a collet, a name,
+# and words of robot languages and of other tongues that are read.
+RIGHT = {"fro", "statics", "collet", "numer"}
+RIGHT |= {"slin", "anout", "imagin", "spindel", "intervall"}
+# What the examples of the documents read: a small table for each file that they name.
+TABLES = {
+    "slot1.txt": "t_s,Fx_N,Fy_N,Fz_N\n" + "".join(
+        f"{k * 1e-4:.4f},{k % 7},{k % 5},{k % 3}\n" for k in range(400)
+    ),
+    "means.csv": "fz_mm,Fx_N,Fy_N,Fz_N\n0.05,10,20,1\n0.1,15,30,2\n0.15,20,40,3\n",
+    "loads.csv": ",".join(
+        [*(f"axis_{k}_deg" for k in range(1, 7)), "Fx_N,Fy_N,Fz_N,dx_mm,dy_mm,dz_mm\n"]
+    ) + "0,-90,90,0,60,0,100,0,0,0.1,0,0\n" * 12,
+    "hit1.txt": "time_s,signal\n" + "".join(
+        f"{k * 1e-3:.3f},{(-1) ** (k // 40)}\n" for k in range(500)
+    ),
+    "run.csv": "time_s,dx_um,dy_um,dz_um\n"
+    + "".join(f"{k * 0.01:.2f},{k},{k % 3},{k % 5}\n" for k in range(20)),
+    **dict.fromkeys(
+        ("tip_x.csv", "tip_y.csv"),
+        "frequency_Hz,real,imag\n" + "".join(
+            f"{10 * k},{k % 5},{-k % 7}\n" for k in range(1, 60)
+        ),
+    ),
+    **dict.fromkeys(
+        ("commanded.csv", "actual.csv"),
+        "time_s,x_mm,y_mm,z_mm\n" + "".join(
+            f"{k * 0.01:.2f},{k * 0.1:.1f},0,0\n" for k in range(200)
+        ),
+    ),
+}  # fmt: skip
+STUDY = """kind = "mean_forces"
+[cutter]
+diameter = "10 mm"
+teeth = 2
+[spindle]
+speed = "6000 rpm"
+[cut]
+axial_depth = "2 mm"
+"""
+
+
+class Block(NamedTuple):
+    """A block of code that a document shows.
+
+    Attributes:
+        language: What stands behind its fence.
+        text: The code.
+    """
+
+    language: str
+    text: str
+
+
+def blocks(page: pathlib.Path) -> Iterator[Block]:
+    """Yield the fenced blocks of a page."""
+    text = page.read_text(encoding="utf-8")
+    for found in re.finditer(r"^```(\w*)\n(.*?)^```$", text, re.DOTALL | re.MULTILINE):
+        yield Block(found[1], found[2])
+
+
+def every_block(*languages: str) -> list:
+    """Return all blocks in these languages, named by page and place on it."""
+    return [
+        pytest.param(block, id=f"{page.name}-{number}")
+        for page in PAGES
+        for number, block in enumerate(blocks(page))
+        if block.language in languages
+    ]
+
+
+def prose(page: pathlib.Path) -> str:
+    """Return a page without its code."""
+    text = page.read_text(encoding="utf-8")
+    text = re.sub(r"^```.*?^```$", "", text, flags=re.DOTALL | re.MULTILINE)
+    return re.sub(r"^(?: {4}.*\n)+", "", text, flags=re.MULTILINE)
+
+
+def glossary_words() -> set[str]:
+    """Return the words of the field, which no dictionary needs to know."""
+    rows = re.findall(r"^\| ([^|]+) \|", GLOSSARY.read_text("utf-8"), re.MULTILINE)
+    return {word.lower() for row in rows for word in re.findall(r"[A-Za-z]+", row)}
+
+
+def test_words_are_spelled_right():
+    pytest.importorskip("codespell_lib")
+    done = subprocess.run(
+        [
+            *(sys.executable, "-m", "codespell_lib", "--builtin", "clear,rare"),
+            *("--ignore-words-list", ",".join(sorted(glossary_words() | RIGHT))),
+            *map(str, [*PAGES, ROOT / "src", ROOT / "experiments", ROOT / "notebooks"]),
+        ],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.stdout + done.stderr == ""
+
+
+def test_spelling_is_british():
+    codespell = pytest.importorskip("codespell_lib")
+    folder = pathlib.Path(codespell.__file__).parent / "data"
+    lines = (folder / "dictionary_en-GB_to_en-US.txt").read_text("utf-8").splitlines()
+    pairs = [line.split("->") for line in lines]
+    american = {us.strip(): gb for gb, many in pairs for us in many.split(",") if us}
+    # A program is one of the machine; a licence is named in its own words.
+    allowed = glossary_words() | {"program", "programs", "license", "biased"}
+    found = {
+        (page.name, word, american[word.lower()])
+        for page in PAGES
+        for word in re.findall(r"[A-Za-z]+", re.sub(r"`[^`]*`", "", prose(page)))
+        if word.lower() in american.keys() - allowed
+    }
+    assert found == set()
+
+
+def anchors(page: pathlib.Path) -> set[str]:
+    """Return the names by which the headings of a page can be linked to."""
+    found = re.findall(r"^#+ (.*)$", prose(page), re.MULTILINE)
+    return {
+        re.sub(r"[^\w\- ]", "", title.lower()).strip().replace(" ", "-")
+        for title in found
+    }
+
+
+def generated_pages() -> set[str]:
+    """Return the pages that exist only on the site."""
+    text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    return set(re.findall(r": (\w+\.md)$", text, re.MULTILINE)) - {
+        page.name for page in PAGES
+    }
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_link_leads_somewhere(page):
+    written = generated_pages()
+    for link in re.findall(r"\]\(([^)\s]+)\)", prose(page)):
+        if link.startswith(("https://", "mailto:")):
+            continue
+        name, _, anchor = link.partition("#")
+        target = page.parent / name if name else page
+        # The site's own pages; mkdocs checks links to them when it builds.
+        if page.parent.name == "docs" and name in written:
+            continue
+        assert target.exists(), link
+        assert not anchor or anchor in anchors(target), link
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_file_that_is_named_exists(page):
+    shipped = ("docs/", "notebooks/", "experiments/", "tests/", "src/", ".ci/")
+    inside = [ROOT, ROOT / "src" / "diffmill"]
+    for name in re.findall(r"`([\w./*]+/[\w.*/]*)`", prose(page)):
+        is_module = re.fullmatch(r"[a-z]+/(?:_?[a-z]+/)*_?\w*\.(?:py|toml)", name)
+        if name.startswith(shipped) or is_module:
+            assert any(list(folder.glob(name)) for folder in inside), name
+    for command in re.findall(r"python\s+(experiments/\S+\.py)", prose(page)):
+        assert (ROOT / command).is_file(), command
+
+
+def test_every_block_is_in_a_language_that_is_executed():
+    found = {block.language for page in PAGES for block in blocks(page)}
+    assert found <= {"python", "py", "sh", "toml"}
+
+
+@pytest.mark.parametrize("block", every_block("toml"))
+def test_toml_is_accepted(block, tmp_path):
+    tables = tomllib.loads(block.text)
+    for name, text in TABLES.items():
+        (tmp_path / name).write_text(text)
+    job = write_slides_job(tmp_path, program=PROGRAM.replace("G0", "T2 M6\nG0", 1))
+    if {"kind", "means"} & tables.keys():
+        job.rename(tmp_path / "part.toml")
+        study = tmp_path / "study.toml"
+        study.write_text(block.text if "kind" in tables else STUDY + block.text)
+        load_identification(study)
+    elif {"cutter", "stock"} <= tables.keys():
+        job = copy_example(
+            f"{tables['program']['file'].removesuffix('.ngc')}", tmp_path
+        )
+        job.write_text(block.text)
+        load_job(job)
+    else:
+        # A table of a job takes the place of that of a small one.
+        text = job.read_text()
+        for name in tables:
+            text = re.sub(rf"^\[{name}\]\n(?:[^\[].*\n)*", "", text, flags=re.MULTILINE)
+        job.write_text(text + block.text)
+        load_job(job)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("block", every_block("python", "py"))
+def test_python_runs(block, tmp_path):
+    subprocess.run([sys.executable, "-c", block.text], cwd=tmp_path, check=True)
+
+
+def command_lines() -> list[str]:
+    """Return the lines with commands of diffmill in all documents."""
+    pattern = r"^(?: {4}|.*/)?(diffmill [a-z]+(?: .*)?)$"
+    found = set()
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        shell = "\n".join(b.text for b in blocks(page) if b.language == "sh")
+        indented = "\n".join(re.findall(r"^ {4}(diffmill .*)$", text, re.MULTILINE))
+        found |= set(re.findall(pattern, f"{shell}\n{indented}", re.MULTILINE))
+    return sorted(found)
+
+
+def test_commands_and_their_options_exist(capsys):
+    for line in command_lines():
+        words = line.split("#")[0].split("  ")[0].split()
+        assert main([words[1], "--help"]) == 0, line
+        told = capsys.readouterr().out
+        for option in (word.strip("[]") for word in words if "--" in word):
+            assert option in told, line
