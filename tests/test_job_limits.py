@@ -5,7 +5,7 @@ import pytest
 from slides_job import write_slides_job
 
 import diffmill as dm
-from diffmill.correction import InfeasibleLimit, finished_surface
+from diffmill.correction import FinishedSurface, InfeasibleLimit
 from diffmill.workpiece import surface_error
 
 # A wall in two passes; the arm still rings when the second, of 8 um, begins.
@@ -55,7 +55,7 @@ def again(job, result):
 
 
 def errors(job, solution):
-    surface = finished_surface(
+    surface = FinishedSurface.from_cut(
         solution.rigid.stock,
         job.path.positions,
         job.cutter.nominal_radius,

@@ -18,7 +18,6 @@ import numpy as np
 
 import diffmill as dm
 from diffmill import sim
-from diffmill.correction import PARTS as PATH_PARTS, by_part
 from part_jobs import ARMS, part_job
 from parts import PARTS
 
@@ -222,10 +221,10 @@ def _cases(report: Any, found: dm.Correction) -> Any:
 def _left(report: Any, found: dm.Correction) -> None:
     """Print where the corrected error is, and what the optimiser ended at."""
     error = np.linalg.norm(found.methods["corrected"].contour, axis=1)
-    rms = by_part(error, found.path_part)["rms"]
+    rms = found.path_parts.figures(error)["rms"]
     rows = ", ".join(
         f"{part} {1e6 * value:.1f}"
-        for part, value in zip(PATH_PARTS, rms, strict=True)
+        for part, value in zip(found.path_parts.NAMES, rms, strict=True)
         if np.isfinite(value)
     )
     corrected = found.methods["corrected"]

@@ -17,7 +17,7 @@ import numpy as np
 
 import diffmill as dm
 from diffmill import process as pr, sim
-from diffmill.correction import ScaledPlant, TipPlant, delayed, draw_scales
+from diffmill.correction import Ensemble, ScaledPlant, TipPlant, delayed
 from diffmill.toolpath import contour_error
 from small_job import small_job
 
@@ -102,7 +102,7 @@ def _random(
     report: Any, job: dm.Job, errors: Errors, commands: Commands, draws: int
 ) -> None:
     """Print the errors over draws of all parameters."""
-    scales = draw_scales(
+    scales = Ensemble.draw_scales(
         sim.parameter_names(job),
         count=draws,
         seed=SEED,
@@ -135,7 +135,7 @@ def _members(report: Any, job: dm.Job, errors: Errors, commands: Commands) -> No
     """Print the errors of the members that the robust corrections were made with."""
     known = job.correction.uncertainty
     assert known is not None
-    scales = draw_scales(
+    scales = Ensemble.draw_scales(
         sim.parameter_names(job),
         count=known.draws,
         seed=known.seed,

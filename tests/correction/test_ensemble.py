@@ -12,10 +12,7 @@ from diffmill.correction import (
     GaussNewton,
     LatePlant,
     Problem,
-    contour_of,
     delayed,
-    draw_scales,
-    with_delays,
 )
 from diffmill.optimise import LevenbergMarquardt
 
@@ -44,7 +41,7 @@ class Uncertain(eqx.Module):
 
 
 def draws(count, seed, **sizes):
-    return draw_scales(NAMES, count=count, seed=seed, **sizes)
+    return Ensemble.draw_scales(NAMES, count=count, seed=seed, **sizes)
 
 
 def test_draws_are_what_they_say():
@@ -90,7 +87,7 @@ def judged(arm, problem):
 
     @jax.jit
     def errors(command, draws):
-        one = lambda draw: contour_of(problem, plant(draw, command))
+        one = lambda draw: problem.contour(plant(draw, command))
         return jnp.linalg.norm(jax.lax.map(one, draws), axis=2)
 
     def judge(found, draws, delay=0.0):
@@ -119,15 +116,17 @@ def test_robust_is_better_where_the_model_is_wrong(problem, robust, judged):
 
 def test_delays_cover_their_span_and_leave_the_rest():
     members = draws(5, 3, force=0.1)
-    found = with_delays(members, largest=10e-3, seed=3)
+    found = LatePlant.with_delays(members, largest=10e-3, seed=3)
     np.testing.assert_array_equal(found[:, :-1], members)
     # One in each fifth.
     shares = np.sort(found[:, -1]) / 2e-3
     np.testing.assert_array_equal(np.floor(shares), np.arange(5))
-    assert with_delays(members, largest=10e-3, seed=4)[0, -1] != found[0, -1]
-    np.testing.assert_array_equal(with_delays(members, largest=0, seed=3)[:, -1], 0)
+    assert LatePlant.with_delays(members, largest=10e-3, seed=4)[0, -1] != found[0, -1]
+    np.testing.assert_array_equal(
+        LatePlant.with_delays(members, largest=0, seed=3)[:, -1], 0
+    )
     with pytest.raises(ValueError, match=r"`largest`.* 0"):
-        with_delays(members, largest=-1e-3, seed=0)
+        LatePlant.with_delays(members, largest=-1e-3, seed=0)
 
 
 def test_only_the_offset_of_a_member_is_late(arm, problem):
@@ -146,7 +145,7 @@ def test_only_the_offset_of_a_member_is_late(arm, problem):
 @pytest.mark.slow
 def test_robust_is_better_where_the_offset_comes_late(arm, problem, judged):
     largest = 20e-3
-    members = with_delays(np.zeros((4, 8)), largest=largest, seed=1)
+    members = LatePlant.with_delays(np.zeros((4, 8)), largest=largest, seed=1)
     late = LatePlant(Uncertain(arm), problem.nominal, TIME_STEP)
     robust = GaussNewton(30e-3, ensemble=Ensemble(late, members))(problem)
     nominal = GaussNewton(30e-3)(problem)

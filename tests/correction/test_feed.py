@@ -11,8 +11,6 @@ from diffmill.correction import (
     FeedProblem,
     Motion,
     feed_curve,
-    feed_prediction,
-    smoothed,
 )
 from diffmill.toolpath import Path, path_feed
 
@@ -51,7 +49,7 @@ def problem():
     # The acceleration is far from binding.
     feed = path_feed(path, acceleration=1e3)
     plant = SoftAcross(jnp.asarray(tips[-1, 0]))
-    return FeedProblem(plant, feed, smoothed(cutting(ROWS - 10)), 0.2, 4.0)
+    return FeedProblem(plant, feed, FeedProblem.smoothed(cutting(ROWS - 10)), 0.2, 4.0)
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +102,7 @@ def test_derivatives_of_the_error_against_differences(problem):
 
     @jax.jit
     def square(x):
-        contour, share = feed_prediction(problem, jnp.exp(x), 400)
+        contour, share = problem.prediction(jnp.exp(x), 400)
         return share @ jnp.sum(contour**2, axis=1) / jnp.sum(share)
 
     gradient = jax.jit(jax.grad(square))(x)
@@ -116,7 +114,7 @@ def test_derivatives_of_the_error_against_differences(problem):
 
 
 def test_bounds_are_held_and_rows_that_do_not_cut_are_passed_fast(problem):
-    weights = smoothed(cutting(ROWS // 2))
+    weights = FeedProblem.smoothed(cutting(ROWS // 2))
     half = FeedProblem(problem.plant, problem.feed, weights, 0.2, 4.0)
     found = feed_curve(half, time_weights=(0.6,), count=KNOTS, max_steps=12)[1]
     assert found.override.max() <= 4.0 * (1 + 1e-12)

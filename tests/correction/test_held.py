@@ -15,8 +15,7 @@ from diffmill.correction import (
     Mirror,
     Motion,
     Problem,
-    layer_thickness,
-    surface_bounds,
+    SurfaceBounds,
 )
 from diffmill.optimise import LevenbergMarquardt
 from diffmill.workpiece import box
@@ -60,7 +59,7 @@ def held_and_free():
     # Knots this far apart cannot follow the push.
     free = GaussNewton(70e-3, solver=PATIENT)(problem)
     deepest = -float(np.asarray(surface.errors(free.motion.actual)).min())
-    bounds = surface_bounds(surface, gouge=0.6 * deepest)
+    bounds = SurfaceBounds.about(surface, gouge=0.6 * deepest)
     held = GaussNewton(70e-3, solver=PATIENT, bounds=bounds)(problem)
     return free, held, surface, 0.6 * deepest
 
@@ -76,7 +75,7 @@ def test_the_gouge_limit_is_held_and_costs_accuracy(held_and_free):
 def test_a_gouge_limit_that_cannot_be_held_is_named(held_and_free):
     *_, surface, gouge = held_and_free
     problem, _ = pushed(max_offset=2e-5)
-    method = GaussNewton(70e-3, bounds=surface_bounds(surface, gouge=gouge))
+    method = GaussNewton(70e-3, bounds=SurfaceBounds.about(surface, gouge=gouge))
     with pytest.raises(InfeasibleLimit) as refused:
         method(problem)
     text = str(refused.value)
@@ -96,12 +95,12 @@ def test_the_tool_stays_in_a_thin_layer():
     # The mirror's step is larger than the layer.
     mirrored = Mirror()(problem)
     assert np.asarray(surface.errors(mirrored.motion.actual)).max() > 1.5e-4
-    bounds = surface_bounds(surface, layers=layers)
+    bounds = SurfaceBounds.about(surface, layers=layers)
     held = GaussNewton(70e-3, bounds=bounds, solver=PATIENT)(problem)
     most = np.asarray(surface.errors(held.motion.actual)).max()
     assert 0.8e-4 < most <= 0.9e-4
     blocked, _ = pushed(max_offset=2e-5)
-    thin = surface_bounds(surface, layers=np.full(len(surface.points), 3e-5))
+    thin = SurfaceBounds.about(surface, layers=np.full(len(surface.points), 3e-5))
     with pytest.raises(InfeasibleLimit, match=r"`stay_in_cut` .* um"):
         GaussNewton(70e-3, bounds=thin)(blocked)
 
@@ -112,10 +111,12 @@ def test_layers_reach_to_the_earlier_pass_or_the_raw_surface():
     both = np.concatenate([earlier, path])
     moved = eqx.tree_at(lambda s: s.poses, surface, surface.poses + np.int32(ROWS))
     raw = box([0.0, -2e-2, -1e-2], [3.2e-2, -3.8e-3, 4e-3], 5e-4)
-    second = layer_thickness(moved, raw, both)
+    second = SurfaceBounds.layer_thickness(moved, raw, both)
     np.testing.assert_allclose(second, 3e-4, atol=1e-9)
     # Alone, the pass takes all from the raw surface at y = -3.8 mm to its wall.
-    np.testing.assert_allclose(layer_thickness(surface, raw, path), 1.2e-3, atol=1e-9)
+    np.testing.assert_allclose(
+        SurfaceBounds.layer_thickness(surface, raw, path), 1.2e-3, atol=1e-9
+    )
 
 
 def test_the_worst_member_gets_the_middle_of_all():

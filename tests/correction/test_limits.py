@@ -8,9 +8,9 @@ from correction.spring_mass import rounded_square, soft_arm
 from diffmill.correction import (
     GaussNewton,
     InfeasibleLimit,
+    LinearLimits,
     Problem,
     SplineOffsets,
-    command_limits,
 )
 from diffmill.optimise import LinearRows, minimum_within
 
@@ -27,7 +27,9 @@ def test_rows_are_the_derivatives_of_the_curve():
     c = rng.normal(size=(spline.coefficient_count, 2))
     curve = np.asarray(spline.offsets(jnp.asarray(c)))
     nominal = np.cumsum(rng.normal(size=(81, 2)), axis=0)
-    limits = command_limits(spline, nominal, max_velocity=1e4, max_acceleration=1e6)
+    limits = LinearLimits.of_command(
+        spline, nominal, max_velocity=1e4, max_acceleration=1e6
+    )
     for order, limit, most in ((1, limits[0], 1e4), (2, limits[1], 1e6)):
         rows = limit.apply(c)
         # What is left to the upper limit is what the whole command leaves to it.
@@ -42,8 +44,8 @@ def test_a_program_beyond_the_limit_is_named():
     nominal = np.zeros((81, 3))
     nominal[:, 1] = 0.5 * 3.0 * (0.01 * np.arange(81)) ** 2
     with pytest.raises(InfeasibleLimit, match=r"3 m/s\^2 .*axis 1.*1 m/s\^2"):
-        command_limits(small_spline(), nominal, max_acceleration=2.0, unit="m")
-    assert command_limits(small_spline(), nominal) == ()
+        LinearLimits.of_command(small_spline(), nominal, max_acceleration=2.0, unit="m")
+    assert LinearLimits.of_command(small_spline(), nominal) == ()
 
 
 def test_a_program_at_the_limit_is_none_beyond_it():
@@ -52,7 +54,7 @@ def test_a_program_at_the_limit_is_none_beyond_it():
     nominal[:, 1] = 0.5 * 0.5 * (0.01 * np.arange(81)) ** 2
     rate = np.diff(nominal, 2, axis=0) / 0.01**2
     assert np.abs(rate).max() > 0.5
-    (limit,) = command_limits(small_spline(), nominal, max_acceleration=0.5)
+    (limit,) = LinearLimits.of_command(small_spline(), nominal, max_acceleration=0.5)
     assert np.all(limit.lower <= 0) and np.all(limit.upper >= 0)
 
 
@@ -64,7 +66,7 @@ def test_the_minimum_within_limits_is_that_of_a_dense_solver():
     rng = np.random.default_rng(2)
     root = rng.normal(size=(2 * count, count))
     A, g = root.T @ root, rng.normal(size=count)
-    (limit,) = command_limits(spline, np.zeros((81, 1)), max_acceleration=8.0)
+    (limit,) = LinearLimits.of_command(spline, np.zeros((81, 1)), max_acceleration=8.0)
     rows = limit.about(np.zeros((count, 1)))
     far = np.full(count, 0.08)
     found = minimum_within(A, g, [LinearRows(np.eye(count), -far, far), rows])

@@ -9,17 +9,14 @@ from correction.spring_mass import rounded_square, soft_arm
 
 from diffmill import LineWeight
 from diffmill.correction import (
+    FinishedSurface,
     GaussNewton,
     GivenCommand,
     Motion,
     PathObjective,
     Problem,
     SurfaceObjective,
-    finished_surface,
-    point_shares,
     row_weights,
-    surface_poses,
-    touching_rows,
 )
 from diffmill.cutter import flat_end_mill
 from diffmill.workpiece import Pose, RemovalWindow, box, remove_poses, surface_error
@@ -134,7 +131,7 @@ def test_surface_error_is_that_of_the_machined_stock(cut):
     path = two_passes()
     actual = wavy(path)
     ideal, machined = cut(jnp.asarray(path)), cut(jnp.asarray(actual))
-    surface = finished_surface(ideal, path, RADIUS)
+    surface = FinishedSurface.from_cut(ideal, path, RADIUS)
     error = np.asarray(surface.errors(actual))
     wanted = surface_error(machined, ideal)
 
@@ -156,7 +153,7 @@ def test_surface_error_is_that_of_the_machined_stock(cut):
 def test_only_the_second_pass_leaves_the_wall(cut):
     path = two_passes()
     ideal = cut(jnp.asarray(path))
-    surface = finished_surface(ideal, path, RADIUS)
+    surface = FinishedSurface.from_cut(ideal, path, RADIUS)
     np.testing.assert_allclose(np.asarray(surface.errors(path)), 0.0, atol=1e-12)
     first = path.copy()
     first[: len(path) // 2, 1] -= 1e-4
@@ -171,7 +168,7 @@ def test_only_the_second_pass_leaves_the_wall(cut):
 def test_a_tool_behind_a_rib_does_not_cut_its_front(cut):
     path = two_passes()
     path[len(path) // 2 :, 1] = 13e-3
-    surface = finished_surface(cut(jnp.asarray(path)), path, RADIUS)
+    surface = FinishedSurface.from_cut(cut(jnp.asarray(path)), path, RADIUS)
     normals = surface.normals[surface.is_wall]
     assert normals[:, 1].min() < -0.99 and normals[:, 1].max() > 0.99
     np.testing.assert_allclose(np.asarray(surface.errors(path)), 0.0, atol=1e-12)
@@ -184,7 +181,6 @@ def test_a_pass_that_is_cut_again_does_not_finish(cut):
     ideal = cut(jnp.asarray(path))
     cuts = (path[:, 0] > 0) & (path[:, 0] < 15e-3)
     line = np.ones(len(path), np.int32)
-    assert surface_poses(ideal).min() >= len(path) // 2
     weights = row_weights(cuts, line, finished=ideal, spread=3)
     np.testing.assert_array_equal(weights > 0, cuts & (np.arange(len(path)) >= 135))
 
@@ -193,7 +189,7 @@ def test_all_poses_over_a_floor_are_seen(cut):
     """Two hundred poses cover each place; the last of them digs."""
     x = np.arange(0.0, 15e-3, 5e-5)
     path = np.stack([x, 6e-3 + 0 * x, -1e-3 + 0 * x], axis=1)
-    surface = finished_surface(cut(jnp.asarray(path)), path, RADIUS)
+    surface = FinishedSurface.from_cut(cut(jnp.asarray(path)), path, RADIUS)
     floor = ~surface.is_wall
     off = np.abs(surface.points - np.array([[10e-3, 6e-3, 0.0]]))
     under = floor & np.all(off[:, :2] < 1e-3, axis=1)
@@ -209,8 +205,8 @@ def test_rows_that_could_spoil_a_surface_are_those_near_it(cut):
     half = len(path) // 2
     high = path[:half] + np.array([[0.0, 0.0, 0.3e-3]])
     path = np.concatenate([path[:half], high[::-1], path[:half]])
-    surface = finished_surface(cut(jnp.asarray(path)), path, RADIUS)
-    found = touching_rows(surface, path)
+    surface = FinishedSurface.from_cut(cut(jnp.asarray(path)), path, RADIUS)
+    found = surface.touching_rows(path)
     over = (path[:, 0] > -4e-3) & (path[:, 0] < 19e-3)
     low = path[:, 2] < -0.9e-3
     np.testing.assert_array_equal(found[over & low], True)
@@ -220,18 +216,18 @@ def test_rows_that_could_spoil_a_surface_are_those_near_it(cut):
         surface,
         replace_fn=lambda x: x[~surface.is_wall],
     )
-    assert not np.any(touching_rows(floors, path)[~low])
+    assert not np.any(floors.touching_rows(path)[~low])
 
 
 def test_lines_that_do_not_count_leave_a_surface_that_does_not(cut):
     path = two_passes()
-    surface = finished_surface(cut(jnp.asarray(path)), path, RADIUS)
+    surface = FinishedSurface.from_cut(cut(jnp.asarray(path)), path, RADIUS)
     is_second = np.arange(len(path)) >= len(path) // 2
-    shares = point_shares(surface, path, is_second * 0.5)
+    shares = surface.point_shares(path, is_second * 0.5)
     np.testing.assert_array_equal(shares[surface.is_wall], 0.5)
     # Only the first pass reaches the strip at the edge.
     edge = ~surface.is_wall & (surface.points[:, 1] < 0.0)
-    none = point_shares(surface, path, ~is_second * 1.0)
+    none = surface.point_shares(path, ~is_second * 1.0)
     np.testing.assert_array_equal(none[surface.is_wall], 0.0)
     assert not edge.any() or np.all(none[edge] == 1.0)
     # What counts half as much counts like everything, if everything does.
@@ -251,7 +247,7 @@ def test_lines_that_do_not_count_leave_a_surface_that_does_not(cut):
 
 def test_surface_derivative_agrees_with_differences(cut):
     path = two_passes()
-    surface = finished_surface(cut(jnp.asarray(path)), path, RADIUS)
+    surface = FinishedSurface.from_cut(cut(jnp.asarray(path)), path, RADIUS)
     actual, push = (
         jnp.asarray(wavy(path)),
         np.random.default_rng(1).normal(size=path.shape),
@@ -268,7 +264,7 @@ def test_surface_derivative_agrees_with_differences(cut):
 def test_the_surface_comes_out_where_the_tip_does_not(cut):
     """A plant that is pushed off, its first pass cut again by the second."""
     path = two_passes()
-    surface = finished_surface(cut(jnp.asarray(path)), path, RADIUS)
+    surface = FinishedSurface.from_cut(cut(jnp.asarray(path)), path, RADIUS)
     push = jnp.asarray(wavy(path) - path)
 
     def plant(command):

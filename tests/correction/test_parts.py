@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from diffmill.correction import PARTS, by_part, path_parts, rows_out_of_cut
+from diffmill.correction import PathParts
 
 PITCH = 0.1e-3
 REACH = 5e-3
 
 
 def names_at(part, *places):
-    return [PARTS[part[round(place / PITCH)]] for place in places]
+    return [PathParts.NAMES[part.index[round(place / PITCH)]] for place in places]
 
 
 def straight(length):
@@ -22,13 +22,13 @@ def straight(length):
 def test_a_straight_cut_begins_and_ends():
     path = straight(60e-3)
     is_cutting = (path[:, 0] > 9.95e-3) & (path[:, 0] < 50.05e-3)
-    part = path_parts(path, is_cutting, REACH)
-    assert np.all(part[~is_cutting] == -1)
+    part = PathParts.of_path(path, is_cutting, REACH)
+    assert np.all(part.index[~is_cutting] == -1)
     at = names_at(part, 10.5e-3, 14e-3, 16e-3, 44e-3, 46e-3, 49.5e-3)
     assert at == ["entry", "entry", "plateau", "plateau", "exit", "exit"]
     # A reach long, to a row.
-    assert abs(np.sum(part == 0) - REACH / PITCH) <= 1
-    assert abs(np.sum(part == 1) - REACH / PITCH) <= 1
+    assert abs(np.sum(part.rows("entry")) - REACH / PITCH) <= 1
+    assert abs(np.sum(part.rows("exit")) - REACH / PITCH) <= 1
 
 
 def test_a_corner_is_one_and_a_dwell_is_none():
@@ -36,29 +36,33 @@ def test_a_corner_is_one_and_a_dwell_is_none():
     up = there[-1][None] + straight(30e-3)[1:, [1, 0, 2]]
     dwell = np.repeat(there[150:151], 40, axis=0)
     path = np.concatenate([there[:151], dwell, there[151:], up])
-    part = path_parts(path, np.ones(len(path), bool), REACH)
-    corner = np.flatnonzero(part == PARTS.index("corner"))
+    part = PathParts.of_path(path, np.ones(len(path), bool), REACH)
+    corner = np.flatnonzero(part.rows("corner"))
     middle = 300 + 40
     # Half a reach to either side of the corner.
     assert abs(corner.min() - (middle - 25)) <= 2
     assert abs(corner.max() - (middle + 25)) <= 2
-    assert np.all(part[151:191] == PARTS.index("plateau"))
+    assert np.all(part.rows("plateau")[151:191])
 
 
 def test_a_step_of_the_cut_section_is_an_entry_and_its_end_an_exit():
     path = straight(80e-3)
     deep = (path[:, 0] > 30e-3) & (path[:, 0] < 55e-3)
     volume = np.where(deep, 2e-10, 1e-10)
-    part = path_parts(path, np.ones(len(path), bool), REACH, removed_volume=volume)
+    part = PathParts.of_path(
+        path, np.ones(len(path), bool), REACH, removed_volume=volume
+    )
     at = names_at(part, 25e-3, 32e-3, 45e-3, 57e-3, 65e-3)
     assert at == ["plateau", "entry", "plateau", "exit", "plateau"]
-    same = path_parts(path, np.ones(len(path), bool), REACH, removed_volume=deep * 0.0)
-    assert PARTS[same[320]] == "plateau"
+    same = PathParts.of_path(
+        path, np.ones(len(path), bool), REACH, removed_volume=deep * 0.0
+    )
+    assert same.rows("plateau")[320]
 
 
 def test_figures_by_part():
-    part = np.array([0, 0, 3, 3, 3, -1])
-    found = by_part(np.array([3.0, 4.0, 1.0, 2.0, 2.0, 99.0]), part)
+    part = PathParts(np.array([0, 0, 3, 3, 3, -1]))
+    found = part.figures(np.array([3.0, 4.0, 1.0, 2.0, 2.0, 99.0]))
     assert found["rms"][0] == pytest.approx(np.sqrt(12.5))
     assert found["max"][3] == 2.0
     assert found["p95"][3] == pytest.approx(2.0)
@@ -67,13 +71,13 @@ def test_figures_by_part():
 
 
 def test_leaving_the_cut_is_counted_where_the_cut_is_full():
-    part = np.array([-1, 0, 3, 3, 2, 1, -1])
+    part = PathParts(np.array([-1, 0, 3, 3, 2, 1, -1]))
     force = np.zeros((7, 3))
     force[2, 1] = -1.0
-    assert rows_out_of_cut(part, force) == 2
-    assert rows_out_of_cut(part, force + 2) == 0
+    assert part.rows_out_of_cut(force) == 2
+    assert part.rows_out_of_cut(force + 2) == 0
 
 
 def test_a_reach_of_nothing_is_refused():
     with pytest.raises(ValueError, match="`reach`"):
-        path_parts(straight(1e-3), np.ones(11, bool), 0.0)
+        PathParts.of_path(straight(1e-3), np.ones(11, bool), 0.0)

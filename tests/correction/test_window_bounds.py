@@ -15,7 +15,7 @@ from diffmill.correction import (
     Motion,
     Problem,
     RecedingHorizon,
-    surface_bounds,
+    SurfaceBounds,
 )
 
 
@@ -76,7 +76,7 @@ def gouge():
 @pytest.mark.slow
 def test_segments_hold_the_gouge_limit_as_the_whole_path_does(gouge):
     problem, surface = pushed()
-    bounds = surface_bounds(surface, gouge=gouge)
+    bounds = SurfaceBounds.about(surface, gouge=gouge)
     found = segments(problem, bounds)
     assert found.detail["segment_count"] == 3
     errors = np.asarray(surface.errors(found.motion.actual))
@@ -89,7 +89,7 @@ def test_segments_hold_the_gouge_limit_as_the_whole_path_does(gouge):
 def test_a_limit_that_a_segment_cannot_hold_is_named(gouge):
     problem, surface = pushed(max_offset=5e-6)
     with pytest.raises(InfeasibleLimit) as refused:
-        segments(problem, surface_bounds(surface, gouge=gouge))
+        segments(problem, SurfaceBounds.about(surface, gouge=gouge))
     text = str(refused.value)
     assert f"`gouge` is {1e6 * gouge:.4g} um and cannot be held" in text
     assert "stands at `max_offset` (" in text
@@ -104,6 +104,6 @@ def test_the_tool_stays_in_a_thin_layer_in_segments():
     )
     problem = eqx.tree_at(lambda p: p.desired, problem, away)
     layers = np.full(len(surface.points), 1e-4)
-    found = segments(problem, surface_bounds(surface, layers=layers))
+    found = segments(problem, SurfaceBounds.about(surface, layers=layers))
     most = np.asarray(surface.errors(found.motion.actual)).max()
     assert 0.8e-4 < most <= 0.9e-4 * (1 + 1e-9)

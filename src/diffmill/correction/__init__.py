@@ -23,39 +23,27 @@ from ._core.path_objective import (
     AbstractObjective as AbstractObjective,
     PathObjective as PathObjective,
 )
-from ._core.path_segments import (
-    PARTS as PARTS,
-    by_part as by_part,
-    path_parts as path_parts,
-    rows_out_of_cut as rows_out_of_cut,
-)
+from ._core.path_segments import PathParts as PathParts
 from ._core.problem import (
     Motion as Motion,
     Problem as Problem,
-    contour_of as contour_of,
-    run as run,
 )
 from ._core.row_weights import (
     row_weights as row_weights,
-    surface_poses as surface_poses,
 )
 from ._feed.problem import (
     FeedProblem as FeedProblem,
-    feed_prediction as feed_prediction,
-    smoothed as smoothed,
 )
 from ._feed.result import FeedTradeoff as FeedTradeoff, TunedFeed as TunedFeed
 from ._feed.trade_off_curve import FeedPoint as FeedPoint, feed_curve as feed_curve
 from ._feed.tune_feed import feed_tradeoff as feed_tradeoff, tune_feed as tune_feed
 from ._job.correct import (
-    CASES as CASES,
     Correction as Correction,
     NothingToCorrect as NothingToCorrect,
     correct as correct,
 )
 from ._job.joint_limits import (
-    check_joints as check_joints,
-    joint_limits as joint_limits,
+    JointLimits as JointLimits,
 )
 from ._job.objective import UnsuitableSettings as UnsuitableSettings
 from ._job.plants import ScaledPlant as ScaledPlant, TipPlant as TipPlant
@@ -64,8 +52,6 @@ from ._method.delay import delayed as delayed
 from ._method.ensemble import (
     Ensemble as Ensemble,
     LatePlant as LatePlant,
-    draw_scales as draw_scales,
-    with_delays as with_delays,
 )
 from ._method.gauss_newton import GaussNewton as GaussNewton
 from ._method.input_shaper import shaped as shaped
@@ -82,7 +68,6 @@ from ._method.mirror import (
 )
 from ._method.offset_fit import (
     ContourResidual as ContourResidual,
-    contour_residual as contour_residual,
 )
 from ._placement.objective import predicted_deviation as predicted_deviation
 from ._placement.place_workpiece import place_workpiece as place_workpiece
@@ -95,7 +80,6 @@ from ._spline.command_limits import (
     InfeasibleLimit as InfeasibleLimit,
     LinearLimits as LinearLimits,
     MixedLimits as MixedLimits,
-    command_limits as command_limits,
 )
 from ._spline.projection import project as project
 from ._spline.spline_offsets import SplineOffsets as SplineOffsets
@@ -103,12 +87,7 @@ from ._spline.spline_window import spline_window as spline_window
 from ._surface.finished_surface import (
     FinishedSurface as FinishedSurface,
     SurfaceObjective as SurfaceObjective,
-    finished_surface as finished_surface,
-    point_shares as point_shares,
-    touching_rows as touching_rows,
 )
 from ._surface.surface_limits import (
     SurfaceBounds as SurfaceBounds,
-    layer_thickness as layer_thickness,
-    surface_bounds as surface_bounds,
 )

@@ -11,7 +11,7 @@ from ..._result import RESULTS
 from ..._types import FloatRows
 from ...optimise import LeastSquaresStep
 from .error_metrics import Measures, measure
-from .problem import Motion, Problem, contour_of, run
+from .problem import Motion, Problem
 
 # Called now and then with a message and a measure of the error; True ends the run.
 OnProgress = Callable[[str, float], bool | None]
@@ -121,10 +121,10 @@ def corrected(
     **Differentiability**: runs on the host, not traceable.
     """
     if motion is None:
-        motion, vectors = run(problem, command)
+        motion, vectors = problem.run(command)
         forward_runs += 1
     else:
-        vectors = contour_of(problem, motion)
+        vectors = problem.contour(motion)
     contour = np.asarray(vectors, np.float64)
     figures = measure(problem, command, contour)
     return Corrected(

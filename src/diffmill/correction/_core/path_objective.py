@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..._types import RealScalarLike
-from .problem import Motion, Problem, contour_of
+from .problem import Motion, Problem
 
 # Weight of a row in the air: its error counts as a hundredth of one in the cut.
 _IN_AIR = 1e-4
@@ -50,9 +50,10 @@ class PathObjective(AbstractObjective):
     ) -> Float[Array, " error"]:
         """Return the contour vectors, shortened by the tolerance, and the lag.
 
-        **Differentiability**: that of `contour_of`; kink at the border of the band.
+        **Differentiability**: that of `Problem.contour`; kink at the border of the
+        band.
         """
-        contour = contour_of(problem, motion)
+        contour = problem.contour(motion)
         lag = deviation_of(problem, motion) - contour
         error = beyond(contour, self.tolerance)
         error = error + jnp.asarray(lag_weight, contour.dtype) * lag

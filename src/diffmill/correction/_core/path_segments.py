@@ -5,14 +5,14 @@ with the feed; on a plateau the force is steady, so that what is left there is m
 mean. One figure for the whole path hides which of them a correction has missed.
 """
 
+from typing import ClassVar
+
+import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._types import BoolSteps, FloatRows3, FloatSteps
 
-# Names by number; the air is no part.
-PARTS = ("entry", "exit", "corner", "plateau")
-AIR = -1
 # Turn of the feed within the length of a window that makes a corner [rad].
 _TURN = np.deg2rad(10.0)
 # Change of the cut section over a window, relative to the larger, that is no plateau.
@@ -21,106 +21,113 @@ _CHANGE = 0.25
 _STILL = 1e-9
 
 
-def path_parts(
-    desired: FloatRows3,
-    is_cutting: BoolSteps,
-    reach: float,
-    *,
-    removed_volume: FloatSteps | None = None,
-) -> Int[np.ndarray, " step"]:
-    """Return the part of the path to which every row belongs.
+class PathParts(eqx.Module):
+    """Part of the path to which every row belongs.
 
-    A row is in a corner if the desired path turns by more than 10 degrees within half
-    a reach to either side. Else it is an entry within a reach after the cut begins,
-    and an exit within a reach before it ends. Where the removed volume is given, rows
-    within a reach behind a rise of the cut section by more than a quarter are an entry
-    too, and those behind a fall an exit. The rest is plateau.
-
-    Args:
-        desired: Desired tips [m], shape (step, 3).
-        is_cutting: Whether the rigid tool cuts, shape (step,).
-        reach: Travel in which the cut settles [m]; the radius of the tool is the
-            travel from its first touch to full immersion.
-        removed_volume: Volume that the rigid tool removes at each row [m^3], shape
-            (step,).
-
-    Returns:
-        Index into `PARTS`, -1 where the tool does not cut, shape (step,).
-
-    Raises:
-        ValueError: The reach is not positive.
-
-    **Differentiability**: none, a host function.
+    Attributes:
+        index: Index into `NAMES`, -1 where the tool does not cut, shape (step,).
     """
-    if not reach > 0:
-        raise ValueError(f"Argument `reach` must be positive, but is {reach}.")
-    desired = np.asarray(desired, np.float64)
-    is_cutting = np.asarray(is_cutting, bool)
-    travel = _travel(desired)
-    since, until = _distances_to_air(travel, is_cutting)
-    part = np.full(len(desired), PARTS.index("plateau"), np.int32)
-    if removed_volume is not None:
-        rise = _section_rise(travel, np.asarray(removed_volume, np.float64), reach)
-        part[rise > _CHANGE] = PARTS.index("entry")
-        part[rise < -_CHANGE] = PARTS.index("exit")
-    part[until < reach] = PARTS.index("exit")
-    part[since < reach] = PARTS.index("entry")
-    part[_turn(desired, travel, reach / 2) > _TURN] = PARTS.index("corner")
-    part[~is_cutting] = AIR
-    return part
 
+    NAMES: ClassVar[tuple[str, ...]] = ("entry", "exit", "corner", "plateau")
 
-def by_part(
-    error: Float[np.ndarray, " step"] | Float[Array, " step"],
-    part: Int[np.ndarray, " step"],
-) -> dict[str, Float[np.ndarray, " part"]]:
-    """Return figures of an error for each of `PARTS`, NaN where a part is absent.
+    index: Int[np.ndarray, " step"]
 
-    Args:
-        error: Length of the error at every row [m], shape (step,).
-        part: What `path_parts` returned, shape (step,).
+    @classmethod
+    def of_path(
+        cls,
+        desired: FloatRows3,
+        is_cutting: BoolSteps,
+        reach: float,
+        *,
+        removed_volume: FloatSteps | None = None,
+    ) -> "PathParts":
+        """Return the parts of a path.
 
-    Returns:
-        "rms", "p95" and "max" [m] and "rows", each of shape (part,).
+        A row is in a corner if the desired path turns by more than 10 degrees within
+        half a reach to either side. Else it is an entry within a reach after the cut
+        begins, and an exit within a reach before it ends. Where the removed volume is
+        given, rows within a reach behind a rise of the cut section by more than a
+        quarter are an entry too, and those behind a fall an exit. The rest is plateau.
 
-    **Differentiability**: none, a host function.
-    """
-    error = np.asarray(error, np.float64)
-    found = [error[part == k] for k in range(len(PARTS))]
-    nothing = np.nan
+        Args:
+            desired: Desired tips [m], shape (step, 3).
+            is_cutting: Whether the rigid tool cuts, shape (step,).
+            reach: Travel in which the cut settles [m]; the radius of the tool is the
+                travel from its first touch to full immersion.
+            removed_volume: Volume that the rigid tool removes at each row [m^3], shape
+                (step,).
 
-    def each(figure):
-        return np.array([figure(e) if e.size else nothing for e in found], np.float64)
+        Raises:
+            ValueError: The reach is not positive.
 
-    return {
-        "rms": each(lambda e: np.sqrt(np.mean(e**2))),
-        "p95": each(lambda e: np.percentile(e, 95)),
-        "max": each(np.max),
-        "rows": np.array([e.size for e in found], np.float64),
-    }
+        **Differentiability**: none, a host function.
+        """
+        if not reach > 0:
+            raise ValueError(f"Argument `reach` must be positive, but is {reach}.")
+        entry, exit_, corner, plateau = range(4)
+        desired = np.asarray(desired, np.float64)
+        is_cutting = np.asarray(is_cutting, bool)
+        travel = _travel(desired)
+        since, until = _distances_to_air(travel, is_cutting)
+        part = np.full(len(desired), plateau, np.int32)
+        if removed_volume is not None:
+            rise = _section_rise(travel, np.asarray(removed_volume, np.float64), reach)
+            part[rise > _CHANGE] = entry
+            part[rise < -_CHANGE] = exit_
+        part[until < reach] = exit_
+        part[since < reach] = entry
+        part[_turn(desired, travel, reach / 2) > _TURN] = corner
+        part[~is_cutting] = -1
+        return cls(part)
 
+    def rows(self, *names: str) -> Bool[np.ndarray, " step"]:
+        """Return which rows belong to one of some parts, shape (step,)."""
+        return np.isin(self.index, [self.NAMES.index(name) for name in names])
 
-def rows_out_of_cut(
-    part: Int[np.ndarray, " step"],
-    force: FloatRows3,
-) -> int:
-    """Return in how many rows a tool cuts nothing where it should be in a full cut.
+    def figures(
+        self, error: Float[np.ndarray, " step"] | Float[Array, " step"]
+    ) -> dict[str, Float[np.ndarray, " part"]]:
+        """Return figures of an error for each part, NaN where a part is absent.
 
-    Entries and exits do not count: there a tool that is a little off begins or ends
-    its cut a little earlier or later. The force tells, not the removed volume, which
-    poses that stand close together leave to one of them.
+        Args:
+            error: Length of the error at every row [m], shape (step,).
 
-    Args:
-        part: What `path_parts` returned, shape (step,).
-        force: Mean force of the tooth period before each row [N], shape (step, 3).
+        Returns:
+            "rms", "p95" and "max" [m] and "rows", each of shape (part,).
 
-    Returns:
-        Rows of plateaus and corners without any force.
+        **Differentiability**: none, a host function.
+        """
+        error = np.asarray(error, np.float64)
+        found = [error[self.rows(name)] for name in self.NAMES]
+        nothing = np.nan
 
-    **Differentiability**: none, a host function.
-    """
-    is_full = np.isin(part, [PARTS.index("corner"), PARTS.index("plateau")])
-    return int(np.sum(is_full & ~np.any(np.asarray(force) != 0, axis=1)))
+        def each(figure):
+            return np.array([figure(e) if e.size else nothing for e in found])
+
+        return {
+            "rms": each(lambda e: np.sqrt(np.mean(e**2))),
+            "p95": each(lambda e: np.percentile(e, 95)),
+            "max": each(np.max),
+            "rows": np.array([e.size for e in found], np.float64),
+        }
+
+    def rows_out_of_cut(self, force: FloatRows3) -> int:
+        """Return in how many rows a tool cuts nothing where it should be in a full cut.
+
+        Entries and exits do not count: there a tool that is a little off begins or ends
+        its cut a little earlier or later. The force tells, not the removed volume,
+        which poses that stand close together leave to one of them.
+
+        Args:
+            force: Mean force of the tooth period before each row [N], shape (step, 3).
+
+        Returns:
+            Rows of plateaus and corners without any force.
+
+        **Differentiability**: none, a host function.
+        """
+        is_full = self.rows("corner", "plateau")
+        return int(np.sum(is_full & ~np.any(np.asarray(force) != 0, axis=1)))
 
 
 def _travel(desired: Float[np.ndarray, "step 3"]) -> Float[np.ndarray, " step"]:

@@ -85,22 +85,34 @@ class Problem(eqx.Module):
                     f"({rows}), but has {getattr(self, name).shape[0]}."
                 )
 
+    @eqx.filter_jit
+    def contour(self, motion: Motion) -> Float[Array, "step 3"]:
+        """Return the vector from the nearest point of the desired path to the tip.
 
-@eqx.filter_jit
-def contour_of(problem: Problem, motion: Motion) -> Float[Array, "step 3"]:
-    """Return the vector from the nearest point of the desired path to the tip.
+        Args:
+            motion: The motion.
 
-    Args:
-        problem: Tells the desired path.
-        motion: The motion.
+        Returns:
+            Contour vectors [m], shape (step, 3); also where the tool does not cut.
 
-    Returns:
-        Contour vectors [m], shape (step, 3); also where the tool does not cut.
+        **Differentiability**: smooth but where the nearest segment changes.
+        """
+        desired = jnp.asarray(self.desired, motion.actual.dtype)
+        return contour_vector(motion.actual, desired, window=self.window)
 
-    **Differentiability**: smooth but where the nearest segment changes.
-    """
-    desired = jnp.asarray(problem.desired, motion.actual.dtype)
-    return contour_vector(motion.actual, desired, window=problem.window)
+    def run(self, command: FloatRows) -> tuple[Motion, Float[Array, "step 3"]]:
+        """Run the plant once, compiled; return its motion and the contour vectors.
+
+        Args:
+            command: The whole command, not its offset, shape (step, axis).
+
+        Returns:
+            The motion and the contour vectors [m], shape (step, 3).
+
+        **Differentiability**: none, a host function.
+        """
+        motion = motion_of(self.plant, command)
+        return motion, self.contour(motion)
 
 
 def motion_of(plant: Plant, command: FloatRows) -> Motion:
@@ -115,22 +127,6 @@ def motion_of(plant: Plant, command: FloatRows) -> Motion:
     if isinstance(plant, AbstractHostPlant):
         return plant.run(command)
     return _compiled(plant, command)
-
-
-def run(problem: Problem, command: FloatRows) -> tuple[Motion, Float[Array, "step 3"]]:
-    """Run the plant once, compiled; return its motion and the contour vectors.
-
-    Args:
-        problem: The problem.
-        command: The whole command, not its offset, shape (step, axis).
-
-    Returns:
-        The motion and the contour vectors [m], shape (step, 3).
-
-    **Differentiability**: none, a host function.
-    """
-    motion = motion_of(problem.plant, command)
-    return motion, contour_of(problem, motion)
 
 
 @eqx.filter_jit

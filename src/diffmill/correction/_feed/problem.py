@@ -26,7 +26,8 @@ class FeedProblem(eqx.Module):
             `Motion` that follows; traceable.
         feed: The path with what bounds its speed.
         weights: How much the error counts per length at each row of the programmed
-            path, shape (step,); best a smooth rise and fall, see `smoothed`.
+            path, shape (step,); best a smooth rise and fall, see
+            `FeedProblem.smoothed`.
         lowest: Smallest override that is allowed.
         highest: Largest override that is allowed.
     """
@@ -45,44 +46,42 @@ class FeedProblem(eqx.Module):
                 f"but is {(self.lowest, self.highest)}."
             )
 
+    def prediction(
+        self, override: Float[Array, " knot"], step_count: int
+    ) -> tuple[Float[Array, "row 3"], Float[Array, " row"]]:
+        """Return the contour vectors and how much each of them counts.
 
-def smoothed(weights: Weights, rows: int = 8) -> Float[np.ndarray, " step"]:
-    """Return weights that rise and fall smoothly, over some rows to either side.
+        Args:
+            override: Override at the knots, shape (knot,).
+            step_count: Rows to simulate; enough for the slowest override that occurs.
 
-    Where a weight jumps, the rows come and go one by one as the feed changes; the sum
-    over them then has small waves, whose slopes are as steep as what is sought.
-    """
-    box = np.full(rows, 1 / rows)
-    window = np.convolve(box, box)
-    wide = np.pad(np.asarray(weights, np.float64), rows - 1, mode="edge")
-    return np.convolve(wide, window, mode="valid")
+        Returns:
+            Vectors from the desired path to the tip [m], shape (row, 3), and the length
+            of the path that each row stands for, times its weight [m], shape (row,):
+            nothing for a tool that stands still.
 
+        **Differentiability**: that of the plant, kinks as `PathFeed.instants`; the
+        choice of the nearest segment of the path is held.
+        """
+        feed = self.feed
+        places = feed.places(override, step_count)
+        desired = feed.positions(places)
+        motion = self.plant(desired, feed.axes(places))
+        rows = jnp.arange(self.weights.shape[0], dtype=places.dtype)
+        weights = jnp.interp(places, rows, jnp.asarray(self.weights, places.dtype))
+        return contour_vector(motion.actual, desired), weights * _lengths(desired)
 
-def feed_prediction(
-    problem: FeedProblem, override: Float[Array, " knot"], step_count: int
-) -> tuple[Float[Array, "row 3"], Float[Array, " row"]]:
-    """Return the contour vectors and how much each of them counts.
+    @staticmethod
+    def smoothed(weights: Weights, rows: int = 8) -> Float[np.ndarray, " step"]:
+        """Return weights that rise and fall smoothly, over some rows to either side.
 
-    Args:
-        problem: The path and the plant.
-        override: Override at the knots, shape (knot,).
-        step_count: Rows to simulate; enough for the slowest override that occurs.
-
-    Returns:
-        Vectors from the desired path to the tip [m], shape (row, 3), and the length of
-        the path that each row stands for, times its weight [m], shape (row,): nothing
-        for a tool that stands still.
-
-    **Differentiability**: that of the plant, kinks as `PathFeed.instants`; the choice
-    of the nearest segment of the path is held.
-    """
-    feed = problem.feed
-    places = feed.places(override, step_count)
-    desired = feed.positions(places)
-    motion = problem.plant(desired, feed.axes(places))
-    rows = jnp.arange(problem.weights.shape[0], dtype=places.dtype)
-    weights = jnp.interp(places, rows, jnp.asarray(problem.weights, places.dtype))
-    return contour_vector(motion.actual, desired), weights * _lengths(desired)
+        Where a weight jumps, the rows come and go one by one as the feed changes; the
+        sum over them then has small waves, whose slopes are as steep as what is sought.
+        """
+        box = np.full(rows, 1 / rows)
+        window = np.convolve(box, box)
+        wide = np.pad(np.asarray(weights, np.float64), rows - 1, mode="edge")
+        return np.convolve(wide, window, mode="valid")
 
 
 def _mean_square(
@@ -105,7 +104,7 @@ def feed_figures(
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Return the mean square error [m^2] and the time [s]."""
     override = jnp.exp(x)
-    found = feed_prediction(problem, override, step_count)
+    found = problem.prediction(override, step_count)
     return _mean_square(*found), problem.feed.instants(override)[-1]
 
 
@@ -114,7 +113,7 @@ def feed_slopes(
     problem: FeedProblem, x: Float[Array, " knot"], step_count: int
 ) -> tuple[Array, ...]:
     """Return gradient and curvature of half the mean square error and of the time."""
-    predict = lambda x: (feed_prediction(problem, jnp.exp(x), step_count),) * 2
+    predict = lambda x: (problem.prediction(jnp.exp(x), step_count),) * 2
     slopes, (contour, share) = jax.jacfwd(predict, has_aux=True)(x)
     # Lengths and weights of the rows change too, but give no curvature: a sum over
     # other rows of the same path.

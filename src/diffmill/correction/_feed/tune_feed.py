@@ -20,7 +20,7 @@ from .._core.problem import Motion
 from .._job.correct import NothingToCorrect, correct
 from .._job.objective import job_weights
 from .._job.plant_segments import wall_motion
-from .problem import FeedProblem, smoothed
+from .problem import FeedProblem
 from .result import FeedTradeoff, TunedFeed
 from .trade_off_curve import OnShare, feed_curve
 
@@ -156,7 +156,7 @@ def tune_feed(
     problem = FeedProblem(
         FeedPlant(job, adjoint),
         feed,
-        smoothed(job_weights(job, rigid, cutting)),
+        FeedProblem.smoothed(job_weights(job, rigid, cutting)),
         *bounds,
     )
     points = feed_curve(

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from ..._job import Job
 from ..._types import FloatRows
@@ -14,7 +14,7 @@ from ...optimise import LeastSquaresStep
 from ...process import ThroughPoses
 from ...sim import JobKinematics, Solution, run_with_room
 from .._core.method import Corrected, GivenCommand
-from .._core.path_segments import path_parts
+from .._core.path_segments import PathParts
 from .._core.problem import Problem
 from .._method.checkpoint import Arrays, OnCheckpoint
 from .._method.gauss_newton import GaussNewton
@@ -22,9 +22,8 @@ from .._method.input_shaper import shaped_program
 from .._method.inverse_drive import InverseDriveCommand, inverse_drive
 from .._method.mirror import Mirror
 from .._spline.projection import clip_offset
-from .._surface.finished_surface import touching_rows
 from .case_runner import CaseRecord, OnProgress
-from .joint_limits import check_joints
+from .joint_limits import JointLimits
 from .method import (
     OPTIMISERS,
     for_the_path,
@@ -74,14 +73,14 @@ class Correction(eqx.Module):
         cases: Solution of each case, by name, in the order of `CASES`.
         methods: What each method reported, by name.
         wall_time: Time that each method took, compilation included [s].
-        path_part: Part of the path of each row, see `path_parts`, shape (step,).
+        path_parts: Part of the path to which each row belongs.
         chosen: Name of the case whose command is the corrected program.
     """
 
     cases: dict[str, Solution]
     methods: dict[str, Corrected]
     wall_time: dict[str, float]
-    path_part: Int[np.ndarray, " step"]
+    path_parts: PathParts
     chosen: str = eqx.field(static=True)
 
     @property
@@ -166,7 +165,7 @@ def correct(
     adjoint = ThroughPoses()
     desired = jnp.asarray(job.path.positions)
     # A program beyond a joint's limit is refused before anything runs, too.
-    check_joints(job, desired, is_joints=False)
+    JointLimits(job).check(desired, is_joints=False)
     job, before = run_with_room(job, desired, adjoint, lambda message, share: None)
     rigid = before.rigid
     if throw:
@@ -270,7 +269,7 @@ class _Optimiser:
     ) -> FloatRows:
         """Return a start with the rows that touch the surface on the path."""
         assert self.surface is not None
-        rows = touching_rows(self.surface, np.asarray(problem.desired))
+        rows = self.surface.touching_rows(np.asarray(problem.desired))
         rows = rows.astype(problem.is_cutting.dtype)
         if self.task.job.correction.objective == "path":
             rows = np.maximum(problem.is_cutting, rows)
@@ -292,9 +291,9 @@ def _finished(task: _Task, record: CaseRecord) -> Correction:
     asked = job.correction.method
     chosen = "corrected" if asked in OPTIMISERS else asked
     are_joints = job.correction.command == "joint" and chosen == "corrected"
-    check_joints(job, methods[chosen].command, is_joints=are_joints)
+    JointLimits(job).check(methods[chosen].command, is_joints=are_joints)
     cases = {name: _solution(task, name, found) for name, found in methods.items()}
-    parts = path_parts(
+    parts = PathParts.of_path(
         np.asarray(before.desired),
         np.asarray(before.is_cutting),
         job.cutter.nominal_radius,

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from ..._result import RESULTS
 from ...workpiece import surface_error
-from .._core.path_segments import PARTS, by_part, rows_out_of_cut
+from .._core.path_segments import PathParts
 
 if TYPE_CHECKING:
     import xarray
@@ -51,7 +51,9 @@ def correction_dataset(correction: "Correction") -> "xarray.Dataset":
         data_vars=[*_BY_CASE],
         combine_attrs="drop_conflicts",
     )
-    dataset = dataset.assign(_figures(correction)).assign_coords(part=list(PARTS))
+    dataset = dataset.assign(_figures(correction)).assign_coords(
+        part=list(PathParts.NAMES)
+    )
     for name, method in correction.methods.items():
         dataset.attrs[f"{name}_wall_time_s"] = correction.wall_time[name]
         dataset.attrs[f"{name}_forward_runs"] = method.forward_runs
@@ -68,10 +70,12 @@ def correction_dataset(correction: "Correction") -> "xarray.Dataset":
 
 def _figures(correction: "Correction") -> dict[str, tuple[Any, ...]]:
     """Return the figures of all cases as variables of a dataset."""
-    part = np.asarray(correction.path_part)
+    parts = correction.path_parts
     contours = [method.contour for method in correction.methods.values()]
-    tables = [by_part(np.linalg.norm(contour, axis=1), part) for contour in contours]
-    means = np.stack([np.mean(contour[part >= 0], axis=0) for contour in contours])
+    tables = [parts.figures(np.linalg.norm(contour, axis=1)) for contour in contours]
+    means = np.stack(
+        [np.mean(contour[parts.index >= 0], axis=0) for contour in contours]
+    )
     accelerations = np.array(
         [
             _acceleration(solution.commanded, solution.time)
@@ -82,12 +86,12 @@ def _figures(correction: "Correction") -> dict[str, tuple[Any, ...]]:
     found: dict[str, tuple[Any, ...]] = {
         "path_part": (
             ("step",),
-            part.astype(np.int8),
+            parts.index.astype(np.int8),
             {
                 "units": "1",
                 "long_name": "part of the path, -1 where the tool does not cut",
-                "flag_values": np.arange(len(PARTS), dtype=np.int8),
-                "flag_meanings": " ".join(PARTS),
+                "flag_values": np.arange(len(parts.NAMES), dtype=np.int8),
+                "flag_meanings": " ".join(parts.NAMES),
             },
         ),
         "contour_mean": (("case", "axis"), means, _about("m", meaning)),
@@ -108,8 +112,7 @@ def _figures(correction: "Correction") -> dict[str, tuple[Any, ...]]:
         ),
     }
     left = [
-        rows_out_of_cut(part, np.asarray(solution.force))
-        for solution in correction.cases.values()
+        parts.rows_out_of_cut(solution.force) for solution in correction.cases.values()
     ]
     found["rows_out_of_cut"] = (
         ("case",),

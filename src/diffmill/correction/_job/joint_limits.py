@@ -12,6 +12,7 @@ bends over the largest offset, so that the first order is enough.
 
 import itertools
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -28,69 +29,78 @@ _SAFE = 1.5
 Motors = Float[np.ndarray, "step joint"]
 
 
-def joint_limits(
-    job: Job, spline: SplineOffsets, nominal: FloatRows, max_offset: float
-) -> tuple[MixedLimits, ...]:
-    """Return the limits that keep a job's motors within their ranges.
+class JointLimits(eqx.Module):
+    """Limits that keep the motors of a job within their ranges.
 
-    Args:
-        job: The job; its machine must be a robot.
-        spline: Basis of the offset.
-        nominal: The uncorrected command: tips [m] or joints, shape (step, axis).
-        max_offset: Bound of the coefficients.
-
-    Returns:
-        One entry, or none where no limit is near.
-
-    Raises:
-        InfeasibleLimit: The program itself is beyond a limit, or so near to one that
-            the curvature of the motion leaves no room.
-
-    **Differentiability**: none, a host function.
-    """
-    robot = job.robot
-    if robot is None:
-        return ()
-    tips = jnp.asarray(nominal)
-    are_joints = job.correction.command == "joint"
-    joints = tips if are_joints else JobKinematics(job).joints(tips)[0]
-    motors = np.asarray(JobKinematics(job).motors_of(joints), np.float64)
-    slope = JobKinematics(job).motor_slopes(joints, None if are_joints else tips)
-    slope = np.asarray(slope, np.float64)
-    bend = _bend(job, tips, motors, slope, max_offset)
-    least, most = (
-        np.asarray(x, np.float64)[None] for x in (robot.joint_lower, robot.joint_upper)
-    )
-    lower, upper = least + bend - motors, most - bend - motors
-    why = ", with what the joint's motion bends over `max_offset`"
-    _refuse(job, motors, np.maximum(lower, -upper), spline.time_step, why)
-    reach = max_offset * np.sum(np.abs(slope), axis=2)
-    rows, joints = np.nonzero((lower > -reach) | (upper < reach))
-    if not rows.size:
-        return ()
-    return (_mixed(spline, slope, rows, joints, (lower, upper)),)
-
-
-def check_joints(job: Job, command: FloatRows, *, is_joints: bool) -> None:
-    """Raise if a command brings a motor beyond its limit.
-
-    Args:
+    Attributes:
         job: The job; a machine without joints has no limits of them.
-        command: Tip positions [m] or joint positions, shape (step, axis).
-        is_joints: Whether they are joint positions.
-
-    Raises:
-        InfeasibleLimit: It does; the message says which, when and by how much.
-
-    **Differentiability**: none, a host function.
     """
-    robot = job.robot
-    if robot is None:
-        return
-    motors = np.asarray(_motors(job, jnp.asarray(command), is_joints), np.float64)
-    least, most = np.asarray(robot.joint_lower), np.asarray(robot.joint_upper)
-    excess = np.maximum(least[None] - motors, motors - most[None])
-    _refuse(job, motors, excess, float(job.tooth_period), "")
+
+    job: Job
+
+    def rows(
+        self, spline: SplineOffsets, nominal: FloatRows, max_offset: float
+    ) -> tuple[MixedLimits, ...]:
+        """Return the limits of the coefficients of a command.
+
+        Args:
+            spline: Basis of the offset.
+            nominal: The uncorrected command: tips [m] or joints, shape (step, axis).
+            max_offset: Bound of the coefficients.
+
+        Returns:
+            One entry, or none where no limit is near.
+
+        Raises:
+            InfeasibleLimit: The program itself is beyond a limit, or so near to one
+                that the curvature of the motion leaves no room.
+
+        **Differentiability**: none, a host function.
+        """
+        job = self.job
+        robot = job.robot
+        if robot is None:
+            return ()
+        tips = jnp.asarray(nominal)
+        are_joints = job.correction.command == "joint"
+        joints = tips if are_joints else JobKinematics(job).joints(tips)[0]
+        motors = np.asarray(JobKinematics(job).motors_of(joints), np.float64)
+        slope = JobKinematics(job).motor_slopes(joints, None if are_joints else tips)
+        slope = np.asarray(slope, np.float64)
+        bend = _bend(job, tips, motors, slope, max_offset)
+        least, most = (
+            np.asarray(x, np.float64)[None]
+            for x in (robot.joint_lower, robot.joint_upper)
+        )
+        lower, upper = least + bend - motors, most - bend - motors
+        why = ", with what the joint's motion bends over `max_offset`"
+        _refuse(job, motors, np.maximum(lower, -upper), spline.time_step, why)
+        reach = max_offset * np.sum(np.abs(slope), axis=2)
+        rows, joints = np.nonzero((lower > -reach) | (upper < reach))
+        if not rows.size:
+            return ()
+        return (_mixed(spline, slope, rows, joints, (lower, upper)),)
+
+    def check(self, command: FloatRows, *, is_joints: bool) -> None:
+        """Raise if a command brings a motor beyond its limit.
+
+        Args:
+            command: Tip positions [m] or joint positions, shape (step, axis).
+            is_joints: Whether they are joint positions.
+
+        Raises:
+            InfeasibleLimit: It does; the message says which, when and by how much.
+
+        **Differentiability**: none, a host function.
+        """
+        job = self.job
+        robot = job.robot
+        if robot is None:
+            return
+        motors = np.asarray(_motors(job, jnp.asarray(command), is_joints), np.float64)
+        least, most = np.asarray(robot.joint_lower), np.asarray(robot.joint_upper)
+        excess = np.maximum(least[None] - motors, motors - most[None])
+        _refuse(job, motors, excess, float(job.tooth_period), "")
 
 
 def _bend(

@@ -13,8 +13,8 @@ from .._core.problem import Problem
 from .._method.adam import Adam
 from .._method.gauss_newton import GaussNewton
 from .._surface.finished_surface import FinishedSurface, SurfaceObjective
-from .._surface.surface_limits import SurfaceBounds, layer_thickness, surface_bounds
-from .joint_limits import joint_limits
+from .._surface.surface_limits import SurfaceBounds
+from .joint_limits import JointLimits
 from .objective import job_ensemble, job_spline, largest_acceleration
 from .plants import TipPlant
 
@@ -101,8 +101,8 @@ def job_bounds(job: Job, surface: FinishedSurface | None) -> SurfaceBounds | Non
         )
     layers = None
     if settings.stay_in_cut:
-        layers = layer_thickness(surface, job.stock, job.path.positions)
-    return surface_bounds(surface, gouge=settings.gouge, layers=layers)
+        layers = SurfaceBounds.layer_thickness(surface, job.stock, job.path.positions)
+    return SurfaceBounds.about(surface, gouge=settings.gouge, layers=layers)
 
 
 def within_joint_limits(method: Optimiser, job: Job, problem: Problem) -> Optimiser:
@@ -112,5 +112,5 @@ def within_joint_limits(method: Optimiser, job: Job, problem: Problem) -> Optimi
         InfeasibleLimit: The program leaves the joints no room.
     """
     bound = float(problem.max_offset)
-    limits = joint_limits(job, job_spline(job), problem.nominal, bound)
+    limits = JointLimits(job).rows(job_spline(job), problem.nominal, bound)
     return dataclasses.replace(method, limits=limits)

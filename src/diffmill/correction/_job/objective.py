@@ -10,14 +10,12 @@ from .._core.method import Corrected
 from .._core.path_objective import AbstractObjective, PathObjective
 from .._core.problem import Problem
 from .._core.row_weights import row_weights
-from .._method.ensemble import Ensemble, LatePlant, draw_scales, with_delays
-from .._spline.command_limits import command_limits
+from .._method.ensemble import Ensemble, LatePlant
+from .._spline.command_limits import LinearLimits
 from .._spline.spline_offsets import SplineOffsets
 from .._surface.finished_surface import (
     FinishedSurface,
     SurfaceObjective,
-    finished_surface,
-    point_shares,
 )
 from .plants import ScaledPlant, TipPlant
 
@@ -56,7 +54,7 @@ def job_surface(job: Job, rigid: Run) -> FinishedSurface | None:
     if not job.cutter.is_plain or job.simulation.axes:
         return None
     try:
-        return finished_surface(
+        return FinishedSurface.from_cut(
             rigid.stock, job.path.positions, job.cutter.nominal_radius
         )
     except ValueError:
@@ -70,7 +68,7 @@ def check_limits(job: Job) -> None:
         InfeasibleLimit: It does.
         UnsuitableSettings: The program is too short for the knots.
     """
-    command_limits(
+    LinearLimits.of_command(
         job_spline(job),
         job.path.positions,
         max_velocity=job.correction.max_velocity,
@@ -125,7 +123,7 @@ def job_objective(
         settings.wall_weight,
         settings.floor_weight,
         settings.tolerance,
-        point_shares(surface, job.path.positions, weights),
+        surface.point_shares(job.path.positions, weights),
     )
 
 
@@ -134,7 +132,7 @@ def job_ensemble(job: Job, nominal: TipPlant) -> Ensemble | None:
     known = job.correction.uncertainty
     if known is None:
         return None
-    draws = draw_scales(
+    draws = Ensemble.draw_scales(
         parameter_names(job),
         count=known.draws,
         seed=known.seed,
@@ -148,7 +146,9 @@ def job_ensemble(job: Job, nominal: TipPlant) -> Ensemble | None:
         return Ensemble(plant, draws)
     # The path is the uncorrected command: only what is added to it comes late.
     late = LatePlant(plant, np.asarray(job.path.positions), float(job.tooth_period))
-    return Ensemble(late, with_delays(draws, largest=known.delay, seed=known.seed))
+    return Ensemble(
+        late, LatePlant.with_delays(draws, largest=known.delay, seed=known.seed)
+    )
 
 
 def remaining_error(

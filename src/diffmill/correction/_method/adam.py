@@ -20,7 +20,7 @@ from .._spline.command_limits import AbstractLimits, feasible_share
 from .._spline.projection import project
 from .._spline.spline_offsets import SplineOffsets
 from .checkpoint import Arrays, OnCheckpoint, below, pack_tree, under, unpack_tree
-from .offset_fit import ContourResidual, contour_residual
+from .offset_fit import ContourResidual
 
 Coefficients = Float[Array, "coefficient axis"]
 
@@ -156,6 +156,6 @@ def _slope(
     """Return half the squared residual and its gradient, x in units of the bound."""
 
     def cost(x: Coefficients) -> Float[Array, ""]:
-        return 0.5 * jnp.sum(contour_residual(x * unit, args) ** 2)
+        return 0.5 * jnp.sum(args(x * unit) ** 2)
 
     return jax.value_and_grad(cost)(x)

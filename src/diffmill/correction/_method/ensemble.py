@@ -51,6 +51,53 @@ class Ensemble(eqx.Module):
         """Return the plants of all members."""
         return tuple(member_of(self.plant, np.asarray(draw)) for draw in self.draws)
 
+    @staticmethod
+    def draw_scales(
+        names: tuple[str, ...],
+        *,
+        count: int,
+        seed: int,
+        stiffness: RealScalarLike = 0.0,
+        damping: RealScalarLike = 0.0,
+        force: RealScalarLike = 0.0,
+        is_gaussian: bool = False,
+    ) -> Float[np.ndarray, "member parameter"]:
+        """Return draws of the logarithms of the parameters' factors.
+
+        Args:
+            names: `sim.parameter_names`.
+            count: Number of members.
+            seed: Seed of the draws.
+            stiffness: Relative uncertainty of every joint's stiffness: half the width
+                of an interval, or the standard deviation.
+            damping: That of every joint's damping.
+            force: That of every force coefficient.
+            is_gaussian: Whether the logarithms are normal; else the factors are uniform
+                in 1 - uncertainty to 1 + uncertainty.
+
+        Returns:
+            Logarithms, shape (member, parameter); 0 for the speed.
+
+        Raises:
+            ValueError: An uncertainty is negative or, of an interval, not below 1.
+
+        **Differentiability**: none, a host function.
+        """
+        kinds = {"K ": stiffness, "D ": damping}
+        sizes = np.array(
+            [0.0 if name == "speed" else kinds.get(name[:2], force) for name in names],
+            np.float64,
+        )
+        if np.any(sizes < 0) or (not is_gaussian and np.any(sizes >= 1)):
+            raise ValueError(
+                "Arguments `stiffness`, `damping` and `force` must be at least 0 and, "
+                f"of intervals, below 1, but are {stiffness}, {damping} and {force}."
+            )
+        rng = np.random.default_rng(seed)
+        if is_gaussian:
+            return sizes[None] * rng.normal(size=(count, len(names)))
+        return np.log1p(sizes[None] * rng.uniform(-1, 1, size=(count, len(names))))
+
 
 class _Member(eqx.Module):
     """A function of parameters and a command, its parameters given."""
@@ -92,6 +139,39 @@ class LatePlant(AbstractUncertainPlant):
         """Return the plant of one member, whose last parameter is its delay [s]."""
         plant = member_of(self.plant, parameters[:-1])
         return Late(plant, parameters[-1], self.nominal, self.time_step)
+
+    @staticmethod
+    def with_delays(
+        draws: Draws, *, largest: RealScalarLike, seed: int
+    ) -> Float[np.ndarray, "member parameter_and_delay"]:
+        """Return draws with a last column of delays, each in its own share of the span.
+
+        A few draws from the whole span could all lie at one end of it; so each member
+        gets one of as many equal parts of the span, in an order of its own.
+
+        Args:
+            draws: Parameters of the members, shape (member, parameter).
+            largest: Largest delay [s], at least 0; the smallest is 0.
+            seed: Seed of the delays.
+
+        Returns:
+            Parameters and delays, for a `LatePlant`, shape (member, parameter + 1).
+
+        Raises:
+            ValueError: The largest delay is negative.
+
+        **Differentiability**: none, a host function.
+        """
+        if not largest >= 0:
+            raise ValueError(
+                f"Argument `largest` must be at least 0, but is {largest}."
+            )
+        # A stream of its own: the parameters of a seed stay what they are without
+        # delays.
+        rng = np.random.default_rng([seed, 1])
+        count = len(draws)
+        share = (rng.permutation(count) + rng.uniform(size=count)) / count
+        return np.column_stack([np.asarray(draws), float(largest) * share])
 
 
 class Late(AbstractHostPlant):
@@ -153,80 +233,3 @@ class LateMotion(LinearMotion):
 @eqx.filter_jit
 def _late(plant: Late, command: Float[Array, "step axis"]) -> Float[Array, "step axis"]:
     return plant.late(command)
-
-
-def with_delays(
-    draws: Draws, *, largest: RealScalarLike, seed: int
-) -> Float[np.ndarray, "member parameter_and_delay"]:
-    """Return draws with a last column of delays, each in its own share of the span.
-
-    A few draws from the whole span could all lie at one end of it; so each member gets
-    one of as many equal parts of the span, in an order of its own.
-
-    Args:
-        draws: Parameters of the members, shape (member, parameter).
-        largest: Largest delay [s], at least 0; the smallest is 0.
-        seed: Seed of the delays.
-
-    Returns:
-        Parameters and delays, for a `LatePlant`, shape (member, parameter + 1).
-
-    Raises:
-        ValueError: The largest delay is negative.
-
-    **Differentiability**: none, a host function.
-    """
-    if not largest >= 0:
-        raise ValueError(f"Argument `largest` must be at least 0, but is {largest}.")
-    # A stream of its own: the parameters of a seed stay what they are without delays.
-    rng = np.random.default_rng([seed, 1])
-    count = len(draws)
-    share = (rng.permutation(count) + rng.uniform(size=count)) / count
-    return np.column_stack([np.asarray(draws), float(largest) * share])
-
-
-def draw_scales(
-    names: tuple[str, ...],
-    *,
-    count: int,
-    seed: int,
-    stiffness: RealScalarLike = 0.0,
-    damping: RealScalarLike = 0.0,
-    force: RealScalarLike = 0.0,
-    is_gaussian: bool = False,
-) -> Float[np.ndarray, "member parameter"]:
-    """Return draws of the logarithms of the parameters' factors.
-
-    Args:
-        names: `sim.parameter_names`.
-        count: Number of members.
-        seed: Seed of the draws.
-        stiffness: Relative uncertainty of every joint's stiffness: half the width of
-            an interval, or the standard deviation.
-        damping: That of every joint's damping.
-        force: That of every force coefficient.
-        is_gaussian: Whether the logarithms are normal; else the factors are uniform in
-            1 - uncertainty to 1 + uncertainty.
-
-    Returns:
-        Logarithms, shape (member, parameter); 0 for the speed.
-
-    Raises:
-        ValueError: An uncertainty is negative or, of an interval, not below 1.
-
-    **Differentiability**: none, a host function.
-    """
-    kinds = {"K ": stiffness, "D ": damping}
-    sizes = np.array(
-        [0.0 if name == "speed" else kinds.get(name[:2], force) for name in names],
-        np.float64,
-    )
-    if np.any(sizes < 0) or (not is_gaussian and np.any(sizes >= 1)):
-        raise ValueError(
-            "Arguments `stiffness`, `damping` and `force` must be at least 0 and, of "
-            f"intervals, below 1, but are {stiffness}, {damping} and {force}."
-        )
-    rng = np.random.default_rng(seed)
-    if is_gaussian:
-        return sizes[None] * rng.normal(size=(count, len(names)))
-    return np.log1p(sizes[None] * rng.uniform(-1, 1, size=(count, len(names))))

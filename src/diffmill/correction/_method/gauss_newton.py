@@ -12,7 +12,7 @@ from ...optimise import LeastSquaresState, LevenbergMarquardt
 from .._core.method import AbstractMethod, Corrected, OnProgress, corrected
 from .._core.path_objective import AbstractObjective, PathObjective
 from .._core.problem import Problem
-from .._spline.command_limits import LinearLimits, MixedLimits, command_limits
+from .._spline.command_limits import LinearLimits, MixedLimits
 from .._spline.projection import project
 from .._spline.spline_offsets import SplineOffsets
 from .._surface.surface_limits import SurfaceBounds, refusal
@@ -148,7 +148,7 @@ class GaussNewton(AbstractMethod):
         self, spline: SplineOffsets, nominal: FloatRows
     ) -> tuple[LinearLimits | MixedLimits, ...]:
         """Return the limits of the command and those given."""
-        return self.limits + command_limits(
+        return self.limits + LinearLimits.of_command(
             spline,
             nominal,
             max_velocity=self.max_velocity,

@@ -11,7 +11,7 @@ from ..._types import FloatRows
 from ...numerics import lowpass
 from .._core.error_metrics import rms_contour
 from .._core.method import AbstractMethod, Corrected, OnProgress, corrected
-from .._core.problem import Motion, Problem, contour_of, run
+from .._core.problem import Motion, Problem
 from .._spline.projection import clip_offset
 
 # An iterate that changes the error by less than this fraction has settled.
@@ -40,7 +40,7 @@ class Mirror(AbstractMethod):
         command = _start(problem, start)
         motion = self.before if start is None else None
         if motion is None:
-            motion, _ = run(problem, command)
+            motion, _ = problem.run(command)
         command = command - _deviation(problem, motion)
         command = clip_offset(problem.nominal, command, problem.max_offset)
         return corrected(problem, command, forward_runs=1)
@@ -86,9 +86,9 @@ class IteratedMirror(AbstractMethod):
         """Return the best iterate of the grid; tip commands only."""
         command = _start(problem, start)
         if start is None and self.before is not None:
-            motion, contour = self.before, contour_of(problem, self.before)
+            motion, contour = self.before, problem.contour(self.before)
         else:
-            motion, contour = run(problem, command)
+            motion, contour = problem.run(command)
         zero = _Iterate(command, rms_contour(problem, contour), 0, 0.0, 0.0)
         first = _deviation(problem, motion)
         best, runs = zero, 1
@@ -185,7 +185,7 @@ def _branch(
         step = lowpass(deviation, 1 / problem.time_step, cutoff, order=method.order)
         command = command - relaxation * step
         command = clip_offset(problem.nominal, command, problem.max_offset)
-        motion, contour = run(problem, command)
+        motion, contour = problem.run(command)
         runs += 1
         deviation = _deviation(problem, motion)
         error = rms_contour(problem, contour)

@@ -46,7 +46,7 @@ Unknowns: TypeAlias = Float[np.ndarray, " unknown"]
 
 
 class ContourResidual(eqx.Module):
-    """Everything that the residual needs besides the coefficients and the motion.
+    """Residual of a correction as a function of the coefficients.
 
     Attributes:
         problem: The problem.
@@ -64,6 +64,29 @@ class ContourResidual(eqx.Module):
     objective: AbstractObjective = PathObjective()
     bounds: SurfaceBounds | None = None
 
+    def __call__(
+        self, coefficients: Float[Array, "coefficient axis"]
+    ) -> Float[Array, " residual"]:
+        """Return the weighted errors and the roughness as one vector.
+
+        With `PathObjective` its square is (rms contour error / 0.1 mm)^2 over the rows
+        that cut, where one in the air counts a hundredth, plus (lag_weight x rms
+        deviation along the path / 0.1 mm)^2 there, plus (smoothness x rms second
+        difference of the coefficients / max_offset)^2.
+
+        Args:
+            coefficients: Spline coefficients of the offset, in the command's unit.
+
+        Returns:
+            Dimensionless residuals, the error first.
+
+        **Differentiability**: that of the plant; kinks where the nearest segment
+        changes.
+        """
+        motion = self.problem.plant(_command(coefficients, self))
+        found = errors_of(motion, coefficients, self)
+        return jnp.concatenate([found.error, found.rough])
+
 
 class Errors(eqx.Module):
     """Residual of one motion, in units of 0.1 mm.
@@ -79,36 +102,12 @@ class Errors(eqx.Module):
     output: Float[Array, "*direction output"]
 
 
-def contour_residual(
-    coefficients: Float[Array, "coefficient axis"], args: ContourResidual
-) -> Float[Array, " residual"]:
-    """Return the weighted errors and the roughness as one vector.
-
-    With `PathObjective` its square is (rms contour error / 0.1 mm)^2 over the rows
-    that cut, where one in the air counts a hundredth, plus (lag_weight x rms deviation
-    along the path / 0.1 mm)^2 there, plus (smoothness
-    x rms second difference of the coefficients / max_offset)^2.
-
-    Args:
-        coefficients: Spline coefficients of the offset, in the command's unit.
-        args: The problem, the basis and the weight.
-
-    Returns:
-        Dimensionless residuals, the error first.
-
-    **Differentiability**: that of the plant; kinks where the nearest segment changes.
-    """
-    motion = args.problem.plant(_command(coefficients, args))
-    found = errors_of(motion, coefficients, args)
-    return jnp.concatenate([found.error, found.rough])
-
-
 def errors_of(
     motion: Motion,
     coefficients: Float[Array, "coefficient axis"],
     args: ContourResidual,
 ) -> Errors:
-    """Return the residual of a motion that is known, see `contour_residual`.
+    """Return the residual of a motion that is known, see `ContourResidual`.
 
     **Differentiability**: kinks where the nearest segment changes.
     """

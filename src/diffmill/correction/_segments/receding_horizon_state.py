@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from ..._types import FloatRows
 from ...optimise import LeastSquaresStep
 from .._core.linear_motion import LinearMotion, linear_motion
-from .._core.problem import Motion, Problem, contour_of
+from .._core.problem import Motion, Problem
 from .._method.checkpoint import (
     Arrays,
     below,
@@ -121,7 +121,7 @@ def advance(
     motion, state = padded.run(command)
     weights = jnp.asarray(part.is_cutting, command.dtype)
     weights = weights.at[-1 - part.window].set(0)
-    square = jnp.sum(contour_of(part, motion) ** 2, axis=1)
+    square = jnp.sum(part.contour(motion) ** 2, axis=1)
     return state, jnp.sum(jnp.where(weights > 0, weights * square, 0))
 
 

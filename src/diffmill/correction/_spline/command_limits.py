@@ -92,6 +92,61 @@ class LinearLimits(AbstractLimits):
 
         return sparse.kron(self.matrix, sparse.eye_array(axis_count), format="csr")
 
+    @classmethod
+    def of_command(
+        cls,
+        spline: SplineOffsets,
+        nominal: FloatRows,
+        *,
+        max_velocity: float = np.inf,
+        max_acceleration: float = np.inf,
+        unit: str = "",
+    ) -> "tuple[LinearLimits, ...]":
+        """Return the limits that keep a whole command within its derivatives' bounds.
+
+        Args:
+            spline: Basis of the offset.
+            nominal: The uncorrected command, shape (step, axis).
+            max_velocity: Largest velocity per axis [unit of the command / s].
+            max_acceleration: Largest acceleration per axis [unit of the command / s^2].
+            unit: Unit of the command, for messages.
+
+        Returns:
+            One entry for each limit that is finite.
+
+        Raises:
+            InfeasibleLimit: The nominal command breaks a limit; the message says which,
+                when, on which axis and by how much.
+
+        **Differentiability**: none, a host function.
+        """
+        nominal = np.asarray(nominal, np.float64)
+        found = []
+        for order, name, limit in (
+            (1, "max_velocity", max_velocity),
+            (2, "max_acceleration", max_acceleration),
+        ):
+            if not np.isfinite(limit):
+                continue
+            rate = np.diff(nominal, order, axis=0) / spline.time_step**order
+            per_time = unit + ("/s" if order == 1 else "/s^2")
+            _check_nominal(name, order, float(limit), rate, spline.time_step, per_time)
+            matrix = basis_matrix(spline)
+            for _ in range(order):
+                matrix = matrix[1:] - matrix[:-1]
+            # In the coefficients' unit, so that rows of both kinds are alike in size.
+            step = spline.time_step**order
+            scale = spline.actual_spacing**order
+            found.append(
+                LinearLimits(
+                    matrix * (scale / step),
+                    np.minimum(scale * (-limit - rate), 0.0),
+                    np.maximum(scale * (limit - rate), 0.0),
+                    name,
+                )
+            )
+        return tuple(found)
+
 
 class MixedLimits(AbstractLimits):
     """Bounds of linear functions of all axes of the coefficients of a spline.
@@ -117,60 +172,6 @@ class MixedLimits(AbstractLimits):
     def flat(self, axis_count: int) -> Any:
         """Return the map of the coefficients, row by row, as a sparse matrix."""
         return self.matrix
-
-
-def command_limits(
-    spline: SplineOffsets,
-    nominal: FloatRows,
-    *,
-    max_velocity: float = np.inf,
-    max_acceleration: float = np.inf,
-    unit: str = "",
-) -> tuple[LinearLimits, ...]:
-    """Return the limits that keep a whole command within its derivatives' bounds.
-
-    Args:
-        spline: Basis of the offset.
-        nominal: The uncorrected command, shape (step, axis).
-        max_velocity: Largest velocity per axis [unit of the command / s].
-        max_acceleration: Largest acceleration per axis [unit of the command / s^2].
-        unit: Unit of the command, for messages.
-
-    Returns:
-        One entry for each limit that is finite.
-
-    Raises:
-        InfeasibleLimit: The nominal command breaks a limit; the message says which,
-            when, on which axis and by how much.
-
-    **Differentiability**: none, a host function.
-    """
-    nominal = np.asarray(nominal, np.float64)
-    found = []
-    for order, name, limit in (
-        (1, "max_velocity", max_velocity),
-        (2, "max_acceleration", max_acceleration),
-    ):
-        if not np.isfinite(limit):
-            continue
-        rate = np.diff(nominal, order, axis=0) / spline.time_step**order
-        per_time = unit + ("/s" if order == 1 else "/s^2")
-        _check_nominal(name, order, float(limit), rate, spline.time_step, per_time)
-        matrix = basis_matrix(spline)
-        for _ in range(order):
-            matrix = matrix[1:] - matrix[:-1]
-        # In the coefficients' unit, so that rows of both kinds are alike in size.
-        step = spline.time_step**order
-        scale = spline.actual_spacing**order
-        found.append(
-            LinearLimits(
-                matrix * (scale / step),
-                np.minimum(scale * (-limit - rate), 0.0),
-                np.maximum(scale * (limit - rate), 0.0),
-                name,
-            )
-        )
-    return tuple(found)
 
 
 def _check_nominal(

@@ -36,7 +36,7 @@ def project(
         spline: The basis.
         offset: Offset of a command at every row, shape (step, axis).
         max_offset: Largest magnitude of a coefficient.
-        limits: Limits of the command, see `command_limits`.
+        limits: Limits of the command, see `LinearLimits.of_command`.
 
     Returns:
         Coefficients, shape (coefficient, axis).

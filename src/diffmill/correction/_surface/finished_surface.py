@@ -100,55 +100,98 @@ class FinishedSurface(eqx.Module):
         wall = jnp.where(is_under, wall, jnp.asarray(_FAR, tips.dtype))
         return jnp.where(jnp.asarray(self.is_wall)[:, None], wall, out)
 
+    @classmethod
+    def from_cut(
+        cls, stock: Stock, desired: FloatRows3, radius: float, *, reach: float = 5e-4
+    ) -> "FinishedSurface":
+        """Return the surface that a rigid flat tool along +z leaves.
 
-def finished_surface(
-    stock: Stock, desired: FloatRows3, radius: float, *, reach: float = 5e-4
-) -> FinishedSurface:
-    """Return the surface that a rigid flat tool along +z leaves.
+        Args:
+            stock: The stock after the rigid cut; its ends know the poses that cut them.
+            desired: The path of that cut [m], shape (step, 3).
+            radius: Radius of the tool [m].
+            reach: A pose may decide a point if the desired one stays at most this far
+                out of it [m]: twice the largest error that is to be seen right.
 
-    Args:
-        stock: The stock after the rigid cut; its ends know the poses that cut them.
-        desired: The path of that cut [m], shape (step, 3).
-        radius: Radius of the tool [m].
-        reach: A pose may decide a point if the desired one stays at most this far out
-            of it [m]: twice the largest error that is to be seen right.
+        Returns:
+            At most 2000 points of walls and of floors each.
 
-    Returns:
-        At most 2000 points of walls and of floors each.
+        Raises:
+            ValueError: No end was cut by a pose.
 
-    Raises:
-        ValueError: No end was cut by a pose.
+        **Differentiability**: none, a host function.
+        """
+        tips = np.asarray(desired, np.float64)
+        walls, floors = _wall_points(stock, tips, radius), _floor_points(stock)
+        walls, floors = (
+            tuple(values[_thinned(np.arange(len(values)), _POINTS)] for values in kind)
+            for kind in (walls, floors)
+        )
+        poses = [
+            _wall_poses(*walls, tips, radius, reach),
+            _floor_poses(floors[0], tips, radius, reach),
+        ]
+        is_seen = [np.array([rows.size > 0 for rows in kind], bool) for kind in poses]
+        if not any(seen.any() for seen in is_seen):
+            raise ValueError(
+                "Argument `stock` must have been cut by a pose, but was not."
+            )
+        width = max(rows.size for kind in poses for rows in kind)
+        kept = [
+            _thinned(np.flatnonzero(seen), _PAIRS // (2 * width)) for seen in is_seen
+        ]
+        return cls(
+            points=np.concatenate([walls[0][kept[0]], floors[0][kept[1]]]),
+            normals=np.concatenate([walls[1][kept[0]], floors[1][kept[1]]]),
+            is_wall=np.repeat([True, False], [kept[0].size, kept[1].size]),
+            poses=np.stack(
+                [
+                    _filled(kind[i], width)
+                    for kind, few in zip(poses, kept, strict=True)
+                    for i in few
+                ]
+            ),
+            radius=np.asarray(radius, np.float64),
+        )
 
-    **Differentiability**: none, a host function.
-    """
-    tips = np.asarray(desired, np.float64)
-    walls, floors = _wall_points(stock, tips, radius), _floor_points(stock)
-    walls, floors = (
-        tuple(values[_thinned(np.arange(len(values)), _POINTS)] for values in kind)
-        for kind in (walls, floors)
-    )
-    poses = [
-        _wall_poses(*walls, tips, radius, reach),
-        _floor_poses(floors[0], tips, radius, reach),
-    ]
-    is_seen = [np.array([rows.size > 0 for rows in kind], bool) for kind in poses]
-    if not any(seen.any() for seen in is_seen):
-        raise ValueError("Argument `stock` must have been cut by a pose, but was not.")
-    width = max(rows.size for kind in poses for rows in kind)
-    kept = [_thinned(np.flatnonzero(seen), _PAIRS // (2 * width)) for seen in is_seen]
-    return FinishedSurface(
-        points=np.concatenate([walls[0][kept[0]], floors[0][kept[1]]]),
-        normals=np.concatenate([walls[1][kept[0]], floors[1][kept[1]]]),
-        is_wall=np.repeat([True, False], [kept[0].size, kept[1].size]),
-        poses=np.stack(
-            [
-                _filled(kind[i], width)
-                for kind, few in zip(poses, kept, strict=True)
-                for i in few
-            ]
-        ),
-        radius=np.asarray(radius, np.float64),
-    )
+    def point_shares(
+        self,
+        desired: FloatRows3,
+        weights: Float[np.ndarray, " step"],
+    ) -> Float[np.ndarray, " point"]:
+        """Return how much the points of a self count, from the rows that leave them.
+
+        Args:
+            desired: The desired path [m], shape (step, 3).
+            weights: Weight of every row, shape (step,).
+
+        Returns:
+            The largest weight of the rows that are the deepest at the point on the
+            desired path, to a micrometre, shape (point,).
+
+        **Differentiability**: none, a host function.
+        """
+        depth = np.asarray(self.depths(desired), np.float64)
+        is_deepest = depth <= depth.min(axis=1, keepdims=True) + _SAME_DEPTH
+        each = np.asarray(weights, np.float64)[np.asarray(self.poses)]
+        return np.max(np.where(is_deepest, each, 0.0), axis=1)
+
+    def touching_rows(self, desired: FloatRows3) -> Bool[np.ndarray, " step"]:
+        """Return which rows come so near to a self that they could spoil it.
+
+        Args:
+            desired: The desired path [m], shape (step, 3).
+
+        Returns:
+            Whether a pose is at most 0.1 mm out of a point, shape (step,). More rows
+            than those that cut: also those that pass over what has been cut before.
+
+        **Differentiability**: none, a host function.
+        """
+        is_near = np.asarray(self.depths(desired)) <= _NEAR
+        found = np.zeros(len(np.asarray(desired)), bool)
+        found[np.unique(np.asarray(self.poses)[is_near])] = True
+        return found
 
 
 class SurfaceObjective(AbstractObjective):
@@ -159,8 +202,8 @@ class SurfaceObjective(AbstractObjective):
         wall_weight: Weight of the walls' mean square.
         floor_weight: Weight of the floors' mean square.
         tolerance: Half the width of the band within which no error counts [m].
-        shares: How much each point counts among those of its kind, see `point_shares`,
-            shape (point,); all alike if None.
+        shares: How much each point counts among those of its kind, see
+            `FinishedSurface.point_shares`, shape (point,); all alike if None.
     """
 
     surface: FinishedSurface
@@ -192,51 +235,6 @@ class SurfaceObjective(AbstractObjective):
         rest = deviation_of(problem, motion) * row_shares(problem, dtype)[:, None]
         rest = jnp.asarray(lag_weight, dtype) * rest
         return jnp.concatenate([error, rest.reshape(-1)])
-
-
-def point_shares(
-    surface: FinishedSurface,
-    desired: FloatRows3,
-    weights: Float[np.ndarray, " step"],
-) -> Float[np.ndarray, " point"]:
-    """Return how much the points of a surface count, from the rows that leave them.
-
-    Args:
-        surface: The surface.
-        desired: The desired path [m], shape (step, 3).
-        weights: Weight of every row, shape (step,).
-
-    Returns:
-        The largest weight of the rows that are the deepest at the point on the desired
-        path, to a micrometre, shape (point,).
-
-    **Differentiability**: none, a host function.
-    """
-    depth = np.asarray(surface.depths(desired), np.float64)
-    is_deepest = depth <= depth.min(axis=1, keepdims=True) + _SAME_DEPTH
-    each = np.asarray(weights, np.float64)[np.asarray(surface.poses)]
-    return np.max(np.where(is_deepest, each, 0.0), axis=1)
-
-
-def touching_rows(
-    surface: FinishedSurface, desired: FloatRows3
-) -> Bool[np.ndarray, " step"]:
-    """Return which rows come so near to a surface that they could spoil it.
-
-    Args:
-        surface: The surface.
-        desired: The desired path [m], shape (step, 3).
-
-    Returns:
-        Whether a pose is at most 0.1 mm out of a point, shape (step,). More rows than
-        those that cut: also those that pass over what has been cut before.
-
-    **Differentiability**: none, a host function.
-    """
-    is_near = np.asarray(surface.depths(desired)) <= _NEAR
-    found = np.zeros(len(np.asarray(desired)), bool)
-    found[np.unique(np.asarray(surface.poses)[is_near])] = True
-    return found
 
 
 def _cut_ends(

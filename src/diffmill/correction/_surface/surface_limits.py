@@ -62,69 +62,70 @@ class SurfaceBounds(eqx.Module):
         out = np.maximum(self.lower - errors, errors - self.upper)
         return float(np.max(out, initial=0.0))
 
+    @classmethod
+    def about(
+        cls,
+        surface: FinishedSurface,
+        *,
+        gouge: float = np.inf,
+        layers: PerPoint | None = None,
+    ) -> "SurfaceBounds":
+        """Return bounds of a surface.
 
-def surface_bounds(
-    surface: FinishedSurface,
-    *,
-    gouge: float = np.inf,
-    layers: PerPoint | None = None,
-) -> SurfaceBounds:
-    """Return bounds of a surface.
+        Args:
+            surface: The ideal surface.
+            gouge: Largest depth of a cut into the ideal part [m].
+            layers: What `SurfaceBounds.layer_thickness` returned, to stay in the cut;
+                None to be free to leave it.
 
-    Args:
-        surface: The ideal surface.
-        gouge: Largest depth of a cut into the ideal part [m].
-        layers: What `layer_thickness` returned, to stay in the cut; None to be free
-            to leave it.
+        Returns:
+            The bounds.
 
-    Returns:
-        The bounds.
+        Raises:
+            ValueError: The gouge limit is not positive.
 
-    Raises:
-        ValueError: The gouge limit is not positive.
+        **Differentiability**: none, a host function.
+        """
+        if not gouge > 0:
+            raise ValueError(f"Argument `gouge` must be above 0, but is {gouge} m.")
+        count = len(surface.points)
+        upper = np.full(count, np.inf)
+        if layers is not None:
+            upper = np.where(layers > _THIN, _LEFT * layers, np.inf)
+        return cls(surface, np.full(count, -float(gouge)), upper, float(gouge))
 
-    **Differentiability**: none, a host function.
-    """
-    if not gouge > 0:
-        raise ValueError(f"Argument `gouge` must be above 0, but is {gouge} m.")
-    count = len(surface.points)
-    upper = np.full(count, np.inf)
-    if layers is not None:
-        upper = np.where(layers > _THIN, _LEFT * layers, np.inf)
-    return SurfaceBounds(surface, np.full(count, -float(gouge)), upper, float(gouge))
+    @staticmethod
+    def layer_thickness(
+        surface: FinishedSurface, raw: Stock, desired: FloatRows3
+    ) -> PerPoint:
+        """Return how thick a layer the finishing pass takes at each point.
 
+        The layer reaches from the point along its normal to where an earlier pass has
+        been, or to the raw surface. A pass is earlier if a diameter of travel or more
+        lies between it and the first row that comes as deep as the surface.
 
-def layer_thickness(
-    surface: FinishedSurface, raw: Stock, desired: FloatRows3
-) -> PerPoint:
-    """Return how thick a layer the finishing pass takes at each point.
+        Args:
+            surface: The ideal surface.
+            raw: The stock before the program.
+            desired: Tip positions of the program [m], shape (step, 3).
 
-    The layer reaches from the point along its normal to where an earlier pass has
-    been, or to the raw surface. A pass is earlier if a diameter of travel or more lies
-    between it and the first row that comes as deep as the surface.
+        Returns:
+            Thickness [m], shape (point,).
 
-    Args:
-        surface: The ideal surface.
-        raw: The stock before the program.
-        desired: Tip positions of the program [m], shape (step, 3).
-
-    Returns:
-        Thickness [m], shape (point,).
-
-    **Differentiability**: none, a host function.
-    """
-    tips, R = np.asarray(desired, np.float64), float(surface.radius)
-    travel = np.concatenate(
-        [[0.0], np.cumsum(np.linalg.norm(np.diff(tips, axis=0), axis=1))]
-    )
-    thickness = _raw_thickness(surface, raw)
-    for i, (p, n) in enumerate(zip(surface.points, surface.normals, strict=True)):
-        depth = _depths(tips, p, n, R, bool(surface.is_wall[i]))
-        finishing = int(np.argmax(depth <= depth.min() + 1e-9))
-        earlier = depth[travel < travel[finishing] - 2 * R]
-        if earlier.size:
-            thickness[i] = min(thickness[i], max(float(earlier.min()), 0.0))
-    return thickness
+        **Differentiability**: none, a host function.
+        """
+        tips, R = np.asarray(desired, np.float64), float(surface.radius)
+        travel = np.concatenate(
+            [[0.0], np.cumsum(np.linalg.norm(np.diff(tips, axis=0), axis=1))]
+        )
+        thickness = _raw_thickness(surface, raw)
+        for i, (p, n) in enumerate(zip(surface.points, surface.normals, strict=True)):
+            depth = _depths(tips, p, n, R, bool(surface.is_wall[i]))
+            finishing = int(np.argmax(depth <= depth.min() + 1e-9))
+            earlier = depth[travel < travel[finishing] - 2 * R]
+            if earlier.size:
+                thickness[i] = min(thickness[i], max(float(earlier.min()), 0.0))
+        return thickness
 
 
 def _depths(
