@@ -300,6 +300,27 @@ class Job(eqx.Module):
             )
         return cast_floats(self, dtype)
 
+    def without_texts(self) -> "Job":
+        """Return the job as compiled programs see it, since each text is another one.
+
+        What stands only in its file, and what others do with its results, is left out.
+        """
+        settings = dataclasses.replace(
+            self.simulation, has_sensitivity=False, stability="none", scatter=None
+        )
+        return dataclasses.replace(
+            self,
+            name="",
+            source="",
+            program="",
+            notes=(),
+            simulation=settings,
+            correction=CorrectionSettings(),
+            holder=None,
+            keeps_intervals=False,
+            output=OutputSettings(),
+        )
+
     def with_intervals(self, counts: tuple[int, int, int]) -> "Job":
         """Return the job with slots for so many intervals along x, y and z, and a note.
 

@@ -1,5 +1,6 @@
 """Running a job and writing its folder of results."""
 
+import functools
 import pathlib
 import sys
 import time
@@ -153,10 +154,19 @@ def _compute(
     command: str, job: "Job", progress: Progress, checkpoint: Checkpoint | None
 ) -> Outcome:
     """Run the job."""
-    if command == "simulate":
-        from ..sim import simulate
+    from ..sim import Replay, simulate
 
-        return simulate(job, on_progress=progress.update)
+    # At the first message the programs of the run itself are compiled or begun: a core
+    # that is free goes on with those of the figures.
+    prepare_figures = functools.cache(lambda: Replay.prepare(job))
+
+    if command == "simulate":
+
+        def show(message: str, share: float) -> None:
+            prepare_figures()
+            progress.update(message, share)
+
+        return simulate(job, on_progress=show)
     from ..correction import (
         InfeasibleLimit,
         NothingToCorrect,
@@ -165,6 +175,7 @@ def _compute(
     )
 
     def tell(message: str, rms: float) -> None:
+        prepare_figures()
         progress.update(f"{message}: contour error {rms * 1e6:.2f} um rms")
 
     try:

@@ -24,6 +24,7 @@ from .._method.mirror import Mirror
 from .._spline.projection import clip_offset
 from .case_runner import CaseRecord, OnProgress
 from .joint_limits import JointLimits
+from .linear_job import prepare_linear_job
 from .method import (
     OPTIMISERS,
     for_the_path,
@@ -164,6 +165,9 @@ def correct(
     check_limits(job)
     adjoint = ThroughPoses()
     desired = jnp.asarray(job.path.positions)
+    uses_linear = job.correction.method != "adam" and "corrected" in compared(job)
+    if uses_linear and horizon is None:
+        prepare_linear_job(job)
     # A program beyond a joint's limit is refused before anything runs, too.
     JointLimits(job).check(desired, is_joints=False)
     job, before = run_with_room(job, desired, adjoint, lambda message, share: None)

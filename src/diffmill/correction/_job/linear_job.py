@@ -1,12 +1,13 @@
 """The linear system of a job, of its whole path or of some rows."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._arrays import on_device
 from ..._job import Job
+from ...numerics import CompiledAhead
 from ...process import StockHeld, wall_deviation, wall_shares
 from ...robot import Controller
 from ...sim import (
@@ -85,7 +86,6 @@ def has_linear_run(job: Job) -> bool:
     return settings.mode == "dynamic" and is_known
 
 
-@eqx.filter_jit
 def linear_job(
     job: Job,
     motors: Float[Array, "step joint"],
@@ -102,6 +102,33 @@ def linear_job(
         wall_share: When in each period its wall is made; by the path alone if None.
         state: State at row 0, as of `sim.linearise`.
     """
+    return _linear_job(job.without_texts(), motors, slopes, wall_share, state)
+
+
+def prepare_linear_job(job: Job) -> None:
+    """Compile in the background what `linear_job` runs of a whole path, if it can.
+
+    Args:
+        job: The job, in its precision.
+    """
+    if not has_linear_run(job):
+        return
+    rows, dtype = job.path.step_count, np.dtype(job.simulation.precision)
+    joints = 3 if job.robot is None else len(job.robot.joint_names)
+    axes = joints if job.correction.command == "joint" else 3
+    shapes = (rows, joints), (rows, joints, axes), (rows,)
+    motors, slopes, shares = (on_device(np.zeros(x, dtype)) for x in shapes)
+    _linear_job.prepare(job.without_texts(), motors, slopes, shares, None)
+
+
+@CompiledAhead
+def _linear_job(
+    job: Job,
+    motors: Float[Array, "step joint"],
+    slopes: Float[Array, "step joint axis"],
+    wall_share: Steps | None,
+    state: RunState | None,
+) -> LinearJob:
     machine = job_machine(job)
     assert not isinstance(machine, QuasiStaticArm)
     process, controller = job_process(job, StockHeld()), job.controller

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._arrays import on_device
-from ..._job import CorrectionSettings, Job, OutputSettings
+from ..._job import Job
 from ...toolpath import Path
 
 _Tree = TypeVar("_Tree")
@@ -59,34 +59,15 @@ def pad_path(path: Path, row_count: int | None = None) -> Path:
 
 
 def padded_job(job: Job) -> Job:
-    """Return a job as compiled programs see it: of few lengths, and without texts.
+    """Return a job of one of few lengths, without texts.
 
     Args:
         job: The job; where its path is traced, only the texts are left out.
-
-    Returns:
-        The job. What stands only in its file, and what others do with its results, is
-        left out, since a program is compiled anew for every other text.
     """
-    path = job.path
-    if not isinstance(path.positions, jax.core.Tracer):
-        path = pad_path(path)
-    settings = dataclasses.replace(
-        job.simulation, has_sensitivity=False, stability="none", scatter=None
-    )
-    return dataclasses.replace(
-        job,
-        name="",
-        source="",
-        program="",
-        notes=(),
-        path=path,
-        simulation=settings,
-        correction=CorrectionSettings(),
-        holder=None,
-        keeps_intervals=False,
-        output=OutputSettings(),
-    )
+    job = job.without_texts()
+    if isinstance(job.path.positions, jax.core.Tracer):
+        return job
+    return dataclasses.replace(job, path=pad_path(job.path))
 
 
 def pad_rows(

@@ -11,7 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from ..._arrays import on_device
 from ..._job import Job
+from ...numerics import CompiledAhead
 from ...process import (
     EdgeElementsInSpace,
     Engagement,
@@ -66,6 +68,16 @@ class Replay(eqx.Module):
         job = job.with_precision()
         return cls(job_process(job, ThroughRays()), _actual_poses(job, solution))
 
+    @classmethod
+    def prepare(cls, job: Job) -> None:
+        """Compile in the background what replaying a solution of a job will run."""
+        job = job.with_precision()
+        tips = on_device(np.asarray(job.path.positions))
+        poses = Pose.along(tips, job.tool_axes)
+        replay = cls(job_process(job, ThroughRays()), poses)
+        _run.prepare(replay.process, poses)
+        _last_periods.prepare(replay.process, *replay._until(tips.shape[0] - 1))
+
     def run(self) -> Run:
         """Return the run with the force at every angle sample. Check `.result`."""
         return _run(self.process, self.path)
@@ -93,7 +105,7 @@ class Replay(eqx.Module):
             )
         part = self.path[: step + 1]
         engagement, cutter = self.process.engagement, self.process.cutter
-        found = _last_periods(self.process, part, min(cutter.flute_count, step))
+        found = _last_periods(self.process, *self._until(step))
         angle, tooth, chip, weight = (np.asarray(x, np.float64) for x in found)
         shape = weight.shape
         is_row = isinstance(engagement, EdgeElementsInSpace)
@@ -113,6 +125,20 @@ class Replay(eqx.Module):
         order = np.argsort(turn)
         return ToothChip(turn[order], height, chart[:, order], share[:, order])
 
+    def _until(self, step: int) -> tuple[Pose, Int[Array, " period"], int]:
+        """Return the path up to a step, as long as the whole, for one program.
+
+        Before its first pose the tool stands there.
+
+        Returns:
+            The path, the number of each of its periods, and how many of the last ones
+            make a revolution.
+        """
+        rows = np.arange(self.path.tip.shape[0]) - (self.path.tip.shape[0] - 1 - step)
+        path = self.path[on_device(np.maximum(rows, 0))]
+        count = min(self.process.cutter.flute_count, step)
+        return path, on_device(rows[1:].astype(np.int32)), count
+
 
 def _actual_poses(job: Job, solution: Solution) -> Pose:
     """Return the poses at the tooth instants, without an axis where it is always +z."""
@@ -126,7 +152,7 @@ def _actual_poses(job: Job, solution: Solution) -> Pose:
     return Pose(tips, joint_poses(job.robot, frame, joints, False).axis)
 
 
-@eqx.filter_jit
+@CompiledAhead
 def _run(process: Process, poses: Pose) -> Run:
     return Rigid(keeps_instantaneous=True).run(process, poses)
 
@@ -138,9 +164,9 @@ def _left_of_feed(path: Pose) -> float:
     return float(np.arctan2(feed[0], feed[1])) - np.pi / 2
 
 
-@eqx.filter_jit
+@CompiledAhead
 def _last_periods(
-    process: Process, path: Pose, count: int
+    process: Process, path: Pose, index: Int[Array, " all"], count: int
 ) -> tuple[
     Float[Array, "period substep angle kept disc"],
     Int[Array, "period substep angle kept disc"],
@@ -165,7 +191,6 @@ def _last_periods(
         chip = jnp.clip(chip, 0, process.cutter.diameter / 2) * cut.samples.chip_share
         return state.ended(poses, ends), (cut, chip)
 
-    index = jnp.arange(1, rows, dtype=jnp.int32)
     within = process.poses_within(path)
     xs = (index, path[:-1], within.middles, within.ends)
     before = jax.tree.map(lambda x: x[:-count], xs)

@@ -15,6 +15,7 @@ from ..._arrays import cast_floats, on_device
 from ..._job import Job
 from ..._result import RESULTS, SimulationFailed
 from ..._types import FloatRows3
+from ...numerics import CompiledAhead
 from ...process import (
     AbstractAdjoint,
     Process,
@@ -181,6 +182,7 @@ def run_with_room(
 
     Differentiability: as `simulate`; what is traced is run once.
     """
+    _prepare(job, adjoint)
     on_progress("rigid cut", 0.0)
     rigid = rigid_cut(job, adjoint)
     while (more := with_more_intervals(job, rigid.result)) is not None:
@@ -453,7 +455,7 @@ class _Command(eqx.Module):
     is_reached: Bool[Array, " step"]
 
 
-@eqx.filter_jit
+@CompiledAhead
 def _follow(program: _Program, finished: Stock, command: _Command) -> _Followed:
     """Return the run of a command, given what the rigid cut leaves."""
     path, process = program.path, program.process
@@ -486,6 +488,18 @@ def _follow(program: _Program, finished: Stock, command: _Command) -> _Followed:
         stock=ran.stock,
         result=ran.result,
     )
+
+
+def _prepare(job: Job, adjoint: AbstractAdjoint) -> None:
+    """Compile the run of a command while the rigid cut is compiled and runs."""
+    if job.is_rigid or isinstance(job.path.positions, jax.core.Tracer):
+        return
+    program = _program(job, adjoint)
+    steps, dtype = program.path.step_count, np.dtype(job.simulation.precision)
+    joints = 3 if job.robot is None else len(job.robot.joint_names)
+    tips, motors = (on_device(np.zeros((steps, n), dtype)) for n in (3, joints))
+    command = _Command(tips, motors, on_device(np.ones(steps, bool)))
+    _follow.prepare(program, program.process.stock, command)
 
 
 def run_motors(
