@@ -8,7 +8,7 @@ from slides_job import write_slides_job
 from diffmill import correction, io
 from diffmill.cli import main
 from diffmill.correction import FeedPoint, FeedTradeoff, NothingToCorrect, TunedFeed
-from diffmill.toolpath import cycle_time, path_feed, retime
+from diffmill.toolpath import PathFeed, retime
 
 
 @pytest.fixture
@@ -27,8 +27,8 @@ def asked(monkeypatch):
     def tradeoff(job, overrides, *, corrects, on_progress):
         calls.update(overrides=overrides, corrects=corrects)
         on_progress("override 1", 0.5)
-        factors, feed = np.array(overrides), path_feed(job.path)
-        times = np.array([cycle_time(feed, value) for value in overrides])
+        factors, feed = np.array(overrides), PathFeed.of_path(job.path)
+        times = np.array([feed.cycle_time(value) for value in overrides])
         after = np.full(len(overrides), 1e-6 if corrects else np.nan)
         return FeedTradeoff(
             factors, times, 1e-4 * factors, 9e-6 * factors, after, after
@@ -40,7 +40,7 @@ def asked(monkeypatch):
         for k, weight in enumerate((np.nan, *time_weights)):
             override = np.full(3, 1.0 - 0.1 * k)
             paths.append(retime(job.path, override))
-            seconds = float(cycle_time(path_feed(job.path), override))
+            seconds = float(PathFeed.of_path(job.path).cycle_time(override))
             points.append(FeedPoint(weight, override, seconds, 8e-6, k, 3 * k, k < 2))
         return TunedFeed(tuple(points), np.linspace(0, 0.02, 3), tuple(paths))
 

@@ -404,10 +404,8 @@ def test_records_of_four_programs_are_fitted_together(folder, capsys):
 def test_a_record_of_a_straight_cut_gives_its_coefficients(folder, capsys):
     cutter = ct.flat_end_mill(10e-3, 2, helix_angle=math.radians(30))
     speed = 6000 * 2 * math.pi / 60 * 1.002
-    cut = identification.straight_cut(
-        identification.StraightCut(cutter, speed, 0.1e-3, 2e-3), teeth=96
-    )
-    found = identification.engagement_columns(cut)
+    cut = identification.StraightCut(cutter, speed, 0.1e-3, 2e-3).cut(teeth=96)
+    found = identification.EngagementColumns.of_cut(cut)
     grid = found.start + found.spacing * np.arange(len(found.columns))
     time = np.arange(13 * cut.tooth_period, 95 * cut.tooth_period, 1e-4)
     force = np.stack([np.interp(time, grid, f) for f in (found.columns @ K).T], axis=1)

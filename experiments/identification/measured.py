@@ -39,7 +39,7 @@ def measure(report):
         off = []
         for feed, measured in zip(feeds, wanted, strict=True):
             cut = shared.slot([feed], 40, 0.4e-3, depth=3e-3, helix=helix)
-            columns = identification.engagement_columns(cut)
+            columns = identification.EngagementColumns.of_cut(cut)
             samples = round(shared.PERIOD / columns.spacing)
             waves = (columns.columns @ K)[20 * samples : 36 * samples, :2]
             # Sixteen tooth periods: the tooth passing is line 16 of the spectrum.

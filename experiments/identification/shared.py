@@ -45,7 +45,7 @@ def finer(cut, angles, substeps, height):
 
 def force_at(cut, time):
     """Return the force of a cut with the coefficients K at some instants."""
-    found = identification.engagement_columns(cut)
+    found = identification.EngagementColumns.of_cut(cut)
     force = found.columns @ K
     grid = found.start + found.spacing * np.arange(len(force))
     return np.column_stack([np.interp(time, grid, force[:, i]) for i in range(3)])

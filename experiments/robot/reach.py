@@ -104,7 +104,7 @@ def _random(robot: dr.Robot, rng: np.random.Generator, count: int) -> np.ndarray
 def _lines(robot: dr.Robot, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Return where reachable lines start, and their poses."""
     q = _random(robot, rng, 4 * LINES)
-    box = dr.reach_box(robot)
+    box = dr.StiffnessMap.reach_box(robot)
     length = LENGTH * np.max(box[1] - box[0]) / 2
     way = rng.normal(size=(len(q), 3))
     way *= length / np.linalg.norm(way, axis=1, keepdims=True)

@@ -8,11 +8,11 @@ import pytest
 import scipy.optimize
 
 from diffmill.correction import (
+    FeedPoint,
     FeedProblem,
     Motion,
-    feed_curve,
 )
-from diffmill.toolpath import Path, path_feed
+from diffmill.toolpath import Path, PathFeed
 
 PERIOD, STEP, ROWS, KNOTS = 4e-3, 0.2e-3, 200, 4
 # Slope of the best override over the share of the path.
@@ -47,14 +47,14 @@ def problem():
     tips[:, 0] = STEP * np.arange(ROWS)
     path = Path.upright(PERIOD * np.arange(ROWS), tips)
     # The acceleration is far from binding.
-    feed = path_feed(path, acceleration=1e3)
+    feed = PathFeed.of_path(path, acceleration=1e3)
     plant = SoftAcross(jnp.asarray(tips[-1, 0]))
     return FeedProblem(plant, feed, FeedProblem.smoothed(cutting(ROWS - 10)), 0.2, 4.0)
 
 
 @pytest.fixture(scope="module")
 def points(problem):
-    return feed_curve(problem, time_weights=(0.6, 0.1), count=KNOTS, max_steps=12)
+    return FeedPoint.curve(problem, time_weights=(0.6, 0.1), count=KNOTS, max_steps=12)
 
 
 def best_of_integrals(problem, weight):
@@ -116,7 +116,7 @@ def test_derivatives_of_the_error_against_differences(problem):
 def test_bounds_are_held_and_rows_that_do_not_cut_are_passed_fast(problem):
     weights = FeedProblem.smoothed(cutting(ROWS // 2))
     half = FeedProblem(problem.plant, problem.feed, weights, 0.2, 4.0)
-    found = feed_curve(half, time_weights=(0.6,), count=KNOTS, max_steps=12)[1]
+    found = FeedPoint.curve(half, time_weights=(0.6,), count=KNOTS, max_steps=12)[1]
     assert found.override.max() <= 4.0 * (1 + 1e-12)
     assert found.override[-1] == pytest.approx(4.0)
     assert found.override[0] < 2.0
@@ -124,11 +124,11 @@ def test_bounds_are_held_and_rows_that_do_not_cut_are_passed_fast(problem):
 
 def test_faults_are_named(problem):
     with pytest.raises(ValueError, match="`time_weights`"):
-        feed_curve(problem, time_weights=(0.0,))
+        FeedPoint.curve(problem, time_weights=(0.0,))
     with pytest.raises(ValueError, match="`bounds`"):
         FeedProblem(problem.plant, problem.feed, problem.weights, 1.5, 0.5)
     stiff = eqx.tree_at(
         lambda p: p.plant, problem, lambda tips, axes: Motion(tips, tips)
     )
     with pytest.raises(ValueError, match="`problem`"):
-        feed_curve(stiff, time_weights=(1.0,), count=KNOTS)
+        FeedPoint.curve(stiff, time_weights=(1.0,), count=KNOTS)

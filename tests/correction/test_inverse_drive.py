@@ -110,7 +110,7 @@ def test_solves_the_equation_of_motion(arm):
     for k in (50, 137, 333):
         wrench = np.concatenate([force[k], np.zeros(3)])
         tau = rb.mass_matrix(arm, q[k]) @ qdd[k]
-        tau = tau + rb.arm_terms(arm, q[k], qd[k]).bias_forces
+        tau = tau + rb.ArmTerms.of_state(arm, q[k], qd[k]).bias_forces
         tau = tau - rb.jacobian(arm, q[k]).T @ wrench
         error = np.abs(spring[k - 1] - np.asarray(tau))
         assert error.max() < 2e-3 * np.abs(tau).max()
@@ -142,7 +142,7 @@ def test_with_a_drive_of_all_options_the_arm_follows():
     gravity = rb.gravity_forces(robot, [0.0])
     theta = command.motor_positions + robot.gravity_compensation(gravity)[None]
     rule, h = sim.Midpoint(), jnp.asarray(T)
-    begun = rule.begin(robot, rb.arm_terms(robot, [0.0], [0.0]), h)
+    begun = rule.begin(robot, rb.ArmTerms.of_state(robot, [0.0], [0.0]), h)
 
     def step(state, ends):
         target = sim.MotorCommand((ends[0] + ends[1]) / 2, (ends[1] - ends[0]) / T)

@@ -19,7 +19,7 @@ def cutter():
 
 def place(time, force, **how):
     sizes = identification.StraightCut(cutter(), SPEED, FEED, DEPTH)
-    return identification.register_on_straight_cut(sizes, time, force, **how)
+    return identification.RecordRegistration.on_straight_cut(sizes, time, force, **how)
 
 
 def record(rate, seed=0, turns=TURNS, noise=2.0):

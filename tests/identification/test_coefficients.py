@@ -187,7 +187,9 @@ def test_a_tacho_is_the_clock_of_an_uneven_spindle(is_known):
     off = np.remainder(seen - angle - first + math.radians(40) + 1, 2 * math.pi) - 1
     assert np.abs(off).max() < 0.05
     sizes = identification.StraightCut(cuts()[0].cutter, SPEED, FEEDS[0], DEPTH)
-    beside = identification.register_on_straight_cut(sizes, time, force, angle=seen)
+    beside = identification.RecordRegistration.on_straight_cut(
+        sizes, time, force, angle=seen
+    )
     fit = identification.fit_force_coefficients(
         beside.cut, beside.time, beside.force, time_shift=0.0 if is_known else None
     )

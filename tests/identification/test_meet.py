@@ -57,17 +57,17 @@ def test_nothing_to_meet_is_said():
 
 
 def test_immersion_of_straight_cuts():
-    assert identification.immersion(10e-3, None, "slot") == (0.0, math.pi)
-    up = identification.immersion(10e-3, 2.5e-3, "up")
+    assert identification.StraightCut.immersion(10e-3, None, "slot") == (0.0, math.pi)
+    up = identification.StraightCut.immersion(10e-3, 2.5e-3, "up")
     np.testing.assert_allclose(up, (0.0, math.pi / 3))
-    down = identification.immersion(10e-3, 2.5e-3, "down")
+    down = identification.StraightCut.immersion(10e-3, 2.5e-3, "down")
     np.testing.assert_allclose(down, (2 * math.pi / 3, math.pi))
     with pytest.raises(ValueError, match="radial_depth"):
-        identification.immersion(10e-3, None, "up")
+        identification.StraightCut.immersion(10e-3, None, "up")
     with pytest.raises(ValueError, match="radial_depth"):
-        identification.immersion(10e-3, 2e-3, "slot")
+        identification.StraightCut.immersion(10e-3, 2e-3, "slot")
     with pytest.raises(ValueError, match="radial_depth"):
-        identification.immersion(10e-3, 11e-3, "down")
+        identification.StraightCut.immersion(10e-3, 11e-3, "down")
 
 
 @pytest.mark.parametrize(
@@ -81,7 +81,7 @@ def test_immersion_of_straight_cuts():
 def test_stock_lies_where_the_teeth_enter_or_leave(side, width, low, high):
     cutter = ct.flat_end_mill(10e-3, 2)
     sizes = identification.StraightCut(cutter, 600.0, 0.1e-3, 2e-3, width, side)
-    cut = identification.straight_cut(sizes, teeth=20)
+    cut = sizes.cut(teeth=20)
     vertices = np.asarray(cut.stock.to_mesh().vertices)
     np.testing.assert_allclose(vertices[:, 1].min(), low, atol=1e-9)
     np.testing.assert_allclose(vertices[:, 1].max(), high, atol=1e-9)

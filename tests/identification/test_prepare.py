@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from diffmill.identification import (
+    CutSpan,
     Record,
     angle_from_tacho,
-    find_cuts,
     find_saturated,
     refine_spindle_speed,
 )
@@ -60,7 +60,7 @@ def test_offset_and_drift_come_off_exactly():
 @pytest.mark.parametrize("tooth_frequency", [None, 100.0])
 def test_several_cuts_are_found(tooth_frequency):
     spans = [(0.5, 1.2), (1.6, 1.9), (2.5, 3.7)]
-    cuts = find_cuts(cut_record(spans), tooth_frequency=tooth_frequency)
+    cuts = CutSpan.find(cut_record(spans), tooth_frequency=tooth_frequency)
     np.testing.assert_allclose(np.array(cuts), np.array(spans), atol=0.01)
 
 
@@ -69,7 +69,7 @@ def test_several_cuts_are_found(tooth_frequency):
 def test_short_idle_sections_and_short_cuts_are_found(tooth_frequency, span):
     record = cut_record([span], duration=20.0)
     record.force[[20_000, 41_000, 70_000]] += 5e3
-    (cut,) = find_cuts(record, tooth_frequency=tooth_frequency)
+    (cut,) = CutSpan.find(record, tooth_frequency=tooth_frequency)
     np.testing.assert_allclose(cut, span, atol=0.01)
 
 
@@ -77,7 +77,7 @@ def test_short_idle_sections_and_short_cuts_are_found(tooth_frequency, span):
 def test_noise_or_a_cut_alone_with_spikes_is_whole(spans):
     record = cut_record(spans, noise=20.0, duration=20.0)
     record.force[[20_000, 41_000, 70_000]] += 5e3
-    (cut,) = find_cuts(record, tooth_frequency=100.0)
+    (cut,) = CutSpan.find(record, tooth_frequency=100.0)
     np.testing.assert_allclose(cut, record.time[[0, -1]])
 
 
@@ -85,7 +85,7 @@ def test_an_idling_spindle_is_no_cut_at_the_tooth_frequency():
     record = cut_record([(1.0, 2.0)])
     hum = 30.0 * np.sin(2 * np.pi * 370.0 * record.time)
     loud = record_of(record.time, record.force + hum[:, None])
-    (cut,) = find_cuts(loud, tooth_frequency=100.0)
+    (cut,) = CutSpan.find(loud, tooth_frequency=100.0)
     np.testing.assert_allclose(cut, (1.0, 2.0), atol=0.01)
 
 
@@ -93,13 +93,13 @@ def test_a_gap_ends_a_cut_and_a_record_of_one_cut_is_whole():
     time = np.arange(1000) / RATE
     time[500:] += 1.0
     record = record_of(time, turn_force(SPEED * time), gaps=[500])
-    cuts = find_cuts(record)
+    cuts = CutSpan.find(record)
     np.testing.assert_allclose(
         np.array(cuts), [(time[0], time[499]), (time[500], time[-1])]
     )
     # Lost samples are no end of it.
     time[500:] -= 0.99
-    (cut,) = find_cuts(record_of(time, turn_force(SPEED * time), gaps=[500]))
+    (cut,) = CutSpan.find(record_of(time, turn_force(SPEED * time), gaps=[500]))
     np.testing.assert_allclose(cut, (time[0], time[-1]))
 
 

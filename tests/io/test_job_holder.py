@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from diffmill.config import JobError, load_job
-from diffmill.sim import tool_contacts
+from diffmill.sim import ToolContacts
 
 JOB = """
 [cutter]
@@ -115,7 +115,7 @@ def test_a_holder_in_the_stock_is_noted(write):
     # The lower face stands 1 mm below the top, 8 mm ahead of the middle.
     assert "program line 4" in note and "up to 1.000 mm deep" in note
     assert "1.000 mm deep in what is left" in note
-    contacts = tool_contacts(
+    contacts = ToolContacts.along(
         job.path, job.stock, job.cutter, job.holder, checks_rapids=False
     )
     x, _, z = job.path.positions.T

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diffmill.cutter import flat_end_mill
-from diffmill.sim import tool_contacts
+from diffmill.sim import ToolContacts
 from diffmill.toolpath import Path
 from diffmill.workpiece import box
 
@@ -32,7 +32,9 @@ def straight(*corners, rapid=(), step=0.2e-3):
 
 def depth_of(path, spacing=0.2e-3):
     """Return how deep the rapid moves of a 10 mm mill go into a block [m]."""
-    found = tool_contacts(path, box(LOWER, UPPER, spacing), flat_end_mill(10e-3, 2))
+    found = ToolContacts.along(
+        path, box(LOWER, UPPER, spacing), flat_end_mill(10e-3, 2)
+    )
     return found.rapid_depth
 
 

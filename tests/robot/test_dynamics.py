@@ -30,7 +30,7 @@ def test_planar_arm_has_its_closed_form(planar_arm, q):
     np.testing.assert_allclose(dr.mass_matrix(planar_arm, q), M, atol=1e-13)
     np.testing.assert_allclose(dr.gravity_forces(planar_arm, q), G, atol=1e-12)
     np.testing.assert_allclose(
-        dr.arm_terms(planar_arm, q, qd).bias_forces, C + G, atol=1e-12
+        dr.ArmTerms.of_state(planar_arm, q, qd).bias_forces, C + G, atol=1e-12
     )
 
 
@@ -125,7 +125,7 @@ def test_gravity_is_the_slope_of_the_potential_energy(soft_arm, rng, difference)
 
 def test_arm_terms_are_those_of_the_single_functions(soft_arm, rng):
     q, qd = rng.uniform(-1, 1, (2, soft_arm.joint_count))
-    terms = dr.arm_terms(soft_arm, q, qd)
+    terms = dr.ArmTerms.of_state(soft_arm, q, qd)
     expected = [
         dr.forward_kinematics(soft_arm, q),
         dr.jacobian(soft_arm, q),
@@ -183,7 +183,7 @@ def test_vmap_gives_the_single_results(arm, rng):
 def test_single_precision_stays_single(arm, rng):
     q = rng.uniform(-1, 1, 6)
     low = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), arm)
-    terms = dr.arm_terms(low, q, np.zeros(6))
+    terms = dr.ArmTerms.of_state(low, q, np.zeros(6))
     assert {leaf.dtype for leaf in jax.tree.leaves(terms)} == {np.dtype("float32")}
     np.testing.assert_allclose(
         terms.mass_matrix, dr.mass_matrix(arm, q), rtol=1e-3, atol=1e-2
@@ -192,7 +192,7 @@ def test_single_precision_stays_single(arm, rng):
 
 def test_wrong_arguments_are_named(arm):
     with pytest.raises(ValueError, match="`qd`"):
-        dr.arm_terms(arm, np.zeros(6), [0.0, 1.0])
+        dr.ArmTerms.of_state(arm, np.zeros(6), [0.0, 1.0])
     with pytest.raises(ValueError, match=r"`algorithm`.*'crba'.*'aba'"):
         dr.forward_dynamics(arm, arm.home, arm.home, arm.home, algorithm="magic")
     with pytest.raises(ValueError, match=r"`wrench`.* 6 "):
@@ -212,5 +212,5 @@ def test_the_slope_of_gravity_is_the_derivative_of_its_torques(soft_arm, rng):
     for robot in (soft_arm, follower):
         q = jnp.asarray(rng.uniform(-1.0, 1.0, robot.joint_count))
         slope = jax.jacfwd(lambda q, robot=robot: dr.gravity_forces(robot, q))(q)
-        found = dr.arm_terms(robot, q, jnp.ones_like(q)).gravity_stiffness
+        found = dr.ArmTerms.of_state(robot, q, jnp.ones_like(q)).gravity_stiffness
         np.testing.assert_allclose(found, slope, atol=1e-11)

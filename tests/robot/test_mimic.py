@@ -76,7 +76,7 @@ def test_only_independent_joints_are_counted(follower, free):
 @jax.jit
 def all_quantities(robot, q, qd, qdd, wrench):
     """Return all in one program, which compiles faster than many."""
-    terms = dr.arm_terms(robot, q, qd)
+    terms = dr.ArmTerms.of_state(robot, q, qd)
     tau = dr.inverse_dynamics(robot, q, qd, qdd, wrench)
     return {
         "T": terms.T_base_tool,

@@ -77,7 +77,7 @@ def test_dynamics_agree_with_pinocchio():
     q, v, a = case["q"], case["v"], case["a"]
     assert_allclose(dr.mass_matrix(robot, q), case["M"], rtol=1e-10, atol=1e-10)
     assert_allclose(
-        dr.arm_terms(robot, q, v).bias_forces, case["nle"], rtol=1e-9, atol=1e-9
+        dr.ArmTerms.of_state(robot, q, v).bias_forces, case["nle"], rtol=1e-9, atol=1e-9
     )
     assert_allclose(
         dr.gravity_forces(robot, q), case["gravity_torque"], rtol=1e-9, atol=1e-9

@@ -127,7 +127,9 @@ def test_all_terms_agree(twins, seed):
     scale = np.abs(M).max()
     assert_allclose(dr.mass_matrix(robot, q), M, atol=1e-9 * scale)
     bias = data.qfrc_bias[order]
-    assert_allclose(dr.arm_terms(robot, q, qd).bias_forces, bias, atol=1e-9 * scale)
+    assert_allclose(
+        dr.ArmTerms.of_state(robot, q, qd).bias_forces, bias, atol=1e-9 * scale
+    )
     tau = M @ qdd + bias - J[:, order].T @ wrench
     found = dr.inverse_dynamics(robot, q, qd, qdd, wrench)
     assert_allclose(found, tau, atol=1e-8 * scale)

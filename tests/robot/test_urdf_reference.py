@@ -55,7 +55,7 @@ def read(path, **options):
 @jax.jit
 def all_quantities(robot, q, qd, qdd, tau, wrench):
     """Return everything in one program: it compiles once for robots of one build."""
-    terms = dr.arm_terms(robot, q, qd)
+    terms = dr.ArmTerms.of_state(robot, q, qd)
     return {
         "T": terms.T_base_tool,
         "J": terms.jacobian,

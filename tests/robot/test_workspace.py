@@ -14,7 +14,7 @@ def gantry():
 
 def test_a_gantry_reaches_its_travels(gantry):
     # x 0 to 3 m, y +-0.8 m, z -1 to 0 m; at home (1.5, 0, -0.5) the tip is at 0.7 m.
-    box = dr.reach_box(gantry)
+    box = dr.StiffnessMap.reach_box(gantry)
     assert_allclose(box, [[0.0, -0.8, 0.2], [3.0, 0.8, 1.2]], atol=1e-9)
 
 

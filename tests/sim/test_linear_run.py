@@ -77,7 +77,7 @@ def model(kind, cut):
     )
     theta = motors()
     if kind == "modes":
-        found = rb.tip_modes(robot, robot.home, np.eye(4))
+        found = rb.TipModes.of_robot(robot, robot.home, np.eye(4))
         tips = theta[:, :3] - jnp.array([[0.0, 0.0, 0.1]])
         return sim.ModalMachine(found), process, tips
     machine = sim.ElasticArm(robot, np.eye(4))

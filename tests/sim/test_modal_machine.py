@@ -153,7 +153,7 @@ def compare(robot, T_base_work, substeps):
     q = np.asarray(motors[len(tips) // 2])
     arm = sim.ElasticArm(robot=robot, T_base_work=T_base_work)
     ran = jax.jit(lambda m: arm.run(known, m))(motors)
-    modes = rb.tip_modes(robot, q, T_base_work)
+    modes = rb.TipModes.of_robot(robot, q, T_base_work)
     machine = sim.ModalMachine(modes)
     modal = jax.jit(lambda c: machine.run(known, c))(jnp.asarray(tips))
     return np.asarray(ran.actual) - tips, np.asarray(modal.actual) - tips
@@ -182,7 +182,7 @@ def test_the_receptance_of_tip_modes_is_that_of_their_robot():
     turned[:3, :3] = rb.rpy_matrix(0.3, -0.2, 0.5)
     R = turned[:3, :3]
     G = np.asarray(rb.receptance(robot, robot.home, hertz))
-    found = rb.tip_modes(robot, robot.home, turned).receptance(hertz)
+    found = rb.TipModes.of_robot(robot, robot.home, turned).receptance(hertz)
     np.testing.assert_allclose(found, R.T @ G @ R, atol=1e-9 * np.abs(G).max())
 
 

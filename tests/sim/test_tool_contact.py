@@ -37,7 +37,7 @@ def path_of(corners, axis=(0, 0, 1), rapid=()):
 def test_a_pocket_deeper_than_the_overhang_meets_the_holder():
     holder = ct.ToolHolder.from_sizes(10e-3, [(20e-3, 20e-3, 30e-3)])
     path = path_of([(-20, 20, -12), (80, 20, -12)])
-    found = sim.tool_contacts(path, BLOCK, MILL, holder)
+    found = sim.ToolContacts.along(path, BLOCK, MILL, holder)
     x = path.positions[:, 0]
     is_in = found.holder_depth > 0
     # The lower face is 2 mm below the top; it touches from where it comes over the
@@ -56,10 +56,10 @@ def test_what_has_been_cut_before_is_not_in_the_way():
     wide += [(-10, 26, -5), (70, 26, -5), (70, 20, 3), (-10, 20, 3)]
     deep = [(-10, 20, -9), (70, 20, -9)]
     # 22 mm wide and 5 mm deep first, then a slot whose holder stands at 4 mm.
-    after = sim.tool_contacts(path_of(wide + deep), BLOCK, MILL, holder)
+    after = sim.ToolContacts.along(path_of(wide + deep), BLOCK, MILL, holder)
     assert after.holder_depth.max() == 0
     back = [(70, 20, 3), (-10, 20, 3)]
-    before = sim.tool_contacts(path_of([*deep, *back, *wide]), BLOCK, MILL, holder)
+    before = sim.ToolContacts.along(path_of([*deep, *back, *wide]), BLOCK, MILL, holder)
     # In the way is a ring that is 2 mm wide; all of it goes later.
     assert before.holder_depth.max() == pytest.approx(2e-3, abs=0.5e-3)
     assert before.holder_part_depth.max() == 0
@@ -74,7 +74,7 @@ def test_a_leaning_holder_touches_the_edge_of_a_wall(across):
     gap = (across + depth * np.sin(lean)) / np.cos(lean)
     axis = (0, np.sin(lean), np.cos(lean))
     path = path_of([(10, -gap * 1e3, -12), (20, -gap * 1e3, -12)], axis)
-    found = sim.tool_contacts(path, BLOCK, mill, holder)
+    found = sim.ToolContacts.along(path, BLOCK, mill, holder)
     wanted = max(radius - across, 0)
     # The first rays stand half a spacing behind the face.
     assert found.holder_depth.max() == pytest.approx(wanted, abs=0.6 * SPACING)
@@ -84,7 +84,7 @@ def test_a_leaning_holder_touches_the_edge_of_a_wall(across):
 
 def test_a_holder_that_stays_above_the_stock_costs_nothing():
     holder = ct.ToolHolder.from_sizes(10e-3, [(20e-3, 20e-3, 30e-3)])
-    found = sim.tool_contacts(
+    found = sim.ToolContacts.along(
         path_of([(-20, 20, -9), (80, 20, -9)]), BLOCK, MILL, holder
     )
     assert not any(found.holder_depth) and not any(found.holder_part_depth)
@@ -92,9 +92,9 @@ def test_a_holder_that_stays_above_the_stock_costs_nothing():
 
 def test_a_leaning_rapid_beside_the_stock_is_seen_to_go_through_it():
     beside = [(10, -8, -5), (40, -8, -5)]
-    upright = sim.tool_contacts(path_of(beside, rapid=[1]), BLOCK, MILL)
+    upright = sim.ToolContacts.along(path_of(beside, rapid=[1]), BLOCK, MILL)
     assert upright.rapid_depth.max() == 0
-    leaning = sim.tool_contacts(path_of(beside, (0, 1, 1), rapid=[1]), BLOCK, MILL)
+    leaning = sim.ToolContacts.along(path_of(beside, (0, 1, 1), rapid=[1]), BLOCK, MILL)
     # Axis to edge: (8 - 5) / sqrt(2) mm, in a tool of 5 mm.
     wanted = 5e-3 - 3e-3 / np.sqrt(2)
     assert leaning.rapid_depth.max() == pytest.approx(wanted, abs=0.6 * SPACING)
@@ -106,7 +106,7 @@ def test_a_rapid_back_out_of_a_hole_cut_from_the_side_is_none_through_stock():
     # The tool lies flat; from above it is under material all the time.
     bore = [(30, -3, -7.2), (30, 12, -7.2), (30, -3, -7.2), (30, 13.5, -7.2)]
     path = path_of(bore, (0, -1, 0), rapid=[2, 3])
-    found = sim.tool_contacts(path, BLOCK, MILL)
+    found = sim.ToolContacts.along(path, BLOCK, MILL)
     assert not found.rapid_depth[path.line == 2].any()
     # Back in, the last 1.5 mm are uncut: 12 mm were.
     y, last = path.positions[:, 1], path.line == 3
@@ -118,22 +118,22 @@ def test_a_rapid_back_out_of_a_hole_cut_from_the_side_is_none_through_stock():
 def test_a_leaning_tool_goes_back_the_way_it_cut():
     axis = (0.3, 0.1, 1)
     path = path_of([(-8, 20, -3), (68, 20, -3), (-8, 20, -3)], axis, rapid=[2])
-    assert sim.tool_contacts(path, BLOCK, MILL).rapid_depth.max() == 0
+    assert sim.ToolContacts.along(path, BLOCK, MILL).rapid_depth.max() == 0
     path = path_of([(-8, 20, -3), (68, 20, -3), (-8, 20, -3.4)], axis, rapid=[2])
-    assert sim.tool_contacts(path, BLOCK, MILL).rapid_depth.max() > 0.2e-3
+    assert sim.ToolContacts.along(path, BLOCK, MILL).rapid_depth.max() > 0.2e-3
 
 
 def test_single_precision_finds_the_same():
     holder = ct.ToolHolder.from_sizes(10e-3, [(20e-3, 20e-3, 30e-3)])
     path = path_of([(-12, 20, -12), (12, 20, -12)])
     stock = BLOCK.astype(np.dtype(np.float32))
-    found = sim.tool_contacts(path, stock, MILL, holder).holder_depth
+    found = sim.ToolContacts.along(path, stock, MILL, holder).holder_depth
     assert found.max() == pytest.approx(2e-3, abs=1e-6)
 
 
 def test_the_rows_become_variables_with_units():
     holder = ct.ToolHolder.from_sizes(10e-3, [(20e-3, 20e-3, 30e-3)])
     path = path_of([(-20, 20, -9), (80, 20, -9)])
-    dataset = sim.tool_contacts(path, BLOCK, MILL, holder).to_dataset()
+    dataset = sim.ToolContacts.along(path, BLOCK, MILL, holder).to_dataset()
     assert dataset["holder_depth"].dims == ("step",)
     assert dataset["holder_part_depth"].attrs["units"] == "m"

@@ -8,9 +8,8 @@ import pytest
 from diffmill.toolpath import (
     Move,
     Path,
+    PathFeed,
     Program,
-    cycle_time,
-    path_feed,
     retime,
     sample_program,
 )
@@ -73,8 +72,8 @@ def test_a_faster_feed_keeps_the_acceleration_and_takes_the_time_of_trapezoids()
     fast = retime(slow, override, acceleration=LIMIT)
     v = override * speed
     wanted = length / v + v / LIMIT
-    feed = path_feed(slow, acceleration=LIMIT)
-    assert cycle_time(feed, override) == pytest.approx(wanted, abs=2 * T)
+    feed = PathFeed.of_path(slow, acceleration=LIMIT)
+    assert feed.cycle_time(override) == pytest.approx(wanted, abs=2 * T)
     # Where a motion begins or ends within a row, the difference sees some more.
     assert acceleration_of(fast).max() < 1.15 * LIMIT
     steps = np.linalg.norm(np.diff(fast.positions, axis=0), axis=1)
@@ -97,7 +96,7 @@ def test_rows_after_the_end_stand_still(path):
 
 
 def test_derivatives_of_time_and_tips_against_differences(path):
-    feed = path_feed(path)
+    feed = PathFeed.of_path(path)
     x = np.log([0.7, 0.9, 0.6, 0.8])
 
     @jax.jit
@@ -116,7 +115,7 @@ def test_derivatives_of_time_and_tips_against_differences(path):
 
 
 def test_derivative_at_rest_is_finite_and_float32_agrees(path):
-    feed = path_feed(path)
+    feed = PathFeed.of_path(path)
     gradient = jax.jit(jax.grad(lambda o: feed.instants(o)[-1]))(jnp.ones(3))
     assert np.isfinite(gradient).all()
     ones = jnp.full(3, 0.8, jnp.float32)

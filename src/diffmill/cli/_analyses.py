@@ -86,12 +86,12 @@ def _with_written(
 def _with_contacts(run: FinishedRun, progress: Progress) -> Dataset:
     """Return the dataset with the holder's contacts; say where it and the shank are."""
     from ..config import tool_notes
-    from ..sim import tool_contacts
+    from ..sim import ToolContacts
 
     job, solution, dataset = run.job, run.final, run.dataset
     contacts = None
     if job.holder is not None:
-        contacts = tool_contacts(
+        contacts = ToolContacts.along(
             job.path,
             job.stock,
             job.cutter,

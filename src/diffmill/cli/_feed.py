@@ -87,7 +87,7 @@ def run_feed(
 def _check(job: "Job", file: pathlib.Path, request: FeedRequest) -> None:
     """Refuse what cannot be tried, before anything runs."""
     from ..config import JobError
-    from ..toolpath import path_feed
+    from ..toolpath import PathFeed
 
     if job.robot is None:
         raise JobError(
@@ -105,7 +105,7 @@ def _check(job: "Job", file: pathlib.Path, request: FeedRequest) -> None:
     names = [f"{weight:g}" for weight in request.weights]
     if len(set(names)) < len(names):
         raise BadInput(f"--weights: found {' '.join(names)}, but each may occur once")
-    path_feed(job.path)
+    PathFeed.of_path(job.path)
 
 
 def _compute(

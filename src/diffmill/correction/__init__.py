@@ -35,7 +35,7 @@ from ._feed.problem import (
     FeedProblem as FeedProblem,
 )
 from ._feed.result import FeedTradeoff as FeedTradeoff, TunedFeed as TunedFeed
-from ._feed.trade_off_curve import FeedPoint as FeedPoint, feed_curve as feed_curve
+from ._feed.trade_off_curve import FeedPoint as FeedPoint
 from ._feed.tune_feed import feed_tradeoff as feed_tradeoff, tune_feed as tune_feed
 from ._job.correct import (
     Correction as Correction,

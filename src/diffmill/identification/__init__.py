@@ -15,8 +15,6 @@ Nothing is changed in place: functions return new records or proposals.
 from ._alignment.axis_assignment import propose_axes as propose_axes
 from ._alignment.record_registration import (
     RecordRegistration as RecordRegistration,
-    register_on_job as register_on_job,
-    register_on_straight_cut as register_on_straight_cut,
 )
 from ._alignment.time_alignment import align_in_time as align_in_time
 from ._coupled.fit_coupled import CoupledFit as CoupledFit, fit_coupled as fit_coupled
@@ -24,18 +22,14 @@ from ._coupled.model import mean_over_period as mean_over_period
 from ._cut.cut_model import (
     Cut as Cut,
     EngagementColumns as EngagementColumns,
-    engagement_columns as engagement_columns,
 )
 from ._cut.straight_cut import (
     StraightCut as StraightCut,
-    immersion as immersion,
-    straight_cut as straight_cut,
 )
 from ._force.cross_validation import (
     cross_validate as cross_validate,
 )
 from ._force.force_coefficients import (
-    ForceCoefficientFit as ForceCoefficientFit,
     fit_force_coefficients as fit_force_coefficients,
 )
 from ._force.mean_axis_assignment import (
@@ -52,7 +46,7 @@ from ._modal.ring_down import (
     fit_joint_damping as fit_joint_damping,
     fit_ring_down as fit_ring_down,
 )
-from ._record.cut_detection import CutSpan as CutSpan, find_cuts as find_cuts
+from ._record.cut_detection import CutSpan as CutSpan
 from ._record.diagnosis import Diagnosis as Diagnosis
 from ._record.mean_over_revolutions import mean_over_turns as mean_over_turns
 from ._record.record import Record as Record

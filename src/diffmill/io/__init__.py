@@ -33,7 +33,6 @@ from ._programs.formats import (
     write_program as write_program,
 )
 from ._programs.rs274.frame import (
-    ProgramFrame as ProgramFrame,
     program_frame as program_frame,
 )
 from ._programs.rs274.interpreter import (

@@ -25,7 +25,6 @@ from ..workpiece import (
     ToothPass,
     remove_passes,
     remove_poses,
-    tool_frame,
 )
 from ._chip import safe_norm
 from ._engagement.leading_half import STILL
@@ -197,7 +196,7 @@ class RemovalHistory(NamedTuple):
         Which of the teeth it is follows the direction without a jump, so that where
         the direction trembles no tooth is left out.
         """
-        cutter, frame = self.cutter, tool_frame(pose.direction())
+        cutter, frame = self.cutter, Pose.frame(pose.direction())
         x, y = jnp.sum(motion * frame[:, 0]), jnp.sum(motion * frame[:, 1])
         length = jnp.sqrt(x**2 + y**2)
         is_moving = length > STILL

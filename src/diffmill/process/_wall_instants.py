@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ..cutter import AbstractCutter
-from ..workpiece import Stock, tool_frame
+from ..workpiece import Pose, Stock
 from ._engagement.leading_half import STILL
 from ._removal_history import early_teeth
 
@@ -49,7 +49,7 @@ def wall_shares(
     path = jax.lax.stop_gradient(desired)
     up = jnp.zeros(3, path.dtype).at[2].set(1)
     axis = jnp.broadcast_to(up[None], path.shape) if axes is None else axes
-    frames = tool_frame(axis)
+    frames = Pose.frame(axis)
     motion = jnp.diff(path, axis=0, prepend=path[:1])
     x, y = (jnp.sum(motion * frames[..., i], axis=-1) for i in (0, 1))
     rows = jnp.arange(path.shape[0], dtype=jnp.int32)

@@ -25,7 +25,7 @@ from ._dynamics.rnea import (
     inverse_dynamics as inverse_dynamics,
 )
 from ._dynamics.rnea_derivatives import rnea_derivatives as rnea_derivatives
-from ._dynamics.terms import ArmTerms as ArmTerms, arm_terms as arm_terms
+from ._dynamics.terms import ArmTerms as ArmTerms
 from ._elasticity.compliance import (
     cartesian_compliance as cartesian_compliance,
     gravity_sag as gravity_sag,
@@ -42,10 +42,9 @@ from ._elasticity.static_balance import (
     loaded_equilibrium as loaded_equilibrium,
     motor_positions as motor_positions,
 )
-from ._elasticity.tip_modes import TipModes as TipModes, tip_modes as tip_modes
+from ._elasticity.tip_modes import TipModes as TipModes
 from ._elasticity.workspace import (
     StiffnessMap as StiffnessMap,
-    reach_box as reach_box,
 )
 from ._files.errors import (
     RobotFileError as RobotFileError,

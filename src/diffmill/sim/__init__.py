@@ -12,7 +12,7 @@ by its modes at the tool tip, `ModalMachine`; its `run` moves it along a command
 `run_segment` from where another run ended. Beside it: the arm without load
 (`free_motion`); whether vibrations grow (`stability`); what each parameter does
 (`sensitivity`); what a run did within its periods (`Replay`); where the holder is
-(`tool_contacts`).
+(`ToolContacts.along`).
 
 The cutting process, which knows no robot, is `diffmill.process`.
 
@@ -25,7 +25,6 @@ teeth beyond the thinned history.
 
 from ._analysis.collisions import (
     ToolContacts as ToolContacts,
-    tool_contacts as tool_contacts,
 )
 from ._analysis.error_band import error_band as error_band
 from ._analysis.sensitivity import (
@@ -59,7 +58,6 @@ from ._linear.linear_run import (
     linearise as linearise,
 )
 from ._machine._integrator.base import (
-    AbstractIntegrator as AbstractIntegrator,
     ArmState as ArmState,
     MotorCommand as MotorCommand,
 )
@@ -69,11 +67,10 @@ from ._machine.commands import JobKinematics as JobKinematics
 from ._machine.elastic import ElasticArm as ElasticArm
 from ._machine.free_vibration import free_motion as free_motion
 from ._machine.machine import (
-    AbstractMachine as AbstractMachine,
     Run as Run,
     RunState as RunState,
     Segment as Segment,
 )
 from ._machine.modal import ModalMachine as ModalMachine
 from ._machine.quasi_static import QuasiStaticArm as QuasiStaticArm
-from ._machine.rigid import Rigid as Rigid, simulate_process as simulate_process
+from ._machine.rigid import simulate_process as simulate_process

@@ -20,12 +20,10 @@ from ._moves import (
     Section as Section,
 )
 from ._override import (
-    cycle_time as cycle_time,
     retime as retime,
-    rows_until as rows_until,
 )
 from ._path import Path as Path
-from ._path_feed import PathFeed as PathFeed, path_feed as path_feed
+from ._path_feed import PathFeed as PathFeed
 from ._reduce import reduce_path as reduce_path
 from ._resample import resample as resample
 from ._timing import sample_program as sample_program

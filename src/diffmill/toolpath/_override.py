@@ -1,7 +1,5 @@
 """A path travelled with a feed override, on the host."""
 
-import math
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -9,18 +7,7 @@ from jaxtyping import Array, Float
 
 from .._types import RealScalarLike
 from ._path import Path
-from ._path_feed import PathFeed, path_feed
-
-# What a user may give: one number, or one per knot along the path.
-Override = (
-    RealScalarLike
-    | Float[Array, " knot"]
-    | Float[np.ndarray, " knot"]
-    | tuple[float, ...]
-    | list[float]
-)
-# Fraction of a tooth period by which sums of durations may miss a tooth instant.
-_SAME_INSTANT = 1e-6
+from ._path_feed import SAME_INSTANT, Override, PathFeed, checked_override
 
 
 def retime(
@@ -39,7 +26,7 @@ def retime(
         path: The path as programmed.
         override: One number, or one per knot, the knots equally spaced over the
             length of the path and the override linear between them; positive.
-        acceleration: Largest acceleration [m/s^2], as for `path_feed`.
+        acceleration: Largest acceleration [m/s^2], as for `PathFeed.of_path`.
         step_count: Rows to return; the tool stands still in those after its end. As
             many as it needs if not given.
 
@@ -52,15 +39,15 @@ def retime(
     **Differentiability**: none, it runs on the host; see `PathFeed` for what has.
     """
     values = checked_override(override)
-    feed = path_feed(path, acceleration=acceleration)
-    count = rows_until(cycle_time(feed, values), feed.period)
+    feed = PathFeed.of_path(path, acceleration=acceleration)
+    count = feed.row_count(values)
     if step_count is not None and step_count < count:
         raise ValueError(
             f"Argument `step_count` must be at least {count}, but is {step_count}."
         )
     count = step_count or count
     places, tips, axes = _rows(feed, jnp.asarray(values), count)
-    rows = np.ceil(np.asarray(places) - _SAME_INSTANT).astype(np.int32)
+    rows = np.ceil(np.asarray(places) - SAME_INSTANT).astype(np.int32)
     start = float(path.time[0])
     return Path(
         time=start + feed.period * np.arange(count),
@@ -71,19 +58,6 @@ def retime(
     )
 
 
-def cycle_time(feed: PathFeed, override: Override) -> float:
-    """Return the time that a path takes with an override [s].
-
-    **Differentiability**: none, it runs on the host; see `PathFeed.instants`.
-    """
-    return float(_end(feed, jnp.asarray(checked_override(override))))
-
-
-@eqx.filter_jit
-def _end(feed: PathFeed, override: Float[Array, " knot"]) -> Float[Array, ""]:
-    return feed.instants(override)[-1]
-
-
 @eqx.filter_jit
 def _rows(
     feed: PathFeed, override: Float[Array, " knot"], step_count: int
@@ -91,23 +65,3 @@ def _rows(
     """Return the places, tips and axes at the tooth instants."""
     places = feed.places(override, step_count)
     return places, feed.positions(places), feed.axes(places)
-
-
-def rows_until(end: float, period: float) -> int:
-    """Return how many tooth instants a motion of some length in time needs."""
-    return max(1, math.ceil(end / period - _SAME_INSTANT)) + 1
-
-
-def checked_override(override: Override) -> Float[np.ndarray, " knot"]:
-    """Return an override as values at two knots or more.
-
-    Raises:
-        ValueError: If a value is not positive and finite.
-    """
-    values = np.atleast_1d(np.asarray(override, float))
-    if values.ndim != 1 or not (np.isfinite(values).all() and (values > 0).all()):
-        raise ValueError(
-            "Argument `override` must be positive numbers, one or one per knot, but is "
-            f"{override}."
-        )
-    return np.repeat(values, 2) if values.size == 1 else values

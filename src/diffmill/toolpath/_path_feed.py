@@ -29,6 +29,18 @@ _DWELL = 1e-12
 _CONSTANT = 1e-6
 
 
+# What a user may give: one number, or one per knot along the path.
+Override = (
+    RealScalarLike
+    | Float[Array, " knot"]
+    | Float[np.ndarray, " knot"]
+    | tuple[float, ...]
+    | list[float]
+)
+# Fraction of a tooth period by which sums of durations may miss a tooth instant.
+SAME_INSTANT = 1e-6
+
+
 class PathFeed(eqx.Module):
     """A path whose feed can be overridden, with what bounds its speed.
 
@@ -139,59 +151,95 @@ class PathFeed(eqx.Module):
         safe = jnp.where(is_moving, square / jnp.where(is_moving, speed, 1.0) ** 2, 1.0)
         return jnp.sqrt(safe)
 
+    def cycle_time(self, override: Override) -> float:
+        """Return the time that the path takes with an override [s].
 
-def path_feed(path: Path, *, acceleration: RealScalarLike | None = None) -> PathFeed:
-    """Return a path whose feed can be overridden.
+        **Differentiability**: none, it runs on the host; see `instants`.
+        """
+        return float(_end(self, jnp.asarray(checked_override(override))))
 
-    Args:
-        path: The path as programmed, on the host.
-        acceleration: Largest acceleration along and across the path [m/s^2]; the
-            largest of the path itself if not given.
+    def row_count(self, override: Override) -> int:
+        """Return how many tooth instants the path needs with an override."""
+        return (
+            max(1, math.ceil(self.cycle_time(override) / self.period - SAME_INSTANT))
+            + 1
+        )
 
-    Returns:
-        The path with what bounds its speed. An override of 1 gives the path itself,
-        unless `acceleration` is less than what it needs.
+    @classmethod
+    def of_path(
+        cls, path: Path, *, acceleration: RealScalarLike | None = None
+    ) -> "PathFeed":
+        """Return a path whose feed can be overridden.
+
+        Args:
+            path: The path as programmed, on the host.
+            acceleration: Largest acceleration along and across the path [m/s^2]; the
+                largest of the path itself if not given.
+
+        Returns:
+            The path with what bounds its speed. An override of 1 gives the path itself,
+            unless `acceleration` is less than what it needs.
+
+        Raises:
+            ValueError: If the acceleration is not positive, or the path never
+                accelerates and none is given, or does not move.
+        """
+        from scipy.interpolate import PchipInterpolator
+
+        rows = np.asarray(path.positions, np.float64)
+        time = np.asarray(path.time, np.float64)
+        period = (time[-1] - time[0]) / (time.size - 1)
+        steps = np.diff(rows, axis=0)
+        length = np.linalg.norm(steps, axis=1)
+        if not np.any(length > _DWELL):
+            raise ValueError("Argument `path` must move the tool, but does not.")
+        change = np.diff(steps, axis=0) / period**2
+        along = np.diff(length) / period**2
+        across = np.sqrt(np.maximum(np.sum(change**2, axis=1) - along**2, 0.0))
+        if acceleration is None:
+            acceleration = np.linalg.norm(change, axis=1).max(initial=0.0)
+            if acceleration < _CONSTANT * length.max() / period**2:
+                raise ValueError(
+                    "Argument `acceleration` must be given for a path that never "
+                    "accelerates, but is None."
+                )
+        limit = float(np.asarray(acceleration))
+        if not (math.isfinite(limit) and limit > 0):
+            raise ValueError(
+                f"Argument `acceleration` must be positive and finite, but is {limit}."
+            )
+        # The lateral acceleration grows with the square of the speed.
+        most = np.sqrt(limit / np.maximum(across, 1e-6 * limit))
+        ends = np.concatenate([[np.inf], most, [np.inf]])
+        return cls(
+            path=path,
+            period=float(period),
+            acceleration=np.asarray(limit),
+            travel=np.concatenate([[0.0], np.cumsum(length)]),
+            speed=length / period,
+            most=np.minimum(ends[1:], ends[:-1]),
+            cubic=PchipInterpolator(np.arange(float(time.size)), rows, axis=0).c,
+        )
+
+
+@eqx.filter_jit
+def _end(feed: PathFeed, override: Float[Array, " knot"]) -> Float[Array, ""]:
+    return feed.instants(override)[-1]
+
+
+def checked_override(override: Override) -> Float[np.ndarray, " knot"]:
+    """Return an override as values at two knots or more.
 
     Raises:
-        ValueError: If the acceleration is not positive, or the path never accelerates
-            and none is given, or does not move.
+        ValueError: If a value is not positive and finite.
     """
-    from scipy.interpolate import PchipInterpolator
-
-    rows = np.asarray(path.positions, np.float64)
-    time = np.asarray(path.time, np.float64)
-    period = (time[-1] - time[0]) / (time.size - 1)
-    steps = np.diff(rows, axis=0)
-    length = np.linalg.norm(steps, axis=1)
-    if not np.any(length > _DWELL):
-        raise ValueError("Argument `path` must move the tool, but does not.")
-    change = np.diff(steps, axis=0) / period**2
-    along = np.diff(length) / period**2
-    across = np.sqrt(np.maximum(np.sum(change**2, axis=1) - along**2, 0.0))
-    if acceleration is None:
-        acceleration = np.linalg.norm(change, axis=1).max(initial=0.0)
-        if acceleration < _CONSTANT * length.max() / period**2:
-            raise ValueError(
-                "Argument `acceleration` must be given for a path that never "
-                "accelerates, but is None."
-            )
-    limit = float(np.asarray(acceleration))
-    if not (math.isfinite(limit) and limit > 0):
+    values = np.atleast_1d(np.asarray(override, float))
+    if values.ndim != 1 or not (np.isfinite(values).all() and (values > 0).all()):
         raise ValueError(
-            f"Argument `acceleration` must be positive and finite, but is {limit}."
+            "Argument `override` must be positive numbers, one or one per knot, but is "
+            f"{override}."
         )
-    # The lateral acceleration grows with the square of the speed.
-    most = np.sqrt(limit / np.maximum(across, 1e-6 * limit))
-    ends = np.concatenate([[np.inf], most, [np.inf]])
-    return PathFeed(
-        path=path,
-        period=float(period),
-        acceleration=np.asarray(limit),
-        travel=np.concatenate([[0.0], np.cumsum(length)]),
-        speed=length / period,
-        most=np.minimum(ends[1:], ends[:-1]),
-        cubic=PchipInterpolator(np.arange(float(time.size)), rows, axis=0).c,
-    )
+    return np.repeat(values, 2) if values.size == 1 else values
 
 
 def _reached(

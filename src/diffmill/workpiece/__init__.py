@@ -12,7 +12,7 @@ mesh with its sharp edges, and can be compared with an ideal one point by point.
 are read and written in `_files.py` alone.
 """
 
-from ._dexel.dexel_cloud import TakenPieces as TakenPieces, taken_pieces as taken_pieces
+from ._dexel.dexel_cloud import TakenPieces as TakenPieces
 from ._dexel.nearest_interval import RAYS_READ as RAYS_READ
 from ._dexel.occupancy import Discs as Discs, occupancy as occupancy
 from ._dexel.occupancy_in_space import occupancy_in_space as occupancy_in_space
@@ -48,5 +48,5 @@ from ._mesh.surface_error import (
     signed_distance as signed_distance,
     surface_error as surface_error,
 )
-from ._pose import Pose as Pose, tool_frame as tool_frame
+from ._pose import Pose as Pose
 from ._stock_memory import StockMemory as StockMemory

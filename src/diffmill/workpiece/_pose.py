@@ -59,28 +59,28 @@ class Pose(eqx.Module):
             lambda table, new: jax.lax.dynamic_update_slice(table, new, at), self, rows
         )
 
+    @staticmethod
+    def frame(axis: Float[Array, "*pose 3"]) -> Float[Array, "*pose 3 3"]:
+        """Return tool x, y and z as columns; x as near to work x as the axis allows.
 
-def tool_frame(axis: Float[Array, "*pose 3"]) -> Float[Array, "*pose 3 3"]:
-    """Return tool x, y and z as columns; x as near to work x as the axis allows.
+        Args:
+            axis: Unit vectors from tip to shank, shape (*pose, 3).
 
-    Args:
-        axis: Unit vectors from tip to shank, shape (*pose, 3).
+        Returns:
+            Rotations from tool to `work`, shape (*pose, 3, 3).
 
-    Returns:
-        Rotations from tool to `work`, shape (*pose, 3, 3).
-
-    **Differentiability**: smooth but where the axis points along work x: there work y
-    takes its place.
-    """
-    tiny = 1e-12
-    along = jnp.asarray([1.0, 0.0, 0.0], axis.dtype)
-    other = jnp.asarray([0.0, 1.0, 0.0], axis.dtype)
-    is_along = jnp.sum(jax.lax.stop_gradient(axis[..., 1:]) ** 2, -1) < tiny
-    start = jnp.where(
-        is_along[..., None],
-        other.reshape((1,) * (axis.ndim - 1) + (3,)),
-        along.reshape((1,) * (axis.ndim - 1) + (3,)),
-    )
-    x = start - jnp.sum(start * axis, axis=-1, keepdims=True) * axis
-    x = x / jnp.linalg.norm(x, axis=-1, keepdims=True)
-    return jnp.stack([x, jnp.cross(axis, x), axis], axis=-1)
+        **Differentiability**: smooth but where the axis points along work x: there work
+        y takes its place.
+        """
+        tiny = 1e-12
+        along = jnp.asarray([1.0, 0.0, 0.0], axis.dtype)
+        other = jnp.asarray([0.0, 1.0, 0.0], axis.dtype)
+        is_along = jnp.sum(jax.lax.stop_gradient(axis[..., 1:]) ** 2, -1) < tiny
+        start = jnp.where(
+            is_along[..., None],
+            other.reshape((1,) * (axis.ndim - 1) + (3,)),
+            along.reshape((1,) * (axis.ndim - 1) + (3,)),
+        )
+        x = start - jnp.sum(start * axis, axis=-1, keepdims=True) * axis
+        x = x / jnp.linalg.norm(x, axis=-1, keepdims=True)
+        return jnp.stack([x, jnp.cross(axis, x), axis], axis=-1)

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...cutter import AbstractCutter, ToolHolder
-from ...sim import ToolContacts, tool_contacts
+from ...sim import ToolContacts
 from ...toolpath import Path
 from .._build.context import FileContext
 from .._build.stock import StockPlan
@@ -38,7 +38,7 @@ def check_rapids(
     context: FileContext,
 ) -> None:
     """Note rapid moves that go through stock, once per program line, and the holder."""
-    contacts = tool_contacts(path, plan.make(), cutter, holder)
+    contacts = ToolContacts.along(path, plan.make(), cutter, holder)
     if holder is not None:
         # A holder that is drawn straight back goes into nothing new.
         is_rapid = np.asarray(path.is_rapid) & ~_draws_back(path)

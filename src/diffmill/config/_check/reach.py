@@ -14,7 +14,7 @@ from ...robot import (
     singularity,
 )
 from ...toolpath import Path
-from ...workpiece import tool_frame
+from ...workpiece import Pose
 from .._build.context import FileContext
 
 # Rounding of a limit that the path touches [rad or m].
@@ -61,7 +61,7 @@ def check_reach(
         Joint positions along the path [rad or m], shape (step, joint).
     """
     T_work_tool = np.tile(np.eye(4), (path.step_count, 1, 1))
-    T_work_tool[:, :3, :3] = np.asarray(tool_frame(jnp.asarray(path.axes)))
+    T_work_tool[:, :3, :3] = np.asarray(Pose.frame(jnp.asarray(path.axes)))
     T_work_tool[:, :3, 3] = path.positions
     Ts = np.asarray(T_base_work @ T_work_tool, dtype=np.dtype(robot.dtype))
     start = np.asarray(robot.home if joint_start is None else joint_start)

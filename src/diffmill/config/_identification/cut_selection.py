@@ -7,7 +7,6 @@ from ...identification import (
     CutSpan,
     Record,
     StraightCut,
-    find_cuts,
 )
 from .schema import RecordTable
 
@@ -21,9 +20,9 @@ _LISTED = 8
 def cuts_in(record: Record, tooth: float) -> tuple[list[CutSpan], bool]:
     """Return the cuts in a record, and whether quiet parts lie beside them."""
     window = _TARE_PERIODS * tooth
-    cuts = find_cuts(record, tooth_frequency=1 / tooth, window=window)
+    cuts = CutSpan.find(record, tooth_frequency=1 / tooth, window=window)
     if not cuts:
-        cuts = find_cuts(record, window=window)
+        cuts = CutSpan.find(record, window=window)
     whole = [
         CutSpan(float(record.time[p.start]), float(record.time[p.stop - 1]))
         for p in record.parts_between_gaps(longest=window)

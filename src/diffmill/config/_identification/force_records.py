@@ -4,7 +4,7 @@ import math
 import pathlib
 
 from ..._job import Job
-from ...identification import ForceRecord, Record, StraightCut, immersion
+from ...identification import ForceRecord, Record, StraightCut
 from ...io import RecordError, load_record
 from .context import Context
 from .cut_selection import cuts_in, engaged, span_of, tared
@@ -198,7 +198,7 @@ def check_straight(cut: StraightCut, place: str, problems: list[str]) -> bool:
         )
     else:
         try:
-            immersion(diameter, cut.radial_depth, cut.side)
+            StraightCut.immersion(diameter, cut.radial_depth, cut.side)
         except ValueError:
             width = (cut.radial_depth or 0) * 1e3
             problems.append(

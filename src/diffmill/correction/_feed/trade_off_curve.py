@@ -28,7 +28,6 @@ from ...optimise import (
     QuadraticModel,
     least_squares,
 )
-from ...toolpath import cycle_time, rows_until
 from .problem import FeedProblem, feed_figures, feed_slopes
 
 # Called with a message and the share of the weights that are done.
@@ -70,81 +69,82 @@ class FeedPoint(eqx.Module):
     runs: int
     is_settled: bool
 
+    @staticmethod
+    def curve(
+        problem: FeedProblem,
+        *,
+        time_weights: tuple[float, ...],
+        count: int = 8,
+        max_steps: int = 8,
+        on_progress: OnShare | None = None,
+    ) -> "tuple[FeedPoint, ...]":
+        """Return the best override for each weight, after the path as it is.
 
-def feed_curve(
-    problem: FeedProblem,
-    *,
-    time_weights: tuple[float, ...],
-    count: int = 8,
-    max_steps: int = 8,
-    on_progress: OnShare | None = None,
-) -> tuple[FeedPoint, ...]:
-    """Return the best override for each weight, after the path as it is.
+        Args:
+            problem: The path and the plant.
+            time_weights: Weights of the time, positive; each starts where the last
+                ended.
+            count: Knots of the override.
+            max_steps: Gauss-Newton steps for each weight at most.
+            on_progress: Called with a message and the share done.
 
-    Args:
-        problem: The path and the plant.
-        time_weights: Weights of the time, positive; each starts where the last ended.
-        count: Knots of the override.
-        max_steps: Gauss-Newton steps for each weight at most.
-        on_progress: Called with a message and the share done.
+        Returns:
+            The program as it is, its override clipped to the bounds, then one point per
+            weight.
 
-    Returns:
-        The program as it is, its override clipped to the bounds, then one point per
-        weight.
-
-    Raises:
-        ValueError: A weight is not positive, a count is too small, or the path as it
-            is has no error to trade, or one that is not finite.
-    """
-    if not time_weights or not all(0 < w < float("inf") for w in time_weights):
-        raise ValueError(
-            f"Argument `time_weights` must be positive numbers, but is {time_weights}."
+        Raises:
+            ValueError: A weight is not positive, a count is too small, or the path as
+                it is has no error to trade, or one that is not finite.
+        """
+        if not time_weights or not all(0 < w < float("inf") for w in time_weights):
+            raise ValueError(
+                "Argument `time_weights` must be positive numbers, but is "
+                f"{time_weights}."
+            )
+        if count < 2 or max_steps < 1:
+            raise ValueError(
+                "Arguments `count` and `max_steps` must be at least 2 and 1, but are "
+                f"{count} and {max_steps}."
+            )
+        bounds = np.log(problem.lowest), np.log(problem.highest)
+        rows = problem.feed.row_count([problem.lowest] * count)
+        x = np.clip(np.zeros(count), *bounds)
+        first = _figures(problem, x, rows)
+        if not (np.isfinite(first.square) and first.square > 0):
+            raise ValueError(
+                "Argument `problem` must have a plant that leaves an error where the "
+                f"tool cuts, but its mean square is {first.square:g}."
+            )
+        solver = LevenbergMarquardt(
+            max_steps=max_steps,
+            attempts=_ATTEMPTS,
+            longest=_STRIDE,
+            less=_LESS,
+            share=_SETTLED,
         )
-    if count < 2 or max_steps < 1:
-        raise ValueError(
-            "Arguments `count` and `max_steps` must be at least 2 and 1, but are "
-            f"{count} and {max_steps}."
-        )
-    bounds = np.log(problem.lowest), np.log(problem.highest)
-    end = cycle_time(problem.feed, [problem.lowest] * count)
-    rows = rows_until(end, problem.feed.period)
-    x = np.clip(np.zeros(count), *bounds)
-    first = _figures(problem, x, rows)
-    if not (np.isfinite(first.square) and first.square > 0):
-        raise ValueError(
-            "Argument `problem` must have a plant that leaves an error where the tool "
-            f"cuts, but its mean square is {first.square:g}."
-        )
-    solver = LevenbergMarquardt(
-        max_steps=max_steps,
-        attempts=_ATTEMPTS,
-        longest=_STRIDE,
-        less=_LESS,
-        share=_SETTLED,
-    )
-    tell = on_progress or (lambda message, share: None)
-    state = LeastSquaresState(x, first, solver.damping)
-    points = [_point(float("nan"), state)]
-    tell(_told(points[0]), 0.0)
-    for done, weight in enumerate(time_weights):
-        name = f"weight {weight:g}"
-        report = lambda at, done=done, name=name: tell(
-            f"{name}: step {at.steps}, {at.value.time:.2f} s, "
-            f"{1e6 * at.value.square**0.5:.2f} um",
-            done / len(time_weights),
-        )
-        state = least_squares(
-            _Objective(problem, weight, first, rows),
-            state.x,
-            solver,
-            lower=bounds[0],
-            upper=bounds[1],
-            state=LeastSquaresState(state.x, state.value, solver.damping),
-            callback=report,
-        )
-        points.append(_point(weight, state))
-        tell(f"{name}: {_told(points[-1])}", (done + 1) / len(time_weights))
-    return tuple(points)
+        tell = on_progress or (lambda message, share: None)
+        state = LeastSquaresState(x, first, solver.damping)
+        points = [_point(float("nan"), state)]
+        tell(_told(points[0]), 0.0)
+        for done, weight in enumerate(time_weights):
+            name = f"weight {weight:g}"
+            report = lambda at, done=done, name=name: tell(
+                f"{name}: step {at.steps}, {at.value.time:.2f} s, "
+                f"{1e6 * at.value.square**0.5:.2f} um",
+                done / len(time_weights),
+            )
+            state = least_squares(
+                _Objective(problem, weight, first, rows),
+                state.x,
+                solver,
+                lower=bounds[0],
+                upper=bounds[1],
+                state=LeastSquaresState(state.x, state.value, solver.damping),
+                callback=report,
+            )
+            points.append(_point(weight, state))
+            tell(f"{name}: {_told(points[-1])}", (done + 1) / len(time_weights))
+        return tuple(points)
 
 
 def _point(weight: float, state: LeastSquaresState) -> FeedPoint:

@@ -15,14 +15,14 @@ from ..._job import Job
 from ..._types import RealScalarLike
 from ...process import AbstractAdjoint, ThroughPoses
 from ...sim import JobKinematics, Solution, run_motors, simulate
-from ...toolpath import cycle_time, path_feed, retime, rows_until
+from ...toolpath import PathFeed, retime
 from .._core.problem import Motion
 from .._job.correct import NothingToCorrect, correct
 from .._job.objective import job_weights
 from .._job.plant_segments import wall_motion
 from .problem import FeedProblem
 from .result import FeedTradeoff, TunedFeed
-from .trade_off_curve import OnShare, feed_curve
+from .trade_off_curve import FeedPoint, OnShare
 
 _WEIGHTS = (0.3, 0.1, 0.03)
 
@@ -73,9 +73,9 @@ def feed_tradeoff(
         ValueError: The job has no robot, or an override is not positive.
     """
     _check_robot(job)
-    feed = path_feed(job.path, acceleration=acceleration)
-    times = [cycle_time(feed, override) for override in overrides]
-    rows = rows_until(max(times), feed.period)
+    feed = PathFeed.of_path(job.path, acceleration=acceleration)
+    times = [feed.cycle_time(override) for override in overrides]
+    rows = max(feed.row_count(override) for override in overrides)
     tell = on_progress or (lambda message, share: None)
     columns = []
     for done, (override, time) in enumerate(zip(overrides, times, strict=True)):
@@ -152,14 +152,14 @@ def tune_feed(
     cutting = np.asarray(before.is_cutting)
     if not cutting.any():
         raise NothingToCorrect(_NEVER)
-    feed = path_feed(job.path, acceleration=acceleration)
+    feed = PathFeed.of_path(job.path, acceleration=acceleration)
     problem = FeedProblem(
         FeedPlant(job, adjoint),
         feed,
         FeedProblem.smoothed(job_weights(job, rigid, cutting)),
         *bounds,
     )
-    points = feed_curve(
+    points = FeedPoint.curve(
         problem,
         time_weights=time_weights,
         count=count,

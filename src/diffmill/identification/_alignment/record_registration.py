@@ -13,9 +13,8 @@ from .._cut.cut_model import (
     EngagementColumns,
     at_times,
     cut_of,
-    engagement_columns,
 )
-from .._cut.straight_cut import SETTLED, StraightCut, straight_cut
+from .._cut.straight_cut import SETTLED, StraightCut
 from .._force.mean_force import NAMES
 from .._record.clock_faults import check_clock, check_teeth
 from .._record.diagnosis import Diagnosis
@@ -68,63 +67,134 @@ class RecordRegistration(NamedTuple):
     notes: tuple[str, ...]
     diagnoses: tuple[Diagnosis, ...] = ()
 
+    @classmethod
+    def on_straight_cut(
+        cls,
+        sizes: StraightCut,
+        time: Float[np.ndarray, " row"],
+        force: Float[np.ndarray, "row 3"],
+        *,
+        refines_speed: bool = True,
+        largest_feed: float | None = None,
+        angle: Float[np.ndarray, " row"] | None = None,
+    ) -> "RecordRegistration":
+        """Register the steady part of a record on a straight cut.
 
-def register_on_straight_cut(
-    sizes: StraightCut,
-    time: Float[np.ndarray, " row"],
-    force: Float[np.ndarray, "row 3"],
-    *,
-    refines_speed: bool = True,
-    largest_feed: float | None = None,
-    angle: Float[np.ndarray, " row"] | None = None,
-) -> RecordRegistration:
-    """Register the steady part of a record on a straight cut.
+        Args:
+            sizes: Sizes of the cut, with its nominal spindle speed.
+            time: Instants of the steady part [s], shape (row,).
+            force: As recorded, without offset [N], shape (row, 3); NaN where not known.
+            refines_speed: Whether the speed is taken from the record.
+            largest_feed: See `StraightCut.cut`.
+            angle: Measured spindle angle at each row [rad], increasing, or None: the
+                clock of the cut then follows the spindle, and tooth 0 stands at this
+                angle.
 
-    Args:
-        sizes: Sizes of the cut, with its nominal spindle speed.
-        time: Instants of the steady part [s], shape (row,).
-        force: As recorded, without offset [N], shape (row, 3); NaN where not known.
-        refines_speed: Whether the speed is taken from the record.
-        largest_feed: See `straight_cut`.
-        angle: Measured spindle angle at each row [rad], increasing, or None: the clock
-            of the cut then follows the spindle, and tooth 0 stands at this angle.
+        Returns:
+            Its first 40 revolutions with the cut.
 
-    Returns:
-        Its first 40 revolutions with the cut.
-
-    Raises:
-        ValueError: Sizes that no straight cut has, or less than three revolutions.
-    """
-    speed, flutes, notes = sizes.spindle_speed, sizes.cutter.flute_count, ()
-    if angle is not None:
-        speed, time = _spindle_clock(time, angle, None)
-    elif speed is None:
-        raise ValueError("Argument `sizes` must have a spindle speed, but has none.")
-    elif refines_speed:
-        speed, notes = _refined(speed, flutes, time, force)
-    turn = 2 * math.pi / speed
-    turns = min(_TURNS, math.floor((float(time[-1] - time[0])) / turn + 1e-6))
-    if turns < 3:
-        raise ValueError(
-            f"The record must hold 3 revolutions of {turn:.4g} s, but lasts "
-            f"{float(time[-1] - time[0]):.4g} s."
+        Raises:
+            ValueError: Sizes that no straight cut has, or less than three revolutions.
+        """
+        speed, flutes, notes = sizes.spindle_speed, sizes.cutter.flute_count, ()
+        if angle is not None:
+            speed, time = _spindle_clock(time, angle, None)
+        elif speed is None:
+            raise ValueError(
+                "Argument `sizes` must have a spindle speed, but has none."
+            )
+        elif refines_speed:
+            speed, notes = _refined(speed, flutes, time, force)
+        turn = 2 * math.pi / speed
+        turns = min(_TURNS, math.floor((float(time[-1] - time[0])) / turn + 1e-6))
+        if turns < 3:
+            raise ValueError(
+                f"The record must hold 3 revolutions of {turn:.4g} s, but lasts "
+                f"{float(time[-1] - time[0]):.4g} s."
+            )
+        keep = time <= time[0] + turns * turn
+        teeth = SETTLED + (turns + 2) * flutes + 1
+        teeth = _ROUND * math.ceil(teeth / _ROUND)
+        sizes = sizes._replace(spindle_speed=speed)
+        cut = cut_of(sizes.cut(teeth=teeth, largest_feed=largest_feed))
+        found = EngagementColumns.of_cut(cut)
+        # A revolution of room, within which the fit looks for the shift.
+        offset = turn + SETTLED * cut.tooth_period - float(time[0])
+        if angle is not None:
+            offset = _in_phase(offset, time, angle, speed)
+        when, seen = time[keep] + offset, force[keep]
+        proposal = _judge(found, when, seen, turn / 2, cut.tooth_period)
+        diagnoses = (
+            () if angle is not None else _diagnosed(time[keep], seen, speed, flutes)
         )
-    keep = time <= time[0] + turns * turn
-    teeth = SETTLED + (turns + 2) * flutes + 1
-    teeth = _ROUND * math.ceil(teeth / _ROUND)
-    sizes = sizes._replace(spindle_speed=speed)
-    cut = cut_of(straight_cut(sizes, teeth=teeth, largest_feed=largest_feed))
-    found = engagement_columns(cut)
-    # A revolution of room, within which the fit looks for the shift.
-    offset = turn + SETTLED * cut.tooth_period - float(time[0])
-    if angle is not None:
-        offset = _in_phase(offset, time, angle, speed)
-    when, seen = time[keep] + offset, force[keep]
-    proposal = _judge(found, when, seen, turn / 2, cut.tooth_period)
-    diagnoses = () if angle is not None else _diagnosed(time[keep], seen, speed, flutes)
-    return RecordRegistration(
-        cut, found, when, seen, offset, proposal, None, speed, notes, diagnoses
-    )
+        return cls(
+            cut, found, when, seen, offset, proposal, None, speed, notes, diagnoses
+        )
+
+    @classmethod
+    def on_job(
+        cls,
+        job: Job,
+        time: Float[np.ndarray, " row"],
+        force: Float[np.ndarray, "row 3"],
+        *,
+        time_shift: float | None = None,
+        angle: Float[np.ndarray, " row"] | None = None,
+        keeps_shift: bool = False,
+    ) -> "RecordRegistration":
+        """Set a record with the cut of a job.
+
+        Args:
+            job: The job; its desired path by a rigid machine.
+            time: Instants of the record [s], shape (row,).
+            force: As recorded, without offset [N], shape (row, 3); NaN where not known.
+            time_shift: Time of the job minus time of the record [s]; found by the sizes
+                of the forces if not given.
+            angle: Measured spindle angle at each row [rad], increasing, or None: the
+                clock of the record then follows the spindle, and tooth 0 stands at this
+                angle.
+            keeps_shift: Whether the time shift is exact, and the zero of the angle is
+                not.
+
+        Returns:
+            The record with the cut, samples out of the cut marked as not known.
+
+        Raises:
+            ValueError: The record does not overlap the cut.
+            SimulationFailed: The cut could not be simulated.
+        """
+        cut = cut_of(job)
+        found = EngagementColumns.of_cut(cut)
+        law = job.law
+        K = _USUAL
+        if isinstance(law, LinearEdgeLaw):
+            K = np.array([np.mean(np.asarray(getattr(law, name))) for name in NAMES])
+        alignment = None
+        turn = cut.tooth_period * cut.cutter.flute_count
+        speed = 2 * math.pi / turn
+        if angle is not None:
+            _, time = _spindle_clock(time, angle, speed)
+        if time_shift is None:
+            alignment = align_in_time(found, K, time, force)
+            time_shift = alignment.shift
+        if angle is not None and not keeps_shift:
+            time_shift = _in_phase(time_shift, time, angle, speed)
+        when = time + time_shift
+        is_cut = _is_cut(found, K, turn)
+        place = np.round((when - found.start) / found.spacing).astype(np.int64)
+        inside = (place >= 0) & (place < len(is_cut))
+        inside &= is_cut[np.clip(place, 0, len(is_cut) - 1)]
+        if inside.sum() < 12:
+            raise ValueError(
+                f"The record, {float(time[0]):g} to {float(time[-1]):g} s, holds "
+                f"{int(inside.sum())} samples while the job cuts: look at the time "
+                "shift."
+            )
+        first, last = np.flatnonzero(inside)[[0, -1]]
+        when = when[first : last + 1]
+        seen = np.where(inside[:, None], force, np.nan)[first : last + 1]
+        proposal = _judge(found, when, seen, turn / 2, cut.tooth_period)
+        return cls(cut, found, when, seen, time_shift, proposal, alignment, speed, ())
 
 
 def _diagnosed(
@@ -195,69 +265,6 @@ def _refined(
         )
         return speed, (note,)
     return speed, ()
-
-
-def register_on_job(
-    job: Job,
-    time: Float[np.ndarray, " row"],
-    force: Float[np.ndarray, "row 3"],
-    *,
-    time_shift: float | None = None,
-    angle: Float[np.ndarray, " row"] | None = None,
-    keeps_shift: bool = False,
-) -> RecordRegistration:
-    """Set a record with the cut of a job.
-
-    Args:
-        job: The job; its desired path by a rigid machine.
-        time: Instants of the record [s], shape (row,).
-        force: As recorded, without offset [N], shape (row, 3); NaN where not known.
-        time_shift: Time of the job minus time of the record [s]; found by the sizes of
-            the forces if not given.
-        angle: Measured spindle angle at each row [rad], increasing, or None: the clock
-            of the record then follows the spindle, and tooth 0 stands at this angle.
-        keeps_shift: Whether the time shift is exact, and the zero of the angle is not.
-
-    Returns:
-        The record with the cut, samples out of the cut marked as not known.
-
-    Raises:
-        ValueError: The record does not overlap the cut.
-        SimulationFailed: The cut could not be simulated.
-    """
-    cut = cut_of(job)
-    found = engagement_columns(cut)
-    law = job.law
-    K = _USUAL
-    if isinstance(law, LinearEdgeLaw):
-        K = np.array([np.mean(np.asarray(getattr(law, name))) for name in NAMES])
-    alignment = None
-    turn = cut.tooth_period * cut.cutter.flute_count
-    speed = 2 * math.pi / turn
-    if angle is not None:
-        _, time = _spindle_clock(time, angle, speed)
-    if time_shift is None:
-        alignment = align_in_time(found, K, time, force)
-        time_shift = alignment.shift
-    if angle is not None and not keeps_shift:
-        time_shift = _in_phase(time_shift, time, angle, speed)
-    when = time + time_shift
-    is_cut = _is_cut(found, K, turn)
-    place = np.round((when - found.start) / found.spacing).astype(np.int64)
-    inside = (place >= 0) & (place < len(is_cut))
-    inside &= is_cut[np.clip(place, 0, len(is_cut) - 1)]
-    if inside.sum() < 12:
-        raise ValueError(
-            f"The record, {float(time[0]):g} to {float(time[-1]):g} s, holds "
-            f"{int(inside.sum())} samples while the job cuts: look at the time shift."
-        )
-    first, last = np.flatnonzero(inside)[[0, -1]]
-    when = when[first : last + 1]
-    seen = np.where(inside[:, None], force, np.nan)[first : last + 1]
-    proposal = _judge(found, when, seen, turn / 2, cut.tooth_period)
-    return RecordRegistration(
-        cut, found, when, seen, time_shift, proposal, alignment, speed, ()
-    )
 
 
 def _is_cut(found: EngagementColumns, K: np.ndarray, turn: float) -> np.ndarray:

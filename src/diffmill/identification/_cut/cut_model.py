@@ -86,6 +86,37 @@ class EngagementColumns(eqx.Module):
     columns: Float[np.ndarray, "sample 3 6"]
     constant: Float[np.ndarray, "sample 3"]
 
+    @classmethod
+    def of_cut(cls, process_or_job: Cut | Job) -> "EngagementColumns":
+        """Simulate a cut once and return its force per unit of every coefficient.
+
+        Args:
+            process_or_job: The cut, or a job, of which the desired path is cut.
+
+        Returns:
+            The columns, at the angle samples of the simulation.
+
+        Raises:
+            SimulationFailed: The simulation ran out of intervals or of its window.
+
+        **Differentiability**: runs on the host; `instantaneous_force` is what it
+        differentiates.
+        """
+        cut = cut_of(process_or_job)
+        columns, (constant, result) = _columns(cut)
+        if result != RESULTS.successful:
+            raise SimulationFailed(RESULTS[result])
+        count = columns.shape[1]
+        spacing = cut.tooth_period / count
+        rows = np.asarray(columns[1:], np.float64).reshape(-1, 3, 6)
+        # Row k holds the period that ends at instant k.
+        return cls(
+            start=0.5 * spacing,
+            spacing=spacing,
+            columns=rows,
+            constant=np.asarray(constant[1:], np.float64).reshape(-1, 3),
+        )
+
 
 def cut_of(process_or_job: Cut | Job) -> Cut:
     """Return the cut of a job, along its desired path by a rigid machine.
@@ -165,37 +196,6 @@ def with_plan(cut: Cut, cutter: AbstractCutter | None = None) -> Cut:
     engagement = dataclasses.replace(engagement, profile=profile)
     axes = None if axes is None else cut.axes
     return dataclasses.replace(cut, cutter=cutter, axes=axes, engagement=engagement)
-
-
-def engagement_columns(process_or_job: Cut | Job) -> EngagementColumns:
-    """Simulate a cut once and return its force per unit of every coefficient.
-
-    Args:
-        process_or_job: The cut, or a job, of which the desired path is cut.
-
-    Returns:
-        The columns, at the angle samples of the simulation.
-
-    Raises:
-        SimulationFailed: The simulation ran out of intervals or of its window.
-
-    **Differentiability**: runs on the host; `instantaneous_force` is what it
-    differentiates.
-    """
-    cut = cut_of(process_or_job)
-    columns, (constant, result) = _columns(cut)
-    if result != RESULTS.successful:
-        raise SimulationFailed(RESULTS[result])
-    count = columns.shape[1]
-    spacing = cut.tooth_period / count
-    rows = np.asarray(columns[1:], np.float64).reshape(-1, 3, 6)
-    # Row k holds the period that ends at instant k.
-    return EngagementColumns(
-        start=0.5 * spacing,
-        spacing=spacing,
-        columns=rows,
-        constant=np.asarray(constant[1:], np.float64).reshape(-1, 3),
-    )
 
 
 def instantaneous_force(

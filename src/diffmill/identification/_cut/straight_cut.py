@@ -36,68 +36,66 @@ class StraightCut(NamedTuple):
     radial_depth: float | None = None
     side: Side = "slot"
 
+    def cut(self, *, teeth: int = 64, largest_feed: float | None = None) -> Cut:
+        """Return a straight cut along x that begins within the stock.
 
-def straight_cut(
-    sizes: StraightCut, *, teeth: int = 64, largest_feed: float | None = None
-) -> Cut:
-    """Return a straight cut along x that begins within the stock.
+        The tool stands along +z and moves along +x. In a slot both flanks of the tool
+        are engaged; in up milling the stock lies where a tooth enters with a thin chip
+        (+y), in down milling where it leaves with one (-y).
 
-    The tool stands along +z and moves along +x. In a slot both flanks of the tool are
-    engaged; in up milling the stock lies where a tooth enters with a thin chip (+y),
-    in down milling where it leaves with one (-y).
+        Args:
+            teeth: Tooth periods of the cut, the first 12 of which are not steady.
+            largest_feed: The largest feed per tooth of several cuts [m]: with it all
+                have stock of one size, and are compiled once.
 
-    Args:
-        sizes: Sizes of the cut, with a spindle speed.
-        teeth: Tooth periods of the cut, the first 12 of which are not steady.
-        largest_feed: The largest feed per tooth of several cuts [m]: with it all have
-            stock of one size, and are compiled once.
+        Returns:
+            The cut.
 
-    Returns:
-        The cut.
+        Raises:
+            ValueError: Sizes that no straight cut has, or no spindle speed.
+        """
+        if self.spindle_speed is None:
+            raise ValueError(
+                "Argument `sizes` must have a spindle speed, but has none."
+            )
+        cutter, feed, depth = self.cutter, self.feed_per_tooth, self.axial_depth
+        radius = float(cutter.nominal_radius)
+        _check(feed, depth, self.radial_depth, self.side, radius)
+        width = 2 * radius if self.radial_depth is None else self.radial_depth
+        room = 0.2 * radius
+        high = radius + room if self.side != "down" else width - radius
+        low = -radius - room if self.side != "up" else radius - width
+        x = feed * np.arange(teeth + 1)
+        rows = np.column_stack([x, np.zeros_like(x), np.full_like(x, -depth)])
+        pitch = min(_PITCH * radius, depth / _LEAST)
+        lower = [-radius - room, low, -depth - 2 * pitch]
+        length = teeth * max(feed, largest_feed or 0.0)
+        upper = [length + radius + room, high, 0.0]
+        stock = box(lower, upper, pitch, interval_counts=(4, 4, 1))
+        return Cut(rows, stock, cutter, self.spindle_speed)
 
-    Raises:
-        ValueError: Sizes that no straight cut has, or no spindle speed.
-    """
-    if sizes.spindle_speed is None:
-        raise ValueError("Argument `sizes` must have a spindle speed, but has none.")
-    cutter, feed, depth = sizes.cutter, sizes.feed_per_tooth, sizes.axial_depth
-    radius = float(cutter.nominal_radius)
-    _check(feed, depth, sizes.radial_depth, sizes.side, radius)
-    width = 2 * radius if sizes.radial_depth is None else sizes.radial_depth
-    room = 0.2 * radius
-    high = radius + room if sizes.side != "down" else width - radius
-    low = -radius - room if sizes.side != "up" else radius - width
-    x = feed * np.arange(teeth + 1)
-    rows = np.column_stack([x, np.zeros_like(x), np.full_like(x, -depth)])
-    pitch = min(_PITCH * radius, depth / _LEAST)
-    lower = [-radius - room, low, -depth - 2 * pitch]
-    length = teeth * max(feed, largest_feed or 0.0)
-    upper = [length + radius + room, high, 0.0]
-    stock = box(lower, upper, pitch, interval_counts=(4, 4, 1))
-    return Cut(rows, stock, cutter, sizes.spindle_speed)
+    @staticmethod
+    def immersion(
+        diameter: float, radial_depth: float | None, side: Side
+    ) -> tuple[float, float]:
+        """Return entry and exit angle of a straight cut [rad].
 
+        Args:
+            diameter: Of the cutter [m].
+            radial_depth: a_e [m]; not for a slot.
+            side: "slot", "up" or "down".
 
-def immersion(
-    diameter: float, radial_depth: float | None, side: Side
-) -> tuple[float, float]:
-    """Return entry and exit angle of a straight cut [rad].
+        Returns:
+            Immersion angles at which a tooth enters and leaves.
 
-    Args:
-        diameter: Of the cutter [m].
-        radial_depth: a_e [m]; not for a slot.
-        side: "slot", "up" or "down".
-
-    Returns:
-        Immersion angles at which a tooth enters and leaves.
-
-    Raises:
-        ValueError: A radial depth that no such cut has.
-    """
-    _check(1.0, 1.0, radial_depth, side, diameter / 2)
-    if radial_depth is None:
-        return 0.0, math.pi
-    angle = math.acos(1 - 2 * radial_depth / diameter)
-    return (0.0, angle) if side == "up" else (math.pi - angle, math.pi)
+        Raises:
+            ValueError: A radial depth that no such cut has.
+        """
+        _check(1.0, 1.0, radial_depth, side, diameter / 2)
+        if radial_depth is None:
+            return 0.0, math.pi
+        angle = math.acos(1 - 2 * radial_depth / diameter)
+        return (0.0, angle) if side == "up" else (math.pi - angle, math.pi)
 
 
 def _check(

@@ -16,7 +16,6 @@ from .._cut.cut_model import (
     EngagementColumns,
     at_times,
     cut_of,
-    engagement_columns,
 )
 from .._record.saturation import without_saturated
 from .._statistics.robust_regression import Rows, solve
@@ -315,5 +314,5 @@ def _measured(
         whole, columns = cut.cut, cut.engagement
     else:
         whole = cut_of(cut)
-        columns = engagement_columns(whole)
+        columns = EngagementColumns.of_cut(whole)
     return RegisteredRecord(whole, columns, when, turned, shift, saturated, cutoff)

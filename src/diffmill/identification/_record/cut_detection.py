@@ -25,62 +25,62 @@ class CutSpan(NamedTuple):
     start: float
     stop: float
 
+    @staticmethod
+    def find(
+        record: Record,
+        *,
+        tooth_frequency: float | None = None,
+        window: float | None = None,
+        shortest: float | None = None,
+    ) -> "list[CutSpan]":
+        """Return the cuts in a record, in their order.
 
-def find_cuts(
-    record: Record,
-    *,
-    tooth_frequency: float | None = None,
-    window: float | None = None,
-    shortest: float | None = None,
-) -> list[CutSpan]:
-    """Return the cuts in a record, in their order.
+        The force's variation within a moving window is compared with its level in the
+        quietest and the loudest twentieth of the record; if these are alike, in its
+        quietest and its loudest stretch of nine windows. On a logarithmic scale a cut
+        begins above the middle between them and ends below a quarter; its ends are then
+        drawn in, by a window at most, to where the window is half full of the cut.
+        Offset and slow drift do not matter. A pause or a gap shorter than the window
+        does not end a cut, a longer one does.
 
-    The force's variation within a moving window is compared with its level in the
-    quietest and the loudest twentieth of the record; if these are alike, in its
-    quietest and its loudest stretch of nine windows. On a logarithmic scale a cut
-    begins above the middle between them and ends below a quarter; its ends are then
-    drawn in, by a window at most, to where the window is half full of the cut. Offset
-    and slow drift do not matter. A pause or a gap shorter than the window does not end
-    a cut, a longer one does.
+        Args:
+            record: The record.
+            tooth_frequency: Tooth-passing frequency [Hz]; with it, the variation at
+                this frequency alone is used, so that a spindle that idles is quiet.
+            window: Length of the window [s]; by default four tooth periods, else 20 ms.
+            shortest: Shortest cut [s]; by default twice the window.
 
-    Args:
-        record: The record.
-        tooth_frequency: Tooth-passing frequency [Hz]; with it, the variation at this
-            frequency alone is used, so that a spindle that idles is quiet.
-        window: Length of the window [s]; by default four tooth periods, else 20 ms.
-        shortest: Shortest cut [s]; by default twice the window.
-
-    Returns:
-        The cuts; their ends are found to a part of the window. If loud and quiet differ
-        by less than a factor of four, the parts between such gaps: there is no tare
-        section in the record, or no cut.
-    """
-    if window is None:
-        window = 4.0 / tooth_frequency if tooth_frequency else 0.02
-    shortest = 2.0 * window if shortest is None else shortest
-    width = max(3, round(window * record.rate))
-    parts = record.parts_between_gaps(longest=window)
-    loud = [_loudness(record, part, width, tooth_frequency) for part in parts]
-    quiet_level, loud_level = _levels(loud, width)
-    # A channel that rests exactly at zero has no logarithm.
-    quiet_level = max(quiet_level, 1e-6 * loud_level)
-    if loud_level < _LOUDER * quiet_level or loud_level == 0:
-        return [
-            CutSpan(float(record.time[p.start]), float(record.time[p.stop - 1]))
-            for p in parts
-        ]
-    begin = float(np.sqrt(quiet_level * loud_level))
-    end = float(np.sqrt(quiet_level * begin))
-    cuts: list[CutSpan] = []
-    for part, level in zip(parts, loud, strict=True):
-        time = record.time[part]
-        # Half the window in the cut: half the amplitude, or half the variance.
-        full = 0.5 if tooth_frequency is not None else np.sqrt(0.5)
-        for run in _hysteresis(level, begin, end, width):
-            first, last = _drawn_in(level, *run, width, float(full))
-            if time[last] - time[first] >= shortest:
-                cuts.append(CutSpan(float(time[first]), float(time[last])))
-    return cuts
+        Returns:
+            The cuts; their ends are found to a part of the window. If loud and quiet
+            differ by less than a factor of four, the parts between such gaps: there is
+            no tare section in the record, or no cut.
+        """
+        if window is None:
+            window = 4.0 / tooth_frequency if tooth_frequency else 0.02
+        shortest = 2.0 * window if shortest is None else shortest
+        width = max(3, round(window * record.rate))
+        parts = record.parts_between_gaps(longest=window)
+        loud = [_loudness(record, part, width, tooth_frequency) for part in parts]
+        quiet_level, loud_level = _levels(loud, width)
+        # A channel that rests exactly at zero has no logarithm.
+        quiet_level = max(quiet_level, 1e-6 * loud_level)
+        if loud_level < _LOUDER * quiet_level or loud_level == 0:
+            return [
+                CutSpan(float(record.time[p.start]), float(record.time[p.stop - 1]))
+                for p in parts
+            ]
+        begin = float(np.sqrt(quiet_level * loud_level))
+        end = float(np.sqrt(quiet_level * begin))
+        cuts: list[CutSpan] = []
+        for part, level in zip(parts, loud, strict=True):
+            time = record.time[part]
+            # Half the window in the cut: half the amplitude, or half the variance.
+            full = 0.5 if tooth_frequency is not None else np.sqrt(0.5)
+            for run in _hysteresis(level, begin, end, width):
+                first, last = _drawn_in(level, *run, width, float(full))
+                if time[last] - time[first] >= shortest:
+                    cuts.append(CutSpan(float(time[first]), float(time[last])))
+        return cuts
 
 
 def _levels(

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._alignment.record_registration import RecordRegistration
-from .._cut.straight_cut import StraightCut, immersion
+from .._cut.straight_cut import StraightCut
 from .._force.mean_axis_assignment import MeanAxes, propose_mean_axes
 from .._force.mean_force import fit_mean_forces, mean_force_matrices
 from .._force.uncertainty import relative_uncertainty
@@ -81,7 +81,7 @@ class MeanForceStudy(NamedTuple):
             SimulationFailed: A cut could not be simulated.
         """
         cut = self.cut
-        entry, leave = immersion(
+        entry, leave = StraightCut.immersion(
             2 * float(cut.cutter.nominal_radius), cut.radial_depth, cut.side
         )
         shape = {

@@ -9,8 +9,6 @@ from jaxtyping import Bool, Float
 from ..._job import Job
 from .._alignment.record_registration import (
     RecordRegistration,
-    register_on_job,
-    register_on_straight_cut,
 )
 from .._cut.straight_cut import StraightCut
 from .._record.record import Record
@@ -82,7 +80,7 @@ class ForceRecord(NamedTuple):
         process = self.process
         try:
             if not isinstance(process, StraightCut):
-                return register_on_job(
+                return RecordRegistration.on_job(
                     process,
                     time,
                     force,
@@ -91,7 +89,7 @@ class ForceRecord(NamedTuple):
                     keeps_shift=self.time_shift is not None and not self.knows_tooth,
                 )
             cuts = [one.process for one in others]
-            return register_on_straight_cut(
+            return RecordRegistration.on_straight_cut(
                 process,
                 time,
                 force,

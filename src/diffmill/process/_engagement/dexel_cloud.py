@@ -33,7 +33,6 @@ from ...workpiece import (
     Stock,
     TakenPieces,
     remove_poses,
-    taken_pieces,
 )
 from .._chip import circle_chip, edge_contact, held_at_rest, safe_norm, way_of
 from .._process import AbstractEngagement, Process, Substeps
@@ -233,7 +232,7 @@ def chip_arcs(
     cutter, engagement = process.cutter, process.engagement
     motion = jax.lax.stop_gradient(tip - before)
     heading = jnp.arctan2(motion[0], motion[1])
-    taken = taken_pieces(stock, cutter, engagement.window, tip)
+    taken = TakenPieces.of_pass(stock, cutter, engagement.window, tip)
     floor = jax.lax.stop_gradient(before[2] - tip[2])
     rows = _rows(taken[0], taken[1], tip, heading, floor)
     columns = _columns(taken[2], cutter, before, tip, heading)

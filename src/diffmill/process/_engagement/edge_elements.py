@@ -23,7 +23,7 @@ from jaxtyping import Array, Float, Int
 
 from ...cutter import AbstractCutter, EdgeElements
 from ...numerics import clamp
-from ...workpiece import Discs, Pose, RemovalWindow, occupancy_in_space, tool_frame
+from ...workpiece import Discs, Pose, RemovalWindow, occupancy_in_space
 from .._chip import edge_contact, held_at_rest, safe_norm, way_of
 from .._process import AbstractEngagement, Process, Substeps, rotation_angles
 from .._state import ProcessState, Removed
@@ -159,7 +159,7 @@ class EdgeElementsInSpace(AbstractEngagement):
         touch = edge_contact(per_way, feed, steps[None, None])
         n = elements.bottom_count
         if cutter.flute_count % 2 == 0 and not self._keeps_all(cutter):
-            frame = tool_frame(pose.direction())
+            frame = Pose.frame(pose.direction())
             lead = _lead(elements, pose.tip - earlier.tip[0], frame, angle)[..., n:]
             step = 2 * math.pi / self.angles
             before = feed / cutter.diameter
@@ -202,7 +202,7 @@ class EdgeElementsInSpace(AbstractEngagement):
             jnp.sum(component, axis=(1, 2))
             for component in (F_x, F_y, F_z, -lever * F_y, lever * F_x)
         ]
-        frame = tool_frame(pose.direction()).T
+        frame = Pose.frame(pose.direction()).T
         force = jnp.stack(along[:3], axis=-1) @ frame
         moment = jnp.stack([*along[3:], jnp.zeros_like(F_z[:, 0, 0])], axis=-1) @ frame
         return jnp.concatenate([force, moment], axis=-1)
@@ -254,7 +254,7 @@ class EdgeElementsInSpace(AbstractEngagement):
             return angle, teeth, jnp.ones_like(angle)
         kept = (count + 1) // 2
         motion = predicted.tip - state.recent.tip[0]
-        frames = tool_frame(predicted.direction())
+        frames = Pose.frame(predicted.direction())
         lead = jax.vmap(lambda m, f, phi: _lead(elements, m, f, phi))(
             motion, frames, angle
         )
@@ -422,7 +422,7 @@ def _edge(
     The points stand on the cutter without run-out, which enters the chip alone: it
     is far smaller than what the stock can resolve.
     """
-    frame = tool_frame(pose.direction())
+    frame = Pose.frame(pose.direction())
     sin, cos = jnp.sin(angle), jnp.cos(angle)
     zero = jnp.zeros_like(angle)
     radial = jnp.stack([sin, cos, zero], axis=-1) @ frame.T

@@ -17,7 +17,7 @@ from .crba import mass_matrix
 from .rnea import inverse_dynamics
 from .rnea_derivatives import rnea_derivatives
 from .spd_inverse import spd_inverse
-from .terms import arm_terms
+from .terms import ArmTerms
 
 
 def forward_dynamics(
@@ -108,7 +108,7 @@ def _solve(
 ) -> Float[Array, " joint"]:
     if algorithm == "aba":
         return articulated_bodies(robot, q, qd, tau, wrench)
-    terms = arm_terms(robot, q, qd)
+    terms = ArmTerms.of_state(robot, q, qd)
     load = tau + terms.jacobian.T @ wrench - terms.bias_forces
     return jsl.cho_solve((factor(terms.mass_matrix), True), load)
 

@@ -47,22 +47,24 @@ class ArmTerms(eqx.Module):
         M = self.mass_matrix
         return spd_inverse(M if diagonal is None else M + jnp.diag(diagonal))
 
+    @staticmethod
+    def of_state(robot: Robot, q: JointVector, qd: JointVector) -> "ArmTerms":
+        """Return pose, Jacobian, mass matrix, bias forces and their slope of one state.
 
-def arm_terms(robot: Robot, q: JointVector, qd: JointVector) -> ArmTerms:
-    """Return pose, Jacobian, mass matrix, bias forces and their slope of one state.
+        The reverse mode recomputes the terms from q and qd: inside a scan that is twice
+        as fast as storing some thirty intermediates per step.
 
-    The reverse mode recomputes the terms from q and qd: inside a scan that is twice
-    as fast as storing some thirty intermediates per step.
+        Args:
+            robot: The robot.
+            q: Joint positions [rad or m], shape (joint,).
+            qd: Joint velocities [rad/s or m/s], shape (joint,).
 
-    Args:
-        robot: The robot.
-        q: Joint positions [rad or m], shape (joint,).
-        qd: Joint velocities [rad/s or m/s], shape (joint,).
-
-    Returns:
-        The terms.
-    """
-    return _arm_terms(robot, joint_vector(robot, q, "q"), joint_vector(robot, qd, "qd"))
+        Returns:
+            The terms.
+        """
+        return _arm_terms(
+            robot, joint_vector(robot, q, "q"), joint_vector(robot, qd, "qd")
+        )
 
 
 @jax.jit

@@ -83,41 +83,45 @@ class TipModes(eqx.Module):
         full = jax.lax.complex(rank_one, jnp.zeros_like(rank_one))
         return jnp.einsum("lm,mij->lij", 1 / impedance, full)
 
+    @classmethod
+    def of_robot(
+        cls, robot: Robot, q: JointVector, T_base_work: np.ndarray
+    ) -> "TipModes":
+        """Return the modes of a robot at one pose, as its tip shows them.
 
-def tip_modes(robot: Robot, q: JointVector, T_base_work: np.ndarray) -> TipModes:
-    """Return the modes of a robot at one pose, as its tip shows them.
+        The motors carry the arm: they keep the orientation of the tool as far as they
+        can. Dampers that couple modes are neglected, and so is the weight.
 
-    The motors carry the arm: they keep the orientation of the tool as far as they can.
-    Dampers that couple modes are neglected, and so is the weight.
+        Args:
+            robot: The robot; rigid joints make no mode.
+            q: Joint positions [rad or m], shape (joint,).
+            T_base_work: Pose of the workpiece frame in the robot's base, shape (4, 4).
 
-    Args:
-        robot: The robot; rigid joints make no mode.
-        q: Joint positions [rad or m], shape (joint,).
-        T_base_work: Pose of the workpiece frame in the robot's base, shape (4, 4).
+        Returns:
+            The modes of finite frequency.
 
-    Returns:
-        The modes of finite frequency.
+        Raises:
+            ValueError: As for `mode_shapes`.
 
-    Raises:
-        ValueError: As for `mode_shapes`.
-
-    **Differentiability**: none, runs on the host.
-    """
-    at = joint_vector(robot, q, "q")
-    modes = mode_shapes(robot, at)
-    is_soft = np.isfinite(np.asarray(modes.frequencies))
-    to_work = np.asarray(T_base_work, np.float64)[:3, :3].T
-    # The motors' motion per motion of the tip, which M psi turns into a modal force.
-    motors = np.flatnonzero(np.asarray(robot.motor_mask()))
-    J, M = (
-        np.asarray(x, np.float64) for x in (jacobian(robot, at), mass_matrix(robot, at))
-    )
-    carried = np.zeros((robot.joint_count, 3))
-    carried[motors] = np.linalg.pinv(J[:, motors])[:, :3]
-    psi = np.asarray(modes.joint_shapes, np.float64)[is_soft]
-    return TipModes(
-        np.asarray(modes.frequencies, np.float64)[is_soft],
-        np.asarray(modes.damping_ratios, np.float64)[is_soft],
-        np.asarray(modes.tool_shapes, np.float64)[is_soft, :3] @ to_work.T,
-        psi @ M @ carried @ to_work.T,
-    )
+        **Differentiability**: none, runs on the host.
+        """
+        at = joint_vector(robot, q, "q")
+        modes = mode_shapes(robot, at)
+        is_soft = np.isfinite(np.asarray(modes.frequencies))
+        to_work = np.asarray(T_base_work, np.float64)[:3, :3].T
+        # The motors' motion per motion of the tip, which M psi turns into a modal
+        # force.
+        motors = np.flatnonzero(np.asarray(robot.motor_mask()))
+        J, M = (
+            np.asarray(x, np.float64)
+            for x in (jacobian(robot, at), mass_matrix(robot, at))
+        )
+        carried = np.zeros((robot.joint_count, 3))
+        carried[motors] = np.linalg.pinv(J[:, motors])[:, :3]
+        psi = np.asarray(modes.joint_shapes, np.float64)[is_soft]
+        return cls(
+            np.asarray(modes.frequencies, np.float64)[is_soft],
+            np.asarray(modes.damping_ratios, np.float64)[is_soft],
+            np.asarray(modes.tool_shapes, np.float64)[is_soft, :3] @ to_work.T,
+            psi @ M @ carried @ to_work.T,
+        )

@@ -70,7 +70,7 @@ class StiffnessMap(eqx.Module):
             )
         start = joint_vector(robot, q, "q")
         T = np.asarray(forward_kinematics(robot, start)).astype(float)
-        box = reach_box(robot)[:, list(plane)]
+        box = StiffnessMap.reach_box(robot)[:, list(plane)]
         # A coarse look first: where the tool keeps its direction is less than all it
         # reaches.
         for points in (count // 2 + 1, count):
@@ -88,32 +88,32 @@ class StiffnessMap(eqx.Module):
             box = box + spacing * np.array([[-1.0], [1.0]])
         return cls(axes[0], axes[1], stiffness, plane)
 
+    @staticmethod
+    def reach_box(robot: Robot) -> Float[np.ndarray, "2 3"]:
+        """Return the corners of a box around what the tool reaches, by random poses.
 
-def reach_box(robot: Robot) -> Float[np.ndarray, "2 3"]:
-    """Return the corners of a box around what the tool reaches, by random poses.
+        Joints without limits turn half a turn and slide 1 m either way.
 
-    Joints without limits turn half a turn and slide 1 m either way.
+        Args:
+            robot: The robot.
 
-    Args:
-        robot: The robot.
+        Returns:
+            Least and greatest coordinates of the tool in base [m], shape (2, 3).
 
-    Returns:
-        Least and greatest coordinates of the tool in base [m], shape (2, 3).
-
-    **Differentiability**: none; random poses, always the same ones.
-    """
-    slides = np.array([kind == "prismatic" for kind in robot.joint_kinds])
-    half = np.where(slides, 1.0, np.pi)
-    home = np.asarray(robot.home, float)
-    lower, upper = np.asarray(robot.joint_lower), np.asarray(robot.joint_upper)
-    lower = np.where(np.isfinite(lower), lower, home - half)
-    upper = np.where(np.isfinite(upper), upper, home + half)
-    share = np.random.default_rng(0).random((_SAMPLES, robot.joint_count))
-    # A slide reaches farthest at its ends, a turn anywhere.
-    share = np.where(slides, np.round(share), share)
-    q = np.where(robot.motor_mask(), lower + share * (upper - lower), 0.0)
-    tips = np.asarray(_tips(robot, jnp.asarray(q, robot.dtype)))
-    return np.stack([tips.min(axis=0), tips.max(axis=0)]).astype(float)
+        **Differentiability**: none; random poses, always the same ones.
+        """
+        slides = np.array([kind == "prismatic" for kind in robot.joint_kinds])
+        half = np.where(slides, 1.0, np.pi)
+        home = np.asarray(robot.home, float)
+        lower, upper = np.asarray(robot.joint_lower), np.asarray(robot.joint_upper)
+        lower = np.where(np.isfinite(lower), lower, home - half)
+        upper = np.where(np.isfinite(upper), upper, home + half)
+        share = np.random.default_rng(0).random((_SAMPLES, robot.joint_count))
+        # A slide reaches farthest at its ends, a turn anywhere.
+        share = np.where(slides, np.round(share), share)
+        q = np.where(robot.motor_mask(), lower + share * (upper - lower), 0.0)
+        tips = np.asarray(_tips(robot, jnp.asarray(q, robot.dtype)))
+        return np.stack([tips.min(axis=0), tips.max(axis=0)]).astype(float)
 
 
 def _through(

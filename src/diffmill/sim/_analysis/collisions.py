@@ -73,42 +73,45 @@ class ToolContacts(eqx.Module):
             }
         )
 
+    @staticmethod
+    def along(
+        path: Path,
+        stock: Stock,
+        cutter: AbstractCutter,
+        holder: ToolHolder | None = None,
+        *,
+        positions: FloatRows3 | None = None,
+        checks_rapids: bool = True,
+    ) -> "ToolContacts":
+        """Look for a tool and its holder in the stock, along a path.
 
-def tool_contacts(
-    path: Path,
-    stock: Stock,
-    cutter: AbstractCutter,
-    holder: ToolHolder | None = None,
-    *,
-    positions: FloatRows3 | None = None,
-    checks_rapids: bool = True,
-) -> ToolContacts:
-    """Look for a tool and its holder in the stock, along a path.
+        Args:
+            path: The path; its axes are the tool's.
+            stock: The stock before the first row.
+            cutter: The cutter. In rapid moves all of it counts, with a shank without
+                end.
+            holder: The holder; None to look for none.
+            positions: Tool tips instead of those of the path [m], shape (step, 3).
+            checks_rapids: Whether to look for the cutter in rapid moves. It is looked
+                for with a radius smaller by one spacing of the rays, so that a rapid
+                move along a wall that was just cut is none through it.
 
-    Args:
-        path: The path; its axes are the tool's.
-        stock: The stock before the first row.
-        cutter: The cutter. In rapid moves all of it counts, with a shank without end.
-        holder: The holder; None to look for none.
-        positions: Tool tips instead of those of the path [m], shape (step, 3).
-        checks_rapids: Whether to look for the cutter in rapid moves. It is looked for
-            with a radius smaller by one spacing of the rays, so that a rapid move
-            along a wall that was just cut is none through it.
+        Returns:
+            The depths.
 
-    Returns:
-        The depths.
-
-    Differentiability: not applicable, a host function.
-    """
-    tips = np.asarray(path.positions if positions is None else positions, float)
-    finest = _FINEST * cutter.nominal_radius
-    slot_count = 1 if _stands_upright(path) else _SLOTS
-    while True:
-        columns = columns_of(stock, finest, slot_count)
-        found, is_full = _contacts(path, tips, columns, cutter, holder, checks_rapids)
-        slot_count = 2 * columns.ends.shape[-1]
-        if not is_full or slot_count > _MOST_SLOTS:
-            return found
+        Differentiability: not applicable, a host function.
+        """
+        tips = np.asarray(path.positions if positions is None else positions, float)
+        finest = _FINEST * cutter.nominal_radius
+        slot_count = 1 if _stands_upright(path) else _SLOTS
+        while True:
+            columns = columns_of(stock, finest, slot_count)
+            found, is_full = _contacts(
+                path, tips, columns, cutter, holder, checks_rapids
+            )
+            slot_count = 2 * columns.ends.shape[-1]
+            if not is_full or slot_count > _MOST_SLOTS:
+                return found
 
 
 def _stands_upright(path: Path) -> bool:

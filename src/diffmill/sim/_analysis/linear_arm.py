@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
-from ...robot import Robot, TipModes, arm_terms
+from ...robot import ArmTerms, Robot, TipModes
 from .._machine._integrator.base import ArmState, MotorCommand, held_rate
 
 
@@ -69,7 +69,7 @@ def linear_arms(
         state = ArmState(q, v)
         if robot.motors is not None:
             state = ArmState(q, v, theta, v)
-        terms = arm_terms(robot, q, v)
+        terms = ArmTerms.of_state(robot, q, v)
         J = T_base_work[:3, :3].T @ terms.jacobian[:3]
         flat, unravel = ravel_pytree(state)
 

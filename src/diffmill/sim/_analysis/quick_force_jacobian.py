@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ...cutter import AbstractCutter, EdgeElements
 from ...process import EdgeElementsInSpace, Process
-from ...workpiece import Pose, Stock, tool_frame
+from ...workpiece import Pose, Stock
 from .monodromy import Regeneration
 
 # Pieces of a tooth period, and earlier poses that are looked at in one go.
@@ -78,7 +78,7 @@ def _slopes(process: Process, earlier: Pose, now: Pose) -> Float[Array, "piece 3
     teeth, pieces = places.shape[0], jnp.arange(_PIECES, dtype=places.dtype) + 0.5
     turn = 2 * math.pi / teeth / _PIECES * pieces[:, None, None]
     phi = turn + places[None, :, None] - edge.lag[None, None]
-    frame = tool_frame(now.direction())
+    frame = Pose.frame(now.direction())
     e = jnp.stack([jnp.sin(phi), jnp.cos(phi), jnp.zeros_like(phi)], -1) @ frame.T
     t = jnp.stack([jnp.cos(phi), -jnp.sin(phi), jnp.zeros_like(phi)], -1) @ frame.T
     a = jnp.broadcast_to(frame[:, 2].reshape(1, 1, 1, 3), e.shape)

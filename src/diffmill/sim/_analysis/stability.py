@@ -23,7 +23,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..._job import Job
 from ..._types import Transform
 from ...process import Process, ThroughRays
-from ...robot import Robot, arm_terms
+from ...robot import ArmTerms, Robot
 from ...workpiece import Pose
 from .._job.padding import padded_count
 from .._job.simulate import Solution, job_process, simulate
@@ -410,7 +410,9 @@ def joint_poses(
     is_upright: bool,
 ) -> Pose:
     """Return the tool's poses in `work`, shape (step, 3)."""
-    tool = jax.vmap(lambda q: arm_terms(robot, q, jnp.zeros_like(q)).T_base_tool)
+    tool = jax.vmap(
+        lambda q: ArmTerms.of_state(robot, q, jnp.zeros_like(q)).T_base_tool
+    )
     Ts = tool(joint_positions)
     frame = jnp.asarray(T_base_work, joint_positions.dtype)
     to_base = frame[:3, :3]

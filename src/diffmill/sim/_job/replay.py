@@ -21,7 +21,7 @@ from ...process import (
     ProcessState,
     ThroughRays,
 )
-from ...workpiece import Pose, tool_frame
+from ...workpiece import Pose
 from .._analysis.stability import joint_poses
 from .._machine.machine import Run
 from .._machine.rigid import Rigid
@@ -159,7 +159,7 @@ def _run(process: Process, poses: Pose) -> Run:
 
 def _left_of_feed(path: Pose) -> float:
     """Return the immersion angle on the left of the feed at the end of a path [rad]."""
-    frame = np.asarray(tool_frame(path[-1].direction()), np.float64)
+    frame = np.asarray(Pose.frame(path[-1].direction()), np.float64)
     feed = (np.asarray(path.tip[-1] - path.tip[-2], np.float64)) @ frame
     return float(np.arctan2(feed[0], feed[1])) - np.pi / 2
 

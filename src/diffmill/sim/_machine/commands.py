@@ -22,7 +22,7 @@ from ...robot import (
     inverse_kinematics_path,
     motor_positions,
 )
-from ...workpiece import tool_frame
+from ...workpiece import Pose
 from .._job.padding import pad_rows, padded_count
 
 
@@ -184,7 +184,7 @@ def _poses(
     tips = commanded @ T_base_work[:3, :3].T + T_base_work[:3, 3][None]
     Ts = jnp.broadcast_to(T_base_work[None], (commanded.shape[0], 4, 4))
     if axes is not None:
-        frames = tool_frame(axes.astype(Ts.dtype))
+        frames = Pose.frame(axes.astype(Ts.dtype))
         Ts = Ts.at[:, :3, :3].set(T_base_work[None, :3, :3] @ frames)
     return Ts.at[:, :3, 3].set(tips)
 

@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..._types import IntScalar, Transform
 from ...process import Process
-from ...robot import Robot, arm_terms, forward_kinematics
+from ...robot import ArmTerms, Robot, forward_kinematics
 from ...workpiece import Pose
 from ._integrator.base import AbstractIntegrator, ArmState, MotorCommand
 from ._integrator.midpoint import Midpoint
@@ -130,7 +130,7 @@ class ElasticArm(AbstractSwinging):
         robot, rule = self.robot, self.integrator
         rate = (row.stop - row.start) / process.tooth_period
         held = HeldSpan(process.tooth_period, process.engagement.substeps)
-        terms = arm_terms(robot, state.q, state.v)
+        terms = ArmTerms.of_state(robot, state.q, state.v)
         T_base_work, is_upright = self.T_base_work, process.engagement.is_upright
         pose = in_work(T_base_work, terms.T_base_tool, is_upright)
         motors = MotorCommand(row.start, rate)

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..._types import RealScalarLike
-from ...robot import Robot, arm_terms
+from ...robot import ArmTerms, Robot
 from ._integrator.base import AbstractIntegrator, ArmState, MotorCommand
 from ._integrator.midpoint import Midpoint
 from .midpoint_terms import HeldSpan, middle_terms
@@ -73,7 +73,7 @@ def free_motion(
         return rule.step(robot, begun, state, command, rest, h)
 
     def row(state: ArmState, _: None) -> tuple[ArmState, ArmState]:
-        terms = arm_terms(robot, state.q, state.v)
+        terms = ArmTerms.of_state(robot, state.q, state.v)
         terms = middle_terms(robot, rule, terms, state, command, span)
         begun = rule.begin(robot, terms, h)
         after, _ = jax.lax.scan(lambda s, _: (step(begun, s), None), state, length=held)

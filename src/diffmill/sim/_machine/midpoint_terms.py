@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ...robot import ArmTerms, Robot, arm_terms
+from ...robot import ArmTerms, Robot
 from ._integrator.base import AbstractIntegrator, ArmState, MotorCommand
 
 
@@ -68,4 +68,4 @@ def middle_terms(
 
     middles = h * (jnp.arange(count, dtype=h.dtype) + 0.5)
     ahead, _ = jax.lax.scan(step, state, middles)
-    return arm_terms(robot, ahead.q, ahead.v)
+    return ArmTerms.of_state(robot, ahead.q, ahead.v)

@@ -28,7 +28,7 @@ from ..._types import IntScalar, Transform
 from ...process import (
     Process,
 )
-from ...robot import Robot, arm_terms, loaded_equilibrium
+from ...robot import ArmTerms, Robot, loaded_equilibrium
 from ...workpiece import Pose
 from .elastic import in_work, jacobian_in_work
 from .machine import AbstractMachine, Period, RunState
@@ -143,7 +143,7 @@ class QuasiStaticArm(AbstractMachine):
         self, process: Process, q: Float[Array, " joint"]
     ) -> tuple[Pose, Float[Array, "load joint"], Float[Array, " joint"]]:
         """Return pose and Jacobian of the tip in `work`, and the torques of gravity."""
-        terms = arm_terms(self.robot, q, jnp.zeros_like(q))
+        terms = ArmTerms.of_state(self.robot, q, jnp.zeros_like(q))
         J = jacobian_in_work(self.T_base_work, terms.jacobian)
         is_upright = process.engagement.is_upright
         pose = in_work(self.T_base_work, terms.T_base_tool, is_upright)

@@ -36,46 +36,49 @@ class TakenPieces(eqx.Module):
     b: Float[Array, " b"]
     c: Float[Array, " c"]
 
+    @staticmethod
+    def of_pass(
+        stock: Stock,
+        cutter: AbstractCutter,
+        window: RemovalWindow,
+        tip: Float[Array, " 3"],
+    ) -> "tuple[TakenPieces, TakenPieces, TakenPieces]":
+        """Return what the tool would take from the stock, which stays as it is.
 
-def taken_pieces(
-    stock: Stock, cutter: AbstractCutter, window: RemovalWindow, tip: Float[Array, " 3"]
-) -> tuple[TakenPieces, TakenPieces, TakenPieces]:
-    """Return what the tool would take from the stock, which stays as it is.
+        Args:
+            stock: The workpiece.
+            cutter: The cutter; its axis is +z.
+            window: Size of the window, which stands around the tip.
+            tip: Tool tip in `work` [m], shape (3,).
 
-    Args:
-        stock: The workpiece.
-        cutter: The cutter; its axis is +z.
-        window: Size of the window, which stands around the tip.
-        tip: Tool tip in `work` [m], shape (3,).
+        Returns:
+            What is taken from the rays along x, y and z.
 
-    Returns:
-        What is taken from the rays along x, y and z.
+        Differentiability: in the ends of the stock and in the tip, as long as the same
+        interval of a ray holds its outermost end.
+        """
+        grid = window_grid(stock, cutter, window, Pose(tip).frozen())
 
-    Differentiability: in the ends of the stock and in the tip, as long as the same
-    interval of a ray holds its outermost end.
-    """
-    grid = window_grid(stock, cutter, window, Pose(tip).frozen())
+        def of_family(family: Literal[0, 1, 2]) -> TakenPieces:
+            at, (bs, cs) = grid.of_family(family)
+            ends = stock.families[family].ends
+            size = (*bs.shape, *ends.shape[2:])
+            # Above the stock there is nothing; and behind a condition the window is
+            # read once, not again for each of its uses.
+            ends = jax.lax.cond(
+                tip[2] < stock.top,
+                lambda ends: jax.lax.dynamic_slice(ends, at, size),
+                lambda ends: jnp.zeros(size, ends.dtype),
+                ends,
+            )
+            start, stop, is_hit = cutter.intersect(family, bs, cs, tip)
+            low = jnp.maximum(ends[:, :, 0], start[..., None])
+            high = jnp.minimum(ends[:, :, 1], stop[..., None])
+            is_piece = is_hit[..., None] & (high - low > SHORTEST)
+            is_taken = jnp.any(is_piece, axis=-1)
+            least = jnp.min(jnp.where(is_piece, low, jnp.inf), axis=-1)
+            most = jnp.max(jnp.where(is_piece, high, -jnp.inf), axis=-1)
+            least, most = (jnp.where(is_taken, end, 0) for end in (least, most))
+            return TakenPieces(least, most, is_taken, bs[:, 0], cs[0])
 
-    def of_family(family: Literal[0, 1, 2]) -> TakenPieces:
-        at, (bs, cs) = grid.of_family(family)
-        ends = stock.families[family].ends
-        size = (*bs.shape, *ends.shape[2:])
-        # Above the stock there is nothing; and behind a condition the window is read
-        # once, not again for each of its uses.
-        ends = jax.lax.cond(
-            tip[2] < stock.top,
-            lambda ends: jax.lax.dynamic_slice(ends, at, size),
-            lambda ends: jnp.zeros(size, ends.dtype),
-            ends,
-        )
-        start, stop, is_hit = cutter.intersect(family, bs, cs, tip)
-        low = jnp.maximum(ends[:, :, 0], start[..., None])
-        high = jnp.minimum(ends[:, :, 1], stop[..., None])
-        is_piece = is_hit[..., None] & (high - low > SHORTEST)
-        is_taken = jnp.any(is_piece, axis=-1)
-        least = jnp.min(jnp.where(is_piece, low, jnp.inf), axis=-1)
-        most = jnp.max(jnp.where(is_piece, high, -jnp.inf), axis=-1)
-        least, most = (jnp.where(is_taken, end, 0) for end in (least, most))
-        return TakenPieces(least, most, is_taken, bs[:, 0], cs[0])
-
-    return of_family(0), of_family(1), of_family(2)
+        return of_family(0), of_family(1), of_family(2)

@@ -23,7 +23,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ...cutter import AbstractCutter
 from ...numerics import clamp, hold
-from .._pose import Pose, tool_frame
+from .._pose import Pose
 from .turn_between import turn_between
 
 # Parts of a tooth period in which the ends of rays remember when they were cut.
@@ -320,7 +320,7 @@ def _place(
     away[f] = jnp.where(is_hit, end - tip[..., f], near)
     away[(f + 1) % 3], away[(f + 2) % 3] = away_b, away_c
     place = jnp.stack(jnp.broadcast_arrays(*away), axis=-1)
-    frame = tool_frame(jax.lax.stop_gradient(axis))
+    frame = Pose.frame(jax.lax.stop_gradient(axis))
     directions = (jnp.broadcast_to(frame[..., i], place.shape) for i in range(3))
     x, y, up = (jnp.sum(place * along, axis=-1) for along in directions)
     return x, y, up

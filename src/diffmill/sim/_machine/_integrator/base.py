@@ -16,7 +16,6 @@ from jaxtyping import Array, Float
 from ....robot import (
     ArmTerms,
     Robot,
-    arm_terms,
     forward_dynamics,
 )
 
@@ -60,7 +59,7 @@ class ArmState(eqx.Module):
         """
         q = tau = theta
         for _ in range(3):
-            tau = arm_terms(robot, q, v).bias_forces
+            tau = ArmTerms.of_state(robot, q, v).bias_forces
             if robot.friction is not None:
                 tau = tau + robot.friction_torque(v)
             q = theta - robot.drive_deflection(tau)
