@@ -1,7 +1,8 @@
 """Predict and correct the path error of a milling robot.
 
-`load_job` reads a job, `simulate` predicts it, `correct` corrects it; the parts are in
-the subpackages. Arrays are SI, frames and signs are in the README.
+`load_job` reads a job, `simulate` predicts it, `correct` corrects it, `stack` makes one
+of several for `vmap`; the parts are in the subpackages. Arrays are SI, frames and signs
+are in the README.
 
 Importing the package imports nothing else: every name is looked up when it is first
 used, so that help on the command line does not wait for JAX.
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
     from ._result import RESULTS as RESULTS, SimulationFailed as SimulationFailed
     from .config import JobError as JobError, load_job as load_job
     from .correction import Correction as Correction, correct as correct
-    from .sim import Solution as Solution, simulate as simulate
+    from .sim import Solution as Solution, simulate as simulate, stack as stack
 
     __version__: str
 
@@ -78,6 +79,7 @@ _NAMES = {
     "correct": "correction",
     "load_job": "config",
     "simulate": "sim",
+    "stack": "sim",
 }
 
 

@@ -11,7 +11,6 @@ from correction.spring_mass import rounded_square, soft_arm
 
 from diffmill import RESULTS
 from diffmill.correction import (
-    ContourResidual,
     GaussNewton,
     GivenCommand,
     IteratedMirror,
@@ -24,6 +23,7 @@ from diffmill.correction import (
     differentiate,
     measure,
     project,
+    residual,
     spring_deflection,
 )
 from diffmill.optimise import LevenbergMarquardt
@@ -70,11 +70,10 @@ def optimised(problem, inverted):
 
 
 def residual_at(problem, seed=0):
-    spline = SplineOffsets(len(problem.desired), TIME_STEP, KNOTS)
-    args = ContourResidual(problem, spline, 1e-2, 0.03)
+    fit = residual(problem, knot_spacing=KNOTS)
     rng = np.random.default_rng(seed)
-    shape = (spline.coefficient_count, 3)
-    return args, jnp.asarray(1e-5 * rng.normal(size=shape)), rng
+    # Offsets of 10 um, in units of the largest that is allowed.
+    return fit, jnp.asarray(1e-2 * rng.normal(size=fit.start.shape)), rng
 
 
 def test_the_inverse_drive_leaves_a_hundredth(uncorrected, inverted):
@@ -130,13 +129,13 @@ def test_a_tight_bound_holds_exactly_and_costs_accuracy(problem, optimised):
 
 
 def test_jacobian_products_agree_with_central_differences(problem):
-    args, c, rng = residual_at(problem)
+    fit, c, rng = residual_at(problem)
     v = rng.normal(size=c.shape)
-    residual = jax.jit(lambda x: args(x))
-    exact = jax.jvp(residual, (c,), (jnp.asarray(v),))[1]
+    errors = jax.jit(lambda x: fit.residual(x, fit.args))
+    exact = jax.jvp(errors, (c,), (jnp.asarray(v),))[1]
     # 10 nm: far below the path's segments, far above rounding.
-    step = 1e-8
-    ahead, behind = residual(c + step * v), residual(c - step * v)
+    step = 1e-8 / float(problem.max_offset)
+    ahead, behind = errors(c + step * v), errors(c - step * v)
     difference = np.asarray(ahead - behind) / (2 * step)
     # Where the nearest segment changes between the two, the difference is no limit.
     error = np.abs(difference - np.asarray(exact)) / np.abs(exact).max()
@@ -144,21 +143,20 @@ def test_jacobian_products_agree_with_central_differences(problem):
 
 
 def test_forward_and_reverse_products_are_adjoint(problem):
-    args, c, rng = residual_at(problem, 1)
-    residual = lambda x: args(x)
-    r, pull = jax.vjp(jax.jit(residual), c)
+    fit, c, rng = residual_at(problem, 1)
+    errors = jax.jit(lambda x: fit.residual(x, fit.args))
+    r, pull = jax.vjp(errors, c)
     v = jnp.asarray(rng.normal(size=c.shape))
     w = jnp.asarray(rng.normal(size=r.shape))
-    J_v = jax.jvp(jax.jit(residual), (c,), (v,))[1]
+    J_v = jax.jvp(errors, (c,), (v,))[1]
     assert float(jnp.vdot(J_v, w)) == pytest.approx(
         float(jnp.vdot(v, pull(w)[0])), rel=1e-10
     )
 
 
 def test_residual_is_the_error_it_claims(problem, uncorrected):
-    args, c, _ = residual_at(problem)
-    args = eqx.tree_at(lambda a: a.lag_weight, args, 0.0)
-    r = args(0 * c)
+    fit = residual(problem, knot_spacing=KNOTS, lag_weight=0.0)
+    r = fit.residual(fit.start, fit.args)
     error = np.linalg.norm(uncorrected.contour, axis=1)
     weights = np.asarray(problem.is_cutting)
     # In the air an error counts a hundredth.

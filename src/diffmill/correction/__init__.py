@@ -13,6 +13,7 @@ held by Gauss-Newton, not penalised; what cannot be held is refused.
 The feed is a second unknown, which trades error for time; the place of the workpiece
 in the cell, and the turn of the flange about the tool axis, a third, chosen beforehand
 by what the springs alone leave.
+For optimisers of other packages `residual` gives the same problem as pure functions.
 Left out: feed and offset at once; corrections of the tool axis; in segments of long
 paths, the surface as the objective and uncertain models.
 """
@@ -47,6 +48,7 @@ from ._job.joint_limits import (
 )
 from ._job.objective import UnsuitableSettings as UnsuitableSettings
 from ._job.plants import ScaledPlant as ScaledPlant, TipPlant as TipPlant
+from ._job.residual import residual as residual
 from ._method.adam import Adam as Adam
 from ._method.delay import delayed as delayed
 from ._method.ensemble import (
@@ -65,9 +67,6 @@ from ._method.mirror import (
     IteratedMirror as IteratedMirror,
     Mirror as Mirror,
     SampledMirror as SampledMirror,
-)
-from ._method.offset_fit import (
-    ContourResidual as ContourResidual,
 )
 from ._placement.objective import predicted_deviation as predicted_deviation
 from ._placement.place_workpiece import place_workpiece as place_workpiece

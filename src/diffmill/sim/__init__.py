@@ -52,6 +52,7 @@ from ._job.simulate import (
     simulate as simulate,
     solve_command as solve_command,
 )
+from ._job.stack import stack as stack
 from ._linear.linear_run import (
     CuttingMachine as CuttingMachine,
     LinearRun as LinearRun,

@@ -9,10 +9,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from ..._result import RESULTS
-from ..._types import FloatRows, RealScalarLike
+from ..._types import FloatRows
 from .._core.method import AbstractMethod, Corrected, OnProgress, corrected
 from .._core.path_objective import AbstractObjective, PathObjective
 from .._core.problem import Problem
@@ -21,6 +21,7 @@ from .._spline.projection import project
 from .._spline.spline_offsets import SplineOffsets
 from .checkpoint import Arrays, OnCheckpoint, below, pack_tree, under, unpack_tree
 from .offset_fit import ContourResidual
+from .offset_residual import OffsetResidual, offset_residual
 
 Coefficients = Float[Array, "coefficient axis"]
 
@@ -65,28 +66,26 @@ class Adam(AbstractMethod):
         `on_memory` is called after every step with all that is needed to go on from
         there, `resume` is what it was called with.
         """
-        rows, axes = problem.nominal.shape
-        spline = SplineOffsets(rows, problem.time_step, self.knot_spacing)
-        nominal = jnp.asarray(problem.nominal)
-        bound = float(problem.max_offset)
-        first = np.zeros((spline.coefficient_count, axes))
-        if start is not None:
-            away = np.asarray(start) - np.asarray(nominal)
-            first = project(spline, away, bound, limits=self.limits)
-        args = ContourResidual(
+        fit = offset_residual(
             problem,
-            spline,
-            jnp.asarray(self.smoothness, nominal.dtype),
-            jnp.asarray(self.lag_weight, nominal.dtype),
-            self.objective,
+            knot_spacing=self.knot_spacing,
+            objective=self.objective,
+            smoothness=self.smoothness,
+            lag_weight=self.lag_weight,
         )
-        x = jnp.asarray(first / bound, nominal.dtype)
+        args, x, spline = fit.args, fit.start, fit.args.spline
+        assert isinstance(spline, SplineOffsets)
+        if start is not None:
+            away = np.asarray(start) - np.asarray(problem.nominal)
+            bound = float(problem.max_offset)
+            first = project(spline, away, bound, limits=self.limits) / bound
+            x = jnp.asarray(first, x.dtype)
         best, spent, is_finite = self._search(
             x, args, on_progress=on_progress, on_memory=on_memory, resume=resume
         )
         return corrected(
             problem,
-            nominal + spline.offsets(best * bound),
+            fit.command(best, args),
             linearisations=spent,
             detail={
                 "knot_spacing": spline.actual_spacing,
@@ -110,7 +109,6 @@ class Adam(AbstractMethod):
 
         rate = optax.cosine_decay_schedule(self.step_size, self.steps)
         optimiser = optax.adam(rate)
-        bound = jnp.asarray(float(args.problem.max_offset), x.dtype)
         best, lowest, spent = x, np.inf, 0
         state = optimiser.init(x)
         if resume is not None:
@@ -118,7 +116,7 @@ class Adam(AbstractMethod):
             lowest, spent = float(resume["lowest"]), int(resume["spent"])
             state = unpack_tree(below("state", resume), state)
         while spent < self.steps:
-            cost, gradient = _slope(x, args, bound)
+            cost, gradient = _slope(x, args)
             spent += 1
             if not np.isfinite(float(cost)):
                 break
@@ -149,13 +147,4 @@ class Adam(AbstractMethod):
         return jnp.asarray(held / bound, x.dtype)
 
 
-@eqx.filter_jit
-def _slope(
-    x: Coefficients, args: PyTree, unit: RealScalarLike
-) -> tuple[Float[Array, ""], Coefficients]:
-    """Return half the squared residual and its gradient, x in units of the bound."""
-
-    def cost(x: Coefficients) -> Float[Array, ""]:
-        return 0.5 * jnp.sum(args(x * unit) ** 2)
-
-    return jax.value_and_grad(cost)(x)
+_slope = eqx.filter_jit(jax.value_and_grad(OffsetResidual.cost))

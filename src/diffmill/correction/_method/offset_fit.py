@@ -83,7 +83,7 @@ class ContourResidual(eqx.Module):
         **Differentiability**: that of the plant; kinks where the nearest segment
         changes.
         """
-        motion = self.problem.plant(_command(coefficients, self))
+        motion = self.problem.plant(command_of(coefficients, self))
         found = errors_of(motion, coefficients, self)
         return jnp.concatenate([found.error, found.rough])
 
@@ -328,14 +328,15 @@ def _blocks(count: int) -> list[Int[np.ndarray, " unknown"]]:
     return [np.minimum(np.arange(i, i + size), count - 1) for i in firsts]
 
 
-def _command(
+def command_of(
     coefficients: Float[Array, "coefficient axis"], args: ContourResidual
 ) -> Float[Array, "step axis"]:
+    """Return the whole command that follows from the coefficients of its offset."""
     nominal = jnp.asarray(args.problem.nominal, coefficients.dtype)
     return nominal + args.spline.offsets(coefficients)
 
 
-_host_command = eqx.filter_jit(_command)
+_host_command = eqx.filter_jit(command_of)
 _host_errors = eqx.filter_jit(errors_of)
 
 
