@@ -2,6 +2,7 @@
 
 import pathlib
 import re
+import runpy
 import subprocess
 import sys
 import tomllib
@@ -236,3 +237,16 @@ def test_commands_and_their_options_exist(capsys):
         told = capsys.readouterr().out
         for option in (word.strip("[]") for word in words if "--" in word):
             assert option in told, line
+
+
+def test_the_table_of_what_was_verified_is_that_of_its_command():
+    verify = runpy.run_path(str(ROOT / "docs" / "verify.py"))
+    table = (ROOT / "docs" / "verified.md").read_text(encoding="utf-8")
+    claims = [claim for group in verify["CLAIMS"].values() for claim in group]
+    for claim in claims:
+        name, _, test = claim.test.partition("::")
+        assert f"def {test}(" in (ROOT / name).read_text(encoding="utf-8"), test
+        (row,) = [row for row in table.splitlines() if f"`{test}`" in row]
+        assert row.startswith(f"| {claim.what} | {claim.beside} |"), test
+        assert re.search(r"\d+ passed", row) and "failed" not in row, test
+    assert table.count("::") == 0 and table.count("| `tests/") == len(claims)
