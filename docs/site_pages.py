@@ -18,7 +18,7 @@ CONFIG = PACKAGE / "config"
 Meanings: TypeAlias = dict[tuple[str, str], str]
 AREAS = (
     *("cutter", "cutting", "workpiece", "toolpath", "robot", "process", "sim"),
-    *("correction", "identification", "io", "config", "viz", "examples"),
+    *("correction", "identification", "io", "config", "campaign", "viz", "examples"),
     *("numerics", "optimise", "units"),
 )
 
@@ -39,6 +39,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         ),
         "identification_keys.md": keys_page(
             "The keys of an identification", CONFIG / "_identification", {}
+        ),
+        "campaign_keys.md": keys_page(
+            "The keys of a campaign", CONFIG / "_campaign", {}
         ),
     }
     for name, text in pages.items():

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from . import (
+        campaign as campaign,
         config as config,
         correction as correction,
         cutter as cutter,
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
     __version__: str
 
 _MODULES = (
+    "campaign",
     "config",
     "correction",
     "cutter",

@@ -160,6 +160,9 @@ class CorrectionSettings(eqx.Module):
         wall_weight: Weight of the walls, for the surface.
         floor_weight: Weight of the floors, for the surface.
         max_steps: Steps of the optimiser at most.
+        start_spread: Standard deviation of random offsets at the knots that are added
+            to the command which the optimiser starts from [m].
+        start_seed: Seed of these offsets.
         horizon: Rows that are corrected at once; "auto" takes a whole path of at most
             6000 rows, and segments of 2000 rows of a longer one.
         overlap: Rows at the end of a segment that the next one corrects once more;
@@ -192,6 +195,8 @@ class CorrectionSettings(eqx.Module):
     wall_weight: RealScalarLike = 1.0
     floor_weight: RealScalarLike = 1.0
     max_steps: int = eqx.field(static=True, default=2)
+    start_spread: float = eqx.field(static=True, default=0.0)
+    start_seed: int = eqx.field(static=True, default=0)
     horizon: int | Literal["auto"] = eqx.field(static=True, default="auto")
     overlap: int | Literal["auto"] = eqx.field(static=True, default="auto")
 

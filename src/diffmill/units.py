@@ -113,31 +113,64 @@ def quantity(value: object, kind: QuantityKind) -> float:
 
     Differentiability: not applicable, a host function.
     """
+    number, unit = _split(value, _wanted(kind))
+    return _convert(number, unit, kind, str(value))
+
+
+def base_quantity(value: object) -> tuple[float, str]:
+    """Return a quantity of any dimension in SI base units, and those units.
+
+    Args:
+        value: What the file holds: text of a number and a unit, or a plain number,
+            whose unit is empty.
+
+    Returns:
+        The value and its unit, which `quantity` reads.
+
+    Raises:
+        ValueError: If the value is something else, or its unit is not known.
+    """
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return float(value), ""
+    wanted = 'a quantity with its unit is required, such as "10 mm"'
+    number, unit = _split(value, wanted)
+    try:
+        found = _registry().Quantity(number, _units(unit)).to_base_units()
+    except Exception as error:  # pint raises errors of its tokenizer, too
+        raise ValueError(f"found {value!r}, but {wanted}") from error
+    return float(found.magnitude), f"{found.units:~}"
+
+
+def _split(value: object, wanted: str) -> tuple[float, str]:
+    """Return the number and the unit of a text."""
     if not isinstance(value, str):
-        raise ValueError(f"found {value!r} without a unit, but {_wanted(kind)}")
+        raise ValueError(f"found {value!r} without a unit, but {wanted}")
     if len(value) > _MAX_LENGTH:
-        raise ValueError(
-            f"found a text of {len(value)} characters, but {_wanted(kind)}"
-        )
+        raise ValueError(f"found a text of {len(value)} characters, but {wanted}")
     match = _NUMBER.fullmatch(value.strip())
     if match is None:
-        raise ValueError(f"found {value!r}, but {_wanted(kind)}")
+        raise ValueError(f"found {value!r}, but {wanted}")
     unit = match["unit"]
     if not unit:
-        raise ValueError(f"found {value!r} without a unit, but {_wanted(kind)}")
+        raise ValueError(f"found {value!r} without a unit, but {wanted}")
     number = float(match["number"])
     if not math.isfinite(number):
         raise ValueError(f"found {value!r}, but a finite number is required")
-    return _convert(number, unit, kind, value)
+    return number, unit
+
+
+def _units(unit: str) -> Any:
+    """Return a unit as the registry has it."""
+    if len(unit) > _MAX_UNIT_LENGTH or _UNIT.fullmatch(unit) is None:
+        raise ValueError(unit)
+    return _registry().parse_units(unit)
 
 
 def _convert(number: float, unit: str, kind: QuantityKind, text: str) -> float:
     import pint
 
     try:
-        if len(unit) > _MAX_UNIT_LENGTH or _UNIT.fullmatch(unit) is None:
-            raise ValueError(unit)
-        units = _registry().parse_units(unit)
+        units = _units(unit)
         result = _registry().Quantity(number, units)
     except Exception as error:  # pint raises errors of its tokenizer, too
         raise ValueError(

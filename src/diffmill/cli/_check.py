@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
+from .._jax_config import configure_jax
 from .._toml import parse_toml
-from ._session.jax_config import configure_jax
 
 if TYPE_CHECKING:
     from ..toolpath import Move, Path, Program
@@ -55,7 +55,7 @@ def _tables(file: pathlib.Path) -> dict[str, object]:
 
 
 def _describe_identification(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
-    configure_jax(None)
+    configure_jax()
     from ..config import load_identification
     from ..identification import (
         ControllerStudy,
@@ -95,9 +95,9 @@ def _describe_identification(file: pathlib.Path, *, allow_outside: bool) -> list
 
 
 def _describe_job(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
-    configure_jax(file)
-    from ..config import load_job
+    from ..config import job_precision, load_job
 
+    configure_jax(job_precision(file))
     job = load_job(file, allow_outside=allow_outside)
     settings = job.simulation
     robot = "none (rigid machine)"

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import equinox as eqx
 import numpy as np
 
+from .._jax_config import configure_jax
 from ._run_job import with_job
 from ._session.attempts import Attempts
 from ._session.errors import BadInput, bad_input
-from ._session.jax_config import configure_jax
 from ._session.progress import Progress
 
 if TYPE_CHECKING:
@@ -59,13 +59,13 @@ def run_feed(
         The exit code.
     """
     from .._result import SimulationFailed
-    from ..config import load_job
+    from ..config import job_precision, load_job
     from ..io import check_folder
 
     folder = pathlib.Path(f"{file.stem}-feed") if out is None else out
     with bad_input():
         check_folder(folder, force=force)
-        configure_jax(file)
+        configure_jax(job_precision(file))
         job = load_job(file, allow_outside=allow_outside)
         _check(job, file, request)
     progress = Progress(is_quiet=is_quiet)

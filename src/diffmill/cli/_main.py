@@ -133,6 +133,49 @@ def feed(
     )
 
 
+def campaign(
+    file: Annotated[
+        tyro.conf.Positional[pathlib.Path],
+        tyro.conf.arg(metavar="FILE.toml", help="A file that says what varies."),
+    ],
+    *,
+    workers: Annotated[
+        int | None,
+        tyro.conf.arg(
+            help="Worker processes; one per core if not given, 0 for none but this one."
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        tyro.conf.arg(help="Address of a Dask scheduler whose workers to use instead."),
+    ] = None,
+    retry: Annotated[
+        bool, tyro.conf.arg(help="Run jobs that have failed once more.")
+    ] = False,
+    out: Annotated[
+        pathlib.Path | None,
+        tyro.conf.arg(help="Folder for the results; ./<file>-campaign if not given."),
+    ] = None,
+    force: Annotated[
+        bool, tyro.conf.arg(help="Run every job anew, also those with a result.")
+    ] = False,
+    quiet: _Quiet = False,
+    allow_outside: _Outside = False,
+) -> int:
+    """Run many jobs that differ in a few keys; go on from where it was interrupted."""
+    _read(file)
+    from ._campaign import Workers, run_campaign_file
+
+    return run_campaign_file(
+        file,
+        Workers(workers, scheduler, retry),
+        out,
+        force=force,
+        is_quiet=quiet,
+        allow_outside=allow_outside,
+    )
+
+
 def identify(
     file: Annotated[
         tyro.conf.Positional[pathlib.Path],
@@ -302,6 +345,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "simulate": simulate,
         "correct": correct,
         "feed": feed,
+        "campaign": campaign,
         "identify": identify,
         "robot": robot,
         "example": example,

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .._jax_config import configure_jax
 from ._robot_text import robot_lines
 from ._session.errors import bad_input
-from ._session.jax_config import configure_jax
 from ._session.progress import Progress
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def run_robot(
         force: Whether results that are there are replaced.
         is_quiet: Whether only errors are printed.
     """
-    configure_jax(None)
+    configure_jax()
     from ..io import check_folder, parse_pose, write_folder
     from ..robot import load, spindle_note
 

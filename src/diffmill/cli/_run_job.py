@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
+from .._jax_config import configure_jax
 from ._analyses import FinishedRun, add_analyses
 from ._session.checkpoint import Checkpoint
 from ._session.errors import BadInput, bad_input
-from ._session.jax_config import configure_jax
 from ._session.progress import Progress
 
 if TYPE_CHECKING:
@@ -48,14 +48,14 @@ def run_job(
         resume: Whether a correction goes on from its checkpoint.
     """
     from .._result import SimulationFailed
-    from ..config import JobError, load_job
+    from ..config import JobError, job_precision, load_job
     from ..io import check_folder, write_results
 
     band = _length(tolerance_band)
     folder = pathlib.Path(f"{file.stem}-{command}") if out is None else out
     with bad_input():
         check_folder(folder, force=force)
-        configure_jax(file)
+        configure_jax(job_precision(file))
         job = load_job(file, allow_outside=allow_outside)
         if command == "correct" and job.is_rigid:
             raise JobError(

@@ -3,6 +3,7 @@
 import math
 import os
 import pathlib
+from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from ._build.machine import fastest_mode, read_machine
 from ._build.program import read_program, spindle_speed, time_path
 from ._build.robot import added_joints, pose_matrix, read_robot
 from ._build.stock import StockPlan, read_stock
+from ._changes import changed, changes_text
 from ._check.modes import (
     LONGEST_SUBSTEP,
     check_held_force,
@@ -45,12 +47,20 @@ _REST = 3.0
 _ROUNDING = 1e-6
 
 
-def load_job(file: str | os.PathLike[str], *, allow_outside: bool = False) -> Job:
+def load_job(
+    file: str | os.PathLike[str],
+    *,
+    allow_outside: bool = False,
+    changes: Mapping[str, object] | None = None,
+) -> Job:
     """Return a job from a TOML file and the program and robot that it names.
 
     Args:
         file: The job file.
         allow_outside: Whether the job may name files outside its own folder.
+        changes: Other values for some of its keys, as they would stand in it, such as
+            {"spindle.speed": "9000 rpm"}; an entry of a list has a number from 1 on:
+            "robot.joint_stiffness.2".
 
     Returns:
         The job in SI units, its path sampled at the tooth instants.
@@ -65,6 +75,9 @@ def load_job(file: str | os.PathLike[str], *, allow_outside: bool = False) -> Jo
     path = pathlib.Path(file)
     text, raw = read_toml(path)
     context = FileContext(path.parent, allow_outside, [], [])
+    if changes:
+        raw = changed(raw, changes, context.problems)
+        text = f"{text}\n{changes_text(changes)}"
     tables = read_tables(raw, context.problems)
     if "program" not in tables:
         _check_program(raw.get("program"), context)
@@ -75,11 +88,14 @@ def load_job(file: str | os.PathLike[str], *, allow_outside: bool = False) -> Jo
     return _assemble(path.stem, text, tables, parts, simulation, context.notes)
 
 
-def job_precision(file: str | os.PathLike[str]) -> str:
+def job_precision(
+    file: str | os.PathLike[str], changes: Mapping[str, object] | None = None
+) -> str:
     """Return the precision that a job asks for, before JAX is configured for it.
 
     Args:
         file: The job file.
+        changes: Other values for some of its keys, as `load_job` takes them.
 
     Returns:
         "float32" if the job says so, else "float64", also for a faulty job.
@@ -88,6 +104,7 @@ def job_precision(file: str | os.PathLike[str]) -> str:
         _, raw = read_toml(pathlib.Path(file))
     except JobError:
         return "float64"
+    raw = changed(raw, changes or {}, [])
     simulation = raw.get("simulation", {})
     found = simulation.get("precision") if isinstance(simulation, dict) else None
     return "float32" if found == "float32" else "float64"

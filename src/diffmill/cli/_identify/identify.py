@@ -6,8 +6,8 @@ import pathlib
 import time
 from typing import TYPE_CHECKING, Any
 
+from ..._jax_config import configure_jax
 from .._session.errors import BadInput, bad_input
-from .._session.jax_config import configure_jax
 from .._session.progress import Progress
 from .report import Report
 
@@ -34,7 +34,7 @@ def run_identify(
         is_quiet: Whether only errors are printed.
         allow_outside: Whether the file may name files outside its folder.
     """
-    configure_jax(None)
+    configure_jax()
     from ..._result import SimulationFailed
     from ...config import load_identification
     from ...identification import StudyError

@@ -110,6 +110,8 @@ class CorrectionTable(Table):
     stay_in_cut: StrictBool = False
     uncertainty: UncertaintyTable | None = None
     max_steps: Annotated[StrictInt, Field(ge=1, le=1000)] | None = None
+    start_spread: Tolerance = 0.0
+    start_seed: Annotated[StrictInt, Field(ge=0, le=2**31 - 1)] = 0
     horizon: Rows = "auto"
     overlap: Rows = "auto"
 
@@ -217,6 +219,7 @@ def _check_method(table: CorrectionTable, problems: list[str]) -> None:
         "gouge",
         "stay_in_cut",
         "uncertainty",
+        "start_spread",
     ):
         if getattr(table, key) in (None, False):
             continue

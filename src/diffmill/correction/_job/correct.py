@@ -35,6 +35,7 @@ from .method import (
 from .objective import (
     check_limits,
     job_objective,
+    job_spline,
     job_surface,
     job_weights,
     remaining_error,
@@ -257,6 +258,7 @@ class _Optimiser:
             start = inverse.motor_positions
         else:
             start = min(record.methods.values(), key=self._remaining).command
+            start = _spread(job, start)
         method = within_joint_limits(method, job, problem)
         path_first = None if self.task.horizon else for_the_path(method)
         if path_first is not None:
@@ -287,6 +289,18 @@ class _Optimiser:
 
     def _remaining(self, found: Corrected) -> float:
         return remaining_error(self.objective, self.task.problem, found)
+
+
+def _spread(job: Job, start: FloatRows) -> FloatRows:
+    """Return a start with the random offsets that a job asks for."""
+    settings = job.correction
+    if settings.start_spread == 0.0:
+        return start
+    spline = job_spline(job)
+    stream = np.random.default_rng(settings.start_seed)
+    draws = stream.normal(size=(spline.coefficient_count, start.shape[1]))
+    offsets = spline.offsets(jnp.asarray(settings.start_spread * draws))
+    return np.asarray(start) + np.asarray(offsets, start.dtype)
 
 
 def _finished(task: _Task, record: CaseRecord) -> Correction:

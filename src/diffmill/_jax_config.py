@@ -1,4 +1,4 @@
-"""JAX's settings for a process that runs one job."""
+"""JAX's settings for a process of our own: of a command, or of a campaign's worker."""
 
 import os
 import pathlib
@@ -9,22 +9,20 @@ import sys
 _FAST_COMPILING, _KNOWN = "--xla_cpu_use_fusion_emitters=false", "0.10."
 
 
-def configure_jax(job_file: pathlib.Path | None) -> None:
-    """Set the precision of a job, quick compiling and a compile cache that persists.
+def configure_jax(precision: str = "float64") -> None:
+    """Set a precision, quick compiling and a compile cache that persists.
 
     Args:
-        job_file: The job, whose `[simulation] precision` decides; float64 without one.
+        precision: "float64" or "float32".
     """
     import jax
 
-    from ...config import job_precision
-
-    precision = "float64" if job_file is None else job_precision(job_file)
     jax.config.update("jax_enable_x64", precision == "float64")
     if jax.__version__.startswith(_KNOWN):
         given = os.environ.get("XLA_FLAGS", "")
-        # What is given counts: the last of two flags does.
-        os.environ["XLA_FLAGS"] = f"{_FAST_COMPILING} {given}"
+        if _FAST_COMPILING not in given:
+            # What is given counts: the last of two flags does.
+            os.environ["XLA_FLAGS"] = f"{_FAST_COMPILING} {given}"
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         folder = cache_folder()
         try:

@@ -1,0 +1,133 @@
+"""The results of a campaign as one dataset, indexed by what varies."""
+
+import json
+import re
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..config import Campaign
+from ..io import described
+from ..units import base_quantity
+
+if TYPE_CHECKING:
+    import xarray
+
+_FIGURES = {
+    "error_rms": ("m", "root mean square contour error where the tool cuts"),
+    "error_p95": ("m", "95 % of the rows that cut have a smaller contour error"),
+    "error_max": ("m", "largest contour error where the tool cuts"),
+    "force_mean": ("N", "mean length of the force where the tool cuts"),
+    "force_max": ("N", "largest length of the force"),
+    "removed_volume": ("m3", "removed volume"),
+    "program_time": ("s", "time that the program takes"),
+    "max_acceleration": ("m s-2", "largest acceleration of the commanded tip"),
+}
+_STATES = ("done", "failed", "refused", "lost", "missing")
+
+
+def campaign_dataset(
+    campaign: Campaign, digests: list[str], records: dict[str, dict[str, Any]]
+) -> "xarray.Dataset":
+    """Return the figures of all jobs on the dimensions of a campaign.
+
+    Args:
+        campaign: The campaign.
+        digests: Hash of every job, in the order of the campaign.
+        records: What is kept of each job, by its hash.
+    """
+    import xarray
+
+    shape = campaign.shape
+    names = tuple(variation.name for variation in campaign.variations)
+    absent = {"status": "missing", "message": "", "figures": {}, "seconds": np.nan}
+    rows = [records.get(digest, absent) for digest in digests]
+
+    def grid(values: list[Any], dtype: Any) -> np.ndarray:
+        return np.array(values, dtype).reshape(shape)
+
+    about_status = {
+        "units": "1",
+        "flag_values": np.arange(len(_STATES), dtype=np.int8),
+        "flag_meanings": " ".join(_STATES),
+    }
+    states = grid([_STATES.index(row["status"]) for row in rows], np.int8)
+    seconds = grid([row["seconds"] for row in rows], float)
+    about_seconds = {"units": "s", "long_name": "time of the run with compilation"}
+    variables: dict[str, Any] = {
+        "status": (names, states, about_status),
+        "message": (names, grid([row["message"] for row in rows], object)),
+        "job_hash": (names, grid(digests, object)),
+        "run_time": (names, seconds, about_seconds),
+    }
+    cases = list(dict.fromkeys(case for row in rows for case in row["figures"]))
+    coordinates: dict[str, Any] = {}
+    dims, size = names, shape
+    if campaign.command == "correct" and cases:
+        coordinates["case"] = cases
+        dims, size = (*names, "case"), (*shape, len(cases))
+    for name, (unit, meaning) in _FIGURES.items():
+        values = [
+            row["figures"].get(case, {}).get(name, np.nan)
+            for row in rows
+            for case in cases or [""]
+        ]
+        if not np.isnan(values).all():
+            array = np.reshape(values, size)
+            variables[name] = (dims, array, {"units": unit, "long_name": meaning})
+    for variation in campaign.variations:
+        variables |= _varied(variation.name, list(variation.changes))
+    is_done = bool(np.all(states == _STATES.index("done")))
+    attributes = {
+        "campaign": campaign.name,
+        "source": campaign.source,
+        "job": campaign.job.stem,
+        "command": campaign.command,
+        "incomplete": np.int32(not is_done),
+    }
+    dataset = xarray.Dataset(variables, coords=coordinates, attrs=attributes)
+    return described(dataset.set_coords([n for n in names if n in dataset]))
+
+
+def _varied(name: str, changes: list[dict[str, object]]) -> dict[str, Any]:
+    """Return what the entries of a dimension stand for, as variables on it."""
+    if name == "start":
+        return {"start": ((name,), np.arange(len(changes)), {"units": "1"})}
+    found: dict[str, Any] = {}
+    for key in changes[0]:
+        values = [change[key] for change in changes]
+        found |= _variable(re.sub(r"[.-]", "_", key), name, key, values)
+    if name not in found:
+        found[name] = ((name,), np.arange(len(changes)), {"units": "1"})
+    return found
+
+
+def _variable(name: str, dim: str, key: str, values: list[Any]) -> dict[str, Any]:
+    """Return the values of a key: numbers in SI where they are, else their text."""
+    try:
+        numbers, unit = _numbers(values)
+    except ValueError:
+        texts = [v if isinstance(v, str) else json.dumps(v) for v in values]
+        return {name: ((dim,), np.array(texts, object), {"key": key})}
+    dims = (dim,) if numbers.ndim == 1 else (dim, f"{name}_entry")
+    attributes = {"key": key, "units": unit or "1"}
+    if name == dim and numbers.ndim > 1:
+        # A coordinate has one value per entry: lists are told by their text.
+        texts = np.array([json.dumps(value) for value in values], object)
+        return {
+            name: ((dim,), texts, {"key": key}),
+            f"{name}_values": (dims, numbers, attributes),
+        }
+    return {name: (dims, numbers, attributes)}
+
+
+def _numbers(values: list[Any]) -> tuple[np.ndarray, str]:
+    """Return numbers or quantities, or lists of them, in SI with their one unit."""
+    lists = [value if isinstance(value, list) else [value] for value in values]
+    found = [[base_quantity(one) for one in entry] for entry in lists]
+    units = {unit for entry in found for _, unit in entry}
+    if len(units) != 1 or len({len(entry) for entry in found}) != 1:
+        raise ValueError("no quantities of one kind")
+    array = np.array([[number for number, _ in entry] for entry in found])
+    is_list = any(isinstance(value, list) for value in values)
+    return (array if is_list else array[:, 0]), units.pop()

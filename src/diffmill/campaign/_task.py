@@ -1,0 +1,173 @@
+"""One job of a campaign: what a worker is told, and what it answers."""
+
+import gc
+import hashlib
+import json
+import os
+import pathlib
+import time
+from importlib import metadata
+from typing import Any, Literal, NamedTuple, TypeAlias
+
+from .._jax_config import configure_jax
+from ..config import Campaign, JobError, job_precision, load_job
+
+# What is kept of a job, as JSON: "status", "message", "seconds", "figures" by case.
+Record: TypeAlias = dict[str, Any]
+# Memory mappings from which on compiled programs are dropped. Each takes some tens, and
+# Linux allows a process 65,530: one more ends it in the compiler.
+_MOST_MAPPINGS = 30_000
+
+
+class Task(NamedTuple):
+    """A job of a campaign.
+
+    Attributes:
+        file: The job file.
+        changes: Values of the keys that vary.
+        command: What is done with it.
+        allow_outside: Whether the job may name files outside its own folder.
+        digest: Hash of all that the job says.
+        rows_file: Where its own result goes; None to keep only figures.
+    """
+
+    file: pathlib.Path
+    changes: dict[str, object]
+    command: Literal["simulate", "correct"]
+    allow_outside: bool
+    digest: str
+    rows_file: pathlib.Path | None
+
+
+def campaign_tasks(campaign: Campaign, folder: pathlib.Path) -> list[Task]:
+    """Return every job of a campaign, in the order of its variations.
+
+    Args:
+        campaign: The campaign.
+        folder: Where results of jobs are kept.
+    """
+    known: dict[pathlib.Path, str] = {}
+    tasks = []
+    for changes in campaign.changes():
+        digest = _digest(campaign, changes, known)
+        rows = folder / f"{digest}.nc" if campaign.keeps_rows else None
+        tasks.append(
+            Task(
+                campaign.job.resolve(),
+                changes,
+                campaign.command,
+                campaign.allow_outside,
+                digest,
+                rows,
+            )
+        )
+    return tasks
+
+
+def _digest(
+    campaign: Campaign, changes: dict[str, object], known: dict[pathlib.Path, str]
+) -> str:
+    """Return a hash of a job's text, of the files that it names, and of the version."""
+    tables = campaign.changed(changes)
+    files = {
+        name: _content(campaign.job.parent / name, known) for name in _texts(tables)
+    }
+    told = {
+        "command": campaign.command,
+        "tables": tables,
+        "files": {name: content for name, content in files.items() if content},
+        "version": metadata.version("diffmill"),
+    }
+    text = json.dumps(told, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+def _texts(value: object) -> list[str]:
+    """Return every text in tables."""
+    if isinstance(value, str):
+        return [value]
+    inner = value.values() if isinstance(value, dict) else value
+    if not isinstance(value, dict | list):
+        return []
+    return [text for one in inner for text in _texts(one)]  # pyright: ignore
+
+
+def _content(path: pathlib.Path, known: dict[pathlib.Path, str]) -> str:
+    """Return a hash of a file, or of the result's stock in a folder; else nothing."""
+    if path not in known:
+        known[path] = ""
+        try:
+            file = path / "stock.npz" if path.is_dir() else path
+            if file.is_file():
+                known[path] = hashlib.sha256(file.read_bytes()).hexdigest()
+        except (OSError, ValueError):
+            # No name of a file, but a quantity or a choice.
+            pass
+    return known[path]
+
+
+def run_task(task: Task) -> Record:
+    """Load and run a job; return its figures, or why there are none."""
+    configure_jax(job_precision(task.file, task.changes))
+    start = time.perf_counter()
+    try:
+        record = {"status": "done", "message": "", "figures": _figures(task)}
+    except JobError as error:
+        record = _failed("refused", "; ".join(error.problems))
+    except Exception as error:
+        record = _failed("failed", f"{type(error).__name__}: {error}")
+    _drop_programs()
+    return {**record, "seconds": time.perf_counter() - start}
+
+
+def _failed(status: str, message: str) -> Record:
+    return {"status": status, "message": message, "figures": {}}
+
+
+def _figures(task: Task) -> dict[str, dict[str, float]]:
+    """Return the figures of a job by case."""
+    from ..correction import correct
+    from ..sim import simulate
+    from ..viz import case_numbers
+
+    job = load_job(task.file, changes=task.changes, allow_outside=task.allow_outside)
+    run = simulate if task.command == "simulate" else correct
+    dataset = run(job).to_dataset()
+    if task.rows_file is not None:
+        _write_rows(dataset.assign_attrs(job=job.name, source=job.source), task)
+    cases = dataset["case"].values if "case" in dataset.dims else ["predicted"]
+    figures = {}
+    for index, case in enumerate(str(name) for name in cases):
+        numbers = case_numbers(dataset, case)
+        figures[case] = {
+            "error_rms": numbers.rms,
+            "error_p95": numbers.percentile_95,
+            "error_max": numbers.maximum,
+            "force_mean": numbers.force_mean,
+            "force_max": numbers.force_maximum,
+            "removed_volume": numbers.removed_volume,
+            "program_time": float(dataset["time"][-1]),
+        }
+        if "max_acceleration" in dataset:
+            figures[case]["max_acceleration"] = float(dataset.max_acceleration[index])
+    return figures
+
+
+def _write_rows(dataset: Any, task: Task) -> None:
+    """Write a job's own result under its name once it is complete."""
+    from ..io import described
+
+    assert task.rows_file is not None
+    part = task.rows_file.with_suffix(f".{os.getpid()}.part")
+    described(dataset).to_netcdf(part, engine="h5netcdf")
+    os.replace(part, task.rows_file)
+
+
+def _drop_programs() -> None:
+    """Drop compiled programs where a process holds many."""
+    import jax
+
+    maps = pathlib.Path("/proc/self/maps")
+    if maps.is_file() and maps.read_bytes().count(b"\n") > _MOST_MAPPINGS:
+        jax.clear_caches()
+        gc.collect()

@@ -1,0 +1,130 @@
+"""Running a campaign: what it is about to do, how far it is, what came out."""
+
+import pathlib
+import sys
+from typing import TYPE_CHECKING, NamedTuple
+
+from ._session.errors import BadInput, bad_input
+from ._session.progress import Progress
+
+if TYPE_CHECKING:
+    import xarray
+
+    from ..config import Campaign
+
+# Lines about jobs that failed, at most.
+_MOST_LINES = 5
+
+
+class Workers(NamedTuple):
+    """Where jobs run.
+
+    Attributes:
+        count: Worker processes to start; None for one per core.
+        scheduler: Address of a Dask scheduler to use instead, or None.
+        retry: Whether jobs that have failed run again.
+    """
+
+    count: int | None
+    scheduler: str | None
+    retry: bool
+
+
+def run_campaign_file(
+    file: pathlib.Path,
+    workers: Workers,
+    out: pathlib.Path | None,
+    *,
+    force: bool,
+    is_quiet: bool,
+    allow_outside: bool,
+) -> int:
+    """Load and run a campaign; return the exit code.
+
+    Args:
+        file: The campaign's file.
+        workers: Where its jobs run.
+        out: Folder for the results, or None for `./<file>-campaign`.
+        force: Whether every job runs anew.
+        is_quiet: Whether only errors are printed.
+        allow_outside: Whether files outside their folders may be named.
+    """
+    from ..campaign import run_campaign
+    from ..config import load_campaign
+
+    folder = pathlib.Path(f"{file.stem}-campaign") if out is None else out
+    if workers.count is not None and workers.count < 0:
+        raise BadInput(f"--workers: found {workers.count}; at least 0 is required")
+    with bad_input():
+        campaign = load_campaign(file, allow_outside=allow_outside)
+        _check_folder(folder)
+    if force:
+        for kept in folder.glob("jobs/*.json"):
+            kept.unlink()
+    progress = Progress(is_quiet=is_quiet)
+
+    def tell(done: int, count: int, status: str) -> None:
+        progress.update(f"{done} of {count} jobs have a result", done / count)
+
+    try:
+        with progress:
+            dataset = run_campaign(
+                campaign,
+                folder,
+                workers=workers.count,
+                scheduler=workers.scheduler,
+                retry=workers.retry,
+                on_progress=tell,
+            )
+    except ImportError as error:
+        raise BadInput(
+            f"campaign: {error}; pip install 'diffmill[campaign]' brings Dask, "
+            "--workers 0 does without it"
+        ) from error
+    except KeyboardInterrupt:
+        print(
+            f"error: interrupted; {folder} keeps the jobs that are done: the same "
+            "command goes on from there",
+            file=sys.stderr,
+        )
+        return 1
+    for line in _lines(campaign, dataset, folder):
+        progress.say(line)
+    return int(dataset.attrs["incomplete"])
+
+
+def _check_folder(folder: pathlib.Path) -> None:
+    """Refuse a folder of something else."""
+    if folder.is_file():
+        raise BadInput(f"--out {folder}: found a file; a folder is required")
+    is_ours = (folder / "jobs").is_dir()
+    if folder.is_dir() and any(folder.iterdir()) and not is_ours:
+        raise BadInput(
+            f"--out {folder}: found a folder that is not empty; that of a campaign, an "
+            "empty or a new one is required"
+        )
+
+
+def _lines(
+    campaign: "Campaign", dataset: "xarray.Dataset", folder: pathlib.Path
+) -> list[str]:
+    """Return what came out: how many jobs, the range of the error, what failed."""
+    states = dataset.status.attrs["flag_meanings"].split()
+    found = dataset.status.values.ravel()
+    counts = [f"{(found == i).sum()} {name}" for i, name in enumerate(states)]
+    counts = [text for text in counts if not text.startswith("0 ")]
+    sizes = ", ".join(f"{name} {size}" for name, size in dataset.status.sizes.items())
+    lines = [f"{campaign.name}: {found.size} jobs ({sizes}): {', '.join(counts)}"]
+    if "error_rms" in dataset:
+        error = dataset.error_rms
+        for case in dataset["case"].values if "case" in error.dims else [None]:
+            values = (error if case is None else error.sel(case=case)) * 1e6
+            name = "" if case is None else f", {case}"
+            lines.append(
+                f"contour error rms{name}: {float(values.min()):.2f} to "
+                f"{float(values.max()):.2f} um"
+            )
+    failed = [str(text) for text in dataset.message.values.ravel() if text]
+    for text in list(dict.fromkeys(failed))[:_MOST_LINES]:
+        lines.append(f"{failed.count(text)} of them: {text[:300]}")
+    return [*lines, f"results: {folder / 'result.nc'}"]

@@ -1,0 +1,1 @@
+"""The tables of a campaign, and the values that it draws."""

@@ -1,0 +1,79 @@
+"""Values of keys that scatter, drawn from seeded distributions."""
+
+import math
+
+import numpy as np
+
+from ...units import base_quantity
+from .._changes import Tables, value_at
+from .schema import CampaignTable, DrawTable
+
+
+def drawn_values(
+    entry: DrawTable, table: CampaignTable, tables: Tables
+) -> list[object]:
+    """Return a value of a key for every draw.
+
+    Every key has a stream of its own: more draws, or one key more, leave those that
+    were drawn before as they are.
+
+    Args:
+        entry: How the key scatters.
+        table: The campaign, with its number of draws and their seed.
+        tables: What the job file holds.
+
+    Raises:
+        LookupError: The scatter is relative, but the job holds no value.
+        ValueError: Numbers are missing, or those of another distribution are there.
+    """
+    stream = np.random.default_rng([table.seed, *entry.key.encode()])
+    if entry.relative is not None:
+        _allow_only(entry, ("relative",))
+        value = value_at(tables, entry.key)
+        return [_scattered(value, entry, stream) for _ in range(table.draws)]
+    names = {"normal": ("mean", "deviation"), "uniform": ("lower", "upper")}
+    if entry.kind not in names:
+        raise ValueError(f'found kind "{entry.kind}", which `relative` is required for')
+    _allow_only(entry, names[entry.kind])
+    (first, unit), (second, other) = (
+        base_quantity(getattr(entry, name)) for name in names[entry.kind]
+    )
+    if unit != other:
+        raise ValueError(f"found quantities in {unit or '1'} and {other or '1'}")
+    units = [_unit_draw(entry.kind, stream) for _ in range(table.draws)]
+    if entry.kind == "uniform":
+        first, second = (first + second) / 2, (second - first) / 2
+    return [_text(first + second * unit_draw, unit) for unit_draw in units]
+
+
+def _allow_only(entry: DrawTable, names: tuple[str, ...]) -> None:
+    """Refuse numbers of another way to say how a key scatters, and missing ones."""
+    given = entry.model_dump(exclude={"key", "kind"}, exclude_none=True)
+    if set(given) != set(names):
+        raise ValueError(
+            f"found {', '.join(given) or 'nothing'}, but {' and '.join(names)} is "
+            'required here; allowed: relative, or with kind = "normal" mean and '
+            'deviation, or with kind = "uniform" lower and upper'
+        )
+
+
+def _unit_draw(kind: str, stream: np.random.Generator) -> float:
+    """Return a draw of deviation 1 about 0, or of half-width 1."""
+    draw = stream.uniform(-1.0, 1.0) if kind == "uniform" else stream.normal()
+    return float(draw)
+
+
+def _scattered(value: object, entry: DrawTable, stream: np.random.Generator) -> object:
+    """Return a value of the job with a relative scatter; of a list, of each entry."""
+    if isinstance(value, list):
+        return [_scattered(one, entry, stream) for one in value]
+    assert entry.relative is not None
+    number, unit = base_quantity(value)
+    step = entry.relative * _unit_draw(entry.kind, stream)
+    return _text(
+        number * (math.exp(step) if entry.kind == "lognormal" else 1 + step), unit
+    )
+
+
+def _text(number: float, unit: str) -> object:
+    return f"{number!r} {unit}" if unit else number

@@ -1,0 +1,58 @@
+"""The tables of a campaign: which keys of a job vary, and how."""
+
+from typing import Annotated, Any, Literal, TypeAlias
+
+from pydantic import Field, StrictBool, StrictInt, StrictStr
+
+from .._schema.fields import Tolerance, Uncertainty
+from .._schema.table import Table
+
+Key: TypeAlias = Annotated[StrictStr, Field(min_length=1)]
+Number: TypeAlias = Annotated[StrictInt, Field(ge=0)]
+Count: TypeAlias = Annotated[StrictInt, Field(ge=1)]
+
+
+class SweepTable(Table):
+    """`[[sweep]]` of a campaign: a key of the job and the values that it takes."""
+
+    key: Key = Field(description='a key of the job, such as "spindle.speed"')
+    values: Annotated[list[Any], Field(min_length=1)] = Field(
+        description='a list of what the job may hold there, such as ["50 mm/s", ...]'
+    )
+
+
+class DrawTable(Table):
+    """`[[draw]]` of a campaign: a key of the job and how its values scatter.
+
+    Either `relative`, about the value that the job holds (each entry of a list on its
+    own), or `mean` and `deviation` of a normal distribution, or `lower` and `upper` of
+    a uniform one.
+    """
+
+    key: Key = Field(description='a key of the job, such as "force.K_tc"')
+    kind: Literal["normal", "uniform", "lognormal"] = "normal"
+    relative: Uncertainty | None = None
+    mean: StrictStr | float | None = None
+    deviation: StrictStr | float | None = None
+    lower: StrictStr | float | None = None
+    upper: StrictStr | float | None = None
+
+
+class StartsTable(Table):
+    """`[starts]` of a campaign: the optimiser's starts, the first as without it."""
+
+    count: Count = Field(description="how many starts, the first one included")
+    spread: Tolerance = Field(description='a length, such as "20 um"')
+
+
+class CampaignTable(Table):
+    """A campaign: keys that stand before all tables."""
+
+    job: Key = Field(description='a job file, such as "part.toml"')
+    command: Literal["simulate", "correct"] = "simulate"
+    draws: Number = 0
+    seed: Number = 0
+    keep_rows: StrictBool = False
+    sweep: list[SweepTable] = Field(default_factory=list)
+    draw: list[DrawTable] = Field(default_factory=list)
+    starts: StartsTable | None = None
