@@ -14,7 +14,7 @@ from slides_job import PROGRAM, write_slides_job
 
 from diffmill import load_job
 from diffmill.cli import main
-from diffmill.config import load_identification
+from diffmill.config import load_campaign, load_identification
 from diffmill.examples import copy_example
 
 ROOT = pathlib.Path(__file__).parents[1]
@@ -197,6 +197,11 @@ def test_toml_is_accepted(block, tmp_path):
         study = tmp_path / "study.toml"
         study.write_text(block.text if "kind" in tables else STUDY + block.text)
         load_identification(study)
+    elif isinstance(tables.get("job"), str):
+        copy_example(tables["job"].removesuffix(".toml"), tmp_path)
+        campaign = tmp_path / "campaign.toml"
+        campaign.write_text(block.text)
+        load_campaign(campaign)
     elif {"cutter", "stock"} <= tables.keys():
         job = copy_example(
             f"{tables['program']['file'].removesuffix('.ngc')}", tmp_path

@@ -1,0 +1,258 @@
+"""Campaigns: what varies, what is kept, and that nothing is lost or done twice."""
+
+import math
+import pathlib
+import textwrap
+
+import numpy as np
+import pytest
+import xarray
+
+from diffmill import load_job, simulate
+from diffmill.campaign import run_campaign
+from diffmill.cli import main
+from diffmill.config import JobError, load_campaign
+from small_job import small_job
+
+CUTS = "G21 G17 G90 G94\nG0 X-5.2 Y3 Z1\nG0 Z-0.5\nG1 X-2 F3000\nG0 X-6\nM2\n"
+# No such program: the job is refused without compiling anything.
+REFUSED = """
+job = "job.toml"
+[[sweep]]
+key = "program.file"
+values = ["none.ngc", "neither.ngc"]
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = small_job('diameter = "10 mm"\nteeth = 2')
+    (tmp_path / "job.toml").write_text(text)
+    (tmp_path / "part.ngc").write_text(CUTS)
+    return tmp_path
+
+
+def plan(text, folder):
+    (folder / "c.toml").write_text(textwrap.dedent(text))
+    return load_campaign(folder / "c.toml")
+
+
+def drawn(key, count, folder, **table):
+    told = "".join(f"{k} = {v!r}\n" for k, v in {"key": key, **table}.items())
+    text = f'job = "job.toml"\ndraws = {count}\nseed = 3\n[[draw]]\n{told}'
+    return [change[key] for change in plan(text, folder).changes()]
+
+
+def numbers(values):
+    return np.array([float(value.split()[0]) for value in values])
+
+
+def test_a_job_is_every_combination(folder):
+    campaign = plan(
+        """
+        job = "job.toml"
+        command = "correct"
+        draws = 3
+        sweep = [
+            { key = "spindle.speed", values = ["7000 rpm", "8000 rpm"] },
+            { key = "stock.spacing", values = ["0.5 mm", "0.4 mm"] },
+        ]
+        starts = { count = 2, spread = "20 um" }
+        [[draw]]
+        key = "force.K_tc"
+        relative = 0.1
+        """,
+        folder,
+    )
+    names = [variation.name for variation in campaign.variations]
+    assert names == ["spindle_speed", "stock_spacing", "draw", "start"]
+    changes = list(campaign.changes())
+    assert len(changes) == math.prod(campaign.shape) == 24
+    assert len({str(change) for change in changes}) == 24
+    # The same draws at every point of the grid; the first start is the job's own.
+    assert changes[0]["force.K_tc"] == changes[12]["force.K_tc"]
+    assert changes[0]["correction.start_spread"] == "0.0 m"
+    spread = float(changes[1]["correction.start_spread"].split()[0])
+    assert spread == pytest.approx(20e-6)
+
+
+def test_values_have_the_distribution_asked_for(folder):
+    count = 300
+    sigma = 3.5 / math.sqrt(count)
+    normal = numbers(drawn("force.K_tc", count, folder, relative=0.1)) / 989.8e6
+    assert abs(normal.mean() - 1) < 0.1 * sigma
+    assert normal.std() == pytest.approx(0.1, rel=sigma / math.sqrt(2))
+    table = {"kind": "uniform", "lower": "6 krpm", "upper": "9000 rpm"}
+    uniform = numbers(drawn("spindle.speed", count, folder, **table)) * 30 / np.pi
+    assert uniform.min() >= 6000 and uniform.max() <= 9000
+    assert uniform.mean() == pytest.approx(7500, abs=3000 / math.sqrt(12) * sigma)
+    assert uniform.std() == pytest.approx(3000 / math.sqrt(12), rel=sigma)
+    skewed = drawn("force.K_rc", count, folder, kind="lognormal", relative=0.3)
+    log = np.log(numbers(skewed) / 337.3e6)
+    assert log.mean() == pytest.approx(0, abs=0.3 * sigma)
+    assert log.std() == pytest.approx(0.3, rel=sigma / math.sqrt(2))
+
+
+def test_more_draws_leave_the_earlier_ones(folder):
+    few = drawn("stock.upper", 3, folder, relative=0.1)
+    many = drawn("stock.upper", 5, folder, relative=0.1)
+    assert many[:3] == few
+    # Each entry of a list on its own.
+    x, y, _ = few[0]
+    assert x != y
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('job = "none.toml"', ("none.toml", "no such file")),
+        ('job = "job.toml"\nspeed = 1', ("speed", "sweep", "draws")),
+        (
+            'job = "job.toml"\nsweep = [{key = "spindle.sped", values = [1]}]',
+            ("sped", "speed"),
+        ),
+        (
+            'job = "job.toml"\nsweep = [{key = "spindle.speed", values = ["1 m"]}]',
+            ("'1 m'", "rotational speed"),
+        ),
+        (
+            'job = "job.toml"\nsweep = [{key = "stock.upper.4", values = ["1 m"]}]',
+            ("'4'", "1 to 3"),
+        ),
+        (
+            'job = "job.toml"\nsweep = [{key = "stock.upper", values = [1]},'
+            '{key = "stock.upper.1", values = ["1 m"]}]',
+            ("stock.upper", "once"),
+        ),
+        ('job = "job.toml"\ndraws = 3', ("draws", "[[draw]]")),
+        (
+            'job = "job.toml"\ndraws = 1\ndraw = [{key = "cutter.runout", '
+            "relative = 0.1}]",
+            ("cutter.runout", "no value"),
+        ),
+        (
+            'job = "job.toml"\ndraws = 1\ndraw = [{key = "force.K_tc", mean = 1.0}]',
+            ("mean", "deviation"),
+        ),
+        (
+            'job = "job.toml"\nstarts = {count = 2, spread = "1 um"}',
+            ("starts", "correct"),
+        ),
+    ],
+)
+def test_a_faulty_campaign_is_refused_at_once(folder, capsys, text, words):
+    (folder / "c.toml").write_text(text)
+    assert main(["campaign", "c.toml"]) == 2
+    error = capsys.readouterr().err
+    assert all(word in error for word in words), error
+    assert not (folder / "c-campaign").exists()
+
+
+def test_a_job_with_changes_is_that_of_a_changed_file(folder):
+    file = folder / "job.toml"
+    changes = {"spindle.speed": "6000 rpm", "stock.upper.2": "9 mm"}
+    job = load_job(file, changes={**changes, "simulation.stability": False})
+    text = file.read_text().replace("8000 rpm", "6000 rpm")
+    file.write_text(text.replace('upper = ["8 mm", "8 mm"', 'upper = ["8 mm", "9 mm"'))
+    other = load_job(file)
+    assert job.spindle_speed == other.spindle_speed
+    assert job.stock.volume() == other.stock.volume()
+    np.testing.assert_array_equal(job.path.positions, other.path.positions)
+    assert 'spindle.speed = "6000 rpm"' in job.source
+    with pytest.raises(JobError, match=r"stock\.upper\.7"):
+        load_job(file, changes={"stock.upper.7": "9 mm"})
+
+
+def test_a_refused_job_is_kept_with_its_message(folder):
+    campaign, told = plan(REFUSED, folder), []
+    run = lambda **more: run_campaign(
+        campaign, "out", workers=0, on_progress=lambda *s: told.append(s), **more
+    )
+    dataset = run()
+    assert dataset.status.attrs["flag_meanings"].split()[2] == "refused"
+    assert dataset.status.values.tolist() == [2, 2]
+    message = dataset.message.sel(program_file="neither.ngc").item()
+    assert "neither.ngc" in message and "no such file" in message
+    assert dataset.attrs["incomplete"] == 1
+    # Again: nothing runs, but for a retry.
+    assert [done for done, _, _ in told] == [0, 1, 2]
+    told.clear()
+    xarray.testing.assert_identical(run(), dataset)
+    assert told == [(2, 2, "kept")]
+    run(retry=True)
+    assert len(told) == 4
+    kept = xarray.load_dataset("out/result.nc")
+    np.testing.assert_array_equal(kept.message, dataset.message)
+
+
+def test_a_changed_file_makes_another_job(folder):
+    campaign = plan(REFUSED.replace('"none.ngc", ', ""), folder)
+    run_campaign(campaign, "out", workers=0)
+    (folder / "neither.ngc").write_text("G1 X1\n")
+    message = run_campaign(campaign, "out", workers=0).message.item()
+    assert "no such file" not in message
+
+
+def test_a_folder_of_something_else_is_left_alone(folder, capsys):
+    (folder / "c.toml").write_text(REFUSED)
+    (folder / "out").mkdir()
+    (folder / "out" / "thesis.tex").touch()
+    assert main(["campaign", "c.toml", "--out", "out"]) == 2
+    assert "not empty" in capsys.readouterr().err
+    assert main(["campaign", "c.toml", "--workers", "-1"]) == 2
+
+
+def kill_a_worker(ones_before):
+    """Kill one worker process with SIGKILL; return whether there was one."""
+    import psutil
+
+    children = psutil.Process().children(recursive=True)
+    found = [p for p in children if "spawn_main" in " ".join(p.cmdline())]
+    if found:
+        found[ones_before % len(found)].kill()
+    return bool(found)
+
+
+@pytest.mark.slow
+def test_a_killed_worker_loses_nothing_and_nothing_runs_twice(folder):
+    pytest.importorskip("distributed")
+    text = """
+        job = "job.toml"
+        draws = 20
+        sweep = [{ key = "program.feed", values = ["40 mm/s", "50 mm/s"] }]
+        draw = [{ key = "force.K_tc", relative = 0.1 }]
+        """
+    (folder / "part.ngc").write_text(CUTS.replace(" F3000", ""))
+    campaign, told = plan(text, folder), []
+    killed = []
+
+    def tell(done, count, status):
+        told.append(done)
+        if done in (10, 25):
+            killed.append(kill_a_worker(len(killed)))
+
+    dataset = run_campaign(campaign, "out", workers=2, on_progress=tell)
+    assert killed == [True, True]
+    assert told == list(range(41))
+    assert (dataset.status == 0).all() and dataset.sizes["draw"] == 20
+    assert len(list((folder / "out/jobs").glob("*.json"))) == 40
+    # A job of it is what it would be alone; the force follows its coefficient.
+    changes = list(campaign.changes())[7]
+    alone = simulate(load_job("job.toml", changes=changes)).to_dataset()
+    found = dataset.isel(program_feed=0, draw=7)
+    force = np.linalg.norm(alone.force, axis=1).max()
+    assert found.force_max.item() == pytest.approx(force, rel=1e-9)
+    assert np.corrcoef(dataset.force_K_tc, dataset.force_max[0])[0, 1] > 0.9
+    # The same again, then with four draws more.
+    files = {p: p.stat().st_mtime_ns for p in pathlib.Path("out/jobs").iterdir()}
+    told.clear()
+    xarray.testing.assert_identical(
+        run_campaign(campaign, "out", on_progress=tell), dataset
+    )
+    assert told == [40]
+    more = plan(text.replace("draws = 20", "draws = 22"), folder)
+    told.clear()
+    run_campaign(more, "out", workers=1, on_progress=tell)
+    assert told == [40, 41, 42, 43, 44]
+    assert all(p.stat().st_mtime_ns == time for p, time in files.items())
