@@ -3,6 +3,7 @@
 import math
 import pathlib
 import textwrap
+from typing import Any
 
 import numpy as np
 import pytest
@@ -38,7 +39,7 @@ def plan(text, folder):
     return load_campaign(folder / "c.toml")
 
 
-def drawn(key, count, folder, **table):
+def drawn(key, count, folder, **table) -> list[Any]:
     told = "".join(f"{k} = {v!r}\n" for k, v in {"key": key, **table}.items())
     text = f'job = "job.toml"\ndraws = {count}\nseed = 3\n[[draw]]\n{told}'
     return [change[key] for change in plan(text, folder).changes()]
@@ -73,7 +74,7 @@ def test_a_job_is_every_combination(folder):
     # The same draws at every point of the grid; the first start is the job's own.
     assert changes[0]["force.K_tc"] == changes[12]["force.K_tc"]
     assert changes[0]["correction.start_spread"] == "0.0 m"
-    spread = float(changes[1]["correction.start_spread"].split()[0])
+    spread = float(str(changes[1]["correction.start_spread"]).split()[0])
     assert spread == pytest.approx(20e-6)
 
 

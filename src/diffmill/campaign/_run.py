@@ -153,7 +153,7 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
             processes=True,
             # No limit of Dask's: what compiles takes more memory for a while.
             memory_limit=None,
-            dashboard_address=None,
+            dashboard_address=None,  # pyright: ignore[reportArgumentType]
             silence_logs=logging.CRITICAL,
             # Threads that a worker's computation may use.
             env={"NPROC": str(max(1, _cores() // workers))},

@@ -20,12 +20,12 @@ class Workers(NamedTuple):
     """Where jobs run.
 
     Attributes:
-        count: Worker processes to start; None for one per core.
+        processes: Worker processes to start; None for one per core.
         scheduler: Address of a Dask scheduler to use instead, or None.
         retry: Whether jobs that have failed run again.
     """
 
-    count: int | None
+    processes: int | None
     scheduler: str | None
     retry: bool
 
@@ -53,8 +53,8 @@ def run_campaign_file(
     from ..config import load_campaign
 
     folder = pathlib.Path(f"{file.stem}-campaign") if out is None else out
-    if workers.count is not None and workers.count < 0:
-        raise BadInput(f"--workers: found {workers.count}; at least 0 is required")
+    if workers.processes is not None and workers.processes < 0:
+        raise BadInput(f"--workers: found {workers.processes}; at least 0 is required")
     with bad_input():
         campaign = load_campaign(file, allow_outside=allow_outside)
         _check_folder(folder)
@@ -71,7 +71,7 @@ def run_campaign_file(
             dataset = run_campaign(
                 campaign,
                 folder,
-                workers=workers.count,
+                workers=workers.processes,
                 scheduler=workers.scheduler,
                 retry=workers.retry,
                 on_progress=tell,
