@@ -282,6 +282,13 @@ def example(
     return 0
 
 
+def doctor(*, quiet: _Quiet = False) -> int:
+    """Print versions, devices and the compile cache; test the installation."""
+    from ._doctor import run_doctor
+
+    return run_doctor(is_quiet=quiet)
+
+
 def check(
     file: Annotated[
         tyro.conf.Positional[pathlib.Path],
@@ -351,6 +358,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "example": example,
         "check": check,
         "convert": convert,
+        "doctor": doctor,
     }
     arguments = sys.argv[1:] if argv is None else list(argv)
     if arguments == ["--version"]:
