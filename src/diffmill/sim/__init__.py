@@ -59,6 +59,7 @@ from ._linear.linear_run import (
     linearise as linearise,
 )
 from ._machine._integrator.base import (
+    AbstractIntegrator as AbstractIntegrator,
     ArmState as ArmState,
     MotorCommand as MotorCommand,
 )
@@ -68,6 +69,7 @@ from ._machine.commands import JobKinematics as JobKinematics
 from ._machine.elastic import ElasticArm as ElasticArm
 from ._machine.free_vibration import free_motion as free_motion
 from ._machine.machine import (
+    AbstractMachine as AbstractMachine,
     Run as Run,
     RunState as RunState,
     Segment as Segment,
