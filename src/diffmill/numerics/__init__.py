@@ -7,15 +7,15 @@ arguments. Besides, derivatives that JAX would not find by itself, or not as che
 `with_derivative_of` and `clamp`; `hold` keeps what XLA would compute again, and
 `small_inverse` is an inverse that batches well.
 `hat_integral` is the smooth step that samples at any phase sum up fairly, `ramp` a
-kink rounded off. `CompiledAhead` compiles a function on another core before its
-first call.
+kink rounded off. `CompiledOnce` compiles a function on another core before its
+first call, and keeps what it traced for the next process.
 
 Assumes equally spaced samples on the host. Leaves out what JAX, equinox and optimistix
 already give, and filters within a traced function.
 """
 
 from ._clamp import clamp as clamp
-from ._compiled_ahead import CompiledAhead as CompiledAhead
+from ._compiled_once import CompiledOnce as CompiledOnce
 from ._filters import lowpass as lowpass
 from ._hat import hat_integral as hat_integral, mean_step as mean_step, ramp as ramp
 from ._hold import hold as hold

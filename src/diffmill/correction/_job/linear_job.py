@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from ..._arrays import on_device
 from ..._job import Job
-from ...numerics import CompiledAhead
+from ...numerics import CompiledOnce
 from ...process import StockHeld, wall_deviation, wall_shares
 from ...robot import Controller
 from ...sim import (
@@ -121,7 +121,7 @@ def prepare_linear_job(job: Job) -> None:
     _linear_job.prepare(job.without_texts(), motors, slopes, shares, None)
 
 
-@CompiledAhead
+@CompiledOnce
 def _linear_job(
     job: Job,
     motors: Float[Array, "step joint"],

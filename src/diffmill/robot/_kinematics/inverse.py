@@ -6,7 +6,6 @@ price of one forward kinematics. Virtual joints stay at 0.
 """
 
 import dataclasses
-import functools
 
 import equinox as eqx
 import jax
@@ -17,7 +16,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._types import Transform
-from ...numerics import small_inverse
+from ...numerics import CompiledOnce, small_inverse
 from .._model.robot import JointVector, Robot, joint_vector
 from .forward import joint_frames
 from .pose_error import (
@@ -139,7 +138,7 @@ def inverse_kinematics_path(
     return _solve_path(robot, Ts, start, tool_rotation, attempts)
 
 
-@functools.partial(jax.jit, static_argnames=("tool_rotation", "attempts"))
+@CompiledOnce
 def _solve_pose(
     robot: Robot,
     T: Float[Array, "4 4"],
@@ -152,7 +151,7 @@ def _solve_pose(
     return _finish(robot, T, q, tool_rotation)
 
 
-@functools.partial(jax.jit, static_argnames=("tool_rotation", "attempts"))
+@CompiledOnce
 def _solve_path(
     robot: Robot,
     Ts: Float[Array, "step 4 4"],

@@ -7,13 +7,13 @@ one is the chip. Rubbing edges are left out, and so are run-out and unequal dela
 
 import math
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ...cutter import AbstractCutter, EdgeElements
+from ...numerics import CompiledOnce
 from ...process import EdgeElementsInSpace, Process
 from ...workpiece import Pose, Stock
 from .monodromy import Regeneration
@@ -69,7 +69,7 @@ def _near_rows(
     return np.flatnonzero(is_kept & is_near)[::-1]
 
 
-@eqx.filter_jit
+@CompiledOnce
 def _slopes(process: Process, earlier: Pose, now: Pose) -> Float[Array, "piece 3 3"]:
     """Return the slopes of the force in the tip, in `work` [N/m]."""
     cutter = process.cutter

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from ..._arrays import on_device
 from ..._job import Job
-from ...numerics import CompiledAhead
+from ...numerics import CompiledOnce
 from ...process import (
     EdgeElementsInSpace,
     Engagement,
@@ -152,7 +152,7 @@ def _actual_poses(job: Job, solution: Solution) -> Pose:
     return Pose(tips, joint_poses(job.robot, frame, joints, False).axis)
 
 
-@CompiledAhead
+@CompiledOnce
 def _run(process: Process, poses: Pose) -> Run:
     return Rigid(keeps_instantaneous=True).run(process, poses)
 
@@ -164,7 +164,7 @@ def _left_of_feed(path: Pose) -> float:
     return float(np.arctan2(feed[0], feed[1])) - np.pi / 2
 
 
-@CompiledAhead
+@CompiledOnce
 def _last_periods(
     process: Process, path: Pose, index: Int[Array, " all"], count: int
 ) -> tuple[

@@ -15,7 +15,7 @@ from ..._arrays import cast_floats, on_device
 from ..._job import Job
 from ..._result import RESULTS, SimulationFailed
 from ..._types import FloatRows3
-from ...numerics import CompiledAhead
+from ...numerics import CompiledOnce
 from ...process import (
     AbstractAdjoint,
     Process,
@@ -314,7 +314,7 @@ def _program(job: Job, derivative: AbstractAdjoint) -> _Program:
     )
 
 
-@eqx.filter_jit
+@CompiledOnce
 def _cut_along(program: _Program, positions: Float[Array, "step 3"]) -> Run:
     """Return the process alone of a rigid machine on the given tips."""
     path = Pose.along(positions, program.axes)
@@ -455,7 +455,7 @@ class _Command(eqx.Module):
     is_reached: Bool[Array, " step"]
 
 
-@CompiledAhead
+@CompiledOnce
 def _follow(program: _Program, finished: Stock, command: _Command) -> _Followed:
     """Return the run of a command, given what the rigid cut leaves."""
     path, process = program.path, program.process

@@ -6,13 +6,13 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from diffmill.numerics import CompiledAhead
+from diffmill.numerics import CompiledOnce
 
 
 def test_what_is_prepared_is_traced_once_and_by_another_thread():
     traced = []
 
-    @CompiledAhead
+    @CompiledOnce
     def twice(x):
         traced.append(threading.current_thread())
         return 2 * x
@@ -24,13 +24,13 @@ def test_what_is_prepared_is_traced_once_and_by_another_thread():
 
 
 def test_other_shapes_than_prepared_are_right_too():
-    total = CompiledAhead(lambda x: x.sum())
+    total = CompiledOnce(lambda x: x.sum())
     total.prepare(jnp.zeros(3))
     assert float(total(jnp.ones(5))) == 5.0
 
 
 def test_what_fails_fails_where_it_is_called():
-    @CompiledAhead
+    @CompiledOnce
     def fails(x):
         raise RuntimeError("no")
 
@@ -42,15 +42,15 @@ def test_what_fails_fails_where_it_is_called():
 def test_a_call_does_not_wait_for_what_has_not_begun():
     may_end, has_begun = threading.Event(), threading.Event()
 
-    @CompiledAhead
+    @CompiledOnce
     def slow(x):
         has_begun.set()
         may_end.wait()
         return x
 
-    quick = CompiledAhead(lambda x: x + 1)
+    quick = CompiledOnce(lambda x: x + 1)
     # As many as there may be threads, so that none is left.
-    blocked = [CompiledAhead(lambda x, _=i: slow(x)) for i in range(64)]
+    blocked = [CompiledOnce(lambda x, _=i: slow(x)) for i in range(64)]
     for each in blocked:
         each.prepare(jnp.zeros(3))
     has_begun.wait()
@@ -61,7 +61,7 @@ def test_a_call_does_not_wait_for_what_has_not_begun():
 
 
 def test_derivatives_pass_through():
-    square = CompiledAhead(lambda x: x**2)
+    square = CompiledOnce(lambda x: x**2)
 
     def outer(x):
         square.prepare(x)

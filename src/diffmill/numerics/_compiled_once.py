@@ -1,0 +1,218 @@
+"""Functions compiled once: ahead by another core, or by a process before this one."""
+
+import collections
+import os
+import threading
+from collections.abc import Callable
+from typing import Any, Generic, ParamSpec, TypeVar, cast
+
+import equinox as eqx
+import jax
+import jax.core
+import jax.export
+
+from ._program_store import is_kept, program_name, read_program, write_program
+from ._tree_text import HasNoText, arrays_of, is_array, tree_of_text, tree_text
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+class _Task:
+    """A compilation that waits, runs or has ended."""
+
+    def __init__(self, compile_it: Callable[[], object]):
+        self._compile_it = compile_it
+        self._lock = threading.Lock()
+        self._is_taken = False
+        self._ended = threading.Event()
+
+    def take(self) -> bool:
+        """Return whether whoever asks is the first, and so has it to do."""
+        with self._lock:
+            is_first, self._is_taken = not self._is_taken, True
+        return is_first
+
+    def do(self) -> None:
+        """Compile."""
+        try:
+            self._compile_it()
+        except Exception:
+            # The call itself fails in the same way, where somebody can be told.
+            pass
+        finally:
+            self._ended.set()
+
+    def wait(self) -> None:
+        """Return when what has begun has ended; what has not need not any more."""
+        if not self.take():
+            self._ended.wait()
+
+
+class _Workers:
+    """Threads that compile, the oldest task first, and end when there is none."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._tasks: collections.deque[_Task] = collections.deque()
+        self._count = 0
+
+    def add(self, task: _Task) -> None:
+        """Begin a task as soon as a core is free; one is left to the caller."""
+        with self._lock:
+            self._tasks.append(task)
+            if self._count >= max(1, (os.cpu_count() or 1) - 1):
+                return
+            self._count += 1
+        # A compilation cannot be interrupted, so that none keeps the program alive.
+        threading.Thread(target=self._work, daemon=True).start()
+
+    def _work(self) -> None:
+        while True:
+            with self._lock:
+                if not self._tasks:
+                    self._count -= 1
+                    return
+                task = self._tasks.popleft()
+            if task.take():
+                task.do()
+
+
+_WORKERS = _Workers()
+
+
+class CompiledOnce(Generic[P, R]):
+    """A function that is compiled once: before its first call, or by another process.
+
+    XLA compiles on one core without Python's lock: if prepared, another core does so
+    while this one traces, runs or compiles something else. Where JAX's compile cache
+    has a folder, the traced program is kept in it: a later process does not trace.
+
+    Differentiability: that of the function; under a trace nothing is prepared or kept.
+    """
+
+    def __init__(self, function: Callable[P, R]):
+        self._plain = function
+        self._function = eqx.filter_jit(function)
+        self._tasks: list[_Task] = []
+        self._kept: dict[str, _KeptProgram | None] = {}
+        self.__doc__ = function.__doc__
+
+    def prepare(self, *args: P.args, **kwargs: P.kwargs) -> None:
+        """Compile for arguments of the same structure, shapes and types as these.
+
+        Under a trace nothing happens.
+        """
+        if _is_traced((args, kwargs)):
+            return
+
+        def compile_it() -> None:
+            program = self._program((args, kwargs))
+            if program is None:
+                self._function.lower(*args, **kwargs).compile()  # pyright: ignore[reportFunctionMemberAccess]
+            else:
+                program.compiled(self._plain.__name__)
+
+        self._tasks.append(task := _Task(compile_it))
+        _WORKERS.add(task)
+
+    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
+        """Call the function, when what is being compiled for it is ready."""
+        if _is_traced((args, kwargs)):
+            return self._function(*args, **kwargs)
+        while self._tasks:
+            self._tasks.pop().wait()
+        program = self._program((args, kwargs))
+        if program is None:
+            return self._function(*args, **kwargs)
+        run = program.compiled(self._plain.__name__)
+        return program.result_of(run(*arrays_of((args, kwargs))))
+
+    @property
+    def _has_name(self) -> bool:
+        """Return whether the function is found by its name, in this package."""
+        is_ours = self._plain.__module__.partition(".")[0] == __name__.partition(".")[0]
+        return is_ours and "<" not in self._plain.__qualname__
+
+    def _program(self, arguments: object) -> "_KeptProgram | None":
+        """Return the program for such arguments; None if none may be kept."""
+        if not (self._has_name and is_kept()) or _is_elsewhere(arguments):
+            return None
+        try:
+            text = tree_text(arguments)
+        except HasNoText:
+            return None
+        name = program_name(
+            f"{self._plain.__module__}:{self._plain.__qualname__}", text
+        )
+        if name not in self._kept:
+            self._kept[name] = self._found(name, arguments)
+        return self._kept[name]
+
+    def _found(self, name: str, arguments: object) -> "_KeptProgram | None":
+        found = read_program(name)
+        if found is None:
+            try:
+                found = self._exported(arguments)
+            except (HasNoText, ValueError):
+                # It holds what is not known by name, or calls what JAX does not export;
+                # what the function itself refuses, it refuses where it is called.
+                return None
+            write_program(name, *found)
+        return _KeptProgram(*found)
+
+    def _exported(self, arguments: object) -> tuple[jax.export.Exported, str]:
+        """Trace the function; return the program and the text of its result."""
+        leaves, structure = jax.tree.flatten(arguments)
+        results: list[str] = []
+
+        def of_arrays(*arrays: jax.Array) -> list[jax.Array]:
+            given = iter(arrays)
+            filled = [next(given) if is_array(x) else x for x in leaves]
+            args, kwargs = jax.tree.unflatten(structure, filled)
+            result: Any = cast(Any, self._plain)(*args, **kwargs)
+            results.append(tree_text(result))
+            return arrays_of(result)
+
+        shapes = [_shape(x) for x in leaves if is_array(x)]
+        return jax.export.export(jax.jit(of_arrays))(*shapes), results[0]
+
+
+class _KeptProgram:
+    """A traced program, of which only the arrays are arguments."""
+
+    def __init__(self, exported: jax.export.Exported, result: str):
+        self._exported, self._result = exported, result
+        self._lock = threading.Lock()
+        self._compiled: jax.stages.Compiled | None = None
+
+    def compiled(self, name: str) -> jax.stages.Compiled:
+        """Return what XLA makes of it, for arrays that are committed or are not."""
+        with self._lock:
+            if self._compiled is None:
+                call = lambda *arrays: self._exported.call(*arrays)
+                call.__name__ = name
+                avals = self._exported.in_avals
+                shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in avals]
+                self._compiled = jax.jit(call).lower(*shapes).compile()
+            return self._compiled
+
+    def result_of(self, arrays: list[jax.Array]) -> Any:
+        """Return the result that consists of these arrays."""
+        return tree_of_text(self._result, arrays)
+
+
+def _is_traced(arguments: object) -> bool:
+    return any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(arguments))
+
+
+def _is_elsewhere(arguments: object) -> bool:
+    """Return whether an array is on another device than what is compiled runs on."""
+    arrays = [x for x in jax.tree.leaves(arguments) if isinstance(x, jax.Array)]
+    devices = {device for x in arrays for device in x.devices()}
+    return not devices <= {jax.config.jax_default_device or jax.devices()[0]}  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def _shape(array: Any) -> jax.ShapeDtypeStruct:
+    dtype = jax.dtypes.canonicalize_dtype(array.dtype)
+    return jax.ShapeDtypeStruct(array.shape, dtype)

@@ -1,0 +1,123 @@
+"""Traced programs on disk, beside JAX's cache of compiled ones.
+
+JAX keeps what XLA has compiled, but a new process traces the Python code again to find
+it. Here the traced program is kept too, under everything that it depends on.
+"""
+
+import contextlib
+import functools
+import hashlib
+import importlib.metadata
+import json
+import os
+import pathlib
+import tempfile
+
+import jax
+import jax.export
+
+# Beyond so many, those that were not used for longest go.
+_MOST_PROGRAMS = 400
+_FOLDER = "programs"
+# What JAX is told that changes no program.
+_HARMLESS = ("compilation_cache", "persistent_cache", "log_", "explain_", "traceback")
+
+
+def is_kept() -> bool:
+    """Return whether programs are kept: where JAX keeps compiled ones."""
+    debugs = jax.config.jax_debug_nans or jax.config.jax_disable_jit  # pyright: ignore[reportAttributeAccessIssue]
+    return _folder() is not None and not debugs
+
+
+def program_name(function: str, arguments: str) -> str:
+    """Return the name of a program: a digest of all that it depends on.
+
+    Args:
+        function: Where the function is defined.
+        arguments: The text of its arguments.
+    """
+    settings = {
+        name: str(getattr(jax.config, name, value))
+        for name, value in sorted(jax.config.values.items())
+        if not any(part in name for part in _HARMLESS)
+    }
+    told = [function, arguments, _sources(), jax.default_backend(), settings]
+    return hashlib.sha256(json.dumps(told).encode()).hexdigest()
+
+
+def read_program(name: str) -> tuple[jax.export.Exported, str] | None:
+    """Return a program and the text of its result, or None where there is none.
+
+    A file that is damaged counts as none, and is written again.
+
+    Args:
+        name: As `program_name` gives it.
+    """
+    folder = _folder()
+    if folder is None:
+        return None
+    path = folder / name
+    try:
+        digest, body = path.read_bytes().split(b"\n", 1)
+        if hashlib.sha256(body).hexdigest().encode() != digest:
+            return None
+        result, code = body.split(b"\n", 1)
+        exported = jax.export.deserialize(bytearray(code))
+        os.utime(path)
+    except (OSError, ValueError):
+        return None
+    return exported, result.decode()
+
+
+def write_program(name: str, exported: jax.export.Exported, result: str) -> None:
+    """Keep a program; where nothing can be written, nothing is.
+
+    Args:
+        name: As `program_name` gives it.
+        exported: The program.
+        result: The text of its result.
+    """
+    folder = _folder()
+    if folder is None:
+        return
+    body = result.encode() + b"\n" + exported.serialize()
+    digest = hashlib.sha256(body).hexdigest().encode()
+    with contextlib.suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True)
+        # Another process may read or write the same: it sees the whole or nothing.
+        handle, part = tempfile.mkstemp(dir=folder, prefix="part-")
+        with os.fdopen(handle, "wb") as file:
+            file.write(digest + b"\n" + body)
+        pathlib.Path(part).replace(folder / name)
+        _forget_oldest(folder)
+
+
+def _forget_oldest(folder: pathlib.Path) -> None:
+    files = list(folder.iterdir())
+    for path in sorted(files, key=_last_use)[: max(0, len(files) - _MOST_PROGRAMS)]:
+        path.unlink(missing_ok=True)
+
+
+def _last_use(path: pathlib.Path) -> float:
+    try:
+        return path.stat().st_mtime
+    except FileNotFoundError:
+        return 0.0
+
+
+def _folder() -> pathlib.Path | None:
+    parent: str | None = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
+    # A cache in a bucket is JAX's own affair.
+    return None if parent is None or "://" in parent else pathlib.Path(parent, _FOLDER)
+
+
+@functools.cache
+def _sources() -> str:
+    """Return a digest of what is traced: this package and what it stands on."""
+    digest, root = hashlib.sha256(), pathlib.Path(__file__).parents[1]
+    for path in sorted(root.rglob("*.py")):
+        digest.update(str(path.relative_to(root)).encode() + b"\0" + path.read_bytes())
+    for name in ("jax", "jaxlib", "equinox", "numpy"):
+        digest.update(f"{name} {importlib.metadata.version(name)}\n".encode())
+    digest.update(os.environ.get("XLA_FLAGS", "").encode())
+    return digest.hexdigest()
