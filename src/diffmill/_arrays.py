@@ -15,6 +15,15 @@ def on_device(rows: Array | np.ndarray) -> Array:
     return rows if isinstance(rows, jax.Array) else jax.device_put(rows)
 
 
+def first_rows(tree: _Tree, count: int) -> _Tree:
+    """Return the first of the rows of all arrays, cut on the host.
+
+    A device would compile a slice for each length.
+    """
+    cut = lambda x: x if x.shape[0] == count else on_device(np.asarray(x)[:count])
+    return jax.tree.map(cut, tree)
+
+
 def cast_floats(tree: _Tree, dtype: jnp.dtype) -> _Tree:
     """Return a tree with every floating leaf as an array of one type."""
 

@@ -1,4 +1,6 @@
-"""Rows of a padded path that count, and those that no period computes.
+"""Paths padded to few lengths: rows that count, and those that no period computes.
+
+A compiled program serves one length, so that paths are padded before they run.
 
 In the rows behind the last one the machine does nothing: a period there leaves the arm
 as it is, and removes at most what is left to remove anyway.
@@ -9,11 +11,32 @@ from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Int
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
 
 from ._types import IntScalar
 
 _Tree = TypeVar("_Tree")
+# Paths are padded to the least of these lengths: this times a power of the ratio.
+_LEAST, _RATIO = 256, 4
+
+
+def padded_count(row_count: int) -> int:
+    """Return the number of rows to which a path of so many is padded."""
+    count = _LEAST
+    while count < row_count:
+        count *= _RATIO
+    return count
+
+
+def pad_rows(
+    rows: Float[Array, "step ..."] | Float[np.ndarray, "step ..."], step_count: int
+) -> Float[Array, "row ..."] | Float[np.ndarray, "row ..."]:
+    """Return rows as long as those of a padded path; the last one comes again."""
+    if rows.shape[0] == step_count:
+        return rows
+    at = np.minimum(np.arange(step_count), rows.shape[0] - 1)
+    return np.asarray(rows)[at]
 
 
 def last_row(step_count: int, row_count: IntScalar | None) -> Int[Array, ""]:

@@ -21,11 +21,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._job import Job
+from ..._live_rows import padded_count
 from ..._types import Transform
 from ...process import Process, ThroughRays
 from ...robot import ArmTerms, Robot
 from ...workpiece import Pose
-from .._job.padding import padded_count
 from .._job.simulate import Solution, job_process, simulate
 from .._machine.commands import JobKinematics
 from .._machine.elastic import ElasticArm

@@ -12,23 +12,13 @@ import equinox as eqx
 import jax
 import jax.core
 import numpy as np
-from jaxtyping import Array, Float
 
-from ..._arrays import on_device
+from ..._arrays import first_rows
 from ..._job import Job
+from ..._live_rows import padded_count
 from ...toolpath import Path
 
 _Tree = TypeVar("_Tree")
-# Paths are padded to the least of these lengths: this times a power of the ratio.
-_LEAST, _RATIO = 256, 4
-
-
-def padded_count(row_count: int) -> int:
-    """Return the number of rows to which a path of so many is padded."""
-    count = _LEAST
-    while count < row_count:
-        count *= _RATIO
-    return count
 
 
 def pad_path(path: Path, row_count: int | None = None) -> Path:
@@ -70,16 +60,6 @@ def padded_job(job: Job) -> Job:
     return dataclasses.replace(job, path=pad_path(job.path))
 
 
-def pad_rows(
-    rows: Float[Array, "step ..."] | Float[np.ndarray, "step ..."], step_count: int
-) -> Float[Array, "row ..."] | Float[np.ndarray, "row ..."]:
-    """Return rows as long as those of a padded path; the last one comes again."""
-    if rows.shape[0] == step_count:
-        return rows
-    at = np.minimum(np.arange(step_count), rows.shape[0] - 1)
-    return np.asarray(rows)[at]
-
-
 def cut_rows(tree: _Tree, names: tuple[str, ...], row_count: int) -> _Tree:
     """Return results without the rows behind the last one that counts.
 
@@ -93,5 +73,4 @@ def cut_rows(tree: _Tree, names: tuple[str, ...], row_count: int) -> _Tree:
     """
     given = tuple(name for name in names if getattr(tree, name) is not None)
     at = lambda tree: [getattr(tree, name) for name in given]
-    kept = [on_device(np.asarray(rows)[:row_count]) for rows in at(tree)]
-    return eqx.tree_at(at, tree, kept)
+    return eqx.tree_at(at, tree, first_rows(at(tree), row_count))

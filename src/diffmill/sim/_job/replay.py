@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from ..._arrays import on_device
 from ..._job import Job
+from ..._live_rows import pad_rows, padded_count
 from ...numerics import CompiledOnce
 from ...process import (
     EdgeElementsInSpace,
@@ -23,8 +24,9 @@ from ...process import (
 )
 from ...workpiece import Pose
 from .._analysis.stability import joint_poses
-from .._machine.machine import Run
+from .._machine.machine import RUN_ROWS, Run
 from .._machine.rigid import Rigid
+from .padding import cut_rows
 from .simulate import Solution, job_process
 
 
@@ -75,12 +77,13 @@ class Replay(eqx.Module):
         tips = on_device(np.asarray(job.path.positions))
         poses = Pose.along(tips, job.tool_axes)
         replay = cls(job_process(job, ThroughRays()), poses)
-        _run.prepare(replay.process, poses)
+        _run.prepare(replay.process, *_padded(poses))
         _last_periods.prepare(replay.process, *replay._until(tips.shape[0] - 1))
 
     def run(self) -> Run:
         """Return the run with the force at every angle sample. Check `.result`."""
-        return _run(self.process, self.path)
+        run = _run(self.process, *_padded(self.path))
+        return cut_rows(run, RUN_ROWS, self.path.tip.shape[0])
 
     def tooth_chip(self, step: int) -> ToothChip:
         """Return the chip that tooth 0 meets in the revolution that ends at a step.
@@ -126,16 +129,18 @@ class Replay(eqx.Module):
         return ToothChip(turn[order], height, chart[:, order], share[:, order])
 
     def _until(self, step: int) -> tuple[Pose, Int[Array, " period"], int]:
-        """Return the path up to a step, as long as the whole, for one program.
+        """Return the path up to a step, of one of few lengths, for one program.
 
-        Before its first pose the tool stands there.
+        Before its first pose the tool stands there, in periods that are not run.
 
         Returns:
             The path, the number of each of its periods, and how many of the last ones
             make a revolution.
         """
-        rows = np.arange(self.path.tip.shape[0]) - (self.path.tip.shape[0] - 1 - step)
-        path = self.path[on_device(np.maximum(rows, 0))]
+        total = padded_count(self.path.tip.shape[0])
+        rows = np.arange(total) - (total - 1 - step)
+        at = np.maximum(rows, 0)
+        path = jax.tree.map(lambda x: on_device(np.asarray(x)[at]), self.path)
         count = min(self.process.cutter.flute_count, step)
         return path, on_device(rows[1:].astype(np.int32)), count
 
@@ -152,9 +157,16 @@ def _actual_poses(job: Job, solution: Solution) -> Pose:
     return Pose(tips, joint_poses(job.robot, frame, joints, False).axis)
 
 
+def _padded(poses: Pose) -> tuple[Pose, Int[Array, ""]]:
+    """Return poses, as many as one of few lengths, and how many of them count."""
+    count = poses.tip.shape[0]
+    rows = jax.tree.map(lambda x: on_device(pad_rows(x, padded_count(count))), poses)
+    return rows, on_device(np.asarray(count, np.int32))
+
+
 @CompiledOnce
-def _run(process: Process, poses: Pose) -> Run:
-    return Rigid(keeps_instantaneous=True).run(process, poses)
+def _run(process: Process, poses: Pose, row_count: Int[Array, ""]) -> Run:
+    return Rigid(keeps_instantaneous=True).run(process, poses, row_count=row_count)
 
 
 def _left_of_feed(path: Pose) -> float:
@@ -193,9 +205,15 @@ def _last_periods(
 
     within = process.poses_within(path)
     xs = (index, path[:-1], within.middles, within.ends)
-    before = jax.tree.map(lambda x: x[:-count], xs)
     last = jax.tree.map(lambda x: x[-count:], xs)
-    state, _ = jax.lax.scan(lambda s, x: (period(s, x)[0], None), state, before)
+
+    def earlier(row: Int[Array, ""], state: ProcessState) -> ProcessState:
+        return period(state, jax.tree.map(lambda x: x[row], xs))[0]
+
+    # A period ends at its number: those up to 0 end where the tool stands at first.
+    standing = jnp.sum(index < 1).astype(jnp.int32)
+    end = jnp.asarray(index.shape[0] - count, jnp.int32)
+    state = jax.lax.fori_loop(standing, end, earlier, state)
     _, (cut, chip) = jax.lax.scan(period, state, last)
     samples = cut.samples
     return samples.angle, samples.tooth, chip, samples.occupancy

@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..._arrays import cast_floats, on_device
 from ..._job import Job
+from ..._live_rows import pad_rows
 from ..._result import RESULTS, SimulationFailed
 from ..._types import FloatRows3
 from ...numerics import CompiledOnce
@@ -30,13 +31,13 @@ from ...workpiece import Pose, Stock
 from .._machine._integrator.rk4 import make_integrator
 from .._machine.commands import JobKinematics
 from .._machine.elastic import ElasticArm
-from .._machine.machine import Run
+from .._machine.machine import RUN_ROWS, Run
 from .._machine.modal import ModalMachine
 from .._machine.quasi_static import QuasiStaticArm
 from .._machine.rigid import Rigid
 from .failure import troubles_of
 from .intervals import with_more_intervals
-from .padding import cut_rows, pad_rows, padded_job
+from .padding import cut_rows, padded_job
 
 if TYPE_CHECKING:
     import xarray
@@ -265,7 +266,7 @@ def rigid_cut(job: Job, adjoint: AbstractAdjoint) -> Run:
     program, count = _program(job, adjoint), job.path.step_count
     cut = _cut_along(program, on_device(program.path.positions))
     if program.path.step_count != count:
-        cut = cut_rows(cut, _PROCESS_ROWS, count)
+        cut = cut_rows(cut, RUN_ROWS, count)
     return cut
 
 
@@ -422,16 +423,7 @@ class _Followed(eqx.Module):
     result: RESULTS
 
 
-# The fields with a row per step.
-_PROCESS_ROWS = (
-    "time",
-    "actual",
-    "ends",
-    "force",
-    "removed_volume",
-    "shank_volume",
-    "has_failed",
-)
+# The fields of `_Followed` with a row per step.
 _FOLLOWED_ROWS = (
     "actual",
     "force",

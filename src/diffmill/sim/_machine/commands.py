@@ -13,8 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ..._arrays import on_device
+from ..._arrays import first_rows, on_device
 from ..._job import Job
+from ..._live_rows import pad_rows, padded_count
 from ...robot import (
     JointSolution,
     Robot,
@@ -23,7 +24,6 @@ from ...robot import (
     motor_positions,
 )
 from ...workpiece import Pose
-from .._job.padding import pad_rows, padded_count
 
 
 class JobKinematics(eqx.Module):
@@ -68,7 +68,7 @@ class JobKinematics(eqx.Module):
         found = inverse_kinematics_path(
             robot, Ts, start, tool_rotation=self.job.tool_rotation
         )
-        return _first_rows(found, count, rows)
+        return first_rows(found, count)
 
     def joints(
         self, commanded: Float[Array, "step 3"]
@@ -133,7 +133,7 @@ class JobKinematics(eqx.Module):
             joints = on_device(pad_rows(joints, rows))
         is_compensated = self.job.simulation.is_gravity_compensated
         motors = _motors(self.robot, joints, is_compensated)
-        return _first_rows(motors, count, rows)
+        return first_rows(motors, count)
 
     def tool_rows(self, commanded: Float[Array, "step 3"]) -> Float[Array, "step axis"]:
         """Return the command of a machine of modes: tips, and axes of a tilted tool."""
@@ -172,7 +172,7 @@ class JobKinematics(eqx.Module):
             joints = on_device(pad_rows(joints, rows))
             Ts = None if Ts is None else on_device(pad_rows(Ts, rows))
         found = _slopes(_Slopes(self.job, self.robot), joints, Ts)
-        return _first_rows(found, count, rows)
+        return first_rows(found, count)
 
 
 @eqx.filter_jit
@@ -193,13 +193,6 @@ def _is_traced(*trees: Any) -> bool:
     """Tell whether a compiled function is being traced."""
     leaves = jax.tree.leaves(trees)
     return any(isinstance(leaf, jax.core.Tracer) for leaf in leaves)
-
-
-def _first_rows(tree: Any, count: int, rows: int) -> Any:
-    """Return the first of some rows; cut on the host, which compiles nothing."""
-    if count == rows:
-        return tree
-    return jax.tree.map(lambda x: on_device(np.asarray(x)[:count]), tree)
 
 
 @eqx.filter_jit

@@ -256,6 +256,20 @@ class Run(eqx.Module):
     instantaneous_force: Float[Array, "step sample 3"] | None
 
 
+# The fields of `Run` with a row per step.
+RUN_ROWS = (
+    "time",
+    "actual",
+    "ends",
+    "force",
+    "joint_positions",
+    "removed_volume",
+    "shank_volume",
+    "has_failed",
+    "instantaneous_force",
+)
+
+
 class Segment(eqx.Module):
     """Solution of one segment of a run.
 
