@@ -210,12 +210,14 @@ class OutputSettings(eqx.Module):
             time of every row [m]; 0 writes every row.
         cycle: Time between the rows of a stream of offsets [s]; 0 writes none.
         max_step: How far an offset may change in a cycle [m].
+        is_spline: Whether formats that know splines (KRL) get one instead of lines.
     """
 
     formats: tuple[str, ...] = eqx.field(static=True, default=(".ngc",))
     tolerance: float = eqx.field(static=True, default=1e-6)
     cycle: float = eqx.field(static=True, default=0.0)
     max_step: float = eqx.field(static=True, default=float("inf"))
+    is_spline: bool = eqx.field(static=True, default=False)
 
 
 class Job(eqx.Module):

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy import interpolate
 
 from diffmill.io import (
     ProgramError,
@@ -212,6 +213,42 @@ def test_written_path_reads_back_in_position_and_time(read, suffix):
     assert back.step_count == expected.step_count
     gap = np.linalg.norm(np.asarray(back.positions) - expected.positions, axis=1)
     assert np.max(gap) < 5e-9
+
+
+@pytest.mark.parametrize("is_tilted", [False, True])
+def test_a_spline_of_few_points_keeps_the_tolerance_as_it_is_read(read, is_tilted):
+    path, tolerance = curved_path(is_tilted), 5e-6
+    points = reduce_path(path, tolerance, is_spline=True)
+    text = write_program(points, ".src", is_spline=True)
+    assert text.count("SPL {") == points.step_count - 1
+    back = sample_program(read(text, ".src"), 0.004, **LIMITS)
+    assert back.step_count == path.step_count
+    for found, expected, most in [
+        (back.positions, path.positions, tolerance),
+        (back.axes, path.axes, 20 * tolerance),
+    ]:
+        gap = np.linalg.norm(np.asarray(found) - np.asarray(expected), axis=1)
+        assert np.max(gap) < 1.05 * most
+    # The cubic nearest to a quartic over T is |p^(4)| T^4 / 384 / 4 off at most.
+    speed, step = np.asarray(path.positions), 0.004
+    for _ in range(4):
+        speed = np.gradient(speed, step, axis=0)
+    bend = np.linalg.norm(speed, axis=1)
+    fewest = np.sum((bend / (4 * 384 * tolerance)) ** 0.25) * step
+    assert points.step_count - 1 < 2.5 * fewest + 3
+    with pytest.raises(ValueError, match="is_spline"):
+        write_program(points, ".mod", is_spline=True)
+
+
+def test_a_spline_follows_a_corner_with_more_points():
+    time = 0.004 * np.arange(400)
+    turned = np.maximum(time - 0.8, 0.0)
+    path = Path.upright(time, np.stack([0.05 * time, 0.05 * turned, 0 * time], axis=1))
+    points = reduce_path(path, 2e-6, is_spline=True)
+    curve = interpolate.CubicSpline(points.time, points.positions, bc_type="natural")
+    gap = np.linalg.norm(curve(time) - path.positions, axis=1)
+    assert np.max(gap) <= 2.001e-6
+    assert points.step_count < 40
 
 
 @pytest.mark.parametrize("suffix", [".src", ".mod", ".apt"])

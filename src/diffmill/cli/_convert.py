@@ -7,7 +7,12 @@ from ._session.errors import BadInput
 
 
 def convert_file(
-    source: pathlib.Path, target: pathlib.Path, *, tolerance: float, force: bool
+    source: pathlib.Path,
+    target: pathlib.Path,
+    *,
+    tolerance: float,
+    force: bool,
+    is_spline: bool = False,
 ) -> list[str]:
     """Write a program in the format of another suffix; return lines about it.
 
@@ -16,6 +21,7 @@ def convert_file(
         target: The file to write.
         tolerance: How far the written motion may lie beside the read one [m].
         force: Whether a file that is there may be replaced.
+        is_spline: Whether a path becomes a spline.
 
     Raises:
         BadInput: If a file is there already.
@@ -24,25 +30,36 @@ def convert_file(
     from ..io import read_program, write_program
     from ..toolpath import Path, reduce_path
 
+    if is_spline and target.suffix.lower() != ".src":
+        raise BadInput(f"--spline: {target} knows no splines; .src does")
+
     if target.exists() and not force:
         raise BadInput(f"{target}: the file exists; --force replaces it")
     program = read_program(source)
     lines = []
     if isinstance(program, Path):
         if target.suffix.lower() != ".csv":
-            reduced = reduce_path(program, tolerance)
+            reduced = reduce_path(program, tolerance, is_spline=is_spline)
             lines.append(
                 f"rows: {program.step_count}, blocks: {reduced.step_count - 1}"
             )
             program = reduced
     else:
+        if is_spline:
+            raise BadInput(f"--spline: {source} is no path; its moves stay as they are")
         lines += [f"note: {note}" for note in program.notes]
         if len(program.tools) > 1:
             program = program.of_tool()
             tool = program.sections[0].tool
             lines.append(f"note: only tool {tool} is written, others are left out")
     header = [f"converted from {source.name} by diffmill"]
-    text = write_program(program, target.suffix, header=header, tolerance=tolerance)
+    text = write_program(
+        program,
+        target.suffix,
+        header=header,
+        tolerance=tolerance,
+        is_spline=is_spline,
+    )
     beside = target.with_name(f".{target.name}.{os.getpid()}")
     beside.write_text(text, encoding="utf-8")
     beside.replace(target)

@@ -128,10 +128,10 @@ def corrected_files(
     output, said = job.output, []
     path = eqx.tree_at(lambda p: p.positions, job.path, commanded)
     files = {"corrected.csv": write_path_csv(path)}
-    blocks = reduce_path(path, output.tolerance)
+    lines = reduce_path(path, output.tolerance)
     header = [f"{job.name}, corrected by diffmill", f"method: {job.correction.method}"]
     for suffix in output.formats:
-        name = f"corrected{suffix}"
+        name, blocks = f"corrected{suffix}", lines
         if suffix == ".ngc":
             speed = float(job.spindle_speed)
             frame = program_frame(job.program, np.asarray(path.line).tolist())
@@ -139,7 +139,12 @@ def corrected_files(
                 blocks, header=header, spindle_speed=speed, frame=frame
             )
         else:
-            files[name] = write_program(blocks, suffix, header=header)
+            is_spline = output.is_spline and suffix == ".src"
+            if is_spline:
+                blocks = reduce_path(path, output.tolerance, is_spline=True)
+            files[name] = write_program(
+                blocks, suffix, header=header, is_spline=is_spline
+            )
         said.append(
             f"{name}: {blocks.step_count - 1} blocks instead of "
             f"{path.step_count - 1}, within {output.tolerance * 1e6:g} um at any time"

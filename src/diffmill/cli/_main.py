@@ -322,6 +322,9 @@ def convert(
         str,
         tyro.conf.arg(help="How far what is written may lie beside what is read."),
     ] = "1 um",
+    spline: Annotated[
+        bool, tyro.conf.arg(help="Whether a path becomes a spline (KRL).")
+    ] = False,
     force: _Force = False,
     quiet: _Quiet = False,
 ) -> int:
@@ -333,7 +336,9 @@ def convert(
         length = quantity(tolerance, LENGTH)
         if not length > 0:
             raise ValueError(f"--tolerance: found {tolerance!r}; needed is one above 0")
-        lines = convert_file(source, target, tolerance=length, force=force)
+        lines = convert_file(
+            source, target, tolerance=length, force=force, is_spline=spline
+        )
     if not quiet:
         print("\n".join(lines))
     return 0

@@ -6,10 +6,10 @@ tangential and the centripetal acceleration, corners rounded within a tolerance 
 stopped at, a start and an end at rest. Assumed: the controller travels with trapezoidal
 speed (no jerk limit), a corner is rounded by an arc between lines and by a cubic curve
 at arcs, rapid moves are straight and end at rest, the tool axis turns evenly along a
-move. A path of few blocks keeps a tolerance at every time (`reduce_path`). Left out:
-axes of a machine that turn, and the controller's own path deviation. The contour error
-of a path against the desired one is JAX code and differentiates; everything else runs
-once, on the host, in NumPy.
+move. A path of few blocks, straight or a spline, keeps a tolerance at every time
+(`reduce_path`). Left out: axes of a machine that turn, and the controller's own path
+deviation. The contour error of a path against the desired one is JAX code and
+differentiates; everything else runs once, on the host, in NumPy.
 """
 
 from ._contour import contour_error as contour_error, contour_vector as contour_vector
@@ -24,6 +24,6 @@ from ._override import (
 )
 from ._path import Path as Path
 from ._path_feed import PathFeed as PathFeed
-from ._reduce import reduce_path as reduce_path
+from ._reduction.reduce_path import reduce_path as reduce_path
 from ._resample import resample as resample
 from ._timing import sample_program as sample_program

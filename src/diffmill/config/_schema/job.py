@@ -113,6 +113,7 @@ class OutputTable(Table):
     tolerance: Tolerance = 1e-6
     stream_cycle: Delay = 0.0
     max_step: PositiveLength = math.inf
+    blocks: Literal["lines", "spline"] = "lines"
 
     def settings(self) -> OutputSettings:
         """Return the settings of a job."""
@@ -122,6 +123,7 @@ class OutputTable(Table):
             tolerance=self.tolerance,
             cycle=self.stream_cycle,
             max_step=self.max_step,
+            is_spline=self.blocks == "spline",
         )
 
 

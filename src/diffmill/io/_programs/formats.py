@@ -83,6 +83,7 @@ def write_program(
     *,
     header: Sequence[str] = (),
     tolerance: float = 1e-6,
+    is_spline: bool = False,
 ) -> str:
     """Return the text of a program in the format of a suffix.
 
@@ -95,6 +96,7 @@ def write_program(
         header: Lines of comment.
         tolerance: How far straight pieces may lie beside an arc that the format does
             not know, and corners be rounded where times are needed [m].
+        is_spline: Whether the rows of a path are points of a spline; KRL only.
 
     Raises:
         ValueError: If the suffix is not known, or the format cannot say the motion.
@@ -102,11 +104,15 @@ def write_program(
     suffix = suffix.lower()
     if suffix not in PROGRAM_FORMATS:
         raise ValueError(f"found the suffix {suffix!r}; allowed: {allowed()}")
+    if is_spline and suffix not in KRL:
+        raise ValueError(
+            f"Argument `is_spline` must be false for {suffix}; KRL has SPL."
+        )
     if suffix == ".csv":
         return write_path_csv(_timed(program, tolerance))
     moves = program_of_path(program) if isinstance(program, Path) else program
     if suffix in KRL:
-        return write_krl(moves, header=header, tolerance=tolerance)
+        return write_krl(moves, header=header, tolerance=tolerance, is_spline=is_spline)
     if suffix in RAPID:
         return write_rapid(moves, header=header, tolerance=tolerance)
     if suffix in APT:

@@ -44,7 +44,7 @@ _QUIET = re.compile(
 _JOINTS = frozenset(["A1", "A2", "A3", "A4", "A5", "A6"])
 # A spline is read as so many straight pieces between two of its points at most.
 _MOST_PIECES = 64
-_SPLINE_TOLERANCE = 0.5e-6
+_SPLINE_TOLERANCE = 0.1e-6
 
 
 class _Krl(Reader):

@@ -3,10 +3,11 @@
 import math
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from .._types import RealScalarLike
-from ._path import Path
+from ..._types import RealScalarLike
+from .._path import Path
+from .spline import SplineFit
 
 # Two points of the tool keep the tolerance: the tip, and one so far up its axis [m].
 _LEVER = 0.1
@@ -14,19 +15,25 @@ _LEVER = 0.1
 _MOST_ROWS = 512
 
 
-def reduce_path(path: Path, tolerance: RealScalarLike) -> Path:
-    """Return a path of few rows that are joined by straight lines at constant speed.
+def reduce_path(
+    path: Path, tolerance: RealScalarLike, *, is_spline: bool = False
+) -> Path:
+    """Return a path of few rows that are joined by straight lines or by a spline.
 
     At the time of every row the new path is within the tolerance of the old one. From
-    each new row the line goes on as long as one exists that keeps the tolerance at all
-    rows on its way; it then ends where the middle of these lines ends. So the new rows
-    lie beside the old ones, on either side of a bend, and one needs half of the blocks
-    that a choice among the old rows would take. Rapid rows and others never share a
-    block.
+    each new row a line at constant speed goes on as long as one exists that keeps the
+    tolerance at all rows on its way; it then ends where the middle of these lines ends.
+    So the new rows lie beside the old ones, on either side of a bend, and one needs
+    half of the blocks that a choice among the old rows would take. Rapid rows and
+    others never share a block.
+
+    The spline is the cubic one in time, without a bend at its ends, that lies nearest
+    to all rows; it needs half of the rows again.
 
     Args:
         path: The path, at rest or moving at its ends; its time increases.
         tolerance: Largest distance at the time of a row [m]; 0 returns the path.
+        is_spline: Whether a spline joins the new rows.
 
     Returns:
         The path at the ends of the blocks; the first and the last row are within the
@@ -39,11 +46,31 @@ def reduce_path(path: Path, tolerance: RealScalarLike) -> Path:
         raise ValueError(
             f"Argument `tolerance` must be zero or positive, but is {tolerance}."
         )
-    if tolerance == 0:
-        return path
     time, axes = np.asarray(path.time), np.asarray(path.axes)
+    if tolerance == 0 or time.size < 3:
+        return path
     points = np.concatenate([np.asarray(path.positions), _LEVER * axes], axis=1)
-    is_rapid = np.asarray(path.is_rapid)
+    if is_spline:
+        fit = SplineFit(time, points, float(tolerance))
+        kept = fit.fewest_knots()
+        found = fit.fitted(kept)[kept]
+    else:
+        kept, found = _corners(path, points, float(tolerance))
+    directions = found[:, 3:] / np.linalg.norm(found[:, 3:], axis=1, keepdims=True)
+    return Path(
+        time=time[kept],
+        positions=found[:, :3],
+        axes=directions if np.ptp(axes, axis=0).any() else axes[kept],
+        is_rapid=np.asarray(path.is_rapid)[kept],
+        line=np.asarray(path.line)[kept],
+    )
+
+
+def _corners(
+    path: Path, points: Float[np.ndarray, "row 6"], tolerance: float
+) -> tuple[Int[np.ndarray, " corner"], Float[np.ndarray, "corner 6"]]:
+    """Return the rows at which lines end, and where."""
+    time, is_rapid = np.asarray(path.time), np.asarray(path.is_rapid)
     kept, row, corner = [0], 0, points[0]
     corners = [corner]
     while row < time.size - 1:
@@ -59,15 +86,7 @@ def reduce_path(path: Path, tolerance: RealScalarLike) -> Path:
         corner = corner + speed * span[count - 1]
         kept.append(row)
         corners.append(corner)
-    found = np.array(corners)
-    directions = found[:, 3:] / np.linalg.norm(found[:, 3:], axis=1, keepdims=True)
-    return Path(
-        time=time[kept],
-        positions=found[:, :3],
-        axes=directions if np.ptp(axes, axis=0).any() else axes[kept],
-        is_rapid=is_rapid[kept],
-        line=np.asarray(path.line)[kept],
-    )
+    return np.array(kept), np.array(corners)
 
 
 def _longest_line(

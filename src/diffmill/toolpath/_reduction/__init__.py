@@ -1,0 +1,1 @@
+"""Few rows for a path of many, within a tolerance at every time."""
