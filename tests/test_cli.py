@@ -117,7 +117,26 @@ def test_what_is_refused_at_once_imports_no_jax(folder):
     subprocess.run([sys.executable, "-c", code], cwd=folder, check=True)
 
 
-@pytest.mark.parametrize("name", ["paper", "paper_small"])
+def test_examples_are_listed_and_each_is_one_that_can_be_written(folder, capsys):
+    assert main(["example"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) >= 4
+    for name in (line.split()[0] for line in lines):
+        assert main(["example", name]) == 0
+        assert (folder / f"{name}.toml").exists()
+
+
+def test_the_first_example_is_corrected_without_a_robot(folder):
+    assert main(["example", "tiny"]) == 0
+    assert main(["correct", "tiny.toml", "--out", "out", "--quiet"]) == 0
+    with xarray.open_dataset(folder / "out" / "result.nc", engine="h5netcdf") as found:
+        cut = found.contour_error.where(found.is_cutting.astype(bool))
+        rms = np.sqrt((cut**2).mean("step"))
+        assert "joint_positions" not in found
+        assert rms.sel(case="corrected") < 0.1 * rms.sel(case="uncorrected")
+
+
+@pytest.mark.parametrize("name", ["tiny", "paper", "paper_small"])
 def test_example(folder, capsys, name):
     assert main(["example", name]) == 0
     assert f"diffmill correct {name}.toml" in capsys.readouterr().out

@@ -255,9 +255,9 @@ def robot(
 
 def example(
     name: Annotated[
-        tyro.conf.Positional[str],
-        tyro.conf.arg(metavar="NAME", help="paper, paper_small or measured_slot."),
-    ],
+        tyro.conf.Positional[str | None],
+        tyro.conf.arg(metavar="NAME", help="The example; without, all are listed."),
+    ] = None,
     *,
     out: Annotated[
         pathlib.Path,
@@ -267,18 +267,18 @@ def example(
     quiet: _Quiet = False,
 ) -> int:
     """Write a ready-to-run example job beside its program."""
-    from ..examples import MEASUREMENTS, copy_example
+    from ..examples import EXAMPLES, copy_example
 
+    if name is None:
+        print("\n".join(f"{known:<15}{line}" for known, line in EXAMPLES.items()))
+        return 0
     with bad_input():
         job = copy_example(name, out, force=force)
-    if quiet:
-        return 0
-    if name in MEASUREMENTS:
+    program = job.with_suffix(".ngc")
+    if not quiet and program.exists():
+        print(f"wrote {job} and {program}\nnext: diffmill correct {job}")
+    elif not quiet:
         print(f"wrote {job}\nnext: diffmill identify {job}")
-    else:
-        print(
-            f"wrote {job} and {job.with_suffix('.ngc')}\nnext: diffmill correct {job}"
-        )
     return 0
 
 

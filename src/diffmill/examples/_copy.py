@@ -4,17 +4,19 @@ import os
 import pathlib
 from importlib import resources
 
-# Jobs with their programs.
-EXAMPLES = ("paper", "paper_small")
-# Measurements for `diffmill identify`.
-MEASUREMENTS = ("measured_slot",)
+EXAMPLES = {
+    "tiny": "one slot on a soft machine given by its modes: a first look",
+    "paper_small": "steps and pockets on an arm, in a quarter of the time of `paper`",
+    "paper": "the test part of the published experiment, on an arm of six joints",
+    "measured_slot": "measured mean forces, for `diffmill identify`",
+}
 
 
 def example_files(name: str) -> dict[str, str]:
     """Return the files of an example by name.
 
     Args:
-        name: One of `EXAMPLES` or `MEASUREMENTS`.
+        name: One of `EXAMPLES`.
 
     Returns:
         The text of each file: the job first, then its program if it has one.
@@ -22,12 +24,12 @@ def example_files(name: str) -> dict[str, str]:
     Raises:
         ValueError: There is no such example.
     """
-    if name not in (*EXAMPLES, *MEASUREMENTS):
-        allowed = ", ".join((*EXAMPLES, *MEASUREMENTS))
+    if name not in EXAMPLES:
+        allowed = ", ".join(EXAMPLES)
         raise ValueError(f"example: found {name!r}; allowed: {allowed}")
     folder = resources.files("diffmill.examples")
-    names = [f"{name}.toml"] + [f"{name}.ngc"] * (name in EXAMPLES)
-    return {n: folder.joinpath(n).read_text(encoding="utf-8") for n in names}
+    files = [folder.joinpath(name + suffix) for suffix in (".toml", ".ngc")]
+    return {f.name: f.read_text(encoding="utf-8") for f in files if f.is_file()}
 
 
 def copy_example(
@@ -36,7 +38,7 @@ def copy_example(
     """Write the files of an example to a folder.
 
     Args:
-        name: One of `EXAMPLES` or `MEASUREMENTS`.
+        name: One of `EXAMPLES`.
         folder: Where to write; it is made if absent.
         force: Whether files of the same name are overwritten.
 

@@ -45,10 +45,12 @@ def correction_dataset(correction: "Correction") -> "xarray.Dataset":
     import xarray
 
     names = list(correction.cases)
+    tables = [correction.cases[name].to_dataset() for name in names]
     dataset = xarray.concat(
-        [correction.cases[name].to_dataset() for name in names],
+        tables,
         dim=xarray.DataArray(names, dims="case", name="case"),
-        data_vars=[*_BY_CASE],
+        # A machine given by modes has no joints.
+        data_vars=[name for name in _BY_CASE if name in tables[0]],
         combine_attrs="drop_conflicts",
     )
     dataset = dataset.assign(_figures(correction)).assign_coords(
