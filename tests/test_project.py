@@ -1,5 +1,6 @@
 """The repository as a whole: pins, imports, and commands that must not drift apart."""
 
+import json
 import pathlib
 import re
 import shutil
@@ -165,3 +166,10 @@ def test_pre_commit_runs_the_linters_of_continuous_integration():
     for tool in ("ruff check", "ruff format", "pyright", "lint-imports"):
         assert f"$uv {tool}" in script
         assert f"entry: uv run {tool}" in hooks
+
+
+@pytest.mark.parametrize("file", sorted((ROOT / "notebooks").glob("*.ipynb")))
+def test_notebooks_are_short_and_hold_no_results(file):
+    cells = json.loads(file.read_text(encoding="utf-8"))["cells"]
+    assert len(cells) <= 14
+    assert not any(cell.get("outputs") for cell in cells)

@@ -3,6 +3,7 @@
 from typing import TypeVar
 
 import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -38,3 +39,8 @@ def cast_floats(tree: _Tree, dtype: jnp.dtype) -> _Tree:
         return on_device(np.asarray(leaf, np.dtype(dtype)))  # pyright: ignore[reportArgumentType]
 
     return jax.tree.map(cast, tree)
+
+
+def is_traced(arguments: object) -> bool:
+    """Return whether JAX traces any of the arguments, as for a derivative."""
+    return any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(arguments))

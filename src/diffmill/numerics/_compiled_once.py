@@ -8,9 +8,9 @@ from typing import Any, Generic, ParamSpec, TypeVar, cast
 
 import equinox as eqx
 import jax
-import jax.core
 import jax.export
 
+from .._arrays import is_traced
 from ._program_store import is_kept, program_name, read_program, write_program
 from ._tree_text import HasNoText, arrays_of, is_array, tree_of_text, tree_text
 
@@ -103,7 +103,7 @@ class CompiledOnce(Generic[P, R]):
 
         Under a trace nothing happens.
         """
-        if _is_traced((args, kwargs)):
+        if is_traced((args, kwargs)):
             return
 
         def compile_it() -> None:
@@ -118,7 +118,7 @@ class CompiledOnce(Generic[P, R]):
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
         """Call the function, when what is being compiled for it is ready."""
-        if _is_traced((args, kwargs)):
+        if is_traced((args, kwargs)):
             return self._function(*args, **kwargs)
         while self._tasks:
             self._tasks.pop().wait()
@@ -200,10 +200,6 @@ class _KeptProgram:
     def result_of(self, arrays: list[jax.Array]) -> Any:
         """Return the result that consists of these arrays."""
         return tree_of_text(self._result, arrays)
-
-
-def _is_traced(arguments: object) -> bool:
-    return any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(arguments))
 
 
 def _is_elsewhere(arguments: object) -> bool:

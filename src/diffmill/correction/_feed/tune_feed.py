@@ -55,7 +55,7 @@ def feed_tradeoff(
     """Simulate, and correct, a job at several feeds.
 
     Args:
-        job: The job; its machine must be a robot.
+        job: The job; its machine must not be rigid.
         overrides: Factors of the feed of the whole program, positive; rapid moves are
             not overridden.
         corrects: Whether each is corrected too, as `[correction]` asks for.
@@ -70,9 +70,9 @@ def feed_tradeoff(
     Raises:
         SimulationFailed: A run fails; a feed may be too fast for the window of rays.
         NothingToCorrect: The program never cuts; a `ValueError`.
-        ValueError: The job has no robot, or an override is not positive.
+        ValueError: The machine is rigid, or an override is not positive.
     """
-    _check_robot(job)
+    _check_machine(job)
     feed = PathFeed.of_path(job.path, acceleration=acceleration)
     times = [feed.cycle_time(override) for override in overrides]
     rows = max(feed.row_count(override) for override in overrides)
@@ -125,7 +125,7 @@ def tune_feed(
     smoothed over 8 rows.
 
     Args:
-        job: The job; its machine must be a robot.
+        job: The job; its machine must not be rigid.
         time_weights: Weights of the time, positive; each starts where the last ended.
         count: Knots of the override, equally spaced over the length of the path.
         bounds: Smallest and largest override.
@@ -140,10 +140,10 @@ def tune_feed(
     Raises:
         SimulationFailed: The run of the program as it is fails.
         NothingToCorrect: The program never cuts; a `ValueError`.
-        ValueError: The job has no robot, a weight or a bound is not positive, or the
+        ValueError: The machine is rigid, a weight or a bound is not positive, or the
             path never accelerates and no acceleration is given.
     """
-    _check_robot(job)
+    _check_machine(job)
     job = job.with_precision()
     adjoint = ThroughPoses()
     before = simulate(job, adjoint=adjoint)
@@ -179,9 +179,9 @@ _NEVER = (
 )
 
 
-def _check_robot(job: Job) -> None:
-    if job.robot is None:
-        raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
+def _check_machine(job: Job) -> None:
+    if job.is_rigid:
+        raise ValueError("Argument `job` must have a soft machine, but it is rigid.")
 
 
 def _steps(solution: Solution) -> Float[np.ndarray, " row"]:

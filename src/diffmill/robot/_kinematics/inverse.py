@@ -9,14 +9,13 @@ import dataclasses
 
 import equinox as eqx
 import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._arrays import first_rows, on_device
+from ..._arrays import first_rows, is_traced, on_device
 from ..._live_rows import pad_rows, padded_count
 from ..._types import Transform
 from ...numerics import CompiledOnce, small_inverse
@@ -137,8 +136,7 @@ def inverse_kinematics_path(
     **Differentiability**: as `inverse_kinematics`, pose by pose.
     """
     start = joint_vector(robot, q_start, "q_start")
-    leaves = jax.tree.leaves((robot, Ts_base_tool, start))
-    if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+    if is_traced((robot, Ts_base_tool, start)):
         Ts = jnp.asarray(Ts_base_tool, dtype=robot.dtype)
         return _solve_path(robot, Ts, start, tool_rotation, attempts)
     count = Ts_base_tool.shape[0]

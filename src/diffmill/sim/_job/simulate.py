@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ..._arrays import cast_floats, on_device
+from ..._arrays import cast_floats, is_traced, on_device
 from ..._job import Job
 from ..._live_rows import pad_rows
 from ..._result import RESULTS, SimulationFailed
@@ -183,7 +183,8 @@ def run_with_room(
 
     Differentiability: as `simulate`; what is traced is run once.
     """
-    _prepare(job, adjoint)
+    if not is_traced((job, commanded)):
+        _prepare(job)
     on_progress("rigid cut", 0.0)
     rigid = rigid_cut(job, adjoint)
     while (more := with_more_intervals(job, rigid.result)) is not None:
@@ -263,7 +264,8 @@ def rigid_cut(job: Job, adjoint: AbstractAdjoint) -> Run:
 
     **Differentiability**: that of `simulate_process`.
     """
-    program, count = _program(job, adjoint), job.path.step_count
+    program = _program(job, _needed(adjoint, job))
+    count = job.path.step_count
     cut = _cut_along(program, on_device(program.path.positions))
     if program.path.step_count != count:
         cut = cut_rows(cut, RUN_ROWS, count)
@@ -344,7 +346,8 @@ def solve_command(
 
     Differentiability: as `simulate`.
     """
-    program, count = _program(job, adjoint), job.path.step_count
+    program = _program(job, _needed(adjoint, (job, rigid, commanded, motors)))
+    count = job.path.step_count
     commanded, steps = on_device(commanded), program.path.step_count
     tips = on_device(pad_rows(commanded, steps))
     is_reached = on_device(np.ones(steps, bool))
@@ -482,11 +485,19 @@ def _follow(program: _Program, finished: Stock, command: _Command) -> _Followed:
     )
 
 
-def _prepare(job: Job, adjoint: AbstractAdjoint) -> None:
+def _needed(adjoint: AbstractAdjoint, arguments: object) -> AbstractAdjoint:
+    """Return how a run differentiates; one alone, if nothing is differentiated.
+
+    So a run that is compiled for one method serves all others.
+    """
+    return adjoint if is_traced(arguments) else ThroughRays()
+
+
+def _prepare(job: Job) -> None:
     """Compile the run of a command while the rigid cut is compiled and runs."""
-    if job.is_rigid or isinstance(job.path.positions, jax.core.Tracer):
+    if job.is_rigid:
         return
-    program = _program(job, adjoint)
+    program = _program(job, ThroughRays())
     steps, dtype = program.path.step_count, np.dtype(job.simulation.precision)
     joints = 3 if job.robot is None else len(job.robot.joint_names)
     tips, motors = (on_device(np.zeros((steps, n), dtype)) for n in (3, joints))
