@@ -13,6 +13,7 @@ from diffmill import load_job, simulate
 from diffmill.campaign import run_campaign
 from diffmill.cli import main
 from diffmill.config import JobError, load_campaign
+from diffmill.examples import copy_example
 from small_job import small_job
 
 CUTS = "G21 G17 G90 G94\nG0 X-5.2 Y3 Z1\nG0 Z-0.5\nG1 X-2 F3000\nG0 X-6\nM2\n"
@@ -148,6 +149,16 @@ def test_a_faulty_campaign_is_refused_at_once(folder, capsys, text, words):
     error = capsys.readouterr().err
     assert all(word in error for word in words), error
     assert not (folder / "c-campaign").exists()
+
+
+def test_a_speed_that_is_asked_for_counts_before_that_of_the_program(tmp_path):
+    file = copy_example("tiny", tmp_path)
+    assert "S8000" in file.with_suffix(".ngc").read_text()
+    job = load_job(file, changes={"spindle.speed": "6000 rpm"})
+    assert job.tooth_period == pytest.approx(5e-3)
+    file.write_text(file.read_text().replace("8000 rpm", "6000 rpm"))
+    with pytest.raises(JobError, match="S8000"):
+        load_job(file)
 
 
 def test_a_job_with_changes_is_that_of_a_changed_file(folder):

@@ -59,8 +59,8 @@ def load_job(
         file: The job file.
         allow_outside: Whether the job may name files outside its own folder.
         changes: Other values for some of its keys, as they would stand in it, such as
-            {"spindle.speed": "9000 rpm"}; an entry of a list has a number from 1 on:
-            "robot.joint_stiffness.2".
+            {"spindle.speed": "9000 rpm"}, which counts before an S word of the program;
+            an entry of a list has a number from 1 on: "robot.joint_stiffness.2".
 
     Returns:
         The job in SI units, its path sampled at the tooth instants.
@@ -81,7 +81,9 @@ def load_job(
     tables = read_tables(raw, context.problems)
     if "program" not in tables:
         _check_program(raw.get("program"), context)
-    parts = _read_parts(tables, context)
+    # A speed that is asked for beside the file counts before the program's.
+    is_asked = "spindle.speed" in (changes or {})
+    parts = _read_parts(tables, context, overrides_speed=is_asked)
     simulation = _simulation(tables, parts, context)
     if context.problems or simulation is None:
         raise JobError(path, context.problems)
@@ -157,14 +159,17 @@ class _Parts(NamedTuple):
         return 2 * math.pi / (self.speed * self.cutter.flute_count)
 
 
-def _read_parts(tables: dict[str, Any], context: FileContext) -> _Parts:
+def _read_parts(
+    tables: dict[str, Any], context: FileContext, *, overrides_speed: bool
+) -> _Parts:
     """Return what checked tables say, with the path and the robot that follows it."""
     problems = context.problems
     program, speed, cutter, holder, stock, robot, start = (None,) * 7
     if "program" in tables:
         program = read_program(tables["program"], context)
     if "spindle" in tables:
-        speed = spindle_speed(tables["spindle"].speed, program, problems)
+        given = tables["spindle"].speed
+        speed = spindle_speed(given, program, problems, is_override=overrides_speed)
     if "cutter" in tables:
         cutter = make_cutter(tables["cutter"])
         holder = make_holder(tables["cutter"])

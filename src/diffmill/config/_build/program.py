@@ -75,7 +75,11 @@ def _point(lengths: list[float]) -> Point:
 
 
 def spindle_speed(
-    given: float | None, program: Program | Path | None, problems: list[str]
+    given: float | None,
+    program: Program | Path | None,
+    problems: list[str],
+    *,
+    is_override: bool = False,
 ) -> float | None:
     """Return the spindle speed [rad/s] of a job, or None with problems noted.
 
@@ -83,7 +87,10 @@ def spindle_speed(
         given: What `[spindle] speed` says, or None.
         program: The program; None if it could not be read.
         problems: Receives what is wrong.
+        is_override: Whether what is given counts, whatever the program says.
     """
+    if is_override and given is not None:
+        return given
     stated = program.spindle_speeds if isinstance(program, Program) else ()
     rpm = 60 / (2 * math.pi)
     if len(stated) > 1:

@@ -37,7 +37,11 @@ def plot_feed(
     # Most curves span less than a power of ten: ticks between need plain numbers.
     panels[0].tick_params(axis="y", which="both", labelsize=8)
     panels[0].yaxis.set_major_formatter("{x:g}")
-    panels[0].yaxis.set_minor_formatter("{x:g}")
+    low, high = panels[0].get_ylim()
+    if high < 10 * low:
+        panels[0].yaxis.set_minor_formatter("{x:g}")
+    else:
+        panels[0].yaxis.set_minor_formatter("")
     panels[0].legend(fontsize=8, frameon=False)
     return figure
 
