@@ -1,10 +1,11 @@
 """Write the pages of the documentation that follow from other files of the project.
 
-A hook of mkdocs: the start and the conventions are the README's, the keys of job files
-are read from the source of their schema, so that no page can drift from what it says.
+A hook of mkdocs: the start is the README's, tutorials are the notebooks, the keys of
+job files are read from the source of their schema, so that no page can drift from them.
 """
 
 import ast
+import json
 import pathlib
 import re
 from typing import TypeAlias
@@ -25,17 +26,22 @@ AREAS = (
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages that are written from other files."""
-    readme = (ROOT / "README.md").read_text(encoding="utf-8").replace("](docs/", "](")
+    readme = (
+        (ROOT / "README.md")
+        .read_text(encoding="utf-8")
+        .replace("](docs/", "](")
+        .replace("](CONTRIBUTING.md", "](contributing.md")
+        .replace("](CHANGELOG.md", "](changes.md")
+    )
+    job = (ROOT / "docs" / "job.md").read_text(encoding="utf-8")
     pages = {
         "index.md": readme,
-        "conventions.md": section(readme, "Conventions"),
-        "assumptions.md": section(readme, "The model in short"),
         "contributing.md": (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"),
         "changes.md": (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"),
         "python.md": python_page(),
         "derivatives.md": derivatives_page(),
         "job_keys.md": keys_page(
-            "The keys of a job", CONFIG / "_schema", meanings_of(toml_block(readme))
+            "The keys of a job", CONFIG / "_schema", meanings_of(toml_block(job))
         ),
         "identification_keys.md": keys_page(
             "The keys of an identification", CONFIG / "_identification", {}
@@ -44,15 +50,27 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
             "The keys of a campaign", CONFIG / "_campaign", {}
         ),
     }
+    for notebook in sorted((ROOT / "notebooks").glob("*.ipynb")):
+        pages[f"notebook_{notebook.stem}.md"] = notebook_page(notebook)
     for name, text in pages.items():
         files.append(File.generated(config, name, content=text))
     return files
 
 
-def section(text: str, title: str) -> str:
-    """Return a section of a Markdown text as a page of its own."""
-    (body,) = re.findall(rf"^## {title}\n(.*?)^## ", text, re.DOTALL | re.MULTILINE)
-    return f"# {title}\n{body}"
+def notebook_page(file: pathlib.Path) -> str:
+    """Return a notebook as a page, its results left out: they need its run."""
+    lines = []
+    for cell in json.loads(file.read_text(encoding="utf-8"))["cells"]:
+        text = "".join(cell["source"])
+        if cell["cell_type"] == "code":
+            text = f"```py\n{text.replace('%matplotlib inline', '').strip()}\n```"
+        lines += [text, ""]
+        if len(lines) == 2:
+            lines += [
+                f"*`notebooks/{file.name}`, to be opened with `jupyter lab`.*",
+                "",
+            ]
+    return "\n".join(lines)
 
 
 def toml_block(text: str) -> str:

@@ -21,8 +21,8 @@ def readme_commands() -> list[str]:
     return [line for line in lines if line.startswith("python3 -m venv .venv-tools ")]
 
 
-def readme_block(language: str) -> str:
-    text = README.read_text(encoding="utf-8")
+def shown_block(page: str, language: str) -> str:
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
     (block,) = re.findall(
         rf"^```{language}\n(.*?)^```$", text, re.DOTALL | re.MULTILINE
     )
@@ -113,9 +113,9 @@ def test_job_of_the_readme_is_the_small_example(tmp_path):
 
     file = examples.copy_example("paper_small", tmp_path)
     shipped = tomllib.loads(file.read_text(encoding="utf-8"))
-    shown = tomllib.loads(readme_block("toml"))
+    shown = tomllib.loads(shown_block("job.md", "toml"))
     assert shown["stock"] == shipped["stock"]
-    file.write_text(readme_block("toml"), encoding="utf-8")
+    file.write_text(shown_block("job.md", "toml"), encoding="utf-8")
     job = load_job(file)
     assert job.name == "paper_small"
     assert shown == {**shipped, "correction": shown["correction"]}
@@ -123,7 +123,9 @@ def test_job_of_the_readme_is_the_small_example(tmp_path):
 
 @pytest.mark.slow
 def test_python_of_the_readme_runs():
-    force, shape = run_python(readme_block("python")).split(maxsplit=1)
+    force, shape = run_python(shown_block("python_start.md", "python")).split(
+        maxsplit=1
+    )
     # A slot pushes a tool that turns clockwise to the left of its way, here +y.
     assert 10 < float(force) < 200
     assert shape.strip() == "(60, 3)"

@@ -2,7 +2,7 @@
 
 `load_job` reads a job, `simulate` predicts it, `correct` corrects it, `stack` makes one
 of several for `vmap`; the parts are in the subpackages. Arrays are SI, frames and signs
-are in the README.
+are in `docs/conventions.md`.
 
 Importing the package imports nothing else: every name is looked up when it is first
 used, so that help on the command line does not wait for JAX.
