@@ -126,13 +126,16 @@ def test_examples_are_listed_and_each_is_one_that_can_be_written(folder, capsys)
         assert (folder / f"{name}.toml").exists()
 
 
-def test_the_first_example_is_corrected_without_a_robot(folder):
-    assert main(["example", "tiny"]) == 0
-    assert main(["correct", "tiny.toml", "--out", "out", "--quiet"]) == 0
+def test_the_first_example_is_corrected_without_a_robot(folder, capsys):
+    assert main(["example", "tiny", "--quiet"]) == 0
+    assert main(["correct", "tiny.toml", "--out", "out", "--quiet", "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
     with xarray.open_dataset(folder / "out" / "result.nc", engine="h5netcdf") as found:
         cut = found.contour_error.where(found.is_cutting.astype(bool))
         rms = np.sqrt((cut**2).mean("step"))
         assert "joint_positions" not in found
+        for case, numbers in printed["cases"].items():
+            assert numbers["rms"] == pytest.approx(float(rms.sel(case=case)))
         assert rms.sel(case="corrected") < 0.1 * rms.sel(case="uncorrected")
 
 
@@ -147,6 +150,15 @@ def test_example(folder, capsys, name):
     assert (folder / f"{name}.toml").read_text() == "mine"
     assert main(["example", name, "--force"]) == 0
     assert "[cutter]" in (folder / f"{name}.toml").read_text()
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_a_shell_is_told_what_completes(capsys, shell):
+    assert main(["--completion", shell]) == 0
+    script = capsys.readouterr().out
+    assert "tolerance-band" in script and "doctor" in script
+    assert main(["--completion", "none"]) == 2
+    assert shell in capsys.readouterr().err
 
 
 def test_unknown_example(folder, capsys):

@@ -10,7 +10,7 @@ import tyro
 
 from .._toml import read_toml
 from ._session.errors import BadInput, bad_input
-from ._session.usage import check_usage
+from ._session.usage import check_usage, shell_of
 
 _JobFile = Annotated[
     tyro.conf.Positional[pathlib.Path],
@@ -30,6 +30,9 @@ _Band = Annotated[
         "that of the job.",
     ),
 ]
+_Json = Annotated[
+    bool, tyro.conf.arg(help="Print the figures of all cases as JSON, in SI units.")
+]
 _Outside = Annotated[
     bool, tyro.conf.arg(help="Let the job name files outside its own folder.")
 ]
@@ -47,6 +50,7 @@ def simulate(
     out: _Out = None,
     force: _Force = False,
     quiet: _Quiet = False,
+    json: _Json = False,
     allow_outside: _Outside = False,
     tolerance_band: _Band = None,
 ) -> int:
@@ -62,6 +66,7 @@ def simulate(
         is_quiet=quiet,
         allow_outside=allow_outside,
         tolerance_band=tolerance_band,
+        prints_json=json,
     )
 
 
@@ -71,6 +76,7 @@ def correct(
     out: _Out = None,
     force: _Force = False,
     quiet: _Quiet = False,
+    json: _Json = False,
     allow_outside: _Outside = False,
     tolerance_band: _Band = None,
     resume: Annotated[
@@ -94,6 +100,7 @@ def correct(
         allow_outside=allow_outside,
         tolerance_band=tolerance_band,
         resume=resume,
+        prints_json=json,
     )
 
 
@@ -370,7 +377,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"diffmill {metadata.version('diffmill')}")
         return 0
     try:
-        check_usage(commands, arguments)
+        if arguments[:1] == ["--completion"]:
+            arguments = ["--tyro-print-completion", shell_of(arguments)]
+        else:
+            check_usage(commands, arguments)
         return tyro.extras.subcommand_cli_from_dict(
             commands,
             prog="diffmill",

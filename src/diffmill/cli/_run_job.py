@@ -1,6 +1,8 @@
 """Running a job and writing its folder of results."""
 
 import functools
+import json
+import math
 import pathlib
 import sys
 import time
@@ -33,6 +35,7 @@ def run_job(
     allow_outside: bool,
     tolerance_band: str | None = None,
     resume: bool = False,
+    prints_json: bool = False,
 ) -> int:
     """Load, run and write a job; return the exit code.
 
@@ -46,6 +49,7 @@ def run_job(
         tolerance_band: Contour error to hold the result against, with its unit; by
             default that of the job.
         resume: Whether a correction goes on from its checkpoint.
+        prints_json: Whether the figures are printed as JSON when all is done.
     """
     from .._result import SimulationFailed
     from ..config import JobError, job_precision, load_job
@@ -103,7 +107,10 @@ def run_job(
         checkpoint.remove()
     progress.say(_summary(dataset))
     progress.say(f"results: {folder}; the run took {seconds:.1f} s with compilation")
-    return _analyse(folder, FinishedRun(job, solutions, final, dataset), progress)
+    code = _analyse(folder, FinishedRun(job, solutions, final, dataset), progress)
+    if prints_json:
+        print(json.dumps(_figures(dataset, folder, job.notes), indent=2))
+    return code
 
 
 def _length(text: str | None) -> float | None:
@@ -135,6 +142,27 @@ def _analyse(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> int:
     seconds = time.perf_counter() - start
     progress.say(f"analyses, figures and report took another {seconds:.1f} s")
     return code
+
+
+def _figures(
+    dataset: Dataset, folder: pathlib.Path, notes: tuple[str, ...]
+) -> dict[str, Any]:
+    """Return the headline figures of all cases in SI; None where there is none."""
+    from ..viz import case_numbers
+
+    known = lambda x: None if isinstance(x, float) and not math.isfinite(x) else x
+    cases = dataset["case"].values.tolist() if "case" in dataset.dims else ["predicted"]
+    numbers = {
+        name: {k: known(v) for k, v in vars(case_numbers(dataset, name)).items()}
+        for name in cases
+    }
+    return {
+        "job": dataset.attrs["job"],
+        "results": str(folder),
+        "wall_time_s": dataset.attrs["wall_time_s"],
+        "cases": numbers,
+        "notes": list(notes),
+    }
 
 
 def _summary(dataset: Dataset) -> str:

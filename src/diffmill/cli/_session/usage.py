@@ -7,6 +7,7 @@ from typing import Any, NoReturn, get_args, get_origin
 from .errors import BadInput
 
 _HELP = ("-h", "--help")
+_SHELLS = ("bash", "zsh", "fish")
 
 
 def check_usage(
@@ -26,12 +27,26 @@ def check_usage(
         if argv and argv[0] in _HELP:
             return
         found = f"the option {argv[0]}" if argv else "no command"
-        _refuse(f"found {found}", [*commands, "--help", "--version"])
+        _refuse(f"found {found}", [*commands, "--help", "--version", "--completion"])
     name, *tokens = argv
     if name not in commands:
         _refuse(f"found the command {name!r}", commands)
     if not set(tokens) & set(_HELP):
         _check_command(name, commands[name], tokens)
+
+
+def shell_of(argv: Sequence[str]) -> str:
+    """Return the shell whose completion is asked for.
+
+    Args:
+        argv: `--completion` and what follows it.
+
+    Raises:
+        BadInput: It is not one shell that is known.
+    """
+    if len(argv) != 2 or argv[1] not in _SHELLS:
+        _refuse(f"--completion: found {' '.join(argv[1:]) or 'nothing'}", _SHELLS)
+    return argv[1]
 
 
 def _check_command(
