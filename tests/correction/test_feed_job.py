@@ -102,7 +102,7 @@ def test_a_slower_feed_takes_longer_and_leaves_less(job):
 def test_a_rigid_machine_is_refused(job):
     rigid = eqx.tree_at(lambda j: j.robot, job, None, is_leaf=lambda x: x is None)
     for function in (feed_tradeoff, tune_feed):
-        with pytest.raises(ValueError, match=r"`job`.*robot"):
+        with pytest.raises(ValueError, match=r"`job`.*rigid"):
             function(rigid)
 
 
