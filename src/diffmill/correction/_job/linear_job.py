@@ -1,12 +1,16 @@
 """The linear system of a job, of its whole path or of some rows."""
 
+import dataclasses
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..._arrays import on_device
+from ..._arrays import first_rows, is_traced, on_device
 from ..._job import Job
+from ..._live_rows import pad_rows
 from ...numerics import CompiledOnce
 from ...process import StockHeld, wall_deviation, wall_shares
 from ...robot import Controller
@@ -19,6 +23,7 @@ from ...sim import (
     job_machine,
     job_process,
     linearise,
+    pad_path,
 )
 from .._core.linear_motion import LinearMotion
 from .._core.problem import Motion
@@ -102,7 +107,24 @@ def linear_job(
         wall_share: When in each period its wall is made; by the path alone if None.
         state: State at row 0, as of `sim.linearise`.
     """
-    return _linear_job(job.without_texts(), motors, slopes, wall_share, state)
+    job, count = job.without_texts(), job.path.step_count
+    if state is not None or wall_share is None or is_traced((job, motors)):
+        return _linear_job(job, motors, slopes, wall_share, state)
+    # A whole path runs at one of few lengths, for which it is compiled.
+    padded = dataclasses.replace(job, path=pad_path(job.path))
+    rows = padded.path.step_count
+    long = lambda x: on_device(pad_rows(x, rows))
+    given = long(motors), long(slopes), long(wall_share)
+    found = _linear_job(padded, *given, None)
+    return _first_rows(found, count) if rows > count else found
+
+
+def _first_rows(padded: LinearJob, count: int) -> LinearJob:
+    """Return a system without the rows behind the last one that counts."""
+    by_row = lambda x: (x.motion, x.motors, x.wall_share, x.run.ends, x.run.force)
+    by_period = lambda x: (x.run.loads, x.run.arm, x.run.pose, x.run.circles)
+    padded = eqx.tree_at(by_row, padded, first_rows(by_row(padded), count))
+    return eqx.tree_at(by_period, padded, first_rows(by_period(padded), count - 1))
 
 
 def prepare_linear_job(job: Job) -> None:
@@ -113,12 +135,13 @@ def prepare_linear_job(job: Job) -> None:
     """
     if not has_linear_run(job):
         return
+    job = dataclasses.replace(job.without_texts(), path=pad_path(job.path))
     rows, dtype = job.path.step_count, np.dtype(job.simulation.precision)
     joints = 3 if job.robot is None else len(job.robot.joint_names)
     axes = joints if job.correction.command == "joint" else 3
     shapes = (rows, joints), (rows, joints, axes), (rows,)
     motors, slopes, shares = (on_device(np.zeros(x, dtype)) for x in shapes)
-    _linear_job.prepare(job.without_texts(), motors, slopes, shares, None)
+    _linear_job.prepare(job, motors, slopes, shares, None)
 
 
 @CompiledOnce
@@ -134,7 +157,7 @@ def _linear_job(
     process, controller = job_process(job, StockHeld()), job.controller
     if controller is not None:
         motors = controller.motors(motors, process.tooth_period)
-    run = linearise(machine, process, motors, state)
+    run = linearise(machine, process, motors, state, row_count=job.path.row_count)
     desired = jnp.asarray(job.path.positions)
     if wall_share is None:
         wall_share = wall_shares(desired, job.tool_axes, job.cutter)

@@ -25,6 +25,8 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int, Shaped
 
+from ..._live_rows import live_rows, when_live
+from ..._types import IntScalar
 from ...process import AbstractEngagement, Process
 from .._machine.machine import RunState, all_ends, begin, continued, with_first
 from .._machine.substeps import AbstractSwinging, CommandRow, follow
@@ -151,6 +153,7 @@ def linearise(
     *,
     scaled: Callable[[Array], CuttingMachine] | None = None,
     parameter_count: int = 0,
+    row_count: IntScalar | None = None,
 ) -> LinearRun:
     """Run a machine, and return the linear system around the run.
 
@@ -164,9 +167,10 @@ def linearise(
             some numbers, shape (parameter,); None without parameters. A state that is
             given does not follow them.
         parameter_count: How many parameters there are.
+        row_count: How many rows count, shape (); None for all.
 
     Returns:
-        The system, with the run itself.
+        The system, with the run itself; of rows that do not count nothing is known.
 
     **Differentiability**: none is meant.
     """
@@ -179,7 +183,7 @@ def linearise(
     else:
         started, first = continued(process, state, steps - 1)
 
-    def period(state: RunState, x: tuple[Array, CommandRow]):
+    def period(state: RunState, x: tuple[Array, CommandRow, Array | None]):
         ended, out, substeps = follow(machine, process, state, *x)
         before, after = state.process, ended.process
         # As the period saw it, before its own poses became the most recent.
@@ -191,19 +195,21 @@ def linearise(
         force = period_force(process, near, x[0], predicted, middles)
         return ended, (out, state.machine, substeps.loads, force)
 
-    def batch(state: RunState, xs: tuple[Array, CommandRow]):
+    def batch(state: RunState, xs: tuple[Array, CommandRow, Array | None]):
         ended, (*rest, force) = jax.lax.scan(period, state, xs)
-        slopes = jax.vmap(lambda x: force_slopes(model, x))
-        return ended, (*rest, slopes(force))
+        slopes = lambda: jax.vmap(lambda x: force_slopes(model, x))(force)
+        return ended, (*rest, when_live(None if xs[2] is None else xs[2][0], slopes))
 
-    rows = machine.rows(process, motors, None)
+    rows = machine.rows(process, motors, row_count)
     index = first + jnp.arange(steps - 1, dtype=jnp.int32)
-    batches = jax.tree.map(_in_batches, (index, rows))
+    is_live = live_rows(1 + index - first, row_count)
+    batches = jax.tree.map(_in_batches, (index, rows, is_live))
     _, around = jax.lax.scan(batch, started, batches)
     around = jax.tree.map(lambda x: jax.lax.collapse(x, 0, 2)[: steps - 1], around)
     periods, states, loads, force = around
     # One after the other: in batches it is no faster, and compiles three times as long.
-    arms = jax.lax.map(lambda x: arm_slopes(model, *x), (states, rows, loads))
+    slopes = lambda x: when_live(x[0], lambda: arm_slopes(model, *x[1:]))
+    arms = jax.lax.map(slopes, (is_live, states, rows, loads))
     solve = functools.partial(_solved, process.engagement, motors.shape[1])
     loads, arm, pose = jax.vmap(solve)(force, arms)
 
