@@ -106,6 +106,17 @@ def test_invalid_toml_shows_its_line(folder, capsys, old, new, words):
     assert all(word in error for word in words)
 
 
+def test_verbose_names_what_is_compiled(folder, capsys):
+    # Of a size that no other test has compiled.
+    (folder / "job.toml").write_text(JOB.replace('"6 mm", "6 mm"', '"7 mm", "4.5 mm"'))
+    assert main(["simulate", "job.toml", "--out", "out", "--verbose"]) == 0
+    text = capsys.readouterr().err
+    assert re.search(r"diffmill \S+ jax \S+ on .*cpu", text, re.IGNORECASE)
+    assert "compiled, or read from the cache: " in text
+    assert main(["simulate", "job.toml", "--quiet", "--verbose"]) == 2
+    assert "--quiet and --verbose" in capsys.readouterr().err
+
+
 def test_what_is_refused_at_once_imports_no_jax(folder):
     (folder / "bad.toml").write_text("[cutter")
     lines = ["--help", "--version", "correct --help", "wrong", "simulate none.toml"]

@@ -8,7 +8,7 @@ from slides_job import write_slides_job
 import diffmill as dm
 from diffmill import io
 from diffmill.cli import main
-from diffmill.toolpath import reduce_path, sample_program
+from diffmill.toolpath import Program, reduce_path, sample_program
 
 OUTPUT = """
 [output]
@@ -32,7 +32,7 @@ def test_the_error_of_the_written_program_is_stated(tmp_path, monkeypatch, capsy
     # The blocks are known without their text, and the motion at every tooth instant.
     job = dm.load_job(file)
     path = io.read_path_csv(tmp_path / "out" / "corrected.csv")
-    blocks = io.program_of_path(reduce_path(path, 15e-6))
+    blocks = Program.of_path(reduce_path(path, 15e-6))
     read = sample_program(
         blocks,
         float(job.tooth_period),
@@ -53,3 +53,24 @@ def test_the_error_of_the_written_program_is_stated(tmp_path, monkeypatch, capsy
     assert found["written_rms_src"] == pytest.approx(expected, abs=10e-9)
     assert "written_rms_apt" not in found and "corrected.apt: not run" in said
     assert f"{expected * 1e6:.2f} um" in said and "[output] tolerance" in said
+
+
+@pytest.mark.slow
+def test_the_program_with_its_own_blocks_is_read_back_and_run(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    file = write_slides_job(tmp_path, 'method = "inverse_drive"')
+    file.write_text(file.read_text() + "\n[output]\nmoved_ends = true\n")
+    assert main(["correct", "job.toml", "--out", "out", "--quiet"]) == 0
+    with xarray.open_dataset(tmp_path / "out" / "result.nc", engine="h5netcdf") as kept:
+        left = kept.attrs["moved_rms_ngc"]
+        cases = kept.load()
+    rms = {}
+    for name in ("uncorrected", "inverse_drive"):
+        case = cases.sel(case=name)
+        error = case.contour_error.values[case.is_cutting.values.astype(bool)]
+        rms[name] = np.sqrt(np.mean(error**2))
+    assert rms["inverse_drive"] < left < rms["uncorrected"]
+    read = lambda name: io.parse_gcode((tmp_path / name).read_text())
+    moved, program = read("out/moved.ngc"), read("part.ngc")
+    feeds = [move.feed for move in moved.moves]
+    assert feeds[-3:] == [move.feed for move in program.moves[-3:]]

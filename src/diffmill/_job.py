@@ -211,6 +211,8 @@ class OutputSettings(eqx.Module):
         cycle: Time between the rows of a stream of offsets [s]; 0 writes none.
         max_step: How far an offset may change in a cycle [m].
         is_spline: Whether formats that know splines (KRL) get one instead of lines.
+        moves_ends: Whether the program is also written with its own blocks, their ends
+            moved.
     """
 
     formats: tuple[str, ...] = eqx.field(static=True, default=(".ngc",))
@@ -218,6 +220,7 @@ class OutputSettings(eqx.Module):
     cycle: float = eqx.field(static=True, default=0.0)
     max_step: float = eqx.field(static=True, default=float("inf"))
     is_spline: bool = eqx.field(static=True, default=False)
+    moves_ends: bool = eqx.field(static=True, default=False)
 
 
 class Job(eqx.Module):

@@ -9,7 +9,6 @@ from scipy import interpolate
 from diffmill.io import (
     ProgramError,
     parse_gcode,
-    program_of_path,
     read_program,
     write_program,
 )
@@ -208,7 +207,7 @@ def test_written_path_reads_back_in_position_and_time(read, suffix):
     text = write_program(path, suffix, header=["made ( here )"])
     program = read(text, suffix)
     period = 0.004
-    expected = sample_program(program_of_path(path), period, **LIMITS)
+    expected = sample_program(Program.of_path(path), period, **LIMITS)
     back = sample_program(program, period, **LIMITS)
     assert back.step_count == expected.step_count
     gap = np.linalg.norm(np.asarray(back.positions) - expected.positions, axis=1)

@@ -7,10 +7,11 @@ import numpy as np
 
 from ._session.attempts import Attempts
 from ._session.progress import Progress
-from ._surface_file import write_surface
+from ._written.surface_file import write_surface
 
 if TYPE_CHECKING:
     from .._job import Job
+    from ..config import JobProgram
 
 # xarray and the parts that compute are imported when a job runs.
 Dataset: TypeAlias = Any
@@ -26,12 +27,14 @@ class FinishedRun(NamedTuple):
             simulation is "predicted".
         final: The solution whose command is the result.
         dataset: The content of `result.nc`.
+        program: The job's program before it was timed, where its block ends are moved.
     """
 
     job: "Job"
     solutions: dict[str, Solution]
     final: Solution
     dataset: Dataset
+    program: "JobProgram | None" = None
 
 
 def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> int:
@@ -75,11 +78,13 @@ def _with_written(
     folder: pathlib.Path, run: FinishedRun, progress: Progress
 ) -> Dataset:
     """Return the dataset with the errors that the written programs leave; say them."""
-    from ._corrected import written_errors
+    from ._written.corrected import written_errors
 
-    errors, lines = written_errors(run.job, run.final, folder)
-    suffix = lambda name: name.rpartition(".")[2]
-    found = {f"written_rms_{suffix(name)}": rms for name, rms in errors.items()}
+    errors, lines = written_errors(run.job, run.final, folder, run.program)
+    found = {}
+    for name, rms in errors.items():
+        file, _, suffix = name.rpartition(".")
+        found[f"{'moved' if file == 'moved' else 'written'}_rms_{suffix}"] = rms
     return _with_notes(run.dataset.assign_attrs(found), _said(lines, progress))
 
 

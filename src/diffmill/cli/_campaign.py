@@ -36,7 +36,7 @@ def run_campaign_file(
     out: pathlib.Path | None,
     *,
     force: bool,
-    is_quiet: bool,
+    progress: Progress,
     allow_outside: bool,
 ) -> int:
     """Load and run a campaign; return the exit code.
@@ -46,7 +46,7 @@ def run_campaign_file(
         workers: Where its jobs run.
         out: Folder for the results, or None for `./<file>-campaign`.
         force: Whether every job runs anew.
-        is_quiet: Whether only errors are printed.
+        progress: Shows how far it is.
         allow_outside: Whether files outside their folders may be named.
     """
     from ..campaign import run_campaign
@@ -61,7 +61,6 @@ def run_campaign_file(
     if force:
         for kept in folder.glob("jobs/*.json"):
             kept.unlink()
-    progress = Progress(is_quiet=is_quiet)
 
     def tell(done: int, count: int, status: str) -> None:
         progress.update(f"{done} of {count} jobs have a result", done / count)

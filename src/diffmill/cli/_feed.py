@@ -42,7 +42,7 @@ def run_feed(
     out: pathlib.Path | None,
     *,
     force: bool,
-    is_quiet: bool,
+    progress: Progress,
     allow_outside: bool,
 ) -> int:
     """Simulate a job at several feeds, tune the feed along its path; write a folder.
@@ -52,7 +52,7 @@ def run_feed(
         request: What is to be tried.
         out: Folder for the results, or None for `./<job>-feed`.
         force: Whether results that are there are replaced.
-        is_quiet: Whether only errors are printed.
+        progress: Shows how far it is.
         allow_outside: Whether the job may name files outside its folder.
 
     Returns:
@@ -68,7 +68,6 @@ def run_feed(
         configure_jax(job_precision(file))
         job = load_job(file, allow_outside=allow_outside)
         _check(job, file, request)
-    progress = Progress(is_quiet=is_quiet)
     for note in job.notes:
         progress.say(f"note: {note}")
     try:

@@ -4,13 +4,16 @@ import pathlib
 import sys
 from collections.abc import Callable, Sequence
 from importlib import metadata
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from .._toml import read_toml
 from ._session.errors import BadInput, bad_input
 from ._session.usage import check_usage, shell_of
+
+if TYPE_CHECKING:
+    from ._session.progress import Progress
 
 _JobFile = Annotated[
     tyro.conf.Positional[pathlib.Path],
@@ -22,6 +25,9 @@ _Out = Annotated[
 ]
 _Force = Annotated[bool, tyro.conf.arg(help="Replace what is there already.")]
 _Quiet = Annotated[bool, tyro.conf.arg(help="Print nothing but errors.")]
+_Verbose = Annotated[
+    bool, tyro.conf.arg(help="Keep every line of progress; name what is compiled.")
+]
 _Band = Annotated[
     str | None,
     tyro.conf.arg(
@@ -44,12 +50,22 @@ def _read(file: pathlib.Path) -> None:
         read_toml(file)
 
 
+def _progress(quiet: bool, verbose: bool) -> "Progress":
+    """Return what shows the progress as asked for."""
+    from ._session.progress import Progress
+
+    if quiet and verbose:
+        raise BadInput("--quiet and --verbose exclude each other")
+    return Progress(is_quiet=quiet, is_verbose=verbose)
+
+
 def simulate(
     job: _JobFile,
     *,
     out: _Out = None,
     force: _Force = False,
     quiet: _Quiet = False,
+    verbose: _Verbose = False,
     json: _Json = False,
     allow_outside: _Outside = False,
     tolerance_band: _Band = None,
@@ -63,7 +79,7 @@ def simulate(
         job,
         out,
         force=force,
-        is_quiet=quiet,
+        progress=_progress(quiet, verbose),
         allow_outside=allow_outside,
         tolerance_band=tolerance_band,
         prints_json=json,
@@ -76,6 +92,7 @@ def correct(
     out: _Out = None,
     force: _Force = False,
     quiet: _Quiet = False,
+    verbose: _Verbose = False,
     json: _Json = False,
     allow_outside: _Outside = False,
     tolerance_band: _Band = None,
@@ -96,7 +113,7 @@ def correct(
         job,
         out,
         force=force,
-        is_quiet=quiet,
+        progress=_progress(quiet, verbose),
         allow_outside=allow_outside,
         tolerance_band=tolerance_band,
         resume=resume,
@@ -124,6 +141,7 @@ def feed(
     out: _Out = None,
     force: _Force = False,
     quiet: _Quiet = False,
+    verbose: _Verbose = False,
     allow_outside: _Outside = False,
 ) -> int:
     """Say what a slower or faster feed costs in error; tune the feed along the path."""
@@ -135,7 +153,7 @@ def feed(
         FeedRequest(overrides, weights, correct),
         out,
         force=force,
-        is_quiet=quiet,
+        progress=_progress(quiet, verbose),
         allow_outside=allow_outside,
     )
 
@@ -167,6 +185,7 @@ def campaign(
         bool, tyro.conf.arg(help="Run every job anew, also those with a result.")
     ] = False,
     quiet: _Quiet = False,
+    verbose: _Verbose = False,
     allow_outside: _Outside = False,
 ) -> int:
     """Run many jobs that differ in a few keys; go on from where it was interrupted."""
@@ -178,7 +197,7 @@ def campaign(
         Workers(workers, scheduler, retry),
         out,
         force=force,
-        is_quiet=quiet,
+        progress=_progress(quiet, verbose),
         allow_outside=allow_outside,
     )
 
@@ -204,6 +223,7 @@ def identify(
     ] = None,
     force: _Force = False,
     quiet: _Quiet = False,
+    verbose: _Verbose = False,
     allow_outside: _Outside = False,
 ) -> int:
     """Fit force coefficients, joint stiffness or damping to what was measured."""
@@ -211,7 +231,12 @@ def identify(
     from ._identify.identify import run_identify
 
     return run_identify(
-        file, forces, out, force=force, is_quiet=quiet, allow_outside=allow_outside
+        file,
+        forces,
+        out,
+        force=force,
+        progress=_progress(quiet, verbose),
+        allow_outside=allow_outside,
     )
 
 
@@ -245,6 +270,7 @@ def robot(
     ] = None,
     force: _Force = False,
     quiet: _Quiet = False,
+    verbose: _Verbose = False,
 ) -> int:
     """Print masses, stiffness, modes and sag of a robot; draw it and its stiffness."""
     from ._robot import run_robot
@@ -256,7 +282,7 @@ def robot(
         drives=drives,
         out=out,
         force=force,
-        is_quiet=quiet,
+        progress=_progress(quiet, verbose),
     )
 
 

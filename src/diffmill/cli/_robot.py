@@ -35,7 +35,7 @@ def run_robot(
     drives: pathlib.Path | None = None,
     out: pathlib.Path | None,
     force: bool,
-    is_quiet: bool,
+    progress: Progress,
 ) -> int:
     """Describe a robot and write a folder with its figures; return the exit code.
 
@@ -46,7 +46,7 @@ def run_robot(
         drives: File with the joints' stiffness and damping; None for the robot's own.
         out: Folder for the results; None for `./<model>-robot`.
         force: Whether results that are there are replaced.
-        is_quiet: Whether only errors are printed.
+        progress: Shows how far it is.
     """
     configure_jax()
     from ..io import check_folder, parse_pose, write_folder
@@ -68,9 +68,8 @@ def run_robot(
     note = spindle_note(model, drives)
     if note is not None and facts["modes"] is not None:
         facts["notes"].append(note)
-    if not is_quiet:
+    if not progress.is_quiet:
         print("\n".join(robot_lines(facts)))
-    progress = Progress(is_quiet=is_quiet)
     with progress:
         progress.update("figures")
         write_folder(folder, _filler(robot, q, facts), force=force)

@@ -31,7 +31,7 @@ def run_job(
     out: pathlib.Path | None,
     *,
     force: bool,
-    is_quiet: bool,
+    progress: Progress,
     allow_outside: bool,
     tolerance_band: str | None = None,
     resume: bool = False,
@@ -44,7 +44,7 @@ def run_job(
         file: The job file.
         out: Folder for the results, or None for `./<job>-<command>`.
         force: Whether results that are there are replaced.
-        is_quiet: Whether only errors are printed.
+        progress: Shows how far it is.
         allow_outside: Whether the job may name files outside its folder.
         tolerance_band: Contour error to hold the result against, with its unit; by
             default that of the job.
@@ -52,7 +52,7 @@ def run_job(
         prints_json: Whether the figures are printed as JSON when all is done.
     """
     from .._result import SimulationFailed
-    from ..config import JobError, job_precision, load_job
+    from ..config import JobError, JobProgram, job_precision, load_job
     from ..io import check_folder, write_results
 
     band = _length(tolerance_band)
@@ -69,10 +69,11 @@ def run_job(
                     "file, or [machine]"
                 ],
             )
-    progress = Progress(is_quiet=is_quiet)
-    checkpoint = None
+    checkpoint = program = None
     if command == "correct":
         with bad_input():
+            if job.output.moves_ends:
+                program = JobProgram.of_job(file, allow_outside=allow_outside)
             checkpoint = Checkpoint(folder, job)
             checkpoint.open(resume=resume, force=force, progress=progress)
     told = len(job.notes)
@@ -96,9 +97,14 @@ def run_job(
     dataset.attrs.setdefault("wall_time_s", seconds)
     files = {}
     if command == "correct":
-        from ._corrected import corrected_files
+        from ._written.corrected import corrected_files
+        from ._written.moved_ends import moved_files
 
-        files, said = corrected_files(job, np.asarray(outcome.commanded, float))
+        commanded = np.asarray(outcome.commanded, float)
+        files, said = corrected_files(job, commanded)
+        if job.output.moves_ends:
+            more, lines = moved_files(job, program, commanded)
+            files, said = files | more, [*said, *lines]
         for line in said:
             progress.say(line)
     # Whatever fails from here on, the run is kept.
@@ -107,7 +113,9 @@ def run_job(
         checkpoint.remove()
     progress.say(_summary(dataset))
     progress.say(f"results: {folder}; the run took {seconds:.1f} s with compilation")
-    code = _analyse(folder, FinishedRun(job, solutions, final, dataset), progress)
+    code = _analyse(
+        folder, FinishedRun(job, solutions, final, dataset, program), progress
+    )
     if prints_json:
         print(json.dumps(_figures(dataset, folder, job.notes), indent=2))
     return code

@@ -19,7 +19,7 @@ paths, the surface as the objective and uncertain models.
 """
 
 from ._core.error_metrics import measure as measure
-from ._core.method import AbstractMethod as AbstractMethod, GivenCommand as GivenCommand
+from ._core.method import GivenCommand as GivenCommand
 from ._core.path_objective import (
     AbstractObjective as AbstractObjective,
     PathObjective as PathObjective,

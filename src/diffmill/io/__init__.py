@@ -28,7 +28,6 @@ from ._path_csv import (
 from ._programs.faults import ProgramError as ProgramError
 from ._programs.formats import (
     PROGRAM_FORMATS as PROGRAM_FORMATS,
-    program_of_path as program_of_path,
     read_program as read_program,
     write_program as write_program,
 )

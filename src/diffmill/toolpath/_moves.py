@@ -4,6 +4,10 @@ import dataclasses
 import math
 from typing import NamedTuple, TypeAlias
 
+import numpy as np
+
+from ._path import Path
+
 Point: TypeAlias = tuple[float, float, float]
 
 _UP = (0.0, 0.0, 1.0)
@@ -151,6 +155,27 @@ class Program:
                 f"({len(self.moves)}), but is {self.approach_count}."
             )
 
+    @classmethod
+    def of_path(cls, path: Path, *, name: str = "path") -> "Program":
+        """Return a path as straight moves that take the time of its rows.
+
+        Args:
+            path: The path.
+            name: Name for messages.
+        """
+        time, points = np.asarray(path.time), np.asarray(path.positions).tolist()
+        axes, lines = np.asarray(path.axes).tolist(), np.asarray(path.line).tolist()
+        start = _point(points[0])
+        first = Move((0.0, 0.0, 0.0), start, is_rapid=True, line=lines[0])
+        moves = [first._replace(axis=_point(axes[0]))]
+        rows = zip(points[1:], axes[1:], np.diff(time).tolist(), lines[1:], strict=True)
+        for point, axis, duration, line in rows:
+            end = _point(point)
+            move = Move(start, end, duration=duration, line=line)
+            moves.append(move._replace(axis=_point(axis)))
+            start = end
+        return cls(tuple(moves), approach_count=1, name=name)
+
     @property
     def spindle_speed(self) -> float | None:
         """The first speed that the program sets [rad/s], or None."""
@@ -231,6 +256,12 @@ class Program:
             spindle_speeds=tuple(speeds),
             sections=(parts[0]._replace(first=0, stop=len(moves)),),
         )
+
+
+def _point(values: list[float]) -> Point:
+    """Return three numbers as a point."""
+    x, y, z = values
+    return x, y, z
 
 
 def _across(point: Point, centre: Point, normal: Point) -> Point:

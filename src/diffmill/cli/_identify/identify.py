@@ -21,7 +21,7 @@ def run_identify(
     out: pathlib.Path | None,
     *,
     force: bool,
-    is_quiet: bool,
+    progress: Progress,
     allow_outside: bool,
 ) -> int:
     """Identify what a file asks for and write the results; return the exit code.
@@ -31,7 +31,7 @@ def run_identify(
         forces: A record of forces of the job, or None.
         out: Folder for the results, or None for `./<file>-identify`.
         force: Whether results that are there are replaced.
-        is_quiet: Whether only errors are printed.
+        progress: Shows how far it is.
         allow_outside: Whether the file may name files outside its folder.
     """
     configure_jax()
@@ -47,7 +47,6 @@ def run_identify(
     with bad_input():
         check_folder(folder, force=force)
         study = load_identification(file, forces, allow_outside=allow_outside)
-    progress = Progress(is_quiet=is_quiet)
     try:
         with progress:
             found = study.run(progress.update)
@@ -72,7 +71,7 @@ def run_identify(
     with progress:
         progress.update("figures")
         write_folder(folder, fill, force=force)
-    if not is_quiet:
+    if not progress.is_quiet:
         print("\n".join([*report.lines, "", *report.toml]))
     progress.say(f"results: {folder} ({time.perf_counter() - start:.1f} s)")
     return 0

@@ -114,6 +114,7 @@ class OutputTable(Table):
     stream_cycle: Delay = 0.0
     max_step: PositiveLength = math.inf
     blocks: Literal["lines", "spline"] = "lines"
+    moved_ends: StrictBool = False
 
     def settings(self) -> OutputSettings:
         """Return the settings of a job."""
@@ -124,6 +125,7 @@ class OutputTable(Table):
             cycle=self.stream_cycle,
             max_step=self.max_step,
             is_spline=self.blocks == "spline",
+            moves_ends=self.moved_ends,
         )
 
 

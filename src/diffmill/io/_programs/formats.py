@@ -5,15 +5,14 @@ import os
 import pathlib
 from collections.abc import Sequence
 
-import numpy as np
-
-from ...toolpath import Move, Path, Point, Program, sample_program
+from ...toolpath import Path, Program, sample_program
 from .._path_csv import read_path_csv, write_path_csv
 from .faults import Fault, ProgramError
 from .robots.apt import parse_apt
 from .robots.krl import parse_krl
 from .robots.rapid import parse_rapid
 from .robots.writers import write_apt, write_krl, write_rapid
+from .rs274.frame import ProgramFrame
 from .rs274.interpreter import parse_gcode
 from .rs274.writer import write_moves
 from .setup import ProgramSetup
@@ -84,6 +83,7 @@ def write_program(
     header: Sequence[str] = (),
     tolerance: float = 1e-6,
     is_spline: bool = False,
+    frame: ProgramFrame | None = None,
 ) -> str:
     """Return the text of a program in the format of a suffix.
 
@@ -97,6 +97,7 @@ def write_program(
         tolerance: How far straight pieces may lie beside an arc that the format does
             not know, and corners be rounded where times are needed [m].
         is_spline: Whether the rows of a path are points of a spline; KRL only.
+        frame: What G-code says beside the motion; other formats leave it out.
 
     Raises:
         ValueError: If the suffix is not known, or the format cannot say the motion.
@@ -110,30 +111,14 @@ def write_program(
         )
     if suffix == ".csv":
         return write_path_csv(_timed(program, tolerance))
-    moves = program_of_path(program) if isinstance(program, Path) else program
+    moves = Program.of_path(program) if isinstance(program, Path) else program
     if suffix in KRL:
         return write_krl(moves, header=header, tolerance=tolerance, is_spline=is_spline)
     if suffix in RAPID:
         return write_rapid(moves, header=header, tolerance=tolerance)
     if suffix in APT:
         return write_apt(moves, header=header, tolerance=tolerance)
-    return write_moves(moves, header=header, tolerance=tolerance)
-
-
-def program_of_path(path: Path, *, name: str = "path") -> Program:
-    """Return a path as a program of straight moves that take the time of its rows."""
-    time, points = np.asarray(path.time), np.asarray(path.positions).tolist()
-    axes, lines = np.asarray(path.axes).tolist(), np.asarray(path.line).tolist()
-    start = _point(points[0])
-    first = Move((0.0, 0.0, 0.0), start, is_rapid=True, line=lines[0])
-    moves = [first._replace(axis=_point(axes[0]))]
-    rows = zip(points[1:], axes[1:], np.diff(time).tolist(), lines[1:], strict=True)
-    for point, axis, duration, line in rows:
-        end = _point(point)
-        move = Move(start, end, duration=duration, line=line)
-        moves.append(move._replace(axis=_point(axis)))
-        start = end
-    return Program(tuple(moves), approach_count=1, name=name)
+    return write_moves(moves, header=header, tolerance=tolerance, frame=frame)
 
 
 def _timed(program: Program | Path, tolerance: float) -> Path:
@@ -147,9 +132,3 @@ def _timed(program: Program | Path, tolerance: float) -> Path:
         rapid_feed=_RAPID_FEED,
         corner_tolerance=tolerance if math.isfinite(tolerance) else 0.0,
     )
-
-
-def _point(values: list[float]) -> Point:
-    """Return three numbers as a point."""
-    x, y, z = values
-    return x, y, z

@@ -50,7 +50,8 @@ _SPECIAL = (
     "incomplete_time",
     "incomplete_place",
 )
-_WRITTEN = "written_rms_"
+_WRITTEN = {"corrected": "written_rms_", "moved": "moved_rms_"}
+_PREFIXES = tuple(_WRITTEN.values())
 
 
 def write_report(
@@ -91,7 +92,7 @@ def write_report(
     remarks = [*str(dataset.attrs.get("notes", "")).splitlines(), *notes]
     costs = _case_attributes(dataset)
     hidden = {*_SPECIAL, *(f"{c}_{key}" for c, found in costs.items() for key in found)}
-    hidden |= {f"{_WRITTEN}{suffix}" for suffix in _written(dataset)}
+    hidden |= {str(k) for k in dataset.attrs if str(k).startswith(_PREFIXES)}
     listed = {str(k): _cell(v) for k, v in dataset.attrs.items() if k not in hidden}
     bounds = None if job is None else job.correction
     scene = scene_html(
@@ -160,8 +161,8 @@ def _lead(dataset: "xarray.Dataset", numbers: dict[str, CaseNumbers]) -> str:
     if chosen:
         after = _length(numbers[chosen].rms)
         text += f"; with the corrected program by {after}"
-    for suffix, rms in _written(dataset).items():
-        text += f", as written in corrected.{suffix} by {_length(rms)}"
+    for name, rms in _written(dataset).items():
+        text += f", as written in {name} by {_length(rms)}"
     return text + "."
 
 
@@ -176,8 +177,8 @@ def _headline(
         after = numbers[chosen]
         items.append((_length(after.rms), "contour error (rms) after correction"))
         items += [
-            (_length(rms), f"contour error (rms) of corrected.{suffix}, read and run")
-            for suffix, rms in _written(dataset).items()
+            (_length(rms), f"contour error (rms) of {name}, read and run")
+            for name, rms in _written(dataset).items()
         ]
         items.append((_times(before.rms, after.rms), "smaller contour error"))
     else:
@@ -240,11 +241,12 @@ def _chosen(dataset: "xarray.Dataset") -> str:
 
 
 def _written(dataset: "xarray.Dataset") -> dict[str, float]:
-    """Return the rms error of the written programs that were run [m], by suffix."""
+    """Return the rms error of the written programs that were run [m], by file name."""
     return {
-        str(key).removeprefix(_WRITTEN): float(value)
+        f"{file}.{str(key).removeprefix(prefix)}": float(value)
+        for file, prefix in _WRITTEN.items()
         for key, value in dataset.attrs.items()
-        if str(key).startswith(_WRITTEN)
+        if str(key).startswith(prefix)
     }
 
 

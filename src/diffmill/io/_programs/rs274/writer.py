@@ -91,7 +91,11 @@ def _coordinates(point: Float[np.ndarray, " 3"]) -> str:
 
 
 def write_moves(
-    program: Program, *, header: Sequence[str] = (), tolerance: RealScalarLike = 1e-6
+    program: Program,
+    *,
+    header: Sequence[str] = (),
+    tolerance: RealScalarLike = 1e-6,
+    frame: ProgramFrame | None = None,
 ) -> str:
     """Return a program as G-code: its lines, arcs, feeds, durations and rests.
 
@@ -100,6 +104,8 @@ def write_moves(
         header: Lines of comment for the top of the program.
         tolerance: How far straight pieces may lie beside an arc whose axis is none of
             x, y and z [m].
+        frame: What stands before, between and behind the motion, as `write_gcode` takes
+            it; None for the spindle and the end alone.
 
     Raises:
         ValueError: If the tool axis is tilted.
@@ -109,12 +115,19 @@ def write_moves(
         raise ValueError(
             "the program tilts the tool axis; G-code with X, Y and Z only cannot."
         )
-    lines = [comment_block(text) for text in header] + ["G17 G21 G40 G49 G90 G94"]
+    closing = (*["M5"] * bool(program.spindle_speeds), "M2")
+    frame = ProgramFrame(closing=closing) if frame is None else frame
+    lines = [comment_block(text) for text in (*header, *frame.comments)]
+    lines += ["G17 G21 G40 G49 G90 G94", *frame.opening]
     speeds = iter(program.spindle_speeds)
     if (speed := next(speeds, None)) is not None:
-        lines.append(f"S{round(float(speed) * 30 / math.pi, 6):.12g} M3")
+        lines.append(f"S{round(float(speed) * 30 / math.pi, 6):.12g} {frame.spindle}")
     plane, feed, mode = 2, None, 940
+    between, said = frame.between, 0
     for move in moves:
+        while said < len(between) and between[said][0] <= move.line:
+            lines.append(between[said][1])
+            said += 1
         normal = [round(value, 9) + 0.0 for value in move.normal]
         is_plane = sorted(map(abs, normal)) == [0.0, 0.0, 1.0]
         whole = [move] if is_plane else straight_pieces(move, float(tolerance))
@@ -142,8 +155,7 @@ def write_moves(
             rest = one.rest or (0.0 if one.length > 0 else one.duration or 0.0)
             if rest:
                 lines.append(f"G4 P{rest:.9g}")
-    lines += ["M5"] * bool(program.spindle_speeds) + ["M2"]
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, *frame.closing]) + "\n"
 
 
 def _motion_words(move: Move, plane: int, normal: list[float]) -> str:

@@ -8,17 +8,24 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
+from .moved_ends import moved_path
+
 if TYPE_CHECKING:
-    from .._job import Job
-    from ..sim import Solution
-    from ..toolpath import Path
+    from ..._job import Job
+    from ..._types import FloatRows3
+    from ...config import JobProgram
+    from ...sim import Solution
+    from ...toolpath import Path
 
 # A written program that leaves so much more than its command calls for more blocks.
 _WORTH_A_NOTE = 1.2
 
 
 def written_errors(
-    job: "Job", final: "Solution", folder: pathlib.Path
+    job: "Job",
+    final: "Solution",
+    folder: pathlib.Path,
+    program: "JobProgram | None" = None,
 ) -> tuple[dict[str, float], list[str]]:
     """Read the corrected programs of a folder and run them.
 
@@ -26,6 +33,7 @@ def written_errors(
         job: The job.
         final: Solution of the command that they were written from.
         folder: The folder.
+        program: The job's own program, whose block ends were moved; None if not.
 
     Returns:
         Root mean square contour error where the tool cuts [m] by name of file, and
@@ -39,7 +47,7 @@ def written_errors(
         if path is None:
             said.append(f"{name}: not run, since it states feeds instead of times")
             continue
-        found[name] = rms = _run_written(job, final, path)
+        found[name] = rms = _run_written(job, final, path.positions, path.axes)
         said.append(
             f"{name}: read back and run, it leaves {rms * 1e6:.2f} um rms where the "
             f"tool cuts; its command leaves {own * 1e6:.2f} um"
@@ -49,6 +57,17 @@ def written_errors(
                 f"note: {name} leaves {rms / own:.2g} times the error of its command: "
                 "[output] tolerance is "
                 f"{job.output.tolerance * 1e6:g} um, a smaller one takes more blocks"
+            )
+    if program is not None:
+        name = f"moved{program.suffix}"
+        tips = moved_path(job, program, folder)
+        if tips is None:
+            said.append(f"{name}: not run, since its arcs are written in pieces")
+        else:
+            found[name] = rms = _run_written(job, final, tips, job.path.axes)
+            said.append(
+                f"{name}: read back, timed and run, it leaves {rms * 1e6:.2f} um rms "
+                "where the tool cuts"
             )
     return found, said
 
@@ -60,8 +79,8 @@ def written_path(file: pathlib.Path, tooth_period: float) -> "Path | None":
         file: The program.
         tooth_period: Time between the rows of the path [s].
     """
-    from ..io import read_program
-    from ..toolpath import Move, Path, sample_program
+    from ...io import read_program
+    from ...toolpath import Move, Path, sample_program
 
     program = read_program(file)
     assert not isinstance(program, Path)
@@ -81,20 +100,25 @@ def written_path(file: pathlib.Path, tooth_period: float) -> "Path | None":
     )
 
 
-def _run_written(job: "Job", final: "Solution", path: "Path") -> float:
-    """Return the rms contour error that a path leaves instead of its command [m]."""
+def _run_written(
+    job: "Job",
+    final: "Solution",
+    positions: "FloatRows3",
+    axes: "FloatRows3",
+) -> float:
+    """Return the rms contour error that poses leave instead of their command [m]."""
     import jax.numpy as jnp
 
-    from ..process import ThroughPoses
-    from ..sim import solve_command
+    from ...process import ThroughPoses
+    from ...sim import solve_command
 
     # Rounded times may end a row sooner or later; the tool then rests at the end.
-    rows = np.minimum(np.arange(job.path.step_count), path.step_count - 1)
+    rows = np.minimum(np.arange(job.path.step_count), len(positions) - 1)
     dtype = final.commanded.dtype
     if job.simulation.axes:
-        axes = jnp.asarray(path.axes[rows], dtype)
-        job = eqx.tree_at(lambda j: j.path.axes, job, axes)
-    tips = jnp.asarray(path.positions[rows], dtype)
+        turned = jnp.asarray(np.asarray(axes)[rows], dtype)
+        job = eqx.tree_at(lambda j: j.path.axes, job, turned)
+    tips = jnp.asarray(np.asarray(positions)[rows], dtype)
     # By the program that the correction has compiled.
     solution = solve_command(job, final.rigid, tips, ThroughPoses())
     solution.raise_unless_successful(job)
@@ -116,14 +140,14 @@ def corrected_files(
         job: The job.
         commanded: Tip positions of the corrected command [m], shape (step, 3).
     """
-    from ..io import (
+    from ...io import (
         offset_stream,
         program_frame,
         write_gcode,
         write_path_csv,
         write_program,
     )
-    from ..toolpath import reduce_path
+    from ...toolpath import reduce_path
 
     output, said = job.output, []
     path = eqx.tree_at(lambda p: p.positions, job.path, commanded)

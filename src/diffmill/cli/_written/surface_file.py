@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from ..workpiece import SurfaceError
+    from ...workpiece import SurfaceError
 
 
 def write_surface(file: pathlib.Path, surfaces: "dict[str, SurfaceError]") -> None:

@@ -1,0 +1,1 @@
+"""Files of a run beside its results: corrected programs, the machined surface."""

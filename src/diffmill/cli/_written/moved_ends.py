@@ -1,0 +1,69 @@
+"""The program of a job with the ends of its blocks moved to where they correct most."""
+
+import pathlib
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+if TYPE_CHECKING:
+    from ..._job import Job
+    from ...config import JobProgram
+
+
+def moved_files(
+    job: "Job", given: "JobProgram | None", commanded: Float[np.ndarray, "step 3"]
+) -> tuple[dict[str, str], list[str]]:
+    """Return the file of the moved program by name, and a line about it.
+
+    Args:
+        job: The job.
+        given: The program before it was timed; None if there is none.
+        commanded: Tip positions of the corrected command [m], shape (step, 3).
+    """
+    from ...io import program_frame, write_program
+    from ...toolpath import BlockEnds
+
+    if given is None:
+        return {}, ["note: [output] moved_ends: a recorded path has no blocks to move"]
+    ends = BlockEnds.of(given.program, job.path)
+    moved = ends.with_offsets(commanded - np.asarray(job.path.positions))
+    name = f"moved{given.suffix}"
+    text = write_program(
+        moved,
+        given.suffix,
+        header=[f"{job.name}, its block ends moved by diffmill"],
+        tolerance=job.output.tolerance,
+        frame=program_frame(job.program, np.asarray(job.path.line).tolist()),
+    )
+    said = f"{name}: the {ends.block_count} blocks of the program, their ends moved"
+    return {name: text}, [said]
+
+
+def moved_path(
+    job: "Job", given: "JobProgram", folder: pathlib.Path
+) -> Float[np.ndarray, "step 3"] | None:
+    """Read the moved program, time it, and return where it is at the job's rows.
+
+    The rows are on the blocks where those of the job are: what a block takes longer or
+    shorter since it has moved, micrometres on its length, is left out.
+
+    Args:
+        job: The job.
+        given: The job's own program.
+        folder: Folder of the moved one.
+
+    Returns:
+        Tip positions [m], shape (step, 3); None if the format writes other blocks.
+    """
+    from ...io import read_program
+    from ...toolpath import BlockEnds, Program
+
+    program = read_program(folder / f"moved{given.suffix}")
+    assert isinstance(program, Program)
+    path = given.timed(program, float(job.tooth_period))
+    places = BlockEnds.of(given.program, job.path)
+    moved = BlockEnds.of(program, path)
+    if moved.block_count != places.block_count:
+        return None
+    return places.positions(moved, path)
