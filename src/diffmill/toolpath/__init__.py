@@ -27,4 +27,4 @@ from ._path_feed import PathFeed as PathFeed
 from ._reduction.block_ends import BlockEnds as BlockEnds
 from ._reduction.reduce_path import reduce_path as reduce_path
 from ._resample import resample as resample
-from ._timing import sample_program as sample_program
+from ._timing.sample_program import sample_program as sample_program

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 from .._moves import Move, Point, Program
 from .._path import Path
-from .._pieces import piece_of_move
+from .._timing.pieces import piece_of_move
 
 # How much an end wants the offset at its own place, beside one row on a block: it
 # decides where a block has no row.

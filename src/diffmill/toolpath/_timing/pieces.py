@@ -6,7 +6,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from ._moves import Move, Point
+from .._moves import Move, Point
 
 
 class Segment(NamedTuple):

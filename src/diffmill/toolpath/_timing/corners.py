@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ._pieces import Arc, Blend, Segment, moved, scaled
+from .pieces import Arc, Blend, Segment, moved, scaled
 
 # Below this angle two moves count as tangent: at 50 mm/s the velocity then jumps by
 # 0.05 mm/s at most, which is what end points rounded to a micrometre cause anyway.

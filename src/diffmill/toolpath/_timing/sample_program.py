@@ -14,12 +14,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from .._types import RealScalarLike
-from ._corners import REVERSAL_ANGLE, TANGENT_ANGLE, Corner, corner_angle, round_corner
-from ._moves import Move, Point, Program
-from ._path import MOST_STEPS, Path, check_steps
-from ._pieces import Arc, Blend, Piece, Segment, arc_positions, piece_of_move
-from ._smoothing import WayInTime, mean_way, slow_ranges
+from ..._types import RealScalarLike
+from .._moves import Move, Point, Program
+from .._path import MOST_STEPS, Path, check_steps
+from .corners import REVERSAL_ANGLE, TANGENT_ANGLE, Corner, corner_angle, round_corner
+from .pieces import Arc, Blend, Piece, Segment, arc_positions, piece_of_move
+from .smoothing import WayInTime, mean_way, slow_ranges
 
 # Pieces shorter than this are numerical crumbs of a trimmed move.
 _SHORTEST = 1e-12
