@@ -18,7 +18,7 @@ from ._types import RealScalarLike, Transform
 from .cutter import AbstractCutter, ToolHolder
 from .cutting import AbstractForceLaw
 from .robot import Controller, Robot, TipModes, ToolRotation
-from .toolpath import Path
+from .toolpath import Path, ProgramTiming
 from .workpiece import Stock
 
 
@@ -253,6 +253,7 @@ class Job(eqx.Module):
             else a run that needs more is repeated with more.
         controller: What the robot's motors do of their command; None if they follow it.
         output: How a corrected program is written.
+        timing: How the program was timed; None for a recorded path.
     """
 
     name: str = eqx.field(static=True)
@@ -276,6 +277,7 @@ class Job(eqx.Module):
     output: OutputSettings = OutputSettings()
     controller: Controller | None = None
     modes: TipModes | None = None
+    timing: ProgramTiming | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
         if self.robot is not None and self.modes is not None:
@@ -329,6 +331,7 @@ class Job(eqx.Module):
             holder=None,
             keeps_intervals=False,
             output=OutputSettings(),
+            timing=None,
         )
 
     def with_intervals(self, counts: tuple[int, int, int]) -> "Job":

@@ -285,3 +285,34 @@ def test_a_change_of_configuration_is_a_fault(flat_job):
     (problem,) = problems_of(flat_job(flat_arm(), x, 0.012, (-1.0, 3.0)))
     for part in ("time 0.012 s", "joint one turns by 36.9 deg", "joint_start"):
         assert part in problem
+
+
+def test_a_program_slows_down_for_a_slow_joint(write):
+    file = write(SLIDING + place(0, 0, 0))
+    slides = SLIDES.replace('"5 mm"', '"1 m"').replace('"-0.2 mm"', '"1 m"')
+    slow = slides.replace('name = "x"', 'name = "x"\nspeed = "20 mm/s"')
+    found = {}
+    for name, text in (("free", slides), ("slow", slow)):
+        (file.parent / "slides.toml").write_text(f'name = "slides"\n{text}')
+        found[name] = load_job(file)
+    rate = lambda job: np.abs(np.diff(job.path.positions[:, 0])).max() / 3.75e-3
+    assert rate(found["free"]) == pytest.approx(0.05, rel=1e-3)
+    assert 0.019 < rate(found["slow"]) <= 0.02
+    time = {name: job.timing.cycle_time for name, job in found.items()}
+    # Of 26 mm at a feed of 50 mm/s.
+    longer = 26e-3 / 0.02 - 26e-3 / 0.05
+    lost = dict(time["slow"].lost)
+    assert lost["joint x"] == pytest.approx(longer, rel=0.05)
+    assert "joint x" not in dict(time["free"].lost)
+    assert found["slow"].path.time[-1] - found["free"].path.time[-1] > 0.9 * longer
+
+    # Its acceleration follows from the time in which it is at full speed.
+    text = file.read_text().replace("[program]", '[program]\njoint_ramp = "100 ms"')
+    file.write_text(text)
+    path = load_job(file).path
+    steepest = np.abs(np.diff(path.positions[:, 0], 2)).max() / 3.75e-3**2
+    assert 0.05 < steepest <= 0.2 * (1 + 1e-6)
+
+    (file.parent / "slides.toml").write_text(f'name = "slides"\n{slides}')
+    (problem,) = problems_of(file)
+    assert "joint_ramp" in problem and "no joint has a speed" in problem

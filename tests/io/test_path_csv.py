@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diffmill.io import PathFileError, parse_path_csv, read_path_csv, write_path_csv
+from diffmill.io import PathFileError, read_path_csv, write_path_csv
 from diffmill.toolpath import Path
 
 
@@ -40,6 +40,18 @@ def test_written_header_begins_as_promised():
     assert float(second.split(",")[5]) == pytest.approx(speed * 6e4, rel=1e-9)
 
 
+@pytest.fixture
+def read(tmp_path):
+    """Return a path from the text of a file."""
+
+    def read(text):
+        file = tmp_path / "path.csv"
+        file.write_bytes(text.encode())
+        return read_path_csv(file)
+
+    return read
+
+
 @pytest.mark.parametrize(
     ("header", "time_scale", "length_scale"),
     [
@@ -50,9 +62,9 @@ def test_written_header_begins_as_promised():
     ],
 )
 @pytest.mark.parametrize("delimiter", [",", ";"])
-def test_units_of_the_header(header, time_scale, length_scale, delimiter):
+def test_units_of_the_header(read, header, time_scale, length_scale, delimiter):
     text = f"{header}\r\n1,2,3,4\r\n\r\n2.5,-1,+.5,1e2\r\n".replace(",", delimiter)
-    path = parse_path_csv(text)
+    path = read(text)
     np.testing.assert_allclose(path.time, time_scale * np.array([1, 2.5]))
     expected = length_scale * np.array([[2, 3, 4], [-1, 0.5, 100]])
     np.testing.assert_allclose(path.positions, expected)
@@ -61,9 +73,9 @@ def test_units_of_the_header(header, time_scale, length_scale, delimiter):
     assert not np.any(path.is_rapid)
 
 
-def test_columns_in_any_order_and_comments():
+def test_columns_in_any_order_and_comments(read):
     text = "# recorded\nz_mm,rapid,y_m,time_s,x_in\n1,0,2,0,3\n4,1,5,1,6\n"
-    path = parse_path_csv(text)
+    path = read(text)
     np.testing.assert_allclose(
         path.positions, [[3 * 0.0254, 2, 1e-3], [6 * 0.0254, 5, 4e-3]]
     )
@@ -95,18 +107,18 @@ HEADER = "time_s,x_mm,y_mm,z_mm"
         (f"{HEADER},i,j,k\n0,0,0,0,0,0,0\n1,0,0,0,0,0,1\n", ["line 2", "unit vector"]),
     ],
 )
-def test_faults_are_named(text, parts):
+def test_faults_are_named(read, text, parts):
     with pytest.raises(PathFileError) as caught:
-        parse_path_csv(text, name="path.csv")
+        read(text)
     assert str(caught.value).startswith("path.csv")
     for part in parts:
         assert part in str(caught.value)
 
 
-def test_all_faults_are_listed_up_to_twenty():
+def test_all_faults_are_listed_up_to_twenty(read):
     rows = "".join(f"{k},x,0,0\n" for k in range(50))
     with pytest.raises(PathFileError) as caught:
-        parse_path_csv(f"{HEADER}\n{rows}")
+        read(f"{HEADER}\n{rows}")
     assert len(caught.value.faults) == 20 + 1
     assert "further faults" in str(caught.value)
 

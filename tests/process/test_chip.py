@@ -64,12 +64,6 @@ def test_chip_gradient_matches_differences(dtype):
         np.testing.assert_allclose(exact[:, axis], difference, atol=tolerance)
 
 
-def test_a_layer_below_an_earlier_tip_was_not_cut_by_it():
-    lower = jnp.array([0.0, 0.4e-3, 0.8e-3])
-    share = process.layer_share(jnp.asarray(0.6e-3), lower, 0.4e-3)
-    np.testing.assert_allclose(share, [0, 0.5, 1], atol=1e-12)
-
-
 def test_edge_contact_is_fair_at_both_ends_of_the_cut():
     feed, step = jnp.asarray(1e-4), 0.03
     phi = jnp.arange(-0.5, np.pi + 0.5, step / 20)

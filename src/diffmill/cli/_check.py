@@ -13,7 +13,7 @@ from .._jax_config import configure_jax
 from .._toml import parse_toml
 
 if TYPE_CHECKING:
-    from ..toolpath import Move, Path, Program
+    from ..toolpath import Move, Path, Program, ProgramTiming
 
 
 def describe_file(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
@@ -109,12 +109,30 @@ def _describe_job(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
         f"{file}: a job without faults",
         f"  path: {job.path.step_count} tooth periods of "
         f"{float(job.tooth_period) * 1e3:g} ms, {float(job.path.time[-1]):.3f} s",
+        *(_time_lines(job.timing) if job.timing is not None else ()),
         f"  robot: {robot}",
         f"  angles: {settings.angles} per revolution, sub-steps: {settings.substeps}, "
         f"discs: {settings.element_height * 1e3:g} mm, axial depth: "
         f"{settings.axial_depth * 1e3:g} mm, {settings.precision}",
         *(f"  note: {note}" for note in job.notes),
     ]
+
+
+def _time_lines(timing: "ProgramTiming") -> list[str]:
+    """Return lines that say what a program takes its time for."""
+    time = timing.cycle_time
+    lost = "; ".join(f"{cause} {seconds:.3f} s" for cause, seconds in time.lost)
+    lines = [
+        f"  time: {time.total:.3f} s, {time.programmed:.3f} s at the program's own "
+        f"speeds; what limits add: {lost or 'nothing'}"
+    ]
+    if time.worst:
+        worst = ", ".join(
+            f"line {line} ({cause}) {seconds:.3f} s"
+            for line, cause, seconds in time.worst
+        )
+        lines.append(f"  most of it in: {worst}")
+    return lines
 
 
 def _describe_program(file: pathlib.Path, program: "Program") -> list[str]:

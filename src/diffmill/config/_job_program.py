@@ -1,28 +1,26 @@
-"""The program of a job before it is timed, and its timing."""
+"""The program of a job before it is timed."""
 
 import os
 import pathlib
 from typing import NamedTuple
 
 from .._toml import JobError, read_toml
-from ..toolpath import Path, Program
+from ..toolpath import Program
 from ._build.context import FileContext
-from ._build.program import read_program, time_path
-from ._schema.job import ProgramTable, read_tables
+from ._build.program import read_program
+from ._schema.job import read_tables
 
 
 class JobProgram(NamedTuple):
-    """The program of one tool, and how a job times it.
+    """The program of one tool.
 
     Attributes:
-        file: The job file.
         program: The program.
-        table: `[program]` of the job.
+        suffix: Suffix of its file, such as ".nc".
     """
 
-    file: pathlib.Path
     program: Program
-    table: ProgramTable
+    suffix: str
 
     @classmethod
     def of_job(
@@ -46,25 +44,4 @@ class JobProgram(NamedTuple):
             raise JobError(path, context.problems)
         if table is None or not isinstance(program, Program):
             return None
-        return cls(path, program, table)
-
-    @property
-    def suffix(self) -> str:
-        """Suffix of the program's file, such as ".nc"."""
-        return pathlib.PurePath(self.table.file).suffix.lower()
-
-    def timed(self, program: Program, tooth_period: float) -> Path:
-        """Return another program as the job times its own.
-
-        Args:
-            program: The program.
-            tooth_period: Time between the rows [s].
-
-        Raises:
-            JobError: If it cannot be timed.
-        """
-        problems: list[str] = []
-        path = time_path(program, self.table, tooth_period, problems)
-        if path is None:
-            raise JobError(self.file, problems)
-        return path
+        return cls(program, pathlib.PurePath(table.file).suffix.lower())

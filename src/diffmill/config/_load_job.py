@@ -14,10 +14,17 @@ from .._toml import JobError, read_toml
 from ..cutter import AbstractCutter, ToolHolder
 from ..process import default_element_height, is_plunging
 from ..robot import Controller, Robot, TipModes
-from ..toolpath import Path, Program
+from ..toolpath import Path, Program, TimedProgram
 from ._build.context import FileContext
 from ._build.machine import fastest_mode, read_machine
-from ._build.program import read_program, spindle_speed, time_path
+from ._build.program import (
+    read_program,
+    recorded_path,
+    rows_of,
+    slowed_for_joints,
+    spindle_speed,
+    time_program,
+)
 from ._build.robot import added_joints, pose_matrix, read_robot
 from ._build.stock import StockPlan, read_stock
 from ._changes import changed, changes_text
@@ -31,7 +38,7 @@ from ._check.modes import (
     default_substeps,
 )
 from ._check.rapids import check_overhang, check_rapids, immersion, notes
-from ._check.reach import check_reach
+from ._check.reach import ReachCheck
 from ._schema.controller import ControllerTable
 from ._schema.correction import check_correction, correction_settings
 from ._schema.cutter import make_cutter, make_holder
@@ -137,6 +144,8 @@ class _Parts(NamedTuple):
         controller: What is between program and motors; None for nothing.
         fastest: Highest frequency of the machine that counts [Hz]; 0 for none.
         modes: The modes of a machine that is given by them, else None.
+        timed: The program with the speed at every place of it; None for a recorded
+            path.
     """
 
     program: Program | Path | None
@@ -151,6 +160,7 @@ class _Parts(NamedTuple):
     controller: Controller | None = None
     fastest: float = 0.0
     modes: TipModes | None = None
+    timed: TimedProgram | None = None
 
     @property
     def tooth_period(self) -> float:
@@ -187,17 +197,14 @@ def _read_parts(
     )
     controller = _controller(tables, robot, problems)
     if cutter is not None and speed is not None:
-        path = _timed(tables, program, speed, cutter.flute_count, problems)
-        if controller is not None and path is not None and isinstance(program, Program):
-            path = path.with_rest(_rest_rows(controller, parts.tooth_period))
-        parts = parts._replace(path=path, controller=controller)
+        parts = _timed(tables, parts._replace(controller=controller), problems)
     if "machine" in tables:
         modes = read_machine(tables["machine"], context)
         _check_machine(tables, problems)
         if modes is not None:
             parts = parts._replace(modes=modes, fastest=fastest_mode(modes))
     if work is not None:
-        parts = parts._replace(fastest=_follow(tables["robot"], parts, context))
+        parts = _follow(tables, parts, context)
     if parts.path is not None and cutter is not None and stock is not None:
         check_rapids(parts.path, cutter, holder, stock, context)
     return parts
@@ -240,29 +247,48 @@ def _rest_rows(controller: Controller, tooth_period: float) -> int:
     return math.ceil(_REST * lag / tooth_period)
 
 
-def _follow(table: RobotTable, parts: _Parts, context: FileContext) -> float:
-    """Check that the robot can follow the path; return its highest frequency [Hz]."""
-    robot, path = parts.robot, parts.path
+def _follow(tables: dict[str, Any], parts: _Parts, context: FileContext) -> _Parts:
+    """Check that the robot can follow the path, slowed down where a joint is slow.
+
+    Args:
+        tables: Checked tables, that of the robot with them.
+        parts: With the robot and the path.
+        context: Receives what is wrong.
+
+    Returns:
+        The parts, with the path that it follows and its highest frequency.
+    """
+    table, robot, path = tables["robot"], parts.robot, parts.path
     if robot is None or path is None:
-        return 0.0
-    q = check_reach(
+        return parts
+    checks = ReachCheck(
         robot,
-        path,
         parts.T_base_work,
         parts.joint_start,
         table.tool_rotation,
-        context,
-        start_count=robot.joint_count - added_joints(table),
+        robot.joint_count - added_joints(table),
     )
+    found = len(context.problems)
+    q = checks.joints(path, context, is_slowed=parts.timed is not None)
+    if parts.timed is not None and len(context.problems) == found:
+        ramp = tables["program"].joint_ramp if "program" in tables else 0.0
+        timed = slowed_for_joints(parts.timed, path, robot, q, ramp)
+        if timed is not parts.timed:
+            parts = _with_rows(parts, timed, context.problems)
+            if parts.path is None:
+                return parts
+            # The same poses, and nothing more to note.
+            q = checks.joints(parts.path, context._replace(notes=[]))
     if not np.isfinite(np.asarray(robot.joint_stiffness)).all():
-        return 0.0
+        return parts
     poses = q[[0, len(q) // 2, -1]]
     try:
         check_sag(robot, poses, context)
-        return max(np.max(counting_modes(robot, row), initial=0.0) for row in poses)
+        fastest = max(np.max(counting_modes(robot, row), initial=0.0) for row in poses)
     except ValueError as error:
         context.problems.append(f"[robot]: {error}")
-        return 0.0
+        return parts
+    return parts._replace(fastest=fastest)
 
 
 def _check_machine(tables: dict[str, Any], problems: list[str]) -> None:
@@ -278,25 +304,43 @@ def _check_machine(tables: dict[str, Any], problems: list[str]) -> None:
             )
 
 
-def _timed(
-    tables: dict[str, Any],
-    program: Program | Path | None,
-    speed: float,
-    flute_count: int,
-    problems: list[str],
-) -> Path | None:
-    """Return the program as a path with a row per tooth period, if it has one."""
-    period = 2 * math.pi / (speed * flute_count)
+def _timed(tables: dict[str, Any], parts: _Parts, problems: list[str]) -> _Parts:
+    """Return the parts with the program as a path with a row per tooth period."""
+    assert parts.cutter is not None and parts.speed is not None
+    period, flutes = parts.tooth_period, parts.cutter.flute_count
     if period > 1000 * LONGEST_SUBSTEP:
-        least = 60 / (flute_count * 1000 * LONGEST_SUBSTEP)
+        least = 60 / (flutes * 1000 * LONGEST_SUBSTEP)
         problems.append(
-            f"[spindle] speed: found {speed * 30 / math.pi:g} rpm; at least "
+            f"[spindle] speed: found {parts.speed * 30 / math.pi:g} rpm; at least "
             f"{least:g} rpm is required"
         )
-        return None
-    if program is None:
-        return None
-    return time_path(program, tables["program"], period, problems)
+        return parts
+    program, table = parts.program, tables.get("program")
+    if program is None or table is None:
+        return parts
+    if isinstance(program, Path):
+        return parts._replace(path=recorded_path(program, table, period, problems))
+    _check_ramp(table, parts.robot, problems)
+    timed = time_program(program, table, problems)
+    return parts if timed is None else _with_rows(parts, timed, problems)
+
+
+def _with_rows(parts: _Parts, timed: TimedProgram, problems: list[str]) -> _Parts:
+    """Return the parts with a timed program and its rows."""
+    path = rows_of(timed, parts.tooth_period, problems)
+    if path is not None and parts.controller is not None:
+        path = path.with_rest(_rest_rows(parts.controller, parts.tooth_period))
+    return parts._replace(timed=timed, path=path)
+
+
+def _check_ramp(table: ProgramTable, robot: Robot | None, problems: list[str]) -> None:
+    """Note a ramp of joints whose speeds are not known."""
+    speed = None if robot is None else robot.joint_speed
+    if table.joint_ramp > 0 and (speed is None or not np.isfinite(speed).any()):
+        problems.append(
+            "[program] joint_ramp: found one, but no joint has a speed; give the robot "
+            "speeds, or leave it out"
+        )
 
 
 def _assemble(
@@ -336,6 +380,7 @@ def _assemble(
         keeps_intervals=tables["stock"].intervals is not None,
         output=tables["output"].settings(),
         controller=parts.controller,
+        timing=None if parts.timed is None else parts.timed.timing,
     )
 
 

@@ -21,7 +21,6 @@ from ._checkpoint import (
 from ._joint_positions import parse_pose as parse_pose
 from ._path_csv import (
     PathFileError as PathFileError,
-    parse_path_csv as parse_path_csv,
     read_path_csv as read_path_csv,
     write_path_csv as write_path_csv,
 )

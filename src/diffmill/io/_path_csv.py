@@ -65,7 +65,7 @@ def read_path_csv(file: str | os.PathLike[str]) -> Path:
     if len(data) > _MOST_BYTES:
         raise PathFileError(path.name, [f"has more than {_MOST_BYTES / 1e6:g} MB."])
     text = data.decode("utf-8-sig", errors="replace")
-    return parse_path_csv(text, name=path.name)
+    return _path_of_text(text, path.name)
 
 
 class _Line(NamedTuple):
@@ -75,7 +75,7 @@ class _Line(NamedTuple):
     text: str
 
 
-def parse_path_csv(text: str, *, name: str = "path") -> Path:
+def _path_of_text(text: str, name: str) -> Path:
     """Return a path from CSV text; arguments and errors as `read_path_csv`."""
     rows = [
         _Line(number, line.strip())

@@ -15,7 +15,6 @@ own, as far as that lies in the stock.
 from ._chip import (
     circle_chip as circle_chip,
     edge_contact as edge_contact,
-    layer_share as layer_share,
 )
 from ._choose_engagement import (
     ChipModel as ChipModel,

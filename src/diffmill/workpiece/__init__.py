@@ -45,7 +45,6 @@ from ._files import (
 from ._mesh.mesh import Mesh as Mesh
 from ._mesh.surface_error import (
     SurfaceError as SurfaceError,
-    signed_distance as signed_distance,
     surface_error as surface_error,
 )
 from ._pose import Pose as Pose

@@ -61,7 +61,8 @@ def moved_path(
 
     program = read_program(folder / f"moved{given.suffix}")
     assert isinstance(program, Program)
-    path = given.timed(program, float(job.tooth_period))
+    assert job.timing is not None
+    path = job.timing.timed(program).path(float(job.tooth_period))
     places = BlockEnds.of(given.program, job.path)
     moved = BlockEnds.of(program, path)
     if moved.block_count != places.block_count:

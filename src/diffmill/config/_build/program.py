@@ -3,9 +3,20 @@
 import math
 import pathlib
 
+import numpy as np
+from jaxtyping import Float
+
 from ... import io
 from ...io import PROGRAM_FORMATS, PathFileError, ProgramError, ProgramSetup
-from ...toolpath import Path, Point, Program, resample, sample_program
+from ...robot import Robot
+from ...toolpath import (
+    Path,
+    Point,
+    Program,
+    TimedProgram,
+    TimingLimits,
+    resample,
+)
 from .._schema.job import ProgramTable
 from .context import FileContext
 
@@ -116,13 +127,10 @@ def spindle_speed(
     return stated[0] if stated else given
 
 
-def time_path(
-    program: Program | Path,
-    table: ProgramTable,
-    tooth_period: float,
-    problems: list[str],
-) -> Path | None:
-    """Return the path at the tooth instants, or None with problems noted."""
+def time_program(
+    program: Program, table: ProgramTable, problems: list[str]
+) -> TimedProgram | None:
+    """Return a program under the limits of a job, or None with problems noted."""
     smoothing = table.smoothing
     if table.jerk is not None:
         if smoothing > 0:
@@ -132,34 +140,79 @@ def time_path(
             return None
         # From full acceleration to full braking in this time, which is the worst.
         smoothing = 2 * table.acceleration / table.jerk
-    if isinstance(program, Path) and smoothing > 0:
-        key = "smoothing" if table.jerk is None else "jerk"
-        problems.append(
-            f"[program] {key}: found one, but a recorded path has its own times; "
-            "allowed with a program only"
-        )
-        return None
+    limits = TimingLimits(
+        acceleration=table.acceleration,
+        rapid_feed=table.rapid_feed,
+        corner_tolerance=table.corner_tolerance,
+        feed=table.feed,
+        smoothing=smoothing,
+    )
     try:
-        if isinstance(program, Path):
-            path = resample(
-                program.time,
-                program.positions,
-                program.axes,
-                program.is_rapid,
-                program.line,
-                tooth_period,
-            )
-        else:
-            path = sample_program(
-                program,
-                tooth_period,
-                acceleration=table.acceleration,
-                rapid_feed=table.rapid_feed,
-                corner_tolerance=table.corner_tolerance,
-                feed=table.feed,
-                smoothing=smoothing,
-            )
+        return TimedProgram.of(program, limits)
     except ValueError as error:
         problems.append(f"[program] file: {error}")
         return None
-    return path
+
+
+def recorded_path(
+    path: Path, table: ProgramTable, tooth_period: float, problems: list[str]
+) -> Path | None:
+    """Return a recorded path at the tooth instants, or None with problems noted."""
+    for key in ("smoothing", "jerk", "joint_ramp"):
+        if getattr(table, key):
+            problems.append(
+                f"[program] {key}: found one, but a recorded path has its own times; "
+                "allowed with a program only"
+            )
+            return None
+    try:
+        return resample(
+            path.time,
+            path.positions,
+            path.axes,
+            path.is_rapid,
+            path.line,
+            tooth_period,
+        )
+    except ValueError as error:
+        problems.append(f"[program] file: {error}")
+        return None
+
+
+def rows_of(
+    timed: TimedProgram, tooth_period: float, problems: list[str]
+) -> Path | None:
+    """Return a timed program at the tooth instants, or None with problems noted."""
+    try:
+        return timed.path(tooth_period)
+    except ValueError as error:
+        problems.append(f"[program] file: {error}")
+        return None
+
+
+def slowed_for_joints(
+    timed: TimedProgram,
+    path: Path,
+    robot: Robot,
+    q: Float[np.ndarray, "step joint"],
+    ramp: float,
+) -> TimedProgram:
+    """Return a program whose joints keep their speeds and accelerations.
+
+    Args:
+        timed: The program.
+        path: The same at the tooth instants.
+        robot: The robot.
+        q: Its joints at the rows of `path` [rad or m], shape (step, joint).
+        ramp: Time in which a joint may reach its full speed [s]; 0 for any.
+
+    Returns:
+        The same program if they keep them anyway.
+    """
+    if robot.joint_speed is None:
+        return timed
+    speed = np.asarray(robot.joint_speed, np.float64)
+    acceleration = speed / ramp if ramp > 0 else np.full_like(speed, np.inf)
+    return timed.within(
+        path, q, names=robot.joint_names, speed=speed, acceleration=acceleration
+    )

@@ -1,5 +1,7 @@
 """Whether the robot of a job can follow its path: reach, limits, branch, poses."""
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -35,50 +37,59 @@ _TRIED = 3
 _TAKES_PART = 0.4
 
 
-def check_reach(
-    robot: Robot,
-    path: Path,
-    T_base_work: Float[np.ndarray, "4 4"],
-    joint_start: Float[np.ndarray, " joint"] | None,
-    tool_rotation: ToolRotation,
-    context: FileContext,
-    *,
-    start_count: int | None = None,
-) -> Float[np.ndarray, "step joint"]:
-    """Note where a robot cannot follow a path, and from where it could.
+class ReachCheck(NamedTuple):
+    """A robot that is to follow paths.
 
-    Args:
+    Attributes:
         robot: The robot with its tool.
-        path: Desired path.
         T_base_work: Maps work coordinates to the robot's base, shape (4, 4).
         joint_start: Joint positions to begin from; None for the robot's home.
         tool_rotation: Whether the rotation about the tool axis is free.
-        context: Receives what is wrong, the first place of each kind, and where a pose
-            is nearly singular.
-        start_count: Joints that `joint_start` names; None for all of the robot.
-
-    Returns:
-        Joint positions along the path [rad or m], shape (step, joint).
+        start_count: Joints that `joint_start` names.
     """
-    T_work_tool = np.tile(np.eye(4), (path.step_count, 1, 1))
-    T_work_tool[:, :3, :3] = np.asarray(Pose.frame(jnp.asarray(path.axes)))
-    T_work_tool[:, :3, 3] = path.positions
-    Ts = np.asarray(T_base_work @ T_work_tool, dtype=np.dtype(robot.dtype))
-    start = np.asarray(robot.home if joint_start is None else joint_start)
 
-    found, faults = _follow(robot, path, Ts, start, tool_rotation)
-    if not faults:
-        _note_singular(robot, path, found, tool_rotation, context.notes)
+    robot: Robot
+    T_base_work: Float[np.ndarray, "4 4"]
+    joint_start: Float[np.ndarray, " joint"] | None
+    tool_rotation: ToolRotation
+    start_count: int
+
+    def joints(
+        self, path: Path, context: FileContext, *, is_slowed: bool = False
+    ) -> Float[np.ndarray, "step joint"]:
+        """Note where the robot cannot follow a path, and from where it could.
+
+        Args:
+            path: Desired path.
+            context: Receives what is wrong, the first place of each kind, and where a
+                pose is nearly singular.
+            is_slowed: Whether the path will be slowed down where joints are too slow.
+
+        Returns:
+            Joint positions along the path [rad or m], shape (step, joint).
+        """
+        robot, start = self.robot, self.joint_start
+        T_work_tool = np.tile(np.eye(4), (path.step_count, 1, 1))
+        T_work_tool[:, :3, :3] = np.asarray(Pose.frame(jnp.asarray(path.axes)))
+        T_work_tool[:, :3, 3] = path.positions
+        Ts = np.asarray(self.T_base_work @ T_work_tool, dtype=np.dtype(robot.dtype))
+        start = np.asarray(robot.home if start is None else start)
+
+        found, faults = _follow(robot, path, Ts, start, self.tool_rotation)
+        if not is_slowed:
+            _check_speed(robot, path, found, faults)
+        if not faults:
+            _note_singular(robot, path, found, self.tool_rotation, context.notes)
+            return np.asarray(found.q)
+        better = _better_start(robot, path, Ts, start, self.tool_rotation)
+        if better is not None:
+            faults[0] += f"; {_start_line(robot, better[: self.start_count])} avoids it"
+        elif self.tool_rotation == "fixed" and not found.converged.all():
+            free, _ = _follow(robot, path, Ts, start, "free")
+            if free.converged.all():
+                faults[0] += '; tool_rotation = "free" would reach it'
+        context.problems.extend(faults)
         return np.asarray(found.q)
-    better = _better_start(robot, path, Ts, start, tool_rotation)
-    if better is not None:
-        faults[0] += f"; {_start_line(robot, better[:start_count])} avoids it"
-    elif tool_rotation == "fixed" and not found.converged.all():
-        free, _ = _follow(robot, path, Ts, start, "free")
-        if free.converged.all():
-            faults[0] += '; tool_rotation = "free" would reach it'
-    context.problems.extend(faults)
-    return np.asarray(found.q)
 
 
 def _follow(
@@ -97,7 +108,6 @@ def _follow(
         faults.append(_unreached(path, Ts, found))
     _check_limits(robot, path, found, faults)
     _check_branch(robot, path, Ts, found, faults)
-    _check_speed(robot, path, found, faults)
     return found, faults
 
 

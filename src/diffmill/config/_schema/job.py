@@ -70,6 +70,7 @@ class ProgramTable(Table):
     corner_tolerance: Tolerance = 1e-4
     smoothing: Delay = 0.0
     jerk: Jerk | None = None
+    joint_ramp: Delay = 0.0
     tool: Annotated[StrictInt, Field(ge=0)] | None = None
     block_delete: StrictBool = False
     offsets: dict[CoordinateSystem, Lengths3] = Field(default_factory=dict)

@@ -59,7 +59,9 @@ def _plain(leaf: PyTree) -> PyTree:
     if not isinstance(leaf, Job):
         return jnp.asarray(leaf)
     job = leaf.with_precision()
-    return dataclasses.replace(job, name="", source="", program="", notes=())
+    return dataclasses.replace(
+        job, name="", source="", program="", notes=(), timing=None
+    )
 
 
 def _difference(one: PyTree, other: PyTree, where: str) -> str:

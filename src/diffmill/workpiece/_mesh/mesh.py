@@ -4,6 +4,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
+from .signed_distance import signed_distance
+
 
 class Mesh(eqx.Module):
     """A surface of triangles, on the host.
@@ -34,6 +36,20 @@ class Mesh(eqx.Module):
     def flipped_edge_count(self) -> int:
         """Return how many edges two triangles run along in the same direction."""
         return int((np.abs(self._edge_surplus()) == 2).sum())
+
+    def signed_distance(
+        self, points: Float[np.ndarray, "n 3"]
+    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
+        """Return the distance of points to the mesh, closed and of like triangles.
+
+        Args:
+            points: The points [m], shape (n, 3).
+
+        Returns:
+            The distance [m], positive outside, shape (n,), and the outward unit normal
+            at the nearest place, shape (n, 3).
+        """
+        return signed_distance(self.vertices, self.faces, points)
 
     def _relative_corners(self) -> Float[np.ndarray, "3 face 3"]:
         # About the middle: far from the origin the terms would cancel.

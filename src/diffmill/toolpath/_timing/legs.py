@@ -1,0 +1,285 @@
+"""Pieces of a program with what limits the speed on each, and why."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Int
+
+from .._moves import Move, Point, Program
+from .corners import REVERSAL_ANGLE, TANGENT_ANGLE, Corner, corner_angle, round_corner
+from .pieces import Blend, Piece, piece_of_move
+from .smoothing import slow_ranges
+from .way_limits import WayLimit
+
+# Pieces shorter than this are numerical crumbs of a trimmed move.
+SHORTEST = 1e-12
+# Below a nanometre a rounded corner is an exact stop in all but name.
+_FINEST_TOLERANCE = 1e-9
+# What limits a motion, beside joints, which are named.
+FEED, ACCELERATION, CURVE, JERK = "feed", "acceleration", "curves", "jerk"
+
+
+class TimingLimits(NamedTuple):
+    """What a controller holds a motion to.
+
+    Attributes:
+        acceleration: Largest acceleration along and across the path [m/s^2].
+        rapid_feed: Speed of rapid moves [m/s].
+        corner_tolerance: Largest distance from a corner [m]; 0 stops exactly there.
+        feed: Speed of feed moves that state none [m/s].
+        smoothing: Time over which the way along the path is averaged [s].
+    """
+
+    acceleration: float
+    rapid_feed: float
+    corner_tolerance: float
+    feed: float | None = None
+    smoothing: float = 0.0
+
+    def check(self) -> None:
+        """Refuse limits that are none.
+
+        Raises:
+            ValueError: If one of them is not positive, or not zero where it may be.
+        """
+        for name, value in zip(self._fields, self, strict=True):
+            if value is None:
+                continue
+            may_be_zero = name in ("corner_tolerance", "smoothing")
+            if math.isfinite(value) and (value > 0 or (may_be_zero and value == 0)):
+                continue
+            allowed = "zero or positive" if may_be_zero else "positive and finite"
+            raise ValueError(f"Argument `{name}` must be {allowed}, but is {value}.")
+
+
+class Leg(NamedTuple):
+    """A piece with what limits its speed.
+
+    The tool axis turns evenly from `first_axis` to `last_axis`.
+
+    Attributes:
+        piece: Its shape.
+        asked: Speed that the program asks for [m/s].
+        speed: Largest speed on it [m/s].
+        acceleration: Largest acceleration along it [m/s^2].
+        duration: Time that the program states for it [s], or None.
+        is_rapid: Whether it is a rapid move.
+        line: Line of the program.
+        cause: What keeps its speed below that asked for.
+        ramp_cause: What keeps its acceleration within bounds.
+        is_stop: Whether the tool is at rest at its end.
+        first_axis: Tool axis at its start, not normalised.
+        last_axis: Tool axis at its end, not normalised.
+    """
+
+    piece: Piece
+    asked: float
+    speed: float
+    acceleration: float
+    duration: float | None
+    is_rapid: bool
+    line: int
+    cause: str = FEED
+    ramp_cause: str = ACCELERATION
+    is_stop: bool = True
+    first_axis: Point = (0.0, 0.0, 1.0)
+    last_axis: Point = (0.0, 0.0, 1.0)
+
+    def axis_at(self, distance: float) -> Point:
+        """Return the tool axis at a distance from the start, not normalised."""
+        share = distance / self.piece.length
+        (a, b, c), (x, y, z) = self.first_axis, self.last_axis
+        return a + share * (x - a), b + share * (y - b), c + share * (z - c)
+
+    def slower(self, speed: float, cause: str) -> "Leg":
+        """Return the leg with a smaller limit, the same if it is not smaller."""
+        return self._replace(speed=speed, cause=cause) if speed < self.speed else self
+
+    def split(self, lengths: list[float]) -> list["Leg"]:
+        """Return the leg in parts of given lengths, which add up to its own."""
+        out = []
+        head, tail = 0.0, self.piece.length
+        for length in lengths:
+            tail -= length
+            piece = self.piece
+            assert not isinstance(piece, Blend)
+            piece = piece.trimmed(head, max(tail, 0.0))
+            first = self.axis_at(head)
+            head += length
+            part = self._replace(piece=piece, is_stop=False)
+            out.append(part._replace(first_axis=first, last_axis=self.axis_at(head)))
+        out[-1] = out[-1]._replace(is_stop=self.is_stop)
+        return out
+
+
+def legs_of_program(
+    program: Program, limits: TimingLimits, along: tuple[WayLimit, ...]
+) -> list[Leg]:
+    """Return the pieces of a program, corners rounded, speeds limited.
+
+    Args:
+        program: The program; its approach is left out.
+        limits: As numbers.
+        along: Further limits along the way.
+
+    Raises:
+        ValueError: If a feed is missing, the tool turns on the spot, or nothing moves.
+    """
+    moves = program.timed_moves
+    approach = program.moves[: program.approach_count]
+    axis = approach[-1].axis if approach else moves[0].axis if moves else None
+    legs = []
+    for move in moves:
+        if move.length > 0 or move.duration is not None:
+            leg = _leg(move, limits, program.name)
+            legs.append(leg._replace(first_axis=axis, last_axis=move.axis))
+            axis = move.axis
+        elif move.axis != axis:
+            raise ValueError(
+                f"{program.name}, line {move.line}: the tool turns on the spot, which "
+                "has no time."
+            )
+    legs = _rounded(legs, limits.corner_tolerance)
+    if not legs:
+        raise ValueError(
+            f"{program.name}: the program moves nothing after its approach."
+        )
+    legs = [_slower_in_curves(leg) for leg in legs]
+    if along:
+        legs = _limited(legs, along)
+    if limits.smoothing > 0:
+        legs = _slowed(legs, limits.smoothing)
+    return legs
+
+
+def sections_of(legs: list[Leg]) -> Int[np.ndarray, " piece"]:
+    """Return for every piece how many stops are before it."""
+    return np.cumsum([0, *(leg.is_stop for leg in legs[:-1])])
+
+
+def _leg(move: Move, limits: TimingLimits, name: str) -> Leg:
+    """Return a move with its speed limit."""
+    piece = piece_of_move(move)
+    speed = limits.rapid_feed if move.is_rapid else move.feed
+    if move.duration is not None:
+        speed = piece.length / move.duration
+    elif speed is None:
+        speed = limits.feed
+    if speed is None:
+        raise ValueError(
+            f"{name}, line {move.line}: the move has no feed, and none was given "
+            "(argument `feed`; in a job: [program] feed)."
+        )
+    a = limits.acceleration
+    return Leg(piece, speed, speed, a, move.duration, move.is_rapid, move.line)
+
+
+def _rounded(legs: list[Leg], tolerance: float) -> list[Leg]:
+    """Return the legs with rounded corners between them and stops marked."""
+    out: list[Leg] = []
+    head = 0.0
+    for before, after in zip(legs, [*legs[1:], None], strict=False):
+        corner, is_stop = _joint(before, after, tolerance)
+        tail = 0.0 if corner is None else corner.trim
+        piece = before.piece
+        if head + tail > 0 and not isinstance(piece, Blend):
+            piece = piece.trimmed(head, tail)
+        if piece.length > SHORTEST or before.duration is not None:
+            out.append(before._replace(piece=piece, is_stop=is_stop))
+        elif out and is_stop:
+            out[-1] = out[-1]._replace(is_stop=True)
+        if corner is not None and after is not None:
+            speed = min(before.speed, after.speed)
+            leg = after._replace(piece=corner.piece, asked=speed, speed=speed)
+            axis = before.last_axis
+            out.append(leg._replace(is_stop=False, first_axis=axis, last_axis=axis))
+        head = tail
+    return out
+
+
+def _joint(
+    before: Leg, after: Leg | None, tolerance: float
+) -> tuple[Corner | None, bool]:
+    """Return how one leg goes over into the next: a rounding, and whether it stops."""
+    if after is None or _is_exact(before) or _is_exact(after):
+        return None, True
+    if isinstance(before.piece, Blend) or isinstance(after.piece, Blend):
+        return None, False
+    angle = corner_angle(before.piece, after.piece)
+    if angle < TANGENT_ANGLE:
+        return None, False
+    if tolerance > _FINEST_TOLERANCE and angle < REVERSAL_ANGLE:
+        return round_corner(before.piece, after.piece, angle, tolerance), False
+    return None, True
+
+
+def _is_exact(leg: Leg) -> bool:
+    """Whether the leg's ends are kept as they are: rapid and inverse-time moves."""
+    return leg.is_rapid or leg.duration is not None
+
+
+def _slower_in_curves(leg: Leg) -> Leg:
+    """Return a leg whose centripetal acceleration is within its limit."""
+    curvature = leg.piece.curvature
+    if leg.duration is not None or curvature == 0:
+        return leg
+    return leg.slower(math.sqrt(leg.acceleration / curvature), CURVE)
+
+
+def _limited(legs: list[Leg], along: tuple[WayLimit, ...]) -> list[Leg]:
+    """Return the legs, split where limits along the way begin and end."""
+    out: list[Leg] = []
+    way, index = 0.0, 0
+    for leg in legs:
+        end = way + leg.piece.length
+        parts, kept = [], [along[index]]
+        while along[index].end < end and index + 1 < len(along):
+            length = along[index].end - way - math.fsum(parts)
+            index += 1
+            if length > SHORTEST:
+                parts.append(length)
+                kept.append(along[index])
+            else:
+                kept[-1] = along[index]
+        rest = leg.piece.length - math.fsum(parts)
+        way = end
+        if leg.duration is not None:
+            out.append(leg)
+        elif isinstance(leg.piece, Blend) or not parts or rest <= SHORTEST:
+            for limit in kept:
+                leg = _held(leg, limit)
+            out.append(leg)
+        else:
+            pieces = leg.split([*parts, rest])
+            out += [_held(p, limit) for p, limit in zip(pieces, kept, strict=True)]
+    return out
+
+
+def _held(leg: Leg, limit: WayLimit) -> Leg:
+    """Return a leg within a limit of the way."""
+    leg = leg.slower(limit.speed, limit.cause)
+    if limit.acceleration >= leg.acceleration:
+        return leg
+    return leg._replace(acceleration=limit.acceleration, ramp_cause=limit.cause)
+
+
+def _slowed(legs: list[Leg], smoothing: float) -> list[Leg]:
+    """Return the legs, split where a slow one slows down its neighbours.
+
+    Then speeds that are averaged in time keep the limit of every piece.
+    """
+    out = []
+    ranges = slow_ranges(
+        np.array([leg.piece.length for leg in legs]),
+        np.array([leg.speed for leg in legs]),
+        sections_of(legs),
+        smoothing,
+    )
+    for leg, parts in zip(legs, ranges, strict=True):
+        if len(parts) == 1 or isinstance(leg.piece, Blend):
+            out.append(leg.slower(min(speed for _, speed in parts), JERK))
+            continue
+        pieces = leg.split([length for length, _ in parts])
+        out += [p.slower(v, JERK) for p, (_, v) in zip(pieces, parts, strict=True)]
+    return out

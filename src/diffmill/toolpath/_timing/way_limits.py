@@ -1,0 +1,139 @@
+"""Limits of speed and acceleration along a way, from coordinates that move with it.
+
+Along the way s the joints of a robot stand at q(s). Their speeds are q' s_dot and their
+accelerations q'' s_dot^2 + q' s_ddot: each of the two terms gets half of what a joint
+may, so that their sum stays within it.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+# Limits are this much below what is allowed, for what is between two rows.
+_MARGIN = 0.99
+# Neighbours with limits within this factor of each other have one limit.
+_SAME = 1.1
+# Rows nearer to each other than this share of the farthest two are left out: their
+# differences are rounding.
+_NEAR = 0.5
+
+
+class WayLimit(NamedTuple):
+    """A limit on a part of a way.
+
+    Attributes:
+        end: Way at which the part ends [m]; it begins where the one before ends.
+        speed: Largest speed [m/s].
+        acceleration: Largest acceleration along the way [m/s^2].
+        cause: What limits, such as "joint a4".
+    """
+
+    end: float
+    speed: float
+    acceleration: float
+    cause: str
+
+
+class JointCourse(NamedTuple):
+    """How the joints of a robot move along a path, and what they can.
+
+    Attributes:
+        q: Joint positions at the rows of a path [rad or m], shape (row, joint).
+        names: Of the joints.
+        speed: Fastest motion of each [rad/s or m/s], shape (joint,); may be infinite.
+        acceleration: Largest acceleration of each [rad/s^2 or m/s^2], shape (joint,);
+            may be infinite.
+    """
+
+    q: Float[np.ndarray, "row joint"]
+    names: tuple[str, ...]
+    speed: Float[np.ndarray, " joint"]
+    acceleration: Float[np.ndarray, " joint"]
+
+    def way_limits(
+        self,
+        way: Float[np.ndarray, " row"],
+        stops: Float[np.ndarray, " stop"],
+        most: tuple[float, float],
+    ) -> tuple[WayLimit, ...]:
+        """Return what the joints allow along a way.
+
+        Args:
+            way: Way at each row of `q` [m], not decreasing, shape (row,).
+            stops: Where the tool is at rest [m], and may turn, shape (stop,).
+            most: Speed [m/s] and acceleration [m/s^2] that are not passed anyway.
+
+        Returns:
+            The limits; none if the joints allow all of it.
+        """
+        rows = _apart(way)
+        if len(rows) < 3:
+            return ()
+        at = way[rows]
+        step = np.diff(at)
+        slope = np.abs(np.diff(self.q[rows], axis=0)) / step[:, None]
+        bend = np.zeros_like(slope)
+        turn = np.abs(np.diff(np.diff(self.q[rows], axis=0) / step[:, None], axis=0))
+        turn /= ((step[1:] + step[:-1]) / 2)[:, None]
+        # Where it stops, the way may turn at once: that takes no speed.
+        first, last = (np.searchsorted(stops, x) for x in (at[:-2], at[2:]))
+        turn[last > first] = 0.0
+        bend[1:] = turn
+        bend[:-1] = np.maximum(bend[:-1], turn)
+        with np.errstate(divide="ignore"):
+            by_speed = _MARGIN * self.speed / slope
+            by_bend = np.sqrt(_MARGIN * self.acceleration / 2 / bend)
+            by_slope = _MARGIN * self.acceleration / 2 / slope
+        held = np.minimum(by_speed, by_bend)
+        speed = _with_neighbours(np.minimum(held.min(axis=1), most[0]))
+        acceleration = _with_neighbours(np.minimum(by_slope.min(axis=1), most[1]))
+        if (speed >= most[0]).all() and (acceleration >= most[1]).all():
+            return ()
+        # The joint that takes most of what is asked for is the one that is named.
+        share = np.maximum(most[0] / held, most[1] / by_slope)
+        return _merged(at, speed, acceleration, share, self.names)
+
+
+def _apart(way: Float[np.ndarray, " row"]) -> list[int]:
+    """Return rows that are not too near to each other, the first and last of them."""
+    nearest = _NEAR * np.diff(way).max(initial=0.0)
+    if nearest <= 0:
+        return []
+    rows = [0]
+    for row, here in enumerate(way.tolist()):
+        if here - way[rows[-1]] >= nearest:
+            rows.append(row)
+    return rows
+
+
+def _with_neighbours(limit: Float[np.ndarray, " part"]) -> Float[np.ndarray, " part"]:
+    """Return the least of each limit and those beside it."""
+    out = limit.copy()
+    out[1:] = np.minimum(out[1:], limit[:-1])
+    out[:-1] = np.minimum(out[:-1], limit[1:])
+    return out
+
+
+def _merged(
+    at: Float[np.ndarray, " row"],
+    speed: Float[np.ndarray, " part"],
+    acceleration: Float[np.ndarray, " part"],
+    share: Float[np.ndarray, "part joint"],
+    names: tuple[str, ...],
+) -> tuple[WayLimit, ...]:
+    """Return few limits for many that are nearly the same."""
+    out: list[WayLimit] = []
+    first = 0
+    for part in range(1, len(speed) + 1):
+        here = slice(first, part + 1)
+        if part < len(speed) and all(
+            x[here].max() <= _SAME * x[here].min() for x in (speed, acceleration)
+        ):
+            continue
+        here = slice(first, part)
+        joint = names[int(np.argmax(share[here].max(axis=0)))]
+        least = float(speed[here].min()), float(acceleration[here].min())
+        out.append(WayLimit(float(at[part]), *least, f"joint {joint}"))
+        first = part
+    return tuple(out)

@@ -1,0 +1,172 @@
+"""What a program takes its time for, and joints that slow it down."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from diffmill.toolpath import (
+    Move,
+    Program,
+    TimedProgram,
+    TimingLimits,
+    sample_program,
+)
+
+FEED, ACCELERATION, PERIOD = 0.05, 2.0, 1e-3
+LIMITS = TimingLimits(ACCELERATION, rapid_feed=0.2, corner_tolerance=0.0)
+# A joint that nothing limits.
+FREE = np.inf
+
+
+def program(*points, feed=FEED):
+    pairs = itertools.pairwise((float(x), float(y), float(z)) for x, y, z in points)
+    return Program(
+        tuple(Move(a, b, feed=feed, line=k) for k, (a, b) in enumerate(pairs, 1))
+    )
+
+
+def slides(path, speed, acceleration=(FREE,) * 3):
+    """Return three slides along the axes, whose positions are those of the tool."""
+    return {
+        "path": path,
+        "q": path.positions,
+        "names": ("x", "y", "z"),
+        "speed": np.array(speed),
+        "acceleration": np.array(acceleration),
+    }
+
+
+def rates(path):
+    return np.diff(path.positions, axis=0) / PERIOD
+
+
+def test_a_line_loses_its_ramps():
+    time = TimedProgram.of(program((0, 0, 0), (0.1, 0, 0)), LIMITS).cycle_time
+    assert time.programmed == pytest.approx(0.1 / FEED)
+    ((cause, seconds),) = time.lost
+    # Speeding up and slowing down each take v / a, for half of that way.
+    assert cause == "acceleration" and seconds == pytest.approx(FEED / ACCELERATION)
+    assert time.worst == ((1, "acceleration", pytest.approx(seconds)),)
+
+
+def test_smoothing_costs_its_time_between_two_stops():
+    corner = program((0, 0, 0), (0.1, 0, 0), (0.1, 0.1, 0))
+    plain = TimedProgram.of(corner, LIMITS).cycle_time
+    smooth = TimedProgram.of(corner, LIMITS._replace(smoothing=0.05)).cycle_time
+    assert dict(smooth.lost)["jerk"] == pytest.approx(2 * 0.05)
+    assert smooth.total == pytest.approx(plain.total + 2 * 0.05)
+
+
+def test_a_curve_costs_what_it_is_slower():
+    radius, feed = 1e-3, 0.1
+    start, end = (0.0, 0.0, 0.0), (2 * radius, 0.0, 0.0)
+    arc = Move(start, end, centre=(radius, 0.0, 0.0), turn=-1, feed=feed, line=1)
+    lines = (
+        Move((0.0, -0.1, 0.0), start, feed=feed, line=2),
+        arc,
+        Move(end, (2 * radius, -0.1, 0.0), feed=feed, line=3),
+    )
+    time = TimedProgram.of(Program(lines), LIMITS).cycle_time
+    slow = math.sqrt(ACCELERATION * radius)
+    expected = math.pi * radius * (1 / slow - 1 / feed)
+    assert dict(time.lost)["curves"] == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("smoothing", [0.0, 0.05])
+def test_parts_add_up_to_the_path(smoothing):
+    points = [(0, 0, 0), (0.03, 0, 0), (0.03, 0.02, 0), (0.01, 0.03, 0.005)]
+    limits = LIMITS._replace(corner_tolerance=1e-3, smoothing=smoothing)
+    timed = TimedProgram.of(program(*points), limits)
+    time = timed.cycle_time
+    assert time.total == pytest.approx(time.programmed + sum(s for _, s in time.lost))
+    rows = timed.path(PERIOD).step_count
+    assert (rows - 2) * PERIOD < time.total <= (rows - 1) * PERIOD + 1e-9
+
+
+def test_stated_times_lose_nothing():
+    moves = (
+        Move((0.0, 0.0, 0.0), (0.01, 0.0, 0.0), duration=0.3, line=1),
+        Move((0.01, 0.0, 0.0), (0.01, 0.0, 0.0), duration=0.2, line=2),
+    )
+    time = TimedProgram.of(Program(moves), LIMITS).cycle_time
+    assert time.total == time.programmed == pytest.approx(0.5) and not time.lost
+
+
+def test_a_slow_joint_slows_the_tool():
+    # Along a diagonal the slide moves at 1 / sqrt(2) of the tool's speed.
+    given = program((0, 0, 0), (0.1, 0.1, 0))
+    timed = TimedProgram.of(given, LIMITS)
+    path = timed.path(PERIOD)
+    most = 0.02
+    slowed = timed.within(**slides(path, (most, FREE, FREE)))
+    fastest = np.abs(rates(slowed.path(PERIOD))[:, 0]).max()
+    assert 0.97 * most < fastest <= most
+    assert slowed.cycle_time.lost[0][0] == "joint x"
+    assert timed.within(**slides(path, (1.0,) * 3)) is timed
+
+
+def test_only_the_part_of_a_slow_joint_is_slower():
+    given = program((0, 0, 0), (0.1, 0, 0), (0.1, 0.1, 0))
+    timed = TimedProgram.of(given, LIMITS)
+    path = timed.path(PERIOD)
+    slowed = timed.within(**slides(path, (FREE, 0.01, FREE)))
+    rate = np.abs(rates(slowed.path(PERIOD)))
+    assert rate[:, 0].max() == pytest.approx(FEED, rel=1e-6)
+    assert 0.0097 < rate[:, 1].max() <= 0.01
+    lost = {line: s for line, cause, s in slowed.cycle_time.worst if "y" in cause}
+    # The corner itself may be passed a little slower.
+    assert lost[2] > 100 * lost.get(1, 0.0)
+
+
+@pytest.mark.parametrize("smoothing", [0.0, 0.02])
+def test_joints_keep_their_accelerations(smoothing):
+    # A circle: each slide swings, at its ends by v^2 / r.
+    radius, most = 0.02, 0.1
+    circle = Move(
+        (0.0, 0.0, 0.0),
+        (0.0, 0.0, 0.0),
+        centre=(radius, 0.0, 0.0),
+        turn=1,
+        feed=0.1,
+        line=1,
+    )
+    limits = LIMITS._replace(smoothing=smoothing)
+    timed = TimedProgram.of(Program((circle,)), limits)
+    path = timed.path(PERIOD)
+    course = slides(path, (1.0,) * 3, (most,) * 3)
+    slowed = timed.within(**course).path(PERIOD)
+    found = np.diff(slowed.positions, 2, axis=0) / PERIOD**2
+    assert np.abs(np.diff(path.positions, 2, axis=0) / PERIOD**2).max() > 4 * most
+    assert np.abs(found).max() <= most
+    # Not needlessly slow: half of it is left for the way's own acceleration.
+    assert np.abs(found).max() > 0.4 * most
+    # The tool stays on the circle.
+    gap = (
+        np.linalg.norm(slowed.positions[:, :2] - np.array([radius, 0]), axis=1) - radius
+    )
+    assert np.abs(gap).max() < 1e-12
+
+
+def test_another_program_is_timed_alike():
+    given = program((0, 0, 0), (0.1, 0.1, 0))
+    timed = TimedProgram.of(given, LIMITS)
+    path = timed.path(PERIOD)
+    slowed = timed.within(**slides(path, (0.02, FREE, FREE)))
+    again = slowed.timing.timed(given).path(PERIOD)
+    np.testing.assert_array_equal(again.positions, slowed.path(PERIOD).positions)
+
+
+@pytest.mark.parametrize("name", TimingLimits._fields)
+def test_bad_limits_are_refused(name):
+    limits = LIMITS._replace(**{name: -1.0})
+    with pytest.raises(ValueError, match=name):
+        TimedProgram.of(program((0, 0, 0), (0.1, 0, 0)), limits)
+
+
+def test_sampling_is_that_of_a_timed_program():
+    given = program((0, 0, 0), (0.1, 0, 0), (0.1, 0.1, 0))
+    path = sample_program(given, PERIOD, **LIMITS._asdict())
+    same = TimedProgram.of(given, LIMITS).path(PERIOD)
+    np.testing.assert_array_equal(path.positions, same.positions)
