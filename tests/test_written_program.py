@@ -14,6 +14,7 @@ OUTPUT = """
 [output]
 formats = ["gcode", "krl", "apt"]
 tolerance = "15 um"
+stream_cycle = "1 ms"
 """
 
 
@@ -51,6 +52,8 @@ def test_the_error_of_the_written_program_is_stated(tmp_path, monkeypatch, capsy
     # Text holds a nanometre.
     assert found["written_rms_ngc"] == pytest.approx(expected, abs=10e-9)
     assert found["written_rms_src"] == pytest.approx(expected, abs=10e-9)
+    # A cycle is much shorter than a tooth period.
+    assert found["stream_rms_csv"] == pytest.approx(own, rel=0.1)
     assert "written_rms_apt" not in found and "corrected.apt: not run" in said
     assert f"{expected * 1e6:.2f} um" in said and "[output] tolerance" in said
 

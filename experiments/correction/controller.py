@@ -22,15 +22,23 @@ BETTER, BETTER_THAN_MIRROR = 10.0, 3.0
 RESULTS = pathlib.Path(__file__).parent / "results"
 
 
+def write_controlled_job(
+    folder: pathlib.Path, example: str, controller: str, knots: str, more: str = ""
+) -> pathlib.Path:
+    """Write an example job with lines of a table `[controller]`, and more lines."""
+    file = examples.copy_example(example, folder)
+    text = file.read_text().replace(
+        'knot_spacing = "30 ms"', f'knot_spacing = "{knots}"'
+    )
+    file.write_text(f"{text}\n[controller]\n{controller}\n{more}")
+    return file
+
+
 def controlled_job(example: str, controller: str, knots: str) -> dm.Job:
     """Return an example job with lines of a table `[controller]`."""
-    with tempfile.TemporaryDirectory() as folder:
-        file = examples.copy_example(example, pathlib.Path(folder))
-        text = file.read_text().replace(
-            'knot_spacing = "30 ms"', f'knot_spacing = "{knots}"'
-        )
-        file.write_text(f"{text}\n[controller]\n{controller}\n")
-        return dm.load_job(file)
+    with tempfile.TemporaryDirectory() as name:
+        folder = pathlib.Path(name)
+        return dm.load_job(write_controlled_job(folder, example, controller, knots))
 
 
 def measure(

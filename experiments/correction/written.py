@@ -1,7 +1,7 @@
 """Blocks of the corrected program, and the error that it leaves when it is run.
 
 python experiments/correction/written.py [--example paper] [--controller NAME]
-    [--tolerances 1 2 5] [--out FOLDER]
+    [--tolerances 1 2 5] [--formats] [--out FOLDER]
 """
 
 import argparse
@@ -11,10 +11,12 @@ import tempfile
 from typing import Any
 
 import numpy as np
+import xarray
 
 import diffmill as dm
-from controller import controlled_job
+from controller import controlled_job, write_controlled_job
 from diffmill import io
+from diffmill.cli import main
 from diffmill.process import ThroughPoses
 from diffmill.toolpath import Path, Program, reduce_path, sample_program
 
@@ -22,6 +24,12 @@ TOLERANCES = (1.0, 2.0, 5.0)
 # Blocks of `paper` at 5 um, and how much more than the command a program may leave.
 MOST_BLOCKS = {"lines": 800, "spline": 400}
 MOST_ERROR = 1.2
+FORMATS = """
+[output]
+formats = ["gcode", "krl", "rapid"]
+stream_cycle = "4 ms"
+moved_ends = true
+"""
 RESULTS = pathlib.Path(__file__).parent / "results"
 
 
@@ -66,6 +74,37 @@ def measure(
                 report.figure(f"{name}: blocks", blocks, MOST_BLOCKS[curve], "")
 
 
+def measure_formats(report: Any, example: str, controller: str) -> None:
+    """Print the error that each file leaves, as `diffmill correct` states it."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = pathlib.Path(name)
+        file = write_controlled_job(
+            folder, example, f'preset = "{controller}"', "30 ms", FORMATS
+        )
+        out = folder / "out"
+        done = main(["correct", str(file), "--out", str(out), "--quiet"])
+        report.require("the command ends well", done == 0)
+        with xarray.open_dataset(out / "result.nc", engine="h5netcdf") as kept:
+            found = {str(key): value for key, value in kept.attrs.items()}
+            error = kept.sel(case="corrected").load()
+    inside = error.is_cutting.values.astype(bool)
+    own = float(np.sqrt(np.mean(error.contour_error.values[inside] ** 2)))
+    report.say(
+        f"{example}, controller {controller}: the command leaves {1e6 * own:.3f}"
+    )
+    report.say("um rms; each file within 1 um, read back and run, over that:")
+    for key, text in (
+        ("written_rms_ngc", "G-code, lines"),
+        ("written_rms_src", "KRL, lines"),
+        ("written_rms_mod", "RAPID, lines"),
+        ("stream_rms_csv", "stream of a cycle of 4 ms"),
+    ):
+        report.figure(text, float(found[key]) / own, MOST_ERROR, "")
+    report.say(
+        f"the program with its own blocks: {1e6 * found['moved_rms_ngc']:.2f} um"
+    )
+
+
 def _read_back(few: Path, path: Path, is_spline: bool) -> np.ndarray:
     """Return the positions at the rows of a path that a written file makes."""
     with tempfile.TemporaryDirectory() as folder:
@@ -98,9 +137,13 @@ if __name__ == "__main__":
     parser.add_argument("--example", default="paper")
     parser.add_argument("--controller", default="ideal")
     parser.add_argument("--tolerances", type=float, nargs="*", default=TOLERANCES)
+    parser.add_argument("--formats", action="store_true", help="every format instead")
     parser.add_argument("--out", type=pathlib.Path, default=RESULTS)
     given = parser.parse_args()
     name = f"{given.example}_{given.controller}"
     result = Report(f"diffmill correction: written programs, {name}")
-    measure(result, given.example, given.controller, tuple(given.tolerances))
-    store(result, given.out, f"written_{name}")
+    if given.formats:
+        measure_formats(result, given.example, given.controller)
+    else:
+        measure(result, given.example, given.controller, tuple(given.tolerances))
+    store(result, given.out, f"{'formats' if given.formats else 'written'}_{name}")

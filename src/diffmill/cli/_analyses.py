@@ -84,7 +84,7 @@ def _with_written(
     found = {}
     for name, rms in errors.items():
         file, _, suffix = name.rpartition(".")
-        found[f"{'moved' if file == 'moved' else 'written'}_rms_{suffix}"] = rms
+        found[f"{'written' if file == 'corrected' else file}_rms_{suffix}"] = rms
     return _with_notes(run.dataset.assign_attrs(found), _said(lines, progress))
 
 

@@ -39,7 +39,7 @@ from ._programs.rs274.interpreter import (
 )
 from ._programs.rs274.writer import write_gcode as write_gcode
 from ._programs.setup import ProgramSetup as ProgramSetup
-from ._programs.stream import offset_stream as offset_stream
+from ._programs.stream import OffsetStream as OffsetStream
 from ._records.errors import RecordError as RecordError
 from ._records.load_record import load_record as load_record, read_table as read_table
 from ._records.reader import (

@@ -39,6 +39,8 @@ def written_errors(
         Root mean square contour error where the tool cuts [m] by name of file, and
         lines about them.
     """
+    from ...io import OffsetStream
+
     job, own = job.with_precision(), _rms(final, np.asarray(final.is_cutting))
     found, said = {}, []
     for suffix in job.output.formats:
@@ -58,6 +60,16 @@ def written_errors(
                 "[output] tolerance is "
                 f"{job.output.tolerance * 1e6:g} um, a smaller one takes more blocks"
             )
+    if job.output.cycle > 0:
+        stream = OffsetStream.read(folder / "stream.csv")
+        tips = np.asarray(job.path.positions) + stream.at(
+            np.asarray(job.path.time) - float(job.path.time[0])
+        )
+        found["stream.csv"] = rms = _run_written(job, final, tips, job.path.axes)
+        said.append(
+            f"stream.csv: read back, added to the program and run, it leaves "
+            f"{rms * 1e6:.2f} um rms where the tool cuts"
+        )
     if program is not None:
         name = f"moved{program.suffix}"
         tips = moved_path(job, program, folder)
@@ -141,7 +153,7 @@ def corrected_files(
         commanded: Tip positions of the corrected command [m], shape (step, 3).
     """
     from ...io import (
-        offset_stream,
+        OffsetStream,
         program_frame,
         write_gcode,
         write_path_csv,
@@ -174,7 +186,7 @@ def corrected_files(
             f"{path.step_count - 1}, within {output.tolerance * 1e6:g} um at any time"
         )
     if output.cycle > 0:
-        stream = offset_stream(job.path, path, output.cycle)
+        stream = OffsetStream.of_paths(job.path, path, output.cycle)
         files["stream.csv"] = stream.text
         line = f"stream.csv: steps of {stream.largest_step * 1e6:.3g} um at most"
         if stream.largest_step > output.max_step:

@@ -50,7 +50,11 @@ _SPECIAL = (
     "incomplete_time",
     "incomplete_place",
 )
-_WRITTEN = {"corrected": "written_rms_", "moved": "moved_rms_"}
+_WRITTEN = {
+    "corrected": "written_rms_",
+    "moved": "moved_rms_",
+    "stream": "stream_rms_",
+}
 _PREFIXES = tuple(_WRITTEN.values())
 
 
