@@ -2,6 +2,7 @@
 
 import functools
 import math
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -155,16 +156,16 @@ def test_a_fast_joint_rings_where_steps_follow_and_settles_where_not():
     assert 0.99 < kept < 1.001
 
 
-class Holding(sim.AbstractIntegrator):
+class Holding(sim.RungeKutta4):
     """A rule that brings the arm where its terms were taken."""
 
     def steps_to_middle(self, substeps):
         return 1
 
-    def begin(self, robot, terms, step):
+    def begin(self, robot, terms, step):  # pyright: ignore[reportIncompatibleMethodOverride]
         return terms.joint_positions
 
-    def step(self, robot, begun, state, command, load, step):
+    def step(self, robot, begun: Any, state, command, load, step):
         return sim.ArmState(begun, state.v)
 
 

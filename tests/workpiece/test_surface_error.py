@@ -174,7 +174,7 @@ def test_the_sign_holds_beyond_the_sharpest_edges():
         height = (points[:, None] - hull.triangles_center) * hull.face_normals
         is_inside = (height.sum(axis=-1) < 0).all(axis=1)
         mesh = wp.Mesh(np.array(hull.vertices), np.array(hull.faces))
-        distance, normal = mesh.signed_distance(points)
+        distance, normal = mesh.signed_distance()(points)
         corners = np.repeat(hull.triangles[None], len(points), axis=0)
         feet = trimesh.triangles.closest_point(
             corners.reshape(-1, 3, 3), np.repeat(points, len(hull.triangles), axis=0)

@@ -59,7 +59,6 @@ from ._linear.linear_run import (
     linearise as linearise,
 )
 from ._machine._integrator.base import (
-    AbstractIntegrator as AbstractIntegrator,
     ArmState as ArmState,
     MotorCommand as MotorCommand,
 )

@@ -46,6 +46,7 @@ from ._mesh.mesh import Mesh as Mesh
 from ._mesh.surface_error import (
     SurfaceError as SurfaceError,
     surface_error as surface_error,
+    surface_errors as surface_errors,
 )
 from ._pose import Pose as Pose
 from ._stock_memory import StockMemory as StockMemory

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._result import RESULTS
-from ...workpiece import surface_error
+from ...workpiece import surface_errors
 from .._core.path_segments import PathParts
 
 if TYPE_CHECKING:
@@ -131,14 +131,13 @@ def _figures(correction: "Correction") -> dict[str, tuple[Any, ...]]:
 
 def _surface_figures(correction: "Correction") -> dict[str, tuple[Any, ...]]:
     """Return the errors of the machined surface, walls and floors apart."""
-    if not bool(correction.before.rigid.stock.volume() > 0):
+    # All cases have one ideal: what a rigid machine leaves.
+    ideal = correction.before.rigid.stock
+    if not bool(ideal.volume() > 0):
         return {}
-    measures = [
-        surface_error(
-            solution.stock, solution.rigid.stock, leaves_out_raw=True
-        ).measures()
-        for solution in correction.cases.values()
-    ]
+    stocks = [solution.stock for solution in correction.cases.values()]
+    errors = surface_errors(stocks, ideal, leaves_out_raw=True)
+    measures = [error.measures() for error in errors]
     found = {}
     for field in fields(measures[0]):
         text = _SURFACE_FIGURES[field.name.split("_")[-1]].format(

@@ -5,6 +5,8 @@ both edges are those of the run. Only the robot is left out: between the tooth i
 the tool goes along a smooth curve through them.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -13,7 +15,7 @@ from jaxtyping import Array, Float, Int
 
 from ..._arrays import on_device
 from ..._job import Job
-from ..._live_rows import pad_rows, padded_count
+from ..._live_rows import padded_count
 from ...numerics import CompiledOnce
 from ...process import (
     EdgeElementsInSpace,
@@ -24,10 +26,8 @@ from ...process import (
 )
 from ...workpiece import Pose
 from .._analysis.stability import joint_poses
-from .._machine.machine import RUN_ROWS, Run
-from .._machine.rigid import Rigid
-from .padding import cut_rows
-from .simulate import Solution, job_process
+from .._machine.machine import Run
+from .simulate import Solution, job_process, rigid_cut
 
 
 class ToothChip(eqx.Module):
@@ -77,13 +77,22 @@ class Replay(eqx.Module):
         tips = on_device(np.asarray(job.path.positions))
         poses = Pose.along(tips, job.tool_axes)
         replay = cls(job_process(job, ThroughRays()), poses)
-        _run.prepare(replay.process, *_padded(poses))
         _last_periods.prepare(replay.process, *replay._until(tips.shape[0] - 1))
 
-    def run(self) -> Run:
-        """Return the run with the force at every angle sample. Check `.result`."""
-        run = _run(self.process, *_padded(self.path))
-        return cut_rows(run, RUN_ROWS, self.path.tip.shape[0])
+    @staticmethod
+    def run(job: Job, solution: Solution) -> Run:
+        """Return the process along the poses of a solution; check `.result`.
+
+        Args:
+            job: The job.
+            solution: Its solution.
+
+        Returns:
+            The run, by the program of the rigid cut, with the force at every angle
+            sample.
+        """
+        job = job.with_precision()
+        return rigid_cut(job, ThroughRays(), along=_actual_poses(job, solution))
 
     def tooth_chip(self, step: int) -> ToothChip:
         """Return the chip that tooth 0 meets in the revolution that ends at a step.
@@ -157,18 +166,6 @@ def _actual_poses(job: Job, solution: Solution) -> Pose:
     return Pose(tips, joint_poses(job.robot, frame, joints, False).axis)
 
 
-def _padded(poses: Pose) -> tuple[Pose, Int[Array, ""]]:
-    """Return poses, as many as one of few lengths, and how many of them count."""
-    count = poses.tip.shape[0]
-    rows = jax.tree.map(lambda x: on_device(pad_rows(x, padded_count(count))), poses)
-    return rows, on_device(np.asarray(count, np.int32))
-
-
-@CompiledOnce
-def _run(process: Process, poses: Pose, row_count: Int[Array, ""]) -> Run:
-    return Rigid(keeps_instantaneous=True).run(process, poses, row_count=row_count)
-
-
 def _left_of_feed(path: Pose) -> float:
     """Return the immersion angle on the left of the feed at the end of a path [rad]."""
     frame = np.asarray(Pose.frame(path[-1].direction()), np.float64)
@@ -205,15 +202,25 @@ def _last_periods(
 
     within = process.poses_within(path)
     xs = (index, path[:-1], within.middles, within.ends)
-    last = jax.tree.map(lambda x: x[-count:], xs)
+    at = lambda row: jax.tree.map(lambda x: x[row], xs)
+    empty = jax.tree.map(
+        lambda x: jnp.zeros((count, *x.shape), x.dtype),
+        eqx.filter_eval_shape(lambda: period(state, at(0))[1]),
+    )
 
-    def earlier(row: Int[Array, ""], state: ProcessState) -> ProcessState:
-        return period(state, jax.tree.map(lambda x: x[row], xs))[0]
+    # One body for all periods, the last ones too, is compiled once.
+    def run(row: Int[Array, ""], carry: Any) -> Any:
+        state, kept = carry
+        state, found = period(state, at(row))
+        return state, jax.tree.map(
+            lambda rows, x: rows.at[jnp.mod(row, count)].set(x), kept, found
+        )
 
     # A period ends at its number: those up to 0 end where the tool stands at first.
     standing = jnp.sum(index < 1).astype(jnp.int32)
-    end = jnp.asarray(index.shape[0] - count, jnp.int32)
-    state = jax.lax.fori_loop(standing, end, earlier, state)
-    _, (cut, chip) = jax.lax.scan(period, state, last)
+    end = jnp.asarray(index.shape[0], jnp.int32)
+    _, kept = jax.lax.fori_loop(standing, end, run, (state, empty))
+    oldest = index.shape[0] % count
+    cut, chip = jax.tree.map(lambda x: jnp.roll(x, -oldest, axis=0), kept)
     samples = cut.samples
     return samples.angle, samples.tooth, chip, samples.occupancy

@@ -255,21 +255,27 @@ def job_machine(job: Job) -> ElasticArm | QuasiStaticArm | ModalMachine:
     return ElasticArm(job.robot, job.T_base_work, rule)
 
 
-def rigid_cut(job: Job, adjoint: AbstractAdjoint) -> Run:
+def rigid_cut(job: Job, adjoint: AbstractAdjoint, *, along: Pose | None = None) -> Run:
     """Return the process alone on the desired path, as a rigid machine cuts it.
 
     Args:
         job: The job, in its precision.
         adjoint: How to differentiate through the removal.
+        along: Poses at the rows of the path instead of those desired, shape (step, 3);
+            the force at every angle sample is then kept.
 
     **Differentiability**: that of `simulate_process`.
     """
-    program = _program(job, _needed(adjoint, job))
-    count = job.path.step_count
-    cut = _cut_along(program, on_device(program.path.positions))
-    if program.path.step_count != count:
-        cut = cut_rows(cut, RUN_ROWS, count)
-    return cut
+    program = _program(job, _needed(adjoint, (job, along)))
+    count, total = job.path.step_count, program.path.step_count
+    tips = on_device(program.path.positions)
+    if along is not None:
+        rows = jax.tree.map(lambda x: on_device(pad_rows(x, total)), along)
+        tips, program = rows.tip, dataclasses.replace(program, axes=rows.axis)
+    cut = _cut_along(program, tips)
+    if along is None:
+        cut = eqx.tree_at(lambda run: run.instantaneous_force, cut, None)
+    return cut_rows(cut, RUN_ROWS, count) if total != count else cut
 
 
 class _Program(eqx.Module):
@@ -319,9 +325,14 @@ def _program(job: Job, derivative: AbstractAdjoint) -> _Program:
 
 @CompiledOnce
 def _cut_along(program: _Program, positions: Float[Array, "step 3"]) -> Run:
-    """Return the process alone of a rigid machine on the given tips."""
+    """Return the process alone of a rigid machine on the given tips.
+
+    With the force at every angle, for figures, since another program without it would
+    be compiled beside this one.
+    """
     path = Pose.along(positions, program.axes)
-    return Rigid().run(program.process, path, row_count=program.path.row_count)
+    machine = Rigid(keeps_instantaneous=True)
+    return machine.run(program.process, path, row_count=program.path.row_count)
 
 
 def solve_command(

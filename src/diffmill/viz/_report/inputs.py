@@ -8,7 +8,7 @@ import numpy as np
 from ..._job import Job
 from ..._result import RESULTS
 from ...sim import Replay, Solution, ToothChip
-from ...workpiece import SurfaceError, surface_error
+from ...workpiece import SurfaceError, surface_errors
 from .._figure.dexels import CutDexels
 from .._figure.forces import ForceRecord
 
@@ -40,8 +40,7 @@ def figure_inputs(job: Job, cases: Mapping[str, Solution]) -> FigureInputs:
         The inputs; forces, chip and ray ends are those of the first case.
     """
     first = next(iter(cases.values()))
-    replay = Replay.of_solution(job, first)
-    run = replay.run()
+    run = Replay.run(job, first)
     samples = run.instantaneous_force
     forces, step = None, _typical_step(first)
     # What overflowed is not the process of the figure's caption.
@@ -49,16 +48,21 @@ def figure_inputs(job: Job, cases: Mapping[str, Solution]) -> FigureInputs:
         forces = ForceRecord.from_periods(np.asarray(first.time), np.asarray(samples))
     return FigureInputs(
         forces=forces,
-        chip=None if step is None else replay.tooth_chip(step),
+        chip=None if step is None else Replay.of_solution(job, first).tooth_chip(step),
         dexels=CutDexels.from_stocks(first.stock, first.rigid.stock),
-        surfaces={
-            name: surface_error(
-                solution.stock, solution.rigid.stock, leaves_out_raw=True
-            )
-            for name, solution in cases.items()
-            if name in _MAPPED and bool(solution.rigid.stock.volume() > 0)
-        },
+        surfaces=_surfaces(cases),
     )
+
+
+def _surfaces(cases: Mapping[str, Solution]) -> dict[str, SurfaceError]:
+    """Return the surface errors that are drawn, none where all was cut away."""
+    mapped = {name: case for name, case in cases.items() if name in _MAPPED}
+    ideal = next(iter(cases.values())).rigid.stock
+    if not bool(ideal.volume() > 0):
+        return {}
+    stocks = [case.stock for case in mapped.values()]
+    errors = surface_errors(stocks, ideal, leaves_out_raw=True)
+    return dict(zip(mapped, errors, strict=True))
 
 
 def _typical_step(solution: Solution) -> int | None:

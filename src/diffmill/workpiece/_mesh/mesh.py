@@ -4,7 +4,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
-from .signed_distance import signed_distance
+from .signed_distance import SignedDistance
 
 
 class Mesh(eqx.Module):
@@ -37,19 +37,9 @@ class Mesh(eqx.Module):
         """Return how many edges two triangles run along in the same direction."""
         return int((np.abs(self._edge_surplus()) == 2).sum())
 
-    def signed_distance(
-        self, points: Float[np.ndarray, "n 3"]
-    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
-        """Return the distance of points to the mesh, closed and of like triangles.
-
-        Args:
-            points: The points [m], shape (n, 3).
-
-        Returns:
-            The distance [m], positive outside, shape (n,), and the outward unit normal
-            at the nearest place, shape (n, 3).
-        """
-        return signed_distance(self.vertices, self.faces, points)
+    def signed_distance(self) -> SignedDistance:
+        """Return the distance of points to the mesh, closed and of like triangles."""
+        return SignedDistance(self.vertices, self.faces)
 
     def _relative_corners(self) -> Float[np.ndarray, "3 face 3"]:
         # About the middle: far from the origin the terms would cancel.

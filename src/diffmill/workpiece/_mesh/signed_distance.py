@@ -16,40 +16,53 @@ _CANDIDATES = 24
 _CHUNK = 20_000
 
 
-def signed_distance(
-    vertices: Float[np.ndarray, "vertex 3"],
-    faces: Int[np.ndarray, "face 3"],
-    points: Float[np.ndarray, "n 3"],
-) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
-    """Return the distance of points to a closed mesh of small, like triangles.
+class SignedDistance:
+    """Distance of points to a closed mesh of small, like triangles.
 
     Args:
         vertices: Corners of the mesh [m], shape (vertex, 3).
         faces: Corners of each triangle, counter-clockwise from outside.
-        points: The points [m], shape (n, 3).
-
-    Returns:
-        The distance [m], positive outside, shape (n,), and the outward unit normal at
-        the nearest place, shape (n, 3).
     """
-    from scipy.spatial import KDTree
 
-    corners = vertices[faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.linalg.norm(cross, axis=-1)
-    # A triangle without area has its sides in common with others that have one.
-    is_sound = area > 1e-12 * area.max()
-    faces, corners = faces[is_sound], corners[is_sound]
-    flat = cross[is_sound] / area[is_sound, None]
-    normals = _feature_normals(vertices, faces, corners, flat)
-    tree = KDTree(corners.mean(axis=1))
-    distance, normal = np.empty(len(points)), np.empty((len(points), 3))
-    for first in range(0, len(points), _CHUNK):
-        part = slice(first, first + _CHUNK)
-        _, near = tree.query(points[part], k=min(_CANDIDATES, len(faces)))
-        near = near.reshape(len(points[part]), -1)
-        distance[part], normal[part] = _nearest(points[part], near, corners, normals)
-    return distance, normal
+    def __init__(
+        self,
+        vertices: Float[np.ndarray, "vertex 3"],
+        faces: Int[np.ndarray, "face 3"],
+    ):
+        from scipy.spatial import KDTree
+
+        corners = vertices[faces]
+        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        area = np.linalg.norm(cross, axis=-1)
+        # A triangle without area has its sides in common with others that have one.
+        is_sound = area > 1e-12 * area.max()
+        faces, self._corners = faces[is_sound], corners[is_sound]
+        flat = cross[is_sound] / area[is_sound, None]
+        self._normals = _feature_normals(vertices, faces, self._corners, flat)
+        self._tree = KDTree(self._corners.mean(axis=1))
+
+    def __call__(
+        self, points: Float[np.ndarray, "n 3"]
+    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
+        """Return distances and normals.
+
+        Args:
+            points: The points [m], shape (n, 3).
+
+        Returns:
+            The distance [m], positive outside, shape (n,), and the outward unit normal
+            at the nearest place, shape (n, 3).
+        """
+        distance, normal = np.empty(len(points)), np.empty((len(points), 3))
+        for first in range(0, len(points), _CHUNK):
+            part = slice(first, first + _CHUNK)
+            count = min(_CANDIDATES, len(self._corners))
+            _, near = self._tree.query(points[part], k=count)
+            near = near.reshape(len(points[part]), -1)
+            distance[part], normal[part] = _nearest(
+                points[part], near, self._corners, self._normals
+            )
+        return distance, normal
 
 
 def _feature_normals(

@@ -9,6 +9,7 @@ the points of what was left of it.
 """
 
 import math
+from collections.abc import Sequence
 
 import equinox as eqx
 import numpy as np
@@ -115,41 +116,60 @@ def surface_error(
     Raises:
         ValueError: The ideal stock holds no material.
     """
-    found = [machined.ray_ends(f)[0] for f in range(3)]
-    points = np.concatenate(found)
+    return surface_errors([machined], ideal, leaves_out_raw=leaves_out_raw)[0]
+
+
+def surface_errors(
+    machined: Sequence[Stock], ideal: Stock, *, leaves_out_raw: bool = False
+) -> list[SurfaceError]:
+    """Return the surface errors of some stocks against one ideal, meshed once.
+
+    Args:
+        machined: The stocks as they were cut.
+        ideal: As for `surface_error`.
+        leaves_out_raw: As for `surface_error`.
+
+    Raises:
+        ValueError: The ideal stock holds no material.
+    """
     if not bool(ideal.volume() > 0):
         raise ValueError("Argument `ideal` must hold material, but is empty.")
-    is_cut = np.concatenate([_end_poses(machined, f) >= 0 for f in range(3)])
-    family = np.repeat(np.arange(3), [len(p) for p in found])
-    bound = _end_distance(ideal, points)
-    if leaves_out_raw:
-        kept = is_cut | (bound > 0)
-        points, is_cut, family, bound = (
-            rows[kept] for rows in (points, is_cut, family, bound)
+    surface = _IdealSurface(ideal)
+    return [surface.error(stock, leaves_out_raw) for stock in machined]
+
+
+class _IdealSurface:
+    """The surface of a stock that others are held against."""
+
+    def __init__(self, ideal: Stock):
+        from scipy.spatial import KDTree
+
+        self._ends = KDTree(np.concatenate([ideal.ray_ends(f)[0] for f in range(3)]))
+        self._distance = ideal.to_mesh().signed_distance()
+
+    def error(self, machined: Stock, leaves_out_raw: bool) -> SurfaceError:
+        """Return how far every ray end of a stock is from the surface."""
+        found = [machined.ray_ends(f)[0] for f in range(3)]
+        points = np.concatenate(found)
+        is_cut = np.concatenate([_end_poses(machined, f) >= 0 for f in range(3)])
+        family = np.repeat(np.arange(3), [len(p) for p in found])
+        # A film thinner than the spacing, as a cut along the border leaves it, is lost
+        # in the mesh; its ends still say where it is, which bounds the distance.
+        bound = np.asarray(self._ends.query(points)[0], np.float64)
+        if leaves_out_raw:
+            kept = is_cut | (bound > 0)
+            points, is_cut, family, bound = (
+                rows[kept] for rows in (points, is_cut, family, bound)
+            )
+        error, normal = self._distance(points)
+        return SurfaceError(
+            points=points,
+            error=np.copysign(np.minimum(np.abs(error), bound), error),
+            normal=normal,
+            is_floor=np.abs(normal[:, 2]) > np.sqrt(0.5),
+            is_cut=is_cut,
+            family=family,
         )
-    error, normal = ideal.to_mesh().signed_distance(points)
-    return SurfaceError(
-        points=points,
-        error=np.copysign(np.minimum(np.abs(error), bound), error),
-        normal=normal,
-        is_floor=np.abs(normal[:, 2]) > np.sqrt(0.5),
-        is_cut=is_cut,
-        family=family,
-    )
-
-
-def _end_distance(
-    stock: Stock, points: Float[np.ndarray, "n 3"]
-) -> Float[np.ndarray, " n"]:
-    """Return the distance to the nearest ray end, a bound of that to the surface.
-
-    A film thinner than the spacing, as a cut along the border leaves it, is lost in
-    the mesh; its ends still say where it is.
-    """
-    from scipy.spatial import KDTree
-
-    tree = KDTree(np.concatenate([stock.ray_ends(f)[0] for f in range(3)]))
-    return np.asarray(tree.query(points)[0], np.float64)
 
 
 def _end_poses(stock: Stock, family: int) -> Int[np.ndarray, " end"]:
