@@ -321,21 +321,22 @@ class RemovalHistory(NamedTuple):
         is_due = jnp.concatenate([slots < state.queue_count, jnp.ones(rest.size, bool)])
 
         def remove(carry, x):
-            stock, slots, has_overflow, is_beyond = carry
+            stock, has_overflow, is_beyond = carry
             row, due = x
             tooth = self._tooth_pass(state, row, newest)
-            cut = remove_passes(stock, cutter, window, [tooth], due[None], slots=slots)
+            cut = remove_passes(stock, cutter, window, [tooth], due[None])
             flags = (has_overflow | cut.has_overflow, is_beyond | cut.is_beyond)
-            return (cut.stock, cut.slots, *flags), (cut.volume[0], cut.by_shank[0])
+            return (cut.stock, *flags), (cut.volume[0], cut.by_shank[0])
 
-        carry = (state.stock, state.slots, state.has_overflow, state.is_beyond)
-        (stock, slots, full, beyond), (volume, by_shank) = jax.lax.scan(
+        carry = (state.stock, state.has_overflow, state.is_beyond)
+        (stock, full, beyond), (volume, by_shank) = jax.lax.scan(
             remove, carry, (rows, is_due)
         )
+        slots_in_use = stock.slots_in_use()
         state = eqx.tree_at(
             lambda s: (s.stock, s.queue_count, s.slots, s.has_overflow, s.is_beyond),
             state,
-            (stock, jnp.zeros((), jnp.int32), slots, full, beyond),
+            (stock, jnp.zeros((), jnp.int32), slots_in_use, full, beyond),
         )
         return state, Removed(jnp.minimum(rows.row, index), volume, by_shank)
 

@@ -5,8 +5,9 @@ does this in place as long as nothing else reads the old arrays in the same step
 a step removes first and looks at the stock afterwards.
 """
 
+import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import equinox as eqx
@@ -252,8 +253,8 @@ def remove_poses(
         poses: Tool poses in `work`, shape (pose, 3).
         indices: Index of each pose, kept with the ends that it cuts, shape (pose,).
         is_due: Which of the poses to subtract, shape (pose,).
-        slots: How many slots of each family hold anything, shape (3,); counted if not
-            given.
+        slots: How many slots of each family hold anything, shape (3,), so that no more
+            are looked at; all are if not given.
 
     Returns:
         The stock, what was taken, and what went wrong.
@@ -281,8 +282,8 @@ def remove_passes(
         window: Size of the window; it stands around the first pass.
         passes: The passes, each of one tooth.
         is_due: Which of them to subtract, shape (pass,).
-        slots: How many slots of each family hold anything, shape (3,); counted if not
-            given.
+        slots: How many slots of each family hold anything, shape (3,), so that no more
+            are looked at; all are if not given.
 
     Returns:
         The stock, what was taken, and what went wrong.
@@ -295,11 +296,12 @@ def remove_passes(
     has_overflow = jnp.zeros((), bool)
     volumes = jnp.zeros(len(passes), stock.origin.dtype)
     has_cut = jnp.zeros((), bool)
-    slots = stock.slots_in_use() if slots is None else slots
     due = [_DuePass(each, is_due[i]) for i, each in enumerate(passes)]
     families, in_use = [], []
     for f in (0, 1, 2):
-        removed = _remove_family(stock.families[f], cutter, f, grid, due, slots[f])
+        removed = _remove_family(
+            stock.families[f], cutter, f, grid, due, None if slots is None else slots[f]
+        )
         in_use.append(removed.in_use)
         has_overflow = has_overflow | removed.has_overflow
         has_cut = has_cut | jnp.any(removed.length > 0)
@@ -428,33 +430,38 @@ def _remove_family(
     family: Literal[0, 1, 2],
     grid: WindowGrid,
     due: Sequence[_DuePass],
-    in_use: Int[Array, ""],
+    in_use: Int[Array, ""] | None,
 ) -> _RemovedFamily:
     at, (b, c) = grid.of_family(family)
     shape = (*b.shape, 2, rays.ends.shape[-1])
     ends = jax.lax.dynamic_slice(rays.ends, at, shape)
     cut_by = jax.lax.dynamic_slice(rays.poses, at, shape)
+    subtract_from = _subtract_in_use if in_use is not None else _subtract_in_all
+    if in_use is None:
+        in_use = rays.slots_in_use()
+
+    def remove(window: _Window, each: _DuePass) -> tuple[_Window, _Taken]:
+        def cut(window: _Window) -> tuple[_Window, _Taken]:
+            return subtract_from(window, cut_interval(cutter, family, b, c, each.tooth))
+
+        def skip(window: _Window) -> tuple[_Window, _Taken]:
+            return window, _Taken(jnp.zeros((), ends.dtype), jnp.zeros((), bool))
+
+        return jax.lax.cond(each.is_due, cut, skip, window)
+
     window = _Window(ends, cut_by, in_use)
-    removed, has_overflow = [], jnp.zeros((), bool)
-    for each, is_due in due:
-
-        def cut(window: _Window, tooth: ToothPass = each) -> _Trimmed:
-            interval = cut_interval(cutter, family, b, c, tooth)
-            return _subtract_in_use(window, interval)
-
-        def skip(window: _Window) -> _Trimmed:
-            return _Trimmed(window, jnp.zeros((), ends.dtype), jnp.zeros((), bool))
-
-        trimmed = jax.lax.cond(is_due, cut, skip, window)
-        window = trimmed.window
-        has_overflow = has_overflow | trimmed.is_full
-        removed.append(trimmed.length)
-    volume = jnp.stack(removed)
+    if len(due) == 1:
+        window, one = remove(window, due[0])
+        taken = _Taken(one.length[None], one.is_full)
+    else:
+        # One body for all passes is compiled once.
+        each = jax.tree.map(lambda *x: jnp.stack(x), *due)
+        window, taken = jax.lax.scan(remove, window, each)
     new = Rays(
         jax.lax.dynamic_update_slice(rays.ends, window.ends, at),
         jax.lax.dynamic_update_slice(rays.poses, window.cut_by, at),
     )
-    return _RemovedFamily(new, window.in_use, volume, has_overflow)
+    return _RemovedFamily(new, window.in_use, taken.length, jnp.any(taken.is_full))
 
 
 class _Window(NamedTuple):
@@ -471,38 +478,43 @@ class _Window(NamedTuple):
     in_use: Int[Array, ""]
 
 
-class _Trimmed(NamedTuple):
-    """Window after a removal, the length taken [m], and whether a ray was full."""
+class _Taken(NamedTuple):
+    """What each pass took [m], and whether a ray was full then."""
 
-    window: _Window
-    length: Float[Array, ""]
-    is_full: Bool[Array, ""]
+    length: Float[Array, "*pass"]
+    is_full: Bool[Array, "*pass"]
 
 
-def _subtract_in_use(window: _Window, interval: CutInterval) -> _Trimmed:
+def _subtract_in_use(window: _Window, interval: CutInterval) -> tuple[_Window, _Taken]:
     """Subtract an interval from each ray, in the slots in use and one more."""
     # A ray in a long run rarely holds more than two pieces, of many that it has room
     # for; the cost is that of the slots looked at.
     count = window.ends.shape[-1]
     widths = [width for width in _WIDTHS if width < count] + [count]
 
-    def among(width: int) -> Callable[[_Window, CutInterval], _Trimmed]:
-        def run(window: _Window, interval: CutInterval) -> _Trimmed:
-            old = window.ends[..., :width]
-            new, by, full = subtract(old, window.cut_by[..., :width], interval)
-            corner = (0, 0, 0, 0)
-            left = _Window(
-                jax.lax.dynamic_update_slice(window.ends, new, corner),
-                jax.lax.dynamic_update_slice(window.cut_by, by, corner),
-                jnp.maximum(window.in_use, Rays(new, by).slots_in_use()),
-            )
-            return _Trimmed(left, _removed_length(old, new), jnp.any(full))
-
-        return run
-
     fits = [window.in_use < width for width in widths[:-1]] + [window.in_use >= 0]
-    branches = [among(width) for width in widths]
+    branches = [functools.partial(_subtract_among, width) for width in widths]
     return jax.lax.switch(jnp.argmax(jnp.stack(fits)), branches, window, interval)
+
+
+def _subtract_in_all(window: _Window, interval: CutInterval) -> tuple[_Window, _Taken]:
+    """Subtract an interval from each ray, in all slots: less to compile."""
+    return _subtract_among(window.ends.shape[-1], window, interval)
+
+
+def _subtract_among(
+    width: int, window: _Window, interval: CutInterval
+) -> tuple[_Window, _Taken]:
+    """Subtract an interval from each ray, in the first slots."""
+    old = window.ends[..., :width]
+    new, by, full = subtract(old, window.cut_by[..., :width], interval)
+    corner = (0, 0, 0, 0)
+    left = _Window(
+        jax.lax.dynamic_update_slice(window.ends, new, corner),
+        jax.lax.dynamic_update_slice(window.cut_by, by, corner),
+        jnp.maximum(window.in_use, Rays(new, by).slots_in_use()),
+    )
+    return left, _Taken(_removed_length(old, new), jnp.any(full))
 
 
 def _removed_length(
