@@ -1,7 +1,12 @@
 """The correction through a controller: presets, and a curve over its bandwidth.
 
 python experiments/correction/controller.py [--example paper] [--out FOLDER]
-    [--bandwidths 2 3 5 10 20] [--knots "15 ms"]
+    [--presets ideal kuka_krc4_like] [--bandwidths 2 3 5 10 20] [--knots "15 ms"]
+python experiments/correction/controller.py --parts thin_wall freeform [--arms ...]
+    [--presets kuka_krc4_like]
+
+An example runs through every preset and servos of every bandwidth; with `--parts`, the
+small parts run on the arms through the presets.
 """
 
 import argparse
@@ -13,9 +18,13 @@ from typing import Any
 import diffmill as dm
 from diffmill import examples
 from diffmill.viz import case_numbers
+from part_jobs import ARMS, part_job
+from parts import PARTS
 
 PRESETS = ("ideal", "kuka_krc4_like", "abb_irc5_like", "cnc_following_error")
 BANDWIDTHS = (2.0, 3.0, 5.0, 8.0, 20.0)
+# The parts are timed without jerks, as the examples are: the tool stops at corners.
+SMOOTH = 'smoothing = "100 ms"'
 CASES = ("uncorrected", "mirror", "inverse_drive", "corrected")
 # What the correction is to reach against the uncorrected program and the best mirror.
 BETTER, BETTER_THAN_MIRROR = 10.0, 3.0
@@ -44,34 +53,53 @@ def controlled_job(example: str, controller: str, knots: str) -> dm.Job:
 def measure(
     report: Any,
     example: str = "paper_small",
+    presets: tuple[str, ...] = PRESETS,
     bandwidths: tuple[float, ...] = BANDWIDTHS,
     knots: str = "30 ms",
 ) -> None:
     """Print all cases for every preset, then over the bandwidth of slow servos."""
     report.say(f"{example}, knots of {knots}; rms contour error in um, offset in mm")
     _head(report, "preset")
-    for preset in PRESETS:
-        _row(report, preset, example, f'preset = "{preset}"', knots)
+    for preset in presets:
+        job = controlled_job(example, f'preset = "{preset}"', knots)
+        _row(report, preset, job)
+    if not bandwidths:
+        return
     report.say()
     report.say("kuka_krc4_like with servos of another bandwidth")
     _head(report, "bandwidth")
     for bandwidth in bandwidths:
         controller = f'preset = "kuka_krc4_like"\nbandwidth = "{bandwidth:g} Hz"'
-        _row(report, f"{bandwidth:g} Hz", example, controller, knots)
+        _row(report, f"{bandwidth:g} Hz", controlled_job(example, controller, knots))
+
+
+def measure_parts(
+    report: Any, parts: tuple[str, ...], arms: tuple[str, ...], presets: tuple[str, ...]
+) -> None:
+    """Print all cases of the small parts on the arms through the presets."""
+    for preset in presets:
+        report.say(f"{preset}, knots of 30 ms; rms contour error in um, offset in mm")
+        _head(report, "part and arm")
+        for part in parts:
+            for arm in arms:
+                table = f'[controller]\npreset = "{preset}"'
+                job = part_job(part, arm, robot=table, timing=SMOOTH)
+                _row(report, f"{part} {arm.removesuffix('_like')}", job)
+        report.say()
 
 
 def _head(report: Any, what: str) -> None:
-    report.say(f"{what:20}{''.join(f'{case:>15}' for case in CASES)}{'offset':>9}")
+    report.say(f"{what:30}{''.join(f'{case:>15}' for case in CASES)}{'offset':>9}")
 
 
-def _row(report: Any, name: str, example: str, controller: str, knots: str) -> None:
-    """Print the cases of one controller, and judge the correction."""
-    found = dm.correct(controlled_job(example, controller, knots))
+def _row(report: Any, name: str, job: dm.Job) -> None:
+    """Print the cases of a job, and judge the correction."""
+    found = dm.correct(job)
     data = found.to_dataset()
     rms = {case: case_numbers(data, case).rms for case in CASES}
     offset = abs(found.commanded - found.before.desired).max()
     report.say(
-        f"{name:20}"
+        f"{name:30}"
         + "".join(f"{1e6 * rms[case]:15.2f}" for case in CASES)
         + f"{1e3 * float(offset):9.2f}"
     )
@@ -91,10 +119,18 @@ if __name__ == "__main__":
 
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--example", default="paper_small")
+    parser.add_argument("--parts", nargs="+", choices=list(PARTS))
+    parser.add_argument("--arms", nargs="+", choices=ARMS, default=ARMS)
+    parser.add_argument("--presets", nargs="+", choices=PRESETS)
     parser.add_argument("--bandwidths", type=float, nargs="*", default=BANDWIDTHS)
     parser.add_argument("--knots", default="30 ms")
     parser.add_argument("--out", type=pathlib.Path, default=RESULTS)
     given = parser.parse_args()
-    result = Report(f"diffmill correction: controller, {given.example}")
-    measure(result, given.example, tuple(given.bandwidths), given.knots)
-    store(result, given.out, f"controller_{given.example}")
+    presets = tuple(given.presets or PRESETS)
+    what = "_".join(given.parts or [given.example])
+    result = Report(f"diffmill correction: controller, {what}")
+    if given.parts:
+        measure_parts(result, tuple(given.parts), tuple(given.arms), presets)
+    else:
+        measure(result, given.example, presets, tuple(given.bandwidths), given.knots)
+    store(result, given.out, f"controller_{what}")

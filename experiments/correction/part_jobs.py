@@ -11,6 +11,8 @@ from parts import PARTS
 
 ARMS = ("reis_rv130_like", "kuka_kr210_like")
 
+# Round corners, and a speed whose slope jumps.
+ROUND = 'corner_tolerance = "0.1 mm"'
 TEMPLATE = """
 [cutter]
 kind = "{cutter}"
@@ -35,7 +37,7 @@ spacing = "{spacing} mm"
 file = "part.ngc"
 acceleration = "0.5 m/s^2"
 rapid_feed = "100 mm/s"
-corner_tolerance = "0.1 mm"
+{timing}
 [robot]
 {model}
 work_in_base = {{ position = {place}, rpy = ["0 deg", "0 deg", "0 deg"] }}
@@ -53,6 +55,7 @@ def part_job(
     *,
     correction: Mapping[str, str] | None = None,
     robot: str = "",
+    timing: str = ROUND,
 ) -> dm.Job:
     """Return the job of a part.
 
@@ -61,6 +64,7 @@ def part_job(
         arm: A built-in model.
         correction: Settings of `[correction]` beside the defaults, as TOML values.
         robot: Lines of the table `[robot]`, or tables below it.
+        timing: Lines of the table `[program]`: corners and jerk.
     """
     part = PARTS[name]()
     text = job_text(
@@ -70,6 +74,7 @@ def part_job(
         part.upper,
         correction={"compare": '"all"', **(correction or {})},
         robot=robot,
+        timing=timing,
     )
     with tempfile.TemporaryDirectory() as folder:
         file = pathlib.Path(folder) / f"{name}.toml"
@@ -87,6 +92,7 @@ def job_text(
     correction: Mapping[str, str] | None = None,
     robot: str = "",
     spacing_mm: float = 0.2,
+    timing: str = ROUND,
 ) -> str:
     """Return a job whose block [mm] has the middle of its top at the tip, at home.
 
@@ -109,6 +115,7 @@ def job_text(
         model=line,
         place=_lengths(tip - [middle[0], middle[1], upper[2]]),
         robot=robot,
+        timing=timing,
         correction="\n".join(f"{key} = {value}" for key, value in settings.items()),
     )
 
