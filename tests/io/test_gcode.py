@@ -234,7 +234,6 @@ def test_any_arc_is_recovered(radius, start, sweep, turn, use_radius):
         ("S9999999\nG0 X1", 1, "S9999999", "spindle speed"),
         ("S-1\nG0 X1", 1, "S-1", "spindle speed"),
         ("T1.5\nG0 X1", 1, "T1.5", "whole number"),
-        ("M6\nG0 X1", 1, "M6", "needs a T"),
         ("G21 G90\nF100 M3 S100", 0, "", "moves nothing"),
         ("", 0, "", "moves nothing"),
         ("G0 X0 Y0", 0, "", "moves nothing"),

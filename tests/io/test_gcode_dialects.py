@@ -177,6 +177,34 @@ M2
 """
 
 
+def test_lengths_that_the_program_states():
+    lengths = {1: 0.010, 2: 0.003}
+    text = "T1 M6\nG0 X0 Y0 Z5\n{}\nG0 X1\nG0 Z5"
+    for word, z in (("G43.1 Z2", 3), ("G43", -5), ("G43 H1\nG43.2 H2", -8)):
+        found = motion(text.format(word), tool_lengths=lengths)
+        assert found[1:] == [("r", 1, 0, z), ("r", 1, 0, 5)]
+    assert faults(text.format("G43.1 X2 Z2")) == [(3, "G43.1")]
+
+
+def test_reference_points_that_the_program_sets():
+    text = "G0 X1 Y2 Z3\nG28.1\nG0 X5 Y5 Z5\nG28 Z6"
+    assert motion(text)[2:] == [("r", 5, 5, 6), ("r", 5, 5, 3)]
+
+
+def test_words_of_signals_are_no_words_of_the_motion():
+    text = "G0 X0 Y0 Z0\nG2 X1 I.5 F60\nM66 P1 L3 Q2\nM19 R45\nM61 Q4\nG1 X2"
+    program = parse_gcode(text)
+    assert len(program.moves) == 3
+    assert program.tools == (None, 4)
+    assert " M66: " in " ".join(program.notes)
+
+
+def test_a_surface_speed_is_no_spindle_speed():
+    program = parse_gcode("G96 D3000 S120 M3\nG1 X1 F60")
+    assert program.spindle_speeds == ()
+    assert faults("S100\nG96 S120 M3\nG95 G1 X1 F1") == [(3, "G1")]
+
+
 def test_one_of_several_tools_is_chosen():
     program = parse_gcode(TWO_TOOLS)
     assert program.tools == (1, 2)

@@ -13,7 +13,8 @@ from diffmill.io import ProgramError, ProgramSetup, parse_gcode, read_gcode
 ROOT = pathlib.Path(__file__).parents[2]
 DATA = ROOT / os.environ.get("DIFFMILL_REFERENCE_DATA", "../shared/data")
 NC = DATA / "nc"
-# Programs made at random, and what LinuxCNC 2.9 did with them, its zeros added.
+# Programs made at random and by hand, and what LinuxCNC 2.9 did with them, its zeros
+# added.
 MADE = json.loads((ROOT / "tests/references/linuxcnc_motion.json").read_text())
 
 needs_data = pytest.mark.skipif(not NC.is_dir(), reason="no reference data")

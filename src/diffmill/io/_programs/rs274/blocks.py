@@ -7,26 +7,31 @@ from .words import Word
 
 # G codes times ten, by modal group; "once" are those that hold for one block.
 _G_GROUPS = {
-    **dict.fromkeys([0, 10, 20, 30, 730, 800, 810, 820, 830, 850, 890], "motion"),
-    **dict.fromkeys([40, 100, 280, 300, 530, 920, 921, 922, 923], "once"),
+    **dict.fromkeys([0, 10, 20, 30, 730, 800, 810, 820, 830, 850, 860, 890], "motion"),
+    **dict.fromkeys(
+        [40, 100, 280, 281, 300, 301, 520, 530, 920, 921, 922, 923], "once"
+    ),
     **dict.fromkeys([170, 180, 190], "plane"),
     **dict.fromkeys([200, 210], "units"),
     400: "cutter radius",
-    **dict.fromkeys([430, 490], "tool length"),
+    **dict.fromkeys([430, 431, 432, 490], "tool length"),
     **dict.fromkeys([540, 550, 560, 570, 580, 590, 591, 592, 593], "system"),
     **dict.fromkeys([610, 611, 640], "path control"),
     **dict.fromkeys([900, 910], "distance"),
     **dict.fromkeys([901, 911], "centres"),
     **dict.fromkeys([930, 940, 950], "feed mode"),
-    970: "spindle mode",
+    **dict.fromkeys([960, 970], "spindle mode"),
+    80: "diameter",
     **dict.fromkeys([980, 990], "retract"),
 }
 _M_GROUPS = {
     **dict.fromkeys([0, 1, 2, 30, 60], "end"),
     **dict.fromkeys([3, 4, 5], "spindle"),
-    6: "tool change",
+    **dict.fromkeys([6, 61], "tool change"),
     **dict.fromkeys([7, 8, 9], "coolant"),
-    **dict.fromkeys([48, 49], "overrides"),
+    **dict.fromkeys([48, 49, 50, 51, 52, 53], "overrides"),
+    19: "orientation",
+    **dict.fromkeys([62, 63, 64, 65, 66, 67, 68], "signals"),
 }
 # Several of them may stand in a line.
 _SHARED = frozenset({"coolant"})
@@ -36,15 +41,20 @@ _WHY_NOT = {
     **dict.fromkeys([380, 382, 383, 384, 385], "where a probe touches is not known"),
     **dict.fromkeys([330, 331, 740, 840], "threads are not simulated"),
     **dict.fromkeys([650, 660, 670], "write the blocks of the macro out"),
+    **dict.fromkeys([50, 51, 52, 53], "write the spline as arcs or lines"),
+    **dict.fromkeys([760, 870, 880], "this cycle stops for the spindle or an operator"),
+    70: "this is a diameter on a lathe",
 }
 _LETTERS = frozenset("NXYZIJKRFSTPQLHD")
 _ROTARY = frozenset("ABC")
+# Words of these M codes are no words of a motion.
+_OWN_WORDS = {"orientation": "PQR", "signals": "ELPQ", "overrides": "P"}
 ALLOWED_WORDS = (
-    "N, G0 to G4, G10 L2 and L20, G17 to G21, G28, G30, G40, G43, G49, G53 to G59.3, "
-    "G61, G61.1, G64, G73, G80 to G83, G85, G89, G90, G90.1, G91, G91.1, G92 to G92.3, "
-    "G93 to G95, G97 to G99, X, Y, Z, I, J, K, R, P, Q, L, F, S, T, H, D, M0 to M9, "
-    "M30, M48, M49, M60, a program number O, block delete /, comments ( ) and ;, and "
-    "a line of % before and after"
+    "N, G0 to G4, G8, G10 L2 and L20, G17 to G21, G28, G28.1, G30, G30.1, G40, G43 to "
+    "G43.2, G49, G52 to G59.3, G61, G61.1, G64, G73, G80 to G83, G85, G86, G89, G90, "
+    "G90.1, G91, G91.1, G92 to G92.3, G93 to G99, X, Y, Z, I, J, K, R, P, Q, L, F, S, "
+    "T, H, D, E, M0 to M9, M19, M30, M48 to M53, M60 to M68, A0, B0, C0, a program "
+    "number O, block delete /, comments ( ) and ;, and a line of % before and after"
 )
 
 
@@ -60,6 +70,7 @@ class Block:
         texts: How the code of a group is written.
         is_g_refused: Whether a G code of the line is not supported.
         used: Letters that a code of the line has made use of.
+        rotary: Words that leave an axis that turns at 0.
     """
 
     line: int
@@ -69,6 +80,7 @@ class Block:
     texts: dict[str, str] = field(default_factory=dict)
     is_g_refused: bool = False
     used: set[str] = field(default_factory=set)
+    rotary: list[Word] = field(default_factory=list)
 
     def number(self, letter: str) -> float | None:
         """Return the number of a letter, or None; it counts as used."""
@@ -87,8 +99,12 @@ class Block:
 def sorted_block(words: list[Word], line: int, faults: list[Fault]) -> Block:
     """Return the words of a line by their meaning; report those that have none."""
     block = Block(line)
+    codes = [round(word.number) for word in words if word.letter == "M"]
+    own = "".join(_OWN_WORDS.get(_M_GROUPS.get(code, ""), "") for code in codes)
     for index, word in enumerate(words):
         letter = word.letter
+        if letter in own:
+            continue
         if letter == "G":
             _add_code(block, word, round(word.number * 10), 10, faults)
         elif letter == "M":
@@ -101,10 +117,23 @@ def sorted_block(words: list[Word], line: int, faults: list[Fault]) -> Block:
                 message = f"only one {letter} is allowed in a line."
                 faults.append(Fault(line, word.text, message))
             block.values.setdefault(letter, word)
+        elif letter in _ROTARY and word.number == 0:
+            block.rotary.append(word)
         else:
             why = " (an axis that turns)" if letter in _ROTARY else ""
             message = f"{letter}{why} is not supported."
             faults.append(Fault(line, word.text, message, True))
+    if block.g.get("once", 530) != 530:
+        # It would set the zero of the axis, or take it to its reference point.
+        faults += [
+            Fault(
+                line,
+                word.text,
+                f"{word.letter} (an axis that turns) stands still here.",
+                True,
+            )
+            for word in block.rotary
+        ]
     return block
 
 
@@ -124,6 +153,10 @@ def _add_code(
         if word.letter == "G":
             block.is_g_refused = True
             block.g.setdefault("refused", code)
+    elif group == "motion" and group in present and 800 in (code, present[group]):
+        # G80 ends a cycle, and another motion of its line begins.
+        if code != 800:
+            present[group], block.texts[group] = code, word.text
     elif group in present and group not in _SHARED:
         message = f"only one code for {group} is allowed in a line."
         faults.append(Fault(block.line, word.text, message))

@@ -13,8 +13,8 @@ from .blocks import Block
 from .pace import motion_text
 from .state import AXES, MM_PER_INCH, Cycle, State, find_shift
 
-CYCLES = frozenset([730, 810, 820, 830, 850, 890])
-_WITH_REST = frozenset([820, 890])
+CYCLES = frozenset([730, 810, 820, 830, 850, 860, 890])
+_WITH_REST = frozenset([820, 860, 890])
 _WITH_PECK = frozenset([730, 830])
 # How far above the last depth, or how far out, a peck goes by rapid [inch].
 _CLEARANCE = 0.01
@@ -35,7 +35,8 @@ def run_cycle(block: Block, state: State, go: Go, faults: list[Fault]) -> None:
     """
     depth = state.plane
     shift = find_shift(block, state, faults)
-    cycle = _take_words(block, state, shift)
+    _take_words(block, state)
+    cycle = _resolved(state, shift)
     repeats = block.number("L")
     if any(math.isnan(word.number) for word in block.values.values()):
         return
@@ -54,6 +55,8 @@ def run_cycle(block: Block, state: State, go: Go, faults: list[Fault]) -> None:
         at[depth] = retract
         go(at, True)
     clear = max(cycle.level, retract) if state.is_retract_high else retract
+    # After holes with G99, the way to the first with G98 leads up there.
+    at[depth] = max(at[depth], clear)
     count = 1 if repeats is None else int(repeats)
     pecks = (retract - bottom) / cycle.peck if state.motion in _WITH_PECK else 1
     if count * pecks > _MOST_PLUNGES:
@@ -65,30 +68,31 @@ def run_cycle(block: Block, state: State, go: Go, faults: list[Fault]) -> None:
         go(_at(place, at[depth], depth), True)
         if at[depth] != retract:
             go(_at(place, retract, depth), True)
-        _plunge(state, place, retract, bottom, go)
+        _plunge(state, cycle, place, go)
         if state.motion == 850:
             go(_at(place, retract, depth), False)
         go(_at(place, clear, depth), state.motion != 890)
         at[depth] = clear
 
 
-def _take_words(block: Block, state: State, shift: Point) -> Cycle:
-    """Return the cycle's words, those of earlier blocks where this one has none."""
-    cycle, scale, depth = state.cycle, state.scale, state.plane
+def _take_words(block: Block, state: State) -> None:
+    """Keep the words of the cycle; those of earlier blocks hold where it has none."""
+    cycle = state.cycle
     if math.isnan(cycle.level):
-        cycle.level = state.position[depth]
-    zero = cycle.level if state.is_incremental else shift[depth]
-    bottom, retract = block.number(AXES[depth]), block.number("R")
-    if retract is not None:
-        cycle.retract = retract * scale + zero
-    if bottom is not None:
-        zero = cycle.retract if state.is_incremental else shift[depth]
-        cycle.bottom = bottom * scale + zero
-    if (rest := block.number("P")) is not None:
-        cycle.rest = rest
-    if (peck := block.number("Q")) is not None:
-        cycle.peck = peck * scale
-    return cycle
+        cycle.level = state.position[state.plane]
+    words = {"bottom": AXES[state.plane], "retract": "R", "rest": "P", "peck": "Q"}
+    for name, letter in words.items():
+        if (number := block.number(letter)) is not None:
+            setattr(cycle, name, number)
+
+
+def _resolved(state: State, shift: Point) -> Cycle:
+    """Return the cycle in `work` [mm]: its numbers count by the modes of the block."""
+    cycle, scale, zero = state.cycle, state.scale, shift[state.plane]
+    high = cycle.level if state.is_incremental else zero
+    retract = cycle.retract * scale + high
+    bottom = cycle.bottom * scale + (retract if state.is_incremental else zero)
+    return Cycle(cycle.level, bottom, retract, cycle.rest, cycle.peck * scale)
 
 
 def _fault(block: Block, state: State, cycle: Cycle, repeats: float | None) -> str:
@@ -131,11 +135,9 @@ def _at(place: list[float], depth: float, axis: int) -> list[float]:
     return point
 
 
-def _plunge(
-    state: State, place: list[float], retract: float, bottom: float, go: Go
-) -> None:
+def _plunge(state: State, cycle: Cycle, place: list[float], go: Go) -> None:
     """Make the moves from the retract plane to the bottom of a hole."""
-    depth, cycle = state.plane, state.cycle
+    depth, retract, bottom = state.plane, cycle.retract, cycle.bottom
     if state.motion in _WITH_PECK:
         clearance = _CLEARANCE * MM_PER_INCH
         level = retract - cycle.peck

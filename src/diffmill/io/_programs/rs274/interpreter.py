@@ -55,6 +55,10 @@ _NO_MOTION = {
     "cutter radius": "there is no compensation of the cutter's radius",
     "path control": "corners are rounded by the job's corner tolerance",
     "spindle mode": "the spindle has a constant speed",
+    "surface speed": "the spindle speed follows from the job, not from S",
+    "orientation": "the spindle stands where the cutter does not cut",
+    "signals": "inputs and outputs change no motion, and no wait takes time here",
+    "diameter": "X is a radius",
 }
 
 
@@ -121,7 +125,8 @@ def parse_gcode(
 def _run_line(row: str, number: int, state: State) -> list[Fault]:
     """Read and execute one line; return its faults in the order of its words."""
     if row[0] == "/":
-        row = row[1:]
+        # Of several switches (/2 to /9), all are set alike.
+        row = row[1:].lstrip("0123456789")
         if state.setup.skips_blocks:
             state.out.note("/", "lines with a block delete are left out", number)
             return []
@@ -147,16 +152,20 @@ def _execute(block: Block, state: State, faults: list[Fault]) -> None:
     """Carry out one block in the order of the standard."""
     codes = block.g
     _apply_refused(block, state)
+    for word in block.rotary:
+        state.out.note(word.text, "the axis does not turn", block.line)
     set_feed(block, state, faults)
+    if "spindle mode" in codes:
+        _set_spindle_mode(block, state)
     if block.m or "S" in block.values or "T" in block.values:
         _set_tool(block, state, faults)
         _set_speed(block, state, faults)
         _note_codes(block, block.m, "M", state)
     if codes:
         _set_modes(block, state, faults)
-    if codes.get("once") in (100, 280, 300, 920, 921, 922, 923):
+    if codes.get("once") not in (None, 40, 530):
         _once(block, state, faults)
-    else:
+    elif codes.get("tool length") != 431:
         _move(block, state, faults)
     if len(block.used) < len(block.values):
         _report_unused(block, state, faults)
@@ -202,7 +211,7 @@ def _note_codes(block: Block, codes: dict[str, int], letter: str, state: State) 
     for group, code in codes.items():
         if group not in _NO_MOTION or (letter == "M" and code in (2, 3, 5, 30)):
             continue
-        sentence = _NO_MOTION[group]
+        sentence = _NO_MOTION["surface speed" if code == 960 else group]
         value = code / 10 if letter == "G" else code
         state.out.note(f"{letter}{value:g}", sentence, block.line)
 
@@ -228,12 +237,19 @@ def _set_tool(block: Block, state: State, faults: list[Fault]) -> None:
             state.selected_tool = round(number)
             if state.out.tool is None and not state.out.moves:
                 state.out.change_tool(state.selected_tool, block.line)
-    if "tool change" in block.m:
+    if block.m.get("tool change") == 61:
+        number = block.number("Q")
+        if number is None or number < 0 or number % 1:
+            message = "M61 needs a Q, the number of the tool."
+            faults.append(Fault(block.line, block.texts["tool change"], message))
+        else:
+            state.out.change_tool(int(number), block.line)
+    elif "tool change" in block.m:
         if state.selected_tool is not None:
             state.out.change_tool(state.selected_tool, block.line)
-        elif number is None:
-            message = "a tool change needs a T word before it or in its line."
-            faults.append(Fault(block.line, block.texts["tool change"], message))
+        else:
+            sentence = "no T says to which tool, and the same one is taken"
+            state.out.note(block.texts["tool change"], sentence, block.line)
 
 
 def _set_speed(block: Block, state: State, faults: list[Fault]) -> None:
@@ -244,8 +260,18 @@ def _set_speed(block: Block, state: State, faults: list[Fault]) -> None:
     if not 0 <= number <= _LARGEST_SPEED_RPM and not math.isnan(number):
         message = f"a spindle speed lies between 0 and {_LARGEST_SPEED_RPM:g} rpm."
         faults.append(Fault(block.line, block.values["S"].text, message))
+    if state.is_surface_speed:
+        return
     state.spindle_rpm = number
     state.out.set_speed(number * 2 * math.pi / 60)
+
+
+def _set_spindle_mode(block: Block, state: State) -> None:
+    """Apply G96 and G97."""
+    state.is_surface_speed = block.g["spindle mode"] == 960
+    if state.is_surface_speed:
+        state.spindle_rpm = 0.0
+        block.used.add("D")
 
 
 def _once(block: Block, state: State, faults: list[Fault]) -> None:
@@ -255,6 +281,10 @@ def _once(block: Block, state: State, faults: list[Fault]) -> None:
         set_data(block, state, faults)
     elif code in (280, 300):
         _return_home(block, state, faults)
+    elif code in (281, 301):
+        x, y, z = state.position
+        z += _known_length(block, state, faults)
+        state.references[code == 301] = x, y, z
     else:
         offset_axes(block, state, faults)
     if "motion" in block.g:
@@ -263,17 +293,22 @@ def _once(block: Block, state: State, faults: list[Fault]) -> None:
 
 def _return_home(block: Block, state: State, faults: list[Fault]) -> None:
     """Go to a reference point of the machine, through the point of the axis words."""
-    zero = machine_zero(block, block.texts["once"], state, faults)
+    is_second = block.g["once"] == 300
+    reference = state.references[is_second]
+    if reference is None:
+        zero = machine_zero(block, block.texts["once"], state, faults)
+        if zero is not None:
+            stated = state.setup.reference_points[is_second]
+            reference = tuple3(a + 1e3 * b for a, b in zip(zero, stated, strict=True))
     axes = block.axes()
     through = _end_point(block, state, faults)
-    if zero is None:
+    if reference is None:
         state.position = through
         return
     home = list(through)
-    stated = state.setup.reference_points[block.g["once"] == 300]
     for axis, letter in enumerate(AXES):
         if letter in axes or not axes:
-            home[axis] = zero[axis] + 1e3 * stated[axis]
+            home[axis] = reference[axis]
     if "Z" in axes or not axes:
         home[2] -= _known_length(block, state, faults)
     _go(block, state, through, Pace(), "")

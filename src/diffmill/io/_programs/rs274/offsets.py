@@ -19,17 +19,24 @@ def choose_system(block: Block, state: State) -> None:
 
 
 def offset_axes(block: Block, state: State, faults: list[Fault]) -> None:
-    """Apply G92 and its followers."""
+    """Apply G92 and its followers, and G52, which states the same offset."""
     code = block.g["once"]
     if code == 920:
         _state_position(block, state, faults)
         return
     if code == 923:
         state.own_offset = state.stored_offset
+    elif code == 520:
+        stated = [block.number(letter) for letter in AXES]
+        state.own_offset = tuple3(
+            old if value is None else value * state.scale
+            for old, value in zip(state.own_offset, stated, strict=True)
+        )
+        state.stored_offset = state.own_offset
     else:
-        if code == 922:
-            state.stored_offset = state.own_offset
         state.own_offset = (0.0, 0.0, 0.0)
+        if code == 921:
+            state.stored_offset = state.own_offset
     state.shift = None
 
 
@@ -61,8 +68,8 @@ def set_data(block: Block, state: State, faults: list[Fault]) -> None:
     """Apply G10 L2 and L20: the zero of a system."""
     kind, number = block.number("L"), block.number("P")
     text = block.texts["once"]
-    if kind not in (2, 20) or "R" in block.values:
-        message = "G10 is supported as L2 or L20 without R only."
+    if kind not in (2, 20) or block.number("R") not in (None, 0):
+        message = "G10 is supported as L2 or L20 without a rotation R."
         faults.append(Fault(block.line, text, message, True))
         return
     if number is None or number not in range(len(_SYSTEMS) + 1):
@@ -105,7 +112,15 @@ def compensate_length(block: Block, state: State, faults: list[Fault]) -> None:
         return
     text = block.texts["tool length"]
     length, word = 0.0, ""
-    if code == 430:
+    if code == 431:
+        given = block.number("Z")
+        if any(block.number(letter) for letter in "XY") or given is None:
+            message = "G43.1 needs Z, the length of the tool, and no X or Y but 0."
+            faults.append(Fault(block.line, text, message))
+            return
+        length = given * state.scale
+        word = f"G43.1 Z{length:g} mm"
+    elif code != 490:
         given = block.number("H")
         if given is not None and math.isnan(given):
             return
@@ -118,6 +133,10 @@ def compensate_length(block: Block, state: State, faults: list[Fault]) -> None:
         length = _length_of(number, state)
         if length is None:
             _note_length(block, number, state)
+        if code == 432:
+            word = f"{state.length_word} and {word}"
+            is_known = length is not None and state.length is not None
+            length = length + state.length if is_known else None
     if word == state.length_word:
         return
     if length is None or state.length is None:

@@ -15,9 +15,10 @@ AXES = "XYZ"
 
 @dataclass
 class Cycle:
-    """Words of a canned cycle, which hold until another motion is chosen [mm, s].
+    """Words of a canned cycle, which hold until another motion is chosen.
 
-    `level` is where the tool was before the first of several cycles in a row.
+    They are kept as written, but for `level` [mm]: where the tool was before the first
+    of several cycles in a row.
     """
 
     level: float = math.nan
@@ -43,6 +44,8 @@ class State:
         feed_mode: 930 inverse time, 940 per minute, 950 per revolution.
         system: Coordinate system, such as "G54".
         zeros: Zeros of the systems in `work` [mm].
+        references: Points of G28 and G30 that G28.1 and G30.1 have set, in `work` with
+            a tool of no length [mm].
         own_offset: Offset of G92 [mm], and the one that G92.3 restores.
         shift: From program coordinates to `work` [mm]; None if to be found anew.
         length: Compensated tool length [mm]; None if it is not known.
@@ -63,9 +66,11 @@ class State:
     feed: float | None = None
     feed_mode: int = 940
     spindle_rpm: float = 0.0
+    is_surface_speed: bool = False
     selected_tool: int | None = None
     system: str = "G54"
     zeros: dict[str, Point] = field(default_factory=dict)
+    references: list[Point | None] = field(default_factory=lambda: [None, None])
     own_offset: Point = (0.0, 0.0, 0.0)
     stored_offset: Point = (0.0, 0.0, 0.0)
     shift: Point | None = None
