@@ -135,8 +135,8 @@ def compensate_length(block: Block, state: State, faults: list[Fault]) -> None:
             _note_length(block, number, state)
         if code == 432:
             word = f"{state.length_word} and {word}"
-            is_known = length is not None and state.length is not None
-            length = length + state.length if is_known else None
+            if length is not None:
+                length = None if state.length is None else length + state.length
     if word == state.length_word:
         return
     if length is None or state.length is None:
