@@ -5,6 +5,7 @@ import pathlib
 from collections.abc import Iterator
 
 import jax
+import jax.monitoring
 import pytest
 
 jax.config.update("jax_enable_x64", True)
@@ -42,3 +43,17 @@ def drop_programs() -> Iterator[None]:
     maps = pathlib.Path("/proc/self/maps")
     if maps.is_file() and maps.read_bytes().count(b"\n") > _MOST_MAPPINGS:
         jax.clear_caches()
+
+
+@pytest.fixture
+def compilations() -> Iterator[list[str]]:
+    """Return a list that grows by one with every program that is compiled."""
+    names: list[str] = []
+
+    def listen(event: str, duration_secs: float, **_: str | int) -> None:
+        if event.endswith("backend_compile_duration"):
+            names.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    yield names
+    jax.monitoring.unregister_event_duration_listener(listen)

@@ -19,7 +19,9 @@ def measure(report: Report) -> None:
                 job.cutter,
                 job.law,
                 job.spindle_speed,
-                engagement=dm.sim.job_process(job, dm.process.ThroughRays()).engagement,
+                engagement=dm.sim.JobModel.of(
+                    job, dm.process.ThroughRays()
+                ).process.engagement,
                 adjoint=dm.process.ThroughPoses(),
             ).force
         )

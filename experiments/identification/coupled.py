@@ -140,9 +140,8 @@ def costs(report, job):
 
     def tips(x):
         full = jnp.concatenate([x, jnp.zeros(1)])
-        return sim.run_motors(
-            sim.with_scaled(job, full), motors, pr.ThroughPoses()
-        ).actual
+        scaled = sim.with_scaled(job, full)
+        return sim.JobModel.of(scaled, pr.ThroughPoses()).run(motors).actual
 
     zero = jnp.zeros(len(names) - 1)
     first = zero.at[0].set(1.0)

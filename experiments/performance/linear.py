@@ -33,7 +33,8 @@ def measure(report: Report) -> None:
     job = eqx.tree_at(lambda j: j.path, job, first)
     tips = jnp.asarray(job.path.positions)
     motors = sim.JobKinematics(job).motors(tips)[0]
-    machine, process = sim.job_machine(job), sim.job_process(job, pr.StockHeld())
+    model = sim.JobModel.of(job, pr.StockHeld())
+    machine, process = model.machine, model.process
     forward = eqx.filter_jit(lambda x: machine.run(process, x).ends)
     linearise = eqx.filter_jit(lambda x: sim.linearise(machine, process, x))
     run = spent(lambda: forward(motors))

@@ -1,7 +1,6 @@
 """Padded paths: the same results, and one compiled program for many lengths."""
 
 import jax
-import jax.monitoring
 import numpy as np
 import pytest
 from helpers import PAPER_LAW, relative
@@ -61,20 +60,6 @@ def test_rows_behind_the_last_have_no_derivative():
     found, wanted = slope(rows, np.int32(48)), slope(rows, np.int32(72))
     assert not np.any(found[48:])
     assert relative(found[:46], wanted[:46]) < 1e-9
-
-
-@pytest.fixture
-def compilations():
-    """Return a list that grows by one with every program that is compiled."""
-    names = []
-
-    def listen(event: str, duration_secs: float, **_: str | int) -> None:
-        if event.endswith("backend_compile_duration"):
-            names.append(event)
-
-    jax.monitoring.register_event_duration_secs_listener(listen)
-    yield names
-    jax.monitoring.unregister_event_duration_listener(listen)
 
 
 # What is edited in the files of a job, and what stands there then.

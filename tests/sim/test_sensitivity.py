@@ -96,7 +96,7 @@ def test_maps_agree_with_differences(job, maps):
     @jax.jit
     def tip(log_scale):
         scaled = sim.with_scaled(job, log_scale)
-        return sim.run_motors(scaled, motors, pr.ThroughPoses()).actual
+        return sim.JobModel.of(scaled, pr.ThroughPoses()).run(motors).actual
 
     zero = np.zeros(len(maps.names))
     for name in ("K y", "K_tc", "K_rc"):
@@ -141,7 +141,7 @@ def test_the_band_of_a_stiffness_adds_to_the_error(job):
     )
     # The controller goes on by the stiffness that it knows.
     assert solution.motor_positions is not None
-    ran = sim.run_motors(softer, solution.motor_positions, pr.StockHeld())
+    ran = sim.JobModel.of(softer, pr.StockHeld()).run(solution.motor_positions)
     moved = np.asarray(ran.actual - solution.actual)
     moved = (moved - moved[0])[:, 2]
     known = np.sum(band.shift, axis=0)[:, 2]

@@ -43,11 +43,9 @@ from ._job.replay import (
     ToothChip as ToothChip,
 )
 from ._job.simulate import (
+    JobModel as JobModel,
     Solution as Solution,
-    job_machine as job_machine,
-    job_process as job_process,
     rigid_cut as rigid_cut,
-    run_motors as run_motors,
     run_with_room as run_with_room,
     simulate as simulate,
     solve_command as solve_command,

@@ -1,12 +1,15 @@
 """Whether the robot of a job can follow its path: reach, limits, branch, poses."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ..._arrays import first_rows
+from ..._live_rows import pad_rows, padded_count
+from ..._types import FloatRows
 from ...robot import (
     JointSolution,
     Robot,
@@ -70,7 +73,9 @@ class ReachCheck(NamedTuple):
         """
         robot, start = self.robot, self.joint_start
         T_work_tool = np.tile(np.eye(4), (path.step_count, 1, 1))
-        T_work_tool[:, :3, :3] = np.asarray(Pose.frame(jnp.asarray(path.axes)))
+        # At one of few lengths, since each would be compiled.
+        axes = pad_rows(path.axes, padded_count(path.step_count))
+        T_work_tool[:, :3, :3] = first_rows(_frames(axes), path.step_count)
         T_work_tool[:, :3, 3] = path.positions
         Ts = np.asarray(self.T_base_work @ T_work_tool, dtype=np.dtype(robot.dtype))
         start = np.asarray(robot.home if start is None else start)
@@ -232,10 +237,9 @@ def _note_singular(
     notes: list[str],
 ) -> None:
     """Note the pose nearest to a singular one, if it is near."""
-    measure = jax.jit(
-        jax.vmap(lambda q: singularity(robot, q, tool_rotation=tool_rotation))
-    )
-    near = jax.device_get(measure(found.q))
+    rows = padded_count(path.step_count)
+    near = _singularities(robot, pad_rows(found.q, rows), tool_rotation)
+    near = jax.device_get(first_rows(near, path.step_count))
     is_near = near.smallest < _NEAR_SINGULAR
     if not is_near.any():
         return
@@ -248,6 +252,14 @@ def _note_singular(
         f"{near.smallest[k]:.3g}, lengths in units of the arm's; below "
         f"{_NEAR_SINGULAR:g} in {is_near.sum()} of {path.step_count} rows"
     )
+
+
+_frames = jax.jit(Pose.frame)
+
+
+@eqx.filter_jit
+def _singularities(robot: Robot, rows: FloatRows, tool_rotation: ToolRotation) -> Any:
+    return jax.vmap(lambda q: singularity(robot, q, tool_rotation=tool_rotation))(rows)
 
 
 def at_row(path: Path, k: int) -> str:

@@ -72,7 +72,7 @@ class Problem(eqx.Module):
     nominal: FloatRows
     desired: FloatRows3
     is_cutting: Weights
-    time_step: float = eqx.field(static=True)
+    time_step: RealScalarLike = eqx.field(converter=_as_leaf)
     max_offset: RealScalarLike = eqx.field(converter=_as_leaf, default=1e-3)
     window: int = eqx.field(static=True, default=20)
 
@@ -85,7 +85,6 @@ class Problem(eqx.Module):
                     f"({rows}), but has {getattr(self, name).shape[0]}."
                 )
 
-    @eqx.filter_jit
     def contour(self, motion: Motion) -> Float[Array, "step 3"]:
         """Return the vector from the nearest point of the desired path to the tip.
 
@@ -98,7 +97,7 @@ class Problem(eqx.Module):
         **Differentiability**: smooth but where the nearest segment changes.
         """
         desired = jnp.asarray(self.desired, motion.actual.dtype)
-        return contour_vector(motion.actual, desired, window=self.window)
+        return _contour(motion.actual, desired, self.window)
 
     def run(self, command: FloatRows) -> tuple[Motion, Float[Array, "step 3"]]:
         """Run the plant once, compiled; return its motion and the contour vectors.
@@ -127,6 +126,11 @@ def motion_of(plant: Plant, command: FloatRows) -> Motion:
     if isinstance(plant, AbstractHostPlant):
         return plant.run(command)
     return _compiled(plant, command)
+
+
+_contour = eqx.filter_jit(
+    lambda actual, desired, window: contour_vector(actual, desired, window=window)
+)
 
 
 @eqx.filter_jit

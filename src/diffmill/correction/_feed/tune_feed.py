@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from ..._job import Job
 from ..._types import RealScalarLike
 from ...process import AbstractAdjoint, ThroughPoses
-from ...sim import JobKinematics, Solution, run_motors, simulate
+from ...sim import JobKinematics, JobModel, Solution, simulate
 from ...toolpath import PathFeed, retime
 from .._core.problem import Motion
 from .._job.correct import NothingToCorrect, correct
@@ -40,7 +40,7 @@ class FeedPlant(eqx.Module):
         place = lambda job: (job.path.positions, job.path.axes)
         job = eqx.tree_at(place, self.job, (desired, axes))
         motors, _ = JobKinematics(job).motors(desired)
-        ran = run_motors(job, motors, self.adjoint)
+        ran = JobModel.of(job, self.adjoint).run(motors)
         return wall_motion(job, ran, None)
 
 

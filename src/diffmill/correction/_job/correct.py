@@ -349,18 +349,15 @@ def _weights(job: Job, rigid: Any, before: Solution) -> Float[np.ndarray, " step
 def _inverse_drive(
     job: Job, force: Float[Array, "step 3"], desired: Float[Array, "step 3"]
 ) -> InverseDriveCommand:
-    return _driven(job, JobKinematics(job).joints(desired)[0], force)
-
-
-@eqx.filter_jit
-def _driven(
-    job: Job, joints: Float[Array, "step joint"], force: Float[Array, "step 3"]
-) -> InverseDriveCommand:
-    return inverse_drive(
-        job.robot,  # pyright: ignore[reportArgumentType]
-        joints,
+    assert job.robot is not None
+    return _driven(
+        job.robot,
+        JobKinematics(job).joints(desired)[0],
         force,
         job.tooth_period,
         T_base_work=job.T_base_work,
         is_gravity_compensated=job.simulation.is_gravity_compensated,
     )
+
+
+_driven = eqx.filter_jit(inverse_drive)

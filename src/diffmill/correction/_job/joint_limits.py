@@ -74,7 +74,7 @@ class JointLimits(eqx.Module):
         )
         lower, upper = least + bend - motors, most - bend - motors
         why = ", with what the joint's motion bends over `max_offset`"
-        _refuse(job, motors, np.maximum(lower, -upper), spline.time_step, why)
+        _refuse(job, motors, np.maximum(lower, -upper), float(spline.time_step), why)
         reach = max_offset * np.sum(np.abs(slope), axis=2)
         rows, joints = np.nonzero((lower > -reach) | (upper < reach))
         if not rows.size:

@@ -15,13 +15,12 @@ from ...numerics import CompiledOnce
 from ...process import StockHeld, wall_deviation, wall_shares
 from ...robot import Controller
 from ...sim import (
+    JobModel,
     LinearRun,
     QuasiStaticArm,
     Run,
     RunState,
     Segment,
-    job_machine,
-    job_process,
     linearise,
     pad_path,
 )
@@ -107,15 +106,17 @@ def linear_job(
         wall_share: When in each period its wall is made; by the path alone if None.
         state: State at row 0, as of `sim.linearise`.
     """
-    job, count = job.without_texts(), job.path.step_count
+    count = job.path.step_count
     if state is not None or wall_share is None or is_traced((job, motors)):
-        return _linear_job(job, motors, slopes, wall_share, state)
+        return _linear_job(
+            JobModel.of(job, StockHeld()), motors, slopes, wall_share, state
+        )
     # A whole path runs at one of few lengths, for which it is compiled.
     padded = dataclasses.replace(job, path=pad_path(job.path))
     rows = padded.path.step_count
     long = lambda x: on_device(pad_rows(x, rows))
     given = long(motors), long(slopes), long(wall_share)
-    found = _linear_job(padded, *given, None)
+    found = _linear_job(JobModel.of(padded, StockHeld()), *given, None)
     return _first_rows(found, count) if rows > count else found
 
 
@@ -135,33 +136,34 @@ def prepare_linear_job(job: Job) -> None:
     """
     if not has_linear_run(job):
         return
-    job = dataclasses.replace(job.without_texts(), path=pad_path(job.path))
+    job = dataclasses.replace(job, path=pad_path(job.path))
     rows, dtype = job.path.step_count, np.dtype(job.simulation.precision)
     joints = 3 if job.robot is None else len(job.robot.joint_names)
     axes = joints if job.correction.command == "joint" else 3
     shapes = (rows, joints), (rows, joints, axes), (rows,)
     motors, slopes, shares = (on_device(np.zeros(x, dtype)) for x in shapes)
-    _linear_job.prepare(job, motors, slopes, shares, None)
+    model = JobModel.of(job, StockHeld())
+    _linear_job.prepare(model, motors, slopes, shares, None)
 
 
 @CompiledOnce
 def _linear_job(
-    job: Job,
+    model: JobModel,
     motors: Float[Array, "step joint"],
     slopes: Float[Array, "step joint axis"],
     wall_share: Steps | None,
     state: RunState | None,
 ) -> LinearJob:
-    machine = job_machine(job)
-    assert not isinstance(machine, QuasiStaticArm)
-    process, controller = job_process(job, StockHeld()), job.controller
-    if controller is not None:
-        motors = controller.motors(motors, process.tooth_period)
-    run = linearise(machine, process, motors, state, row_count=job.path.row_count)
-    desired = jnp.asarray(job.path.positions)
+    machine, process, path = model.machine, model.process, model.path
+    assert not (machine is None or isinstance(machine, QuasiStaticArm))
+    if model.controller is not None:
+        motors = model.controller.motors(motors, process.tooth_period)
+    run = linearise(machine, process, motors, state, row_count=path.row_count)
+    desired = jnp.asarray(path.positions)
     if wall_share is None:
-        wall_share = wall_shares(desired, job.tool_axes, job.cutter)
+        wall_share = wall_shares(desired, model.axes, process.cutter)
     shares = jnp.asarray(wall_share, desired.dtype)
-    motion = wall_motion(job, run, shares)
+    deviation = wall_deviation(run.ends, desired, shares)
+    motion = Motion(desired + deviation, run.force)
     time_step = jnp.asarray(process.tooth_period, motors.dtype)
-    return LinearJob(motion, run, slopes, shares, time_step, controller)
+    return LinearJob(motion, run, slopes, shares, time_step, model.controller)

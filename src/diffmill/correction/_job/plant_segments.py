@@ -13,9 +13,8 @@ from ..._types import FloatRows
 from ...process import AbstractAdjoint
 from ...sim import (
     JobKinematics,
+    JobModel,
     RunState,
-    job_machine,
-    job_process,
 )
 from .._core.problem import Motion
 from .._segments.plant_segment import AbstractPiece, AbstractPieces
@@ -63,8 +62,9 @@ class JobPiece(AbstractPiece):
         before, job = self.state, self.job
         joints = _joints(job, command, before.joints, self.has_joint_commands)
         motors = JobKinematics(job).motors_of(joints)
-        process = job_process(job, self.adjoint)
-        rows = job_machine(job).run_segment(process, motors, before.coupled)
+        model = JobModel.of(job, self.adjoint)
+        assert model.machine is not None
+        rows = model.machine.run_segment(model.process, motors, before.coupled)
         motion = wall_motion(job, rows, self.wall_share)
         return motion, JobState(rows.state, joints[-1])
 
@@ -132,8 +132,9 @@ def _begin(
         if job.joint_start is not None:
             start = jnp.asarray(job.joint_start)
     joints = _joints(job, command, start, has_joint_commands)
-    process = job_process(job, adjoint)
-    coupled = job_machine(job).begin_run(process, JobKinematics(job).motors_of(joints))
+    model, motors = JobModel.of(job, adjoint), JobKinematics(job).motors_of(joints)
+    assert model.machine is not None
+    coupled = model.machine.begin_run(model.process, motors)
     return JobState(coupled, joints[0])
 
 

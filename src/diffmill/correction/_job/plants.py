@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from ..._job import Job
 from ..._types import FloatRows
 from ...process import AbstractAdjoint
-from ...sim import JobKinematics, Run, Solution, run_motors, solve_command, with_scaled
+from ...sim import JobKinematics, JobModel, Run, Solution, solve_command, with_scaled
 from .._core.method import AbstractMethod
 from .._core.problem import AbstractHostPlant, Motion, Problem
 from .._method.ensemble import AbstractUncertainPlant, Parameters
@@ -70,7 +70,7 @@ class TipPlant(AbstractHostPlant):
 
     def __call__(self, command: Float[Array, "step 3"]) -> Motion:
         """Return the motion that follows a command, shape (step, 3)."""
-        ran = run_motors(self.job, self.motors(command), self.adjoint)
+        ran = JobModel.of(self.job, self.adjoint).run(self.motors(command))
         return wall_motion(self.job, ran, self.wall_share)
 
     def run(self, command: FloatRows) -> Motion:
@@ -131,9 +131,8 @@ class JointPlant(AbstractHostPlant):
 
     def __call__(self, command: Float[Array, "step joint"]) -> Motion:
         """Return the motion that follows a command, shape (step, joint)."""
-        ran = run_motors(
-            self.job, JobKinematics(self.job).motors_of(command), self.adjoint
-        )
+        motors = JobKinematics(self.job).motors_of(command)
+        ran = JobModel.of(self.job, self.adjoint).run(motors)
         return wall_motion(self.job, ran, self.wall_share)
 
     def run(self, command: FloatRows) -> Motion:

@@ -128,14 +128,15 @@ class LinearLimits(AbstractLimits):
         ):
             if not np.isfinite(limit):
                 continue
-            rate = np.diff(nominal, order, axis=0) / spline.time_step**order
+            time_step = float(spline.time_step)
+            rate = np.diff(nominal, order, axis=0) / time_step**order
             per_time = unit + ("/s" if order == 1 else "/s^2")
-            _check_nominal(name, order, float(limit), rate, spline.time_step, per_time)
+            _check_nominal(name, order, float(limit), rate, time_step, per_time)
             matrix = basis_matrix(spline)
             for _ in range(order):
                 matrix = matrix[1:] - matrix[:-1]
             # In the coefficients' unit, so that rows of both kinds are alike in size.
-            step = spline.time_step**order
+            step = time_step**order
             scale = spline.actual_spacing**order
             found.append(
                 LinearLimits(

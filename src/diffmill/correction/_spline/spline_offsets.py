@@ -7,6 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from ..._types import RealScalarLike
+
 # Coefficients held at zero at either end: three, so that the curve, its slope and
 # its second derivative all start and end at zero.
 CLAMPED = 3
@@ -23,40 +25,40 @@ class SplineOffsets(eqx.Module):
 
     Attributes:
         step_count: Rows of the program.
+        interval_count: Number of equal intervals between knots.
         time_step: Time between two rows [s].
-        knot_spacing: Smallest spacing of the knots [s].
     """
 
     step_count: int = eqx.field(static=True)
-    time_step: float = eqx.field(static=True)
-    knot_spacing: float = eqx.field(static=True)
+    interval_count: int = eqx.field(static=True)
+    time_step: RealScalarLike
 
-    def __check_init__(self):
-        if not (self.time_step > 0 and self.knot_spacing > 0):
+    def __init__(self, step_count: int, time_step: RealScalarLike, knot_spacing: float):
+        """Choose the knots; `knot_spacing` is the smallest spacing [s]."""
+        if not (time_step > 0 and knot_spacing > 0):
             raise ValueError(
                 "Arguments `time_step` and `knot_spacing` must be positive, but are "
-                f"{self.time_step} s and {self.knot_spacing} s."
+                f"{time_step} s and {knot_spacing} s."
             )
+        # A Python number would be static in compiled functions.
+        self.step_count, self.time_step = step_count, np.asarray(time_step, np.float64)
+        # The slack keeps a spacing that divides the duration from losing an interval.
+        intervals = self.duration / knot_spacing * (1 + 1e-9)
+        self.interval_count = int(np.floor(intervals))
         if self.interval_count < CLAMPED + 1:
             raise ValueError(
                 "Argument `knot_spacing` must leave at least four intervals in the "
-                f"program of {self.duration:.4g} s, but is {self.knot_spacing:.4g} s."
+                f"program of {self.duration:.4g} s, but is {knot_spacing:.4g} s."
             )
 
     @property
     def duration(self) -> float:
         """Time from the first row to the last [s]."""
-        return (self.step_count - 1) * self.time_step
-
-    @property
-    def interval_count(self) -> int:
-        """Number of equal intervals between knots."""
-        # The slack keeps a spacing that divides the duration from losing an interval.
-        return int(np.floor(self.duration / self.knot_spacing * (1 + 1e-9)))
+        return (self.step_count - 1) * float(self.time_step)
 
     @property
     def actual_spacing(self) -> float:
-        """Spacing of the knots as used [s], at least `knot_spacing`."""
+        """Spacing of the knots as used [s], at least the one asked for."""
         return self.duration / self.interval_count
 
     @property

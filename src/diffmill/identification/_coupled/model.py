@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from ..._job import Job
 from ..._result import RESULTS
 from ...process import ThroughPoses
-from ...sim import JobKinematics, parameter_names, run_motors, with_scaled
+from ...sim import JobKinematics, JobModel, parameter_names, with_scaled
 from .._cut.cut_model import at_times
 from .._statistics.robust_regression import Rows
 
@@ -93,9 +93,8 @@ def _run(
     ) -> tuple[tuple[Array, Array], tuple[tuple[Array, Array], RESULTS]]:
         full = jnp.zeros(len(parameter_names(job)), log_scale.dtype)
         scaled = with_scaled(job, full.at[np.array(places)].set(log_scale))
-        ran = run_motors(
-            scaled, JobKinematics(scaled).motors_of(joints), ThroughPoses()
-        )
+        motors = JobKinematics(scaled).motors_of(joints)
+        ran = JobModel.of(scaled, ThroughPoses()).run(motors)
         found = (ran.force, ran.actual - desired)
         result = RESULTS.where(jnp.all(is_reached), ran.result, RESULTS.unreachable)
         return found, (found, result)

@@ -19,7 +19,7 @@ from ..._job import Job
 from ..._types import FloatRows3
 from ...process import ThroughPoses, wall_deviation, wall_shares
 from ...toolpath import contour_error
-from .._job.simulate import run_motors
+from .._job.simulate import JobModel
 from .._machine.commands import JobKinematics
 
 if TYPE_CHECKING:
@@ -190,7 +190,7 @@ def _pushed(
     shares = wall_shares(desired, job.tool_axes, job.cutter)
 
     def errors(log_scale: Float[Array, " parameter"]) -> tuple[Array, Array]:
-        ran = run_motors(with_scaled(job, log_scale), motors, ThroughPoses())
+        ran = JobModel.of(with_scaled(job, log_scale), ThroughPoses()).run(motors)
         deviation = wall_deviation(ran.ends, desired, shares)
         return ran.actual, contour_error(desired + deviation, desired)
 

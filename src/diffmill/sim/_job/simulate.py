@@ -266,7 +266,7 @@ def rigid_cut(job: Job, adjoint: AbstractAdjoint, *, along: Pose | None = None) 
 
     **Differentiability**: that of `simulate_process`.
     """
-    program = _program(job, _needed(adjoint, (job, along)))
+    program = JobModel.of(padded_job(job), _needed(adjoint, (job, along)))
     count, total = job.path.step_count, program.path.step_count
     tips = on_device(program.path.positions)
     if along is not None:
@@ -278,14 +278,14 @@ def rigid_cut(job: Job, adjoint: AbstractAdjoint, *, along: Pose | None = None) 
     return cut_rows(cut, RUN_ROWS, count) if total != count else cut
 
 
-class _Program(eqx.Module):
+class JobModel(eqx.Module):
     """What a compiled program sees of a job: numbers alone, none of them static.
 
     Attributes:
         process: The process.
         machine: What moves the tool; None for a rigid machine.
         controller: What its motors do of their command; None if they follow it.
-        path: The path, of one of few lengths.
+        path: The path.
         axes: Tool axes, shape (step, 3); None if it stands upright.
         kinematics: The job, of which only what inverse kinematics needs is left.
     """
@@ -297,34 +297,57 @@ class _Program(eqx.Module):
     axes: Float[Array, "step 3"] | None
     kinematics: Job
 
+    @classmethod
+    def of(cls, job: Job, derivative: AbstractAdjoint) -> "JobModel":
+        """Return the model of a job, sizes taken on the host.
 
-def _program(job: Job, derivative: AbstractAdjoint) -> _Program:
-    """Return what a compiled program sees of a job, sizes taken on the host."""
-    padded, dtype = padded_job(job), jnp.dtype(job.simulation.precision)
-    machine = None if job.is_rigid else job_machine(padded)
-    # Of the settings only choices are left, and of the axes whether there are any.
-    settings = dataclasses.replace(
-        padded.simulation,
-        element_height=0.0,
-        axial_depth=0.0,
-        axes=_ANY_AXIS if padded.simulation.axes else (),
-    )
-    rest = eqx.tree_at(
-        lambda j: (j.cutter, j.law, j.bottom_law, j.stock, j.spindle_speed),
-        dataclasses.replace(padded, simulation=settings, controller=None),
-        (None,) * 5,
-        is_leaf=lambda x: x is None,
-    )
-    process = job_process(padded, derivative)
-    free = process.cutter.with_sizes_as_leaves()
-    process = cast_floats(eqx.tree_at(lambda p: p.cutter, process, free), dtype)
-    return _Program(
-        process, machine, padded.controller, padded.path, padded.tool_axes, rest
-    )
+        Args:
+            job: The job, in its precision.
+            derivative: How to differentiate through the removal.
+        """
+        job = job.without_texts()
+        # Of the settings only choices are left, and of the axes whether there are any.
+        settings = dataclasses.replace(
+            job.simulation,
+            element_height=0.0,
+            axial_depth=0.0,
+            axes=_ANY_AXIS if job.simulation.axes else (),
+        )
+        rest = eqx.tree_at(
+            lambda j: (j.cutter, j.law, j.bottom_law, j.stock, j.spindle_speed),
+            dataclasses.replace(job, simulation=settings, controller=None),
+            (None,) * 5,
+            is_leaf=lambda x: x is None,
+        )
+        process = job_process(job, derivative)
+        free = process.cutter.with_sizes_as_leaves()
+        process = eqx.tree_at(lambda p: p.cutter, process, free)
+        return cls(
+            cast_floats(process, jnp.dtype(job.simulation.precision)),
+            None if job.is_rigid else job_machine(job),
+            job.controller,
+            job.path,
+            job.tool_axes,
+            rest,
+        )
+
+    def run(self, motors: Float[Array, "step joint"]) -> Run:
+        """Run the machine for given motor positions.
+
+        Args:
+            motors: Commanded motor positions at the tooth instants [rad or m], shape
+                (step, joint); for modes the poses of the tool, see `ModalMachine`.
+
+        **Differentiability**: that of `AbstractMachine.run`.
+        """
+        assert self.machine is not None
+        if self.controller is not None:
+            motors = self.controller.motors(motors, self.process.tooth_period)
+        return self.machine.run(self.process, motors, row_count=self.path.row_count)
 
 
 @CompiledOnce
-def _cut_along(program: _Program, positions: Float[Array, "step 3"]) -> Run:
+def _cut_along(program: JobModel, positions: Float[Array, "step 3"]) -> Run:
     """Return the process alone of a rigid machine on the given tips.
 
     With the force at every angle, for figures, since another program without it would
@@ -357,7 +380,8 @@ def solve_command(
 
     Differentiability: as `simulate`.
     """
-    program = _program(job, _needed(adjoint, (job, rigid, commanded, motors)))
+    needed = _needed(adjoint, (job, rigid, commanded, motors))
+    program = JobModel.of(padded_job(job), needed)
     count = job.path.step_count
     commanded, steps = on_device(commanded), program.path.step_count
     tips = on_device(pad_rows(commanded, steps))
@@ -462,7 +486,7 @@ class _Command(eqx.Module):
 
 
 @CompiledOnce
-def _follow(program: _Program, finished: Stock, command: _Command) -> _Followed:
+def _follow(program: JobModel, finished: Stock, command: _Command) -> _Followed:
     """Return the run of a command, given what the rigid cut leaves."""
     path, process = program.path, program.process
     desired, motors = jnp.asarray(path.positions), command.motors
@@ -508,31 +532,9 @@ def _prepare(job: Job) -> None:
     """Compile the run of a command while the rigid cut is compiled and runs."""
     if job.is_rigid:
         return
-    program = _program(job, ThroughRays())
+    program = JobModel.of(padded_job(job), ThroughRays())
     steps, dtype = program.path.step_count, np.dtype(job.simulation.precision)
     joints = 3 if job.robot is None else len(job.robot.joint_names)
     tips, motors = (on_device(np.zeros((steps, n), dtype)) for n in (3, joints))
     command = _Command(tips, motors, on_device(np.ones(steps, bool)))
     _follow.prepare(program, program.process.stock, command)
-
-
-def run_motors(
-    job: Job, motors: Float[Array, "step joint"], adjoint: AbstractAdjoint
-) -> Run:
-    """Run the simulation of a job, dynamic or quasi-static, for given motor positions.
-
-    Args:
-        job: The job, in its precision; its machine must not be rigid.
-        motors: Commanded motor positions at the tooth instants [rad or m], shape
-            (step, joint); for modes the poses of the tool, see `ModalMachine`.
-        adjoint: How to differentiate through the removal.
-
-    Raises:
-        ValueError: The job has no robot.
-
-    **Differentiability**: that of `run`.
-    """
-    machine, process = job_machine(job), job_process(job, adjoint)
-    if job.controller is not None:
-        motors = job.controller.motors(motors, process.tooth_period)
-    return machine.run(process, motors, row_count=job.path.row_count)
