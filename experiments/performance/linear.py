@@ -54,7 +54,7 @@ def measure(report: Report) -> None:
         time_step=float(job.tooth_period),
     )
     method = co.GaussNewton(
-        solver=LevenbergMarquardt(max_steps=STEPS, damping=1e-6, share=1e-2)
+        solver=LevenbergMarquardt(max_steps=STEPS, damping=1e-4, share=1e-2)
     )
     method(problem)
     began = time.process_time()

@@ -1,5 +1,7 @@
 """Least squares of few unknowns: against SciPy, closed forms and its own state."""
 
+import dataclasses
+
 import equinox as eqx
 import numpy as np
 import pytest
@@ -99,6 +101,16 @@ def test_a_step_to_where_there_is_nothing_is_shortened():
     found = least_squares(problem, np.array([0.1, 5.0]), SOLVER)
     assert any(x[1] < 0 for x in problem.calls)
     assert_allclose(found.x, least_squares(Decay(), TRUTH, SOLVER).x, rtol=1e-6)
+
+
+def test_damping_that_is_much_too_small_is_found_in_few_trials():
+    problem = Decay()
+    start = np.array([0.1, 4.0])
+    solver = dataclasses.replace(SOLVER, damping=1e-12, max_steps=1)
+    found = least_squares(problem, start, solver)
+    # Ten trials tenfold apart would end at 1e-3, where the step is still far too long.
+    assert solver.attempts == 10
+    assert found.steps == 1
 
 
 def test_steps_are_no_longer_than_allowed():

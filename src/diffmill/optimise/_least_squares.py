@@ -103,7 +103,7 @@ class LevenbergMarquardt(eqx.Module):
         longest: Largest change of each unknown in a step, a number or shape (unknown,).
         damping: First damping, over the diagonal of the curvature.
         less: Factor of the damping after a good trial.
-        more: Factor after a refused one.
+        more: Factor after a refused one; its square after each further one in a row.
         rest: Squared length of a step in the metric of the curvature at which a good
             step is the last.
         kink: The same for a refused step: further ones would be refused too.
@@ -242,11 +242,13 @@ def _stepped(
     now, damping = model.cost(state.x, state.value), state.damping
     state = dataclasses.replace(state, models=state.models + 1)
     cost, used, is_better, has_converged = now, damping, False, True
+    # A trial costs a run: where the model is refused once more, it is far off.
+    more = solver.more
     for _ in range(solver.attempts):
         used = damping
         p = _damped_step(model, damping, box)
         if p is None:
-            damping *= solver.more
+            damping, more = damping * more, solver.more**2
             continue
         if model.decrease(p) < solver.share * now:
             break
@@ -255,7 +257,8 @@ def _stepped(
         cost = np.inf if value is None else model.cost(state.x + p, value)
         state = dataclasses.replace(state, evaluations=state.evaluations + 1)
         is_better = value is not None and bool(cost <= now and np.isfinite(cost))
-        damping *= solver.less if is_better else solver.more
+        damping *= solver.less if is_better else more
+        more = solver.more**2
         is_still = bool(np.all(np.abs(p) < solver.still))
         if is_better:
             state = dataclasses.replace(

@@ -46,7 +46,7 @@ def job_optimiser(
     return GaussNewton(
         knot_spacing=settings.knot_spacing,
         solver=LevenbergMarquardt(
-            max_steps=settings.max_steps, damping=1e-6, share=1e-2
+            max_steps=settings.max_steps, damping=1e-4, share=1e-2
         ),
         objective=objective,
         ensemble=job_ensemble(job, plant),
