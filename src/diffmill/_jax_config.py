@@ -3,17 +3,21 @@
 import os
 import pathlib
 import sys
+import tempfile
 
 # The newer emitters of fused loops compile a third longer, for code that is no faster.
 # An unknown flag ends a process, so it is set only where it is known.
 _FAST_COMPILING, _KNOWN = "--xla_cpu_use_fusion_emitters=false", "0.10."
 
 
-def configure_jax(precision: str = "float64") -> None:
+def configure_jax(precision: str = "float64") -> str:
     """Set a precision, quick compiling and a compile cache that persists.
 
     Args:
         precision: "float64" or "float32".
+
+    Returns:
+        A note where compiled programs cannot be kept, else an empty text.
     """
     import jax
 
@@ -23,15 +27,25 @@ def configure_jax(precision: str = "float64") -> None:
         if _FAST_COMPILING not in given:
             # What is given counts: the last of two flags does.
             os.environ["XLA_FLAGS"] = f"{_FAST_COMPILING} {given}"
-    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-        folder = cache_folder()
+    given = os.environ.get("JAX_COMPILATION_CACHE_DIR")
+    if not given or "://" not in given:
+        folder = pathlib.Path(given) if given else cache_folder()
         try:
             folder.mkdir(parents=True, exist_ok=True)
-        except OSError:
-            # A home that cannot be written to costs compile time, not the run.
-            return
-        jax.config.update("jax_compilation_cache_dir", str(folder))
+            with tempfile.TemporaryFile(dir=folder):
+                pass
+        except OSError as error:
+            # A cache that cannot be written to costs compile time, not the run.
+            jax.config.update("jax_enable_compilation_cache", False)
+            return (
+                f"the compile cache {folder} cannot be written to ({error.strerror}), "
+                "so that every run compiles anew; JAX_COMPILATION_CACHE_DIR names "
+                "another folder"
+            )
+        if not given:
+            jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
+    return ""
 
 
 def cache_folder() -> pathlib.Path:

@@ -63,7 +63,13 @@ def read_toml(path: pathlib.Path) -> tuple[str, dict[str, Any]]:
     try:
         tables = parse_toml(data)
     except ValueError as error:
-        raise JobError(path, [str(error)]) from error
+        what = str(error)
+        if path.suffix.lower() != ".toml":
+            what = (
+                f"found the suffix {path.suffix!r} and no TOML in it; a job file "
+                "(.toml) is required, whose [program] file names the program"
+            )
+        raise JobError(path, [what]) from error
     return data.decode("utf-8-sig"), tables
 
 

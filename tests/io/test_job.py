@@ -453,6 +453,9 @@ def test_file_faults(tmp_path):
     (tmp_path / "job.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(JobError):
         load_job(tmp_path / "job.toml")
+    (tmp_path / "part.ngc").write_text("%\nG0 X0\n")
+    with pytest.raises(JobError, match=r"suffix '\.ngc' .* \(\.toml\) is required"):
+        load_job(tmp_path / "part.ngc")
 
 
 def test_precision_is_known_before_the_job(write, tmp_path):

@@ -1,3 +1,5 @@
+import errno
+
 import numpy as np
 import pytest
 import xarray
@@ -70,6 +72,16 @@ def test_failure_leaves_nothing(tmp_path, dataset):
 
     with pytest.raises(RuntimeError, match="disk"):
         write_results(tmp_path / "out", dataset, files={"a.txt": fail})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_is_said_with_the_folder(tmp_path, dataset):
+    def fail(path):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with pytest.raises(OSError, match="No space left") as caught:
+        write_results(tmp_path / "out", dataset, files={"a.txt": fail})
+    assert caught.value.filename == str(tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -69,7 +69,7 @@ def run_campaign(
         digests = [task.digest for task in tasks]
         dataset = campaign_dataset(campaign, digests, records)
         part = folder / ".result.nc.part"
-        dataset.to_netcdf(part, engine="h5netcdf")
+        part.write_bytes(dataset.to_netcdf(engine="h5netcdf"))
         os.replace(part, folder / "result.nc")
     return dataset
 

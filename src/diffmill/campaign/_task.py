@@ -159,7 +159,7 @@ def _write_rows(dataset: Any, task: Task) -> None:
 
     assert task.rows_file is not None
     part = task.rows_file.with_suffix(f".{os.getpid()}.part")
-    described(dataset).to_netcdf(part, engine="h5netcdf")
+    part.write_bytes(described(dataset).to_netcdf(engine="h5netcdf"))
     os.replace(part, task.rows_file)
 
 

@@ -68,7 +68,7 @@ def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> 
         kept = _write_pictures(
             target, run._replace(dataset=described(dataset)), attempts
         )
-        kept.to_netcdf(target / "result.nc", engine="h5netcdf")
+        (target / "result.nc").write_bytes(kept.to_netcdf(engine="h5netcdf"))
 
     attempts.add(folder, fill)
     return attempts.conclude(folder)

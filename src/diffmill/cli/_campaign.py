@@ -104,6 +104,23 @@ def _check_folder(folder: pathlib.Path) -> None:
         )
 
 
+def _place_of_least(campaign: "Campaign", values: "xarray.DataArray") -> str:
+    """Return where in the grid the least of some values stands, in the file's words."""
+    if not values.dims or not values.notnull().any():
+        return ""
+    least = {str(name): int(at) for name, at in values.argmin([*values.dims]).items()}
+    named = []
+    for variation in campaign.variations:
+        changes = variation.changes[least[variation.name]]
+        named += [
+            f"{key} = {value}"
+            if key.replace(".", "_") == variation.name
+            else f"{variation.name} {least[variation.name]}"
+            for key, value in [*changes.items()][:1]
+        ]
+    return f", the least at {', '.join(named)}"
+
+
 def _lines(
     campaign: "Campaign", dataset: "xarray.Dataset", folder: pathlib.Path
 ) -> list[str]:
@@ -121,7 +138,7 @@ def _lines(
             name = "" if case is None else f", {case}"
             lines.append(
                 f"contour error rms{name}: {float(values.min()):.2f} to "
-                f"{float(values.max()):.2f} um"
+                f"{float(values.max()):.2f} um{_place_of_least(campaign, values)}"
             )
     failed = [str(text) for text in dataset.message.values.ravel() if text]
     for text in list(dict.fromkeys(failed))[:_MOST_LINES]:

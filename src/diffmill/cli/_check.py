@@ -112,8 +112,8 @@ def _describe_job(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
         *(_time_lines(job.timing) if job.timing is not None else ()),
         f"  robot: {robot}",
         f"  angles: {settings.angles} per revolution, sub-steps: {settings.substeps}, "
-        f"discs: {settings.element_height * 1e3:g} mm, axial depth: "
-        f"{settings.axial_depth * 1e3:g} mm, {settings.precision}",
+        f"height of a disc: {settings.element_height * 1e3:g} mm, discs up to "
+        f"{settings.axial_depth * 1e3:g} mm above the tip, {settings.precision}",
         *(f"  note: {note}" for note in job.notes),
     ]
 

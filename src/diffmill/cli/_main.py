@@ -423,5 +423,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("error: interrupted; no results were written", file=sys.stderr)
         return 1
     except (OSError, MemoryError) as error:
-        print(f"error: {error}; no results were written", file=sys.stderr)
+        reason = getattr(error, "strerror", None) or error
+        place = getattr(error, "filename", None)
+        place = "" if place is None else f"{place}: "
+        print(f"error: {place}{reason}; no results were written", file=sys.stderr)
         return 1

@@ -100,7 +100,9 @@ def robot_facts(robot: "Robot", q: "JointPositions") -> dict[str, Any]:
             notes.append(str(error))
     silent = int(np.isfinite(K).sum()) - len(modes or [])
     if modes is not None and silent:
-        notes.append(f"{silent} of the modes do not ring: their dampers are too strong")
+        notes.append(
+            f"modes that do not oscillate, so strong are their dampers: {silent}"
+        )
     if np.isinf(K).all():
         notes.append(
             "no joint has a spring, so nothing bends; give the joints stiffness and "

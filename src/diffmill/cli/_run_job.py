@@ -59,7 +59,7 @@ def run_job(
     folder = pathlib.Path(f"{file.stem}-{command}") if out is None else out
     with bad_input():
         check_folder(folder, force=force)
-        configure_jax(job_precision(file))
+        uncached = configure_jax(job_precision(file))
         job = load_job(file, allow_outside=allow_outside)
         if command == "correct" and job.is_rigid:
             raise JobError(
@@ -77,7 +77,7 @@ def run_job(
             checkpoint = Checkpoint(folder, job)
             checkpoint.open(resume=resume, force=force, progress=progress)
     told = len(job.notes)
-    for note in job.notes:
+    for note in (*job.notes, *filter(None, [uncached])):
         progress.say(f"note: {note}")
     start = time.perf_counter()
     try:
@@ -85,6 +85,15 @@ def run_job(
             outcome = _compute(command, job, progress, checkpoint)
     except SimulationFailed as failure:
         return _keep_failure(folder, job, failure, force=force)
+    except KeyboardInterrupt:
+        if checkpoint is None or not checkpoint.file.exists():
+            raise
+        print(
+            f"error: interrupted; no results were written, but {checkpoint.file.path} "
+            "keeps what was found: the same command with --resume goes on from there",
+            file=sys.stderr,
+        )
+        return 1
     seconds = time.perf_counter() - start
     solutions = {"predicted": outcome} if command == "simulate" else outcome.cases
     final = outcome if command == "simulate" else outcome.after

@@ -63,8 +63,14 @@ def check_folder(out: str | os.PathLike[str], *, force: bool = False) -> None:
     parent = folder.parent
     while not parent.exists():
         parent = parent.parent
-    if not (parent.is_dir() and os.access(parent, os.W_OK)):
-        raise ResultsError(f"--out {out}: {parent} is no folder that can be written to")
+    try:
+        with tempfile.TemporaryFile(dir=parent):
+            pass
+    except OSError as error:
+        raise ResultsError(
+            f"--out {out}: {parent} is no folder that can be written to: "
+            f"{error.strerror}"
+        ) from error
 
 
 def write_results(
@@ -96,7 +102,9 @@ def write_results(
     """
 
     def fill_all(folder: pathlib.Path) -> None:
-        described(dataset).to_netcdf(folder / "result.nc", engine="h5netcdf")
+        # By way of memory: HDF5 ends the process where it finds the disk full.
+        content = described(dataset).to_netcdf(engine="h5netcdf")
+        (folder / "result.nc").write_bytes(content)
         if stock is not None:
             save_stock(stock, folder / "stock.npz")
         for name, content in (files or {}).items():
@@ -161,7 +169,12 @@ def _filled(
     made = tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent)
     temporary = pathlib.Path(made)
     try:
-        fill(temporary)
+        try:
+            fill(temporary)
+        except OSError as error:
+            if error.filename is None:
+                error.filename = str(folder)
+            raise
         yield temporary
     finally:
         shutil.rmtree(temporary, ignore_errors=True)

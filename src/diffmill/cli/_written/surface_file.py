@@ -49,4 +49,4 @@ def write_surface(file: pathlib.Path, surfaces: "dict[str, SurfaceError]") -> No
         },
         attrs={"Conventions": "CF-1.11"},
     )
-    dataset.to_netcdf(file, engine="h5netcdf")
+    file.write_bytes(dataset.to_netcdf(engine="h5netcdf"))

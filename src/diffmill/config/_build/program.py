@@ -44,7 +44,7 @@ def read_program(table: ProgramTable, context: FileContext) -> Program | Path | 
             return program
         chosen = program.of_tool(table.tool)
     except (ProgramError, PathFileError) as error:
-        context.problems.extend(str(error).splitlines())
+        context.problems.extend(_problems(str(error)))
         return None
     except ValueError as error:
         context.problems.append(f"[program] tool: {error}")
@@ -53,6 +53,11 @@ def read_program(table: ProgramTable, context: FileContext) -> Program | Path | 
     if len(program.sections) > 1:
         context.notes.append(_tool_note(program, chosen))
     return chosen
+
+
+def _problems(text: str) -> list[str]:
+    """Return the faults of a message; what is allowed belongs to the last of them."""
+    return text.replace("\nAllowed are", " Allowed are").splitlines()
 
 
 def _tool_note(program: Program, chosen: Program) -> str:

@@ -170,5 +170,19 @@ def notes(stock: StockPlan, path: Path, cutter: AbstractCutter) -> tuple[str, ..
             "result says what its shank would have to take"
         )
     if depth <= 0:
-        notes.append("the path never goes below the top of the stock: nothing is cut")
+        spans = [
+            _span_mm(np.asarray(path.positions)),
+            _span_mm(np.array([stock.lower, stock.upper])),
+        ]
+        notes.append(
+            "nothing is cut: nowhere over the stock does the tip go below its top; the "
+            f"path spans {spans[0]}, the stock {spans[1]}"
+        )
     return tuple(notes)
+
+
+def _span_mm(points: Float[np.ndarray, "point 3"]) -> str:
+    """Return the extents of points as text."""
+    low, high = np.min(points, axis=0) * 1e3, np.max(points, axis=0) * 1e3
+    spans = zip("xyz", low, high, strict=True)
+    return ", ".join(f"{axis} {a:g} to {b:g}" for axis, a, b in spans) + " mm"

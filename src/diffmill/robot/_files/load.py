@@ -144,13 +144,13 @@ def _read_model(file: str) -> bytes:
         return model.read_bytes()
     if Path(file).suffix.lower() == ".xacro":
         raise ValueError(
-            f"Argument `model_or_file` is {file!r}, a xacro file: expand its macros "
-            "first (xacro FILE > robot.urdf) and give the URDF."
+            f"found {file!r}, a xacro file: expand its macros first "
+            "(xacro FILE > robot.urdf) and give the URDF"
         )
     if Path(file).suffix.lower() != ".toml":
         raise ValueError(
-            f"Argument `model_or_file` is {file!r}, which is neither a built-in model "
-            f"nor a file of a known kind: {_choices()}."
+            f"found {file!r}, which is neither a built-in model nor a file of a known "
+            f"kind: {_choices()}"
         )
     return _read_file(file)
 

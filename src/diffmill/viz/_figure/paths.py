@@ -178,6 +178,8 @@ def _draw_zoom(
     name: str,
 ) -> None:
     """Draw the surroundings of one step at a scale that shows the deviation."""
+    from matplotlib.patches import Rectangle
+
     reference = reference_case(dataset)
     desired = values_of(dataset, "desired", reference)
     centre = desired[step, :2] * 1e3
@@ -199,11 +201,20 @@ def _draw_zoom(
         side.set_visible(True)
         side.set_color(_FRAME)
         side.set_linewidth(0.8)
-    plan.plot(*centre, marker="s", markersize=7, markerfacecolor="none", color=_FRAME)
+    # The square is the zoom's own where it is not too small to be seen.
+    if 2 * half > 0.02 * 1e3 * float(_sides(dataset).max()):
+        corner = (float(centre[0]) - half, float(centre[1]) - half)
+        plan.add_patch(
+            Rectangle(corner, 2 * half, 2 * half, fill=False, color=_FRAME, zorder=4)
+        )
+    else:
+        plan.plot(
+            *centre, marker="s", markersize=7, markerfacecolor="none", color=_FRAME
+        )
     plan.annotate(
         name,
-        (float(centre[0]), float(centre[1])),
-        xytext=(6, 5),
+        (float(centre[0]) + half, float(centre[1]) + half),
+        xytext=(3, 2),
         textcoords="offset points",
         fontsize=9,
         color=_FRAME,

@@ -232,6 +232,8 @@ def _label_joints(
     span: float,
 ) -> None:
     """Write the joints' names beside them, those at one place on one label."""
+    from matplotlib.patheffects import withStroke
+
     own = [k for k, mimic in enumerate(robot.mimics) if mimic is None]
     places: list[tuple[np.ndarray, list[str]]] = []
     for name, k in zip(robot.joint_names, own, strict=True):
@@ -249,6 +251,7 @@ def _label_joints(
             textcoords="offset points",
             fontsize=6.5,
             color=INK,
+            path_effects=[withStroke(linewidth=2, foreground="white")],
             zorder=7,
         )
 

@@ -60,7 +60,7 @@ def _parts(dataset: "xarray.Dataset") -> list[str]:
         )
     rows += [
         f"warning: {case.name}: the tool leaves the cut in {case.rows_out_of_cut} "
-        "steps where it should be in a full cut"
+        f"step{'s' * (case.rows_out_of_cut != 1)} where it should be in a full cut"
         for case in cases
         if case.rows_out_of_cut
     ]
