@@ -148,6 +148,110 @@ def test_apt(read):
     assert program.spindle_speed == pytest.approx(200 * math.pi)
 
 
+KRL_INLINE = """DEF part( )
+PTP {X 0,Y 0,Z 5,A 0,B 0,C 180}
+;FOLD LIN P1 Vel=0.1 m/s CPDAT1 Tool[1]:mill Base[2]:part;%{PE}
+$BWDSTART=FALSE
+LDAT_ACT=LCPDAT1
+FDAT_ACT=FP1
+BAS(#CP_PARAMS,0.1)
+LIN XP1 C_DIS C_DIS
+;ENDFOLD
+;FOLD SLIN P2 Vel=0.2 m/s CPDAT2 Tool[1] Base[2];%{PE}
+SLIN XP2 WITH $VEL = SVEL_CP(0.2, , LCPDAT2), $TOOL = STOOL2(FP2), $ACC = SACC_CP(L)
+;ENDFOLD
+$VEL={CP 0.3,ORI1 200,ORI2 200}
+LIN_REL {X 1,Z -1} C_DIS
+LIN_REL {Z 2} #TOOL
+XP2.X=9
+$VEL.CP=SLOW
+LIN XP2
+"""
+DATA_INLINE = """DEFDAT part
+DECL E6POS XP1={X 1.0,Y 2.0,Z 3.0,A 0.0,B 0.0,C 180.0,S 2,T 35,E1 0.0}
+DECL E6POS XP2={X 4.0,Y 2.0,Z 3.0}
+DECL FDAT FP1={TOOL_NO 1,BASE_NO 2,IPO_FRAME #BASE,POINT2[] " "}
+DECL REAL SLOW=0.05
+ENDDAT
+"""
+
+
+def test_inline_forms_and_relative_motion_of_krl(read):
+    moves = read(KRL_INLINE + "END\n", ".src", DATA_INLINE).moves
+    # The tool of C 180 points down, so that its Z is that of the base with a minus.
+    places = [(0, 0, 5), (1, 2, 3), (4, 2, 3), (5, 2, 2), (5, 2, 0), (9, 2, 3)]
+    for move, place in zip(moves, places, strict=True):
+        assert [v / MM for v in move.end] == pytest.approx(place, abs=1e-9)
+    assert [move.feed for move in moves] == [None, 0.1, 0.2, 0.3, 0.3, 0.05]
+
+
+@pytest.mark.parametrize(
+    ("angle", "end", "normal"),
+    [(180, (2, 0), -1), (90, (1, 1), -1), (-90, (1, -1), 1), (720, (0, 0), -1)],
+)
+def test_an_arc_of_krl_over_an_angle(read, angle, end, normal):
+    text = (
+        f"DEF a( )\nPTP {{X 0}}\n$VEL.CP=1\nCIRC {{X 1,Y 1}},{{X 2,Y 0}},CA {angle}\n"
+    )
+    arc = read(text + "LIN_REL {X 1}\nEND", ".src").moves[1]
+    assert [v / MM for v in arc.end] == pytest.approx((*end, 0), abs=1e-9)
+    assert abs(arc.sweep) == pytest.approx(math.radians(abs(angle)))
+    assert arc.normal[2] * arc.turn / abs(arc.turn) == pytest.approx(normal)
+
+
+def test_straight_and_round_pieces_of_a_spline_block_are_exact(read):
+    block = "SPLINE\nSPL {X 1,Y 1}\nSPL {X 2,Y 0}\nSLIN {X 3}\n"
+    block += "SCIRC {X 4,Y 1},{X 5,Y 0}\nENDSPLINE\nEND"
+    *_, line, arc = read(f"DEF a( )\nPTP {{X 0}}\n$VEL.CP=1\n{block}", ".src").moves
+    assert [v / MM for v in line.start] == pytest.approx((2, 0, 0))
+    assert [v / MM for v in line.end] == pytest.approx((3, 0, 0))
+    assert arc.sweep == pytest.approx(math.pi)
+
+
+RAPID_DATA = """MODULE m
+TASK PERS num d:=4;
+CONST robtarget p1:=[[1,2,3],[0,1,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]];
+CONST robtarget row{2}:=[[[1,0,5],[0,1,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]],
+  [[2,0,5],[0,1,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]]];
+VAR robtarget q;
+PROC main()
+  MoveAbsJ home\\NoEOffs,v500,fine,mill;
+  MoveJ p1\\ID:=1,v500,fine,mill\\WObj:=part;
+  MoveL RelTool(p1,1,2,3),v50,z1,mill\\WObj:=part;
+  MoveL Offs(Offs(p1,d,0,0),0,-d,1),v50,z1,mill\\WObj:=part;
+  MoveL RelTool(p1,0,0,0\\Ry:=30\\Rz:=90),v50,z1,mill\\WObj:=part;
+  WaitTime\\InPos,0.5;
+  MoveL row{2},v50,z1,mill\\WObj:=part;
+  q:=p1;
+  q.trans.x:=9;
+  MoveL q,v50,z1,mill\\WObj:=part;
+ENDPROC
+ENDMODULE
+"""
+
+
+def test_data_and_tool_frames_of_rapid(read):
+    moves = read(RAPID_DATA, ".mod").moves
+    # The tool points down: its y and z are those of the work object with a minus.
+    places = [(1, 2, 3), (2, 0, 0), (5, -2, 4), (1, 2, 3), (2, 0, 5), (9, 2, 3)]
+    for move, place in zip(moves, places, strict=True):
+        assert [v / MM for v in move.end] == pytest.approx(place, abs=1e-9)
+    assert moves[3].axis == pytest.approx((-0.5, 0.0, math.cos(math.pi / 6)))
+    assert moves[3].rest == 0.5
+
+
+def test_axes_feeds_and_lines_of_apt(read):
+    text = "FROM/0,0,0 $$ start\nTLAXIS/0,0.6,0.8\nSPINDL/1200,CLW\nFEDRAT/0.1,MMPR\n"
+    text += (
+        "GOTO/10,$ a comment\n0,0\nSPINDL/RPM,600\nCIRCLE/5,0,0,0,0,1,5,.01,.1,8,0\n"
+    )
+    line, arc = read(text + "GOTO/0,0,0\nFINI", ".apt").moves
+    assert line.axis == pytest.approx((0.0, 0.6, 0.8))
+    assert line.end == pytest.approx((0.01, 0.0, 0.0))
+    assert [line.feed, arc.feed] == pytest.approx([2e-3, 1e-3])
+    assert arc.sweep == pytest.approx(math.pi)
+
+
 @pytest.mark.parametrize(
     ("suffix", "text", "line"),
     [
@@ -156,10 +260,16 @@ def test_apt(read):
         (".src", "DEF a( )\nPTP {X 1}\nLIN {X 2}\nEND", 3),
         (".src", "DEF a( )\n$BASE={X 1}\n$BASE={X 2}\nEND", 3),
         (".src", "DEF a( )\nPTP {X 1}\n$VEL.CP=1\nCIRC {X 2},{X 3}\nEND", 4),
+        (".src", "DEF a( )\nPTP {X 1}\nWAIT FOR $IN[1]\nEND", 3),
+        (".src", "DEF a( )\n$VEL.CP=1\nLIN_REL {X 1}\nEND", 3),
+        (".src", "DEF a( )\n$VEL.CP=FAST\nEND", 2),
+        (".mod", "MODULE a\nVAR robtarget q;\nMoveL q,v50,z1,tool0;", 3),
         (".mod", "MODULE a\nPROC main()\nIF a=1 THEN\nENDPROC\nENDMODULE", 3),
         (".mod", "MODULE a\nPROC main()\nMoveL p9,v50,z1,tool0;\nENDPROC", 3),
         (".apt", "PARTNO/A\nGOTO/1,2\n", 2),
         (".apt", "PARTNO/A\nLOOPST\n", 2),
+        (".apt", "PARTNO/A\nFEDRAT/0.1,MMPR\n", 2),
+        (".apt", "PARTNO/A\nTLAXIS/0,1\n", 2),
         (".apt", "CSYS/1,0,0,5,0,1,0,0,0,0,1,0\nGOTO/1,2,3\n", 1),
     ],
 )

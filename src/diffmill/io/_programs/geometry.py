@@ -34,14 +34,23 @@ def abc_of_axis(axis: Point) -> Point:
     return math.degrees(a), math.degrees(b), math.degrees(c)
 
 
+def rotation_of_abc(a: float, b: float, c: float) -> Float[np.ndarray, "3 3"]:
+    """Return the axes of a controller's tool frame, as columns, of A, B, C [deg]."""
+    (ca, sa), (cb, sb), (cc, sc) = (
+        (math.cos(angle), math.sin(angle)) for angle in map(math.radians, (a, b, c))
+    )
+    return np.array(
+        [
+            [ca * cb, ca * sb * sc - sa * cc, ca * sb * cc + sa * sc],
+            [sa * cb, sa * sb * sc + ca * cc, sa * sb * cc - ca * sc],
+            [-sb, cb * sc, cb * cc],
+        ]
+    )
+
+
 def axis_of_abc(a: float, b: float, c: float) -> Point:
     """Return the tool axis, tip to shank, of angles A, B, C [deg]."""
-    a, b, c = math.radians(a), math.radians(b), math.radians(c)
-    return (
-        -(math.cos(a) * math.sin(b) * math.cos(c) + math.sin(a) * math.sin(c)),
-        -(math.sin(a) * math.sin(b) * math.cos(c) - math.cos(a) * math.sin(c)),
-        -math.cos(b) * math.cos(c),
-    )
+    return _point(-rotation_of_abc(a, b, c)[:, 2])
 
 
 def quaternion_of_axis(axis: Point) -> tuple[float, float, float, float]:
@@ -80,6 +89,15 @@ def circle_through(first: Point, middle: Point, last: Point) -> tuple[Point, Poi
     to_centre = np.cross(across, u) * (v @ v) + np.cross(v, across) * (u @ u)
     centre, normal = a + to_centre / (2 * square), across / math.sqrt(square)
     return _point(centre), _point(normal)
+
+
+def rotated(point: Point, centre: Point, normal: Point, angle: float) -> Point:
+    """Return a point of a circle turned about its normal [rad]."""
+    if math.isclose(angle % (2 * math.pi), 0.0, abs_tol=1e-9):
+        return point
+    n, spoke = np.array(normal), np.array(point) - np.array(centre)
+    turned = math.cos(angle) * spoke + math.sin(angle) * np.cross(n, spoke)
+    return _point(np.array(centre) + turned)
 
 
 def arc_points(move: Move, count: int) -> Float[np.ndarray, "point 3"]:

@@ -13,7 +13,8 @@ _MM_PER_INCH = 25.4
 _QUIET = frozenset(
     "PARTNO PPRINT INSERT REMARK $$ MACHIN MULTAX INTOL OUTTOL TOLER CUTTER COOLNT "
     "SELECT STOP OPSTOP CLEARP PREFUN AUXFUN LINTOL DISPLAY "
-    "SEQNO LEADER TPRINT TLAXIS CSI_SET_FLUTE_LENGTH CSI_SET_EXTENSION_LENGTH".split()
+    "SEQNO LEADER TPRINT ARCSLP MODE SET CLRSRF THICK REWIND PLABEL TOOL TLDATA PAINT "
+    "END-OF-PATH CSI_SET_FLUTE_LENGTH CSI_SET_EXTENSION_LENGTH".split()
 )
 _DRILLS = frozenset(["DRILL", "FACE", "CDRILL", "SPOT"])
 _DEEP = frozenset(["DEEP", "DEEP2"])
@@ -21,10 +22,12 @@ _DEEP = frozenset(["DEEP", "DEEP2"])
 _CLEARANCE = 0.254e-3
 _MOST_PECKS = 10_000
 _FEED_UNITS = {"MMPM": 1.0, "IPM": _MM_PER_INCH, "PERMIN": None}
+_FEEDS_OF_TURN = {"MMPR": 1.0, "IPR": _MM_PER_INCH, "PERREV": None}
 _UNITS = {"MM": 1.0, "INCHES": _MM_PER_INCH, "INCH": _MM_PER_INCH}
 # Frames that change nothing.
 _FRAMES = {
     "CSYS": (1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0),
+    "MSYS": (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0),
     "TRNTYP": (math.nan, 0.0, 0.0, 0.0),
 }
 # How far the radii at the ends of a circle may differ [m].
@@ -38,6 +41,8 @@ class _Apt(Reader):
         super().__init__()
         self.scale = 1.0
         self.is_rapid = False
+        self.spindle = 0.0
+        self.feed_per_turn: float | None = None
         self.circle: list[float] | None = None
         self.cycle: dict[str, float] | None = None
         self.cycle_feed: float | None = None
@@ -52,12 +57,12 @@ def parse_apt(text: str, *, name: str = "program.apt") -> Program:
     reader = _Apt()
     held, begun = "", 0
     for number, row in enumerate(split_lines(text, name), 1):
-        bare = row.split("$$")[0].strip()
+        bare = row.split("$$")[0]
+        # A $ goes on in the next line; what stands behind it is a comment.
+        bare, dollar, _ = bare.partition("$")
         begun = begun if held else number
-        held += bare
-        # A $ at the end of a line goes on in the next.
-        if held.endswith("$"):
-            held = held[:-1]
+        held += bare.strip()
+        if dollar:
             continue
         statement, held = held, ""
         if statement.upper().split("/")[0].strip() in ("FINI", "END"):
@@ -90,7 +95,12 @@ def _statement(row: str, line: int, reader: _Apt) -> None:
     elif word == "SPINDL":
         speeds = [part for part in parts if _is_number(part)]
         if speeds:
+            reader.spindle = float(speeds[0])
+            if reader.feed_per_turn is not None:
+                reader.feed = reader.feed_per_turn * reader.spindle
             reader.out.set_speed(float(speeds[0]) * 2 * math.pi / 60)
+    elif word == "TLAXIS":
+        _set_axis(row, parts, line, reader)
     elif word == "LOADTL" or (word == "LOAD" and parts[:1] == ["TOOL"]):
         numbers = [part for part in parts if _is_number(part)]
         if not numbers:
@@ -115,6 +125,17 @@ def _statement(row: str, line: int, reader: _Apt) -> None:
         reader.refuse(line, row, "is no plain motion and is not supported.")
 
 
+def _set_axis(row: str, parts: list[str], line: int, reader: _Apt) -> None:
+    """Apply TLAXIS: the tool axis of the points that state none."""
+    numbers = [float(part) for part in parts if _is_number(part)]
+    if len(numbers) == 3 and math.hypot(*numbers) > 0:
+        length = math.hypot(*numbers)
+        i, j, k = (value / length for value in numbers)
+        reader.axis = i, j, k
+    elif len(numbers) > 1:
+        reader.refuse(line, row, "the tool axis has 3 numbers.")
+
+
 def _is_number(text: str) -> bool:
     """Return whether a text is a finite number."""
     return re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)(E[+-]?\d+)?", text) is not None
@@ -125,18 +146,26 @@ def _feed(row: str, parts: list[str], line: int, reader: _Apt) -> None:
     numbers = [part for part in parts if _is_number(part)]
     units = [part for part in parts if not _is_number(part)]
     unit = units[0] if units else "PERMIN"
-    if len(numbers) != 1 or unit not in _FEED_UNITS or not float(numbers[0]) > 0:
-        allowed = ", ".join(_FEED_UNITS)
+    known = _FEED_UNITS | _FEEDS_OF_TURN
+    if len(numbers) != 1 or unit not in known or not float(numbers[0]) > 0:
+        allowed = ", ".join(known)
         reader.refuse(line, row, f"needed is a feed above 0, with one of {allowed}.")
         return
-    scale = _FEED_UNITS[unit] or reader.scale
-    reader.feed = float(numbers[0]) * scale * 1e-3 / 60
+    reader.feed = float(numbers[0]) * (known[unit] or reader.scale) * 1e-3 / 60
+    reader.feed_per_turn = None
+    if unit in _FEEDS_OF_TURN:
+        reader.feed_per_turn = reader.feed
+        reader.feed *= reader.spindle
+        if reader.spindle == 0:
+            reader.refuse(line, row, "a feed per turn needs a SPINDL before it.")
     reader.is_rapid = False
 
 
 def _motion(word: str, row: str, parts: list[str], line: int, reader: _Apt) -> None:
     """Carry out a motion, or keep the circle of the next."""
-    if not all(_is_number(part) for part in parts) or len(parts) not in (3, 6, 7):
+    # A circle also tells its radius, tolerances and the cutter.
+    counts = (6, 7, 8, 9, 10, 11) if word == "CIRCLE" else (3, 6, 7)
+    if not all(_is_number(part) for part in parts) or len(parts) not in counts:
         reader.refuse(line, row, "needed are 3 numbers, or 6 with the tool axis.")
         return
     numbers = [float(part) for part in parts]

@@ -5,6 +5,7 @@ CIRC, their spline forms and SPLINE blocks with SPL, $BASE, $TOOL, $VEL.CP, C_DI
 the like, WAIT SEC, and comments. A spline is a cubic one in time through its points.
 """
 
+import itertools
 import math
 import re
 
@@ -12,7 +13,7 @@ import numpy as np
 
 from ....toolpath import Point, Program
 from ..faults import SHOWN_FAULTS, ProgramError
-from ..geometry import axis_of_abc
+from ..geometry import axis_of_abc, rotation_of_abc
 from ..text import split_lines
 from .reader import Reader
 
@@ -23,13 +24,28 @@ _DECLARED = re.compile(
     r"([A-Z$_]\w*(?:\[\d+\])?)\s*=\s*(\{.*\})",
     re.IGNORECASE,
 )
-_SPEED = re.compile(rf"\$VEL\.CP\s*=\s*({_NUMBER})", re.IGNORECASE)
-_BAS_SPEED = re.compile(rf"BAS\s*\(\s*#VEL_CP\s*,\s*({_NUMBER})\s*\)", re.IGNORECASE)
-_MOTION = re.compile(
-    r"(PTP|LIN|CIRC|SPL|SPTP|SLIN|SCIRC)\s+(.*)", re.IGNORECASE | re.DOTALL
+_SPEED = re.compile(
+    rf"\$VEL(?:\.CP\s*=|\s*=\s*\{{\s*CP)\s*({_NUMBER}|[A-Z_]\w*)\b.*", re.IGNORECASE
 )
+_BAS_SPEED = re.compile(
+    rf"BAS\s*\(\s*#(?:VEL_CP|CP_PARAMS)\s*,\s*({_NUMBER})\s*\)", re.IGNORECASE
+)
+_SCALAR = re.compile(
+    rf"(?:(?:GLOBAL|DECL|REAL|INT|CONST)\s+)*([A-Z_]\w*(?:\[\d+\])?)(?:\.([XYZABC]))?"
+    rf"\s*=\s*({_NUMBER})",
+    re.IGNORECASE,
+)
+_MOTION = re.compile(
+    r"(PTP|LIN|CIRC|SPL|SPTP|SLIN|SCIRC)(_REL)?\s+(.*)", re.IGNORECASE | re.DOTALL
+)
+# A relative motion counts along the axes of the base, or of the tool.
+_RELATIVE_TO = re.compile(r"\s*#(BASE|TOOL)\b", re.IGNORECASE)
+_ANGLE = re.compile(rf"CA\s*=?\s*({_NUMBER})", re.IGNORECASE)
 _APPROXIMATION = re.compile(r"\s+C_(?:DIS|VEL|ORI|PTP|SPL)\b.*$", re.IGNORECASE)
-_WITH = re.compile(rf"\s+WITH\s+\$VEL\.CP\s*=\s*({_NUMBER}).*$", re.IGNORECASE)
+_WITH = re.compile(
+    rf"\s+WITH\s+(?:.*?\$VEL(?:\.CP\s*=|\s*=\s*SVEL_CP\s*\()\s*({_NUMBER}))?.*$",
+    re.IGNORECASE,
+)
 _TIME = re.compile(
     rf"TIME_BLOCK\s+(START|PART\s*=\s*({_NUMBER})|END\s*=\s*({_NUMBER}))",
     re.IGNORECASE,
@@ -38,7 +54,9 @@ _WAIT = re.compile(rf"WAIT\s+SEC\s+({_NUMBER})", re.IGNORECASE)
 _QUIET = re.compile(
     r"&.*|DEFDAT\b.*|ENDDAT|EXT\b.*|INI|DECL\b.*|(?:GLOBAL\s+)?INTERRUPT\b.*"
     r"|BAS\s*\(.*\)|\$(?:ACC|APO|VEL|ORI_TYPE|CIRC_TYPE|ADVANCE|IPO_MODE|VEL_AXIS"
-    r"|ACC_AXIS)\b.*|\$(?:OUT|ANOUT)\b.*",
+    r"|ACC_AXIS|BWDSTART|H_POS|LOAD|JERK)\b.*|\$(?:OUT|ANOUT)\b.*|PULSE\s*\(.*\)"
+    r"|TRIGGER\b.*\bDO\s+\$(?:OUT|ANOUT)\b.*|CONTINUE|SET_CD_PARAMS\s*\(.*\)"
+    r"|[FLP]DAT_ACT\s*=.*",
     re.IGNORECASE,
 )
 _JOINTS = frozenset(["A1", "A2", "A3", "A4", "A5", "A6"])
@@ -53,6 +71,7 @@ class _Krl(Reader):
     def __init__(self) -> None:
         super().__init__()
         self.frames: dict[str, dict[str, float]] = {}
+        self.scalars: dict[str, float] = {}
         self.values: dict[str, float] = dict.fromkeys("XYZABC", 0.0)
         self.base: dict[str, float] | None = None
         self.spline: list[_Knot] | None = None
@@ -62,9 +81,9 @@ class _Krl(Reader):
 class _Knot:
     """A point of a spline block: where, how it is reached, and in which share."""
 
-    def __init__(self, point: Point, axis: Point, line: int, is_straight: bool):
-        self.point, self.axis, self.line = point, axis, line
-        self.is_straight, self.share = is_straight, math.nan
+    def __init__(self, point: Point, axis: Point, line: int, kind: str):
+        self.point, self.axis, self.line, self.kind = point, axis, line, kind
+        self.through, self.share = point, math.nan
 
 
 def parse_krl(text: str, data: str = "", *, name: str = "program.src") -> Program:
@@ -80,9 +99,12 @@ def parse_krl(text: str, data: str = "", *, name: str = "program.src") -> Progra
     """
     reader = _Krl()
     for number, row in enumerate(split_lines(data, name), 1):
-        found = _DECLARED.fullmatch(row.split(";")[0].strip())
-        if found:
+        bare = row.split(";")[0].strip()
+        # Data of inline forms, such as FDAT, hold names and are of no motion.
+        if found := _DECLARED.fullmatch(bare):
             reader.frames[found[1].upper()] = _components(found[2], number, reader)
+        elif found := _SCALAR.fullmatch(bare):
+            _set_scalar(found, number, reader)
     for number, row in enumerate(split_lines(text, name), 1):
         bare = row.split(";")[0].strip()
         if bare and not reader.is_ended:
@@ -117,9 +139,7 @@ def _statement(row: str, line: int, reader: _Krl) -> None:
     elif word == "END":
         reader.is_ended = True
     elif found := _SPEED.fullmatch(row) or _BAS_SPEED.fullmatch(row):
-        reader.feed = float(found[1])
-        if not reader.feed > 0:
-            reader.refuse(line, row, "a speed is above 0.")
+        _set_speed(found[1], row, line, reader)
     elif found := re.fullmatch(r"\$(BASE|TOOL)\s*=\s*(.+)", row, re.IGNORECASE):
         _set_frame(found[1].upper(), found[2], line, reader)
     elif found := _DECLARED.fullmatch(row):
@@ -131,7 +151,9 @@ def _statement(row: str, line: int, reader: _Krl) -> None:
     elif found := _WAIT.fullmatch(row):
         reader.out.rest(float(found[1]))
     elif found := _MOTION.fullmatch(row):
-        _motion(found[1].upper(), found[2], line, reader)
+        _motion(found[1].upper(), found[3], line, reader, is_relative=bool(found[2]))
+    elif found := _SCALAR.fullmatch(row):
+        _set_scalar(found, line, reader)
     elif word == "HALT":
         reader.out.note("HALT", "waits for the operator, which takes no time", line)
     elif _QUIET.fullmatch(row):
@@ -139,6 +161,28 @@ def _statement(row: str, line: int, reader: _Krl) -> None:
             reader.out.note(re.split(r"[\s=(\[]", row)[0], "changes no path", line)
     else:
         reader.refuse(line, row, "is no plain motion and is not supported.")
+
+
+def _set_speed(value: str, row: str, line: int, reader: _Krl) -> None:
+    """Set the feed [m/s]: a number, or one that is declared."""
+    try:
+        feed = float(value)
+    except ValueError:
+        feed = reader.scalars.get(value.upper(), math.nan)
+    if not feed > 0:
+        reader.refuse(line, row, "a speed is above 0, and written as a number.")
+    reader.feed = feed
+
+
+def _set_scalar(found: re.Match[str], line: int, reader: _Krl) -> None:
+    """Keep a number, or a component of a declared position."""
+    name, component, value = found[1].upper(), found[2], float(found[3])
+    if component is None:
+        reader.scalars[name] = value
+    elif name in reader.frames:
+        reader.frames[name] = {**reader.frames[name], component.upper(): value}
+    else:
+        reader.refuse(line, found[0], "no position of this name is declared.")
 
 
 def _set_frame(kind: str, value: str, line: int, reader: _Krl) -> None:
@@ -173,17 +217,19 @@ def _pose(text: str, line: int, reader: _Krl) -> dict[str, float] | None:
     return found
 
 
-def _motion(kind: str, rest: str, line: int, reader: _Krl) -> None:
+def _motion(
+    kind: str, rest: str, line: int, reader: _Krl, *, is_relative: bool = False
+) -> None:
     """Carry out a motion."""
     speed = _WITH.search(rest)
+    along = _RELATIVE_TO.search(rest)
+    rest = _RELATIVE_TO.sub("", rest)
     rest = _APPROXIMATION.sub("", _WITH.sub("", rest)).strip()
     parts = re.findall(r"\{[^}]*\}|[^,{}]+", rest)
     parts = [part.strip() for part in parts if part.strip()]
-    turn = next((part for part in parts if part.upper().startswith("CA")), None)
     wanted = 2 if kind in ("CIRC", "SCIRC") else 1
-    if turn is not None:
-        reader.refuse(line, turn, "an arc ends at its end point here; leave CA out.")
-        return
+    turn = _ANGLE.fullmatch(parts[-1]) if len(parts) == 3 and wanted == 2 else None
+    parts = parts[:2] if turn is not None else parts
     if len(parts) != wanted:
         reader.refuse(line, rest, f"{kind} needs {wanted} position(s).")
         return
@@ -197,15 +243,24 @@ def _motion(kind: str, rest: str, line: int, reader: _Krl) -> None:
         reader.lose_place(line)
         return
     before = reader.feed
-    if speed is not None:
+    if speed is not None and speed[1]:
         reader.feed = float(speed[1])
+    if is_relative:
+        is_tool = along is not None and along[1].upper() == "TOOL"
+        found = [_moved(pose, is_tool, rest, line, reader) for pose in found]
     middle = _apply(found[0], dict(reader.values))
     reader.values = _apply(found[-1], reader.values)
     point, axis = _place(reader.values)
     if reader.spline is not None:
-        reader.spline.append(_Knot(point, axis, line, kind in ("SLIN", "LIN")))
+        if turn is not None:
+            reader.refuse(line, turn[0], "in a SPLINE block, leave CA out.")
+        reader.spline.append(_Knot(point, axis, line, kind))
+        reader.spline[-1].through = _place(middle)[0]
     elif kind in ("CIRC", "SCIRC"):
-        reader.arc_to(_place(middle)[0], point, axis, line)
+        angle = None if turn is None else math.radians(float(turn[1]))
+        reader.arc_to(_place(middle)[0], point, axis, line, angle=angle)
+        x, y, z = (1e3 * value for value in reader.position)
+        reader.values |= {"X": x, "Y": y, "Z": z}
     elif kind == "SPL":
         reader.refuse(line, kind, "SPL stands between SPLINE and ENDSPLINE.")
     else:
@@ -213,6 +268,22 @@ def _motion(kind: str, rest: str, line: int, reader: _Krl) -> None:
             reader.out.note(kind, "is taken as a straight rapid move", line)
         reader.line_to(point, axis, line, is_rapid=kind in ("PTP", "SPTP"))
     reader.feed = before
+
+
+def _moved(
+    pose: dict[str, float], is_tool: bool, row: str, line: int, reader: _Krl
+) -> dict[str, float]:
+    """Return where a relative motion ends, from where the tool is."""
+    values = reader.values
+    step = np.array([pose.get(key, 0.0) for key in "XYZ"])
+    if any(pose.get(key) for key in "ABC"):
+        reader.refuse(line, row, "a relative motion that turns is not supported.")
+    if not reader.is_placed:
+        reader.refuse(line, row, "a relative motion needs a stated place before it.")
+    if is_tool:
+        step = rotation_of_abc(values["A"], values["B"], values["C"]) @ step
+    moved = zip("XYZ", step.tolist(), strict=True)
+    return {**values, **{key: values[key] + value for key, value in moved}}
 
 
 def _apply(pose: dict[str, float], values: dict[str, float]) -> dict[str, float]:
@@ -250,7 +321,7 @@ def _spline(word: str, row: str, line: int, reader: _Krl) -> None:
     """Begin or end a SPLINE block."""
     if word == "SPLINE":
         speed = _WITH.search(f" {row}")
-        reader.feed = float(speed[1]) if speed else reader.feed
+        reader.feed = float(speed[1]) if speed and speed[1] else reader.feed
         reader.spline = []
         return
     knots, reader.spline = reader.spline, None
@@ -260,12 +331,17 @@ def _spline(word: str, row: str, line: int, reader: _Krl) -> None:
     if not reader.is_placed:
         reader.refuse(line, row, "a spline needs a motion to a stated place before it.")
         return
-    if all(knot.is_straight for knot in knots):
-        for knot in knots:
-            duration = None if math.isnan(knot.share) else knot.share
-            reader.line_to(knot.point, knot.axis, knot.line, duration=duration)
-        return
-    _spline_moves(knots, line, reader)
+    for is_curve, run in itertools.groupby(knots, lambda knot: knot.kind == "SPL"):
+        if is_curve:
+            _spline_moves(list(run), line, reader)
+            continue
+        for knot in run:
+            pace = None if math.isnan(knot.share) else knot.share
+            end, at = (knot.point, knot.axis), knot.line
+            if knot.kind in ("CIRC", "SCIRC"):
+                reader.arc_to(knot.through, *end, at, duration=pace)
+            else:
+                reader.line_to(*end, at, duration=pace)
 
 
 def _spline_moves(knots: list[_Knot], line: int, reader: _Krl) -> None:

@@ -4,7 +4,12 @@ Read are robtarget, speeddata and constants of them, MoveL, MoveC, MoveJ and Mov
 Offs, speeds with V or T, zones, tools and work objects, WaitTime, and comments.
 """
 
+import math
 import re
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import numpy as np
 
 from ....toolpath import Point, Program
 from ..faults import SHOWN_FAULTS, ProgramError
@@ -14,11 +19,15 @@ from .reader import Reader
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _DECLARED = re.compile(
-    r"(?:LOCAL\s+)?(?:CONST|PERS|VAR)\s+(\w+)\s+(\w+)\s*(?::=\s*(.*))?",
+    r"(?:(?:LOCAL|TASK)\s+)?(?:CONST|PERS|VAR)\s+(\w+)\s+(\w+)\s*(?:\{\s*(\d+)\s*\})?"
+    r"\s*(?::=\s*(.*))?",
     re.IGNORECASE | re.DOTALL,
 )
 _MOVE = re.compile(r"(MoveL|MoveJ|MoveC|MoveAbsJ)\s+(.*)", re.IGNORECASE | re.DOTALL)
-_OFFSET = re.compile(r"Offs\s*\((.*)\)", re.IGNORECASE | re.DOTALL)
+_OFFSET = re.compile(r"(Offs|RelTool)\s*\((.*)\)", re.IGNORECASE | re.DOTALL)
+_TURN = re.compile(r"\\(R[xyz])\s*:=\s*([^\\,]+)", re.IGNORECASE)
+_ASSIGNED = re.compile(r"(\w+(?:\{\d+\})?)\s*:=\s*(.*)", re.DOTALL)
+_COMPONENT = re.compile(r"(\w+)\.trans\.([xyz])\s*:=\s*(.*)", re.IGNORECASE)
 _SPEED = re.compile(r"v(\d+)", re.IGNORECASE)
 _OPTION = re.compile(rf"\\(V|T)\s*:=\s*({_NUMBER})", re.IGNORECASE)
 _WORK_OBJECT = re.compile(r"\\WObj\s*:=\s*(\w+)", re.IGNORECASE)
@@ -29,10 +38,10 @@ _FRAME = re.compile(
 )
 _QUIET = re.compile(
     r"(SetDO|Set|Reset|SetAO|PulseDO|TPWrite|TPErase|ConfL|ConfJ|SingArea|AccSet|VelSet"
-    r"|ActUnit|Stop|StopMove|ClkReset|ClkStart|ClkStop)\b.*",
+    r"|WaitRob|ActUnit|Stop|StopMove|ClkReset|ClkStart|ClkStop)\b.*",
     re.IGNORECASE | re.DOTALL,
 )
-_WAIT = re.compile(rf"WaitTime\s+(?:\\InPos\s*,\s*)?({_NUMBER})", re.IGNORECASE)
+_WAIT = re.compile(rf"WaitTime\s*(?:\\InPos\s*,\s*)?({_NUMBER})", re.IGNORECASE)
 _FASTEST = 5.0
 
 
@@ -43,6 +52,7 @@ class _Rapid(Reader):
         super().__init__()
         self.targets: dict[str, list[float]] = {}
         self.speeds: dict[str, float] = {"vmax": _FASTEST}
+        self.numbers: dict[str, float] = {}
         self.frame: str | None = None
         self.procedures = 0
 
@@ -97,6 +107,10 @@ def _statement(row: str, line: int, reader: _Rapid) -> None:
         _declare(found, line, reader)
     elif found := _MOVE.fullmatch(row):
         _move(found[1].lower(), found[2], line, reader)
+    elif found := _COMPONENT.fullmatch(row):
+        _set_component(found, line, reader)
+    elif (found := _ASSIGNED.fullmatch(row)) and found[1].lower() in reader.targets:
+        reader.targets[found[1].lower()] = _pose(found[2], line, reader)
     elif found := _WAIT.fullmatch(row):
         reader.out.rest(float(found[1]))
     elif found := _QUIET.fullmatch(row):
@@ -107,13 +121,48 @@ def _statement(row: str, line: int, reader: _Rapid) -> None:
 
 def _declare(found: re.Match[str], line: int, reader: _Rapid) -> None:
     """Keep a constant that a motion may name."""
-    kind, name, value = found[1].lower(), found[2].lower(), found[3]
-    if value is None:
-        return
-    if kind == "robtarget":
-        reader.targets[name] = _numbers(value, 17, line, reader)
+    kind, name, value = found[1].lower(), found[2].lower(), found[4]
+    if kind == "robtarget" and found[3] is not None:
+        count = int(found[3])
+        parts = _arguments((value or "").strip()[1:-1])
+        if value is not None and len(parts) != count:
+            reader.refuse(line, name, f"needed are {count} robtargets.")
+        for index, part in enumerate(parts, 1):
+            if value is not None:
+                target = _numbers(part, 17, line, reader)
+                reader.targets[f"{name}{{{index}}}"] = target
+    elif value is None:
+        if kind == "robtarget":
+            reader.targets[name] = [math.nan] * 17
+    elif kind == "robtarget":
+        reader.targets[name] = _pose(value, line, reader)
     elif kind == "speeddata":
         reader.speeds[name] = 1e-3 * _numbers(value, 4, line, reader)[0]
+    elif kind in ("num", "dnum"):
+        reader.numbers[name] = _number(value)
+
+
+def _set_component(found: re.Match[str], line: int, reader: _Rapid) -> None:
+    """Set a coordinate of a declared target."""
+    name, value = found[1].lower(), _number(found[3], reader.numbers)
+    if name not in reader.targets or math.isnan(value):
+        reader.refuse(line, found[0], "needed are a declared robtarget and a number.")
+        return
+    target = list(reader.targets[name])
+    target["xyz".index(found[2].lower())] = value
+    reader.targets[name] = target
+
+
+def _number(text: str, known: Mapping[str, float] = MappingProxyType({})) -> float:
+    """Return a number, written out or declared; NaN if it is none."""
+    text = text.strip().lower()
+    sign = -1.0 if text.startswith("-") else 1.0
+    if text.lstrip("-") in known:
+        return sign * known[text.lstrip("-")]
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
 
 
 def _numbers(text: str, count: int, line: int, reader: Reader) -> list[float]:
@@ -140,20 +189,48 @@ def _arguments(text: str) -> list[str]:
     return [*out, text[begun:].strip()]
 
 
-def _target(text: str, line: int, reader: _Rapid) -> tuple[Point, Point]:
-    """Return tip [m] and axis of a target: a name, numbers, or one with an offset."""
-    shift = [0.0, 0.0, 0.0]
+def _pose(text: str, line: int, reader: _Rapid) -> list[float]:
+    """Return the numbers of a target: a name, numbers, or one that is moved."""
+    text = text.split("\\ID")[0].strip()
     if found := _OFFSET.fullmatch(text):
-        text, *moved = _arguments(found[1])
-        shift = _numbers(",".join(moved), 3, line, reader)[:3]
+        return _moved(found, line, reader)
     if text.startswith("["):
-        values = _numbers(text, 17, line, reader)
-    elif text.lower() in reader.targets:
-        values = reader.targets[text.lower()]
-    else:
+        return _numbers(text, 17, line, reader)
+    values = reader.targets.get(text.replace(" ", "").lower())
+    if values is None or math.isnan(values[0]):
         reader.refuse(line, text, "no robtarget of this name is declared as numbers.")
-        return reader.position, reader.axis
-    x, y, z = (1e-3 * (a + b) for a, b in zip(values[:3], shift, strict=True))
+        x, y, z = (1e3 * value for value in reader.position)
+        return [x, y, z, 0.0, 1.0, *[0.0] * 12]
+    return values
+
+
+def _moved(found: re.Match[str], line: int, reader: _Rapid) -> list[float]:
+    """Return a target moved along the axes of the work object, or of the tool."""
+    from scipy.spatial.transform import Rotation
+
+    turns = [(name.lower(), value) for name, value in _TURN.findall(found[2])]
+    first, *moved = _arguments(_TURN.sub("", found[2]))
+    values = list(_pose(first, line, reader))
+    way = np.array([_number(part, reader.numbers) for part in moved if part])
+    angles = {name[1]: _number(value, reader.numbers) for name, value in turns}
+    if way.shape != (3,) or not np.isfinite([*way, *angles.values()]).all():
+        reader.refuse(line, found[0], "needed are a robtarget and 3 numbers.")
+        return values
+    if found[1].lower() == "offs" or not any(values[3:7]):
+        return [*(np.array(values[:3]) + way), *values[3:]]
+    w, x, y, z = values[3:7]
+    pose = Rotation.from_quat([x, y, z, w])
+    place = np.array(values[:3]) + pose.apply(way)
+    for axis in "xyz":
+        pose = pose * Rotation.from_euler(axis, angles.get(axis, 0.0), degrees=True)
+    x, y, z, w = pose.as_quat()
+    return [*place.tolist(), float(w), float(x), float(y), float(z), *values[7:]]
+
+
+def _target(text: str, line: int, reader: _Rapid) -> tuple[Point, Point]:
+    """Return tip [m] and axis of a target."""
+    values = _pose(text, line, reader)
+    x, y, z = (1e-3 * value for value in values[:3])
     if not any(values[3:7]):
         reader.refuse(line, text, "the quaternion has no length.")
         return (x, y, z), reader.axis
@@ -190,17 +267,17 @@ def _move(kind: str, rest: str, line: int, reader: _Rapid) -> None:
             line, rest, f"needed are {count} arguments: to, speed, zone, tool."
         )
         return
+    if kind == "moveabsj":
+        message = "goes to joint angles; the motion is taken up at the next position"
+        reader.out.note("MoveAbsJ", message, line)
+        reader.lose_place(line)
+        return
     frame = _WORK_OBJECT.search(arguments[-1])
     frame = "wobj0" if frame is None else frame[1].lower()
     if reader.frame not in (None, frame):
         message = "several work objects are not supported; `work` is one of them."
         reader.refuse(line, frame, message)
     reader.frame = frame
-    if kind == "moveabsj":
-        message = "goes to joint angles; the motion is taken up at the next position"
-        reader.out.note("MoveAbsJ", message, line)
-        reader.lose_place(line)
-        return
     point, axis = _target(arguments[-4], line, reader)
     duration = _pace(arguments[-3], line, reader)
     if kind == "movec":

@@ -1,10 +1,11 @@
 """What readers of robot programs have in common: the pose, and moves from it."""
 
+import math
 from dataclasses import dataclass, field
 
 from ....toolpath import Move, Point
 from ..faults import Fault
-from ..geometry import circle_through
+from ..geometry import circle_through, rotated
 from ..move_list import MoveList
 
 _FARTHEST = 100.0
@@ -55,8 +56,17 @@ class Reader:
         self.out.add(move._replace(duration=duration, axis=axis), "XYZ")
         self.position, self.axis, self.is_placed = end, axis, True
 
-    def arc_to(self, through: Point, end: Point, axis: Point, line: int) -> None:
-        """Make an arc through a point."""
+    def arc_to(
+        self,
+        through: Point,
+        end: Point,
+        axis: Point,
+        line: int,
+        *,
+        angle: float | None = None,
+        duration: float | None = None,
+    ) -> None:
+        """Make an arc through a point, to another one or over an angle [rad]."""
         try:
             centre, normal = circle_through(self.position, through, end)
         except ValueError as error:
@@ -64,8 +74,18 @@ class Reader:
             return
         if not self.is_placed:
             self.refuse(line, "", "an arc needs a motion to a stated place before it.")
+        turns = 1
+        if angle is not None:
+            if angle == 0:
+                self.refuse(line, "", "an arc has an angle other than 0.")
+                return
+            if angle < 0:
+                normal = (-normal[0], -normal[1], -normal[2])
+            end = rotated(self.position, centre, normal, abs(angle))
+            turns = max(1, math.ceil(abs(angle) / (2 * math.pi) - 1e-9))
         self._check(end, line)
-        move = Move(self.position, end, centre, 1, self._feed(line, None), line=line)
+        feed = self._feed(line, duration)
+        move = Move(self.position, end, centre, turns, feed, duration, line=line)
         self.out.add(move._replace(normal=normal, axis=axis), "")
         self.position, self.axis = end, axis
 
