@@ -8,6 +8,7 @@ import ast
 import json
 import pathlib
 import re
+import tomllib
 from typing import TypeAlias
 
 from mkdocs.config.defaults import MkDocsConfig
@@ -40,6 +41,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         "changes.md": (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"),
         "python.md": python_page(),
         "derivatives.md": derivatives_page(),
+        "built_in.md": built_in_page(),
         "job_keys.md": keys_page(
             "The keys of a job", CONFIG / "_schema", meanings_of(toml_block(job))
         ),
@@ -55,6 +57,37 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for name, text in pages.items():
         files.append(File.generated(config, name, content=text))
     return files
+
+
+def built_in_page() -> str:
+    """Return the page of the materials and robots that a job can name."""
+    lines = [
+        "# Materials and robots that come with it",
+        "",
+        'Names for `[force] material = "..."`. Coefficients hold for the cutter and',
+        "the conditions of their source, which `diffmill check JOB.toml` prints.",
+        "",
+        "| material | K_tc, K_rc, K_ac [N/mm^2] | K_te, K_re, K_ae [N/mm] | cutter |",
+        "|---|---|---|---|",
+    ]
+    materials = (PACKAGE / "cutting" / "materials.toml").read_text(encoding="utf-8")
+    for name, row in tomllib.loads(materials).items():
+        sides = [
+            ", ".join(f"{row.get(key.format(axis), 0):g}" for axis in "tra")
+            for key in ("K_{}c_MPa", "K_{}e_N_per_mm")
+        ]
+        lines.append(f"| `{name}` | {sides[0]} | {sides[1]} | {row['cutter']} |")
+    lines += [
+        "",
+        'Names for `[robot] model = "..."`; `diffmill robot NAME` shows one.',
+        "",
+        "| robot | what it is |",
+        "|---|---|",
+    ]
+    for file in sorted((PACKAGE / "robot" / "models").glob("*.toml")):
+        model = tomllib.loads(file.read_text(encoding="utf-8"))
+        lines.append(f"| `{model['name']}` | {model['description']} |")
+    return "\n".join(lines) + "\n"
 
 
 def notebook_page(file: pathlib.Path) -> str:
