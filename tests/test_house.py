@@ -1,6 +1,7 @@
 """The rooms of the package: how large they are, and who imports whom."""
 
 import ast
+import collections
 import itertools
 import pathlib
 import re
@@ -165,6 +166,15 @@ def test_few_names_are_exported():
         for name in node.names
     ]
     assert len(names) <= MOST_NAMES
+
+
+def test_a_class_has_a_name_of_its_own():
+    places = collections.defaultdict(set)
+    for file in SOURCE.rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                places[node.name].add(file.relative_to(SOURCE).as_posix())
+    assert not {name: files for name, files in places.items() if len(files) > 1}
 
 
 def test_experiments_and_tests_use_what_is_public():

@@ -4,7 +4,7 @@ import numpy as np
 import xarray
 
 from diffmill.sim import ToothChip
-from diffmill.viz import CutDexels, ForceRecord
+from diffmill.viz import CutDexels, ForceTrace
 from diffmill.workpiece import SurfaceError
 
 PERIOD = 3.75e-3
@@ -116,7 +116,7 @@ def force_record(samples_per_tooth=32):
         ],
         axis=1,
     )
-    return ForceRecord(time, force * (level * ramp)[:, None], PERIOD)
+    return ForceTrace(time, force * (level * ramp)[:, None], PERIOD)
 
 
 def chip_chart(element_count=5):

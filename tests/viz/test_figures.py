@@ -8,7 +8,7 @@ import pytest
 
 from diffmill.viz import (
     CutDexels,
-    ForceRecord,
+    ForceTrace,
     plot_chip,
     plot_cut_dexels,
     plot_deviation,
@@ -202,14 +202,14 @@ def test_force_zoom_shows_whole_tooth_periods():
 def test_tooth_means_have_neither_zoom_nor_filter(period):
     time = np.arange(50) * period
     force = np.stack([time, time, time], axis=1)
-    figure = plot_forces(ForceRecord(time, force, period, True))
+    figure = plot_forces(ForceTrace(time, force, period, True))
     assert len(panels_of(figure)) == 3
     assert [len(axes.lines) for axes in panels_of(figure)] == [1, 1, 1]
 
 
 def test_uneven_force_record_is_refused():
     with pytest.raises(ValueError, match="`time`"):
-        ForceRecord(np.array([0.0, 1.0, 3.0]), np.zeros((3, 3)))
+        ForceTrace(np.array([0.0, 1.0, 3.0]), np.zeros((3, 3)))
 
 
 def test_chip_map_and_curves_hold_the_weighted_chip():

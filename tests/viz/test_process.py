@@ -6,7 +6,7 @@ from helpers import PAPER_LAW
 from diffmill.cutter import flat_end_mill
 from diffmill.process import Process, choose_engagement
 from diffmill.sim import Replay
-from diffmill.viz import ForceRecord
+from diffmill.viz import ForceTrace
 from diffmill.workpiece import Pose, box
 
 RADIUS, FEED, DEPTH = 2e-3, 0.05e-3, 0.8e-3
@@ -53,7 +53,7 @@ def test_step_outside_the_path_is_refused():
 def test_force_record_puts_samples_in_the_middle_of_their_parts():
     time = 0.1 * np.arange(4)
     samples = np.arange(4 * 5 * 3, dtype=float).reshape(4, 5, 3)
-    record = ForceRecord.from_periods(time, samples)
+    record = ForceTrace.from_periods(time, samples)
     np.testing.assert_allclose(record.time, 0.01 + 0.02 * np.arange(15))
     np.testing.assert_array_equal(record.force[0], samples[1, 0])
     np.testing.assert_array_equal(record.force[-1], samples[3, 4])

@@ -68,8 +68,8 @@ from ._machine.free_vibration import free_motion as free_motion
 from ._machine.machine import (
     AbstractMachine as AbstractMachine,
     Run as Run,
+    RunSegment as RunSegment,
     RunState as RunState,
-    Segment as Segment,
 )
 from ._machine.modal import ModalMachine as ModalMachine
 from ._machine.quasi_static import QuasiStaticArm as QuasiStaticArm

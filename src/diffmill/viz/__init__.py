@@ -22,7 +22,7 @@ from ._figure.dexels import (
     plot_cut_dexels as plot_cut_dexels,
 )
 from ._figure.feed import plot_feed as plot_feed
-from ._figure.forces import ForceRecord as ForceRecord, plot_forces as plot_forces
+from ._figure.forces import ForceTrace as ForceTrace, plot_forces as plot_forces
 from ._figure.history import plot_deviation as plot_deviation
 from ._figure.identified import (
     plot_correlation as plot_correlation,

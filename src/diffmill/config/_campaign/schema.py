@@ -5,14 +5,14 @@ from typing import Annotated, Any, Literal, TypeAlias
 from pydantic import Field, StrictBool, StrictInt, StrictStr
 
 from .._schema.fields import Tolerance, Uncertainty
-from .._schema.table import Table
+from .._schema.table import TomlTable
 
 Key: TypeAlias = Annotated[StrictStr, Field(min_length=1)]
 Number: TypeAlias = Annotated[StrictInt, Field(ge=0)]
 Count: TypeAlias = Annotated[StrictInt, Field(ge=1)]
 
 
-class SweepTable(Table):
+class SweepTable(TomlTable):
     """`[[sweep]]` of a campaign: a key of the job and the values that it takes."""
 
     key: Key = Field(description='a key of the job, such as "spindle.speed"')
@@ -21,7 +21,7 @@ class SweepTable(Table):
     )
 
 
-class DrawTable(Table):
+class DrawTable(TomlTable):
     """`[[draw]]` of a campaign: a key of the job and how its values scatter.
 
     Either `relative`, about the value that the job holds (each entry of a list on its
@@ -38,14 +38,14 @@ class DrawTable(Table):
     upper: StrictStr | float | None = None
 
 
-class StartsTable(Table):
+class StartsTable(TomlTable):
     """`[starts]` of a campaign: the optimiser's starts, the first as without it."""
 
     count: Count = Field(description="how many starts, the first one included")
     spread: Tolerance = Field(description='a length, such as "20 um"')
 
 
-class CampaignTable(Table):
+class CampaignTable(TomlTable):
     """A campaign: keys that stand before all tables."""
 
     job: Key = Field(description='a job file, such as "part.toml"')

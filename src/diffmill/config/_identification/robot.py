@@ -8,16 +8,16 @@ from ...io import parse_pose
 from ...robot import Robot
 from .._build.robot import pose_matrix
 from .._build.robot_file import load_robot
-from .._schema.job import RobotTable as JobRobotTable
+from .._schema.job import RobotTable
 from .context import Context
-from .schema import RobotTable
+from .schema import StudiedRobotTable
 
 _STIFFNESS = (q.ROTARY_STIFFNESS, q.LINEAR_STIFFNESS)
 _DAMPING = (q.ROTARY_DAMPING, q.LINEAR_DAMPING)
 
 
 def read_tool_robot(
-    table: RobotTable, context: Context, notes: list[str], *, needs_mass: bool
+    table: StudiedRobotTable, context: Context, notes: list[str], *, needs_mass: bool
 ) -> Robot | None:
     """Return the robot of a measurement, or None with problems noted.
 
@@ -34,7 +34,7 @@ def read_tool_robot(
         )
         return None
     robot = load_robot(
-        JobRobotTable(
+        RobotTable(
             model=table.model, file=table.file, tool=table.tool, drives=table.drives
         ),
         context.with_notes(notes),

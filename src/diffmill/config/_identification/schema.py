@@ -22,11 +22,11 @@ from .._schema.fields import (
 )
 from .._schema.job import PoseTable, SpindleTable
 from .._schema.machine import Direction
-from .._schema.table import Table, validated
+from .._schema.table import TomlTable, validated
 from .fields import Axes, AxesOrProposed, Channels, CutNumber, File, Side, Span
 
 
-class MeasuredTable(Table):
+class MeasuredTable(TomlTable):
     """Keys of a table that names a file of measurements."""
 
     file: File | None = None
@@ -34,7 +34,7 @@ class MeasuredTable(Table):
     units: dict[StrictStr, StrictStr] = Field(default_factory=dict)
 
 
-class CutTable(Table):
+class CutTable(TomlTable):
     """`[cut]`: the straight cuts that were made."""
 
     axial_depth: PositiveLength = Field(description='a length, such as "3 mm"')
@@ -63,7 +63,7 @@ class RecordTable(MeasuredTable):
     tooth_angle: Angle | None = None
 
 
-class FitTable(Table):
+class FitTable(TomlTable):
     """`[fit]`: how forces are fitted."""
 
     axes: AxesOrProposed | None = None
@@ -83,7 +83,7 @@ class MeansTable(MeasuredTable):
     Fz: list[Force] | None = None
 
 
-class RobotTable(Table):
+class StudiedRobotTable(TomlTable):
     """`[robot]` of a measurement: no place of a workpiece."""
 
     model: StrictStr | None = None
@@ -145,7 +145,7 @@ class CoupledTable(MeasuredTable):
     loss: Literal["squares", "huber"] = "huber"
 
 
-class AirPathTable(Table):
+class AirPathTable(TomlTable):
     """`[air_path]`."""
 
     commanded: File = Field(description='a path as CSV, such as "commanded.csv"')
@@ -163,14 +163,14 @@ KINDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "coupled": (("coupled",), ()),
     "controller": (("air_path",), ()),
 }
-_TABLES: dict[str, type[Table]] = {
+_TABLES: dict[str, type[TomlTable]] = {
     "cutter": CutterTable,
     "spindle": SpindleTable,
     "cut": CutTable,
     "record": RecordTable,
     "fit": FitTable,
     "means": MeansTable,
-    "robot": RobotTable,
+    "robot": StudiedRobotTable,
     "load_tests": LoadTestsTable,
     "ring_down": RingDownTable,
     "frequency_response": FrequencyResponseTable,
@@ -231,7 +231,7 @@ def read_identification_tables(
     return kind, tables
 
 
-def _entries(name: str, raw: object, problems: list[str]) -> list[Table] | None:
+def _entries(name: str, raw: object, problems: list[str]) -> list[TomlTable] | None:
     """Return the entries of a list of tables, None if one has a fault."""
     if not isinstance(raw, list) or not raw:
         problems.append(

@@ -25,12 +25,12 @@ from .fields import (
     RotaryStiffness,
     Share,
 )
-from .table import Table
+from .table import TomlTable
 
 _THREE = Field(min_length=3, max_length=3)
 
 
-class FlangeSpringTable(Table):
+class FlangeSpringTable(TomlTable):
     """`[robot.flange_spring]`: what is soft between flange and spindle."""
 
     linear_stiffness: Annotated[list[LinearStiffness], _THREE] | None = None
@@ -44,7 +44,7 @@ class FlangeSpringTable(Table):
     damping_ratio: Ratio = 0.02
 
 
-class BendingToolTable(Table):
+class BendingToolTable(TomlTable):
     """`[robot.bending_tool]`: the cutter as a cantilever."""
 
     overhang: PositiveLength = Field(description='a length, such as "40 mm"')

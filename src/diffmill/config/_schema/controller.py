@@ -18,7 +18,7 @@ from .fields import (
     PositiveTime,
     Ratio,
 )
-from .table import Table, validated
+from .table import TomlTable, validated
 
 # What stands for a part that a preset has and this controller lacks.
 _NONE = "none"
@@ -26,14 +26,14 @@ _NONE = "none"
 _IDEAL = "ideal"
 
 
-class ShaperTable(Table):
+class ShaperTable(TomlTable):
     """`[controller] shaper`: the mode that an input shaper leaves at rest."""
 
     frequency: Frequency = Field(description='a frequency, such as "9 Hz"')
     damping_ratio: Ratio = 0.0
 
 
-class ControllerTable(Table):
+class ControllerTable(TomlTable):
     """`[controller]`, after its preset."""
 
     interpolation_cycle: PositiveTime | None = None

@@ -16,7 +16,7 @@ from .fields import (
     Tolerance,
     Uncertainty,
 )
-from .table import Table
+from .table import TomlTable
 
 
 def _weight(value: object) -> float:
@@ -59,7 +59,7 @@ _ADAM_STEPS = 60
 _FACTOR = 2.0
 
 
-class WeightTable(Table):
+class WeightTable(TomlTable):
     """One entry of `weight`: a section of the program and how much it counts."""
 
     lines: Annotated[list[StrictInt], Field(min_length=2, max_length=2)] = Field(
@@ -68,7 +68,7 @@ class WeightTable(Table):
     value: Weight = Field(description="a number of at least 0")
 
 
-class UncertaintyTable(Table):
+class UncertaintyTable(TomlTable):
     """`[correction.uncertainty]`: how well the model is known, mostly relative."""
 
     stiffness: Uncertainty = 0.0
@@ -81,7 +81,7 @@ class UncertaintyTable(Table):
     delay: Delay = 0.0
 
 
-class CorrectionTable(Table):
+class CorrectionTable(TomlTable):
     """`[correction]`."""
 
     objective: Literal["path", "surface"] = "path"

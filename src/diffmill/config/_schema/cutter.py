@@ -14,7 +14,7 @@ from ...cutter import (
     flat_end_mill,
 )
 from .fields import Angle, PositiveLength, Tolerance
-from .table import Table
+from .table import TomlTable
 
 # Steepest helix [rad], and how far angles between teeth may miss a whole turn [deg].
 _STEEPEST = 1.4
@@ -23,7 +23,7 @@ _HOLLOWEST = math.radians(20)
 _TURN = 1e-3
 
 
-class HolderPartTable(Table):
+class HolderPartTable(TomlTable):
     """A part of `[cutter] holder`: a cylinder, or a cone to another diameter."""
 
     diameter: PositiveLength = Field(description='a length, such as "32 mm"')
@@ -31,7 +31,7 @@ class HolderPartTable(Table):
     length: PositiveLength = Field(description='a length, such as "40 mm"')
 
 
-class CutterTable(Table):
+class CutterTable(TomlTable):
     """`[cutter]`."""
 
     kind: Literal["flat", "ball", "bull"] = Field(default="flat", description='"flat"')

@@ -19,10 +19,10 @@ from .fields import (
     ToothPositivePressure,
     ToothPressure,
 )
-from .table import Table, validated
+from .table import TomlTable, validated
 
 
-class MaterialTable(Table):
+class MaterialTable(TomlTable):
     """`[force]` with a material."""
 
     material: StrictStr
@@ -42,7 +42,7 @@ class MaterialTable(Table):
         return (f"{place} material {self.material}: {material(self.material).source}",)
 
 
-class LinearEdgeTable(Table):
+class LinearEdgeTable(TomlTable):
     """`[force]` with `law = "linear_edge"`."""
 
     law: Literal["linear_edge"] = "linear_edge"
@@ -62,7 +62,7 @@ class LinearEdgeTable(Table):
         return ()
 
 
-class KienzleTable(Table):
+class KienzleTable(TomlTable):
     """`[force]` with `law = "kienzle"`."""
 
     law: Literal["kienzle"]
@@ -185,7 +185,7 @@ def _read_one(
     return validated(_LAWS[law], raw, place, problems, also)
 
 
-def _arrays(table: Table) -> dict[str, Any]:
+def _arrays(table: TomlTable) -> dict[str, Any]:
     """Return the coefficients that are given, lists as arrays."""
     return {
         key: np.asarray(value) if isinstance(value, list) else value

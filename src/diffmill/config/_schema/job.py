@@ -31,7 +31,7 @@ from .fields import (
 )
 from .force import read_force
 from .machine import MachineTable, is_machine
-from .table import Table, validated
+from .table import TomlTable, validated
 
 CoordinateSystem: TypeAlias = Literal[
     "G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3"
@@ -40,13 +40,13 @@ CoordinateSystem: TypeAlias = Literal[
 ToolNumber: TypeAlias = Annotated[int, Field(ge=0)]
 
 
-class SpindleTable(Table):
+class SpindleTable(TomlTable):
     """`[spindle]`."""
 
     speed: SpindleSpeed | None = None
 
 
-class StockTable(Table):
+class StockTable(TomlTable):
     """`[stock]`."""
 
     lower: Lengths3 | None = None
@@ -58,7 +58,7 @@ class StockTable(Table):
     intervals: Annotated[list[Slots], Field(min_length=3, max_length=3)] | None = None
 
 
-class ProgramTable(Table):
+class ProgramTable(TomlTable):
     """`[program]`."""
 
     file: StrictStr = Field(
@@ -80,14 +80,14 @@ class ProgramTable(Table):
     second_reference_point: Lengths3 = Field(default_factory=lambda: [0.0, 0.0, 0.0])
 
 
-class PoseTable(Table):
+class PoseTable(TomlTable):
     """A pose: R = Rz(yaw) Ry(pitch) Rx(roll)."""
 
     position: Lengths3 = Field(description='three lengths, such as ["1500 mm", ...]')
     rpy: Angles3 = Field(default_factory=lambda: [0.0, 0.0, 0.0])
 
 
-class RobotTable(Table):
+class RobotTable(TomlTable):
     """`[robot]`."""
 
     model: StrictStr | None = None
@@ -105,7 +105,7 @@ class RobotTable(Table):
     bending_tool: BendingToolTable | None = None
 
 
-class OutputTable(Table):
+class OutputTable(TomlTable):
     """`[output]`."""
 
     formats: list[Literal["gcode", "krl", "rapid", "apt"]] = Field(
@@ -130,7 +130,7 @@ class OutputTable(Table):
         )
 
 
-class ScatterTable(Table):
+class ScatterTable(TomlTable):
     """`[simulation] scatter`: relative standard deviations of the model."""
 
     stiffness: Uncertainty = 0.0
@@ -138,7 +138,7 @@ class ScatterTable(Table):
     force: Uncertainty = 0.0
 
 
-class SimulationTable(Table):
+class SimulationTable(TomlTable):
     """`[simulation]`."""
 
     angles: Annotated[StrictInt, Field(ge=1, le=100_000)] | None = None
@@ -158,7 +158,7 @@ class SimulationTable(Table):
     scatter: ScatterTable | None = None
 
 
-TABLES: dict[str, type[Table]] = {
+TABLES: dict[str, type[TomlTable]] = {
     "cutter": CutterTable,
     "spindle": SpindleTable,
     "stock": StockTable,

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from pydantic import Field, StrictFloat, StrictInt, StrictStr
 
 from .fields import Angles3, Frequency, LinearStiffness, Mass, Ratio
-from .table import Table
+from .table import TomlTable
 
 _AXES = ("x", "y", "z")
 
@@ -17,7 +17,7 @@ Direction: TypeAlias = Annotated[
 ]
 
 
-class ModeTable(Table):
+class ModeTable(TomlTable):
     """An entry of `[[machine.modes]]`: one mode as the tool tip shows it."""
 
     frequency: Frequency = Field(description='the natural one, such as "922 Hz"')
@@ -57,7 +57,7 @@ class ModeTable(Table):
             )
 
 
-class MachineTable(Table):
+class MachineTable(TomlTable):
     """`[machine]`."""
 
     modes: Annotated[list[ModeTable], Field(min_length=1)] | None = None
@@ -70,7 +70,7 @@ class MachineTable(Table):
         return np.array([float(axis in self.tool_axes) for axis in _AXES])
 
 
-class ModesFile(Table):
+class ModesFile(TomlTable):
     """A file with `[[machine.modes]]` alone, as `diffmill identify` writes it."""
 
     modes: Annotated[list[ModeTable], Field(min_length=1)]

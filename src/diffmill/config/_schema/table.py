@@ -6,13 +6,13 @@ import pydantic
 from pydantic import ConfigDict
 
 
-class Table(pydantic.BaseModel):
+class TomlTable(pydantic.BaseModel):
     """A table that refuses keys which it does not know."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-_T = TypeVar("_T", bound=Table)
+_T = TypeVar("_T", bound=TomlTable)
 
 
 def validated(
@@ -44,7 +44,9 @@ def validated(
         return None
 
 
-def _describe(table: type[Table], fault: dict[str, Any], also: tuple[str, ...]) -> str:
+def _describe(
+    table: type[TomlTable], fault: dict[str, Any], also: tuple[str, ...]
+) -> str:
     """Return one fault: key, what was found, what is allowed."""
     # A choice of types adds their names to the place of the fault.
     keys = [str(part) for part in fault["loc"] if "[" not in str(part)]
@@ -78,7 +80,7 @@ def _describe(table: type[Table], fault: dict[str, Any], also: tuple[str, ...]) 
     return f"{place}found {found!r}, but {wanted}"
 
 
-def _owner(table: type[Table], keys: list[str]) -> type[Table]:
+def _owner(table: type[TomlTable], keys: list[str]) -> type[TomlTable]:
     """Return the table, or table within it, that holds the last key."""
     for key in keys[:-1]:
         field = table.model_fields.get(key)
@@ -87,6 +89,6 @@ def _owner(table: type[Table], keys: list[str]) -> type[Table]:
         while types:
             inner = types.pop()
             types.extend(get_args(inner))
-            if isinstance(inner, type) and issubclass(inner, Table):
+            if isinstance(inner, type) and issubclass(inner, TomlTable):
                 table = inner
     return table

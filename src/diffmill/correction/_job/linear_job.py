@@ -19,8 +19,8 @@ from ...sim import (
     LinearRun,
     QuasiStaticArm,
     Run,
+    RunSegment,
     RunState,
-    Segment,
     linearise,
     pad_path,
 )
@@ -32,7 +32,7 @@ Steps = Float[Array, " step"] | Float[np.ndarray, " step"]
 
 
 def wall_motion(
-    job: Job, ran: Run | Segment | LinearRun, shares: Steps | None
+    job: Job, ran: Run | RunSegment | LinearRun, shares: Steps | None
 ) -> Motion:
     """Return the motion of a job as the walls show it.
 

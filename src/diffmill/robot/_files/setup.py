@@ -24,7 +24,7 @@ from .._model.elements import (
     Tool,
 )
 from .errors import raise_faults
-from .table_reader import TableReader
+from .table_reader import ElementReader
 from .toml import JOINT_QUANTITIES, flatten, read_body, read_drive, read_options
 
 _Joint: TypeAlias = RevoluteJoint | PrismaticJoint
@@ -55,7 +55,7 @@ def apply_setup(
         RobotFileError: If anything is wrong.
     """
     faults: list[str] = []
-    top = TableReader(document, "top level", faults)
+    top = ElementReader(document, "top level", faults)
     moving = [e for e in flatten(elements) if isinstance(e, _Joint)]
     joints = [joint for joint in moving if joint.mimic is None]
     locked = _read_locked(_table(top, "locked"), joints)
@@ -78,13 +78,13 @@ def apply_setup(
     return elements, rpy_matrix(*(rpy or ()))
 
 
-def _table(top: TableReader, key: str) -> TableReader:
+def _table(top: ElementReader, key: str) -> ElementReader:
     """Return a reader of a table, of an empty one without it or after a fault."""
     table = top.take(key, {})
     if not isinstance(table, Mapping):
         top.fault(key, "a table", table)
         table = {}
-    return TableReader(table, key, top.faults)
+    return ElementReader(table, key, top.faults)
 
 
 def _kind(joint: _Joint) -> str:
@@ -92,7 +92,7 @@ def _kind(joint: _Joint) -> str:
 
 
 def _read_drives(
-    top: TableReader, joints: Sequence[_Joint]
+    top: ElementReader, joints: Sequence[_Joint]
 ) -> dict[str, dict[str, object]]:
     """Return which fields of which joint a file changes."""
     changes: dict[str, dict[str, object]] = {joint.name: {} for joint in joints}
@@ -113,7 +113,7 @@ def _read_drives(
     return changes
 
 
-def _read_locked(reader: TableReader, joints: Sequence[_Joint]) -> dict[str, float]:
+def _read_locked(reader: ElementReader, joints: Sequence[_Joint]) -> dict[str, float]:
     """Return where joints are locked [rad or m]."""
     locked = {}
     for joint in joints:

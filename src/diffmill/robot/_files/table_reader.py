@@ -14,7 +14,7 @@ _COMMON_KEYS = {"kind", "source"}
 
 
 @dataclasses.dataclass
-class TableReader:
+class ElementReader:
     """A table being read: gives checked values and notes the faults."""
 
     table: Mapping[str, object]

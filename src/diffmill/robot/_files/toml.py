@@ -26,7 +26,7 @@ from .._model.elements import (
     triangle_fault,
 )
 from .errors import raise_faults
-from .table_reader import TableReader, are_numbers, is_list
+from .table_reader import ElementReader, are_numbers, is_list
 
 JOINT_QUANTITIES = {
     "revolute": {
@@ -64,7 +64,7 @@ def read_elements(
         RobotFileError: If anything is wrong.
     """
     faults: list[str] = []
-    top = TableReader(document, "top level", faults)
+    top = ElementReader(document, "top level", faults)
     name = top.take("name", required=True)
     if not isinstance(name, str) and "name" in document:
         top.fault("name", "a string", name)
@@ -109,7 +109,7 @@ def _read_list(raw: Any, place: str, faults: list[str]) -> list[AbstractElement]
                 f"{where}.kind: must be one of {', '.join(_READERS)}, but is {kind!r}"
             )
             continue
-        reader = TableReader(table, f"{where} ({kind})", faults)
+        reader = ElementReader(table, f"{where} ({kind})", faults)
         before = len(faults)
         make = _READERS[kind](reader)
         reader.finish()
@@ -119,17 +119,17 @@ def _read_list(raw: Any, place: str, faults: list[str]) -> list[AbstractElement]
     return elements
 
 
-def _read_translation(reader: TableReader) -> Callable[[], AbstractElement]:
+def _read_translation(reader: ElementReader) -> Callable[[], AbstractElement]:
     position = reader.quantities("position", units.LENGTH, (3,))
     return lambda: FixedTranslation(tuple(position or ()))
 
 
-def _read_rotation(reader: TableReader) -> Callable[[], AbstractElement]:
+def _read_rotation(reader: ElementReader) -> Callable[[], AbstractElement]:
     rpy = reader.quantities("rpy", units.ANGLE, (3,))
     return lambda: FixedRotation(rpy_matrix(*(rpy or ())))
 
 
-def _read_dh(reader: TableReader) -> Callable[[], list[AbstractElement]]:
+def _read_dh(reader: ElementReader) -> Callable[[], list[AbstractElement]]:
     """Return the fixed part of a row of Denavit and Hartenberg's."""
     theta = reader.quantity("theta", units.ANGLE, 0.0)
     alpha = reader.quantity("alpha", units.ANGLE, 0.0)
@@ -151,7 +151,9 @@ def _read_dh(reader: TableReader) -> Callable[[], list[AbstractElement]]:
     return lambda: [*along_x[::-1], *along_z]
 
 
-def _read_coupling(reader: TableReader, kind: str, axis: Any) -> list[AbstractElement]:
+def _read_coupling(
+    reader: ElementReader, kind: str, axis: Any
+) -> list[AbstractElement]:
     """Return what turns a joint with another one, nothing without `coupled`."""
     table = reader.take("coupled")
     if table is None:
@@ -159,7 +161,7 @@ def _read_coupling(reader: TableReader, kind: str, axis: Any) -> list[AbstractEl
     if not isinstance(table, Mapping):
         reader.fault("coupled", "a table of joint and ratio", table)
         return []
-    inner = TableReader(table, f"{reader.place}.coupled", reader.faults)
+    inner = ElementReader(table, f"{reader.place}.coupled", reader.faults)
     other = inner.take("joint", required=True)
     if "joint" in table and not (isinstance(other, str) and other):
         inner.fault("joint", "the name of a joint", other)
@@ -173,7 +175,7 @@ def _read_coupling(reader: TableReader, kind: str, axis: Any) -> list[AbstractEl
     return [joint(name, axis, mimic=Mimic(str(other), ratio))]
 
 
-def _read_joint(reader: TableReader) -> Callable[[], list[AbstractElement]]:
+def _read_joint(reader: ElementReader) -> Callable[[], list[AbstractElement]]:
     kind = str(reader.table["kind"])
     position = JOINT_QUANTITIES[kind]["position"]
     name = reader.take("name", required=True)
@@ -236,7 +238,7 @@ _OPTIONS = {
 }
 
 
-def read_options(reader: TableReader, key: str, kind: str) -> Drive | None:
+def read_options(reader: ElementReader, key: str, kind: str) -> Drive | None:
     """Return what a joint's table says of its drive, None without or after a fault."""
     table = reader.take(key)
     if table is None:
@@ -244,7 +246,7 @@ def read_options(reader: TableReader, key: str, kind: str) -> Drive | None:
     if not isinstance(table, Mapping):
         reader.fault(key, f"a table of {', '.join(_OPTIONS)}", table)
         return None
-    inner = TableReader(table, f"{reader.place}.{key}", reader.faults)
+    inner = ElementReader(table, f"{reader.place}.{key}", reader.faults)
     before = len(inner.faults)
     values = {
         key: inner.quantity(
@@ -264,7 +266,7 @@ def read_options(reader: TableReader, key: str, kind: str) -> Drive | None:
 
 
 def read_drive(
-    reader: TableReader, quantity: str, key: str, kind: str, default: float
+    reader: ElementReader, quantity: str, key: str, kind: str, default: float
 ) -> float:
     """Return a joint's stiffness (positive) or damping (not negative) in SI."""
     is_stiffness = quantity == "stiffness"
@@ -277,7 +279,7 @@ def read_drive(
     )
 
 
-def read_body(reader: TableReader) -> Callable[[], RigidBody]:
+def read_body(reader: ElementReader) -> Callable[[], RigidBody]:
     """Return what makes a body of a table, once it is faultless."""
     name = reader.take("name", "")
     if not isinstance(name, str):
@@ -303,7 +305,7 @@ def read_body(reader: TableReader) -> Callable[[], RigidBody]:
     return lambda: RigidBody(mass, tuple(center or ()), inertia, name=name)
 
 
-def _read_fork(reader: TableReader) -> Callable[[], AbstractElement]:
+def _read_fork(reader: ElementReader) -> Callable[[], AbstractElement]:
     raw = reader.take("branches", required=True)
     branches = []
     if raw is not None and not is_list(raw):
@@ -315,7 +317,7 @@ def _read_fork(reader: TableReader) -> Callable[[], AbstractElement]:
     return lambda: Fork(branches)
 
 
-def _read_tool(reader: TableReader) -> Callable[[], AbstractElement]:
+def _read_tool(reader: ElementReader) -> Callable[[], AbstractElement]:
     name = reader.take("name", "tool")
     if not (isinstance(name, str) and name):
         reader.fault("name", "a non-empty string", name)
@@ -325,7 +327,8 @@ def _read_tool(reader: TableReader) -> Callable[[], AbstractElement]:
 
 
 _READERS: dict[
-    str, Callable[[TableReader], Callable[[], AbstractElement | list[AbstractElement]]]
+    str,
+    Callable[[ElementReader], Callable[[], AbstractElement | list[AbstractElement]]],
 ] = {
     "translation": _read_translation,
     "rotation": _read_rotation,

@@ -45,7 +45,7 @@ from .period_slopes import (
 _BATCH = 8
 
 
-class LinearMotion(eqx.Module):
+class RunChange(eqx.Module):
     """Changes of a run, in some directions.
 
     Attributes:
@@ -91,7 +91,7 @@ class LinearRun(eqx.Module):
         self,
         motors: Float[Array, "step joint direction"],
         parameters: Float[Array, "parameter direction"] | None = None,
-    ) -> LinearMotion:
+    ) -> RunChange:
         """Return how the run changes with its motors and parameters.
 
         Args:
@@ -140,9 +140,7 @@ class LinearRun(eqx.Module):
         )
         rest = jnp.broadcast_to(first[None, None, :3], (1, *ends.shape[1:]))
         still = jnp.zeros((1, 3, directions), force.dtype)
-        return LinearMotion(
-            jnp.concatenate([rest, ends]), jnp.concatenate([still, force])
-        )
+        return RunChange(jnp.concatenate([rest, ends]), jnp.concatenate([still, force]))
 
 
 def linearise(

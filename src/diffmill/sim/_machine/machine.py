@@ -187,7 +187,9 @@ class AbstractMachine(eqx.Module):
         moved = _moved(state.process, state.process.track, rows)
         return RunState(moved, state.machine, state.period_count)
 
-    def run_segment(self, process: Process, command: Any, state: RunState) -> "Segment":
+    def run_segment(
+        self, process: Process, command: Any, state: RunState
+    ) -> "RunSegment":
         """Run some periods from where an earlier run ended.
 
         Args:
@@ -211,7 +213,7 @@ class AbstractMachine(eqx.Module):
         last = jnp.asarray(count, jnp.int32)
         actual, joints = _all_rows(self, periods, ended, final, last)
         kept = _renumbered(ended.process, first - 1 - history + count, history)
-        return Segment(
+        return RunSegment(
             actual,
             all_ends(periods),
             with_first(periods.force),
@@ -270,7 +272,7 @@ RUN_ROWS = (
 )
 
 
-class Segment(eqx.Module):
+class RunSegment(eqx.Module):
     """Solution of one segment of a run.
 
     Attributes as of `Run`, and:

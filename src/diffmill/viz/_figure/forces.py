@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _BINS = 1500  # more columns than the figure has pixels across one panel
 
 
-class ForceRecord(eqx.Module):
+class ForceTrace(eqx.Module):
     """A force over time, equally spaced, as the tool feels it in `work`.
 
     Attributes:
@@ -50,7 +50,7 @@ class ForceRecord(eqx.Module):
         cls,
         time: FloatSteps,
         samples: Float[Array, "step sample 3"] | Float[np.ndarray, "step sample 3"],
-    ) -> "ForceRecord":
+    ) -> "ForceTrace":
         """Return forces within the tooth periods as one record over time.
 
         Args:
@@ -76,7 +76,7 @@ class ForceRecord(eqx.Module):
 
 
 def plot_forces(
-    record: ForceRecord,
+    record: ForceTrace,
     *,
     cutoff: float = 100.0,
     order: int = 4,
@@ -132,7 +132,7 @@ def plot_forces(
     return figure
 
 
-def _zoom_window(record: ForceRecord, periods: int) -> tuple[float, float]:
+def _zoom_window(record: ForceTrace, periods: int) -> tuple[float, float]:
     """Return the middle of the cut: where half of the impulse has been given."""
     impulse = np.cumsum(np.linalg.norm(np.nan_to_num(record.force), axis=1))
     half = record.time[int(np.searchsorted(impulse, impulse[-1] / 2))]
@@ -159,7 +159,7 @@ def envelope(
 
 def _draw_axis(
     axes: "matplotlib.axes.Axes",
-    record: ForceRecord,
+    record: ForceTrace,
     filtered: Float[np.ndarray, "sample 3"] | None,
     axis: int,
 ) -> None:
@@ -185,7 +185,7 @@ def _draw_axis(
 
 def _draw_zoom(
     axes: "matplotlib.axes.Axes",
-    record: ForceRecord,
+    record: ForceTrace,
     filtered: Float[np.ndarray, "sample 3"] | None,
     axis: int,
     window: tuple[float, float],
@@ -206,7 +206,7 @@ def _draw_zoom(
     quiet_axes(axes)
 
 
-def _line_names(record: ForceRecord) -> dict[str, str]:
+def _line_names(record: ForceTrace) -> dict[str, str]:
     """Return the name of the line of the forces as they are."""
     if record.is_tooth_mean:
         return {"grey": "mean over each tooth period"}

@@ -10,7 +10,7 @@ from ..._result import RESULTS
 from ...sim import Replay, Solution, ToothChip
 from ...workpiece import SurfaceError, surface_errors
 from .._figure.dexels import CutDexels
-from .._figure.forces import ForceRecord
+from .._figure.forces import ForceTrace
 
 # The report's maps: more cases would make it long without telling more.
 _MAPPED = ("predicted", "uncorrected", "corrected")
@@ -19,7 +19,7 @@ _MAPPED = ("predicted", "uncorrected", "corrected")
 class FigureInputs(TypedDict):
     """Keyword arguments of `write_figures` beside the dataset."""
 
-    forces: ForceRecord | None
+    forces: ForceTrace | None
     chip: ToothChip | None
     dexels: CutDexels
     surfaces: dict[str, SurfaceError]
@@ -45,7 +45,7 @@ def figure_inputs(job: Job, cases: Mapping[str, Solution]) -> FigureInputs:
     forces, step = None, _typical_step(first)
     # What overflowed is not the process of the figure's caption.
     if samples is not None and bool(run.result == RESULTS.successful):
-        forces = ForceRecord.from_periods(np.asarray(first.time), np.asarray(samples))
+        forces = ForceTrace.from_periods(np.asarray(first.time), np.asarray(samples))
     return FigureInputs(
         forces=forces,
         chip=None if step is None else Replay.of_solution(job, first).tooth_chip(step),

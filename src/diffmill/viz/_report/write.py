@@ -12,7 +12,7 @@ from ...workpiece import SurfaceError
 from .._cases import case_names, reference_case, shown_cases, values_of
 from .._figure.chip import plot_chip
 from .._figure.dexels import CutDexels, plot_cut_dexels
-from .._figure.forces import ForceRecord, plot_forces
+from .._figure.forces import ForceTrace, plot_forces
 from .._figure.history import plot_deviation
 from .._figure.paths import plan_magnification, plot_paths
 from .._figure.sensitivity import plot_sensitivity
@@ -52,7 +52,7 @@ def write_figures(
     out_dir: str | os.PathLike,
     dataset: "xarray.Dataset",
     *,
-    forces: ForceRecord | None = None,
+    forces: ForceTrace | None = None,
     chip: ToothChip | None = None,
     dexels: CutDexels | None = None,
     surfaces: dict[str, SurfaceError] | None = None,
@@ -155,7 +155,7 @@ def _draw_deviation(dataset: "xarray.Dataset") -> _Drawing:
     return _Drawing(title, caption, plot_deviation(dataset))
 
 
-def _draw_forces(dataset: "xarray.Dataset", forces: ForceRecord | None) -> _Drawing:
+def _draw_forces(dataset: "xarray.Dataset", forces: ForceTrace | None) -> _Drawing:
     title = "Cutting force"
     reason = "" if forces is not None else _missing(dataset, "time", "force")
     if reason:
@@ -223,9 +223,9 @@ def _draw_sensitivity(dataset: "xarray.Dataset") -> _Drawing:
     return _Drawing("Sensitivity to the model", caption, plot_sensitivity(dataset))
 
 
-def _tooth_means(dataset: "xarray.Dataset") -> ForceRecord:
+def _tooth_means(dataset: "xarray.Dataset") -> ForceTrace:
     """Return the force of the reference case, one sample per tooth period."""
     case = reference_case(dataset)
     time = values_of(dataset, "time", case)
     force = np.nan_to_num(values_of(dataset, "force", case))
-    return ForceRecord(time, force, float(time[1] - time[0]), True)
+    return ForceTrace(time, force, float(time[1] - time[0]), True)

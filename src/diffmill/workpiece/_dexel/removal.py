@@ -214,7 +214,7 @@ class _RemovedFamily(NamedTuple):
     has_overflow: Bool[Array, ""]
 
 
-class Cut(eqx.Module):
+class CutStock(eqx.Module):
     """Result of a removal.
 
     Attributes:
@@ -243,7 +243,7 @@ def remove_poses(
     is_due: Bool[Array, " pose"],
     *,
     slots: Int[Array, " 3"] | None = None,
-) -> Cut:
+) -> CutStock:
     """Subtract the cutter at a few close poses from the stock, where it stands still.
 
     Args:
@@ -273,7 +273,7 @@ def remove_passes(
     is_due: Bool[Array, " pass"],
     *,
     slots: Int[Array, " 3"] | None = None,
-) -> Cut:
+) -> CutStock:
     """Subtract what teeth take as they go around, at a few close places.
 
     Args:
@@ -312,7 +312,7 @@ def remove_passes(
     by_shank = jnp.zeros_like(volumes)
     if window.has_shank:
         by_shank = _shank_volume(stock, cutter, grid, passes, is_due) * d**2
-    return Cut(
+    return CutStock(
         new_stock,
         volumes,
         by_shank,
