@@ -276,7 +276,8 @@ def _cost_table(costs: dict[str, dict[str, str]]) -> str:
     rows = []
     for key in keys:
         name = key.removesuffix("_s").replace("_", " ")
-        title = f"{name} [s]" if key.endswith("_s") else name
+        is_time = key.endswith("_s") or key == "knot_spacing"
+        title = f"{name} [s]" if is_time else name
         rows.append([title, *(found.get(key, "-") for found in costs.values())])
     # One column for each case: they are fewer than what is said of them.
     return table_html(["", *(case_style(case).label for case in costs)], rows)
