@@ -24,6 +24,15 @@ jax.config.update("jax_enable_x64", True)
 ROWS, RUNS, STEPS = 300, 3, 4
 
 
+class _AnyPlant(eqx.Module):
+    """A plant of which only the run is known, so that its derivatives are exact."""
+
+    plant: co.TipPlant
+
+    def __call__(self, command: jax.Array) -> Any:
+        return self.plant(command)
+
+
 def measure(report: Report) -> None:
     """Print times of the linear run, its columns, and of steps of Gauss-Newton."""
     with tempfile.TemporaryDirectory() as folder:
@@ -45,6 +54,13 @@ def measure(report: Report) -> None:
     move = eqx.filter_jit(lambda around, moves: around.move(moves).ends)
     columns = spent(lambda: move(around, moves))
     report.say(f"96 directions through it: {columns / run:.2f} runs")
+    needed = sim.LinearRun.needed_bytes(machine, process, motors)
+    held = sum(x.nbytes for x in jax.tree.leaves(around))
+    report.say(f"memory: {needed / 1e6:.1f} MB foreseen, {held / 1e6:.1f} MB held")
+    weights = eqx.filter_jit(lambda around, moves: around.move(moves))(around, moves)
+    pull = eqx.filter_jit(lambda around, weights: around.pull(weights))
+    rows = spent(lambda: pull(around, weights))
+    report.say(f"96 directions back through it: {rows / run:.2f} runs")
     plant = co.TipPlant(job, pr.ThroughPoses())
     problem = co.Problem(
         plant=plant,
@@ -56,15 +72,17 @@ def measure(report: Report) -> None:
     method = co.GaussNewton(
         solver=LevenbergMarquardt(max_steps=STEPS, damping=1e-4, share=1e-2)
     )
-    method(problem)
-    began = time.process_time()
-    found = method(problem)
-    took = time.process_time() - began
-    report.say(
-        f"{len(found.history)} steps of Gauss-Newton: {took / run:.0f} runs, "
-        f"{1e6 * found.measures.rms:.2f} um, {found.linearisations} linear systems, "
-        f"{found.forward_runs} trials"
-    )
+    exact = eqx.tree_at(lambda p: p.plant, problem, _AnyPlant(plant))
+    for name, one in ("linear run", problem), ("exact derivatives", exact):
+        method(one)
+        began = time.process_time()
+        found = method(one)
+        took = time.process_time() - began
+        report.say(
+            f"{len(found.history)} steps of Gauss-Newton by {name}: {took / run:.0f} "
+            f"runs, {1e6 * found.measures.rms:.2f} um, {found.linearisations} linear "
+            f"systems, {found.forward_runs} trials"
+        )
 
 
 def spent(function: Callable[[], Any]) -> float:

@@ -40,6 +40,7 @@ def motors():
 
 
 BEND = rb.BendingTool(40e-3, 0.0, 8e-3, 8e-3)
+SPRING = rb.FlangeSpring(20.0, (0.0, 0.0, 0.1), (0.2, 0.2, 0.1), (2e7, 3e7, 4e7))
 ROBOTS = {
     "plain": gantry,
     "motors": lambda: gantry().with_motors([30.0] * 4, [2e7] * 4, [900.0] * 4),
@@ -49,7 +50,11 @@ ROBOTS = {
         .with_friction([20.0] * 4, [5.0] * 4, [1e-3] * 4)
     ),
     "bending tool": lambda: BEND.mounted_on(gantry()),
+    "flange spring": lambda: SPRING.mounted_on(gantry()),
     "modes": gantry,
+    "rk4": gantry,
+    "quasi-static": gantry,
+    "quasi-static, bending tool": lambda: BEND.mounted_on(gantry()),
 }
 CUTS = {
     "upright": (FLAT, {}),
@@ -57,6 +62,7 @@ CUTS = {
     "bottom": (FLAT, {"plunges": True}),
     "helix": (HELIX, {}),
     "in space": (FLAT, {"is_upright": False}),
+    "cloud": (FLAT, {"chip": "point_cloud"}),
 }
 
 
@@ -80,7 +86,11 @@ def model(kind, cut):
         found = rb.TipModes.of_robot(robot, robot.home, np.eye(4))
         tips = theta[:, :3] - jnp.array([[0.0, 0.0, 0.1]])
         return sim.ModalMachine(found), process, tips
-    machine = sim.ElasticArm(robot, np.eye(4))
+    if kind.startswith("quasi-static"):
+        machine = sim.QuasiStaticArm(robot, np.eye(4))
+    else:
+        rule = sim.RungeKutta4() if kind == "rk4" else sim.Midpoint()
+        machine = sim.ElasticArm(robot, np.eye(4), rule)
     theta = jnp.pad(theta, ((0, 0), (0, robot.joint_count - theta.shape[1])))
     return machine, process, theta
 
@@ -89,6 +99,10 @@ CASES = [
     pytest.param("plain", "upright"),
     *(pytest.param("plain", cut, marks=pytest.mark.slow) for cut in list(CUTS)[1:]),
     *(pytest.param(r, "upright", marks=pytest.mark.slow) for r in list(ROBOTS)[1:]),
+    *(
+        pytest.param("quasi-static", cut, marks=pytest.mark.slow)
+        for cut in ("helix", "in space", "cloud")
+    ),
 ]
 
 
@@ -112,19 +126,86 @@ def test_the_linear_run_is_the_derivative_with_the_stock_held(kind, cut):
         assert np.max(np.abs(have - want)) < 1e-9 * np.max(np.abs(want))
 
 
+def test_pull_is_the_transpose_of_move():
+    rng = np.random.default_rng(3)
+    steps, joints, parameters, n, S, T, d, l, circles = 12, 3, 2, 6, 4, 2, 6, 3, 4
+    array = lambda *shape: jnp.asarray(rng.normal(size=shape) / np.sqrt(shape[-1]))
+    cause, known = T * S * d + circles * d + d, n + 2 * joints
+    linear = sim.LinearRun(
+        ends=array(steps, S, 3),
+        force=array(steps, 3),
+        loads=array(steps - 1, S * l, known + cause + parameters),
+        arm=array(steps - 1, n + S * d + 3 * S, known + S * l + parameters) / 2,
+        pose=array(steps - 1, d, n),
+        circles=jnp.asarray(np.arange(steps - 1)[:, None] - np.arange(1, 1 + circles)),
+        begin=array(n, 3 * joints + parameters),
+        periods=T,
+        substeps=S,
+    )
+    change, factors = array(steps, joints, 5), array(parameters, 5)
+    moved = linear.move(change, factors)
+    weights = jax.tree.map(lambda x: array(*x.shape), moved)
+    motors, by_parameters = linear.pull(weights)
+    dot = lambda a, b: float(jnp.sum(a * b))
+    wanted = dot(weights.ends, moved.ends) + dot(weights.force, moved.force)
+    found = dot(motors, change) + dot(by_parameters, factors)
+    size = jnp.linalg.norm(weights.ends) * jnp.linalg.norm(moved.ends)
+    assert abs(found - wanted) < 1e-12 * float(size)
+    assert abs(wanted) > 1e-6 * float(size)
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["plain", "motors"])
+@pytest.mark.parametrize("kind", ["plain", "quasi-static"])
+def test_pull_is_the_reverse_derivative_with_the_stock_held(kind):
+    machine, process, theta = model(kind, "upright")
+
+    @jax.jit
+    def both(theta):
+        linear = sim.linearise(machine, process, theta)
+        rng = np.random.default_rng(4)
+        ends, force = (
+            jnp.asarray(rng.normal(size=x.shape)) for x in (linear.ends, linear.force)
+        )
+        weights = linear.move(jnp.zeros((*theta.shape, 1)))
+        weights = type(weights)(1e3 * ends[..., None], force[..., None])
+        run = lambda x: machine.run(process, x)
+        both_of = lambda ran: (ran.ends, ran.force)
+        _, back = jax.vjp(lambda x: both_of(run(x)), theta)
+        return linear.pull(weights)[0][..., 0], back((1e3 * ends, force))[0]
+
+    found, wanted = both(theta)
+    assert np.max(np.abs(wanted)) > 0
+    assert np.max(np.abs(found - wanted)) < 1e-9 * np.max(np.abs(wanted))
+
+
+@pytest.mark.parametrize(
+    ("kind", "cut"),
+    [
+        ("plain", "upright"),
+        pytest.param("bending tool", "in space", marks=pytest.mark.slow),
+        pytest.param("modes", "helix", marks=pytest.mark.slow),
+        ("quasi-static", "cloud"),
+    ],
+)
+def test_the_memory_of_a_linear_run_is_known_before(kind, cut):
+    machine, process, theta = model(kind, cut)
+    needed = sim.LinearRun.needed_bytes(machine, process, theta)
+    found = jax.eval_shape(lambda x: sim.linearise(machine, process, x), theta)
+    size = lambda x: math.prod(x.shape) * x.dtype.itemsize
+    assert needed == sum(size(x) for x in jax.tree.leaves(found))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["plain", "motors", "quasi-static"])
 def test_the_linear_run_follows_parameters_of_machine_and_cut(kind):
     machine, process, theta = model(kind, "upright")
     change = jnp.asarray([[0.1], [-0.2], [0.3], [0.4]])
 
     def scaled(log):
         factor = jnp.exp(log)
-        assert isinstance(machine, sim.ElasticArm)
-        robot = machine.robot
-        leaves = lambda r: (r.joint_stiffness, r.joint_damping)
-        values = robot.joint_stiffness * factor[0], robot.joint_damping * factor[1]
-        soft = sim.ElasticArm(eqx.tree_at(leaves, robot, values), np.eye(4))
+        leaves = lambda m: (m.robot.joint_stiffness, m.robot.joint_damping)
+        values = (x * factor[i] for i, x in enumerate(leaves(machine)))
+        soft = eqx.tree_at(leaves, machine, tuple(values))
         leaves = lambda p: (p.side_law.K_tc, p.side_law.K_re)
         values = PAPER_LAW.K_tc * factor[2], PAPER_LAW.K_re * factor[3]
         return sim.CuttingMachine(soft, eqx.tree_at(leaves, process, values))

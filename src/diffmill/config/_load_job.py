@@ -413,11 +413,10 @@ def _simulation(
             "known of the axes x, y and z alone"
         )
     robot: RobotTable | None = tables.get("robot")
-    is_still = table.mode != "dynamic" or (robot is not None and robot.rigid)
-    if table.scatter is not None and is_still:
+    if table.scatter is not None and robot is not None and robot.rigid:
         problems.append(
             "[simulation] scatter: found a table, but the error to be expected is "
-            'known only of a machine with mode = "dynamic" that is not rigid'
+            "known only of a machine that is not rigid"
         )
     if stock is None or path is None or deepest is None:
         return None

@@ -45,6 +45,8 @@ class AbstractEngagement(eqx.Module):
         window: Window of rays of a removal.
         lag: Travelled distance by which removal lags [m].
         is_upright: Whether the tool stands along +z all the time.
+        judges_period: Whether a look at the stock judges the way from the start of a
+            period to its last expected pose, and not each sample at its own.
     """
 
     angles: eqx.AbstractVar[int]
@@ -54,6 +56,7 @@ class AbstractEngagement(eqx.Module):
     window: eqx.AbstractVar[RemovalWindow]
     lag: eqx.AbstractVar[float]
     is_upright: eqx.AbstractVar[bool]
+    judges_period: eqx.AbstractVar[bool]
 
     @abc.abstractmethod
     def advance(

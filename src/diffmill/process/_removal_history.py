@@ -66,6 +66,11 @@ class RemovalHistory(NamedTuple):
         flutes = self.cutter.flute_count
         return (-(-_HISTORY // flutes) + 2) * flutes
 
+    @property
+    def circle_count(self) -> int:
+        """Earlier circles beyond those of the last teeth."""
+        return len(_THINNED)
+
     def begin(
         self, stock: Stock, pose: Pose, pose_count: int
     ) -> tuple[ProcessState, Float[Array, ""]]:

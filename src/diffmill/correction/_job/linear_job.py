@@ -17,7 +17,6 @@ from ...robot import Controller
 from ...sim import (
     JobModel,
     LinearRun,
-    QuasiStaticArm,
     Run,
     RunSegment,
     RunState,
@@ -83,13 +82,6 @@ class LinearJob(LinearMotion):
         return Motion(walls(found.ends), jnp.moveaxis(found.force, -1, 0))
 
 
-def has_linear_run(job: Job) -> bool:
-    """Return whether the linear system of a job's run is known in closed form."""
-    settings = job.simulation
-    is_known = settings.chip == "near_far" and settings.integrator == "midpoint"
-    return settings.mode == "dynamic" and is_known
-
-
 def linear_job(
     job: Job,
     motors: Float[Array, "step joint"],
@@ -100,7 +92,7 @@ def linear_job(
     """Return the linear system of a job around a run.
 
     Args:
-        job: The job, of a dynamic machine.
+        job: The job; its machine must not be rigid.
         motors: Its commanded motors [rad or m], shape (step, joint).
         slopes: Slopes of them in the command, shape (step, joint, axis).
         wall_share: When in each period its wall is made; by the path alone if None.
@@ -129,13 +121,11 @@ def _first_rows(padded: LinearJob, count: int) -> LinearJob:
 
 
 def prepare_linear_job(job: Job) -> None:
-    """Compile in the background what `linear_job` runs of a whole path, if it can.
+    """Compile in the background what `linear_job` runs of a whole path.
 
     Args:
-        job: The job, in its precision.
+        job: The job, in its precision; its machine must not be rigid.
     """
-    if not has_linear_run(job):
-        return
     job = dataclasses.replace(job, path=pad_path(job.path))
     rows, dtype = job.path.step_count, np.dtype(job.simulation.precision)
     joints = 3 if job.robot is None else len(job.robot.joint_names)
@@ -155,7 +145,7 @@ def _linear_job(
     state: RunState | None,
 ) -> LinearJob:
     machine, process, path = model.machine, model.process, model.path
-    assert not (machine is None or isinstance(machine, QuasiStaticArm))
+    assert machine is not None
     if model.controller is not None:
         motors = model.controller.motors(motors, process.tooth_period)
     run = linearise(machine, process, motors, state, row_count=path.row_count)

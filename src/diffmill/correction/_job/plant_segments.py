@@ -21,7 +21,6 @@ from .._segments.plant_segment import AbstractPiece, AbstractPieces
 from .linear_job import (
     LinearJob,
     Steps,
-    has_linear_run,
     linear_job,
     wall_motion,
 )
@@ -68,10 +67,8 @@ class JobPiece(AbstractPiece):
         motion = wall_motion(job, rows, self.wall_share)
         return motion, JobState(rows.state, joints[-1])
 
-    def linearised(self, command: FloatRows) -> LinearJob | None:
+    def linearised(self, command: FloatRows) -> LinearJob:
         """Return the linear system around a command, from the fixed first state."""
-        if not has_linear_run(self.job):
-            return None
         job, start = self.job, self.state.joints
         command, are_joints = jnp.asarray(command), self.has_joint_commands
         joints = _joints(job, command, start, are_joints)

@@ -20,7 +20,6 @@ from .._method.mirror import IteratedMirror, SampledMirror
 from .linear_job import (
     LinearJob,
     Steps,
-    has_linear_run,
     linear_job,
     wall_motion,
 )
@@ -83,10 +82,8 @@ class TipPlant(AbstractHostPlant):
             solve_command(job, self.rigid, command, self.adjoint, motors)
         )
 
-    def linearised(self, command: FloatRows) -> "LinearJob | None":
-        """Return the linear system around a command of a dynamic arm."""
-        if not has_linear_run(self.job):
-            return None
+    def linearised(self, command: FloatRows) -> LinearJob:
+        """Return the linear system around a command."""
         known = self.job if self.controller is None else self.controller
         command = jnp.asarray(command)
         joints, _ = JobKinematics(known).joints(command)
@@ -149,10 +146,8 @@ class JointPlant(AbstractHostPlant):
         motors = JobKinematics(job).motors_of(command)
         return solved_motion(solve_command(job, self.rigid, tips, self.adjoint, motors))
 
-    def linearised(self, command: FloatRows) -> "LinearJob | None":
-        """Return the linear system around a command of a dynamic arm."""
-        if not has_linear_run(self.job):
-            return None
+    def linearised(self, command: FloatRows) -> LinearJob:
+        """Return the linear system around a command."""
         job, joints = self.job, jnp.asarray(command)
         motors, slopes = (
             JobKinematics(job).motors_of(joints),

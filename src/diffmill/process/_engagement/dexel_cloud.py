@@ -96,6 +96,7 @@ class DexelCloud(AbstractEngagement):
     lag: float
     looks: int = eqx.field(static=True, default=1)
     is_upright: bool = eqx.field(static=True, default=True, init=False)
+    judges_period: bool = eqx.field(static=True, default=True, init=False)
 
     def __check_init__(self):
         """Refuse several looks: what a cloud tells, it tells once a period."""

@@ -83,6 +83,7 @@ class EdgeElementsInSpace(AbstractEngagement):
     profile: EdgeDiscretisation
     is_upright: bool = eqx.field(static=True, default=True)
     looks: int = eqx.field(static=True, default=1)
+    judges_period: bool = eqx.field(static=True, default=False, init=False)
 
     def __check_init__(self):
         """Refuse looks that do not divide a period."""

@@ -44,6 +44,7 @@ class UprightFlat(AbstractEngagement):
     looks: int = eqx.field(static=True, default=1)
     bottom: BottomEdges | None = None
     is_upright: bool = eqx.field(static=True, default=True, init=False)
+    judges_period: bool = eqx.field(static=True, default=False, init=False)
 
     def __check_init__(self):
         """Refuse looks that do not divide a period."""

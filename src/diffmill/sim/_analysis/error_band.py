@@ -25,7 +25,6 @@ from .._job.simulate import Solution, job_machine, job_process
 from .._linear.linear_run import linearise
 from .._linear.period_slopes import CuttingMachine
 from .._machine.commands import JobKinematics
-from .._machine.substeps import AbstractSwinging
 from .sensitivity import parameter_names, with_scaled
 
 if TYPE_CHECKING:
@@ -97,15 +96,15 @@ def error_band(job: Job, solution: Solution) -> ErrorBand:
     The motors do what they do in the solution: the controller knows the model alone.
 
     Args:
-        job: The job; its machine must swing, and its scatter be given.
+        job: The job; its machine must not be rigid, and its scatter be given.
         solution: Its solution.
 
     Returns:
         The band.
 
     Raises:
-        ValueError: The job has no machine that swings or no scatter, or JAX is not
-            set up for its precision.
+        ValueError: The machine is rigid, the job has no scatter, or JAX is not set up
+            for its precision.
 
     Differentiability: runs on the host, not traceable.
     """
@@ -143,13 +142,7 @@ def _shifts(
 
     def model(parameters: Array) -> CuttingMachine:
         scaled = with_scaled(job, parameters)
-        machine = job_machine(scaled)
-        if not isinstance(machine, AbstractSwinging):
-            raise ValueError(
-                "Argument `job` must have a machine with inertia, but has "
-                f"{type(machine).__name__}."
-            )
-        return CuttingMachine(machine, job_process(scaled, StockHeld()))
+        return CuttingMachine(job_machine(scaled), job_process(scaled, StockHeld()))
 
     count = directions.shape[0]
     machine, process = model(jnp.zeros(count, desired.dtype))

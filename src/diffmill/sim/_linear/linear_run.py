@@ -16,6 +16,7 @@ The stock is held: how a surface moves with the poses that cut it is left out.
 """
 
 import functools
+import math
 from collections.abc import Callable
 
 import equinox as eqx
@@ -29,12 +30,12 @@ from ..._live_rows import live_rows, when_live
 from ..._types import IntScalar
 from ...process import AbstractEngagement, Process
 from .._machine.machine import RunState, all_ends, begin, continued, with_first
-from .._machine.substeps import AbstractSwinging, CommandRow, follow
+from .._machine.substeps import AbstractCompliant, CommandRow
 from .period_slopes import (
     ArmSlopes,
+    CompliantModel,
     CuttingMachine,
     ForceSlopes,
-    SwingingModel,
     arm_slopes,
     force_slopes,
     period_force,
@@ -124,14 +125,10 @@ class LinearRun(eqx.Module):
             f = loads @ jnp.concatenate([*inputs, parameters])
             out = arm @ jnp.concatenate([x, start, stop, f, parameters])
             n = x.shape[0]
-            x, tips = out[:n], out[n:].reshape(2, S, 3, directions)
-            m = tips[0]
-            if d > 3:
-                axis = jnp.broadcast_to(p[None, 3:], (S, d - 3, directions))
-                m = jnp.concatenate([m, axis], axis=1)
-            r = jnp.concatenate([m[None], r[:-1]])
+            x, m, e = jnp.split(out, [n, n + S * d])
+            r = jnp.concatenate([m.reshape(1, S, d, directions), r[:-1]])
             force = jnp.mean(f.reshape(S, -1, directions)[:, :3], axis=0)
-            return (x, r, p, history), (tips[1], force)
+            return (x, r, p, history), (e.reshape(S, 3, directions), force)
 
         index = jnp.arange(steps - 1, dtype=jnp.int32)
         rows = (index, self.loads, self.arm, self.pose, self.circles)
@@ -142,9 +139,66 @@ class LinearRun(eqx.Module):
         still = jnp.zeros((1, 3, directions), force.dtype)
         return RunChange(jnp.concatenate([rest, ends]), jnp.concatenate([still, force]))
 
+    def pull(
+        self, weights: LinearMotion
+    ) -> tuple[
+        Float[Array, "step joint direction"], Float[Array, "parameter direction"]
+    ]:
+        """Return what weighted sums of the run's changes follow from.
+
+        The transpose of `move`, by one recurrence from the last period to the first.
+
+        Args:
+            weights: A weight of every change, in some directions.
+
+        Returns:
+            Slopes of the sums in the motor positions, shape (step, joint, direction),
+            and in the parameters, shape (parameter, direction).
+
+        **Differentiability**: linear.
+        """
+        steps, directions = weights.force.shape[0], weights.force.shape[-1]
+        n, heads = self.begin.shape
+        inputs, loads = self.arm.shape[2], self.loads.shape[1]
+        # The first state follows from three rows of the motors and the parameters, a
+        # period from two rows, the parameters, the state and the loads.
+        joints = heads - (inputs - n - loads)
+        shapes = (steps, joints, directions), (heads - 3 * joints, directions)
+        of = [jax.ShapeDtypeStruct(x, self.arm.dtype) for x in shapes]
+        motors, parameters = jax.linear_transpose(self.move, *of)(weights)
+        return motors, parameters
+
+    @classmethod
+    def needed_bytes(
+        cls,
+        machine: AbstractCompliant,
+        process: Process,
+        motors: Float[Array, "step joint"],
+        parameter_count: int = 0,
+    ) -> int:
+        """Return how much memory the system of a run takes, before it is run [byte].
+
+        Arguments as of `linearise`; of the motors only the shape counts.
+        """
+        steps, joints = motors.shape
+        state = jax.eval_shape(lambda x: machine.begin(process, x), motors)
+        n = sum(math.prod(x.shape) for x in jax.tree.leaves(state))
+        S, T = process.engagement.substeps, process.cutter.flute_count
+        d = 3 if process.engagement.is_upright else 6
+        free, c = S * machine.load_count, parameter_count
+        circles = process.removal.circle_count
+        known = n + 2 * joints + c
+        loads = free * (known + d * (S * T + circles + 1))
+        arm = (n + S * (d + 3)) * (known + free)
+        rows = (steps - 1) * (loads + arm + d * n) + steps * 3 * (S + 1)
+        numbers = rows + n * (3 * joints + c)
+        pointers = (steps - 1) * circles
+        size = jnp.dtype(motors.dtype).itemsize
+        return numbers * size + pointers * jnp.dtype(jnp.int32).itemsize
+
 
 def linearise(
-    machine: AbstractSwinging,
+    machine: AbstractCompliant,
     process: Process,
     motors: Float[Array, "step joint"],
     state: RunState | None = None,
@@ -173,7 +227,7 @@ def linearise(
     **Differentiability**: none is meant.
     """
     steps, first = motors.shape[0], jnp.ones((), jnp.int32)
-    model = SwingingModel(
+    model = CompliantModel(
         scaled or (lambda _: CuttingMachine(machine, process)), parameter_count
     )
     if state is None:
@@ -182,7 +236,7 @@ def linearise(
         started, first = continued(process, state, steps - 1)
 
     def period(state: RunState, x: tuple[Array, CommandRow, Array | None]):
-        ended, out, substeps = follow(machine, process, state, *x)
+        ended, out, substeps = machine.follow(process, state, *x)
         before, after = state.process, ended.process
         # As the period saw it, before its own poses became the most recent.
         near = eqx.tree_at(
@@ -195,7 +249,8 @@ def linearise(
 
     def batch(state: RunState, xs: tuple[Array, CommandRow, Array | None]):
         ended, (*rest, force) = jax.lax.scan(period, state, xs)
-        slopes = lambda: jax.vmap(lambda x: force_slopes(model, x))(force)
+        of = lambda x: force_slopes(model, x, process.engagement.judges_period)
+        slopes = lambda: jax.vmap(of)(force)
         return ended, (*rest, when_live(None if xs[2] is None else xs[2][0], slopes))
 
     rows = machine.rows(process, motors, row_count)
@@ -265,30 +320,32 @@ def _solved(
     is_first = (jnp.arange(S) < S // engagement.looks).astype(dtype)
     P = arm.pose[:, :n]
     tip = jnp.eye(d, 3, dtype=dtype)
-    # Of the poses of the sub-steps in all inputs of the arm.
     free = S * l
     inputs = arm.end.shape[1]
-    axis = jnp.zeros((d - 3, inputs), dtype).at[:, :n].set(P[3:])
-    middles = jnp.concatenate(
-        [arm.middles, jnp.broadcast_to(axis[None], (S, d - 3, inputs))], axis=1
-    )
-    # The pose that is looked up: r_0 + ahead (tips - r_0) + the motion of the pose.
-    looked = jnp.einsum("st,tai->sai", ahead, arm.middles)
-    moved = jnp.zeros((3, inputs), dtype).at[:, :n].set(P[:3])
-    looked = looked + is_first[:, None, None] * moved[None]
-    looked = jnp.concatenate(
-        [looked, jnp.broadcast_to(axis[None], (S, d - 3, inputs))], axis=1
-    )
-    by_arm = jnp.einsum("slp,spi->sli", force.now, middles)
+    looked = arm.looked
+    if looked is None:
+        # r_0 + ahead (tips - r_0) + the motion of the pose.
+        looked = jnp.einsum("st,tai->sai", ahead, arm.middles[:, :3])
+        looked = looked.at[..., :n].add(is_first[:, None, None] * P[None, :3])
+        looked = jnp.concatenate([looked, arm.middles[:, 3:]], axis=1)
+    seen = np.eye(S)
+    if engagement.judges_period:
+        seen = np.tile(seen[-1], (S, 1))
+        looked = jnp.broadcast_to(looked[-1:], looked.shape)
+    by_arm = jnp.einsum("slp,spi->sli", force.now, arm.middles)
     by_arm = by_arm + jnp.einsum("slp,spi->sli", force.predicted, looked)
-    by_tip = force.predicted[..., :3]
+    if force.start is not None:
+        by_arm = by_arm.at[..., :n].add(jnp.einsum("slp,pi->sli", force.start, P))
     # The remembered poses: (tooth, substep, pose).
     own = jnp.eye(S, dtype=dtype)
     before = jnp.einsum("sltp,su->sltup", force.before, own)
-    before = before.at[:, :, 0, :, :3].add(
-        jnp.einsum("sla,su->slua", by_tip, own - ahead)
-    )
-    last = -is_first[:, None, None] * jnp.einsum("sla,pa->slp", by_tip, tip)
+    last = jnp.zeros_like(force.now)
+    if arm.looked is None:
+        by_tip = force.predicted[..., :3]
+        before = before.at[:, :, 0, :, :3].add(
+            jnp.einsum("sla,su->slua", by_tip, jnp.asarray(seen, dtype) - ahead)
+        )
+        last = -is_first[:, None, None] * jnp.einsum("sla,pa->slp", by_tip, tip)
     rest = [
         before.reshape(free, T * S * d),
         force.thinned.reshape(free, -1),
@@ -299,7 +356,10 @@ def _solved(
     by_parameters = by_parameters + force.parameters.reshape(free, -1)
     stiff = jnp.eye(free, dtype=dtype) - by_loads
     right = jnp.concatenate([by_motion, *rest, by_parameters], axis=1)
-    # A load follows those of earlier sub-steps only.
-    loads = jax.scipy.linalg.solve_triangular(stiff, right, lower=True)
+    if arm.looked is None:
+        # A load follows those of earlier sub-steps only.
+        loads = jax.scipy.linalg.solve_triangular(stiff, right, lower=True)
+    else:
+        loads = jnp.linalg.solve(stiff, right)
     out = [arm.end, arm.middles.reshape(-1, inputs), arm.ends.reshape(-1, inputs)]
     return loads, jnp.concatenate(out), P

@@ -3,8 +3,10 @@
 Forces follow from poses: of the sub-step itself, of the periods before, of the thinned
 older circles, and of the pose at which the stock was looked up. A sample of an edge
 depends on the pose of its own sub-step alone, so few derivatives of the look-up do for
-all samples at once, and the force takes them by its slope in every sample. The stock is
-held: how a surface moves with the poses that cut it is left out.
+all samples at once, and the force takes them by its slope in every sample. Where a
+look judges the period as a whole, its start and its last expected pose take the place
+of these. The stock is held: how a surface moves with the poses that cut it is left out,
+and so are the jumps of a cloud of points from ray to ray.
 
 A pose is a row of 3 numbers, the tip, or of 6 where the tool tilts: tip and axis.
 """
@@ -25,7 +27,7 @@ from ...process import (
     ProcessState,
 )
 from ...workpiece import RAYS_READ, Pose
-from .._machine.substeps import AbstractSwinging, CommandRow
+from .._machine.substeps import AbstractCompliant, CommandRow
 
 
 class CuttingMachine(NamedTuple):
@@ -36,11 +38,11 @@ class CuttingMachine(NamedTuple):
         process: The process.
     """
 
-    machine: AbstractSwinging
+    machine: AbstractCompliant
     process: Process
 
 
-class SwingingModel(eqx.Module):
+class CompliantModel(eqx.Module):
     """A machine that cuts, as it follows from some parameters.
 
     Attributes:
@@ -66,7 +68,9 @@ class ForceSlopes(eqx.Module):
             tooth, pose).
         thinned: In the thinned older poses, shape (substep, load, circle, pose).
         predicted: In the pose at which the stock was looked up, shape (substep, load,
-            pose).
+            pose); in the last one where a look judges the whole period.
+        start: In the pose at the start of the period, likewise; None if samples do not
+            depend on it.
         parameters: In the parameters of the process, the stock held, shape (substep,
             load, parameter).
         circles: Rows of the thinned poses, shape (circle,).
@@ -76,6 +80,7 @@ class ForceSlopes(eqx.Module):
     before: Float[Array, "substep load tooth pose"]
     thinned: Float[Array, "substep load circle pose"]
     predicted: Float[Array, "substep load pose"]
+    start: Float[Array, "substep load pose"] | None
     parameters: Float[Array, "substep load parameter"]
     circles: Int[Array, " circle"]
 
@@ -89,14 +94,18 @@ class ArmSlopes(eqx.Module):
     Attributes:
         end: Of the state at the end, shape (state, input).
         pose: Of the pose at the start, shape (pose, input).
-        middles: Of the tips in the middle of the sub-steps, shape (substep, 3, input).
-        ends: Of those at their ends, shape (substep, 3, input).
+        middles: Of the poses in the middle of the sub-steps, shape (substep, pose,
+            input).
+        ends: Of the tips at their ends, shape (substep, 3, input).
+        looked: Of the poses at which the stock is looked up, as `middles`; None where
+            they follow from the period before.
     """
 
     end: Float[Array, "state input"]
     pose: Float[Array, "pose input"]
-    middles: Float[Array, "substep 3 input"]
+    middles: Float[Array, "substep pose input"]
     ends: Float[Array, "substep 3 input"]
+    looked: Float[Array, "substep pose input"] | None
 
 
 def as_rows(pose: Pose) -> Float[Array, "*pose component"]:
@@ -119,8 +128,8 @@ class PeriodForce(eqx.Module):
     Attributes:
         samples: The numbers of its edges that have a slope.
         known: The rest of its edges.
-        push: The samples' change with the poses that are looked up and with those of
-            the period before.
+        push: The samples' change with the poses that are looked up, with those of the
+            period before, and with the tip at the start.
         middles: Poses in the middle of the sub-steps, shape (substep, pose).
         recent: Those of the periods before, newest first, shape (tooth, substep, pose).
         thinned: The thinned older poses, shape (circle, pose).
@@ -129,7 +138,7 @@ class PeriodForce(eqx.Module):
 
     samples: EdgeSamples
     known: EdgeSamples
-    push: Callable[[Array, Array], EdgeSamples]
+    push: Callable[[Array, Array, Array], EdgeSamples]
     middles: Float[Array, "substep pose"]
     recent: Float[Array, "tooth substep pose"]
     thinned: Float[Array, "circle pose"]
@@ -154,11 +163,13 @@ def period_force(
     """
     engagement = process.engagement
 
-    def engage(ahead: Array, newest: Array) -> tuple[EdgeSamples, EdgeSamples]:
+    def engage(
+        ahead: Array, newest: Array, start: Array
+    ) -> tuple[EdgeSamples, EdgeSamples]:
         recent = jax.tree.map(
             lambda rows, first: rows.at[0].set(first), state.recent, as_poses(newest)
         )
-        near = eqx.tree_at(lambda s: s.recent, state, recent)
+        near = eqx.tree_at(lambda s: (s.recent, s.last_tip), state, (recent, start))
         cut = engagement.engage(process, near, index, as_poses(ahead))
         return eqx.partition(cut.samples, eqx.is_inexact_array)
 
@@ -167,18 +178,22 @@ def period_force(
     # Kept is what was read of the stock; the rest is computed again.
     policy = jax.checkpoint_policies.save_only_these_names(RAYS_READ)
     engage = jax.checkpoint(engage, policy=policy)
-    samples, push, known = jax.linearize(engage, ahead, recent[0], has_aux=True)
+    at = ahead, recent[0], state.last_tip
+    samples, push, known = jax.linearize(engage, *at, has_aux=True)
     circles = process.removal.thinned_rows(state)
     thinned = as_rows(state.track.poses[circles * engagement.substeps])
     return PeriodForce(samples, known, push, as_rows(middles), recent, thinned, circles)
 
 
-def force_slopes(model: SwingingModel, around: PeriodForce) -> ForceSlopes:
+def force_slopes(
+    model: CompliantModel, around: PeriodForce, judges_period: bool
+) -> ForceSlopes:
     """Return the slopes of a period's loads.
 
     Args:
         model: Machine and process; its stock does not count.
         around: What they follow from.
+        judges_period: As of the engagement.
     """
     at = model.nominal(around.middles.dtype)
     # A sample of an edge follows the pose of its own sub-step: one motion of all.
@@ -186,10 +201,15 @@ def force_slopes(model: SwingingModel, around: PeriodForce) -> ForceSlopes:
     unit = jnp.eye(shape[-1], dtype=around.middles.dtype)
     moves = jnp.broadcast_to(unit[:, None], (shape[-1], *shape))
     still = jnp.zeros_like(moves)
-    # Both together, so that they are compiled once.
-    by_either = jax.vmap(around.push)(
-        jnp.concatenate([moves, still]), jnp.concatenate([still, moves])
-    )
+    groups = [(moves, still), (still, moves)]
+    if judges_period:
+        groups.append((still, still))
+    ahead, newest = (jnp.concatenate(rows) for rows in zip(*groups, strict=True))
+    start = jnp.zeros((len(ahead), 3), unit.dtype)
+    if judges_period:
+        start = start.at[-3:].set(jnp.eye(3, dtype=unit.dtype))
+    # All together, so that they are compiled once.
+    by_either = jax.vmap(around.push)(ahead, newest, start)
 
     def load(
         middle: Array,
@@ -216,19 +236,20 @@ def force_slopes(model: SwingingModel, around: PeriodForce) -> ForceSlopes:
     both = zip(jax.tree.leaves(by_edges), jax.tree.leaves(by_either), strict=True)
     products = [jnp.einsum("sl...,ps...->slp", a, b) for a, b in both]
     slopes = sum(products[1:], products[0])
-    by_predicted, by_newest = jnp.split(slopes, 2, axis=-1)
+    by_predicted, by_newest, *by_start = jnp.split(slopes, len(groups), axis=-1)
     return ForceSlopes(
         now=now,
         before=before.at[:, :, 0].add(by_newest),
         thinned=thinned,
         predicted=by_predicted,
+        start=by_start[0] if by_start else None,
         parameters=by_parameters,
         circles=around.circles,
     )
 
 
 def arm_slopes(
-    model: SwingingModel,
+    model: CompliantModel,
     state: Any,
     row: CommandRow,
     loads: Float[Array, "substep load"],
@@ -245,30 +266,24 @@ def arm_slopes(
 
     def move(
         x: Array, start: Array, stop: Array, parameters: Array, loads: Array
-    ) -> tuple[Array, ...]:
+    ) -> tuple[Array | None, ...]:
         machine, process = model.scaled(parameters)
-        times = process.tooth_period * process.substep_middles(flat.dtype)
-        first = unravel(x)
-        span = machine.span(process, first, CommandRow(start, stop))
-
-        def substep(
-            state: Any, row: tuple[Array, Array]
-        ) -> tuple[Any, tuple[Array, Array]]:
-            time, load = row
-            middle = span.middle(state, time)
-            end = span.step(state, time, load)
-            return end, (middle, span.tip(end))
-
-        end, (tips, ends) = jax.lax.scan(substep, first, (times, loads))
-        return ravel_pytree(end)[0], as_rows(span.pose), tips, ends
+        row = CommandRow(start, stop)
+        found = machine.motion(process, unravel(x), row, loads)
+        poses = found.pose, found.middles, Pose(found.ends), found.looked
+        rows = [None if x is None else as_rows(x) for x in poses]
+        return ravel_pytree(found.end)[0], *rows
 
     inputs = flat, row.start, row.stop, model.nominal(flat.dtype), loads
     by_start = jax.jacfwd(move, argnums=(0, 1, 2, 3))(*inputs)
     by_loads = jax.jacfwd(move, argnums=4)(*inputs)
-    joined = [
-        jnp.concatenate(
-            [*slopes[:3], by_load.reshape(*by_load.shape[:-2], -1), slopes[3]], axis=-1
-        )
-        for slopes, by_load in zip(by_start, by_loads, strict=True)
-    ]
-    return ArmSlopes(*joined)
+
+    def join(by_start: tuple[Array, ...], loads: Array) -> Array:
+        x, start, stop, parameters = by_start
+        loads = loads.reshape(*loads.shape[:-2], -1)
+        return jnp.concatenate([x, start, stop, loads, parameters], axis=-1)
+
+    pairs = zip(by_start, by_loads, strict=True)
+    joined: list[Any] = [None if b is None else join(a, b) for a, b in pairs]
+    end, pose, middles, ends, looked = joined
+    return ArmSlopes(end, pose, middles, ends, looked)

@@ -20,7 +20,7 @@ from ._integrator.base import AbstractIntegrator, ArmState, MotorCommand
 from ._integrator.midpoint import Midpoint
 from .machine import Period, RunState
 from .midpoint_terms import HeldSpan, middle_terms
-from .substeps import AbstractSpan, AbstractSwinging, CommandRow, follow, start_rate
+from .substeps import AbstractSpan, AbstractSwinging, CommandRow, start_rate
 
 
 class ArmSpan(AbstractSpan):
@@ -118,7 +118,7 @@ class ElasticArm(AbstractSwinging):
         is_live: Bool[Array, ""] | None,
     ) -> tuple[RunState, Period]:
         """Return the state after one tooth period, and its outputs."""
-        return follow(self, process, state, index, row, is_live)[:2]
+        return self.follow(process, state, index, row, is_live)[:2]
 
     @property
     def load_count(self) -> int:

@@ -21,7 +21,7 @@ from ...process import Process
 from ...robot import TipModes
 from ...workpiece import Pose
 from .machine import Period, RunState
-from .substeps import AbstractSpan, AbstractSwinging, CommandRow, follow, start_rate
+from .substeps import AbstractSpan, AbstractSwinging, CommandRow, start_rate
 
 
 class ModalState(eqx.Module):
@@ -157,7 +157,7 @@ class ModalMachine(AbstractSwinging):
         is_live: Bool[Array, ""] | None,
     ) -> tuple[RunState, Period]:
         """Return the state after one tooth period, and its outputs."""
-        return follow(self, process, state, index, row, is_live)[:2]
+        return self.follow(process, state, index, row, is_live)[:2]
 
     def span(self, process: Process, state: ModalState, row: CommandRow) -> ModalSpan:
         """Return the machine in a period, from its state and the command."""

@@ -16,6 +16,7 @@ coupling of the directions brings an eigenvalue of A C to 1, the arm is dragged 
 cut without bound and no balance exists: the result is not meaningful there.
 
 What a real arm adds is left out: swinging at corners, forced vibration and chatter.
+Derivatives are those of the balance, whatever the steps to it.
 """
 
 import equinox as eqx
@@ -31,9 +32,15 @@ from ...process import (
 from ...robot import ArmTerms, Robot, loaded_equilibrium
 from ...workpiece import Pose
 from .elastic import in_work, jacobian_in_work
-from .machine import AbstractMachine, Period, RunState
+from .machine import Period, RunState
 from .rigid import period_wrench
-from .substeps import CommandRow, along
+from .substeps import (
+    AbstractCompliant,
+    CommandRow,
+    LoadedSubsteps,
+    PeriodMotion,
+    along,
+)
 
 _NEWTON_STEPS = 2
 
@@ -46,7 +53,48 @@ class Balance(eqx.Module):
     load: Float[Array, " load"]
 
 
-class QuasiStaticArm(AbstractMachine):
+class _Bend(eqx.Module):
+    """The arm in one period, whose end is linear in the mean load.
+
+    Attributes:
+        robot: The robot.
+        start: Tip at the start [m], shape (3,).
+        near: Joints near to those of the end [rad or m], shape (joint,).
+        motors: At the end [rad or m], shape (joint,).
+        pose: At the near joints.
+        jacobian: There.
+        gravity: Torques of gravity there [N m or N], shape (joint,).
+    """
+
+    robot: Robot
+    start: Float[Array, " 3"]
+    near: Float[Array, " joint"]
+    motors: Float[Array, " joint"]
+    pose: Pose
+    jacobian: Float[Array, "load joint"]
+    gravity: Float[Array, " joint"]
+
+    def joints(self, load: Float[Array, " load"]) -> Float[Array, " joint"]:
+        """Return the joints at the end under a load [rad or m]."""
+        tau = self.gravity - self.jacobian.T @ load
+        return self.motors - self.robot.drive_deflection(tau)
+
+    def balance(self, load: Float[Array, " load"]) -> Balance:
+        """Return the arm at the end under a load."""
+        q = self.joints(load)
+        tip = self.pose.tip + self.jacobian[:3] @ (q - self.near)
+        return Balance(q, Pose(tip, self.pose.axis), load)
+
+    def poses(
+        self, load: Float[Array, " load"], places: Float[Array, " place"]
+    ) -> Pose:
+        """Return the poses under a load, at some places of the way."""
+        shares, end = places[:, None], self.balance(load).pose.tip
+        tips = self.start[None] * (1 - shares) + end[None] * shares
+        return along(self.pose, tips)
+
+
+class QuasiStaticArm(AbstractCompliant):
     """A robot without inertia, which bends under its weight and the cut.
 
     Its command are its motors' positions; time does not matter.
@@ -93,51 +141,89 @@ class QuasiStaticArm(AbstractMachine):
         is_live: Bool[Array, ""] | None,
     ) -> tuple[RunState, Period]:
         """Return the state after one tooth period, and its outputs."""
-        start, stop, dtype = state.machine, row.stop, row.stop.dtype
-        # The end is near to the start moved along with the motors: linear from there.
-        near = start.q + stop - row.start
-        pose, jacobian, gravity = self._linear(process, near)
-        joints = lambda F: stop - self.robot.drive_deflection(gravity - jacobian.T @ F)
-        tip = lambda F: pose.tip + jacobian[:3] @ (joints(F) - near)
+        return self.follow(process, state, index, row, is_live)[:2]
 
+    @property
+    def load_count(self) -> int:
+        """Numbers of a load: on a bending tool the height counts at which it acts."""
+        return 6 if self.robot.fast_joints else 3
+
+    def follow(
+        self,
+        process: Process,
+        state: RunState,
+        index: Int[Array, ""],
+        row: CommandRow,
+        is_live: Bool[Array, ""] | None = None,
+    ) -> tuple[RunState, Period, LoadedSubsteps]:
+        """Return what `period` does, and the sub-steps."""
+        start, dtype = state.machine, row.stop.dtype
+        bend = self._bend(process, start, row)
         middles, last = process.substep_middles(dtype), process.substep_ends(dtype)
-
-        def tips(F: Array, places: Array) -> Array:
-            shares = places[:, None]
-            return start.pose.tip[None] * (1 - shares) + tip(F)[None] * shares
-
-        predicted = along(pose, tips(start.load, middles))
+        predicted = bend.poses(start.load, middles)
         cutting, cut, removed = process.advance(
             state.process, index, start.pose, predicted, is_live
         )
         size, recent = start.load.size, cutting.recent
         eye = jnp.eye(size, dtype=dtype)
 
-        def mean(F: Array) -> Array:
-            found = period_wrench(process, cut, along(pose, tips(F, middles)), recent)
-            return jnp.mean(found, axis=0)[:size]
+        def excess(F: Array) -> Array:
+            poses = bend.poses(F, middles)
+            return jnp.mean(period_wrench(process, cut, poses, recent), 0)[:size] - F
 
         def newton(F: Array, _: None) -> tuple[Array, None]:
             # One pass gives value and slope: the force beside each column is the same.
-            value_and_slope = lambda way: jax.jvp(mean, (F,), (way,))
+            value_and_slope = lambda way: jax.jvp(excess, (F,), (way,))
             found, columns = jax.vmap(value_and_slope)(eye)
-            return F + jnp.linalg.solve(eye - columns.T, found[0] - F), None
+            return F - jnp.linalg.solve(columns.T, found[0]), None
 
-        def balance() -> Balance:
-            load, _ = jax.lax.scan(newton, start.load, length=_NEWTON_STEPS)
-            return Balance(joints(load), Pose(tip(load), pose.axis), load)
+        def root() -> Array:
+            return jax.lax.custom_root(
+                excess,
+                start.load,
+                lambda _, F: jax.lax.scan(newton, F, length=_NEWTON_STEPS)[0],
+                lambda slope, F: jnp.linalg.solve(jax.vmap(slope)(eye).T, F),
+            )
 
-        end = when_live(is_live, balance, start)
-        ends = tips(end.load, last)
-        cutting = cutting.ended(along(pose, tips(end.load, middles)), along(pose, ends))
-        return RunState(cutting, end, state.period_count), Period(
+        end = when_live(is_live, lambda: bend.balance(root()), start)
+        tips, ends = bend.poses(end.load, middles), bend.poses(end.load, last)
+        cutting = cutting.ended(tips, ends)
+        period = Period(
             tip=start.pose.tip,
-            ends=ends,
+            ends=ends.tip,
             force=end.load[:3],
             joint_positions=start.q,
             removed=removed,
             has_failed=cutting.has_overflow | cutting.is_beyond,
         )
+        loads = jnp.broadcast_to(end.load[None], (middles.size, size))
+        steps = LoadedSubsteps(predicted.tip, tips.tip, ends.tip, loads)
+        return RunState(cutting, end, state.period_count), period, steps
+
+    def motion(
+        self,
+        process: Process,
+        state: Balance,
+        row: CommandRow,
+        loads: Float[Array, "substep load"],
+    ) -> PeriodMotion:
+        """Return the motion in a period, from its loads."""
+        bend, load = self._bend(process, state, row), jnp.mean(loads, axis=0)
+        middles = process.substep_middles(load.dtype)
+        return PeriodMotion(
+            end=bend.balance(load),
+            pose=state.pose,
+            middles=bend.poses(load, middles),
+            ends=bend.poses(load, process.substep_ends(load.dtype)).tip,
+            looked=bend.poses(state.load, middles),
+        )
+
+    def _bend(self, process: Process, start: Balance, row: CommandRow) -> _Bend:
+        """Return how the arm bends in a period, from its start and the motors."""
+        # The end is near to the start moved along with the motors: linear from there.
+        near = start.q + row.stop - row.start
+        pose, J, gravity = self._linear(process, near)
+        return _Bend(self.robot, start.pose.tip, near, row.stop, pose, J, gravity)
 
     def _linear(
         self, process: Process, q: Float[Array, " joint"]

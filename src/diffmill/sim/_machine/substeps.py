@@ -73,26 +73,7 @@ class AbstractSpan(eqx.Module):
         """Return the tip in a state of the period [m]."""
 
 
-class AbstractSwinging(AbstractMachine):
-    """A machine with inertia; it takes sub-steps."""
-
-    @property
-    @abc.abstractmethod
-    def load_count(self) -> int:
-        """Numbers of a load: 3 for a force, 6 with its moment."""
-
-    @abc.abstractmethod
-    def span(self, process: Process, state: Any, row: CommandRow) -> AbstractSpan:
-        """Return the machine in a period, from its state and the command of that.
-
-        Args:
-            process: The process, of which tooth period and sub-steps count.
-            state: The machine's, at the start.
-            row: The command.
-        """
-
-
-class SwingingSubsteps(eqx.Module):
+class LoadedSubsteps(eqx.Module):
     """Sub-steps of a period.
 
     Attributes:
@@ -107,6 +88,107 @@ class SwingingSubsteps(eqx.Module):
     tips: Float[Array, "*substep 3"]
     ends: Float[Array, "*substep 3"]
     loads: Float[Array, "*substep load"]
+
+
+class PeriodMotion(eqx.Module):
+    """Motion of a machine in a period whose loads are known.
+
+    Attributes:
+        end: The machine's state at the end.
+        pose: At the start.
+        middles: Poses in the middle of the sub-steps, shape (substep, 3).
+        ends: Tips at their ends [m], shape (substep, 3).
+        looked: Poses at which the stock is looked up, shape (substep, 3); None where
+            they follow from the period before and the tips so far.
+    """
+
+    end: Any
+    pose: Pose
+    middles: Pose
+    ends: Float[Array, "substep 3"]
+    looked: Pose | None
+
+
+class AbstractCompliant(AbstractMachine):
+    """A machine that the loads of the sub-steps deflect."""
+
+    @property
+    @abc.abstractmethod
+    def load_count(self) -> int:
+        """Numbers of a load: 3 for a force, 6 with its moment."""
+
+    @abc.abstractmethod
+    def follow(
+        self,
+        process: Process,
+        state: RunState,
+        index: Int[Array, ""],
+        row: CommandRow,
+        is_live: Bool[Array, ""] | None = None,
+    ) -> tuple[RunState, Period, LoadedSubsteps]:
+        """Return what `period` does, and the sub-steps."""
+
+    @abc.abstractmethod
+    def motion(
+        self,
+        process: Process,
+        state: Any,
+        row: CommandRow,
+        loads: Float[Array, "substep load"],
+    ) -> PeriodMotion:
+        """Return the motion in a period, from its loads.
+
+        Args:
+            process: The process, of which tooth period and sub-steps count.
+            state: The machine's, at the start.
+            row: The command.
+            loads: Loads of the sub-steps in `work` [N], [N m], shape (substep, load).
+        """
+
+
+class AbstractSwinging(AbstractCompliant):
+    """A machine with inertia; it takes sub-steps."""
+
+    def follow(
+        self,
+        process: Process,
+        state: RunState,
+        index: Int[Array, ""],
+        row: CommandRow,
+        is_live: Bool[Array, ""] | None = None,
+    ) -> tuple[RunState, Period, LoadedSubsteps]:
+        """Return what `period` does, and the sub-steps."""
+        return _follow(self, process, state, index, row, is_live)
+
+    def motion(
+        self,
+        process: Process,
+        state: Any,
+        row: CommandRow,
+        loads: Float[Array, "substep load"],
+    ) -> PeriodMotion:
+        """Return the motion in a period, from its loads."""
+        span = self.span(process, state, row)
+        times = process.tooth_period * process.substep_middles(loads.dtype)
+
+        def substep(state: Any, x: tuple[Array, Array]) -> tuple[Any, tuple]:
+            time, load = x
+            middle = span.middle(state, time)
+            end = span.step(state, time, load)
+            return end, (middle, span.tip(end))
+
+        end, (tips, ends) = jax.lax.scan(substep, state, (times, loads))
+        return PeriodMotion(end, span.pose, along(span.pose, tips), ends, None)
+
+    @abc.abstractmethod
+    def span(self, process: Process, state: Any, row: CommandRow) -> AbstractSpan:
+        """Return the machine in a period, from its state and the command of that.
+
+        Args:
+            process: The process, of which tooth period and sub-steps count.
+            state: The machine's, at the start.
+            row: The command.
+        """
 
 
 class _Coupled(eqx.Module):
@@ -124,14 +206,14 @@ class _Look(eqx.Module):
     found: Engagement
 
 
-def follow(
+def _follow(
     machine: AbstractSwinging,
     process: Process,
     state: RunState,
     index: Int[Array, ""],
     row: CommandRow,
     is_live: Bool[Array, ""] | None = None,
-) -> tuple[RunState, Period, SwingingSubsteps]:
+) -> tuple[RunState, Period, LoadedSubsteps]:
     """Return what a machine's `period` does, and the sub-steps."""
     cutting, start = state.process, state.machine
     engagement, T = process.engagement, process.tooth_period
@@ -153,7 +235,7 @@ def follow(
         move = lambda: _run_substeps(coupled, cutting.recent, look, start, times)
     rest = jnp.broadcast_to(span.pose.tip[None], predicted.tip.shape)
     none = jnp.zeros((rest.shape[0], machine.load_count), rest.dtype)
-    still = SwingingSubsteps(predicted.tip, predicted.tip, rest, none)
+    still = LoadedSubsteps(predicted.tip, predicted.tip, rest, none)
     end, steps = when_live(is_live, move, (start, still))
     cutting = cutting.ended(along(span.pose, steps.tips), along(span.pose, steps.ends))
     period = Period(
@@ -173,7 +255,7 @@ def _run_looks(
     index: Int[Array, ""],
     times: Float[Array, " substep"],
     drift: Float[Array, "1 3"],
-) -> tuple[Any, SwingingSubsteps]:
+) -> tuple[Any, LoadedSubsteps]:
     """Return what `_run_substeps` does, the stock looked up several times.
 
     Where a period is long, a machine swings within it, and the period before does not
@@ -186,7 +268,7 @@ def _run_looks(
 
     def part(
         carry: tuple[Any, Array], x: tuple[Array, Array, Pose]
-    ) -> tuple[tuple[Any, Array], SwingingSubsteps]:
+    ) -> tuple[tuple[Any, Array], LoadedSubsteps]:
         state, ahead = carry
         first, times, recent = x
         near = eqx.tree_at(lambda p: p.recent, cutting, recent)
@@ -217,20 +299,20 @@ def _run_substeps(
     look: _Look,
     start: Any,
     times: Float[Array, " substep"],
-) -> tuple[Any, SwingingSubsteps]:
+) -> tuple[Any, LoadedSubsteps]:
     """Return the state after sub-steps of a period, and these."""
     mean_load = _mean_wrench if coupled.load_count == 6 else _mean_force
     tool, span = _tool_of(coupled.process), coupled.span
 
     def substep(
         state: Any, x: tuple[Array, Array, Pose, EdgeSamples]
-    ) -> tuple[Any, SwingingSubsteps]:
+    ) -> tuple[Any, LoadedSubsteps]:
         time, looked, earlier, samples = x
         tip = span.middle(state, time)
         pose = Pose(tip, span.pose.axis)
         F = mean_load(tool, samples, pose, earlier, look.found.thinned)
         end = span.step(state, time, F)
-        return end, SwingingSubsteps(looked, tip, span.tip(end), F)
+        return end, LoadedSubsteps(looked, tip, span.tip(end), F)
 
     earlier = jax.tree.map(lambda x: jnp.moveaxis(x, 0, 1), recent)
     # What the forces come from is computed again rather than kept.
