@@ -1,5 +1,7 @@
 """Pose of a tool: its tip and the direction of its axis."""
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -60,6 +62,7 @@ class Pose(eqx.Module):
         )
 
     @staticmethod
+    @functools.partial(jax.jit, inline=True)
     def frame(axis: Float[Array, "*pose 3"]) -> Float[Array, "*pose 3 3"]:
         """Return tool x, y and z as columns; x as near to work x as the axis allows.
 

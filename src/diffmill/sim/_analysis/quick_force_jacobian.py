@@ -41,7 +41,9 @@ def quick_slopes(
 
     Differentiability: none, a host function.
     """
-    tips = np.asarray(path.tip)
+    # Rows that are taken on the host compile nothing.
+    path = jax.tree.map(np.asarray, path)
+    tips = path.tip
     near = [_near_rows(process, tips[: row + 1]) for row in rows]
     # One shape for all rows.
     chunks = 2 ** math.ceil(math.log2(max(map(len, near)) / _CHUNK + 1))

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -241,9 +240,8 @@ def _arm(
     joints = values_of(dataset, "joint_positions", case)
     at = np.linspace(0, len(joints) - 1, min(len(joints), _MOST_FRAMES))
     robot = job.robot
-    bones = jax.jit(jax.vmap(lambda q: Skeleton.of_robot(robot, q)))(
-        jnp.asarray(joints[at.astype(int)])
-    )
+    of_joints = jax.jit(jax.vmap(lambda q: Skeleton.of_robot(robot, q)))
+    bones = jax.tree.map(np.asarray, of_joints(joints[at.astype(int)]))
     frames = [
         np.stack(arm_lines(robot, jax.tree.map(lambda leaf, k=k: leaf[k], bones)))
         for k in range(len(at))

@@ -1,6 +1,7 @@
 """The stock: three orthogonal families of rays, each ray a few intervals."""
 
 import dataclasses
+import functools
 import math
 from collections.abc import Sequence
 from typing import TypeAlias
@@ -74,11 +75,13 @@ class Stock(eqx.Module):
         static=True, default=(0.0, 0.0, 1.0)
     )
 
+    @functools.partial(jax.jit, inline=True)
     def volumes(self) -> Float[Array, " 3"]:
         """Return the volume that each family measures [m^3], shape (3,)."""
         totals = [jnp.sum(rays.lengths()) for rays in self.families]
         return jnp.stack(totals) * self.spacing**2
 
+    @functools.partial(jax.jit, inline=True)
     def volume(self) -> Float[Array, ""]:
         """Return the volume [m^3], the weighted mean of the families, shape ().
 
@@ -249,9 +252,8 @@ def box(
         ends[:, :, 0], ends[:, :, 1] = DEAD, -DEAD
         filled = inside[b][:, None] & inside[c][None, :]
         ends[filled, 0, 0], ends[filled, 1, 0] = low[f], high[f]
-        families.append(
-            Rays(jnp.asarray(ends, dtype), jnp.full(shape, -1, dtype=jnp.int32))
-        )
+        raw = np.full(shape, -1, np.int32)
+        families.append(Rays(jnp.asarray(ends, dtype), jnp.asarray(raw)))
     return Stock(
         families=(families[0], families[1], families[2]),
         origin=jnp.asarray(origin, dtype),

@@ -1,0 +1,59 @@
+"""The coupled step against the cut itself, its gradient, and what that keeps.
+
+Rows of the small example where it cuts. A step is one tooth period: times faster means
+over the time that the period takes on the machine.
+"""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from equinox import tree_at
+
+from diffmill import process, sim
+from example import load_example
+from timing import alternate
+
+FIRST, ROWS, RUNS = 200, 300, 5
+# Times faster than the cut, to reach.
+FASTER = {"float64": 20, "float32": 30}
+
+
+def measure(report):
+    """Time runs in both precisions, and a gradient beside its run."""
+    job = load_example("paper_small")
+    rows = jax.tree.map(lambda x: np.asarray(x)[FIRST : FIRST + ROWS], job.path)
+    job = tree_at(lambda j: j.path, job, rows)
+    with jax.enable_x64(True):
+        coupled(report, of_precision(job, "float64"), has_gradient=True)
+    with jax.enable_x64(False):
+        coupled(report, of_precision(job, "float32"))
+
+
+def of_precision(job, precision):
+    """Return a job whose numbers have a precision."""
+    settings = replace(job.simulation, precision=precision)
+    return replace(job, simulation=settings).with_precision()
+
+
+def coupled(report, job, *, has_gradient=False):
+    """Print the time of a coupled step in a job's precision, and of its gradient."""
+    precision = job.simulation.precision
+    model = sim.JobModel.of(job, process.ThroughPoses())
+    machine, cut = model.machine, model.process
+    motors = sim.JobKinematics(job).motors(jnp.asarray(job.path.positions))[0]
+    run = jax.jit(lambda x: machine.run(cut, x).ends)
+    if not has_gradient:
+        (forward,) = alternate(RUNS, lambda: run(motors))
+    else:
+        loss = lambda x: 1e6 * jnp.sum((machine.run(cut, x).ends[:, -1]) ** 2)
+        compiled = jax.jit(jax.grad(loss)).lower(motors).compile()
+        forward, back = alternate(RUNS, lambda: run(motors), lambda: compiled(motors))
+        memory = compiled.memory_analysis().temp_size_in_bytes * 1000 / ROWS
+        report.figure("gradient over a run", back / forward, 2.5, "x")
+        report.figure("memory of a gradient per 1000 rows", memory / 2**20, 60, "MiB")
+    step = forward / (ROWS - 1)
+    faster = float(job.tooth_period) / step
+    report.say(f"  coupled step, {precision}: {1e6 * step:.0f} us")
+    report.at_least(f"times faster, {precision}", faster, FASTER[precision], "x")
