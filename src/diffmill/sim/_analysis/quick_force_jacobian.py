@@ -43,7 +43,7 @@ def quick_slopes(
     """
     # Rows that are taken on the host compile nothing.
     path = jax.tree.map(np.asarray, path)
-    tips = path.tip
+    tips = np.asarray(path.tip)
     near = [_near_rows(process, tips[: row + 1]) for row in rows]
     # One shape for all rows.
     chunks = 2 ** math.ceil(math.log2(max(map(len, near)) / _CHUNK + 1))

@@ -140,7 +140,7 @@ class LinearRun(eqx.Module):
         return RunChange(jnp.concatenate([rest, ends]), jnp.concatenate([still, force]))
 
     def pull(
-        self, weights: LinearMotion
+        self, weights: RunChange
     ) -> tuple[
         Float[Array, "step joint direction"], Float[Array, "parameter direction"]
     ]:

@@ -7,10 +7,8 @@ joints. Each sub-step (`substeps.py`) hands J^T F to the integrator
 (`_integrator/base.py`).
 """
 
-from typing import Any
-
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from ..._types import IntScalar, Transform
 from ...process import Process
@@ -43,7 +41,7 @@ class ArmSpan(AbstractSpan):
     pose: Pose
     joints: Float[Array, " joint"]
     jacobian: Float[Array, "6 joint"]
-    begun: Any
+    begun: PyTree
     motors: Float[Array, " joint"]
     rate: Float[Array, " joint"]
     substep: Float[Array, ""]

@@ -4,12 +4,10 @@ The integrators of the coupled simulation, to see what they do to an oscillation
 their order, the damping that they add and the energy that they keep.
 """
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
 from ..._types import RealScalarLike
 from ...robot import ArmTerms, Robot
@@ -69,7 +67,7 @@ def free_motion(
     rest = jnp.zeros_like(start.q)
     span = HeldSpan(h * held, held)
 
-    def step(begun: Any, state: ArmState) -> ArmState:
+    def step(begun: PyTree, state: ArmState) -> ArmState:
         return rule.step(robot, begun, state, command, rest, h)
 
     def row(state: ArmState, _: None) -> tuple[ArmState, ArmState]:

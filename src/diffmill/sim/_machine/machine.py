@@ -13,12 +13,11 @@ with the path, but for the stock itself.
 """
 
 import abc
-from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from ..._live_rows import last_row, live_rows
 from ..._result import RESULTS
@@ -41,7 +40,7 @@ class RunState(eqx.Module):
     """
 
     process: ProcessState
-    machine: Any
+    machine: PyTree
     period_count: Int[Array, ""]
 
 
@@ -71,7 +70,7 @@ class AbstractMachine(eqx.Module):
     """What moves the tool along a command, and how compliant it is."""
 
     @abc.abstractmethod
-    def begin(self, process: Process, command: Any) -> Any:
+    def begin(self, process: Process, command: PyTree) -> PyTree:
         """Return the machine's state at the first instant.
 
         Args:
@@ -80,7 +79,9 @@ class AbstractMachine(eqx.Module):
         """
 
     @abc.abstractmethod
-    def rows(self, process: Process, command: Any, row_count: IntScalar | None) -> Any:
+    def rows(
+        self, process: Process, command: PyTree, row_count: IntScalar | None
+    ) -> PyTree:
         """Return what every period needs of the command, a tree with an axis period.
 
         Args:
@@ -90,11 +91,11 @@ class AbstractMachine(eqx.Module):
         """
 
     @abc.abstractmethod
-    def pose(self, process: Process, state: Any) -> Pose:
+    def pose(self, process: Process, state: PyTree) -> Pose:
         """Return the tool's pose in `work`."""
 
     @abc.abstractmethod
-    def joint_positions(self, state: Any) -> Float[Array, " joint"] | None:
+    def joint_positions(self, state: PyTree) -> Float[Array, " joint"] | None:
         """Return the joint positions [rad or m], None without joints."""
 
     @abc.abstractmethod
@@ -103,7 +104,7 @@ class AbstractMachine(eqx.Module):
         process: Process,
         state: RunState,
         index: Int[Array, ""],
-        row: Any,
+        row: PyTree,
         is_live: Bool[Array, ""] | None,
     ) -> tuple[RunState, Period]:
         """Return the state after one tooth period, and its outputs.
@@ -120,7 +121,7 @@ class AbstractMachine(eqx.Module):
     def run(
         self,
         process: Process,
-        command: Any,
+        command: PyTree,
         *,
         row_count: IntScalar | None = None,
     ) -> "Run":
@@ -173,7 +174,7 @@ class AbstractMachine(eqx.Module):
             else with_first(periods.samples),
         )
 
-    def begin_run(self, process: Process, command: Any) -> RunState:
+    def begin_run(self, process: Process, command: PyTree) -> RunState:
         """Return the state from which the first segment of a run starts.
 
         Args:
@@ -188,7 +189,7 @@ class AbstractMachine(eqx.Module):
         return RunState(moved, state.machine, state.period_count)
 
     def run_segment(
-        self, process: Process, command: Any, state: RunState
+        self, process: Process, command: PyTree, state: RunState
     ) -> "RunSegment":
         """Run some periods from where an earlier run ended.
 
@@ -299,7 +300,7 @@ def continued(
 
 
 def begin(
-    machine: AbstractMachine, process: Process, command: Any, pose_count: int
+    machine: AbstractMachine, process: Process, command: PyTree, pose_count: int
 ) -> tuple[RunState, Float[Array, ""]]:
     """Return the state at the first instant, and the volume inside the tool [m^3]."""
     own = machine.begin(process, command)
@@ -313,14 +314,14 @@ def _run_periods(
     process: Process,
     state: RunState,
     index: Int[Array, ""],
-    rows: Any,
+    rows: PyTree,
     row_count: IntScalar | None = None,
 ) -> tuple[RunState, Period]:
     """Return the state after all periods, from one of some index, and their outputs."""
     indices = index + jnp.arange(_length(rows), dtype=jnp.int32)
 
     def step(
-        state: RunState, x: tuple[Array, Any, Array | None]
+        state: RunState, x: tuple[Array, PyTree, Array | None]
     ) -> tuple[RunState, Period]:
         index, row, is_live = x
         return machine.period(process, state, index, row, is_live)
@@ -329,7 +330,7 @@ def _run_periods(
     return jax.lax.scan(step, state, xs)
 
 
-def _length(rows: Any) -> int:
+def _length(rows: PyTree) -> int:
     return jax.tree.leaves(rows)[0].shape[0]
 
 

@@ -7,12 +7,11 @@ how the machine moves in it (`AbstractSpan`).
 """
 
 import abc
-from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from ..._live_rows import when_live
 from ...process import (
@@ -47,7 +46,7 @@ class AbstractSpan(eqx.Module):
     pose: eqx.AbstractVar[Pose]
 
     @abc.abstractmethod
-    def middle(self, state: Any, time: Float[Array, ""]) -> Float[Array, " 3"]:
+    def middle(self, state: PyTree, time: Float[Array, ""]) -> Float[Array, " 3"]:
         """Return the tip in the middle of a sub-step, before its force is known [m].
 
         Args:
@@ -57,8 +56,8 @@ class AbstractSpan(eqx.Module):
 
     @abc.abstractmethod
     def step(
-        self, state: Any, time: Float[Array, ""], load: Float[Array, " load"]
-    ) -> Any:
+        self, state: PyTree, time: Float[Array, ""], load: Float[Array, " load"]
+    ) -> PyTree:
         """Return the state at the end of a sub-step.
 
         Args:
@@ -69,7 +68,7 @@ class AbstractSpan(eqx.Module):
         """
 
     @abc.abstractmethod
-    def tip(self, state: Any) -> Float[Array, " 3"]:
+    def tip(self, state: PyTree) -> Float[Array, " 3"]:
         """Return the tip in a state of the period [m]."""
 
 
@@ -102,7 +101,7 @@ class PeriodMotion(eqx.Module):
             they follow from the period before and the tips so far.
     """
 
-    end: Any
+    end: PyTree
     pose: Pose
     middles: Pose
     ends: Float[Array, "substep 3"]
@@ -132,7 +131,7 @@ class AbstractCompliant(AbstractMachine):
     def motion(
         self,
         process: Process,
-        state: Any,
+        state: PyTree,
         row: CommandRow,
         loads: Float[Array, "substep load"],
     ) -> PeriodMotion:
@@ -163,7 +162,7 @@ class AbstractSwinging(AbstractCompliant):
     def motion(
         self,
         process: Process,
-        state: Any,
+        state: PyTree,
         row: CommandRow,
         loads: Float[Array, "substep load"],
     ) -> PeriodMotion:
@@ -171,7 +170,7 @@ class AbstractSwinging(AbstractCompliant):
         span = self.span(process, state, row)
         times = process.tooth_period * process.substep_middles(loads.dtype)
 
-        def substep(state: Any, x: tuple[Array, Array]) -> tuple[Any, tuple]:
+        def substep(state: PyTree, x: tuple[Array, Array]) -> tuple[PyTree, tuple]:
             time, load = x
             middle = span.middle(state, time)
             end = span.step(state, time, load)
@@ -181,7 +180,7 @@ class AbstractSwinging(AbstractCompliant):
         return PeriodMotion(end, span.pose, along(span.pose, tips), ends, None)
 
     @abc.abstractmethod
-    def span(self, process: Process, state: Any, row: CommandRow) -> AbstractSpan:
+    def span(self, process: Process, state: PyTree, row: CommandRow) -> AbstractSpan:
         """Return the machine in a period, from its state and the command of that.
 
         Args:
@@ -255,7 +254,7 @@ def _run_looks(
     index: Int[Array, ""],
     times: Float[Array, " substep"],
     drift: Float[Array, "1 3"],
-) -> tuple[Any, LoadedSubsteps]:
+) -> tuple[PyTree, LoadedSubsteps]:
     """Return what `_run_substeps` does, the stock looked up several times.
 
     Where a period is long, a machine swings within it, and the period before does not
@@ -267,8 +266,8 @@ def _run_looks(
     count = engagement.substeps // looks
 
     def part(
-        carry: tuple[Any, Array], x: tuple[Array, Array, Pose]
-    ) -> tuple[tuple[Any, Array], LoadedSubsteps]:
+        carry: tuple[PyTree, Array], x: tuple[Array, Array, Pose]
+    ) -> tuple[tuple[PyTree, Array], LoadedSubsteps]:
         state, ahead = carry
         first, times, recent = x
         near = eqx.tree_at(lambda p: p.recent, cutting, recent)
@@ -297,16 +296,16 @@ def _run_substeps(
     coupled: _Coupled,
     recent: Pose,
     look: _Look,
-    start: Any,
+    start: PyTree,
     times: Float[Array, " substep"],
-) -> tuple[Any, LoadedSubsteps]:
+) -> tuple[PyTree, LoadedSubsteps]:
     """Return the state after sub-steps of a period, and these."""
     mean_load = _mean_wrench if coupled.load_count == 6 else _mean_force
     tool, span = _tool_of(coupled.process), coupled.span
 
     def substep(
-        state: Any, x: tuple[Array, Array, Pose, EdgeSamples]
-    ) -> tuple[Any, LoadedSubsteps]:
+        state: PyTree, x: tuple[Array, Array, Pose, EdgeSamples]
+    ) -> tuple[PyTree, LoadedSubsteps]:
         time, looked, earlier, samples = x
         tip = span.middle(state, time)
         pose = Pose(tip, span.pose.axis)

@@ -7,11 +7,11 @@ two looks at the chip nothing more is known of it.
 """
 
 import abc
-from typing import Any, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
 from ....robot import (
     ArmTerms,
@@ -97,7 +97,7 @@ class AbstractIntegrator(eqx.Module):
         """
 
     @abc.abstractmethod
-    def begin(self, robot: Robot, terms: ArmTerms, step: Float[Array, ""]) -> Any:
+    def begin(self, robot: Robot, terms: ArmTerms, step: Float[Array, ""]) -> PyTree:
         """Prepare what the sub-steps of one period share.
 
         Args:
@@ -113,7 +113,7 @@ class AbstractIntegrator(eqx.Module):
     def step(
         self,
         robot: Robot,
-        begun: Any,
+        begun: PyTree,
         state: ArmState,
         command: MotorCommand,
         load: Float[Array, " joint"],
