@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import xarray
 
-from diffmill import load_job, simulate
+from diffmill import JobError, load_job, simulate
 from diffmill.campaign import run_campaign
 from diffmill.cli import main
-from diffmill.config import JobError, load_campaign
+from diffmill.config import load_campaign
 from diffmill.examples import copy_example
 from small_job import small_job
 

@@ -119,8 +119,11 @@ def test_verbose_names_what_is_compiled(folder, capsys):
 
 def test_what_is_refused_at_once_imports_no_jax(folder):
     (folder / "bad.toml").write_text("[cutter")
+    typo = JOB.replace("diameter", "diametr") + "[correction]\nknots = 3\n"
+    (folder / "typo.toml").write_text(typo)
     lines = ["--help", "--version", "correct --help", "wrong", "simulate none.toml"]
     lines += [f"{name} bad.toml" for name in ("simulate", "feed", "identify", "check")]
+    lines += [f"{name} typo.toml" for name in ("simulate", "correct", "feed")]
     code = "import sys; from diffmill.cli import main\n" + "".join(
         f"main({line.split()!r})\nassert 'jax' not in sys.modules, {line!r}\n"
         for line in lines
@@ -319,8 +322,8 @@ def test_check_other_files(folder, capsys):
 
 
 def test_cache_folder_and_precision(tmp_path):
-    # A job with faults: it is read for its precision first.
-    (tmp_path / "job.toml").write_text('[simulation]\nprecision = "float32"\n')
+    # A job without its program: it is read for its precision first.
+    (tmp_path / "job.toml").write_text(JOB + '[simulation]\nprecision = "float32"\n')
     # In a process of its own: the settings of JAX are global.
     script = (
         "import json, jax\n"

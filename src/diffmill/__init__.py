@@ -40,7 +40,8 @@ if TYPE_CHECKING:
         UncertaintySettings as UncertaintySettings,
     )
     from ._result import RESULTS as RESULTS, SimulationFailed as SimulationFailed
-    from .config import JobError as JobError, load_job as load_job
+    from ._toml import JobError as JobError
+    from .config import load_job as load_job
     from .correction import Correction as Correction, correct as correct
     from .sim import Solution as Solution, simulate as simulate, stack as stack
 
@@ -71,7 +72,7 @@ _NAMES = {
     "CorrectionSettings": "_job",
     "Job": "_job",
     "LineWeight": "_job",
-    "JobError": "config",
+    "JobError": "_toml",
     "RESULTS": "_result",
     "ScatterSettings": "_job",
     "SimulationFailed": "_result",

@@ -4,7 +4,8 @@ import re
 import numpy as np
 import pytest
 
-from diffmill.config import JobError, job_precision, load_job
+from diffmill import JobError, load_job
+from diffmill.config import job_precision
 from diffmill.cutting import LinearEdgeLaw
 
 PROGRAM = """G21 G17 G90 G94

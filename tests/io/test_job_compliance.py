@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from diffmill import examples
-from diffmill.config import JobError, load_job
+from diffmill import JobError, examples, load_job
 from diffmill.robot import FlangeSpring, cartesian_compliance, load
 
 TOOL = """

@@ -4,8 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffmill import sim
-from diffmill.config import JobError, load_job
+from diffmill import JobError, load_job, sim
 
 PROGRAM = """G21 G17 G90 G94
 G0 X-6 Y5 Z1

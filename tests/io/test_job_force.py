@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from diffmill import cutting
-from diffmill.config import JobError, load_job
+from diffmill import JobError, cutting, load_job
 
 PROGRAM = "G21 G17 G90 G94\nG0 X-6 Y5 Z1\nG0 Z-1\nG1 X20 F3000\nG0 Z1\nM2\n"
 JOB = """

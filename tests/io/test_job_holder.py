@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diffmill.config import JobError, load_job
+from diffmill import JobError, load_job
 from diffmill.sim import ToolContacts
 
 JOB = """

@@ -8,8 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffmill import robot as rb
-from diffmill.config import JobError, load_job
+from diffmill import JobError, load_job, robot as rb
 from diffmill.examples import copy_example
 from diffmill.sim import JobKinematics
 

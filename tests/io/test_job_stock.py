@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from diffmill import workpiece as wp
-from diffmill.config import JobError, load_job
+from diffmill import JobError, load_job, workpiece as wp
 
 PROGRAM = """G21 G17 G90 G94
 G0 X-6 Y5 Z1

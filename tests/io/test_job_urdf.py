@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import diffmill as dm
-from diffmill.config import JobError, load_job
+from diffmill import JobError, load_job
 
 PROGRAM = "G21 G90 G0 X-4 Y5 Z-1\nG1 X-2 F2400\nM2\n"
 JOB = """

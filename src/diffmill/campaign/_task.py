@@ -10,7 +10,8 @@ from importlib import metadata
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 from .._jax_config import configure_jax
-from ..config import Campaign, JobError, job_precision, load_job
+from .._toml import JobError
+from ..config import Campaign, job_precision, load_job
 
 # What is kept of a job, as JSON: "status", "message", "seconds", "figures" by case.
 Record: TypeAlias = dict[str, Any]

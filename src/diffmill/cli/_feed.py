@@ -85,7 +85,7 @@ def run_feed(
 
 def _check(job: "Job", file: pathlib.Path, request: FeedRequest) -> None:
     """Refuse what cannot be tried, before anything runs."""
-    from ..config import JobError
+    from .._toml import JobError
     from ..toolpath import PathFeed
 
     if job.robot is None:

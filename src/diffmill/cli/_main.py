@@ -50,6 +50,14 @@ def _read(file: pathlib.Path) -> None:
         read_toml(file)
 
 
+def _check(job: pathlib.Path) -> None:
+    """Refuse a job whose tables have faults before what takes seconds is imported."""
+    from ..config import check_tables
+
+    with bad_input():
+        check_tables(job)
+
+
 def _progress(quiet: bool, verbose: bool) -> "Progress":
     """Return what shows the progress as asked for."""
     from ._session.progress import Progress
@@ -71,7 +79,7 @@ def simulate(
     tolerance_band: _Band = None,
 ) -> int:
     """Predict forces, deviation and the machined surface of a job."""
-    _read(job)
+    _check(job)
     from ._run_job import run_job
 
     return run_job(
@@ -105,7 +113,7 @@ def correct(
     ] = False,
 ) -> int:
     """Predict, correct the path, predict again; write the corrected program."""
-    _read(job)
+    _check(job)
     from ._run_job import run_job
 
     return run_job(
@@ -145,7 +153,7 @@ def feed(
     allow_outside: _Outside = False,
 ) -> int:
     """Say what a slower or faster feed costs in error; tune the feed along the path."""
-    _read(job)
+    _check(job)
     from ._feed import FeedRequest, run_feed
 
     return run_feed(

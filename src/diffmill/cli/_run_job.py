@@ -14,6 +14,7 @@ from .._jax_config import configure_jax
 from ._analyses import FinishedRun, add_analyses
 from ._session.checkpoint import Checkpoint
 from ._session.errors import BadInput, bad_input
+from ._session.import_ahead import import_ahead
 from ._session.progress import Progress
 
 if TYPE_CHECKING:
@@ -52,7 +53,8 @@ def run_job(
         prints_json: Whether the figures are printed as JSON when all is done.
     """
     from .._result import SimulationFailed
-    from ..config import JobError, JobProgram, job_precision, load_job
+    from .._toml import JobError
+    from ..config import JobProgram, job_precision, load_job
     from ..io import check_folder, write_results
 
     band = _length(tolerance_band)
@@ -201,9 +203,12 @@ def _compute(
     """Run the job."""
     from ..sim import Replay, simulate
 
-    # At the first message the programs of the run itself are compiled or begun: a core
-    # that is free goes on with those of the figures.
-    prepare_figures = functools.cache(lambda: Replay.prepare(job))
+    @functools.cache
+    def prepare_figures() -> None:
+        # At the first message the programs of the run itself are compiled or begun: a
+        # core that is free goes on with those of the figures.
+        Replay.prepare(job)
+        import_ahead()
 
     if command == "simulate":
 

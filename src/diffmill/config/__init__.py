@@ -1,14 +1,46 @@
-"""Jobs, campaigns and identifications as TOML, checked as a whole."""
+"""Jobs, campaigns and identifications as TOML, checked as a whole.
 
-from .._toml import JobError as JobError
-from ._check.rapids import tool_notes as tool_notes
-from ._job_program import JobProgram as JobProgram
-from ._load_campaign import Campaign as Campaign, load_campaign as load_campaign
-from ._load_identification import (
-    Study as Study,
-    load_identification as load_identification,
-)
-from ._load_job import (
-    job_precision as job_precision,
-    load_job as load_job,
-)
+What is not needed is not imported: the tables of a job are checked without JAX, so that
+a key that is not known is refused at once.
+"""
+
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from ._check.rapids import tool_notes as tool_notes
+    from ._check.tables import check_tables as check_tables
+    from ._job_program import JobProgram as JobProgram
+    from ._load_campaign import Campaign as Campaign, load_campaign as load_campaign
+    from ._load_identification import (
+        Study as Study,
+        load_identification as load_identification,
+    )
+    from ._load_job import job_precision as job_precision, load_job as load_job
+
+# Where each public name lives.
+_NAMES = {
+    "Campaign": "._load_campaign",
+    "JobProgram": "._job_program",
+    "Study": "._load_identification",
+    "check_tables": "._check.tables",
+    "job_precision": "._load_job",
+    "load_campaign": "._load_campaign",
+    "load_identification": "._load_identification",
+    "load_job": "._load_job",
+    "tool_notes": "._check.rapids",
+}
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name when it is first used."""
+    if name not in _NAMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module = importlib.import_module(_NAMES[name], __name__)
+    globals()[name] = value = getattr(module, name)
+    return value
+
+
+def __dir__() -> list[str]:
+    """Return the public names, imported or not."""
+    return sorted({*globals(), *_NAMES})

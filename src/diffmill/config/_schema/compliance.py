@@ -3,16 +3,10 @@
 Without its table a spring is not there, and nothing of it is computed.
 """
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field, StrictBool
 
-from ...cutter import AbstractCutter
-from ...robot import (
-    BendingTool,
-    FlangeSpring,
-    Robot,
-)
 from .fields import (
     Density,
     Inertia,
@@ -26,6 +20,10 @@ from .fields import (
     Share,
 )
 from .table import TomlTable
+
+if TYPE_CHECKING:
+    from ...cutter import AbstractCutter
+    from ...robot import Robot
 
 _THREE = Field(min_length=3, max_length=3)
 
@@ -56,8 +54,8 @@ class BendingToolTable(TomlTable):
 
 
 def with_spring(
-    robot: Robot, table: FlangeSpringTable | None, problems: list[str]
-) -> Robot:
+    robot: "Robot", table: FlangeSpringTable | None, problems: list[str]
+) -> "Robot":
     """Return the robot with the springs of a table at its flange.
 
     Args:
@@ -68,6 +66,8 @@ def with_spring(
     Returns:
         The robot, as it was after a fault.
     """
+    from ...robot import FlangeSpring
+
     if table is None:
         return robot
     options = table.model_dump(exclude={"in_last_link"})
@@ -80,8 +80,8 @@ def with_spring(
 
 
 def with_bending_cutter(
-    robot: Robot, table: BendingToolTable | None, cutter: AbstractCutter | None
-) -> Robot:
+    robot: "Robot", table: BendingToolTable | None, cutter: "AbstractCutter | None"
+) -> "Robot":
     """Return the robot with a cutter that bends.
 
     Args:
@@ -92,6 +92,8 @@ def with_bending_cutter(
     Returns:
         The robot.
     """
+    from ...robot import BendingTool
+
     if table is None or cutter is None:
         return robot
     diameter = 2 * cutter.nominal_radius

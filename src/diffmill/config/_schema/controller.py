@@ -3,13 +3,12 @@
 import functools
 import tomllib
 from importlib import resources
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from jaxtyping import Float
 from pydantic import Field
 
-from ...robot import Controller
 from .fields import (
     Delay,
     Frequency,
@@ -19,6 +18,9 @@ from .fields import (
     Ratio,
 )
 from .table import TomlTable, validated
+
+if TYPE_CHECKING:
+    from ...robot import Controller
 
 # What stands for a part that a preset has and this controller lacks.
 _NONE = "none"
@@ -45,7 +47,7 @@ class ControllerTable(TomlTable):
     bandwidth: JointFrequency | None = None
     damping_ratio: JointRatio | None = None
 
-    def controller(self, joint_count: int, added: int) -> Controller | None:
+    def controller(self, joint_count: int, added: int) -> "Controller | None":
         """Return the controller; None if it is ideal.
 
         Args:
@@ -55,6 +57,8 @@ class ControllerTable(TomlTable):
         Raises:
             ValueError: A list has not one value for each joint.
         """
+        from ...robot import Controller
+
         parts = {k: v for k, v in self if v is not None and k != "interpolation"}
         if not parts:
             return None
@@ -88,7 +92,8 @@ def _each(
 @functools.cache
 def controller_presets() -> dict[str, dict[str, Any]]:
     """Return the tables that `[controller] preset` names, with the ideal one."""
-    file = resources.files("diffmill.robot").joinpath("controllers.toml")
+    # Of the package itself, since its part `robot` imports JAX.
+    file = resources.files("diffmill").joinpath("robot", "controllers.toml")
     return {_IDEAL: {}} | tomllib.loads(file.read_text(encoding="utf-8"))
 
 

@@ -1,12 +1,10 @@
 """The table `[correction]` of a job file, and what of it depends on the rest."""
 
 import math
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, StrictBool, StrictInt
 
-from ..._job import CorrectionSettings, LineWeight, UncertaintySettings
-from ...cutter import AbstractCutter
 from .fields import (
     Acceleration,
     Delay,
@@ -17,6 +15,10 @@ from .fields import (
     Uncertainty,
 )
 from .table import TomlTable
+
+if TYPE_CHECKING:
+    from ..._job import CorrectionSettings
+    from ...cutter import AbstractCutter
 
 
 def _weight(value: object) -> float:
@@ -118,7 +120,7 @@ class CorrectionTable(TomlTable):
 
 def correction_settings(
     table: CorrectionTable, *, is_recorded: bool
-) -> CorrectionSettings:
+) -> "CorrectionSettings":
     """Return the settings of a checked table.
 
     Args:
@@ -126,6 +128,8 @@ def correction_settings(
         is_recorded: Whether the path is a recorded one. It need not start from rest
             and may hardly accelerate at all, so that a factor of it says nothing.
     """
+    from ..._job import CorrectionSettings, LineWeight, UncertaintySettings
+
     values: dict[str, Any] = table.model_dump(
         exclude={"weight", "uncertainty"}, exclude_none=True
     )
@@ -153,7 +157,7 @@ def correction_settings(
 
 def check_correction(
     table: CorrectionTable,
-    cutter: AbstractCutter,
+    cutter: "AbstractCutter",
     is_upright: bool,
     problems: list[str],
 ) -> None:

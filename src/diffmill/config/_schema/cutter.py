@@ -1,20 +1,16 @@
 """The table `[cutter]` of a job file, and the end mill that it describes."""
 
 import math
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import pydantic
 from pydantic import Field, StrictInt
 
-from ...cutter import (
-    EndMill,
-    ToolHolder,
-    ball_end_mill,
-    bull_nose,
-    flat_end_mill,
-)
 from .fields import Angle, PositiveLength, Tolerance
 from .table import TomlTable
+
+if TYPE_CHECKING:
+    from ...cutter import EndMill, ToolHolder
 
 # Steepest helix [rad], and how far angles between teeth may miss a whole turn [deg].
 _STEEPEST = 1.4
@@ -161,8 +157,10 @@ class CutterTable(TomlTable):
         return value
 
 
-def make_holder(table: CutterTable) -> ToolHolder | None:
+def make_holder(table: CutterTable) -> "ToolHolder | None":
     """Return the tool holder of a checked table, if it has one."""
+    from ...cutter import ToolHolder
+
     if table.holder is None or table.overhang is None:
         return None
     parts = [
@@ -171,8 +169,10 @@ def make_holder(table: CutterTable) -> ToolHolder | None:
     return ToolHolder.from_sizes(table.overhang, parts)
 
 
-def make_cutter(table: CutterTable) -> EndMill:
+def make_cutter(table: CutterTable) -> "EndMill":
     """Return the end mill of a checked table."""
+    from ...cutter import ball_end_mill, bull_nose, flat_end_mill
+
     flute_length = table.flute_length
     if flute_length is None and table.overhang is not None:
         # The flutes that are assumed must not reach into the holder.

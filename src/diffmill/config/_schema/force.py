@@ -1,17 +1,12 @@
 """`[force]` of a job: a material, or a law with its coefficients."""
 
-from typing import Any, Literal, NamedTuple
+import tomllib
+from importlib import resources
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field, StrictStr, field_validator
 
-from ...cutter import AbstractCutter
-from ...cutting import (
-    AbstractForceLaw,
-    KienzleLaw,
-    LinearEdgeLaw,
-    material,
-)
 from .fields import (
     PositiveLength,
     ToothEdgeForce,
@@ -20,6 +15,10 @@ from .fields import (
     ToothPressure,
 )
 from .table import TomlTable, validated
+
+if TYPE_CHECKING:
+    from ...cutter import AbstractCutter
+    from ...cutting import AbstractForceLaw
 
 
 class MaterialTable(TomlTable):
@@ -30,15 +29,24 @@ class MaterialTable(TomlTable):
     @field_validator("material")
     @classmethod
     def _known(cls, value: str) -> str:
-        material(value)
+        # Its law imports JAX, which a name that is known can do without.
+        file = resources.files("diffmill").joinpath("cutting", "materials.toml")
+        if value not in tomllib.loads(file.read_text(encoding="utf-8")):
+            from ...cutting import material
+
+            material(value)
         return value
 
-    def force_law(self) -> AbstractForceLaw:
+    def force_law(self) -> "AbstractForceLaw":
         """Return the law of the material."""
+        from ...cutting import material
+
         return material(self.material).law
 
     def notes(self, place: str) -> tuple[str, ...]:
         """Return what the user should know about the coefficients."""
+        from ...cutting import material
+
         return (f"{place} material {self.material}: {material(self.material).source}",)
 
 
@@ -53,8 +61,10 @@ class LinearEdgeTable(TomlTable):
     K_re: ToothEdgeForce = 0.0
     K_ae: ToothEdgeForce = 0.0
 
-    def force_law(self) -> AbstractForceLaw:
+    def force_law(self) -> "AbstractForceLaw":
         """Return the law."""
+        from ...cutting import LinearEdgeLaw
+
         return LinearEdgeLaw(**_arrays(self))
 
     def notes(self, place: str) -> tuple[str, ...]:
@@ -78,8 +88,10 @@ class KienzleTable(TomlTable):
     reference_thickness: PositiveLength = 1e-3
     least_thickness: PositiveLength = 1e-6
 
-    def force_law(self) -> AbstractForceLaw:
+    def force_law(self) -> "AbstractForceLaw":
         """Return the law; exponents that are left out are the tangential one."""
+        from ...cutting import KienzleLaw
+
         values = _arrays(self)
         return KienzleLaw(**{"m_r": values["m_t"], "m_a": values["m_t"]} | values)
 
@@ -103,12 +115,12 @@ class ForceTables(NamedTuple):
     side: _ForceTable
     bottom: _ForceTable | None
 
-    def laws(self) -> tuple[AbstractForceLaw, AbstractForceLaw | None]:
+    def laws(self) -> "tuple[AbstractForceLaw, AbstractForceLaw | None]":
         """Return the laws of side and bottom."""
         bottom = None if self.bottom is None else self.bottom.force_law()
         return self.side.force_law(), bottom
 
-    def notes(self, cutter: AbstractCutter) -> tuple[str, ...]:
+    def notes(self, cutter: "AbstractCutter") -> tuple[str, ...]:
         """Return what the user should know about the coefficients."""
         bottom = () if self.bottom is None else self.bottom.notes("[force.bottom]")
         found = self.side.notes("[force]") + bottom

@@ -5,11 +5,10 @@ others.
 """
 
 import math
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 from pydantic import Field, StrictBool, StrictInt, StrictStr
 
-from ..._job import OutputSettings
 from .compliance import BendingToolTable, FlangeSpringTable
 from .controller import read_controller
 from .correction import CorrectionTable
@@ -32,6 +31,9 @@ from .fields import (
 from .force import read_force
 from .machine import MachineTable, is_machine
 from .table import TomlTable, validated
+
+if TYPE_CHECKING:
+    from ..._job import OutputSettings
 
 CoordinateSystem: TypeAlias = Literal[
     "G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3"
@@ -117,8 +119,10 @@ class OutputTable(TomlTable):
     blocks: Literal["lines", "spline"] = "lines"
     moved_ends: StrictBool = False
 
-    def settings(self) -> OutputSettings:
+    def settings(self) -> "OutputSettings":
         """Return the settings of a job."""
+        from ..._job import OutputSettings
+
         suffixes = {"gcode": ".ngc", "krl": ".src", "rapid": ".mod", "apt": ".apt"}
         return OutputSettings(
             formats=tuple(suffixes[name] for name in self.formats),
