@@ -321,6 +321,54 @@ def test_check_other_files(folder, capsys):
     assert ".csv" in capsys.readouterr().err
 
 
+def test_a_command_ends_while_a_thread_compiles(tmp_path):
+    # An interrupted run leaves a compilation behind, which nothing can interrupt.
+    script = (
+        "import time, jax.numpy as jnp\n"
+        "import diffmill.__main__ as entry\n"
+        "from diffmill.numerics import CompiledOnce\n"
+        "def long(x):\n"
+        "    for _ in range(2000): x = jnp.sin(x) @ x\n"
+        "    return x\n"
+        "def main():\n"
+        "    CompiledOnce(long).prepare(jnp.ones((8, 8)))\n"
+        "    time.sleep(2)\n"
+        "    print('error: interrupted')\n"
+        "    return 1\n"
+        "entry.main = main\n"
+        "entry.run()\n"
+    )
+    line = [sys.executable, "-c", script]
+    done = subprocess.run(line, cwd=tmp_path, capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (
+        1,
+        "error: interrupted\n",
+        "",
+    )
+
+
+def test_a_script_keeps_what_it_compiles_where_commands_do(tmp_path):
+    script = (
+        "import jax, jax.numpy as jnp, diffmill as dm\n"
+        "print(dm.use_compile_cache())\n"
+        "jax.jit(lambda x: jnp.sin(x) @ x)(jnp.ones((3, 3)))\n"
+    )
+    line = [sys.executable, "-c", script]
+    home = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "HOME": str(tmp_path)}
+    done = subprocess.run(line, env=home, capture_output=True, text=True, check=True)
+    folder = pathlib.Path(done.stdout.strip())
+    assert folder == tmp_path / "cache" / "diffmill" / "jax"
+    assert any(folder.iterdir())
+    (tmp_path / "file").write_text("")
+    for place in (tmp_path / "file", tmp_path / "file" / "below"):
+        code = f"import diffmill as dm; dm.use_compile_cache({str(place)!r})"
+        line = [sys.executable, "-c", code]
+        done = subprocess.run(line, capture_output=True, text=True)
+        assert done.returncode == 1
+        assert "Error" in done.stderr.splitlines()[-1]
+        assert str(place) in done.stderr.splitlines()[-1]
+
+
 def test_cache_folder_and_precision(tmp_path):
     # A job without its program: it is read for its precision first.
     (tmp_path / "job.toml").write_text(JOB + '[simulation]\nprecision = "float32"\n')

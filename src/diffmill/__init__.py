@@ -1,8 +1,8 @@
 """Predict and correct the path error of a milling robot.
 
 `load_job` reads a job, `simulate` predicts it, `correct` corrects it, `stack` makes one
-of several for `vmap`; the parts are in the subpackages. Arrays are SI, frames and signs
-are in `docs/conventions.md`.
+of several for `vmap`, `use_compile_cache` keeps what is compiled; the parts are in the
+subpackages. Arrays are SI, frames and signs are in `docs/conventions.md`.
 
 Importing the package imports nothing else: every name is looked up when it is first
 used, so that help on the command line does not wait for JAX.
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
         viz as viz,
         workpiece as workpiece,
     )
+    from ._jax_config import use_compile_cache as use_compile_cache
     from ._job import (
         CorrectionSettings as CorrectionSettings,
         Job as Job,
@@ -83,6 +84,7 @@ _NAMES = {
     "load_job": "config",
     "simulate": "sim",
     "stack": "sim",
+    "use_compile_cache": "_jax_config",
 }
 
 

@@ -1,8 +1,29 @@
-"""Runs the command line by `python -m diffmill`."""
+"""The process of a command: runs the command line, and ends with its exit code."""
 
+import contextlib
+import os
 import sys
+import threading
+from typing import NoReturn
 
 from .cli import main
 
+
+def run() -> NoReturn:
+    """Run the command line, and end the process.
+
+    A thread may still compile what nobody waits for any more. It cannot be interrupted,
+    and would crash in an interpreter that is being taken down, so that this one is not.
+    """
+    code = main()
+    if any(x.daemon for x in threading.enumerate() if x is not threading.main_thread()):
+        for stream in (sys.stdout, sys.stderr):
+            # Who reads it may have gone.
+            with contextlib.suppress(OSError):
+                stream.flush()
+        os._exit(code)
+    sys.exit(code)
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    run()

@@ -1,4 +1,7 @@
-"""JAX's settings for a process of our own: of a command, or of a campaign's worker."""
+"""JAX's settings: those of a command or of a campaign's worker, and the compile cache.
+
+A script has settings of its own: it asks for the cache, and for nothing else.
+"""
 
 import os
 import pathlib
@@ -22,30 +25,55 @@ def configure_jax(precision: str = "float64") -> str:
     import jax
 
     jax.config.update("jax_enable_x64", precision == "float64")
+    try:
+        use_compile_cache()
+    except OSError as error:
+        # A cache that cannot be written to costs compile time, not the run.
+        jax.config.update("jax_enable_compilation_cache", False)
+        return (
+            f"the compile cache {error.filename} cannot be written to "
+            f"({error.strerror}), so that every run compiles anew; "
+            "JAX_COMPILATION_CACHE_DIR names another folder"
+        )
+    return ""
+
+
+def use_compile_cache(folder: str | os.PathLike[str] | None = None) -> str:
+    """Keep what is compiled in a folder, where later processes find it.
+
+    A script or notebook calls this before anything is computed; commands always keep
+    theirs, and both find what the other has compiled.
+
+    Args:
+        folder: The folder; if not given, that of `JAX_COMPILATION_CACHE_DIR`, or
+            `diffmill/jax` in the user's cache folder.
+
+    Returns:
+        The folder.
+
+    Raises:
+        OSError: The folder cannot be written to.
+    """
+    import jax
+
     if jax.__version__.startswith(_KNOWN):
         given = os.environ.get("XLA_FLAGS", "")
         if _FAST_COMPILING not in given:
             # What is given counts: the last of two flags does.
             os.environ["XLA_FLAGS"] = f"{_FAST_COMPILING} {given}"
-    given = os.environ.get("JAX_COMPILATION_CACHE_DIR")
-    if not given or "://" not in given:
-        folder = pathlib.Path(given) if given else cache_folder()
+    named = os.environ.get("JAX_COMPILATION_CACHE_DIR") if folder is None else folder
+    place = str(cache_folder() if not named else named)
+    # A store of another kind, such as a bucket, is none that we can look into.
+    if "://" not in place:
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryFile(dir=folder):
+            pathlib.Path(place).mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=place):
                 pass
         except OSError as error:
-            # A cache that cannot be written to costs compile time, not the run.
-            jax.config.update("jax_enable_compilation_cache", False)
-            return (
-                f"the compile cache {folder} cannot be written to ({error.strerror}), "
-                "so that every run compiles anew; JAX_COMPILATION_CACHE_DIR names "
-                "another folder"
-            )
-        if not given:
-            jax.config.update("jax_compilation_cache_dir", str(folder))
+            raise OSError(error.errno, error.strerror, place) from error
+    jax.config.update("jax_compilation_cache_dir", place)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
-    return ""
+    return place
 
 
 def cache_folder() -> pathlib.Path:

@@ -7,6 +7,7 @@ import pytest
 
 from diffmill import load_job
 from diffmill.correction import (
+    AbstractObjective,
     InfeasibleLimit,
     JointLimits,
     NothingToCorrect,
@@ -182,3 +183,21 @@ def test_joints_are_held_within_their_limits(load):
     beyond = eqx.tree_at(lambda j: j.robot.joint_upper, job, upper - 2e-4)
     with pytest.raises(InfeasibleLimit, match="`joint limits`"):
         JointLimits(beyond).rows(spline, nominal, bound)
+
+
+class Along(AbstractObjective):
+    """The deviation along x alone."""
+
+    def errors(self, problem, motion, lag_weight):
+        off = (motion.actual - jnp.asarray(problem.desired))[:, 0]
+        return off * jnp.sqrt(problem.is_cutting / problem.is_cutting.sum())
+
+
+@pytest.mark.slow
+def test_an_objective_of_ones_own_becomes_small(load):
+    job = load("")
+    along = lambda found: np.asarray(found.after.deviation)[:, 0]
+    cuts = lambda found: along(found)[np.asarray(found.after.is_cutting)]
+    own, path = (correct(job, objective=x) for x in (Along(), None))
+    # The path alone sees the deviation along it only a little.
+    assert np.std(cuts(own)) < 0.5 * np.std(cuts(path))

@@ -57,6 +57,26 @@ def test_a_start_is_the_uncorrected_command(fit):
     )
 
 
+class Flat(dm.correction.AbstractObjective):
+    """Errors in a table instead of a row."""
+
+    def errors(self, problem, motion, lag_weight):
+        return problem.contour(motion)
+
+
+@pytest.mark.parametrize("objective", ["surface", Flat])
+def test_what_is_no_objective_is_refused_before_anything_runs(fit, objective):
+    # The type check of the tests comes first.
+    with pytest.raises((ValueError, TypeError), match="objective"):
+        residual(fit.args.problem, objective=objective)
+
+
+def test_errors_that_are_no_row_are_refused(fit):
+    own = residual(fit.args.problem, objective=Flat())
+    with pytest.raises(ValueError, match=r"Flat\.errors.*\(error,\)"):
+        own.residual(own.start, own.args)
+
+
 def test_optimistix_finds_the_least_squares(fit, least):
     solver = optimistix.LevenbergMarquardt(rtol=1e-4, atol=1e-4)
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):

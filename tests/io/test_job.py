@@ -231,7 +231,7 @@ def test_recorded_path(write, tmp_path):
         ),
         (
             ('diameter = "10 mm"', 'diameter = "10 mm"\ndiametre = "10 mm"'),
-            ("[cutter] diametre", "unknown key", "diameter"),
+            ("[cutter] diametre", "unknown key", "perhaps diameter is meant"),
         ),
         (
             ('diameter = "10 mm"', ""),

@@ -58,8 +58,9 @@ def _fit_lines(study: ForceRecordStudy, found: ForceRecordStudyFit) -> list[str]
     for name, value in fit.refined.items():
         text = f"{1e6 * value:.3g}" if np.isfinite(value) else "not identifiable"
         lines.append(f"{name:14}{text:>12}{1e6 * fit.refined_errors[name]:12.2g}  um")
+    share = f"{fit.explained:.2%}" if fit.explained > 0 else "nothing"
     lines.append(
-        f"the fit explains {fit.explained:.2%} of the squared force; it leaves "
+        f"the fit explains {share} of the squared force; it leaves "
         f"{fit.residual_rms:.4g} N of {fit.force_rms:.4g} N rms"
     )
     lines += all_noted(fit.doubts, "warning")

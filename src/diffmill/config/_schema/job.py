@@ -30,7 +30,7 @@ from .fields import (
 )
 from .force import read_force
 from .machine import MachineTable, is_machine
-from .table import TomlTable, validated
+from .table import TomlTable, meant_by, validated
 
 if TYPE_CHECKING:
     from ..._job import OutputSettings
@@ -203,6 +203,7 @@ def read_tables(raw: dict[str, Any], problems: list[str]) -> dict[str, Any]:
         if name not in names:
             problems.append(
                 f"{name}: found an unknown table or key; allowed: {allowed}"
+                f"{meant_by(name, names)}"
             )
     for name in names:
         if name == "machine" and name not in raw:

@@ -1,5 +1,7 @@
 """A table of a job file, and the lines that say what is wrong with it."""
 
+import difflib
+from collections.abc import Iterable
 from typing import Any, TypeVar, get_args
 
 import pydantic
@@ -58,8 +60,9 @@ def _describe(
         return f"{key}: found nothing, but it is required: {wanted}"
     if kind == "extra_forbidden":
         more = also if owner is table else ()
-        allowed = ", ".join((*owner.model_fields, *more))
-        return f"{key}: found an unknown key; allowed: {allowed}"
+        allowed = (*owner.model_fields, *more)
+        text = f"{key}: found an unknown key; allowed: {', '.join(allowed)}"
+        return text + meant_by(keys[-1], allowed)
     if kind == "value_error":
         return f"{key}: {context['error']}"
     if kind == "literal_error":
@@ -78,6 +81,12 @@ def _describe(
     }.get(kind, fault["msg"])
     place = f"{key}: " if key else ""
     return f"{place}found {found!r}, but {wanted}"
+
+
+def meant_by(name: str, allowed: Iterable[str]) -> str:
+    """Return the name that was probably meant, as part of a message, or nothing."""
+    near = difflib.get_close_matches(name, list(allowed), n=1, cutoff=0.75)
+    return f"; perhaps {near[0]} is meant" if near else ""
 
 
 def _owner(table: type[TomlTable], keys: list[str]) -> type[TomlTable]:

@@ -60,6 +60,15 @@ class PathObjective(AbstractObjective):
         return (error * row_shares(problem, contour.dtype)[:, None]).reshape(-1)
 
 
+def check_objective(objective: object) -> None:
+    """Raise a `ValueError` unless it is an objective, or None."""
+    if not (objective is None or isinstance(objective, AbstractObjective)):
+        raise ValueError(
+            "Argument `objective` must be an instance of AbstractObjective, but is "
+            f"{objective!r}."
+        )
+
+
 def beyond(
     vector: Float[Array, "row axis"], tolerance: RealScalarLike
 ) -> Float[Array, "row axis"]:

@@ -14,6 +14,7 @@ from ...optimise import LeastSquaresStep
 from ...process import ThroughPoses
 from ...sim import JobKinematics, Solution, run_with_room
 from .._core.method import Corrected, GivenCommand
+from .._core.path_objective import AbstractObjective, check_objective
 from .._core.path_segments import PathParts
 from .._core.problem import Problem
 from .._method.checkpoint import Arrays, OnCheckpoint
@@ -120,6 +121,7 @@ class Correction(eqx.Module):
 def correct(
     job: Job,
     *,
+    objective: AbstractObjective | None = None,
     throw: bool = True,
     on_progress: OnProgress | None = None,
     on_checkpoint: OnCheckpoint | None = None,
@@ -135,13 +137,15 @@ def correct(
 
     Args:
         job: The job; its machine must not be rigid.
+        objective: The error that is to become small, if it is another one than the job
+            knows.
         throw: Whether to raise when the uncorrected run does not succeed.
         on_progress: Called with a message and the rms contour error so far [m].
         on_checkpoint: Called with all that is needed to go on, plain arrays by name:
             after every method, every step of Gauss-Newton on a whole path, and every
             segment of a long one.
-        resume: What it was called with for the same job, to go on from there to the
-            same result.
+        resume: What it was called with for the same job and objective, to go on from
+            there to the same result.
 
     Returns:
         The correction with all its cases.
@@ -154,13 +158,15 @@ def correct(
             that is asked for; a `ValueError`.
         UnsuitableSettings: Knots, horizon or overlap do not suit the path; a
             `ValueError`.
-        ValueError: The job has no robot, or JAX is not set up for its precision.
+        ValueError: The job has no robot, the objective is none, or JAX is not set up
+            for its precision.
 
     Differentiability: runs on the host, not traceable.
     """
     job = job.with_precision()
     if job.is_rigid:
         raise ValueError("Argument `job` must not have a rigid machine, but has.")
+    check_objective(objective)
     # A horizon that cannot be is refused before anything runs.
     horizon = horizon_of(job)
     check_limits(job)
@@ -178,7 +184,7 @@ def correct(
     weights = _weights(job, rigid, before)
     plant = TipPlant(job, adjoint, before.wall_share, rigid)
     problem = job_problem(job, plant, desired, before, weights)
-    task = _Task(job, plant, before, problem, horizon)
+    task = _Task(job, plant, before, problem, horizon, objective)
     is_optimised = "corrected" in compared(job)
     # Settings that do not suit the job are refused before the baselines run.
     optimiser = _Optimiser(task) if is_optimised else None
@@ -200,6 +206,7 @@ class _Task(NamedTuple):
     before: Solution
     problem: Problem
     horizon: tuple[int, int] | None
+    objective: AbstractObjective | None
 
 
 def compared(job: Job) -> tuple[str, ...]:
@@ -244,7 +251,8 @@ class _Optimiser:
         self.task = task
         self.surface = job_surface(job, before.rigid)
         weights = np.asarray(task.problem.is_cutting)
-        self.objective = job_objective(job, self.surface, weights)
+        own = task.objective
+        self.objective = own or job_objective(job, self.surface, weights)
         self.method = job_optimiser(job, self.objective, self.surface, task.plant)
 
     def run(self, record: CaseRecord, inverse: InverseDriveCommand | None) -> None:

@@ -6,7 +6,11 @@ from ..._job import Job
 from ..._types import RealScalarLike
 from ...process import ThroughPoses
 from ...sim import run_with_room
-from .._core.path_objective import AbstractObjective, PathObjective
+from .._core.path_objective import (
+    AbstractObjective,
+    PathObjective,
+    check_objective,
+)
 from .._core.problem import Problem
 from .._method.offset_residual import OffsetResidual, offset_residual
 from .objective import job_objective, job_surface, job_weights
@@ -45,11 +49,12 @@ def residual(
 
     Raises:
         SimulationFailed: The run of the uncorrected program fails.
-        ValueError: The machine is rigid, no row that cuts has a weight, or the path is
-            too short for the knots.
+        ValueError: The objective is none, the machine is rigid, no row that cuts has a
+            weight, or the path is too short for the knots.
 
     **Differentiability**: runs on the host; the functions that it returns are pure.
     """
+    check_objective(objective)
     if isinstance(job, Problem):
         problem, spacing, own = job, 30e-3, PathObjective()
     else:

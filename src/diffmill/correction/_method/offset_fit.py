@@ -113,6 +113,11 @@ def errors_of(
     """
     problem, dtype = args.problem, coefficients.dtype
     error = args.objective.errors(problem, motion, args.lag_weight)
+    if error.ndim != 1:
+        raise ValueError(
+            f"`{type(args.objective).__name__}.errors` must return shape (error,), but "
+            f"returns {error.shape}."
+        )
     rough = args.spline.roughness(coefficients)
     price = jnp.asarray(args.smoothness, dtype) / np.sqrt(rough.shape[0])
     rough = rough * (price / jnp.asarray(problem.max_offset, dtype))

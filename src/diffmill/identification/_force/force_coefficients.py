@@ -392,8 +392,9 @@ def _doubts(explained: float, K: np.ndarray) -> tuple[str, ...]:
     """Say why a fit is not to be trusted."""
     doubts = []
     if explained < _EXPLAINED:
+        share = f"{explained:.0%}" if explained > 0 else "nothing"
         doubts.append(
-            f"The fit explains {max(explained, 0.0):.0%} of the squared force, less "
+            f"The fit explains {share} of the squared force, less "
             f"than {_EXPLAINED:.0%}: axes, cut, speed or time shift may be wrong, and "
             "the standard errors do not tell how far the coefficients are off."
         )

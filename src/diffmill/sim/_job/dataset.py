@@ -1,6 +1,6 @@
 """Solutions as labelled arrays."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -42,7 +42,16 @@ def solution_dataset(solution: "Solution") -> "xarray.Dataset":
         last = "joint" if name.endswith("_positions") else "axis"
         dims = ("step", last)[: array.ndim]
         variables[name] = (dims, array, {"units": unit, "long_name": meaning})
-    coordinates = {"axis": ["x", "y", "z"]}
+    steps = np.linalg.norm(np.diff(np.asarray(solution.desired), axis=0), axis=1)
+    length = np.concatenate([[0.0], np.cumsum(steps)])
+    coordinates: dict[str, Any] = {
+        "axis": ["x", "y", "z"],
+        "path_length": (
+            "step",
+            length,
+            {"units": "m", "long_name": "length of the desired path so far"},
+        ),
+    }
     if solution.joint_positions is not None:
         coordinates["joint"] = list(solution.joint_names)
     return xarray.Dataset(

@@ -20,9 +20,10 @@ def stack(jobs: Sequence[_Tree]) -> _Tree:
         forces = jax.vmap(lambda job: dm.simulate(job).force)(dm.stack(jobs))
 
     Jobs have one shape if they differ in numbers only: feeds, coefficients, springs,
-    places of the part, but not stocks of other sizes or other counts of teeth. Paths
-    are brought to the length of the longest; rows behind `path.row_count` are not
-    simulated, what results hold there has no meaning. Names and texts are left out.
+    frequencies of modes, places of the part, but not stocks of other sizes or other
+    counts of teeth. Paths are brought to the length of the longest; rows behind
+    `path.row_count` are not simulated, what results hold there has no meaning. Names
+    and texts are left out.
 
     Args:
         jobs: The jobs, or other trees of one structure, such as the `args` and `start`

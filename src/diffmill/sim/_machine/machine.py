@@ -241,8 +241,9 @@ class Run(eqx.Module):
         stock: The stock after the last pose.
         has_failed: Whether a flag was up after each step, shape (step,).
         result: Outcome of the run.
-        instantaneous_force: Force at every angle sample of every period [N], shape
-            (step, sample, 3), if it was asked for.
+        instantaneous_force: Force at every angle sample of the period before each row
+            [N], if it was asked for; sample j of n is that at the share (j + 1/2) / n
+            of the period, shape (step, sample, 3).
     """
 
     time: Float[Array, " step"]
