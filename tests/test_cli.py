@@ -140,6 +140,7 @@ def test_examples_are_listed_and_each_is_one_that_can_be_written(folder, capsys)
         assert (folder / f"{name}.toml").exists()
 
 
+@pytest.mark.slow
 def test_the_first_example_is_corrected_without_a_robot(folder, capsys):
     assert main(["example", "tiny", "--quiet"]) == 0
     assert main(["correct", "tiny.toml", "--out", "out", "--quiet", "--json"]) == 0

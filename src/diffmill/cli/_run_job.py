@@ -14,7 +14,6 @@ from .._jax_config import configure_jax
 from ._analyses import FinishedRun, add_analyses
 from ._session.checkpoint import Checkpoint
 from ._session.errors import BadInput, bad_input
-from ._session.import_ahead import import_ahead
 from ._session.progress import Progress
 
 if TYPE_CHECKING:
@@ -203,12 +202,9 @@ def _compute(
     """Run the job."""
     from ..sim import Replay, simulate
 
-    @functools.cache
-    def prepare_figures() -> None:
-        # At the first message the programs of the run itself are compiled or begun: a
-        # core that is free goes on with those of the figures.
-        Replay.prepare(job)
-        import_ahead()
+    # At the first message the programs of the run itself are compiled or begun: a core
+    # that is free goes on with those of the figures.
+    prepare_figures = functools.cache(lambda: Replay.prepare(job))
 
     if command == "simulate":
 
