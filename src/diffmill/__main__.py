@@ -16,7 +16,7 @@ def run() -> NoReturn:
     and would crash in an interpreter that is being taken down, so that this one is not.
     """
     code = main()
-    if any(x.daemon for x in threading.enumerate() if x is not threading.main_thread()):
+    if any(thread.daemon for thread in threading.enumerate()):
         for stream in (sys.stdout, sys.stderr):
             # Who reads it may have gone.
             with contextlib.suppress(OSError):

@@ -193,6 +193,11 @@ class Along(AbstractObjective):
         return off * jnp.sqrt(problem.is_cutting / problem.is_cutting.sum())
 
 
+def test_an_objective_of_ones_own_sees_the_whole_path(load):
+    with pytest.raises(UnsuitableSettings, match="one of your own"):
+        correct(load("horizon = 40\noverlap = 10\n"), objective=Along())
+
+
 @pytest.mark.slow
 def test_an_objective_of_ones_own_becomes_small(load):
     job = load("")

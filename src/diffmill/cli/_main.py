@@ -50,7 +50,7 @@ def _read(file: pathlib.Path) -> None:
         read_toml(file)
 
 
-def _check(job: pathlib.Path) -> None:
+def _check_tables(job: pathlib.Path) -> None:
     """Refuse a job whose tables have faults before what takes seconds is imported."""
     from ..config import check_tables
 
@@ -79,7 +79,7 @@ def simulate(
     tolerance_band: _Band = None,
 ) -> int:
     """Predict forces, deviation and the machined surface of a job."""
-    _check(job)
+    _check_tables(job)
     from ._run_job import run_job
 
     return run_job(
@@ -113,7 +113,7 @@ def correct(
     ] = False,
 ) -> int:
     """Predict, correct the path, predict again; write the corrected program."""
-    _check(job)
+    _check_tables(job)
     from ._run_job import run_job
 
     return run_job(
@@ -153,7 +153,7 @@ def feed(
     allow_outside: _Outside = False,
 ) -> int:
     """Say what a slower or faster feed costs in error; tune the feed along the path."""
-    _check(job)
+    _check_tables(job)
     from ._feed import FeedRequest, run_feed
 
     return run_feed(

@@ -50,7 +50,7 @@ from .plants import (
     joint_problem,
     solved_motion,
 )
-from .resumable import horizon_of, keeping, remembering
+from .resumable import SegmentRows, keeping, remembering, segment_rows
 
 if TYPE_CHECKING:
     import xarray
@@ -138,7 +138,7 @@ def correct(
     Args:
         job: The job; its machine must not be rigid.
         objective: The error that is to become small, if it is another one than the job
-            knows.
+            knows; the path is then corrected as a whole, however long it is.
         throw: Whether to raise when the uncorrected run does not succeed.
         on_progress: Called with a message and the rms contour error so far [m].
         on_checkpoint: Called with all that is needed to go on, plain arrays by name:
@@ -168,12 +168,12 @@ def correct(
         raise ValueError("Argument `job` must not have a rigid machine, but has.")
     check_objective(objective)
     # A horizon that cannot be is refused before anything runs.
-    horizon = horizon_of(job)
+    segments = segment_rows(job, has_own_objective=objective is not None)
     check_limits(job)
     adjoint = ThroughPoses()
     desired = jnp.asarray(job.path.positions)
     uses_linear = job.correction.method != "adam" and "corrected" in compared(job)
-    if uses_linear and horizon is None:
+    if uses_linear and segments is None:
         prepare_linear_job(job)
     # A program beyond a joint's limit is refused before anything runs, too.
     JointLimits(job).check(desired, is_joints=False)
@@ -184,7 +184,7 @@ def correct(
     weights = _weights(job, rigid, before)
     plant = TipPlant(job, adjoint, before.wall_share, rigid)
     problem = job_problem(job, plant, desired, before, weights)
-    task = _Task(job, plant, before, problem, horizon, objective)
+    task = _Task(job, plant, before, problem, segments, objective)
     is_optimised = "corrected" in compared(job)
     # Settings that do not suit the job are refused before the baselines run.
     optimiser = _Optimiser(task) if is_optimised else None
@@ -205,7 +205,7 @@ class _Task(NamedTuple):
     plant: TipPlant
     before: Solution
     problem: Problem
-    horizon: tuple[int, int] | None
+    segments: SegmentRows | None
     objective: AbstractObjective | None
 
 
@@ -232,7 +232,8 @@ def _run_baselines(
     record.run("uncorrected", GivenCommand(motion=known), problem)
     record.run("mirror", Mirror(before=known), problem)
     if "mirror_iterated" in cases:
-        mirror = job_mirror(problem, task.before, task.horizon)
+        segment = None if task.segments is None else task.segments.length
+        mirror = job_mirror(problem, task.before, segment)
         record.run("mirror_iterated", mirror, problem)
     desired, bound = jnp.asarray(problem.desired), problem.max_offset
     if "input_shaper" in cases:
@@ -251,8 +252,10 @@ class _Optimiser:
         self.task = task
         self.surface = job_surface(job, before.rigid)
         weights = np.asarray(task.problem.is_cutting)
-        own = task.objective
-        self.objective = own or job_objective(job, self.surface, weights)
+        objective = task.objective
+        if objective is None:
+            objective = job_objective(job, self.surface, weights)
+        self.objective = objective
         self.method = job_optimiser(job, self.objective, self.surface, task.plant)
 
     def run(self, record: CaseRecord, inverse: InverseDriveCommand | None) -> None:
@@ -268,10 +271,11 @@ class _Optimiser:
             start = min(record.methods.values(), key=self._remaining).command
             start = _spread(job, start)
         method = within_joint_limits(method, job, problem)
-        path_first = None if self.task.horizon else for_the_path(method)
+        path_first = None if self.task.segments else for_the_path(method)
         if path_first is not None:
             start = self._on_the_path(record, path_first, problem, start)
-        kept = keeping(job, method, adjoint, record, before.wall_share)
+        share, segments = before.wall_share, self.task.segments
+        kept = keeping(job, method, adjoint, record, share, segments)
         record.run("corrected", kept, problem, start=start)
 
     def _on_the_path(

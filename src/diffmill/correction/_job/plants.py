@@ -203,19 +203,24 @@ def joint_problem(
 
 
 def job_mirror(
-    problem: Problem, before: Solution, horizon: tuple[int, int] | None
+    problem: Problem, before: Solution, segment: int | None
 ) -> AbstractMethod:
     """Return the iterated mirror; on a long path its grid sees the first that cuts.
 
     The grid runs some hundred times, which on the whole path would cost more than the
     optimiser.
+
+    Args:
+        problem: The problem.
+        before: Solution of the uncorrected program.
+        segment: Rows of a segment; None where the path is corrected as a whole.
     """
-    if horizon is None:
+    if segment is None:
         return IteratedMirror(before=solved_motion(before))
     plant, is_cutting = problem.plant, before.is_cutting
     assert isinstance(plant, TipPlant)
     first = int(np.flatnonzero(is_cutting)[0])
-    rows = slice(min(first + horizon[0], plant.job.path.step_count))
+    rows = slice(min(first + segment, plant.job.path.step_count))
     # Where none of these rows counts, the filter that suits the arm is found all the
     # same from how they cut.
     weights = problem.is_cutting[rows]

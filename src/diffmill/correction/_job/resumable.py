@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 from ..._job import Job
 from ...process import AbstractAdjoint
@@ -24,8 +24,22 @@ _HORIZON = 2000
 _OVERLAP_KNOTS = 32
 
 
-def horizon_of(job: Job) -> tuple[int, int] | None:
-    """Return the rows of a segment and of its overlap; None for the path as a whole.
+class SegmentRows(NamedTuple):
+    """Rows of the segments in which a long path is corrected.
+
+    Attributes:
+        length: Of a segment.
+        overlap: Of two that follow each other.
+    """
+
+    length: int
+    overlap: int
+
+
+def segment_rows(job: Job, *, has_own_objective: bool) -> SegmentRows | None:
+    """Return the rows of the segments of a job; None for the path as a whole.
+
+    An objective of one's own may look at the whole path, so that it gets the whole.
 
     Raises:
         UnsuitableSettings: The job asks for segments where there can be none.
@@ -33,7 +47,7 @@ def horizon_of(job: Job) -> tuple[int, int] | None:
     settings, rows = job.correction, job.path.step_count
     is_able = settings.objective == "path" and job.simulation.mode == "dynamic"
     is_able &= settings.uncertainty is None and settings.method != "adam"
-    is_able &= job.controller is None
+    is_able &= job.controller is None and not has_own_objective
     if settings.horizon == "auto":
         horizon = _HORIZON if rows > _WHOLE_ROWS and is_able else rows
     else:
@@ -43,8 +57,9 @@ def horizon_of(job: Job) -> tuple[int, int] | None:
     if not is_able:
         raise UnsuitableSettings(
             'Argument `job` must have the horizon "auto" unless its objective is '
-            '"path", its mode "dynamic", its model certain, its controller ideal and '
-            f'its method "gauss_newton", but has a horizon of {horizon} rows.'
+            '"path" and not one of your own, its mode "dynamic", its model certain, '
+            'its controller ideal and its method "gauss_newton", but has a horizon of '
+            f"{horizon} rows."
         )
     overlap = settings.overlap
     if overlap == "auto":
@@ -55,7 +70,7 @@ def horizon_of(job: Job) -> tuple[int, int] | None:
             f"Argument `job` must have an overlap below its horizon of {horizon} rows, "
             f"but has {overlap} rows."
         )
-    return horizon, overlap
+    return SegmentRows(horizon, overlap)
 
 
 def keeping(
@@ -64,6 +79,7 @@ def keeping(
     adjoint: AbstractAdjoint,
     record: CaseRecord,
     wall_share: Steps,
+    segments: SegmentRows | None,
 ) -> Callable[..., Any]:
     """Return a method that corrects as the job asks, and tells all that it has found.
 
@@ -74,6 +90,7 @@ def keeping(
         record: Where it tells it, after every step or every segment, and what it goes
             on from.
         wall_share: When in each period its wall is made, shape (step,).
+        segments: Rows of the segments; None for the path as a whole.
 
     Returns:
         A function of a problem, as `AbstractMethod`.
@@ -84,13 +101,13 @@ def keeping(
             on_memory=lambda arrays: record.keep("adam", arrays),
             resume=record.kept("adam") or None,
         )
-    found = horizon_of(job)
-    if found is None:
+    if segments is None:
         return remembering(method, "gauss_newton", record)
     return RecedingHorizon(
         JobPieces(job, adjoint, wall_share, job.correction.command == "joint"),
         method,
-        *found,
+        horizon=segments.length,
+        overlap=segments.overlap,
         on_checkpoint=lambda arrays: record.keep("horizon", arrays),
         resume=record.kept("horizon") or None,
     )
