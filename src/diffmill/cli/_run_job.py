@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from .._jax_config import configure_jax
+from .._results_folder import check_folder
 from ._analyses import FinishedRun, add_analyses
 from ._session.checkpoint import Checkpoint
 from ._session.errors import BadInput, bad_input
@@ -51,15 +52,17 @@ def run_job(
         resume: Whether a correction goes on from its checkpoint.
         prints_json: Whether the figures are printed as JSON when all is done.
     """
-    from .._result import SimulationFailed
-    from .._toml import JobError
-    from ..config import JobProgram, job_precision, load_job
-    from ..io import check_folder, write_results
-
     band = _length(tolerance_band)
     folder = pathlib.Path(f"{file.stem}-{command}") if out is None else out
     with bad_input():
         check_folder(folder, force=force)
+    # What takes seconds to import waits until it is needed.
+    from .._result import SimulationFailed
+    from .._toml import JobError
+    from ..config import JobProgram, job_precision, load_job
+    from ..io import write_results
+
+    with bad_input():
         uncached = configure_jax(job_precision(file))
         job = load_job(file, allow_outside=allow_outside)
         if command == "correct" and job.is_rigid:

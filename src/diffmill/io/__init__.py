@@ -13,6 +13,10 @@ what laboratory programs write. What `diffmill identify` is to find out stands i
 file like a job.
 """
 
+from .._results_folder import (
+    ResultsError as ResultsError,
+    check_folder as check_folder,
+)
 from ._checkpoint import (
     CheckpointError as CheckpointError,
     CheckpointFile as CheckpointFile,
@@ -49,8 +53,6 @@ from ._records.reader import (
 )
 from ._records.timeline import timeline as timeline
 from ._results import (
-    ResultsError as ResultsError,
-    check_folder as check_folder,
     described as described,
     extend_results as extend_results,
     mark_incomplete as mark_incomplete,
