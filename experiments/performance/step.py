@@ -40,14 +40,16 @@ def of_precision(job, precision):
 def coupled(report, job, *, has_gradient=False):
     """Print the time of a coupled step in a job's precision, and of its gradient."""
     precision = job.simulation.precision
-    model = sim.JobModel.of(job, process.ThroughPoses())
+    # As `simulate` runs it where nothing is differentiated.
+    model = sim.JobModel.of(job, process.ThroughRays())
     machine, cut = model.machine, model.process
     motors = sim.JobKinematics(job).motors(jnp.asarray(job.path.positions))[0]
     run = jax.jit(lambda x: machine.run(cut, x).ends)
+    tied = sim.JobModel.of(job, process.ThroughPoses()).process
     if not has_gradient:
         (forward,) = alternate(RUNS, lambda: run(motors))
     else:
-        loss = lambda x: 1e6 * jnp.sum((machine.run(cut, x).ends[:, -1]) ** 2)
+        loss = lambda x: 1e6 * jnp.sum((machine.run(tied, x).ends[:, -1]) ** 2)
         compiled = jax.jit(jax.grad(loss)).lower(motors).compile()
         forward, back = alternate(RUNS, lambda: run(motors), lambda: compiled(motors))
         memory = compiled.memory_analysis().temp_size_in_bytes * 1000 / ROWS

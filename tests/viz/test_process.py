@@ -25,7 +25,7 @@ def test_chip_of_a_slot_is_that_of_two_circles(direction):
         stock, cutter, axial_depth=DEPTH, angles=96, element_height=0.4e-3
     )
     process = Process(stock, cutter, PAPER_LAW, 837.0, plan)
-    chart = Replay(process, Pose(jnp.asarray(tips))).tooth_chip(step=50)
+    chart = Replay.along(process, Pose(jnp.asarray(tips)), 50).tooth_chip()
     phi = chart.immersion_angle
     assert np.ptp(phi) == pytest.approx(2 * np.pi * (1 - 1 / plan.angles))
     # symbols: h chip, u_e part of the feed along the tooth; R^2 - across^2 remains
@@ -45,9 +45,9 @@ def test_step_outside_the_path_is_refused():
     stock = box([0.0, 0.0, 0.0], [4e-3, 4e-3, 2e-3], 0.5e-3)
     cutter = flat_end_mill(diameter=2 * RADIUS, teeth=2, helix_angle=0.0)
     plan = choose_engagement(stock, cutter, axial_depth=DEPTH)
-    with pytest.raises(ValueError, match=r"`step`.* 1 .* 4"):
+    with pytest.raises(ValueError, match=r"`chip_row`.* 1 .* 4"):
         process = Process(stock, cutter, PAPER_LAW, 837.0, plan)
-        Replay(process, Pose(jnp.zeros((5, 3)))).tooth_chip(step=5)
+        Replay.along(process, Pose(jnp.zeros((5, 3))), 5)
 
 
 def test_force_record_puts_samples_in_the_middle_of_their_parts():

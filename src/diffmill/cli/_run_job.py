@@ -1,6 +1,5 @@
 """Running a job and writing its folder of results."""
 
-import functools
 import json
 import math
 import pathlib
@@ -203,19 +202,10 @@ def _compute(
     command: str, job: "Job", progress: Progress, checkpoint: Checkpoint | None
 ) -> Outcome:
     """Run the job."""
-    from ..sim import Replay, simulate
-
-    # At the first message the programs of the run itself are compiled or begun: a core
-    # that is free goes on with those of the figures.
-    prepare_figures = functools.cache(lambda: Replay.prepare(job))
+    from ..sim import simulate
 
     if command == "simulate":
-
-        def show(message: str, share: float) -> None:
-            prepare_figures()
-            progress.update(message, share)
-
-        return simulate(job, on_progress=show)
+        return simulate(job, on_progress=progress.update)
     from ..correction import (
         InfeasibleLimit,
         NothingToCorrect,
@@ -224,7 +214,6 @@ def _compute(
     )
 
     def tell(message: str, rms: float) -> None:
-        prepare_figures()
         progress.update(f"{message}: contour error {rms * 1e6:.2f} um rms")
 
     try:

@@ -3,8 +3,9 @@
 At a point a problem gives gradient and curvature of its cost, for a sum of squares
 those of Gauss and Newton. The curvature is damped in proportion to its diagonal
 (Marquardt), bounds of the step and linear rows included, until a trial lowers the cost:
-a good step lessens the damping, a refused one raises it. A value that a problem
-computes at a point may be a whole simulation; each is computed once.
+a good step lessens the damping, a refused one raises it until the next is shorter. A
+value that a problem computes at a point may be a whole simulation; each is computed
+once.
 
 Reference: Nocedal and Wright, Numerical Optimization, 2006, chapter 10.3.
 """
@@ -21,6 +22,12 @@ from jaxtyping import Bool, Float
 
 from ._quadratic_program import solve_quadratic_program
 
+# By how much a refused step is shortened: at least and at most, as for the radius of a
+# trust region in Dennis and Schnabel, Numerical Methods for Unconstrained Optimization
+# and Nonlinear Equations, 1996, section 6.4.3.
+_SHRINK = (0.1, 0.5)
+# Over the diagonal of the curvature: a step so damped goes nowhere.
+_MOST_DAMPED = 1e16
 # A step so near to a bound, as a share of its range, is at the bound.
 _AT_BOUND = 1e-7
 
@@ -52,6 +59,14 @@ class LinearRows(eqx.Module):
         outside = values - np.clip(values, self.lower, self.upper)
         return 0.5 * self.weight**2 * float(outside @ outside)
 
+    def slope(self, p: Vector) -> float:
+        """Return how the energy changes as a step begins, per step."""
+        if np.isinf(self.weight):
+            return 0.0
+        at = np.zeros(len(self.lower))
+        outside = at - np.clip(at, self.lower, self.upper)
+        return self.weight**2 * float(outside @ (self.matrix @ p))
+
 
 class QuadraticModel(eqx.Module):
     """Quadratic model of a cost around a point.
@@ -68,6 +83,19 @@ class QuadraticModel(eqx.Module):
     gradient: Vector
     curvature: Float[np.ndarray, "unknown unknown"]
     rows: tuple[LinearRows, ...] = ()
+
+    def best_share(self, p: Vector, rise: float) -> float:
+        """Return the share of a step that lowers the cost most; 0 if not known.
+
+        By the parabola with the slope of the model that goes through a trial.
+
+        Args:
+            p: A step that was tried.
+            rise: What it added to the cost, infinite if it may not be taken.
+        """
+        slope = float(self.gradient @ p) + sum(rows.slope(p) for rows in self.rows)
+        bend = rise - slope
+        return -slope / (2 * bend) if np.isfinite(bend) and bend > 0 else 0.0
 
     def decrease(self, p: Vector) -> float:
         """Return by how much a step lowers the cost in the model."""
@@ -103,12 +131,13 @@ class LevenbergMarquardt(eqx.Module):
         longest: Largest change of each unknown in a step, a number or shape (unknown,).
         damping: First damping, over the diagonal of the curvature.
         less: Factor of the damping after a good trial.
-        more: Factor after a refused one; its square after each further one in a row.
+        more: Factor after a refused one, as often as the next step needs to be shorter.
         rest: Squared length of a step in the metric of the curvature at which a good
             step is the last.
         kink: The same for a refused step: further ones would be refused too.
         still: Largest change of each unknown that counts as none, likewise.
-        share: Smallest decrease over the cost that is worth a trial.
+        share: Smallest decrease over the cost that is worth a trial, as the model
+            foresees it.
     """
 
     max_steps: int = 25
@@ -242,23 +271,26 @@ def _stepped(
     now, damping = model.cost(state.x, state.value), state.damping
     state = dataclasses.replace(state, models=state.models + 1)
     cost, used, is_better, has_converged = now, damping, False, True
-    # A trial costs a run: where the model is refused once more, it is far off.
-    more = solver.more
-    for _ in range(solver.attempts):
+    # Largest squared length of a trial, in the metric of the curvature.
+    longest, trials = np.inf, 0
+    while trials < solver.attempts and damping < _MOST_DAMPED:
         used = damping
         p = _damped_step(model, damping, box)
         if p is None:
-            damping, more = damping * more, solver.more**2
+            damping *= solver.more
             continue
         if model.decrease(p) < solver.share * now:
             break
         curved = float(p @ model.curvature @ p)
+        if curved > longest:
+            damping *= solver.more
+            continue
         value = problem.evaluate(state.x + p)
         cost = np.inf if value is None else model.cost(state.x + p, value)
         state = dataclasses.replace(state, evaluations=state.evaluations + 1)
+        trials += 1
         is_better = value is not None and bool(cost <= now and np.isfinite(cost))
-        damping *= solver.less if is_better else more
-        more = solver.more**2
+        damping *= solver.less if is_better else solver.more
         is_still = bool(np.all(np.abs(p) < solver.still))
         if is_better:
             state = dataclasses.replace(
@@ -269,6 +301,9 @@ def _stepped(
             break
         if is_still or curved < solver.kink:
             break
+        # A step that hardly differs from one that was refused is refused too.
+        shrink = np.clip(model.best_share(p, cost - now), *_SHRINK)
+        longest = min(longest, curved) * float(shrink) ** 2
     cost = cost if is_better else now
     step = LeastSquaresStep(
         cost, used, state.evaluations, state.models, seconds(), is_better

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from ..._job import Job
 from ..._types import FloatRows
-from ...process import AbstractAdjoint
+from ...process import AbstractAdjoint, StockHeld
 from ...sim import JobKinematics, JobModel, Run, Solution, solve_command, with_scaled
 from .._core.method import AbstractMethod
 from .._core.problem import AbstractHostPlant, Motion, Problem
@@ -69,14 +69,13 @@ class TipPlant(AbstractHostPlant):
 
     def __call__(self, command: Float[Array, "step 3"]) -> Motion:
         """Return the motion that follows a command, shape (step, 3)."""
-        ran = JobModel.of(self.job, self.adjoint).run(self.motors(command))
-        return wall_motion(self.job, ran, self.wall_share)
+        return _motion(self.job, self.motors(command), self.wall_share, self.adjoint)
 
     def run(self, command: FloatRows) -> Motion:
         """Return the motion; with its solution, if the rigid cut is known."""
-        if self.rigid is None:
-            return _compiled(self, command)
         job, command = self.job, jnp.asarray(command)
+        if self.rigid is None:
+            return _compiled(job, self.motors(command), self.wall_share)
         motors = None if self.controller is None else self.motors(command)
         return solved_motion(
             solve_command(job, self.rigid, command, self.adjoint, motors)
@@ -129,16 +128,16 @@ class JointPlant(AbstractHostPlant):
     def __call__(self, command: Float[Array, "step joint"]) -> Motion:
         """Return the motion that follows a command, shape (step, joint)."""
         motors = JobKinematics(self.job).motors_of(command)
-        ran = JobModel.of(self.job, self.adjoint).run(motors)
-        return wall_motion(self.job, ran, self.wall_share)
+        return _motion(self.job, motors, self.wall_share, self.adjoint)
 
     def run(self, command: FloatRows) -> Motion:
         """Return the motion; with its solution, if the rigid cut is known."""
         from ...robot import forward_kinematics
 
-        if self.rigid is None:
-            return _compiled(self, command)
         job, command = self.job, jnp.asarray(command)
+        if self.rigid is None:
+            motors = JobKinematics(job).motors_of(command)
+            return _compiled(job, motors, self.wall_share)
         # The tips that belong to the joints, for the record.
         T = jnp.asarray(job.T_base_work)
         tips = jax.vmap(lambda q: forward_kinematics(job.robot, q)[:3, 3])(command)  # pyright: ignore[reportArgumentType]
@@ -156,9 +155,22 @@ class JointPlant(AbstractHostPlant):
         return linear_job(job, motors, slopes, self.wall_share)
 
 
+def _motion(
+    job: Job,
+    motors: Float[Array, "step joint"],
+    wall_share: Steps | None,
+    adjoint: AbstractAdjoint,
+) -> Motion:
+    ran = JobModel.of(job, adjoint).run(motors)
+    return wall_motion(job, ran, wall_share)
+
+
 @eqx.filter_jit
-def _compiled(plant: AbstractHostPlant, command: FloatRows) -> Motion:
-    return plant(jnp.asarray(command))
+def _compiled(
+    job: Job, motors: Float[Array, "step joint"], wall_share: Steps | None
+) -> Motion:
+    """Return the motion alone; what a derivative would need is left out."""
+    return _motion(job, motors, wall_share, StockHeld())
 
 
 def job_problem(

@@ -5,28 +5,17 @@ both edges are those of the run. Only the robot is left out: between the tooth i
 the tool goes along a smooth curve through them.
 """
 
-from typing import Any
-
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float
 
-from ..._arrays import on_device
 from ..._job import Job
-from ..._live_rows import padded_count
-from ...numerics import CompiledOnce
-from ...process import (
-    EdgeElementsInSpace,
-    Engagement,
-    Process,
-    ProcessState,
-    ThroughRays,
-)
+from ...process import EdgeElementsInSpace, Process, ThroughRays
 from ...workpiece import Pose
 from .._analysis.stability import joint_poses
 from .._machine.machine import Run
+from .._machine.rigid import Rigid
 from .simulate import Solution, job_process, rigid_cut
 
 
@@ -49,81 +38,80 @@ class ToothChip(eqx.Module):
 
 
 class Replay(eqx.Module):
-    """A process along poses that are known.
+    """A process that ran once more, along poses that are known.
 
     Attributes:
         process: The process.
         path: Poses at the tooth instants in `work`, shape (step, 3).
+        chip_row: Row of the path at which the revolution ends whose chips are kept.
+        run: What the process did, with the force at every angle sample; check
+            `.result`.
     """
 
     process: Process
     path: Pose
+    chip_row: int = eqx.field(static=True)
+    run: Run
 
     @classmethod
-    def of_solution(cls, job: Job, solution: Solution) -> "Replay":
-        """Return the process of a solution, along its actual poses.
+    def of_solution(cls, job: Job, solution: Solution, chip_row: int = 1) -> "Replay":
+        """Run the process of a solution along its actual poses.
 
         Args:
             job: The job.
             solution: Its solution.
-        """
-        job = job.with_precision()
-        return cls(job_process(job, ThroughRays()), _actual_poses(job, solution))
-
-    @classmethod
-    def prepare(cls, job: Job) -> None:
-        """Compile in the background what replaying a solution of a job will run."""
-        job = job.with_precision()
-        tips = on_device(np.asarray(job.path.positions))
-        poses = Pose.along(tips, job.tool_axes)
-        replay = cls(job_process(job, ThroughRays()), poses)
-        _last_periods.prepare(replay.process, *replay._until(tips.shape[0] - 1))
-
-    @staticmethod
-    def run(job: Job, solution: Solution) -> Run:
-        """Return the process along the poses of a solution; check `.result`.
-
-        Args:
-            job: The job.
-            solution: Its solution.
+            chip_row: As of `along`.
 
         Returns:
-            The run, by the program of the rigid cut, with the force at every angle
-            sample.
+            What it did, by the program of the rigid cut.
+
+        Raises:
+            ValueError: If there is no such row.
         """
         job = job.with_precision()
-        return rigid_cut(job, ThroughRays(), along=_actual_poses(job, solution))
+        path = _actual_poses(job, solution)
+        _check_row(chip_row, path)
+        run = rigid_cut(job, ThroughRays(), along=path, chip_row=chip_row)
+        return cls(job_process(job, ThroughRays()), path, chip_row, run)
 
-    def tooth_chip(self, step: int) -> ToothChip:
-        """Return the chip that tooth 0 meets in the revolution that ends at a step.
-
-        The process runs along the path up to there, without forces.
+    @classmethod
+    def along(cls, process: Process, path: Pose, chip_row: int) -> "Replay":
+        """Run a process along a path.
 
         Args:
-            step: Row of the path at which the revolution ends, from 1; near the start
-                of the path the revolution is not whole.
+            process: The process.
+            path: Poses at the tooth instants in `work`, shape (step, 3).
+            chip_row: Row of the path at which the revolution ends whose chips are
+                kept, from 1; near the start the revolution is not whole.
+
+        Raises:
+            ValueError: If there is no such row.
+        """
+        _check_row(chip_row, path)
+        machine = Rigid(
+            keeps_instantaneous=True, chip_row=jnp.asarray(chip_row, jnp.int32)
+        )
+        return cls(process, path, chip_row, machine.run(process, path))
+
+    def tooth_chip(self) -> ToothChip:
+        """Return the chip that tooth 0 met in the revolution that is kept.
 
         Returns:
             The chip on the edge, without the flat end of the tool. Angles of a helical
             cutter are true to half a sample.
-
-        Raises:
-            ValueError: If there is no such step.
         """
-        rows = self.path.tip.shape[0]
-        if not 1 <= step < rows:
-            raise ValueError(
-                f"Argument `step` must lie between 1 and {rows - 1}, but is {step}."
-            )
-        part = self.path[: step + 1]
-        engagement, cutter = self.process.engagement, self.process.cutter
-        found = _last_periods(self.process, *self._until(step))
-        angle, tooth, chip, weight = (np.asarray(x, np.float64) for x in found)
+        part, engagement = self.path[: self.chip_row + 1], self.process.engagement
+        teeth, kept = self.process.cutter.flute_count, self.run.chips
+        last = np.arange(max(1, self.chip_row + 1 - teeth), self.chip_row + 1)
+        angle, tooth, chip, weight = (
+            np.asarray(x, np.float64)[last % teeth]
+            for x in (kept.angle, kept.tooth, kept.chip, kept.weight)
+        )
         shape = weight.shape
         is_row = isinstance(engagement, EdgeElementsInSpace)
         first = engagement.profile.bottom if is_row else 0
         flat = lambda x: np.broadcast_to(x, shape).reshape(-1, shape[-1])[:, first:]
-        height = engagement.element_heights(cutter, part.tip.dtype)
+        height = engagement.element_heights(self.process.cutter, part.tip.dtype)
         height = np.asarray(height, np.float64)[first:]
         columns, is_of_tooth = engagement.angles, flat(tooth) == 0
         slot = np.round(flat(angle) / (2 * np.pi) * columns - 0.5).astype(np.int64)
@@ -137,21 +125,13 @@ class Replay(eqx.Module):
         order = np.argsort(turn)
         return ToothChip(turn[order], height, chart[:, order], share[:, order])
 
-    def _until(self, step: int) -> tuple[Pose, Int[Array, " period"], int]:
-        """Return the path up to a step, of one of few lengths, for one program.
 
-        Before its first pose the tool stands there, in periods that are not run.
-
-        Returns:
-            The path, the number of each of its periods, and how many of the last ones
-            make a revolution.
-        """
-        total = padded_count(self.path.tip.shape[0])
-        rows = np.arange(total) - (total - 1 - step)
-        at = np.maximum(rows, 0)
-        path = jax.tree.map(lambda x: on_device(np.asarray(x)[at]), self.path)
-        count = min(self.process.cutter.flute_count, step)
-        return path, on_device(rows[1:].astype(np.int32)), count
+def _check_row(chip_row: int, path: Pose) -> None:
+    rows = path.tip.shape[0]
+    if not 1 <= chip_row < rows:
+        raise ValueError(
+            f"Argument `chip_row` must lie between 1 and {rows - 1}, but is {chip_row}."
+        )
 
 
 def _actual_poses(job: Job, solution: Solution) -> Pose:
@@ -171,56 +151,3 @@ def _left_of_feed(path: Pose) -> float:
     frame = np.asarray(Pose.frame(path[-1].direction()), np.float64)
     feed = (np.asarray(path.tip[-1] - path.tip[-2], np.float64)) @ frame
     return float(np.arctan2(feed[0], feed[1])) - np.pi / 2
-
-
-@CompiledOnce
-def _last_periods(
-    process: Process, path: Pose, index: Int[Array, " all"], count: int
-) -> tuple[
-    Float[Array, "period substep angle kept disc"],
-    Int[Array, "period substep angle kept disc"],
-    Float[Array, "period substep angle kept element"],
-    Float[Array, "period substep angle kept element"],
-]:
-    """Return angle, tooth, chip in the stock and occupancy in the last periods."""
-    engagement, rows = process.engagement, path.tip.shape[0]
-    state, _ = process.begin(path[0], rows)
-
-    def period(
-        state: ProcessState, x: tuple[Array, Pose, Pose, Pose]
-    ) -> tuple[ProcessState, tuple[Engagement, Array]]:
-        index, start, poses, ends = x
-        state, cut, _ = process.advance(state, index, start, poses)
-        chip = jax.vmap(
-            lambda samples, pose, earlier: engagement.chip(
-                process, samples, pose, earlier, cut.thinned
-            ),
-            in_axes=(0, 0, 1),
-        )(cut.samples, poses, state.recent)
-        chip = jnp.clip(chip, 0, process.cutter.diameter / 2) * cut.samples.chip_share
-        return state.ended(poses, ends), (cut, chip)
-
-    within = process.poses_within(path)
-    xs = (index, path[:-1], within.middles, within.ends)
-    at = lambda row: jax.tree.map(lambda x: x[row], xs)
-    empty = jax.tree.map(
-        lambda x: jnp.zeros((count, *x.shape), x.dtype),
-        eqx.filter_eval_shape(lambda: period(state, at(0))[1]),
-    )
-
-    # One body for all periods, the last ones too, is compiled once.
-    def run(row: Int[Array, ""], carry: Any) -> Any:
-        state, kept = carry
-        state, found = period(state, at(row))
-        return state, jax.tree.map(
-            lambda rows, x: rows.at[jnp.mod(row, count)].set(x), kept, found
-        )
-
-    # A period ends at its number: those up to 0 end where the tool stands at first.
-    standing = jnp.sum(index < 1).astype(jnp.int32)
-    end = jnp.asarray(index.shape[0], jnp.int32)
-    _, kept = jax.lax.fori_loop(standing, end, run, (state, empty))
-    oldest = index.shape[0] % count
-    cut, chip = jax.tree.map(lambda x: jnp.roll(x, -oldest, axis=0), kept)
-    samples = cut.samples
-    return samples.angle, samples.tooth, chip, samples.occupancy

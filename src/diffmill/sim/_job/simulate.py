@@ -9,7 +9,7 @@ import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from ..._arrays import cast_floats, is_traced, on_device
 from ..._job import Job
@@ -255,14 +255,21 @@ def job_machine(job: Job) -> ElasticArm | QuasiStaticArm | ModalMachine:
     return ElasticArm(job.robot, job.T_base_work, rule)
 
 
-def rigid_cut(job: Job, adjoint: AbstractAdjoint, *, along: Pose | None = None) -> Run:
+def rigid_cut(
+    job: Job,
+    adjoint: AbstractAdjoint,
+    *,
+    along: Pose | None = None,
+    chip_row: int = 0,
+) -> Run:
     """Return the process alone on the desired path, as a rigid machine cuts it.
 
     Args:
         job: The job, in its precision.
         adjoint: How to differentiate through the removal.
         along: Poses at the rows of the path instead of those desired, shape (step, 3);
-            the force at every angle sample is then kept.
+            the force at every angle sample and the chips of a revolution are then kept.
+        chip_row: Row at which that revolution ends.
 
     **Differentiability**: that of `simulate_process`.
     """
@@ -272,9 +279,13 @@ def rigid_cut(job: Job, adjoint: AbstractAdjoint, *, along: Pose | None = None) 
     if along is not None:
         rows = jax.tree.map(lambda x: on_device(pad_rows(x, total)), along)
         tips, program = rows.tip, dataclasses.replace(program, axes=rows.axis)
-    cut = _cut_along(program, tips)
+    # For what is differentiated no chips are kept.
+    row = None if is_traced((job, along)) else on_device(np.asarray(chip_row, np.int32))
+    cut = _cut_along(program, tips, row)
     if along is None:
-        cut = eqx.tree_at(lambda run: run.instantaneous_force, cut, None)
+        is_none = lambda x: x is None
+        of = lambda run: (run.instantaneous_force, run.chips)
+        cut = eqx.tree_at(of, cut, (None, None), is_leaf=is_none)
     return cut_rows(cut, RUN_ROWS, count) if total != count else cut
 
 
@@ -347,14 +358,18 @@ class JobModel(eqx.Module):
 
 
 @CompiledOnce
-def _cut_along(program: JobModel, positions: Float[Array, "step 3"]) -> Run:
+def _cut_along(
+    program: JobModel,
+    positions: Float[Array, "step 3"],
+    chip_row: Int[Array, ""] | None,
+) -> Run:
     """Return the process alone of a rigid machine on the given tips.
 
-    With the force at every angle, for figures, since another program without it would
-    be compiled beside this one.
+    With the force at every angle and the chips of a revolution, for figures, since
+    another program without them would be compiled beside this one.
     """
     path = Pose.along(positions, program.axes)
-    machine = Rigid(keeps_instantaneous=True)
+    machine = Rigid(keeps_instantaneous=True, chip_row=chip_row)
     return machine.run(program.process, path, row_count=program.path.row_count)
 
 
@@ -492,7 +507,7 @@ def _follow(program: JobModel, finished: Stock, command: _Command) -> _Followed:
     desired, motors = jnp.asarray(path.positions), command.motors
     if program.machine is None:
         # A rigid machine goes where it is told.
-        ran = _cut_along(program, command.tips)
+        ran = _cut_along(program, command.tips, None)
         actual, ends = command.tips, command.tips[:, None]
     else:
         assert motors is not None

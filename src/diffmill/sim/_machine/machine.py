@@ -28,6 +28,7 @@ from ...process import (
     Removed,
 )
 from ...workpiece import Pose, PoseTrack, Rays, Stock
+from .kept_chips import KeptChips
 
 
 class RunState(eqx.Module):
@@ -97,6 +98,10 @@ class AbstractMachine(eqx.Module):
     @abc.abstractmethod
     def joint_positions(self, state: PyTree) -> Float[Array, " joint"] | None:
         """Return the joint positions [rad or m], None without joints."""
+
+    def chips(self, state: PyTree) -> KeptChips | None:
+        """Return what the teeth met in the periods that are kept, None for none."""
+        del state
 
     @abc.abstractmethod
     def period(
@@ -172,6 +177,7 @@ class AbstractMachine(eqx.Module):
             instantaneous_force=None
             if periods.samples is None
             else with_first(periods.samples),
+            chips=self.chips(state.machine),
         )
 
     def begin_run(self, process: Process, command: PyTree) -> RunState:
@@ -244,6 +250,7 @@ class Run(eqx.Module):
         instantaneous_force: Force at every angle sample of the period before each row
             [N], if it was asked for; sample j of n is that at the share (j + 1/2) / n
             of the period, shape (step, sample, 3).
+        chips: What the teeth met in a revolution, if it was asked for.
     """
 
     time: Float[Array, " step"]
@@ -258,6 +265,7 @@ class Run(eqx.Module):
     has_failed: Bool[Array, " step"]
     result: RESULTS
     instantaneous_force: Float[Array, "step sample 3"] | None
+    chips: KeptChips | None = None
 
 
 # The fields of `Run` with a row per step.

@@ -22,6 +22,7 @@ from ...process import (
     path_depth,
 )
 from ...workpiece import Pose, Stock
+from .kept_chips import KeptChips, kept_chips
 from .machine import AbstractMachine, Period, Run, RunState
 
 
@@ -41,6 +42,20 @@ class PathRow(eqx.Module):
     stop: Pose
 
 
+class RigidState(eqx.Module):
+    """State of a machine that goes where it is told.
+
+    Attributes:
+        pose: The pose that is reached.
+        chips: Those of the last periods up to the row of the machine, that of period p
+            at place p modulo the teeth; one place more for the others. None if none
+            are kept.
+    """
+
+    pose: Pose
+    chips: KeptChips | None = None
+
+
 class Rigid(AbstractMachine):
     """A machine that goes where it is told; its command are poses of the tool.
 
@@ -48,14 +63,31 @@ class Rigid(AbstractMachine):
 
     Attributes:
         keeps_instantaneous: Whether the force at every angle sample is returned.
+        chip_row: Row at which a revolution ends whose chips are returned, shape ();
+            None for none.
     """
 
     keeps_instantaneous: bool = eqx.field(static=True, default=False)
+    chip_row: Int[Array, ""] | None = None
 
-    def begin(self, process: Process, command: Pose) -> Pose:
-        """Return the first pose."""
-        del process
-        return command[0]
+    def begin(self, process: Process, command: Pose) -> RigidState:
+        """Return the first pose, and room for chips."""
+        if self.chip_row is None:
+            return RigidState(command[0])
+        count, substeps = process.cutter.flute_count, process.engagement.substeps
+        middles = command[0].repeated(substeps)
+
+        def chips() -> KeptChips:
+            state, _ = process.begin(command[0], 1)
+            cut = process.engagement.engage(
+                process, state, jnp.ones((), jnp.int32), middles
+            )
+            return kept_chips(process, cut, middles, state.recent)
+
+        room = jax.tree.map(
+            lambda x: jnp.zeros((count + 1, *x.shape), x.dtype), jax.eval_shape(chips)
+        )
+        return RigidState(command[0], room)
 
     def rows(
         self, process: Process, command: Pose, row_count: IntScalar | None
@@ -64,14 +96,18 @@ class Rigid(AbstractMachine):
         middles, ends = process.poses_within(command, row_count)
         return PathRow(command[:-1], middles, ends, command[1:])
 
-    def pose(self, process: Process, state: Pose) -> Pose:
+    def pose(self, process: Process, state: RigidState) -> Pose:
         """Return the pose that is reached."""
         del process
-        return state
+        return state.pose
 
-    def joint_positions(self, state: Pose) -> None:
+    def joint_positions(self, state: RigidState) -> None:
         """Return None: it has no joints."""
         del state
+
+    def chips(self, state: RigidState) -> KeptChips | None:
+        """Return the chips that are kept."""
+        return state.chips
 
     def period(
         self,
@@ -88,9 +124,20 @@ class Rigid(AbstractMachine):
         samples = when_live(
             is_live, lambda: period_wrench(process, cut, row.middles, cutting.recent)
         )[:, :3]
+        before, chips = state.machine, state.machine.chips
+        if chips is not None and self.chip_row is not None:
+            teeth = process.cutter.flute_count
+            ends = self.chip_row - index
+            is_kept = (ends >= 0) & (ends < teeth)
+            recent = cutting.recent
+            found = when_live(
+                is_kept, lambda: kept_chips(process, cut, row.middles, recent)
+            )
+            place = jnp.where(is_kept, jnp.mod(index, teeth), teeth)
+            chips = jax.tree.map(lambda x, new: x.at[place].set(new), chips, found)
         cutting = cutting.ended(row.middles, row.ends)
-        stop = when_live(is_live, lambda: row.stop, state.machine)
-        return RunState(cutting, stop, state.period_count), Period(
+        stop = when_live(is_live, lambda: row.stop, before.pose)
+        return RunState(cutting, RigidState(stop, chips), state.period_count), Period(
             tip=row.start.tip,
             ends=row.ends.tip,
             force=jnp.mean(samples, axis=0),

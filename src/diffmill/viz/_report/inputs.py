@@ -29,7 +29,7 @@ def figure_inputs(job: Job, cases: Mapping[str, Solution]) -> FigureInputs:
     """Return what `write_figures` draws beside the dataset.
 
     The process runs once more, without the robot, on the actual poses of the first
-    case, to keep the force at every angle; and up to one revolution for its chip.
+    case, to keep the force at every angle and the chip of one revolution.
 
     Args:
         job: The job.
@@ -40,15 +40,15 @@ def figure_inputs(job: Job, cases: Mapping[str, Solution]) -> FigureInputs:
         The inputs; forces, chip and ray ends are those of the first case.
     """
     first = next(iter(cases.values()))
-    run = Replay.run(job, first)
-    samples = run.instantaneous_force
-    forces, step = None, _typical_step(first)
+    step, forces = _typical_step(first), None
+    again = Replay.of_solution(job, first, chip_row=step or 1)
+    samples = again.run.instantaneous_force
     # What overflowed is not the process of the figure's caption.
-    if samples is not None and bool(run.result == RESULTS.successful):
+    if samples is not None and bool(again.run.result == RESULTS.successful):
         forces = ForceTrace.from_periods(np.asarray(first.time), np.asarray(samples))
     return FigureInputs(
         forces=forces,
-        chip=None if step is None else Replay.of_solution(job, first).tooth_chip(step),
+        chip=None if step is None else again.tooth_chip(),
         dexels=CutDexels.from_stocks(first.stock, first.rigid.stock),
         surfaces=_surfaces(cases),
     )
