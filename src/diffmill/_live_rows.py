@@ -12,13 +12,16 @@ from typing import TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from ._types import IntScalar
 
 _Tree = TypeVar("_Tree")
+_Row = TypeVar("_Row")
 # Paths are padded to the least of these lengths: this times a power of the ratio.
 _LEAST, _RATIO = 256, 4
+# Rows that are left out together where none of them counts.
+_TOGETHER = 64
 
 
 def padded_count(row_count: int) -> int:
@@ -74,3 +77,48 @@ def when_live(
         shapes = jax.eval_shape(compute)
         otherwise = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
     return jax.lax.cond(is_live, compute, lambda: otherwise)
+
+
+def scan_rows(
+    step: Callable[[_Tree, _Row, Bool[Array, ""] | None], PyTree],
+    carry: _Tree,
+    rows: _Row,
+    is_live: Bool[Array, " row"] | None,
+    together: int = _TOGETHER,
+) -> PyTree:
+    """Return what `jax.lax.scan` does, without many rows that do not count.
+
+    Where none of some rows counts, they are left out together: a branch that hands a
+    stock on copies it, which is then little beside the rows of the other branch.
+
+    Args:
+        step: From carry, row and whether it counts to carry and output; where it does
+            not, the carry must stay as it is.
+        carry: What is carried from row to row.
+        rows: The rows, a tree with an axis row.
+        is_live: Which of them count, the first ones, shape (row,); None for all.
+        together: How many rows are left out together.
+
+    Returns:
+        The last carry, and the outputs of all rows; of those left out zeros.
+    """
+    if is_live is None:
+        return jax.lax.scan(lambda carry, row: step(carry, row, None), carry, rows)
+    count = is_live.shape[0]
+    parts = -(-count // together)
+    index = jnp.arange(parts * together).reshape(parts, together)
+    at = jnp.minimum(index, count - 1)
+    # It is traced for its shapes, too.
+    run = jax.jit(
+        lambda carry, rows: jax.lax.scan(lambda c, x: step(c, *x), carry, rows)
+    )
+
+    def part(carry: _Tree, x: tuple[_Row, Array]) -> PyTree:
+        _, shapes = jax.eval_shape(run, carry, x)
+        none = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+        return jax.lax.cond(x[1][0], lambda: run(carry, x), lambda: (carry, none))
+
+    split = jax.tree.map(lambda x: x[at], rows)
+    live = is_live[at] & (index < count)
+    carry, found = jax.lax.scan(part, carry, (split, live))
+    return carry, jax.tree.map(lambda x: jax.lax.collapse(x, 0, 2)[:count], found)

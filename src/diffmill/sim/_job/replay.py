@@ -102,6 +102,7 @@ class Replay(eqx.Module):
         """
         part, engagement = self.path[: self.chip_row + 1], self.process.engagement
         teeth, kept = self.process.cutter.flute_count, self.run.chips
+        assert kept is not None
         last = np.arange(max(1, self.chip_row + 1 - teeth), self.chip_row + 1)
         angle, tooth, chip, weight = (
             np.asarray(x, np.float64)[last % teeth]

@@ -18,6 +18,7 @@ The stock is held: how a surface moves with the poses that cut it is left out.
 import functools
 import math
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -26,7 +27,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int, Shaped
 
-from ..._live_rows import live_rows, when_live
+from ..._live_rows import live_rows, scan_rows
 from ..._types import IntScalar
 from ...process import AbstractEngagement, Process
 from .._machine.machine import RunState, all_ends, begin, continued, with_first
@@ -44,6 +45,8 @@ from .period_slopes import (
 # Periods of which the slopes of the forces are computed at a time: alone, a period is
 # so small that what it costs is calls, and memory grows with the periods.
 _BATCH = 8
+# Batches that are left out together behind the rows that count.
+_TOGETHER = 8
 
 
 class RunChange(eqx.Module):
@@ -245,25 +248,29 @@ def linearise(
         middles = after.recent[0]
         predicted = eqx.tree_at(lambda p: p.tip, middles, substeps.predicted)
         force = period_force(process, near, x[0], predicted, middles)
-        return ended, (out, state.machine, substeps.loads, force)
+        return ended, (out, (state.machine, x[1], substeps.loads), force)
 
-    def batch(state: RunState, xs: tuple[Array, CommandRow, Array | None]):
-        ended, (*rest, force) = jax.lax.scan(period, state, xs)
+    solve = functools.partial(_solved, process.engagement, motors.shape[1])
+
+    def batch(state: RunState, x: tuple[Array, CommandRow, Array | None], _: Any):
+        ended, (out, arms, force) = jax.lax.scan(period, state, x)
         of = lambda x: force_slopes(model, x, process.engagement.judges_period)
-        slopes = lambda: jax.vmap(of)(force)
-        return ended, (*rest, when_live(None if xs[2] is None else xs[2][0], slopes))
+        return ended, (out, arms, jax.vmap(of)(force))
 
     rows = machine.rows(process, motors, row_count)
     index = first + jnp.arange(steps - 1, dtype=jnp.int32)
     is_live = live_rows(1 + index - first, row_count)
     batches = jax.tree.map(_in_batches, (index, rows, is_live))
-    _, around = jax.lax.scan(batch, started, batches)
+    is_run = None if is_live is None else batches[2][:, 0]
+    _, around = scan_rows(batch, started, batches, is_run, _TOGETHER)
     around = jax.tree.map(lambda x: jax.lax.collapse(x, 0, 2)[: steps - 1], around)
-    periods, states, loads, force = around
-    # One after the other: in batches it is no faster, and compiles three times as long.
-    slopes = lambda x: when_live(x[0], lambda: arm_slopes(model, *x[1:]))
-    arms = jax.lax.map(slopes, (is_live, states, rows, loads))
-    solve = functools.partial(_solved, process.engagement, motors.shape[1])
+    periods, arms, force = around
+
+    def slopes(_: None, x: tuple, is_live: Array | None) -> tuple[None, ArmSlopes]:
+        # One after the other: in batches it is no faster, and compiles longer.
+        return None, arm_slopes(model, *x)
+
+    _, arms = scan_rows(slopes, None, arms, is_live)
     loads, arm, pose = jax.vmap(solve)(force, arms)
 
     def begun(head: Float[Array, "row joint"], parameters: Array) -> Array:

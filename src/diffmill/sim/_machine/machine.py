@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from ..._live_rows import last_row, live_rows
+from ..._live_rows import last_row, live_rows, scan_rows
 from ..._result import RESULTS
 from ..._types import IntScalar
 from ...process import (
@@ -330,13 +330,11 @@ def _run_periods(
     indices = index + jnp.arange(_length(rows), dtype=jnp.int32)
 
     def step(
-        state: RunState, x: tuple[Array, PyTree, Array | None]
+        state: RunState, x: tuple[Array, PyTree], is_live: Array | None
     ) -> tuple[RunState, Period]:
-        index, row, is_live = x
-        return machine.period(process, state, index, row, is_live)
+        return machine.period(process, state, *x, is_live)
 
-    xs = (indices, rows, live_rows(indices, row_count))
-    return jax.lax.scan(step, state, xs)
+    return scan_rows(step, state, (indices, rows), live_rows(indices, row_count))
 
 
 def _length(rows: PyTree) -> int:
