@@ -124,7 +124,10 @@ def test_what_is_refused_at_once_imports_no_jax(folder):
     lines = ["--help", "--version", "correct --help", "wrong", "simulate none.toml"]
     lines += [f"{name} bad.toml" for name in ("simulate", "feed", "identify", "check")]
     lines += [f"{name} typo.toml" for name in ("simulate", "correct", "feed")]
-    lines += [f"{name} job.toml --out ." for name in ("simulate", "correct")]
+    lines += [
+        f"{name} job.toml --out ."
+        for name in ("simulate", "correct", "feed", "identify", "robot")
+    ]
     code = "import sys; from diffmill.cli import main\n" + "".join(
         f"main({line.split()!r})\nassert 'jax' not in sys.modules, {line!r}\n"
         for line in lines

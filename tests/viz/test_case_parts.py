@@ -79,3 +79,10 @@ def test_surface_figures_are_listed_by_kind(tmp_path, result):
     cells = [cell.partition("<")[0] for cell in page.split(">")]
     at = cells.index("31.5")
     assert [cell for cell in cells[:at] if cell.strip()][-2:] == ["22.5", "-"]
+
+
+def test_a_mirror_that_makes_it_worse_is_explained(result):
+    assert "note: the mirror" not in summary(result)
+    worse = result.copy(deep=True)
+    worse["contour_error"].loc[{"case": "mirror"}] *= 10
+    assert "note: the mirror is worse" in summary(worse)

@@ -2,12 +2,12 @@
 
 import pathlib
 import sys
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
-import equinox as eqx
 import numpy as np
 
 from .._jax_config import configure_jax
+from .._results_folder import check_folder
 from ._run_job import with_job
 from ._session.attempts import Attempts
 from ._session.errors import BadInput, bad_input
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 Dataset: TypeAlias = Any
 
 
-class FeedRequest(eqx.Module):
+class FeedRequest(NamedTuple):
     """Request of a feed study.
 
     Attributes:
@@ -58,13 +58,14 @@ def run_feed(
     Returns:
         The exit code.
     """
-    from .._result import SimulationFailed
-    from ..config import job_precision, load_job
-    from ..io import check_folder
-
     folder = pathlib.Path(f"{file.stem}-feed") if out is None else out
     with bad_input():
         check_folder(folder, force=force)
+    # What takes seconds to import waits until it is needed.
+    from .._result import SimulationFailed
+    from ..config import job_precision, load_job
+
+    with bad_input():
         configure_jax(job_precision(file))
         job = load_job(file, allow_outside=allow_outside)
         _check(job, file, request)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .._jax_config import configure_jax
+from .._results_folder import check_folder
 from ._robot_text import robot_lines
 from ._session.errors import bad_input
 from ._session.progress import Progress
@@ -48,14 +49,16 @@ def run_robot(
         force: Whether results that are there are replaced.
         progress: Shows how far it is.
     """
+    folder = pathlib.Path(f"{pathlib.Path(model).stem}-robot") if out is None else out
+    with bad_input():
+        check_folder(folder, force=force)
+    # What takes seconds to import waits until it is needed.
     configure_jax()
-    from ..io import check_folder, parse_pose, write_folder
+    from ..io import parse_pose, write_folder
     from ..robot import load, spindle_note
 
-    folder = pathlib.Path(f"{pathlib.Path(model).stem}-robot") if out is None else out
     with bad_input(), warnings.catch_warnings(record=True) as noted:
         warnings.simplefilter("always")
-        check_folder(folder, force=force)
         robot = load(model, tool=tool, drives=drives)
         q = np.asarray(robot.home, float)
         if pose is not None:

@@ -141,11 +141,14 @@ def _length(text: str | None) -> float | None:
         return None
     try:
         found = quantity(text, LENGTH)
-        if found > 0:
-            return found
-        raise ValueError(f"found {text!r}, but a length above 0 is required")
-    except ValueError as error:
-        raise BadInput(f"--tolerance-band: {error}") from error
+    except ValueError:
+        found = 0.0
+    if found > 0:
+        return found
+    raise BadInput(
+        f"--tolerance-band: found {text!r}, but a length above 0 with its unit is "
+        'required, such as "20 um"'
+    )
 
 
 def _analyse(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> int:

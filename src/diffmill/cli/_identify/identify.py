@@ -7,6 +7,7 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from ..._jax_config import configure_jax
+from ..._results_folder import check_folder
 from .._session.errors import BadInput, bad_input
 from .._session.progress import Progress
 from .report import Report
@@ -34,18 +35,20 @@ def run_identify(
         progress: Shows how far it is.
         allow_outside: Whether the file may name files outside its folder.
     """
+    folder = pathlib.Path(f"{file.stem}-identify") if out is None else out
+    with bad_input():
+        check_folder(folder, force=force)
+    # What takes seconds to import waits until it is needed.
     configure_jax()
     from ..._result import SimulationFailed
     from ...config import load_identification
     from ...identification import StudyError
-    from ...io import check_folder, write_folder
+    from ...io import write_folder
     from ...viz import save_figure
     from .toml_snippets import snippet
 
-    folder = pathlib.Path(f"{file.stem}-identify") if out is None else out
     start = time.perf_counter()
     with bad_input():
-        check_folder(folder, force=force)
         study = load_identification(file, forces, allow_outside=allow_outside)
     try:
         with progress:

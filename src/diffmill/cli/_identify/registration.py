@@ -100,9 +100,10 @@ def axes_lines(found: ForceRecordStudyFit, *, takes_proposed: bool) -> list[str]
     if not found.has_likely_axes:
         lines += noted(
             f"The axes {axes_text(best.axes)} make more sense: score "
-            f"{best.score:.3f} against {used.score:.3f}, {best.residual:.1%} of the "
-            f"force left against {used.residual:.1%}. Nothing was changed; give `axes` "
-            'in [fit], or "proposed".',
+            f"{best.score:.3f} against {used.score:.3f}; by a quick fit of each, "
+            f"{best.residual:.1%} of the rms force is left against "
+            f"{used.residual:.1%}. Nothing was changed; give `axes` in [fit], or "
+            '"proposed".',
             "warning",
         )
         for violation in used.violations:

@@ -1,6 +1,9 @@
 """The headline figures of a result as text."""
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from .._cases import case_names, case_numbers
 from .._style import MICROMETRE
@@ -20,12 +23,23 @@ def summary(dataset: "xarray.Dataset") -> str:
     name = dataset.attrs.get("job", "job")
     rows = [f"{name}: contour error where the tool cuts [um], force [N]"]
     rows.append(f"{'case':16}{'rms':>10}{'95 %':>10}{'max':>10}{'mean force':>12}")
-    for case in case_names(dataset):
-        found = case_numbers(dataset, case)
+    cases = {case: case_numbers(dataset, case) for case in case_names(dataset)}
+    for case, found in cases.items():
         errors = (found.rms, found.percentile_95, found.maximum)
         numbers = "".join(f"{value * 1e6:10.2f}" for value in errors)
         rows.append(f"{case:16}{numbers}{found.force_mean:12.2f}")
-    return "\n".join([*rows, *_parts(dataset), *_verdict(dataset)])
+    rms = {case: found.rms for case, found in cases.items()}
+    return "\n".join([*rows, *_parts(dataset), *_mirror(rms), *_verdict(dataset)])
+
+
+def _mirror(rms: Mapping[str, float]) -> list[str]:
+    """Return why a mirror made it worse, if it did."""
+    if not rms.get("mirror", 0.0) > rms.get("uncorrected", np.inf):
+        return []
+    return [
+        "note: the mirror is worse than no correction: it commands the opposite of the "
+        "error as if the machine followed at once, but what swings answers late"
+    ]
 
 
 def _verdict(dataset: "xarray.Dataset") -> list[str]:
