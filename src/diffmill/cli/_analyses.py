@@ -1,6 +1,7 @@
 """The analyses and figures of a run, added to results that are already written."""
 
 import pathlib
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -12,6 +13,7 @@ from ._written.surface_file import write_surface
 if TYPE_CHECKING:
     from .._job import Job
     from ..config import JobProgram
+    from ..workpiece import SurfaceError
 
 # xarray and the parts that compute are imported when a job runs.
 Dataset: TypeAlias = Any
@@ -28,6 +30,7 @@ class FinishedRun(NamedTuple):
         final: The solution whose command is the result.
         dataset: The content of `result.nc`.
         program: The job's program before it was timed, where its block ends are moved.
+        surfaces: Surface errors of the solutions; None where they are not computed.
     """
 
     job: "Job"
@@ -35,6 +38,7 @@ class FinishedRun(NamedTuple):
     final: Solution
     dataset: Dataset
     program: "JobProgram | None" = None
+    surfaces: "Mapping[str, SurfaceError] | None" = None
 
 
 def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> int:
@@ -188,7 +192,7 @@ def _write_pictures(
 
     inputs, figures = {}, {}
     with attempts.at("surface"):
-        inputs = figure_inputs(run.job, run.solutions)
+        inputs = figure_inputs(run.job, run.solutions, run.surfaces)
         if inputs["surfaces"]:
             write_surface(folder / "surface.nc", inputs["surfaces"])
     with attempts.at("figures"):

@@ -103,7 +103,12 @@ def run_job(
     job = job.with_intervals(final.stock.interval_counts)
     for note in job.notes[told:]:
         progress.say(f"note: {note}")
-    dataset = with_job(outcome.to_dataset(), job)
+    surfaces = None
+    if command == "simulate":
+        dataset = with_job(outcome.to_dataset(), job)
+    else:
+        surfaces = outcome.surfaces()
+        dataset = with_job(outcome.to_dataset(surfaces), job)
     band = float(job.correction.tolerance_band) if band is None else band
     dataset.attrs["tolerance_band"] = band
     dataset.attrs.setdefault("wall_time_s", seconds)
@@ -125,9 +130,8 @@ def run_job(
         checkpoint.remove()
     progress.say(_summary(dataset))
     progress.say(f"results: {folder}; the run took {seconds:.1f} s with compilation")
-    code = _analyse(
-        folder, FinishedRun(job, solutions, final, dataset, program), progress
-    )
+    run = FinishedRun(job, solutions, final, dataset, program, surfaces)
+    code = _analyse(folder, run, progress)
     if prints_json:
         print(json.dumps(_figures(dataset, folder, job.notes), indent=2))
     return code

@@ -1,5 +1,7 @@
 """The cutting edge as short elements along the profile of an end mill."""
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax.numpy as jnp
 from jax.typing import DTypeLike
@@ -33,27 +35,43 @@ class EdgeElements(eqx.Module):
     bottom_count: int = eqx.field(static=True)
 
 
+class EdgeProfile(NamedTuple):
+    """A flat end, a round corner and a straight side with a helix of constant lead.
+
+    Attributes:
+        radius: R [m].
+        corner_radius: r [m].
+        helix_angle: At R [rad].
+        corner_limit: Angle kappa up to which the corner's elements reach [rad].
+        element_height: Height of an element of the side [m].
+    """
+
+    radius: Float[Array, ""]
+    corner_radius: Float[Array, ""]
+    helix_angle: Float[Array, ""]
+    corner_limit: RealScalarLike
+    element_height: RealScalarLike
+
+
+class ElementCounts(NamedTuple):
+    """Number of elements on the flat end, the corner and the side."""
+
+    bottom: int
+    corner: int
+    side: int
+
+
 def edge_elements(
-    sizes: tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]],
-    counts: tuple[int, int, int],
-    height: RealScalarLike,
-    corner_limit: RealScalarLike,
-    dtype: DTypeLike,
+    profile: EdgeProfile, counts: ElementCounts, dtype: DTypeLike
 ) -> EdgeElements:
-    """Return the elements of a flat end, a round corner, and a straight side.
+    """Return the elements of an edge.
 
     Args:
-        sizes: Radius R and corner radius r [m], and helix angle at R, of constant
-            lead [rad].
-        counts: Number of elements on the end, the corner and the side.
-        height: Height of an element of the side [m].
-        corner_limit: Angle kappa up to which the corner's elements reach [rad].
+        profile: The edge.
+        counts: How many there are.
         dtype: Floating type.
-
-    Returns:
-        The elements.
     """
-    R, r, helix = sizes
+    R, r, helix, corner_limit, height = profile
     bottom, around, side = counts
 
     def middles(count: int) -> Array:

@@ -16,7 +16,7 @@ from .._types import RealScalarLike
 from ..numerics import with_derivative_of
 from . import _profile, _rays
 from ._abstract import AbstractCutter
-from ._elements import EdgeElements, edge_elements
+from ._elements import EdgeElements, EdgeProfile, ElementCounts, edge_elements
 
 Kind: TypeAlias = Literal["flat", "ball", "bull"]
 
@@ -374,9 +374,8 @@ class EndMill(AbstractCutter):
             )
         R, rc = self._sizes(dtype)
         helix = jnp.asarray(self.helix_angle, dtype)
-        return edge_elements(
-            (R, rc, helix), (bottom, corner, side), height, corner_limit, dtype
-        )
+        profile = EdgeProfile(R, rc, helix, corner_limit, height)
+        return edge_elements(profile, ElementCounts(bottom, corner, side), dtype)
 
     def runout_offsets(self) -> Float[Array, " tooth"]:
         """Return how far each tooth stands out by the run-out.

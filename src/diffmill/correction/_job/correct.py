@@ -13,6 +13,7 @@ from ..._types import FloatRows
 from ...optimise import LeastSquaresStep
 from ...process import ThroughPoses
 from ...sim import JobKinematics, Solution, run_with_room
+from ...workpiece import SurfaceError, surface_errors
 from .._core.method import Corrected, GivenCommand
 from .._core.path_objective import AbstractObjective, check_objective
 from .._core.path_segments import PathParts
@@ -111,11 +112,30 @@ class Correction(eqx.Module):
         """Return the steps of the chosen method, without those that found its start."""
         return self.methods[self.chosen].history
 
-    def to_dataset(self) -> "xarray.Dataset":
-        """Return all cases on `case`, figures by part of the path, and costs."""
+    def surfaces(self) -> dict[str, SurfaceError]:
+        """Compute the error of the machined surface of each case, by name.
+
+        None where all of the stock was cut away.
+        """
+        # All cases have one ideal: what a rigid machine leaves.
+        ideal = self.before.rigid.stock
+        if not bool(ideal.volume() > 0):
+            return {}
+        stocks = [solution.stock for solution in self.cases.values()]
+        errors = surface_errors(stocks, ideal, leaves_out_raw=True)
+        return dict(zip(self.cases, errors, strict=True))
+
+    def to_dataset(
+        self, surfaces: dict[str, SurfaceError] | None = None
+    ) -> "xarray.Dataset":
+        """Return all cases on `case`, figures by part of the path, and costs.
+
+        Args:
+            surfaces: What `surfaces` has computed; computed if not given.
+        """
         from .dataset import correction_dataset
 
-        return correction_dataset(self)
+        return correction_dataset(self, surfaces)
 
 
 def correct(

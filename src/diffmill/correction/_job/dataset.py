@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._result import RESULTS
-from ...workpiece import surface_errors
+from ...workpiece import SurfaceError
 from .._core.path_segments import PathParts
 
 if TYPE_CHECKING:
@@ -40,8 +40,13 @@ _SURFACE_FIGURES = {
 }
 
 
-def correction_dataset(correction: "Correction") -> "xarray.Dataset":
-    """Return all cases on the dimension `case`, costs in the attributes."""
+def correction_dataset(
+    correction: "Correction", surfaces: dict[str, SurfaceError] | None = None
+) -> "xarray.Dataset":
+    """Return all cases on the dimension `case`, costs in the attributes.
+
+    Arguments as of `Correction.to_dataset`.
+    """
     import xarray
 
     names = list(correction.cases)
@@ -53,9 +58,9 @@ def correction_dataset(correction: "Correction") -> "xarray.Dataset":
         data_vars=[name for name in _BY_CASE if name in tables[0]],
         combine_attrs="drop_conflicts",
     )
-    dataset = dataset.assign(_figures(correction)).assign_coords(
-        part=list(PathParts.NAMES)
-    )
+    errors = correction.surfaces() if surfaces is None else surfaces
+    figures = {**_figures(correction), **_surface_figures(errors)}
+    dataset = dataset.assign(figures).assign_coords(part=list(PathParts.NAMES))
     for name, method in correction.methods.items():
         dataset.attrs[f"{name}_wall_time_s"] = correction.wall_time[name]
         dataset.attrs[f"{name}_forward_runs"] = method.forward_runs
@@ -126,18 +131,16 @@ def _figures(correction: "Correction") -> dict[str, tuple[Any, ...]]:
     for key, text in _PART_FIGURES.items():
         values = np.stack([table[key] for table in tables])
         found[f"part_{key}"] = (("case", "part"), values, _about("m", text))
-    return {**found, **_surface_figures(correction)}
+    return found
 
 
-def _surface_figures(correction: "Correction") -> dict[str, tuple[Any, ...]]:
+def _surface_figures(
+    surfaces: dict[str, SurfaceError],
+) -> dict[str, tuple[Any, ...]]:
     """Return the errors of the machined surface, walls and floors apart."""
-    # All cases have one ideal: what a rigid machine leaves.
-    ideal = correction.before.rigid.stock
-    if not bool(ideal.volume() > 0):
+    if not surfaces:
         return {}
-    stocks = [solution.stock for solution in correction.cases.values()]
-    errors = surface_errors(stocks, ideal, leaves_out_raw=True)
-    measures = [error.measures() for error in errors]
+    measures = [error.measures() for error in surfaces.values()]
     found = {}
     for field in fields(measures[0]):
         text = _SURFACE_FIGURES[field.name.split("_")[-1]].format(

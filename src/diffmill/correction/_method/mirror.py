@@ -2,6 +2,7 @@
 
 import dataclasses
 from itertools import product
+from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -96,11 +97,14 @@ class IteratedMirror(AbstractMethod):
         known = [c for c in self.cutoffs if c < 0.5 / problem.time_step]
         # The highest cut-offs first: where they diverge they end soon, and if they do
         # not, they leave an error that the lower ones will not get below.
-        grid = list(product(sorted(known, reverse=True), self.relaxations))
+        grid = [
+            _Tuning(*each)
+            for each in product(sorted(known, reverse=True), self.relaxations)
+        ]
         # One branch after the other: two runs of one compiled program at the same time
         # can block each other in XLA's pool of threads.
-        for done, pair in enumerate(grid, start=1):
-            found, count = _branch(self, problem, zero, first, pair, best.error)
+        for done, tuning in enumerate(grid, start=1):
+            found, count = _branch(self, problem, zero, first, tuning, best.error)
             runs += count
             best = min(best, found, key=_rank)
             if on_progress is not None:
@@ -141,11 +145,12 @@ class SampledMirror(AbstractMethod):
         rows = self.sample.nominal.shape[0]
         part = None if start is None else start[:rows]
         found = self.mirror(self.sample, start=part, on_progress=on_progress)
-        pair = found.detail["cutoff"], found.detail["relaxation"]
-        if pair[0] == 0:
-            pair = min(self.mirror.cutoffs), min(self.mirror.relaxations)
+        cutoff, relaxation = found.detail["cutoff"], found.detail["relaxation"]
+        if cutoff == 0:
+            cutoff = min(self.mirror.cutoffs)
+            relaxation = min(self.mirror.relaxations)
         chosen = dataclasses.replace(
-            self.mirror, cutoffs=pair[:1], relaxations=pair[1:]
+            self.mirror, cutoffs=(cutoff,), relaxations=(relaxation,)
         )
         result = chosen(problem, start=start, on_progress=on_progress)
         share = rows / problem.nominal.shape[0]
@@ -153,6 +158,13 @@ class SampledMirror(AbstractMethod):
             result,
             forward_runs=result.forward_runs + int(np.ceil(share * found.forward_runs)),
         )
+
+
+class _Tuning(NamedTuple):
+    """Cut-off [Hz] and relaxation of one branch."""
+
+    cutoff: float
+    relaxation: float
 
 
 class _Iterate(eqx.Module):
@@ -174,11 +186,11 @@ def _branch(
     problem: Problem,
     zero: _Iterate,
     deviation: Float[np.ndarray, "step 3"],
-    pair: tuple[float, float],
+    tuning: _Tuning,
     to_beat: float,
 ) -> tuple[_Iterate, int]:
-    """Iterate one pair; return its best iterate and the runs of the plant."""
-    cutoff, relaxation = pair
+    """Iterate one branch; return its best iterate and the runs of the plant."""
+    cutoff, relaxation = tuning
     command, best, last = zero.command, zero, zero.error
     grown = settled = runs = 0
     for i in range(1, method.iterations + 1):

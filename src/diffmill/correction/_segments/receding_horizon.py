@@ -44,7 +44,13 @@ from .._spline.command_limits import LinearLimits, MixedLimits
 from .._spline.projection import project
 from .._spline.spline_offsets import CLAMPED, SplineOffsets
 from .._spline.spline_window import spline_window, window_limits
-from .._surface.segment_limits import cut_points, deepest_rows, is_kept, window_bounds
+from .._surface.segment_limits import (
+    HeldRows,
+    cut_points,
+    deepest_rows,
+    is_kept,
+    window_bounds,
+)
 from .._surface.surface_limits import SurfaceBounds, refusal
 from .plant_segment import AbstractPieces
 from .receding_horizon_state import (
@@ -283,7 +289,7 @@ class RecedingHorizon(AbstractMethod):
         return window_bounds(
             bounds,
             deepest_rows(bounds, problem.desired),
-            (row, self._end(rows, row, self._hop), ends[row]),
+            HeldRows(row, self._end(rows, row, self._hop), ends[row]),
             shift=problem.window - row,
             count=most,
         )

@@ -5,6 +5,8 @@ To stay in the cut takes one pose that is deep enough: a segment holds it for th
 whose deepest pose, on the desired path, is among its rows.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -13,10 +15,24 @@ from .finished_surface import FinishedSurface
 from .surface_limits import SurfaceBounds
 
 
+class HeldRows(NamedTuple):
+    """Rows of a segment in which bounds of the surface are held.
+
+    Attributes:
+        first: Its first row.
+        hop: The first that the next segment may change.
+        end: The first that is not held.
+    """
+
+    first: int
+    hop: int
+    end: int
+
+
 def window_bounds(
     bounds: SurfaceBounds,
     deepest: Int[np.ndarray, " point"],
-    rows: tuple[int, int, int],
+    rows: HeldRows,
     *,
     shift: int,
     count: int,
@@ -27,8 +43,7 @@ def window_bounds(
         bounds: Bounds of the whole surface.
         deepest: Row whose desired pose is the deepest at each point, see
             `deepest_rows`, shape (point,).
-        rows: First row of the segment, the first that the next segment may change,
-            and the first that is not held.
+        rows: Rows of the segment.
         shift: What is to be added to a row to have its place in the segment's motion.
         count: Number of points to return, at least as many as are cut; those that are
             too many are free. All segments then have the same shapes.

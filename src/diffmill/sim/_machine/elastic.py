@@ -8,15 +8,14 @@ joints. Each sub-step (`substeps.py`) hands J^T F to the integrator
 """
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, PyTree
+from jaxtyping import Array, Float, PyTree
 
-from ..._types import IntScalar, Transform
+from ..._types import Transform
 from ...process import Process
 from ...robot import ArmTerms, Robot, forward_kinematics
 from ...workpiece import Pose
 from ._integrator.base import AbstractIntegrator, ArmState, MotorCommand
 from ._integrator.midpoint import Midpoint
-from .machine import Period, RunState
 from .midpoint_terms import HeldSpan, middle_terms
 from .substeps import AbstractSpan, AbstractSwinging, CommandRow, start_rate
 
@@ -88,16 +87,6 @@ class ElasticArm(AbstractSwinging):
         rate = start_rate(command, process.tooth_period)
         return ArmState.steady(self.robot, command[0], rate)
 
-    def rows(
-        self,
-        process: Process,
-        command: Float[Array, "step joint"],
-        row_count: IntScalar | None,
-    ) -> CommandRow:
-        """Return the motors at both ends of every period."""
-        del process, row_count
-        return CommandRow(command[:-1], command[1:])
-
     def pose(self, process: Process, state: ArmState) -> Pose:
         """Return the tool's pose in `work`."""
         T = forward_kinematics(self.robot, state.q)
@@ -106,17 +95,6 @@ class ElasticArm(AbstractSwinging):
     def joint_positions(self, state: ArmState) -> Float[Array, " joint"]:
         """Return the joint positions [rad or m]."""
         return state.q
-
-    def period(
-        self,
-        process: Process,
-        state: RunState,
-        index: Int[Array, ""],
-        row: CommandRow,
-        is_live: Bool[Array, ""] | None,
-    ) -> tuple[RunState, Period]:
-        """Return the state after one tooth period, and its outputs."""
-        return self.follow(process, state, index, row, is_live)[:2]
 
     @property
     def load_count(self) -> int:

@@ -14,13 +14,11 @@ stable at any sub-step. The tool's axis is the program's.
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float
 
-from ..._types import IntScalar
 from ...process import Process
 from ...robot import TipModes
 from ...workpiece import Pose
-from .machine import Period, RunState
 from .substeps import AbstractSpan, AbstractSwinging, CommandRow, start_rate
 
 
@@ -127,16 +125,6 @@ class ModalMachine(AbstractSwinging):
         none = jnp.zeros(3, command.dtype)
         return ModalState(command[0], rate, still, still, none)
 
-    def rows(
-        self,
-        process: Process,
-        command: Float[Array, "step axis"],
-        row_count: IntScalar | None,
-    ) -> CommandRow:
-        """Return the command at both ends of every period."""
-        del process, row_count
-        return CommandRow(command[:-1], command[1:])
-
     def pose(self, process: Process, state: ModalState) -> Pose:
         """Return the tool's pose in `work`."""
         is_upright = process.engagement.is_upright
@@ -147,17 +135,6 @@ class ModalMachine(AbstractSwinging):
     def joint_positions(self, state: ModalState) -> None:
         """Return None: it has no joints."""
         del state
-
-    def period(
-        self,
-        process: Process,
-        state: RunState,
-        index: Int[Array, ""],
-        row: CommandRow,
-        is_live: Bool[Array, ""] | None,
-    ) -> tuple[RunState, Period]:
-        """Return the state after one tooth period, and its outputs."""
-        return self.follow(process, state, index, row, is_live)[:2]
 
     def span(self, process: Process, state: ModalState, row: CommandRow) -> ModalSpan:
         """Return the machine in a period, from its state and the command."""

@@ -25,7 +25,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._live_rows import when_live
-from ..._types import IntScalar, Transform
+from ..._types import Transform
 from ...process import (
     Process,
 )
@@ -113,16 +113,6 @@ class QuasiStaticArm(AbstractCompliant):
         pose, J, _ = self._linear(process, q)
         return Balance(q, pose, jnp.zeros(J.shape[0], command.dtype))
 
-    def rows(
-        self,
-        process: Process,
-        command: Float[Array, "step joint"],
-        row_count: IntScalar | None,
-    ) -> CommandRow:
-        """Return the motors at both ends of every period."""
-        del process, row_count
-        return CommandRow(command[:-1], command[1:])
-
     def pose(self, process: Process, state: Balance) -> Pose:
         """Return the tool's pose in `work`."""
         del process
@@ -131,17 +121,6 @@ class QuasiStaticArm(AbstractCompliant):
     def joint_positions(self, state: Balance) -> Float[Array, " joint"]:
         """Return the joint positions [rad or m]."""
         return state.q
-
-    def period(
-        self,
-        process: Process,
-        state: RunState,
-        index: Int[Array, ""],
-        row: CommandRow,
-        is_live: Bool[Array, ""] | None,
-    ) -> tuple[RunState, Period]:
-        """Return the state after one tooth period, and its outputs."""
-        return self.follow(process, state, index, row, is_live)[:2]
 
     @property
     def load_count(self) -> int:

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from ..._live_rows import when_live
+from ..._types import IntScalar
 from ...process import (
     EdgeSamples,
     Engagement,
@@ -116,6 +117,27 @@ class AbstractCompliant(AbstractMachine):
     def load_count(self) -> int:
         """Numbers of a load: 3 for a force, 6 with its moment."""
 
+    def rows(
+        self,
+        process: Process,
+        command: Float[Array, "step axis"],
+        row_count: IntScalar | None,
+    ) -> CommandRow:
+        """Return the command at both ends of every period."""
+        del process, row_count
+        return CommandRow(command[:-1], command[1:])
+
+    def period(
+        self,
+        process: Process,
+        state: RunState,
+        index: Int[Array, ""],
+        row: CommandRow,
+        is_live: Bool[Array, ""] | None,
+    ) -> tuple[RunState, Period]:
+        """Return the state after one tooth period, and its outputs."""
+        return self.follow(process, state, index, row, is_live)[:2]
+
     @abc.abstractmethod
     def follow(
         self,
@@ -157,7 +179,42 @@ class AbstractSwinging(AbstractCompliant):
         is_live: Bool[Array, ""] | None = None,
     ) -> tuple[RunState, Period, LoadedSubsteps]:
         """Return what `period` does, and the sub-steps."""
-        return _follow(self, process, state, index, row, is_live)
+        cutting, start = state.process, state.machine
+        engagement, T = process.engagement, process.tooth_period
+        span = self.span(process, start, row)
+        coupled = _Coupled(process, span, self.load_count)
+        # As in the period before: what the teeth do comes again, and drifts are slow.
+        drift = (span.pose.tip - cutting.last_tip)[None]
+        predicted = along(span.pose, cutting.recent.tip[0] + drift)
+        times = T * process.substep_middles(row.start.dtype)
+        if engagement.looks > 1:
+            cutting, removed = engagement.advance(
+                process, cutting, index - 1, span.pose
+            )
+            advanced = RunState(cutting, start, state.period_count)
+            move = lambda: _run_looks(coupled, advanced, index, times, drift)
+        else:
+            cutting, cut, removed = process.advance(
+                cutting, index, span.pose, predicted, is_live
+            )
+            look = _Look(predicted, cut)
+            move = lambda: _run_substeps(coupled, cutting.recent, look, start, times)
+        rest = jnp.broadcast_to(span.pose.tip[None], predicted.tip.shape)
+        none = jnp.zeros((rest.shape[0], self.load_count), rest.dtype)
+        still = LoadedSubsteps(predicted.tip, predicted.tip, rest, none)
+        end, steps = when_live(is_live, move, (start, still))
+        cutting = cutting.ended(
+            along(span.pose, steps.tips), along(span.pose, steps.ends)
+        )
+        period = Period(
+            tip=span.pose.tip,
+            ends=steps.ends,
+            force=jnp.mean(steps.loads[:, :3], axis=0),
+            joint_positions=self.joint_positions(start),
+            removed=removed,
+            has_failed=cutting.has_overflow | cutting.is_beyond,
+        )
+        return RunState(cutting, end, state.period_count), period, steps
 
     def motion(
         self,
@@ -203,49 +260,6 @@ class _Look(eqx.Module):
 
     predicted: Pose
     found: Engagement
-
-
-def _follow(
-    machine: AbstractSwinging,
-    process: Process,
-    state: RunState,
-    index: Int[Array, ""],
-    row: CommandRow,
-    is_live: Bool[Array, ""] | None = None,
-) -> tuple[RunState, Period, LoadedSubsteps]:
-    """Return what a machine's `period` does, and the sub-steps."""
-    cutting, start = state.process, state.machine
-    engagement, T = process.engagement, process.tooth_period
-    span = machine.span(process, start, row)
-    coupled = _Coupled(process, span, machine.load_count)
-    # As in the period before: what the teeth do comes again, and drifts are slow.
-    drift = (span.pose.tip - cutting.last_tip)[None]
-    predicted = along(span.pose, cutting.recent.tip[0] + drift)
-    times = T * process.substep_middles(row.start.dtype)
-    if engagement.looks > 1:
-        cutting, removed = engagement.advance(process, cutting, index - 1, span.pose)
-        advanced = RunState(cutting, start, state.period_count)
-        move = lambda: _run_looks(coupled, advanced, index, times, drift)
-    else:
-        cutting, cut, removed = process.advance(
-            cutting, index, span.pose, predicted, is_live
-        )
-        look = _Look(predicted, cut)
-        move = lambda: _run_substeps(coupled, cutting.recent, look, start, times)
-    rest = jnp.broadcast_to(span.pose.tip[None], predicted.tip.shape)
-    none = jnp.zeros((rest.shape[0], machine.load_count), rest.dtype)
-    still = LoadedSubsteps(predicted.tip, predicted.tip, rest, none)
-    end, steps = when_live(is_live, move, (start, still))
-    cutting = cutting.ended(along(span.pose, steps.tips), along(span.pose, steps.ends))
-    period = Period(
-        tip=span.pose.tip,
-        ends=steps.ends,
-        force=jnp.mean(steps.loads[:, :3], axis=0),
-        joint_positions=machine.joint_positions(start),
-        removed=removed,
-        has_failed=cutting.has_overflow | cutting.is_beyond,
-    )
-    return RunState(cutting, end, state.period_count), period, steps
 
 
 def _run_looks(

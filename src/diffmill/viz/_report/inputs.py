@@ -1,7 +1,7 @@
 """The inputs of all figures, from a job and its solutions."""
 
 from collections.abc import Mapping
-from typing import TypedDict
+from typing import TypedDict, TypeVar
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from ...workpiece import SurfaceError, surface_errors
 from .._figure.dexels import CutDexels
 from .._figure.forces import ForceTrace
 
+_Case = TypeVar("_Case")
 # The report's maps: more cases would make it long without telling more.
 _MAPPED = ("predicted", "uncorrected", "corrected")
 
@@ -25,7 +26,11 @@ class FigureInputs(TypedDict):
     surfaces: dict[str, SurfaceError]
 
 
-def figure_inputs(job: Job, cases: Mapping[str, Solution]) -> FigureInputs:
+def figure_inputs(
+    job: Job,
+    cases: Mapping[str, Solution],
+    surfaces: Mapping[str, SurfaceError] | None = None,
+) -> FigureInputs:
     """Return what `write_figures` draws beside the dataset.
 
     The process runs once more, without the robot, on the actual poses of the first
@@ -35,6 +40,7 @@ def figure_inputs(job: Job, cases: Mapping[str, Solution]) -> FigureInputs:
         job: The job.
         cases: Its solutions by case, the uncorrected one first; for a simulation
             one solution under the name "predicted".
+        surfaces: Surface errors of the cases, by name; computed if not given.
 
     Returns:
         The inputs; forces, chip and ray ends are those of the first case.
@@ -50,19 +56,24 @@ def figure_inputs(job: Job, cases: Mapping[str, Solution]) -> FigureInputs:
         forces=forces,
         chip=None if step is None else again.tooth_chip(),
         dexels=CutDexels.from_stocks(first.stock, first.rigid.stock),
-        surfaces=_surfaces(cases),
+        surfaces=_surfaces(cases) if surfaces is None else _mapped(surfaces),
     )
 
 
 def _surfaces(cases: Mapping[str, Solution]) -> dict[str, SurfaceError]:
     """Return the surface errors that are drawn, none where all was cut away."""
-    mapped = {name: case for name, case in cases.items() if name in _MAPPED}
+    mapped = _mapped(cases)
     ideal = next(iter(cases.values())).rigid.stock
     if not bool(ideal.volume() > 0):
         return {}
     stocks = [case.stock for case in mapped.values()]
     errors = surface_errors(stocks, ideal, leaves_out_raw=True)
     return dict(zip(mapped, errors, strict=True))
+
+
+def _mapped(cases: Mapping[str, _Case]) -> dict[str, _Case]:
+    """Return the cases that are drawn."""
+    return {name: case for name, case in cases.items() if name in _MAPPED}
 
 
 def _typical_step(solution: Solution) -> int | None:
