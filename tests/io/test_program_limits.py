@@ -60,6 +60,27 @@ def test_a_robot_program_without_an_end_of_its_statement(tmp_path):
     refused(lambda: read_program(file))
 
 
+BLANKS, BRACES = " " * 60_000, "{" * 60_000
+
+
+@pytest.mark.parametrize(
+    ("suffix", "text"),
+    [
+        (".src", f"DEF a()\nLIN {{X 1, Y 2, Z {BLANKS}}}\nEND\n"),
+        (".src", f"DEF a()\nCIRC {{X 1}},{BLANKS}{{X 2}} {{X 3}}\nEND\n"),
+        (".src", f"DEF a()\nLIN {{X 1, Y 2, Z 3}}{BRACES}\nEND\n"),
+        (".src", f"DEF a()\nDECL {'DECL ' * 12_000}\nLIN {{Q 1}}\nEND\n"),
+        (".mod", f"MODULE m\nPROC main()\nMoveL Offs(p,{BLANKS}),v1,z1,t;\n"),
+        (".apt", f"GOTO/1,2,{BLANKS}\n"),
+        (".ngc", f"G1 X1 {BLANKS} Y\n"),
+    ],
+)
+def test_long_lines_of_one_sign_are_refused_in_little_time(tmp_path, suffix, text):
+    file = tmp_path / f"long{suffix}"
+    file.write_text(text)
+    refused(lambda: read_program(file))
+
+
 SPEED = """
 import resource, time
 from diffmill.io import parse_gcode

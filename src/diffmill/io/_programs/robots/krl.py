@@ -99,14 +99,14 @@ def parse_krl(text: str, data: str = "", *, name: str = "program.src") -> Progra
     """
     reader = _Krl()
     for number, row in enumerate(split_lines(data, name), 1):
-        bare = row.split(";")[0].strip()
+        bare = _bare(row)
         # Data of inline forms, such as FDAT, hold names and are of no motion.
         if found := _DECLARED.fullmatch(bare):
             reader.frames[found[1].upper()] = _components(found[2], number, reader)
         elif found := _SCALAR.fullmatch(bare):
             _set_scalar(found, number, reader)
     for number, row in enumerate(split_lines(text, name), 1):
-        bare = row.split(";")[0].strip()
+        bare = _bare(row)
         if bare and not reader.is_ended:
             _statement(bare, number, reader)
         if len(reader.faults) > SHOWN_FAULTS:
@@ -114,6 +114,14 @@ def parse_krl(text: str, data: str = "", *, name: str = "program.src") -> Progra
     if reader.faults:
         raise ProgramError(name, reader.faults)
     return reader.out.finish(text, name)
+
+
+def _bare(row: str) -> str:
+    """Return a line without its comment, with single blanks.
+
+    A pattern that looks for blanks takes the square of their number otherwise.
+    """
+    return " ".join(row.split(";")[0].split())
 
 
 def _components(text: str, line: int, reader: Reader) -> dict[str, float]:
@@ -225,7 +233,7 @@ def _motion(
     along = _RELATIVE_TO.search(rest)
     rest = _RELATIVE_TO.sub("", rest)
     rest = _APPROXIMATION.sub("", _WITH.sub("", rest)).strip()
-    parts = re.findall(r"\{[^}]*\}|[^,{}]+", rest)
+    parts = re.findall(r"\{[^{}]*\}|[^,{}]+|[{}]", rest)
     parts = [part.strip() for part in parts if part.strip()]
     wanted = 2 if kind in ("CIRC", "SCIRC") else 1
     turn = _ANGLE.fullmatch(parts[-1]) if len(parts) == 3 and wanted == 2 else None
