@@ -105,6 +105,9 @@ def test_a_killed_run_resumes_to_the_same_result(folder):
     assert code == 0, text
     assert "damaged" in text and "before it is used" in text
     assert not io.CheckpointFile(file, "").exists()
+    with xarray.open_dataset(folder / "killed/result.nc", engine="h5netcdf") as found:
+        # What the killed runs took is counted in.
+        assert found.attrs["wall_time_s"] > found.attrs["corrected_wall_time_s"]
     for name in ("corrected.csv", "corrected.ngc"):
         assert (folder / "killed" / name).read_bytes() == (
             folder / "all" / name

@@ -98,6 +98,8 @@ def run_job(
         )
         return 1
     seconds = time.perf_counter() - start
+    if checkpoint is not None:
+        seconds += checkpoint.spent
     solutions = {"predicted": outcome} if command == "simulate" else outcome.cases
     final = outcome if command == "simulate" else outcome.after
     job = job.with_intervals(final.stock.interval_counts)

@@ -2,6 +2,7 @@
 
 import os
 import pathlib
+import time
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,9 @@ from .progress import Progress
 if TYPE_CHECKING:
     from ..._job import Job
 
+# Under this name a checkpoint says what the run had taken [s].
+_SPENT = "spent_s"
+
 
 class Checkpoint:
     """The checkpoint beside a folder of results.
@@ -20,6 +24,7 @@ class Checkpoint:
     Attributes:
         file: Its file, `<folder>.checkpoint`.
         resumed: What it held, or None for a run from the beginning.
+        spent: What the run had taken until then [s].
     """
 
     def __init__(self, folder: pathlib.Path, job: "Job"):
@@ -29,6 +34,8 @@ class Checkpoint:
         path = folder.with_name(f"{folder.name}.checkpoint")
         self.file = CheckpointFile(path, fingerprint(job))
         self.resumed: Mapping[str, np.ndarray] | None = None
+        self.spent = 0.0
+        self._began = time.perf_counter()
 
     def open(self, *, resume: bool, force: bool, progress: Progress) -> None:
         """Read what an earlier run has kept, or see that none is overwritten.
@@ -56,12 +63,15 @@ class Checkpoint:
             progress.say(
                 f"note: no checkpoint at {self.file.path}; the run starts anew"
             )
-        self.resumed = found
+            return
+        self.spent = float(found.get(_SPENT, 0.0))
+        self.resumed = {name: x for name, x in found.items() if name != _SPENT}
 
     def write(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Keep what has been found so far."""
         self.file.path.parent.mkdir(parents=True, exist_ok=True)
-        self.file.write(arrays)
+        spent = self.spent + time.perf_counter() - self._began
+        self.file.write({**arrays, _SPENT: np.asarray(spent)})
 
     def remove(self) -> None:
         """Remove it after the results have been written."""

@@ -87,7 +87,7 @@ def parts_html(dataset: "xarray.Dataset") -> str:
     rows = [
         [
             case_style(case.name).label,
-            ", ".join(f"{value * 1e6:.1f}" for value in case.mean),
+            ", ".join(f"{value * 1e6:z.1f}" for value in case.mean),
             *(
                 f"{case.rms[part] * 1e6:.1f} / {case.maximum[part] * 1e6:.1f}"
                 for part in parts

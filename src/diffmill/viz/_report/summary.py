@@ -66,7 +66,7 @@ def _parts(dataset: "xarray.Dataset") -> list[str]:
         f"{'time':>9}",
     ]
     for case in cases:
-        mean = "".join(f"{1e6 * value:9.2f}" for value in case.mean)
+        mean = "".join(f"{1e6 * value:z9.2f}" for value in case.mean)
         rms = "".join(f"{1e6 * case.rms[part]:10.2f}" for part in parts)
         rows.append(
             f"{case.name:16}{mean}{rms}{case.max_acceleration:8.2f}"
