@@ -84,6 +84,8 @@ def scan_rows(
     carry: _Tree,
     rows: _Row,
     is_live: Bool[Array, " row"] | None,
+    *,
+    behind: int = 0,
     together: int = _TOGETHER,
 ) -> PyTree:
     """Return what `jax.lax.scan` does, without many rows that do not count.
@@ -92,11 +94,11 @@ def scan_rows(
     stock on copies it, which is then little beside the rows of the other branch.
 
     Args:
-        step: From carry, row and whether it counts to carry and output; where it does
-            not, the carry must stay as it is.
+        step: From carry, row and whether it counts to carry and output.
         carry: What is carried from row to row.
         rows: The rows, a tree with an axis row.
         is_live: Which of them count, the first ones, shape (row,); None for all.
+        behind: How many rows behind the last one that counts are not left out either.
         together: How many rows are left out together.
 
     Returns:
@@ -113,12 +115,13 @@ def scan_rows(
         lambda carry, rows: jax.lax.scan(lambda c, x: step(c, *x), carry, rows)
     )
 
-    def part(carry: _Tree, x: tuple[_Row, Array]) -> PyTree:
-        _, shapes = jax.eval_shape(run, carry, x)
+    def part(carry: _Tree, x: tuple[_Row, Array, Array]) -> PyTree:
+        _, shapes = jax.eval_shape(run, carry, x[:2])
         none = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
-        return jax.lax.cond(x[1][0], lambda: run(carry, x), lambda: (carry, none))
+        return jax.lax.cond(x[2], lambda: run(carry, x[:2]), lambda: (carry, none))
 
     split = jax.tree.map(lambda x: x[at], rows)
     live = is_live[at] & (index < count)
-    carry, found = jax.lax.scan(part, carry, (split, live))
+    is_run = is_live[jnp.maximum(at[:, 0] - behind, 0)]
+    carry, found = jax.lax.scan(part, carry, (split, live, is_run))
     return carry, jax.tree.map(lambda x: jax.lax.collapse(x, 0, 2)[:count], found)

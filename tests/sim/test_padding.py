@@ -54,6 +54,19 @@ def test_rows_behind_the_last_change_nothing():
     assert relative(shorter.force[:40], padded.force[:40]) < 1e-12
 
 
+@pytest.mark.parametrize("count", [62, 64, 65])
+def test_what_the_last_rows_wait_for_is_removed(count):
+    """Rows are left out by sixty-fours: the tool stands in the cut before one ends."""
+    rows = dwelling(count, 257)
+    rows[:, 0] -= 4e-3
+    run = jax.jit(cut)
+    padded, wanted = run(rows, np.int32(count)), run(rows, np.int32(257))
+    assert np.sum(wanted.removed_volume) > 0
+    assert relative(padded.force[: count - 1], wanted.force[: count - 1]) < 1e-12
+    for found, stock in zip(padded.stock.families, wanted.stock.families, strict=True):
+        np.testing.assert_allclose(found.ends, stock.ends, atol=1e-12)
+
+
 @pytest.mark.slow
 def test_rows_behind_the_last_have_no_derivative():
     # Of forces before the last rows: there the tool goes on, or stops.

@@ -26,8 +26,8 @@ from ._quadratic_program import solve_quadratic_program
 # trust region in Dennis and Schnabel, Numerical Methods for Unconstrained Optimization
 # and Nonlinear Equations, 1996, section 6.4.3.
 _SHRINK = (0.1, 0.5)
-# Over the diagonal of the curvature: a step so damped goes nowhere.
-_MOST_DAMPED = 1e16
+# How often the damping is raised beside the trials, until a step is short enough.
+_RAISES = 20
 # A step so near to a bound, as a share of its range, is at the bound.
 _AT_BOUND = 1e-7
 
@@ -273,8 +273,7 @@ def _stepped(
     cost, used, is_better, has_converged = now, damping, False, True
     # Largest squared length of a trial, in the metric of the curvature.
     longest, trials = np.inf, 0
-    while trials < solver.attempts and damping < _MOST_DAMPED:
-        used = damping
+    for _ in range(solver.attempts + _RAISES):
         p = _damped_step(model, damping, box)
         if p is None:
             damping *= solver.more
@@ -285,6 +284,7 @@ def _stepped(
         if curved > longest:
             damping *= solver.more
             continue
+        used = damping
         value = problem.evaluate(state.x + p)
         cost = np.inf if value is None else model.cost(state.x + p, value)
         state = dataclasses.replace(state, evaluations=state.evaluations + 1)
@@ -299,7 +299,7 @@ def _stepped(
             has_converged = is_still or curved < solver.rest
             has_converged |= now - cost < solver.share * now
             break
-        if is_still or curved < solver.kink:
+        if is_still or curved < solver.kink or trials == solver.attempts:
             break
         # A step that hardly differs from one that was refused is refused too.
         shrink = np.clip(model.best_share(p, cost - now), *_SHRINK)

@@ -67,6 +67,11 @@ class RemovalHistory(NamedTuple):
         return (-(-_HISTORY // flutes) + 2) * flutes
 
     @property
+    def standing_rows(self) -> int:
+        """Rows behind the last pose at which the last passes look."""
+        return self._wait() + math.ceil(self._pass_length() / self.substeps) + 1
+
+    @property
     def circle_count(self) -> int:
         """Earlier circles beyond those of the last teeth."""
         return len(_THINNED)

@@ -262,7 +262,7 @@ def linearise(
     is_live = live_rows(1 + index - first, row_count)
     batches = jax.tree.map(_in_batches, (index, rows, is_live))
     is_run = None if is_live is None else batches[2][:, 0]
-    _, around = scan_rows(batch, started, batches, is_run, _TOGETHER)
+    _, around = scan_rows(batch, started, batches, is_run, together=_TOGETHER)
     around = jax.tree.map(lambda x: jax.lax.collapse(x, 0, 2)[: steps - 1], around)
     periods, arms, force = around
 

@@ -334,7 +334,14 @@ def _run_periods(
     ) -> tuple[RunState, Period]:
         return machine.period(process, state, *x, is_live)
 
-    return scan_rows(step, state, (indices, rows), live_rows(indices, row_count))
+    # Removal looks at poses behind the last one, where the tool stands.
+    return scan_rows(
+        step,
+        state,
+        (indices, rows),
+        live_rows(indices, row_count),
+        behind=process.removal.standing_rows,
+    )
 
 
 def _length(rows: PyTree) -> int:

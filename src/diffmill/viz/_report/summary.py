@@ -38,7 +38,7 @@ def _mirror(rms: Mapping[str, float]) -> list[str]:
         return []
     return [
         "note: the mirror is worse than no correction: it commands the opposite of the "
-        "error as if the machine followed at once, but what swings answers late"
+        "error as if the machine followed at once; one that swings or lags answers late"
     ]
 
 
