@@ -98,7 +98,7 @@ def scan_rows(
         carry: What is carried from row to row.
         rows: The rows, a tree with an axis row.
         is_live: Which of them count, the first ones, shape (row,); None for all.
-        behind: How many rows behind the last one that counts are not left out either.
+        behind: How many rows behind the last one that counts are run at least.
         together: How many rows are left out together.
 
     Returns:

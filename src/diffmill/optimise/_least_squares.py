@@ -60,7 +60,7 @@ class LinearRows(eqx.Module):
         return 0.5 * self.weight**2 * float(outside @ outside)
 
     def slope(self, p: Vector) -> float:
-        """Return how the energy changes as a step begins, per step."""
+        """Return the slope of the energy along a step, where it begins."""
         if np.isinf(self.weight):
             return 0.0
         at = np.zeros(len(self.lower))

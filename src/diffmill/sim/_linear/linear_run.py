@@ -250,8 +250,6 @@ def linearise(
         force = period_force(process, near, x[0], predicted, middles)
         return ended, (out, (state.machine, x[1], substeps.loads), force)
 
-    solve = functools.partial(_solved, process.engagement, motors.shape[1])
-
     def batch(state: RunState, x: tuple[Array, CommandRow, Array | None], _: Any):
         ended, (out, arms, force) = jax.lax.scan(period, state, x)
         of = lambda x: force_slopes(model, x, process.engagement.judges_period)
@@ -267,10 +265,12 @@ def linearise(
     periods, arms, force = around
 
     def slopes(_: None, x: tuple, is_live: Array | None) -> tuple[None, ArmSlopes]:
-        # One after the other: in batches it is no faster, and compiles longer.
+        # One after the other: in batches it is no faster, and compiles three times as
+        # long.
         return None, arm_slopes(model, *x)
 
     _, arms = scan_rows(slopes, None, arms, is_live)
+    solve = functools.partial(_solved, process.engagement, motors.shape[1])
     loads, arm, pose = jax.vmap(solve)(force, arms)
 
     def begun(head: Float[Array, "row joint"], parameters: Array) -> Array:

@@ -47,9 +47,9 @@ class RigidState(eqx.Module):
 
     Attributes:
         pose: The pose that is reached.
-        chips: Those of the last periods up to the row of the machine, that of period p
-            at place p modulo the teeth; one place more for the others. None if none
-            are kept.
+        chips: Chips of the revolution that ends at the machine's `chip_row`: those of
+            period p at place p modulo the number of teeth. A last place takes what is
+            not kept. None if no chips are asked for.
     """
 
     pose: Pose
@@ -127,8 +127,8 @@ class Rigid(AbstractMachine):
         before, chips = state.machine, state.machine.chips
         if chips is not None and self.chip_row is not None:
             teeth = process.cutter.flute_count
-            ends = self.chip_row - index
-            is_kept = (ends >= 0) & (ends < teeth)
+            periods_left = self.chip_row - index
+            is_kept = (periods_left >= 0) & (periods_left < teeth)
             recent = cutting.recent
             found = when_live(
                 is_kept, lambda: kept_chips(process, cut, row.middles, recent)
