@@ -2,7 +2,8 @@
 
 import abc
 import math
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -31,6 +32,10 @@ class Substeps(NamedTuple):
 
     first: Int[Array, ""]
     length: int
+
+
+# As `AbstractEngagement.engage`.
+Look: TypeAlias = Callable[["Process", ProcessState, Int[Array, ""], Pose], Engagement]
 
 
 class AbstractEngagement(eqx.Module):
@@ -233,6 +238,7 @@ class Process(eqx.Module):
         pose: Pose,
         predicted: Pose,
         is_live: Bool[Array, ""] | None = None,
+        look: "Look | None" = None,
     ) -> tuple[ProcessState, Engagement, Removed]:
         """Take in the pose at the start of a period, remove, and look for material.
 
@@ -245,12 +251,16 @@ class Process(eqx.Module):
                 3).
             is_live: Whether the period counts, shape (); behind the last row of a
                 padded path nothing is looked up. None for a path that is not padded.
+            look: How material is looked for, in all periods, if not as the engagement
+                does.
 
         Returns:
             The new state, the engagement of this period, and what was removed.
         """
         engagement = self.engagement
         state, removed = engagement.advance(self, state, index - 1, pose)
+        if look is not None:
+            return state, look(self, state, index, predicted), removed
         engage = lambda: engagement.engage(self, state, index, predicted)
         return state, when_live(is_live, engage), removed
 

@@ -1,5 +1,7 @@
 """Samples of a tool's edges, with the share of their chips that is material."""
 
+from collections.abc import Callable
+
 import equinox as eqx
 from jaxtyping import Array, Float, Int
 
@@ -47,7 +49,10 @@ class Engagement(eqx.Module):
     Attributes:
         samples: The edges, shape (substep, angle, kept, element).
         thinned: Some older poses, shape (circle, 3).
+        push: Change of the samples with the poses that are looked up, with those of the
+            period before, and with the tip at the start; None if it is not asked for.
     """
 
     samples: EdgeSamples
     thinned: Pose
+    push: Callable[[Array, Array, Array], EdgeSamples] | None = None

@@ -16,7 +16,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._arrays import first_rows, is_traced, on_device
-from ..._live_rows import pad_rows, padded_count
+from ..._live_rows import live_rows, pad_rows, padded_count, scan_rows
 from ..._types import Transform
 from ...numerics import CompiledOnce, small_inverse
 from .._model.robot import JointVector, Robot, joint_vector
@@ -138,10 +138,11 @@ def inverse_kinematics_path(
     start = joint_vector(robot, q_start, "q_start")
     if is_traced((robot, Ts_base_tool, start)):
         Ts = jnp.asarray(Ts_base_tool, dtype=robot.dtype)
-        return _solve_path(robot, Ts, start, tool_rotation, attempts)
+        return _solve_path(robot, Ts, start, tool_rotation, attempts, None)
     count = Ts_base_tool.shape[0]
     Ts = on_device(pad_rows(np.asarray(Ts_base_tool, robot.dtype), padded_count(count)))
-    found = _solve_path(robot, Ts, start, tool_rotation, attempts)
+    rows = on_device(np.asarray(count, np.int32))
+    found = _solve_path(robot, Ts, start, tool_rotation, attempts, rows)
     return first_rows(found, count)
 
 
@@ -165,8 +166,9 @@ def _solve_path(
     q_start: Float[Array, " joint"],
     tool_rotation: ToolRotation,
     attempts: int,
+    row_count: Int[Array, ""] | None,
 ) -> JointSolution:
-    def follow(q, T):
+    def follow(q, T, _):
         q = _search(robot, T, q, _PATH_STEPS, tool_rotation)
         if has_choice(robot, tool_rotation):
             # Where the middle that was followed ends, the arm slides to the next one.
@@ -175,7 +177,9 @@ def _solve_path(
 
     start = _rest_virtual(robot, q_start)
     first = _first_pose(robot, Ts[0], start, tool_rotation, attempts)
-    _, qs = lax.scan(follow, first, lax.stop_gradient(Ts))
+    index = jnp.arange(Ts.shape[0], dtype=jnp.int32)
+    is_live = live_rows(index, row_count)
+    _, qs = scan_rows(follow, first, lax.stop_gradient(Ts), is_live)
     found = jax.vmap(lambda T, q: _finish(robot, T, q, tool_rotation))(Ts, qs)
     return dataclasses.replace(found, midway_error=_midway_error(robot, Ts, found.q))
 

@@ -39,6 +39,7 @@ from .period_slopes import (
     ForceSlopes,
     arm_slopes,
     force_slopes,
+    look_with_slopes,
     period_force,
 )
 
@@ -239,15 +240,18 @@ def linearise(
         started, first = continued(process, state, steps - 1)
 
     def period(state: RunState, x: tuple[Array, CommandRow, Array | None]):
-        ended, out, substeps = machine.follow(process, state, *x)
+        ended, out, substeps = machine.follow(process, state, *x, look=look_with_slopes)
         before, after = state.process, ended.process
         # As the period saw it, before its own poses became the most recent.
         near = eqx.tree_at(
             lambda s: (s.recent, s.ends), after, (before.recent, before.ends)
         )
         middles = after.recent[0]
-        predicted = eqx.tree_at(lambda p: p.tip, middles, substeps.predicted)
-        force = period_force(process, near, x[0], predicted, middles)
+        found = substeps.found
+        if found is None:
+            predicted = eqx.tree_at(lambda p: p.tip, middles, substeps.predicted)
+            found = look_with_slopes(process, near, x[0], predicted)
+        force = period_force(process, near, found, middles)
         return ended, (out, (state.machine, x[1], substeps.loads), force)
 
     def batch(state: RunState, x: tuple[Array, CommandRow, Array | None], _: Any):

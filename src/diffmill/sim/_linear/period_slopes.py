@@ -23,6 +23,7 @@ from jaxtyping import Array, Float, Int
 
 from ...process import (
     EdgeSamples,
+    Engagement,
     Process,
     ProcessState,
 )
@@ -145,44 +146,66 @@ class PeriodForce(eqx.Module):
     circles: Int[Array, " circle"]
 
 
-def period_force(
-    process: Process,
-    state: ProcessState,
-    index: Int[Array, ""],
-    predicted: Pose,
-    middles: Pose,
-) -> PeriodForce:
-    """Return what the slopes of a period's loads follow from.
+def look_with_slopes(
+    process: Process, state: ProcessState, index: Int[Array, ""], predicted: Pose
+) -> Engagement:
+    """Return the engagement of a period, with what changes its samples.
 
     Args:
         process: The process; its derivative holds the stock.
         state: State after the removal of this period.
         index: Index of the period, from 1, shape ().
         predicted: Poses at which the stock is looked up, shape (substep, 3).
-        middles: Poses in the middle of the sub-steps, shape (substep, 3).
     """
     engagement = process.engagement
 
     def engage(
         ahead: Array, newest: Array, start: Array
-    ) -> tuple[EdgeSamples, EdgeSamples]:
+    ) -> tuple[EdgeSamples, tuple[EdgeSamples, Pose]]:
         recent = jax.tree.map(
             lambda rows, first: rows.at[0].set(first), state.recent, as_poses(newest)
         )
         near = eqx.tree_at(lambda s: (s.recent, s.last_tip), state, (recent, start))
         cut = engagement.engage(process, near, index, as_poses(ahead))
-        return eqx.partition(cut.samples, eqx.is_inexact_array)
+        samples, known = eqx.partition(cut.samples, _follow_poses(cut.samples))
+        return samples, (known, cut.thinned)
 
-    recent = as_rows(state.recent)
-    ahead = as_rows(predicted)
     # Kept is what was read of the stock; the rest is computed again.
     policy = jax.checkpoint_policies.save_only_these_names(RAYS_READ)
     engage = jax.checkpoint(engage, policy=policy)
-    at = ahead, recent[0], state.last_tip
-    samples, push, known = jax.linearize(engage, *at, has_aux=True)
+    at = as_rows(predicted), as_rows(state.recent)[0], state.last_tip
+    samples, push, (known, thinned) = jax.linearize(engage, *at, has_aux=True)
+    return Engagement(eqx.combine(samples, known), thinned, push)
+
+
+def _follow_poses(samples: EdgeSamples) -> EdgeSamples:
+    """Tell which numbers of edges follow the poses: their angles are the spindle's."""
+    follows = jax.tree.map(eqx.is_inexact_array, samples)
+    follows = eqx.tree_at(lambda s: s.angle, follows, False)
+    if samples.bottom is None:
+        return follows
+    return eqx.tree_at(lambda s: s.bottom.angle, follows, False)
+
+
+def period_force(
+    process: Process, state: ProcessState, found: Engagement, middles: Pose
+) -> PeriodForce:
+    """Return what the slopes of a period's loads follow from.
+
+    Args:
+        process: The process.
+        state: State after the removal of this period.
+        found: The engagement, of `look_with_slopes`.
+        middles: Poses in the middle of the sub-steps, shape (substep, 3).
+    """
+    assert found.push is not None
+    samples, known = eqx.partition(found.samples, _follow_poses(found.samples))
     circles = process.removal.thinned_rows(state)
-    thinned = as_rows(state.track.poses[circles * engagement.substeps])
-    return PeriodForce(samples, known, push, as_rows(middles), recent, thinned, circles)
+    thinned = as_rows(state.track.poses[circles * process.engagement.substeps])
+    recent = as_rows(state.recent)
+    return PeriodForce(
+        samples, known, found.push, as_rows(middles), recent, thinned, circles
+    )
 
 
 def force_slopes(

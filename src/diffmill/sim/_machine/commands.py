@@ -65,10 +65,12 @@ class JobKinematics(eqx.Module):
             commanded = on_device(pad_rows(commanded, rows))
             axes = None if axes is None else on_device(pad_rows(axes, rows))
         Ts = _poses(jnp.asarray(self.job.T_base_work), commanded, axes)
-        found = inverse_kinematics_path(
-            robot, Ts, start, tool_rotation=self.job.tool_rotation
+        return inverse_kinematics_path(
+            robot,
+            first_rows(Ts, count),
+            start,
+            tool_rotation=self.job.tool_rotation,
         )
-        return first_rows(found, count)
 
     def joints(
         self, commanded: Float[Array, "step 3"]

@@ -19,6 +19,8 @@ What a real arm adds is left out: swinging at corners, forced vibration and chat
 Derivatives are those of the balance, whatever the steps to it.
 """
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -26,9 +28,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..._live_rows import when_live
 from ..._types import Transform
-from ...process import (
-    Process,
-)
+from ...process import Engagement, Process
 from ...robot import ArmTerms, Robot, loaded_equilibrium
 from ...workpiece import Pose
 from .elastic import in_work, jacobian_in_work
@@ -134,6 +134,7 @@ class QuasiStaticArm(AbstractCompliant):
         index: Int[Array, ""],
         row: CommandRow,
         is_live: Bool[Array, ""] | None = None,
+        look: Callable[..., Engagement] | None = None,
     ) -> tuple[RunState, Period, LoadedSubsteps]:
         """Return what `period` does, and the sub-steps."""
         start, dtype = state.machine, row.stop.dtype
@@ -141,7 +142,7 @@ class QuasiStaticArm(AbstractCompliant):
         middles, last = process.substep_middles(dtype), process.substep_ends(dtype)
         predicted = bend.poses(start.load, middles)
         cutting, cut, removed = process.advance(
-            state.process, index, start.pose, predicted, is_live
+            state.process, index, start.pose, predicted, is_live, look
         )
         size, recent = start.load.size, cutting.recent
         eye = jnp.eye(size, dtype=dtype)
@@ -176,7 +177,7 @@ class QuasiStaticArm(AbstractCompliant):
             has_failed=cutting.has_overflow | cutting.is_beyond,
         )
         loads = jnp.broadcast_to(end.load[None], (middles.size, size))
-        steps = LoadedSubsteps(predicted.tip, tips.tip, ends.tip, loads)
+        steps = LoadedSubsteps(predicted.tip, tips.tip, ends.tip, loads, cut)
         return RunState(cutting, end, state.period_count), period, steps
 
     def motion(

@@ -7,6 +7,8 @@ how the machine moves in it (`AbstractSpan`).
 """
 
 import abc
+import dataclasses
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -82,12 +84,14 @@ class LoadedSubsteps(eqx.Module):
         ends: Tips at their ends [m], same shape.
         loads: Forces in `work` [N] and, if the machine takes them, their moments about
             the tip [N m], shape (*substep, load).
+        found: What was found in the stock; None where it was looked up several times.
     """
 
     predicted: Float[Array, "*substep 3"]
     tips: Float[Array, "*substep 3"]
     ends: Float[Array, "*substep 3"]
     loads: Float[Array, "*substep load"]
+    found: Engagement | None = None
 
 
 class PeriodMotion(eqx.Module):
@@ -146,8 +150,19 @@ class AbstractCompliant(AbstractMachine):
         index: Int[Array, ""],
         row: CommandRow,
         is_live: Bool[Array, ""] | None = None,
+        look: Callable[..., Engagement] | None = None,
     ) -> tuple[RunState, Period, LoadedSubsteps]:
-        """Return what `period` does, and the sub-steps."""
+        """Return what `period` does, and the sub-steps.
+
+        Args:
+            process: As of `period`.
+            state: As of `period`.
+            index: As of `period`.
+            row: As of `period`.
+            is_live: As of `period`.
+            look: How the stock is looked up, if not as the engagement does; where it is
+                looked up several times in a period, the engagement does.
+        """
 
     @abc.abstractmethod
     def motion(
@@ -177,6 +192,7 @@ class AbstractSwinging(AbstractCompliant):
         index: Int[Array, ""],
         row: CommandRow,
         is_live: Bool[Array, ""] | None = None,
+        look: Callable[..., Engagement] | None = None,
     ) -> tuple[RunState, Period, LoadedSubsteps]:
         """Return what `period` does, and the sub-steps."""
         cutting, start = state.process, state.machine
@@ -192,13 +208,14 @@ class AbstractSwinging(AbstractCompliant):
                 process, cutting, index - 1, span.pose
             )
             advanced = RunState(cutting, start, state.period_count)
+            cut = None
             move = lambda: _run_looks(coupled, advanced, index, times, drift)
         else:
             cutting, cut, removed = process.advance(
-                cutting, index, span.pose, predicted, is_live
+                cutting, index, span.pose, predicted, is_live, look
             )
-            look = _Look(predicted, cut)
-            move = lambda: _run_substeps(coupled, cutting.recent, look, start, times)
+            looked = _Look(predicted, cut)
+            move = lambda: _run_substeps(coupled, cutting.recent, looked, start, times)
         rest = jnp.broadcast_to(span.pose.tip[None], predicted.tip.shape)
         none = jnp.zeros((rest.shape[0], self.load_count), rest.dtype)
         still = LoadedSubsteps(predicted.tip, predicted.tip, rest, none)
@@ -214,6 +231,7 @@ class AbstractSwinging(AbstractCompliant):
             removed=removed,
             has_failed=cutting.has_overflow | cutting.is_beyond,
         )
+        steps = dataclasses.replace(steps, found=cut)
         return RunState(cutting, end, state.period_count), period, steps
 
     def motion(
