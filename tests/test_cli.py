@@ -374,6 +374,20 @@ def test_a_script_keeps_what_it_compiles_where_commands_do(tmp_path):
         assert str(place) in done.stderr.splitlines()[-1]
 
 
+@pytest.mark.parametrize("given, found", [(None, "1"), ("3", "3")])
+def test_a_script_runs_on_one_thread_unless_told(tmp_path, given, found):
+    script = (
+        "import os, diffmill as dm\n"
+        "dm.use_compile_cache()\n"
+        "print(os.environ['NPROC'])\n"
+    )
+    home = {"XDG_CACHE_HOME": str(tmp_path), "HOME": str(tmp_path)}
+    home |= {} if given is None else {"NPROC": given}
+    line = [sys.executable, "-c", script]
+    done = subprocess.run(line, env=home, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == found
+
+
 def test_cache_folder_and_precision(tmp_path):
     # A job without its program: it is read for its precision first.
     (tmp_path / "job.toml").write_text(JOB + '[simulation]\nprecision = "float32"\n')

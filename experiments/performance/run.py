@@ -14,6 +14,9 @@ GROUPS = ("first", "step", "deep", "linear", "lengths", "batch")
 
 
 if __name__ == "__main__":
+    from diffmill import use_compile_cache
     from reporting import run_groups
 
+    # As commands run; NPROC in the environment gives XLA more threads.
+    use_compile_cache()
     run_groups("diffmill performance", __doc__, GROUPS, HERE / "results")

@@ -11,6 +11,9 @@ import tempfile
 # The newer emitters of fused loops compile a third longer, for code that is no faster.
 # An unknown flag ends a process, so it is set only where it is known.
 _FAST_COMPILING, _KNOWN = "--xla_cpu_use_fusion_emitters=false", "0.10."
+# XLA divides even the small operations of a tooth period among its threads, which takes
+# longer than what it divides: `experiments/performance/run.py step` shows it.
+_ONE_THREAD = "NPROC", "1"
 
 
 def configure_jax(precision: str = "float64") -> str:
@@ -42,7 +45,8 @@ def use_compile_cache(folder: str | os.PathLike[str] | None = None) -> str:
     """Keep what is compiled in a folder, where later processes find it.
 
     A script or notebook calls this before anything is computed; commands always keep
-    theirs, and both find what the other has compiled.
+    theirs, and both find what the other has compiled. XLA then takes one thread, which
+    suits a simulation best, unless `NPROC` in the environment says how many.
 
     Args:
         folder: The folder; if not given, that of `JAX_COMPILATION_CACHE_DIR`, or
@@ -56,6 +60,7 @@ def use_compile_cache(folder: str | os.PathLike[str] | None = None) -> str:
     """
     import jax
 
+    os.environ.setdefault(*_ONE_THREAD)
     if jax.__version__.startswith(_KNOWN):
         given = os.environ.get("XLA_FLAGS", "")
         if _FAST_COMPILING not in given:
