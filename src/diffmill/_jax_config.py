@@ -11,8 +11,8 @@ import tempfile
 # The newer emitters of fused loops compile a third longer, for code that is no faster.
 # An unknown flag ends a process, so it is set only where it is known.
 _FAST_COMPILING, _KNOWN = "--xla_cpu_use_fusion_emitters=false", "0.10."
-# XLA divides even the small operations of a tooth period among its threads, which takes
-# longer than what it divides: `experiments/performance/run.py step` shows it.
+# XLA hands the many small operations of a tooth period from thread to thread, which
+# takes longer than they do: `experiments/performance/run.py step` shows it.
 _ONE_THREAD = "NPROC", "1"
 
 
