@@ -11,9 +11,6 @@ import tempfile
 # The newer emitters of fused loops compile a third longer, for code that is no faster.
 # An unknown flag ends a process, so it is set only where it is known.
 _FAST_COMPILING, _KNOWN = "--xla_cpu_use_fusion_emitters=false", "0.10."
-# XLA hands the many small operations of a tooth period from thread to thread, which
-# takes longer than they do: `experiments/performance/run.py step` shows it.
-_ONE_THREAD = "NPROC", "1"
 
 
 def configure_jax(precision: str = "float64") -> str:
@@ -60,7 +57,9 @@ def use_compile_cache(folder: str | os.PathLike[str] | None = None) -> str:
     """
     import jax
 
-    os.environ.setdefault(*_ONE_THREAD)
+    # XLA hands the many small operations of a tooth period from thread to thread, which
+    # takes longer than they do: `experiments/performance/run.py step` shows it.
+    os.environ.setdefault("NPROC", "1")
     if jax.__version__.startswith(_KNOWN):
         given = os.environ.get("XLA_FLAGS", "")
         if _FAST_COMPILING not in given:

@@ -3,7 +3,7 @@
 import abc
 import math
 from collections.abc import Callable
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -32,10 +32,6 @@ class Substeps(NamedTuple):
 
     first: Int[Array, ""]
     length: int
-
-
-# As `AbstractEngagement.engage`.
-Look: TypeAlias = Callable[["Process", ProcessState, Int[Array, ""], Pose], Engagement]
 
 
 class AbstractEngagement(eqx.Module):
@@ -238,7 +234,7 @@ class Process(eqx.Module):
         pose: Pose,
         predicted: Pose,
         is_live: Bool[Array, ""] | None = None,
-        look: "Look | None" = None,
+        look: Callable[..., Engagement] | None = None,
     ) -> tuple[ProcessState, Engagement, Removed]:
         """Take in the pose at the start of a period, remove, and look for material.
 
@@ -251,8 +247,8 @@ class Process(eqx.Module):
                 3).
             is_live: Whether the period counts, shape (); behind the last row of a
                 padded path nothing is looked up. None for a path that is not padded.
-            look: How material is looked for, in all periods, if not as the engagement
-                does.
+            look: Looks for material in every period, with the process and the arguments
+                of `AbstractEngagement.engage`; None for the engagement's own.
 
         Returns:
             The new state, the engagement of this period, and what was removed.

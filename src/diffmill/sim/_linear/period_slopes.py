@@ -167,7 +167,7 @@ def look_with_slopes(
         )
         near = eqx.tree_at(lambda s: (s.recent, s.last_tip), state, (recent, start))
         cut = engagement.engage(process, near, index, as_poses(ahead))
-        samples, known = eqx.partition(cut.samples, _follow_poses(cut.samples))
+        samples, known = eqx.partition(cut.samples, eqx.is_inexact_array)
         return samples, (known, cut.thinned)
 
     # Kept is what was read of the stock; the rest is computed again.
@@ -176,15 +176,6 @@ def look_with_slopes(
     at = as_rows(predicted), as_rows(state.recent)[0], state.last_tip
     samples, push, (known, thinned) = jax.linearize(engage, *at, has_aux=True)
     return Engagement(eqx.combine(samples, known), thinned, push)
-
-
-def _follow_poses(samples: EdgeSamples) -> EdgeSamples:
-    """Tell which numbers of edges follow the poses: their angles are the spindle's."""
-    follows = jax.tree.map(eqx.is_inexact_array, samples)
-    follows = eqx.tree_at(lambda s: s.angle, follows, False)
-    if samples.bottom is None:
-        return follows
-    return eqx.tree_at(lambda s: s.bottom.angle, follows, False)
 
 
 def period_force(
@@ -199,7 +190,7 @@ def period_force(
         middles: Poses in the middle of the sub-steps, shape (substep, 3).
     """
     assert found.push is not None
-    samples, known = eqx.partition(found.samples, _follow_poses(found.samples))
+    samples, known = eqx.partition(found.samples, eqx.is_inexact_array)
     circles = process.removal.thinned_rows(state)
     thinned = as_rows(state.track.poses[circles * process.engagement.substeps])
     recent = as_rows(state.recent)

@@ -160,8 +160,8 @@ class AbstractCompliant(AbstractMachine):
             index: As of `period`.
             row: As of `period`.
             is_live: As of `period`.
-            look: How the stock is looked up, if not as the engagement does; where it is
-                looked up several times in a period, the engagement does.
+            look: As of `Process.advance`; where a period looks up the stock several
+                times, the engagement's own is taken.
         """
 
     @abc.abstractmethod
