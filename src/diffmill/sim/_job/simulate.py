@@ -31,7 +31,7 @@ from ...workpiece import Pose, Stock
 from .._machine._integrator.rk4 import make_integrator
 from .._machine.commands import JobKinematics
 from .._machine.elastic import ElasticArm
-from .._machine.machine import RUN_ROWS, Run
+from .._machine.machine import RUN_ROWS, Ending, Run, RunEnd, RunRows
 from .._machine.modal import ModalMachine
 from .._machine.quasi_static import QuasiStaticArm
 from .._machine.rigid import Rigid
@@ -281,7 +281,8 @@ def rigid_cut(
         tips, program = rows.tip, dataclasses.replace(program, axes=rows.axis)
     # For what is differentiated no chips are kept.
     row = None if is_traced((job, along)) else on_device(np.asarray(chip_row, np.int32))
-    cut = _cut_along(program, tips, row)
+    found = _cut_along(program, tips, row)
+    cut = found.ended(_remove_rest(program.process, found.ending))
     if along is None:
         is_none = lambda x: x is None
         of = lambda run: (run.instantaneous_force, run.chips)
@@ -362,15 +363,21 @@ def _cut_along(
     program: JobModel,
     positions: Float[Array, "step 3"],
     chip_row: Int[Array, ""] | None,
-) -> Run:
-    """Return the process alone of a rigid machine on the given tips.
+) -> RunRows:
+    """Return the process alone of a rigid machine on the given tips, but for its end.
 
     With the force at every angle and the chips of a revolution, for figures, since
     another program without them would be compiled beside this one.
     """
     path = Pose.along(positions, program.axes)
     machine = Rigid(keeps_instantaneous=True, chip_row=chip_row)
-    return machine.run(program.process, path, row_count=program.path.row_count)
+    return machine.run_rows(program.process, path, program.path.row_count)
+
+
+@CompiledOnce
+def _remove_rest(process: Process, ending: Ending) -> RunEnd:
+    """Return what removes all that waits: the same for every machine."""
+    return ending.remove(process)
 
 
 def solve_command(
@@ -406,12 +413,14 @@ def solve_command(
     elif program.machine is not None:
         motors, is_reached = JobKinematics(program.kinematics).motors(tips)
     ran = _follow(program, rigid.stock, _Command(tips, motors, is_reached))
+    end = _remove_rest(program.process, ran.ending)
     if steps != count:
         ran = cut_rows(ran, _FOLLOWED_ROWS, count)
+        end = cut_rows(end, _END_ROWS, count)
     # What a rigid cut that failed says of where the tool cuts would be wrong; what went
     # wrong in a cut counts before what is not reached, which `is_reached` tells.
-    is_good = ran.result == RESULTS.successful
-    result = RESULTS.where(is_good, rigid.result, ran.result)
+    is_good = end.result == RESULTS.successful
+    result = RESULTS.where(is_good, rigid.result, end.result)
     only_unreached = (result == RESULTS.successful) & ~_all(ran.is_reached)
     result = RESULTS.where(only_unreached, RESULTS.unreachable, result)
     return Solution(
@@ -420,8 +429,8 @@ def solve_command(
         commanded=commanded,
         actual=ran.actual,
         force=ran.force,
-        removed_volume=ran.removed_volume,
-        shank_volume=ran.shank_volume,
+        removed_volume=end.removed_volume,
+        shank_volume=end.shank_volume,
         surface_deviation=ran.surface_deviation,
         wall_share=ran.wall_share,
         contour_error=ran.contour_error,
@@ -429,9 +438,9 @@ def solve_command(
         motor_positions=ran.motor_positions,
         joint_positions=ran.joint_positions,
         initial_overlap_volume=ran.initial_overlap_volume,
-        has_failed=_either(ran.has_failed, rigid.has_failed),
+        has_failed=_either(end.has_failed, rigid.has_failed),
         is_reached=ran.is_reached,
-        stock=ran.stock,
+        stock=end.stock,
         rigid=rigid,
         result=result,
         joint_names=() if job.robot is None else job.robot.joint_names,
@@ -458,38 +467,32 @@ def _either(a: Bool[Array, " step"], b: Bool[Array, " step"]) -> Bool[Array, " s
 
 
 class _Followed(eqx.Module):
-    """The run of a command; fields as those of `Solution`."""
+    """The run of a command, but for its end; other fields as those of `Solution`."""
 
     actual: Float[Array, "step 3"]
     force: Float[Array, "step 3"]
-    removed_volume: Float[Array, " step"]
-    shank_volume: Float[Array, " step"]
     surface_deviation: Float[Array, "step 3"]
     wall_share: Float[Array, " step"]
     contour_error: Float[Array, " step"]
     motor_positions: Float[Array, "step joint"] | None
     joint_positions: Float[Array, "step joint"] | None
-    has_failed: Bool[Array, " step"]
     is_reached: Bool[Array, " step"]
     initial_overlap_volume: Float[Array, ""]
-    stock: Stock
-    result: RESULTS
+    ending: Ending
 
 
 # The fields of `_Followed` with a row per step.
 _FOLLOWED_ROWS = (
     "actual",
     "force",
-    "removed_volume",
-    "shank_volume",
     "surface_deviation",
     "wall_share",
     "contour_error",
     "motor_positions",
     "joint_positions",
-    "has_failed",
     "is_reached",
 )
+_END_ROWS = ("removed_volume", "shank_volume", "has_failed")
 
 
 class _Command(eqx.Module):
@@ -513,25 +516,21 @@ def _follow(program: JobModel, finished: Stock, command: _Command) -> _Followed:
         assert motors is not None
         if program.controller is not None:
             motors = program.controller.motors(motors, process.tooth_period)
-        ran = program.machine.run(process, motors, row_count=path.row_count)
+        ran = program.machine.run_rows(process, motors, path.row_count)
         actual, ends = ran.actual, ran.ends
     shares = wall_shares(desired, program.axes, process.cutter, finished)
     deviation = wall_deviation(ends, desired, shares)
     return _Followed(
         actual=actual,
         force=ran.force,
-        removed_volume=ran.removed_volume,
-        shank_volume=ran.shank_volume,
         surface_deviation=deviation,
         wall_share=shares,
         contour_error=contour_error(desired + deviation, desired),
         motor_positions=None if ran.joint_positions is None else motors,
         joint_positions=ran.joint_positions,
-        has_failed=ran.has_failed,
         is_reached=command.is_reached,
         initial_overlap_volume=ran.initial_overlap_volume,
-        stock=ran.stock,
-        result=ran.result,
+        ending=ran.ending,
     )
 
 

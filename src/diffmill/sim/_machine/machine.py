@@ -150,6 +150,17 @@ class AbstractMachine(eqx.Module):
         forward and reverse mode, except at the kinks of chips and rays. Under
         `ThroughPoses` the volumes and the stock are constants.
         """
+        found = self.run_rows(process, command, row_count)
+        return found.ended(found.ending.remove(process))
+
+    def run_rows(
+        self, process: Process, command: PyTree, row_count: IntScalar | None
+    ) -> "RunRows":
+        """Run the rows and leave what waits for removal behind the last of them.
+
+        Arguments and **Differentiability** are those of `run`. The removal is the same
+        for all machines, and apart from them it is compiled once.
+        """
         rows = self.rows(process, command, row_count)
         step_count = _length(rows) + 1
         last = last_row(step_count, row_count)
@@ -157,27 +168,28 @@ class AbstractMachine(eqx.Module):
         first = jnp.ones((), jnp.int32)
         state, periods = _run_periods(self, process, state, first, rows, row_count)
         final = self.pose(process, state.machine)
-        ended, rest = process.removal.finish(state.process, last, final, step_count)
-        volume, by_shank = _volumes_by_pose(step_count, periods.removed, rest)
         actual, joints = _all_rows(self, periods, state, final, last)
         is_finite = jnp.all(jnp.isfinite(actual)) & jnp.all(jnp.isfinite(periods.force))
-        dtype = actual.dtype
-        return Run(
-            time=process.tooth_period * jnp.arange(step_count, dtype=dtype),
+        time = process.tooth_period * jnp.arange(step_count, dtype=actual.dtype)
+        return RunRows(
+            time=time,
             actual=actual,
             ends=all_ends(periods),
             force=with_first(periods.force),
             joint_positions=joints,
-            removed_volume=volume,
-            shank_volume=by_shank,
             initial_overlap_volume=overlap,
-            stock=ended.stock,
-            has_failed=_failed_rows(periods.has_failed, ended, last),
-            result=_outcome(ended, is_finite),
             instantaneous_force=None
             if periods.samples is None
             else with_first(periods.samples),
             chips=self.chips(state.machine),
+            ending=Ending(
+                state.process,
+                final,
+                last,
+                periods.removed,
+                periods.has_failed,
+                is_finite,
+            ),
         )
 
     def begin_run(self, process: Process, command: PyTree) -> RunState:
@@ -280,6 +292,87 @@ RUN_ROWS = (
     "has_failed",
     "instantaneous_force",
 )
+
+
+class RunEnd(eqx.Module):
+    """What the removal of all that waited behind the last row tells of a run.
+
+    Attributes as of `Run`.
+    """
+
+    removed_volume: Float[Array, " step"]
+    shank_volume: Float[Array, " step"]
+    stock: Stock
+    has_failed: Bool[Array, " step"]
+    result: RESULTS
+
+
+class Ending(eqx.Module):
+    """The process behind the last row of a run.
+
+    Attributes:
+        state: The stock, and what waits for removal.
+        final: The tool's last pose, shape (3,).
+        last: Index of the last row that counts, shape ().
+        removed: What was removed in each period.
+        has_failed: Whether a flag was up after each period, shape (period,).
+        is_finite: Whether all that was computed is finite, shape ().
+    """
+
+    state: ProcessState
+    final: Pose
+    last: Int[Array, ""]
+    removed: Removed
+    has_failed: Bool[Array, " period"]
+    is_finite: Bool[Array, ""]
+
+    def remove(self, process: Process) -> RunEnd:
+        """Remove all that waits.
+
+        **Differentiability**: that of `AbstractMachine.run`.
+        """
+        count = self.has_failed.shape[0] + 1
+        ended, rest = process.removal.finish(self.state, self.last, self.final, count)
+        volume, by_shank = _volumes_by_pose(count, self.removed, rest)
+        failed = _failed_rows(self.has_failed, ended, self.last)
+        outcome = _outcome(ended, self.is_finite)
+        return RunEnd(volume, by_shank, ended.stock, failed, outcome)
+
+
+class RunRows(eqx.Module):
+    """A run whose last poses still wait for removal.
+
+    Attributes as of `Run`, and:
+        ending: The process behind the last row.
+    """
+
+    time: Float[Array, " step"]
+    actual: Float[Array, "step 3"]
+    ends: Float[Array, "step substep 3"]
+    force: Float[Array, "step 3"]
+    joint_positions: Float[Array, "step joint"] | None
+    initial_overlap_volume: Float[Array, ""]
+    instantaneous_force: Float[Array, "step sample 3"] | None
+    chips: KeptChips | None
+    ending: Ending
+
+    def ended(self, end: RunEnd) -> Run:
+        """Return the run, with what its ending has told."""
+        return Run(
+            time=self.time,
+            actual=self.actual,
+            ends=self.ends,
+            force=self.force,
+            joint_positions=self.joint_positions,
+            removed_volume=end.removed_volume,
+            shank_volume=end.shank_volume,
+            initial_overlap_volume=self.initial_overlap_volume,
+            stock=end.stock,
+            has_failed=end.has_failed,
+            result=end.result,
+            instantaneous_force=self.instantaneous_force,
+            chips=self.chips,
+        )
 
 
 class RunSegment(eqx.Module):
