@@ -114,6 +114,7 @@ if __name__ == "__main__":
     import jax
 
     jax.config.update("jax_enable_x64", True)
+    dm.use_compile_cache()
     sys.path.append(str(pathlib.Path(__file__).parents[1] / "common"))
     from reporting import Report, store
 

@@ -21,6 +21,8 @@ ROWS = (10_000, 20_000, 40_000)
 HORIZON, OVERLAP = 2000, 256
 # Steps of the optimiser in a segment.
 STEPS = 3
+# Runs of the machine that the correction may take.
+RUNS = 30
 # Sizes of the block and of the cut [mm].
 SIDE, STEP_OVER, DEPTH, RADIUS = 60.0, 4.0, 0.5, 5.0
 # What a pass takes with the feed and acceleration of the job, and the way to the next.
@@ -54,7 +56,7 @@ def measure(
     )
     options = ["--arm", arm, "--steps", str(steps)]
     report.say(
-        f"{'rows':>8}{'segments':>10}{'s':>9}{'ms/row':>9}{'GB':>8}"
+        f"{'rows':>8}{'segments':>10}{'s':>9}{'ms/row':>9}{'runs':>7}{'GB':>8}"
         f"{'before um':>11}{'after um':>10}"
     )
     found = []
@@ -70,12 +72,16 @@ def measure(
         each = 1e3 * case["seconds"] / case["rows"]
         report.say(
             f"{case['rows']:8d}{case['segments']:10d}{case['seconds']:9.1f}{each:9.2f}"
-            f"{case['gigabytes']:8.2f}{case['before']:11.2f}{case['after']:10.2f}"
+            f"{case['runs']:7.1f}{case['gigabytes']:8.2f}{case['before']:11.2f}{case['after']:10.2f}"
         )
-    report.say("s: of the segments, compilation included; GB: peak of the whole job")
+    report.say(
+        "s: of the segments, compilation included; runs: the same, in runs of the "
+        "machine along the whole path; GB: peak of the whole job"
+    )
     first, last = found[0], found[-1]
     each = [case["seconds"] / case["rows"] for case in (first, last)]
     report.figure("time per row, longest over shortest", each[1] / each[0], 1.2, "")
+    report.figure("correction of the longest", last["runs"], RUNS, "runs")
     report.figure("peak of memory of the longest", last["gigabytes"], 4, "GB")
     report.at_least(
         "uncorrected over corrected, rms, longest", last["before"] / last["after"], 5
@@ -134,6 +140,8 @@ def one(rows: int, arm: str, steps: int) -> dict[str, float]:
         "rows": job.path.step_count,
         "segments": int(corrected.detail.get("segment_count", 1)),
         "seconds": found.wall_time["corrected"],
+        # The inverse drive is one run, and hardly more.
+        "runs": found.wall_time["corrected"] / found.wall_time["inverse_drive"],
         "gigabytes": peak / 1e9,
         "before": 1e6 * found.methods["uncorrected"].measures.rms,
         "after": 1e6 * corrected.measures.rms,
@@ -144,7 +152,10 @@ def main() -> None:
     """Run one length, or the group with other lengths."""
     import jax
 
+    import diffmill
+
     jax.config.update("jax_enable_x64", True)
+    diffmill.use_compile_cache()
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rows", type=int, nargs="+", default=ROWS)
     parser.add_argument("--arm", default="reis_rv130_like")

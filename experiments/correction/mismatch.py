@@ -205,6 +205,7 @@ def _late(report: Any, job: dm.Job, errors: Errors, commands: Commands) -> None:
 def main() -> None:
     """Run some draws, with or without the worst case."""
     jax.config.update("jax_enable_x64", True)
+    dm.use_compile_cache()
     here = pathlib.Path(__file__).parent
     sys.path.append(str(here.parent / "common"))
     from reporting import Report, store

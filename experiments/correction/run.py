@@ -25,7 +25,10 @@ GROUPS = (
 if __name__ == "__main__":
     import jax
 
+    import diffmill
+
     jax.config.update("jax_enable_x64", True)
+    diffmill.use_compile_cache()
     from reporting import run_groups
 
     run_groups("diffmill correction", __doc__, GROUPS, HERE / "results")
