@@ -91,7 +91,8 @@ def cut(process, path, part):
     indices = jnp.arange(1, count, dtype=jnp.int32)
     state, found = jax.lax.scan(step, state, (indices, poses[:-1], middles, ends))
     state, rest = process.removal.finish(state, indices[-1], poses[count - 1], count)
-    return found, rest.volume, state.stock
+    # What is not returned is not computed: a run needs its flags.
+    return found, rest.volume, state.stock, state.has_overflow | state.is_beyond
 
 
 def compare(report, ours, plain, limits):
