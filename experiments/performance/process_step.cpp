@@ -492,11 +492,12 @@ double remove_columns(Stock& stock, double R, const Window& window,
   return length;
 }
 
-// Take what a tooth passes over off the rays along x (family 0) or y (family 1).
-void remove_across(Stock& stock, double R, int f, const Window& window,
-                   const ToothPass& pass) {
+// The same of the rays along x (family 0) or y (family 1).
+double remove_across(Stock& stock, double R, int f, const Window& window,
+                     const ToothPass& pass) {
   const Vec3 center = pass.center();
   const int side = 1 - f;
+  double length = 0;
   Rays& rays = stock.families[f];
   for (int i = window.starts[side]; i < window.starts[side] + window.sizes[side]; ++i) {
     const double line = stock.origin[side] + stock.spacing * i;
@@ -524,17 +525,19 @@ void remove_across(Stock& stock, double R, int f, const Window& window,
     for (int k = window.starts[2]; k < window.starts[2] + window.sizes[2]; ++k) {
       const double z = stock.origin[2] + stock.spacing * k;
       if (!(z - pose[0][2] > kTouch && z - pose[1][2] > kTouch)) continue;
-      subtract(rays, f == 0 ? rays.at(i, k) : rays.at(k, i), cut);
+      length += subtract(rays, f == 0 ? rays.at(i, k) : rays.at(k, i), cut);
     }
   }
+  return length;
 }
 
-// Remove one pass; returns the volume.
+// Remove one pass; returns the volume, which the columns tell.
 double remove_pass(Stock& stock, double R, const Window& window,
                    const ToothPass& pass) {
-  for (int f = 0; f < 2; ++f) remove_across(stock, R, f, window, pass);
+  double across = 0;
+  for (int f = 0; f < 2; ++f) across += remove_across(stock, R, f, window, pass);
   const double length = remove_columns(stock, R, window, pass);
-  if (window.is_short && length > 0)
+  if (window.is_short && length + across > 0)
     throw std::runtime_error("the tool reaches beyond its window");
   return length * stock.spacing * stock.spacing;
 }
