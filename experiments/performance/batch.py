@@ -1,4 +1,4 @@
-"""Several jobs at once: `vmap` against one after the other, over their sizes."""
+"""Several jobs in one program: `vmap` and `lax.map` against call after call."""
 
 import jax
 import jax.numpy as jnp
@@ -15,14 +15,19 @@ SIZES = ((1e-3, 0.5e-3, 64, 4), (1e-3, 0.2e-3, 180, 8), (4e-3, 0.2e-3, 180, 8))
 
 def measure(report):
     """Time a process alone with eight feeds, in one batch and in turn."""
-    report.say("depth mm, spacing mm, angles: time in one batch / one after the other")
+    report.say(
+        "depth mm, spacing mm, angles: time over that of one call after the other"
+    )
     for depth, spacing, angles, substeps in SIZES:
-        ratio = batch_over_turn(depth, spacing, angles, substeps)
-        report.say(f"{1e3 * depth:.1f}, {1e3 * spacing:.1f}, {angles:3d}: {ratio:.2f}")
+        by_vmap, by_map = over_calls(depth, spacing, angles, substeps)
+        report.say(
+            f"{1e3 * depth:.1f}, {1e3 * spacing:.1f}, {angles:3d}: "
+            f"vmap {by_vmap:.2f}, lax.map {by_map:.2f}"
+        )
 
 
-def batch_over_turn(depth, spacing, angles, substeps):
-    """Return the time of a batch of slots over that of the same slots in turn."""
+def over_calls(depth, spacing, angles, substeps):
+    """Return the time of slots by `vmap`, and by `lax.map`, over that of calls."""
     cutter = dm.cutter.flat_end_mill(10e-3, 2)
     law = dm.cutting.LinearEdgeLaw(K_tc=989.8e6, K_rc=337.3e6, K_ac=66.9e6)
     stock = dm.workpiece.box([0, 0, -depth - 1e-3], [12e-3, 12e-3, 0], spacing)
@@ -39,7 +44,11 @@ def batch_over_turn(depth, spacing, angles, substeps):
 
     feeds = np.linspace(0.1e-3, 0.2e-3, JOBS)
     one, many = jax.jit(force), jax.jit(jax.vmap(force))
-    batch, turn = alternate(
-        RUNS, lambda: many(feeds), lambda: [one(feed) for feed in feeds]
+    mapped = jax.jit(lambda feeds: jax.lax.map(force, feeds))
+    batch, turn, calls = alternate(
+        RUNS,
+        lambda: many(feeds),
+        lambda: mapped(feeds),
+        lambda: [one(feed) for feed in feeds],
     )
-    return batch / turn
+    return batch / calls, turn / calls

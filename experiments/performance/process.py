@@ -29,7 +29,8 @@ SOURCE = pathlib.Path(__file__).with_name("process_step.cpp")
 SEGMENTS, PERIODS = 16, 256
 # What is compared, the runs, and the time over that of C++ to reach.
 ALONE = ("a step along the path, over C++", 5, 8)
-IN_BATCH = (f"a step in a batch of {SEGMENTS}, over C++", 3, 3)
+IN_BATCH = (f"a step in a batch of {SEGMENTS} by vmap, over C++", 3, 3)
+IN_TURN = (f"a step in a batch of {SEGMENTS} by lax.map, over C++", 3, 3)
 # How far both may be apart, of the largest force and of the spacing of the rays.
 SAME = 1e-9
 # How far runs go: each does what those before do, and one thing more.
@@ -57,10 +58,21 @@ def measure(report):
         plain = Plain(program, process, path[None])
         compare(report, [lambda f=f: f(process, path) for f in ours], plain, ALONE)
         report.say(f"a batch of {SEGMENTS} segments of it, {PERIODS} steps each")
-        ours = [jax.jit(jax.vmap(run, in_axes=(None, 0))) for run in runs]
         plain = Plain(program, process, segments)
-        many = [lambda f=f: f(process, segments) for f in ours]
-        compare(report, many, plain, IN_BATCH)
+        for batch, limits in ((vmapped, IN_BATCH), (mapped, IN_TURN)):
+            ours = [batch(run) for run in runs]
+            many = [lambda f=f: f(process, segments) for f in ours]
+            compare(report, many, plain, limits)
+
+
+def vmapped(run):
+    """Return a run of many paths at once."""
+    return jax.jit(jax.vmap(run, in_axes=(None, 0)))
+
+
+def mapped(run):
+    """Return a run of many paths in one program, one after the other."""
+    return jax.jit(lambda process, paths: jax.lax.map(lambda x: run(process, x), paths))
 
 
 def cut(process, path, part):
