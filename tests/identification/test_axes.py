@@ -131,6 +131,21 @@ def test_all_signs_reversed_fit_as_well_but_make_no_sense():
     np.testing.assert_array_equal(best.matrix, np.eye(3))
 
 
+@pytest.mark.parametrize("hand", [1, -1])
+def test_of_a_helix_the_sign_of_z_stays_as_recorded(hand):
+    # A right-hand helix pulls toward the work.
+    force = columns_of(TIME) @ (TRUTH * [1, 1, -hand, 1, 1, -hand])
+    for turn in (np.eye(3), np.diag([1.0, -1.0, 1.0]), np.diag([-1.0, -1.0, -1.0])):
+        proposal = propose_axes(
+            measured(turn, force), columns_of(TIME), RATE, helix_angle=0.5 * hand
+        )
+        best = proposal.proposals[0]
+        np.testing.assert_array_equal(best.matrix[:2], turn[:2])
+        assert best.matrix[2, 2] == 1 and proposal.is_clear
+        # It says so where z as recorded has not the sign of the helix.
+        assert ("helix" in " ".join(best.violations)) == (turn[2, 2] < 0)
+
+
 def test_noise_alone_is_not_clear():
     noise = np.random.default_rng(5).normal(size=(2000, 3))
     proposal = propose_axes(noise, columns_of(TIME), RATE, max_shift=0.005)

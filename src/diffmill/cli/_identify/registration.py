@@ -106,8 +106,7 @@ def axes_lines(found: ForceRecordStudyFit, *, takes_proposed: bool) -> list[str]
             '"proposed".',
             "warning",
         )
-        for violation in used.violations:
-            lines.append(f"  against the axes used: {violation}")
     elif not proposal.is_clear:
         lines += noted("Others suit nearly as well: the record does not tell the axes.")
+    lines += [f"  against the axes used: {text}" for text in used.violations]
     return lines + [f"  {sentence}" for sentence in proposal.evidence]

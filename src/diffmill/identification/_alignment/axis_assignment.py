@@ -13,15 +13,27 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from .axis_proposal import AxesCandidate, AxesProposal, axes_label, proposal_of
+from .axis_proposal import (
+    AxesCandidate,
+    AxesProposal,
+    axes_label,
+    axes_rank,
+    proposal_of,
+)
 
 # What a violation of physics adds to a relative residual between 0 and 1. A negative
-# tangential or radial force weighs most; that K_ac is positive holds less surely.
+# tangential or radial force weighs most. The axial force of straight flutes is taken to
+# push toward the shank. A helix pulls the other way than tables print, so that there it
+# decides nothing, and is only told.
 _PENALTIES = {
     "the tangential force is negative": 0.5,
     "the radial force is negative": 0.5,
     "radial over tangential force is outside 0.1 to 1": 0.25,
-    "the axial force is negative": 0.02,
+}
+_AXIAL = {
+    0: ("the axial force is negative", 0.02),
+    1: ("the axial force is positive, but a right-hand helix pulls toward the work", 0),
+    -1: ("the axial force is negative, but a left-hand helix pushes to the shank", 0),
 }
 _RATIOS = (0.1, 1.0)
 
@@ -33,6 +45,7 @@ def propose_axes(
     *,
     max_shift: float = 0.0,
     tooth_frequency: float | None = None,
+    helix_angle: float = 0.0,
 ) -> AxesProposal:
     """Return how the recorded axes may lie in the simulation's, with the evidence.
 
@@ -40,9 +53,10 @@ def propose_axes(
     at the time shift with the least score. The score is the relative residual plus a
     penalty for what physics forbids: tangential and radial force are positive (edge
     included, at the mean chip), radial over tangential force lies within 0.1 to 1, the
-    axial force is positive. The residual tells the axes apart as long as the forces
-    vary within a turn; it does not show all signs at once reversed, nor the sign of z
-    alone, for which only the penalties speak.
+    axial force of straight flutes is positive. The residual tells the axes apart as
+    long as the forces vary within a turn; it does not show all signs at once reversed,
+    nor the sign of z alone, for which only the penalties speak: of a helical cutter,
+    none, so that z stays as it was recorded.
 
     Args:
         force: Record less its offset, at equal steps [N], shape (sample, 3); a channel
@@ -53,6 +67,7 @@ def propose_axes(
         max_shift: How far the record may be shifted in time either way [s]; 0 if the
             spindle's angle is known. For a steady cut half a turn is enough.
         tooth_frequency: Tooth-passing frequency [Hz], for the phases in the evidence.
+        helix_angle: Of the cutter, positive for a right-hand helix [rad].
 
     Returns:
         The six proposals and what speaks for the first.
@@ -82,7 +97,7 @@ def propose_axes(
     products = _products(force, unit, lags)
     inside = slice(lags, force.shape[0] - lags)
     grams = np.einsum("tac,tad->acd", unit[inside], unit[inside])
-    found = []
+    found, tests = [], _Tests(int(np.sign(helix_angle)))
     for matrix in signed_permutations():
         seen = _seen(matrix, is_measured)
         inverse = np.linalg.pinv(grams[seen].sum(axis=0), rcond=1e-9, hermitian=True)
@@ -90,15 +105,15 @@ def propose_axes(
         solutions = assigned @ inverse
         power = np.sum(force[inside] ** 2)
         rest = 1.0 - np.einsum("lc,lc->l", assigned, solutions) / power
-        score = np.sqrt(np.clip(rest, 0.0, None)) + _penalty(solutions)
+        score = np.sqrt(np.clip(rest, 0.0, None)) + tests.penalty(solutions)
         best = int(np.argmin(score))
         found.append(_Assignment(float(score[best]), matrix, seen, best - lags))
-    found.sort(key=lambda one: one.score)
+    found.sort(key=lambda one: axes_rank(one.score, one.matrix))
     turn = None if tooth_frequency is None else 2 * np.pi * tooth_frequency / rate
     candidates = []
     for one in found:
         basis = unit[inside.start - one.lag : inside.stop - one.lag] * one.seen[:, None]
-        candidates.append(_candidate(one, force[inside], basis, turn))
+        candidates.append(_candidate(one, force[inside], basis, turn, tests))
     return proposal_of(
         tuple(
             one._replace(
@@ -158,27 +173,36 @@ def _products(
     return out
 
 
-def _penalty(
-    solutions: Float[np.ndarray, "lag coefficient"],
-) -> Float[np.ndarray, " lag"]:
-    return sum(
-        np.where(is_violated, weight, 0.0)
-        for is_violated, weight in zip(
-            _violated(solutions), _PENALTIES.values(), strict=True
-        )
-    ) + np.zeros(len(solutions))
-
-
-def _violated(solutions: Float[np.ndarray, "lag coefficient"]) -> list[np.ndarray]:
-    """Return for each penalty where it applies.
+class _Tests(NamedTuple):
+    """What makes no physical sense, for a helix to the right, 1, or left, -1; or none.
 
     With columns of unit size, cutting and edge part of a solution add to the force.
     """
-    tangential, radial, axial = (solutions[:, :3] + solutions[:, 3:]).T
-    # Edge forces may exceed the bound at thin chips; noise splits the two parts badly.
-    is_odd = _is_odd(tangential, radial) & _is_odd(solutions[:, 0], solutions[:, 1])
-    both = (tangential > 0) & (radial > 0)
-    return [tangential <= 0, radial <= 0, both & is_odd, axial < 0]
+
+    hand: int
+
+    def penalty(
+        self, solutions: Float[np.ndarray, "lag coefficient"]
+    ) -> Float[np.ndarray, " lag"]:
+        """Return what violations add to the score."""
+        weights = np.array([*_PENALTIES.values(), _AXIAL[self.hand][1]])
+        return weights @ np.array(self._violated(solutions), float)
+
+    def words(self, solution: Float[np.ndarray, " coefficient"]) -> tuple[str, ...]:
+        """Return the violations in words."""
+        found = self._violated(solution[None])
+        texts = (*_PENALTIES, _AXIAL[self.hand][0])
+        return tuple(text for text, is_so in zip(texts, found, strict=True) if is_so[0])
+
+    def _violated(
+        self, solutions: Float[np.ndarray, "lag coefficient"]
+    ) -> list[np.ndarray]:
+        tangential, radial, axial = (solutions[:, :3] + solutions[:, 3:]).T
+        # Edge forces may exceed the bound at thin chips; noise splits the two badly.
+        is_odd = _is_odd(tangential, radial) & _is_odd(solutions[:, 0], solutions[:, 1])
+        both = (tangential > 0) & (radial > 0)
+        wrong = axial < 0 if self.hand == 0 else axial * self.hand > 0
+        return [tangential <= 0, radial <= 0, both & is_odd, wrong]
 
 
 def _is_odd(
@@ -193,6 +217,7 @@ def _candidate(
     force: Float[np.ndarray, "sample 3"],
     basis: Float[np.ndarray, "sample 3 6"],
     turn: float | None,
+    tests: _Tests,
 ) -> AxesCandidate:
     """Return one assignment with its evidence, fitted anew at its time shift.
 
@@ -211,19 +236,16 @@ def _candidate(
         turns = np.exp(-1j * turn * np.arange(len(fitted)))
         phase = np.angle((turns @ recorded) * np.conj(turns @ fitted))
         phase = np.where(seen, phase, np.nan)
-    tests = [bool(test[0]) for test in _violated(solution[None])]
     total = solution[:3] + solution[3:]
     return AxesCandidate(
         matrix=matrix,
         label=axes_label(matrix),
         is_mirrored=bool(np.linalg.det(matrix) < 0),
-        score=residual + float(_penalty(solution[None])[0]),
+        score=residual + float(tests.penalty(solution[None])[0]),
         residual=residual,
         coefficients=solution,
         radial_ratio=float(total[1] / total[0]) if total[0] else float("nan"),
-        violations=tuple(
-            t for t, is_so in zip(_PENALTIES, tests, strict=True) if is_so
-        ),
+        violations=tests.words(solution),
         time_shift=float(one.lag),
         phase_error=phase,
         mean_recorded=np.where(seen, recorded.mean(axis=0), np.nan),

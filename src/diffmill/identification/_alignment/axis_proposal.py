@@ -8,6 +8,8 @@ from jaxtyping import Float
 
 # Scores that differ by less are no evidence.
 _CLEAR = 0.05
+# Scores that differ by rounding alone are the same.
+_DIGITS = 9
 _AXES = "xyz"
 
 
@@ -116,6 +118,16 @@ def combine_axes_proposals(proposals: Sequence[AxesProposal]) -> AxesProposal:
     return proposal_of(tuple(merged))
 
 
+def axes_rank(score: float, matrix: Float[np.ndarray, "3 3"]) -> tuple[float, bool]:
+    """Return what the best has least of; z as recorded comes before z reversed.
+
+    Args:
+        score: Of an assignment.
+        matrix: Turns recorded into simulated forces, shape (3, 3).
+    """
+    return round(score, _DIGITS), bool(matrix[2].sum() < 0)
+
+
 def axes_label(matrix: Float[np.ndarray, "3 3"]) -> str:
     """Return an assignment in words, such as `x = -Fy, y = +Fx, z = +Fz`.
 
@@ -135,7 +147,7 @@ def proposal_of(candidates: tuple[AxesCandidate, ...]) -> AxesProposal:
     Args:
         candidates: All 48, in any order.
     """
-    ranked = tuple(sorted(candidates, key=lambda candidate: candidate.score))
+    ranked = tuple(sorted(candidates, key=lambda x: axes_rank(x.score, x.matrix)))
     best = ranked[0]
     of_order: dict[tuple[int, ...], AxesCandidate] = {}
     for candidate in ranked:
@@ -170,7 +182,7 @@ def _evidence(best: AxesCandidate, rival: AxesCandidate) -> tuple[str, ...]:
         f"{rival.score:.3f}).",
         f"Radial over tangential force is {best.radial_ratio:.3f}.",
         f"The means have the signs {' '.join(signs)}, the fit's {' '.join(fitted)}.",
-        "The sign of z rests on a positive axial force alone."
+        "No fit shows the sign of z: it rests on that of the axial force alone."
         if seen[2]
         else "There is no channel for z.",
     ]

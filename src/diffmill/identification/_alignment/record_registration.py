@@ -123,7 +123,7 @@ class RecordRegistration(NamedTuple):
         if angle is not None:
             offset = _in_phase(offset, time, angle, speed)
         when, seen = time[keep] + offset, force[keep]
-        proposal = _judge(found, when, seen, turn / 2, cut.tooth_period)
+        proposal = _judge(found, when, seen, turn / 2, cut)
         diagnoses = (
             () if angle is not None else _diagnosed(time[keep], seen, speed, flutes)
         )
@@ -193,7 +193,7 @@ class RecordRegistration(NamedTuple):
         first, last = np.flatnonzero(inside)[[0, -1]]
         when = when[first : last + 1]
         seen = np.where(inside[:, None], force, np.nan)[first : last + 1]
-        proposal = _judge(found, when, seen, turn / 2, cut.tooth_period)
+        proposal = _judge(found, when, seen, turn / 2, cut)
         return cls(cut, found, when, seen, time_shift, proposal, alignment, speed, ())
 
 
@@ -280,7 +280,7 @@ def _judge(
     time: np.ndarray,
     force: np.ndarray,
     max_shift: float,
-    tooth_period: float,
+    cut: Cut,
 ) -> AxesProposal:
     """Return how the axes may lie, from the forces on an even grid.
 
@@ -291,7 +291,7 @@ def _judge(
     size = np.abs(np.nan_to_num(force)).max(axis=1)
     usual = max(float(np.quantile(size[known], _ALL_BUT)), 1e-300)
     known = np.flatnonzero(known & (size <= _SPIKE * usual))
-    grid, seen, is_near = _on_grid(time[known], force[known], tooth_period)
+    grid, seen, is_near = _on_grid(time[known], force[known], cut.tooth_period)
     count = int(is_near.sum())
     if count < _LEAST:
         raise ValueError(
@@ -307,7 +307,8 @@ def _judge(
         1 / spacing,
         # Four times the shift, in whole samples, must be shorter than the record.
         max_shift=min(max_shift, ((len(grid) - 1) // 4) * spacing * (1 - 1e-9)),
-        tooth_frequency=1 / tooth_period,
+        tooth_frequency=1 / cut.tooth_period,
+        helix_angle=float(cut.cutter.helix_angle),
     )
 
 

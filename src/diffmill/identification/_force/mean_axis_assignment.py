@@ -22,9 +22,14 @@ _PENALTIES = (
     ("the mean radial force is not positive", 2.0),
     ("K_te is negative", 1.0),
     ("K_re is negative", 1.0),
-    ("the mean axial force is negative", 0.5),
-    ("K_ac is negative", 0.25),
 )
+# The axial force of straight flutes is taken to push toward the shank. A helix pulls
+# the other way than tables print, so that there it decides nothing, and is only told.
+_AXIAL = {
+    0: (("the mean axial force is negative", 0.5), ("K_ac is negative", 0.25)),
+    1: (("the mean axial force is positive, unlike a right-hand helix", 0.0),),
+    -1: (("the mean axial force is negative, unlike a left-hand helix", 0.0),),
+}
 # A coefficient may be this many standard errors below zero by chance.
 _CHANCE = 2.0
 
@@ -53,6 +58,7 @@ def propose_mean_axes(
     axial_depth: float,
     entry_angle: float = 0.0,
     exit_angle: float = math.pi,
+    helix_angle: float = 0.0,
 ) -> tuple[MeanAxes, ...]:
     """Return the assignments of the axes, the one with the most sense first.
 
@@ -63,6 +69,7 @@ def propose_mean_axes(
         axial_depth: a_p [m].
         entry_angle: [rad]; 0 for a slot.
         exit_angle: [rad]; pi for a slot.
+        helix_angle: Of the cutter, positive for a right-hand helix [rad].
 
     Returns:
         All 48 signed permutations; nothing is applied. Several may score alike: then
@@ -83,7 +90,8 @@ def propose_mean_axes(
             entry_angle=entry_angle,
             exit_angle=exit_angle,
         )
-        violations, score = _judged(fit, float(feeds.mean()))
+        hand = int(np.sign(helix_angle))
+        violations, score = _judged(fit, float(feeds.mean()), hand)
         found.append(MeanAxes(axes_names(matrix), score, violations, fit))
     # Among equals the one that changes least; dynamometers lie flat, z along z.
     found.sort(key=lambda one: (one.score, one.axes[2][-1] != "z", _changes(one.axes)))
@@ -94,8 +102,14 @@ def _changes(axes: tuple[str, str, str]) -> int:
     return sum(name != plain for name, plain in zip(axes, "xyz", strict=True))
 
 
-def _judged(fit: MeanForceFit, feed: float) -> tuple[tuple[str, ...], float]:
-    """Return what makes no sense of a fit, and the sum of its penalties."""
+def _judged(fit: MeanForceFit, feed: float, hand: int) -> tuple[tuple[str, ...], float]:
+    """Return what makes no sense of a fit, and the sum of its penalties.
+
+    Args:
+        fit: The fit.
+        feed: Mean feed per tooth [m].
+        hand: 1 for a right-hand helix, -1 for a left-hand one, 0 for straight flutes.
+    """
     K, error = fit.coefficients, fit.standard_errors
 
     def below(name: str) -> bool:
@@ -112,8 +126,8 @@ def _judged(fit: MeanForceFit, feed: float) -> tuple[tuple[str, ...], float]:
         mean["r"] <= 0,
         below("K_te"),
         below("K_re"),
-        mean["a"] < 0,
-        below("K_ac"),
+        *((mean["a"] * hand > 0,) if hand else (mean["a"] < 0, below("K_ac"))),
     )
-    hits = [p for p, is_so in zip(_PENALTIES, tests, strict=True) if is_so]
+    penalties = (*_PENALTIES, *_AXIAL[hand])
+    hits = [p for p, is_so in zip(penalties, tests, strict=True) if is_so]
     return tuple(text for text, _ in hits), float(sum(weight for _, weight in hits))

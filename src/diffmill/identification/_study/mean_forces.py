@@ -92,7 +92,12 @@ class MeanForceStudy(NamedTuple):
         }
         on_progress("lines over the feed")
         feeds = self.feed_per_tooth
-        found = propose_mean_axes(feeds, self.mean_force, **shape)
+        found = propose_mean_axes(
+            feeds,
+            self.mean_force,
+            **shape,
+            helix_angle=float(cut.cutter.helix_angle),
+        )
         axes = self.settings.axes or ("x", "y", "z")
         if self.settings.takes_proposed:
             axes = found[0].axes
