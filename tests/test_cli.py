@@ -352,6 +352,26 @@ def test_a_command_ends_while_a_thread_compiles(tmp_path):
     )
 
 
+def test_an_interrupt_in_a_callback_is_not_lost():
+    code = """
+import gc, sys, time
+from diffmill.cli import main
+sys.argv = ["diffmill", "--version"]
+main()
+def callback(phase, info):
+    gc.callbacks.clear()
+    raise KeyboardInterrupt
+gc.callbacks.append(callback)
+try:
+    gc.collect()
+    time.sleep(5)
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert ran.stdout.endswith("interrupted\n") and not ran.stderr
+
+
 def test_a_script_keeps_what_it_compiles_where_commands_do(tmp_path):
     script = (
         "import jax, jax.numpy as jnp, diffmill as dm\n"

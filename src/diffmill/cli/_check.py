@@ -105,8 +105,10 @@ def _describe_job(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
         robot = job.robot.name
     elif job.modes is not None:
         robot = f"none ({len(job.modes.frequencies)} modes at the tool tip)"
+    count = len(job.notes)
+    more = f", but with {count} note{'s'[: count != 1]}" if count else ""
     return [
-        f"{file}: a job without faults",
+        f"{file}: a job without faults{more}",
         f"  path: {job.path.step_count} tooth periods of "
         f"{float(job.tooth_period) * 1e3:g} ms, {float(job.path.time[-1]):.3f} s",
         *(_time_lines(job.timing) if job.timing is not None else ()),

@@ -1,7 +1,9 @@
 """The commands, their arguments, and the exit code."""
 
+import _thread
 import pathlib
 import sys
+import threading
 from collections.abc import Callable, Sequence
 from importlib import metadata
 from typing import TYPE_CHECKING, Annotated, Any
@@ -385,6 +387,23 @@ def convert(
     return 0
 
 
+def _pass_interrupts_on() -> None:
+    """Interrupt again where an interrupt came in a callback, which cannot raise it.
+
+    JAX has one in Python's garbage collector; Python only prints what is raised there.
+    """
+    before = sys.unraisablehook
+
+    def told(found: "sys.UnraisableHookArgs") -> None:
+        if issubclass(found.exc_type, KeyboardInterrupt):
+            # A little later, or it would be raised in here.
+            threading.Timer(0.05, _thread.interrupt_main).start()
+        else:
+            before(found)
+
+    sys.unraisablehook = told
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code.
 
@@ -407,6 +426,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         "doctor": doctor,
     }
     arguments = sys.argv[1:] if argv is None else list(argv)
+    if argv is None:
+        _pass_interrupts_on()
     if arguments == ["--version"]:
         print(f"diffmill {metadata.version('diffmill')}")
         return 0

@@ -50,9 +50,19 @@ def read_program(table: ProgramTable, context: FileContext) -> Program | Path | 
         context.problems.append(f"[program] tool: {error}")
         return None
     context.notes.extend(f"[program] {note}" for note in program.notes)
+    if table.feed is not None and not _uses(chosen, table.feed):
+        context.notes.append(
+            "[program] feed: without effect, since the program says a feed for every move"
+        )
     if len(program.sections) > 1:
         context.notes.append(_tool_note(program, chosen))
     return chosen
+
+
+def _uses(program: Program, feed: float) -> bool:
+    """Return whether any move goes at the feed of the job."""
+    cuts = [move for move in program.moves if not move.is_rapid]
+    return any(move.feed is None or math.isclose(move.feed, feed) for move in cuts)
 
 
 def _problems(text: str) -> list[str]:
@@ -118,7 +128,7 @@ def spindle_speed(
         return given
     if given is None and not stated and program is not None:
         problems.append(
-            "[spindle] speed: found nothing, and the program has no S word; a "
+            "[spindle] speed: found nothing, and the program sets no speed above 0; a "
             'rotational speed with its unit is required, such as "8000 rpm"'
         )
         return None

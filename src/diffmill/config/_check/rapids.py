@@ -169,6 +169,12 @@ def notes(stock: StockPlan, path: Path, cutter: AbstractCutter) -> tuple[str, ..
             f"the flutes ({cutter.flute_length * 1e3:g} mm): shank_volume in the "
             "result says what its shank would have to take"
         )
+    low = float(stock.lower[2])
+    if depth > float(stock.upper[2]) - low:
+        notes.append(
+            f"the path goes {(depth - float(stock.upper[2]) + low) * 1e3:g} mm below "
+            "the bottom of the stock, into what it lies on"
+        )
     if depth <= 0:
         spans = [
             _span_mm(np.asarray(path.positions)),

@@ -98,7 +98,7 @@ def _draw_contour(
     absolute.set_yscale("log")
     absolute.set_ylim(max(_FLOOR_UM, 0.5 * smallest), 2.0 * largest)
     absolute.tick_params(which="minor", length=0)
-    quiet_axes(absolute, y=r"|contour error| [$\mathrm{\mu m}$]")
+    quiet_axes(absolute, y=r"in the cut, log [$\mathrm{\mu m}$]")
 
 
 def _shade_air(

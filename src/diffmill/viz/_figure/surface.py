@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     import matplotlib.figure
 
 
+# Size of the points of walls, which lie above each other [pt^2].
+_WALL = 12.0
+
+
 def plot_surface_error(errors: dict[str, SurfaceError]) -> "matplotlib.figure.Figure":
     """Draw a map of the surface error and its histogram, one row per case.
 
@@ -41,8 +45,10 @@ def plot_surface_error(errors: dict[str, SurfaceError]) -> "matplotlib.figure.Fi
     figure = new_figure(min(9.5, 0.5 + len(errors) * max(1.9, 4.1 * aspect)))
     grid = figure.subplots(len(errors), 2, squeeze=False, width_ratios=[1.9, 1.0])
     limit = _limit_um(errors)
+    # A floor is a plane, not dots: as wide as the rays are apart, on about 3.6 inch.
+    size = max(2.0, 1.1 * (3.6 * 72 / max(width, 1e-12) * _ray_distance(errors)) ** 2)
     for row, (name, item) in enumerate(errors.items()):
-        _draw_map(grid[row, 0], item, limit)
+        _draw_map(grid[row, 0], item, limit, size)
         label = case_style(name).label
         quiet_axes(grid[row, 0], x="x [mm]", y="y [mm]", title=label, has_grid=False)
         _draw_histogram(grid[row, 1], item, case_style(name).colour)
@@ -50,6 +56,13 @@ def plot_surface_error(errors: dict[str, SurfaceError]) -> "matplotlib.figure.Fi
     bar = figure.colorbar(image, ax=grid[:, 0], pad=0.02, aspect=30, extend="both")
     label_colourbar(bar, r"surface error [$\mathrm{\mu m}$]")
     return figure
+
+
+def _ray_distance(errors: dict[str, SurfaceError]) -> float:
+    """Return how far the rays along z are apart [m]; 0 if there are no two."""
+    x = [item.points[item.family == 2, 0] for item in errors.values()]
+    steps = np.diff(np.unique(np.round(np.concatenate(x), 9)))
+    return float(steps.min(initial=np.inf)) if steps.size else 0.0
 
 
 def _limit_um(errors: dict[str, SurfaceError]) -> float:
@@ -65,7 +78,7 @@ def _colours(limit_um: float) -> "matplotlib.cm.ScalarMappable":
 
 
 def _draw_map(
-    axes: "matplotlib.axes.Axes", item: SurfaceError, limit_um: float
+    axes: "matplotlib.axes.Axes", item: SurfaceError, limit_um: float, size: float
 ) -> None:
     axes.set_facecolor("#e4e4e4")
     # The larger error above the smaller one, walls above floors.
@@ -75,7 +88,7 @@ def _draw_map(
         x,
         y,
         c=item.error[order] * 1e6,
-        s=2.0,
+        s=np.where(item.is_floor[order], size, np.minimum(size, _WALL)),
         marker="s",
         linewidths=0,
         cmap="RdBu_r",
@@ -109,12 +122,18 @@ def _draw_histogram(
     )
     axes.axvline(0.0, color=INK, linewidth=0.7)
     axes.legend(fontsize=7, frameon=False)
+    # As the tables have it: of what the tool cut.
+    found = item.measures()
+    figures = {
+        "floors": (found.floor_rms, found.floor_mean),
+        "walls": (found.wall_rms, found.wall_mean),
+    }
     axes.set_title(
         "\n".join(
-            f"{name}: rms {np.sqrt(np.mean(error_um[rows] ** 2)):.1f}, mean "
-            rf"{np.mean(error_um[rows]):.1f} $\mathrm{{\mu m}}$"
-            for name, rows in kinds.items()
-            if rows.any()
+            f"{name}: rms {1e6 * rms:.1f}, mean {1e6 * mean:.1f} "
+            r"$\mathrm{\mu m}$ where cut"
+            for name, (rms, mean) in figures.items()
+            if np.isfinite(rms)
         ),
         fontsize=8,
         loc="left",

@@ -17,7 +17,7 @@ from .._figure.history import plot_deviation
 from .._figure.paths import plan_magnification, plot_paths
 from .._figure.sensitivity import plot_sensitivity
 from .._figure.surface import plot_surface_error
-from .._style import case_style, save_figure
+from .._style import GREY, case_style, save_figure
 
 if TYPE_CHECKING:
     import matplotlib.figure
@@ -77,10 +77,10 @@ def write_figures(
     drawings = {
         "paths": _draw_paths(dataset),
         "deviation": _draw_deviation(dataset),
-        "forces": _draw_forces(dataset, forces),
-        "chip": _draw_chip(chip),
+        "forces": _of_reference(_draw_forces(dataset, forces), dataset),
+        "chip": _of_reference(_draw_chip(chip), dataset),
         "surface": _draw_surface(surfaces),
-        "dexels": _draw_dexels(dexels),
+        "dexels": _of_reference(_draw_dexels(dexels), dataset),
     }
     if "sensitivity_contour_error" in dataset:
         drawings["sensitivity"] = _draw_sensitivity(dataset)
@@ -92,6 +92,18 @@ def write_figures(
         path = save_figure(drawing.figure, folder / f"{name}.png")
         files[name] = FigureFile(drawing.title, drawing.text, path)
     return files
+
+
+def _of_reference(drawing: _Drawing, dataset: "xarray.Dataset") -> _Drawing:
+    """Return a drawing that says of which of several cases it is."""
+    if drawing.figure is None or len(case_names(dataset)) < 2:
+        return drawing
+    label = case_style(reference_case(dataset)).label
+    drawing.figure.text(
+        0.995, 0.997, label, ha="right", va="top", fontsize=9, color=GREY
+    )
+    text = f"Of the {label} path. {drawing.text}"
+    return _Drawing(drawing.title, text, drawing.figure)
 
 
 def _missing(dataset: "xarray.Dataset", *names: str) -> str:
@@ -113,9 +125,9 @@ def _draw_paths(dataset: "xarray.Dataset") -> _Drawing:
         f"Plan view: the distance of each path from the desired one (dashed; grey: "
         f"moves in the air) is drawn {factor:g} times too large, only where the tool "
         f"cuts. A and B are the two "
-        f"places where the {reference} path is farthest off, one dot per tooth; their "
-        f"scale stands above them. The side view shows how high the tool tip runs "
-        f"above its desired height."
+        f"places where the {reference} path is farthest off in this view, one dot per "
+        f"tooth; their scale stands above them. The side view shows how high the tool "
+        f"tip runs above its desired height."
     )
     if len(case_names(dataset)) > 1:
         caption += " A path that follows the dashed line is what a correction is for."

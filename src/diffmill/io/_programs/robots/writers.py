@@ -33,7 +33,7 @@ def write_krl(
     """
     name = re.sub(r"\W", "_", program.name.split(".")[0])[:24] or "part"
     lines = ["&ACCESS RVP", f"DEF {name if name[0].isalpha() else 'p' + name}( )"]
-    lines += [f";{' '.join(text.split())}" for text in header]
+    lines += [f";{' '.join(text.split())}" for text in (*header, _reminder(program))]
     feed, timed = None, []
     for move in _placed(program, tolerance):
         if move.duration is not None and _goes(move):
@@ -56,12 +56,23 @@ def write_krl(
     return "\n".join([*lines, *_time_blocks(timed, is_spline), "END"]) + "\n"
 
 
+def _reminder(program: Program) -> str:
+    """Return what the user has to see to before the file runs on a robot."""
+    speed = program.spindle_speed
+    spindle = "" if speed is None else f" at {speed * 30 / math.pi:g} rpm"
+    return (
+        "motion only: before it runs, see to the base (zero of the workpiece), the "
+        f"tool (its tip, z up the shank), the way there, and the spindle{spindle}"
+    )
+
+
 def write_rapid(
     program: Program, *, header: Sequence[str] = (), tolerance: float = 1e-6
 ) -> str:
     """Return a program as a module of RAPID; arguments as `write_krl`."""
     lines = ["MODULE part", "  PROC main()"]
-    lines += [f"    ! {' '.join(text.split())}" for text in header]
+    texts = (*header, _reminder(program))
+    lines += [f"    ! {' '.join(text.split())}" for text in texts]
     moves = list(_placed(program, tolerance))
     for index, move in enumerate(moves):
         is_last = index == len(moves) - 1 or moves[index + 1].is_rapid
