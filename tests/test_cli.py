@@ -326,6 +326,19 @@ def test_check_other_files(folder, capsys):
     assert ".csv" in capsys.readouterr().err
 
 
+def test_check_campaign_and_result(folder, capsys):
+    main(["example", "tiny"])
+    text = 'job = "tiny.toml"\n[[sweep]]\nkey = "spindle.speed"\n'
+    pathlib.Path("sweep.toml").write_text(text + 'values = ["8000 rpm", "9000 rpm"]\n')
+    pathlib.Path("result.nc").write_bytes(b"\x89HDF\r\n")
+    capsys.readouterr()
+    assert main(["check", "sweep.toml"]) == 0
+    out = capsys.readouterr().out
+    assert "2 jobs" in out and "spindle_speed: 2" in out
+    assert main(["check", "result.nc"]) == 2
+    assert "netCDF" in capsys.readouterr().err
+
+
 def test_a_command_ends_while_a_thread_compiles(tmp_path):
     # An interrupted run leaves a compilation behind, which nothing can interrupt.
     script = (

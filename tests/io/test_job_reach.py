@@ -315,3 +315,12 @@ def test_a_program_slows_down_for_a_slow_joint(write):
     (file.parent / "slides.toml").write_text(f'name = "slides"\n{slides}')
     (problem,) = problems_of(file)
     assert "joint_ramp" in problem and "no joint has a speed" in problem
+
+
+@pytest.mark.parametrize("height", [200, -200])
+def test_a_tool_below_its_flange_is_a_note(write, height):
+    # The slides' axes are those of the work: z of the flange is up.
+    tool = f'tool_in_flange = {{ position = ["0 mm", "0 mm", "{height} mm"] }}\n'
+    job = load_job(write(SLIDING + place(-100, 0, height - 100) + tool))
+    notes = [note for note in job.notes if "tool_in_flange" in note]
+    assert len(notes) == (height > 0)

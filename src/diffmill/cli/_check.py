@@ -16,12 +16,16 @@ if TYPE_CHECKING:
     from ..toolpath import Move, Path, Program, ProgramTiming
 
 
+# The first bytes of a netCDF file; programs may have its suffix.
+_HDF5 = b"\x89HDF"
+
+
 def describe_file(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
     """Return lines that describe a file.
 
     Args:
-        file: A job, a file for `diffmill identify`, a program or a recorded path, told
-            by its suffix, and a TOML file by its `kind`.
+        file: A job, a campaign, a file for `diffmill identify`, a program or a recorded
+            path, told by its suffix, and a TOML file by its keys.
         allow_outside: Whether a job may name files outside its folder.
 
     Raises:
@@ -29,8 +33,11 @@ def describe_file(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
     """
     suffix = file.suffix.lower()
     if suffix == ".toml":
-        if "kind" in _tables(file):
+        tables = _tables(file)
+        if "kind" in tables:
             return _describe_identification(file, allow_outside=allow_outside)
+        if isinstance(tables.get("job"), str):
+            return _describe_campaign(file, allow_outside=allow_outside)
         return _describe_job(file, allow_outside=allow_outside)
     from ..io import PROGRAM_FORMATS, read_program
     from ..toolpath import Path
@@ -40,6 +47,12 @@ def describe_file(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
             f"{file}: found the suffix {suffix!r}; allowed: .toml (job or "
             f"identification), {', '.join(PROGRAM_FORMATS)}"
         )
+    with file.open("rb") as start:
+        if start.read(len(_HDF5)) == _HDF5:
+            raise ValueError(
+                f"{file}: found a result, in netCDF; needed is a job, a program or a "
+                "path (xarray opens results)"
+            )
     program = read_program(file)
     if isinstance(program, Path):
         return _describe_path(file, program)
@@ -91,6 +104,19 @@ def _describe_identification(file: pathlib.Path, *, allow_outside: bool) -> list
         lines.append(f"  {len(study.time)} rows from {first:.4g} to {last:.4g} s")
     if not isinstance(study, ForceRecordStudy | ModeStudy):
         lines += [f"  note: {note}" for note in study.notes]
+    return lines
+
+
+def _describe_campaign(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
+    from ..config import load_campaign
+
+    campaign = load_campaign(file, allow_outside=allow_outside)
+    lines = [
+        f"{file}: a campaign without faults: {math.prod(campaign.shape)} jobs, each to "
+        f"{campaign.command}, from {campaign.job}"
+    ]
+    for variation, count in zip(campaign.variations, campaign.shape, strict=True):
+        lines.append(f"  {variation.name}: {count}")
     return lines
 
 

@@ -1,6 +1,7 @@
 """The commands, their arguments, and the exit code."""
 
 import _thread
+import os
 import pathlib
 import sys
 import threading
@@ -335,19 +336,22 @@ def doctor(*, quiet: _Quiet = False) -> int:
 def check(
     file: Annotated[
         tyro.conf.Positional[pathlib.Path],
-        tyro.conf.arg(metavar="FILE", help="A program, a recorded path or a job."),
+        tyro.conf.arg(
+            metavar="FILE",
+            help="A program, a path, a job, a campaign, or a file for `identify`.",
+        ),
     ],
     *,
     allow_outside: _Outside = False,
 ) -> int:
-    """Say what a program, path or job contains and what of it is not supported."""
+    """Say what a file contains and what of it is not supported."""
     if file.suffix == ".toml":
         _read(file)
     from ._check import describe_file
 
     with bad_input():
         lines = describe_file(file, allow_outside=allow_outside)
-    print("\n".join(lines))
+    print("\n".join(lines), flush=True)
     return 0
 
 
@@ -450,6 +454,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
     except KeyboardInterrupt:
         print("error: interrupted; no results were written", file=sys.stderr)
+        return 1
+    except BrokenPipeError:
+        # Who reads has enough, such as `head`; nothing more can be said there.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except (OSError, MemoryError) as error:
         reason = getattr(error, "strerror", None) or error

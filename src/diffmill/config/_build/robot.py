@@ -11,6 +11,8 @@ from .context import FileContext
 from .robot_file import check_springs, load_robot
 from .._schema.job import PoseTable, RobotTable
 
+# A flange may lie so far below the tip by rounding [m].
+_FLAT = 1e-6
 _DRIVE_KINDS = {
     "joint_stiffness": (q.ROTARY_STIFFNESS, q.LINEAR_STIFFNESS),
     "joint_damping": (q.ROTARY_DAMPING, q.LINEAR_DAMPING),
@@ -72,12 +74,26 @@ def read_robot(
     robot = robot.with_drives(stiffness=stiffness, damping=damping)
     check_springs(robot, problems)
     if table.tool_in_flange is not None:
-        robot = robot.with_tool(pose_matrix(table.tool_in_flange))
+        T_flange_tool = pose_matrix(table.tool_in_flange)
+        context.notes.extend(_tool_notes(T_flange_tool))
+        robot = robot.with_tool(T_flange_tool)
     robot = with_spring(robot, table.flange_spring, problems)
     robot = with_bending_cutter(robot, table.bending_tool, cutter)
     if start is not None:
         start = np.pad(start, (0, robot.joint_count - len(start)))
     return robot, start
+
+
+def _tool_notes(T_flange_tool: Float[np.ndarray, "4 4"]) -> list[str]:
+    """Return that the tool points into the flange, if it does."""
+    up = -float(T_flange_tool[:3, 2] @ T_flange_tool[:3, 3])
+    if up > -_FLAT:
+        return []
+    return [
+        f"[robot] tool_in_flange: the flange lies {-1e3 * up:.4g} mm below the tip; +z "
+        "of the tool goes up its shank, so that a flange whose z points out needs a "
+        'turn such as rpy = ["180 deg", "0 deg", "0 deg"]'
+    ]
 
 
 def added_joints(table: RobotTable) -> int:

@@ -100,6 +100,7 @@ class KienzleTable(TomlTable):
         return ()
 
 
+_NAMES = ("K_tc", "K_rc", "K_ac", "K_te", "K_re", "K_ae")
 _LAWS = {"linear_edge": LinearEdgeTable, "kienzle": KienzleTable}
 _ForceTable = MaterialTable | LinearEdgeTable | KienzleTable
 
@@ -123,22 +124,27 @@ class ForceTables(NamedTuple):
     def notes(self, cutter: "AbstractCutter") -> tuple[str, ...]:
         """Return what the user should know about the coefficients."""
         bottom = () if self.bottom is None else self.bottom.notes("[force.bottom]")
+        from ...cutting import LinearEdgeLaw
+
         found = self.side.notes("[force]") + bottom
         is_right_hand = cutter.has_helix and float(cutter.helix_angle) > 0
         if not (is_right_hand and isinstance(self.side, MaterialTable)):
             return found
         law = self.side.force_law()
+        if not isinstance(law, LinearEdgeLaw):
+            return found
+        # As they can be pasted, of the sign that the hand of the helix has.
         numbers = [
-            f"{key} = {value:.4g}"
-            for key in ("K_tc", "K_rc", "K_ac", "K_te", "K_re", "K_ae")
-            if (value := getattr(law, key, None)) is not None
+            f'{key} = "{sign * float(getattr(law, key)) / scale:.4g} {unit}"'
+            for key, sign in zip(_NAMES, (1, 1, -1, 1, 1, -1), strict=True)
+            for scale, unit in [(1e6, "N/mm^2") if key[-1] == "c" else (1e3, "N/mm")]
         ]
         return (
             *found,
             "[force] material: tables print the size of axial coefficients, which push "
             "the tool toward the shank here, while a right-hand helix pulls it toward "
-            "the work; give the law itself with the sign of K_ac that was measured "
-            f"(N/m^2 and N/m: {', '.join(numbers)})",
+            "the work; give the law itself with the signs that were measured, perhaps "
+            f"{', '.join(numbers)}",
         )
 
     def check_teeth(self, teeth: int, problems: list[str]) -> None:
