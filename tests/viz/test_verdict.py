@@ -116,3 +116,9 @@ def test_steps_that_ran_out_and_a_constant_error_are_named(tmp_path, correction)
     assert "[correction] max_steps" in text
     assert "81 % of the square of the contour error is a constant vector" in text
     assert "What limited the result" not in report(tmp_path, correction)
+
+
+@pytest.mark.parametrize("radius", [0.99, 1.01])
+def test_chatter_limits_the_result(tmp_path, correction, radius):
+    text = report(tmp_path, correction.assign_attrs(stability_largest_radius=radius))
+    assert ("a corrected path does not" in text) == (radius > 1)

@@ -94,12 +94,15 @@ class Stability(eqx.Module):
         k, count = int(np.argmax(self.radius)), int(self.is_unstable.sum())
         first = float(self.time[np.argmax(self.is_unstable)])
         x, y, z = self.position[k] * 1e3
+        growth = float(self.radius[k]) - 1
         return (
             f"the cut is unstable (chatter) at {count} of the {len(self.row)} rows "
             f"looked at, from time {first:.3f} s; most at {self.time[k]:.3f} s, "
             f"position ({x:.2f}, {y:.2f}, {z:.2f}) mm: a vibration at "
-            f"{self.frequency[k]:.1f} Hz grows by {100 * (self.radius[k] - 1):.2g} % "
-            "per tooth period"
+            f"{self.frequency[k]:.1f} Hz grows by {100 * growth:.2g} % "
+            f"per tooth period, threefold in {1.1 / self.tooth_frequency / growth:.2g} "
+            "s; a smaller depth of cut, another spindle speed or more damping calms "
+            "it, a corrected path does not"
         )
 
     def visibility(self) -> str:

@@ -20,7 +20,7 @@ _ROWS = {
     "removed_volume": ("m3", "volume that the pose removes"),
     "shank_volume": ("m3", "what of it the shank above the flutes takes"),
     "deviation": ("m", "actual - desired"),
-    "surface_deviation": ("m", "actual - desired when, before, a tooth made the wall"),
+    "surface_deviation": ("m", "actual - desired when a tooth makes the wall"),
     "contour_error": ("m", "distance to the desired polyline when the wall was made"),
     "is_cutting": ("1", "the rigid tool cuts in the tooth period before"),
     "motor_positions": ("rad", "motor positions on the joint's side, sag included"),

@@ -107,6 +107,12 @@ def limits(
     """
     case = chosen_case(dataset)
     found = []
+    if dataset.attrs.get("stability_largest_radius", 0.0) > 1:
+        found.append(
+            "The cut is unstable (chatter): vibrations grow until the tool leaves the "
+            "material, which depth of cut, spindle speed or damping change and a "
+            "corrected path does not. See the warnings."
+        )
     if case != reference_case(dataset) and settings is not None:
         found += _bounds_reached(dataset, case, settings)
     if dataset.attrs.get("corrected_outcome") == "steps ran out":
