@@ -131,7 +131,7 @@ def _draw_histogram(
     axes.set_title(
         "\n".join(
             f"{name}: rms {1e6 * rms:.1f}, mean {1e6 * mean:.1f} "
-            r"$\mathrm{\mu m}$ where cut"
+            r"$\mathrm{\mu m}$"
             for name, (rms, mean) in figures.items()
             if np.isfinite(rms)
         ),

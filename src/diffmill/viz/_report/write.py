@@ -206,7 +206,7 @@ def _draw_surface(surfaces: dict[str, SurfaceError] | None) -> _Drawing:
         "Distance of the machined surface from the ideal one, seen from above: floors, "
         "and walls as lines with the largest error over their height. Blue: cut too "
         "deep; red: material left; grey: not cut. All maps share one scale, each "
-        "histogram has its own."
+        "histogram has its own; above it rms and mean of what the tool cut."
     )
     return _Drawing(title, caption, plot_surface_error(surfaces))
 
