@@ -22,6 +22,7 @@ from diffmill.correction import (
     spline_window,
 )
 from diffmill.optimise import LevenbergMarquardt
+from diffmill.robot import Controller
 
 TIME_STEP = 3.75e-3
 KNOTS = 30e-3
@@ -56,6 +57,58 @@ class SpringPieces(AbstractPieces):
         """Go on from a state."""
         del rows
         return SpringPiece(self.plant, state)
+
+
+class LedMass(eqx.Module):
+    """The plant behind a controller."""
+
+    plant: SpringMass
+    controller: Controller
+
+    def __call__(self, command):
+        return self.plant(self.controller.motors(command, TIME_STEP))
+
+
+class LedPiece(AbstractPiece):
+    """Some rows of it."""
+
+    led: LedMass
+    state: tuple
+
+    def run(self, command):
+        """Run from the state."""
+        plant, memory = self.state
+        motors, memory = self.led.controller.follow(command, TIME_STEP, memory)
+        motion, plant = self.led.plant.run(plant, motors)
+        return motion, (plant, memory)
+
+
+@eqx.filter_jit
+def _begun(controller, command, before, ahead):
+    memory = controller.begin(command, TIME_STEP, before, ahead)
+    return controller.follow(command, TIME_STEP, memory).motors, memory
+
+
+class LedPieces(AbstractPieces):
+    """It, piece by piece."""
+
+    led: LedMass
+
+    @property
+    def rows_ahead(self):
+        """Return those that the controller knows."""
+        return self.led.controller.span(TIME_STEP).ahead
+
+    def begin(self, command):
+        """Start at rest."""
+        controller = self.led.controller
+        motors, memory = _begun(controller, command, *controller.span(TIME_STEP))
+        return self.led.plant.at_rest(motors), memory
+
+    def piece(self, state, rows):
+        """Go on from a state."""
+        del rows
+        return LedPiece(self.led, state)
 
 
 @pytest.fixture(scope="module")
@@ -125,6 +178,54 @@ def test_a_resumed_run_gives_the_same_to_the_bit(problem, segmented, at):
     assert [s.cost for s in again.history] == [s.cost for s in found.history]
 
 
+@pytest.fixture(scope="module")
+def led(problem):
+    """The problem behind a controller, at rest before and after it as in a job."""
+    controller = Controller(
+        interpolation_cycle=12e-3,
+        moving_average=48e-3,
+        bandwidth=10.0,
+        damping_ratio=0.707,
+    )
+    rest = 3 * controller.span(TIME_STEP).ahead
+    at = np.clip(np.arange(-rest, len(problem.nominal) + rest), 0, None)
+    path = problem.nominal[np.minimum(at, len(problem.nominal) - 1)]
+    weights = np.pad(problem.is_cutting, rest)
+    return Problem(LedMass(PLANT, controller), path, path, weights, TIME_STEP)
+
+
+def test_segments_through_a_controller_do_what_they_tell(led):
+    """What has been run stays: the next segment holds what was looked ahead to."""
+    told, saved = [], []
+    hasty = eqx.tree_at(lambda m: m.solver.max_steps, METHOD, 2)
+    method = RecedingHorizon(
+        LedPieces(led.plant),
+        hasty,
+        horizon=200,
+        overlap=100,
+        sweeps=1,
+        on_checkpoint=saved.append,
+    )
+    found = method(led, on_progress=lambda *found: told.append(found))
+    # The last segment is not run by itself.
+    rows = int(saved[-2]["row"])
+    square = np.sum(found.contour[:rows] ** 2, axis=1)
+    rms = np.sqrt(np.average(square, weights=led.is_cutting[:rows]))
+    assert told[-2][1] == pytest.approx(rms, rel=1e-9)
+    again = dataclasses.replace(method, on_checkpoint=None, resume=saved[1])(led)
+    np.testing.assert_array_equal(again.command, found.command)
+
+
+@pytest.mark.slow
+def test_segments_through_a_controller_find_what_the_whole_path_finds(led):
+    whole = METHOD(led)
+    method = RecedingHorizon(LedPieces(led.plant), METHOD, horizon=200, overlap=100)
+    found = method(led)
+    assert found.detail["segment_count"] == 5
+    assert found.measures.rms < 1.02 * whole.measures.rms
+    assert whole.measures.rms < 1e-5
+
+
 def test_the_command_is_a_spline_of_the_whole_program(problem, segmented):
     offset = np.asarray(segmented[0].command) - problem.nominal
     spline = SplineOffsets(len(offset), TIME_STEP, KNOTS)
@@ -135,20 +236,22 @@ def test_the_command_is_a_spline_of_the_whole_program(problem, segmented):
     )
 
 
+@pytest.mark.parametrize("ahead", [0, 19])
 @pytest.mark.parametrize("first", [0, 8, 37, 411])
-def test_a_window_is_the_spline_in_its_rows(first):
+def test_a_window_is_the_spline_in_its_rows(first, ahead):
     spline, count = SplineOffsets(531, TIME_STEP, KNOTS), 120
-    window = spline_window(spline, first, count)
+    window = spline_window(spline, first, count, rows_ahead=ahead)
     c = np.random.default_rng(0).normal(size=(spline.coefficient_count, 2))
     full = np.pad(c, ((3, 13), (0, 0)))[window.place()]
-    wanted = np.pad(np.asarray(spline.offsets(jnp.asarray(c))), ((0, count), (0, 0)))
+    total = count + ahead
+    wanted = np.pad(np.asarray(spline.offsets(jnp.asarray(c))), ((0, total), (0, 0)))
     np.testing.assert_allclose(
-        window.offsets(jnp.asarray(full)), wanted[first : first + count], atol=1e-14
+        window.offsets(jnp.asarray(full)), wanted[first : first + total], atol=1e-14
     )
-    # What may change leaves the first row alone.
+    # What may change leaves the first row alone, and those that have been looked at.
     free = np.where(np.asarray(window.is_free)[:, None], full, 0)
-    assert np.all(np.asarray(window.offsets(jnp.asarray(free)))[0] == 0)
-    assert window.is_free.sum() > count / 8 - 6
+    assert np.all(np.asarray(window.offsets(jnp.asarray(free)))[: ahead + 1] == 0)
+    assert window.is_free.sum() > (count - ahead) / 8 - 6
 
 
 def test_segments_that_have_not_settled_are_told(problem, segmented):

@@ -1,5 +1,6 @@
 """The controller's parts against what is known of them by hand."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -102,15 +103,79 @@ def test_an_input_shaper_leaves_its_oscillator_at_rest():
     assert shaped < 1e-4 * plain
 
 
+FILTERS: dict = {
+    "moving_average": 50e-3,
+    "shaper_frequency": 10.0,
+    "shaper_damping_ratio": 0.05,
+    "dead_time": 8e-3,
+    "low_pass": 20.0,
+}
+SERVOS: dict = {"bandwidth": np.array([10.0, 4.0]), "damping_ratio": 0.7}
+
+
+@pytest.mark.parametrize(
+    ("parts", "span"),
+    [
+        # Neither a whole number of cycles in a piece, nor one of rows in a cycle.
+        ({"interpolation_cycle": 12e-3, "interpolation": "hold"}, (2, 2)),
+        ({"interpolation_cycle": 12e-3, **FILTERS, **SERVOS}, (8, 32)),
+        ({"interpolation_cycle": 7.3e-3, "interpolation": "linear", **SERVOS}, None),
+        ({"interpolation_cycle": 7.3e-3, "interpolation": "hold", **FILTERS}, None),
+        (FILTERS, None),
+        ({"bandwidth": 2.65}, (1, 17)),
+        ({"dead_time": 15e-3}, (1, 0)),
+        ({}, (1, 0)),
+    ],
+)
+def test_pieces_one_after_another_are_the_whole_path(parts, span):
+    controller, count, hop = Controller(**parts), 331, 40
+    noise = np.random.default_rng(0).normal(size=(count, 2))
+    rows = jnp.asarray(1.0 + 5e-5 * np.cumsum(np.cumsum(noise, axis=0), axis=0))
+    whole = controller.motors(rows, STEP)
+    assert parts.keys() <= {"dead_time"} or np.abs(whole - rows).max() > 1e-3
+    before, ahead = controller.span(STEP)
+    assert span is None or (before, ahead) == span
+    state = controller.begin(rows[: ahead + 1], STEP, before, ahead)
+    once = eqx.debug.assert_max_traces(max_traces=1)
+    follow = eqx.filter_jit(once(lambda x, state: controller.follow(x, STEP, state)))
+    found = []
+    for first in range(0, count, hop):
+        # The command stands still behind the path.
+        at = np.minimum(np.arange(first, first + hop + 1 + ahead), count - 1)
+        piece, state = follow(rows[at], state)
+        found.append(piece[:-1])
+    np.testing.assert_allclose(np.concatenate(found)[:count], whole, atol=1e-13)
+
+
+def test_changes_of_a_piece_are_those_of_the_whole_path():
+    controller = Controller(interpolation_cycle=12e-3, **FILTERS, **SERVOS)
+    rows, first = jnp.asarray(np.sin(9.0 * TIME)[:, None] * np.ones(2)), 57
+    before, ahead = controller.span(STEP)
+
+    @jax.jit
+    def ended(rows):
+        state = controller.begin(rows, STEP, before, ahead)
+        return controller.follow(rows, STEP, state).state
+
+    state = ended(rows[: first + 1 + ahead])
+    change = np.random.default_rng(0).normal(size=(len(TIME), 2, 3))
+    # The motors at the start know the rows up to those ahead, which stay.
+    change[: first + ahead + 1] = 0
+    wanted = jax.jit(lambda x: controller.motors(x, STEP))(jnp.asarray(change))
+    follow = jax.jit(lambda x, state: controller.follow(x, STEP, state).motors)
+    found = follow(jnp.asarray(change[first:]), state.of_changes(3))
+    scale = np.abs(wanted).max()
+    np.testing.assert_allclose(
+        found, wanted[first : first + len(found)], atol=1e-12 * scale
+    )
+    assert np.abs(wanted[: first + 1]).max() < 1e-12 * scale < np.abs(found[0:5]).max()
+
+
 def test_a_rest_stays_and_a_way_ends_where_it_should():
     full = Controller(
-        moving_average=50e-3,
-        shaper_frequency=10.0,
-        shaper_damping_ratio=0.05,
+        **FILTERS,
         interpolation_cycle=12e-3,
         interpolation="hold",
-        dead_time=8e-3,
-        low_pass=20.0,
         bandwidth=10.0,
         damping_ratio=0.7,
     )

@@ -294,8 +294,9 @@ class _Optimiser:
         path_first = None if self.task.segments else for_the_path(method)
         if path_first is not None:
             start = self._on_the_path(record, path_first, problem, start)
-        share, segments = before.wall_share, self.task.segments
-        kept = keeping(job, method, adjoint, record, share, segments)
+        plant = problem.plant
+        assert isinstance(plant, TipPlant | JointPlant)
+        kept = keeping(method, plant.pieces, record, self.task.segments)
         record.run("corrected", kept, problem, start=start)
 
     def _on_the_path(

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
 from ..._arrays import first_rows, is_traced, on_device
 from ..._job import Job
@@ -28,6 +28,22 @@ from .._core.problem import Motion
 
 # A number per step.
 Steps = Float[Array, " step"] | Float[np.ndarray, " step"]
+
+
+class JobState(eqx.Module):
+    """State of a job's plant between two rows.
+
+    Attributes:
+        coupled: The simulation's.
+        joints: Where inverse kinematics begins: the joints that were commanded at
+            the row [rad or m], shape (joint,).
+        controller: The controller's, of `Controller.begin` or `follow`; None if it is
+            ideal.
+    """
+
+    coupled: RunState
+    joints: Float[Array, " joint"]
+    controller: PyTree = None
 
 
 def wall_motion(
@@ -55,48 +71,66 @@ class LinearJob(LinearMotion):
     Attributes:
         motion: The motion.
         run: The system, in the motors.
-        motors: Slopes of the commanded motors in the command, row by row, shape (step,
-            joint, axis).
+        motors: Slopes of the commanded motors in the command, row by row, shape (row,
+            joint, axis); of a piece also in rows behind it that the controller needs.
         wall_share: When in each period its wall is made, shape (step,).
         time_step: Time between two rows [s], shape ().
         controller: What the motors do of their command; None if they follow it.
+        state: The controller's at row 0, which does not move; None for a whole path.
     """
 
     motion: Motion
     run: LinearRun
-    motors: Float[Array, "step joint axis"]
+    motors: Float[Array, "row joint axis"]
     wall_share: Float[Array, " step"]
     time_step: Float[Array, ""]
     controller: Controller | None
+    state: PyTree = None
 
-    def move(self, changes: Float[Array, "step axis direction"]) -> Motion:
+    def move(self, changes: Float[Array, "row axis direction"]) -> Motion:
         """Return the changes of the motion, each direction a row of the first axis."""
         motors = jnp.einsum("kja,kad->kjd", self.motors, changes)
         if self.controller is not None:
-            motors = self.controller.motors(motors, self.time_step)
+            state = self.state
+            if state is not None:
+                state = state.of_changes(changes.shape[-1])
+            motors = _controlled(self.controller, motors, self.time_step, state)
         found = self.run.move(motors)
-        still = jnp.zeros((changes.shape[0], 3), changes.dtype)
+        still = jnp.zeros((motors.shape[0], 3), changes.dtype)
         walls = jax.vmap(
             lambda ends: wall_deviation(ends, still, self.wall_share), in_axes=-1
         )
         return Motion(walls(found.ends), jnp.moveaxis(found.force, -1, 0))
 
 
+def _controlled(
+    controller: Controller,
+    motors: Float[Array, "row joint ..."],
+    time_step: Float[Array, ""],
+    state: PyTree,
+) -> Float[Array, "step joint ..."]:
+    """Return what motors do of their command, from a state or from the start."""
+    if state is None:
+        return controller.motors(motors, time_step)
+    return controller.follow(motors, time_step, state).motors
+
+
 def linear_job(
     job: Job,
-    motors: Float[Array, "step joint"],
-    slopes: Float[Array, "step joint axis"],
+    motors: Float[Array, "row joint"],
+    slopes: Float[Array, "row joint axis"],
     wall_share: Steps | None,
-    state: RunState | None = None,
+    state: JobState | None = None,
 ) -> LinearJob:
     """Return the linear system of a job around a run.
 
     Args:
         job: The job; its machine must not be rigid.
-        motors: Its commanded motors [rad or m], shape (step, joint).
-        slopes: Slopes of them in the command, shape (step, joint, axis).
+        motors: Its commanded motors [rad or m], shape (row, joint); from a state also
+            those behind its path that the controller needs.
+        slopes: Slopes of them in the command, shape (row, joint, axis).
         wall_share: When in each period its wall is made; by the path alone if None.
-        state: State at row 0, as of `sim.linearise`.
+        state: State at row 0, which does not move; None to begin with the motors.
     """
     count = job.path.step_count
     if state is not None or wall_share is None or is_traced((job, motors)):
@@ -139,21 +173,24 @@ def prepare_linear_job(job: Job) -> None:
 @CompiledOnce
 def _linear_job(
     model: JobModel,
-    motors: Float[Array, "step joint"],
-    slopes: Float[Array, "step joint axis"],
+    motors: Float[Array, "row joint"],
+    slopes: Float[Array, "row joint axis"],
     wall_share: Steps | None,
-    state: RunState | None,
+    state: JobState | None,
 ) -> LinearJob:
     machine, process, path = model.machine, model.process, model.path
     assert machine is not None
+    time_step = jnp.asarray(process.tooth_period, motors.dtype)
+    coupled = memory = None
+    if state is not None:
+        coupled, memory = state.coupled, state.controller
     if model.controller is not None:
-        motors = model.controller.motors(motors, process.tooth_period)
-    run = linearise(machine, process, motors, state, row_count=path.row_count)
+        motors = _controlled(model.controller, motors, time_step, memory)
+    run = linearise(machine, process, motors, coupled, row_count=path.row_count)
     desired = jnp.asarray(path.positions)
     if wall_share is None:
         wall_share = wall_shares(desired, model.axes, process.cutter)
     shares = jnp.asarray(wall_share, desired.dtype)
     deviation = wall_deviation(run.ends, desired, shares)
     motion = Motion(desired + deviation, run.force)
-    time_step = jnp.asarray(process.tooth_period, motors.dtype)
-    return LinearJob(motion, run, slopes, shares, time_step, model.controller)
+    return LinearJob(motion, run, slopes, shares, time_step, model.controller, memory)

@@ -11,14 +11,11 @@ from jaxtyping import Array, Float, Int
 from ..._job import Job
 from ..._types import FloatRows
 from ...process import AbstractAdjoint
-from ...sim import (
-    JobKinematics,
-    JobModel,
-    RunState,
-)
+from ...sim import JobKinematics, JobModel
 from .._core.problem import Motion
 from .._segments.plant_segment import AbstractPiece, AbstractPieces
 from .linear_job import (
+    JobState,
     LinearJob,
     Steps,
     linear_job,
@@ -26,28 +23,16 @@ from .linear_job import (
 )
 
 
-class JobState(eqx.Module):
-    """State of a job's plant between two rows.
-
-    Attributes:
-        coupled: The simulation's.
-        joints: Where inverse kinematics begins: the joints that were commanded at
-            the row [rad or m], shape (joint,).
-    """
-
-    coupled: RunState
-    joints: Float[Array, " joint"]
-
-
 class JobPiece(AbstractPiece):
     """Some rows of a job.
 
     Attributes:
-        job: The job with the rows of its path, and the state's stock.
+        job: The job with the rows of its path and those ahead, and the state's stock.
         state: State at the first row.
         adjoint: How to differentiate through the removal.
         wall_share: When in each period its wall is made; see `TipPlant`.
         has_joint_commands: Whether the command is joint positions, not tips.
+        rows_ahead: Last of the rows, of which only the command counts.
     """
 
     job: Job
@@ -55,17 +40,31 @@ class JobPiece(AbstractPiece):
     adjoint: AbstractAdjoint
     wall_share: Steps | None
     has_joint_commands: bool = eqx.field(static=True)
+    rows_ahead: int = eqx.field(static=True)
 
-    def run(self, command: Float[Array, "step axis"]) -> tuple[Motion, JobState]:
-        """Return the motion and the state at the last row."""
+    @property
+    def _own(self) -> Job:
+        """The job without the rows ahead."""
+        if self.rows_ahead == 0:
+            return self.job
+        path = jax.tree.map(lambda x: x[: -self.rows_ahead], self.job.path)
+        return eqx.tree_at(lambda j: j.path, self.job, path)
+
+    def run(self, command: Float[Array, "row axis"]) -> tuple[Motion, JobState]:
+        """Return the motion and the state at the last row but for those ahead."""
         before, job = self.state, self.job
         joints = _joints(job, command, before.joints, self.has_joint_commands)
-        motors = JobKinematics(job).motors_of(joints)
-        model = JobModel.of(job, self.adjoint)
+        motors, memory = JobKinematics(job).motors_of(joints), None
+        if job.controller is not None:
+            motors, memory = job.controller.follow(
+                motors, job.tooth_period, before.controller
+            )
+        own = self._own
+        model = JobModel.of(own, self.adjoint)
         assert model.machine is not None
         rows = model.machine.run_segment(model.process, motors, before.coupled)
-        motion = wall_motion(job, rows, self.wall_share)
-        return motion, JobState(rows.state, joints[-1])
+        motion = wall_motion(own, rows, self.wall_share)
+        return motion, JobState(rows.state, joints[motors.shape[0] - 1], memory)
 
     def linearised(self, command: FloatRows) -> LinearJob:
         """Return the linear system around a command, from the fixed first state."""
@@ -75,8 +74,8 @@ class JobPiece(AbstractPiece):
         slopes = JobKinematics(job).motor_slopes(
             joints, None if are_joints else command
         )
-        motors, state = JobKinematics(job).motors_of(joints), self.state.coupled
-        return linear_job(job, motors, slopes, self.wall_share, state)
+        motors = JobKinematics(job).motors_of(joints)
+        return linear_job(self._own, motors, slopes, self.wall_share, self.state)
 
 
 class JobPieces(AbstractPieces):
@@ -94,34 +93,46 @@ class JobPieces(AbstractPieces):
     wall_share: Steps | None = None
     has_joint_commands: bool = eqx.field(static=True, default=False)
 
-    def __check_init__(self):
-        if self.job.controller is not None:
-            raise ValueError(
-                "Argument `job` must have an ideal controller to be run piece by "
-                "piece: the motors of any other follow commands before and after them."
-            )
+    @property
+    def rows_ahead(self) -> int:
+        """Rows by which the controller, on a clock late by its delay, looks ahead."""
+        span = row_span(self.job)
+        return 0 if span is None else span[1]
 
-    def begin(self, command: Float[Array, "step axis"]) -> JobState:
+    def begin(self, command: Float[Array, "row axis"]) -> JobState:
         """Return the state in equilibrium with the motion of the first period."""
-        job = with_rows(self.job, np.arange(command.shape[0]))
-        return _begin(job, self.adjoint, command, self.has_joint_commands)
+        last = self.job.path.step_count - 1
+        job = with_rows(self.job, np.minimum(np.arange(command.shape[0]), last))
+        span = row_span(self.job)
+        return _begin(job, self.adjoint, command, self.has_joint_commands, span)
 
-    def piece(self, state: Any, rows: Int[np.ndarray, " step"]) -> JobPiece:
+    def piece(self, state: Any, rows: Int[np.ndarray, " row"]) -> JobPiece:
         """Return the piece that starts from a state."""
         # The stock is the state's: the raw one would only be carried along.
         job = eqx.tree_at(
             lambda j: j.stock, with_rows(self.job, rows), state.coupled.process.stock
         )
-        shares = None if self.wall_share is None else np.asarray(self.wall_share)[rows]
-        return JobPiece(job, state, self.adjoint, shares, self.has_joint_commands)
+        ahead, shares = self.rows_ahead, self.wall_share
+        if shares is not None:
+            shares = np.asarray(shares)[rows[: rows.size - ahead]]
+        are_joints = self.has_joint_commands
+        return JobPiece(job, state, self.adjoint, shares, are_joints, ahead)
+
+
+def row_span(job: Job) -> tuple[int, int] | None:
+    """Return `Controller.span` of a job; None for an ideal controller."""
+    if job.controller is None:
+        return None
+    return job.controller.span(job.tooth_period)
 
 
 @eqx.filter_jit
 def _begin(
     job: Job,
     adjoint: AbstractAdjoint,
-    command: Float[Array, "step axis"],
+    command: Float[Array, "row axis"],
     has_joint_commands: bool,
+    span: tuple[int, int] | None,
 ) -> JobState:
     start = command[0]
     if job.robot is not None:
@@ -129,18 +140,24 @@ def _begin(
         if job.joint_start is not None:
             start = jnp.asarray(job.joint_start)
     joints = _joints(job, command, start, has_joint_commands)
-    model, motors = JobModel.of(job, adjoint), JobKinematics(job).motors_of(joints)
+    motors, memory = JobKinematics(job).motors_of(joints), None
+    if job.controller is not None:
+        assert span is not None
+        period = job.tooth_period
+        memory = job.controller.begin(motors, period, *span)
+        motors = job.controller.follow(motors, period, memory).motors
+    model = JobModel.of(job, adjoint)
     assert model.machine is not None
     coupled = model.machine.begin_run(model.process, motors)
-    return JobState(coupled, joints[0])
+    return JobState(coupled, joints[0], memory)
 
 
 def _joints(
     job: Job,
-    command: Float[Array, "step axis"],
+    command: Float[Array, "row axis"],
     start: Float[Array, " joint"],
     has_joint_commands: bool,
-) -> Float[Array, "step joint"]:
+) -> Float[Array, "row joint"]:
     """Return the joint positions of a command."""
     if has_joint_commands:
         return command

@@ -23,7 +23,7 @@ from .linear_job import (
     linear_job,
     wall_motion,
 )
-from .plant_segments import with_rows
+from .plant_segments import JobPieces, with_rows
 
 
 class SolvedMotion(Motion):
@@ -61,6 +61,11 @@ class TipPlant(AbstractHostPlant):
     wall_share: Steps | None = None
     rigid: Run | None = None
     controller: Job | None = None
+
+    @property
+    def pieces(self) -> JobPieces:
+        """The plant, piece by piece; its controller must know the job as it is."""
+        return JobPieces(self.job, self.adjoint, self.wall_share)
 
     def motors(self, command: Float[Array, "step 3"]) -> Float[Array, "step joint"]:
         """Return the motors that the controller moves, shape (step, joint)."""
@@ -124,6 +129,11 @@ class JointPlant(AbstractHostPlant):
     adjoint: AbstractAdjoint
     wall_share: Steps | None = None
     rigid: Run | None = None
+
+    @property
+    def pieces(self) -> JobPieces:
+        """The plant, piece by piece."""
+        return JobPieces(self.job, self.adjoint, self.wall_share, True)
 
     def __call__(self, command: Float[Array, "step joint"]) -> Motion:
         """Return the motion that follows a command, shape (step, joint)."""

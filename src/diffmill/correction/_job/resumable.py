@@ -5,15 +5,15 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from ..._job import Job
-from ...process import AbstractAdjoint
 from .._method.adam import Adam
 from .._method.checkpoint import pack_rounds, unpack_rounds
 from .._method.gauss_newton import GaussNewton
+from .._segments.plant_segment import AbstractPieces
 from .._segments.receding_horizon import RecedingHorizon
 from .case_runner import CaseRecord
 from .method import Optimiser
 from .objective import UnsuitableSettings
-from .plant_segments import JobPieces, Steps
+from .plant_segments import row_span
 
 # Paths of at most so many rows are corrected as a whole, unless the job says otherwise.
 _WHOLE_ROWS = 6000
@@ -47,7 +47,7 @@ def segment_rows(job: Job, *, has_own_objective: bool) -> SegmentRows | None:
     settings, rows = job.correction, job.path.step_count
     is_able = settings.objective == "path" and job.simulation.mode == "dynamic"
     is_able &= settings.uncertainty is None and settings.method != "adam"
-    is_able &= job.controller is None and not has_own_objective
+    is_able &= not has_own_objective
     if settings.horizon == "auto":
         horizon = _HORIZON if rows > _WHOLE_ROWS and is_able else rows
     else:
@@ -57,39 +57,40 @@ def segment_rows(job: Job, *, has_own_objective: bool) -> SegmentRows | None:
     if not is_able:
         raise UnsuitableSettings(
             'Argument `job` must have the horizon "auto" unless its objective is '
-            '"path" and not one of your own, its mode "dynamic", its model certain, '
-            'its controller ideal and its method "gauss_newton", but has a horizon of '
-            f"{horizon} rows."
+            '"path" and not one of your own, its mode "dynamic", its model certain '
+            f'and its method "gauss_newton", but has a horizon of {horizon} rows.'
         )
-    overlap = settings.overlap
+    overlap, span = settings.overlap, row_span(job)
+    ahead = 0 if span is None else span[1]
     if overlap == "auto":
         knots = round(_OVERLAP_KNOTS * settings.knot_spacing / float(job.tooth_period))
-        overlap = max(1, min(knots, horizon // 2))
+        overlap = max(1, min(knots + ahead, horizon // 2))
     if overlap >= horizon:
         raise UnsuitableSettings(
             f"Argument `job` must have an overlap below its horizon of {horizon} rows, "
             f"but has {overlap} rows."
         )
+    if overlap <= ahead:
+        raise UnsuitableSettings(
+            f"Argument `job` must have an overlap above the {ahead} rows by which its "
+            f"controller looks ahead, but has {overlap} rows."
+        )
     return SegmentRows(horizon, overlap)
 
 
 def keeping(
-    job: Job,
     method: Optimiser,
-    adjoint: AbstractAdjoint,
+    pieces: AbstractPieces,
     record: CaseRecord,
-    wall_share: Steps,
     segments: SegmentRows | None,
 ) -> Callable[..., Any]:
-    """Return a method that corrects as the job asks, and tells all that it has found.
+    """Return a method that corrects as a job asks, and tells all that it has found.
 
     Args:
-        job: The job, in its precision.
         method: The optimiser.
-        adjoint: How to differentiate through the removal.
+        pieces: The plant, piece by piece.
         record: Where it tells it, after every step or every segment, and what it goes
             on from.
-        wall_share: When in each period its wall is made, shape (step,).
         segments: Rows of the segments; None for the path as a whole.
 
     Returns:
@@ -104,7 +105,7 @@ def keeping(
     if segments is None:
         return remembering(method, "gauss_newton", record)
     return RecedingHorizon(
-        JobPieces(job, adjoint, wall_share, job.correction.command == "joint"),
+        pieces,
         method,
         horizon=segments.length,
         overlap=segments.overlap,

@@ -16,15 +16,16 @@ class AbstractPiece(eqx.Module):
     """Some rows of a plant, from a known state at the first of them."""
 
     @abc.abstractmethod
-    def run(self, command: Float[Array, "step axis"]) -> tuple[Motion, Any]:
+    def run(self, command: Float[Array, "row axis"]) -> tuple[Motion, Any]:
         """Run the rows.
 
         Args:
-            command: The command at the rows, shape (step, axis).
+            command: The command at the rows and at those ahead of them, see
+                `AbstractPieces.rows_ahead`, shape (row, axis).
 
         Returns:
-            The motion, whose row 0 is the state at the start, and the state at the
-            last row; traceable.
+            The motion, without rows ahead, whose row 0 is the state at the start, and
+            the state at the last row; traceable.
         """
 
     def linearised(self, command: FloatRows) -> LinearMotion | None:
@@ -38,17 +39,27 @@ class AbstractPieces(eqx.Module):
     The pieces run one after the other do what the whole plant does.
     """
 
-    @abc.abstractmethod
-    def begin(self, command: Float[Array, "step axis"]) -> Any:
-        """Return the state at row 0, given the command at the first rows."""
+    @property
+    def rows_ahead(self) -> int:
+        """Rows behind a row whose command the plant knows, and follows, already."""
+        return 0
 
     @abc.abstractmethod
-    def piece(self, state: Any, rows: Int[np.ndarray, " step"]) -> AbstractPiece:
+    def begin(self, command: Float[Array, "row axis"]) -> Any:
+        """Return the state at row 0.
+
+        Args:
+            command: The command at the first three rows and at those ahead of them,
+                shape (row, axis).
+        """
+
+    @abc.abstractmethod
+    def piece(self, state: Any, rows: Int[np.ndarray, " row"]) -> AbstractPiece:
         """Return the piece that starts from a state.
 
         Args:
             state: State at the first of the rows.
-            rows: Rows of the path, shape (step,); the last may be repeated, for a
-                tool that dwells at the end. All pieces of as many rows have the same
-                structure and shapes.
+            rows: Rows of the path, and those ahead of the last, shape (row,); the last
+                may be repeated, for a tool that dwells at the end. All pieces of as
+                many rows have the same structure and shapes.
         """

@@ -26,6 +26,7 @@ linear system of one segment, does not depend on it.
 
 import dataclasses
 import time
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -43,7 +44,7 @@ from .._method.offset_fit import ContourResidual, fit_offsets, offset_fit
 from .._spline.command_limits import LinearLimits, MixedLimits
 from .._spline.projection import project
 from .._spline.spline_offsets import CLAMPED, SplineOffsets
-from .._spline.spline_window import spline_window, window_limits
+from .._spline.spline_window import SplineWindow, spline_window, window_limits
 from .._surface.segment_limits import (
     HeldRows,
     cut_points,
@@ -165,7 +166,7 @@ class RecedingHorizon(AbstractMethod):
             away = np.asarray(start) - nominal
             free = project(spline, away, problem.max_offset, limits=limits)
         coefficients = np.pad(free, ((CLAMPED, CLAMPED), (0, 0)))
-        state = self.pieces.begin(command_at(problem, spline, coefficients, 0, 3))
+        state = self._begun(problem, spline, coefficients)
         run = HorizonRun(0, 0, coefficients, state, 0.0, ())
         return unpack_run(self.resume, run) if self.resume else run
 
@@ -173,9 +174,20 @@ class RecedingHorizon(AbstractMethod):
         self, problem: Problem, spline: SplineOffsets, run: HorizonRun
     ) -> HorizonRun:
         """Return the state before the first segment of the next sweep."""
-        command = command_at(problem, spline, run.coefficients, 0, 3)
-        state = self.pieces.begin(command)
+        state = self._begun(problem, spline, run.coefficients)
         return HorizonRun(run.sweep + 1, 0, run.coefficients, state, 0.0, run.history)
+
+    def _begun(
+        self, problem: Problem, spline: SplineOffsets, coefficients: np.ndarray
+    ) -> Any:
+        """Return the state at row 0, given three rows and those ahead."""
+        count = 3 + self.pieces.rows_ahead
+        return self.pieces.begin(command_at(problem, spline, coefficients, 0, count))
+
+    def _window(self, spline: SplineOffsets, row: int) -> SplineWindow:
+        """Return what the segment from a row on sees of the spline."""
+        ahead = self.pieces.rows_ahead
+        return spline_window(spline, row, self.horizon, rows_ahead=ahead)
 
     def _limits(
         self, problem: Problem, spline: SplineOffsets
@@ -196,7 +208,7 @@ class RecedingHorizon(AbstractMethod):
         """Correct the rows of one segment, and run them but for the overlap."""
         rows, row = problem.nominal.shape[0], run.row
         coefficients, history, is_settled = run.coefficients, run.history, True
-        part = part_of(problem, self.pieces.piece, run.state, row, self.horizon)
+        part = part_of(problem, self.pieces, run.state, row, self.horizon)
         if np.any(part.is_cutting > 0) or self._has_bounds(row):
             coefficients, history, is_settled = self._solve(problem, part, spline, run)
         is_last = row + self.horizon >= rows
@@ -204,13 +216,14 @@ class RecedingHorizon(AbstractMethod):
         state, unsettled = run.state, run.unsettled + (not is_settled)
         if row == 0:
             # The start moves with the command, which has just been changed.
-            state = self.pieces.begin(command_at(problem, spline, coefficients, 0, 3))
+            state = self._begun(problem, spline, coefficients)
         if is_last:
             # The whole run that follows tells the error of these rows.
             return HorizonRun(
                 *(run.sweep, rows, coefficients, state, run.square, history, unsettled)
             )
-        kept = part_of(problem, self.pieces.piece, state, row, count)
+        kept = part_of(problem, self.pieces, state, row, count)
+        count += self.pieces.rows_ahead
         command = command_at(problem, spline, coefficients, row, count, problem.window)
         state, square = advance(kept, jnp.asarray(command))
         square, row = run.square + float(square), row + self._hop
@@ -228,7 +241,7 @@ class RecedingHorizon(AbstractMethod):
         method, bound = self.method, float(problem.max_offset)
         limits = self._limits(problem, spline)
         dtype = np.asarray(problem.nominal).dtype
-        window = spline_window(spline, run.row, self.horizon)
+        window = self._window(spline, run.row)
         place = window.place()
         first = np.zeros((place.size, problem.nominal.shape[1]))
         is_there = place < len(run.coefficients)
@@ -304,7 +317,7 @@ class RecedingHorizon(AbstractMethod):
         """Return the places of what the segment after that of a row may change."""
         if row + self.horizon >= spline.step_count:
             return np.zeros(0, np.int32)
-        window = spline_window(spline, row + self._hop, self.horizon)
+        window = self._window(spline, row + self._hop)
         place = window.place()[np.asarray(window.is_free)]
         return place[place < spline.coefficient_count + 2 * CLAMPED].astype(np.int32)
 

@@ -22,7 +22,7 @@ from .._method.checkpoint import (
     unpack_tree,
 )
 from .._spline.spline_offsets import CLAMPED, SplineOffsets
-from .plant_segment import AbstractPiece
+from .plant_segment import AbstractPiece, AbstractPieces
 
 
 class HorizonRun(eqx.Module):
@@ -48,11 +48,44 @@ class HorizonRun(eqx.Module):
     unsettled: int = 0
 
 
+# Rows of numbers, on a device or on the host.
+AnyRows = Float[Array, "row ..."] | Float[np.ndarray, "row ..."]
+
+
+class StillRows(eqx.Module):
+    """Rows around a piece in which its motion stands still.
+
+    Attributes:
+        reach: Rows at either end, which only the contour looks at.
+        ahead: Rows behind the last one whose command the piece looks at, before those.
+    """
+
+    reach: int = eqx.field(static=True)
+    ahead: int = eqx.field(static=True)
+
+    def known(self, command: AnyRows) -> Float[Array, "inner ..."]:
+        """Return what the piece is told of a command or its changes."""
+        return jnp.asarray(command)[self.reach : -self.reach]
+
+    def around(self, motion: Motion) -> Motion:
+        """Return a motion with its first and last rows repeated."""
+        ends = self.reach, self.reach + self.ahead
+        pad = lambda x: jnp.pad(
+            x, (*((0, 0),) * (x.ndim - 2), ends, (0, 0)), mode="edge"
+        )
+        return Motion(pad(motion.actual), pad(motion.force))
+
+
 class PaddedPiece(eqx.Module):
-    """A piece with still rows before and after it, which only the contour looks at."""
+    """A piece with still rows before and after it.
+
+    Attributes:
+        piece: The piece.
+        still: The rows.
+    """
 
     piece: AbstractPiece
-    reach: int = eqx.field(static=True)
+    still: StillRows
 
     def __call__(self, command: Float[Array, "step axis"]) -> Motion:
         """Return the motion, its first and last row repeated."""
@@ -60,13 +93,13 @@ class PaddedPiece(eqx.Module):
 
     def run(self, command: Float[Array, "step axis"]) -> tuple[Motion, Any]:
         """Return the motion and the plant's state at the piece's last row."""
-        motion, state = self.piece.run(command[self.reach : -self.reach])
-        return _repeated(motion, self.reach), state
+        motion, state = self.piece.run(self.still.known(command))
+        return self.still.around(motion), state
 
     def linearised(self, command: FloatRows) -> "PaddedMotion":
         """Return the linear system around a command."""
-        inner = linear_motion(_Rows(self.piece), command[self.reach : -self.reach])
-        return PaddedMotion(_repeated(inner.motion, self.reach), inner, self.reach)
+        inner = linear_motion(_Rows(self.piece), self.still.known(command))
+        return PaddedMotion(self.still.around(inner.motion), inner, self.still)
 
 
 class PaddedMotion(LinearMotion):
@@ -75,16 +108,16 @@ class PaddedMotion(LinearMotion):
     Attributes:
         motion: The motion with these rows.
         inner: The linear system of the piece.
-        reach: Still rows at either end.
+        still: The rows.
     """
 
     motion: Motion
     inner: LinearMotion
-    reach: int = eqx.field(static=True)
+    still: StillRows
 
     def move(self, changes: Float[Array, "step axis direction"]) -> Motion:
         """Return the changes of the motion, each direction a row of the first axis."""
-        return _repeated(self.inner.move(changes[self.reach : -self.reach]), self.reach)
+        return self.still.around(self.inner.move(self.still.known(changes)))
 
 
 class _Rows(eqx.Module):
@@ -101,14 +134,6 @@ class _Rows(eqx.Module):
         return self.piece.linearised(command)
 
 
-def _repeated(motion: Motion, reach: int) -> Motion:
-    """Return a motion with its first and last rows repeated."""
-    pad = lambda x: jnp.pad(
-        x, (*((0, 0),) * (x.ndim - 2), (reach, reach), (0, 0)), mode="edge"
-    )
-    return Motion(pad(motion.actual), pad(motion.force))
-
-
 @eqx.filter_jit
 def advance(
     part: Problem, command: Float[Array, "step axis"]
@@ -120,19 +145,23 @@ def advance(
     padded: Any = part.plant
     motion, state = padded.run(command)
     weights = jnp.asarray(part.is_cutting, command.dtype)
-    weights = weights.at[-1 - part.window].set(0)
+    weights = weights.at[-1 - padded.still.ahead - part.window].set(0)
     square = jnp.sum(part.contour(motion) ** 2, axis=1)
     return state, jnp.sum(jnp.where(weights > 0, weights * square, 0))
 
 
-def part_of(problem: Problem, piece: Any, state: Any, row: int, count: int) -> Problem:
+def part_of(
+    problem: Problem, pieces: AbstractPieces, state: Any, row: int, count: int
+) -> Problem:
     """Return the problem of some rows, with more around them that do not count."""
-    rows, reach = problem.nominal.shape[0], problem.window
-    inner = np.arange(row, row + count)
-    around = np.clip(np.arange(row - reach, row + count + reach), 0, rows - 1)
+    rows, reach, ahead = problem.nominal.shape[0], problem.window, pieces.rows_ahead
+    inner = np.arange(row, row + count + ahead)
+    around = np.clip(np.arange(row - reach, row + count + ahead + reach), 0, rows - 1)
     weights = np.asarray(problem.is_cutting)[np.minimum(inner, rows - 1)]
-    weights = np.pad(np.where(inner < rows, weights, 0), reach)
-    plant = PaddedPiece(piece(state, np.minimum(inner, rows - 1)), reach)
+    counts = (inner < rows) & (inner < row + count)
+    weights = np.pad(np.where(counts, weights, 0), reach)
+    piece = pieces.piece(state, np.minimum(inner, rows - 1))
+    plant = PaddedPiece(piece, StillRows(reach, ahead))
     return dataclasses.replace(
         problem,
         plant=plant,

@@ -24,8 +24,8 @@ class SplineWindow(eqx.Module):
         first: Place of the first coefficient of the window among all coefficients of
             the program, the clamped included.
         is_free: Whether a coefficient of the window may change: it acts on no row up
-            to the first, and on the last rows only if the whole of it does, shape
-            (coefficient,).
+            to the first, nor on as many behind it as there are rows ahead, and on the
+            last rows only if the whole of it does, shape (coefficient,).
     """
 
     start: Int[np.ndarray, " step"] | Int[Array, " step"]
@@ -65,14 +65,16 @@ class SplineWindow(eqx.Module):
 
 
 def spline_window(
-    spline: SplineOffsets, first_row: int, row_count: int
+    spline: SplineOffsets, first_row: int, row_count: int, *, rows_ahead: int = 0
 ) -> SplineWindow:
     """Return the window of some rows.
 
     Args:
         spline: The spline over the whole program.
         first_row: First row of the window.
-        row_count: Rows of the window; may reach beyond the program.
+        row_count: Rows of the window but for those ahead; may reach beyond the program.
+        rows_ahead: Further rows that the plant looks at, so that it has done at the
+            first row what as many behind it say.
 
     Returns:
         The window, in NumPy.
@@ -81,17 +83,20 @@ def spline_window(
     """
     start, weights = basis(spline)
     last = spline.step_count - 1
-    rows = np.minimum(np.arange(first_row, first_row + row_count), last)
+    total = row_count + rows_ahead
+    rows = np.minimum(np.arange(first_row, first_row + total), last)
     first = int(start[first_row])
     # A window sees as many intervals as its length, and parts of two more.
     per_row = spline.interval_count / last
-    count = int(np.ceil((row_count - 1) * per_row)) + 5
+    count = int(np.ceil((total - 1) * per_row)) + 5
     place = first + np.arange(count)
     # The weight of the fourth coefficient is zero on a knot.
-    untouched = first + (4 if weights[first_row, 3] > 0 else 3)
+    held = rows[rows_ahead]
+    untouched = int(start[held]) + (4 if weights[held, 3] > 0 else 3)
     has_end = first_row + row_count > last
     least = max(untouched, CLAMPED)
-    most = spline.interval_count + 2 - CLAMPED if has_end else int(start[rows[-1]])
+    end = rows[row_count - 1]
+    most = spline.interval_count + 2 - CLAMPED if has_end else int(start[end])
     return SplineWindow(
         start=(start[rows] - first).astype(np.int32),
         weights=weights[rows],

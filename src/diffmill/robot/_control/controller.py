@@ -19,10 +19,14 @@ A path is known beforehand, so that a delay alone leaves no error on the part: i
 makes the program late. `motors` therefore tells the motors on a clock that is late by
 the chain's mean delay: what remains is what it does to the shape of the path, and where
 the joints differ.
+
+On that clock an instant needs the command before and behind it. Filters need a few rows
+of either, and servos what they do at the instant before; cycles count from the start of
+the path. So a path can be gone through piece by piece, by `begin` and `follow`.
 """
 
 import math
-from typing import Literal, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -41,10 +45,77 @@ Interpolation: TypeAlias = Literal["hold", "linear", "spline"]
 # Cycles by which the kinds of interpolation come late: a drive that goes from one point
 # to the next has to know the next, and a spline one more.
 _LATE_CYCLES = {"hold": 0.5, "linear": 1.0, "spline": 2.0}
+# Cycles back to the first set point that an instant may need.
+_USED_CYCLES = {"hold": 1.0, "linear": 2.0, "spline": 4.0}
 # Parts of a tooth period in which the servo sees a staircase.
 _STAIRCASE_PARTS = 4
 # Roundings by which a place may miss the whole number that it is.
 _ROUNDINGS = 16
+
+
+class RowSpan(NamedTuple):
+    """Rows of the command of which the motors at one row follow, servos apart.
+
+    Attributes:
+        before: Rows before it, at least 1.
+        ahead: Rows behind it.
+    """
+
+    before: int
+    ahead: int
+
+
+class _Lags(eqx.Module):
+    """State of low-pass and servos; what is absent is None.
+
+    Attributes:
+        filtered: What the low-pass gives [rad or m], shape (joint,).
+        position: What the servos do [rad or m], shape (joint,).
+        speed: Its rate of change over w, of servos of second order, shape (joint,).
+    """
+
+    filtered: Float[Array, "joint ..."] | None = None
+    position: Float[Array, "joint ..."] | None = None
+    speed: Float[Array, "joint ..."] | None = None
+
+    def plus(self, rows: Float[Array, "joint ..."]) -> "_Lags":
+        """Return the state where all positions are higher by some."""
+        add = lambda x: None if x is None else x + rows
+        return _Lags(add(self.filtered), add(self.position), self.speed)
+
+
+class ControllerState(eqx.Module):
+    """What a controller remembers at a row of a path, on the clock of `motors`.
+
+    Attributes:
+        before: Commanded motors at the rows before, shape (row, joint).
+        lags: State of low-pass and servos at the row.
+        row: The row, from 0, since the cycles count from the start of the path.
+        ahead: Rows of the command behind a row that `follow` needs.
+    """
+
+    before: Float[Array, "row joint ..."]
+    lags: _Lags
+    row: Int[Array, ""]
+    ahead: int = eqx.field(static=True)
+
+    def of_changes(self, directions: int) -> "ControllerState":
+        """Return the state of changes in some directions that begin at the row."""
+        still = lambda x: jnp.zeros((*x.shape, directions), x.dtype)
+        before, lags = jax.tree.map(still, (self.before, self.lags))
+        return ControllerState(before, lags, self.row, self.ahead)
+
+
+class ControlledPiece(NamedTuple):
+    """What the motors do in some rows of a path.
+
+    Attributes:
+        motors: Motor positions [rad or m], shape (step, joint).
+        state: The controller's at the last of these rows.
+    """
+
+    motors: Float[Array, "step joint ..."]
+    state: ControllerState
 
 
 class Controller(eqx.Module):
@@ -122,7 +193,90 @@ class Controller(eqx.Module):
         **Differentiability**: linear in the commands; smooth in bandwidth and damping,
         with kinks in the other numbers.
         """
-        return self._follow(commands, time_step, self.delay)
+        return self._respond(commands, time_step, self.delay)
+
+    def span(self, time_step: RealScalarLike) -> RowSpan:
+        """Return of which rows of the command the motors at a row follow.
+
+        Args:
+            time_step: Time between two rows [s].
+
+        **Differentiability**: runs on the host, not traceable.
+        """
+        T, latest = float(time_step), float(self.delay)
+        if self.dead_time is not None:
+            latest -= float(self.dead_time)
+        earliest = latest
+        if self.interpolation_cycle is not None:
+            used = _USED_CYCLES[self.interpolation]
+            earliest -= used * float(self.interpolation_cycle)
+        if self.moving_average is not None:
+            earliest -= float(self.moving_average)
+        if self.shaper_frequency is not None:
+            earliest -= 1 / (2 * float(self.shaper_frequency))
+        margin = 1e-9
+        ahead = max(0, math.ceil(latest / T - margin))
+        return RowSpan(max(1, math.ceil(margin - earliest / T)), ahead)
+
+    def begin(
+        self,
+        commands: Float[Array, "step joint"],
+        time_step: RealScalarLike,
+        before: int,
+        ahead: int,
+    ) -> ControllerState:
+        """Return the state at row 0 of a path, before which the command stands still.
+
+        Args:
+            commands: Commanded motor positions at the first rows, more than `ahead`
+                [rad or m], shape (step, joint).
+            time_step: Time between two rows [s].
+            before: As of `span`.
+            ahead: As of `span`.
+
+        **Differentiability**: that of `motors`.
+        """
+        start, T = commands[:1], jnp.asarray(time_step, commands.dtype)
+        signal = _Signal(commands - start, T)
+        lags = self._begun(signal, self.delay.astype(commands.dtype))
+        still = jnp.broadcast_to(start, (before, *start.shape[1:]))
+        row = jnp.zeros((), jnp.int32)
+        return ControllerState(still, lags.plus(start[0]), row, ahead)
+
+    def follow(
+        self,
+        commands: Float[Array, "row joint ..."],
+        time_step: RealScalarLike,
+        state: ControllerState,
+    ) -> ControlledPiece:
+        """Return what the motors do in some rows of a path, and the state after them.
+
+        The pieces one after the other are what `motors` returns of the path.
+
+        Args:
+            commands: Commanded motor positions at these rows and `state.ahead` more
+                [rad or m], shape (row, joint), or changes as of `motors`.
+            time_step: Time between two rows [s].
+            state: State at the first of the rows, the last of the piece before.
+
+        **Differentiability**: as `motors`.
+        """
+        dtype = commands.dtype
+        T, first = jnp.asarray(time_step, dtype), self.delay.astype(dtype)
+        count, back = commands.shape[0] - state.ahead, state.before.shape[0]
+        known = jnp.concatenate([state.before, commands])
+        start = known[:1]
+        signal = _Signal(known - start, T, (state.row - back).astype(dtype))
+        lags = state.lags.plus(-start[0])
+        rows, lags = self._rows(signal, first, lags, row=state.row, count=count)
+        last = count - 1
+        ended = ControllerState(
+            known[last : last + back],
+            lags.plus(start[0]),
+            state.row + last,
+            state.ahead,
+        )
+        return ControlledPiece(start + rows, ended)
 
     def respond(
         self, commands: Float[Array, "step joint ..."], time_step: RealScalarLike
@@ -131,9 +285,9 @@ class Controller(eqx.Module):
 
         Arguments, result and **Differentiability** are those of `motors`.
         """
-        return self._follow(commands, time_step, jnp.zeros(()))
+        return self._respond(commands, time_step, jnp.zeros(()))
 
-    def _follow(
+    def _respond(
         self,
         commands: Float[Array, "step joint ..."],
         time_step: RealScalarLike,
@@ -142,23 +296,72 @@ class Controller(eqx.Module):
         """Return what the motors do at instants of which the first is not 0 [s]."""
         dtype = commands.dtype
         T, first = jnp.asarray(time_step, dtype), first.astype(dtype)
-        steps = commands.shape[0]
         # From where it starts, so that no digits are lost in integrals over the time.
         start = commands[:1]
         signal = _Signal(commands - start, T)
-        has_servo = self.low_pass is not None or self.bandwidth is not None
-        is_fine = self.interpolation == "hold" and self.interpolation_cycle is not None
-        parts = _STAIRCASE_PARTS if has_servo and is_fine else 1
-        index = jnp.arange((steps - 1) * parts + 1, dtype=dtype)
-        rows = self._set_points(signal, first + index * (T / parts))
-        if has_servo:
-            # A motion that has begun before is followed with the lag of its speed.
-            span = T
-            if self.interpolation_cycle is not None:
-                span = jnp.maximum(T, jnp.asarray(self.interpolation_cycle, dtype))
-            ends = self._set_points(signal, jnp.stack([first - span, first]))
-            rows = self._lagged(rows, T / parts, (ends[1] - ends[0]) / span)[::parts]
+        lags, row = self._begun(signal, first), jnp.zeros((), jnp.int32)
+        count = commands.shape[0]
+        rows, _ = self._rows(signal, first, lags, row=row, count=count)
         return start + rows
+
+    @property
+    def _has_lags(self) -> bool:
+        return self.low_pass is not None or self.bandwidth is not None
+
+    def _rows(
+        self,
+        signal: "_Signal",
+        first: Float[Array, ""],
+        lags: _Lags,
+        *,
+        row: Int[Array, ""],
+        count: int,
+    ) -> tuple[Float[Array, "step joint ..."], _Lags]:
+        """Return what the motors do in some rows, and the state at the last of them.
+
+        Args:
+            signal: The command.
+            first: Time of row 0 of the path [s].
+            lags: State at the first of the rows.
+            row: Index of the first.
+            count: How many rows.
+        """
+        dtype, T = first.dtype, signal.time_step
+        is_fine = self.interpolation == "hold" and self.interpolation_cycle is not None
+        parts = _STAIRCASE_PARTS if self._has_lags and is_fine else 1
+        index = jnp.arange((count - 1) * parts + 1, dtype=dtype)
+        index = index + (row * parts).astype(dtype)
+        rows = self._set_points(signal, first + index * (T / parts))
+        if not self._has_lags:
+            return rows, lags
+        rows, lags = self._lagged(rows, T / parts, lags)
+        return rows[::parts], lags
+
+    def _begun(self, signal: "_Signal", first: Float[Array, ""]) -> _Lags:
+        """Return the state of low-pass and servos at row 0, at some time [s].
+
+        A motion that has begun before is followed with the lag of its speed.
+        """
+        if not self._has_lags:
+            return _Lags()
+        dtype, joints = first.dtype, signal.rows.shape[1]
+        each = lambda x: jnp.broadcast_to(jnp.asarray(x, dtype), (joints,))
+        column = lambda x: x.reshape(joints, *(1,) * (signal.rows.ndim - 2))
+        span = signal.time_step
+        if self.interpolation_cycle is not None:
+            span = jnp.maximum(span, jnp.asarray(self.interpolation_cycle, dtype))
+        ends = self._set_points(signal, jnp.stack([first - span, first]))
+        rate, now = (ends[1] - ends[0]) / span, ends[1]
+        filtered = position = speed = None
+        if self.low_pass is not None:
+            w = 2 * math.pi * jnp.asarray(self.low_pass, dtype)
+            filtered = now = now - rate / w
+        if self.bandwidth is not None:
+            position = now - rate * column(each(self._servo_lag()))
+            if self.damping_ratio is not None:
+                w = 2 * math.pi * each(self.bandwidth)
+                speed = rate / column(w)
+        return _Lags(filtered, position, speed)
 
     def _set_points(
         self, signal: "_Signal", time: Float[Array, " instant"]
@@ -223,30 +426,36 @@ class Controller(eqx.Module):
         self,
         rows: Float[Array, "instant joint ..."],
         step: Float[Array, ""],
-        speed: Float[Array, "joint ..."],
-    ) -> Float[Array, "instant joint ..."]:
-        """Return what low-pass and servos make of set points.
+        lags: _Lags,
+    ) -> tuple[Float[Array, "instant joint ..."], _Lags]:
+        """Return what low-pass and servos make of set points, and their last state.
 
         Args:
             rows: The set points.
             step: Time between them [s].
-            speed: Of the motion before the first [rad/s or m/s].
+            lags: State at the first.
         """
         dtype, joints = rows.dtype, rows.shape[1]
         each = lambda x: jnp.broadcast_to(jnp.asarray(x, dtype), (joints,))
         column = lambda x: x.reshape(joints, *(1,) * (rows.ndim - 2))
+        filtered = None
         if self.low_pass is not None:
+            assert lags.filtered is not None
             w = 2 * math.pi * jnp.asarray(self.low_pass, dtype)
-            rows = _first_order(rows, w * step, rows[0] - speed / w)
+            rows = _first_order(rows, w * step, lags.filtered)
+            filtered = rows[-1]
         if self.bandwidth is None:
-            return rows
+            return rows, _Lags(filtered)
+        assert lags.position is not None
         w = 2 * math.pi * each(self.bandwidth)
-        begun = rows[0] - speed * column(each(self._servo_lag()))
         if self.damping_ratio is None:
-            return _first_order(rows, column(w * step), begun)
+            rows = _first_order(rows, column(w * step), lags.position)
+            return rows, _Lags(filtered, rows[-1])
+        assert lags.speed is not None
         turns = jax.vmap(_turn)(w * step, each(self.damping_ratio))
         turns = jax.tree.map(column, turns)
-        return _second_order(rows, turns, begun, speed / column(w))
+        rows, speed = _second_order(rows, turns, lags.position, lags.speed)
+        return rows, _Lags(filtered, rows[-1], speed)
 
 
 class _Signal(eqx.Module):
@@ -255,15 +464,23 @@ class _Signal(eqx.Module):
     Attributes:
         rows: The rows; the first is zero, shape (step, joint) or more.
         time_step: Time between them T [s].
+        first: Row of the path that is the first of them, shape ().
         sums: Integral up to each row, same shape as the rows.
     """
 
     rows: Float[Array, "step joint ..."]
     time_step: Float[Array, ""]
+    first: Float[Array, ""]
     sums: Float[Array, "step joint ..."]
 
-    def __init__(self, rows: Float[Array, "step joint ..."], time_step: Array):
+    def __init__(
+        self,
+        rows: Float[Array, "step joint ..."],
+        time_step: Array,
+        first: Array | None = None,
+    ):
         self.rows, self.time_step = rows, time_step
+        self.first = jnp.zeros_like(time_step) if first is None else first
         means = (rows[:-1] + rows[1:]) / 2
         self.sums = jnp.concatenate(
             [jnp.zeros_like(rows[:1]), time_step * jnp.cumsum(means, axis=0)]
@@ -284,7 +501,8 @@ class _Signal(eqx.Module):
         inside = _shared(T * share, start) + _shared(
             T * share**2 / 2, self.rows[row + 1] - start
         )
-        after = jnp.maximum(time - (self.rows.shape[0] - 1) * T, 0)
+        last = self.first + (self.rows.shape[0] - 1)
+        after = jnp.maximum(time - last * T, 0)
         return self.sums[row] + inside + _shared(after, self.rows[-1:])
 
     def _place(
@@ -292,7 +510,8 @@ class _Signal(eqx.Module):
     ) -> tuple[Int[Array, " instant"], Float[Array, " instant"]]:
         """Return the row before each instant, and the share of the step behind it."""
         last = self.rows.shape[0] - 1
-        place = _snapped(jnp.clip(time / self.time_step, 0, last))
+        first, end = self.first, self.first + last
+        place = _snapped(jnp.clip(time / self.time_step, first, end)) - first
         row = jnp.minimum(place.astype(jnp.int32), last - 1)
         return row, place - row.astype(time.dtype)
 
@@ -368,8 +587,8 @@ def _second_order(
     turn: _Turn,
     begun: Float[Array, "joint ..."],
     speed: Float[Array, "joint ..."],
-) -> Float[Array, "instant joint ..."]:
-    """Return what y'' + 2 zeta w y' + w^2 y = w^2 u makes of rows."""
+) -> tuple[Float[Array, "instant joint ..."], Float[Array, "joint ..."]]:
+    """Return what y'' + 2 zeta w y' + w^2 y = w^2 u makes of rows, and the last v."""
     a, b, c, d = turn.free
 
     def advance(
@@ -381,5 +600,5 @@ def _second_order(
         v = c * y + d * v + turn.start[1] * start + turn.rise[1] * rise
         return (new, v), new
 
-    _, found = jax.lax.scan(advance, (begun, speed), (rows[:-1], rows[1:]))
-    return jnp.concatenate([begun[None], found])
+    (_, ended), found = jax.lax.scan(advance, (begun, speed), (rows[:-1], rows[1:]))
+    return jnp.concatenate([begun[None], found]), ended
