@@ -1,9 +1,13 @@
 """A correction through a controller: the linear system, and what it makes of a path."""
 
+import dataclasses
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from slides_job import write_slides_job
 
 from diffmill.config import load_job
 from diffmill.correction import TipPlant, correct
@@ -62,6 +66,94 @@ def job(tmp_path):
     (tmp_path / "part.ngc").write_text(PROGRAM)
     (tmp_path / "job.toml").write_text(JOB)
     return load_job(tmp_path / "job.toml")
+
+
+CONTROLLER = (
+    "[controller]",
+    'interpolation_cycle = "12 ms"',
+    'moving_average = "30 ms"',
+    'dead_time = "8 ms"',
+    "bandwidth = ['10 Hz', '8 Hz', '12 Hz']",
+    "damping_ratio = 0.7",
+)
+HOP = 60
+
+
+@pytest.fixture(scope="module")
+def slides(tmp_path_factory):
+    """A plant of three slides behind a controller, and a command of it."""
+    program = "G21 G90\nG0 X-5.5 Y1 Z-0.8\nG1 X0 F3000\nG1 Y3\nM2\n"
+    folder = tmp_path_factory.mktemp("slides")
+    file = write_slides_job(folder, *CONTROLLER, program=program)
+    job = load_job(file).with_precision()
+    count = job.path.step_count
+    share = 0.2 + 0.6 * np.random.default_rng(1).random(count)
+    plant = TipPlant(job, StockHeld(), share)
+    swing = np.sin(0.11 * np.arange(count)[:, None] + np.arange(3)[None])
+    return plant, np.asarray(job.path.positions) + 2e-4 * swing
+
+
+def rows_of(pieces, first, count):
+    """Return the rows of a piece, and those ahead of it."""
+    rows = np.arange(first, first + HOP + 1 + pieces.rows_ahead)
+    return np.minimum(rows, count - 1)
+
+
+@pytest.mark.slow
+def test_pieces_of_a_job_do_what_the_whole_does(slides):
+    plant, command = slides
+    count, pieces = len(command), plant.pieces
+    assert count > 3 * HOP and pieces.rows_ahead > 10
+    whole = plant.run(command)
+    state = pieces.begin(jnp.asarray(command[: 3 + pieces.rows_ahead]))
+    once = eqx.debug.assert_max_traces(max_traces=1)
+    run = eqx.filter_jit(once(lambda piece, command: piece.run(command)))
+    # What the walls show at the first row of a piece, the one before has shown.
+    actual, force = [], []
+    for first in range(0, count, HOP):
+        rows = rows_of(pieces, first, count)
+        motion, state = run(pieces.piece(state, rows), jnp.asarray(command[rows]))
+        actual.append(motion.actual[1:])
+        force.append(motion.force[1:])
+    assert np.abs(whole.force).max() > 20
+    for parts, want in ((actual, whole.actual[1:]), (force, whole.force[1:])):
+        have = np.concatenate(parts)[: count - 1]
+        assert np.abs(have - want).max() < 1e-9 * np.abs(want).max()
+    # With an ideal controller it is another motion.
+    ideal = dataclasses.replace(plant.job, controller=None)
+    other = dataclasses.replace(plant, job=ideal).run(command)
+    assert np.abs(other.actual - whole.actual).max() > 1e-5
+
+
+@pytest.mark.slow
+def test_the_linear_system_of_a_piece_goes_through_the_controller(slides):
+    plant, command = slides
+    pieces, first = plant.pieces, HOP
+    start = rows_of(pieces, 0, len(command))
+    state = pieces.begin(jnp.asarray(command[: 3 + pieces.rows_ahead]))
+    run = eqx.filter_jit(lambda piece, command: piece.run(command))
+    _, state = run(pieces.piece(state, start), jnp.asarray(command[start]))
+    rows = rows_of(pieces, first, len(command))
+    piece, here = pieces.piece(state, rows), jnp.asarray(command[rows])
+    noise = np.random.default_rng(0).normal(size=here.shape)
+    change = 1e-6 * np.cumsum(noise, axis=0)
+    # The state at the start knows the rows up to those ahead, which stay.
+    change[: pieces.rows_ahead + 1] = 0
+    change = jnp.asarray(change)
+    system = piece.linearised(here)
+    found = system.move(change[..., None])
+
+    @eqx.filter_jit
+    def pushed_through(piece, command, change):
+        return jax.jvp(lambda x: piece.run(x)[0], (command,), (change,))
+
+    ran, pushed = pushed_through(piece, here, change)
+    for have, want in [
+        (system.motion.actual, ran.actual),
+        (found.actual[0], pushed.actual),
+        (found.force[0], pushed.force),
+    ]:
+        assert np.max(np.abs(have - want)) < 1e-9 * np.max(np.abs(want))
 
 
 @pytest.mark.slow
