@@ -166,7 +166,8 @@ class CorrectionSettings(eqx.Module):
         horizon: Rows that are corrected at once; "auto" takes a whole path of at most
             6000 rows, and segments of 2000 rows of a longer one.
         overlap: Rows at the end of a segment that the next one corrects once more;
-            "auto" takes 32 knots, and half of the horizon at most.
+            "auto" takes 32 knots and what the controller looks ahead, and half of the
+            horizon at most.
     """
 
     objective: Literal["path", "surface"] = eqx.field(static=True, default="path")

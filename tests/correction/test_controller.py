@@ -10,7 +10,7 @@ import pytest
 from slides_job import write_slides_job
 
 from diffmill.config import load_job
-from diffmill.correction import TipPlant, correct
+from diffmill.correction import TipPlant, UnsuitableSettings, correct
 from diffmill.process import StockHeld
 from diffmill.sim import JobKinematics
 
@@ -97,6 +97,13 @@ def rows_of(pieces, first, count):
     """Return the rows of a piece, and those ahead of it."""
     rows = np.arange(first, first + HOP + 1 + pieces.rows_ahead)
     return np.minimum(rows, count - 1)
+
+
+def test_an_overlap_that_the_controller_looks_across_is_refused(tmp_path):
+    settings = ("horizon = 100", "overlap = 12")
+    job = load_job(write_slides_job(tmp_path, *settings, *CONTROLLER))
+    with pytest.raises(UnsuitableSettings, match=r"above the 1\d rows .* 12 rows"):
+        correct(job)
 
 
 @pytest.mark.slow
@@ -189,3 +196,25 @@ def test_a_correction_makes_up_for_the_controller(job):
     moved = job.controller.motors(told, job.tooth_period)
     assert np.allclose(found.before.motor_positions, moved, rtol=0, atol=1e-12)
     assert np.abs(moved - told).max() > 1e-5
+
+
+@pytest.mark.slow
+def test_segments_of_a_job_find_what_its_whole_path_finds(tmp_path):
+    preset = ("[controller]", 'preset = "kuka_krc4_like"')
+    settings = ("max_steps = 10", "acceleration_factor = inf")
+    parts = ("horizon = 140", "overlap = 70")
+    load = lambda *lines: load_job(write_slides_job(tmp_path, *lines, *preset))
+    whole, job = correct(load(*settings)), load(*settings, *parts)
+    kept = []
+    found = correct(job, on_checkpoint=lambda arrays: kept.append(dict(arrays)))
+    rms = [np.sqrt(np.mean(_cut_error(x) ** 2)) for x in (whole, found)]
+    assert rms[1] < 1.05 * rms[0]
+    assert found.methods["corrected"].detail["segment_count"] > 3
+    # In the middle of a sweep: the controller's state is kept with the plant's.
+    at = [k for k, arrays in enumerate(kept) if "horizon/row" in arrays]
+    again = correct(job, resume=kept[at[2]])
+    assert np.array_equal(again.commanded, found.commanded)
+
+
+def _cut_error(found):
+    return np.asarray(found.after.contour_error)[found.after.is_cutting]

@@ -5,8 +5,9 @@ machine and the stock. Gauss-Newton corrects its rows by those coefficients of t
 spline over the whole program that act on them; then the rows but for the overlap are
 run with the command found, and the next segment starts there and optimises once more
 what the overlap has seen. Coefficients that act on rows which have been run are held,
-so that the command is as smooth over a seam as anywhere. The cost is that of the whole
-path, restricted to the segment.
+so that the command is as smooth over a seam as anywhere. A plant may follow rows ahead,
+as a controller does on a clock that is late: then those behind what has been run are
+held too. The cost is that of the whole path, restricted to the segment.
 
 What lies behind the end of a segment stays as it was found before: in a first sweep, as
 the start has it, which bends the end of the segment towards the start. A second sweep
