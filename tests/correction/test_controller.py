@@ -202,14 +202,15 @@ def test_a_correction_makes_up_for_the_controller(job):
 def test_segments_of_a_job_find_what_its_whole_path_finds(tmp_path):
     preset = ("[controller]", 'preset = "kuka_krc4_like"')
     settings = ("max_steps = 10", "acceleration_factor = inf")
-    parts = ("horizon = 140", "overlap = 70")
+    # Less of an overlap than arm and servos ring leaves a corner in another minimum.
+    parts = ("horizon = 220", "overlap = 130")
     load = lambda *lines: load_job(write_slides_job(tmp_path, *lines, *preset))
     whole, job = correct(load(*settings)), load(*settings, *parts)
     kept = []
     found = correct(job, on_checkpoint=lambda arrays: kept.append(dict(arrays)))
     rms = [np.sqrt(np.mean(_cut_error(x) ** 2)) for x in (whole, found)]
     assert rms[1] < 1.05 * rms[0]
-    assert found.methods["corrected"].detail["segment_count"] > 3
+    assert found.methods["corrected"].detail["segment_count"] == 3
     # In the middle of a sweep: the controller's state is kept with the plant's.
     at = [k for k, arrays in enumerate(kept) if "horizon/row" in arrays]
     again = correct(job, resume=kept[at[2]])
