@@ -129,9 +129,7 @@ def _remove(stock, cutter, window, tips, axis):
         pose = dm.workpiece.Pose(
             tip[None], None if axis is None else jnp.asarray(axis)[None]
         )
-        cut = dm.workpiece.remove_poses(
-            stock, cutter, window, pose, index[None], jnp.ones(1, bool)
-        )
+        cut = window.remove_poses(stock, cutter, pose, index[None], jnp.ones(1, bool))
         stock, full, beyond = cut.stock, cut.has_overflow, cut.is_beyond
         return stock, full | beyond
 

@@ -19,7 +19,7 @@ from diffmill.correction import (
     row_weights,
 )
 from diffmill.cutter import flat_end_mill
-from diffmill.workpiece import Pose, RemovalWindow, box, remove_poses, surface_error
+from diffmill.workpiece import Pose, RemovalWindow, box, surface_error
 
 TIME_STEP = 3.75e-3
 RADIUS = 5e-3
@@ -100,8 +100,8 @@ def cut(cutter):
         def step(stock, x):
             tip, index = x
             poses = Pose(tip[None])
-            done = remove_poses(
-                stock, cutter, window, poses, index[None], jnp.ones(1, bool)
+            done = window.remove_poses(
+                stock, cutter, poses, index[None], jnp.ones(1, bool)
             )
             return done.stock, None
 

@@ -242,6 +242,6 @@ def test_a_damaged_mesh_prints_nothing(tmp_path, capfd):
     file = tmp_path / "part.stl"
     file.write_bytes(b"solid part\nfacet normal 0 0 x\n" + b"\0" * 1000)
     assert "part.stl" in message_of(
-        lambda one: workpiece.from_mesh(one, 1e-3), file, workpiece.MeshFileError
+        lambda one: workpiece.from_mesh(one, 1e-3), file, workpiece.StockFileError
     )
     assert capfd.readouterr() == ("", "")

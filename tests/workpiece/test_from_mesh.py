@@ -147,7 +147,7 @@ def not_finite():
 )
 def test_a_mesh_that_bounds_no_solid_is_refused(tmp_path, make, message):
     file = export(make(), tmp_path / "bad.stl")
-    with pytest.raises(wp.MeshFileError, match=f"bad.stl: .*{message}"):
+    with pytest.raises(wp.StockFileError, match=f"bad.stl: .*{message}"):
         wp.from_mesh(file, SPACING)
 
 
@@ -168,14 +168,14 @@ def test_a_mesh_that_bounds_no_solid_is_refused(tmp_path, make, message):
 )
 def test_a_damaged_file_is_named_in_one_error(tmp_path, name, content):
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(wp.MeshFileError, match=name):
+    with pytest.raises(wp.StockFileError, match=name):
         wp.from_mesh(tmp_path / name, SPACING)
 
 
 def test_missing_files_and_other_formats_are_refused(tmp_path):
-    with pytest.raises(wp.MeshFileError, match=r"no\.stl"):
+    with pytest.raises(wp.StockFileError, match=r"no\.stl"):
         wp.from_mesh(tmp_path / "no.stl", SPACING)
-    with pytest.raises(wp.MeshFileError, match=r"'\.step'"):
+    with pytest.raises(wp.StockFileError, match=r"'\.step'"):
         wp.from_mesh(tmp_path / "part.step", SPACING)
 
 

@@ -13,7 +13,7 @@ STOCK = wp.box([0, 0, -3e-3], [12e-3, 10e-3, 0], 0.2e-3)
 @jax.jit
 def seen_in(stock, points, moves):
     none = jnp.zeros_like(moves)
-    return wp.occupancy(stock, points, moves, none, DISCS, MILL)[0]
+    return DISCS.occupancy(stock, points, moves, none, MILL)[0]
 
 
 @jax.jit
@@ -105,7 +105,7 @@ def test_work_grows_no_faster_than_the_number_of_discs():
         discs = wp.Discs(count, 0.1e-3, 0.1e-3)
         place = spread(jnp.full((30, 3), -1e-3), discs)
         run = jax.jit(
-            lambda p, m, c, discs=discs: wp.occupancy(STOCK, p, m, c, discs, MILL)[0]
+            lambda p, m, c, discs=discs: discs.occupancy(STOCK, p, m, c, MILL)[0]
         )
         cost = run.lower(*place).cost_analysis()
         assert cost is not None
@@ -122,7 +122,7 @@ def test_turning_from_across_a_wall_to_along_it_makes_no_kink():
     def total(turn):
         moves = 0.16e-3 * jnp.stack([jnp.cos(turn), jnp.sin(turn)], axis=-1)[:, None]
         none = jnp.zeros_like(moves)
-        found = wp.occupancy(STOCK, points, moves, none, DISCS, MILL)[0]
+        found = DISCS.occupancy(STOCK, points, moves, none, MILL)[0]
         return jnp.sum(found, axis=-1)
 
     slope = jax.jvp(total, (turn,), (jnp.ones_like(turn),))[1]
@@ -135,7 +135,7 @@ def pocketed(x=6.07e-3, y=5.03e-3):
     tip = jnp.array([[x, y, -1.33e-3]])
     window = wp.RemovalWindow.upright(STOCK, MILL, 2e-3, 0.4e-3)
     at = jnp.zeros(1, jnp.int32)
-    cut = wp.remove_poses(STOCK, MILL, window, wp.Pose(tip), at, jnp.ones(1, bool))
+    cut = window.remove_poses(STOCK, MILL, wp.Pose(tip), at, jnp.ones(1, bool))
     return cut.stock
 
 

@@ -5,14 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffmill import cutter as ct, workpiece as wp
-from diffmill.workpiece import DEAD
+from diffmill.workpiece import Rays
 
 MILL = ct.flat_end_mill(4e-3, 2)
-subtract = jax.jit(wp.subtract)
+subtract = jax.jit(lambda ends, poses, cut: cut.subtract_from(ends, poses))
 
 
 def slots(pieces, count):
-    ends = np.array([[DEAD] * count, [-DEAD] * count])
+    ends = np.array([[Rays.DEAD] * count, [-Rays.DEAD] * count])
     for m, (low, high) in enumerate(pieces):
         ends[:, m] = low, high
     return ends
@@ -87,8 +87,8 @@ def cut_block(spacing):
 
     def step(stock, x):
         tip, pose = x
-        cut = wp.remove_poses(
-            stock, MILL, window, wp.Pose(tip[None]), pose[None], jnp.ones(1, bool)
+        cut = window.remove_poses(
+            stock, MILL, wp.Pose(tip[None]), pose[None], jnp.ones(1, bool)
         )
         return cut.stock, (cut.volume[0], cut.has_overflow | cut.is_beyond)
 
@@ -134,6 +134,6 @@ def test_a_tool_deeper_than_its_window_raises_the_flag():
     window = wp.RemovalWindow.upright(stock, MILL, 0.4e-3, 0.2e-3)
     tip = jnp.array([[4e-3, 4e-3, -3e-3]])
     yes, pose = jnp.ones(1, bool), jnp.zeros(1, jnp.int32)
-    assert wp.remove_poses(stock, MILL, window, wp.Pose(tip), pose, yes).is_beyond
+    assert window.remove_poses(stock, MILL, wp.Pose(tip), pose, yes).is_beyond
     away = wp.Pose(tip + 10.0)
-    assert not wp.remove_poses(stock, MILL, window, away, pose, yes).is_beyond
+    assert not window.remove_poses(stock, MILL, away, pose, yes).is_beyond

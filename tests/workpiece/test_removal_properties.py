@@ -30,7 +30,7 @@ def remover(kind):
 
     def one(stock, tip, axis):
         pose = wp.Pose(tip[None], axis[None])
-        cut = wp.remove_poses(stock, MILLS[kind], window, pose, index, yes)
+        cut = window.remove_poses(stock, MILLS[kind], pose, index, yes)
         return cut.stock, cut.volume[0], cut.stock.volumes(), cut.has_overflow
 
     return jax.jit(one)

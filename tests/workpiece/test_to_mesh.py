@@ -8,7 +8,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from diffmill import workpiece as wp
-from diffmill.workpiece import DEAD
+from diffmill.workpiece import Rays
 
 SPACING = 0.5e-3
 
@@ -149,7 +149,7 @@ def blocks(nodes, spacing=1e-3):
         edge = np.diff(np.pad(along, [(0, 0), (0, 0), (1, 1)]).astype(int), axis=-1)
         slots = int((edge == 1).sum(axis=-1).max()) or 1
         ends = np.empty((*along.shape[:2], 2, slots))
-        ends[:, :, 0], ends[:, :, 1] = DEAD, -DEAD
+        ends[:, :, 0], ends[:, :, 1] = Rays.DEAD, -Rays.DEAD
         for u, v in np.ndindex(*along.shape[:2]):
             starts, stops = (
                 np.flatnonzero(edge[u, v] == 1),
@@ -194,7 +194,7 @@ def test_a_grid_too_large_is_refused_before_it_is_filled(monkeypatch):
 
 def test_suffix_and_unit_of_a_mesh_file_are_checked(tmp_path):
     stock = wp.box([0, 0, 0], [2e-3, 2e-3, 2e-3], SPACING)
-    with pytest.raises(wp.MeshFileError, match=r"\.step"):
+    with pytest.raises(wp.StockFileError, match=r"\.step"):
         wp.save_mesh(stock, tmp_path / "part.step")
     # The annotation refuses it, too, where it is checked.
     with pytest.raises((ValueError, TypeError)):

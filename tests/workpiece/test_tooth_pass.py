@@ -42,7 +42,7 @@ def cut(request):
         substeps=SUBSTEPS,
     )
     remove = jax.jit(
-        lambda stock: wp.remove_passes(stock, mill, window, [tooth], jnp.ones(1, bool))
+        lambda stock: window.remove_passes(stock, mill, [tooth], jnp.ones(1, bool))
     )
     return mill, remove(STOCK)
 
@@ -62,7 +62,7 @@ def cut_ends(stock, family):
     low, high = rays.ends[:, :, 0], rays.ends[:, :, 1]
     is_live = np.broadcast_to(np.asarray(high > low)[:, :, None], rays.ends.shape)
     ticks = np.asarray(rays.poses)[is_live]
-    return points[ticks >= 0], ticks[ticks >= 0] / wp.TICKS
+    return points[ticks >= 0], ticks[ticks >= 0] / wp.Rays.TICKS
 
 
 @pytest.mark.parametrize("family", [0, 1])
@@ -105,5 +105,5 @@ def test_ends_remember_when_they_were_cut(cut):
         track = wp.PoseTrack(
             wp.Pose(jnp.asarray(tip(np.arange(5 * SUBSTEPS + 1) / SUBSTEPS))), SUBSTEPS
         )
-        found = track.cut_by(jnp.round(time * wp.TICKS).astype(jnp.int32)).tip
+        found = track.cut_by(jnp.round(time * wp.Rays.TICKS).astype(jnp.int32)).tip
         np.testing.assert_allclose(found, tip(time), atol=1e-3 * SHAKE)

@@ -23,8 +23,6 @@ from ..workpiece import (
     RemovalWindow,
     Stock,
     ToothPass,
-    remove_passes,
-    remove_poses,
 )
 from ._chip import safe_norm
 from ._engagement.leading_half import STILL
@@ -91,10 +89,9 @@ class RemovalHistory(NamedTuple):
         """
         cutter, dtype = self.cutter, stock.origin.dtype
         zero = jnp.zeros((), jnp.int32)
-        cut = remove_poses(
+        cut = self.window.remove_poses(
             stock,
             cutter,
-            self.window,
             self.derivative.removal_poses(pose.repeated(1)),
             zero[None],
             jnp.ones(1, bool),
@@ -250,10 +247,9 @@ class RemovalHistory(NamedTuple):
         tips = [tooth.center().frozen().tip for tooth in passes]
         apart = jnp.max(jnp.abs(tips[1] - tips[0]))
         is_due = is_due.at[1].set(is_due[0] & is_due[1] & (apart <= self.window.slack))
-        cut = remove_passes(
+        cut = self.window.remove_passes(
             state.stock,
             self.cutter,
-            self.window,
             passes,
             is_due,
             slots=state.slots,
@@ -334,7 +330,7 @@ class RemovalHistory(NamedTuple):
             stock, has_overflow, is_beyond = carry
             row, due = x
             tooth = self._tooth_pass(state, row, newest)
-            cut = remove_passes(stock, cutter, window, [tooth], due[None])
+            cut = window.remove_passes(stock, cutter, [tooth], due[None])
             flags = (has_overflow | cut.has_overflow, is_beyond | cut.is_beyond)
             return (cut.stock, *flags), (cut.volume[0], cut.by_shank[0])
 

@@ -13,29 +13,21 @@ are read and written in `_files.py` alone.
 """
 
 from ._dexel.dexel_cloud import TakenPieces as TakenPieces
+from ._dexel.interval import CutInterval as CutInterval
 from ._dexel.nearest_interval import RAYS_READ as RAYS_READ
-from ._dexel.occupancy import Discs as Discs, occupancy as occupancy
+from ._dexel.occupancy import Discs as Discs
 from ._dexel.occupancy_in_space import occupancy_in_space as occupancy_in_space
-from ._dexel.removal import (
-    RemovalWindow as RemovalWindow,
-    remove_passes as remove_passes,
-    remove_poses as remove_poses,
-    subtract as subtract,
-)
+from ._dexel.removal import RemovalWindow as RemovalWindow
 from ._dexel.stock import (
-    DEAD as DEAD,
     Rays as Rays,
     Stock as Stock,
     box as box,
 )
 from ._dexel.tooth_pass import (
-    TICKS as TICKS,
-    CutInterval as CutInterval,
     PoseTrack as PoseTrack,
     ToothPass as ToothPass,
 )
 from ._files import (
-    MeshFileError as MeshFileError,
     StockFileError as StockFileError,
     from_mesh as from_mesh,
     load_stock as load_stock,
@@ -46,7 +38,6 @@ from ._mesh.mesh import Mesh as Mesh
 from ._mesh.surface_error import (
     SurfaceError as SurfaceError,
     surface_error as surface_error,
-    surface_errors as surface_errors,
 )
 from ._pose import Pose as Pose
 from ._stock_memory import StockMemory as StockMemory

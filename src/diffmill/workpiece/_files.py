@@ -24,12 +24,8 @@ _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 25.4e-3}
 _SUFFIXES = (".stl", ".obj", ".ply")
 
 
-class MeshFileError(ValueError):
-    """Raise when a mesh file cannot be read or bounds no solid."""
-
-
 class StockFileError(ValueError):
-    """Raise when a file holds no stock."""
+    """Raise when a file holds no stock, or a mesh that bounds no solid."""
 
 
 def load_mesh(path: str | os.PathLike[str], *, unit: MeshUnit = "mm") -> Mesh:
@@ -45,14 +41,14 @@ def load_mesh(path: str | os.PathLike[str], *, unit: MeshUnit = "mm") -> Mesh:
         The mesh in metres, equal vertices joined.
 
     Raises:
-        MeshFileError: The file cannot be read, or its triangles bound no solid.
+        StockFileError: The file cannot be read, or its triangles bound no solid.
         ValueError: The unit is unknown.
     """
     scale, suffix = _scale(unit), _suffix(path)
     try:
         data = Path(path).read_bytes()
     except OSError as error:
-        raise MeshFileError(f"{os.fspath(path)}: cannot be read: {error}") from error
+        raise StockFileError(f"{os.fspath(path)}: cannot be read: {error}") from error
     import trimesh
 
     try:
@@ -71,7 +67,7 @@ def load_mesh(path: str | os.PathLike[str], *, unit: MeshUnit = "mm") -> Mesh:
         fault = _index_fault(mesh)
     # A damaged file makes a parser raise anything.
     except Exception as error:
-        raise MeshFileError(
+        raise StockFileError(
             f"{os.fspath(path)}: is no valid {suffix[1:].upper()} file: "
             f"{type(error).__name__}: {error}"
         ) from error
@@ -79,7 +75,7 @@ def load_mesh(path: str | os.PathLike[str], *, unit: MeshUnit = "mm") -> Mesh:
         mesh = weld(Mesh(mesh.vertices * scale, mesh.faces))
         fault = mesh_fault(mesh)
     if fault is not None:
-        raise MeshFileError(f"{os.fspath(path)}: {fault}")
+        raise StockFileError(f"{os.fspath(path)}: {fault}")
     return mesh
 
 
@@ -107,7 +103,7 @@ def from_mesh(
         `box` gives the box around the part.
 
     Raises:
-        MeshFileError: The file cannot be read, or its triangles bound no solid.
+        StockFileError: The file cannot be read, or its triangles bound no solid.
         ValueError: An argument is out of range, the slots are too few, or the stock is
             larger than half of the physical memory.
     """
@@ -130,7 +126,7 @@ def save_mesh(
         unit: Unit of the numbers in the file. STL rounds them to single precision.
 
     Raises:
-        MeshFileError: The suffix is none of these.
+        StockFileError: The suffix is none of these.
         ValueError: The stock holds no material, or the unit is unknown.
         OSError: The file cannot be written.
     """
@@ -240,7 +236,7 @@ def _scale(unit: str) -> float:
 def _suffix(path: str | os.PathLike[str]) -> str:
     suffix = Path(path).suffix.lower()
     if suffix not in _SUFFIXES:
-        raise MeshFileError(
+        raise StockFileError(
             f"{os.fspath(path)}: found the suffix {suffix!r}; allowed: "
             f"{', '.join(_SUFFIXES)}"
         )

@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 
 from ..._job import LineWeight
 from ..._types import BoolSteps, IntSteps
-from ...workpiece import TICKS, Stock
+from ...workpiece import Rays, Stock
 
 
 def row_weights(
@@ -70,7 +70,7 @@ def surface_poses(stock: Stock) -> Int[np.ndarray, " pose"]:
         ends, poses = np.asarray(rays.ends), np.asarray(rays.poses)
         is_live = (ends[:, :, 1] > ends[:, :, 0])[:, :, None] & (poses >= 0)
         # A tooth cuts in the period that ends at its pose.
-        found.append(np.unique(-(-poses[is_live] // TICKS)))
+        found.append(np.unique(-(-poses[is_live] // Rays.TICKS)))
     return np.unique(np.concatenate(found))
 
 

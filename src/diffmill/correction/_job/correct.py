@@ -13,7 +13,7 @@ from ..._types import FloatRows
 from ...optimise import LeastSquaresStep
 from ...process import ThroughPoses
 from ...sim import JobKinematics, Solution, run_with_room
-from ...workpiece import SurfaceError, surface_errors
+from ...workpiece import SurfaceError
 from .._core.method import Corrected, GivenCommand
 from .._core.path_objective import AbstractObjective, check_objective
 from .._core.path_segments import PathParts
@@ -122,7 +122,7 @@ class Correction(eqx.Module):
         if not bool(ideal.volume() > 0):
             return {}
         stocks = [solution.stock for solution in self.cases.values()]
-        errors = surface_errors(stocks, ideal, leaves_out_raw=True)
+        errors = SurfaceError.of_stocks(stocks, ideal, leaves_out_raw=True)
         return dict(zip(self.cases, errors, strict=True))
 
     def to_dataset(

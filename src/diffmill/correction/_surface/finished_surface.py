@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._types import FloatRows3, RealScalarLike
-from ...workpiece import TICKS, Stock
+from ...workpiece import Rays, Stock
 from .._core.path_objective import AbstractObjective, beyond, deviation_of, row_shares
 from .._core.problem import Motion, Problem
 
@@ -251,7 +251,7 @@ def _cut_ends(
     points[:, family] = ends[u, v, side, slot]
     for axis, line in (((family + 1) % 3, u), ((family + 2) % 3, v)):
         points[:, axis] = origin[axis] + line * stock.spacing
-    return points, cut_by[u, v, side, slot] / TICKS
+    return points, cut_by[u, v, side, slot] / Rays.TICKS
 
 
 def _wall_points(

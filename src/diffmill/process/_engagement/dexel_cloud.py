@@ -32,7 +32,6 @@ from ...workpiece import (
     RemovalWindow,
     Stock,
     TakenPieces,
-    remove_poses,
 )
 from .._chip import circle_chip, edge_contact, held_at_rest, safe_norm, way_of
 from .._process import AbstractEngagement, Process, Substeps
@@ -112,10 +111,9 @@ class DexelCloud(AbstractEngagement):
         indices = index[None]
         # Never a constant, which XLA would fold, and then copy the stock in every step.
         is_due = (pose.tip[2] < state.stock.top)[None]
-        cut = remove_poses(
+        cut = self.window.remove_poses(
             state.stock,
             process.cutter,
-            self.window,
             process.derivative.removal_poses(pose[None]),
             indices,
             is_due,

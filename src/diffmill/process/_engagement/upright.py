@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from ...cutter import AbstractCutter
 from ...numerics import hold
-from ...workpiece import Discs, Pose, RemovalWindow, occupancy
+from ...workpiece import Discs, Pose, RemovalWindow
 from .._chip import (
     circle_chip,
     edge_contact,
@@ -82,12 +82,11 @@ class UprightFlat(AbstractEngagement):
         chips = -jnp.clip(chip, 0, radius)[..., None] / radius * rim[..., :2]
         chips = chips.reshape(moves.shape)
         track = process.derivative.tied_to(state.track)
-        found = occupancy(
+        found = self.discs.occupancy(
             state.stock,
             points,
             moves,
             chips,
-            self.discs,
             cutter,
             track=track,
             slots=state.slots,

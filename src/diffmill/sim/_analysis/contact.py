@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ...workpiece import DEAD, CutInterval, Pose, Stock, subtract
+from ...workpiece import CutInterval, Pose, Rays, Stock
 from .contact_depth import ContactTest, holder_depth, tool_depth
 
 # Poses that one call of the compiled loop takes.
@@ -41,7 +41,7 @@ class Columns(eqx.Module):
         ends = np.asarray(self.ends)
         is_live = ends[:, :, 1] > ends[:, :, 0]
         if not is_live.any():
-            return np.full(3, DEAD), np.full(3, -DEAD)
+            return np.full(3, Rays.DEAD), np.full(3, -Rays.DEAD)
         columns = np.argwhere(is_live.any(axis=-1))
         half = self.spacing / 2
         low = self.origin + self.spacing * columns.min(axis=0) - half
@@ -107,7 +107,7 @@ def columns_of(stock: Stock, finest: float, slot_count: int) -> Columns:
     stride = max(1, int(finest / stock.spacing + 1e-6))
     ends = np.asarray(stock.families[2].ends)[::stride, ::stride]
     more = max(0, slot_count - ends.shape[-1])
-    dead = np.array([DEAD, -DEAD], ends.dtype)[None, None, :, None]
+    dead = np.array([Rays.DEAD, -Rays.DEAD], ends.dtype)[None, None, :, None]
     dead = np.broadcast_to(dead, (*ends.shape[:3], more))
     return Columns(
         jnp.asarray(np.concatenate([ends, dead], axis=-1)),
@@ -215,7 +215,7 @@ def _chunk(
             when = jnp.zeros(start.shape, jnp.int32)
             interval = CutInterval(start, stop, is_hit, when, when)
             unknown = jnp.zeros(part.shape, jnp.int32)
-            new, _, is_full = subtract(part, unknown, interval)
+            new, _, is_full = interval.subtract_from(part, unknown)
             return new, jnp.any(is_full)
 
         whole = lambda: (part, jnp.zeros((), bool))

@@ -8,7 +8,7 @@ import numpy as np
 from ..._job import Job
 from ..._result import RESULTS
 from ...sim import Replay, Solution, ToothChip
-from ...workpiece import SurfaceError, surface_errors
+from ...workpiece import SurfaceError
 from .._figure.dexels import CutDexels
 from .._figure.forces import ForceTrace
 
@@ -67,7 +67,7 @@ def _surfaces(cases: Mapping[str, Solution]) -> dict[str, SurfaceError]:
     if not bool(ideal.volume() > 0):
         return {}
     stocks = [case.stock for case in mapped.values()]
-    errors = surface_errors(stocks, ideal, leaves_out_raw=True)
+    errors = SurfaceError.of_stocks(stocks, ideal, leaves_out_raw=True)
     return dict(zip(mapped, errors, strict=True))
 
 

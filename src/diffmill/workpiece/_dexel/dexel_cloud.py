@@ -14,7 +14,8 @@ from jaxtyping import Array, Bool, Float
 
 from ...cutter import AbstractCutter
 from .._pose import Pose
-from .removal import SHORTEST, RemovalWindow, window_grid
+from .interval import SHORTEST
+from .removal import RemovalWindow, window_grid
 from .stock import Stock
 
 

@@ -92,57 +92,55 @@ class Discs(eqx.Module):
         below_tip = hat_integral(-above / self.height - 0.5)
         return jnp.where(place == 0, share - below_tip, share)
 
+    def occupancy(
+        self,
+        stock: Stock,
+        points: Float[Array, "point disc 3"],
+        moves: Float[Array, "point disc 2"],
+        chips: Float[Array, "point disc 2"],
+        cutter: AbstractCutter,
+        *,
+        track: PoseTrack | None = None,
+        slots: Int[Array, " 3"] | None = None,
+    ) -> tuple[Float[Array, "point element"], Float[Array, "point element"]]:
+        """Return how much of the chips at points on the rim is in the material.
 
-def occupancy(
-    stock: Stock,
-    points: Float[Array, "point disc 3"],
-    moves: Float[Array, "point disc 2"],
-    chips: Float[Array, "point disc 2"],
-    discs: Discs,
-    cutter: AbstractCutter,
-    *,
-    track: PoseTrack | None = None,
-    slots: Int[Array, " 3"] | None = None,
-) -> tuple[Float[Array, "point element"], Float[Array, "point element"]]:
-    """Return how much of the chips at points on the rim is in the material.
+        Args:
+            stock: The workpiece.
+            points: Points in `work` at the height of the tip [m], shape (point, disc,
+                3); the axis disc has length 1 if all discs share their points.
+            moves: From each point to the next sample [m], across the axis, shape
+                (point, disc, 2).
+            chips: From each point to the inner side of its chip [m], as `moves`.
+            cutter: The cutter that cut the stock; used only with `track`.
+            track: All poses so far, to which the derivative goes; None differentiates
+                through the stock.
+            slots: How many slots of each family hold anything, shape (3,); counted if
+                not given.
 
-    Args:
-        stock: The workpiece.
-        points: Points in `work` at the height of the tip [m], shape (point, disc, 3);
-            the axis disc has length 1 if all discs share their points.
-        moves: From each point to the next sample [m], across the axis, shape
-            (point, disc, 2).
-        chips: From each point to the inner side of its chip [m], as `moves`.
-        discs: The discs.
-        cutter: The cutter that cut the stock; used only with `track`.
-        track: All poses so far, to which the derivative goes; None differentiates
-            through the stock.
-        slots: How many slots of each family hold anything, shape (3,); counted if not
-            given.
+        Returns:
+            The occupancy, the share of each disc that has a chip in the material,
+            exactly 0 and 1 away from surfaces; and the share of that chip's thickness
+            that is in the material. Both of shape (point, element).
 
-    Returns:
-        The occupancy, the share of each disc that has a chip in the material, exactly
-        0 and 1 away from surfaces; and the share of that chip's thickness that is in
-        the material. Both of shape (point, element).
-
-    Differentiability: continuous; kinks where a point crosses a grid line.
-    """
-    # Points in the last axis: the arrays are long there, and nothing is summed over it.
-    ways = hold((points, moves, chips))
-    place, move, chip = hold([jnp.transpose(x, (2, 1, 0)) for x in ways])
-    columns = _find_columns(stock, place)
-    if track is not None:
-        columns = _tie_columns(columns, track)
-    heights = _wall_heights(stock, place, discs, columns)
-    slots = stock.slots_in_use() if slots is None else slots
-    walls = tuple(_find_walls(stock, f, place, heights, slots[f]) for f in (0, 1))
-    if track is not None:
-        walls = _tie_walls(cutter, walls, track)
-    rim = _Rim(place, move, chip, heights)
-    combine = jax.checkpoint(_combine, static_argnums=(1,))
-    found = combine(discs, stock.spacing, stock.origin, rim, columns, walls)
-    touched, share = hold(found)
-    return hold((touched.T, share.T))
+        Differentiability: continuous; kinks where a point crosses a grid line.
+        """
+        # Points in the last axis: arrays are long there, nothing is summed over it.
+        ways = hold((points, moves, chips))
+        place, move, chip = hold([jnp.transpose(x, (2, 1, 0)) for x in ways])
+        columns = _find_columns(stock, place)
+        if track is not None:
+            columns = _tie_columns(columns, track)
+        heights = _wall_heights(stock, place, self, columns)
+        slots = stock.slots_in_use() if slots is None else slots
+        walls = tuple(_find_walls(stock, f, place, heights, slots[f]) for f in (0, 1))
+        if track is not None:
+            walls = _tie_walls(cutter, walls, track)
+        rim = _Rim(place, move, chip, heights)
+        combine = jax.checkpoint(_combine, static_argnums=(1,))
+        found = combine(self, stock.spacing, stock.origin, rim, columns, walls)
+        touched, share = hold(found)
+        return hold((touched.T, share.T))
 
 
 class _Rim(eqx.Module):

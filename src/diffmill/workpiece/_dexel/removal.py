@@ -18,78 +18,14 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ...cutter import AbstractCutter
 from .._pose import Pose
-from .stock import DEAD, Rays, Stock
-from .tooth_pass import CutInterval, ToothPass, cut_interval, standing
+from .interval import CutInterval
+from .stock import Rays, Stock
+from .tooth_pass import ToothPass, cut_interval, standing
 
 # A tool that leans less than this out of the horizontal lies flat.
 _LEVEL = 1e-6
-# Pieces of a ray shorter than this are dropped and counted as removed [m].
-SHORTEST = 1e-9
 # Slots that a removal looks at, if more are not in use.
 _WIDTHS = (3, 8)
-
-
-def subtract(
-    ends: Float[Array, "*ray 2 slot"],
-    poses: Int[Array, "*ray 2 slot"],
-    cut: CutInterval,
-) -> tuple[Float[Array, "*ray 2 slot"], Int[Array, "*ray 2 slot"], Bool[Array, "*ray"]]:
-    """Remove one interval from each ray.
-
-    Args:
-        ends: Lower and upper ends [m], shape (..., 2, slot).
-        poses: When these ends were cut, in ticks, shape (..., 2, slot).
-        cut: What to remove, each of shape (...).
-
-    Returns:
-        New ends, when they were cut, and whether a piece found no free slot, shape
-        (...).
-
-    Differentiability: smooth in ends and cut wherever the order of the ends does not
-    change.
-    """
-    low, high = ends[..., 0, :], ends[..., 1, :]
-    start, stop, is_cut, started, stopped = (x[..., None] for x in cut)
-
-    # Each branch computes what is met anew: it is cheaper than to hand it over.
-    def trim() -> tuple[Array, Array, Array]:
-        is_met = is_cut & (high > low) & (start < high) & (stop > low)
-        keeps_low = is_met & (low < start - SHORTEST)
-        keeps_high = is_met & (high > stop + SHORTEST)
-        is_gone = is_met & ~keeps_low & ~keeps_high
-        new_low = jnp.where(is_gone, DEAD, jnp.where(is_met & ~keeps_low, stop, low))
-        new_high = jnp.where(is_gone, -DEAD, jnp.where(keeps_low, start, high))
-        low_pose = jnp.where(is_met & ~keeps_low, stopped, poses[..., 0, :])
-        high_pose = jnp.where(keeps_low, started, poses[..., 1, :])
-        is_full = jnp.zeros(low.shape[:-1], bool)
-        return _two(new_low, new_high), _two(low_pose, high_pose), is_full
-
-    def is_split() -> Bool[Array, "*ray slot"]:
-        return is_cut & (low < start - SHORTEST) & (high > stop + SHORTEST)
-
-    def split() -> tuple[Array, Array, Array]:
-        # The interval to remove lies inside at most one piece: one slot is enough.
-        new, by, _ = trim()
-        is_live, splits = high > low, is_split()
-        needs = jnp.any(splits, axis=-1, keepdims=True)
-        free = jnp.argmin(is_live, axis=-1)[..., None]
-        slots = jnp.arange(low.shape[-1]).reshape((1,) * (low.ndim - 1) + (-1,))
-        takes = (needs & ~is_live & (slots == free))[..., None, :]
-        rest = jnp.max(jnp.where(splits, high, -DEAD), axis=-1, keepdims=True)
-        rest_pose = jnp.where(splits, poses[..., 1, :], -1)
-        rest_pose = jnp.max(rest_pose, axis=-1, keepdims=True)
-        return (
-            jnp.where(takes, _two(stop, rest), new),
-            jnp.where(takes, _two(stopped, rest_pose), by),
-            needs[..., 0] & jnp.all(is_live, axis=-1),
-        )
-
-    # Pieces to split are rare along the axis and the search for slots is dear.
-    return jax.lax.cond(jnp.any(is_split()), split, trim)
-
-
-def _two(low: Float[Array, "*n"] | Int[Array, "*n"], high: Array) -> Array:
-    return jnp.stack([low, high], axis=-2)
 
 
 class RemovalWindow(eqx.Module):
@@ -174,6 +110,99 @@ class RemovalWindow(eqx.Module):
         has_shank = length > cutter.flute_length
         return cls((counts[0], counts[1], counts[2]), slack, length, has_shank)
 
+    def remove_poses(
+        self,
+        stock: Stock,
+        cutter: AbstractCutter,
+        poses: Pose,
+        indices: Int[Array, " pose"],
+        is_due: Bool[Array, " pose"],
+        *,
+        slots: Int[Array, " 3"] | None = None,
+    ) -> "CutStock":
+        """Subtract the cutter at a few close poses, where it stands still.
+
+        The window stands around the first of them.
+
+        Args:
+            stock: The workpiece.
+            cutter: The cutter.
+            poses: Tool poses in `work`, shape (pose, 3).
+            indices: Index of each pose, kept with the ends that it cuts, shape (pose,).
+            is_due: Which of the poses to subtract, shape (pose,).
+            slots: How many slots of each family hold anything, shape (3,), so that no
+                more are looked at; all are if not given.
+
+        Returns:
+            The stock, what was taken, and what went wrong.
+
+        Differentiability: in the ends of the stock, through the poses.
+        """
+        passes = [standing(poses[i], indices[i]) for i in range(indices.shape[0])]
+        return self.remove_passes(stock, cutter, passes, is_due, slots=slots)
+
+    def remove_passes(
+        self,
+        stock: Stock,
+        cutter: AbstractCutter,
+        passes: Sequence[ToothPass],
+        is_due: Bool[Array, " pass"],
+        *,
+        slots: Int[Array, " 3"] | None = None,
+    ) -> "CutStock":
+        """Subtract what teeth take as they go around, at a few close places.
+
+        The window stands around the first pass.
+
+        Args:
+            stock: The workpiece.
+            cutter: The cutter.
+            passes: The passes, each of one tooth.
+            is_due: Which of them to subtract, shape (pass,).
+            slots: How many slots of each family hold anything, shape (3,), so that no
+                more are looked at; all are if not given.
+
+        Returns:
+            The stock, what was taken, and what went wrong.
+
+        Differentiability: in the ends of the stock, through the poses.
+        """
+        centers = [tooth.center().frozen() for tooth in passes]
+        grid = window_grid(stock, cutter, self, centers[0])
+        d = stock.spacing
+        has_overflow = jnp.zeros((), bool)
+        volumes = jnp.zeros(len(passes), stock.origin.dtype)
+        has_cut = jnp.zeros((), bool)
+        due = [_DuePass(each, is_due[i]) for i, each in enumerate(passes)]
+        families, in_use = [], []
+        for f in (0, 1, 2):
+            removed = _remove_family(
+                stock.families[f],
+                cutter,
+                f,
+                grid,
+                due,
+                None if slots is None else slots[f],
+            )
+            in_use.append(removed.in_use)
+            has_overflow = has_overflow | removed.has_overflow
+            has_cut = has_cut | jnp.any(removed.length > 0)
+            if stock.volume_weights[f]:
+                volumes = volumes + removed.length * stock.volume_weights[f] * d**2
+            families.append(removed.rays)
+        new_stock = eqx.tree_at(lambda s: s.families, stock, tuple(families))
+        by_shank = jnp.zeros_like(volumes)
+        if self.has_shank:
+            by_shank = _shank_volume(stock, cutter, grid, passes, is_due) * d**2
+        return CutStock(
+            new_stock,
+            volumes,
+            by_shank,
+            jnp.stack(in_use),
+            has_overflow,
+            grid.is_beyond & has_cut,
+        )
+
 
 class WindowGrid(NamedTuple):
     """Grid lines of a window where it stands.
@@ -234,94 +263,6 @@ class CutStock(eqx.Module):
     is_beyond: Bool[Array, ""]
 
 
-def remove_poses(
-    stock: Stock,
-    cutter: AbstractCutter,
-    window: RemovalWindow,
-    poses: Pose,
-    indices: Int[Array, " pose"],
-    is_due: Bool[Array, " pose"],
-    *,
-    slots: Int[Array, " 3"] | None = None,
-) -> CutStock:
-    """Subtract the cutter at a few close poses from the stock, where it stands still.
-
-    Args:
-        stock: The workpiece.
-        cutter: The cutter.
-        window: Size of the window; it stands around the first pose.
-        poses: Tool poses in `work`, shape (pose, 3).
-        indices: Index of each pose, kept with the ends that it cuts, shape (pose,).
-        is_due: Which of the poses to subtract, shape (pose,).
-        slots: How many slots of each family hold anything, shape (3,), so that no more
-            are looked at; all are if not given.
-
-    Returns:
-        The stock, what was taken, and what went wrong.
-
-    Differentiability: in the ends of the stock, through the poses.
-    """
-    passes = [standing(poses[i], indices[i]) for i in range(indices.shape[0])]
-    return remove_passes(stock, cutter, window, passes, is_due, slots=slots)
-
-
-def remove_passes(
-    stock: Stock,
-    cutter: AbstractCutter,
-    window: RemovalWindow,
-    passes: Sequence[ToothPass],
-    is_due: Bool[Array, " pass"],
-    *,
-    slots: Int[Array, " 3"] | None = None,
-) -> CutStock:
-    """Subtract what teeth take as they go around, at a few close places.
-
-    Args:
-        stock: The workpiece.
-        cutter: The cutter.
-        window: Size of the window; it stands around the first pass.
-        passes: The passes, each of one tooth.
-        is_due: Which of them to subtract, shape (pass,).
-        slots: How many slots of each family hold anything, shape (3,), so that no more
-            are looked at; all are if not given.
-
-    Returns:
-        The stock, what was taken, and what went wrong.
-
-    Differentiability: in the ends of the stock, through the poses.
-    """
-    centers = [tooth.center().frozen() for tooth in passes]
-    grid = window_grid(stock, cutter, window, centers[0])
-    d = stock.spacing
-    has_overflow = jnp.zeros((), bool)
-    volumes = jnp.zeros(len(passes), stock.origin.dtype)
-    has_cut = jnp.zeros((), bool)
-    due = [_DuePass(each, is_due[i]) for i, each in enumerate(passes)]
-    families, in_use = [], []
-    for f in (0, 1, 2):
-        removed = _remove_family(
-            stock.families[f], cutter, f, grid, due, None if slots is None else slots[f]
-        )
-        in_use.append(removed.in_use)
-        has_overflow = has_overflow | removed.has_overflow
-        has_cut = has_cut | jnp.any(removed.length > 0)
-        if stock.volume_weights[f]:
-            volumes = volumes + removed.length * stock.volume_weights[f] * d**2
-        families.append(removed.rays)
-    new_stock = eqx.tree_at(lambda s: s.families, stock, tuple(families))
-    by_shank = jnp.zeros_like(volumes)
-    if window.has_shank:
-        by_shank = _shank_volume(stock, cutter, grid, passes, is_due) * d**2
-    return CutStock(
-        new_stock,
-        volumes,
-        by_shank,
-        jnp.stack(in_use),
-        has_overflow,
-        grid.is_beyond & has_cut,
-    )
-
-
 def _shank_volume(
     stock: Stock,
     cutter: AbstractCutter,
@@ -343,7 +284,7 @@ def _shank_volume(
         left = cutter.flute_length - foot
         is_level = jnp.abs(a[2]) < _LEVEL
         above = pose.tip[2] + left / jnp.where(is_level, 1.0, a[2])
-        never = jnp.where(left < 0, -DEAD, DEAD)
+        never = jnp.where(left < 0, -Rays.DEAD, Rays.DEAD)
         above = jnp.where(is_level, never, above)
         # A shank that hangs down takes what lies below this height instead.
         low = jnp.where(a[2] >= 0, jnp.maximum(start, above), start)
@@ -507,7 +448,7 @@ def _subtract_among(
 ) -> tuple[_Window, _Taken]:
     """Subtract an interval from each ray, in the first slots."""
     old = window.ends[..., :width]
-    new, by, full = subtract(old, window.cut_by[..., :width], interval)
+    new, by, full = interval.subtract_from(old, window.cut_by[..., :width])
     corner = (0, 0, 0, 0)
     left = _Window(
         jax.lax.dynamic_update_slice(window.ends, new, corner),

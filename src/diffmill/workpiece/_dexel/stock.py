@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Sequence
-from typing import TypeAlias
+from typing import ClassVar, TypeAlias
 
 import equinox as eqx
 import jax
@@ -19,8 +19,6 @@ from .._mesh.mesh import Mesh
 Point: TypeAlias = (
     Float[Array, " 3"] | Float[np.ndarray, " 3"] | Sequence[RealScalarLike]
 )
-# Ends of a slot that holds nothing: far outside any workpiece, and reversed [m].
-DEAD = 1e3
 # Rays without material around the stock, so that distances are known outside it.
 MARGIN = 4
 
@@ -33,9 +31,15 @@ class Rays(eqx.Module):
 
     Attributes:
         ends: Lower and upper ends along the ray [m], shape (u, v, 2, slot).
-        poses: Which tool pose cut each end, in 2048ths of a tooth period from pose 0;
-            negative for the raw stock; shape (u, v, 2, slot).
+        poses: Which tool pose cut each end, in ticks from pose 0; negative for the raw
+            stock; shape (u, v, 2, slot).
+        DEAD: Ends of a slot that holds nothing, reversed: far outside any workpiece
+            [m].
+        TICKS: How many ticks a tooth period has.
     """
+
+    DEAD: ClassVar[float] = 1e3
+    TICKS: ClassVar[int] = 2048
 
     ends: Float[Array, "u v 2 slot"]
     poses: Int[Array, "u v 2 slot"]
@@ -249,7 +253,7 @@ def box(
         b, c = (f + 1) % 3, (f + 2) % 3
         shape = (len(lines[b]), len(lines[c]), 2, interval_counts[f])
         ends = np.empty(shape)
-        ends[:, :, 0], ends[:, :, 1] = DEAD, -DEAD
+        ends[:, :, 0], ends[:, :, 1] = Rays.DEAD, -Rays.DEAD
         filled = inside[b][:, None] & inside[c][None, :]
         ends[filled, 0, 0], ends[filled, 1, 0] = low[f], high[f]
         raw = np.full(shape, -1, np.int32)
@@ -290,7 +294,7 @@ def _resized(rays: Rays, count: int) -> tuple[Rays, int]:
     order = np.argsort(~is_live, axis=-1, kind="stable")[:, :, None]
     shape = (*ends.shape[:2], 2, count)
     new_ends, new_poses = np.empty(shape, ends.dtype), np.full(shape, -1, np.int32)
-    new_ends[:, :, 0], new_ends[:, :, 1] = DEAD, -DEAD
+    new_ends[:, :, 0], new_ends[:, :, 1] = Rays.DEAD, -Rays.DEAD
     kept = min(count, ends.shape[-1])
     new_ends[..., :kept] = np.take_along_axis(ends, order, axis=-1)[..., :kept]
     new_poses[..., :kept] = np.take_along_axis(poses, order, axis=-1)[..., :kept]

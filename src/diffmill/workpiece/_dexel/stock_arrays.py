@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Shaped
 
 from .._memory import check_memory
-from .stock import DEAD, Rays, Stock
+from .stock import Rays, Stock
 
 _NAMES = frozenset(
     {"origin", "spacing", "top"}
@@ -121,9 +121,9 @@ def _check_ends(ends: Float[np.ndarray, "u v 2 slot"], axis: str) -> None:
     is_live = high > low
     if (
         is_live.any()
-        and np.abs(ends[:, :, :][np.stack([is_live] * 2, 2)]).max() >= DEAD
+        and np.abs(ends[:, :, :][np.stack([is_live] * 2, 2)]).max() >= Rays.DEAD
     ):
-        raise ValueError(f"the array ends_{axis} reaches beyond {DEAD:g} m")
+        raise ValueError(f"the array ends_{axis} reaches beyond {Rays.DEAD:g} m")
     # Live slots in order, the dead ones behind.
     order = np.argsort(np.where(is_live, low, np.inf), axis=-1)
     low = np.take_along_axis(np.where(is_live, low, np.inf), order, axis=-1)

@@ -13,7 +13,7 @@ Times count in tooth periods from pose 0. The ends of rays remember them in whol
 """
 
 import math
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import equinox as eqx
 import jax
@@ -24,33 +24,15 @@ from jaxtyping import Array, Bool, Float, Int
 from ...cutter import AbstractCutter
 from ...numerics import clamp, hold
 from .._pose import Pose
+from .interval import CutInterval
+from .stock import Rays
 from .turn_between import turn_between
 
-# Parts of a tooth period in which the ends of rays remember when they were cut.
-TICKS = 2048
 # An end tells which pose cut it, and that where the end is: so often in turn. What is
 # left is the square of (way in a radian / R), in R.
 _ROUNDS = 2
 # Parts of a step in which columns look for their time.
 _FINE = 8
-
-
-class CutInterval(NamedTuple):
-    """What is cut from rays.
-
-    Attributes:
-        start: Lower end [m], shape (...).
-        stop: Upper end [m], same shape.
-        is_cut: Whether there is a cut, same shape.
-        started: When the lower end was cut, in ticks, same shape.
-        stopped: When the upper end was cut, in ticks, same shape.
-    """
-
-    start: Float[Array, "..."]
-    stop: Float[Array, "..."]
-    is_cut: Bool[Array, "..."]
-    started: Int[Array, "..."]
-    stopped: Int[Array, "..."]
 
 
 class PoseTrack(eqx.Module):
@@ -86,10 +68,10 @@ class PoseTrack(eqx.Module):
         self, nodes: Float[Array, "node some"], ticks: Int[Array, "*end"]
     ) -> Float[Array, "*end some"]:
         ticks = jnp.maximum(ticks, 0)
-        steps = (ticks % TICKS) * self.substeps
-        low = ticks // TICKS * self.substeps + steps // TICKS
+        steps = (ticks % Rays.TICKS) * self.substeps
+        low = ticks // Rays.TICKS * self.substeps + steps // Rays.TICKS
         high = jnp.minimum(low + 1, nodes.shape[0] - 1)
-        share = (steps % TICKS).astype(nodes.dtype)[..., None] / TICKS
+        share = (steps % Rays.TICKS).astype(nodes.dtype)[..., None] / Rays.TICKS
         # One gather for both: its transpose then adds into the table only once.
         both = nodes[jnp.stack([low, high])]
         return (1 - share) * both[0] + share * both[1]
@@ -175,22 +157,22 @@ class ToothPass(eqx.Module):
         nodes_per_radian = cutter.flute_count * self.substeps / (2 * math.pi)
         node = jax.lax.stop_gradient(self.passing + nodes_per_radian * turn)
         node = clamp(0.0, node, self.last)
-        return jnp.minimum(self._ticks(node) * (self.substeps / TICKS), self.last)
+        return jnp.minimum(self._ticks(node) * (self.substeps / Rays.TICKS), self.last)
 
     def _ticks(self, node: Float[Array, "*end"]) -> Float[Array, "*end"]:
         """Return whole ticks from node 0, such that they are whole from pose 0 too."""
         part = self._first_ticks(node.dtype)
-        return jnp.round(node * (TICKS / self.substeps) + part) - part
+        return jnp.round(node * (Rays.TICKS / self.substeps) + part) - part
 
     def ticks(self, node: Float[Array, "*end"]) -> Int[Array, "*end"]:
         """Return the times of some nodes in ticks, shape (...)."""
-        part = node * (TICKS / self.substeps) + self._first_ticks(node.dtype)
-        whole = self.first // self.substeps * TICKS
+        part = node * (Rays.TICKS / self.substeps) + self._first_ticks(node.dtype)
+        whole = self.first // self.substeps * Rays.TICKS
         return whole + jnp.round(part).astype(jnp.int32)
 
     def _first_ticks(self, dtype: DTypeLike) -> Float[Array, ""]:
         """Return the ticks of node 0 in its tooth period."""
-        return (self.first % self.substeps).astype(dtype) * (TICKS / self.substeps)
+        return (self.first % self.substeps).astype(dtype) * (Rays.TICKS / self.substeps)
 
 
 def standing(pose: Pose, index: Int[Array, ""]) -> ToothPass:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from .._dexel.stock import DEAD, MARGIN, Rays, Stock, block_grid
+from .._dexel.stock import MARGIN, Rays, Stock, block_grid
 from .._memory import check_memory, stock_bytes
 from .._stock_memory import StockMemory
 from .mesh import Mesh
@@ -191,7 +191,7 @@ def _rays(
     ray, piece_ends = pieces
     shape = (int(grid[0]), int(grid[1]), 2, slot_count)
     ends = np.empty(shape)
-    ends[:, :, 0], ends[:, :, 1] = DEAD, -DEAD
+    ends[:, :, 0], ends[:, :, 1] = Rays.DEAD, -Rays.DEAD
     # How many pieces of the same ray come before.
     slot = np.arange(len(ray)) - np.searchsorted(ray, ray)
     ends[ray // shape[1], ray % shape[1], :, slot] = piece_ends

@@ -62,6 +62,25 @@ class SurfaceError(eqx.Module):
     is_cut: Bool[np.ndarray, " n"]
     family: Int[np.ndarray, " n"]
 
+    @staticmethod
+    def of_stocks(
+        machined: Sequence[Stock], ideal: Stock, *, leaves_out_raw: bool = False
+    ) -> "list[SurfaceError]":
+        """Return the surface errors of some stocks against one ideal, meshed once.
+
+        Args:
+            machined: The stocks as they were cut.
+            ideal: As for `surface_error`.
+            leaves_out_raw: As for `surface_error`.
+
+        Raises:
+            ValueError: The ideal stock holds no material.
+        """
+        if not bool(ideal.volume() > 0):
+            raise ValueError("Argument `ideal` must hold material, but is empty.")
+        surface = _IdealSurface(ideal)
+        return [surface.error(stock, leaves_out_raw) for stock in machined]
+
     @property
     def area_share(self) -> Float[np.ndarray, " n"]:
         """Return the share of the surface that each point stands for, shape (n,).
@@ -116,26 +135,7 @@ def surface_error(
     Raises:
         ValueError: The ideal stock holds no material.
     """
-    return surface_errors([machined], ideal, leaves_out_raw=leaves_out_raw)[0]
-
-
-def surface_errors(
-    machined: Sequence[Stock], ideal: Stock, *, leaves_out_raw: bool = False
-) -> list[SurfaceError]:
-    """Return the surface errors of some stocks against one ideal, meshed once.
-
-    Args:
-        machined: The stocks as they were cut.
-        ideal: As for `surface_error`.
-        leaves_out_raw: As for `surface_error`.
-
-    Raises:
-        ValueError: The ideal stock holds no material.
-    """
-    if not bool(ideal.volume() > 0):
-        raise ValueError("Argument `ideal` must hold material, but is empty.")
-    surface = _IdealSurface(ideal)
-    return [surface.error(stock, leaves_out_raw) for stock in machined]
+    return SurfaceError.of_stocks([machined], ideal, leaves_out_raw=leaves_out_raw)[0]
 
 
 class _IdealSurface:

@@ -1,0 +1,95 @@
+"""An interval that is cut from each ray, and the pieces that it leaves."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from .stock import Rays
+
+# Pieces of a ray shorter than this are dropped and counted as removed [m].
+SHORTEST = 1e-9
+
+
+class CutInterval(NamedTuple):
+    """What is cut from rays.
+
+    Attributes:
+        start: Lower end [m], shape (...).
+        stop: Upper end [m], same shape.
+        is_cut: Whether there is a cut, same shape.
+        started: When the lower end was cut, in ticks, same shape.
+        stopped: When the upper end was cut, in ticks, same shape.
+    """
+
+    start: Float[Array, "..."]
+    stop: Float[Array, "..."]
+    is_cut: Bool[Array, "..."]
+    started: Int[Array, "..."]
+    stopped: Int[Array, "..."]
+
+    def subtract_from(
+        self,
+        ends: Float[Array, "*ray 2 slot"],
+        poses: Int[Array, "*ray 2 slot"],
+    ) -> tuple[
+        Float[Array, "*ray 2 slot"], Int[Array, "*ray 2 slot"], Bool[Array, "*ray"]
+    ]:
+        """Remove what is cut from each ray.
+
+        Args:
+            ends: Lower and upper ends [m], shape (..., 2, slot).
+            poses: When these ends were cut, in ticks, shape (..., 2, slot).
+
+        Returns:
+            New ends, when they were cut, and whether a piece found no free slot, shape
+            (...).
+
+        Differentiability: smooth in both ends wherever the order of the ends does not
+        change.
+        """
+        low, high = ends[..., 0, :], ends[..., 1, :]
+        start, stop, is_cut, started, stopped = (x[..., None] for x in self)
+
+        # Each branch computes what is met anew: it is cheaper than to hand it over.
+        def trim() -> tuple[Array, Array, Array]:
+            is_met = is_cut & (high > low) & (start < high) & (stop > low)
+            keeps_low = is_met & (low < start - SHORTEST)
+            keeps_high = is_met & (high > stop + SHORTEST)
+            is_gone = is_met & ~keeps_low & ~keeps_high
+            new_low = jnp.where(
+                is_gone, Rays.DEAD, jnp.where(is_met & ~keeps_low, stop, low)
+            )
+            new_high = jnp.where(is_gone, -Rays.DEAD, jnp.where(keeps_low, start, high))
+            low_pose = jnp.where(is_met & ~keeps_low, stopped, poses[..., 0, :])
+            high_pose = jnp.where(keeps_low, started, poses[..., 1, :])
+            is_full = jnp.zeros(low.shape[:-1], bool)
+            return _two(new_low, new_high), _two(low_pose, high_pose), is_full
+
+        def is_split() -> Bool[Array, "*ray slot"]:
+            return is_cut & (low < start - SHORTEST) & (high > stop + SHORTEST)
+
+        def split() -> tuple[Array, Array, Array]:
+            # The interval to remove lies inside at most one piece: one slot is enough.
+            new, by, _ = trim()
+            is_live, splits = high > low, is_split()
+            needs = jnp.any(splits, axis=-1, keepdims=True)
+            free = jnp.argmin(is_live, axis=-1)[..., None]
+            slots = jnp.arange(low.shape[-1]).reshape((1,) * (low.ndim - 1) + (-1,))
+            takes = (needs & ~is_live & (slots == free))[..., None, :]
+            rest = jnp.max(jnp.where(splits, high, -Rays.DEAD), axis=-1, keepdims=True)
+            rest_pose = jnp.where(splits, poses[..., 1, :], -1)
+            rest_pose = jnp.max(rest_pose, axis=-1, keepdims=True)
+            return (
+                jnp.where(takes, _two(stop, rest), new),
+                jnp.where(takes, _two(stopped, rest_pose), by),
+                needs[..., 0] & jnp.all(is_live, axis=-1),
+            )
+
+        # Pieces to split are rare along the axis and the search for slots is dear.
+        return jax.lax.cond(jnp.any(is_split()), split, trim)
+
+
+def _two(low: Float[Array, "*n"] | Int[Array, "*n"], high: Array) -> Array:
+    return jnp.stack([low, high], axis=-2)
