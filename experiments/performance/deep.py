@@ -57,7 +57,7 @@ def measure(report: Report) -> None:
 
 def contour() -> np.ndarray:
     """Return the fed moves of the program in plan, a row per tooth period [m]."""
-    program = dm.io.read_gcode(PROGRAM)
+    program = dm.io.parse_gcode(PROGRAM.read_text())
     moves = [m for m in program.moves if not m.is_rapid and m.end[2] < 0]
     corners = np.array([moves[0].start, *(m.end for m in moves)])[:, :2]
     length = np.append(0, np.cumsum(np.hypot(*np.diff(corners, axis=0).T)))

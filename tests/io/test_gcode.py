@@ -5,7 +5,7 @@ import math
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from diffmill.io import ProgramError, parse_gcode, read_gcode
+from diffmill.io import ProgramError, parse_gcode, read_program
 
 MM = 1e-3
 INCH = 25.4e-3
@@ -290,10 +290,10 @@ def test_files(tmp_path):
     file = tmp_path / "part.ngc"
     file.write_bytes(b"\xef\xbb\xbf(\xb5m \xff)\r\nG0 X1 Y1 Z1\r\nG1 F60 X2 \xb5\r\n")
     with pytest.raises(ProgramError, match=r"part\.ngc, line 3"):
-        read_gcode(file)
+        read_program(file)
     file.write_bytes(b"(\xb5m \xff)\r\nG0 X1 Y1 Z1\r\nG1 F60 X2\r\n")
-    program = read_gcode(file)
+    program = read_program(file)
     assert program.name == "part.ngc"
     assert "G1 F60 X2" in program.source
     with pytest.raises(ProgramError):
-        read_gcode(tmp_path / "none.ngc")
+        read_program(tmp_path / "none.ngc")

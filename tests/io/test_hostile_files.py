@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 import pytest
+import xarray
 
 import diffmill
 from diffmill import config, io, robot, workpiece
@@ -135,8 +136,8 @@ def test_a_loop_of_links_is_no_file(tmp_path):
     (tmp_path / "job.toml").symlink_to("job.toml")
     assert "no such file" in message_of(diffmill.load_job, tmp_path / "job.toml")
     (tmp_path / "out").symlink_to("out")
-    with pytest.raises((io.ResultsError, OSError)):
-        io.write_folder(tmp_path / "out", lambda folder: None, force=False)
+    with pytest.raises((ValueError, OSError)):
+        io.write_results(tmp_path / "out", xarray.Dataset())
 
 
 @pytest.mark.parametrize("kind", ["[]", "{}", "1", "[[1]]", "true"])
@@ -158,7 +159,7 @@ def test_the_kind_of_an_identification_is_a_text(tmp_path, kind):
 def test_programs(tmp_path, text, found):
     file = tmp_path / "part.ngc"
     file.write_text(text)
-    assert found in message_of(io.read_gcode, file)
+    assert found in message_of(io.read_program, file)
 
 
 def test_many_spindle_speeds_are_one_fault(tmp_path):
@@ -177,7 +178,7 @@ def test_paths(tmp_path, column, cell):
     rows[1][names.index(column)] = cell
     file = tmp_path / "path.csv"
     file.write_text("\n".join(",".join(row) for row in [names, *rows]))
-    message = message_of(io.read_path_csv, file, io.PathFileError)
+    message = message_of(io.read_path_csv, file, io.ProgramError)
     assert "line 3" in message
 
 

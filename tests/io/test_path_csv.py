@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diffmill.io import PathFileError, read_path_csv, write_path_csv
+from diffmill.io import ProgramError, read_path_csv, write_path_csv
 from diffmill.toolpath import Path
 
 
@@ -108,7 +108,7 @@ HEADER = "time_s,x_mm,y_mm,z_mm"
     ],
 )
 def test_faults_are_named(read, text, parts):
-    with pytest.raises(PathFileError) as caught:
+    with pytest.raises(ProgramError) as caught:
         read(text)
     assert str(caught.value).startswith("path.csv")
     for part in parts:
@@ -117,12 +117,12 @@ def test_faults_are_named(read, text, parts):
 
 def test_all_faults_are_listed_up_to_twenty(read):
     rows = "".join(f"{k},x,0,0\n" for k in range(50))
-    with pytest.raises(PathFileError) as caught:
+    with pytest.raises(ProgramError) as caught:
         read(f"{HEADER}\n{rows}")
-    assert len(caught.value.faults) == 20 + 1
+    assert len(caught.value.faults) == 20
     assert "further faults" in str(caught.value)
 
 
 def test_missing_file_is_named(tmp_path):
-    with pytest.raises(PathFileError, match=r"nothing\.csv"):
+    with pytest.raises(ProgramError, match=r"nothing\.csv"):
         read_path_csv(tmp_path / "nothing.csv")

@@ -5,7 +5,8 @@ import pytest
 import xarray
 
 from diffmill import workpiece
-from diffmill.io import ResultsError, check_folder, mark_incomplete, write_results
+from diffmill.cli import main
+from diffmill.io import mark_incomplete, write_results
 
 
 @pytest.fixture
@@ -102,7 +103,7 @@ def test_force_replaces_results_and_nothing_else(tmp_path, dataset):
     out.mkdir()
     write_results(out, dataset, files={"old.txt": "old", "both.txt": "old"})
     (out / "mine.txt").write_text("mine")
-    with pytest.raises(ResultsError, match="--force"):
+    with pytest.raises(ValueError, match="--force"):
         write_results(out, dataset)
     write_results(out, dataset, files={"both.txt": "new"}, force=True)
     assert names(out) == ["both.txt", "manifest.txt", "mine.txt", "result.nc"]
@@ -123,16 +124,17 @@ def test_names_stay_in_the_folder(tmp_path, dataset):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_folder_that_is_a_file(tmp_path):
+def test_folder_that_is_a_file(tmp_path, dataset):
     (tmp_path / "out").write_text("")
-    with pytest.raises(ResultsError, match="--out"):
-        check_folder(tmp_path / "out", force=True)
-    with pytest.raises(ResultsError, match="--out"):
-        check_folder(tmp_path / "out" / "below")
+    with pytest.raises(ValueError, match="--out"):
+        write_results(tmp_path / "out", dataset, force=True)
+    with pytest.raises(ValueError, match="--out"):
+        write_results(tmp_path / "out" / "below", dataset)
 
 
-def test_check_writes_nothing(tmp_path):
-    check_folder(tmp_path / "a" / "b")
+def test_a_check_before_the_run_writes_nothing(tmp_path):
+    missing = str(tmp_path / "none.toml")
+    assert main(["simulate", missing, "--out", str(tmp_path / "a" / "b")]) == 2
     assert list(tmp_path.iterdir()) == []
 
 

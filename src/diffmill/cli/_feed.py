@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 import numpy as np
 
 from .._jax_config import configure_jax
-from .._results_folder import check_folder
+from .._results_folder import ResultsFolder
 from ._run_job import with_job
 from ._session.attempts import Attempts
 from ._session.errors import BadInput, bad_input
@@ -60,7 +60,7 @@ def run_feed(
     """
     folder = pathlib.Path(f"{file.stem}-feed") if out is None else out
     with bad_input():
-        check_folder(folder, force=force)
+        ResultsFolder.of(folder).check(force=force)
     # What takes seconds to import waits until it is needed.
     from .._result import SimulationFailed
     from ..config import job_precision, load_job

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .._jax_config import configure_jax
-from .._results_folder import check_folder
+from .._results_folder import ResultsFolder
 from ._robot_text import robot_lines
 from ._session.errors import bad_input
 from ._session.progress import Progress
@@ -51,10 +51,10 @@ def run_robot(
     """
     folder = pathlib.Path(f"{pathlib.Path(model).stem}-robot") if out is None else out
     with bad_input():
-        check_folder(folder, force=force)
+        ResultsFolder.of(folder).check(force=force)
     # What takes seconds to import waits until it is needed.
     configure_jax()
-    from ..io import parse_pose, write_folder
+    from ..io import parse_pose
     from ..robot import load, spindle_note
 
     with bad_input(), warnings.catch_warnings(record=True) as noted:
@@ -75,7 +75,8 @@ def run_robot(
         print("\n".join(robot_lines(facts)))
     with progress:
         progress.update("figures")
-        write_folder(folder, _filler(robot, q, facts), force=force)
+        fill = _filler(robot, q, facts)
+        ResultsFolder.of(folder).write(fill, force=force)
     progress.say(f"results: {folder}")
     return 0
 

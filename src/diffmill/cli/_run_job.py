@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from .._jax_config import configure_jax
-from .._results_folder import check_folder
+from .._results_folder import ResultsFolder
 from ._analyses import FinishedRun, add_analyses
 from ._session.checkpoint import Checkpoint
 from ._session.errors import BadInput, bad_input
@@ -54,7 +54,7 @@ def run_job(
     band = _length(tolerance_band)
     folder = pathlib.Path(f"{file.stem}-{command}") if out is None else out
     with bad_input():
-        check_folder(folder, force=force)
+        ResultsFolder.of(folder).check(force=force)
     # What takes seconds to import waits until it is needed.
     from .._result import SimulationFailed
     from .._toml import JobError

@@ -13,18 +13,9 @@ what laboratory programs write. What `diffmill identify` is to find out stands i
 file like a job.
 """
 
-from .._results_folder import (
-    ResultsError as ResultsError,
-    check_folder as check_folder,
-)
-from ._checkpoint import (
-    CheckpointError as CheckpointError,
-    CheckpointFile as CheckpointFile,
-    fingerprint as fingerprint,
-)
+from ._checkpoint import CheckpointFile as CheckpointFile
 from ._joint_positions import parse_pose as parse_pose
 from ._path_csv import (
-    PathFileError as PathFileError,
     read_path_csv as read_path_csv,
     write_path_csv as write_path_csv,
 )
@@ -39,23 +30,16 @@ from ._programs.rs274.frame import (
 )
 from ._programs.rs274.interpreter import (
     parse_gcode as parse_gcode,
-    read_gcode as read_gcode,
 )
 from ._programs.rs274.writer import write_gcode as write_gcode
 from ._programs.setup import ProgramSetup as ProgramSetup
 from ._programs.stream import OffsetStream as OffsetStream
 from ._records.errors import RecordError as RecordError
-from ._records.load_record import load_record as load_record, read_table as read_table
-from ._records.reader import (
-    TIME_COLUMN as TIME_COLUMN,
-    Quantity as Quantity,
-    TableReader as TableReader,
-)
-from ._records.timeline import timeline as timeline
+from ._records.load_record import load_record as load_record
+from ._records.quantity import Quantity as Quantity
+from ._records.reader import TableReader as TableReader
 from ._results import (
     described as described,
-    extend_results as extend_results,
     mark_incomplete as mark_incomplete,
-    write_folder as write_folder,
     write_results as write_results,
 )

@@ -47,31 +47,32 @@ class DamagedCheckpoint(CheckpointError):
     """Raise when a file is no whole checkpoint; the one before may be."""
 
 
-def fingerprint(tree: Any) -> str:
-    """Return the SHA-256 of everything in a tree of modules, as hexadecimal digits.
-
-    Args:
-        tree: Modules, tuples, lists, dicts, arrays, numbers, text and functions in any
-            nesting; every byte of every array counts.
-
-    Raises:
-        TypeError: Something in it has no bytes that stand for it.
-    """
-    digest = hashlib.sha256()
-    _feed(digest, tree)
-    return digest.hexdigest()
-
-
 class CheckpointFile(NamedTuple):
     """A checkpoint and the one before it, under the suffix `.previous`.
 
     Attributes:
         path: The file.
-        job_fingerprint: `fingerprint` of the job that it belongs to.
+        job_fingerprint: Of the job that it belongs to.
     """
 
     path: pathlib.Path
     job_fingerprint: str
+
+    @classmethod
+    def of_job(cls, path: pathlib.Path, job: object) -> "CheckpointFile":
+        """Return the checkpoint of a job, known by every byte of every array in it.
+
+        Args:
+            path: The file.
+            job: Modules, tuples, lists, dicts, arrays, numbers, text and functions in
+                any nesting.
+
+        Raises:
+            TypeError: Something in it has no bytes that stand for it.
+        """
+        digest = hashlib.sha256()
+        _feed(digest, job)
+        return cls(path, digest.hexdigest())
 
     @property
     def previous(self) -> pathlib.Path:

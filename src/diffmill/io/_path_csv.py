@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 
 from .._messages import shown
 from ..toolpath import Path
+from ._programs.faults import Fault, ProgramError
 
 _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "inch": 0.0254}
 _TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0}
@@ -19,22 +20,9 @@ _SPEEDS = {
 }
 _UNITS = {"time": _TIMES, "x": _LENGTHS, "y": _LENGTHS, "z": _LENGTHS, "feed": _SPEEDS}
 _PLAIN = ("rapid", "line", "i", "j", "k")
-_SHOWN_FAULTS = 20
 _MOST_BYTES = 250_000_000
 # Farthest from the origin [m].
 _LARGEST = 100.0
-
-
-class PathFileError(ValueError):
-    """A path file that cannot be read, with everything wrong in it.
-
-    Attributes:
-        faults: What is wrong, in the order of the lines; at most 20.
-    """
-
-    def __init__(self, name: str, faults: list[str]):
-        self.faults = tuple(shown(faults, _SHOWN_FAULTS))
-        super().__init__("\n".join(f"{name}, {fault}" for fault in self.faults))
 
 
 def read_path_csv(file: str | os.PathLike[str]) -> Path:
@@ -54,18 +42,23 @@ def read_path_csv(file: str | os.PathLike[str]) -> Path:
         their line in the file.
 
     Raises:
-        PathFileError: If anything in the file is wrong; up to 20 faults are listed.
+        ProgramError: If anything in the file is wrong; up to 20 faults are listed.
     """
     path = pathlib.Path(file)
     try:
         with path.open("rb") as stream:
             data = stream.read(_MOST_BYTES + 1)
     except OSError as error:
-        raise PathFileError(str(path), [f"cannot be read: {error.strerror}."]) from None
+        raise _refused(str(path), [f"cannot be read: {error.strerror}."]) from None
     if len(data) > _MOST_BYTES:
-        raise PathFileError(path.name, [f"has more than {_MOST_BYTES / 1e6:g} MB."])
+        raise _refused(path.name, [f"has more than {_MOST_BYTES / 1e6:g} MB."])
     text = data.decode("utf-8-sig", errors="replace")
     return _path_of_text(text, path.name)
+
+
+def _refused(name: str, faults: list[str]) -> ProgramError:
+    lines = shown(faults, len(faults))
+    return ProgramError(name, [Fault(0, "", line) for line in lines])
 
 
 class _Line(NamedTuple):
@@ -83,25 +76,25 @@ def _path_of_text(text: str, name: str) -> Path:
         if line.strip() and not line.lstrip().startswith("#")
     ]
     if not rows:
-        raise PathFileError(name, ["the file is empty; needed is a header and 2 rows."])
+        raise _refused(name, ["the file is empty; needed is a header and 2 rows."])
     number, header = rows[0]
     delimiter = ";" if ";" in header else ","
     labels = [label.strip().lower() for label in header.split(delimiter)]
     faults: list[str] = []
     columns, scales = _columns(labels, number, faults)
     if faults:
-        raise PathFileError(name, faults)
+        raise _refused(name, faults)
     values = _values(rows[1:], labels, delimiter, faults)
     if len(rows) < 3:
         faults.append(f"found {len(rows) - 1} rows after the header; needed are 2.")
     if faults:
-        raise PathFileError(name, faults)
+        raise _refused(name, faults)
     lines = np.array([row.number for row in rows[1:]], dtype=np.int32)
     with np.errstate(over="ignore"):
         data = {key: values[:, index] * scales[key] for key, index in columns.items()}
     _check(data, lines, faults)
     if faults:
-        raise PathFileError(name, faults)
+        raise _refused(name, faults)
     return _path(data, lines)
 
 

@@ -1,26 +1,21 @@
-"""Results on disk: a folder that is complete, or absent, or says that it is not."""
+"""Results on disk: a dataset with units and versions, and files beside it."""
 
-import contextlib
 import os
 import pathlib
 import platform
-import shutil
-import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from importlib import metadata
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from .._results_folder import check_folder
+from .._results_folder import ResultsFolder
 from ..workpiece import Stock, save_stock
 
 # xarray takes half a second to import, which only these functions need.
 Dataset: TypeAlias = Any
 Content: TypeAlias = str | bytes | Callable[[pathlib.Path], object]
 
-# Names of the files of the last run, so that `force` replaces those and no others.
-_MANIFEST = "manifest.txt"
 _UNITS = {
     "step": "1",
     "time": "s",
@@ -78,72 +73,9 @@ def write_results(
         if fill is not None:
             fill(folder)
 
-    return write_folder(out, fill_all, force=force)
-
-
-def write_folder(
-    out: str | os.PathLike[str],
-    fill: Callable[[pathlib.Path], object],
-    *,
-    force: bool = False,
-) -> pathlib.Path:
-    """Write a folder of files, all of them or nothing.
-
-    Args:
-        out: The folder.
-        fill: Called with a temporary folder, to write any number of files to.
-        force: Whether to replace the results in a folder that is not empty; files
-            that no earlier run wrote stay.
-
-    Returns:
-        The folder.
-
-    Raises:
-        ResultsError: If the folder is not empty, or cannot be written to.
-    """
-    check_folder(out, force=force)
-    folder = pathlib.Path(os.path.realpath(out))
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    with _filled(folder, fill) as temporary:
-        _publish(temporary, folder)
-    return folder
-
-
-def extend_results(
-    out: str | os.PathLike[str], fill: Callable[[pathlib.Path], object]
-) -> None:
-    """Add files to a folder of results, or replace some; all of them or nothing.
-
-    Args:
-        out: The folder, as `write_results` left it.
-        fill: Called with a temporary folder, to write any number of files to.
-
-    Raises:
-        OSError: The files cannot be written.
-    """
-    folder = pathlib.Path(os.path.realpath(out))
-    with _filled(folder, fill) as temporary:
-        names = {p.name for p in temporary.iterdir()} | set(_manifest(folder))
-        _move_into(folder, temporary, names)
-
-
-@contextlib.contextmanager
-def _filled(
-    folder: pathlib.Path, fill: Callable[[pathlib.Path], object]
-) -> Iterator[pathlib.Path]:
-    """Yield a temporary sibling of a folder, filled; remove what is left of it."""
-    made = tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent)
-    temporary = pathlib.Path(made)
-    try:
-        try:
-            fill(temporary)
-        except OSError as error:
-            if error.filename is None:
-                error.filename = str(folder)
-            raise
-        yield temporary
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+    folder = ResultsFolder.of(out)
+    folder.write(fill_all, force=force)
+    return folder.path
 
 
 def described(dataset: Dataset) -> Dataset:
@@ -218,7 +150,7 @@ def mark_incomplete(
 def _write(folder: pathlib.Path, name: str, content: Content) -> None:
     """Write one further file."""
     target = folder / name
-    if not _is_plain(folder, name):
+    if not ResultsFolder(folder).has_place_for(name):
         raise ValueError(f"File `{name}` must lie directly in the folder.")
     if callable(content):
         content(target)
@@ -226,61 +158,3 @@ def _write(folder: pathlib.Path, name: str, content: Content) -> None:
         target.write_bytes(content)
     else:
         target.write_text(content, encoding="utf-8", newline="\n")
-
-
-def _publish(temporary: pathlib.Path, folder: pathlib.Path) -> None:
-    """Give the finished folder its name; replace earlier results."""
-    names = {p.name for p in temporary.iterdir()}
-    if folder.is_dir() and any(folder.iterdir()):
-        _clear(folder)
-        _move_into(folder, temporary, names)
-        return
-    _write_manifest(temporary, names)
-    # A temporary folder is private to its owner; a result is like any other folder.
-    mask = os.umask(0)
-    os.umask(mask)
-    temporary.chmod(0o777 & ~mask)
-    if folder.is_dir():
-        folder.rmdir()
-    os.rename(temporary, folder)
-
-
-def _move_into(
-    folder: pathlib.Path, temporary: pathlib.Path, names: Iterable[str]
-) -> None:
-    """Move the files of a temporary folder; the manifest, first, has the names."""
-    moved = sorted(p.name for p in temporary.iterdir())
-    _write_manifest(temporary, names)
-    for name in [_MANIFEST, *moved]:
-        target = folder / name
-        if target.is_dir() and not target.is_symlink():
-            shutil.rmtree(target)
-        os.replace(temporary / name, target)
-
-
-def _write_manifest(folder: pathlib.Path, names: Iterable[str]) -> None:
-    (folder / _MANIFEST).write_text("\n".join(sorted({*names, _MANIFEST})) + "\n")
-
-
-def _manifest(folder: pathlib.Path) -> list[str]:
-    """Return the names of the files of the run before, as its manifest tells."""
-    try:
-        names = (folder / _MANIFEST).read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError):
-        return []
-    # A manifest is only text: it must not reach outside its folder.
-    return [name for name in names if _is_plain(folder, name)]
-
-
-def _is_plain(folder: pathlib.Path, name: str) -> bool:
-    return (folder / name).parent == folder and name not in ("", ".", "..")
-
-
-def _clear(folder: pathlib.Path) -> None:
-    """Remove the results of the run before."""
-    for name in _manifest(folder):
-        target = folder / name
-        if target.is_dir() and not target.is_symlink():
-            shutil.rmtree(target)
-        else:
-            target.unlink(missing_ok=True)

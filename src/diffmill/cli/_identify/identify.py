@@ -7,7 +7,7 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from ..._jax_config import configure_jax
-from ..._results_folder import check_folder
+from ..._results_folder import ResultsFolder
 from .._session.errors import BadInput, bad_input
 from .._session.progress import Progress
 from .report import Report
@@ -37,13 +37,12 @@ def run_identify(
     """
     folder = pathlib.Path(f"{file.stem}-identify") if out is None else out
     with bad_input():
-        check_folder(folder, force=force)
+        ResultsFolder.of(folder).check(force=force)
     # What takes seconds to import waits until it is needed.
     configure_jax()
     from ..._result import SimulationFailed
     from ...config import load_identification
     from ...identification import StudyError
-    from ...io import write_folder
     from ...viz import save_figure
     from .toml_snippets import snippet
 
@@ -73,7 +72,7 @@ def run_identify(
 
     with progress:
         progress.update("figures")
-        write_folder(folder, fill, force=force)
+        ResultsFolder.of(folder).write(fill, force=force)
     if not progress.is_quiet:
         print("\n".join([*report.lines, "", *report.toml]))
     progress.say(f"results: {folder} ({time.perf_counter() - start:.1f} s)")

@@ -6,6 +6,8 @@ import sys
 import traceback
 from collections.abc import Callable, Iterator
 
+from ..._results_folder import ResultsFolder
+
 _ERRORS = "errors.txt"
 
 
@@ -37,7 +39,6 @@ class Attempts:
             folder: The folder of the results.
             fill: Called with a temporary folder, to write any number of files to.
         """
-        from ...io import extend_results
 
         def fill_all(target: pathlib.Path) -> None:
             fill(target)
@@ -49,7 +50,7 @@ class Attempts:
                 (target / _ERRORS).write_text("\n".join(text), encoding="utf-8")
 
         with self.at("writing"):
-            extend_results(folder, fill_all)
+            ResultsFolder.of(folder).extend(fill_all)
 
     def conclude(self, folder: pathlib.Path) -> int:
         """Print one message on all steps that failed; return the exit code."""

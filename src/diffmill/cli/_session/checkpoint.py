@@ -28,11 +28,11 @@ class Checkpoint:
     """
 
     def __init__(self, folder: pathlib.Path, job: "Job"):
-        from ...io import CheckpointFile, fingerprint
+        from ...io import CheckpointFile
 
         folder = pathlib.Path(os.path.realpath(folder))
         path = folder.with_name(f"{folder.name}.checkpoint")
-        self.file = CheckpointFile(path, fingerprint(job))
+        self.file = CheckpointFile.of_job(path, job)
         self.resumed: Mapping[str, np.ndarray] | None = None
         self.spent = 0.0
         self._began = time.perf_counter()

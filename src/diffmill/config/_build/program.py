@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ... import io
-from ...io import PROGRAM_FORMATS, PathFileError, ProgramError, ProgramSetup
+from ...io import PROGRAM_FORMATS, ProgramError, ProgramSetup
 from ...robot import Robot
 from ...toolpath import (
     Path,
@@ -43,7 +43,7 @@ def read_program(table: ProgramTable, context: FileContext) -> Program | Path | 
         if isinstance(program, Path):
             return program
         chosen = program.of_tool(table.tool)
-    except (ProgramError, PathFileError) as error:
+    except ProgramError as error:
         context.problems.extend(_problems(str(error)))
         return None
     except ValueError as error:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ...identification import ControllerStudy
-from ...io import PathFileError, read_path_csv
+from ...io import ProgramError, read_path_csv
 from ...toolpath import Path
 from .context import Context
 from .schema import AirPathTable
@@ -54,7 +54,7 @@ def _path(name: str, key: str, context: Context) -> Path | None:
         return None
     try:
         return read_path_csv(file)
-    except PathFileError as error:
+    except ProgramError as error:
         context.problems.extend(
             f"[air_path] {key}: {line}" for line in str(error).splitlines()
         )

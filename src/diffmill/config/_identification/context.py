@@ -7,7 +7,7 @@ from typing import NamedTuple, TypeVar
 from ..._job import Job
 from ..._toml import JobError
 from ...cutter import AbstractCutter
-from ...io import RecordError, TableReader, read_table
+from ...io import RecordError, TableReader
 from .._build.context import FileContext
 from .._load_job import load_job
 from .schema import CutTable, MeasuredTable
@@ -79,8 +79,8 @@ class Context(NamedTuple):
         if path is None:
             return None
         try:
-            columns = read_table(path)
-            return build(TableReader(table.file, columns, table.channels, table.units))
+            name, channels, units = table.file, table.channels, table.units
+            return build(TableReader.of_file(path, name, channels, units))
         except RecordError as error:
             faults = error.faults
         except OSError as error:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...identification import CoupledStudy
-from ...io import TIME_COLUMN, Quantity, TableReader
+from ...io import Quantity, TableReader
 from ...sim import parameter_names
 from ...units import FORCE, LENGTH
 from .context import Context
@@ -71,8 +71,8 @@ def _columns(reader: TableReader) -> _Columns:
     Raises:
         RecordError: Nothing of it can be fitted.
     """
-    reader.allow((TIME_COLUMN, *_VECTORS["force"], *_VECTORS["deviation"]))
-    time = reader.values(TIME_COLUMN)
+    reader.allow((reader.TIME, *_VECTORS["force"], *_VECTORS["deviation"]))
+    time = reader.values(reader.TIME)
     parts: dict[str, np.ndarray | None] = {}
     for name, quantities in _VECTORS.items():
         columns = [reader.values(quantity) for quantity in quantities]

@@ -6,7 +6,7 @@ import numpy as np
 
 from ... import units as q
 from ...identification import FrequencyResponse, RingDown
-from ...io import TIME_COLUMN, Quantity, TableReader, timeline
+from ...io import Quantity, TableReader
 from ...robot import Robot
 from .context import Context
 from .robot import joint_positions
@@ -56,8 +56,8 @@ def _ring_down(
 ) -> Callable[[TableReader], RingDown]:
     def build(reader: TableReader) -> RingDown:
         # Modes do not depend on the size of the signal.
-        reader.allow((TIME_COLUMN, _SIGNAL))
-        time = reader.values(TIME_COLUMN)
+        reader.allow((reader.TIME, _SIGNAL))
+        time = reader.values(reader.TIME)
         names = reader.table.columns
         if "signal" not in reader.channels and len(names) == 1 + (time is not None):
             # The only other column needs no name.
@@ -70,7 +70,7 @@ def _ring_down(
         reader.check()
         assert signal is not None
         rate = table.rate or reader.table.rate
-        line = timeline(time, np.isfinite(signal), rate, reader.faults, reader.notes)
+        line = reader.timeline(time, np.isfinite(signal), rate)
         reader.check()
         assert line is not None
         t, y = np.asarray(line.time, np.float64), signal[line.rows]

@@ -8,13 +8,10 @@ import numpy as np
 from jaxtyping import Float
 
 from ...identification import Record, find_saturated
-from .binary import read_mat, read_netcdf, read_tdms
 from .errors import RecordError
 from .reader import TableReader
 from .record_columns import FORCES, OTHERS
-from .table import Column, Table
-from .text import read_text
-from .timeline import timeline
+from .table import Column
 
 _SAME_RATE = 0.01
 
@@ -55,7 +52,7 @@ def load_record(
             str(file), [f"the rate must be positive and finite, but is {rate}."]
         )
     try:
-        reader = TableReader(str(file), read_table(file), channels, units)
+        reader = TableReader.of_file(file, str(file), channels, units)
     except OSError as error:
         reason = error.strerror or str(error)
         raise RecordError(str(file), [f"cannot be read: {reason}."]) from None
@@ -64,13 +61,8 @@ def load_record(
     nothing = np.zeros(max(len(one) for one in values.values()))
     force = np.stack([values.get(q.key, nothing) for q in FORCES], axis=1)
     is_valid = np.asarray(np.isfinite(force).all(axis=1))
-    line = timeline(
-        values.get("time"),
-        is_valid,
-        rate or rates[0] or reader.table.rate,
-        reader.faults,
-        reader.notes,
-    )
+    given = rate or rates[0] or reader.table.rate
+    line = reader.timeline(values.get("time"), is_valid, given)
     if line is not None and rate is not None and abs(line.rate / rate - 1) > _SAME_RATE:
         reader.faults.append(
             f"the rate is given as {rate:g} Hz, but the time column has {line.rate:g} "
@@ -101,25 +93,6 @@ def load_record(
         notes=tuple(reader.notes),
         source=reader.name,
     )
-
-
-def read_table(file: pathlib.Path) -> Table:
-    """Return the columns of a file; what it begins with decides, then its suffix.
-
-    Raises:
-        RecordError: If no columns are in it.
-        OSError: If the file cannot be read.
-    """
-    with file.open("rb") as stream:
-        begin = stream.read(128)
-    suffix = file.suffix.lower()
-    if begin.startswith(b"TDSm") or suffix == ".tdms":
-        return read_tdms(file)
-    if begin.startswith(b"MATLAB") or suffix == ".mat":
-        return read_mat(file)
-    if begin.startswith((b"\x89HDF", b"CDF")) or suffix in (".nc", ".nc4", ".cdf"):
-        return read_netcdf(file)
-    return read_text(file)
 
 
 def _columns(

@@ -1,69 +1,18 @@
 """Columns of a table by quantity: found by name, in SI units, with what was assumed."""
 
+import pathlib
 import re
 from collections.abc import Iterable, Mapping
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ...units import ANGLE, TIME, QuantityKind
 from .errors import RecordError
+from .quantity import TIME_COLUMN, Quantity
+from .read_table import read_table
 from .table import Column, Table, given_scale, is_unit, scale, split_unit
-
-# What may stand between a word and the letter of an axis.
-_PARTS = r"[\s_.\-]*"
-
-
-class Quantity(NamedTuple):
-    """A quantity that a table may have a column of.
-
-    Attributes:
-        key: Its name, as in `channels`.
-        pattern: Regular expression of a column's whole name, whatever its case.
-        kinds: Dimensions that it may have; none takes the numbers as they are.
-        units: Keys of `units` under which its unit may stand, the first one counts.
-        loose: Regular expression to be found within a name if none fits as a whole.
-    """
-
-    key: str
-    pattern: str
-    kinds: tuple[QuantityKind, ...] = ()
-    units: tuple[str, ...] = ()
-    loose: str = ""
-
-    @classmethod
-    def vector(
-        cls, letter: str, words: str, kind: QuantityKind, unit: str | None = None
-    ) -> "tuple[Quantity, ...]":
-        """Return the three quantities of a vector, such as Fx, Fy, Fz.
-
-        Args:
-            letter: Before x, y and z in their keys.
-            words: Regular expression of what may stand before or after an axis.
-            kind: Their dimension.
-            unit: Key of `units` for all three.
-        """
-        units = () if unit is None else (unit,)
-        return tuple(
-            cls(
-                f"{letter}{a}",
-                rf"({words}){_PARTS}{a}|{a}{_PARTS}({words})",
-                (kind,),
-                units,
-            )
-            for a in "xyz"
-        )
-
-
-# LabVIEW writes the device before the name: `Dev1/Time`.
-TIME_COLUMN = Quantity(
-    "time",
-    r"([^/\\]+[/\\])?(t|time|zeit|x_?value|time ?stamp|"
-    r"(abs\w*|rel\w*|elapsed)[ _]?time|temps|seconds|sekunden)",
-    (TIME,),
-    ("time",),
-)
+from .timeline import Timeline, timeline
 
 
 class TableReader:
@@ -77,7 +26,10 @@ class TableReader:
         units: What a number stands for, as the user says, before what the file says.
         faults: What is wrong, told at once by `check`.
         notes: What was assumed.
+        TIME: The quantity of a column of the time.
     """
+
+    TIME = TIME_COLUMN
 
     def __init__(
         self,
@@ -90,6 +42,43 @@ class TableReader:
         self.channels, self.units = dict(channels or {}), dict(units or {})
         self.faults: list[str] = []
         self.notes: list[str] = list(table.notes)
+
+    @classmethod
+    def of_file(
+        cls,
+        file: pathlib.Path,
+        name: str,
+        channels: Mapping[str, str | int | None] | None = None,
+        units: Mapping[str, str] | None = None,
+    ) -> "TableReader":
+        """Return the table of a file.
+
+        Args:
+            file: The file.
+            name: What messages call it.
+            channels: Columns that the user gives.
+            units: Units that the user gives.
+
+        Raises:
+            RecordError: If no columns are in it.
+            OSError: If the file cannot be read.
+        """
+        return cls(name, read_table(file), channels, units)
+
+    def timeline(
+        self,
+        time: Float[np.ndarray, " row"] | None,
+        is_valid: Bool[np.ndarray, " row"],
+        rate: float | None,
+    ) -> Timeline | None:
+        """Return increasing instants for some rows, or None with a fault.
+
+        Args:
+            time: The time column [s], NaN where it has none, or None without a column.
+            is_valid: Whether a row has all that is needed.
+            rate: Sampling rate that the user or the header gives [Hz], or None.
+        """
+        return timeline(time, is_valid, rate, self.faults, self.notes)
 
     def check(self) -> None:
         """Raise `RecordError` with all faults, if there are any."""

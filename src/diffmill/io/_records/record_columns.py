@@ -3,7 +3,7 @@
 import re
 
 from ...units import ANGLE, FORCE
-from .reader import TIME_COLUMN, Quantity
+from .quantity import TIME_COLUMN, Quantity
 
 # Names that leave no doubt, and names that hold the force's as a word:
 # `Dyno Fx filtered`, `Ch1_Fx`.

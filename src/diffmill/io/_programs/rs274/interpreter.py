@@ -7,14 +7,12 @@ all errors of a file are reported together.
 """
 
 import math
-import os
-import pathlib
 import re
 
 from ....toolpath import Move, Point, Program
 from ..faults import SHOWN_FAULTS, Fault, ProgramError
 from ..setup import ProgramSetup
-from ..text import read_text, split_lines
+from ..text import split_lines
 from .arcs import (
     INCH_TOLERANCE,
     MM_TOLERANCE,
@@ -62,31 +60,6 @@ _NO_MOTION = {
 }
 
 
-def read_gcode(
-    file: str | os.PathLike[str],
-    *,
-    feed: float | None = None,
-    setup: ProgramSetup | None = None,
-) -> Program:
-    """Return the moves of a G-code file.
-
-    Args:
-        file: Path of the file; bytes that are no UTF-8 may stand in comments.
-        feed: Feed of moves for which the file gives none [m/s]; None makes a missing
-            feed an error.
-        setup: What else the file does not say.
-
-    Returns:
-        The program in SI units, with its text.
-
-    Raises:
-        ProgramError: If the file cannot be read or contains anything that is not
-            supported; the message lists up to 20 faults with line and word.
-    """
-    path = pathlib.Path(file)
-    return parse_gcode(read_text(path), name=path.name, feed=feed, setup=setup)
-
-
 def parse_gcode(
     text: str,
     *,
@@ -94,7 +67,22 @@ def parse_gcode(
     feed: float | None = None,
     setup: ProgramSetup | None = None,
 ) -> Program:
-    """Return the moves of G-code text; arguments and errors as `read_gcode`."""
+    """Return the moves of G-code text.
+
+    Args:
+        text: The text; `read_program` takes it from a file.
+        name: Name of the file, for messages.
+        feed: Feed of moves for which the text gives none [m/s]; None makes a missing
+            feed an error.
+        setup: What else the text does not say.
+
+    Returns:
+        The program in SI units, with its text.
+
+    Raises:
+        ProgramError: If the text contains anything that is not supported; the message
+            lists up to 20 faults with line and word.
+    """
     setup = ProgramSetup() if setup is None else setup
     if feed is not None:
         setup = ProgramSetup(**{**vars(setup), "feed": feed})
