@@ -64,7 +64,7 @@ def fake_simulate(job, *, on_progress):
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sim, "simulate", fake_simulate)
-    monkeypatch.setattr(sim, "find_chatter", lambda job, solution: None)
+    monkeypatch.setattr(sim.Stability, "where_suspected", lambda job, solution: None)
     (tmp_path / "job.toml").write_text(JOB)
     (tmp_path / "part.ngc").write_text(PROGRAM)
     return tmp_path
@@ -116,7 +116,7 @@ def test_contacts_and_stability_are_said_and_kept(folder, monkeypatch, capsys):
         warning=lambda: "the cut is unstable",
         visibility=lambda: "it shows",
     )
-    monkeypatch.setattr(sim, "find_chatter", lambda job, solution: found)
+    monkeypatch.setattr(sim.Stability, "where_suspected", lambda job, solution: found)
     monkeypatch.setattr(viz, "figure_inputs", fail)
     assert main(["simulate", "job.toml"]) == 1
     said = capsys.readouterr().err.splitlines()

@@ -11,8 +11,9 @@ import xarray
 from slides_job import JOB, write_slides_job
 from slot_force import SPEED, K, slot_force
 
-from diffmill import cutter as ct, identification, load_job, robot as rb
-from diffmill.cli import main, report_of
+from diffmill import config, cutter as ct, identification, load_job, robot as rb
+from diffmill.cli import main
+from diffmill.cutting import LinearEdgeLaw
 
 MEANS = """kind = "mean_forces"
 [cutter]
@@ -87,7 +88,7 @@ def test_means_are_fitted_and_axes_are_proposed_not_changed(folder, capsys):
     assert main(["identify", "turned.toml"]) == 0
     assert "make more sense" not in capsys.readouterr().out
     out, facts, toml = results(folder, "turned")
-    for name, value in zip(identification.NAMES, K, strict=True):
+    for name, value in zip(LinearEdgeLaw.NAMES, K, strict=True):
         assert abs(facts["coefficients_SI"][name] / value - 1) < 0.05
         error = facts["coefficients_SI"][name] - value
         assert abs(error) < 4 * facts["standard_errors_SI"][name]
@@ -242,10 +243,11 @@ def test_a_hammer_test_gives_the_machine_of_a_job(folder):
     assert np.abs(found - truth).max() < 0.01 * np.abs(truth).max()
 
 
-def test_a_coupled_fit_is_told_and_drawn_beside_its_record(tmp_path):
+def test_a_coupled_fit_is_told_and_drawn_beside_its_record(tmp_path, monkeypatch):
     """Half of the coefficients would be no law: the job's stand beside the fitted."""
-    job = load_job(write_slides_job(tmp_path))
-    law = {name: float(getattr(job.law, name)) for name in identification.NAMES}
+    file = write_slides_job(tmp_path)
+    job = load_job(file)
+    law = {name: float(getattr(job.law, name)) for name in LinearEdgeLaw.NAMES}
     fitted = {name: 1.1 * law[name] for name in ("K_tc", "K_rc", "K_ac")}
     time = np.arange(80) * float(job.tooth_period)
     wave = np.column_stack([np.sin(20 * time), np.cos(20 * time), 0 * time])
@@ -253,7 +255,7 @@ def test_a_coupled_fit_is_told_and_drawn_beside_its_record(tmp_path):
     study = identification.CoupledStudy(
         "run", job, time, 100 * wave, 1e-4 * wave, None, False, False, "huber", ()
     )
-    fit = identification.CoupledFit(
+    fit = identification.CoupledStudy.Fit(
         parameters=fitted,
         standard_errors={name: 0.01 * value for name, value in fitted.items()},
         correlation=np.eye(3),
@@ -272,17 +274,19 @@ def test_a_coupled_fit_is_told_and_drawn_beside_its_record(tmp_path):
         notes=(),
         job=job,
     )
-    report = report_of(study, fit)
-    text = "\n".join(report.toml)
+    monkeypatch.setattr(config, "load_identification", lambda *_, **__: study)
+    monkeypatch.setattr(identification.CoupledStudy, "run", lambda *_: fit)
+    out = tmp_path / "out"
+    assert main(["identify", str(file), "--out", str(out)]) == 0
+    text = (out / "identified.toml").read_text()
     found = tomllib.loads(text)["force"]
-    assert set(found) == set(identification.NAMES)
+    assert set(found) == set(LinearEdgeLaw.NAMES)
     tc, te = (float(found[name].split()[0]) for name in ("K_tc", "K_te"))
     assert tc == pytest.approx(1.1e-6 * law["K_tc"], rel=1e-5)
     assert te == pytest.approx(1e-3 * law["K_te"], rel=1e-5)
     assert text.count("# as in the job") == 3
-    assert set(report.figures) == {"force", "deviation", "correlation"}
-    for draw in report.figures.values():
-        draw().savefig(tmp_path / "figure.png")
+    figures = {file.stem for file in out.glob("*.png")}
+    assert figures == {"force", "deviation", "correlation"}
 
 
 def test_what_is_wrong_is_said_once_and_nothing_is_written(folder, capsys):
@@ -385,7 +389,7 @@ def test_records_of_four_programs_are_fitted_together(folder, capsys):
     assert main(["identify", "four.toml"]) == 0
     said = capsys.readouterr().out
     _, facts, _ = results(folder, "four")
-    for name, value in zip(identification.NAMES, K, strict=True):
+    for name, value in zip(LinearEdgeLaw.NAMES, K, strict=True):
         assert abs(facts["coefficients_SI"][name] / value - 1) < 0.03
     assert facts["explained"] > 0.99
     # Tooth 0 passes the mark 30 degrees on, or tooth 1 does.
@@ -424,13 +428,13 @@ def test_a_record_of_a_straight_cut_gives_its_coefficients(folder, capsys):
     assert 'axes: ["y", "x", "z"] (the likeliest, as asked for)' in text
     assert " 6012." in text and "No section without a cut was found" in text
     out, facts, toml = results(folder, "slot")
-    for name, value in zip(identification.NAMES, K, strict=True):
+    for name, value in zip(LinearEdgeLaw.NAMES, K, strict=True):
         assert abs(facts["coefficients_SI"][name] / value - 1) < 0.02
     assert facts["left_out"][0]["error"] < 0.06
     assert {"record.png", "spectrum.png", "left_out.png", "correlation.png"} <= {
         p.name for p in out.iterdir()
     }
-    assert set(toml["force"]) == set(identification.NAMES)
+    assert set(toml["force"]) == set(LinearEdgeLaw.NAMES)
 
 
 @pytest.mark.slow
@@ -450,7 +454,7 @@ def test_two_forces_give_what_they_show(folder, capsys):
     assert "does not vary" not in said and "make more sense" not in said
     assert "no axial force was measured: record it too" in said
     _, facts, toml = results(folder, "slot")
-    for name, value in zip(identification.NAMES, K, strict=True):
+    for name, value in zip(LinearEdgeLaw.NAMES, K, strict=True):
         assert facts["identifiable"][name] == (not name.startswith("K_a"))
         if facts["identifiable"][name]:
             assert abs(facts["coefficients_SI"][name] / value - 1) < 0.03

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import diffmill as dm
-from diffmill import process as pr, sim
+from diffmill import process as pr
 from diffmill.correction import Ensemble, ScaledPlant, TipPlant, delayed
 from diffmill.toolpath import contour_error
 from small_job import small_job
@@ -103,7 +103,7 @@ def _random(
 ) -> None:
     """Print the errors over draws of all parameters."""
     scales = Ensemble.draw_scales(
-        sim.parameter_names(job),
+        job.parameter_names,
         count=draws,
         seed=SEED,
         stiffness=WRONG,
@@ -136,7 +136,7 @@ def _members(report: Any, job: dm.Job, errors: Errors, commands: Commands) -> No
     known = job.correction.uncertainty
     assert known is not None
     scales = Ensemble.draw_scales(
-        sim.parameter_names(job),
+        job.parameter_names,
         count=known.draws,
         seed=known.seed,
         stiffness=known.stiffness,
@@ -172,7 +172,7 @@ def _one_at_a_time(
     report: Any, job: dm.Job, errors: Errors, commands: Commands
 ) -> None:
     """Print the errors where one kind of parameter is wrong by a stated amount."""
-    names = sim.parameter_names(job)
+    names = job.parameter_names
     _head(report, "one kind of parameter wrong", commands)
     for kind, start in KINDS.items():
         is_kind = [
@@ -190,7 +190,7 @@ def _late(report: Any, job: dm.Job, errors: Errors, commands: Commands) -> None:
     """Print the errors where the command, or only its offset, is carried out late."""
     step = float(job.tooth_period)
     path = np.asarray(job.path.positions)
-    right = np.zeros(len(sim.parameter_names(job)))
+    right = np.zeros(len(job.parameter_names))
     for what, nominal in (("the whole command late", None), ("its offset late", path)):
         _head(report, what, commands)
         for delay in DELAYS:

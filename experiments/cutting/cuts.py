@@ -21,7 +21,7 @@ SPACING = DIAMETER / 50
 SPINDLE_SPEED = 8000 * 2 * math.pi / 60
 FEED = 0.1e-3
 UP, ALONG = np.array([0.0, 0, 1]), np.array([1.0, 0, 0])
-NAMES = ("K_tc", "K_rc", "K_ac", "K_te", "K_re", "K_ae")
+NAMES = dm.cutting.LinearEdgeLaw.NAMES
 # The coefficients of the examples [Pa, N/m].
 COEFFICIENTS = (989.8e6, 337.3e6, 66.9e6, 3.0e3, 15.4e3, 4.5e3)
 LAW = dm.cutting.LinearEdgeLaw(**dict(zip(NAMES, COEFFICIENTS, strict=True)))

@@ -81,7 +81,7 @@ def corner(teeth, spacing, angles, substeps):
 def with_factors(job, factors):
     """Return a job whose parameters are the truth's times factors."""
     log_scale = np.concatenate([np.log(factors), [0.0]])
-    return sim.with_scaled(job.with_precision(), jnp.asarray(log_scale))
+    return job.with_precision().with_scaled(jnp.asarray(log_scale))
 
 
 def noisy(values, draw):
@@ -117,7 +117,7 @@ def measure(report):
     force, deviation = noisy(record.force, draw), noisy(record.deviation, draw)
     job = corner(50, 0.5e-3, 192, 8)
     start = with_factors(job, OFF)
-    names = sim.parameter_names(job)[:-1]
+    names = job.parameter_names[:-1]
     factors = dict(zip(names, OFF, strict=True))
     begun = time.perf_counter()
     fit = identification.fit_coupled(start, force=force, deviation=deviation)
@@ -135,12 +135,12 @@ def measure(report):
 
 def costs(report, job):
     """Time derivatives by all parameters at once, one by one, and a gradient."""
-    names = sim.parameter_names(job)
+    names = job.parameter_names
     motors, _ = sim.JobKinematics(job).motors(jnp.asarray(job.path.positions))
 
     def tips(x):
         full = jnp.concatenate([x, jnp.zeros(1)])
-        scaled = sim.with_scaled(job, full)
+        scaled = job.with_scaled(full)
         return sim.JobModel.of(scaled, pr.ThroughPoses()).run(motors).actual
 
     zero = jnp.zeros(len(names) - 1)

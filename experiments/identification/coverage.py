@@ -6,6 +6,7 @@ import numpy as np
 
 import shared
 from diffmill import identification
+from diffmill.cutting import LinearEdgeLaw
 
 FEEDS, TEETH = (0.05e-3, 0.1e-3, 0.15e-3), 60
 NOISE, SHIFT, RUNOUT = 0.05, 1.234e-3, 12e-6
@@ -67,7 +68,7 @@ def measure(report):
 
 def _numbers(fit):
     """Return coefficients, time shift and run-out, and their standard errors."""
-    errors = [fit.standard_errors[name] for name in identification.NAMES]
+    errors = [fit.standard_errors[name] for name in LinearEdgeLaw.NAMES]
     values = np.append(fit.raw, fit.time_shift[0])
     errors.append(fit.time_shift_errors[0])
     if fit.refined:
@@ -78,7 +79,7 @@ def _numbers(fit):
 
 def judge(report, off, ratio):
     """Print what became of every number over the seeds."""
-    names = (*identification.NAMES, "time shift", "run-out")[: off.shape[1]]
+    names = (*LinearEdgeLaw.NAMES, "time shift", "run-out")[: off.shape[1]]
     within = 100 * np.mean(np.abs(ratio) < 2, axis=0)
     for i, name in enumerate(names):
         report.say(

@@ -6,7 +6,7 @@ and the error that lists every fault are in `diffmill.io`.
 """
 
 import dataclasses
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -299,6 +299,72 @@ class Job(eqx.Module):
         """Tool axes of the path, None if the tool stands upright."""
         return jnp.asarray(self.path.axes) if self.simulation.axes else None
 
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the parameters in the order of `with_scaled`.
+
+        "K" and "D" with the name of a joint or mode for stiffness and damping, the
+        force law's own names, and "speed".
+        """
+        springs = [f"{letter} {name}" for letter in "KD" for name in self._springs()]
+        return (*springs, *self._coefficient_names(), "speed")
+
+    def with_scaled(self, log_scale: Float[Array, " parameter"]) -> "Job":
+        """Return the job with every parameter times the exponential of a number.
+
+        Args:
+            log_scale: Logarithms of the factors in the order of `parameter_names`,
+                shape (parameter,).
+
+        Returns:
+            The job; all teeth's values of a coefficient have the same factor.
+
+        Raises:
+            ValueError: The machine is rigid.
+
+        Differentiability: smooth.
+        """
+        factor = jnp.exp(log_scale)
+        count, names = len(self._springs()), self._coefficient_names()
+        stiffness, damping = factor[:count], factor[count : 2 * count]
+        coefficients = factor[2 * count : -1]
+        values = lambda job: [getattr(job.law, name) for name in names]
+        leaves = lambda job: [*job._drives(), *values(job), job.spindle_speed]
+        if self.modes is None:
+            scales = [stiffness, damping]
+        else:
+            # At the same modal mass: omega^2 is the stiffness, 2 zeta omega the
+            # damping.
+            root = jnp.sqrt(stiffness)
+            scales = [root, damping / root]
+        drives = [x * scale for x, scale in zip(self._drives(), scales, strict=True)]
+        law = [jnp.asarray(x) * coefficients[i] for i, x in enumerate(values(self))]
+        speed = jnp.asarray(self.spindle_speed) * factor[-1]
+        return eqx.tree_at(leaves, self, [*drives, *law, speed])
+
+    def _springs(self) -> tuple[str, ...]:
+        """Return the names of what is soft: joints or modes."""
+        if self.modes is not None:
+            return tuple(f"mode {k + 1}" for k in range(len(self.modes.frequencies)))
+        if self.robot is None:
+            raise ValueError("Argument `job` must not have a rigid machine, but has.")
+        return self.robot.joint_names
+
+    def _drives(self) -> list[Any]:
+        """Return the leaves that say how soft and how damped the machine is."""
+        if self.modes is not None:
+            return [self.modes.frequencies, self.modes.damping_ratios]
+        assert self.robot is not None
+        return [self.robot.joint_stiffness, self.robot.joint_damping]
+
+    def _coefficient_names(self) -> tuple[str, ...]:
+        """Return the fields of the force law that hold numbers."""
+        return tuple(
+            field.name
+            for field in dataclasses.fields(self.law)
+            if _is_real(getattr(self.law, field.name))
+        )
+
     def with_precision(self) -> "Job":
         """Return the job with all its numbers in its precision.
 
@@ -356,3 +422,10 @@ class Job(eqx.Module):
             stock=self.stock.with_interval_counts(counts),
             notes=(*notes, note.format(listed)),
         )
+
+
+def _is_real(value: object) -> bool:
+    dtype = getattr(value, "dtype", None)
+    if dtype is None:
+        return isinstance(value, float)
+    return bool(jnp.issubdtype(dtype, jnp.floating))

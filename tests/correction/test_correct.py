@@ -75,7 +75,7 @@ def test_a_limit_below_the_program_is_refused_before_anything_runs(load):
 def test_a_joint_beyond_its_limit_is_refused_before_anything_runs(load, method):
     job, told = load(f'method = "{method}"\n'), []
     desired = jnp.asarray(job.path.positions)
-    most = float(JobKinematics(job).motors(desired)[0][:, 0].max())
+    most = float(JobKinematics(job).motors(desired).positions[:, 0].max())
     upper = jnp.asarray(job.robot.joint_upper).at[0].set(most - 1e-4)
     close = eqx.tree_at(lambda j: j.robot.joint_upper, job, upper)
     with pytest.raises(InfeasibleLimit, match="'axis_1'"):
@@ -154,7 +154,8 @@ def test_joints_are_held_within_their_limits(load):
     nominal = np.asarray(job.path.positions)
     bound = float(job.correction.max_offset)
     assert JointLimits(job).rows(spline, nominal, bound) == ()
-    motors = np.asarray(JobKinematics(job).motors(jnp.asarray(nominal))[0])
+    rows = lambda tips: JobKinematics(job).motors(jnp.asarray(tips)).positions
+    motors = np.asarray(rows(nominal))
     joint = 0
     limit = float(motors[:, joint].max()) + 1e-4 / 1.5
     upper = jnp.asarray(job.robot.joint_upper).at[joint].set(limit)
@@ -170,12 +171,12 @@ def test_joints_are_held_within_their_limits(load):
     coefficients = project(spline, wild, bound, limits=(limits,))
     held = nominal + np.asarray(spline.offsets(jnp.asarray(coefficients)))
     JointLimits(close).check(held, is_joints=False)
-    most = np.asarray(JobKinematics(job).motors(jnp.asarray(held))[0])[:, joint].max()
+    most = np.asarray(rows(held))[:, joint].max()
     assert limit - 1e-5 < most <= limit
     # The rows are the derivative of what the motors do.
     small = 1e-3 * coefficients
     moved = nominal + np.asarray(spline.offsets(jnp.asarray(small)))
-    change = np.asarray(JobKinematics(job).motors(jnp.asarray(moved))[0]) - motors
+    change = np.asarray(rows(moved)) - motors
     rows = limits.apply(small)
     assert np.max(np.abs(rows)) > 1e-8
     apart = np.abs(change[:, joint][None] - rows[:, None]).min(axis=1)

@@ -8,12 +8,7 @@ import numpy as np
 import pytest
 
 from diffmill import robot as rb, sim
-from diffmill.correction import (
-    at_instants,
-    differentiate,
-    inverse_drive,
-    spring_deflection,
-)
+from diffmill.correction import inverse_drive
 
 
 @pytest.fixture(scope="module")
@@ -21,38 +16,46 @@ def arm():
     return rb.load("reis_rv130_like")
 
 
-def test_spring_deflection_of_a_ramp_is_exact():
+def slide(stiffness, damping, mass=1.0):
+    """A robot of one slide, which gravity does not load."""
+    joint = rb.PrismaticJoint("slide", (1, 0, 0), stiffness=stiffness, damping=damping)
+    return rb.build([joint, rb.RigidBody(mass, (0, 0, 0), np.eye(3))])
+
+
+def deflection(robot, force, time_step, positions=None):
+    """The slide's deflection for means of the force along it."""
+    rows = np.zeros((len(force), 3))
+    rows[:, 0] = force
+    q = jnp.zeros((len(force), 1)) if positions is None else positions
+    return inverse_drive(robot, q, rows, time_step).deflection[:, 0]
+
+
+def test_the_deflection_by_a_ramp_is_exact():
     # D d' + K d = c t from rest: d = c (t - D / K + D / K exp(-K t / D)) / K.
     K, D, c, T = 2.0, 0.5, 3.0, 0.3
     t = T * np.arange(20)
-    torque = jnp.asarray(c * t)[:, None]
-    found = spring_deflection(torque, jnp.array([K]), jnp.array([D]), T)
+    # Means over the steps that end at t_k; the arm pulls against the force.
+    found = deflection(slide(K, D), -c * (t - T / 2), T)
     expected = c * (t - D / K * (1 - np.exp(-K * t / D))) / K
-    np.testing.assert_allclose(found[:, 0], expected, rtol=1e-12)
+    np.testing.assert_allclose(found[:-1], expected[:-1], rtol=1e-12, atol=1e-15)
 
 
-def test_spring_deflection_without_damping_is_the_static_one():
-    torque = jnp.asarray(np.random.default_rng(0).normal(size=(10, 2)))
-    K = jnp.array([2.0, 5.0])
-    found = spring_deflection(torque, K, jnp.zeros(2), 0.1)
-    np.testing.assert_allclose(found, torque / K[None], rtol=1e-13)
+def test_the_deflection_without_damping_is_the_static_one():
+    means = np.random.default_rng(0).normal(size=10)
+    found = deflection(slide(2.0, 0.0), means, 0.1)
+    expected = -(means[:-1] + means[1:]) / 2 / 2.0
+    np.testing.assert_allclose(found[:-1], expected, rtol=1e-13)
 
 
-def test_differences_converge_with_the_square_of_the_step():
+def test_the_force_of_inertia_converges_with_the_square_of_the_step():
     errors = []
     for count in (100, 200):
         t = np.linspace(0, 1, count + 1)
         q = jnp.asarray(t**4 * (1 - t) ** 4)[:, None]
-        _, acceleration = differentiate(q, 1 / count)
+        found = deflection(slide(5.0, 0.0, mass=2.0), np.zeros(t.size), 1 / count, q)
         p = np.polynomial.Polynomial.fromroots([0, 0, 0, 0, 1, 1, 1, 1])
-        errors.append(np.abs(acceleration[:, 0] - p.deriv(2)(t)).max())
+        errors.append(np.abs(found - 2.0 / 5.0 * p.deriv(2)(t)).max())
     assert 3.5 < errors[0] / errors[1] < 4.5
-
-
-def test_instants_of_a_linear_force_are_exact():
-    # Means over the steps that end at t_k of a force that equals time.
-    means = jnp.arange(10.0)[:, None] - 0.5
-    np.testing.assert_allclose(at_instants(means)[:-1, 0], np.arange(9.0))
 
 
 @pytest.mark.slow

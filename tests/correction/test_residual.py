@@ -14,7 +14,7 @@ from correction.spring_mass import rounded_square, soft_arm
 from slides_job import write_slides_job
 
 import diffmill as dm
-from diffmill.correction import Problem, measure, residual
+from diffmill.correction import GivenCommand, Problem, residual
 
 TIME_STEP = 5e-3
 BEND = "G21 G17 G90 G94\nG0 X-5.5 Y4 Z-0.8\nG1 X3 F6000\nM2\n"
@@ -48,7 +48,7 @@ def least(fit):
 
 def rms(fit, unknowns):
     problem, command = fit.args.problem, fit.command(unknowns, fit.args)
-    return measure(problem, command, problem.run(command)[1]).rms
+    return GivenCommand(command)(problem).measures.rms
 
 
 def test_a_start_is_the_uncorrected_command(fit):

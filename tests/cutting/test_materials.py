@@ -12,7 +12,7 @@ from diffmill import cutting
 ROOT = pathlib.Path(__file__).parents[2]
 DATA = ROOT / os.environ.get("DIFFMILL_REFERENCE_DATA", "../shared/data")
 COLLECTION = DATA / "forces" / "coefficients.json"
-NAMES = ("K_tc", "K_rc", "K_ac", "K_te", "K_re", "K_ae")
+NAMES = cutting.LinearEdgeLaw.NAMES
 
 
 def coefficients(name):

@@ -16,8 +16,9 @@ from diffmill import (
     toolpath as tp,
     workpiece as wp,
 )
+from diffmill.cutting import LinearEdgeLaw
 
-NAMES = identification.NAMES
+NAMES = LinearEdgeLaw.NAMES
 STEPS = 45
 FEEDS = (0.08e-3, 0.16e-3)
 
@@ -183,7 +184,7 @@ def test_a_tacho_is_the_clock_of_an_uneven_spindle(is_known):
         time, force, 1e4, nothing, nothing, tacho=tacho, angle=None
     )
     first = math.radians(40) if is_known else 0.0
-    seen = identification.angle_from_tacho(record, first_angle=first, smoothing=21)
+    seen = record.angle_from_tacho(first_angle=first, smoothing=21)
     off = np.remainder(seen - angle - first + math.radians(40) + 1, 2 * math.pi) - 1
     assert np.abs(off).max() < 0.05
     sizes = identification.StraightCut(cuts()[0].cutter, SPEED, FEEDS[0], DEPTH)

@@ -20,6 +20,7 @@ from diffmill import (
     toolpath as tp,
     workpiece as wp,
 )
+from diffmill.cutting import LinearEdgeLaw
 
 PERIOD, MASS, ZETA = 3.75e-3, 80.0, 0.08
 STIFFNESS = np.array([1.5e6, 2.5e6, 4e6])
@@ -75,7 +76,7 @@ def started(job, changes=("K", "D", "law")):
         K, D = STIFFNESS * OFF["K"], np.asarray(robot.joint_damping) * OFF["D"]
         robot = robot.with_drives(stiffness=K, damping=D)
     if "law" in changes:
-        factors = zip(identification.NAMES, OFF["law"], strict=True)
+        factors = zip(LinearEdgeLaw.NAMES, OFF["law"], strict=True)
         law = dataclasses.replace(law, **{n: f * getattr(law, n) for n, f in factors})
     return eqx.tree_at(lambda j: (j.robot, j.law), job, (robot, law))
 
@@ -84,8 +85,8 @@ def values_of(job):
     """Return the parameters of a job, by name."""
     robot, law = job.robot, job.law
     values = [*robot.joint_stiffness, *robot.joint_damping]
-    values += [getattr(law, name) for name in identification.NAMES]
-    *names, speed = sim.parameter_names(job)
+    values += [getattr(law, name) for name in LinearEdgeLaw.NAMES]
+    *names, speed = job.parameter_names
     assert speed == "speed"
     return dict(zip(names, map(float, values), strict=True))
 

@@ -1,9 +1,11 @@
+import dataclasses
 import math
 
 import numpy as np
 import pytest
 
 from diffmill import identification
+from diffmill.cutting import LinearEdgeLaw
 
 K = np.array([958.86e6, 250.863e6, 146.361e6, 15.758e3, 19.434e3, 18.207e3])
 FEEDS = np.array([0.025e-3, 0.05e-3, 0.1e-3, 0.125e-3])
@@ -35,7 +37,7 @@ def test_turned_means_are_told_and_turned_back(order, signs):
     right = [one for one in alike if one.axes == wanted]
     assert len(right) == 1 and not right[0].violations
     assert len(found) == 48
-    for name, k in zip(identification.NAMES, K, strict=True):
+    for name, k in zip(LinearEdgeLaw.NAMES, K, strict=True):
         assert abs(right[0].fit.coefficients[name] / k - 1) < 0.1
 
 
@@ -50,10 +52,17 @@ def test_a_slot_read_with_wrong_axes_makes_no_sense():
 def test_one_number_says_as_much_as_the_covariance():
     # Independent errors of 3 % of each coefficient, whatever the force.
     columns = np.random.default_rng(0).normal(size=(50, 6))
-    names: list[str] = list(identification.NAMES)
+    names: list[str] = list(LinearEdgeLaw.NAMES)
     values = dict(zip(names, K.tolist(), strict=True))
     errors = dict(zip(names, (0.03 * K).tolist(), strict=True))
-    share = identification.relative_uncertainty(values, errors, np.eye(6), columns)
+    line = identification.fit_mean_forces(FEEDS, means(), **SLOT)
+
+    def told(correlation, rows):
+        known = {"coefficients": values, "standard_errors": errors}
+        fit = dataclasses.replace(line, correlation=correlation, **known)
+        return fit.relative_uncertainty(rows)
+
+    share = told(np.eye(6), columns)
     np.testing.assert_allclose(share, 0.03)
     # Two that only their sum is known of: the force hardly varies.
     correlation = np.eye(6)
@@ -61,9 +70,9 @@ def test_one_number_says_as_much_as_the_covariance():
     same = columns.copy()
     same[:, 0], same[:, 3] = 1 / K[0], 1 / K[3]
     same[:, [1, 2, 4, 5]] = 0.0
-    share = identification.relative_uncertainty(values, errors, correlation, same)
+    share = told(correlation, same)
     assert share < 1e-9
     # What is not known at all does not count.
     errors["K_ae"], values["K_ae"] = np.inf, np.nan
-    share = identification.relative_uncertainty(values, errors, np.eye(6), columns)
+    share = told(np.eye(6), columns)
     assert np.isfinite(share)

@@ -9,11 +9,12 @@ from helpers import PAPER_LAW
 from references import circles
 
 from diffmill import identification
+from diffmill.cutting import LinearEdgeLaw
 
 ROOT = pathlib.Path(__file__).parents[2]
 DATA = ROOT / os.environ.get("DIFFMILL_REFERENCE_DATA", "../shared/data")
 FEEDS = np.array([0.05, 0.1, 0.15, 0.2]) * 1e-3
-PAPER = {name: getattr(PAPER_LAW, name) for name in identification.NAMES}
+PAPER = {name: getattr(PAPER_LAW, name) for name in LinearEdgeLaw.NAMES}
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,6 @@ import pytest
 from diffmill.identification import (
     CutSpan,
     Record,
-    angle_from_tacho,
     find_saturated,
     refine_spindle_speed,
 )
@@ -111,17 +110,17 @@ def test_the_tacho_gives_the_angle():
     noise = 0.02 * np.random.default_rng(1).normal(size=time.size)
     pulse = np.clip(4.0 * (0.6 - np.abs(turned - 0.6)), 0.0, 1.0) + noise
     record = record_of(time, np.zeros((5000, 3)), tacho=pulse)
-    found = angle_from_tacho(record)
+    found = record.angle_from_tacho()
     error = found - angle
     # A sample is 0.06 rad.
     assert np.ptp(error[200:-200]) < 0.03
     missing = np.where((time > 0.5) & (time < 0.51), 0.0, pulse)
-    again = angle_from_tacho(record_of(time, record.force, tacho=missing))
+    again = record_of(time, record.force, tacho=missing).angle_from_tacho()
     np.testing.assert_allclose(again[-1], found[-1], atol=0.05)
     with pytest.raises(ValueError):
-        angle_from_tacho(record_of(time, record.force))
+        record_of(time, record.force).angle_from_tacho()
     with pytest.raises(ValueError):
-        angle_from_tacho(record_of(time, record.force, tacho=0.0 * time))
+        record_of(time, record.force, tacho=0.0 * time).angle_from_tacho()
 
 
 def test_a_force_that_was_not_measured_stays_so():

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from diffmill.io import ProgramError, parse_gcode, read_program
+from diffmill.toolpath import Program
 
 MM = 1e-3
 INCH = 25.4e-3
@@ -293,6 +294,7 @@ def test_files(tmp_path):
         read_program(file)
     file.write_bytes(b"(\xb5m \xff)\r\nG0 X1 Y1 Z1\r\nG1 F60 X2\r\n")
     program = read_program(file)
+    assert isinstance(program, Program)
     assert program.name == "part.ngc"
     assert "G1 F60 X2" in program.source
     with pytest.raises(ProgramError):

@@ -9,6 +9,7 @@ import re
 import pytest
 
 from diffmill.io import ProgramError, ProgramSetup, parse_gcode, read_program
+from diffmill.toolpath import Program
 
 ROOT = pathlib.Path(__file__).parents[2]
 DATA = ROOT / os.environ.get("DIFFMILL_REFERENCE_DATA", "../shared/data")
@@ -44,6 +45,12 @@ ACCEPTED = [
     "ugs_no_spaces.gcode",
     "ugs_spiral.gcode",
 ]
+
+
+def read(name):
+    program = read_program(NC / "gcode" / name)
+    assert isinstance(program, Program)
+    return program
 
 
 def canonical_motion(name):
@@ -86,7 +93,7 @@ def assert_same_move(move, scale, end, centre, turn, plane, error):
 @needs_data
 @pytest.mark.parametrize("name", ACCEPTED)
 def test_accepted_program_has_the_motion_of_linuxcnc(name):
-    program, expected = read_program(NC / "gcode" / name), canonical_motion(name)
+    program, expected = read(name), canonical_motion(name)
     assert len(program.moves) == len(expected)
     pairs = zip(program.moves, expected, strict=True)
     for move, (command, scale, end, centre, turn, plane, feed) in pairs:
@@ -99,7 +106,7 @@ def test_accepted_program_has_the_motion_of_linuxcnc(name):
 @pytest.mark.parametrize("name", REFUSED)
 def test_unsupported_program_names_line_and_word(name):
     with pytest.raises(ProgramError) as caught:
-        read_program(NC / "gcode" / name)
+        read(name)
     line, word = REFUSED[name]
     first = caught.value.faults[0]
     assert (first.line, first.word.upper()) == (line, word.upper())
@@ -125,7 +132,7 @@ def test_made_program_has_the_motion_of_linuxcnc(case):
 
 @needs_data
 def test_spiral_is_a_helix_of_full_circles():
-    moves = read_program(NC / "gcode" / "ugs_spiral.gcode").moves
+    moves = read("ugs_spiral.gcode").moves
     arcs = [move for move in moves if move.turn]
     assert [move.sweep for move in arcs] == pytest.approx(
         [2 * math.pi] * 3 + [-2 * math.pi] * 3

@@ -18,7 +18,6 @@ from diffmill import (
     sim,
     workpiece as wp,
 )
-from diffmill.process import chip_arcs
 
 R = 5e-3
 MILL = ct.flat_end_mill(2 * R, 2)
@@ -94,7 +93,9 @@ def test_mean_force_is_that_of_marching(radial_depth, is_up_milling, bound):
     assert max(errors) < bound
 
 
-compiled_arcs = eqx.filter_jit(chip_arcs)
+@eqx.filter_jit
+def compiled_arcs(process, stock, before, tip):
+    return process.engagement.chip_arcs(process, stock, before, tip)
 
 
 def arcs_after(path, stock=STOCK):

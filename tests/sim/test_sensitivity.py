@@ -95,7 +95,7 @@ def test_maps_agree_with_differences(job, maps):
 
     @jax.jit
     def tip(log_scale):
-        scaled = sim.with_scaled(job, log_scale)
+        scaled = job.with_scaled(log_scale)
         return sim.JobModel.of(scaled, pr.ThroughPoses()).run(motors).actual
 
     zero = np.zeros(len(maps.names))
@@ -149,8 +149,8 @@ def test_the_band_of_a_stiffness_adds_to_the_error(job):
 
 
 def test_scaling_reaches_every_parameter_and_no_other(job):
-    names = sim.parameter_names(job)
-    scaled = sim.with_scaled(job, jnp.log(2.0 + jnp.arange(1.0 * len(names))))
+    names = job.parameter_names
+    scaled = job.with_scaled(jnp.log(2.0 + jnp.arange(1.0 * len(names))))
     assert scaled.robot is not None and job.robot is not None
     np.testing.assert_allclose(scaled.robot.joint_stiffness / STIFFNESS, [2, 3, 4])
     ratio = np.asarray(scaled.robot.joint_damping / job.robot.joint_damping)
@@ -161,7 +161,7 @@ def test_scaling_reaches_every_parameter_and_no_other(job):
     assert float(scaled.spindle_speed) == pytest.approx(
         (1 + len(names)) * job.spindle_speed
     )
-    same = sim.with_scaled(job, jnp.zeros(len(names)))
+    same = job.with_scaled(jnp.zeros(len(names)))
     assert jax.tree.all(
         jax.tree.map(
             lambda a, b: bool(np.all(np.asarray(a) == np.asarray(b))), same, job

@@ -73,7 +73,7 @@ def slot(depth, feed=0.1e-3, rows=124):
 def growth(depth):
     q, frame = slot(depth)
     arm = sim.ElasticArm(one_mode(), frame)
-    return sim.stability_along(arm, PROCESS, q, q, [2, 110, 120])
+    return sim.Stability.along(arm, PROCESS, q, q, [2, 110, 120])
 
 
 @functools.cache
@@ -195,7 +195,7 @@ def slot_in_slides(folder, share):
 @pytest.mark.parametrize("share", [0.9, 1.1])
 def test_a_quick_look_finds_chatter_where_there_is_some(tmp_path, share):
     job = slot_in_slides(tmp_path, share)
-    found = sim.find_chatter(job, sim.simulate(job))
+    found = sim.Stability.where_suspected(job, sim.simulate(job))
     if share < 1:
         assert found is None
     else:
@@ -223,4 +223,4 @@ def test_a_row_that_is_not_there_is_refused():
     q, frame = slot(1e-3)
     arm = sim.ElasticArm(one_mode(), frame)
     with pytest.raises(ValueError, match="from 1 to 123"):
-        sim.stability_along(arm, PROCESS, q, q, [0])
+        sim.Stability.along(arm, PROCESS, q, q, [0])

@@ -50,7 +50,7 @@ def test_a_kick_of_the_arm_grows_as_predicted(depth):
     moved = np.abs(np.asarray(kicked.actual - plain.actual)).max(axis=1)
     # In the first windows other modes still fade.
     start, end = (moved[k : k + 20].max() for k in (140, 220))
-    found = sim.stability_along(
+    found = sim.Stability.along(
         ARM, PROCESS, theta, plain.joint_positions, np.arange(150, 231, 8)
     )
     predicted = np.log(found.radius).mean()

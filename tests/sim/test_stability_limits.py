@@ -75,7 +75,7 @@ def modal_growth(rpm, axes, arc, depth):
     tips = np.zeros((61, 3))
     tips[:, 0], tips[:, 2] = 1e-3 + FEED * np.arange(61), -depth
     machine, tips = sim.ModalMachine(modes(axes)), jnp.asarray(tips)
-    return sim.stability_along(machine, straight_cut(rpm, arc), tips, tips, [60])
+    return sim.Stability.along(machine, straight_cut(rpm, arc), tips, tips, [60])
 
 
 def growth(rpm, robot, arc, depth):
@@ -85,7 +85,7 @@ def growth(rpm, robot, arc, depth):
     frame = np.eye(4)
     frame[:3, 3] = rb.forward_kinematics(robot, np.zeros(robot.joint_count))[:3, 3]
     frame[2, 3] += depth
-    return sim.stability_along(
+    return sim.Stability.along(
         sim.ElasticArm(robot, frame),
         straight_cut(rpm, arc),
         jnp.asarray(path),

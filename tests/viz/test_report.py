@@ -1,11 +1,12 @@
 """The report holds everything in one file, and says what the dataset says."""
 
+import dataclasses
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 
-from diffmill.viz import FigureFile, case_numbers, write_figures, write_report
+from diffmill.viz import case_numbers, write_figures, write_report
 
 from .synthetic import chip_chart, cut_dexels, force_record, surface_error
 
@@ -143,7 +144,10 @@ def test_text_of_the_job_is_escaped(tmp_path, simulation):
     hostile = simulation.assign_attrs(
         job="<script>alert(1)</script>", notes="<img src=x>", **{"<u>": "<i>"}
     )
-    figures = {"bad": FigureFile("<b>bold</b>", skipped="<b>why</b>")}
+    one = next(iter(write_figures(tmp_path, simulation).values()))
+    text = {"title": "<b>bold</b>", "skipped": "<b>why</b>"}
+    bad = dataclasses.replace(one, path=None, **text)
+    figures = {"bad": bad}
     path = write_report(tmp_path, hostile, figures, failure="<b>stop</b>")
     reader = read(path)
     tags = [tag for tag, _ in reader.tags]

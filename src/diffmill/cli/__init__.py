@@ -6,8 +6,7 @@ is written), 1 for a run that failed (what it had computed is kept and marked).
 
 Assumes that one job fills the machine: jobs run one after the other. Leaves out
 campaigns and other program formats. What computes is imported only once there is
-something to compute, so that help is quick; `report_of` is the text of a study's fit.
+something to compute, so that help is quick.
 """
 
-from ._identify.identify import report_of as report_of
 from ._main import main as main

@@ -116,13 +116,14 @@ def _with_contacts(run: FinishedRun, progress: Progress) -> Dataset:
 
 def _with_stability(run: FinishedRun, progress: Progress) -> Dataset:
     """Return the dataset with what the search for chatter finds; say it."""
-    from ..sim import find_chatter, stability
+    from ..sim import Stability, stability
 
     job, dataset = run.job, run.dataset
     check = job.simulation.stability
     if check == "none" or not np.asarray(run.final.is_cutting).any():
         return dataset
-    found = (find_chatter if check == "quick" else stability)(job, run.final)
+    look = Stability.where_suspected if check == "quick" else stability
+    found = look(job, run.final)
     if found is None:
         return dataset
     warning = found.warning()

@@ -18,7 +18,6 @@ Left out: feed and offset at once; corrections of the tool axis; in segments of 
 paths, the surface as the objective and uncertain models.
 """
 
-from ._core.error_metrics import measure as measure
 from ._core.method import GivenCommand as GivenCommand
 from ._core.path_objective import (
     AbstractObjective as AbstractObjective,
@@ -57,12 +56,7 @@ from ._method.ensemble import (
 )
 from ._method.gauss_newton import GaussNewton as GaussNewton
 from ._method.input_shaper import shaped as shaped
-from ._method.inverse_drive import (
-    at_instants as at_instants,
-    differentiate as differentiate,
-    inverse_drive as inverse_drive,
-    spring_deflection as spring_deflection,
-)
+from ._method.inverse_drive import inverse_drive as inverse_drive
 from ._method.mirror import (
     IteratedMirror as IteratedMirror,
     Mirror as Mirror,

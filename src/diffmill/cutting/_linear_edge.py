@@ -1,5 +1,7 @@
 """Force linear in the chip thickness, plus an edge force."""
 
+from typing import ClassVar
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int32
 
@@ -22,12 +24,14 @@ class LinearEdgeLaw(AbstractForceLaw):
         K_te: Tangential edge coefficient [N/m].
         K_re: Radial edge coefficient [N/m].
         K_ae: Axial edge coefficient [N/m].
+        NAMES: The names of the coefficients in this order.
 
     Raises:
         ValueError: If a coefficient is neither a number nor one per tooth, or two
             differ in the number of teeth.
     """
 
+    NAMES: ClassVar[tuple[str, ...]] = ("K_tc", "K_rc", "K_ac", "K_te", "K_re", "K_ae")
     K_tc: ToothValues
     K_rc: ToothValues
     K_ac: ToothValues

@@ -17,7 +17,7 @@ from ._alignment.record_registration import (
     RecordRegistration as RecordRegistration,
 )
 from ._alignment.time_alignment import align_in_time as align_in_time
-from ._coupled.fit_coupled import CoupledFit as CoupledFit, fit_coupled as fit_coupled
+from ._coupled.fit_coupled import fit_coupled as fit_coupled
 from ._coupled.model import mean_over_period as mean_over_period
 from ._cut.cut_model import (
     Cut as Cut,
@@ -36,11 +36,9 @@ from ._force.mean_axis_assignment import (
     propose_mean_axes as propose_mean_axes,
 )
 from ._force.mean_force import (
-    NAMES as NAMES,
     fit_mean_forces as fit_mean_forces,
     mean_force_matrices as mean_force_matrices,
 )
-from ._force.uncertainty import relative_uncertainty as relative_uncertainty
 from ._modal.frequency_response import fit_frequency_response as fit_frequency_response
 from ._modal.ring_down import (
     fit_joint_damping as fit_joint_damping,
@@ -48,10 +46,8 @@ from ._modal.ring_down import (
 )
 from ._record.cut_detection import CutSpan as CutSpan
 from ._record.diagnosis import Diagnosis as Diagnosis
-from ._record.mean_over_revolutions import mean_over_turns as mean_over_turns
 from ._record.record import Record as Record
 from ._record.saturation import find_saturated as find_saturated
-from ._record.spindle_angle import angle_from_tacho as angle_from_tacho
 from ._record.spindle_harmonics import refine_spindle_speed as refine_spindle_speed
 from ._stiffness.experiment_design import suggest_load_tests as suggest_load_tests
 from ._stiffness.joint_stiffness import (
@@ -60,25 +56,20 @@ from ._stiffness.joint_stiffness import (
 )
 from ._study.controller import (
     ControllerStudy as ControllerStudy,
-    ControllerStudyFit as ControllerStudyFit,
 )
 from ._study.coupled import CoupledStudy as CoupledStudy
 from ._study.force_records import (
     ForceRecordStudy as ForceRecordStudy,
-    ForceRecordStudyFit as ForceRecordStudyFit,
 )
 from ._study.load_tests import (
     LoadTestStudy as LoadTestStudy,
-    LoadTestStudyFit as LoadTestStudyFit,
 )
 from ._study.mean_forces import (
     MeanForceStudy as MeanForceStudy,
-    MeanForceStudyFit as MeanForceStudyFit,
 )
 from ._study.modes import (
     FrequencyResponse as FrequencyResponse,
     ModeStudy as ModeStudy,
-    ModeStudyFit as ModeStudyFit,
     RingDown as RingDown,
 )
 from ._study.records import ForceRecord as ForceRecord, ForceSettings as ForceSettings

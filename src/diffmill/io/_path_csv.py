@@ -38,7 +38,7 @@ def read_path_csv(file: str | os.PathLike[str]) -> Path:
 
     Returns:
         The path in SI units, with the instants as recorded: bring it to the tooth
-        instants with `diffmill.toolpath.resample`. Rows without a `line` column carry
+        instants with its `resampled`. Rows without a `line` column carry
         their line in the file.
 
     Raises:

@@ -17,7 +17,7 @@ already give, and filters within a traced function.
 from ._clamp import clamp as clamp
 from ._compiled_once import CompiledOnce as CompiledOnce
 from ._filters import lowpass as lowpass
-from ._hat import hat_integral as hat_integral, mean_step as mean_step, ramp as ramp
+from ._hat import hat_integral as hat_integral, ramp as ramp
 from ._hold import hold as hold
 from ._inverse import small_inverse as small_inverse
 from ._with_derivative import with_derivative_of as with_derivative_of

@@ -32,27 +32,6 @@ def _hat_integral_jvp(primals, tangents):
     return hat_integral(x), jnp.maximum(1 - jnp.abs(x), 0) * tangent
 
 
-def mean_step(
-    x: Float[Array, "*n"], width: Float[Array, "*n"], length: Float[Array, "*n"]
-) -> Float[Array, "*n"]:
-    """Return the mean of `hat_integral(. / width)` over a length around x.
-
-    Pieces in a row tile a line.
-
-    Args:
-        x: Middle of the length, any shape.
-        width: Half-width of the hat, above 0, same shape.
-        length: Above 0, not far below the width, or rounding shows; same shape.
-
-    Returns:
-        0 to 1, same shape.
-
-    Differentiability: twice continuously differentiable.
-    """
-    x, half = x / width, 0.5 * length / width
-    return (_integrated_twice(x + half) - _integrated_twice(x - half)) / (2 * half)
-
-
 def ramp(x: Float[Array, "*n"], width: float | Float[Array, ""]) -> Float[Array, "*n"]:
     """Return what of x is above zero, its corner rounded off.
 

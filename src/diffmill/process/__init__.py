@@ -22,7 +22,6 @@ from ._choose_engagement import (
     default_element_height as default_element_height,
     is_plunging as is_plunging,
 )
-from ._engagement.dexel_cloud import chip_arcs as chip_arcs
 from ._engagement.edge_elements import EdgeElementsInSpace as EdgeElementsInSpace
 from ._engagement.edge_samples import (
     EdgeSamples as EdgeSamples,

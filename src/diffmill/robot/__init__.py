@@ -88,7 +88,6 @@ from ._model.elements import (
 from ._model.flange_spring import (
     FlangeSpring as FlangeSpring,
 )
-from ._model.massless_joints import massless_joints as massless_joints
 from ._model.robot import (
     Robot as Robot,
 )

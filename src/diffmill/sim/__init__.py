@@ -27,15 +27,10 @@ from ._analysis.collisions import (
     ToolContacts as ToolContacts,
 )
 from ._analysis.error_band import error_band as error_band
-from ._analysis.sensitivity import (
-    parameter_names as parameter_names,
-    sensitivity as sensitivity,
-    with_scaled as with_scaled,
-)
+from ._analysis.sensitivity import sensitivity as sensitivity
 from ._analysis.stability import (
-    find_chatter as find_chatter,
+    Stability as Stability,
     stability as stability,
-    stability_along as stability_along,
 )
 from ._job.padding import pad_path as pad_path
 from ._job.replay import (
@@ -48,7 +43,6 @@ from ._job.simulate import (
     rigid_cut as rigid_cut,
     run_with_room as run_with_room,
     simulate as simulate,
-    solve_command as solve_command,
 )
 from ._job.stack import stack as stack
 from ._linear.linear_run import (

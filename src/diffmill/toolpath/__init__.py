@@ -26,7 +26,6 @@ from ._path import Path as Path
 from ._path_feed import PathFeed as PathFeed
 from ._reduction.block_ends import BlockEnds as BlockEnds
 from ._reduction.reduce_path import reduce_path as reduce_path
-from ._resample import resample as resample
 from ._timing.legs import TimingLimits as TimingLimits
 from ._timing.sample_program import sample_program as sample_program
 from ._timing.timed_program import (

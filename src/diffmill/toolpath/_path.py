@@ -1,9 +1,18 @@
 """A tool path as the simulation takes it: one row per tooth period."""
 
+import math
+
 import equinox as eqx
 import numpy as np
 
-from .._types import BoolSteps, FloatRows3, FloatSteps, IntScalar, IntSteps
+from .._types import (
+    BoolSteps,
+    FloatRows3,
+    FloatSteps,
+    IntScalar,
+    IntSteps,
+    RealScalarLike,
+)
 
 # Above this a path fills the memory with its own rows, and a typing error in a feed is
 # the usual reason.
@@ -59,6 +68,62 @@ class Path(eqx.Module):
             axes=np.tile(np.array([0.0, 0.0, 1.0]), (rows, 1)),
             is_rapid=np.zeros(rows, dtype=bool),
             line=np.zeros(rows, dtype=np.int32),
+        )
+
+    def resampled(
+        self, tooth_period: RealScalarLike, *, most_steps: RealScalarLike = MOST_STEPS
+    ) -> "Path":
+        """Return the path at tooth instants, its own times being as recorded.
+
+        Positions follow a monotone cubic (Fritsch and Carlson) in each coordinate:
+        unlike straight lines it has no jumps of velocity, which would shake a simulated
+        robot at every recorded row, and unlike a spline it never leaves the box between
+        two neighbouring rows, so that a corner does not ring. Recorded instants that
+        are tooth instants keep their positions.
+
+        Args:
+            tooth_period: Time between the returned rows [s].
+            most_steps: Largest number of tooth periods.
+
+        Returns:
+            The path from time 0; its last row is the last recorded one, at or just
+            after its time. Axes are interpolated and normalised.
+
+        Raises:
+            ValueError: If the time does not increase or is longer than `most_steps`.
+
+        **Differentiability**: none, it runs on the host.
+        Reference: Fritsch and Carlson, SIAM J. Numer. Anal. 17, 1980.
+        """
+        from scipy.interpolate import PchipInterpolator
+
+        recorded = (self.time, self.positions, self.axes)
+        time, positions, axes = (np.asarray(a, dtype=float) for a in recorded)
+        period = float(tooth_period)
+        if not (math.isfinite(period) and period > 0):
+            raise ValueError(
+                f"Argument `tooth_period` must be positive and finite, but is {period}."
+            )
+        if time.size < 2 or not np.all(np.diff(time) > 0):
+            raise ValueError(
+                "Argument `time` must have at least 2 rows and increase, but does not."
+            )
+        time = time - time[0]
+        check_steps(float(time[-1]) / period, float(most_steps))
+        count = max(1, math.ceil(time[-1] / period - 1e-6))
+        instants = period * np.arange(count + 1)
+        inside = np.minimum(instants, time[-1])
+        directions = np.stack(
+            [np.interp(inside, time, column) for column in axes.T], axis=1
+        )
+        row = np.searchsorted(time, inside - 1e-6 * period, side="left")
+        row = np.minimum(row, time.size - 1)
+        return Path(
+            time=instants,
+            positions=PchipInterpolator(time, positions, axis=0)(inside),
+            axes=directions / np.linalg.norm(directions, axis=1, keepdims=True),
+            is_rapid=np.asarray(self.is_rapid)[row],
+            line=np.asarray(self.line, dtype=np.int32)[row],
         )
 
     def with_rest(self, count: int) -> "Path":

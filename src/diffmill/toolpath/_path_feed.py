@@ -104,7 +104,7 @@ class PathFeed(eqx.Module):
     def positions(self, places: Float[Array, " row"]) -> Float[Array, "row 3"]:
         """Return the tool tips at some places [m], shape (row, 3).
 
-        A monotone cubic through the rows of the path, see `resample`.
+        A monotone cubic through the rows of the path, see `Path.resampled`.
 
         **Differentiability**: smooth within an interval, once at rows.
         """

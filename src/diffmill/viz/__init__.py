@@ -45,5 +45,5 @@ from ._report.case_parts import case_parts as case_parts
 from ._report.inputs import figure_inputs as figure_inputs
 from ._report.report import write_report as write_report
 from ._report.summary import summary as summary
-from ._report.write import FigureFile as FigureFile, write_figures as write_figures
+from ._report.write import write_figures as write_figures
 from ._style import save_figure as save_figure

@@ -14,7 +14,6 @@ are read and written in `_files.py` alone.
 
 from ._dexel.dexel_cloud import TakenPieces as TakenPieces
 from ._dexel.interval import CutInterval as CutInterval
-from ._dexel.nearest_interval import RAYS_READ as RAYS_READ
 from ._dexel.occupancy import Discs as Discs
 from ._dexel.occupancy_in_space import occupancy_in_space as occupancy_in_space
 from ._dexel.removal import RemovalWindow as RemovalWindow

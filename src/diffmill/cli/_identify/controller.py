@@ -2,12 +2,12 @@
 
 import functools
 
-from ...identification import ControllerStudy, ControllerStudyFit
+from ...identification import ControllerStudy
 from ...viz import plot_prediction
 from .report import Report, all_noted, noted
 
 
-def report_controller(study: ControllerStudy, found: ControllerStudyFit) -> Report:
+def report_controller(study: ControllerStudy, found: ControllerStudy.Fit) -> Report:
     """Return the report of a controller.
 
     Args:

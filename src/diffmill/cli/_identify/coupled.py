@@ -6,19 +6,21 @@ from typing import Any
 
 import numpy as np
 
-from ...identification import NAMES, CoupledFit, CoupledStudy
+from ...cutting import LinearEdgeLaw
+from ...identification import CoupledStudy
 from ...viz import plot_correlation, plot_force_fit
 from .report import Report, all_noted, noted
 from .text import kept_remark
 from .toml_snippets import doubted, force_toml, joints_toml
 
+_NAMES = LinearEdgeLaw.NAMES
 # Letter and unit of a figure, and the factor from SI.
 _SHOWN = {"force": ("F", "N", 1.0), "deviation": ("d", "\u00b5m", 1e6)}
 # Rows that a figure shows closely.
 _ROWS = 60
 
 
-def report_coupled(study: CoupledStudy, fit: CoupledFit) -> Report:
+def report_coupled(study: CoupledStudy, fit: CoupledStudy.Fit) -> Report:
     """Return the report of parameters of arm and cut.
 
     Args:
@@ -42,7 +44,7 @@ def report_coupled(study: CoupledStudy, fit: CoupledFit) -> Report:
     return Report(_lines(study, fit), _toml(study, fit), facts, _figures(study, fit))
 
 
-def _lines(study: CoupledStudy, fit: CoupledFit) -> list[str]:
+def _lines(study: CoupledStudy, fit: CoupledStudy.Fit) -> list[str]:
     """Return parameters and how far to trust them."""
     lines = all_noted(study.notes)
     width = 2 + max(len(name) for name in fit.names)
@@ -60,7 +62,7 @@ def _lines(study: CoupledStudy, fit: CoupledFit) -> list[str]:
     return lines + all_noted(fit.notes)
 
 
-def _toml(study: CoupledStudy, fit: CoupledFit) -> list[str]:
+def _toml(study: CoupledStudy, fit: CoupledStudy.Fit) -> list[str]:
     """Return the tables for a job."""
     robot, lines = study.job.robot, []
     assert robot is not None
@@ -84,14 +86,14 @@ def _toml(study: CoupledStudy, fit: CoupledFit) -> list[str]:
             np.max(joint_errors[is_known] / np.abs(joint_values[is_known]))
         )
         remarks[word] = kept_remark(robot.joint_names, is_known)
-    fitted = [name for name in NAMES if name in fit.parameters]
+    fitted = [name for name in _NAMES if name in fit.parameters]
     if fitted:
         # A table holds all six: what was not fitted was taken as known.
         law = study.job.law
-        given = {n: float(np.mean(getattr(law, n))) for n in NAMES if n not in fitted}
-        values = {n: given[n] if n in given else fit.parameters[n] for n in NAMES}
+        given = {n: float(np.mean(getattr(law, n))) for n in _NAMES if n not in fitted}
+        values = {n: given[n] if n in given else fit.parameters[n] for n in _NAMES}
         errors = {n: fit.standard_errors[n] for n in fitted}
-        known = {n: n in given or fit.identifiable[n] for n in NAMES}
+        known = {n: n in given or fit.identifiable[n] for n in _NAMES}
         lines += ["", *force_toml(values, errors, known)]
         shares = [
             fit.standard_errors[n] / abs(fit.parameters[n])
@@ -111,7 +113,9 @@ def _toml(study: CoupledStudy, fit: CoupledFit) -> list[str]:
     return lines or ["# Nothing is identifiable; see summary.txt."]
 
 
-def _figures(study: CoupledStudy, fit: CoupledFit) -> dict[str, Callable[[], Any]]:
+def _figures(
+    study: CoupledStudy, fit: CoupledStudy.Fit
+) -> dict[str, Callable[[], Any]]:
     """Return what draws the figures."""
     turn = float(study.job.tooth_period) * study.job.cutter.flute_count
     spacing = float(np.median(np.diff(study.time)))

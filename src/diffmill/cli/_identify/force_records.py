@@ -8,7 +8,6 @@ import numpy as np
 
 from ...identification import (
     ForceRecordStudy,
-    ForceRecordStudyFit,
 )
 from ...viz import (
     plot_correlation,
@@ -23,7 +22,7 @@ from .text import coefficient_lines, correlation_lines
 from .toml_snippets import doubted, force_toml, uncertainty_toml
 
 
-def report_records(study: ForceRecordStudy, found: ForceRecordStudyFit) -> Report:
+def report_records(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> Report:
     """Return the report of coefficients from records.
 
     Args:
@@ -42,7 +41,7 @@ def report_records(study: ForceRecordStudy, found: ForceRecordStudyFit) -> Repor
     return Report(lines, _toml(found), _facts(study, found), _figures(study, found))
 
 
-def _fit_lines(study: ForceRecordStudy, found: ForceRecordStudyFit) -> list[str]:
+def _fit_lines(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> list[str]:
     """Return coefficients and how far to trust them."""
     fit = found.fit
     names = list(fit.coefficients)
@@ -73,7 +72,7 @@ def _fit_lines(study: ForceRecordStudy, found: ForceRecordStudyFit) -> list[str]
     return lines + all_noted(fit.notes[len(fit.doubts) :])
 
 
-def _toml(found: ForceRecordStudyFit) -> list[str]:
+def _toml(found: ForceRecordStudy.Fit) -> list[str]:
     """Return the tables for a job, as comments if they are doubtful."""
     fit = found.fit
     lines = [
@@ -90,7 +89,7 @@ def _toml(found: ForceRecordStudyFit) -> list[str]:
     return lines
 
 
-def _facts(study: ForceRecordStudy, found: ForceRecordStudyFit) -> dict[str, Any]:
+def _facts(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> dict[str, Any]:
     """Return the numbers for `identified.json`."""
     fit = found.fit
     return {
@@ -132,7 +131,7 @@ def _facts(study: ForceRecordStudy, found: ForceRecordStudyFit) -> dict[str, Any
 
 
 def _figures(
-    study: ForceRecordStudy, found: ForceRecordStudyFit
+    study: ForceRecordStudy, found: ForceRecordStudy.Fit
 ) -> dict[str, Callable[[], Any]]:
     """Return what draws the figures."""
     fit, draw = found.fit, functools.partial

@@ -4,7 +4,7 @@ import functools
 
 import numpy as np
 
-from ...identification import MeanForceStudy, MeanForceStudyFit
+from ...identification import MeanForceStudy
 from ...viz import plot_correlation, plot_mean_forces
 from .diagnoses import diagnosis_lines
 from .report import Report, all_noted, noted
@@ -12,7 +12,7 @@ from .text import NONSENSE, axes_text, coefficient_lines, correlation_lines
 from .toml_snippets import doubted, force_toml, uncertainty_toml
 
 
-def report_means(study: MeanForceStudy, found: MeanForceStudyFit) -> Report:
+def report_means(study: MeanForceStudy, found: MeanForceStudy.Fit) -> Report:
     """Return the report of coefficients from mean forces.
 
     Args:
@@ -84,7 +84,7 @@ def _input_lines(study: MeanForceStudy) -> list[str]:
     return lines
 
 
-def _axes_lines(found: MeanForceStudyFit, *, takes_proposed: bool) -> list[str]:
+def _axes_lines(found: MeanForceStudy.Fit, *, takes_proposed: bool) -> list[str]:
     """Return what the means say of the axes; nothing is changed by it."""
     used = found.used
     why = "the likeliest, as asked for" if takes_proposed else "as given or recorded"
@@ -111,7 +111,7 @@ def _axes_lines(found: MeanForceStudyFit, *, takes_proposed: bool) -> list[str]:
     return lines
 
 
-def _fit_lines(found: MeanForceStudyFit) -> list[str]:
+def _fit_lines(found: MeanForceStudy.Fit) -> list[str]:
     """Return coefficients and how far to trust them."""
     fit, force, left = found.used.fit, found.force, found.predicted
     lines = [
@@ -151,7 +151,7 @@ def _fit_lines(found: MeanForceStudyFit) -> list[str]:
     return lines + correlation_lines(list(fit.coefficients), fit.correlation)
 
 
-def _amplitude_lines(study: MeanForceStudy, found: MeanForceStudyFit) -> list[str]:
+def _amplitude_lines(study: MeanForceStudy, found: MeanForceStudy.Fit) -> list[str]:
     """Return the amplitudes that the means do not show."""
     if not found.amplitudes:
         return []
@@ -165,7 +165,7 @@ def _amplitude_lines(study: MeanForceStudy, found: MeanForceStudyFit) -> list[st
     return lines
 
 
-def _toml(found: MeanForceStudyFit) -> list[str]:
+def _toml(found: MeanForceStudy.Fit) -> list[str]:
     """Return the tables for a job, comments if in doubt."""
     fit = found.used.fit
     lines = [

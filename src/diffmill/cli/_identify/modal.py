@@ -9,7 +9,6 @@ import numpy as np
 from ...identification import (
     FrequencyResponse,
     ModeStudy,
-    ModeStudyFit,
     RingDown,
 )
 from ...viz import (
@@ -29,7 +28,7 @@ _UNITS = {
 }
 
 
-def report_modes(study: ModeStudy, found: ModeStudyFit) -> Report:
+def report_modes(study: ModeStudy, found: ModeStudy.Fit) -> Report:
     """Return the report of modes, and of the joints' dampers.
 
     Args:
@@ -58,7 +57,7 @@ def report_modes(study: ModeStudy, found: ModeStudyFit) -> Report:
     return Report(lines, _toml(study, found), facts, _figures(study, found))
 
 
-def _toml(study: ModeStudy, found: ModeStudyFit) -> list[str]:
+def _toml(study: ModeStudy, found: ModeStudy.Fit) -> list[str]:
     """Return the tables for a job."""
     damping, robot = found.damping, study.robot
     machine = _machine_toml(study, found)
@@ -80,7 +79,7 @@ def _toml(study: ModeStudy, found: ModeStudyFit) -> list[str]:
     ]
 
 
-def _machine_toml(study: ModeStudy, found: ModeStudyFit) -> list[str]:
+def _machine_toml(study: ModeStudy, found: ModeStudy.Fit) -> list[str]:
     """Return the modes of a machine, of what was measured at its tool tip."""
     return [
         line
@@ -154,7 +153,7 @@ def _mode_lines(one: Any, fit: Any, is_ring: bool) -> list[str]:
     return lines
 
 
-def _match_lines(study: ModeStudy, found: ModeStudyFit) -> list[str]:
+def _match_lines(study: ModeStudy, found: ModeStudy.Fit) -> list[str]:
     """Return which measured mode is taken for which of the model's."""
     lines = []
     for one in found.matches:
@@ -179,7 +178,7 @@ def _match_lines(study: ModeStudy, found: ModeStudyFit) -> list[str]:
     return lines
 
 
-def _damper_lines(study: ModeStudy, found: ModeStudyFit) -> list[str]:
+def _damper_lines(study: ModeStudy, found: ModeStudy.Fit) -> list[str]:
     """Return the joints' dampers, and how far to trust them."""
     fit = found.damping
     assert fit is not None and study.robot is not None
@@ -203,7 +202,7 @@ def _damper_lines(study: ModeStudy, found: ModeStudyFit) -> list[str]:
     return lines
 
 
-def _figures(study: ModeStudy, found: ModeStudyFit) -> dict[str, Callable[[], Any]]:
+def _figures(study: ModeStudy, found: ModeStudy.Fit) -> dict[str, Callable[[], Any]]:
     """Return what draws the figures."""
     draw = functools.partial
     figures: dict[str, Callable[[], Any]] = {}

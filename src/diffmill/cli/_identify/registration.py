@@ -7,7 +7,7 @@ import numpy as np
 
 from ...identification import (
     ForceRecord,
-    ForceRecordStudyFit,
+    ForceRecordStudy,
     RecordRegistration,
 )
 from .diagnoses import diagnosis_lines
@@ -85,7 +85,7 @@ def record_lines(
     return lines
 
 
-def axes_lines(found: ForceRecordStudyFit, *, takes_proposed: bool) -> list[str]:
+def axes_lines(found: ForceRecordStudy.Fit, *, takes_proposed: bool) -> list[str]:
     """Return what the records say of their axes; nothing is changed by it.
 
     Args:

@@ -4,7 +4,7 @@ import functools
 
 import numpy as np
 
-from ...identification import LoadTestStudy, LoadTestStudyFit
+from ...identification import LoadTestStudy
 from ...viz import (
     plot_correlation,
     plot_joint_values,
@@ -16,7 +16,7 @@ from .text import kept_remark
 from .toml_snippets import doubted, joints_toml, uncertainty_toml
 
 
-def report_load_tests(study: LoadTestStudy, found: LoadTestStudyFit) -> Report:
+def report_load_tests(study: LoadTestStudy, found: LoadTestStudy.Fit) -> Report:
     """Return the report of joint stiffness.
 
     Args:
@@ -86,7 +86,7 @@ def report_load_tests(study: LoadTestStudy, found: LoadTestStudyFit) -> Report:
     return Report(lines, toml, facts, figures)
 
 
-def _toml(study: LoadTestStudy, found: LoadTestStudyFit) -> list[str]:
+def _toml(study: LoadTestStudy, found: LoadTestStudy.Fit) -> list[str]:
     """Return the tables for a job."""
     fit = found.fit
     if not fit.identifiable.any():
@@ -102,7 +102,7 @@ def _toml(study: LoadTestStudy, found: LoadTestStudyFit) -> list[str]:
     ]
 
 
-def _stiffness_lines(study: LoadTestStudy, found: LoadTestStudyFit) -> list[str]:
+def _stiffness_lines(study: LoadTestStudy, found: LoadTestStudy.Fit) -> list[str]:
     """Return springs and how far to trust them."""
     robot, fit = study.robot, found.fit
     lines = [f"{len(study.rows)} load tests of {robot.name}"]
@@ -154,7 +154,7 @@ def _part(study: LoadTestStudy) -> str:
     return "each row" if len(study.rows) <= 5 else "each fifth of the rows"
 
 
-def _advice(study: LoadTestStudy, found: LoadTestStudyFit) -> list[str]:
+def _advice(study: LoadTestStudy, found: LoadTestStudy.Fit) -> list[str]:
     """Return load tests that would show what the table does not."""
     if found.lacks_model:
         return noted(

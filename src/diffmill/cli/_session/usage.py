@@ -11,7 +11,7 @@ _SHELLS = ("bash", "zsh", "fish")
 
 
 def check_usage(
-    commands: Mapping[str, Callable[..., Any]], argv: Sequence[str]
+    commands: Mapping[str, Callable[..., object]], argv: Sequence[str]
 ) -> None:
     """Refuse an unknown command or option, and missing, further or unread values.
 

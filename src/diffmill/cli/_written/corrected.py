@@ -2,13 +2,13 @@
 
 import dataclasses
 import pathlib
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
-from .moved_ends import moved_path
+from .moved_ends import WrittenFiles, moved_path
 
 if TYPE_CHECKING:
     from ..._job import Job
@@ -21,12 +21,24 @@ if TYPE_CHECKING:
 _WORTH_A_NOTE = 1.2
 
 
+class WrittenErrors(NamedTuple):
+    """What written programs leave, and what is said of it.
+
+    Attributes:
+        rms: Root mean square contour error where the tool cuts [m] by name of file.
+        said: Lines about them.
+    """
+
+    rms: dict[str, float]
+    said: list[str]
+
+
 def written_errors(
     job: "Job",
     final: "Solution",
     folder: pathlib.Path,
     program: "JobProgram | None" = None,
-) -> tuple[dict[str, float], list[str]]:
+) -> WrittenErrors:
     """Read the corrected programs of a folder and run them.
 
     Args:
@@ -34,10 +46,6 @@ def written_errors(
         final: Solution of the command that they were written from.
         folder: The folder.
         program: The job's own program, whose block ends were moved; None if not.
-
-    Returns:
-        Root mean square contour error where the tool cuts [m] by name of file, and
-        lines about them.
     """
     from ...io import OffsetStream
 
@@ -81,7 +89,7 @@ def written_errors(
                 f"{name}: read back, timed and run, it leaves {rms * 1e6:.2f} um rms "
                 "where the tool cuts"
             )
-    return found, said
+    return WrittenErrors(found, said)
 
 
 def written_path(file: pathlib.Path, tooth_period: float) -> "Path | None":
@@ -122,7 +130,7 @@ def _run_written(
     import jax.numpy as jnp
 
     from ...process import ThroughPoses
-    from ...sim import solve_command
+    from ...sim import Solution
 
     # Rounded times may end a row sooner or later; the tool then rests at the end.
     rows = np.minimum(np.arange(job.path.step_count), len(positions) - 1)
@@ -132,7 +140,7 @@ def _run_written(
         job = eqx.tree_at(lambda j: j.path.axes, job, turned)
     tips = jnp.asarray(np.asarray(positions)[rows], dtype)
     # By the program that the correction has compiled.
-    solution = solve_command(job, final.rigid, tips, ThroughPoses())
+    solution = Solution.of_command(job, final.rigid, tips, ThroughPoses())
     solution.raise_unless_successful(job)
     return _rms(solution, np.asarray(final.is_cutting))
 
@@ -143,10 +151,8 @@ def _rms(solution: "Solution", is_cutting: Bool[np.ndarray, " step"]) -> float:
     return float(np.sqrt(np.mean(error**2)))
 
 
-def corrected_files(
-    job: "Job", commanded: Float[np.ndarray, "step 3"]
-) -> tuple[dict[str, str], list[str]]:
-    """Return the files of a corrected command by name, and lines about them.
+def corrected_files(job: "Job", commanded: Float[np.ndarray, "step 3"]) -> WrittenFiles:
+    """Return the files of a corrected command.
 
     Args:
         job: The job.
@@ -192,4 +198,4 @@ def corrected_files(
         if stream.largest_step > output.max_step:
             line += f", but [output] max_step is {output.max_step * 1e6:g} um"
         said.append(line)
-    return files, said
+    return WrittenFiles(files, said)

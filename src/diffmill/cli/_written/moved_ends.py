@@ -1,7 +1,7 @@
 """The program of a job with the ends of its blocks moved to where they correct most."""
 
 import pathlib
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -11,10 +11,22 @@ if TYPE_CHECKING:
     from ...config import JobProgram
 
 
+class WrittenFiles(NamedTuple):
+    """Files to write, and what is said of them.
+
+    Attributes:
+        files: Text by name of file.
+        said: Lines about them.
+    """
+
+    files: dict[str, str]
+    said: list[str]
+
+
 def moved_files(
     job: "Job", given: "JobProgram | None", commanded: Float[np.ndarray, "step 3"]
-) -> tuple[dict[str, str], list[str]]:
-    """Return the file of the moved program by name, and a line about it.
+) -> WrittenFiles:
+    """Return the file of the moved program.
 
     Args:
         job: The job.
@@ -25,7 +37,8 @@ def moved_files(
     from ...toolpath import BlockEnds
 
     if given is None:
-        return {}, ["note: [output] moved_ends: a recorded path has no blocks to move"]
+        no_blocks = "note: [output] moved_ends: a recorded path has no blocks to move"
+        return WrittenFiles({}, [no_blocks])
     ends = BlockEnds.of(given.program, job.path)
     moved = ends.with_offsets(commanded - np.asarray(job.path.positions))
     name = f"moved{given.suffix}"
@@ -37,7 +50,7 @@ def moved_files(
         frame=program_frame(job.program, np.asarray(job.path.line).tolist()),
     )
     said = f"{name}: the {ends.block_count} blocks of the program, their ends moved"
-    return {name: text}, [said]
+    return WrittenFiles({name: text}, [said])
 
 
 def moved_path(

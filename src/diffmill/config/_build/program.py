@@ -15,7 +15,6 @@ from ...toolpath import (
     Program,
     TimedProgram,
     TimingLimits,
-    resample,
 )
 from .._schema.job import ProgramTable
 from .context import FileContext
@@ -181,14 +180,7 @@ def recorded_path(
             )
             return None
     try:
-        return resample(
-            path.time,
-            path.positions,
-            path.axes,
-            path.is_rapid,
-            path.line,
-            tooth_period,
-        )
+        return path.resampled(tooth_period)
     except ValueError as error:
         problems.append(f"[program] file: {error}")
         return None

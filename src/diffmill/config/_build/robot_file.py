@@ -5,7 +5,7 @@ import warnings
 
 import numpy as np
 
-from ...robot import Robot, RobotFileWarning, built_in_models, load, massless_joints, spindle_note
+from ...robot import Robot, RobotFileWarning, built_in_models, load, spindle_note
 from .context import FileContext
 from .._schema.job import RobotTable
 
@@ -38,7 +38,7 @@ def load_robot(
     except ValueError as error:
         context.problems.extend(f"[robot] {key}: {line}" for line in str(error).splitlines())
         return None
-    idle = massless_joints(robot)
+    idle = robot.massless_joints
     if idle and needs_mass:
         context.problems.append(
             f"[robot] {key}: found no mass on the joints {', '.join(idle)}, but a "

@@ -6,7 +6,6 @@ import numpy as np
 
 from ...identification import CoupledStudy
 from ...io import Quantity, TableReader
-from ...sim import parameter_names
 from ...units import FORCE, LENGTH
 from .context import Context
 from .schema import CoupledTable
@@ -42,7 +41,7 @@ def read_coupled(
             "[coupled] job: found rigid = true, but a robot is required"
         )
     elif job is not None:
-        known = (*parameter_names(job), "K", "D")
+        known = (*job.parameter_names, "K", "D")
         context.problems.extend(
             f"[coupled] fit: found {one!r}; allowed: {', '.join(known)}"
             for one in table.fit or ()

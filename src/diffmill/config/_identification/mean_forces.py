@@ -9,7 +9,6 @@ from ...identification import (
     ForceSettings,
     MeanForceStudy,
     StraightCut,
-    mean_over_turns,
 )
 from ...io import Quantity, RecordError, TableReader
 from ...units import FORCE, LENGTH
@@ -118,7 +117,7 @@ def _of_records(records: tuple[ForceRecord, ...], problems: list[str]) -> _Means
         return None
     means, noted = [], []
     for one, cut in zip(records, cuts, strict=True):
-        mean, note = mean_over_turns(one.record, one.start, one.stop, cut.spindle_speed)
+        mean, note = one.record.mean_over_turns(one.start, one.stop, cut.spindle_speed)
         means.append(mean)
         noted.append(one._replace(notes=(*one.notes, *note)))
     feeds = np.array([cut.feed_per_tooth for cut in cuts])

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..._job import Job
-from ...identification import Record, StraightCut, angle_from_tacho
+from ...identification import Record, StraightCut
 from .schema import RecordTable
 
 # A tacho that differs by more from the speed given counts something else.
@@ -56,8 +56,7 @@ def spindle_angle(
         else:
             pulses = table.pulses_per_turn or 1
             what = "tacho"
-            angle = angle_from_tacho(
-                record,
+            angle = record.angle_from_tacho(
                 pulses_per_turn=pulses,
                 first_angle=first,
                 smoothing=_SMOOTH * pulses,

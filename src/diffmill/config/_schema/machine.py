@@ -1,6 +1,7 @@
 """`[machine]`: a machine given by its modes at the tool tip, instead of a robot."""
 
-from typing import Annotated, Any, Literal, TypeAlias
+from collections.abc import Mapping
+from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -76,6 +77,6 @@ class ModesFile(TomlTable):
     modes: Annotated[list[ModeTable], Field(min_length=1)]
 
 
-def is_machine(raw: dict[str, Any]) -> bool:
+def is_machine(raw: Mapping[str, object]) -> bool:
     """Return whether a job has a machine of modes and no robot."""
     return "machine" in raw and "robot" not in raw

@@ -2,7 +2,6 @@
 
 import abc
 from collections.abc import Callable
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -68,7 +67,7 @@ class Problem(eqx.Module):
             nearest is sought.
     """
 
-    plant: Callable[..., Any]
+    plant: Callable[..., Motion]
     nominal: FloatRows
     desired: FloatRows3
     is_cutting: Weights

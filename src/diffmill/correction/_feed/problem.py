@@ -6,7 +6,6 @@ slowest override, so that the shapes stay and the whole differentiates.
 """
 
 from collections.abc import Callable
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -15,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...toolpath import PathFeed, contour_vector
-from .._core.problem import Weights
+from .._core.problem import Motion, Weights
 
 
 class FeedProblem(eqx.Module):
@@ -32,7 +31,7 @@ class FeedProblem(eqx.Module):
         highest: Largest override that is allowed.
     """
 
-    plant: Callable[..., Any]
+    plant: Callable[..., Motion]
     feed: PathFeed
     weights: Weights
     lowest: float = eqx.field(static=True, default=0.5)

@@ -6,6 +6,8 @@ override over as many rows as the slowest needs, the tool standing still at the 
 the faster ones, where it cuts nothing: one compiled program serves all.
 """
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -77,7 +79,7 @@ def feed_tradeoff(
     times = [feed.cycle_time(override) for override in overrides]
     rows = max(feed.row_count(override) for override in overrides)
     tell = on_progress or (lambda message, share: None)
-    columns = []
+    runs: list[_Run] = []
     for done, (override, time) in enumerate(zip(overrides, times, strict=True)):
         share, name = done / len(overrides), f"override {override:g}"
         tell(name, share)
@@ -94,11 +96,23 @@ def feed_tradeoff(
             offset = float(jnp.abs(found.commanded - before.desired).max())
         else:
             before, after, offset = simulate(slowed), np.nan, np.nan
-        columns.append(
-            (override, time, _advance(before), _error(before), after, offset)
+        runs.append(
+            _Run(override, time, _advance(before), _error(before), after, offset)
         )
         tell(f"{name}: {1e6 * _error(before):.2f} um", (done + 1) / len(overrides))
-    return FeedTradeoff(*np.array(columns, float).T)
+    columns = zip(_Run._fields, np.array(runs, float).T, strict=True)
+    return FeedTradeoff(**dict(columns))
+
+
+class _Run(NamedTuple):
+    """A row of a `FeedTradeoff`."""
+
+    override: float
+    cycle_time: float
+    feed_per_tooth: float
+    uncorrected: float
+    corrected: float
+    max_offset: float
 
 
 def tune_feed(
@@ -157,7 +171,8 @@ def tune_feed(
         FeedPlant(job, adjoint),
         feed,
         FeedProblem.smoothed(job_weights(job, rigid, cutting)),
-        *bounds,
+        bounds[0],
+        bounds[1],
     )
     points = FeedPoint.curve(
         problem,

@@ -385,7 +385,7 @@ def _inverse_drive(
     assert job.robot is not None
     return _driven(
         job.robot,
-        JobKinematics(job).joints(desired)[0],
+        JobKinematics(job).joints(desired).positions,
         force,
         job.tooth_period,
         T_base_work=job.T_base_work,

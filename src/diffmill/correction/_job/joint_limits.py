@@ -15,7 +15,7 @@ import itertools
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ..._job import Job
 from ..._types import FloatRows
@@ -63,7 +63,7 @@ class JointLimits(eqx.Module):
             return ()
         tips = jnp.asarray(nominal)
         are_joints = job.correction.command == "joint"
-        joints = tips if are_joints else JobKinematics(job).joints(tips)[0]
+        joints = tips if are_joints else JobKinematics(job).joints(tips).positions
         motors = np.asarray(JobKinematics(job).motors_of(joints), np.float64)
         slope = JobKinematics(job).motor_slopes(joints, None if are_joints else tips)
         slope = np.asarray(slope, np.float64)
@@ -79,7 +79,8 @@ class JointLimits(eqx.Module):
         rows, joints = np.nonzero((lower > -reach) | (upper < reach))
         if not rows.size:
             return ()
-        return (_mixed(spline, slope, rows, joints, (lower, upper)),)
+        near = (rows, joints)
+        return (_mixed(spline, rows, slope[near], lower[near], upper[near]),)
 
     def check(self, command: FloatRows, *, is_joints: bool) -> None:
         """Raise if a command brings a motor beyond its limit.
@@ -129,7 +130,7 @@ def _motors(
     """Return the motor positions of tips, or of joints."""
     if is_joints:
         return JobKinematics(job).motors_of(command)
-    return JobKinematics(job).motors(command)[0]
+    return JobKinematics(job).motors(command).positions
 
 
 def _refuse(
@@ -153,32 +154,28 @@ def _refuse(
 
 def _mixed(
     spline: SplineOffsets,
-    slope: Float[np.ndarray, "step joint axis"],
-    rows: np.ndarray,
-    joints: np.ndarray,
-    bounds: tuple[Motors, Motors],
+    rows: Int[np.ndarray, " limit"],
+    slope: Float[np.ndarray, "limit axis"],
+    lower: Float[np.ndarray, " limit"],
+    upper: Float[np.ndarray, " limit"],
 ) -> MixedLimits:
-    """Return the chosen limits as rows of a sparse matrix."""
+    """Return limits at some rows of a path as rows of a sparse matrix."""
     from scipy import sparse
 
     basis = sparse.coo_array(basis_matrix(spline)[rows])
-    axis_count = slope.shape[2]
-    parts = [
-        (
-            basis.data * slope[rows, joints, axis][basis.row],
-            (basis.row, basis.col * axis_count + axis),
-        )
-        for axis in range(axis_count)
-    ]
-    shape = (len(rows), spline.coefficient_count * axis_count)
-    matrix = sum(
-        (sparse.csr_array(part, shape=shape) for part in parts[1:]),
-        sparse.csr_array(parts[0], shape=shape),
+    axis_count = slope.shape[1]
+    axes = np.arange(axis_count)[None]
+    values = basis.data[:, None] * slope[basis.row]
+    at_rows = np.repeat(basis.row, axis_count)
+    at_columns = (basis.col[:, None] * axis_count + axes).reshape(-1)
+    matrix = sparse.csr_array(
+        (values.reshape(-1), (at_rows, at_columns)),
+        shape=(len(rows), spline.coefficient_count * axis_count),
     )
     return MixedLimits(
         matrix=matrix,
-        lower=bounds[0][rows, joints],
-        upper=bounds[1][rows, joints],
+        lower=lower,
+        upper=upper,
         axis_count=axis_count,
         name="joint limits",
     )

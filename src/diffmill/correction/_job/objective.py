@@ -5,7 +5,7 @@ from jaxtyping import Float
 
 from ..._job import Job
 from ..._types import BoolSteps
-from ...sim import Run, parameter_names
+from ...sim import Run
 from .._core.method import Corrected
 from .._core.path_objective import AbstractObjective, PathObjective
 from .._core.problem import Problem
@@ -133,7 +133,7 @@ def job_ensemble(job: Job, nominal: TipPlant) -> Ensemble | None:
     if known is None:
         return None
     draws = Ensemble.draw_scales(
-        parameter_names(job),
+        job.parameter_names,
         count=known.draws,
         seed=known.seed,
         stiffness=known.stiffness,

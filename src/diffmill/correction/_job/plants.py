@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from ..._job import Job
 from ..._types import FloatRows
 from ...process import AbstractAdjoint, StockHeld
-from ...sim import JobKinematics, JobModel, Run, Solution, solve_command, with_scaled
+from ...sim import JobKinematics, JobModel, Run, Solution
 from .._core.method import AbstractMethod
 from .._core.problem import AbstractHostPlant, Motion, Problem
 from .._method.ensemble import AbstractUncertainPlant, Parameters
@@ -70,7 +70,7 @@ class TipPlant(AbstractHostPlant):
     def motors(self, command: Float[Array, "step 3"]) -> Float[Array, "step joint"]:
         """Return the motors that the controller moves, shape (step, joint)."""
         known = self.job if self.controller is None else self.controller
-        return JobKinematics(known).motors(command)[0]
+        return JobKinematics(known).motors(command).positions
 
     def __call__(self, command: Float[Array, "step 3"]) -> Motion:
         """Return the motion that follows a command, shape (step, 3)."""
@@ -83,7 +83,7 @@ class TipPlant(AbstractHostPlant):
             return _compiled(job, self.motors(command), self.wall_share)
         motors = None if self.controller is None else self.motors(command)
         return solved_motion(
-            solve_command(job, self.rigid, command, self.adjoint, motors)
+            Solution.of_command(job, self.rigid, command, self.adjoint, motors)
         )
 
     def linearised(self, command: FloatRows) -> LinearJob:
@@ -112,9 +112,9 @@ class ScaledPlant(AbstractUncertainPlant):
     plant: TipPlant
 
     def member(self, parameters: Parameters) -> TipPlant:
-        """Return the plant with scaled parameters, see `sim.with_scaled`."""
+        """Return the plant with scaled parameters, see `Job.with_scaled`."""
         log_scale = jnp.asarray(parameters, self.plant.job.path.positions.dtype)
-        job = with_scaled(self.plant.job, log_scale)
+        job = self.plant.job.with_scaled(log_scale)
         return dataclasses.replace(self.plant, job=job, controller=self.plant.job)
 
 
@@ -153,7 +153,9 @@ class JointPlant(AbstractHostPlant):
         tips = jax.vmap(lambda q: forward_kinematics(job.robot, q)[:3, 3])(command)  # pyright: ignore[reportArgumentType]
         tips = (tips - T[:3, 3][None]) @ T[:3, :3]
         motors = JobKinematics(job).motors_of(command)
-        return solved_motion(solve_command(job, self.rigid, tips, self.adjoint, motors))
+        return solved_motion(
+            Solution.of_command(job, self.rigid, tips, self.adjoint, motors)
+        )
 
     def linearised(self, command: FloatRows) -> LinearJob:
         """Return the linear system around a command."""

@@ -7,7 +7,6 @@ problem like that of one model, only with the residuals of all draws.
 
 import abc
 from collections.abc import Callable
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -43,7 +42,7 @@ class Ensemble(eqx.Module):
             None for equal ones.
     """
 
-    plant: AbstractUncertainPlant | Callable[..., Any]
+    plant: AbstractUncertainPlant | Callable[..., Motion]
     draws: Draws
     weights: Float[np.ndarray, " member"] | None = None
 
@@ -65,7 +64,7 @@ class Ensemble(eqx.Module):
         """Return draws of the logarithms of the parameters' factors.
 
         Args:
-            names: `sim.parameter_names`.
+            names: `Job.parameter_names`.
             count: Number of members.
             seed: Seed of the draws.
             stiffness: Relative uncertainty of every joint's stiffness: half the width
@@ -102,7 +101,7 @@ class Ensemble(eqx.Module):
 class _Member(eqx.Module):
     """A function of parameters and a command, its parameters given."""
 
-    plant: Callable[..., Any]
+    plant: Callable[..., Motion]
     parameters: Parameters
 
     def __call__(self, command: Float[Array, "step axis"]) -> Motion:
@@ -111,7 +110,7 @@ class _Member(eqx.Module):
 
 
 def member_of(
-    plant: AbstractUncertainPlant | Callable[..., Any], parameters: Parameters
+    plant: AbstractUncertainPlant | Callable[..., Motion], parameters: Parameters
 ) -> Plant:
     """Return an uncertain plant with given parameters, shape (parameter,)."""
     if isinstance(plant, AbstractUncertainPlant):
@@ -131,7 +130,7 @@ class LatePlant(AbstractUncertainPlant):
         time_step: Time between two rows [s].
     """
 
-    plant: AbstractUncertainPlant | Callable[..., Any]
+    plant: AbstractUncertainPlant | Callable[..., Motion]
     nominal: FloatRows
     time_step: RealScalarLike
 
@@ -184,7 +183,7 @@ class Late(AbstractHostPlant):
         time_step: Time between two rows [s].
     """
 
-    plant: Callable[..., Any]
+    plant: Callable[..., Motion]
     delay: RealScalarLike
     nominal: FloatRows
     time_step: RealScalarLike

@@ -78,8 +78,8 @@ def inverse_drive(
     """
     T = jnp.eye(4) if T_base_work is None else jnp.asarray(T_base_work)
     rotation, origin = T[:3, :3], T[:3, 3]
-    velocities, accelerations = differentiate(joint_positions, time_step)
-    force_base = at_instants(jnp.asarray(force)) @ rotation.T
+    velocities, accelerations = _differentiate(joint_positions, time_step)
+    force_base = _at_instants(jnp.asarray(force)) @ rotation.T
     wrenches = jnp.concatenate([force_base, jnp.zeros_like(force_base)], axis=1)
     tau = jax.vmap(lambda *row: inverse_dynamics(robot, *row))(
         joint_positions, velocities, accelerations, wrenches
@@ -107,19 +107,19 @@ def _drive_deflection(
     if robot.friction is not None:
         tau = tau + jax.vmap(robot.friction_torque)(velocities)
     K, D = jnp.asarray(robot.joint_stiffness), jnp.asarray(robot.joint_damping)
-    delta = spring_deflection(tau, K, D, time_step)
+    delta = _spring_deflection(tau, K, D, time_step)
     if robot.backlash is not None:
         delta = jax.vmap(lambda y: robot.backlash_deflection(y))(delta)
     if robot.motors is None:
         return delta
     motors = robot.motors
-    _, spin = differentiate(joint_positions + delta, time_step)
+    _, spin = _differentiate(joint_positions + delta, time_step)
     pull = motors.inertia[None] * spin + tau
-    epsilon = spring_deflection(pull, motors.stiffness, motors.damping, time_step)
+    epsilon = _spring_deflection(pull, motors.stiffness, motors.damping, time_step)
     return delta + jnp.where(robot.motor_mask()[None], epsilon, 0.0)
 
 
-def differentiate(
+def _differentiate(
     positions: Float[Array, "step joint"], time_step: RealScalarLike
 ) -> tuple[Float[Array, "step joint"], Float[Array, "step joint"]]:
     """Return velocities and accelerations by central differences.
@@ -142,7 +142,7 @@ def differentiate(
     return velocities, accelerations
 
 
-def at_instants(means: Float[Array, "step axis"]) -> Float[Array, "step axis"]:
+def _at_instants(means: Float[Array, "step axis"]) -> Float[Array, "step axis"]:
     """Return values at the instants t_k from means over the steps between them.
 
         x(t_k) = (m_k + m_(k+1)) / 2
@@ -164,7 +164,7 @@ def at_instants(means: Float[Array, "step axis"]) -> Float[Array, "step axis"]:
     return (padded[:-1] + padded[1:]) / 2
 
 
-def spring_deflection(
+def _spring_deflection(
     joint_torques: Float[Array, "step joint"],
     joint_stiffness: Float[Array, " joint"],
     joint_damping: Float[Array, " joint"],
@@ -193,15 +193,15 @@ def spring_deflection(
     safe = jnp.where(is_damped, D, 1)
     E = jnp.where(is_damped, jnp.exp(-K * T / safe), 0)
 
+    static = joint_torques / K[None]
+    lag = jnp.diff(joint_torques, axis=0) / T * (D / K**2)[None]
+    # What a step adds to the decayed deflection.
+    added = static[1:] - lag - E[None] * (static[:-1] - lag)
+
     def advance(
-        delta: Float[Array, " joint"],
-        torques: tuple[Float[Array, " joint"], Float[Array, " joint"]],
+        delta: Float[Array, " joint"], added: Float[Array, " joint"]
     ) -> tuple[Float[Array, " joint"], Float[Array, " joint"]]:
-        start, end = torques
-        lag = (end - start) / T * D / K**2
-        delta = E * (delta - start / K + lag) + end / K - lag
+        delta = E * delta + added
         return delta, delta
 
-    first = joint_torques[0] / K
-    _, rest = jax.lax.scan(advance, first, (joint_torques[:-1], joint_torques[1:]))
-    return jnp.concatenate([first[None], rest])
+    return jnp.concatenate([static[:1], jax.lax.scan(advance, static[0], added)[1]])

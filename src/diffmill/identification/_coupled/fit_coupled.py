@@ -22,7 +22,6 @@ from ...optimise import (
     QuadraticModel,
     least_squares,
 )
-from ...sim import parameter_names
 from .._statistics.record_model import record_model, record_solver
 from .._statistics.robust_regression import (
     LinearFit,
@@ -136,7 +135,7 @@ def fit_coupled(
         deviation: Tip minus desired tip in `work` [m], shape (row, 3), likewise.
         time: Instants [s], ascending, on the clock of the job's path, shape (row,);
             the tooth instants of the path if not given.
-        fit: Names of what is fitted, see `sim.parameter_names`, all else being known;
+        fit: Names of what is fitted, see `Job.parameter_names`, all else being known;
             "K" or "D" alone for those of all joints. Stiffness and damping of all
             joints if not given, and the coefficients if the force was measured, as far
             as they are positive and finite in the job.
@@ -204,7 +203,7 @@ class _Problem(AbstractProblem):
 
     def simulated(self, x: np.ndarray) -> Modelled:
         """Return the simulation."""
-        everything = parameter_names(self.job)
+        everything = self.job.parameter_names
         places = tuple(everything.index(name) for name in self.names)
         return modelled(self.job, places, x[: len(places)])
 

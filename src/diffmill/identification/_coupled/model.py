@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from ..._job import Job
 from ..._result import RESULTS
 from ...process import ThroughPoses
-from ...sim import JobKinematics, JobModel, parameter_names, with_scaled
+from ...sim import JobKinematics, JobModel
 from .._cut.cut_model import at_times
 from .._statistics.robust_regression import Rows
 
@@ -67,7 +67,7 @@ def modelled(
 
     Args:
         job: The job, in its precision, with a robot.
-        places: Which of `sim.parameter_names` are scaled.
+        places: Which of `Job.parameter_names` are scaled.
         log_scale: Logarithms of their factors, shape (parameter,).
 
     Returns:
@@ -91,8 +91,8 @@ def _run(
     def rows(
         log_scale: Array,
     ) -> tuple[tuple[Array, Array], tuple[tuple[Array, Array], RESULTS]]:
-        full = jnp.zeros(len(parameter_names(job)), log_scale.dtype)
-        scaled = with_scaled(job, full.at[np.array(places)].set(log_scale))
+        full = jnp.zeros(len(job.parameter_names), log_scale.dtype)
+        scaled = job.with_scaled(full.at[np.array(places)].set(log_scale))
         motors = JobKinematics(scaled).motors_of(joints)
         ran = JobModel.of(scaled, ThroughPoses()).run(motors)
         found = (ran.force, ran.actual - desired)
@@ -112,7 +112,7 @@ def parameter_values(job: Job) -> dict[str, float]:
         Values in SI; of coefficients that differ from tooth to tooth the mean.
     """
     assert job.robot is not None
-    names = parameter_names(job)[:-1]
+    names = job.parameter_names[:-1]
     drives = np.concatenate([job.robot.joint_stiffness, job.robot.joint_damping])
     law = [float(np.mean(getattr(job.law, name))) for name in names[len(drives) :]]
     return dict(zip(names, [*drives.tolist(), *law], strict=True))
@@ -125,7 +125,7 @@ def scaled_job(
 
     Args:
         job: The job, with a robot.
-        names: Of `sim.parameter_names`.
+        names: Of `Job.parameter_names`.
         log_scale: Logarithms of their factors, shape (parameter,).
 
     Returns:
@@ -133,11 +133,11 @@ def scaled_job(
 
     Differentiability: smooth.
     """
-    everything = parameter_names(job)
+    everything = job.parameter_names
     full = np.zeros(len(everything))
     full[[everything.index(name) for name in names]] = log_scale
     dtype = jnp.dtype(job.simulation.precision)
-    return with_scaled(job, jnp.asarray(full, dtype))
+    return job.with_scaled(jnp.asarray(full, dtype))
 
 
 def coupled_rows(

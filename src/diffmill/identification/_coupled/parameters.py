@@ -21,7 +21,7 @@ def fitted_names(
         has_force: Whether the force was measured.
 
     Returns:
-        Names of `sim.parameter_names`.
+        Names of `Job.parameter_names`.
 
     Raises:
         ValueError: A name does not exist, or its value gives no start.

@@ -20,9 +20,10 @@ from jaxtyping import Array, Float
 
 from ...cutting import LinearEdgeLaw
 from .._statistics.identifiability import identifiable
+from .uncertainty import relative_uncertainty
 
 # Order of the coefficients wherever they are a vector.
-NAMES = ("K_tc", "K_rc", "K_ac", "K_te", "K_re", "K_ae")
+NAMES = LinearEdgeLaw.NAMES
 
 FeedValues = Float[Array, " feed"] | Float[np.ndarray, " feed"] | Sequence[float]
 FeedRows = (
@@ -58,6 +59,19 @@ class MeanForceFit(eqx.Module):
     def law(self) -> LinearEdgeLaw:
         """The force law with these coefficients."""
         return LinearEdgeLaw(**self.coefficients)
+
+    def relative_uncertainty(self, columns: Float[np.ndarray, "row 6"]) -> float:
+        """Return the relative error, equal for all coefficients, that says as much.
+
+        Args:
+            columns: Force per coefficient, shape (row, 6).
+
+        Returns:
+            The relative error, infinite if nothing is known.
+        """
+        return relative_uncertainty(
+            self.coefficients, self.standard_errors, self.correlation, columns
+        )
 
 
 def fit_mean_forces(

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float
 
-from .mean_force import NAMES
+from ...cutting import LinearEdgeLaw
 
 
 def relative_uncertainty(
@@ -28,8 +28,8 @@ def relative_uncertainty(
     Returns:
         The relative error, infinite if nothing is known.
     """
-    K = np.array([coefficients[name] for name in NAMES])
-    error = np.array([standard_errors[name] for name in NAMES])
+    K = np.array([coefficients[name] for name in LinearEdgeLaw.NAMES])
+    error = np.array([standard_errors[name] for name in LinearEdgeLaw.NAMES])
     known = np.isfinite(K) & np.isfinite(error)
     if not known.any():
         return float("inf")

@@ -7,9 +7,16 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
+from .spindle_angle import Pulses
+
 # Samples of a tare section that are further off its median do not count, in standard
 # deviations.
 _GROSS = 6.0
+
+# A revolution is wrong if its mean is this many standard deviations off the others,
+# and by this share of the force and this many of its samples: without noise all are
+# alike, but for a sample more or less.
+_GROSS, _LEAST, _SAMPLES = 6.0, 0.02, 3.0
 
 
 class Record(eqx.Module):
@@ -143,6 +150,82 @@ class Record(eqx.Module):
         slope = (level_2 - level_1) / (time_2 - time_1)
         drift = level_1[None] + slope[None] * (self.time - time_1)[:, None]
         return dataclasses.replace(self, force=self.force - drift)
+
+    def mean_over_turns(
+        self, start: float, stop: float, spindle_speed: float | None
+    ) -> tuple[Float[np.ndarray, " 3"], tuple[str, ...]]:
+        """Return the mean force of a straight cut, and what was left out of it.
+
+        Offset and drift are removed before. Single samples cannot be judged, since a
+        cut is all peaks; the means of its revolutions are alike.
+
+        Args:
+            start: Where the cut begins [s].
+            stop: Where it ends [s].
+            spindle_speed: [rad/s]; None takes the mean of all samples.
+
+        Returns:
+            The mean [N], shape (3,), and a sentence if revolutions were left out.
+        """
+        inside = (self.time >= start) & (self.time < stop)
+        time, force = self.time[inside], self.force[inside]
+        if spindle_speed is None:
+            return force.mean(axis=0), ()
+        turn = 2 * np.pi / spindle_speed
+        place = np.floor((time - start) / turn).astype(int)
+        count = max(1, int((stop - start) / turn + 1e-6))
+        force, place = force[place < count], place[place < count]
+        sizes = np.bincount(place, minlength=count)
+        sums = np.stack(
+            [np.bincount(place, f, minlength=count) for f in force.T], axis=1
+        )
+        sums, sizes = sums[sizes > 0], sizes[sizes > 0]
+        off = sums / sizes[:, None]
+        off = np.abs(off - np.median(off, axis=0)[None])
+        # The median deviation is 0.67 standard deviations.
+        limit = _GROSS / 0.67 * np.median(off, axis=0)
+        least = max(_LEAST, _SAMPLES / np.median(sizes)) * np.sqrt(np.mean(force**2))
+        good = np.all(off <= np.maximum(limit, least)[None], axis=1)
+        if good.all():
+            return force.mean(axis=0), ()
+        if good.mean() < 0.5:
+            return force.mean(axis=0), (
+                "The mean forces of the revolutions do not agree with one another: "
+                "look at the speed, and at where the cut begins and ends.",
+            )
+        return sums[good].sum(axis=0) / sizes[good].sum(), (
+            f"{int((~good).sum())} of {good.size} revolutions hold gross errors and "
+            "were left out of the mean force.",
+        )
+
+    def angle_from_tacho(
+        self, *, pulses_per_turn: int = 1, first_angle: float = 0.0, smoothing: int = 1
+    ) -> Float[np.ndarray, " sample"]:
+        """Return the spindle's angle from the pulses of a tacho.
+
+        A pulse is where the signal rises through the middle of its range, to a part of
+        a sample; it counts again only after falling below 40 % of the range. The angle
+        is linear between pulses and goes on at the last speed outside of them. Pulses
+        nearer than half the median distance are bounces and left out; a distance of
+        about several medians counts as that many pulses.
+
+        Args:
+            pulses_per_turn: Number of pulses in a turn.
+            first_angle: Angle at the first pulse [rad].
+            smoothing: Pulses through whose instants a parabola is laid, around each of
+                them: a steep edge is known to a sample only, while a spindle turns
+                evenly.
+
+        Returns:
+            The angle at each sample [rad], increasing, shape (sample,).
+
+        Raises:
+            ValueError: If the record has no tacho or fewer than two pulses.
+        """
+        if self.tacho is None:
+            raise ValueError("The record must have a tacho channel, but has none.")
+        pulses = Pulses.of_signal(self.time, self.tacho).smoothed(smoothing)
+        return first_angle + pulses.passed(self.time) * 2 * np.pi / pulses_per_turn
 
     def _level(
         self, start: float, stop: float

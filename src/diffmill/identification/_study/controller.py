@@ -64,6 +64,7 @@ class ControllerStudy(NamedTuple):
         is_recorded: Rows at which the actual tip is known, shape (row,).
         order: Order of the servo.
         notes: What was assumed.
+        Fit: What it finds.
     """
 
     name: str
@@ -73,6 +74,7 @@ class ControllerStudy(NamedTuple):
     is_recorded: Bool[np.ndarray, " row"]
     order: Literal["first", "second"]
     notes: tuple[str, ...]
+    Fit = ControllerStudyFit
 
     def run(self, on_progress: OnProgress = silent) -> ControllerStudyFit:
         """Fit servo and dead time, a constant offset aside.

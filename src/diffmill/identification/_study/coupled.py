@@ -25,6 +25,7 @@ class CoupledStudy(NamedTuple):
         has_time_shift: Whether a shift of the clock is fitted too.
         loss: "squares" or "huber".
         notes: What was assumed.
+        Fit: What it finds.
     """
 
     name: str
@@ -37,6 +38,7 @@ class CoupledStudy(NamedTuple):
     has_time_shift: bool
     loss: str
     notes: tuple[str, ...]
+    Fit = CoupledFit
 
     @property
     def compared(self) -> dict[str, Float[np.ndarray, "row 3"]]:

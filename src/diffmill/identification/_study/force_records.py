@@ -9,7 +9,6 @@ from .._alignment.axis_proposal import AxesProposal, combine_axes_proposals
 from .._alignment.record_registration import RecordRegistration
 from .._force.cross_validation import CrossValidation, cross_validate
 from .._force.force_coefficients import ForceCoefficientFit, fit_force_coefficients
-from .._force.uncertainty import relative_uncertainty
 from .._record.diagnosis import Diagnosis
 from .records import ForceRecord, ForceSettings
 from .study import OnProgress, StudyError, silent
@@ -50,11 +49,13 @@ class ForceRecordStudy(NamedTuple):
         name: The file.
         records: The records.
         settings: How they are fitted.
+        Fit: What it finds.
     """
 
     name: str
     records: tuple[ForceRecord, ...]
     settings: ForceSettings
+    Fit = ForceRecordStudyFit
 
     def run(self, on_progress: OnProgress = silent) -> ForceRecordStudyFit:
         """Register the records on their cuts and fit the coefficients.
@@ -113,10 +114,5 @@ class ForceRecordStudy(NamedTuple):
             cross_validate(fit),
             tuple(diagnoses),
             is_likely,
-            relative_uncertainty(
-                fit.coefficients,
-                fit.standard_errors,
-                fit.correlation,
-                np.concatenate(rows),
-            ),
+            fit.relative_uncertainty(np.concatenate(rows)),
         )

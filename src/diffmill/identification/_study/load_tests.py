@@ -56,6 +56,7 @@ class LoadTestStudy(NamedTuple):
         has_offset: Whether a constant displacement is fitted too.
         noise: "absolute", "relative" or None.
         notes: What was assumed.
+        Fit: What it finds.
     """
 
     name: str
@@ -69,6 +70,7 @@ class LoadTestStudy(NamedTuple):
     has_offset: bool
     noise: str | None
     notes: tuple[str, ...]
+    Fit = LoadTestStudyFit
 
     def run(self, on_progress: OnProgress = silent) -> LoadTestStudyFit:
         """Fit the springs and predict each test by the others.

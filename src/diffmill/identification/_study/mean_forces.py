@@ -9,7 +9,6 @@ from .._alignment.record_registration import RecordRegistration
 from .._cut.straight_cut import StraightCut
 from .._force.mean_axis_assignment import MeanAxes, propose_mean_axes
 from .._force.mean_force import fit_mean_forces, mean_force_matrices
-from .._force.uncertainty import relative_uncertainty
 from .records import ForceRecord, ForceSettings
 from .study import OnProgress, silent
 
@@ -60,6 +59,7 @@ class MeanForceStudy(NamedTuple):
         records: The records that the means are of; empty for a table.
         settings: How they are fitted.
         notes: What was assumed of a table.
+        Fit: What it finds.
     """
 
     name: str
@@ -69,6 +69,7 @@ class MeanForceStudy(NamedTuple):
     records: tuple[ForceRecord, ...]
     settings: ForceSettings
     notes: tuple[str, ...]
+    Fit = MeanForceStudyFit
 
     def run(self, on_progress: OnProgress = silent) -> MeanForceStudyFit:
         """Fit lines over the feed, and compare what they do not show.
@@ -125,9 +126,7 @@ class MeanForceStudy(NamedTuple):
             predicted,
             tuple(registrations),
             tuple(amplitudes),
-            relative_uncertainty(
-                fit.coefficients, fit.standard_errors, fit.correlation, rows
-            ),
+            fit.relative_uncertainty(rows),
         )
 
 

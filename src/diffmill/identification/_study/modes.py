@@ -131,11 +131,13 @@ class ModeStudy(NamedTuple):
         name: The file.
         robot: The robot with masses and joint stiffness, or None.
         measured: The measurements, all of one kind.
+        Fit: What it finds.
     """
 
     name: str
     robot: Robot | None
     measured: tuple[RingDown, ...] | tuple[FrequencyResponse, ...]
+    Fit = ModeStudyFit
 
     def run(self, on_progress: OnProgress = silent) -> ModeStudyFit:
         """Fit the modes, and the dampers if a robot and poses are given.

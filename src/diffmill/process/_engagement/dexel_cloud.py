@@ -159,7 +159,7 @@ class DexelCloud(AbstractEngagement):
         n, start, teeth = self.substeps, state.last_tip, process.cutter.flute_count
         # Straight on from the last middle to the end of the period.
         end = start + (predicted.tip[-1] - start) * (n / (n - 0.5))
-        arcs = chip_arcs(process, state.stock, start, end)
+        arcs = self.chip_arcs(process, state.stock, start, end)
         angle = immersion_angles(process, end.dtype)
         seen = jnp.mod(angle - arcs.heading + math.pi, 2 * math.pi) - math.pi
         half = math.pi / self.angles
@@ -173,6 +173,57 @@ class DexelCloud(AbstractEngagement):
         # The cloud judges at the rim alone.
         samples = EdgeSamples(angle, tooth, weight, jnp.ones_like(weight))
         return Engagement(samples, Pose(start).repeated(0))
+
+    def chip_arcs(
+        self,
+        process: Process,
+        stock: Stock,
+        before: Float[Array, " 3"],
+        tip: Float[Array, " 3"],
+    ) -> Arcs:
+        """Return entry and exit angle of each disc from the cloud of what a pose takes.
+
+        Args:
+            process: The process.
+            stock: The stock, from which the pose before is removed.
+            before: Tool tip one tooth period earlier [m], shape (3,).
+            tip: Tool tip now [m], shape (3,).
+
+        Returns:
+            The arcs.
+
+        Differentiability: as `engage`; a constant where a disc meets nothing.
+        """
+        cutter = process.cutter
+        motion = jax.lax.stop_gradient(tip - before)
+        heading = jnp.arctan2(motion[0], motion[1])
+        taken = TakenPieces.of_pass(stock, cutter, self.window, tip)
+        floor = jax.lax.stop_gradient(before[2] - tip[2])
+        rows = _rows(taken[0], taken[1], tip, heading, floor)
+        columns = _columns(taken[2], cutter, before, tip, heading)
+        low, high = _extent(rows, columns, stock.spacing)
+        dz = self.discs.height
+        bottom = self.discs.centers(tip.dtype) - dz / 2
+        share = jnp.minimum(bottom + dz, high) - jnp.maximum(bottom, low)
+        share = clamp(0.0, share / dz, 1.0)
+        # A row of rays stands for the layer of one spacing around it.
+        half = (0.5 - _TINY) * stock.spacing
+        above = rows.height[:, None] - bottom[None]
+        is_row = rows.is_taken[:, None] & (above > -half) & (above < dz + half)
+        filled = jnp.minimum(columns.high[..., None], bottom[None, None] + dz)
+        filled = filled - jnp.maximum(columns.low[..., None], bottom[None, None])
+        needed = jax.lax.stop_gradient(_FILLS * dz * share)
+        is_column = columns.is_taken[..., None] & (filled >= needed[None, None])
+        is_column = is_column & (needed > 0)[None, None]
+        entry = jnp.minimum(
+            jnp.min(rows.least[:, None], axis=0, where=is_row, initial=_BEHIND),
+            jnp.min(columns.turn[..., None], (0, 1), where=is_column, initial=_BEHIND),
+        )
+        exit = jnp.maximum(
+            jnp.max(rows.most[:, None], axis=0, where=is_row, initial=-_BEHIND),
+            jnp.max(columns.turn[..., None], (0, 1), where=is_column, initial=-_BEHIND),
+        )
+        return Arcs(heading, _angle_of(entry), _angle_of(exit), share)
 
     def wrench(
         self,
@@ -207,57 +258,6 @@ class DexelCloud(AbstractEngagement):
     ) -> Float[Array, " element"]:
         """Return how far above the tip the middle of every disc is [m]."""
         return self.discs.centers(dtype)
-
-
-def chip_arcs(
-    process: Process,
-    stock: Stock,
-    before: Float[Array, " 3"],
-    tip: Float[Array, " 3"],
-) -> Arcs:
-    """Return entry and exit angle of each disc from the cloud of what a pose takes.
-
-    Args:
-        process: The process.
-        stock: The stock, from which the pose before is removed.
-        before: Tool tip one tooth period earlier [m], shape (3,).
-        tip: Tool tip now [m], shape (3,).
-
-    Returns:
-        The arcs.
-
-    Differentiability: as `DexelCloud.engage`; a constant where a disc meets nothing.
-    """
-    cutter, engagement = process.cutter, process.engagement
-    motion = jax.lax.stop_gradient(tip - before)
-    heading = jnp.arctan2(motion[0], motion[1])
-    taken = TakenPieces.of_pass(stock, cutter, engagement.window, tip)
-    floor = jax.lax.stop_gradient(before[2] - tip[2])
-    rows = _rows(taken[0], taken[1], tip, heading, floor)
-    columns = _columns(taken[2], cutter, before, tip, heading)
-    low, high = _extent(rows, columns, stock.spacing)
-    dz = engagement.discs.height
-    bottom = engagement.discs.centers(tip.dtype) - dz / 2
-    share = jnp.minimum(bottom + dz, high) - jnp.maximum(bottom, low)
-    share = clamp(0.0, share / dz, 1.0)
-    # A row of rays stands for the layer of one spacing around it.
-    half = (0.5 - _TINY) * stock.spacing
-    above = rows.height[:, None] - bottom[None]
-    is_row = rows.is_taken[:, None] & (above > -half) & (above < dz + half)
-    filled = jnp.minimum(columns.high[..., None], bottom[None, None] + dz)
-    filled = filled - jnp.maximum(columns.low[..., None], bottom[None, None])
-    needed = jax.lax.stop_gradient(_FILLS * dz * share)
-    is_column = columns.is_taken[..., None] & (filled >= needed[None, None])
-    is_column = is_column & (needed > 0)[None, None]
-    entry = jnp.minimum(
-        jnp.min(rows.least[:, None], axis=0, where=is_row, initial=_BEHIND),
-        jnp.min(columns.turn[..., None], (0, 1), where=is_column, initial=_BEHIND),
-    )
-    exit = jnp.maximum(
-        jnp.max(rows.most[:, None], axis=0, where=is_row, initial=-_BEHIND),
-        jnp.max(columns.turn[..., None], (0, 1), where=is_column, initial=-_BEHIND),
-    )
-    return Arcs(heading, _angle_of(entry), _angle_of(exit), share)
 
 
 def _turn(

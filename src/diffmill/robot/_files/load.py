@@ -11,7 +11,6 @@ import numpy as np
 
 from ..._toml import parse_toml
 from .._model.build import build
-from .._model.massless_joints import LIGHTEST, light_joints, massless_joints
 from .._model.robot import Robot
 from .errors import RobotFileError, RobotFileWarning
 from .setup import SPINDLE, apply_setup
@@ -20,6 +19,8 @@ from .urdf import read_urdf
 
 # Many a URDF is called .xml.
 _URDF_SUFFIXES = (".urdf", ".xml")
+# A joint that moves less [kg] is no joint of a machine.
+_LIGHTEST = 1e-2
 # Tables of a job file.
 _JOB_TABLES = {"cutter", "program", "robot", "stock", "spindle"}
 
@@ -118,11 +119,11 @@ def spindle_note(
 
 def _warn(robot: Robot, notes: list[str], file: str) -> None:
     """Warn once of all that is doubtful in a file."""
-    massless = massless_joints(robot)
-    light = [name for name in light_joints(robot) if name not in massless]
+    massless = robot.massless_joints
+    light = [name for name in robot.light_joints(_LIGHTEST) if name not in massless]
     if light:
         notes = [
-            f"joints {', '.join(light)} move less than {1e3 * LIGHTEST:g} g: no "
+            f"joints {', '.join(light)} move less than {1e3 * _LIGHTEST:g} g: no "
             "simulation follows how fast they swing",
             *notes,
         ]

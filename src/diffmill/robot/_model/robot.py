@@ -145,6 +145,39 @@ class Robot(eqx.Module):
             joint = self.parents[joint]
         return moves
 
+    @property
+    def massless_joints(self) -> tuple[str, ...]:
+        """Names of the joints that move no mass at all; their row of M is zero."""
+        heavy = np.asarray(self.link_masses) > 0.0
+        heavy |= np.asarray(self.link_inertias).any(axis=(1, 2))
+        return self._not_moving(heavy)
+
+    def light_joints(self, lightest: float) -> tuple[str, ...]:
+        """Return the joints that move next to no mass, massless ones included.
+
+        Args:
+            lightest: Mass from which on a joint counts [kg].
+        """
+        masses = np.array(self.link_masses, float)
+        for body in reversed(range(self.body_count)):
+            if self.parents[body] >= 0:
+                masses[self.parents[body]] += masses[body]
+        return self._not_moving(masses >= lightest)
+
+    def _not_moving(self, heavy: Bool[np.ndarray, " body"]) -> tuple[str, ...]:
+        """Return the joints that move no body of a kind, given which are of it."""
+        heavy = heavy.copy()
+        for body in reversed(range(self.body_count)):
+            if self.parents[body] >= 0:
+                heavy[self.parents[body]] |= heavy[body]
+        moves = np.zeros(self.joint_count, dtype=bool)
+        own = 0
+        for body, mimic in enumerate(self.mimics):
+            joint = own if mimic is None else mimic[0]
+            own += mimic is None
+            moves[joint] |= heavy[body]
+        return tuple(n for n, m in zip(self.joint_names, moves, strict=True) if not m)
+
     def with_tool(self, T_flange_tool: Transform) -> "Robot":
         """Return the robot with another tool tip; masses stay as they are.
 

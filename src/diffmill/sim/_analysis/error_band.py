@@ -25,7 +25,6 @@ from .._job.simulate import Solution, job_machine, job_process
 from .._linear.linear_run import linearise
 from .._linear.period_slopes import CuttingMachine
 from .._machine.commands import JobKinematics
-from .sensitivity import parameter_names, with_scaled
 
 if TYPE_CHECKING:
     import xarray
@@ -115,7 +114,7 @@ def error_band(job: Job, solution: Solution) -> ErrorBand:
     motors = solution.motor_positions
     if motors is None:
         motors, _ = JobKinematics(job).motors(jnp.asarray(solution.commanded))
-    names = parameter_names(job)[:-1]
+    names = job.parameter_names[:-1]
     by_letter = {"K": scatter.stiffness, "D": scatter.damping}
     sizes = [by_letter.get(name.split(" ")[0], scatter.force) for name in names]
     kept = [k for k, size in enumerate(sizes) if size > 0]
@@ -141,7 +140,7 @@ def _shifts(
     desired = jnp.asarray(job.path.positions)
 
     def model(parameters: Array) -> CuttingMachine:
-        scaled = with_scaled(job, parameters)
+        scaled = job.with_scaled(parameters)
         return CuttingMachine(job_machine(scaled), job_process(scaled, StockHeld()))
 
     count = directions.shape[0]

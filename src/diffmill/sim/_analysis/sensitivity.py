@@ -6,8 +6,7 @@ what a change of p by its own size would do to first order, so that a hundredth 
 the effect of 1 % and parameters of any unit can be compared.
 """
 
-import dataclasses
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax
@@ -89,7 +88,7 @@ def sensitivity(job: Job, *, commanded: FloatRows3 | None = None) -> Sensitivity
     command = job.path.positions if commanded is None else commanded
     dtype = jnp.dtype(job.simulation.precision)
     command = jnp.asarray(command, dtype)
-    names = parameter_names(job)
+    names = job.parameter_names
     pushed = [
         _pushed(job, command, jnp.zeros(len(names), dtype).at[k].set(1))
         for k in range(len(names))
@@ -102,84 +101,6 @@ def sensitivity(job: Job, *, commanded: FloatRows3 | None = None) -> Sensitivity
     )
 
 
-def parameter_names(job: Job) -> tuple[str, ...]:
-    """Return the names of a job's parameters in the order of `with_scaled`."""
-    drives = [f"{letter} {name}" for letter in "KD" for name in _springs(job)]
-    return (*drives, *_coefficient_names(job), "speed")
-
-
-def with_scaled(job: Job, log_scale: Float[Array, " parameter"]) -> Job:
-    """Return a job with every parameter times the exponential of a number.
-
-    Args:
-        job: The job; its machine must be a robot.
-        log_scale: Logarithms of the factors in the order of `parameter_names`, shape
-            (parameter,).
-
-    Returns:
-        The job; all teeth's values of a coefficient have the same factor.
-
-    Differentiability: smooth.
-    """
-    factor = jnp.exp(log_scale)
-    count = len(_springs(job))
-    names = _coefficient_names(job)
-    stiffness, damping = factor[:count], factor[count : 2 * count]
-    coefficients = factor[2 * count : -1]
-
-    def leaves(j: Job) -> list[object]:
-        return [*_drives(j), *(getattr(j.law, name) for name in names), j.spindle_speed]
-
-    if job.modes is None:
-        scales = [stiffness, damping]
-    else:
-        # At the same modal mass: omega^2 is the stiffness, 2 zeta omega the damping.
-        root = jnp.sqrt(stiffness)
-        scales = [root, damping / root]
-    new = [
-        *(own * scale for own, scale in zip(_drives(job), scales, strict=True)),
-        *(
-            jnp.asarray(getattr(job.law, name)) * coefficients[i]
-            for i, name in enumerate(names)
-        ),
-        jnp.asarray(job.spindle_speed) * factor[-1],
-    ]
-    return eqx.tree_at(leaves, job, new)
-
-
-def _springs(job: Job) -> tuple[str, ...]:
-    """Return the names of what is soft: joints or modes."""
-    if job.modes is not None:
-        return tuple(f"mode {k + 1}" for k in range(len(job.modes.frequencies)))
-    if job.robot is None:
-        raise ValueError("Argument `job` must not have a rigid machine, but has.")
-    return job.robot.joint_names
-
-
-def _drives(job: Job) -> list[Any]:
-    """Return the leaves that say how soft and how damped the machine is."""
-    if job.modes is not None:
-        return [job.modes.frequencies, job.modes.damping_ratios]
-    assert job.robot is not None
-    return [job.robot.joint_stiffness, job.robot.joint_damping]
-
-
-def _coefficient_names(job: Job) -> tuple[str, ...]:
-    """Return the fields of the force law that hold numbers."""
-    return tuple(
-        field.name
-        for field in dataclasses.fields(job.law)
-        if _is_real(getattr(job.law, field.name))
-    )
-
-
-def _is_real(value: object) -> bool:
-    dtype = getattr(value, "dtype", None)
-    if dtype is None:
-        return isinstance(value, float)
-    return bool(jnp.issubdtype(dtype, jnp.floating))
-
-
 @eqx.filter_jit
 def _pushed(
     job: Job, command: Float[Array, "step 3"], direction: Float[Array, " parameter"]
@@ -190,7 +111,7 @@ def _pushed(
     shares = wall_shares(desired, job.tool_axes, job.cutter)
 
     def errors(log_scale: Float[Array, " parameter"]) -> tuple[Array, Array]:
-        ran = JobModel.of(with_scaled(job, log_scale), ThroughPoses()).run(motors)
+        ran = JobModel.of(job.with_scaled(log_scale), ThroughPoses()).run(motors)
         deviation = wall_deviation(ran.ends, desired, shares)
         return ran.actual, contour_error(desired + deviation, desired)
 

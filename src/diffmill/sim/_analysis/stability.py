@@ -127,6 +127,89 @@ class Stability(eqx.Module):
             )
         return text
 
+    @staticmethod
+    def along(
+        arm: ElasticArm | ModalMachine,
+        process: Process,
+        motor_positions: Float[Array, "step joint"],
+        joint_positions: Float[Array, "step joint"],
+        rows: Sequence[int] | Int[np.ndarray, " row"],
+    ) -> "Stability":
+        """Return how vibrations grow along a motion; see `stability`.
+
+        Args:
+            arm: The machine; its integrator does not count.
+            process: The process, with the chip model "near_far".
+            motor_positions: theta at the tooth instants [rad or m], shape (step,
+                joint); of a machine of modes its command.
+            joint_positions: Joints there [rad or m], shape (step, joint); of a machine
+                of modes its poses, as a command has them.
+            rows: Rows to look at, from 1.
+
+        Returns:
+            The growth, on the host.
+
+        Raises:
+            ValueError: If a row does not exist.
+
+        Differentiability: none, a host function.
+        """
+        chosen = np.unique(np.asarray(rows, dtype=np.int32))
+        step_count = joint_positions.shape[0]
+        if chosen.size == 0 or chosen.min() < 1 or chosen.max() >= step_count:
+            raise ValueError(
+                f"Argument `rows` must have rows from 1 to {step_count - 1}, but is "
+                f"{rows}."
+            )
+        engagement = process.engagement
+        path = _poses(arm, joint_positions, is_upright=engagement.is_upright)
+        # The force has its slopes at every angle that is looked at.
+        substeps = engagement.angles // process.cutter.flute_count
+        fine = eqx.tree_at(
+            lambda p: p.engagement,
+            process,
+            dataclasses.replace(engagement, substeps=substeps),
+        )
+        slopes = force_slopes(fine, path, chosen)
+        motion = _Motion(motor_positions, joint_positions, path.tip[:step_count])
+        return _growth(arm, process, motion, chosen, slopes)
+
+    @staticmethod
+    def where_suspected(job: Job, solution: Solution) -> "Stability | None":
+        """Return how vibrations grow where a quick look finds that they may.
+
+        The quick look takes the deepest cut of each of a few stretches of the path, and
+        the slopes of its force from where the tool has been
+        (`_analysis/quick_force_jacobian.py`). What it suspects is looked at as by
+        `stability`; between these rows chatter is missed.
+
+        Args:
+            job: The job.
+            solution: Its solution.
+
+        Returns:
+            The growth at the suspected rows; None where nothing grows, also for a rigid
+            machine and a quasi-static job.
+
+        Differentiability: none, a host function.
+        """
+        if job.is_rigid or job.simulation.mode != "dynamic":
+            return None
+        rows = _deep_rows(solution)
+        if rows.size == 0:
+            return None
+        job = job.with_precision()
+        machine, process, motion = _machine(job), _process(job), _motion(job, solution)
+        path = Pose(solution.actual)
+        if not process.engagement.is_upright:
+            path = _poses(machine, motion.joints, is_upright=False)
+        slopes = quick_slopes(process, path, rows)
+        quick = _growth(machine, process, motion, rows, slopes)
+        if not quick.is_unstable.any():
+            return None
+        found = stability(job, solution, rows=quick.row[quick.is_unstable])
+        return found if found.is_unstable.any() else None
+
 
 def stability(
     job: Job,
@@ -170,45 +253,9 @@ def stability(
             raise ValueError("Argument `solution` must cut somewhere, but does not.")
         rows = cutting[:: math.ceil(cutting.size / _ROWS)]
     motion = _motion(job, solution)
-    return stability_along(
+    return Stability.along(
         _machine(job), _process(job), motion.motors, motion.joints, rows
     )
-
-
-def find_chatter(job: Job, solution: Solution) -> Stability | None:
-    """Return how vibrations grow where a quick look finds that they may.
-
-    The quick look takes the deepest cut of each of a few stretches of the path, and the
-    slopes of its force from where the tool has been
-    (`_analysis/quick_force_jacobian.py`). What it suspects is looked at as by
-    `stability`; between these rows chatter is missed.
-
-    Args:
-        job: The job.
-        solution: Its solution.
-
-    Returns:
-        The growth at the suspected rows; None where nothing grows, also for a rigid
-        machine and a quasi-static job.
-
-    Differentiability: none, a host function.
-    """
-    if job.is_rigid or job.simulation.mode != "dynamic":
-        return None
-    rows = _deep_rows(solution)
-    if rows.size == 0:
-        return None
-    job = job.with_precision()
-    machine, process, motion = _machine(job), _process(job), _motion(job, solution)
-    path = Pose(solution.actual)
-    if not process.engagement.is_upright:
-        path = _poses(machine, motion.joints, is_upright=False)
-    slopes = quick_slopes(process, path, rows)
-    quick = _growth(machine, process, motion, rows, slopes)
-    if not quick.is_unstable.any():
-        return None
-    found = stability(job, solution, rows=quick.row[quick.is_unstable])
-    return found if found.is_unstable.any() else None
 
 
 def _deep_rows(solution: Solution) -> Int[np.ndarray, " row"]:
@@ -232,52 +279,6 @@ def _process(job: Job) -> Process:
     """Return the process of a job with the chip model "near_far"."""
     settings = dataclasses.replace(job.simulation, chip="near_far")
     return job_process(dataclasses.replace(job, simulation=settings), ThroughRays())
-
-
-def stability_along(
-    arm: ElasticArm | ModalMachine,
-    process: Process,
-    motor_positions: Float[Array, "step joint"],
-    joint_positions: Float[Array, "step joint"],
-    rows: Sequence[int] | Int[np.ndarray, " row"],
-) -> Stability:
-    """Return how vibrations grow along a motion; see `stability`.
-
-    Args:
-        arm: The machine; its integrator does not count.
-        process: The process, with the chip model "near_far".
-        motor_positions: theta at the tooth instants [rad or m], shape (step, joint);
-            of a machine of modes its command.
-        joint_positions: Joints there [rad or m], shape (step, joint); of a machine of
-            modes its poses, as a command has them.
-        rows: Rows to look at, from 1.
-
-    Returns:
-        The growth, on the host.
-
-    Raises:
-        ValueError: If a row does not exist.
-
-    Differentiability: none, a host function.
-    """
-    chosen = np.unique(np.asarray(rows, dtype=np.int32))
-    step_count = joint_positions.shape[0]
-    if chosen.size == 0 or chosen.min() < 1 or chosen.max() >= step_count:
-        raise ValueError(
-            f"Argument `rows` must have rows from 1 to {step_count - 1}, but is {rows}."
-        )
-    engagement = process.engagement
-    path = _poses(arm, joint_positions, is_upright=engagement.is_upright)
-    # The force has its slopes at every angle that is looked at.
-    substeps = engagement.angles // process.cutter.flute_count
-    fine = eqx.tree_at(
-        lambda p: p.engagement,
-        process,
-        dataclasses.replace(engagement, substeps=substeps),
-    )
-    slopes = force_slopes(fine, path, chosen)
-    motion = _Motion(motor_positions, joint_positions, path.tip[:step_count])
-    return _growth(arm, process, motion, chosen, slopes)
 
 
 def _machine(job: Job) -> ElasticArm | ModalMachine:

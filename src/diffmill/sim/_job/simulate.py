@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import equinox as eqx
 import jax
@@ -99,6 +99,74 @@ class Solution(eqx.Module):
     result: RESULTS
     joint_names: tuple[str, ...] = eqx.field(static=True)
 
+    @staticmethod
+    def of_command(
+        job: Job,
+        rigid: Run,
+        commanded: Float[Array, "step 3"],
+        adjoint: AbstractAdjoint,
+        motors: Float[Array, "step joint"] | None = None,
+    ) -> "Solution":
+        """Return the solution of a command, given the rigid cut of the desired path.
+
+        Args:
+            job: The job, in its precision.
+            rigid: `rigid_cut(job, ...)`.
+            commanded: Tip positions that the program says [m], shape (step, 3).
+            adjoint: How to differentiate through the removal.
+            motors: Commanded motor positions that override those of the tips [rad or
+                m], shape (step, joint).
+
+        Returns:
+            The solution.
+
+        Differentiability: as `simulate`.
+        """
+        needed = _needed(adjoint, (job, rigid, commanded, motors))
+        program = JobModel.of(padded_job(job), needed)
+        count = job.path.step_count
+        commanded, steps = on_device(commanded), program.path.step_count
+        tips = on_device(pad_rows(commanded, steps))
+        is_reached = on_device(np.ones(steps, bool))
+        if motors is not None:
+            motors = on_device(pad_rows(motors, steps))
+        elif program.machine is not None:
+            motors, is_reached = JobKinematics(program.kinematics).motors(tips)
+        ran = _follow(program, rigid.stock, _Command(tips, motors, is_reached))
+        end = _remove_rest(program.process, ran.ending)
+        if steps != count:
+            ran = cut_rows(ran, _FOLLOWED_ROWS, count)
+            end = cut_rows(end, _END_ROWS, count)
+        # What a rigid cut that failed says of where the tool cuts would be wrong; what
+        # went wrong in a cut counts before what is not reached, which `is_reached`
+        # tells.
+        is_good = end.result == RESULTS.successful
+        result = RESULTS.where(is_good, rigid.result, end.result)
+        only_unreached = (result == RESULTS.successful) & ~_all(ran.is_reached)
+        result = RESULTS.where(only_unreached, RESULTS.unreachable, result)
+        return Solution(
+            time=on_device(job.path.time),
+            desired=on_device(job.path.positions),
+            commanded=commanded,
+            actual=ran.actual,
+            force=ran.force,
+            removed_volume=end.removed_volume,
+            shank_volume=end.shank_volume,
+            surface_deviation=ran.surface_deviation,
+            wall_share=ran.wall_share,
+            contour_error=ran.contour_error,
+            is_cutting=_is_cutting(rigid.force),
+            motor_positions=ran.motor_positions,
+            joint_positions=ran.joint_positions,
+            initial_overlap_volume=ran.initial_overlap_volume,
+            has_failed=_either(end.has_failed, rigid.has_failed),
+            is_reached=ran.is_reached,
+            stock=end.stock,
+            rigid=rigid,
+            result=result,
+            joint_names=() if job.robot is None else job.robot.joint_names,
+        )
+
     def raise_unless_successful(self, job: Job | None = None) -> None:
         """Raise `SimulationFailed` with time, place and joint of every trouble.
 
@@ -157,11 +225,18 @@ def simulate(
     adjoint = ThroughRays() if adjoint is None else adjoint
     tell = on_progress or (lambda message, share: None)
     command = job.path.positions if commanded is None else commanded
-    _, solution = run_with_room(job, on_device(command), adjoint, tell)
+    solution = run_with_room(job, on_device(command), adjoint, tell).solution
     tell("done", 1.0)
     if throw and not isinstance(solution.actual, jax.core.Tracer):
         solution.raise_unless_successful(job)
     return solution
+
+
+class SolvedJob(NamedTuple):
+    """A job with the slots that it took, and its solution, whatever the outcome."""
+
+    job: Job
+    solution: Solution
 
 
 def run_with_room(
@@ -169,7 +244,7 @@ def run_with_room(
     commanded: Float[Array, "step 3"],
     adjoint: AbstractAdjoint,
     on_progress: OnProgress,
-) -> tuple[Job, Solution]:
+) -> SolvedJob:
     """Run a job, and again with more slots while its rays need more intervals.
 
     Args:
@@ -177,9 +252,6 @@ def run_with_room(
         commanded: Tip positions that the program says [m], shape (step, 3).
         adjoint: How to differentiate through the removal.
         on_progress: Called with a message and the share done.
-
-    Returns:
-        The job with the slots that it took, and its solution, whatever the outcome.
 
     Differentiability: as `simulate`; what is traced is run once.
     """
@@ -192,12 +264,12 @@ def run_with_room(
         on_progress(f"rigid cut again: {job.notes[-1]}", 0.0)
         rigid = rigid_cut(job, adjoint)
     on_progress("robot and cut", 0.4)
-    solution = solve_command(job, rigid, commanded, adjoint)
+    solution = Solution.of_command(job, rigid, commanded, adjoint)
     while (more := with_more_intervals(job, solution.result)) is not None:
         job = more
         on_progress(f"robot and cut again: {job.notes[-1]}", 0.4)
-        solution = solve_command(job, rigid, commanded, adjoint)
-    return job, solution
+        solution = Solution.of_command(job, rigid, commanded, adjoint)
+    return SolvedJob(job, solution)
 
 
 def job_process(job: Job, derivative: AbstractAdjoint) -> Process:
@@ -378,73 +450,6 @@ def _cut_along(
 def _remove_rest(process: Process, ending: Ending) -> RunEnd:
     """Return what removes all that waits: the same for every machine."""
     return ending.remove(process)
-
-
-def solve_command(
-    job: Job,
-    rigid: Run,
-    commanded: Float[Array, "step 3"],
-    adjoint: AbstractAdjoint,
-    motors: Float[Array, "step joint"] | None = None,
-) -> Solution:
-    """Return the solution of a command, given the rigid cut of the desired path.
-
-    Args:
-        job: The job, in its precision.
-        rigid: `rigid_cut(job, ...)`.
-        commanded: Tip positions that the program says [m], shape (step, 3).
-        adjoint: How to differentiate through the removal.
-        motors: Commanded motor positions that override those of the tips [rad or m],
-            shape (step, joint).
-
-    Returns:
-        The solution.
-
-    Differentiability: as `simulate`.
-    """
-    needed = _needed(adjoint, (job, rigid, commanded, motors))
-    program = JobModel.of(padded_job(job), needed)
-    count = job.path.step_count
-    commanded, steps = on_device(commanded), program.path.step_count
-    tips = on_device(pad_rows(commanded, steps))
-    is_reached = on_device(np.ones(steps, bool))
-    if motors is not None:
-        motors = on_device(pad_rows(motors, steps))
-    elif program.machine is not None:
-        motors, is_reached = JobKinematics(program.kinematics).motors(tips)
-    ran = _follow(program, rigid.stock, _Command(tips, motors, is_reached))
-    end = _remove_rest(program.process, ran.ending)
-    if steps != count:
-        ran = cut_rows(ran, _FOLLOWED_ROWS, count)
-        end = cut_rows(end, _END_ROWS, count)
-    # What a rigid cut that failed says of where the tool cuts would be wrong; what went
-    # wrong in a cut counts before what is not reached, which `is_reached` tells.
-    is_good = end.result == RESULTS.successful
-    result = RESULTS.where(is_good, rigid.result, end.result)
-    only_unreached = (result == RESULTS.successful) & ~_all(ran.is_reached)
-    result = RESULTS.where(only_unreached, RESULTS.unreachable, result)
-    return Solution(
-        time=on_device(job.path.time),
-        desired=on_device(job.path.positions),
-        commanded=commanded,
-        actual=ran.actual,
-        force=ran.force,
-        removed_volume=end.removed_volume,
-        shank_volume=end.shank_volume,
-        surface_deviation=ran.surface_deviation,
-        wall_share=ran.wall_share,
-        contour_error=ran.contour_error,
-        is_cutting=_is_cutting(rigid.force),
-        motor_positions=ran.motor_positions,
-        joint_positions=ran.joint_positions,
-        initial_overlap_volume=ran.initial_overlap_volume,
-        has_failed=_either(end.has_failed, rigid.has_failed),
-        is_reached=ran.is_reached,
-        stock=end.stock,
-        rigid=rigid,
-        result=result,
-        joint_names=() if job.robot is None else job.robot.joint_names,
-    )
 
 
 def _is_cutting(force: Float[Array, "step 3"]) -> Bool[Array, " step"]:

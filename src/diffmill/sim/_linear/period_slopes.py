@@ -27,7 +27,7 @@ from ...process import (
     Process,
     ProcessState,
 )
-from ...workpiece import RAYS_READ, Pose
+from ...workpiece import Pose, Rays
 from .._machine.substeps import AbstractCompliant, CommandRow
 
 
@@ -171,7 +171,7 @@ def look_with_slopes(
         return samples, (known, cut.thinned)
 
     # Kept is what was read of the stock; the rest is computed again.
-    policy = jax.checkpoint_policies.save_only_these_names(RAYS_READ)
+    policy = jax.checkpoint_policies.save_only_these_names(Rays.READ)
     engage = jax.checkpoint(engage, policy=policy)
     at = as_rows(predicted), as_rows(state.recent)[0], state.last_tip
     samples, push, (known, thinned) = jax.linearize(engage, *at, has_aux=True)

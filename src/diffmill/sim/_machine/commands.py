@@ -4,7 +4,7 @@ Inverse kinematics takes long to compile. On the host it runs by programs of its
 few lengths, which all that need joints or motors share.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -24,6 +24,18 @@ from ...robot import (
     motor_positions,
 )
 from ...workpiece import Pose
+
+
+class JointRows(NamedTuple):
+    """Positions of joints, or of their motors, that a command asks for.
+
+    Attributes:
+        positions: [rad or m], shape (step, joint).
+        is_reached: Whether each tip is reached, shape (step,).
+    """
+
+    positions: Float[Array, "step joint"]
+    is_reached: Bool[Array, " step"]
 
 
 class JobKinematics(eqx.Module):
@@ -72,9 +84,7 @@ class JobKinematics(eqx.Module):
             tool_rotation=self.job.tool_rotation,
         )
 
-    def joints(
-        self, commanded: Float[Array, "step 3"]
-    ) -> tuple[Float[Array, "step joint"], Bool[Array, " step"]]:
+    def joints(self, commanded: Float[Array, "step 3"]) -> "JointRows":
         """Return the joint positions of tip positions, and which of them are reached.
 
         The tool axis is the path's, tool x as near to x of `work` as that allows, or as
@@ -83,36 +93,27 @@ class JobKinematics(eqx.Module):
         Args:
             commanded: Tip positions in `work` [m], shape (step, 3).
 
-        Returns:
-            Joint positions [rad or m], shape (step, joint), and whether each tip is
-            reached, shape (step,).
-
         **Differentiability**: that of `inverse_kinematics_path`.
         """
         if self.job.modes is not None:
-            return commanded, on_device(np.ones(commanded.shape[0], bool))
+            return JointRows(commanded, on_device(np.ones(commanded.shape[0], bool)))
         found = self.solve(commanded)
-        return found.q, found.converged
+        return JointRows(found.q, found.converged)
 
     def poses(self, commanded: Float[Array, "step 3"]) -> Float[Array, "step 4 4"]:
         """Return the poses of the tool in the base for tip positions in `work`."""
         return _poses(jnp.asarray(self.job.T_base_work), commanded, self.job.tool_axes)
 
-    def motors(
-        self, commanded: Float[Array, "step 3"]
-    ) -> tuple[Float[Array, "step joint"], Bool[Array, " step"]]:
+    def motors(self, commanded: Float[Array, "step 3"]) -> "JointRows":
         """Return the motor positions of tip positions, and which of them are reached.
 
         Args:
             commanded: Tip positions in `work` [m], shape (step, 3).
 
-        Returns:
-            As `joints`, for the motors.
-
         **Differentiability**: that of `inverse_kinematics_path`.
         """
         q, is_reached = self.joints(commanded)
-        return self.motors_of(q), is_reached
+        return JointRows(self.motors_of(q), is_reached)
 
     def motors_of(
         self, joints: Float[Array, "step joint"]

@@ -6,9 +6,7 @@ from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Float, Int
 
 from ...numerics import hold
-
-# What was read of rays: who computes a look again keeps it, and not the stock.
-RAYS_READ = "read of rays"
+from .stock import Rays
 
 
 def taken(table: Array, at: Int[Array, "*end"]) -> Array:
@@ -17,7 +15,7 @@ def taken(table: Array, at: Int[Array, "*end"]) -> Array:
     **Differentiability**: linear in the table.
     """
     return checkpoint_name(
-        table.reshape(-1).at[at].get(mode="promise_in_bounds"), RAYS_READ
+        table.reshape(-1).at[at].get(mode="promise_in_bounds"), Rays.READ
     )
 
 
@@ -62,4 +60,4 @@ def nearest_interval(
         # Few of the slots hold anything, and each costs a gather.
         first = jax.lax.fori_loop(jnp.ones((), jnp.int32), slots, look, first)
     _, low, high, slot = first
-    return checkpoint_name(low, RAYS_READ), checkpoint_name(high, RAYS_READ), slot
+    return checkpoint_name(low, Rays.READ), checkpoint_name(high, Rays.READ), slot

@@ -32,7 +32,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ...cutter import AbstractCutter
-from ...numerics import clamp, hat_integral, hold, mean_step, ramp, with_derivative_of
+from ...numerics import clamp, hat_integral, hold, ramp, with_derivative_of
+from .mean_step import mean_step
 from .nearest_interval import nearest_interval, taken
 from .stock import Stock
 from .tooth_pass import PoseTrack

@@ -27,8 +27,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ...cutter import AbstractCutter
-from ...numerics import clamp, mean_step, with_derivative_of
+from ...numerics import clamp, with_derivative_of
 from .._pose import Pose
+from .mean_step import mean_step
 from .nearest_interval import nearest_interval, taken
 from .occupancy import REACH
 from .stock import Stock
