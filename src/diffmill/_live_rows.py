@@ -7,7 +7,7 @@ as it is, and removes at most what is left to remove anyway.
 """
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -79,6 +79,20 @@ def when_live(
     return jax.lax.cond(is_live, compute, lambda: otherwise)
 
 
+class _Part(NamedTuple):
+    """Rows that are left out together, or run.
+
+    Attributes:
+        rows: The rows, a tree with an axis row.
+        is_live: Which of them count, shape (row,).
+        is_run: Whether they are run, shape ().
+    """
+
+    rows: PyTree
+    is_live: Bool[Array, "*part row"]
+    is_run: Bool[Array, "*part"]
+
+
 def scan_rows(
     step: Callable[[_Tree, _Row, Bool[Array, ""] | None], PyTree],
     carry: _Tree,
@@ -115,13 +129,14 @@ def scan_rows(
         lambda carry, rows: jax.lax.scan(lambda c, x: step(c, *x), carry, rows)
     )
 
-    def part(carry: _Tree, x: tuple[_Row, Array, Array]) -> PyTree:
-        _, shapes = jax.eval_shape(run, carry, x[:2])
+    def part(carry: _Tree, part: _Part) -> PyTree:
+        scan = lambda: run(carry, (part.rows, part.is_live))
+        shapes = jax.eval_shape(scan)[1]
         none = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
-        return jax.lax.cond(x[2], lambda: run(carry, x[:2]), lambda: (carry, none))
+        return jax.lax.cond(part.is_run, scan, lambda: (carry, none))
 
     split = jax.tree.map(lambda x: x[at], rows)
     live = is_live[at] & (index < count)
     is_run = is_live[jnp.maximum(at[:, 0] - behind, 0)]
-    carry, found = jax.lax.scan(part, carry, (split, live, is_run))
+    carry, found = jax.lax.scan(part, carry, _Part(split, live, is_run))
     return carry, jax.tree.map(lambda x: jax.lax.collapse(x, 0, 2)[:count], found)

@@ -7,10 +7,11 @@ from typing import Literal
 import equinox as eqx
 import numpy as np
 from jax.typing import DTypeLike
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from .._types import RealScalarLike
 from ._elements import EdgeElements
+from ._rays import Chord
 
 
 class AbstractCutter(eqx.Module):
@@ -77,7 +78,7 @@ class AbstractCutter(eqx.Module):
         b: Float[Array, "..."],
         c: Float[Array, "..."],
         tip: Float[Array, "*#ray 3"],
-    ) -> tuple[Float[Array, "..."], Float[Array, "..."], Bool[Array, "..."]]:
+    ) -> Chord:
         """Return where rays enter and leave the upright cutter, and whether they do."""
 
     @abc.abstractmethod
@@ -88,7 +89,7 @@ class AbstractCutter(eqx.Module):
         c: Float[Array, "*#ray"],
         tip: Float[Array, "*#ray 3"],
         axis: Float[Array, "*#ray 3"],
-    ) -> tuple[Float[Array, "..."], Float[Array, "..."], Bool[Array, "..."]]:
+    ) -> Chord:
         """Return where rays enter and leave the cutter in a pose, and whether."""
 
     @abc.abstractmethod

@@ -123,9 +123,9 @@ class EndMill(AbstractCutter):
             return self.own_corner_radius
         return self.diameter / 2 if self.kind == "ball" else 0.0
 
-    def _sizes(self, dtype: DTypeLike) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """Return radius and corner radius [m] in the type of the points."""
-        return (
+    def _sizes(self, dtype: DTypeLike) -> _profile.Sizes:
+        """Return the sizes in the type of the points."""
+        return _profile.Sizes(
             jnp.asarray(self.diameter, dtype) / 2,
             jnp.asarray(self.corner_radius, dtype),
         )
@@ -183,7 +183,7 @@ class EndMill(AbstractCutter):
         b: Float[Array, "..."],
         c: Float[Array, "..."],
         tip: Float[Array, "*#ray 3"],
-    ) -> tuple[Float[Array, "..."], Float[Array, "..."], Bool[Array, "..."]]:
+    ) -> _rays.Chord:
         """Return where rays enter and leave the upright cutter, and whether they do.
 
         The tool axis is +z; see `intersect_pose` for others.
@@ -214,7 +214,7 @@ class EndMill(AbstractCutter):
                 inward = R - jnp.sqrt(db**2 + dc**2 + _TOUCH**2)
                 rise = jnp.maximum(inward, 0) * jnp.tan(self.dish_angle)
                 lower = lower + jnp.where(is_hit, rise, 0)
-            return lower, jnp.full_like(lower, _rays.FAR), is_hit
+            return _rays.Chord(lower, jnp.full_like(lower, _rays.FAR), is_hit)
         across, up = (db, dc) if family == 0 else (dc, db)
         r = R if self.kind == "flat" else self._end_radius(up)
         square = r**2 - across**2
@@ -222,7 +222,8 @@ class EndMill(AbstractCutter):
         # rounding would decide pose by pose and shred such a ray.
         is_hit = (square > (_GRAZE * R) ** 2) & (up > _TOUCH)
         half = jnp.sqrt(jnp.where(is_hit, square, 1.0))
-        return tip[..., family] - half, tip[..., family] + half, jnp.asarray(is_hit)
+        middle = tip[..., family]
+        return _rays.Chord(middle - half, middle + half, jnp.asarray(is_hit))
 
     def _end_height(
         self, square: Float[Array, "..."], is_hit: Bool[Array, "..."]
@@ -247,7 +248,7 @@ class EndMill(AbstractCutter):
         c: Float[Array, "*#ray"],
         tip: Float[Array, "*#ray 3"],
         axis: Float[Array, "*#ray 3"],
-    ) -> tuple[Float[Array, "..."], Float[Array, "..."], Bool[Array, "..."]]:
+    ) -> _rays.Chord:
         """Return where rays enter and leave the cutter in a pose, and whether.
 
         Exact for flat and ball ends; by Newton's method for a bull-nose. A ray that
@@ -278,13 +279,15 @@ class EndMill(AbstractCutter):
         fixed = jax.lax.stop_gradient(sizes)
         ray = _rays.make_ray(family, *frozen)
         if self.kind == "flat":
-            start, stop, is_met = _rays.capped_cylinder(ray, fixed[0], fixed[1])
+            start, stop, is_met = _rays.capped_cylinder(
+                ray, fixed.radius, fixed.corner_radius
+            )
         elif self.kind == "ball":
-            start, stop, is_met = _rays.ball(ray, fixed[0])
+            start, stop, is_met = _rays.ball(ray, fixed.radius)
         else:
             start, stop, is_met = _rays.bull(ray, fixed)
         top = jnp.maximum(ray.height(start), ray.height(stop))
-        is_hit = is_met & (stop - start > 2 * _GRAZE * fixed[0]) & (top > _TOUCH)
+        is_hit = is_met & (stop - start > 2 * _GRAZE * fixed.radius) & (top > _TOUCH)
         ends = []
         for t, sign in ((start, -1), (stop, 1)):
             slope = sign * jnp.maximum(sign * ray.level(t, fixed)[1], _FLAT)
@@ -295,7 +298,7 @@ class EndMill(AbstractCutter):
             # The end stays where the level is zero: only its derivative counts.
             is_free = is_hit & (t > ray.low) & (t < ray.high)
             ends.append(with_derivative_of(end, jnp.where(is_free, -off / slope, 0)))
-        return ends[0], ends[1], is_hit
+        return _rays.Chord(ends[0], ends[1], is_hit)
 
     def wall_slopes(
         self,

@@ -6,14 +6,12 @@ from typing import Literal
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from . import _rays
 
 # Keeps a quadratic quadratic where a ray runs along the surface of a cone.
 _FLAT = 1e-12
-
-Interval = tuple[Float[Array, "..."], Float[Array, "..."], Bool[Array, "..."]]
 
 
 class HolderPart(eqx.Module):
@@ -139,7 +137,7 @@ class ToolHolder(eqx.Module):
         return found
 
 
-def _frustum(ray: _rays.Ray, part: HolderPart, foot: float) -> Interval:
+def _frustum(ray: _rays.Ray, part: HolderPart, foot: float) -> _rays.Chord:
     """Return the interval of rays within a cone between two heights.
 
     The square of the distance from the axis is at most that of the radius there,
@@ -171,4 +169,4 @@ def _frustum(ray: _rays.Ray, part: HolderPart, foot: float) -> Interval:
     start = jnp.maximum(start, jnp.where(is_level, ray.low, jnp.minimum(*ends)))
     stop = jnp.minimum(stop, jnp.where(is_level, ray.high, jnp.maximum(*ends)))
     is_met = ((square > 0) | is_open) & (~is_level | between)
-    return start, stop, is_met & (stop > start)
+    return _rays.Chord(start, stop, is_met & (stop > start))

@@ -5,6 +5,8 @@ radius R - r_c that begins at the height r_c on the tool axis and has no upper e
 r_c = 0 leaves the cylinder, r_c = R is a ball end.
 """
 
+from typing import NamedTuple
+
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -13,20 +15,77 @@ from jaxtyping import Array, Bool, Float
 _ON = 1e-15
 
 
-def distance(
-    along: Float[Array, "..."],
-    across: Float[Array, "..."],
-    sizes: tuple[Float[Array, ""], Float[Array, ""]],
-) -> tuple[Float[Array, "..."], tuple[Float[Array, "..."], Float[Array, "..."]]]:
-    """Return the signed distance in the half plane of the profile, and its gradient.
+class Sizes(NamedTuple):
+    """Sizes of an end mill.
+
+    Attributes:
+        radius: Radius R [m].
+        corner_radius: Corner radius r_c [m].
+    """
+
+    radius: Float[Array, ""]
+    corner_radius: Float[Array, ""]
+
+
+class Level(NamedTuple):
+    """Signed distance in the half plane of the profile, and its gradient.
+
+    Attributes:
+        value: The distance [m].
+        by_along: Its derivative by the height.
+        by_across: Its derivative by the distance from the axis.
+    """
+
+    value: Float[Array, "..."]
+    by_along: Float[Array, "..."]
+    by_across: Float[Array, "..."]
+
+
+class AxisPlace(NamedTuple):
+    """Where points are, seen from the tool axis.
+
+    Attributes:
+        along: Height above the tip [m].
+        offset: From the axis [m], shape (..., 3).
+        rho: Length of the offset [m]; 1 m on the axis, to divide by.
+        is_off: Whether the point is off the axis.
+    """
+
+    along: Float[Array, "..."]
+    offset: Float[Array, "... 3"]
+    rho: Float[Array, "..."]
+    is_off: Bool[Array, "..."]
+
+    @classmethod
+    def of(
+        cls,
+        points: Float[Array, "*#place 3"],
+        tip: Float[Array, "*#place 3"],
+        axis: Float[Array, "*#place 3"],
+    ) -> "AxisPlace":
+        """Return the places of points [m]; tip [m] and unit axis are broadcast."""
+        points, tip, axis = jnp.broadcast_arrays(points, tip, axis)
+        away = points - tip
+        along = jnp.sum(away * axis, axis=-1)
+        offset = away - along[..., None] * axis
+        square = jnp.sum(offset**2, axis=-1)
+        is_off = square > _ON**2
+        return cls(along, offset, jnp.sqrt(jnp.where(is_off, square, 1)), is_off)
+
+    def level(self, sizes: Sizes) -> Level:
+        """Return the signed distance there."""
+        return profile_level(self.along, jnp.where(self.is_off, self.rho, 0), sizes)
+
+
+def profile_level(
+    along: Float[Array, "..."], across: Float[Array, "..."], sizes: Sizes
+) -> Level:
+    """Return the signed distance in the half plane of the profile.
 
     Args:
         along: Height above the tip along the axis [m].
         across: Distance from the axis [m].
-        sizes: Radius R and corner radius r_c [m].
-
-    Returns:
-        The distance [m], and its derivatives by height and by distance from the axis.
+        sizes: Sizes of the mill.
 
     Differentiability: kinks inside the solid, where the nearest point changes from
     the side to the bottom, and on the rim of a flat end.
@@ -43,50 +102,30 @@ def distance(
     level = jnp.where(is_corner, corner, jnp.where(is_side, side, below)) - rc
     by_along = jnp.where(is_corner, -y / corner, jnp.where(is_side, 0, -1))
     by_across = jnp.where(is_corner, x / corner, jnp.where(is_side, 1, 0))
-    return level, (by_along.astype(level.dtype), by_across.astype(level.dtype))
-
-
-def from_axis(
-    points: Float[Array, "*#place 3"],
-    tip: Float[Array, "*#place 3"],
-    axis: Float[Array, "*#place 3"],
-) -> tuple[
-    Float[Array, "..."], Float[Array, "... 3"], Float[Array, "..."], Bool[Array, "..."]
-]:
-    """Return height above the tip, offset from the axis, its length, and if it has one.
-
-    On the axis the length is given as 1 m, to divide by.
-    """
-    points, tip, axis = jnp.broadcast_arrays(points, tip, axis)
-    away = points - tip
-    along = jnp.sum(away * axis, axis=-1)
-    offset = away - along[..., None] * axis
-    square = jnp.sum(offset**2, axis=-1)
-    is_off = square > _ON**2
-    return along, offset, jnp.sqrt(jnp.where(is_off, square, 1)), is_off
+    dtype = level.dtype
+    return Level(level, by_along.astype(dtype), by_across.astype(dtype))
 
 
 def level(
     points: Float[Array, "*#place 3"],
     tip: Float[Array, "*#place 3"],
     axis: Float[Array, "*#place 3"],
-    sizes: tuple[Float[Array, ""], Float[Array, ""]],
+    sizes: Sizes,
 ) -> Float[Array, "..."]:
     """Return the signed distance of points; see `EndMill.level`."""
-    along, _, rho, is_off = from_axis(points, tip, axis)
-    return distance(along, jnp.where(is_off, rho, 0), sizes)[0]
+    return AxisPlace.of(points, tip, axis).level(sizes).value
 
 
 def normal(
     points: Float[Array, "*#place 3"],
     tip: Float[Array, "*#place 3"],
     axis: Float[Array, "*#place 3"],
-    sizes: tuple[Float[Array, ""], Float[Array, ""]],
+    sizes: Sizes,
 ) -> Float[Array, "... 3"]:
     """Return the unit gradient of the signed distance; see `EndMill.normal`."""
-    along, offset, rho, is_off = from_axis(points, tip, axis)
-    axis = jnp.broadcast_to(axis, offset.shape)
-    _, (by_along, by_across) = distance(along, jnp.where(is_off, rho, 0), sizes)
+    place = AxisPlace.of(points, tip, axis)
+    axis = jnp.broadcast_to(axis, place.offset.shape)
+    _, by_along, by_across = place.level(sizes)
     # On the axis every direction across it is as good: one that is never parallel.
     is_steep = jnp.abs(axis[..., 2:]) > 0.7
     x, y, z = axis[..., 0], axis[..., 1], axis[..., 2]
@@ -95,5 +134,6 @@ def normal(
         is_steep, jnp.stack([z, nil, -x], -1), jnp.stack([-y, x, nil], -1)
     )
     size = jnp.sqrt(jnp.sum(any_across**2, axis=-1, keepdims=True))
-    outward = jnp.where(is_off[..., None], offset / rho[..., None], any_across / size)
+    own = place.offset / place.rho[..., None]
+    outward = jnp.where(place.is_off[..., None], own, any_across / size)
     return by_across[..., None] * outward + by_along[..., None] * axis

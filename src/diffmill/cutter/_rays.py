@@ -6,14 +6,14 @@ has one interval. All roots are found on frozen numbers; `EndMill.intersect_pose
 gives them the derivatives of the signed distance.
 """
 
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ._profile import distance
+from ._profile import Sizes, profile_level
 
 # Rays are cut off here [m], beyond any workpiece.
 FAR = 1e3
@@ -23,7 +23,19 @@ _PARALLEL = 1e-12
 # Steps of Newton's method for the torus of a bull-nose.
 NEWTON_STEPS = 12
 
-_Interval = tuple[Float[Array, "..."], Float[Array, "..."], Bool[Array, "..."]]
+
+class Chord(NamedTuple):
+    """What of each ray is in a convex solid.
+
+    Attributes:
+        start: Where the ray enters [m].
+        stop: Where it leaves [m].
+        is_hit: Whether it meets the solid; start and stop mean nothing where not.
+    """
+
+    start: Float[Array, "..."]
+    stop: Float[Array, "..."]
+    is_hit: Bool[Array, "..."]
 
 
 class Ray(eqx.Module):
@@ -58,14 +70,14 @@ class Ray(eqx.Module):
     def level(
         self,
         t: Float[Array, "..."],
-        sizes: tuple[Float[Array, ""], Float[Array, ""]],
+        sizes: Sizes,
     ) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
         """Return the signed distance [m] and its slope along the ray."""
         x = self.slant * (t - self.middle)
         square = x**2 + self.offset**2
         is_off = square > 0
         rho = jnp.where(is_off, jnp.sqrt(jnp.where(is_off, square, 1)), 0)
-        value, (by_along, by_across) = distance(self.height(t), rho, sizes)
+        value, by_along, by_across = profile_level(self.height(t), rho, sizes)
         spread = self.slant * x / jnp.where(is_off, rho, 1)
         return value, by_along * self.rise + by_across * spread
 
@@ -101,7 +113,7 @@ def make_ray(
 
 def capped_cylinder(
     ray: Ray, radius: Float[Array, ""], bottom: Float[Array, ""]
-) -> _Interval:
+) -> Chord:
     """Return the interval within a radius of the axis and above a height on it."""
     square = radius**2 - ray.offset**2
     is_slanted = ray.slant > 0
@@ -114,10 +126,10 @@ def capped_cylinder(
     start = jnp.maximum(jnp.maximum(ray.middle - half, from_below), ray.low)
     stop = jnp.minimum(jnp.minimum(ray.middle + half, to_below), ray.high)
     is_above = ~is_level | (ray.along > bottom)
-    return start, stop, (square > 0) & is_above & (stop > start)
+    return Chord(start, stop, (square > 0) & is_above & (stop > start))
 
 
-def ball(ray: Ray, radius: Float[Array, ""]) -> _Interval:
+def ball(ray: Ray, radius: Float[Array, ""]) -> Chord:
     """Return the interval within a ball end: sphere and shank together."""
     (x, y), (p, q) = ray.foot, ray.tilt
     square = radius**2 - (x - radius * p) ** 2 - (y - radius * q) ** 2
@@ -131,16 +143,18 @@ def ball(ray: Ray, radius: Float[Array, ""]) -> _Interval:
     is_both = in_ball & in_shank
     first = jnp.where(is_both, jnp.minimum(first, start), first)
     last = jnp.where(is_both, jnp.maximum(last, stop), last)
-    return first, last, in_ball | in_shank
+    return Chord(first, last, in_ball | in_shank)
 
 
-def bull(ray: Ray, sizes: tuple[Float[Array, ""], Float[Array, ""]]) -> _Interval:
+def bull(ray: Ray, sizes: Sizes) -> Chord:
     """Return the interval within a bull-nose.
 
     Newton's method on the convex signed distance, from both ends of the cylinder
     around the solid: steps from outside never go past a root.
     """
-    low, high, is_near = capped_cylinder(ray, sizes[0], jnp.zeros_like(sizes[0]))
+    low, high, is_near = capped_cylinder(
+        ray, sizes.radius, jnp.zeros_like(sizes.radius)
+    )
 
     def step(
         _: int | Array, ends: tuple[Float[Array, "..."], Float[Array, "..."]]
@@ -156,4 +170,4 @@ def bull(ray: Ray, sizes: tuple[Float[Array, ""], Float[Array, ""]]) -> _Interva
 
     start, stop = jax.lax.fori_loop(0, NEWTON_STEPS, step, (low, high))
     middle, _ = ray.level((start + stop) / 2, sizes)
-    return start, stop, is_near & (stop > start) & (middle < 0)
+    return Chord(start, stop, is_near & (stop > start) & (middle < 0))

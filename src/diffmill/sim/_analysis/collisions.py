@@ -173,9 +173,8 @@ def _swept(
     """Return the depth of the tool, of the holder, and of it in what is left."""
     depths = np.zeros((3, len(samples.tip)))
     used = samples.is_cut | samples.is_tool | samples.is_holder
-    columns, depths[0, used], depths[1, used], is_full = sweep(
-        columns, test, samples[used]
-    )
+    swept = sweep(columns, test, samples[used])
+    depths[0, used], depths[1, used] = swept.tool, swept.holder
     # Only what is in the stock then can be in what is left of it.
     again = depths[1] > 0
     if again.any():
@@ -183,8 +182,8 @@ def _swept(
         left = eqx.tree_at(
             lambda s: (s.is_cut, s.is_tool), samples[again], (none, none)
         )
-        depths[2, again] = sweep(columns, test, left)[2]
-    return depths, is_full
+        depths[2, again] = sweep(swept.columns, test, left).holder
+    return depths, swept.has_overflow
 
 
 def _between_rows(

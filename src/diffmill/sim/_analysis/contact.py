@@ -5,6 +5,8 @@ is looked for in them, then cuts, then its holder is looked for. Nothing here is
 differentiated, so no other family and no record of the poses is kept.
 """
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -142,19 +144,29 @@ def window_of(
     return Window(start, (int(size[0]), int(size[1])))
 
 
-def sweep(
-    columns: Columns, test: ContactTest, samples: Samples
-) -> tuple[Columns, Float[np.ndarray, " sample"], Float[np.ndarray, " sample"], bool]:
+class Swept(NamedTuple):
+    """What a tool does on its way through poses.
+
+    Attributes:
+        columns: The stock after the last pose.
+        tool: How deep the tool is in material where it is looked for [m].
+        holder: How deep the holder is [m], likewise.
+        has_overflow: Whether a ray ran out of slots.
+    """
+
+    columns: Columns
+    tool: Float[np.ndarray, " sample"]
+    holder: Float[np.ndarray, " sample"]
+    has_overflow: bool
+
+
+def sweep(columns: Columns, test: ContactTest, samples: Samples) -> Swept:
     """Take a tool through poses, in order.
 
     Args:
         columns: The stock before the first pose.
         test: What removes and what is looked for.
         samples: The poses.
-
-    Returns:
-        The stock after the last pose; how deep the tool and how deep the holder is in
-        material where they are looked for [m]; and whether a ray ran out of slots.
 
     Differentiability: not applicable, a host function.
     """
@@ -176,12 +188,8 @@ def sweep(
         size = min(_CHUNK, count - first)
         depths[:, first : first + size] = np.asarray(found).T[:, :size]
         has_overflow |= bool(is_full)
-    return (
-        eqx.tree_at(lambda c: c.ends, columns, ends),
-        depths[0],
-        depths[1],
-        has_overflow,
-    )
+    left = eqx.tree_at(lambda c: c.ends, columns, ends)
+    return Swept(left, depths[0], depths[1], has_overflow)
 
 
 @eqx.filter_jit
