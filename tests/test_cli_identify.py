@@ -438,6 +438,25 @@ def test_a_record_of_a_straight_cut_gives_its_coefficients(folder, capsys):
 
 
 @pytest.mark.slow
+def test_a_record_in_other_axes_than_the_rest_is_named(folder, capsys):
+    time, text = np.arange(0, 0.25, 1e-4), SLOTS
+    for i, (feed, side) in enumerate(((0.08e-3, 1), (0.1e-3, 1), (0.12e-3, -1))):
+        force = slot_force(time, feed) * [1, side, 1]
+        rows = [
+            f"{t:.5f};{x};{y};{z}" for t, (x, y, z) in zip(time, force, strict=True)
+        ]
+        name = f"slot{i}.txt"
+        (folder / name).write_text("t;Fx;Fy;Fz\ns;N;N;N\n" + "\n".join(rows))
+        text += f'[[record]]\nfile = "{name}"\nfeed_per_tooth = "{1e3 * feed} mm"\n'
+    (folder / "slot.toml").write_text(text)
+    assert main(["identify", "slot.toml"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert said.count("does not agree with the others") == 1
+    _, _, place = said.partition("slot2.txt does not agree with the others")
+    assert place.startswith(': alone it suits the axes ["x", "-y", "z"]')
+
+
+@pytest.mark.slow
 def test_two_forces_give_what_they_show(folder, capsys):
     time = np.arange(0, 0.25, 1e-4)
     force = slot_force(time, 0.1e-3)

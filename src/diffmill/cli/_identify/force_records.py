@@ -33,7 +33,7 @@ def report_records(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> Repo
     of_fit = fit.diagnoses if found.has_likely_axes else ()
     lines = [
         *record_lines(records, found.registrations),
-        *axes_lines(found, takes_proposed=study.settings.takes_proposed),
+        *axes_lines(records, found, takes_proposed=study.settings.takes_proposed),
         *_fit_lines(study, found),
         *diagnosis_lines(of_fit, fit.axes, [one.name for one in records]),
         *tooth_lines(records, [(one.shift, one.revolution) for one in fit.records]),

@@ -1,6 +1,7 @@
 """Registration of force records in words: time, axes and doubts."""
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -85,10 +86,13 @@ def record_lines(
     return lines
 
 
-def axes_lines(found: ForceRecordStudy.Fit, *, takes_proposed: bool) -> list[str]:
+def axes_lines(
+    records: Sequence[ForceRecord], found: ForceRecordStudy.Fit, *, takes_proposed: bool
+) -> list[str]:
     """Return what the records say of their axes; nothing is changed by it.
 
     Args:
+        records: The records.
         found: The fit.
         takes_proposed: Whether the file asks for the likeliest.
     """
@@ -108,5 +112,15 @@ def axes_lines(found: ForceRecordStudy.Fit, *, takes_proposed: bool) -> list[str
         )
     elif not proposal.is_clear:
         lines += noted("Others suit nearly as well: the record does not tell the axes.")
+    own = [place.proposal.proposals[0].axes for place in found.registrations]
+    # No record tells the sign of z.
+    ((usual, count),) = Counter(one[:2] for one in own).most_common(1)
+    for record, one in zip(records, own, strict=True):
+        if count > 1 and one[:2] != usual:
+            lines += noted(
+                f"{record.name} does not agree with the others: alone it suits the "
+                f"axes {axes_text(one)}.",
+                "warning",
+            )
     lines += [f"  against the axes used: {text}" for text in used.violations]
     return lines + [f"  {sentence}" for sentence in proposal.evidence]
