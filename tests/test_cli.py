@@ -367,8 +367,10 @@ def test_a_command_ends_while_a_thread_compiles(tmp_path):
 
 def test_an_interrupt_in_a_callback_is_not_lost():
     code = """
-import gc, sys, time
+import gc, signal, sys, time
 from diffmill.cli import main
+# What was started in the background ignores interrupts.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.argv = ["diffmill", "--version"]
 main()
 def callback(phase, info):
