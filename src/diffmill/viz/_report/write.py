@@ -99,9 +99,8 @@ def _of_reference(drawing: _Drawing, dataset: "xarray.Dataset") -> _Drawing:
     if drawing.figure is None or len(case_names(dataset)) < 2:
         return drawing
     label = case_style(reference_case(dataset)).label
-    drawing.figure.text(
-        0.995, 0.997, label, ha="right", va="top", fontsize=9, color=GREY
-    )
+    # Below on the left, where no legend and no axis stands.
+    drawing.figure.text(0.005, 0.004, label, fontsize=9, color=GREY)
     text = f"Of the {label} path. {drawing.text}"
     return _Drawing(drawing.title, text, drawing.figure)
 
