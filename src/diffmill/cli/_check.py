@@ -131,8 +131,7 @@ def _describe_job(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
         robot = job.robot.name
     elif job.modes is not None:
         robot = f"none ({len(job.modes.frequencies)} modes at the tool tip)"
-    count = len(job.notes)
-    more = f", but with {count} note{'s'[: count != 1]}" if count else ""
+    more = f" (notes: {len(job.notes)}, see below)" if job.notes else ""
     return [
         f"{file}: a job without faults{more}",
         f"  path: {job.path.step_count} tooth periods of "

@@ -36,7 +36,6 @@ from .regression_rows import (
     measured_records,
     shift_part,
 )
-from .uncertainty import relative_uncertainty
 
 # Steps of the time shifts after the search, which converge quadratically, and the
 # share of a revolution below which they rest.
@@ -177,19 +176,6 @@ class ForceCoefficientFit(eqx.Module):
         step = float(np.median(np.diff(self.records[record].time)))
         amplitude = 2 * np.abs(np.fft.rfft(off, axis=0)) / len(off)
         return np.fft.rfftfreq(len(off), step), amplitude
-
-    def relative_uncertainty(self, columns: Float[np.ndarray, "row 6"]) -> float:
-        """Return the relative error, equal for all coefficients, that says as much.
-
-        Args:
-            columns: Force per coefficient, shape (row, 6).
-
-        Returns:
-            The relative error, infinite if nothing is known.
-        """
-        return relative_uncertainty(
-            self.coefficients, self.standard_errors, self.correlation, columns
-        )
 
 
 def fit_force_coefficients(

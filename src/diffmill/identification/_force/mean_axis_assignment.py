@@ -80,7 +80,7 @@ def propose_mean_axes(
     """
     mean = np.array(mean_force, np.float64)
     feeds = np.array(feed_per_tooth, np.float64)
-    found = []
+    found, hand = [], int(np.sign(helix_angle))
     for matrix in signed_permutations():
         fit = fit_mean_forces(
             feeds,
@@ -90,7 +90,6 @@ def propose_mean_axes(
             entry_angle=entry_angle,
             exit_angle=exit_angle,
         )
-        hand = int(np.sign(helix_angle))
         violations, score = _judged(fit, float(feeds.mean()), hand)
         found.append(MeanAxes(axes_names(matrix), score, violations, fit))
     # Among equals the one that changes least; dynamometers lie flat, z along z.

@@ -22,7 +22,7 @@ def relative_uncertainty(
     Args:
         coefficients: By name [Pa, N/m]; NaN for those not known, which do not count.
         standard_errors: By name, same units.
-        correlation: In the order of `NAMES`, shape (6, 6).
+        correlation: In the order of `LinearEdgeLaw.NAMES`, shape (6, 6).
         columns: Force per coefficient, shape (row, 6).
 
     Returns:

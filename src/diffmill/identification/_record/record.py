@@ -9,13 +9,10 @@ from jaxtyping import Bool, Float
 
 from .spindle_angle import Pulses
 
-# Samples of a tare section that are further off its median do not count, in standard
-# deviations.
-_GROSS = 6.0
-
-# A revolution is wrong if its mean is this many standard deviations off the others,
-# and by this share of the force and this many of its samples: without noise all are
-# alike, but for a sample more or less.
+# Standard deviations beyond which a sample of a tare section is off its median, and
+# the mean of a revolution off the others. Without noise all revolutions are alike, but
+# for a sample more or less, so that a wrong one is also off by this share of the force
+# and this many of its samples.
 _GROSS, _LEAST, _SAMPLES = 6.0, 0.02, 3.0
 
 

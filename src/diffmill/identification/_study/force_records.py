@@ -9,6 +9,7 @@ from .._alignment.axis_proposal import AxesProposal, combine_axes_proposals
 from .._alignment.record_registration import RecordRegistration
 from .._force.cross_validation import CrossValidation, cross_validate
 from .._force.force_coefficients import ForceCoefficientFit, fit_force_coefficients
+from .._force.uncertainty import relative_uncertainty
 from .._record.diagnosis import Diagnosis
 from .records import ForceRecord, ForceSettings
 from .study import OnProgress, StudyError, silent
@@ -114,5 +115,10 @@ class ForceRecordStudy(NamedTuple):
             cross_validate(fit),
             tuple(diagnoses),
             is_likely,
-            fit.relative_uncertainty(np.concatenate(rows)),
+            relative_uncertainty(
+                fit.coefficients,
+                fit.standard_errors,
+                fit.correlation,
+                np.concatenate(rows),
+            ),
         )
