@@ -96,6 +96,27 @@ def test_values_have_the_distribution_asked_for(folder):
     assert log.std() == pytest.approx(0.3, rel=sigma / math.sqrt(2))
 
 
+def test_factors_scale_what_the_job_holds(folder):
+    campaign = plan(
+        """
+        job = "job.toml"
+        [[sweep]]
+        key = "stock.upper"
+        factors = [0.5, 1, 2]
+        [[sweep]]
+        key = "cutter.diameter"
+        factors = [1.2]
+        """,
+        folder,
+    )
+    held = numbers(load_campaign(folder / "c.toml").tables["stock"]["upper"])
+    for change, factor in zip(campaign.changes(), (0.5, 1, 2), strict=True):
+        # Quantities of the file are in millimetres, the changes in SI.
+        scaled = 1e3 * numbers(change["stock.upper"])
+        assert scaled == pytest.approx(factor * held, rel=1e-15)
+        assert 1e3 * numbers([change["cutter.diameter"]]) == pytest.approx(12)
+
+
 def test_more_draws_leave_the_earlier_ones(folder):
     few = drawn("stock.upper", 3, folder, relative=0.1)
     many = drawn("stock.upper", 5, folder, relative=0.1)
@@ -126,6 +147,22 @@ def test_more_draws_leave_the_earlier_ones(folder):
             'job = "job.toml"\nsweep = [{key = "stock.upper", values = [1]},'
             '{key = "stock.upper.1", values = ["1 m"]}]',
             ("stock.upper", "once"),
+        ),
+        (
+            'job = "job.toml"\nsweep = [{key = "spindle.speed"}]',
+            ("spindle.speed", "values", "factors"),
+        ),
+        (
+            'job = "job.toml"\nsweep = [{key = "cutter.runout", factors = [2]}]',
+            ("cutter.runout", "no value"),
+        ),
+        (
+            'job = "job.toml"\nsweep = [{key = "program.file", factors = [2]}]',
+            ("program.file", "part.ngc"),
+        ),
+        (
+            'job = "job.toml"\nsweep = [{key = "spindle.speed", factors = [-2]}]',
+            ("factors", "-2"),
         ),
         ('job = "job.toml"\ndraws = 3', ("draws", "[[draw]]")),
         (

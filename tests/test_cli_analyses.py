@@ -1,7 +1,10 @@
 """Analyses and figures of a run on the command line: added to what is written."""
 
+import re
+import time
 import types
 
+import jax
 import numpy as np
 import pytest
 import xarray
@@ -96,6 +99,30 @@ def test_a_failing_analysis_or_figure_loses_no_run(folder, monkeypatch, capsys):
     assert {file.name for file in out.iterdir()} == kept
     assert set((out / "manifest.txt").read_text().split()) == kept
     assert "no memory left" in (out / "errors.txt").read_text()
+
+
+@pytest.mark.slow
+def test_a_long_step_says_now_and_then_that_it_goes_on(folder, monkeypatch, capsys):
+    event = "/jax/core/compile/backend_compile_duration"
+
+    def simulate(job, *, on_progress):
+        on_progress("rigid cut", 0.0)
+        jax.monitoring.record_scalar(event, 0.0)
+        time.sleep(10)
+        jax.monitoring.record_event_duration_secs(event, 10.0)
+        on_progress("robot and cut", 0.4)
+        time.sleep(10)
+        return fake_simulate(job, on_progress=on_progress)
+
+    monkeypatch.setattr(sim, "simulate", simulate)
+    monkeypatch.setattr(viz, "figure_inputs", fail)
+    main(["simulate", "job.toml"])
+    said = capsys.readouterr().err
+    first, second, third, fourth = re.findall(r"^ *(\d+\.\d) s +(.+)$", said, re.M)[:4]
+    assert first[1] == "0 %  rigid cut"
+    assert second[1].startswith("0 %  rigid cut: compiling") and float(second[0]) > 5
+    assert third[1] == fourth[1] == "40 %  robot and cut"
+    assert float(fourth[0]) > float(third[0]) + 5
 
 
 def test_results_are_there_before_anything_is_analysed(folder, monkeypatch, capsys):

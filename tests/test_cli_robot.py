@@ -4,7 +4,9 @@ import json
 
 import numpy as np
 import pytest
+from slides_job import write_slides_job
 
+from diffmill import load_job
 from diffmill.cli import main
 
 # Three slides and a mass: everything about it is known. Short ones: a small map.
@@ -70,6 +72,18 @@ def test_robot_prints_and_draws(folder, capsys):
     assert len(facts["modes"]) == 2
     assert main(command) == 2
     assert "--force" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_the_robot_of_a_job_stands_half_way_through_its_path(folder, capsys):
+    job = write_slides_job(folder)
+    assert main(["robot", job.name]) == 0
+    text = capsys.readouterr().out
+    path = load_job(job).path.positions
+    x, y, z = 1e3 * np.asarray(path[len(path) // 2])
+    assert f"at ({x:.1f}, {y:.1f}, {z:.1f}) mm" in text
+    assert main(["robot", job.name, "--tool", "a", "--force"]) == 2
+    assert "--pose" in capsys.readouterr().err
 
 
 def test_a_robot_without_springs_says_so(folder, capsys):

@@ -23,10 +23,8 @@ def readme_commands() -> list[str]:
 
 def shown_block(page: str, language: str) -> str:
     text = (ROOT / "docs" / page).read_text(encoding="utf-8")
-    (block,) = re.findall(
-        rf"^```{language}\n(.*?)^```$", text, re.DOTALL | re.MULTILINE
-    )
-    return block
+    found = re.findall(rf"^```{language}\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
+    return max(found, key=len)
 
 
 def run_python(code: str) -> str:

@@ -172,6 +172,14 @@ def test_the_error_of_the_written_program_stands_beside_that_of_the_command(
     assert "written_rms_ngc" not in text
 
 
+def test_what_to_load_and_to_set_is_said(tmp_path, correction, job):
+    given = correction.assign_attrs(written_rms_ngc=12.34e-6)
+    text = read(write_report(tmp_path, given, {}, job=job)).text
+    assert f"corrected.ngc (12.3 {MICROMETRE} rms, read back and run)" in text
+    assert "x 0 to 8, y 0 to 8, z -2 to 0 mm" in text
+    assert "10 mm, 2 teeth, at 8000 rpm" in text
+
+
 def test_failed_run_without_a_reason_is_marked_too(tmp_path, simulation):
     failed = simulation.assign_attrs(is_successful=0)
     assert "This run is incomplete." in read(write_report(tmp_path, failed, {})).text

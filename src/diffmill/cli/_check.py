@@ -121,8 +121,10 @@ def _describe_campaign(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
 
 
 def _describe_job(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
-    from ..config import job_precision, load_job
+    from ..config import check_tables, job_precision, load_job
 
+    # What the tables tell is told before what takes seconds is imported.
+    check_tables(file)
     configure_jax(job_precision(file))
     job = load_job(file, allow_outside=allow_outside)
     settings = job.simulation

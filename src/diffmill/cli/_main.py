@@ -255,7 +255,9 @@ def robot(
     model: Annotated[
         tyro.conf.Positional[str],
         tyro.conf.arg(
-            metavar="MODEL", help="A built-in model, or a robot file (.toml, .urdf)."
+            metavar="MODEL",
+            help="A built-in model, a robot file (.toml, .urdf), or a job, whose robot "
+            "carries its tool and stands half-way through the path.",
         ),
     ],
     *,
@@ -282,6 +284,7 @@ def robot(
     force: _Force = False,
     quiet: _Quiet = False,
     verbose: _Verbose = False,
+    allow_outside: _Outside = False,
 ) -> int:
     """Print masses, stiffness, modes and sag of a robot; draw it and its stiffness."""
     from ._robot import run_robot
@@ -294,6 +297,7 @@ def robot(
         out=out,
         force=force,
         progress=_progress(quiet, verbose),
+        allow_outside=allow_outside,
     )
 
 

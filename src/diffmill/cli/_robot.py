@@ -10,6 +10,7 @@ import numpy as np
 
 from .._jax_config import configure_jax
 from .._results_folder import ResultsFolder
+from .._toml import parse_toml
 from ._robot_text import robot_lines
 from ._session.errors import bad_input
 from ._session.progress import Progress
@@ -37,17 +38,21 @@ def run_robot(
     out: pathlib.Path | None,
     force: bool,
     progress: Progress,
+    allow_outside: bool = False,
 ) -> int:
     """Describe a robot and write a folder with its figures; return the exit code.
 
     Args:
-        model: Name of a built-in model, or a robot file.
-        pose: Joint positions as text; None for the robot's home.
+        model: Name of a built-in model, a robot file, or a job, whose robot carries
+            its tool, spindle and bending cutter.
+        pose: Joint positions as text; None for the robot's home, of a job for where
+            it is half-way through the path.
         tool: Name of the tool; None if there is only one.
         drives: File with the joints' stiffness and damping; None for the robot's own.
         out: Folder for the results; None for `./<model>-robot`.
         force: Whether results that are there are replaced.
         progress: Shows how far it is.
+        allow_outside: Whether a job may name files outside its folder.
     """
     folder = pathlib.Path(f"{pathlib.Path(model).stem}-robot") if out is None else out
     with bad_input():
@@ -59,8 +64,16 @@ def run_robot(
 
     with bad_input(), warnings.catch_warnings(record=True) as noted:
         warnings.simplefilter("always")
-        robot = load(model, tool=tool, drives=drives)
-        q = np.asarray(robot.home, float)
+        if _is_job(pathlib.Path(model)):
+            if tool is not None or drives is not None:
+                raise ValueError(
+                    f"{model}: found --tool or --drives beside a job; allowed: --pose, "
+                    "since its table [robot] says the rest"
+                )
+            robot, q = _robot_of_job(pathlib.Path(model), allow_outside=allow_outside)
+        else:
+            robot = load(model, tool=tool, drives=drives)
+            q = np.asarray(robot.home, float)
         if pose is not None:
             try:
                 q = parse_pose(pose, robot)
@@ -79,6 +92,37 @@ def run_robot(
         ResultsFolder.of(folder).write(fill, force=force)
     progress.say(f"results: {folder}")
     return 0
+
+
+def _is_job(file: pathlib.Path) -> bool:
+    """Return whether a file is a job: its faults are told where it is read."""
+    try:
+        return {"stock", "robot"} <= set(parse_toml(file.read_bytes()))
+    except (OSError, ValueError):
+        return False
+
+
+def _robot_of_job(
+    file: pathlib.Path, *, allow_outside: bool
+) -> "tuple[Robot, JointPositions]":
+    """Return the robot of a job, and its joints half-way through the path.
+
+    Raises:
+        ValueError: The job is faulty, or has no robot.
+    """
+    import jax.numpy as jnp
+
+    from ..config import load_job
+    from ..sim import JobKinematics
+
+    job = load_job(file, allow_outside=allow_outside)
+    if job.robot is None:
+        raise ValueError(
+            f"{file}: found a job without a robot; needed is one with [robot] model or "
+            "file"
+        )
+    q = JobKinematics(job).joints(jnp.asarray(job.path.positions)).positions
+    return job.robot, np.asarray(q[len(q) // 2], float)
 
 
 def robot_facts(robot: "Robot", q: "JointPositions") -> dict[str, Any]:

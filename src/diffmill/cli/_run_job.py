@@ -1,9 +1,12 @@
 """Running a job and writing its folder of results."""
 
+import contextlib
+import importlib
 import json
 import math
 import pathlib
 import sys
+import threading
 import time
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -23,6 +26,9 @@ if TYPE_CHECKING:
 # xarray and the parts that compute are imported when a job runs.
 Dataset: TypeAlias = Any
 Outcome: TypeAlias = Any
+
+# What takes longest to import of what surfaces and figures need.
+_DRAWING = ("matplotlib.backends.backend_agg", "scipy.signal", "scipy.spatial")
 
 
 def run_job(
@@ -82,6 +88,9 @@ def run_job(
     told = len(job.notes)
     for note in (*job.notes, *filter(None, [uncached])):
         progress.say(f"note: {note}")
+    # Compiled code leaves the interpreter free to import what draws.
+    drawing = threading.Thread(target=_import_drawing, daemon=True)
+    drawing.start()
     start = time.perf_counter()
     try:
         with progress:
@@ -98,6 +107,7 @@ def run_job(
         )
         return 1
     seconds = time.perf_counter() - start
+    drawing.join()
     if checkpoint is not None:
         seconds += checkpoint.spent
     solutions = {"predicted": outcome} if command == "simulate" else outcome.cases
@@ -137,6 +147,13 @@ def run_job(
     if prints_json:
         print(json.dumps(_figures(dataset, folder, job.notes), indent=2))
     return code
+
+
+def _import_drawing() -> None:
+    """Import what draws; what fails here fails again, and is told, where it is used."""
+    with contextlib.suppress(Exception):
+        for name in _DRAWING:
+            importlib.import_module(name)
 
 
 def _length(text: str | None) -> float | None:

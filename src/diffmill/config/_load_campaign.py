@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from typing import Literal, NamedTuple
 
 from .._toml import JobError, read_toml
-from ._campaign.draws import drawn_values
+from ._campaign.draws import drawn_values, scaled
 from ._campaign.schema import CampaignTable, SweepTable
-from ._changes import Tables, changed
+from ._changes import Tables, changed, value_at
 from ._schema.job import read_tables
 from ._schema.table import validated
 
@@ -94,7 +94,7 @@ def load_campaign(
         raise JobError(path, problems)
     _, tables = read_toml(job)
     _check_keys(table, problems)
-    variations = [_swept(entry) for entry in table.sweep]
+    variations = [_swept(entry, tables, problems) for entry in table.sweep]
     if table.draws and table.draw:
         variations.append(_drawn(table, tables, problems))
     if table.starts is not None:
@@ -134,9 +134,22 @@ def _check_keys(table: CampaignTable, problems: list[str]) -> None:
         )
 
 
-def _swept(entry: SweepTable) -> Variation:
+def _swept(entry: SweepTable, tables: Tables, problems: list[str]) -> Variation:
+    """Return the values of a key, or its own value times factors."""
+    values = entry.values or []
+    if (entry.values is None) == (entry.factors is None):
+        problems.append(
+            f"[[sweep]] {entry.key}: one of values and factors is required, such as "
+            'values = ["7000 rpm", "8000 rpm"] or factors = [0.5, 1, 2]'
+        )
+    elif entry.factors is not None:
+        try:
+            held = value_at(tables, entry.key)
+            values = [scaled(held, factor) for factor in entry.factors]
+        except (LookupError, ValueError) as error:
+            problems.append(f"[[sweep]] {entry.key}: factors: {error.args[0]}")
     return Variation(
-        _dimension(entry.key), tuple({entry.key: value} for value in entry.values)
+        _dimension(entry.key), tuple({entry.key: value} for value in values)
     )
 
 

@@ -1,5 +1,6 @@
 """Showing how far a run is."""
 
+import threading
 import time
 from types import TracebackType
 
@@ -7,6 +8,9 @@ from rich.console import Console
 
 # Compiling what is shorter is not worth a line [s].
 _LEAST_COMPILATION = 0.2
+# Without a terminal a line says every so often that something still goes on [s].
+_LONGEST_SILENCE = 8.0
+_COMPILE_EVENT = "/backend_compile_duration"
 
 
 class Progress:
@@ -25,19 +29,25 @@ class Progress:
         self._status = self._console.status("starting")
         self._start = time.perf_counter()
         self._has_begun = False
+        self._message, self._compiling, self._said = "starting", 0, 0.0
+        self._is_over = threading.Event()
 
     def __enter__(self) -> "Progress":
         """Show the status line."""
-        self._start = time.perf_counter()
-        if self.is_verbose:
-            import jax
+        import jax
 
-            if not self._has_begun:
-                self.say(_versions())
-            jax.monitoring.register_event_duration_secs_listener(self._compiled)
+        self._start = self._said = time.perf_counter()
+        if self.is_verbose and not self._has_begun:
+            self.say(_versions())
+        jax.monitoring.register_scalar_listener(self._compiles)
+        jax.monitoring.register_event_duration_secs_listener(self._compiled)
         self._has_begun = True
-        if not self.is_quiet and self._console.is_terminal:
-            self._status.start()
+        self._message, self._compiling = "starting", 0
+        if not self.is_quiet:
+            if self._console.is_terminal:
+                self._status.start()
+            self._is_over = threading.Event()
+            threading.Thread(target=self._keep_up, daemon=True).start()
         return self
 
     def __exit__(
@@ -47,11 +57,12 @@ class Progress:
         trace: TracebackType | None,
     ) -> None:
         """Take the status line away."""
-        self._status.stop()
-        if self.is_verbose:
-            import jax
+        import jax
 
-            jax.monitoring.unregister_event_duration_listener(self._compiled)
+        self._is_over.set()
+        self._status.stop()
+        jax.monitoring.unregister_scalar_listener(self._compiles)
+        jax.monitoring.unregister_event_duration_listener(self._compiled)
 
     def update(self, message: str, share: float | None = None) -> None:
         """Show what is being done.
@@ -62,27 +73,46 @@ class Progress:
         """
         if self.is_quiet:
             return
-        part = "" if share is None else f" {100 * share:3.0f} %"
-        text = f"{time.perf_counter() - self._start:6.1f} s{part}  {message}"
-        if self._console.is_terminal:
-            self._status.update(text)
-        if self.is_verbose or not self._console.is_terminal:
-            self._console.print(text, markup=False)
+        part = "" if share is None else f"{100 * share:3.0f} %  "
+        self._message = f"{part}{message}"
+        self._show(self._message, stays=self.is_verbose)
 
     def say(self, message: str) -> None:
         """Print a message that stays."""
         if not self.is_quiet:
             self._console.print(message, markup=False)
 
+    def _show(self, message: str, *, stays: bool) -> None:
+        """Show a line with the time; on a terminal it may stay."""
+        text = f"{time.perf_counter() - self._start:6.1f} s  {message}"
+        self._said = time.perf_counter()
+        if self._console.is_terminal:
+            self._status.update(text)
+        if stays or not self._console.is_terminal:
+            self._console.print(text, markup=False)
+
+    def _keep_up(self) -> None:
+        """Say now and then what goes on: on a terminal every second."""
+        every = 1.0 if self._console.is_terminal else _LONGEST_SILENCE
+        while not self._is_over.wait(0.2 * every):
+            if time.perf_counter() - self._said > every:
+                what = ": compiling, once for jobs of this kind"
+                self._show(self._message + what * bool(self._compiling), stays=False)
+
+    def _compiles(self, event: str, value: float | int, **kwargs: str | int) -> None:
+        """Note that XLA begins to compile a program."""
+        self._compiling += event.endswith(_COMPILE_EVENT)
+
     def _compiled(self, event: str, duration_secs: float, **kwargs: str | int) -> None:
-        """Name a program that XLA has compiled, or that was found compiled."""
-        name = kwargs.get("fun_name")
-        if (
-            event.endswith("/backend_compile_duration")
-            and duration_secs > _LEAST_COMPILATION
-        ):
-            self.update(
-                f"compiled, or read from the cache: {name} ({duration_secs:.1f} s)"
+        """Note that it has; name what is compiled, or was found so, if asked for."""
+        if not event.endswith(_COMPILE_EVENT):
+            return
+        self._compiling = max(self._compiling - 1, 0)
+        if self.is_verbose and duration_secs > _LEAST_COMPILATION:
+            name = kwargs.get("fun_name")
+            self._show(
+                f"compiled, or read from the cache: {name} ({duration_secs:.1f} s)",
+                stays=True,
             )
 
 

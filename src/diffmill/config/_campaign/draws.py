@@ -63,16 +63,25 @@ def _unit_draw(kind: str, stream: np.random.Generator) -> float:
     return float(draw)
 
 
+def scaled(value: object, factor: float) -> object:
+    """Return a value of a job times a factor; of a list, each entry.
+
+    Raises:
+        ValueError: It is no number and no quantity.
+    """
+    if isinstance(value, list):
+        return [scaled(one, factor) for one in value]
+    number, unit = base_quantity(value)
+    return _text(number * factor, unit)
+
+
 def _scattered(value: object, entry: DrawTable, stream: np.random.Generator) -> object:
     """Return a value of the job with a relative scatter; of a list, of each entry."""
     if isinstance(value, list):
         return [_scattered(one, entry, stream) for one in value]
     assert entry.relative is not None
-    number, unit = base_quantity(value)
     step = entry.relative * _unit_draw(entry.kind, stream)
-    return _text(
-        number * (math.exp(step) if entry.kind == "lognormal" else 1 + step), unit
-    )
+    return scaled(value, math.exp(step) if entry.kind == "lognormal" else 1 + step)
 
 
 def _text(number: float, unit: str) -> object:

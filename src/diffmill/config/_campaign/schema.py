@@ -10,14 +10,22 @@ from .._schema.table import TomlTable
 Key: TypeAlias = Annotated[StrictStr, Field(min_length=1)]
 Number: TypeAlias = Annotated[StrictInt, Field(ge=0)]
 Count: TypeAlias = Annotated[StrictInt, Field(ge=1)]
+Factor: TypeAlias = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
 class SweepTable(TomlTable):
-    """`[[sweep]]` of a campaign: a key of the job and the values that it takes."""
+    """`[[sweep]]` of a campaign: a key of the job and the values that it takes.
+
+    Either `values`, what the job may hold there, or `factors` of the value that it
+    holds, for a list of each entry.
+    """
 
     key: Key = Field(description='a key of the job, such as "spindle.speed"')
-    values: Annotated[list[Any], Field(min_length=1)] = Field(
-        description='a list of what the job may hold there, such as ["50 mm/s", ...]'
+    values: Annotated[list[Any], Field(min_length=1)] | None = Field(
+        None, description='what the job may hold there, such as ["50 mm/s", "60 mm/s"]'
+    )
+    factors: Annotated[list[Factor], Field(min_length=1)] | None = Field(
+        None, description="what the job's own value is multiplied by, such as [0.5, 1]"
     )
 
 

@@ -81,7 +81,8 @@ def load(
         if "elements" not in document and _JOB_TABLES & set(document):
             raise RobotFileError(
                 f"{file}: this is a job, not a robot description (which has `name` and "
-                "`elements`); its robot is what its table [robot] names."
+                "`elements`); its robot is what its table [robot] names, which "
+                "`diffmill robot` and `load_job` take with its tool."
             )
         name, elements = read_elements(document, file)
     base = np.eye(3)

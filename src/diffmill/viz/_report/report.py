@@ -27,6 +27,7 @@ from .._cases import CaseNumbers, case_names, case_numbers, reference_case, valu
 from .._style import MICROMETRE, case_style
 from .case_parts import parts_html, surface_figures_html
 from .html import image_html, numbers_html, page_html, section_html, table_html
+from .on_machine import machine_lines
 from .scene import scene_html
 from .verdict import chosen_case, limits, tolerance_band, verdict
 from .write import FigureFile
@@ -110,6 +111,7 @@ def write_report(
         _head(kind, title, dataset, failure),
         section_html("Where the tool misses", scene),
         section_html("Result", *_result_blocks(dataset)),
+        section_html("On the machine", _items(_machine(dataset, job))),
         section_html("What limited the result", _items(limits(dataset, bounds))),
         section_html("By part of the path", parts_html(dataset)),
         section_html("Machined surface", surface_figures_html(dataset)),
@@ -252,6 +254,13 @@ def _written(dataset: "xarray.Dataset") -> dict[str, float]:
         for key, value in dataset.attrs.items()
         if str(key).startswith(prefix)
     }
+
+
+def _machine(dataset: "xarray.Dataset", job: Job | None) -> list[str]:
+    """Return what to load and to set, if a corrected program was written."""
+    if job is None or not _chosen(dataset):
+        return []
+    return machine_lines(job, _written(dataset))
 
 
 def _case_attributes(dataset: "xarray.Dataset") -> dict[str, dict[str, str]]:

@@ -1,0 +1,50 @@
+"""What to load on the machine, and what has to be set there."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from ..._job import Job
+from .._style import MICROMETRE
+
+# Files that say the motion and leave base and tool to the robot's controller.
+_ROBOT_FILES = (".src", ".mod")
+
+
+def machine_lines(job: Job, written: Mapping[str, float]) -> list[str]:
+    """Return what to load, and the zero, the tool and the spindle that it holds for.
+
+    Args:
+        job: The job.
+        written: Error that the written programs leave when they are read and run [m],
+            by name of file.
+    """
+    names = [f"corrected{suffix}" for suffix in job.output.formats]
+    if not names:
+        return []
+    said = [
+        f"{name} ({written[name] * 1e6:.3g} {MICROMETRE} rms, read back and run)"
+        if name in written
+        else name
+        for name in names
+    ]
+    ends = [1e3 * job.stock.ray_ends(k)[0][:, k] for k in range(3)]
+    block = ", ".join(
+        f"{axis} {np.min(along):.4g} to {np.max(along):.4g}"
+        for axis, along in zip("xyz", ends, strict=True)
+    )
+    cutter, speed = job.cutter, float(job.spindle_speed) * 30 / np.pi
+    lines = [
+        f"Load in place of the programmed path: {' or '.join(said)}.",
+        f"Zero: that of the program; from there the stock reaches over {block} mm.",
+        f"Tool: {2e3 * cutter.nominal_radius:g} mm, {cutter.flute_count} teeth, at "
+        f"{speed:.5g} rpm; the coordinates are those of its tip.",
+        "The times of the blocks are a part of the correction: an override of the feed "
+        "other than 100 % undoes it.",
+    ]
+    if any(suffix in _ROBOT_FILES for suffix in job.output.formats):
+        lines.append(
+            "The robot's file has the motion alone: base, tool, approach and spindle "
+            "are set on the controller, as the comment at its head lists."
+        )
+    return lines
