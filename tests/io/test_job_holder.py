@@ -81,7 +81,7 @@ def test_sizes_in_si(write):
         ('overhang = "30 mm"', "holder: found overhang without holder"),
         (HOLDER.split("\n")[1], "holder without overhang"),
         ('flute_length = "5 mm"\n' + HOLDER, "at least the flute length, 5 mm"),
-        (HOLDER.replace(', length = "20 mm"', ""), 'a length, such as "40 mm"'),
+        (HOLDER.replace(', length = "20 mm"', ""), 'tool axis, such as "40 mm"'),
         (HOLDER.replace("length", "lenght"), "diameter, upper_diameter, length"),
         (HOLDER.replace("16 mm", "-16 mm"), "[cutter] holder.0.diameter"),
         ('overhang = "30 mm"\nholder = []', "[cutter] holder"),

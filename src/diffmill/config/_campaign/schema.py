@@ -38,29 +38,67 @@ class DrawTable(TomlTable):
     """
 
     key: Key = Field(description='a key of the job, such as "force.K_tc"')
-    kind: Literal["normal", "uniform", "lognormal"] = "normal"
-    relative: Uncertainty | None = None
-    mean: StrictStr | float | None = None
-    deviation: StrictStr | float | None = None
-    lower: StrictStr | float | None = None
-    upper: StrictStr | float | None = None
+    kind: Literal["normal", "uniform", "lognormal"] = Field(
+        default="normal", description="distribution of the values"
+    )
+    relative: Uncertainty | None = Field(
+        default=None,
+        description="scatter relative to the value of the job, such as 0.2; required "
+        "without numbers of its own",
+    )
+    mean: StrictStr | float | None = Field(
+        default=None,
+        description='mean of a normal distribution, such as "1000 N/mm^2"; required '
+        "without relative",
+    )
+    deviation: StrictStr | float | None = Field(
+        default=None,
+        description='standard deviation of a normal distribution, such as "50 N/mm^2"; '
+        "required without relative",
+    )
+    lower: StrictStr | float | None = Field(
+        default=None,
+        description='lower end of a uniform distribution, such as "900 N/mm^2"; '
+        "required without relative",
+    )
+    upper: StrictStr | float | None = Field(
+        default=None,
+        description='upper end of a uniform distribution, such as "1100 N/mm^2"; '
+        "required without relative",
+    )
 
 
 class StartsTable(TomlTable):
     """`[starts]` of a campaign: the optimiser's starts, the first as without it."""
 
-    count: Count = Field(description="how many starts, the first one included")
-    spread: Tolerance = Field(description='a length, such as "20 um"')
+    count: Count = Field(description="number of starts, the first one included")
+    spread: Tolerance = Field(
+        description='standard deviation of random offsets at the knots, such as "20 um"'
+    )
 
 
 class CampaignTable(TomlTable):
     """A campaign: keys that stand before all tables."""
 
     job: Key = Field(description='a job file, such as "part.toml"')
-    command: Literal["simulate", "correct"] = "simulate"
-    draws: Number = 0
-    seed: Number = 0
-    keep_rows: StrictBool = False
-    sweep: list[SweepTable] = Field(default_factory=list)
-    draw: list[DrawTable] = Field(default_factory=list)
-    starts: StartsTable | None = None
+    command: Literal["simulate", "correct"] = Field(
+        default="simulate", description="what is done with each job"
+    )
+    draws: Number = Field(
+        default=0, description="how often the keys of all [[draw]] are drawn"
+    )
+    seed: Number = Field(default=0, description="seed of the draws")
+    keep_rows: StrictBool = Field(
+        default=False, description="true: keeps the whole result of each job"
+    )
+    sweep: list[SweepTable] = Field(
+        default_factory=list, description="keys that take given values, as a grid"
+    )
+    draw: list[DrawTable] = Field(
+        default_factory=list, description="keys whose values scatter"
+    )
+    starts: StartsTable | None = Field(
+        default=None,
+        description='starts of the optimiser with command = "correct"; that of the job '
+        "alone if left out",
+    )

@@ -27,130 +27,360 @@ from .fields import Axes, AxesOrProposed, Channels, CutNumber, File, Side, Span
 
 
 class MeasuredTable(TomlTable):
-    """Keys of a table that names a file of measurements."""
+    """Keys of a table that names a file of measurements.
 
-    file: File | None = None
-    channels: Channels | None = None
-    units: dict[StrictStr, StrictStr] = Field(default_factory=dict)
+    They stand in `[[record]]`, `[means]`, `[load_tests]`, `[[ring_down]]`,
+    `[[frequency_response]]` and `[coupled]`.
+    """
+
+    file: File | None = Field(
+        default=None,
+        description='file of the measurements, such as "means.csv"; [means] may hold '
+        "lists instead",
+    )
+    channels: Channels | None = Field(
+        default=None,
+        description='columns by name or number, such as { time = "t", Fx = 3, Fz = '
+        '"none" }; those left out are found by their names',
+    )
+    units: dict[StrictStr, StrictStr] = Field(
+        default_factory=dict,
+        description='units that count before those of the file, such as { time = "ms", '
+        'force = "kN" }',
+    )
 
 
 class CutTable(TomlTable):
     """`[cut]`: the straight cuts that were made."""
 
-    axial_depth: PositiveLength = Field(description='a length, such as "3 mm"')
-    radial_depth: PositiveLength | None = None
-    side: Side = "slot"
+    axial_depth: PositiveLength = Field(
+        description='axial depth of the cuts, such as "3 mm"'
+    )
+    radial_depth: PositiveLength | None = Field(
+        default=None,
+        description='radial depth of the cuts, such as "4 mm"; required for side = '
+        '"up" and "down", none for a slot',
+    )
+    side: Side = Field(default="slot", description="a slot, or up or down milling")
 
 
 class RecordTable(MeasuredTable):
     """An entry of `[[record]]`."""
 
-    file: File = Field(description='a file of measured forces, such as "cut1.csv"')
-    rate: Frequency | None = None
-    job: File | None = None
-    feed_per_tooth: PositiveLength | None = None
-    axial_depth: PositiveLength | None = None
-    radial_depth: PositiveLength | None = None
-    side: Side | None = None
-    speed: SpindleSpeed | None = None
-    start: Time | None = None
-    stop: Time | None = None
-    cut: CutNumber | None = None
-    tare: Span | None = None
-    tare_after: Span | None = None
-    time_shift: Time | None = None
-    pulses_per_turn: Annotated[StrictInt, Field(ge=1)] | None = None
-    tooth_angle: Angle | None = None
+    file: File = Field(description='file of measured forces, such as "cut1.csv"')
+    rate: Frequency | None = Field(
+        default=None,
+        description='samples per time, such as "10 kHz"; required if neither a time '
+        "column nor the header has it",
+    )
+    job: File | None = Field(
+        default=None,
+        description='job that was cut, such as "pocket.toml"; if left out, a straight '
+        "cut as of [cut]",
+    )
+    feed_per_tooth: PositiveLength | None = Field(
+        default=None,
+        description='feed per tooth of a straight cut, such as "0.1 mm"; required '
+        "without job",
+    )
+    axial_depth: PositiveLength | None = Field(
+        default=None, description="axial depth of this cut; that of [cut] if left out"
+    )
+    radial_depth: PositiveLength | None = Field(
+        default=None, description="radial depth of this cut; that of [cut] if left out"
+    )
+    side: Side | None = Field(
+        default=None, description="slot, up or down milling; that of [cut] if left out"
+    )
+    speed: SpindleSpeed | None = Field(
+        default=None, description="speed of the spindle; that of [spindle] if left out"
+    )
+    start: Time | None = Field(
+        default=None,
+        description='where the part to be fitted begins, such as "0.3 s"; if start and '
+        "stop are left out, the cut is looked for",
+    )
+    stop: Time | None = Field(
+        default=None, description='where the part to be fitted ends, such as "1.2 s"'
+    )
+    cut: CutNumber | None = Field(
+        default=None,
+        description="number of the cut in the record, from 1, or all; required if a "
+        "record of straight cuts has several",
+    )
+    tare: Span | None = Field(
+        default=None,
+        description="section without a cut that shows the offset, such as "
+        '["0 s", "0.2 s"], or none; looked for around the cut if left out',
+    )
+    tare_after: Span | None = Field(
+        default=None,
+        description="section behind the cut that, with tare, shows the drift too, such "
+        'as ["1.3 s", "1.5 s"]; without it tare shows the offset alone',
+    )
+    time_shift: Time | None = Field(
+        default=None,
+        description='time of the job minus time of the record, such as "0.1 s"; found '
+        "if left out",
+    )
+    pulses_per_turn: Annotated[StrictInt, Field(ge=1)] | None = Field(
+        default=None,
+        description="pulses of the channel tacho per revolution; 1 if left out",
+    )
+    tooth_angle: Angle | None = Field(
+        default=None,
+        description='immersion angle of the first tooth at a pulse, such as "12 deg"; '
+        "found if left out",
+    )
 
 
 class FitTable(TomlTable):
     """`[fit]`: how forces are fitted."""
 
-    axes: AxesOrProposed | None = None
-    loss: Literal["squares", "huber", "tukey"] = "huber"
-    refine: list[Literal["runout", "radius"]] = Field(default_factory=list)
-    shift_range: PositiveTime | None = None
-    lowpass: Frequency | None = None
-    refine_speed: StrictBool = True
+    axes: AxesOrProposed | None = Field(
+        default=None,
+        description="for x, y, z of the work the recorded axis, such as "
+        '["-y", "x", "z"], or "proposed" for the likeliest; as recorded if left out',
+    )
+    loss: Literal["squares", "huber", "tukey"] = Field(
+        default="huber", description="how errors count; tukey is for many gross errors"
+    )
+    refine: list[Literal["runout", "radius"]] = Field(
+        default_factory=list,
+        description="what is fitted besides the coefficients: the run-out and the "
+        "radius of the cutter",
+    )
+    shift_range: PositiveTime | None = Field(
+        default=None,
+        description='how far a time shift is looked for either way, such as "5 ms"; if '
+        "left out a revolution, or less where tooth_angle is known",
+    )
+    lowpass: Frequency | None = Field(
+        default=None,
+        description="cut-off frequency of a low-pass for both measured and simulated "
+        'forces, such as "2 kHz"; none if left out',
+    )
+    refine_speed: StrictBool = Field(
+        default=True,
+        description="true: the speed in straight cuts is taken from the record",
+    )
 
 
 class MeansTable(MeasuredTable):
     """`[means]`: mean forces over the feed, in the file or in another one."""
 
-    feed_per_tooth: list[PositiveLength] | None = None
-    Fx: list[Force] | None = None
-    Fy: list[Force] | None = None
-    Fz: list[Force] | None = None
+    feed_per_tooth: list[PositiveLength] | None = Field(
+        default=None,
+        description='feeds per tooth, such as ["0.05 mm", ...]; with Fx, Fy and Fz '
+        "required without file",
+    )
+    Fx: list[Force] | None = Field(
+        default=None,
+        description='mean forces along x at the feeds, such as ["107 N", ...]',
+    )
+    Fy: list[Force] | None = Field(
+        default=None,
+        description='mean forces along y at the feeds, such as ["107 N", ...]',
+    )
+    Fz: list[Force] | None = Field(
+        default=None,
+        description='mean forces along z at the feeds, such as ["107 N", ...]',
+    )
 
 
 class StudiedRobotTable(TomlTable):
     """`[robot]` of a measurement: no place of a workpiece."""
 
-    model: StrictStr | None = None
-    file: StrictStr | None = None
-    tool: StrictStr | None = None
-    drives: File | None = None
-    joint_stiffness: list[Stiffness] | None = None
-    joint_damping: list[Damping] | None = None
-    tool_in_flange: PoseTable | None = None
+    model: StrictStr | None = Field(
+        default=None,
+        description='name of a built-in robot, such as "kuka_kr210_like"; required '
+        "without file",
+    )
+    file: StrictStr | None = Field(
+        default=None,
+        description='file of a robot of your own, such as "arm.toml" or "arm.urdf", '
+        "instead of model",
+    )
+    tool: StrictStr | None = Field(
+        default=None,
+        description='link of a URDF that is the flange, such as "tool0"; required if '
+        "several could be",
+    )
+    drives: File | None = Field(
+        default=None,
+        description="file with what the robot lacks (springs, drives, spindle), such "
+        'as "drives.toml"; nothing is added if left out',
+    )
+    joint_stiffness: list[Stiffness] | None = Field(
+        default=None,
+        description='stiffness of every joint, such as ["3.5 MN*m/rad", ...]; that of '
+        "the robot and drives if left out",
+    )
+    joint_damping: list[Damping] | None = Field(
+        default=None,
+        description='damping of every joint, such as ["1825 N*m*s/rad", ...]; that of '
+        "the robot and drives if left out",
+    )
+    tool_in_flange: PoseTable | None = Field(
+        default=None,
+        description="pose of the tool, where it is loaded and measured, in the flange; "
+        "that of the robot if left out",
+    )
 
 
 class LoadTestsTable(MeasuredTable):
     """`[load_tests]`."""
 
-    file: File = Field(description='a table with one pose per row, such as "loads.csv"')
-    load_axes: Axes | None = None
-    displacement_axes: Axes | None = None
-    load_frame: Literal["base", "tool"] = "base"
-    displacement_frame: Literal["base", "tool"] = "base"
-    has_offset: StrictBool = False
-    noise: Literal["absolute", "relative"] | None = None
-    skip_rows: list[Annotated[StrictInt, Field(ge=1)]] = Field(default_factory=list)
+    file: File = Field(description='table with one pose per row, such as "loads.csv"')
+    load_axes: Axes | None = Field(
+        default=None,
+        description="for x, y, z of load_frame the recorded axis, such as "
+        '["-y", "x", "z"]; as recorded if left out',
+    )
+    displacement_axes: Axes | None = Field(
+        default=None,
+        description="for x, y, z of displacement_frame the recorded axis, such as "
+        '["-y", "x", "z"]; as recorded if left out',
+    )
+    load_frame: Literal["base", "tool"] = Field(
+        default="base", description="frame in which the load was recorded"
+    )
+    displacement_frame: Literal["base", "tool"] = Field(
+        default="base", description="frame in which the displacement was recorded"
+    )
+    has_offset: StrictBool = Field(
+        default=False,
+        description="true: a constant displacement is fitted too, as of a tracker",
+    )
+    noise: Literal["absolute", "relative"] | None = Field(
+        default=None,
+        description="scatter of the poses: alike, or in proportion to the "
+        "displacement; the likelier if left out",
+    )
+    skip_rows: list[Annotated[StrictInt, Field(ge=1)]] = Field(
+        default_factory=list,
+        description="numbers of rows that are left out, such as [7]",
+    )
 
 
 class RingDownTable(MeasuredTable):
     """An entry of `[[ring_down]]`."""
 
-    file: File = Field(description='a file of a free vibration, such as "hit1.csv"')
-    rate: Frequency | None = None
-    start: Time | None = None
-    stop: Time | None = None
-    modes: Annotated[StrictInt, Field(ge=1, le=20)] | None = None
-    frequencies: list[Frequency] | None = None
-    joint_positions: list[StrictStr] | None = None
+    file: File = Field(description='file of a free vibration, such as "hit1.csv"')
+    rate: Frequency | None = Field(
+        default=None,
+        description='samples per time, such as "10 kHz"; required if neither a time '
+        "column nor the header has it",
+    )
+    start: Time | None = Field(
+        default=None,
+        description='where the vibration begins, such as "0.1 s"; at its largest value '
+        "if left out",
+    )
+    stop: Time | None = Field(
+        default=None,
+        description='where the vibration ends, such as "1.5 s"; with the file if left '
+        "out",
+    )
+    modes: Annotated[StrictInt, Field(ge=1, le=20)] | None = Field(
+        default=None,
+        description="number of modes; 1 if left out, and with frequencies their number",
+    )
+    frequencies: list[Frequency] | None = Field(
+        default=None,
+        description='rough frequencies of the modes, such as ["11 Hz", "15 Hz"]; '
+        "looked for if left out",
+    )
+    joint_positions: list[StrictStr] | None = Field(
+        default=None,
+        description='pose of the robot, such as ["0 deg", "-90 deg", ...]; required to '
+        "fit the damping of joints",
+    )
 
 
 class FrequencyResponseTable(MeasuredTable):
     """An entry of `[[frequency_response]]`."""
 
-    file: File = Field(description='a file of a frequency response, such as "frf.csv"')
-    quantity: Literal["receptance", "mobility", "accelerance"] = "receptance"
-    lowest: Frequency | None = None
-    highest: Frequency | None = None
-    modes: Annotated[StrictInt, Field(ge=1, le=20)] | None = None
-    frequencies: list[Frequency] | None = None
-    joint_positions: list[StrictStr] | None = None
-    direction: Direction | None = None
+    file: File = Field(description='file of a frequency response, such as "frf.csv"')
+    quantity: Literal["receptance", "mobility", "accelerance"] = Field(
+        default="receptance",
+        description="what was measured per force: a displacement, a velocity or an "
+        "acceleration",
+    )
+    lowest: Frequency | None = Field(
+        default=None,
+        description='lower end of the band that is fitted, such as "5 Hz"; that of the '
+        "file if left out",
+    )
+    highest: Frequency | None = Field(
+        default=None,
+        description='upper end of the band that is fitted, such as "100 Hz"; that of '
+        "the file if left out",
+    )
+    modes: Annotated[StrictInt, Field(ge=1, le=20)] | None = Field(
+        default=None,
+        description="number of modes; 1 if left out, and with frequencies their number",
+    )
+    frequencies: list[Frequency] | None = Field(
+        default=None,
+        description='rough frequencies of the modes, such as ["11 Hz", "15 Hz"]; '
+        "looked for if left out",
+    )
+    joint_positions: list[StrictStr] | None = Field(
+        default=None,
+        description='pose of the robot, such as ["0 deg", "-90 deg", ...]; required to '
+        "fit the damping of joints",
+    )
+    direction: Direction | None = Field(
+        default=None,
+        description="direction of hammer and sensor at the tool tip, such as "
+        "[1, 0, 0], to write [[machine.modes]]; not written if left out",
+    )
 
 
 class CoupledTable(MeasuredTable):
     """`[coupled]`."""
 
-    job: File = Field(description='the job that was run, such as "part.toml"')
+    job: File = Field(description='job that was run, such as "part.toml"')
     file: File = Field(description='forces or deviations over time, such as "run.csv"')
-    fit: list[StrictStr] | None = None
-    has_offset: StrictBool = False
-    has_time_shift: StrictBool = False
-    time_shift: Time | None = None
-    loss: Literal["squares", "huber"] = "huber"
+    fit: list[StrictStr] | None = Field(
+        default=None,
+        description='parameters that are fitted, such as ["K", "D"], "K axis_1" or '
+        '"K_tc"; if left out stiffness and damping of all joints, and with forces the '
+        "coefficients",
+    )
+    has_offset: StrictBool = Field(
+        default=False,
+        description="true: a constant deviation is fitted too, as of a tracker",
+    )
+    has_time_shift: StrictBool = Field(
+        default=False, description="true: a small shift of the clock is fitted too"
+    )
+    time_shift: Time | None = Field(
+        default=None,
+        description='known time of the job minus time of the record, such as "1.2 s"; '
+        "0 if left out",
+    )
+    loss: Literal["squares", "huber"] = Field(
+        default="huber",
+        description="how errors count; huber is for records with gross errors",
+    )
 
 
 class AirPathTable(TomlTable):
     """`[air_path]`."""
 
-    commanded: File = Field(description='a path as CSV, such as "commanded.csv"')
-    actual: File = Field(description='a path as CSV on its clock, such as "actual.csv"')
-    order: Literal["first", "second"] = "second"
+    commanded: File = Field(
+        description='commanded path as CSV, such as "commanded.csv"'
+    )
+    actual: File = Field(
+        description="recorded path as CSV on the clock of the commanded one, such as "
+        '"actual.csv"'
+    )
+    order: Literal["first", "second"] = Field(
+        default="second",
+        description="order of the servos; first for those with following error",
+    )
 
 
 # Tables of each kind: those required, and those allowed besides. A star marks lists.

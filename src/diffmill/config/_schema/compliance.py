@@ -29,28 +29,65 @@ _THREE = Field(min_length=3, max_length=3)
 
 
 class FlangeSpringTable(TomlTable):
-    """`[robot.flange_spring]`: what is soft between flange and spindle."""
+    """`[robot.flange_spring]`: what is soft between flange and spindle.
 
-    linear_stiffness: Annotated[list[LinearStiffness], _THREE] | None = None
-    rotary_stiffness: Annotated[list[RotaryStiffness], _THREE] | None = None
-    mass: Mass = Field(description='the spindle behind it, such as "30 kg"')
-    center_of_mass: Lengths3 = Field(description="three lengths in the flange's frame")
-    inertia: Annotated[list[Inertia], _THREE] = Field(
-        description='three moments about its centre, such as ["0.75 kg*m^2", ...]'
+    One of `linear_stiffness` and `rotary_stiffness`, or both, is required.
+    """
+
+    linear_stiffness: Annotated[list[LinearStiffness], _THREE] | None = Field(
+        default=None,
+        description='stiffness along the axes of the flange, such as ["20 N/um", ...]; '
+        "rigid if left out",
     )
-    in_last_link: StrictBool = True
-    damping_ratio: Ratio = 0.02
+    rotary_stiffness: Annotated[list[RotaryStiffness], _THREE] | None = Field(
+        default=None,
+        description="stiffness about the axes of the flange, such as "
+        '["2e6 N*m/rad", ...]; rigid if left out',
+    )
+    mass: Mass = Field(
+        description='mass of the spindle behind the springs, such as "30 kg"'
+    )
+    center_of_mass: Lengths3 = Field(
+        description="centre of mass of the spindle in the frame of the flange, such as "
+        '["0 mm", "0 mm", "120 mm"]'
+    )
+    inertia: Annotated[list[Inertia], _THREE] = Field(
+        description="three moments of inertia of the spindle about its centre of mass, "
+        'such as ["0.75 kg*m^2", ...]'
+    )
+    in_last_link: StrictBool = Field(
+        default=True,
+        description="true: the last link of the robot already holds the spindle, which "
+        "then moves behind the springs; false: the spindle is added",
+    )
+    damping_ratio: Ratio = Field(
+        default=0.02, description="share of critical damping of each spring alone"
+    )
 
 
 class BendingToolTable(TomlTable):
     """`[robot.bending_tool]`: the cutter as a cantilever."""
 
-    overhang: PositiveLength = Field(description='a length, such as "40 mm"')
-    shank_diameter: PositiveLength | None = None
-    young_modulus: Modulus = 600e9
-    density: Density = 14.5e3
-    flute_share: Share = 0.8
-    damping_ratio: Ratio = 0.02
+    overhang: PositiveLength = Field(
+        description='length from the holder to the tip, such as "40 mm"'
+    )
+    shank_diameter: PositiveLength | None = Field(
+        default=None,
+        description='diameter above the flutes, such as "10 mm"; that of the cutter if '
+        "left out",
+    )
+    young_modulus: Modulus = Field(
+        default=600e9, description="Young's modulus of the tool"
+    )
+    density: Density = Field(default=14.5e3, description="density of the tool")
+    flute_share: Share = Field(
+        default=0.8,
+        description="diameter that bends like the fluted part, as a share of that of "
+        "the cutter",
+    )
+    damping_ratio: Ratio = Field(
+        default=0.02, description="share of critical damping of the tool alone"
+    )
 
 
 def with_spring(

@@ -31,21 +31,50 @@ _IDEAL = "ideal"
 class ShaperTable(TomlTable):
     """`[controller] shaper`: the mode that an input shaper leaves at rest."""
 
-    frequency: Frequency = Field(description='a frequency, such as "9 Hz"')
-    damping_ratio: Ratio = 0.0
+    frequency: Frequency = Field(description='frequency of the mode, such as "9 Hz"')
+    damping_ratio: Ratio = Field(
+        default=0.0, description="damping ratio of the mode, below 1"
+    )
 
 
 class ControllerTable(TomlTable):
-    """`[controller]`, after its preset."""
+    """`[controller]`, after its preset.
 
-    interpolation_cycle: PositiveTime | None = None
-    interpolation: Literal["hold", "linear", "spline"] = "spline"
-    moving_average: PositiveTime | None = None
-    shaper: ShaperTable | None = None
-    low_pass: Frequency | None = None
-    dead_time: Delay | None = None
-    bandwidth: JointFrequency | None = None
-    damping_ratio: JointRatio | None = None
+    A key that is left out is that of `preset`: "ideal", the default, which has none,
+    "kuka_krc4_like", "abb_irc5_like" or "cnc_following_error". The text "none" leaves
+    out what the preset has.
+    """
+
+    interpolation_cycle: PositiveTime | None = Field(
+        default=None, description='time between two set points, such as "12 ms"'
+    )
+    interpolation: Literal["hold", "linear", "spline"] = Field(
+        default="spline",
+        description="what the drives make of the set points: a staircase, a polygon or "
+        "cubic pieces",
+    )
+    moving_average: PositiveTime | None = Field(
+        default=None,
+        description='time over which the command is averaged, such as "48 ms"',
+    )
+    shaper: ShaperTable | None = Field(
+        default=None, description="mode that the command leaves at rest"
+    )
+    low_pass: Frequency | None = Field(
+        default=None,
+        description='cut-off frequency of a low-pass of first order, such as "20 Hz"',
+    )
+    dead_time: Delay | None = Field(
+        default=None, description='time until a command acts at all, such as "15 ms"'
+    )
+    bandwidth: JointFrequency | None = Field(
+        default=None, description='bandwidth of the servos, such as "10 Hz"'
+    )
+    damping_ratio: JointRatio | None = Field(
+        default=None,
+        description="damping ratio of servos of second order, such as 0.7; those "
+        "without one are of first order",
+    )
 
     def controller(self, joint_count: int, added: int) -> "Controller | None":
         """Return the controller; None if it is ideal.

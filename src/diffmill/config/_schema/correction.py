@@ -62,31 +62,61 @@ _FACTOR = 2.0
 
 
 class WeightTable(TomlTable):
-    """One entry of `weight`: a section of the program and how much it counts."""
+    """An entry of `[correction] weight`: a section and how much it counts."""
 
     lines: Annotated[list[StrictInt], Field(min_length=2, max_length=2)] = Field(
-        description="first and last line of the program, such as [120, 180]"
+        description="first and last line of the section in the program, such as "
+        "[120, 180]"
     )
-    value: Weight = Field(description="a number of at least 0")
+    value: Weight = Field(
+        description="weight of the error in the section, a number of at least 0"
+    )
 
 
 class UncertaintyTable(TomlTable):
     """`[correction.uncertainty]`: how well the model is known, mostly relative."""
 
-    stiffness: Uncertainty = 0.0
-    damping: Uncertainty = 0.0
-    force: Uncertainty = 0.0
-    gaussian: StrictBool = False
-    draws: Annotated[StrictInt, Field(ge=1, le=100)] = 4
-    seed: Annotated[StrictInt, Field(ge=0, le=2**31 - 1)] = 0
-    objective: Literal["mean", "worst"] = "mean"
-    delay: Delay = 0.0
+    stiffness: Uncertainty = Field(
+        default=0.0, description="relative uncertainty of the stiffness, such as 0.2"
+    )
+    damping: Uncertainty = Field(
+        default=0.0, description="relative uncertainty of the damping, such as 0.2"
+    )
+    force: Uncertainty = Field(
+        default=0.0,
+        description="relative uncertainty of the force coefficients, such as 0.1",
+    )
+    gaussian: StrictBool = Field(
+        default=False,
+        description="true: the uncertainties are standard deviations; false: half the "
+        "widths of intervals",
+    )
+    draws: Annotated[StrictInt, Field(ge=1, le=100)] = Field(
+        default=4, description="number of models that are drawn"
+    )
+    seed: Annotated[StrictInt, Field(ge=0, le=2**31 - 1)] = Field(
+        default=0, description="seed of the draws"
+    )
+    objective: Literal["mean", "worst"] = Field(
+        default="mean",
+        description="what becomes small: the mean square error over the draws, or that "
+        "of the worst draw",
+    )
+    delay: Delay = Field(
+        default=0.0,
+        description="largest time by which the offsets may come late to the program, "
+        'such as "5 ms"',
+    )
 
 
 class CorrectionTable(TomlTable):
     """`[correction]`."""
 
-    objective: Literal["path", "surface"] = "path"
+    objective: Literal["path", "surface"] = Field(
+        default="path",
+        description="what becomes small: the contour error of the tip, or the error of "
+        "the machined surface",
+    )
     method: Literal[
         "gauss_newton",
         "adam",
@@ -94,28 +124,102 @@ class CorrectionTable(TomlTable):
         "mirror_iterated",
         "input_shaper",
         "inverse_drive",
-    ] = "gauss_newton"
-    compare: Literal["few", "all"] = "few"
-    command: Literal["tip", "joint"] = "tip"
-    tolerance: Tolerance = 0.0
-    tolerance_band: PositiveLength | None = None
-    weight: list[WeightTable] = Field(default_factory=list)
-    finishing_only: StrictBool = False
-    wall_weight: Weight = 1.0
-    floor_weight: Weight = 1.0
-    knot_spacing: PositiveTime = 30e-3
-    max_offset: PositiveLength = 1e-3
-    max_velocity: PositiveSpeed | None = None
-    max_acceleration: Acceleration | None = None
-    acceleration_factor: Factor | None = None
-    gouge: PositiveLength | None = None
-    stay_in_cut: StrictBool = False
-    uncertainty: UncertaintyTable | None = None
-    max_steps: Annotated[StrictInt, Field(ge=1, le=1000)] | None = None
-    start_spread: Tolerance = 0.0
-    start_seed: Annotated[StrictInt, Field(ge=0, le=2**31 - 1)] = 0
-    horizon: Rows = "auto"
-    overlap: Rows = "auto"
+    ] = Field(default="gauss_newton", description="method whose result is written")
+    compare: Literal["few", "all"] = Field(
+        default="few",
+        description="what runs beside the method: the one-shot mirror and the inverse "
+        "drive, or every method (slow)",
+    )
+    command: Literal["tip", "joint"] = Field(
+        default="tip",
+        description="what is corrected: positions of the tip, or joint angles",
+    )
+    tolerance: Tolerance = Field(
+        default=0.0, description='error that does not count, such as "5 um"'
+    )
+    tolerance_band: PositiveLength | None = Field(
+        default=None,
+        description="contour error that the report holds the result against, such as "
+        '"20 um"; changes nothing else, and is tolerance if left out',
+    )
+    weight: list[WeightTable] = Field(
+        default_factory=list,
+        description="sections of the program, and how much their error counts",
+    )
+    finishing_only: StrictBool = Field(
+        default=False,
+        description="true: only rows that leave a part of the surface count",
+    )
+    wall_weight: Weight = Field(
+        default=1.0, description='weight of the walls with objective = "surface"'
+    )
+    floor_weight: Weight = Field(
+        default=1.0, description='weight of the floors with objective = "surface"'
+    )
+    knot_spacing: PositiveTime = Field(
+        default=30e-3,
+        description="time between the knots of the correction: what the controller can "
+        "follow",
+    )
+    max_offset: PositiveLength = Field(
+        default=1e-3,
+        description="largest offset of the command per axis; of joints, what moves the "
+        "tip so far at the start",
+    )
+    max_velocity: PositiveSpeed | None = Field(
+        default=None,
+        description="largest velocity of the whole command per axis, such as "
+        '"120 mm/s"; no limit if left out',
+    )
+    max_acceleration: Acceleration | None = Field(
+        default=None,
+        description="largest acceleration of the whole command per axis, such as "
+        '"2 m/s^2"; if left out, acceleration_factor holds',
+    )
+    acceleration_factor: Factor | None = Field(
+        default=None,
+        description="how many times as much as the program the command may accelerate; "
+        "inf: no limit. If left out 2, but no limit beside max_acceleration, with a "
+        "recorded path and with a method that holds none",
+    )
+    gouge: PositiveLength | None = Field(
+        default=None,
+        description="largest depth of the surface below the ideal one, such as "
+        '"20 um"; no limit if left out',
+    )
+    stay_in_cut: StrictBool = Field(
+        default=False,
+        description="true: at least a tenth of every finishing layer is cut",
+    )
+    uncertainty: UncertaintyTable | None = Field(
+        default=None,
+        description="how well the model is known, for a robust correction; if left "
+        "out, the model is trusted",
+    )
+    max_steps: Annotated[StrictInt, Field(ge=1, le=1000)] | None = Field(
+        default=None,
+        description="largest number of steps of the optimiser; if left out 2, or 60 "
+        "with adam",
+    )
+    start_spread: Tolerance = Field(
+        default=0.0,
+        description="standard deviation of random offsets at the knots of the start of "
+        'the optimiser, such as "20 um"',
+    )
+    start_seed: Annotated[StrictInt, Field(ge=0, le=2**31 - 1)] = Field(
+        default=0, description="seed of the random offsets of start_spread"
+    )
+    horizon: Rows = Field(
+        default="auto",
+        description="tooth periods that are corrected at once; auto: segments of 2000 "
+        "where a path has more than 6000, else the whole path",
+    )
+    overlap: Rows = Field(
+        default="auto",
+        description="tooth periods at the end of a segment that the next one corrects "
+        "once more; auto: 32 knots and what the controller looks ahead, but at most "
+        "half of the horizon",
+    )
 
 
 def correction_settings(

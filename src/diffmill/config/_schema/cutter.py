@@ -22,29 +22,74 @@ _TURN = 1e-3
 class HolderPartTable(TomlTable):
     """A part of `[cutter] holder`: a cylinder, or a cone to another diameter."""
 
-    diameter: PositiveLength = Field(description='a length, such as "32 mm"')
-    upper_diameter: PositiveLength | None = None
-    length: PositiveLength = Field(description='a length, such as "40 mm"')
+    diameter: PositiveLength = Field(
+        description='diameter at the lower end of the part, such as "32 mm"'
+    )
+    upper_diameter: PositiveLength | None = Field(
+        default=None,
+        description="diameter at the upper end of a cone; as at the lower end if left "
+        "out",
+    )
+    length: PositiveLength = Field(
+        description='length of the part along the tool axis, such as "40 mm"'
+    )
 
 
 class CutterTable(TomlTable):
     """`[cutter]`."""
 
-    kind: Literal["flat", "ball", "bull"] = Field(default="flat", description='"flat"')
-    diameter: PositiveLength = Field(description='a length, such as "10 mm"')
-    corner_radius: PositiveLength | None = Field(default=None, validate_default=True)
-    teeth: Annotated[StrictInt, Field(ge=1, le=100)] = Field(
-        description="a whole number from 1 to 100"
+    kind: Literal["flat", "ball", "bull"] = Field(
+        default="flat", description="shape of the end; bull has a corner radius"
     )
-    helix_angle: Angle = 0.0
-    flute_length: PositiveLength | None = None
-    pitch: list[Angle] | None = None
-    runout: Tolerance = 0.0
-    runout_angle: Angle = 0.0
-    dish_angle: Angle = 0.0
-    overhang: PositiveLength | None = None
+    diameter: PositiveLength = Field(
+        description='diameter of the cutter, such as "10 mm"'
+    )
+    corner_radius: PositiveLength | None = Field(
+        default=None,
+        validate_default=True,
+        description='radius between side and end, such as "1 mm"; required for kind = '
+        '"bull", which alone has one',
+    )
+    teeth: Annotated[StrictInt, Field(ge=1, le=100)] = Field(
+        description="number of teeth, a whole number from 1 to 100"
+    )
+    helix_angle: Angle = Field(
+        default=0.0,
+        description="angle of the helix, at most 80 deg; above 0 for a right-hand "
+        "helix",
+    )
+    flute_length: PositiveLength | None = Field(
+        default=None,
+        description='length of the flutes above the tip, such as "22 mm"; if left out '
+        "three diameters, but at most overhang",
+    )
+    pitch: list[Angle] | None = Field(
+        default=None,
+        description="angles from each tooth to the next, such as "
+        '["170 deg", "190 deg"]; equal if left out',
+    )
+    runout: Tolerance = Field(
+        default=0.0,
+        description='offset of the cutter from the axis of rotation, such as "5 um"',
+    )
+    runout_angle: Angle = Field(
+        default=0.0, description="direction of the run-out, from the first tooth"
+    )
+    dish_angle: Angle = Field(
+        default=0.0,
+        description='angle by which a flat end is ground hollow, such as "2 deg"; at '
+        "most 20 deg",
+    )
+    overhang: PositiveLength | None = Field(
+        default=None,
+        description='length from the tip to the holder, such as "45 mm"; given '
+        "together with holder",
+    )
     holder: Annotated[list[HolderPartTable], Field(min_length=1)] | None = Field(
-        default=None, validate_default=True
+        default=None,
+        validate_default=True,
+        description="cylinders and cones from the lower face of the holder up, which "
+        "are looked for in the stock; given together with overhang",
     )
 
     @pydantic.field_validator("corner_radius")

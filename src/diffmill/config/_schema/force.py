@@ -22,9 +22,16 @@ if TYPE_CHECKING:
 
 
 class MaterialTable(TomlTable):
-    """`[force]` with a material."""
+    """`[force]` with a material.
 
-    material: StrictStr
+    `[force.bottom]`, with a material or a law, holds what `[force]` does of the bottom
+    edges; without it that follows from the side.
+    """
+
+    material: StrictStr = Field(
+        description="name of a material with published coefficients, such as "
+        '"aluminium_6082_t6"'
+    )
 
     @field_validator("material")
     @classmethod
@@ -53,13 +60,28 @@ class MaterialTable(TomlTable):
 class LinearEdgeTable(TomlTable):
     """`[force]` with `law = "linear_edge"`."""
 
-    law: Literal["linear_edge"] = "linear_edge"
-    K_tc: ToothPositivePressure = Field(description='such as "989.8 N/mm^2"')
-    K_rc: ToothPressure = Field(description='such as "337.3 N/mm^2"')
-    K_ac: ToothPressure = Field(description='such as "66.9 N/mm^2"')
-    K_te: ToothEdgeForce = 0.0
-    K_re: ToothEdgeForce = 0.0
-    K_ae: ToothEdgeForce = 0.0
+    law: Literal["linear_edge"] = Field(
+        default="linear_edge",
+        description="force per chip width K_c h + K_e, of the chip thickness h",
+    )
+    K_tc: ToothPositivePressure = Field(
+        description='tangential cutting coefficient, such as "989.8 N/mm^2"'
+    )
+    K_rc: ToothPressure = Field(
+        description='radial cutting coefficient, such as "337.3 N/mm^2"'
+    )
+    K_ac: ToothPressure = Field(
+        description='axial cutting coefficient, such as "66.9 N/mm^2"'
+    )
+    K_te: ToothEdgeForce = Field(
+        default=0.0, description='tangential edge coefficient, such as "3.0 N/mm"'
+    )
+    K_re: ToothEdgeForce = Field(
+        default=0.0, description='radial edge coefficient, such as "3.0 N/mm"'
+    )
+    K_ae: ToothEdgeForce = Field(
+        default=0.0, description='axial edge coefficient, such as "3.0 N/mm"'
+    )
 
     def force_law(self) -> "AbstractForceLaw":
         """Return the law."""
@@ -75,18 +97,48 @@ class LinearEdgeTable(TomlTable):
 class KienzleTable(TomlTable):
     """`[force]` with `law = "kienzle"`."""
 
-    law: Literal["kienzle"]
-    K_tc11: ToothPositivePressure = Field(description='such as "1500 N/mm^2"')
-    K_rc11: ToothPressure = Field(description='such as "500 N/mm^2"')
-    K_ac11: ToothPressure = Field(description='such as "0 N/mm^2"')
-    m_t: ToothExponent = Field(description="a number from 0 to 1, such as 0.25")
-    m_r: ToothExponent | None = None
-    m_a: ToothExponent | None = None
-    K_te: ToothEdgeForce = 0.0
-    K_re: ToothEdgeForce = 0.0
-    K_ae: ToothEdgeForce = 0.0
-    reference_thickness: PositiveLength = 1e-3
-    least_thickness: PositiveLength = 1e-6
+    law: Literal["kienzle"] = Field(
+        description="force per chip width K_c11 (h / h_1)^-m h + K_e, of the chip "
+        "thickness h"
+    )
+    K_tc11: ToothPositivePressure = Field(
+        description="tangential cutting coefficient at the reference thickness h_1 "
+        '(k_c1.1), such as "1500 N/mm^2"'
+    )
+    K_rc11: ToothPressure = Field(
+        description='radial cutting coefficient at h_1, such as "500 N/mm^2"'
+    )
+    K_ac11: ToothPressure = Field(
+        description='axial cutting coefficient at h_1, such as "0 N/mm^2"'
+    )
+    m_t: ToothExponent = Field(
+        description="exponent of the tangential coefficient (m_c), a number from 0 to "
+        "below 1, such as 0.25"
+    )
+    m_r: ToothExponent | None = Field(
+        default=None, description="exponent of the radial coefficient; m_t if left out"
+    )
+    m_a: ToothExponent | None = Field(
+        default=None, description="exponent of the axial coefficient; m_t if left out"
+    )
+    K_te: ToothEdgeForce = Field(
+        default=0.0, description='tangential edge coefficient, such as "3.0 N/mm"'
+    )
+    K_re: ToothEdgeForce = Field(
+        default=0.0, description='radial edge coefficient, such as "3.0 N/mm"'
+    )
+    K_ae: ToothEdgeForce = Field(
+        default=0.0, description='axial edge coefficient, such as "3.0 N/mm"'
+    )
+    reference_thickness: PositiveLength = Field(
+        default=1e-3,
+        description="chip thickness h_1 at which K_tc11, K_rc11 and K_ac11 hold",
+    )
+    least_thickness: PositiveLength = Field(
+        default=1e-6,
+        description="chip thickness below which a cutting coefficient follows its "
+        "tangent",
+    )
 
     def force_law(self) -> "AbstractForceLaw":
         """Return the law; exponents that are left out are the tangential one."""

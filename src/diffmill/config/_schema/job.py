@@ -45,19 +45,48 @@ ToolNumber: TypeAlias = Annotated[int, Field(ge=0)]
 class SpindleTable(TomlTable):
     """`[spindle]`."""
 
-    speed: SpindleSpeed | None = None
+    speed: SpindleSpeed | None = Field(
+        default=None,
+        description='speed of the spindle, such as "8000 rpm"; that of the program if '
+        "left out",
+    )
 
 
 class StockTable(TomlTable):
     """`[stock]`."""
 
-    lower: Lengths3 | None = None
-    upper: Lengths3 | None = None
-    mesh: Annotated[StrictStr, Field(min_length=1)] | None = None
-    mesh_unit: Literal["m", "cm", "mm", "um", "in"] | None = None
-    result: Annotated[StrictStr, Field(min_length=1)] | None = None
-    spacing: PositiveLength | None = None
-    intervals: Annotated[list[Slots], Field(min_length=3, max_length=3)] | None = None
+    lower: Lengths3 | None = Field(
+        default=None,
+        description="least x, y, z of a block in work, such as "
+        '["0 mm", "0 mm", "-6 mm"]',
+    )
+    upper: Lengths3 | None = Field(
+        default=None,
+        description="greatest x, y, z of a block in work, such as "
+        '["42 mm", "17 mm", "0 mm"]',
+    )
+    mesh: Annotated[StrictStr, Field(min_length=1)] | None = Field(
+        default=None,
+        description="file of a closed mesh (.stl, .obj, .ply) instead of a block, such "
+        'as "stock.stl"',
+    )
+    mesh_unit: Literal["m", "cm", "mm", "um", "in"] | None = Field(
+        default=None, description="unit of length of the mesh; mm if left out"
+    )
+    result: Annotated[StrictStr, Field(min_length=1)] | None = Field(
+        default=None,
+        description="folder of an earlier run, whose stock is taken instead of a block",
+    )
+    spacing: PositiveLength | None = Field(
+        default=None,
+        description='distance between the rays of the stock, such as "0.2 mm"; '
+        "required, but beside result its own holds",
+    )
+    intervals: Annotated[list[Slots], Field(min_length=3, max_length=3)] | None = Field(
+        default=None,
+        description="how many intervals a ray along x, y and z may hold, such as "
+        "[8, 8, 1]; as many as the program needs if left out",
+    )
 
 
 class ProgramTable(TomlTable):
@@ -66,58 +95,177 @@ class ProgramTable(TomlTable):
     file: StrictStr = Field(
         min_length=1, description='a program or a path (.csv), such as "part.ngc"'
     )
-    feed: PositiveSpeed | None = None
-    acceleration: Acceleration = 2.0
-    rapid_feed: PositiveSpeed = 0.2
-    corner_tolerance: Tolerance = 1e-4
-    smoothing: Delay = 0.0
-    jerk: Jerk | None = None
-    joint_ramp: Delay = 0.0
-    tool: Annotated[StrictInt, Field(ge=0)] | None = None
-    block_delete: StrictBool = False
-    offsets: dict[CoordinateSystem, Lengths3] = Field(default_factory=dict)
-    tool_lengths: dict[ToolNumber, Tolerance] = Field(default_factory=dict)
-    machine_zero: Lengths3 | None = None
-    reference_point: Lengths3 = Field(default_factory=lambda: [0.0, 0.0, 0.0])
-    second_reference_point: Lengths3 = Field(default_factory=lambda: [0.0, 0.0, 0.0])
+    feed: PositiveSpeed | None = Field(
+        default=None,
+        description="feed of moves for which the program gives none, such as "
+        '"50 mm/s"; required if there are such moves',
+    )
+    acceleration: Acceleration = Field(
+        default=2.0, description="largest acceleration along and across the path"
+    )
+    rapid_feed: PositiveSpeed = Field(default=0.2, description="speed of rapid moves")
+    corner_tolerance: Tolerance = Field(
+        default=1e-4,
+        description="largest distance from a corner that is rounded; at 0 the tool "
+        "stops exactly at every corner",
+    )
+    smoothing: Delay = Field(
+        default=0.0,
+        description="time over which the way along the path is averaged, against "
+        'jerks, such as "100 ms"',
+    )
+    jerk: Jerk | None = Field(
+        default=None,
+        description='largest tangential jerk, such as "10 m/s^3", instead of '
+        "smoothing; no limit if left out",
+    )
+    joint_ramp: Delay = Field(
+        default=0.0,
+        description='time in which a joint reaches its full speed, such as "0.2 s"; 0: '
+        "accelerations of joints have no limit",
+    )
+    tool: Annotated[StrictInt, Field(ge=0)] | None = Field(
+        default=None,
+        description="number of the tool that is simulated, of several; if left out, "
+        "the first that makes a move at a feed",
+    )
+    block_delete: StrictBool = Field(
+        default=False, description="true: lines that begin with / are left out"
+    )
+    offsets: dict[CoordinateSystem, Lengths3] = Field(
+        default_factory=dict,
+        description="zeros of coordinate systems in work, such as { G55 = "
+        '["100 mm", "0 mm", "0 mm"] }, for a program that uses several',
+    )
+    tool_lengths: dict[ToolNumber, Tolerance] = Field(
+        default_factory=dict,
+        description="tool lengths that G43 H compensates, by number, such as { 1 = "
+        '"80 mm" }',
+    )
+    machine_zero: Lengths3 | None = Field(
+        default=None,
+        description="zero of the machine in work, such as "
+        '["-200 mm", "-150 mm", "400 mm"]; required for G53, G28, G30 and G10 L2',
+    )
+    reference_point: Lengths3 = Field(
+        default_factory=lambda: [0.0, 0.0, 0.0],
+        description="where G28 goes, in machine coordinates",
+    )
+    second_reference_point: Lengths3 = Field(
+        default_factory=lambda: [0.0, 0.0, 0.0],
+        description="where G30 goes, in machine coordinates",
+    )
 
 
 class PoseTable(TomlTable):
-    """A pose: R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    """A pose, as `[robot] work_in_base`: R = Rz(yaw) Ry(pitch) Rx(roll)."""
 
-    position: Lengths3 = Field(description='three lengths, such as ["1500 mm", ...]')
-    rpy: Angles3 = Field(default_factory=lambda: [0.0, 0.0, 0.0])
+    position: Lengths3 = Field(
+        description='place of the origin: three lengths, such as ["1500 mm", ...]'
+    )
+    rpy: Angles3 = Field(
+        default_factory=lambda: [0.0, 0.0, 0.0],
+        description="angles roll, pitch and yaw",
+    )
 
 
 class RobotTable(TomlTable):
     """`[robot]`."""
 
-    model: StrictStr | None = None
-    file: StrictStr | None = None
-    rigid: StrictBool = False
-    tool: StrictStr | None = None
-    drives: Annotated[StrictStr, Field(min_length=1)] | None = None
-    joint_stiffness: list[Stiffness] | None = None
-    joint_damping: list[Damping] | None = None
-    work_in_base: PoseTable | None = None
-    tool_in_flange: PoseTable | None = None
-    joint_start: list[StrictStr] | None = None
-    tool_rotation: Literal["fixed", "free"] = "fixed"
-    flange_spring: FlangeSpringTable | None = None
-    bending_tool: BendingToolTable | None = None
+    model: StrictStr | None = Field(
+        default=None,
+        description='name of a built-in robot, such as "reis_rv130_like"; required '
+        "without file and rigid",
+    )
+    file: StrictStr | None = Field(
+        default=None,
+        description='file of a robot of your own, such as "arm.toml" or "arm.urdf", '
+        "instead of model",
+    )
+    rigid: StrictBool = Field(
+        default=False,
+        description="true: a machine that does not bend, instead of a robot; allows no "
+        "other key",
+    )
+    tool: StrictStr | None = Field(
+        default=None,
+        description='link of a URDF that is the flange, such as "tool0"; required if '
+        "several could be",
+    )
+    drives: Annotated[StrictStr, Field(min_length=1)] | None = Field(
+        default=None,
+        description="file with what the robot lacks (springs, drives, spindle), such "
+        'as "drives.toml"; nothing is added if left out',
+    )
+    joint_stiffness: list[Stiffness] | None = Field(
+        default=None,
+        description='stiffness of every joint, such as ["3.5 MN*m/rad", ...]; that of '
+        "the robot and drives if left out",
+    )
+    joint_damping: list[Damping] | None = Field(
+        default=None,
+        description='damping of every joint, such as ["1825 N*m*s/rad", ...]; that of '
+        "the robot and drives if left out",
+    )
+    work_in_base: PoseTable | None = Field(
+        default=None,
+        description="pose of the workpiece in the base of the robot; required unless "
+        "rigid = true",
+    )
+    tool_in_flange: PoseTable | None = Field(
+        default=None,
+        description="pose of the tool in the flange, its z up the shank; that of the "
+        "robot if left out",
+    )
+    joint_start: list[StrictStr] | None = Field(
+        default=None,
+        description="joint positions near which the arm begins, such as "
+        '["0 deg", "-60 deg", ...]; its home if left out',
+    )
+    tool_rotation: Literal["fixed", "free"] = Field(
+        default="fixed",
+        description="rotation about the tool axis: fixed, x of the tool as near to x "
+        "of work as it can be, or free, as suits the joints",
+    )
+    flange_spring: FlangeSpringTable | None = Field(
+        default=None,
+        description="what is soft between flange and spindle; nothing if left out",
+    )
+    bending_tool: BendingToolTable | None = Field(
+        default=None, description="the cutter as a cantilever; rigid if left out"
+    )
 
 
 class OutputTable(TomlTable):
     """`[output]`."""
 
     formats: list[Literal["gcode", "krl", "rapid", "apt"]] = Field(
-        default_factory=lambda: ["gcode"]
+        default_factory=lambda: ["gcode"],
+        description="formats of the corrected program",
     )
-    tolerance: Tolerance = 1e-6
-    stream_cycle: Delay = 0.0
-    max_step: PositiveLength = math.inf
-    blocks: Literal["lines", "spline"] = "lines"
-    moved_ends: StrictBool = False
+    tolerance: Tolerance = Field(
+        default=1e-6,
+        description="largest distance of the written program from the command at any "
+        "time; 0 writes every tooth period",
+    )
+    stream_cycle: Delay = Field(
+        default=0.0,
+        description='time between the rows of stream.csv, such as "4 ms"; 0 writes no '
+        "stream",
+    )
+    max_step: PositiveLength = Field(
+        default=math.inf,
+        description="change of an offset in a cycle above which a note is given, such "
+        'as "50 um"',
+    )
+    blocks: Literal["lines", "spline"] = Field(
+        default="lines", description="lines, or a spline in KRL"
+    )
+    moved_ends: StrictBool = Field(
+        default=False,
+        description="true: also writes the program itself with the ends of its blocks "
+        "moved",
+    )
 
     def settings(self) -> "OutputSettings":
         """Return the settings of a job."""
@@ -137,29 +285,92 @@ class OutputTable(TomlTable):
 class ScatterTable(TomlTable):
     """`[simulation] scatter`: relative standard deviations of the model."""
 
-    stiffness: Uncertainty = 0.0
-    damping: Uncertainty = 0.0
-    force: Uncertainty = 0.0
+    stiffness: Uncertainty = Field(
+        default=0.0,
+        description="relative standard deviation of the stiffness, such as 0.1",
+    )
+    damping: Uncertainty = Field(
+        default=0.0,
+        description="relative standard deviation of the damping, such as 0.2",
+    )
+    force: Uncertainty = Field(
+        default=0.0,
+        description="relative standard deviation of the force coefficients, such as "
+        "0.1",
+    )
 
 
 class SimulationTable(TomlTable):
     """`[simulation]`."""
 
-    angles: Annotated[StrictInt, Field(ge=1, le=100_000)] | None = None
-    substeps: Annotated[StrictInt, Field(ge=1, le=1000)] | None = None
-    element_height: PositiveLength | None = None
-    axial_depth: PositiveLength | None = None
-    precision: Literal["float64", "float32"] = "float64"
-    gravity_compensated: StrictBool = True
-    chip: Literal["near_far", "point_cloud"] = "near_far"
-    tool_tilt: StrictBool = False
-    bottom_edges: StrictBool = False
-    integrator: Literal["midpoint", "rk4"] = "midpoint"
-    dynamics: Literal["crba", "aba"] = "crba"
-    mode: Literal["dynamic", "quasistatic"] = "dynamic"
-    stability: StrictBool | Literal["quick"] = "quick"
-    sensitivity: StrictBool = False
-    scatter: ScatterTable | None = None
+    angles: Annotated[StrictInt, Field(ge=1, le=100_000)] | None = Field(
+        default=None,
+        description="samples per revolution, a multiple of teeth times substeps; if "
+        "left out at least 180 for an upright flat cutter of even pitch without "
+        "run-out, else 96",
+    )
+    substeps: Annotated[StrictInt, Field(ge=1, le=1000)] | None = Field(
+        default=None,
+        description="steps of the machine in a tooth period; if left out 0.5 ms long "
+        "at most, and as short as the modes of the machine ask",
+    )
+    element_height: PositiveLength | None = Field(
+        default=None,
+        description='height of the discs of the cutter, such as "0.2 mm"; if left out, '
+        "it follows from the spacing of the stock and the helix angle",
+    )
+    axial_depth: PositiveLength | None = Field(
+        default=None,
+        description='deepest immersion that is computed, such as "3 mm"; that of the '
+        "path if left out",
+    )
+    precision: Literal["float64", "float32"] = Field(
+        default="float64", description="precision of all numbers"
+    )
+    gravity_compensated: StrictBool = Field(
+        default=True, description="false: the controller leaves the sag of the arm"
+    )
+    chip: Literal["near_far", "point_cloud"] = Field(
+        default="near_far",
+        description="chip model; point_cloud is the hard one of the paper, for flat "
+        "cutters of even pitch without run-out",
+    )
+    tool_tilt: StrictBool = Field(
+        default=False, description="true: the bending arm also tilts the tool (slower)"
+    )
+    bottom_edges: StrictBool = Field(
+        default=False,
+        description="true: bottom edges cut where the tool descends, so that plunges "
+        "push along the axis",
+    )
+    integrator: Literal["midpoint", "rk4"] = Field(
+        default="midpoint",
+        description="rule of the substeps; rk4 is explicit and slow, to verify the "
+        "other by",
+    )
+    dynamics: Literal["crba", "aba"] = Field(
+        default="crba",
+        description="algorithm of the dynamics of the arm; aba, by articulated bodies, "
+        "gives the same answer",
+    )
+    mode: Literal["dynamic", "quasistatic"] = Field(
+        default="dynamic", description="quasistatic: the arm bends but does not swing"
+    )
+    stability: StrictBool | Literal["quick"] = Field(
+        default="quick",
+        description="true: chatter is looked for along the whole path; quick: only "
+        "where the cut is deepest; false: nowhere",
+    )
+    sensitivity: StrictBool = Field(
+        default=False,
+        description="true: also says what 10 % more stiffness, damping, force, ... "
+        "does",
+    )
+    scatter: ScatterTable | None = Field(
+        default=None,
+        description="how far machines may be from the model, to add the contour error "
+        "to be expected; not computed if left out",
+    )
 
 
 TABLES: dict[str, type[TomlTable]] = {

@@ -21,13 +21,25 @@ Direction: TypeAlias = Annotated[
 class ModeTable(TomlTable):
     """An entry of `[[machine.modes]]`: one mode as the tool tip shows it."""
 
-    frequency: Frequency = Field(description='the natural one, such as "922 Hz"')
-    damping_ratio: Ratio = Field(description="the damping ratio, such as 0.02")
-    direction: Direction = Field(
-        description="in which the tip moves, such as [1, 0, 0]; of any length"
+    frequency: Frequency = Field(
+        description='natural frequency of the mode, such as "922 Hz"'
     )
-    stiffness: LinearStiffness | None = None
-    mass: Mass | None = None
+    damping_ratio: Ratio = Field(
+        description="damping ratio of the mode, below 1, such as 0.02"
+    )
+    direction: Direction = Field(
+        description="direction in which the tip moves, such as [1, 0, 0]; of any length"
+    )
+    stiffness: LinearStiffness | None = Field(
+        default=None,
+        description='stiffness of the mode along its direction, such as "1.34 N/um"; '
+        "required without mass",
+    )
+    mass: Mass | None = Field(
+        default=None,
+        description='mass of the mode along its direction, such as "40 g"; required '
+        "without stiffness",
+    )
 
     def shape(self) -> Float[np.ndarray, " 3"]:
         """Return the motion of the tip for a modal mass of 1 kg [kg^-1/2]."""
@@ -61,10 +73,23 @@ class ModeTable(TomlTable):
 class MachineTable(TomlTable):
     """`[machine]`."""
 
-    modes: Annotated[list[ModeTable], Field(min_length=1)] | None = None
-    file: Annotated[StrictStr, Field(min_length=1)] | None = None
-    rpy: Angles3 = Field(default_factory=lambda: [0.0, 0.0, 0.0])
-    tool_axes: list[Literal["x", "y", "z"]] = Field(default_factory=lambda: [*_AXES])
+    modes: Annotated[list[ModeTable], Field(min_length=1)] | None = Field(
+        default=None, description="modes at the tool tip; required without file"
+    )
+    file: Annotated[StrictStr, Field(min_length=1)] | None = Field(
+        default=None,
+        description='file that holds the modes, such as "identified.toml"; required '
+        "without modes",
+    )
+    rpy: Angles3 = Field(
+        default_factory=lambda: [0.0, 0.0, 0.0],
+        description="how the axes of the measurement are turned in work: roll, pitch "
+        "and yaw",
+    )
+    tool_axes: list[Literal["x", "y", "z"]] = Field(
+        default_factory=lambda: ["x", "y", "z"],
+        description="axes along which the machine moves the tool, not the workpiece",
+    )
 
     def carries(self) -> Float[np.ndarray, " 3"]:
         """Return 1 for the axes along which the tool is moved, 0 for the workpiece."""
@@ -74,7 +99,9 @@ class MachineTable(TomlTable):
 class ModesFile(TomlTable):
     """A file with `[[machine.modes]]` alone, as `diffmill identify` writes it."""
 
-    modes: Annotated[list[ModeTable], Field(min_length=1)]
+    modes: Annotated[list[ModeTable], Field(min_length=1)] = Field(
+        description="modes at the tool tip, each of them a table [[machine.modes]]"
+    )
 
 
 def is_machine(raw: Mapping[str, object]) -> bool:
