@@ -9,7 +9,8 @@ import json
 import pathlib
 import re
 import tomllib
-from typing import TypeAlias
+from collections.abc import Iterator
+from typing import NamedTuple
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
@@ -17,12 +18,98 @@ from mkdocs.structure.files import File, Files
 ROOT = pathlib.Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "diffmill"
 CONFIG = PACKAGE / "config"
-Meanings: TypeAlias = dict[tuple[str, str], str]
 AREAS = (
     *("cutter", "cutting", "workpiece", "toolpath", "robot", "process", "sim"),
     *("correction", "identification", "io", "config", "campaign", "viz", "examples"),
     *("numerics", "optimise", "units"),
 )
+# Tables in the order of their pages; first are keys that belong to no table alone.
+TABLES = (
+    *("", "cutter", "spindle", "cut", "record", "means", "fit", "force", "stock"),
+    *("program", "robot", "load_tests", "ring_down", "frequency_response", "coupled"),
+    *("air_path", "machine", "controller", "simulation", "correction", "output"),
+    *("sweep", "draw", "starts"),
+)
+
+
+class Kind(NamedTuple):
+    """What a key may hold.
+
+    Attributes:
+        words: In words.
+        unit: SI unit of its default; empty if it has none.
+    """
+
+    words: str
+    unit: str = ""
+
+
+# By annotation; what is left out here is a choice, a table, or made of these.
+KINDS = {
+    "Acceleration": Kind("acceleration above 0", "m/s^2"),
+    "Angle": Kind("angle", "rad"),
+    "Angles3": Kind("three angles", "rad"),
+    "Axes": Kind("three signed axes"),
+    "AxesOrProposed": Kind('three signed axes or `"proposed"`'),
+    "Channels": Kind('table of names, numbers or `"none"`'),
+    "Count": Kind("whole number of at least 1"),
+    "CutNumber": Kind('whole number of at least 1 or `"all"`'),
+    "Delay": Kind("time of at least 0", "s"),
+    "Density": Kind("density above 0", "kg/m^3"),
+    "Direction": Kind("three numbers"),
+    "Factor": Kind("number of at least 1, or inf"),
+    "File": Kind("name of a file"),
+    "Frequency": Kind("frequency above 0", "Hz"),
+    "Jerk": Kind("jerk above 0", "m/s^3"),
+    "JointFrequency": Kind("frequency above 0, or one per joint", "Hz"),
+    "JointRatio": Kind("number above 0, or one per joint"),
+    "Key": Kind("text"),
+    "Lengths3": Kind("three lengths", "m"),
+    "LinearStiffness": Kind("stiffness above 0", "N/m"),
+    "Mass": Kind("mass above 0", "kg"),
+    "Modulus": Kind("modulus above 0", "Pa"),
+    "Number": Kind("whole number of at least 0"),
+    "PositiveLength": Kind("length above 0", "m"),
+    "PositiveSpeed": Kind("speed above 0", "m/s"),
+    "PositiveTime": Kind("time above 0", "s"),
+    "Ratio": Kind("number from 0 to 1"),
+    "Rows": Kind('whole number above 0 or `"auto"`'),
+    "Share": Kind("number above 0, up to 1"),
+    "Side": Kind('`"slot"`, `"up"` or `"down"`'),
+    "Span": Kind('two times or `"none"`', "s"),
+    "SpindleSpeed": Kind("rotational speed above 0", "rad/s"),
+    "StrictBool": Kind("true or false"),
+    "StrictInt": Kind("whole number"),
+    "StrictStr": Kind("text"),
+    "StrictStr | float": Kind("text with a unit, or number"),
+    "Time": Kind("time", "s"),
+    "Tolerance": Kind("length of at least 0", "m"),
+    "ToothEdgeForce": Kind("force per length, or one per tooth", "N/m"),
+    "ToothExponent": Kind("number from 0 to below 1, or one per tooth"),
+    "ToothPositivePressure": Kind("pressure above 0, or one per tooth", "Pa"),
+    "ToothPressure": Kind("pressure, or one per tooth", "Pa"),
+    "Uncertainty": Kind("number from 0 to below 1"),
+    "Weight": Kind("number of at least 0"),
+    "dict[CoordinateSystem, Lengths3]": Kind(
+        "table from G54 to G59.3, three lengths each"
+    ),
+    "dict[StrictStr, StrictStr]": Kind("table of units"),
+    "dict[ToolNumber, Tolerance]": Kind("table of lengths of at least 0"),
+    "list[Angle]": Kind("list of angles above 0"),
+    "list[Any]": Kind("list of values"),
+    "list[Damping]": Kind("dampings of at least 0, one per joint"),
+    "list[Factor]": Kind("list of numbers above 0"),
+    "list[Force]": Kind("list of forces"),
+    "list[Frequency]": Kind("list of frequencies above 0"),
+    "list[Inertia]": Kind("three moments of inertia above 0"),
+    "list[LinearStiffness]": Kind("three stiffnesses above 0"),
+    "list[PositiveLength]": Kind("list of lengths above 0"),
+    "list[RotaryStiffness]": Kind("three stiffnesses above 0"),
+    "list[Slots]": Kind("three whole numbers from 1 to 64"),
+    "list[Stiffness]": Kind("stiffnesses above 0, one per joint"),
+    "list[StrictInt]": Kind("list of whole numbers"),
+    "list[StrictStr]": Kind("list of texts"),
+}
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -34,7 +121,6 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         .replace("](CONTRIBUTING.md", "](contributing.md")
         .replace("](CHANGELOG.md", "](changes.md")
     )
-    job = (ROOT / "docs" / "job.md").read_text(encoding="utf-8")
     pages = {
         "index.md": readme,
         "contributing.md": (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"),
@@ -42,15 +128,14 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         "python.md": python_page(),
         "derivatives.md": derivatives_page(),
         "built_in.md": built_in_page(),
-        "job_keys.md": keys_page(
-            "The keys of a job", CONFIG / "_schema", meanings_of(toml_block(job))
-        ),
+        "job_keys.md": keys_page("The keys of a job", "_schema"),
         "identification_keys.md": keys_page(
-            "The keys of an identification", CONFIG / "_identification", {}
+            "The keys of an identification",
+            "_identification",
+            "Before all tables `kind` says [what was measured](identify.md); `[cutter]`"
+            " and `[spindle]` are [those of a job](job_keys.md).",
         ),
-        "campaign_keys.md": keys_page(
-            "The keys of a campaign", CONFIG / "_campaign", {}
-        ),
+        "campaign_keys.md": keys_page("The keys of a campaign", "_campaign"),
     }
     for notebook in sorted((ROOT / "notebooks").glob("*.ipynb")):
         pages[f"notebook_{notebook.stem}.md"] = notebook_page(notebook)
@@ -106,12 +191,6 @@ def notebook_page(file: pathlib.Path) -> str:
     return "\n".join(lines)
 
 
-def toml_block(text: str) -> str:
-    """Return the TOML that a Markdown text shows."""
-    (block,) = re.findall(r"^```toml\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
-    return block
-
-
 def python_page() -> str:
     """Return the page of the public names, area by area."""
     lines = ["# Python", "", "`import diffmill as dm`; a name stands in its area,"]
@@ -140,8 +219,9 @@ def derivatives_page() -> str:
         found = {}
         for file in sorted((PACKAGE / area).rglob("*.py")):
             for node in ast.parse(file.read_text(encoding="utf-8")).body:
-                if getattr(node, "name", None) in names and (what := kinks(node)):
-                    found[node.name] = what
+                name = getattr(node, "name", None)
+                if name in names and (what := kinks(node)):
+                    found[name] = what
         if found:
             lines += ["", f"## dm.{area}", "", "| name | derivatives |", "|---|---|"]
             lines += [f"| `{name}` | {found[name]} |" for name in sorted(found)]
@@ -173,106 +253,128 @@ def public_names(file: pathlib.Path) -> list[str]:
     )
 
 
-def keys_page(title: str, folder: pathlib.Path, meanings: Meanings) -> str:
-    """Return the page with every key of the tables that a folder declares."""
+def keys_page(title: str, folder: str, besides: str = "") -> str:
+    """Return the page with every key of the tables that a folder declares.
+
+    Args:
+        title: Its heading.
+        folder: The folder in `CONFIG`.
+        besides: What else stands in such a file.
+    """
     lines = [
         f"# {title}\n",
         "Every key that the schema knows; a key that is not here is refused. A",
         'quantity is text with a unit, such as `"10 mm"`; defaults are SI.',
+        besides,
     ]
-    for file in sorted(folder.glob("*.py")):
-        for table in ast.parse(file.read_text(encoding="utf-8")).body:
-            if not isinstance(table, ast.ClassDef) or not is_table(table):
-                continue
-            place, *more = (ast.get_docstring(table) or table.name).split("\n", 1)
-            lines += ["", f"## {place.removesuffix('.')}", "", *more, ""]
-            lines += [
-                "| key | value | default | example and meaning |",
-                "|---|---|---|---|",
-            ]
-            lines += table_rows(table, meanings)
+    for table in sorted(tables(folder), key=place):
+        heading, *more = (ast.get_docstring(table) or table.name).split("\n", 1)
+        lines += ["", f"## {heading.removesuffix('.')}", "", *more, ""]
+        lines += ["| key | value | default | meaning |", "|---|---|---|---|"]
+        for field in keys(table):
+            row = [f"`{ast.unparse(field.target)}`", kind(field.annotation).words]
+            row += [default(field), meaning(field)]
+            cells = (re.sub(r"[|*]", r"\\\g<0>", cell) for cell in row)
+            lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
 
-def is_table(node: ast.ClassDef) -> bool:
-    """Return whether a class is a table of a file, and has keys of its own."""
-    is_pydantic = any("Table" in ast.unparse(base) for base in node.bases)
-    return is_pydantic and any(isinstance(entry, ast.AnnAssign) for entry in node.body)
+def tables(folder: str) -> Iterator[ast.ClassDef]:
+    """Yield the tables with keys of their own that the schema in a folder declares."""
+    for file in sorted((CONFIG / folder).glob("*.py")):
+        for node in ast.parse(file.read_text(encoding="utf-8")).body:
+            if not isinstance(node, ast.ClassDef) or not keys(node):
+                continue
+            if any("Table" in ast.unparse(base) for base in node.bases):
+                yield node
 
 
-def table_rows(table: ast.ClassDef, meanings: Meanings) -> list[str]:
-    """Return a row for each key of a table."""
-    place = re.search(r"\[+([\w.]+)\]", ast.get_docstring(table) or "")
-    rows = []
-    for field in table.body:
-        if isinstance(field, ast.AnnAssign):
-            key = ast.unparse(field.target)
-            meaning = meanings.get((place[1] if place else "", key), "")
-            meaning = meaning.replace("|", "\\|")
-            rows.append(f"| `{key}` | {kind(field)} | {default(field)} | {meaning} |")
-    return rows
+def keys(table: ast.ClassDef) -> list[ast.AnnAssign]:
+    """Return the keys of a table."""
+    return [field for field in table.body if isinstance(field, ast.AnnAssign)]
 
 
-def meanings_of(job: str) -> Meanings:
-    """Return what an example of a job says of its keys, by table and key.
+def place(table: ast.ClassDef) -> tuple[int, bool]:
+    """Return what sorts tables: as `TABLES` does, parts of one behind it."""
+    heading = (ast.get_docstring(table) or "").split("\n")[0]
+    found = re.search(r"\[+(\w+)", heading)
+    name = found[1] if found else ""
+    return TABLES.index(name), f"[{name}]`" not in heading
 
-    Args:
-        job: The TOML; a key that is left out stands behind "# ", its meaning behind
-            the value.
+
+def kind(annotation: ast.expr) -> Kind:
+    """Return what a key may hold.
+
+    Raises:
+        KeyError: The annotation is not known.
     """
-    meanings: Meanings = {}
-    table, key = "", ""
-    for line in job.splitlines():
-        if header := re.match(r"(?:# )?\[+([\w.]+)\]+", line):
-            table, key = header[1], ""
-        elif entry := re.match(r"(?:# )?(\w+) += (.+?)(?: +# | {2,})(\S.*)", line):
-            key = entry[1]
-            meanings[table, key] = f"`{entry[2]}`: {entry[3]}"
-        elif key and (more := re.match(r"(?:#? {16,}#? *)(\S.*)", line)):
-            meanings[table, key] += f" {more[1]}"
-        else:
-            key = ""
-    return meanings
+    text = ast.unparse(annotation)
+    if text in KINDS:
+        return KINDS[text]
+    match annotation:
+        case ast.BinOp(left=one, right=ast.Constant(value=None)):
+            return kind(one)
+        case ast.BinOp(left=one, right=other):
+            return Kind(f"{kind(one).words} or {kind(other).words}")
+        case ast.Subscript(ast.Name("Literal"), choice):
+            names = choice.elts if isinstance(choice, ast.Tuple) else [choice]
+            *most, last = (f"`{shown(name)}`" for name in names)
+            return Kind(f"{', '.join(most)} or {last}" if most else last)
+        case ast.Subscript(ast.Name("Annotated"), ast.Tuple([inner, limits])):
+            return Kind(kind(inner).words + range_of(limits))
+        case ast.Subscript(ast.Name("list"), ast.Name(name)) if name.endswith("Table"):
+            return Kind("list of tables")
+        case ast.Subscript(ast.Name("list"), inner):
+            return Kind(f"list: {kind(inner).words}")
+        case ast.Name(name) if name.endswith("Table"):
+            return Kind("table")
+    raise KeyError(text)
 
 
-def kind(field: ast.AnnAssign) -> str:
-    """Return what a key may hold, in words: of PositiveLength "positive length"."""
-    text = ast.unparse(field.annotation).replace(" | None", "")
-    text = re.sub(r"Annotated\[(.*), (?:Field\(.*\)|_\w+)\]", r"\1", text)
-    text = re.sub(r"Literal\[([^]]*)\]", lambda found: f"`{found[1]}`", text)
-    text = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text.replace("Strict", ""))
-    text = re.sub(r"\b([A-Z])(?=[a-z])", lambda found: found[1].lower(), text)
-    text = re.sub(r"\blist\[([^]]*)\]", r"list of \1", text)
-    wanted = description(field)
-    return (text + (f": {wanted}" if wanted else "")).replace("|", "or")
+def range_of(limits: ast.expr) -> str:
+    """Return the limits of a whole number in words."""
+    found = options_of(limits)
+    if "ge" not in found:
+        return ""
+    low = ast.unparse(found["ge"])
+    if "le" not in found:
+        return f" of at least {low}"
+    return f" from {low} to {ast.unparse(found['le']).replace(' ** ', '^')}"
 
 
-def description(field: ast.AnnAssign) -> str:
-    """Return what the schema says that a key requires."""
-    options = options_of(field)
-    return (
-        str(ast.literal_eval(options["description"]))
-        if "description" in options
-        else ""
-    )
+def meaning(field: ast.AnnAssign) -> str:
+    """Return what the schema says of a key."""
+    return ast.literal_eval(options_of(field.value).get("description", "''"))
 
 
 def default(field: ast.AnnAssign) -> str:
-    """Return the default of a key; a key without one is required."""
-    options = options_of(field)
-    value = options.get("default", options.get("default_factory", field.value))
+    """Return the default of a key, with its unit; a key without one is required."""
+    options = options_of(field.value)
+    value = options.get("default", options.get("default_factory"))
+    if value is None:
+        return "required"
+    text, unit = shown(value), kind(field.annotation).unit
+    words = {"null": "", "list": "none", "dict": "none", "math.inf": "none"}
+    return words.get(text, f"`{f'{text} {unit}'.strip()}`")
+
+
+def shown(value: ast.expr) -> str:
+    """Return a value as a file of TOML has it, a number as short as it can be."""
     if isinstance(value, ast.Lambda):
         value = value.body
-    if value is None or (options and value is field.value):
-        return "required"
-    text = ast.unparse(value)
-    empty = {"None": "", "list": "none", "dict": "none"}
-    return empty.get(text, f"`{text}`")
+    if not isinstance(value, ast.Constant | ast.List):
+        return ast.unparse(value)
+    found = ast.literal_eval(value)
+    numbers = found if isinstance(found, list) else [found]
+    if not all(isinstance(number, float) for number in numbers):
+        return json.dumps(found)
+    short = ", ".join(f"{number:g}" for number in numbers)
+    return re.sub(r"e\+?(-?)0*", r"e\1", short)
 
 
-def options_of(field: ast.AnnAssign) -> dict[str, ast.expr]:
-    """Return the options of a key's `Field`, if it has one."""
-    call = field.value
-    if not isinstance(call, ast.Call):
-        return {}
-    return {option.arg: option.value for option in call.keywords if option.arg}
+def options_of(value: ast.expr | None) -> dict[str, ast.expr]:
+    """Return the options of a key's `Field`, its default by its name."""
+    if not isinstance(value, ast.Call):
+        return {} if value is None else {"default": value}
+    first = {"default": value.args[0]} if value.args else {}
+    return first | {option.arg: option.value for option in value.keywords if option.arg}

@@ -1,5 +1,6 @@
 """The documents: spelled right, linked right, and what they show is executed."""
 
+import ast
 import pathlib
 import re
 import runpy
@@ -242,6 +243,65 @@ def test_commands_and_their_options_exist(capsys):
         told = capsys.readouterr().out
         for option in (word.strip("[]") for word in words if "--" in word):
             assert option in told, line
+
+
+@pytest.fixture(scope="module")
+def site():
+    """Return the names of the module that writes pages of the site."""
+    pytest.importorskip("mkdocs")
+    return runpy.run_path(str(ROOT / "docs" / "site_pages.py"))
+
+
+@pytest.mark.parametrize("folder", ["_schema", "_identification", "_campaign"])
+def test_every_key_has_a_meaning_and_a_kind_in_words(site, folder):
+    keys = {
+        f"{table.name}.{ast.unparse(field.target)}": field
+        for table in site["tables"](folder)
+        for field in site["keys"](table)
+    }
+    assert keys
+    for name, field in keys.items():
+        assert len(site["meaning"](field).split()) > 1, name
+        assert site["kind"](field.annotation).words, name
+
+
+def test_a_key_that_is_not_described_is_found(site):
+    field = ast.parse("x: Unheard | None = None").body[0]
+    assert site["meaning"](field) == ""
+    with pytest.raises(KeyError, match="Unheard"):
+        site["kind"](field.annotation)
+
+
+@pytest.mark.parametrize(
+    ("code", "words", "default"),
+    [
+        ("x: PositiveLength = 1e-6", "length above 0", "`1e-6 m`"),
+        ("x: Modulus = Field(600e9, description='')", "modulus above 0", "`6e11 Pa`"),
+        ("x: PositiveLength = Field(default=math.inf)", "length above 0", "none"),
+        ("x: Delay | None = None", "time of at least 0", ""),
+        ("x: StrictBool = Field(default=False)", "true or false", "`false`"),
+        ("x: Annotated[StrictInt, Field(ge=1)] = Field(description='')",
+         "whole number of at least 1", "required"),
+        ("x: Lengths3 = Field(default_factory=lambda: [0.0, 0.0, 1.5])",
+         "three lengths", "`0, 0, 1.5 m`"),
+        ("x: list[Literal['a', 'b']] = Field(default_factory=lambda: ['a'])",
+         'list: `"a"` or `"b"`', '`["a"]`'),
+    ],
+)  # fmt: skip
+def test_a_key_is_shown_in_words(site, code, words, default):
+    (field,) = ast.parse(code).body
+    assert site["kind"](field.annotation).words == words
+    assert site["default"](field) == default
+
+
+def test_tables_stand_in_the_order_of_a_job(site):
+    page = site["keys_page"]("Keys", "_schema")
+    found = re.findall(r"^## `\[(\w+)\]`", page, re.MULTILINE)
+    assert list(dict.fromkeys(found)) == [
+        *("cutter", "spindle", "force", "stock", "program", "robot", "machine"),
+        *("controller", "simulation", "correction", "output"),
+    ]
+    assert page.index("`[cutter]`") < page.index("`[cutter] holder`")
 
 
 def test_the_table_of_what_was_verified_is_that_of_its_command():
