@@ -319,6 +319,8 @@ def test_check_other_files(folder, capsys):
     text = capsys.readouterr().out
     assert "tooth periods of 3.75 ms" in text
     assert "rigid" in text
+    # A rigid machine has nothing to correct.
+    assert "expected: simulate about 1 s, within" in text
     (folder / "path.csv").write_text("time_s,x_mm,y_mm,z_mm\n0,0,0,0\n1,5,0,0\n")
     assert main(["check", "path.csv"]) == 0
     assert "x: 0.000 to 5.000 mm" in capsys.readouterr().out

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from .._jax_config import configure_jax
 from .._toml import parse_toml
+from ._expected_time import expected_time_line
 
 if TYPE_CHECKING:
     from ..toolpath import Move, Path, Program, ProgramTiming
@@ -143,6 +144,7 @@ def _describe_job(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
         f"  angles: {settings.angles} per revolution, sub-steps: {settings.substeps}, "
         f"height of a disc: {settings.element_height * 1e3:g} mm, discs up to "
         f"{settings.axial_depth * 1e3:g} mm above the tip, {settings.precision}",
+        expected_time_line(job),
         *(f"  note: {note}" for note in job.notes),
     ]
 

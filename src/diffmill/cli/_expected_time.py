@@ -1,0 +1,55 @@
+"""How long a job will compute, by counts of what its rows ask for."""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .._job import Job
+
+# Processor time of `simulate` for a row on the machine that
+# `experiments/performance/run.py expected` prints these figures on [ms]: at least; of
+# a disc of an upright cutter, and more by its diameter in rays; of an edge element in
+# space; of removal by a tilted tool of 50 rays in diameter, by the square of it.
+_ROW, _DISC, _DISC_BY_RAYS = 0.04, 0.13, 0.0016
+_ELEMENT, _TILTED = 0.24, 3.5
+# A correction in runs, each of which leaves out the rigid cut: the simpler methods, the
+# first and last runs, and a step of the optimiser [share, count, count].
+_COUPLED, _OTHER_RUNS, _STEP_RUNS = 0.65, 6, 7
+
+
+def expected_time_line(job: "Job") -> str:
+    """Return a line on how long `simulate` and `correct` will compute.
+
+    Args:
+        job: The job.
+    """
+    run = 1e-3 * _row_time(job) * job.path.step_count
+    text = f"simulate about {_spelled(run)}"
+    if not job.is_rigid and job.correction.method == "gauss_newton":
+        runs = _OTHER_RUNS + _STEP_RUNS * job.correction.max_steps
+        text += f", correct about {_spelled(_COUPLED * runs * run)}"
+    return (
+        f"  expected: {text}, within a factor of 3; a first job of its kind compiles "
+        "for a minute more, figures take some seconds"
+    )
+
+
+def _row_time(job: "Job") -> float:
+    """Return the time of a row [ms]."""
+    from ..process import EdgeElementsInSpace, ThroughRays
+    from ..sim import JobModel
+
+    engagement = JobModel.of(job.with_precision(), ThroughRays()).process.engagement
+    rays = 2 * job.cutter.nominal_radius / job.stock.spacing
+    if not isinstance(engagement, EdgeElementsInSpace):
+        discs = engagement.discs.count
+        return _ROW + discs * (_DISC + _DISC_BY_RAYS * rays)
+    edge = engagement.profile
+    spent = _ROW + _ELEMENT * (edge.bottom + edge.corner + edge.side)
+    return spent if engagement.is_upright else spent + _TILTED * (rays / 50) ** 2
+
+
+def _spelled(seconds: float) -> str:
+    """Return a time in a unit that suits it."""
+    if seconds < 90:
+        return f"{max(seconds, 1.0):.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
