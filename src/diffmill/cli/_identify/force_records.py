@@ -19,7 +19,7 @@ from .diagnoses import diagnosis_facts, diagnosis_lines, diagnosis_title
 from .registration import axes_lines, record_lines, tooth_lines
 from .report import Report, all_noted
 from .text import coefficient_lines, correlation_lines
-from .toml_snippets import doubted, force_toml, uncertainty_toml
+from .toml_snippets import FORCE_REMARK, doubted, force_toml, uncertainty_toml
 
 
 def report_records(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> Report:
@@ -77,7 +77,7 @@ def _toml(found: ForceRecordStudy.Fit) -> list[str]:
     fit = found.fit
     lines = [
         *force_toml(fit.coefficients, fit.standard_errors, fit.identifiable),
-        *uncertainty_toml("force", found.relative_uncertainty),
+        *uncertainty_toml("force", found.relative_uncertainty, FORCE_REMARK),
     ]
     grave = [one for one in found.diagnoses if one.is_grave]
     if fit.doubts:

@@ -9,6 +9,10 @@ from ...robot import Robot
 
 # Largest uncertainty that the table takes.
 _LARGEST = 0.999
+FORCE_REMARK = (
+    "the noise of these records alone: a worn tool, another batch of material and what "
+    "the force law leaves out differ by more"
+)
 
 
 def force_toml(
