@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ._arrays import cast_floats
-from ._types import RealScalarLike, Transform
+from ._types import FloatRows3, RealScalarLike, Transform
 from .cutter import AbstractCutter, ToolHolder
 from .cutting import AbstractForceLaw
 from .robot import Controller, Robot, TipModes, ToolRotation
@@ -255,6 +255,8 @@ class Job(eqx.Module):
         controller: What the robot's motors do of their command; None if they follow it.
         output: How a corrected program is written.
         timing: How the program was timed; None for a recorded path.
+        commanded: Tip positions that the program commands instead of those of the path
+            [m], shape (step, 3), for a simulation; None for those of the path.
     """
 
     name: str = eqx.field(static=True)
@@ -279,6 +281,7 @@ class Job(eqx.Module):
     controller: Controller | None = None
     modes: TipModes | None = None
     timing: ProgramTiming | None = eqx.field(static=True, default=None)
+    commanded: FloatRows3 | None = None
 
     def __check_init__(self):
         if self.robot is not None and self.modes is not None:

@@ -141,6 +141,23 @@ def base_quantity(value: object) -> tuple[float, str]:
     return float(found.magnitude), f"{found.units:~}"
 
 
+def scaled_quantity(value: object, factor: float) -> object:
+    """Return a quantity of any dimension times a factor, in the unit that it has.
+
+    Args:
+        value: As of `base_quantity`.
+        factor: A number.
+
+    Raises:
+        ValueError: If the value is something else, or its unit is not known.
+    """
+    number, unit = base_quantity(value)
+    if not unit:
+        return number * factor
+    number, unit = _split(value, "a quantity is required")
+    return f"{number * factor!r} {unit}"
+
+
 def _split(value: object, wanted: str) -> tuple[float, str]:
     """Return the number and the unit of a text."""
     if not isinstance(value, str):

@@ -10,7 +10,7 @@ from .._jax_config import configure_jax
 from .._results_folder import ResultsFolder
 from ._run_job import with_job
 from ._session.attempts import Attempts
-from ._session.errors import BadInput, bad_input
+from ._session.errors import ONLY_SIMULATE, BadInput, bad_input
 from ._session.progress import Progress
 
 if TYPE_CHECKING:
@@ -93,6 +93,8 @@ def _check(job: "Job", file: pathlib.Path, request: FeedRequest) -> None:
         raise JobError(
             file, ["[robot] rigid: found true, but feed needs a robot: model or file"]
         )
+    if job.commanded is not None:
+        raise JobError(file, [ONLY_SIMULATE])
     for name, values in (
         ("--overrides", request.overrides),
         ("--weights", request.weights),

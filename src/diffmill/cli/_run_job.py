@@ -16,7 +16,7 @@ from .._jax_config import configure_jax
 from .._results_folder import ResultsFolder
 from ._analyses import FinishedRun, add_analyses
 from ._session.checkpoint import Checkpoint
-from ._session.errors import BadInput, bad_input
+from ._session.errors import ONLY_SIMULATE, BadInput, bad_input
 from ._session.progress import Progress
 
 if TYPE_CHECKING:
@@ -78,6 +78,8 @@ def run_job(
                     "file, or [machine]"
                 ],
             )
+        if command == "correct" and job.commanded is not None:
+            raise JobError(file, [ONLY_SIMULATE])
     checkpoint = program = None
     if command == "correct":
         with bad_input():

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from .._job import Job, ScatterSettings, SimulationSettings
 from .._toml import JobError, read_toml
+from .._types import FloatRows3
 from ..cutter import AbstractCutter, ToolHolder
 from ..process import default_element_height, is_plunging
 from ..robot import Controller, Robot, TipModes
@@ -18,6 +19,7 @@ from ..toolpath import Path, Program, TimedProgram
 from ._build.context import FileContext
 from ._build.machine import fastest_mode, read_machine
 from ._build.program import (
+    commanded_tips,
     read_program,
     recorded_path,
     rows_of,
@@ -146,6 +148,7 @@ class _Parts(NamedTuple):
         modes: The modes of a machine that is given by them, else None.
         timed: The program with the speed at every place of it; None for a recorded
             path.
+        commanded: Tips that the controller is told instead of the path's, if any.
     """
 
     program: Program | Path | None
@@ -161,6 +164,7 @@ class _Parts(NamedTuple):
     fastest: float = 0.0
     modes: TipModes | None = None
     timed: TimedProgram | None = None
+    commanded: FloatRows3 | None = None
 
     @property
     def tooth_period(self) -> float:
@@ -205,6 +209,9 @@ def _read_parts(
             parts = parts._replace(modes=modes, fastest=fastest_mode(modes))
     if work is not None:
         parts = _follow(tables, parts, context)
+    if "program" in tables and parts.path is not None:
+        tips = commanded_tips(tables["program"], parts.path, context)
+        parts = parts._replace(commanded=tips)
     if parts.path is not None and cutter is not None and stock is not None:
         check_rapids(parts.path, cutter, holder, stock, context)
     return parts
@@ -381,6 +388,7 @@ def _assemble(
         output=tables["output"].settings(),
         controller=parts.controller,
         timing=None if parts.timed is None else parts.timed.timing,
+        commanded=parts.commanded,
     )
 
 

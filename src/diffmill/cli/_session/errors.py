@@ -3,6 +3,11 @@
 import contextlib
 from collections.abc import Iterator
 
+# What commands say of a job that brings a command of its own.
+ONLY_SIMULATE = (
+    "[program] commanded: found one, but only simulate takes it; leave it out"
+)
+
 
 class BadInput(Exception):
     """Raise when a user's input is refused; nothing has been written."""

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ... import io
+from ..._types import FloatRows3
 from ...io import PROGRAM_FORMATS, ProgramError, ProgramSetup
 from ...robot import Robot
 from ...toolpath import (
@@ -21,6 +22,8 @@ from .context import FileContext
 
 # The program and the job state the same speed in different units.
 _SAME_SPEED = 1e-6
+# Instants of a written path are rounded [s].
+_SAME_INSTANT = 1e-6
 # Speeds that a message lists.
 _LISTED = 8
 
@@ -56,6 +59,38 @@ def read_program(table: ProgramTable, context: FileContext) -> Program | Path | 
     if len(program.sections) > 1:
         context.notes.append(_tool_note(program, chosen))
     return chosen
+
+
+def commanded_tips(
+    table: ProgramTable, path: Path, context: FileContext
+) -> FloatRows3 | None:
+    """Return the tips that the controller is told instead of a path's, if any.
+
+    Args:
+        table: `[program]`.
+        path: The path.
+        context: Receives what is wrong.
+    """
+    key = "[program] commanded"
+    if table.commanded is None:
+        return None
+    file = context.file(table.commanded, key)
+    if file is None:
+        return None
+    try:
+        told = io.read_path_csv(file)
+    except ProgramError as error:
+        context.problems.extend(f"{key}: {line}" for line in _problems(str(error)))
+        return None
+    ours, theirs = (np.asarray(x.time) - float(x.time[0]) for x in (path, told))
+    if len(ours) != len(theirs) or np.any(np.abs(ours - theirs) > _SAME_INSTANT):
+        context.problems.append(
+            f"{key}: found {len(theirs)} rows in {theirs[-1]:.6g} s, but those of the "
+            f"program are required, {len(ours)} in {ours[-1]:.6g} s, each at the same "
+            "instant"
+        )
+        return None
+    return np.asarray(told.positions)
 
 
 def _uses(program: Program, feed: float) -> bool:

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from ...units import base_quantity
+from ...units import base_quantity, scaled_quantity
 from .._changes import Tables, value_at
 from .schema import CampaignTable, DrawTable
 
@@ -71,8 +71,7 @@ def scaled(value: object, factor: float) -> object:
     """
     if isinstance(value, list):
         return [scaled(one, factor) for one in value]
-    number, unit = base_quantity(value)
-    return _text(number * factor, unit)
+    return scaled_quantity(value, factor)
 
 
 def _scattered(value: object, entry: DrawTable, stream: np.random.Generator) -> object:

@@ -95,6 +95,12 @@ class ProgramTable(TomlTable):
     file: StrictStr = Field(
         min_length=1, description='a program or a path (.csv), such as "part.ngc"'
     )
+    commanded: Annotated[StrictStr, Field(min_length=1)] | None = Field(
+        default=None,
+        description="for simulate: a path (.csv) with a row for each of the program's "
+        "that the controller is told instead, such as the corrected.csv of a result; "
+        "the error is still that from the program",
+    )
     feed: PositiveSpeed | None = Field(
         default=None,
         description="feed of moves for which the program gives none, such as "

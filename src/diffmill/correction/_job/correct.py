@@ -178,14 +178,16 @@ def correct(
             that is asked for; a `ValueError`.
         UnsuitableSettings: Knots, horizon or overlap do not suit the path; a
             `ValueError`.
-        ValueError: The job has no robot, the objective is none, or JAX is not set up
-            for its precision.
+        ValueError: The job has no robot or a command of its own, the objective is
+            none, or JAX is not set up for its precision.
 
     Differentiability: runs on the host, not traceable.
     """
     job = job.with_precision()
     if job.is_rigid:
         raise ValueError("Argument `job` must not have a rigid machine, but has.")
+    if job.commanded is not None:
+        raise ValueError("Argument `job` must not have a command of its own, but has.")
     check_objective(objective)
     # A horizon that cannot be is refused before anything runs.
     segments = segment_rows(job, has_own_objective=objective is not None)

@@ -209,7 +209,7 @@ def simulate(
         on_progress: Called between the rigid and the coupled part.
         adjoint: How to differentiate through the removal; `ThroughRays()` if not given.
         commanded: Tip positions that the program commands instead of the desired
-            path [m], shape (step, 3).
+            path [m], shape (step, 3); by default those of the job, if it has any.
 
     Returns:
         The solution.
@@ -224,8 +224,10 @@ def simulate(
     job = job.with_precision()
     adjoint = ThroughRays() if adjoint is None else adjoint
     tell = on_progress or (lambda message, share: None)
-    command = job.path.positions if commanded is None else commanded
-    solution = run_with_room(job, on_device(command), adjoint, tell).solution
+    if commanded is None:
+        commanded = job.path.positions if job.commanded is None else job.commanded
+    job = dataclasses.replace(job, commanded=None)
+    solution = run_with_room(job, on_device(commanded), adjoint, tell).solution
     tell("done", 1.0)
     if throw and not isinstance(solution.actual, jax.core.Tracer):
         solution.raise_unless_successful(job)
