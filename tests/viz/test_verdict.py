@@ -46,6 +46,17 @@ def test_the_largest_error_decides(tmp_path, correction, factor, is_held):
     assert f"at {time:.3f} s, x, y, z = {x:.2f}, {y:.2f}, {z:.2f} mm" in text
 
 
+def test_the_written_program_has_to_keep_the_band_too(tmp_path, correction):
+    band = 1.01 * corrected_error(correction).max()
+    given = correction.assign_attrs(tolerance_band=band, written_max_ngc=1.1 * band)
+    text = report(tmp_path, given)
+    assert "Not within" in text and "Within the tolerance: all" in text
+    assert f"Of corrected.ngc, read back and run: {1.1e6 * band:.3g}" in text
+    assert "Not within" not in report(
+        tmp_path, given.assign_attrs(written_max_ngc=0.9 * band)
+    )
+
+
 def test_the_share_within_is_that_of_the_steps_that_cut(tmp_path, correction):
     error = corrected_error(correction)
     cutting = correction["is_cutting"].values

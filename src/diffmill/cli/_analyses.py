@@ -86,9 +86,11 @@ def _with_written(
 
     errors, lines = written_errors(run.job, run.final, folder, run.program)
     found = {}
-    for name, rms in errors.items():
+    for name, left in errors.items():
         file, _, suffix = name.rpartition(".")
-        found[f"{'written' if file == 'corrected' else file}_rms_{suffix}"] = rms
+        kind = "written" if file == "corrected" else file
+        found[f"{kind}_rms_{suffix}"] = left.rms
+        found[f"{kind}_max_{suffix}"] = left.largest
     return _with_notes(run.dataset.assign_attrs(found), _said(lines, progress))
 
 

@@ -1,5 +1,6 @@
 """A program of one format written in another."""
 
+import dataclasses
 import os
 import pathlib
 
@@ -28,7 +29,7 @@ def convert_file(
         ValueError: If the program cannot be read, or the format cannot say it.
     """
     from ..io import read_program, write_program
-    from ..toolpath import Path, reduce_path
+    from ..toolpath import Path, Program, reduce_path
 
     if is_spline and target.suffix.lower() != ".src":
         raise BadInput(f"--spline: {target} knows no splines; .src does")
@@ -43,7 +44,7 @@ def convert_file(
             lines.append(
                 f"rows: {program.step_count}, blocks: {reduced.step_count - 1}"
             )
-            program = reduced
+            program = Program.of_path(reduced, name=target.name)
     else:
         if is_spline:
             raise BadInput(f"--spline: {source} is no path; its moves stay as they are")
@@ -52,6 +53,7 @@ def convert_file(
             program = program.of_tool()
             tool = program.sections[0].tool
             lines.append(f"note: only tool {tool} is written, others are left out")
+        program = dataclasses.replace(program, name=target.name)
     header = [f"converted from {source.name} by diffmill"]
     text = write_program(
         program,

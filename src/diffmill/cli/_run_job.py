@@ -242,7 +242,8 @@ def _compute(
     )
 
     def tell(message: str, rms: float) -> None:
-        progress.update(f"{message}: contour error {rms * 1e6:.2f} um rms")
+        text = f"{message}: contour error {rms * 1e6:.2f} um rms"
+        progress.update(text, then=f"{message} is done, what follows goes on")
 
     try:
         return correct(

@@ -64,18 +64,21 @@ class Progress:
         jax.monitoring.unregister_scalar_listener(self._compiles)
         jax.monitoring.unregister_event_duration_listener(self._compiled)
 
-    def update(self, message: str, share: float | None = None) -> None:
+    def update(
+        self, message: str, share: float | None = None, then: str | None = None
+    ) -> None:
         """Show what is being done.
 
         Args:
             message: What is being done.
             share: How much of the whole run is done, 0 to 1, if that is known.
+            then: What is being done from now on, if the message is of what is done.
         """
         if self.is_quiet:
             return
         part = "" if share is None else f"{100 * share:3.0f} %  "
-        self._message = f"{part}{message}"
-        self._show(self._message, stays=self.is_verbose)
+        self._show(f"{part}{message}", stays=self.is_verbose)
+        self._message = f"{part}{then or message}"
 
     def say(self, message: str) -> None:
         """Print a message that stays."""

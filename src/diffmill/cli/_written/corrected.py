@@ -21,15 +21,27 @@ if TYPE_CHECKING:
 _WORTH_A_NOTE = 1.2
 
 
+class WrittenError(NamedTuple):
+    """What a written program leaves where the tool cuts.
+
+    Attributes:
+        rms: Root mean square contour error [m].
+        largest: Largest contour error [m].
+    """
+
+    rms: float
+    largest: float
+
+
 class WrittenErrors(NamedTuple):
     """What written programs leave, and what is said of it.
 
     Attributes:
-        rms: Root mean square contour error where the tool cuts [m] by name of file.
+        left: By name of file.
         said: Lines about them.
     """
 
-    rms: dict[str, float]
+    left: dict[str, WrittenError]
     said: list[str]
 
 
@@ -49,7 +61,7 @@ def written_errors(
     """
     from ...io import OffsetStream
 
-    job, own = job.with_precision(), _rms(final, np.asarray(final.is_cutting))
+    job, own = job.with_precision(), _left(final, np.asarray(final.is_cutting)).rms
     found, said = {}, []
     for suffix in job.output.formats:
         name = f"corrected{suffix}"
@@ -57,7 +69,8 @@ def written_errors(
         if path is None:
             said.append(f"{name}: not run, since it states feeds instead of times")
             continue
-        found[name] = rms = _run_written(job, final, path.positions, path.axes)
+        found[name] = _run_written(job, final, path.positions, path.axes)
+        rms = found[name].rms
         said.append(
             f"{name}: read back and run, it leaves {rms * 1e6:.2f} um rms where the "
             f"tool cuts; its command leaves {own * 1e6:.2f} um"
@@ -73,10 +86,10 @@ def written_errors(
         tips = np.asarray(job.path.positions) + stream.at(
             np.asarray(job.path.time) - float(job.path.time[0])
         )
-        found["stream.csv"] = rms = _run_written(job, final, tips, job.path.axes)
+        found["stream.csv"] = left = _run_written(job, final, tips, job.path.axes)
         said.append(
             f"stream.csv: read back, added to the program and run, it leaves "
-            f"{rms * 1e6:.2f} um rms where the tool cuts"
+            f"{left.rms * 1e6:.2f} um rms where the tool cuts"
         )
     if program is not None:
         name = f"moved{program.suffix}"
@@ -84,10 +97,10 @@ def written_errors(
         if tips is None:
             said.append(f"{name}: not run, since its arcs are written in pieces")
         else:
-            found[name] = rms = _run_written(job, final, tips, job.path.axes)
+            found[name] = left = _run_written(job, final, tips, job.path.axes)
             said.append(
-                f"{name}: read back, timed and run, it leaves {rms * 1e6:.2f} um rms "
-                "where the tool cuts"
+                f"{name}: read back, timed and run, it leaves {left.rms * 1e6:.2f} um "
+                "rms where the tool cuts"
             )
     return WrittenErrors(found, said)
 
@@ -125,8 +138,8 @@ def _run_written(
     final: "Solution",
     positions: "FloatRows3",
     axes: "FloatRows3",
-) -> float:
-    """Return the rms contour error that poses leave instead of their command [m]."""
+) -> WrittenError:
+    """Return the contour error that poses leave instead of their command."""
     import jax.numpy as jnp
 
     from ...process import ThroughPoses
@@ -142,13 +155,13 @@ def _run_written(
     # By the program that the correction has compiled.
     solution = Solution.of_command(job, final.rigid, tips, ThroughPoses())
     solution.raise_unless_successful(job)
-    return _rms(solution, np.asarray(final.is_cutting))
+    return _left(solution, np.asarray(final.is_cutting))
 
 
-def _rms(solution: "Solution", is_cutting: Bool[np.ndarray, " step"]) -> float:
-    """Return the rms contour error where the tool cuts [m]."""
+def _left(solution: "Solution", is_cutting: Bool[np.ndarray, " step"]) -> WrittenError:
+    """Return the contour error where the tool cuts."""
     error = np.asarray(solution.contour_error, np.float64)[is_cutting]
-    return float(np.sqrt(np.mean(error**2)))
+    return WrittenError(float(np.sqrt(np.mean(error**2))), float(np.max(np.abs(error))))
 
 
 def corrected_files(job: "Job", commanded: Float[np.ndarray, "step 3"]) -> WrittenFiles:
@@ -165,7 +178,7 @@ def corrected_files(job: "Job", commanded: Float[np.ndarray, "step 3"]) -> Writt
         write_path_csv,
         write_program,
     )
-    from ...toolpath import reduce_path
+    from ...toolpath import Program, reduce_path
 
     output, said = job.output, []
     path = eqx.tree_at(lambda p: p.positions, job.path, commanded)
@@ -184,8 +197,12 @@ def corrected_files(job: "Job", commanded: Float[np.ndarray, "step 3"]) -> Writt
             is_spline = output.is_spline and suffix == ".src"
             if is_spline:
                 blocks = reduce_path(path, output.tolerance, is_spline=True)
+            # A module of KRL bears the name of its file.
             files[name] = write_program(
-                blocks, suffix, header=header, is_spline=is_spline
+                Program.of_path(blocks, name="corrected"),
+                suffix,
+                header=header,
+                is_spline=is_spline,
             )
         said.append(
             f"{name}: {blocks.step_count - 1} blocks instead of "

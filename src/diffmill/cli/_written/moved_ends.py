@@ -1,5 +1,6 @@
 """The program of a job with the ends of its blocks moved to where they correct most."""
 
+import dataclasses
 import pathlib
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -43,7 +44,7 @@ def moved_files(
     moved = ends.with_offsets(commanded - np.asarray(job.path.positions))
     name = f"moved{given.suffix}"
     text = write_program(
-        moved,
+        dataclasses.replace(moved, name=name),
         given.suffix,
         header=[f"{job.name}, its block ends moved by diffmill"],
         tolerance=job.output.tolerance,

@@ -40,11 +40,15 @@ def machine_lines(job: Job, written: Mapping[str, float]) -> list[str]:
         f"Tool: {2e3 * cutter.nominal_radius:g} mm, {cutter.flute_count} teeth, at "
         f"{speed:.5g} rpm; the coordinates are those of its tip.",
         "The times of the blocks are a part of the correction: an override of the feed "
-        "other than 100 % undoes it.",
+        "other than 100 % undoes it. G-code states them as inverse time (G93).",
     ]
     if any(suffix in _ROBOT_FILES for suffix in job.output.formats):
         lines.append(
             "The robot's file has the motion alone: base, tool, approach and spindle "
             "are set on the controller, as the comment at its head lists."
+        )
+    elif job.robot is not None:
+        lines.append(
+            'A robot may ask for another file: [output] formats = ["krl"] or ["rapid"].'
         )
     return lines

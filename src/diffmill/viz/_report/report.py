@@ -7,9 +7,9 @@ What it reads of a result besides the variables of `simulate` and `correct`:
   `incomplete` (1), `incomplete_reason`, `incomplete_time` [s], `incomplete_place` [m];
 - attributes `CASE_NAME`, such as `mirror_forward_runs`: the cost and the settings of
   each case, those that end in `_s` in seconds; `corrected_case`: the case whose
-  command is the corrected program; `written_rms_SUFFIX` [m], the error that the
-  program in `corrected.SUFFIX` leaves; `is_successful` (0 marks a run that failed);
-  `tolerance_band` [m], the contour error to hold the result against;
+  command is the corrected program; `written_rms_SUFFIX` and `written_max_SUFFIX` [m],
+  the errors that the program in `corrected.SUFFIX` leaves; `is_successful` (0 marks a
+  run that failed); `tolerance_band` [m], the contour error to hold the result against;
 - every other attribute is listed as a setting.
 """
 
@@ -56,7 +56,7 @@ _WRITTEN = {
     "moved": "moved_rms_",
     "stream": "stream_rms_",
 }
-_PREFIXES = tuple(_WRITTEN.values())
+_PREFIXES = tuple(f"{kind}_" for kind in ("written", "moved", "stream"))
 
 
 def write_report(
