@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from .._jax_config import configure_jax
 from .._toml import parse_toml
-from ._expected_time import expected_time_line
+from ._expected_time import expected_campaign_line, expected_time_line
 
 if TYPE_CHECKING:
     from ..toolpath import Move, Path, Program, ProgramTiming
@@ -109,16 +109,26 @@ def _describe_identification(file: pathlib.Path, *, allow_outside: bool) -> list
 
 
 def _describe_campaign(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
-    from ..config import load_campaign
+    from ..config import load_campaign, load_job
 
     campaign = load_campaign(file, allow_outside=allow_outside)
+    configure_jax()
+    try:
+        first = load_job(
+            campaign.job, allow_outside=allow_outside, changes=next(campaign.changes())
+        )
+    except ValueError as error:
+        expected = f"  note: the first job is refused: {error}"
+    else:
+        count = math.prod(campaign.shape)
+        expected = expected_campaign_line(first, campaign.command, count)
     lines = [
         f"{file}: a campaign without faults: {math.prod(campaign.shape)} jobs, each to "
         f"{campaign.command}, from {campaign.job}"
     ]
     for variation, count in zip(campaign.variations, campaign.shape, strict=True):
         lines.append(f"  {variation.name}: {count}")
-    return lines
+    return [*lines, expected]
 
 
 def _describe_job(file: pathlib.Path, *, allow_outside: bool) -> list[str]:

@@ -14,6 +14,8 @@ _ELEMENT, _TILTED = 0.24, 3.5
 # A correction in runs, each of which leaves out the rigid cut: the simpler methods, the
 # first and last runs, and a step of the optimiser [share, count, count].
 _COUPLED, _OTHER_RUNS, _STEP_RUNS = 0.65, 6, 7
+# A parameter of the sensitivity, in runs.
+_PARAMETER_RUNS = 3
 
 
 def expected_time_line(job: "Job") -> str:
@@ -22,15 +24,43 @@ def expected_time_line(job: "Job") -> str:
     Args:
         job: The job.
     """
-    run = 1e-3 * _row_time(job) * job.path.step_count
+    run = _run_time(job)
     text = f"simulate about {_spelled(run)}"
     if not job.is_rigid and job.correction.method == "gauss_newton":
-        runs = _OTHER_RUNS + _STEP_RUNS * job.correction.max_steps
-        text += f", correct about {_spelled(_COUPLED * runs * run)}"
+        text += f", correct about {_spelled(_correction_time(job))}"
+    if job.simulation.has_sensitivity:
+        runs = _PARAMETER_RUNS * len(job.parameter_names)
+        text += f", the sensitivity about {_spelled(_COUPLED * runs * run)} more"
     return (
         f"  expected: {text}, within a factor of 3; a first job of its kind compiles "
         "for a minute more, figures take some seconds"
     )
+
+
+def expected_campaign_line(job: "Job", command: str, count: int) -> str:
+    """Return a line on how long a campaign will compute on one worker.
+
+    Args:
+        job: One of its jobs.
+        command: What is done with each.
+        count: How many there are.
+    """
+    each = _run_time(job) if command == "simulate" else _correction_time(job)
+    return (
+        f"  expected: about {_spelled(each)} a job once its programs are compiled, "
+        f"{_spelled(count * each)} of one worker, within a factor of 3"
+    )
+
+
+def _correction_time(job: "Job") -> float:
+    """Return the time that a correction by Gauss-Newton is expected to take [s]."""
+    runs = _OTHER_RUNS + _STEP_RUNS * job.correction.max_steps
+    return _COUPLED * runs * _run_time(job)
+
+
+def _run_time(job: "Job") -> float:
+    """Return the time that a simulation is expected to take [s]."""
+    return 1e-3 * _row_time(job) * job.path.step_count
 
 
 def _row_time(job: "Job") -> float:
