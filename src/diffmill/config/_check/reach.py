@@ -155,7 +155,7 @@ def _unreached(
         f"[robot]: {at_row(path, k)}: outside the robot's reach, with the tip at "
         f"({x:.1f}, {y:.1f}, {z:.1f}) mm in base: the nearest pose found is {away:.1f} "
         f"mm and {tilt:.1f} deg away; so are {is_bad.sum()} of {path.step_count} rows; "
-        "move the part with work_in_base"
+        "move the part with work_in_base, or look at the unit and zero of the program"
     )
 
 
@@ -167,15 +167,15 @@ def _check_limits(
     is_over = np.asarray(found.limit_excess) > _LIMIT_SLACK
     is_over &= np.asarray(found.converged)[:, None]
     for i in np.flatnonzero(is_over.any(axis=0)):
-        k = int(np.argmax(is_over[:, i]))
+        excess = np.where(is_over[:, i], found.limit_excess[:, i], 0.0)
+        k, most = int(np.argmax(excess)), float(excess.max())
         is_slide = robot.joint_kinds[i] == "prismatic"
         scale, unit = (1e3, "mm") if is_slide else (180 / np.pi, "deg")
-        most = np.where(is_over[:, i], found.limit_excess[:, i], 0.0).max()
         problems.append(
             f"[robot]: {at_row(path, k)}: joint {robot.joint_names[i]} would stand at "
             f"{found.q[k, i] * scale:.1f} {unit}; allowed is {lower[i] * scale:.1f} to "
-            f"{upper[i] * scale:.1f} {unit}; the path needs up to {most * scale:.1f} "
-            f"{unit} more, in {is_over[:, i].sum()} of {path.step_count} rows"
+            f"{upper[i] * scale:.1f} {unit}; that is {most * scale:.2g} {unit} more, "
+            f"and too much in {is_over[:, i].sum()} of {path.step_count} rows"
         )
 
 
