@@ -126,25 +126,33 @@ def test_the_linear_run_is_the_derivative_with_the_stock_held(kind, cut):
         assert np.max(np.abs(have - want)) < 1e-9 * np.max(np.abs(want))
 
 
-def test_pull_is_the_transpose_of_move():
-    rng = np.random.default_rng(3)
-    steps, joints, parameters, n, S, T, d, l, circles = 12, 3, 2, 6, 4, 2, 6, 3, 4
-    array = lambda *shape: jnp.asarray(rng.normal(size=shape) / np.sqrt(shape[-1]))
+def array(rng, *shape):
+    return jnp.asarray(rng.normal(size=shape) / np.sqrt(shape[-1]))
+
+
+def random_run(rng, parameters):
+    """Return a linear system of three joints without a meaning."""
+    steps, joints, n, S, T, d, l, circles = 12, 3, 6, 4, 2, 6, 3, 4
     cause, known = T * S * d + circles * d + d, n + 2 * joints
-    linear = sim.LinearRun(
-        ends=array(steps, S, 3),
-        force=array(steps, 3),
-        loads=array(steps - 1, S * l, known + cause + parameters),
-        arm=array(steps - 1, n + S * d + 3 * S, known + S * l + parameters) / 2,
-        pose=array(steps - 1, d, n),
+    return sim.LinearRun(
+        ends=array(rng, steps, S, 3),
+        force=array(rng, steps, 3),
+        loads=array(rng, steps - 1, S * l, known + cause + parameters),
+        arm=array(rng, steps - 1, n + S * d + 3 * S, known + S * l + parameters) / 2,
+        pose=array(rng, steps - 1, d, n),
         circles=jnp.asarray(np.arange(steps - 1)[:, None] - np.arange(1, 1 + circles)),
-        begin=array(n, 3 * joints + parameters),
+        begin=array(rng, n, 3 * joints + parameters),
         periods=T,
         substeps=S,
     )
-    change, factors = array(steps, joints, 5), array(parameters, 5)
+
+
+def test_pull_is_the_transpose_of_move():
+    rng = np.random.default_rng(3)
+    linear = random_run(rng, parameters=2)
+    change, factors = array(rng, 12, 3, 5), array(rng, 2, 5)
     moved = linear.move(change, factors)
-    weights = jax.tree.map(lambda x: array(*x.shape), moved)
+    weights = jax.tree.map(lambda x: array(rng, *x.shape), moved)
     motors, by_parameters = linear.pull(weights)
     dot = lambda a, b: float(jnp.sum(a * b))
     wanted = dot(weights.ends, moved.ends) + dot(weights.force, moved.force)
@@ -152,6 +160,20 @@ def test_pull_is_the_transpose_of_move():
     size = jnp.linalg.norm(weights.ends) * jnp.linalg.norm(moved.ends)
     assert abs(found - wanted) < 1e-12 * float(size)
     assert abs(wanted) > 1e-6 * float(size)
+
+
+@pytest.mark.parametrize("first", [0, 1, 2, 3, 7])
+def test_walls_move_as_the_tips_between_the_sub_steps(first):
+    rng = np.random.default_rng(5)
+    linear = random_run(rng, parameters=0)
+    change = array(rng, 12, 3, 4).at[:first].set(0)
+    shares = jnp.asarray(rng.uniform(size=12)).at[4].set(0).at[5].set(1)
+    found, moved = linear.move_walls(change, shares), linear.move(change)
+    still = jnp.zeros((12, 3))
+    for k in range(4):
+        wanted = pr.wall_deviation(moved.ends[..., k], still, shares)
+        np.testing.assert_allclose(found.tips[..., k], wanted, rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(found.force, moved.force, rtol=1e-12, atol=1e-14)
 
 
 @pytest.mark.slow

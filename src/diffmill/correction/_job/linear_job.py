@@ -3,7 +3,6 @@
 import dataclasses
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
@@ -95,12 +94,8 @@ class LinearJob(LinearMotion):
             if state is not None:
                 state = state.of_changes(changes.shape[-1])
             motors = _controlled(self.controller, motors, self.time_step, state)
-        found = self.run.move(motors)
-        still = jnp.zeros((motors.shape[0], 3), changes.dtype)
-        walls = jax.vmap(
-            lambda ends: wall_deviation(ends, still, self.wall_share), in_axes=-1
-        )
-        return Motion(walls(found.ends), jnp.moveaxis(found.force, -1, 0))
+        found = self.run.move_walls(motors, self.wall_share)
+        return Motion(*(jnp.moveaxis(x, -1, 0) for x in (found.tips, found.force)))
 
 
 def _controlled(

@@ -18,7 +18,7 @@ The stock is held: how a surface moves with the poses that cut it is left out.
 import functools
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeAlias
 
 import equinox as eqx
 import jax
@@ -62,6 +62,25 @@ class RunChange(eqx.Module):
 
     ends: Float[Array, "step substep 3 direction"]
     force: Float[Array, "step 3 direction"]
+
+
+class WallChange(eqx.Module):
+    """Changes of a run where it makes the walls, in some directions.
+
+    Attributes:
+        tips: Of the tips when the wall of each row is made [m], shape (step, 3,
+            direction); row 0 is at rest.
+        force: Of the mean forces over the period before each row [N], shape (step, 3,
+            direction).
+    """
+
+    tips: Float[Array, "step 3 direction"]
+    force: Float[Array, "step 3 direction"]
+
+
+# Changes of the arm, of the poses of the periods before, of the pose one period ago,
+# and of all poses at the starts of periods.
+Moving: TypeAlias = tuple[Array, Array, Array, Array]
 
 
 class LinearRun(eqx.Module):
@@ -110,38 +129,106 @@ class LinearRun(eqx.Module):
         directions = motors.shape[-1]
         if parameters is None:
             parameters = jnp.zeros((0, directions), motors.dtype)
-        head = motors[:3].reshape(-1, directions)
-        x = self.begin @ jnp.concatenate([head, parameters])
-        first = self.pose[0] @ x
-        S, d = self.substeps, first.shape[0]
-        steps = motors.shape[0]
-        r = jnp.broadcast_to(first[None, None], (self.periods, S, d, directions))
-        # The last row stands for those before the first, which do not move.
-        history = jnp.zeros((steps, d, directions), x.dtype)
-
-        def period(carry, row):
-            x, r, before, history = carry
-            index, loads, arm, pose, circles, start, stop = row
-            p = pose @ x
-            history = history.at[index].set(p)
-            old = history[circles].reshape(-1, directions)
-            inputs = [x, start, stop, r.reshape(-1, directions), old, before]
-            f = loads @ jnp.concatenate([*inputs, parameters])
-            out = arm @ jnp.concatenate([x, start, stop, f, parameters])
-            n = x.shape[0]
-            x, m, e = jnp.split(out, [n, n + S * d])
-            r = jnp.concatenate([m.reshape(1, S, d, directions), r[:-1]])
-            force = jnp.mean(f.reshape(S, -1, directions)[:, :3], axis=0)
-            return (x, r, p, history), (e.reshape(S, 3, directions), force)
-
-        index = jnp.arange(steps - 1, dtype=jnp.int32)
-        rows = (index, self.loads, self.arm, self.pose, self.circles)
-        _, (ends, force) = jax.lax.scan(
-            period, (x, r, first, history), (*rows, motors[:-1], motors[1:])
+        start = self._at_rest(motors, parameters)
+        rows = (
+            jnp.arange(motors.shape[0] - 1, dtype=jnp.int32),
+            *(self.loads, self.arm, self.pose, self.circles, motors[:-1], motors[1:]),
         )
+
+        def period(state, row):
+            return self._period(state, row, parameters)
+
+        _, (ends, force) = jax.lax.scan(period, start, rows)
+        first = start[2]
         rest = jnp.broadcast_to(first[None, None, :3], (1, *ends.shape[1:]))
         still = jnp.zeros((1, 3, directions), force.dtype)
         return RunChange(jnp.concatenate([rest, ends]), jnp.concatenate([still, force]))
+
+    def move_walls(
+        self,
+        motors: Float[Array, "step joint direction"],
+        shares: Float[Array, " step"],
+    ) -> WallChange:
+        """Return how the tips change at the instants at which walls are made.
+
+        What `move` says of them, for less: it begins where the motors first change, and
+        keeps of each period one tip instead of all.
+
+        Args:
+            motors: Changes of the motor positions [rad or m], shape (step, joint,
+                direction).
+            shares: Share of the period before each row at which its wall is made, from
+                0 to 1, shape (step,).
+
+        **Differentiability**: linear; forward mode only.
+        """
+        steps, _, directions = motors.shape
+        start = self._at_rest(motors, jnp.zeros((0, directions), motors.dtype))
+        # Between two ends of sub-steps the tip goes straight on.
+        nodes = jnp.arange(self.substeps + 1, dtype=motors.dtype)
+        away = jnp.abs(shares[:, None] * self.substeps - nodes[None])
+        weights = jnp.maximum(1 - away, 0)
+        rest = jnp.broadcast_to(start[2][None, :3], (1, 3, directions))
+        walls = jnp.zeros((steps, 3, directions), motors.dtype).at[:1].set(rest)
+
+        def period(index, carry):
+            state, last, walls, forces = carry
+            of = lambda rows: jax.lax.dynamic_index_in_dim(rows, index, keepdims=False)
+            row = (
+                index,
+                *(of(x) for x in (self.loads, self.arm, self.pose, self.circles)),
+                *(of(motors), of(motors[1:])),
+            )
+            state, (ends, force) = self._period(state, row, motors[:0, 0])
+            tips = jnp.concatenate([last[None], ends])
+            wall = jnp.tensordot(weights[index + 1], tips, 1)
+            walls, forces = (
+                walls.at[index + 1].set(wall),
+                forces.at[index + 1].set(force),
+            )
+            return state, ends[-1], walls, forces
+
+        # The first state follows from three rows.
+        begin = jnp.argmax(jnp.any(motors != 0, axis=(1, 2))).astype(jnp.int32)
+        begin = jnp.where(begin < 3, 0, begin - 1)
+        carry = start, rest[0], walls, jnp.zeros_like(walls)
+        *_, walls, forces = jax.lax.fori_loop(begin, steps - 1, period, carry)
+        return WallChange(walls, forces)
+
+    def _at_rest(
+        self,
+        motors: Float[Array, "step joint direction"],
+        parameters: Float[Array, "parameter direction"],
+    ) -> Moving:
+        """Return the change of the state in which a run begins."""
+        directions = motors.shape[-1]
+        head = motors[:3].reshape(-1, directions)
+        x = self.begin @ jnp.concatenate([head, parameters])
+        first = self.pose[0] @ x
+        size = self.periods, self.substeps, *first.shape
+        r = jnp.broadcast_to(first[None, None], size)
+        # The last row stands for those before the first, which do not move.
+        history = jnp.zeros((motors.shape[0], *first.shape), x.dtype)
+        return x, r, first, history
+
+    def _period(
+        self, state: Moving, row: tuple[Array, ...], parameters: Array
+    ) -> tuple[Moving, tuple[Array, Array]]:
+        """Return the change of the state, of the tips and of the force of a period."""
+        x, r, before, history = state
+        index, loads, arm, pose, circles, start, stop = row
+        S, d, directions = self.substeps, before.shape[0], before.shape[1]
+        p = pose @ x
+        history = history.at[index].set(p)
+        old = history[circles].reshape(-1, directions)
+        inputs = [x, start, stop, r.reshape(-1, directions), old, before]
+        f = loads @ jnp.concatenate([*inputs, parameters])
+        out = arm @ jnp.concatenate([x, start, stop, f, parameters])
+        n = x.shape[0]
+        x, m, e = jnp.split(out, [n, n + S * d])
+        r = jnp.concatenate([m.reshape(1, S, d, directions), r[:-1]])
+        force = jnp.mean(f.reshape(S, -1, directions)[:, :3], axis=0)
+        return (x, r, p, history), (e.reshape(S, 3, directions), force)
 
     def pull(
         self, weights: RunChange
