@@ -167,4 +167,4 @@ def cut_dexels():
     both = np.concatenate([side, side * np.array([-1.0, 1.0, 1.0])])
     wall = both.copy()
     wall[:, 0] += 8e-5 + 3e-5 * np.sin(800 * wall[:, 1]) + 1e-2 * wall[:, 2]
-    return CutDexels(floor, ideal, wall, both)
+    return CutDexels(floor, ideal, wall, both, 0.2e-3)

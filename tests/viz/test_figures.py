@@ -282,11 +282,11 @@ def test_ray_errors_match_a_loop_over_rays(axis):
             errors = point[axis] - ideal[same, axis]
             expected[index] = errors[np.argmin(np.abs(errors))]
     assert np.isnan(expected).any()
-    none = np.zeros((0, 3))
+    none, far = np.zeros((0, 3)), 1.0
     found = (
-        CutDexels(none, none, points, ideal).wall_error()
+        CutDexels(none, none, points, ideal, far).wall_error()
         if axis == 0
-        else CutDexels(points, ideal, none, none).floor_error()
+        else CutDexels(points, ideal, none, none, far).floor_error()
     )
     np.testing.assert_allclose(found, expected, atol=1e-12)
 
@@ -307,10 +307,43 @@ def test_dexels_of_floor_and_wall_are_drawn_with_their_error():
     np.testing.assert_allclose(np.sort(drawn), np.sort(expected[: drawn.size]))
 
 
+@pytest.mark.parametrize("scale", [1.0, 20.0])
+def test_an_end_on_another_wall_has_no_error(scale):
+    """A ray that only the actual path meets finds the ideal end of a wall far off."""
+    y = np.arange(50) * 0.2e-3
+    error = scale * 6e-5 * (1 + 0.1 * np.sin(1e3 * y))
+    ideal = np.stack([0 * y, y, 0 * y], 1)
+    wall = np.stack([error, y, 0 * y], 1)
+    other = wall[20:22] + np.array([0.03, 0.0, 0.0])
+    none = np.zeros((0, 3))
+    dexels = CutDexels(none, none, np.concatenate([wall, other]), ideal, 0.2e-3)
+    # Errors above the spacing are no sign of another wall where all are as large.
+    np.testing.assert_allclose(dexels.wall_error()[:50], error)
+    assert np.isnan(dexels.wall_error()[50:]).all()
+    (panel,) = (
+        axes
+        for axes in panels_of(plot_cut_dexels(dexels))
+        if axes.get_title(loc="left").startswith("wall")
+    )
+    drawn = np.asarray(panel.collections[0].get_offsets())
+    np.testing.assert_allclose(np.sort(drawn[:, 1]), np.sort(error) * 1e6)
+
+
 def test_dexels_without_a_wall_have_one_panel():
     dexels = cut_dexels()
     none = np.zeros((0, 3))
-    figure = plot_cut_dexels(CutDexels(dexels.floor, dexels.floor_ideal, none, none))
+    figure = plot_cut_dexels(
+        CutDexels(dexels.floor, dexels.floor_ideal, none, none, dexels.spacing)
+    )
     assert not [
         a for a in panels_of(figure) if a.get_title(loc="left").startswith("wall")
     ]
+
+
+def test_a_floor_without_an_ideal_one_can_be_drawn():
+    dexels = cut_dexels()
+    far = dexels.floor_ideal + np.array([0.0, 0.0, -0.02])
+    none = np.zeros((0, 3))
+    lost = CutDexels(dexels.floor, far, none, none, dexels.spacing)
+    assert np.isnan(lost.floor_error()).all()
+    plot_cut_dexels(lost).draw_without_rendering()

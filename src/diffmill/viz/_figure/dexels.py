@@ -24,25 +24,33 @@ if TYPE_CHECKING:
     import matplotlib.figure
 
 _POINTS_DRAWN = 40_000
+# Where a path is off sideways, a ray may graze a wall that its ideal counterpart never
+# meets: the next ideal end on it then lies on another wall, a tool's width away. Errors
+# are mostly below the spacing of the rays, so that four spacings tell the two apart; on
+# finer rays the median error says how far an end of the same wall may be.
+_NEAR_SPACINGS, _FAR_SPACINGS = 4.0, 20.0
+_MEDIANS = 5.0
 
 
 class CutDexels(eqx.Module):
     """Ends of the rays that the cut has shortened, actual and ideal, in `work`.
 
     The two sets need not pair up: an actual end belongs to the nearest ideal end on
-    the same ray.
+    the same ray, unless that is so far off that it must lie on another surface.
 
     Attributes:
         floor: Ends of z rays in the final stock [m], shape (point, 3).
         floor_ideal: Ends of z rays after the desired path [m], shape (other, 3).
         wall: Ends of x rays in the final stock [m], shape (wall, 3).
         wall_ideal: Ends of x rays after the desired path [m], shape (wall_other, 3).
+        spacing: Distance of neighbouring rays [m].
     """
 
     floor: Float[np.ndarray, "point 3"]
     floor_ideal: Float[np.ndarray, "other 3"]
     wall: Float[np.ndarray, "wall 3"]
     wall_ideal: Float[np.ndarray, "wall_other 3"]
+    spacing: float
 
     @classmethod
     def from_stocks(cls, stock: Stock, ideal: Stock) -> "CutDexels":
@@ -61,21 +69,36 @@ class CutDexels(eqx.Module):
             _cut_ends(ideal, 2, is_upper_only=True),
             _cut_ends(stock, 0),
             _cut_ends(ideal, 0),
+            stock.spacing,
         )
 
     def floor_error(self) -> Float[np.ndarray, " point"]:
         """Return how far each end of the floor is above the ideal one [m].
 
-        NaN where the ray has no ideal end.
+        NaN where the ray has no ideal end near it.
         """
-        return _ray_errors(self.floor, self.floor_ideal, 2)
+        return _of_one_surface(
+            _ray_errors(self.floor, self.floor_ideal, 2), self.spacing
+        )
 
     def wall_error(self) -> Float[np.ndarray, " wall"]:
         """Return how far each end of the walls is from the ideal one along x [m].
 
-        NaN where the ray has no ideal end.
+        NaN where the ray has no ideal end near it.
         """
-        return _ray_errors(self.wall, self.wall_ideal, 0)
+        return _of_one_surface(_ray_errors(self.wall, self.wall_ideal, 0), self.spacing)
+
+
+def _of_one_surface(
+    error: Float[np.ndarray, " point"], spacing: float
+) -> Float[np.ndarray, " point"]:
+    """Return the errors, NaN where the ideal end lies on another surface."""
+    limit = np.clip(
+        _MEDIANS * spread(error, 50.0),
+        _NEAR_SPACINGS * spacing,
+        _FAR_SPACINGS * spacing,
+    )
+    return np.where(np.abs(error) <= limit, error, np.nan)
 
 
 def _ray_errors(
@@ -150,19 +173,20 @@ def plot_cut_dexels(dexels: CutDexels) -> "matplotlib.figure.Figure":
     """Draw the cut ray ends of the floor in perspective and of one wall in profile.
 
     Args:
-        dexels: Cut ends of z rays and of x rays.
+        dexels: Cut ends of z rays and of x rays, at least one.
 
     Returns:
-        The figure; the factors of magnification stand in the titles.
+        The figure, with a panel for each of the two that there is; the factors of
+        magnification stand in the titles.
     """
-    has_wall = bool(dexels.wall.shape[0])
-    figure = new_figure(6.4 if has_wall else 4.4)
-    rows = figure.subfigures(
-        2 if has_wall else 1, 1, squeeze=False, height_ratios=[2.1, 1.0][: 1 + has_wall]
-    )[:, 0]
-    _draw_floor(rows[0], dexels)
+    has_floor, has_wall = (bool(len(ends)) for ends in (dexels.floor, dexels.wall))
+    heights = [4.4] * has_floor + [2.0] * has_wall
+    figure = new_figure(sum(heights))
+    rows = figure.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)
+    if has_floor:
+        _draw_floor(rows[0, 0], dexels)
     if has_wall:
-        _draw_wall(rows[1].subplots(), dexels)
+        _draw_wall(rows[-1, 0].subplots(), dexels)
     return figure
 
 
@@ -192,7 +216,8 @@ def _draw_floor(figure: "matplotlib.figure.SubFigure", dexels: CutDexels) -> Non
         depthshade=False,
         rasterized=True,
     )
-    spans = [*(sides * 1e3), max(float(np.ptp(points[:, 2])), factor * 3 * limit) * 1e3]
+    depth = float(np.ptp(points[:, 2])) if kept.size else 0.0
+    spans = [*(sides * 1e3), max(depth, factor * 3 * limit) * 1e3]
     axes.set_box_aspect([max(span, 1e-3) for span in spans], zoom=1.35)
     axes.view_init(elev=32, azim=-62)
     axes.set_xlabel("x [mm]", fontsize=8.5, color=INK)

@@ -219,7 +219,8 @@ def _draw_dexels(dexels: CutDexels | None) -> _Drawing:
     caption = (
         "Where the rays that model the workpiece end after the cut, moved away from "
         "their ideal ends by the factor in the title: the waves of the floor, and "
-        "below the profile of the wall that most x rays end on."
+        "below the profile of the wall that most x rays end on. Ends on a surface that "
+        "the ideal part does not have are left out."
     )
     return _Drawing(title, caption, plot_cut_dexels(dexels))
 
