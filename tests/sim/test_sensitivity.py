@@ -76,6 +76,7 @@ def test_every_parameter_has_a_row(maps):
     data = maps.to_dataset()
     assert data["sensitivity_deviation"].shape == (len(maps.names), COUNT, 3)
     assert data["sensitivity_contour_error"].attrs["units"] == "m"
+    assert data["sensitivity_contour_vector"].dims == ("parameter", "step", "axis")
 
 
 @pytest.mark.slow
@@ -86,6 +87,19 @@ def test_before_the_cut_only_the_sag_moves_the_tool(maps):
     np.testing.assert_allclose(first[maps.names.index("K z")], [0, 0, sag], rtol=1e-6)
     others = np.delete(first, maps.names.index("K z"), axis=0)
     np.testing.assert_allclose(others, 0.0, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_the_contour_vector_moves_across_the_path(maps):
+    """The slot runs along x: only y and z are errors of its contour."""
+    across, size = maps.contour_vector[..., 1:], np.abs(maps.deviation).max()
+    # The first and the last row may lie beyond the ends of the path.
+    np.testing.assert_allclose(maps.contour_vector[:, 1:-1, 0], 0.0, atol=1e-9 * size)
+    sag = 9.81 * MASS / STIFFNESS[2]
+    first = across[maps.names.index("K z"), 0]
+    np.testing.assert_allclose(first, [0.0, sag], rtol=1e-6, atol=1e-12)
+    length = np.linalg.norm(maps.contour_vector, axis=2)
+    assert (np.abs(maps.contour_error) <= length * (1 + 1e-9) + 1e-15).all()
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from ..._job import Job
 from ..._types import FloatRows3
 from ...process import ThroughPoses, wall_deviation, wall_shares
-from ...toolpath import contour_error
+from ...toolpath import contour_error, contour_vector
 from .._job.simulate import JobModel
 from .._machine.commands import JobKinematics
 
@@ -32,12 +32,17 @@ class Sensitivity(eqx.Module):
         names: "K" and "D" with the joint's name for stiffness and damping, the force
             law's own names, and "speed": spindle and feed together, the chip unchanged.
         deviation: d(deviation) / d(ln p) [m], shape (parameter, step, 3).
-        contour_error: d(contour error) / d(ln p) [m], shape (parameter, step).
+        contour_vector: d(contour vector) / d(ln p) [m], shape (parameter, step, 3):
+            how far the tool moves across the path.
+        contour_error: d(contour error) / d(ln p) [m], shape (parameter, step): the
+            part of it along the contour vector. Where a correction leaves nearly
+            none, its sign says little.
         time: [s], shape (step,).
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
     deviation: Float[np.ndarray, "parameter step 3"]
+    contour_vector: Float[np.ndarray, "parameter step 3"]
     contour_error: Float[np.ndarray, "parameter step"]
     time: Float[np.ndarray, " step"]
 
@@ -52,6 +57,11 @@ class Sensitivity(eqx.Module):
                     ("parameter", "step", "axis"),
                     self.deviation,
                     {"units": "m", "long_name": f"{text} deviation"},
+                ),
+                "sensitivity_contour_vector": (
+                    ("parameter", "step", "axis"),
+                    self.contour_vector,
+                    {"units": "m", "long_name": f"{text} contour vector"},
                 ),
                 "sensitivity_contour_error": (
                     ("parameter", "step"),
@@ -95,24 +105,35 @@ def sensitivity(job: Job, *, commanded: FloatRows3 | None = None) -> Sensitivity
     ]
     return Sensitivity(
         names=names,
-        deviation=np.stack([np.asarray(moved) for moved, _ in pushed]),
-        contour_error=np.stack([np.asarray(error) for _, error in pushed]),
+        deviation=np.stack([np.asarray(way.deviation) for way in pushed]),
+        contour_vector=np.stack([np.asarray(way.contour_vector) for way in pushed]),
+        contour_error=np.stack([np.asarray(way.contour_error) for way in pushed]),
         time=np.asarray(job.path.time),
     )
+
+
+class _Pushed(eqx.Module):
+    """Tip and contour, or their derivatives in one direction [m]."""
+
+    deviation: Float[Array, "step 3"]
+    contour_vector: Float[Array, "step 3"]
+    contour_error: Float[Array, " step"]
 
 
 @eqx.filter_jit
 def _pushed(
     job: Job, command: Float[Array, "step 3"], direction: Float[Array, " parameter"]
-) -> tuple[Float[Array, "step 3"], Float[Array, " step"]]:
+) -> _Pushed:
     """Return the derivatives of the tip and of its contour error in a direction."""
     motors, _ = JobKinematics(job).motors(command)
     desired = jnp.asarray(job.path.positions)
     shares = wall_shares(desired, job.tool_axes, job.cutter)
 
-    def errors(log_scale: Float[Array, " parameter"]) -> tuple[Array, Array]:
+    def errors(log_scale: Float[Array, " parameter"]) -> _Pushed:
         ran = JobModel.of(job.with_scaled(log_scale), ThroughPoses()).run(motors)
-        deviation = wall_deviation(ran.ends, desired, shares)
-        return ran.actual, contour_error(desired + deviation, desired)
+        at = desired + wall_deviation(ran.ends, desired, shares)
+        return _Pushed(
+            ran.actual, contour_vector(at, desired), contour_error(at, desired)
+        )
 
     return jax.jvp(errors, (jnp.zeros_like(direction),), (direction,))[1]

@@ -82,7 +82,7 @@ def write_figures(
         "surface": _draw_surface(surfaces),
         "dexels": _of_reference(_draw_dexels(dexels), dataset),
     }
-    if "sensitivity_contour_error" in dataset:
+    if "sensitivity_contour_vector" in dataset:
         drawings["sensitivity"] = _draw_sensitivity(dataset)
     files = {}
     for name, drawing in drawings.items():
@@ -227,10 +227,12 @@ def _draw_dexels(dexels: CutDexels | None) -> _Drawing:
 
 def _draw_sensitivity(dataset: "xarray.Dataset") -> _Drawing:
     caption = (
-        "What 10 % more of each parameter would do to the contour error, to first "
-        "order: stiffness K and damping D of the joints, the coefficients of the force "
-        "law, and the speed of spindle and feed together. Red: the error grows. The "
-        "controller lifts the sag of the stiffness that it knows. White: no cut."
+        "How far 10 % more of each parameter would move the tool across the desired "
+        "path, to whichever side and to first order: stiffness K and damping D of the "
+        "joints, the coefficients of the force law, and the speed of spindle and feed "
+        "together. Where a correction leaves hardly any error, so much new error would "
+        "come; elsewhere it may add to the error or take from it. The controller lifts "
+        "the sag of the stiffness that it knows. Grey: no cut."
     )
     return _Drawing("Sensitivity to the model", caption, plot_sensitivity(dataset))
 
