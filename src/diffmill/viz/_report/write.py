@@ -191,8 +191,9 @@ def _draw_chip(chip: ToothChip | None) -> _Drawing:
     caption = (
         "What one tooth cuts on its way through the material: angle from the left of "
         "the feed, clockwise; height along the tool from its tip. White: no chip. Each "
-        "curve below is one disc of the cutter; they coincide where the tool goes "
-        "straight."
+        "curve below is one disc of the cutter. Where the tool goes straight, discs of "
+        "one radius that lie wholly in the material coincide; a disc that is partly in "
+        "it, mostly the uppermost, counts with that part, and its curve is lower."
     )
     return _Drawing(title, caption, plot_chip(chip))
 
