@@ -84,15 +84,79 @@ def test_a_deviation_that_shows_by_itself_is_not_magnified(correction):
     assert title == "plan view, deviation x 1"
 
 
-def test_zooms_are_at_the_largest_deviation_and_apart(correction):
-    first, second = (
-        1e-3 * np.array([np.mean(panel.get_xlim()), np.mean(panel.get_ylim())])
-        for panel in panels_of(plot_paths(correction))[1:3]
+def nearest_on_line(point, line):
+    """Nearest point of a polyline in x and y, segment by segment."""
+    start, along = line[:-1, :2], np.diff(line[:, :2], axis=0)
+    share = np.sum((point[:2] - start) * along, 1) / np.sum(along**2, 1)
+    near = start + np.clip(share, 0.0, 1.0)[:, None] * along
+    return near[np.argmin(np.linalg.norm(point[:2] - near, axis=1))]
+
+
+def worst_of(dataset, actual):
+    """Place on the line and distance where a path is farthest from it."""
+    near = np.array(
+        [nearest_on_line(point, dataset["desired"].values) for point in actual.values]
     )
-    length = np.linalg.norm(correction["deviation"].values[0, :, :2], axis=1)
-    desired = correction["desired"].values[:, :2]
-    np.testing.assert_allclose(first, desired[np.argmax(length)], atol=1e-9)
+    off = np.linalg.norm(actual.values[:, :2] - near, axis=1)
+    step = np.argmax(np.where(dataset["is_cutting"].values, off, -1.0))
+    return near[step], off[step]
+
+
+def zoom_of(figure, index):
+    """Middle [m], half side [m] and title of a zoom."""
+    panel = panels_of(figure)[1 + index]
+    limits = 1e-3 * np.array([panel.get_xlim(), panel.get_ylim()])
+    return limits.mean(axis=1), np.ptp(limits, axis=1) / 2, panel.get_title(loc="left")
+
+
+def test_zooms_are_where_the_uncorrected_and_the_corrected_path_are_worst(correction):
+    # Late on a straight line, the corrected path is far from its point, not from it.
+    late = correction.copy(deep=True)
+    step, case = 200, list(SCALES).index("corrected")
+    desired, deviation = late["desired"].values, late["deviation"].values
+    deviation[case, step] -= 0.9 * (desired[step + 1] - desired[step])
+    # The corrected path is worst where the uncorrected one is not, and late there.
+    deviation[case, 60] = 3.0 * deviation[case, 60] - [0.0, 0.0, 1e-4]
+    deviation[case, 60] -= 2.4 * (desired[61] - desired[60])
+    late["actual"].values[:] = late["desired"].values + deviation
+    figure = plot_paths(late)
+    for index, (row, name) in enumerate([(0, "uncorrected"), (case, "corrected")]):
+        middle, half, title = zoom_of(figure, index)
+        place, off = worst_of(late, late["actual"][row])
+        np.testing.assert_allclose(middle, place, atol=1e-9)
+        np.testing.assert_allclose(half, 4.0 * off, rtol=1e-6)
+        assert title.startswith(f"{'AB'[index]}: {name} at its worst")
+        stated = float(re.findall(r"(\S+) \$", title)[0])
+        assert stated == pytest.approx(1e6 * off, rel=5e-3)
+    line = line_of(panels_of(figure)[2], "corrected")
+    drawn = np.stack([line.get_xdata(), line.get_ydata()])[:, 60]
+    np.testing.assert_allclose(drawn, 1e3 * late["actual"].values[case, 60, :2])
+
+
+def test_zooms_of_a_simulation_are_at_the_largest_distances_and_apart(simulation):
+    figure = plot_paths(simulation)
+    first, _, title = zoom_of(figure, 0)
+    second, _, other = zoom_of(figure, 1)
+    assert title.startswith("A: predicted at its worst")
+    assert other.startswith("B: predicted,")
+    place, _ = worst_of(simulation, simulation["actual"])
+    np.testing.assert_allclose(first, place, atol=1e-9)
     assert np.linalg.norm(first - second) > 0.005
+
+
+def test_zoom_is_that_of_the_case_whose_command_is_the_result(correction):
+    chosen = correction.assign_attrs(corrected_case="inverse_drive")
+    _, _, title = zoom_of(plot_paths(chosen), 1)
+    assert title.startswith("B: inverse drive at its worst")
+
+
+@pytest.mark.parametrize("name", ["correction", "simulation"])
+def test_titles_of_zooms_are_not_cut_off(name, request):
+    figure = plot_paths(request.getfixturevalue(name))
+    figure.draw_without_rendering()
+    for panel in panels_of(figure)[1:3]:
+        box = panel.get_tightbbox()
+        assert box is not None and box.x1 <= figure.bbox.x1
 
 
 def test_side_view_states_the_ratio_of_its_axes(correction):

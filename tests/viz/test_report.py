@@ -156,6 +156,16 @@ def test_text_of_the_job_is_escaped(tmp_path, simulation):
         assert part in reader.text
 
 
+def test_caption_says_whose_worst_places_are_magnified(
+    tmp_path, correction, simulation
+):
+    caption = write_figures(tmp_path, correction)["paths"].caption
+    assert "A is the place where the uncorrected path" in caption
+    assert "B that of the corrected path" in caption
+    alone = write_figures(tmp_path, simulation)["paths"].caption
+    assert "the two places where the predicted path" in alone
+
+
 def test_headline_is_that_of_the_chosen_case(tmp_path, correction):
     chosen = correction.assign_attrs(corrected_case="mirror")
     text = read(write_report(tmp_path, chosen, {})).text

@@ -88,6 +88,12 @@ def reference_case(dataset: "xarray.Dataset") -> str:
     return "uncorrected" if "uncorrected" in names else names[0]
 
 
+def chosen_case(dataset: "xarray.Dataset") -> str:
+    """Return the case that became the corrected program; else the reference."""
+    name = str(dataset.attrs.get("corrected_case", "corrected"))
+    return name if name in case_names(dataset) else reference_case(dataset)
+
+
 def shown_cases(dataset: "xarray.Dataset") -> tuple[str, ...]:
     """Return the cases that fit a linear scale with the reference case.
 

@@ -2,10 +2,18 @@
 
 from typing import TYPE_CHECKING
 
+import equinox as eqx
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
-from .._cases import cutting_of, reference_case, shown_cases, values_of
+from ...toolpath import contour_vector
+from .._cases import (
+    chosen_case,
+    cutting_of,
+    reference_case,
+    shown_cases,
+    values_of,
+)
 from .._style import (
     INK,
     LIGHT_GREY,
@@ -24,6 +32,25 @@ if TYPE_CHECKING:
     import xarray
 
 _FRAME = "#555555"
+_SMALLEST = 1e-6  # half side of the smallest zoom [m], for paths without any error
+
+
+class Place(eqx.Module):
+    """A place of the path that a zoom shows.
+
+    Attributes:
+        name: Letter by which the plan view marks it.
+        case: Case that is far off there.
+        centre: Point of the desired line from which the case is off, x and y [m].
+        distance: How far the case is from the desired line in plan view [m].
+        is_worst: Whether it is nowhere farther.
+    """
+
+    name: str = eqx.field(static=True)
+    case: str = eqx.field(static=True)
+    centre: Float[np.ndarray, " 2"]
+    distance: float
+    is_worst: bool = eqx.field(static=True, default=True)
 
 
 def plot_paths(
@@ -37,11 +64,12 @@ def plot_paths(
             1, 2, 5, 10, ... that makes the uncorrected error about 5 % of the part.
 
     Returns:
-        The figure. The factor of every panel stands in its title.
+        The figure. The factor of every panel stands in its title; the zooms show the
+        two `worst_places`.
     """
     figure, (plan, *zooms, side) = _panels(dataset)
     factor = magnification or plan_magnification(dataset)
-    _draw_plan(plan, dataset, factor, None)
+    _draw_plan(plan, dataset, factor)
     plan.set_aspect("equal", adjustable="datalim")
     quiet_axes(
         plan,
@@ -49,8 +77,8 @@ def plot_paths(
         y="y [mm]",
         title=f"plan view, deviation x {factor:g}",
     )
-    for axes, name, step in zip(zooms, "AB", zoom_steps(dataset), strict=False):
-        _draw_zoom(axes, plan, dataset, step, name)
+    for axes, place in zip(zooms, worst_places(dataset), strict=True):
+        _draw_zoom(axes, plan, dataset, place)
     legend_above(figure, plan, columns=3)
     _draw_side(side, dataset)
     return figure
@@ -103,24 +131,50 @@ def plan_magnification(dataset: "xarray.Dataset") -> float:
     return round_factor(0.05 * size / visible) if visible > 0 else 1.0
 
 
-def zoom_steps(dataset: "xarray.Dataset") -> tuple[int, int]:
-    """Return the steps of the two places with the largest plane deviation.
+def worst_places(dataset: "xarray.Dataset") -> tuple[Place, Place]:
+    """Return the two places that the zooms show.
 
     Args:
         dataset: The result.
 
     Returns:
-        The step of the largest deviation of the reference case while cutting, and
-        the largest one at least a quarter of the part away from it.
+        A, where the reference case is farthest from the desired line in plan view
+        while cutting; and B, where the corrected case is. Without a corrected case
+        that is drawn, B is the worst place of the reference case at least a quarter
+        of the part away from A.
     """
-    name = reference_case(dataset)
-    desired = values_of(dataset, "desired", name)[:, :2]
-    length = np.linalg.norm(values_of(dataset, "deviation", name)[:, :2], axis=1)
-    score = np.where(cutting_of(dataset, name) & np.isfinite(length), length, -1.0)
-    first = int(np.argmax(score))
-    away = np.linalg.norm(desired - desired[first], axis=1)
-    far = away > 0.25 * np.max(np.ptp(desired, axis=0))
-    return first, int(np.argmax(np.where(far, score, -1.0)))
+    reference, chosen = reference_case(dataset), chosen_case(dataset)
+    first = _farthest(dataset, "A", reference, None)
+    if chosen != reference and chosen in shown_cases(dataset):
+        return first, _farthest(dataset, "B", chosen, None)
+    return first, _farthest(dataset, "B", reference, first.centre)
+
+
+def _farthest(
+    dataset: "xarray.Dataset",
+    name: str,
+    case: str,
+    apart: Float[np.ndarray, " 2"] | None,
+) -> Place:
+    """Return where a case is farthest off in plan view, not near the point `apart`.
+
+    A tool that is late on the line is not off it: the longest deviation would mostly
+    be found where a correction lets the tool lag.
+    """
+    plane = np.array([1.0, 1.0, 0.0])
+    desired = values_of(dataset, "desired", case) * plane
+    actual = desired + values_of(dataset, "deviation", case) * plane
+    across = np.asarray(contour_vector(actual, desired), np.float64)
+    off = np.linalg.norm(across, axis=1)
+    is_known = cutting_of(dataset, case) & np.isfinite(off)
+    if apart is not None:
+        away = np.linalg.norm(desired[:, :2] - apart, axis=1)
+        is_known &= away > 0.25 * np.max(_sides(dataset))
+    if not is_known.any():
+        return Place(name, case, desired[0, :2], 0.0, apart is None)
+    step = int(np.argmax(np.where(is_known, off, -1.0)))
+    centre = (actual - across)[step, :2]
+    return Place(name, case, centre, float(off[step]), apart is None)
 
 
 def _points_mm(
@@ -137,14 +191,11 @@ def _draw_plan(
     axes: "matplotlib.axes.Axes",
     dataset: "xarray.Dataset",
     factor: float,
-    rows: Bool[np.ndarray, " step"] | None,
     *,
     marker: str = "",
 ) -> None:
-    """Draw desired and actual x, y; outside `rows` nothing."""
+    """Draw desired and actual x, y."""
     desired = values_of(dataset, "desired", reference_case(dataset)) * 1e3
-    keep = np.ones(desired.shape[0], dtype=bool) if rows is None else rows
-    desired = np.where(keep[:, None], desired, np.nan)
     cuts = cutting_of(dataset, reference_case(dataset))[:, None]
     axes.plot(*desired[:, :2].T, color=LIGHT_GREY, linewidth=0.7, zorder=1)
     axes.plot(
@@ -157,7 +208,7 @@ def _draw_plan(
     )
     for name in shown_cases(dataset):
         style = case_style(name)
-        points = np.where(keep[:, None], _points_mm(dataset, name, factor), np.nan)
+        points = _points_mm(dataset, name, factor)
         axes.plot(
             points[:, 0],
             points[:, 1],
@@ -174,29 +225,32 @@ def _draw_zoom(
     axes: "matplotlib.axes.Axes",
     plan: "matplotlib.axes.Axes",
     dataset: "xarray.Dataset",
-    step: int,
-    name: str,
+    place: Place,
 ) -> None:
-    """Draw the surroundings of one step at a scale that shows the deviation."""
-    from matplotlib.patches import Rectangle
+    """Draw the surroundings of a place so near that the distance there shows.
 
-    reference = reference_case(dataset)
-    desired = values_of(dataset, "desired", reference)
-    centre = desired[step, :2] * 1e3
-    travel = np.linalg.norm(np.diff(desired[:, :2], axis=0), axis=1)
-    pitch = float(np.median(travel[travel > 0])) if (travel > 0).any() else 1e-4
-    plane = np.nan_to_num(values_of(dataset, "deviation", reference)[step, :2])
-    deviation = np.linalg.norm(plane)
-    # Wide enough for a few teeth and for the deviation itself.
-    half = 1e3 * max(4.0 * float(deviation), 8.0 * pitch)
-    factor = round_factor(half * 1e-3 / (3.0 * max(float(deviation), 1e-12)))
-    near = np.max(np.abs(desired[:, :2] * 1e3 - centre), axis=1) < 4.0 * half
-    _draw_plan(axes, dataset, factor, near, marker=".")
+    True to scale: about a corner, where most corrections are at their worst, magnified
+    deviations would draw a tool that is late as one that leaves the path.
+    """
+    from matplotlib.patches import Rectangle
+    from matplotlib.ticker import MaxNLocator
+
+    centre = place.centre * 1e3
+    half = 1e3 * max(4.0 * place.distance, _SMALLEST)
+    _draw_plan(axes, dataset, 1.0, marker=".")
     axes.set_xlim(centre[0] - half, centre[0] + half)
     axes.set_ylim(centre[1] - half, centre[1] + half)
     axes.set_aspect("equal", adjustable="box")
-    scale = "true scale" if factor == 1.0 else f"deviation x {factor:g}"
-    quiet_axes(axes, x="x [mm]", y="y [mm]", title=f"zoom {name}, {scale}")
+    off = f"{float(f'{1e6 * place.distance:.3g}'):g}"
+    worst = " at its worst" if place.is_worst else ""
+    title = (
+        f"{place.name}: {case_style(place.case).label}{worst},\n"
+        rf"{off} $\mathrm{{\mu m}}$ off, true scale"
+    )
+    quiet_axes(axes, x="x [mm]", y="y [mm]", title=title)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(MaxNLocator(4))
+    axes.ticklabel_format(useOffset=False)
     for side in axes.spines.values():
         side.set_visible(True)
         side.set_color(_FRAME)
@@ -211,11 +265,15 @@ def _draw_zoom(
         plan.plot(
             *centre, marker="s", markersize=7, markerfacecolor="none", color=_FRAME
         )
+    # On opposite sides of the squares, which may lie upon each other.
+    sign = 1 if place.name == "A" else -1
     plan.annotate(
-        name,
-        (float(centre[0]) + half, float(centre[1]) + half),
-        xytext=(3, 2),
+        place.name,
+        (float(centre[0]) + sign * half, float(centre[1]) + sign * half),
+        xytext=(5 * sign, 4 * sign),
         textcoords="offset points",
+        horizontalalignment="left" if sign > 0 else "right",
+        verticalalignment="bottom" if sign > 0 else "top",
         fontsize=9,
         color=_FRAME,
         fontweight="bold",

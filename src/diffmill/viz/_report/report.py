@@ -23,13 +23,20 @@ import numpy as np
 
 from ..._job import Job
 from ...workpiece import SurfaceError
-from .._cases import CaseNumbers, case_names, case_numbers, reference_case, values_of
+from .._cases import (
+    CaseNumbers,
+    case_names,
+    case_numbers,
+    chosen_case,
+    reference_case,
+    values_of,
+)
 from .._style import MICROMETRE, case_style
 from .case_parts import parts_html, surface_figures_html
 from .html import image_html, numbers_html, page_html, section_html, table_html
 from .on_machine import machine_lines
 from .scene import scene_html
-from .verdict import chosen_case, limits, tolerance_band, verdict
+from .verdict import limits, tolerance_band, verdict
 from .write import FigureFile
 
 if TYPE_CHECKING:
@@ -241,9 +248,8 @@ def _result_blocks(dataset: "xarray.Dataset") -> list[str]:
 
 def _chosen(dataset: "xarray.Dataset") -> str:
     """Return the case that became the corrected program; nothing if there is none."""
-    name = str(dataset.attrs.get("corrected_case", "corrected"))
-    names = case_names(dataset)
-    return name if name in names and name != reference_case(dataset) else ""
+    name = chosen_case(dataset)
+    return name if name != reference_case(dataset) else ""
 
 
 def _written(dataset: "xarray.Dataset") -> dict[str, float]:

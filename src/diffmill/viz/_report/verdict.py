@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 
 from ..._job import CorrectionSettings
-from .._cases import case_names, cutting_of, reference_case, select_case, values_of
+from .._cases import chosen_case, cutting_of, reference_case, select_case, values_of
 from .._style import MICROMETRE, case_style
 from .case_parts import case_parts
 
@@ -34,12 +34,6 @@ class Verdict(eqx.Module):
     is_held: bool | None = eqx.field(static=True)
     title: str = eqx.field(static=True)
     text: str = eqx.field(static=True)
-
-
-def chosen_case(dataset: "xarray.Dataset") -> str:
-    """Return the case that became the corrected program; else the reference."""
-    name = str(dataset.attrs.get("corrected_case", "corrected"))
-    return name if name in case_names(dataset) else reference_case(dataset)
 
 
 def tolerance_band(dataset: "xarray.Dataset") -> float:

@@ -14,7 +14,7 @@ from .._figure.chip import plot_chip
 from .._figure.dexels import CutDexels, plot_cut_dexels
 from .._figure.forces import ForceTrace, plot_forces
 from .._figure.history import plot_deviation
-from .._figure.paths import plan_magnification, plot_paths
+from .._figure.paths import plan_magnification, plot_paths, worst_places
 from .._figure.sensitivity import plot_sensitivity
 from .._figure.surface import plot_surface_error
 from .._style import GREY, case_style, save_figure
@@ -119,14 +119,20 @@ def _draw_paths(dataset: "xarray.Dataset") -> _Drawing:
     if reason:
         return _Drawing(title, reason)
     factor = plan_magnification(dataset)
-    reference = case_style(reference_case(dataset)).label
+    first, second = (case_style(p.case).label for p in worst_places(dataset))
+    places = (
+        f"A and B are the two places where the {first} path is farthest from the "
+        f"desired line in this view"
+        if first == second
+        else f"A is the place where the {first} path is farthest from the desired line "
+        f"in this view, B that of the {second} path"
+    )
     caption = (
         f"Plan view: the distance of each path from the desired one (dashed; grey: "
         f"moves in the air) is drawn {factor:g} times too large, only where the tool "
-        f"cuts. A and B are the two "
-        f"places where the {reference} path is farthest off in this view, one dot per "
-        f"tooth; their scale stands above them. The side view shows how high the tool "
-        f"tip runs above its desired height."
+        f"cuts. {places}; both are drawn to their own scale, which magnifies nothing, "
+        f"with one dot per tooth. The side view shows how high the tool tip runs above "
+        f"its desired height."
     )
     if len(case_names(dataset)) > 1:
         caption += " A path that follows the dashed line is what a correction is for."
