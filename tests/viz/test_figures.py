@@ -193,6 +193,20 @@ def test_deviation_is_drawn_in_micrometres(correction):
     assert panels[4].get_yscale() == "log"
 
 
+def test_what_happens_in_the_air_does_not_set_the_scale(correction):
+    air = correction.copy(deep=True)
+    in_air = ~air["is_cutting"].values
+    air["deviation"].values[-1, in_air] = 5e-3
+    air["contour_error"].values[-1, in_air] = 5e-3
+    panels = panels_of(plot_deviation(air))
+    for axis in range(3):
+        cut = 1e6 * air["deviation"].values[:, ~in_air, axis]
+        low, high = panels[axis].get_ylim()
+        assert low < cut.min() and high > cut.max()
+        assert high - low < 1.2 * np.ptp(cut)
+    assert panels[3].get_ylim()[1] < 300.0
+
+
 def test_simulation_has_one_line_and_no_contour_panels_without_contour(simulation):
     panels = panels_of(plot_deviation(simulation.drop_vars("contour_error")))
     assert len(panels) == 3

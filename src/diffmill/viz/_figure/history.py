@@ -25,9 +25,10 @@ def plot_deviation(dataset: "xarray.Dataset") -> "matplotlib.figure.Figure":
     Returns:
         The figure: three components, the contour error, and its absolute value on
         a logarithmic scale, on which small errors stay visible beside large ones.
-        Grey bands are steps that do not cut. A case that is off by more than twice
-        as much as the uncorrected one appears on the logarithmic scale alone. There
-        the error to be expected of a machine that scatters is dotted, if it is known.
+        Grey bands are steps that do not cut, where curves may leave the panel. A case
+        that is off by more than twice as much as the uncorrected one appears on the
+        logarithmic scale alone. There the error to be expected of a machine that
+        scatters is dotted, if it is known.
     """
     figure = new_figure(7.6)
     has_contour = "contour_error" in dataset
@@ -36,6 +37,7 @@ def plot_deviation(dataset: "xarray.Dataset") -> "matplotlib.figure.Figure":
         for case in shown_cases(dataset):
             values = values_of(dataset, "deviation", case)[:, axis]
             _draw_line(panels[axis], dataset, case, values * 1e6)
+        _scale_to_cut(panels[axis], dataset)
         quiet_axes(panels[axis], y=rf"$\Delta {name}$ [$\mathrm{{\mu m}}$]")
     if has_contour:
         _draw_contour(panels[3], panels[4], dataset)
@@ -66,6 +68,20 @@ def _draw_line(
     )
 
 
+def _scale_to_cut(axes: "matplotlib.axes.Axes", dataset: "xarray.Dataset") -> None:
+    """Fit the y axis to what is drawn of the steps that cut.
+
+    Before and after the cut a corrected path may swing several times as far as in it.
+    """
+    cutting = cutting_of(dataset, reference_case(dataset))
+    drawn = [np.asarray(line.get_ydata(), np.float64) for line in axes.lines]
+    values = np.concatenate([curve[cutting] for curve in drawn])
+    values = values[np.isfinite(values)]
+    if values.size and np.ptp(values) > 0:
+        low, high = float(values.min()), float(values.max())
+        axes.set_ylim(low - 0.05 * (high - low), high + 0.05 * (high - low))
+
+
 def _draw_contour(
     signed: "matplotlib.axes.Axes",
     absolute: "matplotlib.axes.Axes",
@@ -94,6 +110,7 @@ def _draw_contour(
             linestyle=":",
             label="expected",
         )
+    _scale_to_cut(signed, dataset)
     quiet_axes(signed, y=r"contour error [$\mathrm{\mu m}$]")
     absolute.set_yscale("log")
     absolute.set_ylim(max(_FLOOR_UM, 0.5 * smallest), 2.0 * largest)

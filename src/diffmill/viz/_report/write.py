@@ -160,7 +160,8 @@ def _draw_deviation(dataset: "xarray.Dataset") -> _Drawing:
         return _Drawing(title, reason)
     caption = (
         "Actual minus desired tip position at the same instant, in x, y and z. "
-        "Shaded: the tool does not cut."
+        "Shaded: the tool does not cut, and curves may leave the panel, whose scale is "
+        "that of the cut."
     )
     if "contour_error" in dataset:
         caption += (
