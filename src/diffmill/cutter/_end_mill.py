@@ -100,7 +100,8 @@ class EndMill(AbstractCutter):
             ("runout_angle", self.runout_angle, math.inf),
             ("dish_angle", self.dish_angle, math.pi / 4),
         ):
-            if not isinstance(value, jax.core.Tracer) and not abs(value) < limit:
+            # Within a trace, arithmetic of what is known would be traced, too.
+            if not isinstance(value, jax.core.Tracer) and not abs(float(value)) < limit:
                 raise ValueError(
                     f"Argument `{name}` must be finite and below {limit:g} in size, "
                     f"but is {value}."
