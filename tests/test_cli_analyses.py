@@ -136,6 +136,25 @@ def test_results_are_there_before_anything_is_analysed(folder, monkeypatch, caps
     assert result(folder)["force"].any()
 
 
+def test_growth_too_brief_for_chatter_is_no_warning(folder, monkeypatch, capsys):
+    found = types.SimpleNamespace(
+        row=np.arange(3),
+        radius=np.array([0.9, 1.01, 0.9]),
+        warning=lambda: None,
+        note=lambda: "vibrations grow, too briefly",
+        visibility=lambda: "it shows",
+    )
+    monkeypatch.setattr(sim.Stability, "where_suspected", lambda job, solution: found)
+    monkeypatch.setattr(viz, "figure_inputs", fail)
+    main(["simulate", "job.toml"])
+    assert "stability: vibrations grow, too briefly" in capsys.readouterr().err
+    written = result(folder)
+    assert written.attrs["stability_has_chatter"] == 0
+    assert "The cut is unstable" not in (
+        folder / "job-simulate" / "report.html"
+    ).read_text(encoding="utf-8")
+
+
 def test_contacts_and_stability_are_said_and_kept(folder, monkeypatch, capsys):
     found = types.SimpleNamespace(
         row=np.arange(3),
@@ -157,4 +176,5 @@ def test_contacts_and_stability_are_said_and_kept(folder, monkeypatch, capsys):
     (holder,) = [n for n in notes if "holder" in n and n.startswith("warning")]
     assert notes.index(shank) < notes.index(holder)
     assert written.attrs["stability_largest_radius"] == 1.2
+    assert written.attrs["stability_has_chatter"] == 1
     assert written["holder_depth"].max() > 0

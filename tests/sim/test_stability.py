@@ -123,6 +123,31 @@ def test_the_warning_names_place_and_frequency():
     assert at(0.9).warning() is None
 
 
+def test_growth_that_is_too_brief_is_a_note():
+    found = growth(1.02 * limit()[0])
+    assert found.is_unstable[1:].all() and found.warning() is None
+    # Rows 57 to 115 are nearest to row 110, those behind to row 120.
+    grown = float(np.log(found.radius[1:]) @ [59, 8])
+    np.testing.assert_allclose(found.log_growth, [0, grown, grown], rtol=1e-9)
+    assert grown < math.log(2)
+    assert "2 of 3 rows, too briefly for chatter" in found.note()
+    assert "none is unstable" in at(0.9).note()
+
+
+def test_a_tool_that_nearly_stands_does_not_chatter():
+    feed = np.full(123, 0.1e-3)
+    feed[100:] = 0.005e-3
+    q, frame = slot(1.1 * limit()[0])
+    q = jnp.asarray(np.concatenate([[0.0], np.cumsum(feed)])[:, None])
+    arm = sim.ElasticArm(one_mode(), frame)
+    found = sim.Stability.along(arm, PROCESS, q, q, [2, 110, 120])
+    assert found.is_unstable[1:].all() and found.warning() is None
+    # Whoever says where the tool cuts can say so of these rows, too.
+    asked = np.arange(124) >= 60
+    found = sim.Stability.along(arm, PROCESS, q, q, [2, 110, 120], is_moving_cut=asked)
+    assert found.has_chatter[1:].all()
+
+
 JOB = """
 [cutter]
 kind = "flat"

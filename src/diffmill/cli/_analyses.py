@@ -130,10 +130,7 @@ def _with_stability(run: FinishedRun, progress: Progress) -> Dataset:
         return dataset
     warning = found.warning()
     lines = [
-        f"warning: {warning}"
-        if warning
-        else f"stability: of {len(found.row)} rows none is unstable; the fastest "
-        f"growing vibration has the factor {found.radius.max():.3f} per tooth period",
+        f"warning: {warning}" if warning else f"stability: {found.note()}",
         f"stability: {found.visibility()}",
     ]
     if check == "quick":
@@ -142,7 +139,10 @@ def _with_stability(run: FinishedRun, progress: Progress) -> Dataset:
             "stability = true looks along the whole path"
         )
     dataset = _with_notes(dataset, _said(lines, progress))
-    return dataset.assign_attrs(stability_largest_radius=float(found.radius.max()))
+    return dataset.assign_attrs(
+        stability_largest_radius=float(found.radius.max()),
+        stability_has_chatter=int(warning is not None),
+    )
 
 
 def _with_sensitivity(run: FinishedRun, progress: Progress) -> Dataset:

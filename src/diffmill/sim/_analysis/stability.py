@@ -37,9 +37,12 @@ from .quick_force_jacobian import quick_slopes
 
 # Rows that are looked at unless asked for, and those of a quick look.
 _ROWS, _QUICK_ROWS = 100, 6
-# A row whose period is shorter than this share of the median hardly moves: what it
-# removes over its way says nothing of the cut.
-_MOVING = 0.1
+# The tool nearly stands where it is slower than this share of the feed that most of
+# the cut stays below: what it removes over its way says nothing of the cut, and a
+# vibration grows no further than its thin chips.
+_MOVING, _MOST_OF_THE_CUT = 0.1, 90
+# A vibration that does not even double before the cut calms it again reaches nothing.
+_CHATTER = math.log(2)
 # An undamped arm in the air has the radius 1; rounding must not make it unstable.
 _TOLERANCE = 1e-4
 # Steps of the analysis per turn of the fastest mode that counts, and per tooth period.
@@ -64,6 +67,9 @@ class Stability(eqx.Module):
         frequency: Frequency of that vibration [Hz], shape (row,).
         apparent_frequency: Frequency at which it shows in the poses, one per tooth
             period [Hz], shape (row,); at most half the tooth passing frequency.
+        log_growth: Logarithm of the factor by which a vibration grows in all along the
+            stretch of consecutive unstable rows [-], shape (row,); 0 at stable rows and
+            where the tool nearly stands.
         tooth_frequency: Tooth passing frequency [Hz].
         fastest_mode: Frequency of the fastest mode that the cut could excite [Hz]; 0
             if there is none.
@@ -77,6 +83,7 @@ class Stability(eqx.Module):
     radius: Float[np.ndarray, " row"]
     frequency: Float[np.ndarray, " row"]
     apparent_frequency: Float[np.ndarray, " row"]
+    log_growth: Float[np.ndarray, " row"]
     tooth_frequency: float
     fastest_mode: float
     substeps: int = eqx.field(static=True)
@@ -87,12 +94,18 @@ class Stability(eqx.Module):
         """Whether a vibration grows, shape (row,)."""
         return self.radius > 1 + _TOLERANCE
 
+    @property
+    def has_chatter(self) -> Bool[np.ndarray, " row"]:
+        """Whether a vibration has the time to double there, shape (row,)."""
+        return self.log_growth >= _CHATTER
+
     def warning(self) -> str | None:
         """Return what the user must know of an unstable cut, or None."""
-        if not self.is_unstable.any():
+        if not self.has_chatter.any():
             return None
-        k, count = int(np.argmax(self.radius)), int(self.is_unstable.sum())
-        first = float(self.time[np.argmax(self.is_unstable)])
+        radius = np.where(self.has_chatter, self.radius, 0.0)
+        k, count = int(np.argmax(radius)), int(self.has_chatter.sum())
+        first = float(self.time[np.argmax(self.has_chatter)])
         x, y, z = self.position[k] * 1e3
         growth = float(self.radius[k]) - 1
         return (
@@ -103,6 +116,22 @@ class Stability(eqx.Module):
             f"per tooth period, threefold in {1.1 / self.tooth_frequency / growth:.2g} "
             "s; a smaller depth of cut, another spindle speed or more damping calms "
             "it, a corrected path does not"
+        )
+
+    def note(self) -> str:
+        """Return what is to be said of a cut without chatter."""
+        if not self.is_unstable.any():
+            return (
+                f"of {len(self.row)} rows none is unstable; the fastest growing "
+                f"vibration has the factor {self.radius.max():.3f} per tooth period"
+            )
+        k = int(np.argmax(np.where(self.is_unstable, self.log_growth, -1.0)))
+        x, y, z = self.position[k] * 1e3
+        return (
+            f"vibrations grow at {int(self.is_unstable.sum())} of {len(self.row)} "
+            f"rows, too briefly for chatter: most at {self.time[k]:.3f} s, position "
+            f"({x:.2f}, {y:.2f}, {z:.2f}) mm, by the factor "
+            f"{math.exp(self.log_growth[k]):.3g} in all while the tool moves there"
         )
 
     def visibility(self) -> str:
@@ -134,6 +163,8 @@ class Stability(eqx.Module):
         motor_positions: Float[Array, "step joint"],
         joint_positions: Float[Array, "step joint"],
         rows: Sequence[int] | Int[np.ndarray, " row"],
+        *,
+        is_moving_cut: Bool[np.ndarray, " step"] | None = None,
     ) -> "Stability":
         """Return how vibrations grow along a motion; see `stability`.
 
@@ -145,6 +176,8 @@ class Stability(eqx.Module):
             joint_positions: Joints there [rad or m], shape (step, joint); of a machine
                 of modes its poses, as a command has them.
             rows: Rows to look at, from 1.
+            is_moving_cut: Rows at which the tool cuts and does not nearly stand, shape
+                (step,); vibrations grow there. If not given, all at which it moves.
 
         Returns:
             The growth, on the host.
@@ -172,7 +205,11 @@ class Stability(eqx.Module):
         )
         slopes = force_slopes(fine, path, chosen)
         motion = _Motion(motor_positions, joint_positions, path.tip[:step_count])
-        return _growth(arm, process, motion, chosen, slopes)
+        found = _growth(arm, process, motion, chosen, slopes)
+        if is_moving_cut is None:
+            is_moving_cut = _moves(motion.tips, np.ones(step_count, bool))
+        total = _log_growth(chosen, found.radius, is_moving_cut)
+        return dataclasses.replace(found, log_growth=total)
 
     @staticmethod
     def where_suspected(job: Job, solution: Solution) -> "Stability | None":
@@ -207,8 +244,15 @@ class Stability(eqx.Module):
         quick = _growth(machine, process, motion, rows, slopes)
         if not quick.is_unstable.any():
             return None
-        found = stability(job, solution, rows=quick.row[quick.is_unstable])
-        return found if found.is_unstable.any() else None
+        rows, first = np.unique(quick.row, return_index=True)
+        radius, is_suspected = quick.radius[first], quick.is_unstable[first]
+        found = stability(job, solution, rows=rows[is_suspected])
+        if not found.is_unstable.any():
+            return None
+        # The rows that nothing is suspected of end the stretches of the others.
+        radius[is_suspected] = found.radius
+        total = _log_growth(rows, radius, _moving_cut(solution))[is_suspected]
+        return dataclasses.replace(found, log_growth=total)
 
 
 def stability(
@@ -226,7 +270,7 @@ def stability(
         job: The job; its machine must not be rigid.
         solution: Its solution; simulated if not given.
         rows: Rows to look at, from 1; if not given, up to 100 rows where the tool
-            cuts, evenly spread.
+            cuts and does not nearly stand, evenly spread.
 
     Returns:
         The growth, on the host.
@@ -246,29 +290,85 @@ def stability(
         )
     job = job.with_precision()
     solution = simulate(job) if solution is None else solution
+    is_moving_cut = _moving_cut(solution)
     if rows is None:
-        cutting = np.flatnonzero(np.asarray(solution.is_cutting))
-        cutting = cutting[cutting > 0]
+        cutting = np.flatnonzero(is_moving_cut)
         if cutting.size == 0:
             raise ValueError("Argument `solution` must cut somewhere, but does not.")
         rows = cutting[:: math.ceil(cutting.size / _ROWS)]
     motion = _motion(job, solution)
     return Stability.along(
-        _machine(job), _process(job), motion.motors, motion.joints, rows
+        _machine(job),
+        _process(job),
+        motion.motors,
+        motion.joints,
+        rows,
+        is_moving_cut=is_moving_cut,
     )
+
+
+def _moving_cut(solution: Solution) -> Bool[np.ndarray, " step"]:
+    """Return where the tool cuts and the program does not nearly stand."""
+    return _moves(solution.desired, np.asarray(solution.is_cutting))
+
+
+def _moves(
+    tips: Float[Array, "step 3"], is_cutting: Bool[np.ndarray, " step"]
+) -> Bool[np.ndarray, " step"]:
+    """Return at which rows that cut the tool does not nearly stand."""
+    way = _way(tips)
+    cuts = is_cutting & (way > 0)
+    return cuts & (way >= _least_way(way[cuts])) if cuts.any() else cuts
+
+
+def _way(tips: Float[Array, "step 3"]) -> Float[np.ndarray, " step"]:
+    """Return the way of the tool in the period before each row [m]."""
+    rows = np.asarray(tips)
+    return np.linalg.norm(np.diff(rows, axis=0, prepend=rows[:1]), axis=1)
+
+
+def _least_way(way: Float[np.ndarray, " row"]) -> float:
+    """Return the least way of a tool that does not nearly stand [m]."""
+    return _MOVING * float(np.percentile(way, _MOST_OF_THE_CUT))
+
+
+def _log_growth(
+    rows: Int[np.ndarray, " row"],
+    radius: Float[np.ndarray, " row"],
+    is_moving_cut: Bool[np.ndarray, " step"],
+) -> Float[np.ndarray, " row"]:
+    """Return the logarithm of the growth along the unstable stretch of each row.
+
+    A row stands for the periods of the moving cut that are nearer to it than to others.
+
+    Args:
+        rows: Rows that were looked at, ascending, shape (row,).
+        radius: Growth per tooth period, shape (row,).
+        is_moving_cut: Where the tool cuts and does not nearly stand, shape (step,).
+    """
+    total = np.zeros(len(rows))
+    known = np.flatnonzero(is_moving_cut[rows])
+    if not known.size:
+        return total
+    middles = (rows[known][1:] + rows[known][:-1]) / 2
+    nearest = np.searchsorted(middles, np.flatnonzero(is_moving_cut))
+    periods = np.bincount(nearest, minlength=known.size)
+    grows = radius[known] > 1 + _TOLERANCE
+    stretch = np.cumsum(np.diff(grows, prepend=grows[:1]))
+    growth = np.where(grows, periods * np.log(radius[known]), 0.0)
+    total[known] = np.bincount(stretch, growth)[stretch]
+    return total
 
 
 def _deep_rows(solution: Solution) -> Int[np.ndarray, " row"]:
     """Return the rows of the largest chip's cross section in stretches of the cut."""
-    tips = np.asarray(solution.actual)
-    way = np.linalg.norm(np.diff(tips, axis=0, prepend=tips[:1]), axis=1)
+    way = _way(solution.actual)
     volume = np.asarray(solution.removed_volume)
     cuts = np.flatnonzero(np.asarray(solution.is_cutting) & (volume > 0) & (way > 0))
     cuts = cuts[cuts > 0]
     if cuts.size == 0:
         return cuts
-    least = _MOVING * np.median(way[cuts])
-    area = volume[cuts] / np.maximum(way[cuts], least)
+    area = volume[cuts] / np.maximum(way[cuts], _least_way(way[cuts]))
     stretches = np.array_split(np.arange(cuts.size), min(_QUICK_ROWS, cuts.size))
     rows = [cuts[stretch[np.argmax(area[stretch])]] for stretch in stretches]
     # As many rows for every job: one compiled program.
@@ -360,7 +460,10 @@ def _growth(
     rows: Int[np.ndarray, " row"],
     slopes: Sequence[Regeneration],
 ) -> Stability:
-    """Return the growth in the periods before some rows, by the slopes of the force."""
+    """Return the growth in the periods before some rows, by the slopes of the force.
+
+    That along whole stretches is left to the caller, who knows where the tool moves.
+    """
     T = float(process.tooth_period)
     arms = _linear(arm, motion, rows, T)
     A, G, C = (np.asarray(x, np.float64) for x in (arms.A, arms.G, arms.C))
@@ -380,6 +483,7 @@ def _growth(
         radius=radius,
         frequency=frequency,
         apparent_frequency=apparent,
+        log_growth=np.zeros(len(rows)),
         tooth_frequency=1 / T,
         fastest_mode=fastest,
         substeps=process.engagement.substeps,

@@ -10,6 +10,7 @@ What it reads of a result besides the variables of `simulate` and `correct`:
   command is the corrected program; `written_rms_SUFFIX` and `written_max_SUFFIX` [m],
   the errors that the program in `corrected.SUFFIX` leaves; `is_successful` (0 marks a
   run that failed); `tolerance_band` [m], the contour error to hold the result against;
+  `stability_has_chatter` (1 where vibrations grow);
 - every other attribute is listed as a setting.
 """
 

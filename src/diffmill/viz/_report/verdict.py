@@ -117,7 +117,7 @@ def limits(
     """
     case = chosen_case(dataset)
     found = []
-    if dataset.attrs.get("stability_largest_radius", 0.0) > 1:
+    if dataset.attrs.get("stability_has_chatter", 0):
         found.append(
             "The cut is unstable (chatter): vibrations grow until the tool leaves the "
             "material, which depth of cut, spindle speed or damping change and a "
