@@ -74,8 +74,27 @@ def test_leaving_the_cut_is_counted_where_the_cut_is_full():
     part = PathParts(np.array([-1, 0, 3, 3, 2, 1, -1]))
     force = np.zeros((7, 3))
     force[2, 1] = -1.0
-    assert part.rows_out_of_cut(force) == 2
-    assert part.rows_out_of_cut(force + 2) == 0
+    rigid = np.full((7, 3), 5.0)
+    given = {"rigid_force": rigid, "desired": straight(0.6e-3)}
+    assert np.flatnonzero(part.is_out_of_cut(force, **given)).tolist() == [3, 4]
+    assert not part.is_out_of_cut(force + 2, **given).any()
+
+
+def test_a_tool_that_nearly_stands_or_hardly_cuts_has_not_left_the_cut():
+    part = PathParts(np.full(12, 3))
+    path = straight(1.1e-3)
+    # Nearly a stop at row 5, and a rigid tool that hardly cuts at row 8.
+    path[5:, 0] -= 0.95 * PITCH
+    rigid = np.full((12, 3), 5.0)
+    rigid[8] = 0.2
+    found = part.is_out_of_cut(np.zeros((12, 3)), rigid_force=rigid, desired=path)
+    # The tool has no way to the first row.
+    assert np.flatnonzero(~found).tolist() == [0, 5, 8]
+    assert (
+        not PathParts(np.full(12, -1))
+        .is_out_of_cut(rigid, rigid_force=rigid, desired=path)
+        .any()
+    )
 
 
 def test_a_reach_of_nothing_is_refused():

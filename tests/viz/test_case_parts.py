@@ -61,6 +61,23 @@ def test_leaving_the_cut_is_told(tmp_path, result):
     assert "steps out of the cut" in page and 'out of the cut">7</td>' in page
 
 
+def test_the_first_place_out_of_the_cut_is_told(tmp_path, result):
+    is_out = np.zeros((len(SIZE), result.sizes["step"]), bool)
+    is_out[1, [40, 41, 60]] = True
+    told = result.assign(
+        rows_out_of_cut=(("case",), is_out.sum(axis=1)),
+        is_out_of_cut=(("case", "step"), is_out),
+    )
+    error = np.abs(result["contour_error"].sel(case="mirror").values)[is_out[1]].max()
+    x, y, z = 1e3 * result["desired"].values[40]
+    place = f"first at {result['time'].values[40]:.3f} s, x, y, z = "
+    place += f"{x:.2f}, {y:.2f}, {z:.2f} mm"
+    (line,) = [line for line in summary(told).splitlines() if "warning" in line]
+    assert "in 3 steps" in line and place in line
+    assert f"up to {1e6 * error:.3g} um" in line and "keeps a mark" in line
+    assert place in write_report(tmp_path, told, {}).read_text(encoding="utf-8")
+
+
 def test_a_simulation_has_no_such_table(tmp_path, simulation):
     assert case_parts(simulation) == ()
     lines = summary(simulation).splitlines()

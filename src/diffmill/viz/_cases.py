@@ -82,6 +82,13 @@ def cutting_of(dataset: "xarray.Dataset", case: str) -> Bool[np.ndarray, " step"
     return values_of(dataset, "is_cutting", case) > 0.5
 
 
+def place_text(dataset: "xarray.Dataset", case: str, row: int) -> str:
+    """Return when and where on the desired path a step of a case is."""
+    time = values_of(dataset, "time", case)[row]
+    x, y, z = 1e3 * values_of(dataset, "desired", case)[row]
+    return f"at {time:.3f} s, x, y, z = {x:.2f}, {y:.2f}, {z:.2f} mm"
+
+
 def reference_case(dataset: "xarray.Dataset") -> str:
     """Return the case that the others are compared with: the uncorrected one."""
     names = case_names(dataset)

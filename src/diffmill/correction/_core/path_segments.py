@@ -19,6 +19,11 @@ _TURN = np.deg2rad(10.0)
 _CHANGE = 0.25
 # Row spacing below which a tool dwells [m].
 _STILL = 1e-9
+# A full cut pushes the rigid tool by at least this share of the median force on it.
+_FULL = 0.25
+# The tool nearly stands where it is slower than this share of the feed that most of the
+# cut stays below: its chips are so thin that a bent arm that swings back leaves them.
+_MOVING, _MOST_OF_THE_CUT = 0.1, 90
 
 
 class PathParts(eqx.Module):
@@ -111,23 +116,36 @@ class PathParts(eqx.Module):
             "rows": np.array([e.size for e in found], np.float64),
         }
 
-    def rows_out_of_cut(self, force: FloatRows3) -> int:
-        """Return in how many rows a tool cuts nothing where it should be in a full cut.
+    def is_out_of_cut(
+        self, force: FloatRows3, *, rigid_force: FloatRows3, desired: FloatRows3
+    ) -> Bool[np.ndarray, " step"]:
+        """Return at which rows a tool cuts nothing where it should be in a full cut.
 
         Entries and exits do not count: there a tool that is a little off begins or ends
-        its cut a little earlier or later. The force tells, not the removed volume,
-        which poses that stand close together leave to one of them.
+        its cut a little earlier or later. Nor do rows at which the tool nearly stands,
+        as at an exact stop, or at which the rigid tool hardly cuts. The force tells,
+        not the removed volume, which poses that stand close together leave to one of
+        them.
 
         Args:
             force: Mean force of the tooth period before each row [N], shape (step, 3).
+            rigid_force: That on the rigid tool [N], shape (step, 3).
+            desired: Desired tips [m], shape (step, 3).
 
         Returns:
-            Rows of plateaus and corners without any force.
+            Whether it does, for each row, shape (step,).
 
         **Differentiability**: none, a host function.
         """
-        is_full = self.rows("corner", "plateau")
-        return int(np.sum(is_full & ~np.any(np.asarray(force) != 0, axis=1)))
+        is_out = self.rows("corner", "plateau")
+        if not is_out.any():
+            return is_out
+        size = np.linalg.norm(np.asarray(rigid_force, np.float64), axis=1)
+        is_full = size >= _FULL * np.median(size[is_out])
+        way = np.diff(_travel(np.asarray(desired, np.float64)), prepend=0.0)
+        most = np.percentile(way[self.index >= 0], _MOST_OF_THE_CUT)
+        is_nothing = ~np.any(np.asarray(force) != 0, axis=1)
+        return is_out & is_full & is_nothing & (way >= _MOVING * most)
 
 
 def _travel(desired: Float[np.ndarray, "step 3"]) -> Float[np.ndarray, " step"]:

@@ -118,15 +118,23 @@ def _figures(correction: "Correction") -> dict[str, tuple[Any, ...]]:
             _about("m s-2", "95 % of the rows have a smaller acceleration"),
         ),
     }
-    left = [
-        parts.rows_out_of_cut(solution.force) for solution in correction.cases.values()
-    ]
+    before = correction.before
+    left = np.stack(
+        [
+            parts.is_out_of_cut(
+                solution.force,
+                rigid_force=before.rigid.force,
+                desired=before.desired,
+            )
+            for solution in correction.cases.values()
+        ]
+    )
+    meaning = "where nothing pushes the tool but it should be in a full cut"
+    found["is_out_of_cut"] = (("case", "step"), left, _about("1", meaning))
     found["rows_out_of_cut"] = (
         ("case",),
-        np.array(left, np.int32),
-        _about(
-            "1", "rows where nothing pushes the tool but it should be in a full cut"
-        ),
+        np.sum(left, axis=1).astype(np.int32),
+        _about("1", f"rows {meaning}"),
     )
     for key, text in _PART_FIGURES.items():
         values = np.stack([table[key] for table in tables])

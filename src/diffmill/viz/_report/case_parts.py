@@ -1,12 +1,13 @@
 """Mean error, errors by part of the path and cost of each case."""
 
+from html import escape
 from typing import TYPE_CHECKING
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from .._cases import case_names, select_case
+from .._cases import case_names, place_text, select_case, values_of
 from .._style import MICROMETRE, case_style
 from .html import table_html
 
@@ -74,6 +75,34 @@ def case_parts(dataset: "xarray.Dataset") -> tuple[CaseParts, ...]:
     return tuple(found)
 
 
+def out_of_cut_lines(dataset: "xarray.Dataset") -> list[str]:
+    """Return a sentence for each case whose tool leaves the cut: how often and where.
+
+    Args:
+        dataset: A result of `correct`.
+    """
+    lines = []
+    for case in case_parts(dataset):
+        count = case.rows_out_of_cut
+        if not count:
+            continue
+        text = (
+            f"{case.name}: the tool leaves the cut in {count} step{'s' * (count > 1)}"
+        )
+        text += " where it should be in a full cut"
+        if "is_out_of_cut" in dataset:
+            is_out = values_of(dataset, "is_out_of_cut", case.name) > 0.5
+            error = np.abs(values_of(dataset, "contour_error", case.name))[is_out]
+            text += f", first {place_text(dataset, case.name, int(np.argmax(is_out)))}"
+            text += f", with a contour error of up to {1e6 * np.nanmax(error):.3g} "
+            text += MICROMETRE
+        lines.append(
+            f"{text}: the teeth behind such a gap take thicker chips, and the wall "
+            "keeps a mark"
+        )
+    return lines
+
+
 def parts_html(dataset: "xarray.Dataset") -> str:
     """Return a table of the figures by part and what it means; or nothing."""
     cases = case_parts(dataset)
@@ -104,12 +133,16 @@ def parts_html(dataset: "xarray.Dataset") -> str:
         "a quarter, before it ends or after it shrinks so; corner: the desired line "
         "turns by more than 10\u00b0 within half a radius to either side; plateau: the "
         f"rest. Steps in each: {counts}. Out of the cut: of the corner and plateau, "
-        "where nothing pushes the tool."
+        "where nothing pushes the tool though it moves and a rigid one is in a full "
+        "cut."
     )
     table = table_html(
         header, rows, colours=[case_style(case.name).colour for case in cases]
     )
-    return f'{table}<p class="note">{note}</p>'
+    lines = "".join(
+        f'<p class="note">{escape(line)}.</p>' for line in out_of_cut_lines(dataset)
+    )
+    return f'{table}<p class="note">{note}</p>{lines}'
 
 
 def surface_figures_html(dataset: "xarray.Dataset") -> str:

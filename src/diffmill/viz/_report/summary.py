@@ -7,7 +7,7 @@ import numpy as np
 
 from .._cases import case_names, case_numbers
 from .._style import MICROMETRE
-from .case_parts import case_parts
+from .case_parts import case_parts, out_of_cut_lines
 from .verdict import verdict
 
 if TYPE_CHECKING:
@@ -72,10 +72,6 @@ def _parts(dataset: "xarray.Dataset") -> list[str]:
             f"{case.name:16}{mean}{rms}{case.max_acceleration:8.2f}"
             f"{case.forward_runs:6d}{case.seconds:7.1f} s"
         )
-    rows += [
-        f"warning: {case.name}: the tool leaves the cut in {case.rows_out_of_cut} "
-        f"step{'s' * (case.rows_out_of_cut != 1)} where it should be in a full cut"
-        for case in cases
-        if case.rows_out_of_cut
-    ]
-    return rows
+    # Not every terminal prints a micro sign.
+    lines = [line.replace(MICROMETRE, "um") for line in out_of_cut_lines(dataset)]
+    return [*rows, *(f"warning: {line}" for line in lines)]

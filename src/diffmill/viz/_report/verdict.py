@@ -6,7 +6,14 @@ import equinox as eqx
 import numpy as np
 
 from ..._job import CorrectionSettings
-from .._cases import chosen_case, cutting_of, reference_case, select_case, values_of
+from .._cases import (
+    chosen_case,
+    cutting_of,
+    place_text,
+    reference_case,
+    select_case,
+    values_of,
+)
 from .._style import MICROMETRE, case_style
 from .case_parts import case_parts
 
@@ -101,9 +108,7 @@ def _place(dataset: "xarray.Dataset", case: str) -> str:
         return ""
     error = np.abs(values_of(dataset, "contour_error", case))
     row = int(np.nanargmax(np.where(cutting_of(dataset, case), error, np.nan)))
-    time = values_of(dataset, "time", case)[row]
-    x, y, z = 1e3 * values_of(dataset, "desired", case)[row]
-    return f", at {time:.3f} s, x, y, z = {x:.2f}, {y:.2f}, {z:.2f} mm"
+    return f", {place_text(dataset, case, row)}"
 
 
 def limits(
