@@ -76,7 +76,8 @@ class Correction(eqx.Module):
     Attributes:
         cases: Solution of each case, by name, in the order of `CASES`.
         methods: What each method reported, by name.
-        wall_time: Time that each method took, compilation included [s].
+        wall_time: Time that each method took, compilation included [s]; that of the
+            uncorrected case includes the rigid cut.
         path_parts: Part of the path to which each row belongs.
         chosen: Name of the case whose command is the corrected program.
     """
@@ -199,7 +200,11 @@ def correct(
         prepare_linear_job(job)
     # A program beyond a joint's limit is refused before anything runs, too.
     JointLimits(job).check(desired, is_joints=False)
-    job, before = run_with_room(job, desired, adjoint, lambda message, share: None)
+    record = CaseRecord(on_progress, on_checkpoint, resume)
+    # The first case is this run: the methods need it before it is recorded.
+    job, before = record.timed(
+        lambda: run_with_room(job, desired, adjoint, lambda message, share: None)
+    )
     rigid = before.rigid
     if throw:
         before.raise_unless_successful(job)
@@ -210,7 +215,6 @@ def correct(
     is_optimised = "corrected" in compared(job)
     # Settings that do not suit the job are refused before the baselines run.
     optimiser = _Optimiser(task) if is_optimised else None
-    record = CaseRecord(on_progress, on_checkpoint, resume)
     inverse = None
     if job.robot is not None:
         inverse = _inverse_drive(job, rigid.force, desired)
