@@ -94,6 +94,26 @@ def test_a_bound_that_the_command_reaches_is_named_with_its_share(
     assert "max_offset" not in report(tmp_path, offset_by(correction, ramp / 2), wide)
 
 
+def test_the_largest_departure_is_told_in_the_cut_and_in_the_air(
+    tmp_path, correction, simulation
+):
+    commanded = correction["commanded"].copy()
+    desired = correction["desired"].values
+    commanded.loc[{"case": "uncorrected"}] = desired
+    offset = np.full(desired.shape, 1e-5)
+    offset[100, 1], offset[5, 2] = -2.5e-4, 4.34e-4
+    commanded.loc[{"case": "corrected"}] = desired + offset
+    text = report(tmp_path, correction.assign(commanded=commanded))
+    time = correction["time"].values
+    x, y, z = 1e3 * desired[100]
+    assert (
+        f"by up to -250 \u00b5m in y where the tool cuts (at {time[100]:.3f} s, "
+        f"x, y, z = {x:.2f}, {y:.2f}, {z:.2f} mm)" in text
+    )
+    assert f"and +434 \u00b5m in z in the air (at {time[5]:.3f} s" in text
+    assert "departs from the program" not in report(tmp_path, simulation)
+
+
 def test_a_command_as_fast_as_it_may_be_is_told(tmp_path, correction, job):
     time = correction["time"].values
     offset = np.zeros((time.size, 3))

@@ -37,7 +37,7 @@ from .case_parts import parts_html, surface_figures_html
 from .html import image_html, numbers_html, page_html, section_html, table_html
 from .on_machine import machine_lines
 from .scene import scene_html
-from .verdict import limits, tolerance_band, verdict
+from .verdict import departure_text, limits, tolerance_band, verdict
 from .write import FigureFile
 
 if TYPE_CHECKING:
@@ -244,7 +244,9 @@ def _result_blocks(dataset: "xarray.Dataset") -> list[str]:
         "force, over the steps that cut; forces are means over a tooth period. Bold: "
         "the smallest rms contour error."
     )
-    return [table, f'<p class="note">{legend}</p>']
+    blocks = [table, f'<p class="note">{legend}</p>']
+    departure = departure_text(dataset)
+    return [*blocks, f"<p>{escape(departure)}</p>"] if departure else blocks
 
 
 def _chosen(dataset: "xarray.Dataset") -> str:

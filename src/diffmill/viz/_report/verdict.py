@@ -111,6 +111,35 @@ def _place(dataset: "xarray.Dataset", case: str) -> str:
     return f", {place_text(dataset, case, row)}"
 
 
+def departure_text(dataset: "xarray.Dataset") -> str:
+    """Return the largest offsets of the corrected command, in the cut and in the air.
+
+    Nothing where there is no corrected command.
+
+    Args:
+        dataset: A result of `simulate` or `correct`.
+    """
+    case = chosen_case(dataset)
+    if case == reference_case(dataset) or "commanded" not in dataset:
+        return ""
+    of_case = lambda name: values_of(dataset, "commanded", name)
+    offset = of_case(case) - of_case(reference_case(dataset))
+    cuts = cutting_of(dataset, case)
+    found = []
+    for rows, where in ((cuts, "where the tool cuts"), (~cuts, "in the air")):
+        of_rows = np.where(rows[:, None], np.abs(offset), -1.0)
+        row, axis = np.unravel_index(np.argmax(of_rows), of_rows.shape)
+        if rows.any():
+            found.append(
+                f"{1e6 * offset[row, axis]:+.3g} {MICROMETRE} in {'xyz'[axis]} {where} "
+                f"({place_text(dataset, case, int(row))})"
+            )
+    return (
+        "The corrected command departs from the program by up to "
+        f"{' and '.join(found)}."
+    )
+
+
 def limits(
     dataset: "xarray.Dataset", settings: CorrectionSettings | None
 ) -> tuple[str, ...]:
