@@ -11,6 +11,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from ..._moving_rows import is_moving, ways
 from ..._types import BoolSteps, FloatRows3, FloatSteps
 
 # Turn of the feed within the length of a window that makes a corner [rad].
@@ -21,9 +22,6 @@ _CHANGE = 0.25
 _STILL = 1e-9
 # A full cut pushes the rigid tool by at least this share of the median force on it.
 _FULL = 0.25
-# The tool nearly stands where it is slower than this share of the feed that most of the
-# cut stays below: its chips are so thin that a bent arm that swings back leaves them.
-_MOVING, _MOST_OF_THE_CUT = 0.1, 90
 
 
 class PathParts(eqx.Module):
@@ -142,10 +140,8 @@ class PathParts(eqx.Module):
             return is_out
         size = np.linalg.norm(np.asarray(rigid_force, np.float64), axis=1)
         is_full = size >= _FULL * np.median(size[is_out])
-        way = np.diff(_travel(np.asarray(desired, np.float64)), prepend=0.0)
-        most = np.percentile(way[self.index >= 0], _MOST_OF_THE_CUT)
-        is_nothing = ~np.any(np.asarray(force) != 0, axis=1)
-        return is_out & is_full & is_nothing & (way >= _MOVING * most)
+        moves = is_moving(ways(desired), np.asarray(self.index >= 0))
+        return is_out & is_full & moves & ~np.any(np.asarray(force) != 0, axis=1)
 
 
 def _travel(desired: Float[np.ndarray, "step 3"]) -> Float[np.ndarray, " step"]:

@@ -22,6 +22,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..._job import Job
 from ..._live_rows import padded_count
+from ..._moving_rows import is_moving, least_way, ways
 from ..._types import Transform
 from ...process import Process, ThroughRays
 from ...robot import ArmTerms, Robot
@@ -37,10 +38,6 @@ from .quick_force_jacobian import quick_slopes
 
 # Rows that are looked at unless asked for, and those of a quick look.
 _ROWS, _QUICK_ROWS = 100, 6
-# The tool nearly stands where it is slower than this share of the feed that most of
-# the cut stays below: what it removes over its way says nothing of the cut, and a
-# vibration grows no further than its thin chips.
-_MOVING, _MOST_OF_THE_CUT = 0.1, 90
 # A vibration that does not even double before the cut calms it again reaches nothing.
 _CHATTER = math.log(2)
 # An undamped arm in the air has the radius 1; rounding must not make it unstable.
@@ -207,7 +204,7 @@ class Stability(eqx.Module):
         motion = _Motion(motor_positions, joint_positions, path.tip[:step_count])
         found = _growth(arm, process, motion, chosen, slopes)
         if is_moving_cut is None:
-            is_moving_cut = _moves(motion.tips, np.ones(step_count, bool))
+            is_moving_cut = is_moving(ways(motion.tips), np.ones(step_count, bool))
         total = _log_growth(chosen, found.radius, is_moving_cut)
         return dataclasses.replace(found, log_growth=total)
 
@@ -309,27 +306,7 @@ def stability(
 
 def _moving_cut(solution: Solution) -> Bool[np.ndarray, " step"]:
     """Return where the tool cuts and the program does not nearly stand."""
-    return _moves(solution.desired, np.asarray(solution.is_cutting))
-
-
-def _moves(
-    tips: Float[Array, "step 3"], is_cutting: Bool[np.ndarray, " step"]
-) -> Bool[np.ndarray, " step"]:
-    """Return at which rows that cut the tool does not nearly stand."""
-    way = _way(tips)
-    cuts = is_cutting & (way > 0)
-    return cuts & (way >= _least_way(way[cuts])) if cuts.any() else cuts
-
-
-def _way(tips: Float[Array, "step 3"]) -> Float[np.ndarray, " step"]:
-    """Return the way of the tool in the period before each row [m]."""
-    rows = np.asarray(tips)
-    return np.linalg.norm(np.diff(rows, axis=0, prepend=rows[:1]), axis=1)
-
-
-def _least_way(way: Float[np.ndarray, " row"]) -> float:
-    """Return the least way of a tool that does not nearly stand [m]."""
-    return _MOVING * float(np.percentile(way, _MOST_OF_THE_CUT))
+    return is_moving(ways(solution.desired), np.asarray(solution.is_cutting))
 
 
 def _log_growth(
@@ -362,13 +339,13 @@ def _log_growth(
 
 def _deep_rows(solution: Solution) -> Int[np.ndarray, " row"]:
     """Return the rows of the largest chip's cross section in stretches of the cut."""
-    way = _way(solution.actual)
+    way = ways(solution.actual)
     volume = np.asarray(solution.removed_volume)
     cuts = np.flatnonzero(np.asarray(solution.is_cutting) & (volume > 0) & (way > 0))
     cuts = cuts[cuts > 0]
     if cuts.size == 0:
         return cuts
-    area = volume[cuts] / np.maximum(way[cuts], _least_way(way[cuts]))
+    area = volume[cuts] / np.maximum(way[cuts], least_way(way[cuts]))
     stretches = np.array_split(np.arange(cuts.size), min(_QUICK_ROWS, cuts.size))
     rows = [cuts[stretch[np.argmax(area[stretch])]] for stretch in stretches]
     # As many rows for every job: one compiled program.
