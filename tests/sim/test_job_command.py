@@ -23,6 +23,7 @@ def with_command(folder, name):
     return file
 
 
+@pytest.mark.slow
 def test_the_error_is_that_from_the_program(tmp_path):
     plain = dm.load_job(write_slides_job(tmp_path, program=PROGRAM))
     (tmp_path / "told.csv").write_text(command_of(plain, 20e-6))
