@@ -267,6 +267,7 @@ def test_every_key_has_a_meaning_and_a_kind_in_words(site, folder):
 
 def test_a_key_that_is_not_described_is_found(site):
     field = ast.parse("x: Unheard | None = None").body[0]
+    assert isinstance(field, ast.AnnAssign)
     assert site["meaning"](field) == ""
     with pytest.raises(KeyError, match="Unheard"):
         site["kind"](field.annotation)

@@ -30,7 +30,7 @@ def test_the_error_is_that_from_the_program(tmp_path):
     job = dm.load_job(with_command(tmp_path, "told.csv"))
     found = dm.simulate(job)
     tips = np.asarray(plain.path.positions) + np.array([0.0, 20e-6, 0.0])
-    np.testing.assert_allclose(job.commanded, tips, atol=1e-9)
+    np.testing.assert_allclose(np.asarray(job.commanded), tips, atol=1e-9)
     np.testing.assert_array_equal(job.path.positions, plain.path.positions)
     asked = dm.simulate(plain, commanded=job.commanded)
     np.testing.assert_array_equal(found.actual, asked.actual)
