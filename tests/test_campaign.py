@@ -106,6 +106,9 @@ def test_factors_scale_what_the_job_holds(folder):
         [[sweep]]
         key = "cutter.diameter"
         factors = [1.2]
+        [[sweep]]
+        key = "force"
+        factors = [2]
         """,
         folder,
     )
@@ -115,6 +118,10 @@ def test_factors_scale_what_the_job_holds(folder):
         assert isinstance(upper, list) and upper[0].endswith(" mm")
         assert numbers(upper) == pytest.approx(factor * held)
         assert change["cutter.diameter"] == "12.0 mm"
+        force = load_campaign(folder / "c.toml").tables["force"]
+        doubled = change["force"]
+        assert isinstance(doubled, dict) and doubled.keys() == force.keys()
+        assert numbers([doubled["K_tc"]]) == pytest.approx(2 * numbers([force["K_tc"]]))
 
 
 def test_more_draws_leave_the_earlier_ones(folder):

@@ -118,7 +118,7 @@ def _describe_campaign(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
             campaign.job, allow_outside=allow_outside, changes=next(campaign.changes())
         )
     except ValueError as error:
-        expected = f"  note: the first job is refused: {error}"
+        expected = f"  fault: its first job is refused: {error}"
     else:
         count = math.prod(campaign.shape)
         expected = expected_campaign_line(first, campaign.command, count)

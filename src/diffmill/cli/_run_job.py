@@ -245,6 +245,7 @@ def _compute(
         text = f"{message}: contour error {rms * 1e6:.2f} um rms"
         progress.update(text, then=f"{message} is done, what follows goes on")
 
+    progress.update("uncorrected path")
     try:
         return correct(
             job,

@@ -90,6 +90,10 @@ def commanded_tips(
             "instant"
         )
         return None
+    context.notes.append(
+        f"{key}: the controller is told {table.commanded}; errors are those from the "
+        "program"
+    )
     return np.asarray(told.positions)
 
 

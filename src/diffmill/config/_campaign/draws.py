@@ -66,12 +66,30 @@ def _unit_draw(kind: str, stream: np.random.Generator) -> float:
 def scaled(value: object, factor: float) -> object:
     """Return a value of a job times a factor; of a list, each entry.
 
+    Of a table each entry that has a unit: of `force` with coefficients, all of them.
+
     Raises:
         ValueError: It is no number and no quantity.
     """
+    if isinstance(value, dict):
+        found = {key: _scaled_if_unit(one, factor) for key, one in value.items()}
+        if found == value and factor != 1:
+            raise ValueError(f"found {value!r}, which holds no quantity with a unit")
+        return found
     if isinstance(value, list):
         return [scaled(one, factor) for one in value]
     return scaled_quantity(value, factor)
+
+
+def _scaled_if_unit(value: object, factor: float) -> object:
+    """Return an entry of a table times a factor, if it has a unit."""
+    if isinstance(value, dict | list):
+        return scaled(value, factor)
+    try:
+        has_unit = bool(base_quantity(value)[1])
+    except ValueError:
+        return value
+    return scaled(value, factor) if has_unit else value
 
 
 def _scattered(value: object, entry: DrawTable, stream: np.random.Generator) -> object:

@@ -52,25 +52,21 @@ class TipPlant(AbstractHostPlant):
             (step,); by the path alone if None.
         rigid: `rigid_cut` of the job, to run by the program of `simulate`; None to
             run by one of its own.
-        controller: The job as the controller knows it, which turns tips into motors;
-            None for the job itself.
     """
 
     job: Job
     adjoint: AbstractAdjoint
     wall_share: Steps | None = None
     rigid: Run | None = None
-    controller: Job | None = None
 
     @property
     def pieces(self) -> JobPieces:
-        """The plant, piece by piece; its controller must know the job as it is."""
+        """The plant, piece by piece."""
         return JobPieces(self.job, self.adjoint, self.wall_share)
 
     def motors(self, command: Float[Array, "step 3"]) -> Float[Array, "step joint"]:
         """Return the motors that the controller moves, shape (step, joint)."""
-        known = self.job if self.controller is None else self.controller
-        return JobKinematics(known).motors(command).positions
+        return JobKinematics(self.job).motors(command).positions
 
     def __call__(self, command: Float[Array, "step 3"]) -> Motion:
         """Return the motion that follows a command, shape (step, 3)."""
@@ -81,20 +77,18 @@ class TipPlant(AbstractHostPlant):
         job, command = self.job, jnp.asarray(command)
         if self.rigid is None:
             return _compiled(job, self.motors(command), self.wall_share)
-        motors = None if self.controller is None else self.motors(command)
         return solved_motion(
-            Solution.of_command(job, self.rigid, command, self.adjoint, motors)
+            Solution.of_command(job, self.rigid, command, self.adjoint)
         )
 
     def linearised(self, command: FloatRows) -> LinearJob:
         """Return the linear system around a command."""
-        known = self.job if self.controller is None else self.controller
-        command = jnp.asarray(command)
-        joints, _ = JobKinematics(known).joints(command)
+        known, command = JobKinematics(self.job), jnp.asarray(command)
+        joints, _ = known.joints(command)
         return linear_job(
             self.job,
-            JobKinematics(known).motors_of(joints),
-            JobKinematics(known).motor_slopes(joints, command),
+            known.motors_of(joints),
+            known.motor_slopes(joints, command),
             self.wall_share,
         )
 
@@ -102,8 +96,8 @@ class TipPlant(AbstractHostPlant):
 class ScaledPlant(AbstractUncertainPlant):
     """A job with scaled parameters as a plant that is commanded by tip positions.
 
-    The controller knows the job as it is, so that a stiffness that is not the true one
-    leaves a part of the sag.
+    The place of the work is found with the arm itself, which takes away what its weight
+    bends it more or less than the model: the sag is that of each member.
 
     Attributes:
         plant: The plant of the job as it is.
@@ -115,7 +109,7 @@ class ScaledPlant(AbstractUncertainPlant):
         """Return the plant with scaled parameters, see `Job.with_scaled`."""
         log_scale = jnp.asarray(parameters, self.plant.job.path.positions.dtype)
         job = self.plant.job.with_scaled(log_scale)
-        return dataclasses.replace(self.plant, job=job, controller=self.plant.job)
+        return dataclasses.replace(self.plant, job=job)
 
 
 class JointPlant(AbstractHostPlant):

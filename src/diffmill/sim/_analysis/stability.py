@@ -249,7 +249,9 @@ class Stability(eqx.Module):
         # The rows that nothing is suspected of end the stretches of the others.
         radius[is_suspected] = found.radius
         total = _log_growth(rows, radius, _moving_cut(solution))[is_suspected]
-        return dataclasses.replace(found, log_growth=total)
+        found = dataclasses.replace(found, log_growth=total)
+        # A few deep rows do not tell for how long it grows: the whole path does.
+        return stability(job, solution) if found.has_chatter.any() else found
 
 
 def stability(

@@ -245,7 +245,7 @@ def _draw_zoom(
     worst = " at its worst" if place.is_worst else ""
     title = (
         f"{place.name}: {case_style(place.case).label}{worst},\n"
-        rf"{off} $\mathrm{{\mu m}}$ off, true scale"
+        rf"{off} $\mathrm{{\mu m}}$ off in plan, true scale"
     )
     quiet_axes(axes, x="x [mm]", y="y [mm]", title=title)
     for axis in (axes.xaxis, axes.yaxis):

@@ -269,6 +269,9 @@ def _machine(dataset: "xarray.Dataset", job: Job | None) -> list[str]:
     """Return what to load and to set, if a corrected program was written."""
     if job is None or not _chosen(dataset):
         return []
+    chosen, reference = _chosen(dataset), reference_case(dataset)
+    if case_numbers(dataset, chosen).rms > case_numbers(dataset, reference).rms:
+        return ["Nothing to load: the corrected command is worse than the program."]
     return machine_lines(job, _written(dataset))
 
 

@@ -85,6 +85,16 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
             f" Of machines that scatter as [simulation] scatter says, "
             f"{expected * 1e6:.3g} {MICROMETRE} rms is to be expected."
         )
+    if "surface_deepest" in dataset:
+        deepest = float(select_case(dataset, case)["surface_deepest"])
+        if deepest > band:
+            text += (
+                f" But the machined surface lies up to {deepest * 1e6:.3g} "
+                f"{MICROMETRE} inside the part, cut at steps that the contour error "
+                "does not count: [correction] gouge bounds it."
+            )
+    if dataset.attrs.get("stability_has_chatter"):
+        text += " But the cut is unstable, see below."
     is_held = max(largest, *files.values(), 0.0) <= band
     share = 100 * float(np.mean(error <= band))
     # 99.97 % is not "100 %" of a path that leaves the band.
