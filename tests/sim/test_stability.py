@@ -217,15 +217,18 @@ def slot_in_slides(folder, share):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("share", [0.9, 1.1])
+@pytest.mark.parametrize("share", [0.9, 1.5])
 def test_a_quick_look_finds_chatter_where_there_is_some(tmp_path, share):
     job = slot_in_slides(tmp_path, share)
     found = sim.Stability.where_suspected(job, sim.simulate(job))
     if share < 1:
         assert found is None
     else:
-        assert found is not None and found.is_unstable.all()
-        np.testing.assert_allclose(found.frequency, limit()[1], rtol=5e-3)
+        # What is suspected there is looked at along the whole path.
+        assert found is not None and found.has_chatter.any()
+        frequency = found.frequency[found.has_chatter]
+        # Beyond the limit it vibrates a little faster than at it.
+        np.testing.assert_allclose(frequency, limit()[1], rtol=2e-2)
 
 
 @pytest.mark.slow
