@@ -11,9 +11,7 @@ held too. The cost is that of the whole path, restricted to the segment.
 
 What lies behind the end of a segment stays as it was found before: in a first sweep, as
 the start has it, which bends the end of the segment towards the start. A second sweep
-begins where the first has ended, and takes most of that away. Of many segments it
-corrects only those that most of the error is left in, unless bounds of the surface are
-to be kept.
+over all segments begins where the first has ended, and takes most of that away.
 
 The contour error hardly sees how far the tool leads or lags, so that there are several
 local minima at a sharp corner. A corner near the end of a segment is rounded for a tool
@@ -28,7 +26,6 @@ linear system of one segment, does not depend on it.
 """
 
 import dataclasses
-import math
 import time
 from typing import Any
 
@@ -67,9 +64,6 @@ from .receding_horizon_state import (
     rms_so_far,
     unpack_run,
 )
-
-# A further sweep corrects so many of the segments again, and at least so many.
-_AGAIN, _AT_LEAST = 1 / 6, 8
 
 
 class RecedingHorizon(AbstractMethod):
@@ -136,7 +130,7 @@ class RecedingHorizon(AbstractMethod):
         while run.row < rows:
             began, before = time.perf_counter(), run.row
             run = self._segment(problem, spline, run)
-            # The last segment is not run to its end.
+            # The last segment is not run by itself.
             counted = run.row if run.row < rows else before
             seconds.append(time.perf_counter() - began)
             error = rms_so_far(problem, run, counted)
@@ -174,31 +168,15 @@ class RecedingHorizon(AbstractMethod):
             free = project(spline, away, problem.max_offset, limits=limits)
         coefficients = np.pad(free, ((CLAMPED, CLAMPED), (0, 0)))
         state = self._begun(problem, spline, coefficients)
-        none = np.zeros(self.segment_count(len(nominal)))
-        run = HorizonRun(
-            *(0, 0, coefficients, state, none, (), none.astype(bool), none == 0)
-        )
+        run = HorizonRun(0, 0, coefficients, state, 0.0, ())
         return unpack_run(self.resume, run) if self.resume else run
 
     def _again(
         self, problem: Problem, spline: SplineOffsets, run: HorizonRun
     ) -> HorizonRun:
         """Return the state before the first segment of the next sweep."""
-        # Of the last one it is not known; it may be the worst.
-        worst = np.argsort([*-run.squares[:-1], -np.inf])
-        count = max(_AT_LEAST, math.ceil(_AGAIN * worst.size))
-        is_due = np.full(worst.size, self.method.bounds is not None)
-        is_due[worst[:count]] = True
-        return HorizonRun(
-            run.sweep + 1,
-            0,
-            run.coefficients,
-            self._begun(problem, spline, run.coefficients),
-            np.zeros(worst.size),
-            run.history,
-            run.unsettled,
-            is_due,
-        )
+        state = self._begun(problem, spline, run.coefficients)
+        return HorizonRun(run.sweep + 1, 0, run.coefficients, state, 0.0, run.history)
 
     def _begun(
         self, problem: Problem, spline: SplineOffsets, coefficients: np.ndarray
@@ -230,37 +208,37 @@ class RecedingHorizon(AbstractMethod):
     ) -> HorizonRun:
         """Correct the rows of one segment, and run them but for the overlap."""
         rows, row = problem.nominal.shape[0], run.row
+        coefficients, history, is_settled = run.coefficients, run.history, True
+        part = part_of(problem, self.pieces, run.state, row, self.horizon)
+        if np.any(part.is_cutting > 0) or self._has_bounds(row):
+            coefficients, history, is_settled = self._solve(problem, part, spline, run)
         is_last = row + self.horizon >= rows
-        if run.is_due[row // self._hop]:
-            part = part_of(problem, self.pieces, run.state, row, self.horizon)
-            if np.any(part.is_cutting > 0) or self._has_bounds(row):
-                run = self._solve(problem, part, spline, run)
+        count = rows - row if is_last else self._hop + 1
+        state, unsettled = run.state, run.unsettled + (not is_settled)
         if row == 0:
             # The start moves with the command, which has just been changed.
-            state = self._begun(problem, spline, run.coefficients)
-            run = dataclasses.replace(run, state=state)
-        # The whole run that follows tells the error of the last rows.
+            state = self._begun(problem, spline, coefficients)
         if is_last:
-            return dataclasses.replace(run, row=rows)
-        part = part_of(problem, self.pieces, run.state, row, self._hop + 1)
-        command = command_at(
-            problem,
-            spline,
-            run.coefficients,
-            row,
-            self._hop + 1 + self.pieces.rows_ahead,
-            problem.window,
+            # The whole run that follows tells the error of these rows.
+            return HorizonRun(
+                *(run.sweep, rows, coefficients, state, run.square, history, unsettled)
+            )
+        kept = part_of(problem, self.pieces, state, row, count)
+        count += self.pieces.rows_ahead
+        command = command_at(problem, spline, coefficients, row, count, problem.window)
+        state, square = advance(kept, jnp.asarray(command))
+        square, row = run.square + float(square), row + self._hop
+        return HorizonRun(
+            *(run.sweep, row, coefficients, state, square, history, unsettled)
         )
-        state, square = advance(part, jnp.asarray(command))
-        squares = run.squares.copy()
-        squares[row // self._hop] = float(square)
-        row += self._hop
-        return dataclasses.replace(run, row=row, state=state, squares=squares)
 
     def _solve(
         self, problem: Problem, part: Problem, spline: SplineOffsets, run: HorizonRun
-    ) -> HorizonRun:
-        """Return the run with a segment's coefficients corrected, and the steps."""
+    ) -> tuple[np.ndarray, tuple[LeastSquaresStep, ...], bool]:
+        """Return the coefficients with those of a segment corrected, and the steps.
+
+        Also whether the optimiser has settled there.
+        """
         method, bound = self.method, float(problem.max_offset)
         limits = self._limits(problem, spline)
         dtype = np.asarray(problem.nominal).dtype
@@ -295,10 +273,8 @@ class RecedingHorizon(AbstractMethod):
             lower=np.where(is_free, -bound, first).reshape(-1),
             upper=np.where(is_free, bound, first).reshape(-1),
         )
-        unsettled = run.unsettled.copy()
-        unsettled[run.row // self._hop] = True
         if found is None:
-            return dataclasses.replace(run, unsettled=unsettled)
+            return run.coefficients, run.history, False
         new = run.coefficients.copy()
         x = np.asarray(fit.coefficients(found.x), np.float64)
         changed = np.asarray(window.is_free)
@@ -310,10 +286,7 @@ class RecedingHorizon(AbstractMethod):
             new[again] = run.coefficients[again]
         history = _following(run.history, found.history)
         is_settled = found.has_converged and fit.is_within(found.value)
-        unsettled[run.row // self._hop] = not is_settled
-        return dataclasses.replace(
-            run, coefficients=new, history=history, unsettled=unsettled
-        )
+        return new, history, is_settled
 
     def _bounds(self, problem: Problem, row: int) -> SurfaceBounds | None:
         """Return the bounds of the surface for the segment from a row on.
@@ -372,9 +345,9 @@ class RecedingHorizon(AbstractMethod):
                 "overlap": float(self.overlap),
                 "smoothness": self.method.smoothness,
                 "lag_weight": self.method.lag_weight,
-                "unsettled_segments": float(run.unsettled.sum()),
+                "unsettled_segments": float(run.unsettled),
             },
-            result=RESULTS.not_converged if run.unsettled.any() else RESULTS.successful,
+            result=RESULTS.not_converged if run.unsettled else RESULTS.successful,
         )
         if (bounds := self.method.bounds) is not None:
             errors = np.asarray(bounds.errors(found.motion), np.float64)

@@ -6,7 +6,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from ..._types import FloatRows
 from ...optimise import LeastSquaresStep
@@ -33,22 +33,19 @@ class HorizonRun(eqx.Module):
         row: First row that has not been run; the number of rows at the end.
         coefficients: Of the whole program, the clamped included.
         state: The plant's at that row.
-        squares: Sums of the weighted squares of the contour error of the segments that
-            this sweep has run [m^2], shape (segment,).
+        square: Sum of the weighted squares of the contour error so far [m^2].
         history: Steps of all segments so far.
-        unsettled: Whether the steps ran out in a segment before the optimiser settled,
-            as it was corrected last, shape (segment,).
-        is_due: Whether a segment is corrected in this sweep, shape (segment,).
+        unsettled: Segments of this sweep in which the steps ran out before the
+            optimiser settled.
     """
 
     sweep: int
     row: int
     coefficients: np.ndarray
     state: Any
-    squares: Float[np.ndarray, " segment"]
+    square: float
     history: tuple[LeastSquaresStep, ...]
-    unsettled: Bool[np.ndarray, " segment"]
-    is_due: Bool[np.ndarray, " segment"]
+    unsettled: int = 0
 
 
 # Rows of numbers, on a device or on the host.
@@ -193,7 +190,7 @@ def command_at(
 def rms_so_far(problem: Problem, run: HorizonRun, counted: int) -> float:
     """Return the rms contour error of the rows that count so far [m]."""
     weight = float(np.sum(np.asarray(problem.is_cutting)[:counted]))
-    return float(np.sqrt(run.squares.sum() / weight)) if weight > 0 else 0.0
+    return float(np.sqrt(run.square / weight)) if weight > 0 else 0.0
 
 
 def pack_run(run: HorizonRun) -> dict[str, np.ndarray]:
@@ -202,10 +199,9 @@ def pack_run(run: HorizonRun) -> dict[str, np.ndarray]:
         "sweep": np.asarray(run.sweep),
         "row": np.asarray(run.row),
         "coefficients": run.coefficients,
-        "squares": run.squares,
+        "square": np.asarray(run.square),
         "history": pack_history(run.history),
-        "unsettled": run.unsettled,
-        "is_due": run.is_due,
+        "unsettled": np.asarray(run.unsettled),
         **under("state", pack_tree(run.state)),
     }
 
@@ -217,8 +213,7 @@ def unpack_run(arrays: Arrays, like: HorizonRun) -> HorizonRun:
         int(arrays["row"]),
         np.asarray(arrays["coefficients"]),
         unpack_tree(below("state", arrays), like.state),
-        np.asarray(arrays["squares"]),
+        float(arrays["square"]),
         unpack_history(arrays["history"]),
-        np.asarray(arrays["unsettled"]),
-        np.asarray(arrays["is_due"]),
+        int(arrays["unsettled"]),
     )
