@@ -118,12 +118,12 @@ def _describe_campaign(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
             campaign.job, allow_outside=allow_outside, changes=next(campaign.changes())
         )
     except ValueError as error:
-        expected = f"  fault: its first job is refused: {error}"
+        expected = f"  note: its first job will be refused: {error}"
     else:
         count = math.prod(campaign.shape)
         expected = expected_campaign_line(first, campaign.command, count)
     lines = [
-        f"{file}: a campaign without faults: {math.prod(campaign.shape)} jobs, each to "
+        f"{file}: a campaign of {math.prod(campaign.shape)} jobs, each to "
         f"{campaign.command}, from {campaign.job}"
     ]
     for variation, count in zip(campaign.variations, campaign.shape, strict=True):

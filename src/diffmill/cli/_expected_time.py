@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from .._job import Job
 
-# Processor time of `simulate` for a row on the machine that
-# `experiments/performance/run.py expected` prints these figures on [ms]: at least; of
-# a disc of an upright cutter, and more by its diameter in rays; of an edge element in
-# space; of removal by a tilted tool of 50 rays in diameter, by the square of it.
+# Processor time of `simulate` for a row, fitted to what the jobs of
+# `experiments/performance/run.py expected` take on two cores [ms]: at least; of a disc
+# of an upright cutter, and more by its diameter in rays; of an edge element in space;
+# of removal by a tilted tool of 50 rays in diameter, by the square of it.
 _ROW, _DISC, _DISC_BY_RAYS = 0.04, 0.13, 0.0016
 _ELEMENT, _TILTED = 0.24, 3.5
 # A correction in runs, each of which leaves out the rigid cut: the simpler methods, the
@@ -27,7 +27,7 @@ def expected_time_line(job: "Job") -> str:
     run = _run_time(job)
     text = f"simulate about {_spelled(run)}"
     if not job.is_rigid and job.correction.method == "gauss_newton":
-        text += f", correct about {_spelled(_correction_time(job))}"
+        text += f", correct about {_spelled(_correction_time(job, run))}"
     if job.simulation.has_sensitivity:
         runs = _PARAMETER_RUNS * len(job.parameter_names)
         text += f", the sensitivity about {_spelled(_COUPLED * runs * run)} more"
@@ -45,17 +45,19 @@ def expected_campaign_line(job: "Job", command: str, count: int) -> str:
         command: What is done with each.
         count: How many there are.
     """
-    each = _run_time(job) if command == "simulate" else _correction_time(job)
+    each = _run_time(job)
+    if command == "correct":
+        each = _correction_time(job, each)
     return (
         f"  expected: about {_spelled(each)} a job once its programs are compiled, "
         f"{_spelled(count * each)} of one worker, within a factor of 3"
     )
 
 
-def _correction_time(job: "Job") -> float:
-    """Return the time that a correction by Gauss-Newton is expected to take [s]."""
+def _correction_time(job: "Job", run: float) -> float:
+    """Return the time of a correction, from that of a simulation [s]."""
     runs = _OTHER_RUNS + _STEP_RUNS * job.correction.max_steps
-    return _COUPLED * runs * _run_time(job)
+    return _COUPLED * runs * run
 
 
 def _run_time(job: "Job") -> float:

@@ -215,15 +215,16 @@ class Stability(eqx.Module):
         The quick look takes the deepest cut of each of a few stretches of the path, and
         the slopes of its force from where the tool has been
         (`_analysis/quick_force_jacobian.py`). What it suspects is looked at as by
-        `stability`; between these rows chatter is missed.
+        `stability`, along the whole path if it has the time to become chatter there;
+        between the rows of the quick look chatter is missed.
 
         Args:
             job: The job.
             solution: Its solution.
 
         Returns:
-            The growth at the suspected rows; None where nothing grows, also for a rigid
-            machine and a quasi-static job.
+            The growth at the suspected rows or along the whole path; None where nothing
+            grows, also for a rigid machine and a quasi-static job.
 
         Differentiability: none, a host function.
         """
