@@ -213,17 +213,12 @@ class Process(eqx.Module):
             self.derivative,
         )
 
-    def begin(
-        self, pose: Pose, pose_count: int
-    ) -> tuple[ProcessState, Float[Array, ""]]:
-        """Return the state at pose 0, and the volume that the tool stands in.
+    def begin(self, pose: Pose, pose_count: int) -> ProcessState:
+        """Return the state at pose 0; what the tool stands in, the first period removes.
 
         Args:
             pose: Pose 0, shape (3,).
             pose_count: Number of poses of the whole run.
-
-        Returns:
-            The state, and the overlap [m^3], shape ().
         """
         return self.removal.begin(self.stock, pose, pose_count)
 

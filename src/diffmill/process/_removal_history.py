@@ -76,30 +76,19 @@ class RemovalHistory(NamedTuple):
 
     def begin(
         self, stock: Stock, pose: Pose, pose_count: int
-    ) -> tuple[ProcessState, Float[Array, ""]]:
-        """Return the state at pose 0, and the volume that the tool stands in.
+    ) -> ProcessState:
+        """Return the state at pose 0, where the tool has removed nothing yet.
 
         Args:
             stock: The raw workpiece.
             pose: Pose 0, shape (3,).
             pose_count: Number of poses of the whole run.
-
-        Returns:
-            The state, and the overlap [m^3], shape ().
         """
         cutter, dtype = self.cutter, stock.origin.dtype
-        zero = jnp.zeros((), jnp.int32)
-        cut = self.window.remove_poses(
-            stock,
-            cutter,
-            self.derivative.removal_poses(pose.repeated(1)),
-            zero[None],
-            jnp.ones(1, bool),
-        )
         nodes = max((pose_count - 1) * self.substeps + 1, self._pass_length())
         ahead = jnp.zeros(2, dtype).at[1].set(1)
-        state = ProcessState(
-            stock=cut.stock,
+        return ProcessState(
+            stock=stock,
             track=PoseTrack(pose.repeated(nodes), self.substeps),
             last_tip=pose.tip,
             recent=pose.repeated(cutter.flute_count, self.substeps),
@@ -114,11 +103,10 @@ class RemovalHistory(NamedTuple):
             ),
             queue_count=jnp.ones((), jnp.int32),
             travel=jnp.zeros((), dtype),
-            slots=cut.slots,
-            has_overflow=cut.has_overflow,
-            is_beyond=cut.is_beyond,
+            slots=stock.slots_in_use(),
+            has_overflow=jnp.zeros((), bool),
+            is_beyond=jnp.zeros((), bool),
         )
-        return state, cut.volume[0]
 
     def advance(
         self,
@@ -127,6 +115,8 @@ class RemovalHistory(NamedTuple):
         pose: Pose,
     ) -> tuple[ProcessState, Removed]:
         """Enter a pose in the history, and remove up to two passes behind the lag.
+
+        As long as the tool has not moved, what it stands in is removed.
 
         Args:
             state: State after the period that ends at the pose.
@@ -247,11 +237,13 @@ class RemovalHistory(NamedTuple):
         tips = [tooth.center().frozen().tip for tooth in passes]
         apart = jnp.max(jnp.abs(tips[1] - tips[0]))
         is_due = is_due.at[1].set(is_due[0] & is_due[1] & (apart <= self.window.slack))
+        # It is removed here, too, since a removal of its own would take long to compile.
+        stands = (state.travel <= 0) & (places == 0)
         cut = self.window.remove_passes(
             state.stock,
             self.cutter,
             passes,
-            is_due,
+            is_due | stands,
             slots=state.slots,
         )
         count = jnp.sum(is_due, dtype=jnp.int32)

@@ -60,7 +60,7 @@ class _Replayed(eqx.Module):
 @eqx.filter_jit
 def _begin(process: Process, path: Pose) -> _Replayed:
     """Return the state before the first period, as if the tool had stood still."""
-    state, _ = process.begin(path[0], path.tip.shape[0])
+    state = process.begin(path[0], path.tip.shape[0])
     still = path[0].repeated(process.engagement.substeps)
     return _Replayed(state, still, still)
 

@@ -322,7 +322,7 @@ def linearise(
         scaled or (lambda _: CuttingMachine(machine, process)), parameter_count
     )
     if state is None:
-        started, _ = begin(machine, process, motors, steps)
+        started = begin(machine, process, motors, steps)
     else:
         started, first = continued(process, state, steps - 1)
 

@@ -164,9 +164,10 @@ class AbstractMachine(eqx.Module):
         rows = self.rows(process, command, row_count)
         step_count = _length(rows) + 1
         last = last_row(step_count, row_count)
-        state, overlap = begin(self, process, command, step_count)
+        state = begin(self, process, command, step_count)
         first = jnp.ones((), jnp.int32)
         state, periods = _run_periods(self, process, state, first, rows, row_count)
+        overlap, removed = _without_overlap(periods.removed)
         final = self.pose(process, state.machine)
         actual, joints = _all_rows(self, periods, state, final, last)
         is_finite = jnp.all(jnp.isfinite(actual)) & jnp.all(jnp.isfinite(periods.force))
@@ -186,7 +187,7 @@ class AbstractMachine(eqx.Module):
                 state.process,
                 final,
                 last,
-                periods.removed,
+                removed,
                 periods.has_failed,
                 is_finite,
             ),
@@ -202,7 +203,7 @@ class AbstractMachine(eqx.Module):
         Differentiability: as `run`.
         """
         rows = process.removal.row_count
-        state, _ = begin(self, process, command, rows + 1)
+        state = begin(self, process, command, rows + 1)
         moved = _moved(state.process, state.process.track, rows)
         return RunState(moved, state.machine, state.period_count)
 
@@ -403,12 +404,11 @@ def continued(
 
 def begin(
     machine: AbstractMachine, process: Process, command: PyTree, pose_count: int
-) -> tuple[RunState, Float[Array, ""]]:
-    """Return the state at the first instant, and the volume inside the tool [m^3]."""
+) -> RunState:
+    """Return the state at the first instant."""
     own = machine.begin(process, command)
-    first = machine.pose(process, own)
-    started, overlap = process.begin(first, pose_count)
-    return RunState(started, own, jnp.zeros((), jnp.int32)), overlap
+    started = process.begin(machine.pose(process, own), pose_count)
+    return RunState(started, own, jnp.zeros((), jnp.int32))
 
 
 def _run_periods(
@@ -480,6 +480,20 @@ def all_ends(periods: Period) -> Float[Array, "step substep 3"]:
 def with_first(rows: Float[Array, "period ..."]) -> Float[Array, "step ..."]:
     """Return rows with one of zeros in front."""
     return jnp.concatenate([jnp.zeros_like(rows[:1]), rows])
+
+
+def _without_overlap(removed: Removed) -> tuple[Float[Array, ""], Removed]:
+    """Return what the tool stood in at first [m^3], and what was removed but for it.
+
+    The first period removes nothing else.
+
+    Args:
+        removed: What was removed in each period of a run.
+    """
+    rest = lambda x: x.at[0].set(0)
+    at = lambda removed: (removed.volume, removed.by_shank)
+    volumes = (rest(removed.volume), rest(removed.by_shank))
+    return jnp.sum(removed.volume[0]), eqx.tree_at(at, removed, volumes)
 
 
 def _volumes_by_pose(

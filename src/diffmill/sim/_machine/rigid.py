@@ -78,7 +78,7 @@ class Rigid(AbstractMachine):
         middles = command[0].repeated(substeps)
 
         def chips() -> KeptChips:
-            state, _ = process.begin(command[0], 1)
+            state = process.begin(command[0], 1)
             cut = process.engagement.engage(
                 process, state, jnp.ones((), jnp.int32), middles
             )
