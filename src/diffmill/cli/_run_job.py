@@ -27,8 +27,15 @@ if TYPE_CHECKING:
 Dataset: TypeAlias = Any
 Outcome: TypeAlias = Any
 
-# What takes longest to import of what surfaces and figures need.
-_DRAWING = ("matplotlib.backends.backend_agg", "scipy.signal", "scipy.spatial")
+# What takes longest to import of what results, surfaces and figures need.
+_LATER = (
+    "xarray",
+    "h5netcdf",
+    "matplotlib.figure",
+    "matplotlib.backends.backend_agg",
+    "scipy.signal",
+    "scipy.spatial",
+)
 
 
 def run_job(
@@ -67,6 +74,9 @@ def run_job(
     from ..config import JobProgram, job_precision, load_job
     from ..io import write_results
 
+    # Compiled code leaves the interpreter free to import what comes later.
+    importing = threading.Thread(target=_import_later, daemon=True)
+    importing.start()
     with bad_input():
         uncached = configure_jax(job_precision(file))
         job = load_job(file, allow_outside=allow_outside)
@@ -90,9 +100,6 @@ def run_job(
     told = len(job.notes)
     for note in (*job.notes, *filter(None, [uncached])):
         progress.say(f"note: {note}")
-    # Compiled code leaves the interpreter free to import what draws.
-    drawing = threading.Thread(target=_import_drawing, daemon=True)
-    drawing.start()
     start = time.perf_counter()
     try:
         with progress:
@@ -109,7 +116,7 @@ def run_job(
         )
         return 1
     seconds = time.perf_counter() - start
-    drawing.join()
+    importing.join()
     if checkpoint is not None:
         seconds += checkpoint.spent
     solutions = {"predicted": outcome} if command == "simulate" else outcome.cases
@@ -151,10 +158,10 @@ def run_job(
     return code
 
 
-def _import_drawing() -> None:
-    """Import what draws; what fails here fails again, and is told, where it is used."""
+def _import_later() -> None:
+    """Import what comes later; what fails here fails again, and is told, there."""
     with contextlib.suppress(Exception):
-        for name in _DRAWING:
+        for name in _LATER:
             importlib.import_module(name)
 
 

@@ -214,7 +214,9 @@ class Process(eqx.Module):
         )
 
     def begin(self, pose: Pose, pose_count: int) -> ProcessState:
-        """Return the state at pose 0; what the tool stands in, the first period removes.
+        """Return the state at pose 0.
+
+        What the tool stands in is removed in the first period.
 
         Args:
             pose: Pose 0, shape (3,).

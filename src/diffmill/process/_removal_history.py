@@ -74,9 +74,7 @@ class RemovalHistory(NamedTuple):
         """Earlier circles beyond those of the last teeth."""
         return len(_THINNED)
 
-    def begin(
-        self, stock: Stock, pose: Pose, pose_count: int
-    ) -> ProcessState:
+    def begin(self, stock: Stock, pose: Pose, pose_count: int) -> ProcessState:
         """Return the state at pose 0, where the tool has removed nothing yet.
 
         Args:
@@ -237,7 +235,7 @@ class RemovalHistory(NamedTuple):
         tips = [tooth.center().frozen().tip for tooth in passes]
         apart = jnp.max(jnp.abs(tips[1] - tips[0]))
         is_due = is_due.at[1].set(is_due[0] & is_due[1] & (apart <= self.window.slack))
-        # It is removed here, too, since a removal of its own would take long to compile.
+        # Removed here, too, since a removal of its own would take long to compile.
         stands = (state.travel <= 0) & (places == 0)
         cut = self.window.remove_passes(
             state.stock,

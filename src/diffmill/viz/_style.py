@@ -128,23 +128,33 @@ def legend_above(
 
 
 def save_figure(figure: "matplotlib.figure.Figure", path: Path) -> Path:
-    """Write `figure` as PNG and return the path."""
+    """Write `figure` as PNG and return the path; its layout is then fixed."""
+    _fix_layout(figure)
     figure.savefig(path, dpi=DPI, facecolor="white")
     return path
+
+
+def _fix_layout(figure: "matplotlib.figure.Figure") -> None:
+    """Lay a finished figure out, once: matplotlib does so twice for a file."""
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
+        figure.set_layout_engine("none")
 
 
 def scale_ratio(axes: "matplotlib.axes.Axes", x_unit: float, y_unit: float) -> str:
     """Return how much larger y is drawn than x, with two digits.
 
     Args:
-        axes: Finished axes of a finished figure; its layout is carried out.
+        axes: Finished axes of a finished figure; its layout is then fixed, so that
+            titles keep their height from here on.
         x_unit: Length that 1 on the x axis stands for [m].
         y_unit: Length that 1 on the y axis stands for [m].
     """
     figure = axes.get_figure(root=True)
     if figure is None:
         raise ValueError("Argument `axes` must belong to a figure, but has none.")
-    figure.draw_without_rendering()
+    _fix_layout(figure)
     box = axes.get_window_extent()
     (x_low, x_high), (y_low, y_high) = axes.get_xlim(), axes.get_ylim()
     y_scale = box.height / max((y_high - y_low) * y_unit, 1e-15)
