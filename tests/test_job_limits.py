@@ -6,7 +6,7 @@ from slides_job import write_slides_job
 
 import diffmill as dm
 from diffmill.correction import FinishedSurface, InfeasibleLimit
-from diffmill.workpiece import surface_error
+from diffmill.workpiece import SurfaceError
 
 # A wall in two passes; the arm still rings when the second, of 8 um, begins.
 PROGRAM = """G21 G17 G90 G94
@@ -78,7 +78,7 @@ def test_the_gouge_limit_is_kept_and_costs_little(free):
     assert rms(after) < 2 * result.methods["inverse_drive"].measures.rms
     # The dexels tell the same, which know nothing of the bounds. Where wall and floor
     # meet, a point may be off by both.
-    machined = surface_error(after.stock, after.rigid.stock)
+    machined = SurfaceError.of_stock(after.stock, after.rigid.stock)
     assert -machined.error[machined.is_cut].min() <= np.sqrt(2) * GOUGE
 
 

@@ -28,7 +28,7 @@ def slot(feeds, teeth_per_feed, spacing, depth=2e-3, runout=0.0, helix=30.0):
 def finer(cut, angles, substeps, height):
     """Return a cut that is simulated with given sizes, every tooth at all times."""
     cutter = dataclasses.replace(cut.cutter, is_plain=False)
-    depth = pr.path_depth(cut.positions, cut.stock, cutter)
+    depth = pr.Immersion.of_path(cut.positions, cut.stock, cutter).depth
     plan = pr.choose_engagement(
         cut.stock,
         cutter,

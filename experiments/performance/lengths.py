@@ -40,7 +40,7 @@ def measure(report):
         if override != OVERRIDES[0]:
             report.figure("programs compiled for another feed", len(compiled), 0, "")
     rows = job.path.step_count
-    paths = [dm.sim.pad_path(job.path, count) for count in (rows, 4 * rows)]
+    paths = [job.path.padded(count) for count in (rows, 4 * rows)]
     jobs = [dataclasses.replace(job, path=path) for path in paths]
     runs = [lambda job=job: dm.simulate(job).actual for job in jobs]
     once, four = alternate(RUNS, *runs)

@@ -58,7 +58,7 @@ def test_adam_keeps_limits_all_the_way():
     rows = np.asarray(spline.offsets(jnp.eye(spline.coefficient_count)))
     # As a joint's range would: no more than 40 um to the right.
     most = np.full((60, 3), 1.0)
-    limit = LinearLimits(
+    limit = LinearLimits.by_axis(
         matrix=sparse.csr_array(rows),
         lower=np.where([[0, 1, 0]], -4e-5, -most),
         upper=most,

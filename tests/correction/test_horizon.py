@@ -15,11 +15,10 @@ from diffmill.correction import (
     AbstractPiece,
     AbstractPieces,
     GaussNewton,
-    MixedLimits,
+    LinearLimits,
     Problem,
     RecedingHorizon,
     SplineOffsets,
-    spline_window,
 )
 from diffmill.optimise import LevenbergMarquardt
 from diffmill.robot import Controller
@@ -240,7 +239,7 @@ def test_the_command_is_a_spline_of_the_whole_program(problem, segmented):
 @pytest.mark.parametrize("first", [0, 8, 37, 411])
 def test_a_window_is_the_spline_in_its_rows(first, ahead):
     spline, count = SplineOffsets(531, TIME_STEP, KNOTS), 120
-    window = spline_window(spline, first, count, rows_ahead=ahead)
+    window = spline.window(first, count, rows_ahead=ahead)
     c = np.random.default_rng(0).normal(size=(spline.coefficient_count, 2))
     full = np.pad(c, ((3, 13), (0, 0)))[window.place()]
     total = count + ahead
@@ -277,7 +276,7 @@ def test_a_limit_of_all_axes_holds_across_seams(problem):
     basis = np.asarray(spline.offsets(jnp.eye(spline.coefficient_count)))
     matrix: Any = sparse.kron(basis, np.array([[1.0, 1.0, 0.0]]), "csr")
     bound = np.full(len(problem.nominal), most)
-    limit = MixedLimits(matrix, -np.inf * bound, bound, 3, "joints")
+    limit = LinearLimits(matrix, -np.inf * bound, bound, "joints")
     method = dataclasses.replace(METHOD, limits=(limit,))
     held = RecedingHorizon(
         SpringPieces(problem.plant), method, horizon=400, overlap=100, sweeps=1

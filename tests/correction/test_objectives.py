@@ -19,7 +19,7 @@ from diffmill.correction import (
     row_weights,
 )
 from diffmill.cutter import flat_end_mill
-from diffmill.workpiece import Pose, RemovalWindow, box, surface_error
+from diffmill.workpiece import Pose, RemovalWindow, SurfaceError, box
 
 TIME_STEP = 3.75e-3
 RADIUS = 5e-3
@@ -133,7 +133,7 @@ def test_surface_error_is_that_of_the_machined_stock(cut):
     ideal, machined = cut(jnp.asarray(path)), cut(jnp.asarray(actual))
     surface = FinishedSurface.from_cut(ideal, path, RADIUS)
     error = np.asarray(surface.errors(actual))
-    wanted = surface_error(machined, ideal)
+    wanted = SurfaceError.of_stock(machined, ideal)
 
     def inside(points):
         # Away from the edges, where the mesh of the ideal is exact.

@@ -26,9 +26,9 @@ from diffmill.correction import (
     InfeasibleLimit,
     NothingToCorrect,
     place_workpiece,
-    predicted_deviation,
 )
 from diffmill.examples import copy_example
+from diffmill.sim import JobKinematics
 
 STIFF = 1e15
 FIXED = (0.0, 0.0)
@@ -178,6 +178,7 @@ def test_a_rigid_machine_and_a_cut_in_air_are_refused():
 
 
 def test_the_derivative_over_the_place_is_that_of_differences():
+    """Of the deflection under a force that keeps its direction in the work."""
     job = job_of(rb.load("reis_rv130_like"), (1.5, 0.1, 0.9))
     T = job.T_base_work
     force = steady([40.0, 60.0, 10.0])
@@ -187,8 +188,12 @@ def test_the_derivative_over_the_place_is_that_of_differences():
 
     @jax.jit
     def moved(T):
-        place = lambda T: dataclasses.replace(job, T_base_work=T)
-        deviation = lambda T: predicted_deviation(place(T), force)
+        def deviation(T):
+            placed = dataclasses.replace(job, T_base_work=T)
+            q, _ = JobKinematics(placed).joints(jnp.asarray(job.path.positions))
+            C = jax.vmap(lambda q: rb.cartesian_compliance(job.robot, q)[:3, :3])(q)
+            return jnp.einsum("ba,rbc,cd,rd->ra", T[:3, :3], C, T[:3, :3], force)
+
         return jax.jvp(deviation, (T,), (push,))
 
     exact, h = moved(jnp.asarray(T))[1], 1e-5

@@ -16,7 +16,6 @@ from diffmill.optimise import (
     OutputConstraints,
     QuadraticModel,
     least_squares,
-    minimum_within,
 )
 
 TIME = np.linspace(0.0, 3.0, 40)
@@ -245,9 +244,10 @@ def test_few_of_many_constraints_bind_and_all_hold(count):
     L = rng.normal(size=(count, 12))
     hard = LinearRows(L, np.full(count, -0.5), np.full(count, 0.3))
     soft = LinearRows(np.eye(12), np.full(12, -0.1), np.full(12, 0.1), 3.0)
-    found = minimum_within(H, g, [hard, soft])
-    assert found is not None
     cost = lambda x: 0.5 * x @ H @ x + g @ x + soft.energy(x)
+    model = QuadraticModel(lambda x, _: cost(x), g, H, (hard, soft))
+    found = model.minimum()
+    assert found is not None
     dense = scipy.optimize.minimize(
         cost,
         np.zeros(12),

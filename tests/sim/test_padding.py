@@ -129,8 +129,8 @@ def test_a_path_is_padded_once_and_never_cut():
         is_rapid=np.zeros(rows, bool),
         line=np.zeros(rows, np.int32),
     )
-    padded = sim.pad_path(path)
+    padded = path.padded()
     assert padded.step_count > 300 and padded.row_count == 300
-    assert sim.pad_path(padded) is padded
+    assert padded.padded() is padded
     with pytest.raises(ValueError, match="300"):
-        sim.pad_path(path, 299)
+        path.padded(299)

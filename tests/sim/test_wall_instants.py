@@ -147,7 +147,7 @@ def turned(folder, way):
     done = dm.simulate(dm.load_job(folder / "job.toml"))
     along, across = (0, 1) if way == "x" else (1, 0)
     left = 1.0 if way == "x" else -1.0
-    found = wp.surface_error(done.stock, done.rigid.stock, leaves_out_raw=True)
+    found = wp.SurfaceError.of_stock(done.stock, done.rigid.stock, leaves_out_raw=True)
     is_wall = np.abs(found.normal[:, across]) > 0.99
     is_wall &= np.abs(found.points[:, along] - 2e-3) < 2e-3
     is_row = np.abs(np.asarray(done.desired)[:, along] - 2e-3) < 2e-3

@@ -18,7 +18,7 @@ def stock_of(mesh, spacing=SPACING):
 def test_a_floor_too_high_and_a_wall_too_deep_have_their_signs():
     ideal = wp.box([0, 0, -3e-3], [8e-3, 6e-3, 0], SPACING)
     machined = wp.box([0, 0, -3e-3], [7.93e-3, 6e-3, 0.04e-3], SPACING)
-    found = wp.surface_error(machined, ideal)
+    found = wp.SurfaceError.of_stock(machined, ideal)
     assert found.points.shape == found.normal.shape == (len(found.error), 3)
     for axis, error, is_floor in ((2, 0.04e-3, True), (0, -0.07e-3, False)):
         # Away from the edges of the face, where another face may be nearer.
@@ -38,7 +38,7 @@ def test_a_floor_too_high_and_a_wall_too_deep_have_their_signs():
 
 def test_the_same_stock_has_no_error():
     stock = wp.box([0, 0, -3e-3], [8e-3, 6e-3, 0], SPACING)
-    found = wp.surface_error(stock, stock)
+    found = wp.SurfaceError.of_stock(stock, stock)
     assert np.abs(found.error).max() < 1e-15
     np.testing.assert_allclose(np.linalg.norm(found.normal, axis=1), 1, rtol=1e-12)
 
@@ -51,13 +51,13 @@ def test_a_film_too_thin_for_the_mesh_is_where_its_ends_are():
     low = y.ends[:, :, 0].at[lines > -1e-3, 8:30, 0].set(5.999e-3)
     film = wp.Rays(y.ends.at[:, :, 0].set(low), y.poses)
     stock = wp.Stock((x, film, z), made.origin, made.spacing, made.top)
-    assert np.abs(wp.surface_error(stock, stock).error).max() < 1e-15
+    assert np.abs(wp.SurfaceError.of_stock(stock, stock).error).max() < 1e-15
 
 
 def test_another_grid_of_the_ideal_does_not_matter():
     machined = wp.box([0, 0, -3e-3], [8e-3, 6e-3, 0], SPACING)
     ideal = wp.box([0, 0, -3e-3], [8e-3, 6e-3, 0], 0.31e-3)
-    assert np.abs(wp.surface_error(machined, ideal).error).max() < 1e-12
+    assert np.abs(wp.SurfaceError.of_stock(machined, ideal).error).max() < 1e-12
 
 
 @pytest.mark.parametrize("angle", [2.0, 17.0, 40.0])
@@ -70,7 +70,7 @@ def test_a_tilted_plane_is_measured_at_right_angles(angle):
         block.vertices[top, 2] = block.vertices[top, 0] * tilt + offset
         return stock_of(block)
 
-    found = wp.surface_error(wedge(0.03e-3), wedge(0.0))
+    found = wp.SurfaceError.of_stock(wedge(0.03e-3), wedge(0.0))
     normal = np.array([-tilt, 0, 1]) * np.cos(np.radians(angle))
     on = found.normal @ normal > 1 - 1e-9
     on &= (found.points[:, 0] > 1e-3) & (found.points[:, 0] < 7e-3)
@@ -87,14 +87,14 @@ def test_a_hole_too_wide_is_a_gouge_and_a_pin_too_thick_is_left_standing():
         pin = trimesh.creation.cylinder(radius, 8e-3, sections=512)
         return trimesh.boolean.difference([block, pin], engine="manifold")
 
-    found = wp.surface_error(stock_of(hole(4.02e-3)), stock_of(hole(4e-3)))
+    found = wp.SurfaceError.of_stock(stock_of(hole(4.02e-3)), stock_of(hole(4e-3)))
     wall = np.hypot(found.points[:, 0], found.points[:, 1]) < 4.1e-3
     wall &= np.abs(found.points[:, 2]) < 1.9e-3
     assert wall.sum() > 1000
     # The facets of the mesh are off by a part of spacing^2 / radius.
     np.testing.assert_allclose(found.error[wall], -0.02e-3, atol=0.03 * SPACING)
     pins = [trimesh.creation.cylinder(r, 4e-3, sections=512) for r in (4.05e-3, 4e-3)]
-    found = wp.surface_error(stock_of(pins[0]), stock_of(pins[1]))
+    found = wp.SurfaceError.of_stock(stock_of(pins[0]), stock_of(pins[1]))
     wall = ~found.is_floor & (np.abs(found.points[:, 2]) < 1.8e-3)
     np.testing.assert_allclose(found.error[wall], 0.05e-3, atol=0.03 * SPACING)
 
@@ -102,7 +102,7 @@ def test_a_hole_too_wide_is_a_gouge_and_a_pin_too_thick_is_left_standing():
 def test_beyond_an_edge_the_distance_is_that_to_the_edge():
     ideal = wp.box([0, 0, -3e-3], [8e-3, 6e-3, 0], SPACING)
     machined = wp.box([0, 0, -3e-3], [8.2e-3, 6.2e-3, 0.2e-3], SPACING)
-    found = wp.surface_error(machined, ideal)
+    found = wp.SurfaceError.of_stock(machined, ideal)
     low, high = np.array([0, 0, -3e-3]), np.array([8e-3, 6e-3, 0])
     beyond = np.maximum(np.maximum(found.points - high, low - found.points), 0)
     inside = np.all(beyond == 0, axis=1)
@@ -116,7 +116,7 @@ def test_poses_tell_what_was_cut():
     x, y, z = ideal.families
     cut = wp.Rays(z.ends, z.poses.at[:, :, 1].set(7))
     machined = wp.Stock((x, y, cut), ideal.origin, ideal.spacing, ideal.top)
-    found = wp.surface_error(machined, ideal)
+    found = wp.SurfaceError.of_stock(machined, ideal)
     is_top = (found.family == 2) & (found.points[:, 2] > -1e-3)
     assert (found.is_cut == is_top).all()
 
@@ -146,10 +146,10 @@ def slotted(half_width, depth):
 
 def test_figures_are_those_of_walls_and_floors_that_were_cut():
     made, ideal = slotted(2.53e-3, 0.96e-3), slotted(2.5e-3, 1.0e-3)
-    found = wp.surface_error(made, ideal, leaves_out_raw=True)
+    found = wp.SurfaceError.of_stock(made, ideal, leaves_out_raw=True)
     # The outer faces and the underside are no place to look at.
     assert found.is_cut.all() and len(found.error) < len(
-        wp.surface_error(made, ideal).error
+        wp.SurfaceError.of_stock(made, ideal).error
     )
     measures = found.measures()
     assert measures.wall_mean == pytest.approx(-0.03e-3, rel=0.02)
@@ -159,9 +159,9 @@ def test_figures_are_those_of_walls_and_floors_that_were_cut():
     # Of a slot 1 mm deep and 5 mm wide two sevenths are walls.
     share = found.area_share[~found.is_floor].sum()
     assert share == pytest.approx(2 / 7, rel=0.1)
-    assert len(wp.surface_error(ideal, ideal, leaves_out_raw=True).error) > 0
+    assert len(wp.SurfaceError.of_stock(ideal, ideal, leaves_out_raw=True).error) > 0
     raw = wp.box([-4e-3, 0, -3e-3], [4e-3, 6e-3, 0], SPACING)
-    nothing = wp.surface_error(raw, raw, leaves_out_raw=True)
+    nothing = wp.SurfaceError.of_stock(raw, raw, leaves_out_raw=True)
     assert not len(nothing.error) and np.isnan(nothing.measures().wall_rms)
 
 

@@ -13,7 +13,7 @@ from .._job import Job, ScatterSettings, SimulationSettings
 from .._toml import JobError, read_toml
 from .._types import FloatRows3
 from ..cutter import AbstractCutter, ToolHolder
-from ..process import default_element_height, is_plunging
+from ..process import Immersion, default_element_height
 from ..robot import Controller, Robot, TipModes
 from ..toolpath import Path, Program, TimedProgram
 from ._build.context import FileContext
@@ -442,7 +442,7 @@ def _simulation(
         axial_depth=table.axial_depth or deepest,
         precision=table.precision,
         is_gravity_compensated=table.gravity_compensated,
-        plunges=is_plunging(path.positions, float(stock.upper[2])),
+        plunges=Immersion.is_plunging(path.positions, float(stock.upper[2])),
         has_bottom=table.bottom_edges,
         axes=axes,
         chip=table.chip,

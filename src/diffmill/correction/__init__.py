@@ -62,7 +62,6 @@ from ._method.mirror import (
     Mirror as Mirror,
     SampledMirror as SampledMirror,
 )
-from ._placement.objective import predicted_deviation as predicted_deviation
 from ._placement.place_workpiece import place_workpiece as place_workpiece
 from ._segments.plant_segment import (
     AbstractPiece as AbstractPiece,
@@ -72,11 +71,9 @@ from ._segments.receding_horizon import RecedingHorizon as RecedingHorizon
 from ._spline.command_limits import (
     InfeasibleLimit as InfeasibleLimit,
     LinearLimits as LinearLimits,
-    MixedLimits as MixedLimits,
 )
 from ._spline.projection import project as project
 from ._spline.spline_offsets import SplineOffsets as SplineOffsets
-from ._spline.spline_window import spline_window as spline_window
 from ._surface.finished_surface import (
     FinishedSurface as FinishedSurface,
     SurfaceObjective as SurfaceObjective,

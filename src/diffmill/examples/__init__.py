@@ -15,5 +15,4 @@ can say; other parts, robots and materials are left out.
 from ._copy import (
     EXAMPLES as EXAMPLES,
     copy_example as copy_example,
-    example_files as example_files,
 )

@@ -12,7 +12,7 @@ EXAMPLES = {
 }
 
 
-def example_files(name: str) -> dict[str, str]:
+def _files(name: str) -> dict[str, str]:
     """Return the files of an example by name.
 
     Args:
@@ -48,7 +48,7 @@ def copy_example(
     Raises:
         ValueError: There is no such example, or files of its names exist.
     """
-    files = example_files(name)
+    files = _files(name)
     target = pathlib.Path(folder)
     existing = [n for n in files if (target / n).exists()]
     if existing and not force:

@@ -16,7 +16,6 @@ from ._least_squares import (
     LinearRows as LinearRows,
     QuadraticModel as QuadraticModel,
     least_squares as least_squares,
-    minimum_within as minimum_within,
 )
 from ._output_constraints import OutputConstraints as OutputConstraints
 from ._quadratic_program import solve_quadratic_program as solve_quadratic_program

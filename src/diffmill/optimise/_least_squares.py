@@ -13,7 +13,7 @@ Reference: Nocedal and Wright, Numerical Optimization, 2006, chapter 10.3.
 import abc
 import dataclasses
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, TypeAlias
 
 import equinox as eqx
@@ -103,6 +103,43 @@ class QuadraticModel(eqx.Module):
         for rows in self.rows:
             change += rows.energy(p) - rows.energy(np.zeros_like(p))
         return -change
+
+    def minimum(self) -> Vector | None:
+        """Return the step of the least cost in the model within its constraints.
+
+        Of many constraints few bind, so those are left out that the minimum of the
+        others keeps by itself: what it leaves is added until it leaves none. The last
+        minimum is that of all.
+
+        Returns:
+            The step, to about eight digits, shape (unknown,); None if there is none.
+            The curvature must be positive definite.
+        """
+        from scipy import linalg, sparse
+
+        H, g, rows = self.curvature, self.gradient, self.rows
+        x = linalg.solve(H, -g, assume_a="pos")
+        if not rows:
+            return x
+        matrix = sparse.csr_array(sparse.vstack([part.matrix for part in rows]))
+        lower = np.concatenate([part.lower for part in rows])
+        upper = np.concatenate([part.upper for part in rows])
+        weight = np.concatenate(
+            [np.full(len(part.lower), part.weight) for part in rows]
+        )
+        is_held = np.zeros(len(lower), bool)
+        while True:
+            values = matrix @ x
+            is_new = ((values < lower) | (values > upper)) & ~is_held
+            if not is_new.any():
+                return x
+            is_held |= is_new
+            found = solve_quadratic_program(
+                H, g, matrix[is_held], lower[is_held], upper[is_held], weight[is_held]
+            )
+            if found is None:
+                return None
+            x = found.x
 
 
 class AbstractProblem(eqx.Module):
@@ -329,11 +366,9 @@ def _damped_step(
     unit = 1.0 / np.sqrt(own[is_free])
     H = model.curvature[np.ix_(is_free, is_free)] * unit[:, None] * unit[None]
     H = H + damping * np.eye(len(H))
-    found = minimum_within(
-        H,
-        model.gradient[is_free] * unit,
-        [_in_units(rows, is_free, unit) for rows in (box, *model.rows)],
-    )
+    rows = tuple(_in_units(rows, is_free, unit) for rows in (box, *model.rows))
+    scaled = QuadraticModel(model.cost, model.gradient[is_free] * unit, H, rows)
+    found = scaled.minimum()
     if found is None:
         return None
     p = np.zeros(len(own))
@@ -358,46 +393,3 @@ def _in_units(
     return LinearRows(
         matrix[is_there], rows.lower[is_there], rows.upper[is_there], rows.weight
     )
-
-
-def minimum_within(
-    H: Float[np.ndarray, "unknown unknown"],
-    g: Vector,
-    rows: Sequence[LinearRows],
-) -> Vector | None:
-    """Minimise x.H x / 2 + g.x within linear constraints and springs.
-
-    Of many constraints few bind, so those are left out that the minimum of the others
-    keeps by itself: what it leaves is added until it leaves none. The last minimum is
-    that of all.
-
-    Args:
-        H: Symmetric and positive definite, shape (unknown, unknown).
-        g: Gradient at zero, shape (unknown,).
-        rows: Constraints, of several kinds.
-
-    Returns:
-        The minimum, to about eight digits, shape (unknown,); None if there is none.
-    """
-    from scipy import linalg, sparse
-
-    x = linalg.solve(H, -g, assume_a="pos")
-    if not rows:
-        return x
-    matrix = sparse.csr_array(sparse.vstack([part.matrix for part in rows]))
-    lower = np.concatenate([part.lower for part in rows])
-    upper = np.concatenate([part.upper for part in rows])
-    weight = np.concatenate([np.full(len(part.lower), part.weight) for part in rows])
-    is_held = np.zeros(len(lower), bool)
-    while True:
-        values = matrix @ x
-        is_new = ((values < lower) | (values > upper)) & ~is_held
-        if not is_new.any():
-            return x
-        is_held |= is_new
-        found = solve_quadratic_program(
-            H, g, matrix[is_held], lower[is_held], upper[is_held], weight[is_held]
-        )
-        if found is None:
-            return None
-        x = found.x

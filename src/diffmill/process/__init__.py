@@ -20,14 +20,13 @@ from ._choose_engagement import (
     ChipModel as ChipModel,
     choose_engagement as choose_engagement,
     default_element_height as default_element_height,
-    is_plunging as is_plunging,
 )
 from ._engagement.edge_elements import EdgeElementsInSpace as EdgeElementsInSpace
 from ._engagement.edge_samples import (
     EdgeSamples as EdgeSamples,
     Engagement as Engagement,
 )
-from ._path import path_depth as path_depth
+from ._path import Immersion as Immersion
 from ._process import (
     AbstractEngagement as AbstractEngagement,
     Process as Process,

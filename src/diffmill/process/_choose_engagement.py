@@ -8,7 +8,6 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Float
 
-from .._types import FloatRows3
 from ..cutter import AbstractCutter
 from ..workpiece import Discs, RemovalWindow, Stock
 from ._engagement.bottom_edge import BottomEdges
@@ -29,30 +28,12 @@ ChipModel: TypeAlias = Literal["near_far", "point_cloud"]
 _HEIGHT = {"near_far": 3.5, "point_cloud": 1.0}
 # Annuli of the bottom edge of an upright flat cutter.
 _ANNULI = 4
-# Steeper descent than this cuts with the bottom.
-_DESCENT = 0.01
 # Elements of a corner are shorter than those of a side by this factor: across them
 # the direction of the force changes.
 _CORNER = 0.5
 # Elements at least of a corner, per square root of its radius over the height of an
 # element: however shallow the cut, its arc is long.
 _LEAST_CORNER = 5.0
-
-
-def is_plunging(positions: FloatRows3, top: float) -> bool:
-    """Return whether a path descends below the top of the stock with its end ahead.
-
-    Args:
-        positions: Tool tip in `work` [m], shape (step, 3), on the host.
-        top: Upper face of the stock [m].
-
-    Returns:
-        Whether a step below the top descends by more than 1 % of its length.
-    """
-    rows = np.asarray(positions)
-    steps = np.diff(rows, axis=0)
-    falls = -steps[:, 2] > _DESCENT * np.linalg.norm(steps, axis=1)
-    return bool(np.any(falls & (rows[1:, 2] < top)))
 
 
 def default_element_height(

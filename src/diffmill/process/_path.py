@@ -13,6 +13,9 @@ from .._types import FloatRows3, IntScalar
 from ..cutter import AbstractCutter
 from ..workpiece import Pose, Stock
 
+# Steeper descent than this cuts with the bottom.
+_DESCENT = 0.01
+
 
 def within_periods(
     positions: Float[Array, "step 3"], shares: Float[Array, " substep"]
@@ -108,21 +111,49 @@ def substep_ends(substeps: int, dtype: jnp.dtype) -> Float[Array, " substep"]:
     return (jnp.arange(substeps, dtype=dtype) + 1) / substeps
 
 
-def path_depth(positions: FloatRows3, stock: Stock, cutter: AbstractCutter) -> float:
-    """Return how deep a path goes below the top of the stock [m].
+class Immersion(NamedTuple):
+    """How a path of the tool enters the stock.
 
-    Args:
-        positions: Tool tip in `work` [m], shape (step, 3); may be traced.
-        stock: The raw workpiece.
-        cutter: The cutter.
-
-    Returns:
-        The deepest immersion of a path known on the host; for a traced path the
-        height of the stock or of the flutes, whichever is less.
+    Attributes:
+        depth: How deep it goes below the top of the stock [m].
+        plunges: Whether it descends below the top with its end ahead.
     """
-    counts = stock.families[0].ends.shape[1]
-    height = counts * stock.spacing
-    if isinstance(positions, jax.core.Tracer):
-        return min(cutter.flute_length, height)
-    deepest = stock.top - float(np.min(np.asarray(positions)[:, 2]))
-    return min(max(deepest, 0.0) + stock.spacing, height)
+
+    depth: float
+    plunges: bool
+
+    @classmethod
+    def of_path(
+        cls, positions: FloatRows3, stock: Stock, cutter: AbstractCutter
+    ) -> "Immersion":
+        """Return the immersion of a path.
+
+        Args:
+            positions: Tool tip in `work` [m], shape (step, 3); may be traced.
+            stock: The raw workpiece.
+            cutter: The cutter.
+
+        Returns:
+            The deepest immersion of a path known on the host. What a traced path hides
+            is taken at its widest: the height of the stock or of the flutes, whichever
+            is less.
+        """
+        height = stock.families[0].ends.shape[1] * stock.spacing
+        if isinstance(positions, jax.core.Tracer):
+            return cls(min(cutter.flute_length, height), True)
+        deepest = stock.top - float(np.min(np.asarray(positions)[:, 2]))
+        depth = min(max(deepest, 0.0) + stock.spacing, height)
+        return cls(depth, cls.is_plunging(positions, stock.top))
+
+    @staticmethod
+    def is_plunging(positions: FloatRows3, top: float) -> bool:
+        """Return whether a step below the top descends by more than 1 % of its length.
+
+        Args:
+            positions: Tool tip in `work` [m], shape (step, 3), on the host.
+            top: Upper face of the stock [m].
+        """
+        rows = np.asarray(positions)
+        steps = np.diff(rows, axis=0)
+        falls = -steps[:, 2] > _DESCENT * np.linalg.norm(steps, axis=1)
+        return bool(np.any(falls & (rows[1:, 2] < top)))

@@ -32,7 +32,6 @@ from ._analysis.stability import (
     Stability as Stability,
     stability as stability,
 )
-from ._job.padding import pad_path as pad_path
 from ._job.replay import (
     Replay as Replay,
     ToothChip as ToothChip,

@@ -1,10 +1,13 @@
 """A tool path as the simulation takes it: one row per tooth period."""
 
+import dataclasses
 import math
 
 import equinox as eqx
+import jax
 import numpy as np
 
+from .._live_rows import padded_count
 from .._types import (
     BoolSteps,
     FloatRows3,
@@ -69,6 +72,34 @@ class Path(eqx.Module):
             is_rapid=np.zeros(rows, dtype=bool),
             line=np.zeros(rows, dtype=np.int32),
         )
+
+    def padded(self, row_count: int | None = None) -> "Path":
+        """Return the path with rows behind its last one that no simulation runs.
+
+        A compiled program serves paths of one length; one that is padded is returned as
+        it is.
+
+        Args:
+            row_count: Rows of the padded path; one of few sizes if not given.
+
+        Returns:
+            The path; its `row_count` says how many of its rows count.
+
+        Raises:
+            ValueError: The path has more rows than asked for.
+        """
+        if self.row_count is not None:
+            return self
+        count = self.step_count
+        total = padded_count(count) if row_count is None else row_count
+        if total < count:
+            raise ValueError(
+                f"Argument `row_count` must be at least the path's number of rows "
+                f"({count}), but is {total}."
+            )
+        at = np.minimum(np.arange(total), count - 1)
+        rows = jax.tree.map(lambda x: np.asarray(x)[at], self)
+        return dataclasses.replace(rows, row_count=np.asarray(count, np.int32))
 
     def resampled(
         self, tooth_period: RealScalarLike, *, most_steps: RealScalarLike = MOST_STEPS

@@ -36,7 +36,6 @@ from ._files import (
 from ._mesh.mesh import Mesh as Mesh
 from ._mesh.surface_error import (
     SurfaceError as SurfaceError,
-    surface_error as surface_error,
 )
 from ._pose import Pose as Pose
 from ._stock_memory import StockMemory as StockMemory

@@ -20,7 +20,7 @@ from jaxtyping import Array, Float, Int
 from ..._job import Job
 from ..._types import FloatRows
 from ...sim import JobKinematics
-from .._spline.command_limits import InfeasibleLimit, MixedLimits
+from .._spline.command_limits import InfeasibleLimit, LinearLimits
 from .._spline.spline_offsets import SplineOffsets, basis_matrix
 
 # The bend within a box is taken as that at its corners and so many times more.
@@ -40,7 +40,7 @@ class JointLimits(eqx.Module):
 
     def rows(
         self, spline: SplineOffsets, nominal: FloatRows, max_offset: float
-    ) -> tuple[MixedLimits, ...]:
+    ) -> tuple[LinearLimits, ...]:
         """Return the limits of the coefficients of a command.
 
         Args:
@@ -158,7 +158,7 @@ def _mixed(
     slope: Float[np.ndarray, "limit axis"],
     lower: Float[np.ndarray, " limit"],
     upper: Float[np.ndarray, " limit"],
-) -> MixedLimits:
+) -> LinearLimits:
     """Return limits at some rows of a path as rows of a sparse matrix."""
     from scipy import sparse
 
@@ -172,10 +172,9 @@ def _mixed(
         (values.reshape(-1), (at_rows, at_columns)),
         shape=(len(rows), spline.coefficient_count * axis_count),
     )
-    return MixedLimits(
+    return LinearLimits(
         matrix=matrix,
         lower=lower,
         upper=upper,
-        axis_count=axis_count,
         name="joint limits",
     )

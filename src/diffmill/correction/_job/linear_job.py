@@ -20,7 +20,6 @@ from ...sim import (
     RunSegment,
     RunState,
     linearise,
-    pad_path,
 )
 from .._core.linear_motion import LinearMotion
 from .._core.problem import Motion
@@ -133,7 +132,7 @@ def linear_job(
             JobModel.of(job, StockHeld()), motors, slopes, wall_share, state
         )
     # A whole path runs at one of few lengths, for which it is compiled.
-    padded = dataclasses.replace(job, path=pad_path(job.path))
+    padded = dataclasses.replace(job, path=job.path.padded())
     rows = padded.path.step_count
     long = lambda x: on_device(pad_rows(x, rows))
     given = long(motors), long(slopes), long(wall_share)
@@ -155,7 +154,7 @@ def prepare_linear_job(job: Job) -> None:
     Args:
         job: The job, in its precision; its machine must not be rigid.
     """
-    job = dataclasses.replace(job, path=pad_path(job.path))
+    job = dataclasses.replace(job, path=job.path.padded())
     rows, dtype = job.path.step_count, np.dtype(job.simulation.precision)
     joints = 3 if job.robot is None else len(job.robot.joint_names)
     axes = joints if job.correction.command == "joint" else 3

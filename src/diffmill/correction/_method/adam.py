@@ -16,7 +16,7 @@ from ..._types import FloatRows
 from .._core.method import AbstractMethod, Corrected, OnProgress, corrected
 from .._core.path_objective import AbstractObjective, PathObjective
 from .._core.problem import Problem
-from .._spline.command_limits import AbstractLimits, feasible_share
+from .._spline.command_limits import LinearLimits, feasible_share
 from .._spline.projection import project
 from .._spline.spline_offsets import SplineOffsets
 from .checkpoint import Arrays, OnCheckpoint, below, pack_tree, under, unpack_tree
@@ -50,7 +50,7 @@ class Adam(AbstractMethod):
     smoothness: float = 1e-2
     lag_weight: float = 0.03
     objective: AbstractObjective = PathObjective()
-    limits: tuple[AbstractLimits, ...] = ()
+    limits: tuple[LinearLimits, ...] = ()
 
     def __call__(
         self,

@@ -12,7 +12,7 @@ from ...optimise import LeastSquaresState, LevenbergMarquardt
 from .._core.method import AbstractMethod, Corrected, OnProgress, corrected
 from .._core.path_objective import AbstractObjective, PathObjective
 from .._core.problem import Problem
-from .._spline.command_limits import LinearLimits, MixedLimits
+from .._spline.command_limits import LinearLimits
 from .._spline.projection import project
 from .._spline.spline_offsets import SplineOffsets
 from .._surface.surface_limits import SurfaceBounds, refusal
@@ -56,7 +56,7 @@ class GaussNewton(AbstractMethod):
     ensemble: Ensemble | None = None
     is_worst_case: bool = eqx.field(static=True, default=False)
     bounds: SurfaceBounds | None = None
-    limits: tuple[LinearLimits | MixedLimits, ...] = ()
+    limits: tuple[LinearLimits, ...] = ()
     max_velocity: float = np.inf
     max_acceleration: float = np.inf
 
@@ -146,7 +146,7 @@ class GaussNewton(AbstractMethod):
 
     def all_limits(
         self, spline: SplineOffsets, nominal: FloatRows
-    ) -> tuple[LinearLimits | MixedLimits, ...]:
+    ) -> tuple[LinearLimits, ...]:
         """Return the limits of the command and those given."""
         return self.limits + LinearLimits.of_command(
             spline,

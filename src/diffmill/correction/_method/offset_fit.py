@@ -27,9 +27,8 @@ from ...optimise import (
 from .._core.linear_motion import LinearMotion, linear_motion
 from .._core.path_objective import AbstractObjective, PathObjective
 from .._core.problem import Motion, Plant, Problem, motion_of
-from .._spline.command_limits import AbstractLimits
-from .._spline.spline_offsets import SplineOffsets
-from .._spline.spline_window import SplineWindow
+from .._spline.command_limits import LinearLimits
+from .._spline.spline_offsets import SplineOffsets, SplineWindow
 from .._surface.surface_limits import SurfaceBounds
 
 # Contour error that counts as one in the residual [m]; sets no result, only the size
@@ -158,7 +157,7 @@ class OffsetFit(AbstractProblem):
     args: ContourResidual
     plants: Sequence[Plant]
     weights: Float[np.ndarray, " member"]
-    limits: Sequence[AbstractLimits] = ()
+    limits: Sequence[LinearLimits] = ()
     constraints: OutputConstraints = OutputConstraints()
 
     def coefficients(self, x: Unknowns) -> Float[Array, "coefficient axis"]:
@@ -235,7 +234,7 @@ def offset_fit(
     args: ContourResidual,
     plants: Sequence[Plant],
     weights: Float[np.ndarray, " member"] | None = None,
-    limits: Sequence[AbstractLimits] = (),
+    limits: Sequence[LinearLimits] = (),
 ) -> OffsetFit:
     """Return the problem of some plants, with the bounds of the surface of `args`.
 

@@ -167,31 +167,6 @@ def whole_path(
     return moved @ R, q, jnp.all(is_reached)
 
 
-def predicted_deviation(
-    job: Job, force: Float[Array, "step 3"] | Float[np.ndarray, "step 3"]
-) -> Float[Array, "step 3"]:
-    """Return how far forces move the tip of a job's robot, without inertia.
-
-    The tip deflects by J K^-1 J^T F at the joint positions of the desired path; that
-    the chip changes with the deviation is left out.
-
-    Args:
-        job: The job; its machine must be a robot.
-        force: Mean force on the tool of every row in `work` [N], shape (step, 3).
-
-    Returns:
-        Deviation in `work` [m], shape (step, 3).
-
-    Raises:
-        ValueError: The job has no robot.
-
-    **Differentiability**: smooth in force, robot and place; in the place by the
-    implicit function of the inverse kinematics.
-    """
-    job = job.with_precision()
-    return whole_path(job, jnp.asarray(force, job.simulation.precision))[0]
-
-
 def least_singular_of(
     robot: Robot, qs: Float[Array, "row joint"], tool_rotation: ToolRotation
 ) -> float:

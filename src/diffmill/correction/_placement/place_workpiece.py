@@ -68,8 +68,9 @@ def place_workpiece(
     """Return where in the cell a part is cut with the least predicted deviation.
 
     What becomes small is the rms over the rows that cut of the deviation across the
-    path, J K^-1 J^T F with the force of the rigid cut: springs only, as
-    `predicted_deviation`. Nothing is known of what stands around the arm.
+    path, J K^-1 J^T F with the force of the rigid cut: springs only, and that the chip
+    changes with the deviation is left out. Nothing is known of what stands around the
+    arm.
 
     Args:
         job: The job; its machine must be a robot.

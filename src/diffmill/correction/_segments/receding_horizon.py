@@ -42,10 +42,10 @@ from .._core.problem import Problem
 from .._method.checkpoint import Arrays, OnCheckpoint
 from .._method.gauss_newton import GaussNewton, check_held
 from .._method.offset_fit import ContourResidual, fit_offsets, offset_fit
-from .._spline.command_limits import LinearLimits, MixedLimits
+from .._spline.command_limits import LinearLimits
 from .._spline.projection import project
-from .._spline.spline_offsets import CLAMPED, SplineOffsets
-from .._spline.spline_window import SplineWindow, spline_window, window_limits
+from .._spline.spline_offsets import CLAMPED, SplineOffsets, SplineWindow
+from .._spline.window_limits import window_limits
 from .._surface.segment_limits import (
     HeldRows,
     cut_points,
@@ -188,11 +188,11 @@ class RecedingHorizon(AbstractMethod):
     def _window(self, spline: SplineOffsets, row: int) -> SplineWindow:
         """Return what the segment from a row on sees of the spline."""
         ahead = self.pieces.rows_ahead
-        return spline_window(spline, row, self.horizon, rows_ahead=ahead)
+        return spline.window(row, self.horizon, rows_ahead=ahead)
 
     def _limits(
         self, problem: Problem, spline: SplineOffsets
-    ) -> tuple[LinearLimits | MixedLimits, ...]:
+    ) -> tuple[LinearLimits, ...]:
         """Return the limits of the whole command."""
         return self.method.all_limits(spline, np.asarray(problem.nominal))
 

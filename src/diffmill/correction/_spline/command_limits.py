@@ -8,7 +8,6 @@ the spline and D_m the m-th differences over the m-th power of the time step,
 is exact for these rows and linear in the coefficients c, with a sparse matrix.
 """
 
-import abc
 from collections.abc import Sequence
 from typing import Any
 
@@ -32,24 +31,25 @@ class InfeasibleLimit(ValueError):
     """Raise when a limit cannot be held, by the program itself or by any correction."""
 
 
-class AbstractLimits(eqx.Module):
+class LinearLimits(eqx.Module):
     """Bounds of linear functions of the coefficients of a spline that 0 keeps.
 
     Attributes:
-        lower: Least values, shape (row, ...).
-        upper: Largest values, of the same shape.
+        matrix: Sparse, of `scipy.sparse`, shape (row, coefficient x axis): the axes of
+            a coefficient follow one another.
+        lower: Least values, shape (row,); at most 0.
+        upper: Largest values, shape (row,); at least 0.
+        name: What the limit is called in messages.
     """
 
-    lower: eqx.AbstractVar[np.ndarray]
-    upper: eqx.AbstractVar[np.ndarray]
+    matrix: Any
+    lower: Float[np.ndarray, " row"]
+    upper: Float[np.ndarray, " row"]
+    name: str = eqx.field(static=True, default="limits")
 
-    @abc.abstractmethod
-    def apply(self, coefficients: Coefficients) -> np.ndarray:
-        """Return the values for coefficients."""
-
-    @abc.abstractmethod
-    def flat(self, axis_count: int) -> Any:
-        """Return the map of the coefficients, row by row, as a sparse matrix."""
+    def apply(self, coefficients: Coefficients) -> Float[np.ndarray, " row"]:
+        """Return the values for coefficients, shape (row,)."""
+        return self.matrix @ coefficients.reshape(-1)
 
     def about(self, point: Coefficients) -> LinearRows:
         """Return the limits as constraints of a step from a point that keeps them.
@@ -63,34 +63,25 @@ class AbstractLimits(eqx.Module):
         kept = 1 - _RESERVE
         lower = np.minimum(kept * self.lower - rows, 0.0)
         upper = np.maximum(kept * self.upper - rows, 0.0)
-        matrix = self.flat(point.shape[1])
-        return LinearRows(matrix, lower.reshape(-1), upper.reshape(-1))
+        return LinearRows(self.matrix, lower, upper)
 
+    @classmethod
+    def by_axis(
+        cls, matrix: Any, lower: Rows, upper: Rows, name: str = "limits"
+    ) -> "LinearLimits":
+        """Return limits of the same functions of the coefficients of each axis.
 
-class LinearLimits(AbstractLimits):
-    """Bounds of linear functions of the coefficients of a spline, axis by axis.
-
-    Attributes:
-        matrix: Sparse, shape (row, coefficient), of `scipy.sparse`.
-        lower: Least values, shape (row, axis); at most 0.
-        upper: Largest values, shape (row, axis); at least 0.
-        name: What the limit is called in messages.
-    """
-
-    matrix: Any
-    lower: Rows
-    upper: Rows
-    name: str = eqx.field(static=True, default="limits")
-
-    def apply(self, coefficients: Coefficients) -> Rows:
-        """Return the values for coefficients, shape (row, axis)."""
-        return self.matrix @ coefficients
-
-    def flat(self, axis_count: int) -> Any:
-        """Return the map of the coefficients, row by row, as a sparse matrix."""
+        Args:
+            matrix: Sparse, shape (row, coefficient).
+            lower: Least values, shape (row, axis); at most 0.
+            upper: Largest values, shape (row, axis); at least 0.
+            name: What the limit is called in messages.
+        """
         from scipy import sparse
 
-        return sparse.kron(self.matrix, sparse.eye_array(axis_count), format="csr")
+        each = sparse.eye_array(lower.shape[1])
+        spread = sparse.kron(matrix, each, format="csr")
+        return cls(spread, lower.reshape(-1), upper.reshape(-1), name)
 
     @classmethod
     def of_command(
@@ -139,7 +130,7 @@ class LinearLimits(AbstractLimits):
             step = time_step**order
             scale = spline.actual_spacing**order
             found.append(
-                LinearLimits(
+                LinearLimits.by_axis(
                     matrix * (scale / step),
                     np.minimum(scale * (-limit - rate), 0.0),
                     np.maximum(scale * (limit - rate), 0.0),
@@ -147,32 +138,6 @@ class LinearLimits(AbstractLimits):
                 )
             )
         return tuple(found)
-
-
-class MixedLimits(AbstractLimits):
-    """Bounds of linear functions of all axes of the coefficients of a spline.
-
-    Attributes:
-        matrix: Sparse, shape (row, coefficient x axis), of `scipy.sparse`.
-        lower: Least values, shape (row,); at most 0.
-        upper: Largest values, shape (row,); at least 0.
-        axis_count: Axes of the coefficients.
-        name: What the limit is called in messages.
-    """
-
-    matrix: Any
-    lower: Float[np.ndarray, " row"]
-    upper: Float[np.ndarray, " row"]
-    axis_count: int = eqx.field(static=True)
-    name: str = eqx.field(static=True, default="limits")
-
-    def apply(self, coefficients: Coefficients) -> Float[np.ndarray, " row"]:
-        """Return the values for coefficients, shape (row,)."""
-        return self.matrix @ coefficients.reshape(-1)
-
-    def flat(self, axis_count: int) -> Any:
-        """Return the map of the coefficients, row by row, as a sparse matrix."""
-        return self.matrix
 
 
 def _check_nominal(
@@ -195,7 +160,7 @@ def _check_nominal(
     )
 
 
-def feasible_share(p: Coefficients, limits: Sequence[AbstractLimits]) -> float:
+def feasible_share(p: Coefficients, limits: Sequence[LinearLimits]) -> float:
     """Return the largest a with a p within the limits; above 1 where there is room.
 
     **Differentiability**: none, a host function.

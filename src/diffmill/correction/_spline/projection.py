@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from ..._types import FloatRows, RealScalarLike
 from ...optimise import solve_quadratic_program
-from .command_limits import AbstractLimits, feasible_share
+from .command_limits import LinearLimits, feasible_share
 from .spline_offsets import SplineOffsets, adjoint_offsets
 
 # Limits are drawn in by this share of their largest bound: what the solver cannot tell.
@@ -26,7 +26,7 @@ def project(
     offset: FloatRows,
     max_offset: RealScalarLike = np.inf,
     *,
-    limits: Sequence[AbstractLimits] = (),
+    limits: Sequence[LinearLimits] = (),
 ) -> Float[np.ndarray, "coefficient axis"]:
     """Return the bounded spline closest to a raw offset in least squares.
 
@@ -62,12 +62,10 @@ def project(
         sparse.kron(_symmetric(spline.normal_band()), sparse.eye_array(axes)),
         gradient.reshape(-1),
         sparse.vstack(
-            [sparse.eye_array(box.size), *(limit.flat(axes) for limit in limits)]
+            [sparse.eye_array(box.size), *(limit.matrix for limit in limits)]
         ),
-        np.concatenate(
-            [-box.reshape(-1), *(limit.lower.reshape(-1) for limit in hard)]
-        ),
-        np.concatenate([box.reshape(-1), *(limit.upper.reshape(-1) for limit in hard)]),
+        np.concatenate([-box.reshape(-1), *(limit.lower for limit in hard)]),
+        np.concatenate([box.reshape(-1), *(limit.upper for limit in hard)]),
     )
     if found is None:
         raise QuadraticNotSolved(
@@ -79,9 +77,9 @@ def project(
     return min(1.0, feasible_share(p, loose)) * p
 
 
-def _moved(limit: AbstractLimits, share: float) -> AbstractLimits:
+def _moved(limit: LinearLimits, share: float) -> LinearLimits:
     """Return a limit drawn in by a share of its largest bound, or let out where 0."""
-    ends = np.concatenate([limit.lower.reshape(-1), limit.upper.reshape(-1)])
+    ends = np.concatenate([limit.lower, limit.upper])
     slack = share * np.max(np.abs(ends[np.isfinite(ends)]), initial=0.0)
     if slack > 0:
         lower, upper = limit.lower + slack, limit.upper - slack

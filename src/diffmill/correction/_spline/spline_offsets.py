@@ -5,7 +5,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from ..._types import RealScalarLike
 
@@ -135,6 +135,99 @@ class SplineOffsets(eqx.Module):
         # Knots closer than the rows would leave coefficients that no row sees.
         band[3] += 1e-12 * band[3].max()
         return solveh_banded(band, adjoint_offsets(self, np.asarray(signal)))
+
+    def window(
+        self, first_row: int, row_count: int, *, rows_ahead: int = 0
+    ) -> "SplineWindow":
+        """Return the part of the spline that some rows see.
+
+        Args:
+            first_row: First row of the window.
+            row_count: Rows of the window but for those ahead; may reach beyond the
+                program.
+            rows_ahead: Further rows that the plant looks at, so that it has done at the
+                first row what as many behind it say.
+
+        Returns:
+            The window, in NumPy.
+
+        **Differentiability**: runs on the host, not traceable.
+        """
+        start, weights = basis(self)
+        last = self.step_count - 1
+        total = row_count + rows_ahead
+        rows = np.minimum(np.arange(first_row, first_row + total), last)
+        first = int(start[first_row])
+        # A window sees as many intervals as its length, and parts of two more.
+        per_row = self.interval_count / last
+        count = int(np.ceil((total - 1) * per_row)) + 5
+        place = first + np.arange(count)
+        # The weight of the fourth coefficient is zero on a knot.
+        held = rows[rows_ahead]
+        untouched = int(start[held]) + (4 if weights[held, 3] > 0 else 3)
+        has_end = first_row + row_count > last
+        least = max(untouched, CLAMPED)
+        end = rows[row_count - 1]
+        most = self.interval_count + 2 - CLAMPED if has_end else int(start[end])
+        return SplineWindow(
+            start=(start[rows] - first).astype(np.int32),
+            weights=weights[rows],
+            first=np.asarray(first, np.int32),
+            is_free=(place >= least) & (place <= most),
+        )
+
+
+class SplineWindow(eqx.Module):
+    """Rows of a program and the coefficients of its spline that reach them.
+
+    Windows of as many rows have the same shapes, so that one compiled program serves
+    them all; beyond the last row of the program the offset stays zero.
+
+    Attributes:
+        start: First of the four coefficients of every row, counted within the
+            window, shape (step,).
+        weights: Their weights, shape (step, 4).
+        first: Place of the first coefficient of the window among all coefficients of
+            the program, the clamped included.
+        is_free: Whether a coefficient of the window may change: it acts on no row up
+            to the first, nor on as many behind it as there are rows ahead, and on the
+            last rows only if the whole of it does, shape (coefficient,).
+    """
+
+    start: Int[np.ndarray, " step"] | Int[Array, " step"]
+    weights: Float[np.ndarray, "step 4"] | Float[Array, "step 4"]
+    first: Int[np.ndarray, ""] | Int[Array, ""]
+    is_free: Bool[np.ndarray, " coefficient"] | Bool[Array, " coefficient"]
+
+    @property
+    def step_count(self) -> int:
+        """Number of rows."""
+        return self.start.shape[0]
+
+    def offsets(
+        self, coefficients: Float[Array, "coefficient axis"]
+    ) -> Float[Array, "step axis"]:
+        """Return the curve at the rows of the window, shape (step, axis)."""
+        weights = jnp.asarray(self.weights, coefficients.dtype)
+        start = jnp.asarray(self.start)
+        terms = [weights[:, r, None] * coefficients[start + r] for r in range(4)]
+        return terms[0] + terms[1] + terms[2] + terms[3]
+
+    def roughness(
+        self, coefficients: Float[Array, "coefficient axis"]
+    ) -> Float[Array, "interval axis"]:
+        """Return the second differences of the coefficients, (interval, axis)."""
+        return coefficients[2:] - 2 * coefficients[1:-1] + coefficients[:-2]
+
+    def place(self) -> Int[np.ndarray, " coefficient"]:
+        """Return the places of the coefficients among those of the program."""
+        return int(self.first) + np.arange(self.is_free.shape[0])
+
+    def padded(self, reach: int) -> "SplineWindow":
+        """Return the window with more rows at either end, as the last there are."""
+        start = np.pad(np.asarray(self.start), reach, mode="edge")
+        weights = np.pad(np.asarray(self.weights), ((reach,) * 2, (0, 0)), mode="edge")
+        return SplineWindow(start, weights, self.first, self.is_free)
 
 
 def basis_matrix(spline: SplineOffsets) -> Any:

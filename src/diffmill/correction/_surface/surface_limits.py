@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from ..._types import FloatRows3
 from ...workpiece import Stock
 from .._core.problem import Motion
-from .._spline.command_limits import AbstractLimits, InfeasibleLimit
+from .._spline.command_limits import InfeasibleLimit, LinearLimits
 from .finished_surface import FinishedSurface
 
 # Share of a layer that may be left.
@@ -169,7 +169,7 @@ def refusal(
     errors: Float[np.ndarray, " row"],
     coefficients: Float[np.ndarray, "coefficient axis"],
     max_offset: float,
-    limits: Sequence[AbstractLimits],
+    limits: Sequence[LinearLimits],
 ) -> InfeasibleLimit:
     """Return why the bounds cannot be kept: which, where, by how much, and what blocks.
 
@@ -210,7 +210,7 @@ def refusal(
 
 
 def _blocking(
-    coefficients: np.ndarray, max_offset: float, limits: Sequence[AbstractLimits]
+    coefficients: np.ndarray, max_offset: float, limits: Sequence[LinearLimits]
 ) -> str:
     """Return what keeps a command from going further."""
     share = 1 - _AT_LIMIT
@@ -223,8 +223,7 @@ def _blocking(
         count = int(np.sum((rows >= share * limit.upper) & (limit.upper > 0)))
         count += int(np.sum((rows <= share * limit.lower) & (limit.lower < 0)))
         if count:
-            name = getattr(limit, "name", "limits")
-            blocking.append(f"`{name}` ({count} rows)")
+            blocking.append(f"`{limit.name}` ({count} rows)")
     if not blocking:
         return (
             "No other limit is reached: a closer `knot_spacing`, more `max_steps` or "

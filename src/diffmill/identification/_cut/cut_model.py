@@ -22,10 +22,9 @@ from ...cutting import AbstractForceLaw, LinearEdgeLaw
 from ...process import (
     AbstractEngagement,
     EdgeElementsInSpace,
+    Immersion,
     choose_engagement,
     default_element_height,
-    is_plunging,
-    path_depth,
 )
 from ...sim import simulate_process
 from ...workpiece import Stock
@@ -174,11 +173,10 @@ def with_plan(cut: Cut, cutter: AbstractCutter | None = None) -> Cut:
     old = cut.engagement
     usual = _ANGLES_OF_LONG if len(cut.positions) > _LONG else _ANGLES
     angles = usual if old is None else old.angles
-    depth = path_depth(cut.positions, cut.stock, cutter)
+    depth, plunges = Immersion.of_path(cut.positions, cut.stock, cutter)
     height = default_element_height("near_far", cut.stock.spacing, cutter)
     height = max(height * _DEFAULT_ANGLES / usual, depth / _ELEMENTS)
     height = height if old is None else old.discs.height
-    plunges = is_plunging(cut.positions, cut.stock.top)
     engagement = choose_engagement(
         cut.stock,
         cutter,

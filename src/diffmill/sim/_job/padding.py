@@ -11,41 +11,11 @@ from typing import TypeVar
 import equinox as eqx
 import jax
 import jax.core
-import numpy as np
 
 from ..._arrays import first_rows
 from ..._job import Job
-from ..._live_rows import padded_count
-from ...toolpath import Path
 
 _Tree = TypeVar("_Tree")
-
-
-def pad_path(path: Path, row_count: int | None = None) -> Path:
-    """Return a path with rows behind its last one that no simulation runs.
-
-    Args:
-        path: The path; one that is padded is returned as it is.
-        row_count: Rows of the padded path; one of few sizes if not given.
-
-    Returns:
-        The path; its `row_count` says how many of its rows count.
-
-    Raises:
-        ValueError: The path has more rows than asked for.
-    """
-    if path.row_count is not None:
-        return path
-    count = path.step_count
-    total = padded_count(count) if row_count is None else row_count
-    if total < count:
-        raise ValueError(
-            f"Argument `row_count` must be at least the path's number of rows "
-            f"({count}), but is {total}."
-        )
-    at = np.minimum(np.arange(total), count - 1)
-    rows = jax.tree.map(lambda x: np.asarray(x)[at], path)
-    return dataclasses.replace(rows, row_count=np.asarray(count, np.int32))
 
 
 def padded_job(job: Job) -> Job:
@@ -57,7 +27,7 @@ def padded_job(job: Job) -> Job:
     job = job.without_texts()
     if isinstance(job.path.positions, jax.core.Tracer):
         return job
-    return dataclasses.replace(job, path=pad_path(job.path))
+    return dataclasses.replace(job, path=job.path.padded())
 
 
 def cut_rows(tree: _Tree, names: tuple[str, ...], row_count: int) -> _Tree:

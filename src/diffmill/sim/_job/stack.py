@@ -9,7 +9,6 @@ import jax.numpy as jnp
 from jaxtyping import PyTree
 
 from ..._job import Job
-from .padding import pad_path
 
 _Tree = TypeVar("_Tree", bound=PyTree)
 
@@ -44,7 +43,7 @@ def stack(jobs: Sequence[_Tree]) -> _Tree:
     if isinstance(plain[0], Job):
         longest = max(job.path.step_count for job in plain)
         plain = [
-            dataclasses.replace(job, path=pad_path(job.path, longest)) for job in plain
+            dataclasses.replace(job, path=job.path.padded(longest)) for job in plain
         ]
     for k, other in enumerate(plain[1:], 1):
         if where := _difference(plain[0], other, ""):

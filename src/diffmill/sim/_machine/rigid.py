@@ -16,10 +16,9 @@ from ...process import (
     AbstractEngagement,
     ChipModel,
     Engagement,
+    Immersion,
     Process,
     choose_engagement,
-    is_plunging,
-    path_depth,
 )
 from ...workpiece import Pose, Stock
 from .kept_chips import KeptChips, kept_chips
@@ -226,18 +225,15 @@ def simulate_process(
     tips = _rows(positions, "positions", dtype)
     axes = _directions(axes, tips.shape[0], dtype)
     if engagement is None:
-        is_traced = isinstance(positions, jax.core.Tracer)
-        if axial_depth is None:
-            axial_depth = path_depth(positions, stock, cutter)
+        immersion = Immersion.of_path(positions, stock, cutter)
         engagement = choose_engagement(
             stock,
             cutter,
-            axial_depth=axial_depth,
+            axial_depth=immersion.depth if axial_depth is None else axial_depth,
             angles=angles,
             axes=axes if isinstance(axes, np.ndarray) else None,
             is_upright=axes is None,
-            # What a traced path hides is taken at its widest.
-            plunges=is_traced or is_plunging(positions, stock.top),
+            plunges=immersion.plunges,
             chip=chip,
         )
     process = Process(

@@ -63,15 +63,38 @@ class SurfaceError(eqx.Module):
     family: Int[np.ndarray, " n"]
 
     @staticmethod
+    def of_stock(
+        machined: Stock, ideal: Stock, *, leaves_out_raw: bool = False
+    ) -> "SurfaceError":
+        """Return how far every ray end of a machined stock is from the ideal surface.
+
+        Args:
+            machined: The stock as it was cut.
+            ideal: The stock as it should be, for example cut by the desired path, or
+                from a mesh of the part; its grid may be another one.
+            leaves_out_raw: Whether points that no tool cut, and that the ideal stock
+                has too, are left out.
+
+        Returns:
+            One row for each end of each ray of all three families; none if the machined
+            stock holds no material. Against planes the distance is exact to rounding.
+            Where the ideal surface is curved with radius r, its mesh is off by up to
+            about 0.4 spacing^2 / r, and along sharp edges oblique to all axes by a part
+            of the spacing.
+
+        Raises:
+            ValueError: The ideal stock holds no material.
+        """
+        found = SurfaceError.of_stocks([machined], ideal, leaves_out_raw=leaves_out_raw)
+        return found[0]
+
+    @staticmethod
     def of_stocks(
         machined: Sequence[Stock], ideal: Stock, *, leaves_out_raw: bool = False
     ) -> "list[SurfaceError]":
         """Return the surface errors of some stocks against one ideal, meshed once.
 
-        Args:
-            machined: The stocks as they were cut.
-            ideal: As for `surface_error`.
-            leaves_out_raw: As for `surface_error`.
+        Arguments, errors and what is returned as of `of_stock`.
 
         Raises:
             ValueError: The ideal stock holds no material.
@@ -111,31 +134,6 @@ def _mean(values: np.ndarray) -> float:
 
 def _p95(values: np.ndarray) -> float:
     return float(np.percentile(np.abs(values), 95)) if values.size else math.nan
-
-
-def surface_error(
-    machined: Stock, ideal: Stock, *, leaves_out_raw: bool = False
-) -> SurfaceError:
-    """Return how far every ray end of a machined stock is from the ideal surface.
-
-    Args:
-        machined: The stock as it was cut.
-        ideal: The stock as it should be, for example cut by the desired path, or from
-            a mesh of the part; its grid may be another one.
-        leaves_out_raw: Whether points that no tool cut, and that the ideal stock has
-            too, are left out.
-
-    Returns:
-        One row for each end of each ray of all three families; none if the machined
-        stock holds no material. Against planes the
-        distance is exact to rounding. Where the ideal surface is curved with radius r,
-        its mesh is off by up to about 0.4 spacing^2 / r, and along sharp edges oblique
-        to all axes by a part of the spacing.
-
-    Raises:
-        ValueError: The ideal stock holds no material.
-    """
-    return SurfaceError.of_stocks([machined], ideal, leaves_out_raw=leaves_out_raw)[0]
 
 
 class _IdealSurface:
