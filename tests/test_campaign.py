@@ -1,7 +1,9 @@
 """Campaigns: what varies, what is kept, and that nothing is lost or done twice."""
 
+import importlib.util
 import math
 import pathlib
+import sys
 import textwrap
 from typing import Any
 
@@ -257,6 +259,17 @@ def test_a_folder_of_something_else_is_left_alone(folder, capsys):
     assert main(["campaign", "c.toml", "--out", "out"]) == 2
     assert "not empty" in capsys.readouterr().err
     assert main(["campaign", "c.toml", "--workers", "-1"]) == 2
+
+
+def test_without_dask_the_jobs_run_one_after_the_other(folder, capsys, monkeypatch):
+    (folder / "c.toml").write_text(REFUSED)
+    found = importlib.util.find_spec
+    none = lambda name: None if name == "distributed" else found(name)
+    monkeypatch.setattr(importlib.util, "find_spec", none)
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    assert main(["campaign", "c.toml"]) == 1
+    told = capsys.readouterr().err
+    assert "diffmill[campaign]" in told and "2 jobs" in told
 
 
 def kill_a_worker(ones_before):

@@ -80,13 +80,9 @@ def test_every_parameter_has_a_row(maps):
 
 
 @pytest.mark.slow
-def test_before_the_cut_only_the_sag_moves_the_tool(maps):
-    """The controller lifts m g / K of the stiffness it knows: the rest sags."""
-    sag = 9.81 * MASS / STIFFNESS[2]
-    first = maps.deviation[:, 0]
-    np.testing.assert_allclose(first[maps.names.index("K z")], [0, 0, sag], rtol=1e-6)
-    others = np.delete(first, maps.names.index("K z"), axis=0)
-    np.testing.assert_allclose(others, 0.0, atol=1e-12)
+def test_before_the_cut_nothing_moves_the_tool(maps):
+    """Of each stiffness its own sag is lifted, as by who probes the work."""
+    np.testing.assert_allclose(maps.deviation[:, 0], 0.0, atol=1e-12)
 
 
 @pytest.mark.slow
@@ -95,9 +91,7 @@ def test_the_contour_vector_moves_across_the_path(maps):
     across, size = maps.contour_vector[..., 1:], np.abs(maps.deviation).max()
     # The first and the last row may lie beyond the ends of the path.
     np.testing.assert_allclose(maps.contour_vector[:, 1:-1, 0], 0.0, atol=1e-9 * size)
-    sag = 9.81 * MASS / STIFFNESS[2]
-    first = across[maps.names.index("K z"), 0]
-    np.testing.assert_allclose(first, [0.0, sag], rtol=1e-6, atol=1e-12)
+    assert np.abs(across[maps.names.index("K y")]).max() > 1e-7
     length = np.linalg.norm(maps.contour_vector, axis=2)
     assert (np.abs(maps.contour_error) <= length * (1 + 1e-9) + 1e-15).all()
 
@@ -105,11 +99,12 @@ def test_the_contour_vector_moves_across_the_path(maps):
 @pytest.mark.slow
 def test_maps_agree_with_differences(job, maps):
     job = job.with_precision()
-    motors, _ = sim.JobKinematics(job).motors(jnp.asarray(job.path.positions))
+    joints, _ = sim.JobKinematics(job).joints(jnp.asarray(job.path.positions))
 
     @jax.jit
     def tip(log_scale):
         scaled = job.with_scaled(log_scale)
+        motors = sim.JobKinematics(scaled).motors_of(joints)
         return sim.JobModel.of(scaled, pr.ThroughPoses()).run(motors).actual
 
     zero = np.zeros(len(maps.names))

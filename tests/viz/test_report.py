@@ -190,6 +190,23 @@ def test_what_to_load_and_to_set_is_said(tmp_path, correction, job):
     assert "10 mm, 2 teeth, at 8000 rpm" in text
 
 
+def test_a_command_that_is_worse_is_not_to_be_loaded(tmp_path, correction, job):
+    error = correction["contour_error"]
+    worse = correction.assign(
+        contour_error=error.where(error["case"] != "corrected", 1e3 * error)
+    )
+    text = read(write_report(tmp_path, worse, {}, job=job)).text
+    assert "Nothing to load" in text and "Load in place of" not in text
+
+
+def test_a_command_that_was_given_is_not_called_the_program(tmp_path, simulation):
+    text = read(write_report(tmp_path, simulation, {})).text
+    assert "(rms) as programmed" in text
+    given = simulation.assign_attrs(is_commanded=1)
+    text = read(write_report(tmp_path, given, {})).text
+    assert "(rms) as programmed" not in text and "given command" in text
+
+
 def test_failed_run_without_a_reason_is_marked_too(tmp_path, simulation):
     failed = simulation.assign_attrs(is_successful=0)
     assert "This run is incomplete." in read(write_report(tmp_path, failed, {})).text

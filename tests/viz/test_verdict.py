@@ -155,3 +155,24 @@ def test_chatter_limits_the_result(tmp_path, correction, chatters):
     told = {"stability_largest_radius": 1.01, "stability_has_chatter": chatters}
     text = report(tmp_path, correction.assign_attrs(told))
     assert ("a corrected path does not" in text) == bool(chatters)
+
+
+def test_a_verdict_says_what_the_contour_error_does_not_count(tmp_path, correction):
+    band = 1.01 * corrected_error(correction).max()
+    cases = correction["case"].values
+    deep = np.where(cases == "corrected", 3 * band, 0.0)
+    given = correction.assign(surface_deepest=("case", deep)).assign_attrs(
+        tolerance_band=band, stability_has_chatter=1
+    )
+    text = report(tmp_path, given)
+    assert f"up to {3e6 * band:.3g} \u00b5m inside the part" in text
+    assert "But the cut is unstable" in text
+    calm = given.assign(surface_deepest=("case", 0.3 * deep))
+    text = report(tmp_path, calm.assign_attrs(stability_has_chatter=0))
+    assert "inside the part" not in text and "But the cut" not in text
+
+
+def test_the_figures_of_a_path_in_the_air_are_dashes(simulation):
+    none = np.zeros(simulation.sizes["step"], bool)
+    line = summary(simulation.assign(is_cutting=("step", none))).splitlines()[2]
+    assert line.split() == ["predicted", "-", "-", "-", "-"]

@@ -133,7 +133,7 @@ def _with_stability(run: FinishedRun, progress: Progress) -> Dataset:
         f"warning: {warning}" if warning else f"stability: {found.note()}",
         f"stability: {found.visibility()}",
     ]
-    if check == "quick" and warning is None:
+    if not found.is_of_path and warning is None:
         lines.append(
             "stability: looked at where the cut is deepest; [simulation] "
             "stability = true looks along the whole path"

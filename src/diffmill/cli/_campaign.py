@@ -1,5 +1,6 @@
 """Running a campaign: what it is about to do, how far it is, what came out."""
 
+import importlib.util
 import pathlib
 import sys
 from typing import TYPE_CHECKING, NamedTuple
@@ -58,6 +59,12 @@ def run_campaign_file(
     with bad_input():
         campaign = load_campaign(file, allow_outside=allow_outside)
         _check_folder(folder)
+    if workers.processes is None and workers.scheduler is None and not _has_dask():
+        workers = workers._replace(processes=0)
+        progress.say(
+            "note: the jobs run one after the other; pip install 'diffmill[campaign]' "
+            "brings Dask, and with it a worker for each core"
+        )
     if force:
         for kept in folder.glob("jobs/*.json"):
             kept.unlink()
@@ -90,6 +97,10 @@ def run_campaign_file(
     for line in _lines(campaign, dataset, folder):
         progress.say(line)
     return int(dataset.attrs["incomplete"])
+
+
+def _has_dask() -> bool:
+    return importlib.util.find_spec("distributed") is not None
 
 
 def _check_folder(folder: pathlib.Path) -> None:

@@ -56,7 +56,9 @@ def expected_campaign_line(job: "Job", command: str, count: int) -> str:
 
 def _correction_time(job: "Job", run: float) -> float:
     """Return the time of a correction, from that of a simulation [s]."""
-    runs = _OTHER_RUNS + _STEP_RUNS * job.correction.max_steps
+    known = job.correction.uncertainty
+    members = 1 if known is None else known.draws
+    runs = _OTHER_RUNS + _STEP_RUNS * job.correction.max_steps * members
     return _COUPLED * runs * run
 
 

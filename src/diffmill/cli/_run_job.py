@@ -250,7 +250,7 @@ def _compute(
 
     def tell(message: str, rms: float) -> None:
         text = f"{message}: contour error {rms * 1e6:.2f} um rms"
-        progress.update(text, then=f"{message} is done, what follows goes on")
+        progress.update(text, then=f"after {message}")
 
     progress.update("uncorrected path")
     try:
@@ -271,7 +271,13 @@ def _compute(
 
 def with_job(dataset: Dataset, job: "Job") -> Dataset:
     """Return a dataset whose attributes hold the job's name, text and notes."""
-    added = {"job": job.name, "source": job.source, "program": job.program}
+    added: dict[str, Any] = {
+        "job": job.name,
+        "source": job.source,
+        "program": job.program,
+    }
+    if job.commanded is not None:
+        added["is_commanded"] = 1
     if job.notes:
         added["notes"] = "\n".join(job.notes)
     dataset.attrs = {**added, **dataset.attrs}

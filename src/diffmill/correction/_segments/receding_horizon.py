@@ -75,7 +75,8 @@ class RecedingHorizon(AbstractMethod):
         horizon: Rows of a segment.
         overlap: Rows of its end that the next segment corrects once more.
         sweeps: How often the whole path is gone through, each time from the command
-            that the time before has found; a path of one segment, once.
+            that the time before has found; a path of one segment, once. After the first
+            time half as many steps do in a segment.
         on_checkpoint: Called after every segment with all that is needed to go on.
         resume: What it was called with, to go on from there.
     """
@@ -266,10 +267,14 @@ class RecedingHorizon(AbstractMethod):
             bounds,
         )
         fit = offset_fit(args, (part.plant,), limits=own)
+        solver = method.solver
+        if run.sweep > 0:
+            steps = -(-solver.max_steps // 2)
+            solver = dataclasses.replace(solver, max_steps=steps)
         found = fit_offsets(
             fit,
             first,
-            method.solver,
+            solver,
             lower=np.where(is_free, -bound, first).reshape(-1),
             upper=np.where(is_free, bound, first).reshape(-1),
         )

@@ -76,8 +76,8 @@ class Sensitivity(eqx.Module):
 def sensitivity(job: Job, *, commanded: FloatRows3 | None = None) -> Sensitivity:
     """Return how much each parameter moves the tool along the path.
 
-    The motors go where the controller sends them by the job as it is: with a stiffness
-    that is not the true one it also lifts a wrong sag.
+    The place of the work is found with the arm itself: a controller that lifts the sag
+    lifts that of each stiffness.
 
     Args:
         job: The job; its machine must be a robot.
@@ -125,12 +125,14 @@ def _pushed(
     job: Job, command: Float[Array, "step 3"], direction: Float[Array, " parameter"]
 ) -> _Pushed:
     """Return the derivatives of the tip and of its contour error in a direction."""
-    motors, _ = JobKinematics(job).motors(command)
+    joints, _ = JobKinematics(job).joints(command)
     desired = jnp.asarray(job.path.positions)
     shares = wall_shares(desired, job.tool_axes, job.cutter)
 
     def errors(log_scale: Float[Array, " parameter"]) -> _Pushed:
-        ran = JobModel.of(job.with_scaled(log_scale), ThroughPoses()).run(motors)
+        scaled = job.with_scaled(log_scale)
+        motors = JobKinematics(scaled).motors_of(joints)
+        ran = JobModel.of(scaled, ThroughPoses()).run(motors)
         at = desired + wall_deviation(ran.ends, desired, shares)
         return _Pushed(
             ran.actual, contour_vector(at, desired), contour_error(at, desired)

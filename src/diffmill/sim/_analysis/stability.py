@@ -72,6 +72,7 @@ class Stability(eqx.Module):
             if there is none.
         substeps: Sub-steps of the simulation per tooth period.
         steps: Steps of this analysis per tooth period.
+        is_of_path: Whether the rows are spread along the whole path.
     """
 
     row: Int[np.ndarray, " row"]
@@ -85,6 +86,7 @@ class Stability(eqx.Module):
     fastest_mode: float
     substeps: int = eqx.field(static=True)
     steps: int = eqx.field(static=True)
+    is_of_path: bool = eqx.field(static=True, default=False)
 
     @property
     def is_unstable(self) -> Bool[np.ndarray, " row"]:
@@ -290,14 +292,14 @@ def stability(
         )
     job = job.with_precision()
     solution = simulate(job) if solution is None else solution
-    is_moving_cut = _moving_cut(solution)
+    is_moving_cut, is_of_path = _moving_cut(solution), rows is None
     if rows is None:
         cutting = np.flatnonzero(is_moving_cut)
         if cutting.size == 0:
             raise ValueError("Argument `solution` must cut somewhere, but does not.")
         rows = cutting[:: math.ceil(cutting.size / _ROWS)]
     motion = _motion(job, solution)
-    return Stability.along(
+    found = Stability.along(
         _machine(job),
         _process(job),
         motion.motors,
@@ -305,6 +307,7 @@ def stability(
         rows,
         is_moving_cut=is_moving_cut,
     )
+    return dataclasses.replace(found, is_of_path=is_of_path)
 
 
 def _moving_cut(solution: Solution) -> Bool[np.ndarray, " step"]:

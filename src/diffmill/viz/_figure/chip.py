@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     import matplotlib.cm
     import matplotlib.figure
 
+# What is thinner than this share of the thickest chip is not shown.
+_LEAST = 0.01
+
 
 def plot_chip(chart: ToothChip) -> "matplotlib.figure.Figure":
     """Draw the chip chart as a colour map above its discs as curves.
@@ -21,13 +24,14 @@ def plot_chip(chart: ToothChip) -> "matplotlib.figure.Figure":
         chart: The chip of one tooth.
 
     Returns:
-        The figure; white is where the tooth does not cut.
+        The figure; white is where the tooth cuts less than a hundredth of the most.
     """
     figure = new_figure(5.2)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[1.0, 1.15])
     angle_deg = np.rad2deg(chart.immersion_angle)
     chip_um = chart.chip_thickness * chart.weight * 1e6
-    shown = np.ma.masked_where(chip_um <= 1e-6, chip_um)
+    is_cut = chip_um > _LEAST * max(float(chip_um.max()), 1e-6)
+    shown = np.ma.masked_where(~is_cut, chip_um)
     image = top.pcolormesh(
         _edges(angle_deg),
         _edges(chart.height * 1e3),
@@ -44,11 +48,12 @@ def plot_chip(chart: ToothChip) -> "matplotlib.figure.Figure":
         title=r"chip thickness $h(\varphi, z)$, weighted with the engagement",
     )
     # Discs above the material would only take room.
-    cutting = np.flatnonzero((chip_um > 1e-6).any(axis=1))
+    cutting = np.flatnonzero(is_cut.any(axis=1))
     count = int(cutting[-1]) + 1 if cutting.size else chart.height.shape[0]
-    top.set_ylim(0.0, _edges(chart.height * 1e3)[count])
+    highest = float(_edges(chart.height * 1e3)[count])
+    top.set_ylim(0.0, highest)
     colours = _draw_discs(
-        bottom, angle_deg, chart.height[:count] * 1e3, chip_um[:count]
+        bottom, angle_deg, chart.height[cutting] * 1e3, chip_um[cutting], highest
     )
     bar = figure.colorbar(colours, ax=bottom, pad=0.01, aspect=14)
     label_colourbar(bar, "height of the disc [mm]")
@@ -58,7 +63,7 @@ def plot_chip(chart: ToothChip) -> "matplotlib.figure.Figure":
         y=r"$h$ [$\mathrm{\mu m}$]",
         title="the same, one curve per disc",
     )
-    low, high = _cutting_range(chart)
+    low, high = _cutting_range(angle_deg[is_cut.any(axis=0)])
     pad = 0.06 * (high - low) + 1.0
     bottom.set_xlim(low - pad, high + pad)
     return figure
@@ -78,31 +83,23 @@ def _draw_discs(
     angle_deg: Float[np.ndarray, " angle"],
     height_mm: Float[np.ndarray, " element"],
     chip_um: Float[np.ndarray, "element angle"],
+    highest: float,
 ) -> "matplotlib.cm.ScalarMappable":
-    """Draw h(phi) of every disc, low discs dark; return the colours for a bar."""
+    """Draw h(phi) of discs that cut, low ones dark; return the colours for a bar."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
-    edges = _edges(height_mm)
-    colours = ScalarMappable(Normalize(edges[0], edges[-1]), "cividis")
-    cuts = np.flatnonzero((chip_um > 1e-6).any(axis=1))
+    colours = ScalarMappable(Normalize(0.0, highest), "cividis")
     # Discs often coincide: thick lines first, so that every one stays visible.
-    widths = np.linspace(3.2, 0.8, max(cuts.size, 1))
-    for element, width in zip(cuts, widths, strict=False):
-        axes.plot(
-            angle_deg,
-            chip_um[element],
-            color=colours.to_rgba(height_mm[element]),
-            linewidth=width,
-        )
+    widths = np.linspace(3.2, 0.8, max(len(height_mm), 1))
+    for height, chip, width in zip(height_mm, chip_um, widths, strict=False):
+        axes.plot(angle_deg, chip, color=colours.to_rgba(height), linewidth=width)
     axes.set_ylim(bottom=0.0)
     return colours
 
 
-def _cutting_range(chart: ToothChip) -> tuple[float, float]:
-    """Return the first and the last angle at which the tooth cuts [deg]."""
-    cuts = (chart.chip_thickness * chart.weight > 1e-12).any(axis=0)
-    if not cuts.any():
-        return 0.0, 360.0
-    angle_deg = np.rad2deg(chart.immersion_angle[cuts])
-    return float(angle_deg.min()), float(angle_deg.max())
+def _cutting_range(cut_deg: Float[np.ndarray, " angle"]) -> tuple[float, float]:
+    """Return the first and the last of the angles at which the tooth cuts [deg]."""
+    return (
+        (float(cut_deg.min()), float(cut_deg.max())) if cut_deg.size else (0.0, 360.0)
+    )

@@ -22,6 +22,7 @@ class FigureInputs(TypedDict):
 
     forces: ForceTrace | None
     chip: ToothChip | None
+    chip_row: int
     dexels: CutDexels
     surfaces: dict[str, SurfaceError]
 
@@ -55,6 +56,7 @@ def figure_inputs(
     return FigureInputs(
         forces=forces,
         chip=None if step is None else again.tooth_chip(),
+        chip_row=step or 1,
         dexels=CutDexels.from_stocks(first.stock, first.rigid.stock),
         surfaces=_surfaces(cases) if surfaces is None else _mapped(surfaces),
     )

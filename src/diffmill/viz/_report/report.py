@@ -185,7 +185,12 @@ def _headline(
 ) -> list[tuple[str, str]]:
     """Return the numbers to print large."""
     before = numbers[reference_case(dataset)]
-    items = [(_length(before.rms), "contour error (rms) as programmed")]
+    command = (
+        "with the given command"
+        if "is_commanded" in dataset.attrs
+        else ("as programmed")
+    )
+    items = [(_length(before.rms), f"contour error (rms) {command}")]
     chosen = _chosen(dataset)
     if chosen:
         after = numbers[chosen]

@@ -26,10 +26,15 @@ def summary(dataset: "xarray.Dataset") -> str:
     cases = {case: case_numbers(dataset, case) for case in case_names(dataset)}
     for case, found in cases.items():
         errors = (found.rms, found.percentile_95, found.maximum)
-        numbers = "".join(f"{value * 1e6:10.2f}" for value in errors)
-        rows.append(f"{case:16}{numbers}{found.force_mean:12.2f}")
+        numbers = "".join(_cell(value * 1e6, 10) for value in errors)
+        rows.append(f"{case:16}{numbers}{_cell(found.force_mean, 12)}")
     rms = {case: found.rms for case, found in cases.items()}
     return "\n".join([*rows, *_parts(dataset), *_mirror(rms), *_verdict(dataset)])
+
+
+def _cell(value: float, width: int) -> str:
+    """Return a number, or a dash where there is none, as of a path in the air."""
+    return f"{value:{width}.2f}" if np.isfinite(value) else f"{'-':>{width}}"
 
 
 def _mirror(rms: Mapping[str, float]) -> list[str]:

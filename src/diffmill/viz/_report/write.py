@@ -9,7 +9,13 @@ import numpy as np
 
 from ...sim import ToothChip
 from ...workpiece import SurfaceError
-from .._cases import case_names, reference_case, shown_cases, values_of
+from .._cases import (
+    case_names,
+    place_text,
+    reference_case,
+    shown_cases,
+    values_of,
+)
 from .._figure.chip import plot_chip
 from .._figure.dexels import CutDexels, plot_cut_dexels
 from .._figure.forces import ForceTrace, plot_forces
@@ -54,6 +60,7 @@ def write_figures(
     *,
     forces: ForceTrace | None = None,
     chip: ToothChip | None = None,
+    chip_row: int | None = None,
     dexels: CutDexels | None = None,
     surfaces: dict[str, SurfaceError] | None = None,
 ) -> dict[str, FigureFile]:
@@ -65,6 +72,7 @@ def write_figures(
         forces: Force within the tooth periods; without it the figure shows the
             mean over each tooth period from `dataset`.
         chip: Chip chart of one tooth.
+        chip_row: Step of the reference case at which its revolution ends, if known.
         dexels: Ends of the cut rays, of the reference case.
         surfaces: Error of the machined surface, by case.
 
@@ -78,7 +86,7 @@ def write_figures(
         "paths": _draw_paths(dataset),
         "deviation": _draw_deviation(dataset),
         "forces": _of_reference(_draw_forces(dataset, forces), dataset),
-        "chip": _of_reference(_draw_chip(chip), dataset),
+        "chip": _of_reference(_draw_chip(chip, chip_row, dataset), dataset),
         "surface": _draw_surface(surfaces),
         "dexels": _of_reference(_draw_dexels(dexels), dataset),
     }
@@ -191,17 +199,24 @@ def _draw_forces(dataset: "xarray.Dataset", forces: ForceTrace | None) -> _Drawi
     return _Drawing(title, caption, plot_forces(record))
 
 
-def _draw_chip(chip: ToothChip | None) -> _Drawing:
+def _draw_chip(
+    chip: ToothChip | None, row: int | None, dataset: "xarray.Dataset"
+) -> _Drawing:
     title = "Chip thickness of one tooth"
     if chip is None:
         return _Drawing(title, "no chip chart was computed")
     caption = (
         "What one tooth cuts on its way through the material: angle from the left of "
-        "the feed, clockwise; height along the tool from its tip. White: no chip. Each "
-        "curve below is one disc of the cutter. Where the tool goes straight, discs of "
-        "one radius that lie wholly in the material coincide; a disc that is partly in "
-        "it, mostly the uppermost, counts with that part, and its curve is lower."
+        "the feed, clockwise; height along the tool from its tip. White: no chip, or one "
+        "below a hundredth of the thickest. Each curve below is one disc of the cutter. "
+        "Where the tool goes straight, discs of one radius that lie wholly in the "
+        "material coincide; a disc that is partly in it, mostly the uppermost, counts "
+        "with that part, and its curve is lower. Jumps at equal angles are those from "
+        "sub-step to sub-step, in each of which a shaking tool is taken to stand."
     )
+    if row is not None and "desired" in dataset:
+        place = place_text(dataset, reference_case(dataset), row)
+        caption += f" The revolution ends {place}."
     return _Drawing(title, caption, plot_chip(chip))
 
 
@@ -239,8 +254,8 @@ def _draw_sensitivity(dataset: "xarray.Dataset") -> _Drawing:
         "path, to whichever side and to first order: stiffness K and damping D of the "
         "joints, the coefficients of the force law, and the speed of spindle and feed "
         "together. Where a correction leaves hardly any error, so much new error would "
-        "come; elsewhere it may add to the error or take from it. The controller lifts "
-        "the sag of the stiffness that it knows. Grey: no cut."
+        "come; elsewhere it may add to the error or take from it. Each stiffness has "
+        "its own sag lifted, as touching off does. Grey: no cut."
     )
     return _Drawing("Sensitivity to the model", caption, plot_sensitivity(dataset))
 
