@@ -207,12 +207,13 @@ def _draw_chip(
         return _Drawing(title, "no chip chart was computed")
     caption = (
         "What one tooth cuts on its way through the material: angle from the left of "
-        "the feed, clockwise; height along the tool from its tip. White: no chip, or one "
-        "below a hundredth of the thickest. Each curve below is one disc of the cutter. "
-        "Where the tool goes straight, discs of one radius that lie wholly in the "
-        "material coincide; a disc that is partly in it, mostly the uppermost, counts "
-        "with that part, and its curve is lower. Jumps at equal angles are those from "
-        "sub-step to sub-step, in each of which a shaking tool is taken to stand."
+        "the feed, clockwise; height along the tool from its tip. White: no chip, or "
+        "less than a hundredth of the thickest. Each curve below is one disc of the "
+        "cutter. Where the tool goes straight, discs of one radius that lie wholly in"
+        " the material coincide; a disc that is partly in it, mostly the uppermost, "
+        "counts with that part, and its curve is lower. Jumps at equal angles are "
+        "those from sub-step to sub-step, in each of which a shaking tool is taken to"
+        " stand."
     )
     if row is not None and "desired" in dataset:
         place = place_text(dataset, reference_case(dataset), row)
