@@ -65,6 +65,9 @@ from .receding_horizon_state import (
     unpack_run,
 )
 
+# A step of a later sweep is the last unless it takes this share of the cost.
+_ENOUGH = 0.3
+
 
 class RecedingHorizon(AbstractMethod):
     """Gauss-Newton on segments of a path, for paths of any length.
@@ -75,8 +78,7 @@ class RecedingHorizon(AbstractMethod):
         horizon: Rows of a segment.
         overlap: Rows of its end that the next segment corrects once more.
         sweeps: How often the whole path is gone through, each time from the command
-            that the time before has found; a path of one segment, once. After the first
-            time half as many steps do in a segment.
+            that the time before has found; a path of one segment, once.
         on_checkpoint: Called after every segment with all that is needed to go on.
         resume: What it was called with, to go on from there.
     """
@@ -269,8 +271,8 @@ class RecedingHorizon(AbstractMethod):
         fit = offset_fit(args, (part.plant,), limits=own)
         solver = method.solver
         if run.sweep > 0:
-            steps = -(-solver.max_steps // 2)
-            solver = dataclasses.replace(solver, max_steps=steps)
+            # From where it has settled before, a step that finds little is the last.
+            solver = dataclasses.replace(solver, enough=_ENOUGH)
         found = fit_offsets(
             fit,
             first,
