@@ -148,6 +148,18 @@ def test_what_belongs_together_has_a_name():
     assert not bundles
 
 
+def test_no_call_hides_its_arguments_in_a_tuple():
+    hidden = {
+        f"{file.relative_to(SOURCE).as_posix()}:{node.lineno}"
+        for file in SOURCE.rglob("*.py")
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call)
+        for given in node.args
+        if isinstance(given, ast.Starred) and isinstance(given.value, ast.Tuple)
+    }
+    assert not hidden
+
+
 # Exported names of all areas; the number only gets smaller.
 MOST_NAMES = 301
 
@@ -178,7 +190,7 @@ def test_a_class_has_a_name_of_its_own():
 
 
 # Annotations of what is public that say `Any`; the number only gets smaller.
-MOST_ANY = 52
+MOST_ANY = 36
 
 
 def annotations(node: ast.stmt) -> Iterator[ast.expr | None]:

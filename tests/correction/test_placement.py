@@ -189,9 +189,9 @@ def test_the_derivative_over_the_place_is_that_of_differences():
     @jax.jit
     def moved(T):
         def deviation(T):
-            placed = dataclasses.replace(job, T_base_work=T)
-            q, _ = JobKinematics(placed).joints(jnp.asarray(job.path.positions))
-            C = jax.vmap(lambda q: rb.cartesian_compliance(job.robot, q)[:3, :3])(q)
+            placed = JobKinematics(dataclasses.replace(job, T_base_work=T))
+            q, _ = placed.joints(jnp.asarray(job.path.positions))
+            C = jax.vmap(lambda q: rb.cartesian_compliance(placed.robot, q)[:3, :3])(q)
             return jnp.einsum("ba,rbc,cd,rd->ra", T[:3, :3], C, T[:3, :3], force)
 
         return jax.jvp(deviation, (T,), (push,))

@@ -175,8 +175,6 @@ class LevenbergMarquardt(eqx.Module):
         still: Largest change of each unknown that counts as none, likewise.
         share: Smallest decrease over the cost that is worth a trial, as the model
             foresees it.
-        enough: Decrease over the cost below which a good step is the last, where it is
-            more than `share`.
     """
 
     max_steps: int = 25
@@ -189,7 +187,6 @@ class LevenbergMarquardt(eqx.Module):
     kink: float = 0.0
     still: float | Vector = 0.0
     share: float = 0.0
-    enough: float = 0.0
 
 
 class LeastSquaresStep(eqx.Module):
@@ -337,7 +334,7 @@ def _stepped(
                 state, x=state.x + p, value=value, steps=state.steps + 1
             )
             has_converged = is_still or curved < solver.rest
-            has_converged |= now - cost < max(solver.share, solver.enough) * now
+            has_converged |= now - cost < solver.share * now
             break
         if is_still or curved < solver.kink or trials == solver.attempts:
             break

@@ -1,12 +1,10 @@
 """A job as a plant that is run piece by piece."""
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, PyTree
 
 from ..._job import Job
 from ..._types import FloatRows
@@ -106,7 +104,7 @@ class JobPieces(AbstractPieces):
         span = row_span(self.job)
         return _begin(job, self.adjoint, command, self.has_joint_commands, span)
 
-    def piece(self, state: Any, rows: Int[np.ndarray, " row"]) -> JobPiece:
+    def piece(self, state: PyTree, rows: Int[np.ndarray, " row"]) -> JobPiece:
         """Return the piece that starts from a state."""
         # The stock is the state's: the raw one would only be carried along.
         job = eqx.tree_at(

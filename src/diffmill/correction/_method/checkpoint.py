@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Shaped
+from jaxtyping import PyTree, Shaped
 
 from ..._result import RESULTS
 from ...optimise import LeastSquaresState, LeastSquaresStep
@@ -111,12 +111,12 @@ def _unpack_fit(arrays: Arrays) -> LeastSquaresState:
     )
 
 
-def pack_tree(tree: Any) -> dict[str, np.ndarray]:
+def pack_tree(tree: PyTree) -> dict[str, np.ndarray]:
     """Return the leaves of a tree of arrays, numbered."""
     return {str(i): np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(tree))}
 
 
-def unpack_tree(arrays: Arrays, like: Any) -> Any:
+def unpack_tree(arrays: Arrays, like: PyTree) -> PyTree:
     """Return the tree of numbered leaves.
 
     Args:

@@ -1,11 +1,10 @@
 """The interface of a plant that can be run piece by piece."""
 
 import abc
-from typing import Any
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, PyTree
 
 from ..._types import FloatRows
 from .._core.linear_motion import LinearMotion
@@ -16,7 +15,7 @@ class AbstractPiece(eqx.Module):
     """Some rows of a plant, from a known state at the first of them."""
 
     @abc.abstractmethod
-    def run(self, command: Float[Array, "row axis"]) -> tuple[Motion, Any]:
+    def run(self, command: Float[Array, "row axis"]) -> tuple[Motion, PyTree]:
         """Run the rows.
 
         Args:
@@ -45,7 +44,7 @@ class AbstractPieces(eqx.Module):
         return 0
 
     @abc.abstractmethod
-    def begin(self, command: Float[Array, "row axis"]) -> Any:
+    def begin(self, command: Float[Array, "row axis"]) -> PyTree:
         """Return the state at row 0.
 
         Args:
@@ -54,7 +53,7 @@ class AbstractPieces(eqx.Module):
         """
 
     @abc.abstractmethod
-    def piece(self, state: Any, rows: Int[np.ndarray, " row"]) -> AbstractPiece:
+    def piece(self, state: PyTree, rows: Int[np.ndarray, " row"]) -> AbstractPiece:
         """Return the piece that starts from a state.
 
         Args:

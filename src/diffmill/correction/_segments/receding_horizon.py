@@ -27,12 +27,11 @@ linear system of one segment, does not depend on it.
 
 import dataclasses
 import time
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Int, PyTree
 
 from ..._result import RESULTS
 from ..._types import FloatRows
@@ -64,9 +63,6 @@ from .receding_horizon_state import (
     rms_so_far,
     unpack_run,
 )
-
-# A step of a later sweep is the last unless it takes this share of the cost.
-_ENOUGH = 0.3
 
 
 class RecedingHorizon(AbstractMethod):
@@ -183,7 +179,7 @@ class RecedingHorizon(AbstractMethod):
 
     def _begun(
         self, problem: Problem, spline: SplineOffsets, coefficients: np.ndarray
-    ) -> Any:
+    ) -> PyTree:
         """Return the state at row 0, given three rows and those ahead."""
         count = 3 + self.pieces.rows_ahead
         return self.pieces.begin(command_at(problem, spline, coefficients, 0, count))
@@ -211,37 +207,27 @@ class RecedingHorizon(AbstractMethod):
     ) -> HorizonRun:
         """Correct the rows of one segment, and run them but for the overlap."""
         rows, row = problem.nominal.shape[0], run.row
-        coefficients, history, is_settled = run.coefficients, run.history, True
         part = part_of(problem, self.pieces, run.state, row, self.horizon)
         if np.any(part.is_cutting > 0) or self._has_bounds(row):
-            coefficients, history, is_settled = self._solve(problem, part, spline, run)
-        is_last = row + self.horizon >= rows
-        count = rows - row if is_last else self._hop + 1
-        state, unsettled = run.state, run.unsettled + (not is_settled)
+            run = self._solve(problem, part, spline, run)
+        state = run.state
         if row == 0:
             # The start moves with the command, which has just been changed.
-            state = self._begun(problem, spline, coefficients)
-        if is_last:
+            state = self._begun(problem, spline, run.coefficients)
+        if row + self.horizon >= rows:
             # The whole run that follows tells the error of these rows.
-            return HorizonRun(
-                *(run.sweep, rows, coefficients, state, run.square, history, unsettled)
-            )
-        kept = part_of(problem, self.pieces, state, row, count)
-        count += self.pieces.rows_ahead
-        command = command_at(problem, spline, coefficients, row, count, problem.window)
+            return dataclasses.replace(run, row=rows, state=state)
+        kept = part_of(problem, self.pieces, state, row, self._hop + 1)
+        count, window = self._hop + 1 + self.pieces.rows_ahead, problem.window
+        command = command_at(problem, spline, run.coefficients, row, count, window)
         state, square = advance(kept, jnp.asarray(command))
         square, row = run.square + float(square), row + self._hop
-        return HorizonRun(
-            *(run.sweep, row, coefficients, state, square, history, unsettled)
-        )
+        return dataclasses.replace(run, row=row, state=state, square=square)
 
     def _solve(
         self, problem: Problem, part: Problem, spline: SplineOffsets, run: HorizonRun
-    ) -> tuple[np.ndarray, tuple[LeastSquaresStep, ...], bool]:
-        """Return the coefficients with those of a segment corrected, and the steps.
-
-        Also whether the optimiser has settled there.
-        """
+    ) -> HorizonRun:
+        """Return the run with the coefficients of a segment corrected."""
         method, bound = self.method, float(problem.max_offset)
         limits = self._limits(problem, spline)
         dtype = np.asarray(problem.nominal).dtype
@@ -269,19 +255,15 @@ class RecedingHorizon(AbstractMethod):
             bounds,
         )
         fit = offset_fit(args, (part.plant,), limits=own)
-        solver = method.solver
-        if run.sweep > 0:
-            # From where it has settled before, a step that finds little is the last.
-            solver = dataclasses.replace(solver, enough=_ENOUGH)
         found = fit_offsets(
             fit,
             first,
-            solver,
+            method.solver,
             lower=np.where(is_free, -bound, first).reshape(-1),
             upper=np.where(is_free, bound, first).reshape(-1),
         )
         if found is None:
-            return run.coefficients, run.history, False
+            return dataclasses.replace(run, unsettled=run.unsettled + 1)
         new = run.coefficients.copy()
         x = np.asarray(fit.coefficients(found.x), np.float64)
         changed = np.asarray(window.is_free)
@@ -291,9 +273,13 @@ class RecedingHorizon(AbstractMethod):
         if run.sweep == 0 and not limits and bounds is None:
             again = self._overlapping(spline, run.row)
             new[again] = run.coefficients[again]
-        history = _following(run.history, found.history)
         is_settled = found.has_converged and fit.is_within(found.value)
-        return new, history, is_settled
+        return dataclasses.replace(
+            run,
+            coefficients=new,
+            history=_following(run.history, found.history),
+            unsettled=run.unsettled + (not is_settled),
+        )
 
     def _bounds(self, problem: Problem, row: int) -> SurfaceBounds | None:
         """Return the bounds of the surface for the segment from a row on.

@@ -6,7 +6,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
 from ..._types import FloatRows
 from ...optimise import LeastSquaresStep
@@ -42,7 +42,7 @@ class HorizonRun(eqx.Module):
     sweep: int
     row: int
     coefficients: np.ndarray
-    state: Any
+    state: PyTree
     square: float
     history: tuple[LeastSquaresStep, ...]
     unsettled: int = 0
@@ -91,7 +91,7 @@ class PaddedPiece(eqx.Module):
         """Return the motion, its first and last row repeated."""
         return self.run(command)[0]
 
-    def run(self, command: Float[Array, "step axis"]) -> tuple[Motion, Any]:
+    def run(self, command: Float[Array, "step axis"]) -> tuple[Motion, PyTree]:
         """Return the motion and the plant's state at the piece's last row."""
         motion, state = self.piece.run(self.still.known(command))
         return self.still.around(motion), state
@@ -137,7 +137,7 @@ class _Rows(eqx.Module):
 @eqx.filter_jit
 def advance(
     part: Problem, command: Float[Array, "step axis"]
-) -> tuple[Any, Float[Array, ""]]:
+) -> tuple[PyTree, Float[Array, ""]]:
     """Return the state at a piece's last row, and its sum of squared errors.
 
     The last row belongs to the piece after.
@@ -151,7 +151,7 @@ def advance(
 
 
 def part_of(
-    problem: Problem, pieces: AbstractPieces, state: Any, row: int, count: int
+    problem: Problem, pieces: AbstractPieces, state: PyTree, row: int, count: int
 ) -> Problem:
     """Return the problem of some rows, with more around them that do not count."""
     rows, reach, ahead = problem.nominal.shape[0], problem.window, pieces.rows_ahead

@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jax.typing import DTypeLike
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, PyTree
 
 from ...process import (
     EdgeSamples,
@@ -264,7 +264,7 @@ def force_slopes(
 
 def arm_slopes(
     model: CompliantModel,
-    state: Any,
+    state: PyTree,
     row: CommandRow,
     loads: Float[Array, "substep load"],
 ) -> ArmSlopes:
