@@ -143,7 +143,7 @@ def earlier(job_file, name="first"):
         made.top,
     )
     (job_file.parent / name).mkdir(exist_ok=True)
-    wp.save_stock(stock, job_file.parent / name / "stock.npz")
+    wp.save(stock, job_file.parent / name / "stock.npz")
     return stock
 
 
@@ -181,7 +181,7 @@ def test_too_few_slots_are_refused(write):
     assert "up to (1, 1, 2) intervals" in " ".join(problems(write(text)))
     stock = load_job(write(f'mesh = "two.stl"\n{SPACING}')).stock
     file.with_name("first").mkdir()
-    wp.save_stock(stock, file.with_name("first") / "stock.npz")
+    wp.save(stock, file.with_name("first") / "stock.npz")
     text = 'result = "first"\nintervals = [8, 8, 1]\n'
     assert "up to (1, 1, 2) intervals" in " ".join(problems(write(text)))
 

@@ -17,7 +17,7 @@ def stock():
 
 
 def test_a_stock_comes_back_as_it_was(tmp_path, stock):
-    wp.save_stock(stock, tmp_path / "stock.npz")
+    wp.save(stock, tmp_path / "stock.npz")
     found = wp.load_stock(tmp_path / "stock.npz", is_raw=False)
     assert (found.spacing, found.top) == (stock.spacing, stock.top)
     assert found.volume_weights == stock.volume_weights
@@ -36,7 +36,7 @@ def test_raw_stock_forgets_poses_and_takes_its_highest_point(tmp_path):
     y = wp.Rays(y.ends.at[is_gone].set(dead), y.poses)
     z = wp.Rays(z.ends.at[:, :, 1].min(-0.9e-3), z.poses)
     faced = wp.Stock((x, y, z), made.origin, made.spacing, made.top)
-    wp.save_stock(faced, tmp_path / "stock.npz")
+    wp.save(faced, tmp_path / "stock.npz")
     found = wp.load_stock(tmp_path / "stock.npz")
     assert found.top == pytest.approx(-0.9e-3)
     assert all((rays.poses == -1).all() for rays in found.families)
@@ -46,7 +46,7 @@ def test_raw_stock_forgets_poses_and_takes_its_highest_point(tmp_path):
 
 
 def arrays(tmp_path, stock):
-    wp.save_stock(stock, tmp_path / "good.npz")
+    wp.save(stock, tmp_path / "good.npz")
     with np.load(tmp_path / "good.npz") as found:
         return {name: found[name] for name in found.files}
 
@@ -106,7 +106,7 @@ def test_grids_that_do_not_fit_together_are_refused(tmp_path, stock):
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.9])
 def test_a_file_cut_short_is_refused(tmp_path, stock, share):
-    wp.save_stock(stock, tmp_path / "stock.npz")
+    wp.save(stock, tmp_path / "stock.npz")
     data = (tmp_path / "stock.npz").read_bytes()
     (tmp_path / "short.npz").write_bytes(data[: int(share * len(data))])
     with pytest.raises(wp.StockFileError, match=r"short\.npz"):
@@ -114,7 +114,7 @@ def test_a_file_cut_short_is_refused(tmp_path, stock, share):
 
 
 def test_a_damaged_byte_is_noticed(tmp_path, stock):
-    wp.save_stock(stock, tmp_path / "stock.npz")
+    wp.save(stock, tmp_path / "stock.npz")
     data = bytearray((tmp_path / "stock.npz").read_bytes())
     with np.load(tmp_path / "stock.npz") as found:
         assert "ends_x" in found.files
@@ -133,7 +133,7 @@ def test_missing_files_and_folders_are_named(tmp_path):
 
 
 def test_a_file_that_would_fill_the_memory_is_not_read(tmp_path, stock, monkeypatch):
-    wp.save_stock(stock, tmp_path / "stock.npz")
+    wp.save(stock, tmp_path / "stock.npz")
     monkeypatch.setattr("diffmill.workpiece._memory.physical_memory", lambda: 1e3)
     with pytest.raises(wp.StockFileError):
         wp.load_stock(tmp_path / "stock.npz")

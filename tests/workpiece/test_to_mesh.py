@@ -132,7 +132,7 @@ def test_a_part_survives_the_way_through_a_file(tmp_path, suffix):
     mesh = stock.to_mesh()
     assert_closed(mesh)
     assert mesh.volume() == pytest.approx(part.volume, rel=5e-3)
-    wp.save_mesh(stock, tmp_path / f"part{suffix}")
+    wp.save(stock, tmp_path / f"part{suffix}")
     again = wp.from_mesh(tmp_path / f"part{suffix}", 0.4e-3)
     assert float(again.volume()) == pytest.approx(float(stock.volume()), rel=5e-3)
     # By an independent reader, in millimetres.
@@ -195,10 +195,12 @@ def test_a_grid_too_large_is_refused_before_it_is_filled(monkeypatch):
 def test_suffix_and_unit_of_a_mesh_file_are_checked(tmp_path):
     stock = wp.box([0, 0, 0], [2e-3, 2e-3, 2e-3], SPACING)
     with pytest.raises(wp.StockFileError, match=r"\.step"):
-        wp.save_mesh(stock, tmp_path / "part.step")
+        wp.save(stock, tmp_path / "part.step")
+    with pytest.raises(wp.StockFileError, match=r"\.npz"):
+        wp.save(stock.to_mesh(), tmp_path / "part.npz")
     # The annotation refuses it, too, where it is checked.
     with pytest.raises((ValueError, TypeError)):
-        wp.save_mesh(stock, tmp_path / "part.ply", unit="ft")  # pyright: ignore[reportArgumentType]
+        wp.save(stock, tmp_path / "part.ply", unit="ft")  # pyright: ignore[reportArgumentType]
     assert not list(tmp_path.iterdir())
-    wp.save_mesh(stock.to_mesh(), tmp_path / "part.ply", unit="m")
+    wp.save(stock.to_mesh(), tmp_path / "part.ply", unit="m")
     assert trimesh.load_mesh(tmp_path / "part.ply").extents == pytest.approx(2e-3)

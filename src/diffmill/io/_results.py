@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from .._results_folder import ResultsFolder
-from ..workpiece import Stock, save_stock
+from ..workpiece import Stock, save
 
 # xarray takes half a second to import, which only these functions need.
 Dataset: TypeAlias = Any
@@ -67,7 +67,7 @@ def write_results(
         content = described(dataset).to_netcdf(engine="h5netcdf")
         (folder / "result.nc").write_bytes(content)
         if stock is not None:
-            save_stock(stock, folder / "stock.npz")
+            save(stock, folder / "stock.npz")
         for name, content in (files or {}).items():
             _write(folder, name, content)
         if fill is not None:

@@ -30,8 +30,7 @@ from ._files import (
     StockFileError as StockFileError,
     from_mesh as from_mesh,
     load_stock as load_stock,
-    save_mesh as save_mesh,
-    save_stock as save_stock,
+    save as save,
 )
 from ._mesh.mesh import Mesh as Mesh
 from ._mesh.surface_error import (

@@ -21,7 +21,7 @@ from ._mesh.mesh import Mesh, mesh_fault, weld
 # Unit of the numbers in a mesh file.
 MeshUnit: TypeAlias = Literal["m", "cm", "mm", "um", "in"]
 _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 25.4e-3}
-_SUFFIXES = (".stl", ".obj", ".ply")
+_SUFFIXES, _STOCK = (".stl", ".obj", ".ply"), ".npz"
 
 
 class StockFileError(ValueError):
@@ -112,28 +112,39 @@ def from_mesh(
     return stock_from_mesh(mesh, spacing, interval_counts=interval_counts, dtype=dtype)
 
 
-def save_mesh(
+def save(
     stock_or_mesh: Stock | Mesh,
     path: str | os.PathLike[str],
     *,
     unit: MeshUnit = "mm",
 ) -> None:
-    """Write the surface of a stock, or a mesh, to a file.
+    """Write a stock as it is, or the surface of a stock, or a mesh, to a file.
 
     Args:
         stock_or_mesh: The stock or mesh.
-        path: The file; its suffix chooses STL (binary), OBJ or PLY.
-        unit: Unit of the numbers in the file. STL rounds them to single precision.
+        path: The file. Its suffix chooses: .npz takes a stock as plain arrays (no
+            pickle) in metres, for each axis f of x, y and z the array `ends_f` (u, v,
+            2, slot) and the array `poses_f` of the same shape, and `origin`,
+            `spacing`, `top`, `volume_weights`; .stl (binary), .obj and .ply take the
+            surface.
+        unit: Unit of the numbers of a surface. STL rounds them to single precision.
 
     Raises:
-        StockFileError: The suffix is none of these.
+        StockFileError: The suffix is none of these, or a mesh is to be an .npz file.
         ValueError: The stock holds no material, or the unit is unknown.
         OSError: The file cannot be written.
     """
-    scale, suffix = _scale(unit), _suffix(path)
-    mesh = (
-        stock_or_mesh.to_mesh() if isinstance(stock_or_mesh, Stock) else stock_or_mesh
-    )
+    if isinstance(stock_or_mesh, Stock):
+        if Path(path).suffix.lower() == _STOCK:
+            with open(path, "wb") as file:
+                arrays = arrays_of_stock(stock_or_mesh)
+                np.savez_compressed(file, allow_pickle=False, **arrays)
+            return
+        scale, suffix = _scale(unit), _suffix(path, _STOCK)
+        mesh = stock_or_mesh.to_mesh()
+    else:
+        scale, suffix = _scale(unit), _suffix(path)
+        mesh = stock_or_mesh
     import trimesh
 
     out = trimesh.Trimesh(mesh.vertices / scale, mesh.faces, process=False)
@@ -142,26 +153,13 @@ def save_mesh(
     Path(path).write_bytes(data.encode("utf-8") if isinstance(data, str) else data)
 
 
-def save_stock(stock: Stock, path: str | os.PathLike[str]) -> None:
-    """Write a stock as plain arrays (no pickle), lengths in metres.
-
-    Args:
-        stock: The stock.
-        path: Path of the .npz file. It receives, for each axis f of x, y and z, the
-            array `ends_f` (u, v, 2, slot) and the array `poses_f` of the same shape,
-            and `origin`, `spacing`, `top`, `volume_weights`.
-    """
-    with open(path, "wb") as file:
-        np.savez_compressed(file, allow_pickle=False, **arrays_of_stock(stock))
-
-
 def load_stock(
     path: str | os.PathLike[str],
     *,
     is_raw: bool = True,
     dtype: type | jnp.dtype | None = None,
 ) -> Stock:
-    """Return a stock that `save_stock` or a run wrote (`stock.npz`).
+    """Return a stock that `save` or a run wrote (`stock.npz`).
 
     Args:
         path: The .npz file.
@@ -233,11 +231,12 @@ def _scale(unit: str) -> float:
     return _METRES[unit]
 
 
-def _suffix(path: str | os.PathLike[str]) -> str:
+def _suffix(path: str | os.PathLike[str], *others: str) -> str:
+    """Return the suffix of a mesh file; others would have been allowed, too."""
     suffix = Path(path).suffix.lower()
     if suffix not in _SUFFIXES:
         raise StockFileError(
             f"{os.fspath(path)}: found the suffix {suffix!r}; allowed: "
-            f"{', '.join(_SUFFIXES)}"
+            f"{', '.join((*others, *_SUFFIXES))}"
         )
     return suffix
