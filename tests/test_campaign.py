@@ -269,7 +269,7 @@ def test_without_dask_the_jobs_run_one_after_the_other(folder, capsys, monkeypat
     monkeypatch.setitem(sys.modules, "distributed", None)
     assert main(["campaign", "c.toml"]) == 1
     told = capsys.readouterr().err
-    assert "diffmill[campaign]" in told and "2 jobs" in told
+    assert "Dask" in told and "2 jobs" in told
 
 
 def kill_a_worker(ones_before):

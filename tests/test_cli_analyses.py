@@ -143,6 +143,7 @@ def test_growth_too_brief_for_chatter_is_no_warning(folder, monkeypatch, capsys)
         warning=lambda: None,
         note=lambda: "vibrations grow, too briefly",
         visibility=lambda: "it shows",
+        is_of_path=True,
     )
     monkeypatch.setattr(sim.Stability, "where_suspected", lambda job, solution: found)
     monkeypatch.setattr(viz, "figure_inputs", fail)
@@ -161,6 +162,7 @@ def test_contacts_and_stability_are_said_and_kept(folder, monkeypatch, capsys):
         radius=np.array([0.9, 1.2, 1.1]),
         warning=lambda: "the cut is unstable",
         visibility=lambda: "it shows",
+        is_of_path=True,
     )
     monkeypatch.setattr(sim.Stability, "where_suspected", lambda job, solution: found)
     monkeypatch.setattr(viz, "figure_inputs", fail)

@@ -39,7 +39,7 @@ def test_the_largest_error_decides(tmp_path, correction, factor, is_held):
     band = factor * error.max()
     text = report(tmp_path, correction.assign_attrs(tolerance_band=band))
     assert ("Not within" in text) != is_held
-    assert ("Within the tolerance: all" in text) == is_held
+    assert ("within the tolerance at all of" in text) == is_held
     row = int(error.argmax())
     x, y, z = 1e3 * correction["desired"].values[row]
     time = correction["time"].values[row]
@@ -50,7 +50,7 @@ def test_the_written_program_has_to_keep_the_band_too(tmp_path, correction):
     band = 1.01 * corrected_error(correction).max()
     given = correction.assign_attrs(tolerance_band=band, written_max_ngc=1.1 * band)
     text = report(tmp_path, given)
-    assert "Not within" in text and "Within the tolerance: all" in text
+    assert "Not within" in text and "within the tolerance at all of" in text
     assert f"Of corrected.ngc, read back and run: {1.1e6 * band:.3g}" in text
     assert "Not within" not in report(
         tmp_path, given.assign_attrs(written_max_ngc=0.9 * band)
@@ -63,7 +63,7 @@ def test_the_share_within_is_that_of_the_steps_that_cut(tmp_path, correction):
     band = float(np.percentile(error[cutting], 60))
     share = 100 * np.mean(error[cutting] <= band)
     text = report(tmp_path, correction.assign_attrs(tolerance_band=band))
-    assert f"Within the tolerance: {share:.1f} % of the steps" in text
+    assert f"within the tolerance at {share:.1f} % of the steps" in text
 
 
 def test_an_unfinished_run_and_one_without_a_tolerance_get_no_verdict(

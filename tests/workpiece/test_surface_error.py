@@ -183,3 +183,15 @@ def test_the_sign_holds_beyond_the_sharpest_edges():
         np.testing.assert_allclose(np.abs(distance), nearest, atol=1e-12)
         assert ((distance < 0) == is_inside).all()
         np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1, rtol=1e-9)
+
+
+def test_rays_that_run_along_a_wall_tell_nothing_of_it():
+    """A micrometre decides whether they are cut, down to the floor."""
+    origin = float(slotted(2e-3, 1e-3).origin[0])
+    wall = origin + SPACING * round((2e-3 - origin) / SPACING)
+    made, ideal = slotted(wall + 1e-6, 1.005e-3), slotted(wall, 1e-3)
+    found = wp.SurfaceError.of_stock(made, ideal, leaves_out_raw=True)
+    measures = found.measures()
+    assert measures.deepest == pytest.approx(5e-6, rel=0.2)
+    assert measures.floor_rms == pytest.approx(5e-6, rel=0.2)
+    assert measures.wall_rms == pytest.approx(1e-6, rel=0.2)

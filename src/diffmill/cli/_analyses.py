@@ -53,12 +53,16 @@ def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> 
         The exit code: 0, or 1 if one of them failed, which leaves the others.
     """
     from ..io import described
+    from ..viz import summary
 
     attempts = Attempts()
     dataset = run.dataset
     if "corrected_case" in dataset.attrs:
+        dataset = dataset.assign_attrs(is_unread=1)
         with attempts.at("written program"):
             dataset = _with_written(folder, run, progress)
+    if verdict := summary(dataset, "verdict"):
+        progress.say(verdict)
     for name, step in (
         ("contacts", _with_contacts),
         ("stability", _with_stability),

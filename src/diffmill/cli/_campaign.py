@@ -62,8 +62,8 @@ def run_campaign_file(
     if workers.processes is None and workers.scheduler is None and not _has_dask():
         workers = workers._replace(processes=0)
         progress.say(
-            "note: the jobs run one after the other; pip install 'diffmill[campaign]' "
-            "brings Dask, and with it a worker for each core"
+            "note: the jobs run one after the other: with Dask, the extra `campaign` "
+            "of diffmill, each core gets a worker (docs/campaign.md)"
         )
     if force:
         for kept in folder.glob("jobs/*.json"):
@@ -84,7 +84,7 @@ def run_campaign_file(
             )
     except ImportError as error:
         raise BadInput(
-            f"campaign: {error}; pip install 'diffmill[campaign]' brings Dask, "
+            f"campaign: {error}; Dask is the extra `campaign` of diffmill, "
             "--workers 0 does without it"
         ) from error
     except KeyboardInterrupt:
@@ -132,6 +132,16 @@ def _place_of_least(campaign: "Campaign", values: "xarray.DataArray") -> str:
     return f", the least at {', '.join(named)}"
 
 
+def _idle_lines(error: "xarray.DataArray") -> list[str]:
+    """Return a note for each variation that changes nothing at all."""
+    return [
+        f"note: {name} changes nothing, every value gives the same error: `diffmill "
+        "check` of the job may say why, as of a feed where the program has its own"
+        for name, size in error.sizes.items()
+        if name != "case" and size > 1 and bool((error == error.isel({name: 0})).all())
+    ]
+
+
 def _lines(
     campaign: "Campaign", dataset: "xarray.Dataset", folder: pathlib.Path
 ) -> list[str]:
@@ -151,6 +161,7 @@ def _lines(
                 f"contour error rms{name}: {float(values.min()):.2f} to "
                 f"{float(values.max()):.2f} um{_place_of_least(campaign, values)}"
             )
+        lines += _idle_lines(error)
     failed = [str(text) for text in dataset.message.values.ravel() if text]
     for text in list(dict.fromkeys(failed))[:_MOST_LINES]:
         lines.append(f"{failed.count(text)} of them: {text[:300]}")

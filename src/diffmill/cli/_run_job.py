@@ -224,7 +224,8 @@ def _summary(dataset: Dataset) -> str:
     """Return the headline figures, and what the optimiser ended with."""
     from ..viz import summary
 
-    lines = [summary(dataset)]
+    # The verdict follows when the written programs have been run.
+    lines = [summary(dataset, "figures")]
     if dataset.attrs.get("corrected_outcome") == "steps ran out":
         lines.append(
             "note: the optimiser ended after [correction] max_steps, before it "

@@ -142,8 +142,9 @@ def _run_written(
     """Return the contour error that poses leave instead of their command."""
     import jax.numpy as jnp
 
+    from ..._result import RESULTS
     from ...process import ThroughPoses
-    from ...sim import Solution
+    from ...sim import Solution, run_with_room
 
     # Rounded times may end a row sooner or later; the tool then rests at the end.
     rows = np.minimum(np.arange(job.path.step_count), len(positions) - 1)
@@ -154,6 +155,9 @@ def _run_written(
     tips = jnp.asarray(np.asarray(positions)[rows], dtype)
     # By the program that the correction has compiled.
     solution = Solution.of_command(job, final.rigid, tips, ThroughPoses())
+    if solution.result == RESULTS.interval_overflow:
+        quiet = lambda message, share: None
+        solution = run_with_room(job, tips, ThroughPoses(), quiet).solution
     solution.raise_unless_successful(job)
     return _left(solution, np.asarray(final.is_cutting))
 

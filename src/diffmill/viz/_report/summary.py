@@ -1,7 +1,7 @@
 """The headline figures of a result as text."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -14,12 +14,18 @@ if TYPE_CHECKING:
     import xarray
 
 
-def summary(dataset: "xarray.Dataset") -> str:
-    """Return tables of the headline figures: of each case, and by part of the path.
+def summary(
+    dataset: "xarray.Dataset", only: Literal["figures", "verdict"] | None = None
+) -> str:
+    """Return tables of the headline figures and the verdict on a tolerance.
 
     Args:
         dataset: A result of `simulate` or `correct`.
+        only: The part that is returned: the figures of each case and by part of the
+            path, or the verdict, empty where no tolerance was stated; both if None.
     """
+    if only == "verdict":
+        return "\n".join(_verdict(dataset))
     name = dataset.attrs.get("job", "job")
     rows = [f"{name}: contour error where the tool cuts [um], force [N]"]
     rows.append(f"{'case':16}{'rms':>10}{'95 %':>10}{'max':>10}{'mean force':>12}")
@@ -29,7 +35,8 @@ def summary(dataset: "xarray.Dataset") -> str:
         numbers = "".join(_cell(value * 1e6, 10) for value in errors)
         rows.append(f"{case:16}{numbers}{_cell(found.force_mean, 12)}")
     rms = {case: found.rms for case, found in cases.items()}
-    return "\n".join([*rows, *_parts(dataset), *_mirror(rms), *_verdict(dataset)])
+    rows += [*_parts(dataset), *_mirror(rms)]
+    return "\n".join(rows if only else [*rows, *_verdict(dataset)])
 
 
 def _cell(value: float, width: int) -> str:

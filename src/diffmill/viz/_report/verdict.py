@@ -79,6 +79,8 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
     }
     for name, left in files.items():
         text += f" Of {name}, read back and run: {left * 1e6:.3g} {MICROMETRE}."
+    if dataset.attrs.get("is_unread"):
+        text += " The written programs could not be run: what they leave is not known."
     expected = dataset.attrs.get("expected_contour_error_rms_m")
     if expected is not None:
         text += (
@@ -100,7 +102,8 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
     # 99.97 % is not "100 %" of a path that leaves the band.
     shown = "all" if largest <= band else f"{min(share, 99.9):.1f} %"
     title = f"{'Within' if is_held else 'Not within'} {band * 1e6:.3g} {MICROMETRE}"
-    text += f" Within the tolerance: {shown} of the steps that cut."
+    whose = "The command" if case != reference_case(dataset) else "The path"
+    text += f" {whose} is within the tolerance at {shown} of the steps that cut."
     return Verdict(is_held, title, text)
 
 

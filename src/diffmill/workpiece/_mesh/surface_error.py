@@ -17,6 +17,9 @@ from jaxtyping import Bool, Float, Int
 
 from .._dexel.stock import Stock
 
+# Rays of a stock are taken to be so many times as far apart to tell them apart.
+_OTHER_RAY = 1e6
+
 
 class SurfaceMeasures(eqx.Module):
     """Figures of a surface error, walls and floors apart; NaN where there is none.
@@ -142,7 +145,11 @@ class _IdealSurface:
     def __init__(self, ideal: Stock):
         from scipy.spatial import KDTree
 
-        self._ends = KDTree(np.concatenate([ideal.ray_ends(f)[0] for f in range(3)]))
+        ends = [ideal.ray_ends(f)[0] for f in range(3)]
+        self._ends = KDTree(np.concatenate(ends))
+        self._on_rays = [KDTree(_on_rays(ends[f], f)) for f in range(3)]
+        self._spacing = float(ideal.spacing)
+        self._extent = self._spacing * max(ideal.grid_shape)
         self._distance = ideal.to_mesh().signed_distance()
 
     def error(self, machined: Stock, leaves_out_raw: bool) -> SurfaceError:
@@ -160,14 +167,48 @@ class _IdealSurface:
                 rows[kept] for rows in (points, is_cut, family, bound)
             )
         error, normal = self._distance(points)
+        error = np.copysign(np.minimum(np.abs(error), bound), error)
+        kept = ~self._runs_along(points, family, error)
+        points, error, normal, is_cut, family = (
+            rows[kept] for rows in (points, error, normal, is_cut, family)
+        )
         return SurfaceError(
             points=points,
-            error=np.copysign(np.minimum(np.abs(error), bound), error),
+            error=error,
             normal=normal,
             is_floor=np.abs(normal[:, 2]) > np.sqrt(0.5),
             is_cut=is_cut,
             family=family,
         )
+
+    def _runs_along(
+        self,
+        points: Float[np.ndarray, "end 3"],
+        family: Int[np.ndarray, " end"],
+        error: Float[np.ndarray, " end"],
+    ) -> Bool[np.ndarray, " end"]:
+        """Return which ends are of rays that lie in a wall, and tell nothing of it.
+
+        Whether such a ray is cut is chance, by nanometres, and the mesh has the wall on
+        one side of it: its end is near the surface, but far from any end that the ideal
+        stock has on that ray.
+        """
+        away = np.full(len(points), np.inf)
+        for f in range(3):
+            mine = family == f
+            away[mine] = self._on_rays[f].query(_on_rays(points[mine], f))[0]
+        # Of another grid no ray is the same: nothing is known then.
+        is_same = away < self._extent
+        return is_same & (away > 2 * self._spacing) & (np.abs(error) < self._spacing)
+
+
+def _on_rays(
+    points: Float[np.ndarray, "end 3"], family: int
+) -> Float[np.ndarray, "end 3"]:
+    """Return ends so far apart across their rays that the nearest is on the same."""
+    scaled = _OTHER_RAY * points
+    scaled[:, family] = points[:, family]
+    return scaled
 
 
 def _end_poses(stock: Stock, family: int) -> Int[np.ndarray, " end"]:
