@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from diffmill.toolpath import contour_vector
 from diffmill.viz import (
     CutDexels,
     ForceTrace,
@@ -52,26 +53,26 @@ def legend_box(figure) -> Any:
     return legend.get_window_extent()
 
 
-def test_plan_view_draws_desired_plus_factor_times_deviation(correction):
+def test_plan_view_draws_factor_times_the_distance_from_the_line(correction):
     plan = panels_of(plot_paths(correction, magnification=20.0))[0]
     cutting = correction["is_cutting"].values
     for index, name in enumerate(SCALES):
         line = line_of(plan, LABELS[name])
-        expected = 1e3 * (
-            correction["desired"].values
-            + 20.0 * correction["deviation"].isel(case=index).values
-        )
+        desired = correction["desired"].values * [1, 1, 0]
+        actual = desired + correction["deviation"].isel(case=index).values * [1, 1, 0]
+        away = np.asarray(contour_vector(actual, desired))
+        expected = 1e3 * (actual + 19.0 * away)
         np.testing.assert_allclose(line.get_xdata()[cutting], expected[cutting, 0])
         np.testing.assert_allclose(line.get_ydata()[cutting], expected[cutting, 1])
         assert np.isnan(line.get_xdata()[~cutting]).all()
-    assert plan.get_title(loc="left") == "plan view, deviation x 20"
+    assert plan.get_title(loc="left") == "plan view, distance x 20"
 
 
 @pytest.mark.parametrize("scale", [0.1, 0.26, 0.51, 1.0, 3.0])
 def test_automatic_magnification_makes_the_deviation_visible(correction, scale):
     result = correction.assign(deviation=scale * correction["deviation"])
     title = panels_of(plot_paths(result))[0].get_title(loc="left")
-    factor = float(title.removeprefix("plan view, deviation x "))
+    factor = float(title.removeprefix("plan view, distance x "))
     assert f"{factor:g}".rstrip("0") in ("1", "2", "5")
     length = np.linalg.norm(result["deviation"].values[0, :, :2], axis=1)
     drawn = factor * np.percentile(length[result["is_cutting"].values], 95)
@@ -81,7 +82,7 @@ def test_automatic_magnification_makes_the_deviation_visible(correction, scale):
 def test_a_deviation_that_shows_by_itself_is_not_magnified(correction):
     result = correction.assign(deviation=30 * correction["deviation"])
     title = panels_of(plot_paths(result))[0].get_title(loc="left")
-    assert title == "plan view, deviation x 1"
+    assert title == "plan view, distance x 1"
 
 
 def nearest_on_line(point, line):

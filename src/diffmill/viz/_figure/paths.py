@@ -75,7 +75,7 @@ def plot_paths(
         plan,
         x="x [mm]",
         y="y [mm]",
-        title=f"plan view, deviation x {factor:g}",
+        title=f"plan view, distance x {factor:g}",
     )
     for axes, place in zip(zooms, worst_places(dataset), strict=True):
         _draw_zoom(axes, plan, dataset, place)
@@ -161,10 +161,8 @@ def _farthest(
     A tool that is late on the line is not off it: the longest deviation would mostly
     be found where a correction lets the tool lag.
     """
-    plane = np.array([1.0, 1.0, 0.0])
-    desired = values_of(dataset, "desired", case) * plane
-    actual = desired + values_of(dataset, "deviation", case) * plane
-    across = np.asarray(contour_vector(actual, desired), np.float64)
+    desired = values_of(dataset, "desired", case)
+    actual, across = _in_plan(dataset, case)
     off = np.linalg.norm(across, axis=1)
     is_known = cutting_of(dataset, case) & np.isfinite(off)
     if apart is not None:
@@ -180,11 +178,24 @@ def _farthest(
 def _points_mm(
     dataset: "xarray.Dataset", case: str, factor: float
 ) -> Float[np.ndarray, "step 3"]:
-    """Return the case's path with the deviation times `factor`; gaps in the air."""
-    desired = values_of(dataset, "desired", case)
-    points = desired + factor * values_of(dataset, "deviation", case)
+    """Return a path whose distance from the line is `factor` times as large.
+
+    A tool that is late on the line stays on it; gaps in the air.
+    """
+    actual, across = _in_plan(dataset, case)
+    points = actual + (factor - 1) * across
     points[~cutting_of(dataset, case)] = np.nan
     return points * 1e3
+
+
+def _in_plan(
+    dataset: "xarray.Dataset", case: str
+) -> tuple[Float[np.ndarray, "step 3"], Float[np.ndarray, "step 3"]]:
+    """Return a path seen from above, and its way from the desired line [m]."""
+    plane = np.array([1.0, 1.0, 0.0])
+    desired = values_of(dataset, "desired", case) * plane
+    actual = desired + values_of(dataset, "deviation", case) * plane
+    return actual, np.asarray(contour_vector(actual, desired), np.float64)
 
 
 def _draw_plan(
