@@ -13,14 +13,20 @@ RADIUS, FEED, DEPTH = 2e-3, 0.05e-3, 0.8e-3
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("direction", [0.0, 2.4])
-def test_chip_of_a_slot_is_that_of_two_circles(direction):
-    """A slot in any direction shows the same chip from 0 to 180 degrees."""
+@pytest.mark.parametrize(
+    ("direction", "is_held_back"), [(0.0, False), (2.4, False), (0.0, True)]
+)
+def test_chip_of_a_slot_is_that_of_two_circles(direction, is_held_back):
+    """A slot in any direction shows the same chip from 0 to 180 degrees.
+
+    So does a helix that holds the discs back by half a sample, three halves, ...
+    """
     along = np.array([np.cos(direction), np.sin(direction), 0.0])
     steps = np.arange(60)[:, None]
     tips = (steps * FEED - 1.5e-3) * along + np.array([0.0, 0.0, -DEPTH])
     stock = box([-5e-3, -5e-3, -2e-3], [5e-3, 5e-3, 0.0], 0.2e-3)
-    cutter = flat_end_mill(diameter=2 * RADIUS, teeth=2, helix_angle=0.0)
+    helix = np.arctan(2 * np.pi / 96 * RADIUS / 0.4e-3) if is_held_back else 0.0
+    cutter = flat_end_mill(diameter=2 * RADIUS, teeth=2, helix_angle=float(helix))
     plan = choose_engagement(
         stock, cutter, axial_depth=DEPTH, angles=96, element_height=0.4e-3
     )
@@ -36,7 +42,9 @@ def test_chip_of_a_slot_is_that_of_two_circles(direction):
     assert full.any()
     for element in np.flatnonzero(full):
         drawn = chart.chip_thickness[element] * chart.weight[element]
-        np.testing.assert_allclose(drawn[inside], h[inside], rtol=0.02)
+        # A chart of a helix is true to half a sample.
+        rtol = 0.3 if is_held_back else 0.02
+        np.testing.assert_allclose(drawn[inside], h[inside], rtol=rtol)
         behind = (phi < np.deg2rad(-8)) | (phi > np.deg2rad(188))
         np.testing.assert_allclose(drawn[behind], 0.0, atol=1e-9)
 

@@ -18,6 +18,9 @@ from .._machine.machine import Run
 from .._machine.rigid import Rigid
 from .simulate import Solution, job_process, rigid_cut
 
+# A sample so near to the border of two angles counts as beyond it [samples].
+_NEAR_BORDER = 1e-6
+
 
 class ToothChip(eqx.Module):
     """The chip that one tooth meets in a revolution, on the host.
@@ -115,7 +118,9 @@ class Replay(eqx.Module):
         height = engagement.element_heights(self.process.cutter, part.tip.dtype)
         height = np.asarray(height, np.float64)[first:]
         columns, is_of_tooth = engagement.angles, flat(tooth) == 0
-        slot = np.round(flat(angle) / (2 * np.pi) * columns - 0.5).astype(np.int64)
+        # A helix may hold samples back by half of one: chance must not part them.
+        turns = flat(angle) / (2 * np.pi)
+        slot = np.floor(turns * columns + _NEAR_BORDER).astype(np.int64)
         element = np.broadcast_to(np.arange(height.size), slot.shape)
         at = (element[is_of_tooth], slot[is_of_tooth] % columns)
         chart, share = np.zeros((2, height.size, columns))
