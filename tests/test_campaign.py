@@ -272,6 +272,15 @@ def test_without_dask_the_jobs_run_one_after_the_other(folder, capsys, monkeypat
     assert "Dask" in told and "2 jobs" in told
 
 
+@pytest.mark.slow
+def test_a_sweep_that_changes_nothing_is_said(folder, capsys):
+    """The program has a feed of its own."""
+    values = 'job = "job.toml"\n[[sweep]]\nkey = "program.feed"\nvalues = '
+    (folder / "c.toml").write_text(f'{values}["40 mm/s", "50 mm/s"]\n')
+    assert main(["campaign", "c.toml", "--workers", "0"]) == 0
+    assert "program_feed changes nothing" in capsys.readouterr().err
+
+
 def kill_a_worker(ones_before):
     """Kill one worker process with SIGKILL; return whether there was one."""
     import psutil

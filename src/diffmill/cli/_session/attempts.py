@@ -28,7 +28,7 @@ class Attempts:
     def lines(self) -> list[str]:
         """Return a line for every step that failed."""
         return [
-            f"{step} failed: {type(error).__name__}: {error}"
+            f"{step} failed: {type(error).__name__}: {str(error).rstrip('.')}"
             for step, error in self._failures.items()
         ]
 
