@@ -114,6 +114,8 @@ def test_factors_scale_what_the_job_holds(folder):
         """,
         folder,
     )
+    factors = [variation.factors for variation in campaign.variations]
+    assert factors == [(0.5, 1, 2), (), (2,)]
     held = numbers(load_campaign(folder / "c.toml").tables["stock"]["upper"])
     for change, factor in zip(campaign.changes(), (0.5, 1, 2), strict=True):
         upper = change["stock.upper"]
@@ -124,6 +126,16 @@ def test_factors_scale_what_the_job_holds(folder):
         doubled = change["force"]
         assert isinstance(doubled, dict) and doubled.keys() == force.keys()
         assert numbers([doubled["K_tc"]]) == pytest.approx(2 * numbers([force["K_tc"]]))
+
+
+def test_the_coordinate_of_a_scaled_list_are_its_factors(folder):
+    text = REFUSED.replace('"none.ngc", ', "")
+    text += '[[sweep]]\nkey = "stock.upper"\nfactors = [0.5, 2]\n'
+    campaign = plan(text, folder)
+    dataset = run_campaign(campaign, "out", workers=0)
+    np.testing.assert_array_equal(dataset.stock_upper, [0.5, 2])
+    values = dataset.stock_upper_values.values
+    np.testing.assert_allclose(values[1], 4 * values[0])
 
 
 def test_more_draws_leave_the_earlier_ones(folder):

@@ -75,8 +75,8 @@ def campaign_dataset(
         if not np.isnan(values).all():
             array = np.reshape(values, size)
             variables[name] = (dims, array, {"units": unit, "long_name": meaning})
-    for variation in campaign.variations:
-        variables |= _varied(variation.name, list(variation.changes))
+    for index in range(len(campaign.variations)):
+        variables |= _varied(campaign, index)
     is_done = bool(np.all(states == _STATES.index("done")))
     attributes = {
         "campaign": campaign.name,
@@ -89,14 +89,19 @@ def campaign_dataset(
     return described(dataset.set_coords([n for n in names if n in dataset]))
 
 
-def _varied(name: str, changes: list[dict[str, object]]) -> dict[str, Any]:
+def _varied(campaign: Campaign, index: int) -> dict[str, Any]:
     """Return what the entries of a dimension stand for, as variables on it."""
+    variation = campaign.variations[index]
+    name, changes = variation.name, variation.changes
     if name == "start":
         return {"start": ((name,), np.arange(len(changes)), {"units": "1"})}
     found: dict[str, Any] = {}
     for key in changes[0]:
         values = [change[key] for change in changes]
         found |= _variable(re.sub(r"[.-]", "_", key), name, key, values)
+    if variation.factors:
+        about = {"units": "1", "long_name": "factor of what the job holds"}
+        found[name] = ((name,), np.array(variation.factors), about)
     if name not in found:
         found[name] = ((name,), np.arange(len(changes)), {"units": "1"})
     return found

@@ -122,7 +122,11 @@ def _place_of_least(campaign: "Campaign", values: "xarray.DataArray") -> str:
     least = {str(name): int(at) for name, at in values.argmin([*values.dims]).items()}
     named = []
     for variation in campaign.variations:
-        changes = variation.changes[least[variation.name]]
+        at = least[variation.name]
+        changes = variation.changes[at]
+        if variation.factors:
+            named.append(f"{variation.factors[at]:g} times {next(iter(changes))}")
+            continue
         named += [
             f"{key} = {value}"
             if key.replace(".", "_") == variation.name

@@ -20,10 +20,13 @@ class Variation(NamedTuple):
     Attributes:
         name: Name of the dimension: the key with underscores, "draw" or "start".
         changes: Of each entry: values by key of the job file.
+        factors: By which lists or tables of the job are multiplied, of each entry;
+            empty where the values stand for themselves.
     """
 
     name: str
     changes: tuple[dict[str, object], ...]
+    factors: tuple[float, ...] = ()
 
 
 class Campaign(NamedTuple):
@@ -136,7 +139,7 @@ def _check_keys(table: CampaignTable, problems: list[str]) -> None:
 
 def _swept(entry: SweepTable, tables: Tables, problems: list[str]) -> Variation:
     """Return the values of a key, or its own value times factors."""
-    values = entry.values or []
+    values, factors = entry.values or [], ()
     if (entry.values is None) == (entry.factors is None):
         problems.append(
             f"[[sweep]] {entry.key}: one of values and factors is required, such as "
@@ -146,11 +149,11 @@ def _swept(entry: SweepTable, tables: Tables, problems: list[str]) -> Variation:
         try:
             held = value_at(tables, entry.key)
             values = [scaled(held, factor) for factor in entry.factors]
+            factors = tuple(entry.factors) if isinstance(held, list | dict) else ()
         except (LookupError, ValueError) as error:
             problems.append(f"[[sweep]] {entry.key}: factors: {error.args[0]}")
-    return Variation(
-        _dimension(entry.key), tuple({entry.key: value} for value in values)
-    )
+    changes = tuple({entry.key: value} for value in values)
+    return Variation(_dimension(entry.key), changes, factors)
 
 
 def _dimension(key: str) -> str:
