@@ -49,6 +49,29 @@ def test_chip_of_a_slot_is_that_of_two_circles(direction, is_held_back):
         np.testing.assert_allclose(drawn[behind], 0.0, atol=1e-9)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("row", [50, 51])
+@pytest.mark.parametrize("direction", [0.0, np.pi / 2])
+def test_a_chip_is_of_one_pass_of_a_tooth(direction, row):
+    """Each tooth cuts more than the one before: two passes would leave a jump."""
+    along = np.array([np.cos(direction), np.sin(direction), 0.0])
+    way = np.cumsum(FEED * (1 + 0.05 * np.arange(60)))[:, None] - 4e-3
+    stock = box([-6e-3, -6e-3, -2e-3], [6e-3, 6e-3, 0.0], 0.2e-3)
+    cutter = flat_end_mill(diameter=2 * RADIUS, teeth=2, helix_angle=0.0)
+    plan = choose_engagement(
+        stock, cutter, axial_depth=DEPTH, angles=96, element_height=0.4e-3
+    )
+    process = Process(stock, cutter, PAPER_LAW, 837.0, plan)
+    tips = jnp.asarray(way * along + np.array([0.0, 0.0, -DEPTH]))
+    chart = Replay.along(process, Pose(tips), row).tooth_chip()
+    near = np.abs(chart.immersion_angle - np.pi / 2) < 0.4
+    chip = chart.chip_thickness[0, near]
+    assert chip.min() > FEED
+    # symbols: h = f sin(phi), whose second difference is h times the square of the step
+    step = 2 * np.pi / plan.angles
+    assert np.abs(np.diff(chip, 2)).max() < 2 * step**2 * chip.max()
+
+
 def test_step_outside_the_path_is_refused():
     stock = box([0.0, 0.0, 0.0], [4e-3, 4e-3, 2e-3], 0.5e-3)
     cutter = flat_end_mill(diameter=2 * RADIUS, teeth=2, helix_angle=0.0)

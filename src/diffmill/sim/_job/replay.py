@@ -97,7 +97,10 @@ class Replay(eqx.Module):
         return cls(process, path, chip_row, machine.run(process, path))
 
     def tooth_chip(self) -> ToothChip:
-        """Return the chip that tooth 0 met in the revolution that is kept.
+        """Return the chip that one tooth met in the revolution that is kept.
+
+        It is the tooth that stands behind the tool when the revolution begins, and so
+        cuts in one go: what the others met is of two passes.
 
         Returns:
             The chip on the edge, without the flat end of the tool. Angles of a helical
@@ -117,7 +120,10 @@ class Replay(eqx.Module):
         flat = lambda x: np.broadcast_to(x, shape).reshape(-1, shape[-1])[:, first:]
         height = engagement.element_heights(self.process.cutter, part.tip.dtype)
         height = np.asarray(height, np.float64)[first:]
-        columns, is_of_tooth = engagement.angles, flat(tooth) == 0
+        left = _left_of_feed(part)
+        starts = 2 * np.pi / teeth * (np.arange(teeth) + last[0] - 1) - left
+        behind = int(np.argmin(np.sin(starts)))
+        columns, is_of_tooth = engagement.angles, flat(tooth) == behind
         # A helix may hold samples back by half of one: chance must not part them.
         turns = flat(angle) / (2 * np.pi)
         slot = np.floor(turns * columns + _NEAR_BORDER).astype(np.int64)
@@ -126,7 +132,7 @@ class Replay(eqx.Module):
         chart, share = np.zeros((2, height.size, columns))
         chart[at] = flat(chip)[is_of_tooth]
         share[at] = flat(weight)[is_of_tooth]
-        turn = 2 * np.pi * (np.arange(columns) + 0.5) / columns - _left_of_feed(part)
+        turn = 2 * np.pi * (np.arange(columns) + 0.5) / columns - left
         turn = (turn + np.pi / 2) % (2 * np.pi) - np.pi / 2
         order = np.argsort(turn)
         return ToothChip(turn[order], height, chart[:, order], share[:, order])

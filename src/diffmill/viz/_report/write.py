@@ -211,8 +211,7 @@ def _draw_chip(
         "less than a hundredth of the thickest. Each curve below is one disc of the "
         "cutter. Where the tool goes straight, discs of one radius that lie wholly in"
         " the material coincide; a disc that is partly in it, mostly the uppermost, "
-        "counts with that part, and its curve is lower. The chart is of one "
-        "revolution: where that begins and ends a curve of a shaking tool jumps."
+        "counts with that part, and its curve is lower."
     )
     if row is not None and "desired" in dataset:
         place = place_text(dataset, reference_case(dataset), row)
