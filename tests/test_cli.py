@@ -123,7 +123,8 @@ def test_what_is_refused_at_once_imports_no_jax(folder):
     (folder / "typo.toml").write_text(typo)
     lines = ["--help", "--version", "correct --help", "wrong", "simulate none.toml"]
     lines += [f"{name} bad.toml" for name in ("simulate", "feed", "identify", "check")]
-    lines += [f"{name} typo.toml" for name in ("simulate", "correct", "feed")]
+    jobs = ("simulate", "correct", "feed", "check")
+    lines += [f"{name} typo.toml" for name in jobs]
     lines += [
         f"{name} job.toml --out ."
         for name in ("simulate", "correct", "feed", "identify", "robot")

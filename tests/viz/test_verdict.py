@@ -57,6 +57,14 @@ def test_the_written_program_has_to_keep_the_band_too(tmp_path, correction):
     )
 
 
+def test_a_written_program_that_could_not_be_run_is_said(tmp_path, correction):
+    given = correction.assign_attrs(tolerance_band=1e-3, written_not_run=1)
+    assert "could not be run" in report(tmp_path, given)
+    assert "could not be run" not in report(
+        tmp_path, correction.assign_attrs(tolerance_band=1e-3)
+    )
+
+
 def test_the_share_within_is_that_of_the_steps_that_cut(tmp_path, correction):
     error = corrected_error(correction)
     cutting = correction["is_cutting"].values

@@ -58,7 +58,7 @@ def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> 
     attempts = Attempts()
     dataset = run.dataset
     if "corrected_case" in dataset.attrs:
-        dataset = dataset.assign_attrs(is_unread=1)
+        dataset = dataset.assign_attrs(written_not_run=1)
         with attempts.at("written program"):
             dataset = _with_written(folder, run, progress)
     if verdict := summary(dataset, "verdict"):

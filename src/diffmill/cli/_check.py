@@ -132,10 +132,12 @@ def _describe_campaign(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
 
 
 def _describe_job(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
-    from ..config import check_tables, job_precision, load_job
+    from ..config import check_tables
 
     # What the tables tell is told before what takes seconds is imported.
     check_tables(file)
+    from ..config import job_precision, load_job
+
     configure_jax(job_precision(file))
     job = load_job(file, allow_outside=allow_outside)
     settings = job.simulation

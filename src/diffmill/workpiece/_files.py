@@ -134,17 +134,15 @@ def save(
         ValueError: The stock holds no material, or the unit is unknown.
         OSError: The file cannot be written.
     """
-    if isinstance(stock_or_mesh, Stock):
-        if Path(path).suffix.lower() == _STOCK:
-            with open(path, "wb") as file:
-                arrays = arrays_of_stock(stock_or_mesh)
-                np.savez_compressed(file, allow_pickle=False, **arrays)
-            return
-        scale, suffix = _scale(unit), _suffix(path, _STOCK)
-        mesh = stock_or_mesh.to_mesh()
-    else:
-        scale, suffix = _scale(unit), _suffix(path)
-        mesh = stock_or_mesh
+    is_stock = isinstance(stock_or_mesh, Stock)
+    if is_stock and Path(path).suffix.lower() == _STOCK:
+        with open(path, "wb") as file:
+            arrays = arrays_of_stock(stock_or_mesh)
+            np.savez_compressed(file, allow_pickle=False, **arrays)
+        return
+    others = (_STOCK,) if is_stock else ()
+    scale, suffix = _scale(unit), _suffix(path, *others)
+    mesh = stock_or_mesh.to_mesh() if is_stock else stock_or_mesh
     import trimesh
 
     out = trimesh.Trimesh(mesh.vertices / scale, mesh.faces, process=False)

@@ -79,7 +79,7 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
     }
     for name, left in files.items():
         text += f" Of {name}, read back and run: {left * 1e6:.3g} {MICROMETRE}."
-    if dataset.attrs.get("is_unread"):
+    if dataset.attrs.get("written_not_run"):
         text += " The written programs could not be run: what they leave is not known."
     expected = dataset.attrs.get("expected_contour_error_rms_m")
     if expected is not None:

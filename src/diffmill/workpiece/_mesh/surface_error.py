@@ -79,8 +79,9 @@ class SurfaceError(eqx.Module):
                 has too, are left out.
 
         Returns:
-            One row for each end of each ray of all three families; none if the machined
-            stock holds no material. Against planes the distance is exact to rounding.
+            One row for each end of each ray of all three families, but for rays that
+            lie in a wall of the ideal stock; none if the machined stock holds no
+            material. Against planes the distance is exact to rounding.
             Where the ideal surface is curved with radius r, its mesh is off by up to
             about 0.4 spacing^2 / r, and along sharp edges oblique to all axes by a part
             of the spacing.
