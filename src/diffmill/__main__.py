@@ -9,8 +9,8 @@ from typing import NoReturn
 
 from .cli import main
 
-# Tracing makes a great many objects that live on: at Python's own threshold, the search
-# for those that do not takes a tenth of a command's time.
+# Tracing makes a great many objects that live on, among which Python would search all
+# the time for those that do not.
 _OBJECTS = 500_000
 
 

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from .._live_rows import padded_count
+from .._live_rows import pad_rows, padded_count
 from .._types import (
     BoolSteps,
     FloatRows3,
@@ -97,8 +97,7 @@ class Path(eqx.Module):
                 f"Argument `row_count` must be at least the path's number of rows "
                 f"({count}), but is {total}."
             )
-        at = np.minimum(np.arange(total), count - 1)
-        rows = jax.tree.map(lambda x: np.asarray(x)[at], self)
+        rows = jax.tree.map(lambda x: pad_rows(np.asarray(x), total), self)
         return dataclasses.replace(rows, row_count=np.asarray(count, np.int32))
 
     def resampled(

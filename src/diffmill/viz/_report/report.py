@@ -185,11 +185,8 @@ def _headline(
 ) -> list[tuple[str, str]]:
     """Return the numbers to print large."""
     before = numbers[reference_case(dataset)]
-    command = (
-        "with the given command"
-        if "is_commanded" in dataset.attrs
-        else ("as programmed")
-    )
+    is_given = "is_commanded" in dataset.attrs
+    command = "with the given command" if is_given else "as programmed"
     items = [(_length(before.rms), f"contour error (rms) {command}")]
     chosen = _chosen(dataset)
     if chosen:

@@ -209,9 +209,9 @@ def _draw_chip(
         "What one tooth cuts on its way through the material: angle from the left of "
         "the feed, clockwise; height along the tool from its tip. White: no chip, or "
         "less than a hundredth of the thickest. Each curve below is one disc of the "
-        "cutter. Where the tool goes straight, discs of one radius that lie wholly in"
-        " the material coincide; a disc that is partly in it, mostly the uppermost, "
-        "counts with that part, and its curve is lower."
+        "cutter. Where the tool goes straight, discs of one radius that lie wholly "
+        "in the material coincide; a disc that is partly in it, mostly the "
+        "uppermost, counts with that part, and its curve is lower."
     )
     if row is not None and "desired" in dataset:
         place = place_text(dataset, reference_case(dataset), row)

@@ -17,7 +17,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ...cutter import AbstractCutter
-from ...numerics import hold
 from .._pose import Pose
 from .interval import CutInterval
 from .stock import Rays, Stock
@@ -310,7 +309,7 @@ def window_grid(
         pose: The pose, without derivative, shape (3,).
     """
     origin, d = stock.origin, stock.spacing
-    starts, is_beyond = hold(_place(stock, cutter, window, pose))
+    starts, is_beyond = _place(stock, cutter, window, pose)
     lines = [
         origin[a]
         + d

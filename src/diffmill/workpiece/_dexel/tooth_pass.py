@@ -231,7 +231,7 @@ def cut_interval(
     for _ in range(_ROUNDS):
         end = jnp.where(is_stop, stop, start)
         x, y, height = _place(family, u, v, end, is_hit, pose)
-        node = hold(tooth.when(cutter, x, y, height))
+        node = tooth.when(cutter, x, y, height)
         pose = hold(tooth.at(node))
         start, stop, is_hit = _intersect(cutter, family, u, v, pose)
     if u.shape[1:] != b.shape or v.shape[1:] != b.shape:
