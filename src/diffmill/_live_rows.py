@@ -12,7 +12,7 @@ from typing import NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, PyTree
+from jaxtyping import Array, Bool, Int, PyTree, Shaped
 
 from ._types import IntScalar
 
@@ -33,9 +33,12 @@ def padded_count(row_count: int) -> int:
 
 
 def pad_rows(
-    rows: Float[Array, "step ..."] | Float[np.ndarray, "step ..."], step_count: int
-) -> Float[Array, "row ..."] | Float[np.ndarray, "row ..."]:
-    """Return rows as long as those of a padded path; the last one comes again."""
+    rows: Shaped[Array, "step ..."] | Shaped[np.ndarray, "step ..."], step_count: int
+) -> Shaped[Array, "row ..."] | Shaped[np.ndarray, "row ..."]:
+    """Return rows as long as those of a padded path; the last one comes again.
+
+    Rows of any kind are: places, axes, and the flags of a path's steps.
+    """
     if rows.shape[0] == step_count:
         return rows
     at = np.minimum(np.arange(step_count), rows.shape[0] - 1)
