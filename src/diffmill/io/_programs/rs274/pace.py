@@ -53,6 +53,8 @@ def find_pace(block: Block, state: State, faults: list[Fault]) -> Pace:
         message = "there is no feed; needed is an F above 0 in this line or before it"
         message += " (after any G94 or G95), or a feed for the whole program."
         faults.append(Fault(block.line, motion_text(block), message))
+        # Of the moves behind it nobody needs to be told the same.
+        state.feed = float("nan")
         return Pace()
     if state.feed == 0:
         message = "the feed is 0; needed is an F above 0."
