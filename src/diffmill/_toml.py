@@ -49,7 +49,7 @@ class JobError(ValueError):
         super().__init__(f"{self.file}: {count}:{lines}")
 
 
-def read_toml(path: pathlib.Path) -> tuple[str, dict[str, Any]]:
+def read_toml(path: pathlib.Path) -> tuple[str, dict[str, object]]:
     """Return the text and the tables of a TOML file."""
     try:
         if not path.is_file():
@@ -73,7 +73,7 @@ def read_toml(path: pathlib.Path) -> tuple[str, dict[str, Any]]:
     return data.decode("utf-8-sig"), tables
 
 
-def parse_toml(data: bytes) -> dict[str, Any]:
+def parse_toml(data: bytes) -> dict[str, object]:
     """Return the tables of a TOML file.
 
     Args:

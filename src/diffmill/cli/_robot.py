@@ -202,7 +202,7 @@ def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def _statics(robot: "Robot", q: "JointPositions") -> dict[str, Any]:
+def _statics(robot: "Robot", q: "JointPositions") -> dict[str, object]:
     """Return stiffness, deflection and sag of the tool's tip."""
     from ..robot import cartesian_compliance, gravity_sag, static_deflection
 

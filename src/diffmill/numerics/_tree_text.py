@@ -14,6 +14,7 @@ import equinox as eqx
 import jax
 import numpy as np
 from jax.tree_util import PyTreeDef, default_registry
+from jaxtyping import PyTree
 
 _PACKAGE = __name__.partition(".")[0]
 _KNOWN = (_PACKAGE, "equinox", "builtins")
@@ -43,7 +44,7 @@ def tree_text(tree: object) -> str:
     return json.dumps([_structure_data(structure), [_leaf_data(x) for x in leaves]])
 
 
-def tree_of_text(text: str, arrays: list[jax.Array]) -> Any:
+def tree_of_text(text: str, arrays: list[jax.Array]) -> PyTree:
     """Return the tree of a text with these arrays as its arrays, in order.
 
     Args:
@@ -56,7 +57,7 @@ def tree_of_text(text: str, arrays: list[jax.Array]) -> Any:
     return jax.tree.unflatten(_structure(structure), values)
 
 
-def arrays_of(tree: object) -> list[Any]:
+def arrays_of(tree: object) -> list[jax.Array]:
     """Return the arrays of a tree, in the order of its leaves."""
     return [x for x in jax.tree.leaves(tree) if is_array(x)]
 

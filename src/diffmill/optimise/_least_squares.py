@@ -14,13 +14,16 @@ import abc
 import dataclasses
 import time
 from collections.abc import Callable
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
 from ._quadratic_program import solve_quadratic_program
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 # By how much a refused step is shortened: at least and at most, as for the radius of a
 # trust region in Dennis and Schnabel, Numerical Methods for Unconstrained Optimization
@@ -46,7 +49,7 @@ class LinearRows(eqx.Module):
         weight: Stiffness of the springs that act outside; infinite for constraints.
     """
 
-    matrix: Any
+    matrix: "Float[np.ndarray, 'row unknown'] | csr_array"
     lower: Float[np.ndarray, " row"]
     upper: Float[np.ndarray, " row"]
     weight: float = np.inf
@@ -290,7 +293,7 @@ def _box(
 
     far = np.broadcast_to(longest, x.shape)
     return LinearRows(
-        sparse.eye_array(len(x), format="csr"),
+        sparse.csr_array(sparse.eye_array(len(x))),
         np.minimum(np.maximum(lower - x, -far), 0.0),
         np.maximum(np.minimum(upper - x, far), 0.0),
     )

@@ -9,10 +9,13 @@ conic programs with quadratic objectives, 2024.
 """
 
 import importlib
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 # What the solver calls a solution.
 _SOLVED = ("Solved", "AlmostSolved")
@@ -31,9 +34,9 @@ class QuadraticProgramSolution(NamedTuple):
 
 
 def solve_quadratic_program(
-    P: Any,
+    P: "Float[np.ndarray, 'unknown unknown'] | csr_array",
     c: Float[np.ndarray, " unknown"],
-    rows: Any,
+    rows: "Float[np.ndarray, 'row unknown'] | csr_array",
     lower: Float[np.ndarray, " row"],
     upper: Float[np.ndarray, " row"],
     weight: Float[np.ndarray, " row"] | None = None,

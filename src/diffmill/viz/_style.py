@@ -5,7 +5,7 @@ apart; a case has the same colour and line in every figure.
 """
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import numpy as np
@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 if TYPE_CHECKING:
     import matplotlib.axes
+    import matplotlib.colorbar
     import matplotlib.figure
 
 WIDTH_IN = 7.2
@@ -100,7 +101,7 @@ def quiet_axes(
         axes.set_axisbelow(True)
 
 
-def label_colourbar(bar: Any, text: str) -> None:
+def label_colourbar(bar: "matplotlib.colorbar.Colorbar", text: str) -> None:
     """Write the quantity of a colour bar in the figures' type size."""
     bar.set_label(text, fontsize=8.5, color=INK)
     bar.ax.tick_params(labelsize=8, color=GREY, labelcolor=INK, length=3, width=0.6)

@@ -1,7 +1,6 @@
 """Sentences of what a record shows to be wrong with it."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -30,7 +29,7 @@ def diagnosis_lines(
     return lines
 
 
-def diagnosis_facts(diagnoses: Sequence[Diagnosis]) -> list[dict[str, Any]]:
+def diagnosis_facts(diagnoses: Sequence[Diagnosis]) -> list[dict[str, object]]:
     """Return diagnoses for `identified.json`."""
     return [
         {"code": d.code, "record": d.record, "values_SI": dict(d.values)}

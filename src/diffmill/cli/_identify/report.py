@@ -2,7 +2,10 @@
 
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _WIDTH = 88
 
@@ -19,8 +22,8 @@ class Report(NamedTuple):
 
     lines: list[str]
     toml: list[str]
-    facts: dict[str, Any]
-    figures: Mapping[str, Callable[[], Any]]
+    facts: dict[str, object]
+    figures: Mapping[str, Callable[[], "Figure"]]
 
 
 def noted(text: str, mark: str = "note") -> list[str]:

@@ -1,6 +1,6 @@
 """Checks of a job that need more than one value: rapid moves, holder, depth."""
 
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -18,7 +18,7 @@ _COARSE = 0.05
 _SAME_LENGTH, _NO_VOLUME = 1e-9, 1e-15
 
 
-def check_overhang(tables: dict[str, Any], problems: list[str]) -> None:
+def check_overhang(tables: Mapping[str, object], problems: list[str]) -> None:
     """Note a cutter that sticks out of its holder by two different lengths."""
     own = getattr(tables.get("cutter"), "overhang", None)
     bending = getattr(tables.get("robot"), "bending_tool", None)

@@ -4,6 +4,7 @@
 checked on its own, so that a fault in one does not hide those of the others.
 """
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, StrictBool, StrictInt, StrictStr
@@ -410,7 +411,7 @@ _TABLES: dict[str, type[TomlTable]] = {
 
 
 def read_identification_tables(
-    raw: dict[str, Any], problems: list[str]
+    raw: Mapping[str, object], problems: list[str]
 ) -> tuple[str | None, dict[str, Any]]:
     """Check all tables of a file for `diffmill identify`.
 

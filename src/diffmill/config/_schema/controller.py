@@ -3,7 +3,7 @@
 import functools
 import tomllib
 from importlib import resources
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -119,7 +119,7 @@ def _each(
 
 
 @functools.cache
-def controller_presets() -> dict[str, dict[str, Any]]:
+def controller_presets() -> dict[str, dict[str, object]]:
     """Return the tables that `[controller] preset` names, with the ideal one."""
     # Of the package itself, since its part `robot` imports JAX.
     file = resources.files("diffmill").joinpath("robot", "controllers.toml")

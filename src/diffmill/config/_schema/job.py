@@ -5,6 +5,7 @@ others.
 """
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 from pydantic import Field, StrictBool, StrictInt, StrictStr
@@ -395,7 +396,7 @@ OPTIONAL_TABLES = frozenset(
 )
 
 
-def read_tables(raw: dict[str, Any], problems: list[str]) -> dict[str, Any]:
+def read_tables(raw: Mapping[str, object], problems: list[str]) -> dict[str, Any]:
     """Check all tables of a job.
 
     Args:

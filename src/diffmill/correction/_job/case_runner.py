@@ -3,7 +3,7 @@
 import dataclasses
 import time
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import jax
 import numpy as np
@@ -51,7 +51,11 @@ class CaseRecord:
         return found
 
     def prepare(
-        self, name: str, method: Any, problem: Problem, **options: Any
+        self,
+        name: str,
+        method: Callable[..., Corrected],
+        problem: Problem,
+        **options: object,
     ) -> Corrected:
         """Return what a method finds that is no case, only the start of the next one.
 
@@ -63,7 +67,13 @@ class CaseRecord:
         self._prepared = found.forward_runs, found.linearisations, seconds
         return found
 
-    def run(self, name: str, method: Any, problem: Problem, **options: Any) -> None:
+    def run(
+        self,
+        name: str,
+        method: Callable[..., Corrected],
+        problem: Problem,
+        **options: object,
+    ) -> None:
         """Run a method, or take up what it found before an interruption."""
         self._run(name, method, problem, options, is_start=False)
 
@@ -79,9 +89,9 @@ class CaseRecord:
     def _run(
         self,
         name: str,
-        method: Any,
+        method: Callable[..., Corrected],
         problem: Problem,
-        options: dict[str, Any],
+        options: dict[str, object],
         *,
         is_start: bool,
     ) -> None:

@@ -1,7 +1,6 @@
 """A job as a problem of correction: its plant, commanded by tips or by joints."""
 
 import dataclasses
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -14,7 +13,7 @@ from ..._types import FloatRows
 from ...process import AbstractAdjoint, StockHeld
 from ...sim import JobKinematics, JobModel, Run, Solution
 from .._core.method import AbstractMethod
-from .._core.problem import AbstractHostPlant, Motion, Problem
+from .._core.problem import AbstractHostPlant, Motion, Plant, Problem
 from .._method.ensemble import AbstractUncertainPlant, Parameters
 from .._method.mirror import IteratedMirror, SampledMirror
 from .linear_job import (
@@ -181,7 +180,7 @@ def _compiled(
 
 def job_problem(
     job: Job,
-    plant: Any,
+    plant: Plant,
     nominal: Float[Array, "step axis"],
     before: Solution,
     weights: Float[np.ndarray, " step"],

@@ -2,9 +2,10 @@
 
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from ..._job import Job
+from .._core.method import Corrected
 from .._method.adam import Adam
 from .._method.checkpoint import pack_rounds, unpack_rounds
 from .._method.gauss_newton import GaussNewton
@@ -83,7 +84,7 @@ def keeping(
     pieces: AbstractPieces,
     record: CaseRecord,
     segments: SegmentRows | None,
-) -> Callable[..., Any]:
+) -> Callable[..., Corrected]:
     """Return a method that corrects as a job asks, and tells all that it has found.
 
     Args:
@@ -116,7 +117,7 @@ def keeping(
 
 def remembering(
     method: GaussNewton, name: str, record: CaseRecord
-) -> Callable[..., Any]:
+) -> Callable[..., Corrected]:
     """Return a method on a whole path that tells every step under a name."""
     state = record.kept(name)
     return functools.partial(

@@ -9,7 +9,7 @@ is exact for these rows and linear in the coefficients c, with a sparse matrix.
 """
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import numpy as np
@@ -18,6 +18,9 @@ from jaxtyping import Float
 from ..._types import FloatRows
 from ...optimise import LinearRows
 from .spline_offsets import SplineOffsets, basis_matrix
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 # Share of a limit that the steps to it leave, and by which a program may be beyond it:
 # differences of rows are rounded.
@@ -42,7 +45,7 @@ class LinearLimits(eqx.Module):
         name: What the limit is called in messages.
     """
 
-    matrix: Any
+    matrix: "csr_array"
     lower: Float[np.ndarray, " row"]
     upper: Float[np.ndarray, " row"]
     name: str = eqx.field(static=True, default="limits")
@@ -67,7 +70,7 @@ class LinearLimits(eqx.Module):
 
     @classmethod
     def by_axis(
-        cls, matrix: Any, lower: Rows, upper: Rows, name: str = "limits"
+        cls, matrix: "csr_array", lower: Rows, upper: Rows, name: str = "limits"
     ) -> "LinearLimits":
         """Return limits of the same functions of the coefficients of each axis.
 
@@ -80,7 +83,7 @@ class LinearLimits(eqx.Module):
         from scipy import sparse
 
         each = sparse.eye_array(lower.shape[1])
-        spread = sparse.kron(matrix, each, format="csr")
+        spread = sparse.csr_array(sparse.kron(matrix, each))
         return cls(spread, lower.reshape(-1), upper.reshape(-1), name)
 
     @classmethod

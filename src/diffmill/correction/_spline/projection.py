@@ -59,10 +59,12 @@ def project(
     box = np.full(gradient.size, bound)
     hard = [_moved(limit, _TOLERANCE) for limit in limits]
     found = solve_quadratic_program(
-        sparse.kron(_symmetric(spline.normal_band()), sparse.eye_array(axes)),
+        sparse.csr_array(
+            sparse.kron(_symmetric(spline.normal_band()), sparse.eye_array(axes))
+        ),
         gradient.reshape(-1),
-        sparse.vstack(
-            [sparse.eye_array(box.size), *(limit.matrix for limit in limits)]
+        sparse.csr_array(
+            sparse.vstack([sparse.eye_array(box.size), *(x.matrix for x in limits)])
         ),
         np.concatenate([-box.reshape(-1), *(limit.lower for limit in hard)]),
         np.concatenate([box.reshape(-1), *(limit.upper for limit in hard)]),

@@ -1,6 +1,6 @@
 """Offsets of a command over time as a cubic B-spline with few coefficients."""
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -8,6 +8,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._types import RealScalarLike
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 # Coefficients held at zero at either end: three, so that the curve, its slope and
 # its second derivative all start and end at zero.
@@ -230,7 +233,7 @@ class SplineWindow(eqx.Module):
         return SplineWindow(start, weights, self.first, self.is_free)
 
 
-def basis_matrix(spline: SplineOffsets) -> Any:
+def basis_matrix(spline: SplineOffsets) -> "csr_array":
     """Return the basis as a sparse matrix of `scipy.sparse`.
 
     Args:

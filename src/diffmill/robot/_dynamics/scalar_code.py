@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
 from jax.experimental.xla_metadata import set_xla_metadata
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
 from ...numerics import hold
 from .._model.robot import Robot
@@ -119,7 +119,7 @@ def _in_blocks(
     return found.reshape(blocks * _BLOCK, *found.shape[2:])[:count]
 
 
-def numbers(array: Float[Array, "..."], depth: int) -> Any:
+def numbers(array: Float[Array, "..."], depth: int) -> PyTree:
     """Return the entries along the first `depth` axes as nested tuples."""
     if depth == 0:
         return array

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -22,9 +21,9 @@ _OPTIONAL = frozenset({"volume_weights"})
 _OVERLAP = 1e-7
 
 
-def arrays_of_stock(stock: Stock) -> dict[str, Any]:
+def arrays_of_stock(stock: Stock) -> dict[str, Shaped[np.ndarray, "..."]]:
     """Return all that a stock holds by name, lengths in metres."""
-    arrays: dict[str, Any] = {
+    arrays = {
         "origin": np.asarray(stock.origin),
         "spacing": np.asarray(stock.spacing),
         "top": np.asarray(stock.top),
