@@ -54,9 +54,10 @@ def test_feed_writes_numbers_a_figure_and_tuned_paths(folder, asked, capsys):
     assert main(command) == 0
     wanted = {"overrides": (0.5, 1.0), "corrects": False, "weights": (0.3, 0.1)}
     assert asked == wanted
-    text = capsys.readouterr().err
+    said = capsys.readouterr()
+    assert "program  corrected" in said.out
+    text = said.out + said.err
     for part in (
-        "program  corrected",
         "0.90 to 0.90\n",
         "0.80 to 0.80 (steps ran out)",
         "results: job-feed",

@@ -68,6 +68,23 @@ def test_weights_by_line_and_by_what_finishes():
         row_weights(is_cutting, line, sections=[LineWeight(0, 9, 0.0)])
 
 
+def test_rows_that_pass_over_the_surface_count_a_little():
+    """Else the command may swing into what has been cut while nothing counts."""
+    is_cutting = np.array([False, True, True, False, False])
+    touching = np.array([False, True, True, True, False])
+    line = np.array([1, 1, 2, 3, 3], np.int32)
+    weights = row_weights(is_cutting, line, is_touching=touching)
+    np.testing.assert_array_equal(weights, [0, 1, 1, 0.1, 0])
+    halves = row_weights(
+        is_cutting, line, sections=[LineWeight(3, 3, 0.5)], is_touching=touching
+    )
+    np.testing.assert_array_equal(halves, [0, 1, 1, 0.05, 0])
+    with pytest.raises(ValueError, match="lines 1 to 2"):
+        row_weights(
+            is_cutting, line, sections=[LineWeight(1, 2, 0.0)], is_touching=touching
+        )
+
+
 def test_what_weighs_nothing_is_left_alone():
     """Half the path without weight: the other half gets the effort."""
     _, path, is_cutting = rounded_square(TIME_STEP)

@@ -192,7 +192,7 @@ def test_saturation_is_told(tmp_path):
         (('"0.1 mm"', '"0.1 mm"\nstart = "9 s"'), "start, stop: found 9 s"),
         (('"0.1 mm"', '"0.1 mm"\nside = "up"'), "radial_depth: found nothing beside"),
         (('"0.1 mm"', '"0.1 mm"\njob = "a.toml"'), "job: found beside feed_per_tooth"),
-        (('"0.1 mm"', '"0.01 mm"'), "pass until a tool of this radius"),
+        (('"0.1 mm"', '"0.01 mm"'), "a tool of this radius is not fully engaged"),
         (('"cut.txt"', '"../cut.txt"'), "leads outside"),
         (('"cut.txt"', '"none.txt"'), "no such file"),
         (('"0.1 mm"', '"0.1 mm"\ntare = ["0 s", "1"]'), "tare"),

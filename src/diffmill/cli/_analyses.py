@@ -62,7 +62,7 @@ def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> 
         with attempts.at("written program"):
             dataset = _with_written(folder, run, progress)
     if verdict := summary(dataset, "verdict"):
-        progress.say(verdict)
+        progress.answer(verdict)
     for name, step in (
         ("contacts", _with_contacts),
         ("stability", _with_stability),

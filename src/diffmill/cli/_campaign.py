@@ -95,7 +95,7 @@ def run_campaign_file(
         )
         return 1
     for line in _lines(campaign, dataset, folder):
-        progress.say(line)
+        progress.answer(line)
     return int(dataset.attrs["incomplete"])
 
 

@@ -78,7 +78,7 @@ def run_feed(
         print(f"error: the run failed: {failure}", file=sys.stderr)
         print("nothing could be kept", file=sys.stderr)
         return 1
-    progress.say("\n".join(_summary(job, tradeoff, tuned)))
+    progress.answer("\n".join(_summary(job, tradeoff, tuned)))
     code = _write(folder, job, tradeoff, tuned, force=force)
     progress.say(f"results: {folder}")
     return code

@@ -61,13 +61,13 @@ def _check_tables(job: pathlib.Path) -> None:
         check_tables(job)
 
 
-def _progress(quiet: bool, verbose: bool) -> "Progress":
+def _progress(quiet: bool, verbose: bool, json: bool = False) -> "Progress":
     """Return what shows the progress as asked for."""
     from ._session.progress import Progress
 
     if quiet and verbose:
         raise BadInput("--quiet and --verbose exclude each other")
-    return Progress(is_quiet=quiet, is_verbose=verbose)
+    return Progress(is_quiet=quiet, is_verbose=verbose, prints_json=json)
 
 
 def simulate(
@@ -90,10 +90,9 @@ def simulate(
         job,
         out,
         force=force,
-        progress=_progress(quiet, verbose),
+        progress=_progress(quiet, verbose, json),
         allow_outside=allow_outside,
         tolerance_band=tolerance_band,
-        prints_json=json,
     )
 
 
@@ -124,11 +123,10 @@ def correct(
         job,
         out,
         force=force,
-        progress=_progress(quiet, verbose),
+        progress=_progress(quiet, verbose, json),
         allow_outside=allow_outside,
         tolerance_band=tolerance_band,
         resume=resume,
-        prints_json=json,
     )
 
 

@@ -47,7 +47,6 @@ def run_job(
     allow_outside: bool,
     tolerance_band: str | None = None,
     resume: bool = False,
-    prints_json: bool = False,
 ) -> int:
     """Load, run and write a job; return the exit code.
 
@@ -61,7 +60,6 @@ def run_job(
         tolerance_band: Contour error to hold the result against, with its unit; by
             default that of the job.
         resume: Whether a correction goes on from its checkpoint.
-        prints_json: Whether the figures are printed as JSON when all is done.
     """
     band = _length(tolerance_band)
     folder = pathlib.Path(f"{file.stem}-{command}") if out is None else out
@@ -147,11 +145,11 @@ def run_job(
     write_results(folder, dataset, files=files, stock=final.stock, force=force)
     if checkpoint is not None:
         checkpoint.remove()
-    progress.say(_summary(dataset))
+    progress.answer(_summary(dataset))
     progress.say(f"results: {folder}; the run took {seconds:.1f} s with compilation")
     run = FinishedRun(job, solutions, final, dataset, program, surfaces)
     code = _analyse(folder, run, progress)
-    if prints_json:
+    if progress.prints_json:
         print(json.dumps(_figures(dataset, folder, job.notes), indent=2))
     return code
 

@@ -20,6 +20,7 @@ from ._build.context import FileContext
 from ._build.machine import fastest_mode, read_machine
 from ._build.program import (
     commanded_tips,
+    note_rounding,
     read_program,
     recorded_path,
     rows_of,
@@ -202,6 +203,8 @@ def _read_parts(
     controller = _controller(tables, robot, problems)
     if cutter is not None and speed is not None:
         parts = _timed(tables, parts._replace(controller=controller), problems)
+        if parts.timed is not None:
+            note_rounding(parts.timed, context)
     if "machine" in tables:
         modes = read_machine(tables["machine"], context)
         _check_machine(tables, problems)

@@ -17,9 +17,9 @@ from ...viz import (
 )
 from .diagnoses import diagnosis_facts, diagnosis_lines, diagnosis_title
 from .registration import axes_lines, record_lines, tooth_lines
-from .report import Report, all_noted
+from .report import Report, all_noted, noted
 from .text import coefficient_lines, correlation_lines
-from .toml_snippets import FORCE_REMARK, doubted, force_toml, uncertainty_toml
+from .toml_snippets import NOISE_ALONE, doubted, force_toml, force_uncertainty_toml
 
 
 def report_records(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> Report:
@@ -54,6 +54,7 @@ def _fit_lines(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> list[str
             fit.identifiable,
         ),
     ]
+    lines += noted(NOISE_ALONE)
     for name, value in fit.refined.items():
         text = f"{1e6 * value:.3g}" if np.isfinite(value) else "not identifiable"
         lines.append(f"{name:14}{text:>12}{1e6 * fit.refined_errors[name]:12.2g}  um")
@@ -77,7 +78,7 @@ def _toml(found: ForceRecordStudy.Fit) -> list[str]:
     fit = found.fit
     lines = [
         *force_toml(fit.coefficients, fit.standard_errors, fit.identifiable),
-        *uncertainty_toml("force", found.relative_uncertainty, FORCE_REMARK),
+        *force_uncertainty_toml(found.relative_uncertainty),
     ]
     grave = [one for one in found.diagnoses if one.is_grave]
     if fit.doubts:

@@ -9,7 +9,7 @@ from ...viz import plot_correlation, plot_mean_forces
 from .diagnoses import diagnosis_lines
 from .report import Report, all_noted, noted
 from .text import NONSENSE, axes_text, coefficient_lines, correlation_lines
-from .toml_snippets import FORCE_REMARK, doubted, force_toml, uncertainty_toml
+from .toml_snippets import NOISE_ALONE, doubted, force_toml, force_uncertainty_toml
 
 
 def report_means(study: MeanForceStudy, found: MeanForceStudy.Fit) -> Report:
@@ -119,6 +119,7 @@ def _fit_lines(found: MeanForceStudy.Fit) -> list[str]:
         *coefficient_lines(
             fit.coefficients, fit.coefficients, fit.standard_errors, fit.identifiable
         ),
+        *noted(NOISE_ALONE),
         "the lines explain "
         + ", ".join(
             f"{share:.2%} of F{axis}"
@@ -170,7 +171,7 @@ def _toml(found: MeanForceStudy.Fit) -> list[str]:
     fit = found.used.fit
     lines = [
         *force_toml(fit.coefficients, fit.standard_errors, fit.identifiable),
-        *uncertainty_toml("force", found.relative_uncertainty, FORCE_REMARK),
+        *force_uncertainty_toml(found.relative_uncertainty),
     ]
     if fit.coefficients["K_tc"] <= 0:
         return doubted(lines, NONSENSE)

@@ -54,15 +54,18 @@ def record_lines(
         records: The records.
         registrations: Of each of them.
     """
-    lines = []
+    # What is true of all of them is said once.
+    notes = [list(record.notes) for record in records]
+    shared = [x for x in notes[0] if all(x in n for n in notes)] if notes[1:] else []
+    lines = all_noted([f"of each record: {x}" for x in shared])
     for record, one in zip(records, registrations, strict=True):
         rpm = one.spindle_speed * 30 / np.pi
         known = int(np.isfinite(one.force).any(axis=1).sum())
         lines.append(
-            f"{record.name}: {known} samples at {record.record.rate:g} Hz from "
+            f"{record.name}: {known} samples used, at {record.record.rate:g} Hz from "
             f"{record.start:.4g} to {record.stop:.4g} s, {rpm:.6g} rpm"
         )
-        lines += all_noted((*record.notes, *one.notes))
+        lines += all_noted([x for x in (*record.notes, *one.notes) if x not in shared])
         lines += diagnosis_lines(one.diagnoses)
         if record.is_saturated:
             lines += noted(

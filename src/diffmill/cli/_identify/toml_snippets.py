@@ -9,9 +9,17 @@ from ...robot import Robot
 
 # Largest uncertainty that the table takes.
 _LARGEST = 0.999
-FORCE_REMARK = (
-    "the noise of these records alone: a worn tool, another batch of material and what "
-    "the force law leaves out differ by more"
+# The simulated chip is off by so much of itself, see docs/verified.md: the noise of a
+# long record is less.
+_LEAST_FORCE_ERROR = 0.01
+NOISE_ALONE = (
+    "The standard errors are those of noise. The chip of the model is known to about "
+    "1 % of itself, which shows most in the edge coefficients: "
+    "[correction.uncertainty] has it."
+)
+_FORCE_REMARK = (
+    "noise of the records, at least 1 % for the simulation: a worn tool, another batch "
+    "of material and what the force law leaves out differ by more"
 )
 
 
@@ -68,6 +76,16 @@ def uncertainty_toml(key: str, relative: float, remark: str | None = None) -> li
         f"{key} = {value:.3g}",
         "gaussian = true",
     ]
+
+
+def force_uncertainty_toml(relative: float) -> list[str]:
+    """Return the lines of `[correction.uncertainty]` after a fit of forces.
+
+    Args:
+        relative: Standard error of the force over the force, of noise alone.
+    """
+    known = max(relative, _LEAST_FORCE_ERROR) if np.isfinite(relative) else relative
+    return uncertainty_toml("force", known, _FORCE_REMARK)
 
 
 def joints_toml(

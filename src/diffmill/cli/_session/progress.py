@@ -19,11 +19,19 @@ class Progress:
     Attributes:
         is_quiet: Whether nothing is shown.
         is_verbose: Whether every message stays, and what is compiled is named.
+        prints_json: Whether the standard output is for JSON alone.
     """
 
-    def __init__(self, *, is_quiet: bool = False, is_verbose: bool = False):
+    def __init__(
+        self,
+        *,
+        is_quiet: bool = False,
+        is_verbose: bool = False,
+        prints_json: bool = False,
+    ):
         self.is_quiet = is_quiet
         self.is_verbose = is_verbose
+        self.prints_json = prints_json
         # Results of a pipe go to stdout, so that progress must not.
         self._console = Console(stderr=True, highlight=False, soft_wrap=True)
         self._status = self._console.status("starting")
@@ -84,6 +92,13 @@ class Progress:
         """Print a message that stays."""
         if not self.is_quiet:
             self._console.print(message, markup=False)
+
+    def answer(self, message: str) -> None:
+        """Print what was asked for: on the standard output, if that is not for JSON."""
+        if self.prints_json or self.is_quiet:
+            self.say(message)
+        else:
+            print(message, flush=True)
 
     def _show(self, message: str, *, stays: bool) -> None:
         """Show a line with the time; on a terminal it may stay."""

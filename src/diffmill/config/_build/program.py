@@ -225,6 +225,18 @@ def recorded_path(
         return None
 
 
+def note_rounding(timed: TimedProgram, context: FileContext) -> None:
+    """Note that corners are rounded, since no error is counted from what was cut off."""
+    count = timed.rounded_corners
+    if count:
+        context.notes.append(
+            f"[program] corner_tolerance: the path rounds {count} "
+            f"corner{'s' * (count > 1)} of the program by up to "
+            f"{1e3 * timed.limits.corner_tolerance:g} mm, and errors are those from "
+            'the rounded path; "0 mm" stops at every corner'
+        )
+
+
 def rows_of(
     timed: TimedProgram, tooth_period: float, problems: list[str]
 ) -> Path | None:

@@ -170,8 +170,8 @@ def engaged(
         )
     if start >= stop:
         raise ValueError(
-            f"found a cut of {span.stop - span.start:.4g} s, but {len(ends)} x "
-            f"{travel:.4g} s pass until a tool of this radius is fully engaged; look "
-            "at feed, speed and diameter, or give start and stop"
+            f"found a cut of {span.stop - span.start:.4g} s, but a tool of this radius "
+            f"is not fully engaged for {travel:.4g} s at its {' and '.join(ends)}; "
+            "look at feed, speed and diameter, or give start and stop"
         )
     return float(start), float(stop)

@@ -9,6 +9,10 @@ from ..._job import LineWeight
 from ..._types import BoolSteps, IntSteps
 from ...workpiece import Rays, Stock
 
+# Weight of a row that only passes over the surface: enough that the command does not
+# swing into it there, little beside the rows that cut.
+_TOUCHING = 0.1
+
 
 def row_weights(
     is_cutting: BoolSteps,
@@ -17,6 +21,7 @@ def row_weights(
     sections: Sequence[LineWeight] = (),
     finished: Stock | None = None,
     spread: int = 0,
+    is_touching: BoolSteps | None = None,
 ) -> Float[np.ndarray, " step"]:
     """Return the weight of every row in the error.
 
@@ -29,6 +34,8 @@ def row_weights(
             part of its surface count.
         spread: Rows to either side of one that leaves a part of the surface that
             count too: between two rays the tool may advance by several rows.
+        is_touching: Whether a row comes so near to the surface that a deviation would
+            spoil it, shape (step,): one that does not cut counts a tenth.
 
     Returns:
         Weights, shape (step,).
@@ -38,21 +45,23 @@ def row_weights(
 
     **Differentiability**: none, a host function.
     """
-    weights = np.array(is_cutting, np.float64)
-    line = np.asarray(line)
+    is_cutting, line = np.asarray(is_cutting, bool), np.asarray(line)
+    touches = np.zeros_like(is_cutting) if is_touching is None else is_touching
+    own = np.where(is_cutting, 1.0, _TOUCHING * np.asarray(touches))
+    weights = own.copy()
     for first, last, weight in sections:
         if weight < 0:
             raise ValueError(
                 f"Argument `sections` must weigh >= 0, but holds {weight}."
             )
-        chosen = (line >= first) & (line <= last) & np.asarray(is_cutting, bool)
-        weights[chosen] = weight
+        chosen = (line >= first) & (line <= last)
+        weights[chosen] = weight * own[chosen]
     if finished is not None:
         is_finishing = np.zeros(len(weights), bool)
         near = surface_poses(finished)[:, None] + np.arange(-spread, spread + 1)[None]
         is_finishing[np.clip(near, 0, len(weights) - 1)] = True
-        weights[~is_finishing] = 0.0
-    if not np.any(weights > 0):
+        weights[is_cutting & ~is_finishing] = 0.0
+    if not np.any(weights[is_cutting] > 0):
         raise ValueError(
             "Argument `sections` must leave a row that cuts a weight above 0, but all "
             f"are 0; the rows that cut come from lines {_lines(line, is_cutting)}."

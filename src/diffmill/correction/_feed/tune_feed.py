@@ -170,7 +170,7 @@ def tune_feed(
     problem = FeedProblem(
         FeedPlant(job, adjoint),
         feed,
-        FeedProblem.smoothed(job_weights(job, rigid, cutting)),
+        FeedProblem.smoothed(job_weights(job, rigid, cutting, None)),
         bounds[0],
         bounds[1],
     )

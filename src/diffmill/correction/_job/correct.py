@@ -1,7 +1,7 @@
 """Correcting a job: the baselines, then the best command that derivatives find."""
 
 import dataclasses
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -24,6 +24,7 @@ from .._method.input_shaper import shaped_program
 from .._method.inverse_drive import InverseDriveCommand, inverse_drive
 from .._method.mirror import Mirror
 from .._spline.projection import clip_offset
+from .._surface.finished_surface import FinishedSurface
 from .case_runner import CaseRecord, OnProgress
 from .joint_limits import JointLimits
 from .linear_job import prepare_linear_job
@@ -208,13 +209,14 @@ def correct(
     rigid = before.rigid
     if throw:
         before.raise_unless_successful(job)
-    weights = _weights(job, rigid, before)
+    is_optimised = "corrected" in compared(job)
+    surface = job_surface(job, rigid) if is_optimised else None
+    weights = _weights(job, before, surface)
     plant = TipPlant(job, adjoint, before.wall_share, rigid)
     problem = job_problem(job, plant, desired, before, weights)
     task = _Task(job, plant, before, problem, segments, objective)
-    is_optimised = "corrected" in compared(job)
     # Settings that do not suit the job are refused before the baselines run.
-    optimiser = _Optimiser(task) if is_optimised else None
+    optimiser = _Optimiser(task, surface) if is_optimised else None
     inverse = None
     if job.robot is not None:
         inverse = _inverse_drive(job, rigid.force, desired)
@@ -273,10 +275,9 @@ def _run_baselines(
 class _Optimiser:
     """The case that an optimiser finds, from the best of those before."""
 
-    def __init__(self, task: _Task):
-        job, before = task.job, task.before
-        self.task = task
-        self.surface = job_surface(job, before.rigid)
+    def __init__(self, task: _Task, surface: FinishedSurface | None):
+        job = task.job
+        self.task, self.surface = task, surface
         weights = np.asarray(task.problem.is_cutting)
         objective = task.objective
         if objective is None:
@@ -372,7 +373,9 @@ def _solution(task: _Task, name: str, found: Corrected) -> Solution:
     return motion.solution
 
 
-def _weights(job: Job, rigid: Any, before: Solution) -> Float[np.ndarray, " step"]:
+def _weights(
+    job: Job, before: Solution, surface: FinishedSurface | None
+) -> Float[np.ndarray, " step"]:
     """Return how much every row counts; refuse a path of which none does."""
     if not bool(jnp.any(before.is_cutting)):
         raise NothingToCorrect(
@@ -380,7 +383,7 @@ def _weights(job: Job, rigid: Any, before: Solution) -> Float[np.ndarray, " step
             "tool removes nothing."
         )
     try:
-        return job_weights(job, rigid, np.asarray(before.is_cutting))
+        return job_weights(job, before.rigid, np.asarray(before.is_cutting), surface)
     except ValueError as error:
         raise NothingToCorrect(str(error)) from error
 

@@ -25,9 +25,12 @@ class UnsuitableSettings(ValueError):
 
 
 def job_weights(
-    job: Job, rigid: Run, is_cutting: BoolSteps
+    job: Job, rigid: Run, is_cutting: BoolSteps, surface: FinishedSurface | None
 ) -> Float[np.ndarray, " step"]:
     """Return the weight of every row, as `[correction]` asks for.
+
+    On the path, rows that only pass over the surface count a little: nothing else keeps
+    the command from swinging into what has been cut.
 
     Raises:
         ValueError: No row that cuts has a weight.
@@ -37,12 +40,16 @@ def job_weights(
     feed = np.median(steps[np.asarray(is_cutting, bool)[1:]])
     # The next ray is a spacing away, in which the tool may advance by several rows.
     spread = int(np.ceil(job.stock.spacing / max(feed, 1e-2 * job.stock.spacing)))
+    is_touching = None
+    if surface is not None and settings.objective == "path":
+        is_touching = surface.touching_rows(np.asarray(job.path.positions))
     return row_weights(
         is_cutting,
         job.path.line,
         sections=settings.sections,
         finished=rigid.stock if settings.finishing_only else None,
         spread=spread,
+        is_touching=is_touching,
     )
 
 

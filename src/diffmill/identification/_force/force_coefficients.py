@@ -435,8 +435,9 @@ def _lost_notes(records: list[RegisteredRecord], gross: int) -> tuple[str, ...]:
         )
     if gross:
         notes.append(
-            f"{gross} measured forces are off by more than {_GROSS:g} standard "
-            "deviations of the others."
+            f"{gross} measured force{'s are' if gross > 1 else ' is'} off the fit by "
+            f"more than {_GROSS:g} standard deviations of the others: spikes of the "
+            "record, or samples at which a tooth enters or leaves."
         )
     return tuple(notes)
 

@@ -126,6 +126,37 @@ def legs_of_program(
     Raises:
         ValueError: If a feed is missing, the tool turns on the spot, or nothing moves.
     """
+    legs = _rounded(_sharp_legs(program, limits), limits.corner_tolerance)
+    if not legs:
+        raise ValueError(
+            f"{program.name}: the program moves nothing after its approach."
+        )
+    legs = [_slower_in_curves(leg) for leg in legs]
+    if along:
+        legs = _limited(legs, along)
+    if limits.smoothing > 0:
+        legs = _slowed(legs, limits.smoothing)
+    return legs
+
+
+def rounded_corner_count(program: Program, limits: TimingLimits) -> int:
+    """Return how many corners of a program are rounded.
+
+    Args:
+        program: The program; its approach is left out.
+        limits: As numbers.
+
+    Raises:
+        ValueError: As `legs_of_program`.
+    """
+    legs = _sharp_legs(program, limits)
+    joints = zip(legs, [*legs[1:], None], strict=False)
+    corners = (_joint(*pair, limits.corner_tolerance)[0] for pair in joints)
+    return sum(corner is not None for corner in corners)
+
+
+def _sharp_legs(program: Program, limits: TimingLimits) -> list[Leg]:
+    """Return the moves of a program with their speeds, corners as they are."""
     moves = program.timed_moves
     approach = program.moves[: program.approach_count]
     axis = approach[-1].axis if approach else moves[0].axis if moves else None
@@ -140,16 +171,6 @@ def legs_of_program(
                 f"{program.name}, line {move.line}: the tool turns on the spot, which "
                 "has no time."
             )
-    legs = _rounded(legs, limits.corner_tolerance)
-    if not legs:
-        raise ValueError(
-            f"{program.name}: the program moves nothing after its approach."
-        )
-    legs = [_slower_in_curves(leg) for leg in legs]
-    if along:
-        legs = _limited(legs, along)
-    if limits.smoothing > 0:
-        legs = _slowed(legs, limits.smoothing)
     return legs
 
 

@@ -17,6 +17,7 @@ from .legs import (
     Leg,
     TimingLimits,
     legs_of_program,
+    rounded_corner_count,
     sections_of,
 )
 from .pieces import Arc, Segment, arc_positions
@@ -107,6 +108,11 @@ class TimedProgram(NamedTuple):
         """Where the tool is at rest: the way [m] from the start, shape (stop,)."""
         is_stop = np.array([leg.is_stop for leg in self.legs])
         return np.append(0.0, np.cumsum(self.profile.length)[is_stop])
+
+    @property
+    def rounded_corners(self) -> int:
+        """How many corners are rounded by up to the corner tolerance."""
+        return rounded_corner_count(self.program, self.limits)
 
     @property
     def cycle_time(self) -> CycleTime:

@@ -55,7 +55,7 @@ def _mirror(rms: Mapping[str, float]) -> list[str]:
 
 
 def _verdict(dataset: "xarray.Dataset") -> list[str]:
-    """Return the verdict if a tolerance was stated."""
+    """Return the verdict if a tolerance was stated, or the part was cut into."""
     found = verdict(dataset)
     if found.is_held is None:
         return []

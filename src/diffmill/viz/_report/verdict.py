@@ -24,6 +24,12 @@ if TYPE_CHECKING:
 _NEAR = 0.98
 # Of the largest errors that the written programs leave, by suffix of their files.
 _WRITTEN = "written_max_"
+# The surface breaks a tolerance where it lies so many times as deep in the part: the
+# meshes that are compared are off by some micrometres at edges.
+_DEEP = 2.0
+# Without a tolerance it is told where it lies so many times as deep as the largest
+# contour error.
+_STRIKING = 3.0
 # A part of the path is named if its share of the error is so much above its length.
 _TELLING = 0.1
 
@@ -32,8 +38,9 @@ class Verdict(eqx.Module):
     """The contour error of one case against a tolerance.
 
     Attributes:
-        is_held: Whether it stays within at every step that cuts; None if no
-            tolerance was stated or there is nothing to judge.
+        is_held: Whether it stays within at every step that cuts, and the surface
+            does not lie much deeper in the part; None if there is nothing to judge, or
+            no tolerance was stated and nothing is striking.
         title: In a few words.
         text: What was found, where it is worst.
     """
@@ -66,11 +73,19 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
     largest, label = float(error.max()), case_style(case).label
     text = f"Largest contour error of the {label} path: {largest * 1e6:.3g} "
     text += f"{MICROMETRE}{_place(dataset, case)}."
+    deepest = _deepest(dataset, case)
+    deep = (
+        f" But the machined surface lies up to {deepest * 1e6:.3g} {MICROMETRE} inside "
+        "the part, cut at steps that the contour error does not count: [correction] "
+        "gouge bounds it."
+    )
     if not band:
         text += (
             " No tolerance was stated: [correction] tolerance_band or --tolerance-band "
             "asks for a verdict."
         )
+        if deepest > _STRIKING * largest:
+            return Verdict(False, "The tool cuts into the part", text + deep)
         return Verdict(None, "No tolerance stated", text)
     files = {
         f"corrected.{str(key).removeprefix(_WRITTEN)}": float(value)
@@ -87,17 +102,10 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
             f" Of machines that scatter as [simulation] scatter says, "
             f"{expected * 1e6:.3g} {MICROMETRE} rms is to be expected."
         )
-    if "surface_deepest" in dataset:
-        deepest = float(select_case(dataset, case)["surface_deepest"])
-        if deepest > band:
-            text += (
-                f" But the machined surface lies up to {deepest * 1e6:.3g} "
-                f"{MICROMETRE} inside the part, cut at steps that the contour error "
-                "does not count: [correction] gouge bounds it."
-            )
+    text += deep if deepest > band else ""
     if dataset.attrs.get("stability_has_chatter"):
         text += " But the cut is unstable, see below."
-    is_held = max(largest, *files.values(), 0.0) <= band
+    is_held = max(largest, *files.values(), deepest / _DEEP) <= band
     share = 100 * float(np.mean(error <= band))
     # 99.97 % is not "100 %" of a path that leaves the band.
     shown = "all" if largest <= band else f"{min(share, 99.9):.1f} %"
@@ -113,6 +121,13 @@ def _cutting_error(dataset: "xarray.Dataset", case: str) -> np.ndarray:
         return np.zeros(0)
     error = np.abs(values_of(dataset, "contour_error", case))
     return error[cutting_of(dataset, case) & np.isfinite(error)]
+
+
+def _deepest(dataset: "xarray.Dataset", case: str) -> float:
+    """Return how deep the machined surface lies in the part [m]; 0 if not known."""
+    if "surface_deepest" not in dataset:
+        return 0.0
+    return float(select_case(dataset, case)["surface_deepest"])
 
 
 def _place(dataset: "xarray.Dataset", case: str) -> str:

@@ -51,7 +51,8 @@ _NO_MOTION = {
     "coolant": "coolant changes no motion",
     "overrides": "overrides are at 100 %",
     "cutter radius": "there is no compensation of the cutter's radius",
-    "path control": "corners are rounded by the job's corner tolerance",
+    "path control": "corners are as [program] corner_tolerance says, 0 mm for exact "
+    "stops",
     "spindle mode": "the spindle has a constant speed",
     "surface speed": "the spindle speed follows from the job, not from S",
     "orientation": "the spindle stands where the cutter does not cut",
