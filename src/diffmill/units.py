@@ -138,7 +138,7 @@ def base_quantity(value: object) -> tuple[float, str]:
         found = _registry().Quantity(number, _units(unit)).to_base_units()
     except Exception as error:  # pint raises errors of its tokenizer, too
         raise ValueError(f"found {value!r}, but {wanted}") from error
-    return float(found.magnitude), f"{found.units:~}"
+    return float(found.magnitude), f"{found.units:~C}"
 
 
 def scaled_quantity(value: object, factor: float) -> object:
@@ -155,7 +155,7 @@ def scaled_quantity(value: object, factor: float) -> object:
     if not unit:
         return number * factor
     number, unit = _split(value, "a quantity is required")
-    return f"{number * factor!r} {unit}"
+    return f"{number * factor:.12g} {unit}"
 
 
 def _split(value: object, wanted: str) -> tuple[float, str]:

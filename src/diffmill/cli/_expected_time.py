@@ -50,7 +50,9 @@ def expected_campaign_line(job: "Job", command: str, count: int) -> str:
         each = _correction_time(job, each)
     return (
         f"  expected: about {_spelled(each)} a job once its programs are compiled, "
-        f"{_spelled(count * each)} of one worker, within a factor of 3"
+        f"{_spelled(count * each)} of one worker, within a factor of 3; each kind of "
+        "job compiles for half a minute more: other spindle speeds, sizes of the stock "
+        "and choices are kinds of their own, other numbers are not"
     )
 
 

@@ -222,7 +222,7 @@ def identify(
     forces: Annotated[
         tyro.conf.Positional[pathlib.Path | None],
         tyro.conf.arg(
-            metavar="FORCES", help="Measured forces of the job: text, TDMS, MAT, ..."
+            metavar="[FORCES]", help="Measured forces of the job: text, TDMS, MAT, ..."
         ),
     ] = None,
     *,

@@ -10,7 +10,7 @@ def robot_lines(facts: dict[str, Any]) -> list[str]:
     Args:
         facts: What `robot_facts` returns.
     """
-    width = 2 + max(len(row["name"]) for row in facts["joints"])
+    width = 2 + max(len("joint"), *(len(row["name"]) for row in facts["joints"]))
     lines = [
         f"{facts['model']}: {len(facts['joints'])} joints, moving mass "
         f"{facts['mass_kg']:.1f} kg",

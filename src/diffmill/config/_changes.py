@@ -41,7 +41,10 @@ def value_at(tables: Tables, key: str) -> object:
         elif isinstance(found, dict) and part in found:
             found = found[part]
         else:
-            raise LookupError("the job file holds no value there")
+            cure = ""
+            if key.startswith(("robot.joint_stiffness", "robot.joint_damping")):
+                cure = "; `diffmill robot MODEL` prints those of a model, to be copied"
+            raise LookupError(f"the job file holds no value there{cure}")
     return found
 
 

@@ -1,5 +1,6 @@
 """`[force]` of a job: a material, or a law with its coefficients."""
 
+import re
 import tomllib
 from importlib import resources
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -54,7 +55,11 @@ class MaterialTable(TomlTable):
         """Return what the user should know about the coefficients."""
         from ...cutting import material
 
-        return (f"{place} material {self.material}: {material(self.material).source}",)
+        # Where a table was read is of interest to who looks into the library's file.
+        source = re.sub(
+            r"; read at \S+( \([^)]*\))?", "", material(self.material).source
+        )
+        return (f"{place} material {self.material}: {source}",)
 
 
 class LinearEdgeTable(TomlTable):
