@@ -99,7 +99,7 @@ def cut(process, path, part):
             shares = jnp.stack([jnp.sum(found.occupancy), jnp.sum(found.chip_share)])
         return state.ended(middle, end), (shares, removed.volume)
 
-    state, _ = process.begin(poses[0], count)
+    state = process.begin(poses[0], count)
     indices = jnp.arange(1, count, dtype=jnp.int32)
     state, found = jax.lax.scan(step, state, (indices, poses[:-1], middles, ends))
     state, rest = process.removal.finish(state, indices[-1], poses[count - 1], count)

@@ -89,9 +89,9 @@ class ReachCheck(NamedTuple):
         better = _better_start(robot, path, Ts, start, self.tool_rotation)
         if better is not None:
             faults[0] += f"; {_start_line(robot, better[: self.start_count])} avoids it"
-        elif self.tool_rotation == "fixed" and not found.converged.all():
-            free, _ = _follow(robot, path, Ts, start, "free")
-            if free.converged.all():
+        elif self.tool_rotation == "fixed":
+            free, left = _follow(robot, path, Ts, start, "free")
+            if free.converged.all() and not left:
                 faults[0] += '; tool_rotation = "free" would reach it'
         context.problems.extend(faults)
         return np.asarray(found.q)
