@@ -11,6 +11,7 @@ import itertools
 import math
 import pathlib
 import sys
+import tempfile
 from dataclasses import dataclass
 
 from diffmill import examples
@@ -44,7 +45,9 @@ class Part:
 
 def paper_small() -> Part:
     """Return the part of the example of that name."""
-    text = examples.example_files("paper_small")["paper_small.ngc"]
+    with tempfile.TemporaryDirectory() as folder:
+        job = examples.copy_example("paper_small", folder)
+        text = job.with_suffix(".ngc").read_text(encoding="utf-8")
     return Part("paper_small", "flat", (0, 0, -6), (42, 17, 0), text)
 
 

@@ -8,6 +8,7 @@ import math
 import equinox as eqx
 import jax
 import numpy as np
+from numpy.typing import ArrayLike
 from references import halfspaces, marching
 from references.halfspaces import Stock as ReferenceStock
 
@@ -67,7 +68,7 @@ def reference_force(
     )
 
 
-def straight(start: np.ndarray, feed: np.ndarray) -> tuple[np.ndarray, int]:
+def straight(start: ArrayLike, feed: np.ndarray) -> tuple[np.ndarray, int]:
     """Return a straight path, shape (step, 3), and its first steady row."""
     length = np.linalg.norm(feed)
     first = math.ceil(RUN_IN / length)
@@ -158,7 +159,7 @@ def hexahedron(corners: np.ndarray) -> dm.workpiece.Mesh:
     return dm.workpiece.Mesh(np.asarray(corners, float), np.array(faces, np.int32))
 
 
-def box_corners(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+def box_corners(lower: ArrayLike, upper: ArrayLike) -> np.ndarray:
     """Return the corners of a box, shape (8, 3)."""
     unit = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)])
     return np.asarray(lower) + unit * (np.asarray(upper) - np.asarray(lower))

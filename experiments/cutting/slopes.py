@@ -44,7 +44,7 @@ def measure(report: Report) -> None:
     worst = {}
     for name, make in REGIMES.items():
         for direction in DIRECTIONS:
-            rows = compare(_scalar(*make(), direction), STEPS)
+            rows = compare(_scalar(*make(), direction), STEPS)  # pyright: ignore[reportCallIssue]
             cells = "".join(f"{i:8.2f}{s:8.2f} " for i, s in rows)
             report.say(f"  {f'{name}, {direction}':28}{cells}")
             integral = max(abs(i) for i, _ in rows)

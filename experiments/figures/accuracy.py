@@ -162,7 +162,7 @@ def _reference_cases(report: Report) -> None:
         force, wanted = _run_case(case)
         exact.append(100 * relative(force, wanted))
         closed.append(100 * relative(force, case["mean_closed_form_FxFyFz_N"]))
-    report.say(f"{len(circles)} reference cases of straight cuts")
+    report.say(f"{len(exact)} reference cases of straight cuts")
     report.figure("largest error against the two-circle quadrature", max(exact), 1.5)
     report.say(f"  mean error {np.mean(exact):.2f} %")
     report.say(

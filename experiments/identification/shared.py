@@ -38,7 +38,7 @@ def finer(cut, angles, substeps, height):
         element_height=height,
         has_bottom=False,
     )
-    profile = dataclasses.replace(plan.profile, keeps_all=True)
+    profile = dataclasses.replace(plan.profile, keeps_all=True)  # pyright: ignore[reportAttributeAccessIssue]
     plan = dataclasses.replace(plan, profile=profile)
     return dataclasses.replace(cut, cutter=cutter, engagement=plan)
 

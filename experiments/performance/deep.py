@@ -91,10 +91,11 @@ def prepared(
 
 def least_time(run: Callable[..., Any], *inputs: object) -> float:
     """Return the least processor time of a few runs after a first one [s]."""
-    spent = []
+    spent, found = [], None
     for _ in range(RUNS + 1):
         start = time.process_time()
         found = jax.block_until_ready(run(*inputs))
         spent.append(time.process_time() - start)
+    assert found is not None
     assert bool(found.result == dm.RESULTS.successful), found.result
     return min(spent[1:])

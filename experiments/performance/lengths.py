@@ -20,13 +20,12 @@ RUNS = 5
 def measure(report):
     """Simulate one example at three feeds, then padded to ever more rows."""
     compiled = []
-    jax.monitoring.register_event_duration_secs_listener(
-        lambda event, duration, **_: (
-            compiled.append(duration)
-            if event.endswith("backend_compile_duration")
-            else None
-        )
-    )
+
+    def note(event: str, duration_secs: float, **_: str | int) -> None:
+        if event.endswith("backend_compile_duration"):
+            compiled.append(duration_secs)
+
+    jax.monitoring.register_event_duration_secs_listener(note)
     job = load_example("paper_small")
     report.say(f"{'feed':>6} {'rows':>6} {'programs':>9} {'processor s':>12}")
     for override in OVERRIDES:

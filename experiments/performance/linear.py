@@ -44,6 +44,7 @@ def measure(report: Report) -> None:
     motors = sim.JobKinematics(job).motors(tips)[0]
     model = sim.JobModel.of(job, pr.StockHeld())
     machine, process = model.machine, model.process
+    assert machine is not None
     forward = eqx.filter_jit(lambda x: machine.run(process, x).ends)
     linearise = eqx.filter_jit(lambda x: sim.linearise(machine, process, x))
     run = spent(lambda: forward(motors))

@@ -43,6 +43,7 @@ def coupled(report, job, *, has_gradient=False):
     # As `simulate` runs it where nothing is differentiated.
     model = sim.JobModel.of(job, process.ThroughRays())
     machine, cut = model.machine, model.process
+    assert machine is not None
     motors = sim.JobKinematics(job).motors(jnp.asarray(job.path.positions))[0]
     run = jax.jit(lambda x: machine.run(cut, x).ends)
     tied = sim.JobModel.of(job, process.ThroughPoses()).process
@@ -52,7 +53,9 @@ def coupled(report, job, *, has_gradient=False):
         loss = lambda x: 1e6 * jnp.sum((machine.run(tied, x).ends[:, -1]) ** 2)
         compiled = jax.jit(jax.grad(loss)).lower(motors).compile()
         forward, back = alternate(RUNS, lambda: run(motors), lambda: compiled(motors))
-        memory = compiled.memory_analysis().temp_size_in_bytes * 1000 / ROWS
+        analysis = compiled.memory_analysis()
+        assert analysis is not None
+        memory = analysis.temp_size_in_bytes * 1000 / ROWS
         report.figure("gradient over a run", back / forward, 2.5, "x")
         report.figure("memory of a gradient per 1000 rows", memory / 2**20, 60, "MiB")
     step = forward / (ROWS - 1)

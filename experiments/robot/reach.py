@@ -108,7 +108,7 @@ def _lines(robot: dr.Robot, rng: np.random.Generator) -> tuple[np.ndarray, np.nd
     length = LENGTH * np.max(box[1] - box[0]) / 2
     way = rng.normal(size=(len(q), 3))
     way *= length / np.linalg.norm(way, axis=1, keepdims=True)
-    is_good = np.asarray(jax.vmap(functools.partial(_keeps_clear, robot))(q, way))
+    is_good = np.asarray(jax.vmap(functools.partial(_keeps_clear, robot))(q, way))  # pyright: ignore[reportArgumentType]
     q, way = q[is_good][:LINES], way[is_good][:LINES]
     Ts = np.asarray(jax.vmap(functools.partial(dr.forward_kinematics, robot))(q))
     Ts = np.repeat(Ts[:, None], ROWS, axis=1)
@@ -122,6 +122,7 @@ def _keeps_clear(robot: dr.Robot, q: jax.Array, way: jax.Array) -> jax.Array:
     mask = jnp.asarray(robot.motor_mask())
 
     def step(q, share):
+        error = jnp.zeros(6)
         for _ in range(3):
             now = dr.forward_kinematics(robot, q)
             turn = T[:3, :3] @ now[:3, :3].T

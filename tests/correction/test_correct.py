@@ -1,5 +1,7 @@
 """Correcting a small job from its file, all methods, as the command line does."""
 
+import pathlib
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -16,6 +18,7 @@ from diffmill.correction import (
     correct,
     project,
 )
+from diffmill.examples import copy_example
 from diffmill.sim import JobKinematics
 
 PROGRAM = """G21 G17 G90 G94
@@ -210,3 +213,18 @@ def test_an_objective_of_ones_own_becomes_small(load):
     own, path = (correct(job, objective=x) for x in (Along(), None))
     # The path alone sees the deviation along it only a little.
     assert np.std(cuts(own)) < 0.5 * np.std(cuts(path))
+
+
+@pytest.mark.slow
+def test_the_command_does_not_swing_into_what_has_been_cut(tmp_path):
+    """The short job of the documents: its floor once lay 181 um too deep."""
+    document = pathlib.Path(__file__).parents[2] / "docs" / "job.md"
+    text = document.read_text(encoding="utf-8").split("```toml\n")[1].split("```")[0]
+    copy_example("paper_small", tmp_path)
+    (tmp_path / "short.toml").write_text(text)
+    found = correct(load_job(tmp_path / "short.toml"))
+    data = found.to_dataset().sel(case="corrected")
+    cuts = np.asarray(data["is_cutting"], bool)
+    largest = np.abs(np.asarray(data["contour_error"]))[cuts].max()
+    deepest = float(data["surface_deepest"])
+    assert largest < 25e-6 and deepest < 1.5 * largest, (largest, deepest)
