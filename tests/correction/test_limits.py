@@ -73,7 +73,7 @@ def test_the_minimum_within_limits_is_that_of_a_dense_solver():
     cost = lambda p: 0.5 * p @ A @ p + g @ p
     found = QuadraticModel(lambda p, _: cost(p), g, A, (box, rows)).minimum()
     assert found is not None
-    matrix = rows.matrix.toarray()
+    matrix = csr_array(rows.matrix).toarray()
     assert np.all(matrix @ found <= rows.upper + 1e-9)
     assert np.all(matrix @ found >= rows.lower - 1e-9)
     dense = minimize(
