@@ -60,6 +60,7 @@ def test_a_program_at_the_limit_is_none_beyond_it():
 
 def test_the_minimum_within_limits_is_that_of_a_dense_solver():
     from scipy.optimize import minimize
+    from scipy.sparse import csr_array
 
     spline = SplineOffsets(81, 0.01, 0.08)
     count = spline.coefficient_count
