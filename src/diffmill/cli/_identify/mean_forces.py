@@ -131,6 +131,11 @@ def _fit_lines(found: MeanForceStudy.Fit) -> list[str]:
         lines += noted(
             "Two feeds make a line but no standard error: add a third, better five."
         )
+    if len(force) in (3, 4):
+        lines += noted(
+            f"Of {len(force)} feeds the standard errors are of the right size at best: "
+            "points that lie on a line by chance make them tiny. Better are five."
+        )
     lost = [name for name, known in fit.identifiable.items() if not known]
     if lost and len(force) > 2:
         lines += noted(

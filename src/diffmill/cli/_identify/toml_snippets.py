@@ -14,8 +14,7 @@ _LARGEST = 0.999
 _LEAST_FORCE_ERROR = 0.01
 NOISE_ALONE = (
     "The standard errors are those of noise. The chip of the model is known to about "
-    "1 % of itself, which shows most in the edge coefficients: "
-    "[correction.uncertainty] has it."
+    "1 % of itself, which is more of the edge coefficients: 5 to 10 % of a small one."
 )
 _FORCE_REMARK = (
     "noise of the records, at least 1 % for the simulation: a worn tool, another batch "

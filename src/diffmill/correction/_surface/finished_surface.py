@@ -122,7 +122,8 @@ class FinishedSurface(eqx.Module):
         **Differentiability**: none, a host function.
         """
         tips = np.asarray(desired, np.float64)
-        walls, floors = _wall_points(stock, tips, radius), _floor_points(stock)
+        walls = _wall_points(stock, tips, radius)
+        floors = _floor_points(stock, tips, radius, reach)
         walls, floors = (
             tuple(values[_thinned(np.arange(len(values)), _POINTS)] for values in kind)
             for kind in (walls, floors)
@@ -240,10 +241,14 @@ class SurfaceObjective(AbstractObjective):
 def _cut_ends(
     stock: Stock, family: int, sides: tuple[int, ...]
 ) -> tuple[Float[np.ndarray, "end 3"], Float[np.ndarray, " end"]]:
-    """Return the ends of a family that a pose cut, and the time in tooth periods."""
+    """Return the ends of a family that a pose cut, and the time in tooth periods.
+
+    Of floors also those that were there before, whose time is negative.
+    """
     rays = stock.families[family]
     ends, cut_by = np.asarray(rays.ends, np.float64), np.asarray(rays.poses)
-    is_cut = (cut_by >= 0) & (ends[:, :, 1] > ends[:, :, 0])[:, :, None]
+    is_cut = (cut_by >= 0) | (family == 2)
+    is_cut &= (ends[:, :, 1] > ends[:, :, 0])[:, :, None]
     is_cut &= np.isin(np.arange(2), sides)[None, None, :, None]
     u, v, side, slot = np.nonzero(is_cut)
     points = np.empty((len(u), 3))
@@ -280,10 +285,20 @@ def _wall_points(
 
 
 def _floor_points(
-    stock: Stock,
+    stock: Stock, tips: Float[np.ndarray, "step 3"], radius: float, reach: float
 ) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, "point 3"]]:
-    """Return points that the tool's bottom cut, and their normals."""
-    points, _ = _cut_ends(stock, 2, (1,))
+    """Return points that the tool's bottom cut, or could cut, and their normals.
+
+    What an earlier job has left is a part of the surface, too, where the tool passes
+    over it.
+    """
+    from scipy.spatial import cKDTree
+
+    points, cut_by = _cut_ends(stock, 2, (1,))
+    # A reach above a point is as far as a radius beside it.
+    scale = np.array([1.0, 1.0, radius / reach])
+    near, _ = cKDTree(tips * scale).query(points * scale, distance_upper_bound=radius)
+    points = points[(cut_by >= 0) | np.isfinite(near)]
     return points, np.tile(np.array([0.0, 0.0, 1.0]), (len(points), 1))
 
 

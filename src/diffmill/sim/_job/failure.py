@@ -14,6 +14,8 @@ from .._machine.commands import JobKinematics
 if TYPE_CHECKING:
     from .simulate import Solution
 
+# Farther off its path, over the radius of the cutter, a tool most likely vibrates.
+_SWINGING = 0.1
 # A joint that takes at least this part in the motion that hardly moves the tool.
 _TAKES_PART = 0.4
 
@@ -30,11 +32,11 @@ def troubles_of(solution: "Solution", job: Job | None) -> str:
     if not is_reached.all():
         troubles.append(_unreached(solution, ~is_reached, job))
     if not bool(solution.result == RESULTS.unreachable):
-        troubles.append(_failed(solution))
+        troubles.append(_failed(solution, job))
     return " ".join(troubles)
 
 
-def _failed(solution: "Solution") -> str:
+def _failed(solution: "Solution", job: Job | None) -> str:
     """Return what went wrong in the cut, and where first."""
     text = RESULTS[solution.result]
     if bool(solution.result == RESULTS.non_finite):
@@ -43,7 +45,25 @@ def _failed(solution: "Solution") -> str:
         text = f"{text}{_broken_joints(solution, is_bad)}"
     else:
         is_bad = np.asarray(solution.has_failed)
-    return f"{text} First at {_at(solution, is_bad)}."
+    text = f"{text} First at {_at(solution, is_bad)}."
+    return f"{text}{_swinging(solution, is_bad, job)}"
+
+
+def _swinging(
+    solution: "Solution", is_bad: Bool[np.ndarray, " step"], job: Job | None
+) -> str:
+    """Return how far the tool is off its path, where that is striking."""
+    if job is None or not is_bad.any():
+        return ""
+    until = np.linalg.norm(solution.deviation, axis=1)[: int(np.argmax(is_bad)) + 1]
+    farthest = float(np.nanmax(until, initial=0.0))
+    if not farthest > _SWINGING * float(job.cutter.nominal_radius):
+        return ""
+    return (
+        f" The tool is up to {1e3 * farthest:.3g} mm off its path before: if it "
+        "vibrates more from tooth to tooth, the cut is unstable (chatter), and less "
+        "depth or another speed is the cure."
+    )
 
 
 def _broken_joints(solution: "Solution", is_bad: Bool[np.ndarray, " step"]) -> str:

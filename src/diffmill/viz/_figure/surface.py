@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING
 
+import jax
 import numpy as np
 
 from ...workpiece import SurfaceError
@@ -39,6 +40,9 @@ def plot_surface_error(errors: dict[str, SurfaceError]) -> "matplotlib.figure.Fi
     """
     if not errors:
         raise ValueError("Argument `errors` must hold at least one case, but is empty.")
+    # What rays along a face end at is a step in it, no error of the face.
+    across = lambda item: jax.tree.map(lambda x: x[item.is_across], item)
+    errors = {name: across(item) for name, item in errors.items()}
     points = np.concatenate([item.points for item in errors.values()])
     width, depth = np.ptp(points[:, :2], axis=0) if len(points) else (1.0, 1.0)
     aspect = float(depth / max(width, 1e-12))

@@ -117,10 +117,22 @@ class SurfaceError(eqx.Module):
         share = 1 / np.abs(self.normal).sum(axis=1)
         return share / share.sum()
 
+    @property
+    def is_across(self) -> Bool[np.ndarray, " n"]:
+        """Whether a ray meets the face that it tells of from its front, shape (n,).
+
+        Upright rays tell of floors, lying ones of walls. Beside a wall that was left
+        standing a lying ray ends near the floor, but tells nothing of it.
+        """
+        return (self.family == 2) == self.is_floor
+
     def measures(self) -> SurfaceMeasures:
         """Return the figures of the points that a tool cut."""
-        error, is_floor = self.error[self.is_cut], self.is_floor[self.is_cut]
-        wall, floor = error[~is_floor], error[is_floor]
+        error = self.error[self.is_cut]
+        wall, floor = (
+            self.error[self.is_cut & self.is_across & kind]
+            for kind in (~self.is_floor, self.is_floor)
+        )
         return SurfaceMeasures(
             wall_mean=_mean(wall),
             wall_rms=math.sqrt(_mean(wall**2)),
