@@ -26,7 +26,7 @@ _NEAR = 0.98
 _WRITTEN = "written_max_"
 # The surface breaks a tolerance where it lies so many times as deep in the part: the
 # meshes that are compared are off by some micrometres at edges.
-_DEEP = 2.0
+_DEEP = 1.5
 # Without a tolerance it is told where it lies so many times as deep as the largest
 # contour error.
 _STRIKING = 3.0
