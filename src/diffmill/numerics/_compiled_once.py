@@ -192,7 +192,7 @@ class CompiledOnce(Generic[P, R]):
         leaves, structure = jax.tree.flatten(arguments)
         results: list[str] = []
 
-        def of_arrays(*arrays: jax.Array) -> list[jax.Array]:
+        def of_arrays(*arrays: jax.Array) -> list[Any]:
             given = iter(arrays)
             filled = [next(given) if is_array(x) else x for x in leaves]
             args, kwargs = jax.tree.unflatten(structure, filled)

@@ -57,7 +57,7 @@ def tree_of_text(text: str, arrays: list[jax.Array]) -> PyTree:
     return jax.tree.unflatten(_structure(structure), values)
 
 
-def arrays_of(tree: object) -> list[jax.Array]:
+def arrays_of(tree: object) -> list[jax.Array | np.ndarray | np.generic]:
     """Return the arrays of a tree, in the order of its leaves."""
     return [x for x in jax.tree.leaves(tree) if is_array(x)]
 

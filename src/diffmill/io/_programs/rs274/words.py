@@ -7,10 +7,11 @@ from typing import NamedTuple
 
 from ..faults import Fault
 
-_NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)"
+# No text is a number in two ways, so that a long line of words is read once.
+_NUMBER = r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)"
 _WORD = re.compile(rf"([A-Z])({_NUMBER})")
 # A line of words and nothing else, O aside, is split at once.
-_PLAIN = re.compile(rf"(?:[A-NP-Z]{_NUMBER})*+")
+_PLAIN = re.compile(rf"(?:[A-NP-Z]{_NUMBER})*")
 _MARK = re.compile(r"[();]")
 _BLANKS = str.maketrans("", "", " \t\r")
 # A controller's longest line is 256 characters; comments may be longer.
