@@ -292,12 +292,12 @@ def _floor_points(
     What an earlier job has left is a part of the surface, too, where the tool passes
     over it.
     """
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     points, cut_by = _cut_ends(stock, 2, (1,))
     # A reach above a point is as far as a radius beside it.
     scale = np.array([1.0, 1.0, radius / reach])
-    near, _ = cKDTree(tips * scale).query(points * scale, distance_upper_bound=radius)
+    near, _ = KDTree(tips * scale).query(points * scale, distance_upper_bound=radius)
     points = points[(cut_by >= 0) | np.isfinite(near)]
     return points, np.tile(np.array([0.0, 0.0, 1.0]), (len(points), 1))
 
