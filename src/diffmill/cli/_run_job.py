@@ -1,12 +1,13 @@
 """Running a job and writing its folder of results."""
 
+import contextlib
+import importlib
 import json
 import math
 import pathlib
 import sys
+import threading
 import time
-from functools import partial
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -70,8 +71,10 @@ def run_job(
     from .._toml import JobError
     from ..config import JobProgram, job_precision, load_job
     from ..io import write_results
-    from ..numerics import CompiledOnce
 
+    # Compiled code leaves the interpreter free to import what comes later.
+    importing = threading.Thread(target=_import_later, daemon=True)
+    importing.start()
     with bad_input():
         uncached = configure_jax(job_precision(file))
         job = load_job(file, allow_outside=allow_outside)
@@ -96,7 +99,6 @@ def run_job(
     for note in (*job.notes, *filter(None, [uncached])):
         progress.say(f"note: {note}")
     start = time.perf_counter()
-    importing = CompiledOnce.call_between(*(partial(import_module, x) for x in _LATER))
     try:
         with progress:
             outcome = _compute(command, job, progress, checkpoint)
@@ -152,6 +154,13 @@ def run_job(
     if progress.prints_json:
         print(json.dumps(_figures(dataset, folder, job.notes), indent=2))
     return code
+
+
+def _import_later() -> None:
+    """Import what comes later; what fails here fails again, and is told, there."""
+    with contextlib.suppress(Exception):
+        for name in _LATER:
+            importlib.import_module(name)
 
 
 def _length(text: str | None) -> float | None:

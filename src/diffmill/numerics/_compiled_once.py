@@ -1,7 +1,6 @@
 """Functions compiled once: ahead by another core, or by a process before this one."""
 
 import collections
-import contextlib
 import os
 import threading
 from collections.abc import Callable
@@ -80,9 +79,6 @@ class _Workers:
 
 
 _WORKERS = _Workers()
-# Python traces one function at a time. Two at once would both end late, and XLA, which
-# needs no Python, would wait for either.
-_TRACING = threading.RLock()
 
 
 class CompiledOnce(Generic[P, R]):
@@ -132,27 +128,6 @@ class CompiledOnce(Generic[P, R]):
         run = program.compiled(self._plain.__name__)
         return program.result_of(run(*arrays_of((args, kwargs))))
 
-    @staticmethod
-    def call_between(*calls: Callable[[], object]) -> threading.Thread:
-        """Call functions in a thread of its own, none while a function is traced.
-
-        For what needs Python and is not urgent, such as imports: XLA compiles beside
-        them. What one of them raises is not told, and ends the thread.
-
-        Returns:
-            The thread, which has been started.
-        """
-
-        def call_all() -> None:
-            with contextlib.suppress(Exception):
-                for call in calls:
-                    with _TRACING:
-                        call()
-
-        thread = threading.Thread(target=call_all, daemon=True)
-        thread.start()
-        return thread
-
     @property
     def _has_name(self) -> bool:
         """Return whether the function is found by its name, in this package."""
@@ -178,8 +153,7 @@ class CompiledOnce(Generic[P, R]):
         found = read_program(name)
         if found is None:
             try:
-                with _TRACING:
-                    found = self._exported(arguments)
+                found = self._exported(arguments)
             except (HasNoText, ValueError):
                 # It holds what is not known by name, or calls what JAX does not export;
                 # what the function itself refuses, it refuses where it is called.
