@@ -167,6 +167,20 @@ def test_surface_error_is_that_of_the_machined_stock(cut):
         assert found.mean() == pytest.approx(truth.mean(), abs=0.03 * size)
 
 
+def test_a_floor_of_an_earlier_job_is_surface_where_the_tool_passes():
+    """Else a bound of the gouge does not see it, nor the command that cuts into it."""
+    stock = box([0.0, 0.0, -3e-3], [40e-3, 12e-3, -1e-3], 0.5e-3)
+    path = np.linspace([5e-3, 6e-3, -1e-3], [20e-3, 6e-3, -1e-3], 60)
+    path[40:, 2] = 2e-3
+    surface = FinishedSurface.from_cut(stock, path, RADIUS)
+    assert not surface.is_wall.any() and surface.points[:, 0].max() < 20e-3
+    np.testing.assert_array_equal(surface.touching_rows(path), np.arange(60) < 40)
+    deeper = path - np.array([0.0, 0.0, 5e-5])
+    np.testing.assert_allclose(surface.errors(deeper), -5e-5, atol=1e-12)
+    with pytest.raises(ValueError, match="cut by a pose"):
+        FinishedSurface.from_cut(stock, path + np.array([0, 0, 3e-3]), RADIUS)
+
+
 def test_only_the_second_pass_leaves_the_wall(cut):
     path = two_passes()
     ideal = cut(jnp.asarray(path))

@@ -195,3 +195,18 @@ def test_rays_that_run_along_a_wall_tell_nothing_of_it():
     assert measures.deepest == pytest.approx(5e-6, rel=0.2)
     assert measures.floor_rms == pytest.approx(5e-6, rel=0.2)
     assert measures.wall_rms == pytest.approx(1e-6, rel=0.2)
+
+
+def test_a_lying_ray_tells_nothing_of_a_floor():
+    """Where a wall was left standing it ends near the floor, and was counted there."""
+    up, side = [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]
+    found = wp.SurfaceError(
+        points=np.zeros((4, 3)),
+        error=np.array([1e-6, 50e-6, 2e-6, 70e-6]),
+        normal=np.array([up, up, side, side]),
+        is_floor=np.array([True, True, False, False]),
+        is_cut=np.ones(4, bool),
+        family=np.array([2, 0, 0, 2]),
+    ).measures()
+    assert found.floor_rms == pytest.approx(1e-6)
+    assert found.wall_rms == pytest.approx(2e-6)

@@ -238,19 +238,20 @@ class SurfaceObjective(AbstractObjective):
         return jnp.concatenate([error, rest.reshape(-1)])
 
 
-def _cut_ends(
+def _surface_ends(
     stock: Stock, family: int, sides: tuple[int, ...]
 ) -> tuple[Float[np.ndarray, "end 3"], Float[np.ndarray, " end"]]:
-    """Return the ends of a family that a pose cut, and the time in tooth periods.
+    """Return the ends of a family that are surface, and when they were cut.
 
-    Of floors also those that were there before, whose time is negative.
+    Those that a pose cut, and upright ones that were there before: their time, in
+    tooth periods, is negative.
     """
     rays = stock.families[family]
     ends, cut_by = np.asarray(rays.ends, np.float64), np.asarray(rays.poses)
-    is_cut = (cut_by >= 0) | (family == 2)
-    is_cut &= (ends[:, :, 1] > ends[:, :, 0])[:, :, None]
-    is_cut &= np.isin(np.arange(2), sides)[None, None, :, None]
-    u, v, side, slot = np.nonzero(is_cut)
+    is_kept = (cut_by >= 0) | (family == 2)
+    is_kept &= (ends[:, :, 1] > ends[:, :, 0])[:, :, None]
+    is_kept &= np.isin(np.arange(2), sides)[None, None, :, None]
+    u, v, side, slot = np.nonzero(is_kept)
     points = np.empty((len(u), 3))
     origin = np.asarray(stock.origin, np.float64)
     points[:, family] = ends[u, v, side, slot]
@@ -267,7 +268,7 @@ def _wall_points(
     Points above each other on a wall are alike to an upright tool: the lowest stands
     for all, half a spacing above the tip so that a tip that lifts still cuts it.
     """
-    found = [_cut_ends(stock, family, (0, 1)) for family in (0, 1)]
+    found = [_surface_ends(stock, family, (0, 1)) for family in (0, 1)]
     points, cut_by = (np.concatenate([f[i] for f in found]) for i in (0, 1))
     rows = np.arange(len(tips))
     cutting = np.stack([np.interp(cut_by, rows, tips[:, i]) for i in range(3)], axis=1)
@@ -294,7 +295,7 @@ def _floor_points(
     """
     from scipy.spatial import KDTree
 
-    points, cut_by = _cut_ends(stock, 2, (1,))
+    points, cut_by = _surface_ends(stock, 2, (1,))
     # A reach above a point is as far as a radius beside it.
     scale = np.array([1.0, 1.0, radius / reach])
     near, _ = KDTree(tips * scale).query(points * scale, distance_upper_bound=radius)
