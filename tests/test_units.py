@@ -1,4 +1,6 @@
 import math
+import subprocess
+import sys
 
 import pytest
 
@@ -79,3 +81,58 @@ def test_refused(value, kind, found):
         q.quantity(value, kind)
     assert found in str(error.value)
     assert kind.example in str(error.value) or "finite" in str(error.value)
+
+
+USUAL = [
+    ("m", q.LENGTH),
+    ("mm", q.LENGTH),
+    ("um", q.LENGTH),
+    ("rad", q.ANGLE),
+    ("deg", q.ANGLE),
+    ("s", q.TIME),
+    ("ms", q.TIME),
+    ("Hz", q.FREQUENCY),
+    ("kHz", q.FREQUENCY),
+    ("N", q.FORCE),
+    ("m/s", q.SPEED),
+    ("mm/s", q.SPEED),
+    ("mm/min", q.SPEED),
+    ("rad/s", q.ANGULAR_SPEED),
+    ("deg/s", q.ANGULAR_SPEED),
+    ("rpm", q.ANGULAR_SPEED),
+    ("m/s^2", q.ACCELERATION),
+    ("N/mm^2", q.PRESSURE),
+    ("MPa", q.PRESSURE),
+    ("GPa", q.MODULUS),
+    ("N/m", q.LINEAR_STIFFNESS),
+    ("N/mm", q.EDGE_FORCE),
+    ("N/um", q.LINEAR_STIFFNESS),
+    ("N*m", q.MOMENT),
+    ("N*m/rad", q.ROTARY_STIFFNESS),
+    ("N*m*s/rad", q.ROTARY_DAMPING),
+    ("N*s/m", q.LINEAR_DAMPING),
+    ("kg", q.MASS),
+    ("g", q.MASS),
+    ("kg*m^2", q.INERTIA),
+]
+
+
+@pytest.mark.parametrize(("unit", "kind"), USUAL)
+def test_a_usual_unit_is_what_the_registry_says(unit, kind):
+    import pint
+
+    registry = pint.UnitRegistry()
+    expected = registry.Quantity(7.25, unit).to(kind.unit).magnitude
+    assert q.quantity(f"7.25 {unit}", kind) == pytest.approx(expected, rel=1e-14)
+
+
+def test_usual_units_do_not_start_the_registry():
+    texts = [(f"2 {unit}", kind.unit) for unit, kind in USUAL]
+    code = (
+        "import sys\nfrom diffmill import units\n"
+        "kinds = {v.unit: v for v in vars(units).values()\n"
+        "         if isinstance(v, units.QuantityKind)}\n"
+        f"for text, si in {texts!r}:\n    units.quantity(text, kinds[si])\n"
+        "assert 'pint' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
