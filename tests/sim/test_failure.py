@@ -54,3 +54,37 @@ def test_an_unreachable_pose_and_an_overflow_are_both_named(tmp_path):
     solution = failure.value.solution
     assert isinstance(solution, dm.Solution)
     np.testing.assert_array_equal(np.flatnonzero(~solution.is_reached), [38, 39])
+
+
+MODES = """
+[[machine.modes]]
+direction = [1.0, 0.0, 0.0]
+frequency = "300 Hz"
+damping_ratio = 0.01
+stiffness = "0.2 N/um"
+[[machine.modes]]
+direction = [0.0, 0.5, 1.0]
+frequency = "320 Hz"
+damping_ratio = 0.01
+stiffness = "0.2 N/um"
+"""
+
+
+@pytest.mark.slow
+def test_a_tool_that_swings_out_of_its_window_is_said_to_chatter(tmp_path):
+    lines = ["time_s,x_mm,y_mm,z_mm"]
+    lines += [f"{k * 3.75e-3:.5f},{-6 + 0.2 * k:.3f},0,-6" for k in range(40)]
+    (tmp_path / "path.csv").write_text("\n".join(lines) + "\n")
+    text = JOB.split("[robot]")[0] + MODES
+    text = text.replace('"-2 mm"', '"-8 mm"').replace("[1, 1, 1]", "[3, 3, 3]")
+    (tmp_path / "job.toml").write_text(text)
+    with pytest.raises(dm.SimulationFailed) as failure:
+        dm.simulate(dm.load_job(tmp_path / "job.toml"))
+    told = re.search(r"up to ([\d.]+) mm off its path .*chatter", str(failure.value))
+    solution = failure.value.solution
+    assert isinstance(solution, dm.Solution)
+    first = int(np.argmax(solution.has_failed))
+    deviation = np.linalg.norm(solution.deviation, axis=1)[: first + 1]
+    assert told and float(told[1]) == pytest.approx(1e3 * deviation.max(), rel=1e-2)
+    # A tenth of the radius, from where the tool counts as swinging.
+    assert float(told[1]) > 0.5

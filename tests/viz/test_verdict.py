@@ -169,10 +169,12 @@ def test_a_verdict_says_what_the_contour_error_does_not_count(tmp_path, correcti
     band = 1.01 * corrected_error(correction).max()
     cases = correction["case"].values
     deep = np.where(cases == "corrected", 3 * band, 0.0)
-    given = correction.assign(surface_deepest=("case", deep)).assign_attrs(
-        tolerance_band=band, stability_has_chatter=1
-    )
+    place = np.tile([1e-3, -2e-3, 3.5e-3], (len(cases), 1))
+    given = correction.assign(
+        surface_deepest=("case", deep), surface_deepest_at=(("case", "axis"), place)
+    ).assign_attrs(tolerance_band=band, stability_has_chatter=1)
     text = report(tmp_path, given)
+    assert "inside the part (x, y, z = 1.00, -2.00, 3.50 mm), cut at" in text
     assert f"up to {3e6 * band:.3g} \u00b5m inside the part" in text
     assert "But the cut is unstable" in text and "Not within" in text
     without = summary(given.assign_attrs(tolerance_band=0.0), "verdict")

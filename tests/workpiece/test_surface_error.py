@@ -156,6 +156,8 @@ def test_figures_are_those_of_walls_and_floors_that_were_cut():
     assert measures.wall_p95 == pytest.approx(0.03e-3, rel=0.02)
     assert measures.floor_mean == pytest.approx(0.04e-3, rel=0.02)
     assert measures.deepest == pytest.approx(0.03e-3, rel=0.05)
+    # The wall that was cut too far is the deepest place.
+    assert abs(found.deepest_at[0]) == pytest.approx(2.53e-3, rel=1e-3)
     # Of a slot 1 mm deep and 5 mm wide two sevenths are walls.
     share = found.area_share[~found.is_floor].sum()
     assert share == pytest.approx(2 / 7, rel=0.1)

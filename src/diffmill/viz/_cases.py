@@ -69,10 +69,11 @@ def values_of(
         case: Name of the case.
 
     Returns:
-        Its values in SI, shape (step,) or (step, axis).
+        Its values in SI, shape (step,), (step, axis) or (axis,).
     """
     array = select_case(dataset, case)[variable]
-    return np.asarray(array.transpose("step", ...).values, dtype=np.float64)
+    rows = array.transpose("step", ..., missing_dims="ignore").values
+    return np.asarray(rows, dtype=np.float64)
 
 
 def cutting_of(dataset: "xarray.Dataset", case: str) -> Bool[np.ndarray, " step"]:
@@ -85,8 +86,13 @@ def cutting_of(dataset: "xarray.Dataset", case: str) -> Bool[np.ndarray, " step"
 def place_text(dataset: "xarray.Dataset", case: str, row: int) -> str:
     """Return when and where on the desired path a step of a case is."""
     time = values_of(dataset, "time", case)[row]
-    x, y, z = 1e3 * values_of(dataset, "desired", case)[row]
-    return f"at {time:.3f} s, x, y, z = {x:.2f}, {y:.2f}, {z:.2f} mm"
+    return f"at {time:.3f} s, {position_text(values_of(dataset, 'desired', case)[row])}"
+
+
+def position_text(position: np.ndarray) -> str:
+    """Return a position [m] in millimetres."""
+    x, y, z = 1e3 * position
+    return f"x, y, z = {x:.2f}, {y:.2f}, {z:.2f} mm"
 
 
 def reference_case(dataset: "xarray.Dataset") -> str:

@@ -320,10 +320,10 @@ class _Optimiser:
         if self.task.job.correction.objective == "path":
             rows = np.maximum(problem.is_cutting, rows)
         touching = dataclasses.replace(problem, is_cutting=rows)
-        first = remembering(path_first, "path_first", record)
-        found = record.prepare("path_first", first, touching, start=start)
+        first = remembering(path_first, "start_on_path", record)
+        found = record.prepare("start_on_path", first, touching, start=start)
         given = GivenCommand(path_first.begin(problem, start))
-        given = record.prepare("given_first", given, problem)
+        given = record.prepare("start_as_given", given, problem)
         closest = lambda m: self._remaining(m) + out_of_bounds(self.method, m)
         return min((found, given), key=closest).command
 

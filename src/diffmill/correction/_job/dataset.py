@@ -156,6 +156,9 @@ def _surface_figures(
         )
         values = np.array([getattr(measure, field.name) for measure in measures])
         found[f"surface_{field.name}"] = (("case",), values, _about("m", text))
+    places = np.stack([error.deepest_at for error in surfaces.values()])
+    about = _about("m", "where the tool cut deepest into the ideal part")
+    found["surface_deepest_at"] = (("case", "axis"), places, about)
     return found
 
 

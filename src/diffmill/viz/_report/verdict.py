@@ -10,6 +10,7 @@ from .._cases import (
     chosen_case,
     cutting_of,
     place_text,
+    position_text,
     reference_case,
     select_case,
     values_of,
@@ -76,7 +77,7 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
     deepest = _deepest(dataset, case)
     deep = (
         f" But the machined surface lies up to {deepest * 1e6:.3g} {MICROMETRE} inside "
-        "the part, cut at steps that the contour error does not count: [correction] "
+        f"the part{_deepest_place(dataset, case)}, cut at steps that the contour error does not count: [correction] "
         "gouge bounds it."
     )
     if not band:
@@ -128,6 +129,13 @@ def _deepest(dataset: "xarray.Dataset", case: str) -> float:
     if "surface_deepest" not in dataset:
         return 0.0
     return float(select_case(dataset, case)["surface_deepest"])
+
+
+def _deepest_place(dataset: "xarray.Dataset", case: str) -> str:
+    """Return where the machined surface lies deepest in the part."""
+    if "surface_deepest_at" not in dataset:
+        return ""
+    return f" ({position_text(values_of(dataset, 'surface_deepest_at', case))})"
 
 
 def _place(dataset: "xarray.Dataset", case: str) -> str:

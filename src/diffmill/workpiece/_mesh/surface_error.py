@@ -126,6 +126,16 @@ class SurfaceError(eqx.Module):
         """
         return (self.family == 2) == self.is_floor
 
+    @property
+    def deepest_at(self) -> Float[np.ndarray, " 3"]:
+        """Return where the tool cut deepest into the part [m], shape (3,).
+
+        NaN where it did not cut into it.
+        """
+        if not self.error.min(initial=0.0) < 0:
+            return np.full(3, np.nan)
+        return np.asarray(self.points[np.argmin(self.error)], np.float64)
+
     def measures(self) -> SurfaceMeasures:
         """Return the figures of the points that a tool cut."""
         error = self.error[self.is_cut]
