@@ -1,5 +1,7 @@
 """Contour error: how far the tool is from the desired path, whenever it gets there."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -29,6 +31,14 @@ def contour_vector(
     """
     if window < 1:
         raise ValueError(f"Argument `window` must be at least 1, but is {window}.")
+    return _vectors(actual, desired, window)
+
+
+# One program, not one for each of its operations.
+@functools.partial(jax.jit, static_argnames="window")
+def _vectors(
+    actual: FloatRows3, desired: FloatRows3, window: int
+) -> Float[Array, "step 3"]:
     actual, desired = jnp.asarray(actual), jnp.asarray(desired)
     padded = jnp.pad(desired, ((window, window), (0, 0)), mode="edge")
     first = _nearest_segment(

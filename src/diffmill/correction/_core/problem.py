@@ -96,7 +96,7 @@ class Problem(eqx.Module):
         **Differentiability**: smooth but where the nearest segment changes.
         """
         desired = jnp.asarray(self.desired, motion.actual.dtype)
-        return _contour(motion.actual, desired, self.window)
+        return contour_vector(motion.actual, desired, window=self.window)
 
     def run(self, command: FloatRows) -> tuple[Motion, Float[Array, "step 3"]]:
         """Run the plant once, compiled; return its motion and the contour vectors.
@@ -125,11 +125,6 @@ def motion_of(plant: Plant, command: FloatRows) -> Motion:
     if isinstance(plant, AbstractHostPlant):
         return plant.run(command)
     return _compiled(plant, command)
-
-
-_contour = eqx.filter_jit(
-    lambda actual, desired, window: contour_vector(actual, desired, window=window)
-)
 
 
 @eqx.filter_jit

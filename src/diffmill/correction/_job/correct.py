@@ -377,7 +377,7 @@ def _weights(
     job: Job, before: Solution, surface: FinishedSurface | None
 ) -> Float[np.ndarray, " step"]:
     """Return how much every row counts; refuse a path of which none does."""
-    if not bool(jnp.any(before.is_cutting)):
+    if not np.any(before.is_cutting):
         raise NothingToCorrect(
             "Argument `job` must have a program that cuts its stock, but the rigid "
             "tool removes nothing."

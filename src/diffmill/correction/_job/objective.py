@@ -1,14 +1,15 @@
 """From the settings of a job to weights, objective and surface of its correction."""
 
+import equinox as eqx
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from ..._job import Job
 from ..._types import BoolSteps
 from ...sim import Run
 from .._core.method import Corrected
 from .._core.path_objective import AbstractObjective, PathObjective
-from .._core.problem import Problem
+from .._core.problem import Motion, Problem
 from .._core.row_weights import row_weights
 from .._method.ensemble import Ensemble, LatePlant
 from .._spline.command_limits import LinearLimits
@@ -165,5 +166,12 @@ def remaining_error(
 
     Infinite where the motion is not finite.
     """
-    errors = np.asarray(objective.errors(problem, found.motion, 0.0), np.float64)
+    errors = np.asarray(_errors(objective, problem, found.motion), np.float64)
     return float(np.sqrt(np.sum(errors**2))) if np.isfinite(errors).all() else np.inf
+
+
+@eqx.filter_jit
+def _errors(
+    objective: AbstractObjective, problem: Problem, motion: Motion
+) -> Float[Array, " error"]:
+    return objective.errors(problem, motion, 0.0)

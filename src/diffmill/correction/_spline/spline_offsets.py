@@ -69,6 +69,7 @@ class SplineOffsets(eqx.Module):
         """Number of free coefficients per axis."""
         return self.interval_count + 3 - 2 * CLAMPED
 
+    @eqx.filter_jit
     def offsets(
         self, coefficients: Float[Array, "coefficient axis"]
     ) -> Float[Array, "step axis"]:

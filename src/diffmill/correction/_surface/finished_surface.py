@@ -84,6 +84,7 @@ class FinishedSurface(eqx.Module):
         """
         return self._depths(actual, jnp.asarray(self.poses, jnp.int32))
 
+    @eqx.filter_jit
     def _depths(
         self, actual: FloatRows3, poses: Int[Array, "point some"]
     ) -> Float[Array, "point some"]:

@@ -60,7 +60,8 @@ class TipModes(eqx.Module):
         self.damping_ratios = damping_ratios
         self.shapes = shapes
         if participation is None:
-            participation = jnp.linalg.pinv(jnp.asarray(shapes).T, rtol=_STIFF)
+            xp = np if isinstance(shapes, np.ndarray) else jnp
+            participation = xp.linalg.pinv(shapes.T, rtol=_STIFF)
         self.participation = participation
 
     def receptance(

@@ -24,6 +24,7 @@ class LinearArm(eqx.Module):
     C: Float[Array, "3 state"]
 
 
+@eqx.filter_jit
 def linear_modes(modes: TipModes, row_count: int) -> LinearArm:
     """Return modes as a linear system, the same in all rows."""
     omega = 2 * jnp.pi * jnp.asarray(modes.frequencies)

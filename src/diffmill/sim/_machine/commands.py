@@ -165,8 +165,8 @@ class JobKinematics(eqx.Module):
         count, rows = joints.shape[0], joints.shape[0]
         if self.job.modes is not None:
             axes = 3 if self.job.tool_axes is None else 6
-            one = jnp.eye(axes, 3, dtype=joints.dtype)
-            return jnp.broadcast_to(one[None], (count, axes, 3))
+            one = np.eye(axes, 3, dtype=joints.dtype)
+            return on_device(np.broadcast_to(one[None], (count, axes, 3)))
         Ts = None
         if commanded is not None:
             Ts = self.poses(commanded)

@@ -77,8 +77,8 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
     deepest = _deepest(dataset, case)
     deep = (
         f" But the machined surface lies up to {deepest * 1e6:.3g} {MICROMETRE} inside "
-        f"the part{_deepest_place(dataset, case)}, cut at steps that the contour error does not count: [correction] "
-        "gouge bounds it."
+        f"the part{_deepest_place(dataset, case)}, cut at steps that the contour error "
+        "does not count: [correction] gouge bounds it."
     )
     if not band:
         text += (
