@@ -12,8 +12,8 @@ import diffmill
 
 ROOT = pathlib.Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "diffmill"
-# Folders of siblings of one kind, which may be many.
-SIBLINGS = {"viz/_figure"}
+# Folders of siblings of one kind, which may be many: figures, kinds of identification.
+SIBLINGS = {"viz/_figure", "cli/_identify", "config/_identification"}
 LARGEST = 12
 
 

@@ -10,7 +10,17 @@ HERE = pathlib.Path(__file__).parent
 # The runner is shared with other experiments.
 sys.path.append(str(HERE.parent / "common"))
 
-GROUPS = ("first", "step", "deep", "linear", "lengths", "batch", "process", "expected")
+GROUPS = (
+    "first",
+    "step",
+    "deep",
+    "linear",
+    "lengths",
+    "batch",
+    "process",
+    "expected",
+    "device",
+)
 
 
 if __name__ == "__main__":

@@ -40,7 +40,8 @@ from ._check.modes import (
     default_looks,
     default_substeps,
 )
-from ._check.rapids import check_overhang, check_rapids, immersion, notes
+from ._check.notes import immersion, notes
+from ._check.rapids import check_overhang, check_rapids
 from ._check.reach import ReachCheck
 from ._schema.controller import ControllerTable
 from ._schema.correction import check_correction, correction_settings

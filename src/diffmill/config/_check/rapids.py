@@ -1,4 +1,4 @@
-"""Checks of a job that need more than one value: rapid moves, holder, depth."""
+"""Checks of the whole tool along the path: rapid moves, holder, shank."""
 
 from collections.abc import Mapping
 
@@ -12,8 +12,6 @@ from .._build.context import FileContext
 from .._build.stock import StockPlan
 from .reach import at_row
 
-# Above this share of the radius the chip's entry is too coarse to trust.
-_COARSE = 0.05
 # Lengths that a job states twice [m], and volumes that are rounding [m^3].
 _SAME_LENGTH, _NO_VOLUME = 1e-9, 1e-15
 
@@ -143,52 +141,3 @@ def _shank_notes(path: Path, volume: Float[np.ndarray, " step"]) -> tuple[str, .
         f"the flutes is in the stock, first here, in {rows.size} of {path.step_count} "
         f"rows; it would have to take {float(volume.sum()) * 1e9:.3g} mm^3",
     )
-
-
-def immersion(path: Path, cutter: AbstractCutter, stock: StockPlan) -> float:
-    """Return how deep the path takes the tip below the top of the stock [m]."""
-    tips, radius = np.asarray(path.positions), cutter.nominal_radius
-    low, high = stock.lower, stock.upper
-    is_over = ((tips > low - radius) & (tips < high + radius))[:, :2].all(axis=1)
-    return float(np.max(high[2] - tips[is_over, 2], initial=0.0))
-
-
-def notes(stock: StockPlan, path: Path, cutter: AbstractCutter) -> tuple[str, ...]:
-    """Return what is worth knowing but no fault."""
-    notes = []
-    coarse = _COARSE * cutter.nominal_radius
-    if stock.spacing > coarse:
-        notes.append(
-            f"[stock] spacing is {stock.spacing * 1e3:g} mm; above 0.05 of the radius "
-            f"({coarse * 1e3:g} mm) forces lose accuracy"
-        )
-    depth = immersion(path, cutter, stock)
-    if depth > cutter.flute_length:
-        notes.append(
-            f"the path goes {depth * 1e3:g} mm below the top of the stock, deeper than "
-            f"the flutes ({cutter.flute_length * 1e3:g} mm): shank_volume in the "
-            "result says what its shank would have to take"
-        )
-    low = float(stock.lower[2])
-    if depth > float(stock.upper[2]) - low:
-        notes.append(
-            f"the path goes {(depth - float(stock.upper[2]) + low) * 1e3:g} mm below "
-            "the bottom of the stock, into what it lies on"
-        )
-    if depth <= 0:
-        spans = [
-            _span_mm(np.asarray(path.positions)),
-            _span_mm(np.array([stock.lower, stock.upper])),
-        ]
-        notes.append(
-            "nothing is cut: nowhere over the stock does the tip go below its top; the "
-            f"path spans {spans[0]}, the stock {spans[1]}"
-        )
-    return tuple(notes)
-
-
-def _span_mm(points: Float[np.ndarray, "point 3"]) -> str:
-    """Return the extents of points as text."""
-    low, high = np.min(points, axis=0) * 1e3, np.max(points, axis=0) * 1e3
-    spans = zip("xyz", low, high, strict=True)
-    return ", ".join(f"{axis} {a:g} to {b:g}" for axis, a, b in spans) + " mm"

@@ -28,7 +28,7 @@ from ...process import (
 from ...robot import Controller
 from ...toolpath import Path, contour_error
 from ...workpiece import Pose, Stock
-from .._machine._integrator.rk4 import make_integrator
+from .._machine._integrator.choose import make_integrator
 from .._machine.commands import JobKinematics
 from .._machine.elastic import ElasticArm
 from .._machine.machine import RUN_ROWS, Ending, Run, RunEnd, RunRows

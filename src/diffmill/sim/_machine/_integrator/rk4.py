@@ -1,6 +1,4 @@
-"""The integrators by name, and the explicit one that verifies the default."""
-
-from typing import Literal, TypeAlias
+"""The explicit integrator, which verifies the default."""
 
 import equinox as eqx
 import jax
@@ -9,9 +7,6 @@ from jaxtyping import Array, Float
 
 from ....robot import ArmTerms, Robot
 from .base import AbstractIntegrator, ArmState, Dynamics, MotorCommand, state_rate
-from .midpoint import Midpoint
-
-IntegratorName: TypeAlias = Literal["midpoint", "rk4"]
 
 
 class RungeKutta4(AbstractIntegrator):
@@ -62,18 +57,3 @@ class RungeKutta4(AbstractIntegrator):
             lambda a, b, c, d: (a + 2 * b + 2 * c + d) / 6, first, second, third, fourth
         )
         return ahead(h, mean)
-
-
-def make_integrator(
-    name: IntegratorName, dynamics: Dynamics = "crba"
-) -> AbstractIntegrator:
-    """Return the integrator of a name.
-
-    Args:
-        name: "midpoint" or "rk4".
-        dynamics: Algorithm of the robot's dynamics, "crba" or "aba".
-
-    Returns:
-        The integrator.
-    """
-    return Midpoint(dynamics) if name == "midpoint" else RungeKutta4(dynamics)
