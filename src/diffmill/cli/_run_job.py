@@ -248,7 +248,7 @@ def _compute(
     )
 
     def tell(message: str, rms: float) -> None:
-        text = f"{message}: contour error {rms * 1e6:.2f} um rms"
+        text = f"{message}: weighted error {rms * 1e6:.2f} um rms"
         progress.update(text, then=f"after {message}")
 
     progress.update("uncorrected path")
