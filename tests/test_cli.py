@@ -159,6 +159,20 @@ def test_the_first_example_is_corrected_without_a_robot(folder, capsys):
         assert rms.sel(case="corrected") < 0.1 * rms.sel(case="uncorrected")
 
 
+@pytest.mark.slow
+def test_a_shank_in_the_stock_is_told_and_is_no_success(folder, capsys):
+    assert main(["example", "tiny", "--quiet"]) == 0
+    text = (folder / "tiny.toml").read_text()
+    short = text.replace("teeth = 2", 'teeth = 2\nflute_length = "0.4 mm"')
+    (folder / "tiny.toml").write_text(short)
+    assert main(["correct", "tiny.toml", "--out", "out"]) == 0
+    printed = capsys.readouterr().out
+    assert "Not within" in printed and "shank" in printed
+    with xarray.open_dataset(folder / "out" / "result.nc", engine="h5netcdf") as found:
+        assert found.shank_volume.dims == ("case", "step")
+        assert (found.shank_volume.sum("step") > 1e-9).all()
+
+
 @pytest.mark.parametrize("name", ["tiny", "paper", "paper_small"])
 def test_example(folder, capsys, name):
     assert main(["example", name]) == 0

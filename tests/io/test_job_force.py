@@ -81,6 +81,7 @@ def test_material(load):
     assert job.law == cutting.material("aluminium_3.1325").law
     (note,) = job.notes
     assert cutting.material("aluminium_3.1325").source in note
+    assert "K_tc 989.8 N/mm^2" in note and "K_te 3 N/mm" in note
     assert "no axial" in load('[force]\nmaterial = "brass_quarter_inch"').notes[0]
 
 

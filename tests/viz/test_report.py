@@ -180,6 +180,9 @@ def test_the_error_of_the_written_program_stands_beside_that_of_the_command(
     text = read(write_report(tmp_path, given, {})).text
     assert "12.3" in text and "corrected.ngc" in text
     assert "written_rms_ngc" not in text
+    # What is loaded counts, not the command that it was written from.
+    factor = case_numbers(correction, "uncorrected").rms / 12.34e-6
+    assert f"{factor:.3g} x smaller contour error of what is written" in text
 
 
 def test_what_to_load_and_to_set_is_said(tmp_path, correction, job):

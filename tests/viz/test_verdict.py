@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from diffmill.viz import summary, write_report
 
@@ -184,6 +185,27 @@ def test_a_verdict_says_what_the_contour_error_does_not_count(tmp_path, correcti
     calm = given.assign(surface_deepest=("case", 0.3 * deep))
     text = report(tmp_path, calm.assign_attrs(stability_has_chatter=0))
     assert "inside the part" not in text and "But the cut" not in text
+
+
+def test_a_shank_in_the_stock_is_not_within_a_tolerance(correction):
+    band = 1.01 * corrected_error(correction).max()
+    shank = xr.zeros_like(correction["contour_error"])
+    shank[dict(step=3)] = 1e-10
+    held = correction.assign_attrs(tolerance_band=band)
+    assert summary(held, "verdict").startswith("Within")
+    assert "exactly as modelled" in summary(held, "verdict")
+    text = summary(held.assign(shank_volume=shank), "verdict")
+    assert text.startswith("Not within") and "shank" in text
+    without = held.assign(shank_volume=shank).assign_attrs(tolerance_band=0.0)
+    assert summary(without, "verdict").startswith("The shank is in the stock")
+
+
+def test_more_steps_are_proposed_only_where_they_may_be_needed(correction):
+    most = corrected_error(correction).max()
+    short = correction.assign_attrs(corrected_outcome="steps ran out")
+    for band, is_told in ((0.0, True), (0.9 * most, True), (1.1 * most, False)):
+        text = summary(short.assign_attrs(tolerance_band=band), "figures")
+        assert ("max_steps" in text) == is_told
 
 
 def test_the_figures_of_a_path_in_the_air_are_dashes(simulation):

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from .._jax_config import configure_jax
 from .._toml import parse_toml
 from ._expected_time import expected_campaign_line, expected_time_line
+from ._session.progress import Progress
 
 if TYPE_CHECKING:
     from ..toolpath import Move, Path, Program, ProgramTiming
@@ -139,7 +140,9 @@ def _describe_job(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
     from ..config import job_precision, load_job
 
     configure_jax(job_precision(file))
-    job = load_job(file, allow_outside=allow_outside)
+    with Progress() as progress:
+        progress.begin("reading the job")
+        job = load_job(file, allow_outside=allow_outside)
     settings = job.simulation
     robot = "none (rigid machine)"
     if job.robot is not None:

@@ -77,7 +77,9 @@ def run_job(
     importing.start()
     with bad_input():
         uncached = configure_jax(job_precision(file))
-        job = load_job(file, allow_outside=allow_outside)
+        with progress:
+            progress.begin("reading the job")
+            job = load_job(file, allow_outside=allow_outside)
         if command == "correct" and job.is_rigid:
             raise JobError(
                 file,
@@ -219,17 +221,10 @@ def _figures(
 
 
 def _summary(dataset: Dataset) -> str:
-    """Return the headline figures, and what the optimiser ended with."""
+    """Return the headline figures; the verdict follows the written programs' run."""
     from ..viz import summary
 
-    # The verdict follows when the written programs have been run.
-    lines = [summary(dataset, "figures")]
-    if dataset.attrs.get("corrected_outcome") == "steps ran out":
-        lines.append(
-            "note: the optimiser ended after [correction] max_steps, before it "
-            "settled: more steps may gain more"
-        )
-    return "\n".join(lines)
+    return summary(dataset, "figures")
 
 
 def _compute(

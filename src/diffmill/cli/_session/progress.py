@@ -88,6 +88,11 @@ class Progress:
         self._show(f"{part}{message}", stays=self.is_verbose)
         self._message = f"{part}{then or message}"
 
+    def begin(self, message: str) -> None:
+        """Set what is being done, which is shown if it takes long."""
+        self._message = message
+        self._status.update(message)
+
     def say(self, message: str) -> None:
         """Print a message that stays."""
         if not self.is_quiet:

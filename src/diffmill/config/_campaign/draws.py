@@ -74,7 +74,12 @@ def scaled(value: object, factor: float) -> object:
     if isinstance(value, dict):
         found = {key: _scaled_if_unit(one, factor) for key, one in value.items()}
         if found == value and factor != 1:
-            raise ValueError(f"found {value!r}, which holds no quantity with a unit")
+            cure = ""
+            if "material" in value:
+                cure = "; state the coefficients that `diffmill check` tells of it"
+            raise ValueError(
+                f"found {value!r}, which holds no quantity with a unit{cure}"
+            )
         return found
     if isinstance(value, list):
         return [scaled(one, factor) for one in value]

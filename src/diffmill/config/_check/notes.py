@@ -32,8 +32,9 @@ def notes(stock: StockPlan, path: Path, cutter: AbstractCutter) -> tuple[str, ..
     if depth > cutter.flute_length:
         notes.append(
             f"the path goes {depth * 1e3:g} mm below the top of the stock, deeper than "
-            f"the flutes ({cutter.flute_length * 1e3:g} mm): shank_volume in the "
-            "result says what its shank would have to take"
+            f"the flutes ({cutter.flute_length * 1e3:g} mm): where the shank meets "
+            "stock no force counts it, and errors come out too small; shank_volume in "
+            "the result says where"
         )
     low = float(stock.lower[2])
     if depth > float(stock.upper[2]) - low:

@@ -153,8 +153,8 @@ def _unreached(
     tilt = np.rad2deg(float(found.rotation_residual[k]))
     return (
         f"[robot]: {at_row(path, k)}: outside the robot's reach, with the tip at "
-        f"({x:.1f}, {y:.1f}, {z:.1f}) mm in base: the nearest pose found is {away:.1f} "
-        f"mm and {tilt:.1f} deg away; so are {is_bad.sum()} of {path.step_count} rows; "
+        f"({x:.1f}, {y:.1f}, {z:.1f}) mm in base: the nearest pose found is {away:.2g} "
+        f"mm and {tilt:.2g} deg away; so are {is_bad.sum()} of {path.step_count} rows; "
         "move the part with work_in_base, or look at the unit and zero of the program"
     )
 

@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from ...cutting import AbstractForceLaw
 
 
+# Of a shear and of an edge coefficient, by the last letter of its name.
+_UNITS = {"c": (1e6, "N/mm^2"), "e": (1e3, "N/mm")}
+
+
 class MaterialTable(TomlTable):
     """`[force]` with a material.
 
@@ -55,11 +59,15 @@ class MaterialTable(TomlTable):
         """Return what the user should know about the coefficients."""
         from ...cutting import material
 
-        # Where a table was read is of interest to who looks into the library's file.
-        source = re.sub(
-            r"; read at \S+( \([^)]*\))?", "", material(self.material).source
+        row = material(self.material)
+        numbers = ", ".join(
+            f"{name} {getattr(row.law, name) / scale:g} {unit}"
+            for name in row.law.NAMES
+            for scale, unit in [_UNITS[name[-1]]]
         )
-        return (f"{place} material {self.material}: {source}",)
+        # Where a table was read is of interest to who looks into the library's file.
+        source = re.sub(r"; read at \S+( \([^)]*\))?", "", row.source)
+        return (f"{place} material {self.material}: {numbers}. {source}",)
 
 
 class LinearEdgeTable(TomlTable):

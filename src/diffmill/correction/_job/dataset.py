@@ -21,6 +21,7 @@ _BY_CASE = (
     "actual",
     "force",
     "removed_volume",
+    "shank_volume",
     "deviation",
     "surface_deviation",
     "contour_error",

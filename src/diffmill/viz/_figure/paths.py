@@ -194,7 +194,9 @@ def _in_plan(
     """Return a path seen from above, and its way from the desired line [m]."""
     plane = np.array([1.0, 1.0, 0.0])
     desired = values_of(dataset, "desired", case) * plane
-    actual = desired + values_of(dataset, "deviation", case) * plane
+    # As the wall shows it, where that is known: what the contour error counts.
+    kind = "surface_deviation" if "surface_deviation" in dataset else "deviation"
+    actual = desired + values_of(dataset, kind, case) * plane
     return actual, np.asarray(contour_vector(actual, desired), np.float64)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from .._cases import case_names, case_numbers
 from .._style import MICROMETRE
 from .case_parts import case_parts, out_of_cut_lines
-from .verdict import verdict
+from .verdict import departure_text, has_steps_left, verdict
 
 if TYPE_CHECKING:
     import xarray
@@ -35,7 +35,7 @@ def summary(
         numbers = "".join(_cell(value * 1e6, 10) for value in errors)
         rows.append(f"{case:16}{numbers}{_cell(found.force_mean, 12)}")
     rms = {case: found.rms for case, found in cases.items()}
-    rows += [*_parts(dataset), *_mirror(rms)]
+    rows += [*_parts(dataset), *_mirror(rms), *_unsettled(dataset)]
     return "\n".join(rows if only else [*rows, *_verdict(dataset)])
 
 
@@ -54,13 +54,23 @@ def _mirror(rms: Mapping[str, float]) -> list[str]:
     ]
 
 
+def _unsettled(dataset: "xarray.Dataset") -> list[str]:
+    """Return that the optimiser had not settled, where that may matter."""
+    if not has_steps_left(dataset):
+        return []
+    return [
+        "note: the optimiser ended after [correction] max_steps, before it settled: "
+        "more steps may gain more"
+    ]
+
+
 def _verdict(dataset: "xarray.Dataset") -> list[str]:
     """Return the verdict if a tolerance was stated, or the part was cut into."""
-    found = verdict(dataset)
-    if found.is_held is None:
-        return []
+    found, departure = verdict(dataset), departure_text(dataset)
+    lines = [] if found.is_held is None else [f"{found.title}. {found.text}"]
+    lines += [f"note: {departure}"] if departure else []
     # Not every terminal prints a micro sign.
-    return [f"{found.title}. {found.text}".replace(MICROMETRE, "um")]
+    return [line.replace(MICROMETRE, "um") for line in lines]
 
 
 def _parts(dataset: "xarray.Dataset") -> list[str]:

@@ -31,6 +31,8 @@ _DEEP = 1.5
 # Without a tolerance it is told where it lies so many times as deep as the largest
 # contour error.
 _STRIKING = 3.0
+# Volumes that are rounding [m^3].
+_NO_VOLUME = 1e-15
 # A part of the path is named if its share of the error is so much above its length.
 _TELLING = 0.1
 
@@ -74,17 +76,30 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
     largest, label = float(error.max()), case_style(case).label
     text = f"Largest contour error of the {label} path: {largest * 1e6:.3g} "
     text += f"{MICROMETRE}{_place(dataset, case)}."
+    expected = dataset.attrs.get("expected_contour_error_rms_m")
+    model = (
+        " All of it is predicted for a machine that is exactly as modelled; "
+        "[simulation] scatter or [correction.uncertainty] tell of one that is not."
+    )
     deepest = _deepest(dataset, case)
     deep = (
         f" But the machined surface lies up to {deepest * 1e6:.3g} {MICROMETRE} inside "
         f"the part{_deepest_place(dataset, case)}, cut at steps that the contour error "
         "does not count: [correction] gouge bounds it."
     )
+    shank = (
+        " But the shank above the flutes is in the stock, and no force counts it: "
+        "errors come out too small. Longer flutes or less depth are the cure."
+    )
+    has_shank = bool(_shank_rows(dataset, case))
     if not band:
         text += (
             " No tolerance was stated: [correction] tolerance_band or --tolerance-band "
             "asks for a verdict."
         )
+        text += model if expected is None else ""
+        if has_shank:
+            return Verdict(False, "The shank is in the stock", text + shank)
         if deepest > _STRIKING * largest:
             return Verdict(False, "The tool cuts into the part", text + deep)
         return Verdict(None, "No tolerance stated", text)
@@ -97,16 +112,18 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
         text += f" Of {name}, read back and run: {left * 1e6:.3g} {MICROMETRE}."
     if dataset.attrs.get("written_not_run"):
         text += " The written programs could not be run: what they leave is not known."
-    expected = dataset.attrs.get("expected_contour_error_rms_m")
     if expected is not None:
         text += (
             f" Of machines that scatter as [simulation] scatter says, "
             f"{expected * 1e6:.3g} {MICROMETRE} rms is to be expected."
         )
+    else:
+        text += model
     text += deep if deepest > band else ""
+    text += shank if has_shank else ""
     if dataset.attrs.get("stability_has_chatter"):
         text += " But the cut is unstable, see below."
-    is_held = max(largest, *files.values(), deepest / _DEEP) <= band
+    is_held = max(largest, *files.values(), deepest / _DEEP) <= band and not has_shank
     share = 100 * float(np.mean(error <= band))
     # 99.97 % is not "100 %" of a path that leaves the band.
     shown = "all" if largest <= band else f"{min(share, 99.9):.1f} %"
@@ -122,6 +139,13 @@ def _cutting_error(dataset: "xarray.Dataset", case: str) -> np.ndarray:
         return np.zeros(0)
     error = np.abs(values_of(dataset, "contour_error", case))
     return error[cutting_of(dataset, case) & np.isfinite(error)]
+
+
+def _shank_rows(dataset: "xarray.Dataset", case: str) -> int:
+    """Return in how many steps the shank takes stock."""
+    if "shank_volume" not in dataset:
+        return 0
+    return int(np.sum(values_of(dataset, "shank_volume", case) > _NO_VOLUME))
 
 
 def _deepest(dataset: "xarray.Dataset", case: str) -> float:
@@ -145,6 +169,12 @@ def _place(dataset: "xarray.Dataset", case: str) -> str:
     error = np.abs(values_of(dataset, "contour_error", case))
     row = int(np.nanargmax(np.where(cutting_of(dataset, case), error, np.nan)))
     return f", {place_text(dataset, case, row)}"
+
+
+def has_steps_left(dataset: "xarray.Dataset") -> bool:
+    """Return whether more steps of the optimiser may gain what is asked for."""
+    is_short = dataset.attrs.get("corrected_outcome") == "steps ran out"
+    return is_short and not verdict(dataset).is_held
 
 
 def departure_text(dataset: "xarray.Dataset") -> str:
@@ -195,7 +225,7 @@ def limits(
         )
     if case != reference_case(dataset) and settings is not None:
         found += _bounds_reached(dataset, case, settings)
-    if dataset.attrs.get("corrected_outcome") == "steps ran out":
+    if has_steps_left(dataset):
         found.append(
             "The optimiser ended after [correction] max_steps, before it settled: more "
             "steps may gain more."

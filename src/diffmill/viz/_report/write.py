@@ -138,9 +138,9 @@ def _draw_paths(dataset: "xarray.Dataset") -> _Drawing:
     caption = (
         f"Plan view: the distance of each path from the desired one (dashed; grey: "
         f"moves in the air) is drawn {factor:g} times too large, only where the tool "
-        f"cuts. {places}; both are drawn to their own scale, which magnifies nothing, "
-        f"with one dot per tooth. The side view shows how high the tool tip runs above "
-        f"its desired height."
+        f"cuts, as its walls show it. {places}; both are drawn to their own scale, "
+        f"which magnifies nothing, with one dot per tooth. The side view shows how "
+        f"high the tool tip runs above its desired height."
     )
     if len(case_names(dataset)) > 1:
         caption += " A path that follows the dashed line is what a correction is for."
