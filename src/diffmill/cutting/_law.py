@@ -1,7 +1,6 @@
 """Force laws: from chip thickness to force per chip width."""
 
 import abc
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -80,7 +79,7 @@ class UninclinedLaw(AbstractForceLaw):
         return F_t, F_r, jnp.zeros_like(F_t)
 
 
-def check_teeth(**coefficients: Any) -> None:
+def check_teeth(**coefficients: ToothValues) -> None:
     """Refuse coefficients that are neither numbers nor one number per tooth.
 
     Args:

@@ -1,6 +1,6 @@
 """The tables of a campaign: which keys of a job vary, and how."""
 
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field, StrictBool, StrictInt, StrictStr
 
@@ -21,7 +21,7 @@ class SweepTable(TomlTable):
     """
 
     key: Key = Field(description='a key of the job, such as "spindle.speed"')
-    values: Annotated[list[Any], Field(min_length=1)] | None = Field(
+    values: Annotated[list[object], Field(min_length=1)] | None = Field(
         None, description='what the job may hold there, such as ["50 mm/s", "60 mm/s"]'
     )
     factors: Annotated[list[Factor], Field(min_length=1)] | None = Field(
