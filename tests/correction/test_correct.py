@@ -228,3 +228,28 @@ def test_the_command_does_not_swing_into_what_has_been_cut(tmp_path):
     largest = np.abs(np.asarray(data["contour_error"]))[cuts].max()
     deepest = float(data["surface_deepest"])
     assert largest < 25e-6 and deepest < 1.5 * largest, (largest, deepest)
+
+
+@pytest.mark.slow
+def test_half_a_turn_from_the_start_is_no_bend(load):
+    """Either way round is as near there: an offset may choose the other."""
+    job = load()
+    # In the plane of axes 2 and 3, so that what chooses is the offset's sign alone.
+    nominal = np.asarray(job.path.positions) + np.array([0.0, 2e-3, 0.0])
+    start = np.array(JobKinematics(job).motors(jnp.asarray(nominal)).positions[0])
+    start[0] = start[3] = 0.0
+    start[-1] -= np.pi
+    wide = np.full(start.size, 9.0)
+    there = lambda j: (j.joint_start, j.robot.joint_lower, j.robot.joint_upper)
+    job = eqx.tree_at(there, job, (start, -wide, wide), is_leaf=lambda x: x is None)
+    aside = [
+        JobKinematics(job).motors(jnp.asarray(nominal + np.array([0.0, y, 0.0])))
+        for y in (1e-3, -1e-3)
+    ]
+    ways = np.diff([float(one.positions[0, -1]) for one in aside])
+    assert abs(ways[0]) == pytest.approx(2 * np.pi, abs=0.01)
+    spline = SplineOffsets(
+        job.path.step_count, float(job.tooth_period), job.correction.knot_spacing
+    )
+    bound = float(job.correction.max_offset)
+    assert JointLimits(job).rows(spline, nominal, bound) == ()

@@ -116,10 +116,14 @@ def _bend(
     # To second order opposite corners are alike.
     signs = itertools.product((1.0, -1.0), repeat=axis_count - 1)
     bend, is_joints = np.zeros_like(motors), job.correction.command == "joint"
+    assert job.robot is not None
+    turns = np.array([kind == "revolute" for kind in job.robot.joint_kinds])
     for sign in signs:
         shift = max_offset * np.array([1.0, *sign])
         moved = command + jnp.asarray(shift[None], command.dtype)
         change = np.asarray(_motors(job, moved, is_joints), np.float64) - motors
+        # Half a turn from where the arm starts, either way round is as near.
+        change -= 2 * np.pi * np.round(change / (2 * np.pi)) * turns
         bend = np.maximum(bend, np.abs(change - slope @ shift))
     return _SAFE * bend
 
