@@ -152,7 +152,7 @@ class CorrectionSettings(eqx.Module):
             program lets it cut to the final surface.
         uncertainty: How well the model is known; the mean square error over draws of it
             becomes small, or that of the worst. None to trust the model.
-        tolerance: Error that does not count [m].
+        tolerance: Error that may remain [m]; half of it does not count.
         tolerance_band: Contour error that the result is held against [m], which does
             not change it; 0 for no verdict.
         sections: Sections of the program with weights of their own.

@@ -19,6 +19,7 @@ from diffmill.correction import (
     row_weights,
 )
 from diffmill.cutter import flat_end_mill
+from diffmill.optimise import LevenbergMarquardt
 from diffmill.workpiece import Pose, RemovalWindow, SurfaceError, box
 
 TIME_STEP = 3.75e-3
@@ -46,6 +47,36 @@ def test_the_band_is_free_and_quadratic_outside():
     slopes = [float(jax.grad(cost)(jnp.asarray(y))) for y in (0.0, 1e-5, 1.01e-5)]
     others = 2 * 1e-7 / 6
     np.testing.assert_allclose(slopes, [0.0, 0.0, others], atol=1e-15)
+
+
+def test_the_majorant_lies_above_the_cost_and_touches_it():
+    rng = np.random.default_rng(1)
+    problem, motion = straight_problem(1.5e-5 * rng.normal(size=(40, 3)) * [0, 1, 1])
+    objective, step = PathObjective(10e-6), jnp.asarray([[0.0, 1.0, 1.0]])
+    moved = lambda d: Motion(motion.actual + step * d, motion.force)
+    at = lambda one, d: one.errors(problem, moved(d), 0.0)
+    cost = lambda d: jnp.sum(at(objective, d) ** 2)
+    zero = jnp.zeros_like(motion.actual)
+    slopes = jax.jacfwd(lambda d: at(objective.majorant(), d))(zero)
+    error = at(objective, zero)
+    gradient = 2 * jnp.tensordot(error, slopes, 1)
+    np.testing.assert_allclose(gradient, jax.grad(cost)(zero), atol=1e-18)
+    for size in (1e-6, 1e-5, 1e-4):
+        d = jnp.asarray(size * rng.normal(size=zero.shape))
+        model = jnp.sum((error + jnp.tensordot(slopes, d, 2)) ** 2)
+        assert float(cost(d)) <= float(model) * (1 + 1e-12)
+
+
+def test_two_steps_come_near_a_band_that_can_be_kept():
+    """With the slopes of the cost itself 467 um are left."""
+    _, path, is_cutting = rounded_square(TIME_STEP)
+    problem = Problem(soft_arm(TIME_STEP), path, path, is_cutting * 1.0, TIME_STEP)
+    largest = lambda contour: np.linalg.norm(contour[is_cutting], axis=1).max()
+    assert largest(np.asarray(problem.run(path)[1])) > 600e-6
+    band = 150e-6
+    solver = LevenbergMarquardt(max_steps=2, damping=1e-4, share=1e-2)
+    method = GaussNewton(30e-3, objective=PathObjective(band), solver=solver)
+    assert 0.9 * band < largest(method(problem).contour) < 1.2 * band
 
 
 def test_no_band_keeps_the_derivative_at_zero():

@@ -135,7 +135,9 @@ class CorrectionTable(TomlTable):
         description="what is corrected: positions of the tip, or joint angles",
     )
     tolerance: Tolerance = Field(
-        default=0.0, description='error that does not count, such as "5 um"'
+        default=0.0,
+        description="error that may remain: half of it does not count, and the command "
+        'departs less; such as "50 um"',
     )
     tolerance_band: PositiveLength | None = Field(
         default=None,

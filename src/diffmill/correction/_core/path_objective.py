@@ -32,6 +32,17 @@ class AbstractObjective(eqx.Module):
             Errors times the root of their share in the mean [m], shape (error,).
         """
 
+    def majorant(self) -> "AbstractObjective":
+        """Return the objective whose slopes bound the curvature of the square.
+
+        Beside a tolerance a row that does not count has no slope, and a step that is
+        free to move it takes it out of the band. With the slopes of the whole error the
+        square of the linear model lies nowhere below the square itself and has the
+        same gradient where they meet: each step makes it smaller, and a band that can
+        be kept is reached in one.
+        """
+        return self
+
 
 class PathObjective(AbstractObjective):
     """The distance of the tip to the desired path beyond a tolerance band.
@@ -58,6 +69,10 @@ class PathObjective(AbstractObjective):
         error = beyond(contour, self.tolerance)
         error = error + jnp.asarray(lag_weight, contour.dtype) * lag
         return (error * row_shares(problem, contour.dtype)[:, None]).reshape(-1)
+
+    def majorant(self) -> "PathObjective":
+        """Return the objective without its tolerance."""
+        return PathObjective()
 
 
 def check_objective(objective: object) -> None:

@@ -95,6 +95,10 @@ def largest_acceleration(job: Job) -> float:
     return min(settings.max_acceleration, settings.acceleration_factor * float(own))
 
 
+# Part of a tolerance that is aimed at: what is left keeps the whole of it.
+_AIMED = 0.5
+
+
 def job_spline(job: Job) -> SplineOffsets:
     """Return the basis of a job's offsets.
 
@@ -120,7 +124,7 @@ def job_objective(
     """
     settings = job.correction
     if settings.objective == "path":
-        return PathObjective(settings.tolerance)
+        return PathObjective(_AIMED * settings.tolerance)
     if surface is None:
         raise ValueError(
             'Argument `job` must have the objective "path", but has "surface", which '
@@ -130,7 +134,7 @@ def job_objective(
         surface,
         settings.wall_weight,
         settings.floor_weight,
-        settings.tolerance,
+        _AIMED * settings.tolerance,
         surface.point_shares(job.path.positions, weights),
     )
 

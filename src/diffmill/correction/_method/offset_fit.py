@@ -351,7 +351,11 @@ def _columns(
     args: ContourResidual,
     block: Int[Array, " direction"],
 ) -> Errors:
-    """Return the slopes of the residual in some of the unknowns, a row each."""
+    """Return the slopes of the residual in some of the unknowns, a row each.
+
+    Those of the objective's majorant: what a tolerance hides has its slopes.
+    """
+    args = dataclasses.replace(args, objective=args.objective.majorant())
     count, axes = coefficients.shape
     dtype = coefficients.dtype
     # The basis is the same for every axis: its columns are offsets of unit vectors.

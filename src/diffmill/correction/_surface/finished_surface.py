@@ -13,6 +13,8 @@ an evaluation is a gather and a minimum. Unlike the tip's deviation it sees that
 is cut again by a later one, and which of two neighbouring poses decides.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -237,6 +239,10 @@ class SurfaceObjective(AbstractObjective):
         rest = deviation_of(problem, motion) * row_shares(problem, dtype)[:, None]
         rest = jnp.asarray(lag_weight, dtype) * rest
         return jnp.concatenate([error, rest.reshape(-1)])
+
+    def majorant(self) -> "SurfaceObjective":
+        """Return the objective without its tolerance."""
+        return dataclasses.replace(self, tolerance=0.0)
 
 
 def _surface_ends(

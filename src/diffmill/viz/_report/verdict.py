@@ -231,6 +231,11 @@ def limits(
             "steps may gain more."
         )
     if case != reference_case(dataset) and settings is not None:
+        if settings.tolerance and verdict(dataset).is_held is False:
+            found.append(
+                "Errors below half of [correction] tolerance did not count: without "
+                "it all of them become as small as they can."
+            )
         found += _above_knots(dataset, case, settings.knot_spacing)
     return (*found, *_constant_share(dataset, case), *_part_share(dataset, case))
 
