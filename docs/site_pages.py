@@ -96,7 +96,7 @@ KINDS = {
     "dict[StrictStr, StrictStr]": Kind("table of units"),
     "dict[ToolNumber, Tolerance]": Kind("table of lengths of at least 0"),
     "list[Angle]": Kind("list of angles above 0"),
-    "list[Any]": Kind("list of values"),
+    "list[object]": Kind("list of values"),
     "list[Damping]": Kind("dampings of at least 0, one per joint"),
     "list[Factor]": Kind("list of numbers above 0"),
     "list[Force]": Kind("list of forces"),

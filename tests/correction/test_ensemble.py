@@ -114,6 +114,14 @@ def test_robust_is_better_where_the_model_is_wrong(problem, robust, judged):
     assert np.mean(each**2) < 0.5 * np.mean(nominal**2)
 
 
+def test_what_is_left_over_the_draws_is_told(robust, judged):
+    each = np.sqrt(np.mean(judged(robust, draws(8, 3, **SIZES)) ** 2, axis=1))
+    assert robust.detail["draws"] == len(each)
+    # The lag along the path and rows in the air count a little, too.
+    assert 1 <= robust.detail["draw_rms_least"] / each.min() < 1.5
+    assert 1 <= robust.detail["draw_rms_largest"] / each.max() < 1.5
+
+
 def test_delays_cover_their_span_and_leave_the_rest():
     members = draws(5, 3, force=0.1)
     found = LatePlant.with_delays(members, largest=10e-3, seed=3)

@@ -200,6 +200,18 @@ def test_a_shank_in_the_stock_is_not_within_a_tolerance(correction):
     assert summary(without, "verdict").startswith("The shank is in the stock")
 
 
+def test_a_robust_command_is_judged_over_its_draws(correction):
+    told = dict(
+        tolerance_band=1e-3,
+        corrected_draws=8.0,
+        corrected_draw_rms_least=3e-6,
+        corrected_draw_rms_largest=7e-6,
+    )
+    text = summary(correction.assign_attrs(told), "verdict")
+    assert "Over the 8 draws" in text and "leaves 3 to 7 um rms" in text
+    assert "exactly as modelled" not in text
+
+
 def test_more_steps_are_proposed_only_where_they_may_be_needed(correction):
     most = corrected_error(correction).max()
     short = correction.assign_attrs(corrected_outcome="steps ran out")

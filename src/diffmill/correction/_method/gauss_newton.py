@@ -5,6 +5,7 @@ from collections.abc import Callable
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from ..._result import RESULTS
 from ..._types import FloatRows
@@ -122,7 +123,8 @@ class GaussNewton(AbstractMethod):
             forward_runs=found.evaluations * len(plants),
             linearisations=found.models * len(plants),
             history=found.history,
-            detail=self._detail(spline, np.asarray(x), bound),
+            detail=self._detail(spline, np.asarray(x), bound)
+            | _over_draws(found.value.errors),
             result=RESULTS.successful if is_settled else RESULTS.not_converged,
         )
 
@@ -166,6 +168,18 @@ class GaussNewton(AbstractMethod):
             "smoothness": self.smoothness,
             "lag_weight": self.lag_weight,
         }
+
+
+def _over_draws(errors: Float[np.ndarray, "draw error"]) -> dict[str, float]:
+    """Return how many draws there are, and the least and largest error of one [m]."""
+    if len(errors) < 2:
+        return {}
+    rms = UNIT * np.sqrt(np.sum(errors**2, axis=1))
+    return {
+        "draws": float(len(errors)),
+        "draw_rms_least": float(rms.min()),
+        "draw_rms_largest": float(rms.max()),
+    }
 
 
 def check_held(

@@ -77,7 +77,7 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
     text = f"Largest contour error of the {label} path: {largest * 1e6:.3g} "
     text += f"{MICROMETRE}{_place(dataset, case)}."
     expected = dataset.attrs.get("expected_contour_error_rms_m")
-    model = (
+    model = _over_draws(dataset, case) or (
         " All of it is predicted for a machine that is exactly as modelled; "
         "[simulation] scatter or [correction.uncertainty] tell of one that is not."
     )
@@ -153,6 +153,21 @@ def _deepest(dataset: "xarray.Dataset", case: str) -> float:
     if "surface_deepest" not in dataset:
         return 0.0
     return float(select_case(dataset, case)["surface_deepest"])
+
+
+def _over_draws(dataset: "xarray.Dataset", case: str) -> str:
+    """Return what the command leaves over the draws that it was made for."""
+    count = dataset.attrs.get(f"{case}_draws")
+    if count is None:
+        return ""
+    least, largest = (
+        1e6 * float(dataset.attrs[f"{case}_draw_rms_{end}"])
+        for end in ("least", "largest")
+    )
+    return (
+        f" Over the {count:.0f} draws of [correction.uncertainty] it leaves "
+        f"{least:.3g} to {largest:.3g} {MICROMETRE} rms, as the optimiser weights it."
+    )
 
 
 def _deepest_place(dataset: "xarray.Dataset", case: str) -> str:
