@@ -86,7 +86,10 @@ def test_means_are_fitted_and_axes_are_proposed_not_changed(folder, capsys):
     assert facts["axes"] == ["x", "y", "z"] and toml == {}
     (folder / "turned.toml").write_text(MEANS + '[fit]\naxes = ["y", "x", "z"]\n')
     assert main(["identify", "turned.toml"]) == 0
-    assert "make more sense" not in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "make more sense" not in printed
+    # Student's t of two degrees of freedom, from a printed table.
+    assert "within 4.3 standard errors: 4 feeds leave 2 degrees" in printed
     out, facts, toml = results(folder, "turned")
     for name, value in zip(LinearEdgeLaw.NAMES, K, strict=True):
         assert abs(facts["coefficients_SI"][name] / value - 1) < 0.05

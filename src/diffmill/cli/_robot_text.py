@@ -67,7 +67,10 @@ def _static_lines(statics: dict[str, Any]) -> list[str]:
 
 
 def _mode_lines(modes: Sequence[dict[str, Any]]) -> list[str]:
-    lines = ["natural modes, motors locked (share of the joints' springs in each):"]
+    lines = [
+        "modes, motors locked: damped frequency, damping ratio and the share of the "
+        "joints' springs in each:"
+    ]
     for row in modes:
         shares = sorted(row["energy_shares"].items(), key=lambda item: -item[1])
         main = ", ".join(f"{name} {100 * s:.0f} %" for name, s in shares if s > 0.1)

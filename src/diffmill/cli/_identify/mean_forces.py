@@ -131,6 +131,15 @@ def _fit_lines(found: MeanForceStudy.Fit) -> list[str]:
         lines += noted(
             "Two feeds make a line but no standard error: add a third, better five."
         )
+    if len(force) > 2:
+        from scipy.special import stdtrit
+
+        # Student's t, both sides.
+        most = float(stdtrit(len(force) - 2, 0.975))
+        lines.append(
+            f"95 % of true coefficients lie within {most:.1f} standard errors: "
+            f"{len(force)} feeds leave {len(force) - 2} degrees of freedom"
+        )
     if len(force) in (3, 4):
         lines += noted(
             f"Of {len(force)} feeds the standard errors are of the right size at best: "
