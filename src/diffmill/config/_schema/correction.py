@@ -136,8 +136,8 @@ class CorrectionTable(TomlTable):
     )
     tolerance: Tolerance = Field(
         default=0.0,
-        description="error that may remain: half of it does not count, and the command "
-        'departs less; such as "50 um"',
+        description="error that may remain, of which half does not count, such as "
+        '"50 um"',
     )
     tolerance_band: PositiveLength | None = Field(
         default=None,

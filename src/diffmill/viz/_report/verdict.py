@@ -189,7 +189,9 @@ def _place(dataset: "xarray.Dataset", case: str) -> str:
 def has_steps_left(dataset: "xarray.Dataset") -> bool:
     """Return whether more steps of the optimiser may gain what is asked for."""
     is_short = dataset.attrs.get("corrected_outcome") == "steps ran out"
-    return is_short and not verdict(dataset).is_held
+    # Steps do not calm a cut that is unstable.
+    has_chatter = bool(dataset.attrs.get("stability_has_chatter"))
+    return is_short and not has_chatter and not verdict(dataset).is_held
 
 
 def departure_text(dataset: "xarray.Dataset") -> str:
