@@ -35,11 +35,10 @@ class AbstractObjective(eqx.Module):
     def majorant(self) -> "AbstractObjective":
         """Return the objective whose slopes bound the curvature of the square.
 
-        Beside a tolerance a row that does not count has no slope, and a step that is
-        free to move it takes it out of the band. With the slopes of the whole error the
-        square of the linear model lies nowhere below the square itself and has the
-        same gradient where they meet: each step makes it smaller, and a band that can
-        be kept is reached in one.
+        Within a tolerance a row has no slope, so that a step is free to move it out
+        again. With the slopes of the whole error the square of the linear model lies
+        nowhere below the square itself, and has the same gradient where they meet.
+        An objective without a tolerance is its own.
         """
         return self
 

@@ -8,7 +8,7 @@ import numpy as np
 from .._cases import case_names, case_numbers
 from .._style import MICROMETRE
 from .case_parts import case_parts, out_of_cut_lines
-from .verdict import departure_text, has_steps_left, verdict
+from .verdict import departure_text, unsettled_text, verdict
 
 if TYPE_CHECKING:
     import xarray
@@ -35,7 +35,9 @@ def summary(
         numbers = "".join(_cell(value * 1e6, 10) for value in errors)
         rows.append(f"{case:16}{numbers}{_cell(found.force_mean, 12)}")
     rms = {case: found.rms for case, found in cases.items()}
-    rows += [*_parts(dataset), *_mirror(rms), *_unsettled(dataset)]
+    unsettled = unsettled_text(dataset)
+    rows += [*_parts(dataset), *_mirror(rms)]
+    rows += [f"note: {unsettled}"] if unsettled else []
     return "\n".join(rows if only else [*rows, *_verdict(dataset)])
 
 
@@ -51,16 +53,6 @@ def _mirror(rms: Mapping[str, float]) -> list[str]:
     return [
         "note: the mirror is worse than no correction: it commands the opposite of the "
         "error as if the machine followed at once; one that swings or lags answers late"
-    ]
-
-
-def _unsettled(dataset: "xarray.Dataset") -> list[str]:
-    """Return that the optimiser had not settled, where that may matter."""
-    if not has_steps_left(dataset):
-        return []
-    return [
-        "note: the optimiser ended after [correction] max_steps, before it settled: "
-        "more steps may gain more"
     ]
 
 

@@ -91,7 +91,7 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
         " But the shank above the flutes is in the stock, and no force counts it: "
         "errors come out too small. Longer flutes or less depth are the cure."
     )
-    has_shank = bool(_shank_rows(dataset, case))
+    has_shank = _has_shank(dataset, case)
     if not band:
         text += (
             " No tolerance was stated: [correction] tolerance_band or --tolerance-band "
@@ -141,11 +141,11 @@ def _cutting_error(dataset: "xarray.Dataset", case: str) -> np.ndarray:
     return error[cutting_of(dataset, case) & np.isfinite(error)]
 
 
-def _shank_rows(dataset: "xarray.Dataset", case: str) -> int:
-    """Return in how many steps the shank takes stock."""
+def _has_shank(dataset: "xarray.Dataset", case: str) -> bool:
+    """Return whether the shank takes stock in any step."""
     if "shank_volume" not in dataset:
-        return 0
-    return int(np.sum(values_of(dataset, "shank_volume", case) > _NO_VOLUME))
+        return False
+    return bool((values_of(dataset, "shank_volume", case) > _NO_VOLUME).any())
 
 
 def _deepest(dataset: "xarray.Dataset", case: str) -> float:
@@ -186,12 +186,17 @@ def _place(dataset: "xarray.Dataset", case: str) -> str:
     return f", {place_text(dataset, case, row)}"
 
 
-def has_steps_left(dataset: "xarray.Dataset") -> bool:
-    """Return whether more steps of the optimiser may gain what is asked for."""
+def unsettled_text(dataset: "xarray.Dataset") -> str:
+    """Return that the optimiser had not settled, where more steps may help."""
     is_short = dataset.attrs.get("corrected_outcome") == "steps ran out"
     # Steps do not calm a cut that is unstable.
     has_chatter = bool(dataset.attrs.get("stability_has_chatter"))
-    return is_short and not has_chatter and not verdict(dataset).is_held
+    if not is_short or has_chatter or verdict(dataset).is_held:
+        return ""
+    return (
+        "The optimiser ended after [correction] max_steps, before it settled: more "
+        "steps may gain more."
+    )
 
 
 def departure_text(dataset: "xarray.Dataset") -> str:
@@ -242,11 +247,8 @@ def limits(
         )
     if case != reference_case(dataset) and settings is not None:
         found += _bounds_reached(dataset, case, settings)
-    if has_steps_left(dataset):
-        found.append(
-            "The optimiser ended after [correction] max_steps, before it settled: more "
-            "steps may gain more."
-        )
+    unsettled = unsettled_text(dataset)
+    found += [unsettled] if unsettled else []
     if case != reference_case(dataset) and settings is not None:
         if settings.tolerance and verdict(dataset).is_held is False:
             found.append(
