@@ -221,6 +221,9 @@ def _convert(number: float, unit: str, kind: QuantityKind, text: str) -> float:
     si, factor = _USUAL.get(unit, ("", 0.0))
     if si == kind.unit:
         magnitude = number * factor
+    elif si and kind.angle != "optional":
+        # Of another dimension: only radians may be left out.
+        raise ValueError(f"found {text!r}, but {_wanted(kind)}")
     else:
         magnitude = _convert_by_registry(number, unit, kind, text)
     if not abs(magnitude) <= _LARGEST:
