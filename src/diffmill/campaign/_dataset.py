@@ -9,6 +9,7 @@ import numpy as np
 from ..config import Campaign
 from ..io import described
 from ..units import base_quantity
+from ._task import JobRecord
 
 if TYPE_CHECKING:
     import xarray
@@ -27,7 +28,7 @@ _STATES = ("done", "failed", "refused", "lost", "missing")
 
 
 def campaign_dataset(
-    campaign: Campaign, digests: list[str], records: dict[str, dict[str, Any]]
+    campaign: Campaign, digests: list[str], records: dict[str, JobRecord]
 ) -> "xarray.Dataset":
     """Return the figures of all jobs on the dimensions of a campaign.
 
@@ -40,7 +41,7 @@ def campaign_dataset(
 
     shape = campaign.shape
     names = tuple(variation.name for variation in campaign.variations)
-    absent = {"status": "missing", "message": "", "figures": {}, "seconds": np.nan}
+    absent = JobRecord(status="missing", message="", figures={}, seconds=np.nan)
     rows = [records.get(digest, absent) for digest in digests]
 
     def grid(values: list[Any], dtype: Any) -> np.ndarray:

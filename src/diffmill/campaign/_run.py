@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..config import Campaign
 from ._dataset import campaign_dataset
-from ._task import Record, Task, campaign_tasks, run_task
+from ._task import JobRecord, Task, campaign_tasks, run_task
 
 if TYPE_CHECKING:
     import xarray
@@ -74,7 +74,9 @@ def run_campaign(
     return dataset
 
 
-def _kept(tasks: list[Task], jobs: pathlib.Path, *, retry: bool) -> dict[str, Record]:
+def _kept(
+    tasks: list[Task], jobs: pathlib.Path, *, retry: bool
+) -> dict[str, JobRecord]:
     """Return the results that need not be computed again."""
     found = {}
     for task in tasks:
@@ -102,7 +104,7 @@ def _write(path: pathlib.Path, text: str) -> None:
 @contextlib.contextmanager
 def _answers(
     tasks: list[Task], workers: int | None, scheduler: str | None
-) -> Iterator[Iterable[tuple[Task, Record]]]:
+) -> Iterator[Iterable[tuple[Task, JobRecord]]]:
     """Yield what the workers answer, in the order in which they are done."""
     if not tasks or (workers == 0 and scheduler is None):
         yield ((task, run_task(task)) for task in tasks)
@@ -111,7 +113,7 @@ def _answers(
         yield _from_workers(client, tasks)
 
 
-def _from_workers(client: Any, tasks: list[Task]) -> Iterator[tuple[Task, Record]]:
+def _from_workers(client: Any, tasks: list[Task]) -> Iterator[tuple[Task, JobRecord]]:
     """Yield each task with its answer; where its workers died, with that."""
     from distributed import as_completed
 
@@ -125,7 +127,7 @@ def _from_workers(client: Any, tasks: list[Task]) -> Iterator[tuple[Task, Record
             yield task, future.result()
             continue
         message = f"the job has no answer: {future.exception()}"
-        yield task, {"status": "lost", "message": message, "figures": {}, "seconds": 0}
+        yield task, JobRecord(status="lost", message=message, figures={}, seconds=0.0)
 
 
 def _cores() -> int:

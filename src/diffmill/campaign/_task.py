@@ -7,14 +7,28 @@ import os
 import pathlib
 import time
 from importlib import metadata
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, NamedTuple, TypedDict
 
 from .._jax_config import configure_jax
 from .._toml import JobError
 from ..config import Campaign, job_precision, load_job
 
 # What is kept of a job, as JSON: "status", "message", "seconds", "figures" by case.
-Record: TypeAlias = dict[str, Any]
+
+
+class JobRecord(TypedDict):
+    """What is kept of a job, as JSON.
+
+    `status` is "done", "failed", "refused" or "lost" and `message` why; `figures` are
+    in SI, of each case by name; `seconds` is the time of the run.
+    """
+
+    status: str
+    message: str
+    figures: dict[str, dict[str, float]]
+    seconds: float
+
+
 # Memory mappings from which on compiled programs are dropped. Each takes some tens, and
 # Linux allows a process 65,530: one more ends it in the compiler.
 _MOST_MAPPINGS = 30_000
@@ -107,22 +121,20 @@ def _content(path: pathlib.Path, known: dict[pathlib.Path, str]) -> str:
     return known[path]
 
 
-def run_task(task: Task) -> Record:
+def run_task(task: Task) -> JobRecord:
     """Load and run a job; return its figures, or why there are none."""
     configure_jax(job_precision(task.file, task.changes))
     start = time.perf_counter()
+    status, message, figures = "done", "", {}
     try:
-        record = {"status": "done", "message": "", "figures": _figures(task)}
+        figures = _figures(task)
     except JobError as error:
-        record = _failed("refused", "; ".join(error.problems))
+        status, message = "refused", "; ".join(error.problems)
     except Exception as error:
-        record = _failed("failed", f"{type(error).__name__}: {error}")
+        status, message = "failed", f"{type(error).__name__}: {error}"
     _drop_programs()
-    return {**record, "seconds": time.perf_counter() - start}
-
-
-def _failed(status: str, message: str) -> Record:
-    return {"status": status, "message": message, "figures": {}}
+    seconds = time.perf_counter() - start
+    return JobRecord(status=status, message=message, figures=figures, seconds=seconds)
 
 
 def _figures(task: Task) -> dict[str, dict[str, float]]:

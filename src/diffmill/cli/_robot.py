@@ -11,22 +11,20 @@ import numpy as np
 from .._jax_config import configure_jax
 from .._results_folder import ResultsFolder
 from .._toml import parse_toml
+from ._robot_facts import RobotFacts, robot_facts
 from ._robot_text import robot_lines
 from ._session.errors import bad_input
 from ._session.progress import Progress
 
 if TYPE_CHECKING:
-    from jaxtyping import Complex, Float
+    from jaxtyping import Float
 
     from ..robot import Robot
 
     # jaxtyping checks what it can see; at run time nothing of the kind is imported.
     JointPositions = Float[np.ndarray, " joint"]
-    ComplexShape = Complex[np.ndarray, " 3"]
 else:
-    JointPositions = ComplexShape = Any
-
-_LOAD_N = 100.0
+    JointPositions = Any
 
 
 def run_robot(
@@ -125,151 +123,8 @@ def _robot_of_job(
     return job.robot, np.asarray(q[len(q) // 2], float)
 
 
-def robot_facts(robot: "Robot", q: "JointPositions") -> dict[str, Any]:
-    """Return what there is to say about a robot at a pose, with units in the keys.
-
-    Args:
-        robot: The robot.
-        q: Joint positions [rad or m], shape (joint,).
-
-    Returns:
-        Numbers, lists and texts only; what does not exist is None.
-    """
-    from ..robot import forward_kinematics
-
-    T = np.asarray(forward_kinematics(robot, q))
-    K = np.asarray(robot.joint_stiffness)
-    is_soft = bool(np.isfinite(K).any())
-    notes, modes = [], None
-    if is_soft:
-        try:
-            modes = _modes(robot, q)
-        except ValueError as error:
-            notes.append(str(error))
-    silent = int(np.isfinite(K).sum()) - len(modes or [])
-    if modes is not None and silent:
-        notes.append(
-            f"modes that do not oscillate, so strong are their dampers: {silent}"
-        )
-    if np.isinf(K).all():
-        notes.append(
-            "no joint has a spring, so nothing bends; give the joints stiffness and "
-            "damping in a robot file, in a file for --drives, or in a job with drives, "
-            "joint_stiffness and joint_damping"
-        )
-    elif np.isinf(K).any():
-        rigid = [n for n, k in zip(robot.joint_names, K, strict=True) if np.isinf(k)]
-        notes.append(f"joints without a spring, taken as rigid: {', '.join(rigid)}")
-    return {
-        "model": robot.name,
-        "joints": _joints(robot, q),
-        "mass_kg": float(np.sum(np.asarray(robot.link_masses))),
-        "tool_position_mm": (1e3 * T[:3, 3]).tolist(),
-        "tool_axis": T[:3, 2].tolist(),
-        "statics": _statics(robot, q) if is_soft else None,
-        "modes": modes,
-        "notes": notes,
-    }
-
-
-def _joints(robot: "Robot", q: "JointPositions") -> list[dict[str, Any]]:
-    """Return a row per joint: degrees and N m/rad, or millimetres and N/m."""
-    rows = []
-    for k, (name, kind) in enumerate(
-        zip(robot.joint_names, robot.joint_kinds, strict=True)
-    ):
-        slides = kind == "prismatic"
-        scale, unit = (1e3, "mm") if slides else (180.0 / np.pi, "deg")
-        rows.append(
-            {
-                "name": name,
-                "kind": f"virtual {kind}" if robot.is_virtual[k] else kind,
-                "unit": unit,
-                "position": float(q[k]) * scale,
-                "lower": _finite(float(robot.joint_lower[k]) * scale),
-                "upper": _finite(float(robot.joint_upper[k]) * scale),
-                "stiffness": _finite(float(robot.joint_stiffness[k])),
-                "stiffness_unit": "N/m" if slides else "N m/rad",
-                "damping": float(robot.joint_damping[k]),
-                "damping_unit": "N s/m" if slides else "N m s/rad",
-            }
-        )
-    return rows
-
-
-def _finite(value: float) -> float | None:
-    """Return a value as JSON can hold it: None for infinity."""
-    return value if np.isfinite(value) else None
-
-
-def _statics(robot: "Robot", q: "JointPositions") -> dict[str, object]:
-    """Return stiffness, deflection and sag of the tool's tip."""
-    from ..robot import cartesian_compliance, gravity_sag, static_deflection
-
-    C = np.asarray(cartesian_compliance(robot, q))[:3, :3]
-    softness, directions = np.linalg.eigh(C)
-    is_soft = softness > 1e-12 * softness[-1]
-    principal = [
-        {
-            "stiffness_N_per_um": 1e-6 / s if soft else None,
-            "direction": (d * np.sign(d[np.argmax(np.abs(d))])).tolist(),
-        }
-        for s, d, soft in zip(softness, directions.T, is_soft, strict=True)
-    ][::-1]
-    along = np.diag(C)
-    deflection = [
-        1e3 * np.asarray(static_deflection(robot, q, _LOAD_N * np.eye(6)[i])[:3])
-        for i in range(3)
-    ]
-    sag = np.asarray(gravity_sag(robot, q))
-    return {
-        "stiffness_along_axes_N_per_um": [
-            1e-6 / s if s > 1e-12 * softness[-1] else None for s in along
-        ],
-        "principal_stiffness": principal,
-        "load_N": _LOAD_N,
-        "deflection_mm": [row.tolist() for row in deflection],
-        "gravity_sag_mm": (1e3 * sag[:3]).tolist(),
-        "gravity_tilt_mrad": (1e3 * sag[3:]).tolist(),
-    }
-
-
-def _modes(robot: "Robot", q: "JointPositions") -> list[dict[str, Any]]:
-    """Return frequency, damping and shape of every mode that rings."""
-    from ..robot import damped_modes
-
-    found = damped_modes(robot, q)
-    return [
-        {
-            "frequency_Hz": float(frequency),
-            # Rounding may put what has no damper below 0.
-            "damping_ratio": max(float(ratio), 0.0),
-            "energy_shares": dict(zip(robot.joint_names, shares.tolist(), strict=True)),
-            "tool_direction": _direction(shape[:3]),
-        }
-        for frequency, ratio, shares, shape in zip(
-            found.frequencies,
-            found.damping_ratios,
-            found.energy_shares,
-            found.tool_shapes,
-            strict=True,
-        )
-    ]
-
-
-def _direction(shape: "ComplexShape") -> list[float] | None:
-    """Return the direction of the largest motion in a cycle, None without motion."""
-    # Turned by this phase, the real part is the longer half axis of the ellipse.
-    move = (shape * np.exp(-0.5j * np.angle(np.sum(shape**2)))).real
-    size = float(np.linalg.norm(move))
-    if not size > 0.0:
-        return None
-    # The greatest entry is positive.
-    return (move / size * np.sign(move[np.argmax(np.abs(move))])).tolist()
-
-
 def _filler(
-    robot: "Robot", q: "JointPositions", facts: dict[str, Any]
+    robot: "Robot", q: "JointPositions", facts: RobotFacts
 ) -> Callable[[pathlib.Path], None]:
     """Return what writes the table and the figures to a folder."""
     from ..robot import Skeleton, StiffnessMap

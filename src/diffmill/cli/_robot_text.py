@@ -1,10 +1,11 @@
 """The description of a robot as lines of text."""
 
 from collections.abc import Sequence
-from typing import Any
+
+from ._robot_facts import JointFacts, ModeFacts, RobotFacts, StaticFacts
 
 
-def robot_lines(facts: dict[str, Any]) -> list[str]:
+def robot_lines(facts: RobotFacts) -> list[str]:
     """Return the lines that `diffmill robot` prints.
 
     Args:
@@ -27,7 +28,7 @@ def robot_lines(facts: dict[str, Any]) -> list[str]:
     return [*lines, *(f"note: {note}" for note in facts["notes"])]
 
 
-def _joint_line(row: dict[str, Any], width: int) -> str:
+def _joint_line(row: JointFacts, width: int) -> str:
     low, high = row["lower"], row["upper"]
     limits = f"{_or_none(low, 'none', '.4g')} to {_or_none(high, 'none', '.4g')}"
     stiffness = "rigid"
@@ -41,7 +42,7 @@ def _joint_line(row: dict[str, Any], width: int) -> str:
     )
 
 
-def _static_lines(statics: dict[str, Any]) -> list[str]:
+def _static_lines(statics: StaticFacts) -> list[str]:
     along = [
         f"{axis} {_or_none(value, 'rigid', '.3f')}"
         for axis, value in zip(
@@ -66,7 +67,7 @@ def _static_lines(statics: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _mode_lines(modes: Sequence[dict[str, Any]]) -> list[str]:
+def _mode_lines(modes: Sequence[ModeFacts]) -> list[str]:
     lines = [
         "modes, motors locked: damped frequency, damping ratio and the share of the "
         "joints' springs in each:"

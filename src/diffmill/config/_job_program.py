@@ -38,7 +38,7 @@ class JobProgram(NamedTuple):
         path = pathlib.Path(file)
         _, raw = read_toml(path)
         context = FileContext(path.parent, allow_outside, [], [])
-        table = read_tables(raw, context.problems).get("program")
+        table = read_tables(raw, context.problems).program
         program = None if table is None else read_program(table, context)
         if context.problems:
             raise JobError(path, context.problems)

@@ -2,7 +2,7 @@
 
 import os
 import pathlib
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from ._identification.modal import read_frequency_response, read_ring_down
 from ._identification.robot import read_tool_robot
 from ._identification.schema import (
     FitTable,
+    IdentificationTables,
     RecordTable,
     read_identification_tables,
 )
@@ -78,19 +79,20 @@ def load_identification(
             ],
         )
     problems: list[str] = []
-    kind, tables = read_identification_tables(raw, problems)
+    tables = read_identification_tables(raw, problems)
+    kind = tables.kind
     context = Context(path.parent, allow_outside, problems, {})
     study: Study | None = None
     if kind in ("mean_forces", "force_records"):
-        study = _forces(path.stem, kind, tables, context)
+        study = _forces(path.stem, tables, context)
     elif kind == "load_tests":
         study = _loads(path.stem, tables, context)
-    elif kind == "coupled" and "coupled" in tables:
-        study = read_coupled(path.stem, tables["coupled"], context)
-    elif kind == "controller" and "air_path" in tables:
-        study = read_air_path(path.stem, tables["air_path"], context)
+    elif tables.coupled is not None:
+        study = read_coupled(path.stem, tables.coupled, context)
+    elif tables.air_path is not None:
+        study = read_air_path(path.stem, tables.air_path, context)
     elif kind in ("ring_down", "frequency_response"):
-        study = _modes(path.stem, kind, tables, context)
+        study = _modes(path.stem, tables, context)
     if problems or study is None:
         raise JobError(path, problems)
     return study
@@ -142,37 +144,40 @@ def _settings(table: FitTable) -> ForceSettings:
 
 
 def _forces(
-    name: str, kind: str, tables: dict[str, Any], context: Context
+    name: str, tables: IdentificationTables, context: Context
 ) -> MeanForceStudy | ForceRecordStudy | None:
     """Return the study of mean forces or of whole records."""
-    spindle = tables.get("spindle")
+    cutter, spindle = tables.cutter, tables.spindle
+    are_means = tables.kind == "mean_forces"
     context = context._replace(
-        cutter=make_cutter(tables["cutter"]) if "cutter" in tables else None,
+        cutter=None if cutter is None else make_cutter(cutter),
         speed=None if spindle is None else spindle.speed,
-        cut=tables.get("cut"),
+        cut=tables.cut,
     )
     records: list[ForceRecord] = []
-    for number, entry in enumerate(tables.get("record", ()), 1):
+    for number, entry in enumerate(tables.record or (), 1):
         place = f"[[record]] {number}"
-        _check_speed(kind, entry, context, place)
+        _check_speed(entry, context, place, are_means=are_means)
         record = read_force_record(entry, place, context)
         if record is not None:
             records.append(record)
-    settings = _settings(tables.get("fit", FitTable()))
-    if kind == "force_records":
+    settings = _settings(FitTable() if tables.fit is None else tables.fit)
+    if not are_means:
         return ForceRecordStudy(name, tuple(records), settings)
     if settings.lowpass is not None:
         context.problems.append(
             "[fit] lowpass: found beside mean forces, which it does not change; "
             'allowed with kind = "force_records"'
         )
-    given = tuple(records) if "record" in tables else None
-    return mean_force_task(name, tables.get("means"), given, settings, context)
+    given = None if tables.record is None else tuple(records)
+    return mean_force_task(name, tables.means, given, settings, context)
 
 
-def _check_speed(kind: str, entry: RecordTable, context: Context, place: str) -> None:
+def _check_speed(
+    entry: RecordTable, context: Context, place: str, *, are_means: bool
+) -> None:
     """Note a straight cut without a spindle speed, or a job beside mean forces."""
-    if kind == "mean_forces" and entry.job is not None:
+    if are_means and entry.job is not None:
         context.problems.append(
             f"{place} job: found beside mean forces, which are those of straight cuts; "
             'allowed with kind = "force_records"'
@@ -184,24 +189,26 @@ def _check_speed(kind: str, entry: RecordTable, context: Context, place: str) ->
         )
 
 
-def _loads(name: str, tables: dict[str, Any], context: Context) -> LoadTestStudy | None:
+def _loads(
+    name: str, tables: IdentificationTables, context: Context
+) -> LoadTestStudy | None:
     """Return the study of load tests."""
     notes: list[str] = []
     robot = None
-    if "robot" in tables:
-        robot = read_tool_robot(tables["robot"], context, notes, needs_mass=False)
-    if robot is None or "load_tests" not in tables:
+    if tables.robot is not None:
+        robot = read_tool_robot(tables.robot, context, notes, needs_mass=False)
+    if robot is None or tables.load_tests is None:
         return None
-    return read_load_tests(name, tables["load_tests"], robot, notes, context)
+    return read_load_tests(name, tables.load_tests, robot, notes, context)
 
 
 def _modes(
-    name: str, kind: str, tables: dict[str, Any], context: Context
+    name: str, tables: IdentificationTables, context: Context
 ) -> ModeStudy | None:
     """Return the study of ring-downs or frequency responses."""
     robot = None
-    if "robot" in tables:
-        robot = read_tool_robot(tables["robot"], context, [], needs_mass=True)
+    if tables.robot is not None:
+        robot = read_tool_robot(tables.robot, context, [], needs_mass=True)
         if robot is None:
             return None
         if np.isinf(np.asarray(robot.joint_stiffness)).all():
@@ -209,12 +216,20 @@ def _modes(
                 "[robot]: found no joint stiffness, but dampers follow from modes only "
                 "with it: by joint_stiffness, or a file named by drives"
             )
-    read = read_ring_down if kind == "ring_down" else read_frequency_response
-    found = [
-        read(entry, f"[[{kind}]] {number}", robot, context)
-        for number, entry in enumerate(tables.get(kind, ()), 1)
+    rings = [
+        read_ring_down(entry, f"[[ring_down]] {number}", robot, context)
+        for number, entry in enumerate(tables.ring_down or (), 1)
     ]
-    good = tuple(one for one in found if one is not None)
-    if not good or context.problems:
+    responses = [
+        read_frequency_response(
+            entry, f"[[frequency_response]] {number}", robot, context
+        )
+        for number, entry in enumerate(tables.frequency_response or (), 1)
+    ]
+    # A file has entries of one of these kinds.
+    measured = tuple(one for one in rings if one is not None) or tuple(
+        one for one in responses if one is not None
+    )
+    if not measured or context.problems:
         return None
-    return ModeStudy(name, robot, good)  # pyright: ignore[reportArgumentType]
+    return ModeStudy(name, robot, measured)

@@ -4,7 +4,7 @@ import math
 import os
 import pathlib
 from collections.abc import Mapping
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -43,10 +43,9 @@ from ._check.modes import (
 from ._check.notes import immersion, notes
 from ._check.rapids import check_overhang, check_rapids
 from ._check.reach import ReachCheck
-from ._schema.controller import ControllerTable
 from ._schema.correction import check_correction, correction_settings
 from ._schema.cutter import make_cutter, make_holder
-from ._schema.job import ProgramTable, RobotTable, SimulationTable, read_tables
+from ._schema.job import JobTables, ProgramTable, SimulationTable, read_tables
 
 # Room below the deepest disc [m].
 _ROOM = 0.6e-3
@@ -90,7 +89,7 @@ def load_job(
         raw = changed(raw, changes, context.problems)
         text = f"{text}\n{changes_text(changes)}"
     tables = read_tables(raw, context.problems)
-    if "program" not in tables:
+    if tables.program is None:
         _check_program(raw.get("program"), context)
     # A speed that is asked for beside the file counts before the program's.
     is_asked = "spindle.speed" in (changes or {})
@@ -176,28 +175,29 @@ class _Parts(NamedTuple):
 
 
 def _read_parts(
-    tables: dict[str, Any], context: FileContext, *, overrides_speed: bool
+    tables: JobTables, context: FileContext, *, overrides_speed: bool
 ) -> _Parts:
     """Return what checked tables say, with the path and the robot that follows it."""
     problems = context.problems
     program, speed, cutter, holder, stock, robot, start = (None,) * 7
-    if "program" in tables:
-        program = read_program(tables["program"], context)
-    if "spindle" in tables:
-        given = tables["spindle"].speed
+    if tables.program is not None:
+        program = read_program(tables.program, context)
+    if tables.spindle is not None:
+        given = tables.spindle.speed
         speed = spindle_speed(given, program, problems, is_override=overrides_speed)
-    if "cutter" in tables:
-        cutter = make_cutter(tables["cutter"])
-        holder = make_holder(tables["cutter"])
-    check_overhang(tables, problems)
-    if "robot" in tables:
-        robot, start = read_robot(tables["robot"], cutter, context)
-    if cutter is not None and "force" in tables:
-        tables["force"].check_teeth(cutter.flute_count, problems)
-    if "stock" in tables:
-        precision = getattr(tables.get("simulation"), "precision", "float64")
-        stock = read_stock(tables["stock"], precision, context)
-    work = getattr(tables.get("robot"), "work_in_base", None)
+    if tables.cutter is not None:
+        cutter = make_cutter(tables.cutter)
+        holder = make_holder(tables.cutter)
+    check_overhang(tables.cutter, tables.robot, problems)
+    if tables.robot is not None:
+        robot, start = read_robot(tables.robot, cutter, context)
+    if cutter is not None and tables.force is not None:
+        tables.force.check_teeth(cutter.flute_count, problems)
+    if tables.stock is not None:
+        settings = tables.simulation
+        precision = "float64" if settings is None else settings.precision
+        stock = read_stock(tables.stock, precision, context)
+    work = None if tables.robot is None else tables.robot.work_in_base
     parts = _Parts(
         program, speed, cutter, holder, stock, robot, pose_matrix(work), start, None
     )
@@ -206,15 +206,15 @@ def _read_parts(
         parts = _timed(tables, parts._replace(controller=controller), problems)
         if parts.timed is not None:
             note_rounding(parts.timed, context)
-    if "machine" in tables:
-        modes = read_machine(tables["machine"], context)
+    if tables.machine is not None:
+        modes = read_machine(tables.machine, context)
         _check_machine(tables, problems)
         if modes is not None:
             parts = parts._replace(modes=modes, fastest=fastest_mode(modes))
     if work is not None:
         parts = _follow(tables, parts, context)
-    if "program" in tables and parts.path is not None:
-        tips = commanded_tips(tables["program"], parts.path, context)
+    if tables.program is not None and parts.path is not None:
+        tips = commanded_tips(tables.program, parts.path, context)
         parts = parts._replace(commanded=tips)
     if parts.path is not None and cutter is not None and stock is not None:
         check_rapids(parts.path, cutter, holder, stock, context)
@@ -222,11 +222,11 @@ def _read_parts(
 
 
 def _controller(
-    tables: dict[str, Any], robot: Robot | None, problems: list[str]
+    tables: JobTables, robot: Robot | None, problems: list[str]
 ) -> Controller | None:
     """Return the controller of a job; None if it is ideal, or after a fault."""
-    table: ControllerTable | None = tables.get("controller")
-    own, is_machine = tables.get("robot"), "machine" in tables
+    table, own = tables.controller, tables.robot
+    is_machine = tables.machine is not None
     if table is None or (own is None and not is_machine):
         return None
     added = 0 if own is None else added_joints(own)
@@ -258,7 +258,7 @@ def _rest_rows(controller: Controller, tooth_period: float) -> int:
     return math.ceil(_REST * lag / tooth_period)
 
 
-def _follow(tables: dict[str, Any], parts: _Parts, context: FileContext) -> _Parts:
+def _follow(tables: JobTables, parts: _Parts, context: FileContext) -> _Parts:
     """Check that the robot can follow the path, slowed down where a joint is slow.
 
     Args:
@@ -269,8 +269,8 @@ def _follow(tables: dict[str, Any], parts: _Parts, context: FileContext) -> _Par
     Returns:
         The parts, with the path that it follows and its highest frequency.
     """
-    table, robot, path = tables["robot"], parts.robot, parts.path
-    if robot is None or path is None:
+    table, robot, path = tables.robot, parts.robot, parts.path
+    if table is None or robot is None or path is None:
         return parts
     checks = ReachCheck(
         robot,
@@ -282,7 +282,7 @@ def _follow(tables: dict[str, Any], parts: _Parts, context: FileContext) -> _Par
     found = len(context.problems)
     q = checks.joints(path, context, is_slowed=parts.timed is not None)
     if parts.timed is not None and len(context.problems) == found:
-        ramp = tables["program"].joint_ramp if "program" in tables else 0.0
+        ramp = 0.0 if tables.program is None else tables.program.joint_ramp
         timed = slowed_for_joints(parts.timed, path, robot, q, ramp)
         if timed is not parts.timed:
             parts = _with_rows(parts, timed, context.problems)
@@ -302,20 +302,20 @@ def _follow(tables: dict[str, Any], parts: _Parts, context: FileContext) -> _Par
     return parts._replace(fastest=fastest)
 
 
-def _check_machine(tables: dict[str, Any], problems: list[str]) -> None:
+def _check_machine(tables: JobTables, problems: list[str]) -> None:
     """Note settings that a machine of modes does not know."""
     for table, key, value, why in (
         ("simulation", "mode", "quasistatic", "a mode has a mass"),
         ("correction", "command", "joint", "a machine of modes has no joints"),
         ("correction", "method", "inverse_drive", "it is known of a robot alone"),
     ):
-        if getattr(tables.get(table), key, None) == value:
+        if getattr(getattr(tables, table), key, None) == value:
             problems.append(
                 f'[{table}] {key}: found "{value}" beside [machine], but {why}'
             )
 
 
-def _timed(tables: dict[str, Any], parts: _Parts, problems: list[str]) -> _Parts:
+def _timed(tables: JobTables, parts: _Parts, problems: list[str]) -> _Parts:
     """Return the parts with the program as a path with a row per tooth period."""
     assert parts.cutter is not None and parts.speed is not None
     period, flutes = parts.tooth_period, parts.cutter.flute_count
@@ -326,7 +326,7 @@ def _timed(tables: dict[str, Any], parts: _Parts, problems: list[str]) -> _Parts
             f"{least:g} rpm is required"
         )
         return parts
-    program, table = parts.program, tables.get("program")
+    program, table = parts.program, tables.program
     if program is None or table is None:
         return parts
     if isinstance(program, Path):
@@ -357,7 +357,7 @@ def _check_ramp(table: ProgramTable, robot: Robot | None, problems: list[str]) -
 def _assemble(
     name: str,
     text: str,
-    tables: dict[str, Any],
+    tables: JobTables,
     parts: _Parts,
     simulation: SimulationSettings,
     found: list[str],
@@ -366,7 +366,11 @@ def _assemble(
     program, cutter, path, stock = parts.program, parts.cutter, parts.path, parts.stock
     assert cutter is not None and path is not None and stock is not None
     assert parts.speed is not None
-    law, bottom_law = tables["force"].laws()
+    force, block, robot = tables.force, tables.stock, tables.robot
+    correction, output = tables.correction, tables.output
+    assert force is not None and block is not None
+    assert correction is not None and output is not None
+    law, bottom_law = force.laws()
     return Job(
         name=name,
         cutter=cutter,
@@ -378,18 +382,18 @@ def _assemble(
         modes=parts.modes,
         T_base_work=parts.T_base_work,
         joint_start=parts.joint_start,
-        tool_rotation=getattr(tables.get("robot"), "tool_rotation", "fixed"),
+        tool_rotation="fixed" if robot is None else robot.tool_rotation,
         simulation=simulation,
         correction=correction_settings(
-            tables["correction"], is_recorded=isinstance(program, Path)
+            correction, is_recorded=isinstance(program, Path)
         ),
         source=text,
         program=program.source if isinstance(program, Program) else "",
-        notes=(*tables["force"].notes(cutter), *found, *notes(stock, path, cutter)),
+        notes=(*force.notes(cutter), *found, *notes(stock, path, cutter)),
         bottom_law=bottom_law,
         holder=parts.holder,
-        keeps_intervals=tables["stock"].intervals is not None,
-        output=tables["output"].settings(),
+        keeps_intervals=block.intervals is not None,
+        output=output.settings(),
         controller=parts.controller,
         timing=None if parts.timed is None else parts.timed.timing,
         commanded=parts.commanded,
@@ -397,10 +401,10 @@ def _assemble(
 
 
 def _simulation(
-    tables: dict[str, Any], parts: _Parts, context: FileContext
+    tables: JobTables, parts: _Parts, context: FileContext
 ) -> SimulationSettings | None:
     """Return the numerical settings with their defaults; check what depends on them."""
-    table: SimulationTable | None = tables.get("simulation")
+    table, robot = tables.simulation, tables.robot
     cutter, path, stock = parts.cutter, parts.path, parts.stock
     problems = context.problems
     if table is None or cutter is None or parts.speed is None:
@@ -424,7 +428,6 @@ def _simulation(
             "[controller]: found beside [machine] and a tool that tilts, but it is "
             "known of the axes x, y and z alone"
         )
-    robot: RobotTable | None = tables.get("robot")
     if table.scatter is not None and robot is not None and robot.rigid:
         problems.append(
             "[simulation] scatter: found a table, but the error to be expected is "
@@ -436,8 +439,8 @@ def _simulation(
         check_held_force(fastest, period / substeps, context.notes)
     elif fastest > 0.0:
         check_modes(fastest, period / substeps, context.notes)
-    if "correction" in tables:
-        check_correction(tables["correction"], cutter, not axes, problems)
+    if tables.correction is not None:
+        check_correction(tables.correction, cutter, not axes, problems)
     return SimulationSettings(
         angles=angles,
         substeps=substeps,
@@ -491,7 +494,7 @@ def _stability(key: bool | Literal["quick"]) -> Literal["quick", "full", "none"]
 
 
 def _check_simulation(
-    tables: dict[str, Any],
+    tables: JobTables,
     cutter: AbstractCutter,
     deepest: float | None,
     problems: list[str],
@@ -504,7 +507,9 @@ def _check_simulation(
         deepest: The depth that is taken if the job gives none [m], if it is known.
         problems: Receives what is wrong.
     """
-    table: SimulationTable = tables["simulation"]
+    table, robot = tables.simulation, tables.robot
+    assert table is not None
+    is_rigid = robot is not None and robot.rigid
     most = max(cutter.flute_length, deepest or 0.0)
     if table.axial_depth is not None and table.axial_depth > most * (1 + _ROUNDING):
         problems.append(
@@ -517,18 +522,19 @@ def _check_simulation(
             'pitch and without run-out is required for; others take "near_far"'
         )
     if table.stability is True:
-        _check_vibrates(tables, problems)
-    if table.sensitivity and "robot" in tables and tables["robot"].rigid:
+        _check_vibrates(table, problems, is_rigid=is_rigid)
+    if table.sensitivity and is_rigid:
         problems.append(
             "[simulation] sensitivity: found true, but with rigid = true no parameter "
             "moves the tool; only false is allowed"
         )
 
 
-def _check_vibrates(tables: dict[str, Any], problems: list[str]) -> None:
+def _check_vibrates(
+    table: SimulationTable, problems: list[str], *, is_rigid: bool
+) -> None:
     """Note where the stability is asked for of a machine that cannot vibrate."""
-    is_rigid = "robot" in tables and tables["robot"].rigid
-    if is_rigid or tables["simulation"].mode == "quasistatic":
+    if is_rigid or table.mode == "quasistatic":
         why = "rigid = true" if is_rigid else 'mode = "quasistatic"'
         problems.append(
             f"[simulation] stability: found true, but with {why} nothing vibrates; "

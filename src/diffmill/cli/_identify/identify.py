@@ -4,7 +4,7 @@ import json
 import math
 import pathlib
 import time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, assert_never
 
 from ..._jax_config import configure_jax
 from ..._results_folder import ResultsFolder
@@ -13,6 +13,8 @@ from .._session.progress import Progress
 from .report import Report
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from ...config import Study
 
 
@@ -51,12 +53,11 @@ def run_identify(
         study = load_identification(file, forces, allow_outside=allow_outside)
     try:
         with progress:
-            found = study.run(progress.update)
+            report = reported(study, progress.update)
     except StudyError as error:
         raise BadInput(str(error)) from error
     except SimulationFailed as failure:
         raise BadInput(f"{file}: the cut could not be simulated: {failure}") from None
-    report = report_of(study, found)
 
     def fill(target: pathlib.Path) -> None:
         head = [f"identified from {file.name} by diffmill", "paste into a job file"]
@@ -79,12 +80,16 @@ def run_identify(
     return 0
 
 
-def report_of(study: "Study", found: Any) -> Report:
-    """Return what a study found as text, job tables, numbers and figures.
+def reported(study: "Study", tell: "Callable[[str], None]") -> Report:
+    """Run a study; return what it found as text, job tables, numbers and figures.
 
     Args:
         study: The study.
-        found: What its `run` returned.
+        tell: Told what is being done.
+
+    Raises:
+        StudyError: A measurement cannot be fitted.
+        SimulationFailed: A cut could not be simulated.
     """
     from ...identification import (
         ControllerStudy,
@@ -92,6 +97,7 @@ def report_of(study: "Study", found: Any) -> Report:
         ForceRecordStudy,
         LoadTestStudy,
         MeanForceStudy,
+        ModeStudy,
     )
     from .controller import report_controller
     from .coupled import report_coupled
@@ -101,16 +107,18 @@ def report_of(study: "Study", found: Any) -> Report:
     from .stiffness import report_load_tests
 
     if isinstance(study, ControllerStudy):
-        return report_controller(study, found)
+        return report_controller(study, study.run(tell))
     if isinstance(study, CoupledStudy):
-        return report_coupled(study, found)
+        return report_coupled(study, study.run(tell))
     if isinstance(study, ForceRecordStudy):
-        return report_records(study, found)
+        return report_records(study, study.run(tell))
     if isinstance(study, LoadTestStudy):
-        return report_load_tests(study, found)
+        return report_load_tests(study, study.run(tell))
     if isinstance(study, MeanForceStudy):
-        return report_means(study, found)
-    return report_modes(study, found)
+        return report_means(study, study.run(tell))
+    if isinstance(study, ModeStudy):
+        return report_modes(study, study.run(tell))
+    assert_never(study)
 
 
 def _plain(value: Any) -> Any:

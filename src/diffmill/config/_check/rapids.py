@@ -1,7 +1,5 @@
 """Checks of the whole tool along the path: rapid moves, holder, shank."""
 
-from collections.abc import Mapping
-
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -10,16 +8,20 @@ from ...sim import ToolContacts
 from ...toolpath import Path
 from .._build.context import FileContext
 from .._build.stock import StockPlan
+from .._schema.cutter import CutterTable
+from .._schema.job import RobotTable
 from .reach import at_row
 
 # Lengths that a job states twice [m], and volumes that are rounding [m^3].
 _SAME_LENGTH, _NO_VOLUME = 1e-9, 1e-15
 
 
-def check_overhang(tables: Mapping[str, object], problems: list[str]) -> None:
+def check_overhang(
+    tool: CutterTable | None, robot: RobotTable | None, problems: list[str]
+) -> None:
     """Note a cutter that sticks out of its holder by two different lengths."""
-    own = getattr(tables.get("cutter"), "overhang", None)
-    bending = getattr(tables.get("robot"), "bending_tool", None)
+    own = None if tool is None else tool.overhang
+    bending = None if robot is None else robot.bending_tool
     if own is not None and bending is not None:
         if abs(own - bending.overhang) > _SAME_LENGTH:
             problems.append(

@@ -4,8 +4,9 @@
 checked on its own, so that a fault in one does not hide those of the others.
 """
 
+import dataclasses
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import Field, StrictBool, StrictInt, StrictStr
 
@@ -25,6 +26,8 @@ from .._schema.job import PoseTable, SpindleTable
 from .._schema.machine import Direction
 from .._schema.table import TomlTable, validated
 from .fields import Axes, AxesOrProposed, Channels, CutNumber, File, Side, Span
+
+_Toml = TypeVar("_Toml", bound=TomlTable)
 
 
 class MeasuredTable(TomlTable):
@@ -394,34 +397,53 @@ KINDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "coupled": (("coupled",), ()),
     "controller": (("air_path",), ()),
 }
-_TABLES: dict[str, type[TomlTable]] = {
-    "cutter": CutterTable,
-    "spindle": SpindleTable,
-    "cut": CutTable,
-    "record": RecordTable,
-    "fit": FitTable,
-    "means": MeansTable,
-    "robot": StudiedRobotTable,
-    "load_tests": LoadTestsTable,
-    "ring_down": RingDownTable,
-    "frequency_response": FrequencyResponseTable,
-    "coupled": CoupledTable,
-    "air_path": AirPathTable,
-}
+
+
+@dataclasses.dataclass(frozen=True)
+class IdentificationTables:
+    """The checked tables of a file for `diffmill identify`.
+
+    None stands for a table with a fault, and for one that the file has not.
+
+    Attributes:
+        kind: What was measured; None if unknown.
+        cutter: `[cutter]`.
+        spindle: `[spindle]`.
+        cut: `[cut]`.
+        record: All `[[record]]`.
+        fit: `[fit]`.
+        means: `[means]`.
+        robot: `[robot]`.
+        load_tests: `[load_tests]`.
+        ring_down: All `[[ring_down]]`.
+        frequency_response: All `[[frequency_response]]`.
+        coupled: `[coupled]`.
+        air_path: `[air_path]`.
+    """
+
+    kind: str | None = None
+    cutter: CutterTable | None = None
+    spindle: SpindleTable | None = None
+    cut: CutTable | None = None
+    record: list[RecordTable] | None = None
+    fit: FitTable | None = None
+    means: MeansTable | None = None
+    robot: StudiedRobotTable | None = None
+    load_tests: LoadTestsTable | None = None
+    ring_down: list[RingDownTable] | None = None
+    frequency_response: list[FrequencyResponseTable] | None = None
+    coupled: CoupledTable | None = None
+    air_path: AirPathTable | None = None
 
 
 def read_identification_tables(
     raw: Mapping[str, object], problems: list[str]
-) -> tuple[str | None, dict[str, Any]]:
+) -> IdentificationTables:
     """Check all tables of a file for `diffmill identify`.
 
     Args:
         raw: The parsed TOML.
         problems: Receives a line for everything that is wrong.
-
-    Returns:
-        The kind, None if unknown; and the tables without a fault by name, lists of
-        tables as lists.
     """
     kind = raw.get("kind")
     if not isinstance(kind, str) or kind not in KINDS:
@@ -430,7 +452,7 @@ def read_identification_tables(
         problems.append(
             f"kind: found {found}, but one of {allowed} is required: what was measured"
         )
-        return None, {}
+        return IdentificationTables()
     required, optional = KINDS[kind]
     names = [name.rstrip("*") for name in (*required, *optional)]
     lists = {name.rstrip("*") for name in (*required, *optional) if "*" in name}
@@ -441,28 +463,41 @@ def read_identification_tables(
                 f"{name}: found an unknown table or key; allowed for "
                 f'kind = "{kind}": {allowed}'
             )
-    tables: dict[str, Any] = {}
-    for name in names:
+    for name in (one.rstrip("*") for one in required):
         if name not in raw:
-            if name in (one.rstrip("*") for one in required):
-                problems.append(
-                    f"{_shown(name, lists)}: found no such table, but it is required"
-                )
-            elif name == "fit":
-                tables[name] = FitTable()
-            continue
-        if name not in lists:
-            table = validated(_TABLES[name], raw[name], f"[{name}]", problems)
-            if table is not None:
-                tables[name] = table
-            continue
-        found = _entries(name, raw[name], problems)
-        if found is not None:
-            tables[name] = found
-    return kind, tables
+            problems.append(
+                f"{_shown(name, lists)}: found no such table, but it is required"
+            )
+    given = {name: raw[name] for name in names if name in raw}
+
+    def table(name: str, kind: type[_Toml]) -> _Toml | None:
+        if name not in given:
+            return None
+        return validated(kind, given[name], f"[{name}]", problems)
+
+    def entries(name: str, kind: type[_Toml]) -> list[_Toml] | None:
+        return _entries(name, kind, given[name], problems) if name in given else None
+
+    return IdentificationTables(
+        kind=kind,
+        cutter=table("cutter", CutterTable),
+        spindle=table("spindle", SpindleTable),
+        cut=table("cut", CutTable),
+        record=entries("record", RecordTable),
+        fit=table("fit", FitTable),
+        means=table("means", MeansTable),
+        robot=table("robot", StudiedRobotTable),
+        load_tests=table("load_tests", LoadTestsTable),
+        ring_down=entries("ring_down", RingDownTable),
+        frequency_response=entries("frequency_response", FrequencyResponseTable),
+        coupled=table("coupled", CoupledTable),
+        air_path=table("air_path", AirPathTable),
+    )
 
 
-def _entries(name: str, raw: object, problems: list[str]) -> list[TomlTable] | None:
+def _entries(
+    name: str, kind: type[_Toml], raw: object, problems: list[str]
+) -> list[_Toml] | None:
     """Return the entries of a list of tables, None if one has a fault."""
     if not isinstance(raw, list) or not raw:
         problems.append(
@@ -471,7 +506,7 @@ def _entries(name: str, raw: object, problems: list[str]) -> list[TomlTable] | N
         )
         return None
     entries = [
-        validated(_TABLES[name], one, f"[[{name}]] {place}", problems)
+        validated(kind, one, f"[[{name}]] {place}", problems)
         for place, one in enumerate(raw, 1)
     ]
     good = [one for one in entries if one is not None]

@@ -4,14 +4,15 @@ Every table is checked on its own, so that a fault in one does not hide those of
 others.
 """
 
+import dataclasses
 import math
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias, TypeVar
 
 from pydantic import Field, StrictBool, StrictInt, StrictStr
 
 from .compliance import BendingToolTable, FlangeSpringTable
-from .controller import read_controller
+from .controller import ControllerTable, read_controller
 from .correction import CorrectionTable
 from .cutter import CutterTable
 from .fields import (
@@ -29,13 +30,15 @@ from .fields import (
     Tolerance,
     Uncertainty,
 )
-from .force import read_force
+from .force import ForceTables, read_force
 from .machine import MachineTable, is_machine
 from .table import TomlTable, meant_by, validated
 
 if TYPE_CHECKING:
     from ..._job import OutputSettings
 
+_Table = TypeVar("_Table")
+_Toml = TypeVar("_Toml", bound=TomlTable)
 CoordinateSystem: TypeAlias = Literal[
     "G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3"
 ]
@@ -380,23 +383,43 @@ class SimulationTable(TomlTable):
     )
 
 
-TABLES: dict[str, type[TomlTable]] = {
-    "cutter": CutterTable,
-    "spindle": SpindleTable,
-    "stock": StockTable,
-    "program": ProgramTable,
-    "robot": RobotTable,
-    "machine": MachineTable,
-    "simulation": SimulationTable,
-    "correction": CorrectionTable,
-    "output": OutputTable,
-}
 OPTIONAL_TABLES = frozenset(
     {"spindle", "controller", "simulation", "correction", "output"}
 )
 
 
-def read_tables(raw: Mapping[str, object], problems: list[str]) -> dict[str, Any]:
+@dataclasses.dataclass(frozen=True)
+class JobTables:
+    """The checked tables of a job; None for one with a fault, or that a job has not.
+
+    Attributes:
+        cutter: `[cutter]`.
+        spindle: `[spindle]`.
+        force: `[force]` and `[force.bottom]`.
+        stock: `[stock]`.
+        program: `[program]`.
+        robot: `[robot]`; None beside a machine of modes.
+        machine: `[machine]`; None beside a robot.
+        controller: `[controller]`; None also for an ideal one.
+        simulation: `[simulation]`.
+        correction: `[correction]`.
+        output: `[output]`.
+    """
+
+    cutter: CutterTable | None
+    spindle: SpindleTable | None
+    force: ForceTables | None
+    stock: StockTable | None
+    program: ProgramTable | None
+    robot: RobotTable | None
+    machine: MachineTable | None
+    controller: ControllerTable | None
+    simulation: SimulationTable | None
+    correction: CorrectionTable | None
+    output: OutputTable | None
+
+
+def read_tables(raw: Mapping[str, object], problems: list[str]) -> JobTables:
     """Check all tables of a job.
 
     Args:
@@ -404,18 +427,14 @@ def read_tables(raw: Mapping[str, object], problems: list[str]) -> dict[str, Any
         problems: Receives a line for everything that is wrong.
 
     Returns:
-        The tables without a fault, by name; optional ones that are absent hold
-        their defaults.
+        The tables; optional ones that are absent hold their defaults.
     """
-    tables = {}
     if "machine" in raw and "robot" in raw:
         problems.append(
             "[machine]: found beside [robot], but a job has either: modes of a spindle "
             "on an arm are those of [robot.flange_spring] and [robot.bending_tool]"
         )
-    names = [*TABLES]
-    names.insert(names.index("stock"), "force")
-    names.insert(names.index("simulation"), "controller")
+    names = [field.name for field in dataclasses.fields(JobTables)]
     allowed = ", ".join(f"[{name}]" for name in names)
     for name in raw:
         if name not in names:
@@ -423,24 +442,42 @@ def read_tables(raw: Mapping[str, object], problems: list[str]) -> dict[str, Any
                 f"{name}: found an unknown table or key; allowed: {allowed}"
                 f"{meant_by(name, names)}"
             )
-    for name in names:
-        if name == "machine" and name not in raw:
-            continue
-        if name == "robot" and is_machine(raw):
-            continue
-        if name not in raw and name not in OPTIONAL_TABLES:
-            hint = ""
-            if name == "robot":
-                hint = " (rigid = true stands for no robot), or [machine]"
-            problems.append(f"[{name}]: found no such table, but it is required{hint}")
-            continue
-        found = raw.get(name, {})
-        if name == "force":
-            table = read_force(found, problems)
-        elif name == "controller":
-            table = read_controller(found, problems)
-        else:
-            table = validated(TABLES[name], found, f"[{name}]", problems)
-        if table is not None:
-            tables[name] = table
-    return tables
+
+    def read(
+        name: str, check: Callable[[object, list[str]], _Table | None]
+    ) -> _Table | None:
+        is_there = _has_table(raw, name, problems)
+        return check(raw.get(name, {}), problems) if is_there else None
+
+    def table(name: str, kind: type[_Toml]) -> _Toml | None:
+        return read(
+            name, lambda found, faults: validated(kind, found, f"[{name}]", faults)
+        )
+
+    # In the order in which faults are listed.
+    return JobTables(
+        cutter=table("cutter", CutterTable),
+        spindle=table("spindle", SpindleTable),
+        force=read("force", read_force),
+        stock=table("stock", StockTable),
+        program=table("program", ProgramTable),
+        robot=table("robot", RobotTable),
+        machine=table("machine", MachineTable),
+        controller=read("controller", read_controller),
+        simulation=table("simulation", SimulationTable),
+        correction=table("correction", CorrectionTable),
+        output=table("output", OutputTable),
+    )
+
+
+def _has_table(raw: Mapping[str, object], name: str, problems: list[str]) -> bool:
+    """Return whether a table is to be checked; note one that is missing."""
+    if name in raw or name in OPTIONAL_TABLES:
+        return True
+    if name == "machine" or (name == "robot" and is_machine(raw)):
+        return False
+    hint = ""
+    if name == "robot":
+        hint = " (rigid = true stands for no robot), or [machine]"
+    problems.append(f"[{name}]: found no such table, but it is required{hint}")
+    return False

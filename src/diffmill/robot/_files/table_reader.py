@@ -6,7 +6,7 @@ Every value that comes from a file passes here once; quantities leave in SI.
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import TypeGuard
 
 from ...units import QuantityKind, quantity
 
@@ -26,7 +26,9 @@ class ElementReader:
         """Note that a key's value is not what is allowed."""
         self.faults.append(f"{self.place}.{key}: must be {allowed}, but is {found!r}")
 
-    def take(self, key: str, default: object = None, *, required: bool = False) -> Any:
+    def take(
+        self, key: str, default: object = None, *, required: bool = False
+    ) -> object:
         """Return the raw value of a key and mark it as known."""
         self.known.add(key)
         if key in self.table:
@@ -34,6 +36,28 @@ class ElementReader:
         if required:
             self.faults.append(f"{self.place}.{key}: is missing")
         return default
+
+    def text(
+        self, key: str, default: str | None = None, *, allowed: str = "a string"
+    ) -> str:
+        """Return a text, required without a default; an empty one after a fault.
+
+        Only where "a string" is allowed may it be empty.
+        """
+        raw = self.take(key, default, required=default is None)
+        is_good = isinstance(raw, str) and (raw != "" or allowed == "a string")
+        if key in self.table and not is_good:
+            self.fault(key, allowed, raw)
+        return raw if isinstance(raw, str) else ""
+
+    def inner(self, key: str, allowed: str) -> "ElementReader | None":
+        """Return a reader of a table within; None without one, or after a fault."""
+        raw = self.take(key)
+        if isinstance(raw, Mapping):
+            return ElementReader(raw, f"{self.place}.{key}", self.faults)
+        if raw is not None:
+            self.fault(key, allowed, raw)
+        return None
 
     def quantity(
         self,
@@ -92,12 +116,12 @@ class ElementReader:
             )
 
 
-def is_list(raw: object) -> bool:
+def is_list(raw: object) -> TypeGuard[Sequence[object]]:
     """Return whether a value of a file is a list."""
     return isinstance(raw, Sequence) and not isinstance(raw, str)
 
 
-def are_numbers(values: Sequence[object]) -> bool:
+def are_numbers(values: Sequence[object]) -> TypeGuard[Sequence[float]]:
     """Return whether all values are finite numbers."""
     return all(
         isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v)

@@ -5,7 +5,6 @@ All faults of a file are collected and reported together.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -65,11 +64,8 @@ def read_elements(
     """
     faults: list[str] = []
     top = ElementReader(document, "top level", faults)
-    name = top.take("name", required=True)
-    if not isinstance(name, str) and "name" in document:
-        top.fault("name", "a string", name)
-    if not isinstance(top.take("description", ""), str):
-        top.fault("description", "a string", document["description"])
+    name = top.text("name")
+    top.text("description", "")
     elements = _read_list(top.take("elements", required=True), "elements", faults)
     top.finish()
     moving = [
@@ -87,10 +83,10 @@ def read_elements(
     if not joints and not faults:
         faults.append("elements: must contain at least one joint")
     raise_faults(file, faults)
-    return str(name), elements
+    return name, elements
 
 
-def _read_list(raw: Any, place: str, faults: list[str]) -> list[AbstractElement]:
+def _read_list(raw: object, place: str, faults: list[str]) -> list[AbstractElement]:
     """Return the elements of a list of tables."""
     if raw is None:
         return []
@@ -152,40 +148,32 @@ def _read_dh(reader: ElementReader) -> Callable[[], list[AbstractElement]]:
 
 
 def _read_coupling(
-    reader: ElementReader, kind: str, axis: Any
+    reader: ElementReader, kind: str, axis: tuple[float, ...]
 ) -> list[AbstractElement]:
     """Return what turns a joint with another one, nothing without `coupled`."""
-    table = reader.take("coupled")
-    if table is None:
+    inner = reader.inner("coupled", "a table of joint and ratio")
+    if inner is None:
         return []
-    if not isinstance(table, Mapping):
-        reader.fault("coupled", "a table of joint and ratio", table)
-        return []
-    inner = ElementReader(table, f"{reader.place}.coupled", reader.faults)
-    other = inner.take("joint", required=True)
-    if "joint" in table and not (isinstance(other, str) and other):
-        inner.fault("joint", "the name of a joint", other)
-    ratio = inner.take("ratio", 1.0)
-    if not are_numbers([ratio]):
-        inner.fault("ratio", "a number", ratio)
-        ratio = 1.0
+    other = inner.text("joint", allowed="the name of a joint")
+    ratio = [inner.take("ratio", 1.0)]
+    if not are_numbers(ratio):
+        inner.fault("ratio", "a number", ratio[0])
+        ratio = [1.0]
     inner.finish()
     joint = RevoluteJoint if kind == "revolute" else PrismaticJoint
     name = f"coupling of {reader.table.get('name')}"
-    return [joint(name, axis, mimic=Mimic(str(other), ratio))]
+    return [joint(name, axis, mimic=Mimic(other, ratio[0]))]
 
 
 def _read_joint(reader: ElementReader) -> Callable[[], list[AbstractElement]]:
     kind = str(reader.table["kind"])
     position = JOINT_QUANTITIES[kind]["position"]
-    name = reader.take("name", required=True)
-    if "name" in reader.table and not (isinstance(name, str) and name):
-        reader.fault("name", "a non-empty string", name)
-    axis = reader.take("axis", (0.0, 0.0, 1.0))
-    if not (is_list(axis) and len(axis) == 3 and are_numbers(axis) and any(axis)):
-        reader.fault("axis", "a list of 3 numbers that are not all 0", axis)
-        axis = (0.0, 0.0, 1.0)
-    axis = tuple(map(float, axis))
+    name = reader.text("name", allowed="a non-empty string")
+    axis, raw = (0.0, 0.0, 1.0), reader.take("axis", (0.0, 0.0, 1.0))
+    if is_list(raw) and len(raw) == 3 and are_numbers(raw) and any(raw):
+        axis = tuple(map(float, raw))
+    else:
+        reader.fault("axis", "a list of 3 numbers that are not all 0", raw)
     is_virtual = reader.take("virtual", False)
     if not isinstance(is_virtual, bool):
         reader.fault("virtual", "true or false", is_virtual)
@@ -216,7 +204,7 @@ def _read_joint(reader: ElementReader) -> Callable[[], list[AbstractElement]]:
             lower=lower,
             upper=upper,
             home=home,
-            is_virtual=is_virtual,
+            is_virtual=is_virtual is True,
             drive=drive,
             speed=speed,
         ),
@@ -240,13 +228,10 @@ _OPTIONS = {
 
 def read_options(reader: ElementReader, key: str, kind: str) -> Drive | None:
     """Return what a joint's table says of its drive, None without or after a fault."""
-    table = reader.take(key)
-    if table is None:
+    inner = reader.inner(key, f"a table of {', '.join(_OPTIONS)}")
+    if inner is None:
         return None
-    if not isinstance(table, Mapping):
-        reader.fault(key, f"a table of {', '.join(_OPTIONS)}", table)
-        return None
-    inner = ElementReader(table, f"{reader.place}.{key}", reader.faults)
+    table = inner.table
     before = len(inner.faults)
     values = {
         key: inner.quantity(
@@ -281,9 +266,7 @@ def read_drive(
 
 def read_body(reader: ElementReader) -> Callable[[], RigidBody]:
     """Return what makes a body of a table, once it is faultless."""
-    name = reader.take("name", "")
-    if not isinstance(name, str):
-        reader.fault("name", "a string", name)
+    name = reader.text("name", "")
     mass = reader.quantity(
         "mass",
         units.MASS,
@@ -318,9 +301,7 @@ def _read_fork(reader: ElementReader) -> Callable[[], AbstractElement]:
 
 
 def _read_tool(reader: ElementReader) -> Callable[[], AbstractElement]:
-    name = reader.take("name", "tool")
-    if not (isinstance(name, str) and name):
-        reader.fault("name", "a non-empty string", name)
+    name = reader.text("name", "tool", allowed="a non-empty string")
     position = reader.quantities("position", units.LENGTH, (3,), (0.0, 0.0, 0.0))
     rpy = reader.quantities("rpy", units.ANGLE, (3,), (0.0, 0.0, 0.0))
     return lambda: Tool(name, tuple(position or ()), rpy_matrix(*(rpy or ())))
