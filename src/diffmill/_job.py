@@ -2,7 +2,7 @@
 
 Numbers that change from run to run are leaves (they differentiate and do not
 recompile); counts, names and choices are static. Reading a job from a file, units
-and the error that lists every fault are in `diffmill.io`.
+and the error that lists every fault are in `diffmill.config`.
 """
 
 import dataclasses

@@ -7,6 +7,10 @@ from .midpoint import Midpoint
 from .rk4 import RungeKutta4
 
 IntegratorName: TypeAlias = Literal["midpoint", "rk4"]
+_BY_NAME: dict[IntegratorName, type[Midpoint] | type[RungeKutta4]] = {
+    "midpoint": Midpoint,
+    "rk4": RungeKutta4,
+}
 
 
 def make_integrator(
@@ -21,4 +25,4 @@ def make_integrator(
     Returns:
         The integrator.
     """
-    return Midpoint(dynamics) if name == "midpoint" else RungeKutta4(dynamics)
+    return _BY_NAME[name](dynamics)
