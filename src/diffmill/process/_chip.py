@@ -9,17 +9,36 @@ The chip is the least of these over all earlier poses, so it follows regeneratio
 several teeth and is zero where the tool left the cut.
 """
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .._types import RealScalarLike
-from ..numerics import clamp, hat_integral
+from ..numerics import clamp, hat_integral, hold
 
 # Below this motion per tooth an edge counts as standing still [m].
 _STANDSTILL = 1e-8
 # Below this its direction has no derivative [m].
 _AT_REST = 3e-6
+
+
+class Outward(eqx.Module):
+    """Directions e = (sin phi, cos phi) in which teeth stand out of the axis.
+
+    Attributes:
+        sin: Sine of the immersion angle, any shape.
+        cos: Its cosine, same shape.
+    """
+
+    sin: Float[Array, "*sample"]
+    cos: Float[Array, "*sample"]
+
+    @classmethod
+    def of(cls, immersion_angle: Float[Array, "*sample"]) -> "Outward":
+        """Return the directions at immersion angles [rad], any shape."""
+        # All that is computed of a sample needs them, and would compute them again.
+        return hold(cls(jnp.sin(immersion_angle), jnp.cos(immersion_angle)))
 
 
 def circle_chip(
@@ -42,13 +61,35 @@ def circle_chip(
 
     Differentiability: smooth; constant where the circle is missed, no NaN there.
     """
-    sin, cos = jnp.sin(immersion_angle), jnp.cos(immersion_angle)
-    outward = offset[0] * sin + offset[1] * cos
+    return chip_along(radius, offset, Outward.of(immersion_angle), if_missed)
+
+
+def chip_along(
+    radius: RealScalarLike,
+    offset: Float[Array, " 3"],
+    outward: Outward,
+    if_missed: RealScalarLike,
+) -> Float[Array, "*sample"]:
+    """Return what `circle_chip` does, along directions that are known.
+
+    Args:
+        radius: As of `circle_chip`.
+        offset: As of `circle_chip`.
+        outward: Directions of the tooth, any shape.
+        if_missed: As of `circle_chip`.
+
+    Returns:
+        As of `circle_chip`.
+
+    Differentiability: that of `circle_chip`.
+    """
+    sin, cos = outward.sin, outward.cos
+    along = offset[0] * sin + offset[1] * cos
     sideways = offset[0] * cos - offset[1] * sin
     square = jnp.asarray(radius) ** 2 - sideways**2
     is_met = square > 0
     root = jnp.sqrt(jnp.where(is_met, square, 1.0))
-    return jnp.where(is_met, radius - outward - root, if_missed)
+    return jnp.where(is_met, radius - along - root, if_missed)
 
 
 def layer_share(

@@ -23,7 +23,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ...cutter import AbstractCutter
 from ...numerics import clamp, with_derivative_of
 from ...workpiece import Pose
-from .._chip import edge_contact, held_at_rest, safe_norm, way_of
+from .._chip import Outward, edge_contact, held_at_rest, safe_norm, way_of
 from .._process import Process, Substeps, rotation_angles
 from .._state import ProcessState
 from .edge_samples import BottomSamples
@@ -69,14 +69,15 @@ class BottomEdges(eqx.Module):
         place = pitch * jnp.arange(cutter.flute_count, dtype=now.dtype)
         turn = rotation_angles(process, now.dtype, part)
         angles = turn[..., None] + place[None, None]
-        angle = angles[..., None]
+        outward = Outward.of(angles)
+        e = _by_annulus(outward)
         radius = self._radii(cutter, now.dtype)[None, None, None]
         tip, old = (x[:, None, None, None] for x in (now, before))
-        chip, _ = _chip(cutter, radius, angle, tip, old)
+        chip, _ = _chip(cutter, radius, e, tip, old)
         layer = jnp.maximum(chip, _LEAST_LAYER)
         at = [
-            (tip[..., 0] + jnp.sin(angle) * radius - stock.origin[0]) / stock.spacing,
-            (tip[..., 1] + jnp.cos(angle) * radius - stock.origin[1]) / stock.spacing,
+            (tip[..., 0] + e.sin * radius - stock.origin[0]) / stock.spacing,
+            (tip[..., 1] + e.cos * radius - stock.origin[1]) / stock.spacing,
         ]
         rays = stock.families[2]
         cell = [
@@ -95,7 +96,7 @@ class BottomEdges(eqx.Module):
         hollow = (cutter.nominal_radius - radius) * dish
         # How much higher the end is at the middle of an annulus than at its outer side.
         rise = cutter.nominal_radius / self.annuli * dish / 2
-        back, descent = _since_corner(cutter, radius, angle, tip - old)
+        back, descent = _since_corner(cutter, radius, e, tip - old)
         total = jnp.zeros_like(share[0])
         for i in (0, 1):
             for j in (0, 1):
@@ -121,7 +122,7 @@ class BottomEdges(eqx.Module):
         tooth = jnp.arange(cutter.flute_count, dtype=jnp.int32) - (index - 1)
         tooth = jnp.mod(tooth, cutter.flute_count)[None, None]
         tooth = jnp.broadcast_to(tooth, angles.shape)
-        return BottomSamples(angles, tooth, total)
+        return BottomSamples(outward, tooth, total)
 
     def force(
         self, process: Process, samples: BottomSamples, pose: Pose, earlier: Pose
@@ -143,15 +144,14 @@ class BottomEdges(eqx.Module):
         Differentiability: kinks where the deciding earlier pose changes.
         """
         cutter, tip, old = process.cutter, pose.tip, earlier.tip
-        angle, weight = samples.angle[..., None], samples.occupancy
+        e, weight = _by_annulus(samples.outward), samples.occupancy
         radius = self._radii(cutter, tip.dtype)
         width = cutter.nominal_radius / self.annuli
-        sin, cos = jnp.sin(angle), jnp.cos(angle)
         nothing = 2 * cutter.nominal_radius
         chip = jnp.full(weight.shape, nothing, tip.dtype)
         is_first = jnp.zeros(weight.shape, bool)
         for k in range(old.shape[0]):
-            left, is_under = _chip(cutter, radius[None, None], angle, tip, old[k])
+            left, is_under = _chip(cutter, radius[None, None], e, tip, old[k])
             is_first = is_under if k == 0 else is_first
             chip = jnp.where(is_under, jnp.minimum(chip, left), chip)
         feed = safe_norm(old[0] - tip)
@@ -164,8 +164,8 @@ class BottomEdges(eqx.Module):
         share = weight * width
         return jnp.stack(
             [
-                jnp.sum(share * (-F_t * cos + F_a * sin), axis=(1, 2)),
-                jnp.sum(share * (F_t * sin + F_a * cos), axis=(1, 2)),
+                jnp.sum(share * (-F_t * e.cos + F_a * e.sin), axis=(1, 2)),
+                jnp.sum(share * (F_t * e.sin + F_a * e.cos), axis=(1, 2)),
                 jnp.sum(share * F_r, axis=(1, 2)),
             ],
             axis=-1,
@@ -178,17 +178,22 @@ class BottomEdges(eqx.Module):
         return cutter.nominal_radius * middles
 
 
+def _by_annulus(outward: Outward) -> Outward:
+    """Return directions with an axis for the annuli, of length 1."""
+    return jax.tree.map(lambda x: x[..., None], outward)
+
+
 def _chip(
     cutter: AbstractCutter,
     radius: Float[Array, "*#place annulus"],
-    angle: Float[Array, "*#place 1"],
+    outward: Outward,
     tip: Float[Array, "*#tip 3"],
     old: Float[Array, "*#tip 3"],
 ) -> tuple[Float[Array, "*place annulus"], Bool[Array, "*place annulus"]]:
     """Return how far an earlier end was above annuli [m], and where it covered them."""
     moved = tip - old
-    across = (radius * jnp.sin(angle) + moved[..., 0]) ** 2
-    across = across + (radius * jnp.cos(angle) + moved[..., 1]) ** 2
+    across = (radius * outward.sin + moved[..., 0]) ** 2
+    across = across + (radius * outward.cos + moved[..., 1]) ** 2
     dish = jnp.tan(jnp.asarray(cutter.dish_angle, radius.dtype))
     inward = radius - jnp.sqrt(across + _LEAST_LAYER**2)
     return inward * dish - moved[..., 2], across < cutter.nominal_radius**2
@@ -197,13 +202,13 @@ def _chip(
 def _since_corner(
     cutter: AbstractCutter,
     radius: Float[Array, "*#place annulus"],
-    angle: Float[Array, "*#place 1"],
+    outward: Outward,
     moved: Float[Array, "*#tip 3"],
 ) -> tuple[Float[Array, "*place annulus"], Float[Array, "*place annulus"]]:
     """Return the way since the corner passed over annuli [m], and its descent [m]."""
     x, y, z = (moved[..., i] for i in range(3))
     way = jnp.sqrt(x**2 + y**2 + _STILL**2)
-    ahead = (jnp.sin(angle) * x + jnp.cos(angle) * y) / way
+    ahead = (outward.sin * x + outward.cos * y) / way
     chord = cutter.nominal_radius**2 - radius**2 * (1 - ahead**2)
     back = jnp.sqrt(jnp.maximum(chord, _STILL**2)) - radius * ahead
     return back, -z * back / way

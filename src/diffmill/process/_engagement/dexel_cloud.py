@@ -33,7 +33,14 @@ from ...workpiece import (
     Stock,
     TakenPieces,
 )
-from .._chip import circle_chip, edge_contact, held_at_rest, safe_norm, way_of
+from .._chip import (
+    Outward,
+    chip_along,
+    edge_contact,
+    held_at_rest,
+    safe_norm,
+    way_of,
+)
 from .._process import AbstractEngagement, Process, Substeps
 from .._removal_history import tracked
 from .._state import ProcessState, Removed
@@ -171,7 +178,9 @@ class DexelCloud(AbstractEngagement):
         tooth = jnp.mod(tooth, teeth)[None, None, :, None]
         tooth = jnp.broadcast_to(tooth, angle.shape)
         # The cloud judges at the rim alone.
-        samples = EdgeSamples(angle, tooth, weight, jnp.ones_like(weight))
+        samples = EdgeSamples(
+            angle, Outward.of(angle), tooth, weight, jnp.ones_like(weight)
+        )
         return Engagement(samples, Pose(start).repeated(0))
 
     def chip_arcs(
@@ -251,7 +260,7 @@ class DexelCloud(AbstractEngagement):
     ) -> Float[Array, "angle kept element"]:
         """Return the unclipped chip of two cylinders [m], now and a period ago."""
         radius = process.cutter.diameter / 2
-        return circle_chip(radius, earlier.tip[0] - pose.tip, samples.angle, 0.0)
+        return chip_along(radius, earlier.tip[0] - pose.tip, samples.outward, 0.0)
 
     def element_heights(
         self, cutter: AbstractCutter, dtype: jnp.dtype

@@ -24,12 +24,18 @@ from jaxtyping import Array, Float, Int
 from ...cutter import AbstractCutter, EdgeElements
 from ...numerics import clamp
 from ...workpiece import Discs, Pose, RemovalWindow, occupancy_in_space
-from .._chip import edge_contact, held_at_rest, safe_norm, way_of
+from .._chip import Outward, edge_contact, held_at_rest, safe_norm, way_of
 from .._process import AbstractEngagement, Process, Substeps, rotation_angles
 from .._state import ProcessState, Removed
 from .bottom_edge import RAMP
 from .edge_samples import EdgeSamples, Engagement
-from .leading_half import STILL, chip_taken_over, leading_fade, taken_over
+from .leading_half import (
+    STILL,
+    LeadingTeeth,
+    chip_taken_over,
+    leading_fade,
+    taken_over,
+)
 from .upright import check_looks
 
 # Elements nearer to the axis than this share of the radius count as standing there.
@@ -107,9 +113,11 @@ class EdgeElementsInSpace(AbstractEngagement):
         cutter = process.cutter
         elements = self.profile.elements(cutter, predicted.tip.dtype)
         every = _angles(process, elements, index, part)
-        angle, tooth, fade = self._leading(process, elements, state, predicted, every)
-        place = jax.vmap(lambda p, phi: _edge(cutter, elements, p, phi))
-        points, normals, along = place(predicted, angle)
+        angle, outward, tooth, fade = self._leading(
+            process, elements, state, predicted, every
+        )
+        place = jax.vmap(lambda p, e: _edge(cutter, elements, p, e))
+        points, normals, along = place(predicted, outward)
         # What an edge takes: a chip as thick as it lies beyond the pose before.
         old = state.recent[0][:, None, None, None]
         chip = cutter.level(points, old.tip, old.direction())
@@ -134,7 +142,7 @@ class EdgeElementsInSpace(AbstractEngagement):
             slots=state.slots,
         )
         occupied, chip_share = (share.reshape(angle.shape) for share in found)
-        samples = EdgeSamples(angle, tooth, fade * occupied, chip_share)
+        samples = EdgeSamples(angle, outward, tooth, fade * occupied, chip_share)
         return Engagement(samples, process.removal.thinned_poses(state))
 
     def wrench(
@@ -150,9 +158,9 @@ class EdgeElementsInSpace(AbstractEngagement):
         Per element, F = -F_t t - F_r n + F_a (t x n): t is the way of the tooth, n the
         outward normal. Altintas, Manufacturing Automation, 2012, general end mill.
         """
-        angle, tooth = samples.angle, samples.tooth
+        e, tooth = samples.outward, samples.tooth
         cutter = process.cutter
-        elements = self.profile.elements(cutter, angle.dtype)
+        elements = self.profile.elements(cutter, pose.tip.dtype)
         chip, per_way = self._chip(process, samples, pose, earlier, thinned)
         feed = safe_norm(earlier.tip[0] - pose.tip)
         # From sample to sample, the chip of an element changes by its share of this.
@@ -161,7 +169,7 @@ class EdgeElementsInSpace(AbstractEngagement):
         n = elements.bottom_count
         if cutter.flute_count % 2 == 0 and not self._keeps_all(cutter):
             frame = Pose.frame(pose.direction())
-            lead = _lead(elements, pose.tip - earlier.tip[0], frame, angle)[..., n:]
+            lead = _lead(elements, pose.tip - earlier.tip[0], frame, e)[..., n:]
             step = 2 * math.pi / self.angles
             before = feed / cutter.diameter
             touch = touch.at[..., n:].multiply(taken_over(lead, step, before))
@@ -190,12 +198,11 @@ class EdgeElementsInSpace(AbstractEngagement):
             for x in (elements.width, elements.sin_kappa, elements.cos_kappa)
         )
         share = samples.occupancy * width
-        sin, cos = jnp.sin(angle), jnp.cos(angle)
         # In tool axes; t = (cos, -sin, 0), n = (sin k sin, sin k cos, -cos k).
         outward = -F_r * sin_kappa + F_a * cos_kappa
         F_x, F_y = (
-            share * (-F_t * cos + outward * sin),
-            share * (F_t * sin + outward * cos),
+            share * (-F_t * e.cos + outward * e.sin),
+            share * (F_t * e.sin + outward * e.cos),
         )
         F_z = share * (F_r * cos_kappa + F_a * sin_kappa)
         lever = elements.height[None, None]
@@ -239,10 +246,11 @@ class EdgeElementsInSpace(AbstractEngagement):
         angle: Float[Array, "substep angle tooth element"],
     ) -> tuple[
         Float[Array, "substep angle kept element"],
+        Outward,
         Int[Array, "substep angle kept element"],
         Float[Array, "substep angle kept element"],
     ]:
-        """Return the angles of the elements that can cut, their teeth and weights.
+        """Return angles and directions of what can cut, its teeth and weights.
 
         Of evenly spaced teeth only half can be on the leading side, where the normal
         points the way that the tool moves, unless it descends.
@@ -251,25 +259,23 @@ class EdgeElementsInSpace(AbstractEngagement):
         count = cutter.flute_count
         teeth = jnp.arange(count, dtype=jnp.int32)[None, None, :, None]
         teeth = jnp.broadcast_to(teeth, angle.shape)
+        outward = Outward.of(angle)
         if self._keeps_all(cutter):
-            return angle, teeth, jnp.ones_like(angle)
-        kept = (count + 1) // 2
+            return angle, outward, teeth, jnp.ones_like(angle)
         motion = predicted.tip - state.recent.tip[0]
         frames = Pose.frame(predicted.direction())
-        lead = jax.vmap(lambda m, f, phi: _lead(elements, m, f, phi))(
-            motion, frames, angle
+        lead = jax.vmap(lambda m, f, e: _lead(elements, m, f, e))(
+            motion, frames, outward
         )
-        order = jnp.argsort(jax.lax.stop_gradient(lead), axis=2, descending=True)
-        angle, lead = (
-            jnp.take_along_axis(x, order[:, :, :kept], 2) for x in (angle, lead)
-        )
+        leading = LeadingTeeth.by_lead(lead)
+        angle, outward, lead = jax.tree.map(leading.of, (angle, outward, lead))
         fade = jnp.ones_like(lead)
         if cutter.flute_count % 2 == 0:
             n = elements.bottom_count
             step = 2 * math.pi / self.angles
             fade = fade.at[..., n:].set(leading_fade(lead[..., n:], step))
             fade = held_at_rest(fade, safe_norm(motion)[:, None, None, None])
-        return angle, order[:, :, :kept].astype(jnp.int32), fade
+        return angle, outward, leading.place, fade
 
     def _chip(
         self,
@@ -280,15 +286,15 @@ class EdgeElementsInSpace(AbstractEngagement):
         thinned: Pose,
     ) -> tuple[Float[Array, "angle kept element"], Float[Array, "angle kept element"]]:
         """Return the unclipped chip [m], and over the way of who left it [-]."""
-        cutter, angle, tooth = process.cutter, samples.angle, samples.tooth
-        elements = self.profile.elements(cutter, angle.dtype)
-        points, normals, _ = _edge(cutter, elements, pose, angle)
+        cutter, tooth = process.cutter, samples.tooth
+        elements = self.profile.elements(cutter, pose.tip.dtype)
+        points, normals, _ = _edge(cutter, elements, pose, samples.outward)
         n = elements.bottom_count
         offsets = cutter.runout_offsets()
         nothing = 2 * cutter.nominal_radius
-        chip = jnp.full_like(angle, nothing)
+        chip = jnp.full_like(samples.outward.sin, nothing)
         per_way = chip / way_of(earlier.tip[0] - pose.tip)
-        descent = jnp.full_like(angle[..., :n], nothing)
+        descent = jnp.full_like(chip[..., :n], nothing)
         covered = jnp.zeros(descent.shape, bool)
         for k in range(1, cutter.flute_count + 1):
             old = _delayed(cutter, pose, earlier, k, tooth)
@@ -326,7 +332,7 @@ def _lead(
     elements: EdgeElements,
     motion: Float[Array, " 3"],
     frame: Float[Array, "3 3"],
-    angle: Float[Array, "angle tooth element"],
+    outward: Outward,
 ) -> Float[Array, "angle tooth element"]:
     """Return the share of the motion along the normals of elements."""
     x, y, z = frame.T @ (motion / jnp.sqrt(jnp.sum(motion**2) + STILL**2))
@@ -334,7 +340,7 @@ def _lead(
         elements.sin_kappa[None, None],
         elements.cos_kappa[None, None],
     )
-    return sin_kappa * (jnp.sin(angle) * x + jnp.cos(angle) * y) - cos_kappa * z
+    return sin_kappa * (outward.sin * x + outward.cos * y) - cos_kappa * z
 
 
 def _walk(
@@ -412,7 +418,7 @@ def _edge(
     cutter: AbstractCutter,
     elements: EdgeElements,
     pose: Pose,
-    angle: Float[Array, "angle kept element"],
+    outward: Outward,
 ) -> tuple[
     Float[Array, "angle kept element 3"],
     Float[Array, "angle kept element 3"],
@@ -424,9 +430,8 @@ def _edge(
     is far smaller than what the stock can resolve.
     """
     frame = Pose.frame(pose.direction())
-    sin, cos = jnp.sin(angle), jnp.cos(angle)
-    zero = jnp.zeros_like(angle)
-    radial = jnp.stack([sin, cos, zero], axis=-1) @ frame.T
+    zero = jnp.zeros_like(outward.sin)
+    radial = jnp.stack([outward.sin, outward.cos, zero], axis=-1) @ frame.T
     axis = frame[:, 2]
     axis = axis[None, None, None]
     radius, height, sin_kappa, cos_kappa = (

@@ -3,21 +3,23 @@
 from collections.abc import Callable
 
 import equinox as eqx
-from jaxtyping import Array, Float, Int
+import jax
+from jaxtyping import Array, Float, Int, PyTree
 
 from ...workpiece import Pose
+from .._chip import Outward
 
 
 class BottomSamples(eqx.Module):
     """Samples of the bottom edges of an upright flat cutter.
 
     Attributes:
-        angle: Immersion angle of the samples [rad], shape (*substep, angle, tooth).
+        outward: Directions of the samples, shape (*substep, angle, tooth).
         tooth: The tooth of each sample, same shape.
         occupancy: 0 to 1, shape (*substep, angle, tooth, annulus).
     """
 
-    angle: Float[Array, "*substep angle tooth"]
+    outward: Outward
     tooth: Int[Array, "*substep angle tooth"]
     occupancy: Float[Array, "*substep angle tooth annulus"]
 
@@ -28,6 +30,7 @@ class EdgeSamples(eqx.Module):
     Attributes:
         angle: Immersion angles [rad], shape (*substep, angle, kept, disc); the axis
             disc has length 1 if all elements share their angles.
+        outward: Directions at these angles, same shape.
         tooth: The tooth of each sample, as `angle`.
         occupancy: Share of the width of an element that has a chip in the stock, 0 to
             1, shape (*substep, angle, kept, element).
@@ -37,10 +40,22 @@ class EdgeSamples(eqx.Module):
     """
 
     angle: Float[Array, "*substep angle kept disc"]
+    outward: Outward
     tooth: Int[Array, "*substep angle kept disc"]
     occupancy: Float[Array, "*substep angle kept element"]
     chip_share: Float[Array, "*substep angle kept element"]
     bottom: BottomSamples | None = None
+
+    @property
+    def follows_poses(self) -> PyTree[bool]:
+        """Return which leaves change with the poses, as the samples' tree."""
+        fixed = jax.tree.map(lambda _: False, self)
+        shares = lambda s: (
+            s.occupancy,
+            s.chip_share,
+            *(() if s.bottom is None else (s.bottom.occupancy,)),
+        )
+        return eqx.tree_at(shares, fixed, replace_fn=lambda _: True)
 
 
 class Engagement(eqx.Module):

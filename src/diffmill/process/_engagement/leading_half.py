@@ -16,8 +16,10 @@ chip, as thick as x + b there, is taken over in the same way, by
 I the integral of H: x + b from two steps on, and as much as the chip from -b on has.
 """
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int, Shaped
 
 from ...numerics import clamp, hat_integral, ramp
 
@@ -25,6 +27,44 @@ from ...numerics import clamp, hat_integral, ramp
 STILL = 1e-8
 # Angle steps over which a sample fades.
 _FADE = 0.5
+
+
+class LeadingTeeth(eqx.Module):
+    """The teeth on the leading side, at every sample.
+
+    Attributes:
+        place: Which they are, shape (substep, angle, kept, disc).
+        count: How many evenly spaced teeth there are.
+    """
+
+    place: Int[Array, "substep angle kept disc"]
+    count: int = eqx.field(static=True)
+
+    @classmethod
+    def by_lead(cls, lead: Float[Array, "substep angle tooth disc"]) -> "LeadingTeeth":
+        """Return the half of the teeth, or one more, that leads the most.
+
+        Of an even number it is one of every two that are opposite: to compare them
+        costs less than to sort all.
+
+        Args:
+            lead: How far each tooth leads, any unit.
+        """
+        frozen, count = jax.lax.stop_gradient(lead), lead.shape[2]
+        if count % 2:
+            order = jnp.argsort(frozen, axis=2, descending=True)
+            return cls(order[:, :, : (count + 1) // 2].astype(jnp.int32), count)
+        half = count // 2
+        one = jnp.arange(half, dtype=jnp.int32)[None, None, :, None]
+        is_one = frozen[:, :, :half] >= frozen[:, :, half:]
+        return cls(jnp.where(is_one, one, one + half), count)
+
+    def of(self, x: Shaped[Array, "substep angle tooth disc"]) -> Shaped[Array, "..."]:
+        """Return what belongs to these teeth, shape (substep, angle, kept, disc)."""
+        if self.count % 2:
+            return jnp.take_along_axis(x, self.place, 2)
+        half = self.count // 2
+        return jnp.where(self.place < half, x[:, :, :half], x[:, :, half:])
 
 
 def leading_fade(

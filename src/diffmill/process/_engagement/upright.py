@@ -9,13 +9,15 @@ import math
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ...cutter import AbstractCutter
 from ...numerics import hold
 from ...workpiece import Discs, Pose, RemovalWindow
 from .._chip import (
-    circle_chip,
+    Outward,
+    chip_along,
     edge_contact,
     held_at_rest,
     layer_share,
@@ -26,7 +28,13 @@ from .._process import AbstractEngagement, Process, Substeps, rotation_angles
 from .._state import ProcessState, Removed
 from .bottom_edge import BottomEdges
 from .edge_samples import EdgeSamples, Engagement
-from .leading_half import STILL, chip_taken_over, leading_fade, taken_over
+from .leading_half import (
+    STILL,
+    LeadingTeeth,
+    chip_taken_over,
+    leading_fade,
+    taken_over,
+)
 
 
 class UprightFlat(AbstractEngagement):
@@ -66,18 +74,18 @@ class UprightFlat(AbstractEngagement):
     ) -> Engagement:
         """Return where the teeth are, and what of their chips is in stock."""
         cutter, tips = process.cutter, predicted.tip
-        angle, place, fade = _leading_angles(process, state, tips, part)
+        angle, outward, place, fade = _leading_angles(process, state, tips, part)
         # Every period begins with another tooth in the same place.
         tooth = jnp.mod(place - (index - 1), cutter.flute_count)
         radius = cutter.diameter / 2
-        sin, cos = jnp.sin(angle) * radius, jnp.cos(angle) * radius
+        sin, cos = outward.sin * radius, outward.cos * radius
         rim = jnp.stack([sin, cos, jnp.zeros_like(angle)], -1)
         points = (tips[:, None, None, None] + rim).reshape(-1, angle.shape[3], 3)
         step = 2 * math.pi / self.angles
         moves = (step * jnp.stack([cos, -sin], -1)).reshape(-1, angle.shape[3], 2)
         newest = state.recent.tip[0] - tips
-        chip = jax.vmap(lambda offset, phi: circle_chip(radius, offset, phi, 0.0))(
-            newest, angle
+        chip = jax.vmap(lambda offset, e: chip_along(radius, offset, e, 0.0))(
+            newest, outward
         )
         chips = -jnp.clip(chip, 0, radius)[..., None] / radius * rim[..., :2]
         chips = chips.reshape(moves.shape)
@@ -93,7 +101,7 @@ class UprightFlat(AbstractEngagement):
         )
         shape = (*angle.shape[:3], self.discs.count)
         occupied, chip_share = (share.reshape(shape) for share in found)
-        samples = EdgeSamples(angle, tooth, fade * occupied, chip_share)
+        samples = EdgeSamples(angle, outward, tooth, fade * occupied, chip_share)
         if self.bottom is not None:
             bottom = self.bottom.engage(process, state, index, predicted, part)
             samples = eqx.tree_at(
@@ -110,14 +118,14 @@ class UprightFlat(AbstractEngagement):
         thinned: Pose,
     ) -> Float[Array, "angle 6"]:
         """Return force and moment on the tool at the angles of one sub-step."""
-        cutter, angle = process.cutter, samples.angle
+        cutter, outward = process.cutter, samples.outward
         tip, old = pose.tip, earlier.tip
-        chip, per_way = _chip(process, tip, old, thinned.tip, angle)
+        chip, per_way = _chip(process, tip, old, thinned.tip, outward)
         feed = safe_norm(old[0] - tip)
         step = 2 * math.pi / self.angles
         touch = held_at_rest(edge_contact(per_way, feed, step), feed)
         if cutter.flute_count % 2 == 0:
-            lead = _lead((tip - old[0])[None, None, None, :2], angle)
+            lead = _lead((tip - old[0])[None, None, None, :2], outward)
             before = feed / cutter.diameter
             touch = touch * held_at_rest(taken_over(lead, step, before), feed)
             chip = chip * held_at_rest(chip_taken_over(lead, step, before), feed)
@@ -136,7 +144,7 @@ class UprightFlat(AbstractEngagement):
         thinned: Pose,
     ) -> Float[Array, "angle kept element"]:
         """Return the unclipped chip thickness of one sub-step [m]."""
-        return _chip(process, pose.tip, earlier.tip, thinned.tip, samples.angle)[0]
+        return _chip(process, pose.tip, earlier.tip, thinned.tip, samples.outward)[0]
 
     def element_heights(
         self, cutter: AbstractCutter, dtype: jnp.dtype
@@ -171,27 +179,25 @@ def wrench_of_discs(
     Returns:
         As `AbstractEngagement.wrench`.
     """
-    cutter, discs, angle = process.cutter, process.engagement.discs, samples.angle
+    cutter, discs, e = process.cutter, process.engagement.discs, samples.outward
     chip, touch = hold((chip, touch))
     h = jnp.clip(chip, 0, cutter.diameter / 2) * samples.chip_share
     teeth = jnp.broadcast_to(samples.tooth, h.shape)
     touch = jnp.broadcast_to(touch, h.shape)
     F_t, F_r, F_a = process.side_law.force_per_width(h, touch, teeth)
-    lower = discs.centers(angle.dtype) - discs.height / 2
+    lower = discs.centers(chip.dtype) - discs.height / 2
     # The shank above the flutes has no edge.
     width = jnp.clip(cutter.flute_length - lower, 0, discs.height)
     share = samples.occupancy * width[None, None]
-    sin, cos = jnp.sin(angle), jnp.cos(angle)
-    parts = hold((share * F_t, share * F_r, share * F_a, sin, cos))
-    F_t, F_r, F_a, sin, cos = parts
-    F_x, F_y = hold((-F_t * cos - F_r * sin, F_t * sin - F_r * cos))
-    lever = discs.centers(angle.dtype)[None, None]
-    along = [
-        jnp.sum(component, axis=(1, 2))
-        for component in (F_x, F_y, F_a, -lever * F_y, lever * F_x)
-    ]
-    along.append(jnp.zeros_like(along[0]))
-    return jnp.stack(hold(along), axis=-1)
+    # Stacked: every array of so few numbers costs a call.
+    F_t, F_r, F_a = hold(share[None] * jnp.stack([F_t, F_r, F_a]))
+    F_x, F_y = -F_t * e.cos - F_r * e.sin, F_t * e.sin - F_r * e.cos
+    force = hold(jnp.sum(jnp.stack([F_x, F_y, F_a]), axis=(2, 3)))
+    # Apart from it: most machines take no moment, and then it is not computed.
+    lever = discs.centers(chip.dtype)[None, None]
+    moment = jnp.sum(jnp.stack([-lever * F_y, lever * F_x]), axis=(2, 3))
+    none = jnp.zeros_like(force[:1])
+    return jnp.concatenate([force, moment, none]).T
 
 
 def _chip(
@@ -199,24 +205,27 @@ def _chip(
     tip: Float[Array, " 3"],
     earlier: Float[Array, "tooth 3"],
     thinned: Float[Array, "circle 3"],
-    angle: Float[Array, "angle kept disc"],
+    outward: Outward,
 ) -> tuple[Float[Array, "angle kept element"], Float[Array, "angle kept element"]]:
     """Return the unclipped chip thickness [m], and over the way of who left it [-]."""
     cutter, discs = process.cutter, process.engagement.discs
     R = cutter.diameter / 2
     lower = discs.centers(tip.dtype) - discs.height / 2
-    newest = earlier[0] - tip
+    # All circles at once: one by one, the few numbers of each cost a call each.
+    offsets = jnp.concatenate([earlier, thinned]) - tip[None]
     # The tooth just before cut every layer that this one cuts with its side.
-    chip = circle_chip(R, newest, angle, 0.0)
-    per_way = chip / way_of(newest)
-    nothing = 2 * cutter.nominal_radius
-    for old in [*earlier[1:], *thinned]:
-        offset = old - tip
-        share = layer_share(offset[2], lower, discs.height)[None, None]
-        left = circle_chip(R, offset, angle, nothing)
+    is_older = np.arange(len(offsets)) > 0
+    if_missed = jnp.where(
+        is_older, jnp.asarray(2 * cutter.nominal_radius, tip.dtype), 0
+    )
+    left = jax.vmap(chip_along, (None, 0, None, 0))(R, offsets, outward, if_missed)
+    shares = jax.vmap(layer_share, (0, None, None))(offsets[:, 2], lower, discs.height)
+    left, shares, per = hold((left, shares[:, None, None], 1 / way_of(offsets)))
+    chip, per_way = left[0], left[0] * per[0]
+    for k in range(1, len(offsets)):
         # The mean over the disc: what lies below an older pose it did not thin.
-        chip = chip - share * jnp.maximum(chip - left, 0)
-        per_way = per_way - share * jnp.maximum(per_way - left / way_of(offset), 0)
+        chip = chip - shares[k] * jnp.maximum(chip - left[k], 0)
+        per_way = per_way - shares[k] * jnp.maximum(per_way - left[k] * per[k], 0)
     return chip, per_way
 
 
@@ -255,29 +264,31 @@ def _leading_angles(
     part: Substeps | None,
 ) -> tuple[
     Float[Array, "substep angle kept disc"],
+    Outward,
     Int[Array, "substep angle kept disc"],
     Float[Array, "substep angle kept disc"],
 ]:
-    """Return the angles of the teeth on the leading side, their places and weights."""
+    """Return angles and directions of the leading teeth, their places and weights."""
     cutter = process.cutter
     angle = immersion_angles(process, predicted.dtype, part)
-    kept = (cutter.flute_count + 1) // 2
-    if kept == cutter.flute_count:
-        return angle, jnp.zeros(angle.shape, jnp.int32), jnp.ones_like(angle)
+    outward = Outward.of(angle)
+    if cutter.flute_count == 1:
+        place = jnp.zeros(angle.shape, jnp.int32)
+        return angle, outward, place, jnp.ones_like(angle)
     motion = (predicted - state.recent.tip[0])[:, None, None, None, :2]
-    lead = _lead(motion, angle)
-    order = jnp.argsort(jax.lax.stop_gradient(lead), axis=2, descending=True)
-    angle, lead = (jnp.take_along_axis(x, order[:, :, :kept], 2) for x in (angle, lead))
+    lead = _lead(motion, outward)
+    teeth = LeadingTeeth.by_lead(lead)
+    angle, outward, lead = jax.tree.map(teeth.of, (angle, outward, lead))
     fade = jnp.ones_like(lead)
     if cutter.flute_count % 2 == 0:
         fade = leading_fade(lead, 2 * math.pi / process.engagement.angles)
         fade = held_at_rest(fade, safe_norm(motion))
-    return angle, order[:, :, :kept].astype(jnp.int32), fade
+    return angle, outward, teeth.place, fade
 
 
 def _lead(
-    motion: Float[Array, "*#sample 2"], angle: Float[Array, "*sample"]
+    motion: Float[Array, "*#sample 2"], outward: Outward
 ) -> Float[Array, "*sample"]:
     """Return the sine of the angle by which a tooth has entered the leading half."""
     motion = motion / jnp.sqrt(jnp.sum(motion**2, -1, keepdims=True) + STILL**2)
-    return jnp.sin(angle) * motion[..., 0] + jnp.cos(angle) * motion[..., 1]
+    return outward.sin * motion[..., 0] + outward.cos * motion[..., 1]

@@ -11,6 +11,7 @@ and so are the jumps of a cloud of points from ray to ray.
 A pose is a row of 3 numbers, the tip, or of 6 where the tool tilts: tip and axis.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -21,6 +22,7 @@ from jax.flatten_util import ravel_pytree
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int, PyTree
 
+from ...numerics import hold
 from ...process import (
     EdgeSamples,
     Engagement,
@@ -127,7 +129,7 @@ class PeriodForce(eqx.Module):
     """What the slopes of a period's loads follow from.
 
     Attributes:
-        samples: The numbers of its edges that have a slope.
+        samples: The numbers of its edges that follow the poses.
         known: The rest of its edges.
         push: The samples' change with the poses that are looked up, with those of the
             period before, and with the tip at the start.
@@ -167,7 +169,7 @@ def look_with_slopes(
         )
         near = eqx.tree_at(lambda s: (s.recent, s.last_tip), state, (recent, start))
         cut = engagement.engage(process, near, index, as_poses(ahead))
-        samples, known = eqx.partition(cut.samples, eqx.is_inexact_array)
+        samples, known = eqx.partition(cut.samples, cut.samples.follows_poses)
         return samples, (known, cut.thinned)
 
     # Kept is what was read of the stock; the rest is computed again.
@@ -190,7 +192,7 @@ def period_force(
         middles: Poses in the middle of the sub-steps, shape (substep, 3).
     """
     assert found.push is not None
-    samples, known = eqx.partition(found.samples, eqx.is_inexact_array)
+    samples, known = eqx.partition(found.samples, found.samples.follows_poses)
     circles = process.removal.thinned_rows(state)
     thinned = as_rows(state.track.poses[circles * process.engagement.substeps])
     recent = as_rows(state.recent)
@@ -226,24 +228,26 @@ def force_slopes(
     by_either = jax.vmap(around.push)(ahead, newest, start)
 
     def load(
+        known: EdgeSamples,
         middle: Array,
         earlier: Array,
         old: Array,
         edges: EdgeSamples,
         parameters: Array,
-        known: EdgeSamples,
     ) -> Array:
         machine, process = model.scaled(parameters)
         poses = as_poses(middle), as_poses(earlier), as_poses(old)
         found = process.engagement.wrench(process, eqx.combine(edges, known), *poses)
         return jnp.mean(found, axis=0)[: machine.load_count]
 
+    def load_slopes(known: EdgeSamples, *inputs: Any) -> tuple[Any, ...]:
+        found, pull = jax.vjp(functools.partial(load, known), *inputs)
+        # What all loads are pulled back through is not computed again for each.
+        return jax.vmap(hold(pull))(jnp.eye(len(found), dtype=found.dtype))
+
     earlier = jnp.moveaxis(around.recent, 0, 1)
-    slopes = jax.vmap(
-        jax.jacrev(load, argnums=(0, 1, 2, 3, 4)), (0, 0, None, 0, None, 0)
-    )
-    found = slopes(
-        around.middles, earlier, around.thinned, around.samples, at, around.known
+    found = jax.vmap(load_slopes, (0, 0, 0, None, 0, None))(
+        around.known, around.middles, earlier, around.thinned, around.samples, at
     )
     now, before, thinned, by_edges, by_parameters = found
 

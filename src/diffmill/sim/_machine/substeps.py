@@ -336,19 +336,21 @@ def _run_substeps(
     tool, span = _tool_of(coupled.process), coupled.span
 
     def substep(
-        state: PyTree, x: tuple[Array, Array, Pose, EdgeSamples]
-    ) -> tuple[PyTree, LoadedSubsteps]:
-        time, looked, earlier, samples = x
+        state: PyTree, x: tuple[Array, Pose, EdgeSamples]
+    ) -> tuple[PyTree, tuple[Array, PyTree, Array]]:
+        time, earlier, samples = x
         tip = span.middle(state, time)
         pose = Pose(tip, span.pose.axis)
         F = mean_load(tool, samples, pose, earlier, look.found.thinned)
         end = span.step(state, time, F)
-        return end, LoadedSubsteps(looked, tip, span.tip(end), F)
+        return end, (tip, end, F)
 
     earlier = jax.tree.map(lambda x: jnp.moveaxis(x, 0, 1), recent)
     # What the forces come from is computed again rather than kept.
-    xs = (times, look.predicted.tip, earlier, look.found.samples)
-    return jax.lax.scan(jax.checkpoint(substep), start, xs)
+    xs = times, earlier, look.found.samples
+    end, (tips, states, loads) = jax.lax.scan(jax.checkpoint(substep), start, xs)
+    ends = jax.vmap(span.tip)(states)
+    return end, LoadedSubsteps(look.predicted.tip, tips, ends, loads)
 
 
 def _tool_of(process: Process) -> Process:

@@ -296,8 +296,8 @@ def _combine(
     columns: _Columns,
     walls: tuple[_Walls, ...],
 ) -> tuple[Float[Array, "element point"], Float[Array, "element point"]]:
-    touched, filled_chip, certainty = _wall_occupancy(
-        spacing, discs.band, origin, rim, walls
+    touched, filled_chip, certainty = hold(
+        _wall_occupancy(spacing, discs.band, origin, rim, walls)
     )
     above_tip = columns.ends - rim.place[2][None, None, None]
     below = discs.filled_below(above_tip)
@@ -317,7 +317,8 @@ def _combine(
     ledge = _sum(weighted * gap) / (_sum(weights * gap) + _BLIND)
     ground = certainty * ledge
     rise = certainty * (solid - ledge) + (1 - certainty) * mean
-    touching = ground + rise * touched
+    ground, rise = hold((ground, rise))
+    touching = hold(ground + rise * touched)
     return touching, (ground + rise * filled_chip) / (touching + _BLIND)
 
 
