@@ -45,9 +45,9 @@ from .period_slopes import (
 
 # Periods of which the slopes of the forces are computed at a time: alone, a period is
 # so small that what it costs is calls, and memory grows with the periods.
-_BATCH = 8
+_BATCH = 4
 # Batches that are left out together behind the rows that count.
-_TOGETHER = 8
+_TOGETHER = 16
 
 
 class RunChange(eqx.Module):
