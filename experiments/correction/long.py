@@ -20,7 +20,7 @@ from typing import Any
 ROWS = (10_000, 20_000, 40_000)
 HORIZON, OVERLAP = 2000, 256
 # Steps of the optimiser in a segment.
-STEPS = 3
+STEPS = 2
 # Runs of the machine that the correction may take.
 RUNS = 30
 # Sizes of the block and of the cut [mm].
