@@ -4,7 +4,7 @@ Each length runs in a process of its own, so that its peak of memory is its own.
 path goes to and fro over a block, layer after layer.
 
 python experiments/correction/long.py [--rows 10000 20000 40000] [--arm slides]
-    [--steps 3] [--out FOLDER]
+    [--steps 2] [--out FOLDER]
 """
 
 import argparse

@@ -332,7 +332,8 @@ def test_reverse_mode_is_the_transpose_of_forward_mode_for_a_helix():
     mill = ct.flat_end_mill(5e-3, 2, helix_angle=math.radians(30), flute_length=20e-3)
     stock = wp.box([0, 0, -4e-3], [12e-3, 9e-3, 0], 0.3e-3)
     plan = pr.choose_engagement(stock, mill, axial_depth=1.3e-3, substeps=2, angles=48)
-    path = jnp.asarray(straight(4.5e-3, feed=0.2e-3, steps=12) + [[9e-3, 0, 0]])
+    path = jnp.asarray(straight(4.5e-3, feed=0.2e-3, steps=12))
+    path = path.at[:, 0].add(9e-3)
     rng = np.random.default_rng(4)
     weights, direction = jnp.asarray(rng.normal(size=(2, *path.shape)))
 

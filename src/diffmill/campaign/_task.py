@@ -13,14 +13,13 @@ from .._jax_config import configure_jax
 from .._toml import JobError
 from ..config import Campaign, job_precision, load_job
 
-# What is kept of a job, as JSON: "status", "message", "seconds", "figures" by case.
-
 
 class JobRecord(TypedDict):
     """What is kept of a job, as JSON.
 
-    `status` is "done", "failed", "refused" or "lost" and `message` why; `figures` are
-    in SI, of each case by name; `seconds` is the time of the run.
+    `status` is "done", "failed", "refused" or "lost", in a dataset also "missing", and
+    `message` why; `figures` are in SI, of each case by name; `seconds` is the time of
+    the run.
     """
 
     status: str

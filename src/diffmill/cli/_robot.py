@@ -4,27 +4,20 @@ import json
 import pathlib
 import warnings
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .._jax_config import configure_jax
 from .._results_folder import ResultsFolder
 from .._toml import parse_toml
-from ._robot_facts import RobotFacts, robot_facts
+from ._robot_facts import JointPositions, RobotFacts, robot_facts
 from ._robot_text import robot_lines
 from ._session.errors import bad_input
 from ._session.progress import Progress
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
-
     from ..robot import Robot
-
-    # jaxtyping checks what it can see; at run time nothing of the kind is imported.
-    JointPositions = Float[np.ndarray, " joint"]
-else:
-    JointPositions = Any
 
 
 def run_robot(

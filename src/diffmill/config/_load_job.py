@@ -304,15 +304,24 @@ def _follow(tables: JobTables, parts: _Parts, context: FileContext) -> _Parts:
 
 def _check_machine(tables: JobTables, problems: list[str]) -> None:
     """Note settings that a machine of modes does not know."""
-    for table, key, value, why in (
-        ("simulation", "mode", "quasistatic", "a mode has a mass"),
-        ("correction", "command", "joint", "a machine of modes has no joints"),
-        ("correction", "method", "inverse_drive", "it is known of a robot alone"),
-    ):
-        if getattr(getattr(tables, table), key, None) == value:
-            problems.append(
-                f'[{table}] {key}: found "{value}" beside [machine], but {why}'
-            )
+    simulation, correction = tables.simulation, tables.correction
+    if simulation is not None and simulation.mode == "quasistatic":
+        problems.append(
+            '[simulation] mode: found "quasistatic" beside [machine], but a mode has a '
+            "mass"
+        )
+    if correction is None:
+        return
+    if correction.command == "joint":
+        problems.append(
+            '[correction] command: found "joint" beside [machine], but a machine of '
+            "modes has no joints"
+        )
+    if correction.method == "inverse_drive":
+        problems.append(
+            '[correction] method: found "inverse_drive" beside [machine], but it is '
+            "known of a robot alone"
+        )
 
 
 def _timed(tables: JobTables, parts: _Parts, problems: list[str]) -> _Parts:

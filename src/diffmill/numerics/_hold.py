@@ -26,5 +26,6 @@ def hold(values: _T) -> _T:
     """
     if jax.default_backend() != "cpu":
         return jax.lax.optimization_barrier(values)
+    leaves, tree = jax.tree.flatten(values)
     with set_xla_metadata(inlineable="false"):
-        return _identity(values)
+        return jax.tree.unflatten(tree, _identity(leaves))

@@ -96,7 +96,8 @@ class AbstractEngagement(eqx.Module):
                 then theirs.
 
         Returns:
-            The engagement.
+            The engagement; of its samples only occupancies and shares of the chip may
+            change with the poses, see `EdgeSamples.follows_poses`.
         """
 
     @abc.abstractmethod

@@ -470,13 +470,13 @@ def read_identification_tables(
             )
     given = {name: raw[name] for name in names if name in raw}
 
-    def table(name: str, kind: type[_Toml]) -> _Toml | None:
+    def table(name: str, cls: type[_Toml]) -> _Toml | None:
         if name not in given:
             return None
-        return validated(kind, given[name], f"[{name}]", problems)
+        return validated(cls, given[name], f"[{name}]", problems)
 
-    def entries(name: str, kind: type[_Toml]) -> list[_Toml] | None:
-        return _entries(name, kind, given[name], problems) if name in given else None
+    def entries(name: str, cls: type[_Toml]) -> list[_Toml] | None:
+        return _entries(name, cls, given[name], problems) if name in given else None
 
     return IdentificationTables(
         kind=kind,

@@ -390,7 +390,10 @@ OPTIONAL_TABLES = frozenset(
 
 @dataclasses.dataclass(frozen=True)
 class JobTables:
-    """The checked tables of a job; None for one with a fault, or that a job has not.
+    """The checked tables of a job.
+
+    None stands for a table with a fault, and for a required one that is missing; one
+    that may be left out holds its defaults.
 
     Attributes:
         cutter: `[cutter]`.
@@ -400,7 +403,7 @@ class JobTables:
         program: `[program]`.
         robot: `[robot]`; None beside a machine of modes.
         machine: `[machine]`; None beside a robot.
-        controller: `[controller]`; None also for an ideal one.
+        controller: `[controller]`.
         simulation: `[simulation]`.
         correction: `[correction]`.
         output: `[output]`.
@@ -426,8 +429,6 @@ def read_tables(raw: Mapping[str, object], problems: list[str]) -> JobTables:
         raw: The parsed TOML.
         problems: Receives a line for everything that is wrong.
 
-    Returns:
-        The tables; optional ones that are absent hold their defaults.
     """
     if "machine" in raw and "robot" in raw:
         problems.append(

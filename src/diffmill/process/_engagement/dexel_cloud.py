@@ -34,7 +34,6 @@ from ...workpiece import (
     TakenPieces,
 )
 from .._chip import (
-    Outward,
     chip_along,
     edge_contact,
     held_at_rest,
@@ -178,9 +177,7 @@ class DexelCloud(AbstractEngagement):
         tooth = jnp.mod(tooth, teeth)[None, None, :, None]
         tooth = jnp.broadcast_to(tooth, angle.shape)
         # The cloud judges at the rim alone.
-        samples = EdgeSamples(
-            angle, Outward.of(angle), tooth, weight, jnp.ones_like(weight)
-        )
+        samples = EdgeSamples.at(angle, tooth, weight, jnp.ones_like(weight))
         return Engagement(samples, Pose(start).repeated(0))
 
     def chip_arcs(

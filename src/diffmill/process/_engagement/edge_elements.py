@@ -199,10 +199,10 @@ class EdgeElementsInSpace(AbstractEngagement):
         )
         share = samples.occupancy * width
         # In tool axes; t = (cos, -sin, 0), n = (sin k sin, sin k cos, -cos k).
-        outward = -F_r * sin_kappa + F_a * cos_kappa
+        F_out = -F_r * sin_kappa + F_a * cos_kappa
         F_x, F_y = (
-            share * (-F_t * e.cos + outward * e.sin),
-            share * (F_t * e.sin + outward * e.cos),
+            share * (-F_t * e.cos + F_out * e.sin),
+            share * (F_t * e.sin + F_out * e.cos),
         )
         F_z = share * (F_r * cos_kappa + F_a * sin_kappa)
         lever = elements.height[None, None]

@@ -46,9 +46,20 @@ class EdgeSamples(eqx.Module):
     chip_share: Float[Array, "*substep angle kept element"]
     bottom: BottomSamples | None = None
 
+    @classmethod
+    def at(
+        cls,
+        angle: Float[Array, "*substep angle kept disc"],
+        tooth: Int[Array, "*substep angle kept disc"],
+        occupancy: Float[Array, "*substep angle kept element"],
+        chip_share: Float[Array, "*substep angle kept element"],
+    ) -> "EdgeSamples":
+        """Return samples at some angles; arguments as the attributes."""
+        return cls(angle, Outward.of(angle), tooth, occupancy, chip_share)
+
     @property
     def follows_poses(self) -> PyTree[bool]:
-        """Return which leaves change with the poses, as the samples' tree."""
+        """Return which leaves change with the poses: no angle does, nor a tooth."""
         fixed = jax.tree.map(lambda _: False, self)
         shares = lambda s: (
             s.occupancy,

@@ -38,14 +38,16 @@ class ElementReader:
         return default
 
     def text(
-        self, key: str, default: str | None = None, *, allowed: str = "a string"
+        self,
+        key: str,
+        default: str | None = None,
+        *,
+        allowed: str = "a string",
+        may_be_empty: bool = True,
     ) -> str:
-        """Return a text, required without a default; an empty one after a fault.
-
-        Only where "a string" is allowed may it be empty.
-        """
+        """Return a text, required without a default; an empty one after a fault."""
         raw = self.take(key, default, required=default is None)
-        is_good = isinstance(raw, str) and (raw != "" or allowed == "a string")
+        is_good = isinstance(raw, str) and (raw != "" or may_be_empty)
         if key in self.table and not is_good:
             self.fault(key, allowed, raw)
         return raw if isinstance(raw, str) else ""

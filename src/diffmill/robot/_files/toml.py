@@ -154,7 +154,7 @@ def _read_coupling(
     inner = reader.inner("coupled", "a table of joint and ratio")
     if inner is None:
         return []
-    other = inner.text("joint", allowed="the name of a joint")
+    other = inner.text("joint", allowed="the name of a joint", may_be_empty=False)
     ratio = [inner.take("ratio", 1.0)]
     if not are_numbers(ratio):
         inner.fault("ratio", "a number", ratio[0])
@@ -168,7 +168,7 @@ def _read_coupling(
 def _read_joint(reader: ElementReader) -> Callable[[], list[AbstractElement]]:
     kind = str(reader.table["kind"])
     position = JOINT_QUANTITIES[kind]["position"]
-    name = reader.text("name", allowed="a non-empty string")
+    name = reader.text("name", allowed="a non-empty string", may_be_empty=False)
     axis, raw = (0.0, 0.0, 1.0), reader.take("axis", (0.0, 0.0, 1.0))
     if is_list(raw) and len(raw) == 3 and are_numbers(raw) and any(raw):
         axis = tuple(map(float, raw))
@@ -301,7 +301,7 @@ def _read_fork(reader: ElementReader) -> Callable[[], AbstractElement]:
 
 
 def _read_tool(reader: ElementReader) -> Callable[[], AbstractElement]:
-    name = reader.text("name", "tool", allowed="a non-empty string")
+    name = reader.text("name", "tool", allowed="a non-empty string", may_be_empty=False)
     position = reader.quantities("position", units.LENGTH, (3,), (0.0, 0.0, 0.0))
     rpy = reader.quantities("rpy", units.ANGLE, (3,), (0.0, 0.0, 0.0))
     return lambda: Tool(name, tuple(position or ()), rpy_matrix(*(rpy or ())))

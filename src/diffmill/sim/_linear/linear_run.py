@@ -44,7 +44,7 @@ from .period_slopes import (
 )
 
 # Periods of which the slopes of the forces are computed at a time: alone, a period is
-# so small that what it costs is calls, and memory grows with the periods.
+# so small that what it costs is calls, and more of them leave the cache.
 _BATCH = 4
 # Batches that are left out together behind the rows that count.
 _TOGETHER = 16
