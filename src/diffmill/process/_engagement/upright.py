@@ -220,12 +220,12 @@ def _chip(
     )
     left = jax.vmap(chip_along, (None, 0, None, 0))(R, offsets, outward, if_missed)
     shares = jax.vmap(layer_share, (0, None, None))(offsets[:, 2], lower, discs.height)
-    left, shares, per = hold((left, shares[:, None, None], 1 / way_of(offsets)))
-    chip, per_way = left[0], left[0] * per[0]
+    left, shares, inverse = hold((left, shares[:, None, None], 1 / way_of(offsets)))
+    chip, per_way = left[0], left[0] * inverse[0]
     for k in range(1, len(offsets)):
         # The mean over the disc: what lies below an older pose it did not thin.
         chip = chip - shares[k] * jnp.maximum(chip - left[k], 0)
-        per_way = per_way - shares[k] * jnp.maximum(per_way - left[k] * per[k], 0)
+        per_way = per_way - shares[k] * jnp.maximum(per_way - left[k] * inverse[k], 0)
     return chip, per_way
 
 
