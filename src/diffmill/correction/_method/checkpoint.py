@@ -25,7 +25,8 @@ Arrays: TypeAlias = Mapping[str, Shaped[np.ndarray, "..."]]
 OnCheckpoint: TypeAlias = Callable[[Arrays], None]
 _FIELDS = tuple(field.name for field in dataclasses.fields(LeastSquaresStep))
 _WHOLE = ("evaluations", "models")
-_VALUE = tuple(field.name for field in dataclasses.fields(FitValue))
+# What can be run again is not kept.
+_VALUE = ("errors", "rough", "outputs")
 
 
 def under(prefix: str, arrays: Arrays) -> dict[str, np.ndarray]:
@@ -86,9 +87,7 @@ def _pack_fit(state: LeastSquaresState) -> dict[str, np.ndarray]:
     """Return the state of a fit as arrays."""
     return {
         "x": state.x,
-        "errors": state.value.errors,
-        "rough": state.value.rough,
-        "outputs": state.value.outputs,
+        **{name: getattr(state.value, name) for name in _VALUE},
         "damping": np.asarray(state.damping),
         "has_converged": np.asarray(state.has_converged),
         "counts": np.array([state.steps, state.evaluations, state.models], np.int64),
@@ -99,9 +98,10 @@ def _pack_fit(state: LeastSquaresState) -> dict[str, np.ndarray]:
 def _unpack_fit(arrays: Arrays) -> LeastSquaresState:
     """Return the state of a fit from its arrays."""
     steps, evaluations, models = (int(count) for count in arrays["counts"])
+    errors, rough, outputs = (np.asarray(arrays[name]) for name in _VALUE)
     return LeastSquaresState(
         x=np.asarray(arrays["x"]),
-        value=FitValue(*(np.asarray(arrays[k]) for k in _VALUE)),
+        value=FitValue(errors, rough, outputs),
         damping=float(arrays["damping"]),
         steps=steps,
         evaluations=evaluations,

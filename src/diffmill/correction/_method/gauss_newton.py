@@ -119,7 +119,8 @@ class GaussNewton(AbstractMethod):
         is_settled = found.has_converged and fit.is_within(found.value)
         return corrected(
             problem,
-            jnp.asarray(nominal) + spline.offsets(x),
+            fit.command(found.x),
+            motion=found.value.motion if self.ensemble is None else None,
             forward_runs=found.evaluations * len(plants),
             linearisations=found.models * len(plants),
             history=found.history,

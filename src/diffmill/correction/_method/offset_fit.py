@@ -132,11 +132,15 @@ class FitValue(eqx.Module):
         errors: Of every member, shape (member, error).
         rough: Roughness, shape (rough,).
         outputs: Outputs that have bounds, of every member, shape (member, output).
+        motion: What the only member does there, if it was run; None of several.
+        linear: The linear system around the point, if it is known already.
     """
 
     errors: Float[np.ndarray, "member error"]
     rough: Float[np.ndarray, " rough"]
     outputs: Float[np.ndarray, "member output"]
+    motion: Motion | None = None
+    linear: LinearMotion | None = None
 
     def square(self, weights: Float[np.ndarray, " member"]) -> float:
         """Return the weighted mean square of the errors, and the roughness."""
@@ -165,23 +169,49 @@ class OffsetFit(AbstractProblem):
         nominal = np.asarray(self.args.problem.nominal)
         return jnp.asarray(x.reshape(-1, nominal.shape[1]), nominal.dtype)
 
+    def command(self, x: Unknowns) -> Float[Array, "step axis"]:
+        """Return the whole command of the unknowns, shape (step, axis)."""
+        return _host_command(self.coefficients(x), self.args)
+
     def is_within(self, value: FitValue) -> bool:
         """Tell whether all outputs are within their bounds."""
         return self.constraints.is_within(value.outputs.reshape(-1))
 
+    def begin(self, x: Unknowns) -> FitValue | None:
+        """Return the residual where a search begins; None where it is not finite.
+
+        The linear system that its first step needs anyway has the motion too, so that
+        none is run for it. Of several members only one system is held at a time.
+        """
+        if len(self.plants) > 1:
+            return self.evaluate(x)
+        linear = linear_motion(self.plants[0], self.command(x))
+        return self._value(x, [linear.motion], linear=linear)
+
     def evaluate(self, x: Unknowns) -> FitValue | None:
         """Return the residual at a point; None where it is not finite."""
+        command = self.command(x)
+        motions = [motion_of(plant, command) for plant in self.plants]
+        return self._value(x, motions, motion=motions[0] if len(motions) == 1 else None)
+
+    def _value(
+        self,
+        x: Unknowns,
+        motions: Sequence[Motion],
+        *,
+        motion: Motion | None = None,
+        linear: LinearMotion | None = None,
+    ) -> FitValue | None:
+        """Return the residual of the members' motions; None if it is not finite."""
         at = self.coefficients(x)
-        command = _host_command(at, self.args)
-        found = [
-            _host_errors(motion_of(plant, command), at, self.args)
-            for plant in self.plants
-        ]
+        found = [_host_errors(one, at, self.args) for one in motions]
         stack = lambda rows: np.stack([np.asarray(row, np.float64) for row in rows])
         value = FitValue(
             stack([one.error for one in found]),
             np.asarray(found[0].rough, np.float64),
             stack([one.output for one in found]),
+            motion,
+            linear,
         )
         square = value.square(self.weights) + np.sum(value.outputs**2)
         return value if np.isfinite(square) else None
@@ -193,7 +223,10 @@ class OffsetFit(AbstractProblem):
         for plant, weight, error in zip(
             self.plants, self.weights, value.errors, strict=True
         ):
-            by_error, rough, by_output = self._jacobian(plant, x)
+            linear = value.linear
+            if linear is None:
+                linear = linear_motion(plant, self.command(x))
+            by_error, rough, by_output = self._jacobian(linear, x)
             gradient += weight * (by_error.T @ error)
             curvature += weight * (by_error.T @ by_error)
             slopes.append(by_output)
@@ -211,11 +244,10 @@ class OffsetFit(AbstractProblem):
         return QuadraticModel(cost, gradient, curvature, tuple(rows))
 
     def _jacobian(
-        self, plant: Plant, x: Unknowns
+        self, linear: LinearMotion, x: Unknowns
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the slopes of errors, roughness and outputs of one member."""
         at = self.coefficients(x)
-        linear = linear_motion(plant, _host_command(at, self.args))
         blocks = [
             _columns(linear, at, self.args, jnp.asarray(block))
             for block in _blocks(x.size)
@@ -297,10 +329,11 @@ def fit_offsets(
     """
     if state is None:
         x = np.clip(np.asarray(start, np.float64).reshape(-1), lower, upper)
-        value = fit.evaluate(x)
+        value = fit.begin(x)
         if value is None:
             return None
-        state = LeastSquaresState(x, value, solver.damping)
+        runs = 1 if value.linear is None else 0
+        state = LeastSquaresState(x, value, solver.damping, evaluations=runs)
     is_stopped = False
 
     def tell(found: LeastSquaresState) -> bool:
@@ -320,8 +353,10 @@ def fit_offsets(
         )
         if is_stopped or not fit.is_within(state.value):
             return state
+    # Not held here, or the first linear system would stay beside those that follow.
+    x, begun, state = state.x, [state], None
     return least_squares(
-        fit, state.x, solver, lower=lower, upper=upper, state=state, callback=callback
+        fit, x, solver, lower=lower, upper=upper, state=begun.pop(), callback=callback
     )
 
 
