@@ -143,3 +143,31 @@ def scan_rows(
     is_run = is_live[jnp.maximum(at[:, 0] - behind, 0)]
     carry, found = jax.lax.scan(part, carry, _Part(split, live, is_run))
     return carry, jax.tree.map(lambda x: jax.lax.collapse(x, 0, 2)[:count], found)
+
+
+def map_rows(
+    compute: Callable[[_Row], _Tree], rows: _Row, is_live: Bool[Array, " row"] | None
+) -> _Tree:
+    """Return what `jax.vmap` does, without many rows that do not count.
+
+    Args:
+        compute: What is computed of a row.
+        rows: The rows, a tree with an axis row.
+        is_live: Which of them count, the first ones, shape (row,); None for all.
+
+    Returns:
+        The outputs of all rows; zeros where none of some rows counts.
+    """
+    if is_live is None:
+        return jax.vmap(compute)(rows)
+    count = is_live.shape[0]
+    parts = -(-count // _TOGETHER)
+    index = jnp.arange(parts * _TOGETHER).reshape(parts, _TOGETHER)
+    split = jax.tree.map(lambda x: x[jnp.minimum(index, count - 1)], rows)
+    is_run = is_live[index[:, 0]]
+
+    def part(part: tuple[_Row, Bool[Array, ""]]) -> _Tree:
+        return when_live(part[1], lambda: jax.vmap(compute)(part[0]))
+
+    found = jax.lax.map(part, (split, is_run))
+    return jax.tree.map(lambda x: jax.lax.collapse(x, 0, 2)[:count], found)

@@ -8,7 +8,6 @@ price of one forward kinematics. Virtual joints stay at 0.
 import dataclasses
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -16,7 +15,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._arrays import first_rows, is_traced, on_device
-from ..._live_rows import live_rows, pad_rows, padded_count, scan_rows
+from ..._live_rows import live_rows, map_rows, pad_rows, padded_count, scan_rows
 from ..._types import Transform
 from ...numerics import CompiledOnce, small_inverse
 from .._model.robot import JointVector, Robot, joint_vector
@@ -39,6 +38,9 @@ _ATTEMPTS = 32
 _LONGEST_STEP = 0.3
 # Squared error below which the linear picture holds [m^2 + rad^2].
 _NEAR = 1e-6
+# Squared error at which the Jacobian is that of the pose but for rounding, and beyond
+# which single precision does not come.
+_CLOSE = 1e-20
 # Newton steps to the middle of the ranges [rad or m]: longer ones along a path lead
 # away from a middle that has ceased to be one.
 _TRUSTED = 0.1
@@ -169,10 +171,12 @@ def _solve_path(
     row_count: Int[Array, ""] | None,
 ) -> JointSolution:
     def follow(q, T, _):
+        if not has_choice(robot, tool_rotation):
+            q = _approach(robot, T, q, tool_rotation)
+            return q, q
         q = _search(robot, T, q, _PATH_STEPS, tool_rotation)
-        if has_choice(robot, tool_rotation):
-            # Where the middle that was followed ends, the arm slides to the next one.
-            q = _search(robot, T, q, _PATH_STEPS, tool_rotation, chooses=False)
+        # Where the middle that was followed ends, the arm slides to the next one.
+        q = _search(robot, T, q, _PATH_STEPS, tool_rotation, chooses=False)
         return q, q
 
     start = _rest_virtual(robot, q_start)
@@ -180,8 +184,10 @@ def _solve_path(
     index = jnp.arange(Ts.shape[0], dtype=jnp.int32)
     is_live = live_rows(index, row_count)
     _, qs = scan_rows(follow, first, lax.stop_gradient(Ts), is_live)
-    found = jax.vmap(lambda T, q: _finish(robot, T, q, tool_rotation))(Ts, qs)
-    return dataclasses.replace(found, midway_error=_midway_error(robot, Ts, found.q))
+    finish = lambda row: _finish(robot, *row, tool_rotation)
+    found = map_rows(finish, (Ts, qs), is_live)
+    error = _midway_error(robot, Ts, found.q, is_live)
+    return dataclasses.replace(found, midway_error=error)
 
 
 def _rest_virtual(robot: Robot, q: Float[Array, " joint"]) -> Float[Array, " joint"]:
@@ -189,12 +195,16 @@ def _rest_virtual(robot: Robot, q: Float[Array, " joint"]) -> Float[Array, " joi
 
 
 def _midway_error(
-    robot: Robot, Ts: Float[Array, "step 4 4"], qs: Float[Array, "step joint"]
+    robot: Robot,
+    Ts: Float[Array, "step 4 4"],
+    qs: Float[Array, "step joint"],
+    is_live: Bool[Array, " step"] | None,
 ) -> Float[Array, " step"]:
     """Return how far joints half way are from the middle of two poses."""
     robot, Ts, qs = lax.stop_gradient((robot, Ts, qs))
     tip = lambda q: joint_frames(robot, q).tool_position
-    tips = jax.vmap(tip)((qs[1:] + qs[:-1]) / 2)
+    ends = None if is_live is None else is_live[1:]
+    tips = map_rows(tip, (qs[1:] + qs[:-1]) / 2, ends)
     away = tips - (Ts[1:, :3, 3] + Ts[:-1, :3, 3]) / 2
     return jnp.concatenate([jnp.zeros(1, qs.dtype), jnp.linalg.norm(away, axis=1)])
 
@@ -227,13 +237,45 @@ def _search(
         return damped_step(task.jacobian, task.error, 1e-2 * size)
 
     def step(q, _):
-        dq = take(q)
-        longest = jnp.max(jnp.abs(dq))
-        q = q + dq * jnp.minimum(1.0, _LONGEST_STEP / (longest + 1e-12))
+        q = _moved(q, take(q))
         return q if limits is None else jnp.clip(q, *limits), None
 
     q, _ = lax.scan(step, q, length=steps)
     return q
+
+
+def _approach(
+    robot: Robot,
+    T: Float[Array, "4 4"],
+    q: Float[Array, " joint"],
+    tool_rotation: ToolRotation,
+) -> Float[Array, " joint"]:
+    """Return joints whose pose is the wanted one as far as derivatives can tell.
+
+    As `_search` does along a path where the pose leaves no choice, but it ends there.
+    """
+    robot, T, q = lax.stop_gradient((robot, T, q))
+    task_at = lambda q: pose_task(robot, T, q, tool_rotation)
+
+    def step(state):
+        count, q, task = state
+        size = jnp.sum(task.error**2)
+        q = _moved(q, damped_step(task.jacobian, task.error, 1e-2 * size))
+        return count + 1, q, task_at(q)
+
+    def is_away(state):
+        count, _, task = state
+        return (count < _PATH_STEPS) & (jnp.sum(task.error**2) > _CLOSE)
+
+    return lax.while_loop(is_away, step, (jnp.zeros((), jnp.int32), q, task_at(q)))[1]
+
+
+def _moved(
+    q: Float[Array, " joint"], dq: Float[Array, " joint"]
+) -> Float[Array, " joint"]:
+    """Return the joints after a step, which is cut where it is too long."""
+    longest = jnp.max(jnp.abs(dq))
+    return q + dq * jnp.minimum(1.0, _LONGEST_STEP / (longest + 1e-12))
 
 
 def motor_limits(robot: Robot) -> tuple[Float[Array, " joint"], Float[Array, " joint"]]:

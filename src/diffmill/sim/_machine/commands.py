@@ -11,11 +11,11 @@ import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from ..._arrays import first_rows, on_device
 from ..._job import Job
-from ..._live_rows import pad_rows, padded_count
+from ..._live_rows import live_rows, map_rows, pad_rows, padded_count
 from ...robot import (
     JointSolution,
     Robot,
@@ -167,14 +167,15 @@ class JobKinematics(eqx.Module):
             axes = 3 if self.job.tool_axes is None else 6
             one = np.eye(axes, 3, dtype=joints.dtype)
             return on_device(np.broadcast_to(one[None], (count, axes, 3)))
-        Ts = None
+        Ts = row_count = None
         if commanded is not None:
             Ts = self.poses(commanded)
         if not _is_traced(self.job, joints, commanded):
             rows = padded_count(count)
             joints = on_device(pad_rows(joints, rows))
             Ts = None if Ts is None else on_device(pad_rows(Ts, rows))
-        found = _slopes(_Slopes(self.job, self.robot), joints, Ts)
+            row_count = on_device(np.asarray(count, np.int32))
+        found = _slopes(_Slopes(self.job, self.robot), joints, Ts, row_count)
         return first_rows(found, count)
 
 
@@ -227,6 +228,7 @@ def _slopes(
     known: _Slopes,
     joints: Float[Array, "step joint"],
     Ts: Float[Array, "step 4 4"] | None,
+    row_count: Int[Array, ""] | None,
 ) -> Float[Array, "step joint axis"]:
     robot, is_compensated = known.robot, known.is_compensated
 
@@ -250,5 +252,11 @@ def _slopes(
         )
         return jax.jacfwd(near)(T[:3, 3]) @ known.R_base_work
 
-    slopes = jax.vmap(by_joints)(joints)
-    return slopes if Ts is None else slopes @ jax.vmap(by_tip)(joints, Ts)
+    def of_row(
+        row: tuple[Float[Array, " joint"], Float[Array, "4 4"] | None],
+    ) -> Float[Array, "joint axis"]:
+        q, T = row
+        return by_joints(q) if T is None else by_joints(q) @ by_tip(q, T)
+
+    index = jnp.arange(joints.shape[0], dtype=jnp.int32)
+    return map_rows(of_row, (joints, Ts), live_rows(index, row_count))
