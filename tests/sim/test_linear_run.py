@@ -223,14 +223,13 @@ def test_the_linear_run_follows_parameters_of_machine_and_cut(kind):
     machine, process, theta = model(kind, "upright")
     change = jnp.asarray([[0.1], [-0.2], [0.3], [0.4]])
 
-    def scaled(log):
-        factor = jnp.exp(log)
-        leaves = lambda m: (m.robot.joint_stiffness, m.robot.joint_damping)
-        values = (x * factor[i] for i, x in enumerate(leaves(machine)))
-        soft = eqx.tree_at(leaves, machine, tuple(values))
-        leaves = lambda p: (p.side_law.K_tc, p.side_law.K_re)
-        values = PAPER_LAW.K_tc * factor[2], PAPER_LAW.K_re * factor[3]
-        return sim.CuttingMachine(soft, eqx.tree_at(leaves, process, values))
+    def leaves(machine, process):
+        robot, law = machine.robot, process.side_law
+        return robot.joint_stiffness, robot.joint_damping, law.K_tc, law.K_re
+
+    def scaled(model, log):
+        values = [x * jnp.exp(y) for x, y in zip(leaves(*model), log, strict=True)]
+        return eqx.tree_at(lambda m: leaves(*m), model, values)
 
     @jax.jit
     def both(theta, change):
@@ -239,7 +238,11 @@ def test_the_linear_run_follows_parameters_of_machine_and_cut(kind):
             machine, process, theta, scaled=scaled, parameter_count=4
         )
         found = linear.move(still, change)
-        run = lambda log: scaled(log).machine.run(scaled(log).process, theta)
+
+        def run(log):
+            soft, cut = scaled((machine, process), log)
+            return soft.run(cut, theta)
+
         pushed = jax.jvp(run, (jnp.zeros(4),), (change[:, 0],))[1]
         return (found.ends[..., 0], found.force[..., 0]), (pushed.ends, pushed.force)
 

@@ -5,7 +5,8 @@ the tooth frequency out of forces for display and noise out of a predicted devia
 before it is mirrored. The filter has no phase shift, and its order and cut-off are
 arguments. Besides, derivatives that JAX would not find by itself, or not as cheaply:
 `with_derivative_of` and `clamp`; `hold` keeps what XLA would compute again, and
-`small_inverse` is an inverse that batches well.
+`Recomputed` computes again what reverse mode would keep; `small_inverse` is an inverse
+that batches well.
 `hat_integral` is the smooth step that samples at any phase sum up fairly, `ramp` a
 kink rounded off. `CompiledOnce` compiles a function on another core before its
 first call, and keeps what it traced for the next process.
@@ -20,4 +21,5 @@ from ._filters import lowpass as lowpass
 from ._hat import hat_integral as hat_integral, ramp as ramp
 from ._hold import hold as hold
 from ._inverse import small_inverse as small_inverse
+from ._recomputed import Recomputed as Recomputed
 from ._with_derivative import with_derivative_of as with_derivative_of

@@ -14,6 +14,7 @@ from .._live_rows import when_live
 from .._types import IntScalar, RealScalarLike
 from ..cutter import AbstractCutter
 from ..cutting import AbstractForceLaw
+from ..numerics import Recomputed
 from ..workpiece import Discs, Pose, RemovalWindow, Stock
 from ._engagement.edge_samples import EdgeSamples, Engagement
 from ._path import PosesWithin, poses_within, substep_ends, substep_middles
@@ -255,8 +256,22 @@ class Process(eqx.Module):
         state, removed = engagement.advance(self, state, index - 1, pose)
         if look is not None:
             return state, look(self, state, index, predicted), removed
-        engage = lambda: engagement.engage(self, state, index, predicted)
+        engage = lambda: self.engage(state, index, predicted)
         return state, when_live(is_live, engage), removed
+
+    def engage(
+        self,
+        state: ProcessState,
+        index: Int[Array, ""],
+        predicted: Pose,
+        part: Substeps | None = None,
+    ) -> Engagement:
+        """Return where the teeth of a period meet material, as the engagement says.
+
+        In reverse mode it is computed again from what it has read, which is kept.
+        """
+        look = lambda: self.engagement.engage(self, state, index, predicted, part)
+        return Recomputed.of(look)()
 
     def poses_within(
         self, path: Pose, row_count: IntScalar | None = None

@@ -17,6 +17,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int
 
 from ..cutter import AbstractCutter
+from ..numerics import Recomputed
 from ..workpiece import (
     Pose,
     PoseTrack,
@@ -272,7 +273,7 @@ class RemovalHistory(NamedTuple):
     def thinned_poses(self, state: ProcessState) -> Pose:
         """Return the newest poses in the queue at given distances behind the tool."""
         rows = self.thinned_rows(state)
-        return state.track.poses[rows * self.substeps]
+        return Recomputed.read(state.track.poses[rows * self.substeps])
 
     def thinned_rows(self, state: ProcessState) -> Int[Array, " circle"]:
         """Return the indices of the thinned poses, those at tooth instants."""

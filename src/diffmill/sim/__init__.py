@@ -44,11 +44,7 @@ from ._job.simulate import (
     simulate as simulate,
 )
 from ._job.stack import stack as stack
-from ._linear.linear_run import (
-    CuttingMachine as CuttingMachine,
-    LinearRun as LinearRun,
-    linearise as linearise,
-)
+from ._linear.linear_run import LinearRun as LinearRun, linearise as linearise
 from ._machine._integrator.base import (
     ArmState as ArmState,
     MotorCommand as MotorCommand,

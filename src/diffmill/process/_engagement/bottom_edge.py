@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ...cutter import AbstractCutter
-from ...numerics import clamp, with_derivative_of
+from ...numerics import Recomputed, clamp, with_derivative_of
 from ...workpiece import Pose
 from .._chip import Outward, edge_contact, held_at_rest, safe_norm, way_of
 from .._process import Process, Substeps, rotation_angles
@@ -100,9 +100,9 @@ class BottomEdges(eqx.Module):
         total = jnp.zeros_like(share[0])
         for i in (0, 1):
             for j in (0, 1):
-                ends = rays.ends[cell[0] + i, cell[1] + j]
+                ends = Recomputed.read(rays.ends[cell[0] + i, cell[1] + j])
                 if track is not None:
-                    poses = rays.poses[cell[0] + i, cell[1] + j]
+                    poses = Recomputed.read(rays.poses[cell[0] + i, cell[1] + j])
                     tie = jnp.where(poses >= 0, track.height_by(poses), 0)
                     ends = with_derivative_of(jax.lax.stop_gradient(ends), tie)
                 low, high = ends[..., 0, :], ends[..., 1, :]

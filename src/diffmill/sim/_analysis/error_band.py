@@ -139,12 +139,12 @@ def _shifts(
     """Return the changes of the contour vector in some directions of the parameters."""
     desired = jnp.asarray(job.path.positions)
 
-    def model(parameters: Array) -> CuttingMachine:
+    def model(_: CuttingMachine | None, parameters: Array) -> CuttingMachine:
         scaled = job.with_scaled(parameters)
         return CuttingMachine(job_machine(scaled), job_process(scaled, StockHeld()))
 
     count = directions.shape[0]
-    machine, process = model(jnp.zeros(count, desired.dtype))
+    machine, process = model(None, jnp.zeros(count, desired.dtype))
     run = linearise(machine, process, motors, scaled=model, parameter_count=count)
     still = jnp.zeros((*motors.shape, directions.shape[1]), desired.dtype)
     moved = run.move(still, directions.astype(desired.dtype))

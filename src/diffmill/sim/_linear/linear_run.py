@@ -17,7 +17,6 @@ The stock is held: how a surface moves with the poses that cut it is left out.
 
 import functools
 import math
-from collections.abc import Callable
 from typing import Any, TypeAlias
 
 import equinox as eqx
@@ -37,6 +36,7 @@ from .period_slopes import (
     CompliantModel,
     CuttingMachine,
     ForceSlopes,
+    ScaledBy,
     arm_slopes,
     force_slopes,
     look_with_slopes,
@@ -294,7 +294,7 @@ def linearise(
     motors: Float[Array, "step joint"],
     state: RunState | None = None,
     *,
-    scaled: Callable[[Array], CuttingMachine] | None = None,
+    scaled: ScaledBy | None = None,
     parameter_count: int = 0,
     row_count: IntScalar | None = None,
 ) -> LinearRun:
@@ -306,9 +306,10 @@ def linearise(
         motors: Motor positions [rad or m], shape (step, joint).
         state: State at row 0, which does not move, of `begin_run` or an earlier
             segment; None to begin with the motors.
-        scaled: Machine and process with their parameters scaled by the exponentials of
-            some numbers, shape (parameter,); None without parameters. A state that is
-            given does not follow them.
+        scaled: Returns machine and process, which it is given as a tuple of these
+            names, with their parameters scaled by the exponentials of some numbers,
+            shape (parameter,); None without parameters. A state that is given does not
+            follow them.
         parameter_count: How many parameters there are.
         row_count: How many rows count, shape (); None for all.
 
@@ -318,9 +319,7 @@ def linearise(
     **Differentiability**: none is meant.
     """
     steps, first = motors.shape[0], jnp.ones((), jnp.int32)
-    model = CompliantModel(
-        scaled or (lambda _: CuttingMachine(machine, process)), parameter_count
-    )
+    model = CompliantModel(CuttingMachine(machine, process), scaled, parameter_count)
     if state is None:
         started = begin(machine, process, motors, steps)
     else:

@@ -13,7 +13,7 @@ A pose is a row of 3 numbers, the tip, or of 6 where the tool tilts: tip and axi
 
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -22,14 +22,14 @@ from jax.flatten_util import ravel_pytree
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int, PyTree
 
-from ...numerics import hold
+from ...numerics import Recomputed, hold
 from ...process import (
     EdgeSamples,
     Engagement,
     Process,
     ProcessState,
 )
-from ...workpiece import Pose, Rays
+from ...workpiece import Pose
 from .._machine.substeps import AbstractCompliant, CommandRow
 
 
@@ -45,17 +45,34 @@ class CuttingMachine(NamedTuple):
     process: Process
 
 
+# Machine and process with parameters scaled by the exponentials of some numbers.
+ScaledBy: TypeAlias = Callable[
+    [CuttingMachine, Float[Array, " parameter"]], CuttingMachine
+]
+
+
 class CompliantModel(eqx.Module):
     """A machine that cuts, as it follows from some parameters.
 
     Attributes:
-        scaled: Machine and process from the logarithms of the factors that scale their
-            parameters, shape (parameter,).
+        around: Machine and process as they are.
+        change: What they are with scaled parameters; None without parameters.
         count: How many there are.
     """
 
-    scaled: Callable[[Float[Array, " parameter"]], CuttingMachine]
+    around: CuttingMachine
+    change: ScaledBy | None
     count: int = eqx.field(static=True)
+
+    def scaled(self, parameters: Float[Array, " parameter"]) -> CuttingMachine:
+        """Return machine and process with scaled parameters.
+
+        Args:
+            parameters: Logarithms of the factors, shape (parameter,).
+        """
+        if self.change is None:
+            return self.around
+        return self.change(self.around, parameters)
 
     def nominal(self, dtype: DTypeLike) -> Float[Array, " parameter"]:
         """Return the logarithms at which nothing is scaled."""
@@ -172,9 +189,7 @@ def look_with_slopes(
         samples, known = eqx.partition(cut.samples, cut.samples.follows_poses)
         return samples, (known, cut.thinned)
 
-    # Kept is what was read of the stock; the rest is computed again.
-    policy = jax.checkpoint_policies.save_only_these_names(Rays.READ)
-    engage = jax.checkpoint(engage, policy=policy)
+    engage = Recomputed.of(engage)
     at = as_rows(predicted), as_rows(state.recent)[0], state.last_tip
     samples, push, (known, thinned) = jax.linearize(engage, *at, has_aux=True)
     return Engagement(eqx.combine(samples, known), thinned, push)

@@ -78,9 +78,7 @@ class Rigid(AbstractMachine):
 
         def chips() -> KeptChips:
             state = process.begin(command[0], 1)
-            cut = process.engagement.engage(
-                process, state, jnp.ones((), jnp.int32), middles
-            )
+            cut = process.engage(state, jnp.ones((), jnp.int32), middles)
             return kept_chips(process, cut, middles, state.recent)
 
         room = jax.tree.map(
@@ -166,7 +164,8 @@ def period_wrench(
         ),
         in_axes=(0, 0, 1),
     )
-    return wrench(cut.samples, middles, recent).reshape(-1, 6)
+    # What the forces come from is computed again rather than kept.
+    return jax.checkpoint(wrench)(cut.samples, middles, recent).reshape(-1, 6)
 
 
 def simulate_process(

@@ -305,7 +305,7 @@ def _run_looks(
         near = eqx.tree_at(lambda p: p.recent, cutting, recent)
         predicted = along(pose, recent.tip[0] + ahead)
         substeps = Substeps(first, count)
-        cut = engagement.engage(process, near, index, predicted, substeps)
+        cut = process.engage(near, index, predicted, substeps)
         look = _Look(predicted, cut)
         end, rows = _run_substeps(coupled, recent, look, state, times)
         # How far the tool is off the period before goes on changing as it did.

@@ -2,11 +2,9 @@
 
 import jax
 import jax.numpy as jnp
-from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Float, Int
 
 from ...numerics import hold
-from .stock import Rays
 
 
 def taken(table: Array, at: Int[Array, "*end"]) -> Array:
@@ -14,9 +12,7 @@ def taken(table: Array, at: Int[Array, "*end"]) -> Array:
 
     **Differentiability**: linear in the table.
     """
-    return checkpoint_name(
-        table.reshape(-1).at[at].get(mode="promise_in_bounds"), Rays.READ
-    )
+    return table.reshape(-1).at[at].get(mode="promise_in_bounds")
 
 
 def nearest_interval(
@@ -60,4 +56,4 @@ def nearest_interval(
         # Few of the slots hold anything, and each costs a gather.
         first = jax.lax.fori_loop(jnp.ones((), jnp.int32), slots, look, first)
     _, low, high, slot = first
-    return checkpoint_name(low, Rays.READ), checkpoint_name(high, Rays.READ), slot
+    return low, high, slot

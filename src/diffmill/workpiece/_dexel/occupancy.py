@@ -32,7 +32,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ...cutter import AbstractCutter
-from ...numerics import clamp, hat_integral, hold, ramp, with_derivative_of
+from ...numerics import Recomputed, clamp, hat_integral, hold, ramp, with_derivative_of
 from .mean_step import mean_step
 from .nearest_interval import nearest_interval, taken
 from .stock import Stock
@@ -190,7 +190,7 @@ def _find_columns(stock: Stock, place: Float[Array, "3 disc point"]) -> _Columns
     slot = jnp.arange(2 * slots, dtype=jnp.int32).reshape(2, slots, 1, 1, 1)
     ray = hold((i * counts[1] + j) * (2 * slots))
     at = hold(ray[None, None] + slot)
-    return _Columns(taken(rays.ends, at), taken(rays.poses, at))
+    return Recomputed.read(_Columns(taken(rays.ends, at), taken(rays.poses, at)))
 
 
 def _nearest_line(
@@ -251,10 +251,10 @@ def _find_walls(
     is_upper = high - x < x - low
     at = ray + is_upper.astype(jnp.int32) * slots + slot
     return _Walls(
-        ends=taken(rays.ends, at),
-        is_upper=is_upper,
-        is_empty=high < low,
-        pose=taken(rays.poses, at),
+        ends=Recomputed.read(taken(rays.ends, at)),
+        is_upper=Recomputed.read(is_upper),
+        is_empty=Recomputed.read(high < low),
+        pose=Recomputed.read(taken(rays.poses, at)),
         across=stock.origin[side] + stock.spacing * line.astype(place.dtype),
     )
 
@@ -280,6 +280,7 @@ def _tie_walls(
     for f in (0, 1):
         wall, tip = walls[f], tips[f]
         slopes = cutter.wall_slopes(f, frozen(wall.ends), wall.across, frozen(tip))
+        slopes = Recomputed.read(slopes)
         tie = tip[..., f] + frozen(slopes[0]) * tip[..., 1 - f]
         tie = tie + frozen(slopes[1]) * (cutter.diameter / 2)
         tie = jnp.where(wall.pose >= 0, tie, 0)

@@ -27,7 +27,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ...cutter import AbstractCutter
-from ...numerics import clamp, with_derivative_of
+from ...numerics import Recomputed, clamp, with_derivative_of
 from .._pose import Pose
 from .mean_step import mean_step
 from .nearest_interval import nearest_interval, taken
@@ -119,7 +119,7 @@ def occupancy_in_space(
         found = jax.checkpoint(_combine)(points, cells, ends, near, grid)
         return found[:, 0], found[:, 1]
     # One gather for all: its transpose then adds into the table only once.
-    cut_by = track.cut_by(jnp.stack([n.pose for n in near], axis=1))
+    cut_by = Recomputed.read(track.cut_by(jnp.stack([n.pose for n in near], axis=1)))
     found = jax.checkpoint(_look)(points, cells, cut_by, near, cutter, grid)
     return found[:, 0], found[:, 1]
 
@@ -160,7 +160,7 @@ def _find(
     low, high, slot = nearest_interval(rays.ends, ray, x, slots)
     is_upper = high - x < x - low
     at = ray + is_upper.astype(jnp.int32) * count + slot
-    ends = taken(rays.ends, at)
+    ends = Recomputed.read(taken(rays.ends, at))
     lines = [
         stock.origin[a] + d * index.astype(points.dtype)
         for a, index in zip(axes, (row, column), strict=True)
@@ -169,9 +169,9 @@ def _find(
     placed[axes[0]], placed[axes[1]] = lines
     return _Near(
         ends=ends,
-        is_upper=is_upper,
-        is_empty=high < low,
-        pose=taken(rays.poses, at),
+        is_upper=Recomputed.read(is_upper),
+        is_empty=Recomputed.read(high < low),
+        pose=Recomputed.read(taken(rays.poses, at)),
         places=jax.lax.stop_gradient(jnp.stack(placed, axis=-1)),
     )
 

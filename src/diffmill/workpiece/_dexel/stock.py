@@ -36,13 +36,10 @@ class Rays(eqx.Module):
         DEAD: Ends of a slot that holds nothing, reversed: far outside any workpiece
             [m].
         TICKS: How many ticks a tooth period has.
-        READ: Name of what was read of rays: who computes a look again keeps it, and not
-            the stock.
     """
 
     DEAD: ClassVar[float] = 1e3
     TICKS: ClassVar[int] = 2048
-    READ: ClassVar[str] = "read of rays"
 
     ends: Float[Array, "u v 2 slot"]
     poses: Int[Array, "u v 2 slot"]

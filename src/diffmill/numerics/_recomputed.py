@@ -1,0 +1,41 @@
+"""What reverse mode computes again, and what it keeps for that."""
+
+from collections.abc import Callable
+from typing import ClassVar, ParamSpec, TypeVar
+
+import jax
+from jax.ad_checkpoint import checkpoint_name
+from jaxtyping import PyTree
+
+P = ParamSpec("P")
+R = TypeVar("R")
+_T = TypeVar("_T", bound=PyTree)
+
+
+class Recomputed:
+    """Looks at large tables, of which the way back keeps what was read.
+
+    What is read is small beside the table, and beside what follows from it: neither of
+    these has to wait for the way back.
+    """
+
+    READ: ClassVar[str] = "read"
+
+    @classmethod
+    def of(cls, function: Callable[P, R]) -> Callable[P, R]:
+        """Return a function of which derivatives keep what was `read`, and no more.
+
+        Args:
+            function: The function.
+        """
+        policy = jax.checkpoint_policies.save_only_these_names(cls.READ)
+        return jax.checkpoint(function, policy=policy)
+
+    @classmethod
+    def read(cls, values: _T) -> _T:
+        """Return arrays that functions around them keep, a tree.
+
+        Args:
+            values: The arrays.
+        """
+        return jax.tree.map(lambda x: checkpoint_name(x, cls.READ), values)
