@@ -184,7 +184,7 @@ def _solve_path(
     index = jnp.arange(Ts.shape[0], dtype=jnp.int32)
     is_live = live_rows(index, row_count)
     _, qs = scan_rows(follow, first, lax.stop_gradient(Ts), is_live)
-    finish = lambda row: _finish(robot, *row, tool_rotation)
+    finish = lambda row: _finish(robot, row[0], row[1], tool_rotation)
     found = map_rows(finish, (Ts, qs), is_live)
     error = _midway_error(robot, Ts, found.q, is_live)
     return dataclasses.replace(found, midway_error=error)
