@@ -1,7 +1,7 @@
 """All methods over parts and arms, and what only derivatives can do.
 
 python experiments/correction/methods.py [--parts thin_wall] [--arms kuka_kr210_like]
-    [--settings "flange spring"] [--out FOLDER]
+    [--settings "flange spring"] [--steps 3] [--out FOLDER]
 
 What is run is written to `methods_<parts>.txt` in the folder of the results.
 """
@@ -12,7 +12,7 @@ import sys
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -66,7 +66,7 @@ SETTINGS = (
 
 # One more than a job takes unless it asks for more: what is closer to the end converges
 # slowly.
-STEPS = {"max_steps": "3"}
+STEPS = 3
 # Where a figure is missed, the row is run again so.
 CLOSER = {"knots of 15 ms": {"knot_spacing": '"15 ms"'}}
 # Runs of the machine that the optimiser may take.
@@ -79,8 +79,19 @@ BASELINES = (
     "input_shaper",
     "inverse_drive",
 )
-# Baselines by part, arm and what they depend on.
-Kept: TypeAlias = dict[tuple[str, ...], Mapping[str, np.ndarray]]
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """What all corrections of a table share.
+
+    Attributes:
+        cases: Baselines by part, arm and what they depend on.
+        steps: Steps of the optimiser, where a setting asks for no others.
+    """
+
+    cases: dict[tuple[str, ...], Mapping[str, np.ndarray]]
+    steps: int
 
 
 def measure(
@@ -88,18 +99,20 @@ def measure(
     parts: tuple[str, ...] = tuple(PARTS),
     arms: tuple[str, ...] = ARMS,
     settings: tuple[str, ...] = tuple(setting.what for setting in SETTINGS),
+    *,
+    steps: int = STEPS,
 ) -> None:
     """Print all methods of every part on every arm, then the settings on the first."""
-    kept: Kept = {}
+    kept = _Kept({}, steps)
     _head(report)
     for part in parts:
         for arm in arms:
-            steps: list[float] = []
-            found = _corrected(kept, part, arm, steps=steps)
+            errors: list[float] = []
+            found = _corrected(kept, part, arm, errors=errors)
             report.say(f"{part}, {arm}")
             _cases(report, found)
             is_met = _judge(report, found)
-            _price(report, found, steps)
+            _price(report, found, errors)
             if not is_met:
                 _closer(report, kept, part, arm, found)
     if settings:
@@ -112,18 +125,18 @@ def measure(
 
 
 def _corrected(
-    kept: Kept,
+    kept: _Kept,
     part: str,
     arm: str,
     correction: dict[str, str] | None = None,
     robot: str = "",
-    steps: list[float] | None = None,
+    errors: list[float] | None = None,
 ) -> dm.Correction:
     """Correct a part; baselines are run once for all settings that they do not see.
 
-    The error after each step of the optimiser is added to `steps`.
+    That after each step of the optimiser is added to `errors`.
     """
-    settings = STEPS | (correction or {})
+    settings = {"max_steps": str(kept.steps), **(correction or {})}
     key = (part, arm, settings.get("max_offset", ""), robot)
     # Which iterate of the mirror is the best depends on the rows that count.
     if "finishing_only" in settings:
@@ -134,28 +147,33 @@ def _corrected(
 
     def keep(arrays: Mapping[str, np.ndarray]) -> None:
         names = [f"method/{name}/" for name in BASELINES]
-        kept[key] = {k: arrays[k] for k in arrays if k.startswith(tuple(names))}
+        kept.cases[key] = {k: arrays[k] for k in arrays if k.startswith(tuple(names))}
 
     began = time.perf_counter()
 
     def tell(message: str, rms: float) -> None:
         seconds = time.perf_counter() - began
         print(f"{seconds:8.0f} s  {message}: {1e6 * rms:.2f} um", file=sys.stderr)
-        if steps is not None and message.startswith("Gauss-Newton step"):
-            steps.append(rms)
+        if errors is not None and message.startswith("Gauss-Newton step"):
+            errors.append(rms)
 
     job = part_job(part, arm, correction=settings, robot=robot)
-    return dm.correct(job, on_progress=tell, on_checkpoint=keep, resume=kept.get(key))
+    return dm.correct(
+        job, on_progress=tell, on_checkpoint=keep, resume=kept.cases.get(key)
+    )
 
 
-def _setting(report: Any, kept: Kept, setting: Setting) -> None:
+def _setting(report: Any, kept: _Kept, setting: Setting) -> None:
     """Print all methods where something is asked that the inverse drive cannot do."""
-    steps: list[float] = []
-    asked = (setting.correction, setting.robot, steps)
-    found = _corrected(kept, setting.part, ARMS[0], *asked)
+    errors: list[float] = []
+    found = _corrected(
+        kept, setting.part, ARMS[0], setting.correction, setting.robot, errors
+    )
     report.say(f"{setting.what}: {setting.part}, {ARMS[0]}")
     data = _cases(report, found)
-    _price(report, found, steps)
+    # Where the surface counts too, the steps tell other errors.
+    counts_surface = bool({"objective", "gouge"} & set(setting.correction))
+    _price(report, found, [] if counts_surface else errors)
     key = "surface" if setting.correction.get("objective") else "path"
     error = {name: _error(data, name, key) for name in found.cases}
     report.at_least(
@@ -170,7 +188,9 @@ def _setting(report: Any, kept: Kept, setting: Setting) -> None:
         report.figure(what, share, 1.01, "")
 
 
-def _closer(report: Any, kept: Kept, part: str, arm: str, found: dm.Correction) -> None:
+def _closer(
+    report: Any, kept: _Kept, part: str, arm: str, found: dm.Correction
+) -> None:
     """Print what limits: chatter or knots."""
     job = part_job(part, arm)
     warning = sim.stability(job, found.before).warning()
@@ -259,27 +279,26 @@ def _judge(report: Any, found: dm.Correction) -> bool:
     return is_met
 
 
-def _price(report: Any, found: dm.Correction, steps: list[float]) -> None:
+def _price(report: Any, found: dm.Correction, errors: list[float]) -> None:
     """Print the optimiser's time in runs, whole and to a twentieth of the error.
 
     A run is one of the mirror, which has compiled. A step's time is that of those after
-    the first, which compiles.
+    the first, which compiles; without segments nothing else takes long.
     """
     history = found.history
     mirror = found.methods["mirror_iterated"]
     run = found.wall_time["mirror_iterated"] / mirror.forward_runs
-    report.say(
-        f"  the optimiser with compilation takes the time of "
-        f"{found.wall_time['corrected'] / run:.3g} runs of {run:.3g} s"
-    )
+    whole = found.wall_time["corrected"] / run
+    report.say(f"  optimiser with compilation: {whole:.3g} runs of {run:.3g} s")
     if len(history) < 2:
+        report.say("  fewer than two steps: what compiling takes of it is not known")
         return
     first, last = history[0], history[-1]
     step = (last.seconds - first.seconds) / (len(history) - 1) / run
-    what = f"without, in runs ({len(history)} steps)"
+    what = f"optimiser without compilation, in runs ({len(history)} steps)"
     report.figure(what, len(history) * step, RUNS, "")
     least = 0.05 * found.methods["uncorrected"].measures.rms
-    there = [k for k, rms in enumerate(steps) if rms <= least]
+    there = [k for k, rms in enumerate(errors) if rms <= least]
     if there:
         report.say(f"  of these to 5 % of the error: {(there[0] + 1) * step:.3g}")
 
@@ -313,11 +332,13 @@ def main() -> None:
     parser.add_argument("--parts", nargs="*", default=[], choices=PARTS)
     parser.add_argument("--arms", nargs="*", default=ARMS, choices=ARMS)
     parser.add_argument("--settings", nargs="*", default=[], choices=names)
+    parser.add_argument("--steps", type=int, default=STEPS)
     parser.add_argument("--out", type=pathlib.Path, default=RESULTS)
     chosen = parser.parse_args()
     report = Report("diffmill correction: methods")
     print("\n".join(report.lines), flush=True)
-    measure(report, tuple(chosen.parts), tuple(chosen.arms), tuple(chosen.settings))
+    rows = tuple(chosen.parts), tuple(chosen.arms), tuple(chosen.settings)
+    measure(report, *rows, steps=chosen.steps)
     shown = [*chosen.parts, *(["settings"] if chosen.settings else [])]
     if tuple(chosen.arms) != ARMS:
         shown += chosen.arms

@@ -2,7 +2,8 @@
 
 python experiments/performance/job_gradient.py JOB
 
-Only names that every version has are used, so that versions can be compared.
+It is that of `simulate` as it stands, `ThroughRays`. Only names that every version has
+are used, so that versions can be compared.
 """
 
 import sys

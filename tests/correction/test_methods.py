@@ -1,6 +1,7 @@
 """All methods on a soft arm whose cut depends on where the tool really is."""
 
 import dataclasses
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -297,3 +298,27 @@ def test_on_the_way_through_the_air_the_tool_stays_near_the_path():
     after = np.linalg.norm(found.contour, axis=1)
     assert after[~is_cutting].max() < 0.3 * before[~is_cutting].max()
     assert found.measures.rms < 5e-6
+
+
+class Counted(eqx.Module):
+    """A plant whose runs are counted."""
+
+    plant: Any
+    runs: list = eqx.field(static=True)
+
+    def __call__(self, command):
+        jax.debug.callback(lambda: self.runs.append(command.shape))
+        return self.plant(command)
+
+
+def test_gauss_newton_runs_nothing_twice(problem):
+    counted = eqx.tree_at(lambda p: p.plant, problem, Counted(problem.plant, []))
+    method = GaussNewton(KNOTS, solver=LevenbergMarquardt(max_steps=2))
+    found = method(counted)
+    jax.effects_barrier()
+    last = found.history[-1]
+    # Its start comes with the first linear system, its end with the last trial.
+    assert (found.forward_runs, found.linearisations) == (last.evaluations, last.models)
+    assert len(counted.plant.runs) == found.forward_runs + found.linearisations
+    again = GivenCommand(found.command)(problem)
+    np.testing.assert_allclose(found.motion.actual, again.motion.actual, atol=1e-12)

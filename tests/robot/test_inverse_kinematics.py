@@ -68,6 +68,17 @@ def test_a_path_is_followed(arm):
     assert_allclose(again, Ts, atol=1e-12)
 
 
+def test_a_path_that_is_padded_is_followed_alike(arm):
+    # 100 rows run as 256, of which those are left out that do not count.
+    Ts = line(arm, 100)
+    found = dr.inverse_kinematics_path(arm, Ts, arm.home)
+    traced = jax.jit(lambda Ts: dr.inverse_kinematics_path(arm, Ts, arm.home))
+    for one, other in zip(
+        *map(jax.tree.leaves, (found, traced(jnp.asarray(Ts)))), strict=True
+    ):
+        assert_allclose(one, other, atol=1e-12)
+
+
 def test_a_rapid_jump_within_a_path_is_followed(arm):
     Ts = line(arm, 8, step=(0.012, -0.008, 0.004))
     assert dr.inverse_kinematics_path(arm, Ts, arm.home).converged.all()

@@ -158,7 +158,7 @@ class AbstractProblem(eqx.Module):
 
         Args:
             x: The point, shape (unknown,).
-            value: What `evaluate` has returned there.
+            value: What the problem has computed there.
         """
 
 

@@ -110,9 +110,7 @@ class GaussNewton(AbstractMethod):
         )
         if found is None:
             offset, result = spline.offsets(fit.coefficients(first)), RESULTS.non_finite
-            return corrected(
-                problem, jnp.asarray(nominal) + offset, forward_runs=1, result=result
-            )
+            return corrected(problem, jnp.asarray(nominal) + offset, result=result)
         x = fit.coefficients(found.x)
         if self.bounds is not None:
             check_held(self.bounds, fit, found, bound)

@@ -204,7 +204,9 @@ class OffsetFit(AbstractProblem):
     ) -> FitValue | None:
         """Return the residual of the members' motions; None if it is not finite."""
         at = self.coefficients(x)
-        found = [_host_errors(one, at, self.args) for one in motions]
+        # A motion with its solution would be another program.
+        plain = [Motion(one.actual, one.force) for one in motions]
+        found = [_host_errors(one, at, self.args) for one in plain]
         stack = lambda rows: np.stack([np.asarray(row, np.float64) for row in rows])
         value = FitValue(
             stack([one.error for one in found]),
@@ -334,6 +336,7 @@ def fit_offsets(
             return None
         runs = 1 if value.linear is None else 0
         state = LeastSquaresState(x, value, solver.damping, evaluations=runs)
+        del value
     is_stopped = False
 
     def tell(found: LeastSquaresState) -> bool:

@@ -103,7 +103,8 @@ class BottomEdges(eqx.Module):
                 ends = Recomputed.read(rays.ends[cell[0] + i, cell[1] + j])
                 if track is not None:
                     poses = Recomputed.read(rays.poses[cell[0] + i, cell[1] + j])
-                    tie = jnp.where(poses >= 0, track.height_by(poses), 0)
+                    height = Recomputed.read(track.height_by(poses))
+                    tie = jnp.where(poses >= 0, height, 0)
                     ends = with_derivative_of(jax.lax.stop_gradient(ends), tie)
                 low, high = ends[..., 0, :], ends[..., 1, :]
                 # Material that begins above the bottom is not on it.

@@ -38,8 +38,7 @@ _ATTEMPTS = 32
 _LONGEST_STEP = 0.3
 # Squared error below which the linear picture holds [m^2 + rad^2].
 _NEAR = 1e-6
-# Squared error at which the Jacobian is that of the pose but for rounding, and beyond
-# which single precision does not come.
+# Squared error at which the Jacobian is that of the pose to ten digits [m^2 + rad^2].
 _CLOSE = 1e-20
 # Newton steps to the middle of the ranges [rad or m]: longer ones along a path lead
 # away from a middle that has ceased to be one.
@@ -256,6 +255,8 @@ def _approach(
     """
     robot, T, q = lax.stop_gradient((robot, T, q))
     task_at = lambda q: pose_task(robot, T, q, tool_rotation)
+    # Single precision does not come so close.
+    close = max(_CLOSE, float(4 * jnp.finfo(q.dtype).eps) ** 2)
 
     def step(state):
         count, q, task = state
@@ -265,7 +266,7 @@ def _approach(
 
     def is_away(state):
         count, _, task = state
-        return (count < _PATH_STEPS) & (jnp.sum(task.error**2) > _CLOSE)
+        return (count < _PATH_STEPS) & (jnp.sum(task.error**2) > close)
 
     return lax.while_loop(is_away, step, (jnp.zeros((), jnp.int32), q, task_at(q)))[1]
 

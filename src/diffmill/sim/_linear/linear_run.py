@@ -306,9 +306,9 @@ def linearise(
         motors: Motor positions [rad or m], shape (step, joint).
         state: State at row 0, which does not move, of `begin_run` or an earlier
             segment; None to begin with the motors.
-        scaled: Returns machine and process, which it is given as a tuple of these
-            names, with their parameters scaled by the exponentials of some numbers,
-            shape (parameter,); None without parameters. A state that is given does not
+        scaled: Called with a named tuple of `machine` and `process` and with some
+            numbers, shape (parameter,); returns the tuple with parameters scaled by
+            their exponentials. None without parameters. A state that is given does not
             follow them.
         parameter_count: How many parameters there are.
         row_count: How many rows count, shape (); None for all.

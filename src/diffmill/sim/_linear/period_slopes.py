@@ -56,7 +56,7 @@ class CompliantModel(eqx.Module):
 
     Attributes:
         around: Machine and process as they are.
-        change: What they are with scaled parameters; None without parameters.
+        change: Returns them with scaled parameters; None without parameters.
         count: How many there are.
     """
 

@@ -249,7 +249,7 @@ def _find_walls(
     low, high, slot = nearest_interval(rays.ends, ray, x, in_use)
     x = frozen(x)
     is_upper = high - x < x - low
-    at = ray + is_upper.astype(jnp.int32) * slots + slot
+    at = Recomputed.read(ray + is_upper.astype(jnp.int32) * slots + slot)
     return _Walls(
         ends=Recomputed.read(taken(rays.ends, at)),
         is_upper=Recomputed.read(is_upper),
@@ -264,7 +264,8 @@ def _tie_columns(columns: _Columns, track: PoseTrack) -> _Columns:
 
     A flat end cuts a column at the height of its tip.
     """
-    tie = jnp.where(columns.poses >= 0, track.height_by(columns.poses), 0)
+    height = Recomputed.read(track.height_by(columns.poses))
+    tie = jnp.where(columns.poses >= 0, height, 0)
     ends = with_derivative_of(jax.lax.stop_gradient(columns.ends), tie)
     return _Columns(ends, columns.poses)
 
@@ -275,7 +276,7 @@ def _tie_walls(
     """Return both families, their ends with the derivatives of their poses."""
     frozen = jax.lax.stop_gradient
     # One gather for both: its transpose then adds into the table only once.
-    tips = track.cut_by(jnp.stack([w.pose for w in walls])).tip
+    tips = Recomputed.read(track.cut_by(jnp.stack([w.pose for w in walls])).tip)
     moving = []
     for f in (0, 1):
         wall, tip = walls[f], tips[f]

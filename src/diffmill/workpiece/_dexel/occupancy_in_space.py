@@ -159,7 +159,7 @@ def _find(
     x = frozen[:, family, None]
     low, high, slot = nearest_interval(rays.ends, ray, x, slots)
     is_upper = high - x < x - low
-    at = ray + is_upper.astype(jnp.int32) * count + slot
+    at = Recomputed.read(ray + is_upper.astype(jnp.int32) * count + slot)
     ends = Recomputed.read(taken(rays.ends, at))
     lines = [
         stock.origin[a] + d * index.astype(points.dtype)
