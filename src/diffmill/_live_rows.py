@@ -146,28 +146,28 @@ def scan_rows(
 
 
 def map_rows(
-    compute: Callable[[_Row], _Tree], rows: _Row, is_live: Bool[Array, " row"] | None
+    compute: Callable[..., _Tree], is_live: Bool[Array, " row"] | None, *rows: PyTree
 ) -> _Tree:
     """Return what `jax.vmap` does, without many rows that do not count.
 
     Args:
-        compute: What is computed of a row.
-        rows: The rows, a tree with an axis row.
-        is_live: Which of them count, the first ones, shape (row,); None for all.
+        compute: What is computed of a row, from its part of each of the trees.
+        is_live: Which rows count, the first ones, shape (row,); None for all.
+        rows: Trees with an axis row.
 
     Returns:
         The outputs of all rows; zeros where none of some rows counts.
     """
     if is_live is None:
-        return jax.vmap(compute)(rows)
+        return jax.vmap(compute)(*rows)
     count = is_live.shape[0]
     parts = -(-count // _TOGETHER)
     index = jnp.arange(parts * _TOGETHER).reshape(parts, _TOGETHER)
     split = jax.tree.map(lambda x: x[jnp.minimum(index, count - 1)], rows)
-    is_run = is_live[index[:, 0]]
+    live = is_live[jnp.minimum(index, count - 1)]
 
-    def part(part: tuple[_Row, Bool[Array, ""]]) -> _Tree:
-        return when_live(part[1], lambda: jax.vmap(compute)(part[0]))
+    def of_part(part: _Part) -> _Tree:
+        return when_live(part.is_run, lambda: jax.vmap(compute)(*part.rows))
 
-    found = jax.lax.map(part, (split, is_run))
+    found = jax.lax.map(of_part, _Part(split, live, live[:, 0]))
     return jax.tree.map(lambda x: jax.lax.collapse(x, 0, 2)[:count], found)

@@ -183,8 +183,8 @@ def _solve_path(
     index = jnp.arange(Ts.shape[0], dtype=jnp.int32)
     is_live = live_rows(index, row_count)
     _, qs = scan_rows(follow, first, lax.stop_gradient(Ts), is_live)
-    finish = lambda row: _finish(robot, row[0], row[1], tool_rotation)
-    found = map_rows(finish, (Ts, qs), is_live)
+    finish = lambda T, q: _finish(robot, T, q, tool_rotation)
+    found = map_rows(finish, is_live, Ts, qs)
     error = _midway_error(robot, Ts, found.q, is_live)
     return dataclasses.replace(found, midway_error=error)
 
@@ -203,7 +203,7 @@ def _midway_error(
     robot, Ts, qs = lax.stop_gradient((robot, Ts, qs))
     tip = lambda q: joint_frames(robot, q).tool_position
     ends = None if is_live is None else is_live[1:]
-    tips = map_rows(tip, (qs[1:] + qs[:-1]) / 2, ends)
+    tips = map_rows(tip, ends, (qs[1:] + qs[:-1]) / 2)
     away = tips - (Ts[1:, :3, 3] + Ts[:-1, :3, 3]) / 2
     return jnp.concatenate([jnp.zeros(1, qs.dtype), jnp.linalg.norm(away, axis=1)])
 

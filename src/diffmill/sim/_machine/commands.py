@@ -253,10 +253,9 @@ def _slopes(
         return jax.jacfwd(near)(T[:3, 3]) @ known.R_base_work
 
     def of_row(
-        row: tuple[Float[Array, " joint"], Float[Array, "4 4"] | None],
+        q: Float[Array, " joint"], T: Float[Array, "4 4"] | None
     ) -> Float[Array, "joint axis"]:
-        q, T = row
         return by_joints(q) if T is None else by_joints(q) @ by_tip(q, T)
 
     index = jnp.arange(joints.shape[0], dtype=jnp.int32)
-    return map_rows(of_row, (joints, Ts), live_rows(index, row_count))
+    return map_rows(of_row, live_rows(index, row_count), joints, Ts)
