@@ -13,17 +13,20 @@ _T = TypeVar("_T", bound=PyTree)
 
 
 class Recomputed:
-    """Looks at large tables, of which the way back keeps what was read.
+    """Functions that reverse mode computes again, and what it stores of them.
 
-    What is read is small beside the table, and beside what follows from it: neither of
-    these has to wait for the way back.
+    What a function reads of a large table is small beside the table and beside what
+    follows from it, so that only the reads are stored.
+
+    Attributes:
+        READ: Name under which JAX knows them.
     """
 
     READ: ClassVar[str] = "read"
 
     @classmethod
     def of(cls, function: Callable[P, R]) -> Callable[P, R]:
-        """Return a function of which derivatives keep what was `read`, and no more.
+        """Return a function of which reverse mode stores what was `read`, and no more.
 
         Args:
             function: The function.
@@ -33,7 +36,7 @@ class Recomputed:
 
     @classmethod
     def read(cls, values: _T) -> _T:
-        """Return arrays that functions around them keep, a tree.
+        """Return arrays, a tree, marked as read of a table.
 
         Args:
             values: The arrays.
