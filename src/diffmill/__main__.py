@@ -4,7 +4,6 @@ import contextlib
 import gc
 import os
 import sys
-import threading
 from typing import NoReturn
 
 from .cli import main
@@ -17,18 +16,17 @@ _OBJECTS = 500_000
 def run() -> NoReturn:
     """Run the command line, and end the process.
 
-    A thread may still compile what nobody waits for any more. It cannot be interrupted,
-    and would crash in an interpreter that is being taken down, so that this one is not.
+    The interpreter is not taken down: it would look at every object once more, for a
+    second. Nor could it be where a thread still compiles what nobody waits for any
+    more, which cannot be interrupted. What a command writes is closed by then.
     """
     gc.set_threshold(_OBJECTS)
     code = main()
-    if any(thread.daemon for thread in threading.enumerate()):
-        for stream in (sys.stdout, sys.stderr):
-            # Who reads it may have gone.
-            with contextlib.suppress(OSError):
-                stream.flush()
-        os._exit(code)
-    sys.exit(code)
+    for stream in (sys.stdout, sys.stderr):
+        # Who reads it may have gone.
+        with contextlib.suppress(OSError):
+            stream.flush()
+    os._exit(code)
 
 
 if __name__ == "__main__":
