@@ -39,7 +39,10 @@ class SignedDistance:
         faces, self._corners = faces[is_sound], corners[is_sound]
         flat = cross[is_sound] / area[is_sound, None]
         self._normals = _feature_normals(vertices, faces, self._corners, flat)
-        self._tree = KDTree(self._corners.mean(axis=1))
+        middles = self._corners.mean(axis=1)
+        away = np.linalg.norm(self._corners - middles[:, None], axis=-1)
+        self._radii = away.max(axis=1)
+        self._tree = KDTree(middles)
 
     def __call__(
         self, points: Float[np.ndarray, "n 3"]
@@ -56,13 +59,29 @@ class SignedDistance:
         distance, normal = np.empty(len(points)), np.empty((len(points), 3))
         for first in range(0, len(points), _CHUNK):
             part = slice(first, first + _CHUNK)
-            count = min(_CANDIDATES, len(self._corners))
-            _, near = self._tree.query(points[part], k=count)
-            near = near.reshape(len(points[part]), -1)
-            distance[part], normal[part] = _nearest(
-                points[part], near, self._corners, self._normals
-            )
+            distance[part], normal[part] = self._nearest(points[part])
         return distance, normal
+
+    def _nearest(
+        self, points: Float[np.ndarray, "n 3"]
+    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
+        """Return signed distance and normal of the nearest triangle of each point."""
+        count = min(_CANDIDATES, len(self._corners))
+        apart, near = self._tree.query(points, k=count)
+        apart, near = (x.reshape(len(points), -1) for x in (apart, near))
+        # None is nearer than its middle less its radius, and one as near as its middle.
+        may_be = apart - self._radii[near] <= apart[:, :1]
+        row, triangle = np.nonzero(may_be)[0], near[may_be]
+        foot, feature = closest_on_triangles(points[row], self._corners[triangle])
+        away = points[row] - foot
+        square = np.einsum("ni,ni->n", away, away)
+        least = np.minimum.reduceat(square, np.flatnonzero(np.diff(row, prepend=-1)))
+        is_best = np.flatnonzero(square == least[row])
+        best = is_best[np.diff(row[is_best], prepend=-1) > 0]
+        away, normal = away[best], self._normals[triangle[best], feature[best]]
+        is_inside = np.einsum("ni,ni->n", away, normal) < 0
+        length = np.sqrt(least)
+        return np.where(is_inside, -length, length), normal
 
 
 def _feature_normals(
@@ -93,54 +112,37 @@ def _feature_normals(
     return np.where(length > 1e-9, normals / np.maximum(length, 1e-9), flat[:, None])
 
 
-def _nearest(
-    points: Float[np.ndarray, "n 3"],
-    near: Int[np.ndarray, "n k"],
-    corners: Float[np.ndarray, "face 3 3"],
-    normals: Float[np.ndarray, "face 7 3"],
-) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
-    """Return signed distance and normal of the nearest of some triangles each."""
-    foot, feature = closest_on_triangles(points[:, None], corners[near])
-    away = points[:, None] - foot
-    best = np.argmin(np.sum(away**2, axis=-1), axis=1)
-    row = np.arange(len(points))
-    normal = normals[near[row, best], feature[row, best]]
-    away = away[row, best]
-    length = np.linalg.norm(away, axis=-1)
-    is_inside = np.einsum("ni,ni->n", away, normal) < 0
-    return np.where(is_inside, -length, length), normal
-
-
 def closest_on_triangles(
-    points: Float[np.ndarray, "n 1 3"], corners: Float[np.ndarray, "n k 3 3"]
-) -> tuple[Float[np.ndarray, "n k 3"], Int[np.ndarray, "n k"]]:
-    """Return the nearest point of each triangle, and where on it that is.
+    points: Float[np.ndarray, "n 3"], corners: Float[np.ndarray, "n 3 3"]
+) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]]:
+    """Return the nearest point of a triangle to each point, and where on it that is.
 
     Args:
-        points: Points [m], shape (n, 1, 3).
-        corners: Corners of k triangles for each point [m], shape (n, k, 3, 3).
+        points: Points [m], shape (n, 3).
+        corners: Corners of the triangles [m], shape (n, 3, 3).
 
     Returns:
         The nearest points [m], and 0 to 2 where it is a corner, 3 to 5 where it is on
         the edge from corner 0, 1, 2 to the next, 6 inside.
     """
-    side = np.roll(corners, -1, axis=2) - corners
-    normal = np.cross(side[:, :, 0], side[:, :, 1])
-    area = np.einsum("nki,nki->nk", normal, normal)
-    from_corner = points[:, :, None] - corners
+    row = np.arange(len(points))
+    side = np.roll(corners, -1, axis=1) - corners
+    normal = np.cross(side[:, 0], side[:, 1])
+    area = np.einsum("ni,ni->n", normal, normal)
+    from_corner = points[:, None] - corners
     # Where along each side the foot is, 0 to 1.
-    length = np.einsum("nkei,nkei->nke", side, side)
-    t = np.clip(np.einsum("nkei,nkei->nke", from_corner, side) / length, 0, 1)
+    length = np.einsum("nei,nei->ne", side, side)
+    t = np.clip(np.einsum("nei,nei->ne", from_corner, side) / length, 0, 1)
     feet = corners + t[..., None] * side
-    away = np.sum((points[:, :, None] - feet) ** 2, axis=-1)
+    away = np.sum((points[:, None] - feet) ** 2, axis=-1)
     edge = np.argmin(away, axis=-1)
-    t = np.take_along_axis(t, edge[..., None], -1)[..., 0]
+    t = t[row, edge]
     feature = np.where(t <= 0, edge, np.where(t >= 1, (edge + 1) % 3, edge + 3))
-    foot = np.take_along_axis(feet, edge[..., None, None], axis=2)[:, :, 0]
+    foot = feet[row, edge]
     # Inside if the point is to the left of every side.
-    left = np.einsum("nkei,nki->nke", np.cross(side, from_corner), normal)
+    left = np.einsum("nei,ni->ne", np.cross(side, from_corner), normal)
     is_inside = (left > 0).all(axis=-1)
-    height = np.einsum("nki,nki->nk", from_corner[:, :, 0], normal) / area
+    height = np.einsum("ni,ni->n", from_corner[:, 0], normal) / area
     flat_foot = points - height[..., None] * normal
-    foot = np.where(is_inside[..., None], flat_foot, foot)
+    foot = np.where(is_inside[:, None], flat_foot, foot)
     return foot, np.where(is_inside, 6, feature)
