@@ -130,8 +130,11 @@ def legend_above(
 
 def save_figure(figure: "matplotlib.figure.Figure", path: Path) -> Path:
     """Write `figure` as PNG and return the path; its layout is then fixed."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
     _fix_layout(figure)
-    figure.savefig(path, dpi=DPI, facecolor="white")
+    # `Figure.savefig` draws twice: once to lay out what is laid out already.
+    FigureCanvasAgg(figure).print_png(path)
     return path
 
 
