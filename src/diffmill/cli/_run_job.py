@@ -33,7 +33,6 @@ _LATER = (
     "h5netcdf",
     "matplotlib.figure",
     "matplotlib.backends.backend_agg",
-    "scipy.signal",
     "scipy.spatial",
 )
 

@@ -292,7 +292,7 @@ def _follow(tables: JobTables, parts: _Parts, context: FileContext) -> _Parts:
             q = checks.joints(parts.path, context._replace(notes=[]))
     if not np.isfinite(np.asarray(robot.joint_stiffness)).all():
         return parts
-    poses = q[[0, len(q) // 2, -1]]
+    poses = np.asarray(q)[[0, len(q) // 2, -1]]
     try:
         check_sag(robot, poses, context)
         fastest = max(np.max(counting_modes(robot, row), initial=0.0) for row in poses)

@@ -2,7 +2,6 @@
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Float
@@ -10,6 +9,7 @@ from jaxtyping import Float
 from ..._arrays import first_rows
 from ..._live_rows import pad_rows, padded_count
 from ..._types import FloatRows
+from ...numerics import CompiledOnce
 from ...robot import (
     JointSolution,
     Robot,
@@ -257,7 +257,7 @@ def _note_singular(
 _frames = jax.jit(Pose.frame)
 
 
-@eqx.filter_jit
+@CompiledOnce
 def _singularities(robot: Robot, rows: FloatRows, tool_rotation: ToolRotation) -> Any:
     return jax.vmap(lambda q: singularity(robot, q, tool_rotation=tool_rotation))(rows)
 

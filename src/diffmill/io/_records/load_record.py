@@ -3,15 +3,18 @@
 import os
 import pathlib
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
-from ...identification import Record, find_saturated
 from .errors import RecordError
 from .reader import TableReader
 from .record_columns import FORCES, OTHERS
 from .table import Column
+
+if TYPE_CHECKING:
+    from ...identification import Record
 
 _SAME_RATE = 0.01
 
@@ -21,7 +24,7 @@ def load_record(
     channels: Mapping[str, str | int | None] | None = None,
     rate: float | None = None,
     units: Mapping[str, str] | None = None,
-) -> Record:
+) -> "Record":
     """Return a record of measured forces from a file.
 
     Text with any header and delimiter is read, DynoWare's export among it, and TDMS,
@@ -73,6 +76,9 @@ def load_record(
     seen = [q.key in columns for q in FORCES]
     names = [columns[q.key].name if q.key in columns else q.key for q in FORCES]
     force = np.ascontiguousarray(force[line.rows], dtype=np.float64)
+    # It takes a third of a second to import, which a job does not need.
+    from ...identification import Record, find_saturated
+
     is_saturated = np.asarray(find_saturated(force).any(axis=1))
     if is_saturated.any():
         reader.notes.append(

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from ...numerics import CompiledOnce
 from ...workpiece import CutInterval, Pose, Rays, Stock
 from .contact_depth import ContactTest, holder_depth, tool_depth
 
@@ -192,7 +193,7 @@ def sweep(columns: Columns, test: ContactTest, samples: Samples) -> Swept:
     return Swept(left, depths[0], depths[1], has_overflow)
 
 
-@eqx.filter_jit
+@CompiledOnce
 def _chunk(
     ends: Float[Array, "x y 2 slot"],
     origin: Float[Array, " 2"],

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
+from ...numerics import CompiledOnce
 from ...robot import ArmTerms, Robot, TipModes
 from .._machine._integrator.base import ArmState, MotorCommand, held_rate
 
@@ -38,7 +39,7 @@ def linear_modes(modes: TipModes, row_count: int) -> LinearArm:
     return jax.tree.map(repeated, LinearArm(A, G, C))
 
 
-@eqx.filter_jit
+@CompiledOnce
 def linear_arms(
     robot: Robot,
     T_base_work: Float[Array, "4 4"],

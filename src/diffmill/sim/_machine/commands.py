@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..._arrays import first_rows, on_device
 from ..._job import Job
 from ..._live_rows import live_rows, map_rows, pad_rows, padded_count
+from ...numerics import CompiledOnce
 from ...robot import (
     JointSolution,
     Robot,
@@ -223,7 +224,7 @@ class _Slopes(eqx.Module):
         self.is_compensated = job.simulation.is_gravity_compensated
 
 
-@eqx.filter_jit
+@CompiledOnce
 def _slopes(
     known: _Slopes,
     joints: Float[Array, "step joint"],
