@@ -46,6 +46,33 @@ class Decay(AbstractProblem):
         return QuadraticModel(cost, J.T @ value, J.T @ J)
 
 
+class WithJacobian(Decay):
+    """The decay, of which a Jacobian comes with the signal."""
+
+    made: list = eqx.field(default_factory=list)
+
+    def evaluate(self, x):
+        found = super().evaluate(x)
+        return None if found is None else (found, None)
+
+    def evaluate_for_model(self, x):
+        self.made.append(x)
+        wave = np.exp(-x[1] * TIME)
+        return decay(x) - SEEN, np.column_stack([wave, -x[0] * TIME * wave])
+
+    def has_model(self, value):
+        return value[1] is not None
+
+    def without_model(self, value):
+        return value[0], None
+
+    def model(self, x, value):
+        if value[1] is None:
+            value = self.evaluate_for_model(x)
+        cost = lambda there, at: 0.5 * float(at[0] @ at[0])
+        return QuadraticModel(cost, value[1].T @ value[0], value[1].T @ value[1])
+
+
 class BehindWall(AbstractProblem):
     """The distance to a point behind the wall n . x = 1, which must not be passed."""
 
@@ -147,6 +174,21 @@ def test_a_state_goes_on_where_it_ended():
     assert len(rest.calls) == wanted.evaluations - first.evaluations
     done = least_squares(Decay(), start, SOLVER, state=found)
     assert isinstance(done, LeastSquaresState) and done.steps == found.steps
+
+
+def test_a_value_that_comes_with_its_model_is_not_computed_again():
+    problem, told = WithJacobian(), []
+    # A good first step, behind which hardly anything is left to gain.
+    start = TRUTH + np.array([0.3, 0.2])
+    found = least_squares(problem, start, SOLVER, callback=told.append)
+    assert_allclose(found.x, least_squares(Decay(), start, SOLVER).x, rtol=1e-9)
+    assert found.models == len(problem.made)
+    assert found.evaluations == len(problem.calls)
+    # The start, and the point that took most of the cost away.
+    assert problem.has_model(told[0].value)
+    assert (told[0].evaluations, told[0].models) == (0, 2)
+    assert found.models == len(found.history)
+    assert not problem.has_model(found.value)
 
 
 def test_a_start_without_a_value_is_refused():

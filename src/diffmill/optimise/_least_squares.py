@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 _SHRINK = (0.1, 0.5)
 # How often the damping is raised beside the trials, until a step is short enough.
 _RAISES = 20
+# Share of the cost that a step must be foreseen to take away for its point to be taken
+# for the next one before it is tried.
+_LARGE = 0.5
 # A step so near to a bound, as a share of its range, is at the bound.
 _AT_BOUND = 1e-7
 
@@ -152,6 +155,33 @@ class AbstractProblem(eqx.Module):
     def evaluate(self, x: Vector) -> Value | None:
         """Return what is to be known at a point; None where it does not exist."""
 
+    def evaluate_for_model(self, x: Vector) -> Value | None:
+        """Return what `evaluate` does, where the model is likely to be wanted next.
+
+        For problems where what the model needs has the value too.
+
+        Args:
+            x: The point, shape (unknown,).
+        """
+        return self.evaluate(x)
+
+    def has_model(self, value: Value) -> bool:
+        """Tell whether a value came with what its model needs, which is then not made.
+
+        Args:
+            value: What the problem has computed.
+        """
+        del value
+        return False
+
+    def without_model(self, value: Value) -> Value:
+        """Return a value without what its model needed, once that is made.
+
+        Args:
+            value: What the problem has computed.
+        """
+        return value
+
     @abc.abstractmethod
     def model(self, x: Vector, value: Value) -> QuadraticModel:
         """Return the quadratic model around a point.
@@ -198,7 +228,7 @@ class LeastSquaresStep(eqx.Module):
     Attributes:
         cost: That of the best point, as the model of this step counts it.
         damping: Of the last trial.
-        evaluations: How often the problem was evaluated so far.
+        evaluations: How often the problem was evaluated so far, without a model.
         models: How often its quadratic model was made so far.
         seconds: Wall time since the start [s].
         is_accepted: Whether a trial lowered the cost.
@@ -220,7 +250,7 @@ class LeastSquaresState(eqx.Module):
         value: What the problem has computed there.
         damping: Of the next step.
         steps: Steps that lowered the cost.
-        evaluations: How often the problem was evaluated.
+        evaluations: How often the problem was evaluated, without a model.
         models: How often its quadratic model was made.
         has_converged: Whether no further step is worth while.
         history: The steps that were looked for.
@@ -234,6 +264,21 @@ class LeastSquaresState(eqx.Module):
     models: int = 0
     has_converged: bool = False
     history: tuple[LeastSquaresStep, ...] = ()
+
+    @classmethod
+    def begin(
+        cls, problem: AbstractProblem, x: Vector, value: Value, damping: float
+    ) -> "LeastSquaresState":
+        """Return the state in which a search begins.
+
+        Args:
+            problem: The problem.
+            x: Where it begins, shape (unknown,).
+            value: What the problem has computed there.
+            damping: Of the first step.
+        """
+        models = int(problem.has_model(value))
+        return cls(x, value, damping, evaluations=1 - models, models=models)
 
 
 def least_squares(
@@ -268,18 +313,20 @@ def least_squares(
         ValueError: The problem has no value at `x0`.
     """
     if state is None:
-        value = problem.evaluate(x0)
+        value = problem.evaluate_for_model(x0)
         if value is None:
             raise ValueError(
                 "Argument `x0` must be a point of the problem, but is not."
             )
-        state = LeastSquaresState(x0, value, solver.damping)
+        state = LeastSquaresState.begin(problem, x0, value, solver.damping)
     began = clock() - (state.history[-1].seconds if state.history else 0.0)
     for _ in range(solver.max_steps - state.steps):
         if state.has_converged:
             break
         box = _box(state.x, solver.longest, lower, upper)
-        state = _stepped(problem, state, solver, box, lambda: clock() - began)
+        # What the model is made of may be large, and is not held through the trials.
+        model, state = _modelled(problem, state)
+        state = _stepped(problem, model, state, solver, box, lambda: clock() - began)
         if callback is not None and callback(state):
             break
     return state
@@ -299,17 +346,26 @@ def _box(
     )
 
 
+def _modelled(
+    problem: AbstractProblem, state: LeastSquaresState
+) -> tuple[QuadraticModel, LeastSquaresState]:
+    """Return the model around a state's point, and the state without what it needed."""
+    models = state.models + (not problem.has_model(state.value))
+    model = problem.model(state.x, state.value)
+    value = problem.without_model(state.value)
+    return model, dataclasses.replace(state, value=value, models=models)
+
+
 def _stepped(
     problem: AbstractProblem,
+    model: QuadraticModel,
     state: LeastSquaresState,
     solver: LevenbergMarquardt,
     box: LinearRows,
     seconds: Callable[[], float],
 ) -> LeastSquaresState:
     """Return the state after one step, or where none is worth while."""
-    model = problem.model(state.x, state.value)
     now, damping = model.cost(state.x, state.value), state.damping
-    state = dataclasses.replace(state, models=state.models + 1)
     cost, used, is_better, has_converged = now, damping, False, True
     # Largest squared length of a trial, in the metric of the curvature.
     longest, trials = np.inf, 0
@@ -325,9 +381,17 @@ def _stepped(
             damping *= solver.more
             continue
         used = damping
-        value = problem.evaluate(state.x + p)
+        is_last = state.steps + 1 >= solver.max_steps
+        is_next = trials == 0 and not is_last and model.decrease(p) > _LARGE * now
+        evaluate = problem.evaluate_for_model if is_next else problem.evaluate
+        value = evaluate(state.x + p)
         cost = np.inf if value is None else model.cost(state.x + p, value)
-        state = dataclasses.replace(state, evaluations=state.evaluations + 1)
+        has_model = value is not None and problem.has_model(value)
+        state = dataclasses.replace(
+            state,
+            evaluations=state.evaluations + (not has_model),
+            models=state.models + has_model,
+        )
         trials += 1
         is_better = value is not None and bool(cost <= now and np.isfinite(cost))
         damping *= solver.less if is_better else solver.more

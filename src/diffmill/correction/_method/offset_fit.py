@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..._types import RealScalarLike
+from ...numerics import CompiledOnce
 from ...optimise import (
     AbstractProblem,
     LeastSquaresState,
@@ -177,16 +178,24 @@ class OffsetFit(AbstractProblem):
         """Tell whether all outputs are within their bounds."""
         return self.constraints.is_within(value.outputs.reshape(-1))
 
-    def begin(self, x: Unknowns) -> FitValue | None:
-        """Return the residual where a search begins; None where it is not finite.
+    def evaluate_for_model(self, x: Unknowns) -> FitValue | None:
+        """Return the residual at a point whose model is likely to be wanted next.
 
-        The linear system that its first step needs anyway has the motion too, so that
-        none is run for it. Of several members only one system is held at a time.
+        The linear system that the model needs has the motion too, so that none is run
+        for it. Of several members only one system is held at a time.
         """
         if len(self.plants) > 1:
             return self.evaluate(x)
         linear = linear_motion(self.plants[0], self.command(x))
         return self._value(x, [linear.motion], linear=linear)
+
+    def has_model(self, value: FitValue) -> bool:
+        """Tell whether a value came with the linear system of its model."""
+        return value.linear is not None
+
+    def without_model(self, value: FitValue) -> FitValue:
+        """Return a value without its linear system."""
+        return dataclasses.replace(value, linear=None)
 
     def evaluate(self, x: Unknowns) -> FitValue | None:
         """Return the residual at a point; None where it is not finite."""
@@ -331,11 +340,10 @@ def fit_offsets(
     """
     if state is None:
         x = np.clip(np.asarray(start, np.float64).reshape(-1), lower, upper)
-        value = fit.begin(x)
+        value = fit.evaluate_for_model(x)
         if value is None:
             return None
-        runs = 1 if value.linear is None else 0
-        state = LeastSquaresState(x, value, solver.damping, evaluations=runs)
+        state = LeastSquaresState.begin(fit, x, value, solver.damping)
         del value
     is_stopped = False
 
@@ -382,7 +390,7 @@ _host_command = eqx.filter_jit(command_of)
 _host_errors = eqx.filter_jit(errors_of)
 
 
-@eqx.filter_jit
+@CompiledOnce
 def _columns(
     linear: LinearMotion,
     coefficients: Float[Array, "coefficient axis"],
