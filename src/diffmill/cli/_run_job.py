@@ -8,6 +8,7 @@ import pathlib
 import sys
 import threading
 import time
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -35,6 +36,8 @@ _LATER = (
     "matplotlib.backends.backend_agg",
     "scipy.spatial",
 )
+# The same of what filters a deviation.
+_LATER_CORRECT = ("scipy.signal",)
 
 
 def run_job(
@@ -72,7 +75,8 @@ def run_job(
     from ..io import write_results
 
     # Compiled code leaves the interpreter free to import what comes later.
-    importing = threading.Thread(target=_import_later, daemon=True)
+    names = _LATER if command == "simulate" else (*_LATER, *_LATER_CORRECT)
+    importing = threading.Thread(target=_import_later, args=(names,), daemon=True)
     importing.start()
     with bad_input():
         uncached = configure_jax(job_precision(file))
@@ -157,10 +161,10 @@ def run_job(
     return code
 
 
-def _import_later() -> None:
+def _import_later(names: Sequence[str]) -> None:
     """Import what comes later; what fails here fails again, and is told, there."""
     with contextlib.suppress(Exception):
-        for name in _LATER:
+        for name in names:
             importlib.import_module(name)
 
 
