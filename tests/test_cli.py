@@ -1,5 +1,6 @@
 import importlib.util
 import json
+import os
 import pathlib
 import re
 import subprocess
@@ -380,6 +381,18 @@ def test_a_command_ends_while_a_thread_compiles(tmp_path):
         "error: interrupted\n",
         "",
     )
+
+
+@pytest.mark.skipif(not pathlib.Path("/dev/full").exists(), reason="no /dev/full")
+def test_output_that_finds_no_room_is_no_success():
+    line = [sys.executable, "-m", "diffmill", "--version"]
+    buffered = {k: v for k, v in os.environ.items() if k != "PYTHONUNBUFFERED"}
+    with pathlib.Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            line, env=buffered, stdout=full, stderr=subprocess.PIPE, text=True
+        )
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: the output is not complete")
 
 
 def test_an_interrupt_in_a_callback_is_not_lost():

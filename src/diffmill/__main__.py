@@ -22,10 +22,17 @@ def run() -> NoReturn:
     """
     gc.set_threshold(_OBJECTS)
     code = main()
-    for stream in (sys.stdout, sys.stderr):
-        # Who reads it may have gone.
-        with contextlib.suppress(OSError):
+    for stream in filter(None, (sys.stdout, sys.stderr)):
+        try:
             stream.flush()
+        except BrokenPipeError:
+            # Who reads it has gone.
+            continue
+        except OSError as error:
+            code = code or 1
+            with contextlib.suppress(OSError):
+                reason = error.strerror or str(error)
+                os.write(2, f"error: the output is not complete: {reason}\n".encode())
     os._exit(code)
 
 

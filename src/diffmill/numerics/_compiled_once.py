@@ -206,7 +206,10 @@ def _is_elsewhere(arguments: object) -> bool:
     """Return whether an array is on another device than what is compiled runs on."""
     arrays = [x for x in jax.tree.leaves(arguments) if isinstance(x, jax.Array)]
     devices = {device for x in arrays for device in x.devices()}
-    return not devices <= {jax.config.jax_default_device or jax.devices()[0]}  # pyright: ignore[reportAttributeAccessIssue]
+    usual = jax.config.jax_default_device or jax.devices()[0]  # pyright: ignore[reportAttributeAccessIssue]
+    # A program is traced for the platform of the backend.
+    is_usual = getattr(usual, "platform", usual) == jax.default_backend()
+    return not (is_usual and devices <= {usual})
 
 
 def _shape(array: Any) -> jax.ShapeDtypeStruct:

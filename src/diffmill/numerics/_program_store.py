@@ -12,6 +12,7 @@ import json
 import os
 import pathlib
 import tempfile
+import time
 
 import jax
 import jax.export
@@ -19,6 +20,8 @@ import jax.export
 # Beyond so many, those that were not used for longest go.
 _MOST_PROGRAMS = 400
 _FOLDER = "programs"
+# When this process began, or a little later.
+_BEGAN = time.time()
 # What JAX is told that changes no program.
 _HARMLESS = ("compilation_cache", "persistent_cache", "log_", "explain_", "traceback")
 
@@ -26,7 +29,7 @@ _HARMLESS = ("compilation_cache", "persistent_cache", "log_", "explain_", "trace
 def is_kept() -> bool:
     """Return whether programs are kept: where JAX keeps compiled ones."""
     debugs = jax.config.jax_debug_nans or jax.config.jax_disable_jit  # pyright: ignore[reportAttributeAccessIssue]
-    return _folder() is not None and not debugs
+    return _folder() is not None and not debugs and _sources() is not None
 
 
 def program_name(function: str, arguments: str) -> str:
@@ -112,10 +115,15 @@ def _folder() -> pathlib.Path | None:
 
 
 @functools.cache
-def _sources() -> str:
-    """Return a digest of what is traced: this package and what it stands on."""
+def _sources() -> str | None:
+    """Return a digest of what is traced: this package and what it stands on.
+
+    None if a source has changed since this process began, which may trace the old one.
+    """
     digest, root = hashlib.sha256(), pathlib.Path(__file__).parents[1]
     for path in sorted(root.rglob("*.py")):
+        if path.stat().st_mtime > _BEGAN:
+            return None
         digest.update(str(path.relative_to(root)).encode() + b"\0" + path.read_bytes())
     for name in ("jax", "jaxlib", "equinox", "numpy"):
         digest.update(f"{name} {importlib.metadata.version(name)}\n".encode())

@@ -72,7 +72,8 @@ def new_figure(
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width_in, height_in), dpi=DPI, layout="constrained")
+    size = width_in, height_in
+    figure = Figure(figsize=size, dpi=DPI, layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
     return figure
 
@@ -133,8 +134,12 @@ def save_figure(figure: "matplotlib.figure.Figure", path: Path) -> Path:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     _fix_layout(figure)
-    # `Figure.savefig` draws twice: once to lay out what is laid out already.
-    FigureCanvasAgg(figure).print_png(path)
+    canvas = figure.canvas
+    if isinstance(canvas, FigureCanvasAgg) and figure.get_dpi() == DPI:
+        # `Figure.savefig` draws twice: once to lay out what is laid out already.
+        canvas.print_png(path)
+    else:
+        figure.savefig(path, dpi=DPI, facecolor="white")
     return path
 
 

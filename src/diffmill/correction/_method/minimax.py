@@ -103,9 +103,10 @@ def worst_case(
             return None
         if best is None or _largest(fit, found.value) < _largest(fit, best.value):
             best = found
-        # The price is that of all rounds.
+        # The price is that of all rounds; no linear system is needed any more.
         best = dataclasses.replace(
             best,
+            value=fit.without_model(best.value),
             history=found.history,
             evaluations=found.evaluations,
             models=found.models,

@@ -349,7 +349,8 @@ def fit_offsets(
 
     def tell(found: LeastSquaresState) -> bool:
         nonlocal state, is_stopped
-        state = found
+        # One linear system is held at a time: by what goes on.
+        state = _without_model(fit, found)
         if fit.is_within(found.value):
             state = dataclasses.replace(
                 found, steps=0, has_converged=False, damping=solver.damping
@@ -359,16 +360,21 @@ def fit_offsets(
 
     if not fit.is_within(state.value):
         back = dataclasses.replace(solver, max_steps=_RETURN_STEPS, share=_RETURN_SHARE)
+        x, begun, state = state.x, [state], _without_model(fit, state)
         least_squares(
-            fit, state.x, back, lower=lower, upper=upper, state=state, callback=tell
+            fit, x, back, lower=lower, upper=upper, state=begun.pop(), callback=tell
         )
         if is_stopped or not fit.is_within(state.value):
             return state
-    # Not held here, or the first linear system would stay beside those that follow.
     x, begun, state = state.x, [state], None
     return least_squares(
         fit, x, solver, lower=lower, upper=upper, state=begun.pop(), callback=callback
     )
+
+
+def _without_model(fit: OffsetFit, state: LeastSquaresState) -> LeastSquaresState:
+    """Return a state without the linear system around its point."""
+    return dataclasses.replace(state, value=fit.without_model(state.value))
 
 
 def _blocks(count: int) -> list[Int[np.ndarray, " unknown"]]:
