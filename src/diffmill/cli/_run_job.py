@@ -8,7 +8,6 @@ import pathlib
 import sys
 import threading
 import time
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -34,10 +33,9 @@ _LATER = (
     "h5netcdf",
     "matplotlib.figure",
     "matplotlib.backends.backend_agg",
+    "scipy.signal",
     "scipy.spatial",
 )
-# The same of what filters a deviation.
-_LATER_CORRECT = ("scipy.signal",)
 
 
 def run_job(
@@ -75,8 +73,7 @@ def run_job(
     from ..io import write_results
 
     # Compiled code leaves the interpreter free to import what comes later.
-    names = _LATER if command == "simulate" else (*_LATER, *_LATER_CORRECT)
-    importing = threading.Thread(target=_import_later, args=(names,), daemon=True)
+    importing = threading.Thread(target=_import_later, daemon=True)
     importing.start()
     with bad_input():
         uncached = configure_jax(job_precision(file))
@@ -161,10 +158,10 @@ def run_job(
     return code
 
 
-def _import_later(names: Sequence[str]) -> None:
+def _import_later() -> None:
     """Import what comes later; what fails here fails again, and is told, there."""
     with contextlib.suppress(Exception):
-        for name in names:
+        for name in _LATER:
             importlib.import_module(name)
 
 
