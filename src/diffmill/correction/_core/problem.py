@@ -1,6 +1,7 @@
 """Problem of a correction: a plant, a path and the bounds."""
 
 import abc
+import dataclasses
 from collections.abc import Callable
 
 import equinox as eqx
@@ -84,6 +85,11 @@ class Problem(eqx.Module):
                     f"({rows}), but has {getattr(self, name).shape[0]}."
                 )
 
+    @property
+    def without_plant(self) -> "Problem":
+        """The problem for what needs no plant, compiled once for all plants."""
+        return dataclasses.replace(self, plant=_no_plant)
+
     def contour(self, motion: Motion) -> Float[Array, "step 3"]:
         """Return the vector from the nearest point of the desired path to the tip.
 
@@ -130,3 +136,7 @@ def motion_of(plant: Plant, command: FloatRows) -> Motion:
 @eqx.filter_jit
 def _compiled(plant: Plant, command: FloatRows) -> Motion:
     return plant(jnp.asarray(command))
+
+
+def _no_plant(command: Float[Array, "step axis"]) -> Motion:
+    raise NotImplementedError("what is known of a motion needs no plant")

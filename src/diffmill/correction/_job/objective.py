@@ -170,7 +170,8 @@ def remaining_error(
 
     Infinite where the motion is not finite.
     """
-    errors = np.asarray(_errors(objective, problem, found.motion), np.float64)
+    errors = _errors(objective, problem.without_plant, found.motion)
+    errors = np.asarray(errors, np.float64)
     return float(np.sqrt(np.sum(errors**2))) if np.isfinite(errors).all() else np.inf
 
 

@@ -294,19 +294,13 @@ def offset_fit(
         constraints = OutputConstraints(
             np.tile(bounds.lower / UNIT, count), np.tile(bounds.upper / UNIT, count)
         )
-    # A compiled program is then the same for all plants.
-    problem = dataclasses.replace(args.problem, plant=_no_plant)
     return OffsetFit(
-        dataclasses.replace(args, problem=problem),
+        dataclasses.replace(args, problem=args.problem.without_plant),
         tuple(plants),
         equal if weights is None else np.asarray(weights, np.float64),
         tuple(limits),
         constraints,
     )
-
-
-def _no_plant(command: Float[Array, "step axis"]) -> Motion:
-    raise NotImplementedError("the residual of a motion that is known needs no plant")
 
 
 def fit_offsets(

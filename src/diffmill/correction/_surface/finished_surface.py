@@ -14,6 +14,8 @@ is cut again by a later one, and which of two neighbouring poses decides.
 """
 
 import dataclasses
+from types import ModuleType
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -86,22 +88,17 @@ class FinishedSurface(eqx.Module):
         """
         return self._depths(actual, jnp.asarray(self.poses, jnp.int32))
 
+    def host_depths(self, desired: FloatRows3) -> Float[np.ndarray, "point pose"]:
+        """Return what `depths` does, as NumPy arrays."""
+        tips, poses = np.asarray(desired, np.float64), np.asarray(self.poses)
+        return _depths(np, self, tips, poses)
+
     @eqx.filter_jit
     def _depths(
         self, actual: FloatRows3, poses: Int[Array, "point some"]
     ) -> Float[Array, "point some"]:
         """Return how far out of the ideal surface some poses of each point cut."""
-        tips = jnp.asarray(actual)
-        p, n = (jnp.asarray(x, tips.dtype) for x in (self.points, self.normals))
-        apart = tips[poses] - p[:, None]
-        out = jnp.sum(apart * n[:, None], axis=2)
-        across = apart[..., 1] * n[:, None, 0] - apart[..., 0] * n[:, None, 1]
-        R = jnp.asarray(self.radius, tips.dtype)
-        square = R**2 - across**2
-        is_under = square > (0.01 * R) ** 2
-        wall = out - jnp.sqrt(jnp.where(is_under, square, 1.0))
-        wall = jnp.where(is_under, wall, jnp.asarray(_FAR, tips.dtype))
-        return jnp.where(jnp.asarray(self.is_wall)[:, None], wall, out)
+        return _depths(jnp, self, jnp.asarray(actual), poses)
 
     @classmethod
     def from_cut(
@@ -175,7 +172,7 @@ class FinishedSurface(eqx.Module):
 
         **Differentiability**: none, a host function.
         """
-        depth = np.asarray(self.depths(desired), np.float64)
+        depth = self.host_depths(desired)
         is_deepest = depth <= depth.min(axis=1, keepdims=True) + _SAME_DEPTH
         each = np.asarray(weights, np.float64)[np.asarray(self.poses)]
         return np.max(np.where(is_deepest, each, 0.0), axis=1)
@@ -192,10 +189,27 @@ class FinishedSurface(eqx.Module):
 
         **Differentiability**: none, a host function.
         """
-        is_near = np.asarray(self.depths(desired)) <= _NEAR
+        is_near = self.host_depths(desired) <= _NEAR
         found = np.zeros(len(np.asarray(desired)), bool)
         found[np.unique(np.asarray(self.poses)[is_near])] = True
         return found
+
+
+def _depths(xp: ModuleType, surface: FinishedSurface, tips: Any, poses: Any) -> Any:
+    """Return how far out of a surface some poses of each point cut, in NumPy or JAX.
+
+    On the host a program would serve one number of points alone.
+    """
+    p, n = (xp.asarray(x, tips.dtype) for x in (surface.points, surface.normals))
+    apart = tips[poses] - p[:, None]
+    out = xp.sum(apart * n[:, None], axis=2)
+    across = apart[..., 1] * n[:, None, 0] - apart[..., 0] * n[:, None, 1]
+    R = xp.asarray(surface.radius, tips.dtype)
+    square = R**2 - across**2
+    is_under = square > (0.01 * R) ** 2
+    wall = out - xp.sqrt(xp.where(is_under, square, 1.0))
+    wall = xp.where(is_under, wall, xp.asarray(_FAR, tips.dtype))
+    return xp.where(xp.asarray(surface.is_wall)[:, None], wall, out)
 
 
 class SurfaceObjective(AbstractObjective):

@@ -101,7 +101,7 @@ def deepest_rows(
 
     **Differentiability**: none, a host function.
     """
-    depth = np.asarray(bounds.surface.depths(desired), np.float64)
+    depth = bounds.surface.host_depths(desired)
     best = np.argmin(depth, axis=1)[:, None]
     return np.take_along_axis(np.asarray(bounds.surface.poses), best, axis=1)[:, 0]
 
