@@ -149,7 +149,8 @@ def test_documentation_builds_without_a_warning_and_fetches_nothing(tmp_path):
 
 def test_continuous_integration_runs_the_commands_of_the_readme():
     script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
-    assert '$uv pytest -m slow tests/test_project.py tests/test_docs.py"' in script
+    assert "$uv pytest -m slow $slow" in script
+    assert "tests/test_project.py tests/test_docs.py tests/correction/" in script
     assert "grep '^python3 -m venv .venv-tools ' README.md" in script
     assert 'step "${commands[0]//paper/paper_small}"' in script
     assert 'step "${commands[1]}"' in script
