@@ -8,6 +8,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float
 
 
@@ -29,14 +30,20 @@ def small_inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
     count = matrix.shape[0]
     rows = jnp.concatenate([matrix, jnp.eye(count, dtype=matrix.dtype)], axis=1)
     index = jnp.arange(count)
-    for k in range(count):
-        candidates = jnp.where(index >= k, jnp.abs(rows[:, k]), -1.0)
+
+    def eliminate(k, rows):
+        column = lax.dynamic_index_in_dim(rows, k, 1, keepdims=False)
+        candidates = jnp.where(index >= k, jnp.abs(column), -1.0)
         is_pivot = index == jnp.argmax(candidates)
         pivot = jnp.sum(jnp.where(is_pivot[:, None], rows, 0.0), axis=0)
-        rows = jnp.where(is_pivot[:, None], rows[k][None], rows)
-        pivot = pivot / pivot[k]
-        cleared = rows - rows[:, k][:, None] * pivot[None]
-        rows = jnp.where((index == k)[:, None], pivot[None], cleared)
+        at_k = lax.dynamic_index_in_dim(rows, k, 0)
+        rows = jnp.where(is_pivot[:, None], at_k, rows)
+        pivot = pivot / lax.dynamic_index_in_dim(pivot, k, 0, keepdims=False)
+        column = lax.dynamic_index_in_dim(rows, k, 1)
+        cleared = rows - column * pivot[None]
+        return jnp.where((index == k)[:, None], pivot[None], cleared)
+
+    rows = lax.fori_loop(0, count, eliminate, rows)
     return rows[:, count:]
 
 

@@ -1,5 +1,6 @@
 """The inputs of all figures, from a job and its solutions."""
 
+import concurrent.futures
 from collections.abc import Mapping
 from typing import TypedDict, TypeVar
 
@@ -48,7 +49,11 @@ def figure_inputs(
     """
     first = next(iter(cases.values()))
     step, forces = _typical_step(first), None
-    again = Replay.of_solution(job, first, chip_row=step or 1)
+    with concurrent.futures.ThreadPoolExecutor(1) as pool:
+        # Compiled code leaves the interpreter free to hold the surfaces together.
+        replay = pool.submit(Replay.of_solution, job, first, chip_row=step or 1)
+        maps = _surfaces(cases) if surfaces is None else _mapped(surfaces)
+        again = replay.result()
     samples = again.run.instantaneous_force
     # What overflowed is not the process of the figure's caption.
     if samples is not None and bool(again.run.result == RESULTS.successful):
@@ -58,7 +63,7 @@ def figure_inputs(
         chip=None if step is None else again.tooth_chip(),
         chip_row=step or 1,
         dexels=CutDexels.from_stocks(first.stock, first.rigid.stock),
-        surfaces=_surfaces(cases) if surfaces is None else _mapped(surfaces),
+        surfaces=maps,
     )
 
 
