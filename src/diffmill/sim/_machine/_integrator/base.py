@@ -10,6 +10,7 @@ import abc
 from typing import Literal, TypeAlias
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
@@ -57,12 +58,15 @@ class ArmState(eqx.Module):
 
         **Differentiability**: smooth, but where a gear with a gap carries nothing.
         """
-        q = tau = theta
-        for _ in range(3):
-            tau = ArmTerms.of_state(robot, q, v).bias_forces
+
+        def sag(state: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], None]:
+            tau = ArmTerms.of_state(robot, state[0], v).bias_forces
             if robot.friction is not None:
                 tau = tau + robot.friction_torque(v)
-            q = theta - robot.drive_deflection(tau)
+            return (theta - robot.drive_deflection(tau), tau), None
+
+        # A loop, since each copy of the arm's terms costs a second of compiling.
+        (q, tau), _ = jax.lax.scan(sag, (theta, theta), length=3)
         if robot.motors is None:
             return cls(q, v)
         motors = robot.motor_mask()
