@@ -13,11 +13,8 @@ def cross(
     left: Float[Array, "*batch 3"], right: Float[Array, "*batch 3"]
 ) -> Float[Array, "*batch 3"]:
     """Return the cross product, written out (`jnp.cross` does not fuse as well)."""
-    a_x, a_y, a_z = left[..., 0], left[..., 1], left[..., 2]
-    b_x, b_y, b_z = right[..., 0], right[..., 1], right[..., 2]
-    return jnp.stack(
-        [a_y * b_z - a_z * b_y, a_z * b_x - a_x * b_z, a_x * b_y - a_y * b_x], axis=-1
-    )
+    a, b = (jnp.concatenate([x, x[..., :2]], axis=-1) for x in (left, right))
+    return a[..., 1:4] * b[..., 2:5] - a[..., 2:5] * b[..., 1:4]
 
 
 def matrix_product(
