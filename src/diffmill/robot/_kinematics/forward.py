@@ -38,36 +38,29 @@ class JointFrames(eqx.Module):
 
 def joint_frames(robot: Robot, q: Float[Array, " joint"]) -> JointFrames:
     """Return frames and screws; see `JointFrames`."""
-    local_rotations, local_positions = _local_frames(robot, unfold_positions(robot, q))
-    rotations, positions = [], []
+    local = _local_frames(robot, unfold_positions(robot, q))
+    frames: list[Array] = []
     for i, parent in enumerate(robot.parents):
-        R, p = local_rotations[i], local_positions[i]
-        if parent >= 0:
-            p = positions[parent] + apply_matrix(rotations[parent], p)
-            R = matrix_product(rotations[parent], R)
-        rotations.append(R)
-        positions.append(p)
+        T = local[i]
+        frames.append(T[:3] if parent < 0 else matrix_product(frames[parent], T))
     # A product of full 4 x 4 matrices: both are data, and the frame is rarely needed.
-    T_joint_tool = matrix_product(robot.T_joint_flange, robot.T_flange_tool)
-    tool_rotation, tool_position = T_joint_tool[:3, :3], T_joint_tool[:3, 3]
+    tool = matrix_product(robot.T_joint_flange, robot.T_flange_tool)
     if robot.flange_joint >= 0:
-        R, p = rotations[robot.flange_joint], positions[robot.flange_joint]
-        tool_rotation = matrix_product(R, tool_rotation)
-        tool_position = p + apply_matrix(R, tool_position)
-    stacked = jnp.stack(rotations)
-    origins = jnp.stack(positions)
+        tool = matrix_product(frames[robot.flange_joint], tool)
+    stacked = jnp.stack(frames)
+    rotations, positions, tool_position = stacked[:, :, :3], stacked[:, :, 3], tool[:3, 3]
     return JointFrames(
-        rotations=stacked,
-        positions=origins,
-        tool_rotation=tool_rotation,
+        rotations=rotations,
+        positions=positions,
+        tool_rotation=tool[:3, :3],
         tool_position=tool_position,
-        screws=_screws(robot, stacked[:, :, 2], origins, tool_position),
+        screws=_screws(robot, rotations[:, :, 2], positions, tool_position),
     )
 
 
 def _local_frames(
     robot: Robot, q: Float[Array, " body"]
-) -> tuple[Float[Array, "body 3 3"], Float[Array, "body 3"]]:
+) -> Float[Array, "body 4 4"]:
     """Return each link's frame in its parent's."""
     R, p = robot.placement_rotations, robot.placement_positions
     slides = robot.prismatic_mask()
@@ -77,7 +70,9 @@ def _local_frames(
         p = p + R[:, :, 2] * jnp.where(slides, q, 0.0)[:, None]
     s, c = jnp.sin(angle)[:, None], jnp.cos(angle)[:, None]
     x, y, z = R[:, :, 0], R[:, :, 1], R[:, :, 2]
-    return jnp.stack([x * c + y * s, y * c - x * s, z], axis=-1), p
+    frames = jnp.stack([x * c + y * s, y * c - x * s, z, p], axis=-1)
+    last = jnp.broadcast_to(jnp.eye(4, dtype=q.dtype)[3], (robot.body_count, 1, 4))
+    return jnp.concatenate([frames, last], axis=1)
 
 
 def _screws(
