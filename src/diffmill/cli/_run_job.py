@@ -72,6 +72,9 @@ def run_job(
     from ..config import JobProgram, job_precision, load_job
     from ..io import write_results
 
+    # Compiled code leaves the interpreter free to import what comes later.
+    importing = threading.Thread(target=_import_later, daemon=True)
+    importing.start()
     with bad_input():
         uncached = configure_jax(job_precision(file))
         with progress:
@@ -94,9 +97,6 @@ def run_job(
                 program = JobProgram.of_job(file, allow_outside=allow_outside)
             checkpoint = Checkpoint(folder, job)
             checkpoint.open(resume=resume, force=force, progress=progress)
-    # Compiled code leaves the interpreter free to import what comes later.
-    importing = threading.Thread(target=_import_later, daemon=True)
-    importing.start()
     told = len(job.notes)
     for note in (*job.notes, *filter(None, [uncached])):
         progress.say(f"note: {note}")
