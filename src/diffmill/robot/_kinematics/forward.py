@@ -48,7 +48,11 @@ def joint_frames(robot: Robot, q: Float[Array, " joint"]) -> JointFrames:
     if robot.flange_joint >= 0:
         tool = matrix_product(frames[robot.flange_joint], tool)
     stacked = jnp.stack(frames)
-    rotations, positions, tool_position = stacked[:, :, :3], stacked[:, :, 3], tool[:3, 3]
+    rotations, positions, tool_position = (
+        stacked[:, :, :3],
+        stacked[:, :, 3],
+        tool[:3, 3],
+    )
     return JointFrames(
         rotations=rotations,
         positions=positions,
@@ -58,9 +62,7 @@ def joint_frames(robot: Robot, q: Float[Array, " joint"]) -> JointFrames:
     )
 
 
-def _local_frames(
-    robot: Robot, q: Float[Array, " body"]
-) -> Float[Array, "body 4 4"]:
+def _local_frames(robot: Robot, q: Float[Array, " body"]) -> Float[Array, "body 4 4"]:
     """Return each link's frame in its parent's."""
     R, p = robot.placement_rotations, robot.placement_positions
     slides = robot.prismatic_mask()

@@ -59,7 +59,9 @@ class ArmState(eqx.Module):
         **Differentiability**: smooth, but where a gear with a gap carries nothing.
         """
 
-        def sag(state: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], None]:
+        def sag(
+            state: tuple[Array, Array], _: None
+        ) -> tuple[tuple[Array, Array], None]:
             tau = ArmTerms.of_state(robot, state[0], v).bias_forces
             if robot.friction is not None:
                 tau = tau + robot.friction_torque(v)
