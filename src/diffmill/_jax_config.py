@@ -25,6 +25,9 @@ def configure_jax(precision: str = "float64") -> str:
     import jax
 
     jax.config.update("jax_enable_x64", precision == "float64")
+    # Which line of Python each operation comes from: nobody reads it of a command, and
+    # without it a twelfth less is waited for an empty cache.
+    jax.config.update("jax_traceback_in_locations_limit", 0)
     try:
         use_compile_cache()
     except OSError as error:

@@ -1,0 +1,14 @@
+"""Memory that a command has freed, and that the C library keeps for later."""
+
+import contextlib
+import ctypes
+
+
+def give_back_memory() -> None:
+    """Return freed memory to the system.
+
+    While a compiled program is made, or read, it takes several times what is kept of
+    it. Where the C library has no such function nothing is done.
+    """
+    with contextlib.suppress(AttributeError, OSError, TypeError):
+        ctypes.CDLL(None).malloc_trim(0)
