@@ -1,6 +1,7 @@
 """Time and memory of commands and of a gradient, against another tree of the project.
 
 python experiments/performance/against.py TREE [--job FILE] [--runs 3] [--out FOLDER]
+    [--commands simulate correct gradient]
 
 Both trees run a job by turns, in processes of their own: `simulate`, `correct`, and the
 gradient of the summed squares of the deviation with respect to the desired path, by the
@@ -38,8 +39,8 @@ class Cost(NamedTuple):
     memory: float
 
 
-def measure(report, other, job, runs):
-    """Run each command in both trees by turns; print the ratios of the medians."""
+def measure(report, other, job, runs, commands):
+    """Run commands in both trees by turns; print the ratios of the medians."""
     with tempfile.TemporaryDirectory() as name:
         folder = pathlib.Path(name)
         if job is None:
@@ -47,7 +48,7 @@ def measure(report, other, job, runs):
             run(other, folder, words)
             job = folder / "paper_small.toml"
         trees = {"this": HERE.parents[1], "other": other}
-        for command in COMMANDS:
+        for command in commands:
             costs = {name: [] for name in trees}
             for _ in range(1 + runs):
                 for name, tree in trees.items():
@@ -109,6 +110,7 @@ if __name__ == "__main__":
     parser.add_argument("tree", type=pathlib.Path, help="a checkout of the project")
     parser.add_argument("--job", type=pathlib.Path)
     parser.add_argument("--runs", type=int, default=3)
+    parser.add_argument("--commands", nargs="+", choices=COMMANDS, default=COMMANDS)
     parser.add_argument("--out", type=pathlib.Path, default=HERE / "results")
     chosen = parser.parse_args()
     if chosen.runs < 1:
@@ -120,5 +122,5 @@ if __name__ == "__main__":
     report = Report("diffmill performance: against another tree")
     print("\n".join(report.lines), flush=True)
     job = chosen.job and chosen.job.resolve()
-    measure(report, chosen.tree.resolve(), job, chosen.runs)
+    measure(report, chosen.tree.resolve(), job, chosen.runs, chosen.commands)
     store(report, chosen.out, "against")
