@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 import numpy as np
 
 from ._session.attempts import Attempts
+from ._session.memory import give_back_memory
 from ._session.progress import Progress
 from ._written.surface_file import write_surface
 
@@ -78,6 +79,8 @@ def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> 
         )
         (target / "result.nc").write_bytes(kept.to_netcdf(engine="h5netcdf"))
 
+    # The surfaces take what programs took while they were read.
+    give_back_memory()
     attempts.add(folder, fill)
     return attempts.conclude(folder)
 

@@ -17,7 +17,6 @@ from .._results_folder import ResultsFolder
 from ._analyses import FinishedRun, add_analyses
 from ._session.checkpoint import Checkpoint
 from ._session.errors import ONLY_SIMULATE, BadInput, bad_input
-from ._session.memory import give_back_memory
 from ._session.progress import Progress
 
 if TYPE_CHECKING:
@@ -187,7 +186,6 @@ def _length(text: str | None) -> float | None:
 def _analyse(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> int:
     """Add analyses and figures to written results; return the exit code."""
     start = time.perf_counter()
-    give_back_memory()
     try:
         code = add_analyses(folder, run, progress)
     except KeyboardInterrupt:

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 # Triangles of the mesh are about one spacing large: the nearest is among these.
 _CANDIDATES = 24
 # Points at a time: bounds the memory.
-_CHUNK = 20_000
+_CHUNK = 5_000
 
 
 class SignedDistance:
