@@ -78,7 +78,8 @@ class CutInterval(NamedTuple):
             free = jnp.argmin(is_live, axis=-1)[..., None]
             slots = jnp.arange(low.shape[-1]).reshape((1,) * (low.ndim - 1) + (-1,))
             takes = (needs & ~is_live & (slots == free))[..., None, :]
-            rest = jnp.max(jnp.where(splits, high, -Rays.DEAD), axis=-1, keepdims=True)
+            # A sum, of which reverse mode keeps no more than which piece it was.
+            rest = jnp.sum(jnp.where(splits, high, 0), axis=-1, keepdims=True)
             rest_pose = jnp.where(splits, poses[..., 1, :], -1)
             rest_pose = jnp.max(rest_pose, axis=-1, keepdims=True)
             return (

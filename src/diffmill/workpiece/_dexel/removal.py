@@ -465,5 +465,7 @@ def _removed_length(
     removed = jnp.zeros(ends.shape[:2], ends.dtype)
     for m in range(ends.shape[-1]):
         for sign, of in ((1, ends), (-1, new)):
-            removed = removed + sign * jnp.maximum(of[:, :, 1, m] - of[:, :, 0, m], 0)
+            length = of[:, :, 1, m] - of[:, :, 0, m]
+            # Of a greatest one reverse mode would keep more than a flag.
+            removed = removed + sign * jnp.where(length > 0, length, 0)
     return jnp.sum(removed)
