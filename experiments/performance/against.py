@@ -48,7 +48,7 @@ def measure(report, other, job, runs, commands):
             run(other, folder, words)
             job = folder / "paper_small.toml"
         trees = {"this": HERE.parents[1], "other": other}
-        for command in commands:
+        for command in dict.fromkeys(commands):
             costs = {name: [] for name in trees}
             for _ in range(1 + runs):
                 for name, tree in trees.items():

@@ -3,6 +3,7 @@
 A script has settings of its own: it asks for the cache, and for nothing else.
 """
 
+import contextlib
 import os
 import pathlib
 import sys
@@ -25,9 +26,11 @@ def configure_jax(precision: str = "float64") -> str:
     import jax
 
     jax.config.update("jax_enable_x64", precision == "float64")
-    # Which line of Python each operation comes from: nobody reads it of a command, and
-    # without it a twelfth less is waited for an empty cache.
-    jax.config.update("jax_traceback_in_locations_limit", 0)
+    if "JAX_TRACEBACK_IN_LOCATIONS_LIMIT" not in os.environ:
+        # Which line of Python an operation comes from: nobody reads it of a command,
+        # and the compiler takes longer with it.
+        with contextlib.suppress(AttributeError):
+            jax.config.update("jax_traceback_in_locations_limit", 0)
     try:
         use_compile_cache()
     except OSError as error:

@@ -17,6 +17,7 @@ from .._results_folder import ResultsFolder
 from ._analyses import FinishedRun, add_analyses
 from ._session.checkpoint import Checkpoint
 from ._session.errors import ONLY_SIMULATE, BadInput, bad_input
+from ._session.memory import give_back_memory
 from ._session.progress import Progress
 
 if TYPE_CHECKING:
@@ -117,6 +118,8 @@ def run_job(
         return 1
     seconds = time.perf_counter() - start
     importing.join()
+    # What programs took while they were made is more than results and figures take.
+    give_back_memory()
     if checkpoint is not None:
         seconds += checkpoint.spent
     solutions = {"predicted": outcome} if command == "simulate" else outcome.cases

@@ -39,20 +39,18 @@ class JointFrames(eqx.Module):
 def joint_frames(robot: Robot, q: Float[Array, " joint"]) -> JointFrames:
     """Return frames and screws; see `JointFrames`."""
     local = _local_frames(robot, unfold_positions(robot, q))
+    # Three rows of a frame times a whole local one: rotation and place at once, in half
+    # the instructions of a product for each.
     frames: list[Array] = []
     for i, parent in enumerate(robot.parents):
         T = local[i]
         frames.append(T[:3] if parent < 0 else matrix_product(frames[parent], T))
-    # A product of full 4 x 4 matrices: both are data, and the frame is rarely needed.
     tool = matrix_product(robot.T_joint_flange, robot.T_flange_tool)
     if robot.flange_joint >= 0:
         tool = matrix_product(frames[robot.flange_joint], tool)
     stacked = jnp.stack(frames)
-    rotations, positions, tool_position = (
-        stacked[:, :, :3],
-        stacked[:, :, 3],
-        tool[:3, 3],
-    )
+    rotations, positions = stacked[:, :, :3], stacked[:, :, 3]
+    tool_position = tool[:3, 3]
     return JointFrames(
         rotations=rotations,
         positions=positions,

@@ -50,10 +50,10 @@ def figure_inputs(
     first = next(iter(cases.values()))
     step, forces = _typical_step(first), None
     with concurrent.futures.ThreadPoolExecutor(1) as pool:
-        # Compiled code leaves the interpreter free to hold the surfaces together.
-        replay = pool.submit(Replay.of_solution, job, first, chip_row=step or 1)
-        maps = _surfaces(cases) if surfaces is None else _mapped(surfaces)
-        again = replay.result()
+        # Held together by another core while compiled code runs here.
+        found = pool.submit(_surfaces, cases) if surfaces is None else None
+        again = Replay.of_solution(job, first, chip_row=step or 1)
+        maps = _mapped(surfaces or {}) if found is None else found.result()
     samples = again.run.instantaneous_force
     # What overflowed is not the process of the figure's caption.
     if samples is not None and bool(again.run.result == RESULTS.successful):

@@ -466,6 +466,6 @@ def _removed_length(
     for m in range(ends.shape[-1]):
         for sign, of in ((1, ends), (-1, new)):
             length = of[:, :, 1, m] - of[:, :, 0, m]
-            # Of a greatest one reverse mode would keep more than a flag.
+            # Not `maximum`, of which reverse mode keeps numbers: of this, a flag.
             removed = removed + sign * jnp.where(length > 0, length, 0)
     return jnp.sum(removed)

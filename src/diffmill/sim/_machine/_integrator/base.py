@@ -58,6 +58,7 @@ class ArmState(eqx.Module):
 
         **Differentiability**: smooth, but where a gear with a gap carries nothing.
         """
+        theta = jnp.asarray(theta, robot.dtype)
 
         def sag(
             state: tuple[Array, Array], _: None
