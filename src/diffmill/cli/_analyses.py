@@ -79,7 +79,7 @@ def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> 
         )
         (target / "result.nc").write_bytes(kept.to_netcdf(engine="h5netcdf"))
 
-    # The search for chatter has programs of its own.
+    # The search for chatter has read programs of its own.
     give_back_memory()
     attempts.add(folder, fill)
     return attempts.conclude(folder)

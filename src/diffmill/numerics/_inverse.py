@@ -8,8 +8,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 
 @jax.custom_jvp
@@ -31,19 +30,18 @@ def small_inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
     rows = jnp.concatenate([matrix, jnp.eye(count, dtype=matrix.dtype)], axis=1)
     index = jnp.arange(count)
 
-    def eliminate(k, rows):
-        column = lax.dynamic_index_in_dim(rows, k, 1, keepdims=False)
-        candidates = jnp.where(index >= k, jnp.abs(column), -1.0)
+    def eliminate(
+        k: Int[Array, ""], rows: Float[Array, "n both"]
+    ) -> Float[Array, "n both"]:
+        candidates = jnp.where(index >= k, jnp.abs(rows[:, k]), -1.0)
         is_pivot = index == jnp.argmax(candidates)
         pivot = jnp.sum(jnp.where(is_pivot[:, None], rows, 0.0), axis=0)
-        at_k = lax.dynamic_index_in_dim(rows, k, 0)
-        rows = jnp.where(is_pivot[:, None], at_k, rows)
-        pivot = pivot / lax.dynamic_index_in_dim(pivot, k, 0, keepdims=False)
-        column = lax.dynamic_index_in_dim(rows, k, 1)
-        cleared = rows - column * pivot[None]
+        rows = jnp.where(is_pivot[:, None], rows[k][None], rows)
+        pivot = pivot / pivot[k]
+        cleared = rows - rows[:, k][:, None] * pivot[None]
         return jnp.where((index == k)[:, None], pivot[None], cleared)
 
-    rows = lax.fori_loop(0, count, eliminate, rows)
+    rows = jax.lax.fori_loop(0, count, eliminate, rows)
     return rows[:, count:]
 
 

@@ -50,10 +50,11 @@ def figure_inputs(
     first = next(iter(cases.values()))
     step, forces = _typical_step(first), None
     with concurrent.futures.ThreadPoolExecutor(1) as pool:
-        # Held together by another core while compiled code runs here.
-        found = pool.submit(_surfaces, cases) if surfaces is None else None
+        # Another core compares the surfaces while compiled code runs here.
+        maps = pool.submit(
+            lambda: _surfaces(cases) if surfaces is None else _mapped(surfaces)
+        )
         again = Replay.of_solution(job, first, chip_row=step or 1)
-        maps = _mapped(surfaces or {}) if found is None else found.result()
     samples = again.run.instantaneous_force
     # What overflowed is not the process of the figure's caption.
     if samples is not None and bool(again.run.result == RESULTS.successful):
@@ -63,7 +64,7 @@ def figure_inputs(
         chip=None if step is None else again.tooth_chip(),
         chip_row=step or 1,
         dexels=CutDexels.from_stocks(first.stock, first.rigid.stock),
-        surfaces=maps,
+        surfaces=maps.result(),
     )
 
 

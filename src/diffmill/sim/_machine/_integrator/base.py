@@ -60,20 +60,18 @@ class ArmState(eqx.Module):
         """
         theta = jnp.asarray(theta, robot.dtype)
 
-        def sag(
-            state: tuple[Array, Array], _: None
-        ) -> tuple[tuple[Array, Array], None]:
-            tau = ArmTerms.of_state(robot, state[0], v).bias_forces
+        def balance(q: Float[Array, " joint"], _: None) -> tuple[Array, Array]:
+            tau = ArmTerms.of_state(robot, q, v).bias_forces
             if robot.friction is not None:
                 tau = tau + robot.friction_torque(v)
-            return (theta - robot.drive_deflection(tau), tau), None
+            return theta - robot.drive_deflection(tau), tau
 
-        # A loop, since each copy of the arm's terms costs a second of compiling.
-        (q, tau), _ = jax.lax.scan(sag, (theta, theta), length=3)
+        # A loop, since each copy of the arm's terms would be compiled for itself.
+        q, torques = jax.lax.scan(balance, theta, length=3)
         if robot.motors is None:
             return cls(q, v)
         motors = robot.motor_mask()
-        held = theta - robot.servo_deflection(tau)
+        held = theta - robot.servo_deflection(torques[-1])
         return cls(q, v, held, jnp.where(motors, v, 0.0))
 
 
