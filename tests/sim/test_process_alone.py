@@ -301,10 +301,18 @@ def test_helix_keeps_the_mean_and_spreads_the_extremes():
     assert np.ptp(with_helix[..., 1]) < np.ptp(straight_flutes[..., 1])
 
 
+def in_two_steps():
+    """Return a path along a wall and, deeper, back: its walls have two ages."""
+    count = STEPS // 2
+    there = straight(-2.5e-3, 0.6e-3, feed=2 * FEED, steps=count)
+    return np.concatenate([there, straight(-2e-3, 1.03e-3, 2 * FEED, count)[::-1]])
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("mode", ["forward", "reverse"])
-def test_both_adjoints_agree(mode):
-    path = jnp.asarray(straight(-2e-3, 1.03e-3))
+@pytest.mark.parametrize("path", [straight(-2e-3, 1.03e-3), in_two_steps()])
+def test_both_adjoints_agree(mode, path):
+    path = jnp.asarray(path)
     rng = np.random.default_rng(4)
     weights = jnp.asarray(rng.normal(size=path.shape))
     direction = jnp.asarray(rng.normal(size=path.shape))

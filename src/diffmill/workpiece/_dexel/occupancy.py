@@ -276,7 +276,7 @@ def _tie_walls(
     """Return both families, their ends with the derivatives of their poses."""
     frozen = jax.lax.stop_gradient
     # One gather for both: its transpose then adds into the table only once.
-    tips = Recomputed.read(track.cut_by(jnp.stack([w.pose for w in walls])).tip)
+    tips = Recomputed.read(_tips_of_walls(jnp.stack([w.pose for w in walls]), track))
     moving = []
     for f in (0, 1):
         wall, tip = walls[f], tips[f]
@@ -288,6 +288,24 @@ def _tie_walls(
         ends = with_derivative_of(frozen(wall.ends), tie)
         moving.append(eqx.tree_at(lambda w: w.ends, wall, ends))
     return tuple(moving)
+
+
+def _tips_of_walls(
+    poses: Int[Array, "2 3 2 element point"], track: PoseTrack
+) -> Float[Array, "2 3 2 element point 3"]:
+    """Return the tips that cut walls; for raw ends, any.
+
+    A straight tooth makes an upright wall at once from floor to top: mostly one pose
+    stands for all heights, and reverse mode adds into the track one by one.
+    """
+    newest = jnp.max(poses, axis=(2, 3), keepdims=True)
+    is_one = jnp.all((poses == newest) | (poses < 0))
+    shape = (*poses.shape, 3)
+    return jax.lax.cond(
+        is_one,
+        lambda: jnp.broadcast_to(track.cut_by(newest).tip, shape),
+        lambda: track.cut_by(poses).tip,
+    )
 
 
 def _combine(

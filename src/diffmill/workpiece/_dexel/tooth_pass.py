@@ -69,12 +69,27 @@ class PoseTrack(eqx.Module):
     ) -> Float[Array, "*end some"]:
         ticks = jnp.maximum(ticks, 0)
         steps = (ticks % Rays.TICKS) * self.substeps
-        low = ticks // Rays.TICKS * self.substeps + steps // Rays.TICKS
-        high = jnp.minimum(low + 1, nodes.shape[0] - 1)
+        node = ticks // Rays.TICKS * self.substeps + steps // Rays.TICKS
         share = (steps % Rays.TICKS).astype(nodes.dtype)[..., None] / Rays.TICKS
-        # One gather for both: its transpose then adds into the table only once.
-        both = nodes[jnp.stack([low, high])]
-        return (1 - share) * both[0] + share * both[1]
+        # Two nodes by one index: the transpose adds them into the table at once.
+        low = jnp.minimum(node, nodes.shape[0] - 2)
+        share = jnp.where(node[..., None] > low[..., None], 1, share)
+        both = _pairs(nodes, low)
+        return (1 - share) * both[..., 0, :] + share * both[..., 1, :]
+
+
+def _pairs(
+    table: Float[Array, "row some"], first: Int[Array, "*at"]
+) -> Float[Array, "*at 2 some"]:
+    """Return rows of a table and those behind them."""
+    numbers = jax.lax.GatherDimensionNumbers(
+        offset_dims=(first.ndim, first.ndim + 1),
+        collapsed_slice_dims=(),
+        start_index_map=(0,),
+    )
+    size = (2, table.shape[1])
+    mode = jax.lax.GatherScatterMode.PROMISE_IN_BOUNDS
+    return jax.lax.gather(table, first[..., None], numbers, size, mode=mode)
 
 
 class ToothPass(eqx.Module):
