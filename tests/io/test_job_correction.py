@@ -1,8 +1,16 @@
 """`[correction]`: objective, weights and bounds as a job file says them."""
 
+import dataclasses
+
 import pytest
 
-from diffmill import JobError, UncertaintySettings, load_job
+from diffmill import (
+    CorrectionSettings,
+    JobError,
+    SimulationSettings,
+    UncertaintySettings,
+    load_job,
+)
 from small_job import PROGRAM, small_job
 
 LEANING = "time_s,x_mm,y_mm,z_mm,i,j,k\n0,-9,4,9,0,0.6,0.8\n0.1,-8,4,9,0,0.6,0.8\n"
@@ -39,6 +47,20 @@ def problems_of(job_file):
         return error.value.problems
 
     return problems
+
+
+def test_what_a_job_leaves_out_is_what_scripts_leave_out(job_file):
+    # Tables and settings each state their defaults: tables know nothing of JAX.
+    job = load_job(job_file("uncertainty = {}"))
+    assert job.correction.uncertainty == UncertaintySettings()
+    plain = CorrectionSettings(acceleration_factor=2.0)
+    assert dataclasses.replace(job.correction, uncertainty=None) == plain
+    # What has no default in the settings follows from the job.
+    own = job.simulation
+    sizes = ("angles", "substeps", "element_height", "axial_depth", "looks")
+    of_job = {name: getattr(own, name) for name in (*sizes, "plunges")}
+    assert own == SimulationSettings(**of_job)
+    assert job.output == type(job.output)()
 
 
 def test_the_tolerance_band_is_the_tolerance_unless_given(settings_of):

@@ -6,7 +6,6 @@ from typing import TypeAlias
 import numpy as np
 
 from ..._job import Job
-from ...optimise import LevenbergMarquardt
 from .._core.method import Corrected
 from .._core.path_objective import AbstractObjective, PathObjective
 from .._core.problem import Problem
@@ -45,9 +44,7 @@ def job_optimiser(
     known = settings.uncertainty
     return GaussNewton(
         knot_spacing=settings.knot_spacing,
-        solver=LevenbergMarquardt(
-            max_steps=settings.max_steps, damping=1e-4, share=1e-2
-        ),
+        solver=dataclasses.replace(GaussNewton.solver, max_steps=settings.max_steps),
         objective=objective,
         ensemble=job_ensemble(job, plant),
         is_worst_case=known is not None and known.objective == "worst",

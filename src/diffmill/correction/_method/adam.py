@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._job import CorrectionSettings
 from ..._result import RESULTS
 from ..._types import FloatRows
 from .._core.method import AbstractMethod, Corrected, OnProgress, corrected
@@ -44,7 +45,7 @@ class Adam(AbstractMethod):
         limits: Limits of the coefficients, of the joints for example.
     """
 
-    knot_spacing: float = 30e-3
+    knot_spacing: float = CorrectionSettings.knot_spacing
     steps: int = 100
     step_size: float = 0.03
     smoothness: float = 1e-2

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ..._job import CorrectionSettings
 from ..._result import RESULTS
 from ..._types import FloatRows
 from ...optimise import LeastSquaresState, LevenbergMarquardt
@@ -47,7 +48,7 @@ class GaussNewton(AbstractMethod):
         max_acceleration: Largest acceleration of it per axis [its unit / s^2].
     """
 
-    knot_spacing: float = 30e-3
+    knot_spacing: float = CorrectionSettings.knot_spacing
     smoothness: float = 1e-2
     lag_weight: float = 0.03
     solver: LevenbergMarquardt = LevenbergMarquardt(
