@@ -434,10 +434,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = sys.argv[1:] if argv is None else list(argv)
     if argv is None:
         _pass_interrupts_on()
-    if arguments == ["--version"]:
-        print(f"diffmill {metadata.version('diffmill')}")
-        return 0
     try:
+        if arguments == ["--version"]:
+            print(f"diffmill {metadata.version('diffmill')}")
+            return 0
         if arguments[:1] == ["--completion"]:
             arguments = ["--tyro-print-completion", shell_of(arguments)]
         else:
