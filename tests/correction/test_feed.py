@@ -102,8 +102,9 @@ def test_derivatives_of_the_error_against_differences(problem):
 
     @jax.jit
     def square(x):
-        contour, share = problem.prediction(jnp.exp(x), 400)
-        return share @ jnp.sum(contour**2, axis=1) / jnp.sum(share)
+        found = problem.prediction(jnp.exp(x), 400)
+        share = found.lengths
+        return share @ jnp.sum(found.vectors**2, axis=1) / jnp.sum(share)
 
     gradient = jax.jit(jax.grad(square))(x)
     h = 1e-5

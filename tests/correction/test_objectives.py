@@ -78,7 +78,7 @@ def test_two_steps_come_near_a_band_that_can_be_kept():
     _, path, is_cutting = rounded_square(TIME_STEP)
     problem = Problem(soft_arm(TIME_STEP), path, path, is_cutting * 1.0, TIME_STEP)
     largest = lambda contour: np.linalg.norm(contour[is_cutting], axis=1).max()
-    assert largest(np.asarray(problem.run(path)[1])) > 600e-6
+    assert largest(np.asarray(problem.contour(problem.run(path)))) > 600e-6
     band = 150e-6
     solver = LevenbergMarquardt(max_steps=2, damping=1e-4, share=1e-2)
     left = {

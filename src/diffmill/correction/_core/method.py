@@ -121,11 +121,9 @@ def corrected(
     **Differentiability**: runs on the host, not traceable.
     """
     if motion is None:
-        motion, vectors = problem.run(command)
+        motion = problem.run(command)
         forward_runs += 1
-    else:
-        vectors = problem.contour(motion)
-    contour = np.asarray(vectors, np.float64)
+    contour = np.asarray(problem.contour(motion), np.float64)
     figures = measure(problem, command, contour)
     return Corrected(
         command=command,

@@ -197,10 +197,12 @@ def _section_rise(
 
     The section is the removed volume per travel, over half a reach to either side.
     """
-    total = np.cumsum(volume)
+    # The rows without dwells, with all that was removed up to their end.
+    is_last = np.append(np.diff(travel) > 0, True)
+    rising, total = travel[is_last], np.cumsum(volume)[is_last]
 
     def removed(place):
-        return np.interp(place, *_strictly_rising(travel, total))
+        return np.interp(place, rising, total)
 
     def section(place):
         return (removed(place + reach / 2) - removed(place - reach / 2)) / reach
@@ -208,11 +210,3 @@ def _section_rise(
     now, before = section(travel), section(travel - reach)
     larger = np.maximum(now, before)
     return np.divide(now - before, larger, out=np.zeros_like(now), where=larger > 0)
-
-
-def _strictly_rising(
-    travel: Float[np.ndarray, " step"], total: Float[np.ndarray, " step"]
-) -> tuple[Float[np.ndarray, " row"], Float[np.ndarray, " row"]]:
-    """Return the rows without dwells, with all that was removed up to their end."""
-    is_last = np.append(np.diff(travel) > 0, True)
-    return travel[is_last], total[is_last]

@@ -104,19 +104,15 @@ class Problem(eqx.Module):
         desired = jnp.asarray(self.desired, motion.actual.dtype)
         return contour_vector(motion.actual, desired, window=self.window)
 
-    def run(self, command: FloatRows) -> tuple[Motion, Float[Array, "step 3"]]:
-        """Run the plant once, compiled; return its motion and the contour vectors.
+    def run(self, command: FloatRows) -> Motion:
+        """Run the plant once, compiled.
 
         Args:
             command: The whole command, not its offset, shape (step, axis).
 
-        Returns:
-            The motion and the contour vectors [m], shape (step, 3).
-
         **Differentiability**: none, a host function.
         """
-        motion = motion_of(self.plant, command)
-        return motion, self.contour(motion)
+        return motion_of(self.plant, command)
 
 
 def motion_of(plant: Plant, command: FloatRows) -> Motion:

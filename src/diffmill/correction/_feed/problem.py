@@ -6,6 +6,7 @@ slowest override, so that the shapes stay and the whole differentiates.
 """
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -13,8 +14,27 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._types import RealScalarLike
 from ...toolpath import PathFeed, contour_vector
 from .._core.problem import Motion, Weights
+
+
+class WeightedContour(eqx.Module):
+    """Contour vectors with the length of path that each of them stands for.
+
+    Attributes:
+        vectors: From the desired path to the tip [m], shape (row, 3).
+        lengths: Length of the path up to a row, times its weight [m], shape (row,):
+            nothing for a tool that stands still.
+    """
+
+    vectors: Float[Array, "row 3"]
+    lengths: Float[Array, " row"]
+
+    def mean_square(self) -> Float[Array, ""]:
+        """Return the mean square over the length of the path [m^2]."""
+        square = jnp.sum(self.vectors**2, axis=1)
+        return jnp.sum(self.lengths * square) / jnp.sum(self.lengths)
 
 
 class FeedProblem(eqx.Module):
@@ -47,17 +67,12 @@ class FeedProblem(eqx.Module):
 
     def prediction(
         self, override: Float[Array, " knot"], step_count: int
-    ) -> tuple[Float[Array, "row 3"], Float[Array, " row"]]:
+    ) -> WeightedContour:
         """Return the contour vectors and how much each of them counts.
 
         Args:
             override: Override at the knots, shape (knot,).
             step_count: Rows to simulate; enough for the slowest override that occurs.
-
-        Returns:
-            Vectors from the desired path to the tip [m], shape (row, 3), and the length
-            of the path that each row stands for, times its weight [m], shape (row,):
-            nothing for a tool that stands still.
 
         **Differentiability**: that of the plant, kinks as `PathFeed.instants`; the
         choice of the nearest segment of the path is held.
@@ -68,7 +83,8 @@ class FeedProblem(eqx.Module):
         motion = self.plant(desired, feed.axes(places))
         rows = jnp.arange(self.weights.shape[0], dtype=places.dtype)
         weights = jnp.interp(places, rows, jnp.asarray(self.weights, places.dtype))
-        return contour_vector(motion.actual, desired), weights * _lengths(desired)
+        contour = contour_vector(motion.actual, desired)
+        return WeightedContour(contour, weights * _lengths(desired))
 
     @staticmethod
     def smoothed(weights: Weights, rows: int = 8) -> Float[np.ndarray, " step"]:
@@ -83,12 +99,6 @@ class FeedProblem(eqx.Module):
         return np.convolve(wide, window, mode="valid")
 
 
-def _mean_square(
-    contour: Float[Array, "row 3"], share: Float[Array, " row"]
-) -> Float[Array, ""]:
-    return jnp.sum(share * jnp.sum(contour**2, axis=1)) / jnp.sum(share)
-
-
 def _lengths(rows: Float[Array, "row 3"]) -> Float[Array, " row"]:
     """Return the length that the tool moves up to each row [m]."""
     steps = jnp.diff(rows, axis=0, prepend=rows[:1])
@@ -97,29 +107,55 @@ def _lengths(rows: Float[Array, "row 3"]) -> Float[Array, " row"]:
     return jnp.where(is_any, jnp.sqrt(jnp.where(is_any, square, 1.0)), 0.0)
 
 
+class FeedFigures(NamedTuple):
+    """Mean square error [m^2] and time [s] of a path."""
+
+    square: RealScalarLike
+    time: RealScalarLike
+
+
 @eqx.filter_jit
 def feed_figures(
     problem: FeedProblem, x: Float[Array, " knot"], step_count: int
-) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Return the mean square error [m^2] and the time [s]."""
+) -> FeedFigures:
+    """Return the figures of a path at the logarithms of its override."""
     override = jnp.exp(x)
     found = problem.prediction(override, step_count)
-    return _mean_square(*found), problem.feed.instants(override)[-1]
+    return FeedFigures(found.mean_square(), problem.feed.instants(override)[-1])
+
+
+class FeedSlopes(NamedTuple):
+    """Derivatives of half the mean square error [m^2] and of the time [s].
+
+    Attributes:
+        gradient: Of the error, shape (knot,).
+        curvature: Of the error, as Gauss-Newton has it, shape (knot, knot).
+        time_gradient: Of the time, shape (knot,).
+        time_curvature: Of the time, shape (knot, knot).
+    """
+
+    gradient: Array
+    curvature: Array
+    time_gradient: Array
+    time_curvature: Array
 
 
 @eqx.filter_jit
 def feed_slopes(
     problem: FeedProblem, x: Float[Array, " knot"], step_count: int
-) -> tuple[Array, ...]:
-    """Return gradient and curvature of half the mean square error and of the time."""
+) -> FeedSlopes:
+    """Return the derivatives of the figures by the logarithms of the override."""
     predict = lambda x: (problem.prediction(jnp.exp(x), step_count),) * 2
-    slopes, (contour, share) = jax.jacfwd(predict, has_aux=True)(x)
+    slopes, found = jax.jacfwd(predict, has_aux=True)(x)
     # Lengths and weights of the rows change too, but give no curvature: a sum over
     # other rows of the same path.
-    half = lambda *found: _mean_square(*found) / 2
-    by_contour, by_share = jax.grad(half, argnums=(0, 1))(contour, share)
-    gradient = jnp.einsum("ra,rak->k", by_contour, slopes[0]) + by_share @ slopes[1]
-    J = slopes[0] * jnp.sqrt(share / jnp.sum(share))[:, None, None]
+    by = jax.grad(lambda found: found.mean_square() / 2)(found)
+    gradient = jnp.einsum("ra,rak->k", by.vectors, slopes.vectors)
+    gradient = gradient + by.lengths @ slopes.lengths
+    share = found.lengths / jnp.sum(found.lengths)
+    J = slopes.vectors * jnp.sqrt(share)[:, None, None]
     J = J.reshape(-1, x.size)
     time = lambda x: problem.feed.instants(jnp.exp(x))[-1]
-    return gradient, J.T @ J, jax.jacfwd(time)(x), jax.jacfwd(jax.jacfwd(time))(x)
+    return FeedSlopes(
+        gradient, J.T @ J, jax.jacfwd(time)(x), jax.jacfwd(jax.jacfwd(time))(x)
+    )

@@ -13,8 +13,8 @@ derivatives, one for each knot, give the curvature too (Gauss-Newton); T is chea
 its second derivatives are exact.
 """
 
+import math
 from collections.abc import Callable
-from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -28,7 +28,7 @@ from ...optimise import (
     QuadraticModel,
     least_squares,
 )
-from .problem import FeedProblem, feed_figures, feed_slopes
+from .problem import FeedFigures, FeedProblem, feed_figures, feed_slopes
 
 # Called with a message and the share of the weights that are done.
 OnShare = Callable[[str, float], None]
@@ -39,13 +39,6 @@ _LESS = 0.2
 # A step that promises less of the objective than this ends the search.
 _SETTLED = 3e-5
 _ATTEMPTS = 6
-
-
-class _Figures(NamedTuple):
-    """Mean square error [m^2] and time [s] of a path."""
-
-    square: float
-    time: float
 
 
 class FeedPoint(eqx.Module):
@@ -176,15 +169,18 @@ class _Objective(AbstractProblem):
 
     problem: FeedProblem
     weight: float
-    first: _Figures
+    first: FeedFigures
     rows: int
 
-    def evaluate(self, x: Float[np.ndarray, " knot"]) -> _Figures | None:
+    def evaluate(self, x: Float[np.ndarray, " knot"]) -> FeedFigures | None:
         """Return the figures; None where the motion is not finite."""
         found = _figures(self.problem, x, self.rows)
-        return found if np.isfinite([found.square, found.time]).all() else None
+        is_finite = math.isfinite(found.square) and math.isfinite(found.time)
+        return found if is_finite else None
 
-    def model(self, x: Float[np.ndarray, " knot"], value: _Figures) -> QuadraticModel:
+    def model(
+        self, x: Float[np.ndarray, " knot"], value: FeedFigures
+    ) -> QuadraticModel:
         """Return the model of the objective."""
         dtype = jnp.result_type(self.problem.feed.path.positions)
         found = feed_slopes(self.problem, jnp.asarray(x, dtype), self.rows)
@@ -201,7 +197,7 @@ class _Objective(AbstractProblem):
 
 def _figures(
     problem: FeedProblem, x: Float[np.ndarray, " knot"], rows: int
-) -> _Figures:
+) -> FeedFigures:
     dtype = jnp.result_type(problem.feed.path.positions)
-    square, time = feed_figures(problem, jnp.asarray(x, dtype), rows)
-    return _Figures(float(square), float(time))
+    found = feed_figures(problem, jnp.asarray(x, dtype), rows)
+    return FeedFigures(float(found.square), float(found.time))

@@ -98,9 +98,11 @@ class CaseRecord:
         start = time.perf_counter()
         runs, linearisations, seconds = self._prepared
         self._prepared = (0, 0, 0.0)
-        kept = unpack_method(self.kept(f"method/{name}"), problem, is_start=is_start)
+        saved = self.kept(f"method/{name}")
+        kept = unpack_method(saved, problem, is_start=is_start)
         if kept is not None:
-            self.methods[name], self.wall_time[name] = kept
+            self.methods[name] = kept
+            self.wall_time[name] = float(saved["seconds"])
         else:
             found = method(problem, on_progress=self._on_progress, **options)
             jax.block_until_ready(found)
@@ -111,7 +113,8 @@ class CaseRecord:
             )
             self.wall_time[name] = time.perf_counter() - start + seconds
         if self._on_checkpoint is not None and name != "corrected":
-            packed = pack_method(self.methods[name], self.wall_time[name])
+            packed = pack_method(self.methods[name])
+            packed["seconds"] = np.asarray(self.wall_time[name])
             self.saved.update(under(f"method/{name}", packed))
             before = {} if self._resume is None else self._resume
             self._on_checkpoint({**before, **self.saved})

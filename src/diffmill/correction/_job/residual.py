@@ -1,5 +1,7 @@
 """A job as pure functions for optimisers of other packages."""
 
+from typing import NamedTuple
+
 import jax.numpy as jnp
 
 from ..._job import Job
@@ -56,21 +58,28 @@ def residual(
     """
     check_objective(objective)
     if isinstance(job, Problem):
-        problem, spacing, own = job, 30e-3, PathObjective()
+        own = _OffsetProblem(job, PathObjective(), 30e-3)
     else:
-        problem, own = _job_problem(job)
-        spacing = job.correction.knot_spacing
+        own = _tip_problem(job)
     return offset_residual(
-        problem,
-        knot_spacing=spacing if knot_spacing is None else knot_spacing,
-        objective=own if objective is None else objective,
+        own.problem,
+        knot_spacing=own.knot_spacing if knot_spacing is None else knot_spacing,
+        objective=own.objective if objective is None else objective,
         smoothness=smoothness,
         lag_weight=lag_weight,
     )
 
 
-def _job_problem(job: Job) -> tuple[Problem, AbstractObjective]:
-    """Return the problem of a job in tip positions, and the objective it asks for."""
+class _OffsetProblem(NamedTuple):
+    """A problem with its own objective and smallest spacing of the knots [s]."""
+
+    problem: Problem
+    objective: AbstractObjective
+    knot_spacing: float
+
+
+def _tip_problem(job: Job) -> _OffsetProblem:
+    """Return the problem of a job in tip positions."""
     job = job.with_precision()
     if job.is_rigid:
         raise ValueError("Argument `job` must not have a rigid machine, but has.")
@@ -81,4 +90,5 @@ def _job_problem(job: Job) -> tuple[Problem, AbstractObjective]:
     weights = job_weights(job, before.rigid, before.is_cutting, surface)
     plant = TipPlant(job, adjoint, before.wall_share)
     problem = job_problem(job, plant, desired, before, weights)
-    return problem, job_objective(job, surface, weights)
+    objective = job_objective(job, surface, weights)
+    return _OffsetProblem(problem, objective, job.correction.knot_spacing)

@@ -5,6 +5,8 @@ not (kinks close together, an error that hardly depends on the command), a metho
 only follows the gradient is slower and more patient.
 """
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -25,6 +27,20 @@ from .offset_fit import ContourResidual
 from .offset_residual import OffsetResidual, offset_residual
 
 Coefficients = Float[Array, "coefficient axis"]
+
+
+class _Descent(NamedTuple):
+    """Course of the steps.
+
+    Attributes:
+        best: Best point, shape (coefficient, axis).
+        lowest: Its cost [-]; infinite where none was finite.
+        spent: Gradients that it took.
+    """
+
+    best: Coefficients
+    lowest: float
+    spent: int
 
 
 class Adam(AbstractMethod):
@@ -81,13 +97,14 @@ class Adam(AbstractMethod):
             bound = float(problem.max_offset)
             first = project(spline, away, bound, limits=self.limits) / bound
             x = jnp.asarray(first, x.dtype)
-        best, spent, is_finite = self._search(
+        descent = self._search(
             x, args, on_progress=on_progress, on_memory=on_memory, resume=resume
         )
+        best, is_finite = descent.best, bool(np.isfinite(descent.lowest))
         return corrected(
             problem,
             fit.command(best, args),
-            linearisations=spent,
+            linearisations=descent.spent,
             detail={
                 "knot_spacing": spline.actual_spacing,
                 "unknowns": float(x.size),
@@ -104,8 +121,8 @@ class Adam(AbstractMethod):
         on_progress: OnProgress | None,
         on_memory: OnCheckpoint | None,
         resume: Arrays | None,
-    ) -> tuple[Coefficients, int, bool]:
-        """Return the best point, the gradients it took, and whether it is finite."""
+    ) -> _Descent:
+        """Take the steps."""
         import optax
 
         rate = optax.cosine_decay_schedule(self.step_size, self.steps)
@@ -136,7 +153,7 @@ class Adam(AbstractMethod):
             error = 1e-4 * float(np.sqrt(2 * lowest))
             if on_progress is not None and on_progress(f"Adam step {spent}", error):
                 break
-        return best, spent, bool(np.isfinite(lowest))
+        return _Descent(best, lowest, spent)
 
     def _within(self, x: Coefficients, args: ContourResidual) -> Coefficients:
         """Return the point within the limits whose offsets are nearest."""

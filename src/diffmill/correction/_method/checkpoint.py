@@ -136,7 +136,7 @@ def unpack_tree(arrays: Arrays, like: PyTree) -> PyTree:
     return jax.tree.unflatten(structure, found)
 
 
-def pack_method(found: Corrected, seconds: float) -> dict[str, np.ndarray]:
+def pack_method(found: Corrected) -> dict[str, np.ndarray]:
     """Return what is needed to have the outcome of a method again, but its steps."""
     return {
         "command": np.asarray(found.command),
@@ -146,14 +146,13 @@ def pack_method(found: Corrected, seconds: float) -> dict[str, np.ndarray]:
         "detail_names": np.array([*found.detail], np.str_),
         "detail": np.array([*found.detail.values()], np.float64),
         "is_successful": np.asarray(bool(found.result == RESULTS.successful)),
-        "seconds": np.asarray(seconds),
     }
 
 
 def unpack_method(
     arrays: Arrays, problem: Problem, *, is_start: bool = False
-) -> tuple[Corrected, float] | None:
-    """Return the outcome of a method and its wall time [s].
+) -> Corrected | None:
+    """Return the outcome of a method.
 
     Args:
         arrays: What `pack_method` has made, or nothing.
@@ -161,13 +160,13 @@ def unpack_method(
         is_start: Whether only a start is looked for, which need not have settled.
 
     Returns:
-        Both; None where there is nothing, or where the method did not succeed and is
-        to be run again for its exact outcome.
+        The outcome; None where there is nothing, or where the method did not succeed
+        and is to be run again for its exact outcome.
     """
     if not arrays or not (is_start or bool(arrays["is_successful"])):
         return None
     names = [str(name) for name in arrays["detail_names"]]
-    found = corrected(
+    return corrected(
         problem,
         arrays["command"],
         motion=Motion(jnp.asarray(arrays["actual"]), jnp.asarray(arrays["force"])),
@@ -175,4 +174,3 @@ def unpack_method(
         linearisations=int(arrays["counts"][1]),
         detail=dict(zip(names, map(float, arrays["detail"]), strict=True)),
     )
-    return found, float(arrays["seconds"])

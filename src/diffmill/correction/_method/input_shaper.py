@@ -13,6 +13,7 @@ Journal of Dynamic Systems, Measurement, and Control 112 (1990).
 """
 
 import math
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -70,26 +71,31 @@ def shaped_program(job: Job, desired: Float[Array, "step 3"]) -> Float[Array, "s
 
     **Differentiability**: none, a host function.
     """
-    frequencies, ratios = _ringing(job, desired)
-    if frequencies.size == 0:
+    modes = _damped_modes(job, desired)
+    if modes.frequencies.size == 0:
         return desired
-    slowest = int(np.argmin(frequencies))
+    slowest = int(np.argmin(modes.frequencies))
     path = shaped(
         np.asarray(desired),
         float(job.tooth_period),
-        frequency=frequencies[slowest],
-        damping_ratio=ratios[slowest],
+        frequency=modes.frequencies[slowest],
+        damping_ratio=modes.damping_ratios[slowest],
     )
     return jnp.asarray(path, desired.dtype)
 
 
-def _ringing(
-    job: Job, desired: Float[Array, "step 3"]
-) -> tuple[Float[np.ndarray, " mode"], Float[np.ndarray, " mode"]]:
-    """Return at which frequencies the machine rings [Hz], and the damping ratios."""
+class _DampedModes(NamedTuple):
+    """Frequencies at which a machine rings [Hz], and damping ratios [-], (mode,)."""
+
+    frequencies: Float[np.ndarray, " mode"]
+    damping_ratios: Float[np.ndarray, " mode"]
+
+
+def _damped_modes(job: Job, desired: Float[Array, "step 3"]) -> _DampedModes:
     if job.modes is not None:
         ratios = np.asarray(job.modes.damping_ratios)
-        return np.asarray(job.modes.frequencies) * np.sqrt(1 - ratios**2), ratios
+        undamped = np.asarray(job.modes.frequencies)
+        return _DampedModes(undamped * np.sqrt(1 - ratios**2), ratios)
     joints, _ = JobKinematics(job).joints(desired)
     modes = damped_modes(job.robot, joints[joints.shape[0] // 2])  # pyright: ignore[reportArgumentType]
-    return modes.frequencies, modes.damping_ratios
+    return _DampedModes(modes.frequencies, modes.damping_ratios)

@@ -78,7 +78,8 @@ def inverse_drive(
     """
     T = jnp.eye(4) if T_base_work is None else jnp.asarray(T_base_work)
     rotation, origin = T[:3, :3], T[:3, 3]
-    velocities, accelerations = _differentiate(joint_positions, time_step)
+    velocities = _velocities(joint_positions, time_step)
+    accelerations = _accelerations(joint_positions, time_step)
     force_base = _at_instants(jnp.asarray(force)) @ rotation.T
     wrenches = jnp.concatenate([force_base, jnp.zeros_like(force_base)], axis=1)
     tau = jax.vmap(lambda *row: inverse_dynamics(robot, *row))(
@@ -113,33 +114,28 @@ def _drive_deflection(
     if robot.motors is None:
         return delta
     motors = robot.motors
-    _, spin = _differentiate(joint_positions + delta, time_step)
+    spin = _accelerations(joint_positions + delta, time_step)
     pull = motors.inertia[None] * spin + tau
     epsilon = _spring_deflection(pull, motors.stiffness, motors.damping, time_step)
     return delta + jnp.where(robot.motor_mask()[None], epsilon, 0.0)
 
 
-def _differentiate(
+def _velocities(
     positions: Float[Array, "step joint"], time_step: RealScalarLike
-) -> tuple[Float[Array, "step joint"], Float[Array, "step joint"]]:
-    """Return velocities and accelerations by central differences.
-
-    Before the first and after the last row the motion is at rest.
-
-    Args:
-        positions: Positions at equally spaced instants, shape (step, joint).
-        time_step: Time between two rows T [s].
-
-    Returns:
-        Velocities and accelerations, shape (step, joint) each.
-
-    **Differentiability**: linear in positions.
-    """
+) -> Float[Array, "step joint"]:
+    """Return central differences; before the first and after the last row at rest."""
     T = jnp.asarray(time_step, positions.dtype)
     padded = jnp.pad(positions, ((1, 1), (0, 0)), mode="edge")
-    velocities = (padded[2:] - padded[:-2]) / (2 * T)
-    accelerations = (padded[2:] - 2 * padded[1:-1] + padded[:-2]) / T**2
-    return velocities, accelerations
+    return (padded[2:] - padded[:-2]) / (2 * T)
+
+
+def _accelerations(
+    positions: Float[Array, "step joint"], time_step: RealScalarLike
+) -> Float[Array, "step joint"]:
+    """Return second differences; before the first and after the last row at rest."""
+    T = jnp.asarray(time_step, positions.dtype)
+    padded = jnp.pad(positions, ((1, 1), (0, 0)), mode="edge")
+    return (padded[2:] - 2 * padded[1:-1] + padded[:-2]) / T**2
 
 
 def _at_instants(means: Float[Array, "step axis"]) -> Float[Array, "step axis"]:

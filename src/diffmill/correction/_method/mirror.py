@@ -1,6 +1,7 @@
 """Correction by mirroring the predicted deviation, once or again and again."""
 
 import dataclasses
+import operator
 from itertools import product
 from typing import NamedTuple
 
@@ -17,6 +18,8 @@ from .._spline.projection import clip_offset
 
 # An iterate that changes the error by less than this fraction has settled.
 _SETTLED = 1e-3
+# Of two iterates that leave the same error the slower and earlier one is better.
+_RANK = operator.attrgetter("error", "cutoff", "relaxation", "iterate")
 
 
 class Mirror(AbstractMethod):
@@ -41,7 +44,7 @@ class Mirror(AbstractMethod):
         command = _start(problem, start)
         motion = self.before if start is None else None
         if motion is None:
-            motion, _ = problem.run(command)
+            motion = problem.run(command)
         command = command - _deviation(problem, motion)
         command = clip_offset(problem.nominal, command, problem.max_offset)
         return corrected(problem, command, forward_runs=1)
@@ -86,11 +89,11 @@ class IteratedMirror(AbstractMethod):
     ) -> Corrected:
         """Return the best iterate of the grid; tip commands only."""
         command = _start(problem, start)
-        if start is None and self.before is not None:
-            motion, contour = self.before, problem.contour(self.before)
-        else:
-            motion, contour = problem.run(command)
-        zero = _Iterate(command, rms_contour(problem, contour), 0, 0.0, 0.0)
+        motion = self.before if start is None else None
+        if motion is None:
+            motion = problem.run(command)
+        error = rms_contour(problem, problem.contour(motion))
+        zero = _Iterate(command, error, 0, 0.0, 0.0)
         first = _deviation(problem, motion)
         best, runs = zero, 1
         # A filter needs two rows per period.
@@ -104,9 +107,9 @@ class IteratedMirror(AbstractMethod):
         # One branch after the other: two runs of one compiled program at the same time
         # can block each other in XLA's pool of threads.
         for done, tuning in enumerate(grid, start=1):
-            found, count = _branch(self, problem, zero, first, tuning, best.error)
-            runs += count
-            best = min(best, found, key=_rank)
+            branch = _branch(self, problem, zero, first, tuning, best.error)
+            runs += branch.runs
+            best = min(best, branch.best, key=_RANK)
             if on_progress is not None:
                 message = f"mirror: {done} of {len(grid)} branches, {runs} runs"
                 if on_progress(message, best.error):
@@ -177,8 +180,11 @@ class _Iterate(eqx.Module):
     relaxation: float
 
 
-def _rank(iterate: _Iterate) -> tuple[float, float, float, int]:
-    return iterate.error, iterate.cutoff, iterate.relaxation, iterate.iterate
+class _Branch(NamedTuple):
+    """Best iterate of one branch, and the runs of the plant that it took."""
+
+    best: _Iterate
+    runs: int
 
 
 def _branch(
@@ -188,8 +194,8 @@ def _branch(
     deviation: Float[np.ndarray, "step 3"],
     tuning: _Tuning,
     to_beat: float,
-) -> tuple[_Iterate, int]:
-    """Iterate one branch; return its best iterate and the runs of the plant."""
+) -> _Branch:
+    """Iterate one branch."""
     cutoff, relaxation = tuning
     command, best, last = zero.command, zero, zero.error
     grown = settled = runs = 0
@@ -197,10 +203,10 @@ def _branch(
         step = lowpass(deviation, 1 / problem.time_step, cutoff, order=method.order)
         command = command - relaxation * step
         command = clip_offset(problem.nominal, command, problem.max_offset)
-        motion, contour = problem.run(command)
+        motion = problem.run(command)
         runs += 1
         deviation = _deviation(problem, motion)
-        error = rms_contour(problem, contour)
+        error = rms_contour(problem, problem.contour(motion))
         if not np.isfinite(error) or not np.all(np.isfinite(deviation)):
             break
         if error < best.error:
@@ -212,7 +218,7 @@ def _branch(
         is_behind = i > 1 and error * pace ** (method.iterations - i) > to_beat
         if grown == 2 or settled == 2 or is_behind:
             break
-    return best, runs
+    return _Branch(best, runs)
 
 
 def _start(problem: Problem, start: FloatRows | None) -> np.ndarray:

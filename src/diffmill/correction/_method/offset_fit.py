@@ -7,7 +7,7 @@ then a row of the one quadratic program of a step.
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -148,6 +148,20 @@ class FitValue(eqx.Module):
         return float(weights @ np.sum(self.errors**2, axis=1) + self.rough @ self.rough)
 
 
+class _Jacobian(NamedTuple):
+    """Derivatives of the residual of one member by the unknowns.
+
+    Attributes:
+        error: Of the errors, shape (error, unknown).
+        rough: Of the roughness, shape (rough, unknown).
+        output: Of the outputs that have bounds, shape (output, unknown).
+    """
+
+    error: np.ndarray
+    rough: np.ndarray
+    output: np.ndarray
+
+
 class OffsetFit(AbstractProblem):
     """Offsets of a command whose errors become small, in all members of an ensemble.
 
@@ -237,10 +251,11 @@ class OffsetFit(AbstractProblem):
             linear = value.linear
             if linear is None:
                 linear = linear_motion(plant, self.command(x))
-            by_error, rough, by_output = self._jacobian(linear, x)
-            gradient += weight * (by_error.T @ error)
-            curvature += weight * (by_error.T @ by_error)
-            slopes.append(by_output)
+            J = self._jacobian(linear, x)
+            gradient += weight * (J.error.T @ error)
+            curvature += weight * (J.error.T @ J.error)
+            slopes.append(J.output)
+            rough = J.rough
         gradient += rough.T @ value.rough
         curvature += rough.T @ rough
         point = np.asarray(self.coefficients(x), np.float64)
@@ -254,10 +269,7 @@ class OffsetFit(AbstractProblem):
         )
         return QuadraticModel(cost, gradient, curvature, tuple(rows))
 
-    def _jacobian(
-        self, linear: LinearMotion, x: Unknowns
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the slopes of errors, roughness and outputs of one member."""
+    def _jacobian(self, linear: LinearMotion, x: Unknowns) -> _Jacobian:
         at = self.coefficients(x)
         blocks = [
             _columns(linear, at, self.args, jnp.asarray(block))
@@ -266,7 +278,7 @@ class OffsetFit(AbstractProblem):
         joined = lambda rows: np.concatenate([np.asarray(row) for row in rows])[
             : x.size
         ].T.astype(np.float64)
-        return (
+        return _Jacobian(
             joined([block.error for block in blocks]),
             joined([block.rough for block in blocks]),
             joined([block.output for block in blocks]),

@@ -149,22 +149,30 @@ def path_tangents(
     return slope / np.where(length > 0, length, 1.0)
 
 
+class LoadedPath(eqx.Module):
+    """A whole path under the force of the cut.
+
+    Attributes:
+        deflection: Deflection of the tip in `work` [m], shape (step, 3).
+        joints: Joint positions [rad or m], shape (step, joint).
+        is_reached: Whether the arm reaches every row, shape ().
+    """
+
+    deflection: Float[Array, "step 3"]
+    joints: Float[Array, "step joint"]
+    is_reached: Bool[Array, ""]
+
+
 @eqx.filter_jit
-def whole_path(
-    job: Job, force: Float[Array, "step 3"]
-) -> tuple[
-    Float[Array, "step 3"],
-    Float[Array, "step joint"],
-    Bool[Array, ""],
-]:
-    """Return deviation in `work` [m] and joints of every row, and whether reached."""
+def whole_path(job: Job, force: Float[Array, "step 3"]) -> LoadedPath:
+    """Return where a job's path takes the arm, and what the force [N] does there."""
     robot = job.robot
     if robot is None:
         raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
     q, is_reached = JobKinematics(job).joints(jnp.asarray(job.path.positions))
     R = jnp.asarray(job.T_base_work, robot.dtype)[:3, :3]
     moved = jax.vmap(lambda q, F: tip_deflection(robot, q, F))(q, force @ R.T)
-    return moved @ R, q, jnp.all(is_reached)
+    return LoadedPath(moved @ R, q, jnp.all(is_reached))
 
 
 def least_singular_of(

@@ -103,8 +103,9 @@ def place_workpiece(
     if force is None:
         force = rigid_cut(job, ThroughRays()).force
     force = jnp.asarray(force, job.simulation.precision)
-    task, here = _task(job, force, lower, upper, rows)
-    tried, refused = _search(task, lower, upper, starts)
+    before = _rms_before(job, force)
+    task = _task(job, force, before, lower, upper, rows)
+    tried = _search(task, lower, upper, starts)
     found = _descend(task, lower, upper, tried, max_steps)
     best, place = np.inf, None
     for values in found:
@@ -127,7 +128,11 @@ def place_workpiece(
         name for name, is_near in zip(UNKNOWNS, stuck, strict=True) if is_near
     )
     return dataclasses.replace(
-        place, rms_before=here, searched=len(tried), refused=refused, at_bound=names
+        place,
+        rms_before=before if np.isfinite(before) else float("nan"),
+        searched=len(tried),
+        refused=sum(not np.isfinite(entry.error) for entry in tried),
+        at_bound=names,
     )
 
 
@@ -160,25 +165,30 @@ def _bounds(
     return pairs[:, 0], pairs[:, 1]
 
 
+def _rms_before(job: Job, force: Float[Array, "step 3"]) -> float:
+    """Return the error at the job's own place [m]; infinite where it is refused."""
+    if not np.any(np.asarray(force) != 0):
+        raise NothingToCorrect("The program never cuts, so that any place will do.")
+    return rms_across(job, force)
+
+
 def _task(
     job: Job,
     force: Float[Array, "step 3"],
+    before: float,
     lower: Float[np.ndarray, " 5"],
     upper: Float[np.ndarray, " 5"],
     rows: int,
-) -> tuple[PlacementTask, float]:
-    """Return the task, and the error at the job's own place."""
+) -> PlacementTask:
+    """Return the task, its errors in units of that at the job's own place."""
     robot = job.robot
     assert robot is not None
     dtype = robot.dtype
     tips = np.asarray(job.path.positions, np.float64)
     cutting = np.flatnonzero(np.any(np.asarray(force) != 0, axis=1))
-    if not cutting.size:
-        raise NothingToCorrect("The program never cuts, so that any place will do.")
     even = np.round(np.linspace(0, cutting.size - 1, min(rows, cutting.size)))
     ends = [0, *np.argmin(tips, axis=0), *np.argmax(tips, axis=0)]
     chosen = np.array([*ends, *cutting[even.astype(int)]], np.int32)
-    before = rms_across(job, force)
     reference = before if 0 < before < np.inf else 1e-4
     weights = np.full(len(chosen), 1 / (reference * np.sqrt(len(even))))
     weights[: len(ends)] = 0.0
@@ -192,11 +202,11 @@ def _task(
     has_limits = np.isfinite(lows) & np.isfinite(highs) & robot.motor_mask()
     least = _LEAST_SINGULAR
     if np.isfinite(before):
-        q = whole_path(job, force)[1][chosen]
+        q = whole_path(job, force).joints[chosen]
         least = min(least, 0.999 * least_singular_of(robot, q, job.tool_rotation))
     start = robot.home if job.joint_start is None else job.joint_start
     number = lambda value: jnp.asarray(value, dtype)
-    task = PlacementTask(
+    return PlacementTask(
         robot=robot,
         T_base_work=number(T),
         Ts_work_tool=number(poses),
@@ -210,7 +220,6 @@ def _task(
         limited=tuple(int(i) for i in np.flatnonzero(has_limits)),
         tool_rotation=job.tool_rotation,
     )
-    return task, before if np.isfinite(before) else float("nan")
 
 
 def _widths(
@@ -238,8 +247,8 @@ def _search(
     lower: Float[np.ndarray, " 5"],
     upper: Float[np.ndarray, " 5"],
     starts: int,
-) -> tuple[list[_Tried], int]:
-    """Return errors and places, the job's own first, and how many are refused."""
+) -> list[_Tried]:
+    """Return places that are spread over the bounds, the job's own first."""
     low, high = lower / _widths(lower, upper), upper / _widths(lower, upper)
     # Unknowns that are fixed take no part in the spreading.
     is_free = high > low
@@ -254,8 +263,7 @@ def _search(
     places = [np.clip(np.zeros(len(low)), low, high)]
     places += [low + (high - low) * ((0.5 + k * steps) % 1.0) for k in range(starts)]
     problem = _Problem(task)
-    tried = [_Tried(problem.error(place), place) for place in places]
-    return tried, sum(not np.isfinite(entry.error) for entry in tried)
+    return [_Tried(problem.error(place), place) for place in places]
 
 
 class _Problem(AbstractProblem):

@@ -74,16 +74,18 @@ def rms_across(job: Job, force: Float[Array, "step 3"]) -> float:
     """Return the error over the whole path; infinite where it cannot be followed."""
     robot = job.robot
     assert robot is not None
-    moved, q, is_reached = whole_path(job, force)
-    q = np.asarray(q)
+    path = whole_path(job, force)
+    q = np.asarray(path.joints)
     turns = np.array([kind == "revolute" for kind in robot.joint_kinds])
     jump = np.abs(np.diff(q, axis=0))[:, turns]
     is_within = (q >= np.asarray(robot.joint_lower)[None]) & (
         q <= np.asarray(robot.joint_upper)[None]
     )
-    if not (bool(is_reached) and is_within.all() and jump.max(initial=0.0) < _TURN):
+    is_smooth = jump.max(initial=0.0) < _TURN
+    if not (bool(path.is_reached) and is_within.all() and is_smooth):
         return np.inf
     along = path_tangents(np.asarray(job.path.positions, np.float64))
+    moved = path.deflection
     error = across(moved, jnp.asarray(along, moved.dtype))
     is_cutting = jnp.any(force != 0, axis=1)
     return float(jnp.sqrt(jnp.mean(jnp.sum(error[is_cutting] ** 2, axis=1))))

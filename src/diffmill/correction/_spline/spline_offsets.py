@@ -1,6 +1,6 @@
 """Offsets of a command over time as a cubic B-spline with few coefficients."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -84,7 +84,7 @@ class SplineOffsets(eqx.Module):
 
         **Differentiability**: linear; its transpose costs the same.
         """
-        start, weights = basis(self)
+        start, weights = _basis(self)
         padded = jnp.pad(coefficients, ((CLAMPED, CLAMPED), (0, 0)))
         # Four gathers of contiguous rows: no dense basis matrix is ever formed.
         weights = jnp.asarray(weights, coefficients.dtype)
@@ -112,7 +112,7 @@ class SplineOffsets(eqx.Module):
 
     def normal_band(self) -> Float[np.ndarray, "4 coefficient"]:
         """Return the upper band of B^T B, in the layout of `scipy.linalg`."""
-        start, weights = basis(self)
+        start, weights = _basis(self)
         count = self.coefficient_count
         full = np.zeros((4, count + 2 * CLAMPED))
         for r in range(4):
@@ -157,7 +157,7 @@ class SplineOffsets(eqx.Module):
 
         **Differentiability**: runs on the host, not traceable.
         """
-        start, weights = basis(self)
+        start, weights = _basis(self)
         last = self.step_count - 1
         total = row_count + rows_ahead
         rows = np.minimum(np.arange(first_row, first_row + total), last)
@@ -247,7 +247,7 @@ def basis_matrix(spline: SplineOffsets) -> "csr_array":
     """
     from scipy.sparse import csr_array
 
-    start, weights = basis(spline)
+    start, weights = _basis(spline)
     columns = (start[:, None] + np.arange(4)[None]).reshape(-1)
     rows = np.repeat(np.arange(spline.step_count), 4)
     shape = (spline.step_count, spline.coefficient_count + 2 * CLAMPED)
@@ -269,7 +269,7 @@ def adjoint_offsets(
 
     **Differentiability**: linear; on the host, not traceable.
     """
-    start, weights = basis(spline)
+    start, weights = _basis(spline)
     rows = spline.coefficient_count + 2 * CLAMPED
     full = np.zeros((rows, signal.shape[1]))
     for r in range(4):
@@ -277,10 +277,19 @@ def adjoint_offsets(
     return full[CLAMPED:-CLAMPED]
 
 
-def basis(
-    spline: SplineOffsets,
-) -> tuple[Int[np.ndarray, " step"], Float[np.ndarray, "step 4"]]:
-    """Return the first of the four coefficients of every row, and their weights."""
+class _Basis(NamedTuple):
+    """The four basis functions that do not vanish at a row.
+
+    Attributes:
+        start: First of their coefficients, shape (step,).
+        weights: Their values [-], shape (step, 4).
+    """
+
+    start: Int[np.ndarray, " step"]
+    weights: Float[np.ndarray, "step 4"]
+
+
+def _basis(spline: SplineOffsets) -> _Basis:
     count = spline.interval_count
     # From the row count and not from time_step, so that the last row is the last knot.
     place = np.arange(spline.step_count) * (count / (spline.step_count - 1))
@@ -295,4 +304,4 @@ def basis(
         ],
         axis=1,
     )
-    return start, weights
+    return _Basis(start, weights)

@@ -15,7 +15,7 @@ is cut again by a later one, and which of two neighbouring poses decides.
 
 import dataclasses
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -122,15 +122,11 @@ class FinishedSurface(eqx.Module):
         **Differentiability**: none, a host function.
         """
         tips = np.asarray(desired, np.float64)
-        walls = _wall_points(stock, tips, radius)
-        floors = _floor_points(stock, tips, radius, reach)
-        walls, floors = (
-            tuple(values[_thinned(np.arange(len(values)), _POINTS)] for values in kind)
-            for kind in (walls, floors)
-        )
+        walls = _wall_points(stock, tips, radius).thinned()
+        floors = _floor_points(stock, tips, radius, reach).thinned()
         poses = [
-            _wall_poses(*walls, tips, radius, reach),
-            _floor_poses(floors[0], tips, radius, reach),
+            _wall_poses(walls, tips, radius, reach),
+            _floor_poses(floors.points, tips, radius, reach),
         ]
         is_seen = [np.array([rows.size > 0 for rows in kind], bool) for kind in poses]
         if not any(seen.any() for seen in is_seen):
@@ -142,8 +138,8 @@ class FinishedSurface(eqx.Module):
             _thinned(np.flatnonzero(seen), _PAIRS // (2 * width)) for seen in is_seen
         ]
         return cls(
-            points=np.concatenate([walls[0][kept[0]], floors[0][kept[1]]]),
-            normals=np.concatenate([walls[1][kept[0]], floors[1][kept[1]]]),
+            points=np.concatenate([walls.points[kept[0]], floors.points[kept[1]]]),
+            normals=np.concatenate([walls.normals[kept[0]], floors.normals[kept[1]]]),
             is_wall=np.repeat([True, False], [kept[0].size, kept[1].size]),
             poses=np.stack(
                 [
@@ -259,14 +255,21 @@ class SurfaceObjective(AbstractObjective):
         return dataclasses.replace(self, tolerance=0.0)
 
 
-def _surface_ends(
-    stock: Stock, family: int, sides: tuple[int, ...]
-) -> tuple[Float[np.ndarray, "end 3"], Float[np.ndarray, " end"]]:
-    """Return the ends of a family that are surface, and when they were cut.
+class _SurfaceEnds(NamedTuple):
+    """Ends of rays that are surface.
 
-    Those that a pose cut, and upright ones that were there before: their time, in
-    tooth periods, is negative.
+    Attributes:
+        points: Where they are [m], shape (end, 3).
+        cut_by: When they were cut [tooth period], shape (end,); negative for those that
+            were there before.
     """
+
+    points: Float[np.ndarray, "end 3"]
+    cut_by: Float[np.ndarray, " end"]
+
+
+def _surface_ends(stock: Stock, family: int, sides: tuple[int, ...]) -> _SurfaceEnds:
+    """Return the ends of a family that a pose cut, and upright ones from before."""
     rays = stock.families[family]
     ends, cut_by = np.asarray(rays.ends, np.float64), np.asarray(rays.poses)
     is_kept = (cut_by >= 0) | (family == 2)
@@ -278,19 +281,32 @@ def _surface_ends(
     points[:, family] = ends[u, v, side, slot]
     for axis, line in (((family + 1) % 3, u), ((family + 2) % 3, v)):
         points[:, axis] = origin[axis] + line * stock.spacing
-    return points, cut_by[u, v, side, slot] / Rays.TICKS
+    return _SurfaceEnds(points, cut_by[u, v, side, slot] / Rays.TICKS)
+
+
+class _SurfacePoints(NamedTuple):
+    """Points of a surface [m] and their unit normals, shape (point, 3) each."""
+
+    points: Float[np.ndarray, "point 3"]
+    normals: Float[np.ndarray, "point 3"]
+
+    def thinned(self) -> "_SurfacePoints":
+        """Return so many of the points as a surface has of a kind."""
+        few = _thinned(np.arange(len(self.points)), _POINTS)
+        return _SurfacePoints(self.points[few], self.normals[few])
 
 
 def _wall_points(
     stock: Stock, tips: Float[np.ndarray, "step 3"], radius: float
-) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, "point 3"]]:
-    """Return points that the tool's side cut, and their normals.
+) -> _SurfacePoints:
+    """Return points that the tool's side cut.
 
     Points above each other on a wall are alike to an upright tool: the lowest stands
     for all, half a spacing above the tip so that a tip that lifts still cuts it.
     """
     found = [_surface_ends(stock, family, (0, 1)) for family in (0, 1)]
-    points, cut_by = (np.concatenate([f[i] for f in found]) for i in (0, 1))
+    points = np.concatenate([ends.points for ends in found])
+    cut_by = np.concatenate([ends.cut_by for ends in found])
     rows = np.arange(len(tips))
     cutting = np.stack([np.interp(cut_by, rows, tips[:, i]) for i in range(3)], axis=1)
     normals = (cutting - points) / radius
@@ -303,13 +319,13 @@ def _wall_points(
     order = np.argsort(points[:, 2], kind="stable")
     key = np.round(points[order, :2] / (1e-3 * stock.spacing))
     chosen = order[np.unique(key, axis=0, return_index=True)[1]]
-    return points[chosen], normals[chosen]
+    return _SurfacePoints(points[chosen], normals[chosen])
 
 
 def _floor_points(
     stock: Stock, tips: Float[np.ndarray, "step 3"], radius: float, reach: float
-) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, "point 3"]]:
-    """Return points that the tool's bottom cut, or could cut, and their normals.
+) -> _SurfacePoints:
+    """Return points that the tool's bottom cut, or could cut.
 
     What an earlier job has left is a part of the surface, too, where the tool passes
     over it.
@@ -321,7 +337,8 @@ def _floor_points(
     scale = np.array([1.0, 1.0, radius / reach])
     near, _ = KDTree(tips * scale).query(points * scale, distance_upper_bound=radius)
     points = points[(cut_by >= 0) | np.isfinite(near)]
-    return points, np.tile(np.array([0.0, 0.0, 1.0]), (len(points), 1))
+    upward = np.tile(np.array([0.0, 0.0, 1.0]), (len(points), 1))
+    return _SurfacePoints(points, upward)
 
 
 def _thinned(places: Int[np.ndarray, " many"], most: int) -> Int[np.ndarray, " few"]:
@@ -332,15 +349,14 @@ def _thinned(places: Int[np.ndarray, " many"], most: int) -> Int[np.ndarray, " f
 
 
 def _wall_poses(
-    points: Float[np.ndarray, "point 3"],
-    normals: Float[np.ndarray, "point 3"],
+    walls: _SurfacePoints,
     tips: Float[np.ndarray, "step 3"],
     radius: float,
     reach: float,
 ) -> list[Int[np.ndarray, " pose"]]:
     """Return the poses that may cut each wall point deepest."""
     found = []
-    for p, n in zip(points, normals, strict=True):
+    for p, n in zip(walls.points, walls.normals, strict=True):
         apart = tips - p
         out = apart @ n
         across = apart[:, 1] * n[0] - apart[:, 0] * n[1]
