@@ -141,6 +141,7 @@ def _figures(
     for i, (record, one) in enumerate(zip(study.records, fit.records, strict=True)):
         number = f"_{i + 1}" if len(study.records) > 1 else ""
         off, part = fit.residual_force(i), found.predicted[i]
+        spectrum = fit.residual_spectrum(i)
         figures[f"record{number}"] = draw(
             plot_force_fit,
             one.time + one.shift,
@@ -151,7 +152,8 @@ def _figures(
         )
         figures[f"spectrum{number}"] = draw(
             plot_residual_spectrum,
-            *fit.residual_spectrum(i),
+            spectrum.frequency,
+            spectrum.amplitude,
             2 * np.abs(np.fft.rfft(np.nan_to_num(one.force), axis=0)) / len(off),
             tooth_frequency=1 / one.cut.tooth_period,
             flute_count=one.cut.cutter.flute_count,

@@ -117,9 +117,9 @@ def _of_records(records: tuple[ForceRecord, ...], problems: list[str]) -> _Means
         return None
     means, noted = [], []
     for one, cut in zip(records, cuts, strict=True):
-        mean, note = one.record.mean_over_turns(one.start, one.stop, cut.spindle_speed)
-        means.append(mean)
-        noted.append(one._replace(notes=(*one.notes, *note)))
+        mean = one.record.mean_over_turns(one.start, one.stop, cut.spindle_speed)
+        means.append(mean.force)
+        noted.append(one._replace(notes=(*one.notes, *mean.notes)))
     feeds = np.array([cut.feed_per_tooth for cut in cuts])
     return _Means(feeds, np.array(means).reshape(-1, 3), tuple(noted))
 

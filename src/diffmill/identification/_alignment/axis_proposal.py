@@ -118,14 +118,21 @@ def combine_axes_proposals(proposals: Sequence[AxesProposal]) -> AxesProposal:
     return proposal_of(tuple(merged))
 
 
-def axes_rank(score: float, matrix: Float[np.ndarray, "3 3"]) -> tuple[float, bool]:
+class AxesRank(NamedTuple):
+    """Place of an assignment among others, the least one first."""
+
+    score: float
+    is_z_reversed: bool
+
+
+def axes_rank(score: float, matrix: Float[np.ndarray, "3 3"]) -> AxesRank:
     """Return what the best has least of; z as recorded comes before z reversed.
 
     Args:
         score: Of an assignment.
         matrix: Turns recorded into simulated forces, shape (3, 3).
     """
-    return round(score, _DIGITS), bool(matrix[2].sum() < 0)
+    return AxesRank(round(score, _DIGITS), bool(matrix[2].sum() < 0))
 
 
 def axes_label(matrix: Float[np.ndarray, "3 3"]) -> str:

@@ -98,13 +98,16 @@ class RecordRegistration(NamedTuple):
         """
         speed, flutes, notes = sizes.spindle_speed, sizes.cutter.flute_count, ()
         if angle is not None:
-            speed, time = _spindle_clock(time, angle, None)
+            speed = float(angle[-1] - angle[0]) / float(time[-1] - time[0])
+            time = _spindle_clock(time, angle, speed)
         elif speed is None:
             raise ValueError(
                 "Argument `sizes` must have a spindle speed, but has none."
             )
         elif refines_speed:
-            speed, notes = _refined(speed, flutes, time, force)
+            repeated = _repeating_speed(speed, flutes, time, force)
+            notes = _speed_notes(speed, repeated)
+            speed = speed if _is_off(speed, repeated) else repeated
         turn = 2 * math.pi / speed
         turns = min(_TURNS, math.floor((float(time[-1] - time[0])) / turn + 1e-6))
         if turns < 3:
@@ -173,7 +176,7 @@ class RecordRegistration(NamedTuple):
         turn = cut.tooth_period * cut.cutter.flute_count
         speed = 2 * math.pi / turn
         if angle is not None:
-            _, time = _spindle_clock(time, angle, speed)
+            time = _spindle_clock(time, angle, speed)
         if time_shift is None:
             alignment = align_in_time(found, K, time, force)
             time_shift = alignment.shift
@@ -218,12 +221,10 @@ def _diagnosed(
 def _spindle_clock(
     time: Float[np.ndarray, " row"],
     angle: Float[np.ndarray, " row"],
-    speed: float | None,
-) -> tuple[float, Float[np.ndarray, " row"]]:
-    """Return a speed, the mean one if not given, and a clock on which it is even."""
-    if speed is None:
-        speed = float(angle[-1] - angle[0]) / float(time[-1] - time[0])
-    return speed, time[0] + (angle - angle[0]) / speed
+    speed: float,
+) -> Float[np.ndarray, " row"]:
+    """Return a clock on which the spindle turns evenly."""
+    return time[0] + (angle - angle[0]) / speed
 
 
 def _in_phase(
@@ -237,34 +238,39 @@ def _in_phase(
     return offset + math.remainder(off, 2 * math.pi) / speed
 
 
-def _refined(
+def _repeating_speed(
     given: float,
     flute_count: int,
     time: Float[np.ndarray, " row"],
     force: Float[np.ndarray, "row 3"],
-) -> tuple[float, tuple[str, ...]]:
-    """Return the spindle speed at which forces repeat [rad/s], and what to know."""
+) -> float:
+    """Return the spindle speed at which forces repeat [rad/s]; the given for few."""
     force = force[:, np.isfinite(force).any(axis=0)]
     known = np.isfinite(force).all(axis=1)
     if known.sum() <= 16:
-        return given, ()
-    speed = refine_spindle_speed(
+        return given
+    return refine_spindle_speed(
         time[known], force[known], given, flute_count=flute_count
     )
-    change = speed / given - 1
-    if abs(change) > _SPEED_OFF:
-        note = (
-            f"The forces repeat at {speed * 30 / math.pi:.6g} rpm, {change:+.1%} "
-            "off the speed given, which was kept: look at speed and number of teeth."
+
+
+def _is_off(given: float, repeated: float) -> bool:
+    """Tell whether the forces repeat at another speed than the spindle can have."""
+    return abs(repeated / given - 1) > _SPEED_OFF
+
+
+def _speed_notes(given: float, repeated: float) -> tuple[str, ...]:
+    """Say that the forces repeat at another speed than the given one."""
+    change = repeated / given - 1
+    rpm = repeated * 30 / math.pi
+    if _is_off(given, repeated):
+        return (
+            f"The forces repeat at {rpm:.6g} rpm, {change:+.1%} "
+            "off the speed given, which was kept: look at speed and number of teeth.",
         )
-        return given, (note,)
     if abs(change) > 1e-4:
-        note = (
-            f"The forces repeat at {speed * 30 / math.pi:.6g} rpm ({change:+.2%}), "
-            "which was used."
-        )
-        return speed, (note,)
-    return speed, ()
+        return (f"The forces repeat at {rpm:.6g} rpm ({change:+.2%}), which was used.",)
+    return ()
 
 
 def _is_cut(found: EngagementColumns, K: np.ndarray, turn: float) -> np.ndarray:
@@ -291,37 +297,48 @@ def _judge(
     size = np.abs(np.nan_to_num(force)).max(axis=1)
     usual = max(float(np.quantile(size[known], _ALL_BUT)), 1e-300)
     known = np.flatnonzero(known & (size <= _SPIKE * usual))
-    grid, seen, is_near = _on_grid(time[known], force[known], cut.tooth_period)
+    even = _on_grid(time[known], force[known], cut.tooth_period)
+    seen, is_near = even.force, even.is_near
     count = int(is_near.sum())
     if count < _LEAST:
         raise ValueError(
             f"The record must hold {_LEAST} samples with the cut that lie near each "
             f"other, but its gaps leave {count} of {known.size}."
         )
-    columns = at_times(found.columns, found.start, found.spacing, grid)
+    columns = at_times(found.columns, found.start, found.spacing, even.time)
     seen[:, ~is_measured] = np.nan
-    spacing = float(grid[1] - grid[0])
+    spacing = float(even.time[1] - even.time[0])
     return propose_axes(
         np.where(np.logical_or.outer(is_near, ~is_measured), seen, 0.0),
         np.where(is_near[:, None, None], columns, 0.0),
         1 / spacing,
         # Four times the shift, in whole samples, must be shorter than the record.
-        max_shift=min(max_shift, ((len(grid) - 1) // 4) * spacing * (1 - 1e-9)),
+        max_shift=min(max_shift, ((len(even.time) - 1) // 4) * spacing * (1 - 1e-9)),
         tooth_frequency=1 / cut.tooth_period,
         helix_angle=float(cut.cutter.helix_angle),
     )
+
+
+class _EvenSamples(NamedTuple):
+    """Record at even instants.
+
+    Attributes:
+        time: Instants [s], shape (sample,).
+        force: [N], shape (sample, 3).
+        is_near: Whether samples of the record lie near enough, shape (sample,).
+    """
+
+    time: Float[np.ndarray, " sample"]
+    force: Float[np.ndarray, "sample 3"]
+    is_near: Bool[np.ndarray, " sample"]
 
 
 def _on_grid(
     time: Float[np.ndarray, " row"],
     force: Float[np.ndarray, "row 3"],
     tooth_period: float,
-) -> tuple[
-    Float[np.ndarray, " sample"],
-    Float[np.ndarray, "sample 3"],
-    Bool[np.ndarray, " sample"],
-]:
-    """Return even instants where a record is densest, its forces there, and which are.
+) -> _EvenSamples:
+    """Return a record at even instants, where it is densest.
 
     Samples may be lost or come at uneven instants: straight lines lie between those
     that are no further apart than two and a half usual steps.
@@ -346,4 +363,4 @@ def _on_grid(
         )
     share = np.clip((grid - time[after - 1]) / apart, 0.0, 1.0)[:, None]
     seen = (1 - share) * force[after - 1] + share * force[after]
-    return grid, np.nan_to_num(seen), is_near
+    return _EvenSamples(grid, np.nan_to_num(seen), is_near)

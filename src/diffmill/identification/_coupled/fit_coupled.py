@@ -239,7 +239,7 @@ class _Problem(AbstractProblem):
     def share(self, rows: list[Rows], x: np.ndarray) -> float:
         """Return the smallest share of the squares that some unknowns explain."""
         fit = self.fit(rows)
-        return min(explained_by(self.measured, fit, self.offset(x))[0].values())
+        return min(explained_by(self.measured, fit, self.offset(x)).share.values())
 
     @property
     def measured(self) -> dict[str, np.ndarray | None]:
@@ -320,7 +320,8 @@ def _report(
     values = np.array([given[name] for name in names]) * np.exp(logs)
     correlation = correlation_of(C)[:count, :count]
     offset, shift = problem.offset(found.x), problem.time_shift(found.x)
-    explained, left = explained_by(problem.measured, fit, offset)
+    record = explained_by(problem.measured, fit, offset)
+    explained = record.share
     return CoupledFit(
         parameters=_by_name(names, np.where(is_fixed, values, math.nan)),
         standard_errors=_by_name(names, values * errors[:count]),
@@ -329,7 +330,7 @@ def _report(
         identifiable=dict(zip(names, is_fixed.tolist(), strict=True)),
         log_scale=logs,
         explained=explained,
-        residual_rms=left,
+        residual_rms=record.residual_rms,
         residual=dict(zip(explained, fit.residual, strict=True)),
         offset=offset,
         time_shift=shift or 0.0,

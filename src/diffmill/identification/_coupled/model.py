@@ -7,6 +7,7 @@ its cost, where reverse mode would need a pass per row of the record.
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -74,32 +75,50 @@ def modelled(
         Forces and deviations with their derivatives.
     """
     dtype = jnp.dtype(job.simulation.precision)
-    slopes, (rows, result) = _run(job, places, jnp.asarray(log_scale, dtype))
-    force, deviation = (np.asarray(part, np.float64) for part in rows)
-    by_logs = [np.asarray(part, np.float64) for part in slopes]
-    return Modelled(force, deviation, by_logs[0], by_logs[1], result)
+    run = _run(job, places, jnp.asarray(log_scale, dtype))
+    wide = lambda values: np.asarray(values, np.float64)
+    return Modelled(
+        wide(run.rows.force),
+        wide(run.rows.deviation),
+        wide(run.slopes.force),
+        wide(run.slopes.deviation),
+        run.result,
+    )
+
+
+class _Rows(NamedTuple):
+    """Force [N] and deviation [m], or their derivatives, shape (step, 3, ...)."""
+
+    force: Array
+    deviation: Array
+
+
+class _Run(NamedTuple):
+    """A run with its derivatives by the logarithms of the factors, and its outcome."""
+
+    rows: _Rows
+    slopes: _Rows
+    result: RESULTS
 
 
 @eqx.filter_jit
 def _run(
     job: Job, places: tuple[int, ...], log_scale: Float[Array, " parameter"]
-) -> tuple[tuple[Array, Array], tuple[tuple[Array, Array], RESULTS]]:
-    """Return the derivatives, the force and the deviation, and the outcome."""
+) -> _Run:
     desired = jnp.asarray(job.path.positions)
     joints, is_reached = JobKinematics(job).joints(desired)
 
-    def rows(
-        log_scale: Array,
-    ) -> tuple[tuple[Array, Array], tuple[tuple[Array, Array], RESULTS]]:
+    def rows(log_scale: Array) -> tuple[_Rows, tuple[_Rows, RESULTS]]:
         full = jnp.zeros(len(job.parameter_names), log_scale.dtype)
         scaled = job.with_scaled(full.at[np.array(places)].set(log_scale))
         motors = JobKinematics(scaled).motors_of(joints)
         ran = JobModel.of(scaled, ThroughPoses()).run(motors)
-        found = (ran.force, ran.actual - desired)
+        found = _Rows(ran.force, ran.actual - desired)
         result = RESULTS.where(jnp.all(is_reached), ran.result, RESULTS.unreachable)
         return found, (found, result)
 
-    return jax.jacfwd(rows, has_aux=True)(log_scale)
+    slopes, (found, result) = jax.jacfwd(rows, has_aux=True)(log_scale)
+    return _Run(found, slopes, result)
 
 
 def parameter_values(job: Job) -> dict[str, float]:

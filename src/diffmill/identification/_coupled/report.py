@@ -1,5 +1,7 @@
 """Report of a fit to a coupled record: what it explains, what is unidentifiable."""
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -12,20 +14,29 @@ _CONFUSED = 0.9
 EXPLAINED = 0.7
 
 
+class ExplainedRecord(NamedTuple):
+    """What a fit explains of a record, by the name of what was measured.
+
+    Attributes:
+        share: Share of the squares that it explains.
+        residual_rms: Root mean square of the residual [N or m].
+    """
+
+    share: dict[str, float]
+    residual_rms: dict[str, float]
+
+
 def explained_by(
     measured: dict[str, np.ndarray | None],
     fit: LinearFit,
     offset: Float[np.ndarray, " 3"] | None,
-) -> tuple[dict[str, float], dict[str, float]]:
-    """Return the share of the squares that a fit explains, and what it leaves.
+) -> ExplainedRecord:
+    """Return what a fit explains of a record.
 
     Args:
         measured: "force" and "deviation", shape (row, 3) each, or None.
         fit: The fit of those that there are, in this order.
         offset: Constant part of the deviation [m], shape (3,), or None.
-
-    Returns:
-        Shares by name, and root mean squares of the residual.
     """
     seen = {name: rows for name, rows in measured.items() if rows is not None}
     explained, left = {}, {}
@@ -36,7 +47,7 @@ def explained_by(
         rest = float(np.sum(off[known] ** 2))
         explained[name] = 1.0 - rest / max(square, 1e-300)
         left[name] = float(np.sqrt(rest / max(1, int(known.sum()))))
-    return explained, left
+    return ExplainedRecord(explained, left)
 
 
 def coupled_notes(

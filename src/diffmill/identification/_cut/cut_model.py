@@ -7,6 +7,8 @@ derivatives by the coefficients gives all six columns C_i, for any path.
 
 import dataclasses
 import math
+from collections.abc import Callable
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -102,9 +104,10 @@ class EngagementColumns(eqx.Module):
         differentiates.
         """
         cut = cut_of(process_or_job)
-        columns, (constant, result) = _columns(cut)
-        if result != RESULTS.successful:
-            raise SimulationFailed(RESULTS[result])
+        linear = _columns(cut)
+        columns, constant = linear.slopes, linear.force
+        if linear.result != RESULTS.successful:
+            raise SimulationFailed(RESULTS[linear.result])
         count = columns.shape[1]
         spacing = cut.tooth_period / count
         rows = np.asarray(columns[1:], np.float64).reshape(-1, 3, 6)
@@ -196,17 +199,51 @@ def with_plan(cut: Cut, cutter: AbstractCutter | None = None) -> Cut:
     return dataclasses.replace(cut, cutter=cutter, axes=axes, engagement=engagement)
 
 
-def instantaneous_force(
-    cut: Cut, coefficients: Float[Array, " 6"]
-) -> tuple[Float[Array, "step sample 3"], RESULTS]:
-    """Return the force at every angle sample, and the outcome.
+class CutForce(NamedTuple):
+    """Force on the tool in `work` at every angle sample.
+
+    Attributes:
+        force: [N], shape (step, sample, 3), row 0 zero.
+        result: Outcome of the simulation.
+    """
+
+    force: Float[Array, "step sample 3"]
+    result: RESULTS
+
+
+class LinearForce(NamedTuple):
+    """Force at a point and its derivatives.
+
+    Attributes:
+        slopes: Derivatives of the force, shape (step, sample, 3, unknown).
+        force: [N], shape (step, sample, 3).
+        result: Outcome of the simulation.
+    """
+
+    slopes: Float[Array, "step sample 3 unknown"]
+    force: Float[Array, "step sample 3"]
+    result: RESULTS
+
+
+def linear_force(
+    run: Callable[[Float[Array, " unknown"]], CutForce], x: Float[Array, " unknown"]
+) -> LinearForce:
+    """Return the force of a cut at some unknowns, with its derivatives by them."""
+
+    def with_outcome(x: Float[Array, " unknown"]):
+        found = run(x)
+        return found.force, found
+
+    slopes, found = jax.jacfwd(with_outcome, has_aux=True)(x)
+    return LinearForce(slopes, found.force, found.result)
+
+
+def instantaneous_force(cut: Cut, coefficients: Float[Array, " 6"]) -> CutForce:
+    """Return the force at every angle sample.
 
     Args:
         cut: The cut, with a plan.
         coefficients: K in the order of `NAMES` [Pa, N/m], shape (6,).
-
-    Returns:
-        Force on the tool in `work` [N], shape (step, sample, 3), row 0 zero; outcome.
 
     Differentiability: as `sim.simulate_process`.
     """
@@ -222,22 +259,14 @@ def instantaneous_force(
         keeps_instantaneous=True,
     )
     assert solution.instantaneous_force is not None
-    return solution.instantaneous_force, solution.result
+    return CutForce(solution.instantaneous_force, solution.result)
 
 
 @eqx.filter_jit
-def _columns(
-    cut: Cut,
-) -> tuple[
-    Float[Array, "step sample 3 6"], tuple[Float[Array, "step sample 3"], RESULTS]
-]:
+def _columns(cut: Cut) -> LinearForce:
     """Return the derivative by the coefficients, and the force without them."""
-
-    def run(k: Float[Array, " 6"]):
-        force, result = instantaneous_force(cut, k)
-        return force, (force, result)
-
-    return jax.jacfwd(run, has_aux=True)(jnp.zeros(6, cut.stock.origin.dtype))
+    none = jnp.zeros(6, cut.stock.origin.dtype)
+    return linear_force(lambda k: instantaneous_force(cut, k), none)
 
 
 def at_times(

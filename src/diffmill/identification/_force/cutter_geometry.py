@@ -10,7 +10,6 @@ import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -19,9 +18,12 @@ from ..._result import RESULTS, SimulationFailed
 from ...cutter import AbstractCutter
 from .._cut.cut_model import (
     Cut,
+    CutForce,
     EngagementColumns,
+    LinearForce,
     at_times,
     instantaneous_force,
+    linear_force,
     with_plan,
 )
 from .._statistics.robust_regression import LinearFit, Loss, Rows, fit_rows
@@ -162,12 +164,12 @@ def _simulated(
     dtype = one.cut.stock.origin.dtype
     base = dataclasses.replace(one.cut, cutter=_original(one.cut.cutter, dtype))
     x = jnp.asarray(np.concatenate([K, lengths]), dtype)
-    jacobian, (force, result) = _derivatives(with_plan(base), x, names)
-    if result != RESULTS.successful:
-        raise SimulationFailed(RESULTS[result])
-    J = np.asarray(jacobian[1:], np.float64).reshape(-1, 3, len(x))
-    F = np.asarray(force[1:], np.float64).reshape(-1, 3)
-    spacing = one.cut.tooth_period / force.shape[1]
+    linear = _derivatives(with_plan(base), x, names)
+    if linear.result != RESULTS.successful:
+        raise SimulationFailed(RESULTS[linear.result])
+    J = np.asarray(linear.slopes[1:], np.float64).reshape(-1, 3, len(x))
+    F = np.asarray(linear.force[1:], np.float64).reshape(-1, 3)
+    spacing = one.cut.tooth_period / linear.force.shape[1]
     found = EngagementColumns(0.5 * spacing, spacing, J[:, :, :6], F - J[:, :, :6] @ K)
     cutter = cutter_with(base.cutter, names, jnp.asarray(lengths, dtype))
     moved = dataclasses.replace(
@@ -216,15 +218,11 @@ def _original(cutter: AbstractCutter, dtype: jnp.dtype) -> AbstractCutter:
 
 
 @eqx.filter_jit
-def _derivatives(
-    cut: Cut, x: Array, names: tuple[str, ...]
-) -> tuple[Array, tuple[Array, RESULTS]]:
-    """Return the derivatives of the force by coefficients and lengths, and itself."""
+def _derivatives(cut: Cut, x: Array, names: tuple[str, ...]) -> LinearForce:
+    """Return the force with its derivatives by coefficients and lengths."""
 
-    def run(x: Array) -> tuple[Array, tuple[Array, RESULTS]]:
+    def run(x: Array) -> CutForce:
         cutter = cutter_with(cut.cutter, names, x[6:])
-        moved = dataclasses.replace(cut, cutter=cutter)
-        force, result = instantaneous_force(moved, x[:6])
-        return force, (force, result)
+        return instantaneous_force(dataclasses.replace(cut, cutter=cutter), x[:6])
 
-    return jax.jacfwd(run, has_aux=True)(x)
+    return linear_force(run, x)

@@ -53,6 +53,18 @@ _CHECKED = 20000
 _TOLD = 1e-5
 
 
+class ResidualSpectrum(NamedTuple):
+    """Amplitudes that a fit leaves, over the frequency.
+
+    Attributes:
+        frequency: [Hz], shape (frequency,).
+        amplitude: Of sines in `work` axes [N], shape (frequency, 3).
+    """
+
+    frequency: Float[np.ndarray, " frequency"]
+    amplitude: Float[np.ndarray, "frequency 3"]
+
+
 class ForceCoefficientFit(eqx.Module):
     """Force coefficients, how sure they are, and which are not identifiable.
 
@@ -155,9 +167,7 @@ class ForceCoefficientFit(eqx.Module):
         row = equations(self.records[record], ())
         return row.force - row.columns @ self.raw
 
-    def residual_spectrum(
-        self, record: int = 0
-    ) -> tuple[Float[np.ndarray, " frequency"], Float[np.ndarray, "frequency 3"]]:
+    def residual_spectrum(self, record: int = 0) -> ResidualSpectrum:
         """Return the amplitudes that the fit leaves, over the frequency.
 
         Peaks at the spindle frequency tell of run-out, at the tooth passing and its
@@ -169,13 +179,12 @@ class ForceCoefficientFit(eqx.Module):
                 samples count as zero.
 
         Returns:
-            Frequencies [Hz], shape (frequency,), and amplitudes of sines in `work` axes
-            [N], shape (frequency, 3), of the whole record (rectangular window).
+            The spectrum of the whole record (rectangular window).
         """
         off = np.nan_to_num(self.residual_force(record))
         step = float(np.median(np.diff(self.records[record].time)))
         amplitude = 2 * np.abs(np.fft.rfft(off, axis=0)) / len(off)
-        return np.fft.rfftfreq(len(off), step), amplitude
+        return ResidualSpectrum(np.fft.rfftfreq(len(off), step), amplitude)
 
 
 def fit_force_coefficients(
@@ -283,8 +292,11 @@ def _report(
     force = np.concatenate([one.force.reshape(-1) for one in rows])[seen]
     off = np.concatenate([r.reshape(-1) for r in fit.residual])[seen]
     explained = 1.0 - float(np.sum(off**2) / max(np.sum(force**2), 1e-300))
-    dead, silent = _dead_channels(rows, axes)
-    doubts = (*_doubts(explained, K), *dead)
+    dead = _dead_channels(rows, axes)
+    doubts = (
+        *_doubts(explained, K),
+        *(one.text for one in dead if one.is_doubtful),
+    )
     size = _sizes(rows, known)
     rms = float(np.sqrt(np.mean(force**2)))
     is_fixed = identifiable(C[:6, :6], size, rms)
@@ -317,7 +329,7 @@ def _report(
         doubts=doubts,
         notes=(
             *doubts,
-            *silent,
+            *(one.text for one in dead if not one.is_doubtful),
             *_lost_notes(records, int(is_gross.sum())),
             *advise(is_fixed, correlation, size, is_measured),
             *_refined_notes(names, is_told, records[0].cut.cutter.flute_count),
@@ -403,9 +415,16 @@ def _doubts(explained: float, K: np.ndarray) -> tuple[str, ...]:
     return tuple(doubts)
 
 
-def _dead_channels(rows: list[Rows], axes: Axes) -> tuple[list[str], list[str]]:
-    """Return doubts and notes on forces that do not vary, of axes of the work."""
-    doubts, notes = [], []
+class _DeadChannel(NamedTuple):
+    """A force that does not vary, in words, and whether that speaks against the fit."""
+
+    text: str
+    is_doubtful: bool
+
+
+def _dead_channels(rows: list[Rows], axes: Axes) -> list[_DeadChannel]:
+    """Return the forces that do not vary, of axes of the work."""
+    found = []
     for place, one in enumerate(rows, 1):
         known = np.isfinite(one.force)
         count = known.sum(axis=0)
@@ -421,9 +440,9 @@ def _dead_channels(rows: list[Rows], axes: Axes) -> tuple[list[str], list[str]]:
                 "channel is dead, leave it out by `channels = "
                 f'{{ F{axes[axis][-1]} = "none" }}`.'
             )
-            expects = square[axis] > _EXPECTED * square.sum()
-            (doubts if expects else notes).append(text)
-    return doubts, notes
+            is_expected = bool(square[axis] > _EXPECTED * square.sum())
+            found.append(_DeadChannel(text, is_expected))
+    return found
 
 
 def _lost_notes(records: list[RegisteredRecord], gross: int) -> tuple[str, ...]:

@@ -13,22 +13,36 @@ from .._alignment.axis_assignment import signed_permutations
 from .._alignment.axis_proposal import axes_names
 from .mean_force import FeedRows, FeedValues, MeanForceFit, fit_mean_forces
 
-# What a violation adds to the score of an assignment.
-_PENALTIES = (
-    ("K_tc is not positive", 4.0),
-    ("K_rc is negative", 3.0),
-    ("K_rc over K_tc is outside 0.1 to 1", 2.0),
-    ("the mean tangential force is not positive", 2.0),
-    ("the mean radial force is not positive", 2.0),
-    ("K_te is negative", 1.0),
-    ("K_re is negative", 1.0),
+
+class _Violation(NamedTuple):
+    """What makes no physical sense, and what it adds to the score of an assignment."""
+
+    text: str
+    penalty: float
+
+
+_VIOLATIONS = (
+    _Violation("K_tc is not positive", 4.0),
+    _Violation("K_rc is negative", 3.0),
+    _Violation("K_rc over K_tc is outside 0.1 to 1", 2.0),
+    _Violation("the mean tangential force is not positive", 2.0),
+    _Violation("the mean radial force is not positive", 2.0),
+    _Violation("K_te is negative", 1.0),
+    _Violation("K_re is negative", 1.0),
 )
 # The axial force of straight flutes is taken to push toward the shank. A helix pulls
 # the other way than tables print, so that there it decides nothing, and is only told.
 _AXIAL = {
-    0: (("the mean axial force is negative", 0.5), ("K_ac is negative", 0.25)),
-    1: (("the mean axial force is positive, unlike a right-hand helix", 0.0),),
-    -1: (("the mean axial force is negative, unlike a left-hand helix", 0.0),),
+    0: (
+        _Violation("the mean axial force is negative", 0.5),
+        _Violation("K_ac is negative", 0.25),
+    ),
+    1: (
+        _Violation("the mean axial force is positive, unlike a right-hand helix", 0.0),
+    ),
+    -1: (
+        _Violation("the mean axial force is negative, unlike a left-hand helix", 0.0),
+    ),
 }
 # A coefficient may be this many standard errors below zero by chance.
 _CHANCE = 2.0
@@ -90,8 +104,10 @@ def propose_mean_axes(
             entry_angle=entry_angle,
             exit_angle=exit_angle,
         )
-        violations, score = _judged(fit, float(feeds.mean()), hand)
-        found.append(MeanAxes(axes_names(matrix), score, violations, fit))
+        violations = _violations(fit, float(feeds.mean()), hand)
+        score = float(sum(one.penalty for one in violations))
+        texts = tuple(one.text for one in violations)
+        found.append(MeanAxes(axes_names(matrix), score, texts, fit))
     # Among equals the one that changes least; dynamometers lie flat, z along z.
     found.sort(key=lambda one: (one.score, one.axes[2][-1] != "z", _changes(one.axes)))
     return tuple(found)
@@ -101,8 +117,8 @@ def _changes(axes: tuple[str, str, str]) -> int:
     return sum(name != plain for name, plain in zip(axes, "xyz", strict=True))
 
 
-def _judged(fit: MeanForceFit, feed: float, hand: int) -> tuple[tuple[str, ...], float]:
-    """Return what makes no sense of a fit, and the sum of its penalties.
+def _violations(fit: MeanForceFit, feed: float, hand: int) -> list[_Violation]:
+    """Return what makes no sense of a fit.
 
     Args:
         fit: The fit.
@@ -127,6 +143,5 @@ def _judged(fit: MeanForceFit, feed: float, hand: int) -> tuple[tuple[str, ...],
         below("K_re"),
         *((mean["a"] * hand > 0,) if hand else (mean["a"] < 0, below("K_ac"))),
     )
-    penalties = (*_PENALTIES, *_AXIAL[hand])
-    hits = [p for p, is_so in zip(penalties, tests, strict=True) if is_so]
-    return tuple(text for text, _ in hits), float(sum(weight for _, weight in hits))
+    known = (*_VIOLATIONS, *_AXIAL[hand])
+    return [one for one, is_so in zip(known, tests, strict=True) if is_so]

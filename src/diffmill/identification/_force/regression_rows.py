@@ -17,7 +17,7 @@ from .._cut.cut_model import (
     at_times,
     cut_of,
 )
-from .._record.saturation import without_saturated
+from .._record.saturation import find_measured_saturated, without_saturated
 from .._statistics.robust_regression import Rows, solve
 
 Times: TypeAlias = Float[Array, "..."] | Float[np.ndarray, "..."] | Sequence
@@ -301,7 +301,9 @@ def _measured(
         raise ValueError("Argument `time` must ascend and be finite, but does not.")
     if np.any(np.isinf(seen)):
         raise ValueError("Argument `force` must have no infinite values, but has.")
-    seen, saturated = without_saturated(seen)
+    is_saturated = find_measured_saturated(seen)
+    saturated = int(is_saturated.any(axis=1).sum())
+    seen = without_saturated(seen, is_saturated)
     turned = np.column_stack(
         [
             (-1.0 if name.startswith("-") else 1.0) * seen[:, "xyz".index(name[-1])]

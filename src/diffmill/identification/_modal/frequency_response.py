@@ -83,7 +83,8 @@ def fit_frequency_response(
     model = mode_model(f, H, quantity)
     if frequencies is None:
         assert modes is not None
-        x, found = search_modes(model, modes)
+        x = search_modes(model, modes)
+        found = x.size // 2
         if found < modes:
             raise ValueError(
                 f"The response shows {found} modes, but {modes} are sought; give their "
@@ -92,8 +93,7 @@ def fit_frequency_response(
         return _report(x, model)
     guess = np.sort(np.array(frequencies, np.float64))
     ends = [model.refined(guess, np.full(guess.size, zeta)) for zeta in _STARTS]
-    x, _ = min(ends, key=lambda end: end[1])
-    return _report(x, model)
+    return _report(min(ends, key=lambda end: end.cost).x, model)
 
 
 def _solved(A: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ neighbours.
 """
 
 import math
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -28,6 +28,13 @@ _LOWER, _UPPER = 0.8, 1.25
 _LEAST_DAMPING = 1e-5
 # Lines over which the scatter is taken as one.
 _ALIKE = 51
+
+
+class RefinedModes(NamedTuple):
+    """Frequencies [Hz], then damping ratios, shape (both,); half the square left."""
+
+    x: Float[np.ndarray, " both"]
+    cost: float
 
 
 class ModeModel(eqx.Module):
@@ -77,8 +84,8 @@ class ModeModel(eqx.Module):
         self,
         frequencies: Float[np.ndarray, " mode"],
         ratios: Float[np.ndarray, " mode"],
-    ) -> tuple[Float[np.ndarray, " both"], float]:
-        """Return frequencies and ratios that leave least, and half its square.
+    ) -> RefinedModes:
+        """Return the frequencies and ratios that leave least.
 
         Args:
             frequencies: Where to start [Hz], shape (mode,); kept to a quarter.
@@ -92,7 +99,7 @@ class ModeModel(eqx.Module):
             for share, ratio in ((_LOWER, _LEAST_DAMPING), (_UPPER, LARGEST_DAMPING))
         )
         found = least_squares(self.residual, start, bounds=(least, most), x_scale=start)
-        return found.x, float(found.cost)
+        return RefinedModes(found.x, float(found.cost))
 
 
 def mode_model(

@@ -5,6 +5,8 @@ The mode that explains most of what is left is added, then all are refined, and 
 like a mode over many lines; and a damped mode beside a sharp one has no peak at all.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float
 
@@ -21,9 +23,7 @@ _SEEN = 40.0
 _ROUNDING = 1e-12
 
 
-def search_modes(
-    model: ModeModel, count: int
-) -> tuple[Float[np.ndarray, " both"], int]:
+def search_modes(model: ModeModel, count: int) -> Float[np.ndarray, " both"]:
     """Return frequencies and ratios of the modes that explain most.
 
     Args:
@@ -31,32 +31,36 @@ def search_modes(
         count: How many modes are sought.
 
     Returns:
-        Frequencies [Hz], then damping ratios, shape (2 found,), and how many there are:
-        fewer where nothing else is left to be seen.
+        Frequencies [Hz], then damping ratios, shape (2 found,): fewer than sought where
+        nothing else is left to be seen.
     """
     x = np.zeros(0)
-    for found in range(count):
+    for _ in range(count):
         added = _next(model, x)
         if added is None:
-            return x, found
+            break
         frequencies, ratios = np.split(x, 2)
-        frequency, ratio = added
-        x, _ = model.refined(
-            np.append(frequencies, frequency), np.append(ratios, ratio)
-        )
-    return x, count
+        x = model.refined(
+            np.append(frequencies, added.frequency), np.append(ratios, added.ratio)
+        ).x
+    return x
 
 
-def _next(
-    model: ModeModel, x: Float[np.ndarray, " both"]
-) -> tuple[float, float] | None:
-    """Return frequency and ratio of the mode that explains most of what is left."""
+class _Mode(NamedTuple):
+    """Frequency [Hz] and damping ratio [-] of a mode."""
+
+    frequency: float
+    ratio: float
+
+
+def _next(model: ModeModel, x: Float[np.ndarray, " both"]) -> _Mode | None:
+    """Return the mode that explains most of what is left."""
     basis = model.basis(x)
     left = model.rows - basis @ (basis.T @ model.rows)
     square = float(left @ left)
     if square <= _ROUNDING * float(model.rows @ model.rows):
         return None
-    best, place = 0.0, (0.0, 0.0)
+    best, mode = 0.0, None
     for ratio in _RATIOS:
         tried = _apart(model.omega / (2 * np.pi), ratio)
         for first in range(0, tried.size, _BLOCK):
@@ -67,8 +71,8 @@ def _next(
             gain = (left @ waves) ** 2 / np.maximum(own, 1e-6)
             j = int(np.argmax(gain))
             if gain[j] > best:
-                best, place = float(gain[j]), (float(block[j]), ratio)
-    return place if best > _SEEN * square / left.size else None
+                best, mode = float(gain[j]), _Mode(float(block[j]), ratio)
+    return mode if best > _SEEN * square / left.size else None
 
 
 def _apart(f: Float[np.ndarray, " line"], ratio: float) -> Float[np.ndarray, " mode"]:

@@ -6,6 +6,7 @@ of what the coefficients leave of the squared force.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -52,51 +53,80 @@ def check_channels(
     square = float(np.sum(F**2))
     one = np.where(known[:, :, None], np.eye(3)[None], 0.0)
     middle = time - 0.5 * (time[0] + time[-1])
-    before, _ = _left(A, F)
+    before = _fit(A, F).left
     if not before > _ENOUGH * square:
         return ()
-    offset = _left(np.concatenate([A, one], axis=2), F)
+    offset = _fit(np.concatenate([A, one], axis=2), F)
     slope = one * middle[:, None, None]
-    drift = _left(np.concatenate([A, one, slope], axis=2), F)
-    found = [(offset[0], "offset", dict(zip("xyz", offset[1][-3:], strict=True)))]
-    if drift[0] < _DRIFTS * offset[0]:
-        values = dict(zip("xyz", drift[1][-3:], strict=True))
-        found = [(drift[0], "drift", values)]
-    left, axis, ratio = _gain(A, F)
-    if max(ratio, 1 / ratio) > _GAIN:
-        found.append((left, "channel_gain", {"axis": float(axis), "ratio": ratio}))
-    least = min(left for left, _, _ in found)
+    drift = _fit(np.concatenate([A, one, slope], axis=2), F)
+    values = dict(zip("xyz", offset.x[-3:], strict=True))
+    found = [_Fault(offset.left, "offset", values)]
+    if drift.left < _DRIFTS * offset.left:
+        values = dict(zip("xyz", drift.x[-3:], strict=True))
+        found = [_Fault(drift.left, "drift", values)]
+    gain = _gain(A, F)
+    if max(gain.ratio, 1 / gain.ratio) > _GAIN:
+        values = {"axis": float(gain.axis), "ratio": gain.ratio}
+        found.append(_Fault(gain.left, "channel_gain", values))
+    least = min(one.left for one in found)
     told = sorted(
-        (one for one in found if one[0] <= _AS_WELL * least), key=lambda one: one[0]
+        (one for one in found if one.left <= _AS_WELL * least),
+        key=lambda one: one.left,
     )
     return tuple(
         Diagnosis(
-            code,
+            one.code,
             record,
             {
-                **{k: float(v) for k, v in values.items()},
+                **{k: float(v) for k, v in one.values.items()},
                 "before": before / square,
-                "left": left / square,
+                "left": one.left / square,
             },
         )
-        for left, code, values in told
-        if left < _EXPLAINS * before
+        for one in told
+        if one.left < _EXPLAINS * before
     )
 
 
-def _left(
-    A: Float[np.ndarray, "row 3 unknown"], F: Float[np.ndarray, "row 3"]
-) -> tuple[float, Float[np.ndarray, " unknown"]]:
-    """Return the squared force that a fit leaves, and its unknowns."""
+class _Fault(NamedTuple):
+    """A fault of the channels with its numbers, and the squared force that it leaves.
+
+    Attributes:
+        left: [N^2].
+        code: Of a `Diagnosis`.
+        values: Of a `Diagnosis`.
+    """
+
+    left: float
+    code: str
+    values: dict[str, float]
+
+
+class _Fit(NamedTuple):
+    """Squared force that a fit leaves [N^2], and its unknowns, shape (unknown,)."""
+
+    left: float
+    x: Float[np.ndarray, " unknown"]
+
+
+def _fit(A: Float[np.ndarray, "row 3 unknown"], F: Float[np.ndarray, "row 3"]) -> _Fit:
     flat, right = A.reshape(-1, A.shape[2]), F.reshape(-1)
     x = solve_normal(flat.T @ flat, flat.T @ right)
-    return float(np.sum((right - flat @ x) ** 2)), x
+    return _Fit(float(np.sum((right - flat @ x) ** 2)), x)
+
+
+class _Gain(NamedTuple):
+    """Gain of one channel [-], and the squared force that it leaves [N^2]."""
+
+    left: float
+    axis: int
+    ratio: float
 
 
 def _gain(
     A: Float[np.ndarray, "row 3 unknown"], F: Float[np.ndarray, "row 3"]
-) -> tuple[float, int, float]:
-    """Return the least that a gain of one channel leaves, the channel and the gain."""
+) -> _Gain:
+    """Return the gain of one channel that leaves least."""
     G = np.einsum("tcu,tcv->cuv", A, A)
     g = np.einsum("tcu,tc->cu", A, F)
     square = float(np.sum(F**2))
@@ -110,11 +140,11 @@ def _gain(
 
     seen = np.flatnonzero(np.any(F != 0, axis=0))
     tried = [
-        (left(axis, float(gain)), axis, float(gain))
+        _Gain(left(axis, float(gain)), axis, float(gain))
         for axis in seen.tolist()
         for gain in _GAINS
     ]
-    return min(tried, default=(math.inf, 0, 1.0))
+    return min(tried, default=_Gain(math.inf, 0, 1.0))
 
 
 def similar_classes(K_tc: float) -> tuple[str, ...]:

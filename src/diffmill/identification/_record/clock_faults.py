@@ -1,6 +1,7 @@
 """Faults of a record's clock and tooth count, from the phase of the teeth."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -43,7 +44,8 @@ def check_clock(
         At most one diagnosis.
     """
     omega = spindle_speed * flute_count
-    middle, waves = _windows(time, force, omega, _TURNS * 2 * math.pi / spindle_speed)
+    found = _windows(time, force, omega, _TURNS * 2 * math.pi / spindle_speed)
+    middle, waves = found.time, found.wave
     if middle.size < _WINDOWS:
         return ()
     turns = np.sum(waves[1:] * np.conj(waves[:-1]), axis=1)
@@ -51,16 +53,16 @@ def check_clock(
     usual = np.angle(np.median(turns.real) + 1j * np.median(turns.imag))
     steps = np.angle(turns * np.exp(-1j * usual))
     phase = np.concatenate([[0.0], np.cumsum(steps)])
-    straight = _left(middle, phase, None)
+    straight = _line(middle, phase, None)
     places = range(2, middle.size - 3)
-    broken = [_left(middle, phase, k) for k in places]
-    best = int(np.argmin([rms for rms, _ in broken]))
-    rms, step = broken[best]
-    if abs(step) > max(_STEP, _STANDS_OUT * rms) and rms < 0.5 * straight[0]:
+    broken = [_line(middle, phase, k) for k in places]
+    best = int(np.argmin([one.rms for one in broken]))
+    rms, step = broken[best].rms, broken[best].step
+    if abs(step) > max(_STEP, _STANDS_OUT * rms) and rms < 0.5 * straight.rms:
         values = {"time": float(middle[places[best]]), "shift": step / omega}
         return (Diagnosis("samples_lost", 0, values),)
-    if straight[0] > _WANDER:
-        values = {"spread": straight[0] / omega}
+    if straight.rms > _WANDER:
+        values = {"spread": straight.rms / omega}
         return (Diagnosis("clock_wanders", 0, values),)
     return ()
 
@@ -89,9 +91,9 @@ def check_rate(
         At most one diagnosis.
     """
     omega, length = spindle_speed * flute_count, 2 * math.pi / spindle_speed
-    middle, waves = _windows(time, force, omega, length)
-    _, others = _windows(time, predicted, omega, length)
-    cross = np.sum(waves * np.conj(others), axis=1)
+    found = _windows(time, force, omega, length)
+    others = _windows(time, predicted, omega, length).wave
+    middle, cross = found.time, np.sum(found.wave * np.conj(others), axis=1)
     # Out of the cut there is no phase.
     cuts = np.abs(cross) > _CUTS * np.max(np.abs(cross), initial=0.0)
     middle, cross = middle[cuts], cross[cuts]
@@ -100,9 +102,21 @@ def check_rate(
     phase = np.unwrap(np.angle(cross))
     slope = float(np.polyfit(middle, phase, 1)[0])
     off = abs(slope) * (middle[-1] - middle[0])
-    if off < _RUNS_AWAY or off < _STANDS_OUT * _left(middle, phase, None)[0]:
+    if off < _RUNS_AWAY or off < _STANDS_OUT * _line(middle, phase, None).rms:
         return ()
     return (Diagnosis("clock_rate", 0, {"ratio": 1 + slope / omega}),)
+
+
+class _Waves(NamedTuple):
+    """Waves at a frequency in windows of a record.
+
+    Attributes:
+        time: Middles of the windows [s], shape (window,).
+        wave: Complex amplitudes [N], shape (window, axis).
+    """
+
+    time: Float[np.ndarray, " window"]
+    wave: Complex[np.ndarray, "window axis"]
 
 
 def _windows(
@@ -110,8 +124,8 @@ def _windows(
     force: Float[np.ndarray, "row axis"],
     omega: float,
     length: float,
-) -> tuple[Float[np.ndarray, " window"], Complex[np.ndarray, "window axis"]]:
-    """Return middles of windows without overlap and the waves at a frequency there."""
+) -> _Waves:
+    """Return the waves at a frequency in windows without overlap."""
     place = np.floor((time - time[0]) / length).astype(np.int64)
     found = []
     for window in range(int(place[-1])):
@@ -123,12 +137,21 @@ def _windows(
         wave = np.sum((hann * np.exp(-1j * omega * t))[:, None] * F, axis=0)
         found.append((time[0] + (window + 0.5) * length, wave / hann.sum()))
     if not found:
-        return np.zeros(0), np.zeros((0, force.shape[1]), np.complex128)
-    return np.array([t for t, _ in found]), np.stack([wave for _, wave in found])
+        return _Waves(np.zeros(0), np.zeros((0, force.shape[1]), np.complex128))
+    return _Waves(
+        np.array([t for t, _ in found]), np.stack([wave for _, wave in found])
+    )
 
 
-def _left(time: np.ndarray, phase: np.ndarray, at: int | None) -> tuple[float, float]:
-    """Return what a line leaves of a phase, rms, with a step at a window or without."""
+class _Line(NamedTuple):
+    """A line through a phase: what it leaves, rms, and its step [rad]."""
+
+    rms: float
+    step: float
+
+
+def _line(time: np.ndarray, phase: np.ndarray, at: int | None) -> _Line:
+    """Return the line through a phase, with a step at a window or without."""
     place = np.arange(time.size)
     columns = [np.ones_like(time), time - time.mean()]
     if at is not None:
@@ -138,7 +161,7 @@ def _left(time: np.ndarray, phase: np.ndarray, at: int | None) -> tuple[float, f
     A, phase = np.stack(columns, axis=1)[kept], phase[kept]
     x = np.linalg.lstsq(A, phase, rcond=None)[0]
     rms = float(np.sqrt(np.mean((phase - A @ x) ** 2)))
-    return rms, float(x[-1]) if at is not None else 0.0
+    return _Line(rms, float(x[-1]) if at is not None else 0.0)
 
 
 def check_teeth(

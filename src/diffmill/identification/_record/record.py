@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -14,6 +15,20 @@ from .spindle_angle import Pulses
 # for a sample more or less, so that a wrong one is also off by this share of the force
 # and this many of its samples.
 _GROSS, _LEAST, _SAMPLES = 6.0, 0.02, 3.0
+
+
+class TurnsMean(NamedTuple):
+    """Mean force over revolutions [N], shape (3,), and what was left out, in words."""
+
+    force: Float[np.ndarray, " 3"]
+    notes: tuple[str, ...] = ()
+
+
+class _Level(NamedTuple):
+    """Mean time [s] and mean force [N], shape (axis,), of a section without cut."""
+
+    time: float
+    force: Float[np.ndarray, " axis"]
 
 
 class Record(eqx.Module):
@@ -141,17 +156,17 @@ class Record(eqx.Module):
         Raises:
             ValueError: If fewer than 2 samples lie in a section or both are the same.
         """
-        (time_1, level_1), (time_2, level_2) = self._level(*before), self._level(*after)
-        if time_1 == time_2:
+        first, second = self._level(*before), self._level(*after)
+        if first.time == second.time:
             raise ValueError("Arguments `before` and `after` must be two sections.")
-        slope = (level_2 - level_1) / (time_2 - time_1)
-        drift = level_1[None] + slope[None] * (self.time - time_1)[:, None]
+        slope = (second.force - first.force) / (second.time - first.time)
+        drift = first.force[None] + slope[None] * (self.time - first.time)[:, None]
         return dataclasses.replace(self, force=self.force - drift)
 
     def mean_over_turns(
         self, start: float, stop: float, spindle_speed: float | None
-    ) -> tuple[Float[np.ndarray, " 3"], tuple[str, ...]]:
-        """Return the mean force of a straight cut, and what was left out of it.
+    ) -> "TurnsMean":
+        """Return the mean force of a straight cut.
 
         Offset and drift are removed before. Single samples cannot be judged, since a
         cut is all peaks; the means of its revolutions are alike.
@@ -162,12 +177,12 @@ class Record(eqx.Module):
             spindle_speed: [rad/s]; None takes the mean of all samples.
 
         Returns:
-            The mean [N], shape (3,), and a sentence if revolutions were left out.
+            The mean, with a sentence if revolutions were left out.
         """
         inside = (self.time >= start) & (self.time < stop)
         time, force = self.time[inside], self.force[inside]
         if spindle_speed is None:
-            return force.mean(axis=0), ()
+            return TurnsMean(force.mean(axis=0))
         turn = 2 * np.pi / spindle_speed
         place = np.floor((time - start) / turn).astype(int)
         count = max(1, int((stop - start) / turn + 1e-6))
@@ -184,16 +199,18 @@ class Record(eqx.Module):
         least = max(_LEAST, _SAMPLES / np.median(sizes)) * np.sqrt(np.mean(force**2))
         good = np.all(off <= np.maximum(limit, least)[None], axis=1)
         if good.all():
-            return force.mean(axis=0), ()
+            return TurnsMean(force.mean(axis=0))
         if good.mean() < 0.5:
-            return force.mean(axis=0), (
+            note = (
                 "The mean forces of the revolutions do not agree with one another: "
-                "look at the speed, and at where the cut begins and ends.",
+                "look at the speed, and at where the cut begins and ends."
             )
-        return sums[good].sum(axis=0) / sizes[good].sum(), (
+            return TurnsMean(force.mean(axis=0), (note,))
+        note = (
             f"{int((~good).sum())} of {good.size} revolutions hold gross errors and "
-            "were left out of the mean force.",
+            "were left out of the mean force."
         )
+        return TurnsMean(sums[good].sum(axis=0) / sizes[good].sum(), (note,))
 
     def angle_from_tacho(
         self, *, pulses_per_turn: int = 1, first_angle: float = 0.0, smoothing: int = 1
@@ -224,13 +241,12 @@ class Record(eqx.Module):
         pulses = Pulses.of_signal(self.time, self.tacho).smoothed(smoothing)
         return first_angle + pulses.passed(self.time) * 2 * np.pi / pulses_per_turn
 
-    def _level(
-        self, start: float, stop: float
-    ) -> tuple[float, Float[np.ndarray, " axis"]]:
-        """Return mean time and mean force of a section, gross errors left out."""
+    def _level(self, start: float, stop: float) -> "_Level":
+        """Return the level of a section, gross errors left out."""
         part = self.section(start, stop)
         off = np.abs(part.force - np.median(part.force, axis=0)[None])
         # The median deviation is 0.67 standard deviations; none tells of few digits.
         limit = _GROSS / 0.67 * np.median(off, axis=0)
         is_good = (off <= limit[None]) | (limit[None] == 0)
-        return float(part.time.mean()), np.mean(part.force, axis=0, where=is_good)
+        level = np.mean(part.force, axis=0, where=is_good)
+        return _Level(float(part.time.mean()), level)

@@ -50,19 +50,14 @@ def find_saturated(
     return out
 
 
-def without_saturated(
+def find_measured_saturated(
     force: Float[np.ndarray, "sample axis"],
-) -> tuple[Float[np.ndarray, "sample axis"], int]:
-    """Return forces without saturated samples and their neighbours, and how many.
-
-    Of samples near the end of the range those would remain that noise has made smaller.
+) -> Bool[np.ndarray, "sample axis"]:
+    """Return where forces that were not measured all the time are saturated.
 
     Args:
         force: Samples of each channel [N], NaN where not measured, shape
             (sample, axis).
-
-    Returns:
-        Forces with NaN in the place of these, and how many were saturated.
     """
     known = np.isfinite(force)
     seen = np.flatnonzero(known.any(axis=0))
@@ -70,10 +65,21 @@ def without_saturated(
     is_end = np.zeros(force.shape, dtype=bool)
     if rows.size > 1:
         is_end[np.ix_(rows, seen)] = find_saturated(force[np.ix_(rows, seen)])
-    is_lost = is_end.copy()
-    is_lost[1:] |= is_end[:-1]
-    is_lost[:-1] |= is_end[1:]
-    return np.where(is_lost, np.nan, force), int(is_end.any(axis=1).sum())
+    return is_end
+
+
+def without_saturated(
+    force: Float[np.ndarray, "sample axis"],
+    is_saturated: Bool[np.ndarray, "sample axis"],
+) -> Float[np.ndarray, "sample axis"]:
+    """Return forces with NaN in the place of saturated samples and their neighbours.
+
+    Of samples near the end of the range those would remain that noise has made smaller.
+    """
+    is_lost = is_saturated.copy()
+    is_lost[1:] |= is_saturated[:-1]
+    is_lost[:-1] |= is_saturated[1:]
+    return np.where(is_lost, np.nan, force)
 
 
 def _at_the_end(

@@ -11,10 +11,11 @@ number, which holds for few groups too.
 
 import itertools
 import math
+from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 # Probability that any right measurement of a table is called wrong.
 _FALSE_ALARM = 0.01
@@ -84,17 +85,24 @@ def nonnegative(
     return result / scale
 
 
-def inverse_information(
-    A: Float[np.ndarray, "row unknown"],
-) -> tuple[Float[np.ndarray, "unknown unknown"], int]:
+class InverseInformation(NamedTuple):
+    """Inverse of A^T A.
+
+    Attributes:
+        inverse: Shape (unknown, unknown), with infinity on the diagonal of unknowns
+            that A does not fix.
+        rank: Number of independent columns of A.
+    """
+
+    inverse: Float[np.ndarray, "unknown unknown"]
+    rank: int
+
+
+def inverse_information(A: Float[np.ndarray, "row unknown"]) -> InverseInformation:
     """Return (A^T A)^-1 and the rank of A.
 
     Args:
         A: Matrix, shape (row, unknown).
-
-    Returns:
-        The inverse, shape (unknown, unknown), with infinity on the diagonal of
-        unknowns that A does not fix; and the number of independent columns.
     """
     scale = np.linalg.norm(A, axis=0)
     is_seen = scale > 0
@@ -112,7 +120,7 @@ def inverse_information(
     np.fill_diagonal(
         inverse, np.where(lost | ~is_seen, np.inf, np.diagonal(inverse).copy())
     )
-    return inverse, int(is_kept.sum())
+    return InverseInformation(inverse, int(is_kept.sum()))
 
 
 def fit_groups(
@@ -182,32 +190,52 @@ def _robust(
         if agreed.sum() < len(b) // 2 or np.array_equal(agreed, kept):
             break
         kept = agreed
-    x, covariance, spread = _solve(A[kept], b[kept], is_free)
-    residual = values - columns @ x
-    return GroupFit(x, covariance, residual, ~kept, spread, weights, noise)
+    found = _solve(A[kept], b[kept], is_free)
+    return GroupFit(
+        found.x,
+        found.covariance,
+        values - columns @ found.x,
+        ~kept,
+        found.spread,
+        weights,
+        noise,
+    )
 
 
-def _solve(
-    A: Columns, b: Values, is_free: Bool[np.ndarray, " unknown"]
-) -> tuple[Float[np.ndarray, " unknown"], Float[np.ndarray, "unknown unknown"], float]:
-    """Return unknowns, covariance and the standard deviation of a row."""
+class _Estimate(NamedTuple):
+    """Unknowns, their covariance and the standard deviation of a row."""
+
+    x: Float[np.ndarray, " unknown"]
+    covariance: Float[np.ndarray, "unknown unknown"]
+    spread: float
+
+
+def _solve(A: Columns, b: Values, is_free: Bool[np.ndarray, " unknown"]) -> _Estimate:
+    """Return the non-negative least-squares solution of groups."""
     rows, right = A.reshape(-1, A.shape[2]), b.reshape(-1)
     is_known = np.isfinite(right)
     rows, right = rows[is_known], right[is_known]
     x = nonnegative(rows, right, is_free)
-    inverse, rank = inverse_information(rows)
+    information = inverse_information(rows)
     # Unknowns at their bound take no degree of freedom.
-    used = min(rank, int(np.sum((x > 0) | is_free)))
+    used = min(information.rank, int(np.sum((x > 0) | is_free)))
     freedom = len(right) - used
     square = float(np.sum((right - rows @ x) ** 2))
     spread = math.sqrt(square / freedom) if freedom > 0 else math.inf
     with np.errstate(invalid="ignore"):
-        return x, inverse * spread**2, spread
+        return _Estimate(x, information.inverse * spread**2, spread)
 
 
 def _group_squares(A: Columns, b: Values, x: Float[np.ndarray, " unknown"]):
     """Return the mean squared residual of every group, shape (group,)."""
     return np.nanmean((b - A @ x) ** 2, axis=1)
+
+
+class _Half(NamedTuple):
+    """Groups that agree best with a fit, and the sum of their squares."""
+
+    square: float
+    groups: Int[np.ndarray, " half"]
 
 
 def trimmed_start(
@@ -234,10 +262,10 @@ def trimmed_start(
     if half == count:
         return everything
 
-    def chosen(x: Float[np.ndarray, " unknown"]) -> tuple[float, np.ndarray]:
+    def chosen(x: Float[np.ndarray, " unknown"]) -> _Half:
         square = _group_squares(A, b, x)
         best = np.argsort(square, kind="stable")[:half]
-        return float(np.sum(square[best])), best
+        return _Half(float(np.sum(square[best])), best)
 
     def fitted(groups: np.ndarray) -> Float[np.ndarray, " unknown"]:
         rows = A[groups].reshape(-1, width)
@@ -246,7 +274,7 @@ def trimmed_start(
     found = [chosen(fitted(groups)) for groups in _subsets(count, size, starts)]
     # The fit to all is a start like any other: it wins where nothing is wrong.
     found.append(chosen(fitted(np.arange(count))))
-    found.sort(key=lambda start: start[0])
+    found.sort(key=lambda half: half.square)
     best = found[0]
     for cost, groups in found[:_FOLLOWED]:
         for _ in range(20):
@@ -254,10 +282,10 @@ def trimmed_start(
             if not lower < cost:
                 break
             cost = lower
-        if cost < best[0]:
-            best = (cost, groups)
+        if cost < best.square:
+            best = _Half(cost, groups)
     kept = np.zeros(count, bool)
-    kept[best[1]] = True
+    kept[best.groups] = True
     return kept
 
 
@@ -278,8 +306,7 @@ def _not_gross(
     """Return which groups scatter no more than the median one makes likely."""
     from scipy.stats import chi2
 
-    x, _, _ = _solve(A[half], b[half], is_free)
-    square = _group_squares(A, b, x)
+    square = _group_squares(A, b, _solve(A[half], b[half], is_free).x)
     height = b.shape[1]
     spread = float(np.median(square)) * height / chi2.median(height)
     # The better half was chosen because it scatters little: small tables much less.

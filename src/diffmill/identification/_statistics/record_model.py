@@ -39,14 +39,18 @@ def record_model(
     """
     prior = np.where(is_log, _PRIOR**-2, 0.0)
     state = weigh(rows, np.zeros(len(x)), loss)
-    G, g = normal_equations(rows, state.weights)
+    normal = normal_equations(rows, state.weights)
 
     def cost(there: Float[np.ndarray, " unknown"], at: list[Rows]) -> float:
         off = [r.force / s[None] for r, s in zip(at, state.spread, strict=True)]
         left = sum(robust_cost(r, loss) for r in off)
         return 0.5 * (left + float(prior @ (there - start) ** 2))
 
-    return QuadraticModel(cost, prior * (x - start) - g, G + np.diag(prior))
+    return QuadraticModel(
+        cost,
+        prior * (x - start) - normal.right,
+        normal.matrix + np.diag(prior),
+    )
 
 
 def record_solver(

@@ -11,7 +11,7 @@ are not made smaller than those of independent samples.
 
 import math
 from collections.abc import Sequence
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -71,20 +71,25 @@ def solve(rows: Sequence[Rows], weights: Sequence[np.ndarray]) -> np.ndarray:
     Returns:
         Unknowns, shape (unknown,); 0 for one that does not appear.
     """
-    return solve_normal(*normal_equations(rows, weights))
+    normal = normal_equations(rows, weights)
+    return solve_normal(normal.matrix, normal.right)
+
+
+class NormalEquations(NamedTuple):
+    """Normal matrix G, shape (unknown, unknown), and right-hand side g, (unknown,)."""
+
+    matrix: Float[np.ndarray, "unknown unknown"]
+    right: Float[np.ndarray, " unknown"]
 
 
 def normal_equations(
     rows: Sequence[Rows], weights: Sequence[np.ndarray]
-) -> tuple[Float[np.ndarray, "unknown unknown"], Float[np.ndarray, " unknown"]]:
-    """Return the normal matrix of all records and its right-hand side.
+) -> NormalEquations:
+    """Return the normal equations of all records.
 
     Args:
         rows: Equations of each record.
         weights: Of every row, shape (row, 3) each; zero where nothing was measured.
-
-    Returns:
-        G and g of G x = g, shapes (unknown, unknown) and (unknown,).
     """
     G, g = 0.0, 0.0
     for one, weight in zip(rows, weights, strict=True):
@@ -92,7 +97,7 @@ def normal_equations(
         weighted = flat * weight.reshape(-1, 1)
         G = G + weighted.T @ flat
         g = g + weighted.T @ np.nan_to_num(one.force).reshape(-1)
-    return np.asarray(G), np.asarray(g)
+    return NormalEquations(np.asarray(G), np.asarray(g))
 
 
 def solve_normal(
@@ -107,22 +112,27 @@ def solve_normal(
     Returns:
         x, shape (unknown,).
     """
-    inverse, _ = inverse_normal(G)
-    return inverse @ g
+    return inverse_normal(G).inverse @ g
 
 
-def inverse_normal(
-    G: Float[np.ndarray, "unknown unknown"],
-) -> tuple[Float[np.ndarray, "unknown unknown"], Bool[np.ndarray, " unknown"]]:
+class NormalInverse(NamedTuple):
+    """Inverse of a normal matrix.
+
+    Attributes:
+        inverse: Where the matrix is regular, shape (unknown, unknown).
+        is_fixed: Which unknowns have no part in its null space, shape (unknown,).
+    """
+
+    inverse: Float[np.ndarray, "unknown unknown"]
+    is_fixed: Bool[np.ndarray, " unknown"]
+
+
+def inverse_normal(G: Float[np.ndarray, "unknown unknown"]) -> NormalInverse:
     """Return the inverse of a normal matrix, and which unknowns it fixes.
 
     Args:
         G: Normal matrix, symmetric and positive semidefinite, shape
             (unknown, unknown).
-
-    Returns:
-        The inverse where G is regular, shape (unknown, unknown), and which unknowns
-        have no part in its null space, shape (unknown,).
     """
     scale = np.sqrt(np.maximum(np.diagonal(G), 0.0))
     is_seen = scale > 0
@@ -131,7 +141,7 @@ def inverse_normal(
     keep = values > _REGULAR * max(float(values[-1]), 1e-300)
     inverse = (V * np.where(keep, 1.0 / np.where(keep, values, 1.0), 0.0)[None]) @ V.T
     is_fixed = is_seen & (np.sum(V[:, ~keep] ** 2, axis=1) < 1e-6)
-    return inverse / scale[:, None] / scale[None], is_fixed
+    return NormalInverse(inverse / scale[:, None] / scale[None], is_fixed)
 
 
 def fit_rows(rows: Sequence[Rows], loss: Loss = "huber") -> LinearFit:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from .._alignment.axis_proposal import axes_names
 from .._statistics.grouped_nnls import Columns, Values, nonnegative, trimmed_start
 
 # Other axes are proposed if they lower the squared residual by this factor.
@@ -68,7 +69,7 @@ def better_axes(
     if seen.size <= columns.shape[2]:
         return AxesCheck(None, False)
     best, found = _cost(columns, seen) / _BETTER_AXES, None
-    for name, T in _turns():
+    for T in _turns():
         # Moments and rotations of mirrored axes change their sign once more.
         both = np.linalg.det(T) * T
         other = columns_of(_turned(load, T, both, load_frame))[whole]
@@ -81,7 +82,7 @@ def better_axes(
         for one, values, what in cases:
             cost = _cost(one, values)
             if cost < best:
-                best, found = cost, f"{what} read as {name}"
+                best, found = cost, f"{what} read as ({', '.join(axes_names(T))})"
     return AxesCheck(found, True)
 
 
@@ -94,16 +95,13 @@ def _cost(columns: Columns, moved: Values) -> float:
     return float(np.sum((right - rows @ nonnegative(rows, right, is_free)) ** 2))
 
 
-def _turns() -> Iterator[tuple[str, Turn]]:
-    """Return all assignments of three axes with their names, but the plain one."""
+def _turns() -> Iterator[Turn]:
+    """Return all assignments of three axes, but the plain one."""
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):
             T = np.eye(3)[list(order)] * np.array(signs)[:, None]
-            if np.array_equal(T, np.eye(3)):
-                continue
-            each = zip(order, signs, strict=True)
-            names = [f"{'-' if sign < 0 else ''}{'xyz'[axis]}" for axis, sign in each]
-            yield f"({', '.join(names)})", T
+            if not np.array_equal(T, np.eye(3)):
+                yield T
 
 
 def _turned(values: Values, linear: Turn, angular: Turn, frame: Turns | None) -> Values:

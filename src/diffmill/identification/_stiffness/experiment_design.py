@@ -1,5 +1,7 @@
 """Design of further load tests that would show a joint's stiffness."""
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -70,14 +72,17 @@ def suggest_load_tests(
             "Argument `fit` must be consistent before further poses can help, but is "
             f"not: {' '.join(fit.notes)}"
         )
-    angles, load, _ = load_tables(robot, q, wrench, np.zeros((len(fit.residual), 3)))
+    nowhere = np.zeros((len(fit.residual), 3))
+    tests = load_tables(robot, q, wrench, nowhere)
     model = 1.0 / np.asarray(robot.joint_stiffness, np.float64)
     c = np.where(fit.identifiable, fit.compliance, model)
     is_sought = fit.is_rough
-    poses, forces = _candidates(robot, float(np.abs(load[:, :3]).max()))
+    candidates = _candidates(robot, float(np.abs(tests.load[:, :3]).max()))
+    poses, forces = candidates.poses, candidates.forces
     # In units of the expected compliances; rows in units of their scatter.
     spread = max(fit.spread, 1e-12)
-    seen = deflection_columns(robot, angles, load)[:, :3] * (c / spread)
+    seen = deflection_columns(robot, tests.joint_positions, tests.load)
+    seen = seen[:, :3] * (c / spread)
     offered = deflection_columns(robot, poses, forces)[:, :3] * (c / spread)
     reach = np.linalg.norm(offered, axis=1).max(axis=0)
     is_lost = is_sought & ~(reach > _SEEN * reach.max())
@@ -94,15 +99,26 @@ def suggest_load_tests(
         chosen.append(int(np.argmin(cost)))
         information = information + gains[chosen[-1]]
     added = offered[chosen].reshape(-1, seen.shape[2])
-    inverse, _ = inverse_information(
-        np.vstack([seen.reshape(-1, seen.shape[2]), added])
-    )
+    rows = np.vstack([seen.reshape(-1, seen.shape[2]), added])
+    inverse = inverse_information(rows).inverse
     errors = np.where(is_lost, np.inf, np.sqrt(np.diagonal(inverse)))
     names = tuple(n for n, lost in zip(robot.joint_names, is_lost, strict=True) if lost)
     return LoadTests(poses[chosen], forces[chosen], errors, names)
 
 
-def _candidates(robot: Robot, force: float) -> tuple[np.ndarray, np.ndarray]:
+class _Candidates(NamedTuple):
+    """Load tests to choose from.
+
+    Attributes:
+        poses: Joint positions [rad or m], shape (test, joint).
+        forces: Loads at the tool [N, N m], shape (test, 6).
+    """
+
+    poses: Float[np.ndarray, "test joint"]
+    forces: Float[np.ndarray, "test 6"]
+
+
+def _candidates(robot: Robot, force: float) -> _Candidates:
     """Return random poses within the limits, each with three forces."""
     lower, upper = (
         np.asarray(jnp.clip(limit, -_RANGE, _RANGE), np.float64)
@@ -112,4 +128,4 @@ def _candidates(robot: Robot, force: float) -> tuple[np.ndarray, np.ndarray]:
     q = draw.uniform(lower, upper, (_POSES, robot.joint_count))
     load = np.zeros((_POSES, 3, 6))
     load[:, :, :3] = force * np.eye(3)[None]
-    return np.repeat(q, 3, axis=0), load.reshape(-1, 6)
+    return _Candidates(np.repeat(q, 3, axis=0), load.reshape(-1, 6))

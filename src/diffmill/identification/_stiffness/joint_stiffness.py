@@ -155,7 +155,10 @@ def fit_joint_stiffness(
         wide = np.concatenate([columns, constant], axis=2)
         is_free = np.r_[is_free, np.ones(moved.shape[1], bool)]
     fit = fit_groups(wide, moved, is_free, noise=noise)
-    used, explained, centred = _explained(fit, moved, robot.joint_count)
+    # Where too many rows contradict, all of them count.
+    used = ~fit.is_outlier | _contradicts(fit)
+    centred = moved - (fit.x[None, robot.joint_count :] if has_offset else 0.0)
+    explained = _explained(fit, centred, used)
     axes = better_axes(
         columns_of, load, centred, explained, load_frame, displacement_frame
     )
@@ -202,9 +205,23 @@ def _jacobians(
     return jax.vmap(lambda row: jacobian(robot, row))(q)
 
 
+class LoadTables(NamedTuple):
+    """Static load tests.
+
+    Attributes:
+        joint_positions: [rad or m], shape (pose, joint).
+        load: On the tool [N, N m], shape (pose, 6).
+        displacement: [m, rad], shape (pose, 3) or (pose, 6).
+    """
+
+    joint_positions: Float[np.ndarray, "pose joint"]
+    load: Float[np.ndarray, "pose 6"]
+    displacement: Float[np.ndarray, "pose component"]
+
+
 def load_tables(
     robot: Robot, q: Table, wrench: Table, displacement: Table
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> LoadTables:
     """Return the tables as arrays, the load with its moments.
 
     Args:
@@ -212,9 +229,6 @@ def load_tables(
         q: Joint positions [rad or m], shape (pose, joint).
         wrench: Loads [N, N m], shape (pose, 6) or (pose, 3).
         displacement: [m, rad], shape (pose, 3) or (pose, 6).
-
-    Returns:
-        The three as NumPy arrays, the loads of shape (pose, 6).
 
     Raises:
         ValueError: A table has a wrong shape or numbers that are not finite.
@@ -245,7 +259,7 @@ def load_tables(
             "measured, but has none or an infinite one."
         )
     load = np.pad(load, ((0, 0), (0, 6 - load.shape[1])))
-    return angles, load, moved
+    return LoadTables(angles, load, moved)
 
 
 def _component_scale(moved: Values) -> Float[np.ndarray, " component"]:
@@ -259,17 +273,12 @@ def _component_scale(moved: Values) -> Float[np.ndarray, " component"]:
 
 
 def _explained(
-    fit: GroupFit, moved: Values, joints: int
-) -> tuple[Bool[np.ndarray, " pose"], float, Values]:
-    """Return which rows count, what is explained of them, and all without the offset.
-
-    Where too many rows contradict, all of them count.
-    """
-    used = ~fit.is_outlier | _contradicts(fit)
-    centred = moved - (fit.x[None, joints:] if len(fit.x) > joints else 0.0)
+    fit: GroupFit, centred: Values, used: Bool[np.ndarray, " pose"]
+) -> float:
+    """Return the share of the square that a fit explains of the rows that count."""
     square = float(np.nansum(centred[used] ** 2))
     left = float(np.nansum(fit.residual[used] ** 2))
-    return used, 1.0 - left / max(square, 1e-300), centred
+    return 1.0 - left / max(square, 1e-300)
 
 
 def _contradicts(fit: GroupFit) -> bool:

@@ -15,6 +15,18 @@ from .._record.record import Record
 from .study import StudyError
 
 
+class ForceSamples(NamedTuple):
+    """Samples of a force.
+
+    Attributes:
+        time: Instants [s], shape (row,).
+        force: [N], shape (row, 3); NaN where not known.
+    """
+
+    time: Float[np.ndarray, " row"]
+    force: Float[np.ndarray, "row 3"]
+
+
 class ForceRecord(NamedTuple):
     """A record of forces, ready to be registered on its cut.
 
@@ -48,10 +60,8 @@ class ForceRecord(NamedTuple):
         time = self.record.time
         return (time >= self.start) & (time <= self.stop)
 
-    def samples(
-        self,
-    ) -> tuple[Float[np.ndarray, " row"], Float[np.ndarray, "row 3"]]:
-        """Return time and force of the part to be fitted; NaN where not known.
+    def samples(self) -> ForceSamples:
+        """Return the samples of the part to be fitted; NaN where not known.
 
         Those are forces without a channel, and saturated samples with their
         neighbours: of samples near the end of the range those would remain that noise
@@ -61,7 +71,7 @@ class ForceRecord(NamedTuple):
         is_lost = np.convolve(one.is_saturated, np.ones(3), mode="same") > 0.5
         is_known = ~is_lost[:, None] & np.array(one.is_measured)[None]
         force = np.where(is_known, one.force, np.nan)
-        return one.time[keep], force[keep]
+        return ForceSamples(one.time[keep], force[keep])
 
     def register(
         self, others: "Sequence[ForceRecord]", *, refines_speed: bool
