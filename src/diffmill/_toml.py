@@ -7,7 +7,7 @@ import os
 import pathlib
 import re
 import tomllib
-from typing import Any
+from typing import Any, NamedTuple
 
 from ._messages import shown
 
@@ -49,8 +49,15 @@ class JobError(ValueError):
         super().__init__(f"{self.file}: {count}:{lines}")
 
 
-def read_toml(path: pathlib.Path) -> tuple[str, dict[str, object]]:
-    """Return the text and the tables of a TOML file."""
+class TomlFile(NamedTuple):
+    """Text and tables of a TOML file."""
+
+    text: str
+    tables: dict[str, object]
+
+
+def read_toml(path: pathlib.Path) -> TomlFile:
+    """Return a TOML file, read and checked."""
     try:
         if not path.is_file():
             found = "a folder" if path.is_dir() else "no such file"
@@ -70,7 +77,7 @@ def read_toml(path: pathlib.Path) -> tuple[str, dict[str, object]]:
                 "(.toml) is required, whose [program] file names the program"
             )
         raise JobError(path, [what]) from error
-    return data.decode("utf-8-sig"), tables
+    return TomlFile(data.decode("utf-8-sig"), tables)
 
 
 def parse_toml(data: bytes) -> dict[str, object]:

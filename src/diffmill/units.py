@@ -151,7 +151,14 @@ def quantity(value: object, kind: QuantityKind) -> float:
     return _convert(number, unit, kind, str(value))
 
 
-def base_quantity(value: object) -> tuple[float, str]:
+class Amount(NamedTuple):
+    """A number, and the unit in which it is; "" for none."""
+
+    number: float
+    unit: str
+
+
+def base_quantity(value: object) -> Amount:
     """Return a quantity of any dimension in SI base units, and those units.
 
     Args:
@@ -159,20 +166,20 @@ def base_quantity(value: object) -> tuple[float, str]:
             whose unit is empty.
 
     Returns:
-        The value and its unit, which `quantity` reads.
+        The value, its unit one that `quantity` reads.
 
     Raises:
         ValueError: If the value is something else, or its unit is not known.
     """
     if isinstance(value, int | float) and not isinstance(value, bool):
-        return float(value), ""
+        return Amount(float(value), "")
     wanted = 'a quantity with its unit is required, such as "10 mm"'
     number, unit = _split(value, wanted)
     try:
         found = _registry().Quantity(number, _units(unit)).to_base_units()
     except Exception as error:  # pint raises errors of its tokenizer, too
         raise ValueError(f"found {value!r}, but {wanted}") from error
-    return float(found.magnitude), f"{found.units:~C}"
+    return Amount(float(found.magnitude), f"{found.units:~C}")
 
 
 def scaled_quantity(value: object, factor: float) -> object:
@@ -192,7 +199,7 @@ def scaled_quantity(value: object, factor: float) -> object:
     return f"{number * factor:.12g} {unit}"
 
 
-def _split(value: object, wanted: str) -> tuple[float, str]:
+def _split(value: object, wanted: str) -> Amount:
     """Return the number and the unit of a text."""
     if not isinstance(value, str):
         raise ValueError(f"found {value!r} without a unit, but {wanted}")
@@ -207,7 +214,7 @@ def _split(value: object, wanted: str) -> tuple[float, str]:
     number = float(match["number"])
     if not math.isfinite(number):
         raise ValueError(f"found {value!r}, but a finite number is required")
-    return number, unit
+    return Amount(number, unit)
 
 
 def _units(unit: str) -> Any:

@@ -2,7 +2,7 @@
 
 import json
 import re
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -111,12 +111,13 @@ def _varied(campaign: Campaign, index: int) -> dict[str, Any]:
 def _variable(name: str, dim: str, key: str, values: list[Any]) -> dict[str, Any]:
     """Return the values of a key: numbers in SI where they are, else their text."""
     try:
-        numbers, unit = _numbers(values)
+        found = _numbers(values)
     except ValueError:
         texts = [v if isinstance(v, str) else json.dumps(v) for v in values]
         return {name: ((dim,), np.array(texts, object), {"key": key})}
+    numbers = found.values
     dims = (dim,) if numbers.ndim == 1 else (dim, f"{name}_entry")
-    attributes = {"key": key, "units": unit or "1"}
+    attributes = {"key": key, "units": found.unit or "1"}
     if name == dim and numbers.ndim > 1:
         # A coordinate has one value per entry: lists are told by their text.
         texts = np.array([json.dumps(value) for value in values], object)
@@ -127,13 +128,20 @@ def _variable(name: str, dim: str, key: str, values: list[Any]) -> dict[str, Any
     return {name: (dims, numbers, attributes)}
 
 
-def _numbers(values: list[Any]) -> tuple[np.ndarray, str]:
+class _Numbers(NamedTuple):
+    """Numbers or lists of them in SI, and their one unit."""
+
+    values: np.ndarray
+    unit: str
+
+
+def _numbers(values: list[Any]) -> _Numbers:
     """Return numbers or quantities, or lists of them, in SI with their one unit."""
     lists = [value if isinstance(value, list) else [value] for value in values]
     found = [[base_quantity(one) for one in entry] for entry in lists]
-    units = {unit for entry in found for _, unit in entry}
+    units = {one.unit for entry in found for one in entry}
     if len(units) != 1 or len({len(entry) for entry in found}) != 1:
         raise ValueError("no quantities of one kind")
-    array = np.array([[number for number, _ in entry] for entry in found])
+    array = np.array([[one.number for one in entry] for entry in found])
     is_list = any(isinstance(value, list) for value in values)
-    return (array if is_list else array[:, 0]), units.pop()
+    return _Numbers(array if is_list else array[:, 0], units.pop())

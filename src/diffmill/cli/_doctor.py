@@ -22,6 +22,8 @@ _EXTRAS = {
     "pymatreader": "forces",
     "jupyterlab": "notebook",
 }
+# Begins the line of a check that is not good.
+_FAILED = "FAILED"
 
 
 class Check(NamedTuple):
@@ -60,30 +62,29 @@ def run_doctor(*, is_quiet: bool) -> int:
             about = (test.__doc__ or "").splitlines()[0]
             progress.update(f"self-test: {about}")
             start = time.perf_counter()
-            lines, is_good = _attempt(test)
-            failed += not is_good
+            lines = _attempt(test)
+            failed += any(line.startswith(_FAILED) for line in lines)
             told += [*lines, f"that took {time.perf_counter() - start:.1f} s"]
     told.append("found something wrong" if failed else "found nothing wrong")
     for line in told:
-        if line.startswith("FAILED"):
+        if line.startswith(_FAILED):
             print(f"error: {line}", file=sys.stderr)
         elif not is_quiet:
             print(line)
     return int(failed > 0)
 
 
-def _attempt(test: Callable[[], list[Check]]) -> tuple[list[str], bool]:
-    """Return a line for every check of a test, and whether all are good."""
+def _attempt(test: Callable[[], list[Check]]) -> list[str]:
+    """Return a line for every check of a test."""
     try:
         checks = test()
     except Exception as error:
-        return [f"FAILED {test.__name__}: {type(error).__name__}: {error}"], False
-    lines = [
-        f"{'ok' if check.is_good else 'FAILED'} {check.name}: {check.found:.6g}, "
+        return [f"{_FAILED} {test.__name__}: {type(error).__name__}: {error}"]
+    return [
+        f"{'ok' if check.is_good else _FAILED} {check.name}: {check.found:.6g}, "
         f"expected {check.expected:.6g} within {100 * check.tolerance:g} %"
         for check in checks
     ]
-    return lines, all(check.is_good for check in checks)
 
 
 def _installed() -> list[str]:

@@ -36,7 +36,7 @@ class JobProgram(NamedTuple):
             JobError: If the job or its program cannot be read.
         """
         path = pathlib.Path(file)
-        _, raw = read_toml(path)
+        raw = read_toml(path).tables
         context = FileContext(path.parent, allow_outside, [], [])
         table = read_tables(raw, context.problems).program
         program = None if table is None else read_program(table, context)

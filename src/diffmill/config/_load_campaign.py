@@ -95,7 +95,7 @@ def load_campaign(
             "allowed are files in it or below (--allow-outside permits others)"
         )
         raise JobError(path, problems)
-    _, tables = read_toml(job)
+    tables = read_toml(job).tables
     _check_keys(table, problems)
     variations = [_swept(entry, tables, problems) for entry in table.sweep]
     if table.draws and table.draw:

@@ -67,7 +67,7 @@ def load_identification(
             listed at once.
     """
     path = pathlib.Path(file)
-    _, raw = read_toml(path)
+    raw = read_toml(path).tables
     if forces is not None:
         return _of_job(path, raw, pathlib.Path(forces), allow_outside=allow_outside)
     if "kind" not in raw and "program" in raw:

@@ -113,7 +113,7 @@ def job_precision(
         "float32" if the job says so, else "float64", also for a faulty job.
     """
     try:
-        _, raw = read_toml(pathlib.Path(file))
+        raw = read_toml(pathlib.Path(file)).tables
     except JobError:
         return "float64"
     raw = changed(raw, changes or {}, [])
@@ -190,7 +190,8 @@ def _read_parts(
         holder = make_holder(tables.cutter)
     check_overhang(tables.cutter, tables.robot, problems)
     if tables.robot is not None:
-        robot, start = read_robot(tables.robot, cutter, context)
+        fitted = read_robot(tables.robot, cutter, context)
+        robot, start = fitted.robot, fitted.joint_start
     if cutter is not None and tables.force is not None:
         tables.force.check_teeth(cutter.flute_count, problems)
     if tables.stock is not None:

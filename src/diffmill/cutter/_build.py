@@ -17,7 +17,8 @@ _TURN = 1e-6
 # Angles between the teeth that differ by less are even [rad].
 _EVEN = 1e-12
 
-Pitch = Sequence[float] | Float[Array, " tooth"] | Float[np.ndarray, " tooth"]
+_Angles = Float[Array, " tooth"] | Float[np.ndarray, " tooth"]
+Pitch = Sequence[float] | _Angles
 
 
 def flat_end_mill(
@@ -190,13 +191,14 @@ def _end_mill(
     assert nominal_corner is not None
     if teeth < 1:
         raise ValueError(f"Argument `teeth` must be at least 1, but is {teeth}.")
-    angles, has_even_pitch = _pitch_angles(pitch, teeth)
+    steps = None if pitch is None else _pitch(pitch, teeth)
+    has_even_pitch = _is_even(steps, teeth)
     has_runout = _is_traced(runout) or bool(runout != 0)
     return EndMill(
         diameter=diameter,
         own_corner_radius=corner_radius,
         helix_angle=helix_angle,
-        pitch_angles=angles,
+        pitch_angles=_pitch_angles(steps, teeth),
         runout=runout,
         runout_angle=runout_angle,
         dish_angle=dish_angle,
@@ -225,18 +227,29 @@ def _nominal(name: str, value: RealScalarLike, nominal: float | None) -> float:
     return float(value if nominal is None else nominal)
 
 
-def _pitch_angles(
-    pitch: Pitch | None, count: int
-) -> tuple[Float[Array, " tooth"] | Float[np.ndarray, " tooth"], bool]:
-    """Return the angle of every tooth from tooth 0, and whether they are even."""
-    even = 2 * math.pi / count
-    if pitch is None:
-        return even * np.arange(count), True
+def _pitch_angles(steps: _Angles | None, count: int) -> _Angles:
+    """Return the angle of every tooth from tooth 0 [rad]."""
+    if steps is None:
+        return 2 * math.pi / count * np.arange(count)
+    return steps.cumsum() - steps
+
+
+def _is_even(steps: _Angles | None, count: int) -> bool:
+    """Return whether all teeth are known to stand equally far apart."""
+    if steps is None:
+        return True
+    if _is_traced(steps):
+        return False
+    return bool(np.all(np.abs(steps - 2 * math.pi / count) < _EVEN))
+
+
+def _pitch(pitch: Pitch, count: int) -> _Angles:
+    """Return the angle from every tooth to the next [rad], checked."""
     if _is_traced(pitch):
         parts = jnp.asarray(pitch)
         if parts.shape != (count,):
             raise ValueError(_wrong_pitch(count, f"has shape {parts.shape}"))
-        return jnp.cumsum(parts) - parts, False
+        return parts
     given = np.asarray(pitch)
     # A JAX array keeps its type; anything else is a list of Python numbers.
     dtype = given.dtype if np.issubdtype(given.dtype, np.floating) else float
@@ -248,8 +261,7 @@ def _pitch_angles(
         raise ValueError(_wrong_pitch(count, f"is {parts.tolist()}"))
     if abs(float(parts.sum()) - 2 * math.pi) > slack:
         raise ValueError(_wrong_pitch(count, f"sums to {float(parts.sum()):.9g}"))
-    angles = np.cumsum(parts) - parts
-    return angles, bool(np.all(np.abs(parts - even) < _EVEN))
+    return parts
 
 
 def _wrong_pitch(count: int, found: str) -> str:

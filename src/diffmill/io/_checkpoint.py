@@ -47,6 +47,18 @@ class DamagedCheckpoint(CheckpointError):
     """Raise when a file is no whole checkpoint; the one before may be."""
 
 
+class LatestCheckpoint(NamedTuple):
+    """The newest checkpoint that is whole.
+
+    Attributes:
+        arrays: What it holds, by name; None if there is no checkpoint at all.
+        notes: What was refused, one sentence each.
+    """
+
+    arrays: dict[str, np.ndarray] | None
+    notes: tuple[str, ...]
+
+
 class CheckpointFile(NamedTuple):
     """A checkpoint and the one before it, under the suffix `.previous`.
 
@@ -113,12 +125,8 @@ class CheckpointFile(NamedTuple):
         os.replace(temporary, target)
         _flush_folder(target.parent)
 
-    def latest(self) -> tuple[dict[str, np.ndarray] | None, tuple[str, ...]]:
+    def latest(self) -> "LatestCheckpoint":
         """Return the newest checkpoint that is whole.
-
-        Returns:
-            Its arrays, or None if there is no checkpoint at all; and notes on what was
-            refused.
 
         Raises:
             DamagedCheckpoint: There are checkpoints, but none is whole.
@@ -135,10 +143,10 @@ class CheckpointFile(NamedTuple):
                 continue
             if notes:
                 notes.append(f"the checkpoint before it is used: {file}")
-            return found, tuple(notes)
+            return LatestCheckpoint(found, tuple(notes))
         if notes:
             raise DamagedCheckpoint("; ".join([*notes, "no other checkpoint is there"]))
-        return None, ()
+        return LatestCheckpoint(None, ())
 
     def _read(self, file: pathlib.Path) -> dict[str, np.ndarray]:
         """Return the arrays of one file, if it is whole and of this job."""

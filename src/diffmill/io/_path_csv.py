@@ -81,7 +81,7 @@ def _path_of_text(text: str, name: str) -> Path:
     delimiter = ";" if ";" in header else ","
     labels = [label.strip().lower() for label in header.split(delimiter)]
     faults: list[str] = []
-    columns, scales = _columns(labels, number, faults)
+    columns = _columns(labels, number, faults)
     if faults:
         raise _refused(name, faults)
     values = _values(rows[1:], labels, delimiter, faults)
@@ -91,7 +91,7 @@ def _path_of_text(text: str, name: str) -> Path:
         raise _refused(name, faults)
     lines = np.array([row.number for row in rows[1:]], dtype=np.int32)
     with np.errstate(over="ignore"):
-        data = {key: values[:, index] * scales[key] for key, index in columns.items()}
+        data = {key: values[:, one.place] * one.scale for key, one in columns.items()}
     _check(data, lines, faults)
     if faults:
         raise _refused(name, faults)
@@ -131,12 +131,16 @@ def write_path_csv(path: Path) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _columns(
-    labels: list[str], number: int, faults: list[str]
-) -> tuple[dict[str, int], dict[str, float]]:
-    """Return the place and the scale to SI of each quantity of the header."""
-    columns: dict[str, int] = {}
-    scales: dict[str, float] = {}
+class _Column(NamedTuple):
+    """Place of a column, and the scale of its numbers to SI."""
+
+    place: int
+    scale: float
+
+
+def _columns(labels: list[str], number: int, faults: list[str]) -> dict[str, _Column]:
+    """Return the column of each quantity of the header."""
+    columns: dict[str, _Column] = {}
     for index, label in enumerate(labels):
         quantity, _, unit = label.partition("_")
         place = f"line {number}, column {index + 1}: found `{label}`"
@@ -148,7 +152,7 @@ def _columns(
             allowed = ", ".join(f"{quantity}_{u}" for u in _UNITS[quantity])
             faults.append(f"{place}; allowed are {allowed}.")
             # Named with a wrong unit, it is not reported again as missing.
-            columns.setdefault(quantity, index)
+            columns.setdefault(quantity, _Column(index, np.nan))
             continue
         else:
             faults.append(
@@ -158,7 +162,7 @@ def _columns(
             continue
         if quantity in columns:
             faults.append(f"{place}; only one column of {quantity} is allowed.")
-        columns[quantity], scales[quantity] = index, scale
+        columns[quantity] = _Column(index, scale)
     missing = [key for key in ("time", "x", "y", "z") if key not in columns]
     axes = [key for key in "ijk" if key in columns]
     if missing:
@@ -171,7 +175,7 @@ def _columns(
             f"line {number}: found only {', '.join(axes)} of the tool axis; allowed "
             "are all of i, j, k or none."
         )
-    return columns, scales
+    return columns
 
 
 def _values(

@@ -11,7 +11,13 @@ import jax
 import jax.export
 
 from .._arrays import is_traced
-from ._program_store import is_kept, program_name, read_program, write_program
+from ._program_store import (
+    TracedProgram,
+    is_kept,
+    program_name,
+    read_program,
+    write_program,
+)
 from ._tree_text import HasNoText, arrays_of, is_array, tree_of_text, tree_text
 
 P = ParamSpec("P")
@@ -158,11 +164,11 @@ class CompiledOnce(Generic[P, R]):
                 # It holds what is not known by name, or calls what JAX does not export;
                 # what the function itself refuses, it refuses where it is called.
                 return None
-            write_program(name, *found)
-        return _KeptProgram(*found)
+            write_program(name, found)
+        return _KeptProgram(found)
 
-    def _exported(self, arguments: object) -> tuple[jax.export.Exported, str]:
-        """Trace the function; return the program and the text of its result."""
+    def _exported(self, arguments: object) -> TracedProgram:
+        """Trace the function."""
         leaves, structure = jax.tree.flatten(arguments)
         results: list[str] = []
 
@@ -175,14 +181,15 @@ class CompiledOnce(Generic[P, R]):
             return arrays_of(result)
 
         shapes = [_shape(x) for x in leaves if is_array(x)]
-        return jax.export.export(jax.jit(of_arrays))(*shapes), results[0]
+        exported = jax.export.export(jax.jit(of_arrays))(*shapes)
+        return TracedProgram(exported, results[0])
 
 
 class _KeptProgram:
     """A traced program, of which only the arrays are arguments."""
 
-    def __init__(self, exported: jax.export.Exported, result: str):
-        self._exported, self._result = exported, result
+    def __init__(self, program: TracedProgram):
+        self._exported, self._result = program
         self._lock = threading.Lock()
         self._compiled: jax.stages.Compiled | None = None
 

@@ -13,6 +13,7 @@ import os
 import pathlib
 import tempfile
 import time
+from typing import NamedTuple
 
 import jax
 import jax.export
@@ -48,8 +49,15 @@ def program_name(function: str, arguments: str) -> str:
     return hashlib.sha256(json.dumps(told).encode()).hexdigest()
 
 
-def read_program(name: str) -> tuple[jax.export.Exported, str] | None:
-    """Return a program and the text of its result, or None where there is none.
+class TracedProgram(NamedTuple):
+    """A traced program, and the text of its result."""
+
+    exported: jax.export.Exported
+    result: str
+
+
+def read_program(name: str) -> TracedProgram | None:
+    """Return a program, or None where there is none.
 
     A file that is damaged counts as none, and is written again.
 
@@ -69,21 +77,20 @@ def read_program(name: str) -> tuple[jax.export.Exported, str] | None:
         os.utime(path)
     except (OSError, ValueError):
         return None
-    return exported, result.decode()
+    return TracedProgram(exported, result.decode())
 
 
-def write_program(name: str, exported: jax.export.Exported, result: str) -> None:
+def write_program(name: str, program: TracedProgram) -> None:
     """Keep a program; where nothing can be written, nothing is.
 
     Args:
         name: As `program_name` gives it.
-        exported: The program.
-        result: The text of its result.
+        program: The program.
     """
     folder = _folder()
     if folder is None:
         return
-    body = result.encode() + b"\n" + exported.serialize()
+    body = program.result.encode() + b"\n" + program.exported.serialize()
     digest = hashlib.sha256(body).hexdigest().encode()
     with contextlib.suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True)

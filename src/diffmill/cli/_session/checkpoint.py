@@ -56,9 +56,10 @@ class Checkpoint:
                     "--resume goes on from there, --force starts anew"
                 )
             return
-        found, notes = self.file.latest()
-        for note in notes:
+        latest = self.file.latest()
+        for note in latest.notes:
             progress.say(f"warning: {note}")
+        found = latest.arrays
         if found is None:
             progress.say(
                 f"note: no checkpoint at {self.file.path}; the run starts anew"

@@ -59,7 +59,7 @@ def _from_file(name: str, context: FileContext) -> list[ModeTable] | None:
     if path is None:
         return None
     try:
-        _, raw = read_toml(path)
+        raw = read_toml(path).tables
     except JobError as error:
         context.problems.append(f"[machine] file: {error}")
         return None

@@ -1,5 +1,7 @@
 """The robot of a job: loaded, and fitted with drives and a tool."""
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float
 
@@ -29,21 +31,30 @@ def pose_matrix(pose: PoseTable | None) -> Float[np.ndarray, "4 4"]:
     return T
 
 
+class FittedRobot(NamedTuple):
+    """The robot of a job, and where its inverse kinematics starts.
+
+    Attributes:
+        robot: With its drives and tool; None for a rigid machine or after a fault.
+        joint_start: Joint positions to start from [rad or m], shape (joint,); None for
+            the robot's home.
+    """
+
+    robot: Robot | None = None
+    joint_start: Float[np.ndarray, " joint"] | None = None
+
+
 def read_robot(
     table: RobotTable,
     cutter: AbstractCutter | None,
     context: FileContext,
-) -> tuple[Robot | None, Float[np.ndarray, " joint"] | None]:
-    """Return the robot of a job and where inverse kinematics starts.
+) -> FittedRobot:
+    """Return the robot of a job.
 
     Args:
         table: The `[robot]` table.
         cutter: The cutter, None after a fault of its own; it bends if the table says.
         context: The job file.
-
-    Returns:
-        The robot, None for a rigid machine or after a fault; and the joint positions
-        to start from, None for the robot's home.
     """
     problems = context.problems
     chosen = [key for key in ("model", "file", "rigid") if getattr(table, key)]
@@ -53,10 +64,10 @@ def read_robot(
             f"[robot]: found {found}, but exactly one is required of model (allowed: "
             f"{', '.join(built_in_models())}), file (.toml or .urdf) and rigid = true"
         )
-        return None, None
+        return FittedRobot()
     if table.rigid:
         _refuse_with_rigid(table, problems)
-        return None, None
+        return FittedRobot()
     if table.work_in_base is None:
         problems.append(
             "[robot] work_in_base: found nothing, but it is required: where the "
@@ -64,13 +75,13 @@ def read_robot(
         )
     robot = load_robot(table, context)
     if robot is None:
-        return None, None
+        return FittedRobot()
     stiffness = _per_joint(table, "joint_stiffness", robot, problems)
     damping = _per_joint(table, "joint_damping", robot, problems)
     start = _per_joint(table, "joint_start", robot, problems)
     if stiffness is not None and not (stiffness > 0).all():
         problems.append("[robot] joint_stiffness: found 0, but above 0 is required")
-        return None, None
+        return FittedRobot()
     robot = robot.with_drives(stiffness=stiffness, damping=damping)
     check_springs(robot, problems)
     if table.tool_in_flange is not None:
@@ -81,7 +92,7 @@ def read_robot(
     robot = with_bending_cutter(robot, table.bending_tool, cutter)
     if start is not None:
         start = np.pad(start, (0, robot.joint_count - len(start)))
-    return robot, start
+    return FittedRobot(robot, start)
 
 
 def _tool_notes(T_flange_tool: Float[np.ndarray, "4 4"]) -> list[str]:

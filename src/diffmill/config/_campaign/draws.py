@@ -91,7 +91,7 @@ def _scaled_if_unit(value: object, factor: float) -> object:
     if isinstance(value, dict | list):
         return scaled(value, factor)
     try:
-        has_unit = bool(base_quantity(value)[1])
+        has_unit = bool(base_quantity(value).unit)
     except ValueError:
         return value
     return scaled(value, factor) if has_unit else value

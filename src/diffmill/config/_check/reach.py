@@ -80,7 +80,8 @@ class ReachCheck(NamedTuple):
         Ts = np.asarray(self.T_base_work @ T_work_tool, dtype=np.dtype(robot.dtype))
         start = np.asarray(robot.home if start is None else start)
 
-        found, faults = _follow(robot, path, Ts, start, self.tool_rotation)
+        found = _follow(robot, Ts, start, self.tool_rotation)
+        faults = _faults(robot, path, Ts, found)
         if not is_slowed:
             _check_speed(robot, path, found, faults)
         if not faults:
@@ -90,8 +91,8 @@ class ReachCheck(NamedTuple):
         if better is not None:
             faults[0] += f"; {_start_line(robot, better[: self.start_count])} avoids it"
         elif self.tool_rotation == "fixed":
-            free, left = _follow(robot, path, Ts, start, "free")
-            if free.converged.all() and not left:
+            free = _follow(robot, Ts, start, "free")
+            if free.converged.all() and not _faults(robot, path, Ts, free):
                 faults[0] += '; tool_rotation = "free" would reach it'
         context.problems.extend(faults)
         return np.asarray(found.q)
@@ -99,21 +100,26 @@ class ReachCheck(NamedTuple):
 
 def _follow(
     robot: Robot,
-    path: Path,
     Ts: Float[np.ndarray, "step 4 4"],
     start: Float[np.ndarray, " joint"],
     tool_rotation: ToolRotation,
-) -> tuple[JointSolution, list[str]]:
-    """Return the joints along a path, and what is wrong with them."""
-    faults: list[str] = []
-    found = jax.device_get(
+) -> JointSolution:
+    """Return the joints along a path, on the host."""
+    return jax.device_get(
         inverse_kinematics_path(robot, Ts, start, tool_rotation=tool_rotation)
     )
+
+
+def _faults(
+    robot: Robot, path: Path, Ts: Float[np.ndarray, "step 4 4"], found: JointSolution
+) -> list[str]:
+    """Return why the robot cannot follow a path."""
+    faults: list[str] = []
     if not found.converged.all():
         faults.append(_unreached(path, Ts, found))
     _check_limits(robot, path, found, faults)
     _check_branch(robot, path, Ts, found, faults)
-    return found, faults
+    return faults
 
 
 def _better_start(
@@ -127,7 +133,8 @@ def _better_start(
     grid = np.array([_ROUNDING[kind] for kind in robot.joint_kinds])
     for q in path_starts(robot, Ts, start, tool_rotation=tool_rotation)[:_TRIED]:
         rounded = np.round(q / grid) * grid
-        if not _follow(robot, path, Ts, rounded, tool_rotation)[1]:
+        found = _follow(robot, Ts, rounded, tool_rotation)
+        if not _faults(robot, path, Ts, found):
             return rounded
     return None
 

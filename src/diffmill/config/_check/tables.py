@@ -20,6 +20,6 @@ def check_tables(file: str | os.PathLike[str]) -> None:
     """
     path = pathlib.Path(file)
     problems: list[str] = []
-    read_tables(read_toml(path)[1], problems)
+    read_tables(read_toml(path).tables, problems)
     if problems:
         raise JobError(path, problems)

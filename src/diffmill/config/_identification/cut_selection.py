@@ -1,6 +1,7 @@
 """The part of a record in which the tool cuts, and those in which it does not."""
 
 import math
+from typing import NamedTuple
 
 from ..._job import Job
 from ...identification import (
@@ -17,8 +18,15 @@ _TARE_PERIODS, _TARE_SAMPLES = 4.0, 20
 _LISTED = 8
 
 
-def cuts_in(record: Record, tooth: float) -> tuple[list[CutSpan], bool]:
-    """Return the cuts in a record, and whether quiet parts lie beside them."""
+class FoundCuts(NamedTuple):
+    """Cuts in a record, and whether quiet parts lie beside them."""
+
+    cuts: list[CutSpan]
+    has_quiet: bool
+
+
+def cuts_in(record: Record, tooth: float) -> FoundCuts:
+    """Return the cuts in a record; all of it where none stands out."""
     window = _TARE_PERIODS * tooth
     cuts = CutSpan.find(record, tooth_frequency=1 / tooth, window=window)
     if not cuts:
@@ -28,7 +36,8 @@ def cuts_in(record: Record, tooth: float) -> tuple[list[CutSpan], bool]:
         for p in record.parts_between_gaps(longest=window)
     ]
     # Parts with a long gap between them are cuts of their own.
-    return (whole, False) if not cuts or cuts == whole else (cuts, True)
+    stands_out = bool(cuts) and cuts != whole
+    return FoundCuts(cuts if stands_out else whole, stands_out)
 
 
 def span_of(

@@ -66,7 +66,7 @@ def _ready(
         place: What a line calls the entry.
         problems: Receives what is wrong.
     """
-    tooth, turn = _periods(process, record)
+    tooth = _tooth_period(process, record)
     if record.rate * tooth < 4:
         hint = "".join(
             f'. {note} Give its unit by `units`, such as {{ time = "ms" }}'
@@ -78,7 +78,9 @@ def _ready(
             f"{4 / tooth:g} are required: four per tooth{hint}"
         )
         return None
-    cuts, are_found = cuts_in(record, tooth)
+    found = cuts_in(record, tooth)
+    cuts = found.cuts
+    parts = cuts if found.has_quiet else []
     notes = list(record.notes)
     count = len(problems)
     angle = spindle_angle(record, process, table, place, problems, notes)
@@ -91,12 +93,13 @@ def _ready(
     if span is None:
         return None
     try:
-        quiet = tared(record, table, cuts if are_found else [], span, tooth, notes)
+        quiet = tared(record, table, parts, span, tooth, notes)
         start, stop = engaged(process, table, span, record, notes)
         used = quiet.section(start, stop)
     except ValueError as error:
         problems.append(f"{place}: {error}")
         return None
+    turn = tooth * _flute_count(process)
     if isinstance(process, StraightCut) and stop - start < _LEAST_TURNS * turn:
         problems.append(
             f"{place}: found {stop - start:.4g} s of steady cut, but at least "
@@ -119,16 +122,19 @@ def _ready(
     )
 
 
-def _periods(process: Job | StraightCut, record: Record) -> tuple[float, float]:
-    """Return tooth period and revolution [s]; of a record without speed, samples."""
+def _tooth_period(process: Job | StraightCut, record: Record) -> float:
+    """Return the tooth period [s]; without a speed, of as many samples as it needs."""
     if isinstance(process, Job):
-        tooth, flutes = float(process.tooth_period), process.cutter.flute_count
-    elif process.spindle_speed is None:
-        tooth, flutes = 4 / record.rate, 1
-    else:
-        flutes = process.cutter.flute_count
-        tooth = 2 * math.pi / (process.spindle_speed * flutes)
-    return tooth, tooth * flutes
+        return float(process.tooth_period)
+    if process.spindle_speed is None:
+        return 4 / record.rate
+    return 2 * math.pi / (process.spindle_speed * process.cutter.flute_count)
+
+
+def _flute_count(process: Job | StraightCut) -> int:
+    """Return the number of teeth in a revolution; 1 without a speed."""
+    has_speed = isinstance(process, Job) or process.spindle_speed is not None
+    return process.cutter.flute_count if has_speed else 1
 
 
 def _process(

@@ -1,6 +1,7 @@
 """Ring-downs and frequency responses from files."""
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -127,7 +128,8 @@ def _frequency_response(
                 f"direction: found {table.direction}, but a direction is required, "
                 "such as [1, 0, 0]."
             )
-        f, H = _response(reader, _RESPONSES[table.quantity])
+        found = _response(reader, _RESPONSES[table.quantity])
+        f, H = found.frequency, found.response
         good = np.isfinite(f) & np.isfinite(H) & (f > 0)
         order = np.argsort(f[good], kind="stable")
         f, H = f[good][order], H[good][order]
@@ -164,10 +166,15 @@ def _guesses(table: RingDownTable | FrequencyResponseTable) -> np.ndarray | None
     return np.sort(np.array(table.frequencies)) if table.frequencies else None
 
 
-def _response(
-    reader: TableReader, kind: q.QuantityKind
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return frequencies [Hz] and the complex response in SI units.
+class _Response(NamedTuple):
+    """Frequencies [Hz], and the complex response in SI units, shape (line,) each."""
+
+    frequency: np.ndarray
+    response: np.ndarray
+
+
+def _response(reader: TableReader, kind: q.QuantityKind) -> _Response:
+    """Return the response that a table holds.
 
     Raises:
         RecordError: There are no columns for it.
@@ -198,4 +205,4 @@ def _response(
         )
     reader.check()
     assert f is not None and H is not None
-    return f, H
+    return _Response(f, H)

@@ -3,7 +3,7 @@
 import os
 import pathlib
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -59,7 +59,8 @@ def load_record(
     except OSError as error:
         reason = error.strerror or str(error)
         raise RecordError(str(file), [f"cannot be read: {reason}."]) from None
-    columns, values = _columns(reader)
+    found = _columns(reader)
+    columns, values = found.columns, found.values
     rates = [columns[q.key].rate for q in FORCES if q.key in columns]
     nothing = np.zeros(max(len(one) for one in values.values()))
     force = np.stack([values.get(q.key, nothing) for q in FORCES], axis=1)
@@ -101,10 +102,15 @@ def load_record(
     )
 
 
-def _columns(
-    reader: TableReader,
-) -> tuple[dict[str, Column], dict[str, Float[np.ndarray, " row"]]]:
-    """Return the columns of a record as written, and their values in SI units.
+class _RecordColumns(NamedTuple):
+    """Columns of a record as written, and their values in SI units, by quantity."""
+
+    columns: dict[str, Column]
+    values: dict[str, Float[np.ndarray, " row"]]
+
+
+def _columns(reader: TableReader) -> _RecordColumns:
+    """Return the columns of a record.
 
     Raises:
         RecordError: A force is missing, or columns do not go together.
@@ -151,4 +157,4 @@ def _columns(
     if len({columns[key].rate for key in forces}) > 1:
         reader.faults.append("the forces differ in their sampling rates.")
     reader.check()
-    return columns, values
+    return _RecordColumns(columns, values)

@@ -148,7 +148,7 @@ class TableReader:
             return values
         by_user = next((name for name in quantity.units if name in self.units), None)
         given = None if by_user is None else self.units[by_user]
-        unit = given or column.unit or split_unit(column.name, *kinds)[1]
+        unit = given or column.unit or split_unit(column.name, *kinds).unit
         if not unit:
             self.notes.append(
                 f"The column `{column.name}` has no unit and was taken in "
@@ -211,12 +211,12 @@ def _fits(column: Column, quantity: Quantity) -> bool:
     """Return whether a column has the name of a quantity, its unit aside."""
     return any(
         re.fullmatch(quantity.pattern, name.strip(), re.IGNORECASE)
-        for name in (column.name, split_unit(column.name, *quantity.kinds)[0])
+        for name in (column.name, split_unit(column.name, *quantity.kinds).name)
     )
 
 
 def _has_kind(column: Column, kinds: tuple[QuantityKind, ...]) -> bool:
-    unit = column.unit or split_unit(column.name, *kinds)[1]
+    unit = column.unit or split_unit(column.name, *kinds).unit
     return not unit or not kinds or is_unit(unit, *kinds)
 
 

@@ -124,7 +124,14 @@ def is_unit(text: str, *kinds: QuantityKind) -> bool:
     return False
 
 
-def split_unit(label: str, *kinds: QuantityKind) -> tuple[str, str]:
+class Label(NamedTuple):
+    """Name of a column, and its unit, "" if none is given."""
+
+    name: str
+    unit: str
+
+
+def split_unit(label: str, *kinds: QuantityKind) -> Label:
     """Return name and unit of a label such as `Fx [N]`, `Time (ms)` or `Fx_N`.
 
     What stands in brackets is the unit; what follows an underscore, a slash, a comma
@@ -132,14 +139,14 @@ def split_unit(label: str, *kinds: QuantityKind) -> tuple[str, str]:
     """
     text = label.strip().strip('"').strip()
     if len(text) > _LONGEST_LABEL:
-        return text, ""
+        return Label(text, "")
     match = _BRACKETS.fullmatch(text)
     if match is not None:
-        return match[1].strip(), match[2] or match[3] or ""
+        return Label(match[1].strip(), match[2] or match[3] or "")
     match = _SUFFIX.fullmatch(text)
     if match is not None and is_unit(match[2], *kinds):
-        return match[1].strip(), match[2]
-    return text, ""
+        return Label(match[1].strip(), match[2])
+    return Label(text, "")
 
 
 _RATE = re.compile(

@@ -3,13 +3,14 @@
 import codecs
 import io
 import pathlib
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from .errors import RecordError
 from .table import Column, Table, header_rate
-from .text_layout import Layout, cells_of, first_block, labels_of, layout_of, number_of
+from .text_layout import Layout, cells_of, first_block, header_of, layout_of, number_of
 
 _HEAD_BYTES = 1 << 20
 _BLOCK_BYTES = 1 << 24
@@ -26,13 +27,14 @@ def read_text(path: pathlib.Path) -> Table:
         OSError: If the file cannot be read.
     """
     with path.open("rb") as file:
-        stream, encoding = _decoded(file, str(path))
+        found = _decoded(file, str(path))
+        stream = found.stream
         head = stream.read(_HEAD_BYTES)
         if b"\n" not in head:
             # Old Macintosh programs end lines with a carriage return alone.
             stream = io.BytesIO((head + stream.read()).replace(b"\r", b"\n"))
             head = stream.read(_HEAD_BYTES)
-        lines = head.decode(encoding, errors="replace").split("\n")
+        lines = head.decode(found.encoding, errors="replace").split("\n")
         if len(head) == _HEAD_BYTES:
             lines.pop()
         lines = [line.rstrip("\r") for line in lines]
@@ -48,24 +50,36 @@ def read_text(path: pathlib.Path) -> Table:
         if layout.width > _MOST_COLUMNS:
             fault = f"found {layout.width} columns; at most {_MOST_COLUMNS} are read."
             raise RecordError(str(path), [fault])
-        labels, start, fault = labels_of(lines, layout)
-        if fault:
-            raise RecordError(str(path), [fault])
+        header = header_of(lines, layout)
+        if header.fault:
+            raise RecordError(str(path), [header.fault])
         # Odd rows may stand between the names and the longest run of good rows.
-        start, above = first_block(lines, layout, labels, start)
-        stream.seek(sum(len(line) + 1 for line in head.split(b"\n")[:start]))
-        values, notes = _values(stream, layout)
-        if above:
-            notes.append(f"{above} rows of numbers above the table were not read.")
+        block = first_block(lines, layout, header)
+        stream.seek(sum(len(line) + 1 for line in head.split(b"\n")[: block.start]))
+        odd: list[str] = []
+        values, notes = _values(stream, layout, odd), []
+        if odd:
+            shown = ", ".join(f"`{line[:40]}`" for line in odd[:3])
+            notes.append(f"{len(odd)} lines are no rows and were left out: {shown}.")
+        if block.above:
+            notes.append(
+                f"{block.above} rows of numbers above the table were not read."
+            )
     columns = [
-        Column(name, unit, lambda place=place: values[:, place])
-        for place, (name, unit) in enumerate(labels)
+        Column(label.name, label.unit, lambda place=place: values[:, place])
+        for place, label in enumerate(header.labels)
     ]
-    return Table(columns, header_rate(lines[:start]), notes=tuple(notes))
+    return Table(columns, header_rate(lines[: block.start]), notes=tuple(notes))
 
 
-def _decoded(file: io.BufferedIOBase, name: str) -> tuple[io.BufferedIOBase, str]:
-    """Return a stream whose rows are ASCII, without a byte order mark."""
+class _Decoded(NamedTuple):
+    """A stream whose rows are ASCII, without a byte order mark, and its encoding."""
+
+    stream: io.BufferedIOBase
+    encoding: str
+
+
+def _decoded(file: io.BufferedIOBase, name: str) -> _Decoded:
     begin = file.read(4096)
     file.seek(0)
     for mark, encoding in (
@@ -74,7 +88,7 @@ def _decoded(file: io.BufferedIOBase, name: str) -> tuple[io.BufferedIOBase, str
     ):
         if begin.startswith(mark):
             text = file.read()[len(mark) :].decode(encoding, errors="replace")
-            return io.BytesIO(text.encode()), "utf-8"
+            return _Decoded(io.BytesIO(text.encode()), "utf-8")
     # Half of plain text in UTF-16 is zero, and always the same half.
     for encoding, zero, text in (
         ("utf-16-le", begin[1::2], begin[::2]),
@@ -82,7 +96,7 @@ def _decoded(file: io.BufferedIOBase, name: str) -> tuple[io.BufferedIOBase, str
     ):
         if zero.count(b"\0") > 0.9 * len(zero) > 0 and b"\0" not in text:
             rows = file.read().decode(encoding, errors="replace")
-            return io.BytesIO(rows.encode()), "utf-8"
+            return _Decoded(io.BytesIO(rows.encode()), "utf-8")
     if b"\0" in begin:
         raise RecordError(
             name,
@@ -92,29 +106,24 @@ def _decoded(file: io.BufferedIOBase, name: str) -> tuple[io.BufferedIOBase, str
             ],
         )
     if begin.startswith(codecs.BOM_UTF8):
-        return io.BytesIO(file.read()[len(codecs.BOM_UTF8) :]), "utf-8"
+        return _Decoded(io.BytesIO(file.read()[len(codecs.BOM_UTF8) :]), "utf-8")
     # A character may be cut at the end of what was looked at.
     try:
         codecs.getincrementaldecoder("utf-8")().decode(begin)
     except UnicodeDecodeError:
-        return file, "latin-1"
-    return file, "utf-8"
+        return _Decoded(file, "latin-1")
+    return _Decoded(file, "utf-8")
 
 
 def _values(
-    stream: io.BufferedIOBase, layout: Layout
-) -> tuple[Float[np.ndarray, "row column"], list[str]]:
-    """Return the table, and what of it was no row."""
+    stream: io.BufferedIOBase, layout: Layout, odd: list[str]
+) -> Float[np.ndarray, "row column"]:
+    """Return the table; `odd` receives what of it is no row."""
     blocks: list[np.ndarray] = []
-    odd: list[str] = []
     while block := stream.read(_BLOCK_BYTES):
         block += stream.readline()
         blocks += _tables(block, layout, odd)
-    notes = []
-    if odd:
-        shown = ", ".join(f"`{line[:40]}`" for line in odd[:3])
-        notes.append(f"{len(odd)} lines are no rows and were left out: {shown}.")
-    return np.concatenate(blocks), notes
+    return np.concatenate(blocks)
 
 
 def _tables(block: bytes, layout: Layout, odd: list[str]) -> list[np.ndarray]:

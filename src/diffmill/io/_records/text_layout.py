@@ -18,7 +18,7 @@ from ...units import (
     TIME,
 )
 from .record_columns import looks_named
-from .table import is_unit, split_unit
+from .table import Label, is_unit, split_unit
 
 # Consecutive rows after which a table needs no further evidence: a header may hold
 # tables of its own.
@@ -199,10 +199,22 @@ def _seconds_of(cell: str) -> float:
     return days * 86400.0 + hours * 3600.0 + int(minute) * 60.0 + seconds
 
 
-def labels_of(
-    lines: list[str], layout: Layout
-) -> tuple[list[tuple[str, str]], int, str | None]:
-    """Return names and units of the columns, the line after them, and a fault."""
+class Header(NamedTuple):
+    """What stands above a table.
+
+    Attributes:
+        labels: Names and units of the columns.
+        end: The line after them; 0 if there are none.
+        fault: Why the table cannot be read, or None.
+    """
+
+    labels: list[Label]
+    end: int
+    fault: str | None = None
+
+
+def header_of(lines: list[str], layout: Layout) -> Header:
+    """Return the header of a table; columns without a name are numbered."""
     width = layout.width
     units, unit_row = [""] * width, None
     is_nearest = True
@@ -216,11 +228,11 @@ def labels_of(
             units, unit_row = bare, index
             continue
         labels = [split_unit(cell, FORCE, TIME) for cell in row]
-        is_sure = looks_named([name for name, _ in labels])
+        is_sure = looks_named([label.name for label in labels])
         if unit_row is not None or is_sure or (is_nearest and layout.delimiter):
             named = zip(labels, units, strict=True)
             end = max(index, unit_row or 0) + 1
-            return [(name, unit or other) for (name, unit), other in named], end, None
+            return Header([Label(a.name, a.unit or unit) for a, unit in named], end)
         is_nearest = False
     fault = None
     above = [len(cells_of(line, ",")) for line in lines[: layout.start]]
@@ -229,7 +241,8 @@ def labels_of(
             f"the rows have {width} values, twice as many as the header has names: "
             "decimal commas need another sign between the columns."
         )
-    return [(f"column {place}", "") for place in range(1, width + 1)], 0, fault
+    unnamed = [Label(f"column {place}", "") for place in range(1, width + 1)]
+    return Header(unnamed, 0, fault)
 
 
 def _unbracketed(cell: str) -> str:
@@ -237,10 +250,20 @@ def _unbracketed(cell: str) -> str:
     return cell[1:-1].strip() if cell and is_bracketed else cell
 
 
-def first_block(
-    lines: list[str], layout: Layout, labels: list[tuple[str, str]], start: int
-) -> tuple[int, int]:
-    """Return where the first block of a table begins, and how many rows lie above.
+class FirstBlock(NamedTuple):
+    """Where the first block of a table begins.
+
+    Attributes:
+        start: The line after the first labels that are those of the table.
+        above: Rows of this width before it, which belong to something else.
+    """
+
+    start: int
+    above: int
+
+
+def first_block(lines: list[str], layout: Layout, header: Header) -> FirstBlock:
+    """Return where the first block of a table begins.
 
     Programs write the names anew before every cycle, the longest of which decided on
     the layout.
@@ -248,23 +271,18 @@ def first_block(
     Args:
         lines: The head of the file.
         layout: How rows are written.
-        labels: Names and units of the columns.
-        start: The line after them; 0 if there are none.
-
-    Returns:
-        The line after the first labels that are the same, and the number of rows of
-        this width before it, which belong to something else.
+        header: What stands above the longest block.
     """
-    stop = start or layout.start
+    stop = header.end or layout.start
     is_row = [
         _numeric_width(line, layout.delimiter) == layout.width for line in lines[:stop]
     ]
     begins = np.flatnonzero(np.diff(np.array(is_row, np.int64), prepend=0) > 0)
-    for index in begins if start else ():
-        found, end, _ = labels_of(lines, layout._replace(start=int(index)))
-        if end and found == labels:
-            return end, sum(is_row[:end])
-    return stop, sum(is_row)
+    for index in begins if header.end else ():
+        found = header_of(lines, layout._replace(start=int(index)))
+        if found.end and found.labels == header.labels:
+            return FirstBlock(found.end, sum(is_row[: found.end]))
+    return FirstBlock(stop, sum(is_row))
 
 
 def _are_units(row: list[str], bare: list[str]) -> bool:

@@ -68,8 +68,10 @@ def timeline(
     # but forces may stand in every second row only, beside a faster channel.
     is_slower = np.median(np.diff(kept)) > 1
     rows = kept if is_slower else np.flatnonzero(has_time).astype(np.int32)
-    instants, rows = _ordered(_past_midnight(time[rows]), rows, faults, notes)
-    step, resolution = _step(instants)
+    ordered = _ordered(_past_midnight(time[rows]), rows, faults, notes)
+    instants, rows = ordered.time, ordered.rows
+    stamps = _stamps(instants)
+    step, resolution = stamps.step, stamps.resolution
     if not step > 0:
         faults.append("the time does not increase; name another column or none.")
         return None
@@ -153,12 +155,19 @@ def _past_midnight(time: Float[np.ndarray, " row"]) -> Float[np.ndarray, " row"]
     return time + _DAY * np.concatenate([[0.0], np.cumsum(is_next)])
 
 
+class _Ordered(NamedTuple):
+    """Instants [s] in order, and their rows in the file, shape (kept,) each."""
+
+    time: Float[np.ndarray, " kept"]
+    rows: Int[np.ndarray, " kept"]
+
+
 def _ordered(
     time: Float[np.ndarray, " row"],
     rows: Int[np.ndarray, " row"],
     faults: list[str],
     notes: list[str],
-) -> tuple[Float[np.ndarray, " kept"], Int[np.ndarray, " kept"]]:
+) -> _Ordered:
     """Return rows in the order of time, parts that begin again one after another."""
     steps = np.diff(time)
     # Rows without any order step back as often as forward.
@@ -199,7 +208,7 @@ def _ordered(
     if 0 < count < 0.01 * time.size and np.all(is_short[is_repeat]):
         time, rows = time[~is_repeat], rows[~is_repeat]
         notes.append(f"{count} rows repeat the instant before and were left out.")
-    return time, rows
+    return _Ordered(time, rows)
 
 
 def _in_order(
@@ -259,24 +268,30 @@ def _gaps(
     return gaps
 
 
-def _step(time: Float[np.ndarray, " sample"]) -> tuple[float, float]:
-    """Return the time between samples and the resolution of the stamps [s].
+class _Stamps(NamedTuple):
+    """Time between samples, and resolution of their stamps [s].
 
     The resolution is 0 for stamps that are equally spaced but for gaps.
     """
+
+    step: float
+    resolution: float
+
+
+def _stamps(time: Float[np.ndarray, " sample"]) -> _Stamps:
     steps = np.diff(time)
     moves = steps[steps > 0]
     if moves.size == 0:
-        return 0.0, 0.0
+        return _Stamps(0.0, 0.0)
     typical = float(np.median(moves))
     # Gaps are longer than ten of the steps that stamps with few digits make.
     step = float(steps[steps <= 10 * typical].mean())
     is_typical = np.abs(steps - typical) <= 1e-3 * typical
     if np.mean(is_typical) >= 0.95:
-        return typical, 0.0
+        return _Stamps(typical, 0.0)
     distinct = np.unique(np.round(steps / typical, 3))
     differences = np.diff(distinct)
-    return step, min(1.0, float(differences.min(initial=1.0))) * typical
+    return _Stamps(step, min(1.0, float(differences.min(initial=1.0))) * typical)
 
 
 def _roundest(
