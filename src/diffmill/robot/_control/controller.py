@@ -458,6 +458,13 @@ class Controller(eqx.Module):
         return rows, _Lags(filtered, rows[-1], speed)
 
 
+class _Place(NamedTuple):
+    """Row before an instant, and share of the step behind it, shape (instant,) each."""
+
+    row: Int[Array, " instant"]
+    share: Float[Array, " instant"]
+
+
 class _Signal(eqx.Module):
     """A command that is linear between its rows, and constant before and after.
 
@@ -505,15 +512,13 @@ class _Signal(eqx.Module):
         after = jnp.maximum(time - last * T, 0)
         return self.sums[row] + inside + _shared(after, self.rows[-1:])
 
-    def _place(
-        self, time: Float[Array, " instant"]
-    ) -> tuple[Int[Array, " instant"], Float[Array, " instant"]]:
-        """Return the row before each instant, and the share of the step behind it."""
+    def _place(self, time: Float[Array, " instant"]) -> _Place:
+        """Return the places of some instants [s]."""
         last = self.rows.shape[0] - 1
         first, end = self.first, self.first + last
         place = _snapped(jnp.clip(time / self.time_step, first, end)) - first
         row = jnp.minimum(place.astype(jnp.int32), last - 1)
-        return row, place - row.astype(time.dtype)
+        return _Place(row, place - row.astype(time.dtype))
 
 
 def _snapped(places: Float[Array, " instant"]) -> Float[Array, " instant"]:

@@ -156,8 +156,15 @@ def _coriolis_times(body: _Carried, motion: Vector) -> Vector:
     return scale(-2.0 * jnp.ones_like(body.m), cross(body.p, w)) + apply(body.N, w)
 
 
-def _base_frames(robot: Robot, q: Vector) -> tuple[list[Matrix], list[Vector], Vector]:
-    """Return axes and origins of the links in the base, and the tool's origin."""
+class _BaseFrames(NamedTuple):
+    """Axes and origins of the links in the base, and the tool's origin [m]."""
+
+    rotations: list[Matrix]
+    positions: list[Vector]
+    tool: Vector
+
+
+def _base_frames(robot: Robot, q: Vector) -> _BaseFrames:
     rotations: list[Matrix] = []
     positions: list[Vector] = []
     for frame, parent in zip(link_frames(robot, q), robot.parents, strict=True):
@@ -172,7 +179,7 @@ def _base_frames(robot: Robot, q: Vector) -> tuple[list[Matrix], list[Vector], V
     if robot.flange_joint >= 0:
         turned = apply(rotations[robot.flange_joint], tool)
         tool = add(positions[robot.flange_joint], turned)
-    return rotations, positions, hold(tool)
+    return _BaseFrames(rotations, positions, hold(tool))
 
 
 def _body(
@@ -211,10 +218,14 @@ def _body(
     return hold(_Carried(m, h, J, momentum[:3], N, force))
 
 
-def _walk(
-    robot: Robot, q: Vector, qd: Vector, qdd: Vector
-) -> tuple[list[_Joint], list[_Carried]]:
-    """Return the joints' screws and all bodies in motion, from the base outwards."""
+class _Tree(NamedTuple):
+    """The joints' screws and all bodies in motion, from the base outwards."""
+
+    joints: list[_Joint]
+    bodies: list[_Carried]
+
+
+def _walk(robot: Robot, q: Vector, qd: Vector, qdd: Vector) -> _Tree:
     rotations, positions, tool = _base_frames(robot, q)
     zero = jnp.zeros_like(q[0])
     lift = base_acceleration(robot, zero)
@@ -237,7 +248,7 @@ def _walk(
         accelerations.append(A)
         joints.append(_Joint(S, rate, second))
         bodies.append(_body(robot, i, rotations[i], offset, V, A))
-    return joints, bodies
+    return _Tree(joints, bodies)
 
 
 def _carried(robot: Robot, bodies: list[_Carried]) -> list[_Carried]:

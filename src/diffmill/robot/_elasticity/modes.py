@@ -89,7 +89,7 @@ def natural_frequencies(robot: Robot, q: JointVector) -> Float[Array, " joint"]:
 def _natural_frequencies(
     robot: Robot, q: Float[Array, " joint"]
 ) -> Float[Array, " joint"]:
-    _, softness = _softness(robot, q)
+    softness = _softness(robot, factor(mass_matrix(robot, q)))
     # No vectors: the derivative of values alone asks for fewer distinct modes.
     return _omega(jnp.linalg.eigvalsh(softness)[::-1]) / (2.0 * jnp.pi)
 
@@ -97,8 +97,8 @@ def _natural_frequencies(
 @CompiledOnce
 def _mode_shapes(robot: Robot, q: Float[Array, " joint"]) -> Modes:
     # symbols: y column of an orthonormal basis, phi = L^-T y, so phi^T M phi = 1
-    L, softness = _softness(robot, q)
-    values, y = jnp.linalg.eigh(softness)
+    L = factor(mass_matrix(robot, q))
+    values, y = jnp.linalg.eigh(_softness(robot, L))
     omega, y = _omega(values[::-1]), y[:, ::-1]
     phi = jsl.solve_triangular(L.T, y, lower=False)
     # K phi = omega^2 M phi = omega^2 L y gives the energy phi^T K phi without K, so
@@ -119,15 +119,13 @@ def _mode_shapes(robot: Robot, q: Float[Array, " joint"]) -> Modes:
 
 
 def _softness(
-    robot: Robot, q: Float[Array, " joint"]
-) -> tuple[Float[Array, "joint joint"], Float[Array, "joint joint"]]:
-    """Return L and L^T K^-1 L, where M = L L^T.
+    robot: Robot, L: Float[Array, "joint joint"]
+) -> Float[Array, "joint joint"]:
+    """Return L^T K^-1 L, where M = L L^T.
 
-    The eigenvalues of the latter are 1 / omega^2: an infinite stiffness is an
-    ordinary number.
+    Its eigenvalues are 1 / omega^2: an infinite stiffness is an ordinary number.
     """
-    L = factor(mass_matrix(robot, q))
-    return L, L.T @ (L / robot.joint_stiffness[:, None])
+    return L.T @ (L / robot.joint_stiffness[:, None])
 
 
 def _omega(softness: Float[Array, " joint"]) -> Float[Array, " joint"]:

@@ -1,5 +1,7 @@
 """Workspace of the arm, and its stiffness there."""
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -138,23 +140,31 @@ def _on_grid(
     Ts = np.broadcast_to(T, (across.size, 4, 4)).copy()
     Ts[:, plane[0], 3], Ts[:, plane[1], 3] = across.ravel(), up.ravel()
     starts = np.broadcast_to(np.asarray(start), (across.size, start.shape[0]))
-    q, stiffness = _solve(robot, Ts, starts)
+    found = _solve(robot, Ts, starts)
+    q, stiffness = np.asarray(found.q), np.asarray(found.stiffness)
     is_reached = np.isfinite(q).all(axis=1)
     good, left = np.flatnonzero(is_reached), np.flatnonzero(~is_reached)
     if good.size and left.size:
         tips = Ts[:, :3, 3]
         apart = np.linalg.norm(tips[left][:, None] - tips[good][None], axis=-1)
         near = q[good[np.argmin(apart, axis=1)]]
-        _, stiffness[left] = _solve(robot, Ts[left], near)
+        stiffness[left] = _solve(robot, Ts[left], near).stiffness
     return stiffness.reshape(across.shape)
+
+
+class _Poses(NamedTuple):
+    """Joint positions [rad or m] and least stiffness [N/m]; NaN out of reach."""
+
+    q: Float[Array, "pose joint"] | Float[np.ndarray, "pose joint"]
+    stiffness: Float[Array, " pose"] | Float[np.ndarray, " pose"]
 
 
 def _solve(
     robot: Robot,
     Ts: Float[np.ndarray, "pose 4 4"],
     starts: Float[np.ndarray, "pose joint"],
-) -> tuple[Float[np.ndarray, "pose joint"], Float[np.ndarray, " pose"]]:
-    """Return joint positions and least stiffness, NaN where there are none."""
+) -> _Poses:
+    """Return the solved poses, on the host."""
     count = Ts.shape[0]
     # Batches of one size need one compilation.
     rows = np.arange(-(-count // _BATCH) * _BATCH) % count
@@ -164,11 +174,11 @@ def _solve(
         )
         for k in np.split(rows, len(rows) // _BATCH)
     ]
-    q, stiffness = (
-        np.concatenate([np.asarray(part[i], float) for part in parts])[:count]
-        for i in range(2)
+    joined = lambda rows: np.concatenate([np.asarray(row, float) for row in rows])
+    return _Poses(
+        joined([part.q for part in parts])[:count],
+        joined([part.stiffness for part in parts])[:count],
     )
-    return q, stiffness
 
 
 @jax.jit
@@ -179,12 +189,12 @@ def _tips(robot: Robot, q: Float[Array, "pose joint"]) -> Float[Array, "pose 3"]
 @jax.jit
 def _poses(
     robot: Robot, Ts: Float[Array, "pose 4 4"], starts: Float[Array, "pose joint"]
-) -> tuple[Float[Array, "pose joint"], Float[Array, " pose"]]:
+) -> _Poses:
     def one(T, start):
         found = inverse_kinematics(robot, T, start, attempts=1)
         is_reached = found.converged & found.within_limits
         stiffness = principal_stiffness(robot, found.q)[0]
-        return (
+        return _Poses(
             jnp.where(is_reached, found.q, jnp.nan),
             jnp.where(is_reached, stiffness, jnp.nan),
         )

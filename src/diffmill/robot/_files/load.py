@@ -2,6 +2,7 @@
 
 import os
 import warnings
+from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from ..._toml import parse_toml
 from .._model.build import build
 from .._model.robot import Robot
 from .errors import RobotFileError, RobotFileWarning
-from .setup import SPINDLE, apply_setup
+from .setup import SPINDLE, MountedElements, apply_setup
 from .toml import read_elements
 from .urdf import read_urdf
 
@@ -72,10 +73,9 @@ def load(
     **Differentiability**: none; differentiate by the arrays of the `Robot`.
     """
     file = os.fspath(model_or_file)
-    notes: list[str] = []
     is_urdf = Path(file).suffix.lower() in _URDF_SUFFIXES
     if is_urdf:
-        name, elements, notes = read_urdf(_read_file(file), file, tool)
+        found = read_urdf(_read_file(file), file, tool)
     else:
         document = _parse(_read_model(file), file)
         if "elements" not in document and _JOB_TABLES & set(document):
@@ -84,18 +84,18 @@ def load(
                 "`elements`); its robot is what its table [robot] names, which "
                 "`diffmill robot` and `load_job` take with its tool."
             )
-        name, elements = read_elements(document, file)
-    base = np.eye(3)
+        found = read_elements(document, file)
+    mounted = MountedElements(found.elements, np.eye(3))
     if drives is not None:
         side = os.fspath(drives)
         setup = _parse(_read_file(side), side)
-        elements, base = apply_setup(setup, side, elements, tool)
+        mounted = apply_setup(setup, side, found.elements, tool)
     try:
-        robot = build(elements, tool=tool, name=name)
+        robot = build(mounted.elements, tool=tool, name=found.name)
     except ValueError as error:
         raise RobotFileError(f"{file}: {error}") from error
-    _warn(robot, notes, file)
-    gravity = jnp.asarray(base.T, robot.dtype) @ robot.gravity
+    _warn(robot, found.notes, file)
+    gravity = jnp.asarray(mounted.base.T, robot.dtype) @ robot.gravity
     return eqx.tree_at(lambda r: r.gravity, robot, gravity)
 
 
@@ -118,7 +118,7 @@ def spindle_note(
     )
 
 
-def _warn(robot: Robot, notes: list[str], file: str) -> None:
+def _warn(robot: Robot, notes: Sequence[str], file: str) -> None:
     """Warn once of all that is doubtful in a file."""
     massless = robot.massless_joints
     light = [name for name in robot.light_joints(_LIGHTEST) if name not in massless]

@@ -6,7 +6,7 @@ what it carries belongs to the link before it.
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -32,12 +32,24 @@ _Joint: TypeAlias = RevoluteJoint | PrismaticJoint
 SPINDLE = "spindle"
 
 
+class MountedElements(NamedTuple):
+    """Elements of a robot, and how its base stands.
+
+    Attributes:
+        elements: From the base outwards.
+        base: Rotation of the base in a world whose z points up, shape (3, 3).
+    """
+
+    elements: list[AbstractElement]
+    base: Float[np.ndarray, "3 3"]
+
+
 def apply_setup(
     document: Mapping[str, object],
     file: str,
     elements: Sequence[AbstractElement],
     tool: str | None,
-) -> tuple[list[AbstractElement], Float[np.ndarray, "3 3"]]:
+) -> MountedElements:
     """Return a robot's elements with what a file adds to them.
 
     Args:
@@ -47,9 +59,6 @@ def apply_setup(
         file: Name of the file, for messages.
         elements: The elements.
         tool: Name of the tool that the spindle carries; None for the only one.
-
-    Returns:
-        The elements; how the base stands in a world whose z points up, shape (3, 3).
 
     Raises:
         RobotFileError: If anything is wrong.
@@ -75,7 +84,7 @@ def apply_setup(
     elements = _changed(elements, changes, locked)
     if spindle is not None:
         elements = _with_spindle(elements, spindle, tool)
-    return elements, rpy_matrix(*(rpy or ()))
+    return MountedElements(elements, rpy_matrix(*(rpy or ())))
 
 
 def _table(top: ElementReader, key: str) -> ElementReader:

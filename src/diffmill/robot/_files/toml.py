@@ -20,6 +20,7 @@ from .._model.elements import (
     PrismaticJoint,
     RevoluteJoint,
     RigidBody,
+    RobotDescription,
     Tool,
     inertia_fault,
     triangle_fault,
@@ -47,17 +48,12 @@ JOINT_QUANTITIES = {
 }
 
 
-def read_elements(
-    document: Mapping[str, object], file: str
-) -> tuple[str, list[AbstractElement]]:
-    """Return the name and the elements of a parsed robot file.
+def read_elements(document: Mapping[str, object], file: str) -> RobotDescription:
+    """Return the robot of a parsed file.
 
     Args:
         document: The parsed file.
         file: Name of the file, for messages.
-
-    Returns:
-        The model's name, its elements.
 
     Raises:
         RobotFileError: If anything is wrong.
@@ -83,7 +79,7 @@ def read_elements(
     if not joints and not faults:
         faults.append("elements: must contain at least one joint")
     raise_faults(file, faults)
-    return name, elements
+    return RobotDescription(name, elements)
 
 
 def _read_list(raw: object, place: str, faults: list[str]) -> list[AbstractElement]:

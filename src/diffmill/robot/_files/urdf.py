@@ -18,6 +18,7 @@ from .._model.elements import (
     Fork,
     PrismaticJoint,
     RevoluteJoint,
+    RobotDescription,
     Tool,
 )
 from .errors import raise_faults
@@ -29,18 +30,13 @@ _COMMON = 3
 _Children = Mapping[str, Sequence[UrdfJoint]]
 
 
-def read_urdf(
-    data: bytes, file: str, tool: str | None
-) -> tuple[str, list[AbstractElement], list[str]]:
-    """Return the name, the elements and what is doubtful of a URDF.
+def read_urdf(data: bytes, file: str, tool: str | None) -> RobotDescription:
+    """Return the robot of a URDF, its elements with one `Tool`.
 
     Args:
         data: The file's bytes.
         file: Name of the file, for messages.
         tool: Name of the link whose frame is the tool; None for the only leaf.
-
-    Returns:
-        The model's name; its elements, with one `Tool`; notes on the file.
 
     Raises:
         RobotFileError: If anything is wrong.
@@ -51,7 +47,8 @@ def read_urdf(
     except ValueError as error:
         raise_faults(file, [str(error)])
         raise
-    name, links, joints = parser.root(root)
+    found = parser.root(root)
+    links, joints = found.links, found.joints
     if not (links or parser.faults):
         parser.faults.append("there is no link")
     # Parts without names or ends would give faults of the tree that are none.
@@ -81,7 +78,8 @@ def read_urdf(
     start = _root(links, joints)[0]
     parser.notes.extend(_massless_notes(by_name, children, start))
     parser.notes.extend(_placeholder_notes(links))
-    return name, _branch(by_name, children, start, str(tool)), parser.notes
+    elements = _branch(by_name, children, start, str(tool))
+    return RobotDescription(found.name, elements, parser.notes)
 
 
 def _with_world(

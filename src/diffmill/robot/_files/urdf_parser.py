@@ -91,30 +91,47 @@ class UrdfJoint:
 
 
 @dataclasses.dataclass
+class UrdfRobot:
+    """Links and joints of a parsed file; none after a fault of the whole."""
+
+    name: str = ""
+    links: list[UrdfLink] = dataclasses.field(default_factory=list)
+    joints: list[UrdfJoint] = dataclasses.field(default_factory=list)
+
+
+@dataclasses.dataclass
+class UrdfOrigin:
+    """Position [m] and rotation of a frame in another."""
+
+    position: tuple[float, ...]
+    rotation: Float[np.ndarray, "3 3"]
+
+
+@dataclasses.dataclass
 class UrdfParser:
     """Faults and notes found so far."""
 
     faults: list[str] = dataclasses.field(default_factory=list)
     notes: list[str] = dataclasses.field(default_factory=list)
 
-    def root(self, root: Node) -> tuple[str, list[UrdfLink], list[UrdfJoint]]:
-        """Return name, links and joints of a parsed file."""
+    def root(self, root: Node) -> UrdfRobot:
+        """Return the robot of a parsed file."""
         if root.tag.endswith(":robot"):
             prefix = root.tag.removesuffix("robot")
             self.faults.append(
                 f"line {root.line}: the elements carry the namespace prefix "
                 f"{prefix!r}, which URDF does not have: take it off every element"
             )
-            return "", [], []
+            return UrdfRobot()
         if root.tag != "robot":
             self.faults.append(
                 f"line {root.line}: the root element must be <robot>, but is "
                 f"<{root.tag}>: only URDF is read"
             )
-            return "", [], []
+            return UrdfRobot()
         if any(node.tag.startswith("xacro:") for node in root.children):
             self.faults.append("contains xacro macros: expand them with xacro first")
-            return "", [], []
+            return UrdfRobot()
         place = f"line {root.line}, robot"
         self.check_names(root)
         version = root.attributes.get("version", "1.0")
@@ -123,7 +140,7 @@ class UrdfParser:
         name = self.text(root, "name", place)
         links = [self.link(node) for node in root.all("link")]
         joints = [self.joint(node) for node in root.all("joint")]
-        return name, links, joints
+        return UrdfRobot(name, links, joints)
 
     def check_names(self, node: Node) -> None:
         """Note elements and attributes that are misspelt ones, here and below."""
@@ -161,7 +178,8 @@ class UrdfParser:
 
     def body(self, node: Node, place: str) -> RigidBody | None:
         """Return a link's mass; None for one without."""
-        position, R = self.origin(node, f"{place}, inertial")
+        origin = self.origin(node, f"{place}, inertial")
+        position, R = origin.position, origin.rotation
         parts = {tag: node.first(tag) for tag in ("mass", "inertia")}
         for tag, part in parts.items():
             if part is None:
@@ -210,9 +228,9 @@ class UrdfParser:
         if kind not in (*_MOVING, "fixed", ""):
             allowed = "revolute, continuous, prismatic or fixed"
             self.fault(place, "type", allowed, kind)
-        position, rotation = self.origin(node, place)
-        if max(map(abs, position)) > _LONG:
-            self.notes.append(f"{place}: the origin is {_FAR.format(position)}")
+        origin = self.origin(node, place)
+        if max(map(abs, origin.position)) > _LONG:
+            self.notes.append(f"{place}: the origin is {_FAR.format(origin.position)}")
         axis = self.numbers(node.first("axis"), "xyz", f"{place}, axis", _AXIS)
         if kind in _MOVING and not any(axis):
             self.fault(f"{place}, axis", "xyz", "not zero", " ".join(map(str, axis)))
@@ -224,8 +242,8 @@ class UrdfParser:
             kind=kind,
             parent=self.end(node, "parent", place),
             child=self.end(node, "child", place),
-            position=position,
-            rotation=rotation,
+            position=origin.position,
+            rotation=origin.rotation,
             axis=axis,
             lower=lower,
             upper=upper,
@@ -297,18 +315,17 @@ class UrdfParser:
         multiplier = self.number(mimic, "multiplier", place, "1")
         return Mimic(name, multiplier, self.number(mimic, "offset", place, "0"))
 
-    def origin(
-        self, node: Node, place: str
-    ) -> tuple[tuple[float, ...], Float[np.ndarray, "3 3"]]:
-        """Return position and rotation of an <origin>, none if it is not there."""
+    def origin(self, node: Node, place: str) -> UrdfOrigin:
+        """Return the frame of an <origin>, that of the parent if it is not there."""
         origin = node.first("origin")
         place = f"{place}, origin"
         position = self.numbers(origin, "xyz", place, _ORIGIN)
         if origin is not None and "quat_xyzw" in origin.attributes:
             if "rpy" in origin.attributes:
                 self.faults.append(f"{place}: has both rpy and quat_xyzw")
-            return position, self.quaternion(origin, place)
-        return position, rpy_matrix(*self.numbers(origin, "rpy", place, _ORIGIN))
+            return UrdfOrigin(position, self.quaternion(origin, place))
+        rpy = self.numbers(origin, "rpy", place, _ORIGIN)
+        return UrdfOrigin(position, rpy_matrix(*rpy))
 
     def quaternion(self, origin: Node, place: str) -> Float[np.ndarray, "3 3"]:
         """Return the rotation of a quaternion (URDF 1.1)."""

@@ -1,6 +1,7 @@
 """In which configurations an arm can stand at a pose and follow a path."""
 
 import functools
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -51,8 +52,8 @@ def configurations(
     """
     start = joint_vector(robot, q_start, "q_start")
     T = jnp.asarray(T_base_tool, robot.dtype)
-    found, is_good = jax.device_get(_from_everywhere(robot, T, start, tool_rotation))
-    rows = found[is_good]
+    found = jax.device_get(_from_everywhere(robot, T, start, tool_rotation))
+    rows = found.ends[found.is_good]
     lower, upper = (np.asarray(limit) for limit in motor_limits(robot))
     is_limited = np.isfinite(lower) & np.isfinite(upper)
     half = np.where(is_limited, (upper - lower) / 2, np.pi)
@@ -101,14 +102,21 @@ def path_starts(
     return starts[is_good[: len(starts)]]
 
 
+class _Searches(NamedTuple):
+    """Joint positions [rad or m] that searches end in, and whether these are good."""
+
+    ends: Float[Array, "search joint"]
+    is_good: Bool[Array, " search"]
+
+
 @functools.partial(jax.jit, static_argnames="tool_rotation")
 def _from_everywhere(
     robot: Robot,
     T: Float[Array, "4 4"],
     q_start: Float[Array, " joint"],
     tool_rotation: ToolRotation,
-) -> tuple[Float[Array, "search joint"], Bool[Array, " search"]]:
-    """Return what searches from all over the ranges end in, and whether it is good."""
+) -> _Searches:
+    """Return what searches from all over the ranges end in."""
     lower, upper = motor_limits(robot)
     is_limited = jnp.isfinite(lower) & jnp.isfinite(upper)
     middle = jnp.where(is_limited, (lower + upper) / 2, q_start)
@@ -123,7 +131,7 @@ def _from_everywhere(
         return near, jnp.stack([is_good, is_good])
 
     q, is_good = jax.vmap(search)(jnp.arange(_SEARCHES))
-    return q.reshape(-1, q.shape[-1]), is_good.ravel()
+    return _Searches(q.reshape(-1, q.shape[-1]), is_good.ravel())
 
 
 @functools.partial(jax.jit, static_argnames="tool_rotation")

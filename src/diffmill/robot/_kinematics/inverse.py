@@ -6,6 +6,7 @@ price of one forward kinematics. Virtual joints stay at 0.
 """
 
 import dataclasses
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -305,8 +306,15 @@ def _choice_search_step(
     plain = chosen_step(robot, T, q, tool_rotation, 1e-2 * size, _PULL_SHARE)
     if not is_newton:
         return plain
-    newton, is_trusted = _choice_newton_step(robot, T, q, tool_rotation, _TRUSTED)
-    return jnp.where(is_trusted & (size < _NEAR), newton, plain)
+    newton = _choice_newton_step(robot, T, q, tool_rotation, _TRUSTED)
+    return jnp.where(newton.is_short & (size < _NEAR), newton.step, plain)
+
+
+class _NewtonStep(NamedTuple):
+    """A step of the joints [rad or m], and whether it is short enough to be of use."""
+
+    step: Float[Array, " joint"]
+    is_short: Bool[Array, ""]
 
 
 def _choice_newton_step(
@@ -315,11 +323,11 @@ def _choice_newton_step(
     q: Float[Array, " joint"],
     tool_rotation: ToolRotation,
     longest: float,
-) -> tuple[Float[Array, " joint"], Bool[Array, ""]]:
+) -> _NewtonStep:
     """Return the Newton step to where the undamped `chosen_step` vanishes.
 
-    Only the step carries the derivative, not its slope. Also returned is whether no
-    joint moves by more than `longest`; if one does, the step is of no use.
+    Only the step carries the derivative, not its slope. It is short where no joint
+    moves by more than `longest`.
     """
     frozen, T_frozen, q_frozen = lax.stop_gradient((robot, T, q))
     slope = choice_slope(frozen, T_frozen, q_frozen, tool_rotation)
@@ -327,7 +335,7 @@ def _choice_newton_step(
     left = -chosen_step(robot, T, q, tool_rotation, None)
     is_short = jnp.max(jnp.abs(inverse @ lax.stop_gradient(left))) < longest
     # A singular slope must not spoil derivatives either.
-    return jnp.where(is_short, inverse, 0.0) @ left, is_short
+    return _NewtonStep(jnp.where(is_short, inverse, 0.0) @ left, is_short)
 
 
 def _first_pose(
@@ -448,8 +456,8 @@ def _finish(
     is_near = jnp.sum(lax.stop_gradient(task.error) ** 2) < _NEAR
     step = damped_step(J, task.error, None)
     if has_choice(robot, tool_rotation):
-        newton, is_settled = _choice_newton_step(robot, T, q, tool_rotation, _SETTLED)
-        step = jnp.where(is_settled, newton, step)
+        newton = _choice_newton_step(robot, T, q, tool_rotation, _SETTLED)
+        step = jnp.where(newton.is_short, newton.step, step)
     value = jnp.where(is_near, lax.stop_gradient(step), 0.0)
     q = q + value
     if has_choice(robot, tool_rotation):

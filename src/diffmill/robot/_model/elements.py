@@ -6,7 +6,7 @@ the arrays of a `Robot`, and those are what one differentiates by.
 
 import math
 from collections.abc import Sequence
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import equinox as eqx
 import numpy as np
@@ -238,6 +238,20 @@ class Tool(AbstractElement):
                 "Argument `rotation` must be a rotation matrix (orthonormal, "
                 f"determinant 1), but is {np.asarray(self.rotation).tolist()}."
             )
+
+
+class RobotDescription(NamedTuple):
+    """A robot as its file describes it.
+
+    Attributes:
+        name: Name of the model.
+        elements: From the base outwards.
+        notes: What is doubtful, one sentence each.
+    """
+
+    name: str
+    elements: list[AbstractElement]
+    notes: Sequence[str] = ()
 
 
 def is_rotation(rotation: Matrix3) -> bool:

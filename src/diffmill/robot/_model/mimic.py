@@ -6,6 +6,8 @@ offsets and move with G qd; forces and screws return by G^T, the mass matrix by
 G^T M G. Without a follower all of this is absent from the compiled program.
 """
 
+from typing import NamedTuple
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -26,8 +28,8 @@ def unfold_rates(robot: Robot, rates: Float[Array, " joint"]) -> Float[Array, " 
     """Return how fast the joint of every body moves [rad/s or m/s]."""
     if not robot.has_mimics:
         return rates
-    sources, multipliers = _followed(robot)
-    return rates[sources] * jnp.asarray(multipliers, rates.dtype)
+    followed = _followed(robot)
+    return rates[followed.joints] * jnp.asarray(followed.multipliers, rates.dtype)
 
 
 def fold(
@@ -36,14 +38,20 @@ def fold(
     """Return G^T times a matrix with one row per body."""
     if not robot.has_mimics:
         return rows
-    sources, multipliers = _followed(robot)
+    followed = _followed(robot)
     G = np.zeros((robot.body_count, robot.joint_count))
-    G[np.arange(robot.body_count), sources] = multipliers
+    G[np.arange(robot.body_count), followed.joints] = followed.multipliers
     return sum_rows(jnp.asarray(G.T, rows.dtype), rows)
 
 
-def _followed(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
-    """Return the independent joint that moves each body, and by what factor."""
+class _Followed(NamedTuple):
+    """Independent joint that moves each body, and its factor, shape (body,) each."""
+
+    joints: np.ndarray
+    multipliers: np.ndarray
+
+
+def _followed(robot: Robot) -> _Followed:
     sources, multipliers, own = [], [], 0
     for mimic in robot.mimics:
         if mimic is None:
@@ -53,4 +61,4 @@ def _followed(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
         else:
             sources.append(mimic[0])
             multipliers.append(mimic[1])
-    return np.array(sources), np.array(multipliers)
+    return _Followed(np.array(sources), np.array(multipliers))
