@@ -5,7 +5,7 @@ way: what is found is in the stock as it is at that time. The shank above the fl
 removes what it meets, as in the simulation, whose `shank_volume` reports it.
 """
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -106,30 +106,43 @@ class ToolContacts(eqx.Module):
         slot_count = 1 if _stands_upright(path) else _SLOTS
         while True:
             columns = columns_of(stock, finest, slot_count)
-            found, is_full = _contacts(
-                path, tips, columns, cutter, holder, checks_rapids
-            )
+            found = _depths(path, tips, columns, cutter, holder, checks_rapids)
             slot_count = 2 * columns.ends.shape[-1]
-            if not is_full or slot_count > _MOST_SLOTS:
-                return found
+            if not found.has_overflow or slot_count > _MOST_SLOTS:
+                rapid, held, part = found.values
+                return ToolContacts(rapid, held, part, columns.spacing)
 
 
 def _stands_upright(path: Path) -> bool:
     return bool(np.allclose(path.axes, [0.0, 0.0, 1.0], atol=1e-9))
 
 
-def _contacts(
+class _Depths(NamedTuple):
+    """Depths at each pose.
+
+    Attributes:
+        values: Of the tool, of the holder, and of it in what is left [m], shape
+            (3, pose).
+        has_overflow: Whether a ray ran out of slots.
+    """
+
+    values: Float[np.ndarray, "3 pose"]
+    has_overflow: bool
+
+
+def _depths(
     path: Path,
     tips: Float[np.ndarray, "step 3"],
     columns: Columns,
     cutter: AbstractCutter,
     holder: ToolHolder | None,
     checks_rapids: bool,
-) -> tuple[ToolContacts, bool]:
-    """Return the contacts, and whether a ray ran out of slots."""
+) -> _Depths:
+    """Return the depths at the rows of a path."""
     d = columns.spacing
     axes = np.asarray(path.axes, float)
-    row, tip, axis = _between_rows(tips, axes, holder, d)
+    passed = _between_rows(tips, axes, holder, d)
+    row, tip, axis = passed.row, passed.tip, passed.axis
     is_rapid = np.asarray(path.is_rapid)[row] & (row > 0)
     bounds = columns.bounds()
     box = _reach(tip, axis, cutter.nominal_radius, np.inf, bounds)
@@ -156,21 +169,20 @@ def _contacts(
     depths = np.zeros((3, len(tips)))
     is_full = False
     if is_tool.any() or is_looked.any():
-        inner, lift = _smaller(cutter, d)
-        test = ContactTest(cutter, inner, lift, holder, _TOUCH * d)
-        found, is_full = _swept(columns, test, samples)
+        inner = _smaller(cutter, d)
+        test = ContactTest(cutter, inner.cutter, inner.lift, holder, _TOUCH * d)
+        swept = _swept(columns, test, samples)
+        found, is_full = swept.values, swept.has_overflow
         # A row where it was not looked for has what was found just before.
         last = np.maximum.accumulate(np.where(is_looked, np.arange(len(row)), 0))
         found[1:] = found[1:, last] * is_held[None]
         for depth, values in zip(depths, found, strict=True):
             np.maximum.at(depth, row, values)
-    return ToolContacts(depths[0], depths[1], depths[2], d), is_full
+    return _Depths(depths, is_full)
 
 
-def _swept(
-    columns: Columns, test: ContactTest, samples: Samples
-) -> tuple[Float[np.ndarray, "3 sample"], bool]:
-    """Return the depth of the tool, of the holder, and of it in what is left."""
+def _swept(columns: Columns, test: ContactTest, samples: Samples) -> _Depths:
+    """Return the depths at samples."""
     depths = np.zeros((3, len(samples.tip)))
     used = samples.is_cut | samples.is_tool | samples.is_holder
     swept = sweep(columns, test, samples[used])
@@ -183,7 +195,21 @@ def _swept(
             lambda s: (s.is_cut, s.is_tool), samples[again], (none, none)
         )
         depths[2, again] = sweep(swept.columns, test, left).holder
-    return depths, swept.has_overflow
+    return _Depths(depths, swept.has_overflow)
+
+
+class _Passed(NamedTuple):
+    """Poses that a tool passes, at most a spacing apart.
+
+    Attributes:
+        row: The row that each leads to, shape (sample,).
+        tip: Tool tips [m], shape (sample, 3).
+        axis: Tool axes, shape (sample, 3).
+    """
+
+    row: Int[np.ndarray, " sample"]
+    tip: Float[np.ndarray, "sample 3"]
+    axis: Float[np.ndarray, "sample 3"]
 
 
 def _between_rows(
@@ -191,12 +217,8 @@ def _between_rows(
     axes: Float[np.ndarray, "step 3"],
     holder: ToolHolder | None,
     spacing: float,
-) -> tuple[
-    Int[np.ndarray, " sample"],
-    Float[np.ndarray, "sample 3"],
-    Float[np.ndarray, "sample 3"],
-]:
-    """Return poses at most a spacing apart, and the row that each leads to."""
+) -> _Passed:
+    """Return the poses that a tool passes from row to row."""
     moves = np.diff(_travel(tips, axes, holder))
     pieces = np.ceil(moves / spacing - 1e-9).astype(int)
     pieces = np.concatenate([[1], np.maximum(pieces, 1)])
@@ -206,7 +228,7 @@ def _between_rows(
     before = np.maximum(row - 1, 0)
     tip = tips[before] + share * (tips[row] - tips[before])
     axis = axes[before] + share * (axes[row] - axes[before])
-    return row, tip, axis / np.linalg.norm(axis, axis=1, keepdims=True)
+    return _Passed(row, tip, axis / np.linalg.norm(axis, axis=1, keepdims=True))
 
 
 def _travel(
@@ -257,13 +279,19 @@ def _meets(
     return np.all((box[0] < bounds[1]) & (box[1] > bounds[0]), axis=1)
 
 
-def _smaller(cutter: AbstractCutter, margin: float) -> tuple[AbstractCutter, float]:
-    """Return a cutter inside another, and how far its tip is above the other's."""
+class _InnerCutter(NamedTuple):
+    """A cutter inside another, and how far its tip is above the other's [m]."""
+
+    cutter: AbstractCutter
+    lift: float
+
+
+def _smaller(cutter: AbstractCutter, margin: float) -> _InnerCutter:
     R, rc = cutter.nominal_radius, cutter.nominal_corner_radius
     radius = max(R - margin, R / 2)
     diameter, teeth = 2 * radius, cutter.flute_count
     if rc == 0:
-        return flat_end_mill(diameter, teeth), 0.0
+        return _InnerCutter(flat_end_mill(diameter, teeth), 0.0)
     if rc >= R:
-        return ball_end_mill(diameter, teeth), R - radius
-    return bull_nose(diameter, teeth, min(rc, 0.99 * radius)), 0.0
+        return _InnerCutter(ball_end_mill(diameter, teeth), R - radius)
+    return _InnerCutter(bull_nose(diameter, teeth, min(rc, 0.99 * radius)), 0.0)

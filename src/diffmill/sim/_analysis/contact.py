@@ -185,12 +185,26 @@ def sweep(columns: Columns, test: ContactTest, samples: Samples) -> Swept:
 
     for first in range(0, count, _CHUNK):
         part = jax.tree.map(padded, samples[first : first + _CHUNK])
-        ends, found, is_full = _chunk(ends, origin, columns.spacing, test, part)
-        size = min(_CHUNK, count - first)
-        depths[:, first : first + size] = np.asarray(found).T[:, :size]
-        has_overflow |= bool(is_full)
+        found = _chunk(ends, origin, columns.spacing, test, part)
+        ends, size = found.ends, min(_CHUNK, count - first)
+        depths[:, first : first + size] = np.asarray(found.depths).T[:, :size]
+        has_overflow |= bool(found.has_overflow)
     left = eqx.tree_at(lambda c: c.ends, columns, ends)
     return Swept(left, depths[0], depths[1], has_overflow)
+
+
+class _Chunk(eqx.Module):
+    """What a tool does on its way through a fixed number of poses.
+
+    Attributes:
+        ends: Ends of the rays after the last pose [m], shape (x, y, 2, slot).
+        depths: Of the tool and of the holder [m], shape (sample, 2).
+        has_overflow: Whether a ray ran out of slots, shape ().
+    """
+
+    ends: Float[Array, "x y 2 slot"]
+    depths: Float[Array, "sample 2"]
+    has_overflow: Bool[Array, ""]
 
 
 @CompiledOnce
@@ -200,7 +214,7 @@ def _chunk(
     spacing: float,
     test: ContactTest,
     samples: Samples,
-) -> tuple[Float[Array, "x y 2 slot"], Float[Array, "sample 2"], Bool[Array, ""]]:
+) -> _Chunk:
     """Take a tool through a fixed number of poses."""
     slots = ends.shape[-1]
     zero = jnp.zeros((), jnp.int32)
@@ -245,7 +259,7 @@ def _chunk(
         return ends, (jnp.stack([in_tool, in_holder]), is_full)
 
     ends, (depths, is_full) = jax.lax.scan(step, ends, samples)
-    return ends, depths, jnp.any(is_full)
+    return _Chunk(ends, depths, jnp.any(is_full))
 
 
 def _places(

@@ -1,5 +1,7 @@
 """Derivatives of the force of the teeth with respect to present and earlier tips."""
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -44,7 +46,8 @@ def force_slopes(
     for row in rows:
         last = jnp.asarray(row, jnp.int32)
         carry, slopes = _replay(process, carry, padded, first, last)
-        found.append(Regeneration(*(np.asarray(x, np.float64) for x in slopes)))
+        now, before = (np.asarray(x, np.float64) for x in slopes)
+        found.append(Regeneration(now, before))
         first = last + 1
     return found
 
@@ -55,6 +58,13 @@ class _Replayed(eqx.Module):
     state: ProcessState
     middles: Pose
     ends: Pose
+
+
+class _Slopes(NamedTuple):
+    """Slopes of the force in the sub-steps of a period [N/m], see `Regeneration`."""
+
+    now: Float[Array, "substep 3 3"]
+    before: Float[Array, "substep tooth 3 3"]
 
 
 @eqx.filter_jit
@@ -72,7 +82,7 @@ def _replay(
     padded: Pose,
     first: Int[Array, ""],
     last: Int[Array, ""],
-) -> tuple[_Replayed, tuple[Array, Array]]:
+) -> tuple[_Replayed, _Slopes]:
     """Return the process in the last period, and the slopes there.
 
     It begins with the period before the first.
@@ -93,9 +103,7 @@ def _replay(
     return at, _slopes(process, cut, at.middles, at.state.recent)
 
 
-def _slopes(
-    process: Process, cut: Engagement, middles: Pose, recent: Pose
-) -> tuple[Float[Array, "substep 3 3"], Float[Array, "substep tooth 3 3"]]:
+def _slopes(process: Process, cut: Engagement, middles: Pose, recent: Pose) -> _Slopes:
     """Return the slopes of all sub-steps of one period."""
 
     def slopes(
@@ -114,4 +122,4 @@ def _slopes(
 
     earlier = jax.tree.map(lambda x: jnp.moveaxis(x, 0, 1), recent)
     now, before = jax.vmap(slopes)(cut.samples, middles, earlier)
-    return now, jnp.swapaxes(before, 1, 2)
+    return _Slopes(now, jnp.swapaxes(before, 1, 2))

@@ -14,7 +14,7 @@ run straight, now and in the periods before.
 """
 
 import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -77,19 +77,28 @@ class Step:
         return Step(rows[:, :n], rows[:, n : n + 3] - rise, rise)
 
 
+class PeriodMap(NamedTuple):
+    """One tooth period as a map of the arm's state and the tips before, newest first.
+
+    Attributes:
+        matrix: The map, the tips being those at the steps of the periods before, shape
+            (all, all).
+        tips: The tips of the period as maps of the same, shape (step, 3, all).
+    """
+
+    matrix: Float[np.ndarray, "all all"]
+    tips: Float[np.ndarray, "step 3 all"]
+
+
 def monodromy(
     step: Step, C: Float[np.ndarray, "3 state"], slopes: Regeneration
-) -> tuple[Float[np.ndarray, "all all"], Float[np.ndarray, "step 3 all"]]:
-    """Return the map of a period, and the tips at its steps.
+) -> PeriodMap:
+    """Return the map of a period.
 
     Args:
         step: The arm over one step.
         C: Slope of the tip in its state.
         slopes: The slopes of the force; teeth and axes without any are left out.
-
-    Returns:
-        The map of the arm's state and the tips at the steps of the periods before,
-        newest first; the tips of the period as maps of the same.
     """
     state, count = len(step.E), len(slopes.now)
     used = np.any(slopes.before != 0, axis=(0, 2))
@@ -113,16 +122,27 @@ def monodromy(
         now = np.linalg.solve(stiff, C @ X)
         X = X + step.W_1 @ (slopes.now[k] @ now)
     kept = np.concatenate([tips[None, :, axes], table[:, :-1]])[:teeth]
-    return np.concatenate([X, kept.reshape(-1, len(start))]), tips
+    return PeriodMap(np.concatenate([X, kept.reshape(-1, len(start))]), tips)
 
 
-def strongest(
-    matrix: Float[np.ndarray, "all all"],
-    tips: Float[np.ndarray, "step 3 all"],
-    tooth_period: float,
-) -> tuple[float, float, float]:
-    """Return radius, frequency and apparent frequency of the strongest vibration."""
-    value, vector = _largest(matrix)
+class Vibration(NamedTuple):
+    """The strongest vibration of a period.
+
+    Attributes:
+        radius: Magnitude of its multiplier over a period [-].
+        frequency: [Hz].
+        apparent_frequency: As one sample per period shows it [Hz].
+    """
+
+    radius: float
+    frequency: float
+    apparent_frequency: float
+
+
+def strongest(period: PeriodMap, tooth_period: float) -> Vibration:
+    """Return the strongest vibration."""
+    value, vector = _largest(period.matrix)
+    tips = period.tips
     count = len(tips)
     turn = np.angle(value)
     # Within a period the vibration is exp(s t) times a periodic motion, whose strongest
@@ -133,7 +153,7 @@ def strongest(
     harmonic = np.fft.fftfreq(count, 1 / count)[np.argmax(power)]
     hertz = 1 / (2 * np.pi * tooth_period)
     frequency = abs(turn + 2 * np.pi * harmonic) * hertz
-    return float(abs(value)), float(frequency), float(abs(turn) * hertz)
+    return Vibration(float(abs(value)), float(frequency), float(abs(turn) * hertz))
 
 
 def _largest(

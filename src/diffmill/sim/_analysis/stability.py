@@ -456,8 +456,8 @@ def _growth(
     found = []
     for A_k, G_k, C_k, regeneration in zip(A, G, C, slopes, strict=True):
         over_step = Step.of(A_k, G_k, T / steps)
-        matrix, tips = monodromy(over_step, C_k, regeneration.in_steps(steps))
-        found.append(strongest(matrix, tips, T))
+        period = monodromy(over_step, C_k, regeneration.in_steps(steps))
+        found.append(strongest(period, T))
     radius, frequency, apparent = np.array(found).T
     return Stability(
         row=rows,

@@ -17,7 +17,7 @@ The stock is held: how a surface moves with the poses that cut it is left out.
 
 import functools
 import math
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -78,9 +78,22 @@ class WallChange(eqx.Module):
     force: Float[Array, "step 3 direction"]
 
 
-# Changes of the arm, of the poses of the periods before, of the pose one period ago,
-# and of all poses at the starts of periods.
-Moving: TypeAlias = tuple[Array, Array, Array, Array]
+class Moving(NamedTuple):
+    """Changes of the state at the start of a period, in some directions.
+
+    Attributes:
+        state: Of the arm, shape (state, direction).
+        recent: Of the poses of the periods before, shape (tooth, substep, pose,
+            direction).
+        before: Of the pose one period ago, shape (pose, direction).
+        history: Of all poses at the starts of periods, shape (period, pose,
+            direction).
+    """
+
+    state: Array
+    recent: Array
+    before: Array
+    history: Array
 
 
 class LinearRun(eqx.Module):
@@ -139,7 +152,7 @@ class LinearRun(eqx.Module):
             return self._period(state, row, parameters)
 
         _, (ends, force) = jax.lax.scan(period, start, rows)
-        first = start[2]
+        first = start.before
         rest = jnp.broadcast_to(first[None, None, :3], (1, *ends.shape[1:]))
         still = jnp.zeros((1, 3, directions), force.dtype)
         return RunChange(jnp.concatenate([rest, ends]), jnp.concatenate([still, force]))
@@ -168,7 +181,7 @@ class LinearRun(eqx.Module):
         nodes = jnp.arange(self.substeps + 1, dtype=motors.dtype)
         away = jnp.abs(shares[:, None] * self.substeps - nodes[None])
         weights = jnp.maximum(1 - away, 0)
-        rest = jnp.broadcast_to(start[2][None, :3], (1, 3, directions))
+        rest = jnp.broadcast_to(start.before[None, :3], (1, 3, directions))
         walls = jnp.zeros((steps, 3, directions), motors.dtype).at[:1].set(rest)
 
         def period(index, carry):
@@ -209,7 +222,7 @@ class LinearRun(eqx.Module):
         r = jnp.broadcast_to(first[None, None], size)
         # The last row stands for those before the first, which do not move.
         history = jnp.zeros((motors.shape[0], *first.shape), x.dtype)
-        return x, r, first, history
+        return Moving(x, r, first, history)
 
     def _period(
         self, state: Moving, row: tuple[Array, ...], parameters: Array
@@ -228,7 +241,7 @@ class LinearRun(eqx.Module):
         x, m, e = jnp.split(out, [n, n + S * d])
         r = jnp.concatenate([m.reshape(1, S, d, directions), r[:-1]])
         force = jnp.mean(f.reshape(S, -1, directions)[:, :3], axis=0)
-        return (x, r, p, history), (e.reshape(S, 3, directions), force)
+        return Moving(x, r, p, history), (e.reshape(S, 3, directions), force)
 
     def pull(
         self, weights: RunChange
@@ -361,7 +374,7 @@ def linearise(
 
     _, arms = scan_rows(slopes, None, arms, is_live)
     solve = functools.partial(_solved, process.engagement, motors.shape[1])
-    loads, arm, pose = jax.vmap(solve)(force, arms)
+    system = jax.vmap(solve)(force, arms)
 
     def begun(head: Float[Array, "row joint"], parameters: Array) -> Array:
         machine, process = model.scaled(parameters)
@@ -373,9 +386,9 @@ def linearise(
     return LinearRun(
         ends=all_ends(periods),
         force=with_first(periods.force),
-        loads=loads,
-        arm=arm,
-        pose=pose,
+        loads=system.loads,
+        arm=system.arm,
+        pose=system.pose,
         circles=jnp.maximum(force.circles - (first - 1), -1),
         begin=head if state is None else jnp.zeros_like(head),
         periods=process.cutter.flute_count,
@@ -405,10 +418,18 @@ def prediction(
     return rows
 
 
+class _PeriodSystem(NamedTuple):
+    """The linear system of one period, its parts as in `LinearRun`."""
+
+    loads: Float[Array, "load cause"]
+    arm: Float[Array, "output input"]
+    pose: Float[Array, "pose state"]
+
+
 def _solved(
     engagement: AbstractEngagement, joints: int, force: ForceSlopes, arm: ArmSlopes
-) -> tuple[Array, Array, Array]:
-    """Return L, A and the slope of the pose of one period."""
+) -> _PeriodSystem:
+    """Return the system of one period, its loads eliminated."""
     S, l, d = force.now.shape
     T = force.before.shape[2]
     n, m = arm.end.shape[0], 2 * joints
@@ -459,4 +480,4 @@ def _solved(
     else:
         loads = jnp.linalg.solve(stiff, right)
     out = [arm.end, arm.middles.reshape(-1, inputs), arm.ends.reshape(-1, inputs)]
-    return loads, jnp.concatenate(out), P
+    return _PeriodSystem(loads, jnp.concatenate(out), P)
