@@ -73,7 +73,8 @@ def run_feed(
         progress.say(f"note: {note}")
     try:
         with progress:
-            tradeoff, tuned = _compute(job, request, progress)
+            found = _compute(job, request, progress)
+            tradeoff, tuned = found.tradeoff, found.tuned
     except SimulationFailed as failure:
         print(f"error: the run failed: {failure}", file=sys.stderr)
         print("nothing could be kept", file=sys.stderr)
@@ -110,9 +111,14 @@ def _check(job: "Job", file: pathlib.Path, request: FeedRequest) -> None:
     PathFeed.of_path(job.path)
 
 
-def _compute(
-    job: "Job", request: FeedRequest, progress: Progress
-) -> "tuple[FeedTradeoff, TunedFeed | None]":
+class _FeedRun(NamedTuple):
+    """A job at all feeds, and with its feed tuned, if that was asked for."""
+
+    tradeoff: "FeedTradeoff"
+    tuned: "TunedFeed | None"
+
+
+def _compute(job: "Job", request: FeedRequest, progress: Progress) -> _FeedRun:
     """Run the job at all feeds."""
     from ..correction import InfeasibleLimit, NothingToCorrect, feed_tradeoff, tune_feed
 
@@ -124,10 +130,11 @@ def _compute(
             on_progress=progress.update,
         )
         if not request.weights:
-            return tradeoff, None
-        return tradeoff, tune_feed(
+            return _FeedRun(tradeoff, None)
+        tuned = tune_feed(
             job, time_weights=request.weights, on_progress=progress.update
         )
+        return _FeedRun(tradeoff, tuned)
     except InfeasibleLimit as error:
         raise BadInput(f"{job.name}: [correction] {error}") from error
     except NothingToCorrect as error:

@@ -4,7 +4,7 @@ import json
 import pathlib
 import warnings
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -61,7 +61,8 @@ def run_robot(
                     f"{model}: found --tool or --drives beside a job; allowed: --pose, "
                     "since its table [robot] says the rest"
                 )
-            robot, q = _robot_of_job(pathlib.Path(model), allow_outside=allow_outside)
+            found = _robot_of_job(pathlib.Path(model), allow_outside=allow_outside)
+            robot, q = found.robot, found.joints
         else:
             robot = load(model, tool=tool, drives=drives)
             q = np.asarray(robot.home, float)
@@ -93,9 +94,14 @@ def _is_job(file: pathlib.Path) -> bool:
         return False
 
 
-def _robot_of_job(
-    file: pathlib.Path, *, allow_outside: bool
-) -> "tuple[Robot, JointPositions]":
+class _PosedRobot(NamedTuple):
+    """A robot, and where its joints stand [rad or m], shape (joint,)."""
+
+    robot: "Robot"
+    joints: "JointPositions"
+
+
+def _robot_of_job(file: pathlib.Path, *, allow_outside: bool) -> _PosedRobot:
     """Return the robot of a job, and its joints half-way through the path.
 
     Raises:
@@ -113,7 +119,7 @@ def _robot_of_job(
             "file"
         )
     q = JobKinematics(job).joints(jnp.asarray(job.path.positions)).positions
-    return job.robot, np.asarray(q[len(q) // 2], float)
+    return _PosedRobot(job.robot, np.asarray(q[len(q) // 2], float))
 
 
 def _filler(

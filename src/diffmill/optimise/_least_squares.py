@@ -325,7 +325,8 @@ def least_squares(
             break
         box = _box(state.x, solver.longest, lower, upper)
         # What the model is made of may be large, and is not held through the trials.
-        model, state = _modelled(problem, state)
+        model = problem.model(state.x, state.value)
+        state = _without_model(problem, state)
         state = _stepped(problem, model, state, solver, box, lambda: clock() - began)
         if callback is not None and callback(state):
             break
@@ -346,14 +347,13 @@ def _box(
     )
 
 
-def _modelled(
+def _without_model(
     problem: AbstractProblem, state: LeastSquaresState
-) -> tuple[QuadraticModel, LeastSquaresState]:
-    """Return the model around a state's point, and the state without what it needed."""
+) -> LeastSquaresState:
+    """Return a state without what the model around its point has needed."""
     models = state.models + (not problem.has_model(state.value))
-    model = problem.model(state.x, state.value)
     value = problem.without_model(state.value)
-    return model, dataclasses.replace(state, value=value, models=models)
+    return dataclasses.replace(state, value=value, models=models)
 
 
 def _stepped(

@@ -1,5 +1,7 @@
 """A path travelled with a feed override, on the host."""
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -46,22 +48,33 @@ def retime(
             f"Argument `step_count` must be at least {count}, but is {step_count}."
         )
     count = step_count or count
-    places, tips, axes = _rows(feed, jnp.asarray(values), count)
-    rows = np.ceil(np.asarray(places) - SAME_INSTANT).astype(np.int32)
+    poses = _poses(feed, jnp.asarray(values), count)
+    rows = np.ceil(np.asarray(poses.places) - SAME_INSTANT).astype(np.int32)
     start = float(path.time[0])
     return Path(
         time=start + feed.period * np.arange(count),
-        positions=np.asarray(tips),
-        axes=np.asarray(axes),
+        positions=np.asarray(poses.tips),
+        axes=np.asarray(poses.axes),
         is_rapid=np.asarray(path.is_rapid)[rows],
         line=np.asarray(path.line)[rows],
     )
 
 
+class _Poses(NamedTuple):
+    """Poses at the tooth instants.
+
+    Attributes:
+        places: Rows of the path, and parts of a row, shape (row,).
+        tips: Tool tips [m], shape (row, 3).
+        axes: Tool axes, shape (row, 3).
+    """
+
+    places: Float[Array, " row"]
+    tips: Float[Array, "row 3"]
+    axes: Float[Array, "row 3"]
+
+
 @eqx.filter_jit
-def _rows(
-    feed: PathFeed, override: Float[Array, " knot"], step_count: int
-) -> tuple[Float[Array, " row"], Float[Array, "row 3"], Float[Array, "row 3"]]:
-    """Return the places, tips and axes at the tooth instants."""
+def _poses(feed: PathFeed, override: Float[Array, " knot"], step_count: int) -> _Poses:
     places = feed.places(override, step_count)
-    return places, feed.positions(places), feed.axes(places)
+    return _Poses(places, feed.positions(places), feed.axes(places))

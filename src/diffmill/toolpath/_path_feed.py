@@ -18,7 +18,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from .._types import FloatSteps, RealScalarLike
 from ._path import Path
@@ -108,7 +108,8 @@ class PathFeed(eqx.Module):
 
         **Differentiability**: smooth within an interval, once at rows.
         """
-        index, share = self._split(places)
+        index = self._interval(places)
+        share = places - index.astype(places.dtype)
         c = jnp.asarray(self.cubic, places.dtype)[:, index]
         x = share[:, None]
         return ((c[0] * x + c[1]) * x + c[2]) * x + c[3]
@@ -118,18 +119,16 @@ class PathFeed(eqx.Module):
 
         **Differentiability**: kinks at rows.
         """
-        index, share = self._split(places)
+        index = self._interval(places)
+        share = places - index.astype(places.dtype)
         rows = jnp.asarray(self.path.axes, places.dtype)
         axes = rows[index] + share[:, None] * (rows[index + 1] - rows[index])
         return axes / jnp.linalg.norm(axes, axis=1, keepdims=True)
 
-    def _split(
-        self, places: Float[Array, " row"]
-    ) -> tuple[Array, Float[Array, " row"]]:
-        """Return the interval of each place and the share of it that is passed."""
+    def _interval(self, places: Float[Array, " row"]) -> Int[Array, " row"]:
+        """Return the interval of each place."""
         last = self.speed.shape[0] - 1
-        index = jnp.clip(jnp.floor(places).astype(jnp.int32), 0, last)
-        return index, places - index.astype(places.dtype)
+        return jnp.clip(jnp.floor(places).astype(jnp.int32), 0, last)
 
     def _rates(self, override: Float[Array, " knot"]) -> Float[Array, " interval"]:
         """Return the speed of each interval over the programmed one."""

@@ -184,7 +184,7 @@ def _slots(table: StockTable) -> tuple[int, int, int] | None:
 
 
 def _plan_of(stock: Stock, dtype: jnp.dtype) -> StockPlan:
-    points = np.concatenate([stock.ray_ends(f)[0] for f in range(3)])
+    points = np.concatenate([stock.ray_ends(f).points for f in range(3)])
     upper = points.max(axis=0)
     # The highest point of a mesh may lie between the rays.
     upper[2] = stock.top

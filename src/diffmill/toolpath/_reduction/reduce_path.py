@@ -1,6 +1,7 @@
 """Fewer rows for a path that stays within a tolerance, in position at every time."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -55,7 +56,8 @@ def reduce_path(
         kept = fit.fewest_knots()
         found = fit.fitted(kept)[kept]
     else:
-        kept, found = _corners(path, points, float(tolerance))
+        corners = _corners(path, points, float(tolerance))
+        kept, found = corners.rows, corners.points
     directions = found[:, 3:] / np.linalg.norm(found[:, 3:], axis=1, keepdims=True)
     return Path(
         time=time[kept],
@@ -66,10 +68,17 @@ def reduce_path(
     )
 
 
+class _Corners(NamedTuple):
+    """Rows at which lines end, shape (corner,), and where [m], shape (corner, 6)."""
+
+    rows: Int[np.ndarray, " corner"]
+    points: Float[np.ndarray, "corner 6"]
+
+
 def _corners(
     path: Path, points: Float[np.ndarray, "row 6"], tolerance: float
-) -> tuple[Int[np.ndarray, " corner"], Float[np.ndarray, "corner 6"]]:
-    """Return the rows at which lines end, and where."""
+) -> _Corners:
+    """Return the corners of lines that are as long as the tolerance allows."""
     time, is_rapid = np.asarray(path.time), np.asarray(path.is_rapid)
     kept, row, corner = [0], 0, points[0]
     corners = [corner]
@@ -79,22 +88,27 @@ def _corners(
         other = np.flatnonzero(is_rapid[row + 2 : end + 1] != is_rapid[row + 1])
         end = row + 1 + int(other[0]) if other.size else end
         span = time[row + 1 : end + 1] - time[row]
-        count, speed = _longest_line(
-            span, points[row + 1 : end + 1] - corner, tolerance
-        )
-        row += count
-        corner = corner + speed * span[count - 1]
+        line = _longest_line(span, points[row + 1 : end + 1] - corner, tolerance)
+        row += line.rows
+        corner = corner + line.speed * span[line.rows - 1]
         kept.append(row)
         corners.append(corner)
-    return np.array(kept), np.array(corners)
+    return _Corners(np.array(kept), np.array(corners))
+
+
+class _Line(NamedTuple):
+    """Rows that a line can serve, and its speed [m/s], shape (6,)."""
+
+    rows: int
+    speed: Float[np.ndarray, " 6"]
 
 
 def _longest_line(
     span: Float[np.ndarray, " row"],
     way: Float[np.ndarray, "row 6"],
     tolerance: RealScalarLike,
-) -> tuple[int, Float[np.ndarray, " 6"]]:
-    """Return how many rows a line from the origin can serve, and its speed.
+) -> _Line:
+    """Return the line from the origin that serves most rows.
 
     Args:
         span: Times since the start of the line [s].
@@ -109,8 +123,8 @@ def _longest_line(
         speed = 0.5 * (least[last - 1] + most[last - 1])
         gap = way[:last] - speed * span[:last, None]
         if max(_largest(gap[:, :3]), _largest(gap[:, 3:])) <= tolerance:
-            return last, speed
-    return 1, way[0] / span[0]
+            return _Line(last, speed)
+    return _Line(1, way[0] / span[0])
 
 
 def _largest(gap: Float[np.ndarray, "row 3"]) -> float:

@@ -151,7 +151,7 @@ def rounded_corner_count(program: Program, limits: TimingLimits) -> int:
     """
     legs = _sharp_legs(program, limits)
     joints = zip(legs, [*legs[1:], None], strict=False)
-    corners = (_joint(*pair, limits.corner_tolerance)[0] for pair in joints)
+    corners = (_joint(*pair, limits.corner_tolerance).corner for pair in joints)
     return sum(corner is not None for corner in corners)
 
 
@@ -201,7 +201,8 @@ def _rounded(legs: list[Leg], tolerance: float) -> list[Leg]:
     out: list[Leg] = []
     head = 0.0
     for before, after in zip(legs, [*legs[1:], None], strict=False):
-        corner, is_stop = _joint(before, after, tolerance)
+        joint = _joint(before, after, tolerance)
+        corner, is_stop = joint.corner, joint.is_stop
         tail = 0.0 if corner is None else corner.trim
         piece = before.piece
         if head + tail > 0 and not isinstance(piece, Blend):
@@ -219,20 +220,25 @@ def _rounded(legs: list[Leg], tolerance: float) -> list[Leg]:
     return out
 
 
-def _joint(
-    before: Leg, after: Leg | None, tolerance: float
-) -> tuple[Corner | None, bool]:
-    """Return how one leg goes over into the next: a rounding, and whether it stops."""
+class _Joint(NamedTuple):
+    """How one leg goes over into the next: a rounding, and whether the tool stops."""
+
+    corner: Corner | None = None
+    is_stop: bool = False
+
+
+def _joint(before: Leg, after: Leg | None, tolerance: float) -> _Joint:
+    """Return how one leg goes over into the next."""
     if after is None or _is_exact(before) or _is_exact(after):
-        return None, True
+        return _Joint(is_stop=True)
     if isinstance(before.piece, Blend) or isinstance(after.piece, Blend):
-        return None, False
+        return _Joint()
     angle = corner_angle(before.piece, after.piece)
     if angle < TANGENT_ANGLE:
-        return None, False
+        return _Joint()
     if tolerance > _FINEST_TOLERANCE and angle < REVERSAL_ANGLE:
-        return round_corner(before.piece, after.piece, angle, tolerance), False
-    return None, True
+        return _Joint(round_corner(before.piece, after.piece, angle, tolerance))
+    return _Joint(is_stop=True)
 
 
 def _is_exact(leg: Leg) -> bool:

@@ -193,7 +193,8 @@ class TimedProgram(NamedTuple):
             )
         period = float(tooth_period)
         check_steps(float(self.profile.duration.sum() / period), float(most_steps))
-        index, distance = self._rows(period)
+        rows = self._rows(period)
+        index, distance = rows.piece, rows.distance
         return Path(
             time=period * np.arange(index.size),
             positions=_positions(self.legs, index, distance),
@@ -209,10 +210,8 @@ class TimedProgram(NamedTuple):
         smoothing = self.limits.smoothing
         return smoothing * (np.bincount(section, self.profile.length * is_free) > 0)
 
-    def _rows(
-        self, tooth_period: float
-    ) -> tuple[Int[np.ndarray, " step"], Float[np.ndarray, " step"]]:
-        """Return the piece and the distance within it at the tooth instants."""
+    def _rows(self, tooth_period: float) -> "_Rows":
+        """Return the places at the tooth instants."""
         legs, profile = self.legs, self.profile
         margin = _SAME_INSTANT * tooth_period
 
@@ -231,7 +230,7 @@ class TimedProgram(NamedTuple):
         if self.limits.smoothing == 0:
             index = at(ends, time)
             begun = (ends - profile.duration)[index]
-            return index, _travelled(profile, index, time - begun)
+            return _Rows(index, _travelled(profile, index, time - begun))
         part = at(stops + late, time)
         begun = np.append(0.0, stops[:-1])
         local = time - (begun + late - longer)[part]
@@ -242,7 +241,14 @@ class TimedProgram(NamedTuple):
         index = np.searchsorted(lengths, before[part] + gone - SHORTEST)
         index = np.clip(index, first[part], np.append(first[1:], len(legs))[part] - 1)
         distance = before[part] + gone - (lengths - profile.length)[index]
-        return index, np.clip(distance, 0.0, profile.length[index])
+        return _Rows(index, np.clip(distance, 0.0, profile.length[index]))
+
+
+class _Rows(NamedTuple):
+    """Pieces of a program, and the distance within them [m], shape (step,) each."""
+
+    piece: Int[np.ndarray, " step"]
+    distance: Float[np.ndarray, " step"]
 
 
 def _speeds(legs: list[Leg]) -> Profile:

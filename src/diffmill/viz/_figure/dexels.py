@@ -149,7 +149,8 @@ def _cut_ends(
     stock: Stock, family: int, *, is_upper_only: bool = False
 ) -> Float[np.ndarray, "end 3"]:
     """Return the ends of one family that remember a tool pose."""
-    points, side = stock.ray_ends(family)
+    ends = stock.ray_ends(family)
+    points, side = ends.points, ends.signs
     rays = stock.families[family]
     ends = np.asarray(rays.ends)
     is_live = np.broadcast_to((ends[:, :, 1] > ends[:, :, 0])[:, :, None], ends.shape)

@@ -1,6 +1,6 @@
 """Cutting forces over time: every sample grey, the low-passed force black."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -141,16 +141,22 @@ def _zoom_window(record: ForceTrace, periods: int) -> tuple[float, float]:
     return float(start), float(start + span)
 
 
+class Envelope(NamedTuple):
+    """Time [s], lowest and highest value of each bin of samples, shape (bin,) each."""
+
+    time: Float[np.ndarray, " bin"]
+    low: Float[np.ndarray, " bin"]
+    high: Float[np.ndarray, " bin"]
+
+
 def envelope(
     time: Float[np.ndarray, " sample"],
     values: Float[np.ndarray, " sample"],
     size: int,
-) -> tuple[
-    Float[np.ndarray, " bin"], Float[np.ndarray, " bin"], Float[np.ndarray, " bin"]
-]:
-    """Return time, lowest and highest value of each bin of `size` samples."""
+) -> Envelope:
+    """Return the envelope in bins of `size` samples."""
     starts = np.arange(0, time.shape[0], size)
-    return (
+    return Envelope(
         time[starts],
         np.minimum.reduceat(values, starts),
         np.maximum.reduceat(values, starts),
@@ -169,9 +175,15 @@ def _draw_axis(
         # would fill; whole teeth, so that no pattern of bins appears.
         per_tooth = round(record.tooth_period * record.sample_rate)
         size = max(per_tooth, -(-record.time.shape[0] // _BINS))
-        time, low, high = envelope(record.time, values, size)
+        band = envelope(record.time, values, size)
         axes.fill_between(
-            time, low, high, step="post", color="#bdbdbd", linewidth=0.3, label="grey"
+            band.time,
+            band.low,
+            band.high,
+            step="post",
+            color="#bdbdbd",
+            linewidth=0.3,
+            label="grey",
         )
     else:
         colour = "black" if record.is_tooth_mean else GREY

@@ -1,6 +1,6 @@
 """Paths of all cases in plan and side view, the deviation magnified."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -162,8 +162,8 @@ def _farthest(
     be found where a correction lets the tool lag.
     """
     desired = values_of(dataset, "desired", case)
-    actual, across = _in_plan(dataset, case)
-    off = np.linalg.norm(across, axis=1)
+    plan = _in_plan(dataset, case)
+    off = np.linalg.norm(plan.across, axis=1)
     is_known = cutting_of(dataset, case) & np.isfinite(off)
     if apart is not None:
         away = np.linalg.norm(desired[:, :2] - apart, axis=1)
@@ -171,7 +171,7 @@ def _farthest(
     if not is_known.any():
         return Place(name, case, desired[0, :2], 0.0, apart is None)
     step = int(np.argmax(np.where(is_known, off, -1.0)))
-    centre = (actual - across)[step, :2]
+    centre = (plan.actual - plan.across)[step, :2]
     return Place(name, case, centre, float(off[step]), apart is None)
 
 
@@ -182,22 +182,27 @@ def _points_mm(
 
     A tool that is late on the line stays on it; gaps in the air.
     """
-    actual, across = _in_plan(dataset, case)
-    points = actual + (factor - 1) * across
+    plan = _in_plan(dataset, case)
+    points = plan.actual + (factor - 1) * plan.across
     points[~cutting_of(dataset, case)] = np.nan
     return points * 1e3
 
 
-def _in_plan(
-    dataset: "xarray.Dataset", case: str
-) -> tuple[Float[np.ndarray, "step 3"], Float[np.ndarray, "step 3"]]:
-    """Return a path seen from above, and its way from the desired line [m]."""
+class _Plan(NamedTuple):
+    """A path seen from above, and its way from the desired line [m], (step, 3) each."""
+
+    actual: Float[np.ndarray, "step 3"]
+    across: Float[np.ndarray, "step 3"]
+
+
+def _in_plan(dataset: "xarray.Dataset", case: str) -> _Plan:
+    """Return the path of a case as the walls show it, where that is known."""
     plane = np.array([1.0, 1.0, 0.0])
     desired = values_of(dataset, "desired", case) * plane
-    # As the wall shows it, where that is known: what the contour error counts.
+    # What the contour error counts.
     kind = "surface_deviation" if "surface_deviation" in dataset else "deviation"
     actual = desired + values_of(dataset, kind, case) * plane
-    return actual, np.asarray(contour_vector(actual, desired), np.float64)
+    return _Plan(actual, np.asarray(contour_vector(actual, desired), np.float64))
 
 
 def _draw_plan(

@@ -28,7 +28,7 @@ def machine_lines(job: Job, written: Mapping[str, float]) -> list[str]:
         else name
         for name in names
     ]
-    ends = [1e3 * job.stock.ray_ends(k)[0][:, k] for k in range(3)]
+    ends = [1e3 * job.stock.ray_ends(k).points[:, k] for k in range(3)]
     block = ", ".join(
         f"{axis} {np.min(along):.4g} to {np.max(along):.4g}"
         for axis, along in zip("xyz", ends, strict=True)

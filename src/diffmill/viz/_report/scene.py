@@ -170,7 +170,7 @@ def _bounds(
 ) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
     """Return the corners of the raw part, or of what is known of it [m]."""
     if job is not None:
-        found = [job.stock.ray_ends(family)[0] for family in range(3)]
+        found = [job.stock.ray_ends(family).points for family in range(3)]
     else:
         found = [item.points for item in surfaces.values()] or [desired]
     points = np.concatenate(found)

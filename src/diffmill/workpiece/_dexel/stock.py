@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Sequence
-from typing import ClassVar, TypeAlias
+from typing import ClassVar, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -55,6 +55,19 @@ class Rays(eqx.Module):
         return jnp.max(jnp.where(is_live, place, 0))
 
 
+class RayEnds(NamedTuple):
+    """Ends of the intervals of one family.
+
+    Attributes:
+        points: Where they are [m], shape (end, 3).
+        signs: Outward direction along the ray, -1 for lower and +1 for upper ends,
+            shape (end,).
+    """
+
+    points: Float[np.ndarray, "end 3"]
+    signs: Float[np.ndarray, " end"]
+
+
 class Stock(eqx.Module):
     """A workpiece as a tri-dexel model.
 
@@ -94,17 +107,11 @@ class Stock(eqx.Module):
         weights = jnp.asarray(self.volume_weights, self.origin.dtype)
         return jnp.sum(self.volumes() * weights)
 
-    def ray_ends(
-        self, family: int
-    ) -> tuple[Float[np.ndarray, "end 3"], Float[np.ndarray, " end"]]:
+    def ray_ends(self, family: int) -> "RayEnds":
         """Return the ends of all intervals of one family as points, on the host.
 
         Args:
             family: 0, 1 or 2: the rays along x, y or z.
-
-        Returns:
-            Points [m], shape (end, 3), and the sign of the outward direction along the
-            ray, -1 for lower and +1 for upper ends, shape (end,).
         """
         ends, origin = np.asarray(self.families[family].ends), np.asarray(self.origin)
         is_live = (ends[:, :, 1] > ends[:, :, 0])[:, :, None]
@@ -114,7 +121,7 @@ class Stock(eqx.Module):
         points[:, family] = ends[is_live]
         for axis, index in (((family + 1) % 3, u), ((family + 2) % 3, v)):
             points[:, axis] = origin[axis] + index * self.spacing
-        return points, np.where(side == 0, -1.0, 1.0)
+        return RayEnds(points, np.where(side == 0, -1.0, 1.0))
 
     def as_raw(self) -> "Stock":
         """Return a machined stock as raw stock for another path.
@@ -152,14 +159,15 @@ class Stock(eqx.Module):
         Raises:
             ValueError: The slots are too few for the intervals that there are.
         """
-        pairs = zip(self.families, interval_counts, strict=True)
-        families, needed = zip(*(_resized(r, c) for r, c in pairs), strict=True)
+        needed = tuple(_needed_slots(rays) for rays in self.families)
         if any(n > count for n, count in zip(needed, interval_counts, strict=True)):
             raise ValueError(
                 f"Argument `interval_counts` is {interval_counts}, but rays of the "
                 f"stock have up to {needed} intervals along x, y and z."
             )
-        return dataclasses.replace(self, families=families)
+        pairs = zip(self.families, interval_counts, strict=True)
+        x, y, z = (_resized(rays, count) for rays, count in pairs)
+        return dataclasses.replace(self, families=(x, y, z))
 
     def slots_in_use(self) -> Int[Array, " 3"]:
         """Return how many slots of each family hold anything, from the first on."""
@@ -240,7 +248,8 @@ def box(
         raise ValueError(
             f"Argument `interval_counts` must be at least 1, but is {interval_counts}."
         )
-    origin, counts = block_grid(low, high, spacing)
+    grid = block_grid(low, high, spacing)
+    origin, counts = grid.origin, grid.counts
     cells = counts - 2 * MARGIN
     lines = [origin[a] + spacing * np.arange(counts[a]) for a in range(3)]
     inside = [
@@ -266,9 +275,21 @@ def box(
     )
 
 
+class BlockGrid(NamedTuple):
+    """Grid of rays for a block.
+
+    Attributes:
+        origin: First grid line of each axis [m], shape (3,).
+        counts: Number of grid lines, shape (3,).
+    """
+
+    origin: Float[np.ndarray, " 3"]
+    counts: Int[np.ndarray, " 3"]
+
+
 def block_grid(
     lower: Float[np.ndarray, " 3"], upper: Float[np.ndarray, " 3"], spacing: float
-) -> tuple[Float[np.ndarray, " 3"], Int[np.ndarray, " 3"]]:
+) -> BlockGrid:
     """Return the grid of rays for a block, its margin included, on the host.
 
     Args:
@@ -277,17 +298,21 @@ def block_grid(
         spacing: Distance between rays [m].
 
     Returns:
-        The first grid line of each axis [m], shape (3,), and the number of grid lines,
-        shape (3,). A size that is no multiple of the spacing is shared out to both
-        sides.
+        The grid. A size that is no multiple of the spacing is shared out to both sides.
     """
     cells = np.maximum(np.round((upper - lower) / spacing), 1).astype(int)
     first = (lower + upper) / 2 - (cells - 1) / 2 * spacing
-    return first - MARGIN * spacing, cells + 2 * MARGIN
+    return BlockGrid(first - MARGIN * spacing, cells + 2 * MARGIN)
 
 
-def _resized(rays: Rays, count: int) -> tuple[Rays, int]:
-    """Return rays with another number of slots, and how many they need."""
+def _needed_slots(rays: Rays) -> int:
+    """Return the largest number of intervals of a ray."""
+    ends = np.asarray(rays.ends)
+    return int((ends[:, :, 1] > ends[:, :, 0]).sum(axis=-1).max(initial=0))
+
+
+def _resized(rays: Rays, count: int) -> Rays:
+    """Return rays with another number of slots, no fewer than they need."""
     ends, poses = np.asarray(rays.ends), np.asarray(rays.poses)
     is_live = ends[:, :, 1] > ends[:, :, 0]
     # The live slots first, then cut off or pad with dead ones.
@@ -298,5 +323,4 @@ def _resized(rays: Rays, count: int) -> tuple[Rays, int]:
     kept = min(count, ends.shape[-1])
     new_ends[..., :kept] = np.take_along_axis(ends, order, axis=-1)[..., :kept]
     new_poses[..., :kept] = np.take_along_axis(poses, order, axis=-1)[..., :kept]
-    needed = int(is_live.sum(axis=-1).max(initial=0))
-    return Rays(jnp.asarray(new_ends), jnp.asarray(new_poses)), needed
+    return Rays(jnp.asarray(new_ends), jnp.asarray(new_poses))

@@ -10,7 +10,7 @@ parts a loop in each cell.
 """
 
 import functools
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Int, UInt8
@@ -109,20 +109,27 @@ def cell_configs(inside: Bool[np.ndarray, "x y z"]) -> UInt8[np.ndarray, "i j k"
     return config
 
 
-def find_loops(
-    inside: Bool[np.ndarray, "x y z"],
-) -> tuple[
-    Int[np.ndarray, "cell 3"], Int[np.ndarray, "i j k"], Int[np.ndarray, "cell 12"]
-]:
+class CellLoops(NamedTuple):
+    """Cells that the surface passes, and the loops of their edges.
+
+    Attributes:
+        cells: Shape (cell, 3).
+        row: Place of each cell of the grid in that list, -1 for others, shape
+            (i, j, k).
+        loops: Loop of each edge of each cell, counted over all cells, -1 for edges not
+            crossed, shape (cell, 12).
+    """
+
+    cells: Int[np.ndarray, "cell 3"]
+    row: Int[np.ndarray, "i j k"]
+    loops: Int[np.ndarray, "cell 12"]
+
+
+def find_loops(inside: Bool[np.ndarray, "x y z"]) -> CellLoops:
     """Return the cells that the surface passes, and the loops of their edges.
 
     Args:
         inside: Which nodes are in the material; the outermost ones are not.
-
-    Returns:
-        The cells, shape (cell, 3); the row of each cell of the grid in that list, -1
-        for others; the loop of each edge of each cell, counted over all cells, -1 for
-        edges not crossed, shape (cell, 12).
     """
     configs = cell_configs(inside)
     cells = np.stack(np.nonzero((configs != 0) & (configs != 255)), axis=-1)
@@ -138,7 +145,7 @@ def find_loops(
             break
     counts = local.max(axis=1, initial=-1) + 1
     first = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(np.int64)
-    return cells, row, np.where(local < 0, -1, local + first[:, None])
+    return CellLoops(cells, row, np.where(local < 0, -1, local + first[:, None]))
 
 
 def _ambiguous_faces(

@@ -45,18 +45,19 @@ def surface_mesh(stock: "Stock") -> Mesh:
             "Argument `stock` must hold material at nodes of its grid, but holds none."
         )
     crossings = find_crossings(stock, inside)
-    cells, row, loops = find_loops(inside)
+    found = find_loops(inside)
+    loops = found.loops
     # Loops of the four cells around each crossing, anticlockwise about its axis.
     around = np.stack(
         [
-            _loop_of(crossings, row, loops, b, c)
+            _loop_of(crossings, found.row, loops, b, c)
             for b, c in ((1, 1), (0, 1), (0, 0), (1, 0))
         ],
         axis=-1,
     )
     cell_of_loop = np.empty((int(loops.max()) + 1, 3), np.int64)
     at, edge = np.nonzero(loops >= 0)
-    cell_of_loop[loops[at, edge]] = cells[at]
+    cell_of_loop[loops[at, edge]] = found.cells[at]
     vertices = _vertices(stock, crossings, around, cell_of_loop)
     return Mesh(vertices, _triangles(vertices, around, crossings))
 

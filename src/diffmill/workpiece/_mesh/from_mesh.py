@@ -57,7 +57,8 @@ def stock_from_mesh(
     dtype = jnp.zeros(()).dtype if dtype is None else jnp.dtype(dtype)
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     _check_size(high - low, spacing, interval_counts or (8, 8, 1), dtype.itemsize)
-    origin, counts = block_grid(low, high, spacing)
+    grid = block_grid(low, high, spacing)
+    origin, counts = grid.origin, grid.counts
     solid = _solid(mesh)
     pieces = [_cast_family(solid, f, origin, counts, spacing) for f in range(3)]
     needed = [int(np.bincount(ray, minlength=1).max()) for ray, _ in pieces]

@@ -8,9 +8,10 @@ over a sharp edge. A ray that meets the surface at a shallow angle knows its slo
 badly; it takes the normal of the head-on crossing nearby in whose plane it lies.
 """
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -100,16 +101,29 @@ def find_crossings(stock: "Stock", inside: Bool[np.ndarray, "x y z"]) -> Crossin
         inside: The nodes in the material, as `inside_nodes` returns them.
     """
     families = [_family_crossings(stock, inside, f) for f in range(3)]
-    points, normals, is_sure, is_fair, edge, axis, is_upper = (
-        np.concatenate(part) for part in zip(*families, strict=True)
+    found = jax.tree.map(lambda *parts: np.concatenate(parts), *families)
+    return _with_borrowed_normals(
+        found.crossings, found.is_sure, found.is_fair, stock.spacing
     )
-    found = Crossings(points, normals, edge, axis, is_upper)
-    return _with_borrowed_normals(found, is_sure, is_fair, stock.spacing)
+
+
+class _FamilyCrossings(NamedTuple):
+    """Crossings of one family of rays, and how far their normals are to be trusted.
+
+    Attributes:
+        crossings: The crossings.
+        is_sure: Whether the normal needs no other one, shape (crossing,).
+        is_fair: Whether it is known at all, shape (crossing,).
+    """
+
+    crossings: Crossings
+    is_sure: Bool[np.ndarray, " crossing"]
+    is_fair: Bool[np.ndarray, " crossing"]
 
 
 def _family_crossings(
     stock: "Stock", inside: Bool[np.ndarray, "x y z"], family: int
-) -> tuple[np.ndarray, ...]:
+) -> _FamilyCrossings:
     b, c = (family + 1) % 3, (family + 2) % 3
     d, origin = stock.spacing, np.asarray(stock.origin, np.float64)
     nodes = np.moveaxis(inside, family, -1)
@@ -120,15 +134,16 @@ def _family_crossings(
     u, v, node = edge[:, b] - 1, edge[:, c] - 1, edge[:, family] - 1
     ends = np.asarray(stock.families[family].ends, np.float64)
     first = origin[family] + node * d
-    values, is_found = _nearest_end(ends, u, v, is_upper, first + d / 2)
+    near = _nearest_end(ends, u, v, is_upper, first + d / 2)
     # Families differ in rounding: keep the point on its edge.
-    values = np.where(is_found, np.clip(values, first, first + d), first + d / 2)
+    values = np.clip(near.value, first, first + d)
+    values = np.where(near.is_found, values, first + d / 2)
     slopes = []
-    is_sure = is_fair = is_found
+    is_sure = is_fair = near.is_found
     for step in ((1, 0), (0, 1)):
-        slope, sure, known = _slope(ends, (u, v), step, is_upper, values, d)
-        slopes.append(slope)
-        is_sure, is_fair = is_sure & sure, is_fair & known
+        sheet = _slope(ends, (u, v), step, is_upper, values, d)
+        slopes.append(sheet.slope)
+        is_sure, is_fair = is_sure & sheet.is_sure, is_fair & sheet.is_known
     points, normals = np.empty((len(u), 3)), np.empty((len(u), 3))
     points[:, family] = values
     points[:, b], points[:, c] = origin[b] + u * d, origin[c] + v * d
@@ -143,7 +158,15 @@ def _family_crossings(
     axis = np.full(len(u), family)
     is_head_on = steepness <= _STEEP
     sure, fair = is_sure & is_head_on, is_fair & is_head_on
-    return points, normals, sure, fair, edge, axis, is_upper
+    found = Crossings(points, normals, edge, axis, is_upper)
+    return _FamilyCrossings(found, sure, fair)
+
+
+class _NearestEnd(NamedTuple):
+    """End of a ray that is nearest to a value, if there is one, shape (n,) each."""
+
+    value: Float[np.ndarray, " n"]
+    is_found: Bool[np.ndarray, " n"]
 
 
 def _nearest_end(
@@ -152,7 +175,7 @@ def _nearest_end(
     v: Int[np.ndarray, " n"],
     is_upper: Bool[np.ndarray, " n"],
     value: Float[np.ndarray, " n"],
-) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+) -> _NearestEnd:
     """Return the end of a ray on one side that is nearest to a value, if any."""
     is_ray = (u >= 0) & (v >= 0) & (u < ends.shape[0]) & (v < ends.shape[1])
     ray = ends[np.where(is_ray, u, 0), np.where(is_ray, v, 0)]
@@ -162,7 +185,15 @@ def _nearest_end(
     slot = np.argmin(away, axis=-1)[:, None]
     is_found = np.isfinite(np.take_along_axis(away, slot, axis=-1)[:, 0])
     found = np.take_along_axis(side, slot, axis=-1)[:, 0]
-    return np.where(is_found, found, value), is_found
+    return _NearestEnd(np.where(is_found, found, value), is_found)
+
+
+class _Sheet(NamedTuple):
+    """Slope of a sheet across the rays [-], and its trust, shape (n,) each."""
+
+    slope: Float[np.ndarray, " n"]
+    is_sure: Bool[np.ndarray, " n"]
+    is_known: Bool[np.ndarray, " n"]
 
 
 def _slope(
@@ -172,8 +203,8 @@ def _slope(
     is_upper: Bool[np.ndarray, " n"],
     value: Float[np.ndarray, " n"],
     spacing: float,
-) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-    """Return the slope of the sheet across the rays, whether it is sure, or known.
+) -> _Sheet:
+    """Return the slope of the sheet across the rays.
 
     Of the differences to both sides and the central one, that with the least second
     difference wins, for it does not reach over a sharp edge.
@@ -208,7 +239,8 @@ def _slope(
     slope = np.where(is_known, slope, 0.0)
     least = np.minimum(bend, np.minimum(bend_low, bend_high))
     # Seen at an angle, the same curvature bends the sheet more.
-    return slope, least <= _BEND * spacing * (1 + slope**2) ** 1.5, is_known
+    is_sure = least <= _BEND * spacing * (1 + slope**2) ** 1.5
+    return _Sheet(slope, is_sure, is_known)
 
 
 def _next_end(
@@ -218,12 +250,13 @@ def _next_end(
     is_upper: Bool[np.ndarray, " n"],
     value: Float[np.ndarray, " n"],
     spacing: float,
-) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+) -> _NearestEnd:
     """Return the end of the same sheet on a ray beside, if there is one."""
     found, is_found = _nearest_end(
         ends, ray[0] + step[0], ray[1] + step[1], is_upper, value
     )
-    return found, is_found & (np.abs(found - value) <= _SHEET * spacing)
+    is_near = np.abs(found - value) <= _SHEET * spacing
+    return _NearestEnd(found, is_found & is_near)
 
 
 def _with_borrowed_normals(

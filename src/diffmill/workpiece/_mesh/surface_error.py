@@ -168,7 +168,7 @@ class _IdealSurface:
     def __init__(self, ideal: Stock):
         from scipy.spatial import KDTree
 
-        ends = [ideal.ray_ends(f)[0] for f in range(3)]
+        ends = [ideal.ray_ends(f).points for f in range(3)]
         self._ends = KDTree(np.concatenate(ends))
         self._on_rays = [KDTree(_on_rays(ends[f], f)) for f in range(3)]
         self._spacing = float(ideal.spacing)
@@ -177,7 +177,7 @@ class _IdealSurface:
 
     def error(self, machined: Stock, leaves_out_raw: bool) -> SurfaceError:
         """Return how far every ray end of a stock is from the surface."""
-        found = [machined.ray_ends(f)[0] for f in range(3)]
+        found = [machined.ray_ends(f).points for f in range(3)]
         points = np.concatenate(found)
         is_cut = np.concatenate([_end_poses(machined, f) >= 0 for f in range(3)])
         family = np.repeat(np.arange(3), [len(p) for p in found])
