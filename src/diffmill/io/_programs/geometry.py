@@ -6,6 +6,7 @@ that x of the tool is as near to x of `work` as the axis allows.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -71,8 +72,22 @@ def axis_of_quaternion(w: float, x: float, y: float, z: float) -> Point:
     )
 
 
-def circle_through(first: Point, middle: Point, last: Point) -> tuple[Point, Point]:
-    """Return centre and normal of the circle through three points.
+class ToolPlace(NamedTuple):
+    """Tip of the tool [m], and its axis from tip to shank."""
+
+    tip: Point
+    axis: Point
+
+
+class Circle(NamedTuple):
+    """Centre [m] and unit normal of a circle."""
+
+    centre: Point
+    normal: Point
+
+
+def circle_through(first: Point, middle: Point, last: Point) -> Circle:
+    """Return the circle through three points.
 
     The way from the first over the middle to the last is counter-clockwise about the
     normal.
@@ -88,7 +103,7 @@ def circle_through(first: Point, middle: Point, last: Point) -> tuple[Point, Poi
         raise ValueError("the three points of the circle lie on a line.")
     to_centre = np.cross(across, u) * (v @ v) + np.cross(v, across) * (u @ u)
     centre, normal = a + to_centre / (2 * square), across / math.sqrt(square)
-    return _point(centre), _point(normal)
+    return Circle(_point(centre), _point(normal))
 
 
 def rotated(point: Point, centre: Point, normal: Point, angle: float) -> Point:

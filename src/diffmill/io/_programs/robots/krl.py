@@ -13,7 +13,7 @@ import numpy as np
 
 from ....toolpath import Point, Program
 from ..faults import SHOWN_FAULTS, ProgramError
-from ..geometry import axis_of_abc, rotation_of_abc
+from ..geometry import ToolPlace, axis_of_abc, rotation_of_abc
 from ..text import split_lines
 from .reader import Reader
 
@@ -263,10 +263,10 @@ def _motion(
         if turn is not None:
             reader.refuse(line, turn[0], "in a SPLINE block, leave CA out.")
         reader.spline.append(_Knot(point, axis, line, kind))
-        reader.spline[-1].through = _place(middle)[0]
+        reader.spline[-1].through = _place(middle).tip
     elif kind in ("CIRC", "SCIRC"):
         angle = None if turn is None else math.radians(float(turn[1]))
-        reader.arc_to(_place(middle)[0], point, axis, line, angle=angle)
+        reader.arc_to(_place(middle).tip, point, axis, line, angle=angle)
         x, y, z = (1e3 * value for value in reader.position)
         reader.values |= {"X": x, "Y": y, "Z": z}
     elif kind == "SPL":
@@ -299,10 +299,9 @@ def _apply(pose: dict[str, float], values: dict[str, float]) -> dict[str, float]
     return {key: pose.get(key, value) for key, value in values.items()}
 
 
-def _place(values: dict[str, float]) -> tuple[Point, Point]:
-    """Return the tip [m] and the tool axis."""
+def _place(values: dict[str, float]) -> ToolPlace:
     point = (1e-3 * values["X"], 1e-3 * values["Y"], 1e-3 * values["Z"])
-    return point, axis_of_abc(values["A"], values["B"], values["C"])
+    return ToolPlace(point, axis_of_abc(values["A"], values["B"], values["C"]))
 
 
 def _time_block(found: re.Match[str], line: int, reader: _Krl) -> None:

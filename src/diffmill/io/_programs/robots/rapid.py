@@ -11,9 +11,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from ....toolpath import Point, Program
+from ....toolpath import Program
 from ..faults import SHOWN_FAULTS, ProgramError
-from ..geometry import axis_of_quaternion
+from ..geometry import ToolPlace, axis_of_quaternion
 from ..text import MOST_LINES
 from .reader import Reader
 
@@ -227,14 +227,13 @@ def _moved(found: re.Match[str], line: int, reader: _Rapid) -> list[float]:
     return [*place.tolist(), float(w), float(x), float(y), float(z), *values[7:]]
 
 
-def _target(text: str, line: int, reader: _Rapid) -> tuple[Point, Point]:
-    """Return tip [m] and axis of a target."""
+def _target(text: str, line: int, reader: _Rapid) -> ToolPlace:
     values = _pose(text, line, reader)
     x, y, z = (1e-3 * value for value in values[:3])
     if not any(values[3:7]):
         reader.refuse(line, text, "the quaternion has no length.")
-        return (x, y, z), reader.axis
-    return (x, y, z), axis_of_quaternion(*values[3:7])
+        return ToolPlace((x, y, z), reader.axis)
+    return ToolPlace((x, y, z), axis_of_quaternion(*values[3:7]))
 
 
 def _pace(text: str, line: int, reader: _Rapid) -> float | None:
@@ -283,7 +282,7 @@ def _move(kind: str, rest: str, line: int, reader: _Rapid) -> None:
     if kind == "movec":
         if duration is not None:
             reader.refuse(line, arguments[-3], "an arc with a time is not supported.")
-        reader.arc_to(_target(arguments[0], line, reader)[0], point, axis, line)
+        reader.arc_to(_target(arguments[0], line, reader).tip, point, axis, line)
         return
     if kind == "movej":
         reader.out.note("MoveJ", "is taken as a straight rapid move", line)

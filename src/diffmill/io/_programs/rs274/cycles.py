@@ -6,6 +6,7 @@ it, across, down to the retract plane, the plunge, and out again.
 
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 from ....toolpath import Point
 from ..faults import Fault
@@ -44,7 +45,8 @@ def run_cycle(block: Block, state: State, go: Go, faults: list[Fault]) -> None:
     if message:
         faults.append(Fault(block.line, motion_text(block), message))
         return
-    place, step = _places(block, state, shift)
+    holes = _holes(block, state, shift)
+    place, step = holes.start, holes.step
     at = list(state.position)
     retract, bottom = cycle.retract, cycle.bottom
     if retract < bottom:
@@ -112,10 +114,15 @@ def _fault(block: Block, state: State, cycle: Cycle, repeats: float | None) -> s
     return ""
 
 
-def _places(
-    block: Block, state: State, shift: Point
-) -> tuple[list[float], list[float]]:
-    """Return where the holes begin and how far apart repeated ones are [mm]."""
+class _Holes(NamedTuple):
+    """Where a row of holes begins, a step before the first, and the step [mm]."""
+
+    start: list[float]
+    step: list[float]
+
+
+def _holes(block: Block, state: State, shift: Point) -> _Holes:
+    """Return the holes of a cycle; only where places are relative there is a step."""
     place, step = list(state.position), [0.0] * 3
     for axis, letter in enumerate(AXES):
         value = None if axis == state.plane else block.number(letter)
@@ -125,7 +132,7 @@ def _places(
             step[axis] = value * state.scale
         else:
             place[axis] = value * state.scale + shift[axis]
-    return place, step
+    return _Holes(place, step)
 
 
 def _at(place: list[float], depth: float, axis: int) -> list[float]:
