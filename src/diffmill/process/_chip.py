@@ -9,6 +9,8 @@ The chip is the least of these over all earlier poses, so it follows regeneratio
 several teeth and is zero where the tool left the cut.
 """
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -39,6 +41,18 @@ class Outward(eqx.Module):
         """Return the directions at immersion angles [rad], any shape."""
         # All that is computed of a sample needs them, and would compute them again.
         return hold(cls(jnp.sin(immersion_angle), jnp.cos(immersion_angle)))
+
+
+class UnclippedChip(NamedTuple):
+    """Chips as the poses before leave them, negative outside of the cut.
+
+    Attributes:
+        thickness: [m], any shape.
+        per_way: Over the way from the earlier pose that left it [-], same shape.
+    """
+
+    thickness: Float[Array, "*sample"]
+    per_way: Float[Array, "*sample"]
 
 
 def circle_chip(

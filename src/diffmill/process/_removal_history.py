@@ -152,11 +152,11 @@ class RemovalHistory(NamedTuple):
         newest = state.queue.travel[state.queue_count - 1]
         is_far = travel - newest >= self.lag / QUEUE_LENGTH
         at = jnp.where(is_far, state.queue_count, QUEUE_LENGTH)
-        forward, passing, late = self._ahead(state, index, frozen(pose), motion)
+        ahead = self._ahead(state, index, frozen(pose), motion)
         queue = jax.tree.map(
             lambda queue, new: queue.at[at].set(new, mode="drop"),
             state.queue,
-            Waiting(index, forward, passing + late, travel),
+            Waiting(index, ahead.forward, ahead.passing + ahead.late, travel),
         )
         return eqx.tree_at(
             lambda s: (
@@ -172,8 +172,8 @@ class RemovalHistory(NamedTuple):
             (
                 track,
                 pose.tip,
-                forward,
-                passing,
+                ahead.forward,
+                ahead.passing,
                 queue,
                 state.queue_count + is_far.astype(jnp.int32),
                 travel,
@@ -186,8 +186,8 @@ class RemovalHistory(NamedTuple):
         index: Int[Array, ""],
         pose: Pose,
         motion: Float[Array, " 3"],
-    ) -> tuple[Float[Array, " 2"], Float[Array, ""], Float[Array, ""]]:
-        """Return the direction of motion, when an even tooth looks there, our delay.
+    ) -> "_Ahead":
+        """Return where the tool goes, and when teeth look there.
 
         Which of the teeth it is follows the direction without a jump, so that where
         the direction trembles no tooth is left out.
@@ -204,10 +204,10 @@ class RemovalHistory(NamedTuple):
         is_beside = (passing < -0.5) | (passing >= 1.5)
         passing = jnp.where(is_beside, passing - jnp.floor(passing), passing)
         if cutter.has_even_pitch:
-            return forward, passing, jnp.zeros_like(passing)
+            return _Ahead(forward, passing, jnp.zeros_like(passing))
         early = early_teeth(cutter, pose.tip.dtype)
         tooth = jnp.mod(1 - index - jnp.round(passing - turn).astype(jnp.int32), count)
-        return forward, passing, -early[tooth] * (count / (2 * math.pi))
+        return _Ahead(forward, passing, -early[tooth] * (count / (2 * math.pi)))
 
     def _remove_lagged(
         self,
@@ -394,6 +394,20 @@ class RemovalHistory(NamedTuple):
         turns = 0.5 + self._helix_turns()
         # One for the period itself, and a half that the tooth may look forward later.
         return math.ceil(turns * self.cutter.flute_count + 1.5)
+
+
+class _Ahead(NamedTuple):
+    """Where the tool goes, and when teeth look there.
+
+    Attributes:
+        forward: Direction of motion along tool x and y, shape (2,).
+        passing: When an even tooth looks there, in tooth periods, shape ().
+        late: By how much our tooth is later, shape ().
+    """
+
+    forward: Float[Array, " 2"]
+    passing: Float[Array, ""]
+    late: Float[Array, ""]
 
 
 def tracked(state: ProcessState, index: Int[Array, ""], pose: Pose) -> PoseTrack:

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from ..._job import Job
+from ..._job import CorrectionSettings, Job
 from ..._types import RealScalarLike
 from ...process import ThroughPoses
 from ...sim import run_with_room
@@ -58,7 +58,7 @@ def residual(
     """
     check_objective(objective)
     if isinstance(job, Problem):
-        own = _OffsetProblem(job, PathObjective(), 30e-3)
+        own = _OffsetProblem(job, PathObjective(), CorrectionSettings.knot_spacing)
     else:
         own = _tip_problem(job)
     return offset_residual(

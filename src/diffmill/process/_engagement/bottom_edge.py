@@ -14,6 +14,7 @@ passed. The material above the end is looked up column by column.
 """
 
 import math
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -73,7 +74,7 @@ class BottomEdges(eqx.Module):
         e = _by_annulus(outward)
         radius = self._radii(cutter, now.dtype)[None, None, None]
         tip, old = (x[:, None, None, None] for x in (now, before))
-        chip, _ = _chip(cutter, radius, e, tip, old)
+        chip = _left_by(cutter, radius, e, tip, old).height
         layer = jnp.maximum(chip, _LEAST_LAYER)
         at = [
             (tip[..., 0] + e.sin * radius - stock.origin[0]) / stock.spacing,
@@ -152,7 +153,7 @@ class BottomEdges(eqx.Module):
         chip = jnp.full(weight.shape, nothing, tip.dtype)
         is_first = jnp.zeros(weight.shape, bool)
         for k in range(old.shape[0]):
-            left, is_under = _chip(cutter, radius[None, None], e, tip, old[k])
+            left, is_under = _left_by(cutter, radius[None, None], e, tip, old[k])
             is_first = is_under if k == 0 else is_first
             chip = jnp.where(is_under, jnp.minimum(chip, left), chip)
         feed = safe_norm(old[0] - tip)
@@ -184,20 +185,27 @@ def _by_annulus(outward: Outward) -> Outward:
     return jax.tree.map(lambda x: x[..., None], outward)
 
 
-def _chip(
+class _EarlierEnd(NamedTuple):
+    """How far an earlier end was above annuli [m], and where it covered them."""
+
+    height: Float[Array, "*place annulus"]
+    is_under: Bool[Array, "*place annulus"]
+
+
+def _left_by(
     cutter: AbstractCutter,
     radius: Float[Array, "*#place annulus"],
     outward: Outward,
     tip: Float[Array, "*#tip 3"],
     old: Float[Array, "*#tip 3"],
-) -> tuple[Float[Array, "*place annulus"], Bool[Array, "*place annulus"]]:
-    """Return how far an earlier end was above annuli [m], and where it covered them."""
+) -> _EarlierEnd:
     moved = tip - old
     across = (radius * outward.sin + moved[..., 0]) ** 2
     across = across + (radius * outward.cos + moved[..., 1]) ** 2
     dish = jnp.tan(jnp.asarray(cutter.dish_angle, radius.dtype))
     inward = radius - jnp.sqrt(across + _LEAST_LAYER**2)
-    return inward * dish - moved[..., 2], across < cutter.nominal_radius**2
+    is_under = across < cutter.nominal_radius**2
+    return _EarlierEnd(inward * dish - moved[..., 2], is_under)
 
 
 def _since_corner(

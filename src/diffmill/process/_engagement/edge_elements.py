@@ -15,22 +15,31 @@ takes beyond the last circle is the side's.
 """
 
 import math
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from ...cutter import AbstractCutter, EdgeElements
 from ...numerics import clamp
 from ...workpiece import Discs, Pose, RemovalWindow, occupancy_in_space
-from .._chip import Outward, edge_contact, held_at_rest, safe_norm, way_of
+from .._chip import (
+    Outward,
+    UnclippedChip,
+    edge_contact,
+    held_at_rest,
+    safe_norm,
+    way_of,
+)
 from .._process import AbstractEngagement, Process, Substeps, rotation_angles
 from .._state import ProcessState, Removed
 from .bottom_edge import RAMP
 from .edge_samples import EdgeSamples, Engagement
 from .leading_half import (
     STILL,
+    LeadingSamples,
     LeadingTeeth,
     chip_taken_over,
     leading_fade,
@@ -224,7 +233,7 @@ class EdgeElementsInSpace(AbstractEngagement):
         thinned: Pose,
     ) -> Float[Array, "angle kept element"]:
         """Return the unclipped chip thickness of one sub-step [m]."""
-        return self._chip(process, samples, pose, earlier, thinned)[0]
+        return self._chip(process, samples, pose, earlier, thinned).thickness
 
     def element_heights(
         self, cutter: AbstractCutter, dtype: jnp.dtype
@@ -244,13 +253,8 @@ class EdgeElementsInSpace(AbstractEngagement):
         state: ProcessState,
         predicted: Pose,
         angle: Float[Array, "substep angle tooth element"],
-    ) -> tuple[
-        Float[Array, "substep angle kept element"],
-        Outward,
-        Int[Array, "substep angle kept element"],
-        Float[Array, "substep angle kept element"],
-    ]:
-        """Return angles and directions of what can cut, its teeth and weights.
+    ) -> LeadingSamples:
+        """Return what can cut.
 
         Of evenly spaced teeth only half can be on the leading side, where the normal
         points the way that the tool moves, unless it descends.
@@ -261,7 +265,7 @@ class EdgeElementsInSpace(AbstractEngagement):
         teeth = jnp.broadcast_to(teeth, angle.shape)
         outward = Outward.of(angle)
         if self._keeps_all(cutter):
-            return angle, outward, teeth, jnp.ones_like(angle)
+            return LeadingSamples(angle, outward, teeth, jnp.ones_like(angle))
         motion = predicted.tip - state.recent.tip[0]
         frames = Pose.frame(predicted.direction())
         lead = jax.vmap(lambda m, f, e: _lead(elements, m, f, e))(
@@ -275,7 +279,7 @@ class EdgeElementsInSpace(AbstractEngagement):
             step = 2 * math.pi / self.angles
             fade = fade.at[..., n:].set(leading_fade(lead[..., n:], step))
             fade = held_at_rest(fade, safe_norm(motion)[:, None, None, None])
-        return angle, outward, leading.place, fade
+        return LeadingSamples(angle, outward, leading.place, fade)
 
     def _chip(
         self,
@@ -284,11 +288,11 @@ class EdgeElementsInSpace(AbstractEngagement):
         pose: Pose,
         earlier: Pose,
         thinned: Pose,
-    ) -> tuple[Float[Array, "angle kept element"], Float[Array, "angle kept element"]]:
-        """Return the unclipped chip [m], and over the way of who left it [-]."""
+    ) -> UnclippedChip:
         cutter, tooth = process.cutter, samples.tooth
         elements = self.profile.elements(cutter, pose.tip.dtype)
-        points, normals, _ = _edge(cutter, elements, pose, samples.outward)
+        edge = _edge(cutter, elements, pose, samples.outward)
+        points, normals = edge.points, edge.normals
         n = elements.bottom_count
         offsets = cutter.runout_offsets()
         nothing = 2 * cutter.nominal_radius
@@ -325,7 +329,7 @@ class EdgeElementsInSpace(AbstractEngagement):
             chip = chip.at[..., :n].set(descent)
             way = way_of(earlier.tip[0] - pose.tip)
             per_way = per_way.at[..., :n].set(descent / way)
-        return chip, per_way
+        return UnclippedChip(chip, per_way)
 
 
 def _lead(
@@ -357,18 +361,24 @@ def _walk(
     return h
 
 
+class _Below(NamedTuple):
+    """How far points lie below an earlier end [m], and whether under it."""
+
+    depth: Float[Array, "angle kept element"]
+    is_under: Bool[Array, "angle kept element"]
+
+
 def _descent(
     cutter: AbstractCutter,
     points: Float[Array, "angle kept element 3"],
     old: Pose,
-) -> tuple[Float[Array, "angle kept element"], Array]:
-    """Return how far points lie below an earlier pose's end, and whether under it."""
+) -> _Below:
     axis = old.direction()
     away = points - old.tip
     up = jnp.sum(away * axis, axis=-1)
     across = jnp.sum(away**2, axis=-1) - up**2
     flat = cutter.nominal_radius - cutter.nominal_corner_radius
-    return -up, jax.lax.stop_gradient(across) < flat**2
+    return _Below(-up, jax.lax.stop_gradient(across) < flat**2)
 
 
 def _delayed(
@@ -414,17 +424,27 @@ def _angles(
     return turn[..., None, None] + place[None, None]
 
 
+class _EdgePlaces(NamedTuple):
+    """Pieces of the edge in `work`.
+
+    Attributes:
+        points: Their middles [m].
+        normals: Outward normals.
+        along: Directions along the profile.
+    """
+
+    points: Float[Array, "angle kept element 3"]
+    normals: Float[Array, "angle kept element 3"]
+    along: Float[Array, "angle kept element 3"]
+
+
 def _edge(
     cutter: AbstractCutter,
     elements: EdgeElements,
     pose: Pose,
     outward: Outward,
-) -> tuple[
-    Float[Array, "angle kept element 3"],
-    Float[Array, "angle kept element 3"],
-    Float[Array, "angle kept element 3"],
-]:
-    """Return points on the edge, outward normals, and directions along the profile.
+) -> _EdgePlaces:
+    """Return where the edge is.
 
     The points stand on the cutter without run-out, which enters the chip alone: it
     is far smaller than what the stock can resolve.
@@ -444,7 +464,7 @@ def _edge(
         )
     )
     points = pose.tip[None, None, None] + radius * radial + height * axis
-    return (
+    return _EdgePlaces(
         points,
         sin_kappa * radial - cos_kappa * axis,
         cos_kappa * radial + sin_kappa * axis,

@@ -16,17 +16,36 @@ chip, as thick as x + b there, is taken over in the same way, by
 I the integral of H: x + b from two steps on, and as much as the chip from -b on has.
 """
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Shaped
 
 from ...numerics import clamp, hat_integral, ramp
+from .._chip import Outward
 
 # A motion per tooth below this has no direction [m].
 STILL = 1e-8
 # Angle steps over which a sample fades.
 _FADE = 0.5
+
+
+class LeadingSamples(NamedTuple):
+    """What can cut of a period, each of shape (substep, angle, kept, element).
+
+    Attributes:
+        angle: Immersion angle [rad].
+        outward: Its direction.
+        place: Which tooth it is.
+        fade: Weight, less than 1 near the ends of the leading half.
+    """
+
+    angle: Float[Array, "substep angle kept element"]
+    outward: Outward
+    place: Int[Array, "substep angle kept element"]
+    fade: Float[Array, "substep angle kept element"]
 
 
 class LeadingTeeth(eqx.Module):

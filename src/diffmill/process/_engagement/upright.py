@@ -17,6 +17,7 @@ from ...numerics import hold
 from ...workpiece import Discs, Pose, RemovalWindow
 from .._chip import (
     Outward,
+    UnclippedChip,
     chip_along,
     edge_contact,
     held_at_rest,
@@ -30,6 +31,7 @@ from .bottom_edge import BottomEdges
 from .edge_samples import EdgeSamples, Engagement
 from .leading_half import (
     STILL,
+    LeadingSamples,
     LeadingTeeth,
     chip_taken_over,
     leading_fade,
@@ -74,7 +76,7 @@ class UprightFlat(AbstractEngagement):
     ) -> Engagement:
         """Return where the teeth are, and what of their chips is in stock."""
         cutter, tips = process.cutter, predicted.tip
-        angle, outward, place, fade = _leading_angles(process, state, tips, part)
+        angle, outward, place, fade = _leading_samples(process, state, tips, part)
         # Every period begins with another tooth in the same place.
         tooth = jnp.mod(place - (index - 1), cutter.flute_count)
         radius = cutter.diameter / 2
@@ -144,7 +146,8 @@ class UprightFlat(AbstractEngagement):
         thinned: Pose,
     ) -> Float[Array, "angle kept element"]:
         """Return the unclipped chip thickness of one sub-step [m]."""
-        return _chip(process, pose.tip, earlier.tip, thinned.tip, samples.outward)[0]
+        e = samples.outward
+        return _chip(process, pose.tip, earlier.tip, thinned.tip, e).thickness
 
     def element_heights(
         self, cutter: AbstractCutter, dtype: jnp.dtype
@@ -206,8 +209,7 @@ def _chip(
     earlier: Float[Array, "tooth 3"],
     thinned: Float[Array, "circle 3"],
     outward: Outward,
-) -> tuple[Float[Array, "angle kept element"], Float[Array, "angle kept element"]]:
-    """Return the unclipped chip thickness [m], and over the way of who left it [-]."""
+) -> UnclippedChip:
     cutter, discs = process.cutter, process.engagement.discs
     R = cutter.diameter / 2
     lower = discs.centers(tip.dtype) - discs.height / 2
@@ -226,7 +228,7 @@ def _chip(
         # The mean over the disc: what lies below an older pose it did not thin.
         chip = chip - shares[k] * jnp.maximum(chip - left[k], 0)
         per_way = per_way - shares[k] * jnp.maximum(per_way - left[k] * inverse[k], 0)
-    return chip, per_way
+    return UnclippedChip(chip, per_way)
 
 
 def immersion_angles(
@@ -257,24 +259,18 @@ def immersion_angles(
     return turn + tooth - lag[None, None, None]
 
 
-def _leading_angles(
+def _leading_samples(
     process: Process,
     state: ProcessState,
     predicted: Float[Array, "substep 3"],
     part: Substeps | None,
-) -> tuple[
-    Float[Array, "substep angle kept disc"],
-    Outward,
-    Int[Array, "substep angle kept disc"],
-    Float[Array, "substep angle kept disc"],
-]:
-    """Return angles and directions of the leading teeth, their places and weights."""
+) -> LeadingSamples:
     cutter = process.cutter
     angle = immersion_angles(process, predicted.dtype, part)
     outward = Outward.of(angle)
     if cutter.flute_count == 1:
         place = jnp.zeros(angle.shape, jnp.int32)
-        return angle, outward, place, jnp.ones_like(angle)
+        return LeadingSamples(angle, outward, place, jnp.ones_like(angle))
     motion = (predicted - state.recent.tip[0])[:, None, None, None, :2]
     lead = _lead(motion, outward)
     teeth = LeadingTeeth.by_lead(lead)
@@ -283,7 +279,7 @@ def _leading_angles(
     if cutter.flute_count % 2 == 0:
         fade = leading_fade(lead, 2 * math.pi / process.engagement.angles)
         fade = held_at_rest(fade, safe_norm(motion))
-    return angle, outward, teeth.place, fade
+    return LeadingSamples(angle, outward, teeth.place, fade)
 
 
 def _lead(

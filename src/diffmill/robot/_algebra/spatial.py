@@ -6,17 +6,22 @@ of different bodies about the same point simply add.
 """
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
+
+# Cross product of axis i and axis j.
+_AXES_CROSSED = np.cross(np.eye(3)[:, None], np.eye(3)[None])
 
 
 def cross(
     left: Float[Array, "*batch 3"], right: Float[Array, "*batch 3"]
 ) -> Float[Array, "*batch 3"]:
     """Return the cross product."""
-    # Components in turn, x y z x y: a third fewer instructions to compile than written
-    # out, and unlike `jnp.cross` it fuses.
-    a, b = (jnp.concatenate([x, x[..., :2]], axis=-1) for x in (left, right))
-    return a[..., 1:4] * b[..., 2:5] - a[..., 2:5] * b[..., 1:4]
+    # One fused sum: of components each is a call, and its derivative two.
+    terms = left[..., :, None] * right[..., None, :]
+    shape = (1,) * (terms.ndim - 2) + (3, 3, 3)
+    crossed = _AXES_CROSSED.reshape(shape).astype(terms.dtype)
+    return jnp.sum(terms[..., None] * crossed, axis=(-3, -2))
 
 
 def matrix_product(

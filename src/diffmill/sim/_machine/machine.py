@@ -13,6 +13,7 @@ with the path, but for the stock itself.
 """
 
 import abc
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -169,15 +170,16 @@ class AbstractMachine(eqx.Module):
         state, periods = _run_periods(self, process, state, first, rows, row_count)
         overlap, removed = _without_overlap(periods.removed)
         final = self.pose(process, state.machine)
-        actual, joints = _all_rows(self, periods, state, final, last)
+        instants = _at_instants(self, periods, state, final, last)
+        actual = instants.tip
         is_finite = jnp.all(jnp.isfinite(actual)) & jnp.all(jnp.isfinite(periods.force))
         time = process.tooth_period * jnp.arange(step_count, dtype=actual.dtype)
         return RunRows(
             time=time,
-            actual=actual,
+            actual=instants.tip,
             ends=all_ends(periods),
             force=with_first(periods.force),
-            joint_positions=joints,
+            joint_positions=instants.joint_positions,
             initial_overlap_volume=overlap,
             instantaneous_force=None
             if periods.samples is None
@@ -231,13 +233,13 @@ class AbstractMachine(eqx.Module):
         ended, periods = _run_periods(self, process, started, first, rows)
         final = self.pose(process, ended.machine)
         last = jnp.asarray(count, jnp.int32)
-        actual, joints = _all_rows(self, periods, ended, final, last)
+        instants = _at_instants(self, periods, ended, final, last)
         kept = _renumbered(ended.process, first - 1 - history + count, history)
         return RunSegment(
-            actual,
+            instants.tip,
             all_ends(periods),
             with_first(periods.force),
-            joints,
+            instants.joint_positions,
             RunState(kept, ended.machine, state.period_count + count),
         )
 
@@ -441,19 +443,25 @@ def _length(rows: PyTree) -> int:
     return jax.tree.leaves(rows)[0].shape[0]
 
 
-def _all_rows(
+class _Instants(NamedTuple):
+    """Tips [m] and joint positions [rad or m] at all instants; a row per step."""
+
+    tip: Float[Array, "step 3"]
+    joint_positions: Float[Array, "step joint"] | None
+
+
+def _at_instants(
     machine: AbstractMachine,
     periods: Period,
     state: RunState,
     final: Pose,
     last: Int[Array, ""],
-) -> tuple[Float[Array, "step 3"], Float[Array, "step joint"] | None]:
-    """Return tips and joints at all instants."""
+) -> _Instants:
     actual = _through(periods.tip, final.tip, last)
     joints = machine.joint_positions(state.machine)
     if joints is None or periods.joint_positions is None:
-        return actual, None
-    return actual, _through(periods.joint_positions, joints, last)
+        return _Instants(actual, None)
+    return _Instants(actual, _through(periods.joint_positions, joints, last))
 
 
 def _through(

@@ -20,6 +20,7 @@ Derivatives are those of the balance, whatever the steps to it.
 """
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -110,8 +111,8 @@ class QuasiStaticArm(AbstractCompliant):
     def begin(self, process: Process, command: Float[Array, "step joint"]) -> Balance:
         """Return the balance with gravity at the first instant."""
         q = loaded_equilibrium(self.robot, command[0])
-        pose, J, _ = self._linear(process, q)
-        return Balance(q, pose, jnp.zeros(J.shape[0], command.dtype))
+        near = self._linear(process, q)
+        return Balance(q, near.pose, jnp.zeros(near.jacobian.shape[0], command.dtype))
 
     def pose(self, process: Process, state: Balance) -> Pose:
         """Return the tool's pose in `work`."""
@@ -202,16 +203,28 @@ class QuasiStaticArm(AbstractCompliant):
         """Return how the arm bends in a period, from its start and the motors."""
         # The end is near to the start moved along with the motors: linear from there.
         near = start.q + row.stop - row.start
-        pose, J, gravity = self._linear(process, near)
-        return _Bend(self.robot, start.pose.tip, near, row.stop, pose, J, gravity)
+        found = self._linear(process, near)
+        return _Bend(self.robot, start.pose.tip, near, row.stop, *found)
 
-    def _linear(
-        self, process: Process, q: Float[Array, " joint"]
-    ) -> tuple[Pose, Float[Array, "load joint"], Float[Array, " joint"]]:
-        """Return pose and Jacobian of the tip in `work`, and the torques of gravity."""
+    def _linear(self, process: Process, q: Float[Array, " joint"]) -> "_Linear":
         terms = ArmTerms.of_state(self.robot, q, jnp.zeros_like(q))
         J = jacobian_in_work(self.T_base_work, terms.jacobian)
         is_upright = process.engagement.is_upright
         pose = in_work(self.T_base_work, terms.T_base_tool, is_upright)
         # Only on a bending tool the height at which a force acts counts for anything.
-        return pose, J if self.robot.fast_joints else J[:3], terms.bias_forces
+        J = J if self.robot.fast_joints else J[:3]
+        return _Linear(pose, J, terms.bias_forces)
+
+
+class _Linear(NamedTuple):
+    """What an arm's bend starts from.
+
+    Attributes:
+        pose: Of the tool in `work`.
+        jacobian: Of its tip in `work`, shape (load, joint).
+        gravity: Torques of gravity [N m or N], shape (joint,).
+    """
+
+    pose: Pose
+    jacobian: Float[Array, "load joint"]
+    gravity: Float[Array, " joint"]

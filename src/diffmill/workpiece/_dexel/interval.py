@@ -12,6 +12,20 @@ from .stock import Rays
 SHORTEST = 1e-9
 
 
+class LeftPieces(NamedTuple):
+    """What is left of rays.
+
+    Attributes:
+        ends: Lower and upper ends [m], shape (..., 2, slot).
+        cut_by: When these ends were cut, in ticks, same shape.
+        is_full: Whether a piece found no free slot, shape (...).
+    """
+
+    ends: Float[Array, "*ray 2 slot"]
+    cut_by: Int[Array, "*ray 2 slot"]
+    is_full: Bool[Array, "*ray"]
+
+
 class CutInterval(NamedTuple):
     """What is cut from rays.
 
@@ -33,18 +47,12 @@ class CutInterval(NamedTuple):
         self,
         ends: Float[Array, "*ray 2 slot"],
         poses: Int[Array, "*ray 2 slot"],
-    ) -> tuple[
-        Float[Array, "*ray 2 slot"], Int[Array, "*ray 2 slot"], Bool[Array, "*ray"]
-    ]:
+    ) -> LeftPieces:
         """Remove what is cut from each ray.
 
         Args:
             ends: Lower and upper ends [m], shape (..., 2, slot).
             poses: When these ends were cut, in ticks, shape (..., 2, slot).
-
-        Returns:
-            New ends, when they were cut, and whether a piece found no free slot, shape
-            (...).
 
         Differentiability: smooth in both ends wherever the order of the ends does not
         change.
@@ -53,7 +61,7 @@ class CutInterval(NamedTuple):
         start, stop, is_cut, started, stopped = (x[..., None] for x in self)
 
         # Each branch computes what is met anew: it is cheaper than to hand it over.
-        def trim() -> tuple[Array, Array, Array]:
+        def trim() -> LeftPieces:
             is_met = is_cut & (high > low) & (start < high) & (stop > low)
             keeps_low = is_met & (low < start - SHORTEST)
             keeps_high = is_met & (high > stop + SHORTEST)
@@ -65,14 +73,16 @@ class CutInterval(NamedTuple):
             low_pose = jnp.where(is_met & ~keeps_low, stopped, poses[..., 0, :])
             high_pose = jnp.where(keeps_low, started, poses[..., 1, :])
             is_full = jnp.zeros(low.shape[:-1], bool)
-            return _two(new_low, new_high), _two(low_pose, high_pose), is_full
+            return LeftPieces(
+                _two(new_low, new_high), _two(low_pose, high_pose), is_full
+            )
 
         def is_split() -> Bool[Array, "*ray slot"]:
             return is_cut & (low < start - SHORTEST) & (high > stop + SHORTEST)
 
-        def split() -> tuple[Array, Array, Array]:
+        def split() -> LeftPieces:
             # The interval to remove lies inside at most one piece: one slot is enough.
-            new, by, _ = trim()
+            trimmed = trim()
             is_live, splits = high > low, is_split()
             needs = jnp.any(splits, axis=-1, keepdims=True)
             free = jnp.argmin(is_live, axis=-1)[..., None]
@@ -82,9 +92,9 @@ class CutInterval(NamedTuple):
             rest = jnp.sum(jnp.where(splits, high, 0), axis=-1, keepdims=True)
             rest_pose = jnp.where(splits, poses[..., 1, :], -1)
             rest_pose = jnp.max(rest_pose, axis=-1, keepdims=True)
-            return (
-                jnp.where(takes, _two(stop, rest), new),
-                jnp.where(takes, _two(stopped, rest_pose), by),
+            return LeftPieces(
+                jnp.where(takes, _two(stop, rest), trimmed.ends),
+                jnp.where(takes, _two(stopped, rest_pose), trimmed.cut_by),
                 needs[..., 0] & jnp.all(is_live, axis=-1),
             )
 

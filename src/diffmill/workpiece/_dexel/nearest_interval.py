@@ -1,5 +1,7 @@
 """Nearest interval of a ray to a point, by place in memory."""
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
@@ -15,12 +17,26 @@ def taken(table: Array, at: Int[Array, "*end"]) -> Array:
     return table.reshape(-1).at[at].get(mode="promise_in_bounds")
 
 
+class NearestInterval(NamedTuple):
+    """The interval of each ray that a point is in or nearest to; all of shape (...).
+
+    Attributes:
+        low: Lower end [m].
+        high: Upper end [m]; below the lower one where the ray is empty.
+        slot: Where it is on the ray.
+    """
+
+    low: Float[Array, "*ray"]
+    high: Float[Array, "*ray"]
+    slot: Int[Array, "*ray"]
+
+
 def nearest_interval(
     ends: Float[Array, "u v 2 slot"],
     ray: Int[Array, "*ray"],
     x: Float[Array, "*#ray"],
     slots: Int[Array, ""],
-) -> tuple[Float[Array, "*ray"], Float[Array, "*ray"], Int[Array, "*ray"]]:
+) -> NearestInterval:
     """Return the interval of each ray that a coordinate lies in, or is nearest to.
 
     Args:
@@ -28,9 +44,6 @@ def nearest_interval(
         ray: Where in memory the ends of a ray begin, shape (...).
         x: Coordinate along the ray [m], broadcast.
         slots: How many slots to look at: those behind hold nothing, shape ().
-
-    Returns:
-        Lower end, upper end [m], and the slot, each of shape (...).
 
     **Differentiability**: none; all are constants.
     """
@@ -56,4 +69,4 @@ def nearest_interval(
         # Few of the slots hold anything, and each costs a gather.
         first = jax.lax.fori_loop(jnp.ones((), jnp.int32), slots, look, first)
     _, low, high, slot = first
-    return low, high, slot
+    return NearestInterval(low, high, slot)

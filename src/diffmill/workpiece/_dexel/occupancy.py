@@ -24,7 +24,7 @@ ends of the rays (`pose_tips=None`), or through the poses that the ends remember
 derived by its pose through the slope of the cutter's surface at that end.
 """
 
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -50,6 +50,19 @@ _SURE = 0.3
 _SHORT = 1e-2
 # What a ray without a surface in reach still counts for.
 _BLIND = 1e-6
+
+
+class ChipsInStock(NamedTuple):
+    """How much of chips is in the material.
+
+    Attributes:
+        occupancy: The share of each disc or piece of edge that has a chip in the
+            material, exactly 0 and 1 away from surfaces.
+        chip_share: The share of that chip's thickness that is in the material.
+    """
+
+    occupancy: Float[Array, "*point"]
+    chip_share: Float[Array, "*point"]
 
 
 class Discs(eqx.Module):
@@ -103,7 +116,7 @@ class Discs(eqx.Module):
         *,
         track: PoseTrack | None = None,
         slots: Int[Array, " 3"] | None = None,
-    ) -> tuple[Float[Array, "point element"], Float[Array, "point element"]]:
+    ) -> ChipsInStock:
         """Return how much of the chips at points on the rim is in the material.
 
         Args:
@@ -120,9 +133,7 @@ class Discs(eqx.Module):
                 not given.
 
         Returns:
-            The occupancy, the share of each disc that has a chip in the material,
-            exactly 0 and 1 away from surfaces; and the share of that chip's thickness
-            that is in the material. Both of shape (point, element).
+            Of every disc at every point, shape (point, element).
 
         Differentiability: continuous; kinks where a point crosses a grid line.
         """
@@ -140,8 +151,7 @@ class Discs(eqx.Module):
         rim = _Rim(place, move, chip, heights)
         combine = jax.checkpoint(_combine, static_argnums=(1,))
         found = combine(self, stock.spacing, stock.origin, rim, columns, walls)
-        touched, share = hold(found)
-        return hold((touched.T, share.T))
+        return hold(ChipsInStock(*(share.T for share in hold(found))))
 
 
 class _Rim(eqx.Module):
@@ -315,10 +325,9 @@ def _combine(
     rim: _Rim,
     columns: _Columns,
     walls: tuple[_Walls, ...],
-) -> tuple[Float[Array, "element point"], Float[Array, "element point"]]:
-    touched, filled_chip, certainty = hold(
-        _wall_occupancy(spacing, discs.band, origin, rim, walls)
-    )
+) -> ChipsInStock:
+    wall = hold(_wall_occupancy(spacing, discs.band, origin, rim, walls))
+    certainty = wall.certainty
     above_tip = columns.ends - rim.place[2][None, None, None]
     below = discs.filled_below(above_tip)
     is_live = columns.ends[1] > columns.ends[0]
@@ -338,13 +347,27 @@ def _combine(
     ground = certainty * ledge
     rise = certainty * (solid - ledge) + (1 - certainty) * mean
     ground, rise = hold((ground, rise))
-    touching = hold(ground + rise * touched)
-    return touching, (ground + rise * filled_chip) / (touching + _BLIND)
+    touching = hold(ground + rise * wall.touched)
+    return ChipsInStock(touching, (ground + rise * wall.filled) / (touching + _BLIND))
 
 
 def _sum(terms: Float[Array, " term *any"]) -> Float[Array, "*any"]:
     """Sum over a short leading axis, term by term: XLA reduces so few slowly."""
     return sum((terms[i] for i in range(1, terms.shape[0])), terms[0])
+
+
+class _BesideWalls(NamedTuple):
+    """Chips beside walls.
+
+    Attributes:
+        touched: Where a chip is in the material.
+        filled: How much of it is.
+        certainty: How surely walls tell.
+    """
+
+    touched: Float[Array, "element point"]
+    filled: Float[Array, "element point"]
+    certainty: Float[Array, "element point"]
 
 
 def _wall_occupancy(
@@ -353,12 +376,7 @@ def _wall_occupancy(
     origin: Float[Array, " 3"],
     rim: _Rim,
     walls: tuple[_Walls, ...],
-) -> tuple[
-    Float[Array, "element point"],
-    Float[Array, "element point"],
-    Float[Array, "element point"],
-]:
-    """Return where a chip is in the material, how much of it, and how surely."""
+) -> _BesideWalls:
     reach = REACH * d
     place, heights = rim.place, rim.heights
     q = (heights - origin[2]) / d
@@ -403,7 +421,7 @@ def _wall_occupancy(
     filled = mean_step(inside + inward / 2, width, length)
     # A wall that both families see at 45 degrees is sure, its corner rounded off below.
     sure = 2 * (1 + _SURE) * certainty
-    return touched, filled, sure - ramp(sure - 1, _SURE)
+    return _BesideWalls(touched, filled, sure - ramp(sure - 1, _SURE))
 
 
 def _column_weights(

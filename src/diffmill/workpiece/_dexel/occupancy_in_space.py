@@ -31,7 +31,7 @@ from ...numerics import Recomputed, clamp, with_derivative_of
 from .._pose import Pose
 from .mean_step import mean_step
 from .nearest_interval import nearest_interval, taken
-from .occupancy import REACH
+from .occupancy import REACH, ChipsInStock
 from .stock import Stock
 from .tooth_pass import PoseTrack
 
@@ -87,7 +87,7 @@ def occupancy_in_space(
     track: PoseTrack | None = None,
     *,
     slots: Int[Array, " 3"] | None = None,
-) -> tuple[Float[Array, " point"], Float[Array, " point"]]:
+) -> ChipsInStock:
     """Return how much of the chips at pieces of edge is in the material.
 
     Args:
@@ -104,9 +104,7 @@ def occupancy_in_space(
             given.
 
     Returns:
-        The occupancy, the share of each piece that has a chip in the material, exactly
-        0 and 1 away from surfaces; and the share of that chip's thickness that is in
-        the material. Both of shape (point,).
+        Of every piece, shape (point,).
 
     Differentiability: continuous; kinks where a point crosses a grid line and where
     another family decides.
@@ -117,11 +115,11 @@ def occupancy_in_space(
     if track is None:
         ends = [n.ends for n in near]
         found = jax.checkpoint(_combine)(points, cells, ends, near, grid)
-        return found[:, 0], found[:, 1]
+        return ChipsInStock(found[:, 0], found[:, 1])
     # One gather for all: its transpose then adds into the table only once.
     cut_by = Recomputed.read(track.cut_by(jnp.stack([n.pose for n in near], axis=1)))
     found = jax.checkpoint(_look)(points, cells, cut_by, near, cutter, grid)
-    return found[:, 0], found[:, 1]
+    return ChipsInStock(found[:, 0], found[:, 1])
 
 
 def _look(

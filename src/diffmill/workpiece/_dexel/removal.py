@@ -309,22 +309,28 @@ def window_grid(
         pose: The pose, without derivative, shape (3,).
     """
     origin, d = stock.origin, stock.spacing
-    starts, is_beyond = _place(stock, cutter, window, pose)
+    place = _place(stock, cutter, window, pose)
     lines = [
         origin[a]
         + d
-        * (starts[a] + jnp.arange(window.sizes[a], dtype=jnp.int32)).astype(
+        * (place.starts[a] + jnp.arange(window.sizes[a], dtype=jnp.int32)).astype(
             origin.dtype
         )
         for a in range(3)
     ]
-    return WindowGrid(starts, lines, is_beyond)
+    return WindowGrid(place.starts, lines, place.is_beyond)
+
+
+class _WindowPlace(NamedTuple):
+    """First grid lines of a window, and whether it misses material, shape ()."""
+
+    starts: list[Int[Array, ""]]
+    is_beyond: Bool[Array, ""]
 
 
 def _place(
     stock: Stock, cutter: AbstractCutter, window: RemovalWindow, pose: Pose
-) -> tuple[list[Int[Array, ""]], Bool[Array, ""]]:
-    """Return the first grid line of the window on each axis, and what it misses."""
+) -> _WindowPlace:
     origin, d = stock.origin, stock.spacing
     shape, sizes = stock.grid_shape, window.sizes
     if pose.axis is None:
@@ -337,7 +343,7 @@ def _place(
         # Material above the window under the tool would stay uncut.
         last = origin[2] + d * (starts[2] + sizes[2] - 1).astype(origin.dtype)
         is_beyond = (starts[2] + sizes[2] < shape[2]) & (last < stock.top)
-        return starts, is_beyond
+        return _WindowPlace(starts, is_beyond)
     a, R = pose.axis, cutter.nominal_radius
     disc = R * jnp.sqrt(jnp.maximum(1 - a**2, 0))
     far = pose.tip + window.length * a
@@ -355,7 +361,7 @@ def _place(
         if i == 2:
             is_short = is_short & (last < stock.top)
         is_beyond = is_beyond | is_short
-    return starts, is_beyond
+    return _WindowPlace(starts, is_beyond)
 
 
 class _DuePass(NamedTuple):
@@ -448,14 +454,14 @@ def _subtract_among(
 ) -> tuple[_Window, _Taken]:
     """Subtract an interval from each ray, in the first slots."""
     old = window.ends[..., :width]
-    new, by, full = interval.subtract_from(old, window.cut_by[..., :width])
+    pieces = interval.subtract_from(old, window.cut_by[..., :width])
     corner = (0, 0, 0, 0)
     left = _Window(
-        jax.lax.dynamic_update_slice(window.ends, new, corner),
-        jax.lax.dynamic_update_slice(window.cut_by, by, corner),
-        jnp.maximum(window.in_use, Rays(new, by).slots_in_use()),
+        jax.lax.dynamic_update_slice(window.ends, pieces.ends, corner),
+        jax.lax.dynamic_update_slice(window.cut_by, pieces.cut_by, corner),
+        jnp.maximum(window.in_use, Rays(pieces.ends, pieces.cut_by).slots_in_use()),
     )
-    return left, _Taken(_removed_length(old, new), jnp.any(full))
+    return left, _Taken(_removed_length(old, pieces.ends), jnp.any(pieces.is_full))
 
 
 def _removed_length(
