@@ -1,11 +1,12 @@
 import functools
 import math
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import PAPER_LAW, relative
+from helpers import PAPER_LAW, ThroughSamples, relative
 from references import circles
 
 from diffmill import RESULTS, cutter as ct, process as pr, sim, workpiece as wp
@@ -311,7 +312,7 @@ def in_two_steps():
 @pytest.mark.slow
 @pytest.mark.parametrize("mode", ["forward", "reverse"])
 @pytest.mark.parametrize("path", [straight(-2e-3, 1.03e-3), in_two_steps()])
-def test_both_adjoints_agree(mode, path):
+def test_all_adjoints_agree(mode, path):
     path = jnp.asarray(path)
     rng = np.random.default_rng(4)
     weights = jnp.asarray(rng.normal(size=path.shape))
@@ -328,10 +329,73 @@ def test_both_adjoints_agree(mode, path):
             return jax.jit(jax.grad(total))(path)
         return jax.jit(lambda p: jax.jvp(total, (p,), (direction,))[1])(path)
 
-    plain, traced = derivative(pr.ThroughRays()), derivative(pr.ThroughPoses())
-    np.testing.assert_allclose(
-        traced, plain, rtol=1e-9, atol=1e-9 * np.abs(plain).max()
+    plain = derivative(ThroughSamples())
+    for adjoint in (pr.ThroughRays(), pr.ThroughPoses()):
+        np.testing.assert_allclose(
+            derivative(adjoint), plain, rtol=1e-9, atol=1e-9 * np.abs(plain).max()
+        )
+
+
+@pytest.mark.slow
+def test_volumes_are_differentiated_through_the_rays():
+    path = jnp.asarray(straight(-2e-3, 1.03e-3))
+    weights = jnp.asarray(np.random.default_rng(7).normal(size=STEPS))
+
+    def gradient(adjoint):
+        def total(p):
+            volume = sim.simulate_process(
+                p, STOCK, MILL, PAPER_LAW, SPEED, axial_depth=1.6e-3, adjoint=adjoint
+            ).removed_volume
+            return jnp.sum(weights * volume)
+
+        return jax.jit(jax.grad(total))(path)
+
+    plain = gradient(ThroughSamples())
+    np.testing.assert_allclose(gradient(pr.ThroughRays()), plain, rtol=1e-9, atol=0)
+    assert np.abs(plain).max() > 0
+    np.testing.assert_array_equal(gradient(pr.ThroughPoses()), 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", ["forward", "reverse"])
+def test_all_adjoints_agree_on_the_raw_stock(mode):
+    # Two pieces on a ray, so that a raw end changes its slot where one is split.
+    rays = STOCK.families
+    ends = rays[0].ends.at[:, :, 1, 0].set(7e-3)
+    ends = ends.at[:, :, :, 1].set(jnp.array([7.5e-3, 16e-3]))
+    ends = jnp.where(rays[0].ends[:, :, 1:, :1] > 0, ends, rays[0].ends)
+    start = (ends, *(r.ends for r in rays[1:]))
+    rng = np.random.default_rng(5)
+    path = jnp.asarray(straight(-2e-3, 1.03e-3))
+    weights = jnp.asarray(rng.normal(size=path.shape))
+    # Only ends of material move.
+    along = tuple(
+        jnp.where(x[:, :, 1:] > x[:, :, :1], jnp.asarray(rng.normal(size=x.shape)), 0)
+        for x in start
     )
+
+    def derivative(adjoint):
+        def total(ends):
+            families = tuple(
+                wp.Rays(x, r.poses) for x, r in zip(ends, rays, strict=True)
+            )
+            stock = eqx.tree_at(lambda s: s.families, STOCK, families)
+            force = sim.simulate_process(
+                path, stock, MILL, PAPER_LAW, SPEED, axial_depth=1.6e-3, adjoint=adjoint
+            ).force
+            return jnp.sum(weights * force)
+
+        if mode == "reverse":
+            gradient = jax.jit(jax.grad(total))(start)
+            return np.concatenate([np.ravel(x) for x in gradient])
+        return np.asarray(jax.jit(lambda e: jax.jvp(total, (e,), (along,))[1])(start))
+
+    plain = derivative(ThroughSamples())
+    assert np.abs(plain).max() > 0
+    for adjoint in (pr.ThroughRays(), pr.ThroughPoses()):
+        np.testing.assert_allclose(
+            derivative(adjoint), plain, rtol=1e-9, atol=1e-9 * np.abs(plain).max()
+        )
 
 
 @pytest.mark.slow

@@ -295,10 +295,10 @@ class EndMill(AbstractCutter):
             end = jnp.clip(frozen[2][..., family] + t, -_rays.FAR, _rays.FAR)
             place = [end, end, end]
             place[(family + 1) % 3], place[(family + 2) % 3] = b, c
-            off = self.level(jnp.stack(place, axis=-1), tip, axis)
-            # The end stays where the level is zero: only its derivative counts.
             is_free = is_hit & (t > ray.low) & (t < ray.high)
-            ends.append(with_derivative_of(end, jnp.where(is_free, -off / slope, 0)))
+            slope = jnp.where(is_free, slope, jnp.inf)
+            at = jnp.stack(place, axis=-1)
+            ends.append(with_derivative_of(end, _off, self, at, tip, axis, slope))
         return _rays.Chord(ends[0], ends[1], is_hit)
 
     def wall_slopes(
@@ -391,6 +391,28 @@ class EndMill(AbstractCutter):
         pitch = jnp.asarray(self.pitch_angles)
         offset = jnp.asarray(self.runout, pitch.dtype)
         return offset * jnp.cos(jnp.asarray(self.runout_angle, pitch.dtype) - pitch)
+
+
+def _off(
+    cutter: AbstractCutter,
+    place: Float[Array, "*end 3"],
+    tip: Float[Array, "*end 3"],
+    axis: Float[Array, "*end 3"],
+    slope: Float[Array, "*end"],
+) -> Float[Array, "*end"]:
+    """Return how far along rays the surface lies behind places on it [m].
+
+    The surface stays where the level is zero: only the derivative of this counts.
+
+    Args:
+        cutter: The cutter.
+        place: On the surface, in `work` [m], shape (..., 3).
+        tip: Tool tip [m], shape (..., 3).
+        axis: Unit tool axis, shape (..., 3).
+        slope: Of the level along the rays [-], shape (...); infinite where the end
+            does not move.
+    """
+    return -cutter.level(place, tip, axis) / slope
 
 
 class _SizedEndMill(EndMill):

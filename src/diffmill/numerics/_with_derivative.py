@@ -1,29 +1,57 @@
 """A value from one place and its derivative from another."""
 
+import functools
+from collections.abc import Callable
+from typing import Any, TypeVar
+
 import jax
-from jaxtyping import Array, Float
+import jax.numpy as jnp
+from jax.custom_derivatives import SymbolicZero
+from jaxtyping import PyTree
+
+_T = TypeVar("_T", bound=PyTree)
 
 
-@jax.custom_jvp
-def with_derivative_of(
-    value: Float[Array, "*n"], other: Float[Array, "*n"]
-) -> Float[Array, "*n"]:
-    """Return `value`, with the derivative of `other`.
+def with_derivative_of(values: _T, function: Callable[..., _T], *arguments: Any) -> _T:
+    """Return `values`, with the derivative of what a function returns.
 
     Args:
-        value: What is returned, any shape.
-        other: What is differentiated, same shape; not computed where nobody asks.
+        values: What is returned, a tree of arrays.
+        function: Returns a tree like `values`. It is not traced where nobody asks.
+        arguments: Its arguments, trees; what is differentiated must be among them.
 
     Returns:
-        `value`.
+        `values`.
 
-    Differentiability: that of `other`, in forward and reverse mode.
+    Differentiability: that of the function, in forward and reverse mode.
     """
-    del other
-    return value
+    return _valued(function, values, arguments)
 
 
-@with_derivative_of.defjvp
-def _jvp(primals, tangents):
-    # Not the bare value: what is built on it may be differentiated once more.
-    return with_derivative_of(*primals), tangents[1]
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _valued(function: Callable[..., _T], values: _T, arguments: tuple[Any, ...]) -> _T:
+    del function, arguments
+    return values
+
+
+def _jvp(function: Callable[..., _T], primals: Any, tangents: Any) -> tuple[_T, _T]:
+    # Not the bare values: what is built on them may be differentiated once more.
+    values = _valued(function, *primals)
+    leaves, tree = jax.tree.flatten(primals[1])
+    slopes = tree.flatten_up_to(tangents[1])
+    moving = [i for i, x in enumerate(slopes) if not isinstance(x, SymbolicZero)]
+
+    def moved(*moving_leaves: Any) -> _T:
+        whole = list(leaves)
+        for i, leaf in zip(moving, moving_leaves, strict=True):
+            whole[i] = leaf
+        return function(*jax.tree.unflatten(tree, whole))
+
+    if not moving:
+        return values, jax.tree.map(jnp.zeros_like, values)
+    pick = lambda all_leaves: tuple(all_leaves[i] for i in moving)
+    _, slope = jax.jvp(moved, pick(leaves), pick(slopes))
+    return values, slope
+
+
+_valued.defjvp(_jvp, symbolic_zeros=True)

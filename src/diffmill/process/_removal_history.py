@@ -86,8 +86,9 @@ class RemovalHistory(NamedTuple):
         cutter, dtype = self.cutter, stock.origin.dtype
         nodes = max((pose_count - 1) * self.substeps + 1, self._pass_length())
         ahead = jnp.zeros(2, dtype).at[1].set(1)
+        families = tuple(rays.numbered() for rays in stock.families)
         return ProcessState(
-            stock=stock,
+            stock=eqx.tree_at(lambda s: s.families, stock, families),
             track=PoseTrack(pose.repeated(nodes), self.substeps),
             last_tip=pose.tip,
             recent=pose.repeated(cutter.flute_count, self.substeps),

@@ -1,23 +1,21 @@
 """Derivatives of a simulation through the removal of material.
 
-`ThroughRays` differentiates through the ends of the rays themselves. Every mode of
-automatic differentiation works, also for the removed volume and the final stock; but
-a tangent of the stock is a second stock, and in reverse mode every step keeps what it
-read and scatters into it.
+Every end remembers the pose that cut it, or its place in the raw stock, and its
+derivative with respect to that pose is known in closed form. So derivatives of samples
+go to the poses directly: no tangent of the stock is needed, and in reverse mode a step
+keeps only the ends that its samples read.
 
-`ThroughPoses` treats the stock as a constant. Every end remembers the pose that cut it,
-and the derivative of an end with respect to that pose is known in closed form; so a
-step carries derivatives from the poses to the samples directly. Both modes of automatic
-differentiation work, a step keeps only the ends that its samples read, and no tangent
-of the stock exists. Volumes and the final stock have no derivative under
-`ThroughPoses`.
+The removed volume and the final stock are what needs the ends of the rays themselves.
+`ThroughRays` differentiates them too, by a tangent of the stock, which is a second
+stock: it costs where somebody asks for it. `ThroughPoses` holds them constant.
 """
 
 import abc
+import dataclasses
 
 import equinox as eqx
 
-from ..workpiece import Pose, PoseTrack
+from ..workpiece import Pose, PoseTrack, Stock
 
 
 class AbstractAdjoint(eqx.Module):
@@ -28,32 +26,37 @@ class AbstractAdjoint(eqx.Module):
         """Return the poses as removal should see them."""
 
     @abc.abstractmethod
-    def tied_to(self, track: PoseTrack) -> PoseTrack | None:
-        """Return the poses that carry the derivatives of samples, or None."""
+    def tied_to(self, track: PoseTrack, raw: Stock) -> PoseTrack | None:
+        """Return what carries the derivatives of samples, or None.
+
+        Args:
+            track: The poses so far.
+            raw: The stock before the run.
+        """
 
 
 class ThroughRays(AbstractAdjoint):
-    """Differentiate through the ends of all rays."""
+    """Differentiate everything: volumes and the final stock by the ends of all rays."""
 
     def removal_poses(self, poses: Pose) -> Pose:
         """Return the poses unchanged."""
         return poses
 
-    def tied_to(self, track: PoseTrack) -> None:
-        """Return None: samples read differentiable ends."""
-        del track
+    def tied_to(self, track: PoseTrack, raw: Stock) -> PoseTrack:
+        """Return the poses and the raw stock."""
+        return dataclasses.replace(track, raw=raw)
 
 
 class ThroughPoses(AbstractAdjoint):
-    """Differentiate through the poses that the ends remember."""
+    """Differentiate all but volumes and the final stock."""
 
     def removal_poses(self, poses: Pose) -> Pose:
         """Return the poses as constants."""
         return poses.frozen()
 
-    def tied_to(self, track: PoseTrack) -> PoseTrack:
-        """Return the poses, which carry the derivatives of the samples."""
-        return track
+    def tied_to(self, track: PoseTrack, raw: Stock) -> PoseTrack:
+        """Return the poses and the raw stock."""
+        return dataclasses.replace(track, raw=raw)
 
 
 class StockHeld(AbstractAdjoint):
@@ -66,6 +69,6 @@ class StockHeld(AbstractAdjoint):
         """Return the poses as constants."""
         return poses.frozen()
 
-    def tied_to(self, track: PoseTrack) -> None:
+    def tied_to(self, track: PoseTrack, raw: Stock) -> None:
         """Return None: the ends that samples read are constants."""
-        del track
+        del track, raw

@@ -23,7 +23,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ...cutter import AbstractCutter
 from ...numerics import Recomputed, clamp, with_derivative_of
-from ...workpiece import Pose
+from ...workpiece import Pose, PoseTrack
 from .._chip import Outward, edge_contact, held_at_rest, safe_norm, way_of
 from .._process import Process, Substeps, rotation_angles
 from .._state import ProcessState
@@ -65,7 +65,7 @@ class BottomEdges(eqx.Module):
         # The tips of the tooth before.
         before, now = state.recent.tip[0], predicted.tip
         # Where derivatives go; none goes through the stock.
-        track = process.derivative.tied_to(state.track)
+        track = process.derivative.tied_to(state.track, process.stock)
         pitch = 2 * math.pi / cutter.flute_count
         place = pitch * jnp.arange(cutter.flute_count, dtype=now.dtype)
         turn = rotation_angles(process, now.dtype, part)
@@ -101,12 +101,12 @@ class BottomEdges(eqx.Module):
         total = jnp.zeros_like(share[0])
         for i in (0, 1):
             for j in (0, 1):
-                ends = Recomputed.read(rays.ends[cell[0] + i, cell[1] + j])
+                u, v = cell[0] + i, cell[1] + j
+                ends = Recomputed.read(rays.ends[u, v])
                 if track is not None:
-                    poses = Recomputed.read(rays.poses[cell[0] + i, cell[1] + j])
-                    height = Recomputed.read(track.height_by(poses))
-                    tie = jnp.where(poses >= 0, height, 0)
-                    ends = with_derivative_of(jax.lax.stop_gradient(ends), tie)
+                    poses = Recomputed.read(rays.poses[u, v])
+                    frozen, place = jax.lax.stop_gradient(ends), rays.places(u, v)
+                    ends = with_derivative_of(frozen, _made_ends, track, place, poses)
                 low, high = ends[..., 0, :], ends[..., 1, :]
                 # Material that begins above the bottom is not on it.
                 is_on = (high > low) & (low < tip[..., 2:] + engagement.discs.band)
@@ -178,6 +178,16 @@ class BottomEdges(eqx.Module):
     ) -> Float[Array, " annulus"]:
         middles = (jnp.arange(self.annuli, dtype=dtype) + 0.5) / self.annuli
         return cutter.nominal_radius * middles
+
+
+def _made_ends(
+    track: PoseTrack,
+    place: Int[Array, "*place 2 slot"],
+    poses: Int[Array, "*place 2 slot"],
+) -> Float[Array, "*place 2 slot"]:
+    """Return ends of columns that follow from their poses: tips at their height."""
+    height = Recomputed.read(track.height_by(poses))
+    return jnp.where(poses >= 0, height, track.raw_ends(2, place, poses))
 
 
 def _by_annulus(outward: Outward) -> Outward:

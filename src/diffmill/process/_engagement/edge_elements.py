@@ -147,7 +147,7 @@ class EdgeElementsInSpace(AbstractEngagement):
             cell.reshape(-1, 3, 3),
             self.discs.band,
             cutter,
-            process.derivative.tied_to(state.track),
+            process.derivative.tied_to(state.track, process.stock),
             slots=state.slots,
         )
         occupied, chip_share = (share.reshape(angle.shape) for share in found)

@@ -91,7 +91,7 @@ class UprightFlat(AbstractEngagement):
         )
         chips = -jnp.clip(chip, 0, radius)[..., None] / radius * rim[..., :2]
         chips = chips.reshape(moves.shape)
-        track = process.derivative.tied_to(state.track)
+        track = process.derivative.tied_to(state.track, process.stock)
         found = self.discs.occupancy(
             state.stock,
             points,

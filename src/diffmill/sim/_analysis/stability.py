@@ -24,7 +24,7 @@ from ..._job import Job
 from ..._live_rows import padded_count
 from ..._moving_rows import is_moving, least_way, ways
 from ..._types import Transform
-from ...process import Process, ThroughRays
+from ...process import Process, StockHeld
 from ...robot import ArmTerms, Robot
 from ...workpiece import Pose
 from .._job.simulate import Solution, job_process, simulate
@@ -361,7 +361,7 @@ def _deep_rows(solution: Solution) -> Int[np.ndarray, " row"]:
 def _process(job: Job) -> Process:
     """Return the process of a job with the chip model "near_far"."""
     settings = dataclasses.replace(job.simulation, chip="near_far")
-    return job_process(dataclasses.replace(job, simulation=settings), ThroughRays())
+    return job_process(dataclasses.replace(job, simulation=settings), StockHeld())
 
 
 def _machine(job: Job) -> ElasticArm | ModalMachine:

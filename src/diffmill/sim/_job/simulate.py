@@ -20,6 +20,7 @@ from ...numerics import CompiledOnce
 from ...process import (
     AbstractAdjoint,
     Process,
+    StockHeld,
     ThroughRays,
     choose_engagement,
     wall_deviation,
@@ -546,14 +547,14 @@ def _needed(adjoint: AbstractAdjoint, arguments: object) -> AbstractAdjoint:
 
     So a run that is compiled for one method serves all others.
     """
-    return adjoint if is_traced(arguments) else ThroughRays()
+    return adjoint if is_traced(arguments) else StockHeld()
 
 
 def _prepare(job: Job) -> None:
     """Compile the run of a command while the rigid cut is compiled and runs."""
     if job.is_rigid:
         return
-    program = JobModel.of(padded_job(job), ThroughRays())
+    program = JobModel.of(padded_job(job), StockHeld())
     steps, dtype = program.path.step_count, np.dtype(job.simulation.precision)
     joints = 3 if job.robot is None else len(job.robot.joint_names)
     tips, motors = (on_device(np.zeros((steps, n), dtype)) for n in (3, joints))

@@ -562,7 +562,7 @@ def _renumbered(process: ProcessState, back: Int[Array, ""], last: int) -> Proce
         process.track.poses,
     )
     families = tuple(
-        Rays(rays.ends, jnp.full_like(rays.poses, -1))
+        Rays(rays.ends, jnp.full_like(rays.poses, Rays.UNKNOWN))
         for rays in process.stock.families
     )
     process = eqx.tree_at(lambda s: s.stock.families, process, families)

@@ -18,10 +18,9 @@ A chip is no point either: it reaches inward from the rim, and a wall may cut of
 inner side, or its outer one. Distance and slope of the wall at the rim tell what of it
 is in the material.
 
-Two ways to differentiate with respect to the poses that cut the stock: through the
-ends of the rays (`pose_tips=None`), or through the poses that the ends remember
-(`track` given), where the stock is a constant and each end that is read here is
-derived by its pose through the slope of the cutter's surface at that end.
+With `track` given, an end that is read here is derived by the pose that it remembers,
+through the slope of the cutter's surface at that end, or by the raw stock; else through
+the ends of the rays.
 """
 
 from typing import Literal, NamedTuple
@@ -175,6 +174,7 @@ class _Columns(eqx.Module):
 
     ends: Float[Array, "2 slot 9 disc point"]
     poses: Int[Array, "2 slot 9 disc point"]
+    at: Int[Array, "2 slot 9 disc point"]
 
 
 class _Walls(eqx.Module):
@@ -187,6 +187,7 @@ class _Walls(eqx.Module):
     is_upper: Bool[Array, "3 2 element point"]
     is_empty: Bool[Array, "3 2 element point"]
     pose: Int[Array, "3 2 element point"]
+    at: Int[Array, "3 2 element point"]
     across: Float[Array, "3 1 disc point"]
 
 
@@ -200,7 +201,7 @@ def _find_columns(stock: Stock, place: Float[Array, "3 disc point"]) -> _Columns
     slot = jnp.arange(2 * slots, dtype=jnp.int32).reshape(2, slots, 1, 1, 1)
     ray = hold((i * counts[1] + j) * (2 * slots))
     at = hold(ray[None, None] + slot)
-    return Recomputed.read(_Columns(taken(rays.ends, at), taken(rays.poses, at)))
+    return Recomputed.read(_Columns(taken(rays.ends, at), taken(rays.poses, at), at))
 
 
 def _nearest_line(
@@ -265,39 +266,54 @@ def _find_walls(
         is_upper=Recomputed.read(is_upper),
         is_empty=Recomputed.read(high < low),
         pose=Recomputed.read(taken(rays.poses, at)),
+        at=at,
         across=stock.origin[side] + stock.spacing * line.astype(place.dtype),
     )
 
 
 def _tie_columns(columns: _Columns, track: PoseTrack) -> _Columns:
-    """Return the columns, each end with the derivative of the pose that cut it.
+    """Return the columns, each end with the derivative of the pose that cut it."""
+    frozen = jax.lax.stop_gradient(columns)
+    ends = with_derivative_of(frozen.ends, _made_columns, frozen, track)
+    return _Columns(ends, columns.poses, columns.at)
 
-    A flat end cuts a column at the height of its tip.
-    """
+
+def _made_columns(
+    columns: _Columns, track: PoseTrack
+) -> Float[Array, "2 slot 9 disc point"]:
+    """Return ends that follow from their poses: that of a tip at its height."""
     height = Recomputed.read(track.height_by(columns.poses))
-    tie = jnp.where(columns.poses >= 0, height, 0)
-    ends = with_derivative_of(jax.lax.stop_gradient(columns.ends), tie)
-    return _Columns(ends, columns.poses)
+    raw = track.raw_ends(2, columns.at, columns.poses)
+    return jnp.where(columns.poses >= 0, height, raw)
 
 
 def _tie_walls(
     cutter: AbstractCutter, walls: tuple[_Walls, ...], track: PoseTrack
 ) -> tuple[_Walls, ...]:
     """Return both families, their ends with the derivatives of their poses."""
+    frozen = jax.lax.stop_gradient(walls)
+    old = tuple(wall.ends for wall in frozen)
+    ends = with_derivative_of(old, _made_walls, cutter, frozen, track)
+    return eqx.tree_at(lambda ws: tuple(w.ends for w in ws), walls, ends)
+
+
+def _made_walls(
+    cutter: AbstractCutter, walls: tuple[_Walls, ...], track: PoseTrack
+) -> tuple[Float[Array, "3 2 element point"], ...]:
+    """Return ends of both families that move with their poses, but for a constant."""
     frozen = jax.lax.stop_gradient
     # One gather for both: its transpose then adds into the table only once.
     tips = Recomputed.read(_tips_of_walls(jnp.stack([w.pose for w in walls]), track))
-    moving = []
+    made = []
     for f in (0, 1):
         wall, tip = walls[f], tips[f]
-        slopes = cutter.wall_slopes(f, frozen(wall.ends), wall.across, frozen(tip))
+        slopes = cutter.wall_slopes(f, wall.ends, wall.across, frozen(tip))
         slopes = Recomputed.read(slopes)
-        tie = tip[..., f] + frozen(slopes[0]) * tip[..., 1 - f]
-        tie = tie + frozen(slopes[1]) * (cutter.diameter / 2)
-        tie = jnp.where(wall.pose >= 0, tie, 0)
-        ends = with_derivative_of(frozen(wall.ends), tie)
-        moving.append(eqx.tree_at(lambda w: w.ends, wall, ends))
-    return tuple(moving)
+        end = tip[..., f] + frozen(slopes[0]) * tip[..., 1 - f]
+        end = end + frozen(slopes[1]) * (cutter.diameter / 2)
+        raw = track.raw_ends(f, wall.at, wall.pose)
+        made.append(jnp.where(wall.pose >= 0, end, raw))
+    return tuple(made)
 
 
 def _tips_of_walls(

@@ -28,7 +28,6 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ...cutter import AbstractCutter
 from ...numerics import Recomputed, clamp, with_derivative_of
-from .._pose import Pose
 from .mean_step import mean_step
 from .nearest_interval import nearest_interval, taken
 from .occupancy import REACH, ChipsInStock
@@ -57,6 +56,7 @@ class _Near(eqx.Module):
     is_upper: Bool[Array, "point 4"]
     is_empty: Bool[Array, "point 4"]
     pose: Int[Array, "point 4"]
+    at: Int[Array, "point 4"]
     places: Float[Array, "point 4 3"]
 
 
@@ -112,27 +112,13 @@ def occupancy_in_space(
     slots = stock.slots_in_use() if slots is None else slots
     near = tuple(_find(stock, f, points, slots[f]) for f in range(3))
     grid = _Grid(stock.origin, stock.spacing, band)
-    if track is None:
-        ends = [n.ends for n in near]
-        found = jax.checkpoint(_combine)(points, cells, ends, near, grid)
-        return ChipsInStock(found[:, 0], found[:, 1])
-    # One gather for all: its transpose then adds into the table only once.
-    cut_by = Recomputed.read(track.cut_by(jnp.stack([n.pose for n in near], axis=1)))
-    found = jax.checkpoint(_look)(points, cells, cut_by, near, cutter, grid)
+    ends = [n.ends for n in near]
+    if track is not None:
+        frozen = jax.lax.stop_gradient(near)
+        old = [n.ends for n in frozen]
+        ends = with_derivative_of(old, _made_ends, cutter, frozen, track)
+    found = jax.checkpoint(_combine)(points, cells, ends, near, grid)
     return ChipsInStock(found[:, 0], found[:, 1])
-
-
-def _look(
-    points: Float[Array, "point 3"],
-    cells: Float[Array, "point edge 3"],
-    cut_by: Pose,
-    near: tuple[_Near, ...],
-    cutter: AbstractCutter,
-    grid: _Grid,
-) -> Float[Array, "point 2"]:
-    """Return both shares, derived by the poses (point, family, 4) that cut the ends."""
-    ends = [_tie(cutter, near[f], f, cut_by[:, f]) for f in range(3)]
-    return _combine(points, cells, ends, near, grid)
 
 
 def _find(
@@ -170,26 +156,32 @@ def _find(
         is_upper=Recomputed.read(is_upper),
         is_empty=Recomputed.read(high < low),
         pose=Recomputed.read(taken(rays.poses, at)),
+        at=at,
         places=jax.lax.stop_gradient(jnp.stack(placed, axis=-1)),
     )
 
 
-def _tie(
-    cutter: AbstractCutter, near: _Near, family: int, cut_by: Pose
-) -> Float[Array, "point 4"]:
-    """Return the ends with the derivatives of the poses that cut them.
+def _made_ends(
+    cutter: AbstractCutter, near: tuple[_Near, ...], track: PoseTrack
+) -> list[Float[Array, "point 4"]]:
+    """Return ends that move with the poses that cut them, but for a constant.
 
     An end stays on the surface of its pose: level(end; pose) = 0, so it moves by
     -d(level) / n along its ray, n the normal's part along the ray.
     """
-    frozen = cut_by.frozen()
-    slope = cutter.normal(near.places, frozen.tip, frozen.direction())[..., family]
-    slope = jax.lax.stop_gradient(slope)
-    away = jnp.where(slope < 0, -_GRAZING, _GRAZING)
-    slope = jnp.where(jnp.abs(slope) < _GRAZING, away, slope)
-    tie = -cutter.level(near.places, cut_by.tip, cut_by.direction()) / slope
-    tie = jnp.where(near.pose >= 0, tie, 0)
-    return with_derivative_of(jax.lax.stop_gradient(near.ends), tie)
+    # One gather for all: its transpose then adds into the table only once.
+    every = Recomputed.read(track.cut_by(jnp.stack([n.pose for n in near], axis=1)))
+    ends = []
+    for f, n in enumerate(near):
+        cut_by = every[:, f]
+        frozen = cut_by.frozen()
+        slope = cutter.normal(n.places, frozen.tip, frozen.direction())[..., f]
+        slope = jax.lax.stop_gradient(slope)
+        away = jnp.where(slope < 0, -_GRAZING, _GRAZING)
+        slope = jnp.where(jnp.abs(slope) < _GRAZING, away, slope)
+        end = -cutter.level(n.places, cut_by.tip, cut_by.direction()) / slope
+        ends.append(jnp.where(n.pose >= 0, end, track.raw_ends(f, n.at, n.pose)))
+    return ends
 
 
 def _combine(

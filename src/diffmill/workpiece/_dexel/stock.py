@@ -32,14 +32,16 @@ class Rays(eqx.Module):
     Attributes:
         ends: Lower and upper ends along the ray [m], shape (u, v, 2, slot).
         poses: Which tool pose cut each end, in ticks from pose 0; negative for the raw
-            stock; shape (u, v, 2, slot).
+            stock, -1 - m for an end that was in slot m there; shape (u, v, 2, slot).
         DEAD: Ends of a slot that holds nothing, reversed: far outside any workpiece
             [m].
         TICKS: How many ticks a tooth period has.
+        UNKNOWN: As pose, that nothing is known of what made an end.
     """
 
     DEAD: ClassVar[float] = 1e3
     TICKS: ClassVar[int] = 2048
+    UNKNOWN: ClassVar[int] = -(2**31)
 
     ends: Float[Array, "u v 2 slot"]
     poses: Int[Array, "u v 2 slot"]
@@ -47,6 +49,22 @@ class Rays(eqx.Module):
     def lengths(self) -> Float[Array, "u v"]:
         """Return the material along each ray [m], shape (u, v)."""
         return jnp.sum(jnp.maximum(self.ends[:, :, 1] - self.ends[:, :, 0], 0), axis=-1)
+
+    def numbered(self) -> "Rays":
+        """Return the rays, whose raw ends remember the slots that they are in."""
+        slot = jnp.arange(self.ends.shape[-1], dtype=self.poses.dtype)
+        raw = jnp.broadcast_to(-1 - slot, self.poses.shape)
+        return Rays(self.ends, jnp.where(self.poses < 0, raw, self.poses))
+
+    def places(
+        self, u: Int[Array, "*ray"], v: Int[Array, "*ray"]
+    ) -> Int[Array, "*ray 2 slot"]:
+        """Return where in memory the ends of some rays are, shape (..., 2, slot)."""
+        slots = self.ends.shape[-1]
+        ray = (u * self.ends.shape[1] + v) * (2 * slots)
+        own = jnp.arange(2 * slots, dtype=jnp.int32)
+        own = own.reshape((1,) * ray.ndim + (2, slots))
+        return ray[..., None, None] + own
 
     def slots_in_use(self) -> Int[Array, ""]:
         """Return how many slots hold anything on some ray, from the first on, ()."""

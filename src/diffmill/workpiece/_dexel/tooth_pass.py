@@ -25,7 +25,8 @@ from ...cutter import AbstractCutter
 from ...numerics import clamp, hold
 from .._pose import Pose
 from .interval import CutInterval
-from .stock import Rays
+from .nearest_interval import taken
+from .stock import Rays, Stock
 from .turn_between import turn_between
 
 # An end tells which pose cut it, and that where the end is: so often in turn. What is
@@ -36,15 +37,17 @@ _FINE = 8
 
 
 class PoseTrack(eqx.Module):
-    """Poses of a tool at equal steps of time.
+    """Poses of a tool at equal steps of time, and the stock that they began with.
 
     Attributes:
         poses: Pose i stands at the time i / substeps, shape (node, 3).
         substeps: Steps per tooth period.
+        raw: Its ends are those that no pose has cut; None takes them for constants.
     """
 
     poses: Pose
     substeps: int = eqx.field(static=True)
+    raw: Stock | None = None
 
     def cut_by(self, ticks: Int[Array, "*end"]) -> Pose:
         """Return the poses that cut some ends, interpolated between two nodes.
@@ -63,6 +66,29 @@ class PoseTrack(eqx.Module):
     def height_by(self, ticks: Int[Array, "*end"]) -> Float[Array, "*end"]:
         """Return the height of the tip that cut some ends [m]; see `cut_by`."""
         return self._between(self.poses.tip[:, 2:], ticks)[..., 0]
+
+    def raw_ends(
+        self, family: int, at: Int[Array, "*end"], ticks: Int[Array, "*end"]
+    ) -> Float[Array, "*end"]:
+        """Return the ends of the raw stock that are still there, zero for others.
+
+        Args:
+            family: Axis along which the rays run.
+            at: Where in memory ends are, shape (...).
+            ticks: When they were cut, as the ends remember it, shape (...).
+
+        Returns:
+            Ends [m], shape (...).
+
+        **Differentiability**: linear in the raw stock.
+        """
+        if self.raw is None:
+            return jnp.zeros(at.shape, self.poses.tip.dtype)
+        table = self.raw.families[family].ends
+        slots = table.shape[-1]
+        is_raw = (ticks < 0) & (ticks >= -slots)
+        place = jnp.where(is_raw, at - at % slots - 1 - ticks, 0)
+        return jnp.where(is_raw, taken(table, place), 0)
 
     def _between(
         self, nodes: Float[Array, "node some"], ticks: Int[Array, "*end"]
