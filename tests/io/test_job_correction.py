@@ -53,6 +53,7 @@ def test_what_a_job_leaves_out_is_what_scripts_leave_out(job_file):
     # Tables and settings each state their defaults: tables know nothing of JAX.
     job = load_job(job_file("uncertainty = {}"))
     assert job.correction.uncertainty == UncertaintySettings()
+    # This one is for programs: a script's command may be anything.
     plain = CorrectionSettings(acceleration_factor=2.0)
     assert dataclasses.replace(job.correction, uncertainty=None) == plain
     # What has no default in the settings follows from the job.

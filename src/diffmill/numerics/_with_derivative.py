@@ -12,7 +12,9 @@ from jaxtyping import PyTree
 _T = TypeVar("_T", bound=PyTree)
 
 
-def with_derivative_of(values: _T, function: Callable[..., _T], *arguments: Any) -> _T:
+def with_derivative_of(
+    values: _T, function: Callable[..., _T], *arguments: PyTree
+) -> _T:
     """Return `values`, with the derivative of what a function returns.
 
     Args:
@@ -29,7 +31,7 @@ def with_derivative_of(values: _T, function: Callable[..., _T], *arguments: Any)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _valued(function: Callable[..., _T], values: _T, arguments: tuple[Any, ...]) -> _T:
+def _valued(function: Callable[..., _T], values: _T, arguments: PyTree) -> _T:
     del function, arguments
     return values
 

@@ -122,7 +122,7 @@ class ProgramTable(TomlTable):
     smoothing: Delay = Field(
         default=0.0,
         description="time over which the way along the path is averaged, against "
-        'jerks, such as "100 ms"',
+        'jumps of its acceleration, such as "100 ms"',
     )
     jerk: Jerk | None = Field(
         default=None,

@@ -102,11 +102,12 @@ class BottomEdges(eqx.Module):
         for i in (0, 1):
             for j in (0, 1):
                 u, v = cell[0] + i, cell[1] + j
-                ends = Recomputed.read(rays.ends[u, v])
+                ends = rays.ends[u, v]
                 if track is not None:
                     poses = Recomputed.read(rays.poses[u, v])
                     frozen, place = jax.lax.stop_gradient(ends), rays.places(u, v)
                     ends = with_derivative_of(frozen, _made_ends, track, place, poses)
+                ends = Recomputed.read(ends)
                 low, high = ends[..., 0, :], ends[..., 1, :]
                 # Material that begins above the bottom is not on it.
                 is_on = (high > low) & (low < tip[..., 2:] + engagement.discs.band)
@@ -186,7 +187,7 @@ def _made_ends(
     poses: Int[Array, "*place 2 slot"],
 ) -> Float[Array, "*place 2 slot"]:
     """Return ends of columns that follow from their poses: tips at their height."""
-    height = Recomputed.read(track.height_by(poses))
+    height = track.height_by(poses)
     return jnp.where(poses >= 0, height, track.raw_ends(2, place, poses))
 
 

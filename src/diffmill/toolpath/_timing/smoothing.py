@@ -1,4 +1,4 @@
-"""Speeding up without jerks: a moving average of the way along a program.
+"""Speeding up smoothly: a moving average of the way along a program.
 
 The way s that the tool has gone between two stops is replaced by its mean over the last
 tau seconds. The tool stays on the programmed curve; speeds and accelerations are means

@@ -23,7 +23,7 @@ through the slope of the cutter's surface at that end, or by the raw stock; else
 the ends of the rays.
 """
 
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -142,14 +142,15 @@ class Discs(eqx.Module):
         columns = _find_columns(stock, place)
         if track is not None:
             columns = _tie_columns(columns, track)
+        columns = _read_ends(columns)
         heights = _wall_heights(stock, place, self, columns)
         slots = stock.slots_in_use() if slots is None else slots
         walls = tuple(_find_walls(stock, f, place, heights, slots[f]) for f in (0, 1))
         if track is not None:
             walls = _tie_walls(cutter, walls, track)
+        walls = tuple(_read_ends(wall) for wall in walls)
         rim = _Rim(place, move, chip, heights)
-        combine = jax.checkpoint(_combine, static_argnums=(1,))
-        found = combine(self, stock.spacing, stock.origin, rim, columns, walls)
+        found = _combine(self, stock.spacing, stock.origin, rim, columns, walls)
         return hold(ChipsInStock(*(share.T for share in hold(found))))
 
 
@@ -191,6 +192,9 @@ class _Walls(eqx.Module):
     across: Float[Array, "3 1 disc point"]
 
 
+_Rays = TypeVar("_Rays", _Columns, _Walls)
+
+
 def _find_columns(stock: Stock, place: Float[Array, "3 disc point"]) -> _Columns:
     rays = stock.families[2]
     counts, slots = rays.ends.shape[:2], rays.ends.shape[-1]
@@ -201,7 +205,8 @@ def _find_columns(stock: Stock, place: Float[Array, "3 disc point"]) -> _Columns
     slot = jnp.arange(2 * slots, dtype=jnp.int32).reshape(2, slots, 1, 1, 1)
     ray = hold((i * counts[1] + j) * (2 * slots))
     at = hold(ray[None, None] + slot)
-    return Recomputed.read(_Columns(taken(rays.ends, at), taken(rays.poses, at), at))
+    poses = Recomputed.read(taken(rays.poses, at))
+    return _Columns(taken(rays.ends, at), poses, at)
 
 
 def _nearest_line(
@@ -262,13 +267,18 @@ def _find_walls(
     is_upper = high - x < x - low
     at = Recomputed.read(ray + is_upper.astype(jnp.int32) * slots + slot)
     return _Walls(
-        ends=Recomputed.read(taken(rays.ends, at)),
+        ends=taken(rays.ends, at),
         is_upper=Recomputed.read(is_upper),
         is_empty=Recomputed.read(high < low),
         pose=Recomputed.read(taken(rays.poses, at)),
         at=at,
         across=stock.origin[side] + stock.spacing * line.astype(place.dtype),
     )
+
+
+def _read_ends(rays: _Rays) -> _Rays:
+    """Return rays whose ends are marked as read, with the derivative that they have."""
+    return eqx.tree_at(lambda r: r.ends, rays, Recomputed.read(rays.ends))
 
 
 def _tie_columns(columns: _Columns, track: PoseTrack) -> _Columns:
@@ -282,7 +292,7 @@ def _made_columns(
     columns: _Columns, track: PoseTrack
 ) -> Float[Array, "2 slot 9 disc point"]:
     """Return ends that follow from their poses: that of a tip at its height."""
-    height = Recomputed.read(track.height_by(columns.poses))
+    height = track.height_by(columns.poses)
     raw = track.raw_ends(2, columns.at, columns.poses)
     return jnp.where(columns.poses >= 0, height, raw)
 
@@ -322,7 +332,8 @@ def _tips_of_walls(
     """Return the tips that cut walls; for raw ends, any.
 
     A straight tooth makes an upright wall at once from floor to top: mostly one pose
-    stands for all heights, and reverse mode adds into the track one by one.
+    stands for all heights of every wall of a look, and reverse mode adds into the track
+    one by one.
     """
     newest = jnp.max(poses, axis=(2, 3), keepdims=True)
     is_one = jnp.all((poses == newest) | (poses < 0))

@@ -40,7 +40,7 @@ class PoseTrack(eqx.Module):
     """Poses of a tool at equal steps of time, and the stock that they began with.
 
     Attributes:
-        poses: Pose i stands at the time i / substeps, shape (node, 3).
+        poses: Pose i stands at the time i / substeps, shape (node, 3); two at least.
         substeps: Steps per tooth period.
         raw: Its ends are those that no pose has cut; None takes them for constants.
     """
