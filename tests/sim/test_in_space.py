@@ -370,12 +370,13 @@ def test_all_adjoints_pull_back_alike():
 @pytest.mark.slow
 def test_gradients_match_central_differences():
     derivative = pushed("bull", pr.ThroughRays())
-    path, none = tilted_path("bull", 1e-3), jnp.zeros(6)
+    # At the path itself a ray ends on an edge of the tool, and the force jumps there.
+    path, none = tilted_path("bull", 1e-3), jnp.zeros(6).at[0].set(1e-7)
     still = jnp.zeros_like(path)
     # A thousandth of a chip; for axes, what moves the side of the tool as much.
     steps = np.array([3e-9, 6e-7, 1e-5, 3e-9, 3e-9, 3e-9])
     for i, step in enumerate(steps):
-        unit = none.at[i].set(1.0)
+        unit = jnp.zeros(6).at[i].set(1.0)
         slope = derivative((path, none), (still, unit))[1]
         ahead, behind = (
             derivative((path, none + sign * step * unit), (still, none))[0]
