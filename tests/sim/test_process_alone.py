@@ -337,6 +337,47 @@ def test_all_adjoints_agree(mode, path):
 
 
 @pytest.mark.slow
+def test_ends_of_an_earlier_run_are_raw_to_the_next():
+    first = compiled()(straight(-2e-3, 1.03e-3), STOCK).stock
+    path, aside = straight(-1.6e-3, 1.03e-3), np.tile([0.0, 1.0, 0.0], (STEPS, 1))
+
+    def slope(adjoint, stock):
+        def force(p):
+            return sim.simulate_process(
+                p, stock, MILL, PAPER_LAW, SPEED, axial_depth=1.6e-3, adjoint=adjoint
+            ).force
+
+        return jax.jit(lambda p: jax.jvp(force, (p,), (aside,))[1])(path)
+
+    plain = slope(ThroughSamples(), first)
+    scale = np.abs(plain).max()
+    for stock in (first, first.as_raw()):
+        found = slope(pr.ThroughRays(), stock)
+        np.testing.assert_allclose(found, plain, rtol=1e-9, atol=1e-9 * scale)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("way", [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+def test_all_adjoints_agree_on_the_origin(way):
+    def slope(adjoint):
+        def force(origin):
+            stock = eqx.tree_at(lambda s: s.origin, STOCK, origin)
+            path = straight(-2e-3, 1.03e-3)
+            return sim.simulate_process(
+                path, stock, MILL, PAPER_LAW, SPEED, axial_depth=1.6e-3, adjoint=adjoint
+            ).force
+
+        moved = lambda x: jax.jvp(force, (x,), (jnp.array(way),))[1]
+        return jax.jit(moved)(STOCK.origin)
+
+    plain = slope(ThroughSamples())
+    scale = np.abs(plain).max()
+    np.testing.assert_allclose(
+        slope(pr.ThroughRays()), plain, rtol=1e-9, atol=1e-9 * scale
+    )
+
+
+@pytest.mark.slow
 def test_volumes_are_differentiated_through_the_rays():
     path = jnp.asarray(straight(-2e-3, 1.03e-3))
     weights = jnp.asarray(np.random.default_rng(7).normal(size=STEPS))

@@ -20,7 +20,8 @@ def with_derivative_of(
     Args:
         values: What is returned, a tree of arrays.
         function: Returns a tree like `values`. It is not traced where nobody asks.
-        arguments: Its arguments, trees; what is differentiated must be among them.
+        arguments: Its arguments, trees of arrays; what is differentiated must be among
+            them, since what the function closes over counts as a constant.
 
     Returns:
         `values`.

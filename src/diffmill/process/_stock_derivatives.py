@@ -5,7 +5,8 @@ derivative with respect to that pose is known in closed form. So derivatives of 
 go to the poses directly: no tangent of the stock is needed, and in reverse mode a step
 keeps only the ends that its samples read.
 
-The removed volume and the final stock are what needs the ends of the rays themselves.
+The removed volume, the final stock and the point cloud of a tool's pass are what needs
+the ends of the rays themselves.
 `ThroughRays` differentiates them too, by a tangent of the stock, which is a second
 stock: it costs where somebody asks for it. `ThroughPoses` holds them constant.
 """
@@ -48,7 +49,7 @@ class ThroughRays(AbstractAdjoint):
 
 
 class ThroughPoses(AbstractAdjoint):
-    """Differentiate all but volumes and the final stock."""
+    """Differentiate all but volumes, the final stock and point clouds by poses."""
 
     def removal_poses(self, poses: Pose) -> Pose:
         """Return the poses as constants."""

@@ -209,6 +209,8 @@ def simulate(
             `.result` tells.
         on_progress: Called between the rigid and the coupled part.
         adjoint: How to differentiate through the removal; `ThroughRays()` if not given.
+            Under `jit` where nothing is differentiated, `StockHeld()` is faster: ends
+            then need not remember what made them.
         commanded: Tip positions that the program commands instead of the desired
             path [m], shape (step, 3); by default those of the job, if it has any.
 

@@ -28,7 +28,7 @@ from ...process import (
     ProcessState,
     Removed,
 )
-from ...workpiece import Pose, PoseTrack, Rays, Stock
+from ...workpiece import Pose, PoseTrack, Stock
 from .kept_chips import KeptChips
 
 
@@ -149,7 +149,7 @@ class AbstractMachine(eqx.Module):
 
         Differentiability: in the command and all leaves of machine and process, in
         forward and reverse mode, except at the kinks of chips and rays. Under
-        `ThroughPoses` the volumes and the stock are constants.
+        `ThroughPoses` volumes and the final stock are constants in the command.
         """
         found = self.run_rows(process, command, row_count)
         return found.ended(found.ending.remove(process))
@@ -227,6 +227,9 @@ class AbstractMachine(eqx.Module):
         rays, and under `ThroughPoses` the segment depends on earlier ones by the
         machine and the poses that wait for removal only.
         """
+        # Ends that no pose of the segment cuts are those of the stock that it begins
+        # with.
+        process = eqx.tree_at(lambda p: p.stock, process, state.process.stock)
         rows = self.rows(process, command, None)
         count, history = _length(rows), process.removal.row_count
         started, first = continued(process, state, count)
@@ -561,10 +564,7 @@ def _renumbered(process: ProcessState, back: Int[Array, ""], last: int) -> Proce
         lambda x: jax.lax.dynamic_slice_in_dim(x, back * S, last * S + 1),
         process.track.poses,
     )
-    families = tuple(
-        Rays(rays.ends, jnp.full_like(rays.poses, Rays.UNKNOWN))
-        for rays in process.stock.families
-    )
+    families = tuple(rays.numbered() for rays in process.stock.families)
     process = eqx.tree_at(lambda s: s.stock.families, process, families)
     return _moved(process, PoseTrack(poses, S), -back)
 

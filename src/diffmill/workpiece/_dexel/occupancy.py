@@ -302,6 +302,8 @@ def _tie_walls(
 ) -> tuple[_Walls, ...]:
     """Return both families, their ends with the derivatives of their poses."""
     frozen = jax.lax.stop_gradient(walls)
+    across = lambda ws: tuple(wall.across for wall in ws)
+    frozen = eqx.tree_at(across, frozen, across(walls))
     old = tuple(wall.ends for wall in frozen)
     ends = with_derivative_of(old, _made_walls, cutter, frozen, track)
     return eqx.tree_at(lambda ws: tuple(w.ends for w in ws), walls, ends)
@@ -319,7 +321,8 @@ def _made_walls(
         wall, tip = walls[f], tips[f]
         slopes = cutter.wall_slopes(f, wall.ends, wall.across, frozen(tip))
         slopes = Recomputed.read(slopes)
-        end = tip[..., f] + frozen(slopes[0]) * tip[..., 1 - f]
+        aside = tip[..., 1 - f] - wall.across
+        end = tip[..., f] + frozen(slopes[0]) * aside
         end = end + frozen(slopes[1]) * (cutter.diameter / 2)
         raw = track.raw_ends(f, wall.at, wall.pose)
         made.append(jnp.where(wall.pose >= 0, end, raw))

@@ -114,7 +114,8 @@ def occupancy_in_space(
     grid = _Grid(stock.origin, stock.spacing, band)
     ends = [n.ends for n in near]
     if track is not None:
-        frozen = jax.lax.stop_gradient(near)
+        places = lambda near: [n.places for n in near]
+        frozen = eqx.tree_at(places, jax.lax.stop_gradient(near), places(near))
         old = [n.ends for n in frozen]
         ends = with_derivative_of(old, _made_ends, cutter, frozen, track)
     ends = Recomputed.read(ends)
@@ -150,7 +151,8 @@ def _find(
         stock.origin[a] + d * index.astype(points.dtype)
         for a, index in zip(axes, (row, column), strict=True)
     ]
-    placed: list[Array] = [ends, ends, ends]
+    # An end moves with its ray, as the stock's origin does.
+    placed: list[Array] = [jax.lax.stop_gradient(ends)] * 3
     placed[axes[0]], placed[axes[1]] = lines
     return _Near(
         ends=ends,
@@ -158,7 +160,7 @@ def _find(
         is_empty=Recomputed.read(high < low),
         pose=Recomputed.read(taken(rays.poses, at)),
         at=at,
-        places=jax.lax.stop_gradient(jnp.stack(placed, axis=-1)),
+        places=jnp.stack(placed, axis=-1),
     )
 
 

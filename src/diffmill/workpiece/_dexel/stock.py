@@ -32,7 +32,8 @@ class Rays(eqx.Module):
     Attributes:
         ends: Lower and upper ends along the ray [m], shape (u, v, 2, slot).
         poses: Which tool pose cut each end, in ticks from pose 0; negative for the raw
-            stock, -1 - m for an end that was in slot m there; shape (u, v, 2, slot).
+            stock, in a run -1 - m for an end that was in slot m at its start; shape
+            (u, v, 2, slot).
         DEAD: Ends of a slot that holds nothing, reversed: far outside any workpiece
             [m].
         TICKS: How many ticks a tooth period has.
@@ -51,10 +52,12 @@ class Rays(eqx.Module):
         return jnp.sum(jnp.maximum(self.ends[:, :, 1] - self.ends[:, :, 0], 0), axis=-1)
 
     def numbered(self) -> "Rays":
-        """Return the rays, whose raw ends remember the slots that they are in."""
+        """Return the rays as raw ones, whose ends remember the slots that they are in.
+
+        What cut them before a run means nothing to it.
+        """
         slot = jnp.arange(self.ends.shape[-1], dtype=self.poses.dtype)
-        raw = jnp.broadcast_to(-1 - slot, self.poses.shape)
-        return Rays(self.ends, jnp.where(self.poses < 0, raw, self.poses))
+        return Rays(self.ends, jnp.broadcast_to(-1 - slot, self.poses.shape))
 
     def places(
         self, u: Int[Array, "*ray"], v: Int[Array, "*ray"]
