@@ -302,6 +302,13 @@ def test_helix_keeps_the_mean_and_spreads_the_extremes():
     assert np.ptp(with_helix[..., 1]) < np.ptp(straight_flutes[..., 1])
 
 
+def cut(path, adjoint, stock=STOCK):
+    """Return a run that is differentiated in a given way."""
+    return sim.simulate_process(
+        path, stock, MILL, PAPER_LAW, SPEED, axial_depth=1.6e-3, adjoint=adjoint
+    )
+
+
 def in_two_steps():
     """Return a path along a wall and, deeper, back: its walls have two ages."""
     count = STEPS // 2
@@ -319,12 +326,7 @@ def test_all_adjoints_agree(mode, path):
     direction = jnp.asarray(rng.normal(size=path.shape))
 
     def derivative(adjoint):
-        def total(p):
-            force = sim.simulate_process(
-                p, STOCK, MILL, PAPER_LAW, SPEED, axial_depth=1.6e-3, adjoint=adjoint
-            ).force
-            return jnp.sum(weights * force)
-
+        total = lambda p: jnp.sum(weights * cut(p, adjoint).force)
         if mode == "reverse":
             return jax.jit(jax.grad(total))(path)
         return jax.jit(lambda p: jax.jvp(total, (p,), (direction,))[1])(path)
@@ -342,11 +344,7 @@ def test_ends_of_an_earlier_run_are_raw_to_the_next():
     path, aside = straight(-1.6e-3, 1.03e-3), np.tile([0.0, 1.0, 0.0], (STEPS, 1))
 
     def slope(adjoint, stock):
-        def force(p):
-            return sim.simulate_process(
-                p, stock, MILL, PAPER_LAW, SPEED, axial_depth=1.6e-3, adjoint=adjoint
-            ).force
-
+        force = lambda p: cut(p, adjoint, stock).force
         return jax.jit(lambda p: jax.jvp(force, (p,), (aside,))[1])(path)
 
     plain = slope(ThroughSamples(), first)
@@ -362,10 +360,7 @@ def test_all_adjoints_agree_on_the_origin(way):
     def slope(adjoint):
         def force(origin):
             stock = eqx.tree_at(lambda s: s.origin, STOCK, origin)
-            path = straight(-2e-3, 1.03e-3)
-            return sim.simulate_process(
-                path, stock, MILL, PAPER_LAW, SPEED, axial_depth=1.6e-3, adjoint=adjoint
-            ).force
+            return cut(straight(-2e-3, 1.03e-3), adjoint, stock).force
 
         moved = lambda x: jax.jvp(force, (x,), (jnp.array(way),))[1]
         return jax.jit(moved)(STOCK.origin)
@@ -383,12 +378,7 @@ def test_volumes_are_differentiated_through_the_rays():
     weights = jnp.asarray(np.random.default_rng(7).normal(size=STEPS))
 
     def gradient(adjoint):
-        def total(p):
-            volume = sim.simulate_process(
-                p, STOCK, MILL, PAPER_LAW, SPEED, axial_depth=1.6e-3, adjoint=adjoint
-            ).removed_volume
-            return jnp.sum(weights * volume)
-
+        total = lambda p: jnp.sum(weights * cut(p, adjoint).removed_volume)
         return jax.jit(jax.grad(total))(path)
 
     plain = gradient(ThroughSamples())
@@ -421,10 +411,7 @@ def test_all_adjoints_agree_on_the_raw_stock(mode):
                 wp.Rays(x, r.poses) for x, r in zip(ends, rays, strict=True)
             )
             stock = eqx.tree_at(lambda s: s.families, STOCK, families)
-            force = sim.simulate_process(
-                path, stock, MILL, PAPER_LAW, SPEED, axial_depth=1.6e-3, adjoint=adjoint
-            ).force
-            return jnp.sum(weights * force)
+            return jnp.sum(weights * cut(path, adjoint, stock).force)
 
         if mode == "reverse":
             gradient = jax.jit(jax.grad(total))(start)

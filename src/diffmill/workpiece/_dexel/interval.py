@@ -90,7 +90,8 @@ class CutInterval(NamedTuple):
             takes = (needs & ~is_live & (slots == free))[..., None, :]
             # A sum, of which reverse mode keeps no more than which piece it was.
             rest = jnp.sum(jnp.where(splits, high, 0), axis=-1, keepdims=True)
-            rest_pose = jnp.where(splits, poses[..., 1, :], Rays.UNKNOWN)
+            least = jnp.iinfo(poses.dtype).min
+            rest_pose = jnp.where(splits, poses[..., 1, :], least)
             rest_pose = jnp.max(rest_pose, axis=-1, keepdims=True)
             return LeftPieces(
                 jnp.where(takes, _two(stop, rest), trimmed.ends),

@@ -171,7 +171,13 @@ class _Rim(eqx.Module):
 
 
 class _Columns(eqx.Module):
-    """All ends of the 3 x 3 rays along z around each point."""
+    """All ends of the 3 x 3 rays along z around each point.
+
+    Attributes:
+        ends: Lower and upper ends [m].
+        poses: What cut them, as `Rays.poses` has it.
+        at: Where in memory they are.
+    """
 
     ends: Float[Array, "2 slot 9 disc point"]
     poses: Int[Array, "2 slot 9 disc point"]

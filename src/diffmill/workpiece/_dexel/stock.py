@@ -37,12 +37,10 @@ class Rays(eqx.Module):
         DEAD: Ends of a slot that holds nothing, reversed: far outside any workpiece
             [m].
         TICKS: How many ticks a tooth period has.
-        UNKNOWN: As pose, that nothing is known of what made an end.
     """
 
     DEAD: ClassVar[float] = 1e3
     TICKS: ClassVar[int] = 2048
-    UNKNOWN: ClassVar[int] = -(2**31)
 
     ends: Float[Array, "u v 2 slot"]
     poses: Int[Array, "u v 2 slot"]
