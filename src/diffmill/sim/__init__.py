@@ -57,7 +57,6 @@ from ._machine.free_vibration import free_motion as free_motion
 from ._machine.machine import (
     AbstractMachine as AbstractMachine,
     Run as Run,
-    RunSegment as RunSegment,
     RunState as RunState,
 )
 from ._machine.modal import ModalMachine as ModalMachine

@@ -43,7 +43,7 @@ class FeedPlant(eqx.Module):
         job = eqx.tree_at(place, self.job, (desired, axes))
         motors, _ = JobKinematics(job).motors(desired)
         ran = JobModel.of(job, self.adjoint).run(motors)
-        return wall_motion(job, ran, None)
+        return wall_motion(job, ran.ends, ran.force, None)
 
 
 def feed_tradeoff(

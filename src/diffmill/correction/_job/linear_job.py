@@ -16,8 +16,6 @@ from ...robot import Controller
 from ...sim import (
     JobModel,
     LinearRun,
-    Run,
-    RunSegment,
     RunState,
     linearise,
 )
@@ -45,13 +43,17 @@ class JobState(eqx.Module):
 
 
 def wall_motion(
-    job: Job, ran: Run | RunSegment | LinearRun, shares: Steps | None
+    job: Job,
+    ends: Float[Array, "step substep 3"],
+    force: Float[Array, "step 3"],
+    shares: Steps | None,
 ) -> Motion:
     """Return the motion of a job as the walls show it.
 
     Args:
         job: The job, with the rows that were run.
-        ran: What its robot does.
+        ends: Tips at the ends of the sub-steps before each row [m].
+        force: Mean forces before each row [N].
         shares: When in each period its wall is made; by the path alone if None.
 
     **Differentiability**: linear in the tips.
@@ -59,8 +61,8 @@ def wall_motion(
     desired = jnp.asarray(job.path.positions)
     if shares is None:
         shares = wall_shares(desired, job.tool_axes, job.cutter)
-    deviation = wall_deviation(ran.ends, desired, jnp.asarray(shares, desired.dtype))
-    return Motion(desired + deviation, ran.force)
+    deviation = wall_deviation(ends, desired, jnp.asarray(shares, desired.dtype))
+    return Motion(desired + deviation, force)
 
 
 class LinearJob(LinearMotion):

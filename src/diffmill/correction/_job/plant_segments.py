@@ -61,7 +61,7 @@ class JobPiece(AbstractPiece):
         model = JobModel.of(own, self.adjoint)
         assert model.machine is not None
         rows = model.machine.run_segment(model.process, motors, before.coupled)
-        motion = wall_motion(own, rows, self.wall_share)
+        motion = wall_motion(own, rows.ends, rows.force, self.wall_share)
         return motion, JobState(rows.state, joints[motors.shape[0] - 1], memory)
 
     def linearised(self, command: FloatRows) -> LinearJob:

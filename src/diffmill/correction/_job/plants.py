@@ -167,7 +167,7 @@ def _motion(
     adjoint: AbstractAdjoint,
 ) -> Motion:
     ran = JobModel.of(job, adjoint).run(motors)
-    return wall_motion(job, ran, wall_share)
+    return wall_motion(job, ran.ends, ran.force, wall_share)
 
 
 @eqx.filter_jit

@@ -121,14 +121,13 @@ def _chip_and_clearance(
     """Return the distance from the newest pose, and the least one from all [m]."""
     places = points.reshape(-1, 3)
     level = jax.vmap(lambda tip, axis: cutter.level(places, tip[None], axis[None]))
-    tips, axes = earlier.tip, earlier.direction()
+    axes = earlier.direction()
 
-    def step(least: Array, poses: tuple[Array, Array]) -> tuple[Array, None]:
-        tip, axis = poses
-        return jnp.minimum(least, jnp.min(level(tip, axis), axis=0)), None
+    def step(least: Array, pose: Pose) -> tuple[Array, None]:
+        return jnp.minimum(least, jnp.min(level(pose.tip, pose.axis), axis=0)), None
 
-    chip = cutter.level(places, tips[0, :1], axes[0, :1])
-    clearance, _ = jax.lax.scan(step, chip, (tips, axes))
+    chip = cutter.level(places, earlier.tip[0, :1], axes[0, :1])
+    clearance, _ = jax.lax.scan(step, chip, Pose(earlier.tip, axes))
     shape = points.shape[:-1]
     return chip.reshape(shape), clearance.reshape(shape)
 

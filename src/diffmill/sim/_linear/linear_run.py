@@ -24,18 +24,27 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, Int, Shaped
+from jaxtyping import Array, Float, Int, PyTree, Shaped
 
 from ..._live_rows import live_rows, scan_rows
 from ..._types import IntScalar
 from ...process import AbstractEngagement, Process
-from .._machine.machine import RunState, all_ends, begin, continued, with_first
-from .._machine.substeps import AbstractCompliant, CommandRow
+from .._machine.machine import (
+    Period,
+    PeriodRow,
+    RunState,
+    all_ends,
+    begin,
+    continued,
+    with_first,
+)
+from .._machine.substeps import AbstractCompliant
 from .period_slopes import (
     ArmSlopes,
     CompliantModel,
     CuttingMachine,
     ForceSlopes,
+    LoadedPeriod,
     ScaledBy,
     arm_slopes,
     force_slopes,
@@ -301,6 +310,20 @@ class LinearRun(eqx.Module):
         return numbers * size + pointers * jnp.dtype(jnp.int32).itemsize
 
 
+class _Around(NamedTuple):
+    """What a period leaves for its linear system.
+
+    Attributes:
+        out: What the run gives out.
+        arm: What the arm did.
+        force: Where the force was taken, or its slopes there.
+    """
+
+    out: Period
+    arm: LoadedPeriod
+    force: PyTree
+
+
 def linearise(
     machine: AbstractCompliant,
     process: Process,
@@ -338,8 +361,10 @@ def linearise(
     else:
         started, first = continued(process, state, steps - 1)
 
-    def period(state: RunState, x: tuple[Array, CommandRow, Array | None]):
-        ended, out, substeps = machine.follow(process, state, *x, look=look_with_slopes)
+    def period(state: RunState, row: PeriodRow):
+        ended, out, substeps = machine.follow(
+            process, state, *row, look=look_with_slopes
+        )
         before, after = state.process, ended.process
         # As the period saw it, before its own poses became the most recent.
         near = eqx.tree_at(
@@ -349,32 +374,34 @@ def linearise(
         found = substeps.found
         if found is None:
             predicted = eqx.tree_at(lambda p: p.tip, middles, substeps.predicted)
-            found = look_with_slopes(process, near, x[0], predicted)
+            found = look_with_slopes(process, near, row.period, predicted)
         force = period_force(process, near, found, middles)
-        return ended, (out, (state.machine, x[1], substeps.loads), force)
+        arm = LoadedPeriod(state.machine, row.command, substeps.loads)
+        return ended, _Around(out, arm, force)
 
-    def batch(state: RunState, x: tuple[Array, CommandRow, Array | None], _: Any):
-        ended, (out, arms, force) = jax.lax.scan(period, state, x)
+    def batch(state: RunState, rows: PeriodRow, _: Any):
+        ended, around = jax.lax.scan(period, state, rows)
         of = lambda x: force_slopes(model, x, process.engagement.judges_period)
-        return ended, (out, arms, jax.vmap(of)(force))
+        return ended, around._replace(force=jax.vmap(of)(around.force))
 
     rows = machine.rows(process, motors, row_count)
     index = first + jnp.arange(steps - 1, dtype=jnp.int32)
     is_live = live_rows(1 + index - first, row_count)
-    batches = jax.tree.map(_in_batches, (index, rows, is_live))
-    is_run = None if is_live is None else batches[2][:, 0]
+    batches = jax.tree.map(_in_batches, PeriodRow(index, rows, is_live))
+    is_run = None if is_live is None else batches.is_live[:, 0]
     _, around = scan_rows(batch, started, batches, is_run, together=_TOGETHER)
     around = jax.tree.map(lambda x: jax.lax.collapse(x, 0, 2)[: steps - 1], around)
-    periods, arms, force = around
 
-    def slopes(_: None, x: tuple, is_live: Array | None) -> tuple[None, ArmSlopes]:
+    def slopes(
+        _: None, period: LoadedPeriod, is_live: Array | None
+    ) -> tuple[None, ArmSlopes]:
         # One after the other: in batches it is no faster, and compiles three times as
         # long.
-        return None, arm_slopes(model, *x)
+        return None, arm_slopes(model, period)
 
-    _, arms = scan_rows(slopes, None, arms, is_live)
+    _, arms = scan_rows(slopes, None, around.arm, is_live)
     solve = functools.partial(_solved, process.engagement, motors.shape[1])
-    system = jax.vmap(solve)(force, arms)
+    system = jax.vmap(solve)(around.force, arms)
 
     def begun(head: Float[Array, "row joint"], parameters: Array) -> Array:
         machine, process = model.scaled(parameters)
@@ -384,12 +411,12 @@ def linearise(
     head, by_parameters = jax.jacfwd(begun, argnums=(0, 1))(*at)
     head = jnp.concatenate([head.reshape(head.shape[0], -1), by_parameters], axis=1)
     return LinearRun(
-        ends=all_ends(periods),
-        force=with_first(periods.force),
+        ends=all_ends(around.out),
+        force=with_first(around.out.force),
         loads=system.loads,
         arm=system.arm,
         pose=system.pose,
-        circles=jnp.maximum(force.circles - (first - 1), -1),
+        circles=jnp.maximum(around.force.circles - (first - 1), -1),
         begin=head if state is None else jnp.zeros_like(head),
         periods=process.cutter.flute_count,
         substeps=process.engagement.substeps,

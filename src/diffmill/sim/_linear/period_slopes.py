@@ -281,21 +281,29 @@ def force_slopes(
     )
 
 
-def arm_slopes(
-    model: CompliantModel,
-    state: PyTree,
-    row: CommandRow,
-    loads: Float[Array, "substep load"],
-) -> ArmSlopes:
-    """Return the slopes of the arm over one period.
+class LoadedPeriod(NamedTuple):
+    """A period of the arm, whose loads are known.
 
-    Args:
-        model: Machine and process; tooth period and sub-steps of that count.
+    Attributes:
         state: The arm at the start.
         row: Motors at both ends, shape (joint,).
         loads: Loads of the sub-steps in `work` [N], [N m], shape (substep, load).
     """
-    flat, unravel = ravel_pytree(state)
+
+    state: PyTree
+    row: CommandRow
+    loads: Float[Array, "substep load"]
+
+
+def arm_slopes(model: CompliantModel, period: LoadedPeriod) -> ArmSlopes:
+    """Return the slopes of the arm over one period.
+
+    Args:
+        model: Machine and process; tooth period and sub-steps of that count.
+        period: What the arm did.
+    """
+    row, loads = period.row, period.loads
+    flat, unravel = ravel_pytree(period.state)
 
     def move(
         x: Array, start: Array, stop: Array, parameters: Array, loads: Array

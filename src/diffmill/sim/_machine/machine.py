@@ -46,6 +46,20 @@ class RunState(eqx.Module):
     period_count: Int[Array, ""]
 
 
+class PeriodRow(NamedTuple):
+    """What a run is told of a tooth period, or of several.
+
+    Attributes:
+        period: Its index, shape (*period,); row 0 has none.
+        command: The machine's, a tree.
+        is_live: Whether the period counts, shape (*period,); None if all do.
+    """
+
+    period: Int[Array, "*period"]
+    command: PyTree
+    is_live: Bool[Array, "*period"] | None = None
+
+
 class Period(eqx.Module):
     """Outputs of one tooth period.
 
@@ -428,15 +442,15 @@ def _run_periods(
     indices = index + jnp.arange(_length(rows), dtype=jnp.int32)
 
     def step(
-        state: RunState, x: tuple[Array, PyTree], is_live: Array | None
+        state: RunState, row: PeriodRow, is_live: Array | None
     ) -> tuple[RunState, Period]:
-        return machine.period(process, state, *x, is_live)
+        return machine.period(process, state, row.period, row.command, is_live)
 
     # Removal looks at poses behind the last one, where the tool stands.
     return scan_rows(
         step,
         state,
-        (indices, rows),
+        PeriodRow(indices, rows),
         live_rows(indices, row_count),
         behind=process.removal.standing_rows,
     )

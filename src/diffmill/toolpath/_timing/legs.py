@@ -305,8 +305,8 @@ def _slowed(legs: list[Leg], smoothing: float) -> list[Leg]:
     )
     for leg, parts in zip(legs, ranges, strict=True):
         if len(parts) == 1 or isinstance(leg.piece, Blend):
-            out.append(leg.slower(min(speed for _, speed in parts), JERK))
+            out.append(leg.slower(min(part.speed for part in parts), JERK))
             continue
-        pieces = leg.split([length for length, _ in parts])
-        out += [p.slower(v, JERK) for p, (_, v) in zip(pieces, parts, strict=True)]
+        slowed = zip(leg.split([p.length for p in parts]), parts, strict=True)
+        out += [piece.slower(part.speed, JERK) for piece, part in slowed]
     return out

@@ -6,6 +6,8 @@ of those of the plain motion and so stay within the same limits, and the tangent
 acceleration no longer jumps: it changes by 2 a / tau at most.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -75,12 +77,19 @@ def mean_way(
     return np.clip(np.where(smoothing > 0, mean, here), 0.0, s_1 - s_0)
 
 
+class SlowRange(NamedTuple):
+    """How long a part of a path is [m], and the largest speed on it [m/s]."""
+
+    length: float
+    speed: float
+
+
 def slow_ranges(
     length: Float[np.ndarray, " piece"],
     speed: Float[np.ndarray, " piece"],
     section: Int[np.ndarray, " piece"],
     smoothing: float,
-) -> list[list[tuple[float, float]]]:
+) -> list[list[SlowRange]]:
     """Return how the pieces of a path must be slowed down around slow ones.
 
     Of a piece with the speed v, the mean over tau holds that speed if the plain motion
@@ -93,12 +102,12 @@ def slow_ranges(
         smoothing: tau [s].
 
     Returns:
-        For each piece its parts, lengths and largest speeds, in order.
+        For each piece its parts, in order.
     """
     count = length.size
     # Of every piece, how far a slower speed reaches into it from either end.
-    heads: list[list[tuple[float, float]]] = [[] for _ in range(count)]
-    tails: list[list[tuple[float, float]]] = [[] for _ in range(count)]
+    heads: list[list[SlowRange]] = [[] for _ in range(count)]
+    tails: list[list[SlowRange]] = [[] for _ in range(count)]
     lengths, speeds, sections = length.tolist(), speed.tolist(), section.tolist()
     for i, v in enumerate(speeds):
         for step, found in ((1, heads), (-1, tails)):
@@ -107,13 +116,13 @@ def slow_ranges(
                 # A slower one reaches on by itself.
                 if speeds[j] <= v:
                     break
-                found[j].append((min(reach, lengths[j]), v))
+                found[j].append(SlowRange(min(reach, lengths[j]), v))
                 reach -= lengths[j]
                 j += step
     return [
         _parts(lengths[i], speeds[i], heads[i], tails[i])
         if heads[i] or tails[i]
-        else [(lengths[i], speeds[i])]
+        else [SlowRange(lengths[i], speeds[i])]
         for i in range(count)
     ]
 
@@ -121,10 +130,10 @@ def slow_ranges(
 def _parts(
     length: float,
     speed: float,
-    heads: list[tuple[float, float]],
-    tails: list[tuple[float, float]],
-) -> list[tuple[float, float]]:
-    """Return the parts of one piece, lengths and largest speeds."""
+    heads: list[SlowRange],
+    tails: list[SlowRange],
+) -> list[SlowRange]:
+    """Return the parts of one piece."""
     ends = {length, *(reach for reach, _ in heads)}
     ends |= {length - reach for reach, _ in tails} - {0.0}
     out, start = [], 0.0
@@ -135,6 +144,6 @@ def _parts(
             + [v for reach, v in heads if middle < reach]
             + [v for reach, v in tails if middle > length - reach]
         )
-        out.append((end - start, slowest))
+        out.append(SlowRange(end - start, slowest))
         start = end
     return out

@@ -22,7 +22,7 @@ from .legs import (
 )
 from .pieces import Arc, Segment, arc_positions
 from .smoothing import WayInTime, mean_way
-from .way_limits import JointCourse, WayLimit
+from .way_limits import JointCourse, WayLimit, WaySpeed
 
 # Fraction of a tooth period by which sums of durations may miss a tooth instant.
 _SAME_INSTANT = 1e-6
@@ -168,7 +168,8 @@ class TimedProgram(NamedTuple):
             return self
         # Rows are joined by chords, which are a little shorter than arcs.
         way *= self.profile.length.sum() / way[-1]
-        most = max(leg.speed for leg in self.legs), self.limits.acceleration
+        fastest = max(leg.speed for leg in self.legs)
+        most = WaySpeed(fastest, self.limits.acceleration)
         course = JointCourse(q, names, speed, acceleration)
         along = course.way_limits(way, self.stops, most)
         return TimedProgram.of(self.program, self.limits, along) if along else self

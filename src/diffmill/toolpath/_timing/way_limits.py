@@ -35,6 +35,13 @@ class WayLimit(NamedTuple):
     cause: str
 
 
+class WaySpeed(NamedTuple):
+    """A speed [m/s] and an acceleration [m/s^2] along a way."""
+
+    speed: float
+    acceleration: float
+
+
 class JointCourse(NamedTuple):
     """How the joints of a robot move along a path, and what they can.
 
@@ -55,14 +62,14 @@ class JointCourse(NamedTuple):
         self,
         way: Float[np.ndarray, " row"],
         stops: Float[np.ndarray, " stop"],
-        most: tuple[float, float],
+        most: WaySpeed,
     ) -> tuple[WayLimit, ...]:
         """Return what the joints allow along a way.
 
         Args:
             way: Way at each row of `q` [m], not decreasing, shape (row,).
             stops: Where the tool is at rest [m], and may turn, shape (stop,).
-            most: Speed [m/s] and acceleration [m/s^2] that are not passed anyway.
+            most: What is not passed anyway.
 
         Returns:
             The limits; none if the joints allow all of it.
@@ -86,12 +93,14 @@ class JointCourse(NamedTuple):
             by_bend = np.sqrt(_MARGIN * self.acceleration / 2 / bend)
             by_slope = _MARGIN * self.acceleration / 2 / slope
         held = np.minimum(by_speed, by_bend)
-        speed = _with_neighbours(np.minimum(held.min(axis=1), most[0]))
-        acceleration = _with_neighbours(np.minimum(by_slope.min(axis=1), most[1]))
-        if (speed >= most[0]).all() and (acceleration >= most[1]).all():
+        speed = _with_neighbours(np.minimum(held.min(axis=1), most.speed))
+        acceleration = _with_neighbours(
+            np.minimum(by_slope.min(axis=1), most.acceleration)
+        )
+        if (speed >= most.speed).all() and (acceleration >= most.acceleration).all():
             return ()
         # The joint that takes most of what is asked for is the one that is named.
-        share = np.maximum(most[0] / held, most[1] / by_slope)
+        share = np.maximum(most.speed / held, most.acceleration / by_slope)
         return _merged(at, speed, acceleration, share, self.names)
 
 
