@@ -207,3 +207,27 @@ def test_the_deviation_follows_the_modes_as_its_derivative_says():
         size = np.abs(rise).max()
         assert size > 1e-7
         np.testing.assert_allclose(slopes[..., k], rise, atol=2e-3 * size)
+
+
+@pytest.mark.slow
+def test_a_slope_may_be_differentiated_once_more():
+    tips, known = jnp.asarray(cut(16)), process(4)
+    weights = jnp.asarray(np.random.default_rng(2).normal(size=tips.shape))
+
+    def total(log_scale):
+        modes = rb.TipModes(
+            jnp.array([40.0, 55.0]) * jnp.exp(log_scale[0]),
+            jnp.array([0.05, 0.08]) * jnp.exp(log_scale[1]),
+            jnp.array([[0.1, 0.02, 0.0], [-0.02, 0.12, 0.05]]) * jnp.exp(log_scale[2]),
+        )
+        actual = sim.ModalMachine(modes).run(known, tips).actual
+        return 1e6 * jnp.sum(weights * (actual - tips))
+
+    slope = jax.jit(jax.grad(total))
+    start = jnp.zeros(3)
+    curvature = np.asarray(jax.jit(jax.hessian(total))(start))
+    np.testing.assert_allclose(curvature, curvature.T, rtol=1e-9)
+    h = 1e-5
+    rises = [slope(start + h * e) - slope(start - h * e) for e in np.eye(3)]
+    rise = np.stack(rises) / (2 * h)
+    np.testing.assert_allclose(curvature, rise, atol=1e-4 * np.abs(rise).max())

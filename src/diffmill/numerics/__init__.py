@@ -4,7 +4,8 @@ What it models: `lowpass`, a Butterworth filter run forward and backward, which 
 the tooth frequency out of forces for display and noise out of a predicted deviation
 before it is mirrored. The filter has no phase shift, and its order and cut-off are
 arguments. Besides, derivatives that JAX would not find by itself, or not as cheaply:
-`with_derivative_of` and `clamp`; `hold` keeps what XLA would compute again, and
+`with_derivative_of` and `clamp`; `hold` keeps what XLA would compute again, `Few` sums
+up what it would reduce slowly, and
 `Recomputed` computes again what reverse mode would keep; `small_inverse` is an inverse
 that batches well.
 `hat_integral` is the smooth step that samples at any phase sum up fairly, `ramp` a
@@ -17,6 +18,7 @@ already give, and filters within a traced function.
 
 from ._clamp import clamp as clamp
 from ._compiled_once import CompiledOnce as CompiledOnce
+from ._few import Few as Few
 from ._filters import lowpass as lowpass
 from ._hat import hat_integral as hat_integral, ramp as ramp
 from ._hold import hold as hold

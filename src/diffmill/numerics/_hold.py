@@ -4,28 +4,80 @@ from typing import Any, TypeVar
 
 import jax
 from jax.experimental.xla_metadata import set_xla_metadata
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
 
 _T = TypeVar("_T")
 
-
-def _same(values: Any) -> Any:
-    return values
-
-
-_identity = jax.jit(_same)
+# Of its own: JAX looks through a call that returns its arguments, where reverse mode
+# parts what is known from what is not.
+_hold, _later = Primitive("hold"), Primitive("hold_backward")
+_hold.multiple_results = _later.multiple_results = True
 
 
-def hold(values: _T) -> _T:
+def hold(values: _T, *, backward_only: bool = False) -> _T:
     """Return the values, which their users are to load and not to compute again.
 
     XLA's CPU compiler fuses what is computed into each of its users. A call that is not
     inlined stops it, by an attribute of that call alone. It is a hint: without it the
     results are the same.
 
+    Args:
+        values: A tree of arrays.
+        backward_only: Hold what reverse mode adds up for the values, not the values.
+
     **Differentiability**: linear, the identity.
     """
-    if jax.default_backend() != "cpu":
-        return jax.lax.optimization_barrier(values)
     leaves, tree = jax.tree.flatten(values)
+    primitive = _later if backward_only else _hold
+    return jax.tree.unflatten(tree, primitive.bind(*leaves))
+
+
+def _same(*values: Any) -> list[Any]:
+    return list(values)
+
+
+_identity = jax.jit(_same)
+
+
+def _call(*values: Any) -> list[Any]:
     with set_xla_metadata(inlineable="false"):
-        return jax.tree.unflatten(tree, _identity(leaves))
+        return _identity(*values)
+
+
+def _barrier(*values: Any) -> list[Any]:
+    return list(jax.lax.optimization_barrier(values))
+
+
+def _of_nonzero(primitive: Primitive, values: Any) -> list[Any]:
+    """Bind a primitive to what is not a symbolic zero."""
+    is_zero = [isinstance(x, ad.Zero) for x in values]
+    others = [x for x, no in zip(values, is_zero, strict=True) if not no]
+    bound = iter(primitive.bind(*others))
+    return [x if no else next(bound) for x, no in zip(values, is_zero, strict=True)]
+
+
+def _define(primitive: Primitive) -> None:
+    def jvp(primals: Any, tangents: Any) -> tuple[list[Any], list[Any]]:
+        return primitive.bind(*primals), _of_nonzero(primitive, tangents)
+
+    def transpose(cotangents: Any, *operands: Any) -> list[Any]:
+        del operands
+        return _of_nonzero(_hold, cotangents)
+
+    def batch(values: Any, axes: Any) -> tuple[list[Any], Any]:
+        return primitive.bind(*values), axes
+
+    primitive.def_impl(_same)
+    primitive.def_abstract_eval(_same)
+    ad.primitive_jvps[primitive] = jvp
+    ad.primitive_transposes[primitive] = transpose
+    batching.primitive_batchers[primitive] = batch
+
+
+for _each in (_hold, _later):
+    _define(_each)
+for _rule, _where in ((_barrier, None), (_call, "cpu")):
+    _lowered = mlir.lower_fun(_rule, multiple_results=True)
+    mlir.register_lowering(_hold, _lowered, platform=_where)
+mlir.register_lowering(_later, mlir.lower_fun(_same, multiple_results=True))

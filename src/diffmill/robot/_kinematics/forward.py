@@ -38,7 +38,7 @@ class JointFrames(eqx.Module):
 
 def joint_frames(robot: Robot, q: Float[Array, " joint"]) -> JointFrames:
     """Return frames and screws; see `JointFrames`."""
-    local = _local_frames(robot, unfold_positions(robot, q))
+    local = jnp.unstack(_local_frames(robot, unfold_positions(robot, q)))
     # Three rows of a frame times a whole local one: rotation and place at once, in half
     # the instructions of a product for each.
     frames: list[Array] = []

@@ -17,7 +17,8 @@ from ...workpiece import Pose
 from ._integrator.base import AbstractIntegrator, ArmState, MotorCommand
 from ._integrator.midpoint import Midpoint
 from .midpoint_terms import HeldSpan, middle_terms
-from .substeps import AbstractSpan, AbstractSwinging, CommandRow, start_rate
+from .span import AbstractSpan
+from .substeps import AbstractSwinging, CommandRow, start_rate
 
 
 class ArmSpan(AbstractSpan):

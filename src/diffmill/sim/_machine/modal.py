@@ -19,7 +19,8 @@ from jaxtyping import Array, Float
 from ...process import Process
 from ...robot import TipModes
 from ...workpiece import Pose
-from .substeps import AbstractSpan, AbstractSwinging, CommandRow, start_rate
+from .span import AbstractSpan
+from .substeps import AbstractSwinging, CommandRow, start_rate
 
 
 class ModalState(eqx.Module):

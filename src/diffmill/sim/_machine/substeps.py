@@ -3,12 +3,13 @@
 Each sub-step takes the force F of the teeth that pass in it, at the tip where the
 machine will be in the middle of the sub-step, and hands it to the machine. What differs
 from machine to machine is how a tooth period is prepared (`AbstractSwinging.span`) and
-how the machine moves in it (`AbstractSpan`).
+how the machine moves in it (`AbstractSpan` of `span.py`, which takes the sub-steps).
 """
 
 import abc
 import dataclasses
 from collections.abc import Callable
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -18,13 +19,13 @@ from jaxtyping import Array, Bool, Float, Int, PyTree
 from ..._live_rows import when_live
 from ..._types import IntScalar
 from ...process import (
-    EdgeSamples,
     Engagement,
     Process,
     Substeps,
 )
 from ...workpiece import Pose
 from .machine import AbstractMachine, Period, RunState
+from .span import AbstractSpan, PushedSpan, SubstepRow
 
 
 class CommandRow(eqx.Module):
@@ -37,42 +38,6 @@ class CommandRow(eqx.Module):
 
     start: Float[Array, "*period axis"]
     stop: Float[Array, "*period axis"]
-
-
-class AbstractSpan(eqx.Module):
-    """A machine in one tooth period, in `work`, ready for its sub-steps.
-
-    Attributes:
-        pose: At the start.
-    """
-
-    pose: eqx.AbstractVar[Pose]
-
-    @abc.abstractmethod
-    def middle(self, state: PyTree, time: Float[Array, ""]) -> Float[Array, " 3"]:
-        """Return the tip in the middle of a sub-step, before its force is known [m].
-
-        Args:
-            state: The machine's, at the start of the sub-step.
-            time: Of its middle, from the start of the period [s].
-        """
-
-    @abc.abstractmethod
-    def step(
-        self, state: PyTree, time: Float[Array, ""], load: Float[Array, " load"]
-    ) -> PyTree:
-        """Return the state at the end of a sub-step.
-
-        Args:
-            state: At its start.
-            time: Of its middle, from the start of the period [s].
-            load: Force on the tool [N], and its moment about the tip [N m] if the
-                machine takes that; held over the sub-step.
-        """
-
-    @abc.abstractmethod
-    def tip(self, state: PyTree) -> Float[Array, " 3"]:
-        """Return the tip in a state of the period [m]."""
 
 
 class LoadedSubsteps(eqx.Module):
@@ -245,14 +210,14 @@ class AbstractSwinging(AbstractCompliant):
         span = self.span(process, state, row)
         times = process.tooth_period * process.substep_middles(loads.dtype)
 
-        def substep(state: PyTree, x: tuple[Array, Array]) -> tuple[PyTree, tuple]:
-            time, load = x
-            middle = span.middle(state, time)
-            end = span.step(state, time, load)
-            return end, (middle, span.tip(end))
+        def substep(state: PyTree, row: _TimedLoad) -> tuple[PyTree, _TipsOfSubstep]:
+            middle = span.middle(state, row.time)
+            end = span.step(state, row.time, row.load)
+            return end, _TipsOfSubstep(middle, span.tip(end))
 
-        end, (tips, ends) = jax.lax.scan(substep, state, (times, loads))
-        return PeriodMotion(end, span.pose, along(span.pose, tips), ends, None)
+        end, tips = jax.lax.scan(substep, state, _TimedLoad(times, loads))
+        middles = along(span.pose, tips.middle)
+        return PeriodMotion(end, span.pose, middles, tips.end, None)
 
     @abc.abstractmethod
     def span(self, process: Process, state: PyTree, row: CommandRow) -> AbstractSpan:
@@ -263,6 +228,20 @@ class AbstractSwinging(AbstractCompliant):
             state: The machine's, at the start.
             row: The command.
         """
+
+
+class _TimedLoad(NamedTuple):
+    """The middle of a sub-step [s], and its load [N], [N m]."""
+
+    time: Float[Array, "*substep"]
+    load: Float[Array, "*substep load"]
+
+
+class _TipsOfSubstep(NamedTuple):
+    """The tip in the middle and at the end of a sub-step [m]."""
+
+    middle: Float[Array, "*substep 3"]
+    end: Float[Array, "*substep 3"]
 
 
 class _Coupled(eqx.Module):
@@ -278,6 +257,27 @@ class _Look(eqx.Module):
 
     predicted: Pose
     found: Engagement
+
+
+class _BeforeLook(NamedTuple):
+    """The machine before a look, and how far the tool is from the period before."""
+
+    machine: PyTree
+    ahead: Float[Array, "substep 3"]
+
+
+class _LookRow(NamedTuple):
+    """The sub-steps of one look, or of all.
+
+    Attributes:
+        first: Number of the first one, shape (*look,).
+        times: Their middles [s], shape (*look, substep).
+        recent: Poses of the teeth before in them.
+    """
+
+    first: Int[Array, "*look"]
+    times: Float[Array, "*look substep"]
+    recent: Pose
 
 
 def _run_looks(
@@ -297,21 +297,18 @@ def _run_looks(
     looks = engagement.looks
     count = engagement.substeps // looks
 
-    def part(
-        carry: tuple[PyTree, Array], x: tuple[Array, Array, Pose]
-    ) -> tuple[tuple[PyTree, Array], LoadedSubsteps]:
-        state, ahead = carry
-        first, times, recent = x
+    def part(before: _BeforeLook, row: _LookRow) -> tuple[_BeforeLook, LoadedSubsteps]:
+        recent = row.recent
         near = eqx.tree_at(lambda p: p.recent, cutting, recent)
-        predicted = along(pose, recent.tip[0] + ahead)
-        substeps = Substeps(first, count)
+        predicted = along(pose, recent.tip[0] + before.ahead)
+        substeps = Substeps(row.first, count)
         cut = process.engage(near, index, predicted, substeps)
         look = _Look(predicted, cut)
-        end, rows = _run_substeps(coupled, recent, look, state, times)
+        end, rows = _run_substeps(coupled, recent, look, before.machine, row.times)
         # How far the tool is off the period before goes on changing as it did.
         off = rows.tips - recent.tip[0]
         later = jnp.arange(1, count + 1, dtype=off.dtype)[:, None]
-        return (end, off[-1:] + later * (off[-1:] - off[-2:-1])), rows
+        return _BeforeLook(end, off[-1:] + later * (off[-1:] - off[-2:-1])), rows
 
     split = lambda x: x.reshape(looks, count, *x.shape[1:])
     recent = jax.tree.map(
@@ -319,9 +316,9 @@ def _run_looks(
     )
     first = count * jnp.arange(looks, dtype=jnp.int32)
     ahead = jnp.broadcast_to(drift, (count, 3))
-    xs = (first, split(times), recent)
-    (end, _), rows = jax.lax.scan(part, (begun.machine, ahead), xs)
-    return end, jax.tree.map(lambda x: x.reshape(-1, x.shape[-1]), rows)
+    looked = _LookRow(first, split(times), recent)
+    last, rows = jax.lax.scan(part, _BeforeLook(begun.machine, ahead), looked)
+    return last.machine, jax.tree.map(lambda x: x.reshape(-1, x.shape[-1]), rows)
 
 
 def _run_substeps(
@@ -332,45 +329,20 @@ def _run_substeps(
     times: Float[Array, " substep"],
 ) -> tuple[PyTree, LoadedSubsteps]:
     """Return the state after sub-steps of a period, and these."""
-    mean_load = _mean_wrench if coupled.load_count == 6 else _mean_force
-    tool, span = _tool_of(coupled.process), coupled.span
-
-    def substep(
-        state: PyTree, x: tuple[Array, Pose, EdgeSamples]
-    ) -> tuple[PyTree, tuple[Array, PyTree, Array]]:
-        time, earlier, samples = x
-        tip = span.middle(state, time)
-        pose = Pose(tip, span.pose.axis)
-        F = mean_load(tool, samples, pose, earlier, look.found.thinned)
-        end = span.step(state, time, F)
-        return end, (tip, end, F)
-
+    span = coupled.span
     earlier = jax.tree.map(lambda x: jnp.moveaxis(x, 0, 1), recent)
-    # What the forces come from is computed again rather than kept.
-    xs = times, earlier, look.found.samples
-    end, (tips, states, loads) = jax.lax.scan(jax.checkpoint(substep), start, xs)
-    ends = jax.vmap(span.tip)(states)
-    return end, LoadedSubsteps(look.predicted.tip, tips, ends, loads)
+    rows = SubstepRow(times, earlier, look.found.samples)
+    pushed = PushedSpan(
+        _tool_of(coupled.process), span, look.found.thinned, coupled.load_count
+    )
+    end, moved = pushed.run(start, rows)
+    ends = jax.vmap(span.tip)(moved.end)
+    return end, LoadedSubsteps(look.predicted.tip, moved.tip, ends, moved.load)
 
 
 def _tool_of(process: Process) -> Process:
     """Return a process without its stock, of which a force knows nothing."""
     return eqx.tree_at(lambda p: p.stock, process, None)
-
-
-def _mean_force(
-    process: Process, samples: EdgeSamples, pose: Pose, earlier: Pose, thinned: Pose
-) -> Float[Array, " 3"]:
-    """Return the force of a sub-step."""
-    return _mean_wrench(process, samples, pose, earlier, thinned)[:3]
-
-
-def _mean_wrench(
-    process: Process, samples: EdgeSamples, pose: Pose, earlier: Pose, thinned: Pose
-) -> Float[Array, " 6"]:
-    """Return force and moment of a sub-step."""
-    found = process.engagement.wrench(process, samples, pose, earlier, thinned)
-    return jnp.mean(found, axis=0)
 
 
 def start_rate(

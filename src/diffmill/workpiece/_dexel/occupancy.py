@@ -23,7 +23,8 @@ through the slope of the cutter's surface at that end, or by the raw stock; else
 the ends of the rays.
 """
 
-from typing import Literal, NamedTuple, TypeVar
+import functools
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -31,7 +32,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ...cutter import AbstractCutter
-from ...numerics import Recomputed, clamp, hat_integral, hold, ramp, with_derivative_of
+from ...numerics import (
+    Few,
+    Recomputed,
+    clamp,
+    hat_integral,
+    hold,
+    ramp,
+    with_derivative_of,
+)
 from .mean_step import mean_step
 from .nearest_interval import nearest_interval, taken
 from .stock import Stock
@@ -100,6 +109,7 @@ class Discs(eqx.Module):
         """
         place = jnp.arange(self.count, dtype=height.dtype)[:, None]
         place = place.reshape((1,) * (height.ndim - 2) + place.shape)
+        height = _at_discs(height, self.count)
         above = jnp.maximum(height, 0)
         share = hat_integral(above / self.height - (place + 0.5))
         below_tip = hat_integral(-above / self.height - 0.5)
@@ -138,7 +148,8 @@ class Discs(eqx.Module):
         """
         # Points in the last axis: arrays are long there, nothing is summed over it.
         ways = hold((points, moves, chips))
-        place, move, chip = hold([jnp.transpose(x, (2, 1, 0)) for x in ways])
+        place, move, chip = hold([jnp.unstack(x.T) for x in ways])
+        place, move, chip = _Place(*place), _Across(*move), _Across(*chip)
         columns = _find_columns(stock, place)
         if track is not None:
             columns = _tie_columns(columns, track)
@@ -154,6 +165,21 @@ class Discs(eqx.Module):
         return hold(ChipsInStock(*(share.T for share in hold(found))))
 
 
+class _Place(NamedTuple):
+    """Points in `work` [m]."""
+
+    x: Float[Array, "disc point"]
+    y: Float[Array, "disc point"]
+    z: Float[Array, "disc point"]
+
+
+class _Across(NamedTuple):
+    """Ways across the axis [m]."""
+
+    x: Float[Array, "disc point"]
+    y: Float[Array, "disc point"]
+
+
 class _Rim(eqx.Module):
     """Points on the rim, what is taken there, and the heights at which to look.
 
@@ -164,9 +190,9 @@ class _Rim(eqx.Module):
         heights: At which walls are looked for [m].
     """
 
-    place: Float[Array, "3 disc point"]
-    move: Float[Array, "2 disc point"]
-    chip: Float[Array, "2 disc point"]
+    place: _Place
+    move: _Across
+    chip: _Across
     heights: Float[Array, "element point"]
 
 
@@ -201,7 +227,7 @@ class _Walls(eqx.Module):
 _Rays = TypeVar("_Rays", _Columns, _Walls)
 
 
-def _find_columns(stock: Stock, place: Float[Array, "3 disc point"]) -> _Columns:
+def _find_columns(stock: Stock, place: _Place) -> _Columns:
     rays = stock.families[2]
     counts, slots = rays.ends.shape[:2], rays.ends.shape[-1]
     step = jnp.arange(-1, 2, dtype=jnp.int32)
@@ -225,7 +251,7 @@ def _nearest_line(
 
 def _wall_heights(
     stock: Stock,
-    place: Float[Array, "3 disc point"],
+    place: _Place,
     discs: Discs,
     columns: _Columns,
 ) -> Float[Array, "element point"]:
@@ -234,14 +260,14 @@ def _wall_heights(
     A disc that only just reaches into the material from above has its middle in the
     air, where rays along x and y meet nothing; one spacing below the top they do.
     """
-    z = place[2] + discs.centers(place.dtype)[:, None]
-    low, high = columns.ends
-    top = jnp.full_like(z, -jnp.inf)
-    for m in range(low.shape[0]):
-        for ray in range(9):
-            lower, upper = low[m, ray], high[m, ray]
-            reaches = (upper > lower) & (lower < z + discs.height)
-            top = jnp.maximum(top, jnp.where(reaches, upper, -jnp.inf))
+    centers = discs.centers(place.z.dtype)
+    z = _at_discs(place.z, discs.count) + centers[:, None]
+    low, high = (
+        _at_discs(x.reshape(-1, *x.shape[2:]), discs.count)
+        for x in hold(jnp.unstack(columns.ends), backward_only=True)
+    )
+    reaches = (high > low) & (low < z[None] + discs.height)
+    top = _largest(jnp.where(reaches, high, -jnp.inf))
     is_fringe = (top < z + stock.spacing) & (top > z - discs.height)
     return hold(jnp.where(is_fringe, jnp.where(is_fringe, top, 0) - stock.spacing, z))
 
@@ -249,7 +275,7 @@ def _wall_heights(
 def _find_walls(
     stock: Stock,
     family: Literal[0, 1],
-    place: Float[Array, "3 disc point"],
+    place: _Place,
     heights: Float[Array, "element point"],
     in_use: Int[Array, ""],
 ) -> _Walls:
@@ -278,7 +304,7 @@ def _find_walls(
         is_empty=Recomputed.read(high < low),
         pose=Recomputed.read(taken(rays.poses, at)),
         at=at,
-        across=stock.origin[side] + stock.spacing * line.astype(place.dtype),
+        across=stock.origin[side] + stock.spacing * line.astype(heights.dtype),
     )
 
 
@@ -323,13 +349,19 @@ def _made_walls(
     # One gather for both: its transpose then adds into the table only once.
     tips = Recomputed.read(_tips_of_walls(jnp.stack([w.pose for w in walls]), track))
     made = []
+    tips = hold(jnp.unstack(tips), backward_only=True)
     for f in (0, 1):
         wall, tip = walls[f], tips[f]
         slopes = cutter.wall_slopes(f, wall.ends, wall.across, frozen(tip))
         slopes = Recomputed.read(slopes)
-        aside = tip[..., 1 - f] - wall.across
-        end = tip[..., f] + frozen(slopes[0]) * aside
-        end = end + frozen(slopes[1]) * (cutter.diameter / 2)
+        by_aside, by_radius = frozen(slopes)
+        # Of a tip at once: of its coordinates reverse mode would fill up each.
+        axis = jnp.arange(3, dtype=jnp.int32).reshape((1,) * by_aside.ndim + (3,))
+        by_tip = jnp.where(
+            axis == 1 - f, by_aside[..., None], jnp.where(axis == f, 1, 0)
+        )
+        end = jnp.sum(by_tip * tip, axis=-1) - by_aside * wall.across
+        end = end + by_radius * (cutter.diameter / 2)
         raw = track.raw_ends(f, wall.at, wall.pose)
         made.append(jnp.where(wall.pose >= 0, end, raw))
     return tuple(made)
@@ -364,22 +396,23 @@ def _combine(
 ) -> ChipsInStock:
     wall = hold(_wall_occupancy(spacing, discs.band, origin, rim, walls))
     certainty = wall.certainty
-    above_tip = columns.ends - rim.place[2][None, None, None]
-    below = discs.filled_below(above_tip)
-    is_live = columns.ends[1] > columns.ends[0]
-    filled = _sum(jnp.where(is_live, below[1] - below[0], 0))
+    low, high = columns.ends
+    z = Few.copies(Few.copies(rim.place.z, 9), 2 * len(low))
+    below = discs.filled_below(columns.ends - z.reshape(2, len(low), *z.shape[1:]))
+    signs = jnp.array([-1.0, 1.0], below.dtype).reshape(2, 1, 1, 1, 1)
+    lengths = jnp.where((high > low)[None], signs * below, 0)
+    filled = Few.sum(Few.sum(lengths))
     weights = _column_weights(rim.place, origin, spacing)
+    weights = _at_discs(weights, discs.count)
     # Beside a wall the columns in the air must not thin the disc: walls do that.
     # Before a higher wall the disc stands on what its lower columns hold.
-    # One of equal columns: a tie shared by comparison is lost to rounding in reverse.
-    fullest = filled[0]
-    for ray in range(1, 9):
-        fullest = jnp.where(filled[ray] > fullest, filled[ray], fullest)
+    fullest = _largest(filled)
     filled, fullest, weights = hold((filled, fullest, weights))
-    weighted, gap = weights * filled, fullest[None] - filled
-    mean = _sum(weighted)
-    solid = _sum(weighted * filled) / (mean + _BLIND)
-    ledge = _sum(weighted * gap) / (_sum(weights * gap) + _BLIND)
+    weighted = weights * filled
+    gap = Few.copies(fullest, filled.shape[0]) - filled
+    mean = Few.sum(weighted)
+    solid = Few.sum(weighted * filled) / (mean + _BLIND)
+    ledge = Few.sum(weighted * gap) / (Few.sum(weights * gap) + _BLIND)
     ground = certainty * ledge
     rise = certainty * (solid - ledge) + (1 - certainty) * mean
     ground, rise = hold((ground, rise))
@@ -387,9 +420,37 @@ def _combine(
     return ChipsInStock(touching, (ground + rise * wall.filled) / (touching + _BLIND))
 
 
-def _sum(terms: Float[Array, " term *any"]) -> Float[Array, "*any"]:
-    """Sum over a short leading axis, term by term: XLA reduces so few slowly."""
-    return sum((terms[i] for i in range(1, terms.shape[0])), terms[0])
+def _at_discs(
+    values: Float[Array, "*any own point"], count: int
+) -> Float[Array, "*any disc point"]:
+    """Return values of all discs, which may share them."""
+    if values.shape[-2] == count:
+        return values
+    return jnp.moveaxis(Few.copies(values[..., 0, :], count), 0, -2)
+
+
+@jax.custom_jvp
+def _largest(values: Float[Array, " value *any"]) -> Float[Array, "*any"]:
+    """Return the largest values over a short leading axis.
+
+    The first of equal values has the whole derivative: shared by comparison, it would
+    be lost to rounding in reverse.
+    """
+    return functools.reduce(jnp.maximum, jnp.unstack(values))
+
+
+def _largest_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
+    (values,), (changes,) = primals, tangents
+    largest, place = values[0], jnp.zeros(values.shape[1:], jnp.int32)
+    for i, value in enumerate(jnp.unstack(values)):
+        place = jnp.where(value > largest, i, place)
+        largest = jnp.maximum(value, largest)
+    each = jnp.arange(values.shape[0], dtype=jnp.int32)
+    is_first = place[None] == each.reshape(-1, *(1,) * place.ndim)
+    return _largest(values), Few.sum(jnp.where(is_first, changes, 0))
+
+
+_largest.defjvp(_largest_jvp)
 
 
 class _BesideWalls(NamedTuple):
@@ -423,16 +484,20 @@ def _wall_occupancy(
     ahead = jnp.zeros_like(heights)
     inward = jnp.zeros_like(heights)
     for f, wall in enumerate(walls):
-        x = place[f][None, None]
+        x = Few.copies(_at_discs(place[f], len(heights)), 6).reshape(wall.ends.shape)
         s = jnp.where(wall.is_upper, wall.ends - x, x - wall.ends)
-        s = hold(jnp.where(wall.is_empty, -reach, clamp(-reach, s, reach)))
-        sees = (1 - (s / reach) ** 2) ** 2 + _BLIND
-        lower, upper = (1 - q)[None] * sees[:, 0], q[None] * sees[:, 1]
-        s = hold((lower * s[:, 0] + upper * s[:, 1]) / (lower + upper))
+        s = jnp.where(wall.is_empty, -reach, clamp(-reach, s, reach))
+        below, above = hold(jnp.unstack(s, axis=1), backward_only=True)
+        lower, upper = (
+            share * ((1 - (s / reach) ** 2) ** 2 + _BLIND)
+            for share, s in ((1 - Few.copies(q, 3), below), (Few.copies(q, 3), above))
+        )
+        s = hold((lower * below + upper * above) / (lower + upper))
+        left, middle, right = hold(jnp.unstack(s), backward_only=True)
         at = (place[1 - f] - origin[1 - f]) / d
         t = jnp.broadcast_to(at - jax.lax.stop_gradient(jnp.round(at)), heights.shape)
-        slope = ((0.5 - t) * (s[1] - s[0]) + (0.5 + t) * (s[2] - s[1])) / d
-        s_here = _sum(_spline(t) * s)
+        slope = ((0.5 - t) * (middle - left) + (0.5 + t) * (right - middle)) / d
+        s_here = Few.sum(_spline(t) * s)
         sees_here = (1 - (s_here / reach) ** 2) ** 2
         steepness = 1 + slope**2
         weight = sees_here / steepness**2
@@ -461,7 +526,7 @@ def _wall_occupancy(
 
 
 def _column_weights(
-    place: Float[Array, "3 disc point"], origin: Float[Array, " 3"], spacing: float
+    place: _Place, origin: Float[Array, " 3"], spacing: float
 ) -> Float[Array, "9 disc point"]:
     """Return the quadratic B-spline weights of the 3 x 3 columns."""
     weights = []

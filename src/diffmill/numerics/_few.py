@@ -1,0 +1,69 @@
+"""A sum of a few terms, and a few copies: each is the other's transpose.
+
+XLA's CPU compiler reduces a short axis by a loop of single numbers, and where it sums
+up what was broadcast it does so in reverse mode too. Written term by term both become
+part of the loops around them, over long axes; but JAX transposes a term into an array
+of zeros around it. So both are operations of their own.
+"""
+
+import jax.numpy as jnp
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
+from jaxtyping import Array, Float
+
+_sum = Primitive("sum_of_few")
+_copies = Primitive("few_copies")
+
+
+class Few:
+    """Sums and copies of a few arrays."""
+
+    @staticmethod
+    def sum(terms: Float[Array, " term *any"]) -> Float[Array, "*any"]:
+        """Return the sum over a short leading axis.
+
+        **Differentiability**: linear.
+        """
+        return _sum.bind(terms)
+
+    @staticmethod
+    def copies(values: Float[Array, "*any"], count: int) -> Float[Array, " copy *any"]:
+        """Return copies of values along a new leading axis.
+
+        **Differentiability**: linear.
+        """
+        return _copies.bind(values, count=count)
+
+
+def _add(terms: Array) -> Array:
+    first, *rest = jnp.unstack(terms)
+    return sum(rest, first)
+
+
+def _copy(values: Array, count: int) -> Array:
+    return jnp.broadcast_to(values[None], (count, *values.shape))
+
+
+def _add_batch(args: tuple[Array], axes: tuple[int]) -> tuple[Array, int]:
+    return Few.sum(jnp.moveaxis(args[0], axes[0], 1)), 0
+
+
+def _copy_batch(
+    args: tuple[Array], axes: tuple[int], *, count: int
+) -> tuple[Array, int]:
+    return Few.copies(args[0], count), axes[0] + 1
+
+
+_sum.def_impl(_add)
+_sum.def_abstract_eval(lambda terms: terms.update(shape=terms.shape[1:]))
+mlir.register_lowering(_sum, mlir.lower_fun(_add, multiple_results=False))
+batching.primitive_batchers[_sum] = _add_batch
+ad.deflinear2(_sum, lambda ct, terms: [Few.copies(ct, terms.aval.shape[0])])
+
+_copies.def_impl(_copy)
+_copies.def_abstract_eval(
+    lambda values, count: values.update(shape=(count, *values.shape))
+)
+mlir.register_lowering(_copies, mlir.lower_fun(_copy, multiple_results=False))
+batching.primitive_batchers[_copies] = _copy_batch
+ad.deflinear2(_copies, lambda ct, values, count: [Few.sum(ct)])

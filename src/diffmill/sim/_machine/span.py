@@ -1,0 +1,223 @@
+"""A machine in one tooth period: its sub-steps, each pushed by the teeth, and slopes.
+
+The sub-steps follow each other, since the force of one moves the tip of the next. Their
+derivative is found in fewer calls than they are: what does not follow from the tips,
+all sub-steps at once; how each force follows its own tip, as a matrix, all at once too.
+One after the other there is only linear motion left. So many small arrays, forward and
+back, cost calls rather than arithmetic.
+"""
+
+import abc
+import functools
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.custom_derivatives import SymbolicZero
+from jaxtyping import Array, Float, PyTree
+
+from ...process import EdgeSamples, Process
+from ...workpiece import Pose
+
+
+class AbstractSpan(eqx.Module):
+    """A machine in one tooth period, in `work`, ready for its sub-steps.
+
+    Attributes:
+        pose: At the start.
+    """
+
+    pose: eqx.AbstractVar[Pose]
+
+    @abc.abstractmethod
+    def middle(self, state: PyTree, time: Float[Array, ""]) -> Float[Array, " 3"]:
+        """Return the tip in the middle of a sub-step, before its force is known [m].
+
+        Args:
+            state: The machine's, at the start of the sub-step.
+            time: Of its middle, from the start of the period [s].
+        """
+
+    @abc.abstractmethod
+    def step(
+        self, state: PyTree, time: Float[Array, ""], load: Float[Array, " load"]
+    ) -> PyTree:
+        """Return the state at the end of a sub-step.
+
+        Args:
+            state: At its start.
+            time: Of its middle, from the start of the period [s].
+            load: Force on the tool [N], and its moment about the tip [N m] if the
+                machine takes that; held over the sub-step.
+        """
+
+    @abc.abstractmethod
+    def tip(self, state: PyTree) -> Float[Array, " 3"]:
+        """Return the tip in a state of the period [m]."""
+
+
+class SubstepRow(NamedTuple):
+    """What the force of a sub-step, or of several, comes from.
+
+    Attributes:
+        time: Its middle, from the start of the period [s], shape (*substep,).
+        earlier: Poses of the teeth before, shape (*substep, tooth, 3).
+        samples: What is in the cut.
+    """
+
+    time: Float[Array, "*substep"]
+    earlier: Pose
+    samples: EdgeSamples
+
+
+class MovedSubstep(NamedTuple):
+    """What a sub-step, or several, did.
+
+    Attributes:
+        tip: In its middle [m], shape (*substep, 3).
+        end: The machine's state at its end.
+        load: Force on the tool [N], and its moment about the tip [N m] if the machine
+            takes that, shape (*substep, load).
+    """
+
+    tip: Float[Array, "*substep 3"]
+    end: PyTree
+    load: Float[Array, "*substep load"]
+
+
+class PushedSpan(eqx.Module):
+    """A machine in a period, and the tool that the teeth push.
+
+    Attributes:
+        tool: The process without its stock.
+        span: The machine.
+        thinned: Older poses.
+        load_count: 3 for the force alone, 6 with its moment.
+    """
+
+    tool: Process
+    span: AbstractSpan
+    thinned: Pose
+    load_count: int = eqx.field(static=True)
+
+    def run(self, start: PyTree, rows: SubstepRow) -> tuple[PyTree, MovedSubstep]:
+        """Return the state after some sub-steps, and what each did.
+
+        Args:
+            start: The machine's state before the first.
+            rows: The sub-steps.
+
+        **Differentiability**: exact, in forward and reverse mode, of any order.
+        """
+        arrays, fixed = eqx.partition(_Given(self, start, rows), eqx.is_array)
+        return _run(fixed, arrays)
+
+    def load(self, row: SubstepRow, tip: Float[Array, " 3"]) -> Float[Array, " load"]:
+        """Return the mean load of a sub-step whose tip is known [N], [N m]."""
+        pose = Pose(tip, self.span.pose.axis)
+        wrench = self.tool.engagement.wrench(
+            self.tool, row.samples, pose, row.earlier, self.thinned
+        )
+        return jnp.mean(wrench, axis=0)[: self.load_count]
+
+
+class _Given(eqx.Module):
+    """All that sub-steps follow from."""
+
+    pushed: PushedSpan
+    start: PyTree
+    rows: SubstepRow
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _run(fixed: _Given, arrays: _Given) -> tuple[PyTree, MovedSubstep]:
+    given: _Given = eqx.combine(arrays, fixed)
+    pushed = given.pushed
+
+    def substep(state: PyTree, row: SubstepRow) -> tuple[PyTree, MovedSubstep]:
+        tip = pushed.span.middle(state, row.time)
+        load = pushed.load(row, tip)
+        end = pushed.span.step(state, row.time, load)
+        return end, MovedSubstep(tip, end, load)
+
+    return jax.lax.scan(substep, given.start, given.rows)
+
+
+class _SlopeRow(NamedTuple):
+    """Slopes of a sub-step, or of several, along the direction that is asked for.
+
+    Attributes:
+        time: As `SubstepRow`.
+        start: The machine's state at its start.
+        load: As `MovedSubstep`.
+        by_tip: Slope of the load by its tip.
+        middle: Change of the tip in the middle, the state at the start held.
+        end: Change of the state at the end, the state at the start and the load held.
+        pushed: Change of the load, the tip held.
+    """
+
+    time: Float[Array, " substep"]
+    start: PyTree
+    load: Float[Array, "substep load"]
+    by_tip: Float[Array, "substep load 3"]
+    middle: Float[Array, "substep 3"]
+    end: PyTree
+    pushed: Float[Array, "substep load"]
+
+
+def _slopes(fixed: _Given, primals: Any, tangents: Any) -> tuple[Any, Any]:
+    end, moved = _run(fixed, *primals)
+    leaves, tree = jax.tree.flatten(primals[0])
+    changes = tree.flatten_up_to(tangents[0])
+    moving = [i for i, x in enumerate(changes) if not isinstance(x, SymbolicZero)]
+    pick = lambda each: tuple(each[i] for i in moving)
+
+    def given(*values: Array) -> _Given:
+        whole = list(leaves)
+        for i, value in zip(moving, values, strict=True):
+            whole[i] = value
+        return eqx.combine(jax.tree.unflatten(tree, whole), fixed)
+
+    # What does not follow from the tips and states on the way, these held.
+    at = given(*pick(leaves))
+    first = jax.tree.map(
+        lambda x, y: jnp.concatenate([x[None], y[:-1]]), at.start, moved.end
+    )
+
+    def held(*values: Array) -> tuple[PyTree, ...]:
+        now = given(*values)
+        span, time = now.pushed.span, now.rows.time
+        middles = jax.vmap(span.middle)(first, time)
+        return now.start, middles, jax.vmap(span.step)(first, time, moved.load)
+
+    # Computed again in reverse mode rather than kept.
+    loads = jax.checkpoint(lambda tips, *values: _loads(given(*values), tips))
+    _, (start, middles, ends) = jax.jvp(held, pick(leaves), pick(changes))
+    _, pushed = jax.jvp(
+        functools.partial(loads, moved.tip), pick(leaves), pick(changes)
+    )
+    by_tip = jax.vmap(jax.jacfwd(at.pushed.load, argnums=1))(at.rows, moved.tip)
+    span = at.pushed.span
+
+    def substep(state: PyTree, row: _SlopeRow) -> tuple[PyTree, MovedSubstep]:
+        middle = lambda state: span.middle(state, row.time)
+        step = lambda state, load: span.step(state, row.time, load)
+        _, tip = jax.jvp(middle, (row.start,), (state,))
+        tip = tip + row.middle
+        load = row.pushed + row.by_tip @ tip
+        _, end = jax.jvp(step, (row.start, row.load), (state, load))
+        end = jax.tree.map(jnp.add, end, row.end)
+        return end, MovedSubstep(tip, end, load)
+
+    rows = _SlopeRow(at.rows.time, first, moved.load, by_tip, middles, ends, pushed)
+    return (end, moved), jax.lax.scan(substep, start, rows)
+
+
+_run.defjvp(_slopes, symbolic_zeros=True)
+
+
+def _loads(
+    given: _Given, tips: Float[Array, "substep 3"]
+) -> Float[Array, "substep load"]:
+    return jax.vmap(given.pushed.load)(given.rows, tips)

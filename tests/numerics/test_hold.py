@@ -1,0 +1,67 @@
+"""What is held stays itself, in every derivative, and the compiler does keep it."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.test_util import check_grads
+
+from diffmill.numerics import Few, hold
+
+X = jnp.asarray(np.random.default_rng(3).normal(size=(3, 5)))
+
+
+def held(x, y):
+    x, z = hold((jnp.sin(x), x * y))
+    first, second, third = hold(jnp.unstack(x), backward_only=True)
+    return first * second + jnp.cos(third) * jnp.sum(z, axis=0)
+
+
+def plain(x, y):
+    x, z = jnp.sin(x), x * y
+    return x[0] * x[1] + jnp.cos(x[2]) * jnp.sum(z, axis=0)
+
+
+def test_held_values_and_their_derivatives_are_those_of_the_values():
+    np.testing.assert_array_equal(held(X, 2.0), plain(X, 2.0))
+    np.testing.assert_array_equal(
+        jax.jacrev(held)(X, 2.0), jax.jit(jax.jacrev(plain))(X, 2.0)
+    )
+    np.testing.assert_allclose(jax.jacfwd(held)(X, 2.0), jax.jacrev(plain)(X, 2.0))
+    rows = jnp.stack([X, 2 * X])
+    found = jax.vmap(held, (0, None))(rows, 2.0)
+    np.testing.assert_array_equal(found[1], plain(2 * X, 2.0))
+    check_grads(held, (X, 2.0), order=2)
+
+
+def test_what_is_known_is_held_too_where_a_loop_is_differentiated():
+    # JAX looks through a call that returns its arguments.
+    def total(x):
+        def step(x, _):
+            slope = hold(jax.lax.stop_gradient(jnp.sin(x)))
+            return slope * x, None
+
+        return jnp.sum(jax.lax.scan(step, x, length=3)[0])
+
+    if jax.default_backend() != "cpu":
+        pytest.skip("calls are held on the CPU")
+    text = jax.jit(jax.grad(total)).lower(X).as_text()
+    assert 'inlineable = "false"' in text
+
+
+@pytest.mark.parametrize("count", [1, 2, 7])
+def test_a_sum_of_few_and_few_copies(count):
+    terms = jnp.asarray(np.random.default_rng(count).normal(size=(count, 2, 4)))
+    np.testing.assert_allclose(Few.sum(terms), jnp.sum(terms, axis=0), rtol=1e-15)
+    copies = Few.copies(terms[0], count)
+    np.testing.assert_array_equal(copies, jnp.broadcast_to(terms[:1], terms.shape))
+    both = jax.jit(
+        lambda x: Few.sum(jnp.sin(x)) + Few.sum(Few.copies(jnp.square(x[0]), 3))
+    )
+    check_grads(both, (terms,), order=2, modes=("fwd", "rev"))
+    # Along any axis of a batch.
+    for axis in (0, 1, 2):
+        found = jax.vmap(both, in_axes=axis, out_axes=axis)
+        batch = jnp.stack([terms, 3 * terms], axis=axis)
+        wanted = jnp.stack([both(terms), both(3 * terms)], axis=axis)
+        np.testing.assert_allclose(found(batch), wanted, rtol=1e-14)
