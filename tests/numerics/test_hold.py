@@ -49,6 +49,26 @@ def test_what_is_known_is_held_too_where_a_loop_is_differentiated():
     assert 'inlineable = "false"' in text
 
 
+def test_what_nobody_uses_of_held_values_is_not_computed():
+    def total(x):
+        def step(x, _):
+            sine, _ = hold((jnp.sin(x), jnp.tan(x)))
+            return sine * x, None
+
+        return jnp.sum(jax.lax.scan(step, x, length=3)[0])
+
+    text = jax.jit(jax.grad(total)).lower(X).as_text()
+    assert "stablehlo.sine" in text and "stablehlo.tan" not in text
+
+
+def test_trees_of_anything_are_held():
+    whole, none, rows = jax.jit(lambda x: hold((jnp.arange(3), None, [x])))(X)
+    assert none is None and whole.dtype == int
+    np.testing.assert_array_equal(rows[0], X)
+    assert hold(()) == ()
+    assert isinstance(hold(np.ones(3)), jax.Array)
+
+
 @pytest.mark.parametrize("count", [1, 2, 7])
 def test_a_sum_of_few_and_few_copies(count):
     terms = jnp.asarray(np.random.default_rng(count).normal(size=(count, 2, 4)))

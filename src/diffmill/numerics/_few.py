@@ -1,9 +1,9 @@
 """A sum of a few terms, and a few copies: each is the other's transpose.
 
-XLA's CPU compiler reduces a short axis by a loop of single numbers, and where it sums
-up what was broadcast it does so in reverse mode too. Written term by term both become
-part of the loops around them, over long axes; but JAX transposes a term into an array
-of zeros around it. So both are operations of their own.
+XLA's CPU compiler reduces a short axis by a loop of single numbers; in reverse mode a
+broadcast is such a reduction, too. Written term by term, a sum becomes part of the
+loops around it, over long axes; but JAX transposes a term into an array of zeros around
+it. So both are operations of their own.
 """
 
 import jax.numpy as jnp

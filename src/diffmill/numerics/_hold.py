@@ -1,26 +1,28 @@
 """Values that are stored, against a compiler that computes them again and again."""
 
+from collections.abc import Sequence
 from typing import Any, TypeVar
 
 import jax
+import jax.numpy as jnp
 from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend.core import Primitive
-from jax.interpreters import ad, batching, mlir
+from jax.interpreters import ad, batching, mlir, partial_eval
 
 _T = TypeVar("_T")
 
-# Of its own: JAX looks through a call that returns its arguments, where reverse mode
+# Of their own: JAX looks through a call that returns its arguments, where reverse mode
 # parts what is known from what is not.
-_hold, _later = Primitive("hold"), Primitive("hold_backward")
-_hold.multiple_results = _later.multiple_results = True
+_hold, _hold_backward = Primitive("hold"), Primitive("hold_backward")
+_hold.multiple_results = _hold_backward.multiple_results = True
 
 
 def hold(values: _T, *, backward_only: bool = False) -> _T:
     """Return the values, which their users are to load and not to compute again.
 
     XLA's CPU compiler fuses what is computed into each of its users. A call that is not
-    inlined stops it, by an attribute of that call alone. It is a hint: without it the
-    results are the same.
+    inlined stops it, by an attribute of that call alone; elsewhere a barrier does. It
+    is a hint: without it the results are the same.
 
     Args:
         values: A tree of arrays.
@@ -29,7 +31,7 @@ def hold(values: _T, *, backward_only: bool = False) -> _T:
     **Differentiability**: linear, the identity.
     """
     leaves, tree = jax.tree.flatten(values)
-    primitive = _later if backward_only else _hold
+    primitive = _hold_backward if backward_only else _hold
     return jax.tree.unflatten(tree, primitive.bind(*leaves))
 
 
@@ -57,6 +59,17 @@ def _of_nonzero(primitive: Primitive, values: Any) -> list[Any]:
     return [x if no else next(bound) for x, no in zip(values, is_zero, strict=True)]
 
 
+def _without_unused(used: Sequence[bool], equation: Any) -> tuple[list[bool], Any]:
+    """Return which operands are used, and an equation of these alone."""
+    if not any(used):
+        return list(used), None
+    pick = lambda values: [
+        x for x, is_used in zip(values, used, strict=True) if is_used
+    ]
+    both = {"invars": pick(equation.invars), "outvars": pick(equation.outvars)}
+    return list(used), equation.replace(**both)
+
+
 def _define(primitive: Primitive) -> None:
     def jvp(primals: Any, tangents: Any) -> tuple[list[Any], list[Any]]:
         return primitive.bind(*primals), _of_nonzero(primitive, tangents)
@@ -68,16 +81,17 @@ def _define(primitive: Primitive) -> None:
     def batch(values: Any, axes: Any) -> tuple[list[Any], Any]:
         return primitive.bind(*values), axes
 
-    primitive.def_impl(_same)
+    primitive.def_impl(lambda *values: [jnp.asarray(x) for x in values])
     primitive.def_abstract_eval(_same)
     ad.primitive_jvps[primitive] = jvp
     ad.primitive_transposes[primitive] = transpose
     batching.primitive_batchers[primitive] = batch
+    partial_eval.dce_rules[primitive] = _without_unused
 
 
-for _each in (_hold, _later):
+for _each in (_hold, _hold_backward):
     _define(_each)
 for _rule, _where in ((_barrier, None), (_call, "cpu")):
     _lowered = mlir.lower_fun(_rule, multiple_results=True)
     mlir.register_lowering(_hold, _lowered, platform=_where)
-mlir.register_lowering(_later, mlir.lower_fun(_same, multiple_results=True))
+mlir.register_lowering(_hold_backward, mlir.lower_fun(_same, multiple_results=True))

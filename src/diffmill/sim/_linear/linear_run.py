@@ -316,7 +316,7 @@ class _Around(NamedTuple):
     Attributes:
         out: What the run gives out.
         arm: What the arm did.
-        force: Where the force was taken, or its slopes there.
+        force: What the slopes of the force follow from (`PeriodForce`), then these.
     """
 
     out: Period
@@ -363,7 +363,12 @@ def linearise(
 
     def period(state: RunState, row: PeriodRow):
         ended, out, substeps = machine.follow(
-            process, state, *row, look=look_with_slopes
+            process,
+            state,
+            row.period,
+            row.command,
+            row.is_live,
+            look=look_with_slopes,
         )
         before, after = state.process, ended.process
         # As the period saw it, before its own poses became the most recent.

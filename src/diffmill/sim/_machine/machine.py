@@ -52,7 +52,8 @@ class PeriodRow(NamedTuple):
     Attributes:
         period: Its index, shape (*period,); row 0 has none.
         command: The machine's, a tree.
-        is_live: Whether the period counts, shape (*period,); None if all do.
+        is_live: Whether the period counts, shape (*period,); None if all do, or if the
+            scan says so beside the row.
     """
 
     period: Int[Array, "*period"]

@@ -24,6 +24,8 @@ from ...workpiece import Pose
 class AbstractSpan(eqx.Module):
     """A machine in one tooth period, in `work`, ready for its sub-steps.
 
+    Its states are trees of floating arrays.
+
     Attributes:
         pose: At the start.
     """
@@ -90,13 +92,13 @@ class PushedSpan(eqx.Module):
     """A machine in a period, and the tool that the teeth push.
 
     Attributes:
-        tool: The process without its stock.
+        process: The process without its stock.
         span: The machine.
         thinned: Older poses.
         load_count: 3 for the force alone, 6 with its moment.
     """
 
-    tool: Process
+    process: Process
     span: AbstractSpan
     thinned: Pose
     load_count: int = eqx.field(static=True)
@@ -116,8 +118,8 @@ class PushedSpan(eqx.Module):
     def load(self, row: SubstepRow, tip: Float[Array, " 3"]) -> Float[Array, " load"]:
         """Return the mean load of a sub-step whose tip is known [N], [N m]."""
         pose = Pose(tip, self.span.pose.axis)
-        wrench = self.tool.engagement.wrench(
-            self.tool, row.samples, pose, row.earlier, self.thinned
+        wrench = self.process.engagement.wrench(
+            self.process, row.samples, pose, row.earlier, self.thinned
         )
         return jnp.mean(wrench, axis=0)[: self.load_count]
 
@@ -145,79 +147,79 @@ def _run(fixed: _Given, arrays: _Given) -> tuple[PyTree, MovedSubstep]:
 
 
 class _SlopeRow(NamedTuple):
-    """Slopes of a sub-step, or of several, along the direction that is asked for.
+    """Changes of a sub-step, or of several, in the direction that is asked for.
 
     Attributes:
         time: As `SubstepRow`.
         start: The machine's state at its start.
         load: As `MovedSubstep`.
         by_tip: Slope of the load by its tip.
-        middle: Change of the tip in the middle, the state at the start held.
-        end: Change of the state at the end, the state at the start and the load held.
-        pushed: Change of the load, the tip held.
+        own_middle: Change of the tip in the middle, the state at the start fixed.
+        own_end: Change of the state at the end, that at the start and the load fixed.
+        own_load: Change of the load, the tip fixed.
     """
 
-    time: Float[Array, " substep"]
+    time: Float[Array, "*substep"]
     start: PyTree
-    load: Float[Array, "substep load"]
-    by_tip: Float[Array, "substep load 3"]
-    middle: Float[Array, "substep 3"]
-    end: PyTree
-    pushed: Float[Array, "substep load"]
+    load: Float[Array, "*substep load"]
+    by_tip: Float[Array, "*substep load 3"]
+    own_middle: Float[Array, "*substep 3"]
+    own_end: PyTree
+    own_load: Float[Array, "*substep load"]
 
 
-def _slopes(fixed: _Given, primals: Any, tangents: Any) -> tuple[Any, Any]:
+def _run_jvp(fixed: _Given, primals: Any, tangents: Any) -> tuple[Any, Any]:
+    """Return what the sub-steps do, and how that changes."""
     end, moved = _run(fixed, *primals)
+    given: _Given = eqx.combine(primals[0], fixed)
     leaves, tree = jax.tree.flatten(primals[0])
     changes = tree.flatten_up_to(tangents[0])
     moving = [i for i, x in enumerate(changes) if not isinstance(x, SymbolicZero)]
-    pick = lambda each: tuple(each[i] for i in moving)
+    along = [leaves[i] for i in moving], [changes[i] for i in moving]
 
-    def given(*values: Array) -> _Given:
+    def with_values(values: list[Array]) -> _Given:
         whole = list(leaves)
         for i, value in zip(moving, values, strict=True):
             whole[i] = value
         return eqx.combine(jax.tree.unflatten(tree, whole), fixed)
 
-    # What does not follow from the tips and states on the way, these held.
-    at = given(*pick(leaves))
-    first = jax.tree.map(
-        lambda x, y: jnp.concatenate([x[None], y[:-1]]), at.start, moved.end
+    states = jax.tree.map(
+        lambda x, y: jnp.concatenate([x[None], y[:-1]]), given.start, moved.end
     )
 
-    def held(*values: Array) -> tuple[PyTree, ...]:
-        now = given(*values)
+    def motion(values: list[Array]) -> tuple[PyTree, Array, PyTree]:
+        now = with_values(values)
         span, time = now.pushed.span, now.rows.time
-        middles = jax.vmap(span.middle)(first, time)
-        return now.start, middles, jax.vmap(span.step)(first, time, moved.load)
+        ends = jax.vmap(span.step)(states, time, moved.load)
+        return now.start, jax.vmap(span.middle)(states, time), ends
 
-    # Computed again in reverse mode rather than kept.
-    loads = jax.checkpoint(lambda tips, *values: _loads(given(*values), tips))
-    _, (start, middles, ends) = jax.jvp(held, pick(leaves), pick(changes))
-    _, pushed = jax.jvp(
-        functools.partial(loads, moved.tip), pick(leaves), pick(changes)
-    )
-    by_tip = jax.vmap(jax.jacfwd(at.pushed.load, argnums=1))(at.rows, moved.tip)
-    span = at.pushed.span
+    # Reverse mode computes it again rather than keep what it takes.
+    @jax.checkpoint
+    def loads(values: list[Array], tips: Float[Array, "substep 3"]) -> Array:
+        now = with_values(values)
+        return jax.vmap(now.pushed.load)(now.rows, tips)
 
-    def substep(state: PyTree, row: _SlopeRow) -> tuple[PyTree, MovedSubstep]:
+    # All sub-steps at once: what does not follow from the states and tips on the way.
+    _, (start, middles, ends) = jax.jvp(motion, along[:1], along[1:])
+    of_values = lambda values: loads(values, moved.tip)
+    _, own_loads = jax.jvp(of_values, along[:1], along[1:])
+    by_tip = jax.vmap(jax.jacfwd(given.pushed.load, argnums=1))(given.rows, moved.tip)
+    span = given.pushed.span
+
+    def substep(change: PyTree, row: _SlopeRow) -> tuple[PyTree, MovedSubstep]:
         middle = lambda state: span.middle(state, row.time)
         step = lambda state, load: span.step(state, row.time, load)
-        _, tip = jax.jvp(middle, (row.start,), (state,))
-        tip = tip + row.middle
-        load = row.pushed + row.by_tip @ tip
-        _, end = jax.jvp(step, (row.start, row.load), (state, load))
-        end = jax.tree.map(jnp.add, end, row.end)
+        _, tip = jax.jvp(middle, (row.start,), (change,))
+        tip = tip + row.own_middle
+        load = row.own_load + row.by_tip @ tip
+        _, end = jax.jvp(step, (row.start, row.load), (change, load))
+        end = jax.tree.map(jnp.add, end, row.own_end)
         return end, MovedSubstep(tip, end, load)
 
-    rows = _SlopeRow(at.rows.time, first, moved.load, by_tip, middles, ends, pushed)
+    rows = _SlopeRow(
+        given.rows.time, states, moved.load, by_tip, middles, ends, own_loads
+    )
     return (end, moved), jax.lax.scan(substep, start, rows)
 
 
-_run.defjvp(_slopes, symbolic_zeros=True)
-
-
-def _loads(
-    given: _Given, tips: Float[Array, "substep 3"]
-) -> Float[Array, "substep load"]:
-    return jax.vmap(given.pushed.load)(given.rows, tips)
+_run.defjvp(_run_jvp, symbolic_zeros=True)

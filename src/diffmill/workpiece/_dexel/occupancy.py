@@ -355,7 +355,7 @@ def _made_walls(
         slopes = cutter.wall_slopes(f, wall.ends, wall.across, frozen(tip))
         slopes = Recomputed.read(slopes)
         by_aside, by_radius = frozen(slopes)
-        # Of a tip at once: of its coordinates reverse mode would fill up each.
+        # One product: the derivative of a coordinate is an array of zeros around it.
         axis = jnp.arange(3, dtype=jnp.int32).reshape((1,) * by_aside.ndim + (3,))
         by_tip = jnp.where(
             axis == 1 - f, by_aside[..., None], jnp.where(axis == f, 1, 0)
@@ -426,7 +426,7 @@ def _at_discs(
     """Return values of all discs, which may share them."""
     if values.shape[-2] == count:
         return values
-    return jnp.moveaxis(Few.copies(values[..., 0, :], count), 0, -2)
+    return jnp.moveaxis(Few.copies(jnp.squeeze(values, -2), count), 0, -2)
 
 
 @jax.custom_jvp

@@ -36,7 +36,7 @@ _FINE = 8
 # Abramowitz and Stegun, Handbook of Mathematical Functions, 1964, 4.4.49: arctan x / x
 # for |x| <= 1 to 1e-5.
 _ARCTAN = (0.9998660, -0.3302995, 0.1801410, -0.0851330, 0.0208351)
-_ZERO = 1e-30
+_TINY = 1e-30
 
 
 class PoseTrack(eqx.Module):
@@ -369,7 +369,7 @@ def _turn_between(
     """
     x, y = jnp.abs(ahead), jnp.abs(aside)
     greater = jnp.maximum(x, y)
-    is_zero = greater < _ZERO
+    is_zero = greater < _TINY
     t = jnp.minimum(x, y) / jnp.where(is_zero, 1.0, greater)
     square = t * t
     angle = jnp.zeros_like(t)
