@@ -63,6 +63,7 @@ def measure(report: Report) -> None:
     pull = eqx.filter_jit(lambda around, weights: around.pull(weights))
     rows = spent(lambda: pull(around, weights))
     report.say(f"96 directions back through it: {rows / run:.2f} runs")
+    exactness(report, around, lambda x: machine.run(process, x), motors)
     problem = tip_problem(job)
     command = eqx.filter_jit(problem.plant)
     command_time = spent(lambda: command(tips).actual) / run
@@ -78,6 +79,39 @@ def measure(report: Report) -> None:
         report, f"{all_rows} rows, linear run", tip_problem(whole), run_time(whole)
     )
     report.figure("a step of Gauss-Newton", step, 6, "runs")
+
+
+def exactness(
+    report: Report,
+    around: sim.LinearRun,
+    run: Callable[[jax.Array], Any],
+    motors: jax.Array,
+) -> None:
+    """Print how far products with the linear run are from exact derivatives."""
+    of_run = lambda x: (run(x).ends, run(x).force)
+    rng = np.random.default_rng(1)
+    way = jnp.asarray(1e-6 * np.cumsum(rng.normal(size=motors.shape), axis=0))
+    weights = [
+        jnp.asarray(rng.normal(size=x.shape)) for x in (around.ends, around.force)
+    ]
+    # Tips in micrometres and forces in newtons weigh alike.
+    weights[0] *= 1e6
+
+    @eqx.filter_jit
+    def products(around: sim.LinearRun) -> tuple[list[jax.Array], list[jax.Array]]:
+        moved = around.move(way[..., None])
+        change = type(moved)(*(x[..., None] for x in weights))
+        mine = [moved.ends[..., 0], moved.force[..., 0], around.pull(change)[0][..., 0]]
+        _, pushed = jax.jvp(of_run, (motors,), (way,))
+        pulled = jax.vjp(of_run, motors)[1](tuple(weights))
+        return mine, [*pushed, *pulled]
+
+    pairs = list(zip(*products(around), strict=True))
+    names = ("tips forward", "forces forward", "back")
+    for name, (mine, exact) in zip(names, pairs, strict=True):
+        off = jnp.linalg.norm(mine - exact) / jnp.linalg.norm(exact)
+        what = f"linear run off exact products, {name}"
+        report.figure(what, float(off), 1e-6, "")
 
 
 def tip_problem(job: dm.Job) -> co.Problem:
