@@ -90,10 +90,8 @@ def exactness(
     """Print how far products with the linear run are from exact derivatives."""
     of_run = lambda x: (run(x).ends, run(x).force)
     rng = np.random.default_rng(1)
-    way = jnp.asarray(1e-6 * np.cumsum(rng.normal(size=motors.shape), axis=0))
-    weights = [
-        jnp.asarray(rng.normal(size=x.shape)) for x in (around.ends, around.force)
-    ]
+    way = 1e-5 * _smooth(rng, motors.shape)
+    weights = [_smooth(rng, x.shape) for x in (around.ends, around.force)]
     # Tips in micrometres and forces in newtons weigh alike.
     weights[0] *= 1e6
 
@@ -112,6 +110,13 @@ def exactness(
         off = jnp.linalg.norm(mine - exact) / jnp.linalg.norm(exact)
         what = f"linear run off exact products, {name}"
         report.figure(what, float(off), 1e-6, "")
+
+
+def _smooth(rng: np.random.Generator, shape: tuple[int, ...]) -> jax.Array:
+    """Return a few waves over the rows, of random sizes."""
+    time = np.linspace(0, 1, shape[0]).reshape(-1, *(1,) * (len(shape) - 1))
+    waves = [np.sin(np.pi * k * time) * rng.normal(size=shape[1:]) for k in range(1, 5)]
+    return jnp.asarray(sum(waves))
 
 
 def tip_problem(job: dm.Job) -> co.Problem:
