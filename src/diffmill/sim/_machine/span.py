@@ -1,4 +1,4 @@
-"""A machine in one tooth period: its sub-steps, each pushed by the teeth, and slopes.
+"""A machine in one tooth period: sub-steps, pushed by the teeth, and their derivative.
 
 The sub-steps follow each other, since the force of one moves the tip of the next. Their
 derivative is found in fewer calls than they are: what does not follow from the tips,

@@ -347,14 +347,12 @@ def _made_walls(
     """Return ends of both families that move with their poses, but for a constant."""
     frozen = jax.lax.stop_gradient
     # One gather for both: its transpose then adds into the table only once.
-    tips = Recomputed.read(_tips_of_walls(jnp.stack([w.pose for w in walls]), track))
-    made = []
-    tips = hold(jnp.unstack(tips), backward_only=True)
+    both = Recomputed.read(_tips_of_walls(jnp.stack([w.pose for w in walls]), track))
+    tips, made = hold(jnp.unstack(both), backward_only=True), []
     for f in (0, 1):
         wall, tip = walls[f], tips[f]
         slopes = cutter.wall_slopes(f, wall.ends, wall.across, frozen(tip))
-        slopes = Recomputed.read(slopes)
-        by_aside, by_radius = frozen(slopes)
+        by_aside, by_radius = frozen(Recomputed.read(slopes))
         # One product: the derivative of a coordinate is an array of zeros around it.
         axis = jnp.arange(3, dtype=jnp.int32).reshape((1,) * by_aside.ndim + (3,))
         by_tip = jnp.where(
@@ -484,7 +482,9 @@ def _wall_occupancy(
     ahead = jnp.zeros_like(heights)
     inward = jnp.zeros_like(heights)
     for f, wall in enumerate(walls):
-        x = Few.copies(_at_discs(place[f], len(heights)), 6).reshape(wall.ends.shape)
+        # On three lines, below and above.
+        x = Few.copies(_at_discs(place[f], len(heights)), 3 * 2)
+        x = x.reshape(wall.ends.shape)
         s = jnp.where(wall.is_upper, wall.ends - x, x - wall.ends)
         s = jnp.where(wall.is_empty, -reach, clamp(-reach, s, reach))
         below, above = hold(jnp.unstack(s, axis=1), backward_only=True)
