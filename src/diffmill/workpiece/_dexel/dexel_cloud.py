@@ -62,7 +62,7 @@ class TakenPieces(eqx.Module):
         grid = window_grid(stock, cutter, window, Pose(tip).frozen())
 
         def of_family(family: Literal[0, 1, 2]) -> TakenPieces:
-            at, (bs, cs) = grid.of_family(family)
+            at, bs, cs = grid.of_family(family)
             ends = stock.families[family].ends
             size = (*bs.shape, *ends.shape[2:])
             # Above the stock there is nothing; and behind a condition the window is

@@ -8,7 +8,7 @@ a step removes first and looks at the stock afterwards.
 import functools
 import math
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -170,27 +170,32 @@ class RemovalWindow(eqx.Module):
         centers = [tooth.center().frozen() for tooth in passes]
         grid = window_grid(stock, cutter, self, centers[0])
         d = stock.spacing
-        has_overflow = jnp.zeros((), bool)
-        volumes = jnp.zeros(len(passes), stock.origin.dtype)
-        has_cut = jnp.zeros((), bool)
-        due = [_DuePass(each, is_due[i]) for i, each in enumerate(passes)]
-        families, in_use = [], []
-        for f in (0, 1, 2):
-            removed = _remove_family(
-                stock.families[f],
-                cutter,
-                f,
-                grid,
-                due,
-                None if slots is None else slots[f],
+        in_use = stock.slots_in_use() if slots is None else slots
+        seats = [grid.of_family(f) for f in (0, 1, 2)]
+        windows = tuple(
+            _Window.of(stock.families[f], seats[f], in_use[f]) for f in (0, 1, 2)
+        )
+        subtract = _Subtraction(cutter, seats, looks_at_all=slots is None)
+        if len(passes) == 1:
+            windows, taken = subtract(windows, _DuePass(passes[0], is_due[0]))
+            taken = jax.tree.map(lambda x: x[None], taken)
+        else:
+            # One body for all passes is compiled once.
+            due = jax.tree.map(lambda *x: jnp.stack(x), *passes)
+            windows, taken = jax.lax.scan(
+                lambda windows, due: subtract(windows, due),
+                windows,
+                _DuePass(due, is_due),
             )
-            in_use.append(removed.in_use)
-            has_overflow = has_overflow | removed.has_overflow
-            has_cut = has_cut | jnp.any(removed.length > 0)
-            if stock.volume_weights[f]:
-                volumes = volumes + removed.length * stock.volume_weights[f] * d**2
-            families.append(removed.rays)
-        new_stock = eqx.tree_at(lambda s: s.families, stock, tuple(families))
+        volumes = jnp.zeros(len(passes), stock.origin.dtype)
+        for f, weight in enumerate(stock.volume_weights):
+            if weight:
+                volumes = volumes + taken.length[:, f] * weight * d**2
+        families = tuple(
+            window.put_back(rays, seat)
+            for window, rays, seat in zip(windows, stock.families, seats, strict=True)
+        )
+        new_stock = eqx.tree_at(lambda s: s.families, stock, families)
         by_shank = jnp.zeros_like(volumes)
         if self.has_shank:
             by_shank = _shank_volume(stock, cutter, grid, passes, is_due) * d**2
@@ -198,9 +203,9 @@ class RemovalWindow(eqx.Module):
             new_stock,
             volumes,
             by_shank,
-            jnp.stack(in_use),
-            has_overflow,
-            grid.is_beyond & has_cut,
+            jnp.stack([window.in_use for window in windows]),
+            jnp.any(taken.is_full),
+            grid.is_beyond & jnp.any(taken.length > 0),
         )
 
 
@@ -217,30 +222,26 @@ class WindowGrid(NamedTuple):
     lines: list[Float[Array, " _"]]
     is_beyond: Bool[Array, ""]
 
-    def of_family(
-        self, family: int
-    ) -> tuple[tuple[Int[Array, ""], ...], list[Float[Array, "u v"]]]:
-        """Return where the rays of a family begin in their table, and stand [m]."""
+    def of_family(self, family: int) -> "WindowRays":
+        """Return the rays of a family that stand in the window."""
         axes = ((family + 1) % 3, (family + 2) % 3)
         zero = jnp.zeros((), jnp.int32)
-        places = jnp.meshgrid(*(self.lines[axis] for axis in axes), indexing="ij")
-        return (*(self.starts[axis] for axis in axes), zero, zero), places
+        b, c = jnp.meshgrid(*(self.lines[axis] for axis in axes), indexing="ij")
+        return WindowRays((*(self.starts[axis] for axis in axes), zero, zero), b, c)
 
 
-class _RemovedFamily(NamedTuple):
-    """Rays of a family after a removal.
+class WindowRays(NamedTuple):
+    """The rays of a family that stand in a window.
 
     Attributes:
-        rays: The rays.
-        in_use: How many slots hold anything, from the first on.
-        length: What each pass took [m], shape (pass,).
-        has_overflow: Whether a ray ran out of slots, shape ().
+        at: Where they begin in their table.
+        b: Their coordinates along axis (family + 1) % 3 [m].
+        c: Their coordinates along axis (family + 2) % 3 [m].
     """
 
-    rays: Rays
-    in_use: Int[Array, ""]
-    length: Float[Array, " pass"]
-    has_overflow: Bool[Array, ""]
+    at: tuple[Int[Array, ""], ...]
+    b: Float[Array, "u v"]
+    c: Float[Array, "u v"]
 
 
 class CutStock(eqx.Module):
@@ -272,7 +273,7 @@ def _shank_volume(
 ) -> Float[Array, " pose"]:
     """Return how much of each pass's cut lies above its flutes, by the rays along z."""
     rays = stock.families[2]
-    at, (x, y) = grid.of_family(2)
+    at, x, y = grid.of_family(2)
     shape = (*x.shape, 2, rays.ends.shape[-1])
     ends = jax.lax.stop_gradient(jax.lax.dynamic_slice(rays.ends, at, shape))
     lengths = []
@@ -371,46 +372,6 @@ class _DuePass(NamedTuple):
     is_due: Bool[Array, ""]
 
 
-def _remove_family(
-    rays: Rays,
-    cutter: AbstractCutter,
-    family: Literal[0, 1, 2],
-    grid: WindowGrid,
-    due: Sequence[_DuePass],
-    in_use: Int[Array, ""] | None,
-) -> _RemovedFamily:
-    at, (b, c) = grid.of_family(family)
-    shape = (*b.shape, 2, rays.ends.shape[-1])
-    ends = jax.lax.dynamic_slice(rays.ends, at, shape)
-    cut_by = jax.lax.dynamic_slice(rays.poses, at, shape)
-    subtract_from = _subtract_in_use if in_use is not None else _subtract_in_all
-    if in_use is None:
-        in_use = rays.slots_in_use()
-
-    def remove(window: _Window, each: _DuePass) -> tuple[_Window, _Taken]:
-        def cut(window: _Window) -> tuple[_Window, _Taken]:
-            return subtract_from(window, cut_interval(cutter, family, b, c, each.tooth))
-
-        def skip(window: _Window) -> tuple[_Window, _Taken]:
-            return window, _Taken(jnp.zeros((), ends.dtype), jnp.zeros((), bool))
-
-        return jax.lax.cond(each.is_due, cut, skip, window)
-
-    window = _Window(ends, cut_by, in_use)
-    if len(due) == 1:
-        window, one = remove(window, due[0])
-        taken = _Taken(one.length[None], one.is_full)
-    else:
-        # One body for all passes is compiled once.
-        each = jax.tree.map(lambda *x: jnp.stack(x), *due)
-        window, taken = jax.lax.scan(remove, window, each)
-    new = Rays(
-        jax.lax.dynamic_update_slice(rays.ends, window.ends, at),
-        jax.lax.dynamic_update_slice(rays.poses, window.cut_by, at),
-    )
-    return _RemovedFamily(new, window.in_use, taken.length, jnp.any(taken.is_full))
-
-
 class _Window(NamedTuple):
     """The rays of one family in a window.
 
@@ -424,15 +385,79 @@ class _Window(NamedTuple):
     cut_by: Int[Array, "u v 2 slot"]
     in_use: Int[Array, ""]
 
+    @staticmethod
+    def of(rays: Rays, seat: WindowRays, in_use: Int[Array, ""]) -> "_Window":
+        """Return those of a family that stand in the window."""
+        shape = (*seat.b.shape, 2, rays.ends.shape[-1])
+        ends = jax.lax.dynamic_slice(rays.ends, seat.at, shape)
+        return _Window(ends, jax.lax.dynamic_slice(rays.poses, seat.at, shape), in_use)
+
+    def put_back(self, rays: Rays, seat: WindowRays) -> Rays:
+        """Return the family with these rays."""
+        return Rays(
+            jax.lax.dynamic_update_slice(rays.ends, self.ends, seat.at),
+            jax.lax.dynamic_update_slice(rays.poses, self.cut_by, seat.at),
+        )
+
 
 class _Taken(NamedTuple):
-    """What each pass took [m], and whether a ray was full then."""
+    """What passes took.
 
-    length: Float[Array, "*pass"]
-    is_full: Bool[Array, "*pass"]
+    Attributes:
+        length: Of the rays of each family [m].
+        is_full: Whether a ray was full then.
+    """
+
+    length: Float[Array, "*pass 3"]
+    is_full: Bool[Array, "*pass 3"]
 
 
-def _subtract_in_use(window: _Window, interval: CutInterval) -> tuple[_Window, _Taken]:
+class _Subtraction(NamedTuple):
+    """What subtracts a pass from the rays of a window, if it is due.
+
+    Attributes:
+        cutter: The cutter.
+        seats: The rays of each family.
+        looks_at_all: Whether all slots are looked at: less to compile.
+    """
+
+    cutter: AbstractCutter
+    seats: list[WindowRays]
+    looks_at_all: bool
+
+    def __call__(
+        self, windows: tuple[_Window, ...], due: _DuePass
+    ) -> tuple[tuple[_Window, ...], _Taken]:
+        """Return what is left, and what was taken."""
+        subtract_from = _subtract_in_all if self.looks_at_all else _subtract_in_use
+
+        def cut() -> tuple[tuple[_Window, ...], _Taken]:
+            left, lengths, full = [], [], []
+            for f in (0, 1, 2):
+                _, b, c = self.seats[f]
+                interval = cut_interval(self.cutter, f, b, c, due.tooth)
+                found = subtract_from(windows[f], interval)
+                left.append(found.window)
+                lengths.append(found.length)
+                full.append(found.is_full)
+            return tuple(left), _Taken(jnp.stack(lengths), jnp.stack(full))
+
+        def skip() -> tuple[tuple[_Window, ...], _Taken]:
+            none = jnp.zeros(3, windows[0].ends.dtype)
+            return windows, _Taken(none, jnp.zeros(3, bool))
+
+        return jax.lax.cond(due.is_due, cut, skip)
+
+
+class _LeftInWindow(NamedTuple):
+    """Rays of a family after a pass, what it took [m], and whether a ray was full."""
+
+    window: _Window
+    length: Float[Array, ""]
+    is_full: Bool[Array, ""]
+
+
+def _subtract_in_use(window: _Window, interval: CutInterval) -> _LeftInWindow:
     """Subtract an interval from each ray, in the slots in use and one more."""
     # A ray in a long run rarely holds more than two pieces, of many that it has room
     # for; the cost is that of the slots looked at.
@@ -444,14 +469,14 @@ def _subtract_in_use(window: _Window, interval: CutInterval) -> tuple[_Window, _
     return jax.lax.switch(jnp.argmax(jnp.stack(fits)), branches, window, interval)
 
 
-def _subtract_in_all(window: _Window, interval: CutInterval) -> tuple[_Window, _Taken]:
+def _subtract_in_all(window: _Window, interval: CutInterval) -> _LeftInWindow:
     """Subtract an interval from each ray, in all slots: less to compile."""
     return _subtract_among(window.ends.shape[-1], window, interval)
 
 
 def _subtract_among(
     width: int, window: _Window, interval: CutInterval
-) -> tuple[_Window, _Taken]:
+) -> _LeftInWindow:
     """Subtract an interval from each ray, in the first slots."""
     old = window.ends[..., :width]
     pieces = interval.subtract_from(old, window.cut_by[..., :width])
@@ -461,7 +486,8 @@ def _subtract_among(
         jax.lax.dynamic_update_slice(window.cut_by, pieces.cut_by, corner),
         jnp.maximum(window.in_use, Rays(pieces.ends, pieces.cut_by).slots_in_use()),
     )
-    return left, _Taken(_removed_length(old, pieces.ends), jnp.any(pieces.is_full))
+    is_full = jnp.any(pieces.is_full)
+    return _LeftInWindow(left, _removed_length(old, pieces.ends), is_full)
 
 
 def _removed_length(

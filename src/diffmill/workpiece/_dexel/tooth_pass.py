@@ -216,7 +216,8 @@ class ToothPass(eqx.Module):
 
     def _first_ticks(self, dtype: DTypeLike) -> Float[Array, ""]:
         """Return the ticks of node 0 in its tooth period."""
-        return (self.first % self.substeps).astype(dtype) * (Rays.TICKS / self.substeps)
+        part = (self.first % self.substeps).astype(dtype)
+        return hold(part * (Rays.TICKS / self.substeps))
 
 
 def standing(pose: Pose, index: Int[Array, ""]) -> ToothPass:
@@ -257,15 +258,19 @@ def cut_interval(
         start, stop, is_hit = _intersect(cutter, family, b, c, center)
         when = jnp.broadcast_to(tooth.ticks(tooth.passing), is_hit.shape)
         return CutInterval(start, stop, is_hit, when, when)
+    # Of many rays none is to find it anew.
+    center = hold(center)
     if center.axis is None and family == 2:
         # Columns are many, and interpolation would cost more than all the rest.
         fine = tooth.refined(_FINE)
         fine = hold(fine)
-        node = hold(fine.when(cutter, b - center.tip[0], c - center.tip[1], None))
-        node = jnp.round(node)
-        near = fine.nodes[node.astype(jnp.int32)]
+        node = fine.when(cutter, b - center.tip[0], c - center.tip[1], None)
+        # Of another type than what it comes from: XLA's CPU compiler would else store
+        # it in the same place, and then computes one by one.
+        node = hold(jnp.round(node).astype(jnp.int32))
+        near = fine.nodes[node]
         start, stop, is_hit = _intersect(cutter, family, b, c, near)
-        when = fine.ticks(node)
+        when = fine.ticks(node.astype(b.dtype))
         return CutInterval(start, stop, is_hit, when, when)
     # Both ends at once, in a leading axis.
     is_stop = jnp.arange(2, dtype=jnp.int32)[:, None, None] > 0
