@@ -274,7 +274,7 @@ class RemovalHistory(NamedTuple):
     def thinned_poses(self, state: ProcessState) -> Pose:
         """Return the newest poses in the queue at given distances behind the tool."""
         rows = self.thinned_rows(state)
-        return Recomputed.read(state.track.poses[rows * self.substeps])
+        return Recomputed.read(state.track.poses.taken(rows * self.substeps))
 
     def thinned_rows(self, state: ProcessState) -> Int[Array, " circle"]:
         """Return the indices of the thinned poses, those at tooth instants."""

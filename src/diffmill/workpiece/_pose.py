@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 
 class Pose(eqx.Module):
@@ -43,6 +43,19 @@ class Pose(eqx.Module):
     def __getitem__(self, item) -> "Pose":
         """Return some of the poses."""
         return jax.tree.map(lambda x: x[item], self)
+
+    def taken(self, at: Int[Array, "*some"]) -> "Pose":
+        """Return some of the poses of a table, shape (*some, 3), unchecked.
+
+        Args:
+            at: Their indices, from 0 to below the number of poses.
+        """
+        return jax.tree.map(
+            lambda x: x.at[at].get(
+                mode="promise_in_bounds", wrap_negative_indices=False
+            ),
+            self,
+        )
 
     def frozen(self) -> "Pose":
         """Return the same poses as constants."""

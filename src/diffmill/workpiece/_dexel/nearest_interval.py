@@ -14,7 +14,11 @@ def taken(table: Array, at: Int[Array, "*end"]) -> Array:
 
     **Differentiability**: linear in the table.
     """
-    return table.reshape(-1).at[at].get(mode="promise_in_bounds")
+    return (
+        table.reshape(-1)
+        .at[at]
+        .get(mode="promise_in_bounds", wrap_negative_indices=False)
+    )
 
 
 class NearestInterval(NamedTuple):

@@ -298,8 +298,10 @@ def _find_walls(
     x = frozen(x)
     is_upper = high - x < x - low
     at = Recomputed.read(ray + is_upper.astype(jnp.int32) * slots + slot)
+    # As they were found: to read them anew is for derivatives.
+    found = hold(jnp.where(is_upper, high, low))
     return _Walls(
-        ends=taken(rays.ends, at),
+        ends=with_derivative_of(found, taken, rays.ends, at),
         is_upper=Recomputed.read(is_upper),
         is_empty=Recomputed.read(high < low),
         pose=Recomputed.read(taken(rays.poses, at)),
@@ -513,7 +515,7 @@ def _wall_occupancy(
         certainty = certainty + weight
     # A wall that an edge follows rather than crosses is not blurred along its way.
     width = _FOLLOWED * band + ramp(ahead / says - _FOLLOWED * band, _CORNER * band)
-    width = width - ramp(width - band, _CORNER * band)
+    width = hold(width - ramp(width - band, _CORNER * band))
     # From the rim to the inner side of the chip.
     inside, inward = total / says, inward / says
     length = jnp.sqrt(inward**2 + (_SHORT * width) ** 2)

@@ -155,11 +155,11 @@ class ToothPass(eqx.Module):
             return self.nodes[0]
         low = jnp.clip(jax.lax.stop_gradient(node).astype(jnp.int32), 0, count - 2)
         share = (node - low.astype(node.dtype))[..., None]
-        between = lambda x: x[low] + share * (x[low + 1] - x[low])
-        tip = between(self.nodes.tip)
-        if self.nodes.axis is None:
+        left, right = self.nodes.taken(low), self.nodes.taken(low + 1)
+        tip = left.tip + share * (right.tip - left.tip)
+        if left.axis is None or right.axis is None:
             return Pose(tip)
-        axis = between(self.nodes.axis)
+        axis = left.axis + share * (right.axis - left.axis)
         return Pose(tip, axis / jnp.linalg.norm(axis, axis=-1, keepdims=True))
 
     def refined(self, parts: int) -> "ToothPass":
@@ -268,7 +268,7 @@ def cut_interval(
         # Of another type than what it comes from: XLA's CPU compiler would else store
         # it in the same place, and then computes one by one.
         node = hold(jnp.round(node).astype(jnp.int32))
-        near = fine.nodes[node]
+        near = fine.nodes.taken(node)
         start, stop, is_hit = _intersect(cutter, family, b, c, near)
         when = fine.ticks(node.astype(b.dtype))
         return CutInterval(start, stop, is_hit, when, when)
