@@ -29,7 +29,7 @@ class ArmSpan(AbstractSpan):
         integrator: Rule of its sub-steps.
         pose: At the start.
         joints: At the start [rad or m], shape (joint,).
-        jacobian: In the middle, linear rows first.
+        jacobian: In the middle, of the tip and of the tool's turn if that takes a load.
         begun: What the integrator has prepared of the terms in the middle.
         motors: Where they are at the start [rad or m], shape (joint,).
         rate: Of the motors [rad/s or m/s], shape (joint,).
@@ -40,7 +40,7 @@ class ArmSpan(AbstractSpan):
     integrator: AbstractIntegrator
     pose: Pose
     joints: Float[Array, " joint"]
-    jacobian: Float[Array, "6 joint"]
+    jacobian: Float[Array, "load joint"]
     begun: PyTree
     motors: Float[Array, " joint"]
     rate: Float[Array, " joint"]
@@ -56,7 +56,7 @@ class ArmSpan(AbstractSpan):
         self, state: ArmState, time: Float[Array, ""], load: Float[Array, " load"]
     ) -> ArmState:
         """Return the state at the end of a sub-step."""
-        torque = self.jacobian[: load.size].T @ load
+        torque = load @ self.jacobian
         command = MotorCommand(self.motors + time * self.rate, self.rate)
         return self.integrator.step(
             self.robot, self.begun, state, command, torque, self.substep
@@ -117,7 +117,7 @@ class ElasticArm(AbstractSwinging):
             integrator=rule,
             pose=pose,
             joints=state.q,
-            jacobian=jacobian_in_work(T_base_work, terms.jacobian),
+            jacobian=jacobian_in_work(T_base_work, terms.jacobian)[: self.load_count],
             begun=rule.begin(robot, terms, held.substep),
             motors=row.start,
             rate=rate,
