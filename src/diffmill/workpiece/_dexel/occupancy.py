@@ -503,25 +503,25 @@ def _wall_occupancy(
         sees_here = (1 - (s_here / reach) ** 2) ** 2
         steepness = 1 + slope**2
         weight = sees_here / steepness**2
-        root = jnp.sqrt(steepness)
         sign = jnp.where(wall.is_upper[1, 0], 1, -1).astype(s.dtype)
         crossed, deeper = (
             slope * way[1 - f] - sign * way[f] for way in (rim.move, rim.chip)
         )
-        ahead = ahead + (weight + _BLIND) * jnp.abs(crossed) / root
-        inward = inward + (weight + _BLIND) * deeper / root
-        total = total + (weight + _BLIND) * s_here / root
+        say = (weight + _BLIND) / jnp.sqrt(steepness)
+        ahead = ahead + say * jnp.abs(crossed)
+        inward = inward + say * deeper
+        total = total + say * s_here
         says = says + weight + _BLIND
         certainty = certainty + weight
     # A wall that an edge follows rather than crosses is not blurred along its way.
-    width = _FOLLOWED * band + ramp(ahead / says - _FOLLOWED * band, _CORNER * band)
+    total, ahead, inward = hold([x / says for x in (total, ahead, inward)])
+    width = _FOLLOWED * band + ramp(ahead - _FOLLOWED * band, _CORNER * band)
     width = hold(width - ramp(width - band, _CORNER * band))
     # From the rim to the inner side of the chip.
-    inside, inward = total / says, inward / says
     length = jnp.sqrt(inward**2 + (_SHORT * width) ** 2)
     # To the nearer side of the chip, without the kink of a greatest one.
-    touched = hat_integral((inside + (inward + length) / 2) / width)
-    filled = mean_step(inside + inward / 2, width, length)
+    touched = hat_integral((total + (inward + length) / 2) / width)
+    filled = mean_step(total + inward / 2, width, length)
     # A wall that both families see at 45 degrees is sure, its corner rounded off below.
     sure = 2 * (1 + _SURE) * certainty
     return _BesideWalls(touched, filled, sure - ramp(sure - 1, _SURE))
