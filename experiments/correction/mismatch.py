@@ -28,6 +28,8 @@ UNCERTAIN = (
     f"force = {WRONG}\ndraws = 4\nseed = 1\n"
 )
 WORST = 'objective = "worst"\n'
+# Runs of all members that a correction may take, without compilation.
+RUNS = 40
 # What is wrong one at a time: how parameters that begin so are scaled.
 KINDS = {"stiffness K": "K ", "damping D": "D ", "force": None}
 CHANGES = (-0.4, -0.2, -0.1, 0.1, 0.2, 0.4)
@@ -58,9 +60,11 @@ def measure(
 
     found = dm.correct(nominal, on_checkpoint=keep)
     commands = {name: case.commanded for name, case in found.cases.items()}
-    commands["robust"] = _timed(report, "robust", uncertain, kept)
+    mirror = found.methods["mirror_iterated"]
+    run = found.wall_time["mirror_iterated"] / mirror.forward_runs
+    commands["robust"] = _timed(report, "robust", uncertain, kept, run)
     if has_worst:
-        commands["worst case"] = _timed(report, "worst case", worst, kept)
+        commands["worst case"] = _timed(report, "worst case", worst, kept, run)
     errors = _errors(nominal, found)
     _random(report, nominal, errors, commands, draws)
     _members(report, uncertain, errors, commands)
@@ -69,14 +73,33 @@ def measure(
 
 
 def _timed(
-    report: Any, name: str, job: dm.Job, kept: Mapping[str, np.ndarray]
+    report: Any, name: str, job: dm.Job, kept: Mapping[str, np.ndarray], run: float
 ) -> jax.Array:
-    """Return the corrected command, and print its price."""
+    """Return the corrected command, and print its price.
+
+    Args:
+        report: Where it is printed.
+        name: Of the correction.
+        job: The job.
+        kept: What is known of its baselines.
+        run: Of the mirror, which has compiled: one machine along the path [s].
+    """
     found = dm.correct(job, resume=kept)
-    last = found.history[-1]
+    history = found.history
+    known = job.correction.uncertainty
+    assert known is not None
+    first, last, members = history[0], history[-1], known.draws
     report.say(
-        f"{name}: {last.models} linear systems of all members, {last.seconds:.0f} s"
+        f"{name}: {last.models} linear systems of all members, {last.seconds:.0f} s, "
+        f"of which {first.seconds:.0f} s until the first step"
     )
+    if len(history) > 1:
+        # A step's time is that of those after the first, which compiles.
+        step = (last.seconds - first.seconds) / (len(history) - 1)
+        runs = len(history) * step / run
+        report.say(f"{name}: {runs:.3g} runs of one machine ({run:.3g} s)")
+        what = f"{name}, in runs of its {members} members ({len(history)} steps)"
+        report.figure(what, runs / members, RUNS, "")
     return found.commanded
 
 

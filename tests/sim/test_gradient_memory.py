@@ -52,8 +52,20 @@ def rows_of(jaxpr):
                 yield from rows_of(inner)
 
 
-@pytest.mark.parametrize("adjoint", [pr.ThroughPoses(), pr.ThroughRays()])
-@pytest.mark.parametrize("kind", CUTTERS)
+RAYS, POSES = pr.ThroughRays(), pr.ThroughPoses()
+
+
+# For a force both keep the same, and each takes long to trace.
+@pytest.mark.parametrize(
+    ("kind", "adjoint"),
+    [
+        *((kind, RAYS) for kind in CUTTERS),
+        ("upright", POSES),
+        ("point cloud", POSES),
+        pytest.param("bottom", POSES, marks=pytest.mark.slow),
+        pytest.param("edge elements", POSES, marks=pytest.mark.slow),
+    ],
+)
 def test_a_gradient_keeps_no_table_of_every_row(kind, adjoint):
     tables = {family.ends.shape for family in STOCK.families}
     # As it may be laid out for a look at it, too.
