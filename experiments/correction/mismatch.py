@@ -82,7 +82,8 @@ def _timed(
         name: Of the correction.
         job: The job.
         kept: What is known of its baselines.
-        run: Of the mirror, which has compiled: one machine along the path [s].
+        run: One run of one machine [s], by the iterated mirror, whose program the
+            mirror before it has compiled.
     """
     found = dm.correct(job, resume=kept)
     history = found.history
@@ -91,12 +92,13 @@ def _timed(
     first, last, members = history[0], history[-1], known.draws
     report.say(
         f"{name}: {last.models} linear systems of all members, {last.seconds:.0f} s, "
-        f"of which {first.seconds:.0f} s until the first step"
+        f"of which {first.seconds:.0f} s until the first step has ended"
     )
     if len(history) > 1:
-        # A step's time is that of those after the first, which compiles.
+        # Each step as long as those after the first, and one for the linear system
+        # that the first began with: what compiles is left out.
         step = (last.seconds - first.seconds) / (len(history) - 1)
-        runs = len(history) * step / run
+        runs = (len(history) + 1) * step / run
         report.say(f"{name}: {runs:.3g} runs of one machine ({run:.3g} s)")
         what = f"{name}, in runs of its {members} members ({len(history)} steps)"
         report.figure(what, runs / members, RUNS, "")

@@ -284,7 +284,8 @@ class RemovalHistory(NamedTuple):
         for share in _THINNED:
             is_old = (age >= share * self.lag) & (slots < state.queue_count)
             picks.append(jnp.max(jnp.where(is_old, slots, 0)))
-        return state.queue.row[jnp.stack(picks)]
+        # What a run before this one did long ago stands where the track begins.
+        return jnp.maximum(state.queue.row[jnp.stack(picks)], 0)
 
     def finish(
         self,

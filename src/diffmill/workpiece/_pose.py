@@ -6,7 +6,19 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, Shaped
+
+
+def taken_rows(
+    table: Shaped[Array, "row ..."], at: Int[Array, "..."]
+) -> Shaped[Array, "..."]:
+    """Return some rows of a table, unchecked.
+
+    Args:
+        table: The table.
+        at: Indices, from 0 to below the number of rows.
+    """
+    return table.at[at].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
 class Pose(eqx.Module):
@@ -50,12 +62,7 @@ class Pose(eqx.Module):
         Args:
             at: Their indices, from 0 to below the number of poses.
         """
-        return jax.tree.map(
-            lambda x: x.at[at].get(
-                mode="promise_in_bounds", wrap_negative_indices=False
-            ),
-            self,
-        )
+        return jax.tree.map(lambda x: taken_rows(x, at), self)
 
     def frozen(self) -> "Pose":
         """Return the same poses as constants."""

@@ -209,7 +209,7 @@ def period_force(
     assert found.push is not None
     samples, known = eqx.partition(found.samples, found.samples.follows_poses)
     circles = process.removal.thinned_rows(state)
-    thinned = as_rows(state.track.poses[circles * process.engagement.substeps])
+    thinned = as_rows(state.track.poses.taken(circles * process.engagement.substeps))
     recent = as_rows(state.recent)
     return PeriodForce(
         samples, known, found.push, as_rows(middles), recent, thinned, circles

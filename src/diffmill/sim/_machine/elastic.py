@@ -29,7 +29,8 @@ class ArmSpan(AbstractSpan):
         integrator: Rule of its sub-steps.
         pose: At the start.
         joints: At the start [rad or m], shape (joint,).
-        jacobian: In the middle, of the tip and of the tool's turn if that takes a load.
+        jacobian: In the middle, linear rows first; those of the turn only if the
+            machine takes a moment.
         begun: What the integrator has prepared of the terms in the middle.
         motors: Where they are at the start [rad or m], shape (joint,).
         rate: Of the motors [rad/s or m/s], shape (joint,).

@@ -212,8 +212,7 @@ class QuasiStaticArm(AbstractCompliant):
         is_upright = process.engagement.is_upright
         pose = in_work(self.T_base_work, terms.T_base_tool, is_upright)
         # Only on a bending tool the height at which a force acts counts for anything.
-        J = J if self.robot.fast_joints else J[:3]
-        return _Linear(pose, J, terms.bias_forces)
+        return _Linear(pose, J[: self.load_count], terms.bias_forces)
 
 
 class _Linear(NamedTuple):

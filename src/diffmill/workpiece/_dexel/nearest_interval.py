@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ...numerics import hold
+from .._pose import taken_rows
 
 
 def taken(table: Array, at: Int[Array, "*end"]) -> Array:
@@ -14,11 +15,7 @@ def taken(table: Array, at: Int[Array, "*end"]) -> Array:
 
     **Differentiability**: linear in the table.
     """
-    return (
-        table.reshape(-1)
-        .at[at]
-        .get(mode="promise_in_bounds", wrap_negative_indices=False)
-    )
+    return taken_rows(table.reshape(-1), at)
 
 
 class NearestInterval(NamedTuple):

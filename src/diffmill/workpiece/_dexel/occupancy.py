@@ -513,15 +513,15 @@ def _wall_occupancy(
         total = total + say * s_here
         says = says + weight + _BLIND
         certainty = certainty + weight
+    inside, ahead, inward = hold([x / says for x in (total, ahead, inward)])
     # A wall that an edge follows rather than crosses is not blurred along its way.
-    total, ahead, inward = hold([x / says for x in (total, ahead, inward)])
     width = _FOLLOWED * band + ramp(ahead - _FOLLOWED * band, _CORNER * band)
     width = hold(width - ramp(width - band, _CORNER * band))
     # From the rim to the inner side of the chip.
     length = jnp.sqrt(inward**2 + (_SHORT * width) ** 2)
     # To the nearer side of the chip, without the kink of a greatest one.
-    touched = hat_integral((total + (inward + length) / 2) / width)
-    filled = mean_step(total + inward / 2, width, length)
+    touched = hat_integral((inside + (inward + length) / 2) / width)
+    filled = mean_step(inside + inward / 2, width, length)
     # A wall that both families see at 45 degrees is sure, its corner rounded off below.
     sure = 2 * (1 + _SURE) * certainty
     return _BesideWalls(touched, filled, sure - ramp(sure - 1, _SURE))

@@ -146,7 +146,9 @@ def _find(
     low, high, slot = nearest_interval(rays.ends, ray, x, slots)
     is_upper = high - x < x - low
     at = Recomputed.read(ray + is_upper.astype(jnp.int32) * count + slot)
-    ends = Recomputed.read(taken(rays.ends, at))
+    # As they were found: to read them anew is for derivatives.
+    found = jnp.where(is_upper, high, low)
+    ends = Recomputed.read(with_derivative_of(found, taken, rays.ends, at))
     lines = [
         stock.origin[a] + d * index.astype(points.dtype)
         for a, index in zip(axes, (row, column), strict=True)

@@ -167,8 +167,7 @@ class RemovalWindow(eqx.Module):
 
         Differentiability: in the ends of the stock, through the poses.
         """
-        centers = [tooth.center().frozen() for tooth in passes]
-        grid = window_grid(stock, cutter, self, centers[0])
+        grid = window_grid(stock, cutter, self, passes[0].center().frozen())
         d = stock.spacing
         in_use = stock.slots_in_use() if slots is None else slots
         seats = [grid.of_family(f) for f in (0, 1, 2)]
@@ -181,11 +180,12 @@ class RemovalWindow(eqx.Module):
             taken = jax.tree.map(lambda x: x[None], taken)
         else:
             # One body for all passes is compiled once.
-            due = jax.tree.map(lambda *x: jnp.stack(x), *passes)
+            each = jax.tree.map(lambda *x: jnp.stack(x), *passes)
+            # JAX wants a function that it can refer to weakly.
             windows, taken = jax.lax.scan(
                 lambda windows, due: subtract(windows, due),
                 windows,
-                _DuePass(due, is_due),
+                _DuePass(each, is_due),
             )
         volumes = jnp.zeros(len(passes), stock.origin.dtype)
         for f, weight in enumerate(stock.volume_weights):
@@ -198,7 +198,7 @@ class RemovalWindow(eqx.Module):
         new_stock = eqx.tree_at(lambda s: s.families, stock, families)
         by_shank = jnp.zeros_like(volumes)
         if self.has_shank:
-            by_shank = _shank_volume(stock, cutter, grid, passes, is_due) * d**2
+            by_shank = _shank_volume(stock, cutter, seats[2], passes, is_due) * d**2
         return CutStock(
             new_stock,
             volumes,
@@ -267,13 +267,13 @@ class CutStock(eqx.Module):
 def _shank_volume(
     stock: Stock,
     cutter: AbstractCutter,
-    grid: WindowGrid,
+    seat: WindowRays,
     passes: Sequence[ToothPass],
     is_due: Bool[Array, " pose"],
 ) -> Float[Array, " pose"]:
     """Return how much of each pass's cut lies above its flutes, by the rays along z."""
     rays = stock.families[2]
-    at, x, y = grid.of_family(2)
+    at, x, y = seat
     shape = (*x.shape, 2, rays.ends.shape[-1])
     ends = jax.lax.stop_gradient(jax.lax.dynamic_slice(rays.ends, at, shape))
     lengths = []

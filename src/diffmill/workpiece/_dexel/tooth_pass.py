@@ -267,7 +267,7 @@ def cut_interval(
         node = fine.when(cutter, b - center.tip[0], c - center.tip[1], None)
         # Of another type than what it comes from: XLA's CPU compiler would else store
         # it in the same place, and then computes one by one.
-        node = hold(jnp.round(node).astype(jnp.int32))
+        node = hold(jnp.maximum(jnp.round(node).astype(jnp.int32), 0))
         near = fine.nodes.taken(node)
         start, stop, is_hit = _intersect(cutter, family, b, c, near)
         when = fine.ticks(node.astype(b.dtype))
