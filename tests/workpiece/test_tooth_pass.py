@@ -107,3 +107,26 @@ def test_ends_remember_when_they_were_cut(cut):
         )
         found = track.cut_by(jnp.round(time * wp.Rays.TICKS).astype(jnp.int32)).tip
         np.testing.assert_allclose(found, tip(time), atol=1e-3 * SHAKE)
+
+
+def test_a_pass_that_begins_between_two_ticks_begins_with_its_first_pose():
+    mill, steps = ct.flat_end_mill(2 * R, TEETH), 300
+    # Later the tool stands deeper; what the tooth looked at before is cut as it begins.
+    heights = np.append(np.full(10, -1e-3), -2.9e-3)
+    tips = np.stack([np.zeros(11), np.zeros(11), heights], axis=-1)
+    tooth = wp.ToothPass(
+        nodes=wp.Pose(jnp.asarray(tips)),
+        # Half a tick behind node 0, which is more than half a part of a step.
+        first=jnp.asarray(3, jnp.int32),
+        forward=jnp.array([1.0, 0.0]),
+        passing=jnp.zeros(()),
+        last=jnp.asarray(10.0),
+        substeps=steps,
+    )
+    window = wp.RemovalWindow.upright(STOCK, mill, 3e-3, D)
+    done = window.remove_passes(STOCK, mill, [tooth], jnp.ones(1, bool))
+    points, _ = cut_ends(done.stock, 2)
+    before = points[:, 1] > D
+    assert before.sum() > 100
+    np.testing.assert_allclose(points[before, 2], -1e-3)
+    assert points[:, 2].min() < -2.8e-3
