@@ -1,5 +1,7 @@
 """From the settings of a job to weights, objective and surface of its correction."""
 
+from typing import assert_never
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
@@ -125,6 +127,8 @@ def job_objective(
     settings = job.correction
     if settings.objective == "path":
         return PathObjective(_AIMED * settings.tolerance)
+    if settings.objective != "surface":
+        assert_never(settings.objective)
     if surface is None:
         raise ValueError(
             'Argument `job` must have the objective "path", but has "surface", which '
