@@ -170,11 +170,11 @@ class RemovalWindow(eqx.Module):
         grid = window_grid(stock, cutter, self, passes[0].center().frozen())
         d = stock.spacing
         in_use = stock.slots_in_use() if slots is None else slots
-        seats = [grid.of_family(f) for f in (0, 1, 2)]
+        places = [grid.of_family(f) for f in (0, 1, 2)]
         windows = tuple(
-            _Window.of(stock.families[f], seats[f], in_use[f]) for f in (0, 1, 2)
+            _Window.of(stock.families[f], places[f], in_use[f]) for f in (0, 1, 2)
         )
-        subtract = _Subtraction(cutter, seats, looks_at_all=slots is None)
+        subtract = _Subtraction(cutter, places, looks_at_all=slots is None)
         if len(passes) == 1:
             windows, taken = subtract(windows, _DuePass(passes[0], is_due[0]))
             taken = jax.tree.map(lambda x: x[None], taken)
@@ -192,13 +192,13 @@ class RemovalWindow(eqx.Module):
             if weight:
                 volumes = volumes + taken.length[:, f] * weight * d**2
         families = tuple(
-            window.put_back(rays, seat)
-            for window, rays, seat in zip(windows, stock.families, seats, strict=True)
+            window.put_back(rays, place)
+            for window, rays, place in zip(windows, stock.families, places, strict=True)
         )
         new_stock = eqx.tree_at(lambda s: s.families, stock, families)
         by_shank = jnp.zeros_like(volumes)
         if self.has_shank:
-            by_shank = _shank_volume(stock, cutter, seats[2], passes, is_due) * d**2
+            by_shank = _shank_volume(stock, cutter, places[2], passes, is_due) * d**2
         return CutStock(
             new_stock,
             volumes,
@@ -222,16 +222,16 @@ class WindowGrid(NamedTuple):
     lines: list[Float[Array, " _"]]
     is_beyond: Bool[Array, ""]
 
-    def of_family(self, family: int) -> "WindowRays":
-        """Return the rays of a family that stand in the window."""
+    def of_family(self, family: int) -> "RayPlaces":
+        """Return where the rays of a family stand in the window."""
         axes = ((family + 1) % 3, (family + 2) % 3)
         zero = jnp.zeros((), jnp.int32)
         b, c = jnp.meshgrid(*(self.lines[axis] for axis in axes), indexing="ij")
-        return WindowRays((*(self.starts[axis] for axis in axes), zero, zero), b, c)
+        return RayPlaces((*(self.starts[axis] for axis in axes), zero, zero), b, c)
 
 
-class WindowRays(NamedTuple):
-    """The rays of a family that stand in a window.
+class RayPlaces(NamedTuple):
+    """Where the rays of a family stand in a window.
 
     Attributes:
         at: Where they begin in their table.
@@ -267,13 +267,13 @@ class CutStock(eqx.Module):
 def _shank_volume(
     stock: Stock,
     cutter: AbstractCutter,
-    seat: WindowRays,
+    place: RayPlaces,
     passes: Sequence[ToothPass],
     is_due: Bool[Array, " pose"],
 ) -> Float[Array, " pose"]:
     """Return how much of each pass's cut lies above its flutes, by the rays along z."""
     rays = stock.families[2]
-    at, x, y = seat
+    at, x, y = place
     shape = (*x.shape, 2, rays.ends.shape[-1])
     ends = jax.lax.stop_gradient(jax.lax.dynamic_slice(rays.ends, at, shape))
     lengths = []
@@ -386,17 +386,17 @@ class _Window(NamedTuple):
     in_use: Int[Array, ""]
 
     @staticmethod
-    def of(rays: Rays, seat: WindowRays, in_use: Int[Array, ""]) -> "_Window":
+    def of(rays: Rays, place: RayPlaces, in_use: Int[Array, ""]) -> "_Window":
         """Return those of a family that stand in the window."""
-        shape = (*seat.b.shape, 2, rays.ends.shape[-1])
-        ends = jax.lax.dynamic_slice(rays.ends, seat.at, shape)
-        return _Window(ends, jax.lax.dynamic_slice(rays.poses, seat.at, shape), in_use)
+        shape = (*place.b.shape, 2, rays.ends.shape[-1])
+        ends = jax.lax.dynamic_slice(rays.ends, place.at, shape)
+        return _Window(ends, jax.lax.dynamic_slice(rays.poses, place.at, shape), in_use)
 
-    def put_back(self, rays: Rays, seat: WindowRays) -> Rays:
+    def put_back(self, rays: Rays, place: RayPlaces) -> Rays:
         """Return the family with these rays."""
         return Rays(
-            jax.lax.dynamic_update_slice(rays.ends, self.ends, seat.at),
-            jax.lax.dynamic_update_slice(rays.poses, self.cut_by, seat.at),
+            jax.lax.dynamic_update_slice(rays.ends, self.ends, place.at),
+            jax.lax.dynamic_update_slice(rays.poses, self.cut_by, place.at),
         )
 
 
@@ -417,12 +417,12 @@ class _Subtraction(NamedTuple):
 
     Attributes:
         cutter: The cutter.
-        seats: The rays of each family.
+        places: Where the rays of each family stand.
         looks_at_all: Whether all slots are looked at: less to compile.
     """
 
     cutter: AbstractCutter
-    seats: list[WindowRays]
+    places: list[RayPlaces]
     looks_at_all: bool
 
     def __call__(
@@ -434,7 +434,7 @@ class _Subtraction(NamedTuple):
         def cut() -> tuple[tuple[_Window, ...], _Taken]:
             left, lengths, full = [], [], []
             for f in (0, 1, 2):
-                _, b, c = self.seats[f]
+                _, b, c = self.places[f]
                 interval = cut_interval(self.cutter, f, b, c, due.tooth)
                 found = subtract_from(windows[f], interval)
                 left.append(found.window)

@@ -258,7 +258,7 @@ def cut_interval(
         start, stop, is_hit = _intersect(cutter, family, b, c, center)
         when = jnp.broadcast_to(tooth.ticks(tooth.passing), is_hit.shape)
         return CutInterval(start, stop, is_hit, when, when)
-    # Of many rays none is to find it anew.
+    # Found once, not by every ray.
     center = hold(center)
     if center.axis is None and family == 2:
         # Columns are many, and interpolation would cost more than all the rest.
