@@ -8,7 +8,8 @@ import diffmill.cutter as ct
 
 # A nose, a cone that widens and one that narrows [m].
 PARTS = [(0.020, 0.020, 0.015), (0.024, 0.050, 0.010), (0.050, 0.030, 0.020)]
-HOLDER = ct.ToolHolder.from_sizes(0.040, PARTS)
+LOWER, UPPER, LENGTHS = zip(*PARTS, strict=True)
+HOLDER = ct.ToolHolder.from_sizes(0.040, LOWER, LENGTHS, upper_diameters=UPPER)
 
 
 def depth_of_points(points, tip, axis):
@@ -50,7 +51,7 @@ def test_short_pieces_have_the_depth_of_their_point(axis, family):
         family,
         jnp.asarray(points[:, (family + 1) % 3]),
         jnp.asarray(points[:, (family + 2) % 3]),
-        (jnp.asarray(t - 1e-9), jnp.asarray(t + 1e-9)),
+        jnp.asarray([t - 1e-9, t + 1e-9]),
         jnp.asarray(tip),
         jnp.asarray(axis),
     )
@@ -67,7 +68,7 @@ def test_long_pieces_are_found_where_a_point_of_them_is_inside():
         2,
         jnp.asarray(x),
         jnp.asarray(y),
-        (jnp.zeros(300), jnp.full(300, 0.1)),
+        jnp.stack([jnp.zeros(300), jnp.full(300, 0.1)]),
         jnp.asarray(tip),
         jnp.asarray(axis),
     )
@@ -80,21 +81,30 @@ def test_long_pieces_are_found_where_a_point_of_them_is_inside():
 
 def test_pieces_that_are_none_hold_nothing():
     zero = jnp.zeros(1)
+    none = jnp.stack([zero + 1e3, zero - 1e3])
     found = HOLDER.depth_in_pieces(
-        2, zero, zero, (zero + 1e3, zero - 1e3), jnp.zeros(3), jnp.asarray([0.0, 0, 1])
+        2, zero, zero, none, jnp.zeros(3), jnp.asarray([0.0, 0, 1])
     )
     assert float(found[0]) == 0
 
 
 @pytest.mark.parametrize(
-    ("overhang", "parts", "name"),
+    ("overhang", "upper", "lengths", "name"),
     [
-        (0.0, PARTS, "overhang"),
-        (0.04, [], "parts"),
-        (0.04, [(0.02, -0.02, 0.01)], "upper_diameter"),
-        (0.04, [(0.02, 0.02, float("inf"))], "length"),
+        (0.0, [0.02], [0.01], "overhang"),
+        (0.04, [], [], "parts"),
+        (0.04, [-0.02], [0.01], "upper_diameter"),
+        (0.04, [0.02], [float("inf")], "length"),
     ],
 )
-def test_impossible_holders_are_refused(overhang, parts, name):
+def test_impossible_holders_are_refused(overhang, upper, lengths, name):
+    lower = [0.02] * len(lengths)
     with pytest.raises(ValueError, match=f"`{name}`"):
-        ct.ToolHolder.from_sizes(overhang, parts)
+        ct.ToolHolder.from_sizes(overhang, lower, lengths, upper_diameters=upper)
+
+
+def test_parts_without_an_upper_diameter_are_cylinders():
+    holder = ct.ToolHolder.from_sizes(0.04, [0.02, 0.03], [0.01, 0.02])
+    assert [part.upper_diameter for part in holder.parts] == [0.02, 0.03]
+    with pytest.raises(ValueError):
+        ct.ToolHolder.from_sizes(0.04, [0.02, 0.03], [0.01])

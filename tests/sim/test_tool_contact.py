@@ -35,7 +35,7 @@ def path_of(corners, axis=(0, 0, 1), rapid=()):
 
 
 def test_a_pocket_deeper_than_the_overhang_meets_the_holder():
-    holder = ct.ToolHolder.from_sizes(10e-3, [(20e-3, 20e-3, 30e-3)])
+    holder = ct.ToolHolder.from_sizes(10e-3, [20e-3], [30e-3])
     path = path_of([(-20, 20, -12), (80, 20, -12)])
     found = sim.ToolContacts.along(path, BLOCK, MILL, holder)
     x = path.positions[:, 0]
@@ -51,7 +51,7 @@ def test_a_pocket_deeper_than_the_overhang_meets_the_holder():
 
 
 def test_what_has_been_cut_before_is_not_in_the_way():
-    holder = ct.ToolHolder.from_sizes(5e-3, [(14e-3, 14e-3, 30e-3)])
+    holder = ct.ToolHolder.from_sizes(5e-3, [14e-3], [30e-3])
     wide = [(-10, 14, -5), (70, 14, -5), (70, 20, -5), (-10, 20, -5)]
     wide += [(-10, 26, -5), (70, 26, -5), (70, 20, 3), (-10, 20, 3)]
     deep = [(-10, 20, -9), (70, 20, -9)]
@@ -69,7 +69,7 @@ def test_what_has_been_cut_before_is_not_in_the_way():
 def test_a_leaning_holder_touches_the_edge_of_a_wall(across):
     lean, radius, depth = 0.4, 10e-3, 12e-3
     mill = ct.ball_end_mill(6e-3, 2)
-    holder = ct.ToolHolder.from_sizes(8e-3, [(2 * radius, 2 * radius, 40e-3)])
+    holder = ct.ToolHolder.from_sizes(8e-3, [2 * radius], [40e-3])
     # The axis passes the edge of the block (y = 0, z = 0) at the distance `across`.
     gap = (across + depth * np.sin(lean)) / np.cos(lean)
     axis = (0, np.sin(lean), np.cos(lean))
@@ -83,7 +83,7 @@ def test_a_leaning_holder_touches_the_edge_of_a_wall(across):
 
 
 def test_a_holder_that_stays_above_the_stock_costs_nothing():
-    holder = ct.ToolHolder.from_sizes(10e-3, [(20e-3, 20e-3, 30e-3)])
+    holder = ct.ToolHolder.from_sizes(10e-3, [20e-3], [30e-3])
     found = sim.ToolContacts.along(
         path_of([(-20, 20, -9), (80, 20, -9)]), BLOCK, MILL, holder
     )
@@ -124,7 +124,7 @@ def test_a_leaning_tool_goes_back_the_way_it_cut():
 
 
 def test_single_precision_finds_the_same():
-    holder = ct.ToolHolder.from_sizes(10e-3, [(20e-3, 20e-3, 30e-3)])
+    holder = ct.ToolHolder.from_sizes(10e-3, [20e-3], [30e-3])
     path = path_of([(-12, 20, -12), (12, 20, -12)])
     stock = BLOCK.astype(np.dtype(np.float32))
     found = sim.ToolContacts.along(path, stock, MILL, holder).holder_depth
@@ -132,7 +132,7 @@ def test_single_precision_finds_the_same():
 
 
 def test_the_rows_become_variables_with_units():
-    holder = ct.ToolHolder.from_sizes(10e-3, [(20e-3, 20e-3, 30e-3)])
+    holder = ct.ToolHolder.from_sizes(10e-3, [20e-3], [30e-3])
     path = path_of([(-20, 20, -9), (80, 20, -9)])
     dataset = sim.ToolContacts.along(path, BLOCK, MILL, holder).to_dataset()
     assert dataset["holder_depth"].dims == ("step",)

@@ -50,20 +50,29 @@ class ToolHolder(eqx.Module):
 
     @classmethod
     def from_sizes(
-        cls, overhang: float, parts: Sequence[tuple[float, float, float]]
+        cls,
+        overhang: float,
+        diameters: Sequence[float],
+        lengths: Sequence[float],
+        *,
+        upper_diameters: Sequence[float] | None = None,
     ) -> "ToolHolder":
-        """Return a holder from numbers.
+        """Return a holder from the sizes of its parts, from the lower face up.
 
         Args:
             overhang: From the tip of the tool to the lower face of the holder [m].
-            parts: From the lower face up: lower diameter, upper diameter and length of
-                each part [m].
+            diameters: Of the lower end of each part [m].
+            lengths: Of each part along the tool axis [m].
+            upper_diameters: Of the upper end of each part [m]; cylinders if not given.
 
         Raises:
-            ValueError: There is no part, or a size is not finite and positive.
+            ValueError: There is no part, a size is not finite and positive, or parts
+                have other numbers of sizes.
         """
-        sizes = (tuple(float(size) for size in part) for part in parts)
-        return cls(float(overhang), tuple(HolderPart(*size) for size in sizes))
+        uppers = diameters if upper_diameters is None else upper_diameters
+        sizes = zip(diameters, uppers, lengths, strict=True)
+        parts = tuple(HolderPart(*(float(size) for size in part)) for part in sizes)
+        return cls(float(overhang), parts)
 
     def __check_init__(self):
         """Refuse a holder of nothing."""
@@ -97,7 +106,7 @@ class ToolHolder(eqx.Module):
         family: Literal[0, 1, 2],
         b: Float[Array, "*#piece"],
         c: Float[Array, "*#piece"],
-        pieces: tuple[Float[Array, "*#piece"], Float[Array, "*#piece"]],
+        pieces: Float[Array, "2 *#piece"],
         tip: Float[Array, " 3"],
         axis: Float[Array, " 3"],
     ) -> Float[Array, "*piece"]:
@@ -111,8 +120,8 @@ class ToolHolder(eqx.Module):
             family: Axis along which the rays run: 0 is x, 1 is y, 2 is z.
             b: Coordinate of each ray along axis (family + 1) % 3 [m], shape (...).
             c: Coordinate of each ray along axis (family + 2) % 3 [m], broadcast.
-            pieces: Lower and upper ends of material [m], broadcast; a piece whose
-                ends are reversed is none.
+            pieces: Lower and upper ends of material [m], shape (2, ...), broadcast; a
+                piece whose ends are reversed is none.
             tip: Tool tip [m], shape (3,).
             axis: Unit tool axis from tip to shank, shape (3,).
 
@@ -122,7 +131,7 @@ class ToolHolder(eqx.Module):
         Differentiability: none intended; contact is only looked for.
         """
         ray = _rays.make_ray(family, b, c, tip, axis)
-        low, high = (end - tip[family] for end in pieces)
+        low, high = pieces - tip[family]
         found = jnp.zeros(jnp.broadcast_shapes(b.shape, c.shape, low.shape), b.dtype)
         for part, foot in zip(self.parts, self.feet(), strict=True):
             start, stop, is_hit = _frustum(ray, part, foot)

@@ -156,18 +156,17 @@ def bull(ray: Ray, sizes: Sizes) -> Chord:
         ray, sizes.radius, jnp.zeros_like(sizes.radius)
     )
 
-    def step(
-        _: int | Array, ends: tuple[Float[Array, "..."], Float[Array, "..."]]
-    ) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+    def step(_: int | Array, chord: Chord) -> Chord:
         moved = []
-        for t, sign in zip(ends, (1, -1), strict=True):
+        for t, sign in ((chord.start, 1), (chord.stop, -1)):
             f, slope = ray.level(t, sizes)
             is_outside = (f > 0) & (sign * slope < 0)
             move = jnp.where(is_outside, -f / jnp.where(is_outside, slope, 1), 0)
             # A ray that misses the solid has no root to stop at.
             moved.append(jnp.clip(t + move, low, high))
-        return moved[0], moved[1]
+        return Chord(moved[0], moved[1], chord.is_hit)
 
-    start, stop = jax.lax.fori_loop(0, NEWTON_STEPS, step, (low, high))
+    around = Chord(low, high, is_near)
+    start, stop, _ = jax.lax.fori_loop(0, NEWTON_STEPS, step, around)
     middle, _ = ray.level((start + stop) / 2, sizes)
     return Chord(start, stop, is_near & (stop > start) & (middle < 0))

@@ -36,7 +36,11 @@ def report_records(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> Repo
         *axes_lines(records, found, takes_proposed=study.settings.takes_proposed),
         *_fit_lines(study, found),
         *diagnosis_lines(of_fit, fit.axes, [one.name for one in records]),
-        *tooth_lines(records, [(one.shift, one.revolution) for one in fit.records]),
+        *tooth_lines(
+            records,
+            [one.shift for one in fit.records],
+            [one.revolution for one in fit.records],
+        ),
     ]
     return Report(lines, _toml(found), _facts(study, found), _figures(study, found))
 

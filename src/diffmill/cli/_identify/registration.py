@@ -20,16 +20,19 @@ _ALIKE, _COVERED = 0.8, 0.9
 
 
 def tooth_lines(
-    records: Sequence[ForceRecord], turns: Sequence[tuple[float, float]]
+    records: Sequence[ForceRecord],
+    shifts: Sequence[float],
+    revolutions: Sequence[float],
 ) -> list[str]:
     """Return where tooth 0 stands at the zero of a measured spindle angle.
 
     Args:
         records: The records.
-        turns: Of each the time shift that the fit has added and a revolution [s].
+        shifts: Of each the time shift that the fit has added [s].
+        revolutions: Of each the time of a revolution [s].
     """
     lines = []
-    for record, (shift, turn) in zip(records, turns, strict=True):
+    for record, shift, turn in zip(records, shifts, revolutions, strict=True):
         # The clock was set so that tooth 0 stands at the measured angle.
         angle = math.remainder(360 * shift / turn, 360)
         if record.knows_tooth:

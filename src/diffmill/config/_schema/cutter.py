@@ -208,10 +208,12 @@ def make_holder(table: CutterTable) -> "ToolHolder | None":
 
     if table.holder is None or table.overhang is None:
         return None
-    parts = [
-        (p.diameter, p.upper_diameter or p.diameter, p.length) for p in table.holder
-    ]
-    return ToolHolder.from_sizes(table.overhang, parts)
+    return ToolHolder.from_sizes(
+        table.overhang,
+        [part.diameter for part in table.holder],
+        [part.length for part in table.holder],
+        upper_diameters=[p.upper_diameter or p.diameter for p in table.holder],
+    )
 
 
 def make_cutter(table: CutterTable) -> "EndMill":

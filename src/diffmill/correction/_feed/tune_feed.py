@@ -120,7 +120,8 @@ def tune_feed(
     *,
     time_weights: tuple[float, ...] = _WEIGHTS,
     count: int = 8,
-    bounds: tuple[float, float] = (0.5, 1.5),
+    least: float = 0.5,
+    greatest: float = 1.5,
     acceleration: RealScalarLike | None = None,
     max_steps: int = 8,
     on_progress: OnShare | None = None,
@@ -142,7 +143,8 @@ def tune_feed(
         job: The job; its machine must not be rigid.
         time_weights: Weights of the time, positive; each starts where the last ended.
         count: Knots of the override, equally spaced over the length of the path.
-        bounds: Smallest and largest override.
+        least: Smallest override.
+        greatest: Largest override.
         acceleration: Largest acceleration of the program [m/s^2]; that of its path if
             not given.
         max_steps: Gauss-Newton steps for each weight at most.
@@ -171,8 +173,8 @@ def tune_feed(
         FeedPlant(job, adjoint),
         feed,
         FeedProblem.smoothed(job_weights(job, rigid, cutting, None)),
-        bounds[0],
-        bounds[1],
+        least,
+        greatest,
     )
     points = FeedPoint.curve(
         problem,

@@ -94,15 +94,18 @@ class JobPieces(AbstractPieces):
     @property
     def rows_ahead(self) -> int:
         """Rows by which the controller, on a clock late by its delay, looks ahead."""
-        span = row_span(self.job)
-        return 0 if span is None else span[1]
+        return rows_ahead(self.job)
 
     def begin(self, command: Float[Array, "row axis"]) -> JobState:
         """Return the state in equilibrium with the motion of the first period."""
         last = self.job.path.step_count - 1
         job = with_rows(self.job, np.minimum(np.arange(command.shape[0]), last))
-        span = row_span(self.job)
-        return _begin(job, self.adjoint, command, self.has_joint_commands, span)
+        before, ahead = 0, 0
+        if job.controller is not None:
+            before, ahead = job.controller.span(job.tooth_period)
+        return _begin(
+            job, self.adjoint, command, self.has_joint_commands, before, ahead
+        )
 
     def piece(self, state: PyTree, rows: Int[np.ndarray, " row"]) -> JobPiece:
         """Return the piece that starts from a state."""
@@ -117,11 +120,11 @@ class JobPieces(AbstractPieces):
         return JobPiece(job, state, self.adjoint, shares, are_joints, ahead)
 
 
-def row_span(job: Job) -> tuple[int, int] | None:
-    """Return `Controller.span` of a job; None for an ideal controller."""
+def rows_ahead(job: Job) -> int:
+    """Return by how many rows a job's controller looks ahead; 0 for an ideal one."""
     if job.controller is None:
-        return None
-    return job.controller.span(job.tooth_period)
+        return 0
+    return job.controller.span(job.tooth_period).ahead
 
 
 @eqx.filter_jit
@@ -130,7 +133,8 @@ def _begin(
     adjoint: AbstractAdjoint,
     command: Float[Array, "row axis"],
     has_joint_commands: bool,
-    span: tuple[int, int] | None,
+    rows_before: int,
+    rows_ahead: int,
 ) -> JobState:
     start = command[0]
     if job.robot is not None:
@@ -140,9 +144,8 @@ def _begin(
     joints = _joints(job, command, start, has_joint_commands)
     motors, memory = JobKinematics(job).motors_of(joints), None
     if job.controller is not None:
-        assert span is not None
         period = job.tooth_period
-        memory = job.controller.begin(motors, period, *span)
+        memory = job.controller.begin(motors, period, rows_before, rows_ahead)
         motors = job.controller.follow(motors, period, memory).motors
     model = JobModel.of(job, adjoint)
     assert model.machine is not None

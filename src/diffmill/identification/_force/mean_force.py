@@ -103,7 +103,12 @@ def fit_mean_forces(
     """
     feeds = np.array(feed_per_tooth, np.float64)
     mean = np.array(mean_force, np.float64)
-    _check(feeds, mean, teeth, axial_depth, (entry_angle, exit_angle))
+    _check(feeds, mean, teeth, axial_depth)
+    if not 0 <= entry_angle < exit_angle <= math.pi:
+        raise ValueError(
+            "Arguments `entry_angle` and `exit_angle` must be ascending from 0 to pi, "
+            f"but are {entry_angle:g} and {exit_angle:g} rad."
+        )
     # Per force a line: unknowns slope and offset, in units of the mean feed.
     unit = float(np.mean(feeds))
     X = np.column_stack([feeds / unit, np.ones_like(feeds)])
@@ -180,7 +185,6 @@ def _check(
     mean: np.ndarray,
     teeth: int,
     axial_depth: float,
-    angles: tuple[float, float],
 ) -> None:
     """Refuse what gives no lines."""
     if feeds.ndim != 1 or mean.shape != (feeds.size, 3):
@@ -199,9 +203,4 @@ def _check(
         raise ValueError(
             "Arguments `teeth` and `axial_depth` must be positive, but are "
             f"{teeth} and {axial_depth} m."
-        )
-    if not 0 <= angles[0] < angles[1] <= math.pi:
-        raise ValueError(
-            "Arguments `entry_angle` and `exit_angle` must be ascending from 0 to pi, "
-            f"but are {angles[0]:g} and {angles[1]:g} rad."
         )

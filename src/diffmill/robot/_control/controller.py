@@ -569,6 +569,20 @@ def _turn(step: Float[Array, ""], damping_ratio: Float[Array, ""]) -> _Turn:
     )
 
 
+class _Input(NamedTuple):
+    """Input at the two ends of a time between two rows; linear between them."""
+
+    start: Array
+    end: Array
+
+
+class _Servo(NamedTuple):
+    """State of a system of second order: y, and v = y' / w."""
+
+    y: Array
+    v: Array
+
+
 def _first_order(
     rows: Float[Array, "instant joint ..."],
     step: Float[Array, "*joint"],
@@ -578,12 +592,11 @@ def _first_order(
     E = jnp.exp(-step)
     late = -jnp.expm1(-step) / step
 
-    def advance(y: Array, ends: tuple[Array, Array]) -> tuple[Array, Array]:
-        start, end = ends
-        y = E * y + (1 - E) * start + (1 - late) * (end - start)
+    def advance(y: Array, turn: _Input) -> tuple[Array, Array]:
+        y = E * y + (1 - E) * turn.start + (1 - late) * (turn.end - turn.start)
         return y, y
 
-    _, found = jax.lax.scan(advance, begun, (rows[:-1], rows[1:]))
+    _, found = jax.lax.scan(advance, begun, _Input(rows[:-1], rows[1:]))
     return jnp.concatenate([begun[None], found])
 
 
@@ -596,14 +609,12 @@ def _second_order(
     """Return what y'' + 2 zeta w y' + w^2 y = w^2 u makes of rows, and the last v."""
     a, b, c, d = turn.free
 
-    def advance(
-        state: tuple[Array, Array], ends: tuple[Array, Array]
-    ) -> tuple[tuple[Array, Array], Array]:
-        (y, v), (start, end) = state, ends
-        rise = end - start
+    def advance(state: _Servo, ends: _Input) -> tuple[_Servo, Array]:
+        y, v, start, rise = state.y, state.v, ends.start, ends.end - ends.start
         new = a * y + b * v + turn.start[0] * start + turn.rise[0] * rise
         v = c * y + d * v + turn.start[1] * start + turn.rise[1] * rise
-        return (new, v), new
+        return _Servo(new, v), new
 
-    (_, ended), found = jax.lax.scan(advance, (begun, speed), (rows[:-1], rows[1:]))
+    ends = _Input(rows[:-1], rows[1:])
+    (_, ended), found = jax.lax.scan(advance, _Servo(begun, speed), ends)
     return jnp.concatenate([begun[None], found]), ended

@@ -216,7 +216,8 @@ def _search(
     steps: int,
     tool_rotation: ToolRotation,
     *,
-    limits: tuple[Float[Array, " joint"], Float[Array, " joint"]] | None = None,
+    lower: Float[Array, " joint"] | None = None,
+    upper: Float[Array, " joint"] | None = None,
     chooses: bool = True,
 ) -> Float[Array, " joint"]:
     """Return the end of a fixed number of damped Newton steps, without derivative.
@@ -238,7 +239,9 @@ def _search(
 
     def step(q, _):
         q = _moved(q, take(q))
-        return q if limits is None else jnp.clip(q, *limits), None
+        if lower is None or upper is None:
+            return q, None
+        return jnp.clip(q, lower, upper), None
 
     q, _ = lax.scan(step, q, length=steps)
     return q
@@ -362,7 +365,7 @@ def _first_pose(
             for sign, limit in zip((-1, 1), motor_limits(robot), strict=True)
         )
         new = _search(
-            robot, T, start, _POSE_STEPS, tool_rotation, limits=(lower, upper)
+            robot, T, start, _POSE_STEPS, tool_rotation, lower=lower, upper=upper
         )
         new = unwound(robot, _polished(robot, T, new, tool_rotation), q_start)
         new_error = jnp.max(jnp.abs(pose_task(robot, T, new, tool_rotation).error))

@@ -61,7 +61,7 @@ def holder_depth(
 ) -> Float[Array, ""]:
     """Return how deep the holder is in material."""
     assert test.holder is not None
-    pieces = (ends[:, :, 0], ends[:, :, 1])
+    pieces = jnp.moveaxis(ends, 2, 0)
     depth = test.holder.depth_in_pieces(
         2, x[..., None], y[..., None], pieces, pose.tip, pose.direction()
     )
