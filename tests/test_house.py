@@ -218,6 +218,21 @@ def test_no_public_annotation_says_any():
     assert not count
 
 
+def test_what_travels_together_has_a_name():
+    """No parameter is a tuple of a fixed length: its places would have no names."""
+    bundles = {
+        (file.relative_to(SOURCE).as_posix(), node.arg)
+        for file in SOURCE.rglob("*.py")
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if isinstance(node, ast.arg) and node.annotation is not None
+        for part in ast.walk(node.annotation)
+        if isinstance(part, ast.Subscript)
+        and ast.unparse(part.value) == "tuple"
+        and not ast.unparse(part.slice).endswith(("...", "...)"))
+    }
+    assert not bundles
+
+
 def test_experiments_and_tests_use_what_is_public():
     files = itertools.chain(
         *((ROOT / d).rglob("*.py") for d in ("experiments", "tests"))

@@ -6,6 +6,7 @@ and the error that lists every fault are in `diffmill.config`.
 """
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
@@ -404,14 +405,14 @@ class Job(eqx.Module):
             timing=None,
         )
 
-    def with_intervals(self, counts: tuple[int, int, int]) -> "Job":
+    def with_intervals(self, counts: Sequence[int]) -> "Job":
         """Return the job with slots for so many intervals along x, y and z, and a note.
 
         The same job if it has so many.
 
         **Differentiability**: runs on the host.
         """
-        if counts == self.stock.interval_counts:
+        if tuple(counts) == self.stock.interval_counts:
             return self
         note = (
             "[stock] intervals: the rays were given {} intervals along x, y and z, "

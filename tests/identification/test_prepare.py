@@ -46,14 +46,14 @@ def test_offset_and_drift_come_off_exactly():
     force = turn_force(SPEED * time) * ((time > 0.1) & (time < 0.3))[:, None]
     slope = np.array([7.0, 0.0, -30.0])
     record = record_of(time, force + LEVEL[None] + slope[None] * time[:, None])
-    straight = record.without_drift((0.0, 0.09), (0.31, 0.4))
+    straight = record.without_drift(slice(0.0, 0.09), slice(0.31, 0.4))
     np.testing.assert_allclose(straight.force, force, atol=1e-10)
     level = record_of(time, force + LEVEL[None]).without_offset(0.0, 0.09)
     np.testing.assert_allclose(level.force, force, atol=1e-10)
     with pytest.raises(ValueError, match="5 s to 6 s"):
         record.without_offset(5.0, 6.0)
     with pytest.raises(ValueError, match="`before` and `after`"):
-        record.without_drift((0.0, 0.1), (0.0, 0.1))
+        record.without_drift(slice(0.0, 0.1), slice(0.0, 0.1))
 
 
 @pytest.mark.parametrize("tooth_frequency", [None, 100.0])

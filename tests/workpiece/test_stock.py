@@ -34,3 +34,13 @@ def test_ray_ends_lie_on_the_faces():
 def test_impossible_boxes_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         wp.box(*arguments)
+
+
+@pytest.mark.parametrize("counts", [(8, 8), (8, 8, 0), (8, 8, 1, 1)])
+def test_a_stock_has_slots_along_three_axes(counts):
+    with pytest.raises(ValueError, match="interval_counts"):
+        wp.box([0, 0, 0], [1e-3, 1e-3, 1e-3], 0.5e-3, interval_counts=counts)
+    stock = wp.box([0, 0, 0], [1e-3, 1e-3, 1e-3], 0.5e-3, interval_counts=[2, 3, 4])
+    assert stock.interval_counts == (2, 3, 4)
+    with pytest.raises(ValueError, match="interval_counts"):
+        stock.with_interval_counts(counts)

@@ -137,9 +137,7 @@ def _filler(
         save_figure(plot_robot(robot, bones, title=title), folder / "robot.png")
         if facts["statics"] is None:
             return
-        maps = [
-            StiffnessMap.around(robot, q, plane=plane) for plane in ((0, 2), (0, 1))
-        ]
+        maps = [StiffnessMap.around(robot, q, plane=plane) for plane in ("xz", "xy")]
         if not any(np.isfinite(item.stiffness).any() for item in maps):
             return
         title = f"{robot.name}: the tool keeps its direction; grey: not reached so"

@@ -6,6 +6,8 @@ loops around it, over long axes; but JAX transposes a term into an array of zero
 it. So both are operations of their own.
 """
 
+from collections.abc import Sequence
+
 import jax.numpy as jnp
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
@@ -44,12 +46,12 @@ def _copy(values: Array, count: int) -> Array:
     return jnp.broadcast_to(values[None], (count, *values.shape))
 
 
-def _add_batch(args: tuple[Array], axes: tuple[int]) -> tuple[Array, int]:
+def _add_batch(args: Sequence[Array], axes: Sequence[int]) -> tuple[Array, int]:
     return Few.sum(jnp.moveaxis(args[0], axes[0], 1)), 0
 
 
 def _copy_batch(
-    args: tuple[Array], axes: tuple[int], *, count: int
+    args: Sequence[Array], axes: Sequence[int], *, count: int
 ) -> tuple[Array, int]:
     return Few.copies(args[0], count), axes[0] + 1
 

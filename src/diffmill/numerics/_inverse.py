@@ -4,6 +4,7 @@ Two of jaxlib's batched LAPACK calls that run beside each other wait for the sam
 threads of XLA, and now and then for ever.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -46,6 +47,6 @@ def small_inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
 
 
 @small_inverse.defjvp
-def _jvp(primals: tuple[Any], tangents: tuple[Any]) -> tuple[Array, Array]:
+def _jvp(primals: Sequence[Any], tangents: Sequence[Any]) -> tuple[Array, Array]:
     inverse = small_inverse(*primals)
     return inverse, -inverse @ tangents[0] @ inverse

@@ -5,7 +5,7 @@ import io
 import logging
 import os
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args
 
@@ -84,7 +84,7 @@ def from_mesh(
     spacing: float,
     *,
     unit: MeshUnit = "mm",
-    interval_counts: tuple[int, int, int] | None = None,
+    interval_counts: Sequence[int] | None = None,
     dtype: type | jnp.dtype | None = None,
 ) -> Stock:
     """Return the solid that a closed mesh bounds as stock, in the place where it is.

@@ -1,5 +1,6 @@
 """Memory of a stock that is to be made, before it is."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +28,7 @@ class StockMemory(NamedTuple):
 
     @classmethod
     def of_grid(
-        cls, counts: tuple[int, ...], slots: tuple[int, int, int], item_size: int
+        cls, counts: tuple[int, ...], slots: Sequence[int], item_size: int
     ) -> "StockMemory":
         """Return the memory for a grid.
 
@@ -43,7 +44,7 @@ class StockMemory(NamedTuple):
         cls,
         extent: Float[np.ndarray, " 3"],
         spacing: float,
-        slots: tuple[int, int, int],
+        slots: Sequence[int],
         item_size: int,
     ) -> "StockMemory":
         """Return the memory for a block with the margin around it.

@@ -10,7 +10,7 @@ from .report import noted
 
 def diagnosis_lines(
     diagnoses: Sequence[Diagnosis],
-    axes: tuple[str, str, str] = ("x", "y", "z"),
+    axes: Sequence[str] = ("x", "y", "z"),
     records: Sequence[str] = (),
 ) -> list[str]:
     """Return diagnoses as lines; nothing was changed for any of them.

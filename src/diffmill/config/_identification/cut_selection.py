@@ -100,17 +100,16 @@ def tared(
     if table.tare == "none":
         return record
     if table.tare is not None:
-        before = (table.tare[0], table.tare[1])
+        before = slice(table.tare[0], table.tare[1])
         if isinstance(table.tare_after, list):
-            return record.without_drift(
-                before, (table.tare_after[0], table.tare_after[1])
-            )
-        return record.without_offset(*before)
+            return record.without_drift(before, slice(*table.tare_after))
+        return record.without_offset(before.start, before.stop)
     before, after = _quiet(record, cuts, span, tooth)
     if before is not None and after is not None:
         notes.append(
-            f"Offset and drift were taken from {before[0]:.4g} to {before[1]:.4g} s "
-            f"and {after[0]:.4g} to {after[1]:.4g} s, where nothing is cut."
+            f"Offset and drift were taken from {before.start:.4g} to "
+            f"{before.stop:.4g} s and {after.start:.4g} to {after.stop:.4g} s, where "
+            "nothing is cut."
         )
         return record.without_drift(before, after)
     one = before or after
@@ -121,15 +120,15 @@ def tared(
         )
         return record
     notes.append(
-        f"The offset was taken from {one[0]:.4g} to {one[1]:.4g} s, where nothing is "
-        "cut."
+        f"The offset was taken from {one.start:.4g} to {one.stop:.4g} s, where nothing "
+        "is cut."
     )
-    return record.without_offset(*one)
+    return record.without_offset(one.start, one.stop)
 
 
 def _quiet(
     record: Record, cuts: list[CutSpan], span: CutSpan, tooth: float
-) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
+) -> tuple[slice | None, slice | None]:
     """Return the sections without a cut before and after a part of the record."""
     if not cuts:
         return None, None
@@ -146,7 +145,7 @@ def _quiet(
     for a, b in (before, after):
         count = int(((record.time >= a) & (record.time <= b)).sum())
         is_long = b - a >= least and count >= _TARE_SAMPLES
-        sections.append((a, b) if is_long else None)
+        sections.append(slice(a, b) if is_long else None)
     return sections[0], sections[1]
 
 

@@ -5,6 +5,7 @@ of the coefficients and the ratio of radial to tangential force.
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -113,7 +114,7 @@ def propose_mean_axes(
     return tuple(found)
 
 
-def _changes(axes: tuple[str, str, str]) -> int:
+def _changes(axes: Sequence[str]) -> int:
     return sum(name != plain for name, plain in zip(axes, "xyz", strict=True))
 
 

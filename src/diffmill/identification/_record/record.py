@@ -141,22 +141,22 @@ class Record(eqx.Module):
         _, level = self._level(start, stop)
         return dataclasses.replace(self, force=self.force - level[None])
 
-    def without_drift(
-        self, before: tuple[float, float], after: tuple[float, float]
-    ) -> "Record":
+    def without_drift(self, before: slice, after: slice) -> "Record":
         """Return the record less the line through two sections without cut.
 
         The line goes through the mean time and mean force of both sections: charge
         amplifiers drift by a constant current. Gross errors do not count.
 
         Args:
-            before: Where the tare section before the cut begins and ends [s].
+            before: From where to where the tare section before the cut is [s], as
+                slice(start, stop).
             after: The same of the one after it.
 
         Raises:
             ValueError: If fewer than 2 samples lie in a section or both are the same.
         """
-        first, second = self._level(*before), self._level(*after)
+        first = self._level(before.start, before.stop)
+        second = self._level(after.start, after.stop)
         if first.time == second.time:
             raise ValueError("Arguments `before` and `after` must be two sections.")
         slope = (second.force - first.force) / (second.time - first.time)

@@ -1,5 +1,6 @@
 """Force coefficients from mean forces over several feeds."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -131,7 +132,7 @@ class MeanForceStudy(NamedTuple):
 
 
 def _turned(
-    force: Float[np.ndarray, "row 3"], axes: tuple[str, str, str]
+    force: Float[np.ndarray, "row 3"], axes: Sequence[str]
 ) -> Float[np.ndarray, "row 3"]:
     """Return recorded forces in the axes of the feed."""
     signs = np.array([-1.0 if name.startswith("-") else 1.0 for name in axes])

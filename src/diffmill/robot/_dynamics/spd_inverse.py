@@ -1,5 +1,6 @@
 """The inverse of a small, positive definite matrix, differentiated as an inverse."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -31,6 +32,6 @@ def spd_inverse(
 
 
 @spd_inverse.defjvp
-def _jvp(primals: tuple[Any], tangents: tuple[Any]) -> tuple[Array, Array]:
+def _jvp(primals: Sequence[Any], tangents: Sequence[Any]) -> tuple[Array, Array]:
     inverse = spd_inverse(*primals)
     return inverse, -sum_rows(inverse, sum_rows(tangents[0], inverse))

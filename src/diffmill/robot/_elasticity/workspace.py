@@ -28,13 +28,13 @@ class StiffnessMap(eqx.Module):
         stiffness: Least principal stiffness of the tip [N/m], shape (up, across);
             NaN where the pose was not reached within the joints' limits, infinite
             for a rigid arm.
-        plane: Indices of the two base axes, such as (0, 2).
+        plane: The two base axes, across and up, such as "xz".
     """
 
     across: Float[np.ndarray, " across"]
     up: Float[np.ndarray, " up"]
     stiffness: Float[np.ndarray, "up across"]
-    plane: tuple[int, int] = eqx.field(static=True)
+    plane: str = eqx.field(static=True)
 
     @classmethod
     def around(
@@ -42,7 +42,7 @@ class StiffnessMap(eqx.Module):
         robot: Robot,
         q: JointVector,
         *,
-        plane: tuple[int, int] = (0, 2),
+        plane: str = "xz",
         count: int = 49,
     ) -> "StiffnessMap":
         """Return the least stiffness of the tip on a plane through a pose.
@@ -54,7 +54,7 @@ class StiffnessMap(eqx.Module):
         Args:
             robot: The robot.
             q: Joint positions of the pose [rad or m], shape (joint,).
-            plane: Indices of the two base axes.
+            plane: The two base axes, across and up.
             count: Points along the longer side.
 
         Returns:
@@ -65,21 +65,21 @@ class StiffnessMap(eqx.Module):
 
         **Differentiability**: none; `principal_stiffness` is differentiable.
         """
-        if len(set(plane)) != 2 or not set(plane) <= {0, 1, 2}:
+        if len(plane) != 2 or len(set(plane)) != 2 or not set(plane) <= set("xyz"):
             raise ValueError(
-                "Argument `plane` must be two different ones of 0, 1, 2, but is "
-                f"{plane}."
+                "Argument `plane` must be two different ones of x, y, z, such as "
+                f'"xz", but is {plane!r}.'
             )
         start = joint_vector(robot, q, "q")
         T = np.asarray(forward_kinematics(robot, start)).astype(float)
-        box = StiffnessMap.reach_box(robot)[:, list(plane)]
+        box = StiffnessMap.reach_box(robot)[:, _indices(plane)]
         # A coarse look first: where the tool keeps its direction is less than all it
         # reaches.
         for points in (count // 2 + 1, count):
             spacing = np.max(box[1] - box[0]) / (points - 1)
             axes = [
                 _through(T[axis, 3], box[0, i], box[1, i], spacing)
-                for i, axis in enumerate(plane)
+                for i, axis in enumerate(_indices(plane))
             ]
             stiffness = _on_grid(robot, T, start, plane, axes[0], axes[1])
             rows, columns = np.nonzero(~np.isnan(stiffness))
@@ -118,6 +118,10 @@ class StiffnessMap(eqx.Module):
         return np.stack([tips.min(axis=0), tips.max(axis=0)]).astype(float)
 
 
+def _indices(plane: str) -> list[int]:
+    return ["xyz".index(axis) for axis in plane]
+
+
 def _through(
     point: float, lower: float, upper: float, spacing: float
 ) -> Float[np.ndarray, " point"]:
@@ -131,14 +135,15 @@ def _on_grid(
     robot: Robot,
     T: Float[np.ndarray, "4 4"],
     start: Float[Array, " joint"],
-    plane: tuple[int, int],
+    plane: str,
     columns: Float[np.ndarray, " across"],
     rows: Float[np.ndarray, " up"],
 ) -> Float[np.ndarray, "up across"]:
     """Return the least stiffness on a grid, NaN where a pose is not reached."""
     across, up = np.meshgrid(columns, rows)
     Ts = np.broadcast_to(T, (across.size, 4, 4)).copy()
-    Ts[:, plane[0], 3], Ts[:, plane[1], 3] = across.ravel(), up.ravel()
+    i, j = _indices(plane)
+    Ts[:, i, 3], Ts[:, j, 3] = across.ravel(), up.ravel()
     starts = np.broadcast_to(np.asarray(start), (across.size, start.shape[0]))
     found = _solve(robot, Ts, starts)
     q, stiffness = np.asarray(found.q), np.asarray(found.stiffness)

@@ -21,7 +21,7 @@ from ...cutter import (
 )
 from ...toolpath import Path
 from ...workpiece import Stock
-from .contact import Columns, Samples, columns_of, sweep, window_of
+from .contact import Box, Columns, Samples, columns_of, sweep, window_of
 from .contact_depth import ContactTest
 
 if TYPE_CHECKING:
@@ -35,8 +35,6 @@ _TOUCH = 0.02
 _SLOTS, _MOST_SLOTS = 4, 64
 # A tool whose axis rises less than this leaves the stock at its side.
 _LEVEL = 1e-6
-
-Box = tuple[Float[np.ndarray, "sample 3"], Float[np.ndarray, "sample 3"]]
 
 
 class ToolContacts(eqx.Module):
@@ -260,23 +258,21 @@ def _reach(
     axis: Float[np.ndarray, "sample 3"],
     radius: float,
     length: float,
-    bounds: tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]],
+    block: Box,
 ) -> Box:
     """Return boxes around what of a cylinder can be in a block, above it not."""
-    low, high = bounds
+    low, high = block
     far = np.linalg.norm(np.maximum(np.abs(foot - low), np.abs(high - foot)), axis=1)
     across = radius * np.sqrt(np.maximum(1 - axis**2, 0))
     rise = axis[:, 2]
     leaves = (high[2] - foot[:, 2] + across[:, 2]) / np.where(rise > _LEVEL, rise, 1)
     most = np.where(rise > _LEVEL, np.maximum(leaves, 0), np.inf)
     end = foot + np.minimum(np.minimum(far, length), most)[:, None] * axis
-    return np.minimum(foot, end) - across, np.maximum(foot, end) + across
+    return Box(np.minimum(foot, end) - across, np.maximum(foot, end) + across)
 
 
-def _meets(
-    box: Box, bounds: tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]
-) -> Bool[np.ndarray, " sample"]:
-    return np.all((box[0] < bounds[1]) & (box[1] > bounds[0]), axis=1)
+def _meets(box: Box, block: Box) -> Bool[np.ndarray, " sample"]:
+    return np.all((box.low < block.high) & (box.high > block.low), axis=1)
 
 
 class _InnerCutter(NamedTuple):

@@ -36,7 +36,7 @@ class Columns(eqx.Module):
     origin: Float[np.ndarray, " 2"]
     spacing: float = eqx.field(static=True)
 
-    def bounds(self) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
+    def bounds(self) -> "Box":
         """Return the least and greatest x, y, z of the material [m].
 
         Both are far away, and reversed, if there is none.
@@ -44,18 +44,21 @@ class Columns(eqx.Module):
         ends = np.asarray(self.ends)
         is_live = ends[:, :, 1] > ends[:, :, 0]
         if not is_live.any():
-            return np.full(3, Rays.DEAD), np.full(3, -Rays.DEAD)
+            return Box(np.full(3, Rays.DEAD), np.full(3, -Rays.DEAD))
         columns = np.argwhere(is_live.any(axis=-1))
         half = self.spacing / 2
         low = self.origin + self.spacing * columns.min(axis=0) - half
         high = self.origin + self.spacing * columns.max(axis=0) + half
         floor = np.where(is_live, ends[:, :, 0], np.inf).min()
         top = np.where(is_live, ends[:, :, 1], -np.inf).max()
-        return np.array([*low, floor]), np.array([*high, top])
+        return Box(np.array([*low, floor]), np.array([*high, top]))
 
 
-# Least and greatest x, y, z at each pose.
-Box = tuple[Float[np.ndarray, "sample 3"], Float[np.ndarray, "sample 3"]]
+class Box(NamedTuple):
+    """Least and greatest x, y, z, of one block or of one at each pose [m]."""
+
+    low: Float[np.ndarray, "... 3"]
+    high: Float[np.ndarray, "... 3"]
 
 
 class Window(eqx.Module):
@@ -220,15 +223,15 @@ def _chunk(
     zero = jnp.zeros((), jnp.int32)
     nothing = jnp.zeros((), ends.dtype)
 
-    def window(ends: Array, first: Array, size: tuple[int, int]) -> Array:
-        at = (first[0], first[1], zero, zero)
-        return jax.lax.dynamic_slice(ends, at, (*size, 2, slots))
+    def seen(ends: Array, window: Window) -> Array:
+        at = (*jnp.asarray(window.first), zero, zero)
+        return jax.lax.dynamic_slice(ends, at, (*window.size, 2, slots))
 
     def step(ends: Array, sample: Samples) -> tuple[Array, tuple[Array, Array]]:
         tip, axis = jnp.asarray(sample.tip), jnp.asarray(sample.axis)
         pose, first = Pose(tip, axis), jnp.asarray(sample.tool.first)
-        part = window(ends, first, sample.tool.size)
-        x, y = _places(origin, spacing, first, sample.tool.size)
+        part = seen(ends, sample.tool)
+        x, y = _places(origin, spacing, sample.tool)
         in_tool = jax.lax.cond(
             sample.is_tool, lambda: tool_depth(part, x, y, pose, test), lambda: nothing
         )
@@ -250,9 +253,8 @@ def _chunk(
             return ends, (jnp.stack([in_tool, nothing]), is_full)
 
         def look() -> Array:
-            at, size = jnp.asarray(sample.holder.first), sample.holder.size
-            near = window(ends, at, size)
-            x, y = _places(origin, spacing, at, size)
+            near = seen(ends, sample.holder)
+            x, y = _places(origin, spacing, sample.holder)
             return holder_depth(near, x, y, pose, test)
 
         in_holder = jax.lax.cond(sample.is_holder, look, lambda: nothing)
@@ -263,12 +265,10 @@ def _chunk(
 
 
 def _places(
-    origin: Float[Array, " 2"],
-    spacing: float,
-    first: Int[Array, " 2"],
-    size: tuple[int, int],
+    origin: Float[Array, " 2"], spacing: float, window: Window
 ) -> tuple[Float[Array, "x y"], Float[Array, "x y"]]:
     """Return where the rays of a window stand."""
+    first, size = jnp.asarray(window.first), window.size
     lines = [
         origin[a]
         + spacing

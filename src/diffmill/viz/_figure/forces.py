@@ -108,20 +108,20 @@ def plot_forces(
         if cutoff < record.sample_rate / 2 and not record.is_tooth_mean
         else None
     )
-    window = _zoom_window(record, zoom_periods)
+    start, stop = _zoom_window(record, zoom_periods)
     for axis, name in enumerate("xyz"):
         _draw_axis(grid[axis, 0], record, filtered, axis)
         quiet_axes(grid[axis, 0], y=f"$F_{name}$ [N]")
         if has_zoom:
-            _draw_zoom(grid[axis, 1], record, filtered, axis, window)
-            grid[axis, 0].axvspan(*window, color="#0072B2", alpha=0.3, linewidth=0)
+            _draw_zoom(grid[axis, 1], record, filtered, axis, start, stop)
+            grid[axis, 0].axvspan(start, stop, color="#0072B2", alpha=0.3, linewidth=0)
     grid[0, 0].set_title("whole cut", fontsize=9, loc="left", color=INK)
     grid[2, 0].set_xlabel("time [s]", fontsize=8.5, color=INK)
     if has_zoom:
         title = f"{zoom_periods} tooth periods (blue bar)"
         grid[0, 1].set_title(title, fontsize=9, loc="left", color=INK)
-        start = f"{window[0]:.3f}"
-        grid[2, 1].set_xlabel(f"time after {start} s [ms]", fontsize=8.5, color=INK)
+        label = f"time after {start:.3f} s [ms]"
+        grid[2, 1].set_xlabel(label, fontsize=8.5, color=INK)
     names = _line_names(record)
     if filtered is not None:
         names["black"] = (
@@ -200,10 +200,11 @@ def _draw_zoom(
     record: ForceTrace,
     filtered: Float[np.ndarray, "sample 3"] | None,
     axis: int,
-    window: tuple[float, float],
+    start: float,
+    stop: float,
 ) -> None:
-    inside = (record.time >= window[0]) & (record.time <= window[1])
-    time_ms = (record.time[inside] - window[0]) * 1e3
+    inside = (record.time >= start) & (record.time <= stop)
+    time_ms = (record.time[inside] - start) * 1e3
     axes.plot(
         time_ms,
         record.force[inside, axis],
@@ -214,7 +215,7 @@ def _draw_zoom(
     )
     if filtered is not None:
         axes.plot(time_ms, filtered[inside, axis], color="black", linewidth=1.1)
-    axes.set_xlim(0.0, (window[1] - window[0]) * 1e3)
+    axes.set_xlim(0.0, (stop - start) * 1e3)
     quiet_axes(axes)
 
 

@@ -40,15 +40,15 @@ def plot_robot(
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     figure = new_figure(3.2)
     panels = figure.subplots(1, 3)
-    views = (("from the side", 0, 2), ("from the front", 1, 2), ("from above", 0, 1))
-    for panel, (name, i, j) in zip(panels, views, strict=True):
-        draw_arm(panel, robot, bones, (i, j), arrow=0.14 * span)
+    views = {"from the side": "xz", "from the front": "yz", "from above": "xy"}
+    for panel, (name, plane) in zip(panels, views.items(), strict=True):
+        i, j = _indices(plane)
+        draw_arm(panel, robot, bones, plane, arrow=0.14 * span)
         panel.set_xlim(middle[i] - 0.62 * span, middle[i] + 0.62 * span)
         panel.set_ylim(middle[j] - 0.62 * span, middle[j] + 0.62 * span)
         panel.set_aspect("equal")
-        x, y = ("x", "y", "z")[i], ("x", "y", "z")[j]
-        quiet_axes(panel, x=f"{x} [m]", y=f"{y} [m]", title=name)
-    _label_joints(panels[0], robot, bones, (0, 2), span)
+        quiet_axes(panel, x=f"{plane[0]} [m]", y=f"{plane[1]} [m]", title=name)
+    _label_joints(panels[0], robot, bones, "xz", span)
     _explain(figure, robot, panels[0])
     if title:
         figure.suptitle(title, fontsize=9.5, color=INK, x=0.01, ha="left")
@@ -79,13 +79,14 @@ def plot_stiffness(
             "Argument `maps` must hold a finite stiffness, but the arm is rigid or "
             "reaches nothing."
         )
-    limits = 1e-6 * float(finite.min()), 1e-6 * float(finite.max())
+    low, high = 1e-6 * float(finite.min()), 1e-6 * float(finite.max())
     windows = [_window(item, bones, item.plane) for item in maps]
     aspect = max(np.ptp(up) / np.ptp(across) for across, up in windows)
     figure = new_figure(float(np.clip(0.9 + 3.0 * aspect, 2.2, 4.4)))
     panels = np.atleast_1d(figure.subplots(1, len(maps)))
     images = [
-        _draw_map(panel, item, limits) for panel, item in zip(panels, maps, strict=True)
+        _draw_map(panel, item, low, high)
+        for panel, item in zip(panels, maps, strict=True)
     ]
     for panel, item, window in zip(panels, maps, windows, strict=True):
         draw_arm(panel, robot, bones, item.plane, arrow=0.0, is_faint=True)
@@ -100,11 +101,15 @@ def plot_stiffness(
     return figure
 
 
+def _indices(plane: str) -> list[int]:
+    """Return the indices of the axes of a plane such as "xz"."""
+    return ["xyz".index(axis) for axis in plane]
+
+
 def _draw_map(
-    axes: "matplotlib.axes.Axes", item: StiffnessMap, limits: tuple[float, float]
+    axes: "matplotlib.axes.Axes", item: StiffnessMap, low: float, high: float
 ) -> "matplotlib.collections.QuadMesh":
     """Draw one plane in N/um; what is not reached is left grey."""
-    low, high = limits
     axes.set_facecolor(_UNREACHED)
     return axes.pcolormesh(
         item.across,
@@ -119,18 +124,18 @@ def _draw_map(
 
 def _name_plane(
     axes: "matplotlib.axes.Axes",
-    plane: tuple[int, int],
+    plane: str,
     tool: Float[np.ndarray, " 3"],
 ) -> None:
     """Label the axes of a plane and say where it lies."""
-    names = ("x", "y", "z")
-    (k,) = {0, 1, 2} - set(plane)
+    (across,) = set("xyz") - set(plane)
+    place = round(float(tool["xyz".index(across)]), 2)
     quiet_axes(
         axes,
-        x=f"{names[plane[0]]} [m]",
-        y=f"{names[plane[1]]} [m]",
+        x=f"{plane[0]} [m]",
+        y=f"{plane[1]} [m]",
         # Adding 0 after rounding takes the sign off a zero.
-        title=f"plane {names[k]} = {round(float(tool[k]), 2) + 0.0:.2f} m",
+        title=f"plane {across} = {place + 0.0:.2f} m",
         has_grid=False,
     )
 
@@ -139,7 +144,7 @@ def draw_arm(
     axes: "matplotlib.axes.Axes",
     robot: Robot,
     bones: Skeleton,
-    plane: tuple[int, int],
+    plane: str,
     *,
     arrow: float,
     is_faint: bool = False,
@@ -150,11 +155,11 @@ def draw_arm(
         axes: Where to draw.
         robot: The robot.
         bones: Its joints at a pose.
-        plane: The two base axes that are seen.
+        plane: The two base axes that are seen, across and up, such as "xz".
         arrow: Length of the tool's axes [m]; 0 draws a cross at the tip instead.
         is_faint: Whether the arm only stands in front of something else.
     """
-    i, j = plane
+    i, j = _indices(plane)
     colour = "white" if is_faint else _LINK
     width = 1.4 if is_faint else 4.0
     for line in arm_lines(robot, bones):
@@ -184,10 +189,10 @@ def draw_arm(
 
 
 def _draw_tool(
-    axes: "matplotlib.axes.Axes", bones: Skeleton, plane: tuple[int, int], arrow: float
+    axes: "matplotlib.axes.Axes", bones: Skeleton, plane: str, arrow: float
 ) -> None:
     """Draw the tool's axes as arrows, or a cross if `arrow` is 0."""
-    i, j = plane
+    i, j = _indices(plane)
     tool, R = np.asarray(bones.tool), np.asarray(bones.tool_rotation)
     if not arrow:
         axes.plot(tool[i], tool[j], "x", color=_FRAME[0], markersize=7, zorder=6)
@@ -228,7 +233,7 @@ def _label_joints(
     axes: "matplotlib.axes.Axes",
     robot: Robot,
     bones: Skeleton,
-    plane: tuple[int, int],
+    plane: str,
     span: float,
 ) -> None:
     """Write the joints' names beside them, those at one place on one label."""
@@ -237,7 +242,7 @@ def _label_joints(
     own = [k for k, mimic in enumerate(robot.mimics) if mimic is None]
     places: list[tuple[np.ndarray, list[str]]] = []
     for name, k in zip(robot.joint_names, own, strict=True):
-        at = np.asarray(bones.origins)[k][list(plane)]
+        at = np.asarray(bones.origins)[k][_indices(plane)]
         near = [names for p, names in places if np.linalg.norm(p - at) < 0.09 * span]
         if near:
             near[0].append(name)
@@ -292,11 +297,11 @@ def _explain(
 
 
 def _window(
-    item: StiffnessMap, bones: Skeleton, plane: tuple[int, int]
+    item: StiffnessMap, bones: Skeleton, plane: str
 ) -> list[tuple[float, float]]:
     """Return limits of the axes: what is mapped, and the arm."""
     limits = []
-    for axis, values in zip(plane, (item.across, item.up), strict=True):
+    for axis, values in zip(_indices(plane), (item.across, item.up), strict=True):
         points = np.asarray(bones.origins)[:, axis]
         low = min(values.min(), points.min(), 0.0)
         high = max(values.max(), points.max(), 0.0)

@@ -7,6 +7,7 @@ import base64
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
+from typing import NamedTuple
 
 _STYLE = Path(__file__).with_name("page.css")
 # The page may use what is in it and nothing else.
@@ -54,11 +55,18 @@ def table_html(
     )
 
 
-def numbers_html(items: Sequence[tuple[str, str]]) -> str:
+class LargeNumber(NamedTuple):
+    """A number with its unit, and what it is."""
+
+    number: str
+    meaning: str
+
+
+def numbers_html(items: Sequence[LargeNumber]) -> str:
     """Return large numbers with a line of explanation below each."""
     blocks = [
-        f"<div><b>{escape(number)}</b><span>{escape(meaning)}</span></div>"
-        for number, meaning in items
+        f"<div><b>{escape(item.number)}</b><span>{escape(item.meaning)}</span></div>"
+        for item in items
     ]
     return f'<div class="numbers">{"".join(blocks)}</div>'
 

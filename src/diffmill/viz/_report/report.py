@@ -34,7 +34,14 @@ from .._cases import (
 )
 from .._style import MICROMETRE, case_style
 from .case_parts import parts_html, surface_figures_html
-from .html import image_html, numbers_html, page_html, section_html, table_html
+from .html import (
+    LargeNumber,
+    image_html,
+    numbers_html,
+    page_html,
+    section_html,
+    table_html,
+)
 from .on_machine import machine_lines
 from .scene import scene_html
 from .verdict import departure_text, limits, tolerance_band, verdict
@@ -182,27 +189,30 @@ def _lead(dataset: "xarray.Dataset", numbers: dict[str, CaseNumbers]) -> str:
 
 def _headline(
     dataset: "xarray.Dataset", numbers: dict[str, CaseNumbers]
-) -> list[tuple[str, str]]:
+) -> list[LargeNumber]:
     """Return the numbers to print large."""
     before = numbers[reference_case(dataset)]
     is_given = "is_commanded" in dataset.attrs
     command = "with the given command" if is_given else "as programmed"
-    items = [(_length(before.rms), f"contour error (rms) {command}")]
+    items = [LargeNumber(_length(before.rms), f"contour error (rms) {command}")]
     chosen = _chosen(dataset)
     if chosen:
         after = numbers[chosen]
-        items.append((_length(after.rms), "contour error (rms) after correction"))
+        text = "contour error (rms) after correction"
+        items.append(LargeNumber(_length(after.rms), text))
         items += [
-            (_length(rms), f"contour error (rms) of {name}, read and run")
+            LargeNumber(_length(rms), f"contour error (rms) of {name}, read and run")
             for name, rms in _written(dataset).items()
         ]
         # What is loaded into the machine counts: programs are written to a tolerance.
         left = max([after.rms, *_written(dataset).values()])
         whose = " of what is written" if left > after.rms else ""
-        items.append((_times(before.rms, left), f"smaller contour error{whose}"))
+        text = f"smaller contour error{whose}"
+        items.append(LargeNumber(_times(before.rms, left), text))
     else:
-        items.append((_length(before.maximum), "largest contour error"))
-    items.append((f"{_number(before.force_mean)} N", "mean cutting force"))
+        items.append(LargeNumber(_length(before.maximum), "largest contour error"))
+    force = f"{_number(before.force_mean)} N"
+    items.append(LargeNumber(force, "mean cutting force"))
     return items
 
 

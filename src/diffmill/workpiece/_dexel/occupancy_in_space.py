@@ -21,6 +21,9 @@ pass left is half in and half out, however it is smoothed. There the chip decide
 next to no material in it, the edge is out.
 """
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -47,6 +50,18 @@ _SHORTEST = 0.03
 _NO_CHIP, _CHIP = 0.02, 0.1
 # Slope of a cut end against the motion of its pose is cut off at grazing rays.
 _GRAZING = 1e-2
+
+
+class _RayPair(NamedTuple):
+    """Two of the four rays around a point, neighbours in one direction."""
+
+    low: int
+    high: int
+
+
+# The rays around a point are (row, column) 00, 01, 10, 11.
+_ACROSS_ROWS = (_RayPair(0, 2), _RayPair(1, 3))
+_ACROSS_COLUMNS = (_RayPair(0, 1), _RayPair(2, 3))
 
 
 class _Near(eqx.Module):
@@ -286,7 +301,7 @@ def _face(
     here = jnp.sum(weight * s, axis=-1) / total
     slopes = [
         _slope(s, meets * other, pairs, d)
-        for other, pairs in ((column, ((0, 2), (1, 3))), (row, ((0, 1), (2, 3))))
+        for other, pairs in ((column, _ACROSS_ROWS), (row, _ACROSS_COLUMNS))
     ]
     steepness = 1 + slopes[0] ** 2 + slopes[1] ** 2
     root = jnp.sqrt(steepness)
@@ -309,14 +324,14 @@ def _face(
 def _slope(
     s: Float[Array, "point 4"],
     weight: Float[Array, "point 4"],
-    pairs: tuple[tuple[int, int], ...],
+    pairs: Sequence[_RayPair],
     d: float,
 ) -> Float[Array, " point"]:
     """Return the slope across rays, from those pairs of which both meet an end."""
     up = jnp.zeros_like(s[:, 0])
     total = jnp.full_like(up, _TINY)
-    for low, high in pairs:
-        says = weight[:, low] * weight[:, high]
-        up = up + says * (s[:, high] - s[:, low]) / d
+    for pair in pairs:
+        says = weight[:, pair.low] * weight[:, pair.high]
+        up = up + says * (s[:, pair.high] - s[:, pair.low]) / d
         total = total + says
     return up / total

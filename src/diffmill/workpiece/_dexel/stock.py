@@ -169,15 +169,17 @@ class Stock(eqx.Module):
         x, y, z = (Rays(r.ends, jnp.full_like(r.poses, -1)) for r in self.families)
         return dataclasses.replace(self, families=(x, y, z), top=top)
 
-    def with_interval_counts(self, interval_counts: tuple[int, int, int]) -> "Stock":
+    def with_interval_counts(self, interval_counts: Sequence[int]) -> "Stock":
         """Return the same material in rays with another number of slots.
 
         Args:
             interval_counts: Slots for intervals of a ray along x, y and z.
 
         Raises:
-            ValueError: The slots are too few for the intervals that there are.
+            ValueError: The slots are not three numbers from 1, or too few for the
+                intervals that there are.
         """
+        check_interval_counts(interval_counts)
         needed = tuple(_needed_slots(rays) for rays in self.families)
         if any(n > count for n, count in zip(needed, interval_counts, strict=True)):
             raise ValueError(
@@ -232,7 +234,7 @@ def box(
     upper: Point,
     spacing: float,
     *,
-    interval_counts: tuple[int, int, int] = (8, 8, 1),
+    interval_counts: Sequence[int] = (8, 8, 1),
     dtype: type | jnp.dtype | None = None,
 ) -> Stock:
     """Return a block as stock.
@@ -249,7 +251,8 @@ def box(
         The stock; rays stand in the middle of cells of side `spacing`.
 
     Raises:
-        ValueError: The box is empty, not finite, or the spacing not positive.
+        ValueError: The box is empty, not finite, or the spacing not positive, or the
+            slots are not three numbers from 1.
     """
     low, high = np.asarray(lower, np.float64), np.asarray(upper, np.float64)
     if not (math.isfinite(spacing) and spacing > 0):
@@ -263,10 +266,7 @@ def box(
             f"Argument `upper` must be greater than `lower` on every axis, but they "
             f"are {high.tolist()} and {low.tolist()}."
         )
-    if min(interval_counts) < 1:
-        raise ValueError(
-            f"Argument `interval_counts` must be at least 1, but is {interval_counts}."
-        )
+    check_interval_counts(interval_counts)
     grid = block_grid(low, high, spacing)
     origin, counts = grid.origin, grid.counts
     cells = counts - 2 * MARGIN
@@ -292,6 +292,15 @@ def box(
         spacing=float(spacing),
         top=float(high[2]),
     )
+
+
+def check_interval_counts(interval_counts: Sequence[int]) -> None:
+    """Raise a `ValueError` if these are no slots of rays along x, y and z."""
+    if len(interval_counts) != 3 or min(interval_counts) < 1:
+        raise ValueError(
+            "Argument `interval_counts` must be three whole numbers from 1, for x, y "
+            f"and z, but is {interval_counts}."
+        )
 
 
 class BlockGrid(NamedTuple):

@@ -1,13 +1,14 @@
 """Rays through a closed mesh: where each one enters and leaves the material."""
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from .._dexel.stock import MARGIN, Rays, Stock, block_grid
+from .._dexel.stock import MARGIN, Rays, Stock, block_grid, check_interval_counts
 from .._memory import check_memory, stock_bytes
 from .._stock_memory import StockMemory
 from .mesh import Mesh
@@ -26,7 +27,7 @@ def stock_from_mesh(
     mesh: Mesh,
     spacing: float,
     *,
-    interval_counts: tuple[int, int, int] | None = None,
+    interval_counts: Sequence[int] | None = None,
     dtype: type | jnp.dtype | None = None,
 ) -> Stock:
     """Return the solid that a closed mesh bounds as stock.
@@ -50,10 +51,8 @@ def stock_from_mesh(
         raise ValueError(
             f"Argument `spacing` must be finite and positive, but is {spacing}."
         )
-    if interval_counts is not None and min(interval_counts) < 1:
-        raise ValueError(
-            f"Argument `interval_counts` must be at least 1, but is {interval_counts}."
-        )
+    if interval_counts is not None:
+        check_interval_counts(interval_counts)
     dtype = jnp.zeros(()).dtype if dtype is None else jnp.dtype(dtype)
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     _check_size(high - low, spacing, interval_counts or (8, 8, 1), dtype.itemsize)
@@ -72,7 +71,13 @@ def stock_from_mesh(
     size = stock_bytes(counts.tolist(), slots, dtype.itemsize)
     check_memory(size, f"A stock of spacing {spacing:g} m")
     families = [
-        _rays(pieces[f], (counts[(f + 1) % 3], counts[(f + 2) % 3]), slots[f], dtype)
+        _rays(
+            pieces[f],
+            int(counts[(f + 1) % 3]),
+            int(counts[(f + 2) % 3]),
+            slots[f],
+            dtype,
+        )
         for f in range(3)
     ]
     return Stock(
@@ -86,19 +91,16 @@ def stock_from_mesh(
 def _check_size(
     size: Float[np.ndarray, " 3"],
     spacing: float,
-    slots: tuple[int, int, int],
+    slots: Sequence[int],
     item_size: int,
 ) -> None:
     needed = StockMemory.of_block(size, spacing, slots, item_size).needed
     check_memory(needed, f"A stock of spacing {spacing:g} m")
 
 
-def _slots(
-    needed: list[int], wanted: tuple[int, int, int] | None
-) -> tuple[int, int, int]:
+def _slots(needed: list[int], wanted: Sequence[int] | None) -> Sequence[int]:
     if wanted is None:
-        x, y, z = (max(n, 1) + room for n, room in zip(needed, _ROOM, strict=True))
-        return x, y, z
+        return [max(n, 1) + room for n, room in zip(needed, _ROOM, strict=True)]
     if any(n > w for n, w in zip(needed, wanted, strict=True)):
         raise ValueError(
             f"Argument `interval_counts` is {wanted}, but rays through the mesh have "
@@ -184,13 +186,14 @@ def _merged(
 
 def _rays(
     pieces: _Pieces,
-    grid: tuple[int | np.integer, int | np.integer],
+    row_count: int,
+    column_count: int,
     slot_count: int,
     dtype: jnp.dtype,
 ) -> Rays:
     """Return the pieces as rays with a fixed number of slots."""
     ray, piece_ends = pieces
-    shape = (int(grid[0]), int(grid[1]), 2, slot_count)
+    shape = (row_count, column_count, 2, slot_count)
     ends = np.empty(shape)
     ends[:, :, 0], ends[:, :, 1] = Rays.DEAD, -Rays.DEAD
     # How many pieces of the same ray come before.

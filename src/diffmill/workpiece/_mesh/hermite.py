@@ -134,14 +134,14 @@ def _family_crossings(
     u, v, node = edge[:, b] - 1, edge[:, c] - 1, edge[:, family] - 1
     ends = np.asarray(stock.families[family].ends, np.float64)
     first = origin[family] + node * d
-    near = _nearest_end(ends, u, v, is_upper, first + d / 2)
+    near = _nearest_end(ends, _RayPlaces(u, v), is_upper, first + d / 2)
     # Families differ in rounding: keep the point on its edge.
     values = np.clip(near.value, first, first + d)
     values = np.where(near.is_found, values, first + d / 2)
     slopes = []
     is_sure = is_fair = near.is_found
-    for step in ((1, 0), (0, 1)):
-        sheet = _slope(ends, (u, v), step, is_upper, values, d)
+    for axis in (0, 1):
+        sheet = _slope(ends, _RayPlaces(u, v), axis, is_upper, values, d)
         slopes.append(sheet.slope)
         is_sure, is_fair = is_sure & sheet.is_sure, is_fair & sheet.is_known
     points, normals = np.empty((len(u), 3)), np.empty((len(u), 3))
@@ -162,6 +162,17 @@ def _family_crossings(
     return _FamilyCrossings(found, sure, fair)
 
 
+class _RayPlaces(NamedTuple):
+    """Places of rays in the grid of their family, shape (n,) each."""
+
+    u: Int[np.ndarray, " n"]
+    v: Int[np.ndarray, " n"]
+
+    def moved(self, axis: int, count: int) -> "_RayPlaces":
+        """Return the rays that are so many places further along an axis of the grid."""
+        return _RayPlaces(self.u + count * (axis == 0), self.v + count * (axis == 1))
+
+
 class _NearestEnd(NamedTuple):
     """End of a ray that is nearest to a value, if there is one, shape (n,) each."""
 
@@ -171,12 +182,12 @@ class _NearestEnd(NamedTuple):
 
 def _nearest_end(
     ends: Float[np.ndarray, "u v 2 slot"],
-    u: Int[np.ndarray, " n"],
-    v: Int[np.ndarray, " n"],
+    rays: _RayPlaces,
     is_upper: Bool[np.ndarray, " n"],
     value: Float[np.ndarray, " n"],
 ) -> _NearestEnd:
     """Return the end of a ray on one side that is nearest to a value, if any."""
+    u, v = rays
     is_ray = (u >= 0) & (v >= 0) & (u < ends.shape[0]) & (v < ends.shape[1])
     ray = ends[np.where(is_ray, u, 0), np.where(is_ray, v, 0)]
     is_live = (ray[:, 1] > ray[:, 0]) & is_ray[:, None]
@@ -198,13 +209,13 @@ class _Sheet(NamedTuple):
 
 def _slope(
     ends: Float[np.ndarray, "u v 2 slot"],
-    ray: tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]],
-    step: tuple[int, int],
+    rays: _RayPlaces,
+    axis: int,
     is_upper: Bool[np.ndarray, " n"],
     value: Float[np.ndarray, " n"],
     spacing: float,
 ) -> _Sheet:
-    """Return the slope of the sheet across the rays.
+    """Return the slope of the sheet across the rays, along one axis of their grid.
 
     Of the differences to both sides and the central one, that with the least second
     difference wins, for it does not reach over a sharp edge.
@@ -212,10 +223,10 @@ def _slope(
     sides = []
     for sign in (-1, 1):
         near, is_near = _next_end(
-            ends, ray, (sign * step[0], sign * step[1]), is_upper, value, spacing
+            ends, rays.moved(axis, sign), is_upper, value, spacing
         )
         far, is_far = _next_end(
-            ends, ray, (2 * sign * step[0], 2 * sign * step[1]), is_upper, near, spacing
+            ends, rays.moved(axis, 2 * sign), is_upper, near, spacing
         )
         bend = np.abs(value - 2 * near + far)
         # With one neighbour only the flatter side is the safer one, but never sure.
@@ -245,16 +256,13 @@ def _slope(
 
 def _next_end(
     ends: Float[np.ndarray, "u v 2 slot"],
-    ray: tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]],
-    step: tuple[int, int],
+    rays: _RayPlaces,
     is_upper: Bool[np.ndarray, " n"],
     value: Float[np.ndarray, " n"],
     spacing: float,
 ) -> _NearestEnd:
-    """Return the end of the same sheet on a ray beside, if there is one."""
-    found, is_found = _nearest_end(
-        ends, ray[0] + step[0], ray[1] + step[1], is_upper, value
-    )
+    """Return the end of the same sheet on other rays, where there is one."""
+    found, is_found = _nearest_end(ends, rays, is_upper, value)
     is_near = np.abs(found - value) <= _SHEET * spacing
     return _NearestEnd(found, is_found & is_near)
 

@@ -481,7 +481,7 @@ def _arc(
         faults.append(Fault(block.line, block.values["P"].text, message))
         return
     sign = -1 if state.motion == 20 else 1
-    centre = _centre(block, state, (start, end), sign, faults)
+    centre = _centre(block, state, start, end, sign, faults)
     if centre is None:
         return
     state.out.add(
@@ -502,7 +502,8 @@ def _arc(
 def _centre(
     block: Block,
     state: State,
-    ends: tuple[Point, Point],
+    start: Point,
+    end: Point,
     turn: int,
     faults: list[Fault],
 ) -> Point | None:
@@ -533,7 +534,7 @@ def _centre(
         faults.append(Fault(block.line, shown, message))
         return None
     # In the units of the program, because the tolerances are.
-    begin, last = ((end[first] / scale, end[second] / scale) for end in ends)
+    begin, last = ((at[first] / scale, at[second] / scale) for at in (start, end))
     tolerance = INCH_TOLERANCE if scale == MM_PER_INCH else MM_TOLERANCE
     try:
         if radius is not None:
@@ -550,7 +551,7 @@ def _centre(
     except ArcError as error:
         faults.append(Fault(block.line, shown, str(error)))
         return None
-    out = list(ends[0])
+    out = list(start)
     out[first], out[second] = centre[0] * scale, centre[1] * scale
     return tuple3(out)
 
