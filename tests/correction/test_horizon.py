@@ -301,6 +301,20 @@ def test_a_second_sweep_forgets_what_the_start_had_behind_a_segment(problem):
     assert rms[1] < 1.01 * whole
 
 
+def test_a_sweep_that_another_follows_takes_half_of_the_steps(problem):
+    # No decrease is too small, so that a segment takes as many steps as it may.
+    solver = dataclasses.replace(METHOD.solver, max_steps=2, share=0.0)
+    method = dataclasses.replace(METHOD, solver=solver)
+    pieces = SpringPieces(problem.plant)
+    counts = []
+    for sweeps in (1, 2):
+        sought = RecedingHorizon(
+            pieces, method, horizon=200, overlap=100, sweeps=sweeps
+        )
+        counts.append(len(sought(problem).history))
+    assert counts[1] == 1.5 * counts[0]
+
+
 def test_gauss_newton_goes_on_as_if_it_had_not_been_interrupted(problem):
     kept = []
     method = eqx.tree_at(lambda m: m.solver.max_steps, METHOD, 3)

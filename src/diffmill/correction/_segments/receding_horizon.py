@@ -11,7 +11,8 @@ held too. The cost is that of the whole path, restricted to the segment.
 
 What lies behind the end of a segment stays as it was found before: in a first sweep, as
 the start has it, which bends the end of the segment towards the start. A second sweep
-over all segments begins where the first has ended, and takes most of that away.
+over all segments begins where the first has ended, and takes most of that away. So a
+sweep that another follows is the surroundings of the next, and takes half of the steps.
 
 The contour error hardly sees how far the tool leads or lags, so that there are several
 local minima at a sharp corner. A corner near the end of a segment is rounded for a tool
@@ -35,7 +36,7 @@ from jaxtyping import Int, PyTree
 
 from ..._result import RESULTS
 from ..._types import FloatRows
-from ...optimise import LeastSquaresStep
+from ...optimise import LeastSquaresStep, LevenbergMarquardt
 from .._core.method import AbstractMethod, Corrected, OnProgress, corrected
 from .._core.problem import Problem
 from .._method.checkpoint import Arrays, OnCheckpoint
@@ -151,6 +152,13 @@ class RecedingHorizon(AbstractMethod):
         now = self.segment_count(rows - row) if row < rows else 0
         return now + (self._sweeps(rows) - 1 - sweep) * self.segment_count(rows)
 
+    def _solver(self, rows: int, sweep: int) -> LevenbergMarquardt:
+        """Return the settings of a sweep: half of the steps if another follows."""
+        solver = self.method.solver
+        if sweep + 1 == self._sweeps(rows):
+            return solver
+        return dataclasses.replace(solver, max_steps=max(1, solver.max_steps // 2))
+
     def _sweeps(self, rows: int) -> int:
         """Return how often a path of some rows is gone through."""
         return self.sweeps if self.segment_count(rows) > 1 else 1
@@ -258,7 +266,7 @@ class RecedingHorizon(AbstractMethod):
         found = fit_offsets(
             fit,
             first,
-            method.solver,
+            self._solver(problem.nominal.shape[0], run.sweep),
             lower=np.where(is_free, -bound, first).reshape(-1),
             upper=np.where(is_free, bound, first).reshape(-1),
         )
