@@ -145,11 +145,11 @@ def test_the_worst_member_gets_the_middle_of_all():
     kept = []
     worst, rounds = middle({"on_state": kept.append}, is_worst_case=True)
     assert mean == pytest.approx(np.mean(amounts), rel=0.02)
-    assert worst == pytest.approx(0.5, rel=0.05)
-    assert rounds.linearisations > once.linearisations
-    # An interruption in any round changes nothing, to the bit.
-    assert [m.round for m in kept[:1] + kept[-1:]] == [0, 5]
-    for memory in (kept[0], kept[len(kept) // 2], kept[-1]):
+    assert worst == pytest.approx(0.5, rel=0.01)
+    # The rounds of its weights are those of a quadratic program, not of linear systems.
+    assert rounds.linearisations <= 2 * once.linearisations
+    # An interruption after any step changes nothing, to the bit.
+    for memory in kept:
         _, again = middle({"resume": memory}, is_worst_case=True)
         np.testing.assert_array_equal(again.command, rounds.command)
         assert [s.cost for s in again.history] == [s.cost for s in rounds.history]

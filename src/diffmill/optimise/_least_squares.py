@@ -74,6 +74,21 @@ class LinearRows(eqx.Module):
         return self.weight**2 * float(outside @ (self.matrix @ p))
 
 
+def _in_units(
+    rows: LinearRows,
+    is_free: Bool[np.ndarray, " unknown"],
+    unit: Float[np.ndarray, " free"],
+) -> LinearRows:
+    """Return constraints of the free unknowns in their units."""
+    from scipy import sparse
+
+    matrix = sparse.csr_array(rows.matrix)[:, is_free] @ sparse.diags_array(unit)
+    is_there = np.diff(matrix.indptr) > 0
+    return LinearRows(
+        matrix[is_there], rows.lower[is_there], rows.upper[is_there], rows.weight
+    )
+
+
 class QuadraticModel(eqx.Module):
     """Quadratic model of a cost around a point.
 
@@ -109,6 +124,38 @@ class QuadraticModel(eqx.Module):
         for rows in self.rows:
             change += rows.energy(p) - rows.energy(np.zeros_like(p))
         return -change
+
+    def damped_step(self, damping: float, box: LinearRows) -> Vector | None:
+        """Return the step of the least cost with a damped curvature.
+
+        Unknowns without effect on the cost stay.
+
+        Args:
+            damping: Share of the curvature's diagonal that is added to it.
+            box: Bounds of the step.
+
+        Returns:
+            The step within `box` and the constraints, shape (unknown,); None if there
+            is none.
+        """
+        own = np.diagonal(self.curvature)
+        is_free = (own > 0) & (box.upper > box.lower)
+        # In units in which the curvature is one: the unknowns differ by many digits.
+        unit = 1.0 / np.sqrt(own[is_free])
+        H = self.curvature[np.ix_(is_free, is_free)] * unit[:, None] * unit[None]
+        H = H + damping * np.eye(len(H))
+        rows = tuple(_in_units(rows, is_free, unit) for rows in (box, *self.rows))
+        gradient = self.gradient[is_free] * unit
+        found = QuadraticModel(self.cost, gradient, H, rows).minimum()
+        if found is None:
+            return None
+        p = np.zeros(len(own))
+        p[is_free] = found * unit
+        # The solver stops just short of a bound.
+        width = box.upper - box.lower
+        near = np.where(np.isfinite(width), _AT_BOUND * width, 0.0)
+        p = np.where(p <= box.lower + near, box.lower, p)
+        return np.where(p >= box.upper - near, box.upper, p)
 
     def minimum(self) -> Vector | None:
         """Return the step of the least cost in the model within its constraints.
@@ -370,7 +417,7 @@ def _stepped(
     # Largest squared length of a trial, in the metric of the curvature.
     longest, trials = np.inf, 0
     for _ in range(solver.attempts + _RAISES):
-        p = _damped_step(model, damping, box)
+        p = model.damped_step(damping, box)
         if p is None:
             damping *= solver.more
             continue
@@ -417,46 +464,4 @@ def _stepped(
         damping=damping,
         has_converged=has_converged,
         history=(*state.history, step),
-    )
-
-
-def _damped_step(
-    model: QuadraticModel, damping: float, box: LinearRows
-) -> Vector | None:
-    """Return the step of the damped model within its constraints, None for none.
-
-    Unknowns without effect on the cost stay.
-    """
-    own = np.diagonal(model.curvature)
-    is_free = (own > 0) & (box.upper > box.lower)
-    # In units in which the curvature is one: the unknowns differ by many digits.
-    unit = 1.0 / np.sqrt(own[is_free])
-    H = model.curvature[np.ix_(is_free, is_free)] * unit[:, None] * unit[None]
-    H = H + damping * np.eye(len(H))
-    rows = tuple(_in_units(rows, is_free, unit) for rows in (box, *model.rows))
-    scaled = QuadraticModel(model.cost, model.gradient[is_free] * unit, H, rows)
-    found = scaled.minimum()
-    if found is None:
-        return None
-    p = np.zeros(len(own))
-    p[is_free] = found * unit
-    # The solver stops just short of a bound.
-    width = box.upper - box.lower
-    near = np.where(np.isfinite(width), _AT_BOUND * width, 0.0)
-    p = np.where(p <= box.lower + near, box.lower, p)
-    return np.where(p >= box.upper - near, box.upper, p)
-
-
-def _in_units(
-    rows: LinearRows,
-    is_free: Bool[np.ndarray, " unknown"],
-    unit: Float[np.ndarray, " free"],
-) -> LinearRows:
-    """Return constraints of the free unknowns in their units."""
-    from scipy import sparse
-
-    matrix = sparse.csr_array(rows.matrix)[:, is_free] @ sparse.diags_array(unit)
-    is_there = np.diff(matrix.indptr) > 0
-    return LinearRows(
-        matrix[is_there], rows.lower[is_there], rows.upper[is_there], rows.weight
     )

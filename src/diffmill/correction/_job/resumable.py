@@ -7,7 +7,7 @@ from typing import NamedTuple
 from ..._job import Job
 from .._core.method import Corrected
 from .._method.adam import Adam
-from .._method.checkpoint import pack_rounds, unpack_rounds
+from .._method.checkpoint import pack_fit, unpack_fit
 from .._method.gauss_newton import GaussNewton
 from .._segments.plant_segment import AbstractPieces
 from .._segments.receding_horizon import RecedingHorizon
@@ -121,6 +121,6 @@ def remembering(
     state = record.kept(name)
     return functools.partial(
         method,
-        on_state=lambda state: record.keep(name, pack_rounds(state)),
-        resume=unpack_rounds(state) if state else None,
+        on_state=lambda state: record.keep(name, pack_fit(state)),
+        resume=unpack_fit(state) if state else None,
     )

@@ -17,7 +17,6 @@ from ..._result import RESULTS
 from ...optimise import LeastSquaresState, LeastSquaresStep
 from .._core.method import Corrected, corrected
 from .._core.problem import Motion, Problem
-from .minimax import WorstCaseState
 from .offset_fit import FitValue
 
 Arrays: TypeAlias = Mapping[str, Shaped[np.ndarray, "..."]]
@@ -60,30 +59,7 @@ def unpack_history(
     return tuple(steps)
 
 
-def pack_rounds(state: WorstCaseState) -> dict[str, np.ndarray]:
-    """Return the state of Gauss-Newton, in one or several rounds, as arrays."""
-    packed = {
-        "round": np.asarray(state.round),
-        "weights": state.weights,
-        **under("inner", _pack_fit(state.inner)),
-    }
-    if state.best is not None:
-        packed.update(under("best", _pack_fit(state.best)))
-    return packed
-
-
-def unpack_rounds(arrays: Arrays) -> WorstCaseState:
-    """Return the state of Gauss-Newton from its arrays."""
-    best = below("best", arrays)
-    return WorstCaseState(
-        round=int(arrays["round"]),
-        weights=np.asarray(arrays["weights"]),
-        best=_unpack_fit(best) if best else None,
-        inner=_unpack_fit(below("inner", arrays)),
-    )
-
-
-def _pack_fit(state: LeastSquaresState) -> dict[str, np.ndarray]:
+def pack_fit(state: LeastSquaresState) -> dict[str, np.ndarray]:
     """Return the state of a fit as arrays."""
     return {
         "x": state.x,
@@ -95,7 +71,7 @@ def _pack_fit(state: LeastSquaresState) -> dict[str, np.ndarray]:
     }
 
 
-def _unpack_fit(arrays: Arrays) -> LeastSquaresState:
+def unpack_fit(arrays: Arrays) -> LeastSquaresState:
     """Return the state of a fit from its arrays."""
     steps, evaluations, models = (int(count) for count in arrays["counts"])
     errors, rough, outputs = (np.asarray(arrays[name]) for name in _VALUE)

@@ -19,8 +19,7 @@ from .._spline.projection import project
 from .._spline.spline_offsets import SplineOffsets
 from .._surface.surface_limits import SurfaceBounds, refusal
 from .ensemble import Ensemble
-from .minimax import ROUNDS, WorstCaseState, worst_case
-from .offset_fit import UNIT, ContourResidual, OffsetFit, offset_fit
+from .offset_fit import UNIT, ContourResidual, OffsetFit, fit_offsets, offset_fit
 
 
 class GaussNewton(AbstractMethod):
@@ -68,8 +67,8 @@ class GaussNewton(AbstractMethod):
         *,
         start: FloatRows | None = None,
         on_progress: OnProgress | None = None,
-        on_state: Callable[[WorstCaseState], object] | None = None,
-        resume: WorstCaseState | None = None,
+        on_state: Callable[[LeastSquaresState], object] | None = None,
+        resume: LeastSquaresState | None = None,
     ) -> Corrected:
         """Return the best command within knots and bounds, from `start`.
 
@@ -99,15 +98,17 @@ class GaussNewton(AbstractMethod):
         plants, weights = (problem.plant,), None
         if self.ensemble is not None:
             plants, weights = self.ensemble.plants(), self.ensemble.weights
-        fit = offset_fit(args, plants, weights, limits)
-        found = worst_case(
+        fit = offset_fit(
+            args, plants, weights, limits, is_worst_case=self.is_worst_case
+        )
+        found = fit_offsets(
             fit,
             first,
             self.solver,
-            bound=bound,
-            rounds=ROUNDS if self.is_worst_case else 0,
-            callback=_told(on_progress, on_state, self.bounds is not None),
+            lower=-bound,
+            upper=bound,
             state=resume,
+            callback=_told(on_progress, on_state, self.bounds is not None),
         )
         if found is None:
             offset, result = spline.offsets(fit.coefficients(first)), RESULTS.non_finite
@@ -210,18 +211,18 @@ def check_held(
 
 def _told(
     on_progress: OnProgress | None,
-    on_state: Callable[[WorstCaseState], object] | None,
+    on_state: Callable[[LeastSquaresState], object] | None,
     has_bounds: bool,
-) -> Callable[[WorstCaseState], bool]:
+) -> Callable[[LeastSquaresState], bool]:
     """Return what tells of a step; the roughness makes the error an upper bound."""
 
-    def tell(state: WorstCaseState) -> bool:
+    def tell(state: LeastSquaresState) -> bool:
         if on_state is not None:
             on_state(state)
-        if on_progress is None or not state.inner.history:
+        if on_progress is None or not state.history:
             return False
-        step = state.inner.history[-1]
-        message = f"Gauss-Newton step {len(state.inner.history)}"
+        step = state.history[-1]
+        message = f"Gauss-Newton step {len(state.history)}"
         if has_bounds:
             message += ", what is out of bounds counted in"
         return bool(on_progress(message, UNIT * float(np.sqrt(2 * step.cost))))

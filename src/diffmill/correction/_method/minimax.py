@@ -1,41 +1,143 @@
-"""The worst member of an ensemble instead of the mean, by weights that follow it.
+"""The largest of several costs, by the quadratic models of all of them.
 
-The smallest worst error is a weighted mean's for weights that none but the worst
-members have. They are found by raising each member's weight by its own error, round
-after round: Lawson's algorithm for best approximation in the maximum norm, see Rice and
-Usow, The Lawson algorithm and extensions, Mathematics of Computation 22, 1968.
+The step that makes the largest small is that of a weighted mean whose weights none but
+the largest have. They are found by raising each weight by its own error, round after
+round: Lawson's algorithm for best approximation in the maximum norm, see Rice and Usow,
+The Lawson algorithm and extensions, Mathematics of Computation 22, 1968. The rounds
+are those of a quadratic program: the costs themselves are computed once a step.
 """
 
-import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from ...optimise import LeastSquaresState, LevenbergMarquardt
-from .offset_fit import FitValue, OffsetFit, fit_offsets
+from ...optimise import LinearRows, QuadraticModel
 
-# Rounds after that with equal weights.
-ROUNDS = 5
+# Rounds at most; the largest changes little long before.
+_ROUNDS = 40
+# Change of all weights at which they count as found.
+_STILL = 1e-3
 
+Unknowns = Float[np.ndarray, " unknown"]
 Member = Float[np.ndarray, " member"]
 
 
-class WorstCaseState(eqx.Module):
-    """State of the rounds after a step of one of them.
+class CostModel(NamedTuple):
+    """Quadratic model of one cost around a point.
 
     Attributes:
-        round: Rounds that have ended.
-        weights: Weights of the members in the present one.
-        best: Best of the rounds that have ended; None in the first.
-        inner: The present round.
+        value: The cost there.
+        gradient: Of it, shape (unknown,).
+        curvature: Of it, shape (unknown, unknown).
     """
 
-    round: int
-    weights: Member
-    best: LeastSquaresState | None
-    inner: LeastSquaresState
+    value: float
+    gradient: Unknowns
+    curvature: Float[np.ndarray, "unknown unknown"]
+
+    @classmethod
+    def of(
+        cls,
+        residual: Float[np.ndarray, " residual"],
+        slopes: Float[np.ndarray, "residual unknown"],
+    ) -> "CostModel":
+        """Return the model of half the square of a residual, by Gauss and Newton."""
+        value = 0.5 * float(residual @ residual)
+        return cls(value, slopes.T @ residual, slopes.T @ slopes)
+
+    def after(self, p: Unknowns) -> float:
+        """Return the cost after a step; of a sum of squares it is never negative."""
+        change = self.gradient @ p + 0.5 * p @ self.curvature @ p
+        return max(float(self.value + change), 0.0)
+
+
+class MinimaxModel(QuadraticModel):
+    """Model of the largest of several costs, beside one that they share.
+
+    Gradient and curvature are those of their mean, which says how long a step is.
+
+    Attributes:
+        members: The costs.
+        shared: What is added to the largest.
+    """
+
+    members: Sequence[CostModel] = eqx.field(kw_only=True)
+    shared: CostModel = eqx.field(kw_only=True)
+
+    @classmethod
+    def of(
+        cls,
+        cost: Callable[[Unknowns, Any], float],
+        members: Sequence[CostModel],
+        shared: CostModel,
+        rows: Sequence[LinearRows],
+    ) -> "MinimaxModel":
+        """Return the model; arguments as of `QuadraticModel` and of this class."""
+        mean = weighted(cost, _equal(members), members, shared, rows)
+        parts = mean.gradient, mean.curvature, mean.rows
+        return cls(cost, *parts, members=members, shared=shared)
+
+    def best_share(self, p: Unknowns, rise: float) -> float:
+        """Return the share of a step that lowers the largest cost most, as of now."""
+        worst = max(self.members, key=lambda member: member.value)
+        gradient = worst.gradient + self.shared.gradient
+        model = QuadraticModel(self.cost, gradient, self.curvature, self.rows)
+        return model.best_share(p, rise)
+
+    def decrease(self, p: Unknowns) -> float:
+        """Return by how much a step lowers the largest cost in the model."""
+        return self._total(np.zeros_like(p)) - self._total(p)
+
+    def damped_step(self, damping: float, box: LinearRows) -> Unknowns | None:
+        """Return the step of the least largest cost; arguments as of the parent."""
+        weights, best, found = _equal(self.members), np.inf, None
+        for _ in range(_ROUNDS):
+            mean = weighted(self.cost, weights, self.members, self.shared, self.rows)
+            p = mean.damped_step(damping, box)
+            if p is None:
+                break
+            if (total := self._total(p)) < best:
+                best, found = total, p
+            costs = np.array([member.after(p) for member in self.members])
+            before, weights = weights, reweighted(weights, np.sqrt(costs))
+            if np.abs(weights - before).max() < _STILL:
+                break
+        return found
+
+    def _total(self, p: Unknowns) -> float:
+        """Return the cost after a step, what acts outside of soft rows counted in."""
+        largest = max(member.after(p) for member in self.members)
+        rows = sum(rows.energy(p) for rows in self.rows)
+        return largest + self.shared.after(p) + rows
+
+
+def weighted(
+    cost: Callable[[Unknowns, Any], float],
+    weights: Member,
+    members: Sequence[CostModel],
+    shared: CostModel,
+    rows: Sequence[LinearRows],
+) -> QuadraticModel:
+    """Return the model of a weighted mean of costs.
+
+    Args:
+        cost: As of `QuadraticModel`.
+        weights: Of the members.
+        members: Their costs.
+        shared: What is added to the mean.
+        rows: Constraints of the step.
+    """
+    parts = list(zip(weights, members, strict=True))
+    gradient = shared.gradient + sum(weight * one.gradient for weight, one in parts)
+    curvature = shared.curvature + sum(weight * one.curvature for weight, one in parts)
+    return QuadraticModel(cost, gradient, curvature, tuple(rows))
+
+
+def _equal(members: Sequence[CostModel]) -> Member:
+    return np.full(len(members), 1 / len(members))
 
 
 def reweighted(weights: Member, errors: Member) -> Member:
@@ -53,79 +155,3 @@ def reweighted(weights: Member, errors: Member) -> Member:
     raised = weights * errors
     total = float(raised.sum())
     return raised / total if total > 0 else weights
-
-
-def worst_case(
-    fit: OffsetFit,
-    start: Float[np.ndarray, "coefficient axis"],
-    solver: LevenbergMarquardt,
-    *,
-    bound: float,
-    rounds: int = ROUNDS,
-    callback: Callable[[WorstCaseState], bool] = lambda state: False,
-    state: WorstCaseState | None = None,
-) -> LeastSquaresState | None:
-    """Return the offsets whose worst member has the smallest error.
-
-    Args:
-        fit: The problem, with the weights of the first round.
-        start: Coefficients, shape (coefficient, axis).
-        solver: Settings of every round.
-        bound: Largest magnitude of an unknown.
-        rounds: Rounds after the one with equal weights; without any the mean becomes
-            small.
-        callback: Called after every step with all that is needed to go on; True ends
-            the search.
-        state: What it was called with, to go on from there.
-
-    Returns:
-        The best state of all rounds, so no worse than that of the mean, with the
-        price of all; None where the start has no finite residual.
-
-    **Differentiability**: none, a host function.
-    """
-    done, best, inner = 0, None, None
-    if state is not None:
-        done, best, inner = state.round, state.best, state.inner
-        fit = dataclasses.replace(fit, weights=state.weights)
-    is_stopped = False
-    while True:
-
-        def tell(inner: LeastSquaresState, done=done, fit=fit, best=best) -> bool:
-            nonlocal is_stopped
-            is_stopped = callback(WorstCaseState(done, fit.weights, best, inner))
-            return is_stopped
-
-        found = fit_offsets(
-            fit, start, solver, lower=-bound, upper=bound, state=inner, callback=tell
-        )
-        if found is None:
-            return None
-        if best is None or _largest(fit, found.value) < _largest(fit, best.value):
-            best = found
-        # The price is that of all rounds; no linear system is needed any more.
-        best = dataclasses.replace(
-            best,
-            value=fit.without_model(best.value),
-            history=found.history,
-            evaluations=found.evaluations,
-            models=found.models,
-        )
-        if is_stopped or done == rounds:
-            return best
-        done += 1
-        weights = reweighted(fit.weights, _member_errors(found.value))
-        fit = dataclasses.replace(fit, weights=weights)
-        inner = dataclasses.replace(
-            found, steps=0, has_converged=False, damping=solver.damping
-        )
-
-
-def _largest(fit: OffsetFit, value: FitValue) -> float:
-    """Return the error of the worst member; infinite out of the bounds of outputs."""
-    return float(_member_errors(value).max()) if fit.is_within(value) else np.inf
-
-
-def _member_errors(value: FitValue) -> Member:
-    """Return the root mean square error of each member, in units of 0.1 mm."""
-    return np.sqrt(np.sum(value.errors**2, axis=1))

@@ -31,6 +31,7 @@ from .._core.problem import Motion, Plant, Problem, motion_of
 from .._spline.command_limits import LinearLimits
 from .._spline.spline_offsets import SplineOffsets, SplineWindow
 from .._surface.surface_limits import SurfaceBounds
+from .minimax import CostModel, MinimaxModel, weighted
 
 # Contour error that counts as one in the residual [m]; sets no result, only the size
 # of the numbers and what `smoothness` is relative to.
@@ -143,10 +144,6 @@ class FitValue(eqx.Module):
     motion: Motion | None = None
     linear: LinearMotion | None = None
 
-    def square(self, weights: Float[np.ndarray, " member"]) -> float:
-        """Return the weighted mean square of the errors, and the roughness."""
-        return float(weights @ np.sum(self.errors**2, axis=1) + self.rough @ self.rough)
-
 
 class _Jacobian(NamedTuple):
     """Derivatives of the residual of one member by the unknowns.
@@ -171,6 +168,7 @@ class OffsetFit(AbstractProblem):
         weights: Shares of the members in the mean square, shape (member,).
         limits: Limits of the coefficients.
         constraints: Bounds of the outputs, of one member after the other.
+        is_worst_case: Whether the largest mean square of a member counts instead.
     """
 
     args: ContourResidual
@@ -178,6 +176,7 @@ class OffsetFit(AbstractProblem):
     weights: Float[np.ndarray, " member"]
     limits: Sequence[LinearLimits] = ()
     constraints: OutputConstraints = OutputConstraints()
+    is_worst_case: bool = eqx.field(static=True, default=False)
 
     def coefficients(self, x: Unknowns) -> Float[Array, "coefficient axis"]:
         """Return the unknowns as coefficients, shape (coefficient, axis)."""
@@ -238,36 +237,39 @@ class OffsetFit(AbstractProblem):
             motion,
             linear,
         )
-        square = value.square(self.weights) + np.sum(value.outputs**2)
+        square = self._cost(value) + np.sum(value.outputs**2)
         return value if np.isfinite(square) else None
+
+    def _cost(self, value: FitValue) -> float:
+        """Return half the square of the residual, outputs left out."""
+        squares = np.sum(value.errors**2, axis=1)
+        members = squares.max() if self.is_worst_case else self.weights @ squares
+        return 0.5 * float(members + value.rough @ value.rough)
 
     def model(self, x: Unknowns, value: FitValue) -> QuadraticModel:
         """Return the model of half the square of the residual."""
-        gradient, curvature = np.zeros(x.size), np.zeros((x.size, x.size))
-        slopes, rough = [], np.zeros((0, x.size))
-        for plant, weight, error in zip(
-            self.plants, self.weights, value.errors, strict=True
-        ):
+        members, slopes, rough = [], [], np.zeros((0, x.size))
+        for plant, error in zip(self.plants, value.errors, strict=True):
             linear = value.linear
             if linear is None:
                 linear = linear_motion(plant, self.command(x))
             J = self._jacobian(linear, x)
-            gradient += weight * (J.error.T @ error)
-            curvature += weight * (J.error.T @ J.error)
+            members.append(CostModel.of(error, J.error))
             slopes.append(J.output)
             rough = J.rough
-        gradient += rough.T @ value.rough
-        curvature += rough.T @ rough
+        shared = CostModel.of(value.rough, rough)
         point = np.asarray(self.coefficients(x), np.float64)
         rows = [limit.about(point) for limit in self.limits]
         outputs, is_hard = value.outputs.reshape(-1), self.is_within(value)
         if outputs.size:
             rows.append(self.constraints.rows(outputs, np.concatenate(slopes)))
         cost = lambda x, at: (
-            0.5 * at.square(self.weights)
+            self._cost(at)
             + self.constraints.cost(at.outputs.reshape(-1), is_hard=is_hard)
         )
-        return QuadraticModel(cost, gradient, curvature, tuple(rows))
+        if self.is_worst_case:
+            return MinimaxModel.of(cost, members, shared, rows)
+        return weighted(cost, self.weights, members, shared, rows)
 
     def _jacobian(self, linear: LinearMotion, x: Unknowns) -> _Jacobian:
         at = self.coefficients(x)
@@ -290,6 +292,8 @@ def offset_fit(
     plants: Sequence[Plant],
     weights: Float[np.ndarray, " member"] | None = None,
     limits: Sequence[LinearLimits] = (),
+    *,
+    is_worst_case: bool = False,
 ) -> OffsetFit:
     """Return the problem of some plants, with the bounds of the surface of `args`.
 
@@ -298,6 +302,7 @@ def offset_fit(
         plants: The members' plants.
         weights: Shares of the members in the mean square; equal if None.
         limits: Limits of the coefficients.
+        is_worst_case: Whether the largest mean square of a member counts instead.
     """
     count = len(plants)
     equal = np.full(count, 1 / count)
@@ -312,6 +317,7 @@ def offset_fit(
         equal if weights is None else np.asarray(weights, np.float64),
         tuple(limits),
         constraints,
+        is_worst_case,
     )
 
 
