@@ -21,7 +21,7 @@ from jaxtyping import Shaped
 
 Arrays: TypeAlias = Mapping[str, Shaped[np.ndarray, "..."]]
 
-_MAGIC, _VERSION = b"diffmill-checkpoint", 2
+_MAGIC, _VERSION = b"diffmill-checkpoint", 3
 # Longest first line that is looked at.
 _LONGEST = 200
 _PREVIOUS = ".previous"
