@@ -218,18 +218,36 @@ def test_no_public_annotation_says_any():
     assert not count
 
 
-def test_what_travels_together_has_a_name():
-    """No parameter is a tuple of a fixed length: its places would have no names."""
-    bundles = {
-        (file.relative_to(SOURCE).as_posix(), node.arg)
-        for file in SOURCE.rglob("*.py")
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
-        if isinstance(node, ast.arg) and node.annotation is not None
-        for part in ast.walk(node.annotation)
-        if isinstance(part, ast.Subscript)
+# Tuples of a fixed length with a name and one place for each axis of a frame.
+TRIPLES = {"Point", "Point2", "Vector3", "Axes"}
+
+
+def has_fixed_tuple(node: ast.expr) -> bool:
+    return any(
+        isinstance(part, ast.Subscript)
         and ast.unparse(part.value) == "tuple"
         and not ast.unparse(part.slice).endswith(("...", "...)"))
-    }
+        for part in ast.walk(node)
+    )
+
+
+def test_what_travels_together_has_a_name():
+    """No parameter is a tuple of a fixed length: its places would have no names."""
+    bundles = set()
+    for file in SOURCE.rglob("*.py"):
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        for node in ast.walk(tree):
+            if isinstance(node, ast.arg) and node.annotation is not None:
+                name, kind = node.arg, node.annotation
+            elif node in tree.body and isinstance(node, ast.Assign | ast.AnnAssign):
+                target = (
+                    node.targets[0] if isinstance(node, ast.Assign) else node.target
+                )
+                name, kind = ast.unparse(target), node.value
+            else:
+                continue
+            if kind is not None and has_fixed_tuple(kind) and name not in TRIPLES:
+                bundles.add((file.relative_to(SOURCE).as_posix(), name))
     assert not bundles
 
 

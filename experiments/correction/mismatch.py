@@ -1,8 +1,6 @@
 """A model that is wrong: corrections judged on machines that they never saw.
 
 python experiments/correction/mismatch.py [--draws 50] [--no-worst] [--out FOLDER]
-
-The command for the worst case takes several times as long as all others together.
 """
 
 import argparse

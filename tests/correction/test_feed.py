@@ -126,7 +126,7 @@ def test_bounds_are_held_and_rows_that_do_not_cut_are_passed_fast(problem):
 def test_faults_are_named(problem):
     with pytest.raises(ValueError, match="`time_weights`"):
         FeedPoint.curve(problem, time_weights=(0.0,))
-    with pytest.raises(ValueError, match="`bounds`"):
+    with pytest.raises(ValueError, match="`lowest`"):
         FeedProblem(problem.plant, problem.feed, problem.weights, 1.5, 0.5)
     stiff = eqx.tree_at(
         lambda p: p.plant, problem, lambda tips, axes: Motion(tips, tips)

@@ -119,12 +119,15 @@ def test_layers_reach_to_the_earlier_pass_or_the_raw_surface():
     )
 
 
-def test_the_worst_member_gets_the_middle_of_all():
+@pytest.mark.parametrize(
+    "amounts", [[0.0, 0.1, 0.2, 1.0], [*np.linspace(0.0, 0.3, 60), 1.0]]
+)
+def test_the_worst_member_gets_the_middle_of_all(amounts):
     """Members that are shifted alike but by different amounts: mean and midrange."""
     path, _ = straight_wall()
     hump = np.sin(np.pi * np.arange(ROWS) / (ROWS - 1))[:, None] ** 4
     across = jnp.asarray(hump * np.array([[0.0, 1e-4, 0.0]]))
-    amounts = np.array([[0.0], [0.1], [0.2], [1.0]])
+    amounts = np.array(amounts)[:, None]
 
     def plant(amount, command):
         return Motion(command + amount[0] * across, jnp.zeros_like(command))

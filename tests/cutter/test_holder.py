@@ -106,5 +106,5 @@ def test_impossible_holders_are_refused(overhang, upper, lengths, name):
 def test_parts_without_an_upper_diameter_are_cylinders():
     holder = ct.ToolHolder.from_sizes(0.04, [0.02, 0.03], [0.01, 0.02])
     assert [part.upper_diameter for part in holder.parts] == [0.02, 0.03]
-    with pytest.raises(ValueError):
+    with pytest.raises(ValueError, match="`lengths`"):
         ct.ToolHolder.from_sizes(0.04, [0.02, 0.03], [0.01])

@@ -70,6 +70,12 @@ class ToolHolder(eqx.Module):
                 have other numbers of sizes.
         """
         uppers = diameters if upper_diameters is None else upper_diameters
+        if not len(diameters) == len(lengths) == len(uppers):
+            raise ValueError(
+                "Arguments `diameters`, `lengths` and `upper_diameters` must have a "
+                f"number for each part, but have {len(diameters)}, {len(lengths)} and "
+                f"{len(uppers)}."
+            )
         sizes = zip(diameters, uppers, lengths, strict=True)
         parts = tuple(HolderPart(*(float(size) for size in part)) for part in sizes)
         return cls(float(overhang), parts)

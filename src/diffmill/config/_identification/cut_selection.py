@@ -103,7 +103,7 @@ def tared(
         before = slice(table.tare[0], table.tare[1])
         if isinstance(table.tare_after, list):
             return record.without_drift(before, slice(*table.tare_after))
-        return record.without_offset(before.start, before.stop)
+        return record.without_offset(before)
     before, after = _quiet(record, cuts, span, tooth)
     if before is not None and after is not None:
         notes.append(
@@ -123,7 +123,7 @@ def tared(
         f"The offset was taken from {one.start:.4g} to {one.stop:.4g} s, where nothing "
         "is cut."
     )
-    return record.without_offset(one.start, one.stop)
+    return record.without_offset(one)
 
 
 def _quiet(

@@ -61,8 +61,8 @@ class FeedProblem(eqx.Module):
         """Refuse bounds that hold no override."""
         if not 0 < self.lowest < self.highest < float("inf"):
             raise ValueError(
-                "Argument `bounds` must be two positive numbers, the smaller first, "
-                f"but is {(self.lowest, self.highest)}."
+                "Arguments `lowest` and `highest` must be positive and ascend, but are "
+                f"{self.lowest} and {self.highest}."
             )
 
     def prediction(

@@ -120,8 +120,8 @@ def tune_feed(
     *,
     time_weights: tuple[float, ...] = _WEIGHTS,
     count: int = 8,
-    least: float = 0.5,
-    greatest: float = 1.5,
+    lowest: float = 0.5,
+    highest: float = 1.5,
     acceleration: RealScalarLike | None = None,
     max_steps: int = 8,
     on_progress: OnShare | None = None,
@@ -143,8 +143,8 @@ def tune_feed(
         job: The job; its machine must not be rigid.
         time_weights: Weights of the time, positive; each starts where the last ended.
         count: Knots of the override, equally spaced over the length of the path.
-        least: Smallest override.
-        greatest: Largest override.
+        lowest: Smallest override.
+        highest: Largest override.
         acceleration: Largest acceleration of the program [m/s^2]; that of its path if
             not given.
         max_steps: Gauss-Newton steps for each weight at most.
@@ -173,8 +173,8 @@ def tune_feed(
         FeedPlant(job, adjoint),
         feed,
         FeedProblem.smoothed(job_weights(job, rigid, cutting, None)),
-        least,
-        greatest,
+        lowest,
+        highest,
     )
     points = FeedPoint.curve(
         problem,

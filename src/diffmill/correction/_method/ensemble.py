@@ -38,8 +38,8 @@ class Ensemble(eqx.Module):
         plant: The uncertain plant, or a function of the parameters of a member, shape
             (parameter,), and a command, shape (step, axis); traceable.
         draws: Parameters of the members, shape (member, parameter).
-        weights: Shares of the members in a mean, which sum to 1, shape (member,);
-            None for equal ones.
+        weights: Shares of the members in a mean, which sum to 1, shape (member,); None
+            for equal ones. The worst case takes all alike.
     """
 
     plant: AbstractUncertainPlant | Callable[..., Motion]

@@ -8,7 +8,7 @@ are those of a quadratic program: the costs themselves are computed once a step.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -16,10 +16,10 @@ from jaxtyping import Float
 
 from ...optimise import LinearRows, QuadraticModel
 
-# Rounds at most; the largest changes little long before.
-_ROUNDS = 40
-# Change of all weights at which they count as found.
-_STILL = 1e-3
+# Rounds at most, and the share of the cost that may be left to gain at which they end:
+# no step makes the largest cost smaller than the weighted mean of any weights.
+_ROUNDS = 200
+_GAP = 1e-3
 
 Unknowns = Float[np.ndarray, " unknown"]
 Member = Float[np.ndarray, " member"]
@@ -48,6 +48,14 @@ class CostModel(NamedTuple):
         value = 0.5 * float(residual @ residual)
         return cls(value, slopes.T @ residual, slopes.T @ slopes)
 
+    def plus(self, weight: float, other: "CostModel") -> "CostModel":
+        """Return the sum with a weighted other cost."""
+        return CostModel(
+            self.value + weight * other.value,
+            self.gradient + weight * other.gradient,
+            self.curvature + weight * other.curvature,
+        )
+
     def after(self, p: Unknowns) -> float:
         """Return the cost after a step; of a sum of squares it is never negative."""
         change = self.gradient @ p + 0.5 * p @ self.curvature @ p
@@ -70,15 +78,21 @@ class MinimaxModel(QuadraticModel):
     @classmethod
     def of(
         cls,
-        cost: Callable[[Unknowns, Any], float],
+        cost: Callable[..., float],
         members: Sequence[CostModel],
         shared: CostModel,
         rows: Sequence[LinearRows],
     ) -> "MinimaxModel":
         """Return the model; arguments as of `QuadraticModel` and of this class."""
-        mean = weighted(cost, _equal(members), members, shared, rows)
-        parts = mean.gradient, mean.curvature, mean.rows
-        return cls(cost, *parts, members=members, shared=shared)
+        mean = _weighted(_equal(members), members, shared)
+        return cls(
+            cost,
+            mean.gradient,
+            mean.curvature,
+            tuple(rows),
+            members=members,
+            shared=shared,
+        )
 
     def best_share(self, p: Unknowns, rise: float) -> float:
         """Return the share of a step that lowers the largest cost most, as of now."""
@@ -95,16 +109,17 @@ class MinimaxModel(QuadraticModel):
         """Return the step of the least largest cost; arguments as of the parent."""
         weights, best, found = _equal(self.members), np.inf, None
         for _ in range(_ROUNDS):
-            mean = weighted(self.cost, weights, self.members, self.shared, self.rows)
-            p = mean.damped_step(damping, box)
+            mean = _weighted(weights, self.members, self.shared)
+            model = QuadraticModel(self.cost, mean.gradient, mean.curvature, self.rows)
+            p = model.damped_step(damping, box)
             if p is None:
                 break
             if (total := self._total(p)) < best:
                 best, found = total, p
             costs = np.array([member.after(p) for member in self.members])
-            before, weights = weights, reweighted(weights, np.sqrt(costs))
-            if np.abs(weights - before).max() < _STILL:
+            if costs.max() - weights @ costs <= _GAP * total:
                 break
+            weights = reweighted(weights, np.sqrt(costs))
         return found
 
     def _total(self, p: Unknowns) -> float:
@@ -114,26 +129,14 @@ class MinimaxModel(QuadraticModel):
         return largest + self.shared.after(p) + rows
 
 
-def weighted(
-    cost: Callable[[Unknowns, Any], float],
-    weights: Member,
-    members: Sequence[CostModel],
-    shared: CostModel,
-    rows: Sequence[LinearRows],
-) -> QuadraticModel:
-    """Return the model of a weighted mean of costs.
-
-    Args:
-        cost: As of `QuadraticModel`.
-        weights: Of the members.
-        members: Their costs.
-        shared: What is added to the mean.
-        rows: Constraints of the step.
-    """
-    parts = list(zip(weights, members, strict=True))
-    gradient = shared.gradient + sum(weight * one.gradient for weight, one in parts)
-    curvature = shared.curvature + sum(weight * one.curvature for weight, one in parts)
-    return QuadraticModel(cost, gradient, curvature, tuple(rows))
+def _weighted(
+    weights: Member, members: Sequence[CostModel], shared: CostModel
+) -> CostModel:
+    """Return the model of a weighted mean of costs, and of what they share."""
+    total = shared
+    for weight, member in zip(weights, members, strict=True):
+        total = total.plus(float(weight), member)
+    return total
 
 
 def _equal(members: Sequence[CostModel]) -> Member:

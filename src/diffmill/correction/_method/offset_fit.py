@@ -31,7 +31,7 @@ from .._core.problem import Motion, Plant, Problem, motion_of
 from .._spline.command_limits import LinearLimits
 from .._spline.spline_offsets import SplineOffsets, SplineWindow
 from .._surface.surface_limits import SurfaceBounds
-from .minimax import CostModel, MinimaxModel, weighted
+from .minimax import CostModel, MinimaxModel
 
 # Contour error that counts as one in the residual [m]; sets no result, only the size
 # of the numbers and what `smoothness` is relative to.
@@ -248,13 +248,21 @@ class OffsetFit(AbstractProblem):
 
     def model(self, x: Unknowns, value: FitValue) -> QuadraticModel:
         """Return the model of half the square of the residual."""
-        members, slopes, rough = [], [], np.zeros((0, x.size))
-        for plant, error in zip(self.plants, value.errors, strict=True):
+        zero = CostModel(0.0, np.zeros(x.size), np.zeros((x.size, x.size)))
+        mean, members, slopes, rough = zero, [], [], np.zeros((0, x.size))
+        for plant, weight, error in zip(
+            self.plants, self.weights, value.errors, strict=True
+        ):
             linear = value.linear
             if linear is None:
                 linear = linear_motion(plant, self.command(x))
             J = self._jacobian(linear, x)
-            members.append(CostModel.of(error, J.error))
+            cost = CostModel.of(error, J.error)
+            # The largest is looked for among all; of a mean the sum does.
+            if self.is_worst_case:
+                members.append(cost)
+            else:
+                mean = mean.plus(float(weight), cost)
             slopes.append(J.output)
             rough = J.rough
         shared = CostModel.of(value.rough, rough)
@@ -263,13 +271,14 @@ class OffsetFit(AbstractProblem):
         outputs, is_hard = value.outputs.reshape(-1), self.is_within(value)
         if outputs.size:
             rows.append(self.constraints.rows(outputs, np.concatenate(slopes)))
-        cost = lambda x, at: (
+        cost_at = lambda x, at: (
             self._cost(at)
             + self.constraints.cost(at.outputs.reshape(-1), is_hard=is_hard)
         )
         if self.is_worst_case:
-            return MinimaxModel.of(cost, members, shared, rows)
-        return weighted(cost, self.weights, members, shared, rows)
+            return MinimaxModel.of(cost_at, members, shared, rows)
+        mean = mean.plus(1.0, shared)
+        return QuadraticModel(cost_at, mean.gradient, mean.curvature, tuple(rows))
 
     def _jacobian(self, linear: LinearMotion, x: Unknowns) -> _Jacobian:
         at = self.coefficients(x)
@@ -379,9 +388,10 @@ def fit_offsets(
         if is_stopped or not fit.is_within(state.value):
             return state
     x, begun, state = state.x, [state], None
-    return least_squares(
+    found = least_squares(
         fit, x, solver, lower=lower, upper=upper, state=begun.pop(), callback=callback
     )
+    return _without_model(fit, found)
 
 
 def _without_model(fit: OffsetFit, state: LeastSquaresState) -> LeastSquaresState:

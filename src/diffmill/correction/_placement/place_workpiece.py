@@ -8,7 +8,7 @@ then judged on the whole path.
 
 import dataclasses
 from collections.abc import Sequence
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -41,8 +41,6 @@ from .objective import (
 )
 from .result import Placement, rms_across
 
-Pair: TypeAlias = tuple[float, float]
-
 # Share of its range that a joint may use.
 _RANGE = 0.98
 # A pose that is nearer to a singular one than this is refused, unless the job's own
@@ -57,9 +55,9 @@ _AT_BOUND = 1e-3
 def place_workpiece(
     job: Job,
     *,
-    shift_bounds: Sequence[Pair],
-    angle_bounds: Pair = (0.0, 0.0),
-    rotation_bounds: Pair = (0.0, 0.0),
+    shift_bounds: Sequence[Sequence[float]],
+    angle_bounds: Sequence[float] = (0.0, 0.0),
+    rotation_bounds: Sequence[float] = (0.0, 0.0),
     rows: int = 64,
     starts: int = 32,
     max_steps: int = 20,
@@ -137,7 +135,10 @@ def place_workpiece(
 
 
 def _bounds(
-    job: Job, shift: Sequence[Pair], angle: Pair, rotation: Pair
+    job: Job,
+    shift: Sequence[Sequence[float]],
+    angle: Sequence[float],
+    rotation: Sequence[float],
 ) -> tuple[Float[np.ndarray, " 5"], Float[np.ndarray, " 5"]]:
     """Return lower and upper bounds of all unknowns."""
     if job.robot is None:

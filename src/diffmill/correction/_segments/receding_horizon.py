@@ -71,7 +71,8 @@ class RecedingHorizon(AbstractMethod):
 
     Attributes:
         pieces: The problem's plant, as one that can be run piece by piece.
-        method: Settings of the correction of a segment.
+        method: Settings of the correction of a segment; its steps are those of the last
+            sweep, half of them those of the others.
         horizon: Rows of a segment.
         overlap: Rows of its end that the next segment corrects once more.
         sweeps: How often the whole path is gone through, each time from the command
@@ -134,6 +135,8 @@ class RecedingHorizon(AbstractMethod):
             counted = run.row if run.row < rows else before
             seconds.append(time.perf_counter() - began)
             error = rms_so_far(problem, run, counted)
+            # A step costs alike in all sweeps.
+            seconds[-1] /= max(1, self._solver(rows, run.sweep).max_steps)
             left = self._left(rows, run.sweep, run.row)
             if left and run.row >= rows:
                 run = self._again(problem, spline, run)
@@ -142,7 +145,8 @@ class RecedingHorizon(AbstractMethod):
             if on_progress is not None:
                 # The first one compiles, which the others do not.
                 each = float(np.mean(seconds[1:] or seconds))
-                message = f"segment {total - left} of {total}, {left * each:.0f} s left"
+                time_left = each * self._steps_left(rows, run.sweep, run.row)
+                message = f"segment {total - left} of {total}, {time_left:.0f} s left"
                 if on_progress(message, error):
                     break
         return self._corrected(problem, spline, run)
@@ -152,12 +156,20 @@ class RecedingHorizon(AbstractMethod):
         now = self.segment_count(rows - row) if row < rows else 0
         return now + (self._sweeps(rows) - 1 - sweep) * self.segment_count(rows)
 
+    def _steps_left(self, rows: int, sweep: int, row: int) -> int:
+        """Return the number of steps from a row on, of all sweeps."""
+        counts = [self.segment_count(rows - row) if row < rows else 0]
+        counts += [self.segment_count(rows)] * (self._sweeps(rows) - 1 - sweep)
+        steps = (self._solver(rows, sweep + k).max_steps for k in range(len(counts)))
+        return sum(n * count for n, count in zip(steps, counts, strict=True))
+
     def _solver(self, rows: int, sweep: int) -> LevenbergMarquardt:
         """Return the settings of a sweep: half of the steps if another follows."""
         solver = self.method.solver
         if sweep + 1 == self._sweeps(rows):
             return solver
-        return dataclasses.replace(solver, max_steps=max(1, solver.max_steps // 2))
+        steps = min(max(1, solver.max_steps // 2), solver.max_steps)
+        return dataclasses.replace(solver, max_steps=steps)
 
     def _sweeps(self, rows: int) -> int:
         """Return how often a path of some rows is gone through."""

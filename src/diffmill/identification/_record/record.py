@@ -126,19 +126,19 @@ class Record(eqx.Module):
         starts = [0, *np.flatnonzero(is_apart) + 1, self.time.size]
         return [slice(int(a), int(b)) for a, b in itertools.pairwise(starts)]
 
-    def without_offset(self, start: float, stop: float) -> "Record":
+    def without_offset(self, section: slice) -> "Record":
         """Return the record less the mean force of a section without cut.
 
         Gross errors, six standard deviations off the section's median, do not count.
 
         Args:
-            start: Where the tare section begins [s].
-            stop: Where it ends [s].
+            section: From where to where the tare section is [s], as
+                slice(start, stop).
 
         Raises:
             ValueError: If fewer than 2 samples lie in the section.
         """
-        _, level = self._level(start, stop)
+        _, level = self._level(section)
         return dataclasses.replace(self, force=self.force - level[None])
 
     def without_drift(self, before: slice, after: slice) -> "Record":
@@ -148,15 +148,13 @@ class Record(eqx.Module):
         amplifiers drift by a constant current. Gross errors do not count.
 
         Args:
-            before: From where to where the tare section before the cut is [s], as
-                slice(start, stop).
-            after: The same of the one after it.
+            before: The tare section before the cut [s], as `without_offset` takes it.
+            after: The one after it [s].
 
         Raises:
             ValueError: If fewer than 2 samples lie in a section or both are the same.
         """
-        first = self._level(before.start, before.stop)
-        second = self._level(after.start, after.stop)
+        first, second = self._level(before), self._level(after)
         if first.time == second.time:
             raise ValueError("Arguments `before` and `after` must be two sections.")
         slope = (second.force - first.force) / (second.time - first.time)
@@ -241,9 +239,9 @@ class Record(eqx.Module):
         pulses = Pulses.of_signal(self.time, self.tacho).smoothed(smoothing)
         return first_angle + pulses.passed(self.time) * 2 * np.pi / pulses_per_turn
 
-    def _level(self, start: float, stop: float) -> "_Level":
+    def _level(self, section: slice) -> "_Level":
         """Return the level of a section, gross errors left out."""
-        part = self.section(start, stop)
+        part = self.section(section.start, section.stop)
         off = np.abs(part.force - np.median(part.force, axis=0)[None])
         # The median deviation is 0.67 standard deviations; none tells of few digits.
         limit = _GROSS / 0.67 * np.median(off, axis=0)

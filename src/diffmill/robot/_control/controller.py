@@ -592,8 +592,8 @@ def _first_order(
     E = jnp.exp(-step)
     late = -jnp.expm1(-step) / step
 
-    def advance(y: Array, turn: _Input) -> tuple[Array, Array]:
-        y = E * y + (1 - E) * turn.start + (1 - late) * (turn.end - turn.start)
+    def advance(y: Array, ends: _Input) -> tuple[Array, Array]:
+        y = E * y + (1 - E) * ends.start + (1 - late) * (ends.end - ends.start)
         return y, y
 
     _, found = jax.lax.scan(advance, begun, _Input(rows[:-1], rows[1:]))

@@ -72,14 +72,14 @@ class StiffnessMap(eqx.Module):
             )
         start = joint_vector(robot, q, "q")
         T = np.asarray(forward_kinematics(robot, start)).astype(float)
-        box = StiffnessMap.reach_box(robot)[:, _indices(plane)]
+        box = StiffnessMap.reach_box(robot)[:, StiffnessMap.axes_of(plane)]
         # A coarse look first: where the tool keeps its direction is less than all it
         # reaches.
         for points in (count // 2 + 1, count):
             spacing = np.max(box[1] - box[0]) / (points - 1)
             axes = [
                 _through(T[axis, 3], box[0, i], box[1, i], spacing)
-                for i, axis in enumerate(_indices(plane))
+                for i, axis in enumerate(StiffnessMap.axes_of(plane))
             ]
             stiffness = _on_grid(robot, T, start, plane, axes[0], axes[1])
             rows, columns = np.nonzero(~np.isnan(stiffness))
@@ -89,6 +89,11 @@ class StiffnessMap(eqx.Module):
             box = np.stack([reached.min(axis=0), reached.max(axis=0)])
             box = box + spacing * np.array([[-1.0], [1.0]])
         return cls(axes[0], axes[1], stiffness, plane)
+
+    @staticmethod
+    def axes_of(plane: str) -> list[int]:
+        """Return the indices of the axes of a plane such as "xz"."""
+        return ["xyz".index(axis) for axis in plane]
 
     @staticmethod
     def reach_box(robot: Robot) -> Float[np.ndarray, "2 3"]:
@@ -118,10 +123,6 @@ class StiffnessMap(eqx.Module):
         return np.stack([tips.min(axis=0), tips.max(axis=0)]).astype(float)
 
 
-def _indices(plane: str) -> list[int]:
-    return ["xyz".index(axis) for axis in plane]
-
-
 def _through(
     point: float, lower: float, upper: float, spacing: float
 ) -> Float[np.ndarray, " point"]:
@@ -142,7 +143,7 @@ def _on_grid(
     """Return the least stiffness on a grid, NaN where a pose is not reached."""
     across, up = np.meshgrid(columns, rows)
     Ts = np.broadcast_to(T, (across.size, 4, 4)).copy()
-    i, j = _indices(plane)
+    i, j = StiffnessMap.axes_of(plane)
     Ts[:, i, 3], Ts[:, j, 3] = across.ravel(), up.ravel()
     starts = np.broadcast_to(np.asarray(start), (across.size, start.shape[0]))
     found = _solve(robot, Ts, starts)

@@ -42,7 +42,7 @@ def plot_robot(
     panels = figure.subplots(1, 3)
     views = {"from the side": "xz", "from the front": "yz", "from above": "xy"}
     for panel, (name, plane) in zip(panels, views.items(), strict=True):
-        i, j = _indices(plane)
+        i, j = StiffnessMap.axes_of(plane)
         draw_arm(panel, robot, bones, plane, arrow=0.14 * span)
         panel.set_xlim(middle[i] - 0.62 * span, middle[i] + 0.62 * span)
         panel.set_ylim(middle[j] - 0.62 * span, middle[j] + 0.62 * span)
@@ -101,11 +101,6 @@ def plot_stiffness(
     return figure
 
 
-def _indices(plane: str) -> list[int]:
-    """Return the indices of the axes of a plane such as "xz"."""
-    return ["xyz".index(axis) for axis in plane]
-
-
 def _draw_map(
     axes: "matplotlib.axes.Axes", item: StiffnessMap, low: float, high: float
 ) -> "matplotlib.collections.QuadMesh":
@@ -159,7 +154,7 @@ def draw_arm(
         arrow: Length of the tool's axes [m]; 0 draws a cross at the tip instead.
         is_faint: Whether the arm only stands in front of something else.
     """
-    i, j = _indices(plane)
+    i, j = StiffnessMap.axes_of(plane)
     colour = "white" if is_faint else _LINK
     width = 1.4 if is_faint else 4.0
     for line in arm_lines(robot, bones):
@@ -192,7 +187,7 @@ def _draw_tool(
     axes: "matplotlib.axes.Axes", bones: Skeleton, plane: str, arrow: float
 ) -> None:
     """Draw the tool's axes as arrows, or a cross if `arrow` is 0."""
-    i, j = _indices(plane)
+    i, j = StiffnessMap.axes_of(plane)
     tool, R = np.asarray(bones.tool), np.asarray(bones.tool_rotation)
     if not arrow:
         axes.plot(tool[i], tool[j], "x", color=_FRAME[0], markersize=7, zorder=6)
@@ -242,7 +237,7 @@ def _label_joints(
     own = [k for k, mimic in enumerate(robot.mimics) if mimic is None]
     places: list[tuple[np.ndarray, list[str]]] = []
     for name, k in zip(robot.joint_names, own, strict=True):
-        at = np.asarray(bones.origins)[k][_indices(plane)]
+        at = np.asarray(bones.origins)[k][StiffnessMap.axes_of(plane)]
         near = [names for p, names in places if np.linalg.norm(p - at) < 0.09 * span]
         if near:
             near[0].append(name)
@@ -301,7 +296,9 @@ def _window(
 ) -> list[tuple[float, float]]:
     """Return limits of the axes: what is mapped, and the arm."""
     limits = []
-    for axis, values in zip(_indices(plane), (item.across, item.up), strict=True):
+    for axis, values in zip(
+        StiffnessMap.axes_of(plane), (item.across, item.up), strict=True
+    ):
         points = np.asarray(bones.origins)[:, axis]
         low = min(values.min(), points.min(), 0.0)
         high = max(values.max(), points.max(), 0.0)

@@ -298,8 +298,8 @@ def check_interval_counts(interval_counts: Sequence[int]) -> None:
     """Raise a `ValueError` if these are no slots of rays along x, y and z."""
     if len(interval_counts) != 3 or min(interval_counts) < 1:
         raise ValueError(
-            "Argument `interval_counts` must be three whole numbers from 1, for x, y "
-            f"and z, but is {interval_counts}."
+            "Argument `interval_counts` must be three numbers of slots from 1, for x, "
+            f"y and z, but is {interval_counts}."
         )
 
 

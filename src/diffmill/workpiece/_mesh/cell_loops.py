@@ -10,13 +10,18 @@ parts a loop in each cell.
 """
 
 import functools
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Int, UInt8
 
-# Rows of the cells below and above some faces.
-_CellPair: TypeAlias = tuple[Int[np.ndarray, " _"], Int[np.ndarray, " _"]]
+
+class _CellPair(NamedTuple):
+    """Rows of the cells below and above some faces."""
+
+    below: Int[np.ndarray, " face"]
+    above: Int[np.ndarray, " face"]
+
 
 # Corner number 4 x + 2 y + z; edge number 4 axis + 2 b + c with b, c the offsets
 # along the axes (axis + 1) % 3 and (axis + 2) % 3.
@@ -167,7 +172,7 @@ def _ambiguous_faces(
         for parity in (0, 1):
             pick = plane % 2 == parity
             at = (plane[pick], p[pick], q[pick])
-            faces.append((rows[at[0] - 1, at[1], at[2]], rows[at]))
+            faces.append(_CellPair(rows[at[0] - 1, at[1], at[2]], rows[at]))
     return faces
 
 
