@@ -116,35 +116,37 @@ def tuples(annotation: ast.expr | None) -> Iterator[list[str]]:
             yield [ast.unparse(one) for one in held]
 
 
+# Tuples of a fixed length with a name and one place for each axis of a frame.
+NAMED_TUPLES = {"Point", "Point2", "Vector3", "Axes"}
+
+
 def is_bundle(annotation: ast.expr | None) -> bool:
-    return any("..." not in held and len(set(held)) > 1 for held in tuples(annotation))
-
-
-def functions(tree: ast.Module) -> Iterator[ast.FunctionDef]:
-    """Yield functions and methods; what is within them has the interface of JAX."""
-    for node in tree.body:
-        body = node.body if isinstance(node, ast.ClassDef) else [node]
-        yield from (one for one in body if isinstance(one, ast.FunctionDef))
+    return any("..." not in held for held in tuples(annotation))
 
 
 def test_what_belongs_together_has_a_name():
+    """No parameter is a tuple of a fixed length: its places would have no names."""
     bundles = set()
     for file in SOURCE.rglob("*.py"):
         tree = ast.parse(file.read_text(encoding="utf-8"))
-        named = {
-            node.targets[0].id
+        names = [
+            (ast.unparse(target), node.value)
             for node in tree.body
-            if isinstance(node, ast.Assign)
-            and isinstance(node.targets[0], ast.Name)
-            and is_bundle(node.value)
+            if isinstance(node, ast.Assign | ast.AnnAssign)
+            for target in (
+                node.targets if isinstance(node, ast.Assign) else [node.target]
+            )
+        ]
+        given = [
+            (node.arg, node.annotation)
+            for node in ast.walk(tree)
+            if isinstance(node, ast.arg)
+        ]
+        bundles |= {
+            f"{file.relative_to(SOURCE).as_posix()}:{name}"
+            for name, kind in names + given
+            if is_bundle(kind) and name not in NAMED_TUPLES
         }
-        for node in functions(tree):
-            given = node.args
-            for one in given.posonlyargs + given.args + given.kwonlyargs:
-                name = None if one.annotation is None else ast.unparse(one.annotation)
-                if is_bundle(one.annotation) or name in named:
-                    place = file.relative_to(SOURCE).as_posix()
-                    bundles.add(f"{place}:{node.name}({one.arg})")
     assert not bundles
 
 
@@ -216,39 +218,6 @@ def test_no_public_annotation_says_any():
             names = ast.walk(one) if one is not None else ()
             count += any(isinstance(n, ast.Name) and n.id == "Any" for n in names)
     assert not count
-
-
-# Tuples of a fixed length with a name and one place for each axis of a frame.
-TRIPLES = {"Point", "Point2", "Vector3", "Axes"}
-
-
-def has_fixed_tuple(node: ast.expr) -> bool:
-    return any(
-        isinstance(part, ast.Subscript)
-        and ast.unparse(part.value) == "tuple"
-        and not ast.unparse(part.slice).endswith(("...", "...)"))
-        for part in ast.walk(node)
-    )
-
-
-def test_what_travels_together_has_a_name():
-    """No parameter is a tuple of a fixed length: its places would have no names."""
-    bundles = set()
-    for file in SOURCE.rglob("*.py"):
-        tree = ast.parse(file.read_text(encoding="utf-8"))
-        for node in ast.walk(tree):
-            if isinstance(node, ast.arg) and node.annotation is not None:
-                name, kind = node.arg, node.annotation
-            elif node in tree.body and isinstance(node, ast.Assign | ast.AnnAssign):
-                target = (
-                    node.targets[0] if isinstance(node, ast.Assign) else node.target
-                )
-                name, kind = ast.unparse(target), node.value
-            else:
-                continue
-            if kind is not None and has_fixed_tuple(kind) and name not in TRIPLES:
-                bundles.add((file.relative_to(SOURCE).as_posix(), name))
-    assert not bundles
 
 
 def test_experiments_and_tests_use_what_is_public():

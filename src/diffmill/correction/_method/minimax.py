@@ -1,14 +1,15 @@
 """The largest of several costs, by the quadratic models of all of them.
 
-The step that makes the largest small is that of a weighted mean whose weights none but
-the largest have. They are found by raising each weight by its own error, round after
-round: Lawson's algorithm for best approximation in the maximum norm, see Rice and Usow,
-The Lawson algorithm and extensions, Mathematics of Computation 22, 1968. The rounds
-are those of a quadratic program: the costs themselves are computed once a step.
+The step that minimises the largest cost also minimises a weighted mean of the costs, in
+which only those that are then the largest have a weight. The weights are found by
+multiplying each by its member's error, round after round: Lawson's algorithm for best
+approximation in the maximum norm, see Rice and Usow, The Lawson algorithm and
+extensions, Mathematics of Computation 22, 1968. A round solves a quadratic program; the
+models are made once a step.
 """
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import equinox as eqx
 import numpy as np
@@ -16,13 +17,13 @@ from jaxtyping import Float
 
 from ...optimise import LinearRows, QuadraticModel
 
-# Rounds at most, and the share of the cost that may be left to gain at which they end:
-# no step makes the largest cost smaller than the weighted mean of any weights.
+# Rounds at most, and the gap at which they end, as a share of the cost: no step has a
+# largest cost below the least weighted mean, whatever the weights.
 _ROUNDS = 200
 _GAP = 1e-3
 
-Unknowns = Float[np.ndarray, " unknown"]
-Member = Float[np.ndarray, " member"]
+Unknowns: TypeAlias = Float[np.ndarray, " unknown"]
+Member: TypeAlias = Float[np.ndarray, " member"]
 
 
 class CostModel(NamedTuple):
@@ -49,7 +50,7 @@ class CostModel(NamedTuple):
         return cls(value, slopes.T @ residual, slopes.T @ slopes)
 
     def plus(self, weight: float, other: "CostModel") -> "CostModel":
-        """Return the sum with a weighted other cost."""
+        """Return the model of this cost plus a weight times another."""
         return CostModel(
             self.value + weight * other.value,
             self.gradient + weight * other.gradient,
@@ -106,7 +107,7 @@ class MinimaxModel(QuadraticModel):
         return self._total(np.zeros_like(p)) - self._total(p)
 
     def damped_step(self, damping: float, box: LinearRows) -> Unknowns | None:
-        """Return the step of the least largest cost; arguments as of the parent."""
+        """Return the step whose largest cost is least; arguments as of the parent."""
         weights, best, found = _equal(self.members), np.inf, None
         for _ in range(_ROUNDS):
             mean = _weighted(weights, self.members, self.shared)
@@ -119,11 +120,11 @@ class MinimaxModel(QuadraticModel):
             costs = np.array([member.after(p) for member in self.members])
             if costs.max() - weights @ costs <= _GAP * total:
                 break
-            weights = reweighted(weights, np.sqrt(costs))
+            weights = _raised(weights, costs)
         return found
 
     def _total(self, p: Unknowns) -> float:
-        """Return the cost after a step, what acts outside of soft rows counted in."""
+        """Return the cost after a step, with the springs of soft rows."""
         largest = max(member.after(p) for member in self.members)
         rows = sum(rows.energy(p) for rows in self.rows)
         return largest + self.shared.after(p) + rows
@@ -143,18 +144,8 @@ def _equal(members: Sequence[CostModel]) -> Member:
     return np.full(len(members), 1 / len(members))
 
 
-def reweighted(weights: Member, errors: Member) -> Member:
-    """Return the weights of the next round.
-
-    Args:
-        weights: Weights of the members, which sum to 1.
-        errors: Root mean square error of each member.
-
-    Returns:
-        Weights that sum to 1, larger for members of larger error.
-
-    **Differentiability**: none, a host function.
-    """
-    raised = weights * errors
+def _raised(weights: Member, costs: Member) -> Member:
+    """Return the weights of the next round, larger for members of larger error."""
+    raised = weights * np.sqrt(costs)
     total = float(raised.sum())
     return raised / total if total > 0 else weights

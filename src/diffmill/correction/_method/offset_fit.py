@@ -7,7 +7,7 @@ then a row of the one quadratic program of a step.
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -31,7 +31,7 @@ from .._core.problem import Motion, Plant, Problem, motion_of
 from .._spline.command_limits import LinearLimits
 from .._spline.spline_offsets import SplineOffsets, SplineWindow
 from .._surface.surface_limits import SurfaceBounds
-from .minimax import CostModel, MinimaxModel
+from .minimax import CostModel, MinimaxModel, Unknowns
 
 # Contour error that counts as one in the residual [m]; sets no result, only the size
 # of the numbers and what `smoothness` is relative to.
@@ -42,8 +42,6 @@ _BLOCK = 96
 # of the cost one of them may gain. What cannot be held gains nothing long before.
 _RETURN_STEPS = 40
 _RETURN_SHARE = 1e-3
-
-Unknowns: TypeAlias = Float[np.ndarray, " unknown"]
 
 
 class ContourResidual(eqx.Module):

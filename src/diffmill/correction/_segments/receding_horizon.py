@@ -127,41 +127,34 @@ class RecedingHorizon(AbstractMethod):
         rows = problem.nominal.shape[0]
         spline = SplineOffsets(rows, problem.time_step, self.method.knot_spacing)
         run = self._first(problem, spline, start)
-        total, seconds = self._left(rows, 0, 0), []
+        total, seconds = sum(self._left(rows, 0, 0)), []
+        steps = [self._solver(rows, k).max_steps for k in range(self._sweeps(rows))]
         while run.row < rows:
             began, before = time.perf_counter(), run.row
             run = self._segment(problem, spline, run)
             # The last segment is not run by itself.
             counted = run.row if run.row < rows else before
-            seconds.append(time.perf_counter() - began)
-            error = rms_so_far(problem, run, counted)
             # A step costs alike in all sweeps.
-            seconds[-1] /= max(1, self._solver(rows, run.sweep).max_steps)
-            left = self._left(rows, run.sweep, run.row)
+            seconds.append((time.perf_counter() - began) / max(1, steps[run.sweep]))
+            error = rms_so_far(problem, run, counted)
+            counts = self._left(rows, run.sweep, run.row)
+            left, steps_left = sum(counts), np.dot(counts, steps[run.sweep :])
             if left and run.row >= rows:
                 run = self._again(problem, spline, run)
             if self.on_checkpoint is not None:
                 self.on_checkpoint(pack_run(run))
             if on_progress is not None:
                 # The first one compiles, which the others do not.
-                each = float(np.mean(seconds[1:] or seconds))
-                time_left = each * self._steps_left(rows, run.sweep, run.row)
+                time_left = steps_left * np.mean(seconds[1:] or seconds)
                 message = f"segment {total - left} of {total}, {time_left:.0f} s left"
                 if on_progress(message, error):
                     break
         return self._corrected(problem, spline, run)
 
-    def _left(self, rows: int, sweep: int, row: int) -> int:
-        """Return the number of segments from a row on, of all sweeps."""
+    def _left(self, rows: int, sweep: int, row: int) -> list[int]:
+        """Return the segments from a row on, of this sweep and of those after it."""
         now = self.segment_count(rows - row) if row < rows else 0
-        return now + (self._sweeps(rows) - 1 - sweep) * self.segment_count(rows)
-
-    def _steps_left(self, rows: int, sweep: int, row: int) -> int:
-        """Return the number of steps from a row on, of all sweeps."""
-        counts = [self.segment_count(rows - row) if row < rows else 0]
-        counts += [self.segment_count(rows)] * (self._sweeps(rows) - 1 - sweep)
-        steps = (self._solver(rows, sweep + k).max_steps for k in range(len(counts)))
-        return sum(n * count for n, count in zip(steps, counts, strict=True))
+        return [now] + [self.segment_count(rows)] * (self._sweeps(rows) - 1 - sweep)
 
     def _solver(self, rows: int, sweep: int) -> LevenbergMarquardt:
         """Return the settings of a sweep: half of the steps if another follows."""
