@@ -74,10 +74,6 @@ from ._spline.command_limits import (
 )
 from ._spline.projection import project as project
 from ._spline.spline_offsets import SplineOffsets as SplineOffsets
-from ._surface.finished_surface import (
-    FinishedSurface as FinishedSurface,
-    SurfaceObjective as SurfaceObjective,
-)
-from ._surface.surface_limits import (
-    SurfaceBounds as SurfaceBounds,
-)
+from ._surface.finished_surface import FinishedSurface as FinishedSurface
+from ._surface.surface_limits import SurfaceBounds as SurfaceBounds
+from ._surface.surface_objective import SurfaceObjective as SurfaceObjective

@@ -4,6 +4,7 @@ import abc
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..._types import RealScalarLike
@@ -32,14 +33,17 @@ class AbstractObjective(eqx.Module):
             Errors times the root of their share in the mean [m], shape (error,).
         """
 
-    def majorant(self) -> "AbstractObjective":
-        """Return the objective whose slopes bound the curvature of the square.
+    def for_step(self, problem: Problem, motion: Motion) -> "AbstractObjective":
+        """Return the objective of which the model of a step is made, by default self.
 
-        Within a tolerance a row has no slope, so that a step is free to move it out
-        again. With the slopes of the whole error the square of the linear model lies
-        nowhere below the square itself, and has the same gradient where they meet.
-        An objective without a tolerance is its own.
+        For an objective whose slopes at a motion know nothing of what a step from there
+        runs into. The gradient of its square there is to be that of self.
+
+        Args:
+            problem: The problem, whose row weights count.
+            motion: What the plant does where the step begins.
         """
+        del problem, motion
         return self
 
 
@@ -69,9 +73,47 @@ class PathObjective(AbstractObjective):
         error = error + jnp.asarray(lag_weight, contour.dtype) * lag
         return (error * row_shares(problem, contour.dtype)[:, None]).reshape(-1)
 
-    def majorant(self) -> "PathObjective":
-        """Return the objective without its tolerance."""
-        return PathObjective()
+    def for_step(self, problem: Problem, motion: Motion) -> AbstractObjective:
+        """Return the objective with the slopes of the whole error.
+
+        Within a tolerance a row has none, so that a step is free to move it out again.
+        With those of the whole error the square of the linear model lies nowhere below
+        the square itself, and has the same gradient where they meet.
+        """
+        if not np.any(self.tolerance):
+            return self
+        whole = PathObjective()
+        return _Shortened(whole, _hidden(self, whole, problem.without_plant, motion))
+
+
+class _Shortened(AbstractObjective):
+    """An objective less a part that a step does not change.
+
+    Attributes:
+        whole: The objective.
+        part: The part of its errors [m], shape (error,).
+    """
+
+    whole: AbstractObjective
+    part: Float[Array, " error"]
+
+    def errors(
+        self, problem: Problem, motion: Motion, lag_weight: RealScalarLike
+    ) -> Float[Array, " error"]:
+        """Return the errors less the part."""
+        return self.whole.errors(problem, motion, lag_weight) - self.part
+
+
+@eqx.filter_jit
+def _hidden(
+    shortened: AbstractObjective,
+    whole: AbstractObjective,
+    problem: Problem,
+    motion: Motion,
+) -> Float[Array, " error"]:
+    """Return by how much the errors of an objective are shorter than whole ones."""
+    errors = lambda objective: objective.errors(problem, motion, 0.0)
+    return errors(whole) - errors(shortened)
 
 
 def check_objective(objective: object) -> None:

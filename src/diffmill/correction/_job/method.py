@@ -11,8 +11,9 @@ from .._core.path_objective import AbstractObjective, PathObjective
 from .._core.problem import Problem
 from .._method.adam import Adam
 from .._method.gauss_newton import GaussNewton
-from .._surface.finished_surface import FinishedSurface, SurfaceObjective
+from .._surface.finished_surface import FinishedSurface
 from .._surface.surface_limits import SurfaceBounds
+from .._surface.surface_objective import SurfaceObjective
 from .joint_limits import JointLimits
 from .objective import job_ensemble, job_spline, largest_acceleration
 from .plants import TipPlant

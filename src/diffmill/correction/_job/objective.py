@@ -16,10 +16,8 @@ from .._core.row_weights import row_weights
 from .._method.ensemble import Ensemble, LatePlant
 from .._spline.command_limits import LinearLimits
 from .._spline.spline_offsets import SplineOffsets
-from .._surface.finished_surface import (
-    FinishedSurface,
-    SurfaceObjective,
-)
+from .._surface.finished_surface import FinishedSurface
+from .._surface.surface_objective import SurfaceObjective
 from .plants import ScaledPlant, TipPlant
 
 

@@ -147,14 +147,28 @@ class _Jacobian(NamedTuple):
     """Derivatives of the residual of one member by the unknowns.
 
     Attributes:
-        error: Of the errors, shape (error, unknown).
+        value: The errors of which the model is made, shape (error,).
+        error: Of these errors, shape (error, unknown).
         rough: Of the roughness, shape (rough, unknown).
         output: Of the outputs that have bounds, shape (output, unknown).
     """
 
+    value: np.ndarray
     error: np.ndarray
     rough: np.ndarray
     output: np.ndarray
+
+
+class _Columns(NamedTuple):
+    """Errors at a point, and slopes of the residual there in some of the unknowns.
+
+    Attributes:
+        value: The errors, shape (error,).
+        slopes: A row for each of the unknowns.
+    """
+
+    value: Float[Array, " error"]
+    slopes: Errors
 
 
 class OffsetFit(AbstractProblem):
@@ -255,7 +269,9 @@ class OffsetFit(AbstractProblem):
             if linear is None:
                 linear = linear_motion(plant, self.command(x))
             J = self._jacobian(linear, x)
-            cost = CostModel.of(error, J.error)
+            cost = CostModel.of(J.value, J.error)._replace(
+                value=0.5 * float(error @ error)
+            )
             # The largest is looked for among all; of a mean the sum does.
             if self.is_worst_case:
                 members.append(cost)
@@ -280,14 +296,19 @@ class OffsetFit(AbstractProblem):
 
     def _jacobian(self, linear: LinearMotion, x: Unknowns) -> _Jacobian:
         at = self.coefficients(x)
-        blocks = [
-            _columns(linear, at, self.args, jnp.asarray(block))
-            for block in _blocks(x.size)
+        # Its solution would make another program.
+        motion = Motion(linear.motion.actual, linear.motion.force)
+        objective = self.args.objective.for_step(self.args.problem, motion)
+        args = dataclasses.replace(self.args, objective=objective)
+        found = [
+            _columns(linear, at, args, jnp.asarray(block)) for block in _blocks(x.size)
         ]
+        blocks = [columns.slopes for columns in found]
         joined = lambda rows: np.concatenate([np.asarray(row) for row in rows])[
             : x.size
         ].T.astype(np.float64)
         return _Jacobian(
+            np.asarray(found[0].value, np.float64),
             joined([block.error for block in blocks]),
             joined([block.rough for block in blocks]),
             joined([block.output for block in blocks]),
@@ -422,12 +443,8 @@ def _columns(
     coefficients: Float[Array, "coefficient axis"],
     args: ContourResidual,
     block: Int[Array, " direction"],
-) -> Errors:
-    """Return the slopes of the residual in some of the unknowns, a row each.
-
-    Those of the objective's majorant: what a tolerance hides has its slopes.
-    """
-    args = dataclasses.replace(args, objective=args.objective.majorant())
+) -> _Columns:
+    """Return the slopes of the residual in some of the unknowns, a row each."""
     count, axes = coefficients.shape
     dtype = coefficients.dtype
     # The basis is the same for every axis: its columns are offsets of unit vectors.
@@ -437,5 +454,5 @@ def _columns(
     moves = linear.move(basis[:, column][:, None] * along.T[None])
     units = along[:, None] * jax.nn.one_hot(column, count, dtype=dtype)[..., None]
     residual = lambda motion, x: errors_of(motion, x, args)
-    _, push = jax.linearize(residual, linear.motion, coefficients)
-    return jax.vmap(push)(moves, units)
+    value, push = jax.linearize(residual, linear.motion, coefficients)
+    return _Columns(value.error, jax.vmap(push)(moves, units))

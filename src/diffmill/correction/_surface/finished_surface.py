@@ -1,4 +1,4 @@
-"""The error of the machined surface, differentiable, for a flat tool along +z.
+"""The machined surface, differentiable, for a flat tool along +z.
 
 The rigid tool leaves a stock whose ray ends are points on the surface as it should be:
 walls, which the side of the tool cut, and floors, which its bottom cut. At such a point
@@ -13,7 +13,6 @@ an evaluation is a gather and a minimum. Unlike the tip's deviation it sees that
 is cut again by a later one, and which of two neighbouring poses decides.
 """
 
-import dataclasses
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -25,8 +24,6 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..._types import FloatRows3, RealScalarLike
 from ...workpiece import Rays, Stock
-from .._core.path_objective import AbstractObjective, beyond, deviation_of, row_shares
-from .._core.problem import Motion, Problem
 
 # Where a pose does not reach a point, it leaves material this far out [m].
 _FAR = 1.0
@@ -151,6 +148,32 @@ class FinishedSurface(eqx.Module):
             radius=np.asarray(radius, np.float64),
         )
 
+    def host_slopes(self, actual: FloatRows3) -> Float[np.ndarray, "3 point pose"]:
+        """Return by how much the depth of a pose grows with each axis of its tip.
+
+        Args:
+            actual: Actual tips [m], shape (step, 3).
+
+        Returns:
+            Derivatives of `depths`, shape (3, point, pose).
+
+        **Differentiability**: none, a host function.
+        """
+        tips, n = np.asarray(actual, np.float64), np.asarray(self.normals)[:, None]
+        apart = tips[np.asarray(self.poses)] - np.asarray(self.points)[:, None]
+        across = apart[..., 1] * n[..., 0] - apart[..., 0] * n[..., 1]
+        R = float(self.radius)
+        is_under = R**2 - across**2 > (0.01 * R) ** 2
+        lean = across / np.sqrt(np.where(is_under, R**2 - across**2, 1.0))
+        is_wall = np.asarray(self.is_wall)[:, None]
+        is_over = np.sum(apart[..., :2] ** 2, axis=2) < R**2
+        slopes = [
+            np.where(is_wall & is_under, n[..., 0] - lean * n[..., 1], 0.0),
+            np.where(is_wall & is_under, n[..., 1] + lean * n[..., 0], 0.0),
+            np.where(~is_wall & is_over, 1.0, 0.0),
+        ]
+        return np.stack(slopes)
+
     def point_shares(
         self,
         desired: FloatRows3,
@@ -200,59 +223,14 @@ def _depths(xp: ModuleType, surface: FinishedSurface, tips: Any, poses: Any) -> 
     apart = tips[poses] - p[:, None]
     out = xp.sum(apart * n[:, None], axis=2)
     across = apart[..., 1] * n[:, None, 0] - apart[..., 0] * n[:, None, 1]
-    R = xp.asarray(surface.radius, tips.dtype)
+    R, far = (xp.asarray(x, tips.dtype) for x in (surface.radius, _FAR))
     square = R**2 - across**2
     is_under = square > (0.01 * R) ** 2
     wall = out - xp.sqrt(xp.where(is_under, square, 1.0))
-    wall = xp.where(is_under, wall, xp.asarray(_FAR, tips.dtype))
-    return xp.where(xp.asarray(surface.is_wall)[:, None], wall, out)
-
-
-class SurfaceObjective(AbstractObjective):
-    """The signed error of the machined surface, walls and floors apart.
-
-    Attributes:
-        surface: The surface as it should be.
-        wall_weight: Weight of the walls' mean square.
-        floor_weight: Weight of the floors' mean square.
-        tolerance: Half the width of the band within which no error counts [m].
-        shares: How much each point counts among those of its kind, see
-            `FinishedSurface.point_shares`, shape (point,); all alike if None.
-    """
-
-    surface: FinishedSurface
-    wall_weight: RealScalarLike = 1.0
-    floor_weight: RealScalarLike = 1.0
-    tolerance: RealScalarLike = 0.0
-    shares: Float[np.ndarray, " point"] | Float[Array, " point"] | None = None
-
-    def errors(
-        self, problem: Problem, motion: Motion, lag_weight: RealScalarLike
-    ) -> Float[Array, " error"]:
-        """Return the errors of the points, and the whole deviation for its lag.
-
-        **Differentiability**: that of `FinishedSurface.errors`; kink at the band.
-        """
-        error = self.surface.errors(motion.actual)
-        dtype = error.dtype
-        is_wall = jnp.asarray(self.surface.is_wall)
-        counts = 1.0 if self.shares is None else self.shares
-        share = jnp.asarray(counts, dtype) * jnp.ones_like(error)
-        weight = jnp.where(is_wall, self.wall_weight, self.floor_weight).astype(dtype)
-        total = jnp.where(
-            is_wall,
-            jnp.sum(jnp.where(is_wall, share, 0.0)),
-            jnp.sum(jnp.where(is_wall, 0.0, share)),
-        )
-        share = jnp.sqrt(weight * share / jnp.maximum(total, 1e-30))
-        error = beyond(error[:, None], self.tolerance)[:, 0] * share
-        rest = deviation_of(problem, motion) * row_shares(problem, dtype)[:, None]
-        rest = jnp.asarray(lag_weight, dtype) * rest
-        return jnp.concatenate([error, rest.reshape(-1)])
-
-    def majorant(self) -> "SurfaceObjective":
-        """Return the objective without its tolerance."""
-        return dataclasses.replace(self, tolerance=0.0)
+    wall = xp.where(is_under, wall, far)
+    is_over = apart[..., 0] ** 2 + apart[..., 1] ** 2 < R**2
+    floor = xp.where(is_over, out, far)
+    return xp.where(xp.asarray(surface.is_wall)[:, None], wall, floor)
 
 
 class _SurfaceEnds(NamedTuple):
@@ -301,8 +279,10 @@ def _wall_points(
 ) -> _SurfacePoints:
     """Return points that the tool's side cut.
 
-    Points above each other on a wall are alike to an upright tool: the lowest stands
-    for all, half a spacing above the tip so that a tip that lifts still cuts it.
+    Of points above each other on a wall an upright tool leaves the highest the deepest
+    cut, by all passes, and the lowest the least, by those that go down to it: the two
+    stand for all. The lowest is half a spacing above the tip, so that a tip that lifts
+    still cuts it.
     """
     found = [_surface_ends(stock, family, (0, 1)) for family in (0, 1)]
     points = np.concatenate([ends.points for ends in found])
@@ -318,8 +298,15 @@ def _wall_points(
     points, normals = points[is_side], normals[is_side] / length[is_side, None]
     order = np.argsort(points[:, 2], kind="stable")
     key = np.round(points[order, :2] / (1e-3 * stock.spacing))
-    chosen = order[np.unique(key, axis=0, return_index=True)[1]]
-    return _SurfacePoints(points[chosen], normals[chosen])
+    _, lowest = np.unique(key, axis=0, return_index=True)
+    _, highest = np.unique(key[::-1], axis=0, return_index=True)
+    lowest, highest = order[lowest], order[len(order) - 1 - highest]
+    # A wall ends between its highest ray and the next.
+    ends = points[highest] + np.array([0.0, 0.0, 0.5 * stock.spacing])
+    return _SurfacePoints(
+        np.concatenate([points[lowest], ends]),
+        np.concatenate([normals[lowest], normals[highest]]),
+    )
 
 
 def _floor_points(
@@ -374,16 +361,16 @@ def _floor_poses(
     radius: float,
     reach: float,
 ) -> list[Int[np.ndarray, " pose"]]:
-    """Return the poses whose bottom covers each point."""
+    """Return the poses whose bottom covers each point or may, if one is sure to."""
     found = []
     for p in points:
         off = np.hypot(tips[:, 0] - p[0], tips[:, 1] - p[1])
-        is_near = (off < radius - reach) & (tips[:, 2] - p[2] < reach)
-        found.append(np.flatnonzero(is_near))
+        is_low = tips[:, 2] - p[2] < reach
+        is_sure = np.any(is_low & (off < radius - reach))
+        found.append(np.flatnonzero(is_sure & is_low & (off < radius + reach)))
     return found
 
 
 def _filled(rows: Int[np.ndarray, " pose"], width: int) -> Int[np.ndarray, " wide"]:
-    """Return rows of one width; the first pose stands in for what is missing."""
-    missing = width - rows.size
-    return np.concatenate([rows, np.repeat(rows[:1], missing)]).astype(np.int32)
+    """Return rows of one width, each about as often as the others, in their order."""
+    return rows[np.arange(width) * rows.size // width].astype(np.int32)
