@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 import scipy.spatial
 from correction.spring_mass import rounded_square, soft_arm
+from slides_job import write_slides_job
 
+import diffmill as dm
 from diffmill import LineWeight
 from diffmill.correction import (
     FinishedSurface,
@@ -398,6 +400,60 @@ def test_poses_about_as_deep_come_out_together():
 
     before = 30e-6
     assert left(SurfaceObjective) < 0.1 * before and left(DeepestMoves) > 0.9 * before
+
+
+def test_a_wall_has_the_deviation_of_the_instant_at_which_it_is_cut(cut):
+    """Rows that tell of the middle of a period, of a tool that drifts into the wall."""
+    path = two_passes()
+    ideal, rows = cut(jnp.asarray(path)), np.arange(len(path))
+    shares = np.full(len(path), 0.5)
+    surface = FinishedSurface.from_cut(ideal, path, RADIUS, shares=shares)
+    np.testing.assert_allclose(np.asarray(surface.errors(path)), 0.0, atol=1e-12)
+    drift = 1e-6
+    actual = path + np.array([[0.0, drift, 0.0]]) * (rows - 0.5)[:, None]
+    wall = np.asarray(surface.errors(actual))[surface.is_wall]
+    # The fixture cuts with the rows, those of the second pass at last.
+    second = rows >= len(path) // 2
+    place = surface.points[surface.is_wall, 0]
+    last = np.interp(place, path[second][::-1, 0], rows[second][::-1])
+    # Places lie between two rows.
+    np.testing.assert_allclose(wall, -drift * last, atol=0.3 * drift)
+    assert np.mean(wall + drift * last) == pytest.approx(0.0, abs=0.05 * drift)
+
+
+CORNERS = """G21 G90 G94
+G0 X5 Y4 Z1
+G1 Z-0.8 F1500
+G1 X10 F3000
+G1 Y8
+G1 X5
+G0 Z1
+M2
+"""
+
+
+@pytest.mark.slow
+def test_the_walls_of_a_soft_machine_are_those_of_its_stock_around_corners(tmp_path):
+    file = write_slides_job(tmp_path, program=CORNERS)
+    text = file.read_text().replace('["8 mm", "8 mm", ', '["18 mm", "15 mm", ')
+    file.write_text(text.replace('["0 mm", "0 mm", "-2', '["-4 mm", "-4 mm", "-2'))
+    done = dm.simulate(dm.load_job(file))
+    truth = SurfaceError.of_stock(done.stock, done.rigid.stock, leaves_out_raw=True)
+    rows = truth.is_cut & truth.is_across & ~truth.is_floor
+    tree = scipy.spatial.KDTree(truth.points[rows])
+    path, actual = np.asarray(done.desired), done.desired + done.surface_deviation
+
+    def apart(shares):
+        surface = FinishedSurface.from_cut(
+            done.rigid.stock, path, RADIUS, shares=shares
+        )
+        # Against planes the mesh of the ideal is exact.
+        mine = surface.is_wall & (np.abs(surface.normals).max(axis=1) > 0.9999)
+        wanted = truth.error[rows][tree.query(surface.points[mine])[1]]
+        return np.abs(np.asarray(surface.errors(actual))[mine] - wanted).max()
+
+    assert np.abs(truth.error[rows]).max() > 50e-6
+    assert apart(np.asarray(done.wall_share)) < 2e-6 < 0.5 * apart(None)
 
 
 def test_the_top_of_a_wall_and_the_rim_of_a_floor_are_seen(cut):

@@ -210,7 +210,7 @@ def correct(
     if throw:
         before.raise_unless_successful(job)
     is_optimised = "corrected" in compared(job)
-    surface = job_surface(job, rigid) if is_optimised else None
+    surface = job_surface(job, rigid, before.wall_share) if is_optimised else None
     weights = _weights(job, before, surface)
     plant = TipPlant(job, adjoint, before.wall_share, rigid)
     problem = job_problem(job, plant, desired, before, weights)

@@ -54,7 +54,9 @@ def job_weights(
     )
 
 
-def job_surface(job: Job, rigid: Run) -> FinishedSurface | None:
+def job_surface(
+    job: Job, rigid: Run, wall_share: Float[Array, " step"]
+) -> FinishedSurface | None:
     """Return the surface as it should be; None where it is not of walls and floors.
 
     It is for a flat cutter that stands along +z and leaves something of what it cut.
@@ -63,7 +65,10 @@ def job_surface(job: Job, rigid: Run) -> FinishedSurface | None:
         return None
     try:
         return FinishedSurface.from_cut(
-            rigid.stock, job.path.positions, job.cutter.nominal_radius
+            rigid.stock,
+            job.path.positions,
+            job.cutter.nominal_radius,
+            shares=np.asarray(wall_share),
         )
     except ValueError:
         return None

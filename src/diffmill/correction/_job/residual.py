@@ -86,7 +86,7 @@ def _tip_problem(job: Job) -> _OffsetProblem:
     adjoint, desired = ThroughPoses(), jnp.asarray(job.path.positions)
     job, before = run_with_room(job, desired, adjoint, lambda message, share: None)
     before.raise_unless_successful(job)
-    surface = job_surface(job, before.rigid)
+    surface = job_surface(job, before.rigid, before.wall_share)
     weights = job_weights(job, before.rigid, before.is_cutting, surface)
     plant = TipPlant(job, adjoint, before.wall_share)
     problem = job_problem(job, plant, desired, before, weights)

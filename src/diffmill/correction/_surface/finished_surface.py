@@ -36,6 +36,50 @@ _SAME_DEPTH = 1e-6
 _NEAR = 1e-4
 
 
+class CutInstants(eqx.Module):
+    """When the poses over the points of a surface cut them.
+
+    The deviation of a row is taken at the instant at which a tooth looks at a right
+    angle to the feed. Around a corner the tool cuts in other directions too, and on a
+    helix higher points are cut later.
+
+    Attributes:
+        late: How much later than its row's deviation a pose cuts the point [tooth
+            period], shape (point, pose).
+        ahead: From the row to where the path is then [m], less what the slope of the
+            rows takes for it, shape (point, pose, 3).
+    """
+
+    late: Float[np.ndarray, "point pose"] | Float[Array, "point pose"]
+    ahead: Float[np.ndarray, "point pose 3"] | Float[Array, "point pose 3"]
+
+    @classmethod
+    def of(
+        cls,
+        cut_by: Float[np.ndarray, " point"],
+        poses: Int[np.ndarray, "point pose"],
+        desired: Float[np.ndarray, "step 3"],
+        shares: Float[np.ndarray, " step"],
+    ) -> "CutInstants":
+        """Return the instants of points that were cut at some times.
+
+        Args:
+            cut_by: When the points were cut [tooth period], shape (point,); NaN where a
+                pose cuts at the instant of its row.
+            poses: Rows of the poses over them, shape (point, pose).
+            desired: The path [m], shape (step, 3).
+            shares: When in its period each row's deviation is taken, shape (step,).
+        """
+        # The instant in a period is that of the rigid cut: teeth come again.
+        phase = (cut_by - np.ceil(cut_by) + 1)[:, None]
+        own = np.isnan(phase)
+        late = np.where(own, 0.0, phase - shares[poses])
+        back = np.where(own, 0.0, phase - 1)[..., None]
+        step = np.diff(desired, axis=0, prepend=desired[:1])
+        taken = late[..., None] * np.gradient(desired, axis=0)[poses]
+        return cls(late, back * step[poses] - taken)
+
+
 class FinishedSurface(eqx.Module):
     """Points of the ideal surface and the poses that may cut there.
 
@@ -46,6 +90,7 @@ class FinishedSurface(eqx.Module):
         poses: Rows of the path that may be the deepest; a row may stand more than
             once, shape (point, pose).
         radius: Radius of the tool R [m].
+        instants: When the poses cut; with their rows if None.
     """
 
     points: Float[np.ndarray, "point 3"] | Float[Array, "point 3"]
@@ -53,6 +98,7 @@ class FinishedSurface(eqx.Module):
     is_wall: Bool[np.ndarray, " point"] | Bool[Array, " point"]
     poses: Int[np.ndarray, "point pose"] | Int[Array, "point pose"]
     radius: RealScalarLike
+    instants: CutInstants | None = None
 
     def errors(self, actual: FloatRows3) -> Float[Array, " point"]:
         """Return how far out of the ideal surface the machined one lies.
@@ -68,9 +114,7 @@ class FinishedSurface(eqx.Module):
         """
         # The choice is held fixed: `min` would share a tie's derivative among all.
         best = jnp.argmin(self.depths(jax.lax.stop_gradient(actual)), axis=1)
-        poses = jnp.asarray(self.poses, jnp.int32)
-        chosen = jnp.take_along_axis(poses, best[:, None], axis=1)
-        return self._depths(actual, chosen)[:, 0]
+        return self._depths(actual, best[:, None])[:, 0]
 
     def depths(self, actual: FloatRows3) -> Float[Array, "point pose"]:
         """Return how far out of the ideal surface each pose of a point cuts [m].
@@ -83,23 +127,28 @@ class FinishedSurface(eqx.Module):
 
         **Differentiability**: smooth where the pose cuts.
         """
-        return self._depths(actual, jnp.asarray(self.poses, jnp.int32))
+        return self._depths(actual)
 
     def host_depths(self, desired: FloatRows3) -> Float[np.ndarray, "point pose"]:
         """Return what `depths` does, as NumPy arrays."""
-        tips, poses = np.asarray(desired, np.float64), np.asarray(self.poses)
-        return _depths(np, self, tips, poses)
+        return _depths(np, self, np.asarray(desired, np.float64))
 
     @eqx.filter_jit
     def _depths(
-        self, actual: FloatRows3, poses: Int[Array, "point some"]
+        self, actual: FloatRows3, chosen: Int[Array, "point some"] | None = None
     ) -> Float[Array, "point some"]:
-        """Return how far out of the ideal surface some poses of each point cut."""
-        return _depths(jnp, self, jnp.asarray(actual), poses)
+        """Return how far out of the ideal surface poses of each point cut."""
+        return _depths(jnp, self, jnp.asarray(actual), chosen)
 
     @classmethod
     def from_cut(
-        cls, stock: Stock, desired: FloatRows3, radius: float, *, reach: float = 5e-4
+        cls,
+        stock: Stock,
+        desired: FloatRows3,
+        radius: float,
+        *,
+        reach: float = 5e-4,
+        shares: Float[np.ndarray, " step"] | None = None,
     ) -> "FinishedSurface":
         """Return the surface that a rigid flat tool along +z leaves.
 
@@ -109,6 +158,9 @@ class FinishedSurface(eqx.Module):
             radius: Radius of the tool [m].
             reach: A pose may decide a point if the desired one stays at most this far
                 out of it [m]: twice the largest error that is to be seen right.
+            shares: When in the tooth period before each row the actual tips are taken,
+                see `Solution.wall_share`, shape (step,); where the walls are made if
+                None.
 
         Returns:
             At most 2000 points of walls and of floors each.
@@ -134,18 +186,25 @@ class FinishedSurface(eqx.Module):
         kept = [
             _thinned(np.flatnonzero(seen), _PAIRS // (2 * width)) for seen in is_seen
         ]
+        walls, floors = walls.taken(kept[0]), floors.taken(kept[1])
+        rows = np.stack(
+            [
+                _filled(kind[i], width)
+                for kind, few in zip(poses, kept, strict=True)
+                for i in few
+            ]
+        )
+        instants = None
+        if shares is not None:
+            cut_by = np.concatenate([walls.cut_by, floors.cut_by])
+            instants = CutInstants.of(cut_by, rows, tips, np.asarray(shares))
         return cls(
-            points=np.concatenate([walls.points[kept[0]], floors.points[kept[1]]]),
-            normals=np.concatenate([walls.normals[kept[0]], floors.normals[kept[1]]]),
+            points=np.concatenate([walls.points, floors.points]),
+            normals=np.concatenate([walls.normals, floors.normals]),
             is_wall=np.repeat([True, False], [kept[0].size, kept[1].size]),
-            poses=np.stack(
-                [
-                    _filled(kind[i], width)
-                    for kind, few in zip(poses, kept, strict=True)
-                    for i in few
-                ]
-            ),
+            poses=rows,
             radius=np.asarray(radius, np.float64),
+            instants=instants,
         )
 
     def host_slopes(self, actual: FloatRows3) -> Float[np.ndarray, "3 point pose"]:
@@ -155,12 +214,13 @@ class FinishedSurface(eqx.Module):
             actual: Actual tips [m], shape (step, 3).
 
         Returns:
-            Derivatives of `depths`, shape (3, point, pose).
+            Derivatives of `depths`, shape (3, point, pose). That the tips beside tell
+            where a tip is at another instant than its row's is left out.
 
         **Differentiability**: none, a host function.
         """
-        tips, n = np.asarray(actual, np.float64), np.asarray(self.normals)[:, None]
-        apart = tips[np.asarray(self.poses)] - np.asarray(self.points)[:, None]
+        apart = _apart(np, self, np.asarray(actual, np.float64))
+        n = np.asarray(self.normals)[:, None]
         across = apart[..., 1] * n[..., 0] - apart[..., 0] * n[..., 1]
         R = float(self.radius)
         is_under = R**2 - across**2 > (0.01 * R) ** 2
@@ -214,13 +274,33 @@ class FinishedSurface(eqx.Module):
         return found
 
 
-def _depths(xp: ModuleType, surface: FinishedSurface, tips: Any, poses: Any) -> Any:
-    """Return how far out of a surface some poses of each point cut, in NumPy or JAX.
+def _apart(
+    xp: ModuleType, surface: FinishedSurface, tips: Any, chosen: Any = None
+) -> Any:
+    """Return poses less their points when they cut, all or some of each point."""
+    poses, instants = xp.asarray(surface.poses), surface.instants
+    rows = poses if chosen is None else xp.take_along_axis(poses, chosen, axis=1)
+    found = tips[rows]
+    if instants is not None:
+        late, ahead = (
+            xp.asarray(x, tips.dtype) for x in (instants.late, instants.ahead)
+        )
+        if chosen is not None:
+            index = (xp.arange(len(chosen))[:, None], chosen)
+            late, ahead = late[index], ahead[index]
+        found = found + late[..., None] * xp.gradient(tips, axis=0)[rows] + ahead
+    return found - xp.asarray(surface.points, tips.dtype)[:, None]
+
+
+def _depths(
+    xp: ModuleType, surface: FinishedSurface, tips: Any, chosen: Any = None
+) -> Any:
+    """Return how far out of a surface poses of each point cut, in NumPy or JAX.
 
     On the host a program would serve one number of points alone.
     """
-    p, n = (xp.asarray(x, tips.dtype) for x in (surface.points, surface.normals))
-    apart = tips[poses] - p[:, None]
+    n = xp.asarray(surface.normals, tips.dtype)
+    apart = _apart(xp, surface, tips, chosen)
     out = xp.sum(apart * n[:, None], axis=2)
     across = apart[..., 1] * n[:, None, 0] - apart[..., 0] * n[:, None, 1]
     R, far = (xp.asarray(x, tips.dtype) for x in (surface.radius, _FAR))
@@ -263,15 +343,26 @@ def _surface_ends(stock: Stock, family: int, sides: tuple[int, ...]) -> _Surface
 
 
 class _SurfacePoints(NamedTuple):
-    """Points of a surface [m] and their unit normals, shape (point, 3) each."""
+    """Points of a surface.
+
+    Attributes:
+        points: Where they are [m], shape (point, 3).
+        normals: Unit normals, shape (point, 3).
+        cut_by: When they were cut [tooth period], shape (point,); NaN where that makes
+            no difference.
+    """
 
     points: Float[np.ndarray, "point 3"]
     normals: Float[np.ndarray, "point 3"]
+    cut_by: Float[np.ndarray, " point"]
 
     def thinned(self) -> "_SurfacePoints":
         """Return so many of the points as a surface has of a kind."""
-        few = _thinned(np.arange(len(self.points)), _POINTS)
-        return _SurfacePoints(self.points[few], self.normals[few])
+        return self.taken(_thinned(np.arange(len(self.points)), _POINTS))
+
+    def taken(self, few: Int[np.ndarray, " few"]) -> "_SurfacePoints":
+        """Return some of the points."""
+        return _SurfacePoints(*(each[few] for each in self))
 
 
 def _wall_points(
@@ -296,17 +387,16 @@ def _wall_points(
     # Points that the rim of the bottom cut have no wall's normal.
     is_side = (np.abs(length - 1) < 1e-3) & (above > 0.5 * stock.spacing)
     points, normals = points[is_side], normals[is_side] / length[is_side, None]
+    cut_by = cut_by[is_side]
     order = np.argsort(points[:, 2], kind="stable")
     key = np.round(points[order, :2] / (1e-3 * stock.spacing))
     _, lowest = np.unique(key, axis=0, return_index=True)
     _, highest = np.unique(key[::-1], axis=0, return_index=True)
-    lowest, highest = order[lowest], order[len(order) - 1 - highest]
+    both = order[np.concatenate([lowest, len(order) - 1 - highest])]
     # A wall ends between its highest ray and the next.
-    ends = points[highest] + np.array([0.0, 0.0, 0.5 * stock.spacing])
-    return _SurfacePoints(
-        np.concatenate([points[lowest], ends]),
-        np.concatenate([normals[lowest], normals[highest]]),
-    )
+    lift = np.repeat([0.0, 0.5 * stock.spacing], [len(lowest), len(highest)])
+    points = points[both] + lift[:, None] * np.array([0.0, 0.0, 1.0])
+    return _SurfacePoints(points, normals[both], cut_by[both])
 
 
 def _floor_points(
@@ -325,7 +415,8 @@ def _floor_points(
     near, _ = KDTree(tips * scale).query(points * scale, distance_upper_bound=radius)
     points = points[(cut_by >= 0) | np.isfinite(near)]
     upward = np.tile(np.array([0.0, 0.0, 1.0]), (len(points), 1))
-    return _SurfacePoints(points, upward)
+    # The bottom is as deep at any instant, but for what lifts in a period.
+    return _SurfacePoints(points, upward, np.full(len(points), np.nan))
 
 
 def _thinned(places: Int[np.ndarray, " many"], most: int) -> Int[np.ndarray, " few"]:

@@ -7,6 +7,7 @@ whose deepest pose, on the desired path, is among its rows.
 
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -62,12 +63,17 @@ def window_bounds(
     is_inside = (poses >= first) & (poses < last)
     is_cut = np.flatnonzero(is_inside.any(axis=1))
     place, inside = poses[is_cut], is_inside[is_cut]
-    some = np.take_along_axis(place, np.argmax(inside, axis=1)[:, None], axis=1)
-    place = np.where(inside, place, some) + shift
+    # The first stands in for those of other segments.
+    some = np.argmax(inside, axis=1)[:, None]
+    column = np.where(inside, np.arange(inside.shape[1]), some)
+    place = np.take_along_axis(place, column, axis=1) + shift
     is_mine = (deepest[is_cut] >= first) & (deepest[is_cut] < end)
     free = count - is_cut.size
     fill = lambda x, value: np.concatenate(
         [x, np.full((free, *x.shape[1:]), value, x.dtype)]
+    )
+    instants = jax.tree.map(
+        lambda x: fill(np.asarray(x)[is_cut[:, None], column], 0), surface.instants
     )
     return SurfaceBounds(
         FinishedSurface(
@@ -76,6 +82,7 @@ def window_bounds(
             fill(np.asarray(surface.is_wall)[is_cut], False),
             fill(place.astype(np.int32), shift + first),
             surface.radius,
+            instants,
         ),
         fill(bounds.lower[is_cut], -np.inf),
         fill(np.where(is_mine, bounds.upper[is_cut], np.inf), np.inf),
