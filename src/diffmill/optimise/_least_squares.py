@@ -25,10 +25,9 @@ from ._quadratic_program import solve_quadratic_program
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-# By how much a refused step is shortened: at least and at most, as for the radius of a
-# trust region in Dennis and Schnabel, Numerical Methods for Unconstrained Optimization
-# and Nonlinear Equations, 1996, section 6.4.3.
-_SHRINK = (0.1, 0.5)
+# Length of a trial over that of a refused one, in the metric of the curvature. What a
+# parabola through the trial gives is less, but the next one has another direction.
+_SHORTER = 0.5
 # How often the damping is raised beside the trials, until a step is short enough.
 _RAISES = 20
 # Share of the cost that a step must be foreseen to take away for its point to be taken
@@ -65,14 +64,6 @@ class LinearRows(eqx.Module):
         outside = values - np.clip(values, self.lower, self.upper)
         return 0.5 * self.weight**2 * float(outside @ outside)
 
-    def slope(self, p: Vector) -> float:
-        """Return the slope of the energy along a step, where it begins."""
-        if np.isinf(self.weight):
-            return 0.0
-        at = np.zeros(len(self.lower))
-        outside = at - np.clip(at, self.lower, self.upper)
-        return self.weight**2 * float(outside @ (self.matrix @ p))
-
 
 def _in_units(
     rows: LinearRows,
@@ -104,19 +95,6 @@ class QuadraticModel(eqx.Module):
     gradient: Vector
     curvature: Float[np.ndarray, "unknown unknown"]
     rows: tuple[LinearRows, ...] = ()
-
-    def best_share(self, p: Vector, rise: float) -> float:
-        """Return the share of a step that lowers the cost most; 0 if not known.
-
-        By the parabola with the slope of the model that goes through a trial.
-
-        Args:
-            p: A step that was tried.
-            rise: What it added to the cost, infinite if it may not be taken.
-        """
-        slope = float(self.gradient @ p) + sum(rows.slope(p) for rows in self.rows)
-        bend = rise - slope
-        return -slope / (2 * bend) if np.isfinite(bend) and bend > 0 else 0.0
 
     def decrease(self, p: Vector) -> float:
         """Return by how much a step lowers the cost in the model."""
@@ -453,8 +431,7 @@ def _stepped(
         if is_still or curved < solver.kink or trials == solver.attempts:
             break
         # A step that hardly differs from one that was refused is refused too.
-        shrink = np.clip(model.best_share(p, cost - now), *_SHRINK)
-        longest = min(longest, curved) * float(shrink) ** 2
+        longest = min(longest, curved) * _SHORTER**2
     cost = cost if is_better else now
     step = LeastSquaresStep(
         cost, used, state.evaluations, state.models, seconds(), is_better

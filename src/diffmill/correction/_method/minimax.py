@@ -95,13 +95,6 @@ class MinimaxModel(QuadraticModel):
             shared=shared,
         )
 
-    def best_share(self, p: Unknowns, rise: float) -> float:
-        """Return the share of a step that lowers the largest cost most, as of now."""
-        worst = max(self.members, key=lambda member: member.value)
-        gradient = worst.gradient + self.shared.gradient
-        model = QuadraticModel(self.cost, gradient, self.curvature, self.rows)
-        return model.best_share(p, rise)
-
     def decrease(self, p: Unknowns) -> float:
         """Return by how much a step lowers the largest cost in the model."""
         return self._total(np.zeros_like(p)) - self._total(p)
