@@ -55,7 +55,7 @@ SETTINGS = (
     Setting("segments", "paper_small", {"horizon": "600", "overlap": "256"}),
     Setting("flange spring", "paper_small", {}, SPRING),
     Setting("Adam", "paper_small", {"method": '"adam"', "max_steps": "100"}),
-    # The deepest pose over a point changes from step to step: it takes more of them.
+    # Which pose is the deepest over a point changes with the steps.
     Setting("surface", "paper_small", {"objective": '"surface"', "max_steps": "6"}),
     Setting(
         "surface after two passes",

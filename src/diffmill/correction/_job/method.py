@@ -22,6 +22,8 @@ Optimiser: TypeAlias = GaussNewton | Adam
 
 # Methods that look for the case "corrected".
 OPTIMISERS = ("gauss_newton", "adam")
+# Steps towards the path at most: further ones gain there what the surface does not see.
+_STEPS_FOR_THE_PATH = 2
 
 
 def job_optimiser(
@@ -67,8 +69,10 @@ def for_the_path(method: Optimiser) -> GaussNewton | None:
         return None
     if not isinstance(method.objective, SurfaceObjective) and method.bounds is None:
         return None
+    most = min(_STEPS_FOR_THE_PATH, method.solver.max_steps)
     return dataclasses.replace(
         method,
+        solver=dataclasses.replace(method.solver, max_steps=most),
         objective=PathObjective(),
         ensemble=None,
         is_worst_case=False,
