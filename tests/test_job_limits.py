@@ -19,7 +19,7 @@ G1 Y-2
 G1 X6
 M2
 """
-GOUGE = 3e-6
+GOUGE = 2.5e-6
 UNBOUND = "acceleration_factor = inf"
 pytestmark = pytest.mark.slow
 
@@ -59,6 +59,7 @@ def errors(job, solution):
         solution.rigid.stock,
         job.path.positions,
         job.cutter.nominal_radius,
+        shares=np.asarray(solution.wall_share),
     )
     made = np.asarray(solution.desired) + np.asarray(solution.surface_deviation)
     return np.asarray(surface.errors(made))
@@ -77,9 +78,10 @@ def test_the_gouge_limit_is_kept_and_costs_little(free):
     assert rms(after) < 0.2 * rms(result.before)
     assert rms(after) < 2 * result.methods["inverse_drive"].measures.rms
     # The dexels tell the same, which know nothing of the bounds. Where wall and floor
-    # meet, a point may be off by both.
+    # meet, a point may be off by both. The mesh of the ideal is exact for planes only.
     machined = SurfaceError.of_stock(after.stock, after.rigid.stock)
-    assert -machined.error[machined.is_cut].min() <= np.sqrt(2) * GOUGE
+    rows = machined.is_cut & (np.abs(machined.normal).max(axis=1) > 0.9999)
+    assert -machined.error[rows].min() <= np.sqrt(2) * GOUGE
 
 
 def test_without_a_limit_the_correction_cuts_deeper(free):

@@ -55,7 +55,7 @@ SETTINGS = (
     Setting("segments", "paper_small", {"horizon": "600", "overlap": "256"}),
     Setting("flange spring", "paper_small", {}, SPRING),
     Setting("Adam", "paper_small", {"method": '"adam"', "max_steps": "100"}),
-    # Which pose is the deepest over a point changes with the steps.
+    # Which pose is the deepest over a point changes with the steps: more of them gain.
     Setting("surface", "paper_small", {"objective": '"surface"', "max_steps": "6"}),
     Setting(
         "surface after two passes",

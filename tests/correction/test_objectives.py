@@ -60,7 +60,7 @@ def test_the_model_of_a_step_lies_above_the_cost_and_touches_it():
     at = lambda one, d: one.errors(problem, moved(d), 0.0)
     cost = lambda d: jnp.sum(at(objective, d) ** 2)
     zero = jnp.zeros_like(motion.actual)
-    model = objective.for_step(problem, motion)
+    model = objective.for_step(problem, motion, 0.0)
     slopes = jax.jacfwd(lambda d: at(model, d))(zero)
     error = at(model, zero)
     np.testing.assert_allclose(error, at(objective, zero), atol=1e-18)
@@ -75,7 +75,7 @@ def test_the_model_of_a_step_lies_above_the_cost_and_touches_it():
 class OwnSlopes(PathObjective):
     """Steps with the slopes of the cost itself."""
 
-    def for_step(self, problem, motion):
+    def for_step(self, problem, motion, lag_weight):
         return self
 
 
@@ -367,7 +367,7 @@ def test_the_model_of_a_step_is_that_of_gauss_and_newton_for_a_pose_a_point(cut)
     for tolerance in (0.0, 1e-5):
         objective = SurfaceObjective(surface, tolerance=tolerance)
         wanted = normal_equations(objective)[0]
-        found = normal_equations(objective.for_step(problem, motion))
+        found = normal_equations(objective.for_step(problem, motion, 0.1))
         np.testing.assert_allclose(found[0], wanted, atol=1e-6 * np.abs(wanted).max())
         whole = normal_equations(SurfaceObjective(surface))[1]
         np.testing.assert_allclose(found[1], whole, atol=1e-6 * np.abs(whole).max())
@@ -376,7 +376,7 @@ def test_the_model_of_a_step_is_that_of_gauss_and_newton_for_a_pose_a_point(cut)
 class DeepestMoves(SurfaceObjective):
     """Steps that know the deepest pose of a point alone."""
 
-    def for_step(self, problem, motion):
+    def for_step(self, problem, motion, lag_weight):
         return self
 
 
@@ -421,6 +421,29 @@ def test_a_wall_has_the_deviation_of_the_instant_at_which_it_is_cut(cut):
     assert np.mean(wall + drift * last) == pytest.approx(0.0, abs=0.05 * drift)
 
 
+def test_a_pose_stands_where_it_is_at_the_instant_of_a_point(cut):
+    """Also where rows are not a period apart, and the path goes on meanwhile."""
+    path = two_passes()
+    rows, rng = np.arange(len(path)), np.random.default_rng(3)
+    shares = rng.uniform(0.2, 1.0, len(path))
+    surface = FinishedSurface.from_cut(cut(jnp.asarray(path)), path, RADIUS)
+    made = FinishedSurface.from_cut(
+        cut(jnp.asarray(path)), path, RADIUS, shares=shares
+    ).instants
+    poses = np.array([[20, 21], [30, 31]])
+    at = made.of(np.array([19.7, np.nan]), poses, path, shares)
+    # A deviation that grows by the same in every period.
+    growth = np.array([1e-6, -2e-6, 3e-6])
+    actual = path + growth * (rows - 1 + shares)[:, None]
+    moved = actual[poses] + at.late[..., None] * np.gradient(actual, axis=0)[poses]
+    moved = moved + at.ahead
+    when = np.array([19.7, 20.7])
+    wanted = [np.interp(when, rows, path[:, i]) + growth[i] * when for i in range(3)]
+    np.testing.assert_allclose(moved[0], np.stack(wanted, axis=1), atol=1e-12)
+    np.testing.assert_array_equal(moved[1], actual[poses[1]])
+    assert surface.instants is None
+
+
 CORNERS = """G21 G90 G94
 G0 X5 Y4 Z1
 G1 Z-0.8 F1500
@@ -456,6 +479,28 @@ def test_the_walls_of_a_soft_machine_are_those_of_its_stock_around_corners(tmp_p
     assert apart(np.asarray(done.wall_share)) < 2e-6 < 0.5 * apart(None)
 
 
+def test_a_wall_that_ends_below_half_a_spacing_is_no_surface_above(cut):
+    """Faced first: the wall ends 0.15 mm above its highest ray."""
+    path = two_passes()
+    facing = path + np.array([[0.0, 4e-3, 0.4e-3]])
+    path = np.concatenate([facing, path])
+    surface = FinishedSurface.from_cut(cut(jnp.asarray(path)), path, RADIUS)
+    assert surface.is_wall.any()
+    np.testing.assert_allclose(np.asarray(surface.errors(path)), 0.0, atol=1e-9)
+
+
+def test_a_floor_that_is_just_missed_has_a_slope_that_leads_back():
+    path = np.linspace([5e-3, 6e-3, -1e-3], [20e-3, 6e-3, -1e-3], 60)
+    stock = box([0.0, 0.0, -3e-3], [40e-3, 12e-3, -1e-3], 0.5e-3)
+    surface = FinishedSurface.from_cut(stock, path, RADIUS)
+    short = path - np.array([[0.6e-3, 0.0, 0.0]])
+    error = np.asarray(surface.errors(short))
+    assert 0.05e-3 < error.max() < 2e-3
+    push = np.tile([1.0, 0.0, 0.0], (60, 1))
+    slope = jax.jvp(surface.errors, (jnp.asarray(short),), (jnp.asarray(push),))[1]
+    assert float(slope[np.argmax(error)]) < -5
+
+
 def test_the_top_of_a_wall_and_the_rim_of_a_floor_are_seen(cut):
     """A pass above the bottom that digs into the wall, and a rim that dips."""
     path = two_passes()
@@ -468,6 +513,7 @@ def test_the_top_of_a_wall_and_the_rim_of_a_floor_are_seen(cut):
     actual[half : half + len(high), 1] += 60e-6
     walls = np.asarray(surface.errors(actual))[surface.is_wall]
     is_top = surface.points[surface.is_wall, 2] > -0.6e-3
+    assert is_top.any() and not is_top.all()
     np.testing.assert_allclose(walls[is_top], -60e-6, atol=1e-7)
     np.testing.assert_allclose(walls[~is_top], 0.0, atol=1e-12)
     # Before it enters: a tool whose rim alone is over the stock.

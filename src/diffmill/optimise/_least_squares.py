@@ -3,8 +3,8 @@
 At a point a problem gives gradient and curvature of its cost, for a sum of squares
 those of Gauss and Newton. The curvature is damped in proportion to its diagonal
 (Marquardt), bounds of the step and linear rows included, until a trial lowers the cost:
-a good step lessens the damping, a refused one raises it until the next is shorter. A
-value that a problem computes at a point may be a whole simulation; each is computed
+a good step lessens the damping, a refused one raises it until the next is half as long.
+A value that a problem computes at a point may be a whole simulation; each is computed
 once.
 
 Reference: Nocedal and Wright, Numerical Optimization, 2006, chapter 10.3.
@@ -25,8 +25,9 @@ from ._quadratic_program import solve_quadratic_program
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-# Length of a trial over that of a refused one, in the metric of the curvature. What a
-# parabola through the trial gives is less, but the next one has another direction.
+# Length of a trial over that of a refused one, in the metric of the curvature. The
+# least of a parabola through the refused one is nearer than need be: the next one has
+# another direction.
 _SHORTER = 0.5
 # How often the damping is raised beside the trials, until a step is short enough.
 _RAISES = 20

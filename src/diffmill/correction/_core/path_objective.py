@@ -33,17 +33,21 @@ class AbstractObjective(eqx.Module):
             Errors times the root of their share in the mean [m], shape (error,).
         """
 
-    def for_step(self, problem: Problem, motion: Motion) -> "AbstractObjective":
+    def for_step(
+        self, problem: Problem, motion: Motion, lag_weight: RealScalarLike
+    ) -> "AbstractObjective":
         """Return the objective of which the model of a step is made, by default self.
 
         For an objective whose slopes at a motion know nothing of what a step from there
-        runs into. The gradient of its square there is to be that of self.
+        runs into. Its square is to fall where that of self does; whether it has, a run
+        says.
 
         Args:
             problem: The problem, whose row weights count.
             motion: What the plant does where the step begins.
+            lag_weight: As of `errors`.
         """
-        del problem, motion
+        del problem, motion, lag_weight
         return self
 
 
@@ -73,13 +77,16 @@ class PathObjective(AbstractObjective):
         error = error + jnp.asarray(lag_weight, contour.dtype) * lag
         return (error * row_shares(problem, contour.dtype)[:, None]).reshape(-1)
 
-    def for_step(self, problem: Problem, motion: Motion) -> AbstractObjective:
+    def for_step(
+        self, problem: Problem, motion: Motion, lag_weight: RealScalarLike
+    ) -> AbstractObjective:
         """Return the objective with the slopes of the whole error.
 
         Within a tolerance a row has none, so that a step is free to move it out again.
         With those of the whole error the square of the linear model lies nowhere below
         the square itself, and has the same gradient where they meet.
         """
+        del lag_weight
         if not np.any(self.tolerance):
             return self
         whole = PathObjective()

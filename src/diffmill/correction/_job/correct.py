@@ -154,8 +154,8 @@ def correct(
     The best of the commands that the job compares starts the optimiser, and only a
     method that is asked for or compared runs. For the surface, or within bounds
     of it, a path that is corrected as a whole is first brought onto the desired one
-    wherever it touches the surface: of the poses over a point only the deepest leaves
-    an error, and one after the other would have to be raised.
+    wherever it touches the surface: of the poses over a point only those about as deep
+    as the deepest are known to a step.
 
     Args:
         job: The job; its machine must not be rigid.

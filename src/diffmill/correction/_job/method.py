@@ -22,7 +22,7 @@ Optimiser: TypeAlias = GaussNewton | Adam
 
 # Methods that look for the case "corrected".
 OPTIMISERS = ("gauss_newton", "adam")
-# Steps towards the path at most: further ones gain there what the surface does not see.
+# Steps towards the path at most: further ones improve what the surface does not see.
 _STEPS_FOR_THE_PATH = 2
 
 
@@ -60,10 +60,10 @@ def job_optimiser(
 def for_the_path(method: Optimiser) -> GaussNewton | None:
     """Return what brings the rows near the surface onto the path; None if not needed.
 
-    One model is enough for a start, and it may leave the bounds of the surface: on the
-    path it is close to them, while the way to them from afar, with a spring at every
-    point that is out of bounds, takes many steps. A segment of a long path begins where
-    the one before it has ended, and goes that way.
+    The certain model is enough for a start, and it may leave the bounds of the surface:
+    on the path it is close to them, while the way to them from afar, with a spring at
+    every point that is out of bounds, takes many steps. A segment of a long path begins
+    where the one before it has ended, and goes that way.
     """
     if not isinstance(method, GaussNewton):
         return None

@@ -298,7 +298,9 @@ class OffsetFit(AbstractProblem):
         at = self.coefficients(x)
         # Its solution would make another program.
         motion = Motion(linear.motion.actual, linear.motion.force)
-        objective = self.args.objective.for_step(self.args.problem, motion)
+        objective = self.args.objective.for_step(
+            self.args.problem, motion, self.args.lag_weight
+        )
         args = dataclasses.replace(self.args, objective=objective)
         found = [
             _columns(linear, at, args, jnp.asarray(block)) for block in _blocks(x.size)

@@ -7,7 +7,8 @@ the machined surface is the deepest of the surfaces that all passes leave there:
     wall:   min over k of  n.(a_k - p) - sqrt(R^2 - (t.(a_k - p))^2)
     floor:  min over k of  a_kz - p_z
 
-with a_k the actual tips, p the point, n its normal out of the material and t across it.
+with a_k the actual tips when they cut the point, p the point, n its normal out of the
+material and t across it; of a floor those tips count whose bottom covers the point.
 The passes that may be the deepest are listed once from the desired path, so that
 an evaluation is a gather and a minimum. Unlike the tip's deviation it sees that a pass
 is cut again by a later one, and which of two neighbouring poses decides.
@@ -30,6 +31,9 @@ _FAR = 1.0
 # Points of a kind, and pairs of a point and a pose, at most; the rest of the points is
 # left out evenly.
 _POINTS, _PAIRS = 2000, 2_000_000
+# How much more a bottom leaves for each length that a point is beside its rim. It
+# leaves all there, but so a pose that ends a little short has a slope back to it.
+_RIM = 10.0
 # Poses that differ by less leave a point together [m].
 _SAME_DEPTH = 1e-6
 # A pose that is no further out of a point could spoil it [m].
@@ -41,11 +45,12 @@ class CutInstants(eqx.Module):
 
     The deviation of a row is taken at the instant at which a tooth looks at a right
     angle to the feed. Around a corner the tool cuts in other directions too, and on a
-    helix higher points are cut later.
+    helix higher points are cut later. Between rows the deviation is taken as linear:
+    what vibrates within a period is not seen.
 
     Attributes:
-        late: How much later than its row's deviation a pose cuts the point [tooth
-            period], shape (point, pose).
+        late: How much later than its row's deviation a pose cuts the point, over the
+            time from row to row, shape (point, pose).
         ahead: From the row to where the path is then [m], less what the slope of the
             rows takes for it, shape (point, pose, 3).
     """
@@ -73,7 +78,10 @@ class CutInstants(eqx.Module):
         # The instant in a period is that of the rigid cut: teeth come again.
         phase = (cut_by - np.ceil(cut_by) + 1)[:, None]
         own = np.isnan(phase)
-        late = np.where(own, 0.0, phase - shares[poses])
+        # Slopes are taken by rows, whose instants are not a period apart where the
+        # feed turns.
+        apart = np.gradient(np.arange(len(shares)) + shares)
+        late = np.where(own, 0.0, (phase - shares[poses]) / apart[poses])
         back = np.where(own, 0.0, phase - 1)[..., None]
         step = np.diff(desired, axis=0, prepend=desired[:1])
         taken = late[..., None] * np.gradient(desired, axis=0)[poses]
@@ -159,8 +167,7 @@ class FinishedSurface(eqx.Module):
             reach: A pose may decide a point if the desired one stays at most this far
                 out of it [m]: twice the largest error that is to be seen right.
             shares: When in the tooth period before each row the actual tips are taken,
-                see `Solution.wall_share`, shape (step,); where the walls are made if
-                None.
+                see `Solution.wall_share`, shape (step,); None for tips at the rows.
 
         Returns:
             At most 2000 points of walls and of floors each.
@@ -171,7 +178,7 @@ class FinishedSurface(eqx.Module):
         **Differentiability**: none, a host function.
         """
         tips = np.asarray(desired, np.float64)
-        walls = _wall_points(stock, tips, radius).thinned()
+        walls = _wall_points(stock, tips, radius).thinned().settled(tips, radius)
         floors = _floor_points(stock, tips, radius, reach).thinned()
         poses = [
             _wall_poses(walls, tips, radius, reach),
@@ -226,13 +233,14 @@ class FinishedSurface(eqx.Module):
         is_under = R**2 - across**2 > (0.01 * R) ** 2
         lean = across / np.sqrt(np.where(is_under, R**2 - across**2, 1.0))
         is_wall = np.asarray(self.is_wall)[:, None]
-        is_over = np.sum(apart[..., :2] ** 2, axis=2) < R**2
+        off = np.linalg.norm(apart[..., :2], axis=2)
+        rim = np.where(off > R, _RIM / np.maximum(off, R), 0.0)
+        across_wall = (n[..., 0] - lean * n[..., 1], n[..., 1] + lean * n[..., 0])
         slopes = [
-            np.where(is_wall & is_under, n[..., 0] - lean * n[..., 1], 0.0),
-            np.where(is_wall & is_under, n[..., 1] + lean * n[..., 0], 0.0),
-            np.where(~is_wall & is_over, 1.0, 0.0),
+            np.where(is_wall, is_under * side, rim * apart[..., axis])
+            for axis, side in enumerate(across_wall)
         ]
-        return np.stack(slopes)
+        return np.stack([*slopes, np.where(is_wall, 0.0, np.ones_like(off))])
 
     def point_shares(
         self,
@@ -308,8 +316,10 @@ def _depths(
     is_under = square > (0.01 * R) ** 2
     wall = out - xp.sqrt(xp.where(is_under, square, 1.0))
     wall = xp.where(is_under, wall, far)
-    is_over = apart[..., 0] ** 2 + apart[..., 1] ** 2 < R**2
-    floor = xp.where(is_over, out, far)
+    beside = apart[..., 0] ** 2 + apart[..., 1] ** 2
+    is_beside = beside > R**2
+    beside = xp.sqrt(xp.where(is_beside, beside, R**2)) - R
+    floor = out + xp.asarray(_RIM, tips.dtype) * beside
     return xp.where(xp.asarray(surface.is_wall)[:, None], wall, floor)
 
 
@@ -350,11 +360,13 @@ class _SurfacePoints(NamedTuple):
         normals: Unit normals, shape (point, 3).
         cut_by: When they were cut [tooth period], shape (point,); NaN where that makes
             no difference.
+        rise: How far above them they may be surface too [m], shape (point,).
     """
 
     points: Float[np.ndarray, "point 3"]
     normals: Float[np.ndarray, "point 3"]
     cut_by: Float[np.ndarray, " point"]
+    rise: Float[np.ndarray, " point"]
 
     def thinned(self) -> "_SurfacePoints":
         """Return so many of the points as a surface has of a kind."""
@@ -363,6 +375,18 @@ class _SurfacePoints(NamedTuple):
     def taken(self, few: Int[np.ndarray, " few"]) -> "_SurfacePoints":
         """Return some of the points."""
         return _SurfacePoints(*(each[few] for each in self))
+
+    def settled(
+        self, tips: Float[np.ndarray, "step 3"], radius: float
+    ) -> "_SurfacePoints":
+        """Return the points risen, but for those over which the desired path cuts."""
+        found = self.points.copy()
+        for p, n, rise in zip(found, self.normals, self.rise, strict=True):
+            p[2] += rise
+            is_near, depth = _near_wall(p, n, tips, radius)
+            if np.any(is_near & (depth < -_NEAR)):
+                p[2] -= rise
+        return self._replace(points=found)
 
 
 def _wall_points(
@@ -394,9 +418,8 @@ def _wall_points(
     _, highest = np.unique(key[::-1], axis=0, return_index=True)
     both = order[np.concatenate([lowest, len(order) - 1 - highest])]
     # A wall ends between its highest ray and the next.
-    lift = np.repeat([0.0, 0.5 * stock.spacing], [len(lowest), len(highest)])
-    points = points[both] + lift[:, None] * np.array([0.0, 0.0, 1.0])
-    return _SurfacePoints(points, normals[both], cut_by[both])
+    rise = np.repeat([0.0, 0.5 * stock.spacing], [len(lowest), len(highest)])
+    return _SurfacePoints(points[both], normals[both], cut_by[both], rise)
 
 
 def _floor_points(
@@ -416,7 +439,8 @@ def _floor_points(
     points = points[(cut_by >= 0) | np.isfinite(near)]
     upward = np.tile(np.array([0.0, 0.0, 1.0]), (len(points), 1))
     # The bottom is as deep at any instant, but for what lifts in a period.
-    return _SurfacePoints(points, upward, np.full(len(points), np.nan))
+    some = np.full(len(points), np.nan)
+    return _SurfacePoints(points, upward, some, np.zeros(len(points)))
 
 
 def _thinned(places: Int[np.ndarray, " many"], most: int) -> Int[np.ndarray, " few"]:
@@ -435,15 +459,25 @@ def _wall_poses(
     """Return the poses that may cut each wall point deepest."""
     found = []
     for p, n in zip(walls.points, walls.normals, strict=True):
-        apart = tips - p
-        out = apart @ n
-        across = apart[:, 1] * n[0] - apart[:, 0] * n[1]
-        square = radius**2 - across**2
-        depth = out - np.sqrt(np.clip(square, 0, None))
-        # A tool behind the wall cuts another one.
-        is_near = (square > (0.1 * radius) ** 2) & (tips[:, 2] < p[2]) & (out > 0)
+        is_near, depth = _near_wall(p, n, tips, radius)
         found.append(np.flatnonzero(is_near & (depth < reach)))
     return found
+
+
+def _near_wall(
+    p: Float[np.ndarray, " 3"],
+    n: Float[np.ndarray, " 3"],
+    tips: Float[np.ndarray, "step 3"],
+    radius: float,
+) -> "tuple[Bool[np.ndarray, ' step'], Float[np.ndarray, ' step']]":
+    """Return which poses cut beside a wall point, and how far out of it they do."""
+    apart = tips - p
+    out = apart @ n
+    across = apart[:, 1] * n[0] - apart[:, 0] * n[1]
+    square = radius**2 - across**2
+    # A tool behind the wall cuts another one.
+    is_near = (square > (0.1 * radius) ** 2) & (tips[:, 2] < p[2]) & (out > 0)
+    return is_near, out - np.sqrt(np.clip(square, 0, None))
 
 
 def _floor_poses(

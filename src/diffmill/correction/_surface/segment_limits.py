@@ -15,6 +15,9 @@ from ..._types import FloatRows3
 from .finished_surface import FinishedSurface
 from .surface_limits import SurfaceBounds
 
+# Depths that differ by less are alike [m].
+_SAME_DEPTH = 1e-6
+
 
 class HeldRows(NamedTuple):
     """Rows of a segment in which bounds of the surface are held.
@@ -106,11 +109,17 @@ def deepest_rows(
 ) -> Int[np.ndarray, " point"]:
     """Return the row whose desired pose is the deepest at each point, shape (point,).
 
+    Of rows as deep the nearest: a rim may end short of the point on the actual path.
+
     **Differentiability**: none, a host function.
     """
-    depth = bounds.surface.host_depths(desired)
-    best = np.argmin(depth, axis=1)[:, None]
-    return np.take_along_axis(np.asarray(bounds.surface.poses), best, axis=1)[:, 0]
+    surface, tips = bounds.surface, np.asarray(desired)
+    poses, depth = np.asarray(surface.poses), surface.host_depths(tips)
+    off = tips[poses, :2] - np.asarray(surface.points)[:, None, :2]
+    is_deepest = depth <= depth.min(axis=1, keepdims=True) + _SAME_DEPTH
+    off = np.where(is_deepest, np.linalg.norm(off, axis=2), np.inf)
+    best = np.argmin(off, axis=1)[:, None]
+    return np.take_along_axis(poses, best, axis=1)[:, 0]
 
 
 def is_kept(bounds: SurfaceBounds, errors: Float[np.ndarray, " point"]) -> bool:

@@ -150,7 +150,8 @@ def _raw_thickness(surface: FinishedSurface, raw: Stock) -> PerPoint:
     for i, (p, n) in enumerate(zip(points, normals, strict=True)):
         axis = int(np.argmax(np.abs(n)))
         ends = np.asarray(raw.families[axis].ends)
-        place = np.round((p - origin) / raw.spacing).astype(int)
+        # The top of a wall is half a spacing above its ray.
+        place = np.ceil((p - origin) / raw.spacing - 0.5 - 1e-6).astype(int)
         across = place[[(axis + 1) % 3, (axis + 2) % 3]]
         u, v = np.clip(across, 0, np.array(ends.shape[:2]) - 1)
         low, high = ends[u, v]

@@ -45,24 +45,43 @@ class SurfaceObjective(AbstractObjective):
         error = self.surface.errors(motion.actual)
         error = beyond(error[:, None], self.tolerance)[:, 0]
         error = error * jnp.sqrt(self._weights(jnp, error.dtype))
-        return jnp.concatenate([error, _whole_deviation(problem, motion, lag_weight)])
+        rest = deviation_of(problem, motion) * row_shares(problem, error.dtype)[:, None]
+        rest = jnp.asarray(lag_weight, error.dtype) * rest
+        return jnp.concatenate([error, rest.reshape(-1)])
 
-    def for_step(self, problem: Problem, motion: Motion) -> "AbstractObjective":
+    def for_step(
+        self, problem: Problem, motion: Motion, lag_weight: RealScalarLike
+    ) -> "AbstractObjective":
         """Return what the poses over a point leave if each moves by the point's error.
 
         Of the poses over a point the deepest alone leaves an error. If it alone came
         out in a step, the next one would leave it instead. So those about as deep
         share the error, and each is to move by all of it: no mean of them, which some
-        would keep by moving against others.
+        would keep by moving against others. Where one pose decides each point alone
+        this is the model of Gauss and Newton; else the gradient is another one.
         """
-        del problem
         actual = np.asarray(motion.actual)
         depth = self.surface.host_depths(actual)
         error = depth.min(axis=1)
         near = np.exp((error[:, None] - depth) / _SHARED_DEPTH)
+        # Points with few poses have some of them more than once, side by side.
+        poses = np.asarray(self.surface.poses)
+        near[:, 1:][poses[:, 1:] == poses[:, :-1]] = 0.0
         share = self._weights(np, depth.dtype) / near.sum(axis=1)
         error = np.sign(error) * np.maximum(np.abs(error) - self.tolerance, 0.0)
-        return _PoseObjective.of(self.surface, actual, near * share[:, None], error)
+        lag = float(lag_weight) * np.asarray(row_shares(problem, actual.dtype))
+        away = np.asarray(deviation_of(problem, motion), np.float64)
+        curvature = lag[:, None, None] ** 2 * np.eye(3)
+        gradient = lag[:, None] ** 2 * away
+        # A pair of a point and a pose is linear in the tip of the pose.
+        slopes, rows = self.surface.host_slopes(actual), poses.reshape(-1)
+        total = lambda pairs: np.bincount(rows, pairs.reshape(-1), len(actual))
+        for i in range(3):
+            pull = near * share[:, None] * slopes[i]
+            gradient[:, i] += total(pull * error[:, None])
+            for j in range(3):
+                curvature[:, i, j] += total(pull * slopes[j])
+        return _PoseObjective.of(curvature, gradient, actual)
 
     def _weights(self, xp: ModuleType, dtype: Any) -> Any:
         """Return the shares of the points in the mean square, in NumPy or JAX."""
@@ -76,7 +95,7 @@ class SurfaceObjective(AbstractObjective):
 
 
 class _PoseObjective(AbstractObjective):
-    """Poses that are to move by the errors of the points that they leave.
+    """Poses that are to move, in all directions by as much as their errors say.
 
     Attributes:
         roots: Roots of how much each direction of a tip counts, shape (step, 3, 3).
@@ -89,63 +108,32 @@ class _PoseObjective(AbstractObjective):
     error: Float[np.ndarray, "step 3"] | Float[Array, "step 3"]
     at: Float[np.ndarray, "step 3"] | Float[Array, "step 3"]
 
-    @classmethod
-    def of(
-        cls,
-        surface: FinishedSurface,
-        actual: FloatRows3,
-        weights: Float[np.ndarray, "point pose"],
-        errors: Float[np.ndarray, " point"],
-    ) -> "_PoseObjective":
-        """Return the objective of all pairs of a point and a pose in a mean square.
-
-        A pair is linear in the tip of its pose, so that those of a pose are three.
-
-        Args:
-            surface: The points and the poses over them.
-            actual: Actual tips from where they move [m], shape (step, 3).
-            weights: Shares of the pairs in the mean square, shape (point, pose).
-            errors: What is to go away at each point [m], shape (point,).
-        """
-        rows, slopes = (
-            np.asarray(surface.poses).reshape(-1),
-            surface.host_slopes(actual),
-        )
-        count = len(actual)
-        total = lambda pairs: np.bincount(rows, pairs.reshape(-1), count)
-        curvature, gradient = np.zeros((count, 3, 3)), np.zeros((count, 3))
-        for i in range(3):
-            pull = weights * slopes[i]
-            gradient[:, i] = total(pull * errors[:, None])
-            for j in range(i + 1):
-                curvature[:, i, j] = curvature[:, j, i] = total(pull * slopes[j])
-        size, axes = np.linalg.eigh(curvature)
-        root = np.sqrt(np.maximum(size, 0.0))
-        # No slope at all to rounding: no pull either.
-        is_there = root > 1e-6 * root.max()
-        left = np.einsum("sji,sj->si", axes, gradient)
-        left = np.where(is_there, left / np.where(is_there, root, 1.0), 0.0)
-        roots = np.where(is_there, root, 0.0)[:, :, None] * np.swapaxes(axes, 1, 2)
-        dtype = actual.dtype
-        return cls(roots.astype(dtype), left.astype(dtype), np.asarray(actual))
-
     def errors(
         self, problem: Problem, motion: Motion, lag_weight: RealScalarLike
     ) -> Float[Array, " error"]:
-        """Return what is left of the errors after a move, and the whole deviation.
+        """Return what is left of the errors after a move.
 
         **Differentiability**: smooth, linear.
         """
+        del problem, lag_weight
         moved = motion.actual - jnp.asarray(self.at)
-        error = jnp.einsum("sij,sj->si", jnp.asarray(self.roots), moved)
-        error = (error + jnp.asarray(self.error)).reshape(-1)
-        return jnp.concatenate([error, _whole_deviation(problem, motion, lag_weight)])
+        left = jnp.einsum("sij,sj->si", jnp.asarray(self.roots), moved)
+        return (left + jnp.asarray(self.error)).reshape(-1)
 
-
-def _whole_deviation(
-    problem: Problem, motion: Motion, lag_weight: RealScalarLike
-) -> Float[Array, " error"]:
-    """Return the weighted deviation, of which the surface sees a part."""
-    dtype = motion.actual.dtype
-    rest = deviation_of(problem, motion) * row_shares(problem, dtype)[:, None]
-    return (jnp.asarray(lag_weight, dtype) * rest).reshape(-1)
+    @classmethod
+    def of(
+        cls,
+        curvature: Float[np.ndarray, "step 3 3"],
+        gradient: Float[np.ndarray, "step 3"],
+        at: FloatRows3,
+    ) -> "_PoseObjective":
+        """Return the objective whose half square has a curvature and a gradient."""
+        size, axes = np.linalg.eigh(curvature)
+        root = np.sqrt(np.maximum(size, 0.0))
+        # No slope at all to rounding: no pull either.
+        is_there = root > 1e-6 * root.max(initial=0.0)
+        left = np.einsum("sji,sj->si", axes, gradient)
+        left = np.where(is_there, left / np.where(is_there, root, 1.0), 0.0)
+        roots = np.where(is_there, root, 0.0)[:, :, None] * np.swapaxes(axes, 1, 2)
+        dtype = np.asarray(at).dtype
+        return cls(roots.astype(dtype), left.astype(dtype), np.asarray(at))
