@@ -430,6 +430,7 @@ def test_a_pose_stands_where_it_is_at_the_instant_of_a_point(cut):
     made = FinishedSurface.from_cut(
         cut(jnp.asarray(path)), path, RADIUS, shares=shares
     ).instants
+    assert surface.instants is None and made is not None
     poses = np.array([[20, 21], [30, 31]])
     at = made.of(np.array([19.7, np.nan]), poses, path, shares)
     # A deviation that grows by the same in every period.
@@ -441,7 +442,6 @@ def test_a_pose_stands_where_it_is_at_the_instant_of_a_point(cut):
     wanted = [np.interp(when, rows, path[:, i]) + growth[i] * when for i in range(3)]
     np.testing.assert_allclose(moved[0], np.stack(wanted, axis=1), atol=1e-12)
     np.testing.assert_array_equal(moved[1], actual[poses[1]])
-    assert surface.instants is None
 
 
 CORNERS = """G21 G90 G94
