@@ -35,7 +35,7 @@ _POINTS, _PAIRS = 2000, 2_000_000
 # leaves all there, but so a pose that ends a little short has a slope back to it.
 _RIM = 10.0
 # Poses that differ by less leave a point together [m].
-_SAME_DEPTH = 1e-6
+SAME_DEPTH = 1e-6
 # A pose that is no further out of a point could spoil it [m].
 _NEAR = 1e-4
 
@@ -260,7 +260,7 @@ class FinishedSurface(eqx.Module):
         **Differentiability**: none, a host function.
         """
         depth = self.host_depths(desired)
-        is_deepest = depth <= depth.min(axis=1, keepdims=True) + _SAME_DEPTH
+        is_deepest = depth <= depth.min(axis=1, keepdims=True) + SAME_DEPTH
         each = np.asarray(weights, np.float64)[np.asarray(self.poses)]
         return np.max(np.where(is_deepest, each, 0.0), axis=1)
 
@@ -383,8 +383,7 @@ class _SurfacePoints(NamedTuple):
         found = self.points.copy()
         for p, n, rise in zip(found, self.normals, self.rise, strict=True):
             p[2] += rise
-            is_near, depth = _near_wall(p, n, tips, radius)
-            if np.any(is_near & (depth < -_NEAR)):
+            if np.any(_wall_depths(p, n, tips, radius) < -_NEAR):
                 p[2] -= rise
         return self._replace(points=found)
 
@@ -459,25 +458,24 @@ def _wall_poses(
     """Return the poses that may cut each wall point deepest."""
     found = []
     for p, n in zip(walls.points, walls.normals, strict=True):
-        is_near, depth = _near_wall(p, n, tips, radius)
-        found.append(np.flatnonzero(is_near & (depth < reach)))
+        found.append(np.flatnonzero(_wall_depths(p, n, tips, radius) < reach))
     return found
 
 
-def _near_wall(
+def _wall_depths(
     p: Float[np.ndarray, " 3"],
     n: Float[np.ndarray, " 3"],
     tips: Float[np.ndarray, "step 3"],
     radius: float,
-) -> "tuple[Bool[np.ndarray, ' step'], Float[np.ndarray, ' step']]":
-    """Return which poses cut beside a wall point, and how far out of it they do."""
+) -> Float[np.ndarray, " step"]:
+    """Return how far out of a wall point each pose cuts, infinite where it does not."""
     apart = tips - p
     out = apart @ n
     across = apart[:, 1] * n[0] - apart[:, 0] * n[1]
     square = radius**2 - across**2
     # A tool behind the wall cuts another one.
     is_near = (square > (0.1 * radius) ** 2) & (tips[:, 2] < p[2]) & (out > 0)
-    return is_near, out - np.sqrt(np.clip(square, 0, None))
+    return np.where(is_near, out - np.sqrt(np.clip(square, 0, None)), np.inf)
 
 
 def _floor_poses(

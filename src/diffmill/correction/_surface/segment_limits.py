@@ -12,11 +12,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..._types import FloatRows3
-from .finished_surface import FinishedSurface
+from .finished_surface import SAME_DEPTH, FinishedSurface
 from .surface_limits import SurfaceBounds
-
-# Depths that differ by less are alike [m].
-_SAME_DEPTH = 1e-6
 
 
 class HeldRows(NamedTuple):
@@ -116,7 +113,7 @@ def deepest_rows(
     surface, tips = bounds.surface, np.asarray(desired)
     poses, depth = np.asarray(surface.poses), surface.host_depths(tips)
     off = tips[poses, :2] - np.asarray(surface.points)[:, None, :2]
-    is_deepest = depth <= depth.min(axis=1, keepdims=True) + _SAME_DEPTH
+    is_deepest = depth <= depth.min(axis=1, keepdims=True) + SAME_DEPTH
     off = np.where(is_deepest, np.linalg.norm(off, axis=2), np.inf)
     best = np.argmin(off, axis=1)[:, None]
     return np.take_along_axis(poses, best, axis=1)[:, 0]
