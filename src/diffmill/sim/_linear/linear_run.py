@@ -26,7 +26,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int, PyTree, Shaped
 
-from ..._live_rows import live_rows, scan_rows
+from ..._live_rows import live_rows, scan_rows, when_live
 from ..._types import IntScalar
 from ...process import AbstractEngagement, Process
 from .._machine.machine import (
@@ -387,7 +387,12 @@ def linearise(
     def batch(state: RunState, rows: PeriodRow, _: Any):
         ended, around = jax.lax.scan(period, state, rows)
         of = lambda x: force_slopes(model, x, process.engagement.judges_period)
-        return ended, around._replace(force=jax.vmap(of)(around.force))
+        # In the air no force changes; the tool is there for much of most programs.
+        found = when_live(
+            jnp.any(around.out.force != 0), lambda: jax.vmap(of)(around.force)
+        )
+        slopes = eqx.tree_at(lambda x: x.circles, found, around.force.circles)
+        return ended, around._replace(force=slopes)
 
     rows = machine.rows(process, motors, row_count)
     index = first + jnp.arange(steps - 1, dtype=jnp.int32)
