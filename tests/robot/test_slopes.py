@@ -70,6 +70,23 @@ def test_slopes_of_a_pendulum_are_known(rng):
     np.testing.assert_allclose(found.position[0], m * g * l * np.cos(q), rtol=1e-13)
 
 
+def test_a_batch_of_slides_has_the_slopes_of_each(rng):
+    """Slides turn nothing: of a first one nothing depends on where the joints are."""
+    slides = [
+        dr.PrismaticJoint(name, axis, stiffness=1e3)
+        for name, axis in (("x", (1, 0, 0)), ("z", (0, 0, 1)))
+    ]
+    robot = dr.build([*slides, dr.RigidBody(3.0, (0.1, 0.0, 0.2), np.eye(3))])
+    args = [jnp.asarray(rng.normal(size=(5, n))) for n in (2, 2, 2, 6)]
+    slopes = lambda *args: dr.rnea_derivatives(robot, *args)
+    found = jax.tree.leaves(jax.vmap(slopes)(*args))
+    for k in range(5):
+        for batch, one in zip(
+            found, jax.tree.leaves(slopes(*(x[k] for x in args))), strict=True
+        ):
+            np.testing.assert_allclose(batch[k], one, atol=1e-14)
+
+
 def test_single_precision_has_the_same_slopes(rng):
     robot = random_tree(rng, 2, is_forked=False)
     args = motion(robot, rng)

@@ -261,9 +261,10 @@ def _carried(robot: Robot, bodies: list[_Carried]) -> list[_Carried]:
     return sums
 
 
-def _table(rows: list[Vector]) -> Float[Array, "entry body ..."]:
-    """Return one column per body."""
-    return jnp.stack([jnp.stack(entries) for entries in transpose(tuple(rows))])
+def _table(rows: list[Vector], like: Array) -> Float[Array, "entry body ..."]:
+    """Return one column per body; what no joint moves has no lanes of its own."""
+    full = lambda entries: [jnp.broadcast_to(x, like.shape) for x in entries]
+    return jnp.stack([jnp.stack(full(x)) for x in transpose(tuple(rows))])
 
 
 def _pairs(
@@ -298,7 +299,7 @@ def _stacked(
         by_qd = add(_coriolis_times(body, S), by_qd, by_qd)
         columns.append(hold((S, rate, second, momentum, swirl, by_q, by_qd)))
     S, rate, second, momentum, swirl, by_q, by_qd = (
-        _table(list(rows)) for rows in zip(*columns, strict=True)
+        _table(list(rows), q[0]) for rows in zip(*columns, strict=True)
     )
     # Row i, column j: of the joint i and one j that carries it, or is it; of the
     # other way round only where they differ.
