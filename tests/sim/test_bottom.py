@@ -60,6 +60,16 @@ def test_a_plunge_cuts_with_the_whole_end():
     assert found[depth < 0, 2] == pytest.approx(0, abs=1e-12)
 
 
+def test_a_level_end_that_descends_beside_the_work_feels_nothing():
+    level = ct.flat_end_mill(2 * R, TEETH)
+    plan = pr.choose_engagement(STOCK, level, axial_depth=5e-3, plunges=True)
+    run = lambda path: sim.simulate_process(
+        path, STOCK, level, LAW, 837.0, engagement=plan
+    )
+    path = line([0, 0, -1e-5], (-8e-3, 0.0, -1e-3))
+    assert np.all(np.asarray(eqx.filter_jit(run)(path).force) == 0)
+
+
 def test_a_level_cut_does_not_feel_the_end():
     path = line([FEED, 0, 0], (-7.1e-3, 0.3e-3, -1e-3))
     found, wanted = forces(path), forces(path, has_bottom=False)

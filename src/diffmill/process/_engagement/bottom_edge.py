@@ -111,7 +111,9 @@ class BottomEdges(eqx.Module):
                 low, high = ends[..., 0, :], ends[..., 1, :]
                 # Material that begins above the bottom is not on it.
                 is_on = (high > low) & (low < tip[..., 2:] + engagement.discs.band)
-                above = jnp.where(is_on, high - tip[..., 2:], 0).max(axis=-1)
+                # Where there is none, the whole end is clear of it.
+                above = jnp.where(is_on, high - tip[..., 2:], -cutter.nominal_radius)
+                above = above.max(axis=-1)
                 # What the corner has passed less than the lag ago still stands.
                 above = jnp.where(
                     back < engagement.lag, jnp.minimum(above, descent), above
