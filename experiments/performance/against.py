@@ -1,4 +1,4 @@
-"""Time and memory of commands and of a gradient, against another tree of the project.
+"""Time, memory and results of commands and a gradient, against another tree of ours.
 
 python experiments/performance/against.py TREE [--job FILE] [--runs 3] [--out FOLDER]
     [--commands simulate correct gradient]
@@ -7,7 +7,8 @@ Both trees run a job by turns, in processes of their own: `simulate`, `correct`,
 gradient of the summed squares of the deviation with respect to the desired path, by the
 adjoint that `simulate` takes by itself. The first turn has an empty compile cache, and
 does not count. The job is the other tree's `paper_small` unless one is named: it must
-be valid in both. With this tree for the other one sees the noise.
+be valid in both. With this tree for the other one sees the noise. What both found
+before a correction is compared number by number, and what they left after it is told.
 """
 
 import argparse
@@ -21,10 +22,15 @@ import tempfile
 import time
 from typing import NamedTuple
 
+import numpy as np
+import xarray
+
 HERE = pathlib.Path(__file__).parent
 COMMANDS = ("simulate", "correct", "gradient")
 # What this tree may take of the other's, and the noise of two equal ones.
 LIMIT = 1.05
+# What may differ, relative to the largest, where sums are in another order.
+SAME = 1e-9
 
 
 class Cost(NamedTuple):
@@ -66,6 +72,33 @@ def measure(report, other, job, runs, commands):
                 spread = ", ".join(f"{min(x):.3g} to {max(x):.3g}" for x in found)
                 report.say(f"  {what}, this tree and the other: {spread}")
                 report.figure(f"{command}, ratio of {what}", ours / theirs, LIMIT, "")
+            if command != "gradient":
+                compare(report, *(folder / f"{command}-{name}" for name in trees))
+
+
+def compare(report, *folders):
+    """Print by how much the results of two trees differ, this one's first."""
+    files = [folder / "results" / "result.nc" for folder in folders]
+    mine, other = (xarray.load_dataset(file, engine="h5netcdf") for file in files)
+    if "case" in mine.dims:
+        left = [
+            1e6 * rms_where_it_cuts(found.sel(case="corrected"))
+            for found in (mine, other)
+        ]
+        errors = f"{left[0]:.3f} um, {left[1]:.3f} um"
+        report.say(f"  corrected path, rms contour error, this and the other: {errors}")
+        mine, other = (found.sel(case="uncorrected") for found in (mine, other))
+    for name in ("force", "deviation"):
+        found, wanted = (np.asarray(each[name]) for each in (mine, other))
+        off = np.abs(found - wanted).max() / np.abs(wanted).max()
+        what = f"largest difference of {name} before correction"
+        report.figure(what, off, SAME, "")
+
+
+def rms_where_it_cuts(case):
+    """Return the rms contour error of the rows that cut [m]."""
+    error = np.asarray(case["contour_error"])[np.asarray(case["is_cutting"], bool)]
+    return float(np.sqrt(np.mean(error**2)))
 
 
 def cost(tree, folder, command, job):
