@@ -3,6 +3,7 @@
 import gc
 import os
 import pathlib
+import zlib
 from collections.abc import Iterator
 
 import jax
@@ -21,6 +22,28 @@ _FAST_COMPILING = (
     "--xla_cpu_use_fusion_emitters=false",
     "--xla_cpu_parallel_codegen_split_count=1",
 )
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the option that runs a share of the tests."""
+    parser.addoption(
+        "--share", metavar="K/N", help="run the K-th of N shares of the tests, from 0"
+    )
+
+
+def pytest_collection_modifyitems(
+    config: pytest.Config, items: list[pytest.Item]
+) -> None:
+    """Leave out all tests but those of the share that is asked for."""
+    asked = config.getoption("share")
+    if asked is None:
+        return
+    share, _, count = asked.partition("/")
+    if not (share.isdigit() and count.isdigit() and int(share) < int(count)):
+        raise pytest.UsageError(f"--share: found {asked!r}, but K/N with K < N is read")
+    of = lambda item: zlib.crc32(item.nodeid.encode()) % int(count) == int(share)
+    config.hook.pytest_deselected(items=[item for item in items if not of(item)])
+    items[:] = [item for item in items if of(item)]
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -107,6 +107,7 @@ def test_invalid_toml_shows_its_line(folder, capsys, old, new, words):
     assert all(word in error for word in words)
 
 
+@pytest.mark.slow
 def test_verbose_names_what_is_compiled(folder, capsys):
     # Of a size that no other test has compiled.
     (folder / "job.toml").write_text(JOB.replace('"6 mm", "6 mm"', '"7 mm", "4.5 mm"'))
