@@ -35,7 +35,7 @@ def pytest_collection_modifyitems(
     config: pytest.Config, items: list[pytest.Item]
 ) -> None:
     """Leave out all tests but those of the share that is asked for."""
-    asked = config.getoption("share")
+    asked = config.getoption("share", default=None)
     if asked is None:
         return
     share, _, count = asked.partition("/")

@@ -290,7 +290,7 @@ def test_a_sweep_that_changes_nothing_is_said(folder, capsys):
     values = 'job = "job.toml"\n[[sweep]]\nkey = "program.feed"\nvalues = '
     (folder / "c.toml").write_text(f'{values}["40 mm/s", "50 mm/s"]\n')
     assert main(["campaign", "c.toml", "--workers", "0"]) == 0
-    assert "program_feed changes nothing" in capsys.readouterr().err
+    assert "program_feed changes nothing" in capsys.readouterr().out
 
 
 def kill_a_worker(ones_before):

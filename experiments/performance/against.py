@@ -1,4 +1,4 @@
-"""Time, memory and results of commands and a gradient, against another tree of ours.
+"""Time, memory and results of commands, against another tree of the project.
 
 python experiments/performance/against.py TREE [--job FILE] [--runs 3] [--out FOLDER]
     [--commands simulate correct gradient]
@@ -82,7 +82,7 @@ def compare(report, *folders):
     mine, other = (xarray.load_dataset(file, engine="h5netcdf") for file in files)
     if "case" in mine.dims:
         left = [
-            1e6 * rms_where_it_cuts(found.sel(case="corrected"))
+            1e6 * rms_where_it_cuts(found.sel(case=found.attrs["corrected_case"]))
             for found in (mine, other)
         ]
         errors = f"{left[0]:.3f} um, {left[1]:.3f} um"

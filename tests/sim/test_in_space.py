@@ -52,14 +52,9 @@ def tool(kind, **options):
     return marching.Tool(radius=R, length=10e-3, corner_radius=CORNERS[kind], **options)
 
 
+CORNERS_OF_BLOCK = [-8.03e-3, -7.11e-3, -5e-3], [10.1e-3, 7.02e-3, 0]
 BLOCK, BLOCK_FOR_TILTED = (
-    wp.box(
-        [-8.03e-3, -7.11e-3, -5e-3],
-        [10.1e-3, 7.02e-3, 0],
-        D,
-        interval_counts=(6, 6, slots),
-    )
-    for slots in (1, 6)
+    wp.box(*CORNERS_OF_BLOCK, D, interval_counts=(6, 6, slots)) for slots in (1, 6)
 )
 
 
@@ -385,25 +380,36 @@ def test_gradients_match_central_differences():
         np.testing.assert_allclose((ahead - behind) / (2 * step), slope, rtol=1e-5)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["ball", "flat", "bull"])
-def test_the_second_pass_cuts_nothing(kind):
-    axis = AXIS
-    path = line([-0.3e-3, 0.04e-3, depth_of(kind, axis, 1e-3)])
-    axes = np.tile(axis, (STEPS, 1))
+def second_pass(kind, spacing):
+    """Return the force of a second pass along the same path, relative to the first."""
+    block = wp.box(*CORNERS_OF_BLOCK, spacing, interval_counts=(6, 6, 6))
+    path = line([-0.3e-3, 0.04e-3, depth_of(kind, AXIS, 1e-3)])
+    axes = np.tile(AXIS, (STEPS, 1))
     plan = pr.choose_engagement(
-        BLOCK_FOR_TILTED, mill(kind), axial_depth=1.5e-3, axes=axes, is_upright=False
+        block, mill(kind), axial_depth=1.5e-3, axes=axes, is_upright=False
     )
     run = jax.jit(
         lambda stock: sim.simulate_process(
             path, stock, mill(kind), PAPER_LAW, SPEED, axes, engagement=plan
         )
     )
-    first = run(BLOCK_FOR_TILTED)
+    first = run(block)
     second = run(first.stock)
     assert float(jnp.sum(first.removed_volume)) > 0
     # Chips below the shortest piece of a ray are rounding.
     np.testing.assert_allclose(second.removed_volume, 0, atol=1e-15)
     # The last poses stand in the corner where the first pass ended.
     once, again = (np.linalg.norm(s.force, axis=1)[:-3] for s in (first, second))
-    assert again.max() < 2e-2 * once.max()
+    return again.max() / once.max()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "most"), [("ball", 0.05), ("flat", 0.02), ("bull", 0.04)]
+)
+def test_the_second_pass_cuts_nothing(kind, most):
+    """But for where its edge rubs: a round wall is shown to a share of the spacing."""
+    found = second_pass(kind, D)
+    assert found < most
+    if kind == "ball":
+        assert second_pass(kind, D / 2) < 0.75 * found
