@@ -262,7 +262,7 @@ def _carried(robot: Robot, bodies: list[_Carried]) -> list[_Carried]:
 
 
 def _table(rows: list[Vector], like: Array) -> Float[Array, "entry body ..."]:
-    """Return one column per body; what no joint moves has no lanes of its own."""
+    """Return one column per body, also of what is the same in all of a batch."""
     full = lambda entries: [jnp.broadcast_to(x, like.shape) for x in entries]
     return jnp.stack([jnp.stack(full(x)) for x in transpose(tuple(rows))])
 
