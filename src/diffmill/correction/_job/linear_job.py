@@ -14,7 +14,6 @@ from ...numerics import CompiledOnce
 from ...process import StockHeld, wall_deviation, wall_shares
 from ...robot import Controller
 from ...sim import (
-    JobKinematics,
     JobModel,
     LinearRun,
     RunState,
@@ -160,13 +159,11 @@ def prepare_linear_job(job: Job) -> None:
     job = dataclasses.replace(job, path=job.path.padded())
     rows, dtype = job.path.step_count, np.dtype(job.simulation.precision)
     joints = 3 if job.robot is None else len(job.robot.joint_names)
-    is_joints = job.correction.command == "joint"
-    axes = joints if is_joints else 3
+    axes = joints if job.correction.command == "joint" else 3
     shapes = (rows, joints), (rows, joints, axes), (rows,)
     motors, slopes, shares = (on_device(np.zeros(x, dtype)) for x in shapes)
     model = JobModel.of(job, StockHeld())
     _linear_job.prepare(model, motors, slopes, shares, None)
-    JobKinematics(job).prepare_motor_slopes(is_joints=is_joints)
 
 
 @CompiledOnce

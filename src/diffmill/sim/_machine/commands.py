@@ -179,21 +179,6 @@ class JobKinematics(eqx.Module):
         found = _slopes(_Slopes(self.job, self.robot), joints, Ts, row_count)
         return first_rows(found, count)
 
-    def prepare_motor_slopes(self, *, is_joints: bool) -> None:
-        """Compile in the background what `motor_slopes` runs along the job's path.
-
-        Args:
-            is_joints: Whether the command is joint positions instead of tips.
-        """
-        if self.job.modes is not None:
-            return
-        robot, count = self.robot, self.job.path.step_count
-        rows, dtype = padded_count(count), np.dtype(robot.dtype)
-        joints = on_device(np.zeros((rows, len(robot.joint_names)), dtype))
-        Ts = None if is_joints else on_device(np.zeros((rows, 4, 4), dtype))
-        row_count = on_device(np.asarray(count, np.int32))
-        _slopes.prepare(_Slopes(self.job, robot), joints, Ts, row_count)
-
 
 @eqx.filter_jit
 def _poses(
