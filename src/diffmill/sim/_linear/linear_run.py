@@ -387,10 +387,10 @@ def linearise(
     def batch(state: RunState, rows: PeriodRow, _: Any):
         ended, around = jax.lax.scan(period, state, rows)
         of = lambda x: force_slopes(model, x, process.engagement.judges_period)
-        # It is traced for its shapes, too.
+        # `when_live` asks for its shapes first: under `jit` it is traced once.
         batch_of = jax.jit(jax.vmap(of))
-        # Where nothing acts on the tool no force changes with it: in the air, which is
-        # much of most programs.
+        # Where nothing acts on the tool, moving it changes no force: in the air, which
+        # is much of most programs.
         is_loaded = jnp.any(around.arm.loads != 0)
         found = when_live(is_loaded, lambda: batch_of(around.force))
         slopes = eqx.tree_at(lambda x: x.circles, found, around.force.circles)
