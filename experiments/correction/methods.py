@@ -335,6 +335,8 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=STEPS)
     parser.add_argument("--out", type=pathlib.Path, default=RESULTS)
     chosen = parser.parse_args()
+    if not (chosen.parts or chosen.settings):
+        parser.error("found neither --parts nor --settings; `run.py methods` runs all")
     report = Report("diffmill correction: methods")
     print("\n".join(report.lines), flush=True)
     rows = tuple(chosen.parts), tuple(chosen.arms), tuple(chosen.settings)
