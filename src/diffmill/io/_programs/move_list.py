@@ -83,6 +83,10 @@ class MoveList:
             self.begin_section(line)
         self._tool = tool
 
+    def name_tool(self, tool: int) -> None:
+        """Give the tool that has worked so far its number, which is told late."""
+        self._tool = tool
+
     def begin_section(self, line: int) -> None:
         """Begin a section: where the tip is has to be stated anew."""
         self._finish()

@@ -7,14 +7,17 @@ the like, WAIT SEC, and comments. A spline is a cubic one in time through its po
 
 import itertools
 import math
+import pathlib
 import re
 
 import numpy as np
 
 from ....toolpath import Point, Program
+from ..expressions import split_arguments, value_of
 from ..faults import SHOWN_FAULTS, ProgramError
 from ..geometry import ToolPlace, axis_of_abc, rotation_of_abc
 from ..text import split_lines
+from .krl_frames import KrlFrames, numbered_base
 from .reader import Reader
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
@@ -24,15 +27,20 @@ _DECLARED = re.compile(
     r"([A-Z$_]\w*(?:\[\d+\])?)\s*=\s*(\{.*\})",
     re.IGNORECASE,
 )
-_SPEED = re.compile(
-    rf"\$VEL(?:\.CP\s*=|\s*=\s*\{{\s*CP)\s*({_NUMBER}|[A-Z_]\w*)\b.*", re.IGNORECASE
+# Speed of the tip, alone or with the speeds at which the tool turns.
+_VELOCITY = re.compile(r"\$VEL\s*(?:\.CP\s*)?=\s*(.+)", re.IGNORECASE)
+_VELOCITIES = re.compile(
+    r"\{\s*(?:\w+\s*:\s*)?(?:[^{}]*,)?\s*CP\s+([^{},]+)(?:,[^{}]*)?\}", re.IGNORECASE
 )
-_BAS_SPEED = re.compile(
-    rf"BAS\s*\(\s*#(?:VEL_CP|CP_PARAMS)\s*,\s*({_NUMBER})\s*\)", re.IGNORECASE
+_CP_OF_DATA = re.compile(r"SVEL_CP\s*\((.*)\)", re.IGNORECASE)
+_BAS = re.compile(r"BAS\s*\(\s*#(\w+)\s*(?:,\s*(.*?)\s*)?\)", re.IGNORECASE)
+_FRAME_DATA = re.compile(
+    r"(?:GLOBAL\s+)?(?:DECL\s+)?(?:GLOBAL\s+)?FDAT\s+(\w+)\s*=\s*(\{.*\})",
+    re.IGNORECASE,
 )
 _SCALAR = re.compile(
-    rf"(?:(?:GLOBAL|DECL|REAL|INT|CONST)\s+)*([A-Z_]\w*(?:\[\d+\])?)(?:\.([XYZABC]))?"
-    rf"\s*=\s*({_NUMBER})",
+    r"(?:(?:GLOBAL|DECL|REAL|INT|CONST)\s+)*([A-Z_]\w*(?:\[\d+\])?)(?:\.([XYZABC]))?"
+    r"\s*=\s*([^{}]+)",
     re.IGNORECASE,
 )
 _MOTION = re.compile(
@@ -42,10 +50,10 @@ _MOTION = re.compile(
 _RELATIVE_TO = re.compile(r"\s*#(BASE|TOOL)\b", re.IGNORECASE)
 _ANGLE = re.compile(rf"CA\s*=?\s*({_NUMBER})", re.IGNORECASE)
 _APPROXIMATION = re.compile(r"\s+C_(?:DIS|VEL|ORI|PTP|SPL)\b.*$", re.IGNORECASE)
-_WITH = re.compile(
-    rf"\s+WITH\s+(?:.*?\$VEL(?:\.CP\s*=|\s*=\s*SVEL_CP\s*\()\s*({_NUMBER}))?.*$",
-    re.IGNORECASE,
-)
+_WITH = re.compile(r"(?:^|\s)WITH\s+", re.IGNORECASE)
+_ASSIGNED = re.compile(r"\$(\w+(?:\.\w+)?)\s*=\s*(.+)", re.IGNORECASE)
+# Status and turn say which way the joints reach a place.
+_BITS = re.compile(r"\s*[ST]\s+'[BH][0-9A-F]+'\s*", re.IGNORECASE)
 _TIME = re.compile(
     rf"TIME_BLOCK\s+(START|PART\s*=\s*({_NUMBER})|END\s*=\s*({_NUMBER}))",
     re.IGNORECASE,
@@ -56,9 +64,11 @@ _QUIET = re.compile(
     r"|BAS\s*\(.*\)|\$(?:ACC|APO|VEL|ORI_TYPE|CIRC_TYPE|ADVANCE|IPO_MODE|VEL_AXIS"
     r"|ACC_AXIS|BWDSTART|H_POS|LOAD|JERK)\b.*|\$(?:OUT|ANOUT)\b.*|PULSE\s*\(.*\)"
     r"|TRIGGER\b.*\bDO\s+\$(?:OUT|ANOUT)\b.*|CONTINUE|SET_CD_PARAMS\s*\(.*\)"
-    r"|[FLP]DAT_ACT\s*=.*",
+    r"|[LP]DAT_ACT\s*=.*",
     re.IGNORECASE,
 )
+_FRAMES = frozenset(["BASE", "TOOL", "IPO_MODE"])
+_CHOSEN_BY_BAS = frozenset(["VEL_CP", "CP_PARAMS", "BASE", "TOOL"])
 _JOINTS = frozenset(["A1", "A2", "A3", "A4", "A5", "A6"])
 # A spline is read as so many straight pieces between two of its points at most.
 _MOST_PIECES = 64
@@ -73,17 +83,20 @@ class _Krl(Reader):
         self.frames: dict[str, dict[str, float]] = {}
         self.scalars: dict[str, float] = {}
         self.values: dict[str, float] = dict.fromkeys("XYZABC", 0.0)
-        self.base: dict[str, float] | None = None
+        self.chosen = KrlFrames()
         self.spline: list[_Knot] | None = None
+        # The feed outside of the spline block.
+        self.outer_feed: float | None = None
         self.is_ended = False
 
 
 class _Knot:
-    """A point of a spline block: where, how it is reached, and in which share."""
+    """A point of a spline block: where, how and how fast it is reached, which share."""
 
     def __init__(self, point: Point, axis: Point, line: int, kind: str):
         self.point, self.axis, self.line, self.kind = point, axis, line, kind
         self.through, self.share = point, math.nan
+        self.feed: float | None = None
 
 
 def parse_krl(text: str, data: str = "", *, name: str = "program.src") -> Program:
@@ -100,11 +113,15 @@ def parse_krl(text: str, data: str = "", *, name: str = "program.src") -> Progra
     reader = _Krl()
     for number, row in enumerate(split_lines(data, name), 1):
         bare = _bare(row)
-        # Data of inline forms, such as FDAT, hold names and are of no motion.
-        if found := _DECLARED.fullmatch(bare):
+        # Other data of inline forms hold names and are of no motion.
+        if found := _FRAME_DATA.fullmatch(bare):
+            reader.chosen.declare(found[1], found[2])
+        elif found := _DECLARED.fullmatch(bare):
             reader.frames[found[1].upper()] = _components(found[2], number, reader)
         elif found := _SCALAR.fullmatch(bare):
             _set_scalar(found, number, reader)
+    if reader.faults:
+        raise ProgramError(pathlib.PurePath(name).stem + ".dat", reader.faults)
     for number, row in enumerate(split_lines(text, name), 1):
         bare = _bare(row)
         if bare and not reader.is_ended:
@@ -130,6 +147,8 @@ def _components(text: str, line: int, reader: Reader) -> dict[str, float]:
     inside = text.strip()[1:-1]
     inside = inside.split(":", 1)[1] if ":" in inside else inside
     for part in inside.split(","):
+        if _BITS.fullmatch(part):
+            continue
         match = _COMPONENT.fullmatch(part)
         if match is None:
             reader.refuse(line, part, "a component is a name and a number.")
@@ -146,10 +165,16 @@ def _statement(row: str, line: int, reader: _Krl) -> None:
             reader.refuse(line, row, "one DEF per file is read; write calls out.")
     elif word == "END":
         reader.is_ended = True
-    elif found := _SPEED.fullmatch(row) or _BAS_SPEED.fullmatch(row):
+    elif found := _VELOCITY.fullmatch(row):
         _set_speed(found[1], row, line, reader)
-    elif found := re.fullmatch(r"\$(BASE|TOOL)\s*=\s*(.+)", row, re.IGNORECASE):
+    elif (found := _ASSIGNED.fullmatch(row)) and found[1].upper() in _FRAMES:
         _set_frame(found[1].upper(), found[2], line, reader)
+    elif found := re.fullmatch(r"FDAT_ACT\s*=\s*(.+)", row, re.IGNORECASE):
+        _set_frame("FDAT_ACT", found[1], line, reader)
+    elif (found := _BAS.fullmatch(row)) and found[1].upper() in _CHOSEN_BY_BAS:
+        _basic(found[1].upper(), found[2] or "", row, line, reader)
+    elif found := _FRAME_DATA.fullmatch(row):
+        reader.chosen.declare(found[1], found[2])
     elif found := _DECLARED.fullmatch(row):
         reader.frames[found[1].upper()] = _components(found[2], line, reader)
     elif word in ("SPLINE", "ENDSPLINE"):
@@ -160,8 +185,8 @@ def _statement(row: str, line: int, reader: _Krl) -> None:
         reader.out.rest(float(found[1]))
     elif found := _MOTION.fullmatch(row):
         _motion(found[1].upper(), found[3], line, reader, is_relative=bool(found[2]))
-    elif found := _SCALAR.fullmatch(row):
-        _set_scalar(found, line, reader)
+    elif (found := _SCALAR.fullmatch(row)) and _set_scalar(found, line, reader):
+        pass
     elif word == "HALT":
         reader.out.note("HALT", "waits for the operator, which takes no time", line)
     elif _QUIET.fullmatch(row):
@@ -172,44 +197,80 @@ def _statement(row: str, line: int, reader: _Krl) -> None:
 
 
 def _set_speed(value: str, row: str, line: int, reader: _Krl) -> None:
-    """Set the feed [m/s]: a number, or one that is declared."""
-    try:
-        feed = float(value)
-    except ValueError:
-        feed = reader.scalars.get(value.upper(), math.nan)
+    """Set the feed [m/s] by what $VEL is set to."""
+    value = value.strip()
+    if found := _VELOCITIES.fullmatch(value):
+        value = found[1]
+    elif found := _CP_OF_DATA.fullmatch(value):
+        value = split_arguments(found[1])[0]
+    feed = value_of(value, reader.scalars, cuts=True)
     if not feed > 0:
-        reader.refuse(line, row, "a speed is above 0, and written as a number.")
+        message = "a speed is above 0, in numbers or declared ones with + - * /."
+        reader.refuse(line, row, message)
     reader.feed = feed
 
 
-def _set_scalar(found: re.Match[str], line: int, reader: _Krl) -> None:
-    """Keep a number, or a component of a declared position."""
-    name, component, value = found[1].upper(), found[2], float(found[3])
+def _set_scalar(found: re.Match[str], line: int, reader: _Krl) -> bool:
+    """Keep a number, or a component of a declared position, if it is one."""
+    name, component = found[1].upper(), found[2]
+    value = value_of(found[3], reader.scalars, cuts=True)
+    if math.isnan(value):
+        return False
     if component is None:
         reader.scalars[name] = value
     elif name in reader.frames:
         reader.frames[name] = {**reader.frames[name], component.upper(): value}
     else:
         reader.refuse(line, found[0], "no position of this name is declared.")
+    return True
 
 
 def _set_frame(kind: str, value: str, line: int, reader: _Krl) -> None:
-    """Apply $BASE and $TOOL: one base is `work`, another tool is another section."""
-    value = value.strip()
+    """Choose base, tool, or both by the data of an inline form."""
+    chosen, value = reader.chosen, value.strip()
+    data = chosen.named(value)
     if kind == "TOOL":
-        number = re.fullmatch(r"TOOL_DATA\[(\d+)\]", value, re.IGNORECASE)
-        if number:
-            reader.out.change_tool(int(number[1]), line)
+        chosen.choose_tool(value)
+    elif kind == "IPO_MODE":
+        is_external = value.upper() == "#TCP" or (data is not None and data.is_external)
+        chosen.chosen = chosen.chosen._replace(is_external=is_external)
+    elif kind == "FDAT_ACT" and data is None:
+        message = f"{value[:40]} is not declared, so tool and base stay as they are"
+        reader.out.note("FDAT_ACT", message, line)
+    elif kind == "FDAT_ACT" and data is not None:
+        chosen.choose_data(data, reader.frames, line)
+    elif data is not None and data.base is not None:
+        chosen.choose_base(numbered_base(data.base, reader.frames), line)
+    elif value.startswith("{"):
+        chosen.choose_base(_components(value, line, reader), line)
+    else:
+        name = value.upper()
+        chosen.choose_base(reader.frames.get(name, {name: 0.0}), line)
+
+
+def _basic(kind: str, value: str, row: str, line: int, reader: _Krl) -> None:
+    """Carry out BAS with a speed, a base or a tool."""
+    if kind in ("VEL_CP", "CP_PARAMS"):
+        _set_speed(value, row, line, reader)
         return
-    base = (
-        _components(value, line, reader)
-        if value.startswith("{")
-        else reader.frames.get(value.upper(), {value.upper(): 0.0})
-    )
-    if reader.base not in (None, base):
-        message = "a program with several bases is not supported; `work` is one base."
-        reader.refuse(line, value, message)
-    reader.base = base
+    number = value_of(value, reader.scalars)
+    if not (number >= 0 and number == int(number)):
+        reader.refuse(line, row, "needed is the number of a base or a tool.")
+    elif kind == "BASE":
+        base = numbered_base(int(number), reader.frames)
+        reader.chosen.choose_base(base, line)
+    else:
+        reader.chosen.choose_tool(f"TOOL_DATA[{number:.0f}]")
+
+
+def _set_with(text: str, line: int, reader: _Krl) -> None:
+    """Apply what stands behind WITH, which holds for one motion or one block."""
+    for part in split_arguments(text):
+        found = _ASSIGNED.fullmatch(part)
+        if found and found[1].upper() in ("VEL", "VEL.CP"):
+            _set_speed(found[2], part, line, reader)
+        elif found and found[1].upper() in _FRAMES:
+            _set_frame(found[1].upper(), found[2], line, reader)
 
 
 def _pose(text: str, line: int, reader: _Krl) -> dict[str, float] | None:
@@ -229,10 +290,9 @@ def _motion(
     kind: str, rest: str, line: int, reader: _Krl, *, is_relative: bool = False
 ) -> None:
     """Carry out a motion."""
-    speed = _WITH.search(rest)
     along = _RELATIVE_TO.search(rest)
-    rest = _RELATIVE_TO.sub("", rest)
-    rest = _APPROXIMATION.sub("", _WITH.sub("", rest)).strip()
+    rest, *extra = _WITH.split(_RELATIVE_TO.sub("", rest), maxsplit=1)
+    rest = _APPROXIMATION.sub("", rest).strip()
     parts = re.findall(r"\{[^{}]*\}|[^,{}]+|[{}]", rest)
     parts = [part.strip() for part in parts if part.strip()]
     wanted = 2 if kind in ("CIRC", "SCIRC") else 1
@@ -250,9 +310,13 @@ def _motion(
         reader.out.note(kind, message, line)
         reader.lose_place(line)
         return
-    before = reader.feed
-    if speed is not None and speed[1]:
-        reader.feed = float(speed[1])
+    if not reader.is_placed and not is_relative and {*"XYZ"} - set(found[-1]):
+        if reader.out.moves:
+            message = "after a motion of joints or another tool, state X, Y and Z."
+            reader.refuse(line, rest, message)
+    before, chosen = reader.feed, reader.chosen.chosen
+    _set_with(_APPROXIMATION.sub("", extra[0]) if extra else "", line, reader)
+    reader.chosen.take(line, reader)
     if is_relative:
         is_tool = along is not None and along[1].upper() == "TOOL"
         found = [_moved(pose, is_tool, rest, line, reader) for pose in found]
@@ -264,6 +328,7 @@ def _motion(
             reader.refuse(line, turn[0], "in a SPLINE block, leave CA out.")
         reader.spline.append(_Knot(point, axis, line, kind))
         reader.spline[-1].through = _place(middle).tip
+        reader.spline[-1].feed = reader.feed
     elif kind in ("CIRC", "SCIRC"):
         angle = None if turn is None else math.radians(float(turn[1]))
         reader.arc_to(_place(middle).tip, point, axis, line, angle=angle)
@@ -275,7 +340,7 @@ def _motion(
         if kind in ("PTP", "SPTP"):
             reader.out.note(kind, "is taken as a straight rapid move", line)
         reader.line_to(point, axis, line, is_rapid=kind in ("PTP", "SPTP"))
-    reader.feed = before
+    reader.feed, reader.chosen.chosen = before, chosen
 
 
 def _moved(
@@ -327,11 +392,12 @@ def _time_block(found: re.Match[str], line: int, reader: _Krl) -> None:
 def _spline(word: str, row: str, line: int, reader: _Krl) -> None:
     """Begin or end a SPLINE block."""
     if word == "SPLINE":
-        speed = _WITH.search(f" {row}")
-        reader.feed = float(speed[1]) if speed and speed[1] else reader.feed
-        reader.spline = []
+        reader.outer_feed, reader.spline = reader.feed, []
+        for text in _WITH.split(row, maxsplit=1)[1:]:
+            _set_with(text, line, reader)
         return
     knots, reader.spline = reader.spline, None
+    reader.feed = reader.outer_feed
     if not knots:
         reader.refuse(line, row, "the SPLINE block has no segment.")
         return
@@ -343,12 +409,14 @@ def _spline(word: str, row: str, line: int, reader: _Krl) -> None:
             _spline_moves(list(run), line, reader)
             continue
         for knot in run:
+            reader.feed = knot.feed
             pace = None if math.isnan(knot.share) else knot.share
             end, at = (knot.point, knot.axis), knot.line
             if knot.kind in ("CIRC", "SCIRC"):
                 reader.arc_to(knot.through, *end, at, duration=pace)
             else:
                 reader.line_to(*end, at, duration=pace)
+    reader.feed = reader.outer_feed
 
 
 def _spline_moves(knots: list[_Knot], line: int, reader: _Krl) -> None:
@@ -367,6 +435,7 @@ def _spline_moves(knots: list[_Knot], line: int, reader: _Krl) -> None:
     curve = CubicSpline(time, np.concatenate([points, axes], axis=1), bc_type="natural")
     bend = np.linalg.norm(curve(time, 2)[:, :3], axis=1)
     for index, knot in enumerate(knots):
+        reader.feed = knot.feed
         largest = max(bend[index], bend[index + 1])
         count = math.ceil(steps[index] * math.sqrt(largest / (8 * _SPLINE_TOLERANCE)))
         count = min(max(count, 1), _MOST_PIECES)

@@ -1,0 +1,66 @@
+"""Numbers that a program writes as sums and products, and lists of arguments."""
+
+import ast
+import math
+import operator
+from collections.abc import Mapping
+
+_OPERATORS = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+}
+_LONGEST = 200
+
+
+def value_of(text: str, known: Mapping[str, float], *, cuts: bool = False) -> float:
+    """Return the value of numbers and names with + - * / and parentheses.
+
+    Args:
+        text: Such as "V1 / 60".
+        known: Values by name in upper case.
+        cuts: Whether the controller cuts a quotient of whole numbers to a whole one;
+            such a one has no value here.
+
+    Returns:
+        The value; NaN where a name is not known, or anything else is found.
+    """
+    if len(text) > _LONGEST:
+        return math.nan
+    try:
+        body = ast.parse(text.strip().upper(), mode="eval").body
+        return float(_value(body, known, cuts))
+    except (SyntaxError, ValueError, ArithmeticError):
+        return math.nan
+
+
+def _value(node: ast.expr, known: Mapping[str, float], cuts: bool) -> int | float:
+    """Return the value of a part, a whole number as such."""
+    match node:
+        case ast.Constant(int() | float() as value) if not isinstance(value, bool):
+            return value
+        case ast.Name() | ast.Subscript():
+            return known.get(ast.unparse(node), math.nan)
+        case ast.UnaryOp(ast.USub(), operand):
+            return -_value(operand, known, cuts)
+        case ast.UnaryOp(ast.UAdd(), operand):
+            return _value(operand, known, cuts)
+        case ast.BinOp(left, sign, right) if type(sign) in _OPERATORS:
+            pair = _value(left, known, cuts), _value(right, known, cuts)
+            if cuts and isinstance(sign, ast.Div):
+                if all(isinstance(one, int) for one in pair):
+                    return math.nan
+            return _OPERATORS[type(sign)](*pair)
+    return math.nan
+
+
+def split_arguments(text: str) -> list[str]:
+    """Return arguments that are separated by commas outside of brackets."""
+    out, depth, begun = [], 0, 0
+    for index, letter in enumerate(text):
+        depth += (letter in "[({") - (letter in "])}")
+        if letter == "," and depth == 0:
+            out.append(text[begun:index].strip())
+            begun = index + 1
+    return [*out, text[begun:].strip()]
