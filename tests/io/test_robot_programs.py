@@ -424,3 +424,110 @@ def test_spline_of_krl_goes_through_its_points(read):
     gap = found[:, 1] - 5e-3 * np.sin(4 * time)
     inside = (time > 0.2) & (time < 0.8)
     assert np.max(np.abs(gap[inside])) < 2e-6
+
+
+@pytest.mark.parametrize(
+    ("lines", "speed"),
+    [
+        ("$VEL.CP = 12.0/60\nLIN {X 10}", 0.2),
+        ("V1=6.0\n$VEL.CP=V1/60\nLIN {X 10}", 0.1),
+        ("$VEL.CP=0.1*0.5\nLIN {X 10}", 0.05),
+        ("$VEL.CP=(0.05)\nLIN {X 10}", 0.05),
+        ("V[2]=0.01\nBAS(#VEL_CP,V[2])\nLIN {X 10}", 0.01),
+        ("$VEL={VEL: CP 0.05,ORI1 200.0}\nLIN {X 10}", 0.05),
+        ("SLIN {X 10} WITH $VEL={CP 0.05}", 0.05),
+        ("V1=0.1\nV2=V1/2\nSLIN {X 10} WITH $ACC.CP=2, $VEL.CP=V2 C_SPL", 0.05),
+        ("SPLINE WITH $VEL.CP=0.05\nSLIN {X 10}\nENDSPLINE", 0.05),
+        ("SPLINE\nSLIN {X 10} WITH $VEL.CP=0.05\nENDSPLINE", 0.05),
+        ("SPLINE\nSPL {X 10} WITH $VEL.CP=0.05\nENDSPLINE", 0.05),
+    ],
+)
+def test_speeds_of_krl_are_worked_out_and_hold_where_they_are_said(read, lines, speed):
+    text = f"DEF a( )\n{H}\n$VEL.CP=0.3\n{lines}\nLIN {{X 20}}\nEND"
+    moves = read(text, ".src").moves
+    assert moves[1].feed == pytest.approx(speed)
+    is_local = "WITH" in lines
+    assert moves[-1].feed == pytest.approx(0.3 if is_local else speed)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "$VEL.CP=12/60",
+        "$VEL=V3",
+        "$VEL.CP=__import__('os')",
+        "BAS(#VEL_CP,V9)",
+        "SLIN {X 10} WITH $VEL.CP=V9",
+        "LIN {X 10,Y 20}\nPTP {A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}\nLIN {X 50}",
+        "$IPO_MODE=#TCP\nLIN {X 10}",
+        "FDAT_ACT=FP2\nLIN {X 10}",
+        "BAS(#BASE,5)\nLIN {X 10}",
+    ],
+)
+def test_what_krl_leaves_open_or_changes_for_all_is_refused(read, line):
+    data = "DECL FDAT FP1={TOOL_NO 1,BASE_NO 1,IPO_FRAME #BASE}\n"
+    data += "DECL FDAT FP2={TOOL_NO 1,BASE_NO 2,IPO_FRAME #BASE}\n"
+    text = f"DEF a( )\nFDAT_ACT=FP1\n{H}\n$VEL.CP=1\n{line}\nEND"
+    with pytest.raises(ProgramError) as caught:
+        read(text, ".src", data)
+    assert len(caught.value.faults) == 1
+
+
+def test_home_of_krl_may_have_a_base_and_a_tool_of_its_own(read):
+    data = "DECL FDAT FHOME={TOOL_NO 0,BASE_NO 0,IPO_FRAME #BASE}\n"
+    data += "DECL FDAT FP1={TOOL_NO 1,BASE_NO 2,IPO_FRAME #BASE}\n"
+    data += "DECL FDAT FP2={TOOL_NO 3,BASE_NO 2,IPO_FRAME #BASE}\n"
+    home = "FDAT_ACT=FHOME\nPTP HOME\n"
+    text = f"DEF a( )\n{home}FDAT_ACT=FP1\n{H}\n$VEL.CP=1\nLIN {{X 10}}\n"
+    text += f"FDAT_ACT=FP2\n{H}\nLIN {{X 30}}\n{home}END"
+    program = read(text, ".src", data)
+    assert program.tools == (1, 3)
+    assert program.of_tool(3).path_length == pytest.approx(0.03)
+
+
+def test_a_fault_of_the_data_file_names_it_and_bits_of_a_place_are_read_over(read):
+    place = "DECL E6POS XP1={X 1,Y 2,Z 3,A 0,B 0,C 180,S 'B110',T 'H1F'}\n"
+    text = f"DEF a( )\n{H}\n$VEL.CP=1\nLIN XP1\nEND"
+    assert read(text, ".src", place).moves[1].end == pytest.approx((1e-3, 2e-3, 3e-3))
+    with pytest.raises(ProgramError, match=r"part\.dat, line 2"):
+        read(text, ".src", place + "DECL E6POS XP2={X 1,Y TWO}\n")
+
+
+@pytest.mark.parametrize("suffix", [".ngc", ".src", ".mod", ".apt"])
+@pytest.mark.parametrize(
+    ("text", "kind"),
+    [
+        ("G21 G90 G0 Z5\nG0 X0 Y0\nG1 Z-1 F300\nX10\nM2", ".ngc"),
+        ("G21 G90 G0 Z5\nG0 X0 Y0\nG3 X10 Y0 I5 F300\nX0 Y0 I-5\nM2", ".ngc"),
+        ("FROM/10,0,5,0,0,1\nFEDRAT/300,MMPM\nGOTO/10,0,0\nGOTO/0,0,0\nFINI", ".apt"),
+        ("time_s,x_mm,y_mm,z_mm\n0,0,0,0\n1,10,0,0\n2,10,10,0\n", ".csv"),
+        ("G21 G90 G0 X0 Y0 Z5\nG93 G1 X10 F60\nG4 P2\nG1 X20 F60\nM2", ".ngc"),
+    ],
+)
+def test_written_programs_begin_where_the_motion_does_and_rest(
+    read, tmp_path, text, kind, suffix
+):
+    (tmp_path / f"given{kind}").write_text(text)
+    given = read_program(tmp_path / f"given{kind}")
+    back = read(write_program(given, suffix), suffix)
+    program = Program.of_path(given) if isinstance(given, Path) else given
+    assert back.path_length == pytest.approx(program.path_length, rel=1e-4)
+    start, place = program.timed_moves[0].start, back.timed_moves[0].start
+    assert place == pytest.approx(start, abs=1e-9)
+    rests = [sum(move.rest for move in one.moves) for one in (program, back)]
+    assert rests[0] == rests[1]
+
+
+@pytest.mark.parametrize("suffix", [".src", ".apt"])
+def test_the_tool_turns_evenly_over_an_arc_in_pieces(read, suffix):
+    text = "PTP {X 0,Y 0,Z 0,A 0,B 0,C 180}\n$VEL.CP=1\n"
+    text += "CIRC {X 5,Y 5},{X 10,Y 0,Z 0,A 0,B 30,C 180}"
+    given = read(f"DEF a( )\n{text}\nEND", ".src")
+    back = read(write_program(given, suffix, tolerance=1e-5), suffix)
+    limits = LIMITS | {"acceleration": 1e6}
+    for share in (0.25, 0.5, 0.75):
+        axes = []
+        for program in (given, back):
+            path = sample_program(program, 1e-4, **limits)
+            axes.append(np.asarray(path.axes)[round(share * path.step_count)])
+        np.testing.assert_allclose(axes[0], axes[1], atol=5e-3)

@@ -1,4 +1,4 @@
-"""Poses of tools as robot programs write them, and curves as straight pieces.
+"""Poses of tools as robot programs write them, the moves to write, arcs in pieces.
 
 A controller's tool axis points from the flange to the tip, ours from the tip to the
 shank: the frames differ by half a turn about x. The turn about the axis is chosen so
@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ...toolpath import Move, Point
+from ...toolpath import Move, Point, Program
 
 _MOST_PIECES = 100_000
 
@@ -130,25 +130,54 @@ def arc_points(move: Move, count: int) -> Float[np.ndarray, "point 3"]:
     return points
 
 
-def straight_pieces(move: Move, tolerance: float) -> list[Move]:
-    """Return a move as straight ones that leave an arc by a tolerance at most [m]."""
+def program_moves(program: Program) -> tuple[Move, ...]:
+    """Return the moves to write: a rapid one to where the motion begins, then all.
+
+    From the program alone nobody knows where the machine stands before.
+    """
+    if program.approach_count:
+        return program.moves[program.approach_count - 1 :]
+    first = program.moves[0]
+    approach = Move(first.start, first.start, is_rapid=True, line=first.line)
+    return approach._replace(axis=first.axis), *program.moves
+
+
+def straight_pieces(
+    move: Move, tolerance: float, *, start_axis: Point | None = None
+) -> list[Move]:
+    """Return a move as straight ones that leave an arc by a tolerance at most [m].
+
+    Args:
+        move: The move.
+        tolerance: How far the pieces may lie beside it [m].
+        start_axis: Tool axis before the move; None for that at its end. It turns evenly
+            over the pieces.
+    """
     if move.centre is None:
         return [move]
     radius = max(move.radii)
     ratio = min(max(1 - tolerance / radius, -1.0), 1.0)
     step = max(2 * math.acos(ratio), 1e-4)
     count = min(max(1, math.ceil(abs(move.sweep) / step)), _MOST_PIECES)
-    pieces, start = [], move.start
+    pieces = []
     duration = None if move.duration is None else move.duration / count
-    for row in arc_points(move, count):
-        end = _point(row)
-        one = move._replace(
-            start=start, end=end, centre=None, turn=0, duration=duration, rest=0.0
-        )
-        pieces.append(one)
-        start = end
-    pieces[-1] = pieces[-1]._replace(rest=move.rest)
+    for one in arc_parts(move, count, start_axis=start_axis):
+        pieces.append(one._replace(centre=None, turn=0, duration=duration))
     return pieces
+
+
+def arc_parts(move: Move, count: int, *, start_axis: Point | None = None) -> list[Move]:
+    """Return an arc in equal parts, over which the tool axis turns evenly."""
+    parts, start = [], move.start
+    last = np.array(move.axis)
+    first = last if start_axis is None else np.array(start_axis)
+    for index, row in enumerate(arc_points(move, count), 1):
+        end, axis = _point(row), first + index / count * (last - first)
+        axis = _point(axis / np.linalg.norm(axis))
+        parts.append(move._replace(start=start, end=end, axis=axis, rest=0.0))
+        start = end
+    parts[-1] = parts[-1]._replace(axis=move.axis, rest=move.rest)
+    return parts
 
 
 def _point(values: Float[np.ndarray, " 3"]) -> Point:

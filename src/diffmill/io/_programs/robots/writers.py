@@ -5,7 +5,14 @@ import re
 from collections.abc import Sequence
 
 from ....toolpath import Move, Point, Program
-from ..geometry import abc_of_axis, arc_points, quaternion_of_axis, straight_pieces
+from ..geometry import (
+    abc_of_axis,
+    arc_parts,
+    arc_points,
+    program_moves,
+    quaternion_of_axis,
+    straight_pieces,
+)
 
 # Beyond this angle a controller could take the other way round a circle.
 _LARGEST_ARC = math.radians(170.0)
@@ -35,9 +42,12 @@ def write_krl(
     lines = ["&ACCESS RVP", f"DEF {name if name[0].isalpha() else 'p' + name}( )"]
     lines += [f";{' '.join(text.split())}" for text in (*header, _reminder(program))]
     feed, timed = None, []
-    for move in _placed(program, tolerance):
+    for index, move in enumerate(_placed(program, tolerance)):
         if move.duration is not None and _goes(move):
             timed.append(move)
+            if move.rest:
+                lines += [*_time_blocks(timed, is_spline), _krl_rest(move.rest)]
+                timed = []
             continue
         lines += _time_blocks(timed, is_spline)
         timed = []
@@ -47,13 +57,18 @@ def write_krl(
         if move.centre is not None:
             middle, end = _halves(move)
             lines.append(f"CIRC {_frame(middle, move.axis)},{_frame(end, move.axis)}")
-        elif _goes(move):
+        elif index == 0 or _goes(move):
             word = "PTP" if move.is_rapid else "LIN"
             lines.append(f"{word} {_frame(move.end, move.axis)}")
         rest = move.rest or (move.duration or 0.0)
         if rest:
-            lines.append(f"WAIT SEC {rest:.9g}")
+            lines.append(_krl_rest(rest))
     return "\n".join([*lines, *_time_blocks(timed, is_spline), "END"]) + "\n"
+
+
+def _krl_rest(seconds: float) -> str:
+    """Return a rest."""
+    return f"WAIT SEC {seconds:.9g}"
 
 
 def _reminder(program: Program) -> str:
@@ -86,7 +101,7 @@ def write_rapid(
         if move.centre is not None:
             middle, end = (_target(point, move.axis) for point in _halves(move))
             lines.append(f"    MoveC {middle},{end},{speed},{zone},tool0;")
-        elif _goes(move):
+        elif index == 0 or _goes(move):
             word = "MoveJ" if move.is_rapid else "MoveL"
             lines.append(f"    {word} {end},{speed},{zone},tool0;")
         rest = move.rest or (0.0 if _goes(move) else move.duration or 0.0)
@@ -100,12 +115,16 @@ def write_apt(
 ) -> str:
     """Return a program as APT; a duration becomes a feed; arguments as `write_krl`."""
     lines = ["PARTNO/diffmill", "UNITS/MM"]
-    lines += [f"PPRINT/{' '.join(text.split())}" for text in header]
+    # A $ would go on in the next line.
+    texts = (" ".join(text.replace("$", "S").split()) for text in header)
+    lines += [f"PPRINT/{text}" for text in texts]
     if program.spindle_speed is not None:
         lines.append(f"SPINDL/{program.spindle_speed * 30 / math.pi:.9g},RPM,CLW")
-    feed = None
+    feed, axis = None, None
     for move in program_moves(program):
-        for piece in straight_pieces(move, tolerance):
+        pieces = straight_pieces(move, tolerance, start_axis=axis)
+        axis = move.axis
+        for piece in pieces:
             speed = piece.feed
             if piece.duration and _goes(piece):
                 speed = piece.length / piece.duration
@@ -124,36 +143,22 @@ def write_apt(
     return "\n".join([*lines, "FINI"]) + "\n"
 
 
-def program_moves(program: Program) -> tuple[Move, ...]:
-    """Return the moves to write: all, the last of the approach for its place."""
-    return program.moves[max(program.approach_count - 1, 0) :]
-
-
 def _placed(program: Program, tolerance: float) -> list[Move]:
     """Return the moves, arcs that no circle statement can make in pieces."""
-    out = []
+    out, axis = [], None
     for move in program_moves(program):
         is_flat = abs(move.rise) < _FLAT and abs(move.radii[0] - move.radii[1]) < _FLAT
         if move.centre is None:
             out.append(move)
         elif not is_flat or move.duration is not None:
-            out.extend(straight_pieces(move, tolerance))
+            out.extend(straight_pieces(move, tolerance, start_axis=axis))
         else:
-            out.extend(_short_arcs(move))
-    return out
-
-
-def _short_arcs(move: Move) -> list[Move]:
-    """Return an arc in parts of less than half a turn."""
-    count = max(1, math.ceil(abs(move.sweep) / _LARGEST_ARC))
-    sign = 1 if move.turn > 0 else -1
-    out, start = [], move.start
-    for row in arc_points(move, count):
-        x, y, z = row.tolist()
-        one = move._replace(start=start, end=(x, y, z), turn=sign, rest=0.0)
-        out.append(one)
-        start = (x, y, z)
-    out[-1] = out[-1]._replace(rest=move.rest)
+            # A circle statement makes less than half a turn.
+            count = max(1, math.ceil(abs(move.sweep) / _LARGEST_ARC))
+            sign = 1 if move.turn > 0 else -1
+            parts = arc_parts(move, count, start_axis=axis)
+            out.extend(part._replace(turn=sign) for part in parts)
+        axis = move.axis
     return out
 
 

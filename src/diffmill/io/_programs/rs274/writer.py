@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from ...._types import RealScalarLike
 from ....toolpath import Move, Path, Program
-from ..geometry import straight_pieces
+from ..geometry import program_moves, straight_pieces
 from .frame import ProgramFrame, comment_block
 
 _DECIMALS = 6
@@ -110,7 +110,7 @@ def write_moves(
     Raises:
         ValueError: If the tool axis is tilted.
     """
-    moves = program.moves[max(program.approach_count - 1, 0) :]
+    moves = program_moves(program)
     if any(abs(move.axis[2] - 1) > 1e-9 for move in moves):
         raise ValueError(
             "the program tilts the tool axis; G-code with X, Y and Z only cannot."
