@@ -50,6 +50,17 @@ def test_runout_moves_the_teeth_apart():
     )
 
 
+def test_runout_turns_with_the_helix():
+    tool = ct.flat_end_mill(10e-3, 2, math.radians(45), runout=5e-6, runout_angle=0.4)
+    lag = np.array([0.0, 0.7, math.pi])
+    found = tool.runout_offsets(jnp.asarray(lag))
+    # The exact distance of edges from the axis of rotation, to first order.
+    phi = np.array([0.0, math.pi])[:, None] - lag
+    edges = 5e-3 * np.exp(1j * phi) + 5e-6 * np.exp(0.4j)
+    np.testing.assert_allclose(np.abs(edges) - 5e-3, found, rtol=0, atol=5e-9)
+    np.testing.assert_allclose(found[:, 2], -found[:, 0], rtol=1e-12)
+
+
 def test_traced_pitch_and_runout_are_differentiated_and_not_plain():
     def offset(pitch, runout):
         tool = ct.flat_end_mill(10e-3, 4, pitch=pitch, runout=runout)

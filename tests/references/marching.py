@@ -78,8 +78,8 @@ class Tool:
         length: Height of the cutting edges above the tip [m].
         corner_radius: Radius of the corner [m]: 0 flat, R ball, else bull-nose.
         helix_angle: Helix angle at the radius R, of constant lead [rad].
-        runout: Radial run-out e [m]; tooth j is e cos(runout_angle - angle_j) farther
-            out, over all of its height.
+        runout: How far the tool's axis lies beside that of rotation, e [m]: an edge at
+            the angle phi of the tool is e cos(runout_angle - phi) farther out.
         runout_angle: Angle of the run-out [rad].
         bottom_inner_radius: Where the bottom edges begin [m].
     """
@@ -107,9 +107,10 @@ class Tool:
                 f"{self.radius}, but is {self.corner_radius}"
             )
 
-    def offset(self, tooth: int) -> float:
-        """Return how much farther out a tooth is [m]."""
-        return self.runout * math.cos(self.runout_angle - self.tooth_angles[tooth])
+    def offset(self, tooth: int, height: np.ndarray) -> np.ndarray:
+        """Return how much farther out a tooth is at heights above the tip [m]."""
+        angle = self.tooth_angles[tooth] - self.lag(height)
+        return self.runout * np.cos(self.runout_angle - angle)
 
     def lag(self, height: np.ndarray) -> np.ndarray:
         """Return the angle by which the edge lags behind its tip [rad]."""
@@ -240,7 +241,7 @@ def chips(
     travel = feed * len(tool.tooth_angles) / (2 * math.pi)  # per radian
     tip = theta[..., None] * (travel if is_trochoidal else 0 * travel)
     for tooth, angle in enumerate(tool.tooth_angles):
-        radius = elements.radius + tool.offset(tooth)
+        radius = elements.radius + tool.offset(tooth, elements.height)
         start, middle, end = (
             tip
             + _cylindrical(
@@ -357,7 +358,7 @@ def _thickness(
         earlier = (tooth + m) % N
         delay = tool.tooth_angles[earlier] - tool.tooth_angles[tooth]
         delay += 2 * math.pi if delay <= 0 else 0
-        radius = tool.radius + tool.offset(earlier)
+        radius = tool.radius + tool.offset(earlier, points[:, 2])
         since = np.full(len(points), delay)
         h = np.zeros(len(points))
         for _ in range(8 if is_trochoidal else 1):
@@ -382,7 +383,7 @@ def _advance(tool: Tool, points: np.ndarray, met: np.ndarray) -> np.ndarray:
 
 
 def _way_to_body(
-    points: np.ndarray, directions: np.ndarray, radius: float, corner: float
+    points: np.ndarray, directions: np.ndarray, radius: np.ndarray, corner: float
 ) -> np.ndarray:
     """Return how far points are from a tool's body along directions, shape (n,).
 
@@ -393,9 +394,9 @@ def _way_to_body(
     active = np.arange(len(points))
     for _ in range(60):
         at = points[active] + way[active, None] * directions[active]
-        distance, gradient = _body_distance(at, radius, corner)
+        distance, gradient = _body_distance(at, radius[active], corner)
         slope = np.sum(gradient * directions[active], axis=-1)
-        is_outside = distance > 1e-13 * radius
+        is_outside = distance > 1e-13 * radius[active]
         is_lost = is_outside & (slope >= 0)
         way[active[is_lost]] = np.inf
         goes_on = is_outside & ~is_lost
@@ -408,7 +409,7 @@ def _way_to_body(
 
 
 def _body_distance(
-    points: np.ndarray, radius: float, corner: float
+    points: np.ndarray, radius: np.ndarray, corner: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the distance from the tool's body and, outside, its gradient.
 

@@ -115,5 +115,7 @@ class AbstractCutter(eqx.Module):
         """Return the edge elements of one tooth, from the centre to the shank."""
 
     @abc.abstractmethod
-    def runout_offsets(self) -> Float[Array, " tooth"]:
-        """Return how far each tooth stands out by the run-out [m]."""
+    def runout_offsets(
+        self, lag: Float[Array, "*element"] | float = 0.0
+    ) -> Float[Array, "tooth ..."]:
+        """Return how far the edge of each tooth stands out by the run-out [m]."""

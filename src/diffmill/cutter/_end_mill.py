@@ -34,7 +34,7 @@ class EndMill(AbstractCutter):
     """A flat, ball or bull-nose end mill with a shank of the same radius.
 
     Made by `flat_end_mill`, `ball_end_mill` and `bull_nose`. The swept solid is that
-    of the cutter without its run-out, which `runout_offsets` gives tooth by tooth.
+    of the cutter without its run-out, which `runout_offsets` gives edge by edge.
 
     Attributes:
         diameter: Diameter D [m].
@@ -381,16 +381,26 @@ class EndMill(AbstractCutter):
         profile = EdgeProfile(R, rc, helix, corner_limit, height)
         return edge_elements(profile, ElementCounts(bottom, corner, side), dtype)
 
-    def runout_offsets(self) -> Float[Array, " tooth"]:
-        """Return how far each tooth stands out by the run-out.
+    def runout_offsets(
+        self, lag: Float[Array, "*element"] | float = 0.0
+    ) -> Float[Array, "tooth ..."]:
+        """Return how far the edge of each tooth stands out by the run-out.
+
+        The axis of the cutter lies beside that of rotation, so that along a helix the
+        edge turns out of the direction of the run-out. Kline and DeVor, The effect of
+        runout on cutting geometry and forces in end milling, 1983.
+
+        Args:
+            lag: Angle by which the edge lags behind its tip [rad], shape (*element,).
 
         Returns:
-            runout cos(runout_angle - pitch angle) [m], shape (tooth,); the first
-            order in the run-out over the radius.
+            runout cos(runout_angle - pitch angle + lag) [m], shape (tooth, *element);
+            the first order in the run-out over the radius.
         """
         pitch = jnp.asarray(self.pitch_angles)
-        offset = jnp.asarray(self.runout, pitch.dtype)
-        return offset * jnp.cos(jnp.asarray(self.runout_angle, pitch.dtype) - pitch)
+        angle = jnp.asarray(self.runout_angle, pitch.dtype)
+        turned = jnp.add.outer(angle - pitch, jnp.asarray(lag, pitch.dtype))
+        return jnp.asarray(self.runout, pitch.dtype) * jnp.cos(turned)
 
 
 def _off(

@@ -294,7 +294,8 @@ class EdgeElementsInSpace(AbstractEngagement):
         edge = _edge(cutter, elements, pose, samples.outward)
         points, normals = edge.points, edge.normals
         n = elements.bottom_count
-        offsets = cutter.runout_offsets()
+        offsets = cutter.runout_offsets(elements.lag[n:])
+        side = jnp.arange(offsets.shape[1])
         nothing = 2 * cutter.nominal_radius
         chip = jnp.full_like(samples.outward.sin, nothing)
         per_way = chip / way_of(earlier.tip[0] - pose.tip)
@@ -303,7 +304,7 @@ class EdgeElementsInSpace(AbstractEngagement):
         for k in range(1, cutter.flute_count + 1):
             old = _delayed(cutter, pose, earlier, k, tooth)
             # Teeth stand out by their run-out: what one takes the next does not find.
-            ahead = (offsets - jnp.roll(offsets, -k))[tooth[..., n:]]
+            ahead = (offsets - jnp.roll(offsets, -k, axis=0))[tooth[..., n:], side]
             ahead = ahead * elements.sin_kappa[None, None, n:]
             sides = old if old.tip.shape[2] == 1 else old[:, :, n:]
             left = (
