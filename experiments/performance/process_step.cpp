@@ -33,6 +33,7 @@ constexpr double kShortest = 1e-9;   // shorter pieces of a ray are dropped [m]
 constexpr double kGraze = 0.02;      // half a chord over the radius that only touches
 constexpr double kTouch = 1e-9;      // rays nearer to the tip's height only touch [m]
 constexpr double kStill = 1e-8;      // less motion has no direction [m]
+constexpr double kAside = 0.02;
 constexpr double kBlind = 1e-6;      // what a ray without a surface counts for
 constexpr int kTicks = 2048;         // parts of a tooth period that ends remember
 constexpr int kFine = 8;             // parts of a sub-step in which columns are cut
@@ -733,15 +734,18 @@ class Process {
   // Add the forces at the angles of a sub-step: chips between circles, then the law.
   void push(int s, Vec3& sum) const {
     const Vec3& tip = middles[s];
-    const double feed = norm(recent[0][s], tip), way = std::max(feed, kStill);
-    const double moving = feed * feed / (feed * feed + kStill * kStill);
     const double x = tip[0] - recent[0][s][0], y = tip[1] - recent[0][s][1];
+    const double feed = std::hypot(x, y), way = std::max(feed, kStill);
+    const double whole = std::max(norm(recent[0][s], tip), kStill);
+    // A side that only moves along itself, as in a plunge, touches nothing.
+    const double moving = feed * feed / (feed * feed + kStill * kStill) *
+                          hat_integral(2 * clamp(0, feed / whole / kAside, 1) - 1);
     // Poses before the last one, their offset and way from here.
     std::vector<Vec3> older = {recent[1][s]};
     older.insert(older.end(), thinned.begin(), thinned.end());
     std::vector<double> left(older.size()), ways;
     for (Vec3& old : older) {
-      ways.push_back(std::max(norm(old, tip), kStill));
+      ways.push_back(std::max(std::hypot(old[0] - tip[0], old[1] - tip[1]), kStill));
       for (int a = 0; a < 3; ++a) old[a] -= tip[a];
     }
     for (int i = s * set.per_substep; i < (s + 1) * set.per_substep; ++i) {

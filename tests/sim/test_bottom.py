@@ -1,5 +1,6 @@
 """The ground-hollow end of a flat cutter, against the geometry of a cone."""
 
+import dataclasses
 import functools
 import math
 
@@ -58,6 +59,42 @@ def test_a_plunge_cuts_with_the_whole_end():
     part = (depth > 0.03e-3) & (depth < R * math.tan(DISH))
     assert np.all(np.diff(found[part, 2]) > 0)
     assert found[depth < 0, 2] == pytest.approx(0, abs=1e-12)
+
+
+@pytest.mark.parametrize("pitch", [None, (2.0, 2.1, 2 * math.pi - 4.1)])
+def test_a_plunge_of_three_teeth_pushes_along_the_axis_alone(pitch):
+    # The side of the cutter moves along itself: it has no chip, and does not rub.
+    descent, law = 0.1e-3, dataclasses.replace(LAW, K_ae=5e3)
+    mill = ct.flat_end_mill(2 * R, 3, dish_angle=DISH, pitch=pitch)
+    plan = pr.choose_engagement(STOCK, mill, axial_depth=5e-3, plunges=True)
+    path = line([0, 0, -descent], (1e-5, 1e-5, 0.5e-3))[:50]
+    run = lambda path: sim.simulate_process(
+        path, STOCK, mill, law, 837.0, engagement=plan
+    )
+    found = np.asarray(eqx.filter_jit(run)(path).force)[-24:].reshape(-1, 3, 3).mean(1)
+    wanted = 3 * R * (LAW.K_rc * descent + LAW.K_re)
+    np.testing.assert_allclose(found[:, 2], wanted, rtol=2e-2)
+    np.testing.assert_allclose(found[:, :2], 0, atol=2e-2 * wanted)
+
+
+@pytest.mark.parametrize("teeth", [2, 3])
+def test_a_level_end_cuts_with_all_teeth_whatever_its_axis(teeth):
+    # A tool that lies along x drills into the side of the block.
+    feed, radius = 0.1e-3, 2e-3
+    path = np.array([14.2e-3, 0.05e-3, -3e-3])
+    path = path - np.outer(np.arange(12) * feed, [1, 0, 0])
+    run = lambda path: sim.simulate_process(
+        path,
+        STOCK,
+        ct.flat_end_mill(2 * radius, teeth),
+        LAW,
+        837.0,
+        np.tile([1.0, 0, 0], (len(path), 1)),
+        axial_depth=5e-3,
+    )
+    found = np.asarray(run(path).force)[-3:].mean(axis=0)
+    wanted = teeth * radius * (LAW.K_rc * feed + LAW.K_re)
+    np.testing.assert_allclose(found, [wanted, 0, 0], rtol=3e-2, atol=3e-2 * wanted)
 
 
 def test_a_level_end_that_descends_beside_the_work_feels_nothing():

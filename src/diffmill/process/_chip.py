@@ -23,6 +23,8 @@ from ..numerics import clamp, hat_integral, hold
 _STANDSTILL = 1e-8
 # Below this its direction has no derivative [m].
 _AT_REST = 3e-6
+# From this share of the way on an edge cuts with its side.
+_ASIDE = 0.02
 
 
 class Outward(eqx.Module):
@@ -153,6 +155,27 @@ def edge_contact(
     """
     moving = feed_per_tooth**2 / (feed_per_tooth**2 + _STANDSTILL**2)
     return moving * hat_integral(chip_per_way / angle_step)
+
+
+def sideways_share(
+    sideways: Float[Array, "*sample"], way: Float[Array, "*#sample"]
+) -> Float[Array, "*sample"]:
+    """Return how far an edge counts as moved along its normals.
+
+    The chip of a side that only moves along itself, as in a plunge, is zero all the way
+    round: on that edge of the step of `edge_contact` half of it would rub.
+
+    Args:
+        sideways: Largest motion along the normals at any angle [m], any shape.
+        way: The whole motion [m], broadcast.
+
+    Returns:
+        0 for no such motion, 1 from a fiftieth of the way on, same shape.
+
+    Differentiability: continuously differentiable in both, for a way above zero.
+    """
+    share = sideways / jnp.maximum(way, _STANDSTILL)
+    return hat_integral(clamp(0.0, share / _ASIDE, 1.0) * 2 - 1)
 
 
 def safe_norm(vector: Float[Array, "*sample n"]) -> Float[Array, "*sample"]:

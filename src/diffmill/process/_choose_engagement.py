@@ -140,7 +140,11 @@ def choose_engagement(
     else:
         axes = _tilted(axes)
         window = RemovalWindow.tilted(stock, cutter, axes, axial_depth, reach)
-        profile = _tilted_profile(cutter, axes, axial_depth, window.length, dz, plunges)
+        # The end of a tool that leans cuts with all teeth wherever it goes ahead.
+        keeps_all = plunges or has_bottom
+        profile = _tilted_profile(
+            cutter, axes, axial_depth, window.length, dz, keeps_all
+        )
     if not has_bottom:
         profile = dataclasses.replace(profile, bottom=0)
     discs = Discs(1, dz, band)
@@ -167,7 +171,7 @@ def _tilted_profile(
     axial_depth: float,
     length: float,
     dz: float,
-    plunges: bool,
+    keeps_all: bool,
 ) -> EdgeDiscretisation:
     """Choose the edge elements of a tool that leans."""
     least = 0.0 if axes is None else float(axes[:, 2].min())
@@ -175,11 +179,11 @@ def _tilted_profile(
         # The rim's lowest point sinks by R sin(tilt) below the middle of its disc.
         sink = cutter.nominal_radius * math.sqrt(1 - least**2)
         length = min(length, (axial_depth + sink) / least)
-    return _profile(cutter, length, dz, plunges)
+    return _profile(cutter, length, dz, keeps_all)
 
 
 def _profile(
-    cutter: AbstractCutter, length: float, dz: float, plunges: bool
+    cutter: AbstractCutter, length: float, dz: float, keeps_all: bool
 ) -> EdgeDiscretisation:
     """Choose the edge elements that reach a length above the tip."""
     R, rc = cutter.nominal_radius, cutter.nominal_corner_radius
@@ -196,5 +200,5 @@ def _profile(
         side_height=(highest - rc) / side if side > 0 else dz,
         corner_limit=limit,
         # Near the axis of a round end every tooth rubs all the way round.
-        keeps_all=plunges or rc > 0,
+        keeps_all=keeps_all or rc > 0,
     )

@@ -38,6 +38,7 @@ from .._chip import (
     edge_contact,
     held_at_rest,
     safe_norm,
+    sideways_share,
     way_of,
 )
 from .._process import AbstractEngagement, Process, Substeps
@@ -242,9 +243,9 @@ class DexelCloud(AbstractEngagement):
         """Return force and moment on the tool at the angles of one sub-step."""
         chip = self.chip(process, samples, pose, earlier, thinned)
         newest = earlier.tip[0] - pose.tip
-        feed, step = safe_norm(newest), 2 * math.pi / self.angles
-        touch = edge_contact(chip / way_of(newest), feed, step)
-        touch = held_at_rest(touch, feed)
+        feed, step = safe_norm(newest[:2]), 2 * math.pi / self.angles
+        touch = edge_contact(chip / way_of(newest[:2]), feed, step)
+        touch = held_at_rest(touch * sideways_share(feed, safe_norm(newest)), feed)
         return wrench_of_discs(process, samples, chip, touch)
 
     def chip(

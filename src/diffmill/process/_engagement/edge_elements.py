@@ -31,6 +31,7 @@ from .._chip import (
     edge_contact,
     held_at_rest,
     safe_norm,
+    sideways_share,
     way_of,
 )
 from .._process import AbstractEngagement, Process, Substeps, rotation_angles
@@ -175,9 +176,14 @@ class EdgeElementsInSpace(AbstractEngagement):
         # From sample to sample, the chip of an element changes by its share of this.
         steps = 2 * math.pi / self.angles * jnp.maximum(elements.sin_kappa, _LEAST_SINE)
         touch = edge_contact(per_way, feed, steps[None, None])
+        frame = Pose.frame(pose.direction())
+        x, y, z = frame.T @ (pose.tip - earlier.tip[0])
+        sideways = jnp.stack(
+            [elements.sin_kappa * x, elements.sin_kappa * y, elements.cos_kappa * z]
+        )
+        touch = touch * sideways_share(safe_norm(sideways.T), feed)[None, None]
         n = elements.bottom_count
         if cutter.flute_count % 2 == 0 and not self._keeps_all(cutter):
-            frame = Pose.frame(pose.direction())
             lead = _lead(elements, pose.tip - earlier.tip[0], frame, e)[..., n:]
             step = 2 * math.pi / self.angles
             before = feed / cutter.diameter
@@ -219,9 +225,9 @@ class EdgeElementsInSpace(AbstractEngagement):
             jnp.sum(component, axis=(1, 2))
             for component in (F_x, F_y, F_z, -lever * F_y, lever * F_x)
         ]
-        frame = Pose.frame(pose.direction()).T
-        force = jnp.stack(along[:3], axis=-1) @ frame
-        moment = jnp.stack([*along[3:], jnp.zeros_like(F_z[:, 0, 0])], axis=-1) @ frame
+        force = jnp.stack(along[:3], axis=-1) @ frame.T
+        moment = jnp.stack([*along[3:], jnp.zeros_like(F_z[:, 0, 0])], axis=-1)
+        moment = moment @ frame.T
         return jnp.concatenate([force, moment], axis=-1)
 
     def chip(

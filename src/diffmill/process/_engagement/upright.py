@@ -23,6 +23,7 @@ from .._chip import (
     held_at_rest,
     layer_share,
     safe_norm,
+    sideways_share,
     way_of,
 )
 from .._process import AbstractEngagement, Process, Substeps, rotation_angles
@@ -123,9 +124,11 @@ class UprightFlat(AbstractEngagement):
         cutter, outward = process.cutter, samples.outward
         tip, old = pose.tip, earlier.tip
         chip, per_way = _chip(process, tip, old, thinned.tip, outward)
-        feed = safe_norm(old[0] - tip)
+        motion = old[0] - tip
+        feed = safe_norm(motion[:2])
         step = 2 * math.pi / self.angles
-        touch = held_at_rest(edge_contact(per_way, feed, step), feed)
+        touch = edge_contact(per_way, feed, step)
+        touch = held_at_rest(touch * sideways_share(feed, safe_norm(motion)), feed)
         if cutter.flute_count % 2 == 0:
             lead = _lead((tip - old[0])[None, None, None, :2], outward)
             before = feed / cutter.diameter
@@ -222,7 +225,9 @@ def _chip(
     )
     left = jax.vmap(chip_along, (None, 0, None, 0))(R, offsets, outward, if_missed)
     shares = jax.vmap(layer_share, (0, None, None))(offsets[:, 2], lower, discs.height)
-    left, shares, inverse = hold((left, shares[:, None, None], 1 / way_of(offsets)))
+    left, shares, inverse = hold(
+        (left, shares[:, None, None], 1 / way_of(offsets[:, :2]))
+    )
     chip, per_way = left[0], left[0] * inverse[0]
     for k in range(1, len(offsets)):
         # The mean over the disc: what lies below an older pose it did not thin.
