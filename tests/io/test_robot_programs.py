@@ -240,6 +240,70 @@ def test_data_and_tool_frames_of_rapid(read):
     assert moves[3].rest == 0.5
 
 
+RAPID_MOVE = (
+    "MoveL [[{},0,0],[0,1,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]],{},{},{};\n"
+)
+
+
+def rapid_module(*moves, data=""):
+    rows = [
+        RAPID_MOVE.format(10 * place, *move, *("z0", "tool0")[len(move) - 1 :])
+        if isinstance(move, tuple)
+        else f"{move};\n"
+        for place, move in enumerate(moves)
+    ]
+    return f"MODULE m\n{data}PROC main()\n{''.join(rows)}ENDPROC\nENDMODULE\n"
+
+
+def test_speeds_and_times_of_rapid_are_worked_out(read):
+    data = "CONST num vCut:=60/6;\nTASK PERS num half:=vcut/020;\n"
+    text = rapid_module(
+        ("v50",),
+        (r"v1000\V:=VCUT",),
+        (r"v1000 \V:=(vcut+2)*-half/-1.5",),
+        (r"v1000\T:=half",),
+        data=data,
+    )
+    paces = [(move.feed, move.duration) for move in read(text, ".mod").moves[1:]]
+    expected = [(0.01, None), (0.004, None), (None, 0.5)]
+    assert paces == [pytest.approx(pace) for pace in expected]
+
+
+def test_velset_of_rapid_sets_the_speeds_but_no_times(read):
+    text = rapid_module(
+        ("v50",),
+        "VelSet 50, top",
+        ("v50",),
+        (r"v50\V:=300",),
+        (r"v50\T:=0.5",),
+        "VelSet 100, 5000",
+        ("v50",),
+        data="CONST num top:=120;\n",
+    )
+    paces = [(move.feed, move.duration) for move in read(text, ".mod").moves[1:]]
+    expected = [(0.025, None), (0.12, None), (None, 0.5), (0.05, None)]
+    assert paces == [pytest.approx(pace) for pace in expected]
+
+
+@pytest.mark.parametrize(
+    "move",
+    [
+        (r"v50\V:=fast",),
+        (r"v50\V:=0",),
+        (r"v50\T:=a-a",),
+        (r"v50\T:=Read(1)",),
+        "VelSet fast, 5000",
+        "VelSet 50",
+        "VelSet 0, 5000",
+    ],
+)
+def test_a_speed_of_rapid_that_is_no_number_is_refused(read, move):
+    text = rapid_module(("v50",), move, ("v50",), data="CONST num a:=1;\n")
+    with pytest.raises(ProgramError) as caught:
+        read(text, ".mod")
+    assert [fault.line for fault in caught.value.faults] == [5]
+
+
 def test_axes_feeds_and_lines_of_apt(read):
     text = "FROM/0,0,0 $$ start\nTLAXIS/0,0.6,0.8\nSPINDL/1200,CLW\nFEDRAT/0.1,MMPR\n"
     text += (

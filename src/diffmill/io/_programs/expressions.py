@@ -3,6 +3,7 @@
 import ast
 import math
 import operator
+import re
 from collections.abc import Mapping
 
 _OPERATORS = {
@@ -12,6 +13,8 @@ _OPERATORS = {
     ast.Div: operator.truediv,
 }
 _LONGEST = 200
+# Controllers read 05 as 5, Python refuses it.
+_ZEROS = re.compile(r"(?<![\w.])0+(?=\d)")
 
 
 def value_of(text: str, known: Mapping[str, float], *, cuts: bool = False) -> float:
@@ -29,7 +32,8 @@ def value_of(text: str, known: Mapping[str, float], *, cuts: bool = False) -> fl
     if len(text) > _LONGEST:
         return math.nan
     try:
-        body = ast.parse(text.strip().upper(), mode="eval").body
+        plain = _ZEROS.sub("", text.strip().upper())
+        body = ast.parse(plain, mode="eval").body
         return float(_value(body, known, cuts))
     except (SyntaxError, ValueError, ArithmeticError):
         return math.nan

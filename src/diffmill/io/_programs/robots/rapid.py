@@ -1,17 +1,17 @@
 """ABB RAPID: plain motion of one module.
 
 Read are robtarget, speeddata and constants of them, MoveL, MoveC, MoveJ and MoveAbsJ,
-Offs, speeds with V or T, zones, tools and work objects, WaitTime, and comments.
+Offs, speeds with V or T and under VelSet, zones, tools and work objects, WaitTime, and
+comments.
 """
 
 import math
 import re
-from collections.abc import Mapping
-from types import MappingProxyType
 
 import numpy as np
 
 from ....toolpath import Program
+from ..expressions import split_arguments, value_of
 from ..faults import SHOWN_FAULTS, ProgramError
 from ..geometry import ToolPlace, axis_of_quaternion
 from ..text import MOST_LINES
@@ -29,7 +29,8 @@ _TURN = re.compile(r"\\(R[xyz])\s*:=\s*([^\\,]+)", re.IGNORECASE)
 _ASSIGNED = re.compile(r"(\w+(?:\{\d+\})?)\s*:=\s*(.*)", re.DOTALL)
 _COMPONENT = re.compile(r"(\w+)\.trans\.([xyz])\s*:=\s*(.*)", re.IGNORECASE)
 _SPEED = re.compile(r"v(\d+)", re.IGNORECASE)
-_OPTION = re.compile(rf"\\(V|T)\s*:=\s*({_NUMBER})", re.IGNORECASE)
+_OPTION = re.compile(r"\\(V|T)\s*:=\s*([^\\]*)", re.IGNORECASE)
+_OVERRIDE = re.compile(r"VelSet\s+(.*)", re.IGNORECASE | re.DOTALL)
 _WORK_OBJECT = re.compile(r"\\WObj\s*:=\s*(\w+)", re.IGNORECASE)
 _FRAME = re.compile(
     r"(?:MODULE|PROC)\b.*|ENDMODULE|ENDPROC|RETURN|%%%|VERSION\s*:\s*1"
@@ -37,7 +38,7 @@ _FRAME = re.compile(
     re.IGNORECASE | re.DOTALL,
 )
 _QUIET = re.compile(
-    r"(SetDO|Set|Reset|SetAO|PulseDO|TPWrite|TPErase|ConfL|ConfJ|SingArea|AccSet|VelSet"
+    r"(SetDO|Set|Reset|SetAO|PulseDO|TPWrite|TPErase|ConfL|ConfJ|SingArea|AccSet"
     r"|WaitRob|ActUnit|Stop|StopMove|ClkReset|ClkStart|ClkStop)\b.*",
     re.IGNORECASE | re.DOTALL,
 )
@@ -55,6 +56,8 @@ class _Rapid(Reader):
         self.numbers: dict[str, float] = {}
         self.frame: str | None = None
         self.procedures = 0
+        # Share of a programmed speed, and the largest that is left of it [m/s].
+        self.override, self.fastest = 1.0, math.inf
 
 
 def parse_rapid(text: str, *, name: str = "program.mod") -> Program:
@@ -113,6 +116,8 @@ def _statement(row: str, line: int, reader: _Rapid) -> None:
         reader.targets[found[1].lower()] = _pose(found[2], line, reader)
     elif found := _WAIT.fullmatch(row):
         reader.out.rest(float(found[1]))
+    elif found := _OVERRIDE.fullmatch(row):
+        _set_override(found[1], row, line, reader)
     elif found := _QUIET.fullmatch(row):
         reader.out.note(found[1], "changes no path", line)
     else:
@@ -124,7 +129,7 @@ def _declare(found: re.Match[str], line: int, reader: _Rapid) -> None:
     kind, name, value = found[1].lower(), found[2].lower(), found[4]
     if kind == "robtarget" and found[3] is not None:
         count = int(found[3])
-        parts = _arguments((value or "").strip()[1:-1])
+        parts = split_arguments((value or "").strip()[1:-1])
         if value is not None and len(parts) != count:
             reader.refuse(line, name, f"needed are {count} robtargets.")
         for index, part in enumerate(parts, 1):
@@ -139,30 +144,18 @@ def _declare(found: re.Match[str], line: int, reader: _Rapid) -> None:
     elif kind == "speeddata":
         reader.speeds[name] = 1e-3 * _numbers(value, 4, line, reader)[0]
     elif kind in ("num", "dnum"):
-        reader.numbers[name] = _number(value)
+        reader.numbers[name.upper()] = value_of(value, reader.numbers)
 
 
 def _set_component(found: re.Match[str], line: int, reader: _Rapid) -> None:
     """Set a coordinate of a declared target."""
-    name, value = found[1].lower(), _number(found[3], reader.numbers)
+    name, value = found[1].lower(), value_of(found[3], reader.numbers)
     if name not in reader.targets or math.isnan(value):
         reader.refuse(line, found[0], "needed are a declared robtarget and a number.")
         return
     target = list(reader.targets[name])
     target["xyz".index(found[2].lower())] = value
     reader.targets[name] = target
-
-
-def _number(text: str, known: Mapping[str, float] = MappingProxyType({})) -> float:
-    """Return a number, written out or declared; NaN if it is none."""
-    text = text.strip().lower()
-    sign = -1.0 if text.startswith("-") else 1.0
-    if text.lstrip("-") in known:
-        return sign * known[text.lstrip("-")]
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
 
 
 def _numbers(text: str, count: int, line: int, reader: Reader) -> list[float]:
@@ -176,17 +169,6 @@ def _numbers(text: str, count: int, line: int, reader: Reader) -> list[float]:
         reader.refuse(line, text, f"needed are {count} numbers in brackets.")
         return [0.0] * 3 + [0.0, 0.0, 1.0, 0.0] + [0.0] * (count - 7)
     return found
-
-
-def _arguments(text: str) -> list[str]:
-    """Return arguments that are separated by commas outside of brackets."""
-    out, depth, begun = [], 0, 0
-    for index, letter in enumerate(text):
-        depth += (letter in "[(") - (letter in "])")
-        if letter == "," and depth == 0:
-            out.append(text[begun:index].strip())
-            begun = index + 1
-    return [*out, text[begun:].strip()]
 
 
 def _pose(text: str, line: int, reader: _Rapid) -> list[float]:
@@ -209,10 +191,10 @@ def _moved(found: re.Match[str], line: int, reader: _Rapid) -> list[float]:
     from scipy.spatial.transform import Rotation
 
     turns = [(name.lower(), value) for name, value in _TURN.findall(found[2])]
-    first, *moved = _arguments(_TURN.sub("", found[2]))
+    first, *moved = split_arguments(_TURN.sub("", found[2]))
     values = list(_pose(first, line, reader))
-    way = np.array([_number(part, reader.numbers) for part in moved if part])
-    angles = {name[1]: _number(value, reader.numbers) for name, value in turns}
+    way = np.array([value_of(part, reader.numbers) for part in moved if part])
+    angles = {name[1]: value_of(value, reader.numbers) for name, value in turns}
     if way.shape != (3,) or not np.isfinite([*way, *angles.values()]).all():
         reader.refuse(line, found[0], "needed are a robtarget and 3 numbers.")
         return values
@@ -236,30 +218,48 @@ def _target(text: str, line: int, reader: _Rapid) -> ToolPlace:
     return ToolPlace((x, y, z), axis_of_quaternion(*values[3:7]))
 
 
+def _set_override(text: str, row: str, line: int, reader: _Rapid) -> None:
+    """Apply VelSet: percent of the programmed speeds, and the largest one [mm/s]."""
+    values = [value_of(part, reader.numbers) for part in split_arguments(text)]
+    if len(values) != 2 or not all(0 < value < math.inf for value in values):
+        message = "needed are percent and mm/s above 0, in numbers or declared ones."
+        reader.refuse(line, row, message)
+        return
+    reader.override, reader.fastest = 1e-2 * values[0], 1e-3 * values[1]
+
+
 def _pace(text: str, line: int, reader: _Rapid) -> float | None:
     """Set the feed of a motion; return its duration [s] if it states one."""
     option = _OPTION.search(text)
     name = text.split("\\")[0].strip().lower()
-    if option and option[1].upper() == "T":
-        return float(option[2])
-    if option:
-        reader.feed = 1e-3 * float(option[2])
+    value = math.nan if option is None else value_of(option[2], reader.numbers)
+    if option is not None and not 0 < value < math.inf:
+        message = f"{option[1]} is above 0, in numbers or declared ones with + - * /."
+        reader.refuse(line, text, message)
+        return None
+    if option is not None and option[1].upper() == "T":
+        # VelSet leaves the time of a motion as it is.
+        return value
+    if option is not None:
+        feed = 1e-3 * value
     elif name.startswith("["):
-        reader.feed = 1e-3 * _numbers(name, 4, line, reader)[0]
+        feed = 1e-3 * _numbers(name, 4, line, reader)[0]
     elif name in reader.speeds:
-        reader.feed = reader.speeds[name]
+        feed = reader.speeds[name]
     elif found := _SPEED.fullmatch(name):
-        reader.feed = 1e-3 * float(found[1])
+        feed = 1e-3 * float(found[1])
     else:
         reader.refuse(line, text, "no speeddata of this name is declared as numbers.")
-    if reader.feed is not None and not reader.feed > 0:
+        return None
+    reader.feed = min(feed * reader.override, reader.fastest)
+    if not reader.feed > 0:
         reader.refuse(line, text, "a speed is above 0.")
     return None
 
 
 def _move(kind: str, rest: str, line: int, reader: _Rapid) -> None:
     """Carry out a motion."""
-    arguments = _arguments(rest)
+    arguments = split_arguments(rest)
     count = 5 if kind == "movec" else 4
     if len(arguments) != count:
         reader.refuse(
