@@ -285,6 +285,26 @@ def test_velset_of_rapid_sets_the_speeds_but_no_times(read):
     assert paces == [pytest.approx(pace) for pace in expected]
 
 
+def test_another_tool_of_rapid_is_another_section(read):
+    home = "MoveAbsJ [[0,0,0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]],v50,fine,tool0"
+    one = (home, ("v50", "z0", "Mill"), ("v50", "z0", "mill"), home, ("v50", "z0"))
+    moves = [*one[:4], ("v50", "z0", "MILL"), ("v50", "z0", "mill")]
+    program = read(rapid_module(*moves), ".mod")
+    # One tool needs no number, and tool0 moves joints only.
+    assert program.tools == (None,)
+    assert not any("is tool" in note for note in program.notes)
+    moves += [("v50", "z0", "drill"), ("v50", "z0", "drill"), ("v50", "z0", "Mill")]
+    program = read(rapid_module(*moves, ("v50", "z0", "saw")), ".mod")
+    assert program.tools == (1, 2, 3)
+    assert [part.tool for part in program.sections] == [1, 1, 2, 1, 3]
+    assert [move.is_rapid for move in program.moves] == [1, 0, 1, 0, 1, 0, 1, 1]
+    for note in ("line 4: Mill: is tool 1", "line 9: drill: is tool 2"):
+        assert note in program.notes
+    # A tool that is new has to be brought to its place before an arc.
+    with pytest.raises(ProgramError, match="needs a motion to a stated place"):
+        read(RAPID.replace("slow,z1,tool0", "slow,z1,drill"), ".mod")
+
+
 @pytest.mark.parametrize(
     "move",
     [

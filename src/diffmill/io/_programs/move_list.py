@@ -86,6 +86,7 @@ class MoveList:
     def name_tool(self, tool: int) -> None:
         """Give the tool that has worked so far its number, which is told late."""
         self._tool = tool
+        self.sections = [part._replace(tool=tool) for part in self.sections]
 
     def begin_section(self, line: int) -> None:
         """Begin a section: where the tip is has to be stated anew."""

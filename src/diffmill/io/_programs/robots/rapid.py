@@ -56,6 +56,9 @@ class _Rapid(Reader):
         self.numbers: dict[str, float] = {}
         self.frame: str | None = None
         self.procedures = 0
+        # Numbers of tools by name, in the order in which motions use them.
+        self.tools: dict[str, int] = {}
+        self.first_tool, self.first_line = "", 0
         # Share of a programmed speed, and the largest that is left of it [m/s].
         self.override, self.fastest = 1.0, math.inf
 
@@ -257,6 +260,28 @@ def _pace(text: str, line: int, reader: _Rapid) -> float | None:
     return None
 
 
+def _take_tool(name: str, line: int, reader: _Rapid) -> None:
+    """Use a tool for a motion: another one begins a section.
+
+    RAPID has no numbers of tools, and a program with one tool needs none.
+    """
+    tools, key = reader.tools, name.lower()
+    if not tools:
+        reader.first_tool, reader.first_line = name, line
+    is_new = key not in tools
+    number = tools.setdefault(key, len(tools) + 1)
+    if len(tools) == 1:
+        return
+    if is_new and number == 2:
+        reader.out.name_tool(1)
+        reader.out.note(reader.first_tool, "is tool 1", reader.first_line)
+    if is_new:
+        reader.out.note(name, f"is tool {number}", line)
+    if number != reader.out.tool:
+        reader.is_placed = reader.is_placed and not reader.out.moves
+        reader.out.change_tool(number, line)
+
+
 def _move(kind: str, rest: str, line: int, reader: _Rapid) -> None:
     """Carry out a motion."""
     arguments = split_arguments(rest)
@@ -277,6 +302,7 @@ def _move(kind: str, rest: str, line: int, reader: _Rapid) -> None:
         message = "several work objects are not supported; `work` is one of them."
         reader.refuse(line, frame, message)
     reader.frame = frame
+    _take_tool(arguments[-1].split("\\")[0].strip(), line, reader)
     point, axis = _target(arguments[-4], line, reader)
     duration = _pace(arguments[-3], line, reader)
     if kind == "movec":
