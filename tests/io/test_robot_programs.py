@@ -305,6 +305,25 @@ def test_another_tool_of_rapid_is_another_section(read):
         read(RAPID.replace("slow,z1,tool0", "slow,z1,drill"), ".mod")
 
 
+@pytest.mark.parametrize("end", ["\n", " "])
+def test_frames_of_rapid_may_share_a_line_with_moves(read, end):
+    text = rapid_module(("v50",), ("v50",), data="%%%\nVERSION:1\n%%%\n")
+    text = text.replace("m\n", "m(SYSMODULE, NOVIEW)\n")
+    moves = read(text.replace("\n", end), ".mod").moves
+    assert [move.end[0] / MM for move in moves] == pytest.approx([0, 10])
+
+
+def test_return_ends_a_program_of_rapid(read):
+    moves = ("v50",), ("v50",), "return"
+    program = read(rapid_module(*moves), ".mod")
+    ended = read(rapid_module(*moves, ("v50",), "WHILE a DO"), ".mod")
+    assert ended.moves == program.moves
+    assert program.notes == ()
+    assert ended.notes == ("lines 6, 7: RETURN: ends the program before these lines",)
+    with pytest.raises(ProgramError, match="one PROC"):
+        read(rapid_module(*moves) + "PROC other()\n", ".mod")
+
+
 @pytest.mark.parametrize(
     "move",
     [

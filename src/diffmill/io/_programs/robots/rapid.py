@@ -32,10 +32,11 @@ _SPEED = re.compile(r"v(\d+)", re.IGNORECASE)
 _OPTION = re.compile(r"\\(V|T)\s*:=\s*([^\\]*)", re.IGNORECASE)
 _OVERRIDE = re.compile(r"VelSet\s+(.*)", re.IGNORECASE | re.DOTALL)
 _WORK_OBJECT = re.compile(r"\\WObj\s*:=\s*(\w+)", re.IGNORECASE)
+# What no semicolon ends; a statement may follow it in its line.
 _FRAME = re.compile(
-    r"(?:MODULE|PROC)\b.*|ENDMODULE|ENDPROC|RETURN|%%%|VERSION\s*:\s*1"
-    r"|LANGUAGE\s*:\s*ENGLISH",
-    re.IGNORECASE | re.DOTALL,
+    r"\s*(?:MODULE\s+\w+(?:\s*\([^()]*\))?|PROC\s+\w+\s*\([^()]*\)"
+    r"|(?:ENDMODULE|ENDPROC)\b|%%%|VERSION\s*:\s*1\b|LANGUAGE\s*:\s*ENGLISH\b)\s*",
+    re.IGNORECASE,
 )
 _QUIET = re.compile(
     r"(SetDO|Set|Reset|SetAO|PulseDO|TPWrite|TPErase|ConfL|ConfJ|SingArea|AccSet"
@@ -55,7 +56,7 @@ class _Rapid(Reader):
         self.speeds: dict[str, float] = {"vmax": _FASTEST}
         self.numbers: dict[str, float] = {}
         self.frame: str | None = None
-        self.procedures = 0
+        self.procedures, self.has_returned = 0, False
         # Numbers of tools by name, in the order in which motions use them.
         self.tools: dict[str, int] = {}
         self.first_tool, self.first_line = "", 0
@@ -84,19 +85,18 @@ def _statements(text: str):
     begun, parts = 0, []
     for number, row in enumerate(text.splitlines(), 1):
         bare = re.sub(r'"[^"]*"', '""', row).split("!")[0].strip()
-        if not bare:
-            continue
-        if not parts:
-            begun = number
-        if not parts and _FRAME.fullmatch(bare):
-            yield begun, bare
-            continue
         *ended, rest = bare.split(";")
-        for part in ended:
-            yield begun, " ".join([*parts, part]).strip()
-            begun, parts = number, []
-        if rest.strip():
-            parts.append(rest.strip())
+        for place, part in enumerate([*ended, rest]):
+            at = 0
+            while not parts and (found := _FRAME.match(part, at)):
+                yield number, found[0].strip()
+                at = found.end()
+            begun = begun if parts else number
+            if left := part[at:].strip():
+                parts.append(left)
+            if place < len(ended):
+                yield begun, " ".join(parts)
+                parts = []
     if parts:
         yield begun, " ".join(parts)
 
@@ -109,6 +109,10 @@ def _statement(row: str, line: int, reader: _Rapid) -> None:
         reader.procedures += row.upper().startswith("PROC")
         if reader.procedures > 1:
             reader.refuse(line, row, "one PROC per module is read; write calls out.")
+    elif reader.has_returned:
+        reader.out.note("RETURN", "ends the program before these lines", line)
+    elif row.upper() == "RETURN":
+        reader.has_returned = True
     elif found := _DECLARED.fullmatch(row):
         _declare(found, line, reader)
     elif found := _MOVE.fullmatch(row):
