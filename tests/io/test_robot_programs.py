@@ -355,6 +355,28 @@ def test_axes_feeds_and_lines_of_apt(read):
     assert arc.sweep == pytest.approx(math.pi)
 
 
+def test_a_depth_of_apt_lies_below_the_point_whatever_its_sign(read):
+    text = "FEDRAT/300,MMPM\nRAPID\nGOTO/0,0,9\n"
+    plain = "CYCLE/DEEP,RAPTO,3.0,FEDTO,20.0,1STPECK,8,SUBPECK,6\nGOTO/5,0,0\n"
+    plain += "CYCLE/DRILL,RAPTO,3.0,FEDTO,20.0,RTRCTO,AUTO\nGOTO/9,0,0\n"
+    minus = plain.replace("TO,20", "TO,-20").replace("PECK,", "PECK,-")
+    program = read(text + minus + "CYCLE/OFF\nFINI", ".apt")
+    assert min(end[3] for end in ends(program)) == -20
+    assert program.moves == read(text + plain + "CYCLE/OFF\nFINI", ".apt").moves
+    assert any("lines 4, 6: FEDTO" in note for note in program.notes)
+    assert any("line 4: SUBPECK" in note for note in program.notes)
+
+
+def test_rapid_of_apt_holds_for_one_motion_of_any_kind(read):
+    text = "FEDRAT/300,MMPM\nGOTO/0,0,0\nRAPID\n{}\nGOTO/7,0,0\nFINI"
+    for one in (
+        "CIRCLE/1,0,0,0,0,1,1\nGOTO/2,0,0",
+        "CYCLE/DRILL,RAPTO,3,FEDTO,4\nGOTO/2,0,0\nCYCLE/OFF",
+        "GODLTA/2,0,0",
+    ):
+        assert not read(text.format(one), ".apt").moves[-1].is_rapid
+
+
 H = "PTP {X 0,Y 0,Z 0,A 0,B 0,C 180}"
 
 
@@ -376,6 +398,7 @@ H = "PTP {X 0,Y 0,Z 0,A 0,B 0,C 180}"
         (".apt", "PARTNO/A\nLOOPST\n", 2),
         (".apt", "PARTNO/A\nFEDRAT/0.1,MMPR\n", 2),
         (".apt", "PARTNO/A\nTLAXIS/0,1\n", 2),
+        (".apt", "FEDRAT/9\nCYCLE/DRILL,RAPTO,3,FEDTO,0\nGOTO/1,2,3\n", 2),
         (".apt", "CSYS/1,0,0,5,0,1,0,0,0,0,1,0\nGOTO/1,2,3\n", 1),
     ],
 )

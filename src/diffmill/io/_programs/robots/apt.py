@@ -18,6 +18,8 @@ _QUIET = frozenset(
 )
 _DRILLS = frozenset(["DRILL", "FACE", "CDRILL", "SPOT"])
 _DEEP = frozenset(["DEEP", "DEEP2"])
+# Some systems write them as coordinates below the point, with a minus.
+_DEPTHS = ("FEDTO", "1STPECK", "SUBPECK")
 # How far above the last depth a peck goes by rapid [m]: the program does not say.
 _CLEARANCE = 0.254e-3
 _MOST_PECKS = 10_000
@@ -190,14 +192,15 @@ def _motion(word: str, row: str, parts: list[str], line: int, reader: _Apt) -> N
     if word == "FROM":
         reader.position, reader.axis, reader.is_placed = point, axis, True
         reader.out.known.update("XYZ")
-    elif reader.circle is not None:
+        return
+    if reader.circle is not None:
         _circle(point, axis, line, reader)
     elif reader.cycle is not None:
         _drill(point, axis, reader.cycle, line, reader)
     else:
         reader.line_to(point, axis, line, is_rapid=reader.is_rapid)
-        # RAPID holds for one motion.
-        reader.is_rapid = False
+    # RAPID holds for one motion.
+    reader.is_rapid = False
 
 
 def _circle(point: Point, axis: Point, line: int, reader: _Apt) -> None:
@@ -243,16 +246,20 @@ def _cycle(row: str, parts: list[str], line: int, reader: _Apt) -> None:
     words = {a: float(b) for a, b in itertools.pairwise(parts) if _is_number(b)}
     reader.cycle, reader.cycle_feed = words, reader.feed
     needed = ["FEDTO", "RAPTO", *(["1STPECK", "SUBPECK"] if kind in _DEEP else [])]
-    pecks = [words.get(word, 1.0) for word in ("1STPECK", "SUBPECK")]
-    if kind not in _DRILLS | _DEEP or min(pecks) <= 0 or set(needed) - set(words):
+    depths = [words.get(word, 1.0) for word in _DEPTHS]
+    if kind not in _DRILLS | _DEEP or 0 in depths or set(needed) - set(words):
         message = f"allowed are OFF, INIT, {', '.join(sorted(_DRILLS))} with FEDTO and "
-        message += (
-            f"RAPTO, and {', '.join(sorted(_DEEP))} with 1STPECK and SUBPECK too."
-        )
+        message += f"RAPTO, and {', '.join(sorted(_DEEP))} with 1STPECK and SUBPECK "
+        message += "too, depths other than 0."
         reader.refuse(line, row, message)
         reader.cycle = {"FEDTO": 0.0, "RAPTO": 0.0}
         reader.cycle_feed = 1.0
         return
+    for word in _DEPTHS:
+        if words.get(word, 1.0) < 0:
+            words[word] = -words[word]
+            sentence = "is negative, and taken as so far below the point"
+            reader.out.note(word, sentence, line)
     for unit in ("MMPM", "IPM"):
         if unit in words:
             reader.cycle_feed = words[unit] * (_FEED_UNITS[unit] or 1.0) * 1e-3 / 60
