@@ -367,6 +367,15 @@ def test_a_depth_of_apt_lies_below_the_point_whatever_its_sign(read):
     assert any("line 4: SUBPECK" in note for note in program.notes)
 
 
+@pytest.mark.parametrize("word", ["PPRINT/", "partno ", "REMARK$", "INSERT/"])
+def test_a_dollar_in_a_text_of_apt_goes_on_nowhere(read, word):
+    text = f"FEDRAT/300,MMPM\nGOTO/0,0,0\n{word}costs $ 5, A/B\nGOTO/$\n7,0,0\n"
+    assert ends(read(text + "GOTO/9,0,0\nFINI", ".apt"))[1:] == [
+        ("f", 7, 0, 0),
+        ("f", 9, 0, 0),
+    ]
+
+
 def test_rapid_of_apt_holds_for_one_motion_of_any_kind(read):
     text = "FEDRAT/300,MMPM\nGOTO/0,0,0\nRAPID\n{}\nGOTO/7,0,0\nFINI"
     for one in (

@@ -16,6 +16,8 @@ _QUIET = frozenset(
     "SEQNO LEADER TPRINT ARCSLP MODE SET CLRSRF THICK REWIND PLABEL TOOL TLDATA PAINT "
     "END-OF-PATH CSI_SET_FLUTE_LENGTH CSI_SET_EXTENSION_LENGTH".split()
 )
+# What follows is text to the end of the line, whatever signs it has.
+_TEXT = re.compile(r"\s*(?:PARTNO|PPRINT|REMARK|INSERT|TPRINT)\b", re.IGNORECASE)
 _DRILLS = frozenset(["DRILL", "FACE", "CDRILL", "SPOT"])
 _DEEP = frozenset(["DEEP", "DEEP2"])
 # Some systems write them as coordinates below the point, with a minus.
@@ -59,6 +61,9 @@ def parse_apt(text: str, *, name: str = "program.apt") -> Program:
     reader = _Apt()
     held, begun = "", 0
     for number, row in enumerate(split_lines(text, name), 1):
+        if not held and (said := _TEXT.match(row)):
+            _statement(said[0].strip(), number, reader)
+            continue
         bare = row.split("$$")[0]
         # A $ goes on in the next line; what stands behind it is a comment.
         bare, dollar, _ = bare.partition("$")
