@@ -363,6 +363,50 @@ def test_the_rate_replaces_a_time_column(tmp_path):
         np.testing.assert_allclose(record.time, TIME, atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        "Sampling rate: 10'000 Hz",
+        "Sampling rate: 10\u2019000 Hz",
+        "Sampling rate: 10 000 Hz",
+        "Sampling rate: 10\u202f000,0 Hz",
+        "Sampling rate: 10,000.0 Hz",
+        "Abtastrate: 10.000,0 Hz",
+        "Sampling rate: 10000.000 Hz",
+        "Sampling rate: 10.000 kHz",
+        "Sampling rate: 0.010 MHz",
+        "Sampling rate [Hz]:,10000,10000,10000",
+        "Sampling rate [Hz]:,10000.0,10000.0",
+        "Sampling interval: 0.100 ms",
+        "Sampling time: 100 us",
+        "Abtastzeit: 0,0001 s",
+        # The length of the record, and a rate that has one meaning below it.
+        "Sampling time: 10 s\nfs = 1e4",
+        "Sampling rate: 10,000 Hz\nfs = 1e4",
+    ],
+)
+def test_a_rate_has_signs_between_its_thousands(tmp_path, line):
+    record = load(tmp_path, text(f"{line}\nNo,Fx_N,Fy_N,Fz_N\n"))
+    assert record.rate == pytest.approx(RATE)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "Sampling rate: 10,000 Hz",
+        "Sampling rate: 25.600 Hz",
+        "Sampling rate [Hz]: 512,1,2",
+        "Sampling time: 10 s",
+        "Abtastzeit [s]: 1,5",
+    ],
+)
+def test_a_rate_that_may_be_another_is_asked_for(tmp_path, line):
+    content = text(f"{line}\nNo,Fx_N,Fy_N,Fz_N\n")
+    with pytest.raises(io.RecordError, match="give the rate"):
+        load(tmp_path, content)
+    assert load(tmp_path, content, rate=RATE).rate == RATE
+
+
 def test_columns_are_chosen_by_name_or_number(tmp_path):
     header = "time_s;Kanal 1 [N];Kanal 2 [N];Kanal 3 [N]\n"
     for fz in ("Kanal 1", "kanal 1 [n]", 2):

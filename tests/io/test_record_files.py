@@ -83,6 +83,13 @@ def test_mat_5(tmp_path, content):
     check(io.load_record(file))
 
 
+def test_a_rate_of_three_decimals_in_a_mat_file_is_no_text(tmp_path):
+    file = tmp_path / "cut.mat"
+    forces = {name: VARIABLES[name] for name in NAMES}
+    scipy.io.savemat(file, {**forces, "Fs": 512.125})
+    assert io.load_record(file).rate == 512.125
+
+
 def test_a_bare_matrix_asks_for_its_columns(tmp_path):
     file = tmp_path / "cut.mat"
     scipy.io.savemat(file, {"data": np.column_stack([TIME, FORCE])})

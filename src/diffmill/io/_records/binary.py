@@ -3,6 +3,7 @@
 import contextlib
 import functools
 import importlib
+import numbers
 import pathlib
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -125,7 +126,12 @@ def _checked(path: pathlib.Path, table: Table) -> Table:
 
 def _rate_in(properties: dict[Any, Any]) -> float | None:
     """Return the sampling rate [Hz] among named numbers, if it is there."""
-    return header_rate([f"{name}: {value}" for name, value in properties.items()])
+    # With an exponent no sign of a number can be one between thousands.
+    texts = {
+        name: f"{value:.16e}" if isinstance(value, numbers.Real) else value
+        for name, value in properties.items()
+    }
+    return header_rate([f"{name}: {text}" for name, text in texts.items()])
 
 
 def _leaves(content: Any, name: str = "") -> Iterator[tuple[str, Any]]:

@@ -154,18 +154,51 @@ _RATE = re.compile(
     re.IGNORECASE,
 )
 _INTERVAL = re.compile(
-    r"(?:sampl\w*[\s_-]*(?:interval|period|time)|delta_x|abtast(?:intervall|zeit)|"
-    r"wf_increment|\bdt\b)",
+    r"(?:sampl\w*[\s_-]*(?:interval|period|(?P<time>time))|delta_x|"
+    r"abtast(?:intervall|(?P<zeit>zeit))|wf_increment|\bdt\b)",
     re.IGNORECASE,
 )
+_BLANK = " \u00a0\u202f"
 _VALUE = re.compile(
     r"\s*(?:[\[(]\s*(?P<before>[^\])]+?)\s*[\])])?[\s:=;,\"]*"
-    r"(?P<number>\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?)\s*(?P<after>[a-zA-Z\u00b5]*)"
+    rf"(?P<number>\d{{1,3}}(?:[{_BLANK}]\d{{3}})+(?![{_BLANK}]?\d)(?:[.,]\d+)?"
+    r"|\d+(?:[.,'\u2019]\d+)*(?:[eE][+-]?\d+)?)\s*(?P<after>[a-zA-Z\u00b5]*)"
 )
+# A number with a sign between its thousands, and with another one as its decimal sign.
+_THOUSANDS = re.compile(
+    rf"[1-9]\d{{0,2}}([.,'\u2019{_BLANK}])\d{{3}}(?:\1\d{{3}})*(?:(?!\1)[.,]\d+)?"
+)
+_UNCLEAR = re.compile(r"[1-9]\d{0,2}[.,]\d{3}")
+
+
+def _number(text: str, is_decimal: bool) -> float:
+    """Return the number of digits and signs between them; NaN where it is unclear.
+
+    Args:
+        text: Such as "51 200" or "10.000,0".
+        is_decimal: Whether a lone sign before three digits is the decimal one: 51.200
+            in kHz is none of thousands.
+    """
+    first, *others = re.split(f"[,{_BLANK}]", text)
+    is_list = "." in first and any("." in one for one in others)
+    if is_list or (len(others) > 1 and (len(first) > 3 or set(others) == {first})):
+        # A rate for every channel.
+        return _number(first, is_decimal)
+    if _UNCLEAR.fullmatch(text):
+        return float(text.replace(",", ".")) if is_decimal else math.nan
+    if found := _THOUSANDS.fullmatch(text):
+        text = text.replace(found[1], "")
+    try:
+        return float(text.replace(",", "."))
+    except ValueError:
+        return math.nan
 
 
 def header_rate(lines: list[str]) -> float | None:
-    """Return the sampling rate [Hz] that a header's lines give, if they do."""
+    """Return the sampling rate [Hz] that a header's lines give, if they do.
+
+    A number that may mean two rates, such as 10,000 Hz, gives none.
+    """
     for line in lines:
         if len(line) > _LONGEST_LINE:
             continue
@@ -175,12 +208,18 @@ def header_rate(lines: list[str]) -> float | None:
         ):
             name = pattern.search(line)
             value = name and _VALUE.match(line, name.end())
-            if not value:
+            if not name or not value:
                 continue
             unit = value["before"] or value["after"] or default
             try:
-                number = float(value["number"].replace(",", ".")) * scale(unit, kind)
+                size = scale(unit, kind)
             except ValueError:
+                continue
+            is_decimal = kind is TIME or size > 1
+            number = _number(value["number"], is_decimal) * size
+            is_time = kind is TIME and (name["time"] or name["zeit"])
+            if is_time and size >= 1 and number >= 1:
+                # The time of the whole record is called so too.
                 continue
             if math.isfinite(number) and number > 0:
                 return number if kind is FREQUENCY else 1.0 / number

@@ -136,8 +136,9 @@ def _counted(
     found = "no time column" if time is None else "one instant in the whole time column"
     if rate is None:
         faults.append(
-            f"found {found} and no sampling rate in the header; give the rate, or name "
-            "the column of the time with `channels`."
+            f"found {found} and no sampling rate in the header, or one such as 10,000 "
+            "Hz, which may be ten or ten thousand; give the rate, or name the column "
+            "of the time with `channels`."
         )
         return None
     notes.append(f"There is {found}: the time was counted from the rate {rate:g} Hz.")
