@@ -138,6 +138,32 @@ def test_a_corrected_program_keeps_what_the_program_says_beside_its_motion():
     np.testing.assert_allclose(back.time, path.time, rtol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("said", "kept"),
+    [
+        ("T12345678 M6\nG43 H1234567", ["T12345678 M6", "G43 H1234567"]),
+        ("T1 M6\nG43 H2\nG43.2 H3", ["T1 M6", "G43 H2", "G43.2 H3"]),
+        ("T1 M6 G43", ["T1 M6", "G43"]),
+        ("M61 Q3\nG43.1 Z50", ["M61 Q3", "G43.1 Z50"]),
+        ("T1 M6\nM61 Q3\nG20 G43.1 Z2.5\nG21", ["T1 M6", "M61 Q3", "G43.1 Z63.5"]),
+        ("T1 M6\nG43.1 Z50\nG0 X1 Y1 Z9\nG1 Z8 F300\nM61 Q3\nG49", ["M61 Q3"]),
+    ],
+)
+def test_a_corrected_program_keeps_tool_and_length_however_they_are_said(said, kept):
+    source = f"{said}\n(slot)\nG0 X0 Y0 Z1\nG1 Z-1 F300\nG1 X20\nM2\n"
+    program = parse_gcode(source)
+    tool = program.tools[-1]
+    path = sample_program(program.of_tool(tool), 0.02, **LIMITS)
+    frame = program_frame(source, np.asarray(path.line).tolist())
+    assert frame.opening == tuple(kept)
+    # The Z of a length is no motion: the header goes on behind it.
+    assert frame.comments == (() if "G1 " in said else ("slot",))
+    back = parse_gcode(write_gcode(path, frame=frame))
+    assert back.tools == (tool,)
+    gap = sample_program(back, 0.02, **LIMITS).positions - path.positions
+    assert np.max(np.abs(gap)) < 3e-9
+
+
 def test_of_another_format_nothing_is_kept():
     frame = program_frame("&ACCESS RVP\nDEF part( )\n;T1 M6\nPTP {X 0}\nEND\n", [4])
     assert (frame.comments, frame.opening, frame.between) == ((), (), ())

@@ -10,11 +10,12 @@ from ..text import split_lines
 from .words import Word, split_words
 
 # Lines of motion alone are most of a program.
-_SAYS = re.compile(r"[(;MmSsTtHh]|[Gg]\s*49")
+_SAYS = re.compile(r"[(;MmSsTtHh]|[Gg][\s0]*(?:2\s*[01]|4\s*[39])")
 _COMMENT = re.compile(r"\(([^()]*)\)|;(.*)")
 _PROGRAM_NUMBER = re.compile(r"\s*[oO:]")
 _MOVES = frozenset("XYZ")
 _COOLANT = (7, 8, 9)
+_MM_PER_INCH = 25.4
 
 
 class ProgramFrame(NamedTuple):
@@ -69,7 +70,9 @@ class _Said:
         self.first, self.last = moving[0], moving[-1]
         self.header: list[str] = []
         self.between: list[tuple[int, str]] = []
-        self.selected, self.loaded, self.length = "", "", ""
+        self.selected, self.scale = "", 1.0
+        self.loaded: list[str] = []
+        self.lengths: list[str] = []
         self.spindle, self.end = "M3", ""
         self.coolant: dict[str, None] = {}
         self.closing: dict[str, None] = {}
@@ -81,7 +84,7 @@ class _Said:
         has_words = self.has_moved or not _PROGRAM_NUMBER.match(text)
         words = split_words(text, number, faults) if has_words else []
         found = [(word.letter, word.number) for word in words]
-        if ("M", 6) in found:
+        if ("M", 6) in found or ("M", 61) in found:
             self._drop_other_tools(number)
         for match in _COMMENT.finditer(text):
             comment = (match[1] or match[2] or "").strip()
@@ -91,9 +94,11 @@ class _Said:
                 self.between.append((number, comment_block(comment)))
         for word in words:
             self._word(number, word)
-        if ("M", 6) in found and number <= self.first:
-            self.loaded = f"{self.selected} M6"
-        self.has_moved |= any(letter in _MOVES for letter, _ in found)
+        if number <= self.first:
+            self._take_tool(found)
+            self._take_length(found)
+        if ("G", 43.1) not in found:
+            self.has_moved |= any(letter in _MOVES for letter, _ in found)
 
     def _drop_other_tools(self, change: int) -> None:
         """Drop what no kept motion follows before a change of the tool."""
@@ -105,19 +110,40 @@ class _Said:
 
     def _word(self, number: int, word: Word) -> None:
         """Take in a word."""
-        key, is_before = f"{word.letter}{word.number:g}", number <= self.first
+        key, is_before = f"{word.letter}{word.number:.12g}", number <= self.first
         if word.letter == "M" and word.number in (2, 30):
             self.end = key
         elif word.letter == "M" and word.number in _COOLANT:
             self._cool(number, key)
         elif is_before and word.letter == "T":
             self.selected = key
-        elif is_before and word.letter == "H":
-            self.length = key
-        elif is_before and key == "G49":
-            self.length = ""
         elif is_before and key in ("M3", "M4"):
             self.spindle = key
+
+    def _take_tool(self, found: list[tuple[str, float]]) -> None:
+        """Take in a tool that is changed, or said to be in the spindle."""
+        if ("M", 6) in found:
+            self.loaded = [f"{self.selected} M6".strip()]
+        values = dict(found)
+        if ("M", 61) in found and "Q" in values:
+            # Right behind a change it is the number of what has been loaded.
+            before = [] if self.has_moved else self.loaded
+            self.loaded = [*before, f"M61 Q{values['Q']:.12g}"]
+
+    def _take_length(self, found: list[tuple[str, float]]) -> None:
+        """Take in the length of a tool, in millimetres."""
+        values = dict(found)
+        if ("G", 20) in found or ("G", 21) in found:
+            self.scale = _MM_PER_INCH if ("G", 20) in found else 1.0
+        number = f" H{values['H']:.12g}" if "H" in values else ""
+        if ("G", 43) in found:
+            self.lengths = [f"G43{number}"]
+        elif ("G", 43.1) in found and "Z" in values:
+            self.lengths = [f"G43.1 Z{round(values['Z'] * self.scale, 6):.12g}"]
+        elif ("G", 43.2) in found:
+            self.lengths.append(f"G43.2{number}")
+        elif ("G", 49) in found:
+            self.lengths = []
 
     def _cool(self, number: int, key: str) -> None:
         """Take in a word of coolant, where it stands."""
@@ -134,9 +160,8 @@ class _Said:
     def frame(self) -> ProgramFrame:
         """Return what is kept."""
         # One that is selected later is the next one.
-        tool = self.loaded or self.selected
-        opening = [tool] * bool(tool)
-        opening += [f"G43 {self.length}"] * bool(self.length)
+        opening = [*(self.loaded or [self.selected] * bool(self.selected))]
+        opening += self.lengths
         return ProgramFrame(
             comments=tuple(self.header),
             opening=(*opening, *self.coolant),
