@@ -74,6 +74,16 @@ def problems_of(file, **options):
     return error.value.problems
 
 
+def test_a_program_may_be_as_large_as_its_reader_takes(write):
+    text = f"({9000 * 'x'})\n" * 8000
+    assert load_job(write(program=PROGRAM + text)).path.step_count > 1
+    file = write()
+    with (file.parent / "part.ngc").open("ab") as program:
+        program.truncate(251_000_000)
+    (problem,) = problems_of(file)
+    assert "at most 250 MB" in problem
+
+
 def test_values_in_si(write):
     job = load_job(write())
     assert job.name == "job"

@@ -26,6 +26,8 @@ _SAME_SPEED = 1e-6
 _SAME_INSTANT = 1e-6
 # Speeds that a message lists.
 _LISTED = 8
+# As much as the readers of programs and paths take [byte].
+_LARGEST_FILE = 250_000_000
 
 
 def read_program(table: ProgramTable, context: FileContext) -> Program | Path | None:
@@ -37,7 +39,7 @@ def read_program(table: ProgramTable, context: FileContext) -> Program | Path | 
             f"{', '.join(PROGRAM_FORMATS)}"
         )
         return None
-    path = context.file(table.file, "[program] file")
+    path = context.file(table.file, "[program] file", largest=_LARGEST_FILE)
     if path is None:
         return None
     try:
@@ -74,7 +76,7 @@ def commanded_tips(
     key = "[program] commanded"
     if table.commanded is None:
         return None
-    file = context.file(table.commanded, key)
+    file = context.file(table.commanded, key, largest=_LARGEST_FILE)
     if file is None:
         return None
     try:
