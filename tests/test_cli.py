@@ -318,6 +318,19 @@ def test_convert_there_and_back(folder, capsys):
     assert not list(folder.glob(".two*"))
 
 
+def test_convert_says_which_spindle_speeds_it_leaves_out(folder, capsys):
+    text = "T1 M6\nS6000 M3\nG0 X0 Y0 Z1\nG1 X5 F60\nS{}\nG1 X9\nT2 M6\nS900\nG1 X2\nM2"
+    (folder / "two.ngc").write_text(text.format(8000))
+    for name in ("two.tap", "two.apt", "two.src", "two.mod"):
+        assert main(["convert", "two.ngc", name]) == 0
+        found = capsys.readouterr().out
+        assert "first spindle speed, 6000 rpm, is written; not 8000\n" in found
+    assert main(["convert", "two.ngc", "two.csv"]) == 0
+    (folder / "two.ngc").write_text(text.format(6000))
+    assert main(["convert", "two.ngc", "two.tap", "--force"]) == 0
+    assert "spindle" not in capsys.readouterr().out
+
+
 def test_check_program(folder, capsys):
     assert main(["check", "part.ngc"]) == 0
     text = capsys.readouterr().out

@@ -1,10 +1,14 @@
 """A program of one format written in another."""
 
 import dataclasses
+import math
 import os
 import pathlib
 
 from ._session.errors import BadInput
+
+# Spindle speeds that a note lists.
+_LISTED = 8
 
 
 def convert_file(
@@ -53,6 +57,8 @@ def convert_file(
             program = program.of_tool()
             tool = program.sections[0].tool
             lines.append(f"note: only tool {tool} is written, others are left out")
+        if target.suffix.lower() != ".csv":
+            lines += _speed_notes(program.spindle_speeds)
         program = dataclasses.replace(program, name=target.name)
     header = [f"converted from {source.name} by diffmill"]
     text = write_program(
@@ -66,3 +72,14 @@ def convert_file(
     beside.write_text(text, encoding="utf-8")
     beside.replace(target)
     return [f"wrote {target}", *lines]
+
+
+def _speed_notes(speeds: tuple[float, ...]) -> list[str]:
+    """Return a note if a program sets several spindle speeds, of which one is kept."""
+    if len(speeds) < 2:
+        return []
+    first, *others = (f"{speed * 30 / math.pi:g}" for speed in speeds)
+    listed = ", ".join(others[:_LISTED]) + ", ..." * (len(others) > _LISTED)
+    return [
+        f"note: only the first spindle speed, {first} rpm, is written; not {listed}"
+    ]
