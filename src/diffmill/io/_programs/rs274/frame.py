@@ -83,8 +83,9 @@ class _Said:
             return
         has_words = self.has_moved or not _PROGRAM_NUMBER.match(text)
         words = split_words(text, number, faults) if has_words else []
-        found = [(word.letter, word.number) for word in words]
-        if ("M", 6) in found or ("M", 61) in found:
+        keys = {_key(word) for word in words}
+        values = {word.letter: word.number for word in words}
+        if keys & {"M6", "M61"}:
             self._drop_other_tools(number)
         for match in _COMMENT.finditer(text):
             comment = (match[1] or match[2] or "").strip()
@@ -95,10 +96,9 @@ class _Said:
         for word in words:
             self._word(number, word)
         if number <= self.first:
-            self._take_tool(found)
-            self._take_length(found)
-        if ("G", 43.1) not in found:
-            self.has_moved |= any(letter in _MOVES for letter, _ in found)
+            self._take_tool(keys, values)
+            self._take_length(keys, values)
+        self.has_moved |= "G43.1" not in keys and not _MOVES.isdisjoint(values)
 
     def _drop_other_tools(self, change: int) -> None:
         """Drop what no kept motion follows before a change of the tool."""
@@ -110,7 +110,7 @@ class _Said:
 
     def _word(self, number: int, word: Word) -> None:
         """Take in a word."""
-        key, is_before = f"{word.letter}{word.number:.12g}", number <= self.first
+        key, is_before = _key(word), number <= self.first
         if word.letter == "M" and word.number in (2, 30):
             self.end = key
         elif word.letter == "M" and word.number in _COOLANT:
@@ -120,29 +120,27 @@ class _Said:
         elif is_before and key in ("M3", "M4"):
             self.spindle = key
 
-    def _take_tool(self, found: list[tuple[str, float]]) -> None:
+    def _take_tool(self, keys: set[str], values: dict[str, float]) -> None:
         """Take in a tool that is changed, or said to be in the spindle."""
-        if ("M", 6) in found:
+        if "M6" in keys:
             self.loaded = [f"{self.selected} M6".strip()]
-        values = dict(found)
-        if ("M", 61) in found and "Q" in values:
+        if "M61" in keys and "Q" in values:
             # Right behind a change it is the number of what has been loaded.
             before = [] if self.has_moved else self.loaded
             self.loaded = [*before, f"M61 Q{values['Q']:.12g}"]
 
-    def _take_length(self, found: list[tuple[str, float]]) -> None:
+    def _take_length(self, keys: set[str], values: dict[str, float]) -> None:
         """Take in the length of a tool, in millimetres."""
-        values = dict(found)
-        if ("G", 20) in found or ("G", 21) in found:
-            self.scale = _MM_PER_INCH if ("G", 20) in found else 1.0
+        if keys & {"G20", "G21"}:
+            self.scale = _MM_PER_INCH if "G20" in keys else 1.0
         number = f" H{values['H']:.12g}" if "H" in values else ""
-        if ("G", 43) in found:
+        if "G43" in keys:
             self.lengths = [f"G43{number}"]
-        elif ("G", 43.1) in found and "Z" in values:
+        elif "G43.1" in keys and "Z" in values:
             self.lengths = [f"G43.1 Z{round(values['Z'] * self.scale, 6):.12g}"]
-        elif ("G", 43.2) in found:
+        elif "G43.2" in keys:
             self.lengths.append(f"G43.2{number}")
-        elif ("G", 49) in found:
+        elif "G49" in keys:
             self.lengths = []
 
     def _cool(self, number: int, key: str) -> None:
@@ -169,6 +167,11 @@ class _Said:
             between=tuple(self.between),
             closing=("M5", *self.closing, self.end or "M2"),
         )
+
+
+def _key(word: Word) -> str:
+    """Return a word as text, a whole number as such."""
+    return f"{word.letter}{word.number:.12g}"
 
 
 def comment_block(text: str) -> str:
