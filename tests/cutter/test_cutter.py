@@ -65,6 +65,32 @@ def test_gradients_are_finite_at_grazing_rays():
     assert np.isfinite(jax.grad(total)(TIP)).all()
 
 
+@pytest.mark.parametrize("wrap", [lambda f: f, jax.jit], ids=["eager", "jit"])
+@pytest.mark.parametrize("corner_radius", [5e-3, 2e-3], ids=["ball", "bull"])
+def test_columns_in_line_with_the_side_of_a_round_end_have_a_bounded_slope(
+    corner_radius, wrap
+):
+    # 3 mm and 4 mm aside is at the radius, and rounding says whether that is a hit.
+    b = jnp.full(12, 3e-3)
+    c = 4e-3 * (1 - np.finfo(float).eps * jnp.arange(-3.0, 9.0))
+
+    def lowest(x):
+        tool = ct.ball_end_mill(x[3], 2, nominal_diameter=10e-3)
+        if corner_radius < 5e-3:
+            tool = ct.bull_nose(x[3], 2, corner_radius, nominal_diameter=10e-3)
+        low, _, hit = tool.intersect(2, b, c, x[:3])
+        return low, hit
+
+    x = jnp.array([0.0, 0.0, 0.0, 10e-3])
+    low, hit = wrap(lowest)(x)
+    assert 0 < hit.sum() < 12
+    np.testing.assert_allclose(low[hit], corner_radius, atol=1e-6)
+    for slopes in (jax.jacfwd, jax.jacrev):
+        found, _ = wrap(slopes(lowest, has_aux=True))(x)
+        assert np.isfinite(found).all()
+        assert 500 < np.abs(found).max() <= 1000
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -200,7 +200,8 @@ class EndMill(AbstractCutter):
             exit are finite but without meaning where it is not.
 
         Differentiability: smooth where a ray is hit away from grazing; the square
-        root is guarded, so gradients are finite everywhere.
+        root is guarded, so gradients are finite everywhere: slopes of a round end along
+        z are cut off at 1000 where it turns into the side.
         """
         R = self.diameter / 2
         db = b - tip[..., (family + 1) % 3]
@@ -233,7 +234,10 @@ class EndMill(AbstractCutter):
         R, rc = self._sizes(square.dtype)
         is_out = is_hit & (square > (R - rc) ** 2)
         x = jnp.sqrt(jnp.where(is_out, square, (R - rc / 2) ** 2)) - (R - rc)
-        return jnp.where(is_out, rc - jnp.sqrt(jnp.maximum(rc**2 - x**2, 0)), 0)
+        height = rc - jnp.sqrt(jnp.maximum(rc**2 - x**2, 0))
+        # The value is that of the circle to the last column beside the side, where the
+        # slope of the circle has no bound.
+        return jnp.where(is_out, with_derivative_of(height, _bounded_height, x, rc), 0)
 
     def _end_radius(self, up: Float[Array, "..."]) -> Float[Array, "..."]:
         """Return the radius of the end at a height above the tip [m]."""
@@ -423,6 +427,22 @@ def _off(
             does not move.
     """
     return -cutter.level(place, tip, axis) / slope
+
+
+def _bounded_height(
+    x: Float[Array, "..."], corner_radius: Float[Array, ""]
+) -> Float[Array, "..."]:
+    """Return the height of a corner, as steep at most as slopes of ends may be [m].
+
+    Args:
+        x: Distance outward from the center of the corner [m], any shape.
+        corner_radius: [m], shape ().
+    """
+    least = jax.lax.stop_gradient(_FLAT * corner_radius)
+    square = corner_radius**2 - x**2
+    is_steep = square < least**2
+    root = jnp.sqrt(jnp.where(is_steep, 1, square))
+    return corner_radius - jnp.where(is_steep, square / (2 * least), root)
 
 
 class _SizedEndMill(EndMill):
