@@ -97,6 +97,26 @@ def test_a_level_end_cuts_with_all_teeth_whatever_its_axis(teeth):
     np.testing.assert_allclose(found, [wanted, 0, 0], rtol=3e-2, atol=3e-2 * wanted)
 
 
+def test_the_end_follows_the_diameter():
+    plan = pr.choose_engagement(STOCK, MILL, axial_depth=5e-3, plunges=True)
+    descent = 0.03e-3
+    path = line([0, 0, -descent], (1e-5, 1e-5, 0.5e-3))
+
+    def steady_force(diameter):
+        wide = ct.flat_end_mill(
+            diameter, TEETH, dish_angle=DISH, nominal_diameter=2 * R
+        )
+        run = sim.simulate_process(path, STOCK, wide, LAW, 837.0, engagement=plan)
+        return run.force[-15:, 2].mean()
+
+    diameter = jnp.asarray(2.2 * R)
+    both = jax.jit(lambda D: jax.jvp(steady_force, (D,), (jnp.ones_like(D),)))
+    found, slope = both(diameter)
+    wanted = TEETH / 2 * (LAW.K_rc * descent + LAW.K_re)
+    assert float(slope) == pytest.approx(wanted, rel=1e-6)
+    assert float(found) == pytest.approx(wanted * float(diameter), rel=1e-6)
+
+
 def test_a_level_end_that_descends_beside_the_work_feels_nothing():
     level = ct.flat_end_mill(2 * R, TEETH)
     plan = pr.choose_engagement(STOCK, level, axial_depth=5e-3, plunges=True)

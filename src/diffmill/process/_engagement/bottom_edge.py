@@ -94,9 +94,10 @@ class BottomEdges(eqx.Module):
             for v, c in zip(at, cell, strict=True)
         ]
         dish = jnp.tan(jnp.asarray(cutter.dish_angle, now.dtype))
-        hollow = (cutter.nominal_radius - radius) * dish
+        R = _radius(cutter, now.dtype)
+        hollow = (R - radius) * dish
         # How much higher the end is at the middle of an annulus than at its outer side.
-        rise = cutter.nominal_radius / self.annuli * dish / 2
+        rise = R / self.annuli * dish / 2
         back, descent = _since_corner(cutter, radius, e, tip - old)
         total = jnp.zeros_like(share[0])
         for i in (0, 1):
@@ -151,7 +152,7 @@ class BottomEdges(eqx.Module):
         cutter, tip, old = process.cutter, pose.tip, earlier.tip
         e, weight = _by_annulus(samples.outward), samples.occupancy
         radius = self._radii(cutter, tip.dtype)
-        width = cutter.nominal_radius / self.annuli
+        width = _radius(cutter, tip.dtype) / self.annuli
         nothing = 2 * cutter.nominal_radius
         chip = jnp.full(weight.shape, nothing, tip.dtype)
         is_first = jnp.zeros(weight.shape, bool)
@@ -180,7 +181,12 @@ class BottomEdges(eqx.Module):
         self, cutter: AbstractCutter, dtype: jnp.dtype
     ) -> Float[Array, " annulus"]:
         middles = (jnp.arange(self.annuli, dtype=dtype) + 0.5) / self.annuli
-        return cutter.nominal_radius * middles
+        return _radius(cutter, dtype) * middles
+
+
+def _radius(cutter: AbstractCutter, dtype: jnp.dtype) -> Float[Array, ""]:
+    """Return the radius of the end [m], which follows the diameter, shape ()."""
+    return jnp.asarray(cutter.diameter, dtype) / 2
 
 
 def _made_ends(
@@ -217,7 +223,7 @@ def _left_by(
     across = across + (radius * outward.cos + moved[..., 1]) ** 2
     dish = jnp.tan(jnp.asarray(cutter.dish_angle, radius.dtype))
     inward = radius - jnp.sqrt(across + _LEAST_LAYER**2)
-    is_under = across < cutter.nominal_radius**2
+    is_under = across < _radius(cutter, radius.dtype) ** 2
     return _EarlierEnd(inward * dish - moved[..., 2], is_under)
 
 
@@ -231,7 +237,7 @@ def _since_corner(
     x, y, z = (moved[..., i] for i in range(3))
     way = jnp.sqrt(x**2 + y**2 + _STILL**2)
     ahead = (outward.sin * x + outward.cos * y) / way
-    chord = cutter.nominal_radius**2 - radius**2 * (1 - ahead**2)
+    chord = _radius(cutter, radius.dtype) ** 2 - radius**2 * (1 - ahead**2)
     back = jnp.sqrt(jnp.maximum(chord, _STILL**2)) - radius * ahead
     return back, -z * back / way
 
