@@ -302,6 +302,48 @@ def test_helix_keeps_the_mean_and_spreads_the_extremes():
     assert np.ptp(with_helix[..., 1]) < np.ptp(straight_flutes[..., 1])
 
 
+HIGH = wp.box([0, -3e-3, -6e-3], [4e-3, 3e-3, 0], 0.25e-3, interval_counts=(2, 2, 1))
+STEEP = math.radians(45)
+
+
+def cut_high(path, helix_angle):
+    """Return the run of a thin tool, whose helix turns by half on the way up."""
+    mill = ct.flat_end_mill(4e-3, 2, helix_angle)
+    plan = pr.choose_engagement(
+        HIGH, mill, axial_depth=6e-3, angles=16, element_height=6e-3
+    )
+    return sim.simulate_process(path, HIGH, mill, PAPER_LAW, SPEED, engagement=plan)
+
+
+@functools.cache
+def compiled_high():
+    return jax.jit(cut_high)
+
+
+def walls(run, mirror=1):
+    """Return the points of a slot's walls, ordered by height, way and side."""
+    assert run.result == RESULTS.successful
+    points = run.stock.ray_ends(1)[0] * [1, mirror, 1]
+    is_wall = (np.abs(points[:, 1]) < 2.9e-3) & (np.abs(points[:, 0] - 2e-3) < 1e-3)
+    x, y, z = points[is_wall].T
+    return points[is_wall][np.lexsort((y, x, z))]
+
+
+@pytest.mark.parametrize("is_traced", [True, False], ids=["traced", "known"])
+def test_a_left_hand_helix_leaves_the_mirror_image_of_a_right_hand_one(is_traced):
+    step = np.arange(90)
+    shake = 40e-6 * np.sin(0.6 * math.pi * step + 0.4)
+    path = np.column_stack([-2.4e-3 + 0.1e-3 * step, shake, np.full(90, -5.9e-3)])
+    right = walls(compiled_high()(path, STEEP))
+    # In a mirror a tool turns the other way: so time runs backward there as well.
+    back = path[::-1] * [1, -1, 1]
+    known = jax.jit(lambda path: cut_high(path, -STEEP))
+    run = compiled_high()(back, -STEEP) if is_traced else known(back)
+    np.testing.assert_allclose(walls(run, mirror=-1), right, atol=0.1e-6)
+    # Its walls are not the same at all heights.
+    assert np.ptp(right[right[:, 1] > 0, 1]) > 15e-6
+
+
 def cut(path, adjoint, stock=STOCK):
     """Return a run that is differentiated in a given way."""
     return sim.simulate_process(

@@ -356,9 +356,8 @@ class RemovalHistory(NamedTuple):
         table = state.track.poses
         start = (waiting.row - 1) * S
         steps = waiting.passing * S
-        first = start + jnp.floor(steps - self.cutter.flute_count * S / 2).astype(
-            jnp.int32
-        )
+        ahead = self._turns_ahead() * self.cutter.flute_count * S
+        first = start + jnp.floor(steps - ahead).astype(jnp.int32)
         first = jnp.clip(first, 0, table.tip.shape[0] - count)
         nodes = jax.tree.map(
             lambda x: jax.lax.dynamic_slice_in_dim(x, first, count), table
@@ -378,13 +377,30 @@ class RemovalHistory(NamedTuple):
         turns = 1 + self._helix_turns()
         return math.ceil(turns * self.cutter.flute_count * self.substeps) + 3
 
+    def _turns_ahead(self) -> float | Float[Array, ""]:
+        """Return by how many turns a pass begins before its tooth looks forward.
+
+        Higher up the edge of a right-hand helix follows the tip, that of a left-hand
+        one is ahead of it: a pass is then as long, but begins earlier. Where the angle
+        is traced, shape ().
+        """
+        angle, turns = self.cutter.helix_angle, self._helix_turns()
+        if not self.cutter.has_helix:
+            return 0.5
+        if isinstance(angle, jax.core.Tracer):
+            return jnp.where(angle < 0, 0.5 + turns, 0.5)
+        return 0.5 + turns if float(angle) < 0 else 0.5
+
     def _helix_turns(self) -> float:
-        """Return how far the helix holds back the highest edge in stock, in turns."""
+        """Return by how much the helix turns up to the highest edge in stock, in turns.
+
+        Where the angle is traced this is not known, and taken to be one turn: what lies
+        beyond that on a steeper helix is taken to look when the end of that turn does.
+        """
         cutter, window = self.cutter, self.window
         if not cutter.has_helix:
             return 0.0
         if isinstance(cutter.helix_angle, jax.core.Tracer):
-            # Not known, and higher up the tooth is taken to be there.
             return 1.0
         height = window.length or window.sizes[2] * self.spacing
         height = min(height, cutter.flute_length)
@@ -392,7 +408,11 @@ class RemovalHistory(NamedTuple):
         return height * lead / (2 * math.pi * cutter.nominal_radius)
 
     def _wait(self) -> int:
-        """Return after how many periods the tooth of a pass has gone around."""
+        """Return after how many periods the tooth of a pass has gone around.
+
+        On a left-hand helix it has earlier; but so many passes behind the last pose
+        still look at it, higher up, where the edge is ahead of the tip.
+        """
         turns = 0.5 + self._helix_turns()
         # One for the period itself, and a half that the tooth may look forward later.
         return math.ceil(turns * self.cutter.flute_count + 1.5)
