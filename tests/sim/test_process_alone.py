@@ -10,7 +10,7 @@ from helpers import PAPER_LAW, ThroughSamples, relative
 from references import circles
 
 from diffmill import RESULTS, cutter as ct, process as pr, sim, workpiece as wp
-from diffmill.cutting import LinearEdgeLaw
+from diffmill.cutting import KienzleLaw, LinearEdgeLaw
 
 MILL = ct.flat_end_mill(10e-3, 2)
 D = 0.2e-3
@@ -497,6 +497,26 @@ def test_wrong_arguments_are_refused():
     with pytest.raises(ValueError, match="axes"):
         axes = np.tile([1.0, 0.0, 0.5], (STEPS, 1))
         sim.simulate_process(straight(6e-3), STOCK, MILL, PAPER_LAW, SPEED, axes)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+@pytest.mark.parametrize("name", ["law", "bottom_law"])
+@pytest.mark.parametrize("has_exponents", [False, True], ids=["linear", "kienzle"])
+def test_a_law_for_another_number_of_teeth_is_refused(has_exponents, name, count):
+    plan = pr.choose_engagement(STOCK, MILL, axial_depth=1.6e-3)
+
+    def build(values):
+        law = LinearEdgeLaw(1e9, 1e9, 1e9, K_re=values)
+        if has_exponents:
+            law = KienzleLaw(1e9, 1e9, 1e9, 0.2, values, 0.2)
+        laws = {"law": PAPER_LAW, "bottom_law": PAPER_LAW} | {name: law}
+        law, bottom = laws.values()
+        return pr.Process(STOCK, MILL, law, SPEED, plan, bottom_law=bottom)
+
+    with pytest.raises(ValueError, match=f"`{name}` .* 2 teeth, but has {count}"):
+        build(jnp.full(count, 0.3))
+    build(jnp.full(2, 0.3))
+    build(0.3)
 
 
 @pytest.mark.slow

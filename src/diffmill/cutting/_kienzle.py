@@ -15,7 +15,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int32
 
 from .._types import RealScalarLike
-from ._law import AbstractForceLaw, ToothValues, check_teeth, of_tooth
+from ._law import (
+    AbstractForceLaw,
+    ToothValues,
+    check_teeth,
+    of_tooth,
+    tooth_count_of,
+)
 
 
 class KienzleLaw(AbstractForceLaw):
@@ -79,6 +85,12 @@ class KienzleLaw(AbstractForceLaw):
             K_re=self.K_re,
             K_ae=self.K_ae,
         )
+
+    @property
+    def tooth_count(self) -> int | None:
+        """Return how many values a coefficient has that has one per tooth, or None."""
+        cutting = (self.K_tc11, self.K_rc11, self.K_ac11, self.m_t, self.m_r, self.m_a)
+        return tooth_count_of(*cutting, self.K_te, self.K_re, self.K_ae)
 
     def force_per_width(
         self,

@@ -53,6 +53,11 @@ class AbstractForceLaw(eqx.Module):
         """
         return UninclinedLaw(self)
 
+    @property
+    def tooth_count(self) -> int | None:
+        """Return for how many teeth it has coefficients; None if for any number."""
+        return None
+
 
 class UninclinedLaw(AbstractForceLaw):
     """Another law without its force F_a along the edge.
@@ -77,6 +82,11 @@ class UninclinedLaw(AbstractForceLaw):
         """
         F_t, F_r, _ = self.law.force_per_width(chip_thickness, edge_contact, tooth)
         return F_t, F_r, jnp.zeros_like(F_t)
+
+    @property
+    def tooth_count(self) -> int | None:
+        """Return that of the other law."""
+        return self.law.tooth_count
 
 
 def check_teeth(**coefficients: ToothValues) -> None:
@@ -104,6 +114,20 @@ def check_teeth(**coefficients: ToothValues) -> None:
             "Coefficients with one value per tooth must all have as many values, but "
             f"found {found}."
         )
+
+
+def tooth_count_of(*coefficients: ToothValues) -> int | None:
+    """Return how many values those with one value per tooth have; None for none.
+
+    Args:
+        *coefficients: Each of shape () or (tooth,), as `check_teeth` lets them pass.
+    """
+    for value in coefficients:
+        # What is traced of a list is a list, which NumPy cannot take.
+        shape = (len(value),) if isinstance(value, list) else np.shape(value)
+        if shape:
+            return shape[0]
+    return None
 
 
 def of_tooth(

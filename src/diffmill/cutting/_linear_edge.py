@@ -5,7 +5,13 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int32
 
-from ._law import AbstractForceLaw, ToothValues, check_teeth, of_tooth
+from ._law import (
+    AbstractForceLaw,
+    ToothValues,
+    check_teeth,
+    of_tooth,
+    tooth_count_of,
+)
 
 
 class LinearEdgeLaw(AbstractForceLaw):
@@ -48,6 +54,13 @@ class LinearEdgeLaw(AbstractForceLaw):
             K_te=self.K_te,
             K_re=self.K_re,
             K_ae=self.K_ae,
+        )
+
+    @property
+    def tooth_count(self) -> int | None:
+        """Return how many values a coefficient has that has one per tooth, or None."""
+        return tooth_count_of(
+            self.K_tc, self.K_rc, self.K_ac, self.K_te, self.K_re, self.K_ae
         )
 
     def force_per_width(

@@ -190,11 +190,21 @@ class Process(eqx.Module):
             bottom_law: The law of the bottom edges; derived from `law` if not given.
             derivative: How to differentiate through the removal; `ThroughRays()` if
                 not given.
+
+        Raises:
+            ValueError: A law has coefficients for more or fewer teeth than the cutter.
         """
         self.stock, self.cutter, self.engagement = stock, cutter, engagement
         self.spindle_speed, self.side_law = spindle_speed, law
         self.bottom_law = law.for_bottom() if bottom_law is None else bottom_law
         self.derivative = ThroughRays() if derivative is None else derivative
+        for name, each in (("law", law), ("bottom_law", self.bottom_law)):
+            count = each.tooth_count
+            if count is not None and count != cutter.flute_count:
+                raise ValueError(
+                    f"Argument `{name}` must have one value of a coefficient, or one "
+                    f"for each of the {cutter.flute_count} teeth, but has {count}."
+                )
 
     @property
     def tooth_period(self) -> Float[Array, ""]:

@@ -213,8 +213,9 @@ def simulate_process(
         The forces, volumes and the final stock. Check `.result` for an overflow.
 
     Raises:
-        ValueError: An argument has a wrong shape, an axis is not a unit vector, or a
-            point cloud is asked for where there is none.
+        ValueError: An argument has a wrong shape, an axis is not a unit vector, a law
+            has coefficients for another number of teeth, or a point cloud is asked for
+            where there is none.
 
     Differentiability: as `run`. With "point_cloud" derivatives exist but are hard: they
     follow the rays that hold the extreme points between the jumps from ray to ray, and
