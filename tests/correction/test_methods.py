@@ -285,6 +285,9 @@ def test_measures_of_a_known_error():
     assert found.max_acceleration == pytest.approx(3.0)
     assert found.p95_acceleration == pytest.approx(3.0)
     assert found.max_offset == pytest.approx(0.5 * 3.0 * 0.99**2)
+    half = found.with_weights(np.where(np.arange(rows) < 50, 0.1, 1.0), contour)
+    assert half.rms < found.rms and half.max_offset == found.max_offset
+    assert half.p95 == pytest.approx(np.percentile(1e-6 * np.arange(rows), 95))
 
 
 def test_on_the_way_through_the_air_the_tool_stays_near_the_path():

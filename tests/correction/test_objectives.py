@@ -18,6 +18,7 @@ from diffmill.correction import (
     Motion,
     PathObjective,
     Problem,
+    SurfaceBounds,
     SurfaceObjective,
     row_weights,
 )
@@ -154,10 +155,8 @@ def cutter():
     return flat_end_mill(diameter=2 * RADIUS, teeth=2, helix_angle=0.0)
 
 
-@pytest.fixture(scope="module")
-def cut(cutter):
+def cutting(stock, cutter):
     """Return a function that cuts a block along tips."""
-    stock = box([0.0, 0.0, -3e-3], [15e-3, 12e-3, 0.0], 0.5e-3)
     window = RemovalWindow.upright(stock, cutter, 2e-3, 1e-3)
 
     @jax.jit
@@ -174,6 +173,12 @@ def cut(cutter):
         return jax.lax.scan(step, stock, (tips, rows))[0]
 
     return along
+
+
+@pytest.fixture(scope="module")
+def cut(cutter):
+    """Return a function that cuts a block along tips."""
+    return cutting(box([0.0, 0.0, -3e-3], [15e-3, 12e-3, 0.0], 0.5e-3), cutter)
 
 
 def two_passes():
@@ -248,6 +253,36 @@ def test_a_tool_behind_a_rib_does_not_cut_its_front(cut):
     normals = surface.normals[surface.is_wall]
     assert normals[:, 1].min() < -0.99 and normals[:, 1].max() > 0.99
     np.testing.assert_allclose(np.asarray(surface.errors(path)), 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("y", [1.0e-3, 1.1e-3, 1.2e-3])
+def test_a_deeper_step_beside_a_floor_does_not_gouge_it(cut, y):
+    """However near to a ray of the floor the wall of the step stands."""
+    path = two_passes()
+    half = len(path) // 2
+    path[:half, 1:] = 6e-3, -0.3e-3
+    path[half:, 1:] = y, -1.9e-3
+    surface = FinishedSurface.from_cut(cut(jnp.asarray(path)), path, RADIUS)
+    floors = surface.points[~surface.is_wall, 2]
+    assert set(np.round(floors, 9)) == {-0.3e-3, -1.9e-3}
+    np.testing.assert_allclose(np.asarray(surface.errors(path)), 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("order", [[0, 1, 2, 3], [2, 3, 0, 1]])
+def test_a_tool_behind_a_rib_finishes_no_layer_of_its_front(cutter, order):
+    """A rib of 3 mm, 0.3 mm left on either side for the finishing pass."""
+    stock = box([0.0, 0.0, -3e-3], [15e-3, 13e-3, 0.0], 0.5e-3)
+    passes = []
+    for y in (-0.3e-3, 0.0, 13.3e-3, 13e-3):
+        passes.append(np.split(two_passes(), 2)[0])
+        passes[-1][:, 1] = y
+    path = np.concatenate([passes[place] for place in order])
+    ideal = cutting(stock, cutter)(jnp.asarray(path))
+    surface = FinishedSurface.from_cut(ideal, path, RADIUS)
+    layers = SurfaceBounds.layer_thickness(surface, stock, path)[surface.is_wall]
+    normals = surface.normals[surface.is_wall]
+    assert normals[:, 1].min() < -0.99 and normals[:, 1].max() > 0.99
+    np.testing.assert_allclose(layers, 0.3e-3, rtol=1e-4)
 
 
 def test_a_pass_that_is_cut_again_does_not_finish(cut):

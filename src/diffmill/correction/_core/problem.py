@@ -59,8 +59,8 @@ class Problem(eqx.Module):
         nominal: The uncorrected command: the desired tip positions [m], or joint
             angles [rad], shape (step, axis).
         desired: Where the tool tip should be [m], shape (step, 3).
-        is_cutting: Weight of every row in the error: 1 where the tool cuts and 0
-            elsewhere, shape (step,).
+        is_cutting: Weight of every row in the error, shape (step,): 1 where the tool
+            cuts and 0 elsewhere; of a job less where it only passes over the surface.
         time_step: Time between two rows T [s].
         max_offset: Largest offset of the command from `nominal` per axis, in the
             command's unit.

@@ -76,7 +76,8 @@ class Correction(eqx.Module):
 
     Attributes:
         cases: Solution of each case, by name, in the order of `CASES`.
-        methods: What each method reported, by name.
+        methods: What each method reported, by name; their errors are those of the rows
+            that cut.
         wall_time: Time that each method took, compilation included [s]; that of the
             uncorrected case includes the rigid cut.
         path_parts: Part of the path to which each row belongs.
@@ -351,6 +352,13 @@ def _finished(task: _Task, record: CaseRecord) -> Correction:
     are_joints = job.correction.command == "joint" and chosen == "corrected"
     JointLimits(job).check(methods[chosen].command, is_joints=are_joints)
     cases = {name: _solution(task, name, found) for name, found in methods.items()}
+    # What a method minimises also counts rows that only pass over the surface.
+    cuts = np.asarray(before.is_cutting, np.float64)
+    told = lambda found: found.measures.with_weights(cuts, found.contour)
+    methods = {
+        name: dataclasses.replace(found, measures=told(found))
+        for name, found in methods.items()
+    }
     parts = PathParts.of_path(
         np.asarray(before.desired),
         np.asarray(before.is_cutting),

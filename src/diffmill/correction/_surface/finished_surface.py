@@ -383,7 +383,7 @@ class _SurfacePoints(NamedTuple):
         found = self.points.copy()
         for p, n, rise in zip(found, self.normals, self.rise, strict=True):
             p[2] += rise
-            if np.any(_wall_depths(p, n, tips, radius) < -_NEAR):
+            if np.any(wall_depths(p, n, tips, radius) < -_NEAR):
                 p[2] -= rise
         return self._replace(points=found)
 
@@ -458,11 +458,11 @@ def _wall_poses(
     """Return the poses that may cut each wall point deepest."""
     found = []
     for p, n in zip(walls.points, walls.normals, strict=True):
-        found.append(np.flatnonzero(_wall_depths(p, n, tips, radius) < reach))
+        found.append(np.flatnonzero(wall_depths(p, n, tips, radius) < reach))
     return found
 
 
-def _wall_depths(
+def wall_depths(
     p: Float[np.ndarray, " 3"],
     n: Float[np.ndarray, " 3"],
     tips: Float[np.ndarray, "step 3"],
@@ -484,13 +484,20 @@ def _floor_poses(
     radius: float,
     reach: float,
 ) -> list[Int[np.ndarray, " pose"]]:
-    """Return the poses whose bottom covers each point or may, if one is sure to."""
+    """Return the poses whose bottom covers each point or may, if one is sure to.
+
+    A pose that stands beside a point and would reach far below it cuts a deeper step:
+    its wall there is another point.
+    """
     found = []
     for p in points:
         off = np.hypot(tips[:, 0] - p[0], tips[:, 1] - p[1])
-        is_low = tips[:, 2] - p[2] < reach
-        is_sure = np.any(is_low & (off < radius - reach))
-        found.append(np.flatnonzero(is_sure & is_low & (off < radius + reach)))
+        up = tips[:, 2] - p[2]
+        is_sure = np.any((up < reach) & (off < radius - reach))
+        may = (off < radius) | (up + _RIM * (off - radius) > -SAME_DEPTH)
+        found.append(
+            np.flatnonzero(is_sure & may & (up < reach) & (off < radius + reach))
+        )
     return found
 
 

@@ -15,7 +15,7 @@ from ..._types import FloatRows3
 from ...workpiece import Stock
 from .._core.problem import Motion
 from .._spline.command_limits import InfeasibleLimit, LinearLimits
-from .finished_surface import FinishedSurface
+from .finished_surface import FinishedSurface, wall_depths
 
 # Share of a layer that may be left.
 _LEFT = 0.9
@@ -132,14 +132,11 @@ def _depths(
     tips: np.ndarray, p: np.ndarray, n: np.ndarray, R: float, is_wall: bool
 ) -> np.ndarray:
     """Return where along n each pose begins to cut; far where it does not."""
+    if is_wall:
+        return wall_depths(p, n, tips, R)
     apart = tips - p
-    if not is_wall:
-        covers = np.hypot(apart[:, 0], apart[:, 1]) < R
-        return np.where(covers, apart[:, 2], np.inf)
-    across = apart[:, 1] * n[0] - apart[:, 0] * n[1]
-    square = R**2 - across**2
-    is_near = (square > 0) & (apart[:, 2] < 0)
-    return np.where(is_near, apart @ n - np.sqrt(np.clip(square, 0, None)), np.inf)
+    covers = np.hypot(apart[:, 0], apart[:, 1]) < R
+    return np.where(covers, apart[:, 2], np.inf)
 
 
 def _raw_thickness(surface: FinishedSurface, raw: Stock) -> PerPoint:
