@@ -139,6 +139,46 @@ def test_damping_that_is_much_too_small_is_found_in_few_trials():
     assert found.steps == 1
 
 
+class Ramp(AbstractProblem):
+    """The distance to 5, and a slope that begins at 0 within a tenth of a step."""
+
+    def evaluate(self, x):
+        return np.array([x[0] - 5, 0.3 * np.logaddexp(0, x[0] / 0.01)])
+
+    def model(self, x, value):
+        J = np.array([[1.0], [30 * scipy.special.expit(x[0] / 0.01)]])
+        cost = lambda there, r: 0.5 * float(r @ r)
+        return QuadraticModel(cost, J.T @ value, J.T @ J)
+
+
+class SumOfTwo(AbstractProblem):
+    """The distance of a sum to 7: no model tells its unknowns apart."""
+
+    def evaluate(self, x):
+        return x[0] + x[1] - 7
+
+    def model(self, x, value):
+        cost = lambda there, r: 0.5 * float(r) ** 2
+        return QuadraticModel(cost, np.full(2, value), np.ones((2, 2)))
+
+
+@pytest.mark.parametrize("far", [1, 28, 60])
+def test_damping_after_many_good_steps_is_not_too_small_for_a_refused_one(far):
+    solver = LevenbergMarquardt(max_steps=100, longest=0.1, damping=1e-4, share=1e-3)
+    found = least_squares(Ramp(), np.array([-0.1 * far - 0.03]), solver)
+    least = scipy.optimize.minimize_scalar(
+        lambda x: 0.5 * np.sum(Ramp().evaluate([x]) ** 2), bounds=(-1, 1)
+    )
+    assert found.has_converged
+    assert found.history[-1].cost < (1 + 2e-3) * least.fun
+
+
+def test_unknowns_of_one_effect_share_it_after_many_good_steps():
+    solver = LevenbergMarquardt(max_steps=100, longest=0.1, damping=1e-4, share=1e-9)
+    found = least_squares(SumOfTwo(), np.zeros(2), solver)
+    assert_allclose(found.x, 3.5, rtol=1e-6)
+
+
 def test_steps_are_no_longer_than_allowed():
     problem = Decay()
     solver = LevenbergMarquardt(max_steps=60, still=1e-12, longest=np.array([0.5, 0.2]))

@@ -31,6 +31,10 @@ if TYPE_CHECKING:
 _SHORTER = 0.5
 # How often the damping is raised beside the trials, until a step is short enough.
 _RAISES = 20
+# Damping after a trial at least: below it matters no more, but a refused step would
+# not raise it back before the trials end, and a curvature without full rank would be
+# singular to rounding.
+_LEAST_DAMPING = 1e-10
 # Share of the cost that a step must be foreseen to take away for its point to be taken
 # for the next one before it is tried.
 _LARGE = 0.5
@@ -226,7 +230,7 @@ class LevenbergMarquardt(eqx.Module):
         attempts: Trials for a step before the point counts as the best.
         longest: Largest change of each unknown in a step, a number or shape (unknown,).
         damping: First damping, over the diagonal of the curvature.
-        less: Factor of the damping after a good trial.
+        less: Factor of the damping after a good trial, down to 1e-10.
         more: Factor after a refused one, as often as the next step needs to be shorter.
         rest: Squared length of a step in the metric of the curvature at which a good
             step is the last.
@@ -421,6 +425,7 @@ def _stepped(
         trials += 1
         is_better = value is not None and bool(cost <= now and np.isfinite(cost))
         damping *= solver.less if is_better else solver.more
+        damping = max(damping, _LEAST_DAMPING)
         is_still = bool(np.all(np.abs(p) < solver.still))
         if is_better:
             state = dataclasses.replace(
