@@ -179,6 +179,17 @@ def test_unknowns_of_one_effect_share_it_after_many_good_steps():
     assert_allclose(found.x, 3.5, rtol=1e-6)
 
 
+@pytest.mark.parametrize("share", [0.0, 1e-3])
+def test_a_search_ends_at_an_exact_solution(share):
+    solver = LevenbergMarquardt(max_steps=100, share=share)
+    found = least_squares(SumOfTwo(), np.zeros(2), solver)
+    assert found.has_converged and found.history[-1].cost == 0
+    assert found.steps < 10
+    # At the solution from the start on there is nothing to try.
+    again = least_squares(SumOfTwo(), np.array([3.0, 4.0]), solver)
+    assert again.has_converged and (again.steps, again.evaluations) == (0, 1)
+
+
 def test_steps_are_no_longer_than_allowed():
     problem = Decay()
     solver = LevenbergMarquardt(max_steps=60, still=1e-12, longest=np.array([0.5, 0.2]))

@@ -236,8 +236,8 @@ class LevenbergMarquardt(eqx.Module):
             step is the last.
         kink: The same for a refused step: further ones would be refused too.
         still: Largest change of each unknown that counts as none, likewise.
-        share: Smallest decrease over the cost that is worth a trial, as the model
-            foresees it.
+        share: A step is worth a trial if its decrease over the cost, as the model
+            foresees it, is more than this.
     """
 
     max_steps: int = 25
@@ -404,7 +404,8 @@ def _stepped(
         if p is None:
             damping *= solver.more
             continue
-        if model.decrease(p) < solver.share * now:
+        # Equal too: at an exact solution, and for no share, nothing is to be gained.
+        if model.decrease(p) <= solver.share * now:
             break
         curved = float(p @ model.curvature @ p)
         if curved > longest:
@@ -432,7 +433,7 @@ def _stepped(
                 state, x=state.x + p, value=value, steps=state.steps + 1
             )
             has_converged = is_still or curved < solver.rest
-            has_converged |= now - cost < solver.share * now
+            has_converged |= now - cost <= solver.share * now
             break
         if is_still or curved < solver.kink or trials == solver.attempts:
             break
