@@ -129,6 +129,22 @@ def test_gross_errors_change_little_under_a_robust_loss():
     assert off["tukey"] < 0.05 < off["squares"]
 
 
+def test_robust_weights_are_the_same_in_any_unit():
+    """Beside a force that was not measured, whose scatter is not known."""
+    time, force = record(FEEDS[1])
+    force[::20] += 500.0
+    force[:, 2] = np.nan
+    in_newton, in_giganewton = (
+        identification.fit_force_coefficients(
+            cuts()[1], time, unit * force, time_shift=0.0
+        )
+        for unit in (1.0, 1e-9)
+    )
+    wanted = 1e-9 * found(in_newton)
+    np.testing.assert_allclose(found(in_giganewton), wanted, rtol=1e-3)
+    assert np.isfinite(wanted).sum() == 4
+
+
 @pytest.mark.slow
 def test_both_sides_pass_the_low_pass():
     """Vibration of the dynamometer goes; what is cut off of the force does not bias."""

@@ -51,7 +51,8 @@ class LinearFit(eqx.Module):
     Attributes:
         x: Unknowns, shape (unknown,); 0 where nothing was measured of one.
         weights: Of every row, in 1 / N^2, one array (row, 3) per record.
-        spread: Standard deviation of each force of each record [N], (record, 3).
+        spread: Standard deviation of each force of each record [N], (record, 3); 1
+            where it was not measured.
         residual: Measured minus fitted [N], one array (row, 3) per record.
     """
 
@@ -186,7 +187,9 @@ def weigh(
     """
     residual = [one.force - one.columns @ x for one in rows]
     known = [np.isfinite(one.force) for one in rows]
-    spread = np.stack([_spread(r, k) for r, k in zip(residual, known, strict=True)])
+    spread = np.stack(
+        [_spread(r, one.force) for r, one in zip(residual, rows, strict=True)]
+    )
     weights = [
         robust_weight(r / s[None], loss) * k / s[None] ** 2
         for r, k, s in zip(residual, known, spread, strict=True)
@@ -254,17 +257,19 @@ def _slope(r: np.ndarray, loss: str) -> np.ndarray:
     return (1 - u) * (1 - 5 * u)
 
 
-def _spread(residual: np.ndarray, known: np.ndarray) -> np.ndarray:
+def _spread(residual: np.ndarray, force: np.ndarray) -> np.ndarray:
     """Return the robust standard deviation of each force, shape (3,)."""
-    result = np.ones(3)
-    for axis in range(3):
-        rows = np.abs(residual[known[:, axis], axis])
-        if rows.size:
-            middle = float(np.median(rows)) / _MAD
-            # Exact records have no scatter: any positive number weighs them.
-            result[axis] = middle if middle > 0 else 1e-9
-    least = 1e-6 * result.max()
-    return np.maximum(result, least)
+    known = np.isfinite(force)
+    result = np.zeros(3)
+    for axis in np.flatnonzero(known.any(axis=0)):
+        rows = known[:, axis]
+        middle = float(np.median(np.abs(residual[rows, axis]))) / _MAD
+        # Exact records have no scatter: a number far below their size weighs them.
+        exact = 1e-9 * float(np.abs(force[rows, axis]).max())
+        result[axis] = middle if middle > 0 else exact
+    # Of those alone that were measured: units may be metres, where 1 is no small number.
+    result = np.maximum(result, 1e-6 * result.max())
+    return np.where(known.any(axis=0) & (result > 0), result, 1.0)
 
 
 def covariance(
