@@ -383,10 +383,28 @@ def test_the_spectrum_of_the_residual_shows_what_the_model_has_not():
 def test_runout_is_found():
     cut, time, seen = both(shift=0.4e-3, runout=10e-6)
     fit = identification.fit_force_coefficients(cut, time, seen, refine=["runout"])
+    assert fit.has_converged
     np.testing.assert_allclose(fit.refined["runout_x"], 10e-6, atol=0.5e-6)
     # Two teeth tell the difference of their radii only.
     assert math.isnan(fit.refined["runout_y"])
     np.testing.assert_allclose(found(fit), K, rtol=0.03)
+
+
+@pytest.mark.slow
+def test_runout_stays_where_no_step_lowers_the_cost():
+    """A record on a wrong clock, whose force no run-out explains."""
+    cutter = ct.flat_end_mill(
+        2 * R, 2, helix_angle=HELIX, runout=15e-6, runout_angle=math.pi
+    )
+    cut = dataclasses.replace(cuts()[1], cutter=cutter)
+    time, seen = record(FEEDS[1], noise=0.0, shift=3e-3)
+    fit = identification.fit_force_coefficients(
+        cut, time, seen, refine=["runout"], time_shift=0.0
+    )
+    found = fit.records[0].cut.cutter
+    assert float(found.runout) == pytest.approx(15e-6, rel=1e-9)
+    assert not fit.has_converged
+    assert "runout_x, runout_y has not converged" in " ".join(fit.notes)
 
 
 def test_wrong_arguments_are_named():

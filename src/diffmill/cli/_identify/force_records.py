@@ -108,6 +108,7 @@ def _facts(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> dict[str, An
         "identifiable": fit.identifiable,
         "refined_m": fit.refined,
         "refined_errors_m": fit.refined_errors,
+        "has_converged": fit.has_converged,
         "explained": fit.explained,
         "gross_errors": fit.gross_errors,
         "residual_rms_N": fit.residual_rms,

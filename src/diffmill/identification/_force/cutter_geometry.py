@@ -3,7 +3,8 @@
 Unlike the coefficients they move the chip itself, so the cut is simulated anew in
 every step of a Gauss-Newton iteration; the derivatives pass through the simulation.
 Coefficients, time shifts and lengths take every step together, by the same robust fit
-as the coefficients alone; a step that raises the cost is halved.
+as the coefficients alone; a step that raises the cost is halved, and where none lowers
+it the iteration ends.
 """
 
 import dataclasses
@@ -37,6 +38,9 @@ _START = 2e-6
 # quadratically, so that the next one would be far smaller.
 _LONGEST, _REST = 1e-5, 1e-7
 _STEPS, _HALVINGS = 15, 4
+# A cost up to this many times that of before is not higher: sampled edges and stock
+# make it uneven.
+_ALIKE = 1.0001
 # A length that the records do not show stays where it is: its column is below this
 # share of the largest one.
 _SHOWN = 1e-3
@@ -50,11 +54,13 @@ class CutterGeometry(eqx.Module):
         records: The records with cuts by the fitted cutter.
         columns: Change of the force of each record per length [N/m], shape
             (row, 3, length), or None.
+        has_converged: Whether the last step was small.
     """
 
     values: dict[str, float]
     records: list[RegisteredRecord]
     columns: list[np.ndarray | None]
+    has_converged: bool
 
 
 def fit_cutter_geometry(
@@ -82,27 +88,22 @@ def fit_cutter_geometry(
     K = fit_rows([equations(one, ()) for one in records], loss).x
     state = [_simulated(one, names, x, K) for one in records]
     fit = _fit(state, K, is_sought, loss)
+    has_converged = False
     for _ in range(_STEPS):
-        step = fit.x[6 : 6 + len(names)]
-        step = step * min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-300))
-        shifts = fit.x[6 + len(names) :] if is_sought else np.zeros(len(records))
-        before = _own_cost(state, fit)
-        trial = state
-        for last in (False,) * _HALVINGS + (True,):
-            trial = [
-                _simulated(_later(one, s), names, x + step, fit.x[:6])
-                for (one, _), s in zip(state, shifts, strict=True)
-            ]
-            if last or _own_cost(trial, fit) <= 1.0001 * before:
-                break
-            step, shifts = step / 2, shifts / 2
+        step, trial = _stepped(state, names, x, fit, is_sought)
+        has_converged = bool(np.abs(step).max() < _REST)
+        if trial is None:
+            break
         x, state = x + step, trial
         fit = _fit(state, fit.x[:6], is_sought, loss)
-        if np.abs(step).max() < _REST:
+        if has_converged:
             break
     values = {n: float(v) for n, v in zip(names, x, strict=True)}
     return CutterGeometry(
-        values, [one for one, _ in state], [part for _, part in state]
+        values,
+        [one for one, _ in state],
+        [part for _, part in state],
+        has_converged,
     )
 
 
@@ -111,6 +112,45 @@ class _Linearised(NamedTuple):
 
     record: RegisteredRecord
     columns: np.ndarray
+
+
+class _Step(NamedTuple):
+    """The last step of the lengths that was tried.
+
+    Attributes:
+        step: [m], shape (length,).
+        state: The records behind it; None if it raises the cost, as longer ones do.
+    """
+
+    step: np.ndarray
+    state: list[_Linearised] | None
+
+
+def _stepped(
+    state: list[_Linearised],
+    names: tuple[str, ...],
+    x: np.ndarray,
+    fit: LinearFit,
+    is_sought: bool,
+) -> _Step:
+    """Return the step of a fit, halved until it does not raise the cost."""
+    count = len(names)
+    step = fit.x[6 : 6 + count]
+    step = step * min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-300))
+    shifts = fit.x[6 + count :] if is_sought else np.zeros(len(state))
+    most = _ALIKE * _own_cost(state, fit)
+    for share in 0.5 ** np.arange(_HALVINGS + 1):
+        try:
+            trial = [
+                _simulated(_later(one, share * s), names, x + share * step, fit.x[:6])
+                for (one, _), s in zip(state, shifts, strict=True)
+            ]
+        except SimulationFailed:
+            # Lengths whose cut cannot be simulated are worse than any.
+            continue
+        if _own_cost(trial, fit) <= most:
+            return _Step(share * step, trial)
+    return _Step(0.5**_HALVINGS * step, None)
 
 
 def _fit(

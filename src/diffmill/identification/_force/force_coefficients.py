@@ -89,6 +89,7 @@ class ForceCoefficientFit(eqx.Module):
             cutter towards tooth 0 and a quarter turn on), `radius` [m]; NaN if not
             identifiable.
         refined_errors: Standard errors of these [m].
+        has_converged: Whether the last step of these was small; true if there are none.
         diagnoses: What offset, gain or unit would explain what the fit leaves, or makes
             the coefficients implausible; nothing was changed.
         doubts: Why the numbers are not to be trusted, in words; the first of the notes.
@@ -110,6 +111,7 @@ class ForceCoefficientFit(eqx.Module):
     time_shift_errors: tuple[float, ...]
     refined: dict[str, float]
     refined_errors: dict[str, float]
+    has_converged: bool
     diagnoses: tuple[Diagnosis, ...]
     doubts: tuple[str, ...] = eqx.field(static=True)
     notes: tuple[str, ...] = eqx.field(static=True)
@@ -234,7 +236,7 @@ def fit_force_coefficients(
     is_sought = time_shift is None
     if is_sought:
         records = [find_shift(one, shift_range) for one in records]
-    refined = CutterGeometry({}, records, [None] * len(records))
+    refined = CutterGeometry({}, records, [None] * len(records), True)
     if refine:
         refined = fit_cutter_geometry(records, tuple(refine), is_sought, loss)
     found = _settle(refined, is_sought, loss)
@@ -325,6 +327,7 @@ def _report(
             for n, v, ok in zip(names, lengths, is_told, strict=True)
         },
         refined_errors=dict(zip(names, spreads.tolist(), strict=True)),
+        has_converged=refined.has_converged,
         diagnoses=_diagnoses(records, rows, is_gross, np.where(is_fixed, K, np.nan)),
         doubts=doubts,
         notes=(
@@ -332,6 +335,7 @@ def _report(
             *(one.text for one in dead if not one.is_doubtful),
             *_lost_notes(records, int(is_gross.sum())),
             *advise(is_fixed, correlation, size, is_measured),
+            *_unsettled_notes(names, refined.has_converged),
             *_refined_notes(names, is_told, records[0].cut.cutter.flute_count),
             *_class_notes(K[0], bool(is_fixed[0])),
         ),
@@ -459,6 +463,16 @@ def _lost_notes(records: list[RegisteredRecord], gross: int) -> tuple[str, ...]:
             "record, or samples at which a tooth enters or leaves."
         )
     return tuple(notes)
+
+
+def _unsettled_notes(names: list[str], has_converged: bool) -> tuple[str, ...]:
+    """Say that the lengths are not those of the least residual."""
+    if has_converged:
+        return ()
+    return (
+        f"The fit of {', '.join(names)} has not converged: start nearer (run-out and "
+        "diameter of the cutter), and look at axes, cut, speed and time shift.",
+    )
 
 
 def _refined_notes(
