@@ -173,6 +173,17 @@ def test_too_few_tests_are_not_called_those_of_another_robot(folder, capsys):
     assert "does not suit the robot" not in text
 
 
+def test_tests_that_leave_no_scatter_say_so(folder, capsys):
+    write_loads(folder, count=1)
+    table = (folder / "loads.toml").read_text()
+    (folder / "loads.toml").write_text(table + 'channels = { dz = "none" }\n')
+    assert main(["identify", "loads.toml"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "its scatter is not known" in said and "inf um" not in said
+    assert "load tests that would help most" in said
+    assert "No force at this tool turns" not in said
+
+
 def test_an_uncertainty_tells_what_it_leaves_out(folder, capsys):
     """No load along y: its spring is as in the model, and how sure that is nobody."""
     write_loads(folder)

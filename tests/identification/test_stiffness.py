@@ -241,6 +241,25 @@ def test_suggested_tests_show_the_missing_joints():
     assert more.relative_errors[0] < 0.1
 
 
+def test_a_table_with_no_more_numbers_than_unknowns_is_told_what_helps():
+    """Its scatter is not known, but what no force turns is: the last joint."""
+    robot = arm((0.0, 0.0, 0.2))
+    q, wrench, draw = loads(robot, 2, 3)
+    d = moved(robot, q, wrench)[:, :3]
+    d[1, 2] = np.nan
+    fit = identification.fit_joint_stiffness(robot, q, wrench, d)
+    assert np.isinf(fit.spread) and fit.is_consistent and not fit.identifiable.any()
+    more = identification.suggest_load_tests(robot, fit, q, wrench)
+    assert more.unobservable == (robot.joint_names[5],)
+    assert np.isnan(more.relative_errors[:5]).all()
+    assert np.isinf(more.relative_errors[5])
+    q, wrench = np.vstack([q, more.q]), np.vstack([wrench, more.wrench])
+    d = moved(robot, q, wrench)[:, :3]
+    d += 0.02 * np.sqrt(np.mean(d**2)) * draw.normal(size=d.shape)
+    again = identification.fit_joint_stiffness(robot, q, wrench, d)
+    assert again.identifiable[:5].all()
+
+
 def test_tables_of_a_wrong_shape_are_refused():
     robot = arm()
     q, wrench, _ = loads(robot, 4, 0)

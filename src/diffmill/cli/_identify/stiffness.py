@@ -127,9 +127,12 @@ def _stiffness_lines(study: LoadTestStudy, found: LoadTestStudy.Fit) -> list[str
         least = fit.stiffness_bound[i]
         more = f", at least {least:.3g}" if least > 0 else ""
         lines.append(f"{name:{width}}{'-':>12}{'-':>12}{part}   not identifiable{more}")
+    scatter = f"one displacement scatters by {fit.spread * 1e6:.3g} um ({fit.noise})"
+    if not np.isfinite(fit.spread):
+        scatter = "its scatter is not known: the table has no more numbers than unknowns"
     lines.append(
         f"the springs explain {max(fit.explained, 0):.2%} of the squared displacement; "
-        f"one displacement scatters by {fit.spread * 1e6:.3g} um ({fit.noise})"
+        f"{scatter}"
     )
     if fit.offset is not None:
         size = ", ".join(f"{1e6 * value:.3g}" for value in fit.offset[:3])

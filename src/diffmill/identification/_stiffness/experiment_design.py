@@ -17,6 +17,8 @@ _POSES = 200
 _RANGE = np.pi
 # A joint that turns the tool by less than this share of the softest one is not shown.
 _SEEN = 1e-6
+# Scatter over the displacement where a table has no numbers left to show it.
+_SCATTER = 0.05
 
 
 class LoadTests(eqx.Module):
@@ -27,7 +29,8 @@ class LoadTests(eqx.Module):
         wrench: Forces in base axes, with zero moments [N, N m], shape (pose, 6).
         relative_errors: Standard error of each joint's compliance over the compliance
             itself that the table has with them, shape (joint,); infinite for joints
-            that no force at the tool can turn.
+            that no force at the tool can turn, NaN for the others if the table does not
+            show how it scatters.
         unobservable: Names of these joints: they need a tool with another offset, or a
             moment.
     """
@@ -51,8 +54,9 @@ def suggest_load_tests(
     Random poses within the joints' limits, each with the largest force of the table
     along the axes of the base, are added one by one; each is the one that lowers the
     sum of squared relative errors of these joints most, if the next tests
-    scatter like those of the table. Joints without a number are taken to be as stiff
-    as the robot model says. Collisions are not looked at.
+    scatter like those of the table; by 5 % of the displacement if it has no more
+    numbers than unknowns. Joints without a number are taken to be as stiff as the robot
+    model says. Collisions are not looked at.
 
     Args:
         robot: The robot, with its stiffness as far as it is known.
@@ -79,14 +83,16 @@ def suggest_load_tests(
     is_sought = fit.is_rough
     candidates = _candidates(robot, float(np.abs(tests.load[:, :3]).max()))
     poses, forces = candidates.poses, candidates.forces
-    # In units of the expected compliances; rows in units of their scatter.
-    spread = max(fit.spread, 1e-12)
-    seen = deflection_columns(robot, tests.joint_positions, tests.load)
-    seen = seen[:, :3] * (c / spread)
-    offered = deflection_columns(robot, poses, forces)[:, :3] * (c / spread)
+    # In units of the expected compliances.
+    seen = deflection_columns(robot, tests.joint_positions, tests.load)[:, :3] * c
+    offered = deflection_columns(robot, poses, forces)[:, :3] * c
     reach = np.linalg.norm(offered, axis=1).max(axis=0)
     is_lost = is_sought & ~(reach > _SEEN * reach.max())
-    is_kept = ~is_lost
+    is_kept, is_known = ~is_lost, np.isfinite(fit.spread)
+    usual = float(np.sqrt(np.mean(np.sum(seen, axis=2) ** 2)))
+    spread = max(fit.spread if is_known else _SCATTER * usual, 1e-12)
+    # Rows in units of their scatter.
+    seen, offered = seen / spread, offered / spread
     chosen: list[int] = []
     rows = seen.reshape(-1, seen.shape[2])[:, is_kept]
     # A weak prior keeps what no row shows finite: 10 times the compliance expected.
@@ -101,7 +107,8 @@ def suggest_load_tests(
     added = offered[chosen].reshape(-1, seen.shape[2])
     rows = np.vstack([seen.reshape(-1, seen.shape[2]), added])
     inverse = inverse_information(rows).inverse
-    errors = np.where(is_lost, np.inf, np.sqrt(np.diagonal(inverse)))
+    errors = np.sqrt(np.diagonal(inverse)) if is_known else np.full(len(c), np.nan)
+    errors = np.where(is_lost, np.inf, errors)
     names = tuple(n for n, lost in zip(robot.joint_names, is_lost, strict=True) if lost)
     return LoadTests(poses[chosen], forces[chosen], errors, names)
 

@@ -65,7 +65,8 @@ class JointStiffnessFit(eqx.Module):
         residual: Measured minus fitted displacement, shape (pose, component).
         offset: Constant displacement that was fitted too, shape (component,), or None.
         noise: "absolute" or "relative" (to the displacement), the likelier scatter.
-        spread: Standard deviation of one displacement of median size [m].
+        spread: Standard deviation of one displacement of median size [m]; infinite if
+            there are no more numbers than unknowns.
         joint_names: Names in the order of the arrays.
         notes: What to know, in words.
     """
