@@ -216,6 +216,17 @@ def test_standard_errors_cover_the_truth():
     assert 0.9 < within < 0.99
 
 
+def test_the_bound_from_few_tests_allows_for_their_number():
+    robot = arm()
+    q, wrench, draw = loads(robot, 3, 7)
+    d = moved(robot, q, wrench)[:, :3]
+    d += 0.01 * np.sqrt(np.mean(d**2)) * draw.normal(size=d.shape)
+    fit = identification.fit_joint_stiffness(robot, q, wrench, d, noise="absolute")
+    # Student's quantile for the nine numbers less six unknowns.
+    most = fit.compliance + 2.353 * fit.compliance_errors
+    np.testing.assert_allclose(1 / fit.stiffness_bound, most, rtol=1e-3)
+
+
 def moved_fast(robot, q, wrench):
     J = np.asarray(jax.vmap(functools.partial(rb.jacobian, robot))(jnp.asarray(q)))
     return (J * np.einsum("pcj,pc->pj", J, wrench)[:, None])[:, :3]

@@ -27,14 +27,14 @@ _ROUGH = 0.1
 # Probabilities of the interval that is given, and of the one that must leave out a
 # rigid joint: of many joints some seem soft by chance.
 _GIVEN, _BOUNDED = 0.95, 0.99
+# Probability of the bound on one side.
+_ONE_SIDED = 0.95
 # The springs must explain this share of the squared displacements.
 _EXPLAINED = 0.7
 # More wrong poses than this share of all say that the model or the table is wrong.
 _OUTLIERS = 0.3
 # A column smaller than this share of the largest is rounding.
 _ROUNDING = 1e-9
-# Standard normal quantile of a one-sided bound of 95 %.
-_ONE_SIDED = 1.645
 
 
 class JointStiffnessFit(eqx.Module):
@@ -313,7 +313,7 @@ def _report(
         is_consistent & (c > bounded * errors) & (errors <= max_relative_error * c)
     )
     safe = np.where(is_fixed, c, 1.0)
-    bound = 1.0 / np.maximum(c + _ONE_SIDED * errors, 1e-300)
+    bound = 1.0 / np.maximum(c + stdtrit(freedom, _ONE_SIDED) * errors, 1e-300)
     away = given * np.where(is_fixed, errors, 0.0)[:, None] * np.array([1.0, -1.0])
     interval = 1.0 / (safe[:, None] + away)
     return JointStiffnessFit(
