@@ -171,8 +171,9 @@ class SplineOffsets(eqx.Module):
         untouched = int(start[held]) + (4 if weights[held, 3] > 0 else 3)
         has_end = first_row + row_count > last
         least = max(untouched, CLAMPED)
-        end = rows[row_count - 1]
-        most = self.interval_count + 2 - CLAMPED if has_end else int(start[end])
+        # The first coefficient of the row behind acts there, those before it do not.
+        behind = min(first_row + row_count, last)
+        most = self.interval_count + 2 - CLAMPED if has_end else int(start[behind]) - 1
         return SplineWindow(
             start=(start[rows] - first).astype(np.int32),
             weights=weights[rows],
@@ -194,8 +195,8 @@ class SplineWindow(eqx.Module):
         first: Place of the first coefficient of the window among all coefficients of
             the program, the clamped included.
         is_free: Whether a coefficient of the window may change: it acts on no row up
-            to the first, nor on as many behind it as there are rows ahead, and on the
-            last rows only if the whole of it does, shape (coefficient,).
+            to the first, nor on as many behind it as there are rows ahead, nor on any
+            behind the last but for those ahead, shape (coefficient,).
     """
 
     start: Int[np.ndarray, " step"] | Int[Array, " step"]
