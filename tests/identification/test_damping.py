@@ -44,3 +44,23 @@ def test_shapes_are_checked():
     robot = rb.load("kuka_kr210_like")
     with pytest.raises(ValueError, match="`damping_ratios`"):
         identification.fit_joint_damping(robot, np.zeros((2, 6)), np.zeros((1, 3)))
+
+
+@pytest.mark.parametrize(
+    ("value", "fault"),
+    [(0.0, "must vary"), (3.0, "must vary"), (np.nan, "finite"), (np.inf, "finite")],
+)
+@pytest.mark.parametrize("guess", [None, np.array([9.0])])
+def test_a_dead_channel_is_no_ring_down(guess, value, fault):
+    t = np.arange(400) / 1000
+    y = np.full(400, value) if np.isfinite(value) else np.sin(60 * t)
+    y[7] = value
+    ring = identification.RingDown("ring.csv", t, y, 1, guess, None, ())
+    with pytest.raises(ValueError, match=f"Argument `signal` .*{fault}"):
+        ring.fit()
+
+
+def test_a_guess_of_no_frequency_is_refused():
+    t = np.arange(400) / 1000
+    with pytest.raises(ValueError, match="Argument `frequencies`"):
+        identification.fit_ring_down(t, np.sin(60 * t), [9.0, 0.0])

@@ -87,18 +87,19 @@ def fit_ring_down(time: Values, signal: Values, frequencies: Values) -> RingDown
         The modes; the standard errors take the residual as independent.
 
     Raises:
-        ValueError: Wrong shapes, or fewer samples than unknowns.
+        ValueError: Wrong shapes, fewer samples than unknowns, numbers that are not
+            finite, a signal that does not vary, or guesses that are not above 0.
     """
     from scipy.optimize import least_squares
 
     t, y = np.array(time, np.float64), np.array(signal, np.float64)
     guess = np.sort(np.array(frequencies, np.float64))
     count = guess.size
-    if t.ndim != 1 or y.shape != t.shape or guess.ndim != 1 or t.size <= 4 * count:
+    _check(t, y, count)
+    if guess.ndim != 1 or not np.all((guess > 0) & np.isfinite(guess)):
         raise ValueError(
-            "Arguments `time` and `signal` must have one shape (sample,) with more "
-            f"than 4 samples per mode, but have {t.shape} and {y.shape} for {count} "
-            "modes."
+            "Argument `frequencies` must have shape (mode,) and be above 0 and finite, "
+            f"but is {guess.tolist()}."
         )
     t = t - t[0]
 
@@ -160,6 +161,7 @@ def ring_down_frequencies(
         ValueError: As `fit_ring_down`.
     """
     t, y = np.array(time, np.float64), np.array(signal, np.float64)
+    _check(t, y, count)
     step = float(np.median(np.diff(t)))
     grid = np.arange(t[0], t[-1], step)
     lines = np.fft.rfftfreq(_PADDING * grid.size, step)
@@ -172,6 +174,26 @@ def ring_down_frequencies(
         fit = fit_ring_down(t, y, np.append(found, peak))
         found, left = fit.frequencies, y - fit.fitted
     return found
+
+
+def _check(t: np.ndarray, y: np.ndarray, count: int) -> None:
+    """Refuse what is no signal, or too short a one for some modes."""
+    if t.ndim != 1 or y.shape != t.shape or t.size <= 4 * count:
+        raise ValueError(
+            "Arguments `time` and `signal` must have one shape (sample,) with more "
+            f"than 4 samples per mode, but have {t.shape} and {y.shape} for {count} "
+            "modes."
+        )
+    for name, values in (("time", t), ("signal", y)):
+        if not np.all(np.isfinite(values)):
+            row = int(np.argmin(np.isfinite(values)))
+            raise ValueError(
+                f"Argument `{name}` must be finite, but sample {row} is {values[row]}."
+            )
+    if np.ptp(y) == 0:
+        raise ValueError(
+            f"Argument `signal` must vary, but is {y[0]:g} in all samples."
+        )
 
 
 def fit_joint_damping(
