@@ -254,17 +254,17 @@ def test_a_window_is_the_spline_in_its_rows(first, ahead):
 
 
 @pytest.mark.parametrize("count", [119, 120, 121, 122])
-@pytest.mark.parametrize("step_count", [529, 531])
-def test_a_window_changes_all_that_does_not_act_behind_it(step_count, count):
-    """Some windows end right before a knot, where one more may change."""
-    spline, first = SplineOffsets(step_count, TIME_STEP, KNOTS), 8
+def test_a_window_changes_one_coefficient_that_acts_up_to_the_next_knot(count):
+    spline, first = SplineOffsets(531, TIME_STEP, KNOTS), 8
     window = spline.window(first, count)
     acts = np.asarray(spline.offsets(jnp.eye(spline.coefficient_count))) != 0
     # The places of a program begin with three that are held at zero.
     places = np.asarray(window.place())[np.asarray(window.is_free)] - 3
-    assert not acts[: first + 1, places].any()
-    assert not acts[first + count :, places].any()
-    assert acts[first + count :, places[-1] + 1].any()
+    behind = first + count
+    assert not acts[behind:, places[:-1]].any()
+    assert acts[:behind, places[-1]].any()
+    assert acts[behind:, places[-1]].sum() < spline.actual_spacing / TIME_STEP
+    assert acts[behind:, places[-1] + 1].any()
 
 
 def test_segments_that_have_not_settled_are_told(problem, segmented):

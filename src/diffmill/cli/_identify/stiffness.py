@@ -129,7 +129,7 @@ def _stiffness_lines(study: LoadTestStudy, found: LoadTestStudy.Fit) -> list[str
         lines.append(f"{name:{width}}{'-':>12}{'-':>12}{part}   not identifiable{more}")
     scatter = f"one displacement scatters by {fit.spread * 1e6:.3g} um ({fit.noise})"
     if not np.isfinite(fit.spread):
-        scatter = "its scatter is not known: the table has no more numbers than unknowns"
+        scatter = "its scatter is not known: there are no more numbers than unknowns"
     lines.append(
         f"the springs explain {max(fit.explained, 0):.2%} of the squared displacement; "
         f"{scatter}"

@@ -171,9 +171,10 @@ class SplineOffsets(eqx.Module):
         untouched = int(start[held]) + (4 if weights[held, 3] > 0 else 3)
         has_end = first_row + row_count > last
         least = max(untouched, CLAMPED)
-        # The first coefficient of the row behind acts there, those before it do not.
-        behind = min(first_row + row_count, last)
-        most = self.interval_count + 2 - CLAMPED if has_end else int(start[behind]) - 1
+        end = rows[row_count - 1]
+        # The last one acts behind the end too, on rows that the next window corrects.
+        # Held, it bends the end towards what lies behind, and costs accuracy there.
+        most = self.interval_count + 2 - CLAMPED if has_end else int(start[end])
         return SplineWindow(
             start=(start[rows] - first).astype(np.int32),
             weights=weights[rows],
@@ -195,8 +196,9 @@ class SplineWindow(eqx.Module):
         first: Place of the first coefficient of the window among all coefficients of
             the program, the clamped included.
         is_free: Whether a coefficient of the window may change: it acts on no row up
-            to the first, nor on as many behind it as there are rows ahead, nor on any
-            behind the last but for those ahead, shape (coefficient,).
+            to the first, nor on as many behind it as there are rows ahead. Of those
+            that may, the last alone acts on rows behind the window, up to the next
+            knot. Shape (coefficient,).
     """
 
     start: Int[np.ndarray, " step"] | Int[Array, " step"]

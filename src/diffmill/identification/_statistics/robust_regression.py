@@ -267,7 +267,7 @@ def _spread(residual: np.ndarray, force: np.ndarray) -> np.ndarray:
         # Exact records have no scatter: a number far below their size weighs them.
         exact = 1e-9 * float(np.abs(force[rows, axis]).max())
         result[axis] = middle if middle > 0 else exact
-    # Of those alone that were measured: units may be metres, where 1 is no small number.
+    # Of those alone that were measured: a residual in metres is far smaller than 1.
     result = np.maximum(result, 1e-6 * result.max())
     return np.where(known.any(axis=0) & (result > 0), result, 1.0)
 
