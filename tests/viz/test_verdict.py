@@ -58,6 +58,33 @@ def test_the_written_program_has_to_keep_the_band_too(tmp_path, correction):
     )
 
 
+def test_verdict_and_headline_are_those_of_the_program_to_load(tmp_path, correction):
+    largest = corrected_error(correction).max()
+    told = dict(
+        tolerance_band=2 * largest,
+        written_max_ngc=1.1 * largest,
+        written_rms_ngc=1e-6 * largest,
+        moved_max_ngc=3 * largest,
+        moved_rms_ngc=2 * largest,
+        stream_max_csv=4 * largest,
+        stream_rms_csv=2 * largest,
+    )
+    text = report(tmp_path, correction.assign_attrs(told))
+    assert "Not within" not in text
+    assert f"Of moved.ngc, read back and run: {3e6 * largest:.3g}" in text
+    assert "not judged, is moved.ngc and stream.csv" in text
+    assert "smaller contour error" in text and "of what is written" not in text
+    calm = told | dict(moved_max_ngc=largest, stream_max_csv=largest)
+    assert "not judged" not in report(tmp_path, correction.assign_attrs(calm))
+
+
+@pytest.mark.parametrize("left", [np.nan, np.inf])
+def test_a_written_error_that_is_not_finite_keeps_no_tolerance(correction, left):
+    given = correction.assign_attrs(tolerance_band=1.0, written_max_ngc=left)
+    text = summary(given, "verdict")
+    assert text.startswith("Not within") and "corrected.ngc" in text
+
+
 def test_a_written_program_that_could_not_be_run_is_said(tmp_path, correction):
     given = correction.assign_attrs(tolerance_band=1e-3, written_not_run=1)
     assert "could not be run" in report(tmp_path, given)

@@ -8,8 +8,9 @@ What it reads of a result besides the variables of `simulate` and `correct`:
 - attributes `CASE_NAME`, such as `mirror_forward_runs`: the cost and the settings of
   each case, those that end in `_s` in seconds; `corrected_case`: the case whose
   command is the corrected program; `written_rms_SUFFIX` and `written_max_SUFFIX` [m],
-  the errors that the program in `corrected.SUFFIX` leaves; `is_successful` (0 marks a
-  run that failed); `tolerance_band` [m], the contour error to hold the result against;
+  the errors that the program in `corrected.SUFFIX` leaves, and likewise `moved_` and
+  `stream_` for those files; `is_successful` (0 marks a run that failed);
+  `tolerance_band` [m], the contour error to hold the result against;
   `stability_has_chatter` (1 where vibrations grow);
 - every other attribute is listed as a setting.
 """
@@ -44,7 +45,14 @@ from .html import (
 )
 from .on_machine import machine_lines
 from .scene import scene_html
-from .verdict import departure_text, limits, tolerance_band, verdict
+from .verdict import (
+    departure_text,
+    limits,
+    loaded_errors,
+    tolerance_band,
+    verdict,
+    written_errors,
+)
 from .write import FigureFile
 
 if TYPE_CHECKING:
@@ -66,11 +74,6 @@ _SPECIAL = (
     "incomplete_time",
     "incomplete_place",
 )
-_WRITTEN = {
-    "corrected": "written_rms_",
-    "moved": "moved_rms_",
-    "stream": "stream_rms_",
-}
 _PREFIXES = tuple(f"{kind}_" for kind in ("written", "moved", "stream"))
 
 
@@ -182,7 +185,7 @@ def _lead(dataset: "xarray.Dataset", numbers: dict[str, CaseNumbers]) -> str:
     if chosen:
         after = _length(numbers[chosen].rms)
         text += f"; with the corrected program by {after}"
-    for name, rms in _written(dataset).items():
+    for name, rms in written_errors(dataset, "rms").items():
         text += f", as written in {name} by {_length(rms)}"
     return text + "."
 
@@ -202,11 +205,11 @@ def _headline(
         items.append(LargeNumber(_length(after.rms), text))
         items += [
             LargeNumber(_length(rms), f"contour error (rms) of {name}, read and run")
-            for name, rms in _written(dataset).items()
+            for name, rms in written_errors(dataset, "rms").items()
         ]
         # What is loaded into the machine counts: programs are written to a tolerance.
-        left = max([after.rms, *_written(dataset).values()])
-        whose = " of what is written" if left > after.rms else ""
+        left = float(np.max([after.rms, *loaded_errors(dataset, "rms").values()]))
+        whose = "" if left <= after.rms else " of what is written"
         text = f"smaller contour error{whose}"
         items.append(LargeNumber(_times(before.rms, left), text))
     else:
@@ -270,16 +273,6 @@ def _chosen(dataset: "xarray.Dataset") -> str:
     return name if name != reference_case(dataset) else ""
 
 
-def _written(dataset: "xarray.Dataset") -> dict[str, float]:
-    """Return the rms error of the written programs that were run [m], by file name."""
-    return {
-        f"{file}.{str(key).removeprefix(prefix)}": float(value)
-        for file, prefix in _WRITTEN.items()
-        for key, value in dataset.attrs.items()
-        if str(key).startswith(prefix)
-    }
-
-
 def _machine(dataset: "xarray.Dataset", job: Job | None) -> list[str]:
     """Return what to load and to set, if a corrected program was written."""
     if job is None or not _chosen(dataset):
@@ -287,7 +280,7 @@ def _machine(dataset: "xarray.Dataset", job: Job | None) -> list[str]:
     chosen, reference = _chosen(dataset), reference_case(dataset)
     if case_numbers(dataset, chosen).rms > case_numbers(dataset, reference).rms:
         return ["Nothing to load: the corrected command is worse than the program."]
-    return machine_lines(job, _written(dataset))
+    return machine_lines(job, written_errors(dataset, "rms"))
 
 
 def _case_attributes(dataset: "xarray.Dataset") -> dict[str, dict[str, str]]:

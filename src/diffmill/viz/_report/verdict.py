@@ -1,6 +1,6 @@
 """Whether a result stays within a tolerance, and what limited it."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import equinox as eqx
 import numpy as np
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 # A bound counts as reached so near to it: the optimiser keeps a reserve.
 _NEAR = 0.98
-# Of the largest errors that the written programs leave, by suffix of their files.
-_WRITTEN = "written_max_"
+# Attributes of what a written file leaves begin with a word for its name.
+_WRITTEN = {"corrected": "written", "moved": "moved", "stream": "stream"}
 # The surface breaks a tolerance where it lies so many times as deep in the part: the
 # meshes that are compared are off by some micrometres at edges.
 _DEEP = 1.5
@@ -58,13 +58,45 @@ def tolerance_band(dataset: "xarray.Dataset") -> float:
     return float(dataset.attrs.get("tolerance_band", 0.0))
 
 
+def written_errors(
+    dataset: "xarray.Dataset", measure: Literal["rms", "max"]
+) -> dict[str, float]:
+    """Return what the written files leave that were read back and run, by name [m].
+
+    Args:
+        dataset: A result of `correct`.
+        measure: The root mean square contour error, or the largest.
+    """
+    return {
+        f"{file}.{str(key).removeprefix(prefix)}": float(value)
+        for file, prefix in ((f, f"{w}_{measure}_") for f, w in _WRITTEN.items())
+        for key, value in dataset.attrs.items()
+        if str(key).startswith(prefix)
+    }
+
+
+def loaded_errors(
+    dataset: "xarray.Dataset", measure: Literal["rms", "max"]
+) -> dict[str, float]:
+    """Return what those written files leave that are loaded into the machine [m].
+
+    A moved program and a stream serve controllers that cannot take these.
+
+    Args:
+        dataset: A result of `correct`.
+        measure: The root mean square contour error, or the largest.
+    """
+    written = written_errors(dataset, measure)
+    return {n: left for n, left in written.items() if n.startswith("corrected.")}
+
+
 def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
     """Return whether the result keeps its tolerance.
 
     Args:
         dataset: A result of `simulate` or `correct`; its attribute `tolerance_band`
             is the largest contour error that is allowed [m]. It is asked of the
-            written programs, too, where they have been run.
+            corrected programs, too, where they have been run.
         is_complete: Whether the run reached its end.
     """
     case, band = chosen_case(dataset), tolerance_band(dataset)
@@ -103,13 +135,8 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
         if deepest > _STRIKING * largest:
             return Verdict(False, "The tool cuts into the part", text + deep)
         return Verdict(None, "No tolerance stated", text)
-    files = {
-        f"corrected.{str(key).removeprefix(_WRITTEN)}": float(value)
-        for key, value in dataset.attrs.items()
-        if str(key).startswith(_WRITTEN)
-    }
-    for name, left in files.items():
-        text += f" Of {name}, read back and run: {left * 1e6:.3g} {MICROMETRE}."
+    files = loaded_errors(dataset, "max")
+    text += _written_text(dataset, band)
     if dataset.attrs.get("written_not_run"):
         text += " The written programs could not be run: what they leave is not known."
     if expected is not None:
@@ -123,7 +150,9 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
     text += shank if has_shank else ""
     if dataset.attrs.get("stability_has_chatter"):
         text += " But the cut is unstable, see below."
-    is_held = max(largest, *files.values(), deepest / _DEEP) <= band and not has_shank
+    # Written so that a number that is not finite does not count as held.
+    left = (largest, *files.values(), deepest / _DEEP)
+    is_held = all(value <= band for value in left) and not has_shank
     share = 100 * float(np.mean(error <= band))
     # 99.97 % is not "100 %" of a path that leaves the band.
     shown = "all" if largest <= band else f"{min(share, 99.9):.1f} %"
@@ -131,6 +160,24 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
     whose = "The command" if case != reference_case(dataset) else "The path"
     text += f" {whose} is within the tolerance at {shown} of the steps that cut."
     return Verdict(is_held, title, text)
+
+
+def _written_text(dataset: "xarray.Dataset", band: float) -> str:
+    """Return what each written file leaves, and which are outside but not judged."""
+    written, loaded = (
+        found(dataset, "max") for found in (written_errors, loaded_errors)
+    )
+    text, outside = "", []
+    for name, left in written.items():
+        size = f"{left * 1e6:.3g} {MICROMETRE}" if np.isfinite(left) else "not finite"
+        text += f" Of {name}, read back and run: {size}."
+        outside += [name] if name not in loaded and not left <= band else []
+    if outside:
+        text += (
+            f" Outside the tolerance, but not judged, is {' and '.join(outside)}: the "
+            "file to load is the corrected program."
+        )
+    return text
 
 
 def _cutting_error(dataset: "xarray.Dataset", case: str) -> np.ndarray:
