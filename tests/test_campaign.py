@@ -128,6 +128,36 @@ def test_factors_scale_what_the_job_holds(folder):
         assert numbers([doubled["K_tc"]]) == pytest.approx(2 * numbers([force["K_tc"]]))
 
 
+@pytest.mark.parametrize("table", ["force", "force.bottom"])
+def test_a_scaled_law_keeps_the_thicknesses_that_it_refers_to(folder, table):
+    law = """law = "kienzle"
+K_tc11 = "1500 N/mm^2"
+K_rc11 = ["500 N/mm^2", "600 N/mm^2"]
+K_ac11 = "0 N/mm^2"
+K_te = "3 N/mm"
+m_t = [0.25, 0.3]
+reference_thickness = "1 mm"
+least_thickness = "2 um"
+"""
+    file = folder / "job.toml"
+    text = file.read_text()
+    a, b = text.index("K_tc"), text.index("[stock]")
+    side = text[a:b] if table == "force.bottom" else ""
+    bottom = "[force.bottom]\n" if side else ""
+    file.write_text(f"{text[:a]}{side}{bottom}{law}{text[b:]}")
+    for key in {"force", table}:
+        sweep = f'[[sweep]]\nkey = "{key}"\nfactors = [1, 2]\n'
+        campaign = plan(f'job = "job.toml"\n{sweep}', folder)
+        once, twice = (change[key] for change in campaign.changes())
+        if key != table:
+            once, twice = once["bottom"], twice["bottom"]
+        assert numbers([twice["K_tc11"], *twice["K_rc11"], twice["K_te"]]) == (
+            pytest.approx(np.array([3000, 1000, 1200, 6]))
+        )
+        kept = ("law", "m_t", "reference_thickness", "least_thickness")
+        assert all(once[name] == twice[name] for name in kept)
+
+
 def test_the_coordinate_of_a_scaled_list_are_its_factors(folder):
     text = REFUSED.replace('"none.ngc", ', "")
     text += '[[sweep]]\nkey = "stock.upper"\nfactors = [0.5, 2]\n'

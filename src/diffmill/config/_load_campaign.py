@@ -148,7 +148,7 @@ def _swept(entry: SweepTable, tables: Tables, problems: list[str]) -> Variation:
     elif entry.factors is not None:
         try:
             held = value_at(tables, entry.key)
-            values = [scaled(held, factor) for factor in entry.factors]
+            values = [scaled(held, factor, entry.key) for factor in entry.factors]
             factors = tuple(entry.factors) if isinstance(held, list | dict) else ()
         except (LookupError, ValueError) as error:
             problems.append(f"[[sweep]] {entry.key}: factors: {error.args[0]}")

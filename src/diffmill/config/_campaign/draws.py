@@ -8,6 +8,9 @@ from ...units import base_quantity, scaled_quantity
 from .._changes import Tables, value_at
 from .schema import CampaignTable, DrawTable
 
+# Tables that hold a force law.
+_LAWS = ("force", "force.bottom")
+
 
 def drawn_values(
     entry: DrawTable, table: CampaignTable, tables: Tables
@@ -63,16 +66,28 @@ def _unit_draw(kind: str, stream: np.random.Generator) -> float:
     return float(draw)
 
 
-def scaled(value: object, factor: float) -> object:
+def scaled(value: object, factor: float, key: str = "") -> object:
     """Return a value of a job times a factor; of a list, each entry.
 
-    Of a table each entry that has a unit: of `force` with coefficients, all of them.
+    Of a table each entry that has a unit; of a force law its coefficients alone, since
+    the thicknesses that Kienzle's law refers to are no forces.
+
+    Args:
+        value: What the job holds.
+        factor: A number.
+        key: Where it does; of anything but tables it does not matter.
 
     Raises:
         ValueError: It is no number and no quantity.
     """
     if isinstance(value, dict):
-        found = {key: _scaled_if_unit(one, factor) for key, one in value.items()}
+        is_law = key in _LAWS
+        found = {
+            name: _scaled_if_unit(one, factor, f"{key}.{name}")
+            if not is_law or name.startswith("K_") or isinstance(one, dict)
+            else one
+            for name, one in value.items()
+        }
         if found == value and factor != 1:
             cure = ""
             if "material" in value:
@@ -86,10 +101,10 @@ def scaled(value: object, factor: float) -> object:
     return scaled_quantity(value, factor)
 
 
-def _scaled_if_unit(value: object, factor: float) -> object:
+def _scaled_if_unit(value: object, factor: float, key: str) -> object:
     """Return an entry of a table times a factor, if it has a unit."""
     if isinstance(value, dict | list):
-        return scaled(value, factor)
+        return scaled(value, factor, key)
     try:
         has_unit = bool(base_quantity(value).unit)
     except ValueError:
@@ -103,7 +118,8 @@ def _scattered(value: object, entry: DrawTable, stream: np.random.Generator) -> 
         return [_scattered(one, entry, stream) for one in value]
     assert entry.relative is not None
     step = entry.relative * _unit_draw(entry.kind, stream)
-    return scaled(value, math.exp(step) if entry.kind == "lognormal" else 1 + step)
+    factor = math.exp(step) if entry.kind == "lognormal" else 1 + step
+    return scaled(value, factor, entry.key)
 
 
 def _text(number: float, unit: str) -> object:
