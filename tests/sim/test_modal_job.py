@@ -72,6 +72,25 @@ def test_the_axes_of_a_measurement_are_turned_into_those_of_the_work(tmp_path):
     np.testing.assert_allclose(job.modes.participation, carried, atol=1e-12)
 
 
+@pytest.mark.parametrize("count", [20, 21, 40])
+def test_of_many_modes_as_soft_the_fastest_counts(tmp_path, count):
+    """From 20 on no mode has more than the share below which one does not count."""
+    mode = """[[machine.modes]]
+frequency = "{} Hz"
+damping_ratio = 0.1
+direction = [1, 0, 0]
+stiffness = "1 N/um"
+"""
+
+    def substeps(*frequencies):
+        modes = "".join(map(mode.format, frequencies))
+        file = write_modal_job(tmp_path, modes)
+        file.write_text(file.read_text().replace("substeps = 4", ""))
+        return dm.load_job(file).simulation.substeps
+
+    assert substeps(*np.linspace(200, 400, count)) == substeps(400) > substeps(200)
+
+
 def test_modes_may_stand_in_a_file_of_their_own(tmp_path):
     own = dm.load_job(write_modal_job(tmp_path, slides_modes()))
     (tmp_path / "modes.toml").write_text(slides_modes(head=""))

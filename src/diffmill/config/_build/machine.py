@@ -10,6 +10,8 @@ from .context import FileContext
 
 # A mode of a smaller share of the tip's compliance needs no sub-steps of its own.
 _SHARE = 0.05
+# Of many modes none may have that share: then those count that are so near the largest.
+_NEAR = 0.5
 
 
 def read_machine(table: MachineTable, context: FileContext) -> TipModes | None:
@@ -50,7 +52,8 @@ def fastest_mode(modes: TipModes) -> float:
     """Return the highest frequency of a mode that a force deflects at the tip [Hz]."""
     frequencies = np.asarray(modes.frequencies, np.float64)
     gives = np.sum(np.asarray(modes.shapes) ** 2, axis=1) / frequencies**2
-    return float(frequencies[gives > _SHARE * gives.sum()].max())
+    least = min(_SHARE * gives.sum(), _NEAR * gives.max())
+    return float(frequencies[gives > least].max())
 
 
 def _from_file(name: str, context: FileContext) -> list[ModeTable] | None:
