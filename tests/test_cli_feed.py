@@ -119,7 +119,7 @@ def test_a_rigid_machine_and_an_idle_program_are_refused(
     i, j = text.index("[robot]"), text.index("[simulation]")
     (folder / "rigid.toml").write_text(text[:i] + "[robot]\nrigid = true\n" + text[j:])
     assert main(["feed", "rigid.toml"]) == 2
-    assert "but feed needs a robot" in capsys.readouterr().err
+    assert "but feed needs a machine that is soft" in capsys.readouterr().err
 
     def idle(job, **options):
         raise NothingToCorrect("the rigid tool removes nothing.")
@@ -128,6 +128,20 @@ def test_a_rigid_machine_and_an_idle_program_are_refused(
     assert main(["feed", "job.toml"]) == 2
     assert "found nothing that the feed could change" in capsys.readouterr().err
     assert not (folder / "job-feed").exists()
+
+
+def test_the_feed_of_a_machine_of_modes_is_studied(folder, asked):
+    text = (folder / "job.toml").read_text()
+    i, j = text.index("[robot]"), text.index("[simulation]")
+    mode = """[[machine.modes]]
+frequency = "20 Hz"
+damping_ratio = 0.1
+direction = [1, 1, 1]
+mass = "80 kg"
+"""
+    (folder / "modal.toml").write_text(text[:i] + mode + text[j:])
+    assert main(["feed", "modal.toml", "--overrides", "1"]) == 0
+    assert asked["overrides"] == (1.0,)
 
 
 @pytest.mark.slow

@@ -90,9 +90,13 @@ def _check(job: "Job", file: pathlib.Path, request: FeedRequest) -> None:
     from .._toml import JobError
     from ..toolpath import PathFeed
 
-    if job.robot is None:
+    if job.is_rigid:
         raise JobError(
-            file, ["[robot] rigid: found true, but feed needs a robot: model or file"]
+            file,
+            [
+                "[robot] rigid: found true, but feed needs a machine that is soft: "
+                "model or file, or [machine]"
+            ],
         )
     if job.commanded is not None:
         raise JobError(file, [ONLY_SIMULATE])
