@@ -128,6 +128,19 @@ def test_factors_scale_what_the_job_holds(folder):
         assert numbers([doubled["K_tc"]]) == pytest.approx(2 * numbers([force["K_tc"]]))
 
 
+def test_factors_of_counts_are_counts(folder):
+    text = """
+        job = "job.toml"
+        [[sweep]]
+        key = "cutter.teeth"
+        factors = [1, 1.5, 2]
+        """
+    teeth = [change["cutter.teeth"] for change in plan(text, folder).changes()]
+    assert teeth == [2, 3, 4]
+    with pytest.raises(JobError, match="whole number"):
+        plan(text.replace("1.5", "1.2"), folder)
+
+
 @pytest.mark.parametrize("table", ["force", "force.bottom"])
 def test_a_scaled_law_keeps_the_thicknesses_that_it_refers_to(folder, table):
     law = """law = "kienzle"

@@ -37,6 +37,18 @@ def test_value(text, kind, expected):
     assert q.quantity(text, kind) == pytest.approx(expected, rel=1e-12)
 
 
+def test_a_count_times_a_factor_stays_a_count_where_it_is_whole():
+    found = [q.scaled_quantity(10, factor) for factor in (1.0, 1.1, 1.25, 0.5)]
+    assert [(type(one), one) for one in found] == [
+        (int, 10),
+        (int, 11),
+        (float, 12.5),
+        (int, 5),
+    ]
+    assert type(q.scaled_quantity(4.0, 2.0)) is float
+    assert q.scaled_quantity(math.inf, 2.0) == math.inf
+
+
 def test_what_no_machine_has_is_refused():
     # 1e300 m would end as an overflow in the first square.
     with pytest.raises(ValueError, match=r"'1e300 mm'.* 1e\+20 m"):

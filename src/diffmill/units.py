@@ -185,6 +185,8 @@ def base_quantity(value: object) -> Amount:
 def scaled_quantity(value: object, factor: float) -> object:
     """Return a quantity of any dimension times a factor, in the unit that it has.
 
+    A whole number stays one where the product is whole.
+
     Args:
         value: As of `base_quantity`.
         factor: A number.
@@ -194,7 +196,11 @@ def scaled_quantity(value: object, factor: float) -> object:
     """
     number, unit = base_quantity(value)
     if not unit:
-        return number * factor
+        # A count stays one, which a key that takes whole numbers asks for.
+        product = number * factor
+        if isinstance(value, int) and math.isclose(product, round(product)):
+            return round(product)
+        return product
     number, unit = _split(value, "a quantity is required")
     return f"{number * factor:.12g} {unit}"
 
