@@ -149,6 +149,112 @@ def test_joints_keep_their_accelerations(smoothing):
     assert np.abs(gap).max() < 1e-12
 
 
+# Rows of a cutter of two teeth at 8000 rpm, 0.75 mm apart in a rapid move.
+COARSE = 3.75e-3
+# How joints turn with the tool, about 3 rad/m each.
+TURNS = np.array([[3.0, 1.0, 0.0], [0.0, 3.0, 1.0], [1.0, 0.0, 3.0]])
+
+
+def slowed_for(timed, speed, ramp=FREE, passes=2):
+    """Return shares of their limits that three joints take in a slowed program.
+
+    Args:
+        timed: The program.
+        speed: Fastest turning of each joint [rad/s].
+        ramp: Time in which it reaches this [s]; any if it is infinite.
+        passes: How often the program is slowed down.
+    """
+    joints = lambda path: np.arctan(path.positions @ TURNS)
+    # No limit where there is no ramp.
+    acceleration = np.full(3, FREE if np.isinf(ramp) else speed / ramp)
+    limits = {"speed": np.full(3, speed), "acceleration": acceleration}
+    for _ in range(passes):
+        path = timed.path(COARSE)
+        timed = timed.within(path, joints(path), names=("a", "b", "c"), **limits)
+    q = joints(timed.path(COARSE))
+    rate = np.abs(np.diff(q, axis=0)).max() / COARSE
+    change = np.abs(np.diff(q, 2, axis=0)).max() / COARSE**2
+    return rate / speed, change / acceleration[0]
+
+
+def test_joints_keep_their_speeds_in_a_small_circle_behind_a_rapid():
+    # Rows of the rapid move are farther apart than the circle is wide.
+    centre, end = (0.0, 5e-4, 0.0), (0.0, 0.0, 0.0)
+    moves = (
+        Move((-0.1, 0.0, 0.0), end, is_rapid=True, line=1),
+        Move(end, end, centre=centre, turn=1, feed=FEED, line=2),
+    )
+    timed = TimedProgram.of(Program(moves), LIMITS)
+    rate, _ = slowed_for(timed, 0.05, passes=1)
+    assert 0.95 < rate <= 1.0
+
+
+@pytest.mark.parametrize("tolerance", [1e-5, 1e-4])
+def test_joints_keep_their_accelerations_in_a_tight_corner(tolerance):
+    # At 10 um the tool is round the corner within two rows.
+    rapid = Move((-0.1, 0.0, 0.0), (0.0, 0.0, 0.0), is_rapid=True, line=1)
+    corner = program((0, 0, 0), (0.05, 0, 0), (0.05, 0.05, 0)).moves
+    limits = LIMITS._replace(corner_tolerance=tolerance)
+    timed = TimedProgram.of(Program((rapid, *corner)), limits)
+    rate, change = slowed_for(timed, 0.2, ramp=0.2)
+    assert rate <= 1.0 and 0.5 < change <= 1.0
+
+
+def random_program(random):
+    """Return lines, arcs and rapid moves through random points, some mm long."""
+    moves, here = [], np.zeros(3)
+    for line in range(1, 1 + int(random.integers(2, 7))):
+        kind = random.choice(["line", "arc", "rapid"], p=[0.5, 0.25, 0.25])
+        there = here + 10 ** random.uniform(-3.0, -1.8) * random.normal(size=3)
+        how = {"feed": 10 ** random.uniform(-2.0, -1.0)}
+        if kind == "rapid":
+            how = {"is_rapid": True}
+        if kind == "arc":
+            first, sweep = random.uniform(0.0, 6.28), random.uniform(0.3, 6.0)
+            radius = 10 ** random.uniform(-3.3, -2.0)
+            spokes = [
+                radius * np.array([np.cos(x), np.sin(x), 0.0])
+                for x in (first, first + sweep)
+            ]
+            centre = here - spokes[0]
+            there = centre + spokes[1]
+            how |= {"centre": tuple(centre.tolist()), "turn": 1}
+        moves.append(
+            Move(tuple(here.tolist()), tuple(there.tolist()), line=line, **how)
+        )
+        here = there
+    return Program(tuple(moves))
+
+
+@pytest.mark.parametrize("smoothing", [0.0, 0.1])
+@pytest.mark.parametrize("tolerance", [0.0, 1e-5, 1e-4])
+def test_joints_keep_their_limits_on_random_programs(tolerance, smoothing):
+    random = np.random.default_rng(3)
+    for _ in range(15):
+        acceleration = 10 ** random.uniform(-0.5, 0.7)
+        limits = TimingLimits(acceleration, 0.2, tolerance, smoothing=smoothing)
+        timed = TimedProgram.of(random_program(random), limits)
+        speed = 10 ** random.uniform(-1.7, -0.3)
+        rate, change = slowed_for(timed, speed, ramp=0.2)
+        assert rate <= 1.001 and change <= 1.001
+
+
+def test_rest_before_and_after_a_path_changes_no_limit():
+    timed = TimedProgram.of(program((0, 0, 0), (0.01, 0.01, 0), (0, 0.02, 0)), LIMITS)
+    plain, rested = (
+        timed.within(**slides(path, (0.02, FREE, FREE)))
+        for path in (timed.path(PERIOD), timed.path(PERIOD).with_rest(7))
+    )
+    assert plain.along == rested.along != ()
+
+
+def test_rows_of_another_program_are_refused():
+    timed = TimedProgram.of(program((0, 0, 0), (0.1, 0, 0)), LIMITS)
+    other = TimedProgram.of(program((0, 0, 0), (0.05, 0, 0)), LIMITS).path(PERIOD)
+    with pytest.raises(ValueError, match="rows of this program"):
+        timed.within(**slides(other, (0.02, FREE, FREE)))
+
+
 def test_another_program_is_timed_alike():
     given = program((0, 0, 0), (0.1, 0.1, 0))
     timed = TimedProgram.of(given, LIMITS)

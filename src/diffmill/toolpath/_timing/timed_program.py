@@ -22,7 +22,7 @@ from .legs import (
 )
 from .pieces import Arc, Segment, arc_positions
 from .smoothing import WayInTime, mean_way
-from .way_limits import JointCourse, WayLimit, WaySpeed
+from .way_limits import JointCourse, WayLimit, WaySpeed, lowest
 
 # Fraction of a tooth period by which sums of durations may miss a tooth instant.
 _SAME_INSTANT = 1e-6
@@ -149,8 +149,12 @@ class TimedProgram(NamedTuple):
     ) -> "TimedProgram":
         """Return the program slowed down where joints would pass their limits.
 
+        What joints do between two rows does not show, where a curve is short or begins
+        behind a rapid move: the slower program has more rows there. So repeat this with
+        its own path until it returns the same program.
+
         Args:
-            path: The program at its tooth instants, at rest before and after it or not.
+            path: This program at its tooth instants, at rest before and after or not.
             q: Joint positions at the rows of `path` [rad or m], shape (row, joint).
             names: Of the joints.
             speed: Fastest motion of each [rad/s or m/s], shape (joint,); may be
@@ -160,19 +164,23 @@ class TimedProgram(NamedTuple):
 
         Returns:
             The program; this one if the joints keep their limits.
+
+        Raises:
+            ValueError: If the path has not as many rows as this program.
         """
-        rows = np.asarray(path.positions, np.float64)
-        steps = np.linalg.norm(np.diff(rows, axis=0), axis=1)
-        way = np.append(0.0, np.cumsum(steps))
+        way = self._way_at(path)
         if way[-1] == 0:
             return self
-        # Rows are joined by chords, which are a little shorter than arcs.
-        way *= self.profile.length.sum() / way[-1]
+        course = JointCourse(q, names, speed, acceleration)
+        # Rows of a slowed program are nearer to each other and show more.
+        if self.along and course.is_kept(path.duration / (path.step_count - 1)):
+            return self
         fastest = max(leg.speed for leg in self.legs)
         most = WaySpeed(fastest, self.limits.acceleration)
-        course = JointCourse(q, names, speed, acceleration)
         along = course.way_limits(way, self.stops, most)
-        return TimedProgram.of(self.program, self.limits, along) if along else self
+        if not along:
+            return self
+        return TimedProgram.of(self.program, self.limits, lowest(self.along, along))
 
     def path(
         self, tooth_period: RealScalarLike, *, most_steps: RealScalarLike = MOST_STEPS
@@ -203,6 +211,21 @@ class TimedProgram(NamedTuple):
             is_rapid=np.array([leg.is_rapid for leg in self.legs])[index],
             line=np.array([leg.line for leg in self.legs], dtype=np.int32)[index],
         )
+
+    def _way_at(self, path: Path) -> Float[np.ndarray, " step"]:
+        """Return the way [m] at the rows of the program's path."""
+        # Chords between rows are shorter than curves: they would shift limits along
+        # the way, by more than a rounded corner is long.
+        rows = self._rows(path.duration / (path.step_count - 1))
+        begun = np.cumsum(self.profile.length) - self.profile.length
+        way = np.maximum.accumulate(begun[rows.piece] + rows.distance)
+        rest, odd = divmod(path.step_count - way.size, 2)
+        if rest < 0 or odd:
+            raise ValueError(
+                f"Argument `path` must have the {way.size} rows of this program, and as "
+                f"many at rest before as after them, but has {path.step_count}."
+            )
+        return np.pad(way, rest, mode="edge")
 
     def _longer(self, section: Int[np.ndarray, " piece"]) -> Float[np.ndarray, " part"]:
         """Return by how much smoothing lengthens the way from stop to stop [s]."""

@@ -14,9 +14,10 @@ from jaxtyping import Float
 _MARGIN = 0.99
 # Neighbours with limits within this factor of each other have one limit.
 _SAME = 1.1
-# Rows nearer to each other than this share of the farthest two are left out: their
-# differences are rounding.
-_NEAR = 0.5
+# Rows nearer to each other than this [m] are left out: their differences are rounding.
+_NEAR = 1e-6
+# Rounding of speeds and accelerations at rows.
+_ROUNDING = 1e-9
 
 
 class WayLimit(NamedTuple):
@@ -58,6 +59,14 @@ class JointCourse(NamedTuple):
     speed: Float[np.ndarray, " joint"]
     acceleration: Float[np.ndarray, " joint"]
 
+    def is_kept(self, time_step: float) -> bool:
+        """Return whether rows that are so far apart [s] keep the limits."""
+        rate = np.abs(np.diff(self.q, axis=0)) / time_step
+        change = np.abs(np.diff(self.q, 2, axis=0)) / time_step**2
+        more = 1 + _ROUNDING
+        is_slow = (rate <= more * self.speed).all()
+        return bool(is_slow and (change <= more * self.acceleration).all())
+
     def way_limits(
         self,
         way: Float[np.ndarray, " row"],
@@ -84,7 +93,8 @@ class JointCourse(NamedTuple):
         turn = np.abs(np.diff(np.diff(self.q[rows], axis=0) / step[:, None], axis=0))
         turn /= ((step[1:] + step[:-1]) / 2)[:, None]
         # Where it stops, the way may turn at once: that takes no speed.
-        first, last = (np.searchsorted(stops, x) for x in (at[:-2], at[2:]))
+        first = np.searchsorted(stops, at[:-2], side="right")
+        last = np.searchsorted(stops, at[2:])
         turn[last > first] = 0.0
         bend[1:] = turn
         bend[:-1] = np.maximum(bend[:-1], turn)
@@ -104,15 +114,34 @@ class JointCourse(NamedTuple):
         return _merged(at, speed, acceleration, share, self.names)
 
 
+def lowest(
+    some: tuple[WayLimit, ...], others: tuple[WayLimit, ...]
+) -> tuple[WayLimit, ...]:
+    """Return what is within both of two lists of limits along the same way."""
+    if not (some and others):
+        return some or others
+    ends = sorted({limit.end for limit in some + others})
+    # The last limit of either holds to the end, whose way is rounded.
+    first, second = (
+        np.minimum(np.searchsorted([x.end for x in one], ends), len(one) - 1).tolist()
+        for one in (some, others)
+    )
+    out = []
+    for end, i, j in zip(ends, first, second, strict=True):
+        pair = some[i], others[j]
+        slower = min(pair, key=lambda limit: limit.speed)
+        least = min(limit.acceleration for limit in pair)
+        out.append(slower._replace(end=end, acceleration=least))
+    return tuple(out)
+
+
 def _apart(way: Float[np.ndarray, " row"]) -> list[int]:
-    """Return rows that are not too near to each other, the first and last of them."""
-    nearest = _NEAR * np.diff(way).max(initial=0.0)
-    if nearest <= 0:
-        return []
-    rows = [0]
+    """Return rows that are not too near to each other, from the first on."""
+    rows, before = [0], float(way[0])
     for row, here in enumerate(way.tolist()):
-        if here - way[rows[-1]] >= nearest:
+        if here - before >= _NEAR:
             rows.append(row)
+            before = here
     return rows
 
 
