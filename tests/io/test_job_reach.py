@@ -317,6 +317,23 @@ def test_a_program_slows_down_for_a_slow_joint(write):
     assert "joint_ramp" in problem and "no joint has a speed" in problem
 
 
+def test_a_program_slows_down_again_where_rows_were_too_far_apart(write):
+    # The slides go round a circle of 0.3 mm at a few rows behind a rapid move.
+    program = (
+        "G21 G17 G90 G94\nG0 X-50 Y5 Z1\nG0 X40\nG3 X40 Y5 I0 J0.3 F3000\n"
+        "G1 X60\nG0 X-6\nG0 Z-1\nG1 X10\nM2\n"
+    )
+    file = write(SLIDING + place(0, 0, 0), program)
+    slides = SLIDES.replace('"5 mm"', '"1 m"').replace('"-0.2 mm"', '"1 m"')
+    for name in "xy":
+        slides = slides.replace(
+            f'name = "{name}"', f'name = "{name}"\nspeed = "20 mm/s"'
+        )
+    (file.parent / "slides.toml").write_text(f'name = "slides"\n{slides}')
+    rates = np.abs(np.diff(load_job(file).path.positions[:, :2], axis=0)) / 3.75e-3
+    assert 0.0195 < rates.max() <= 0.02
+
+
 @pytest.mark.parametrize("height", [200, -200])
 def test_a_tool_below_its_flange_is_a_note(write, height):
     # The slides' axes are those of the work: z of the flange is up.
