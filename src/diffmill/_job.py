@@ -311,7 +311,7 @@ class Job(eqx.Module):
         force law's own names, and "speed".
         """
         springs = [f"{letter} {name}" for letter in "KD" for name in self._springs()]
-        return (*springs, *self._coefficient_names(), "speed")
+        return (*springs, *self.law.parameter_names, "speed")
 
     def with_scaled(self, log_scale: Float[Array, " parameter"]) -> "Job":
         """Return the job with every parameter times the exponential of a number.
@@ -329,10 +329,17 @@ class Job(eqx.Module):
         Differentiability: smooth.
         """
         factor = jnp.exp(log_scale)
-        count, names = len(self._springs()), self._coefficient_names()
+        count, names = len(self._springs()), self.law.parameter_names
         stiffness, damping = factor[:count], factor[count : 2 * count]
         coefficients = factor[2 * count : -1]
-        values = lambda job: [getattr(job.law, name) for name in names]
+        # A law of the bottom edges that is given is as uncertain as that of the side.
+        places = [
+            (law, name)
+            for law in ("law", "bottom_law")
+            for name in getattr(getattr(self, law), "parameter_names", ())
+            if name in names
+        ]
+        values = lambda job: [getattr(getattr(job, law), name) for law, name in places]
         leaves = lambda job: [*job._drives(), *values(job), job.spindle_speed]
         if self.modes is None:
             scales = [stiffness, damping]
@@ -342,7 +349,10 @@ class Job(eqx.Module):
             root = jnp.sqrt(stiffness)
             scales = [root, damping / root]
         drives = [x * scale for x, scale in zip(self._drives(), scales, strict=True)]
-        law = [jnp.asarray(x) * coefficients[i] for i, x in enumerate(values(self))]
+        law = [
+            jnp.asarray(x) * coefficients[names.index(name)]
+            for x, (_, name) in zip(values(self), places, strict=True)
+        ]
         speed = jnp.asarray(self.spindle_speed) * factor[-1]
         return eqx.tree_at(leaves, self, [*drives, *law, speed])
 
@@ -360,14 +370,6 @@ class Job(eqx.Module):
             return [self.modes.frequencies, self.modes.damping_ratios]
         assert self.robot is not None
         return [self.robot.joint_stiffness, self.robot.joint_damping]
-
-    def _coefficient_names(self) -> tuple[str, ...]:
-        """Return the fields of the force law that hold numbers."""
-        return tuple(
-            field.name
-            for field in dataclasses.fields(self.law)
-            if _is_real(getattr(self.law, field.name))
-        )
 
     def with_precision(self) -> "Job":
         """Return the job with all its numbers in its precision.
@@ -428,8 +430,25 @@ class Job(eqx.Module):
         )
 
 
-def _is_real(value: object) -> bool:
-    dtype = getattr(value, "dtype", None)
-    if dtype is None:
-        return isinstance(value, float)
-    return bool(jnp.issubdtype(dtype, jnp.floating))
+def parameter_uncertainty(
+    names: tuple[str, ...],
+    *,
+    stiffness: RealScalarLike,
+    damping: RealScalarLike,
+    force: RealScalarLike,
+) -> Float[np.ndarray, " parameter"]:
+    """Return the relative uncertainty of every parameter of a job.
+
+    Args:
+        names: `Job.parameter_names`.
+        stiffness: That of every joint's stiffness.
+        damping: That of every joint's damping.
+        force: That of every force coefficient. Exponents (m_t, m_r, m_a) keep their
+            value: by a tenth of itself one changes the force by another share.
+
+    Returns:
+        Uncertainties, shape (parameter,); 0 for the speed.
+    """
+    kinds = {"K ": stiffness, "D ": damping, "m_": 0.0}
+    sizes = [0.0 if name == "speed" else kinds.get(name[:2], force) for name in names]
+    return np.array(sizes, np.float64)

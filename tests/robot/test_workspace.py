@@ -35,6 +35,16 @@ def test_the_map_is_the_stiffness_where_the_tool_can_go(gantry):
     assert (np.diff(found.stiffness[inside[:, column], column]) > 0).all()
 
 
+def test_a_plane_is_one_in_which_the_robot_moves():
+    slide = dr.PrismaticJoint("x", (1.0, 0.0, 0.0), stiffness=1e6)
+    body = dr.RigidBody(1.0, (0.0, 0.0, 0.0), np.eye(3))
+    robot = dr.build([slide, body])
+    with pytest.raises(ValueError, match="'yz'"):
+        dr.StiffnessMap.around(robot, [0.0], plane="yz")
+    with pytest.raises(ValueError, match="`count`"):
+        dr.StiffnessMap.around(robot, [0.0], plane="xy", count=1)
+
+
 def test_a_plane_has_two_axes(gantry):
     for plane in ("yy", "x", "xu"):
         with pytest.raises(ValueError, match="x, y, z"):

@@ -1,5 +1,7 @@
 """A job that brings the command that its controller is told."""
 
+import re
+
 import equinox as eqx
 import numpy as np
 import pytest
@@ -37,6 +39,24 @@ def test_the_error_is_that_from_the_program(tmp_path):
     np.testing.assert_allclose(found.deviation[0], [0, 20e-6, 0], atol=1e-9)
     with pytest.raises(ValueError, match="command of its own"):
         dm.correct(job)
+
+
+def test_a_command_from_python_needs_the_rows_of_the_path(tmp_path):
+    job = dm.load_job(write_slides_job(tmp_path, program=PROGRAM))
+    rows = np.asarray(job.path.positions)
+    for wrong in (rows[:-3], np.concatenate([rows, rows[-2:]]), rows[:, :2]):
+        with pytest.raises(ValueError, match=re.escape(str(wrong.shape))):
+            dm.simulate(job, commanded=wrong)
+
+
+@pytest.mark.slow
+def test_a_command_is_taken_in_the_precision_of_the_job(tmp_path):
+    file = write_slides_job(tmp_path, program=PROGRAM)
+    single = '[simulation]\nprecision = "float32"\n'
+    file.write_text(file.read_text().replace("[simulation]\n", single))
+    job = dm.load_job(file)
+    rows = np.asarray(job.path.positions, np.float64)
+    assert dm.simulate(job, commanded=rows).actual.dtype == np.float32
 
 
 def test_a_command_of_other_rows_is_refused(tmp_path, capsys):

@@ -1,7 +1,9 @@
 """A job whose machine is given by modes: beside the same slides, corrected, refused."""
 
+import dataclasses
 import math
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from slides_job import JOB, write_slides_job
@@ -48,7 +50,27 @@ def test_modes_deviate_as_the_slides_that_they_are_those_of(tmp_path):
     assert largest > 50e-6
     assert off < 0.01 * largest
     assert modal.motor_positions is None and modal.joint_positions is None
+    assert arm.to_dataset()["joint_positions"].attrs["units"] == "m"
+    assert arm.to_dataset()["joint_unit"].values.tolist() == ["m", "m", "m"]
     assert "joint" not in modal.to_dataset().dims
+
+
+@pytest.mark.slow
+def test_the_error_band_of_modes_knows_the_controller(tmp_path):
+    job = dm.load_job(write_modal_job(tmp_path, slides_modes()))
+    scattered = dataclasses.replace(
+        job.simulation, scatter=dm.ScatterSettings(force=0.1)
+    )
+    slow = dm.robot.Controller(low_pass=5.0)
+    job = dataclasses.replace(job, simulation=scattered, controller=slow)
+    solution = dm.simulate(job)
+    followed = slow.motors(jnp.asarray(solution.commanded), job.tooth_period)
+    known = dataclasses.replace(solution, motor_positions=followed)
+    plain = dataclasses.replace(job, controller=None)
+    found, wanted = (
+        dm.sim.error_band(one, ran) for one, ran in ((job, solution), (plain, known))
+    )
+    np.testing.assert_allclose(found.shift, wanted.shift, rtol=1e-6, atol=1e-12)
 
 
 @pytest.mark.slow

@@ -16,12 +16,14 @@ from diffmill import (
     ScatterSettings,
     SimulationSettings,
     cutter as ct,
+    cutting,
     process as pr,
     robot as rb,
     sim,
     toolpath as tp,
     workpiece as wp,
 )
+from diffmill.correction import Ensemble
 
 PERIOD = 3.75e-3
 STIFFNESS, MASS = np.array([1.5e6, 2.5e6, 4e6]), 80.0
@@ -155,6 +157,55 @@ def test_the_band_of_a_stiffness_adds_to_the_error(job):
     moved = (moved - moved[0])[:, 2]
     known = np.sum(band.shift, axis=0)[:, 2]
     assert np.quantile(np.abs(known * -1e-2 - moved), 0.9) < 0.05 * np.abs(moved).max()
+
+
+@pytest.mark.slow
+def test_contours_are_those_of_the_side_where_material_stays(job):
+    """Three teeth make the right wall half a period after the left one."""
+    path = eqx.tree_at(lambda p: p.positions, job.path, np.array(job.path.positions))
+    path.positions[:, 1] = 7e-3
+    speed = 2 * math.pi / (3 * PERIOD)
+    job = dataclasses.replace(
+        job, path=path, cutter=ct.flat_end_mill(10e-3, 3), spindle_speed=speed
+    )
+    maps = sim.sensitivity(job)
+    k, step = maps.names.index("K y"), 1e-4
+    place = np.eye(len(maps.names))[k]
+    ahead, behind = (
+        sim.simulate(job.with_scaled(jnp.asarray(sign * step * place)))
+        for sign in (1, -1)
+    )
+    walls = ahead.surface_deviation - behind.surface_deviation
+    found = np.asarray(walls)[:, 1] / (2 * step)
+    error = np.abs(found - maps.contour_vector[k][:, 1]) / np.abs(found).max()
+    assert np.quantile(error, 0.9) < 2e-3
+
+
+def test_of_a_force_its_coefficients_scatter_and_nothing_else(job):
+    law = cutting.KienzleLaw(1e9, 4e8, 1e8, 0.25, 0.3, 0.2, K_te=1e4)
+    bottom = cutting.LinearEdgeLaw(5e8, 3e8, 0.0)
+    job = dataclasses.replace(job, law=law, bottom_law=bottom)
+    names = job.parameter_names
+    assert not {"reference_thickness", "least_thickness"} & set(names)
+    draws = Ensemble.draw_scales(names, count=3, seed=1, force=0.1)
+    moved = {name for name, x in zip(names, draws.T, strict=True) if np.any(x != 0)}
+    assert moved == {"K_tc11", "K_rc11", "K_ac11", "K_te", "K_re", "K_ae"}
+    scale = np.log(2.0) * (np.array(names) == "K_te")
+    scaled = job.with_scaled(jnp.asarray(scale))
+    assert float(scaled.law.K_te) == pytest.approx(2e4)
+    linear = dataclasses.replace(job, law=PAPER_LAW)
+    names = np.array(linear.parameter_names)
+    scaled = linear.with_scaled(jnp.asarray(np.log(2.0) * (names == "K_tc")))
+    assert float(scaled.bottom_law.K_tc) == pytest.approx(1e9)
+    assert float(scaled.law.K_tc) == pytest.approx(2 * float(PAPER_LAW.K_tc))
+
+
+def test_a_look_is_no_single_sub_step(job):
+    for looks in (3, 4):
+        with pytest.raises(ValueError, match="looks"):
+            pr.choose_engagement(
+                job.stock, job.cutter, axial_depth=1e-3, substeps=4, looks=looks
+            )
 
 
 def test_scaling_reaches_every_parameter_and_no_other(job):

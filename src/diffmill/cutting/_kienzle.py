@@ -87,6 +87,12 @@ class KienzleLaw(AbstractForceLaw):
         )
 
     @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Return coefficients and exponents; what the thicknesses are is agreed."""
+        agreed = ("reference_thickness", "least_thickness")
+        return tuple(x for x in super().parameter_names if x not in agreed)
+
+    @property
     def tooth_count(self) -> int | None:
         """Return how many values a coefficient has that has one per tooth, or None."""
         cutting = (self.K_tc11, self.K_rc11, self.K_ac11, self.m_t, self.m_r, self.m_a)

@@ -1,6 +1,7 @@
 """Force laws: from chip thickness to force per chip width."""
 
 import abc
+import dataclasses
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -54,6 +55,12 @@ class AbstractForceLaw(eqx.Module):
         return UninclinedLaw(self)
 
     @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Return the names of the fields that hold numbers which may be wrong."""
+        fields = dataclasses.fields(self)
+        return tuple(x.name for x in fields if _is_real(getattr(self, x.name)))
+
+    @property
     def tooth_count(self) -> int | None:
         """Return for how many teeth it has coefficients; None if for any number."""
         return None
@@ -87,6 +94,13 @@ class UninclinedLaw(AbstractForceLaw):
     def tooth_count(self) -> int | None:
         """Return that of the other law."""
         return self.law.tooth_count
+
+
+def _is_real(value: object) -> bool:
+    dtype = getattr(value, "dtype", None)
+    if dtype is None:
+        return isinstance(value, float)
+    return bool(jnp.issubdtype(dtype, jnp.floating))
 
 
 def check_teeth(**coefficients: ToothValues) -> None:

@@ -28,8 +28,6 @@ _UNITS = {
     "force": "N",
     "removed_volume": "m3",
     "is_cutting": "1",
-    "motor_positions": "rad",
-    "joint_positions": "rad",
 }
 _PACKAGES = ("diffmill", "jax", "jaxlib", "equinox", "numpy", "scipy", "xarray")
 

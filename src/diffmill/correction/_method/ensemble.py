@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._job import parameter_uncertainty
 from ..._types import FloatRows, RealScalarLike
 from .._core.linear_motion import LinearMotion, linear_motion
 from .._core.problem import AbstractHostPlant, Motion, Plant, motion_of
@@ -70,7 +71,7 @@ class Ensemble(eqx.Module):
             stiffness: Relative uncertainty of every joint's stiffness: half the width
                 of an interval, or the standard deviation.
             damping: That of every joint's damping.
-            force: That of every force coefficient.
+            force: That of every force coefficient, exponents aside.
             is_gaussian: Whether the logarithms are normal; else the factors are uniform
                 in 1 - uncertainty to 1 + uncertainty.
 
@@ -82,10 +83,8 @@ class Ensemble(eqx.Module):
 
         **Differentiability**: none, a host function.
         """
-        kinds = {"K ": stiffness, "D ": damping}
-        sizes = np.array(
-            [0.0 if name == "speed" else kinds.get(name[:2], force) for name in names],
-            np.float64,
+        sizes = parameter_uncertainty(
+            names, stiffness=stiffness, damping=damping, force=force
         )
         if np.any(sizes < 0) or (not is_gaussian and np.any(sizes >= 1)):
             raise ValueError(

@@ -161,10 +161,13 @@ class UprightFlat(AbstractEngagement):
 
 def check_looks(engagement: AbstractEngagement) -> None:
     """Refuse looks at the stock that do not divide the sub-steps of a period."""
-    if engagement.substeps % engagement.looks:
+    # The next look is foreseen from the last two sub-steps of one.
+    is_short = 1 < engagement.looks == engagement.substeps
+    if engagement.substeps % engagement.looks or is_short:
         raise ValueError(
             "Argument `looks` must divide the sub-steps of a tooth period "
-            f"({engagement.substeps}), but is {engagement.looks}."
+            f"({engagement.substeps}), into two or more if it is above 1, but is "
+            f"{engagement.looks}."
         )
 
 

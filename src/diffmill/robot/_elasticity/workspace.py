@@ -61,7 +61,8 @@ class StiffnessMap(eqx.Module):
             The map.
 
         Raises:
-            ValueError: If `plane` is not two different base axes.
+            ValueError: If `plane` is not two different base axes, or the robot does not
+                move in it, or `count` is below 2.
 
         **Differentiability**: none; `principal_stiffness` is differentiable.
         """
@@ -70,9 +71,16 @@ class StiffnessMap(eqx.Module):
                 "Argument `plane` must be two different ones of x, y, z, such as "
                 f'"xz", but is {plane!r}.'
             )
+        if count < 2:
+            raise ValueError(f"Argument `count` must be at least 2, but is {count}.")
         start = joint_vector(robot, q, "q")
         T = np.asarray(forward_kinematics(robot, start)).astype(float)
         box = StiffnessMap.reach_box(robot)[:, StiffnessMap.axes_of(plane)]
+        if not np.max(box[1] - box[0]) > 0:
+            raise ValueError(
+                "Argument `plane` must be one in which the robot moves, but is "
+                f"{plane!r}, in which it does not."
+            )
         # A coarse look first: where the tool keeps its direction is less than all it
         # reaches.
         for points in (count // 2 + 1, count):

@@ -290,7 +290,10 @@ class UrdfParser:
         if limit is None or "velocity" not in limit.attributes:
             return math.inf
         key, where = "velocity", f"{place}, limit"
-        return self.number(limit, key, where, is_finite=False) or math.inf
+        fastest = self.number(limit, key, where, is_finite=False)
+        if fastest < 0:
+            self.faults.append(f"{where}: {key} must not be negative, but is {fastest}")
+        return fastest if fastest > 0 else math.inf
 
     def check_range(self, kind: str, lower: float, upper: float, place: str) -> None:
         """Note limits that are as far apart as none are in the unit of a URDF."""

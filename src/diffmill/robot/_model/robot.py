@@ -111,6 +111,11 @@ class Robot(eqx.Module):
         return tuple(kind for kind, mimic in pairs if mimic is None)
 
     @property
+    def joint_units(self) -> tuple[str, ...]:
+        """Return "rad" or "m" per joint."""
+        return tuple("m" if x == "prismatic" else "rad" for x in self.joint_kinds)
+
+    @property
     def dtype(self) -> DTypeLike:
         """Floating point type of the arrays."""
         return self.home.dtype

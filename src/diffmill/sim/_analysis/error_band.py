@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ..._job import Job
+from ..._job import Job, parameter_uncertainty
 from ...process import StockHeld, wall_deviation
 from ...toolpath import contour_vector
 from .._job.simulate import Solution, job_machine, job_process
@@ -114,9 +114,12 @@ def error_band(job: Job, solution: Solution) -> ErrorBand:
     motors = solution.motor_positions
     if motors is None:
         motors, _ = JobKinematics(job).motors(jnp.asarray(solution.commanded))
+        if job.controller is not None:
+            motors = job.controller.motors(motors, job.tooth_period)
     names = job.parameter_names[:-1]
-    by_letter = {"K": scatter.stiffness, "D": scatter.damping}
-    sizes = [by_letter.get(name.split(" ")[0], scatter.force) for name in names]
+    sizes = parameter_uncertainty(
+        names, stiffness=scatter.stiffness, damping=scatter.damping, force=scatter.force
+    )
     kept = [k for k, size in enumerate(sizes) if size > 0]
     directions = np.zeros((len(names) + 1, len(kept)))
     directions[kept, np.arange(len(kept))] = [sizes[k] for k in kept]

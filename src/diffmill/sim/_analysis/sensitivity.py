@@ -16,9 +16,9 @@ from jaxtyping import Array, Float
 
 from ..._job import Job
 from ..._types import FloatRows3
-from ...process import ThroughPoses, wall_deviation, wall_shares
+from ...process import StockHeld, ThroughPoses, wall_deviation, wall_shares
 from ...toolpath import contour_error, contour_vector
-from .._job.simulate import JobModel
+from .._job.simulate import JobModel, rigid_cut
 from .._machine.commands import JobKinematics
 
 if TYPE_CHECKING:
@@ -99,8 +99,13 @@ def sensitivity(job: Job, *, commanded: FloatRows3 | None = None) -> Sensitivity
     dtype = jnp.dtype(job.simulation.precision)
     command = jnp.asarray(command, dtype)
     names = job.parameter_names
+    # The side of the wall, and with it the instant, is seen in what is left.
+    finished = rigid_cut(job, StockHeld()).stock
+    shares = wall_shares(
+        jnp.asarray(job.path.positions), job.tool_axes, job.cutter, finished
+    )
     pushed = [
-        _pushed(job, command, jnp.zeros(len(names), dtype).at[k].set(1))
+        _pushed(job, command, shares, jnp.zeros(len(names), dtype).at[k].set(1))
         for k in range(len(names))
     ]
     return Sensitivity(
@@ -122,12 +127,14 @@ class _Pushed(eqx.Module):
 
 @eqx.filter_jit
 def _pushed(
-    job: Job, command: Float[Array, "step 3"], direction: Float[Array, " parameter"]
+    job: Job,
+    command: Float[Array, "step 3"],
+    shares: Float[Array, " step"],
+    direction: Float[Array, " parameter"],
 ) -> _Pushed:
     """Return the derivatives of the tip and of its contour error in a direction."""
     joints, _ = JobKinematics(job).joints(command)
     desired = jnp.asarray(job.path.positions)
-    shares = wall_shares(desired, job.tool_axes, job.cutter)
 
     def errors(log_scale: Float[Array, " parameter"]) -> _Pushed:
         scaled = job.with_scaled(log_scale)

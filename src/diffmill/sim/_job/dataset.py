@@ -23,8 +23,8 @@ _ROWS = {
     "surface_deviation": ("m", "actual - desired when a tooth makes the wall"),
     "contour_error": ("m", "distance to the desired polyline when the wall was made"),
     "is_cutting": ("1", "the rigid tool cuts in the tooth period before"),
-    "motor_positions": ("rad", "motor positions on the joint's side, sag included"),
-    "joint_positions": ("rad", "joint positions"),
+    "motor_positions": ("", "motor positions on the joint's side, sag included"),
+    "joint_positions": ("", "joint positions"),
 }
 
 
@@ -33,6 +33,8 @@ def solution_dataset(solution: "Solution") -> "xarray.Dataset":
     import xarray
 
     variables = {}
+    units = dict.fromkeys(solution.joint_units)
+    of_joints = next(iter(units)) if len(units) == 1 else "rad or m, see joint_unit"
     for name, (unit, meaning) in _ROWS.items():
         values = getattr(solution, name)
         if values is None:
@@ -41,7 +43,11 @@ def solution_dataset(solution: "Solution") -> "xarray.Dataset":
         array = array.astype(np.int8) if array.dtype == bool else array
         last = "joint" if name.endswith("_positions") else "axis"
         dims = ("step", last)[: array.ndim]
-        variables[name] = (dims, array, {"units": unit, "long_name": meaning})
+        variables[name] = (
+            dims,
+            array,
+            {"units": unit or of_joints, "long_name": meaning},
+        )
     steps = np.linalg.norm(np.diff(np.asarray(solution.desired), axis=0), axis=1)
     length = np.concatenate([[0.0], np.cumsum(steps)])
     coordinates: dict[str, Any] = {
@@ -54,6 +60,7 @@ def solution_dataset(solution: "Solution") -> "xarray.Dataset":
     }
     if solution.joint_positions is not None:
         coordinates["joint"] = list(solution.joint_names)
+        coordinates["joint_unit"] = ("joint", list(solution.joint_units))
     return xarray.Dataset(
         variables,
         coords=coordinates,

@@ -15,7 +15,7 @@ from ..._arrays import cast_floats, is_traced, on_device
 from ..._job import Job
 from ..._live_rows import pad_rows
 from ..._result import RESULTS, SimulationFailed
-from ..._types import FloatRows3
+from ..._types import FloatRows, FloatRows3
 from ...numerics import CompiledOnce
 from ...process import (
     AbstractAdjoint,
@@ -77,6 +77,7 @@ class Solution(eqx.Module):
         rigid: The process alone on the desired path.
         result: Outcome of the run.
         joint_names: Order of the joints.
+        joint_units: "rad" or "m", per joint.
     """
 
     time: Float[Array, " step"]
@@ -99,6 +100,7 @@ class Solution(eqx.Module):
     rigid: Run
     result: RESULTS
     joint_names: tuple[str, ...] = eqx.field(static=True)
+    joint_units: tuple[str, ...] = eqx.field(static=True, default=())
 
     @staticmethod
     def of_command(
@@ -121,12 +123,19 @@ class Solution(eqx.Module):
         Returns:
             The solution.
 
+        Raises:
+            ValueError: A command has another shape.
+
         Differentiability: as `simulate`.
         """
+        count, dtype = job.path.step_count, np.dtype(job.simulation.precision)
+        commanded = _checked(commanded, "commanded", (count, 3), dtype)
+        if motors is not None:
+            joints = 3 if job.robot is None else len(job.robot.joint_names)
+            motors = _checked(motors, "motors", (count, joints), dtype)
         needed = _needed(adjoint, (job, rigid, commanded, motors))
         program = JobModel.of(padded_job(job), needed)
-        count = job.path.step_count
-        commanded, steps = on_device(commanded), program.path.step_count
+        steps = program.path.step_count
         tips = on_device(pad_rows(commanded, steps))
         is_reached = on_device(np.ones(steps, bool))
         if motors is not None:
@@ -166,6 +175,7 @@ class Solution(eqx.Module):
             rigid=rigid,
             result=result,
             joint_names=() if job.robot is None else job.robot.joint_names,
+            joint_units=() if job.robot is None else job.robot.joint_units,
         )
 
     def raise_unless_successful(self, job: Job | None = None) -> None:
@@ -220,7 +230,8 @@ def simulate(
     Raises:
         SimulationFailed: The outcome is not successful; the message names the time
             and place, and the exception carries the solution.
-        ValueError: The precision asked for is not enabled in JAX.
+        ValueError: The precision asked for is not enabled in JAX, or `commanded` has
+            another number of rows than the path.
 
     Differentiability: in all leaves of the job, as `simulate_process`.
     """
@@ -230,11 +241,25 @@ def simulate(
     if commanded is None:
         commanded = job.path.positions if job.commanded is None else job.commanded
     job = dataclasses.replace(job, commanded=None)
-    solution = run_with_room(job, on_device(commanded), adjoint, tell).solution
+    shape, dtype = (job.path.step_count, 3), np.dtype(job.simulation.precision)
+    commanded = _checked(commanded, "commanded", shape, dtype)
+    solution = run_with_room(job, commanded, adjoint, tell).solution
     tell("done", 1.0)
     if throw and not isinstance(solution.actual, jax.core.Tracer):
         solution.raise_unless_successful(job)
     return solution
+
+
+def _checked(
+    rows: FloatRows, name: str, shape: tuple[int, ...], dtype: np.dtype
+) -> Float[Array, "step axis"]:
+    """Return rows of a command on the device, in the precision of the job."""
+    if np.shape(rows) != shape:
+        raise ValueError(
+            f"Argument `{name}` must have shape {shape}, a row for each of the path's, "
+            f"but has {np.shape(rows)}."
+        )
+    return on_device(rows if rows.dtype == dtype else rows.astype(dtype))
 
 
 class SolvedJob(NamedTuple):

@@ -222,8 +222,8 @@ class TimedProgram(NamedTuple):
         rest, odd = divmod(path.step_count - way.size, 2)
         if rest < 0 or odd:
             raise ValueError(
-                f"Argument `path` must have the {way.size} rows of this program, and as "
-                f"many at rest before as after them, but has {path.step_count}."
+                f"Argument `path` must have the {way.size} rows of this program, with "
+                f"as many at rest before as after them, but has {path.step_count}."
             )
         return np.pad(way, rest, mode="edge")
 
