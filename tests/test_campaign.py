@@ -161,7 +161,8 @@ least_thickness = "2 um"
     for key in {"force", table}:
         sweep = f'[[sweep]]\nkey = "{key}"\nfactors = [1, 2]\n'
         campaign = plan(f'job = "job.toml"\n{sweep}', folder)
-        once, twice = (change[key] for change in campaign.changes())
+        found: list[Any] = [change[key] for change in campaign.changes()]
+        once, twice = found
         if key != table:
             once, twice = once["bottom"], twice["bottom"]
         assert numbers([twice["K_tc11"], *twice["K_rc11"], twice["K_te"]]) == (
