@@ -71,6 +71,12 @@ shaper = { frequency = "9 Hz", damping_ratio = 0.04 }
     assert found.shaper_damping_ratio == pytest.approx(0.04)
 
 
+def test_the_interpolation_of_a_preset_goes_with_its_cycle(tmp_path):
+    table = '[controller]\npreset = "abb_irc5_like"\ninterpolation_cycle = "none"'
+    found = load_job(write(tmp_path, table)).controller
+    assert found is not None and found.interpolation_cycle is None
+
+
 @pytest.mark.parametrize(
     ("table", "message"),
     [
@@ -78,10 +84,21 @@ shaper = { frequency = "9 Hz", damping_ratio = 0.04 }
         ('bandwidth = "8"', "bandwidth: found '8'"),
         ('bandwidth = ["8 Hz", "9 Hz"]', "bandwidth: found 2 values"),
         ("damping_ratio = 0.7", "damping_ratio: found without a bandwidth"),
-        ('bandwidth = "8 Hz"\ndamping_ratio = 0', "a number above 0"),
+        ('bandwidth = "8 Hz"\ndamping_ratio = 0', "a finite number above 0"),
         ('interpolation = "round"', "interpolation: found 'round'"),
         ('low_pas = "8 Hz"', "low_pas: found an unknown key; allowed: "),
         ("shaper = { damping_ratio = 0.1 }", "frequency: found nothing"),
+        ('shaper = { frequency = "9 Hz", damping_ratio = 1 }', "to less than 1"),
+        ('bandwidth = "10 Hz"\ndamping_ratio = inf', "a finite number above 0"),
+        ('bandwidth = "10 Hz"\ndamping_ratio = 1e300', "tooth periods before and"),
+        ('bandwidth = "1e-320 Hz"', "inf tooth periods before and"),
+        ('moving_average = "1 h"', "at most 1000000 are allowed"),
+        ('interpolation = "linear"', "interpolation: found without an interp"),
+        (
+            'preset = "abb_irc5_like"\ninterpolation_cycle = "none"\n'
+            'interpolation = "hold"',
+            "interpolation: found without an interp",
+        ),
     ],
 )
 def test_what_is_wrong_has_one_line(tmp_path, table, message):

@@ -54,8 +54,10 @@ _FEWEST_ANGLES, _FEWEST_IN_SPACE = 180, 96
 # Delays of its controller for which a program is at rest before and after it.
 _REST = 3.0
 # How often a program is slowed down for joints: what they do between two rows shows
-# when slower rows are nearer to each other. In 1500 random programs two were enough.
+# when slower rows are nearer to each other. Two are enough as a rule.
 _PASSES = 3
+# As `TimedProgram.path` takes, before there is a rest.
+_MOST_STEPS = 1_000_000
 # Of a length that is written down with a few digits.
 _ROUNDING = 1e-6
 
@@ -250,8 +252,10 @@ def _controller(
     return found
 
 
-def _rest_rows(controller: Controller, tooth_period: float) -> int:
+def _rest_rows(controller: Controller, tooth_period: float) -> float:
     """Return the rows for which a program is at rest before and after it.
+
+    It is no whole number yet, nor a finite one where a servo hardly follows.
 
     The motors begin before the clock on which the mean delay is left out, and end after
     it: by a delay, and servos by some of them.
@@ -259,7 +263,7 @@ def _rest_rows(controller: Controller, tooth_period: float) -> int:
     lag = float(controller.delay)
     if controller.dead_time is not None:
         lag -= float(controller.dead_time)
-    return math.ceil(_REST * lag / tooth_period)
+    return _REST * lag / tooth_period
 
 
 def _follow(tables: JobTables, parts: _Parts, context: FileContext) -> _Parts:
@@ -382,7 +386,15 @@ def _with_rows(parts: _Parts, timed: TimedProgram, problems: list[str]) -> _Part
     """Return the parts with a timed program and its rows."""
     path = rows_of(timed, parts.tooth_period, problems)
     if path is not None and parts.controller is not None:
-        path = path.with_rest(_rest_rows(parts.controller, parts.tooth_period))
+        rest = _rest_rows(parts.controller, parts.tooth_period)
+        if not path.step_count + 2 * rest <= _MOST_STEPS:
+            problems.append(
+                f"[controller]: found a delay for which the program rests {rest:.3g} "
+                f"tooth periods before and after it; at most {_MOST_STEPS} are allowed "
+                "with its own"
+            )
+            return parts._replace(timed=timed, path=None)
+        path = path.with_rest(math.ceil(rest))
     return parts._replace(timed=timed, path=path)
 
 

@@ -10,12 +10,12 @@ from jaxtyping import Float
 from pydantic import Field
 
 from .fields import (
+    DampingRatio,
     Delay,
     Frequency,
     JointFrequency,
     JointRatio,
     PositiveTime,
-    Ratio,
 )
 from .table import TomlTable, validated
 
@@ -32,7 +32,7 @@ class ShaperTable(TomlTable):
     """`[controller] shaper`: the mode that an input shaper leaves at rest."""
 
     frequency: Frequency = Field(description='frequency of the mode, such as "9 Hz"')
-    damping_ratio: Ratio = Field(
+    damping_ratio: DampingRatio = Field(
         default=0.0, description="damping ratio of the mode, below 1"
     )
 
@@ -147,4 +147,13 @@ def read_controller(raw: object, problems: list[str]) -> ControllerTable | None:
         return None
     own = {key: value for key, value in raw.items() if key != "preset"}
     merged = {k: v for k, v in (presets[name] | own).items() if v != _NONE}
-    return validated(ControllerTable, merged, "[controller]", problems, ("preset",))
+    table = validated(ControllerTable, merged, "[controller]", problems, ("preset",))
+    # That of a preset goes with its cycle, which may have been taken out.
+    is_stated = own.get("interpolation", _NONE) != _NONE
+    if table is not None and is_stated and table.interpolation_cycle is None:
+        problems.append(
+            "[controller] interpolation: found without an interpolation_cycle, which "
+            "is required beside it"
+        )
+        return None
+    return table

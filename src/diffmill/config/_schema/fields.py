@@ -1,5 +1,6 @@
 """Types of values in a job file: text with a unit becomes an SI number here."""
 
+import math
 from collections.abc import Callable
 from typing import Annotated, TypeAlias
 
@@ -131,8 +132,8 @@ Ratio: TypeAlias = Annotated[float, BeforeValidator(_read_share(True))]
 Share: TypeAlias = Annotated[float, BeforeValidator(_read_share(False))]
 
 
-def _read_exponent(value: object) -> float:
-    """Return an exponent of Kienzle's law."""
+def _read_below_one(value: object) -> float:
+    """Return a plain number from 0 to below 1."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         if 0 <= value < 1:
             return float(value)
@@ -140,12 +141,15 @@ def _read_exponent(value: object) -> float:
 
 
 def _read_positive(value: object) -> float:
-    """Return a plain number above 0."""
-    if isinstance(value, int | float) and not isinstance(value, bool) and value > 0:
-        return float(value)
-    raise ValueError(f"found {value!r}, but a number above 0 is required")
+    """Return a plain finite number above 0."""
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        if 0 < value < math.inf:
+            return float(value)
+    raise ValueError(f"found {value!r}, but a finite number above 0 is required")
 
 
+# Of what swings.
+DampingRatio: TypeAlias = Annotated[float, BeforeValidator(_read_below_one)]
 PerTooth: TypeAlias = float | list[float]
 JointFrequency: TypeAlias = Annotated[
     float | list[float],
@@ -164,7 +168,7 @@ ToothEdgeForce: TypeAlias = Annotated[
     PerTooth, BeforeValidator(_read_each(_read(q.EDGE_FORCE)))
 ]
 ToothExponent: TypeAlias = Annotated[
-    PerTooth, BeforeValidator(_read_each(_read_exponent))
+    PerTooth, BeforeValidator(_read_each(_read_below_one))
 ]
 
 
