@@ -13,7 +13,7 @@ from slot_force import SPEED, K, slot_force
 
 from diffmill import config, cutter as ct, identification, load_job, robot as rb
 from diffmill.cli import main
-from diffmill.cutting import LinearEdgeLaw
+from diffmill.cutting import KienzleLaw, LinearEdgeLaw
 
 MEANS = """kind = "mean_forces"
 [cutter]
@@ -257,41 +257,53 @@ def test_a_hammer_test_gives_the_machine_of_a_job(folder):
     assert np.abs(found - truth).max() < 0.01 * np.abs(truth).max()
 
 
-def test_a_coupled_fit_is_told_and_drawn_beside_its_record(tmp_path, monkeypatch):
+@pytest.fixture
+def identified(tmp_path, monkeypatch):
+    """Return the folder of results of a coupled fit, of a job and what it found."""
+
+    def identified(file, fitted):
+        job = load_job(file)
+        time = np.arange(80) * float(job.tooth_period)
+        wave = np.column_stack([np.sin(20 * time), np.cos(20 * time), 0 * time])
+        wave[:2] = np.nan
+        study = identification.CoupledStudy(
+            "run", job, time, 100 * wave, 1e-4 * wave, None, False, False, "huber", ()
+        )
+        count = len(fitted)
+        fit = identification.CoupledStudy.Fit(
+            parameters=fitted,
+            standard_errors={name: 0.01 * value for name, value in fitted.items()},
+            correlation=np.eye(count),
+            covariance=1e-4 * np.eye(count),
+            identifiable=dict.fromkeys(fitted, True),
+            log_scale=np.full(count, math.log(1.1)),
+            explained={"force": 0.99, "deviation": 0.98},
+            residual_rms={"force": 1.0, "deviation": 1e-6},
+            residual={"force": 5 * wave, "deviation": 1e-6 * wave},
+            offset=None,
+            time_shift=0.0,
+            time_shift_error=0.0,
+            has_converged=True,
+            simulations=3,
+            is_explained=True,
+            notes=(),
+            job=job,
+        )
+        monkeypatch.setattr(config, "load_identification", lambda *_, **__: study)
+        monkeypatch.setattr(identification.CoupledStudy, "run", lambda *_: fit)
+        out = tmp_path / "out"
+        assert main(["identify", str(file), "--out", str(out)]) == 0
+        return out
+
+    return identified
+
+
+def test_a_coupled_fit_is_told_and_drawn_beside_its_record(tmp_path, identified):
     """Half of the coefficients would be no law: the job's stand beside the fitted."""
     file = write_slides_job(tmp_path)
     job = load_job(file)
     law = {name: float(getattr(job.law, name)) for name in LinearEdgeLaw.NAMES}
-    fitted = {name: 1.1 * law[name] for name in ("K_tc", "K_rc", "K_ac")}
-    time = np.arange(80) * float(job.tooth_period)
-    wave = np.column_stack([np.sin(20 * time), np.cos(20 * time), 0 * time])
-    wave[:2] = np.nan
-    study = identification.CoupledStudy(
-        "run", job, time, 100 * wave, 1e-4 * wave, None, False, False, "huber", ()
-    )
-    fit = identification.CoupledStudy.Fit(
-        parameters=fitted,
-        standard_errors={name: 0.01 * value for name, value in fitted.items()},
-        correlation=np.eye(3),
-        covariance=1e-4 * np.eye(3),
-        identifiable=dict.fromkeys(fitted, True),
-        log_scale=np.full(3, math.log(1.1)),
-        explained={"force": 0.99, "deviation": 0.98},
-        residual_rms={"force": 1.0, "deviation": 1e-6},
-        residual={"force": 5 * wave, "deviation": 1e-6 * wave},
-        offset=None,
-        time_shift=0.0,
-        time_shift_error=0.0,
-        has_converged=True,
-        simulations=3,
-        is_explained=True,
-        notes=(),
-        job=job,
-    )
-    monkeypatch.setattr(config, "load_identification", lambda *_, **__: study)
-    monkeypatch.setattr(identification.CoupledStudy, "run", lambda *_: fit)
-    out = tmp_path / "out"
-    assert main(["identify", str(file), "--out", str(out)]) == 0
+    out = identified(file, {n: 1.1 * law[n] for n in ("K_tc", "K_rc", "K_ac")})
     text = (out / "identified.toml").read_text()
     found = tomllib.loads(text)["force"]
     assert set(found) == set(LinearEdgeLaw.NAMES)
@@ -301,6 +313,39 @@ def test_a_coupled_fit_is_told_and_drawn_beside_its_record(tmp_path, monkeypatch
     assert text.count("# as in the job") == 3
     figures = {file.stem for file in out.glob("*.png")}
     assert figures == {"force", "deviation", "correlation"}
+
+
+def test_a_coupled_fit_is_written_as_its_job_takes_it(tmp_path, identified):
+    """By the names of its law, and without the joint springs that a tool adds."""
+    law = """law = "kienzle"
+K_tc11 = "1500 N/mm^2"
+K_rc11 = "500 N/mm^2"
+K_ac11 = "100 N/mm^2"
+m_t = 0.25
+reference_thickness = "0.5 mm"
+"""
+    file = write_slides_job(tmp_path)
+    text = file.read_text()
+    i, j = text.index("K_tc"), text.index("[stock]")
+    text = f"{text[:i]}{law}{text[j:]}"
+    tool = '[robot.bending_tool]\noverhang = "40 mm"\nyoung_modulus = "600 GPa"\n'
+    file.write_text(text.replace("[simulation]", f"{tool}[simulation]"))
+    names = ("K x", "K tool_x", "D tool_y", "K_tc11", "m_t")
+    fitted = dict(zip(names, (2e6, 3e5, 2.0, 1.65e9, 0.3), strict=True))
+    text = (identified(file, fitted) / "identified.toml").read_text()
+    found = tomllib.loads(text)
+    assert len(found["robot"]["joint_stiffness"]) == 3
+    assert "joint_damping" not in found["robot"]
+    assert "# K tool_x, D tool_y: see summary.txt" in text
+    assert found["force"]["m_t"] == 0.3
+    # The snippet is one for the job that it comes from.
+    springs = {"robot.joint_stiffness": found["robot"]["joint_stiffness"]}
+    job = load_job(file, changes={"force": found["force"]} | springs)
+    assert isinstance(job.law, KienzleLaw) and job.robot is not None
+    assert float(job.law.K_tc11) == pytest.approx(1.65e9)
+    assert float(job.law.m_r) == pytest.approx(0.25)
+    assert float(job.law.reference_thickness) == pytest.approx(0.5e-3)
+    assert float(job.robot.joint_stiffness[0]) == pytest.approx(2e6)
 
 
 def test_what_is_wrong_is_said_once_and_nothing_is_written(folder, capsys):

@@ -1,19 +1,26 @@
 """Parameters from a record of a robot's cut: what is said of them, and figures."""
 
+import dataclasses
 import functools
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from ...cutting import LinearEdgeLaw
+from ...cutting import AbstractForceLaw, KienzleLaw
 from ...identification import CoupledStudy
+from ...robot import Robot
 from ...viz import plot_correlation, plot_force_fit
 from .report import Report, all_noted, noted
 from .text import kept_remark
 from .toml_snippets import doubted, force_toml, joints_toml
 
-_NAMES = LinearEdgeLaw.NAMES
+# Joints that `[robot.bending_tool]` and `[robot.flange_spring]` add to those of a job.
+_ADDED = (
+    "tool_x",
+    "tool_y",
+    *(f"flange_{r}{axis}" for r in ("", "r") for axis in "xyz"),
+)
 # Letter and unit of a figure, and the factor from SI.
 _SHOWN = {"force": ("F", "N", 1.0), "deviation": ("d", "\u00b5m", 1e6)}
 # Rows that a figure shows closely.
@@ -66,12 +73,14 @@ def _toml(study: CoupledStudy, fit: CoupledStudy.Fit) -> list[str]:
     """Return the tables for a job."""
     robot, lines = study.job.robot, []
     assert robot is not None
-    relative, remarks = {}, {}
+    joints, relative, remarks, behind = _listed_joints(robot), {}, {}, []
     for letter, key, word in (
         ("K", "joint_stiffness", "stiffness"),
         ("D", "joint_damping", "damping"),
     ):
-        names = [f"{letter} {joint}" for joint in robot.joint_names]
+        names = [f"{letter} {joint}" for joint in joints]
+        added = [f"{letter} {joint}" for joint in robot.joint_names[len(joints) :]]
+        behind += [name for name in added if fit.identifiable.get(name)]
         is_known = np.array([fit.identifiable.get(name, False) for name in names])
         if not is_known.any():
             continue
@@ -85,20 +94,20 @@ def _toml(study: CoupledStudy, fit: CoupledStudy.Fit) -> list[str]:
         relative[word] = float(
             np.max(joint_errors[is_known] / np.abs(joint_values[is_known]))
         )
-        remarks[word] = kept_remark(robot.joint_names, is_known)
-    fitted = [name for name in _NAMES if name in fit.parameters]
-    if fitted:
-        # A table holds all six: what was not fitted was taken as known.
-        law = study.job.law
-        given = {n: float(np.mean(getattr(law, n))) for n in _NAMES if n not in fitted}
-        values = {n: given[n] if n in given else fit.parameters[n] for n in _NAMES}
-        errors = {n: fit.standard_errors[n] for n in fitted}
-        known = {n: n in given or fit.identifiable[n] for n in _NAMES}
-        lines += ["", *force_toml(values, errors, known)]
+        remarks[word] = kept_remark(joints, is_known)
+    if behind:
+        lines.append(
+            f"# {', '.join(behind)}: see summary.txt; they follow from the keys of "
+            "[robot.bending_tool] and [robot.flange_spring]"
+        )
+    names = _coefficient_names(study.job.law)
+    if fitted := [name for name in names if name in fit.parameters]:
+        lines += ["", *_law_toml(study.job.law, fit, names)]
         shares = [
             fit.standard_errors[n] / abs(fit.parameters[n])
             for n in fitted
-            if fit.identifiable[n]
+            # An exponent is no factor of the force.
+            if fit.identifiable[n] and n.startswith("K_")
         ]
         relative |= {"force": max(shares)} if shares else {}
     if not fit.is_explained:
@@ -111,6 +120,38 @@ def _toml(study: CoupledStudy, fit: CoupledStudy.Fit) -> list[str]:
             lines.append(f"{word} = {value:.3g}")
         lines += ["gaussian = true"]
     return lines or ["# Nothing is identifiable; see summary.txt."]
+
+
+def _listed_joints(robot: Robot) -> tuple[str, ...]:
+    """Return the joints that the lists of `[robot]` are of."""
+    pairs = zip(robot.joint_names, robot.is_virtual, strict=True)
+    is_added = [is_free and name in _ADDED for name, is_free in pairs]
+    return robot.joint_names[: robot.joint_count - sum(is_added)]
+
+
+def _coefficient_names(law: AbstractForceLaw) -> list[str]:
+    """Return the names under which a job states the coefficients of its law."""
+    fields = [field.name for field in dataclasses.fields(law)]
+    return [name for name in fields if name.startswith(("K_", "m_"))]
+
+
+def _law_toml(
+    law: AbstractForceLaw, fit: CoupledStudy.Fit, names: list[str]
+) -> list[str]:
+    """Return the lines of `[force]`: all of it, what was not fitted as in the job."""
+    fitted = [name for name in names if name in fit.parameters]
+    given = {n: float(np.mean(getattr(law, n))) for n in names if n not in fitted}
+    values = {n: given[n] if n in given else fit.parameters[n] for n in names}
+    errors = {n: fit.standard_errors[n] for n in fitted}
+    known = {n: n in given or fit.identifiable[n] for n in names}
+    head, *rows = force_toml(values, errors, known)
+    if not isinstance(law, KienzleLaw):
+        return [head, *rows]
+    thicknesses = [
+        f'{name} = "{1e3 * float(getattr(law, name)):.6g} mm"'
+        for name in ("reference_thickness", "least_thickness")
+    ]
+    return [head, 'law = "kienzle"', *rows, *thicknesses]
 
 
 def _figures(

@@ -30,14 +30,15 @@ def force_toml(
     """Return the lines of `[force]`.
 
     Args:
-        coefficients: By name [Pa, N/m].
+        coefficients: By name [Pa, N/m, -].
         errors: Standard errors, likewise; without a name that is as in the job.
         identifiable: Whether the coefficient is known.
     """
     lines = ["[force]"]
     for name, value in coefficients.items():
-        unit, scale = ("N/mm^2", 1e-6) if name.endswith("c") else ("N/mm", 1e-3)
+        unit, scale = _unit(name)
         number = f'{name} = "{value * scale:.6g} {unit}"'
+        number = number if unit else f"{name} = {value:.6g}"
         error = "as in the job"
         if name in errors:
             error = f"+- {errors[name] * scale:.2g}"
@@ -47,9 +48,22 @@ def force_toml(
         lost = f"# {name}: not identifiable"
         if np.isfinite(value):
             lost += f", {value * scale:.3g} {error} {unit}"
-        needed = name in ("K_tc", "K_rc", "K_ac")
-        lines.append(f"{lost}; {'a job needs it' if needed else 'left out it is 0'}")
+        lines.append(f"{lost.rstrip()}; {_left_out(name)}")
     return lines
+
+
+def _unit(name: str) -> tuple[str, float]:
+    """Return the unit of a coefficient and its factor from SI; "" for an exponent."""
+    if name.startswith("m_"):
+        return "", 1.0
+    return ("N/mm", 1e-3) if name.endswith("e") else ("N/mm^2", 1e-6)
+
+
+def _left_out(name: str) -> str:
+    """Return what a job makes of a coefficient that it does not state."""
+    if name in ("m_r", "m_a"):
+        return "left out it is m_t"
+    return "left out it is 0" if name.endswith("e") else "a job needs it"
 
 
 def doubted(lines: Sequence[str], why: str) -> list[str]:
@@ -102,14 +116,15 @@ def joints_toml(
     Args:
         robot: The robot as it was.
         key: "joint_stiffness" or "joint_damping".
-        values: As fitted, shape (joint,).
+        values: As fitted, shape (joint,), of the joints that a job lists: those that
+            the springs behind its arm add are the last ones of the robot.
         errors: Standard errors, shape (joint,).
         identifiable: Whether a value is known, shape (joint,).
     """
     model = np.asarray(getattr(robot, key), np.float64)
     unit = {"joint_stiffness": ("N*m/rad", "N/m")}.get(key, ("N*m*s/rad", "N*s/m"))
     rows, is_whole = [], True
-    for i, name in enumerate(robot.joint_names):
+    for i, name in enumerate(robot.joint_names[: len(values)]):
         one = unit[int(robot.joint_kinds[i] == "prismatic")]
         if identifiable[i]:
             text = f'    "{values[i]:.6g} {one}",'
