@@ -218,6 +218,35 @@ def test_recorded_path(write, tmp_path):
     (tmp_path / "path.csv").write_text("\n".join(rows) + "\n")
     job = load_job(write(('"part.ngc"', '"path.csv"')))
     np.testing.assert_allclose(np.diff(job.path.positions[:, 0]), 50e-3 * 3.75e-3)
+    # What the job states otherwise than it would be anyway.
+    feed = ("[robot]", 'feed = "50 mm/s"\n[robot]')
+    other = ('"2 m/s^2"', '"3 m/s^2"')
+    (note,) = load_job(write(('"part.ngc"', '"path.csv"'), feed, other)).notes
+    assert note.startswith("[program] feed, acceleration: without effect")
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "tool = 1",
+        "block_delete = true",
+        'offsets = { G55 = ["1 mm", "0 mm", "0 mm"] }',
+        'tool_lengths = { 1 = "80 mm" }',
+        'machine_zero = ["1 mm", "0 mm", "0 mm"]',
+        'reference_point = ["1 mm", "0 mm", "0 mm"]',
+        'second_reference_point = ["1 mm", "0 mm", "0 mm"]',
+        'smoothing = "30 ms"',
+        'jerk = "10 m/s^3"',
+        'joint_ramp = "0.2 s"',
+    ],
+)
+def test_what_a_recorded_path_has_no_use_for_is_refused(write, tmp_path, line):
+    rows = ["time_s,x_mm,y_mm,z_mm", "0,-6,4,-1", "0.05,-4,4,-1"]
+    (tmp_path / "path.csv").write_text("\n".join(rows) + "\n")
+    file = write(('"part.ngc"', '"path.csv"'), ("[robot]", f"{line}\n[robot]"))
+    (problem,) = problems_of(file)
+    key = line.split()[0]
+    assert problem.startswith(f"[program] {key}: found one, but a recorded path")
 
 
 @pytest.mark.parametrize(

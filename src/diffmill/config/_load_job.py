@@ -376,7 +376,7 @@ def _timed(tables: JobTables, parts: _Parts, problems: list[str]) -> _Parts:
     if program is None or table is None:
         return parts
     if isinstance(program, Path):
-        return parts._replace(path=recorded_path(program, table, period, problems))
+        return parts._replace(path=recorded_path(program, period, problems))
     _check_ramp(table, parts.robot, problems)
     timed = time_program(program, table, problems)
     return parts if timed is None else _with_rows(parts, timed, problems)

@@ -26,6 +26,10 @@ _SAME_SPEED = 1e-6
 _SAME_INSTANT = 1e-6
 # Speeds that a message lists.
 _LISTED = 8
+# What a recorded path takes of `[program]`, and what it does without: a job keeps its
+# limits while its program is exchanged for a path.
+_OF_PATHS = ("file", "commanded")
+_WITHOUT_EFFECT = ("acceleration", "rapid_feed", "corner_tolerance", "feed")
 # As much as the readers of programs and paths take [byte].
 _LARGEST_FILE = 250_000_000
 
@@ -45,6 +49,7 @@ def read_program(table: ProgramTable, context: FileContext) -> Program | Path | 
     try:
         program = io.read_program(path, setup=_setup(table))
         if isinstance(program, Path):
+            _check_recorded(table, context)
             return program
         chosen = program.of_tool(table.tool)
     except ProgramError as error:
@@ -97,6 +102,29 @@ def commanded_tips(
         "program"
     )
     return np.asarray(told.positions)
+
+
+def _check_recorded(table: ProgramTable, context: FileContext) -> None:
+    """Note the keys that a recorded path has no use for."""
+    defaults = ProgramTable(file=table.file)
+    stated = [
+        key
+        for key in ProgramTable.model_fields
+        if key in table.model_fields_set
+        and key not in _OF_PATHS
+        and getattr(table, key) != getattr(defaults, key)
+    ]
+    if idle := [key for key in stated if key in _WITHOUT_EFFECT]:
+        context.notes.append(
+            f"[program] {', '.join(idle)}: without effect, since a recorded path has "
+            "its own times"
+        )
+    context.problems.extend(
+        f"[program] {key}: found one, but a recorded path has its own times and places; "
+        "allowed with a program only"
+        for key in stated
+        if key not in _WITHOUT_EFFECT
+    )
 
 
 def _uses(program: Program, feed: float) -> bool:
@@ -210,16 +238,9 @@ def time_program(
 
 
 def recorded_path(
-    path: Path, table: ProgramTable, tooth_period: float, problems: list[str]
+    path: Path, tooth_period: float, problems: list[str]
 ) -> Path | None:
     """Return a recorded path at the tooth instants, or None with problems noted."""
-    for key in ("smoothing", "jerk", "joint_ramp"):
-        if getattr(table, key):
-            problems.append(
-                f"[program] {key}: found one, but a recorded path has its own times; "
-                "allowed with a program only"
-            )
-            return None
     try:
         return path.resampled(tooth_period)
     except ValueError as error:
