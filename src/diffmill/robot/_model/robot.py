@@ -349,9 +349,10 @@ class Robot(eqx.Module):
 
         Returns:
             s^-1(tau / K) + tau / K_s [rad or m], shape (joint,). A gear that carries
-            nothing is in the middle of its gap.
+            nothing, or no more than rounding, is in the middle of its gap.
 
-        **Differentiability**: smooth, but where a gear with a gap carries nothing.
+        **Differentiability**: once; where a gear with a gap carries nothing, as steep
+        as the way across the gap.
         """
         stretch = self.backlash_deflection(torque / self.joint_stiffness)
         if self.motors is None:
@@ -367,7 +368,8 @@ class Robot(eqx.Module):
         Returns:
             Stretch with the gap [rad or m], shape (joint,).
 
-        **Differentiability**: once in y, but at 0 it jumps across the gap.
+        **Differentiability**: once in y but for kinks close to 0, between which it goes
+        across the gap.
         """
         if self.backlash is None:
             return y
