@@ -56,6 +56,11 @@ ROBOTS = {
     "rk4": gantry,
     "quasi-static": gantry,
     "quasi-static, bending tool": lambda: BEND.mounted_on(gantry()),
+    "quasi-static, backlash": lambda: (
+        gantry()
+        .with_backlash([2e-5] * 4)
+        .with_motors([30.0] * 4, [2e8] * 4, [900.0] * 4)
+    ),
 }
 CUTS = {
     "upright": (FLAT, {}),

@@ -9,7 +9,19 @@ import numpy as np
 import pytest
 from helpers import PAPER_LAW, relative
 
-from diffmill import cutter as ct, process as pr, robot as rb, sim, workpiece as wp
+from diffmill import (
+    RESULTS,
+    CorrectionSettings,
+    Job,
+    SimulationFailed,
+    SimulationSettings,
+    cutter as ct,
+    process as pr,
+    robot as rb,
+    sim,
+    toolpath as tp,
+    workpiece as wp,
+)
 
 MILL = ct.flat_end_mill(10e-3, 2)
 PERIOD = 3.75e-3
@@ -40,6 +52,18 @@ PROCESS = pr.Process(
 )
 
 
+def alone(tips):
+    return sim.simulate_process(
+        tips,
+        STOCK,
+        MILL,
+        PAPER_LAW,
+        math.pi / PERIOD,
+        engagement=PLAN,
+        adjoint=pr.ThroughPoses(),
+    )
+
+
 def run(machine, stiffness, theta):
     robot = slides(1.0).with_drives(stiffness=stiffness)
     return machine(robot, np.eye(4)).run(PROCESS, theta)
@@ -64,20 +88,10 @@ def test_springs_balance_weight_and_force_in_every_period():
 
 @pytest.mark.slow
 def test_the_force_is_that_of_the_process_on_the_actual_path():
-    alone = jax.jit(
-        lambda tips: sim.simulate_process(
-            tips,
-            STOCK,
-            MILL,
-            PAPER_LAW,
-            2 * math.pi / (2 * PERIOD),
-            engagement=PLAN,
-            adjoint=pr.ThroughPoses(),
-        )
-    )(still().actual)
+    found = jax.jit(alone)(still().actual)
     # The process alone bends its path smoothly through the instants, here the tip
     # goes straight from one to the next.
-    assert relative(alone.force, still().force) < 5e-3
+    assert relative(found.force, still().force) < 5e-3
 
 
 @pytest.mark.slow
@@ -101,6 +115,94 @@ def test_an_arm_softer_than_the_cut_needs_no_relaxation():
     steady = force[30:36]
     assert np.abs(steady).max() > 60
     assert np.ptp(steady, axis=0).max() < 0.1 * np.abs(steady).max()
+
+
+GAP = 1e-4
+
+
+def beside(y, count):
+    """Return a way along x at some y that goes into the work."""
+    tips = np.tile([-4.3e-3, y, -1e-3], (count, 1))
+    tips[:, 0] += 44e-6 * np.arange(count)
+    return tips
+
+
+@jax.jit
+def with_gaps(theta):
+    machine = sim.QuasiStaticArm(slides(1.0).with_backlash([GAP] * 3), np.eye(4))
+    return machine.run(PROCESS, theta)
+
+
+def test_gears_with_a_gap_balance_the_force_of_the_actual_path():
+    # In the air two slides are in the middle of their gaps; on entry the force drags
+    # one of them to and fro.
+    tips = beside(11e-3, 28)
+    found = with_gaps(jnp.asarray(tips))
+    # Between the gap's end and the corner's the spring carries a parabola of it.
+    stretch, w = tips - np.asarray(found.actual), 0.2 * GAP
+    u = np.maximum(np.abs(stretch) - (GAP - w) / 2, 0.0)
+    s = np.where(u > w, np.abs(stretch) - GAP / 2, u**2 / (2 * w))
+    lack = STIFFNESS * np.sign(stretch) * s - (WEIGHT - np.asarray(found.force))
+    # What a gear carries at most in its gap.
+    assert np.abs(lack).max() < 1.1e-3 * w * STIFFNESS.max()
+    force = np.asarray(found.force)
+    wanted = np.asarray(jax.jit(alone)(found.actual).force)
+    assert np.abs(force).max() > 4
+    # The process alone goes smoothly through the instants, so that it sees less of a
+    # jump; a force that is no balance is off by more than 3 N.
+    np.testing.assert_allclose(force, wanted, atol=1.0)
+    assert np.ptp(np.asarray(found.actual - tips)[:, 1]) > 0.4 * GAP
+
+
+@pytest.mark.slow
+def test_derivatives_with_gaps_agree_with_central_differences():
+    tips = jnp.asarray(beside(-2.5e-3, 40))
+
+    @jax.jit
+    def answer(shift):
+        ramp = jnp.linspace(0, 1, 40)[:, None]
+        found = with_gaps(tips + shift[None] * ramp)
+        return jnp.sum((found.actual - tips)[20:] * jnp.array([[0.5, 0.7, 1.0]]))
+
+    at, step = jnp.zeros(3), 1e-8
+    expected = [(answer(step * d) - answer(-step * d)) / (2 * step) for d in np.eye(3)]
+    np.testing.assert_allclose(jax.jacfwd(answer)(at), expected, rtol=1e-3)
+    np.testing.assert_allclose(jax.grad(answer)(at), expected, rtol=1e-3)
+
+
+def test_a_run_without_a_balance_says_so():
+    # The tool begins in the work, where its edges hold it while the slides take up the
+    # feed in their gaps.
+    found = with_gaps(jnp.asarray(beside(0.0, 28)))
+    assert found.result == RESULTS.non_finite
+    assert np.isnan(found.force[1:]).all()
+
+
+@pytest.mark.slow
+def test_a_message_names_the_gaps_that_find_no_balance():
+    tips = beside(0.0, 6)
+    job = Job(
+        name="gaps",
+        cutter=MILL,
+        law=PAPER_LAW,
+        spindle_speed=math.pi / PERIOD,
+        stock=STOCK,
+        path=tp.Path.upright(PERIOD * np.arange(len(tips)), tips),
+        robot=slides(1.0).with_backlash([GAP] * 3),
+        T_base_work=np.eye(4),
+        joint_start=None,
+        simulation=SimulationSettings(
+            angles=PLAN.angles,
+            substeps=PLAN.substeps,
+            element_height=0.5e-3,
+            axial_depth=1.5e-3,
+            mode="quasistatic",
+            is_gravity_compensated=False,
+        ),
+        correction=CorrectionSettings(),
+    )
+    with pytest.raises(SimulationFailed, match="backlash may find no balance"):
+        sim.simulate(job)
 
 
 @pytest.mark.slow

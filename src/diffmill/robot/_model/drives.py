@@ -61,6 +61,21 @@ class Backlash(eqx.Module):
         stretch = jnp.where(is_light, middle, jnp.sign(y) * edge)
         return jnp.where(has_gap, stretch, y)
 
+    def dead_zone_at_rest(
+        self, x: Float[Array, " joint"]
+    ) -> tuple[Float[Array, " joint"], Float[Array, " joint"]]:
+        """Return y whose `deflection` is x, and its slope.
+
+        That is s(x) but for gears that carry next to nothing: in their gap y rises,
+        by next to nothing, so that it says where in the gap they are.
+        """
+        has_gap = self.gap > 0.0
+        y_0, x_0 = self._least_load(), self._least_stretch()
+        s, slope = self.dead_zone(x)
+        rise = y_0 / jnp.where(has_gap, x_0, 1.0)
+        is_light = has_gap & (jnp.abs(x) < x_0)
+        return jnp.where(is_light, rise * x, s), jnp.where(is_light, rise, slope)
+
     def _least_load(self) -> Float[Array, " joint"]:
         """Return the stretch y_0 of springs below which a gear carries nothing."""
         return _LEAST_LOAD * self.corner * self.gap

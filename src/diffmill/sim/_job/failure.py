@@ -42,7 +42,7 @@ def _failed(solution: "Solution", job: Job | None) -> str:
     if bool(solution.result == RESULTS.non_finite):
         numbers = np.concatenate([solution.actual, solution.force], axis=1)
         is_bad = np.asarray(~np.isfinite(numbers).all(axis=1))
-        text = f"{text}{_broken_joints(solution, is_bad)}"
+        text = f"{text}{_broken_joints(solution, is_bad)}{_no_balance(job)}"
     else:
         is_bad = np.asarray(solution.has_failed)
     text = f"{text} First at {_at(solution, is_bad)}."
@@ -80,6 +80,19 @@ def _broken_joints(solution: "Solution", is_bad: Bool[np.ndarray, " step"]) -> s
         if not np.isfinite(x)
     ]
     return f" So did the joints {', '.join(names)}."
+
+
+def _no_balance(job: Job | None) -> str:
+    """Return what numbers are lost by where an arm with gaps has no inertia."""
+    robot = None if job is None else job.robot
+    if job is None or robot is None or robot.backlash is None:
+        return ""
+    if job.simulation.mode != "quasistatic":
+        return ""
+    return (
+        " Gears with backlash may find no balance with the cut, where the force turns "
+        "round in a gap: the dynamic mode follows how the tool goes through it."
+    )
 
 
 def _unreached(

@@ -13,7 +13,8 @@ chip begins or ends. A plain iteration F <- f(F) would diverge for |A C| > 1, a 
 with a soft arm. A cut resists its tool, so -A C has eigenvalues with positive real part
 and the step exists; from period to period a disturbance then dies out. Where the
 coupling of the directions brings an eigenvalue of A C to 1, the arm is dragged into the
-cut without bound and no balance exists: the result is not meaningful there.
+cut without bound and no balance exists: the result is not meaningful there. Gears with
+a gap need more than two steps (`bend.py`).
 
 What a real arm adds is left out: swinging at corners, forced vibration and chatter.
 Derivatives are those of the balance, whatever the steps to it.
@@ -22,7 +23,6 @@ Derivatives are those of the balance, whatever the steps to it.
 from collections.abc import Callable
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -32,6 +32,7 @@ from ..._types import Transform
 from ...process import Engagement, Process
 from ...robot import ArmTerms, Robot, loaded_equilibrium
 from ...workpiece import Pose
+from .bend import Balance, Bend, balance_with_gaps
 from .elastic import in_work, jacobian_in_work
 from .machine import Period, RunState
 from .rigid import period_wrench
@@ -40,59 +41,9 @@ from .substeps import (
     CommandRow,
     LoadedSubsteps,
     PeriodMotion,
-    along,
 )
 
 _NEWTON_STEPS = 2
-
-
-class Balance(eqx.Module):
-    """The arm at one instant: joints, pose in `work`, and load on the tool."""
-
-    q: Float[Array, " joint"]
-    pose: Pose
-    load: Float[Array, " load"]
-
-
-class _Bend(eqx.Module):
-    """The arm in one period, whose end is linear in the mean load.
-
-    Attributes:
-        robot: The robot.
-        start: Tip at the start [m], shape (3,).
-        near: Joints near to those of the end [rad or m], shape (joint,).
-        motors: At the end [rad or m], shape (joint,).
-        pose: At the near joints.
-        jacobian: There.
-        gravity: Torques of gravity there [N m or N], shape (joint,).
-    """
-
-    robot: Robot
-    start: Float[Array, " 3"]
-    near: Float[Array, " joint"]
-    motors: Float[Array, " joint"]
-    pose: Pose
-    jacobian: Float[Array, "load joint"]
-    gravity: Float[Array, " joint"]
-
-    def joints(self, load: Float[Array, " load"]) -> Float[Array, " joint"]:
-        """Return the joints at the end under a load [rad or m]."""
-        tau = self.gravity - self.jacobian.T @ load
-        return self.motors - self.robot.drive_deflection(tau)
-
-    def balance(self, load: Float[Array, " load"]) -> Balance:
-        """Return the arm at the end under a load."""
-        q = self.joints(load)
-        tip = self.pose.tip + self.jacobian[:3] @ (q - self.near)
-        return Balance(q, Pose(tip, self.pose.axis), load)
-
-    def poses(
-        self, load: Float[Array, " load"], places: Float[Array, " place"]
-    ) -> Pose:
-        """Return the poses under a load, at some places of the way."""
-        shares, end = places[:, None], self.balance(load).pose.tip
-        tips = self.start[None] * (1 - shares) + end[None] * shares
-        return along(self.pose, tips)
 
 
 class QuasiStaticArm(AbstractCompliant):
@@ -141,16 +92,18 @@ class QuasiStaticArm(AbstractCompliant):
         start, dtype = state.machine, row.stop.dtype
         bend = self._bend(process, start, row)
         middles, last = process.substep_middles(dtype), process.substep_ends(dtype)
-        predicted = bend.poses(start.load, middles)
+        predicted = bend.expected(start.load, middles)
         cutting, cut, removed = process.advance(
             state.process, index, start.pose, predicted, is_live, look
         )
         size, recent = start.load.size, cutting.recent
         eye = jnp.eye(size, dtype=dtype)
 
+        def mean_load(poses: Pose) -> Array:
+            return jnp.mean(period_wrench(process, cut, poses, recent), 0)[:size]
+
         def excess(F: Array) -> Array:
-            poses = bend.poses(F, middles)
-            return jnp.mean(period_wrench(process, cut, poses, recent), 0)[:size] - F
+            return mean_load(bend.poses(F, middles)) - F
 
         def newton(F: Array, _: None) -> tuple[Array, None]:
             # One pass gives value and slope: the force beside each column is the same.
@@ -166,8 +119,15 @@ class QuasiStaticArm(AbstractCompliant):
                 lambda slope, F: jnp.linalg.solve(jax.vmap(slope)(eye).T, F),
             )
 
-        end = when_live(is_live, lambda: bend.balance(root()), start)
-        tips, ends = bend.poses(end.load, middles), bend.poses(end.load, last)
+        def balance() -> Balance:
+            if self.robot.backlash is None:
+                return bend.balance(root())
+            return balance_with_gaps(
+                bend, lambda tip: mean_load(bend.poses_to(tip, middles))
+            )
+
+        end = when_live(is_live, balance, start)
+        tips, ends = bend.reached(end, middles), bend.reached(end, last)
         cutting = cutting.ended(tips, ends)
         period = Period(
             tip=start.pose.tip,
@@ -196,15 +156,15 @@ class QuasiStaticArm(AbstractCompliant):
             pose=state.pose,
             middles=bend.poses(load, middles),
             ends=bend.poses(load, process.substep_ends(load.dtype)).tip,
-            looked=bend.poses(state.load, middles),
+            looked=bend.expected(state.load, middles),
         )
 
-    def _bend(self, process: Process, start: Balance, row: CommandRow) -> _Bend:
+    def _bend(self, process: Process, start: Balance, row: CommandRow) -> Bend:
         """Return how the arm bends in a period, from its start and the motors."""
         # The end is near to the start moved along with the motors: linear from there.
         near = start.q + row.stop - row.start
         found = self._linear(process, near)
-        return _Bend(self.robot, start.pose.tip, near, row.stop, *found)
+        return Bend(self.robot, start.pose.tip, near, row.stop, *found)
 
     def _linear(self, process: Process, q: Float[Array, " joint"]) -> "_Linear":
         terms = ArmTerms.of_state(self.robot, q, jnp.zeros_like(q))
