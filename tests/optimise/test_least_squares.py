@@ -1,6 +1,7 @@
 """Least squares of few unknowns: against SciPy, closed forms and its own state."""
 
 import dataclasses
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -166,7 +167,7 @@ class SumOfTwo(AbstractProblem):
 def test_damping_after_many_good_steps_is_not_too_small_for_a_refused_one(far):
     solver = LevenbergMarquardt(max_steps=100, longest=0.1, damping=1e-4, share=1e-3)
     found = least_squares(Ramp(), np.array([-0.1 * far - 0.03]), solver)
-    least = scipy.optimize.minimize_scalar(
+    least: Any = scipy.optimize.minimize_scalar(
         lambda x: 0.5 * np.sum(Ramp().evaluate(np.array([x])) ** 2), bounds=(-1, 1)
     )
     assert found.has_converged

@@ -74,7 +74,7 @@ def test_a_plunge_of_three_teeth_pushes_along_the_axis_alone(pitch):
     found = np.asarray(eqx.filter_jit(run)(path).force)[-24:].reshape(-1, 3, 3).mean(1)
     wanted = 3 * R * (LAW.K_rc * descent + LAW.K_re)
     np.testing.assert_allclose(found[:, 2], wanted, rtol=2e-2)
-    np.testing.assert_allclose(found[:, :2], 0, atol=2e-2 * wanted)
+    assert np.abs(found[:, :2]).max() < 2e-2 * wanted
 
 
 @pytest.mark.parametrize("teeth", [2, 3])

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -206,7 +207,7 @@ def random_program(random):
     for line in range(1, 1 + int(random.integers(2, 7))):
         kind = random.choice(["line", "arc", "rapid"], p=[0.5, 0.25, 0.25])
         there = here + 10 ** random.uniform(-3.0, -1.8) * random.normal(size=3)
-        how = {"feed": 10 ** random.uniform(-2.0, -1.0)}
+        how: dict[str, Any] = {"feed": 10 ** random.uniform(-2.0, -1.0)}
         if kind == "rapid":
             how = {"is_rapid": True}
         if kind == "arc":
@@ -219,9 +220,9 @@ def random_program(random):
             centre = here - spokes[0]
             there = centre + spokes[1]
             how |= {"centre": tuple(centre.tolist()), "turn": 1}
-        moves.append(
-            Move(tuple(here.tolist()), tuple(there.tolist()), line=line, **how)
-        )
+        start: Any = tuple(here.tolist())
+        end: Any = tuple(there.tolist())
+        moves.append(Move(start, end, line=line, **how))
         here = there
     return Program(tuple(moves))
 

@@ -150,15 +150,15 @@ def balance_with_gaps(bend: Bend, load_of: _LoadOfTip) -> Balance:
 
     def goes_on(found: _Search) -> Array:
         # NaN is no size to go on from.
-        return (found.size > limit) & (found.count < _MOST_STEPS)
+        return (found.size > limit) & (found.steps < _MOST_STEPS)
 
     def step(found: _Search) -> _Search:
         # One pass gives value and slope: the load beside each column is the same.
         value_and_slope = lambda way: jax.jvp(load_of, (bend.tip(found.q),), (way,))
         loads, columns = jax.vmap(value_and_slope)(ways)
         here = _Excess.of(bend, found.q, loads[0])
-        move = here.step(bend, columns.T, found.count < _PLAIN_STEPS)
-        return _Search(found.q + move, jnp.max(jnp.abs(move)), found.count + 1)
+        move = here.step(bend, columns.T, found.steps < _PLAIN_STEPS)
+        return _Search(found.q + move, jnp.max(jnp.abs(move)), found.steps + 1)
 
     def search(_: Callable[..., Array], near: Array) -> Array:
         begun = _Search(near, jnp.full((), jnp.inf, dtype), jnp.zeros((), jnp.int32))
@@ -175,7 +175,7 @@ class _Search(NamedTuple):
 
     q: Float[Array, " joint"]
     size: Float[Array, ""]
-    count: Int[Array, ""]
+    steps: Int[Array, ""]
 
 
 class _Excess(NamedTuple):
