@@ -17,14 +17,16 @@ _LONGEST = 200
 _ZEROS = re.compile(r"(?<![\w.])0+(?=\d)")
 
 
-def value_of(text: str, known: Mapping[str, float], *, cuts: bool = False) -> float:
+def value_of(
+    text: str, known: Mapping[str, float], *, truncates: bool = False
+) -> float:
     """Return the value of numbers and names with + - * / and parentheses.
 
     Args:
         text: Such as "V1 / 60".
         known: Values by name in upper case.
-        cuts: Whether the controller cuts a quotient of whole numbers to a whole one;
-            such a one has no value here.
+        truncates: Whether the controller makes a whole number of a quotient of two;
+            such a quotient has no value here.
 
     Returns:
         The value; NaN where a name is not known, or anything else is found.
@@ -34,12 +36,12 @@ def value_of(text: str, known: Mapping[str, float], *, cuts: bool = False) -> fl
     try:
         plain = _ZEROS.sub("", text.strip().upper())
         body = ast.parse(plain, mode="eval").body
-        return float(_value(body, known, cuts))
+        return float(_value(body, known, truncates))
     except (SyntaxError, ValueError, ArithmeticError):
         return math.nan
 
 
-def _value(node: ast.expr, known: Mapping[str, float], cuts: bool) -> int | float:
+def _value(node: ast.expr, known: Mapping[str, float], truncates: bool) -> int | float:
     """Return the value of a part, a whole number as such."""
     match node:
         case ast.Constant(int() | float() as value) if not isinstance(value, bool):
@@ -47,12 +49,12 @@ def _value(node: ast.expr, known: Mapping[str, float], cuts: bool) -> int | floa
         case ast.Name() | ast.Subscript():
             return known.get(ast.unparse(node), math.nan)
         case ast.UnaryOp(ast.USub(), operand):
-            return -_value(operand, known, cuts)
+            return -_value(operand, known, truncates)
         case ast.UnaryOp(ast.UAdd(), operand):
-            return _value(operand, known, cuts)
+            return _value(operand, known, truncates)
         case ast.BinOp(left, sign, right) if type(sign) in _OPERATORS:
-            pair = _value(left, known, cuts), _value(right, known, cuts)
-            if cuts and isinstance(sign, ast.Div):
+            pair = _value(left, known, truncates), _value(right, known, truncates)
+            if truncates and isinstance(sign, ast.Div):
                 if all(isinstance(one, int) for one in pair):
                     return math.nan
             return _OPERATORS[type(sign)](*pair)

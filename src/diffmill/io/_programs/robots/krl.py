@@ -83,7 +83,7 @@ class _Krl(Reader):
         self.frames: dict[str, dict[str, float]] = {}
         self.scalars: dict[str, float] = {}
         self.values: dict[str, float] = dict.fromkeys("XYZABC", 0.0)
-        self.chosen = KrlFrames()
+        self.base_and_tool = KrlFrames()
         self.spline: list[_Knot] | None = None
         # The feed outside of the spline block.
         self.outer_feed: float | None = None
@@ -115,7 +115,7 @@ def parse_krl(text: str, data: str = "", *, name: str = "program.src") -> Progra
         bare = _bare(row)
         # Other data of inline forms hold names and are of no motion.
         if found := _FRAME_DATA.fullmatch(bare):
-            reader.chosen.declare(found[1], found[2])
+            reader.base_and_tool.declare(found[1], found[2])
         elif found := _DECLARED.fullmatch(bare):
             reader.frames[found[1].upper()] = _components(found[2], number, reader)
         elif found := _SCALAR.fullmatch(bare):
@@ -174,7 +174,7 @@ def _statement(row: str, line: int, reader: _Krl) -> None:
     elif (found := _BAS.fullmatch(row)) and found[1].upper() in _CHOSEN_BY_BAS:
         _basic(found[1].upper(), found[2] or "", row, line, reader)
     elif found := _FRAME_DATA.fullmatch(row):
-        reader.chosen.declare(found[1], found[2])
+        reader.base_and_tool.declare(found[1], found[2])
     elif found := _DECLARED.fullmatch(row):
         reader.frames[found[1].upper()] = _components(found[2], line, reader)
     elif word in ("SPLINE", "ENDSPLINE"):
@@ -203,7 +203,7 @@ def _set_speed(value: str, row: str, line: int, reader: _Krl) -> None:
         value = found[1]
     elif found := _CP_OF_DATA.fullmatch(value):
         value = split_arguments(found[1])[0]
-    feed = value_of(value, reader.scalars, cuts=True)
+    feed = value_of(value, reader.scalars, truncates=True)
     if not feed > 0:
         message = "a speed is above 0, in numbers or declared ones with + - * /."
         reader.refuse(line, row, message)
@@ -213,7 +213,7 @@ def _set_speed(value: str, row: str, line: int, reader: _Krl) -> None:
 def _set_scalar(found: re.Match[str], line: int, reader: _Krl) -> bool:
     """Keep a number, or a component of a declared position, if it is one."""
     name, component = found[1].upper(), found[2]
-    value = value_of(found[3], reader.scalars, cuts=True)
+    value = value_of(found[3], reader.scalars, truncates=True)
     if math.isnan(value):
         return False
     if component is None:
@@ -227,25 +227,25 @@ def _set_scalar(found: re.Match[str], line: int, reader: _Krl) -> bool:
 
 def _set_frame(kind: str, value: str, line: int, reader: _Krl) -> None:
     """Choose base, tool, or both by the data of an inline form."""
-    chosen, value = reader.chosen, value.strip()
-    data = chosen.named(value)
+    held, value = reader.base_and_tool, value.strip()
+    data = held.named(value)
     if kind == "TOOL":
-        chosen.choose_tool(value)
+        held.choose_tool(value)
     elif kind == "IPO_MODE":
         is_external = value.upper() == "#TCP" or (data is not None and data.is_external)
-        chosen.chosen = chosen.chosen._replace(is_external=is_external)
+        held.choose_external(is_external)
     elif kind == "FDAT_ACT" and data is None:
         message = f"{value[:40]} is not declared, so tool and base stay as they are"
         reader.out.note("FDAT_ACT", message, line)
     elif kind == "FDAT_ACT" and data is not None:
-        chosen.choose_data(data, reader.frames, line)
+        held.choose_data(data, reader.frames, line)
     elif data is not None and data.base is not None:
-        chosen.choose_base(numbered_base(data.base, reader.frames), line)
+        held.choose_base(numbered_base(data.base, reader.frames), line)
     elif value.startswith("{"):
-        chosen.choose_base(_components(value, line, reader), line)
+        held.choose_base(_components(value, line, reader), line)
     else:
         name = value.upper()
-        chosen.choose_base(reader.frames.get(name, {name: 0.0}), line)
+        held.choose_base(reader.frames.get(name, {name: 0.0}), line)
 
 
 def _basic(kind: str, value: str, row: str, line: int, reader: _Krl) -> None:
@@ -258,9 +258,9 @@ def _basic(kind: str, value: str, row: str, line: int, reader: _Krl) -> None:
         reader.refuse(line, row, "needed is the number of a base or a tool.")
     elif kind == "BASE":
         base = numbered_base(int(number), reader.frames)
-        reader.chosen.choose_base(base, line)
+        reader.base_and_tool.choose_base(base, line)
     else:
-        reader.chosen.choose_tool(f"TOOL_DATA[{number:.0f}]")
+        reader.base_and_tool.choose_tool(f"TOOL_DATA[{number:.0f}]")
 
 
 def _set_with(text: str, line: int, reader: _Krl) -> None:
@@ -314,9 +314,9 @@ def _motion(
         if reader.out.moves:
             message = "after a motion of joints or another tool, state X, Y and Z."
             reader.refuse(line, rest, message)
-    before, chosen = reader.feed, reader.chosen.chosen
+    before, chosen = reader.feed, reader.base_and_tool.chosen
     _set_with(_APPROXIMATION.sub("", extra[0]) if extra else "", line, reader)
-    reader.chosen.take(line, reader)
+    reader.base_and_tool.take(line, reader)
     if is_relative:
         is_tool = along is not None and along[1].upper() == "TOOL"
         found = [_moved(pose, is_tool, rest, line, reader) for pose in found]
@@ -340,7 +340,7 @@ def _motion(
         if kind in ("PTP", "SPTP"):
             reader.out.note(kind, "is taken as a straight rapid move", line)
         reader.line_to(point, axis, line, is_rapid=kind in ("PTP", "SPTP"))
-    reader.feed, reader.chosen.chosen = before, chosen
+    reader.feed, reader.base_and_tool.chosen = before, chosen
 
 
 def _moved(

@@ -74,6 +74,10 @@ class KrlFrames:
         elif (data := self.named(value)) is not None and data.tool is not None:
             self.chosen = self.chosen._replace(tool=data.tool)
 
+    def choose_external(self, is_external: bool) -> None:
+        """Let the tool stand while the work moves, or the other way round."""
+        self.chosen = self.chosen._replace(is_external=is_external)
+
     def named(self, value: str) -> FrameData | None:
         """Return the data that a value such as SBASE(FP1.BASE_NO) or FP1 names."""
         value = value.strip()
@@ -90,7 +94,7 @@ class KrlFrames:
             self.choose_base(numbered_base(data.base, frames), line)
         if data.tool is not None:
             self.chosen = self.chosen._replace(tool=data.tool)
-        self.chosen = self.chosen._replace(is_external=data.is_external)
+        self.choose_external(data.is_external)
 
     def take(self, line: int, reader: Reader) -> None:
         """Use the frames in force for a motion: another tool begins a section."""
