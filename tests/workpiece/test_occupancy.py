@@ -182,3 +182,44 @@ def test_a_column_that_a_cut_just_takes_or_leaves_at_a_slanting_wall_is_not_felt
     moves = jnp.full((61, 1, 2), 0.1e-3)
     left, taken = (seen_in(stock, points, moves) for stock in (before, after))
     np.testing.assert_allclose(taken, left, atol=1e-3)
+
+
+def test_a_floor_below_a_dished_end_moves_with_the_pose_that_cut_it():
+    stock = wp.box([0, 0, -5e-3], [14e-3, 14e-3, 0], 0.25e-3)
+    window = wp.RemovalWindow.upright(stock, MILL, 3e-3, 0.5e-3)
+    start = jnp.array([7.03e-3, 7.07e-3, -1e-3])
+    # Over the floor, a millimetre deeper than its tip, and aside of the axis.
+    point = jnp.array([[[9.1e-3, 7.3e-3, -2e-3]]])
+    way = jnp.full((1, 1, 2), 1e-5)
+
+    def cutter(sizes):
+        diameter, angle = sizes
+        return ct.flat_end_mill(diameter, 2, nominal_diameter=10e-3, dish_angle=angle)
+
+    def cut(tip, sizes):
+        poses, first = wp.Pose(tip[None]), jnp.zeros(1, jnp.int32)
+        due = jnp.ones(1, bool)
+        return window.remove_poses(stock, cutter(sizes), poses, first, due).stock
+
+    def height(stock, sizes, track=None):
+        found = DISCS.occupancy(stock, point, way, way, cutter(sizes), track=track)
+        return jnp.sum(found.occupancy) * DISCS.height
+
+    def by_track(tip, sizes):
+        poses = wp.Pose(jnp.broadcast_to(tip, (2, 3)))
+        return height(done, sizes, wp.PoseTrack(poses, 1))
+
+    sizes = jnp.array([10e-3, 0.05])
+    done = jax.jit(cut)(start, sizes)
+    seen = jax.jit(lambda tip, sizes: height(cut(tip, sizes), sizes))
+    at, ways = (start, sizes), ([1e-7] * 3, [1e-7, 1e-5])
+    for i, steps in enumerate(ways):
+        slopes = jax.jit(jax.jacfwd(by_track, argnums=i))(*at)
+        for j, step in enumerate(steps):
+            ends = []
+            for sign in (-1, 1):
+                moved = list(at)
+                moved[i] = at[i].at[j].add(sign * step)
+                ends.append(seen(*moved))
+            found = float(ends[1] - ends[0]) / (2 * step)
+            np.testing.assert_allclose(slopes[j], found, rtol=1e-6, atol=1e-7)

@@ -152,7 +152,7 @@ class Discs(eqx.Module):
         place, move, chip = _Place(*place), _Across(*move), _Across(*chip)
         columns = _find_columns(stock, place)
         if track is not None:
-            columns = _tie_columns(columns, track)
+            columns = _tie_columns(cutter, columns, track)
         columns = _read_ends(columns)
         heights = _wall_heights(stock, place, self, columns)
         slots = stock.slots_in_use() if slots is None else slots
@@ -203,11 +203,13 @@ class _Columns(eqx.Module):
         ends: Lower and upper ends [m].
         poses: What cut them, as `Rays.poses` has it.
         at: Where in memory they are.
+        across: Where the rays stand along x and y [m].
     """
 
     ends: Float[Array, "2 slot 9 disc point"]
     poses: Int[Array, "2 slot 9 disc point"]
     at: Int[Array, "2 slot 9 disc point"]
+    across: Float[Array, "2 1 1 9 disc point"]
 
 
 class _Walls(eqx.Module):
@@ -238,7 +240,9 @@ def _find_columns(stock: Stock, place: _Place) -> _Columns:
     ray = hold((i * counts[1] + j) * (2 * slots))
     at = hold(ray[None, None] + slot)
     poses = Recomputed.read(taken(rays.poses, at))
-    return _Columns(taken(rays.ends, at), poses, at)
+    lines = jnp.stack([i, j])[:, None, None].astype(rays.ends.dtype)
+    across = stock.origin[:2].reshape(2, *(1,) * 5) + stock.spacing * lines
+    return _Columns(taken(rays.ends, at), poses, at, across)
 
 
 def _nearest_line(
@@ -315,18 +319,26 @@ def _read_ends(rays: _Rays) -> _Rays:
     return eqx.tree_at(lambda r: r.ends, rays, Recomputed.read(rays.ends))
 
 
-def _tie_columns(columns: _Columns, track: PoseTrack) -> _Columns:
+def _tie_columns(
+    cutter: AbstractCutter, columns: _Columns, track: PoseTrack
+) -> _Columns:
     """Return the columns, each end with the derivative of the pose that cut it."""
     frozen = jax.lax.stop_gradient(columns)
-    ends = with_derivative_of(frozen.ends, _made_columns, frozen, track)
-    return _Columns(ends, columns.poses, columns.at)
+    frozen = eqx.tree_at(lambda c: c.across, frozen, columns.across)
+    ends = with_derivative_of(frozen.ends, _made_columns, cutter, frozen, track)
+    return eqx.tree_at(lambda c: c.ends, columns, ends)
 
 
 def _made_columns(
-    columns: _Columns, track: PoseTrack
+    cutter: AbstractCutter, columns: _Columns, track: PoseTrack
 ) -> Float[Array, "2 slot 9 disc point"]:
-    """Return ends that follow from their poses: that of a tip at its height."""
-    height = track.height_by(columns.poses)
+    """Return ends that follow from their poses: those of the cutter's end there."""
+    if cutter.has_dish:
+        tip = track.cut_by(columns.poses).tip
+        x, y = columns.across[0], columns.across[1]
+        height = cutter.intersect(2, x, y, tip).start
+    else:
+        height = track.height_by(columns.poses)
     raw = track.raw_ends(2, columns.at, columns.poses)
     return jnp.where(columns.poses >= 0, height, raw)
 
