@@ -107,7 +107,15 @@ class BottomEdges(eqx.Module):
                 if track is not None:
                     poses = Recomputed.read(rays.poses[u, v])
                     frozen, place = jax.lax.stop_gradient(ends), rays.places(u, v)
-                    ends = with_derivative_of(frozen, _made_ends, track, place, poses)
+                    x, y = (
+                        stock.origin[a] + stock.spacing * line.astype(now.dtype)
+                        for a, line in enumerate(
+                            (u[..., None, None], v[..., None, None])
+                        )
+                    )
+                    ends = with_derivative_of(
+                        frozen, _made_ends, track, cutter, place, poses, x, y
+                    )
                 ends = Recomputed.read(ends)
                 low, high = ends[..., 0, :], ends[..., 1, :]
                 # Material that begins above the bottom is not on it.
@@ -191,11 +199,14 @@ def _radius(cutter: AbstractCutter, dtype: jnp.dtype) -> Float[Array, ""]:
 
 def _made_ends(
     track: PoseTrack,
+    cutter: AbstractCutter,
     place: Int[Array, "*place 2 slot"],
     poses: Int[Array, "*place 2 slot"],
+    x: Float[Array, "*place 1 1"],
+    y: Float[Array, "*place 1 1"],
 ) -> Float[Array, "*place 2 slot"]:
-    """Return ends of columns that follow from their poses: tips at their height."""
-    height = track.height_by(poses)
+    """Return ends of columns that follow from their poses: the cutter's end there."""
+    height = track.floor_by(poses, cutter, x, y)
     return jnp.where(poses >= 0, height, track.raw_ends(2, place, poses))
 
 

@@ -333,12 +333,8 @@ def _made_columns(
     cutter: AbstractCutter, columns: _Columns, track: PoseTrack
 ) -> Float[Array, "2 slot 9 disc point"]:
     """Return ends that follow from their poses: those of the cutter's end there."""
-    if cutter.has_dish:
-        tip = track.cut_by(columns.poses).tip
-        x, y = columns.across[0], columns.across[1]
-        height = cutter.intersect(2, x, y, tip).start
-    else:
-        height = track.height_by(columns.poses)
+    x, y = columns.across[0], columns.across[1]
+    height = track.floor_by(columns.poses, cutter, x, y)
     raw = track.raw_ends(2, columns.at, columns.poses)
     return jnp.where(columns.poses >= 0, height, raw)
 

@@ -66,8 +66,28 @@ class PoseTrack(eqx.Module):
         """
         return jax.tree.map(lambda x: self._between(x, ticks), self.poses)
 
-    def height_by(self, ticks: Int[Array, "*end"]) -> Float[Array, "*end"]:
-        """Return the height of the tip that cut some ends [m]; see `cut_by`."""
+    def floor_by(
+        self,
+        ticks: Int[Array, "*end"],
+        cutter: AbstractCutter,
+        x: Float[Array, "*#end"],
+        y: Float[Array, "*#end"],
+    ) -> Float[Array, "*end"]:
+        """Return the heights at which the flat end of an upright cutter cut columns.
+
+        Args:
+            ticks: When it did, shape (...); see `cut_by`.
+            cutter: The cutter.
+            x: Where the columns stand [m], broadcast.
+            y: The same along y [m].
+
+        Returns:
+            Heights [m], shape (...): those of the tip, and what a dish rises there.
+
+        **Differentiability**: in the poses and the cutter's sizes.
+        """
+        if cutter.has_dish:
+            return cutter.intersect(2, x, y, self.cut_by(ticks).tip).start
         return self._between(self.poses.tip[:, 2:], ticks)[..., 0]
 
     def raw_ends(
