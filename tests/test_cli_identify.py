@@ -182,6 +182,11 @@ def test_tests_that_leave_no_scatter_say_so(folder, capsys):
     assert "its scatter is not known" in said and "inf um" not in said
     assert "load tests that would help most" in said
     assert "No force at this tool turns" not in said
+    # No other row predicts the only one.
+    assert "left out: nothing" in said
+    out, facts, _ = results(folder, "loads")
+    assert facts["left_out_error"] is None
+    assert not (out / "left_out.png").exists()
 
 
 def test_an_uncertainty_tells_what_it_leaves_out(folder, capsys):

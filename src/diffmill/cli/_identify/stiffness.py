@@ -62,7 +62,10 @@ def report_load_tests(study: LoadTestStudy, found: LoadTestStudy.Fit) -> Report:
         "residual": draw(
             plot_load_residual, rows, study.displacement, fit.residual, fit.outliers
         ),
-        "left_out": draw(
+        "correlation": draw(plot_correlation, fit.joint_names, fit.correlation),
+    }
+    if np.isfinite(check.error):
+        figures["left_out"] = draw(
             plot_prediction,
             check.measured[:, :3],
             check.predicted[:, :3],
@@ -72,9 +75,7 @@ def report_load_tests(study: LoadTestStudy, found: LoadTestStudy.Fit) -> Report:
             title=f"{_part(study)} predicted by the others, {check.error:.1%} off",
             marked=fit.outliers,
             labels=[f"row {rows[i]}" for i in fit.outliers],
-        ),
-        "correlation": draw(plot_correlation, fit.joint_names, fit.correlation),
-    }
+        )
     lines = [
         *_stiffness_lines(study, found),
         *_advice(study, found),
@@ -144,10 +145,13 @@ def _stiffness_lines(study: LoadTestStudy, found: LoadTestStudy.Fit) -> list[str
             + (" and were left out." if fit.is_consistent else "."),
             "warning",
         )
-    lines.append(
-        f"left out: {_part(study)} predicted by the others, {found.check.error:.1%} of "
-        "the displacement rms off"
-    )
+    if np.isfinite(found.check.error):
+        lines.append(
+            f"left out: {_part(study)} predicted by the others, "
+            f"{found.check.error:.1%} of the displacement rms off"
+        )
+    else:
+        lines.append("left out: nothing, there are no other rows to predict one by")
     # Outliers are told above with the numbers of the rows in the file.
     notes = [x for x in fit.notes if "contradict the others and were left" not in x]
     return lines + all_noted(notes, "note" if fit.is_consistent else "warning")

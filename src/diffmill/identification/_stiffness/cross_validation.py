@@ -18,7 +18,8 @@ class LoadCheck(NamedTuple):
         predicted: By springs from the other rows, shape (pose, component); gross
             errors, which were left out, are predicted by all others.
         error: Root mean square of the difference over that of the measured
-            displacement, rows that were left out as gross errors apart; linear part.
+            displacement, rows that were left out as gross errors apart; linear part;
+            NaN where no row is predicted by others.
     """
 
     measured: Float[np.ndarray, "pose component"]
@@ -76,6 +77,8 @@ def check_load_tests(
         c = nonnegative(A, (moved[rows] / scale[None]).reshape(-1), free)
         predicted[place == part] = columns[place == part] @ c
     off = (moved - predicted)[good, :3]
+    if not np.isfinite(off).any():
+        return LoadCheck(moved, predicted, float("nan"))
     size = np.sqrt(np.nansum(np.where(np.isfinite(off), moved[good, :3], 0.0) ** 2))
     return LoadCheck(
         moved, predicted, float(np.sqrt(np.nansum(off**2)) / max(size, 1e-300))
