@@ -308,6 +308,19 @@ def test_a_changed_file_makes_another_job(folder):
     assert "no such file" not in message
 
 
+def test_changed_data_of_a_krl_program_make_another_job(folder):
+    (folder / "neither.src").write_text("DEF neither( )\nLIN XP1\nEND\n")
+    data = "DEFDAT neither\nDECL E6POS XP1={{X {},Y 0,Z 0,A 0,B 0,C 180}}\nENDDAT\n"
+    text = REFUSED.replace('"none.ngc", "neither.ngc"', '"neither.src"')
+    campaign = plan(text, folder)
+    keys = []
+    for place in ("nowhere", "elsewhere", "elsewhere"):
+        (folder / "neither.dat").write_text(data.format(place))
+        run_campaign(campaign, "out", workers=0)
+        keys.append(sorted(file.name for file in (folder / "out" / "jobs").iterdir()))
+    assert len(keys[0]) == 1 and len(keys[1]) == len(keys[2]) == 2
+
+
 def test_a_folder_of_something_else_is_left_alone(folder, capsys):
     (folder / "c.toml").write_text(REFUSED)
     (folder / "out").mkdir()

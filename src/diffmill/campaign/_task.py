@@ -12,6 +12,7 @@ from typing import Any, Literal, NamedTuple, TypedDict
 from .._jax_config import configure_jax
 from .._toml import JobError
 from ..config import Campaign, job_precision, load_job
+from ..io import PROGRAM_FORMATS
 
 
 class JobRecord(TypedDict):
@@ -83,8 +84,10 @@ def _digest(
 ) -> str:
     """Return a hash of a job's text, of the files that it names, and of the version."""
     tables = campaign.changed(changes)
+    texts = _texts(tables)
     files = {
-        name: _content(campaign.job.parent / name, known) for name in _texts(tables)
+        name: _content(campaign.job.parent / name, known)
+        for name in (*texts, *_data_files(texts))
     }
     told = {
         "command": campaign.command,
@@ -104,6 +107,16 @@ def _texts(value: object) -> list[str]:
     if not isinstance(value, dict | list):
         return []
     return [text for one in inner for text in _texts(one)]  # pyright: ignore
+
+
+def _data_files(names: list[str]) -> list[str]:
+    """Return the files that are read with those named: the data of a KRL program."""
+    paths = [pathlib.PurePath(name) for name in names]
+    return [
+        str(path.with_suffix(".dat"))
+        for path in paths
+        if PROGRAM_FORMATS.get(path.suffix.lower()) == "KRL"
+    ]
 
 
 def _content(path: pathlib.Path, known: dict[pathlib.Path, str]) -> str:
