@@ -39,6 +39,33 @@ def test_a_row_is_on_the_block_of_its_line(timed):
     np.testing.assert_allclose(path.positions[along, 0], 30e-3 * share, atol=5e-5)
 
 
+@pytest.mark.parametrize(
+    ("second", "far"),
+    [
+        ("G1 Y20", lambda p: p[:, 1]),
+        ("G1 X10 Y10", lambda p: p[:, 1] * 2**0.5),
+        ("G3 X0 Y20 I-20", lambda p: 0.02 * np.arctan2(p[:, 1], p[:, 0])),
+    ],
+    ids=["square", "acute", "arc"],
+)
+def test_rows_behind_a_rounded_corner_are_where_they_are(second, far):
+    program = io.parse_gcode(f"G21 G90 F1200\nG0 X0 Y0 Z0\nG1 X20\n{second}\nM2\n")
+    limits = {**LIMITS, "corner_tolerance": 1e-3}
+    path = sample_program(program, 2e-3, **limits)
+    ends, length = BlockEnds.of(program, path), program.moves[-1].length
+    behind = far(np.asarray(path.positions))
+    is_behind = (path.line == 4) & (behind > 5e-3)
+    expected = 1 + behind[is_behind] / length
+    np.testing.assert_allclose(ends.place[is_behind], expected, atol=1e-5)
+    assert np.all(np.diff(ends.place)[:-1] > 0)
+    np.testing.assert_allclose(ends.positions(ends, path), path.positions, atol=1e-15)
+    # From the corner on an offset grows evenly.
+    offsets = 1e-3 * np.maximum(ends.place - 1, 0)[:, None] * np.eye(3)[2]
+    moved = ends.with_offsets(offsets)
+    found = [move.end[2] for move in moved.moves[-3:]]
+    np.testing.assert_allclose(found, [0, 0, 1e-3], atol=2e-7)
+
+
 def test_a_shift_moves_every_block(timed):
     program, path, ends = timed
     shift = np.array([3e-5, -2e-5, 1e-5])

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 from .._moves import Move, Point, Program
 from .._path import Path
-from .._timing.pieces import piece_of_move
+from .._timing.pieces import Segment, piece_of_move
 
 # How much an end wants the offset at its own place, beside one row on a block: it
 # decides where a block has no row.
@@ -57,9 +57,10 @@ class BlockEnds(NamedTuple):
                     f"Argument `path` must be `program` as timed, but has line "
                     f"{lines[begin]} where the program has none."
                 )
-            # A rounded corner counts to the line behind it, but begins before that.
             gone = np.cumsum(steps[begin:stop]) - steps[begin]
-            way[begin:stop] = ends[first] + _entered(moves[first], points[begin]) + gone
+            way[begin:stop] = ends[first] + _entered(
+                moves[first], points[begin:stop], gone
+            )
             while first < len(moves) and moves[first].line == lines[begin]:
                 first += 1
         way = np.maximum.accumulate(way)
@@ -155,12 +156,34 @@ def _runs(lines: Int[np.ndarray, " row"]) -> list[tuple[int, int]]:
     return list(itertools.pairwise(bounds))
 
 
-def _entered(move: Move, point: Float[np.ndarray, " 3"]) -> float:
-    """Return how far behind the start of a move a point near to it is [m]."""
+def _entered(
+    move: Move, points: Float[np.ndarray, "row 3"], gone: Float[np.ndarray, " row"]
+) -> Float[np.ndarray, " row"]:
+    """Return how far behind the start of a move the rows of its line are [m].
+
+    A rounded corner counts to the line behind it, but begins before that; it takes half
+    of the move at most. So the row nearest to the middle tells where they are.
+
+    Args:
+        move: The first move of the line.
+        points: The rows [m], shape (row, 3).
+        gone: Their way since the first of them [m], shape (row,).
+    """
     if move.length == 0:
-        return 0.0
-    tangent = np.array(piece_of_move(move).tangent(at_end=False))
-    return float(tangent @ (point - move.start))
+        return gone
+    piece = piece_of_move(move)
+    middle = piece.positions(np.array([piece.length / 2]))[0]
+    gaps = points[gone <= piece.length] - middle
+    row = int(np.argmin(np.linalg.norm(gaps, axis=1)))
+    if isinstance(piece, Segment):
+        beside = float(gaps[row] @ np.array(piece.tangent(at_end=False)))
+    else:
+        x, y = (points[row] - piece.centre) @ np.transpose(
+            [piece.radial, piece.forward]
+        )
+        angle = math.remainder(math.atan2(y, x) - piece.sweep / 2, math.tau)
+        beside = angle / piece.sweep * piece.length
+    return piece.length / 2 + beside + gone - gone[row]
 
 
 def _is_near_closed(move: Move) -> bool:
