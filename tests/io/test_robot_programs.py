@@ -1,5 +1,6 @@
 """Programs of robots and planning systems: motion by hand, refusals, round trips."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -485,6 +486,17 @@ def test_a_spline_of_few_points_keeps_the_tolerance_as_it_is_read(read, is_tilte
     assert points.step_count - 1 < 2.5 * fewest + 3
     with pytest.raises(ValueError, match="is_spline"):
         write_program(points, ".mod", is_spline=True)
+
+
+@pytest.mark.parametrize("is_spline", [False, True])
+def test_a_block_is_rapid_as_a_whole(is_spline):
+    given = curved_path()
+    is_rapid = np.isin(np.arange(given.step_count), [*range(101, 251), 300, 599])
+    path = dataclasses.replace(given, is_rapid=is_rapid)
+    points = reduce_path(path, 20e-6, is_spline=is_spline)
+    block = np.searchsorted(points.time, given.time[1:])
+    np.testing.assert_array_equal(points.is_rapid[block], is_rapid[1:])
+    assert points.step_count < 60
 
 
 def test_a_spline_follows_a_corner_with_more_points():

@@ -52,7 +52,9 @@ def reduce_path(
         return path
     points = np.concatenate([np.asarray(path.positions), _LEVER * axes], axis=1)
     if is_spline:
-        fit = SplineFit(time, points, float(tolerance))
+        # A row carries the kind of the motion that leads to it.
+        changes = 1 + np.flatnonzero(np.diff(np.asarray(path.is_rapid)[1:]))
+        fit = SplineFit(time, points, float(tolerance), changes)
         kept = fit.fewest_knots()
         found = fit.fitted(kept)[kept]
     else:

@@ -32,10 +32,18 @@ class SplineFit:
         time: Times of the rows [s], increasing.
         points: Tip and a point up the tool's axis [m], shape (row, 6).
         tolerance: Largest distance of both at the time of every row [m].
+        fixed: Rows at which points stand anyhow, increasing.
     """
 
-    def __init__(self, time: Float[np.ndarray, " row"], points: Rows, tolerance: float):
+    def __init__(
+        self,
+        time: Float[np.ndarray, " row"],
+        points: Rows,
+        tolerance: float,
+        fixed: Knots,
+    ):
         self.time, self.points, self.tolerance = time, points, tolerance
+        self.fixed = fixed
 
     def fitted(self, knots: Knots) -> Rows:
         """Return the spline at all rows.
@@ -93,7 +101,8 @@ class SplineFit:
         density = np.minimum(np.convolve(density, [0.25, 0.5, 0.25], "valid"), 1.0)
         total = np.concatenate([[0.0], np.cumsum(density * rows)])
         ends = np.linspace(0.0, total[-1], int(np.ceil(total[-1])) + 1)
-        return np.unique(np.round(np.interp(ends, total, knots)).astype(int))
+        spread = np.round(np.interp(ends, total, knots)).astype(int)
+        return np.union1d(spread, self.fixed)
 
     def _halved(self, knots: Knots) -> Knots:
         """Return points of which more stand where the tolerance is missed."""
@@ -113,7 +122,7 @@ class SplineFit:
     def _thinned(self, knots: Knots) -> Knots:
         """Return points without those that the tolerance does not need."""
         for phase in range(_APART):
-            out = knots[1 + phase : -1 : _APART]
+            out = np.setdiff1d(knots[1 + phase : -1 : _APART], self.fixed)
             while out.size:
                 trial = np.setdiff1d(knots, out)
                 bad = np.flatnonzero(self._misses(trial) > 1)
