@@ -73,6 +73,18 @@ def test_end_is_held_and_axes_are_unit():
     np.testing.assert_array_equal(path.is_rapid, [False] + 6 * [True])
 
 
+def test_axes_turn_evenly_between_recorded_ones():
+    angle = np.array([0.0, 1.2, 1.5])
+    axes = np.stack([np.sin(angle), 0 * angle, np.cos(angle)], axis=1)
+    time, points = [0.0, 0.4, 1.0], np.eye(3)
+    path = record(time, points, axes).resampled(0.05)
+    found = np.arctan2(path.axes[:, 0], path.axes[:, 2])
+    np.testing.assert_allclose(found, np.interp(path.time, time, angle), atol=1e-12)
+    axes[1] = -axes[0]
+    with pytest.raises(ValueError, match="opposite"):
+        record(time, points, axes).resampled(0.05)
+
+
 def test_bad_input_is_named():
     with pytest.raises(ValueError, match="`time`"):
         record([0.0, 0.0], np.zeros((2, 3))).resampled(0.1)

@@ -347,3 +347,35 @@ def test_a_smoothed_motion_keeps_the_limits_where_the_path_bends():
         acceleration = np.diff(path.positions, n=2, axis=0) / PERIOD**2
         assert np.linalg.norm(acceleration, axis=1).max() < 2.0 * math.sqrt(2) * 1.02
         assert speed[0] < 1e-3 * 2.0 * SMOOTHING and speed[-1] < 1e-3 * 2.0 * SMOOTHING
+
+
+def tilted(degrees):
+    angle = np.radians(degrees)
+    return point([np.sin(angle), 0.0, np.cos(angle)])
+
+
+def tilt(path):
+    return np.degrees(np.arctan2(path.axes[:, 0], path.axes[:, 2]))
+
+
+@pytest.mark.parametrize("degrees", [1e-7, 60.0, 179.9])
+@pytest.mark.parametrize("smoothing", [0.0, 0.02])
+def test_the_tool_turns_evenly_along_a_move(degrees, smoothing):
+    # The slow curve behind it splits the line where speeds are averaged.
+    turn = line((0, 0, 0), (0.05, 0, 0), feed=0.2, axis=tilted(degrees))
+    curve = arc((0.05, 0, 0), (0.052, 0.002, 0), (0.05, 0.002, 0), 1, feed=0.2)
+    program = Program(
+        (line((0, 0, 0), (0, 0, 0)), turn, curve._replace(axis=turn.axis)),
+        approach_count=1,
+    )
+    path = sample_program(program, PERIOD, **LIMITS, smoothing=smoothing)
+    along = np.minimum(path.positions[:, 0] / 0.05, 1.0)
+    np.testing.assert_allclose(tilt(path), degrees * along, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(path.axes, axis=1), 1.0, rtol=1e-15)
+
+
+def test_a_turn_to_the_opposite_axis_is_refused():
+    moves = line((0, 0, 0), (0, 0, 0)), line((0, 0, 0), (1, 0, 0), axis=tilted(180))
+    with pytest.raises(ValueError, match=r"line 7.*opposite"):
+        moves = moves[0], moves[1]._replace(line=7)
+        sample_program(Program(moves, approach_count=1), PERIOD, **LIMITS)

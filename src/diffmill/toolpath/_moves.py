@@ -5,8 +5,10 @@ import math
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
+from jaxtyping import Float
 
 from ._path import Path
+from ._turned_axes import turned_axes
 
 Point: TypeAlias = tuple[float, float, float]
 
@@ -96,6 +98,20 @@ class Move(NamedTuple):
         first, last = self.radii
         along = 0.5 * (first + last) * self.sweep
         return math.hypot(along, self.rise, last - first)
+
+    def axes_at(
+        self, share: Float[np.ndarray, " part"], start_axis: Point
+    ) -> Float[np.ndarray, "part 3"]:
+        """Return the unit tool axes at shares of the move, over which it turns evenly.
+
+        Args:
+            share: Shares of the length, shape (part,).
+            start_axis: Tool axis before the move.
+
+        Raises:
+            ValueError: If the axis turns to the opposite one.
+        """
+        return turned_axes(np.array([start_axis]), np.array([self.axis]), share)
 
 
 class Section(NamedTuple):

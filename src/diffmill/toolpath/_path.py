@@ -16,6 +16,7 @@ from .._types import (
     IntSteps,
     RealScalarLike,
 )
+from ._turned_axes import turned_axes
 
 # Above this a path fills the memory with its own rows, and a typing error in a feed is
 # the usual reason.
@@ -117,10 +118,11 @@ class Path(eqx.Module):
 
         Returns:
             The path from time 0; its last row is the last recorded one, at or just
-            after its time. Axes are interpolated and normalised.
+            after its time. Axes turn evenly between recorded ones.
 
         Raises:
-            ValueError: If the time does not increase or is longer than `most_steps`.
+            ValueError: If the time does not increase or is longer than `most_steps`, or
+                the tool turns to the opposite axis from one row to the next.
 
         **Differentiability**: none, it runs on the host.
         Reference: Fritsch and Carlson, SIAM J. Numer. Anal. 17, 1980.
@@ -143,15 +145,15 @@ class Path(eqx.Module):
         count = max(1, math.ceil(time[-1] / period - 1e-6))
         instants = period * np.arange(count + 1)
         inside = np.minimum(instants, time[-1])
-        directions = np.stack(
-            [np.interp(inside, time, column) for column in axes.T], axis=1
-        )
+        before = np.searchsorted(time, inside, side="right") - 1
+        before = np.minimum(before, time.size - 2)
+        share = (inside - time[before]) / np.diff(time)[before]
         row = np.searchsorted(time, inside - 1e-6 * period, side="left")
         row = np.minimum(row, time.size - 1)
         return Path(
             time=instants,
             positions=PchipInterpolator(time, positions, axis=0)(inside),
-            axes=directions / np.linalg.norm(directions, axis=1, keepdims=True),
+            axes=turned_axes(axes[before], axes[before + 1], share),
             is_rapid=np.asarray(self.is_rapid)[row],
             line=np.asarray(self.line, dtype=np.int32)[row],
         )

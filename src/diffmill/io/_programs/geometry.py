@@ -169,11 +169,9 @@ def straight_pieces(
 def arc_parts(move: Move, count: int, *, start_axis: Point | None = None) -> list[Move]:
     """Return an arc in equal parts, over which the tool axis turns evenly."""
     parts, start = [], move.start
-    last = np.array(move.axis)
-    first = last if start_axis is None else np.array(start_axis)
-    for index, row in enumerate(arc_points(move, count), 1):
-        end, axis = _point(row), first + index / count * (last - first)
-        axis = _point(axis / np.linalg.norm(axis))
+    axes = move.axes_at(np.arange(1, count + 1) / count, start_axis or move.axis)
+    for row, axis in zip(arc_points(move, count), axes, strict=True):
+        end, axis = _point(row), _point(axis)
         parts.append(move._replace(start=start, end=end, axis=axis, rest=0.0))
         start = end
     parts[-1] = parts[-1]._replace(axis=move.axis, rest=move.rest)

@@ -7,8 +7,9 @@ import numpy as np
 from jaxtyping import Int
 
 from .._moves import Move, Point, Program
+from .._turned_axes import LEAST_SUM, turned_axes
 from .corners import REVERSAL_ANGLE, TANGENT_ANGLE, Corner, corner_angle, round_corner
-from .pieces import Blend, Piece, piece_of_move
+from .pieces import Blend, Piece, piece_of_move, scaled
 from .smoothing import slow_ranges
 from .way_limits import WayLimit
 
@@ -69,8 +70,8 @@ class Leg(NamedTuple):
         cause: What keeps its speed below that asked for.
         ramp_cause: What keeps its acceleration within bounds.
         is_stop: Whether the tool is at rest at its end.
-        first_axis: Tool axis at its start, not normalised.
-        last_axis: Tool axis at its end, not normalised.
+        first_axis: Unit tool axis at its start.
+        last_axis: Unit tool axis at its end.
     """
 
     piece: Piece
@@ -87,10 +88,13 @@ class Leg(NamedTuple):
     last_axis: Point = (0.0, 0.0, 1.0)
 
     def axis_at(self, distance: float) -> Point:
-        """Return the tool axis at a distance from the start, not normalised."""
-        share = distance / self.piece.length
-        (a, b, c), (x, y, z) = self.first_axis, self.last_axis
-        return a + share * (x - a), b + share * (y - b), c + share * (z - c)
+        """Return the unit tool axis at a distance from the start."""
+        if self.first_axis == self.last_axis:
+            return self.first_axis
+        share = np.array([distance / self.piece.length])
+        first, last = np.array([self.first_axis]), np.array([self.last_axis])
+        x, y, z = turned_axes(first, last, share)[0].tolist()
+        return x, y, z
 
     def slower(self, speed: float, cause: str) -> "Leg":
         """Return the leg with a smaller limit, the same if it is not smaller."""
@@ -124,7 +128,8 @@ def legs_of_program(
         along: Further limits along the way.
 
     Raises:
-        ValueError: If a feed is missing, the tool turns on the spot, or nothing moves.
+        ValueError: If a feed is missing, the tool turns on the spot or to the opposite
+            axis, or nothing moves.
     """
     legs = _rounded(_sharp_legs(program, limits), limits.corner_tolerance)
     if not legs:
@@ -158,11 +163,18 @@ def rounded_corner_count(program: Program, limits: TimingLimits) -> int:
 def _sharp_legs(program: Program, limits: TimingLimits) -> list[Leg]:
     """Return the moves of a program with their speeds, corners as they are."""
     moves = program.timed_moves
+    if not moves:
+        return []
     approach = program.moves[: program.approach_count]
-    axis = approach[-1].axis if approach else moves[0].axis if moves else None
+    axis = approach[-1].axis if approach else moves[0].axis
     legs = []
     for move in moves:
         if move.length > 0 or move.duration is not None:
+            if math.dist(move.axis, scaled(axis, -1.0)) < LEAST_SUM:
+                raise ValueError(
+                    f"{program.name}, line {move.line}: the tool turns to the opposite "
+                    "axis, and nothing says which way round."
+                )
             leg = _leg(move, limits, program.name)
             legs.append(leg._replace(first_axis=axis, last_axis=move.axis))
             axis = move.axis

@@ -54,8 +54,9 @@ def sample_program(
         passes there.
 
     Raises:
-        ValueError: If a limit is not positive, a feed is missing, nothing moves, or
-            the motion takes more than `most_steps`.
+        ValueError: If a limit is not positive, a feed is missing, the tool turns on
+            the spot or to the opposite axis, nothing moves, or the motion takes more
+            than `most_steps`.
     """
     limits = TimingLimits(
         acceleration=float(acceleration),

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from ..._types import RealScalarLike
 from .._moves import Program
 from .._path import MOST_STEPS, Path, check_steps
+from .._turned_axes import turned_axes
 from .cycle_time import CycleTime, Loss
 from .legs import (
     JERK,
@@ -92,7 +93,7 @@ class TimedProgram(NamedTuple):
 
         Raises:
             ValueError: If a limit is not positive, a feed is missing, the tool turns on
-                the spot, or nothing moves.
+                the spot or to the opposite axis, or nothing moves.
         """
         limits.check()
         legs = legs_of_program(program, limits, along)
@@ -356,8 +357,7 @@ def _axes(
         for name in ("first_axis", "last_axis")
     )
     length = np.array([leg.piece.length or 1.0 for leg in legs])[index]
-    axes = first + (distance / length)[:, None] * (last - first)
-    return axes / np.linalg.norm(axes, axis=1, keepdims=True)
+    return turned_axes(first, last, distance / length)
 
 
 def _positions(
