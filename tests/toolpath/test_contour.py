@@ -51,6 +51,18 @@ def test_against_a_plain_search(window):
     )
 
 
+@pytest.mark.parametrize("count", [50, 65, 120])
+def test_a_desired_path_of_other_length_stays_at_its_end(count):
+    rows = np.minimum(np.arange(120), 59)
+    desired = wave()[rows]
+    noise = np.random.default_rng(0).standard_normal((count, 3))
+    actual = desired[:count] + 3e-4 * noise
+    found = contour_vector(actual, wave())
+    np.testing.assert_allclose(found, brute_force(actual, desired, 20), atol=1e-16)
+    expected = np.linalg.norm(found, axis=1)
+    np.testing.assert_allclose(contour_error(actual, wave()), expected, rtol=1e-12)
+
+
 def test_window_hides_another_pass():
     out = np.linspace(0, 0.01, 30)
     x = np.concatenate([out, out[::-1]])

@@ -1,16 +1,20 @@
 """Contour error: how far the tool is from the desired path, whenever it gets there."""
 
 import functools
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._types import FloatRows3
 
+Polyline: TypeAlias = Float[Array, "row 3"] | Float[np.ndarray, "row 3"]
+
 
 def contour_vector(
-    actual: FloatRows3, desired: FloatRows3, *, window: int = 20
+    actual: FloatRows3, desired: Polyline, *, window: int = 20
 ) -> Float[Array, "step 3"]:
     """Return the vector from the nearest point of the desired path to the actual one.
 
@@ -20,7 +24,7 @@ def contour_vector(
 
     Args:
         actual: Actual tool tips [m], shape (step, 3).
-        desired: Desired tool tips [m], shape (step, 3).
+        desired: Desired tool tips [m], shape (row, 3); the path stays at its last row.
         window: Rows to either side that are searched.
 
     Returns:
@@ -37,10 +41,11 @@ def contour_vector(
 # One program, not one for each of its operations.
 @functools.partial(jax.jit, static_argnames="window")
 def _vectors(
-    actual: FloatRows3, desired: FloatRows3, window: int
+    actual: FloatRows3, desired: Polyline, window: int
 ) -> Float[Array, "step 3"]:
     actual, desired = jnp.asarray(actual), jnp.asarray(desired)
-    padded = jnp.pad(desired, ((window, window), (0, 0)), mode="edge")
+    behind = window + max(0, len(actual) - len(desired))
+    padded = jnp.pad(desired, ((window, behind), (0, 0)), mode="edge")
     first = _nearest_segment(
         jax.lax.stop_gradient(actual), jax.lax.stop_gradient(padded), window
     )
@@ -49,7 +54,7 @@ def _vectors(
 
 def contour_error(
     actual: FloatRows3,
-    desired: FloatRows3,
+    desired: Polyline,
     *,
     window: int = 20,
     outward: FloatRows3 | None = None,
@@ -58,7 +63,7 @@ def contour_error(
 
     Args:
         actual: Actual tool tips [m], shape (step, 3).
-        desired: Desired tool tips [m], shape (step, 3).
+        desired: Desired tool tips [m], shape (row, 3); the path stays at its last row.
         window: Rows to either side that are searched.
         outward: Directions that count as positive, shape (step, 3); None leaves the
             distances unsigned. A zero row leaves its distance positive.
