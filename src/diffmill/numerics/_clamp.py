@@ -25,7 +25,8 @@ def clamp(
     Returns:
         Values of the shape and type of `x`.
 
-    Differentiability: 1 inside, 0 outside; the bounds count as constants.
+    Differentiability: 1 inside; outside that of the bound, 0 for a constant one. JAX
+    differentiates only bounds of the shape of `x`.
     """
     bound = lambda value: jnp.asarray(value, x.dtype)
     return jax.lax.clamp(bound(lower), x, bound(upper))
