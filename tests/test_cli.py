@@ -162,6 +162,16 @@ def test_the_first_example_is_corrected_without_a_robot(folder, capsys):
 
 
 @pytest.mark.slow
+def test_the_surface_that_is_written_is_that_of_the_corrected_program(folder):
+    assert main(["example", "tiny", "--quiet"]) == 0
+    text = (folder / "tiny.toml").read_text()
+    (folder / "tiny.toml").write_text(f'{text}method = "mirror"\n')
+    assert main(["correct", "tiny.toml", "--out", "out", "--quiet"]) == 0
+    with xarray.open_dataset(folder / "out" / "surface.nc") as surface:
+        assert set(surface["case"].values) == {"uncorrected", "mirror"}
+
+
+@pytest.mark.slow
 def test_a_shank_in_the_stock_is_told_and_is_no_success(folder, capsys):
     assert main(["example", "tiny", "--quiet"]) == 0
     text = (folder / "tiny.toml").read_text()

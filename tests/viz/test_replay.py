@@ -30,6 +30,7 @@ file = "path.csv"
 {simulation}
 """
 FLAT = 'kind = "flat"\ndiameter = "6 mm"\nteeth = 2'
+UNEVEN = FLAT + '\nrunout = "20 um"\npitch = ["170 deg", "190 deg"]'
 BALL = 'kind = "ball"\ndiameter = "6 mm"\nteeth = 2'
 BOTTOM = """[force.bottom]
 K_tc = "3000 N/mm^2"
@@ -71,7 +72,7 @@ def tooth_means(record):
             {"ramp": 0.1, "force": BOTTOM, "simulation": "bottom_edges = true"},
             marks=SLOW,
         ),
-        {"cutter": FLAT + '\nrunout = "20 um"\npitch = ["170 deg", "190 deg"]'},
+        {"cutter": UNEVEN},
     ],
     ids=["leaning", "bottom", "runout"],
 )
@@ -81,3 +82,12 @@ def test_replayed_forces_are_those_of_the_run(tmp_path, options):
     force = np.asarray(solution.force)[1:]
     assert np.abs(force).max() > 10.0
     np.testing.assert_allclose(tooth_means(record), force, atol=1e-9 * force.max())
+
+
+def test_the_surface_that_is_mapped_is_that_of_the_chosen_case(tmp_path):
+    job, solution = solved(tmp_path, cutter=UNEVEN)
+    cases = {name: solution for name in ("uncorrected", "mirror", "corrected")}
+    mapped = figure_inputs(job, cases, chosen="mirror")["surfaces"]
+    assert tuple(mapped) == ("uncorrected", "mirror")
+    again = figure_inputs(job, cases, mapped | {"corrected": mapped["mirror"]})
+    assert tuple(again["surfaces"]) == ("uncorrected", "corrected")

@@ -202,7 +202,8 @@ def _write_pictures(
 
     inputs, figures = {}, {}
     with attempts.at("surface"):
-        inputs = figure_inputs(run.job, run.solutions, run.surfaces)
+        chosen = run.dataset.attrs.get("corrected_case", "")
+        inputs = figure_inputs(run.job, run.solutions, run.surfaces, chosen=chosen)
         if inputs["surfaces"]:
             write_surface(folder / "surface.nc", inputs["surfaces"])
     with attempts.at("figures"):

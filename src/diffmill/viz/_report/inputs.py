@@ -2,7 +2,7 @@
 
 import concurrent.futures
 from collections.abc import Mapping
-from typing import TypedDict, TypeVar
+from typing import TypedDict
 
 import numpy as np
 
@@ -12,10 +12,6 @@ from ...sim import Replay, Solution, ToothChip
 from ...workpiece import SurfaceError
 from .._figure.dexels import CutDexels
 from .._figure.forces import ForceTrace
-
-_Case = TypeVar("_Case")
-# The report's maps: more cases would make it long without telling more.
-_MAPPED = ("predicted", "uncorrected", "corrected")
 
 
 class FigureInputs(TypedDict):
@@ -32,6 +28,8 @@ def figure_inputs(
     job: Job,
     cases: Mapping[str, Solution],
     surfaces: Mapping[str, SurfaceError] | None = None,
+    *,
+    chosen: str = "corrected",
 ) -> FigureInputs:
     """Return what `write_figures` draws beside the dataset.
 
@@ -43,17 +41,19 @@ def figure_inputs(
         cases: Its solutions by case, the uncorrected one first; for a simulation
             one solution under the name "predicted".
         surfaces: Surface errors of the cases, by name; computed if not given.
+        chosen: Name of the case that became the corrected program.
 
     Returns:
-        The inputs; forces, chip and ray ends are those of the first case.
+        The inputs; forces, chip and ray ends are those of the first case, surface
+        errors those of the first and the chosen one.
     """
-    first = next(iter(cases.values()))
+    name, first = next(iter(cases.items()))
+    # More maps would make the report long without telling more.
+    mapped = {key: case for key, case in cases.items() if key in (name, chosen)}
     step, forces = _typical_step(first), None
     with concurrent.futures.ThreadPoolExecutor(1) as pool:
         # Another core compares the surfaces while compiled code runs here.
-        maps = pool.submit(
-            lambda: _surfaces(cases) if surfaces is None else _mapped(surfaces)
-        )
+        maps = pool.submit(lambda: _surfaces(mapped) if surfaces is None else surfaces)
         again = Replay.of_solution(job, first, chip_row=step or 1)
     samples = again.run.instantaneous_force
     # What overflowed is not the process of the figure's caption.
@@ -64,24 +64,18 @@ def figure_inputs(
         chip=None if step is None else again.tooth_chip(),
         chip_row=step or 1,
         dexels=CutDexels.from_stocks(first.stock, first.rigid.stock),
-        surfaces=maps.result(),
+        surfaces={k: found for k, found in maps.result().items() if k in mapped},
     )
 
 
 def _surfaces(cases: Mapping[str, Solution]) -> dict[str, SurfaceError]:
-    """Return the surface errors that are drawn, none where all was cut away."""
-    mapped = _mapped(cases)
+    """Return the surface errors of cases, none where all was cut away."""
     ideal = next(iter(cases.values())).rigid.stock
     if not bool(ideal.volume() > 0):
         return {}
-    stocks = [case.stock for case in mapped.values()]
+    stocks = [case.stock for case in cases.values()]
     errors = SurfaceError.of_stocks(stocks, ideal, leaves_out_raw=True)
-    return dict(zip(mapped, errors, strict=True))
-
-
-def _mapped(cases: Mapping[str, _Case]) -> dict[str, _Case]:
-    """Return the cases that are drawn."""
-    return {name: case for name, case in cases.items() if name in _MAPPED}
+    return dict(zip(cases, errors, strict=True))
 
 
 def _typical_step(solution: Solution) -> int | None:
