@@ -40,6 +40,15 @@ file = "part.ngc"
 [robot]
 rigid = true
 """
+ELASTIC = """
+[[machine.modes]]
+frequency = "12 Hz"
+damping_ratio = 0.05
+direction = [1, 0, 0]
+stiffness = "0.8 N/um"
+[simulation]
+scatter = { force = 0.1 }
+"""
 
 
 def fake_simulate(job, *, on_progress):
@@ -57,7 +66,8 @@ def fake_simulate(job, *, on_progress):
         stock=job.stock,
     )
     solution.to_dataset = lambda: xarray.Dataset(
-        {name: (("step", "axis"), values) for name, values in rows.items()},
+        {name: (("step", "axis"), values) for name, values in rows.items()}
+        | {"contour_error": ("step", np.full(count, 2e-6))},
         {"time": ("step", np.asarray(job.path.time))},
     )
     return solution
@@ -75,6 +85,20 @@ def folder(tmp_path, monkeypatch):
 
 def fail(*_, **__):
     raise RuntimeError("no memory left")
+
+
+def interrupt(*_, **__):
+    raise KeyboardInterrupt
+
+
+def chatter(job, solution):
+    return types.SimpleNamespace(
+        row=np.arange(3),
+        radius=np.array([0.9, 1.2, 1.1]),
+        warning=lambda: "the cut is unstable",
+        visibility=lambda: "it shows",
+        is_of_path=True,
+    )
 
 
 def result(folder):
@@ -157,14 +181,7 @@ def test_growth_too_brief_for_chatter_is_no_warning(folder, monkeypatch, capsys)
 
 
 def test_contacts_and_stability_are_said_and_kept(folder, monkeypatch, capsys):
-    found = types.SimpleNamespace(
-        row=np.arange(3),
-        radius=np.array([0.9, 1.2, 1.1]),
-        warning=lambda: "the cut is unstable",
-        visibility=lambda: "it shows",
-        is_of_path=True,
-    )
-    monkeypatch.setattr(sim.Stability, "where_suspected", lambda job, solution: found)
+    monkeypatch.setattr(sim.Stability, "where_suspected", chatter)
     monkeypatch.setattr(viz, "figure_inputs", fail)
     assert main(["simulate", "job.toml"]) == 1
     said = capsys.readouterr().err.splitlines()
@@ -180,3 +197,23 @@ def test_contacts_and_stability_are_said_and_kept(folder, monkeypatch, capsys):
     assert written.attrs["stability_largest_radius"] == 1.2
     assert written.attrs["stability_has_chatter"] == 1
     assert written["holder_depth"].max() > 0
+
+
+def band(job, solution):
+    return types.SimpleNamespace(
+        rms=3e-6,
+        shares=dict,
+        to_dataset=lambda: xarray.Dataset(attrs={"expected_contour_error_rms_m": 3e-6}),
+    )
+
+
+@pytest.mark.parametrize("step", [band, fail, interrupt])
+def test_the_verdict_tells_of_chatter_and_scatter(folder, monkeypatch, capsys, step):
+    (folder / "job.toml").write_text(JOB.replace("[robot]\nrigid = true\n", ELASTIC))
+    monkeypatch.setattr(sim.Stability, "where_suspected", chatter)
+    monkeypatch.setattr(sim, "error_band", step)
+    monkeypatch.setattr(viz, "figure_inputs", fail)
+    main(["simulate", "job.toml", "--tolerance-band", "20 um"])
+    (verdict,) = [x for x in capsys.readouterr().out.splitlines() if "20 um." in x]
+    assert "But the cut is unstable" in verdict
+    assert ("3 um rms is to be expected" in verdict) == (step is band)

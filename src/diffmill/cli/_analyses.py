@@ -62,16 +62,20 @@ def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> 
         dataset = dataset.assign_attrs(written_not_run=1)
         with attempts.at("written program"):
             dataset = _with_written(folder, run, progress)
-    if verdict := summary(dataset, "verdict"):
-        progress.answer(verdict)
-    for name, step in (
-        ("contacts", _with_contacts),
-        ("stability", _with_stability),
-        ("sensitivity", _with_sensitivity),
-        ("expected error", _with_expected_error),
-    ):
-        with attempts.at(name):
-            dataset = step(run._replace(dataset=dataset), progress)
+    try:
+        for name, step in (
+            ("contacts", _with_contacts),
+            ("stability", _with_stability),
+            ("sensitivity", _with_sensitivity),
+            ("expected error", _with_expected_error),
+        ):
+            with attempts.at(name):
+                dataset = step(run._replace(dataset=dataset), progress)
+    finally:
+        # It tells of chatter and scatter; one who interrupts them is told the rest.
+        with attempts.at("verdict"):
+            if verdict := summary(dataset, "verdict"):
+                progress.answer(verdict)
 
     def fill(target: pathlib.Path) -> None:
         kept = _write_pictures(

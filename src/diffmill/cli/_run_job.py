@@ -224,7 +224,7 @@ def _figures(
 
 
 def _summary(dataset: Dataset) -> str:
-    """Return the headline figures; the verdict follows the written programs' run."""
+    """Return the headline figures; the verdict follows the analyses it tells of."""
     from ..viz import summary
 
     return summary(dataset, "figures")

@@ -149,7 +149,7 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
     text += deep if deepest > band else ""
     text += shank if has_shank else ""
     if dataset.attrs.get("stability_has_chatter"):
-        text += " But the cut is unstable, see below."
+        text += " But the cut is unstable, see the warnings."
     # Written so that a number that is not finite does not count as held.
     left = (largest, *files.values(), deepest / _DEEP)
     is_held = all(value <= band for value in left) and not has_shank
