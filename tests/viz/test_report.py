@@ -1,10 +1,13 @@
 """The report holds everything in one file, and says what the dataset says."""
 
+import base64
 import dataclasses
+import json
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+import xarray
 
 from diffmill.viz import case_numbers, write_figures, write_report
 
@@ -42,6 +45,16 @@ def read(path):
     reader.feed(path.read_text(encoding="utf-8"))
     assert not reader.open
     return reader
+
+
+def view(path):
+    """Return what the script of a report draws."""
+    text = path.read_text(encoding="utf-8")
+    return json.loads(text.split('id="run-data">')[1].split("</script>")[0])
+
+
+def unpacked(packed):
+    return np.frombuffer(base64.b64decode(packed), "<f4")
 
 
 @pytest.fixture(scope="module")
@@ -246,3 +259,37 @@ def test_rigid_run_divides_by_no_zero(tmp_path, simulation):
     rigid["contour_error"].values[:] = 0.0
     figures = write_figures(tmp_path, rigid)
     assert f"0 {MICROMETRE}" in read(write_report(tmp_path, rigid, figures)).text
+
+
+def test_a_long_view_keeps_the_worst_moments_of_both_cases(tmp_path, job):
+    """Neither the other case nor the air beside them hides them."""
+    count = 20_000
+    error = np.full((2, count), 1e-6)
+    error[0, 3:12_000:10], error[1, 10_006] = 5e-5, -2e-5
+    error[0, 7_001], error[:, 10_004] = -9e-5, 1e-3
+    vectors = np.zeros((2, count, 3))
+    time = np.arange(count) * 1e-3
+    result = xarray.Dataset(
+        {
+            "desired": (("step", "axis"), vectors[0] + time[:, None]),
+            "deviation": (("case", "step", "axis"), vectors),
+            "force": (("case", "step", "axis"), vectors),
+            "contour_error": (("case", "step"), error),
+            "joint_positions": (
+                ("case", "step", "joint"),
+                vectors + 1e-3 * time[:, None],
+            ),
+            "is_cutting": ("step", np.arange(count) != 10_004),
+        },
+        {"case": ["uncorrected", "corrected"], "time": ("step", time)},
+    )
+    data = view(write_report(tmp_path, result, {}, job=job))
+    assert data["rows"] < 2_100
+    before, after = (np.abs(unpacked(case["error"])) for case in data["cases"])
+    assert before.max() == pytest.approx(90.0) and after.max() == pytest.approx(20.0)
+    shown = unpacked(data["time"])
+    assert shown[data["worst"]] == pytest.approx(10.006)
+    # The arm keeps up with the rows, of which the end has half as many.
+    tip = unpacked(data["arm"]["points"]).reshape(data["arm"]["frames"], -1, 3)[:, -1]
+    at = np.linspace(0, len(shown) - 1, len(tip)).astype(int)
+    np.testing.assert_allclose(tip[:, 0] - tip[0, 0], shown[at], atol=1e-3)

@@ -3,6 +3,7 @@
 import base64
 import itertools
 import json
+from collections.abc import Set
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -99,7 +100,7 @@ def _scene_data(
 ) -> dict[str, Any]:
     """Return what the script draws, in mm, um and N, about the middle of the part."""
     names, reference = case_names(dataset), reference_case(dataset)
-    rows = _shown_rows(dataset, reference)
+    rows = _shown_rows(dataset, {reference, chosen})
     desired = values_of(dataset, "desired", reference)[rows]
     low, high = _bounds(desired, surfaces, job)
     middle = 0.5 * (low + high)
@@ -126,7 +127,6 @@ def _scene_data(
                 else None,
             }
         )
-    shown = values_of(dataset, "contour_error", chosen)[rows]
     cutting = cutting_of(dataset, reference)[rows]
     off = spread(values_of(dataset, "deviation", chosen)[rows][cutting], 99.0)
     span = float(np.max(high - low))
@@ -138,7 +138,7 @@ def _scene_data(
         "cases": cases,
         "chosen": names.index(chosen),
         "reference": names.index(reference),
-        "worst": int(np.argmax(np.where(cutting, np.abs(shown), -1.0))),
+        "worst": int(np.argmax(_sizes(dataset, chosen)[rows])),
         # The largest deviation is drawn as long as a fortieth of the part.
         "factor": round_factor(span / 40 / max(off, 1e-9)),
         "square": 1e3 * square,
@@ -148,19 +148,30 @@ def _scene_data(
         "upper": (1e3 * (high - middle)).tolist(),
         "turn": (np.eye(3) if job is None else _turn(job)).tolist(),
         "radius": 0.0 if job is None else 1e3 * float(job.cutter.nominal_radius),
-        "arm": _arm(dataset, chosen, job, middle),
+        "arm": _arm(dataset, chosen, job, middle, rows),
     }
 
 
-def _shown_rows(dataset: "xarray.Dataset", case: str) -> Int[np.ndarray, " shown"]:
-    """Return rows to show: of each stretch the one farthest off, and both ends."""
-    error = np.abs(np.nan_to_num(values_of(dataset, "contour_error", case)))
-    count = len(error)
-    edges = np.linspace(0, count, min(count, _MOST_ROWS) + 1).astype(int)
+def _shown_rows(
+    dataset: "xarray.Dataset", cases: Set[str]
+) -> Int[np.ndarray, " shown"]:
+    """Return rows to show: of each stretch the worst of each case, and both ends."""
+    count = dataset.sizes["step"]
+    if count <= _MOST_ROWS:
+        return np.arange(count)
+    edges = np.linspace(0, count, _MOST_ROWS // len(cases) + 1).astype(int)
     worst = [
-        low + int(np.argmax(error[low:high])) for low, high in itertools.pairwise(edges)
+        low + int(np.argmax(sizes[low:high]))
+        for sizes in (_sizes(dataset, case) for case in cases)
+        for low, high in itertools.pairwise(edges)
     ]
     return np.unique([0, *worst, count - 1])
+
+
+def _sizes(dataset: "xarray.Dataset", case: str) -> Float[np.ndarray, " step"]:
+    """Return sizes of the contour error [m], below 0 where the tool does not cut."""
+    error = np.abs(np.nan_to_num(values_of(dataset, "contour_error", case)))
+    return np.where(cutting_of(dataset, case), error, -1.0)
 
 
 def _bounds(
@@ -233,11 +244,12 @@ def _arm(
     case: str,
     job: Job | None,
     middle: Float[np.ndarray, " 3"],
+    rows: Int[np.ndarray, " shown"],
 ) -> dict[str, Any] | None:
-    """Return the arm's lines at equal steps of the path, in axes of the work."""
+    """Return the arm's lines at equal steps of the rows shown, in axes of the work."""
     if job is None or job.robot is None or "joint_positions" not in dataset:
         return None
-    joints = values_of(dataset, "joint_positions", case)
+    joints = values_of(dataset, "joint_positions", case)[rows]
     at = np.linspace(0, len(joints) - 1, min(len(joints), _MOST_FRAMES))
     robot = job.robot
     of_joints = jax.jit(jax.vmap(lambda q: Skeleton.of_robot(robot, q)))
