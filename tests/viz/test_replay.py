@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import diffmill as dm
-from diffmill.viz import figure_inputs
+from diffmill.viz import figure_inputs, write_figures
 
 JOB = """
 [cutter]
@@ -42,11 +42,11 @@ STEPS, DEPTH, FEED = 48, 0.8, 0.2
 PERIOD = 60 / 8000 / 2
 
 
-def solved(folder, *, lean=0.0, ramp=0.0, robot="rigid = true", **tables):
+def solved(folder, *, lean=0.0, ramp=0.0, z=-DEPTH, robot="rigid = true", **tables):
     """Return a job along +x, its axis leaning about x, and its solution."""
     texts = {"cutter": FLAT, "force": "", "simulation": ""} | tables
     x = -3.5 + FEED * np.arange(STEPS)
-    z = -DEPTH - ramp * (x - x[0])
+    z = z - ramp * (x - x[0])
     lines = ["time_s,x_mm,y_mm,z_mm,i,j,k"] + [
         f"{k * PERIOD:.9f},{x[k]:.6f},0,{z[k]:.6f},0,{np.sin(lean):.12f},"
         f"{np.cos(lean):.12f}"
@@ -91,3 +91,12 @@ def test_the_surface_that_is_mapped_is_that_of_the_chosen_case(tmp_path):
     assert tuple(mapped) == ("uncorrected", "mirror")
     again = figure_inputs(job, cases, mapped | {"corrected": mapped["mirror"]})
     assert tuple(again["surfaces"]) == ("uncorrected", "corrected")
+
+
+def test_a_program_that_cuts_nothing_has_no_surface(tmp_path):
+    job, solution = solved(tmp_path, cutter=UNEVEN, z=1.0)
+    inputs = figure_inputs(job, {"predicted": solution})
+    assert inputs["surfaces"] == {}
+    figures = write_figures(tmp_path, solution.to_dataset(), **inputs)
+    assert figures["surface"].path is None
+    assert figures["surface"].skipped.startswith("nothing was cut")

@@ -45,7 +45,7 @@ def figure_inputs(
 
     Returns:
         The inputs; forces, chip and ray ends are those of the first case, surface
-        errors those of the first and the chosen one.
+        errors those of the first and the chosen one, if they cut anything.
     """
     name, first = next(iter(cases.items()))
     # More maps would make the report long without telling more.
@@ -64,7 +64,11 @@ def figure_inputs(
         chip=None if step is None else again.tooth_chip(),
         chip_row=step or 1,
         dexels=CutDexels.from_stocks(first.stock, first.rigid.stock),
-        surfaces={k: found for k, found in maps.result().items() if k in mapped},
+        surfaces={
+            key: found
+            for key, found in maps.result().items()
+            if key in mapped and len(found.error)
+        },
     )
 
 

@@ -221,8 +221,10 @@ def _draw_chip(
 
 def _draw_surface(surfaces: dict[str, SurfaceError] | None) -> _Drawing:
     title = "Error of the machined surface"
-    if not surfaces:
+    if surfaces is None:
         return _Drawing(title, "no surface error was computed")
+    if not any(item.is_across.any() for item in surfaces.values()):
+        return _Drawing(title, "nothing was cut, or nothing is left")
     caption = (
         "Distance of the machined surface from the ideal one, seen from above: floors, "
         "and walls as lines with the largest error over their height. Blue: cut too "
