@@ -143,6 +143,7 @@ def test_drives_make_a_urdf_soft(folder, capsys):
     [
         (["nothing"], "the built-in models are kuka_kr10_like"),
         (["slides.toml", "--pose", "1 m, 2 m"], "--pose: found 2 positions"),
+        (["slides.toml", "--pose", "-1 m, 2 m"], "--pose: found 2 positions"),
         (["slides.toml", "--pose", "1 deg, 0 m, 0 m"], "x: "),
         (["slides.toml", "--pose", "0 m, 0 m, 2 m"], "allowed is -100 to 100 mm"),
         (["slides.toml", "--tool", "drill"], "'drill'"),

@@ -1,6 +1,7 @@
 """Commands and options as they were typed: what is wrong with them, in one line."""
 
 import inspect
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NoReturn, get_args, get_origin
 
@@ -93,7 +94,8 @@ def _check_values(where: str, kind: Any, tokens: list[str]) -> None:
 
 
 def _is_option(token: str) -> bool:
-    return token.startswith("-") and token != "-" and not _is_number(token)
+    # Quantities have a sign and a unit: "-10 deg".
+    return re.match(r"-(?![\d.])\S", token) is not None
 
 
 def _is_number(token: str) -> bool:
