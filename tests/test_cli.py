@@ -1,3 +1,4 @@
+import errno
 import importlib.util
 import json
 import os
@@ -326,6 +327,36 @@ def test_convert_there_and_back(folder, capsys):
     assert main(["convert", "two.ngc", "two.foo"]) == 2
     assert main(["convert", "two.ngc", "two.mod", "--force", "--tolerance", "5"]) == 2
     assert not list(folder.glob(".two*"))
+
+
+@pytest.mark.parametrize(
+    ("target", "words"),
+    [
+        ("there.src", "there.src: found a folder"),
+        ("none/two.src", "none/two.src: found no folder none"),
+    ],
+)
+def test_convert_refuses_a_target_that_cannot_be_a_file(folder, capsys, target, words):
+    (folder / "there.src").mkdir()
+    before = names(folder)
+    assert main(["convert", "part.ngc", target, "--force"]) == 2
+    assert words in capsys.readouterr().err
+    assert names(folder) == before
+
+
+def test_convert_that_fails_leaves_nothing_and_names_its_target(
+    folder, capsys, monkeypatch
+):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "no space left")
+
+    before = names(folder)
+    for function in ("replace", "rename"):
+        monkeypatch.setattr(os, function, full)
+    assert main(["convert", "part.ngc", "two.src"]) == 2
+    error = capsys.readouterr().err
+    assert "no space left: 'two.src'" in error and ".two.src" not in error
+    assert names(folder) == before
 
 
 def test_convert_says_which_spindle_speeds_it_leaves_out(folder, capsys):

@@ -1,7 +1,7 @@
-"""A folder of results: complete, or absent.
+"""A folder or a file of results: complete, or absent.
 
-It is checked before anything is imported or computed, and filled under another name,
-which is changed at the end.
+A folder is checked before anything is imported or computed. Both are filled under
+another name, which is changed at the end.
 """
 
 import contextlib
@@ -164,3 +164,24 @@ class ResultsFolder(NamedTuple):
 
 def _write_manifest(folder: pathlib.Path, names: Iterable[str]) -> None:
     (folder / _MANIFEST).write_text("\n".join(sorted({*names, _MANIFEST})) + "\n")
+
+
+def write_whole(file: pathlib.Path, content: bytes | memoryview) -> None:
+    """Write a file, all of it or nothing; replace one that is there.
+
+    Args:
+        file: The file.
+        content: What it is to hold.
+
+    Raises:
+        OSError: It cannot be written; the error names it.
+    """
+    part = file.with_name(f".{file.name}.{os.getpid()}")
+    try:
+        part.write_bytes(content)
+        os.replace(part, file)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(file)) from error
+    finally:
+        with contextlib.suppress(OSError):
+            part.unlink()

@@ -7,6 +7,7 @@ import pathlib
 from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
+from .._results_folder import write_whole
 from ..config import Campaign
 from ._dataset import campaign_dataset
 from ._task import JobRecord, Task, campaign_tasks, run_task
@@ -63,14 +64,12 @@ def run_campaign(
         with _answers(list(missing.values()), workers, scheduler) as answers:
             for task, record in answers:
                 records[task.digest] = record
-                _write(jobs / f"{task.digest}.json", json.dumps(record))
+                write_whole(jobs / f"{task.digest}.json", json.dumps(record).encode())
                 tell(len(records), total, record["status"])
     finally:
         digests = [task.digest for task in tasks]
         dataset = campaign_dataset(campaign, digests, records)
-        part = folder / ".result.nc.part"
-        part.write_bytes(dataset.to_netcdf(engine="h5netcdf"))
-        os.replace(part, folder / "result.nc")
+        write_whole(folder / "result.nc", dataset.to_netcdf(engine="h5netcdf"))
     return dataset
 
 
@@ -92,13 +91,6 @@ def _kept(
         if is_done or is_final:
             found[task.digest] = record
     return found
-
-
-def _write(path: pathlib.Path, text: str) -> None:
-    """Write a file, all of it or nothing."""
-    part = path.with_suffix(".part")
-    part.write_text(text, encoding="utf-8")
-    os.replace(part, path)
 
 
 @contextlib.contextmanager

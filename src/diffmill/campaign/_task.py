@@ -3,13 +3,13 @@
 import gc
 import hashlib
 import json
-import os
 import pathlib
 import time
 from importlib import metadata
 from typing import Any, Literal, NamedTuple, TypedDict
 
 from .._jax_config import configure_jax
+from .._results_folder import write_whole
 from .._toml import JobError
 from ..config import Campaign, job_precision, load_job
 from ..io import PROGRAM_FORMATS
@@ -183,9 +183,7 @@ def _write_rows(dataset: Any, task: Task) -> None:
     from ..io import described
 
     assert task.rows_file is not None
-    part = task.rows_file.with_suffix(f".{os.getpid()}.part")
-    part.write_bytes(described(dataset).to_netcdf(engine="h5netcdf"))
-    os.replace(part, task.rows_file)
+    write_whole(task.rows_file, described(dataset).to_netcdf(engine="h5netcdf"))
 
 
 def _drop_programs() -> None:

@@ -2,9 +2,9 @@
 
 import dataclasses
 import math
-import os
 import pathlib
 
+from .._results_folder import write_whole
 from ._session.errors import BadInput
 
 # Spindle speeds that a note lists.
@@ -29,7 +29,7 @@ def convert_file(
         is_spline: Whether a path becomes a spline.
 
     Raises:
-        BadInput: If a file is there already.
+        BadInput: If a file is there already, or none can be.
         ValueError: If the program cannot be read, or the format cannot say it.
     """
     from ..io import read_program, write_program
@@ -37,7 +37,10 @@ def convert_file(
 
     if is_spline and target.suffix.lower() != ".src":
         raise BadInput(f"--spline: {target} knows no splines; .src does")
-
+    if target.is_dir():
+        raise BadInput(f"{target}: found a folder, but a file is required")
+    if not target.parent.is_dir():
+        raise BadInput(f"{target}: found no folder {target.parent} to write it to")
     if target.exists() and not force:
         raise BadInput(f"{target}: the file exists; --force replaces it")
     program = read_program(source)
@@ -68,9 +71,7 @@ def convert_file(
         tolerance=tolerance,
         is_spline=is_spline,
     )
-    beside = target.with_name(f".{target.name}.{os.getpid()}")
-    beside.write_text(text, encoding="utf-8")
-    beside.replace(target)
+    write_whole(target, text.encode())
     return [f"wrote {target}", *lines]
 
 
