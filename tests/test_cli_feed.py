@@ -130,6 +130,22 @@ def test_a_rigid_machine_and_an_idle_program_are_refused(
     assert not (folder / "job-feed").exists()
 
 
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ('knot_spacing = "9 s"', "`knot_spacing`"),
+        ("horizon = 1", "an overlap below its horizon of 1 rows"),
+    ],
+)
+def test_settings_that_correct_refuses_are_one_message(folder, capsys, line, words):
+    write_slides_job(folder, line)
+    command = ["feed", "job.toml", "--correct", "--overrides", "1", "--weights"]
+    assert main(command) == 2
+    *_, said = capsys.readouterr().err.splitlines()
+    assert said.startswith("error: job: [correction] ") and words in said
+    assert not (folder / "job-feed").exists()
+
+
 def test_the_feed_of_a_machine_of_modes_is_studied(folder, asked):
     text = (folder / "job.toml").read_text()
     i, j = text.index("[robot]"), text.index("[simulation]")

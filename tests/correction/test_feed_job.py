@@ -1,5 +1,6 @@
 """The feed of a job: three slides that cut a slot deeper and deeper."""
 
+import dataclasses
 import itertools
 import math
 
@@ -11,13 +12,14 @@ from helpers import PAPER_LAW
 from diffmill import (
     CorrectionSettings,
     Job,
+    LineWeight,
     SimulationSettings,
     cutter as ct,
     robot as rb,
     toolpath as tp,
     workpiece as wp,
 )
-from diffmill.correction import feed_tradeoff, tune_feed
+from diffmill.correction import NothingToCorrect, feed_tradeoff, tune_feed
 from diffmill.sim import simulate
 
 PERIOD = 3.75e-3
@@ -104,6 +106,13 @@ def test_a_rigid_machine_is_refused(job):
     for function in (feed_tradeoff, tune_feed):
         with pytest.raises(ValueError, match=r"`job`.*rigid"):
             function(rigid)
+
+
+@pytest.mark.slow
+def test_a_path_of_which_nothing_counts_is_refused(job):
+    settings = dataclasses.replace(job.correction, sections=(LineWeight(1, 9, 0.0),))
+    with pytest.raises(NothingToCorrect, match="lines 1 to 3"):
+        tune_feed(dataclasses.replace(job, correction=settings))
 
 
 @pytest.mark.slow

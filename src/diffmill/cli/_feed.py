@@ -10,7 +10,7 @@ from .._jax_config import configure_jax
 from .._results_folder import ResultsFolder
 from ._run_job import with_job
 from ._session.attempts import Attempts
-from ._session.errors import ONLY_SIMULATE, BadInput, bad_input
+from ._session.errors import ONLY_SIMULATE, BadInput, bad_correction, bad_input
 from ._session.progress import Progress
 
 if TYPE_CHECKING:
@@ -124,9 +124,9 @@ class _FeedRun(NamedTuple):
 
 def _compute(job: "Job", request: FeedRequest, progress: Progress) -> _FeedRun:
     """Run the job at all feeds."""
-    from ..correction import InfeasibleLimit, NothingToCorrect, feed_tradeoff, tune_feed
+    from ..correction import feed_tradeoff, tune_feed
 
-    try:
+    with bad_correction(job.name, "that the feed could change"):
         tradeoff = feed_tradeoff(
             job,
             request.overrides,
@@ -139,13 +139,6 @@ def _compute(job: "Job", request: FeedRequest, progress: Progress) -> _FeedRun:
             job, time_weights=request.weights, on_progress=progress.update
         )
         return _FeedRun(tradeoff, tuned)
-    except InfeasibleLimit as error:
-        raise BadInput(f"{job.name}: [correction] {error}") from error
-    except NothingToCorrect as error:
-        raise BadInput(
-            f"{job.name}: found nothing that the feed could change: {error} Check the "
-            "stock's place, the program's zero and [correction] weight."
-        ) from error
 
 
 def _write(

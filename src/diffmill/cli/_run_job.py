@@ -16,7 +16,7 @@ from .._jax_config import configure_jax
 from .._results_folder import ResultsFolder
 from ._analyses import FinishedRun, add_analyses
 from ._session.checkpoint import Checkpoint
-from ._session.errors import ONLY_SIMULATE, BadInput, bad_input
+from ._session.errors import ONLY_SIMULATE, BadInput, bad_correction, bad_input
 from ._session.memory import give_back_memory
 from ._session.progress import Progress
 
@@ -238,32 +238,20 @@ def _compute(
 
     if command == "simulate":
         return simulate(job, on_progress=progress.update)
-    from ..correction import (
-        InfeasibleLimit,
-        NothingToCorrect,
-        UnsuitableSettings,
-        correct,
-    )
+    from ..correction import correct
 
     def tell(message: str, rms: float) -> None:
         text = f"{message}: weighted error {rms * 1e6:.2f} um rms"
         progress.update(text, then=f"after {message}")
 
     progress.update("uncorrected path")
-    try:
+    with bad_correction(job.name, "to correct"):
         return correct(
             job,
             on_progress=tell,
             on_checkpoint=None if checkpoint is None else checkpoint.write,
             resume=None if checkpoint is None else checkpoint.resumed,
         )
-    except (InfeasibleLimit, UnsuitableSettings) as error:
-        raise BadInput(f"{job.name}: [correction] {error}") from error
-    except NothingToCorrect as error:
-        raise BadInput(
-            f"{job.name}: found nothing to correct: {error} Check the stock's place, "
-            "the program's zero and [correction] weight."
-        ) from error
 
 
 def with_job(dataset: Dataset, job: "Job") -> Dataset:

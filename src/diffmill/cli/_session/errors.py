@@ -24,3 +24,24 @@ def bad_input() -> Iterator[None]:
         yield
     except (ValueError, OSError) as error:
         raise BadInput(str(error)) from error
+
+
+@contextlib.contextmanager
+def bad_correction(job: str, purpose: str) -> Iterator[None]:
+    """Turn what a correction refuses about its job into `BadInput`.
+
+    Args:
+        job: Name of the job.
+        purpose: What nothing is found for where the program leaves no error.
+    """
+    from ...correction import InfeasibleLimit, NothingToCorrect, UnsuitableSettings
+
+    try:
+        yield
+    except (InfeasibleLimit, UnsuitableSettings) as error:
+        raise BadInput(f"{job}: [correction] {error}") from error
+    except NothingToCorrect as error:
+        raise BadInput(
+            f"{job}: found nothing {purpose}: {error} Check the stock's place, the "
+            "program's zero and [correction] weight."
+        ) from error

@@ -19,8 +19,12 @@ from ...process import AbstractAdjoint, ThroughPoses
 from ...sim import JobKinematics, JobModel, Solution, simulate
 from ...toolpath import PathFeed, retime
 from .._core.problem import Motion
-from .._job.correct import NothingToCorrect, correct
-from .._job.objective import job_weights
+from .._job.correct import (
+    NEVER_CUTS,
+    NothingToCorrect,
+    correct,
+    counting_weights,
+)
 from .._job.plant_segments import wall_motion
 from .problem import FeedProblem
 from .result import FeedTradeoff, TunedFeed
@@ -72,6 +76,7 @@ def feed_tradeoff(
     Raises:
         SimulationFailed: A run fails; a feed may be too fast for the window of rays.
         NothingToCorrect: The program never cuts; a `ValueError`.
+        InfeasibleLimit, UnsuitableSettings: As `correct`, for one of the feeds.
         ValueError: The machine is rigid, or an override is not positive.
     """
     _check_machine(job)
@@ -155,7 +160,8 @@ def tune_feed(
 
     Raises:
         SimulationFailed: The run of the program as it is fails.
-        NothingToCorrect: The program never cuts; a `ValueError`.
+        NothingToCorrect: The program never cuts, or all that cuts has no weight; a
+            `ValueError`.
         ValueError: The machine is rigid, a weight or a bound is not positive, or the
             path never accelerates and no acceleration is given.
     """
@@ -164,15 +170,11 @@ def tune_feed(
     adjoint = ThroughPoses()
     before = simulate(job, adjoint=adjoint)
     job = job.with_intervals(before.stock.interval_counts)
-    rigid = before.rigid
-    cutting = np.asarray(before.is_cutting)
-    if not cutting.any():
-        raise NothingToCorrect(_NEVER)
     feed = PathFeed.of_path(job.path, acceleration=acceleration)
     problem = FeedProblem(
         FeedPlant(job, adjoint),
         feed,
-        FeedProblem.smoothed(job_weights(job, rigid, cutting, None)),
+        FeedProblem.smoothed(counting_weights(job, before, None)),
         lowest,
         highest,
     )
@@ -188,12 +190,6 @@ def tune_feed(
     )
     travel = float(feed.travel[-1]) * np.linspace(0.0, 1.0, count)
     return TunedFeed(points, travel, tuple(retimed(point) for point in points))
-
-
-_NEVER = (
-    "Argument `job` must have a program that cuts its stock, but the rigid tool "
-    "removes nothing."
-)
 
 
 def _check_machine(job: Job) -> None:
@@ -212,7 +208,7 @@ def _advance(solution: Solution) -> float:
     """Return the median advance per tooth of the rows that cut [m]."""
     steps = _steps(solution)
     if not np.any(steps > 0):
-        raise NothingToCorrect(_NEVER)
+        raise NothingToCorrect(NEVER_CUTS)
     return float(np.median(steps[steps > 0]))
 
 

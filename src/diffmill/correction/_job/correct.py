@@ -65,6 +65,11 @@ CASES = (
     "inverse_drive",
     "corrected",
 )
+# Of a program that only passes over its stock.
+NEVER_CUTS = (
+    "Argument `job` must have a program that cuts its stock, but the rigid tool "
+    "removes nothing."
+)
 
 
 class NothingToCorrect(ValueError):
@@ -212,7 +217,7 @@ def correct(
         before.raise_unless_successful(job)
     is_optimised = "corrected" in compared(job)
     surface = job_surface(job, rigid, before.wall_share) if is_optimised else None
-    weights = _weights(job, before, surface)
+    weights = counting_weights(job, before, surface)
     plant = TipPlant(job, adjoint, before.wall_share, rigid)
     problem = job_problem(job, plant, desired, before, weights)
     task = _Task(job, plant, before, problem, segments, objective)
@@ -381,15 +386,16 @@ def _solution(task: _Task, name: str, found: Corrected) -> Solution:
     return motion.solution
 
 
-def _weights(
+def counting_weights(
     job: Job, before: Solution, surface: FinishedSurface | None
 ) -> Float[np.ndarray, " step"]:
-    """Return how much every row counts; refuse a path of which none does."""
+    """Return how much every row counts.
+
+    Raises:
+        NothingToCorrect: None does.
+    """
     if not np.any(before.is_cutting):
-        raise NothingToCorrect(
-            "Argument `job` must have a program that cuts its stock, but the rigid "
-            "tool removes nothing."
-        )
+        raise NothingToCorrect(NEVER_CUTS)
     try:
         return job_weights(job, before.rigid, np.asarray(before.is_cutting), surface)
     except ValueError as error:
