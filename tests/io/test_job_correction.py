@@ -145,5 +145,8 @@ def test_what_the_cutter_does_not_allow(problems_of):
     found = problems_of(*bounds, 'method = "adam"', cutter=BALL)
     assert keys(found) == ["horizon:", *2 * ["gouge:", "stay_in_cut:"]]
     assert 'method = "adam"' in found[-1]
+    static = ("horizon = 900", "[simulation]", 'mode = "quasistatic"')
+    (found,) = problems_of(*static)
+    assert found.startswith("[correction] horizon: found 900 beside [simulation] mode")
     (found,) = problems_of(surface, program="leaning.csv")
     assert "flat cutter" in found

@@ -494,7 +494,7 @@ def _simulation(
     elif fastest > 0.0:
         check_modes(fastest, period / substeps, context.notes)
     if tables.correction is not None:
-        check_correction(tables.correction, cutter, not axes, problems)
+        check_correction(tables.correction, cutter, not axes, problems, mode=table.mode)
     return SimulationSettings(
         angles=angles,
         substeps=substeps,

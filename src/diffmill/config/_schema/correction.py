@@ -266,9 +266,11 @@ def check_correction(
     cutter: "AbstractCutter",
     is_upright: bool,
     problems: list[str],
+    *,
+    mode: str,
 ) -> None:
-    """Note settings that the cutter, the path or each other do not allow."""
-    _check_segments(table, problems)
+    """Note settings that the cutter, the path, the mode or others do not allow."""
+    _check_segments(table, mode, problems)
     for key, found, is_asked, allowed in (
         ("objective", '"surface"', table.objective == "surface", '"path"'),
         ("gouge", "a limit", table.gouge is not None, "none"),
@@ -295,12 +297,13 @@ def check_correction(
             )
 
 
-def _check_segments(table: CorrectionTable, problems: list[str]) -> None:
+def _check_segments(table: CorrectionTable, mode: str, problems: list[str]) -> None:
     """Note a horizon beside what needs the whole path, or too short for its overlap."""
     for beside, is_whole in (
         ('objective = "surface"', table.objective == "surface"),
         ("an uncertainty", table.uncertainty is not None),
         ('method = "adam"', table.method == "adam"),
+        ('[simulation] mode = "quasistatic"', mode == "quasistatic"),
     ):
         if table.horizon != "auto" and is_whole:
             problems.append(
