@@ -34,7 +34,7 @@ def asked(monkeypatch):
             factors, times, 1e-4 * factors, 9e-6 * factors, after, after
         )
 
-    def tuned(job, *, time_weights, on_progress):
+    def tuned(job, *, time_weights, lowest, on_progress):
         calls.update(weights=time_weights)
         points, paths = [], []
         for k, weight in enumerate((np.nan, *time_weights)):
@@ -102,6 +102,8 @@ def test_an_empty_list_of_weights_tunes_nothing(folder, asked, capsys):
         (["--overrides"], "--overrides: found none"),
         (["--weights", "-0.1"], "--weights: found -0.1, but numbers above 0"),
         (["--weights", "0.1", "0.1"], "each may occur once"),
+        (["--overrides", "1", "1e-9"], "override 1e-09: found a motion of"),
+        (["--overrides", "1e-200"], "inf tooth periods; at most 1000000 are allowed"),
     ],
 )
 def test_what_cannot_be_tried_is_refused_before_anything_runs(
@@ -110,6 +112,20 @@ def test_what_cannot_be_tried_is_refused_before_anything_runs(
     assert main(["feed", "job.toml", *arguments]) == 2
     assert words in capsys.readouterr().err
     assert not asked and not (folder / "job-feed").exists()
+
+
+def test_the_slowest_override_along_the_path_has_a_limit_too(
+    folder, asked, capsys, monkeypatch
+):
+    def rows(feed, override):
+        if override < 0.6:
+            raise ValueError("too many rows")
+
+    monkeypatch.setattr(PathFeed, "row_count", rows)
+    command = ["feed", "job.toml", "--overrides", "1", "--weights"]
+    assert main(command) == 0
+    assert main([*command, "0.1", "--force"]) == 2
+    assert "error: override 0.5: too many rows" in capsys.readouterr().err
 
 
 def test_a_rigid_machine_and_an_idle_program_are_refused(

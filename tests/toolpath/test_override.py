@@ -128,6 +128,8 @@ def test_derivative_at_rest_is_finite_and_float32_agrees(path):
 def test_faults_are_named(path):
     with pytest.raises(ValueError, match="`override`"):
         retime(path, [1.0, 0.0])
+    with pytest.raises(ValueError, match="at most 1000000"):
+        retime(path, 1e-9)
     even = Path.upright(T * np.arange(5.0), np.linspace([0, 0, 0], [1, 0, 0], 5))
     with pytest.raises(ValueError):
         retime(even, 0.5)

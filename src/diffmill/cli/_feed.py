@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 # xarray is imported when there is something to write.
 Dataset: TypeAlias = Any
+# Smallest override along the path.
+_LOWEST = 0.5
 
 
 class FeedRequest(NamedTuple):
@@ -112,7 +114,12 @@ def _check(job: "Job", file: pathlib.Path, request: FeedRequest) -> None:
     names = [f"{weight:g}" for weight in request.weights]
     if len(set(names)) < len(names):
         raise BadInput(f"--weights: found {' '.join(names)}, but each may occur once")
-    PathFeed.of_path(job.path)
+    least = min([*request.overrides, *[_LOWEST] * bool(request.weights)])
+    feed = PathFeed.of_path(job.path)
+    try:
+        feed.row_count(least)
+    except ValueError as error:
+        raise BadInput(f"override {least:g}: {error}") from error
 
 
 class _FeedRun(NamedTuple):
@@ -136,7 +143,10 @@ def _compute(job: "Job", request: FeedRequest, progress: Progress) -> _FeedRun:
         if not request.weights:
             return _FeedRun(tradeoff, None)
         tuned = tune_feed(
-            job, time_weights=request.weights, on_progress=progress.update
+            job,
+            time_weights=request.weights,
+            lowest=_LOWEST,
+            on_progress=progress.update,
         )
         return _FeedRun(tradeoff, tuned)
 

@@ -36,7 +36,8 @@ def retime(
         The path with the rows at its tooth instants; 1 everywhere gives the same rows.
 
     Raises:
-        ValueError: If an override is not positive, or the rows do not suffice.
+        ValueError: If an override is not positive, the rows do not suffice, or there
+            are more than a path may have.
 
     **Differentiability**: none, it runs on the host; see `PathFeed` for what has.
     """

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._types import FloatSteps, RealScalarLike
-from ._path import Path
+from ._path import MOST_STEPS, Path, check_steps
 
 # Intervals shorter than this are dwells [m].
 _DWELL = 1e-12
@@ -158,11 +158,14 @@ class PathFeed(eqx.Module):
         return float(_end(self, jnp.asarray(checked_override(override))))
 
     def row_count(self, override: Override) -> int:
-        """Return how many tooth instants the path needs with an override."""
-        return (
-            max(1, math.ceil(self.cycle_time(override) / self.period - SAME_INSTANT))
-            + 1
-        )
+        """Return how many tooth instants the path needs with an override.
+
+        Raises:
+            ValueError: More than a path may have.
+        """
+        periods = self.cycle_time(override) / self.period
+        check_steps(periods, float(MOST_STEPS))
+        return max(1, math.ceil(periods - SAME_INSTANT)) + 1
 
     @classmethod
     def of_path(
