@@ -84,7 +84,7 @@ def test_values_become_settings_in_si(settings_of):
         "stay_in_cut = true",
         "uncertainty = { stiffness = 0.2, force = 0.1, draws = 6, "
         'objective = "worst", delay = "5 ms" }',
-        "weight = [{ lines = [12, 30], value = 0 }, { lines = [31, 31], value = 2.5 }]",
+        "weight = [{ lines = [2, 30], value = 0 }, { lines = [3, 3], value = 2.5 }]",
     )
     assert settings.tolerance == pytest.approx(1e-5)
     assert settings.uncertainty == UncertaintySettings(
@@ -93,7 +93,7 @@ def test_values_become_settings_in_si(settings_of):
     assert (settings.gouge, settings.stay_in_cut) == (pytest.approx(2e-5), True)
     assert settings.max_velocity == pytest.approx(0.06)
     assert settings.max_acceleration == pytest.approx(2.0)
-    assert settings.sections == ((12, 30, 0.0), (31, 31, 2.5))
+    assert settings.sections == ((2, 30, 0.0), (3, 3, 2.5))
     assert (settings.objective, settings.finishing_only) == ("surface", True)
     assert (settings.wall_weight, settings.floor_weight) == (1.0, 0.0)
 
@@ -108,6 +108,17 @@ def test_defaults(settings_of):
     )
     assert settings_of('method = "adam"').max_steps == 60
     assert settings_of('method = "adam"', "max_steps = 7").max_steps == 7
+
+
+def test_a_section_without_moves_is_refused(problems_of):
+    """The program begins at line 2, and goes from there in line 3."""
+    weight = "weight = [{{ lines = [{}, {}], value = 0 }}]"
+    for first, last in ((500, 600), (1, 2), (5, 2)):
+        (found,) = problems_of(weight.format(first, last))
+        assert found.startswith("[correction] weight.lines: found")
+        assert f"[{first}, {last}]" in found and found.endswith("of lines 3 to 3")
+    (found,) = problems_of(weight.format(4, 9), program="leaning.csv")
+    assert found.endswith("of lines 2 to 3")
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from ..toolpath import Path, Program, TimedProgram
 from ._build.context import FileContext
 from ._build.machine import fastest_mode, read_machine
 from ._build.program import (
+    check_sections,
     commanded_tips,
     note_rounding,
     read_program,
@@ -495,6 +496,7 @@ def _simulation(
         check_modes(fastest, period / substeps, context.notes)
     if tables.correction is not None:
         check_correction(tables.correction, cutter, not axes, problems, mode=table.mode)
+        check_sections(tables.correction.weight, parts.program, problems)
     return SimulationSettings(
         angles=angles,
         substeps=substeps,

@@ -2,6 +2,7 @@
 
 import math
 import pathlib
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -17,6 +18,7 @@ from ...toolpath import (
     TimedProgram,
     TimingLimits,
 )
+from .._schema.correction import WeightTable
 from .._schema.job import ProgramTable
 from .context import FileContext
 
@@ -102,6 +104,33 @@ def commanded_tips(
         "program"
     )
     return np.asarray(told.positions)
+
+
+def check_sections(
+    sections: Sequence[WeightTable],
+    program: Program | Path | None,
+    problems: list[str],
+) -> None:
+    """Note sections of a program in which it does not move.
+
+    Args:
+        sections: `[correction] weight`.
+        program: The program; None if it could not be read.
+        problems: Receives what is wrong.
+    """
+    if not sections or program is None:
+        return
+    if isinstance(program, Path):
+        lines = np.asarray(program.line)
+    else:
+        lines = np.array([move.line for move in program.timed_moves])
+    problems.extend(
+        f"[correction] weight.lines: found [{first}, {last}], but the first and the "
+        "last line of a section in which the program moves are required; its moves "
+        f"are those of lines {lines.min()} to {lines.max()}"
+        for first, last in (section.lines for section in sections)
+        if not np.any((first <= lines) & (lines <= last))
+    )
 
 
 def _check_recorded(table: ProgramTable, context: FileContext) -> None:

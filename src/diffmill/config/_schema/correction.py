@@ -288,13 +288,6 @@ def check_correction(
                 "them above 0 is required"
             )
     _check_method(table, problems)
-    for entry in table.weight:
-        first, last = entry.lines
-        if not 1 <= first <= last:
-            problems.append(
-                f"[correction] weight.lines: found [{first}, {last}], but two line "
-                "numbers from 1, the first not above the last, are required"
-            )
 
 
 def _check_segments(table: CorrectionTable, mode: str, problems: list[str]) -> None:
