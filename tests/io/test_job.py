@@ -212,6 +212,20 @@ def test_note_on_a_coarse_spacing(write):
     assert "0.25 mm" in note
 
 
+@pytest.mark.parametrize(
+    ("idle", "needed"),
+    [
+        ('blocks = "spline"', 'formats = ["gcode", "krl"]'),
+        ('max_step = "50 um"', 'stream_cycle = "4 ms"'),
+    ],
+)
+def test_keys_of_the_output_without_effect_are_noted(write, idle, needed):
+    output = lambda *lines: ("[robot]", "\n".join(["[output]", *lines, "[robot]"]))
+    (note,) = load_job(write(output(idle))).notes
+    assert note.startswith(f"[output] {idle.split()[0]}: without effect")
+    assert load_job(write(output(idle, needed))).notes == ()
+
+
 def test_recorded_path(write, tmp_path):
     rows = ["time_s,x_mm,y_mm,z_mm"]
     rows += [f"{0.01 * k},{-6 + 0.5 * k},5,-1" for k in range(40)]

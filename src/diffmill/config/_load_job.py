@@ -444,7 +444,12 @@ def _assemble(
         ),
         source=text,
         program=program.source if isinstance(program, Program) else "",
-        notes=(*force.notes(cutter), *found, *notes(stock, path, cutter)),
+        notes=(
+            *force.notes(cutter),
+            *output.notes(),
+            *found,
+            *notes(stock, path, cutter),
+        ),
         bottom_law=bottom_law,
         holder=parts.holder,
         keeps_intervals=block.intervals is not None,

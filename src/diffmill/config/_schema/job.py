@@ -291,6 +291,15 @@ class OutputTable(TomlTable):
             moves_ends=self.moved_ends,
         )
 
+    def notes(self) -> tuple[str, ...]:
+        """Return which keys have no effect beside the others."""
+        notes = []
+        if self.blocks == "spline" and "krl" not in self.formats:
+            notes.append('[output] blocks: without effect, since formats has no "krl"')
+        if self.max_step < math.inf and self.stream_cycle == 0:
+            notes.append("[output] max_step: without effect, since stream_cycle is 0")
+        return tuple(notes)
+
 
 class ScatterTable(TomlTable):
     """`[simulation] scatter`: relative standard deviations of the model."""
