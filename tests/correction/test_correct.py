@@ -1,5 +1,6 @@
 """Correcting a small job from its file, all methods, as the command line does."""
 
+import dataclasses
 import pathlib
 
 import equinox as eqx
@@ -7,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffmill import load_job
+from diffmill import load_job, workpiece
 from diffmill.correction import (
     AbstractObjective,
     InfeasibleLimit,
@@ -148,6 +149,14 @@ def test_only_what_is_asked_for_runs(load):
 def test_weights_that_leave_nothing_are_named(load):
     with pytest.raises(NothingToCorrect, match="lines 3 to 4"):
         correct(load("weight = [{ lines = [1, 9], value = 0 }]\n"))
+
+
+@pytest.mark.slow
+def test_a_surface_of_which_nothing_is_left_does_not_suit(load):
+    job = load('objective = "surface"\n')
+    scrap = workpiece.box([3e-3, 1e-3, -1e-3], [6e-3, 5e-3, 0], 0.5e-3)
+    with pytest.raises(UnsuitableSettings, match="walls or floors"):
+        correct(dataclasses.replace(job, stock=scrap))
 
 
 @pytest.mark.slow

@@ -184,8 +184,8 @@ def correct(
             `ValueError`.
         InfeasibleLimit: The program itself breaks a limit, or no correction holds all
             that is asked for; a `ValueError`.
-        UnsuitableSettings: Knots, horizon or overlap do not suit the path; a
-            `ValueError`.
+        UnsuitableSettings: Knots, horizon or overlap do not suit the path, or no
+            surface is left to correct; a `ValueError`.
         ValueError: The job has no robot or a command of its own, the objective is
             none, or JAX is not set up for its precision.
 

@@ -125,7 +125,7 @@ def job_objective(
     """Return the objective that `[correction]` asks for, with the weights of the rows.
 
     Raises:
-        ValueError: A surface is asked for where there is none.
+        UnsuitableSettings: A surface is asked for where there is none.
     """
     settings = job.correction
     if settings.objective == "path":
@@ -133,7 +133,7 @@ def job_objective(
     if settings.objective != "surface":
         assert_never(settings.objective)
     if surface is None:
-        raise ValueError(
+        raise UnsuitableSettings(
             'Argument `job` must have the objective "path", but has "surface", which '
             "needs a flat cutter along +z that leaves walls or floors."
         )
