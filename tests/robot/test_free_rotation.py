@@ -85,6 +85,10 @@ def test_all_configurations_of_two_joints(flat_arm):
     assert_allclose(found, expected, atol=1e-9)
     nothing = dr.configurations(flat_arm, upright([[1.4, 0.0, 0.0]])[0], [0.0, 1.0])
     assert nothing.shape == (0, 2)
+    # Nor is there one that turns the tool over.
+    over = upright(point)[0] @ np.diag([1.0, -1.0, -1.0, 1.0])
+    nothing = dr.configurations(flat_arm, over, [0.0, 1.0], tool_rotation="free")
+    assert nothing.shape == (0, 2)
 
 
 def test_the_branch_within_limits_is_taken(flat_arm):
@@ -228,6 +232,19 @@ def test_a_rotary_tool_axis_stays_still(gantry):
     assert_allclose(found.q[:, :3], points, atol=1e-10)
     # In the middle of its range, whatever the poses say about their rotation.
     assert_allclose(found.q[:, 3], 1.0, atol=1e-10)
+
+
+@pytest.mark.parametrize("angle", [3.13, 3.1415, math.pi])
+def test_a_tool_axis_that_cannot_turn_round_is_not_reached(gantry, angle):
+    T = np.eye(4)
+    T[:3, :3] = dr.rpy_matrix(angle, 0.0, 0.0)
+    T[:3, :3] = np.where(np.abs(T[:3, :3]) < 1e-12, 0.0, T[:3, :3])
+    solve = lambda T: free()(gantry, T, gantry.home, attempts=0)
+    for found in (solve(T), free()(gantry, T, gantry.home)):
+        assert not bool(found.converged)
+        assert_allclose(found.rotation_residual, angle, atol=1e-6)
+    for derivative in (jax.jacfwd, jax.jacrev):
+        assert np.isfinite(derivative(lambda T: solve(T).q)(jnp.asarray(T))).all()
 
 
 def test_five_joints_reach_with_a_free_rotation_only(arm):

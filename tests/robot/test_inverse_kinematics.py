@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 import diffmill.robot as dr
 
@@ -129,6 +129,37 @@ def test_a_singular_pose_gives_finite_numbers(arm):
     assert bool(found.converged)
     slope = jax.jacrev(lambda T: dr.inverse_kinematics(arm, T, q).q)(T)
     assert np.isfinite(found.q).all() and np.isfinite(slope).all()
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_half_a_turn_of_the_tool_is_an_error_of_half_a_turn(arm, axis):
+    T = np.asarray(dr.forward_kinematics(arm, arm.home))
+    rpy = np.eye(3)[axis]
+    turned = lambda angle: (
+        T
+        @ np.block([[dr.rpy_matrix(*(angle * rpy)), np.zeros((3, 1))], [np.eye(4)[3:]]])
+    )
+    # Without a search what is missing is the whole angle.
+    missing = lambda T: dr.inverse_kinematics(arm, T, arm.home, attempts=0)
+    for angle in (3.1, 3.13, 3.1415, np.pi):
+        found = missing(turned(angle))
+        assert not bool(found.converged)
+        assert_allclose(found.rotation_residual, angle, atol=1e-6)
+    flip = np.round(turned(np.pi), 12)
+    for derivative in (jax.jacfwd, jax.jacrev):
+        assert np.isfinite(derivative(lambda T: missing(T).q)(jnp.asarray(flip))).all()
+    found = dr.inverse_kinematics(arm, flip, arm.home)
+    reached = dr.forward_kinematics(arm, found.q)
+    assert bool(found.converged)
+    assert_allclose(reached, flip, atol=1e-9)
+
+
+def test_a_path_that_turns_the_tool_round_between_two_rows_is_flagged(arm):
+    Ts = line(arm, 3, step=(0.0, 0.0, 0.0))
+    Ts[2, :3, :2] *= -1.0
+    found = dr.inverse_kinematics_path(arm, Ts, arm.home)
+    assert_array_equal(found.converged, [True, True, False])
+    assert float(found.rotation_residual[2]) > 1.0
 
 
 def test_virtual_joints_stay_at_rest(soft_arm):

@@ -6,6 +6,9 @@ from jaxtyping import Array, Float
 
 from ..._types import RealScalarLike
 
+# 4 cos^2(angle / 2) below which a rotation counts as half a turn.
+_FLOOR = 1e-3
+
 
 def rpy_matrix(
     roll: RealScalarLike, pitch: RealScalarLike, yaw: RealScalarLike
@@ -61,10 +64,11 @@ def rotation_between(
 ) -> Float[Array, " 3"]:
     """Return the vector 2 sin(angle / 2) axis that turns `actual` into `target`.
 
-    It is the rotation vector to third order, its derivative at 0 is exact, and it
-    still points the right way for half a turn, where a logarithm is not unique.
+    It is the rotation vector to third order, its derivative at 0 is exact, and its
+    length is right up to half a turn, where a logarithm is not unique.
 
-    **Differentiability**: smooth for angles below 3.1 rad; finite everywhere.
+    **Differentiability**: smooth below half a turn, where the axis turns round; finite
+    everywhere.
     """
     turn = target @ actual.T
     sine = jnp.stack(
@@ -72,5 +76,18 @@ def rotation_between(
     )
     # trace = 1 + 2 cos(angle) = 4 cos^2(angle / 2) - 1; the floor keeps half a turn
     # finite.
-    half_cosine = 0.5 * jnp.sqrt(jnp.maximum(1.0 + jnp.trace(turn), 1e-3))
-    return 0.5 * sine / half_cosine
+    trace = turn[0, 0] + turn[1, 1] + turn[2, 2]
+    half_cosine = 0.5 * jnp.sqrt(jnp.maximum(1.0 + trace, _FLOOR))
+    # There the sine vanishes, but the symmetric part still has the axis: it holds
+    # 2 sin^2(angle / 2) axis axis^T, of which the largest column is taken.
+    is_half_turn = 1.0 + trace < _FLOOR
+    outer = 0.5 * (turn + turn.T + (1.0 - trace) * jnp.eye(3, dtype=turn.dtype))
+    column, size = outer[0], outer[0, 0]
+    for i in (1, 2):
+        is_larger = outer[i, i] > size
+        column = jnp.where(is_larger, outer[i], column)
+        size = jnp.where(is_larger, outer[i, i], size)
+    size = jnp.where(jnp.sum(column * sine) < 0.0, -1.0, 1.0) * jnp.sqrt(
+        jnp.where(is_half_turn, 0.5 * size, 1.0)
+    )
+    return jnp.where(is_half_turn, column / size, 0.5 * sine / half_cosine)

@@ -28,6 +28,8 @@ _WALL = 15
 _HIGHEST = 10.0
 # How often an undamped step is repeated for what its floor has left.
 _REPEATS = 3
+# cos^2(angle / 2) below which a tilt counts as half a turn.
+_FLOOR = 1e-4
 # Half a range of a joint without limits [rad or m], and the least half of any.
 _UNLIMITED, _NARROWEST = 3.0, 1e-6
 
@@ -77,9 +79,19 @@ def motor_jacobian(
 
 def _tilt(axis: Float[Array, " 3"]) -> Float[Array, " 2"]:
     """Return the x and y rotation that turns z to an axis: 2 sin(angle / 2) long."""
-    # |z + axis| / 2 = cos(angle / 2); the floor keeps half a turn finite.
-    half_cosine = jnp.sqrt(jnp.maximum(0.5 * (1.0 + axis[2]), 1e-4))
-    return jnp.stack([-axis[1], axis[0]]) / half_cosine
+    # |z + axis| / 2 = cos(angle / 2), and |z x axis| = sin(angle); the floor keeps half
+    # a turn finite.
+    cross = jnp.stack([-axis[1], axis[0]])
+    half_cosine = jnp.sqrt(jnp.maximum(0.5 * (1.0 + axis[2]), _FLOOR))
+    # There the cross product vanishes: its length is that of the rotation, and where it
+    # is only rounding any direction will do.
+    sine = jnp.sum(cross**2)
+    is_known = sine > jnp.finfo(axis.dtype).eps ** 2
+    along = cross / jnp.sqrt(jnp.where(is_known, sine, 1.0))
+    along = jnp.where(is_known, along, jnp.eye(2, dtype=axis.dtype)[0])
+    length = jnp.sqrt(2.0 - 2.0 * jnp.minimum(axis[2], 0.0))
+    is_half_turn = 0.5 * (1.0 + axis[2]) < _FLOOR
+    return jnp.where(is_half_turn, length * along, cross / half_cosine)
 
 
 def damped_step(
