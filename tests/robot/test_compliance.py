@@ -266,3 +266,19 @@ def test_modes_batch_over_poses(arm):
         one = dr.mode_shapes(arm, q[k])
         assert_allclose(both.frequencies[k], one.frequencies, rtol=1e-10)
         assert_allclose(both.tool_shapes[k], one.tool_shapes, atol=1e-9)
+
+
+@pytest.mark.parametrize(("rigid", "count"), [([0, 1], 4), ([0, 1, 2, 3, 4], 1)])
+def test_rigid_joints_take_their_modes_away(rigid, count):
+    arm = dr.load("kuka_kr210_like")
+    stiffness = arm.joint_stiffness.at[jnp.array(rigid)].set(jnp.inf)
+    robot, q = arm.with_drives(stiffness=stiffness), arm.home + 0.05
+    modes = dr.mode_shapes(robot, q)
+    for found in (modes.frequencies, dr.natural_frequencies(robot, q)):
+        assert (np.asarray(found[:count]) < 1e3).all()
+        assert (np.asarray(found[count:]) == np.inf).all()
+    assert_allclose(modes.energy_shares.sum(axis=1), np.arange(6) < count, atol=1e-12)
+    assert (np.asarray(modes.damping_ratios[count:]) == 0.0).all()
+    assert len(dr.TipModes.of_robot(robot, q, np.eye(4)).frequencies) == count
+    slope = np.asarray(jax.jacfwd(lambda q: dr.natural_frequencies(robot, q))(q))
+    assert np.abs(slope).max() < 1e3 and (slope[count:] == 0.0).all()

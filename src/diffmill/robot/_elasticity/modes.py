@@ -4,7 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.scipy.linalg as jsl
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from ...numerics import CompiledOnce
 from .._dynamics.crba import mass_matrix
@@ -16,7 +16,7 @@ from .._model.robot import JointVector, Robot, joint_vector
 class Modes(eqx.Module):
     """The natural modes at one pose, the slowest first.
 
-    A mode of which no joint is soft has an infinite frequency.
+    A mode of which no joint is soft, but for rounding, has an infinite frequency.
 
     Attributes:
         frequencies: Undamped natural frequencies [Hz], shape (joint,).
@@ -99,13 +99,15 @@ def _mode_shapes(robot: Robot, q: Float[Array, " joint"]) -> Modes:
     # symbols: y column of an orthonormal basis, phi = L^-T y, so phi^T M phi = 1
     L = factor(mass_matrix(robot, q))
     values, y = jnp.linalg.eigh(_softness(robot, L))
-    omega, y = _omega(values[::-1]), y[:, ::-1]
+    values, y = values[::-1], y[:, ::-1]
+    omega = _omega(values)
     phi = jsl.solve_triangular(L.T, y, lower=False)
     # K phi = omega^2 M phi = omega^2 L y gives the energy phi^T K phi without K, so
     # that a rigid joint counts with 0; divided by the sum, omega drops out.
     energy = (L @ y) ** 2 / robot.joint_stiffness[:, None]
+    is_soft = _is_soft(values)[None]
     total = jnp.sum(energy, axis=0, keepdims=True)
-    shares = energy / jnp.where(total > 0.0, total, 1.0)
+    shares = jnp.where(is_soft, energy / jnp.where(is_soft, total, 1.0), 0.0)
     largest = jnp.argmax(shares, axis=0)
     phi = phi * _sign(jnp.take_along_axis(phi, largest[None], axis=0))
     damping = jnp.sum(phi**2 * robot.joint_damping[:, None], axis=0)
@@ -128,9 +130,15 @@ def _softness(
     return L.T @ (L / robot.joint_stiffness[:, None])
 
 
-def _omega(softness: Float[Array, " joint"]) -> Float[Array, " joint"]:
+def _is_soft(softness: Float[Array, " joint"]) -> Bool[Array, " joint"]:
+    """Return which of the descending softnesses are not rounding of the first."""
+    least = 8 * softness.size * jnp.finfo(softness.dtype).eps * softness[0]
     # What is not a number is to stay so.
-    is_soft = ~(softness <= 0.0)
+    return ~(softness <= least)
+
+
+def _omega(softness: Float[Array, " joint"]) -> Float[Array, " joint"]:
+    is_soft = _is_soft(softness)
     omega = jax.lax.rsqrt(jnp.where(is_soft, softness, 1.0))
     return jnp.where(is_soft, omega, jnp.inf)
 
