@@ -73,11 +73,11 @@ def _singularity(
     # A wide matrix has joint motions that do nothing; they are no loss.
     _, values, right = jnp.linalg.svd(rows, full_matrices=False)
     direction = jnp.zeros_like(q).at[jnp.asarray(motors)].set(right[-1])
-    smallest = values[-1]
-    is_singular = smallest <= 0.0
-    safe = jnp.where(is_singular, 1.0, smallest)
+    # What is rounding of the largest is 0.
+    is_singular = values[-1] <= 8.0 * jnp.finfo(values.dtype).eps * values[0]
+    safe = jnp.where(is_singular, 1.0, values[-1])
     return Singularity(
-        smallest=smallest,
+        smallest=jnp.where(is_singular, 0.0, values[-1]),
         condition=jnp.where(is_singular, jnp.inf, values[0] / safe),
         joint_direction=direction,
     )
