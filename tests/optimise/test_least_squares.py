@@ -1,6 +1,7 @@
 """Least squares of few unknowns: against SciPy, closed forms and its own state."""
 
 import dataclasses
+import functools
 from typing import Any
 
 import equinox as eqx
@@ -120,6 +121,28 @@ def test_the_minimum_is_scipys(start, upper):
     )
     assert found.has_converged
     assert_allclose(found.x, wanted.x, rtol=1e-5)
+
+
+@pytest.mark.parametrize("start", [[5.0, 0.5], [0.5, -1e-9], [0.5, np.nan]])
+def test_a_start_out_of_the_bounds_is_refused(start):
+    start, problem = np.array(start), Decay()
+    search = functools.partial(least_squares, problem, start, SOLVER)
+    with pytest.raises(ValueError, match="`x0` must be within `lower` and `upper`"):
+        search(lower=0.0, upper=1.0)
+    assert not problem.calls
+    state = LeastSquaresState(start, None, SOLVER.damping)
+    with pytest.raises(ValueError, match="`state` must be within"):
+        search(lower=0.0, upper=1.0, state=state)
+
+
+def test_a_search_that_ends_at_a_bound_goes_on_from_there():
+    start, lower, upper = np.array([-7.1, 0.5]), -8.0, 0.7
+    # In floating point the step to the bound leads beyond it.
+    assert start[0] + (upper - start[0]) > upper
+    found = least_squares(Decay(), start, SOLVER, lower=lower, upper=upper)
+    assert found.x[0] == upper
+    again = least_squares(Decay(), found.x, SOLVER, lower=lower, upper=upper)
+    assert_allclose(again.x, found.x, rtol=1e-6)
 
 
 def test_a_step_to_where_there_is_nothing_is_shortened():

@@ -331,7 +331,7 @@ def least_squares(
         lower: Least values of the unknowns, a number or shape (unknown,).
         upper: Largest values, likewise.
         state: An earlier state to go on from, or its value at `x0`, which then is not
-            computed again.
+            computed again; within the bounds too.
         callback: Called with the state after each step that was looked for; True ends
             the search.
         clock: Returns the time [s].
@@ -340,8 +340,14 @@ def least_squares(
         The last state.
 
     Raises:
-        ValueError: The problem has no value at `x0`.
+        ValueError: The problem has no value at `x0`, or it is out of the bounds.
     """
+    start = x0 if state is None else state.x
+    if not np.all((lower <= start) & (start <= upper)):
+        raise ValueError(
+            f"Argument `{'x0' if state is None else 'state'}` must be within `lower` "
+            f"and `upper`, but is at {start}."
+        )
     if state is None:
         value = problem.evaluate_for_model(x0)
         if value is None:
@@ -349,32 +355,36 @@ def least_squares(
                 "Argument `x0` must be a point of the problem, but is not."
             )
         state = LeastSquaresState.begin(problem, x0, value, solver.damping)
+    bounds = _bounds(state.x, lower, upper)
     began = clock() - (state.history[-1].seconds if state.history else 0.0)
     for _ in range(solver.max_steps - state.steps):
         if state.has_converged:
             break
-        box = _box(state.x, solver.longest, lower, upper)
         # What the model is made of may be large, and is not held through the trials.
         model = problem.model(state.x, state.value)
         state = _without_model(problem, state)
-        state = _stepped(problem, model, state, solver, box, lambda: clock() - began)
+        seconds = lambda: clock() - began
+        state = _stepped(problem, model, state, solver, bounds, seconds)
         if callback is not None and callback(state):
             break
     return state
 
 
-def _box(
-    x: Vector, longest: float | Vector, lower: float | Vector, upper: float | Vector
-) -> LinearRows:
-    """Return the bounds of a step from a point as constraints."""
+def _bounds(x: Vector, lower: float | Vector, upper: float | Vector) -> LinearRows:
+    """Return the bounds of a point as constraints."""
     from scipy import sparse
 
-    far = np.broadcast_to(longest, x.shape)
     return LinearRows(
         sparse.csr_array(sparse.eye_array(len(x))),
-        np.minimum(np.maximum(lower - x, -far), 0.0),
-        np.maximum(np.minimum(upper - x, far), 0.0),
+        np.broadcast_to(lower, x.shape),
+        np.broadcast_to(upper, x.shape),
     )
+
+
+def _box(x: Vector, longest: float | Vector, bounds: LinearRows) -> LinearRows:
+    """Return the bounds of a step from a point within them."""
+    lower = np.maximum(bounds.lower - x, np.negative(longest))
+    return LinearRows(bounds.matrix, lower, np.minimum(bounds.upper - x, longest))
 
 
 def _without_model(
@@ -391,12 +401,13 @@ def _stepped(
     model: QuadraticModel,
     state: LeastSquaresState,
     solver: LevenbergMarquardt,
-    box: LinearRows,
+    bounds: LinearRows,
     seconds: Callable[[], float],
 ) -> LeastSquaresState:
     """Return the state after one step, or where none is worth while."""
     now, damping = model.cost(state.x, state.value), state.damping
     cost, used, is_better, has_converged = now, damping, False, True
+    box = _box(state.x, solver.longest, bounds)
     # Largest squared length of a trial, in the metric of the curvature.
     longest, trials = np.inf, 0
     for _ in range(solver.attempts + _RAISES):
@@ -415,8 +426,10 @@ def _stepped(
         is_last = state.steps + 1 >= solver.max_steps
         is_next = trials == 0 and not is_last and model.decrease(p) > _LARGE * now
         evaluate = problem.evaluate_for_model if is_next else problem.evaluate
-        value = evaluate(state.x + p)
-        cost = np.inf if value is None else model.cost(state.x + p, value)
+        # A step to a bound, added to the point, may be beyond it by rounding.
+        trial = np.clip(state.x + p, bounds.lower, bounds.upper)
+        value = evaluate(trial)
+        cost = np.inf if value is None else model.cost(trial, value)
         has_model = value is not None and problem.has_model(value)
         state = dataclasses.replace(
             state,
@@ -430,7 +443,7 @@ def _stepped(
         is_still = bool(np.all(np.abs(p) < solver.still))
         if is_better:
             state = dataclasses.replace(
-                state, x=state.x + p, value=value, steps=state.steps + 1
+                state, x=trial, value=value, steps=state.steps + 1
             )
             has_converged = is_still or curved < solver.rest
             has_converged |= now - cost <= solver.share * now
