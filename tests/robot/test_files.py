@@ -243,3 +243,7 @@ def test_a_joint_is_coupled_with_another(tmp_path):
     (tmp_path / "arm.toml").write_text(text)
     with pytest.raises(dr.RobotFileError, match="'tow'"):
         dr.load(tmp_path / "arm.toml")
+    text = COUPLED.replace('joint = "two"', 'joint = "three"')
+    (tmp_path / "arm.toml").write_text(text)
+    with pytest.raises(dr.RobotFileError, match=r"1 fault(.|\n)*another joint, but is"):
+        dr.load(tmp_path / "arm.toml")

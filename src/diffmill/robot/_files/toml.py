@@ -151,14 +151,16 @@ def _read_coupling(
     if inner is None:
         return []
     other = inner.text("joint", allowed="the name of a joint", may_be_empty=False)
+    name = reader.table.get("name")
+    if other == name:
+        inner.fault("joint", "the name of another joint", other)
     ratio = [inner.take("ratio", 1.0)]
     if not are_numbers(ratio):
         inner.fault("ratio", "a number", ratio[0])
         ratio = [1.0]
     inner.finish()
     joint = RevoluteJoint if kind == "revolute" else PrismaticJoint
-    name = f"coupling of {reader.table.get('name')}"
-    return [joint(name, axis, mimic=Mimic(other, ratio[0]))]
+    return [joint(f"coupling of {name}", axis, mimic=Mimic(other, ratio[0]))]
 
 
 def _read_joint(reader: ElementReader) -> Callable[[], list[AbstractElement]]:
