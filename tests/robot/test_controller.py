@@ -1,5 +1,7 @@
 """The controller's parts against what is known of them by hand."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -230,3 +232,25 @@ def test_a_compiled_run_takes_the_rows_of_an_eager_one(interpolation, servo):
         jax.jit(lambda x, T: controller.motors(x, T))(rows, step),
     ):
         assert np.allclose(found, wanted, rtol=0, atol=1e-12 * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize(
+    "part",
+    [
+        *("moving_average", "shaper_frequency", "interpolation_cycle"),
+        *("low_pass", "bandwidth"),
+    ],
+)
+def test_a_part_without_extent_is_refused(part):
+    make: Any = Controller
+    for value in (0.0, -1.0, np.nan, np.array([10.0, 0.0])):
+        if part == "bandwidth" or np.ndim(value) == 0:
+            with pytest.raises(ValueError, match=f"`{part}` must be positive"):
+                make(**{part: value})
+    jax.jit(lambda x: make(**{part: x}).delay)(1.0)
+
+
+def test_no_dead_time_is_none():
+    rows = jnp.asarray(np.sin(9.0 * TIME)[:, None])
+    found = Controller(dead_time=0.0).motors(rows, STEP)
+    np.testing.assert_allclose(found, rows, atol=1e-15)

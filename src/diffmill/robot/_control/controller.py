@@ -35,6 +35,7 @@ import numpy as np
 from jax.scipy.linalg import expm
 from jaxtyping import Array, Float, Int
 
+from ..._arrays import is_traced
 from ..._types import RealScalarLike
 
 # A number for all joints, or one for each.
@@ -47,6 +48,11 @@ Interpolation: TypeAlias = Literal["hold", "linear", "spline"]
 _LATE_CYCLES = {"hold": 0.5, "linear": 1.0, "spline": 2.0}
 # Cycles back to the first set point that an instant may need.
 _USED_CYCLES = {"hold": 1.0, "linear": 2.0, "spline": 4.0}
+# What a chain divides by.
+_POSITIVE = (
+    *("moving_average", "shaper_frequency", "interpolation_cycle"),
+    *("low_pass", "bandwidth"),
+)
 # Parts of a tooth period in which the servo sees a staircase.
 _STAIRCASE_PARTS = 4
 # Roundings by which a place may miss the whole number that it is.
@@ -159,6 +165,15 @@ class Controller(eqx.Module):
             raise ValueError(
                 "Argument `damping_ratio` must come with a `bandwidth`, but has none."
             )
+        for name in _POSITIVE:
+            value = getattr(self, name)
+            if value is None or is_traced(value):
+                continue
+            if not np.all(np.asarray(value) > 0):
+                raise ValueError(
+                    f"Argument `{name}` must be positive, or None for none, but is "
+                    f"{value}."
+                )
 
     @property
     def delay(self) -> Float[Array, ""]:
