@@ -172,6 +172,7 @@ SMALL = """<robot name="small">
         ('type="revolute"', "", "attribute type is missing or empty"),
         ('"revolute"', '"fixed"', "there is no movable joint"),
         ('lower="-1"', 'lower="2"', "lower must not be above upper, but is 2.0 above"),
+        ('lower="-1" upper="1"', 'lower="inf" upper="inf"', "finite position between"),
         ('lower="-1"', 'lower="low"', "limit: lower must be a number, but is 'low'"),
         ('velocity="1"', 'velocity="-2"', "limit: velocity must not be negative"),
         ('effort="1"', 'effort=""', "limit: effort must be a number, but is ''"),

@@ -281,6 +281,11 @@ class UrdfParser:
                 f"{place}: lower must not be above upper, but is {lower} above {upper}"
             )
             return -math.inf, math.inf
+        if lower == upper and math.isinf(lower):
+            self.faults.append(
+                f"{place}: lower and upper must leave a finite position between them, "
+                f"but are both {lower}"
+            )
         self.check_range(kind, lower, upper, place)
         return lower, upper
 
