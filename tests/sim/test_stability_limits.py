@@ -1,5 +1,6 @@
 """Stability at default settings against published limits of fast modes."""
 
+import dataclasses
 import math
 
 import jax.numpy as jnp
@@ -52,10 +53,10 @@ def modes(axes):
     return rb.TipModes(np.full(count, FREQUENCY), np.full(count, RATIO), shapes)
 
 
-def straight_cut(rpm, arc):
+def straight_cut(rpm, arc, *, pitch=(180, 180)):
     """Return the process of a straight cut along x at its default sizes."""
     period = 60 / (2 * rpm)
-    mill = ct.flat_end_mill(DIAMETER, 2)
+    mill = ct.flat_end_mill(DIAMETER, 2, pitch=np.radians(pitch))
     law = cutting.LinearEdgeLaw(K_tc=K_T, K_rc=K_R, K_ac=0.0, K_te=0, K_re=0, K_ae=0)
     # Down-milling along +x: the work lies to the right of the feed.
     low, top = 0.0 if arc == UP else -6e-3, 0.0 if arc == DOWN else 6e-3
@@ -70,12 +71,13 @@ def straight_cut(rpm, arc):
     return pr.Process(stock, mill, law, math.pi / period, plan)
 
 
-def modal_growth(rpm, axes, arc, depth):
+def modal_growth(rpm, axes, arc, depth, *, pitch=(180, 180)):
     """Return what the library says of the spindle's modes in a straight cut."""
     tips = np.zeros((61, 3))
     tips[:, 0], tips[:, 2] = 1e-3 + FEED * np.arange(61), -depth
     machine, tips = sim.ModalMachine(modes(axes)), jnp.asarray(tips)
-    return sim.Stability.along(machine, straight_cut(rpm, arc), tips, tips, [60])
+    process = straight_cut(rpm, arc, pitch=pitch)
+    return sim.Stability.along(machine, process, tips, tips, [60])
 
 
 def growth(rpm, robot, arc, depth):
@@ -117,6 +119,24 @@ def test_modes_at_the_tip_have_the_published_limits(rpm, axes, arc, limit):
     )
     assert not below.is_unstable[0] and above.is_unstable[0]
     assert 0.9 * FREQUENCY < above.frequency[0] < 1.6 * FREQUENCY
+
+
+def test_uneven_teeth_at_a_fast_mode_come_with_a_caveat():
+    """Their delay is 20 degrees of a turn, but poses are known a period apart."""
+    even = modal_growth(5000, (0,), SLOT, 0.4e-3)
+    assert even.delays_up_to == math.inf and "uneven" not in even.note()
+    found = modal_growth(5000, (0,), SLOT, 0.4e-3, pitch=(160, 200))
+    turns = found.delays_up_to / found.tooth_frequency
+    # A vibration z^k of period k, a ninth of a period later, and on the straight line.
+    z, share = np.exp(-2j * np.pi * turns), np.array([1, 8]) / 9
+    off = np.abs(1 - share + share * z - np.exp(-2j * np.pi * turns * share)).max()
+    assert off == pytest.approx(0.1, rel=0.02) and 0.1 < turns < 1
+    told = found.note()
+    assert "uneven teeth are judged right below" in told and "922 Hz" in told
+    grown = dataclasses.replace(found, log_growth=np.ones(1))
+    assert "uneven" in str(grown.warning())
+    slow = dataclasses.replace(found, fastest_mode=0.9 * found.delays_up_to)
+    assert "uneven" not in slow.note()
 
 
 @pytest.mark.slow

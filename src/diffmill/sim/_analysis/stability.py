@@ -24,6 +24,7 @@ from ..._job import Job
 from ..._live_rows import padded_count
 from ..._moving_rows import is_moving, least_way, ways
 from ..._types import Transform
+from ...cutter import AbstractCutter
 from ...process import Process, StockHeld
 from ...robot import ArmTerms, Robot
 from ...workpiece import Pose
@@ -47,6 +48,8 @@ _STEPS, _LEAST, _MOST = 24, 48, 1200
 # Steps per turn with which the forces of a vibration are right to 3 % here, and with
 # which the midpoint rule keeps a frequency to 5 %.
 _JUDGED, _FOLLOWED = 10, 8
+# Error of a delay's factor with which vibrations still count as followed.
+_DELAYED = 0.1
 # A mode counts from this share of the gain with which it could swing by itself: what
 # other modes add is little.
 _EXCITED = 0.5
@@ -72,6 +75,8 @@ class Stability(eqx.Module):
             if there is none.
         substeps: Sub-steps of the simulation per tooth period.
         steps: Steps of this analysis per tooth period.
+        delays_up_to: Frequency up to which the delays of uneven teeth are followed
+            [Hz]; infinite for even ones.
         is_of_path: Whether the rows are spread along the whole path.
     """
 
@@ -86,6 +91,7 @@ class Stability(eqx.Module):
     fastest_mode: float
     substeps: int = eqx.field(static=True)
     steps: int = eqx.field(static=True)
+    delays_up_to: float = math.inf
     is_of_path: bool = eqx.field(static=True, default=False)
 
     @property
@@ -114,7 +120,7 @@ class Stability(eqx.Module):
             f"{self.frequency[k]:.1f} Hz grows by {100 * growth:.2g} % "
             f"per tooth period, threefold in {1.1 / self.tooth_frequency / growth:.2g} "
             "s; a smaller depth of cut, another spindle speed or more damping calms "
-            "it, a corrected path does not"
+            f"it, a corrected path does not{self._caveat()}"
         )
 
     def note(self) -> str:
@@ -123,6 +129,7 @@ class Stability(eqx.Module):
             return (
                 f"of {len(self.row)} rows none is unstable; the fastest growing "
                 f"vibration has the factor {self.radius.max():.3f} per tooth period"
+                f"{self._caveat()}"
             )
         k = int(np.argmax(np.where(self.is_unstable, self.log_growth, -1.0)))
         x, y, z = self.position[k] * 1e3
@@ -131,6 +138,17 @@ class Stability(eqx.Module):
             f"rows, too briefly for chatter: most at {self.time[k]:.3f} s, position "
             f"({x:.2f}, {y:.2f}, {z:.2f}) mm, by the factor "
             f"{math.exp(self.log_growth[k]):.3g} in all while the tool moves there"
+            f"{self._caveat()}"
+        )
+
+    def _caveat(self) -> str:
+        """Return what a judgement of uneven teeth leaves out, or nothing."""
+        if self.fastest_mode <= self.delays_up_to:
+            return ""
+        return (
+            f"; uneven teeth are judged right below {self.delays_up_to:.0f} Hz only, "
+            f"and about as even ones at the mode of {self.fastest_mode:.0f} Hz, which "
+            "they may calm or excite"
         )
 
     def visibility(self) -> str:
@@ -471,7 +489,25 @@ def _growth(
         fastest_mode=fastest,
         substeps=process.engagement.substeps,
         steps=steps,
+        delays_up_to=_delays_followed(process.cutter) / T,
     )
+
+
+def _delays_followed(cutter: AbstractCutter) -> float:
+    """Return how often a vibration may turn per tooth period with delays followed.
+
+    The pose at a delay lies on a straight line between those of whole periods. Of a
+    vibration of c turns per period it makes, s of a period behind a whole one,
+    1 - s + s z for z^s, with z = exp(-2 pi i c).
+    """
+    if cutter.has_even_pitch:
+        return math.inf
+    place = np.asarray(cutter.pitch_angles, np.float64)
+    share = (place[:, None] - place[None]) / (2 * np.pi) * cutter.flute_count % 1
+    turns = np.geomspace(1e-2, 1e3, 2000)
+    angle, s = 2 * np.pi * turns[:, None], share.reshape(1, -1)
+    error = np.abs(1 - s + s * np.exp(-1j * angle) - np.exp(-1j * angle * s))
+    return float(turns[np.argmax(error.max(axis=1) > _DELAYED)])
 
 
 def _fastest_mode(
