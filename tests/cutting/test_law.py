@@ -223,3 +223,15 @@ def test_pressure_on_the_rake_face_of_a_right_hand_helix_pulls_toward_the_work()
     force = jax.jit(run)(path).force
     # Up-turned z points to the shank.
     assert float(force[20:, 2].mean()) < -10
+
+
+def test_whole_numbers_and_lists_are_parameters_too():
+    """What is no floating-point number would be left out of scatter and derivatives."""
+    rates = [900_000_000, 1_100_000_000]
+    law = cutting.LinearEdgeLaw(K_tc=rates, K_rc=337, K_ac=np.int64(60))
+    assert law.parameter_names == law.NAMES and law.tooth_count == 2
+    power = cutting.KienzleLaw(1500, 400, 100, 0.3, 0.6, 0)
+    assert {"K_tc11", "K_rc11", "K_ac11"} <= set(power.parameter_names)
+    assert isinstance(power.m_a, float)
+    slope = jax.grad(lambda law: jnp.sum(law.K_ac * jnp.ones(2)))(law)
+    assert float(slope.K_ac) == 2.0

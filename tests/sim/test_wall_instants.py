@@ -21,10 +21,10 @@ def path(degrees):
     return np.stack([way * math.cos(angle), way * math.sin(angle), 0 * way - 1e-3], 1)
 
 
-def looks_at(shares, teeth):
+def looks_at(shares, mill):
     """Return the angles of the teeth at the shares of their periods, (row, tooth)."""
-    turn = 2 * math.pi / teeth * (np.arange(ROWS) - 1 + np.asarray(shares))
-    return turn[:, None] + 2 * math.pi / teeth * np.arange(teeth)[None]
+    turn = 2 * math.pi / mill.flute_count * (np.arange(ROWS) - 1 + np.asarray(shares))
+    return turn[:, None] + np.asarray(mill.pitch_angles)[None]
 
 
 @pytest.mark.parametrize("teeth", [2, 3, 4])
@@ -34,16 +34,17 @@ def test_a_tooth_looks_to_the_left_of_the_feed(teeth, degrees):
     shares = pr.wall_shares(jnp.asarray(path(degrees)), None, mill)
     assert (np.asarray(shares) > 0).all() and (np.asarray(shares) <= 1).all()
     # Immersion angles count from +y clockwise: the left of the feed is at -degrees.
-    off = looks_at(shares, teeth) + math.radians(degrees)
+    off = looks_at(shares, mill) + math.radians(degrees)
     nearest = np.abs(np.mod(off + math.pi, 2 * math.pi) - math.pi).min(axis=1)
     np.testing.assert_allclose(nearest[1:], 0, atol=1e-5)
 
 
-def test_three_teeth_look_to_the_side_where_material_stays():
-    mill = ct.flat_end_mill(10e-3, 3)
+@pytest.mark.parametrize("pitch", [(120, 120, 120), (149, 211)])
+def test_odd_or_uneven_teeth_look_to_the_side_where_material_stays(pitch):
+    mill = ct.flat_end_mill(10e-3, len(pitch), pitch=np.radians(pitch))
     stock = wp.box([-2e-3, -9e-3, -2e-3], [4e-3, -5e-3, 0], 0.25e-3)
     shares = pr.wall_shares(jnp.asarray(path(0)), None, mill, stock)
-    off = looks_at(shares, 3) - math.pi
+    off = looks_at(shares, mill) - math.pi
     nearest = np.abs(np.mod(off + math.pi, 2 * math.pi) - math.pi).min(axis=1)
     np.testing.assert_allclose(nearest[1:], 0, atol=1e-5)
 

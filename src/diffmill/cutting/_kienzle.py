@@ -11,6 +11,7 @@ Force and slope are continuous there, force is exactly zero at h = 0, and its sl
 there is (1 + m) K(h_0).
 """
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int32
 
@@ -18,6 +19,7 @@ from .._types import RealScalarLike
 from ._law import (
     AbstractForceLaw,
     ToothValues,
+    as_coefficient,
     check_teeth,
     of_tooth,
     tooth_count_of,
@@ -60,17 +62,19 @@ class KienzleLaw(AbstractForceLaw):
             tooth, or two differ in the number of teeth.
     """
 
-    K_tc11: ToothValues
-    K_rc11: ToothValues
-    K_ac11: ToothValues
-    m_t: ToothValues
-    m_r: ToothValues
-    m_a: ToothValues
-    K_te: ToothValues = 0.0
-    K_re: ToothValues = 0.0
-    K_ae: ToothValues = 0.0
-    reference_thickness: RealScalarLike = 1e-3
-    least_thickness: RealScalarLike = 1e-6
+    K_tc11: ToothValues = eqx.field(converter=as_coefficient)
+    K_rc11: ToothValues = eqx.field(converter=as_coefficient)
+    K_ac11: ToothValues = eqx.field(converter=as_coefficient)
+    m_t: ToothValues = eqx.field(converter=as_coefficient)
+    m_r: ToothValues = eqx.field(converter=as_coefficient)
+    m_a: ToothValues = eqx.field(converter=as_coefficient)
+    K_te: ToothValues = eqx.field(converter=as_coefficient, default=0.0)
+    K_re: ToothValues = eqx.field(converter=as_coefficient, default=0.0)
+    K_ae: ToothValues = eqx.field(converter=as_coefficient, default=0.0)
+    reference_thickness: RealScalarLike = eqx.field(
+        converter=as_coefficient, default=1e-3
+    )
+    least_thickness: RealScalarLike = eqx.field(converter=as_coefficient, default=1e-6)
 
     def __check_init__(self) -> None:
         """Refuse coefficients of a wrong shape."""

@@ -2,8 +2,10 @@
 
 import abc
 import dataclasses
+from collections.abc import Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int32
@@ -101,6 +103,15 @@ def _is_real(value: object) -> bool:
     if dtype is None:
         return isinstance(value, float)
     return bool(jnp.issubdtype(dtype, jnp.floating))
+
+
+def as_coefficient(value: ToothValues | Sequence[RealScalarLike]) -> ToothValues:
+    """Return a coefficient in floating point, so that it is one of the parameters."""
+    if isinstance(value, float | jax.Array | np.ndarray):
+        is_real = jnp.issubdtype(jnp.result_type(value), jnp.floating)
+        return value if is_real else jnp.asarray(value, float)
+    known = np.asarray(value, np.float64)
+    return float(known) if known.ndim == 0 else known
 
 
 def check_teeth(**coefficients: ToothValues) -> None:

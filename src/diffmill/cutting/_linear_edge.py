@@ -2,12 +2,14 @@
 
 from typing import ClassVar
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int32
 
 from ._law import (
     AbstractForceLaw,
     ToothValues,
+    as_coefficient,
     check_teeth,
     of_tooth,
     tooth_count_of,
@@ -38,12 +40,12 @@ class LinearEdgeLaw(AbstractForceLaw):
     """
 
     NAMES: ClassVar[tuple[str, ...]] = ("K_tc", "K_rc", "K_ac", "K_te", "K_re", "K_ae")
-    K_tc: ToothValues
-    K_rc: ToothValues
-    K_ac: ToothValues
-    K_te: ToothValues = 0.0
-    K_re: ToothValues = 0.0
-    K_ae: ToothValues = 0.0
+    K_tc: ToothValues = eqx.field(converter=as_coefficient)
+    K_rc: ToothValues = eqx.field(converter=as_coefficient)
+    K_ac: ToothValues = eqx.field(converter=as_coefficient)
+    K_te: ToothValues = eqx.field(converter=as_coefficient, default=0.0)
+    K_re: ToothValues = eqx.field(converter=as_coefficient, default=0.0)
+    K_ae: ToothValues = eqx.field(converter=as_coefficient, default=0.0)
 
     def __check_init__(self) -> None:
         """Refuse coefficients of a wrong shape."""

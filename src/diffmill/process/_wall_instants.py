@@ -2,10 +2,10 @@
 
 Rows are the tooth instants, at which a tooth looks along tool +y: a phase of the turn
 that has nothing to do with the cut. The wall beside the tool is made by the tooth that
-looks at a right angle to the feed. Where the number of teeth is even, teeth look to
-both sides at once; else the side counts on which the tool leaves material, the left one
-if that is both or none. Walls are taken at the tip: on a helix those higher up are made
-later.
+looks at a right angle to the feed. Where the number of teeth is even, and so is their
+pitch, teeth look to both sides at once; else the side counts on which the tool leaves
+material, the left one if that is both or none. Walls are taken at the tip: on a helix
+those higher up are made later.
 """
 
 import math
@@ -37,8 +37,8 @@ def wall_shares(
         desired: The path of the tip [m], shape (step, 3).
         axes: Tool axes, shape (step, 3); None if upright.
         cutter: The cutter.
-        finished: The stock after the path, which tells the side of the wall for an odd
-            number of teeth; the left side if not given.
+        finished: The stock after the path, which tells the side of the wall where teeth
+            do not look to both at once; the left side if not given.
 
     Returns:
         Shares of the period, shape (step,), from above 0 to 1; with uneven pitch teeth
@@ -77,7 +77,8 @@ def _is_right(
     finished: Stock | None,
 ) -> Bool[Array, " step"]:
     """Return whether the wall is to the right of the feed."""
-    if finished is None or cutter.flute_count % 2 == 0:
+    looks_to_both = cutter.flute_count % 2 == 0 and cutter.has_even_pitch
+    if finished is None or looks_to_both:
         return jnp.zeros(path.shape[0], bool)
 
     def has_material(turn: float) -> Bool[Array, " step"]:
