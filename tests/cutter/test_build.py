@@ -1,3 +1,4 @@
+import dataclasses
 import math
 
 import jax
@@ -127,3 +128,20 @@ def test_slopes_of_upright_walls_are_refused_for_round_ends():
     tip, end = jnp.zeros((1, 3)), jnp.ones(1)
     with pytest.raises(ValueError, match='"flat"'):
         ct.ball_end_mill(10e-3, 2).wall_slopes(0, end, end, tip)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("runout", 1e-6),
+        ("helix_angle", 0.5),
+        ("dish_angle", 0.03),
+        ("pitch_angles", np.array([0.0, 2.5])),
+    ],
+)
+def test_values_that_a_cutter_was_not_made_for_are_refused(name, value):
+    """A plain cutter takes a program that knows neither run-out nor pitch."""
+    mill = ct.flat_end_mill(10e-3, 2)
+    with pytest.raises(ValueError, match=f"`{name}`"):
+        dataclasses.replace(mill, **{name: value})
+    assert dataclasses.replace(mill, diameter=9e-3, runout_angle=1.0).is_plain

@@ -12,6 +12,7 @@ import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float
 
+from .._arrays import is_traced
 from .._types import RealScalarLike
 from ..numerics import with_derivative_of
 from . import _profile, _rays
@@ -101,10 +102,29 @@ class EndMill(AbstractCutter):
             ("dish_angle", self.dish_angle, math.pi / 4),
         ):
             # Within a trace, arithmetic of what is known would be traced, too.
-            if not isinstance(value, jax.core.Tracer) and not abs(float(value)) < limit:
+            if not is_traced(value) and not abs(float(value)) < limit:
                 raise ValueError(
                     f"Argument `{name}` must be finite and below {limit:g} in size, "
                     f"but is {value}."
+                )
+        self._check_kept()
+
+    def _check_kept(self) -> None:
+        """Refuse values put in the place of those that the cutter was made for."""
+        even = 2 * math.pi / self.flute_count * np.arange(self.flute_count)
+        for name, is_left_out, usual in (
+            ("helix_angle", not self.has_helix, 0.0),
+            ("dish_angle", not self.has_dish, 0.0),
+            ("runout", self.is_plain, 0.0),
+            ("pitch_angles", self.has_even_pitch, even),
+        ):
+            value = getattr(self, name)
+            if not is_left_out or is_traced(value):
+                continue
+            if not np.allclose(value, usual, atol=0.0):
+                raise ValueError(
+                    f"Argument `{name}` must be as the cutter was made, {usual}, but "
+                    f"is {value}; make another one, as by `flat_end_mill`."
                 )
 
     def with_sizes_as_leaves(self) -> "EndMill":
