@@ -164,6 +164,15 @@ def test_springs_far_from_the_model_are_comments(folder, capsys):
     assert "# joint_stiffness = [" in (out / "identified.toml").read_text()
 
 
+def test_tests_that_moved_nothing_are_refused(folder, capsys):
+    write_loads(folder)
+    head, *rows = (folder / "loads.csv").read_text().splitlines()
+    still = [",".join([*row.split(",")[:5], "0,0,0"]) for row in rows]
+    (folder / "loads.csv").write_text("\n".join([head, *still]))
+    assert main(["identify", "loads.toml"]) == 2
+    assert "loads: Argument `displacement` must differ" in capsys.readouterr().err
+
+
 def test_too_few_tests_are_not_called_those_of_another_robot(folder, capsys):
     write_loads(folder, count=2, noise=0.4)
     assert main(["identify", "loads.toml"]) == 0

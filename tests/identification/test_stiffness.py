@@ -179,8 +179,7 @@ def test_axes_exchanged_in_the_tool_are_told_in_its_axes(with_rotations):
     """A sensor on the tool, mirrored there: no exchange of axes of base undoes it."""
     robot = arm()
     q, wrench, d = noisy(robot, 20, 5, with_rotations)
-    poses = [np.asarray(rb.forward_kinematics(robot, a)) for a in q]
-    R = np.stack(poses)[:, :3, :3]
+    R = in_tool(robot, q, d)[1]
     T = np.diag([1.0, -1.0, 1.0])[[1, 2, 0]]
     M = R @ T @ R.transpose(0, 2, 1)
     force = np.einsum("pij,pj->pi", M, wrench[:, :3])
@@ -188,6 +187,57 @@ def test_axes_exchanged_in_the_tool_are_told_in_its_axes(with_rotations):
     other = np.hstack([force, moment])
     fit = identification.fit_joint_stiffness(robot, q, other, d, load_frame=R)
     assert "the load read as (z, -x, y)" in " ".join(fit.notes)
+    assert not fit.is_consistent
+
+
+def in_tool(robot, q, d):
+    """Return displacements in the axes of the tool, and these axes."""
+    poses = [np.asarray(rb.forward_kinematics(robot, a)) for a in q]
+    R = np.stack(poses)[:, :3, :3]
+    parts = d.reshape(len(d), -1, 3)
+    return np.einsum("pji,pkj->pki", R, parts).reshape(d.shape), R
+
+
+@pytest.mark.parametrize("with_rotations", [False, True])
+@pytest.mark.parametrize("lost", [slice(None), slice(None, None, 2)])
+def test_a_component_missing_in_the_tool_loses_no_other(lost, with_rotations):
+    """None of its rows and no axis of base is known as a whole."""
+    robot = arm()
+    q, wrench, d = noisy(robot, 12, 6, with_rotations, noise=0.0)
+    d[:, :3] += np.array([[1e-3, -2e-3, 3e-3]])
+    d, R = in_tool(robot, q, d)
+    d[lost, 2] = np.nan
+    study = identification.LoadTestStudy(
+        name="tests",
+        robot=robot,
+        q=q,
+        wrench=wrench,
+        displacement=d,
+        load_frame=None,
+        displacement_frame=R,
+        rows=tuple(range(1, 13)),
+        has_offset=True,
+        noise=None,
+        notes=(),
+    )
+    found = study.run()
+    K = np.asarray(robot.joint_stiffness)
+    np.testing.assert_allclose(found.fit.stiffness, K, rtol=1e-6)
+    assert found.fit.offset is not None
+    np.testing.assert_allclose(found.fit.offset[:3], [1e-3, -2e-3, 3e-3], rtol=1e-6)
+    assert found.check.error < 1e-6
+    np.testing.assert_array_equal(np.isnan(found.check.measured), np.isnan(d))
+
+
+def test_a_displacement_mirrored_in_the_tool_is_told_in_its_axes():
+    robot = arm()
+    q, wrench, d = noisy(robot, 20, 5)
+    d, R = in_tool(robot, q, d)
+    other = d[:, [1, 2, 0]] * np.array([[1.0, -1.0, 1.0]])
+    fit = identification.fit_joint_stiffness(
+        robot, q, wrench, other, displacement_frame=R
+    )
+    assert "the displacement read as (z, x, -y)" in " ".join(fit.notes)
     assert not fit.is_consistent
 
 
@@ -278,6 +328,8 @@ def test_tables_of_a_wrong_shape_are_refused():
         identification.fit_joint_stiffness(robot, q, wrench[:3], wrench)
     with pytest.raises(ValueError, match="`displacement`"):
         identification.fit_joint_stiffness(robot, q, wrench, np.full((4, 3), np.nan))
+    with pytest.raises(ValueError, match="`displacement` must differ from zero"):
+        identification.fit_joint_stiffness(robot, q, wrench, np.zeros((4, 3)))
     wrench[2, 0] = np.nan
     with pytest.raises(ValueError, match="row 2"):
         identification.fit_joint_stiffness(robot, q, wrench, q[:, :3])

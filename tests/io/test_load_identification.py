@@ -381,6 +381,12 @@ def test_a_component_that_was_not_measured_is_said(tmp_path):
         loads(tmp_path, head)
     task: Any = loads(tmp_path, head, LOADS + 'channels = { dz = "none" }\n')
     assert np.isnan(task.displacement[:, 2]).all()
+    # In the tool too, whose axes base does not share.
+    job = LOADS + 'displacement_frame = "tool"\nchannels = { dz = "none" }\n'
+    turned: Any = loads(tmp_path, head, job)
+    np.testing.assert_array_equal(turned.displacement, task.displacement)
+    x, y = turned.displacement_frame[1].T[:2]
+    np.testing.assert_allclose([x, y], [[0, 1, 0], [-1, 0, 0]], atol=1e-9)
 
 
 def modes(folder, kind, more, content) -> Any:

@@ -38,7 +38,7 @@ def read_load_tests(
     notes: list[str],
     context: Context,
 ) -> LoadTestStudy | None:
-    """Return load tests in base axes, or None with problems noted.
+    """Return load tests, the loads in base axes, or None with problems noted.
 
     Args:
         name: The file that asks for it.
@@ -64,14 +64,17 @@ def read_load_tests(
         tool if name == "tool" else None
         for name in (table.load_frame, table.displacement_frame)
     )
-    load = _in_base(load, table.load_axes, load_frame)
-    moved = _in_base(moved, table.displacement_axes, frame)
+    load = _exchanged(load, table.load_axes)
+    if load_frame is not None:
+        parts = load.reshape(len(load), -1, 3)
+        load = np.einsum("pij,pkj->pki", load_frame, parts).reshape(load.shape)
     return LoadTestStudy(
         name=name,
         robot=robot,
         q=angles,
         wrench=np.pad(load, ((0, 0), (0, 6 - load.shape[1]))),
-        displacement=moved,
+        # In base one missing component would make all of them unknown.
+        displacement=_exchanged(moved, table.displacement_axes),
         load_frame=load_frame,
         displacement_frame=frame,
         rows=tuple((np.flatnonzero(good) + 1).tolist()),
@@ -215,21 +218,18 @@ def _tool_axes(robot: Robot, angles: np.ndarray) -> Turns:
     return np.asarray(poses, np.float64)[:, :3, :3]
 
 
-def _in_base(
-    vectors: np.ndarray, axes: list[str] | None, frame: Turns | None
-) -> np.ndarray:
-    """Return vectors with the axes exchanged, turned from their frame into base.
+def _exchanged(vectors: np.ndarray, axes: list[str] | None) -> np.ndarray:
+    """Return vectors with the axes exchanged.
 
     Moments and rotations, behind forces and displacements, change their sign once more
     where the axes are mirrored.
     """
+    if axes is None:
+        return vectors
     parts = vectors.reshape(len(vectors), -1, 3)
-    if axes is not None:
-        signs = np.array([-1.0 if name.startswith("-") else 1.0 for name in axes])
-        order = ["xyz".index(name[-1]) for name in axes]
-        handed = np.array([1.0, np.prod(signs) * np.linalg.det(np.eye(3)[order])])
-        parts = parts[:, :, order] * signs[None, None]
-        parts = parts * handed[None, : parts.shape[1], None]
-    if frame is not None:
-        parts = np.einsum("pij,pkj->pki", frame, parts)
+    signs = np.array([-1.0 if name.startswith("-") else 1.0 for name in axes])
+    order = ["xyz".index(name[-1]) for name in axes]
+    handed = np.array([1.0, np.prod(signs) * np.linalg.det(np.eye(3)[order])])
+    parts = parts[:, :, order] * signs[None, None]
+    parts = parts * handed[None, : parts.shape[1], None]
     return parts.reshape(vectors.shape)

@@ -44,20 +44,18 @@ def better_axes(
     moved: Values,
     explained: float,
     load_frame: Turns | None = None,
-    moved_frame: Turns | None = None,
 ) -> AxesCheck:
     """Return an assignment of the axes that suits much better, if there is one.
 
     Args:
         columns_of: Returns displacement per compliance for loads [N, N m], shape
-            (pose, component, joint).
+            (pose, component, joint), in the axes of `moved`.
         load: The loads in base axes, shape (pose, 6).
-        moved: The displacements in base axes, shape (pose, component); rows with a
+        moved: The displacements as recorded, shape (pose, component); rows with a
             missing component do not count.
         explained: Share of their square that the fit explains.
         load_frame: Rotations into base of the frame in which the load was recorded,
             whose axes are exchanged, shape (pose, 3, 3); None for base.
-        moved_frame: The same of the displacement.
 
     Returns:
         The assignment.
@@ -73,7 +71,7 @@ def better_axes(
         # Moments and rotations of mirrored axes change their sign once more.
         both = np.linalg.det(T) * T
         other = columns_of(_turned(load, T, both, load_frame))[whole]
-        turned = _turned(moved, T, both, moved_frame)[whole]
+        turned = _turned(seen, T, both, None)
         cases = (
             (columns, turned, "the displacement"),
             (other, seen, "the load"),

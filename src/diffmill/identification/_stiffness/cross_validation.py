@@ -7,7 +7,14 @@ from jaxtyping import Float
 
 from ...robot import Robot
 from .._statistics.grouped_nnls import nonnegative
-from .joint_stiffness import JointStiffnessFit, Table, deflection_columns, load_tables
+from .axis_check import Turns
+from .joint_stiffness import (
+    JointStiffnessFit,
+    Table,
+    constant_columns,
+    deflection_columns,
+    load_tables,
+)
 
 
 class LoadCheck(NamedTuple):
@@ -34,6 +41,7 @@ def check_load_tests(
     wrench: Table,
     displacement: Table,
     *,
+    displacement_frame: Turns | None = None,
     parts: int = 5,
 ) -> LoadCheck:
     """Predict the rows of a table of load tests by the other rows.
@@ -46,7 +54,9 @@ def check_load_tests(
         fit: The fit to the table.
         q: Joint positions [rad or m], shape (pose, joint).
         wrench: Loads [N, N m], shape (pose, 6) or (pose, 3).
-        displacement: [m, rad], shape (pose, 3) or (pose, 6).
+        displacement: As fitted [m, rad], shape (pose, 3) or (pose, 6).
+        displacement_frame: Rotations of its axes into base, shape (pose, 3, 3), None
+            for base.
         parts: Number of parts; each row by itself if there are fewer rows.
 
     Returns:
@@ -56,9 +66,10 @@ def check_load_tests(
         ValueError: A table has a wrong shape.
     """
     angles, load, moved = load_tables(robot, q, wrench, displacement)
-    columns = deflection_columns(robot, angles, load)[:, : moved.shape[1]]
+    columns = deflection_columns(robot, angles, load, displacement_frame)
+    columns = columns[:, : moved.shape[1]]
     if fit.offset is not None:
-        moved = moved - fit.offset[None]
+        moved = moved - constant_columns(moved, displacement_frame) @ fit.offset
     good = np.ones(len(moved), bool)
     good[list(fit.outliers)] = False
     # Rotations are as large as displacements if both are over their own size.

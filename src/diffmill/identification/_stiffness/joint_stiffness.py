@@ -63,7 +63,8 @@ class JointStiffnessFit(eqx.Module):
         is_consistent: Whether the table suits the robot: enough is explained, few
             rows contradict, and no other assignment of axes would suit much better.
         residual: Measured minus fitted displacement, shape (pose, component).
-        offset: Constant displacement that was fitted too, shape (component,), or None.
+        offset: Constant displacement that was fitted too, in base axes, shape
+            (component,), or None.
         noise: "absolute" or "relative" (to the displacement), the likelier scatter.
         spread: Standard deviation of one displacement of median size [m]; infinite if
             there are no more numbers than unknowns.
@@ -118,17 +119,18 @@ def fit_joint_stiffness(
         q: Joint positions [rad or m], shape (pose, joint).
         wrench: Load on the tool at its origin in base axes, linear part first
             [N, N m], shape (pose, 6), or (pose, 3) for forces only.
-        displacement: How far the load moves the tool's origin, in base axes, linear
-            part first [m, rad], shape (pose, 3) or (pose, 6); NaN for a component
-            that was not measured.
-        has_offset: Whether a constant displacement of all poses is fitted too, as of
-            a tracker whose zero is not known.
+        displacement: How far the load moves the tool's origin, in the axes of
+            `displacement_frame`, linear part first [m, rad], shape (pose, 3) or
+            (pose, 6); NaN for a component that was not measured.
+        has_offset: Whether a displacement that is constant in base is fitted too, as
+            of a tracker whose zero is not known.
         noise: "absolute" if all poses scatter alike, "relative" if in proportion to
             the displacement; the likelier of both if not given.
         load_frame: Rotations into base of the frame in which the load was recorded,
             shape (pose, 3, 3), None for base: the axes that would suit better are told
             in it.
-        displacement_frame: The same of the displacement.
+        displacement_frame: Rotations into base of the axes of `displacement`, shape
+            (pose, 3, 3), None for base.
         max_relative_error: A stiffness that is bounded is given if its relative
             standard error is at most this.
         min_explained: Below this share of the squared displacement the table is
@@ -138,31 +140,32 @@ def fit_joint_stiffness(
         The fit; look at `.notes`.
 
     Raises:
-        ValueError: A table has a wrong shape or numbers that are not finite.
+        ValueError: A table has a wrong shape or numbers that are not finite, or nothing
+            moved.
     """
     angles, load, moved = load_tables(robot, q, wrench, displacement)
+    if not np.nan_to_num(moved).any():
+        raise ValueError(
+            "Argument `displacement` must differ from zero in a row, but is zero."
+        )
     scale = _component_scale(moved)
 
     def columns_of(load: Float[np.ndarray, "pose 6"]) -> np.ndarray:
-        columns = deflection_columns(robot, angles, load)[:, : moved.shape[1]]
-        return columns * scale[None, :, None]
+        columns = deflection_columns(robot, angles, load, displacement_frame)
+        return columns[:, : moved.shape[1]] * scale[None, :, None]
 
     columns, moved = columns_of(load), moved * scale[None]
-    wide, is_free = columns, np.zeros(robot.joint_count, bool)
-    if has_offset:
-        constant = np.broadcast_to(
-            np.eye(moved.shape[1])[None], (len(moved), *2 * moved.shape[1:])
-        )
-        wide = np.concatenate([columns, constant], axis=2)
-        is_free = np.r_[is_free, np.ones(moved.shape[1], bool)]
+    constant = constant_columns(moved, displacement_frame)
+    if not has_offset:
+        constant = constant[:, :, :0]
+    is_free = np.arange(robot.joint_count + constant.shape[2]) >= robot.joint_count
+    wide = np.concatenate([columns, constant], axis=2)
     fit = fit_groups(wide, moved, is_free, noise=noise)
     # Where too many rows contradict, all of them count.
     used = ~fit.is_outlier | _contradicts(fit)
-    centred = moved - (fit.x[None, robot.joint_count :] if has_offset else 0.0)
+    centred = moved - constant @ fit.x[robot.joint_count :]
     explained = _explained(fit, centred, used)
-    axes = better_axes(
-        columns_of, load, centred, explained, load_frame, displacement_frame
-    )
+    axes = better_axes(columns_of, load, centred, explained, load_frame)
     found = _Explained(columns[used], centred[used], explained, min_explained, axes)
     return _report(robot, found, fit, scale, max_relative_error)
 
@@ -181,6 +184,7 @@ def deflection_columns(
     robot: Robot,
     q: Float[np.ndarray, "pose joint"],
     wrench: Float[np.ndarray, "pose 6"],
+    frame: Turns | None = None,
 ) -> Float[np.ndarray, "pose 6 joint"]:
     """Return how far a load moves the tool per unit compliance of each joint.
 
@@ -188,6 +192,8 @@ def deflection_columns(
         robot: The robot.
         q: Joint positions [rad or m], shape (pose, joint).
         wrench: Load on the tool in base axes [N, N m], shape (pose, 6).
+        frame: Rotations into base of the axes of the result, shape (pose, 3, 3), None
+            for base.
 
     Returns:
         J_i (J_i^T w), linear part first, shape (pose, 6, joint).
@@ -196,7 +202,30 @@ def deflection_columns(
     columns = J * np.einsum("pcj,pc->pj", J, wrench)[:, None]
     size = np.linalg.norm(columns, axis=(0, 1))
     # A force through a joint's axis turns it by rounding only.
-    return np.where(size > _ROUNDING * size.max(initial=0.0), columns, 0.0)
+    columns = np.where(size > _ROUNDING * size.max(initial=0.0), columns, 0.0)
+    return _in_axes(columns, frame)
+
+
+def constant_columns(moved: Values, frame: Turns | None) -> Columns:
+    """Return displacements in the axes of a frame per constant one in base.
+
+    Args:
+        moved: The displacements [m, rad], shape (pose, component).
+        frame: Rotations of the axes into base, shape (pose, 3, 3), None for base.
+
+    Returns:
+        Shape (pose, component, component).
+    """
+    count, width = moved.shape
+    return _in_axes(np.broadcast_to(np.eye(width)[None], (count, width, width)), frame)
+
+
+def _in_axes(columns: Columns, frame: Turns | None) -> Columns:
+    """Return columns in base, linear part first, in the axes of a frame."""
+    if frame is None:
+        return columns
+    parts = columns.reshape(len(columns), -1, 3, columns.shape[2])
+    return np.einsum("pji,pkjn->pkin", frame, parts).reshape(columns.shape)
 
 
 @eqx.filter_jit

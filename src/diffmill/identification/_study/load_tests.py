@@ -10,7 +10,7 @@ from .._stiffness.axis_check import Turns
 from .._stiffness.cross_validation import LoadCheck, check_load_tests
 from .._stiffness.experiment_design import LoadTests, suggest_load_tests
 from .._stiffness.joint_stiffness import JointStiffnessFit, fit_joint_stiffness
-from .study import OnProgress, silent
+from .study import OnProgress, StudyError, silent
 
 # All springs this many times stiffer or softer than the model's: a unit is wrong.
 _OTHER_UNIT = 30.0
@@ -48,10 +48,11 @@ class LoadTestStudy(NamedTuple):
         robot: The robot with its tool.
         q: Joint positions [rad or m], shape (pose, joint).
         wrench: In base axes at the tool [N, N m], shape (pose, 6).
-        displacement: In base axes [m, rad], shape (pose, 3) or (pose, 6).
+        displacement: As recorded [m, rad], shape (pose, 3) or (pose, 6); NaN for a
+            component that was not measured.
         load_frame: Rotations into base of the frame in which the load was recorded,
             shape (pose, 3, 3), or None for base.
-        displacement_frame: The same of the displacement.
+        displacement_frame: Rotations into base of the axes of `displacement`, likewise.
         rows: Number of each row in the table, from 1.
         has_offset: Whether a constant displacement is fitted too.
         noise: "absolute", "relative" or None.
@@ -77,18 +78,24 @@ class LoadTestStudy(NamedTuple):
 
         Args:
             on_progress: Told what is being done.
+
+        Raises:
+            StudyError: The tests cannot be fitted.
         """
         on_progress("joint stiffness")
-        fit = fit_joint_stiffness(
-            self.robot,
-            self.q,
-            self.wrench,
-            self.displacement,
-            has_offset=self.has_offset,
-            noise=self.noise,
-            load_frame=self.load_frame,
-            displacement_frame=self.displacement_frame,
-        )
+        try:
+            fit = fit_joint_stiffness(
+                self.robot,
+                self.q,
+                self.wrench,
+                self.displacement,
+                has_offset=self.has_offset,
+                noise=self.noise,
+                load_frame=self.load_frame,
+                displacement_frame=self.displacement_frame,
+            )
+        except ValueError as error:
+            raise StudyError(f"{self.name}: {error}") from error
         known = fit.identifiable
         model = np.asarray(self.robot.joint_stiffness, np.float64)
         advice, lacks_model = None, False
@@ -102,7 +109,14 @@ class LoadTestStudy(NamedTuple):
             share = float(np.linalg.norm(part * off) / np.linalg.norm(part))
         return LoadTestStudyFit(
             fit,
-            check_load_tests(self.robot, fit, self.q, self.wrench, self.displacement),
+            check_load_tests(
+                self.robot,
+                fit,
+                self.q,
+                self.wrench,
+                self.displacement,
+                displacement_frame=self.displacement_frame,
+            ),
             advice,
             lacks_model,
             _unit_ratio(fit, model),
