@@ -435,6 +435,19 @@ def test_the_unit_of_a_ring_down_is_given(tmp_path):
         modes(tmp_path, "ring_down", 'units = { signal = "g" }\n', f"t;a\n{rows}\n")
 
 
+@pytest.mark.parametrize("name", ["acceleration", "hammer"])
+@pytest.mark.parametrize("order", [1, -1])
+def test_the_column_beside_the_time_is_the_ring_down(tmp_path, name, order):
+    time = np.arange(0.0, 1.0, 1e-3)
+    signal = np.exp(-2 * time) * np.cos(90 * time)
+    cells = np.column_stack([time, signal])[:, ::order]
+    rows = "\n".join(f"{a:.6f},{b:.6f}" for a, b in cells)
+    head = ",".join(["time_s", name][::order])
+    one = modes(tmp_path, "ring_down", "", f"{head}\n{rows}\n").measured[0]
+    np.testing.assert_allclose(one.time, time, atol=1e-9)
+    np.testing.assert_allclose(one.signal, signal - signal.mean(), atol=1e-6)
+
+
 def test_a_coupled_record_needs_a_job_with_a_robot(tmp_path):
     (tmp_path / "run.csv").write_text("t_s,a,b\n0,1,2\n0.1,2,3\n0.2,3,4\n")
     (tmp_path / "file.toml").write_text(

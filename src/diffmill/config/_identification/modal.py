@@ -58,11 +58,13 @@ def _ring_down(
     def build(reader: TableReader) -> RingDown:
         # Modes do not depend on the size of the signal.
         reader.allow((reader.TIME, _SIGNAL))
-        time = reader.values(reader.TIME)
-        names = reader.table.columns
-        if "signal" not in reader.channels and len(names) == 1 + (time is not None):
+        clock = reader.find(reader.TIME)
+        time = None if clock is None else reader.in_si(reader.TIME, clock)
+        columns = enumerate(reader.table.columns, 1)
+        others = [place for place, column in columns if column is not clock]
+        if "signal" not in reader.channels and len(others) == 1:
             # The only other column needs no name.
-            reader.channels["signal"] = len(names)
+            reader.channels["signal"] = others[0]
         signal = reader.values(_SIGNAL)
         if signal is None and not reader.faults:
             reader.faults.append(
