@@ -435,6 +435,24 @@ def test_the_unit_of_a_ring_down_is_given(tmp_path):
         modes(tmp_path, "ring_down", 'units = { signal = "g" }\n', f"t;a\n{rows}\n")
 
 
+@pytest.mark.parametrize("name", ["phase", "angle", "arg", "winkel"])
+def test_a_phase_in_degrees_needs_its_unit(tmp_path, name):
+    f = np.arange(5.0, 60.0)
+    H = 1.0 / (30**2 - f**2 + 0.1j * 30 * f)
+    cells = np.column_stack([f, np.abs(H), np.angle(H, deg=True)])
+    rows = "\n".join(";".join(f"{v:.10g}" for v in row) for row in cells)
+    head = f"Freq [Hz];Mag [m/N];{name}"
+    with pytest.raises(JobError, match="the phase has no unit"):
+        modes(tmp_path, "frequency_response", "", f"{head}\n{rows}\n")
+    for label, more in (
+        (f"{head} [deg]", ""),
+        (head, 'units = { phase = "deg" }\n'),
+    ):
+        data = f"{label}\n{rows}\n"
+        one = modes(tmp_path, "frequency_response", more, data).measured[0]
+        np.testing.assert_allclose(one.response, H, rtol=1e-6)
+
+
 @pytest.mark.parametrize("name", ["acceleration", "hammer"])
 @pytest.mark.parametrize("order", [1, -1])
 def test_the_column_beside_the_time_is_the_ring_down(tmp_path, name, order):

@@ -192,9 +192,11 @@ def _response(reader: TableReader, kind: q.QuantityKind) -> _Response:
     if real is not None and imaginary is not None:
         H = real + 1j * imaginary
     elif f is not None:
-        size, phase = reader.values(parts["magnitude"]), reader.values(_PHASE)
-        if size is not None and phase is not None:
-            if np.nanmax(np.abs(phase)) > 8 * np.pi and "phase" in str(reader.notes):
+        size, column = reader.values(parts["magnitude"]), reader.find(_PHASE)
+        phase = None if column is None else reader.in_si(_PHASE, column)
+        if size is not None and column is not None and phase is not None:
+            has_unit = bool(reader.unit_of(_PHASE, column))
+            if np.nanmax(np.abs(phase)) > 8 * np.pi and not has_unit:
                 reader.faults.append(
                     "the phase has no unit and is larger than 8 pi: write its unit in "
                     "the header, such as `phase_deg`."

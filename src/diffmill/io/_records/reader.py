@@ -146,9 +146,8 @@ class TableReader:
             return None
         if not kinds:
             return values
-        by_user = next((name for name in quantity.units if name in self.units), None)
-        given = None if by_user is None else self.units[by_user]
-        unit = given or column.unit or split_unit(column.name, *kinds).unit
+        by_user = self._unit_key(quantity)
+        unit = self.unit_of(quantity, column)
         if not unit:
             self.notes.append(
                 f"The column `{column.name}` has no unit and was taken in "
@@ -158,7 +157,7 @@ class TableReader:
         messages = []
         for kind in kinds:
             try:
-                return values * (scale if given is None else given_scale)(unit, kind)
+                return values * (scale if by_user is None else given_scale)(unit, kind)
             except ValueError as error:
                 messages.append(str(error))
         fault = f"the unit of `{by_user}`: {messages[0]}."
@@ -172,6 +171,16 @@ class TableReader:
         # Of the unit of a whole vector it is told once.
         self.faults += [] if fault in self.faults else [fault]
         return None
+
+    def unit_of(self, quantity: Quantity, column: Column) -> str:
+        """Return the unit of a column, "" if neither the user nor the file says it."""
+        by_user = self._unit_key(quantity)
+        given = "" if by_user is None else self.units[by_user]
+        return given or column.unit or split_unit(column.name, *quantity.kinds).unit
+
+    def _unit_key(self, quantity: Quantity) -> str | None:
+        """Return the key under which the user gives the unit of a quantity."""
+        return next((name for name in quantity.units if name in self.units), None)
 
     def listed(self, only: list[Column] | None = None) -> str:
         """Return numbers and names of the columns, or of some, 20 at most."""
