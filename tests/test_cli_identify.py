@@ -271,6 +271,21 @@ def test_a_hammer_test_gives_the_machine_of_a_job(folder):
     assert np.abs(found - truth).max() < 0.01 * np.abs(truth).max()
 
 
+def test_modes_that_explain_little_are_comments(folder):
+    """Degrees that the file calls radians."""
+    f = np.arange(2.0, 60.0, 0.25)
+    H = 1e-6 / (1 - (f / 20) ** 2 + 0.06j * f / 20)
+    cells = zip(f, np.abs(H), np.angle(H, deg=True), strict=True)
+    rows = "".join(f"{a},{b},{c}\n" for a, b, c in cells)
+    (folder / "tip.csv").write_text(f"frequency_Hz,mag [m/N],phase_rad\n{rows}")
+    text = 'kind = "frequency_response"\n[[frequency_response]]\nfile = "tip.csv"\n'
+    (folder / "tip.toml").write_text(f"{text}direction = [1, 0, 0]\n")
+    assert main(["identify", "tip.toml"]) == 0
+    out, facts, toml = results(folder, "tip")
+    assert facts["measured"][0]["explained"] < 0.9 and toml == {}
+    assert "# [[machine.modes]]" in (out / "identified.toml").read_text()
+
+
 @pytest.fixture
 def identified(tmp_path, monkeypatch):
     """Return the folder of results of a coupled fit, of a job and what it found."""

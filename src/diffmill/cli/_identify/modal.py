@@ -19,8 +19,10 @@ from ...viz import (
 )
 from .report import Report, all_noted, noted
 from .text import kept_remark
-from .toml_snippets import joints_toml, uncertainty_toml
+from .toml_snippets import doubted, joints_toml, uncertainty_toml
 
+# Modes that explain a smaller share of what was measured are doubted.
+_LITTLE = 0.9
 _UNITS = {
     "receptance": "displacement over force [m/N]",
     "mobility": "velocity over force [m/(N s)]",
@@ -105,6 +107,9 @@ def _mode_tables(one: FrequencyResponse, fit: Any) -> list[str]:
             f"direction = {one.direction}",
             f'stiffness = "{fit.stiffness[k]:.8g} N/m"',
         ]
+    if fit.explained < _LITTLE:
+        why = f"{one.name}: the modes explain too little of it; see summary.txt."
+        return doubted(lines, why)
     return lines
 
 
@@ -145,7 +150,7 @@ def _mode_lines(one: Any, fit: Any, is_ring: bool) -> list[str]:
         elif not fit.identifiable[k]:
             row += "   not identifiable"
         lines.append(row)
-    if fit.explained < 0.9:
+    if fit.explained < _LITTLE:
         lines += noted(
             "That is little: more modes, another band, or a later start may be needed.",
             "warning",
