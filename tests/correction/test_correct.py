@@ -62,12 +62,17 @@ max_steps = 1
 
 @pytest.fixture
 def load(tmp_path):
-    def load(more=""):
+    def load(more="", program=PROGRAM):
         (tmp_path / "tiny.toml").write_text(JOB + more)
-        (tmp_path / "tiny.ngc").write_text(PROGRAM)
+        (tmp_path / "tiny.ngc").write_text(program)
         return load_job(tmp_path / "tiny.toml")
 
     return load
+
+
+def offsets_of(job):
+    spacing = job.correction.knot_spacing
+    return SplineOffsets(job.path.step_count, float(job.tooth_period), spacing)
 
 
 def test_a_limit_below_the_program_is_refused_before_anything_runs(load):
@@ -163,9 +168,7 @@ def test_a_surface_of_which_nothing_is_left_does_not_suit(load):
 def test_joints_are_held_within_their_limits(load):
     """A limit 0.1 mm of travel beyond the program: most offsets would break it."""
     job = load()
-    spline = SplineOffsets(
-        job.path.step_count, float(job.tooth_period), job.correction.knot_spacing
-    )
+    spline = offsets_of(job)
     nominal = np.asarray(job.path.positions)
     bound = float(job.correction.max_offset)
     assert JointLimits(job).rows(spline, nominal, bound) == ()
@@ -199,6 +202,48 @@ def test_joints_are_held_within_their_limits(load):
     beyond = eqx.tree_at(lambda j: j.robot.joint_upper, job, upper - 2e-4)
     with pytest.raises(InfeasibleLimit, match="`joint limits`"):
         JointLimits(beyond).rows(spline, nominal, bound)
+
+
+@pytest.mark.slow
+def test_a_joint_near_its_limit_bends_no_more_than_elsewhere(load):
+    """An arm that starts beyond the limit would start in another configuration."""
+    job, joint, room, bound = load(), 4, 3e-4, 1e-3
+    nominal = np.asarray(job.path.positions)
+    most = np.asarray(JobKinematics(job).motors(jnp.asarray(nominal)).positions).max(0)
+    upper = jnp.asarray(job.robot.joint_upper).at[joint].set(most[joint] + room)
+    close = eqx.tree_at(lambda j: j.robot.joint_upper, job, upper)
+    (limits,) = JointLimits(close).rows(offsets_of(job), nominal, bound)
+    # What the whole offset bends is about its square over the arm's length.
+    assert limits.upper.min() == pytest.approx(room, abs=2 * bound**2)
+
+
+# There and back again: an offset is 0 at both ends.
+ACROSS = """G21 G17 G90 G94
+G0 X-6 Y6 Z-1
+G1 X7 Y-7 F3000
+G1 X-6 Y6
+M2
+"""
+
+
+@pytest.mark.slow
+def test_a_joint_is_held_where_its_motion_bends_least_at_the_corners(load):
+    """45 degrees aside axis 1 bends with x^2 - y^2 of the offset: 0 at its corners."""
+    job, room, bound = load(program=ACROSS), 1e-3, 5e-3
+    place = jnp.asarray(job.T_base_work).at[:2, 3].set(1.525 / np.sqrt(2))
+    job = eqx.tree_at(lambda j: j.T_base_work, job, place)
+    nominal = np.asarray(job.path.positions)
+    motors = lambda tips: JobKinematics(job).motors(jnp.asarray(tips)).positions[:, 0]
+    limit = float(motors(nominal).min()) - room
+    lower = jnp.asarray(job.robot.joint_lower).at[0].set(limit)
+    close = eqx.tree_at(lambda j: j.robot.joint_lower, job, lower)
+    spline = offsets_of(job)
+    limits = JointLimits(close).rows(spline, nominal, bound)
+    aside = np.broadcast_to(bound * np.array([[-0.5, -1.0, 0.0]]), nominal.shape)
+    held = project(spline, aside, bound, limits=limits)
+    command = nominal + np.asarray(spline.offsets(jnp.asarray(held)))
+    JointLimits(close).check(command, is_joints=False)
+    assert float(motors(command).min()) < limit + 3e-5
 
 
 class Along(AbstractObjective):
@@ -257,8 +302,5 @@ def test_half_a_turn_from_the_start_is_no_bend(load):
     ]
     ways = np.diff([float(one.positions[0, -1]) for one in aside])
     assert abs(ways[0]) == pytest.approx(2 * np.pi, abs=0.01)
-    spline = SplineOffsets(
-        job.path.step_count, float(job.tooth_period), job.correction.knot_spacing
-    )
     bound = float(job.correction.max_offset)
-    assert JointLimits(job).rows(spline, nominal, bound) == ()
+    assert JointLimits(job).rows(offsets_of(job), nominal, bound) == ()

@@ -10,8 +10,6 @@ offset could reach a limit: of most programs none. The limits are drawn in by wh
 bends over the largest offset, so that the first order is enough.
 """
 
-import itertools
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -23,7 +21,7 @@ from ...sim import JobKinematics
 from .._spline.command_limits import InfeasibleLimit, LinearLimits
 from .._spline.spline_offsets import SplineOffsets, basis_matrix
 
-# The bend within a box is taken as that at its corners and so many times more.
+# The bend is taken as what it is to second order, and so many times more.
 _SAFE = 1.5
 
 Motors = Float[np.ndarray, "step joint"]
@@ -61,13 +59,12 @@ class JointLimits(eqx.Module):
         robot = job.robot
         if robot is None:
             return ()
-        tips = jnp.asarray(nominal)
-        are_joints = job.correction.command == "joint"
-        joints = tips if are_joints else JobKinematics(job).joints(tips).positions
+        joints, tips = jnp.asarray(nominal), None
+        if job.correction.command != "joint":
+            tips, joints = joints, JobKinematics(job).joints(joints).positions
         motors = np.asarray(JobKinematics(job).motors_of(joints), np.float64)
-        slope = JobKinematics(job).motor_slopes(joints, None if are_joints else tips)
-        slope = np.asarray(slope, np.float64)
-        bend = _bend(job, tips, motors, slope, max_offset)
+        slope = np.asarray(JobKinematics(job).motor_slopes(joints, tips), np.float64)
+        bend = _bend(job, joints, tips, slope, max_offset)
         least, most = (
             np.asarray(x, np.float64)[None]
             for x in (robot.joint_lower, robot.joint_upper)
@@ -98,7 +95,10 @@ class JointLimits(eqx.Module):
         robot = job.robot
         if robot is None:
             return
-        motors = np.asarray(_motors(job, jnp.asarray(command), is_joints), np.float64)
+        joints = jnp.asarray(command)
+        if not is_joints:
+            joints = JobKinematics(job).joints(joints).positions
+        motors = np.asarray(JobKinematics(job).motors_of(joints), np.float64)
         least, most = np.asarray(robot.joint_lower), np.asarray(robot.joint_upper)
         excess = np.maximum(least[None] - motors, motors - most[None])
         _refuse(job, motors, excess, float(job.tooth_period), "")
@@ -106,35 +106,24 @@ class JointLimits(eqx.Module):
 
 def _bend(
     job: Job,
-    command: Float[Array, "step axis"],
-    motors: Motors,
+    joints: Float[Array, "step joint"],
+    tips: Float[Array, "step 3"] | None,
     slope: Float[np.ndarray, "step joint axis"],
     max_offset: float,
 ) -> Motors:
-    """Return how far motors come from the first order, at most, within the offset."""
-    axis_count = command.shape[1]
-    # To second order opposite corners are alike.
-    signs = itertools.product((1.0, -1.0), repeat=axis_count - 1)
-    bend, is_joints = np.zeros_like(motors), job.correction.command == "joint"
-    assert job.robot is not None
-    turns = np.array([kind == "revolute" for kind in job.robot.joint_kinds])
-    for sign in signs:
-        shift = max_offset * np.array([1.0, *sign])
-        moved = command + jnp.asarray(shift[None], command.dtype)
-        change = np.asarray(_motors(job, moved, is_joints), np.float64) - motors
-        # Half a turn from where the arm starts, either way round is as near.
-        change -= 2 * np.pi * np.round(change / (2 * np.pi)) * turns
-        bend = np.maximum(bend, np.abs(change - slope @ shift))
-    return _SAFE * bend
+    """Return how far motors come from the first order, at most, within the offset.
 
-
-def _motors(
-    job: Job, command: Float[Array, "step axis"], is_joints: bool
-) -> Float[Array, "step joint"]:
-    """Return the motor positions of tips, or of joints."""
-    if is_joints:
-        return JobKinematics(job).motors_of(command)
-    return JobKinematics(job).motors(command).positions
+    To second order that is half a quadratic form of the offset. Its matrix is how the
+    slope changes, and the sum of its entries' sizes bounds it in the whole box.
+    """
+    bend = np.zeros(joints.shape)
+    for axis in range(slope.shape[2]):
+        # Inverse kinematics would avoid a limit, by another configuration.
+        aside = joints + jnp.asarray(max_offset * slope[:, :, axis], joints.dtype)
+        there = None if tips is None else tips.at[:, axis].add(max_offset)
+        change = np.asarray(JobKinematics(job).motor_slopes(aside, there)) - slope
+        bend += np.sum(np.abs(change), axis=2)
+    return _SAFE * max_offset / 2 * bend
 
 
 def _refuse(
