@@ -7,7 +7,7 @@ import pytest
 
 from diffmill.cli import main
 from diffmill.config import load_identification
-from diffmill.identification import StudyError
+from diffmill.identification import ControllerStudy, StudyError
 
 RNG = np.random.default_rng(5)
 
@@ -79,3 +79,18 @@ def test_a_path_that_stands_is_refused(tmp_path):
     (tmp_path / "commanded.csv").write_text((tmp_path / "actual.csv").read_text())
     with pytest.raises(StudyError, match="a path that moves"):
         load_identification(file).run()
+
+
+def test_a_gap_of_the_record_is_left_out(tmp_path):
+    time = 4e-3 * np.arange(750)
+    actual = served(time, 6.0, 20e-3, 0.6)
+    file = write(tmp_path, time, actual + 5e-6 * RNG.normal(size=actual.shape))
+    lines = (tmp_path / "actual.csv").read_text().splitlines(keepends=True)
+    (tmp_path / "actual.csv").write_text("".join(lines[:201] + lines[300:]))
+    study = load_identification(file)
+    assert isinstance(study, ControllerStudy)
+    np.testing.assert_array_equal(np.flatnonzero(~study.is_recorded), range(200, 299))
+    assert "99 instants between rows more than 6 ms apart" in study.notes[0]
+    found = study.run()
+    assert found.bandwidth == pytest.approx(6.0, rel=0.03)
+    assert found.damping_ratio == pytest.approx(0.6, rel=0.03)

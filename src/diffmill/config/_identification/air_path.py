@@ -8,6 +8,9 @@ from ...toolpath import Path
 from .context import Context
 from .schema import AirPathTable
 
+# Usual steps between two rows from which on nobody knows what lies between them.
+_GAP = 1.5
+
 
 def read_air_path(
     name: str, table: AirPathTable, context: Context
@@ -30,18 +33,29 @@ def read_air_path(
     at = lambda path: np.stack(
         [np.interp(time, path.time, x) for x in np.asarray(path.positions).T], axis=1
     )
+    # The rows around each instant, one row twice where it falls on it.
+    before = np.searchsorted(actual.time, time + 1e-6 * step, side="right") - 1
+    after = np.searchsorted(actual.time, time - 1e-6 * step)
+    after = np.minimum(after, steps.size)
+    is_bridged = actual.time[after] - actual.time[before] > _GAP * step
+    is_recorded = (before >= 0) & ~is_bridged
     notes = []
     if np.ptp(steps) > 0.5 * step:
+        left_out = (
+            f", and {np.count_nonzero(is_bridged)} instants between rows more than "
+            f"{_GAP * step * 1e3:.3g} ms apart were left out"
+        )
         notes.append(
             f"The record's rows are {steps.min() * 1e3:.3g} to {steps.max() * 1e3:.3g} "
-            f"ms apart; they were interpolated every {step * 1e3:.3g} ms."
+            f"ms apart; they were interpolated every {step * 1e3:.3g} ms"
+            f"{left_out if is_bridged.any() else ''}."
         )
     return ControllerStudy(
         name=name,
         time_step=step,
         commanded=at(commanded),
         actual=at(actual),
-        is_recorded=np.asarray(time >= float(actual.time[0]) - 1e-6 * step),
+        is_recorded=np.asarray(is_recorded),
         order=table.order,
         notes=tuple(notes),
     )
