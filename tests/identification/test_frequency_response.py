@@ -33,12 +33,15 @@ def test_modes_of_a_clean_response_come_back(quantity):
     assert fit.explained > 1 - 1e-9 and fit.identifiable.all()
 
 
-def test_errors_are_as_large_as_the_noise_makes_them():
+@pytest.mark.parametrize(("alike", "relative"), [(0.03, 0.0), (1e-3, 0.02)])
+def test_errors_are_as_large_as_the_noise_makes_them(alike, relative):
+    """A resonance that scatters more than its neighbours must not seem well known."""
     pulls = []
     for seed in range(12):
         draw = np.random.default_rng(seed)
         clean = response()
-        size = 0.03 * np.sqrt(np.mean(np.abs(clean) ** 2))
+        alone = alike * np.sqrt(np.mean(np.abs(clean) ** 2))
+        size = np.hypot(alone, relative * np.abs(clean))
         noise = draw.normal(size=300) + 1j * draw.normal(size=300)
         fit = identification.fit_frequency_response(
             FREQUENCY, clean + size * noise, frequencies=[14.5, 26.0]

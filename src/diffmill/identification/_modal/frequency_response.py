@@ -15,6 +15,8 @@ Response = Complex[Array, " line"] | Complex[np.ndarray, " line"]
 _STARTS = (0.003, 0.02, 0.08)
 # A number is one if its standard error is below this share of it.
 _RELATIVE_ERROR = 0.25
+# Share of a line that no fit follows at least: below it there is only rounding.
+_LEAST_FREE = 1e-6
 # Share of a bound from which on a number is at it.
 _AT_BOUND = 0.999
 
@@ -73,7 +75,8 @@ def fit_frequency_response(
         quantity: "receptance", "mobility" or "accelerance".
 
     Returns:
-        The modes; standard errors take the residual as independent from line to line.
+        The modes; standard errors take the residual as independent from line to line,
+        of whatever size.
 
     Raises:
         ValueError: Wrong shapes or choices, or too few lines or modes.
@@ -118,8 +121,15 @@ def _report(x: Float[np.ndarray, " both"], model: ModeModel) -> FrequencyRespons
     J = np.column_stack([*slopes, A])
     scale = np.linalg.norm(J, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
-    freedom = max(1, right.size - J.shape[1])
-    C = np.linalg.pinv((J / scale).T @ (J / scale)) * float(off @ off) / freedom
+    J = J / scale
+    inverse = np.linalg.pinv(J)
+    # The weights are a guess, so that each line counts with what is left of it, over
+    # the share of it that the fit does not follow (HC3 of MacKinnon and White, Journal
+    # of Econometrics 29, 1985); both of its parts scatter alike.
+    follows = np.sum(J * inverse.T, axis=1)
+    share, square = (v.reshape(2, -1).mean(axis=0) for v in (follows, off**2))
+    variance = np.tile(square / np.maximum(1 - share, _LEAST_FREE) ** 2, 2)
+    C = (inverse * variance[None]) @ inverse.T
     errors = np.sqrt(np.maximum(np.diagonal(C), 0.0)) / scale
     # The unknown is the static compliance r / omega^2 of the mode.
     c, c_error = linear[:count], errors[2 * count : 3 * count]
