@@ -117,6 +117,10 @@ def test_the_tacho_gives_the_angle():
     missing = np.where((time > 0.5) & (time < 0.51), 0.0, pulse)
     again = record_of(time, record.force, tacho=missing).angle_from_tacho()
     np.testing.assert_allclose(again[-1], found[-1], atol=0.05)
+    # A cell without a number lies between its neighbours.
+    empty = np.where(np.arange(5000) % 500 == 0, np.nan, pulse)
+    again = record_of(time, record.force, tacho=empty).angle_from_tacho()
+    np.testing.assert_allclose(again, found, atol=0.1)
     with pytest.raises(ValueError):
         record_of(time, record.force).angle_from_tacho()
     with pytest.raises(ValueError):

@@ -120,6 +120,26 @@ def test_one_cut_in_many_spellings(tmp_path, data, more):
     np.testing.assert_allclose(mean, [60.0, -30.0, 12.0], atol=0.6)
 
 
+@pytest.mark.parametrize("channel", ["tacho", "angle"])
+def test_empty_cells_of_the_spindle_are_bridged(tmp_path, channel):
+    turned = 200 * np.pi * TIME
+    signal = np.mod(turned, 2 * np.pi)
+    signal = signal if channel == "angle" else 1.0 * (signal < 0.5)
+    head = f"t;Fx;Fy;Fz;{channel}\ns;N;N;N;{'rad' if channel == 'angle' else 'V'}\n"
+    row = "{:.5f};{:.3f};{:.3f};{:.3f};{:.6f}"
+    signal[[0, 1000, 2000, 2001, -1]] = np.nan
+    written = lambda: text(TIME, np.c_[FORCE, signal], row, head)
+    found = load(tmp_path, HEAD, written()).records[0]
+    assert any("5 empty cells of it were bridged" in note for note in found.notes)
+    # A steep pulse is known to a sample, of 9 degrees.
+    off = found.angle - turned
+    assert np.ptp(off) < (1e-5 if channel == "angle" else 0.2)
+    if channel == "angle":
+        signal[4000:4030] = np.nan
+        found = load(tmp_path, HEAD, written()).records[0]
+        assert any("missing for 0.00775 s" in note for note in found.notes)
+
+
 def test_a_force_that_is_left_out_changes_nothing_else(tmp_path):
     time, force = forces()
     whole = load(tmp_path).records[0]

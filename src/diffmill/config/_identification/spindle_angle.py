@@ -52,10 +52,11 @@ def spindle_angle(
     speed = float(given)
     try:
         if record.angle is not None:
-            what, angle = "angle", _unwrapped(record.angle) + first
+            what, channel = "angle", record.angle
+            angle = _unwrapped(record.time, channel, speed) + first
         else:
             pulses = table.pulses_per_turn or 1
-            what = "tacho"
+            what, channel = "tacho", record.tacho
             angle = record.angle_from_tacho(
                 pulses_per_turn=pulses,
                 first_angle=first,
@@ -74,11 +75,33 @@ def spindle_angle(
         else:
             notes.append(f"{error} It was not used.")
         return None
-    notes.append(f"The spindle's angle was taken from the column for the {what}.")
+    empty = np.count_nonzero(~np.isfinite(np.asarray(channel)))
+    bridged = f"; {empty} empty cells of it were bridged" if empty else ""
+    notes.append(
+        f"The spindle's angle was taken from the column for the {what}{bridged}."
+    )
     return np.asarray(angle, np.float64)
 
 
-def _unwrapped(angle: Float[np.ndarray, " sample"]) -> Float[np.ndarray, " sample"]:
-    """Return an angle without jumps, increasing."""
-    whole = np.unwrap(angle)
+def _unwrapped(
+    time: Float[np.ndarray, " sample"],
+    angle: Float[np.ndarray, " sample"],
+    speed: float,
+) -> Float[np.ndarray, " sample"]:
+    """Return an angle without jumps, increasing, empty cells bridged.
+
+    Raises:
+        ValueError: The angle is missing for so long that turns may be lost.
+    """
+    from scipy.interpolate import make_interp_spline
+
+    seen = np.flatnonzero(np.isfinite(angle))
+    around = np.concatenate([[0], seen, [angle.size - 1]])
+    longest = float(np.diff(time[around])[np.diff(around) > 1].max(initial=0.0))
+    if longest * speed > math.pi or seen.size < 2:
+        raise ValueError(
+            f"The angle is missing for {longest:.3g} s, longer than half a turn."
+        )
+    # A line goes on beyond the first and the last number, too.
+    whole = make_interp_spline(time[seen], np.unwrap(angle[seen]), k=1)(time)
     return whole if whole[-1] >= whole[0] else -whole

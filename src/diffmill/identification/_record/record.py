@@ -44,8 +44,9 @@ class Record(eqx.Module):
         rate: Nominal sampling rate [Hz].
         is_saturated: Whether a channel is at the end of its range, shape (sample,).
         is_after_gap: Whether samples are missing just before, shape (sample,).
-        tacho: Pulses of the spindle in any unit, shape (sample,), or None.
-        angle: Measured spindle angle [rad], shape (sample,), or None.
+        tacho: Pulses of the spindle in any unit, shape (sample,), or None; NaN where
+            it was not measured.
+        angle: Measured spindle angle [rad], likewise.
         names: What the file calls the three forces.
         is_measured: Whether there is a channel of each force.
         notes: What was assumed or repaired when reading, one sentence each.
@@ -217,7 +218,8 @@ class Record(eqx.Module):
 
         A pulse is where the signal rises through the middle of its range, to a part of
         a sample; it counts again only after falling below 40 % of the range. The angle
-        is linear between pulses and goes on at the last speed outside of them. Pulses
+        is linear between pulses and goes on at the last speed outside of them. Samples
+        without a number are bridged. Pulses
         nearer than half the median distance are bounces and left out; a distance of
         about several medians counts as that many pulses.
 
@@ -234,9 +236,11 @@ class Record(eqx.Module):
         Raises:
             ValueError: If the record has no tacho or fewer than two pulses.
         """
-        if self.tacho is None:
+        if self.tacho is None or not np.isfinite(self.tacho).any():
             raise ValueError("The record must have a tacho channel, but has none.")
-        pulses = Pulses.of_signal(self.time, self.tacho).smoothed(smoothing)
+        seen = np.isfinite(self.tacho)
+        pulses = Pulses.of_signal(self.time[seen], self.tacho[seen])
+        pulses = pulses.smoothed(smoothing)
         return first_angle + pulses.passed(self.time) * 2 * np.pi / pulses_per_turn
 
     def _level(self, section: slice) -> "_Level":
