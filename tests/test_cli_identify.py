@@ -114,6 +114,19 @@ def test_means_that_other_axes_suit_better_are_comments(folder, capsys):
     assert '# K_rc = "-' in (out / "identified.toml").read_text()
 
 
+def test_means_that_no_material_has_are_comments(folder, capsys):
+    write_means(folder)
+    axes = '[fit]\naxes = ["y", "x", "z"]\n'
+    (folder / "unit.toml").write_text(MEANS + 'units = { force = "mN" }\n' + axes)
+    assert main(["identify", "unit.toml"]) == 0
+    assert "no material that is known lies" in " ".join(capsys.readouterr().out.split())
+    out, facts, toml = results(folder, "unit")
+    assert [one["code"] for one in facts["diagnoses"]] == ["implausible_pressure"]
+    assert toml == {}
+    text = (out / "identified.toml").read_text()
+    assert "# No known material has this K_tc" in text
+
+
 def write_loads(folder, count=8, noise=0.01, move_unit="um"):
     """Write load tests of the slides; return forces and displacements."""
     draw = np.random.default_rng(0)
@@ -542,6 +555,26 @@ def test_a_record_in_other_axes_than_the_rest_is_named(folder, capsys):
     assert said.count("does not agree with the others") == 1
     _, _, place = said.partition("slot2.txt does not agree with the others")
     assert place.startswith(': alone it suits the axes ["x", "-y", "z"]')
+
+
+@pytest.mark.slow
+def test_means_of_a_cutter_with_other_teeth_are_comments(folder, capsys):
+    time, job = np.arange(0, 0.1, 2e-4), SLOTS.replace("force_records", "mean_forces")
+    for i, feed in enumerate((0.05e-3, 0.1e-3, 0.15e-3)):
+        rows = np.column_stack([time, slot_force(time, feed)])
+        name = f"slot{i}.txt"
+        np.savetxt(folder / name, rows, header="t_s Fx_N Fy_N Fz_N", comments="")
+        job += f'[[record]]\nfile = "{name}"\nfeed_per_tooth = "{1e3 * feed} mm"\n'
+    (folder / "slot.toml").write_text(job.replace("teeth = 2", "teeth = 4"))
+    assert main(["identify", "slot.toml"]) == 0
+    said = capsys.readouterr().out
+    for i in range(3):
+        assert f"warning: slot{i}.txt: The forces repeat 2 times a turn" in said
+    _, facts, toml = results(folder, "slot")
+    found = [(one["code"], one["record"]) for one in facts["diagnoses"]]
+    assert found == [("tooth_count", i) for i in range(3)]
+    assert facts["records"] == ["slot0.txt", "slot1.txt", "slot2.txt"]
+    assert toml == {}
 
 
 @pytest.mark.slow

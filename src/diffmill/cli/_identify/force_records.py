@@ -15,11 +15,11 @@ from ...viz import (
     plot_prediction,
     plot_residual_spectrum,
 )
-from .diagnoses import diagnosis_facts, diagnosis_lines, diagnosis_title
+from .diagnoses import diagnosis_facts, diagnosis_lines
 from .registration import axes_lines, record_lines, tooth_lines
 from .report import Report, all_noted, noted
 from .text import coefficient_lines, correlation_lines
-from .toml_snippets import NOISE_ALONE, doubted, force_toml, force_uncertainty_toml
+from .toml_snippets import NOISE_ALONE, fitted_force_toml
 
 
 def report_records(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> Report:
@@ -42,7 +42,8 @@ def report_records(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> Repo
             [one.revolution for one in fit.records],
         ),
     ]
-    return Report(lines, _toml(found), _facts(study, found), _figures(study, found))
+    toml = fitted_force_toml(found, [one.partition(":")[0] for one in fit.doubts])
+    return Report(lines, toml, _facts(study, found), _figures(study, found))
 
 
 def _fit_lines(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> list[str]:
@@ -75,23 +76,6 @@ def _fit_lines(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> list[str
         )
     lines += correlation_lines(names, fit.correlation)
     return lines + all_noted(fit.notes[len(fit.doubts) :])
-
-
-def _toml(found: ForceRecordStudy.Fit) -> list[str]:
-    """Return the tables for a job, as comments if they are doubtful."""
-    fit = found.fit
-    lines = [
-        *force_toml(fit.coefficients, fit.standard_errors, fit.identifiable),
-        *force_uncertainty_toml(found.relative_uncertainty),
-    ]
-    grave = [one for one in found.diagnoses if one.is_grave]
-    if fit.doubts:
-        return doubted(lines, f"{fit.doubts[0].partition(':')[0]}; see summary.txt.")
-    if not found.has_likely_axes:
-        return doubted(lines, "Other axes make more sense; see summary.txt.")
-    if grave:
-        return doubted(lines, f"{diagnosis_title(grave[0])}; see summary.txt.")
-    return lines
 
 
 def _facts(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> dict[str, Any]:

@@ -6,10 +6,10 @@ import numpy as np
 
 from ...identification import MeanForceStudy
 from ...viz import plot_correlation, plot_mean_forces
-from .diagnoses import diagnosis_lines
+from .diagnoses import diagnosis_facts, diagnosis_lines
 from .report import Report, all_noted, noted
-from .text import NONSENSE, axes_text, coefficient_lines, correlation_lines
-from .toml_snippets import NOISE_ALONE, doubted, force_toml, force_uncertainty_toml
+from .text import axes_text, coefficient_lines, correlation_lines
+from .toml_snippets import NOISE_ALONE, fitted_force_toml
 
 
 def report_means(study: MeanForceStudy, found: MeanForceStudy.Fit) -> Report:
@@ -19,16 +19,18 @@ def report_means(study: MeanForceStudy, found: MeanForceStudy.Fit) -> Report:
         study: The means.
         found: Their fit.
     """
-    used, fit = found.used, found.used.fit
+    used, fit = found.used, found.fit
+    names = [record.name for record in study.records]
     lines = [
         *_input_lines(study),
-        *(x for one in found.registrations for x in diagnosis_lines(one.diagnoses)),
+        *diagnosis_lines(found.diagnoses, records=names),
         *_axes_lines(found, takes_proposed=study.settings.takes_proposed),
         *_fit_lines(found),
         *_amplitude_lines(study, found),
     ]
     facts = {
         "kind": "mean_forces",
+        "records": names,
         "feed_per_tooth_m": study.feed_per_tooth,
         "mean_force_N": found.force,
         "axes": used.axes,
@@ -42,6 +44,7 @@ def report_means(study: MeanForceStudy, found: MeanForceStudy.Fit) -> Report:
         "left_out_N": found.predicted,
         "amplitudes_N": [one._asdict() for one in found.amplitudes],
         "notes": study.notes,
+        "diagnoses": diagnosis_facts(found.diagnoses),
     }
     figures = {
         "mean_forces": functools.partial(
@@ -56,7 +59,12 @@ def report_means(study: MeanForceStudy, found: MeanForceStudy.Fit) -> Report:
             plot_correlation, list(fit.coefficients), fit.correlation
         ),
     }
-    return Report(lines, _toml(found), facts, figures)
+    doubts = []
+    if fit.coefficients["K_tc"] <= 0:
+        doubts = ["K_tc is not positive: axes or cut are wrong"]
+    elif not any(fit.identifiable.values()):
+        doubts = ["No coefficient is identifiable"]
+    return Report(lines, fitted_force_toml(found, doubts), facts, figures)
 
 
 def _input_lines(study: MeanForceStudy) -> list[str]:
@@ -91,7 +99,7 @@ def _axes_lines(found: MeanForceStudy.Fit, *, takes_proposed: bool) -> list[str]
     lines = [f"axes: {axes_text(used.axes)} ({why})"]
     lines += [f"  against them: {violation}" for violation in used.violations]
     best = found.axes[0]
-    if best.score < used.score:
+    if not found.has_likely_axes:
         against = "; ".join(best.violations) or "nothing"
         lines += noted(
             f"The axes {axes_text(best.axes)} make more sense (against them: {against};"
@@ -113,7 +121,7 @@ def _axes_lines(found: MeanForceStudy.Fit, *, takes_proposed: bool) -> list[str]
 
 def _fit_lines(found: MeanForceStudy.Fit) -> list[str]:
     """Return coefficients and how far to trust them."""
-    fit, force, left = found.used.fit, found.force, found.predicted
+    fit, force, left = found.fit, found.force, found.predicted
     lines = [
         "",
         *coefficient_lines(
@@ -177,20 +185,4 @@ def _amplitude_lines(study: MeanForceStudy, found: MeanForceStudy.Fit) -> list[s
             for a, p, m in zip("xyz", one.predicted, one.measured, strict=True)
         ]
         lines.append(f"  {record.name}: {', '.join(parts)}")
-    return lines
-
-
-def _toml(found: MeanForceStudy.Fit) -> list[str]:
-    """Return the tables for a job, comments if in doubt."""
-    fit = found.used.fit
-    lines = [
-        *force_toml(fit.coefficients, fit.standard_errors, fit.identifiable),
-        *force_uncertainty_toml(found.relative_uncertainty),
-    ]
-    if fit.coefficients["K_tc"] <= 0:
-        return doubted(lines, NONSENSE)
-    if found.axes[0].score < found.used.score:
-        return doubted(lines, "Other axes make more sense; see summary.txt.")
-    if not any(fit.identifiable.values()):
-        return doubted(lines, "No coefficient is identifiable; see summary.txt.")
     return lines

@@ -8,9 +8,6 @@ from jaxtyping import Bool, Float
 
 from .report import noted
 
-# Why coefficients are not offered.
-NONSENSE = "K_tc is not positive: axes or cut are wrong, see summary.txt."
-
 
 def coefficient_lines(
     coefficients: Mapping[str, float],

@@ -5,7 +5,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ...identification import ForceRecordStudy, MeanForceStudy
 from ...robot import Robot
+from .diagnoses import diagnosis_title
 
 # Largest uncertainty that the table takes.
 _LARGEST = 0.999
@@ -99,6 +101,28 @@ def force_uncertainty_toml(relative: float) -> list[str]:
     """
     known = max(relative, _LEAST_FORCE_ERROR) if np.isfinite(relative) else relative
     return uncertainty_toml("force", known, _FORCE_REMARK)
+
+
+def fitted_force_toml(
+    found: ForceRecordStudy.Fit | MeanForceStudy.Fit, doubts: Sequence[str]
+) -> list[str]:
+    """Return the tables after a fit of forces, as comments if they are doubtful.
+
+    Args:
+        found: What the study has found.
+        doubts: Why it is doubtful, beside axes and diagnoses; the first is told.
+    """
+    fit = found.fit
+    lines = [
+        *force_toml(fit.coefficients, fit.standard_errors, fit.identifiable),
+        *force_uncertainty_toml(found.relative_uncertainty),
+    ]
+    reasons = [
+        *doubts,
+        *([] if found.has_likely_axes else ["Other axes make more sense"]),
+        *(diagnosis_title(one) for one in found.diagnoses if one.is_grave),
+    ]
+    return doubted(lines, f"{reasons[0]}; see summary.txt.") if reasons else lines
 
 
 def joints_toml(

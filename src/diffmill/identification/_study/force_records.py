@@ -1,6 +1,5 @@
 """Force coefficients from whole records."""
 
-import dataclasses
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +10,7 @@ from .._force.cross_validation import CrossValidation, cross_validate
 from .._force.force_coefficients import ForceCoefficientFit, fit_force_coefficients
 from .._force.uncertainty import relative_uncertainty
 from .._record.diagnosis import Diagnosis
-from .records import ForceRecord, ForceSettings
+from .records import ForceRecord, ForceSettings, diagnoses_of
 from .study import OnProgress, StudyError, silent
 
 # How far a tooth may stand off the angle that is given for it [deg]: a degree moves
@@ -100,11 +99,7 @@ class ForceRecordStudy(NamedTuple):
             raise StudyError(f"{self.name}: {error}") from error
         used = next(c for c in proposal.candidates if c.axes == axes)
         is_likely = used.score - proposal.proposals[0].score <= _BETTER
-        diagnoses = [
-            dataclasses.replace(one, record=i)
-            for i, place in enumerate(found)
-            for one in place.diagnoses
-        ]
+        diagnoses = diagnoses_of(found)
         # In wrong axes an offset explains the means, though no channel is wrong.
         diagnoses += fit.diagnoses if is_likely else ()
         rows = [one.engagement.columns.reshape(-1, 6) for one in fit.records]

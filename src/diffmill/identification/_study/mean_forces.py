@@ -9,8 +9,15 @@ from jaxtyping import Float
 from .._alignment.record_registration import RecordRegistration
 from .._cut.straight_cut import StraightCut
 from .._force.mean_axis_assignment import MeanAxes, propose_mean_axes
-from .._force.mean_force import fit_mean_forces, mean_force_matrices
-from .records import ForceRecord, ForceSettings
+from .._force.mean_force import (
+    NAMES,
+    MeanForceFit,
+    fit_mean_forces,
+    mean_force_matrices,
+)
+from .._record.channel_faults import check_coefficients
+from .._record.diagnosis import Diagnosis
+from .records import ForceRecord, ForceSettings, diagnoses_of
 from .study import OnProgress, silent
 
 
@@ -37,6 +44,8 @@ class MeanForceStudyFit(NamedTuple):
             where they cannot.
         registrations: Each record with its cut; none for a table of means.
         amplitudes: Of each record, likewise.
+        diagnoses: What is wrong with clocks, teeth and units.
+        has_likely_axes: Whether no other axes make more sense.
         relative_uncertainty: One relative error that says as much as those of the fit.
     """
 
@@ -46,7 +55,14 @@ class MeanForceStudyFit(NamedTuple):
     predicted: Float[np.ndarray, "feed 3"]
     registrations: tuple[RecordRegistration, ...]
     amplitudes: tuple[Amplitude, ...]
+    diagnoses: tuple[Diagnosis, ...]
+    has_likely_axes: bool
     relative_uncertainty: float
+
+    @property
+    def fit(self) -> MeanForceFit:
+        """The coefficients."""
+        return self.used.fit
 
 
 class MeanForceStudy(NamedTuple):
@@ -119,7 +135,12 @@ class MeanForceStudy(NamedTuple):
             amplitudes.append(_amplitude(record, registrations[-1], used))
         slope, offset = mean_force_matrices(**shape)
         rows = np.concatenate([np.hstack([feed * slope, offset]) for feed in feeds])
-        fit = used.fit
+        fit, diagnoses = used.fit, diagnoses_of(registrations)
+        is_likely = used.score <= found[0].score
+        if is_likely:
+            # In wrong axes no material has such coefficients, though no unit is wrong.
+            K = [fit.coefficients[n] if fit.identifiable[n] else np.nan for n in NAMES]
+            diagnoses += check_coefficients(np.array(K))
         return MeanForceStudyFit(
             found,
             used,
@@ -127,6 +148,8 @@ class MeanForceStudy(NamedTuple):
             predicted,
             tuple(registrations),
             tuple(amplitudes),
+            tuple(diagnoses),
+            is_likely,
             fit.relative_uncertainty(rows),
         )
 

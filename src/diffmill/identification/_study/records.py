@@ -1,5 +1,6 @@
 """Records of forces with their cuts, as studies take them."""
 
+import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -11,6 +12,7 @@ from .._alignment.record_registration import (
     RecordRegistration,
 )
 from .._cut.straight_cut import StraightCut
+from .._record.diagnosis import Diagnosis
 from .._record.record import Record
 from .study import StudyError
 
@@ -111,6 +113,15 @@ class ForceRecord(NamedTuple):
             )
         except ValueError as error:
             raise StudyError(f"{self.name}: {error}") from error
+
+
+def diagnoses_of(registrations: Sequence[RecordRegistration]) -> list[Diagnosis]:
+    """Return what clocks and teeth tell, each with the index of its record."""
+    return [
+        dataclasses.replace(one, record=i)
+        for i, place in enumerate(registrations)
+        for one in place.diagnoses
+    ]
 
 
 class ForceSettings(NamedTuple):
