@@ -115,6 +115,16 @@ def test_signs_between_thousands_are_no_decimal_signs(tmp_path):
         np.testing.assert_allclose(record.time, TIME, atol=1e-9)
 
 
+@pytest.mark.parametrize("unit", ["_V", " V", ", mV", " [pC]"])
+def test_amplifiers_need_to_say_what_they_stand_for(tmp_path, unit):
+    names = ",".join(f'"F{axis}{unit}"' for axis in "xyz")
+    content = f"time_s,{names}\n" + "\n".join(rows())
+    with pytest.raises(io.RecordError, match=r"unit of the column `Fx`.*by `units`"):
+        load(tmp_path, content)
+    record = load(tmp_path, content, units={"force": "100 N"})
+    np.testing.assert_allclose(record.force, 100 * FORCE)
+
+
 def test_a_time_of_day_goes_on_after_midnight(tmp_path):
     seconds = (86400 - 0.01 + TIME) % 86400
     lines = [

@@ -76,6 +76,8 @@ _WORDS = {
     "lbf*foot": "lbf-ft ft-lbf lb-ft ft-lb",
 }
 _SPELLINGS = {word: unit for unit, words in _WORDS.items() for word in words.split()}
+# Units of amplifiers, for which the user says what they stand for.
+ELECTRIC = ("V", "mV", "pC")
 # Units that headers in capitals spell so; tried if they mean something else.
 _CAPITALS = {"S": "s", "MS": "ms", "US": "us", "KN": "kN", "DAN": "daN", "NM": "N*m"}
 # Moments without a sign between their parts, which the unit library reads as a yarn's
@@ -135,7 +137,7 @@ def split_unit(label: str, *kinds: QuantityKind) -> Label:
     """Return name and unit of a label such as `Fx [N]`, `Time (ms)` or `Fx_N`.
 
     What stands in brackets is the unit; what follows an underscore, a slash, a comma
-    or a blank only if it is a unit of one of the kinds.
+    or a blank only if it is a unit of one of the kinds or of an amplifier.
     """
     text = label.strip().strip('"').strip()
     if len(text) > _LONGEST_LABEL:
@@ -144,7 +146,7 @@ def split_unit(label: str, *kinds: QuantityKind) -> Label:
     if match is not None:
         return Label(match[1].strip(), match[2] or match[3] or "")
     match = _SUFFIX.fullmatch(text)
-    if match is not None and is_unit(match[2], *kinds):
+    if match is not None and (match[2] in ELECTRIC or is_unit(match[2], *kinds)):
         return Label(match[1].strip(), match[2])
     return Label(text, "")
 

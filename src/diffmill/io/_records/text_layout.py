@@ -18,7 +18,7 @@ from ...units import (
     TIME,
 )
 from .record_columns import looks_named
-from .table import Label, is_unit, split_unit
+from .table import ELECTRIC, Label, is_unit, split_unit
 
 # Consecutive rows after which a table needs no further evidence: a header may hold
 # tables of its own.
@@ -42,8 +42,6 @@ _THOUSANDS = {
     ".": re.compile(r"[+-]?\d{1,3}(?:\.\d{3})+,\d*"),
 }
 _COMMENT_SIGNS = "#%"
-# Units of amplifiers, for which the user says what they stand for, and gravity's.
-_ELECTRIC = ("V", "mV", "pC", "g")
 
 
 class Layout(NamedTuple):
@@ -295,7 +293,7 @@ def _are_units(row: list[str], bare: list[str]) -> bool:
     kinds = (TIME, FREQUENCY, ANGLE, LENGTH, *responses)
     return bool(filled) and (
         all(is_bracketed)
-        or all(text in _ELECTRIC or is_unit(text, *kinds) for _, text in filled)
+        or all(text in (*ELECTRIC, "g") or is_unit(text, *kinds) for _, text in filled)
     )
 
 
