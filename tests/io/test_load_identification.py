@@ -216,6 +216,11 @@ def test_saturation_is_told(tmp_path):
         (('"cut.txt"', '"../cut.txt"'), "leads outside"),
         (('"cut.txt"', '"none.txt"'), "no such file"),
         (('"0.1 mm"', '"0.1 mm"\ntare = ["0 s", "1"]'), "tare"),
+        (('"0.1 mm"', '"0.1 mm"\ntare_after = ["1.6 s", "1.8 s"]'), "1 tare_after: "),
+        (
+            ('"0.1 mm"', '"0.1 mm"\ntare = "none"\ntare_after = ["1.6 s", "1.8 s"]'),
+            "1 tare_after: ",
+        ),
         (("[cut]", "[cuts]"), "cuts: found an unknown table"),
     ],
 )
@@ -265,6 +270,25 @@ def test_units_of_means_are_given(tmp_path):
     np.testing.assert_allclose(task.mean_force[0], [60, -30, 12])
     with pytest.raises(JobError, match=r"`Fx`.*feed_per_tooth"):
         load(tmp_path, job + 'units = { Fx = "kN" }\n')
+
+
+def test_keys_that_do_not_change_means_are_refused(tmp_path):
+    job = HEAD.replace("force_records", "mean_forces")
+    job = job[: job.index("[[record]]")] + (
+        '[means]\nfeed_per_tooth = ["0.1 mm", "0.2 mm"]\nFx = ["60 N", "90 N"]\n'
+        'Fy = ["-30 N", "-45 N"]\nFz = ["12 N", "18 N"]\n'
+    )
+    assert len(load(tmp_path, job).feed_per_tooth) == 2
+    job += (
+        'units = { force = "kN" }\nchannels = { Fx = 3 }\n[fit]\nloss = "tukey"\n'
+        'refine = ["radius"]\nshift_range = "5 ms"\nlowpass = "2 kHz"\n'
+    )
+    with pytest.raises(JobError) as error:
+        load(tmp_path, job)
+    keys = sorted(line.partition(":")[0] for line in error.value.problems)
+    fit = ("loss", "lowpass", "refine", "shift_range")
+    means = ("channels", "units")
+    assert keys == [f"[fit] {k}" for k in fit] + [f"[means] {k}" for k in means]
 
 
 def test_spikes_are_left_out_of_a_mean_and_counted(tmp_path):

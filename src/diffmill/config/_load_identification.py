@@ -161,14 +161,16 @@ def _forces(
         record = read_force_record(entry, place, context)
         if record is not None:
             records.append(record)
-    settings = _settings(FitTable() if tables.fit is None else tables.fit)
+    fit = FitTable() if tables.fit is None else tables.fit
+    settings = _settings(fit)
     if not are_means:
         return ForceRecordStudy(name, tuple(records), settings)
-    if settings.lowpass is not None:
-        context.problems.append(
-            "[fit] lowpass: found beside mean forces, which it does not change; "
-            'allowed with kind = "force_records"'
-        )
+    context.problems.extend(
+        f"[fit] {key}: found beside mean forces, which it does not change; "
+        'allowed with kind = "force_records"'
+        for key in ("loss", "refine", "shift_range", "lowpass")
+        if key in fit.model_fields_set
+    )
     given = None if tables.record is None else tuple(records)
     return mean_force_task(name, tables.means, given, settings, context)
 

@@ -89,6 +89,11 @@ def _ready(
             f"{place} time_shift: found beside a straight cut, which has no clock of "
             "its own; leave it out, or give a tacho and tooth_angle"
         )
+    if table.tare_after is not None and not isinstance(table.tare, list):
+        problems.append(
+            f"{place} tare_after: found without a section in tare, but only both of "
+            "them show the drift; give both, or none to have them looked for"
+        )
     span = span_of(record, process, table, cuts, place, problems)
     if span is None:
         return None

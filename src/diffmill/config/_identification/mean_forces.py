@@ -135,6 +135,12 @@ def _of_table(table: MeansTable, context: Context) -> _Means | None:
             )
             return None
         return context.read(table, "[means]", _of_file)
+    problems += [
+        f"[means] {key}: found without a file, but lists have their own names and "
+        "units; allowed with file"
+        for key in ("channels", "units")
+        if key in table.model_fields_set
+    ]
     lost = [key for key in _KEYS if key not in given]
     counts = {key: len(getattr(table, key)) for key in given}
     if lost:
