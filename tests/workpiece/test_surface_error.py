@@ -1,5 +1,6 @@
 """The distance of a machined surface from the ideal one, against what is known."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -58,6 +59,21 @@ def test_another_grid_of_the_ideal_does_not_matter():
     machined = wp.box([0, 0, -3e-3], [8e-3, 6e-3, 0], SPACING)
     ideal = wp.box([0, 0, -3e-3], [8e-3, 6e-3, 0], 0.31e-3)
     assert np.abs(wp.SurfaceError.of_stock(machined, ideal).error).max() < 1e-12
+
+
+@pytest.mark.parametrize("shift", [1e-10, 1.5e-9, 2e-8, 1e-7])
+def test_rounding_of_the_grid_of_a_mesh_from_a_file_drops_no_point(shift):
+    """Single precision moves the corners of a mesh, and the grid with them."""
+    made, ideal = slotted(2.5e-3, 1.05e-3), slotted(2.5e-3, 1e-3)
+    moved = eqx.tree_at(lambda s: s.origin, ideal, ideal.origin + shift)
+    for leaves_out_raw in (False, True):
+        wanted, found = (
+            wp.SurfaceError.of_stock(made, stock, leaves_out_raw=leaves_out_raw)
+            for stock in (ideal, moved)
+        )
+        assert len(found.error) == len(wanted.error)
+        np.testing.assert_allclose(found.error, wanted.error, atol=2 * shift)
+    assert found.measures().deepest == pytest.approx(50e-6, rel=5e-3)
 
 
 @pytest.mark.parametrize("angle", [2.0, 17.0, 40.0])

@@ -17,8 +17,9 @@ from jaxtyping import Bool, Float, Int
 
 from .._dexel.stock import Stock
 
-# Rays of a stock are taken to be so many times as far apart to tell them apart.
-_OTHER_RAY = 1e6
+# Rays and ends this close, in spacings, are the same: the grid of a mesh from a file is
+# off by the rounding of its vertices.
+_SAME = 1e-3
 
 
 class SurfaceMeasures(eqx.Module):
@@ -168,11 +169,12 @@ class _IdealSurface:
     def __init__(self, ideal: Stock):
         from scipy.spatial import KDTree
 
-        ends = [ideal.ray_ends(f).points for f in range(3)]
-        self._ends = KDTree(np.concatenate(ends))
-        self._on_rays = [KDTree(_on_rays(ends[f], f)) for f in range(3)]
+        self._ends = KDTree(
+            np.concatenate([ideal.ray_ends(f).points for f in range(3)])
+        )
+        self._origin = np.asarray(ideal.origin, np.float64)
+        self._rays = [np.asarray(rays.ends) for rays in ideal.families]
         self._spacing = float(ideal.spacing)
-        self._extent = self._spacing * max(ideal.grid_shape)
         self._distance = ideal.to_mesh().signed_distance()
 
     def error(self, machined: Stock, leaves_out_raw: bool) -> SurfaceError:
@@ -185,7 +187,7 @@ class _IdealSurface:
         # in the mesh; its ends still say where it is, which bounds the distance.
         bound = np.asarray(self._ends.query(points)[0], np.float64)
         if leaves_out_raw:
-            kept = is_cut | (bound > 0)
+            kept = is_cut | (bound > _SAME * self._spacing)
             points, is_cut, family, bound = (
                 rows[kept] for rows in (points, is_cut, family, bound)
             )
@@ -216,22 +218,33 @@ class _IdealSurface:
         one side of it: its end is near the surface, but far from any end that the ideal
         stock has on that ray.
         """
-        away = np.full(len(points), np.inf)
-        for f in range(3):
-            mine = family == f
-            away[mine] = self._on_rays[f].query(_on_rays(points[mine], f))[0]
-        # Of another grid no ray is the same: nothing is known then.
-        is_same = away < self._extent
-        return is_same & (away > 2 * self._spacing) & (np.abs(error) < self._spacing)
+        away = np.concatenate(
+            [self._away_on_ray(points[family == f], f) for f in range(3)]
+        )
+        return (away > 2 * self._spacing) & (np.abs(error) < self._spacing)
 
+    def _away_on_ray(
+        self, points: Float[np.ndarray, "end 3"], family: int
+    ) -> Float[np.ndarray, " end"]:
+        """Return how far the ideal's nearest end on the same ray is [m].
 
-def _on_rays(
-    points: Float[np.ndarray, "end 3"], family: int
-) -> Float[np.ndarray, "end 3"]:
-    """Return ends so far apart across their rays that the nearest is on the same."""
-    scaled = _OTHER_RAY * points
-    scaled[:, family] = points[:, family]
-    return scaled
+        Zero where it has none, as on another grid: nothing is known then.
+        """
+        rays = self._rays[family]
+        place = ((points - self._origin) / self._spacing)[
+            :, [(family + 1) % 3, (family + 2) % 3]
+        ]
+        line = np.rint(place).astype(np.int64)
+        is_same = np.abs(place - line) < _SAME
+        is_same &= (line >= 0) & (line < rays.shape[:2])
+        at = np.flatnonzero(is_same.all(axis=1))
+        u, v = line[at].T
+        ends = rays[u, v]
+        off = np.abs(ends - points[at, family][:, None, None])
+        off = np.where(ends[:, 1:] > ends[:, :1], off, np.inf).min(axis=(1, 2))
+        away = np.zeros(len(points))
+        away[at] = np.where(np.isfinite(off), off, 0)
+        return away
 
 
 def _end_poses(stock: Stock, family: int) -> Int[np.ndarray, " end"]:
