@@ -35,6 +35,8 @@ def test_a_floor_too_high_and_a_wall_too_deep_have_their_signs():
         np.testing.assert_allclose(found.error[on], error, atol=1e-12)
         assert (found.is_floor[on] == is_floor).all()
     assert not found.is_cut.any()
+    # Raw material that is missing is no cut of a tool.
+    assert found.measures().deepest == 0 and np.isnan(found.deepest_at).all()
 
 
 def test_the_same_stock_has_no_error():

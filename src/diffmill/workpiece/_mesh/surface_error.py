@@ -133,9 +133,10 @@ class SurfaceError(eqx.Module):
 
         NaN where it did not cut into it.
         """
-        if not self.error.min(initial=0.0) < 0:
+        error = np.where(self.is_cut, self.error, 0)
+        if not error.min(initial=0.0) < 0:
             return np.full(3, np.nan)
-        return np.asarray(self.points[np.argmin(self.error)], np.float64)
+        return np.asarray(self.points[np.argmin(error)], np.float64)
 
     def measures(self) -> SurfaceMeasures:
         """Return the figures of the points that a tool cut."""
