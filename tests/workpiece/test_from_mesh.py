@@ -117,6 +117,12 @@ def inverted_block():
     return mesh
 
 
+def one_body_inverted():
+    far = block([6, 0, 0], [8, 2, 2])
+    far.invert()
+    return trimesh.util.concatenate([block([0, 0, 0], [4, 4, 4]), far])
+
+
 def one_flipped():
     mesh = block([0, 0, 0], [4, 4, 4])
     mesh.faces[0] = mesh.faces[0][::-1]
@@ -140,6 +146,7 @@ def not_finite():
     [
         (open_block, "3 open edges"),
         (inverted_block, "inside out"),
+        (one_body_inverted, "1 of its bodies inside out"),
         (one_flipped, "3 edges whose two triangles face opposite sides"),
         (flat_sheet, "encloses no volume"),
         (not_finite, "not finite"),
@@ -149,6 +156,29 @@ def test_a_mesh_that_bounds_no_solid_is_refused(tmp_path, make, message):
     file = export(make(), tmp_path / "bad.stl")
     with pytest.raises(wp.StockFileError, match=f"bad.stl: .*{message}"):
         wp.from_mesh(file, SPACING)
+
+
+@pytest.mark.parametrize("make", [inverted_block, one_body_inverted])
+def test_a_mesh_from_memory_that_is_inside_out_is_refused_for_that(make):
+    made = make()
+    mesh = wp.Mesh(np.array(made.vertices) * 1e-3, np.array(made.faces))
+    with pytest.raises(ValueError, match="inside out"):
+        wp.from_mesh(mesh, SPACING)
+
+
+@pytest.mark.parametrize("top", [3, 4])
+def test_cavities_where_shells_overlap_are_no_fault(tmp_path, top):
+    """At 4 mm one touches the outside of its body."""
+    holes = block([1, 1, 1], [2, 2, top]), block([1, 1, 1.5], [3, 2, 2.5])
+    for hole in holes:
+        hole.invert()
+    bodies = [block([0, 0, 0], [4, 4, 4]), block([3, 3, 0], [6, 6, 4]), *holes]
+    file = export(trimesh.util.concatenate(bodies), tmp_path / "hollow.ply")
+    # The second cavity widens the first by 1 mm^3.
+    volume = 4 * (16 + 9 - 1) - (top - 1) - 1
+    np.testing.assert_allclose(
+        wp.from_mesh(file, SPACING).volume(), volume * 1e-9, rtol=1e-9
+    )
 
 
 @pytest.mark.parametrize(

@@ -104,11 +104,16 @@ def from_mesh(
 
     Raises:
         StockFileError: The file cannot be read, or its triangles bound no solid.
-        ValueError: An argument is out of range, the slots are too few, or the stock is
-            larger than half of the physical memory.
+        ValueError: An argument is out of range, a mesh that is no file bounds no solid,
+            the slots are too few, or the stock is larger than half of the physical
+            memory.
     """
-    is_mesh = isinstance(path_or_mesh, Mesh)
-    mesh = path_or_mesh if is_mesh else load_mesh(path_or_mesh, unit=unit)
+    if isinstance(path_or_mesh, Mesh):
+        mesh = path_or_mesh
+        if fault := _index_fault(mesh) or mesh_fault(mesh):
+            raise ValueError(f"Argument `path_or_mesh` must bound a solid: {fault}.")
+    else:
+        mesh = load_mesh(path_or_mesh, unit=unit)
     return stock_from_mesh(mesh, spacing, interval_counts=interval_counts, dtype=dtype)
 
 

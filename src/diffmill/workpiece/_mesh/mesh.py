@@ -1,10 +1,17 @@
 """A closed surface of triangles, and what can be wrong with one."""
 
+import math
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
 from .signed_distance import SignedDistance
+
+# A volume so small of the box around a mesh is none.
+_FLAT = 1e-9
+# A point so close to a triangle, in sizes of it, is on it.
+_IN_PLANE = 1e-6
 
 
 class Mesh(eqx.Module):
@@ -21,8 +28,7 @@ class Mesh(eqx.Module):
 
     def volume(self) -> float:
         """Return the enclosed volume [m^3]; negative if the mesh is inside out."""
-        a, b, c = self._relative_corners()
-        return float(np.einsum("ij,ij->", a, np.cross(b, c))) / 6
+        return float(self._cone_volumes().sum())
 
     def extent_volume(self) -> float:
         """Return the volume of the box around the mesh [m^3]."""
@@ -37,14 +43,56 @@ class Mesh(eqx.Module):
         """Return how many edges two triangles run along in the same direction."""
         return int((np.abs(self._edge_surplus()) == 2).sum())
 
+    def inward_shell_count(self) -> int:
+        """Return how many closed shells face inward, but are no cavities."""
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components
+
+        start, stop = self.faces[:, :2].ravel(), self.faces[:, 1:].ravel()
+        count = len(self.vertices)
+        edges = coo_array((np.ones(len(start)), (start, stop)), (count, count))
+        shell_count, shell_of = connected_components(edges, directed=False)
+        shell_of = shell_of[self.faces[:, 0]]
+        volume = np.bincount(shell_of, self._cone_volumes(), shell_count)
+        inward = np.flatnonzero(volume < -_FLAT * self.extent_volume())
+        first = [np.argmax(shell_of == shell) for shell in inward]
+        middles = self.vertices[self.faces[first]].mean(axis=1)
+        bodies = Mesh(self.vertices, self.faces[volume[shell_of] > 0])
+        # A half where a cavity touches the outside of a body.
+        return sum(bodies._winding(point) < 0.25 for point in middles)
+
     def signed_distance(self) -> SignedDistance:
         """Return the distance of points to the mesh, closed and of like triangles."""
         return SignedDistance(self.vertices, self.faces)
 
     def _relative_corners(self) -> Float[np.ndarray, "3 face 3"]:
         # About the middle: far from the origin the terms would cancel.
-        middle = self.vertices.mean(axis=0)
-        return np.swapaxes((self.vertices - middle)[self.faces], 0, 1)
+        return self._corners_from(self.vertices.mean(axis=0))
+
+    def _corners_from(
+        self, point: Float[np.ndarray, " 3"]
+    ) -> Float[np.ndarray, "3 face 3"]:
+        return np.swapaxes((self.vertices - point)[self.faces], 0, 1)
+
+    def _cone_volumes(self) -> Float[np.ndarray, " face"]:
+        """Return the signed volume between each triangle and the middle [m^3]."""
+        a, b, c = self._relative_corners()
+        return np.einsum("ij,ij->i", a, np.cross(b, c)) / 6
+
+    def _winding(self, point: Float[np.ndarray, " 3"]) -> float:
+        """Return how often the mesh goes around a point; on it the mean of both sides.
+
+        A. van Oosterom and J. Strackee, The solid angle of a plane triangle, IEEE
+        Transactions on Biomedical Engineering 30, 1983, equation 8.
+        """
+        a, b, c = self._corners_from(point)
+        x, y, z = (np.linalg.norm(corner, axis=1) for corner in (a, b, c))
+        triple, size = (a * np.cross(b, c)).sum(axis=1), x * y * z
+        rest = size + sum(
+            (p * q).sum(axis=1) * r for p, q, r in ((a, b, z), (b, c, x), (c, a, y))
+        )
+        half = np.where(np.abs(triple) > _IN_PLANE * size, np.arctan2(triple, rest), 0)
+        return float(half.sum()) / (2 * math.pi)
 
     def _edge_surplus(self) -> Int[np.ndarray, " edge"]:
         """Return for each edge the triangles along it minus those against it."""
@@ -90,11 +138,15 @@ def mesh_fault(mesh: Mesh) -> str | None:
     if open_edges := mesh.open_edge_count():
         return f"found {open_edges} open edges; a closed surface is required"
     volume, extent = mesh.volume(), mesh.extent_volume()
-    if abs(volume) <= 1e-9 * extent or extent == 0:
+    if abs(volume) <= _FLAT * extent or extent == 0:
         return "found a surface that encloses no volume"
     if volume < 0:
         return (
             f"found a surface that is inside out (volume {volume:.3g} m^3); its "
             "triangles must face outward"
+        )
+    if inward := mesh.inward_shell_count():
+        return (
+            f"found {inward} of its bodies inside out; all triangles must face outward"
         )
     return None
