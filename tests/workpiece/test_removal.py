@@ -129,6 +129,20 @@ def test_no_ray_is_left_inside_any_pose_and_none_is_cut_outside():
         assert (is_air | is_outside).all()
 
 
+def test_the_shank_takes_no_more_than_what_passes_before_have_left():
+    mill = ct.flat_end_mill(4e-3, 2, flute_length=1e-3)
+    stock = wp.box([0, 0, -2e-3], [8e-3, 8e-3, 0], 0.1e-3)
+    window = wp.RemovalWindow.upright(stock, mill, 2e-3, 0.4e-3)
+    tips = wp.Pose(jnp.array([[4e-3, 4e-3, -2e-3]] * 2 + [[4.3e-3, 4e-3, -2e-3]]))
+    poses = jnp.arange(3, dtype=jnp.int32)
+    cut = window.remove_poses(stock, mill, tips, poses, jnp.ones(3, bool))
+    # The upper half of a cut 2 mm deep, whichever pass takes it.
+    np.testing.assert_allclose(cut.by_shank, cut.volume / 2, rtol=1e-9, atol=1e-20)
+    assert cut.volume[1] == 0 and cut.volume[2] > 0
+    skipped = window.remove_poses(stock, mill, tips, poses, jnp.zeros(3, bool))
+    assert not skipped.by_shank.any()
+
+
 def test_a_tool_deeper_than_its_window_raises_the_flag():
     stock = wp.box([0, 0, -4e-3], [8e-3, 8e-3, 0], 0.2e-3)
     window = wp.RemovalWindow.upright(stock, MILL, 0.4e-3, 0.2e-3)

@@ -174,7 +174,7 @@ class RemovalWindow(eqx.Module):
         windows = tuple(
             _Window.of(stock.families[f], places[f], in_use[f]) for f in (0, 1, 2)
         )
-        subtract = _Subtraction(cutter, places, looks_at_all=slots is None)
+        subtract = _Subtraction(cutter, places, slots is None, self.has_shank)
         if len(passes) == 1:
             windows, taken = subtract(windows, _DuePass(passes[0], is_due[0]))
             taken = jax.tree.map(lambda x: x[None], taken)
@@ -196,13 +196,10 @@ class RemovalWindow(eqx.Module):
             for window, rays, place in zip(windows, stock.families, places, strict=True)
         )
         new_stock = eqx.tree_at(lambda s: s.families, stock, families)
-        by_shank = jnp.zeros_like(volumes)
-        if self.has_shank:
-            by_shank = _shank_volume(stock, cutter, places[2], passes, is_due) * d**2
         return CutStock(
             new_stock,
             volumes,
-            by_shank,
+            taken.by_shank * d**2,
             jnp.stack([window.in_use for window in windows]),
             jnp.any(taken.is_full),
             grid.is_beyond & jnp.any(taken.length > 0),
@@ -262,40 +259,6 @@ class CutStock(eqx.Module):
     slots: Int[Array, " 3"]
     has_overflow: Bool[Array, ""]
     is_beyond: Bool[Array, ""]
-
-
-def _shank_volume(
-    stock: Stock,
-    cutter: AbstractCutter,
-    place: RayPlaces,
-    passes: Sequence[ToothPass],
-    is_due: Bool[Array, " pose"],
-) -> Float[Array, " pose"]:
-    """Return how much of each pass's cut lies above its flutes, by the rays along z."""
-    rays = stock.families[2]
-    at, x, y = place
-    shape = (*x.shape, 2, rays.ends.shape[-1])
-    ends = jax.lax.stop_gradient(jax.lax.dynamic_slice(rays.ends, at, shape))
-    lengths = []
-    for i, each in enumerate(passes):
-        pose = each.center()
-        start, stop, is_hit, *_ = cut_interval(cutter, 2, x, y, each)
-        a = pose.direction()
-        foot = (x - pose.tip[0]) * a[0] + (y - pose.tip[1]) * a[1]
-        left = cutter.flute_length - foot
-        is_level = jnp.abs(a[2]) < _LEVEL
-        above = pose.tip[2] + left / jnp.where(is_level, 1.0, a[2])
-        never = jnp.where(left < 0, -Rays.DEAD, Rays.DEAD)
-        above = jnp.where(is_level, never, above)
-        # A shank that hangs down takes what lies below this height instead.
-        low = jnp.where(a[2] >= 0, jnp.maximum(start, above), start)
-        high = jnp.where(a[2] >= 0, stop, jnp.minimum(stop, above))
-        piece = jnp.minimum(ends[:, :, 1], high[..., None]) - jnp.maximum(
-            ends[:, :, 0], low[..., None]
-        )
-        taken = jnp.where((is_hit & is_due[i])[..., None], jnp.maximum(piece, 0), 0)
-        lengths.append(jnp.sum(taken))
-    return jnp.stack(lengths)
 
 
 def window_grid(
@@ -405,10 +368,12 @@ class _Taken(NamedTuple):
 
     Attributes:
         length: Of the rays of each family [m].
+        by_shank: What of the rays along z the shank took, above the flutes [m].
         is_full: Whether a ray was full then.
     """
 
     length: Float[Array, "*pass 3"]
+    by_shank: Float[Array, "*pass"]
     is_full: Bool[Array, "*pass 3"]
 
 
@@ -419,20 +384,24 @@ class _Subtraction(NamedTuple):
         cutter: The cutter.
         places: Where the rays of each family stand.
         looks_at_all: Whether all slots are looked at: less to compile.
+        has_shank: Whether the shank above the flutes can be in the stock.
     """
 
     cutter: AbstractCutter
     places: list[RayPlaces]
     looks_at_all: bool
+    has_shank: bool
 
     def __call__(
         self, windows: tuple[_Window, ...], due: _DuePass
     ) -> tuple[tuple[_Window, ...], _Taken]:
         """Return what is left, and what was taken."""
         subtract_from = _subtract_in_all if self.looks_at_all else _subtract_in_use
+        none = jnp.zeros((), windows[0].ends.dtype)
 
         def cut() -> tuple[tuple[_Window, ...], _Taken]:
             left, lengths, full = [], [], []
+            by_shank = none
             for f in (0, 1, 2):
                 _, b, c = self.places[f]
                 interval = cut_interval(self.cutter, f, b, c, due.tooth)
@@ -440,13 +409,37 @@ class _Subtraction(NamedTuple):
                 left.append(found.window)
                 lengths.append(found.length)
                 full.append(found.is_full)
-            return tuple(left), _Taken(jnp.stack(lengths), jnp.stack(full))
+                if f == 2 and self.has_shank:
+                    by_shank = self._shank_length(windows[f], interval, due.tooth)
+            return tuple(left), _Taken(jnp.stack(lengths), by_shank, jnp.stack(full))
 
         def skip() -> tuple[tuple[_Window, ...], _Taken]:
-            none = jnp.zeros(3, windows[0].ends.dtype)
-            return windows, _Taken(none, jnp.zeros(3, bool))
+            return windows, _Taken(jnp.stack([none] * 3), none, jnp.zeros(3, bool))
 
         return jax.lax.cond(due.is_due, cut, skip)
+
+    def _shank_length(
+        self, window: _Window, interval: CutInterval, tooth: ToothPass
+    ) -> Float[Array, ""]:
+        """Return how much of a cut of rays along z lies above the flutes [m]."""
+        _, x, y = self.places[2]
+        ends = jax.lax.stop_gradient(window.ends)
+        start, stop, is_hit, *_ = interval
+        pose = tooth.center()
+        a = pose.direction()
+        foot = (x - pose.tip[0]) * a[0] + (y - pose.tip[1]) * a[1]
+        left = self.cutter.flute_length - foot
+        is_level = jnp.abs(a[2]) < _LEVEL
+        above = pose.tip[2] + left / jnp.where(is_level, 1.0, a[2])
+        never = jnp.where(left < 0, -Rays.DEAD, Rays.DEAD)
+        above = jnp.where(is_level, never, above)
+        # A shank that hangs down takes what lies below this height instead.
+        low = jnp.where(a[2] >= 0, jnp.maximum(start, above), start)
+        high = jnp.where(a[2] >= 0, stop, jnp.minimum(stop, above))
+        piece = jnp.minimum(ends[:, :, 1], high[..., None]) - jnp.maximum(
+            ends[:, :, 0], low[..., None]
+        )
+        return jnp.sum(jnp.where(is_hit[..., None], jnp.maximum(piece, 0), 0))
 
 
 class _LeftInWindow(NamedTuple):
