@@ -3,6 +3,7 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from diffmill import cutter as ct, workpiece as wp
 from diffmill.workpiece import Rays
@@ -151,3 +152,30 @@ def test_a_tool_deeper_than_its_window_raises_the_flag():
     assert window.remove_poses(stock, MILL, wp.Pose(tip), pose, yes).is_beyond
     away = wp.Pose(tip + 10.0)
     assert not window.remove_poses(stock, MILL, away, pose, yes).is_beyond
+
+
+@pytest.mark.parametrize(("at", "misses"), [(4.1e-3, False), (5.7e-3, True)])
+def test_a_second_pose_that_reaches_out_of_the_window_raises_the_flag(at, misses):
+    stock = wp.box([0, 0, -2e-3], [20e-3, 20e-3, 0], 0.2e-3)
+    window = wp.RemovalWindow.upright(stock, MILL, 1e-3, 0.1e-3)
+    tips = wp.Pose(jnp.array([[4e-3, 4e-3, -1e-3], [at, 4e-3, -1e-3]]))
+    poses = jnp.arange(2, dtype=jnp.int32)
+    cut = window.remove_poses(stock, MILL, tips, poses, jnp.ones(2, bool))
+    assert cut.is_beyond == misses
+    first = window.remove_poses(stock, MILL, tips, poses, jnp.array([True, False]))
+    assert not first.is_beyond
+
+
+@pytest.mark.parametrize("at", [6.1e-3, 13.9e-3])
+def test_a_tool_wider_than_its_window_raises_the_flag(at):
+    """A draw of the diameter may be far from the one that sized the windows."""
+    stock = wp.box([0, 0, -2e-3], [20e-3, 20e-3, 0], 0.2e-3)
+    pose = wp.Pose(jnp.array([[at, 10e-3, -1e-3]]))
+    index, yes = jnp.zeros(1, jnp.int32), jnp.ones(1, bool)
+    for diameter, misses in ((4e-3, False), (4.2e-3, False), (6e-3, True)):
+        mill = ct.flat_end_mill(diameter, 2, nominal_diameter=4e-3)
+        window = wp.RemovalWindow.upright(stock, mill, 1e-3, 0.1e-3)
+        cut = window.remove_poses(stock, mill, pose, index, yes)
+        assert cut.is_beyond == misses
+        exact = np.pi / 4 * diameter**2 * 1e-3
+        assert misses == (cut.volume[0] < 0.98 * exact)

@@ -59,7 +59,7 @@ class TakenPieces(eqx.Module):
         Differentiability: in the ends of the stock and in the tip, as long as the same
         interval of a ray holds its outermost end.
         """
-        grid = window_grid(stock, cutter, window, Pose(tip).frozen())
+        grid = window_grid(stock, cutter, window, [Pose(tip).frozen()])
 
         def of_family(family: Literal[0, 1, 2]) -> TakenPieces:
             at, bs, cs = grid.of_family(family)

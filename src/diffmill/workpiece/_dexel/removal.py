@@ -167,7 +167,8 @@ class RemovalWindow(eqx.Module):
 
         Differentiability: in the ends of the stock, through the poses.
         """
-        grid = window_grid(stock, cutter, self, passes[0].center().frozen())
+        centers = [each.center().frozen() for each in passes]
+        grid = window_grid(stock, cutter, self, centers)
         d = stock.spacing
         in_use = stock.slots_in_use() if slots is None else slots
         places = [grid.of_family(f) for f in (0, 1, 2)]
@@ -202,7 +203,7 @@ class RemovalWindow(eqx.Module):
             taken.by_shank * d**2,
             jnp.stack([window.in_use for window in windows]),
             jnp.any(taken.is_full),
-            grid.is_beyond & jnp.any(taken.length > 0),
+            jnp.any(grid.is_beyond & is_due) & jnp.any(taken.length > 0),
         )
 
 
@@ -212,12 +213,13 @@ class WindowGrid(NamedTuple):
     Attributes:
         starts: First grid line on each axis.
         lines: Coordinates of its lines on each axis [m].
-        is_beyond: Whether the tool reaches beyond the window, shape ().
+        is_beyond: Whether the tool reaches beyond the window, of an upright one for
+            each pose, shape (pose,), of another at the first, shape ().
     """
 
     starts: list[Int[Array, ""]]
     lines: list[Float[Array, " _"]]
-    is_beyond: Bool[Array, ""]
+    is_beyond: Bool[Array, "*pose"]
 
     def of_family(self, family: int) -> "RayPlaces":
         """Return where the rays of a family stand in the window."""
@@ -262,18 +264,18 @@ class CutStock(eqx.Module):
 
 
 def window_grid(
-    stock: Stock, cutter: AbstractCutter, window: RemovalWindow, pose: Pose
+    stock: Stock, cutter: AbstractCutter, window: RemovalWindow, poses: Sequence[Pose]
 ) -> WindowGrid:
-    """Return the grid lines of a window around a pose.
+    """Return the grid lines of a window around the first of some poses.
 
     Args:
         stock: The workpiece.
         cutter: The cutter.
         window: Size of the window.
-        pose: The pose, without derivative, shape (3,).
+        poses: The poses, without derivative, each of shape (3,).
     """
     origin, d = stock.origin, stock.spacing
-    place = _place(stock, cutter, window, pose)
+    place = _place(stock, cutter, window, poses)
     lines = [
         origin[a]
         + d
@@ -286,16 +288,16 @@ def window_grid(
 
 
 class _WindowPlace(NamedTuple):
-    """First grid lines of a window, and whether it misses material, shape ()."""
+    """First grid lines of a window, and whether it misses material, as `WindowGrid`."""
 
     starts: list[Int[Array, ""]]
-    is_beyond: Bool[Array, ""]
+    is_beyond: Bool[Array, "*pose"]
 
 
 def _place(
-    stock: Stock, cutter: AbstractCutter, window: RemovalWindow, pose: Pose
+    stock: Stock, cutter: AbstractCutter, window: RemovalWindow, poses: Sequence[Pose]
 ) -> _WindowPlace:
-    origin, d = stock.origin, stock.spacing
+    pose, origin, d = poses[0], stock.origin, stock.spacing
     shape, sizes = stock.grid_shape, window.sizes
     if pose.axis is None:
         grid = jnp.floor((pose.tip - origin) / d).astype(jnp.int32)
@@ -304,10 +306,20 @@ def _place(
             jnp.clip(grid[1] - sizes[1] // 2 + 1, 0, shape[1] - sizes[1]),
             jnp.clip(grid[2] - 1, 0, shape[2] - sizes[2]),
         ]
-        # Material above the window under the tool would stay uncut.
-        last = origin[2] + d * (starts[2] + sizes[2] - 1).astype(origin.dtype)
-        is_beyond = (starts[2] + sizes[2] < shape[2]) & (last < stock.top)
-        return _WindowPlace(starts, is_beyond)
+        # Lines beyond the window that a tool of its true radius reaches stay uncut, and
+        # so does material above it. The tool ends at its tip.
+        side = (cutter.diameter / 2) * jnp.asarray([1, 1, 0], origin.dtype)
+        tips = jnp.stack([each.tip for each in poses])
+        is_up = jnp.asarray([[False, False, True]])
+        high = jnp.where(is_up, stock.top, tips + side[None])
+        first = jnp.stack(starts)
+        last = first + jnp.asarray(sizes, jnp.int32)
+        before = origin + d * (first - 1).astype(origin.dtype)
+        behind = origin + d * last.astype(origin.dtype)
+        has_before, has_behind = first > 0, last < jnp.asarray(shape, jnp.int32)
+        is_short = has_before[None] & (before[None] > tips - side[None])
+        is_short |= has_behind[None] & (behind[None] < high)
+        return _WindowPlace(starts, jnp.any(is_short, axis=1))
     a, R = pose.axis, cutter.nominal_radius
     disc = R * jnp.sqrt(jnp.maximum(1 - a**2, 0))
     far = pose.tip + window.length * a
