@@ -224,28 +224,39 @@ def test_an_uncertainty_tells_what_it_leaves_out(folder, capsys):
     assert "# without the error of y: as in" in (out / "identified.toml").read_text()
 
 
-def test_modes_give_dampers(folder, capsys):
+@pytest.mark.parametrize("noise", [0.01, 0.15])
+def test_modes_give_dampers(folder, capsys, noise):
+    """As comments where noise hides what the modes explain."""
     # sqrt(K / m) = 200 and 300 rad/s; D / (2 sqrt(K m)) = 1 % and 1.5 %.
     time = np.arange(0, 1, 5e-4)
     signal = sum(
         a * np.exp(-z * w * time) * np.cos(w * np.sqrt(1 - z**2) * time)
         for a, w, z in ((1.0, 200.0, 0.01), (0.5, 300.0, 0.015))
     )
-    signal += 0.01 * np.random.default_rng(0).normal(size=time.size)
-    rows = "\n".join(f"{t:.4f}\t{v:.6f}" for t, v in zip(time, signal, strict=True))
-    (folder / "hit.txt").write_text("blow 1\nt\ta\n[s]\t[m/s^2]\n" + rows)
+    draw, text = np.random.default_rng(0), ""
+    for name in ("first.txt", "second.txt"):
+        noisy = signal + noise * draw.normal(size=time.size)
+        rows = "\n".join(f"{t:.4f}\t{v:.6f}" for t, v in zip(time, noisy, strict=True))
+        (folder / name).write_text("blow 1\nt\ta\n[s]\t[m/s^2]\n" + rows)
+        text += f'[[ring_down]]\nfile = "{name}"\nmodes = 2\n'
+        text += 'joint_positions = ["0 mm", "0 mm"]\n'
     (folder / "ring.toml").write_text(
-        'kind = "ring_down"\n[robot]\nfile = "slides.toml"\n[[ring_down]]\n'
-        'file = "hit.txt"\nmodes = 2\njoint_positions = ["0 mm", "0 mm"]\n'
+        'kind = "ring_down"\n[robot]\nfile = "slides.toml"\n' + text
     )
     assert main(["identify", "ring.toml"]) == 0
-    out, facts, _ = results(folder, "ring")
+    out, facts, toml = results(folder, "ring")
     found = facts["measured"][0]
+    if noise > 0.1:
+        assert found["explained"] < 0.9 and toml == {}
+        assert "# joint_damping" in (out / "identified.toml").read_text()
+        return
+    assert "joint_damping" in toml["robot"]
     np.testing.assert_allclose(
         found["frequencies_Hz"], [100 / np.pi, 150 / np.pi], rtol=1e-3
     )
     np.testing.assert_allclose(found["damping_ratios"], [0.01, 0.015], rtol=0.05)
-    names = {"ring_down", "correlation", "damping", "damping_correlation"}
+    names = {f"{x}_{i}" for x in ("ring_down", "correlation") for i in (1, 2)}
+    names |= {"damping", "damping_correlation"}
     assert {p.stem for p in out.glob("*.png")} == names
     assert "joint dampers" in capsys.readouterr().out
 
@@ -575,6 +586,24 @@ def test_means_of_a_cutter_with_other_teeth_are_comments(folder, capsys):
     assert found == [("tooth_count", i) for i in range(3)]
     assert facts["records"] == ["slot0.txt", "slot1.txt", "slot2.txt"]
     assert toml == {}
+
+
+@pytest.mark.slow
+def test_means_of_saturated_records_are_comments(folder):
+    time, job = np.arange(0, 0.1, 2e-4), SLOTS.replace("force_records", "mean_forces")
+    for i, feed in enumerate((0.05e-3, 0.1e-3, 0.15e-3)):
+        force = slot_force(time, feed)
+        rows = np.column_stack([time, np.minimum(force, 0.7 * force.max())])
+        np.savetxt(
+            folder / f"slot{i}.txt", rows, header="t_s Fx_N Fy_N Fz_N", comments=""
+        )
+        job += f'[[record]]\nfile = "slot{i}.txt"\n'
+        job += f'feed_per_tooth = "{1e3 * feed} mm"\n'
+    (folder / "slot.toml").write_text(job)
+    assert main(["identify", "slot.toml"]) == 0
+    out, _, toml = results(folder, "slot")
+    assert toml == {}
+    assert "Samples of a record are saturated" in (out / "identified.toml").read_text()
 
 
 @pytest.mark.slow

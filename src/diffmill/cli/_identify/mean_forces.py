@@ -64,6 +64,8 @@ def report_means(study: MeanForceStudy, found: MeanForceStudy.Fit) -> Report:
         doubts = ["K_tc is not positive: axes or cut are wrong"]
     elif not any(fit.identifiable.values()):
         doubts = ["No coefficient is identifiable"]
+    if any(record.is_saturated for record in study.records):
+        doubts.append("Samples of a record are saturated")
     return Report(lines, fitted_force_toml(found, doubts), facts, figures)
 
 

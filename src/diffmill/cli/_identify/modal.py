@@ -75,10 +75,14 @@ def _toml(study: ModeStudy, found: ModeStudy.Fit) -> list[str]:
     values, errors = damping.damping, damping.standard_errors
     share = float(np.max(errors[known] / values[known]))
     remark = kept_remark(robot.joint_names, known)
-    return [
+    lines = [
         *joints_toml(robot, "joint_damping", values, errors, known),
         *uncertainty_toml("damping", share, remark),
     ]
+    for one, fit in zip(study.measured, found.modes, strict=True):
+        if fit.explained < _LITTLE:
+            return doubted(lines, _too_little(one))
+    return lines
 
 
 def _machine_toml(study: ModeStudy, found: ModeStudy.Fit) -> list[str]:
@@ -107,10 +111,11 @@ def _mode_tables(one: FrequencyResponse, fit: Any) -> list[str]:
             f"direction = {one.direction}",
             f'stiffness = "{fit.stiffness[k]:.8g} N/m"',
         ]
-    if fit.explained < _LITTLE:
-        why = f"{one.name}: the modes explain too little of it; see summary.txt."
-        return doubted(lines, why)
-    return lines
+    return doubted(lines, _too_little(one)) if fit.explained < _LITTLE else lines
+
+
+def _too_little(one: FrequencyResponse | RingDown) -> str:
+    return f"{one.name}: the modes explain too little of it; see summary.txt."
 
 
 def _mode_facts(fit: Any) -> dict[str, Any]:
