@@ -137,6 +137,7 @@ def test_slopes_of_upright_walls_are_refused_for_round_ends():
         ("helix_angle", 0.5),
         ("dish_angle", 0.03),
         ("pitch_angles", np.array([0.0, 2.5])),
+        ("pitch_angles", np.zeros(3)),
     ],
 )
 def test_values_that_a_cutter_was_not_made_for_are_refused(name, value):

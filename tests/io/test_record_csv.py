@@ -125,6 +125,13 @@ def test_amplifiers_need_to_say_what_they_stand_for(tmp_path, unit):
     np.testing.assert_allclose(record.force, 100 * FORCE)
 
 
+def test_the_vertical_force_is_no_voltage(tmp_path):
+    """As `F_H` beside it."""
+    content = "time_s,F_x,F_H,F_V\n" + "\n".join(rows())
+    record = load(tmp_path, content, channels={"Fy": "F_H", "Fz": "F_V"})
+    np.testing.assert_allclose(record.force, FORCE)
+
+
 def test_a_time_of_day_goes_on_after_midnight(tmp_path):
     seconds = (86400 - 0.01 + TIME) % 86400
     lines = [

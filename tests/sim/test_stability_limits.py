@@ -135,6 +135,8 @@ def test_uneven_teeth_at_a_fast_mode_come_with_a_caveat():
     assert "uneven teeth are judged right below" in told and "922 Hz" in told
     grown = dataclasses.replace(found, log_growth=np.ones(1))
     assert "uneven" in str(grown.warning())
+    nearly = modal_growth(5000, (0,), SLOT, 0.4e-3, pitch=(180.0005, 179.9995))
+    assert nearly.delays_up_to == math.inf
     slow = dataclasses.replace(found, fastest_mode=0.9 * found.delays_up_to)
     assert "uneven" not in slow.note()
 

@@ -121,7 +121,8 @@ class EndMill(AbstractCutter):
             value = getattr(self, name)
             if not is_left_out or is_traced(value):
                 continue
-            if not np.allclose(value, usual, atol=0.0):
+            is_alike = np.shape(value) == np.shape(usual)
+            if not is_alike or not np.allclose(value, usual, atol=0.0):
                 raise ValueError(
                     f"Argument `{name}` must be as the cutter was made, {usual}, but "
                     f"is {value}; make another one, as by `flat_end_mill`."

@@ -111,7 +111,11 @@ class Move(NamedTuple):
         Raises:
             ValueError: If the axis turns to the opposite one.
         """
-        return turned_axes(np.array([start_axis]), np.array([self.axis]), share)
+        first, last = np.array([start_axis]), np.array([self.axis])
+        try:
+            return turned_axes(first, last, share)
+        except ValueError as error:
+            raise ValueError(f"line {self.line}: {error}") from error
 
 
 class Section(NamedTuple):

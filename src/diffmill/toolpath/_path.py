@@ -16,7 +16,7 @@ from .._types import (
     IntSteps,
     RealScalarLike,
 )
-from ._turned_axes import turned_axes
+from ._turned_axes import LEAST_SUM, turned_axes
 
 # Above this a path fills the memory with its own rows, and a typing error in a feed is
 # the usual reason.
@@ -145,6 +145,12 @@ class Path(eqx.Module):
         count = max(1, math.ceil(time[-1] / period - 1e-6))
         instants = period * np.arange(count + 1)
         inside = np.minimum(instants, time[-1])
+        is_opposite = np.linalg.norm(axes[1:] + axes[:-1], axis=1) < LEAST_SUM
+        if is_opposite.any():
+            raise ValueError(
+                "The tool must not turn to the opposite axis from one row to the next, "
+                f"but does {time[np.argmax(is_opposite)]:.6g} s behind the first."
+            )
         before = np.searchsorted(time, inside, side="right") - 1
         before = np.minimum(before, time.size - 2)
         share = (inside - time[before]) / np.diff(time)[before]

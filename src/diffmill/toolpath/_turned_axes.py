@@ -28,8 +28,8 @@ def turned_axes(
     gap, total = (np.linalg.norm(a, axis=1) for a in (last - first, last + first))
     if np.any(total < LEAST_SUM):
         raise ValueError(
-            "Argument `last` must not be opposite to `first`: nothing says which way "
-            "round the tool turns."
+            "The tool must not turn to the opposite axis at once: nothing says which "
+            "way round."
         )
     phi = 2 * np.arctan2(gap, total)
     # Exactly zero where the axis stays.

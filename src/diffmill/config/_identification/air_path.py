@@ -9,7 +9,7 @@ from .context import Context
 from .schema import AirPathTable
 
 # Usual steps between two rows from which on nobody knows what lies between them.
-_GAP = 1.5
+_GAP = 2.5
 
 
 def read_air_path(

@@ -219,9 +219,9 @@ class Record(eqx.Module):
         A pulse is where the signal rises through the middle of its range, to a part of
         a sample; it counts again only after falling below 40 % of the range. The angle
         is linear between pulses and goes on at the last speed outside of them. Samples
-        without a number are bridged. Pulses
-        nearer than half the median distance are bounces and left out; a distance of
-        about several medians counts as that many pulses.
+        without a number are bridged. Pulses nearer than half the median distance are
+        bounces and left out; a distance of about several medians counts as that many
+        pulses.
 
         Args:
             pulses_per_turn: Number of pulses in a turn.

@@ -146,7 +146,11 @@ def split_unit(label: str, *kinds: QuantityKind) -> Label:
     if match is not None:
         return Label(match[1].strip(), match[2] or match[3] or "")
     match = _SUFFIX.fullmatch(text)
-    if match is not None and (match[2] in ELECTRIC or is_unit(match[2], *kinds)):
+    # The V of `F_V` may be the vertical.
+    if match is not None and (
+        (match[2] in ELECTRIC and re.search("[xyz]$", match[1], re.IGNORECASE))
+        or is_unit(match[2], *kinds)
+    ):
         return Label(match[1].strip(), match[2])
     return Label(text, "")
 

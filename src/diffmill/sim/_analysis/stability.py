@@ -507,7 +507,8 @@ def _delays_followed(cutter: AbstractCutter) -> float:
     turns = np.geomspace(1e-2, 1e3, 2000)
     angle, s = 2 * np.pi * turns[:, None], share.reshape(1, -1)
     error = np.abs(1 - s + s * np.exp(-1j * angle) - np.exp(-1j * angle * s))
-    return float(turns[np.argmax(error.max(axis=1) > _DELAYED)])
+    is_off = error.max(axis=1) > _DELAYED
+    return float(turns[np.argmax(is_off)]) if is_off.any() else math.inf
 
 
 def _fastest_mode(
