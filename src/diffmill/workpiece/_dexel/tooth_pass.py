@@ -22,7 +22,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
 from ...cutter import AbstractCutter
-from ...numerics import clamp, hold
+from ...numerics import Recomputed, clamp, hold
 from .._pose import Pose
 from .interval import CutInterval
 from .nearest_interval import taken
@@ -87,7 +87,9 @@ class PoseTrack(eqx.Module):
         **Differentiability**: in the poses and the cutter's sizes.
         """
         if cutter.has_dish:
-            return cutter.intersect(2, x, y, self.cut_by(ticks).tip).start
+            # Reverse mode keeps the tips that are read, and no table of all poses.
+            tip = Recomputed.read(self.cut_by(ticks).tip)
+            return cutter.intersect(2, x, y, tip).start
         return self._between(self.poses.tip[:, 2:], ticks)[..., 0]
 
     def raw_ends(
