@@ -15,9 +15,11 @@ def slot_force(time, feed, runout=0.0):
     z = (np.arange(100) + 0.5) * DEPTH / 100
     total = np.zeros((len(time), 3))
     for tooth in range(2):
-        phi = SPEED * time[:, None] + math.pi * tooth - z[None] * math.tan(HELIX) / R
-        # The tooth before stands out by the opposite of what this one does.
-        more = 2 * runout * (1 - 2 * tooth)
+        lag = z[None] * math.tan(HELIX) / R
+        phi = SPEED * time[:, None] + math.pi * tooth - lag
+        # The tooth before stands out by the opposite of what this one does; along a
+        # helix the edge turns out of the direction of the run-out.
+        more = 2 * runout * (1 - 2 * tooth) * np.cos(lag)
         h = R + more + feed * np.sin(phi) - np.sqrt(R**2 - (feed * np.cos(phi)) ** 2)
         if runout:
             # Near its entry a tooth that stands out meets its own last path first.

@@ -385,8 +385,10 @@ def test_runout_is_found():
     fit = identification.fit_force_coefficients(cut, time, seen, refine=["runout"])
     assert fit.has_converged
     np.testing.assert_allclose(fit.refined["runout_x"], 10e-6, atol=0.5e-6)
-    # Two teeth tell the difference of their radii only.
-    assert math.isnan(fit.refined["runout_y"])
+    # Two teeth tell the difference of their radii only, which the helix turns a little.
+    off, known = fit.refined["runout_y"], fit.refined_errors
+    assert known["runout_y"] > 5 * known["runout_x"]
+    assert math.isnan(off) or abs(off) < 2 * known["runout_y"]
     np.testing.assert_allclose(found(fit), K, rtol=0.03)
 
 

@@ -81,7 +81,7 @@ def test_axes_turn_evenly_between_recorded_ones():
     found = np.arctan2(path.axes[:, 0], path.axes[:, 2])
     np.testing.assert_allclose(found, np.interp(path.time, time, angle), atol=1e-12)
     axes[1] = -axes[0]
-    with pytest.raises(ValueError, match="opposite.* 0 s behind"):
+    with pytest.raises(ValueError, match=r"opposite.* 0 s behind"):
         record(time, points, axes).resampled(0.05)
 
 
