@@ -113,3 +113,17 @@ def test_what_is_defined_elsewhere_is_not_kept(programs):
 def test_nothing_is_kept_where_nothing_can_be_written(programs):
     programs.write_text("a file where the folder should be")
     assert CompiledOnce(hold)(jnp.ones(2)).tolist() == [1.0, 1.0]
+
+
+def test_what_jax_does_not_export_runs_all_the_same(programs):
+    """As a check of a linear solver on the host, in derivatives of a balance."""
+
+    def called_back(x: jax.Array) -> jax.Array:
+        shape = jax.ShapeDtypeStruct(x.shape, x.dtype)
+        return jax.pure_callback(lambda x: 2 * x, shape, x)
+
+    # As if it were one of the package.
+    called_back.__module__ = hold.__module__
+    called_back.__qualname__ = "called_back"
+    assert CompiledOnce(called_back)(jnp.ones(2)).tolist() == [2.0, 2.0]
+    assert not programs.exists()

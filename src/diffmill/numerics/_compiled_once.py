@@ -160,7 +160,7 @@ class CompiledOnce(Generic[P, R]):
         if found is None:
             try:
                 found = self._exported(arguments)
-            except (HasNoText, ValueError):
+            except (HasNoText, NotImplementedError, ValueError):
                 # It holds what is not known by name, or calls what JAX does not export;
                 # what the function itself refuses, it refuses where it is called.
                 return None
