@@ -127,6 +127,12 @@ CLAIMS = {
             "tests/sim/test_stability_limits.py"
             "::test_modes_at_the_tip_have_the_published_limits",
         ),
+        Claim(
+            "growth of a vibration under uneven teeth",
+            "semi-discretisation over a turn",
+            "tests/sim/test_stability_limits.py"
+            "::test_uneven_teeth_calm_as_another_method_says",
+        ),
     ],
     "Derivatives": [
         Claim(

@@ -2,12 +2,14 @@
 
 A tool on one or two equal modes, along the feed x and across it, with straight teeth:
 
-    m u'' + c u' + k u = -a W(t) (u(t) - u(t - T)),
-    W(t) = sum of (K_t t + K_r e) e^T over the teeth in the cut,
+    m u'' + c u' + k u = -a sum over teeth j in the cut of W_j(t) (u(t) - u(t - T_j)),
+    W_j = (K_t t + K_r e) e^T,
 
-e = (sin phi, cos phi) outward from the tool at the tooth, t = (cos phi, -sin phi) along
-its motion. In each of equal steps W is its mean, the delayed tip the mean of its values
-at both ends, and the rest of the equation is solved by the exponential of its matrix.
+T_j the time since the tooth before passed, e = (sin phi, cos phi) outward from the tool
+at the tooth, t = (cos phi, -sin phi) along its motion. In each of equal steps W is its
+mean, the delayed tip the mean of its values at both ends, and the rest of the equation
+is solved by the exponential of its matrix. Uneven teeth repeat themselves after a turn;
+a tip between two steps is interpolated.
 
 Reference: Insperger, Stepan, Updated semi-discretization method for periodic
 delay-differential equations with discrete delay, Int. J. Numer. Meth. Engng 61, 2004.
@@ -36,6 +38,7 @@ class Cut:
         axes: Axes with a mode, 0 along the feed and 1 across it.
         entry: Immersion angle where a tooth enters [rad].
         exit: Where it leaves [rad].
+        pitch: Angle from each tooth to the next [rad]; None for even teeth.
     """
 
     speed: float
@@ -48,22 +51,30 @@ class Cut:
     axes: tuple[int, ...] = (0,)
     entry: float = 0.0
     exit: float = math.pi
+    pitch: tuple[float, ...] | None = None
 
     @property
     def tooth_period(self) -> float:
         """Time between two teeth [s]."""
         return 1 / (self.speed * self.teeth)
 
+    @property
+    def places(self) -> np.ndarray:
+        """Return the angles at which the teeth stand, shape (tooth,)."""
+        if self.pitch is None:
+            return 2 * math.pi * np.arange(self.teeth) / self.teeth
+        return np.cumsum(self.pitch) - self.pitch
+
     def slopes(self, time: np.ndarray) -> np.ndarray:
-        """Return W at some times [Pa], shape (time, axis, axis)."""
-        turn = self.speed * time[:, None] + np.arange(self.teeth) / self.teeth
-        phi = 2 * math.pi * (turn % 1)
+        """Return W of the teeth at some times [Pa], shape (time, tooth, axis, axis)."""
+        turn = 2 * math.pi * self.speed * time[:, None]
+        phi = (turn + self.places) % (2 * math.pi)
         e = np.stack([np.sin(phi), np.cos(phi)], -1)
         t = np.stack([np.cos(phi), -np.sin(phi)], -1)
         push = self.K_t * t + self.K_r * e
         is_in = (self.entry <= phi) & (phi <= self.exit)
-        W = np.einsum("tj,tja,tjb->tab", is_in, push, e)
-        return W[:, self.axes][:, :, self.axes]
+        W = np.einsum("tj,tja,tjb->tjab", is_in, push, e)
+        return W[..., self.axes, :][..., self.axes]
 
 
 def growth(cut: Cut, depth: float, steps: int = 200) -> float:
@@ -75,22 +86,31 @@ def growth(cut: Cut, depth: float, steps: int = 200) -> float:
         steps: Steps per tooth period.
     """
     n, h = len(cut.axes), cut.tooth_period / steps
+    periods = 1 if cut.pitch is None else cut.teeth
     omega = 2 * math.pi * cut.frequency
     within = (np.arange(20) + 0.5) / 20
-    state = np.eye(2 * n + n * steps)
-    x, old = state[: 2 * n], state[2 * n :].reshape(steps, n, -1)
-    ends = np.concatenate([old, x[None, :n]])
-    new = []
-    for k in range(steps):
+    # How many steps ago the tooth before passed.
+    ahead = (np.roll(cut.places, -1) - cut.places) / (2 * math.pi) % 1
+    delay = np.where(ahead == 0, 1, ahead) * cut.teeth * steps
+    low = np.floor(delay + 1e-9).astype(int)
+    share = np.maximum(delay - low, 0)[:, None, None]
+    size = 2 * n + n * (low.max() + 1)
+    x, old = np.split(np.eye(size), [2 * n])
+    # The newest first.
+    tips = np.concatenate([x[None, :n], old.reshape(-1, n, size)])
+    for k in range(periods * steps):
         W = depth / cut.mass * cut.slopes((k + within) * h).mean(axis=0)
         rate = np.zeros((3 * n, 3 * n))
         rate[:n, n : 2 * n] = np.eye(n)
-        rate[n : 2 * n, :n] = -(omega**2) * np.eye(n) - W
+        rate[n : 2 * n, :n] = -(omega**2) * np.eye(n) - W.sum(axis=0)
         rate[n : 2 * n, n : 2 * n] = -2 * cut.ratio * omega * np.eye(n)
-        rate[n : 2 * n, 2 * n :] = W
+        rate[n : 2 * n, 2 * n :] = np.eye(n)
         E = expm(h * rate)[: 2 * n]
-        new.append(x[:n])
-        x = E[:, : 2 * n] @ x + E[:, 2 * n :] @ (ends[k] + ends[k + 1]) / 2
-    matrix = np.concatenate([x, *new])
-    value = eigs(matrix, k=1, v0=np.ones(len(matrix)), return_eigenvectors=False)
-    return float(np.abs(value)[0])
+        ends = (1 - share) * (tips[low] + tips[low - 1])
+        ends = ends + share * (tips[low + 1] + tips[low])
+        push = np.einsum("jab,jbn->an", W, ends / 2)
+        x = E[:, : 2 * n] @ x + E[:, 2 * n :] @ push
+        tips = np.concatenate([x[None, :n], tips[:-1]])
+    matrix = np.concatenate([x, tips[1:].reshape(-1, size)])
+    value = eigs(matrix, k=1, v0=np.ones(size), return_eigenvectors=False)
+    return float(np.abs(value)[0] ** (1 / periods))

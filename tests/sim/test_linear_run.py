@@ -16,6 +16,7 @@ PERIOD = 2.5e-3
 ROWS = 20
 STOCK = wp.box([0, 0, -1e-3], [8e-3, 6e-3, 0], 0.5e-3, interval_counts=(4, 4, 2))
 FLAT = ct.flat_end_mill(10e-3, 2)
+UNEVEN = ct.flat_end_mill(10e-3, 3, pitch=np.radians([95, 220, 45]))
 HELIX = ct.flat_end_mill(10e-3, 2, helix_angle=math.radians(30))
 
 
@@ -69,6 +70,9 @@ CUTS = {
     "helix": (HELIX, {}),
     "in space": (FLAT, {"is_upright": False}),
     "cloud": (FLAT, {"chip": "point_cloud"}),
+    # The teeth are two periods apart, then less than one.
+    "uneven": (UNEVEN, {}),
+    "uneven, looks": (UNEVEN, {"looks": 2}),
 }
 
 

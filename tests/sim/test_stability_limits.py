@@ -3,6 +3,8 @@
 import dataclasses
 import math
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -53,10 +55,10 @@ def modes(axes):
     return rb.TipModes(np.full(count, FREQUENCY), np.full(count, RATIO), shapes)
 
 
-def straight_cut(rpm, arc, *, pitch=(180, 180)):
+def straight_cut(rpm, arc, *, pitch=(180, 180), runout=0.0):
     """Return the process of a straight cut along x at its default sizes."""
     period = 60 / (2 * rpm)
-    mill = ct.flat_end_mill(DIAMETER, 2, pitch=np.radians(pitch))
+    mill = ct.flat_end_mill(DIAMETER, 2, pitch=np.radians(pitch), runout=runout)
     law = cutting.LinearEdgeLaw(K_tc=K_T, K_rc=K_R, K_ac=0.0, K_te=0, K_re=0, K_ae=0)
     # Down-milling along +x: the work lies to the right of the feed.
     low, top = 0.0 if arc == UP else -6e-3, 0.0 if arc == DOWN else 6e-3
@@ -71,12 +73,12 @@ def straight_cut(rpm, arc, *, pitch=(180, 180)):
     return pr.Process(stock, mill, law, math.pi / period, plan)
 
 
-def modal_growth(rpm, axes, arc, depth, *, pitch=(180, 180)):
+def modal_growth(rpm, axes, arc, depth, **cutter):
     """Return what the library says of the spindle's modes in a straight cut."""
     tips = np.zeros((61, 3))
     tips[:, 0], tips[:, 2] = 1e-3 + FEED * np.arange(61), -depth
     machine, tips = sim.ModalMachine(modes(axes)), jnp.asarray(tips)
-    process = straight_cut(rpm, arc, pitch=pitch)
+    process = straight_cut(rpm, arc, **cutter)
     return sim.Stability.along(machine, process, tips, tips, [60])
 
 
@@ -121,24 +123,76 @@ def test_modes_at_the_tip_have_the_published_limits(rpm, axes, arc, limit):
     assert 0.9 * FREQUENCY < above.frequency[0] < 1.6 * FREQUENCY
 
 
-def test_uneven_teeth_at_a_fast_mode_come_with_a_caveat():
-    """Their delay is 20 degrees of a turn, but poses are known a period apart."""
-    even = modal_growth(5000, (0,), SLOT, 0.4e-3)
-    assert even.delays_up_to == math.inf and "uneven" not in even.note()
-    found = modal_growth(5000, (0,), SLOT, 0.4e-3, pitch=(160, 200))
-    turns = found.delays_up_to / found.tooth_frequency
-    # A vibration z^k of period k, a ninth of a period later, and on the straight line.
-    z, share = np.exp(-2j * np.pi * turns), np.array([1, 8]) / 9
-    off = np.abs(1 - share + share * z - np.exp(-2j * np.pi * turns * share)).max()
-    assert off == pytest.approx(0.1, rel=0.02) and 0.1 < turns < 1
-    told = found.note()
-    assert "uneven teeth are judged right below" in told and "922 Hz" in told
-    grown = dataclasses.replace(found, log_growth=np.ones(1))
-    assert "uneven" in str(grown.warning())
-    nearly = modal_growth(5000, (0,), SLOT, 0.4e-3, pitch=(180.0005, 179.9995))
-    assert nearly.delays_up_to == math.inf
-    slow = dataclasses.replace(found, fastest_mode=0.9 * found.delays_up_to)
-    assert "uneven" not in slow.note()
+# Speed [rpm], pitch [deg], axes, arc, depth [m]: uneven teeth calm, or excite.
+UNEVEN = [
+    (5000, (170, 190), (0,), SLOT, 0.6e-3),
+    (6500, (160, 200), (0,), SLOT, 0.6e-3),
+    (8000, (165, 195), (0, 1), DOWN, 0.6e-3),
+]
+
+
+@pytest.mark.parametrize(
+    ("rpm", "pitch", "axes", "arc", "depth"),
+    [UNEVEN[0], *(pytest.param(*c, marks=pytest.mark.slow) for c in UNEVEN[1:])],
+)
+def test_uneven_teeth_calm_as_another_method_says(rpm, pitch, axes, arc, depth):
+    cut = semidiscretisation.Cut(
+        rpm / 60,
+        2,
+        K_T,
+        K_R,
+        MASS,
+        FREQUENCY,
+        RATIO,
+        axes,
+        *arc,
+        pitch=tuple(np.radians(pitch)),
+    )
+    wanted = semidiscretisation.growth(cut, depth, 100)
+    even = semidiscretisation.growth(dataclasses.replace(cut, pitch=None), depth, 100)
+    assert abs(np.log(wanted / even)) > 0.1
+    found = modal_growth(rpm, axes, arc, depth, pitch=pitch)
+    assert np.log(found.radius[0]) == pytest.approx(np.log(wanted), rel=0.05, abs=0.03)
+    assert found.frequency[0] == pytest.approx(FREQUENCY, rel=0.05)
+
+
+def test_a_tooth_that_stands_back_by_more_than_the_feed_is_none():
+    """The other one is alone then, and cuts what it left a turn before."""
+    depth = 0.5e-3
+    alone = semidiscretisation.Cut(5000 / 60, 1, K_T, K_R, MASS, FREQUENCY, RATIO)
+    wanted = semidiscretisation.growth(alone, depth, 200) ** 0.5
+    found = modal_growth(5000, (0,), SLOT, depth, runout=0.75 * FEED)
+    assert np.log(found.radius[0]) == pytest.approx(np.log(wanted), rel=0.05, abs=0.01)
+    both = modal_growth(5000, (0,), SLOT, depth)
+    assert abs(np.log(both.radius[0] / wanted)) > 0.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("pitch", "is_calm"), [((180, 180), False), ((170, 190), True)]
+)
+def test_a_simulated_vibration_grows_by_the_factor_of_the_stability(pitch, is_calm):
+    depth, steps, count = 0.6e-3, 120, 34
+    process = straight_cut(5000, SLOT, pitch=pitch)
+    plan = pr.choose_engagement(
+        process.stock,
+        process.cutter,
+        axial_depth=1.3e-3,
+        angles=2 * steps,
+        substeps=steps,
+    )
+    process = eqx.tree_at(lambda p: p.engagement, process, plan)
+    machine, tips = sim.ModalMachine(modes((0,))), np.zeros((count, 3))
+    tips[:, 0], tips[:, 2] = 3e-3 + FEED * np.arange(count), -depth
+    ends = jax.jit(lambda path: machine.run(process, path).ends)
+    kicked, kick = tips.copy(), 1e-8
+    kicked[20:, 0] += kick
+    swing = np.asarray(ends(jnp.asarray(kicked)) - ends(jnp.asarray(tips)))[..., 0]
+    size = np.abs(swing - kick)[22:].max(axis=1)
+    found = np.log(size[-1] / size[0]) / (len(size) - 1)
+    wanted = modal_growth(5000, (0,), SLOT, depth, pitch=pitch).radius[0]
+    assert found == pytest.approx(np.log(wanted), rel=0.15)
+    assert (found < 0) == is_calm
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ import math
 from typing import Literal
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float
@@ -42,6 +43,19 @@ class AbstractCutter(eqx.Module):
         They are part of a tree's structure otherwise, since they size arrays. A program
         that has been given its sizes then does not depend on their values.
         """
+
+    def delays(self, dtype: DTypeLike) -> Float[Array, "before tooth"]:
+        """Return how long ago the k-th tooth before each tooth passed [tooth periods].
+
+        A tooth passes an angle when it has turned by what it stands behind the other.
+
+        Differentiability: in the pitch.
+        """
+        pitch, count = jnp.asarray(self.pitch_angles, dtype), self.flute_count
+        before = (np.arange(count) + np.arange(1, count)[:, None]) % count
+        turns = jnp.mod((pitch[before] - pitch[None]) / (2 * math.pi), 1)
+        # The last one is the tooth itself, a turn before.
+        return count * jnp.concatenate([turns, jnp.ones((1, count), dtype)])
 
     @property
     @abc.abstractmethod

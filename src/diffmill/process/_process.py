@@ -17,6 +17,7 @@ from ..cutting import AbstractForceLaw
 from ..numerics import Recomputed
 from ..workpiece import Discs, Pose, RemovalWindow, Stock
 from ._engagement.edge_samples import EdgeSamples, Engagement
+from ._engagement.teeth_before import TeethBefore
 from ._path import PosesWithin, poses_within, substep_ends, substep_middles
 from ._removal_history import RemovalHistory
 from ._state import ProcessState, Removed
@@ -116,8 +117,8 @@ class AbstractEngagement(eqx.Module):
             process: The process.
             samples: The edges in this sub-step, shape (angle, kept, element).
             pose: Pose in the middle of the sub-step, shape (3,).
-            earlier: Poses at the same sub-step of earlier periods, newest first, shape
-                (tooth, 3).
+            earlier: Poses when the teeth before passed, as `Process.earlier` returns
+                them, shape (before, 3), of uneven teeth (before, tooth, 3).
             thinned: Older poses, shape (circle, 3).
 
         Returns:
@@ -282,6 +283,32 @@ class Process(eqx.Module):
         """
         look = lambda: self.engagement.engage(self, state, index, predicted, part)
         return Recomputed.of(look)()
+
+    def teeth_before(self, dtype: jnp.dtype) -> TeethBefore | None:
+        """Return which poses are those when the teeth before passed.
+
+        None for evenly spaced teeth: those of the same sub-step, whole periods ago.
+        """
+        if self.cutter.has_even_pitch:
+            return None
+        return TeethBefore.of(self.cutter, self.engagement.substeps, dtype)
+
+    def earlier(self, recent: Pose, now: Pose) -> Pose:
+        """Return the poses when the teeth before passed, in all sub-steps of a period.
+
+        Args:
+            recent: Poses in the middle of the sub-steps of the periods before, newest
+                first, shape (period, substep, 3).
+            now: Those of this period, shape (substep, 3).
+
+        Returns:
+            The poses for the k-th tooth before, shape (substep, before, 3); where teeth
+            are uneven, for each tooth, shape (substep, before, tooth, 3).
+        """
+        teeth = self.teeth_before(now.tip.dtype)
+        if teeth is None:
+            return jax.tree.map(lambda x: jnp.moveaxis(x, 0, 1), recent)
+        return teeth.poses(recent, now)
 
     def poses_within(
         self, path: Pose, row_count: IntScalar | None = None

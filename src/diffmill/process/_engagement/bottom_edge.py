@@ -149,8 +149,8 @@ class BottomEdges(eqx.Module):
             process: The process.
             samples: Those of this sub-step, without its axis.
             pose: Pose in the middle of the sub-step, shape (3,).
-            earlier: Poses at the same sub-step of earlier periods, newest first, shape
-                (tooth, 3).
+            earlier: Poses when the teeth before passed, newest first, shape
+                (before, 3).
 
         Returns:
             Force on the tool in `work` [N], shape (angle, 3).

@@ -7,8 +7,7 @@ walk leaves an error smaller by 1 - cos of the angle between the normals of the 
 surfaces, some (feed / R)^2.
 
 The k-th tooth before a tooth passed the same angle k pitches earlier, with its own
-run-out; poses at delays that are no whole tooth periods are interpolated between the
-same sub-steps of neighbouring periods.
+run-out; where it was then is told by `teeth_before.py` of uneven teeth.
 
 The bottom edge cuts only what the tool descends into; what the side of the same tooth
 takes beyond the last circle is the side's.
@@ -172,19 +171,20 @@ class EdgeElementsInSpace(AbstractEngagement):
         cutter = process.cutter
         elements = self.profile.elements(cutter, pose.tip.dtype)
         chip, per_way = self._chip(process, samples, pose, earlier, thinned)
-        feed = safe_norm(earlier.tip[0] - pose.tip)
+        newest = _newest(earlier)
+        feed = safe_norm(newest - pose.tip)
         # From sample to sample, the chip of an element changes by its share of this.
         steps = 2 * math.pi / self.angles * jnp.maximum(elements.sin_kappa, _LEAST_SINE)
         touch = edge_contact(per_way, feed, steps[None, None])
         frame = Pose.frame(pose.direction())
-        x, y, z = frame.T @ (pose.tip - earlier.tip[0])
+        x, y, z = frame.T @ (pose.tip - newest)
         sideways = jnp.stack(
             [elements.sin_kappa * x, elements.sin_kappa * y, elements.cos_kappa * z]
         )
         touch = touch * sideways_share(safe_norm(sideways.T), feed)[None, None]
         n = elements.bottom_count
         if cutter.flute_count % 2 == 0 and not self._keeps_all(cutter):
-            lead = _lead(elements, pose.tip - earlier.tip[0], frame, e)[..., n:]
+            lead = _lead(elements, pose.tip - newest, frame, e)[..., n:]
             step = 2 * math.pi / self.angles
             before = feed / cutter.diameter
             touch = touch.at[..., n:].multiply(taken_over(lead, step, before))
@@ -304,11 +304,12 @@ class EdgeElementsInSpace(AbstractEngagement):
         side = jnp.arange(offsets.shape[1])
         nothing = 2 * cutter.nominal_radius
         chip = jnp.full_like(samples.outward.sin, nothing)
-        per_way = chip / way_of(earlier.tip[0] - pose.tip)
+        newest = _newest(earlier)
+        per_way = chip / way_of(newest - pose.tip)
         descent = jnp.full_like(chip[..., :n], nothing)
         covered = jnp.zeros(descent.shape, bool)
         for k in range(1, cutter.flute_count + 1):
-            old = _delayed(cutter, pose, earlier, k, tooth)
+            old = _of_samples(earlier[k - 1], tooth)
             # Teeth stand out by their run-out: what one takes the next does not find.
             ahead = (offsets - jnp.roll(offsets, -k, axis=0))[tooth[..., n:], side]
             ahead = ahead * elements.sin_kappa[None, None, n:]
@@ -334,7 +335,7 @@ class EdgeElementsInSpace(AbstractEngagement):
         if n > 0:
             descent = jnp.where(covered, descent, 0)
             chip = chip.at[..., :n].set(descent)
-            way = way_of(earlier.tip[0] - pose.tip)
+            way = way_of(newest - pose.tip)
             per_way = per_way.at[..., :n].set(descent / way)
         return UnclippedChip(chip, per_way)
 
@@ -388,29 +389,20 @@ def _descent(
     return _Below(-up, jax.lax.stop_gradient(across) < flat**2)
 
 
-def _delayed(
-    cutter: AbstractCutter,
-    pose: Pose,
-    earlier: Pose,
-    k: int,
-    tooth: Int[Array, "angle kept element"],
-) -> Pose:
-    """Return the poses when the k-th tooth before each tooth passed.
+def _newest(earlier: Pose) -> Float[Array, " 3"]:
+    """Return the tip one tooth period ago, which of uneven teeth is their mean."""
+    tip = earlier.tip[0]
+    return tip if tip.ndim == 1 else jnp.mean(tip, axis=0)
+
+
+def _of_samples(passed: Pose, tooth: Int[Array, "angle kept element"]) -> Pose:
+    """Return the poses when the tooth before that of each sample passed.
 
     The result broadcasts against (angle, kept, element, 3).
     """
-    if cutter.has_even_pitch:
-        return earlier[k - 1][None, None, None]
-    pitch = jnp.asarray(cutter.pitch_angles, pose.tip.dtype)
-    ahead = jnp.mod(jnp.roll(pitch, -k) - pitch, 2 * math.pi)
-    ahead = jnp.where(ahead < 1e-9, 2 * math.pi, ahead)
-    delay = ahead / (2 * math.pi) * cutter.flute_count
-    low = jnp.clip(jnp.floor(delay).astype(jnp.int32), 0, cutter.flute_count - 1)
-    share = (delay - low.astype(delay.dtype))[:, None]
-    both = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), pose, earlier)
-    return jax.tree.map(
-        lambda x: ((1 - share) * x[low] + share * x[low + 1])[tooth], both
-    )
+    if passed.tip.ndim == 1:
+        return passed[None, None, None]
+    return passed[tooth]
 
 
 def _angles(

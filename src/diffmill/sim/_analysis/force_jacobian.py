@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from ...cutter import AbstractCutter
 from ...process import (
     EdgeSamples,
     Engagement,
@@ -20,8 +21,10 @@ from .monodromy import Regeneration
 
 def force_slopes(
     process: Process, path: Pose, rows: Int[np.ndarray, " row"]
-) -> list[Regeneration]:
+) -> list[list[Regeneration]]:
     """Return the slopes of the force in some periods, by replaying the removal.
+
+    Where the teeth differ they are those of the turn that ends with each period.
 
     Where there is material is held: a vibration changes the chip, not the arc of the
     cut nor its depth.
@@ -33,7 +36,7 @@ def force_slopes(
         rows: The periods before these rows are asked for, from 1, ascending.
 
     Returns:
-        The slopes, for each row.
+        The slopes of the periods that repeat themselves, for each row.
 
     Differentiability: none, a host function.
     """
@@ -41,15 +44,27 @@ def force_slopes(
     padded = jax.tree.map(
         lambda x: jnp.concatenate([2 * x[:1] - x[1:2], x, 2 * x[-1:] - x[-2:-1]]), path
     )
-    carry = _begin(process, path)
-    first, found = jnp.ones((), jnp.int32), []
-    for row in rows:
+    carry, first, found = _begin(process, path), jnp.ones((), jnp.int32), {}
+    cutter = process.cutter
+    count = cutter.flute_count if _teeth_differ(cutter) else 1
+    # A path shorter than a turn stands for the rest by its first period.
+    turns = np.maximum(rows[:, None] + np.arange(1 - count, 1), 1)
+    delays = np.arange(1.0, cutter.flute_count + 1)
+    if not cutter.has_even_pitch:
+        delays = np.asarray(cutter.delays(np.float64)).reshape(-1)
+    for row in np.unique(turns):
         last = jnp.asarray(row, jnp.int32)
         carry, slopes = _replay(process, carry, padded, first, last)
         now, before = (np.asarray(x, np.float64) for x in slopes)
-        found.append(Regeneration(now, before))
+        before = before.reshape(len(now), -1, 3, 3)
+        found[row] = Regeneration(now, before, delays)
         first = last + 1
-    return found
+    return [[found[row] for row in turn] for turn in turns]
+
+
+def _teeth_differ(cutter: AbstractCutter) -> bool:
+    """Return whether periods one after the other differ."""
+    return not cutter.has_even_pitch or bool(np.any(np.asarray(cutter.runout) != 0))
 
 
 class _Replayed(eqx.Module):
@@ -64,7 +79,7 @@ class _Slopes(NamedTuple):
     """Slopes of the force in the sub-steps of a period [N/m], see `Regeneration`."""
 
     now: Float[Array, "substep 3 3"]
-    before: Float[Array, "substep tooth 3 3"]
+    before: Float[Array, "substep *before 3 3"]
 
 
 @eqx.filter_jit
@@ -108,9 +123,9 @@ def _slopes(process: Process, cut: Engagement, middles: Pose, recent: Pose) -> _
 
     def slopes(
         samples: EdgeSamples, pose: Pose, earlier: Pose
-    ) -> tuple[Float[Array, "3 3"], Float[Array, "3 tooth 3"]]:
+    ) -> tuple[Float[Array, "3 3"], Float[Array, "3 *before 3"]]:
         def force(
-            tip: Float[Array, " 3"], tips: Float[Array, "tooth 3"]
+            tip: Float[Array, " 3"], tips: Float[Array, "*before 3"]
         ) -> Float[Array, " 3"]:
             now, before = Pose(tip, pose.axis), Pose(tips, earlier.axis)
             found = process.engagement.wrench(
@@ -120,6 +135,6 @@ def _slopes(process: Process, cut: Engagement, middles: Pose, recent: Pose) -> _
 
         return jax.jacfwd(force, argnums=(0, 1))(pose.tip, earlier.tip)
 
-    earlier = jax.tree.map(lambda x: jnp.moveaxis(x, 0, 1), recent)
+    earlier = process.earlier(recent, middles)
     now, before = jax.vmap(slopes)(cut.samples, middles, earlier)
-    return _Slopes(now, jnp.swapaxes(before, 1, 2))
+    return _Slopes(now, jnp.moveaxis(before, 1, -2))

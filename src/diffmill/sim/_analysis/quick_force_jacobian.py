@@ -2,7 +2,7 @@
 
 A quick look for chatter replays no removal: a point of an edge is in the material if it
 lies in the raw stock and in no earlier pose of the tool, and its distance from the last
-one is the chip. Rubbing edges are left out, and so are run-out and unequal delays.
+one is the chip. Rubbing edges are left out, and so is run-out.
 """
 
 import math
@@ -28,7 +28,7 @@ _APART = 0.03
 
 def quick_slopes(
     process: Process, path: Pose, rows: Int[np.ndarray, " row"]
-) -> list[Regeneration]:
+) -> list[list[Regeneration]]:
     """Return roughly the slopes of the force in the periods before some rows.
 
     Args:
@@ -37,7 +37,8 @@ def quick_slopes(
         rows: The rows, from 1.
 
     Returns:
-        The slopes in the tips now and one period before, for each row.
+        The slopes in the tips now and when the tooth before passed, of the periods
+        that repeat themselves, for each row.
 
     Differentiability: none, a host function.
     """
@@ -47,13 +48,17 @@ def quick_slopes(
     near = [_near_rows(process, tips[: row + 1]) for row in rows]
     # One shape for all rows.
     chunks = 2 ** math.ceil(math.log2(max(map(len, near)) / _CHUNK + 1))
-    found = []
+    found, delays = [], np.ones(1)
+    if not process.cutter.has_even_pitch:
+        delays = np.asarray(process.cutter.delays(np.float64))[0]
     for row, kept in zip(rows, near, strict=True):
         at = kept[np.minimum(np.arange(chunks * _CHUNK), len(kept) - 1)]
         earlier = path[at.reshape(chunks, _CHUNK)]
         slopes = _slopes(process, earlier, path[int(row)])
-        now = np.asarray(slopes, np.float64)
-        found.append(Regeneration(now, -now[:, None]))
+        slopes = np.asarray(slopes, np.float64)
+        if process.cutter.has_even_pitch:
+            slopes = slopes.sum(axis=2, keepdims=True)
+        found.append([Regeneration(x.sum(axis=1), -x, delays) for x in slopes])
     return found
 
 
@@ -72,12 +77,17 @@ def _near_rows(
 
 
 @CompiledOnce
-def _slopes(process: Process, earlier: Pose, now: Pose) -> Float[Array, "piece 3 3"]:
-    """Return the slopes of the force in the tip, in `work` [N/m]."""
+def _slopes(
+    process: Process, earlier: Pose, now: Pose
+) -> Float[Array, "period piece tooth 3 3"]:
+    """Return the slopes of each tooth's force in the tip, in `work` [N/m]."""
     cutter = process.cutter
     edge = _edge(process, now.tip.dtype)
     places = jnp.asarray(cutter.pitch_angles, now.tip.dtype)
-    teeth, pieces = places.shape[0], jnp.arange(_PIECES, dtype=places.dtype) + 0.5
+    teeth, periods = places.shape[0], 1
+    if not cutter.has_even_pitch:
+        periods = teeth
+    pieces = jnp.arange(periods * _PIECES, dtype=places.dtype) + 0.5
     turn = 2 * math.pi / teeth / _PIECES * pieces[:, None, None]
     phi = turn + places[None, :, None] - edge.lag[None, None]
     frame = Pose.frame(now.direction())
@@ -101,7 +111,8 @@ def _slopes(process: Process, earlier: Pose, now: Pose) -> Float[Array, "piece 3
     third = jnp.cross(t, normal)
     parts = zip((-F_t, -F_r, F_a), (t, normal, third), strict=True)
     per_chip = sum((width * F)[..., None] * way for F, way in parts)
-    return jnp.einsum("pjea,pjeb->pab", per_chip, normal)
+    slopes = jnp.einsum("pjea,pjeb->pjab", per_chip, normal)
+    return slopes.reshape(periods, _PIECES, teeth, 3, 3)
 
 
 def _edge(process: Process, dtype: jnp.dtype) -> EdgeElements:

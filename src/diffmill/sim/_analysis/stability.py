@@ -24,7 +24,6 @@ from ..._job import Job
 from ..._live_rows import padded_count
 from ..._moving_rows import is_moving, least_way, ways
 from ..._types import Transform
-from ...cutter import AbstractCutter
 from ...process import Process, StockHeld
 from ...robot import ArmTerms, Robot
 from ...workpiece import Pose
@@ -75,8 +74,6 @@ class Stability(eqx.Module):
             if there is none.
         substeps: Sub-steps of the simulation per tooth period.
         steps: Steps of this analysis per tooth period.
-        delays_up_to: Frequency up to which the delays of uneven teeth are followed
-            [Hz]; infinite for even ones.
         is_of_path: Whether the rows are spread along the whole path.
     """
 
@@ -91,7 +88,6 @@ class Stability(eqx.Module):
     fastest_mode: float
     substeps: int = eqx.field(static=True)
     steps: int = eqx.field(static=True)
-    delays_up_to: float = math.inf
     is_of_path: bool = eqx.field(static=True, default=False)
 
     @property
@@ -120,7 +116,7 @@ class Stability(eqx.Module):
             f"{self.frequency[k]:.1f} Hz grows by {100 * growth:.2g} % "
             f"per tooth period, threefold in {1.1 / self.tooth_frequency / growth:.2g} "
             "s; a smaller depth of cut, another spindle speed or more damping calms "
-            f"it, a corrected path does not{self._caveat()}"
+            f"it, a corrected path does not"
         )
 
     def note(self) -> str:
@@ -129,7 +125,6 @@ class Stability(eqx.Module):
             return (
                 f"of {len(self.row)} rows none is unstable; the fastest growing "
                 f"vibration has the factor {self.radius.max():.3f} per tooth period"
-                f"{self._caveat()}"
             )
         k = int(np.argmax(np.where(self.is_unstable, self.log_growth, -1.0)))
         x, y, z = self.position[k] * 1e3
@@ -138,17 +133,6 @@ class Stability(eqx.Module):
             f"rows, too briefly for chatter: most at {self.time[k]:.3f} s, position "
             f"({x:.2f}, {y:.2f}, {z:.2f}) mm, by the factor "
             f"{math.exp(self.log_growth[k]):.3g} in all while the tool moves there"
-            f"{self._caveat()}"
-        )
-
-    def _caveat(self) -> str:
-        """Return what a judgement of uneven teeth leaves out, or nothing."""
-        if self.fastest_mode <= self.delays_up_to:
-            return ""
-        return (
-            f"; uneven teeth are judged right below {self.delays_up_to:.0f} Hz only, "
-            f"and about as even ones at the mode of {self.fastest_mode:.0f} Hz, which "
-            "they may calm or excite"
         )
 
     def visibility(self) -> str:
@@ -459,7 +443,7 @@ def _growth(
     process: Process,
     motion: _Motion,
     rows: Int[np.ndarray, " row"],
-    slopes: Sequence[Regeneration],
+    slopes: Sequence[Sequence[Regeneration]],
 ) -> Stability:
     """Return the growth in the periods before some rows, by the slopes of the force.
 
@@ -468,14 +452,14 @@ def _growth(
     T = float(process.tooth_period)
     arms = _linear(arm, motion, rows, T)
     A, G, C = (np.asarray(x, np.float64) for x in (arms.A, arms.G, arms.C))
-    gains = [found.gain() for found in slopes]
+    gains = [max(period.gain() for period in periods) for periods in slopes]
     fastest = max(map(_fastest_mode, A, G, C, gains))
     steps = int(np.clip(math.ceil(_STEPS * T * fastest), _LEAST, _MOST))
     found = []
-    for A_k, G_k, C_k, regeneration in zip(A, G, C, slopes, strict=True):
+    for A_k, G_k, C_k, periods in zip(A, G, C, slopes, strict=True):
         over_step = Step.of(A_k, G_k, T / steps)
-        period = monodromy(over_step, C_k, regeneration.in_steps(steps))
-        found.append(strongest(period, T))
+        periods = [period.in_steps(steps) for period in periods]
+        found.append(strongest(monodromy(over_step, C_k, periods), T))
     radius, frequency, apparent = np.array(found).T
     return Stability(
         row=rows,
@@ -489,26 +473,7 @@ def _growth(
         fastest_mode=fastest,
         substeps=process.engagement.substeps,
         steps=steps,
-        delays_up_to=_delays_followed(process.cutter) / T,
     )
-
-
-def _delays_followed(cutter: AbstractCutter) -> float:
-    """Return how often a vibration may turn per tooth period with delays followed.
-
-    The pose at a delay lies on a straight line between those of whole periods. Of a
-    vibration of c turns per period it makes, s of a period behind a whole one,
-    1 - s + s z for z^s, with z = exp(-2 pi i c).
-    """
-    if cutter.has_even_pitch:
-        return math.inf
-    place = np.asarray(cutter.pitch_angles, np.float64)
-    share = (place[:, None] - place[None]) / (2 * np.pi) * cutter.flute_count % 1
-    turns = np.geomspace(1e-2, 1e3, 2000)
-    angle, s = 2 * np.pi * turns[:, None], share.reshape(1, -1)
-    error = np.abs(1 - s + s * np.exp(-1j * angle) - np.exp(-1j * angle * s))
-    is_off = error.max(axis=1) > _DELAYED
-    return float(turns[np.argmax(is_off)]) if is_off.any() else math.inf
 
 
 def _fastest_mode(

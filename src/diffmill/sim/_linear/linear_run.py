@@ -412,7 +412,7 @@ def linearise(
         return None, arm_slopes(model, period)
 
     _, arms = scan_rows(slopes, None, around.arm, is_live)
-    solve = functools.partial(_solved, process.engagement, motors.shape[1])
+    solve = functools.partial(_solved, process, motors.shape[1])
     system = jax.vmap(solve)(around.force, arms)
 
     def begun(head: Float[Array, "row joint"], parameters: Array) -> Array:
@@ -466,11 +466,11 @@ class _PeriodSystem(NamedTuple):
 
 
 def _solved(
-    engagement: AbstractEngagement, joints: int, force: ForceSlopes, arm: ArmSlopes
+    process: Process, joints: int, force: ForceSlopes, arm: ArmSlopes
 ) -> _PeriodSystem:
     """Return the system of one period, its loads eliminated."""
+    engagement, T = process.engagement, process.cutter.flute_count
     S, l, d = force.now.shape
-    T = force.before.shape[2]
     n, m = arm.end.shape[0], 2 * joints
     dtype = force.now.dtype
     ahead = jnp.asarray(prediction(engagement), dtype)
@@ -495,7 +495,15 @@ def _solved(
         by_arm = by_arm.at[..., :n].add(jnp.einsum("slp,pi->sli", force.start, P))
     # The remembered poses: (tooth, substep, pose).
     own = jnp.eye(S, dtype=dtype)
-    before = jnp.einsum("sltp,su->sltup", force.before, own)
+    teeth = process.teeth_before(dtype)
+    if teeth is None:
+        before = jnp.einsum("sltp,su->sltup", force.before, own)
+    else:
+        before = jnp.einsum("slkjp,skjtu->sltup", force.before, teeth.recent)
+        by_newest = jnp.einsum("slp,su->slup", force.newest, own)
+        before = before.at[:, :, 0].add(by_newest)
+        now = jnp.einsum("slkjp,skju->slup", force.before, teeth.within)
+        by_arm = by_arm + jnp.einsum("slup,upi->sli", now, arm.middles)
     last = jnp.zeros_like(force.now)
     if arm.looked is None:
         by_tip = force.predicted[..., :3]

@@ -84,8 +84,11 @@ class ForceSlopes(eqx.Module):
 
     Attributes:
         now: In the pose of the sub-step, shape (substep, load, pose).
-        before: In those of the periods before, newest first, shape (substep, load,
-            tooth, pose).
+        before: In those when the teeth before passed, shape (substep, load, before,
+            pose), of uneven teeth (substep, load, before, tooth, pose).
+        newest: In that of the same sub-step of the period before, by what was found in
+            the stock, shape (substep, load, pose); None for even teeth, of which it is
+            the first of those before.
         thinned: In the thinned older poses, shape (substep, load, circle, pose).
         predicted: In the pose at which the stock was looked up, shape (substep, load,
             pose); in the last one where a look judges the whole period.
@@ -97,7 +100,8 @@ class ForceSlopes(eqx.Module):
     """
 
     now: Float[Array, "substep load pose"]
-    before: Float[Array, "substep load tooth pose"]
+    before: Float[Array, "substep load *before pose"]
+    newest: Float[Array, "substep load pose"] | None
     thinned: Float[Array, "substep load circle pose"]
     predicted: Float[Array, "substep load pose"]
     start: Float[Array, "substep load pose"] | None
@@ -151,7 +155,8 @@ class PeriodForce(eqx.Module):
         push: The samples' change with the poses that are looked up, with those of the
             period before, and with the tip at the start.
         middles: Poses in the middle of the sub-steps, shape (substep, pose).
-        recent: Those of the periods before, newest first, shape (tooth, substep, pose).
+        earlier: Those when the teeth before passed, shape (substep, before, pose), of
+            uneven teeth (substep, before, tooth, pose).
         thinned: The thinned older poses, shape (circle, pose).
         circles: Their rows, shape (circle,).
     """
@@ -160,7 +165,7 @@ class PeriodForce(eqx.Module):
     known: EdgeSamples
     push: Callable[[Array, Array, Array], EdgeSamples]
     middles: Float[Array, "substep pose"]
-    recent: Float[Array, "tooth substep pose"]
+    earlier: Float[Array, "substep *before pose"]
     thinned: Float[Array, "circle pose"]
     circles: Int[Array, " circle"]
 
@@ -210,9 +215,9 @@ def period_force(
     samples, known = eqx.partition(found.samples, found.samples.follows_poses)
     circles = process.removal.thinned_rows(state)
     thinned = as_rows(state.track.poses.taken(circles * process.engagement.substeps))
-    recent = as_rows(state.recent)
+    earlier = as_rows(process.earlier(state.recent, middles))
     return PeriodForce(
-        samples, known, found.push, as_rows(middles), recent, thinned, circles
+        samples, known, found.push, as_rows(middles), earlier, thinned, circles
     )
 
 
@@ -260,9 +265,8 @@ def force_slopes(
         # What all loads are pulled back through is not computed again for each.
         return jax.vmap(hold(pull))(jnp.eye(len(found), dtype=found.dtype))
 
-    earlier = jnp.moveaxis(around.recent, 0, 1)
     found = jax.vmap(load_slopes, (0, 0, 0, None, 0, None))(
-        around.known, around.middles, earlier, around.thinned, around.samples, at
+        around.known, around.middles, around.earlier, around.thinned, around.samples, at
     )
     now, before, thinned, by_edges, by_parameters = found
 
@@ -270,9 +274,11 @@ def force_slopes(
     products = [jnp.einsum("sl...,ps...->slp", a, b) for a, b in both]
     slopes = sum(products[1:], products[0])
     by_predicted, by_newest, *by_start = jnp.split(slopes, len(groups), axis=-1)
+    is_even = around.earlier.ndim == 3
     return ForceSlopes(
         now=now,
-        before=before.at[:, :, 0].add(by_newest),
+        before=before.at[:, :, 0].add(by_newest) if is_even else before,
+        newest=None if is_even else by_newest,
         thinned=thinned,
         predicted=by_predicted,
         start=by_start[0] if by_start else None,

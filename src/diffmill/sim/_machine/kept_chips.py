@@ -40,9 +40,8 @@ def kept_chips(
     chip = jax.vmap(
         lambda samples, pose, earlier: process.engagement.chip(
             process, samples, pose, earlier, cut.thinned
-        ),
-        in_axes=(0, 0, 1),
-    )(cut.samples, middles, recent)
+        )
+    )(cut.samples, middles, process.earlier(recent, middles))
     samples = cut.samples
     chip = jnp.clip(chip, 0, process.cutter.diameter / 2) * samples.chip_share
     return KeptChips(samples.angle, samples.tooth, chip, samples.occupancy)

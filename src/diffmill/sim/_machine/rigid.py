@@ -161,11 +161,11 @@ def period_wrench(
     wrench = jax.vmap(
         lambda samples, pose, earlier: process.engagement.wrench(
             process, samples, pose, earlier, cut.thinned
-        ),
-        in_axes=(0, 0, 1),
+        )
     )
+    earlier = process.earlier(recent, middles)
     # What the forces come from is computed again rather than kept.
-    return jax.checkpoint(wrench)(cut.samples, middles, recent).reshape(-1, 6)
+    return jax.checkpoint(wrench)(cut.samples, middles, earlier).reshape(-1, 6)
 
 
 def simulate_process(

@@ -15,7 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float, Int, PyTree
 
 from ...process import EdgeSamples, Process
 from ...workpiece import Pose
@@ -64,13 +64,31 @@ class SubstepRow(NamedTuple):
 
     Attributes:
         time: Its middle, from the start of the period [s], shape (*substep,).
-        earlier: Poses of the teeth before, shape (*substep, tooth, 3).
+        earlier: Poses when the teeth before passed, shape (*substep, before, 3), of
+            uneven teeth (*substep, before, tooth, 3), the tips of these sub-steps
+            counted as 0.
         samples: What is in the cut.
+        within: Weights of the tips of these sub-steps in those when the teeth before
+            passed, shape (*substep, before, tooth, substep); None for even teeth,
+            which passed before all of them.
     """
 
     time: Float[Array, "*substep"]
     earlier: Pose
     samples: EdgeSamples
+    within: Float[Array, "*substep before tooth substep"] | None = None
+
+    def passed(self, tips: Float[Array, "substep 3"] | None) -> Pose:
+        """Return the poses when the teeth before passed.
+
+        Args:
+            tips: Tips in the middle of these sub-steps, as far as they are known, then
+                0 [m]; they do not count for even teeth.
+        """
+        if self.within is None:
+            return self.earlier
+        moved = jnp.einsum("kju,ua->kja", self.within, tips)
+        return Pose(self.earlier.tip + moved, self.earlier.axis)
 
 
 class MovedSubstep(NamedTuple):
@@ -115,11 +133,13 @@ class PushedSpan(eqx.Module):
         arrays, fixed = eqx.partition(_Given(self, start, rows), eqx.is_array)
         return _run(fixed, arrays)
 
-    def load(self, row: SubstepRow, tip: Float[Array, " 3"]) -> Float[Array, " load"]:
-        """Return the mean load of a sub-step whose tip is known [N], [N m]."""
+    def load(
+        self, row: SubstepRow, tip: Float[Array, " 3"], earlier: Pose
+    ) -> Float[Array, " load"]:
+        """Return the mean load of a sub-step whose tips are known [N], [N m]."""
         pose = Pose(tip, self.span.pose.axis)
         wrench = self.process.engagement.wrench(
-            self.process, row.samples, pose, row.earlier, self.thinned
+            self.process, row.samples, pose, earlier, self.thinned
         )
         return jnp.mean(wrench, axis=0)[: self.load_count]
 
@@ -132,18 +152,50 @@ class _Given(eqx.Module):
     rows: SubstepRow
 
 
+class _Before(NamedTuple):
+    """A machine before a sub-step, or its change, and the tips on the way there.
+
+    Attributes:
+        state: Of the machine.
+        tips: Tips in the middle of the sub-steps, 0 where they are to come [m], shape
+            (substep, 3); None for even teeth, which do not look back at them.
+        known: How many are known, shape ().
+    """
+
+    state: PyTree
+    tips: Float[Array, "substep 3"] | None = None
+    known: Int[Array, ""] | None = None
+
+    @staticmethod
+    def of(state: PyTree, rows: SubstepRow) -> "_Before":
+        """Return the machine before the first of some sub-steps."""
+        if rows.within is None:
+            return _Before(state)
+        tips = jnp.zeros((rows.within.shape[-1], 3), rows.within.dtype)
+        return _Before(state, tips, jnp.zeros((), jnp.int32))
+
+    def with_tip(self, tip: Float[Array, " 3"]) -> "_Before":
+        """Return the same with one more tip."""
+        if self.tips is None or self.known is None:
+            return self
+        return _Before(self.state, self.tips.at[self.known].set(tip), self.known + 1)
+
+
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _run(fixed: _Given, arrays: _Given) -> tuple[PyTree, MovedSubstep]:
     given: _Given = eqx.combine(arrays, fixed)
     pushed = given.pushed
 
-    def substep(state: PyTree, row: SubstepRow) -> tuple[PyTree, MovedSubstep]:
-        tip = pushed.span.middle(state, row.time)
-        load = pushed.load(row, tip)
-        end = pushed.span.step(state, row.time, load)
-        return end, MovedSubstep(tip, end, load)
+    def substep(before: _Before, row: SubstepRow) -> tuple[_Before, MovedSubstep]:
+        tip = pushed.span.middle(before.state, row.time)
+        before = before.with_tip(tip)
+        load = pushed.load(row, tip, row.passed(before.tips))
+        end = pushed.span.step(before.state, row.time, load)
+        return before._replace(state=end), MovedSubstep(tip, end, load)
 
-    return jax.lax.scan(substep, given.start, given.rows)
+    begun = _Before.of(given.start, given.rows)
+    last, moved = jax.lax.scan(substep, begun, given.rows)
+    return last.state, moved
 
 
 class _SlopeRow(NamedTuple):
@@ -153,16 +205,19 @@ class _SlopeRow(NamedTuple):
         time: As `SubstepRow`.
         start: The machine's state at its start.
         load: As `MovedSubstep`.
-        by_tip: Slope of the load by its tip.
+        by_tip: Slope of the load by its tip, the other tips fixed.
+        by_tips: Slope of the load by all tips of these sub-steps, with which the teeth
+            before passed; None for even teeth.
         own_middle: Change of the tip in the middle, the state at the start fixed.
         own_end: Change of the state at the end, that at the start and the load fixed.
-        own_load: Change of the load, the tip fixed.
+        own_load: Change of the load, the tips fixed.
     """
 
     time: Float[Array, "*substep"]
     start: PyTree
     load: Float[Array, "*substep load"]
     by_tip: Float[Array, "*substep load 3"]
+    by_tips: Float[Array, "*substep load substep 3"] | None
     own_middle: Float[Array, "*substep 3"]
     own_end: PyTree
     own_load: Float[Array, "*substep load"]
@@ -197,29 +252,63 @@ def _run_jvp(fixed: _Given, primals: Any, tangents: Any) -> tuple[Any, Any]:
     @jax.checkpoint
     def loads(values: list[Array], tips: Float[Array, "substep 3"]) -> Array:
         now = with_values(values)
-        return jax.vmap(now.pushed.load)(now.rows, tips)
+        load = lambda row, tip: now.pushed.load(row, tip, row.passed(tips))
+        return jax.vmap(load)(now.rows, tips)
 
     # All sub-steps at once: what does not follow from the states and tips on the way.
     _, (start, middles, ends) = jax.jvp(motion, along[:1], along[1:])
     of_values = lambda values: loads(values, moved.tip)
     _, own_loads = jax.jvp(of_values, along[:1], along[1:])
-    by_tip = jax.vmap(jax.jacfwd(given.pushed.load, argnums=1))(given.rows, moved.tip)
+    by_tip = jax.vmap(
+        lambda row, tip: jax.jacfwd(given.pushed.load, argnums=1)(
+            row, tip, row.passed(moved.tip)
+        )
+    )(given.rows, moved.tip)
+    by_tips = _by_tips(given, moved.tip)
     span = given.pushed.span
 
-    def substep(change: PyTree, row: _SlopeRow) -> tuple[PyTree, MovedSubstep]:
+    def substep(before: _Before, row: _SlopeRow) -> tuple[_Before, MovedSubstep]:
         middle = lambda state: span.middle(state, row.time)
         step = lambda state, load: span.step(state, row.time, load)
-        _, tip = jax.jvp(middle, (row.start,), (change,))
+        _, tip = jax.jvp(middle, (row.start,), (before.state,))
         tip = tip + row.own_middle
         load = row.own_load + row.by_tip @ tip
-        _, end = jax.jvp(step, (row.start, row.load), (change, load))
+        before = before.with_tip(tip)
+        if row.by_tips is not None and before.tips is not None:
+            load = load + jnp.tensordot(row.by_tips, before.tips, 2)
+        _, end = jax.jvp(step, (row.start, row.load), (before.state, load))
         end = jax.tree.map(jnp.add, end, row.own_end)
-        return end, MovedSubstep(tip, end, load)
+        return before._replace(state=end), MovedSubstep(tip, end, load)
 
     rows = _SlopeRow(
-        given.rows.time, states, moved.load, by_tip, middles, ends, own_loads
+        time=given.rows.time,
+        start=states,
+        load=moved.load,
+        by_tip=by_tip,
+        by_tips=by_tips,
+        own_middle=middles,
+        own_end=ends,
+        own_load=own_loads,
     )
-    return (end, moved), jax.lax.scan(substep, start, rows)
+    last, changes = jax.lax.scan(substep, _Before.of(start, given.rows), rows)
+    return (end, moved), (last.state, changes)
+
+
+def _by_tips(
+    given: _Given, tips: Float[Array, "substep 3"]
+) -> Float[Array, "substep load substep 3"] | None:
+    """Return how loads follow the tips with which the teeth before passed."""
+    if given.rows.within is None:
+        return None
+
+    def slopes(row: SubstepRow, tip: Float[Array, " 3"]) -> Array:
+        passed = row.passed(tips)
+        load = lambda old: given.pushed.load(row, tip, Pose(old, passed.axis))
+        # There are fewer loads than teeth before.
+        by_passed = jax.jacrev(load)(passed.tip)
+        return jnp.einsum("lkja,kju->lua", by_passed, row.within)
+
+    return jax.vmap(slopes)(given.rows, tips)
 
 
 _run.defjvp(_run_jvp, symbolic_zeros=True)

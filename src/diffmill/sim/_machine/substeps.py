@@ -180,7 +180,8 @@ class AbstractSwinging(AbstractCompliant):
                 cutting, index, span.pose, predicted, is_live, look
             )
             looked = _Look(predicted, cut)
-            move = lambda: _run_substeps(coupled, cutting.recent, looked, start, times)
+            before = _TeethPassed.of(coupled, cutting.recent)
+            move = lambda: _run_substeps(coupled, before, looked, start, times)
         rest = jnp.broadcast_to(span.pose.tip[None], predicted.tip.shape)
         none = jnp.zeros((rest.shape[0], self.load_count), rest.dtype)
         still = LoadedSubsteps(predicted.tip, predicted.tip, rest, none)
@@ -259,11 +260,57 @@ class _Look(eqx.Module):
     found: Engagement
 
 
+class _TeethPassed(NamedTuple):
+    """Where the teeth before passed, see `SubstepRow`."""
+
+    earlier: Pose
+    within: Float[Array, "substep before tooth substep"] | None
+
+    @staticmethod
+    def of(coupled: _Coupled, recent: Pose) -> "_TeethPassed":
+        """Return where they passed in the sub-steps of a period none of which is run.
+
+        Args:
+            coupled: The machine and the process.
+            recent: Poses in the periods before, newest first, shape (tooth, substep,
+                3).
+        """
+        process, pose = coupled.process, coupled.span.pose
+        ahead = along(pose, jnp.zeros_like(recent.tip[0]))
+        teeth = process.teeth_before(ahead.tip.dtype)
+        within = None if teeth is None else teeth.within
+        return _TeethPassed(process.earlier(recent, ahead), within)
+
+    def part(self, first: Int[Array, ""], tips: Float[Array, "substep 3"], count: int):
+        """Return where they passed in some sub-steps, of those before the tips known.
+
+        Args:
+            first: Index of the first one, shape ().
+            tips: Tips of all sub-steps of the period, 0 from the first one on [m].
+            count: How many they are.
+        """
+        cut = lambda x, axis: jax.lax.dynamic_slice_in_dim(x, first, count, axis)
+        earlier = jax.tree.map(lambda x: cut(x, 0), self.earlier)
+        if self.within is None:
+            return _TeethPassed(earlier, None)
+        within = cut(self.within, 0)
+        moved = jnp.einsum("skju,ua->skja", within, tips)
+        earlier = Pose(earlier.tip + moved, earlier.axis)
+        return _TeethPassed(earlier, cut(within, 3))
+
+
 class _BeforeLook(NamedTuple):
-    """The machine before a look, and how far the tool is from the period before."""
+    """The machine before a look.
+
+    Attributes:
+        machine: Its state.
+        ahead: How far the tool will be from the period before [m].
+        tips: Tips of all sub-steps of the period, 0 where they are to come [m].
+    """
 
     machine: PyTree
-    ahead: Float[Array, "substep 3"]
+    ahead: Float[Array, "look 3"]
+    tips: Float[Array, "substep 3"]
 
 
 class _LookRow(NamedTuple):
@@ -297,6 +344,8 @@ def _run_looks(
     looks = engagement.looks
     count = engagement.substeps // looks
 
+    passed = _TeethPassed.of(coupled, cutting.recent)
+
     def part(before: _BeforeLook, row: _LookRow) -> tuple[_BeforeLook, LoadedSubsteps]:
         recent = row.recent
         near = eqx.tree_at(lambda p: p.recent, cutting, recent)
@@ -304,11 +353,14 @@ def _run_looks(
         substeps = Substeps(row.first, count)
         cut = process.engage(near, index, predicted, substeps)
         look = _Look(predicted, cut)
-        end, rows = _run_substeps(coupled, recent, look, before.machine, row.times)
+        teeth = passed.part(row.first, before.tips, count)
+        end, rows = _run_substeps(coupled, teeth, look, before.machine, row.times)
+        tips = jax.lax.dynamic_update_slice_in_dim(before.tips, rows.tips, row.first, 0)
         # How far the tool is off the period before goes on changing as it did.
         off = rows.tips - recent.tip[0]
         later = jnp.arange(1, count + 1, dtype=off.dtype)[:, None]
-        return _BeforeLook(end, off[-1:] + later * (off[-1:] - off[-2:-1])), rows
+        ahead = off[-1:] + later * (off[-1:] - off[-2:-1])
+        return _BeforeLook(end, ahead, tips), rows
 
     split = lambda x: x.reshape(looks, count, *x.shape[1:])
     recent = jax.tree.map(
@@ -317,21 +369,22 @@ def _run_looks(
     first = count * jnp.arange(looks, dtype=jnp.int32)
     ahead = jnp.broadcast_to(drift, (count, 3))
     looked = _LookRow(first, split(times), recent)
-    last, rows = jax.lax.scan(part, _BeforeLook(begun.machine, ahead), looked)
+    tips = jnp.zeros_like(cutting.recent.tip[0])
+    before = _BeforeLook(begun.machine, ahead, tips)
+    last, rows = jax.lax.scan(part, before, looked)
     return last.machine, jax.tree.map(lambda x: x.reshape(-1, x.shape[-1]), rows)
 
 
 def _run_substeps(
     coupled: _Coupled,
-    recent: Pose,
+    before: _TeethPassed,
     look: _Look,
     start: PyTree,
     times: Float[Array, " substep"],
 ) -> tuple[PyTree, LoadedSubsteps]:
     """Return the state after sub-steps of a period, and these."""
     span = coupled.span
-    earlier = jax.tree.map(lambda x: jnp.moveaxis(x, 0, 1), recent)
-    rows = SubstepRow(times, earlier, look.found.samples)
+    rows = SubstepRow(times, before.earlier, look.found.samples, before.within)
     pushed = PushedSpan(
         _tool_of(coupled.process), span, look.found.thinned, coupled.load_count
     )
