@@ -282,11 +282,12 @@ def test_keys_that_do_not_change_means_are_refused(tmp_path):
     job += (
         'units = { force = "kN" }\nchannels = { Fx = 3 }\n[fit]\nloss = "tukey"\n'
         'refine = ["radius"]\nshift_range = "5 ms"\nlowpass = "2 kHz"\n'
+        "refine_speed = true\n"
     )
     with pytest.raises(JobError) as error:
         load(tmp_path, job)
     keys = sorted(line.partition(":")[0] for line in error.value.problems)
-    fit = ("loss", "lowpass", "refine", "shift_range")
+    fit = ("loss", "lowpass", "refine", "refine_speed", "shift_range")
     means = ("channels", "units")
     assert keys == [f"[fit] {k}" for k in fit] + [f"[means] {k}" for k in means]
 

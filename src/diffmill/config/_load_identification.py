@@ -171,6 +171,11 @@ def _forces(
         for key in ("loss", "refine", "shift_range", "lowpass")
         if key in fit.model_fields_set
     )
+    if tables.means is not None and "refine_speed" in fit.model_fields_set:
+        context.problems.append(
+            "[fit] refine_speed: found beside [means], which has no record to take the "
+            "speed from; allowed with [[record]]"
+        )
     given = None if tables.record is None else tuple(records)
     return mean_force_task(name, tables.means, given, settings, context)
 
