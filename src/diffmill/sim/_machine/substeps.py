@@ -261,7 +261,12 @@ class _Look(eqx.Module):
 
 
 class _TeethPassed(NamedTuple):
-    """Where the teeth before passed, see `SubstepRow`."""
+    """Where the teeth before passed.
+
+    Attributes:
+        earlier: As of `SubstepRow`.
+        within: As of `SubstepRow`.
+    """
 
     earlier: Pose
     within: Float[Array, "substep before tooth substep"] | None
@@ -281,7 +286,9 @@ class _TeethPassed(NamedTuple):
         within = None if teeth is None else teeth.within
         return _TeethPassed(process.earlier(recent, ahead), within)
 
-    def part(self, first: Int[Array, ""], tips: Float[Array, "substep 3"], count: int):
+    def part(
+        self, first: Int[Array, ""], tips: Float[Array, "substep 3"], count: int
+    ) -> "_TeethPassed":
         """Return where they passed in some sub-steps, of those before the tips known.
 
         Args:
@@ -305,7 +312,8 @@ class _BeforeLook(NamedTuple):
     Attributes:
         machine: Its state.
         ahead: How far the tool will be from the period before [m].
-        tips: Tips of all sub-steps of the period, 0 where they are to come [m].
+        tips: Tips of all sub-steps of the period, 0 where they are to come, and for
+            even teeth, which do not look back at them [m].
     """
 
     machine: PyTree
@@ -355,7 +363,9 @@ def _run_looks(
         look = _Look(predicted, cut)
         teeth = passed.part(row.first, before.tips, count)
         end, rows = _run_substeps(coupled, teeth, look, before.machine, row.times)
-        tips = jax.lax.dynamic_update_slice_in_dim(before.tips, rows.tips, row.first, 0)
+        tips = before.tips
+        if teeth.within is not None:
+            tips = jax.lax.dynamic_update_slice_in_dim(tips, rows.tips, row.first, 0)
         # How far the tool is off the period before goes on changing as it did.
         off = rows.tips - recent.tip[0]
         later = jnp.arange(1, count + 1, dtype=off.dtype)[:, None]
