@@ -1,6 +1,7 @@
 """The inverse drive against closed forms and the statics of a robot."""
 
 import dataclasses
+import math
 
 import jax
 import jax.numpy as jnp
@@ -56,6 +57,17 @@ def test_the_force_of_inertia_converges_with_the_square_of_the_step():
         p = np.polynomial.Polynomial.fromroots([0, 0, 0, 0, 1, 1, 1, 1])
         errors.append(np.abs(found - 2.0 / 5.0 * p.deriv(2)(t)).max())
     assert 3.5 < errors[0] / errors[1] < 4.5
+
+
+def test_without_end_slowly_there_are_springs_alone():
+    """As of a robot that is taken without inertia and damping."""
+    rng = np.random.default_rng(0)
+    means, q = rng.normal(size=10), jnp.asarray(rng.normal(size=(10, 1)))
+    robot = slide(2.0, 0.7, mass=3.0).with_motors([5.0], [8.0], [0.3])
+    robot = robot.with_friction([4.0], [1.0], [0.1])
+    found = deflection(robot, means, math.inf, q)
+    expected = -(means[:-1] + means[1:]) / 2 * (1 / 2.0 + 1 / 8.0)
+    np.testing.assert_allclose(found[:-1], expected, rtol=1e-12)
 
 
 @pytest.mark.slow

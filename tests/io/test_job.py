@@ -189,6 +189,20 @@ def test_flutes_shorter_than_the_path_is_deep_are_noted(write):
     assert any("shank_volume" in note for note in job.notes)
 
 
+@pytest.mark.parametrize("degrees", [0.0, 0.001, 0.1])
+def test_a_tool_that_leans_a_little_is_not_upright(write, degrees):
+    """At 0.1 degrees its rim rises by some micrometres, at 0.001 by none."""
+    file = write(("part.ngc", "part.csv"))
+    lean = math.radians(degrees)
+    j, k = math.sin(lean), math.cos(lean)
+    rows = [
+        f"{0.01 * n},{x},5,-1,0,{j:.12f},{k:.12f}" for n, x in enumerate((-6, 0, 4))
+    ]
+    text = "\n".join(["time_s,x_mm,y_mm,z_mm,i,j,k", *rows])
+    (file.parent / "part.csv").write_text(text + "\n")
+    assert bool(load_job(file).simulation.axes) == (degrees == 0.1)
+
+
 @pytest.mark.parametrize("key", ["tool_tilt", "bottom_edges"])
 def test_switches_of_the_process(write, key):
     plain = load_job(write()).simulation

@@ -148,3 +148,36 @@ def test_the_motors_follow_their_controller(tmp_path):
         mean = np.trapezoid(np.interp(at, job.path.time, one), shifts, axis=1) / 100e-3
         assert np.allclose(have, mean, atol=2e-8)
     assert np.abs(theta - command).max() > 1e-5
+
+
+SPRING = """
+[robot.flange_spring]
+rotary_stiffness = ["2e6 N*m/rad", "3e6 N*m/rad", "4e6 N*m/rad"]
+mass = "30 kg"
+center_of_mass = ["0 mm", "0 mm", "170 mm"]
+inertia = ["0.75 kg*m^2", "0.75 kg*m^2", "0.2 kg*m^2"]
+"""
+SERVOS = """[controller]
+bandwidth = ["4 Hz", "5 Hz", "6 Hz", "7 Hz", "8 Hz", "9 Hz"]
+damping_ratio = [0.5, 0.6, 0.7, 0.8, 0.9, 1.0]
+"""
+
+
+def test_joints_without_a_motor_leave_the_delay_of_the_servos(tmp_path):
+    plain = load_job(write(tmp_path, SERVOS))
+    sprung = load_job(write(tmp_path, SERVOS, ROBOT + SPRING))
+    assert plain.controller is not None and sprung.controller is not None
+    lag = 2 * np.arange(0.5, 1.05, 0.1) / (2 * np.pi * np.arange(4.0, 10.0))
+    assert float(plain.controller.delay) == pytest.approx(lag.mean(), rel=1e-12)
+    bandwidth = sprung.controller.bandwidth
+    assert bandwidth is not None and np.shape(bandwidth) == (9,)
+    assert float(sprung.controller.delay) == pytest.approx(lag.mean(), rel=1e-12)
+    assert plain.path.step_count == sprung.path.step_count
+
+
+def test_a_fault_of_a_spring_is_no_fault_of_the_controller(tmp_path):
+    heavy = SPRING.replace("30 kg", "99 kg")
+    with pytest.raises(JobError) as error:
+        load_job(write(tmp_path, SERVOS, ROBOT + heavy))
+    (problem,) = error.value.problems
+    assert "flange_spring" in problem

@@ -169,6 +169,11 @@ def test_what_is_refused(arm, sprung, bending):
     heavy = dr.FlangeSpring(99.0, (0, 0, 0.1), (1, 1, 1), rotary_stiffness=(1, 1, 1))
     with pytest.raises(ValueError, match=r"`mass`.* 36\.6 kg"):
         heavy.mounted_on(arm)
+    # All of the link, but not where that is.
+    mass, at = float(arm.link_masses[-1]), (0.0, 0.5, 0.17)
+    whole = dr.FlangeSpring(mass, at, (1, 1, 1), rotary_stiffness=(1, 1, 1))
+    with pytest.raises(ValueError, match="`center_of_mass`"):
+        whole.mounted_on(arm)
     big = dr.FlangeSpring(30.0, (0, 0, 0.1), (9, 9, 9), rotary_stiffness=(1, 1, 1))
     with pytest.raises(ValueError):
         big.mounted_on(arm)

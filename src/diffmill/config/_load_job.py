@@ -29,7 +29,7 @@ from ._build.program import (
     spindle_speed,
     time_program,
 )
-from ._build.robot import added_joints, pose_matrix, read_robot
+from ._build.robot import pose_matrix, read_robot
 from ._build.stock import StockPlan, read_stock
 from ._changes import changed, changes_text
 from ._check.modes import (
@@ -61,6 +61,8 @@ _PASSES = 3
 _MOST_STEPS = 1_000_000
 # Of a length that is written down with a few digits.
 _ROUNDING = 1e-6
+# Axes that miss +z by less stand upright: the rim of a tool of 20 mm by 1 um.
+_UPRIGHT = 1e-4
 
 
 def load_job(
@@ -236,7 +238,7 @@ def _controller(
     is_machine = tables.machine is not None
     if table is None or (own is None and not is_machine):
         return None
-    added = 0 if own is None else added_joints(own)
+    added = 0 if robot is None else sum(robot.is_virtual)
     # A machine of modes has a drive for each axis of the work.
     count = 3 if robot is None else robot.joint_count - added
     try:
@@ -286,7 +288,7 @@ def _follow(tables: JobTables, parts: _Parts, context: FileContext) -> _Parts:
         parts.T_base_work,
         parts.joint_start,
         table.tool_rotation,
-        robot.joint_count - added_joints(table),
+        int(robot.motor_mask().sum()),
     )
     found = len(context.problems)
     q = checks.joints(path, context, is_slowed=parts.timed is not None)
@@ -609,7 +611,9 @@ def _axes(
     """Return the directions of the tool, or none if it stands upright."""
     if path is None:
         return ()
-    rows = np.unique(np.round(np.asarray(path.axes), 2), axis=0)
-    if not table.tool_tilt and np.array_equal(rows, [[0.0, 0.0, 1.0]]):
+    axes = np.asarray(path.axes)
+    if not table.tool_tilt and np.all(np.abs(axes - [[0.0, 0.0, 1.0]]) < _UPRIGHT):
         return ()
+    # They size arrays: neighbours are one.
+    rows = np.unique(np.round(axes, 2), axis=0)
     return tuple((float(x), float(y), float(z)) for x, y, z in rows)

@@ -107,18 +107,6 @@ def _tool_notes(T_flange_tool: Float[np.ndarray, "4 4"]) -> list[str]:
     ]
 
 
-def added_joints(table: RobotTable) -> int:
-    """Return how many virtual joints the springs behind the arm add to the robot."""
-    spring = table.flange_spring
-    sprung = 0
-    if spring is not None:
-        sprung = 3 * sum(
-            stiffness is not None
-            for stiffness in (spring.linear_stiffness, spring.rotary_stiffness)
-        )
-    return sprung + (0 if table.bending_tool is None else 2)
-
-
 def _refuse_with_rigid(table: RobotTable, problems: list[str]) -> None:
     for key in sorted(table.model_fields_set - {"rigid"}):
         problems.append(

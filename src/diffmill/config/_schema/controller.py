@@ -100,22 +100,35 @@ class ControllerTable(TomlTable):
         if shaper is not None:
             parts["shaper_frequency"] = shaper.frequency
             parts["shaper_damping_ratio"] = shaper.damping_ratio
+        found = {}
         for key in ("bandwidth", "damping_ratio"):
-            if isinstance(parts.get(key), list):
-                parts[key] = _each(key, parts[key], joint_count, added)
-        return Controller(interpolation=self.interpolation, **parts)
-
-
-def _each(
-    key: str, values: list[float], joint_count: int, added: int
-) -> Float[np.ndarray, " joint"]:
-    """Return a value for each joint, those without a motor included."""
-    if len(values) != joint_count:
-        raise ValueError(
-            f"[controller] {key}: found {len(values)} values, but one value, or one "
-            f"for each of the {joint_count} joints, is required"
+            values = parts.get(key)
+            if isinstance(values, list):
+                if len(values) != joint_count:
+                    raise ValueError(
+                        f"[controller] {key}: found {len(values)} values, but one "
+                        f"value, or one for each of the {joint_count} joints, is "
+                        "required"
+                    )
+                found[key] = np.array(values)
+        return Controller(
+            interpolation=self.interpolation, **parts | _with_virtual(found, added)
         )
-    return np.array([*values, *values[-1:] * added])
+
+
+def _with_virtual(
+    found: dict[str, Float[np.ndarray, " motor"]], added: int
+) -> dict[str, Float[np.ndarray, " joint"]]:
+    """Return values of each joint, those without a motor included.
+
+    These do not move; they get values with which the mean lag of the servos, 1 / w or
+    2 zeta / w, stays that of the motors.
+    """
+    late = 1 / found["bandwidth"] if "bandwidth" in found else np.ones(1)
+    mean = {"bandwidth": 1 / late.mean()}
+    if "damping_ratio" in found:
+        mean["damping_ratio"] = np.mean(found["damping_ratio"] * late) / late.mean()
+    return {key: np.append(x, np.full(added, mean[key])) for key, x in found.items()}
 
 
 @functools.cache

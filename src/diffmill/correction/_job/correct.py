@@ -1,6 +1,7 @@
 """Correcting a job: the baselines, then the best command that derivatives find."""
 
 import dataclasses
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import equinox as eqx
@@ -406,11 +407,13 @@ def _inverse_drive(
     job: Job, force: Float[Array, "step 3"], desired: Float[Array, "step 3"]
 ) -> InverseDriveCommand:
     assert job.robot is not None
+    # A robot without inertia and damping is one that moves without end slowly.
+    is_slow = job.simulation.mode == "quasistatic"
     return _driven(
         job.robot,
         JobKinematics(job).joints(desired).positions,
         force,
-        job.tooth_period,
+        math.inf if is_slow else job.tooth_period,
         T_base_work=job.T_base_work,
         is_gravity_compensated=job.simulation.is_gravity_compensated,
     )

@@ -67,7 +67,7 @@ def inverse_drive(
             both ends, shape (step, joint).
         force: Force on the tool in `work`, row k the mean over (t_(k-1), t_k] [N],
             of the process alone on the desired path, shape (step, 3).
-        time_step: Time between two rows T [s].
+        time_step: Time between two rows T [s]; infinite for springs alone.
         T_base_work: Pose of `work` in `base`; None if they coincide.
         is_gravity_compensated: Whether the controller adds the gravity sag itself.
 

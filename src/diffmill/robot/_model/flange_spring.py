@@ -15,6 +15,10 @@ from .robot import Robot
 from .series_springs import Body, Spring, with_series_springs
 
 _AXES = "xyz"
+# What is left of a link, as a share of its mass, that is rounding.
+_NOTHING = 1e-9
+# Centres that are the same [m].
+_SAME_PLACE = 1e-6
 
 
 class FlangeSpring(eqx.Module):
@@ -106,7 +110,8 @@ def _without(robot: Robot, body: Body) -> Robot:
     left = mass - body.mass
     _check_left(robot, left, body.mass)
     # A link that is the spindle and nothing else leaves no mass to have a centre.
-    has_left = left > 0
+    has_left = left > _NOTHING * mass
+    _check_whole(robot, body, left, center)
     safe = jnp.where(has_left, left, 1.0)
     new = jnp.where(has_left, (mass * old - body.mass * center) / safe, 0.0)
     inertia = (
@@ -138,6 +143,25 @@ def _check_left(robot: Robot, left: Float[Array, ""], mass: Float[Array, ""]) ->
             f"Argument `mass` must be at most that of the last link of {robot.name!r}, "
             f"{float(left + mass):.6g} kg, or is_in_link=False, but is "
             f"{float(np.asarray(mass)):.6g} kg."
+        )
+
+
+def _check_whole(
+    robot: Robot, body: Body, left: Float[Array, ""], center: Float[Array, " 3"]
+) -> None:
+    """Raise if a body that is all of a known link has another centre than it."""
+    if isinstance(left, Tracer) or isinstance(center, Tracer):
+        return
+    link = robot.flange_joint
+    old = np.asarray(robot.link_centers[link])
+    if float(left) > _NOTHING * float(robot.link_masses[link]):
+        return
+    if not np.allclose(center, old, rtol=0, atol=_SAME_PLACE):
+        away = 1e3 * float(np.linalg.norm(np.asarray(center) - old))
+        raise ValueError(
+            f"Argument `center_of_mass` must be that of the last link of "
+            f"{robot.name!r}, of which a spindle of {float(np.asarray(body.mass)):.6g} "
+            f"kg is all, or is_in_link=False, but is {away:.3g} mm away from it."
         )
 
 
