@@ -167,6 +167,28 @@ def test_a_tooth_that_stands_back_by_more_than_the_feed_is_none():
     assert abs(np.log(both.radius[0] / wanted)) > 0.1
 
 
+def test_teeth_of_other_coefficients_are_judged_by_the_turn():
+    """Not by the tooth that a row meets."""
+    process = straight_cut(5000, SLOT)
+    law = cutting.LinearEdgeLaw(
+        K_tc=K_T * np.array([1.5, 0.5]),
+        K_rc=K_R * np.array([1.5, 0.5]),
+        K_ac=0.0,
+        K_te=0,
+        K_re=0,
+        K_ae=0,
+    )
+    assert process.repeats_after == 1
+    process = eqx.tree_at(lambda p: p.side_law, process, law)
+    assert process.repeats_after == 2
+    tips = np.zeros((61, 3))
+    tips[:, 0], tips[:, 2] = 1e-3 + FEED * np.arange(61), -0.5e-3
+    machine, tips = sim.ModalMachine(modes((0,))), jnp.asarray(tips)
+    found = sim.Stability.along(machine, process, tips, tips, [59, 60])
+    even = modal_growth(5000, (0,), SLOT, 0.5e-3).radius
+    np.testing.assert_allclose(np.log(found.radius), np.log(even[0]), atol=0.01)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("pitch", "is_calm"), [((180, 180), False), ((170, 190), True)]

@@ -44,18 +44,22 @@ class AbstractCutter(eqx.Module):
         that has been given its sizes then does not depend on their values.
         """
 
-    def delays(self, dtype: DTypeLike) -> Float[Array, "before tooth"]:
+    def delays(
+        self, dtype: DTypeLike
+    ) -> Float[Array, "before tooth"] | Float[np.ndarray, "before tooth"]:
         """Return how long ago the k-th tooth before each tooth passed [tooth periods].
 
         A tooth passes an angle when it has turned by what it stands behind the other.
 
         Differentiability: in the pitch.
         """
-        pitch, count = jnp.asarray(self.pitch_angles, dtype), self.flute_count
+        # Of known teeth on the host, which has the double precision of its analyses.
+        xp = np if isinstance(self.pitch_angles, np.ndarray) else jnp
+        pitch, count = xp.asarray(self.pitch_angles, dtype), self.flute_count
         before = (np.arange(count) + np.arange(1, count)[:, None]) % count
-        turns = jnp.mod((pitch[before] - pitch[None]) / (2 * math.pi), 1)
+        turns = xp.mod((pitch[before] - pitch[None]) / (2 * math.pi), 1)
         # The last one is the tooth itself, a turn before.
-        return count * jnp.concatenate([turns, jnp.ones((1, count), dtype)])
+        return count * xp.concatenate([turns, xp.ones((1, count), dtype)])
 
     @property
     @abc.abstractmethod

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._live_rows import when_live
@@ -212,6 +213,22 @@ class Process(eqx.Module):
         """Time between two teeth T = 2 pi / (omega N_z) [s]."""
         speed = jnp.asarray(self.spindle_speed, self.stock.origin.dtype)
         return 2 * math.pi / (speed * self.cutter.flute_count)
+
+    @property
+    def repeats_after(self) -> int:
+        """Tooth periods after which the cut repeats itself: 1, or a whole turn.
+
+        Teeth differ by their pitch, by run-out and by their force coefficients.
+
+        Differentiability: none, for values that are known.
+        """
+        cutter = self.cutter
+        differ = not cutter.has_even_pitch or bool(np.any(np.asarray(cutter.runout)))
+        for law in (self.side_law, self.bottom_law):
+            if law.tooth_count is not None:
+                leaves = [np.asarray(x) for x in jax.tree.leaves(law)]
+                differ |= any(x.ndim > 0 and np.ptp(x) > 0 for x in leaves)
+        return cutter.flute_count if differ else 1
 
     @property
     def removal(self) -> RemovalHistory:

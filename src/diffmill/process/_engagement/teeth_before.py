@@ -58,10 +58,11 @@ class TeethBefore(eqx.Module):
         Returns:
             The poses, shape (substep, before, tooth, 3).
         """
+        # In full precision, as a GPU would round positions to TF32.
         return jax.tree.map(
             lambda old, new: (
-                jnp.einsum("skjtu,tua->skja", self.recent, old)
-                + jnp.einsum("skju,ua->skja", self.within, new)
+                jnp.einsum("skjtu,tua->skja", self.recent, old, precision="highest")
+                + jnp.einsum("skju,ua->skja", self.within, new, precision="highest")
             ),
             recent,
             now,

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ...cutter import AbstractCutter
 from ...process import (
     EdgeSamples,
     Engagement,
@@ -45,8 +44,7 @@ def force_slopes(
         lambda x: jnp.concatenate([2 * x[:1] - x[1:2], x, 2 * x[-1:] - x[-2:-1]]), path
     )
     carry, first, found = _begin(process, path), jnp.ones((), jnp.int32), {}
-    cutter = process.cutter
-    count = cutter.flute_count if _teeth_differ(cutter) else 1
+    cutter, count = process.cutter, process.repeats_after
     # A path shorter than a turn stands for the rest by its first period.
     turns = np.maximum(rows[:, None] + np.arange(1 - count, 1), 1)
     delays = np.arange(1.0, cutter.flute_count + 1)
@@ -60,11 +58,6 @@ def force_slopes(
         found[row] = Regeneration(now, before, delays)
         first = last + 1
     return [[found[row] for row in turn] for turn in turns]
-
-
-def _teeth_differ(cutter: AbstractCutter) -> bool:
-    """Return whether periods one after the other differ."""
-    return not cutter.has_even_pitch or bool(np.any(np.asarray(cutter.runout) != 0))
 
 
 class _Replayed(eqx.Module):
@@ -133,7 +126,9 @@ def _slopes(process: Process, cut: Engagement, middles: Pose, recent: Pose) -> _
             )
             return jnp.mean(found[:, :3], axis=0)
 
-        return jax.jacfwd(force, argnums=(0, 1))(pose.tip, earlier.tip)
+        # Of uneven teeth there are more poses before than components of a force.
+        jacobian = jax.jacfwd if process.cutter.has_even_pitch else jax.jacrev
+        return jacobian(force, argnums=(0, 1))(pose.tip, earlier.tip)
 
     earlier = process.earlier(recent, middles)
     now, before = jax.vmap(slopes)(cut.samples, middles, earlier)

@@ -48,13 +48,13 @@ def quick_slopes(
     near = [_near_rows(process, tips[: row + 1]) for row in rows]
     # One shape for all rows.
     chunks = 2 ** math.ceil(math.log2(max(map(len, near)) / _CHUNK + 1))
-    found, delays = [], np.ones(1)
+    found, delays, periods = [], np.ones(1), process.repeats_after
     if not process.cutter.has_even_pitch:
         delays = np.asarray(process.cutter.delays(np.float64))[0]
     for row, kept in zip(rows, near, strict=True):
         at = kept[np.minimum(np.arange(chunks * _CHUNK), len(kept) - 1)]
         earlier = path[at.reshape(chunks, _CHUNK)]
-        slopes = _slopes(process, earlier, path[int(row)])
+        slopes = _slopes(process, earlier, path[int(row)], periods)
         slopes = np.asarray(slopes, np.float64)
         if process.cutter.has_even_pitch:
             slopes = slopes.sum(axis=2, keepdims=True)
@@ -78,15 +78,13 @@ def _near_rows(
 
 @CompiledOnce
 def _slopes(
-    process: Process, earlier: Pose, now: Pose
+    process: Process, earlier: Pose, now: Pose, periods: int
 ) -> Float[Array, "period piece tooth 3 3"]:
     """Return the slopes of each tooth's force in the tip, in `work` [N/m]."""
     cutter = process.cutter
     edge = _edge(process, now.tip.dtype)
     places = jnp.asarray(cutter.pitch_angles, now.tip.dtype)
-    teeth, periods = places.shape[0], 1
-    if not cutter.has_even_pitch:
-        periods = teeth
+    teeth = places.shape[0]
     pieces = jnp.arange(periods * _PIECES, dtype=places.dtype) + 0.5
     turn = 2 * math.pi / teeth / _PIECES * pieces[:, None, None]
     phi = turn + places[None, :, None] - edge.lag[None, None]

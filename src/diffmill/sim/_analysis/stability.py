@@ -1,10 +1,11 @@
 """Stability of the cut: growth of the arm's vibrations, from the linear motion.
 
-A chip is what lies between the tip and where it was one tooth period before, so that a
-vibration comes back through the surface that it leaves. About the simulated state one
-tooth period is a linear map of the arm's state and of the tips in the last periods, by
-the slopes of the equations of motion and of the library's own force. Its eigenvalues
-are the factors by which vibrations grow per tooth period.
+A chip is what lies between the tip and where it was when the tooth before passed, so
+that a vibration comes back through the surface that it leaves. About the simulated
+state one tooth period, of teeth that differ a turn, is a linear map of the arm's state
+and of the tips in the last periods, by the slopes of the equations of motion and of the
+library's own force. Its eigenvalues tell by which factors vibrations grow per tooth
+period.
 
 The map has steps of its own, short enough for every mode that the cut could excite
 (`_analysis/monodromy.py`); those of the simulation may be longer.
@@ -47,8 +48,6 @@ _STEPS, _LEAST, _MOST = 24, 48, 1200
 # Steps per turn with which the forces of a vibration are right to 3 % here, and with
 # which the midpoint rule keeps a frequency to 5 %.
 _JUDGED, _FOLLOWED = 10, 8
-# Error of a delay's factor with which vibrations still count as followed.
-_DELAYED = 0.1
 # A mode counts from this share of the gain with which it could swing by itself: what
 # other modes add is little.
 _EXCITED = 0.5
@@ -116,7 +115,7 @@ class Stability(eqx.Module):
             f"{self.frequency[k]:.1f} Hz grows by {100 * growth:.2g} % "
             f"per tooth period, threefold in {1.1 / self.tooth_frequency / growth:.2g} "
             "s; a smaller depth of cut, another spindle speed or more damping calms "
-            f"it, a corrected path does not"
+            "it, a corrected path does not"
         )
 
     def note(self) -> str:

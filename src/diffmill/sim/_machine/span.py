@@ -87,7 +87,7 @@ class SubstepRow(NamedTuple):
         """
         if self.within is None:
             return self.earlier
-        moved = jnp.einsum("kju,ua->kja", self.within, tips)
+        moved = jnp.einsum("kju,ua->kja", self.within, tips, precision="highest")
         return Pose(self.earlier.tip + moved, self.earlier.axis)
 
 

@@ -301,7 +301,7 @@ class _TeethPassed(NamedTuple):
         if self.within is None:
             return _TeethPassed(earlier, None)
         within = cut(self.within, 0)
-        moved = jnp.einsum("skju,ua->skja", within, tips)
+        moved = jnp.einsum("skju,ua->skja", within, tips, precision="highest")
         earlier = Pose(earlier.tip + moved, earlier.axis)
         return _TeethPassed(earlier, cut(within, 3))
 
