@@ -7,6 +7,7 @@ import pytest
 
 from diffmill import JobError, examples, load_job
 from diffmill.robot import FlangeSpring, cartesian_compliance, load
+from small_job import FLANGE_SPRING
 
 TOOL = """
 [robot.bending_tool]
@@ -14,13 +15,6 @@ overhang = "40 mm"
 young_modulus = "580 GPa"
 damping_ratio = 0.03
 flute_share = 1
-"""
-SPRING = """
-[robot.flange_spring]
-rotary_stiffness = ["2e6 N*m/rad", "3e6 N*m/rad", "4e6 N*m/rad"]
-mass = "30 kg"
-center_of_mass = ["0 mm", "0 mm", "170 mm"]
-inertia = ["0.75 kg*m^2", "0.75 kg*m^2", "0.2 kg*m^2"]
 """
 SPINDLE = FlangeSpring(
     30.0, (0.0, 0.0, 0.17), (0.75, 0.75, 0.2), rotary_stiffness=(2e6, 3e6, 4e6)
@@ -42,7 +36,7 @@ def write(tmp_path):
 
 
 def test_both_tables_make_a_robot_in_series(write):
-    job = load_job(write(SPRING + TOOL))
+    job = load_job(write(FLANGE_SPRING + TOOL))
     robot = job.robot
     assert robot is not None
     names = ("flange_rx", "flange_ry", "flange_rz", "tool_x", "tool_y")
@@ -64,9 +58,12 @@ def test_both_tables_make_a_robot_in_series(write):
         ("[robot.bending_tool]", ("bending_tool.overhang", "required", "40 mm")),
         (TOOL.replace("0.03", "3"), ("bending_tool.damping_ratio", "3", "from 0 to 1")),
         (TOOL.replace("GPa", "mm"), ("bending_tool.young_modulus", "600 GPa")),
-        (SPRING.replace("30 kg", "99 kg"), ("flange_spring", "at most", "36.6 kg")),
         (
-            SPRING.replace("rotary_stiffness", "stiffness"),
+            FLANGE_SPRING.replace("30 kg", "99 kg"),
+            ("flange_spring", "at most", "36.6 kg"),
+        ),
+        (
+            FLANGE_SPRING.replace("rotary_stiffness", "stiffness"),
             ("flange_spring.stiffness", "unknown key", "rotary_stiffness"),
         ),
     ],

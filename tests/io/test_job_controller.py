@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from diffmill import JobError, load_job, sim
+from small_job import FLANGE_SPRING
 
 PROGRAM = """G21 G17 G90 G94
 G0 X-6 Y5 Z1
@@ -150,13 +151,6 @@ def test_the_motors_follow_their_controller(tmp_path):
     assert np.abs(theta - command).max() > 1e-5
 
 
-SPRING = """
-[robot.flange_spring]
-rotary_stiffness = ["2e6 N*m/rad", "3e6 N*m/rad", "4e6 N*m/rad"]
-mass = "30 kg"
-center_of_mass = ["0 mm", "0 mm", "170 mm"]
-inertia = ["0.75 kg*m^2", "0.75 kg*m^2", "0.2 kg*m^2"]
-"""
 SERVOS = """[controller]
 bandwidth = ["4 Hz", "5 Hz", "6 Hz", "7 Hz", "8 Hz", "9 Hz"]
 damping_ratio = [0.5, 0.6, 0.7, 0.8, 0.9, 1.0]
@@ -165,7 +159,7 @@ damping_ratio = [0.5, 0.6, 0.7, 0.8, 0.9, 1.0]
 
 def test_joints_without_a_motor_leave_the_delay_of_the_servos(tmp_path):
     plain = load_job(write(tmp_path, SERVOS))
-    sprung = load_job(write(tmp_path, SERVOS, ROBOT + SPRING))
+    sprung = load_job(write(tmp_path, SERVOS, ROBOT + FLANGE_SPRING))
     assert plain.controller is not None and sprung.controller is not None
     lag = 2 * np.arange(0.5, 1.05, 0.1) / (2 * np.pi * np.arange(4.0, 10.0))
     assert float(plain.controller.delay) == pytest.approx(lag.mean(), rel=1e-12)
@@ -176,7 +170,7 @@ def test_joints_without_a_motor_leave_the_delay_of_the_servos(tmp_path):
 
 
 def test_a_fault_of_a_spring_is_no_fault_of_the_controller(tmp_path):
-    heavy = SPRING.replace("30 kg", "99 kg")
+    heavy = FLANGE_SPRING.replace("30 kg", "99 kg")
     with pytest.raises(JobError) as error:
         load_job(write(tmp_path, SERVOS, ROBOT + heavy))
     (problem,) = error.value.problems

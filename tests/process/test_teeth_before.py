@@ -44,6 +44,17 @@ def swing(turns, instants):
     return wp.Pose(jnp.asarray(np.stack([x, x, np.asarray(instants)], axis=-1)))
 
 
+def test_delays_of_a_known_cutter_keep_the_precision_of_the_host():
+    mill = jax.tree.map(
+        lambda x: jnp.asarray(x, jnp.float32), process_of(PITCH, 4).cutter
+    )
+    found = mill.delays(np.float64)
+    assert isinstance(found, np.ndarray) and found.dtype == np.float64
+    np.testing.assert_allclose(found, DELAYS, rtol=1e-6)
+    traced = jax.jit(lambda mill: mill.delays(jnp.float32))(mill)
+    np.testing.assert_allclose(traced, DELAYS, rtol=1e-6)
+
+
 @pytest.mark.parametrize("pitch", [PITCH, None])
 def test_poses_are_those_at_the_delays(pitch):
     errors = []
@@ -64,6 +75,33 @@ def test_poses_are_those_at_the_delays(pitch):
         # Of straight lines between the middles of sub-steps.
         assert 0 < errors[0] < (2 * np.pi * 0.7 / 10) ** 2 / 8
         assert 3 < errors[0] / errors[1] < 5
+
+
+@pytest.mark.parametrize("pitch", [PITCH, None])
+def test_a_tool_that_stops_in_the_material_does_not_rub_in_single_precision(pitch):
+    """It has been just where it is, far from the origin too."""
+    corner = np.array([0.31, 0.22, 0.13])
+    stock = wp.box(
+        corner - [0, 0, 1e-3],
+        corner + np.array([8e-3, 6e-3, 0]),
+        0.5e-3,
+        interval_counts=(4, 4, 2),
+        dtype=jnp.float32,
+    )
+    process = process_of(pitch, 8)
+    single = lambda x: jnp.asarray(x, jnp.float32)
+    path = np.tile([0.0, 2e-3, -0.5e-3], (24, 1))
+    path[:, 0] = -2e-3 + 2e-4 * np.minimum(np.arange(24), 14)
+    found = sim.simulate_process(
+        single(path + corner),
+        stock,
+        jax.tree.map(single, process.cutter),
+        PAPER_LAW,
+        process.spindle_speed,
+        engagement=process.engagement,
+    )
+    force = np.linalg.norm(found.force, axis=1)
+    assert force[14] > 10 and force[-3:].max() < 0.01 * force[14]
 
 
 def slide():

@@ -111,7 +111,7 @@ CASES = [
     *(pytest.param(r, "upright", marks=pytest.mark.slow) for r in list(ROBOTS)[1:]),
     *(
         pytest.param("quasi-static", cut, marks=pytest.mark.slow)
-        for cut in ("helix", "in space", "cloud")
+        for cut in ("helix", "in space", "cloud", "uneven")
     ),
 ]
 

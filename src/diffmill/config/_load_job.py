@@ -238,9 +238,9 @@ def _controller(
     is_machine = tables.machine is not None
     if table is None or (own is None and not is_machine):
         return None
-    added = 0 if robot is None else sum(robot.is_virtual)
     # A machine of modes has a drive for each axis of the work.
-    count = 3 if robot is None else robot.joint_count - added
+    count = 3 if robot is None else len(robot.motor_joints)
+    added = 0 if robot is None else robot.joint_count - count
     try:
         found = table.controller(count, added)
     except ValueError as error:
@@ -288,7 +288,7 @@ def _follow(tables: JobTables, parts: _Parts, context: FileContext) -> _Parts:
         parts.T_base_work,
         parts.joint_start,
         table.tool_rotation,
-        int(robot.motor_mask().sum()),
+        len(robot.motor_joints),
     )
     found = len(context.problems)
     q = checks.joints(path, context, is_slowed=parts.timed is not None)

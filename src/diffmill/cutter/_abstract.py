@@ -10,6 +10,7 @@ import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
+from .._arrays import is_traced
 from .._types import RealScalarLike
 from ._elements import EdgeElements
 from ._rays import Chord
@@ -54,7 +55,7 @@ class AbstractCutter(eqx.Module):
         Differentiability: in the pitch.
         """
         # Of known teeth on the host, which has the double precision of its analyses.
-        xp = np if isinstance(self.pitch_angles, np.ndarray) else jnp
+        xp = jnp if is_traced(self.pitch_angles) else np
         pitch, count = xp.asarray(self.pitch_angles, dtype), self.flute_count
         before = (np.arange(count) + np.arange(1, count)[:, None]) % count
         turns = xp.mod((pitch[before] - pitch[None]) / (2 * math.pi), 1)

@@ -392,7 +392,10 @@ def _descent(
 def _newest(earlier: Pose) -> Float[Array, " 3"]:
     """Return the tip one tooth period ago, which of uneven teeth is their mean."""
     tip = earlier.tip[0]
-    return tip if tip.ndim == 1 else jnp.mean(tip, axis=0)
+    if tip.ndim == 1:
+        return tip
+    # From one of them on: a tool that stands still has been just there.
+    return tip[0] + jnp.mean(tip - tip[:1], axis=0)
 
 
 def _of_samples(passed: Pose, tooth: Int[Array, "angle kept element"]) -> Pose:

@@ -52,18 +52,20 @@ class TeethBefore(eqx.Module):
         Args:
             recent: Poses of the sub-steps of the periods before, newest first, shape
                 (period, substep, 3).
-            now: Those of this period, shape (substep, 3); tips of 0 where they are not
-                known yet.
+            now: Those of this period, shape (substep, 3); all the first one where they
+                are not known yet.
 
         Returns:
             The poses, shape (substep, before, tooth, 3).
         """
-        # In full precision, as a GPU would round positions to TF32.
-        return jax.tree.map(
-            lambda old, new: (
-                jnp.einsum("skjtu,tua->skja", self.recent, old, precision="highest")
-                + jnp.einsum("skju,ua->skja", self.within, new, precision="highest")
-            ),
-            recent,
-            now,
-        )
+
+        def between(old: Array, new: Array) -> Array:
+            # From one pose on: a tool that stands still has been just there. In full
+            # precision, as a GPU would round to TF32.
+            ref = new[0]
+            old, new = old - ref[None, None], new - ref[None]
+            way = jnp.einsum("skjtu,tua->skja", self.recent, old, precision="highest")
+            way += jnp.einsum("skju,ua->skja", self.within, new, precision="highest")
+            return ref[None, None, None] + way
+
+        return jax.tree.map(between, recent, now)

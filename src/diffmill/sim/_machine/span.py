@@ -2,7 +2,8 @@
 
 The sub-steps follow each other, since the force of one moves the tip of the next. Their
 derivative is found in fewer calls than they are: what does not follow from the tips,
-all sub-steps at once; how each force follows its own tip, as a matrix, all at once too.
+all sub-steps at once; how each force follows its own tip, and of uneven teeth those
+before it, as a matrix, all at once too.
 One after the other there is only linear motion left. So many small arrays, forward and
 back, cost calls rather than arithmetic.
 """
@@ -65,10 +66,10 @@ class SubstepRow(NamedTuple):
     Attributes:
         time: Its middle, from the start of the period [s], shape (*substep,).
         earlier: Poses when the teeth before passed, shape (*substep, before, 3), of
-            uneven teeth (*substep, before, tooth, 3), the tips of these sub-steps
-            counted as 0.
+            uneven teeth (*substep, before, tooth, 3), as if the tool had stood still
+            in these sub-steps.
         samples: What is in the cut.
-        within: Weights of the tips of these sub-steps in those when the teeth before
+        within: Weights of the ways of these sub-steps in those when the teeth before
             passed, shape (*substep, before, tooth, substep); None for even teeth,
             which passed before all of them.
     """
@@ -78,16 +79,17 @@ class SubstepRow(NamedTuple):
     samples: EdgeSamples
     within: Float[Array, "*substep before tooth substep"] | None = None
 
-    def passed(self, tips: Float[Array, "substep 3"] | None) -> Pose:
+    def passed(self, ways: Float[Array, "substep 3"] | None) -> Pose:
         """Return the poses when the teeth before passed.
 
         Args:
-            tips: Tips in the middle of these sub-steps, as far as they are known, then
-                0 [m]; they do not count for even teeth.
+            ways: From the tip at the start of the period to those in the middle of
+                these sub-steps, as far as they are known, then 0 [m]; they do not
+                count for even teeth.
         """
         if self.within is None:
             return self.earlier
-        moved = jnp.einsum("kju,ua->kja", self.within, tips, precision="highest")
+        moved = jnp.einsum("kju,ua->kja", self.within, ways, precision="highest")
         return Pose(self.earlier.tip + moved, self.earlier.axis)
 
 
@@ -153,17 +155,17 @@ class _Given(eqx.Module):
 
 
 class _Before(NamedTuple):
-    """A machine before a sub-step, or its change, and the tips on the way there.
+    """A machine before a sub-step, or its change, and its way there.
 
     Attributes:
         state: Of the machine.
-        tips: Tips in the middle of the sub-steps, 0 where they are to come [m], shape
-            (substep, 3); None for even teeth, which do not look back at them.
+        ways: As of `SubstepRow.passed`, shape (substep, 3); None for even teeth, which
+            do not look back at them.
         known: How many are known, shape ().
     """
 
     state: PyTree
-    tips: Float[Array, "substep 3"] | None = None
+    ways: Float[Array, "substep 3"] | None = None
     known: Int[Array, ""] | None = None
 
     @staticmethod
@@ -171,14 +173,14 @@ class _Before(NamedTuple):
         """Return the machine before the first of some sub-steps."""
         if rows.within is None:
             return _Before(state)
-        tips = jnp.zeros((rows.within.shape[-1], 3), rows.within.dtype)
-        return _Before(state, tips, jnp.zeros((), jnp.int32))
+        ways = jnp.zeros((rows.within.shape[-1], 3), rows.within.dtype)
+        return _Before(state, ways, jnp.zeros((), jnp.int32))
 
-    def with_tip(self, tip: Float[Array, " 3"]) -> "_Before":
-        """Return the same with one more tip."""
-        if self.tips is None or self.known is None:
+    def with_way(self, way: Float[Array, " 3"]) -> "_Before":
+        """Return the same one sub-step on."""
+        if self.ways is None or self.known is None:
             return self
-        return _Before(self.state, self.tips.at[self.known].set(tip), self.known + 1)
+        return _Before(self.state, self.ways.at[self.known].set(way), self.known + 1)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -188,8 +190,8 @@ def _run(fixed: _Given, arrays: _Given) -> tuple[PyTree, MovedSubstep]:
 
     def substep(before: _Before, row: SubstepRow) -> tuple[_Before, MovedSubstep]:
         tip = pushed.span.middle(before.state, row.time)
-        before = before.with_tip(tip)
-        load = pushed.load(row, tip, row.passed(before.tips))
+        before = before.with_way(tip - pushed.span.pose.tip)
+        load = pushed.load(row, tip, row.passed(before.ways))
         end = pushed.span.step(before.state, row.time, load)
         return before._replace(state=end), MovedSubstep(tip, end, load)
 
@@ -252,19 +254,21 @@ def _run_jvp(fixed: _Given, primals: Any, tangents: Any) -> tuple[Any, Any]:
     @jax.checkpoint
     def loads(values: list[Array], tips: Float[Array, "substep 3"]) -> Array:
         now = with_values(values)
-        load = lambda row, tip: now.pushed.load(row, tip, row.passed(tips))
+        ways = tips - now.pushed.span.pose.tip[None]
+        load = lambda row, tip: now.pushed.load(row, tip, row.passed(ways))
         return jax.vmap(load)(now.rows, tips)
 
     # All sub-steps at once: what does not follow from the states and tips on the way.
     _, (start, middles, ends) = jax.jvp(motion, along[:1], along[1:])
     of_values = lambda values: loads(values, moved.tip)
     _, own_loads = jax.jvp(of_values, along[:1], along[1:])
+    ways = moved.tip - given.pushed.span.pose.tip[None]
     by_tip = jax.vmap(
         lambda row, tip: jax.jacfwd(given.pushed.load, argnums=1)(
-            row, tip, row.passed(moved.tip)
+            row, tip, row.passed(ways)
         )
     )(given.rows, moved.tip)
-    by_tips = _by_tips(given, moved.tip)
+    by_tips = _by_tips(given, moved.tip, ways)
     span = given.pushed.span
 
     def substep(before: _Before, row: _SlopeRow) -> tuple[_Before, MovedSubstep]:
@@ -273,9 +277,9 @@ def _run_jvp(fixed: _Given, primals: Any, tangents: Any) -> tuple[Any, Any]:
         _, tip = jax.jvp(middle, (row.start,), (before.state,))
         tip = tip + row.own_middle
         load = row.own_load + row.by_tip @ tip
-        before = before.with_tip(tip)
-        if row.by_tips is not None and before.tips is not None:
-            load = load + jnp.tensordot(row.by_tips, before.tips, 2)
+        before = before.with_way(tip)
+        if row.by_tips is not None and before.ways is not None:
+            load = load + jnp.tensordot(row.by_tips, before.ways, 2)
         _, end = jax.jvp(step, (row.start, row.load), (before.state, load))
         end = jax.tree.map(jnp.add, end, row.own_end)
         return before._replace(state=end), MovedSubstep(tip, end, load)
@@ -295,14 +299,14 @@ def _run_jvp(fixed: _Given, primals: Any, tangents: Any) -> tuple[Any, Any]:
 
 
 def _by_tips(
-    given: _Given, tips: Float[Array, "substep 3"]
+    given: _Given, tips: Float[Array, "substep 3"], ways: Float[Array, "substep 3"]
 ) -> Float[Array, "substep load substep 3"] | None:
     """Return how loads follow the tips with which the teeth before passed."""
     if given.rows.within is None:
         return None
 
     def slopes(row: SubstepRow, tip: Float[Array, " 3"]) -> Array:
-        passed = row.passed(tips)
+        passed = row.passed(ways)
         load = lambda old: given.pushed.load(row, tip, Pose(old, passed.axis))
         # There are fewer loads than teeth before.
         by_passed = jax.jacrev(load)(passed.tip)

@@ -281,19 +281,19 @@ class _TeethPassed(NamedTuple):
                 3).
         """
         process, pose = coupled.process, coupled.span.pose
-        ahead = along(pose, jnp.zeros_like(recent.tip[0]))
-        teeth = process.teeth_before(ahead.tip.dtype)
+        still = pose.repeated(recent.tip.shape[1])
+        teeth = process.teeth_before(still.tip.dtype)
         within = None if teeth is None else teeth.within
-        return _TeethPassed(process.earlier(recent, ahead), within)
+        return _TeethPassed(process.earlier(recent, still), within)
 
     def part(
-        self, first: Int[Array, ""], tips: Float[Array, "substep 3"], count: int
+        self, first: Int[Array, ""], ways: Float[Array, "substep 3"], count: int
     ) -> "_TeethPassed":
-        """Return where they passed in some sub-steps, of those before the tips known.
+        """Return where they passed in some sub-steps, those before these known.
 
         Args:
             first: Index of the first one, shape ().
-            tips: Tips of all sub-steps of the period, 0 from the first one on [m].
+            ways: As of `SubstepRow.passed`, of all sub-steps of the period.
             count: How many they are.
         """
         cut = lambda x, axis: jax.lax.dynamic_slice_in_dim(x, first, count, axis)
@@ -301,7 +301,7 @@ class _TeethPassed(NamedTuple):
         if self.within is None:
             return _TeethPassed(earlier, None)
         within = cut(self.within, 0)
-        moved = jnp.einsum("skju,ua->skja", within, tips, precision="highest")
+        moved = jnp.einsum("skju,ua->skja", within, ways, precision="highest")
         earlier = Pose(earlier.tip + moved, earlier.axis)
         return _TeethPassed(earlier, cut(within, 3))
 
@@ -312,13 +312,13 @@ class _BeforeLook(NamedTuple):
     Attributes:
         machine: Its state.
         ahead: How far the tool will be from the period before [m].
-        tips: Tips of all sub-steps of the period, 0 where they are to come, and for
-            even teeth, which do not look back at them [m].
+        ways: As of `SubstepRow.passed`, of all sub-steps of the period; 0 for even
+            teeth, which do not look back at them.
     """
 
     machine: PyTree
     ahead: Float[Array, "look 3"]
-    tips: Float[Array, "substep 3"]
+    ways: Float[Array, "substep 3"]
 
 
 class _LookRow(NamedTuple):
@@ -361,16 +361,17 @@ def _run_looks(
         substeps = Substeps(row.first, count)
         cut = process.engage(near, index, predicted, substeps)
         look = _Look(predicted, cut)
-        teeth = passed.part(row.first, before.tips, count)
+        teeth = passed.part(row.first, before.ways, count)
         end, rows = _run_substeps(coupled, teeth, look, before.machine, row.times)
-        tips = before.tips
+        ways = before.ways
         if teeth.within is not None:
-            tips = jax.lax.dynamic_update_slice_in_dim(tips, rows.tips, row.first, 0)
+            way = rows.tips - pose.tip[None]
+            ways = jax.lax.dynamic_update_slice_in_dim(ways, way, row.first, 0)
         # How far the tool is off the period before goes on changing as it did.
         off = rows.tips - recent.tip[0]
         later = jnp.arange(1, count + 1, dtype=off.dtype)[:, None]
         ahead = off[-1:] + later * (off[-1:] - off[-2:-1])
-        return _BeforeLook(end, ahead, tips), rows
+        return _BeforeLook(end, ahead, ways), rows
 
     split = lambda x: x.reshape(looks, count, *x.shape[1:])
     recent = jax.tree.map(
@@ -379,8 +380,8 @@ def _run_looks(
     first = count * jnp.arange(looks, dtype=jnp.int32)
     ahead = jnp.broadcast_to(drift, (count, 3))
     looked = _LookRow(first, split(times), recent)
-    tips = jnp.zeros_like(cutting.recent.tip[0])
-    before = _BeforeLook(begun.machine, ahead, tips)
+    ways = jnp.zeros_like(cutting.recent.tip[0])
+    before = _BeforeLook(begun.machine, ahead, ways)
     last, rows = jax.lax.scan(part, before, looked)
     return last.machine, jax.tree.map(lambda x: x.reshape(-1, x.shape[-1]), rows)
 
