@@ -1,5 +1,6 @@
 """The controller's parts against what is known of them by hand."""
 
+import itertools
 from typing import Any
 
 import equinox as eqx
@@ -7,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from diffmill.robot import Controller
 
@@ -55,6 +57,32 @@ def test_set_points_that_are_held_make_a_staircase():
     found = np.asarray(held.respond(ramp(), STEP))[:, 0]
     assert np.allclose(found, SPEED * 12e-3 * np.floor(TIME / 12e-3 + 1e-9))
     assert np.isclose(float(held.delay), 6e-3)
+
+
+@pytest.mark.parametrize("zeta", [None, 0.7, 1.0, 1.6])
+@pytest.mark.parametrize("cycle", [12e-3, 7.3e-3, 1.1e-3])
+def test_a_servo_answers_each_jump_of_a_staircase(cycle, zeta):
+    """Held set points jump anywhere in a step, and servos begin to move there."""
+    w = 2 * np.pi * 10.0
+    rows = 0.3 * np.sin(5.0 * TIME) * np.minimum(TIME / 0.2, 1.0)
+    found = Controller(
+        interpolation_cycle=cycle,
+        interpolation="hold",
+        bandwidth=10.0,
+        damping_ratio=zeta,
+    ).respond(jnp.asarray(rows)[:, None], STEP)
+    # From jump to jump the input stands still, and what is left of the lag decays.
+    rate = np.array([[-w]]) if zeta is None else np.array([[0, -w], [w, -2 * zeta * w]])
+    jumps = cycle * np.arange(int(TIME[-1] / cycle) + 1)
+    ends = np.unique(np.concatenate([TIME, jumps]).round(12))
+    state, held, wanted = np.zeros(len(rate)), 0.0, {0.0: 0.0}
+    for start, end in itertools.pairwise(ends):
+        new = np.interp(cycle * np.floor(start / cycle + 1e-6), TIME, rows)
+        state[0] += new - held
+        held, state = new, expm((end - start) * rate) @ state
+        wanted[end] = held - state[0]
+    wanted = [wanted[t] for t in TIME.round(12)]
+    np.testing.assert_allclose(np.asarray(found)[:, 0], wanted, atol=1e-9)
 
 
 def test_every_joint_has_its_own_bandwidth():
@@ -147,6 +175,41 @@ def test_pieces_one_after_another_are_the_whole_path(parts, span):
         piece, state = follow(rows[at], state)
         found.append(piece[:-1])
     np.testing.assert_allclose(np.concatenate(found)[:count], whole, atol=1e-13)
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        {"moving_average": 48e-3},
+        {"interpolation_cycle": 4e-3},
+        {"interpolation_cycle": 7.3e-3, "interpolation": "hold", **SERVOS},
+    ],
+)
+def test_single_precision_is_held_on_a_long_path(parts):
+    """Two minutes: times and integrals from the start lose the digits of a micrometre.
+
+    A sum up to a row is that of the path, and a mean over some rows their difference.
+    """
+    count, hop = 32_000, 4000
+    time = STEP * np.arange(count)
+    rows = 0.8 + 0.15 * np.sin([0.86, 7.0] * time[:, None])
+    rows = rows.astype(np.float32)
+    wanted = jax.jit(lambda x: Controller(**parts).motors(x, STEP))(
+        jnp.asarray(rows, float)
+    )
+    with jax.enable_x64(False):
+        controller, rows = Controller(**parts), jnp.asarray(rows)
+        found = jax.jit(lambda x: controller.motors(x, STEP))(rows)
+        before, ahead = controller.span(STEP)
+        state, pieces = controller.begin(rows[: ahead + 1], STEP, before, ahead), []
+        follow = eqx.filter_jit(lambda x, state: controller.follow(x, STEP, state))
+        for first in range(0, count, hop):
+            at = np.minimum(np.arange(first, first + hop + 1 + ahead), count - 1)
+            piece, state = follow(rows[at], state)
+            pieces.append(piece[:-1])
+    assert found.dtype == jnp.float32
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=2e-6)
+    np.testing.assert_allclose(np.concatenate(pieces), found, rtol=0, atol=2e-6)
 
 
 def test_changes_of_a_piece_are_those_of_the_whole_path():

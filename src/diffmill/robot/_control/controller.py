@@ -13,7 +13,7 @@ signal:
 A command moves linearly between the tooth instants, as the simulation takes it, and
 stands still before the first and after the last. The averages of such a command are
 exact, and so are the servos for an input that is linear between the instants at which
-they are evaluated.
+they are evaluated, and for a staircase that jumps once between them.
 
 A path is known beforehand, so that a delay alone leaves no error on the part: it only
 makes the program late. `motors` therefore tells the motors on a clock that is late by
@@ -26,13 +26,13 @@ the path. So a path can be gone through piece by piece, by `begin` and `follow`.
 """
 
 import math
-from typing import Literal, NamedTuple, TypeAlias
+from collections.abc import Callable
+from typing import Literal, NamedTuple, TypeAlias, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.linalg import expm
 from jaxtyping import Array, Float, Int
 
 from ..._arrays import is_traced
@@ -43,6 +43,7 @@ EachJoint: TypeAlias = (
     Float[Array, " joint"] | Float[np.ndarray, " joint"] | RealScalarLike
 )
 Interpolation: TypeAlias = Literal["hold", "linear", "spline"]
+_Tree = TypeVar("_Tree")
 # Cycles by which the kinds of interpolation come late: a drive that goes from one point
 # to the next has to know the next, and a spline one more.
 _LATE_CYCLES = {"hold": 0.5, "linear": 1.0, "spline": 2.0}
@@ -53,10 +54,16 @@ _POSITIVE = (
     *("moving_average", "shaper_frequency", "interpolation_cycle"),
     *("low_pass", "bandwidth"),
 )
-# Parts of a tooth period in which the servo sees a staircase.
+# Parts of a tooth period in which low-pass and servos see a staircase.
 _STAIRCASE_PARTS = 4
-# Roundings by which a place may miss the whole number that it is.
-_ROUNDINGS = 16
+# Roundings by which turns may miss the whole number that they are.
+_ROUNDINGS = 128
+# Those of a ratio of two times.
+_RATIO_ROUNDINGS = 2
+# Digits in which rows are counted in cycles, so that each takes few roundings.
+_DIGIT = 64
+# Rows further than these are beyond any path.
+_FAR_ROWS = 2**30
 
 
 class RowSpan(NamedTuple):
@@ -253,7 +260,7 @@ class Controller(eqx.Module):
         """
         start, T = commands[:1], jnp.asarray(time_step, commands.dtype)
         signal = _Signal(commands - start, T)
-        lags = self._begun(signal, self.delay.astype(commands.dtype))
+        lags = self._begun(signal, self.delay.astype(commands.dtype) / T)
         still = jnp.broadcast_to(start, (before, *start.shape[1:]))
         row = jnp.zeros((), jnp.int32)
         return ControllerState(still, lags.plus(start[0]), row, ahead)
@@ -277,11 +284,12 @@ class Controller(eqx.Module):
         **Differentiability**: as `motors`.
         """
         dtype = commands.dtype
-        T, first = jnp.asarray(time_step, dtype), self.delay.astype(dtype)
+        T = jnp.asarray(time_step, dtype)
+        first = self.delay.astype(dtype) / T
         count, back = commands.shape[0] - state.ahead, state.before.shape[0]
         known = jnp.concatenate([state.before, commands])
         start = known[:1]
-        signal = _Signal(known - start, T, (state.row - back).astype(dtype))
+        signal = _Signal(known - start, T, state.row - back)
         lags = state.lags.plus(-start[0])
         rows, lags = self._rows(signal, first, lags, row=state.row, count=count)
         last = count - 1
@@ -310,7 +318,8 @@ class Controller(eqx.Module):
     ) -> Float[Array, "step joint ..."]:
         """Return what the motors do at instants of which the first is not 0 [s]."""
         dtype = commands.dtype
-        T, first = jnp.asarray(time_step, dtype), first.astype(dtype)
+        T = jnp.asarray(time_step, dtype)
+        first = first.astype(dtype) / T
         # From where it starts, so that no digits are lost in integrals over the time.
         start = commands[:1]
         signal = _Signal(commands - start, T)
@@ -336,24 +345,33 @@ class Controller(eqx.Module):
 
         Args:
             signal: The command.
-            first: Time of row 0 of the path [s].
+            first: Instant of row 0 of the path [rows].
             lags: State at the first of the rows.
             row: Index of the first.
             count: How many rows.
         """
-        dtype, T = first.dtype, signal.time_step
-        is_fine = self.interpolation == "hold" and self.interpolation_cycle is not None
-        parts = _STAIRCASE_PARTS if self._has_lags and is_fine else 1
-        index = jnp.arange((count - 1) * parts + 1, dtype=dtype)
-        index = index + (row * parts).astype(dtype)
-        rows = self._set_points(signal, first + index * (T / parts))
+        is_staircase = self.interpolation == "hold" and (
+            self.interpolation_cycle is not None
+        )
+        parts = _STAIRCASE_PARTS if self._has_lags and is_staircase else 1
+        index = jnp.arange((count - 1) * parts + 1, dtype=jnp.int32)
+        part = (index % parts).astype(first.dtype) / parts
+        at = _Instants(row + index // parts, part + first)
+        rows, share = self._set_points(signal, at)
         if not self._has_lags:
             return rows, lags
-        rows, lags = self._lagged(rows, T / parts, lags)
+        step, since = signal.time_step / parts, None
+        if is_staircase:
+            assert share is not None
+            cycle = jnp.asarray(self.interpolation_cycle, share.dtype)
+            # Several jumps in a step are taken as one, at their mean time.
+            jumps = jnp.round(step / cycle + share[:-1] - share[1:])
+            since = jnp.maximum(share[1:] + (jumps - 1) / 2, 0) * cycle
+        rows, lags = self._lagged(rows, step, lags, since)
         return rows[::parts], lags
 
     def _begun(self, signal: "_Signal", first: Float[Array, ""]) -> _Lags:
-        """Return the state of low-pass and servos at row 0, at some time [s].
+        """Return the state of low-pass and servos at row 0, at some instant [rows].
 
         A motion that has begun before is followed with the lag of its speed.
         """
@@ -365,7 +383,9 @@ class Controller(eqx.Module):
         span = signal.time_step
         if self.interpolation_cycle is not None:
             span = jnp.maximum(span, jnp.asarray(self.interpolation_cycle, dtype))
-        ends = self._set_points(signal, jnp.stack([first - span, first]))
+        rest = jnp.stack([first - span / signal.time_step, first])
+        at = _Instants(jnp.zeros(2, jnp.int32), rest)
+        ends = self._set_points(signal, at).rows
         rate, now = (ends[1] - ends[0]) / span, ends[1]
         filtered = position = speed = None
         if self.low_pass is not None:
@@ -378,23 +398,20 @@ class Controller(eqx.Module):
                 speed = rate / column(w)
         return _Lags(filtered, position, speed)
 
-    def _set_points(
-        self, signal: "_Signal", time: Float[Array, " instant"]
-    ) -> Float[Array, "instant joint ..."]:
+    def _set_points(self, signal: "_Signal", at: "_Instants") -> "_SetPoints":
         """Return what the servos are given at some instants."""
+        rows = lambda time: jnp.asarray(time, at.rest.dtype) / signal.time_step
         if self.dead_time is not None:
-            time = time - jnp.asarray(self.dead_time, time.dtype)
+            at = at.earlier(rows(self.dead_time))
         if self.interpolation_cycle is None:
-            return self._filtered(signal, time)
-        cycle = jnp.asarray(self.interpolation_cycle, time.dtype)
-        cycles = _snapped(time / cycle)
-        count = jnp.floor(cycles)
-        s = cycles - count
-        at = lambda back: self._filtered(signal, (count - back) * cycle)
+            return _SetPoints(self._filtered(signal, at), None)
+        cycle = rows(self.interpolation_cycle)
+        s = at.shares_of_turns(1 / cycle)
+        point = lambda back: self._filtered(signal, at.earlier((s + back) * cycle))
         if self.interpolation == "hold":
-            return at(0)
+            return _SetPoints(point(0), s)
         if self.interpolation == "linear":
-            return _shared(1 - s, at(1)) + _shared(s, at(0))
+            return _SetPoints(_shared(1 - s, point(1)) + _shared(s, point(0)), s)
         # Catmull and Rom's cubic between the second and third of four points.
         weights = (
             -0.5 * s + s**2 - 0.5 * s**3,
@@ -402,26 +419,25 @@ class Controller(eqx.Module):
             0.5 * s + 2 * s**2 - 1.5 * s**3,
             -0.5 * s**2 + 0.5 * s**3,
         )
-        points = [_shared(w, at(3 - i)) for i, w in enumerate(weights)]
-        return points[0] + points[1] + points[2] + points[3]
+        points = [_shared(w, point(3 - i)) for i, w in enumerate(weights)]
+        return _SetPoints(points[0] + points[1] + points[2] + points[3], s)
 
     def _filtered(
-        self, signal: "_Signal", time: Float[Array, " instant"]
+        self, signal: "_Signal", at: "_Instants"
     ) -> Float[Array, "instant joint ..."]:
         """Return the averaged and shaped command at some instants."""
+        dtype = at.rest.dtype
+        rows = lambda time: jnp.asarray(time, dtype) / signal.time_step
         if self.moving_average is None:
             mean = signal.at
         else:
-            span = jnp.asarray(self.moving_average, time.dtype)
-            mean = lambda t: (signal.integral(t) - signal.integral(t - span)) / span
+            span = rows(self.moving_average)
+            mean = lambda at: signal.mean(at, span)
         if self.shaper_frequency is None:
-            return mean(time)
-        first, second = self._shaper()
-        half = 1 / (2 * jnp.asarray(self.shaper_frequency, time.dtype))
-        dtype = time.dtype
-        return first.astype(dtype) * mean(time) + second.astype(dtype) * mean(
-            time - half
-        )
+            return mean(at)
+        first, second = (x.astype(dtype) for x in self._shaper())
+        half = 1 / (2 * jnp.asarray(self.shaper_frequency, dtype) * signal.time_step)
+        return first * mean(at) + second * mean(at.earlier(half))
 
     def _shaper(self) -> tuple[Float[Array, ""], Float[Array, ""]]:
         """Return the shares of the two parts of the input shaper."""
@@ -442,6 +458,7 @@ class Controller(eqx.Module):
         rows: Float[Array, "instant joint ..."],
         step: Float[Array, ""],
         lags: _Lags,
+        since: Float[Array, " step"] | None,
     ) -> tuple[Float[Array, "instant joint ..."], _Lags]:
         """Return what low-pass and servos make of set points, and their last state.
 
@@ -449,6 +466,8 @@ class Controller(eqx.Module):
             rows: The set points.
             step: Time between them [s].
             lags: State at the first.
+            since: How long before each of the others they jumped to it [s]; None for
+                linear ones.
         """
         dtype, joints = rows.dtype, rows.shape[1]
         each = lambda x: jnp.broadcast_to(jnp.asarray(x, dtype), (joints,))
@@ -456,28 +475,94 @@ class Controller(eqx.Module):
         filtered = None
         if self.low_pass is not None:
             assert lags.filtered is not None
-            w = 2 * math.pi * jnp.asarray(self.low_pass, dtype)
-            rows = _first_order(rows, w * step, lags.filtered)
-            filtered = rows[-1]
+            w = column(2 * math.pi * each(self.low_pass))
+            rows = _first_order(rows, w, step, lags.filtered, since)
+            # What comes out has no jumps.
+            filtered, since = rows[-1], None
         if self.bandwidth is None:
             return rows, _Lags(filtered)
         assert lags.position is not None
         w = 2 * math.pi * each(self.bandwidth)
         if self.damping_ratio is None:
-            rows = _first_order(rows, column(w * step), lags.position)
+            rows = _first_order(rows, column(w), step, lags.position, since)
             return rows, _Lags(filtered, rows[-1])
         assert lags.speed is not None
-        turns = jax.vmap(_turn)(w * step, each(self.damping_ratio))
-        turns = jax.tree.map(column, turns)
-        rows, speed = _second_order(rows, turns, lags.position, lags.speed)
+        servo = _SecondOrder(column(w), column(each(self.damping_ratio)))
+        rows, speed = servo.follow(rows, step, lags.position, lags.speed, since)
         return rows, _Lags(filtered, rows[-1], speed)
 
 
+class _Instants(NamedTuple):
+    """Instants as whole rows of a path and a rest, so that single precision holds them.
+
+    Attributes:
+        row: Rows from the start of the path, shape (instant,).
+        rest: What is added to them [rows], as much as a delay, shape (instant,).
+    """
+
+    row: Int[Array, " instant"]
+    rest: Float[Array, " instant"]
+
+    def earlier(self, rows: Array) -> "_Instants":
+        """Return instants that are earlier by some rows."""
+        return _Instants(self.row, self.rest - rows)
+
+    def shares_of_turns(self, turns: Float[Array, ""]) -> Float[Array, " instant"]:
+        """Return by how much of a turn they are behind the last whole one.
+
+        It is as much below zero as the rounding of the ratio may make of a whole turn.
+
+        Args:
+            turns: Turns in a row.
+        """
+        return _held(lambda at: at._shares(turns), self)
+
+    def _shares(self, turns: Float[Array, ""]) -> Float[Array, " instant"]:
+        share = self.rest * turns
+        for unit in (1, _DIGIT, _DIGIT**2):
+            digit = self.row // unit
+            # The highest takes what is left.
+            digit = digit % _DIGIT if unit < _DIGIT**2 else digit
+            whole = unit * turns
+            share = share + digit.astype(turns.dtype) * (whole - jnp.floor(whole))
+            share = share - jnp.floor(share)
+        roundings = _ROUNDINGS + _RATIO_ROUNDINGS * self.row.astype(turns.dtype) * turns
+        margin = jnp.finfo(turns.dtype).eps * jax.lax.stop_gradient(roundings)
+        return share - jnp.floor(share + margin)
+
+
+class _SetPoints(NamedTuple):
+    """What servos are given at some instants.
+
+    Attributes:
+        rows: Positions [rad or m], shape (instant, joint).
+        share: How much of an interpolation cycle has passed since the last set point,
+            shape (instant,); None without cycles.
+    """
+
+    rows: Float[Array, "instant joint ..."]
+    share: Float[Array, " instant"] | None
+
+
 class _Place(NamedTuple):
-    """Row before an instant, and share of the step behind it, shape (instant,) each."""
+    """Where an instant is in a signal, shape (instant,) each.
+
+    Attributes:
+        row: Row before it.
+        share: Share of the step behind that row.
+        after: Steps since the last row.
+    """
 
     row: Int[Array, " instant"]
     share: Float[Array, " instant"]
+    after: Float[Array, " instant"]
+
+
+class _Sum(NamedTuple):
+    """A sum and the rest that its rounding leaves, as `_with_rest` adds them."""
+
+    value: Float[Array, "..."]
+    rest: Float[Array, "..."]
 
 
 class _Signal(eqx.Module):
@@ -487,13 +572,13 @@ class _Signal(eqx.Module):
         rows: The rows; the first is zero, shape (step, joint) or more.
         time_step: Time between them T [s].
         first: Row of the path that is the first of them, shape ().
-        sums: Integral up to each row, same shape as the rows.
+        sums: Integral up to each row over T, same shape as the rows each.
     """
 
     rows: Float[Array, "step joint ..."]
     time_step: Float[Array, ""]
-    first: Float[Array, ""]
-    sums: Float[Array, "step joint ..."]
+    first: Int[Array, ""]
+    sums: _Sum
 
     def __init__(
         self,
@@ -502,53 +587,82 @@ class _Signal(eqx.Module):
         first: Array | None = None,
     ):
         self.rows, self.time_step = rows, time_step
-        self.first = jnp.zeros_like(time_step) if first is None else first
-        means = (rows[:-1] + rows[1:]) / 2
-        self.sums = jnp.concatenate(
-            [jnp.zeros_like(rows[:1]), time_step * jnp.cumsum(means, axis=0)]
-        )
+        self.first = jnp.zeros((), jnp.int32) if first is None else first
+        self.sums = _running_sums((rows[:-1] + rows[1:]) / 2, rows[0])
 
-    def at(self, time: Float[Array, " instant"]) -> Float[Array, "instant joint ..."]:
-        """Return the command at some instants [s]."""
-        row, share = self._place(time)
-        start = self.rows[row]
-        return start + _shared(share, self.rows[row + 1] - start)
+    def at(self, at: _Instants) -> Float[Array, "instant joint ..."]:
+        """Return the command at some instants."""
+        place = self._place(at)
+        start = self.rows[place.row]
+        return start + _shared(place.share, self.rows[place.row + 1] - start)
 
-    def integral(
-        self, time: Float[Array, " instant"]
+    def mean(
+        self, at: _Instants, span: Float[Array, ""]
     ) -> Float[Array, "instant joint ..."]:
-        """Return the integral of the command up to some instants."""
-        row, share = self._place(time)
-        start, T = self.rows[row], self.time_step
-        inside = _shared(T * share, start) + _shared(
-            T * share**2 / 2, self.rows[row + 1] - start
+        """Return the mean of the command over some rows before some instants."""
+        start, end = self._place(at.earlier(span)), self._place(at)
+        between = jax.tree.map(lambda x: x[end.row] - x[start.row], self.sums)
+        inside = self._inside(end) - self._inside(start)
+        return (between.value + (between.rest + inside)) / span
+
+    def _inside(self, place: _Place) -> Float[Array, "instant joint ..."]:
+        """Return the integral over T behind the row before an instant."""
+        start = self.rows[place.row]
+        inside = _shared(place.share, start) + _shared(
+            place.share**2 / 2, self.rows[place.row + 1] - start
         )
-        last = self.first + (self.rows.shape[0] - 1)
-        after = jnp.maximum(time - last * T, 0)
-        return self.sums[row] + inside + _shared(after, self.rows[-1:])
+        return inside + _shared(place.after, self.rows[-1:])
 
-    def _place(self, time: Float[Array, " instant"]) -> _Place:
-        """Return the places of some instants [s]."""
+    def _place(self, at: _Instants) -> _Place:
+        """Return the places of some instants."""
+        return _held(self._place_anew, at)
+
+    def _place_anew(self, at: _Instants) -> _Place:
         last = self.rows.shape[0] - 1
-        first, end = self.first, self.first + last
-        place = _snapped(jnp.clip(time / self.time_step, first, end)) - first
-        row = jnp.minimum(place.astype(jnp.int32), last - 1)
-        return _Place(row, place - row.astype(time.dtype))
+        rest = jnp.clip(at.rest, -_FAR_ROWS, _FAR_ROWS)
+        whole = jnp.floor(rest)
+        row, share = at.row - self.first + whole.astype(jnp.int32), rest - whole
+        after = jnp.maximum((row - last).astype(rest.dtype) + share, 0)
+        share = jnp.where(row < 0, 0, jnp.where(row < last, share, 1))
+        return _Place(jnp.clip(row, 0, last - 1), share, after)
 
 
-def _snapped(places: Float[Array, " instant"]) -> Float[Array, " instant"]:
-    """Return places of which those that only rounding keeps off a whole number are one.
+def _held(find: Callable[[_Instants], _Tree], at: _Instants) -> _Tree:
+    """Return what is found of instants, computed once.
 
     XLA computes a cheap number anew wherever it is used, and rounds it there in one way
-    or the other: a row and the share behind it would belong to different places.
+    or the other: a row and the share behind it would belong to different places. What
+    comes out of a loop is held.
     """
-    near = jnp.round(places)
-    size = jnp.maximum(jnp.max(jnp.abs(places)), 1)
-    margin = _ROUNDINGS * jnp.finfo(places.dtype).eps * size
-    is_whole = jnp.abs(places - near) < margin
-    # The value without a rounding of its own, the derivative of the places.
-    slope = places - jax.lax.stop_gradient(places)
-    return jnp.where(is_whole, near, places) + jnp.where(is_whole, slope, 0)
+    count = at.row.shape[0]
+    halves = jax.tree.map(lambda x: jnp.pad(x, (0, count % 2)).reshape(2, -1), at)
+    found = jax.lax.map(find, halves)
+    return jax.tree.map(lambda x: x.reshape(-1)[:count], found)
+
+
+def _running_sums(
+    steps: Float[Array, "step joint ..."], still: Float[Array, "joint ..."]
+) -> _Sum:
+    """Return the sums up to each row, which keep the digits that single ones lose.
+
+    A mean over some rows is a difference of two of them, each as large as the path.
+    """
+
+    def add(sums: _Sum, step: Array) -> tuple[_Sum, _Sum]:
+        value, lost = _with_rest(sums.value, step)
+        sums = _with_rest(value, sums.rest + lost)
+        return sums, sums
+
+    begun = _Sum(jnp.zeros_like(still), jnp.zeros_like(still))
+    _, sums = jax.lax.scan(add, begun, steps)
+    return jax.tree.map(lambda x, y: jnp.concatenate([x[None], y]), begun, sums)
+
+
+def _with_rest(a: Array, b: Array) -> _Sum:
+    """Return a sum and what its rounding leaves, after Knuth."""
+    total = a + b
+    b_held = total - a
+    return _Sum(total, (a - (total - b_held)) + (b - b_held))
 
 
 def _shared(
@@ -558,78 +672,133 @@ def _shared(
     return weights.reshape(-1, *(1,) * (rows.ndim - 1)) * rows
 
 
-class _Turn(eqx.Module):
-    """Exact step of a servo of second order for an input that changes linearly.
+def _first_order(
+    rows: Float[Array, "instant joint ..."],
+    w: Float[Array, "joint ..."],
+    step: Float[Array, ""],
+    begun: Float[Array, "joint ..."],
+    since: Float[Array, " step"] | None,
+) -> Float[Array, "instant joint ..."]:
+    """Return what y' = w (u - y) makes of rows, as of `Controller._lagged`.
 
-    (y, v)' = free (y, v) + start u_0 + rise (u_1 - u_0),   v = dy/dt / w
+    The lag u - y stays right in single precision, where y does not: a step that is
+    short beside 1 / w would round away what it changes.
     """
+    rises = jnp.diff(rows, axis=0)
+    if since is None:
+        late = (-jnp.expm1(-w * step) / (w * step))[None]
+    else:
+        late = jnp.exp(-_times(since, w))
+    E = jnp.exp(-w * step)
 
-    free: tuple[Array, Array, Array, Array]
-    start: tuple[Array, Array]
-    rise: tuple[Array, Array]
+    def advance(lag: Array, behind: Array) -> tuple[Array, Array]:
+        lag = E * lag + behind
+        return lag, lag
 
-
-def _turn(step: Float[Array, ""], damping_ratio: Float[Array, ""]) -> _Turn:
-    """Return the step of a servo, its length being w times that in seconds."""
-    zero, one = jnp.zeros_like(step), jnp.ones_like(step)
-    table = [
-        [zero, step, zero, zero],
-        [-step, -2 * damping_ratio * step, step, zero],
-        [zero, zero, zero, one],
-        [zero, zero, zero, zero],
-    ]
-    E = expm(jnp.stack([jnp.stack(row) for row in table]))
-    return _Turn(
-        (E[0, 0], E[0, 1], E[1, 0], E[1, 1]), (E[0, 2], E[1, 2]), (E[0, 3], E[1, 3])
-    )
+    begun = rows[0] - begun
+    _, found = jax.lax.scan(advance, begun, late * rises)
+    return rows - jnp.concatenate([begun[None], found])
 
 
-class _Input(NamedTuple):
-    """Input at the two ends of a time between two rows; linear between them."""
-
-    start: Array
-    end: Array
+def _times(
+    since: Float[Array, " step"], w: Float[Array, "joint ..."]
+) -> Float[Array, "step joint ..."]:
+    """Return times in those of the joints, 1 / w."""
+    return since.reshape(-1, *(1,) * w.ndim) * w[None]
 
 
 class _Servo(NamedTuple):
-    """State of a system of second order: y, and v = y' / w."""
+    """State of a system of second order: the lag u - y, and v = y' / w."""
 
-    y: Array
+    lag: Array
     v: Array
 
 
-def _first_order(
-    rows: Float[Array, "instant joint ..."],
-    step: Float[Array, "*joint"],
-    begun: Float[Array, "joint ..."],
-) -> Float[Array, "instant joint ..."]:
-    """Return what y' = w (u - y) makes of rows that are w times a time apart."""
-    E = jnp.exp(-step)
-    late = -jnp.expm1(-step) / step
+class _Transition(NamedTuple):
+    """What is left of the state of a servo; the lag that v leaves is -v_of_lag."""
 
-    def advance(y: Array, ends: _Input) -> tuple[Array, Array]:
-        y = E * y + (1 - E) * ends.start + (1 - late) * (ends.end - ends.start)
-        return y, y
-
-    _, found = jax.lax.scan(advance, begun, _Input(rows[:-1], rows[1:]))
-    return jnp.concatenate([begun[None], found])
+    lag_of_lag: Array
+    v_of_lag: Array
+    v_of_v: Array
 
 
-def _second_order(
-    rows: Float[Array, "instant joint ..."],
-    turn: _Turn,
-    begun: Float[Array, "joint ..."],
-    speed: Float[Array, "joint ..."],
-) -> tuple[Float[Array, "instant joint ..."], Float[Array, "joint ..."]]:
-    """Return what y'' + 2 zeta w y' + w^2 y = w^2 u makes of rows, and the last v."""
-    a, b, c, d = turn.free
+class _SecondOrder(NamedTuple):
+    """Servos y'' + 2 zeta w y' + w^2 y = w^2 u, one for each joint.
 
-    def advance(state: _Servo, ends: _Input) -> tuple[_Servo, Array]:
-        y, v, start, rise = state.y, state.v, ends.start, ends.end - ends.start
-        new = a * y + b * v + turn.start[0] * start + turn.rise[0] * rise
-        v = c * y + d * v + turn.start[1] * start + turn.rise[1] * rise
-        return _Servo(new, v), new
+    Attributes:
+        w: Their frequencies [rad/s], shape (joint,) or more.
+        zeta: Their damping ratios [-], same shape.
+    """
 
-    ends = _Input(rows[:-1], rows[1:])
-    (_, ended), found = jax.lax.scan(advance, _Servo(begun, speed), ends)
-    return jnp.concatenate([begun[None], found]), ended
+    w: Float[Array, "joint ..."]
+    zeta: Float[Array, "joint ..."]
+
+    def follow(
+        self,
+        rows: Float[Array, "instant joint ..."],
+        step: Float[Array, ""],
+        begun: Float[Array, "joint ..."],
+        speed: Float[Array, "joint ..."],
+        since: Float[Array, " step"] | None,
+    ) -> tuple[Float[Array, "instant joint ..."], Float[Array, "joint ..."]]:
+        """Return what they make of rows, as of `Controller._lagged`, and the last v.
+
+        Args:
+            rows: The set points.
+            step: Time between them [s].
+            begun: y at the first.
+            speed: v there.
+            since: As of `Controller._lagged`.
+        """
+        rises, free = jnp.diff(rows, axis=0), self._after(self.w * step)
+        if since is None:
+            # Of a ramp: the integral of what a jump leaves, over the step.
+            x, fallen = self.w * step, 1 - free.lag_of_lag
+            lag = (2 * self.zeta * fallen + free.v_of_lag) / x
+            behind = _Servo(lag[None] * rises, (fallen / x)[None] * rises)
+        else:
+            at = self._after(_times(since, self.w))
+            behind = _Servo(at.lag_of_lag * rises, at.v_of_lag * rises)
+
+        def advance(state: _Servo, behind: _Servo) -> tuple[_Servo, Array]:
+            lag = free.lag_of_lag * state.lag - free.v_of_lag * state.v
+            v = free.v_of_lag * state.lag + free.v_of_v * state.v
+            state = _Servo(lag + behind.lag, v + behind.v)
+            return state, state.lag
+
+        begun = rows[0] - begun
+        (_, ended), found = jax.lax.scan(advance, _Servo(begun, speed), behind)
+        return rows - jnp.concatenate([begun[None], found]), ended
+
+    def _after(self, x: Float[Array, "..."]) -> "_Transition":
+        """Return what is left of a state after x = w t in which u stands still.
+
+        The exponential of [[0, -1], [1, -2 zeta]] x, in closed form.
+        """
+        zeta = self.zeta.reshape(*(1,) * (x.ndim - self.zeta.ndim), *self.zeta.shape)
+        root = (zeta**2 - 1) * x**2
+        is_near = jnp.abs(root) < 1e-2
+        # Away from the critical damping, where roots have no derivative.
+        away = jnp.where(is_near, 1.0, root)
+        r = jnp.sqrt(jnp.abs(away))
+        is_over = away > 0
+        grown = jnp.where(is_over, r, 0.0)
+        slow, fast = jnp.exp(grown - zeta * x), jnp.exp(-grown - zeta * x)
+        decay = jnp.exp(-zeta * x)
+        even = jnp.where(is_over, (slow + fast) / 2, decay * jnp.cos(r))
+        odd = jnp.where(is_over, (slow - fast) / 2, decay * jnp.sin(r)) / r
+        k = jnp.where(is_near, root, 0.0)
+        even = jnp.where(is_near, decay * _series(k, 0), even)
+        odd = x * jnp.where(is_near, decay * _series(k, 1), odd)
+        return _Transition(even + zeta * odd, odd, even - zeta * odd)
+
+
+def _series(k: Array, first: int) -> Array:
+    """Return the sum of k^n / (2 n + first)! for a small k, cosh or sinh of its root.
+
+    What six terms leave of k = 0.01 is less than rounding.
+    """
+    total = jnp.zeros_like(k)
+    for n in reversed(range(6)):
+        total = total * k + 1 / math.factorial(2 * n + first)
+    return total
