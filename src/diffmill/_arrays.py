@@ -1,5 +1,6 @@
 """Arrays of numbers known on the host, for devices and in one precision."""
 
+import math
 from typing import TypeVar
 
 import jax
@@ -44,3 +45,61 @@ def cast_floats(tree: _Tree, dtype: jnp.dtype) -> _Tree:
 def is_traced(arguments: object) -> bool:
     """Return whether JAX traces any of the arguments, as for a derivative."""
     return any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(arguments))
+
+
+def check_known(
+    name: str,
+    value: object,
+    *,
+    least: float = -math.inf,
+    is_open: bool = False,
+    below: float = math.inf,
+    shapes: tuple[tuple[int | None, ...], ...] = ((),),
+) -> None:
+    """Raise if an argument from outside is no number, or none that is allowed.
+
+    A traced value has a shape and no number to look at.
+
+    Args:
+        name: The argument's.
+        value: A number, or an array or sequence of them.
+        least: The least that is allowed.
+        is_open: Whether that is the first that is not.
+        below: What all must be below.
+        shapes: Shapes that are allowed; None stands for any length.
+
+    Raises:
+        ValueError: It says what was found and what is allowed.
+    """
+    if is_traced(value):
+        found, shape = None, jnp.shape(jnp.asarray(value))  # pyright: ignore[reportArgumentType]
+    else:
+        try:
+            found = np.asarray(value, float)
+        except (TypeError, ValueError):
+            raise ValueError(
+                f"Argument `{name}` must be a number or an array of them, but is "
+                f"{value!r}."
+            ) from None
+        shape = found.shape
+    alike = lambda x: (
+        len(x) == len(shape)
+        and all(allowed in (None, size) for allowed, size in zip(x, shape, strict=True))
+    )
+    if not any(alike(x) for x in shapes):
+        allowed = " or ".join(str(x).replace("None", "any") for x in shapes)
+        raise ValueError(
+            f"Argument `{name}` must have shape {allowed}, but has {shape}."
+        )
+    if found is None:
+        return
+    is_low = found > least if is_open else found >= least
+    if not np.all(np.isfinite(found) & is_low & (found < below)):
+        bounds = ["finite"]
+        if least > -math.inf:
+            bounds.append(f"{'above' if is_open else 'at least'} {least:g}")
+        if below < math.inf:
+            bounds.append(f"below {below:g}")
+        raise ValueError(
+            f"Argument `{name}` must be {' and '.join(bounds)}, but is {value}."
+        )

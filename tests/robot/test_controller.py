@@ -6,6 +6,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import jaxtyping
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -306,11 +307,29 @@ def test_a_compiled_run_takes_the_rows_of_an_eager_one(interpolation, servo):
 )
 def test_a_part_without_extent_is_refused(part):
     make: Any = Controller
-    for value in (0.0, -1.0, np.nan, np.array([10.0, 0.0])):
-        if part == "bandwidth" or np.ndim(value) == 0:
-            with pytest.raises(ValueError, match=f"`{part}` must be positive"):
-                make(**{part: value})
+    for value in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(ValueError, match=f"`{part}` must be finite and above 0"):
+            make(**{part: value})
     jax.jit(lambda x: make(**{part: x}).delay)(1.0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fault"),
+    [
+        ({"bandwidth": np.array([10.0, 0.0])}, "above 0"),
+        ({"bandwidth": np.ones((2, 2))}, r"\(2, 2\)"),
+        ({"moving_average": [0.1, 0.2]}, r"shape \(\)"),
+        ({"bandwidth": 10.0, "damping_ratio": -0.7}, "above 0"),
+        ({"dead_time": -1e-3}, "at least 0"),
+        ({"dead_time": "15 ms"}, "number"),
+        ({"shaper_frequency": 9.0, "shaper_damping_ratio": 1.0}, "below 1"),
+    ],
+)
+def test_what_no_controller_does_is_refused(arguments, fault, monkeypatch):
+    # As users run it, without types looked at.
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
+    with pytest.raises(ValueError, match=f"`{list(arguments)[-1]}`.*{fault}"):
+        Controller(**arguments)
 
 
 def test_no_dead_time_is_none():

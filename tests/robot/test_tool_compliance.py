@@ -5,6 +5,7 @@ import math
 
 import jax
 import jax.numpy as jnp
+import jaxtyping
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -179,3 +180,54 @@ def test_what_is_refused(arm, sprung, bending):
         big.mounted_on(arm)
     with pytest.raises(ValueError, match="`overhang`"):
         dr.BendingTool(0.0, 0.0, D, D)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("mass", -1.0),
+        ("mass", np.inf),
+        ("center_of_mass", (0.0, 0.1)),
+        ("inertia", (0.1, -0.1, 0.1)),
+        ("linear_stiffness", (1e7, 0.0, 1e7)),
+        ("rotary_stiffness", np.full((3, 1), 1e6)),
+        ("rotary_stiffness", (1e6, np.nan, 1e6)),
+        ("damping_ratio", -0.02),
+    ],
+)
+def test_a_spring_of_impossible_numbers_is_refused(name, value, monkeypatch):
+    # As users run it, without types looked at.
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
+    usual = {
+        "mass": 30.0,
+        "center_of_mass": (0.0, 0.0, 0.1),
+        "inertia": (0.1, 0.1, 0.1),
+        "linear_stiffness": (1e7, 1e7, 1e7),
+    }
+    dr.FlangeSpring(**usual)
+    with pytest.raises(ValueError, match=f"`{name}` must"):
+        dr.FlangeSpring(**usual | {name: value})
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("overhang", np.inf),
+        ("cutter_diameter", jnp.asarray(-0.01)),
+        ("young_modulus", np.nan),
+        ("flute_length", -0.01),
+        ("damping_ratio", [0.02, 0.02]),
+    ],
+)
+def test_a_tool_that_is_no_beam_is_refused(name, value, monkeypatch):
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
+    usual = dict(
+        zip(
+            ("overhang", "flute_length", "cutter_diameter", "shank_diameter"),
+            (0.04, 0.02, 0.01, 0.01),
+            strict=True,
+        )
+    )
+    dr.BendingTool(**usual)
+    with pytest.raises(ValueError, match=f"`{name}` must"):
+        dr.BendingTool(**usual | {name: value})

@@ -3,12 +3,11 @@
 import math
 from collections.abc import Sequence
 
-import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._arrays import is_traced
 from .._types import RealScalarLike
 from ._end_mill import EndMill, Kind
 
@@ -193,7 +192,7 @@ def _end_mill(
         raise ValueError(f"Argument `teeth` must be at least 1, but is {teeth}.")
     steps = None if pitch is None else _pitch(pitch, teeth)
     has_even_pitch = _is_even(steps, teeth)
-    has_runout = _is_traced(runout) or bool(runout != 0)
+    has_runout = is_traced(runout) or bool(runout != 0)
     return EndMill(
         diameter=diameter,
         own_corner_radius=corner_radius,
@@ -207,20 +206,16 @@ def _end_mill(
         flute_length=3 * D if flute_length is None else float(flute_length),
         nominal_radius=D / 2,
         nominal_corner_radius=nominal_corner,
-        has_helix=_is_traced(helix_angle) or bool(helix_angle != 0),
-        has_dish=_is_traced(dish_angle) or bool(dish_angle != 0),
+        has_helix=is_traced(helix_angle) or bool(helix_angle != 0),
+        has_dish=is_traced(dish_angle) or bool(dish_angle != 0),
         has_even_pitch=has_even_pitch,
         is_plain=kind == "flat" and has_even_pitch and not has_runout,
     )
 
 
-def _is_traced(value: object) -> bool:
-    return isinstance(value, jax.core.Tracer)
-
-
 def _nominal(name: str, value: RealScalarLike, nominal: float | None) -> float:
     """Return the static size beside a differentiable one."""
-    if nominal is None and _is_traced(value):
+    if nominal is None and is_traced(value):
         raise ValueError(
             f"Argument `nominal_{name}` must be given where `{name}` is traced."
         )
@@ -238,14 +233,14 @@ def _is_even(steps: _Angles | None, count: int) -> bool:
     """Return whether all teeth are known to stand equally far apart."""
     if steps is None:
         return True
-    if _is_traced(steps):
+    if is_traced(steps):
         return False
     return bool(np.all(np.abs(steps - 2 * math.pi / count) < _EVEN))
 
 
 def _pitch(pitch: Pitch, count: int) -> _Angles:
     """Return the angle from every tooth to the next [rad], checked."""
-    if _is_traced(pitch):
+    if is_traced(pitch):
         parts = jnp.asarray(pitch)
         if parts.shape != (count,):
             raise ValueError(_wrong_pitch(count, f"has shape {parts.shape}"))

@@ -26,8 +26,7 @@ the path. So a path can be gone through piece by piece, by `begin` and `follow`.
 """
 
 import math
-from collections.abc import Callable
-from typing import Literal, NamedTuple, TypeAlias, TypeVar
+from typing import Literal, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -35,35 +34,26 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..._arrays import is_traced
+from ..._arrays import check_known
 from ..._types import RealScalarLike
+from .servos import SecondOrder, first_order
+from .signal import Instants, Signal, shared
 
 # A number for all joints, or one for each.
 EachJoint: TypeAlias = (
     Float[Array, " joint"] | Float[np.ndarray, " joint"] | RealScalarLike
 )
 Interpolation: TypeAlias = Literal["hold", "linear", "spline"]
-_Tree = TypeVar("_Tree")
 # Cycles by which the kinds of interpolation come late: a drive that goes from one point
 # to the next has to know the next, and a spline one more.
 _LATE_CYCLES = {"hold": 0.5, "linear": 1.0, "spline": 2.0}
 # Cycles back to the first set point that an instant may need.
 _USED_CYCLES = {"hold": 1.0, "linear": 2.0, "spline": 4.0}
-# What a chain divides by.
-_POSITIVE = (
-    *("moving_average", "shaper_frequency", "interpolation_cycle"),
-    *("low_pass", "bandwidth"),
-)
+# What must be above zero, as one number or as one for each joint.
+_NUMBERS = ("moving_average", "shaper_frequency", "interpolation_cycle", "low_pass")
+_EACH_JOINT = ("bandwidth", "damping_ratio")
 # Parts of a tooth period in which low-pass and servos see a staircase.
 _STAIRCASE_PARTS = 4
-# Roundings by which turns may miss the whole number that they are.
-_ROUNDINGS = 128
-# Those of a ratio of two times.
-_RATIO_ROUNDINGS = 2
-# Digits in which rows are counted in cycles, so that each takes few roundings.
-_DIGIT = 64
-# Rows further than these are beyond any path.
-_FAR_ROWS = 2**30
 
 
 class RowSpan(NamedTuple):
@@ -76,6 +66,19 @@ class RowSpan(NamedTuple):
 
     before: int
     ahead: int
+
+
+class _SetPoints(NamedTuple):
+    """What servos are given at some instants.
+
+    Attributes:
+        rows: Positions [rad or m], shape (instant, joint).
+        share: How much of an interpolation cycle has passed since the last set point,
+            shape (instant,); None without cycles.
+    """
+
+    rows: Float[Array, "instant joint ..."]
+    share: Float[Array, " instant"] | None
 
 
 class _Lags(eqx.Module):
@@ -172,15 +175,16 @@ class Controller(eqx.Module):
             raise ValueError(
                 "Argument `damping_ratio` must come with a `bandwidth`, but has none."
             )
-        for name in _POSITIVE:
-            value = getattr(self, name)
-            if value is None or is_traced(value):
-                continue
-            if not np.all(np.asarray(value) > 0):
-                raise ValueError(
-                    f"Argument `{name}` must be positive, or None for none, but is "
-                    f"{value}."
-                )
+        for names, shapes in ((_NUMBERS, ((),)), (_EACH_JOINT, ((), (None,)))):
+            for name in names:
+                value = getattr(self, name)
+                if value is not None:
+                    check_known(name, value, least=0.0, is_open=True, shapes=shapes)
+        if self.dead_time is not None:
+            check_known("dead_time", self.dead_time, least=0.0)
+        check_known(
+            "shaper_damping_ratio", self.shaper_damping_ratio, least=0.0, below=1.0
+        )
 
     @property
     def delay(self) -> Float[Array, ""]:
@@ -259,7 +263,7 @@ class Controller(eqx.Module):
         **Differentiability**: that of `motors`.
         """
         start, T = commands[:1], jnp.asarray(time_step, commands.dtype)
-        signal = _Signal(commands - start, T)
+        signal = Signal(commands - start, T)
         lags = self._begun(signal, self.delay.astype(commands.dtype) / T)
         still = jnp.broadcast_to(start, (before, *start.shape[1:]))
         row = jnp.zeros((), jnp.int32)
@@ -289,7 +293,7 @@ class Controller(eqx.Module):
         count, back = commands.shape[0] - state.ahead, state.before.shape[0]
         known = jnp.concatenate([state.before, commands])
         start = known[:1]
-        signal = _Signal(known - start, T, state.row - back)
+        signal = Signal(known - start, T, state.row - back)
         lags = state.lags.plus(-start[0])
         rows, lags = self._rows(signal, first, lags, row=state.row, count=count)
         last = count - 1
@@ -322,7 +326,7 @@ class Controller(eqx.Module):
         first = first.astype(dtype) / T
         # From where it starts, so that no digits are lost in integrals over the time.
         start = commands[:1]
-        signal = _Signal(commands - start, T)
+        signal = Signal(commands - start, T)
         lags, row = self._begun(signal, first), jnp.zeros((), jnp.int32)
         count = commands.shape[0]
         rows, _ = self._rows(signal, first, lags, row=row, count=count)
@@ -334,7 +338,7 @@ class Controller(eqx.Module):
 
     def _rows(
         self,
-        signal: "_Signal",
+        signal: Signal,
         first: Float[Array, ""],
         lags: _Lags,
         *,
@@ -356,7 +360,7 @@ class Controller(eqx.Module):
         parts = _STAIRCASE_PARTS if self._has_lags and is_staircase else 1
         index = jnp.arange((count - 1) * parts + 1, dtype=jnp.int32)
         part = (index % parts).astype(first.dtype) / parts
-        at = _Instants(row + index // parts, part + first)
+        at = Instants(row + index // parts, part + first)
         rows, share = self._set_points(signal, at)
         if not self._has_lags:
             return rows, lags
@@ -370,7 +374,7 @@ class Controller(eqx.Module):
         rows, lags = self._lagged(rows, step, lags, since)
         return rows[::parts], lags
 
-    def _begun(self, signal: "_Signal", first: Float[Array, ""]) -> _Lags:
+    def _begun(self, signal: Signal, first: Float[Array, ""]) -> _Lags:
         """Return the state of low-pass and servos at row 0, at some instant [rows].
 
         A motion that has begun before is followed with the lag of its speed.
@@ -384,7 +388,7 @@ class Controller(eqx.Module):
         if self.interpolation_cycle is not None:
             span = jnp.maximum(span, jnp.asarray(self.interpolation_cycle, dtype))
         rest = jnp.stack([first - span / signal.time_step, first])
-        at = _Instants(jnp.zeros(2, jnp.int32), rest)
+        at = Instants(jnp.zeros(2, jnp.int32), rest)
         ends = self._set_points(signal, at).rows
         rate, now = (ends[1] - ends[0]) / span, ends[1]
         filtered = position = speed = None
@@ -398,7 +402,7 @@ class Controller(eqx.Module):
                 speed = rate / column(w)
         return _Lags(filtered, position, speed)
 
-    def _set_points(self, signal: "_Signal", at: "_Instants") -> "_SetPoints":
+    def _set_points(self, signal: Signal, at: Instants) -> _SetPoints:
         """Return what the servos are given at some instants."""
         rows = lambda time: jnp.asarray(time, at.rest.dtype) / signal.time_step
         if self.dead_time is not None:
@@ -411,7 +415,7 @@ class Controller(eqx.Module):
         if self.interpolation == "hold":
             return _SetPoints(point(0), s)
         if self.interpolation == "linear":
-            return _SetPoints(_shared(1 - s, point(1)) + _shared(s, point(0)), s)
+            return _SetPoints(shared(1 - s, point(1)) + shared(s, point(0)), s)
         # Catmull and Rom's cubic between the second and third of four points.
         weights = (
             -0.5 * s + s**2 - 0.5 * s**3,
@@ -419,11 +423,11 @@ class Controller(eqx.Module):
             0.5 * s + 2 * s**2 - 1.5 * s**3,
             -0.5 * s**2 + 0.5 * s**3,
         )
-        points = [_shared(w, point(3 - i)) for i, w in enumerate(weights)]
+        points = [shared(w, point(3 - i)) for i, w in enumerate(weights)]
         return _SetPoints(points[0] + points[1] + points[2] + points[3], s)
 
     def _filtered(
-        self, signal: "_Signal", at: "_Instants"
+        self, signal: Signal, at: Instants
     ) -> Float[Array, "instant joint ..."]:
         """Return the averaged and shaped command at some instants."""
         dtype = at.rest.dtype
@@ -476,7 +480,7 @@ class Controller(eqx.Module):
         if self.low_pass is not None:
             assert lags.filtered is not None
             w = column(2 * math.pi * each(self.low_pass))
-            rows = _first_order(rows, w, step, lags.filtered, since)
+            rows = first_order(rows, w, step, lags.filtered, since)
             # What comes out has no jumps.
             filtered, since = rows[-1], None
         if self.bandwidth is None:
@@ -484,321 +488,9 @@ class Controller(eqx.Module):
         assert lags.position is not None
         w = 2 * math.pi * each(self.bandwidth)
         if self.damping_ratio is None:
-            rows = _first_order(rows, column(w), step, lags.position, since)
+            rows = first_order(rows, column(w), step, lags.position, since)
             return rows, _Lags(filtered, rows[-1])
         assert lags.speed is not None
-        servo = _SecondOrder(column(w), column(each(self.damping_ratio)))
+        servo = SecondOrder(column(w), column(each(self.damping_ratio)))
         rows, speed = servo.follow(rows, step, lags.position, lags.speed, since)
         return rows, _Lags(filtered, rows[-1], speed)
-
-
-class _Instants(NamedTuple):
-    """Instants as whole rows of a path and a rest, so that single precision holds them.
-
-    Attributes:
-        row: Rows from the start of the path, shape (instant,).
-        rest: What is added to them [rows], as much as a delay, shape (instant,).
-    """
-
-    row: Int[Array, " instant"]
-    rest: Float[Array, " instant"]
-
-    def earlier(self, rows: Array) -> "_Instants":
-        """Return instants that are earlier by some rows."""
-        return _Instants(self.row, self.rest - rows)
-
-    def shares_of_turns(self, turns: Float[Array, ""]) -> Float[Array, " instant"]:
-        """Return by how much of a turn they are behind the last whole one.
-
-        It is as much below zero as the rounding of the ratio may make of a whole turn.
-
-        Args:
-            turns: Turns in a row.
-        """
-        return _held(lambda at: at._shares(turns), self)
-
-    def _shares(self, turns: Float[Array, ""]) -> Float[Array, " instant"]:
-        share = self.rest * turns
-        for unit in (1, _DIGIT, _DIGIT**2):
-            digit = self.row // unit
-            # The highest takes what is left.
-            digit = digit % _DIGIT if unit < _DIGIT**2 else digit
-            whole = unit * turns
-            share = share + digit.astype(turns.dtype) * (whole - jnp.floor(whole))
-            share = share - jnp.floor(share)
-        roundings = _ROUNDINGS + _RATIO_ROUNDINGS * self.row.astype(turns.dtype) * turns
-        margin = jnp.finfo(turns.dtype).eps * jax.lax.stop_gradient(roundings)
-        return share - jnp.floor(share + margin)
-
-
-class _SetPoints(NamedTuple):
-    """What servos are given at some instants.
-
-    Attributes:
-        rows: Positions [rad or m], shape (instant, joint).
-        share: How much of an interpolation cycle has passed since the last set point,
-            shape (instant,); None without cycles.
-    """
-
-    rows: Float[Array, "instant joint ..."]
-    share: Float[Array, " instant"] | None
-
-
-class _Place(NamedTuple):
-    """Where an instant is in a signal, shape (instant,) each.
-
-    Attributes:
-        row: Row before it.
-        share: Share of the step behind that row.
-        after: Steps since the last row.
-    """
-
-    row: Int[Array, " instant"]
-    share: Float[Array, " instant"]
-    after: Float[Array, " instant"]
-
-
-class _Sum(NamedTuple):
-    """A sum and the rest that its rounding leaves, as `_with_rest` adds them."""
-
-    value: Float[Array, "..."]
-    rest: Float[Array, "..."]
-
-
-class _Signal(eqx.Module):
-    """A command that is linear between its rows, and constant before and after.
-
-    Attributes:
-        rows: The rows; the first is zero, shape (step, joint) or more.
-        time_step: Time between them T [s].
-        first: Row of the path that is the first of them, shape ().
-        sums: Integral up to each row over T, same shape as the rows each.
-    """
-
-    rows: Float[Array, "step joint ..."]
-    time_step: Float[Array, ""]
-    first: Int[Array, ""]
-    sums: _Sum
-
-    def __init__(
-        self,
-        rows: Float[Array, "step joint ..."],
-        time_step: Array,
-        first: Array | None = None,
-    ):
-        self.rows, self.time_step = rows, time_step
-        self.first = jnp.zeros((), jnp.int32) if first is None else first
-        self.sums = _running_sums((rows[:-1] + rows[1:]) / 2, rows[0])
-
-    def at(self, at: _Instants) -> Float[Array, "instant joint ..."]:
-        """Return the command at some instants."""
-        place = self._place(at)
-        start = self.rows[place.row]
-        return start + _shared(place.share, self.rows[place.row + 1] - start)
-
-    def mean(
-        self, at: _Instants, span: Float[Array, ""]
-    ) -> Float[Array, "instant joint ..."]:
-        """Return the mean of the command over some rows before some instants."""
-        start, end = self._place(at.earlier(span)), self._place(at)
-        between = jax.tree.map(lambda x: x[end.row] - x[start.row], self.sums)
-        inside = self._inside(end) - self._inside(start)
-        return (between.value + (between.rest + inside)) / span
-
-    def _inside(self, place: _Place) -> Float[Array, "instant joint ..."]:
-        """Return the integral over T behind the row before an instant."""
-        start = self.rows[place.row]
-        inside = _shared(place.share, start) + _shared(
-            place.share**2 / 2, self.rows[place.row + 1] - start
-        )
-        return inside + _shared(place.after, self.rows[-1:])
-
-    def _place(self, at: _Instants) -> _Place:
-        """Return the places of some instants."""
-        return _held(self._place_anew, at)
-
-    def _place_anew(self, at: _Instants) -> _Place:
-        last = self.rows.shape[0] - 1
-        rest = jnp.clip(at.rest, -_FAR_ROWS, _FAR_ROWS)
-        whole = jnp.floor(rest)
-        row, share = at.row - self.first + whole.astype(jnp.int32), rest - whole
-        after = jnp.maximum((row - last).astype(rest.dtype) + share, 0)
-        share = jnp.where(row < 0, 0, jnp.where(row < last, share, 1))
-        return _Place(jnp.clip(row, 0, last - 1), share, after)
-
-
-def _held(find: Callable[[_Instants], _Tree], at: _Instants) -> _Tree:
-    """Return what is found of instants, computed once.
-
-    XLA computes a cheap number anew wherever it is used, and rounds it there in one way
-    or the other: a row and the share behind it would belong to different places. What
-    comes out of a loop is held.
-    """
-    count = at.row.shape[0]
-    halves = jax.tree.map(lambda x: jnp.pad(x, (0, count % 2)).reshape(2, -1), at)
-    found = jax.lax.map(find, halves)
-    return jax.tree.map(lambda x: x.reshape(-1)[:count], found)
-
-
-def _running_sums(
-    steps: Float[Array, "step joint ..."], still: Float[Array, "joint ..."]
-) -> _Sum:
-    """Return the sums up to each row, which keep the digits that single ones lose.
-
-    A mean over some rows is a difference of two of them, each as large as the path.
-    """
-
-    def add(sums: _Sum, step: Array) -> tuple[_Sum, _Sum]:
-        value, lost = _with_rest(sums.value, step)
-        sums = _with_rest(value, sums.rest + lost)
-        return sums, sums
-
-    begun = _Sum(jnp.zeros_like(still), jnp.zeros_like(still))
-    _, sums = jax.lax.scan(add, begun, steps)
-    return jax.tree.map(lambda x, y: jnp.concatenate([x[None], y]), begun, sums)
-
-
-def _with_rest(a: Array, b: Array) -> _Sum:
-    """Return a sum and what its rounding leaves, after Knuth."""
-    total = a + b
-    b_held = total - a
-    return _Sum(total, (a - (total - b_held)) + (b - b_held))
-
-
-def _shared(
-    weights: Float[Array, " instant"], rows: Float[Array, "row joint ..."]
-) -> Float[Array, "instant joint ..."]:
-    """Return rows, each times its weight."""
-    return weights.reshape(-1, *(1,) * (rows.ndim - 1)) * rows
-
-
-def _first_order(
-    rows: Float[Array, "instant joint ..."],
-    w: Float[Array, "joint ..."],
-    step: Float[Array, ""],
-    begun: Float[Array, "joint ..."],
-    since: Float[Array, " step"] | None,
-) -> Float[Array, "instant joint ..."]:
-    """Return what y' = w (u - y) makes of rows, as of `Controller._lagged`.
-
-    The lag u - y stays right in single precision, where y does not: a step that is
-    short beside 1 / w would round away what it changes.
-    """
-    rises = jnp.diff(rows, axis=0)
-    if since is None:
-        late = (-jnp.expm1(-w * step) / (w * step))[None]
-    else:
-        late = jnp.exp(-_times(since, w))
-    E = jnp.exp(-w * step)
-
-    def advance(lag: Array, behind: Array) -> tuple[Array, Array]:
-        lag = E * lag + behind
-        return lag, lag
-
-    begun = rows[0] - begun
-    _, found = jax.lax.scan(advance, begun, late * rises)
-    return rows - jnp.concatenate([begun[None], found])
-
-
-def _times(
-    since: Float[Array, " step"], w: Float[Array, "joint ..."]
-) -> Float[Array, "step joint ..."]:
-    """Return times in those of the joints, 1 / w."""
-    return since.reshape(-1, *(1,) * w.ndim) * w[None]
-
-
-class _Servo(NamedTuple):
-    """State of a system of second order: the lag u - y, and v = y' / w."""
-
-    lag: Array
-    v: Array
-
-
-class _Transition(NamedTuple):
-    """What is left of the state of a servo; the lag that v leaves is -v_of_lag."""
-
-    lag_of_lag: Array
-    v_of_lag: Array
-    v_of_v: Array
-
-
-class _SecondOrder(NamedTuple):
-    """Servos y'' + 2 zeta w y' + w^2 y = w^2 u, one for each joint.
-
-    Attributes:
-        w: Their frequencies [rad/s], shape (joint,) or more.
-        zeta: Their damping ratios [-], same shape.
-    """
-
-    w: Float[Array, "joint ..."]
-    zeta: Float[Array, "joint ..."]
-
-    def follow(
-        self,
-        rows: Float[Array, "instant joint ..."],
-        step: Float[Array, ""],
-        begun: Float[Array, "joint ..."],
-        speed: Float[Array, "joint ..."],
-        since: Float[Array, " step"] | None,
-    ) -> tuple[Float[Array, "instant joint ..."], Float[Array, "joint ..."]]:
-        """Return what they make of rows, as of `Controller._lagged`, and the last v.
-
-        Args:
-            rows: The set points.
-            step: Time between them [s].
-            begun: y at the first.
-            speed: v there.
-            since: As of `Controller._lagged`.
-        """
-        rises, free = jnp.diff(rows, axis=0), self._after(self.w * step)
-        if since is None:
-            # Of a ramp: the integral of what a jump leaves, over the step.
-            x, fallen = self.w * step, 1 - free.lag_of_lag
-            lag = (2 * self.zeta * fallen + free.v_of_lag) / x
-            behind = _Servo(lag[None] * rises, (fallen / x)[None] * rises)
-        else:
-            at = self._after(_times(since, self.w))
-            behind = _Servo(at.lag_of_lag * rises, at.v_of_lag * rises)
-
-        def advance(state: _Servo, behind: _Servo) -> tuple[_Servo, Array]:
-            lag = free.lag_of_lag * state.lag - free.v_of_lag * state.v
-            v = free.v_of_lag * state.lag + free.v_of_v * state.v
-            state = _Servo(lag + behind.lag, v + behind.v)
-            return state, state.lag
-
-        begun = rows[0] - begun
-        (_, ended), found = jax.lax.scan(advance, _Servo(begun, speed), behind)
-        return rows - jnp.concatenate([begun[None], found]), ended
-
-    def _after(self, x: Float[Array, "..."]) -> "_Transition":
-        """Return what is left of a state after x = w t in which u stands still.
-
-        The exponential of [[0, -1], [1, -2 zeta]] x, in closed form.
-        """
-        zeta = self.zeta.reshape(*(1,) * (x.ndim - self.zeta.ndim), *self.zeta.shape)
-        root = (zeta**2 - 1) * x**2
-        is_near = jnp.abs(root) < 1e-2
-        # Away from the critical damping, where roots have no derivative.
-        away = jnp.where(is_near, 1.0, root)
-        r = jnp.sqrt(jnp.abs(away))
-        is_over = away > 0
-        grown = jnp.where(is_over, r, 0.0)
-        slow, fast = jnp.exp(grown - zeta * x), jnp.exp(-grown - zeta * x)
-        decay = jnp.exp(-zeta * x)
-        even = jnp.where(is_over, (slow + fast) / 2, decay * jnp.cos(r))
-        odd = jnp.where(is_over, (slow - fast) / 2, decay * jnp.sin(r)) / r
-        k = jnp.where(is_near, root, 0.0)
-        even = jnp.where(is_near, decay * _series(k, 0), even)
-        odd = x * jnp.where(is_near, decay * _series(k, 1), odd)
-        return _Transition(even + zeta * odd, odd, even - zeta * odd)
-
-
-def _series(k: Array, first: int) -> Array:
-    """Return the sum of k^n / (2 n + first)! for a small k, cosh or sinh of its root.
-
-    What six terms leave of k = 0.01 is less than rounding.
-    """
-    total = jnp.zeros_like(k)
-    for n in reversed(range(6)):
-        total = total * k + 1 / math.factorial(2 * n + first)
-    return total

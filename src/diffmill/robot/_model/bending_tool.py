@@ -14,6 +14,7 @@ import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
+from ..._arrays import check_known
 from ..._types import RealScalarLike
 from .._algebra.spatial import matrix_product
 from .robot import Robot
@@ -75,9 +76,9 @@ class BendingTool(eqx.Module):
             "density",
             "flute_share",
         ):
-            _check(self, name, 0.0, is_open=True)
-        _check(self, "flute_length", 0.0)
-        _check(self, "damping_ratio", 0.0)
+            check_known(name, getattr(self, name), least=0.0, is_open=True)
+        for name in ("flute_length", "damping_ratio"):
+            check_known(name, getattr(self, name), least=0.0)
 
     def mounted_on(self, robot: Robot) -> Robot:
         """Return the robot with a tool that bends, in series with the arm.
@@ -155,15 +156,3 @@ class BendingTool(eqx.Module):
         moving = A_s * L_s * (weights @ w_s**2) + A_f * L_f * (weights @ w_f**2)
         mass = number(self.density) * moving / shift**2
         return TipSpring(stiffness=1 / shift, hinge_height=shift / turn, mass=mass)
-
-
-def _check(tool: BendingTool, name: str, least: float, *, is_open: bool = False):
-    """Raise if a known number is too small; traced ones have no value to look at."""
-    value = getattr(tool, name)
-    if not isinstance(value, float | int | np.ndarray):
-        return
-    if not (value > least if is_open else value >= least):
-        allowed = "above" if is_open else "at least"
-        raise ValueError(
-            f"Argument `{name}` must be {allowed} {least:g}, but is {value}."
-        )

@@ -8,6 +8,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from ..._arrays import check_known
 from ..._types import RealScalarLike
 from .._algebra.spatial import apply_matrix, matrix_product
 from .elements import Vector3
@@ -45,7 +46,15 @@ class FlangeSpring(eqx.Module):
     is_in_link: bool = eqx.field(static=True, default=True)
 
     def __check_init__(self):
-        """Refuse springs that are not there."""
+        """Refuse springs that are not there, and what no spindle is."""
+        check_known("mass", self.mass, least=0.0)
+        check_known("damping_ratio", self.damping_ratio, least=0.0)
+        check_known("center_of_mass", self.center_of_mass, shapes=((3,),))
+        check_known("inertia", self.inertia, least=0.0, shapes=((3,),))
+        for name in ("linear_stiffness", "rotary_stiffness"):
+            value = getattr(self, name)
+            if value is not None:
+                check_known(name, value, least=0.0, is_open=True, shapes=((3,),))
         if self.linear_stiffness is None and self.rotary_stiffness is None:
             raise ValueError(
                 "Arguments `linear_stiffness` and `rotary_stiffness` must not both be "

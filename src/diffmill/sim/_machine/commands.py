@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._arrays import first_rows, on_device
+from ..._arrays import first_rows, is_traced, on_device
 from ..._job import Job
 from ..._live_rows import live_rows, map_rows, pad_rows, padded_count
 from ...numerics import CompiledOnce
@@ -73,7 +73,7 @@ class JobKinematics(eqx.Module):
             else jnp.asarray(self.job.joint_start)
         )
         count, rows = commanded.shape[0], commanded.shape[0]
-        if not _is_traced(self.job, commanded):
+        if not is_traced((self.job, commanded)):
             rows = padded_count(count)
             commanded = on_device(pad_rows(commanded, rows))
             axes = None if axes is None else on_device(pad_rows(axes, rows))
@@ -132,7 +132,7 @@ class JobKinematics(eqx.Module):
         if self.job.modes is not None:
             return self.tool_rows(joints)
         count, rows = joints.shape[0], joints.shape[0]
-        if not _is_traced(self.job, joints):
+        if not is_traced((self.job, joints)):
             rows = padded_count(count)
             joints = on_device(pad_rows(joints, rows))
         is_compensated = self.job.simulation.is_gravity_compensated
@@ -171,7 +171,7 @@ class JobKinematics(eqx.Module):
         Ts = row_count = None
         if commanded is not None:
             Ts = self.poses(commanded)
-        if not _is_traced(self.job, joints, commanded):
+        if not is_traced((self.job, joints, commanded)):
             rows = padded_count(count)
             joints = on_device(pad_rows(joints, rows))
             Ts = None if Ts is None else on_device(pad_rows(Ts, rows))
@@ -192,12 +192,6 @@ def _poses(
         frames = Pose.frame(axes.astype(Ts.dtype))
         Ts = Ts.at[:, :3, :3].set(T_base_work[None, :3, :3] @ frames)
     return Ts.at[:, :3, 3].set(tips)
-
-
-def _is_traced(*trees: Any) -> bool:
-    """Tell whether a compiled function is being traced."""
-    leaves = jax.tree.leaves(trees)
-    return any(isinstance(leaf, jax.core.Tracer) for leaf in leaves)
 
 
 @eqx.filter_jit
