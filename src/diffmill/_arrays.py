@@ -75,12 +75,14 @@ def check_known(
         found, shape = None, jnp.shape(jnp.asarray(value))  # pyright: ignore[reportArgumentType]
     else:
         try:
-            found = np.asarray(value, float)
-        except (TypeError, ValueError):
+            found = np.asarray(value)  # pyright: ignore[reportArgumentType, reportCallIssue]
+        except ValueError:
+            found = np.asarray(None)
+        if found.dtype.kind not in "iuf":
             raise ValueError(
                 f"Argument `{name}` must be a number or an array of them, but is "
                 f"{value!r}."
-            ) from None
+            )
         shape = found.shape
     alike = lambda x: (
         len(x) == len(shape)

@@ -86,6 +86,23 @@ def test_a_servo_answers_each_jump_of_a_staircase(cycle, zeta):
     np.testing.assert_allclose(np.asarray(found)[:, 0], wanted, atol=1e-9)
 
 
+@pytest.mark.parametrize("zeta", [None, 0.7, 1.6])
+def test_several_jumps_in_a_part_of_a_step(zeta):
+    """Set points so close are a ramp that is late by half a cycle."""
+    cycle, rows = 0.15e-3, ramp()
+    servos = {"bandwidth": 150.0, "damping_ratio": zeta}
+    found = Controller(
+        interpolation_cycle=cycle, interpolation="hold", **servos
+    ).respond(rows, STEP)
+    straight = Controller(dead_time=cycle / 2, **servos).respond(rows, STEP)
+    # Of the lag of such a ramp, by an instant that is anywhere in a cycle.
+    off = np.abs(found - straight)[50:].mean() / SPEED
+    assert off < 0.3 * cycle, off
+    lag = np.asarray(rows - found)[50:250].mean() / SPEED
+    wanted = (1 if zeta is None else 2 * zeta) / (2 * np.pi * 150.0) + cycle / 2
+    np.testing.assert_allclose(lag, wanted, atol=0.02 * cycle)
+
+
 def test_every_joint_has_its_own_bandwidth():
     controller = Controller(bandwidth=jnp.asarray([4.0, 16.0]))
     found = settled(controller, ramp(2))
@@ -322,6 +339,8 @@ def test_a_part_without_extent_is_refused(part):
         ({"bandwidth": 10.0, "damping_ratio": -0.7}, "above 0"),
         ({"dead_time": -1e-3}, "at least 0"),
         ({"dead_time": "15 ms"}, "number"),
+        ({"dead_time": "0.015"}, "number"),
+        ({"bandwidth": np.ones(2), "damping_ratio": np.ones(3)}, "shapes"),
         ({"shaper_frequency": 9.0, "shaper_damping_ratio": 1.0}, "below 1"),
     ],
 )

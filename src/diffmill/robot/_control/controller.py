@@ -36,7 +36,7 @@ from jaxtyping import Array, Float, Int
 
 from ..._arrays import check_known
 from ..._types import RealScalarLike
-from .servos import SecondOrder, first_order
+from .servos import Jumps, SecondOrder, first_order
 from .signal import Instants, Signal, shared
 
 # A number for all joints, or one for each.
@@ -180,6 +180,13 @@ class Controller(eqx.Module):
                 value = getattr(self, name)
                 if value is not None:
                     check_known(name, value, least=0.0, is_open=True, shapes=shapes)
+        each = [x for x in (self.bandwidth, self.damping_ratio) if x is not None]
+        sizes = {jnp.asarray(x).shape for x in each} - {()}
+        if len(sizes) > 1:
+            raise ValueError(
+                "Arguments `bandwidth` and `damping_ratio` must be of as many joints, "
+                f"but have shapes {' and '.join(map(str, sorted(sizes)))}."
+            )
         if self.dead_time is not None:
             check_known("dead_time", self.dead_time, least=0.0)
         check_known(
@@ -287,9 +294,18 @@ class Controller(eqx.Module):
 
         **Differentiability**: as `motors`.
         """
-        dtype = commands.dtype
-        T = jnp.asarray(time_step, dtype)
-        first = self.delay.astype(dtype) / T
+        T = jnp.asarray(time_step, commands.dtype)
+        first = self.delay.astype(T.dtype) / T
+        return self._in(T.dtype)._followed(commands, T, first, state)
+
+    @eqx.filter_jit
+    def _followed(
+        self,
+        commands: Float[Array, "row joint ..."],
+        T: Float[Array, ""],
+        first: Float[Array, ""],
+        state: ControllerState,
+    ) -> ControlledPiece:
         count, back = commands.shape[0] - state.ahead, state.before.shape[0]
         known = jnp.concatenate([state.before, commands])
         start = known[:1]
@@ -321,9 +337,20 @@ class Controller(eqx.Module):
         first: Float[Array, ""],
     ) -> Float[Array, "step joint ..."]:
         """Return what the motors do at instants of which the first is not 0 [s]."""
-        dtype = commands.dtype
-        T = jnp.asarray(time_step, dtype)
-        first = first.astype(dtype) / T
+        T = jnp.asarray(time_step, commands.dtype)
+        return self._in(T.dtype)._responded(commands, T, first.astype(T.dtype) / T)
+
+    def _in(self, dtype: jnp.dtype) -> "Controller":
+        """Return the controller with its numbers as arrays, which compile nothing."""
+        return jax.tree.map(lambda x: jnp.asarray(x, dtype), self)
+
+    @eqx.filter_jit
+    def _responded(
+        self,
+        commands: Float[Array, "step joint ..."],
+        T: Float[Array, ""],
+        first: Float[Array, ""],
+    ) -> Float[Array, "step joint ..."]:
         # From where it starts, so that no digits are lost in integrals over the time.
         start = commands[:1]
         signal = Signal(commands - start, T)
@@ -368,9 +395,8 @@ class Controller(eqx.Module):
         if is_staircase:
             assert share is not None
             cycle = jnp.asarray(self.interpolation_cycle, share.dtype)
-            # Several jumps in a step are taken as one, at their mean time.
             jumps = jnp.round(step / cycle + share[:-1] - share[1:])
-            since = jnp.maximum(share[1:] + (jumps - 1) / 2, 0) * cycle
+            since = Jumps.of_cycles(jumps, share[1:], cycle)
         rows, lags = self._lagged(rows, step, lags, since)
         return rows[::parts], lags
 
@@ -462,7 +488,7 @@ class Controller(eqx.Module):
         rows: Float[Array, "instant joint ..."],
         step: Float[Array, ""],
         lags: _Lags,
-        since: Float[Array, " step"] | None,
+        since: Jumps | None,
     ) -> tuple[Float[Array, "instant joint ..."], _Lags]:
         """Return what low-pass and servos make of set points, and their last state.
 
@@ -470,8 +496,7 @@ class Controller(eqx.Module):
             rows: The set points.
             step: Time between them [s].
             lags: State at the first.
-            since: How long before each of the others they jumped to it [s]; None for
-                linear ones.
+            since: The jumps to each of the others; None for linear ones.
         """
         dtype, joints = rows.dtype, rows.shape[1]
         each = lambda x: jnp.broadcast_to(jnp.asarray(x, dtype), (joints,))

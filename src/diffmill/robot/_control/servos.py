@@ -1,4 +1,4 @@
-"""Low-pass and servos: exact for ramps, and for inputs that jump and stand still.
+"""Low-pass and servos: exact for ramps, and for inputs that jump and then stand still.
 
 A lag u - y stays right in single precision, where y does not: a step that is short
 beside the servo's time would round away what it changes.
@@ -12,12 +12,39 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 
+class Jumps(NamedTuple):
+    """How long before the end of each step its input jumped, shape (step,) each.
+
+    Attributes:
+        mean: Mean time since the jumps of the step [s].
+        variance: Their variance [s^2]; 0 for one jump.
+    """
+
+    mean: Float[Array, " step"]
+    variance: Float[Array, " step"]
+
+    @staticmethod
+    def of_cycles(
+        count: Float[Array, " step"], share: Float[Array, " step"], cycle: Array
+    ) -> "Jumps":
+        """Return jumps of like size, a cycle apart.
+
+        Args:
+            count: How many in each step.
+            share: How much of a cycle has passed since the last of them.
+            cycle: The cycle [s].
+        """
+        count = jnp.maximum(count, 1)
+        mean = jnp.maximum(share + (count - 1) / 2, 0) * cycle
+        return Jumps(mean, (count**2 - 1) / 12 * cycle**2)
+
+
 def first_order(
     rows: Float[Array, "instant joint ..."],
     w: Float[Array, "joint ..."],
     step: Float[Array, ""],
     begun: Float[Array, "joint ..."],
-    since: Float[Array, " step"] | None,
+    since: Jumps | None,
 ) -> Float[Array, "instant joint ..."]:
     """Return what y' = w (u - y) makes of rows.
 
@@ -26,14 +53,16 @@ def first_order(
         w: Frequencies, shape (joint,) or more [rad/s].
         step: Time between the instants [s].
         begun: y at the first.
-        since: How long before each of the others the input jumped to it [s]; None for
-            one that is linear between them.
+        since: How the input jumped to each of the others; None for one that is linear
+            between them.
     """
     rises = jnp.diff(rows, axis=0)
     if since is None:
         late = (-jnp.expm1(-w * step) / (w * step))[None]
     else:
-        late = jnp.exp(-_times(since, w))
+        # The mean of what jumps leave, to the second order of their spread.
+        late = jnp.exp(-_times(since.mean, w))
+        late = late * (1 + _times(since.variance, w**2) / 2)
     E = jnp.exp(-w * step)
 
     def advance(lag: Array, behind: Array) -> tuple[Array, Array]:
@@ -84,7 +113,7 @@ class SecondOrder(NamedTuple):
         step: Float[Array, ""],
         begun: Float[Array, "joint ..."],
         speed: Float[Array, "joint ..."],
-        since: Float[Array, " step"] | None,
+        since: Jumps | None,
     ) -> tuple[Float[Array, "instant joint ..."], Float[Array, "joint ..."]]:
         """Return what they make of rows, and the last v.
 
@@ -102,8 +131,14 @@ class SecondOrder(NamedTuple):
             lag = (2 * self.zeta * fallen + free.v_of_lag) / x
             behind = _Servo(lag[None] * rises, (fallen / x)[None] * rises)
         else:
-            at = self._after(_times(since, self.w))
-            behind = _Servo(at.lag_of_lag * rises, at.v_of_lag * rises)
+            at = self._after(_times(since.mean, self.w))
+            # The second derivative of what a jump leaves, from the servo's equation.
+            half, zeta = _times(since.variance, self.w**2) / 2, self.zeta[None]
+            bent = half * (2 * zeta * at.v_of_lag - at.lag_of_lag)
+            turned = (4 * zeta**2 - 1) * at.v_of_lag - 2 * zeta * at.lag_of_lag
+            behind = _Servo(
+                (at.lag_of_lag + bent) * rises, (at.v_of_lag + half * turned) * rises
+            )
 
         def advance(state: _Servo, behind: _Servo) -> tuple[_Servo, Array]:
             lag = free.lag_of_lag * state.lag - free.v_of_lag * state.v
@@ -121,15 +156,17 @@ class SecondOrder(NamedTuple):
         The exponential of [[0, -1], [1, -2 zeta]] x, in closed form.
         """
         zeta = self.zeta.reshape(*(1,) * (x.ndim - self.zeta.ndim), *self.zeta.shape)
-        root = (zeta**2 - 1) * x**2
+        beyond = jnp.broadcast_to(zeta**2 - 1, x.shape)
+        root = beyond * x**2
         is_near = jnp.abs(root) < 1e-2
         # Away from the critical damping, where roots have no derivative.
-        away = jnp.where(is_near, 1.0, root)
-        r = jnp.sqrt(jnp.abs(away))
-        is_over = away > 0
-        grown = jnp.where(is_over, r, 0.0)
-        slow, fast = jnp.exp(grown - zeta * x), jnp.exp(-grown - zeta * x)
+        away = jnp.where(is_near, 1.0, beyond)
+        is_over, s = away > 0, jnp.sqrt(jnp.abs(away))
+        r = jnp.where(is_near, 1.0, s * x)
         decay = jnp.exp(-zeta * x)
+        # x (s - zeta), without the difference of what is alike.
+        slow = jnp.exp(-jnp.where(is_over, x / (zeta + s), zeta * x))
+        fast = jnp.exp(-zeta * x - jnp.where(is_over, r, 0.0))
         even = jnp.where(is_over, (slow + fast) / 2, decay * jnp.cos(r))
         odd = jnp.where(is_over, (slow - fast) / 2, decay * jnp.sin(r)) / r
         k = jnp.where(is_near, root, 0.0)
